@@ -1,0 +1,200 @@
+//! Triangle surfaces.
+//!
+//! Purpose: one validated type, [`TriMesh`], that everything above can trust, and what can be
+//! said of a surface alone: files, adjacency, samples, closest points, quality.
+//! Invariant: a `TriMesh` has finite positions, indices in range and at least one facet with an
+//! area. Facets without area stay in the list, so that facet numbers are the caller's, and are
+//! marked [`TriMesh::is_degenerate`]; integration leaves them out.
+//! Must not know: seeds, Voronoi cells, backends, jobs.
+
+pub mod adjacency;
+pub mod closest_point;
+pub mod io;
+pub mod measure;
+pub mod sample;
+pub mod shapes;
+
+use glam::DVec3;
+
+/// A validated triangle surface in the caller's own coordinates, double precision.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TriMesh {
+    positions: Vec<DVec3>,
+    facets: Vec<[u32; 3]>,
+    degenerate: Vec<bool>,
+    degenerate_count: usize,
+    area: f64,
+}
+
+/// Why a surface was refused. Every variant names the element to look at.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MeshError {
+    /// A coordinate is NaN or infinite.
+    #[error("vertex {vertex} has a coordinate that is not finite: ({x}, {y}, {z})")]
+    NonFinitePosition {
+        /// Index of the vertex, from 0.
+        vertex: usize,
+        /// Its coordinates as given.
+        x: f64,
+        /// Second coordinate.
+        y: f64,
+        /// Third coordinate.
+        z: f64,
+    },
+    /// A corner names a vertex that is not there.
+    #[error("facet {facet}, corner {corner} names vertex {index}, but there are {vertices} vertices (0 to {})", .vertices.saturating_sub(1))]
+    IndexOutOfRange {
+        /// Index of the facet, from 0.
+        facet: usize,
+        /// 0, 1 or 2.
+        corner: usize,
+        /// The index as given.
+        index: u32,
+        /// How many vertices there are.
+        vertices: usize,
+    },
+    /// The facet list is empty.
+    #[error("the mesh has no facets; give at least one triangle")]
+    NoFacets,
+    /// Every facet is a point or a segment.
+    #[error("none of the {facets} facets has an area; the surface is empty")]
+    NoArea {
+        /// How many facets were given.
+        facets: usize,
+    },
+    /// More than 2^31 - 1 vertices or facets.
+    #[error("{what}: {count} is more than the {limit} that 32-bit indices allow")]
+    TooLarge {
+        /// "vertices" or "facets".
+        what: &'static str,
+        /// How many were given.
+        count: usize,
+        /// How many can be had.
+        limit: usize,
+    },
+    /// Coordinates so large that areas overflow double precision.
+    #[error("the bounding box is {extent:e} wide; its square overflows. Scale the mesh to below 1e150")]
+    ExtentTooLarge {
+        /// Longest side of the bounding box.
+        extent: f64,
+    },
+}
+
+/// The largest number of vertices or facets: indices above are used as labels.
+pub const MAX_ELEMENTS: usize = (i32::MAX as usize) - 8;
+
+impl TriMesh {
+    /// Checks and takes a surface. Positions are in the caller's units; facets are
+    /// counter-clockwise seen from outside, three vertex indices from 0.
+    ///
+    /// # Errors
+    /// [`MeshError`], naming the first element that is wrong.
+    ///
+    /// ```
+    /// use tessera::mesh::{MeshError, TriMesh};
+    /// use glam::dvec3;
+    /// let corners = vec![dvec3(0., 0., 0.), dvec3(1., 0., 0.), dvec3(0., 1., 0.)];
+    /// let mesh = TriMesh::new(corners.clone(), vec![[0, 1, 2]])?;
+    /// assert_eq!(mesh.area(), 0.5);
+    /// assert!(matches!(TriMesh::new(corners, vec![[0, 1, 3]]), Err(MeshError::IndexOutOfRange { index: 3, .. })));
+    /// # Ok::<(), MeshError>(())
+    /// ```
+    pub fn new(positions: Vec<DVec3>, facets: Vec<[u32; 3]>) -> Result<Self, MeshError> {
+        for (what, count) in [("vertices", positions.len()), ("facets", facets.len())] {
+            if count > MAX_ELEMENTS {
+                return Err(MeshError::TooLarge { what, count, limit: MAX_ELEMENTS });
+            }
+        }
+        if facets.is_empty() {
+            return Err(MeshError::NoFacets);
+        }
+        if let Some(vertex) = positions.iter().position(|p| !p.is_finite()) {
+            let [x, y, z] = positions[vertex].to_array();
+            return Err(MeshError::NonFinitePosition { vertex, x, y, z });
+        }
+        for (facet, corners) in facets.iter().enumerate() {
+            for (corner, &index) in corners.iter().enumerate() {
+                if index as usize >= positions.len() {
+                    return Err(MeshError::IndexOutOfRange { facet, corner, index, vertices: positions.len() });
+                }
+            }
+        }
+        let (low, high) = bounds(&positions, &facets);
+        let extent = (high - low).max_element();
+        if !(extent < 1e150) {
+            return Err(MeshError::ExtentTooLarge { extent });
+        }
+        // Areas are taken in the unit box, so that a mesh scaled by 1e-200 keeps its facets.
+        let scale = if extent > 0.0 { extent } else { 1.0 };
+        let mut degenerate = Vec::with_capacity(facets.len());
+        let (mut area, mut degenerate_count) = (0.0, 0);
+        for corners in &facets {
+            let [a, b, c] = corners.map(|v| (positions[v as usize] - low) / scale);
+            let twice = (b - a).cross(c - a).length();
+            // A facet whose corners repeat, or whose area is no more than rounding leaves of
+            // one: relative to its longest edge an altitude below 1e-15 is not a direction.
+            let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
+            let flat = !(twice > 1e-15 * longest);
+            degenerate.push(flat);
+            if flat {
+                degenerate_count += 1;
+            } else {
+                area += 0.5 * twice;
+            }
+        }
+        if degenerate_count == facets.len() {
+            return Err(MeshError::NoArea { facets: facets.len() });
+        }
+        Ok(Self { positions, facets, degenerate, degenerate_count, area: area * scale * scale })
+    }
+
+    /// Vertex positions, as given.
+    pub fn positions(&self) -> &[DVec3] {
+        &self.positions
+    }
+
+    /// Facets, as given: three vertex indices each.
+    pub fn facets(&self) -> &[[u32; 3]] {
+        &self.facets
+    }
+
+    /// Whether facet `facet` has no area and is left out of every integral.
+    pub fn is_degenerate(&self, facet: usize) -> bool {
+        self.degenerate[facet]
+    }
+
+    /// How many facets are degenerate.
+    pub fn degenerate_count(&self) -> usize {
+        self.degenerate_count
+    }
+
+    /// Sum of the facets' areas, in the caller's units squared.
+    pub fn area(&self) -> f64 {
+        self.area
+    }
+
+    /// Lower and upper corner of the box around all vertices that a facet uses.
+    pub fn bounds(&self) -> (DVec3, DVec3) {
+        bounds(&self.positions, &self.facets)
+    }
+
+    /// Corner positions of facet `facet`.
+    pub fn corners(&self, facet: usize) -> [DVec3; 3] {
+        self.facets[facet].map(|v| self.positions[v as usize])
+    }
+
+    /// The parts, for a caller that goes on with them.
+    pub fn into_parts(self) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        (self.positions, self.facets)
+    }
+}
+
+fn bounds(positions: &[DVec3], facets: &[[u32; 3]]) -> (DVec3, DVec3) {
+    let mut low = DVec3::INFINITY;
+    let mut high = DVec3::NEG_INFINITY;
+    for p in facets.iter().flatten().map(|&v| positions[v as usize]) {
+        low = low.min(p);
+        high = high.max(p);
+    }
+    (low, high)
+}

@@ -1,0 +1,302 @@
+//! The restricted Voronoi diagram (RVD) seen from outside.
+//!
+//! Purpose: [`Backend`] makes a [`Session`] for one surface; a session takes seeds and answers
+//! with sums per cell or with the pieces themselves. Three backends stand behind the trait:
+//! [`serial`] (f64, the reference), [`parallel`] (f64, all cores) and [`gpu`] (f32, WGSL).
+//! Invariant: every (facet, cell) pair of the diagram is in the answer. A pair that runs out
+//! of a capacity gets a [`PairStatus`] and is done again with more; capacities tune, they never
+//! change a result.
+//! Must not know: iterations, jobs, files.
+
+pub mod cells;
+pub mod clip;
+pub mod dual;
+pub mod gpu;
+pub mod parallel;
+pub mod serial;
+pub mod surface;
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use glam::DVec3;
+
+pub use cells::PieceBatch;
+pub use surface::{Frame, Surface};
+
+/// How a (facet, cell) pair ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(u32)]
+pub enum PairStatus {
+    /// Clipped to the end: the security radius closed, or every other seed was tried.
+    Done = 0,
+    /// The neighbour table ended before the security radius closed.
+    NeighboursExhausted = 1,
+    /// The polygon needed more vertices than there were slots.
+    PolygonOverflow = 2,
+    /// The facet meets more cells than there were slots.
+    CellsOverflow = 3,
+    /// A coordinate left the range of the arithmetic in use.
+    NonFinite = 4,
+}
+
+/// Capacities with which a pass starts. They grow where a pair needs more, so they tune speed
+/// and memory and never a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Capacities {
+    /// Neighbours per seed in the first table (\[HYWZ17\] uses 20).
+    pub neighbours: usize,
+    /// Polygon vertices per pair, at least 4.
+    pub polygon: usize,
+    /// Cells per facet, at least 1.
+    pub cells: usize,
+    /// Pairs in one pass, as a multiple of the expected number, at least 0.01.
+    pub pairs_percent: usize,
+}
+
+impl Default for Capacities {
+    fn default() -> Self {
+        Self { neighbours: 24, polygon: 10, cells: 16, pairs_percent: 100 }
+    }
+}
+
+/// What a session needs to know before it allocates.
+#[derive(Clone, Copy, Debug)]
+pub struct SessionOptions {
+    /// The most seeds that will ever be set; seeds may be added up to it without a new plan.
+    pub max_seeds: usize,
+    /// First capacities.
+    pub capacities: Capacities,
+}
+
+impl SessionOptions {
+    /// Default capacities for at most `max_seeds` seeds.
+    pub fn new(max_seeds: usize) -> Self {
+        Self { max_seeds, capacities: Capacities::default() }
+    }
+}
+
+/// Sums over each restricted cell Ω_i, in the surface's unit frame. All have one entry a seed.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CellSums {
+    /// ∫ w: the cell's mass.
+    pub mass: Vec<f64>,
+    /// ∫ w (p - x_i): the first moment about the seed. Centroid = x_i + moment / mass.
+    pub moment: Vec<DVec3>,
+    /// ∫ w |p - x_i|²: the cell's share of the CVT energy.
+    pub energy: Vec<f64>,
+    /// ∫ 1: the cell's area, whatever the weights.
+    pub area: Vec<f64>,
+}
+
+impl CellSums {
+    /// Zero for `n` cells, keeping what was allocated.
+    pub fn reset(&mut self, n: usize) {
+        self.mass.clear();
+        self.mass.resize(n, 0.0);
+        self.moment.clear();
+        self.moment.resize(n, DVec3::ZERO);
+        self.energy.clear();
+        self.energy.resize(n, 0.0);
+        self.area.clear();
+        self.area.resize(n, 0.0);
+    }
+
+    /// Centroid of cell `i` about seed `seed`, or the seed itself if the cell is empty.
+    pub fn centroid(&self, i: usize, seed: DVec3) -> DVec3 {
+        if self.mass[i] > 0.0 { seed + self.moment[i] / self.mass[i] } else { seed }
+    }
+}
+
+/// What one pass did. Times are wall-clock milliseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PassStats {
+    /// Non-empty pieces, i.e. (facet, cell) incidences.
+    pub pairs: u64,
+    /// Pairs done again because the neighbour table ended.
+    pub relaunched_neighbours: u64,
+    /// Pairs done again with more polygon slots.
+    pub relaunched_polygon: u64,
+    /// Pairs done again, or inserted again, with more cell slots for their facet.
+    pub relaunched_cells: u64,
+    /// Pairs that another precision finished (GPU: the f64 path).
+    pub f64_finished: u64,
+    /// Neighbour tables: building the tree and querying it.
+    pub neighbours_ms: f64,
+    /// The nearest seed of every facet.
+    pub start_ms: f64,
+    /// Clipping and summing.
+    pub clip_ms: f64,
+    /// Moving results to where the caller reads them.
+    pub update_ms: f64,
+}
+
+impl PassStats {
+    /// All pairs that were launched more than once.
+    pub fn relaunched(&self) -> u64 {
+        self.relaunched_neighbours + self.relaunched_polygon + self.relaunched_cells
+    }
+
+    /// Adds another pass's figures to these.
+    pub fn add(&mut self, other: &PassStats) {
+        self.pairs += other.pairs;
+        self.relaunched_neighbours += other.relaunched_neighbours;
+        self.relaunched_polygon += other.relaunched_polygon;
+        self.relaunched_cells += other.relaunched_cells;
+        self.f64_finished += other.f64_finished;
+        self.neighbours_ms += other.neighbours_ms;
+        self.start_ms += other.start_ms;
+        self.clip_ms += other.clip_ms;
+        self.update_ms += other.update_ms;
+    }
+}
+
+/// Why a pass could not be done.
+#[derive(Debug, Clone, thiserror::Error)]
+pub enum RvdError {
+    /// No seeds were given.
+    #[error("no seeds; give at least one")]
+    NoSeeds,
+    /// More seeds than the session was opened for.
+    #[error("{given} seeds, but the session was opened for at most {limit}")]
+    TooManySeeds {
+        /// How many were given.
+        given: usize,
+        /// How many fit.
+        limit: usize,
+    },
+    /// A seed is NaN or infinite.
+    #[error("seed {seed} has a coordinate that is not finite")]
+    NonFiniteSeed {
+        /// Its index, from 0.
+        seed: usize,
+    },
+    /// An edit names a seed that is not there.
+    #[error("there is no seed {seed}; there are {seeds} (0 to {})", .seeds.saturating_sub(1))]
+    NoSuchSeed {
+        /// The index as given.
+        seed: usize,
+        /// How many there are.
+        seeds: usize,
+    },
+    /// A weight is negative, NaN or infinite, or all are zero.
+    #[error("weight {vertex} is {value}; weights are finite and at least 0, and not all 0")]
+    BadWeight {
+        /// The vertex.
+        vertex: usize,
+        /// Its weight.
+        value: f64,
+    },
+    /// The list of weights is not as long as the list of vertices.
+    #[error("{given} weights for {vertices} vertices; give one per vertex")]
+    WeightCount {
+        /// How many were given.
+        given: usize,
+        /// How many vertices there are.
+        vertices: usize,
+    },
+    /// The caller asked to stop.
+    #[error("cancelled")]
+    Cancelled,
+    /// The plan does not fit the device now.
+    #[error(
+        "the job needs {needed_bytes} bytes on the device and {limit_bytes} can be had; use fewer seeds or facets, or the parallel backend"
+    )]
+    OutOfMemory {
+        /// What the plan adds up to.
+        needed_bytes: u64,
+        /// What can be had.
+        limit_bytes: u64,
+    },
+    /// The device went away while it worked.
+    #[error("the GPU device was lost: {0}")]
+    DeviceLost(String),
+    /// The device refused or failed; not the caller's fault.
+    #[error("the GPU device failed: {0}")]
+    Device(String),
+    /// An invariant of this program was broken; please report it.
+    #[error("internal error: {0}")]
+    Internal(String),
+}
+
+/// A flag that stops work between dispatches or batches. Clones share it.
+#[derive(Clone, Debug, Default)]
+pub struct CancelFlag(Arc<AtomicBool>);
+
+impl CancelFlag {
+    /// Asks everyone who holds a clone to stop.
+    pub fn cancel(&self) {
+        self.0.store(true, Ordering::Release);
+    }
+
+    /// Whether somebody asked.
+    pub fn is_cancelled(&self) -> bool {
+        self.0.load(Ordering::Acquire)
+    }
+
+    /// [`RvdError::Cancelled`] if somebody asked.
+    pub fn check(&self) -> Result<(), RvdError> {
+        if self.is_cancelled() { Err(RvdError::Cancelled) } else { Ok(()) }
+    }
+}
+
+/// Which implementation does the work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum BackendKind {
+    /// f64, one thread.
+    Serial,
+    /// f64, all threads of the pool.
+    Parallel,
+    /// f32 on a wgpu device.
+    Gpu,
+}
+
+impl BackendKind {
+    /// "serial", "parallel" or "gpu".
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Serial => "serial",
+            Self::Parallel => "parallel",
+            Self::Gpu => "gpu",
+        }
+    }
+}
+
+/// Makes sessions. One per process is enough; it is the caller's to share.
+pub trait Backend: Send + Sync {
+    /// Which one this is.
+    fn kind(&self) -> BackendKind;
+    /// The adapter's name, for a GPU.
+    fn adapter(&self) -> Option<String> {
+        None
+    }
+    /// How many threads the pool has (1 for `serial`).
+    fn threads(&self) -> usize;
+    /// Plans and allocates everything for one surface and up to `options.max_seeds` seeds.
+    fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError>;
+}
+
+/// One surface and its buffers, reused for any number of seed sets. Not shared: one at a time.
+///
+/// All coordinates are in the surface's unit frame ([`Surface::frame`]).
+pub trait Session: Send {
+    /// Sets the seeds and builds their neighbour table. May be called any number of times,
+    /// with another number of seeds each time, up to `max_seeds`.
+    ///
+    /// # Errors
+    /// `NoSeeds`, `TooManySeeds`, `NonFiniteSeed`.
+    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError>;
+
+    /// The sums over every cell for the present seeds. `out` is reset to their number.
+    /// The statistics include what `set_seeds` spent on the neighbour table.
+    fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError>;
+
+    /// The pieces in `facets`, ordered by facet and then by seed. `out` is cleared first.
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError>;
+
+    /// Bytes of device memory that the session holds (0 on a CPU).
+    fn device_bytes(&self) -> u64 {
+        0
+    }
+}
