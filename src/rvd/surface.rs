@@ -124,6 +124,12 @@ impl Surface {
         &self.facets
     }
 
+    /// Centroid of facet `f`.
+    pub fn centroid(&self, f: u32) -> DVec3 {
+        let [a, b, c] = self.facets[f as usize].map(|v| self.positions[v as usize]);
+        (a + b + c) / 3.0
+    }
+
     /// Whether facet `f` is degenerate and left out.
     pub fn skips(&self, f: usize) -> bool {
         self.skip[f]
