@@ -187,7 +187,7 @@ impl Corners {
         Self {
             p: vertex.map(|v| surface.positions()[v as usize] - origin),
             w: vertex.map(|v| surface.weights()[v as usize]),
-            vertex,
+            vertex: surface.welded()[facet as usize],
         }
     }
 
