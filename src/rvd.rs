@@ -12,6 +12,7 @@ pub mod cells;
 pub mod clip;
 pub mod dual;
 pub mod gpu;
+pub mod incident;
 pub mod parallel;
 pub mod serial;
 pub mod surface;
@@ -103,6 +104,14 @@ impl CellSums {
         self.area.resize(n, 0.0);
     }
 
+    /// Adds one piece to cell `i`.
+    pub fn add(&mut self, i: usize, piece: &clip::Integrals) {
+        self.mass[i] += piece.mass;
+        self.moment[i] += piece.moment;
+        self.energy[i] += piece.energy;
+        self.area[i] += piece.area;
+    }
+
     /// Centroid of cell `i` about seed `seed`, or the seed itself if the cell is empty.
     pub fn centroid(&self, i: usize, seed: DVec3) -> DVec3 {
         if self.mass[i] > 0.0 { seed + self.moment[i] / self.mass[i] } else { seed }
@@ -166,6 +175,16 @@ pub enum RvdError {
         /// How many fit.
         limit: usize,
     },
+    /// A seed is so far from the surface that distances lose all detail.
+    #[error(
+        "seed {seed} is {boxes:.3e} bounding boxes away from the surface; seeds within {MAX_SEED_DISTANCE:e} are accepted"
+    )]
+    SeedTooFar {
+        /// Its index, from 0.
+        seed: usize,
+        /// Largest coordinate in the unit frame.
+        boxes: f64,
+    },
     /// A seed is NaN or infinite.
     #[error("seed {seed} has a coordinate that is not finite")]
     NonFiniteSeed {
@@ -218,6 +237,34 @@ pub enum RvdError {
     /// An invariant of this program was broken; please report it.
     #[error("internal error: {0}")]
     Internal(String),
+}
+
+/// The farthest seed that is accepted, in bounding boxes: beyond it a double's rounding of the
+/// distance to the seed is as large as the spacing of 10⁶ seeds.
+pub const MAX_SEED_DISTANCE: f64 = 1e6;
+
+/// What every session checks of new seeds.
+pub(crate) fn check_seeds(seeds: &[DVec3], limit: usize) -> Result<(), RvdError> {
+    if seeds.is_empty() {
+        return Err(RvdError::NoSeeds);
+    }
+    if seeds.len() > limit {
+        return Err(RvdError::TooManySeeds { given: seeds.len(), limit });
+    }
+    for (seed, p) in seeds.iter().enumerate() {
+        if !p.is_finite() {
+            return Err(RvdError::NonFiniteSeed { seed });
+        }
+        let boxes = p.abs().max_element();
+        if boxes > MAX_SEED_DISTANCE {
+            return Err(RvdError::SeedTooFar { seed, boxes });
+        }
+    }
+    Ok(())
+}
+
+pub(crate) fn elapsed_ms(since: std::time::Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
 }
 
 /// A flag that stops work between dispatches or batches. Clones share it.
@@ -273,6 +320,11 @@ pub trait Backend: Send + Sync {
     }
     /// How many threads the pool has (1 for `serial`).
     fn threads(&self) -> usize;
+    /// A session whose pieces the dual may be read from: f64. A backend that works in less
+    /// precision hands out another one's.
+    fn exact_session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        self.session(surface, options)
+    }
     /// Plans and allocates everything for one surface and up to `options.max_seeds` seeds.
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError>;
 }

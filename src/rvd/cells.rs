@@ -76,6 +76,22 @@ impl PieceBatch {
         self.offset.push(self.position.len() as u32);
     }
 
+    /// Orders the pieces by facet, then by seed.
+    pub fn sort(&mut self) {
+        let mut order: Vec<usize> = (0..self.len()).collect();
+        order.sort_unstable_by_key(|&i| (self.facet[i], self.seed[i]));
+        if order.is_sorted() {
+            return;
+        }
+        let mut sorted = PieceBatch::default();
+        sorted.position.reserve(self.position.len());
+        for i in order {
+            let vertices = self.vertices(i).map(|v| (self.position[v], self.weight[v], self.opposite[v]));
+            sorted.push(self.facet[i], self.seed[i], vertices);
+        }
+        *self = sorted;
+    }
+
     /// Area of piece `i`, unit frame.
     pub fn area(&self, i: usize) -> f64 {
         let range = self.vertices(i);

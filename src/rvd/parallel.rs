@@ -1,22 +1,244 @@
-//! (being built)
-use super::*;
+//! f64 on all cores.
+//!
+//! Purpose: the fast CPU backend.
+//! Invariant: the same bits as [`super::serial`], whatever the number of threads: facets are cut
+//! into chunks of fixed size, each chunk writes its pieces' integrals down in facet order, and
+//! every cell adds its own up in that order.
+//! Must not know: iterations.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::clip::Integrals;
+use super::incident::{Diagram, FacetWalker};
+use super::{
+    Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
+    Surface, check_seeds, elapsed_ms,
+};
+use crate::knn::{NeighbourTable, SeedIndex, Threads};
+
 /// f64, on all threads of its own rayon pool.
 #[derive(Clone, Debug)]
-pub struct Parallel;
+pub struct Parallel {
+    pool: Arc<rayon::ThreadPool>,
+}
+
 impl Parallel {
     /// A pool of `threads` threads, or one a core with `None`.
-    pub fn new(_threads: Option<usize>) -> Result<Self, RvdError> {
-        Ok(Self)
+    ///
+    /// # Errors
+    /// `Internal` if the operating system refuses the threads.
+    pub fn new(threads: Option<usize>) -> Result<Self, RvdError> {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads.unwrap_or(0))
+            .thread_name(|i| format!("tessera-cpu-{i}"))
+            .build()
+            .map_err(|e| RvdError::Internal(format!("no thread pool: {e}")))?;
+        Ok(Self { pool: Arc::new(pool) })
     }
 }
+
 impl Backend for Parallel {
     fn kind(&self) -> BackendKind {
         BackendKind::Parallel
     }
+
     fn threads(&self) -> usize {
-        2
+        self.pool.current_num_threads()
     }
-    fn session(&self, _s: Arc<Surface>, _o: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        todo!()
+
+    fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        Ok(Box::new(ParallelSession {
+            pool: Arc::clone(&self.pool),
+            surface,
+            max_seeds: options.max_seeds,
+            capacities: options.capacities,
+            seeds: Vec::new(),
+            index: SeedIndex::new(&[]),
+            table: NeighbourTable::default(),
+            neighbours_ms: 0.0,
+            starts: Vec::new(),
+            chunks: Vec::new(),
+        }))
+    }
+}
+
+/// Facets per task. Part of no result: sums are added facet by facet all the same.
+const CHUNK: usize = 256;
+/// Tasks between two additions, which bounds the memory of the integrals written down.
+const WAVE: usize = 512;
+
+struct ParallelSession {
+    pool: Arc<rayon::ThreadPool>,
+    surface: Arc<Surface>,
+    max_seeds: usize,
+    capacities: Capacities,
+    seeds: Vec<DVec3>,
+    index: SeedIndex,
+    table: NeighbourTable,
+    neighbours_ms: f64,
+    starts: Vec<u32>,
+    chunks: Vec<Chunk>,
+}
+
+/// What one task found, in facet order. Reused from wave to wave.
+#[derive(Default)]
+struct Chunk {
+    integrals: Vec<(u32, Integrals)>,
+    pieces: PieceBatch,
+    stats: PassStats,
+}
+
+/// What a task writes down.
+#[derive(Clone, Copy, PartialEq)]
+enum Wanted {
+    Integrals,
+    Pieces,
+}
+
+impl ParallelSession {
+    fn find_starts(&mut self, facets: Range<u32>) {
+        let (surface, index) = (&*self.surface, &self.index);
+        self.starts.resize(facets.len(), 0);
+        self.starts.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
+            for (k, start) in part.iter_mut().enumerate() {
+                *start = index.nearest(surface.centroid(facets.start + (c * CHUNK + k) as u32));
+            }
+        });
+    }
+
+    /// Runs all tasks of `facets`, wave by wave; `merge` gets each wave's chunks in order.
+    fn waves(
+        &mut self,
+        facets: Range<u32>,
+        wanted: Wanted,
+        cancel: &CancelFlag,
+        mut merge: impl FnMut(&[Chunk]) + Send,
+    ) -> Result<PassStats, RvdError> {
+        let mut stats = PassStats { neighbours_ms: std::mem::take(&mut self.neighbours_ms), ..PassStats::default() };
+        let begin = Instant::now();
+        self.find_starts(facets.clone());
+        stats.start_ms = elapsed_ms(begin);
+        let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
+        let (starts, capacities) = (&self.starts, self.capacities);
+        self.chunks.resize_with(WAVE.min(facets.len().div_ceil(CHUNK)), Chunk::default);
+        for wave in facets.clone().step_by(CHUNK * WAVE) {
+            cancel.check()?;
+            let begin = Instant::now();
+            let tasks = ((facets.end - wave) as usize).div_ceil(CHUNK).min(WAVE);
+            self.chunks[..tasks].par_iter_mut().enumerate().for_each_init(
+                FacetWalker::default,
+                |walker, (c, chunk)| {
+                    if cancel.is_cancelled() {
+                        return;
+                    }
+                    let first = wave + (c * CHUNK) as u32;
+                    let range = first..facets.end.min(first + CHUNK as u32);
+                    chunk.fill(walker, diagram, range, &starts[(first - facets.start) as usize..], capacities, wanted);
+                },
+            );
+            cancel.check()?;
+            stats.clip_ms += elapsed_ms(begin);
+            let begin = Instant::now();
+            for chunk in &self.chunks[..tasks] {
+                stats.add(&chunk.stats);
+            }
+            merge(&self.chunks[..tasks]);
+            stats.update_ms += elapsed_ms(begin);
+        }
+        Ok(stats)
+    }
+}
+
+impl Chunk {
+    fn fill(
+        &mut self,
+        walker: &mut FacetWalker,
+        diagram: Diagram<'_>,
+        facets: Range<u32>,
+        starts: &[u32],
+        capacities: Capacities,
+        wanted: Wanted,
+    ) {
+        self.integrals.clear();
+        self.pieces.clear();
+        self.stats = PassStats::default();
+        let first = facets.start;
+        for facet in facets.filter(|&f| !diagram.surface.skips(f as usize)) {
+            let start = starts[(facet - first) as usize];
+            let (integrals, pieces) = (&mut self.integrals, &mut self.pieces);
+            walker.walk(diagram, facet, start, capacities, &mut self.stats, |i, clipper| match wanted {
+                Wanted::Integrals => integrals.push((i, clipper.integrals())),
+                Wanted::Pieces => {
+                    let origin = diagram.seeds[i as usize];
+                    pieces.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
+                }
+            });
+        }
+        if wanted == Wanted::Pieces {
+            self.pieces.sort();
+        }
+    }
+}
+
+/// Adds what the chunks wrote down. Every thread owns a range of seeds and reads everything, so
+/// that each cell is added up in facet order without a lock.
+fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
+    let share = out.mass.len().div_ceil(rayon::current_num_threads()).max(1);
+    out.mass
+        .par_chunks_mut(share)
+        .zip(out.moment.par_chunks_mut(share))
+        .zip(out.energy.par_chunks_mut(share).zip(out.area.par_chunks_mut(share)))
+        .enumerate()
+        .for_each(|(part, ((mass, moment), (energy, area)))| {
+            let base = (part * share) as u32;
+            for (seed, sum) in chunks.iter().flat_map(|c| &c.integrals) {
+                let local = seed.wrapping_sub(base) as usize;
+                if local < mass.len() {
+                    mass[local] += sum.mass;
+                    moment[local] += sum.moment;
+                    energy[local] += sum.energy;
+                    area[local] += sum.area;
+                }
+            }
+        });
+}
+
+impl Session for ParallelSession {
+    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+        check_seeds(seeds, self.max_seeds)?;
+        let begin = Instant::now();
+        self.seeds.clear();
+        self.seeds.extend_from_slice(seeds);
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| {
+            self.index = SeedIndex::with_threads(seeds, Threads::Pool);
+            self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool);
+        });
+        self.neighbours_ms = elapsed_ms(begin);
+        Ok(())
+    }
+
+    fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+        out.reset(self.seeds.len());
+        let facets = 0..self.surface.facets().len() as u32;
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.waves(facets, Wanted::Integrals, cancel, |chunks| add_up(out, chunks)))
+    }
+
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+        out.clear();
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| {
+            self.waves(facets, Wanted::Pieces, cancel, |chunks| {
+                for chunk in chunks {
+                    out.extend(&chunk.pieces);
+                }
+            })
+        })
     }
 }

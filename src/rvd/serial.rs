@@ -1,16 +1,121 @@
-//! (being built)
-use super::*;
+//! The reference: f64, one thread, written to be read.
+//!
+//! Purpose: what the other backends are judged by. It takes one facet after the other, walks its
+//! cells and adds each piece to its cell's sums, and nothing else.
+//! Invariant: a cell's sums are added in the order of the facets.
+//! Must not know: batches, threads.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::DVec3;
+
+use super::clip::Clipper;
+use super::incident::{Diagram, FacetWalker};
+use super::{
+    Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
+    Surface, check_seeds, elapsed_ms,
+};
+use crate::knn::{NeighbourTable, SeedIndex, Threads};
+
 /// The f64 reference, one thread.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Serial;
+
 impl Backend for Serial {
     fn kind(&self) -> BackendKind {
         BackendKind::Serial
     }
+
     fn threads(&self) -> usize {
         1
     }
-    fn session(&self, _s: Arc<Surface>, _o: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        todo!()
+
+    fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        Ok(Box::new(SerialSession {
+            surface,
+            max_seeds: options.max_seeds,
+            capacities: options.capacities,
+            seeds: Vec::new(),
+            index: SeedIndex::with_threads(&[], Threads::One),
+            table: NeighbourTable::default(),
+            walker: FacetWalker::default(),
+            neighbours_ms: 0.0,
+        }))
+    }
+}
+
+struct SerialSession {
+    surface: Arc<Surface>,
+    max_seeds: usize,
+    capacities: Capacities,
+    seeds: Vec<DVec3>,
+    index: SeedIndex,
+    table: NeighbourTable,
+    walker: FacetWalker,
+    neighbours_ms: f64,
+}
+
+/// Facets between two looks at the cancel flag.
+const BATCH: usize = 1024;
+
+impl SerialSession {
+    /// Walks the facets in `range`; the nearest seed of each is found first.
+    fn walk(
+        &mut self,
+        range: Range<u32>,
+        cancel: &CancelFlag,
+        mut visit: impl FnMut(u32, u32, DVec3, &Clipper),
+    ) -> Result<PassStats, RvdError> {
+        let mut stats = PassStats { neighbours_ms: std::mem::take(&mut self.neighbours_ms), ..PassStats::default() };
+        let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
+        let mut starts = Vec::with_capacity(BATCH);
+        for first in range.clone().step_by(BATCH) {
+            cancel.check()?;
+            let batch = first..range.end.min(first + BATCH as u32);
+            let begin = Instant::now();
+            starts.clear();
+            starts.extend(batch.clone().map(|f| self.index.nearest(self.surface.centroid(f))));
+            stats.start_ms += elapsed_ms(begin);
+            let begin = Instant::now();
+            for facet in batch.clone().filter(|&f| !self.surface.skips(f as usize)) {
+                let start = starts[(facet - first) as usize];
+                self.walker.walk(diagram, facet, start, self.capacities, &mut stats, |i, clipper| {
+                    visit(facet, i, diagram.seeds[i as usize], clipper);
+                });
+            }
+            stats.clip_ms += elapsed_ms(begin);
+        }
+        Ok(stats)
+    }
+}
+
+impl Session for SerialSession {
+    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+        check_seeds(seeds, self.max_seeds)?;
+        let begin = Instant::now();
+        self.seeds.clear();
+        self.seeds.extend_from_slice(seeds);
+        self.index = SeedIndex::with_threads(seeds, Threads::One);
+        self.table.fill(&self.index, self.capacities.neighbours, Threads::One);
+        self.walker.reset();
+        self.neighbours_ms = elapsed_ms(begin);
+        Ok(())
+    }
+
+    fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+        out.reset(self.seeds.len());
+        let facets = 0..self.surface.facets().len() as u32;
+        self.walk(facets, cancel, |_, i, _, clipper| out.add(i as usize, &clipper.integrals()))
+    }
+
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+        out.clear();
+        let stats = self.walk(facets, cancel, |facet, i, origin, clipper| {
+            out.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
+        })?;
+        out.sort();
+        Ok(stats)
     }
 }

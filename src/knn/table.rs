@@ -1,0 +1,58 @@
+//! The neighbour table: one row per seed, flat.
+
+use rayon::prelude::*;
+
+use super::{NeighbourRow, SeedIndex, Threads};
+
+/// Rows of about `k` neighbours for all seeds, in one array.
+#[derive(Clone, Debug, Default)]
+pub struct NeighbourTable {
+    k: usize,
+    seeds: Vec<u32>,
+    len: Vec<u32>,
+    complete: Vec<bool>,
+}
+
+/// Seeds per task: enough to hide the cost of a task, few enough to share evenly.
+const CHUNK: usize = 256;
+
+impl NeighbourTable {
+    /// Fills the table with rows of at most `k` neighbours, reusing its memory.
+    pub fn fill(&mut self, index: &SeedIndex, k: usize, threads: Threads) {
+        let (n, k) = (index.len(), k.max(1).min(index.len()));
+        self.k = k;
+        self.seeds.resize(n * k, 0);
+        self.len.resize(n, 0);
+        self.complete.resize(n, false);
+        let fill = |chunk: usize, (seeds, (len, complete)): (&mut [u32], (&mut [u32], &mut [bool]))| {
+            let mut row = NeighbourRow::default();
+            for (s, (l, c)) in len.iter_mut().zip(complete).enumerate() {
+                index.row((chunk * CHUNK + s) as u32, k, &mut row);
+                seeds[s * k..s * k + row.seeds.len()].copy_from_slice(&row.seeds);
+                *l = row.seeds.len() as u32;
+                *c = row.complete;
+            }
+        };
+        match threads {
+            Threads::One => self
+                .seeds
+                .chunks_mut(CHUNK * k)
+                .zip(self.len.chunks_mut(CHUNK).zip(self.complete.chunks_mut(CHUNK)))
+                .enumerate()
+                .for_each(|(c, part)| fill(c, part)),
+            Threads::Pool => self
+                .seeds
+                .par_chunks_mut(CHUNK * k)
+                .zip(self.len.par_chunks_mut(CHUNK).zip(self.complete.par_chunks_mut(CHUNK)))
+                .enumerate()
+                .for_each(|(c, part)| fill(c, part)),
+        }
+    }
+
+    /// The row of seed `i`, and whether it is complete.
+    pub fn row(&self, i: u32) -> (&[u32], bool) {
+        let i = i as usize;
+        let start = i * self.k;
+        (&self.seeds[start..start + self.len[i] as usize], self.complete[i])
+    }
+}

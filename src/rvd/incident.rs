@@ -1,0 +1,181 @@
+//! The cells that meet one facet (\[HYWZ17\], Algorithm 1).
+//!
+//! Purpose: from a facet's nearest seed to all its cells, across the bisectors that bound each
+//! piece; and the relaunch of every pair that runs out of something.
+//! Invariant: when [`FacetWalker::walk`] returns, every cell that meets the facet was visited once.
+//! Capacities only decide how often a pair is clipped, never what comes out of it.
+//! Must not know: sums, threads, batches.
+
+use std::collections::{HashMap, HashSet};
+
+use glam::DVec3;
+
+use super::clip::Clipper;
+use super::{Capacities, PairStatus, PassStats, Surface};
+use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex};
+
+/// What every walk over one seed set reads.
+#[derive(Clone, Copy)]
+pub struct Diagram<'a> {
+    /// The surface.
+    pub surface: &'a Surface,
+    /// Seeds, unit frame.
+    pub seeds: &'a [DVec3],
+    /// Their tree, for rows longer than the table's.
+    pub index: &'a SeedIndex,
+    /// First rows.
+    pub table: &'a NeighbourTable,
+}
+
+/// One thread's scratch memory for walking facets.
+#[derive(Default)]
+pub struct FacetWalker {
+    clipper: Clipper,
+    cells: CellList,
+    long_rows: LongRows,
+}
+
+impl FacetWalker {
+    /// Visits every cell that meets `facet`, beginning at `start`, a seed whose cell holds a
+    /// point of the facet. `visit` gets the seed and a non-empty polygon.
+    pub fn walk(
+        &mut self,
+        diagram: Diagram<'_>,
+        facet: u32,
+        start: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+        mut visit: impl FnMut(u32, &Clipper),
+    ) {
+        self.cells.clear();
+        self.cells.insert(start);
+        let mut slots = capacities.cells.max(1);
+        let mut next = 0;
+        let mut found = false;
+        while let Some(&i) = self.cells.order.get(next) {
+            next += 1;
+            self.clip_to_end(diagram, facet, i, capacities, stats);
+            let polygon = self.clipper.polygon();
+            if polygon.is_empty() {
+                if !found {
+                    // A start that only touches the facet: the seed that took the last of it is nearer.
+                    self.cells.insert(self.clipper.cutter());
+                }
+                continue;
+            }
+            found = true;
+            stats.pairs += 1;
+            visit(i, &self.clipper);
+            for v in polygon {
+                if super::cells::facet_edge(v.edge).is_none() {
+                    self.cells.insert(v.edge);
+                }
+            }
+            while self.cells.order.len() > slots {
+                // The list grows in place, so nothing has to be clipped again.
+                stats.relaunched_cells += (self.cells.order.len() - slots) as u64;
+                slots *= 2;
+            }
+        }
+    }
+
+    /// Clips one pair with as many neighbours and polygon vertices as it takes. Returns the last
+    /// status: `Done`, or `NonFinite` with an empty polygon.
+    pub fn clip_to_end(
+        &mut self,
+        diagram: Diagram<'_>,
+        facet: u32,
+        i: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+    ) -> PairStatus {
+        let Diagram { surface, seeds, index, table } = diagram;
+        let mut slots = capacities.polygon.max(4);
+        let mut k = 0;
+        loop {
+            let row = if k == 0 { table.row(i) } else { self.long_rows.row(index, i, k) };
+            match self.clipper.clip(surface, facet, seeds, i, row, slots) {
+                PairStatus::NeighboursExhausted => {
+                    k = (row.0.len().max(capacities.neighbours).max(1) + 1) * 4;
+                    stats.relaunched_neighbours += 1;
+                }
+                PairStatus::PolygonOverflow => {
+                    slots *= 2;
+                    stats.relaunched_polygon += 1;
+                }
+                status => return status,
+            }
+        }
+    }
+
+    /// The clipper with the polygon of the last pair.
+    pub fn clipper(&self) -> &Clipper {
+        &self.clipper
+    }
+}
+
+/// Cells of one facet in the order they were found, each once.
+#[derive(Default)]
+struct CellList {
+    order: Vec<u32>,
+    /// Takes over from a linear search where a facet meets many cells.
+    set: HashSet<u32>,
+}
+
+impl CellList {
+    const LINEAR: usize = 24;
+
+    fn clear(&mut self) {
+        self.order.clear();
+        self.set.clear();
+    }
+
+    fn insert(&mut self, seed: u32) {
+        if self.order.len() < Self::LINEAR {
+            if !self.order.contains(&seed) {
+                self.order.push(seed);
+            }
+            return;
+        }
+        if self.set.is_empty() {
+            self.set.extend(&self.order);
+        }
+        if self.set.insert(seed) {
+            self.order.push(seed);
+        }
+    }
+}
+
+/// Rows longer than the table's, kept for the neighbouring facets of the same cell.
+#[derive(Default)]
+struct LongRows {
+    rows: HashMap<u32, (usize, NeighbourRow)>,
+    stored: usize,
+}
+
+impl LongRows {
+    /// So many neighbours are kept at most: 4 MiB.
+    const LIMIT: usize = 1 << 20;
+
+    fn row(&mut self, index: &SeedIndex, i: u32, k: usize) -> (&[u32], bool) {
+        if self.stored > Self::LIMIT {
+            self.rows.clear();
+            self.stored = 0;
+        }
+        let entry = self.rows.entry(i).or_default();
+        if entry.0 < k {
+            self.stored -= entry.1.seeds.len();
+            index.row(i, k, &mut entry.1);
+            entry.0 = k;
+            self.stored += entry.1.seeds.len();
+        }
+        (&entry.1.seeds, entry.1.complete)
+    }
+}
+
+impl FacetWalker {
+    /// Forgets rows of an earlier seed set.
+    pub fn reset(&mut self) {
+        self.long_rows = LongRows::default();
+    }
+}
