@@ -7,7 +7,9 @@
 //! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
 //! Must not know: gRPC, messages, the command line.
 
+pub mod diagram;
 pub mod queue;
+pub mod session;
 pub mod spec;
 pub mod worker;
 

@@ -42,6 +42,8 @@ struct State<T> {
     waiting: VecDeque<(Place, T)>,
     running: Option<CancelFlag>,
     closed: bool,
+    /// The worker has gone: nothing that gets in now would ever be answered.
+    ended: bool,
     /// Moving mean of how long an item takes, for the advice to a refused caller.
     mean_s: f64,
 }
@@ -49,23 +51,23 @@ struct State<T> {
 impl<T: Item> Queue<T> {
     /// Room for `limit` new jobs besides the one at work.
     pub(crate) fn new(limit: usize) -> Self {
-        let state = State { waiting: VecDeque::new(), running: None, closed: false, mean_s: 0.5 };
+        let state = State { waiting: VecDeque::new(), running: None, closed: false, ended: false, mean_s: 0.5 };
         Self { state: Mutex::new(state), ready: Condvar::new(), limit }
     }
 
     /// Puts an item in and says how many are ahead of it, the one at work included.
     ///
     /// # Errors
-    /// `QueueFull`, `Draining` (for what is new).
+    /// `QueueFull`, `Draining` (for what is new, and for all once the worker has gone).
     pub(crate) fn push(&self, place: Place, item: T) -> Result<usize, JobError> {
         let mut state = self.lock();
-        if state.closed && place == Place::New {
+        if state.ended || (state.closed && place == Place::New) {
             return Err(JobError::Draining);
         }
         let counts = |state: &State<T>| state.waiting.iter().filter(|(p, _)| *p == Place::New).count();
         if place == Place::New && counts(&state) >= self.limit {
             // Those whose callers have gone hold a place until somebody needs it.
-            state.waiting.retain(|(_, item)| item.is_wanted());
+            state.waiting.retain(|(p, item)| *p != Place::New || item.is_wanted());
             let waiting = counts(&state);
             if waiting >= self.limit {
                 let seconds = (state.mean_s * waiting as f64 * 0.5).clamp(0.1, 30.0);
@@ -101,6 +103,7 @@ impl<T: Item> Queue<T> {
                 state = self.lock();
             }
             if state.closed {
+                state.ended = true;
                 return None;
             }
             state = self.ready.wait(state).unwrap_or_else(PoisonError::into_inner);
@@ -128,6 +131,17 @@ impl<T: Item> Queue<T> {
     pub(crate) fn close(&self) {
         self.lock().closed = true;
         self.ready.notify_all();
+    }
+
+    /// The worker has gone: drops what waits, so that its callers hear of it, and refuses all.
+    pub(crate) fn end(&self) {
+        let mut state = self.lock();
+        state.closed = true;
+        state.ended = true;
+        state.running = None;
+        let left = std::mem::take(&mut state.waiting);
+        drop(state);
+        drop(left);
     }
 
     /// Cancels what waits and what runs.

@@ -49,14 +49,13 @@ pub struct Turn {
     pub cancel: CancelFlag,
     /// Milliseconds the piece waited.
     pub queue_ms: f64,
-    contended: fn(&Shared) -> bool,
     shared: Arc<Shared>,
 }
 
 impl Turn {
     /// Whether others wait for a turn.
     pub fn is_contended(&self) -> bool {
-        (self.contended)(&self.shared)
+        self.shared.queue.is_contended()
     }
 }
 
@@ -95,11 +94,17 @@ impl<R> Pending<R> {
     }
 }
 
-#[derive(Debug)]
 struct Shared {
     queue: Queue<Box<dyn Task>>,
     infos: Infos,
     device: watch::Sender<Device>,
+}
+
+impl std::fmt::Debug for Shared {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (waiting, running) = self.queue.load();
+        f.debug_struct("Engine").field("waiting", &waiting).field("running", &running).finish_non_exhaustive()
+    }
 }
 
 /// The handle. Clones share one device thread.
@@ -195,7 +200,6 @@ impl Engine {
     }
 }
 
-#[derive(Debug)]
 struct Infos {
     backends: Vec<(Wish, Result<BackendInfo, JobError>)>,
 }
@@ -230,7 +234,7 @@ impl<F: FnMut() -> Result<Backends, JobError>> Worker<F> {
         if ready.send(Ok(shared.clone())).is_err() {
             return;
         }
-        drop(options);
+        let _end = EndOnDrop(&shared);
         while let Some(mut task) = shared.queue.pop() {
             let start = Instant::now();
             let mut attempts = 0;
@@ -248,7 +252,7 @@ impl<F: FnMut() -> Result<Backends, JobError>> Worker<F> {
     }
 
     fn make(&mut self) -> Result<Backends, JobError> {
-        catch_unwind(AssertUnwindSafe(&mut self.factory)).unwrap_or_else(|panic| Err(JobError::Panicked(text(&panic))))
+        catch_unwind(AssertUnwindSafe(&mut self.factory)).unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))))
     }
 
     /// New backends after a loss; while it fails the old ones stay, and answer with errors.
@@ -265,6 +269,16 @@ impl<F: FnMut() -> Result<Backends, JobError>> Worker<F> {
     }
 }
 
+/// Whatever ends the device thread, a panic in a destructor too, nobody waits for it in vain.
+struct EndOnDrop<'a>(&'a Shared);
+
+impl Drop for EndOnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.queue.end();
+        self.0.device.send_replace(Device::Lost);
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Outcome {
     Answered,
@@ -273,12 +287,6 @@ enum Outcome {
 
 trait Task: Item {
     fn run(&mut self, backends: &Backends, shared: &Arc<Shared>, attempt: usize) -> Outcome;
-}
-
-impl std::fmt::Debug for dyn Task {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Task")
-    }
 }
 
 impl Item for Box<dyn Task> {
@@ -316,15 +324,10 @@ impl<R: Send, F: FnMut(&Backends, &Turn) -> Result<R, JobError> + Send> Task for
     fn run(&mut self, backends: &Backends, shared: &Arc<Shared>, attempt: usize) -> Outcome {
         let queue_ms = ms(self.queued.elapsed());
         let start = Instant::now();
-        let turn = Turn {
-            cancel: self.cancel.clone(),
-            queue_ms,
-            contended: |shared| shared.queue.is_contended(),
-            shared: shared.clone(),
-        };
+        let turn = Turn { cancel: self.cancel.clone(), queue_ms, shared: shared.clone() };
         let Some(work) = self.work.as_mut() else { return Outcome::Answered };
         let result = catch_unwind(AssertUnwindSafe(|| work(backends, &turn)))
-            .unwrap_or_else(|panic| Err(JobError::Panicked(text(&panic))));
+            .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))));
         let lost = result.as_ref().is_err_and(JobError::is_device_lost);
         if lost && self.retry == Retry::Anew && attempt + 1 < ATTEMPTS {
             return Outcome::DeviceLost;
