@@ -25,8 +25,13 @@ const ROOMS: &[(&str, &[&str])] = &[
 ];
 
 /// Parts of rooms that may use more: (path prefix, more rooms).
-const DOORS: &[(&str, &[&str])] =
-    &[("rvd/gpu", &["gpu"]), ("knn/gpu", &["gpu"]), ("cvt/gpu", &["gpu"]), ("job/admission", &["gpu"]), ("job/worker", &["gpu"])];
+const DOORS: &[(&str, &[&str])] = &[
+    ("rvd/gpu", &["gpu"]),
+    ("knn/gpu", &["gpu"]),
+    ("cvt/gpu", &["gpu"]),
+    ("job/admission", &["gpu"]),
+    ("job/worker", &["gpu"]),
+];
 
 /// Crate, and the path prefixes it may appear in.
 const CRATES: &[(&str, &[&str])] = &[

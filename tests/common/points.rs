@@ -29,7 +29,8 @@ pub fn on_surface(surface: &Surface, n: usize, rng: &mut ChaCha8Rng) -> Vec<(u32
         .collect();
     (0..n)
         .map(|_| {
-            let f = cumulative.partition_point(|&c| c <= rng.random::<f64>() * sum).min(cumulative.len() - 1);
+            let at = rng.random::<f64>() * sum;
+            let f = cumulative.partition_point(|&c| c <= at).min(cumulative.len() - 1);
             (f as u32, in_facet(surface, f, rng))
         })
         .collect()
