@@ -9,7 +9,7 @@ mod surfaces;
 use std::sync::Arc;
 
 use glam::DVec3;
-use points::{in_facet, nearest_distance2, on_surface, rng};
+use points::{in_facet, on_surface, outside_their_cells, rng};
 use rand::RngExt;
 use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
@@ -91,13 +91,6 @@ fn every_point_lies_in_the_cell_of_its_nearest_seed() {
         for (kind, seeds) in seed_sets(&surface) {
             let mut session = open(&Serial, &surface, &seeds, Capacities::default());
             let (_, pieces, _) = everything(&mut *session, &surface);
-            let mut first = vec![pieces.len(); surface.facets().len() + 1];
-            for i in (0..pieces.len()).rev() {
-                first[pieces.facet[i] as usize] = i;
-            }
-            for f in (0..surface.facets().len()).rev() {
-                first[f] = first[f].min(first[f + 1]);
-            }
             let mut rng = rng(3);
             let by_area = on_surface(&surface, 300, &mut rng);
             let by_facet: Vec<(u32, DVec3)> = (0..surface.facets().len())
@@ -105,32 +98,11 @@ fn every_point_lies_in_the_cell_of_its_nearest_seed() {
                 .step_by(1 + surface.facets().len() / 200)
                 .map(|f| (f as u32, in_facet(&surface, f, &mut rng)))
                 .collect();
-            for (f, p) in by_area.into_iter().chain(by_facet) {
-                let inside = (first[f as usize]..first[f as usize + 1]).filter(|&i| contains(&pieces, i, p));
-                let nearest = nearest_distance2(&seeds, p);
-                // A point within rounding of a bisector may be in either cell.
-                let ok = inside
-                    .map(|i| seeds[pieces.seed[i] as usize].distance_squared(p))
-                    .any(|d| d <= nearest + 1e-12 * (1.0 + nearest));
-                assert!(ok, "{name}, {kind}: point {p} of facet {f} is in no cell of a nearest seed");
-            }
+            let probes: Vec<_> = by_area.into_iter().chain(by_facet).collect();
+            let outside = outside_their_cells(&pieces, &seeds, &probes);
+            assert!(outside.is_empty(), "{name}, {kind}: {:?} is in no cell of a nearest seed", outside[0]);
         }
     }
-}
-
-/// Whether piece `i` holds `p`, a point of its facet. The piece is convex; the margin is rounding,
-/// of the distance to an edge and of the direction of an edge whose length is itself rounding.
-fn contains(pieces: &PieceBatch, i: usize, p: DVec3) -> bool {
-    let polygon = &pieces.position[pieces.vertices(i)];
-    let mut normal = DVec3::ZERO;
-    for k in 2..polygon.len() {
-        normal += (polygon[k - 1] - polygon[0]).cross(polygon[k] - polygon[0]);
-    }
-    let normal = normal.normalize_or_zero();
-    (0..polygon.len()).all(|k| {
-        let (a, b) = (polygon[k], polygon[(k + 1) % polygon.len()]);
-        (b - a).cross(p - a).dot(normal) >= -1e-9 * (b - a).length() - 1e-15
-    })
 }
 
 #[test]

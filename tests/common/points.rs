@@ -4,7 +4,8 @@
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tessera::rvd::Surface;
+use rayon::prelude::*;
+use tessera::rvd::{PieceBatch, Surface};
 
 /// The same stream everywhere.
 pub fn rng(seed: u64) -> ChaCha8Rng {
@@ -36,7 +37,33 @@ pub fn on_surface(surface: &Surface, n: usize, rng: &mut ChaCha8Rng) -> Vec<(u32
         .collect()
 }
 
-/// Squared distance to the nearest seed, by trying all.
-pub fn nearest_distance2(seeds: &[DVec3], p: DVec3) -> f64 {
-    seeds.iter().map(|s| s.distance_squared(p)).fold(f64::INFINITY, f64::min)
+/// Those of `probes` (facet, point) that lie in no cell of a nearest seed, found by trying all
+/// seeds. `pieces` are sorted by facet.
+pub fn outside_their_cells(pieces: &PieceBatch, seeds: &[DVec3], probes: &[(u32, DVec3)]) -> Vec<(u32, DVec3)> {
+    let missing = |&(f, p): &(u32, DVec3)| -> Option<(u32, DVec3)> {
+        let nearest = seeds.iter().map(|s| s.distance_squared(p)).fold(f64::INFINITY, f64::min);
+        let first = pieces.facet.partition_point(|&g| g < f);
+        // A point within rounding of a bisector may be in either cell.
+        let found = (first..pieces.len())
+            .take_while(|&i| pieces.facet[i] == f)
+            .filter(|&i| contains(pieces, i, p))
+            .any(|i| seeds[pieces.seed[i] as usize].distance_squared(p) <= nearest + 1e-12 * (1.0 + nearest));
+        (!found).then_some((f, p))
+    };
+    probes.par_iter().filter_map(missing).collect()
+}
+
+/// Whether piece `i` holds `p`, a point of its facet. The piece is convex; the margin is rounding,
+/// of the distance to an edge and of the direction of an edge whose length is itself rounding.
+fn contains(pieces: &PieceBatch, i: usize, p: DVec3) -> bool {
+    let polygon = &pieces.position[pieces.vertices(i)];
+    let mut normal = DVec3::ZERO;
+    for k in 2..polygon.len() {
+        normal += (polygon[k - 1] - polygon[0]).cross(polygon[k] - polygon[0]);
+    }
+    let normal = normal.normalize_or_zero();
+    (0..polygon.len()).all(|k| {
+        let (a, b) = (polygon[k], polygon[(k + 1) % polygon.len()]);
+        (b - a).cross(p - a).dot(normal) >= -1e-9 * (b - a).length() - 1e-15
+    })
 }

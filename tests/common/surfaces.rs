@@ -1,42 +1,43 @@
-//! temporary
+//! Surfaces for tests: one of each procedural shape, and real ones where a folder is named.
+#![allow(dead_code)]
+
+use std::path::PathBuf;
+
 use glam::DVec3;
-use tessera::mesh::TriMesh;
-pub fn all() -> Vec<(&'static str, TriMesh)> {
-    let mut p = vec![DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Y, -DVec3::Z];
-    let mut f: Vec<[u32; 3]> =
-        vec![[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]];
-    for _ in 0..3 {
-        let mut m = std::collections::HashMap::new();
-        let mut g = vec![];
-        for t in &f {
-            let mut mid = [0; 3];
-            for e in 0..3 {
-                let (a, b) = (t[e], t[(e + 1) % 3]);
-                mid[e] = *m.entry((a.min(b), a.max(b))).or_insert_with(|| {
-                    p.push((p[a as usize] + p[b as usize]).normalize());
-                    p.len() as u32 - 1
-                });
-            }
-            g.extend([[t[0], mid[0], mid[2]], [t[1], mid[1], mid[0]], [t[2], mid[2], mid[1]], mid]);
-        }
-        f = g;
+use tessera::mesh::shapes::Shape;
+use tessera::mesh::{TriMesh, io};
+
+/// One of each shape, small.
+pub fn all() -> Vec<(String, TriMesh)> {
+    Shape::ALL.into_iter().map(|s| (s.to_string(), s.build(700))).collect()
+}
+
+/// The closed shapes with at least so many facets.
+pub fn closed(facets: usize) -> Vec<(Shape, TriMesh)> {
+    Shape::ALL.into_iter().filter(|s| s.is_closed()).map(|s| (s, s.build(facets))).collect()
+}
+
+fn folder(variable: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os(variable).map(PathBuf::from);
+    if folder.is_none() {
+        eprintln!("SKIPPED: {variable} is not set, so real data is not looked at");
     }
-    let square =
-        TriMesh::new(vec![DVec3::ZERO, DVec3::X, DVec3::new(1., 1., 0.), DVec3::Y], vec![[0, 1, 2], [0, 2, 3]])
-            .unwrap();
-    let mut grid = vec![];
-    let mut gf = vec![];
-    for y in 0..9u32 {
-        for x in 0..9u32 {
-            grid.push(DVec3::new(x as f64, y as f64 * 0.001, 0.0));
-        }
-    }
-    for y in 0..8u32 {
-        for x in 0..8u32 {
-            let a = y * 9 + x;
-            gf.push([a, a + 1, a + 10]);
-            gf.push([a, a + 10, a + 9]);
-        }
-    }
-    vec![("sphere", TriMesh::new(p, f).unwrap()), ("square", square), ("slivers", TriMesh::new(grid, gf).unwrap())]
+    folder
+}
+
+/// A mesh from the folder that `TESSERA_MESHES` names, or `None` (said loudly) without it.
+pub fn real(file: &str) -> Option<TriMesh> {
+    let path = folder("TESSERA_MESHES")?.join(file);
+    Some(io::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display())))
+}
+
+/// Points from the folder that `TESSERA_SEEDS` names: `x y z` a line.
+pub fn points(file: &str) -> Option<Vec<DVec3>> {
+    let path = folder("TESSERA_SEEDS")?.join(file);
+    let text = std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    let point = |line: &str| {
+        let c: Vec<f64> = line.split_whitespace().map(|x| x.parse().unwrap()).collect();
+        DVec3::new(c[0], c[1], c[2])
+    };
+    Some(text.lines().map(point).collect())
 }
