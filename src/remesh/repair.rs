@@ -2,7 +2,7 @@
 //!
 //! Purpose: whatever the dual is, the result has no degenerate or duplicate facet, no edge with
 //! more than two facets or two that disagree on its direction, no vertex with more than one fan.
-//! The order is: degenerate and duplicate facets go; then, where facets quarrel over a directed
+//! The order is: degenerate and duplicate facets go, and pairs of facets back to back; then, where facets quarrel over a directed
 //! edge, the better shaped one stays; then vertices with several fans are split, one copy a fan;
 //! vertices without a facet go.
 //! Invariant: deterministic; a dual that is a manifold already comes out as it went in.
@@ -33,22 +33,36 @@ pub fn repair(positions: &[DVec3], triangles: &[[u32; 3]]) -> Repaired {
     split_fans(facets, figures)
 }
 
-/// Facets with three different corners, each set of corners once.
+/// Facets with three different corners, each set of corners once. Two facets with the same corners
+/// and opposite orientation are a pocket around a cell component that touches two cells only:
+/// both go, and the surface closes behind them.
 fn simple_facets(triangles: &[[u32; 3]], figures: &mut RepairFigures) -> Vec<[u32; 3]> {
-    let mut seen = HashSet::with_capacity(triangles.len());
-    let mut kept = Vec::with_capacity(triangles.len());
-    for &t in triangles {
+    // Corners in order -> (first facet of even order, first of odd order).
+    let mut seen: HashMap<[u32; 3], [Option<usize>; 2]> = HashMap::with_capacity(triangles.len());
+    for (f, &t) in triangles.iter().enumerate() {
         let mut key = t;
         key.sort_unstable();
         if key[0] == key[1] || key[1] == key[2] {
             figures.degenerate_facets += 1;
-        } else if seen.insert(key) {
-            kept.push(t);
-        } else {
+            continue;
+        }
+        let odd = usize::from(t != key && t != [key[1], key[2], key[0]] && t != [key[2], key[0], key[1]]);
+        let slot = &mut seen.entry(key).or_default()[odd];
+        if slot.is_some() {
             figures.duplicate_facets += 1;
+        } else {
+            *slot = Some(f);
         }
     }
-    kept
+    let mut kept: Vec<usize> = Vec::with_capacity(seen.len());
+    for sides in seen.values() {
+        match sides {
+            [Some(_), Some(_)] => figures.closed_pockets += 1,
+            [one, other] => kept.extend(one.or(*other)),
+        }
+    }
+    kept.sort_unstable();
+    kept.into_iter().map(|f| triangles[f]).collect()
 }
 
 fn half_edges(t: [u32; 3]) -> [(u32, u32); 3] {
@@ -142,9 +156,18 @@ mod tests {
 
     #[test]
     fn duplicates_and_degenerates_go() {
-        let out = repair(&points(4), &[[0, 1, 2], [1, 2, 0], [2, 1, 0], [3, 3, 1]]);
-        assert_eq!(out.facets.len(), 1);
-        assert_eq!((out.figures.duplicate_facets, out.figures.degenerate_facets), (2, 1));
+        let out = repair(&points(4), &[[0, 1, 2], [1, 2, 0], [3, 3, 1]]);
+        assert_eq!(out.facets, [[0, 1, 2]]);
+        assert_eq!((out.figures.duplicate_facets, out.figures.degenerate_facets), (1, 1));
+    }
+
+    #[test]
+    fn a_pocket_closes() {
+        // A tetrahedron whose edge 0-1 was opened around vertex 4.
+        let facets = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3], [0, 1, 4], [1, 0, 4]];
+        let out = repair(&points(5), &facets);
+        assert_eq!((out.facets.as_slice(), out.source.len()), (&facets[..4], 4));
+        assert_eq!(out.figures, RepairFigures { closed_pockets: 1, ..RepairFigures::default() });
     }
 
     #[test]

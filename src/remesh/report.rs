@@ -144,7 +144,9 @@ pub struct RepairFigures {
     pub disputed_vertices: usize,
     /// Facets dropped because two of their corners are one vertex.
     pub degenerate_facets: usize,
-    /// Facets dropped because another has the same corners.
+    /// Pairs of facets back to back that were taken out: cell components that touch two cells only.
+    pub closed_pockets: usize,
+    /// Facets dropped because another has the same corners and orientation.
     pub duplicate_facets: usize,
     /// Facets dropped at edges with more than two facets or with two of one direction.
     pub non_manifold_facets: usize,
