@@ -2,16 +2,15 @@
 //!
 //! Purpose: [`ServeArgs`] as clap and the environment give it, [`ServeConfig`] once it is checked.
 //! Invariant: a `ServeConfig` exists only if every value is usable; it is made before any port is
-//! bound. Must not know: how a value is used.
+//! bound. Must not know: how a value is used, any other room.
 
 use std::net::SocketAddr;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 
-use crate::job::Wish;
-use crate::mesh::MAX_ELEMENTS;
-use crate::rvd::BackendKind;
+/// Indices have 31 bits, less a few that are labels.
+const MAX_ELEMENTS: u64 = i32::MAX as u64 - 8;
 
 /// Which backend should do the work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -25,17 +24,6 @@ pub enum BackendArg {
     Parallel,
     /// f64 on one thread.
     Serial,
-}
-
-impl From<BackendArg> for Wish {
-    fn from(arg: BackendArg) -> Self {
-        match arg {
-            BackendArg::Auto => Self::Auto,
-            BackendArg::Gpu => Self::Only(BackendKind::Gpu),
-            BackendArg::Parallel => Self::Only(BackendKind::Parallel),
-            BackendArg::Serial => Self::Only(BackendKind::Serial),
-        }
-    }
 }
 
 /// Who works and with how much: the options that every working subcommand has.
@@ -174,7 +162,7 @@ impl ServeArgs {
     /// [`ConfigError`] for the first one that is wrong.
     pub fn check(&self) -> Result<ServeConfig, ConfigError> {
         self.backend.check()?;
-        let most = MAX_ELEMENTS as u64;
+        let most = MAX_ELEMENTS;
         Ok(ServeConfig {
             listen: self.listen,
             queue_jobs: count("--queue-jobs", self.queue_jobs as u64, 1, 100_000, "1 to 100000")? as usize,
@@ -210,7 +198,11 @@ impl BackendArgs {
 }
 
 fn count(option: &'static str, value: u64, least: u64, most: u64, must: &'static str) -> Result<u64, ConfigError> {
-    if (least..=most).contains(&value) { Ok(value) } else { Err(ConfigError { option, value: value.to_string(), must }) }
+    if (least..=most).contains(&value) {
+        Ok(value)
+    } else {
+        Err(ConfigError { option, value: value.to_string(), must })
+    }
 }
 
 fn seconds(option: &'static str, value: f64) -> Result<Duration, ConfigError> {

@@ -6,7 +6,7 @@
 //! is computed, the command line.
 
 mod assemble;
-mod convert;
+pub(crate) mod convert;
 mod handlers;
 mod limits;
 mod status;

@@ -252,7 +252,8 @@ impl<F: FnMut() -> Result<Backends, JobError>> Worker<F> {
     }
 
     fn make(&mut self) -> Result<Backends, JobError> {
-        catch_unwind(AssertUnwindSafe(&mut self.factory)).unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))))
+        catch_unwind(AssertUnwindSafe(&mut self.factory))
+            .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))))
     }
 
     /// New backends after a loss; while it fails the old ones stay, and answer with errors.

@@ -135,7 +135,8 @@ impl Array {
             return Err(RequestError::field("chunk.data", format!("is empty, at byte {at} of {name}")));
         }
         if at > received {
-            let text = format!("is {at}, but {name} has arrived up to byte {received}: bytes {received}..{at} are missing");
+            let text =
+                format!("is {at}, but {name} has arrived up to byte {received}: bytes {received}..{at} are missing");
             return Err(RequestError::field("chunk.offset", text));
         }
         if at < received {

@@ -202,11 +202,7 @@ impl Clock {
 }
 
 /// Sends points as an array; a name for what all streams do with seeds.
-async fn send_seeds<T>(
-    outbox: &Outbox<T>,
-    seeds: &[glam::DVec3],
-    wrap: fn(Chunk) -> T,
-) -> Result<(), RequestError> {
+async fn send_seeds<T>(outbox: &Outbox<T>, seeds: &[glam::DVec3], wrap: fn(Chunk) -> T) -> Result<(), RequestError> {
     send_all(outbox, convert::point_chunks(ArrayKind::Seeds, seeds), wrap).await
 }
 

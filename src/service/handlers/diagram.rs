@@ -72,11 +72,9 @@ pub(super) async fn handle(
         send_all(&outbox, convert::point_chunks(ArrayKind::Centroids, &sums.centroids), wrap_chunk).await?;
     }
     if outputs.sums {
-        for (kind, numbers) in [
-            (ArrayKind::Masses, &sums.masses),
-            (ArrayKind::Areas, &sums.areas),
-            (ArrayKind::Energies, &sums.energies),
-        ] {
+        for (kind, numbers) in
+            [(ArrayKind::Masses, &sums.masses), (ArrayKind::Areas, &sums.areas), (ArrayKind::Energies, &sums.energies)]
+        {
             send_all(&outbox, convert::number_chunks(kind, numbers), wrap_chunk).await?;
         }
     }
