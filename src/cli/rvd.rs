@@ -127,11 +127,12 @@ fn here(args: &RvdArgs, mesh: TriMesh, seeds: Seeds, wants: Wants) -> Result<Rvd
     let centroids = if wants.centroids { diagram.sums(&cancel)?.centroids } else { Vec::new() };
     let mut cells = PieceBatch::default();
     cells.clear();
-    while wants.cells {
-        let Some(batch) = diagram.batch(&cancel)? else { break };
-        cells.extend(&batch);
-        let (done, total) = diagram.progress();
-        progress.stage("diagram", done, total);
+    if wants.cells {
+        while let Some(batch) = diagram.batch(&cancel)? {
+            cells.extend(&batch);
+            let (done, total) = diagram.progress();
+            progress.stage("diagram", done, total);
+        }
     }
     let report = serde_json::to_value(diagram.report(&prepared, &BackendInfo::of(backend.as_ref())))?;
     Ok(RvdResult { cells, centroids, report })
