@@ -40,7 +40,10 @@ fn closed_surfaces_keep_their_topology_and_orientation() {
             let out = run(&mesh, &options(points, lloyd), &backend).unwrap();
             let after = topology(&out.mesh);
             assert_eq!(after.euler, shape.euler(), "{shape}, {points} points, {lloyd} steps: {after:?}");
-            assert_eq!(after, tessera::mesh::measure::Topology { euler: shape.euler(), components: 1, ..Default::default() });
+            assert_eq!(
+                after,
+                tessera::mesh::measure::Topology { euler: shape.euler(), components: 1, ..Default::default() }
+            );
             let triangles = 2 * out.mesh.positions().len() as i64 - 2 * shape.euler();
             assert_eq!(out.mesh.facets().len() as i64, triangles, "{shape}");
             let kept = volume(&out.mesh) / volume(&mesh);

@@ -17,7 +17,7 @@ use super::clip::Integrals;
 use super::incident::{Diagram, FacetWalker};
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
-    Surface, check_seeds, elapsed_ms,
+    Surface, elapsed_ms, take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 
@@ -210,13 +210,11 @@ fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
 
 impl Session for ParallelSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        check_seeds(seeds, self.max_seeds)?;
         let begin = Instant::now();
-        self.seeds.clear();
-        self.seeds.extend_from_slice(seeds);
+        take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
         let pool = Arc::clone(&self.pool);
         pool.install(|| {
-            self.index = SeedIndex::with_threads(seeds, Threads::Pool);
+            self.index = SeedIndex::with_threads(&self.seeds, Threads::Pool);
             self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool);
         });
         self.neighbours_ms = elapsed_ms(begin);
