@@ -16,6 +16,7 @@ pub mod gpu;
 pub mod incident;
 pub mod parallel;
 pub mod serial;
+mod start;
 pub mod surface;
 
 use std::ops::Range;

@@ -17,7 +17,7 @@ use super::clip::Integrals;
 use super::incident::{Diagram, FacetWalker};
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
-    Surface, elapsed_ms, take_seeds,
+    Surface, elapsed_ms, start, take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 
@@ -62,6 +62,7 @@ impl Backend for Parallel {
             table: NeighbourTable::default(),
             neighbours_ms: 0.0,
             starts: Vec::new(),
+            starts_of: (0..0, 0),
             chunks: Vec::new(),
         }))
     }
@@ -82,6 +83,8 @@ struct ParallelSession {
     table: NeighbourTable,
     neighbours_ms: f64,
     starts: Vec<u32>,
+    /// For which facets, and how many seeds.
+    starts_of: (Range<u32>, usize),
     chunks: Vec<Chunk>,
 }
 
@@ -101,14 +104,22 @@ enum Wanted {
 }
 
 impl ParallelSession {
+    /// The nearest seed of each facet in `facets`. The last answers are the guesses; at first, and
+    /// with another number of seeds, the answer of the facet before.
     fn find_starts(&mut self, facets: Range<u32>) {
-        let (surface, index) = (&*self.surface, &self.index);
+        let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
+        let fresh = self.starts_of != (facets.clone(), self.seeds.len());
         self.starts.resize(facets.len(), 0);
         self.starts.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
+            let mut last = None;
             for (k, start) in part.iter_mut().enumerate() {
-                *start = index.nearest(surface.centroid(facets.start + (c * CHUNK + k) as u32));
+                let q = diagram.surface.centroid(facets.start + (c * CHUNK + k) as u32);
+                let guess = if fresh { last.unwrap_or_else(|| diagram.index.nearest(q)) } else { *start };
+                *start = start::nearest(diagram, q, guess);
+                last = Some(*start);
             }
         });
+        self.starts_of = (facets, self.seeds.len());
     }
 
     /// Runs all tasks of `facets`, wave by wave; `merge` gets each wave's chunks in order.
