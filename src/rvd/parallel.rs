@@ -68,8 +68,10 @@ impl Backend for Parallel {
     }
 }
 
-/// Facets per task. Part of no result: sums are added facet by facet all the same.
+/// Facets per task, at most. Part of no result: sums are added facet by facet all the same.
 const CHUNK: usize = 256;
+/// Pairs that a task should have, so that coarse meshes with many seeds are shared out too.
+const CHUNK_PAIRS: usize = 2048;
 /// Tasks between two additions, which bounds the memory of the integrals written down.
 const WAVE: usize = 512;
 
@@ -136,11 +138,14 @@ impl ParallelSession {
         stats.start_ms = elapsed_ms(begin);
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
         let (starts, capacities) = (&self.starts, self.capacities);
-        self.chunks.resize_with(WAVE.min(facets.len().div_ceil(CHUNK)), Chunk::default);
-        for wave in facets.clone().step_by(CHUNK * WAVE) {
+        // A facet meets its share of the cells and some more at its rim.
+        let per_facet = 3 + 2 * self.seeds.len() / self.surface.facets().len();
+        let size = (CHUNK_PAIRS / per_facet).clamp(1, CHUNK);
+        self.chunks.resize_with(WAVE.min(facets.len().div_ceil(size)), Chunk::default);
+        for wave in facets.clone().step_by(size * WAVE) {
             cancel.check()?;
             let begin = Instant::now();
-            let tasks = ((facets.end - wave) as usize).div_ceil(CHUNK).min(WAVE);
+            let tasks = ((facets.end - wave) as usize).div_ceil(size).min(WAVE);
             self.chunks[..tasks].par_iter_mut().enumerate().for_each_init(
                 FacetWalker::default,
                 |walker, (c, chunk)| {
