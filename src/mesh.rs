@@ -121,7 +121,7 @@ impl TriMesh {
         }
         let (low, high) = bounds(&positions, &facets);
         let extent = (high - low).max_element();
-        if !(extent < 1e150) {
+        if extent.is_nan() || extent >= 1e150 {
             return Err(MeshError::ExtentTooLarge { extent });
         }
         // Areas are taken in the unit box, so that a mesh scaled by 1e-200 keeps its facets.
@@ -134,7 +134,7 @@ impl TriMesh {
             // A facet whose corners repeat, or whose area is no more than rounding leaves of
             // one: relative to its longest edge an altitude below 1e-15 is not a direction.
             let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
-            let flat = !(twice > 1e-15 * longest);
+            let flat = twice.is_nan() || twice <= 1e-15 * longest;
             degenerate.push(flat);
             if flat {
                 degenerate_count += 1;

@@ -7,13 +7,20 @@
 pub mod repair;
 pub mod report;
 
+use std::sync::Arc;
+use std::time::Instant;
+
 use glam::DVec3;
 
-use crate::cvt::{Iteration, Projection};
+use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
 use crate::mesh::TriMesh;
-use crate::rvd::{Backend, CancelFlag, RvdError};
+use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::measure::{quality, topology};
+use crate::mesh::sample::sample;
+use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
 
 pub use report::Report;
+use report::{InputFigures, IterationFigures, RepairFigures, ResultFigures, RvdFigures, Timings};
 
 /// Where the first seeds come from.
 #[derive(Clone, Debug)]
@@ -92,6 +99,117 @@ pub fn remesh(
     observer: &mut dyn Observer,
     cancel: &CancelFlag,
 ) -> Result<Remesh, RemeshError> {
-    let _ = (mesh, options, backend, observer, cancel);
-    todo!()
+    let mut clock = Clock::start();
+    observer.stage("prepare");
+    let surface = Arc::new(Surface::new(mesh, options.weights.as_deref())?);
+    let input = InputFigures::of(mesh);
+    let mut timings = Timings { prepare: clock.lap(), ..Timings::default() };
+    cancel.check()?;
+
+    observer.stage("sample");
+    let (first, seed) = match &options.seeds {
+        Seeds::Given(seeds) => (seeds.clone(), None),
+        Seeds::Sample { points, seed } => {
+            let points = sample(mesh, options.weights.as_deref(), *points, *seed);
+            (points.iter().map(|p| p.position).collect(), Some(*seed))
+        }
+    };
+    timings.sample = clock.lap();
+
+    observer.stage("iterations");
+    let cvt_options = CvtOptions { projection: options.projection, max_seeds: 0 };
+    let mut cvt = Cvt::new(backend, Arc::clone(&surface), &first, cvt_options)?;
+    let mut rvd = RvdFigures::default();
+    let mut iterations = Vec::with_capacity(options.lloyd);
+    for _ in 0..options.lloyd {
+        let step = cvt.lloyd(cancel)?;
+        rvd.add_pass(&step.stats);
+        rvd.reseeded_cells += step.empty_cells;
+        observer.iteration(&step, options.lloyd);
+        iterations.push(IterationFigures::of(&step));
+    }
+    timings.iterations = clock.lap();
+
+    observer.stage("dual");
+    cvt.project_seeds()?;
+    let mut session = backend.exact_session(Arc::clone(&surface), SessionOptions::new(cvt.len()))?;
+    session.set_seeds(cvt.unit_seeds())?;
+    let dual = dual::extract(&mut *session, &surface, cvt.len(), cancel)?;
+    rvd.add_pass(&dual.stats);
+    rvd.of_dual(&dual, &surface, cvt.device_bytes());
+    timings.dual = clock.lap();
+
+    observer.stage("repair");
+    let positions = vertex_positions(&dual, &surface, cvt.unit_seeds(), mesh);
+    let repaired = repair::repair(&positions, &dual.triangles);
+    if repaired.facets.is_empty() {
+        return Err(RemeshError::TooFewSeeds { seeds: cvt.len() });
+    }
+    let figures = RepairFigures { split_cells: dual.split_cells, disputed_vertices: dual.disputed, ..repaired.figures };
+    let vertex_seed = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
+    let placed = repaired.source.iter().map(|&c| positions[c as usize]).collect();
+    let result = TriMesh::new(placed, repaired.facets).map_err(|_| RemeshError::TooFewSeeds { seeds: cvt.len() })?;
+    timings.repair = clock.lap();
+
+    observer.stage("measure");
+    cancel.check()?;
+    let result_figures = ResultFigures {
+        vertices: result.positions().len(),
+        facets: result.facets().len(),
+        topology: topology(&result),
+        quality: options.measure.then(|| quality(mesh, &result)),
+        repair: figures,
+    };
+    timings.measure = clock.lap();
+    timings.total = clock.total();
+    let report = Report {
+        backend: backend.kind().name().into(),
+        adapter: backend.adapter(),
+        threads: backend.threads(),
+        seed,
+        converged: false,
+        input,
+        rvd,
+        iterations,
+        timings_ms: timings,
+        result: result_figures,
+    };
+    Ok(Remesh { mesh: result, vertex_seed, seeds: cvt.seeds(), report })
+}
+
+/// Where the dual's vertices go, caller's coordinates: a cell in one piece at its seed, which is
+/// on the surface; a component of a split cell at the closest point to its own centroid.
+fn vertex_positions(dual: &dual::Dual, surface: &Surface, seeds: &[DVec3], mesh: &TriMesh) -> Vec<DVec3> {
+    let frame = surface.frame();
+    let closest = dual.components.iter().any(|c| !c.whole).then(|| ClosestPoint::new(mesh));
+    dual.components
+        .iter()
+        .map(|c| match &closest {
+            Some(tree) if !c.whole => tree.project(frame.to_world(c.centroid)).position,
+            _ => frame.to_world(seeds[c.seed as usize]),
+        })
+        .collect()
+}
+
+/// Wall-clock laps in milliseconds.
+struct Clock {
+    begin: Instant,
+    lap: Instant,
+}
+
+impl Clock {
+    fn start() -> Self {
+        let now = Instant::now();
+        Self { begin: now, lap: now }
+    }
+
+    fn lap(&mut self) -> f64 {
+        let ms = self.lap.elapsed().as_secs_f64() * 1e3;
+        self.lap = Instant::now();
+        ms
+    }
+
+    fn total(&self) -> f64 {
+        self.begin.elapsed().as_secs_f64() * 1e3
+    }
 }

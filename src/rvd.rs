@@ -11,10 +11,12 @@
 pub mod cells;
 pub mod clip;
 pub mod dual;
+mod exact;
 pub mod gpu;
 pub mod incident;
 pub mod parallel;
 pub mod serial;
+mod start;
 pub mod surface;
 
 use std::ops::Range;
@@ -244,7 +246,7 @@ pub enum RvdError {
 pub const MAX_SEED_DISTANCE: f64 = 1e6;
 
 /// What every session checks of new seeds.
-fn check_seeds(seeds: &[DVec3], limit: usize) -> Result<(), RvdError> {
+pub(crate) fn check_seeds(seeds: &[DVec3], limit: usize) -> Result<(), RvdError> {
     if seeds.is_empty() {
         return Err(RvdError::NoSeeds);
     }
@@ -263,7 +265,15 @@ fn check_seeds(seeds: &[DVec3], limit: usize) -> Result<(), RvdError> {
     Ok(())
 }
 
-fn elapsed_ms(since: std::time::Instant) -> f64 {
+/// Checks new seeds and takes them, on the grid of [`surface::snap`].
+fn take_seeds(seeds: &[DVec3], limit: usize, into: &mut Vec<DVec3>) -> Result<(), RvdError> {
+    check_seeds(seeds, limit)?;
+    into.clear();
+    into.extend(seeds.iter().map(|&p| surface::snap(p)));
+    Ok(())
+}
+
+pub(crate) fn elapsed_ms(since: std::time::Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
@@ -320,6 +330,11 @@ pub trait Backend: Send + Sync {
     }
     /// How many threads the pool has (1 for `serial`).
     fn threads(&self) -> usize;
+    /// A session whose pieces the dual may be read from: f64. A backend that works in less
+    /// precision hands out another one's.
+    fn exact_session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        self.session(surface, options)
+    }
     /// Plans and allocates everything for one surface and up to `options.max_seeds` seeds.
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError>;
 }

@@ -1,12 +1,12 @@
-//! Seeds that lie exactly on one another.
+//! Points that lie exactly on one another.
 //!
-//! Purpose: the earlier twin of every later one, in linear time.
+//! Purpose: the earliest twin of every later one, in linear time.
 //! Must not know: trees.
 
 use glam::DVec3;
 
-/// `(later, earliest)` for every seed that lies exactly on an earlier one, in order of `later`.
-pub(super) fn find(seeds: &[DVec3]) -> Vec<(u32, u32)> {
+/// `(later, earliest)` for every point that lies exactly on an earlier one, in order of `later`.
+pub(crate) fn find(seeds: &[DVec3]) -> Vec<(u32, u32)> {
     const EMPTY: u32 = u32::MAX;
     let mask = (seeds.len() * 2).next_power_of_two() - 1;
     let mut slots = vec![EMPTY; mask + 1];

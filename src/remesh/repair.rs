@@ -1,1 +1,185 @@
-//! (being built)
+//! From the dual's triangles to an oriented 2-manifold, with or without boundary.
+//!
+//! Purpose: whatever the dual is, the result has no degenerate or duplicate facet, no edge with
+//! more than two facets or two that disagree on its direction, no vertex with more than one fan.
+//! The order is: degenerate and duplicate facets go, and pairs of facets back to back; then, where facets quarrel over a directed
+//! edge, the better shaped one stays; then vertices with several fans are split, one copy a fan;
+//! vertices without a facet go.
+//! Invariant: deterministic; a dual that is a manifold already comes out as it went in.
+//! Must not know: where the triangles came from.
+
+use std::collections::{HashMap, HashSet};
+
+use glam::DVec3;
+
+use super::report::RepairFigures;
+
+/// A repaired triangulation.
+#[derive(Clone, Debug, Default)]
+pub struct Repaired {
+    /// For each result vertex, the input vertex it stands for (several for a split vertex).
+    pub source: Vec<u32>,
+    /// Facets over the result's vertices.
+    pub facets: Vec<[u32; 3]>,
+    /// What was done.
+    pub figures: RepairFigures,
+}
+
+/// Repairs `triangles` over `positions`.
+pub fn repair(positions: &[DVec3], triangles: &[[u32; 3]]) -> Repaired {
+    let mut figures = RepairFigures::default();
+    let simple = simple_facets(triangles, &mut figures);
+    let facets = oriented(positions, simple, &mut figures);
+    split_fans(facets, figures)
+}
+
+/// Facets with three different corners, each set of corners once. Two facets with the same corners
+/// and opposite orientation are a pocket around a cell component that touches two cells only:
+/// both go, and the surface closes behind them.
+fn simple_facets(triangles: &[[u32; 3]], figures: &mut RepairFigures) -> Vec<[u32; 3]> {
+    // Corners in order -> (first facet of even order, first of odd order).
+    let mut seen: HashMap<[u32; 3], [Option<usize>; 2]> = HashMap::with_capacity(triangles.len());
+    for (f, &t) in triangles.iter().enumerate() {
+        let mut key = t;
+        key.sort_unstable();
+        if key[0] == key[1] || key[1] == key[2] {
+            figures.degenerate_facets += 1;
+            continue;
+        }
+        let odd = usize::from(t != key && t != [key[1], key[2], key[0]] && t != [key[2], key[0], key[1]]);
+        let slot = &mut seen.entry(key).or_default()[odd];
+        if slot.is_some() {
+            figures.duplicate_facets += 1;
+        } else {
+            *slot = Some(f);
+        }
+    }
+    let mut kept: Vec<usize> = Vec::with_capacity(seen.len());
+    for sides in seen.values() {
+        match sides {
+            [Some(_), Some(_)] => figures.closed_pockets += 1,
+            [one, other] => kept.extend(one.or(*other)),
+        }
+    }
+    kept.sort_unstable();
+    kept.into_iter().map(|f| triangles[f]).collect()
+}
+
+fn half_edges(t: [u32; 3]) -> [(u32, u32); 3] {
+    [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]
+}
+
+/// Keeps facets so that every directed edge is used once. Facets that share none of theirs stay;
+/// the others are taken by falling quality as long as their edges are free.
+fn oriented(positions: &[DVec3], facets: Vec<[u32; 3]>, figures: &mut RepairFigures) -> Vec<[u32; 3]> {
+    let mut uses: HashMap<(u32, u32), u32> = HashMap::with_capacity(facets.len() * 3);
+    for half in facets.iter().flat_map(|&t| half_edges(t)) {
+        *uses.entry(half).or_default() += 1;
+    }
+    let quarrels = |t: &[u32; 3]| half_edges(*t).iter().any(|h| uses[h] > 1);
+    let mut disputed: Vec<usize> = (0..facets.len()).filter(|&f| quarrels(&facets[f])).collect();
+    if disputed.is_empty() {
+        return facets;
+    }
+    let quality = |f: usize| shape(facets[f].map(|v| positions[v as usize]));
+    disputed.sort_by(|&a, &b| quality(b).total_cmp(&quality(a)).then(a.cmp(&b)));
+    let mut keep = vec![true; facets.len()];
+    let mut taken = HashSet::new();
+    for f in disputed {
+        let halves = half_edges(facets[f]);
+        if halves.iter().any(|h| taken.contains(h)) {
+            keep[f] = false;
+            figures.non_manifold_facets += 1;
+        } else {
+            taken.extend(halves);
+        }
+    }
+    facets.into_iter().zip(keep).filter_map(|(t, k)| k.then_some(t)).collect()
+}
+
+/// Area over squared edge lengths: 0 for a sliver, the most for an equilateral triangle.
+fn shape([a, b, c]: [DVec3; 3]) -> f64 {
+    let squares = (b - a).length_squared() + (c - b).length_squared() + (a - c).length_squared();
+    if squares > 0.0 { (b - a).cross(c - a).length() / squares } else { 0.0 }
+}
+
+/// Gives every fan of facets around a vertex a vertex of its own, and drops unused vertices.
+fn split_fans(facets: Vec<[u32; 3]>, mut figures: RepairFigures) -> Repaired {
+    let owner: HashMap<(u32, u32), u32> =
+        facets.iter().enumerate().flat_map(|(f, &t)| half_edges(t).map(|h| (h, f as u32))).collect();
+    let mut fan: Vec<u32> = (0..facets.len() as u32 * 3).collect();
+    fn root(fan: &mut [u32], mut i: u32) -> u32 {
+        while fan[i as usize] != i {
+            fan[i as usize] = fan[fan[i as usize] as usize];
+            i = fan[i as usize];
+        }
+        i
+    }
+    for (f, &t) in facets.iter().enumerate() {
+        for (e, (a, b)) in half_edges(t).into_iter().enumerate() {
+            // Across edge a -> b lies the facet with b -> a; both corners are then in one fan.
+            let Some(&g) = owner.get(&(b, a)) else { continue };
+            for (v, here) in [(a, e), (b, (e + 1) % 3)] {
+                let Some(there) = facets[g as usize].iter().position(|&u| u == v) else { continue };
+                let (x, y) = (root(&mut fan, f as u32 * 3 + here as u32), root(&mut fan, g * 3 + there as u32));
+                fan[x.max(y) as usize] = x.min(y);
+            }
+        }
+    }
+    // Numbered by old vertex, then by first corner: a manifold keeps its order.
+    let corners: Vec<(u32, u32)> =
+        (0..fan.len() as u32).map(|c| (facets[c as usize / 3][c as usize % 3], root(&mut fan, c))).collect();
+    let mut fans = corners.clone();
+    fans.sort_unstable();
+    fans.dedup();
+    figures.split_vertices = fans.windows(2).filter(|w| w[0].0 == w[1].0).count();
+    let number = |key: &(u32, u32)| fans.binary_search(key).unwrap_or(0) as u32;
+    let facets = corners.chunks(3).map(|c| [number(&c[0]), number(&c[1]), number(&c[2])]).collect();
+    Repaired { source: fans.iter().map(|&(v, _)| v).collect(), facets, figures }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn points(n: u32) -> Vec<DVec3> {
+        (0..n).map(|i| DVec3::new(f64::from(i).cos(), f64::from(i * i).sin(), f64::from(i % 3))).collect()
+    }
+
+    #[test]
+    fn a_tetrahedron_is_left_alone() {
+        let facets = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]];
+        let out = repair(&points(4), &facets);
+        assert_eq!((out.facets.as_slice(), out.source), (&facets[..], vec![0, 1, 2, 3]));
+        assert_eq!(out.figures, RepairFigures::default());
+    }
+
+    #[test]
+    fn duplicates_and_degenerates_go() {
+        let out = repair(&points(4), &[[0, 1, 2], [1, 2, 0], [3, 3, 1]]);
+        assert_eq!(out.facets, [[0, 1, 2]]);
+        assert_eq!((out.figures.duplicate_facets, out.figures.degenerate_facets), (1, 1));
+    }
+
+    #[test]
+    fn a_pocket_closes() {
+        // A tetrahedron whose edge 0-1 was opened around vertex 4.
+        let facets = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3], [0, 1, 4], [1, 0, 4]];
+        let out = repair(&points(5), &facets);
+        assert_eq!((out.facets.as_slice(), out.source.len()), (&facets[..4], 4));
+        assert_eq!(out.figures, RepairFigures { closed_pockets: 1, ..RepairFigures::default() });
+    }
+
+    #[test]
+    fn a_third_facet_at_an_edge_goes() {
+        let out = repair(&points(5), &[[0, 1, 2], [1, 0, 3], [0, 1, 4]]);
+        assert_eq!((out.facets.len(), out.figures.non_manifold_facets), (2, 1));
+    }
+
+    #[test]
+    fn two_fans_at_a_vertex_get_two_vertices() {
+        let out = repair(&points(5), &[[0, 1, 2], [0, 3, 4]]);
+        assert_eq!((out.source, out.figures.split_vertices), (vec![0, 0, 1, 2, 3, 4], 1));
+        assert_ne!(out.facets[0][0], out.facets[1][0]);
+    }
+}

@@ -1,10 +1,16 @@
 //! The report of a run, as `--report` writes it and the service sends it.
 //!
-//! Purpose: plain figures with fixed names. Must not know: how they came about.
+//! Purpose: plain figures with fixed names.
+//! Invariant: a name that scripts read does not change.
+//! Must not know: how the figures came about.
 
 use serde::Serialize;
 
-use crate::mesh::measure::{Quality, Topology};
+use crate::cvt::Iteration;
+use crate::mesh::TriMesh;
+use crate::mesh::measure::{Quality, Topology, topology};
+use crate::rvd::dual::Dual;
+use crate::rvd::{PassStats, Surface};
 
 /// What `--report` writes.
 #[derive(Clone, Debug, Serialize)]
@@ -34,7 +40,7 @@ pub struct Report {
 /// The surface that came in.
 #[derive(Clone, Debug, Serialize)]
 pub struct InputFigures {
-    /// Vertices that a facet uses, after exact duplicates are counted once.
+    /// Vertices as given.
     pub vertices: usize,
     /// Facets, degenerate ones included.
     pub facets: usize,
@@ -134,10 +140,67 @@ pub struct ResultFigures {
 pub struct RepairFigures {
     /// Restricted cells with more than one connected component.
     pub split_cells: usize,
-    /// Facets dropped because another has the same corners.
+    /// RVD vertices whose three cells do not agree (see `rvd::dual`).
+    pub disputed_vertices: usize,
+    /// Facets dropped because two of their corners are one vertex.
+    pub degenerate_facets: usize,
+    /// Pairs of facets back to back that were taken out: cell components that touch two cells only.
+    pub closed_pockets: usize,
+    /// Facets dropped because another has the same corners and orientation.
     pub duplicate_facets: usize,
-    /// Facets dropped at edges with more than two facets.
+    /// Facets dropped at edges with more than two facets or with two of one direction.
     pub non_manifold_facets: usize,
     /// Vertices split because their facets form more than one fan.
     pub split_vertices: usize,
+}
+
+impl InputFigures {
+    /// Looks at the surface that came in.
+    pub fn of(mesh: &TriMesh) -> Self {
+        Self {
+            vertices: mesh.positions().len(),
+            facets: mesh.facets().len(),
+            degenerate_facets: mesh.degenerate_count(),
+            area: mesh.area(),
+            topology: topology(mesh),
+        }
+    }
+}
+
+impl RvdFigures {
+    /// Adds what one pass had to do again.
+    pub fn add_pass(&mut self, stats: &PassStats) {
+        self.relaunched_pairs += stats.relaunched();
+        self.relaunched_neighbours += stats.relaunched_neighbours;
+        self.relaunched_polygon += stats.relaunched_polygon;
+        self.relaunched_cells += stats.relaunched_cells;
+        self.f64_finished_pairs += stats.f64_finished;
+    }
+
+    /// Takes the last diagram's figures.
+    pub fn of_dual(&mut self, dual: &Dual, surface: &Surface, device_bytes: u64) {
+        let scale = surface.frame().scale;
+        self.area = dual.area / scale / scale;
+        self.pairs = dual.stats.pairs;
+        self.empty_cells = dual.empty_cells;
+        self.device_bytes = device_bytes;
+    }
+}
+
+impl IterationFigures {
+    /// One step's figures.
+    pub fn of(step: &Iteration) -> Self {
+        Self {
+            kind: step.kind.name(),
+            energy: step.energy,
+            energy_ratio: step.energy_ratio,
+            gradient_norm: step.gradient_norm,
+            evaluations: step.evaluations,
+            ms: step.ms,
+            neighbours_ms: step.stats.neighbours_ms,
+            start_ms: step.stats.start_ms,
+            clip_ms: step.stats.clip_ms,
+            update_ms: step.stats.update_ms,
+        }
+    }
 }

@@ -8,6 +8,7 @@
 use glam::DVec3;
 
 use super::RvdError;
+use crate::knn::duplicates;
 use crate::mesh::TriMesh;
 
 /// The map between the caller's coordinates and the unit frame: unit = (p - centre) * scale.
@@ -39,6 +40,15 @@ impl Frame {
     }
 }
 
+/// Unit-frame positions of vertices and seeds are multiples of 1/`GRID`, 2·10⁻¹⁶ of the bounding box.
+pub(crate) const GRID: f64 = (1u64 << 52) as f64;
+
+/// The nearest point whose coordinates are multiples of 1/[`GRID`]: a difference of two such points
+/// inside the box is exact, and so are the decisions of [`super::exact`].
+pub fn snap(p: DVec3) -> DVec3 {
+    DVec3::from_array(p.to_array().map(|x| (x * GRID).round_ties_even() / GRID))
+}
+
 /// A mesh in the unit frame, with weights. Immutable; sessions share it.
 #[derive(Clone, Debug)]
 pub struct Surface {
@@ -47,6 +57,7 @@ pub struct Surface {
     weights: Vec<f64>,
     uniform: bool,
     facets: Vec<[u32; 3]>,
+    welded: Vec<[u32; 3]>,
     skip: Vec<bool>,
     area: f64,
 }
@@ -79,24 +90,25 @@ impl Surface {
                 Some(given.iter().map(|w| w * scale).collect::<Vec<_>>())
             }
         };
-        let positions: Vec<DVec3> = mesh.positions().iter().map(|&p| frame.to_unit(p)).collect();
-        let skip: Vec<bool> = (0..mesh.facets().len()).map(|f| mesh.is_degenerate(f)).collect();
-        let mut area = 0.0;
-        for (f, corners) in mesh.facets().iter().enumerate() {
-            if !skip[f] {
-                let [a, b, c] = corners.map(|v| positions[v as usize]);
-                area += 0.5 * (b - a).cross(c - a).length();
-            }
+        let positions: Vec<DVec3> = mesh.positions().iter().map(|&p| snap(frame.to_unit(p))).collect();
+        let mut class: Vec<u32> = (0..vertices as u32).collect();
+        for (later, earliest) in duplicates::find(mesh.positions()) {
+            class[later as usize] = earliest;
         }
-        Ok(Self {
+        let skip: Vec<bool> = (0..mesh.facets().len()).map(|f| mesh.is_degenerate(f)).collect();
+        let mut surface = Self {
             frame,
             uniform: weights.is_none(),
             weights: weights.unwrap_or_else(|| vec![1.0; vertices]),
             positions,
             facets: mesh.facets().to_vec(),
+            welded: mesh.facets().iter().map(|f| f.map(|v| class[v as usize])).collect(),
             skip,
-            area,
-        })
+            area: 0.0,
+        };
+        surface.area =
+            (0..surface.facets.len()).filter(|&f| !surface.skip[f]).map(|f| surface.facet_area(f as u32)).sum();
+        Ok(surface)
     }
 
     /// The map to the caller's coordinates.
@@ -124,6 +136,12 @@ impl Surface {
         &self.facets
     }
 
+    /// Facets with every vertex replaced by the lowest one at exactly the same place, so that
+    /// the two sides of a texture seam share their edges.
+    pub fn welded(&self) -> &[[u32; 3]] {
+        &self.welded
+    }
+
     /// Centroid of facet `f`.
     pub fn centroid(&self, f: u32) -> DVec3 {
         let [a, b, c] = self.facets[f as usize].map(|v| self.positions[v as usize]);
@@ -133,6 +151,24 @@ impl Surface {
     /// Whether facet `f` is degenerate and left out.
     pub fn skips(&self, f: usize) -> bool {
         self.skip[f]
+    }
+
+    /// E_hex: the energy that so many seeds would have on a flat surface of this size and
+    /// density if every cell were a regular hexagon, 5/(18√3) (∫√w)²/n, unit frame. √w is taken
+    /// as linear between the corners of a facet.
+    pub fn hexagonal_energy(&self, seeds: usize) -> f64 {
+        let mut root_mass = 0.0;
+        for (f, corners) in self.facets.iter().enumerate().filter(|&(f, _)| !self.skip[f]) {
+            let mean = corners.map(|v| self.weights[v as usize].sqrt()).iter().sum::<f64>() / 3.0;
+            root_mass += mean * self.facet_area(f as u32);
+        }
+        5.0 / (18.0 * 3f64.sqrt()) * root_mass * root_mass / seeds as f64
+    }
+
+    /// Area of facet `f`, unit frame.
+    pub fn facet_area(&self, f: u32) -> f64 {
+        let [a, b, c] = self.facets[f as usize].map(|v| self.positions[v as usize]);
+        0.5 * (b - a).cross(c - a).length()
     }
 
     /// Area of all facets that are not left out, unit frame.

@@ -1,0 +1,69 @@
+//! Points for tests: random ones, and brute-force answers about them.
+#![allow(dead_code)]
+
+use glam::DVec3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use tessera::rvd::{PieceBatch, Surface};
+
+/// The same stream everywhere.
+pub fn rng(seed: u64) -> ChaCha8Rng {
+    ChaCha8Rng::seed_from_u64(seed)
+}
+
+/// A random point of facet `f`, unit frame.
+pub fn in_facet(surface: &Surface, f: usize, rng: &mut ChaCha8Rng) -> DVec3 {
+    let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
+    let (s, t) = (rng.random::<f64>().sqrt(), rng.random::<f64>());
+    (1.0 - s) * a + s * (1.0 - t) * b + s * t * c
+}
+
+/// `n` random points of the surface ∝ area, with their facets, unit frame.
+pub fn on_surface(surface: &Surface, n: usize, rng: &mut ChaCha8Rng) -> Vec<(u32, DVec3)> {
+    let mut sum = 0.0;
+    let cumulative: Vec<f64> = (0..surface.facets().len())
+        .map(|f| {
+            sum += if surface.skips(f) { 0.0 } else { surface.facet_area(f as u32) };
+            sum
+        })
+        .collect();
+    (0..n)
+        .map(|_| {
+            let at = rng.random::<f64>() * sum;
+            let f = cumulative.partition_point(|&c| c <= at).min(cumulative.len() - 1);
+            (f as u32, in_facet(surface, f, rng))
+        })
+        .collect()
+}
+
+/// Those of `probes` (facet, point) that lie in no cell of a nearest seed, found by trying all
+/// seeds. `pieces` are sorted by facet.
+pub fn outside_their_cells(pieces: &PieceBatch, seeds: &[DVec3], probes: &[(u32, DVec3)]) -> Vec<(u32, DVec3)> {
+    let missing = |&(f, p): &(u32, DVec3)| -> Option<(u32, DVec3)> {
+        let nearest = seeds.iter().map(|s| s.distance_squared(p)).fold(f64::INFINITY, f64::min);
+        let first = pieces.facet.partition_point(|&g| g < f);
+        // A point within rounding of a bisector may be in either cell.
+        let found = (first..pieces.len())
+            .take_while(|&i| pieces.facet[i] == f)
+            .filter(|&i| contains(pieces, i, p))
+            .any(|i| seeds[pieces.seed[i] as usize].distance_squared(p) <= nearest + 1e-12 * (1.0 + nearest));
+        (!found).then_some((f, p))
+    };
+    probes.par_iter().filter_map(missing).collect()
+}
+
+/// Whether piece `i` holds `p`, a point of its facet. The piece is convex; the margin is rounding,
+/// of the distance to an edge and of the direction of an edge whose length is itself rounding.
+fn contains(pieces: &PieceBatch, i: usize, p: DVec3) -> bool {
+    let polygon = &pieces.position[pieces.vertices(i)];
+    let mut normal = DVec3::ZERO;
+    for k in 2..polygon.len() {
+        normal += (polygon[k - 1] - polygon[0]).cross(polygon[k] - polygon[0]);
+    }
+    let normal = normal.normalize_or_zero();
+    (0..polygon.len()).all(|k| {
+        let (a, b) = (polygon[k], polygon[(k + 1) % polygon.len()]);
+        (b - a).cross(p - a).dot(normal) >= -1e-9 * (b - a).length() - 1e-15
+    })
+}

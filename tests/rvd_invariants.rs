@@ -1,0 +1,195 @@
+//! What holds of every diagram, whatever the surface and the seeds: pieces tile their facets, every
+//! point lies in the cell of its nearest seed, capacities and threads change nothing.
+
+#[path = "common/points.rs"]
+mod points;
+#[path = "common/surfaces.rs"]
+mod surfaces;
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use points::{in_facet, on_surface, outside_their_cells, rng};
+use rand::RngExt;
+use tessera::rvd::parallel::Parallel;
+use tessera::rvd::serial::Serial;
+use tessera::rvd::{
+    Backend, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, Session, SessionOptions, Surface,
+};
+
+/// Seed sets that a surface is tried with, unit frame.
+fn seed_sets(surface: &Surface) -> Vec<(&'static str, Vec<DVec3>)> {
+    let mut rng = rng(7);
+    let mut on = |n: usize| -> Vec<DVec3> { on_surface(surface, n, &mut rng).into_iter().map(|x| x.1).collect() };
+    let (one, few, many) = (on(1), on(20), on(600));
+    let mut twins = on(60);
+    twins.extend_from_within(10..40);
+    let corners: Vec<DVec3> = surface.positions().iter().copied().step_by(3).collect();
+    // A hundred seeds in one spot, the rest spread: spacings of 1 to 1000.
+    let mut cluster = on(100);
+    let centre = cluster[0];
+    cluster.extend((0..100).map(|k| centre + 1e-3 * DVec3::new((k as f64).sin(), (k as f64 * 1.7).cos(), 0.1)));
+    let mut box_rng = points::rng(8);
+    let mut random = || box_rng.random::<f64>() - 0.5;
+    let off: Vec<DVec3> = (0..200).map(|_| DVec3::new(random(), random(), random())).collect();
+    let far: Vec<DVec3> = (0..50).map(|_| 40.0 * DVec3::new(random(), random(), random())).collect();
+    vec![
+        ("one", one),
+        ("few", few),
+        ("many", many),
+        ("twins", twins),
+        ("corners", corners),
+        ("cluster", cluster),
+        ("off the surface", off),
+        ("far off", far),
+    ]
+}
+
+fn open(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], capacities: Capacities) -> Box<dyn Session> {
+    let options = SessionOptions { max_seeds: seeds.len(), capacities };
+    let mut session = backend.session(Arc::clone(surface), options).unwrap();
+    session.set_seeds(seeds).unwrap();
+    session
+}
+
+fn everything(session: &mut dyn Session, surface: &Surface) -> (CellSums, PieceBatch, PassStats) {
+    let (mut sums, mut pieces) = (CellSums::default(), PieceBatch::default());
+    let stats = session.sums(&mut sums, &CancelFlag::default()).unwrap();
+    session.pieces(0..surface.facets().len() as u32, &mut pieces, &CancelFlag::default()).unwrap();
+    (sums, pieces, stats)
+}
+
+#[test]
+fn pieces_tile_their_facets() {
+    for (name, mesh) in surfaces::all() {
+        let surface = Arc::new(Surface::new(&mesh, None).unwrap());
+        for (kind, seeds) in seed_sets(&surface) {
+            let mut session = open(&Serial, &surface, &seeds, Capacities::default());
+            let (sums, pieces, _) = everything(&mut *session, &surface);
+            let mut covered = vec![0.0; surface.facets().len()];
+            for i in 0..pieces.len() {
+                covered[pieces.facet[i] as usize] += pieces.area(i);
+                assert!(pieces.vertices(i).len() >= 3);
+            }
+            for (f, &covered) in covered.iter().enumerate().filter(|&(f, _)| !surface.skips(f)) {
+                let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
+                let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+                // An area is a difference of products as large as the longest edge squared.
+                let error = (covered - surface.facet_area(f as u32)).abs();
+                assert!(error <= 1e-12 * longest, "{name}, {kind}: facet {f} is off by {error:e} of {longest:e}");
+            }
+            let total: f64 = sums.area.iter().sum();
+            assert!((total / surface.area() - 1.0).abs() < 1e-11, "{name}, {kind}: area {total}");
+        }
+    }
+}
+
+#[test]
+fn every_point_lies_in_the_cell_of_its_nearest_seed() {
+    for (name, mesh) in surfaces::all() {
+        let surface = Arc::new(Surface::new(&mesh, None).unwrap());
+        for (kind, seeds) in seed_sets(&surface) {
+            let mut session = open(&Serial, &surface, &seeds, Capacities::default());
+            let (_, pieces, _) = everything(&mut *session, &surface);
+            let mut rng = rng(3);
+            let by_area = on_surface(&surface, 300, &mut rng);
+            let by_facet: Vec<(u32, DVec3)> = (0..surface.facets().len())
+                .filter(|&f| !surface.skips(f))
+                .step_by(1 + surface.facets().len() / 200)
+                .map(|f| (f as u32, in_facet(&surface, f, &mut rng)))
+                .collect();
+            let probes: Vec<_> = by_area.into_iter().chain(by_facet).collect();
+            let outside = outside_their_cells(&pieces, &seeds, &probes);
+            assert!(outside.is_empty(), "{name}, {kind}: {:?} is in no cell of a nearest seed", outside[0]);
+        }
+    }
+}
+
+#[test]
+fn backends_threads_and_capacities_give_the_same_bits() {
+    let tiny = Capacities { neighbours: 4, polygon: 5, cells: 2, pairs_percent: 10 };
+    let pools: Vec<Parallel> = [1, 2, 3].map(|t| Parallel::new(Some(t)).unwrap()).into();
+    for (name, mesh) in surfaces::all() {
+        let surface = Arc::new(Surface::new(&mesh, None).unwrap());
+        for (kind, seeds) in seed_sets(&surface) {
+            let mut reference = open(&Serial, &surface, &seeds, Capacities::default());
+            let want = everything(&mut *reference, &surface);
+            let mut tried = vec![("serial, tiny", open(&Serial, &surface, &seeds, tiny))];
+            for pool in &pools {
+                tried.push(("parallel", open(pool, &surface, &seeds, Capacities::default())));
+            }
+            tried.push(("parallel, tiny", open(&pools[1], &surface, &seeds, tiny)));
+            for (who, mut session) in tried {
+                let got = everything(&mut *session, &surface);
+                assert!(got.0 == want.0, "{name}, {kind}: sums of {who}");
+                assert!(got.1 == want.1, "{name}, {kind}: pieces of {who}");
+                assert_eq!(got.2.pairs, want.2.pairs, "{name}, {kind}: pairs of {who}");
+                if who.ends_with("tiny") && kind == "many" {
+                    assert!(got.2.relaunched() > want.2.relaunched(), "{name}: nothing was relaunched");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_session_takes_one_seed_set_after_another() {
+    let (_, mesh) = surfaces::all().swap_remove(0);
+    let surface = Arc::new(Surface::new(&mesh, None).unwrap());
+    let sets = seed_sets(&surface);
+    let most = sets.iter().map(|s| s.1.len()).max().unwrap();
+    let backend = Parallel::new(Some(2)).unwrap();
+    let mut reused = backend.session(Arc::clone(&surface), SessionOptions::new(most)).unwrap();
+    for (kind, seeds) in &sets {
+        reused.set_seeds(seeds).unwrap();
+        let mut fresh = open(&backend, &surface, seeds, Capacities::default());
+        assert!(everything(&mut *reused, &surface).0 == everything(&mut *fresh, &surface).0, "{kind}");
+    }
+}
+
+#[test]
+fn mass_follows_the_weights() {
+    for (name, mesh) in surfaces::all() {
+        let weights: Vec<f64> = (0..mesh.positions().len()).map(|v| 0.1 + (v % 7) as f64).collect();
+        let surface = Arc::new(Surface::new(&mesh, Some(&weights)).unwrap());
+        let want: f64 = (0..surface.facets().len())
+            .filter(|&f| !surface.skips(f))
+            .map(|f| {
+                let w: f64 = surface.facets()[f].iter().map(|&v| surface.weights()[v as usize]).sum();
+                surface.facet_area(f as u32) * w / 3.0
+            })
+            .sum();
+        let (_, seeds) = seed_sets(&surface).swap_remove(2);
+        let mut session = open(&Serial, &surface, &seeds, Capacities::default());
+        let (sums, _, _) = everything(&mut *session, &surface);
+        let mass: f64 = sums.mass.iter().sum();
+        assert!((mass / want - 1.0).abs() < 1e-11, "{name}: {mass} for {want}");
+    }
+}
+
+#[test]
+fn the_gradient_is_that_of_the_energy() {
+    for (name, mesh) in surfaces::all().into_iter().take(3) {
+        let surface = Arc::new(Surface::new(&mesh, None).unwrap());
+        let (_, mut seeds) = seed_sets(&surface).swap_remove(1);
+        let mut session = open(&Serial, &surface, &seeds, Capacities::default());
+        let mut sums = CellSums::default();
+        let mut energy = |seeds: &[DVec3]| -> (f64, Vec<DVec3>) {
+            session.set_seeds(seeds).unwrap();
+            session.sums(&mut sums, &CancelFlag::default()).unwrap();
+            (sums.energy.iter().sum(), sums.moment.iter().map(|m| -2.0 * m).collect())
+        };
+        let (_, gradient) = energy(&seeds);
+        for (i, axis) in [(0, DVec3::X), (5, DVec3::Y), (11, DVec3::Z)] {
+            let h = 1e-5;
+            seeds[i] += h * axis;
+            let up = energy(&seeds).0;
+            seeds[i] -= 2.0 * h * axis;
+            let down = energy(&seeds).0;
+            seeds[i] += h * axis;
+            let (difference, exact) = ((up - down) / (2.0 * h), gradient[i].dot(axis));
+            // The energy is C²; the central difference is good to h² and to rounding / h.
+            assert!((difference - exact).abs() < 1e-8, "{name}, seed {i}: {difference} for {exact}");
+        }
+    }
+}
