@@ -1,1 +1,90 @@
-//! (being built)
+//! The command line: one file per subcommand.
+//!
+//! Purpose: options to calls, errors to exit codes (0 done, 2 usage, 65 bad input data, 69 service
+//! or device unavailable, 70 internal, 130 interrupted).
+//! Invariant: results go to files and the standard output, everything else to the standard error
+//! stream. Must not know: how anything is computed.
+
+pub mod backends;
+pub mod doctor;
+mod exit;
+mod files;
+mod interrupt;
+mod progress;
+mod remesh;
+mod remote;
+mod rvd;
+mod serve;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand, ValueEnum};
+
+use crate::config::ServeArgs;
+use crate::telemetry::{self, LogFormat};
+
+/// Exact restricted Voronoi diagrams and remeshing of triangle surfaces.
+#[derive(Debug, Parser)]
+#[command(name = "tessera", version, about, max_term_width = 100)]
+struct Cli {
+    /// How log lines look. What is logged: the variable TESSERA_LOG, e.g. `debug`.
+    #[arg(long, global = true, value_enum, default_value_t, env = "TESSERA_LOG_FORMAT")]
+    log_format: LogFormatArg,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+enum LogFormatArg {
+    /// For people.
+    #[default]
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Serve over gRPC until SIGTERM or Ctrl-C.
+    Serve(ServeArgs),
+    /// Remesh a surface: sample, iterate, triangulate, repair, measure.
+    Remesh(remesh::RemeshArgs),
+    /// Compute the restricted Voronoi diagram of seeds on a surface.
+    Rvd(rvd::RvdArgs),
+    /// Say what this machine has and what would be used.
+    Doctor(doctor::DoctorArgs),
+}
+
+/// Runs the program on its own command line.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let (format, filter) = match (cli.log_format, &cli.command) {
+        (LogFormatArg::Text, Command::Serve(_)) => (LogFormat::Text, "info"),
+        (LogFormatArg::Text, _) => (LogFormat::Text, "warn"),
+        (LogFormatArg::Json, Command::Serve(_)) => (LogFormat::Json, "info"),
+        (LogFormatArg::Json, _) => (LogFormat::Json, "warn"),
+    };
+    let result = telemetry::start(format, filter).map_err(anyhow::Error::from).and_then(|()| match &cli.command {
+        Command::Serve(args) => serve::run(args),
+        Command::Remesh(args) => remesh::run(args),
+        Command::Rvd(args) => rvd::run(args),
+        Command::Doctor(args) => doctor::run(args),
+    });
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("tessera: {error:#}");
+            ExitCode::from(exit::code(&error))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        super::Cli::command().debug_assert();
+    }
+}

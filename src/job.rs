@@ -1,1 +1,152 @@
-//! (being built)
+//! Jobs: the queue, and the one thread that owns the device.
+//!
+//! Purpose: [`Engine`] takes work from many callers and does it one piece at a time on the device
+//! thread, which alone touches the backends. A piece is short or checks its [`CancelFlag`], and never
+//! waits for a client: state that outlives a piece (a session) moves out and in again.
+//! Invariant: every submitted piece is answered exactly once or its caller has gone; a panic ends
+//! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
+//! Must not know: gRPC, messages, the command line.
+
+pub mod diagram;
+pub mod queue;
+pub mod session;
+pub mod spec;
+pub mod worker;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::mesh::MeshError;
+use crate::remesh::RemeshError;
+use crate::rvd::{Backend, BackendKind, CancelFlag, RvdError};
+
+pub use queue::Place;
+pub use worker::{Device, Engine, EngineOptions, Pending, Retry, Timed, Turn};
+
+/// Which backend a caller would like.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Wish {
+    /// The GPU if there is one, else the parallel backend.
+    #[default]
+    Auto,
+    /// This one or an error.
+    Only(BackendKind),
+}
+
+/// The backends of this process. Lives on the device thread.
+#[derive(Clone)]
+pub struct Backends {
+    /// f32 on a device, or why there is none.
+    pub gpu: Result<Arc<dyn Backend>, String>,
+    /// f64, all threads of a pool.
+    pub parallel: Arc<dyn Backend>,
+    /// f64, one thread.
+    pub serial: Arc<dyn Backend>,
+    /// What [`Wish::Auto`] means here; `Auto` again means the GPU if there is one.
+    pub default: Wish,
+}
+
+impl Backends {
+    /// The backend for a wish.
+    ///
+    /// # Errors
+    /// [`JobError::BackendUnavailable`] if the GPU is asked for and there is none.
+    pub fn choose(&self, wish: Wish) -> Result<&Arc<dyn Backend>, JobError> {
+        let wish = if wish == Wish::Auto { self.default } else { wish };
+        match (wish, &self.gpu) {
+            (Wish::Auto | Wish::Only(BackendKind::Gpu), Ok(gpu)) => Ok(gpu),
+            (Wish::Only(BackendKind::Gpu), Err(reason)) => {
+                Err(JobError::BackendUnavailable { wanted: BackendKind::Gpu, reason: reason.clone() })
+            }
+            (Wish::Auto | Wish::Only(BackendKind::Parallel), _) => Ok(&self.parallel),
+            (Wish::Only(BackendKind::Serial), _) => Ok(&self.serial),
+        }
+    }
+}
+
+/// Who does the work, as it is told to callers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BackendInfo {
+    /// Which backend.
+    pub kind: BackendKind,
+    /// The adapter's name, for a GPU.
+    pub adapter: Option<String>,
+    /// Threads of the pool.
+    pub threads: usize,
+}
+
+impl BackendInfo {
+    /// What `backend` says of itself.
+    pub fn of(backend: &dyn Backend) -> Self {
+        Self { kind: backend.kind(), adapter: backend.adapter(), threads: backend.threads() }
+    }
+}
+
+/// Why a job was refused or failed.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum JobError {
+    /// The queue is full now.
+    #[error("{waiting} jobs wait already, as many as may; try again in {} s", .retry_after.as_secs_f64())]
+    QueueFull {
+        /// How many wait.
+        waiting: usize,
+        /// When a place may be free.
+        retry_after: Duration,
+    },
+    /// The process is shutting down and takes no more work.
+    #[error("the server is shutting down; try again, or try another server")]
+    Draining,
+    /// The backend asked for is not there.
+    #[error("there is no {} backend here: {reason}", .wanted.name())]
+    BackendUnavailable {
+        /// Which one was asked for.
+        wanted: BackendKind,
+        /// Why it is not there, and what to do.
+        reason: String,
+    },
+    /// The work panicked. The message is for the log and for a report of the fault.
+    #[error("internal error: the work panicked: {0}")]
+    Panicked(String),
+    /// The device thread has ended.
+    #[error("internal error: the device thread has ended")]
+    WorkerGone,
+    /// The surface is wrong.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// The diagram could not be had.
+    #[error(transparent)]
+    Rvd(#[from] RvdError),
+    /// The remesh could not be had.
+    #[error(transparent)]
+    Remesh(#[from] RemeshError),
+}
+
+impl JobError {
+    /// The diagram's error inside, wherever it came from.
+    pub fn as_rvd(&self) -> Option<&RvdError> {
+        match self {
+            Self::Rvd(e) | Self::Remesh(RemeshError::Rvd(e)) => Some(e),
+            _ => None,
+        }
+    }
+
+    /// Whether the device went away.
+    pub fn is_device_lost(&self) -> bool {
+        matches!(self.as_rvd(), Some(RvdError::DeviceLost(_)))
+    }
+
+    /// Whether somebody asked to stop.
+    pub fn is_cancelled(&self) -> bool {
+        matches!(self.as_rvd(), Some(RvdError::Cancelled))
+    }
+}
+
+/// Cancels when dropped: whoever waits for work holds one, so that going away stops the work.
+#[derive(Debug, Default)]
+pub struct CancelOnDrop(pub CancelFlag);
+
+impl Drop for CancelOnDrop {
+    fn drop(&mut self) {
+        self.0.cancel();
+    }
+}

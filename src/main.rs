@@ -1,1 +1,7 @@
-fn main() {}
+//! The program: parse, start logging, call one subcommand.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    tessera::cli::main()
+}

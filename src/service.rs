@@ -1,1 +1,229 @@
-//! (being built)
+//! The service: three streams over gRPC, health and reflection.
+//!
+//! Purpose: [`run`] serves on a listener until it is told to end, then drains.
+//! Invariant: nothing waits without a limit; every error leaves through `status` and nowhere else;
+//! a stream that ends in any way gives back its memory and its place. Must not know: how a diagram
+//! is computed, the command line.
+
+mod assemble;
+pub(crate) mod convert;
+mod handlers;
+mod limits;
+mod status;
+mod stream;
+
+use std::future::Future;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+use tonic::transport::server::TcpIncoming;
+use tonic_health::ServingStatus;
+use tonic_health::server::HealthReporter;
+
+use crate::config::Limits;
+use crate::job::{Device, Engine, JobError};
+
+/// The messages and services of `proto/tessera/v1`, generated.
+#[allow(missing_docs, clippy::all, clippy::pedantic)]
+pub mod proto {
+    tonic::include_proto!("tessera.v1");
+
+    /// Every descriptor, encoded, for reflection.
+    pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/tessera.bin"));
+}
+
+/// The largest message that is taken, bytes.
+pub const MAX_MESSAGE_BYTES: usize = 4 << 20;
+
+/// The name under which health is told, besides "".
+pub const SERVICE_NAME: &str = "tessera.v1.RemeshService";
+
+/// What a server is made of.
+#[derive(Debug)]
+pub struct Parts {
+    /// Does the work.
+    pub engine: Engine,
+    /// The engine's thread, joined at the end.
+    pub worker: JoinHandle<()>,
+    /// What a request may ask for, and how long things may take.
+    pub limits: Limits,
+}
+
+/// Why a server ended badly.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The descriptors are not readable; a fault of the build.
+    #[error("the descriptors for reflection are broken: {0}")]
+    Reflection(#[from] tonic_reflection::server::Error),
+    /// The transport failed.
+    #[error("serving failed: {0}")]
+    Transport(#[from] tonic::transport::Error),
+    /// The device thread did not end in time.
+    #[error("the device thread did not end within {} s of the shutdown", .0.as_secs_f64())]
+    WorkerStuck(Duration),
+}
+
+/// Why a request is refused or ends badly. `status` makes a status code of it.
+#[derive(Clone, Debug, thiserror::Error)]
+pub(crate) enum RequestError {
+    #[error("{path} {description}")]
+    Field { path: String, description: String },
+    #[error("{0}")]
+    Protocol(String),
+    #[error("{needed_bytes} more bytes of geometry do not fit now: {left_bytes} are left for all streams")]
+    Memory { needed_bytes: u64, left_bytes: u64 },
+    #[error("{limit} {what} are open already, as many as may")]
+    TooMany { what: &'static str, limit: usize },
+    #[error("no message came for {} s", .0.as_secs_f64())]
+    Idle(Duration),
+    #[error("the client read nothing for {} s", .0.as_secs_f64())]
+    Stalled(Duration),
+    #[error("the deadline has passed")]
+    Deadline,
+    #[error("the client has gone")]
+    ClientGone,
+    #[error("the server is shutting down; try again, or try another server")]
+    Draining,
+    #[error(transparent)]
+    Job(#[from] JobError),
+    #[error("{}", .0.message())]
+    Inbound(tonic::Status),
+}
+
+impl RequestError {
+    pub(crate) fn field(path: impl Into<String>, description: impl Into<String>) -> Self {
+        Self::Field { path: path.into(), description: description.into() }
+    }
+
+    pub(crate) fn unknown_enum(path: &str, value: i32) -> Self {
+        Self::field(path, format!("is {value}, which is no value of this enum"))
+    }
+}
+
+/// How far the server is on its way out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Phase {
+    Serving,
+    Draining,
+    /// The grace period is over: what is left ends now.
+    Cut,
+}
+
+/// Time for streams to end once they were cut, and for connections to close.
+const CUT_TIME: Duration = Duration::from_secs(2);
+
+/// Serves on `listener` until `shutdown` is ready; then refuses new streams, lets open ones end
+/// within the grace period, cuts what is left, joins the device thread and returns.
+///
+/// # Errors
+/// [`ServeError`].
+pub async fn run(
+    listener: TcpListener,
+    parts: Parts,
+    shutdown: impl Future<Output = ()> + Send,
+) -> Result<(), ServeError> {
+    let Parts { engine, worker, limits } = parts;
+    let phase = watch::Sender::new(Phase::Serving);
+    let handlers = handlers::Handlers::new(engine.clone(), limits, phase.subscribe());
+    let gate = handlers.gate().clone();
+    let (health, health_service) = tonic_health::server::health_reporter();
+    tell(&health, ServingStatus::Serving).await;
+    let service = proto::remesh_service_server::RemeshServiceServer::new(handlers)
+        .max_decoding_message_size(MAX_MESSAGE_BYTES)
+        .accept_compressed(tonic::codec::CompressionEncoding::Gzip)
+        .accept_compressed(tonic::codec::CompressionEncoding::Zstd)
+        .send_compressed(tonic::codec::CompressionEncoding::Gzip)
+        .send_compressed(tonic::codec::CompressionEncoding::Zstd);
+    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let router = tonic::transport::Server::builder()
+        .http2_keepalive_interval(Some(Duration::from_secs(20)))
+        .http2_keepalive_timeout(Some(Duration::from_secs(10)))
+        .initial_stream_window_size(1 << 20)
+        .initial_connection_window_size(4 << 20)
+        .max_concurrent_streams(1024)
+        .add_service(service)
+        .add_service(health_service)
+        .add_service(reflection()?.build_v1()?)
+        .add_service(reflection()?.build_v1alpha()?);
+    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
+    let serving = router.serve_with_incoming_shutdown(incoming, async {
+        let _ = stopped.await;
+    });
+    tokio::pin!(serving);
+
+    let early = tokio::select! {
+        ended = &mut serving => Some(ended),
+        () = async { tokio::join!(shutdown, async {}).0 } => None,
+        () = follow_device(&engine, &health) => None,
+    };
+    tracing::info!(grace_s = limits.grace.as_secs_f64(), "shutting down: no new streams, open ones may end");
+    phase.send_replace(Phase::Draining);
+    tell(&health, ServingStatus::NotServing).await;
+    let served = match early {
+        Some(ended) => ended,
+        None => {
+            let drained = async {
+                if tokio::time::timeout(limits.grace, gate.idle()).await.is_err() {
+                    tracing::warn!("the grace period is over: cutting what is left");
+                }
+                phase.send_replace(Phase::Cut);
+                engine.cancel_all();
+                let _ = tokio::time::timeout(CUT_TIME, gate.idle()).await;
+                let _ = stop.send(());
+                tokio::time::sleep(CUT_TIME).await;
+            };
+            // Connections that clients keep open do not hold the process.
+            tokio::select! {
+                ended = &mut serving => ended,
+                () = drained => Ok(()),
+            }
+        }
+    };
+    phase.send_replace(Phase::Cut);
+    engine.cancel_all();
+    engine.close();
+    join(worker).await?;
+    tracing::info!("ended");
+    Ok(served?)
+}
+
+/// Waits for the device thread, but not for ever.
+async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
+    let limit = Duration::from_secs(10);
+    let start = Instant::now();
+    while !worker.is_finished() {
+        if start.elapsed() > limit {
+            return Err(ServeError::WorkerStuck(limit));
+        }
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    if worker.join().is_err() {
+        tracing::error!("the device thread ended with a panic");
+    }
+    Ok(())
+}
+
+/// Tells health while the device is lost; never returns while the engine lives.
+async fn follow_device(engine: &Engine, health: &HealthReporter) {
+    let mut device = engine.watch_device();
+    loop {
+        let now = *device.borrow_and_update();
+        tell(health, if now == Device::Ready { ServingStatus::Serving } else { ServingStatus::NotServing }).await;
+        if device.changed().await.is_err() {
+            return;
+        }
+    }
+}
+
+async fn tell(health: &HealthReporter, status: ServingStatus) {
+    health.set_service_status(SERVICE_NAME, status).await;
+    health.set_service_status("", status).await;
+}
+
+fn reflection() -> Result<tonic_reflection::server::Builder<'static>, ServeError> {
+    Ok(tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(proto::DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET))
+}

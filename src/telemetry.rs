@@ -1,1 +1,45 @@
-//! (being built)
+//! Logs on the standard error stream.
+//!
+//! Purpose: one call at start. Invariant: nothing but this module sets a subscriber, and nothing
+//! writes logs to the standard output. Must not know: what is logged.
+
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::ParseError;
+
+/// How a log line looks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LogFormat {
+    /// For people.
+    #[default]
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// Why there are no logs.
+#[derive(Debug, thiserror::Error)]
+pub enum TelemetryError {
+    /// The filter is not one.
+    #[error("TESSERA_LOG is not a log filter: {0}; an example is `info,tessera=debug`")]
+    Filter(#[from] ParseError),
+    /// A subscriber is there already.
+    #[error("logging was set up twice")]
+    Twice,
+}
+
+/// Starts logging. What is logged: the variable `TESSERA_LOG`, or `default` (e.g. "info").
+///
+/// # Errors
+/// [`TelemetryError`].
+pub fn start(format: LogFormat, default: &str) -> Result<(), TelemetryError> {
+    let filter = match std::env::var("TESSERA_LOG") {
+        Ok(filter) if !filter.trim().is_empty() => EnvFilter::try_new(filter)?,
+        _ => EnvFilter::try_new(default)?,
+    };
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let done = match format {
+        LogFormat::Text => builder.try_init(),
+        LogFormat::Json => builder.json().flatten_event(true).try_init(),
+    };
+    done.map_err(|_| TelemetryError::Twice)
+}

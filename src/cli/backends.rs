@@ -1,0 +1,56 @@
+//! The backends, made as the options say. The only place that names all three.
+
+use std::sync::Arc;
+
+use crate::config::{BackendArg, BackendArgs};
+use crate::job::{Backends, JobError, Wish};
+use crate::rvd::parallel::Parallel;
+use crate::rvd::serial::Serial;
+use crate::rvd::{Backend, BackendKind};
+
+impl From<BackendArg> for Wish {
+    fn from(arg: BackendArg) -> Self {
+        match arg {
+            BackendArg::Auto => Self::Auto,
+            BackendArg::Gpu => Self::Only(BackendKind::Gpu),
+            BackendArg::Parallel => Self::Only(BackendKind::Parallel),
+            BackendArg::Serial => Self::Only(BackendKind::Serial),
+        }
+    }
+}
+
+/// All backends of a server.
+///
+/// # Errors
+/// `BackendUnavailable` if the default one is the GPU and there is none.
+pub fn all(args: &BackendArgs) -> Result<Backends, JobError> {
+    let backends = Backends {
+        gpu: gpu(args).inspect_err(|reason| tracing::info!(%reason, "no GPU backend")),
+        parallel: Arc::new(Parallel::new(args.threads)?),
+        serial: Arc::new(Serial),
+        default: args.backend.into(),
+    };
+    backends.choose(Wish::Auto)?;
+    Ok(backends)
+}
+
+/// The one backend that a subcommand in this process works with.
+///
+/// # Errors
+/// `BackendUnavailable`.
+pub fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
+    match args.backend {
+        BackendArg::Serial => Ok(Arc::new(Serial)),
+        BackendArg::Parallel => Ok(Arc::new(Parallel::new(args.threads)?)),
+        BackendArg::Gpu | BackendArg::Auto => all(args)?.choose(Wish::Auto).cloned(),
+    }
+}
+
+/// The GPU backend, or why there is none and what to do.
+///
+/// # Errors
+/// A sentence for the caller.
+pub fn gpu(args: &BackendArgs) -> Result<Arc<dyn Backend>, String> {
+    let software = if args.gpu_software { "" } else { "; --gpu-software takes a software adapter" };
+    Err(format!("this build has no GPU backend{software}, and --backend parallel always works"))
+}

@@ -1,0 +1,35 @@
+//! `tessera doctor`: what this machine has and what would be used.
+
+use anyhow::Result;
+use clap::Args;
+
+use super::backends;
+use crate::config::BackendArgs;
+use crate::job::Wish;
+
+/// `tessera doctor`'s options: the same as where work is done, to see their effect.
+#[derive(Args, Debug)]
+pub struct DoctorArgs {
+    #[command(flatten)]
+    backend: BackendArgs,
+}
+
+/// Prints it.
+///
+/// # Errors
+/// The backend that the options ask for is not there.
+pub fn run(args: &DoctorArgs) -> Result<()> {
+    args.backend.check()?;
+    println!("tessera     {}", env!("CARGO_PKG_VERSION"));
+    println!("cores       {}", std::thread::available_parallelism().map_or(1, usize::from));
+    match backends::gpu(&args.backend) {
+        Ok(gpu) => println!("gpu         {}", gpu.adapter().unwrap_or_default()),
+        Err(reason) => println!("gpu         none: {reason}"),
+    }
+    let backends = backends::all(&args.backend)?;
+    println!("parallel    {} threads", backends.parallel.threads());
+    let chosen = backends.choose(Wish::Auto)?;
+    let adapter = chosen.adapter().map(|name| format!(" ({name})")).unwrap_or_default();
+    println!("would use   {}{adapter}, {} threads", chosen.kind().name(), chosen.threads());
+    Ok(())
+}

@@ -1,0 +1,111 @@
+//! Errors to exit codes.
+
+use crate::config::ConfigError;
+use crate::job::JobError;
+use crate::mesh::MeshError;
+use crate::remesh::RemeshError;
+use crate::rvd::RvdError;
+use crate::telemetry::TelemetryError;
+
+const USAGE: u8 = 2;
+const DATA: u8 = 65;
+const UNAVAILABLE: u8 = 69;
+const INTERNAL: u8 = 70;
+const INTERRUPTED: u8 = 130;
+
+/// Options that do not go together, or ask for what is not there.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct Usage(pub(crate) String);
+
+/// A file that cannot be read or does not say what it should.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct BadInput(pub(crate) String);
+
+/// Somebody else's service or device is not there.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct Unavailable(pub(crate) String);
+
+/// The exit code for an error, by the first cause in its chain that has one.
+pub(crate) fn code(error: &anyhow::Error) -> u8 {
+    error.chain().find_map(known).unwrap_or(INTERNAL)
+}
+
+fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
+    if cause.is::<Usage>() || cause.is::<ConfigError>() || cause.is::<TelemetryError>() {
+        return Some(USAGE);
+    }
+    if cause.is::<BadInput>() || cause.is::<MeshError>() {
+        return Some(DATA);
+    }
+    if cause.is::<Unavailable>() {
+        return Some(UNAVAILABLE);
+    }
+    if let Some(error) = cause.downcast_ref::<JobError>() {
+        return Some(of_job(error));
+    }
+    if let Some(error) = cause.downcast_ref::<RemeshError>() {
+        return Some(of_remesh(error));
+    }
+    if let Some(error) = cause.downcast_ref::<RvdError>() {
+        return Some(of_rvd(error));
+    }
+    cause.downcast_ref::<tonic::Status>().map(|status| of_status(status.code()))
+}
+
+fn of_job(error: &JobError) -> u8 {
+    match error {
+        JobError::QueueFull { .. } | JobError::Draining | JobError::BackendUnavailable { .. } => UNAVAILABLE,
+        JobError::Panicked(_) | JobError::WorkerGone => INTERNAL,
+        JobError::Mesh(_) => DATA,
+        JobError::Rvd(error) => of_rvd(error),
+        JobError::Remesh(error) => of_remesh(error),
+    }
+}
+
+fn of_remesh(error: &RemeshError) -> u8 {
+    match error {
+        RemeshError::Rvd(error) => of_rvd(error),
+        RemeshError::TooFewSeeds { .. } => DATA,
+    }
+}
+
+fn of_rvd(error: &RvdError) -> u8 {
+    match error {
+        RvdError::Cancelled => INTERRUPTED,
+        RvdError::OutOfMemory { .. } | RvdError::DeviceLost(_) | RvdError::Device(_) => UNAVAILABLE,
+        RvdError::Internal(_) => INTERNAL,
+        _ => DATA,
+    }
+}
+
+fn of_status(code: tonic::Code) -> u8 {
+    use tonic::Code;
+    match code {
+        Code::InvalidArgument => DATA,
+        Code::Unavailable
+        | Code::ResourceExhausted
+        | Code::FailedPrecondition
+        | Code::DeadlineExceeded
+        | Code::Unimplemented => UNAVAILABLE,
+        Code::Cancelled => INTERRUPTED,
+        _ => INTERNAL,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_are_found_under_context() {
+        let error = anyhow::Error::new(RvdError::NoSeeds).context("computing");
+        assert_eq!(code(&error), DATA);
+        let error = anyhow::Error::new(tonic::Status::unavailable("no")).context("asking");
+        assert_eq!(code(&error), UNAVAILABLE);
+        assert_eq!(code(&anyhow::Error::new(Usage("x".into()))), USAGE);
+        assert_eq!(code(&anyhow::anyhow!("what?")), INTERNAL);
+    }
+}

@@ -1,0 +1,83 @@
+//! Ctrl-C and SIGTERM.
+//!
+//! The first signal asks for a clean end, the second ends the process at once.
+
+use crate::rvd::CancelFlag;
+
+/// What a process that a second signal ended says.
+const AT_ONCE: i32 = 130;
+
+/// Ready at the first signal. The second ends the process, even if this was dropped.
+///
+/// # Errors
+/// The operating system refused.
+pub(crate) fn signals() -> std::io::Result<tokio::sync::oneshot::Receiver<()>> {
+    let (sender, receiver) = tokio::sync::oneshot::channel();
+    let mut both = Both::new()?;
+    tokio::spawn(async move {
+        both.next().await;
+        let _ = sender.send(());
+        both.next().await;
+        std::process::exit(AT_ONCE);
+    });
+    Ok(receiver)
+}
+
+/// Sets `cancel` at the first signal, for work that is not async.
+///
+/// # Errors
+/// The operating system refused.
+pub(crate) fn cancel_on_signal(cancel: &CancelFlag) -> std::io::Result<()> {
+    let cancel = cancel.clone();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let mut both = {
+        let _inside = runtime.enter();
+        Both::new()?
+    };
+    std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
+        runtime.block_on(async {
+            both.next().await;
+            cancel.cancel();
+            both.next().await;
+            std::process::exit(AT_ONCE);
+        });
+    })?;
+    Ok(())
+}
+
+#[cfg(unix)]
+struct Both {
+    interrupt: tokio::signal::unix::Signal,
+    terminate: tokio::signal::unix::Signal,
+}
+
+#[cfg(unix)]
+impl Both {
+    fn new() -> std::io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
+    }
+
+    async fn next(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+        }
+    }
+}
+
+#[cfg(not(unix))]
+struct Both;
+
+#[cfg(not(unix))]
+impl Both {
+    fn new() -> std::io::Result<Self> {
+        Ok(Self)
+    }
+
+    async fn next(&mut self) {
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+    }
+}

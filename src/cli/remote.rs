@@ -1,0 +1,258 @@
+//! `--endpoint`: the same work on a server.
+//!
+//! Invariant: what is received is checked as the server checks what it receives: order, CRC, length.
+
+use std::collections::HashMap;
+use std::future::Future;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail, ensure};
+use glam::DVec3;
+use tonic::transport::{Channel, Endpoint};
+
+use super::exit::{BadInput, Unavailable, Usage};
+use super::interrupt;
+use super::progress::Progress;
+use super::rvd::{RvdResult, Wants};
+use crate::config::BackendArg;
+use crate::mesh::TriMesh;
+use crate::remesh::Seeds;
+use crate::rvd::{PieceBatch, RvdError};
+use crate::service::convert;
+use crate::service::proto::remesh_service_client::RemeshServiceClient;
+use crate::service::proto::{self, ArrayKind, CellsChunk, Chunk, seed_source};
+
+/// A remesh to ask for.
+pub(crate) struct RemeshJob<'a> {
+    /// The surface.
+    pub(crate) mesh: &'a TriMesh,
+    /// How many seeds to draw.
+    pub(crate) points: u64,
+    /// Random seed.
+    pub(crate) random_seed: u64,
+    /// Lloyd steps.
+    pub(crate) lloyd: u32,
+    /// Who should do it.
+    pub(crate) backend: BackendArg,
+}
+
+/// What came back.
+pub(crate) struct RemeshDone {
+    /// The remesh.
+    pub(crate) mesh: TriMesh,
+    /// The server's report.
+    pub(crate) report: serde_json::Value,
+}
+
+/// Has `job` done at `endpoint`.
+pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> {
+    use proto::remesh_request::Message as Ask;
+    use proto::remesh_response::Message as Answer;
+    let header = proto::RemeshHeader {
+        mesh: Some(mesh_header(job.mesh)),
+        seeds: Some(sampled(job.points, job.random_seed)),
+        backend: choice(job.backend).into(),
+        lloyd_steps: job.lloyd,
+        ..proto::RemeshHeader::default()
+    };
+    let mut messages = vec![Ask::Header(header)];
+    messages.extend(mesh_chunks(job.mesh).map(Ask::Chunk));
+    messages.push(Ask::Finish(proto::Finish {}));
+    let requests = messages.into_iter().map(|m| proto::RemeshRequest { message: Some(m) }).collect::<Vec<_>>();
+    block_on(async {
+        let mut client = connect(endpoint).await?;
+        let mut answers = client.remesh(tokio_stream::iter(requests)).await.map_err(refused)?.into_inner();
+        let (mut arrays, progress) = (Arrays::default(), Progress::new());
+        while let Some(answer) = answers.message().await.map_err(refused)? {
+            match answer.message {
+                Some(Answer::Progress(p)) => progress.stage(&p.stage, p.done, p.total),
+                Some(Answer::Iteration(it)) => progress.iteration(it.index, it.total, it.energy_ratio),
+                Some(Answer::Chunk(chunk)) => arrays.take(chunk)?,
+                Some(Answer::Done(done)) => {
+                    let positions = arrays.points(ArrayKind::Positions)?;
+                    let facets = arrays.facets(ArrayKind::Facets)?;
+                    let mesh = TriMesh::new(positions, facets).context("the server's remesh is broken")?;
+                    let report = serde_json::from_str(&done.report_json).context("the server's report is broken")?;
+                    return Ok(RemeshDone { mesh, report });
+                }
+                _ => {}
+            }
+        }
+        bail!("the server ended the stream before it was done")
+    })
+}
+
+/// Has a diagram computed at `endpoint`.
+pub(crate) fn rvd(
+    endpoint: &str,
+    mesh: &TriMesh,
+    seeds: Seeds,
+    wants: Wants,
+    backend: BackendArg,
+) -> Result<RvdResult> {
+    use proto::compute_rvd_request::Message as Ask;
+    use proto::compute_rvd_response::Message as Answer;
+    let (source, points) = match seeds {
+        Seeds::Given(points) => (seed_source::Source::Uploaded(points.len() as u64), points),
+        Seeds::Sample { points, seed } => {
+            let sampled = proto::SampledSeeds { points: points as u64, random_seed: seed };
+            (seed_source::Source::Sampled(sampled), Vec::new())
+        }
+    };
+    let mut outputs = Vec::new();
+    if wants.cells {
+        outputs.push(proto::RvdOutput::Cells.into());
+    }
+    if wants.centroids {
+        outputs.push(proto::RvdOutput::Centroids.into());
+    }
+    let header = proto::ComputeRvdHeader {
+        mesh: Some(mesh_header(mesh)),
+        seeds: Some(proto::SeedSource { source: Some(source) }),
+        backend: choice(backend).into(),
+        outputs,
+    };
+    let mut messages = vec![Ask::Header(header)];
+    messages.extend(mesh_chunks(mesh).map(Ask::Chunk));
+    messages.extend(convert::point_chunks(ArrayKind::Seeds, &points).map(Ask::Chunk));
+    messages.push(Ask::Finish(proto::Finish {}));
+    let requests = messages.into_iter().map(|m| proto::ComputeRvdRequest { message: Some(m) }).collect::<Vec<_>>();
+    block_on(async {
+        let mut client = connect(endpoint).await?;
+        let mut answers = client.compute_rvd(tokio_stream::iter(requests)).await.map_err(refused)?.into_inner();
+        let (mut arrays, progress, mut cells) = (Arrays::default(), Progress::new(), PieceBatch::default());
+        cells.clear();
+        while let Some(answer) = answers.message().await.map_err(refused)? {
+            match answer.message {
+                Some(Answer::Progress(p)) => progress.stage(&p.stage, p.done, p.total),
+                Some(Answer::Cells(chunk)) => append(&mut cells, &chunk)?,
+                Some(Answer::Chunk(chunk)) => arrays.take(chunk)?,
+                Some(Answer::Done(done)) => {
+                    let centroids = if wants.centroids { arrays.points(ArrayKind::Centroids)? } else { Vec::new() };
+                    let report = serde_json::from_str(&done.report_json).context("the server's report is broken")?;
+                    return Ok(RvdResult { cells, centroids, report });
+                }
+                _ => {}
+            }
+        }
+        bail!("the server ended the stream before it was done")
+    })
+}
+
+fn block_on<R>(work: impl Future<Output = Result<R>>) -> Result<R> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let signals = interrupt::signals().context("cannot listen for signals")?;
+        // Dropping the stream cancels the work at the server.
+        tokio::select! {
+            result = work => result,
+            Ok(()) = signals => Err(RvdError::Cancelled.into()),
+        }
+    })
+}
+
+async fn connect(endpoint: &str) -> Result<RemeshServiceClient<Channel>> {
+    let usage =
+        |e: &dyn std::fmt::Display| Usage(format!("--endpoint {endpoint}: {e}; an example is http://127.0.0.1:50051"));
+    let channel = Endpoint::from_shared(endpoint.to_owned()).map_err(|e| usage(&e))?;
+    let channel = channel.connect_timeout(Duration::from_secs(10)).connect().await.map_err(|e| {
+        let cause = std::error::Error::source(&e).map(|s| format!(": {s}")).unwrap_or_default();
+        Unavailable(format!("cannot reach {endpoint}{cause}; is a server running there?"))
+    })?;
+    Ok(RemeshServiceClient::new(channel).max_decoding_message_size(16 << 20))
+}
+
+/// A refusal, with the server's words.
+fn refused(status: tonic::Status) -> anyhow::Error {
+    let text = format!("the server says: {}", status.message());
+    match status.code() {
+        tonic::Code::InvalidArgument => BadInput(text).into(),
+        _ => anyhow::Error::new(status).context(text),
+    }
+}
+
+fn choice(backend: BackendArg) -> proto::BackendChoice {
+    match backend {
+        BackendArg::Auto => proto::BackendChoice::Auto,
+        BackendArg::Gpu => proto::BackendChoice::Gpu,
+        BackendArg::Parallel => proto::BackendChoice::Parallel,
+        BackendArg::Serial => proto::BackendChoice::Serial,
+    }
+}
+
+fn sampled(points: u64, random_seed: u64) -> proto::SeedSource {
+    proto::SeedSource { source: Some(seed_source::Source::Sampled(proto::SampledSeeds { points, random_seed })) }
+}
+
+fn mesh_header(mesh: &TriMesh) -> proto::MeshHeader {
+    proto::MeshHeader {
+        vertices: mesh.positions().len() as u64,
+        facets: mesh.facets().len() as u64,
+        position_type: proto::PositionType::F64.into(),
+        weights: 0,
+    }
+}
+
+fn mesh_chunks(mesh: &TriMesh) -> impl Iterator<Item = Chunk> + '_ {
+    let positions = convert::point_chunks(ArrayKind::Positions, mesh.positions());
+    positions.chain(convert::facet_chunks(ArrayKind::Facets, mesh.facets()))
+}
+
+/// Arrays that a server sends.
+#[derive(Default)]
+struct Arrays(HashMap<i32, (Vec<u8>, u64)>);
+
+impl Arrays {
+    fn take(&mut self, chunk: Chunk) -> Result<()> {
+        let (data, total) = self.0.entry(chunk.kind).or_default();
+        ensure!(chunk.offset == data.len() as u64, "the server left out or repeated a part of an array");
+        ensure!(crc32c::crc32c(&chunk.data) == chunk.crc32c, "a chunk was damaged on its way from the server");
+        data.extend_from_slice(&chunk.data);
+        *total = chunk.total_bytes;
+        Ok(())
+    }
+
+    fn bytes(&self, kind: ArrayKind) -> Result<&[u8]> {
+        let name = kind.as_str_name();
+        let (data, total) = self.0.get(&kind.into()).with_context(|| format!("the server sent no {name}"))?;
+        ensure!(data.len() as u64 == *total, "the server sent a part of {name} only");
+        Ok(data)
+    }
+
+    fn points(&self, kind: ArrayKind) -> Result<Vec<DVec3>> {
+        Ok(points(self.bytes(kind)?))
+    }
+
+    fn facets(&self, kind: ArrayKind) -> Result<Vec<[u32; 3]>> {
+        Ok(indices(self.bytes(kind)?).as_chunks::<3>().0.to_vec())
+    }
+}
+
+fn numbers(data: &[u8]) -> Vec<f64> {
+    data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
+}
+
+fn points(data: &[u8]) -> Vec<DVec3> {
+    numbers(data).as_chunks::<3>().0.iter().map(|p| DVec3::from_array(*p)).collect()
+}
+
+fn indices(data: &[u8]) -> Vec<u32> {
+    data.as_chunks::<4>().0.iter().map(|b| u32::from_le_bytes(*b)).collect()
+}
+
+fn append(cells: &mut PieceBatch, chunk: &CellsChunk) -> Result<()> {
+    let (facet, seed, count) = (indices(&chunk.facet), indices(&chunk.seed), indices(&chunk.vertex_count));
+    let (position, weight, opposite) = (points(&chunk.positions), numbers(&chunk.weights), indices(&chunk.opposite));
+    let vertices: u64 = count.iter().map(|c| u64::from(*c)).sum();
+    let whole = facet.len() == seed.len()
+        && facet.len() == count.len()
+        && [position.len(), weight.len(), opposite.len()].iter().all(|n| *n as u64 == vertices);
+    ensure!(whole, "the server sent cells whose arrays do not fit together");
+    let mut first = 0;
+    for ((facet, seed), count) in facet.into_iter().zip(seed).zip(count) {
+        let range = first..first + count as usize;
+        first = range.end;
+        cells.push(facet, seed, range.map(|v| (position[v], weight[v], opposite[v])));
+    }
+    Ok(())
+}

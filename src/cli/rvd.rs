@@ -1,0 +1,139 @@
+//! `tessera rvd`.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use glam::DVec3;
+
+use super::progress::Progress;
+use super::{backends, files, interrupt, remote};
+use crate::config::BackendArgs;
+use crate::job::BackendInfo;
+use crate::job::diagram::Diagram;
+use crate::job::spec::{Input, Prepared};
+use crate::mesh::TriMesh;
+use crate::remesh::Seeds;
+use crate::rvd::{CancelFlag, PieceBatch};
+
+/// `tessera rvd`'s options.
+#[derive(Args, Debug)]
+pub(crate) struct RvdArgs {
+    /// The surface: .obj, .ply, .stl or .off.
+    input: PathBuf,
+    /// The seeds, `x y z` a line.
+    #[arg(long, value_name = "FILE.xyz", required_unless_present = "points", conflicts_with = "points")]
+    seeds: Option<PathBuf>,
+    /// Draw so many seeds instead.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    points: Option<u32>,
+    /// Random seed of the points.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Write the pieces there: polygons with their seed, their facet and a colour.
+    #[arg(short, long, value_name = "CELLS.ply")]
+    output: Option<PathBuf>,
+    /// Write the centroids there, `x y z` a line, in seed order; an empty cell's is its seed.
+    #[arg(long, value_name = "FILE.xyz")]
+    centroids: Option<PathBuf>,
+    /// Write the report there, as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    report: Option<PathBuf>,
+    /// Who works.
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Let a server do the work, e.g. http://127.0.0.1:50051.
+    #[arg(long, value_name = "URL")]
+    endpoint: Option<String>,
+}
+
+/// What came out, wherever it was computed.
+pub(crate) struct RvdResult {
+    /// All pieces, caller's coordinates; empty if not wanted.
+    pub(crate) cells: PieceBatch,
+    /// One a seed; empty if not wanted.
+    pub(crate) centroids: Vec<DVec3>,
+    /// The report.
+    pub(crate) report: serde_json::Value,
+}
+
+/// Runs it.
+pub(crate) fn run(args: &RvdArgs) -> Result<()> {
+    args.backend.check()?;
+    args.output.iter().try_for_each(|path| files::check_output(path, &["ply"]))?;
+    args.centroids.iter().chain(&args.report).try_for_each(|path| files::check_output(path, &[]))?;
+    let start = Instant::now();
+    let mesh = files::read_mesh(&args.input)?;
+    let seeds = match (&args.seeds, args.points) {
+        (Some(path), _) => Seeds::Given(files::read_points(path)?),
+        (None, points) => Seeds::Sample { points: points.unwrap_or(1) as usize, seed: args.seed },
+    };
+    let read_ms = start.elapsed().as_secs_f64() * 1e3;
+    // Without any file the sums give the figures, which need no pieces in memory.
+    let wants = Wants { cells: args.output.is_some(), centroids: args.centroids.is_some() || args.output.is_none() };
+    let mut result = match &args.endpoint {
+        None => here(args, mesh, seeds, wants)?,
+        Some(endpoint) => remote::rvd(endpoint, &mesh, seeds, wants, args.backend.backend)?,
+    };
+    let writing = Instant::now();
+    if let Some(path) = &args.output {
+        files::write_cells(path, &result.cells)?;
+    }
+    if let Some(path) = &args.centroids {
+        files::write_points(path, &result.centroids)?;
+    }
+    if args.endpoint.is_none() {
+        let timings = &mut result.report["timings_ms"];
+        timings["read"] = read_ms.into();
+        timings["write"] = (writing.elapsed().as_secs_f64() * 1e3).into();
+        timings["total"] = (start.elapsed().as_secs_f64() * 1e3).into();
+    }
+    if let Some(path) = &args.report {
+        files::write_json(path, &result.report)?;
+    }
+    let (rvd, report) = (&result.report["rvd"], &result.report);
+    println!(
+        "{} seeds, {} pieces, {} empty cells, area {}, by {}, {:.0} ms",
+        report["seeds"],
+        rvd["pairs"],
+        rvd["empty_cells"],
+        rvd["area"],
+        report["backend"].as_str().unwrap_or("?"),
+        report["timings_ms"]["total"].as_f64().unwrap_or(0.0)
+    );
+    Ok(())
+}
+
+/// What is to be computed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Wants {
+    /// The pieces.
+    pub(crate) cells: bool,
+    /// The centroids.
+    pub(crate) centroids: bool,
+}
+
+fn here(args: &RvdArgs, mesh: TriMesh, seeds: Seeds, wants: Wants) -> Result<RvdResult> {
+    let cancel = CancelFlag::default();
+    interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
+    let backend = backends::one(&args.backend)?;
+    let progress = Progress::new();
+    progress.stage("prepare", 0, 0);
+    let prepared = Prepared::new(Input { mesh, weights: None, seeds })?;
+    cancel.check()?;
+    progress.stage("diagram", 0, 0);
+    let mut diagram = Diagram::open(&prepared, backend.as_ref())?;
+    let centroids = if wants.centroids { diagram.sums(&cancel)?.centroids } else { Vec::new() };
+    let mut cells = PieceBatch::default();
+    cells.clear();
+    if wants.cells {
+        while let Some(batch) = diagram.batch(&cancel)? {
+            cells.extend(&batch);
+            let (done, total) = diagram.progress();
+            progress.stage("diagram", done, total);
+        }
+    }
+    let report = serde_json::to_value(diagram.report(&prepared, &BackendInfo::of(backend.as_ref())))?;
+    Ok(RvdResult { cells, centroids, report })
+}

@@ -1,0 +1,92 @@
+//! `tessera serve`.
+//!
+//! Order: configuration checked, backends made and warmed up, then the port. A server that listens works.
+
+use std::io::Write;
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use glam::DVec3;
+use tokio::net::TcpListener;
+
+use super::exit::Unavailable;
+use super::{backends, interrupt};
+use crate::config::{ServeArgs, ServeConfig};
+use crate::cvt::Projection;
+use crate::job::{Backends, Engine, EngineOptions, JobError, Wish};
+use crate::mesh::TriMesh;
+use crate::remesh::{RemeshOptions, Seeds, remesh};
+use crate::rvd::CancelFlag;
+use crate::service::{self, Parts};
+
+/// How long connections get to close after the last stream.
+const LEAVE: Duration = Duration::from_secs(2);
+
+/// Runs it.
+pub(crate) fn run(args: &ServeArgs) -> Result<()> {
+    let config = args.check()?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .thread_name("tessera-io")
+        .build()
+        .context("cannot start the runtime")?;
+    let result = runtime.block_on(serve(args, config));
+    runtime.shutdown_timeout(LEAVE);
+    result
+}
+
+async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
+    // Before the backends: a signal while they warm up ends the process cleanly too.
+    let mut signals = interrupt::signals().context("cannot listen for signals")?;
+    let options = args.backend.clone();
+    let factory = move || {
+        let backends = backends::all(&options)?;
+        warm_up(&backends)?;
+        Ok(backends)
+    };
+    let engine_options = EngineOptions { queue_jobs: config.queue_jobs };
+    let starting = tokio::task::spawn_blocking(move || Engine::start(factory, engine_options));
+    let (engine, worker) = tokio::select! {
+        started = starting => started.context("starting the backends")?.context("starting the backends")?,
+        _ = &mut signals => return Ok(()),
+    };
+    let by = engine.backend(Wish::Auto)?;
+    let listener = TcpListener::bind(config.listen)
+        .await
+        .map_err(|e| Unavailable(format!("cannot listen on {}: {e}; choose another --listen", config.listen)))?;
+    let address = listener.local_addr().context("asking for the port")?;
+    tracing::info!(
+        %address, backend = by.kind.name(), adapter = by.adapter, threads = by.threads,
+        queue_jobs = config.queue_jobs, "serving"
+    );
+    println!("tessera listens on {address}");
+    std::io::stdout().flush().context("writing to the standard output")?;
+    let parts = Parts { engine, worker, limits: config.limits };
+    let shutdown = async {
+        // A sender that is gone means that nobody can signal; go on serving.
+        if signals.await.is_err() {
+            std::future::pending::<()>().await;
+        }
+    };
+    service::run(listener, parts, shutdown).await.context("serving")
+}
+
+/// One small remesh on the backend that will be used: pipelines are compiled, and one that gives
+/// nonsense never serves.
+fn warm_up(backends: &Backends) -> Result<(), JobError> {
+    let axes = [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z];
+    let facets = vec![[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
+    let octahedron = TriMesh::new(axes.to_vec(), facets)?;
+    let options = RemeshOptions {
+        seeds: Seeds::Given(axes.to_vec()),
+        lloyd: 1,
+        weights: None,
+        projection: Projection::OnSurface,
+        measure: false,
+    };
+    let backend = backends.choose(Wish::Auto)?;
+    let done = remesh(&octahedron, &options, backend.as_ref(), &mut (), &CancelFlag::default())?;
+    let (facets, area) = (done.report.result.facets, done.report.rvd.area);
+    tracing::info!(backend = backend.kind().name(), facets, area, "warmed up");
+    Ok(())
+}

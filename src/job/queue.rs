@@ -1,0 +1,205 @@
+//! A bounded queue between many callers and one worker.
+//!
+//! Purpose: order, a limit, and a clean end.
+//! Invariant: at most `limit` new jobs wait; continuations of admitted work (a session's next step,
+//! a diagram's next batch) always get in, since each admitted caller has at most one waiting.
+//! Closing refuses what is new and keeps what waits. Must not know: what the work is.
+
+use std::collections::VecDeque;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use super::JobError;
+use crate::rvd::CancelFlag;
+
+/// Where a piece of work gets in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// A new job: at the back, if there is room.
+    New,
+    /// The next command of an admitted session: at the back, always.
+    Session,
+    /// More of a job whose turn it was: at the front, always.
+    Continuation,
+}
+
+/// What waits. Dropping an item must be harmless.
+pub(crate) trait Item: Send {
+    /// Whether somebody still waits for the answer.
+    fn is_wanted(&self) -> bool;
+    /// The flag that stops it while it runs.
+    fn cancel_flag(&self) -> &CancelFlag;
+}
+
+/// See the module's head.
+pub(crate) struct Queue<T> {
+    state: Mutex<State<T>>,
+    ready: Condvar,
+    limit: usize,
+}
+
+struct State<T> {
+    waiting: VecDeque<(Place, T)>,
+    running: Option<CancelFlag>,
+    closed: bool,
+    /// The worker has gone: nothing that gets in now would ever be answered.
+    ended: bool,
+    /// Moving mean of how long an item takes, for the advice to a refused caller.
+    mean_s: f64,
+}
+
+impl<T: Item> Queue<T> {
+    /// Room for `limit` new jobs besides the one at work.
+    pub(crate) fn new(limit: usize) -> Self {
+        let state = State { waiting: VecDeque::new(), running: None, closed: false, ended: false, mean_s: 0.5 };
+        Self { state: Mutex::new(state), ready: Condvar::new(), limit }
+    }
+
+    /// Puts an item in and says how many are ahead of it, the one at work included.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining` (for what is new, and for all once the worker has gone).
+    pub(crate) fn push(&self, place: Place, item: T) -> Result<usize, JobError> {
+        let mut state = self.lock();
+        if state.ended || (state.closed && place == Place::New) {
+            return Err(JobError::Draining);
+        }
+        let counts = |state: &State<T>| state.waiting.iter().filter(|(p, _)| *p == Place::New).count();
+        if place == Place::New && counts(&state) >= self.limit {
+            // Those whose callers have gone hold a place until somebody needs it.
+            state.waiting.retain(|(p, item)| *p != Place::New || item.is_wanted());
+            let waiting = counts(&state);
+            if waiting >= self.limit {
+                let seconds = (state.mean_s * waiting as f64 * 0.5).clamp(0.1, 30.0);
+                return Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs_f64(seconds) });
+            }
+        }
+        let ahead = usize::from(state.running.is_some());
+        let position = if place == Place::Continuation {
+            state.waiting.push_front((place, item));
+            ahead
+        } else {
+            state.waiting.push_back((place, item));
+            ahead + state.waiting.len() - 1
+        };
+        drop(state);
+        self.ready.notify_one();
+        Ok(position)
+    }
+
+    /// Waits for the next item that is still wanted; `None` once closed and empty.
+    pub(crate) fn pop(&self) -> Option<T> {
+        let mut state = self.lock();
+        loop {
+            state.running = None;
+            while let Some((_, item)) = state.waiting.pop_front() {
+                if item.is_wanted() {
+                    state.running = Some(item.cancel_flag().clone());
+                    return Some(item);
+                }
+                // Its destructor may free much; not under the lock.
+                drop(state);
+                drop(item);
+                state = self.lock();
+            }
+            if state.closed {
+                state.ended = true;
+                return None;
+            }
+            state = self.ready.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Tells how long an item took.
+    pub(crate) fn learn(&self, took: Duration) {
+        let mut state = self.lock();
+        state.mean_s = 0.8 * state.mean_s + 0.2 * took.as_secs_f64();
+    }
+
+    /// Whether anybody waits for a turn.
+    pub(crate) fn is_contended(&self) -> bool {
+        !self.lock().waiting.is_empty()
+    }
+
+    /// Items that wait, and whether one is at work.
+    pub(crate) fn load(&self) -> (usize, bool) {
+        let state = self.lock();
+        (state.waiting.len(), state.running.is_some())
+    }
+
+    /// Refuses what is new from now on.
+    pub(crate) fn close(&self) {
+        self.lock().closed = true;
+        self.ready.notify_all();
+    }
+
+    /// The worker has gone: drops what waits, so that its callers hear of it, and refuses all.
+    pub(crate) fn end(&self) {
+        let mut state = self.lock();
+        state.closed = true;
+        state.ended = true;
+        state.running = None;
+        let left = std::mem::take(&mut state.waiting);
+        drop(state);
+        drop(left);
+    }
+
+    /// Cancels what waits and what runs.
+    pub(crate) fn cancel_all(&self) {
+        let state = self.lock();
+        state.running.iter().for_each(CancelFlag::cancel);
+        state.waiting.iter().for_each(|(_, item)| item.cancel_flag().cancel());
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State<T>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Token(u32, bool, CancelFlag);
+
+    impl Item for Token {
+        fn is_wanted(&self) -> bool {
+            self.1
+        }
+        fn cancel_flag(&self) -> &CancelFlag {
+            &self.2
+        }
+    }
+
+    fn token(id: u32, wanted: bool) -> Token {
+        Token(id, wanted, CancelFlag::default())
+    }
+
+    #[test]
+    fn full_refuses_what_is_new_only_and_forgets_who_has_gone() {
+        let queue = Queue::new(2);
+        assert_eq!(queue.push(Place::New, token(0, true)).unwrap(), 0);
+        assert_eq!(queue.push(Place::New, token(1, false)).unwrap(), 1);
+        assert_eq!(queue.push(Place::New, token(2, true)).unwrap(), 1, "the one who has gone makes room");
+        assert!(matches!(queue.push(Place::New, token(3, true)), Err(JobError::QueueFull { waiting: 2, .. })));
+        queue.push(Place::Session, token(4, true)).unwrap();
+        queue.push(Place::Continuation, token(5, true)).unwrap();
+        queue.close();
+        assert!(matches!(queue.push(Place::New, token(6, true)), Err(JobError::Draining)));
+        let order: Vec<u32> = std::iter::from_fn(|| queue.pop()).map(|t| t.0).collect();
+        assert_eq!(order, [5, 0, 2, 4], "closing keeps what waits");
+    }
+
+    #[test]
+    fn cancel_all_reaches_the_running_and_the_waiting() {
+        let queue = Queue::new(4);
+        for id in 0..3 {
+            queue.push(Place::New, token(id, true)).unwrap();
+        }
+        let running = queue.pop().unwrap();
+        queue.cancel_all();
+        assert!(running.2.is_cancelled());
+        queue.close();
+        assert!(std::iter::from_fn(|| queue.pop()).all(|t| t.2.is_cancelled()));
+    }
+}

@@ -1,0 +1,150 @@
+//! An interactive session of CVT iterations on the device thread.
+//!
+//! Purpose: [`CvtSession`] keeps a [`Cvt`] between the commands of its caller. Every command is a
+//! piece of work of its own, so that a caller who thinks blocks nobody.
+//! Invariant: the state is either here or in one submitted piece; what is dropped is dropped on the
+//! device thread. A long command gives way after a slice of time. Must not know: messages.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use glam::DVec3;
+
+use super::spec::Prepared;
+use super::{BackendInfo, Engine, JobError, Pending, Place, Retry, Timed, Wish};
+use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit};
+
+/// How long a step command keeps the device before others get a turn.
+const SLICE: Duration = Duration::from_millis(100);
+
+/// Steps in one slice at most: the answers of a slice travel together.
+const SLICE_STEPS: usize = 64;
+
+/// When the seeds are wanted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SeedsWanted {
+    /// Not at all.
+    #[default]
+    Never,
+    /// After the last step.
+    Last,
+    /// After each step.
+    Each,
+}
+
+/// Steps that were taken in one turn.
+#[derive(Clone, Debug)]
+pub struct Steps {
+    /// One entry a step, with the seeds after it if they were wanted.
+    pub taken: Vec<(Iteration, Option<Vec<DVec3>>)>,
+}
+
+/// See the module's head.
+pub struct CvtSession {
+    engine: Engine,
+    by: BackendInfo,
+    /// `None` while a piece has it, and after an error took it.
+    cvt: Option<Cvt>,
+}
+
+impl CvtSession {
+    /// Queues the opening of a session.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`, `BackendUnavailable`.
+    pub fn open(
+        engine: &Engine,
+        prepared: Arc<Prepared>,
+        wish: Wish,
+        options: CvtOptions,
+    ) -> Result<Pending<(Cvt, BackendInfo)>, JobError> {
+        engine.submit(Place::New, Retry::Anew, move |backends, turn| {
+            turn.cancel.check()?;
+            let backend = backends.choose(wish)?;
+            let cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;
+            Ok((cvt, BackendInfo::of(backend.as_ref())))
+        })
+    }
+
+    /// The session that was opened.
+    pub fn new(engine: Engine, (cvt, by): (Cvt, BackendInfo)) -> Self {
+        Self { engine, by, cvt: Some(cvt) }
+    }
+
+    /// Who does the work.
+    pub fn by(&self) -> &BackendInfo {
+        &self.by
+    }
+
+    /// How many seeds there are.
+    pub fn len(&self) -> usize {
+        self.cvt.as_ref().map_or(0, Cvt::len)
+    }
+
+    /// Whether an error took the session's state.
+    pub fn is_empty(&self) -> bool {
+        self.cvt.is_none()
+    }
+
+    /// The seeds now, caller's coordinates.
+    pub fn seeds(&self) -> Vec<DVec3> {
+        self.cvt.as_ref().map_or_else(Vec::new, Cvt::seeds)
+    }
+
+    /// Takes at least one and at most `steps` Lloyd steps, as many as fit a slice of time. With
+    /// `SeedsWanted::Each` one step is taken: seeds are large, and the caller sends them on first.
+    ///
+    /// # Errors
+    /// What the backend says; the session is then over.
+    pub async fn step(&mut self, steps: usize, seeds: SeedsWanted) -> Result<Timed<Steps>, JobError> {
+        self.call(move |cvt, cancel| {
+            let start = Instant::now();
+            let mut taken = Vec::new();
+            let most = if seeds == SeedsWanted::Each { 1 } else { steps.min(SLICE_STEPS) };
+            while taken.len() < most.max(1) {
+                let iteration = cvt.lloyd(cancel)?;
+                let last = taken.len() + 1 == steps;
+                let wanted = seeds == SeedsWanted::Each || (seeds == SeedsWanted::Last && last);
+                taken.push((iteration, wanted.then(|| cvt.seeds())));
+                if start.elapsed() >= SLICE {
+                    break;
+                }
+            }
+            Ok(Steps { taken })
+        })
+        .await
+    }
+
+    /// Changes the seeds.
+    ///
+    /// # Errors
+    /// What is wrong with an edit; nothing is then changed.
+    pub async fn edit(&mut self, edits: Vec<SeedEdit>) -> Result<Timed<()>, JobError> {
+        let mut edited = self.call(move |cvt, _| Ok(cvt.edit(&edits))).await?;
+        std::mem::replace(&mut edited.value, Ok(()))?;
+        Ok(Timed { value: (), queue_ms: edited.queue_ms, compute_ms: edited.compute_ms })
+    }
+
+    async fn call<R: Send + 'static>(
+        &mut self,
+        mut work: impl FnMut(&mut Cvt, &crate::rvd::CancelFlag) -> Result<R, JobError> + Send + 'static,
+    ) -> Result<Timed<R>, JobError> {
+        let mut state = self.cvt.take();
+        let mut pending = self.engine.submit(Place::Session, Retry::Never, move |_, turn| {
+            let mut cvt = state.take().ok_or(JobError::WorkerGone)?;
+            let answer = work(&mut cvt, &turn.cancel)?;
+            Ok((cvt, answer))
+        })?;
+        let Timed { value: (cvt, value), queue_ms, compute_ms } = pending.wait().await?;
+        self.cvt = Some(cvt);
+        Ok(Timed { value, queue_ms, compute_ms })
+    }
+}
+
+impl Drop for CvtSession {
+    fn drop(&mut self) {
+        if let Some(cvt) = self.cvt.take() {
+            self.engine.dispose(cvt);
+        }
+    }
+}

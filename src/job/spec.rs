@@ -1,0 +1,73 @@
+//! What a caller wants done, made ready off the device thread.
+//!
+//! Purpose: [`Input`] is what was given; [`Prepared`] is checked, scaled and seeded.
+//! Invariant: preparing touches no backend, so that it can run on any thread.
+//! Must not know: where the input came from.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::DVec3;
+
+use super::JobError;
+use crate::mesh::TriMesh;
+use crate::mesh::sample::sample;
+use crate::remesh::Seeds;
+use crate::remesh::report::{InputFigures, Timings};
+use crate::rvd::{RvdError, Surface};
+
+/// A surface and seeds, as given.
+#[derive(Clone, Debug)]
+pub struct Input {
+    /// The surface, caller's coordinates.
+    pub mesh: TriMesh,
+    /// One weight per vertex, or uniform.
+    pub weights: Option<Vec<f64>>,
+    /// The seeds, or how to draw them.
+    pub seeds: Seeds,
+}
+
+/// A surface in the unit frame and seeds in the caller's.
+#[derive(Clone, Debug)]
+pub struct Prepared {
+    /// For the backends.
+    pub surface: Arc<Surface>,
+    /// At least one, finite, caller's coordinates.
+    pub seeds: Arc<Vec<DVec3>>,
+    /// The random seed, if they were drawn.
+    pub random_seed: Option<u64>,
+    /// What came in.
+    pub figures: InputFigures,
+    /// `prepare` and `sample` are set.
+    pub timings: Timings,
+}
+
+impl Prepared {
+    /// Checks the weights and the seeds, and draws seeds if asked.
+    ///
+    /// # Errors
+    /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`.
+    pub fn new(input: Input) -> Result<Self, JobError> {
+        let start = Instant::now();
+        let Input { mesh, weights, seeds } = input;
+        let surface = Arc::new(Surface::new(&mesh, weights.as_deref())?);
+        let figures = InputFigures::of(&mesh);
+        let mut timings = Timings { prepare: start.elapsed().as_secs_f64() * 1e3, ..Timings::default() };
+        let start = Instant::now();
+        let (seeds, random_seed) = match seeds {
+            Seeds::Given(seeds) => (seeds, None),
+            Seeds::Sample { points, seed } => {
+                let points = sample(&mesh, weights.as_deref(), points, seed);
+                (points.into_iter().map(|p| p.position).collect(), Some(seed))
+            }
+        };
+        timings.sample = start.elapsed().as_secs_f64() * 1e3;
+        if seeds.is_empty() {
+            return Err(RvdError::NoSeeds.into());
+        }
+        if let Some(seed) = seeds.iter().position(|p: &DVec3| !p.is_finite()) {
+            return Err(RvdError::NonFiniteSeed { seed }.into());
+        }
+        Ok(Self { surface, seeds: Arc::new(seeds), random_seed, figures, timings })
+    }
+}

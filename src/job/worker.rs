@@ -1,0 +1,353 @@
+//! The device thread and the handle to it.
+//!
+//! Purpose: [`Engine::submit`] from any task, work on one OS thread, an answer with times.
+//! Invariant: backends are made, used and dropped on the device thread. A lost device is replaced
+//! before the next piece; a piece that can be begun anew is tried up to three times.
+//! Must not know: what a piece computes.
+
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{oneshot, watch};
+
+use super::queue::{Item, Place, Queue};
+use super::{BackendInfo, Backends, CancelOnDrop, JobError, Wish};
+use crate::rvd::CancelFlag;
+
+/// How the engine is set up.
+#[derive(Clone, Copy, Debug)]
+pub struct EngineOptions {
+    /// New jobs that may wait, at least 1.
+    pub queue_jobs: usize,
+}
+
+/// How the device is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Device {
+    /// Ready.
+    Ready,
+    /// Lost; being made anew.
+    Lost,
+}
+
+/// Whether a piece may be begun anew after the device was lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Retry {
+    /// Its state is made inside, so it can.
+    Anew,
+    /// Its state was on the lost device.
+    Never,
+}
+
+/// What a piece of work sees besides the backends.
+#[derive(Clone, Debug)]
+pub struct Turn {
+    /// Set when the caller has gone or the process must end.
+    pub cancel: CancelFlag,
+    /// Milliseconds the piece waited.
+    pub queue_ms: f64,
+    shared: Arc<Shared>,
+}
+
+impl Turn {
+    /// Whether others wait for a turn.
+    pub fn is_contended(&self) -> bool {
+        self.shared.queue.is_contended()
+    }
+}
+
+/// An answer and what it took.
+#[derive(Clone, Debug)]
+pub struct Timed<R> {
+    /// The answer.
+    pub value: R,
+    /// Milliseconds in the queue.
+    pub queue_ms: f64,
+    /// Milliseconds of work.
+    pub compute_ms: f64,
+}
+
+/// Work that was submitted. Dropping it cancels the work.
+#[derive(Debug)]
+pub struct Pending<R> {
+    /// How many were ahead of it.
+    pub position: usize,
+    reply: oneshot::Receiver<Result<Timed<R>, JobError>>,
+    cancel: CancelOnDrop,
+}
+
+impl<R> Pending<R> {
+    /// The answer. Cancellation-safe: can be polled again after it lost a `select!`.
+    ///
+    /// # Errors
+    /// The work's own, `Panicked`, `WorkerGone`.
+    pub async fn wait(&mut self) -> Result<Timed<R>, JobError> {
+        (&mut self.reply).await.unwrap_or(Err(JobError::WorkerGone))
+    }
+
+    /// The flag that stops it.
+    pub fn cancel_flag(&self) -> &CancelFlag {
+        &self.cancel.0
+    }
+}
+
+struct Shared {
+    queue: Queue<Box<dyn Task>>,
+    infos: Infos,
+    device: watch::Sender<Device>,
+}
+
+impl std::fmt::Debug for Shared {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (waiting, running) = self.queue.load();
+        f.debug_struct("Engine").field("waiting", &waiting).field("running", &running).finish_non_exhaustive()
+    }
+}
+
+/// The handle. Clones share one device thread.
+#[derive(Clone, Debug)]
+pub struct Engine {
+    shared: Arc<Shared>,
+}
+
+impl Engine {
+    /// Starts the device thread, which calls `factory` for its backends, now and after a loss.
+    /// Returns once they are there.
+    ///
+    /// # Errors
+    /// The factory's, or `Panicked`.
+    pub fn start(
+        factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
+        options: EngineOptions,
+    ) -> Result<(Self, JoinHandle<()>), JobError> {
+        let (ready, answer) = std::sync::mpsc::sync_channel(1);
+        let thread = Builder::new()
+            .name("device".to_owned())
+            .spawn(move || Worker { factory }.run(options, &ready))
+            .map_err(|e| JobError::Panicked(format!("the device thread could not be started: {e}")))?;
+        let shared = answer.recv().unwrap_or(Err(JobError::WorkerGone))?;
+        Ok((Self { shared }, thread))
+    }
+
+    /// Who will do the work for a wish.
+    ///
+    /// # Errors
+    /// `BackendUnavailable`.
+    pub fn backend(&self, wish: Wish) -> Result<BackendInfo, JobError> {
+        let Infos { backends, .. } = &self.shared.infos;
+        backends.iter().find(|(w, _)| *w == wish).map_or(Err(JobError::WorkerGone), |(_, info)| info.clone())
+    }
+
+    /// Queues `work`. It is called on the device thread once, or again after a lost device if
+    /// `retry` allows it.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`.
+    pub fn submit<R: Send + 'static>(
+        &self,
+        place: Place,
+        retry: Retry,
+        work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
+    ) -> Result<Pending<R>, JobError> {
+        let (sender, reply) = oneshot::channel();
+        let cancel = CancelFlag::default();
+        let call =
+            Call { work: Some(work), reply: Some(sender), cancel: cancel.clone(), queued: Instant::now(), retry };
+        let position = self.shared.queue.push(place, Box::new(call))?;
+        Ok(Pending { position, reply, cancel: CancelOnDrop(cancel) })
+    }
+
+    /// Drops `value` on the device thread, where its buffers live.
+    pub fn dispose(&self, value: impl Send + 'static) {
+        let mut value = Some(value);
+        let (sender, _) = oneshot::channel();
+        let work = move |_: &Backends, _: &Turn| {
+            drop(value.take());
+            Ok(())
+        };
+        let call = Call {
+            work: Some(work),
+            reply: Some(sender),
+            cancel: CancelFlag::default(),
+            queued: Instant::now(),
+            retry: Retry::Never,
+        };
+        // Nobody waits for it; popping drops it on the device thread, and so does its end.
+        let _ = self.shared.queue.push(Place::Continuation, Box::new(call));
+    }
+
+    /// Waiting pieces, and whether one is at work.
+    pub fn load(&self) -> (usize, bool) {
+        self.shared.queue.load()
+    }
+
+    /// Follows the device's health.
+    pub fn watch_device(&self) -> watch::Receiver<Device> {
+        self.shared.device.subscribe()
+    }
+
+    /// Refuses new jobs; the thread ends once the queue is empty.
+    pub fn close(&self) {
+        self.shared.queue.close();
+    }
+
+    /// Cancels everything that waits or runs.
+    pub fn cancel_all(&self) {
+        self.shared.queue.cancel_all();
+    }
+}
+
+struct Infos {
+    backends: Vec<(Wish, Result<BackendInfo, JobError>)>,
+}
+
+impl Infos {
+    fn of(backends: &Backends) -> Self {
+        use crate::rvd::BackendKind::{Gpu, Parallel, Serial};
+        let wishes = [Wish::Auto, Wish::Only(Gpu), Wish::Only(Parallel), Wish::Only(Serial)];
+        let info = |wish| backends.choose(wish).map(|b| BackendInfo::of(b.as_ref()));
+        Self { backends: wishes.into_iter().map(|wish| (wish, info(wish))).collect() }
+    }
+}
+
+struct Worker<F> {
+    factory: F,
+}
+
+impl<F: FnMut() -> Result<Backends, JobError>> Worker<F> {
+    fn run(mut self, options: EngineOptions, ready: &std::sync::mpsc::SyncSender<Result<Arc<Shared>, JobError>>) {
+        let mut backends = match self.make() {
+            Ok(backends) => backends,
+            Err(error) => {
+                let _ = ready.send(Err(error));
+                return;
+            }
+        };
+        let shared = Arc::new(Shared {
+            queue: Queue::new(options.queue_jobs.max(1)),
+            infos: Infos::of(&backends),
+            device: watch::Sender::new(Device::Ready),
+        });
+        if ready.send(Ok(shared.clone())).is_err() {
+            return;
+        }
+        let _end = EndOnDrop(&shared);
+        while let Some(mut task) = shared.queue.pop() {
+            let start = Instant::now();
+            let mut attempts = 0;
+            while task.run(&backends, &shared, attempts) == Outcome::DeviceLost {
+                attempts += 1;
+                self.replace(&mut backends, &shared);
+                if !task.is_wanted() || task.cancel_flag().is_cancelled() {
+                    break;
+                }
+            }
+            // State that the answer did not take along is dropped here, on its own thread.
+            drop(task);
+            shared.queue.learn(start.elapsed());
+        }
+    }
+
+    fn make(&mut self) -> Result<Backends, JobError> {
+        catch_unwind(AssertUnwindSafe(&mut self.factory))
+            .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))))
+    }
+
+    /// New backends after a loss; while it fails the old ones stay, and answer with errors.
+    fn replace(&mut self, backends: &mut Backends, shared: &Shared) {
+        shared.device.send_replace(Device::Lost);
+        tracing::warn!("the device was lost; making it anew");
+        match self.make() {
+            Ok(new) => {
+                *backends = new;
+                shared.device.send_replace(Device::Ready);
+            }
+            Err(error) => tracing::error!(%error, "the device could not be made anew"),
+        }
+    }
+}
+
+/// Whatever ends the device thread, a panic in a destructor too, nobody waits for it in vain.
+struct EndOnDrop<'a>(&'a Shared);
+
+impl Drop for EndOnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.queue.end();
+        self.0.device.send_replace(Device::Lost);
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Outcome {
+    Answered,
+    DeviceLost,
+}
+
+trait Task: Item {
+    fn run(&mut self, backends: &Backends, shared: &Arc<Shared>, attempt: usize) -> Outcome;
+}
+
+impl Item for Box<dyn Task> {
+    fn is_wanted(&self) -> bool {
+        (**self).is_wanted()
+    }
+
+    fn cancel_flag(&self) -> &CancelFlag {
+        (**self).cancel_flag()
+    }
+}
+
+struct Call<R, F> {
+    work: Option<F>,
+    reply: Option<oneshot::Sender<Result<Timed<R>, JobError>>>,
+    cancel: CancelFlag,
+    queued: Instant,
+    retry: Retry,
+}
+
+impl<R: Send, F: Send> Item for Call<R, F> {
+    fn is_wanted(&self) -> bool {
+        self.reply.as_ref().is_some_and(|reply| !reply.is_closed())
+    }
+
+    fn cancel_flag(&self) -> &CancelFlag {
+        &self.cancel
+    }
+}
+
+/// Attempts after a lost device, the first included.
+const ATTEMPTS: usize = 3;
+
+impl<R: Send, F: FnMut(&Backends, &Turn) -> Result<R, JobError> + Send> Task for Call<R, F> {
+    fn run(&mut self, backends: &Backends, shared: &Arc<Shared>, attempt: usize) -> Outcome {
+        let queue_ms = ms(self.queued.elapsed());
+        let start = Instant::now();
+        let turn = Turn { cancel: self.cancel.clone(), queue_ms, shared: shared.clone() };
+        let Some(work) = self.work.as_mut() else { return Outcome::Answered };
+        let result = catch_unwind(AssertUnwindSafe(|| work(backends, &turn)))
+            .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))));
+        let lost = result.as_ref().is_err_and(JobError::is_device_lost);
+        if lost && self.retry == Retry::Anew && attempt + 1 < ATTEMPTS {
+            return Outcome::DeviceLost;
+        }
+        let result = result.map(|value| Timed { value, queue_ms, compute_ms: ms(start.elapsed()) });
+        // What the work still holds goes before the answer: the caller may ask for its memory at once.
+        self.work = None;
+        if let Some(reply) = self.reply.take() {
+            let _ = reply.send(result);
+        }
+        if lost { Outcome::DeviceLost } else { Outcome::Answered }
+    }
+}
+
+fn ms(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}
+
+fn text(panic: &(dyn Any + Send)) -> String {
+    let message = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
+    message.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "(no message)".to_owned())
+}

@@ -1,0 +1,262 @@
+//! Arrays put together from chunks.
+//!
+//! Purpose: [`Assembly`] takes checked chunks in order and gives a mesh and seeds at the end.
+//! Invariant: memory grows with what has arrived; nothing is used before every announced byte is
+//! there. Must not know: streams, jobs.
+
+use glam::DVec3;
+
+use super::RequestError;
+use super::limits::{MeshCounts, SeedCounts, Share};
+use super::proto::{ArrayKind, Chunk};
+
+/// What was uploaded, complete.
+#[derive(Debug)]
+pub(crate) struct Uploaded {
+    pub(crate) positions: Vec<DVec3>,
+    pub(crate) facets: Vec<[u32; 3]>,
+    pub(crate) weights: Option<Vec<f64>>,
+    pub(crate) seeds: Vec<DVec3>,
+    /// Held until the job is done.
+    pub(crate) share: Share,
+}
+
+/// See the module's head.
+#[derive(Debug)]
+pub(crate) struct Assembly {
+    arrays: [Array; 4],
+    share: Share,
+}
+
+#[derive(Debug)]
+struct Array {
+    kind: ArrayKind,
+    /// Bytes of one element and of its numbers, and how many were announced.
+    element_bytes: u64,
+    number_bytes: u64,
+    announced: u64,
+    received_bytes: u64,
+    /// Start of an element whose end is in the next chunk.
+    rest: Vec<u8>,
+    store: Store,
+}
+
+#[derive(Debug)]
+enum Store {
+    Points(Vec<DVec3>),
+    Triples(Vec<[u32; 3]>),
+    Numbers(Vec<f64>),
+}
+
+impl Assembly {
+    /// Nothing has arrived yet.
+    pub(crate) fn new(mesh: MeshCounts, seeds: SeedCounts, share: Share) -> Self {
+        let points = mesh.coordinate_bytes;
+        let array = |kind, number_bytes, numbers, announced, store| Array {
+            kind,
+            element_bytes: number_bytes * numbers,
+            number_bytes,
+            announced,
+            received_bytes: 0,
+            rest: Vec::new(),
+            store,
+        };
+        Self {
+            arrays: [
+                array(ArrayKind::Positions, points, 3, mesh.vertices, Store::Points(Vec::new())),
+                array(ArrayKind::Facets, 4, 3, mesh.facets, Store::Triples(Vec::new())),
+                array(ArrayKind::Weights, 8, 1, mesh.weights, Store::Numbers(Vec::new())),
+                array(ArrayKind::Seeds, points, 3, seeds.uploaded(), Store::Points(Vec::new())),
+            ],
+            share,
+        }
+    }
+
+    /// Takes the next chunk of an array.
+    pub(crate) fn take(&mut self, chunk: &Chunk) -> Result<(), RequestError> {
+        let kind = ArrayKind::try_from(chunk.kind).map_err(|_| RequestError::unknown_enum("chunk.kind", chunk.kind))?;
+        let Some(array) = self.arrays.iter_mut().find(|a| a.kind == kind) else {
+            let text = format!("is {}; upload POSITIONS, FACETS, WEIGHTS or SEEDS", kind.as_str_name());
+            return Err(RequestError::field("chunk.kind", text));
+        };
+        array.check(chunk)?;
+        self.share.grow(array.memory_bytes(chunk.data.len() as u64))?;
+        array.append(&chunk.data);
+        Ok(())
+    }
+
+    /// Gives what was uploaded if it is complete.
+    pub(crate) fn finish(self) -> Result<Uploaded, RequestError> {
+        for array in &self.arrays {
+            let whole = array.whole_bytes();
+            if array.received_bytes != whole {
+                let text = format!("{} of {whole} bytes arrived before finish", array.received_bytes);
+                return Err(RequestError::field(array.path(), text));
+            }
+        }
+        let [positions, facets, weights, seeds] = self.arrays.map(|a| a.store);
+        match (positions, facets, weights, seeds) {
+            (Store::Points(positions), Store::Triples(facets), Store::Numbers(weights), Store::Points(seeds)) => {
+                let weights = (!weights.is_empty()).then_some(weights);
+                Ok(Uploaded { positions, facets, weights, seeds, share: self.share })
+            }
+            _ => Err(RequestError::field("chunk", "internal: arrays changed places")),
+        }
+    }
+}
+
+impl Array {
+    fn path(&self) -> &'static str {
+        match self.kind {
+            ArrayKind::Positions => "mesh.positions",
+            ArrayKind::Facets => "mesh.facets",
+            ArrayKind::Weights => "mesh.weights",
+            _ => "seeds",
+        }
+    }
+
+    fn whole_bytes(&self) -> u64 {
+        self.announced * self.element_bytes
+    }
+
+    /// Bytes that so many wire bytes need once they are stored.
+    fn memory_bytes(&self, wire: u64) -> u64 {
+        if self.number_bytes == 4 && matches!(self.store, Store::Points(_)) { 2 * wire } else { wire }
+    }
+
+    fn check(&self, chunk: &Chunk) -> Result<(), RequestError> {
+        let (name, at, length) = (self.path(), chunk.offset, chunk.data.len() as u64);
+        let (received, whole) = (self.received_bytes, self.whole_bytes());
+        if chunk.total_bytes != 0 && chunk.total_bytes != whole {
+            let text = format!("is {} for {name}; the header's counts give {whole}", chunk.total_bytes);
+            return Err(RequestError::field("chunk.total_bytes", text));
+        }
+        if length == 0 {
+            return Err(RequestError::field("chunk.data", format!("is empty, at byte {at} of {name}")));
+        }
+        if at > received {
+            let text =
+                format!("is {at}, but {name} has arrived up to byte {received}: bytes {received}..{at} are missing");
+            return Err(RequestError::field("chunk.offset", text));
+        }
+        if at < received {
+            let text = format!("is {at}, but {name} has arrived up to byte {received}: this chunk overlaps");
+            return Err(RequestError::field("chunk.offset", text));
+        }
+        if length > whole - received {
+            let text = format!("ends at byte {} of {name}; the header announced {whole}", at.saturating_add(length));
+            return Err(RequestError::field("chunk.data", text));
+        }
+        let computed = crc32c::crc32c(&chunk.data);
+        if computed != chunk.crc32c {
+            let text = format!(
+                "is {:#010x}, but the data at byte {at} of {name} has {computed:#010x} (CRC-32C, Castagnoli)",
+                chunk.crc32c
+            );
+            return Err(RequestError::field("chunk.crc32c", text));
+        }
+        Ok(())
+    }
+
+    fn append(&mut self, data: &[u8]) {
+        self.received_bytes += data.len() as u64;
+        let size = self.element_bytes as usize;
+        let mut data = data;
+        if !self.rest.is_empty() {
+            let missing = (size - self.rest.len()).min(data.len());
+            let (head, tail) = data.split_at(missing);
+            self.rest.extend_from_slice(head);
+            data = tail;
+            if self.rest.len() < size {
+                return;
+            }
+            let element = std::mem::take(&mut self.rest);
+            self.store.decode(&element, self.number_bytes);
+        }
+        let whole = data.len() / size * size;
+        self.store.decode(&data[..whole], self.number_bytes);
+        self.rest.extend_from_slice(&data[whole..]);
+    }
+}
+
+impl Store {
+    fn decode(&mut self, data: &[u8], number_bytes: u64) {
+        match self {
+            Self::Points(points) if number_bytes == 4 => {
+                points.extend(triples::<4>(data).map(|t| DVec3::from_array(t.map(|b| f32::from_le_bytes(b).into()))));
+            }
+            Self::Points(points) => {
+                points.extend(triples::<8>(data).map(|t| DVec3::from_array(t.map(f64::from_le_bytes))));
+            }
+            Self::Triples(facets) => facets.extend(triples::<4>(data).map(|t| t.map(u32::from_le_bytes))),
+            Self::Numbers(numbers) => numbers.extend(data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b))),
+        }
+    }
+}
+
+fn triples<const N: usize>(data: &[u8]) -> impl Iterator<Item = [[u8; N]; 3]> + '_ {
+    data.as_chunks::<N>().0.as_chunks::<3>().0.iter().copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::limits::Budget;
+    use super::*;
+
+    fn assembly() -> Assembly {
+        let mesh = MeshCounts { vertices: 3, facets: 1, weights: 3, coordinate_bytes: 4 };
+        Assembly::new(mesh, SeedCounts::Uploaded(1), Budget::new(1 << 20).share())
+    }
+
+    fn chunk(kind: ArrayKind, offset: u64, data: &[u8]) -> Chunk {
+        let crc32c = crc32c::crc32c(data);
+        Chunk { kind: kind.into(), offset, data: data.to_vec().into(), crc32c, total_bytes: 0 }
+    }
+
+    fn path(error: RequestError) -> String {
+        match error {
+            RequestError::Field { path, .. } => path,
+            other => panic!("{other}"),
+        }
+    }
+
+    #[test]
+    fn elements_may_straddle_chunks() {
+        let mut assembly = assembly();
+        let positions: Vec<u8> = (0..9).flat_map(|i| (i as f32).to_le_bytes()).collect();
+        for (i, part) in positions.chunks(7).enumerate() {
+            assembly.take(&chunk(ArrayKind::Positions, 7 * i as u64, part)).unwrap();
+        }
+        let facet: Vec<u8> = [0u32, 1, 2].iter().flat_map(|i| i.to_le_bytes()).collect();
+        assembly.take(&chunk(ArrayKind::Facets, 0, &facet)).unwrap();
+        assembly.take(&chunk(ArrayKind::Weights, 0, &[0u8; 24])).unwrap();
+        assembly.take(&chunk(ArrayKind::Seeds, 0, &[0u8; 12])).unwrap();
+        let up = assembly.finish().unwrap();
+        assert_eq!(up.positions[2].to_array(), [6.0, 7.0, 8.0]);
+        assert_eq!(up.facets, [[0, 1, 2]]);
+        assert_eq!(up.weights.unwrap().len(), 3);
+    }
+
+    #[test]
+    fn holes_overlaps_bad_sums_and_excess_are_refused() {
+        let mut a = assembly();
+        a.take(&chunk(ArrayKind::Positions, 0, &[0; 12])).unwrap();
+        assert_eq!(path(a.take(&chunk(ArrayKind::Positions, 13, &[0; 1])).unwrap_err()), "chunk.offset");
+        assert_eq!(path(a.take(&chunk(ArrayKind::Positions, 0, &[0; 12])).unwrap_err()), "chunk.offset");
+        assert_eq!(path(a.take(&chunk(ArrayKind::Positions, 12, &[0; 25])).unwrap_err()), "chunk.data");
+        assert_eq!(path(a.take(&chunk(ArrayKind::Positions, 12, &[])).unwrap_err()), "chunk.data");
+        let wrong = Chunk { crc32c: 1, ..chunk(ArrayKind::Positions, 12, &[0; 24]) };
+        assert_eq!(path(a.take(&wrong).unwrap_err()), "chunk.crc32c");
+        assert_eq!(path(a.take(&chunk(ArrayKind::Centroids, 0, &[0; 24])).unwrap_err()), "chunk.kind");
+        assert_eq!(path(a.finish().unwrap_err()), "mesh.positions");
+    }
+
+    #[test]
+    fn memory_is_taken_for_what_arrives() {
+        let mesh = MeshCounts { vertices: 1 << 30, facets: 1, weights: 0, coordinate_bytes: 8 };
+        let mut a = Assembly::new(mesh, SeedCounts::Sampled { points: 1, seed: 0 }, Budget::new(30).share());
+        a.take(&chunk(ArrayKind::Positions, 0, &[0; 24])).unwrap();
+        let error = a.take(&chunk(ArrayKind::Positions, 24, &[0; 24])).unwrap_err();
+        assert!(matches!(error, RequestError::Memory { .. }));
+    }
+}

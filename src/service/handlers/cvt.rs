@@ -1,0 +1,145 @@
+//! `Cvt`: an interactive session.
+//!
+//! Invariant: while the client thinks, its state lies here and the device serves others. A draining
+//! server ends sessions that wait for a command, and lets a command end.
+
+use std::sync::Arc;
+
+use super::super::proto::{CvtDone, CvtEdit, CvtEdited, CvtHeader, CvtRequest, CvtResponse, CvtStep};
+use super::super::proto::{cvt_request as request, cvt_response as response};
+use super::*;
+use crate::cvt::CvtOptions;
+use crate::job::Timed;
+use crate::job::session::{CvtSession, SeedsWanted};
+
+impl Header for CvtHeader {
+    fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
+        convert::wish(self.backend)?;
+        convert::projection(self.projection)?;
+        let mesh = limits::mesh(self.mesh.as_ref(), limits)?;
+        let seeds = limits::seeds(self.seeds.as_ref(), limits)?;
+        if self.max_seeds != 0 {
+            let first = match seeds {
+                SeedCounts::Uploaded(count) | SeedCounts::Sampled { points: count, .. } => count,
+            };
+            limits::within("header.max_seeds", self.max_seeds, first, limits.max_seeds)?;
+        }
+        Ok((mesh, seeds))
+    }
+}
+
+fn split(message: CvtRequest) -> Incoming<CvtHeader> {
+    match message.message {
+        Some(request::Message::Header(header)) => Incoming::Header(header),
+        Some(request::Message::Chunk(chunk)) => Incoming::Chunk(chunk),
+        Some(request::Message::Start(_)) => Incoming::End,
+        _ => Incoming::Other,
+    }
+}
+
+fn wrap(message: response::Message) -> CvtResponse {
+    CvtResponse { message: Some(message) }
+}
+
+fn wrap_chunk(chunk: Chunk) -> CvtResponse {
+    wrap(response::Message::Chunk(chunk))
+}
+
+/// One stream.
+pub(super) async fn handle(
+    shared: Arc<Shared>,
+    mut inbox: Inbox<CvtRequest>,
+    outbox: Outbox<CvtResponse>,
+) -> Result<(), RequestError> {
+    let _place = shared.gate.admit_session()?;
+    let (header, seeds, uploaded) = upload(&shared, &mut inbox, split).await?;
+    let wish = convert::wish(header.backend)?;
+    shared.engine.backend(wish)?;
+    let options =
+        CvtOptions { projection: convert::projection(header.projection)?, max_seeds: header.max_seeds as usize };
+    let (prepared, _share) = prepare(&shared, seeds, uploaded).await?;
+    let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options)?;
+    let position = pending.position;
+    let Timed { value, queue_ms, compute_ms } = pending.wait().await?;
+    let mut talk = Talk {
+        limits: shared.limits,
+        outbox,
+        session: CvtSession::new(shared.engine.clone(), value),
+        clock: Clock { queue_ms, compute_ms },
+        iterations: 0,
+    };
+    drop(prepared);
+    let accepted = convert::accepted(position, talk.session.by());
+    talk.outbox.send(wrap(response::Message::Accepted(accepted))).await?;
+    loop {
+        let message = tokio::select! {
+            message = inbox.next(shared.limits.session_idle) => message?,
+            () = shared.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
+        };
+        match message.map(|m| m.message) {
+            Some(Some(request::Message::Step(step))) => talk.step(step).await?,
+            Some(Some(request::Message::Edit(edit))) => talk.edit(edit).await?,
+            Some(Some(request::Message::Finish(_))) | None => break,
+            Some(_) => {
+                return Err(RequestError::Protocol("an open session takes step, edit and finish".to_owned()));
+            }
+        }
+    }
+    talk.end().await
+}
+
+struct Talk {
+    limits: Limits,
+    outbox: Outbox<CvtResponse>,
+    session: CvtSession,
+    clock: Clock,
+    iterations: u64,
+}
+
+impl Talk {
+    async fn step(&mut self, step: CvtStep) -> Result<(), RequestError> {
+        let wanted = convert::seeds_wanted(step.seeds, "step.seeds")?;
+        limits::within("step.iterations", step.iterations.into(), 1, self.limits.max_iterations.into())?;
+        let total = step.iterations as usize;
+        let mut left = total;
+        while left > 0 {
+            let Timed { value: steps, queue_ms, compute_ms } = self.session.step(left, wanted).await?;
+            self.clock.add(queue_ms, compute_ms);
+            left = left.saturating_sub(steps.taken.len());
+            for (iteration, seeds) in steps.taken {
+                self.iterations += 1;
+                let message = convert::iteration(&iteration, total, queue_ms);
+                self.outbox.send(wrap(response::Message::Iteration(message))).await?;
+                if let Some(seeds) = seeds {
+                    send_seeds(&self.outbox, &seeds, wrap_chunk).await?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    async fn edit(&mut self, edit: CvtEdit) -> Result<(), RequestError> {
+        let wanted = convert::seeds_wanted(edit.seeds, "edit.seeds")?;
+        let timed = self.session.edit(convert::edits(&edit.edits)?).await?;
+        self.clock.add(timed.queue_ms, timed.compute_ms);
+        let edited = CvtEdited { seeds: self.session.len() as u64 };
+        self.outbox.send(wrap(response::Message::Edited(edited))).await?;
+        if wanted != SeedsWanted::Never {
+            send_seeds(&self.outbox, &self.session.seeds(), wrap_chunk).await?;
+        }
+        Ok(())
+    }
+
+    async fn end(self) -> Result<(), RequestError> {
+        send_seeds(&self.outbox, &self.session.seeds(), wrap_chunk).await?;
+        let by = self.session.by();
+        let done = CvtDone {
+            backend: by.kind.name().to_owned(),
+            adapter: by.adapter.clone().unwrap_or_default(),
+            timing: Some(self.clock.timing()),
+            iterations: self.iterations,
+            seeds: self.session.len() as u64,
+        };
+        self.outbox.send(wrap(response::Message::Done(done))).await
+    }
+}

@@ -1,0 +1,126 @@
+//! `ComputeRvd`: a diagram, batch by batch.
+//!
+//! Invariant: the device works at most one batch ahead of what the client has taken, and is free
+//! while the client does not read.
+
+use std::sync::Arc;
+
+use super::super::proto::{ArrayKind, ComputeRvdHeader, ComputeRvdRequest, ComputeRvdResponse, RvdDone};
+use super::super::proto::{compute_rvd_request as request, compute_rvd_response as response};
+use super::*;
+use crate::job::diagram::{Diagram, WorldSums};
+use crate::job::{BackendInfo, Pending, Place, Retry, Timed, Turn};
+use crate::rvd::PieceBatch;
+
+impl Header for ComputeRvdHeader {
+    fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
+        convert::wish(self.backend)?;
+        convert::outputs(&self.outputs)?;
+        Ok((limits::mesh(self.mesh.as_ref(), limits)?, limits::seeds(self.seeds.as_ref(), limits)?))
+    }
+}
+
+fn split(message: ComputeRvdRequest) -> Incoming<ComputeRvdHeader> {
+    match message.message {
+        Some(request::Message::Header(header)) => Incoming::Header(header),
+        Some(request::Message::Chunk(chunk)) => Incoming::Chunk(chunk),
+        Some(request::Message::Finish(_)) => Incoming::End,
+        None => Incoming::Other,
+    }
+}
+
+fn wrap(message: response::Message) -> ComputeRvdResponse {
+    ComputeRvdResponse { message: Some(message) }
+}
+
+fn wrap_chunk(chunk: Chunk) -> ComputeRvdResponse {
+    wrap(response::Message::Chunk(chunk))
+}
+
+/// One stream.
+pub(super) async fn handle(
+    shared: Arc<Shared>,
+    mut inbox: Inbox<ComputeRvdRequest>,
+    outbox: Outbox<ComputeRvdResponse>,
+) -> Result<(), RequestError> {
+    let (header, seeds, uploaded) = upload(&shared, &mut inbox, split).await?;
+    let (wish, outputs) = (convert::wish(header.backend)?, convert::outputs(&header.outputs)?);
+    let by = shared.engine.backend(wish)?;
+    let (prepared, _share) = prepare(&shared, seeds, uploaded).await?;
+    let for_device = Arc::clone(&prepared);
+    let mut pending = shared.engine.submit(Place::New, Retry::Anew, move |backends, turn| {
+        turn.cancel.check()?;
+        let mut diagram = Diagram::open(&for_device, backends.choose(wish)?.as_ref())?;
+        let sums = match outputs.centroids || outputs.sums {
+            true => diagram.sums(&turn.cancel)?,
+            false => WorldSums::default(),
+        };
+        Ok((diagram, sums))
+    })?;
+    outbox.send(wrap(response::Message::Accepted(convert::accepted(pending.position, &by)))).await?;
+    let Timed { value: (mut diagram, sums), queue_ms, compute_ms } = pending.wait().await?;
+    let mut clock = Clock { queue_ms, compute_ms };
+    if outputs.cells {
+        diagram = send_cells(&shared, &outbox, diagram, &mut clock).await?;
+    }
+    let report = diagram.report(&prepared, &by);
+    shared.engine.dispose(diagram);
+    if prepared.random_seed.is_some() {
+        send_seeds(&outbox, &prepared.seeds, wrap_chunk).await?;
+    }
+    if outputs.centroids {
+        send_all(&outbox, convert::point_chunks(ArrayKind::Centroids, &sums.centroids), wrap_chunk).await?;
+    }
+    if outputs.sums {
+        for (kind, numbers) in
+            [(ArrayKind::Masses, &sums.masses), (ArrayKind::Areas, &sums.areas), (ArrayKind::Energies, &sums.energies)]
+        {
+            send_all(&outbox, convert::number_chunks(kind, numbers), wrap_chunk).await?;
+        }
+    }
+    let done = done(&report, &by, clock);
+    outbox.send(wrap(response::Message::Done(done))).await
+}
+
+type Batch = (Diagram, Option<PieceBatch>);
+
+/// Queues the next batch; it goes before new jobs, since its own has had its turn.
+fn next(shared: &Shared, diagram: Diagram) -> Result<Pending<Batch>, JobError> {
+    let mut state = Some(diagram);
+    shared.engine.submit(Place::Continuation, Retry::Never, move |_, turn: &Turn| {
+        let mut diagram = state.take().ok_or(JobError::WorkerGone)?;
+        let batch = diagram.batch(&turn.cancel)?;
+        Ok((diagram, batch))
+    })
+}
+
+async fn send_cells(
+    shared: &Shared,
+    outbox: &Outbox<ComputeRvdResponse>,
+    diagram: Diagram,
+    clock: &mut Clock,
+) -> Result<Diagram, RequestError> {
+    let mut pending = next(shared, diagram)?;
+    loop {
+        let Timed { value: (diagram, batch), queue_ms, compute_ms } = pending.wait().await?;
+        clock.add(queue_ms, compute_ms);
+        let Some(batch) = batch else { return Ok(diagram) };
+        let (done, total) = diagram.progress();
+        pending = next(shared, diagram)?;
+        for cells in convert::cells_chunks(&batch) {
+            outbox.send(wrap(response::Message::Cells(cells))).await?;
+        }
+        outbox.send(wrap(response::Message::Progress(clock.progress("diagram", done, total)))).await?;
+    }
+}
+
+fn done(report: &crate::job::diagram::RvdReport, by: &BackendInfo, clock: Clock) -> RvdDone {
+    RvdDone {
+        backend: by.kind.name().to_owned(),
+        adapter: by.adapter.clone().unwrap_or_default(),
+        timing: Some(clock.timing()),
+        figures: Some(convert::figures(&report.rvd)),
+        seeds: report.seeds as u64,
+        report_json: serde_json::to_string(report).unwrap_or_default(),
+    }
+}

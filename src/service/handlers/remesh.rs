@@ -1,0 +1,156 @@
+//! `Remesh`: one piece of work, with progress on the way and a mesh at the end.
+//!
+//! Invariant: the device never waits for the client; progress that the client is too slow for is
+//! left out (the report has every iteration).
+
+use std::sync::Arc;
+
+use tokio::sync::mpsc;
+
+use super::super::proto::{ArrayKind, RemeshDone, RemeshHeader, RemeshRequest, RemeshResponse};
+use super::super::proto::{remesh_request as request, remesh_response as response};
+use super::*;
+use crate::cvt::Iteration;
+use crate::job::{BackendInfo, Place, Retry, Timed};
+use crate::remesh::{Observer, Remesh, RemeshOptions};
+
+/// Progress that waits for the client.
+const EVENTS: usize = 256;
+
+impl Header for RemeshHeader {
+    fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
+        convert::wish(self.backend)?;
+        convert::projection(self.projection)?;
+        convert::measure(self.measure)?;
+        limits::within("header.lloyd_steps", self.lloyd_steps.into(), 0, limits.max_iterations.into())?;
+        Ok((limits::mesh(self.mesh.as_ref(), limits)?, limits::seeds(self.seeds.as_ref(), limits)?))
+    }
+}
+
+fn split(message: RemeshRequest) -> Incoming<RemeshHeader> {
+    match message.message {
+        Some(request::Message::Header(header)) => Incoming::Header(header),
+        Some(request::Message::Chunk(chunk)) => Incoming::Chunk(chunk),
+        Some(request::Message::Finish(_)) => Incoming::End,
+        None => Incoming::Other,
+    }
+}
+
+fn wrap(message: response::Message) -> RemeshResponse {
+    RemeshResponse { message: Some(message) }
+}
+
+fn wrap_chunk(chunk: Chunk) -> RemeshResponse {
+    wrap(response::Message::Chunk(chunk))
+}
+
+enum Event {
+    Started(f64),
+    Stage(&'static str),
+    Iteration(Iteration, usize),
+}
+
+struct Reporter(mpsc::Sender<Event>);
+
+impl Observer for Reporter {
+    fn stage(&mut self, name: &'static str) {
+        let _ = self.0.try_send(Event::Stage(name));
+    }
+
+    fn iteration(&mut self, iteration: &Iteration, total: usize) {
+        let _ = self.0.try_send(Event::Iteration(*iteration, total));
+    }
+}
+
+/// One stream.
+pub(super) async fn handle(
+    shared: Arc<Shared>,
+    mut inbox: Inbox<RemeshRequest>,
+    outbox: Outbox<RemeshResponse>,
+) -> Result<(), RequestError> {
+    let (header, seeds, uploaded) = upload(&shared, &mut inbox, split).await?;
+    let wish = convert::wish(header.backend)?;
+    let by = shared.engine.backend(wish)?;
+    let (input, _share) = apart(&shared, move || input(seeds, uploaded)).await?;
+    let Input { mesh, weights, seeds } = input;
+    let options = RemeshOptions {
+        seeds,
+        lloyd: header.lloyd_steps as usize,
+        weights,
+        projection: convert::projection(header.projection)?,
+        measure: convert::measure(header.measure)?,
+    };
+    let (events, mut heard) = mpsc::channel(EVENTS);
+    let mut pending = shared.engine.submit(Place::New, Retry::Anew, move |backends, turn| {
+        turn.cancel.check()?;
+        let backend = backends.choose(wish)?;
+        let _ = events.try_send(Event::Started(turn.queue_ms));
+        let mut reporter = Reporter(events.clone());
+        Ok(crate::remesh::remesh(&mesh, &options, backend.as_ref(), &mut reporter, &turn.cancel)?)
+    })?;
+    outbox.send(wrap(response::Message::Accepted(convert::accepted(pending.position, &by)))).await?;
+    let mut teller = Teller { clock: Clock::default(), start: None };
+    let result = loop {
+        tokio::select! {
+            biased;
+            Some(event) = heard.recv() => outbox.send(teller.tell(event)).await?,
+            result = pending.wait() => break result?,
+        }
+    };
+    while let Some(event) = heard.recv().await {
+        outbox.send(teller.tell(event)).await?;
+    }
+    let Timed { value, queue_ms, compute_ms } = result;
+    send_result(&outbox, &value, &by, Clock { queue_ms, compute_ms }).await
+}
+
+/// Makes messages of events.
+struct Teller {
+    clock: Clock,
+    start: Option<std::time::Instant>,
+}
+
+impl Teller {
+    fn tell(&mut self, event: Event) -> RemeshResponse {
+        match event {
+            Event::Started(queue_ms) => {
+                self.clock.queue_ms = queue_ms;
+                self.start = Some(std::time::Instant::now());
+                wrap(response::Message::Progress(self.clock.progress("queued", 1, 1)))
+            }
+            Event::Stage(name) => {
+                self.clock.compute_ms = self.start.map_or(0.0, |start| start.elapsed().as_secs_f64() * 1e3);
+                wrap(response::Message::Progress(self.clock.progress(name, 0, 0)))
+            }
+            Event::Iteration(iteration, total) => {
+                let message = convert::iteration(&iteration, total, self.clock.queue_ms);
+                wrap(response::Message::Iteration(message))
+            }
+        }
+    }
+}
+
+async fn send_result(
+    outbox: &Outbox<RemeshResponse>,
+    result: &Remesh,
+    by: &BackendInfo,
+    clock: Clock,
+) -> Result<(), RequestError> {
+    let (positions, facets) = (result.mesh.positions(), result.mesh.facets());
+    send_all(outbox, convert::point_chunks(ArrayKind::Positions, positions), wrap_chunk).await?;
+    send_all(outbox, convert::facet_chunks(ArrayKind::Facets, facets), wrap_chunk).await?;
+    send_all(outbox, convert::index_chunks(ArrayKind::VertexSeeds, &result.vertex_seed), wrap_chunk).await?;
+    send_seeds(outbox, &result.seeds, wrap_chunk).await?;
+    let done = RemeshDone {
+        backend: by.kind.name().to_owned(),
+        adapter: by.adapter.clone().unwrap_or_default(),
+        timing: Some(clock.timing()),
+        vertices: positions.len() as u64,
+        facets: facets.len() as u64,
+        seeds: result.seeds.len() as u64,
+        converged: result.report.converged,
+        figures: Some(convert::figures(&result.report.rvd)),
+        report_json: serde_json::to_string(&result.report).unwrap_or_default(),
+    };
+    outbox.send(wrap(response::Message::Done(done))).await
+}

@@ -1,0 +1,110 @@
+//! The only place where an error becomes a status code.
+//!
+//! Purpose: DESIGN's table, once. Invariant: what the caller can mend is INVALID_ARGUMENT with a
+//! field; what time mends has RetryInfo; faults of ours say nothing of our insides.
+//! Must not know: where an error arose.
+
+use std::time::Duration;
+
+use tonic::{Code, Status};
+use tonic_types::{ErrorDetails, StatusExt};
+
+use super::RequestError;
+use crate::job::JobError;
+use crate::mesh::MeshError;
+use crate::remesh::RemeshError;
+use crate::rvd::RvdError;
+
+impl From<RequestError> for Status {
+    fn from(error: RequestError) -> Self {
+        let text = error.to_string();
+        match error {
+            RequestError::Field { path, description } => invalid(text, path, description),
+            RequestError::Protocol(_) => invalid(text.clone(), "message".into(), text),
+            RequestError::Memory { .. } => retry(Code::ResourceExhausted, text, Duration::from_secs(2)),
+            RequestError::TooMany { .. } => retry(Code::ResourceExhausted, text, Duration::from_secs(1)),
+            RequestError::Idle(_) | RequestError::Deadline => Status::deadline_exceeded(text),
+            RequestError::Stalled(_) => Status::aborted(text),
+            RequestError::ClientGone => Status::cancelled(text),
+            RequestError::Draining => draining(text),
+            RequestError::Job(error) => of_job(&error),
+            RequestError::Inbound(status) => of_inbound(status),
+        }
+    }
+}
+
+fn of_job(error: &JobError) -> Status {
+    let text = error.to_string();
+    match error {
+        JobError::QueueFull { retry_after, .. } => retry(Code::ResourceExhausted, text, *retry_after),
+        JobError::Draining => draining(text),
+        JobError::BackendUnavailable { wanted, reason } => {
+            let details = ErrorDetails::with_precondition_failure_violation("BACKEND", wanted.name(), reason.clone());
+            Status::with_error_details(Code::FailedPrecondition, text, details)
+        }
+        JobError::Panicked(what) => {
+            tracing::error!(%what, "work panicked");
+            Status::internal("the work failed by a fault of the server; its log says where")
+        }
+        JobError::WorkerGone => {
+            tracing::error!("the device thread did not answer");
+            Status::internal("the work was lost by a fault of the server; its log may say why")
+        }
+        JobError::Mesh(error) => of_mesh(error),
+        JobError::Remesh(RemeshError::TooFewSeeds { .. }) => invalid(text.clone(), "seeds".into(), text),
+        JobError::Rvd(error) | JobError::Remesh(RemeshError::Rvd(error)) => of_rvd(error),
+    }
+}
+
+fn of_mesh(error: &MeshError) -> Status {
+    let path = match error {
+        MeshError::NonFinitePosition { vertex, .. } => format!("mesh.positions[{vertex}]"),
+        MeshError::IndexOutOfRange { facet, corner, .. } => format!("mesh.facets[{facet}][{corner}]"),
+        MeshError::NoFacets | MeshError::NoArea { .. } => "mesh.facets".to_owned(),
+        MeshError::TooLarge { what, .. } => format!("header.mesh.{what}"),
+        MeshError::ExtentTooLarge { .. } => "mesh.positions".to_owned(),
+    };
+    invalid(error.to_string(), path, error.to_string())
+}
+
+fn of_rvd(error: &RvdError) -> Status {
+    let text = error.to_string();
+    let path = match error {
+        RvdError::NoSeeds | RvdError::TooManySeeds { .. } => "seeds".to_owned(),
+        RvdError::NonFiniteSeed { seed } | RvdError::SeedTooFar { seed, .. } => format!("seeds[{seed}]"),
+        RvdError::NoSuchSeed { .. } => "edit.edits".to_owned(),
+        RvdError::BadWeight { vertex, .. } => format!("mesh.weights[{vertex}]"),
+        RvdError::WeightCount { .. } => "mesh.weights".to_owned(),
+        RvdError::Cancelled => return Status::cancelled("the work was cancelled"),
+        RvdError::OutOfMemory { .. } => return retry(Code::ResourceExhausted, text, Duration::from_secs(5)),
+        RvdError::DeviceLost(_) => return retry(Code::Unavailable, text, Duration::from_secs(5)),
+        RvdError::Device(_) | RvdError::Internal(_) => {
+            tracing::error!(error = %text, "work failed");
+            return Status::internal("the work failed by a fault of the server; its log says why");
+        }
+    };
+    invalid(text.clone(), path, text)
+}
+
+/// What the transport says of a message that it could not read.
+fn of_inbound(status: Status) -> Status {
+    match status.code() {
+        // tonic's word for a message over the cap.
+        Code::OutOfRange => Status::resource_exhausted(status.message()),
+        Code::Internal if status.message().contains("decode") => Status::invalid_argument(status.message()),
+        _ => status,
+    }
+}
+
+fn invalid(text: String, path: String, description: String) -> Status {
+    let details = ErrorDetails::with_bad_request_violation(path, description);
+    Status::with_error_details(Code::InvalidArgument, text, details)
+}
+
+fn retry(code: Code, text: String, after: Duration) -> Status {
+    Status::with_error_details(code, text, ErrorDetails::with_retry_info(Some(after)))
+}
+
+fn draining(text: String) -> Status {
+    retry(Code::Unavailable, text, Duration::from_secs(5))
+}
