@@ -1,1 +1,65 @@
-//! (being built)
+//! The GPU: one device, its buffers, its shaders.
+//!
+//! Purpose: [`device`] opens one persistent wgpu device and turns everything that can go wrong
+//! with it into [`GpuError`]; [`plan`] computes all sizes and dispatch counts without touching
+//! it; [`buffers`] allocates them and moves bytes; [`shader`] composes the WGSL in `shaders/`;
+//! [`layout`] holds the Rust twins of the shaders' records.
+//! Invariant: no panic and no silent error leaves here; a lost device is reported as
+//! [`GpuError::Lost`] by the next call.
+//! Must not know: meshes, seeds, jobs. Numbers of things are numbers here.
+
+pub mod buffers;
+pub mod device;
+pub mod layout;
+pub mod plan;
+pub mod shader;
+
+pub use device::{AdapterSummary, Device, DeviceOptions, adapters};
+
+/// What can go wrong on a device.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum GpuError {
+    /// No adapter that may be used. `found` lists those that may not, and why.
+    #[error("no usable GPU adapter; found: {}", if .found.is_empty() { "none".to_owned() } else { .found.join("; ") })]
+    NoAdapter {
+        /// "name (backend, type): why not".
+        found: Vec<String>,
+    },
+    /// The adapter lacks something that the shaders need.
+    #[error("adapter {adapter} offers {offered} {what}, {needed} are needed")]
+    Unsupported {
+        /// The adapter's name.
+        adapter: String,
+        /// Which limit.
+        what: &'static str,
+        /// Its value.
+        offered: u64,
+        /// What the shaders need.
+        needed: u64,
+    },
+    /// A buffer, or all of them, do not fit. Smaller ones may.
+    #[error("{needed_bytes} bytes of device memory are needed for {what}, {limit_bytes} can be had")]
+    OutOfMemory {
+        /// Which buffer, or "all buffers".
+        what: String,
+        /// Bytes asked for.
+        needed_bytes: u64,
+        /// Bytes that can be had, as far as the device says.
+        limit_bytes: u64,
+    },
+    /// The device is gone; open a new one.
+    #[error("the device was lost: {0}")]
+    Lost(String),
+    /// A submission did not end in time; the device must be taken for hung.
+    #[error("the device did not answer within {seconds} s")]
+    Timeout {
+        /// How long was waited.
+        seconds: u64,
+    },
+    /// A call was refused or failed; a bug here or in the driver.
+    #[error("the device failed: {0}")]
+    Failed(String),
+    /// A shader could not be composed; a bug here.
+    #[error(transparent)]
+    Shader(#[from] shader::ComposeError),
+}

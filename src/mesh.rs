@@ -124,6 +124,17 @@ impl TriMesh {
         if extent.is_nan() || extent >= 1e150 {
             return Err(MeshError::ExtentTooLarge { extent });
         }
+        let mesh = Self::assemble(positions, facets);
+        if mesh.degenerate_count == mesh.facets.len() {
+            return Err(MeshError::NoArea { facets: mesh.facets.len() });
+        }
+        Ok(mesh)
+    }
+
+    /// Measures a surface that is known to be valid.
+    fn assemble(positions: Vec<DVec3>, facets: Vec<[u32; 3]>) -> Self {
+        let (low, high) = bounds(&positions, &facets);
+        let extent = (high - low).max_element();
         // Areas are taken in the unit box, so that a mesh scaled by 1e-200 keeps its facets.
         let scale = if extent > 0.0 { extent } else { 1.0 };
         let mut degenerate = Vec::with_capacity(facets.len());
@@ -142,10 +153,7 @@ impl TriMesh {
                 area += 0.5 * twice;
             }
         }
-        if degenerate_count == facets.len() {
-            return Err(MeshError::NoArea { facets: facets.len() });
-        }
-        Ok(Self { positions, facets, degenerate, degenerate_count, area: area * scale * scale })
+        Self { positions, facets, degenerate, degenerate_count, area: area * scale * scale }
     }
 
     /// Vertex positions, as given.

@@ -11,10 +11,12 @@
 pub mod cells;
 pub mod clip;
 pub mod dual;
+mod exact;
 pub mod gpu;
 pub mod incident;
 pub mod parallel;
 pub mod serial;
+mod start;
 pub mod surface;
 
 use std::ops::Range;
@@ -260,6 +262,14 @@ pub(crate) fn check_seeds(seeds: &[DVec3], limit: usize) -> Result<(), RvdError>
             return Err(RvdError::SeedTooFar { seed, boxes });
         }
     }
+    Ok(())
+}
+
+/// Checks new seeds and takes them, on the grid of [`surface::snap`].
+fn take_seeds(seeds: &[DVec3], limit: usize, into: &mut Vec<DVec3>) -> Result<(), RvdError> {
+    check_seeds(seeds, limit)?;
+    into.clear();
+    into.extend(seeds.iter().map(|&p| surface::snap(p)));
     Ok(())
 }
 

@@ -1,6 +1,22 @@
-//! (being built)
-use super::TriMesh;
+//! The closest point of a surface.
+//!
+//! Purpose: [`ClosestPoint`] answers where a surface is nearest to a point, on which facet and
+//! where in it. The hierarchy of boxes is `parry3d-f64`'s; the point of a facet is computed here,
+//! because parry's triangle decides its region by products that cancel on slivers.
+//! Invariant: an answer is a point of the surface, is the nearest up to rounding, and among
+//! facets at the same distance names the lowest; it does not depend on the shape of the
+//! hierarchy. Facets without area are left out. Queries are `Sync`.
+//! Must not know: samples, quality.
+
+use std::cell::Cell;
+
 use glam::DVec3;
+use parry3d_f64::bounding_volume::Aabb;
+use parry3d_f64::math::Vector;
+use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode};
+
+use super::TriMesh;
+
 /// A point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfacePoint {
@@ -8,18 +24,147 @@ pub struct SurfacePoint {
     pub position: DVec3,
     /// On which facet.
     pub facet: u32,
-    /// Barycentric coordinates in it.
+    /// Barycentric coordinates in it: at least 0, their sum is 1 up to rounding.
     pub barycentric: [f64; 3],
 }
+
 /// Answers closest-point queries on one surface.
-pub struct ClosestPoint;
+pub struct ClosestPoint {
+    bvh: Bvh,
+    centre: DVec3,
+    scale: f64,
+    positions: Vec<DVec3>,
+    unit: Vec<DVec3>,
+    /// Facets with area, with their numbers in the mesh.
+    facets: Vec<([u32; 3], u32)>,
+}
+
+/// The nearest facet so far: squared distance, place in `ClosestPoint::facets`, barycentrics.
+#[derive(Clone, Copy)]
+struct Nearest {
+    squared: f64,
+    leaf: u32,
+    barycentric: [f64; 3],
+}
+
+/// Farther away than this many unit boxes, only the direction of a point counts.
+const FAR: f64 = 1e100;
+
 impl ClosestPoint {
-    /// Builds the bounding-volume hierarchy.
-    pub fn new(_mesh: &TriMesh) -> Self {
-        todo!()
+    /// Builds the bounding-volume hierarchy: about a microsecond a facet.
+    pub fn new(mesh: &TriMesh) -> Self {
+        let (low, high) = mesh.bounds();
+        let centre = low * 0.5 + high * 0.5;
+        let scale = inverse_power_of_two((high - low).max_element());
+        let unit: Vec<DVec3> = mesh.positions().iter().map(|&p| (p - centre) * scale).collect();
+        let facets: Vec<([u32; 3], u32)> =
+            mesh.facets().iter().copied().zip(0..).filter(|&(_, f)| !mesh.is_degenerate(f as usize)).collect();
+        let boxes = facets.iter().map(|(corners, _)| {
+            let [a, b, c] = corners.map(|v| unit[v as usize]);
+            Aabb::new(vector(a.min(b).min(c)), vector(a.max(b).max(c)))
+        });
+        // Leaves are numbered without gaps: parry takes numbers 0 and 1 for granted in small trees.
+        let bvh = Bvh::from_iter(BvhBuildStrategy::Binned, boxes.enumerate());
+        Self { bvh, centre, scale, positions: mesh.positions().to_vec(), unit, facets }
     }
-    /// The closest point of the surface; the lowest facet among equals.
-    pub fn project(&self, _p: DVec3) -> SurfacePoint {
-        todo!()
+
+    /// The closest point of the surface to `p` (finite); the lowest facet among equals.
+    pub fn project(&self, p: DVec3) -> SurfacePoint {
+        let nearest = self.nearest(p);
+        let (corners, facet) = self.facets[nearest.leaf as usize];
+        let [a, b, c] = corners.map(|v| self.positions[v as usize]);
+        let [wa, wb, wc] = nearest.barycentric;
+        // Relative to the corner that weighs most, so that a corner is met exactly.
+        let position = if wa >= wb && wa >= wc {
+            a + (b - a) * wb + (c - a) * wc
+        } else if wb >= wc {
+            b + (a - b) * wa + (c - b) * wc
+        } else {
+            c + (a - c) * wa + (b - c) * wb
+        };
+        SurfacePoint { position, facet, barycentric: nearest.barycentric }
     }
+
+    /// Distance of `p` (finite) from the surface, caller's units.
+    pub fn distance(&self, p: DVec3) -> f64 {
+        self.nearest(p).squared.sqrt() / self.scale
+    }
+
+    fn nearest(&self, p: DVec3) -> Nearest {
+        let p = self.to_unit(p);
+        let point = vector(p);
+        // Boxes and facets round differently; a box is opened although it is this much too far.
+        let slack = 4.0 * f64::EPSILON * (1.0 + p.abs().max_element());
+        let best = Cell::new(Nearest { squared: f64::INFINITY, leaf: 0, barycentric: [1.0, 0.0, 0.0] });
+        let box_cost = |node: &BvhNode, _: f64| {
+            let outside = (node.mins() - point).max(point - node.maxs()) - Vector::splat(slack);
+            outside.max(Vector::ZERO).length_squared()
+        };
+        let facet_cost = |leaf: u32, _: f64| {
+            let (ids, _) = self.facets[leaf as usize];
+            let (squared, barycentric) = closest_on_facet(p, ids.map(|v| self.unit[v as usize]), ids);
+            let so_far = best.get();
+            if squared < so_far.squared || (squared == so_far.squared && leaf < so_far.leaf) {
+                best.set(Nearest { squared, leaf, barycentric });
+            }
+            // A little more than nothing, so that boxes at distance 0 stay better than a hit.
+            Some(squared + f64::MIN_POSITIVE)
+        };
+        self.bvh.find_best(f64::MAX, box_cost, facet_cost);
+        best.get()
+    }
+
+    fn to_unit(&self, p: DVec3) -> DVec3 {
+        // Halves first: the difference of two large numbers may overflow where its half does not.
+        let half = p * 0.5 - self.centre * 0.5;
+        let p = half * self.scale * 2.0;
+        let size = p.abs().max_element();
+        if size < FAR {
+            return p;
+        }
+        let direction = half / half.abs().max_element();
+        if direction.is_finite() { direction * FAR } else { DVec3::ZERO }
+    }
+}
+
+/// 2^-k with the largest k for which `extent * 2^-k` is at least 1/2; 1 for 0. Within 2^±1000.
+fn inverse_power_of_two(extent: f64) -> f64 {
+    let exponent = ((extent.to_bits() >> 52) & 0x7ff) as i64 - 1023;
+    let k = if extent > 0.0 { (-exponent - 1).clamp(-1000, 1000) } else { 0 };
+    f64::from_bits(((1023 + k) as u64) << 52)
+}
+
+fn vector(p: DVec3) -> Vector {
+    Vector::new(p.x, p.y, p.z)
+}
+
+/// Squared distance of `p` from a facet and the barycentric coordinates of its nearest point.
+fn closest_on_facet(p: DVec3, [a, b, c]: [DVec3; 3], ids: [u32; 3]) -> (f64, [f64; 3]) {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let normal = ab.cross(ac);
+    let whole = normal.length_squared();
+    let (v, w) = (ap.cross(ac).dot(normal), ab.cross(ap).dot(normal));
+    if v >= 0.0 && w >= 0.0 && v + w <= whole && whole > 0.0 {
+        let (v, w) = (v / whole, w / whole);
+        return ((ap - ab * v - ac * w).length_squared(), [(1.0 - v - w).max(0.0), v, w]);
+    }
+    // Outside: the nearest of the three edges, which is right for slivers too.
+    let corners = [a, b, c];
+    let mut best = (f64::INFINITY, [1.0, 0.0, 0.0]);
+    for (i, j) in [(0, 1), (1, 2), (2, 0)] {
+        // From the lower vertex, so that both facets of an edge compute the same bits.
+        let (i, j) = if ids[i] <= ids[j] { (i, j) } else { (j, i) };
+        let (from, along) = (corners[i], corners[j] - corners[i]);
+        let length = along.length_squared();
+        let t = if length > 0.0 { ((p - from).dot(along) / length).clamp(0.0, 1.0) } else { 0.0 };
+        let apart = if t == 1.0 { p - corners[j] } else { p - from - along * t };
+        let squared = apart.length_squared();
+        if squared < best.0 {
+            let mut barycentric = [0.0; 3];
+            barycentric[i] = 1.0 - t;
+            barycentric[j] = t;
+            best = (squared, barycentric);
+        }
+    }
+    best
 }

@@ -1,15 +1,240 @@
-//! (being built)
-use super::TriMesh;
-use std::path::Path;
+//! Surface files: OBJ, PLY, STL and OFF, in and out.
+//!
+//! Purpose: [`read`] and [`write`] for a path, [`decode`] and [`encode`] for bytes. The format is the file's
+//! extension ([`Format`]).
+//! Invariant: no sequence of bytes makes a reader panic, hang, or allocate more than a small
+//! multiple of the bytes that are there, whatever counts they declare. Polygons become triangle
+//! fans around their first corner, which is right for convex ones. Positions are double
+//! precision; only STL, whose format says so, holds single precision.
+//! Must not know: what is done with a surface.
+
+mod obj;
+mod off;
+mod ply;
+mod stl;
+
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+
+use super::{MeshError, TriMesh};
+
+/// A file format that can be read and written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Format {
+    /// Wavefront OBJ, text. Groups and objects are one surface; texture, normals and materials are left aside.
+    Obj,
+    /// Stanford PLY. Reads ascii and both binary orders, writes little-endian binary with doubles.
+    Ply,
+    /// STL. Reads ascii and binary, writes binary; coordinates are rounded to single precision.
+    Stl,
+    /// Geomview OFF, text, with the COFF and NOFF variants.
+    Off,
+}
+
+impl Format {
+    /// All formats.
+    pub const ALL: [Self; 4] = [Self::Obj, Self::Ply, Self::Stl, Self::Off];
+
+    /// The extension, lower case, without the dot.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Obj => "obj",
+            Self::Ply => "ply",
+            Self::Stl => "stl",
+            Self::Off => "off",
+        }
+    }
+
+    /// The format of an extension, in any case, without the dot.
+    pub fn from_extension(extension: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|format| format.extension().eq_ignore_ascii_case(extension))
+    }
+
+    /// The format of a file name.
+    ///
+    /// # Errors
+    /// [`FileError::UnknownFormat`].
+    pub fn of_path(path: &Path) -> Result<Self, FileError> {
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+        Self::from_extension(extension)
+            .ok_or_else(|| FileError::UnknownFormat { path: path.to_path_buf(), extension: extension.to_owned() })
+    }
+}
+
 /// Why a file could not be read or written.
 #[derive(Debug, thiserror::Error)]
-#[error("being built")]
-pub struct FileError;
-/// Reads a mesh; the format is the extension's.
-pub fn read(_path: &Path) -> Result<TriMesh, FileError> {
-    todo!()
+pub enum FileError {
+    /// The extension names no format that is known.
+    #[error("{}: \"{extension}\" is no known mesh format; name the file .obj, .ply, .stl or .off", path.display())]
+    UnknownFormat {
+        /// The file.
+        path: PathBuf,
+        /// Its extension, empty if there is none.
+        extension: String,
+    },
+    /// The operating system refused.
+    #[error("cannot {action} {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// "read" or "write".
+        action: &'static str,
+        /// What it said.
+        source: std::io::Error,
+    },
+    /// The file was read, and what it holds is not a surface; or the surface does not fit the format.
+    #[error("{}: {source}", path.display())]
+    Data {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and where.
+        source: DataError,
+    },
 }
-/// Writes a mesh; the format is the extension's.
-pub fn write(_path: &Path, _mesh: &TriMesh) -> Result<(), FileError> {
-    todo!()
+
+impl FileError {
+    /// Whether the file's content is at fault, rather than its name or the file system.
+    pub fn is_bad_data(&self) -> bool {
+        matches!(self, Self::Data { .. })
+    }
+}
+
+/// What is wrong with the content of a file.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum DataError {
+    /// Nothing is there.
+    #[error("the file is empty")]
+    Empty,
+    /// A line of text cannot be understood.
+    #[error("line {line}: {message}")]
+    Syntax {
+        /// From 1.
+        line: usize,
+        /// What was expected.
+        message: String,
+    },
+    /// An element of a format without lines cannot be understood.
+    #[error("{element} {index}: {message}")]
+    Element {
+        /// "face", "facet" or "vertex".
+        element: &'static str,
+        /// From 0.
+        index: usize,
+        /// What was expected.
+        message: String,
+    },
+    /// The header says what cannot be.
+    #[error("header: {0}")]
+    Header(String),
+    /// The file ends before what its header declares.
+    #[error("the file is cut off: {0}; fetch or export it again")]
+    Truncated(String),
+    /// All was understood, and it is not a surface.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// The surface does not fit the format.
+    #[error("vertex {vertex} ({x:e}, {y:e}, {z:e}) does not fit STL's single precision; write .ply, .obj or .off")]
+    SinglePrecision {
+        /// From 0.
+        vertex: usize,
+        /// Coordinates.
+        x: f64,
+        /// Second coordinate.
+        y: f64,
+        /// Third coordinate.
+        z: f64,
+    },
+}
+
+/// Reads a surface; the format is the extension's.
+///
+/// # Errors
+/// [`FileError`]: an unknown extension, a file that cannot be opened, or content that is wrong.
+pub fn read(path: &Path) -> Result<TriMesh, FileError> {
+    let format = Format::of_path(path)?;
+    let bytes =
+        std::fs::read(path).map_err(|source| FileError::Io { path: path.to_path_buf(), action: "read", source })?;
+    decode(format, &bytes).map_err(|source| FileError::Data { path: path.to_path_buf(), source })
+}
+
+/// Writes a surface; the format is the extension's. An existing file is replaced.
+///
+/// Vertices and facets keep their numbers (except in STL, which has none), and coordinates
+/// their bits (except in STL, which rounds them to single precision).
+///
+/// # Errors
+/// [`FileError`]: an unknown extension, a file that cannot be written, or coordinates that the format cannot hold.
+pub fn write(path: &Path, mesh: &TriMesh) -> Result<(), FileError> {
+    let format = Format::of_path(path)?;
+    let bytes = encode(format, mesh).map_err(|source| FileError::Data { path: path.to_path_buf(), source })?;
+    std::fs::write(path, bytes).map_err(|source| FileError::Io { path: path.to_path_buf(), action: "write", source })
+}
+
+/// Reads a surface from the bytes of a file.
+///
+/// # Errors
+/// [`DataError`], naming the line or the element.
+///
+/// ```
+/// use tessera::mesh::io::{DataError, Format, decode};
+/// let text = b"OFF 3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+/// assert_eq!(decode(Format::Off, text)?.area(), 0.5);
+/// assert!(matches!(decode(Format::Off, &text[..20]), Err(DataError::Truncated(_))));
+/// # Ok::<(), DataError>(())
+/// ```
+pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
+    if bytes.iter().all(u8::is_ascii_whitespace) {
+        return Err(DataError::Empty);
+    }
+    let soup = match format {
+        Format::Obj => obj::decode(bytes),
+        Format::Ply => ply::decode(bytes),
+        Format::Stl => stl::decode(bytes),
+        Format::Off => off::decode(bytes),
+    }?;
+    Ok(TriMesh::new(soup.positions, soup.facets)?)
+}
+
+/// The bytes of a file that holds `mesh`.
+///
+/// # Errors
+/// [`DataError::SinglePrecision`] for STL.
+pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
+    match format {
+        Format::Obj => Ok(obj::encode(mesh)),
+        Format::Ply => Ok(ply::encode(mesh)),
+        Format::Stl => stl::encode(mesh),
+        Format::Off => Ok(off::encode(mesh)),
+    }
+}
+
+/// What a reader collects: triangles, not yet validated.
+#[derive(Debug, Default)]
+struct Soup {
+    positions: Vec<DVec3>,
+    facets: Vec<[u32; 3]>,
+}
+
+impl Soup {
+    /// Adds a polygon as a fan around its first corner. The message says what is wrong with it;
+    /// the caller knows where it stands.
+    fn push_polygon(&mut self, corners: &[i64]) -> Result<(), String> {
+        if corners.len() < 3 {
+            return Err(format!("a face needs at least 3 corners and has {}", corners.len()));
+        }
+        let vertices = self.positions.len();
+        let index = |corner: i64| match u32::try_from(corner) {
+            Ok(index) if (index as usize) < vertices => Ok(index),
+            _ => Err(format!("vertex {corner} is named, but there are {vertices} vertices, counted from 0")),
+        };
+        let first = index(corners[0])?;
+        let mut last = index(corners[1])?;
+        for &corner in &corners[2..] {
+            let next = index(corner)?;
+            self.facets.push([first, last, next]);
+            last = next;
+        }
+        Ok(())
+    }
 }

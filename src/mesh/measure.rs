@@ -1,6 +1,18 @@
-//! (being built)
-use super::TriMesh;
+//! What can be said of a surface as a whole: its topology, and its quality as a remesh.
+//!
+//! Purpose: [`topology`] and [`quality`], with the definitions of the CVT literature.
+//! Invariant: exactly coincident vertices count as one and facets that name a point twice not at all.
+//! Both functions give the same figures whatever the number of threads.
+//! Must not know: how a surface came about.
+
+use rayon::prelude::*;
 use serde::Serialize;
+
+use super::TriMesh;
+use super::adjacency::{Adjacency, EdgeKind};
+use super::closest_point::ClosestPoint;
+use super::sample::sample;
+use glam::DVec3;
 
 /// Topology of a surface.
 #[derive(Clone, Copy, Debug, Serialize, PartialEq, Eq, Default)]
@@ -9,7 +21,8 @@ pub struct Topology {
     pub euler: i64,
     /// Connected components (through shared vertices).
     pub components: usize,
-    /// Closed chains of boundary edges.
+    /// Chains of boundary edges. Where two holes touch in a vertex they are two; a chain that
+    /// a non-manifold edge interrupts counts as if it went on behind it.
     pub boundary_loops: usize,
     /// Edges with exactly one facet.
     pub boundary_edges: usize,
@@ -22,7 +35,7 @@ pub struct Topology {
 /// Geometry of a remesh, as the CVT literature reports it. Angles in degrees.
 #[derive(Clone, Copy, Debug, Serialize, PartialEq, Default)]
 pub struct Quality {
-    /// Smallest Q = (6/√3) S/(p h).
+    /// Smallest Q = (6/√3) S/(p h): area, half-perimeter, longest edge. 1 is equilateral.
     pub q_min: f64,
     /// Mean Q.
     pub q_avg: f64,
@@ -32,7 +45,8 @@ pub struct Quality {
     pub theta_avg_deg: f64,
     /// Share of triangles with an angle under 30°.
     pub under_30_percent: f64,
-    /// Share of interior vertices with 5 to 7 neighbours.
+    /// Share of interior vertices with 5 to 7 neighbours; 100 if no vertex is interior. A vertex of
+    /// a boundary or non-manifold edge is not interior.
     pub v567_percent: f64,
     /// Hausdorff distance, both ways, % of the input's bounding-box diagonal.
     pub hausdorff_percent: f64,
@@ -40,12 +54,260 @@ pub struct Quality {
     pub rms_percent: f64,
 }
 
+/// Area samples per side for distances; the vertices come on top.
+const SAMPLES: usize = 200_000;
+/// Fixed, so that a figure can be reproduced.
+const SAMPLE_SEED: u64 = 0x7e55e7a;
+/// Distances are summed per chunk of this many points and the chunks in order.
+const CHUNK: usize = 4096;
+
 /// Topology of `mesh`, exactly coincident vertices counted as one.
-pub fn topology(_mesh: &TriMesh) -> Topology {
-    todo!()
+pub fn topology(mesh: &TriMesh) -> Topology {
+    topology_of(mesh, &Adjacency::new(mesh))
 }
 
-/// Quality of `result` against `original`.
-pub fn quality(_original: &TriMesh, _result: &TriMesh) -> Quality {
-    todo!()
+/// Topology of `mesh`, whose edges are known already.
+pub fn topology_of(mesh: &TriMesh, adjacency: &Adjacency) -> Topology {
+    let representative = adjacency.representative();
+    let live: Vec<usize> = (0..mesh.facets().len()).filter(|&f| !adjacency.is_collapsed(f)).collect();
+    let vertex = |half: usize| representative[mesh.facets()[half / 3][half % 3] as usize] as usize;
+
+    let mut used = vec![false; representative.len()];
+    let mut surfaces = DisjointSets::new(representative.len());
+    for &facet in &live {
+        for e in 0..3 {
+            used[vertex(3 * facet + e)] = true;
+            surfaces.join(vertex(3 * facet + e), vertex(3 * facet + (e + 1) % 3));
+        }
+    }
+    let vertices = used.iter().filter(|&&used| used).count();
+    let components = (0..used.len()).filter(|&v| used[v] && surfaces.root(v) == v).count();
+
+    let mut fans = fans(mesh, adjacency, &live);
+    let mut corners: Vec<(usize, usize)> =
+        live.iter().flat_map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).map(|half| (vertex(half), fans.root(half))).collect();
+    corners.par_sort_unstable();
+    corners.dedup();
+    let non_manifold_vertices = corners.chunk_by(|a, b| a.0 == b.0).filter(|fans| fans.len() > 1).count();
+
+    Topology {
+        euler: vertices as i64 - adjacency.edges() as i64 + live.len() as i64,
+        components,
+        boundary_loops: boundary_loops(adjacency, &mut fans, vertex),
+        boundary_edges: adjacency.boundary_edges(),
+        non_manifold_edges: adjacency.non_manifold_edges(),
+        non_manifold_vertices,
+    }
+}
+
+/// Quality of `result` against `original`. Distances are taken from about 200,000 random points and all
+/// vertices of each side to the other surface.
+pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
+    let adjacency = Adjacency::new(result);
+    let mut quality = shape_quality(result, &adjacency);
+    quality.v567_percent = v567_percent(result, &adjacency);
+    let (there, back) = (distances(original, result), distances(result, original));
+    let (low, high) = original.bounds();
+    // Scaled, so that the squares of a tiny or huge box stay within range.
+    let extent = (high - low).max_element();
+    let diagonal = ((high - low) / extent).length() * extent;
+    quality.hausdorff_percent = 100.0 * there.0.max(back.0) / diagonal;
+    quality.rms_percent = 100.0 * there.1.max(back.1) / diagonal;
+    quality
+}
+
+/// Corners that are connected through edges with two facets. Corner `3 * facet + c` is the
+/// origin of the half-edge of that number.
+fn fans(mesh: &TriMesh, adjacency: &Adjacency, live: &[usize]) -> DisjointSets {
+    let representative = adjacency.representative();
+    let next = |half: usize| half - half % 3 + (half + 1) % 3;
+    let vertex = |half: usize| representative[mesh.facets()[half / 3][half % 3] as usize];
+    let mut fans = DisjointSets::new(3 * mesh.facets().len());
+    for half in live.iter().flat_map(|f| [3 * f, 3 * f + 1, 3 * f + 2]) {
+        if let Some(other) = adjacency.opposite(half).filter(|&other| half < other) {
+            // Where the facets run the same way through the edge, so do its ends.
+            let (near, far) = if vertex(half) == vertex(other) { (other, next(other)) } else { (next(other), other) };
+            fans.join(half, near);
+            fans.join(next(half), far);
+        }
+    }
+    fans
+}
+
+/// Chains of boundary edges: two that end in one fan are one chain.
+fn boundary_loops(adjacency: &Adjacency, fans: &mut DisjointSets, vertex: impl Fn(usize) -> usize) -> usize {
+    let mut ends = Vec::new();
+    let halves: Vec<usize> = (0..fans.len()).filter(|&half| adjacency.kind(half) == EdgeKind::Boundary).collect();
+    for (edge, &half) in halves.iter().enumerate() {
+        let next = half - half % 3 + (half + 1) % 3;
+        for corner in [half, next] {
+            ends.push((vertex(corner), fans.root(corner), edge));
+        }
+    }
+    ends.sort_unstable();
+    let mut chains = DisjointSets::new(halves.len());
+    for at_vertex in ends.chunk_by(|a, b| a.0 == b.0) {
+        let mut loose: Option<usize> = None;
+        for fan in at_vertex.chunk_by(|a, b| a.1 == b.1) {
+            fan.windows(2).for_each(|pair| chains.join(pair[0].2, pair[1].2));
+            // The other side of this fan is a non-manifold edge: go on with whatever else ends here.
+            if fan.len() == 1 {
+                loose.inspect(|&before| chains.join(before, fan[0].2));
+                loose = Some(fan[0].2);
+            }
+        }
+    }
+    (0..halves.len()).filter(|&edge| chains.root(edge) == edge).count()
+}
+
+/// Q and angles over all facets but the collapsed ones.
+fn shape_quality(mesh: &TriMesh, adjacency: &Adjacency) -> Quality {
+    let (low, high) = mesh.bounds();
+    let extent = (high - low).max_element();
+    let (mut count, mut slim, mut q_sum, mut theta_sum) = (0usize, 0usize, 0.0, 0.0);
+    let (mut q_min, mut theta_min) = (f64::INFINITY, f64::INFINITY);
+    for facet in (0..mesh.facets().len()).filter(|&f| !adjacency.is_collapsed(f)) {
+        let [a, b, c] = mesh.corners(facet).map(|p| (p - low) / extent);
+        let (u, v, w) = (b - a, c - b, a - c);
+        let twice = u.cross(w).length();
+        let (lu, lv, lw) = (u.length(), v.length(), w.length());
+        let box_of = 0.5 * (lu + lv + lw) * lu.max(lv).max(lw);
+        let q = if box_of > 0.0 { 6.0 / 3f64.sqrt() * 0.5 * twice / box_of } else { 0.0 };
+        // The arc tangent stays exact where the arc cosine does not, near 0.
+        let angle = |p: DVec3, q: DVec3| twice.atan2(-p.dot(q)).to_degrees();
+        let theta = angle(u, v).min(angle(v, w)).min(angle(w, u));
+        count += 1;
+        slim += usize::from(theta < 30.0);
+        q_sum += q;
+        theta_sum += theta;
+        q_min = q_min.min(q);
+        theta_min = theta_min.min(theta);
+    }
+    // A valid mesh has a facet with an area, and that one is not collapsed.
+    let count = count.max(1) as f64;
+    Quality {
+        q_min,
+        q_avg: q_sum / count,
+        theta_min_deg: theta_min,
+        theta_avg_deg: theta_sum / count,
+        under_30_percent: 100.0 * slim as f64 / count,
+        ..Quality::default()
+    }
+}
+
+fn v567_percent(mesh: &TriMesh, adjacency: &Adjacency) -> f64 {
+    let representative = adjacency.representative();
+    let mut valence = vec![0u32; representative.len()];
+    let mut interior = vec![true; representative.len()];
+    for half in 0..3 * mesh.facets().len() {
+        let corners = mesh.facets()[half / 3];
+        let ends = [half % 3, (half + 1) % 3].map(|c| representative[corners[c] as usize] as usize);
+        match adjacency.kind(half) {
+            EdgeKind::Manifold | EdgeKind::Inconsistent => {
+                if adjacency.opposite(half).is_some_and(|other| half < other) {
+                    ends.into_iter().for_each(|v| valence[v] += 1);
+                }
+            }
+            EdgeKind::Boundary | EdgeKind::NonManifold => ends.into_iter().for_each(|v| interior[v] = false),
+            EdgeKind::Collapsed => {}
+        }
+    }
+    let inner: Vec<u32> =
+        valence.into_iter().zip(interior).filter(|&(n, inside)| inside && n > 0).map(|(n, _)| n).collect();
+    let regular = inner.iter().filter(|n| (5..=7).contains(*n)).count();
+    if inner.is_empty() { 100.0 } else { 100.0 * regular as f64 / inner.len() as f64 }
+}
+
+/// Largest and root mean square distance of `from`'s points to `to`, caller's units.
+fn distances(from: &TriMesh, to: &TriMesh) -> (f64, f64) {
+    let mut points: Vec<DVec3> = sample(from, None, SAMPLES, SAMPLE_SEED).iter().map(|s| s.position).collect();
+    let mut used = vec![false; from.positions().len()];
+    // Facets without area are no part of the surface for samples and closest points; nor here.
+    let solid = from.facets().iter().enumerate().filter(|&(f, _)| !from.is_degenerate(f));
+    solid.flat_map(|(_, corners)| corners).for_each(|&v| used[v as usize] = true);
+    points.extend(from.positions().iter().zip(used).filter(|&(_, used)| used).map(|(&p, _)| p));
+    let target = ClosestPoint::new(to);
+    let (low, high) = to.bounds();
+    let unit = (high - low).max_element();
+    let chunks: Vec<(f64, f64)> = points
+        .par_chunks(CHUNK)
+        .map(|chunk| {
+            chunk.iter().map(|&p| target.distance(p) / unit).fold((0.0, 0.0), |(max, sum), d| (d.max(max), sum + d * d))
+        })
+        .collect();
+    let (max, sum) = chunks.into_iter().fold((0.0f64, 0.0), |(max, sum), (m, s)| (m.max(max), sum + s));
+    (max * unit, (sum / points.len() as f64).sqrt() * unit)
+}
+
+/// Union-find with path halving; the root of a set is its lowest member.
+struct DisjointSets(Vec<usize>);
+
+impl DisjointSets {
+    fn new(n: usize) -> Self {
+        Self((0..n).collect())
+    }
+
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn root(&mut self, mut i: usize) -> usize {
+        while self.0[i] != i {
+            self.0[i] = self.0[self.0[i]];
+            i = self.0[i];
+        }
+        i
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.root(a), self.root(b));
+        let (low, high) = (a.min(b), a.max(b));
+        self.0[high] = low;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::dvec3;
+
+    fn mesh(points: &[[f64; 3]], facets: &[[u32; 3]]) -> TriMesh {
+        TriMesh::new(points.iter().map(|&p| p.into()).collect(), facets.to_vec()).unwrap()
+    }
+
+    #[test]
+    fn two_fans_in_a_vertex() {
+        let points = [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [-1., 0., 0.], [-1., -1., 0.]];
+        let t = topology(&mesh(&points, &[[0, 1, 2], [0, 3, 4]]));
+        let expected = Topology {
+            euler: 1,
+            components: 1,
+            boundary_loops: 2,
+            boundary_edges: 6,
+            non_manifold_edges: 0,
+            non_manifold_vertices: 1,
+        };
+        assert_eq!(t, expected);
+    }
+
+    #[test]
+    fn three_pages_of_a_book() {
+        let points = [[0., 0., 0.], [0., 0., 1.], [1., 0., 0.], [-1., 1., 0.], [-1., -1., 0.]];
+        let t = topology(&mesh(&points, &[[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 0, 4]]));
+        assert_eq!((t.euler, t.components, t.non_manifold_edges, t.non_manifold_vertices), (1, 1, 1, 2));
+        assert_eq!((t.boundary_edges, t.boundary_loops), (6, 1));
+    }
+
+    #[test]
+    fn a_moved_plane_is_as_far_as_it_was_moved() {
+        let square = |z: f64| {
+            let points = [dvec3(0., 0., z), dvec3(3., 0., z), dvec3(3., 4., z), dvec3(0., 4., z)];
+            TriMesh::new(points.to_vec(), vec![[0, 1, 2], [0, 2, 3]]).unwrap()
+        };
+        let q = quality(&square(0.0), &square(0.5));
+        assert!((q.hausdorff_percent - 10.0).abs() < 1e-9 && (q.rms_percent - 10.0).abs() < 1e-9, "{q:?}");
+        assert!((q.theta_min_deg - (3.0f64 / 4.0).atan().to_degrees()).abs() < 1e-12);
+        assert_eq!((q.under_30_percent, q.v567_percent), (0.0, 100.0));
+        assert!((q.q_min - 6.0 / 3f64.sqrt() * 6.0 / (6.0 * 5.0)).abs() < 1e-12);
+    }
 }

@@ -1,7 +1,105 @@
-//! (being built)
+//! Random points of a surface.
+//!
+//! Purpose: independent points with a density ∝ √w, as initial seeds and for distances.
+//! Invariant: the same mesh, weights, count and seed give the same bits on every platform and
+//! with any number of threads (ChaCha8, one stream; of the floating-point functions only those that IEEE
+//! 754 rounds correctly).
+//! Must not know: what the points are for.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
 use super::TriMesh;
 use super::closest_point::SurfacePoint;
+
 /// `count` random points on `mesh`, ∝ area times √weight (linear in each facet), from `seed`.
-pub fn sample(_mesh: &TriMesh, _weights: Option<&[f64]>, _count: usize, _seed: u64) -> Vec<SurfacePoint> {
-    todo!()
+///
+/// `weights` has one value a vertex; without it, or if its length is another or no value is
+/// positive, points are uniform. Values that are negative or not finite count as 0.
+///
+/// The density is exact within a facet as well: a facet is drawn ∝ area times the root of its largest
+/// weight, a point uniformly in it, and the pair is kept with probability √(w / largest), which is at
+/// least 8/15 on average.
+pub fn sample(mesh: &TriMesh, weights: Option<&[f64]>, count: usize, seed: u64) -> Vec<SurfacePoint> {
+    let weighted = weights.and_then(|given| Sampler::new(mesh, Some(given)));
+    let Some(sampler) = weighted.or_else(|| Sampler::new(mesh, None)) else {
+        return Vec::new();
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    (0..count).map(|_| sampler.draw(&mut rng)).collect()
+}
+
+struct Sampler<'a> {
+    mesh: &'a TriMesh,
+    weights: Option<Vec<f64>>,
+    /// Running sums of area times the root of the largest weight. Empty facets repeat a value.
+    cumulative: Vec<f64>,
+    total: f64,
+    /// The last facet that is not empty.
+    last: usize,
+}
+
+impl<'a> Sampler<'a> {
+    /// Nothing if no facet has a mass.
+    fn new(mesh: &'a TriMesh, weights: Option<&[f64]>) -> Option<Self> {
+        if weights.is_some_and(|given| given.len() != mesh.positions().len()) {
+            return None;
+        }
+        let valid = |w: f64| if w.is_finite() && w > 0.0 { w } else { 0.0 };
+        // Only ratios matter; scaled to at most 1 they cannot overflow.
+        let largest = weights.map_or(1.0, |given| given.iter().copied().map(valid).fold(0.0, f64::max));
+        let weights: Option<Vec<f64>> = weights.map(|given| given.iter().map(|&w| valid(w) / largest).collect());
+        let (low, high) = mesh.bounds();
+        let extent = (high - low).max_element();
+        let mut total = 0.0;
+        let mut last = None;
+        let mut cumulative = Vec::with_capacity(mesh.facets().len());
+        for facet in 0..mesh.facets().len() {
+            let [a, b, c] = mesh.corners(facet).map(|p| (p - low) / extent);
+            let area = if mesh.is_degenerate(facet) { 0.0 } else { (b - a).cross(c - a).length() };
+            let top = weights.as_ref().map_or(1.0, |w| top(w, mesh.facets()[facet]));
+            let before = total;
+            total += area * top.sqrt();
+            if total > before {
+                last = Some(facet);
+            }
+            cumulative.push(total);
+        }
+        last.map(|last| Self { mesh, weights, cumulative, total, last })
+    }
+
+    fn draw(&self, rng: &mut ChaCha8Rng) -> SurfacePoint {
+        loop {
+            let target = uniform(rng) * self.total;
+            let facet = self.cumulative.partition_point(|&sum| sum <= target).min(self.last);
+            let (mut v, mut w) = (uniform(rng), uniform(rng));
+            if v + w > 1.0 {
+                (v, w) = (1.0 - v, 1.0 - w);
+            }
+            let u = (1.0 - v - w).max(0.0);
+            if let Some(weights) = &self.weights {
+                let corners = self.mesh.facets()[facet];
+                let [wa, wb, wc] = corners.map(|corner| weights[corner as usize]);
+                let density = u * wa + v * wb + w * wc;
+                let chance = uniform(rng);
+                // chance < √(density / top), without a division.
+                if chance * chance * top(weights, corners) >= density {
+                    continue;
+                }
+            }
+            let [a, b, c] = self.mesh.corners(facet);
+            let position = a + (b - a) * v + (c - a) * w;
+            return SurfacePoint { position, facet: facet as u32, barycentric: [u, v, w] };
+        }
+    }
+}
+
+fn top(weights: &[f64], corners: [u32; 3]) -> f64 {
+    let [a, b, c] = corners.map(|corner| weights[corner as usize]);
+    a.max(b).max(c)
+}
+
+/// Uniform in [0, 1), 53 bits.
+fn uniform(rng: &mut ChaCha8Rng) -> f64 {
+    (rng.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
 }

@@ -2,7 +2,8 @@
 //!
 //! Purpose: the polygon in which facet and cell meet, and its integrals.
 //! Invariant: coordinates are relative to the seed, so nothing cancels; a point on a bisector
-//! belongs to the lower seed index (two-way sign); where a bisector meets a mesh edge the point is
+//! belongs to the lower seed index (two-way sign); a side that rounding could get wrong is decided
+//! exactly from the vertex's identity ([`super::exact`]); where a bisector meets a mesh edge the point is
 //! computed from the edge's own ends, from the lower vertex index to the higher, so that both
 //! facets of the edge get the same bits.
 //! Must not know: which pairs there are, where neighbours come from.
@@ -10,6 +11,7 @@
 use glam::DVec3;
 
 use super::cells::{FACET_EDGE, facet_edge};
+use super::exact::Sides;
 use super::{PairStatus, Surface};
 
 /// A polygon vertex: position relative to the seed, density weight, and the label of the edge
@@ -37,6 +39,10 @@ pub struct Integrals {
     pub area: f64,
 }
 
+/// Four times the squared radius bounds the squared distance of a seed that can cut; a little
+/// more, so that rounding of either does not matter.
+const SECURITY: f64 = 4.0 * (1.0 + 1e-9);
+
 /// Corners of one facet relative to one seed.
 struct Corners {
     p: [DVec3; 3],
@@ -49,8 +55,13 @@ struct Corners {
 pub struct Clipper {
     polygon: Vec<Vertex>,
     next: Vec<Vertex>,
-    side: Vec<f64>,
+    /// Value of the bisector at each vertex, and the exact side.
+    side: Vec<(f64, bool)>,
     cutter: u32,
+    /// No vertex is farther from the seed than this,
+    radius: f64,
+    /// nor farther from where it should be than this.
+    error: f64,
 }
 
 impl Clipper {
@@ -88,13 +99,17 @@ impl Clipper {
         if !radius2.is_finite() {
             return PairStatus::NonFinite;
         }
+        self.radius = radius2.sqrt();
+        // Differences of grid points are exact inside the box and off by one rounding outside.
+        self.error = f64::EPSILON * self.radius;
+        let sides = Sides { surface, facet, seeds, i };
         for &j in row {
             let b = seeds[j as usize] - origin;
             let b2 = b.length_squared();
-            if b2 > 4.0 * radius2 {
+            if b2 > SECURITY * radius2 {
                 return PairStatus::Done;
             }
-            if !self.cut(b, 0.5 * b2, j, i < j, &corners) {
+            if !self.cut(Bisector { j, b, half: 0.5 * b2, length: b2.sqrt() }, &corners, sides) {
                 continue;
             }
             self.cutter = j;
@@ -115,16 +130,27 @@ impl Clipper {
     }
 
     /// Cuts by the bisector of b = x_j - x_i. Returns whether anything changed.
-    fn cut(&mut self, b: DVec3, half: f64, j: u32, tie_inside: bool, corners: &Corners) -> bool {
-        let inside = |d: f64| d > 0.0 || (d == 0.0 && tie_inside);
+    fn cut(&mut self, bisector: Bisector, corners: &Corners, sides: Sides<'_>) -> bool {
+        let n = self.polygon.len();
+        // d = |b|²/2 - p·b in floating point is off by at most this: three roundings in the dot
+        // product and one of |b|²/2, and the vertex's own error along b.
+        let unsure = bisector.length * (self.error + 4.0 * f64::EPSILON * (bisector.length + self.radius));
         self.side.clear();
         let mut kept = 0;
-        for v in &self.polygon {
-            let d = half - v.p.dot(b);
-            kept += usize::from(inside(d));
-            self.side.push(d);
+        for k in 0..n {
+            let v = &self.polygon[k];
+            let mut d = bisector.half - v.p.dot(bisector.b);
+            let mut inside = d > 0.0;
+            if d.abs() <= unsure {
+                let before = self.polygon[if k == 0 { n - 1 } else { k - 1 }].edge;
+                inside = sides.inside(before, v.edge, bisector.j);
+                if inside != (d > 0.0) {
+                    d = 0.0;
+                }
+            }
+            kept += usize::from(inside);
+            self.side.push((d, inside));
         }
-        let n = self.polygon.len();
         if kept == n {
             return false;
         }
@@ -133,17 +159,25 @@ impl Clipper {
             for k in 0..n {
                 let m = if k + 1 == n { 0 } else { k + 1 };
                 let (v, u) = (self.polygon[k], self.polygon[m]);
-                let (dv, du) = (self.side[k], self.side[m]);
-                let (v_in, u_in) = (inside(dv), inside(du));
+                let ((dv, v_in), (du, u_in)) = (self.side[k], self.side[m]);
                 if v_in {
                     self.next.push(v);
                 }
                 if v_in != u_in {
                     let (p, w) = match facet_edge(v.edge) {
-                        Some(e) => corners.meet(e, b, half).unwrap_or_else(|| meet(&v, dv, &u, du)),
-                        None => meet(&v, dv, &u, du),
+                        Some(e) => {
+                            self.error = self.error.max(corners.error(e, &bisector));
+                            corners.meet(e, &bisector)
+                        }
+                        None => {
+                            let length = v.p.distance(u.p);
+                            // The parameter is off by `unsure` over the difference; the point stays between the two.
+                            let slip = (2.0 * unsure / (dv - du).abs()).min(1.0) * length;
+                            self.error += slip + 4.0 * f64::EPSILON * self.radius;
+                            between(v.p, v.w, dv, u.p, u.w, du)
+                        }
                     };
-                    self.next.push(Vertex { p, w, edge: if v_in { j } else { v.edge } });
+                    self.next.push(Vertex { p, w, edge: if v_in { bisector.j } else { v.edge } });
                 }
             }
         }
@@ -173,12 +207,19 @@ impl Clipper {
     }
 }
 
-/// Where the edge between two vertices meets the bisector with values `dv`, `du` at its ends.
-fn meet(v: &Vertex, dv: f64, u: &Vertex, du: f64) -> (DVec3, f64) {
-    // In a direction that does not depend on which of the two facets asks.
-    let ((v, dv), (u, du)) = if dv > du { ((v, dv), (u, du)) } else { ((u, du), (v, dv)) };
-    let t = dv / (dv - du);
-    (v.p + t * (u.p - v.p), v.w + t * (u.w - v.w))
+/// Where the segment from p to q meets the bisector with values `dp`, `dq` at its ends, in a
+/// direction that does not depend on which of the two facets asks.
+fn between(p: DVec3, wp: f64, dp: f64, q: DVec3, wq: f64, dq: f64) -> (DVec3, f64) {
+    let ((p, wp, dp), (q, wq, dq)) = if dp > dq { ((p, wp, dp), (q, wq, dq)) } else { ((q, wq, dq), (p, wp, dp)) };
+    let t = parameter(dp, dq);
+    (p + t * (q - p), wp + t * (wq - wp))
+}
+
+/// Where a linear function with values `a` and `b` at 0 and 1 is zero, kept in [0, 1]: exact
+/// signs have said that it is, whatever rounding makes of it.
+fn parameter(a: f64, b: f64) -> f64 {
+    let t = a / (a - b);
+    if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) }
 }
 
 impl Corners {
@@ -191,18 +232,39 @@ impl Corners {
         }
     }
 
-    /// Where edge `e` meets a bisector, from its own ends; `None` where rounding has both ends
-    /// on one side.
-    fn meet(&self, e: usize, b: DVec3, half: f64) -> Option<(DVec3, f64)> {
+    /// The ends of edge `e` from the lower mesh vertex to the higher, with the bisector's values.
+    fn ends(&self, e: usize, bisector: &Bisector) -> ((usize, f64), (usize, f64)) {
         let (mut lo, mut hi) = (e, (e + 1) % 3);
         if self.vertex[lo] > self.vertex[hi] {
             std::mem::swap(&mut lo, &mut hi);
         }
-        let (dl, dh) = (half - self.p[lo].dot(b), half - self.p[hi].dot(b));
-        let t = dl / (dl - dh);
-        ((0.0..=1.0).contains(&t))
-            .then(|| (self.p[lo] + t * (self.p[hi] - self.p[lo]), self.w[lo] + t * (self.w[hi] - self.w[lo])))
+        let value = |c: usize| bisector.half - self.p[c].dot(bisector.b);
+        ((lo, value(lo)), (hi, value(hi)))
     }
+
+    /// Where edge `e` meets a bisector, from its own ends.
+    fn meet(&self, e: usize, bisector: &Bisector) -> (DVec3, f64) {
+        let ((lo, dl), (hi, dh)) = self.ends(e, bisector);
+        let t = parameter(dl, dh);
+        (self.p[lo] + t * (self.p[hi] - self.p[lo]), self.w[lo] + t * (self.w[hi] - self.w[lo]))
+    }
+
+    /// How far that point can be from the true one.
+    fn error(&self, e: usize, bisector: &Bisector) -> f64 {
+        let ((lo, dl), (hi, dh)) = self.ends(e, bisector);
+        let radius = self.p[lo].length().max(self.p[hi].length());
+        let unsure = 4.0 * f64::EPSILON * bisector.length * (bisector.length + radius);
+        let slip = (2.0 * unsure / (dl - dh).abs()).min(1.0) * self.p[lo].distance(self.p[hi]);
+        slip + 4.0 * f64::EPSILON * radius
+    }
+}
+
+/// The bisector with seed j: points where half - p·b = 0.
+struct Bisector {
+    j: u32,
+    b: DVec3,
+    half: f64,
+    length: f64,
 }
 
 #[cfg(test)]

@@ -1,1 +1,374 @@
-//! (being built)
+//! f32 on a wgpu device, exact as the others.
+//!
+//! Purpose: the GPU backend. The device works on a list of (facet, cell) pairs (\[HYWZ17\],
+//! Algorithms 1 and 2): the nearest seed of each facet begins it, each clipped piece appends the
+//! cells across its bisectors, a hash set per facet keeps them apart, and the sums are added in
+//! fixed point. Indirect dispatches follow the list; the host reads one small block between
+//! submissions and does again, with more of what they lacked, the pairs that did not end.
+//! Invariant: every pair ends `Done` here or in f64; a full set or list means growing and
+//! repeating the pass from zero. Integer sums have no order, so every run has the same bits.
+//! Must not know: iterations, jobs, files.
+
+mod fixed;
+mod pack;
+mod pass;
+mod pieces;
+mod pipelines;
+mod relaunch;
+mod starts;
+
+use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use glam::{DVec3, dvec3};
+
+use super::incident::{Diagram, FacetWalker};
+use super::{
+    Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
+    Surface, check_seeds, elapsed_ms,
+};
+use crate::gpu::buffers::{self, Buffers};
+use crate::gpu::layout::{self, Params, SUM_WORDS};
+use crate::gpu::plan::{BATCH, Counts, EXTRA_PROPOSALS, Limits, Plan};
+use crate::gpu::{Device, GpuError};
+use crate::knn::{NeighbourTable, SeedIndex, Threads};
+use crate::mesh::TriMesh;
+use pipelines::{Bindings, Pipelines};
+
+impl From<GpuError> for RvdError {
+    fn from(error: GpuError) -> Self {
+        match error {
+            GpuError::OutOfMemory { needed_bytes, limit_bytes, .. } => Self::OutOfMemory { needed_bytes, limit_bytes },
+            GpuError::Lost(why) => Self::DeviceLost(why),
+            GpuError::Timeout { .. } => Self::DeviceLost(error.to_string()),
+            GpuError::NoAdapter { .. }
+            | GpuError::Unsupported { .. }
+            | GpuError::Failed(_)
+            | GpuError::Shader(_) => Self::Device(error.to_string()),
+        }
+    }
+}
+
+/// The GPU backend: a device, its compiled stages, and a pool for what the CPU prepares.
+#[derive(Debug)]
+pub struct Gpu {
+    device: Arc<Device>,
+    pool: Arc<rayon::ThreadPool>,
+    pipelines: Mutex<HashMap<usize, Arc<Pipelines>>>,
+}
+
+impl Gpu {
+    /// Compiles the stages and proves them on a tiny diagram whose sums are known. `threads`
+    /// is for neighbour rows and first cells on the CPU; `None` is one a core.
+    ///
+    /// # Errors
+    /// `Device` or `DeviceLost` if the device cannot do it; `Internal` if its sums are wrong.
+    pub fn new(device: Arc<Device>, threads: Option<usize>) -> Result<Self, RvdError> {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads.unwrap_or(0))
+            .thread_name(|i| format!("tessera-gpu-host-{i}"))
+            .build()
+            .map_err(|e| RvdError::Internal(format!("no thread pool: {e}")))?;
+        let gpu = Self { device, pool: Arc::new(pool), pipelines: Mutex::default() };
+        gpu.warm_up()?;
+        Ok(gpu)
+    }
+
+    /// One seed amid a ring of 24, so that both polygon variants run, on a square of area 1. Some
+    /// drivers compile at the first dispatch, which the first caller should not pay for.
+    fn warm_up(&self) -> Result<(), RvdError> {
+        let corners = vec![dvec3(0., 0., 0.), dvec3(1., 0., 0.), dvec3(1., 1., 0.), dvec3(0., 1., 0.)];
+        let mesh = TriMesh::new(corners, vec![[0, 1, 2], [0, 2, 3]]).map_err(|e| RvdError::Internal(e.to_string()))?;
+        let surface = Arc::new(Surface::new(&mesh, None)?);
+        let mut seeds = vec![dvec3(0.2, -0.1, 0.0)];
+        for k in 0..24 {
+            let (sin, cos) = (f64::from(k) / 24.0 * std::f64::consts::TAU).sin_cos();
+            seeds.push(seeds[0] + 0.1 * dvec3(cos, sin, 0.0));
+        }
+        let mut session = self.session(surface, SessionOptions::new(seeds.len()))?;
+        session.set_seeds(&seeds)?;
+        let (mut sums, cancel) = (CellSums::default(), CancelFlag::default());
+        session.sums(&mut sums, &cancel)?;
+        let mut batch = PieceBatch::default();
+        session.pieces(0..2, &mut batch, &cancel)?;
+        // The middle cell is a regular 24-gon of inradius 0.05.
+        let polygon = 24.0 * 0.05 * 0.05 * (std::f64::consts::PI / 24.0).tan();
+        let area: f64 = (0..batch.len()).map(|i| batch.area(i)).sum();
+        if (sums.area[0] - polygon).abs() > 1e-6 * polygon || (area - 1.0).abs() > 1e-5 {
+            let (name, found) = (&self.device.adapter().name, sums.area[0]);
+            return Err(RvdError::Internal(format!("{name} computes {found} for {polygon}, and {area} for 1")));
+        }
+        Ok(())
+    }
+
+    fn pipelines(&self, slots: usize) -> Result<Arc<Pipelines>, GpuError> {
+        let mut made = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(pipelines) = made.get(&slots) {
+            return Ok(Arc::clone(pipelines));
+        }
+        let pipelines = Arc::new(Pipelines::new(&self.device, slots)?);
+        made.insert(slots, Arc::clone(&pipelines));
+        Ok(pipelines)
+    }
+}
+
+/// Polygon slots of the register variant, whatever the capacity asked for.
+const SLOTS: std::ops::RangeInclusive<usize> = 4..=16;
+
+impl Backend for Gpu {
+    fn kind(&self) -> BackendKind {
+        BackendKind::Gpu
+    }
+
+    fn adapter(&self) -> Option<String> {
+        Some(self.device.adapter().name.clone())
+    }
+
+    fn threads(&self) -> usize {
+        self.pool.current_num_threads()
+    }
+
+    fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        let slots = options.capacities.polygon.clamp(*SLOTS.start(), *SLOTS.end());
+        let pipelines = self.pipelines(slots)?;
+        let pool = Arc::clone(&self.pool);
+        let mut session = pool.install(|| GpuSession::new(self, pipelines, slots, surface, options));
+        session.resident()?;
+        Ok(Box::new(session))
+    }
+}
+
+/// What lies on the device.
+struct Resident {
+    buffers: Buffers,
+    bindings: Bindings,
+}
+
+struct GpuSession {
+    device: Arc<Device>,
+    pool: Arc<rayon::ThreadPool>,
+    pipelines: Arc<Pipelines>,
+    slots: usize,
+    surface: Arc<Surface>,
+    mass: f64,
+    max_seeds: usize,
+    capacities: Capacities,
+
+    /// Capacities on the device, which grow, and the sets of cells they are made of.
+    counts: Counts,
+    slots_log2: Vec<u8>,
+    facets: Vec<layout::Facet>,
+    /// `None` before the first use and while capacities grow.
+    resident: Option<Resident>,
+
+    seeds: Vec<DVec3>,
+    index: SeedIndex,
+    table: NeighbourTable,
+    /// The table and the seeds as on the device, longer rows appended.
+    packed: Vec<u32>,
+    records: Vec<layout::Seed>,
+    scales: fixed::Scales,
+    /// Nearest seed of each facet; kept as a guess when the seeds move.
+    starts: Vec<u32>,
+    starts_fresh: bool,
+    /// (facet, first cell) of every facet that is not degenerate, by facet.
+    roots: Vec<[u32; 2]>,
+    neighbours_ms: f64,
+    upload_ms: f64,
+    walker: FacetWalker,
+    pass: pass::PassResult,
+}
+
+impl GpuSession {
+    fn new(
+        gpu: &Gpu,
+        pipelines: Arc<Pipelines>,
+        slots: usize,
+        surface: Arc<Surface>,
+        options: SessionOptions,
+    ) -> Self {
+        let SessionOptions { max_seeds, capacities } = options;
+        let expected = pack::expected_cells(&surface, max_seeds);
+        let slots_log2 = pack::first_slots(&expected, capacities.cells, Capacities::default().cells);
+        let facets = pack::facets(&surface, &slots_log2);
+        // Half as many again for pairs that turn out empty and for pairs done again.
+        let percent = capacities.pairs_percent as f64 / 100.0;
+        let pairs = (1.5 * expected.iter().sum::<f64>() * percent) as u64 + 1024;
+        let k = capacities.neighbours.clamp(1, max_seeds.max(1)) as u64;
+        let counts = Counts {
+            facets: facets.len() as u64,
+            seeds: max_seeds as u64,
+            table: max_seeds as u64 * k * 5 / 4 + 4096,
+            slots: pack::slot_count(&slots_log2),
+            pairs,
+            emitted: pairs.min(1 << 16),
+            polygon: slots as u64,
+        };
+        Self {
+            device: Arc::clone(&gpu.device),
+            pool: Arc::clone(&gpu.pool),
+            pipelines,
+            slots,
+            mass: fixed::total_mass(&surface),
+            surface,
+            max_seeds,
+            capacities,
+            counts,
+            slots_log2,
+            facets,
+            resident: None,
+            seeds: Vec::new(),
+            index: SeedIndex::new(&[]),
+            table: NeighbourTable::default(),
+            packed: Vec::new(),
+            records: Vec::new(),
+            scales: fixed::Scales::default(),
+            starts: Vec::new(),
+            starts_fresh: false,
+            roots: Vec::new(),
+            neighbours_ms: 0.0,
+            upload_ms: 0.0,
+            walker: FacetWalker::default(),
+            pass: pass::PassResult::default(),
+        }
+    }
+
+    /// The buffers; allocated, and filled with all that the host knows, if they are not there.
+    fn resident(&mut self) -> Result<&Resident, RvdError> {
+        if self.resident.is_none() {
+            let plan = Plan::new(self.counts, Limits::of(&self.device.limits()))?;
+            let buffers = Buffers::new(&self.device, plan)?;
+            let bindings = Bindings::new(&self.device, &self.pipelines, &buffers)?;
+            buffers::write(&self.device, &buffers.facets, 0, &self.facets)?;
+            buffers::write(&self.device, &buffers.seeds, 0, &self.records)?;
+            buffers::write(&self.device, &buffers.table, 0, &self.packed)?;
+            buffers::write(&self.device, &buffers.proposals, 0, &self.roots)?;
+            self.resident = Some(Resident { buffers, bindings });
+        }
+        self.resident.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))
+    }
+
+    /// Frees the buffers; [`Self::resident`] makes larger ones.
+    fn release(&mut self) -> Result<(), RvdError> {
+        self.resident = None;
+        // Memory comes back once the device has seen that nothing uses it.
+        Ok(self.device.run(self.device.encoder())?)
+    }
+
+    fn params(&self) -> Params {
+        Params {
+            mass_scale: self.scales.mass as f32,
+            moment_scale: self.scales.moment as f32,
+            energy_scale: self.scales.energy as f32,
+            area_scale: self.scales.area as f32,
+            uniform_weights: u32::from(self.surface.is_uniform()),
+            list_capacity: self.counts.pairs.min(u64::from(layout::INDEX)) as u32,
+            batch: BATCH,
+            ..Params::default()
+        }
+    }
+
+    fn diagram(&self) -> Diagram<'_> {
+        Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table }
+    }
+
+    fn take_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+        let begin = Instant::now();
+        self.seeds.clear();
+        self.seeds.extend_from_slice(seeds);
+        self.index = SeedIndex::new(seeds);
+        self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool);
+        self.walker.reset();
+        self.neighbours_ms = elapsed_ms(begin);
+        let begin = Instant::now();
+        pack::seeds(seeds, &self.table, &mut self.records, &mut self.packed);
+        self.scales = fixed::Scales::new(self.mass, self.surface.area(), fixed::covering_radius(seeds));
+        self.starts_fresh = false;
+        self.resident()?;
+        if let Some(Resident { buffers, .. }) = &self.resident {
+            buffers::write(&self.device, &buffers.seeds, 0, &self.records)?;
+            buffers::write(&self.device, &buffers.table, 0, &self.packed)?;
+        }
+        self.upload_ms = elapsed_ms(begin);
+        Ok(())
+    }
+
+    /// Statistics of a pass that begins: what `set_seeds` spent, and the first cells.
+    fn begin_pass(&mut self) -> Result<PassStats, RvdError> {
+        if self.seeds.is_empty() {
+            return Err(RvdError::NoSeeds);
+        }
+        let mut stats = PassStats {
+            neighbours_ms: std::mem::take(&mut self.neighbours_ms),
+            update_ms: std::mem::take(&mut self.upload_ms),
+            ..PassStats::default()
+        };
+        if !self.starts_fresh {
+            let begin = Instant::now();
+            starts::find(&self.surface, &self.seeds, &self.index, &self.table, &mut self.starts);
+            self.roots.clear();
+            let live = (0..self.starts.len()).filter(|&f| !self.surface.skips(f));
+            self.roots.extend(live.map(|f| [f as u32, self.starts[f]]));
+            stats.start_ms = elapsed_ms(begin);
+            self.resident()?;
+            if let Some(Resident { buffers, .. }) = &self.resident {
+                buffers::write(&self.device, &buffers.proposals, 0, &self.roots)?;
+            }
+            self.starts_fresh = true;
+        }
+        Ok(stats)
+    }
+
+    fn compute_sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+        let n = self.seeds.len();
+        let mut stats = self.begin_pass()?;
+        let begin = Instant::now();
+        self.run_pass(0..self.facets.len() as u32, cancel, &mut stats)?;
+        stats.clip_ms = elapsed_ms(begin);
+        let begin = Instant::now();
+        let device = Arc::clone(&self.device);
+        let buffers = &self.resident()?.buffers;
+        let mut words: Vec<u32> = buffers.read(&device, &buffers.sums, 0..n * SUM_WORDS)?;
+        for (seed, units) in &self.pass.finished {
+            fixed::add(&mut words[*seed as usize * SUM_WORDS..][..SUM_WORDS], units);
+        }
+        out.reset(n);
+        fixed::decode(&words, self.surface.is_uniform(), &self.scales, out);
+        stats.update_ms += elapsed_ms(begin);
+        self.check_cover(out)?;
+        Ok(stats)
+    }
+
+    /// A lost facet or a sum that left its bound would make no sound otherwise.
+    fn check_cover(&self, sums: &CellSums) -> Result<(), RvdError> {
+        let (area, expected) = (sums.area.iter().sum::<f64>(), self.surface.area());
+        if (area - expected).abs() <= 1e-4 * expected {
+            return Ok(());
+        }
+        Err(RvdError::Internal(format!("the pieces' area is {area}, the surface's {expected}")))
+    }
+}
+
+impl Session for GpuSession {
+    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+        check_seeds(seeds, self.max_seeds)?;
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.take_seeds(seeds))
+    }
+
+    fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.compute_sums(out, cancel))
+    }
+
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.compute_pieces(facets, out, cancel))
+    }
+
+    fn device_bytes(&self) -> u64 {
+        self.resident.as_ref().map_or(0, |r| r.buffers.plan().total_bytes())
+    }
+}

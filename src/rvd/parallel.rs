@@ -17,7 +17,7 @@ use super::clip::Integrals;
 use super::incident::{Diagram, FacetWalker};
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
-    Surface, check_seeds, elapsed_ms,
+    Surface, elapsed_ms, start, take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 
@@ -62,13 +62,16 @@ impl Backend for Parallel {
             table: NeighbourTable::default(),
             neighbours_ms: 0.0,
             starts: Vec::new(),
+            starts_of: (0..0, 0),
             chunks: Vec::new(),
         }))
     }
 }
 
-/// Facets per task. Part of no result: sums are added facet by facet all the same.
+/// Facets per task, at most. Part of no result: sums are added facet by facet all the same.
 const CHUNK: usize = 256;
+/// Pairs that a task should have, so that coarse meshes with many seeds are shared out too.
+const CHUNK_PAIRS: usize = 2048;
 /// Tasks between two additions, which bounds the memory of the integrals written down.
 const WAVE: usize = 512;
 
@@ -82,6 +85,8 @@ struct ParallelSession {
     table: NeighbourTable,
     neighbours_ms: f64,
     starts: Vec<u32>,
+    /// For which facets, and how many seeds.
+    starts_of: (Range<u32>, usize),
     chunks: Vec<Chunk>,
 }
 
@@ -101,14 +106,22 @@ enum Wanted {
 }
 
 impl ParallelSession {
+    /// The nearest seed of each facet in `facets`. The last answers are the guesses; at first, and
+    /// with another number of seeds, the answer of the facet before.
     fn find_starts(&mut self, facets: Range<u32>) {
-        let (surface, index) = (&*self.surface, &self.index);
+        let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
+        let fresh = self.starts_of != (facets.clone(), self.seeds.len());
         self.starts.resize(facets.len(), 0);
         self.starts.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
+            let mut last = None;
             for (k, start) in part.iter_mut().enumerate() {
-                *start = index.nearest(surface.centroid(facets.start + (c * CHUNK + k) as u32));
+                let q = diagram.surface.centroid(facets.start + (c * CHUNK + k) as u32);
+                let guess = if fresh { last.unwrap_or_else(|| diagram.index.nearest(q)) } else { *start };
+                *start = start::nearest(diagram, q, guess);
+                last = Some(*start);
             }
         });
+        self.starts_of = (facets, self.seeds.len());
     }
 
     /// Runs all tasks of `facets`, wave by wave; `merge` gets each wave's chunks in order.
@@ -125,11 +138,14 @@ impl ParallelSession {
         stats.start_ms = elapsed_ms(begin);
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
         let (starts, capacities) = (&self.starts, self.capacities);
-        self.chunks.resize_with(WAVE.min(facets.len().div_ceil(CHUNK)), Chunk::default);
-        for wave in facets.clone().step_by(CHUNK * WAVE) {
+        // A facet meets its share of the cells and some more at its rim.
+        let per_facet = 3 + 2 * self.seeds.len() / self.surface.facets().len();
+        let size = (CHUNK_PAIRS / per_facet).clamp(1, CHUNK);
+        self.chunks.resize_with(WAVE.min(facets.len().div_ceil(size)), Chunk::default);
+        for wave in facets.clone().step_by(size * WAVE) {
             cancel.check()?;
             let begin = Instant::now();
-            let tasks = ((facets.end - wave) as usize).div_ceil(CHUNK).min(WAVE);
+            let tasks = ((facets.end - wave) as usize).div_ceil(size).min(WAVE);
             self.chunks[..tasks].par_iter_mut().enumerate().for_each_init(
                 FacetWalker::default,
                 |walker, (c, chunk)| {
@@ -210,13 +226,11 @@ fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
 
 impl Session for ParallelSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        check_seeds(seeds, self.max_seeds)?;
         let begin = Instant::now();
-        self.seeds.clear();
-        self.seeds.extend_from_slice(seeds);
+        take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
         let pool = Arc::clone(&self.pool);
         pool.install(|| {
-            self.index = SeedIndex::with_threads(seeds, Threads::Pool);
+            self.index = SeedIndex::with_threads(&self.seeds, Threads::Pool);
             self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool);
         });
         self.neighbours_ms = elapsed_ms(begin);

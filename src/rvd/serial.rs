@@ -15,7 +15,7 @@ use super::clip::Clipper;
 use super::incident::{Diagram, FacetWalker};
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
-    Surface, check_seeds, elapsed_ms,
+    Surface, elapsed_ms, take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 
@@ -93,11 +93,9 @@ impl SerialSession {
 
 impl Session for SerialSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        check_seeds(seeds, self.max_seeds)?;
         let begin = Instant::now();
-        self.seeds.clear();
-        self.seeds.extend_from_slice(seeds);
-        self.index = SeedIndex::with_threads(seeds, Threads::One);
+        take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
+        self.index = SeedIndex::with_threads(&self.seeds, Threads::One);
         self.table.fill(&self.index, self.capacities.neighbours, Threads::One);
         self.walker.reset();
         self.neighbours_ms = elapsed_ms(begin);

@@ -40,6 +40,15 @@ impl Frame {
     }
 }
 
+/// Unit-frame positions of vertices and seeds are multiples of 1/`GRID`, 2·10⁻¹⁶ of the bounding box.
+pub(crate) const GRID: f64 = (1u64 << 52) as f64;
+
+/// The nearest point whose coordinates are multiples of 1/[`GRID`]: a difference of two such points
+/// inside the box is exact, and so are the decisions of [`super::exact`].
+pub fn snap(p: DVec3) -> DVec3 {
+    DVec3::from_array(p.to_array().map(|x| (x * GRID).round_ties_even() / GRID))
+}
+
 /// A mesh in the unit frame, with weights. Immutable; sessions share it.
 #[derive(Clone, Debug)]
 pub struct Surface {
@@ -81,7 +90,7 @@ impl Surface {
                 Some(given.iter().map(|w| w * scale).collect::<Vec<_>>())
             }
         };
-        let positions: Vec<DVec3> = mesh.positions().iter().map(|&p| frame.to_unit(p)).collect();
+        let positions: Vec<DVec3> = mesh.positions().iter().map(|&p| snap(frame.to_unit(p))).collect();
         let mut class: Vec<u32> = (0..vertices as u32).collect();
         for (later, earliest) in duplicates::find(mesh.positions()) {
             class[later as usize] = earliest;

@@ -1,0 +1,61 @@
+// Records that the host writes and reads. Rust twins: src/gpu/layout.rs (a test compares them).
+
+// A seed as hi + lo, so that differences of nearby points keep their detail, and its row of the
+// neighbour table. The highest bit of row_length says that no other seed can matter.
+struct Seed {
+    hi: vec3f,
+    row_begin: u32,
+    lo: vec3f,
+    row_length: u32,
+}
+
+// A facet: its first corner as hi + lo, an orthonormal frame (e1 along the first edge, n its
+// normal), the other corners in that frame, the weight as a linear function, and its slots in
+// the hash sets of cells.
+struct Facet {
+    hi: vec3f,
+    slot_begin: u32,
+    lo: vec3f,
+    slot_mask: u32,
+    e1: vec3f,
+    corner1_u: f32,
+    e2: vec3f,
+    corner2_u: f32,
+    n: vec3f,
+    corner2_v: f32,
+    weight: f32,
+    weight_u: f32,
+    weight_v: f32,
+    weight_top: f32,
+}
+
+// What is the same for all invocations of one dispatch.
+struct Params {
+    mass_scale: f32,
+    moment_scale: f32,
+    energy_scale: f32,
+    area_scale: f32,
+    uniform_weights: u32,
+    list_capacity: u32,
+    // Pairs per clip dispatch at most.
+    batch: u32,
+    // First proposal, and how many; root is ROOT for first cells of facets and 0 otherwise.
+    propose_begin: u32,
+    propose_count: u32,
+    propose_root: u32,
+    // Pairs that one emit dispatch writes.
+    emit_begin: u32,
+    emit_count: u32,
+}
+
+const COMPLETE: u32 = 0x80000000u;
+const ROOT: u32 = 0x80000000u;
+const INDEX: u32 = 0x7fffffffu;
+const FACET_EDGE: u32 = 0xffffffffu;
+
+// How a pair ended. The host's names are those of rvd::PairStatus; FINISH is NonFinite, and an
+// empty polygon of a facet's first cell.
+const DONE: u32 = 0u;
+const NEIGHBOURS: u32 = 1u;
+const POLYGON: u32 = 2u;
+const FINISH: u32 = 3u;

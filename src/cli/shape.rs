@@ -1,0 +1,41 @@
+//! `tessera shape`: writes a procedural surface.
+//!
+//! Purpose: input for trying things out. Must not know: how a shape is built.
+
+use std::path::PathBuf;
+
+use crate::mesh::io;
+use crate::mesh::shapes::{MAX_FACETS, Shape};
+
+/// Writes a procedural surface to a file.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ShapeArgs {
+    /// sphere, torus, genusN (0 to 99 holes), block, hills, sheets, slivers, square or plane
+    pub name: Shape,
+    /// Wished number of facets; the result is near it
+    #[arg(long, default_value_t = 10_000, value_parser = parse_facets)]
+    pub facets: usize,
+    /// File to write: .obj, .ply, .stl or .off
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+}
+
+/// Builds the surface and writes it.
+///
+/// # Errors
+/// [`io::FileError`], as the file cannot be written.
+pub fn run(args: &ShapeArgs) -> anyhow::Result<()> {
+    // First, so that a wrong extension costs nothing.
+    io::Format::of_path(&args.output)?;
+    let mesh = args.name.build(args.facets);
+    io::write(&args.output, &mesh)?;
+    println!("{}: {} vertices, {} facets", args.output.display(), mesh.positions().len(), mesh.facets().len());
+    Ok(())
+}
+
+fn parse_facets(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(facets) if (1..=MAX_FACETS).contains(&facets) => Ok(facets),
+        _ => Err(format!("give a whole number from 1 to {MAX_FACETS}")),
+    }
+}

@@ -1,0 +1,180 @@
+//! A session's buffers, and bytes in and out of them.
+//!
+//! Purpose: allocate what a [`Plan`] says, once; upload and download in bounded portions.
+//! Invariant: an upload in flight never holds more than [`UPLOAD_BYTES`] of wgpu's own staging
+//! memory, whose exhaustion would lose the device.
+//! Must not know: what the bytes mean.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use bytemuck::{NoUninit, Pod};
+use wgpu::BufferUsages as Usage;
+
+use super::plan::Plan;
+use super::{Device, GpuError};
+
+/// Bytes that are handed to the queue between two submissions.
+pub const UPLOAD_BYTES: usize = 32 << 20;
+
+/// All buffers of a session. Field names are those of [`Plan`] and of the shaders' bindings.
+#[derive(Debug)]
+pub struct Buffers {
+    /// Seed records.
+    pub seeds: wgpu::Buffer,
+    /// Facet records.
+    pub facets: wgpu::Buffer,
+    /// Neighbour table.
+    pub table: wgpu::Buffer,
+    /// Sets of cells.
+    pub slots: wgpu::Buffer,
+    /// List of pairs.
+    pub list: wgpu::Buffer,
+    /// Fixed-point sums.
+    pub sums: wgpu::Buffer,
+    /// List of failures.
+    pub failures: wgpu::Buffer,
+    /// Proposals.
+    pub proposals: wgpu::Buffer,
+    /// Summary block.
+    pub state: wgpu::Buffer,
+    /// Indirect arguments.
+    pub arguments: wgpu::Buffer,
+    /// Parameters.
+    pub params: wgpu::Buffer,
+    /// Heads of emitted pieces.
+    pub heads: wgpu::Buffer,
+    /// Their vertices.
+    pub vertices: wgpu::Buffer,
+    /// Their labels.
+    pub labels: wgpu::Buffer,
+    staging: wgpu::Buffer,
+    plan: Plan,
+}
+
+impl Buffers {
+    /// Allocates everything.
+    ///
+    /// # Errors
+    /// `OutOfMemory` with the bytes of the whole plan; what was allocated is freed again.
+    pub fn new(device: &Device, plan: Plan) -> Result<Self, GpuError> {
+        let storage = Usage::STORAGE | Usage::COPY_DST | Usage::COPY_SRC;
+        let make = |label: &str, bytes: u64, usage: Usage| {
+            device.buffer(label, bytes, usage).map_err(|e| match e {
+                GpuError::OutOfMemory { what, limit_bytes, .. } => {
+                    GpuError::OutOfMemory { what, needed_bytes: plan.total_bytes(), limit_bytes }
+                }
+                other => other,
+            })
+        };
+        Ok(Self {
+            seeds: make("seeds", plan.seeds_bytes, storage)?,
+            facets: make("facets", plan.facets_bytes, storage)?,
+            table: make("table", plan.table_bytes, storage)?,
+            slots: make("slots", plan.slots_bytes, storage)?,
+            list: make("list", plan.list_bytes, storage)?,
+            sums: make("sums", plan.sums_bytes, storage)?,
+            failures: make("failures", plan.failures_bytes, storage)?,
+            proposals: make("proposals", plan.proposals_bytes, storage)?,
+            state: make("state", plan.state_bytes, storage)?,
+            arguments: make("arguments", plan.arguments_bytes, storage | Usage::INDIRECT)?,
+            params: make("params", plan.params_bytes, Usage::UNIFORM | Usage::COPY_DST)?,
+            heads: make("heads", plan.heads_bytes, storage)?,
+            vertices: make("vertices", plan.vertices_bytes, storage)?,
+            labels: make("labels", plan.labels_bytes, storage)?,
+            staging: make("staging", plan.staging_bytes, Usage::MAP_READ | Usage::COPY_DST)?,
+            plan,
+        })
+    }
+
+    /// What they were made for.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Reads entries `range` of a buffer of `T`.
+    ///
+    /// # Errors
+    /// Those of [`Device::run`].
+    pub fn read<T: Pod>(
+        &self,
+        device: &Device,
+        buffer: &wgpu::Buffer,
+        range: Range<usize>,
+    ) -> Result<Vec<T>, GpuError> {
+        let mut out = Vec::with_capacity(range.len());
+        let portion = (self.plan.staging_bytes as usize / size_of::<T>()).max(1);
+        let mut at = range.start;
+        while at < range.end {
+            let end = range.end.min(at + portion);
+            self.read_with(device, device.encoder(), buffer, at..end, |values: &[T]| out.extend_from_slice(values))?;
+            at = end;
+        }
+        Ok(out)
+    }
+
+    /// Ends `encoder` with a copy of entries `range`, which must fit the staging buffer, submits,
+    /// waits, and shows them.
+    ///
+    /// # Errors
+    /// Those of [`Device::run`].
+    pub fn read_with<T: Pod>(
+        &self,
+        device: &Device,
+        mut encoder: wgpu::CommandEncoder,
+        buffer: &wgpu::Buffer,
+        range: Range<usize>,
+        show: impl FnOnce(&[T]),
+    ) -> Result<(), GpuError> {
+        let bytes = (range.len() * size_of::<T>()) as u64;
+        if bytes == 0 {
+            return device.run(encoder);
+        }
+        encoder.copy_buffer_to_buffer(buffer, (range.start * size_of::<T>()) as u64, &self.staging, 0, bytes);
+        device.check()?;
+        let index = device.queue().submit([encoder.finish()]);
+        let mapped = Arc::new(AtomicBool::new(false));
+        let seen = Arc::clone(&mapped);
+        // Refusals reach the flags of the device; this one only says that the bytes are there.
+        self.staging.map_async(wgpu::MapMode::Read, 0..bytes, move |r| seen.store(r.is_ok(), Ordering::Release));
+        device.wait(Some(index))?;
+        if !mapped.load(Ordering::Acquire) {
+            return Err(GpuError::Failed("a buffer could not be mapped".to_owned()));
+        }
+        let view = self.staging.get_mapped_range(0..bytes).map_err(|e| GpuError::Failed(e.to_string()))?;
+        match bytemuck::try_cast_slice(&view) {
+            Ok(values) => show(values),
+            // A mapped range is aligned to 8 bytes; the copy serves a driver that aligns less.
+            Err(_) => {
+                let copy: Vec<T> = view.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect();
+                show(&copy);
+            }
+        }
+        drop(view);
+        self.staging.unmap();
+        Ok(())
+    }
+}
+
+/// Writes `values` to `buffer` from entry `first` on.
+///
+/// # Errors
+/// Those of [`Device::run`].
+pub fn write<T: NoUninit>(
+    device: &Device,
+    buffer: &wgpu::Buffer,
+    first: usize,
+    values: &[T],
+) -> Result<(), GpuError> {
+    let bytes: &[u8] = bytemuck::cast_slice(values);
+    let mut offset = (first * size_of::<T>()) as u64;
+    for (k, portion) in bytes.chunks(UPLOAD_BYTES).enumerate() {
+        if k > 0 {
+            device.run(device.encoder())?;
+        }
+        device.queue().write_buffer(buffer, offset, portion);
+        offset += portion.len() as u64;
+    }
+    device.check()
+}

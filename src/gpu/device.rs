@@ -1,0 +1,312 @@
+//! The one persistent device.
+//!
+//! Purpose: choose an adapter, open it with all the limits it has, submit, wait, and report.
+//! Invariant: callbacks only set flags; [`Device::check`] reads them after each step. wgpu's
+//! `poll` panics on a lost device, so it is never called on one known to be lost, and a panic
+//! inside is turned into [`GpuError::Lost`].
+//! Must not know: what is computed.
+
+use std::panic::AssertUnwindSafe;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use super::GpuError;
+
+/// Which adapters may be used.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceOptions {
+    /// Whether an adapter that runs on the CPU will do. Off by default: it is slower than the
+    /// CPU backend, so nobody should get it without asking.
+    pub software: bool,
+    /// Only adapters whose name contains this, whatever the case.
+    pub name: Option<String>,
+    /// How long one submission may take before the device counts as hung.
+    pub timeout: Duration,
+}
+
+impl Default for DeviceOptions {
+    fn default() -> Self {
+        Self { software: false, name: None, timeout: Duration::from_secs(60) }
+    }
+}
+
+/// What `tessera doctor` prints of an adapter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AdapterSummary {
+    /// As the driver calls it.
+    pub name: String,
+    /// "vulkan", "metal", "dx12".
+    pub backend: String,
+    /// "discrete", "integrated", "virtual", "software" or "other".
+    pub kind: &'static str,
+    /// Driver and version.
+    pub driver: String,
+    /// Whether it runs on the CPU.
+    pub software: bool,
+    /// Largest buffer, bytes.
+    pub max_buffer_bytes: u64,
+    /// Largest part of a buffer that a shader can see, bytes.
+    pub max_binding_bytes: u64,
+    /// Storage buffers that one shader can see.
+    pub max_storage_buffers: u32,
+    /// Workgroups in one dimension of a dispatch.
+    pub max_workgroups: u32,
+    /// Smallest and largest subgroup.
+    pub subgroup: (u32, u32),
+    /// What is missing to run on it, if anything.
+    pub unusable: Option<String>,
+}
+
+/// Storage buffers that the largest of the shaders binds: what WebGPU guarantees.
+pub const STORAGE_BUFFERS: u32 = 8;
+/// Invocations per workgroup of all shaders.
+pub const WORKGROUP: u32 = 64;
+
+fn instance() -> wgpu::Instance {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = wgpu::Backends::PRIMARY;
+    // The indirect arguments are written by our own `prepare` stage, within bounds; checking
+    // them costs one more dispatch each.
+    descriptor.flags = wgpu::InstanceFlags::from_build_config() - wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL;
+    wgpu::Instance::new(descriptor)
+}
+
+fn summarize(adapter: &wgpu::Adapter) -> AdapterSummary {
+    let (info, limits) = (adapter.get_info(), adapter.limits());
+    let kind = match info.device_type {
+        wgpu::DeviceType::DiscreteGpu => "discrete",
+        wgpu::DeviceType::IntegratedGpu => "integrated",
+        wgpu::DeviceType::VirtualGpu => "virtual",
+        wgpu::DeviceType::Cpu => "software",
+        wgpu::DeviceType::Other => "other",
+    };
+    let mut summary = AdapterSummary {
+        name: info.name,
+        backend: info.backend.to_string(),
+        kind,
+        driver: [info.driver, info.driver_info].join(" ").trim().to_owned(),
+        software: info.device_type == wgpu::DeviceType::Cpu,
+        max_buffer_bytes: limits.max_buffer_size,
+        max_binding_bytes: limits.max_storage_buffer_binding_size,
+        max_storage_buffers: limits.max_storage_buffers_per_shader_stage,
+        max_workgroups: limits.max_compute_workgroups_per_dimension,
+        subgroup: (info.subgroup_min_size, info.subgroup_max_size),
+        unusable: None,
+    };
+    summary.unusable = support(&summary, &limits).err().map(|e| e.to_string());
+    summary
+}
+
+/// Whether the shaders can run within `limits`.
+fn support(adapter: &AdapterSummary, limits: &wgpu::Limits) -> Result<(), GpuError> {
+    let needs: [(&'static str, u64, u64); 3] = [
+        ("storage buffers per stage", limits.max_storage_buffers_per_shader_stage.into(), STORAGE_BUFFERS.into()),
+        ("invocations per workgroup", limits.max_compute_invocations_per_workgroup.into(), WORKGROUP.into()),
+        ("workgroups per dimension", limits.max_compute_workgroups_per_dimension.into(), 65_535),
+    ];
+    for (what, offered, needed) in needs {
+        if offered < needed {
+            return Err(GpuError::Unsupported { adapter: adapter.name.clone(), what, offered, needed });
+        }
+    }
+    Ok(())
+}
+
+/// All adapters of this machine, best first.
+pub fn adapters() -> Vec<AdapterSummary> {
+    let instance = instance();
+    ranked(&instance).iter().map(summarize).collect()
+}
+
+fn ranked(instance: &wgpu::Instance) -> Vec<wgpu::Adapter> {
+    let mut found = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    found.sort_by_key(|a| match a.get_info().device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::VirtualGpu => 1,
+        wgpu::DeviceType::IntegratedGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    });
+    found
+}
+
+/// What the callbacks saw.
+#[derive(Default)]
+struct Flags {
+    lost: Mutex<Option<String>>,
+    error: Mutex<Option<String>>,
+}
+
+fn note(place: &Mutex<Option<String>>, what: String) {
+    // The first message names the cause; later ones are its consequences.
+    place.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(what);
+}
+
+fn noted(place: &Mutex<Option<String>>) -> Option<String> {
+    place.lock().unwrap_or_else(PoisonError::into_inner).clone()
+}
+
+/// An open device. Meant to be used by one thread at a time; shared by `Arc`.
+pub struct Device {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    adapter: AdapterSummary,
+    timeout: Duration,
+    flags: Arc<Flags>,
+}
+
+impl std::fmt::Debug for Device {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Device").field("adapter", &self.adapter).finish_non_exhaustive()
+    }
+}
+
+impl Device {
+    /// Opens the best adapter that `options` allow, with all the limits it has.
+    ///
+    /// # Errors
+    /// `NoAdapter`, listing what was found and why it will not do; `Failed` if the driver refuses.
+    pub fn open(options: &DeviceOptions) -> Result<Arc<Self>, GpuError> {
+        let instance = instance();
+        let mut found = Vec::new();
+        for adapter in ranked(&instance) {
+            let summary = summarize(&adapter);
+            let wanted = options.name.as_ref().is_none_or(|n| summary.name.to_lowercase().contains(&n.to_lowercase()));
+            let refusal = if summary.software && !options.software {
+                Some("runs on the CPU; allow software adapters to use it".to_owned())
+            } else if !wanted {
+                Some("another name was asked for".to_owned())
+            } else {
+                summary.unusable.clone()
+            };
+            match refusal {
+                None => return Self::request(&adapter, summary, options.timeout),
+                Some(why) => found.push(format!("{} ({}, {}): {why}", summary.name, summary.backend, summary.kind)),
+            }
+        }
+        Err(GpuError::NoAdapter { found })
+    }
+
+    fn request(adapter: &wgpu::Adapter, summary: AdapterSummary, timeout: Duration) -> Result<Arc<Self>, GpuError> {
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("tessera"),
+            required_limits: adapter.limits(),
+            ..Default::default()
+        };
+        let (device, queue) =
+            pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| GpuError::Failed(e.to_string()))?;
+        let flags = Arc::new(Flags::default());
+        let seen = Arc::clone(&flags);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&seen.error, error.to_string())));
+        let seen = Arc::clone(&flags);
+        device.set_device_lost_callback(move |reason, message| note(&seen.lost, format!("{reason:?}: {message}")));
+        Ok(Arc::new(Self { device, queue, adapter: summary, timeout, flags }))
+    }
+
+    /// The adapter in use.
+    pub fn adapter(&self) -> &AdapterSummary {
+        &self.adapter
+    }
+
+    /// Limits of the device.
+    pub fn limits(&self) -> wgpu::Limits {
+        self.device.limits()
+    }
+
+    /// The wgpu device, for making pipelines and bind groups.
+    pub fn raw(&self) -> &wgpu::Device {
+        &self.device
+    }
+
+    /// The queue, for writing to buffers.
+    pub fn queue(&self) -> &wgpu::Queue {
+        &self.queue
+    }
+
+    /// What the callbacks saw since the device was opened.
+    ///
+    /// # Errors
+    /// `Lost`, `Failed`. Neither goes away again: after them the device is to be replaced.
+    pub fn check(&self) -> Result<(), GpuError> {
+        if let Some(why) = noted(&self.flags.lost) {
+            return Err(GpuError::Lost(why));
+        }
+        if let Some(why) = noted(&self.flags.error) {
+            return Err(GpuError::Failed(why));
+        }
+        Ok(())
+    }
+
+    /// Runs `make` and returns what it makes, or the error that the device has with it.
+    pub fn scoped<T>(&self, make: impl FnOnce() -> T) -> Result<T, GpuError> {
+        self.check()?;
+        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
+        let made = make();
+        // In this order, because scopes are a stack.
+        let internal = pollster::block_on(internal.pop());
+        let validation = pollster::block_on(validation.pop());
+        let memory = pollster::block_on(memory.pop());
+        if memory.is_some() {
+            return Err(GpuError::OutOfMemory { what: "a buffer".to_owned(), needed_bytes: 0, limit_bytes: 0 });
+        }
+        match internal.or(validation) {
+            Some(error) => Err(GpuError::Failed(error.to_string())),
+            None => self.check().map(|()| made),
+        }
+    }
+
+    /// Allocates a buffer of at least 16 bytes, zeroed.
+    ///
+    /// # Errors
+    /// `OutOfMemory`, after which smaller buffers can still be had.
+    pub fn buffer(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer, GpuError> {
+        let size = bytes.max(16).next_multiple_of(4);
+        let descriptor = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
+        self.scoped(|| self.device.create_buffer(&descriptor)).map_err(|e| match e {
+            GpuError::OutOfMemory { .. } => GpuError::OutOfMemory {
+                what: label.to_owned(),
+                needed_bytes: size,
+                // Drivers do not say what is free; the request itself was too much.
+                limit_bytes: size.saturating_sub(1).min(self.adapter.max_buffer_bytes),
+            },
+            other => other,
+        })
+    }
+
+    /// An encoder for the next submission.
+    pub fn encoder(&self) -> wgpu::CommandEncoder {
+        self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("tessera") })
+    }
+
+    /// Submits, waits for the end, and checks the flags.
+    ///
+    /// # Errors
+    /// `Timeout`, `Lost`, `Failed`.
+    pub fn run(&self, encoder: wgpu::CommandEncoder) -> Result<(), GpuError> {
+        self.check()?;
+        let index = self.queue.submit([encoder.finish()]);
+        self.wait(Some(index))
+    }
+
+    /// Waits for a submission (or for the last one) and runs the callbacks that it made due.
+    pub(super) fn wait(&self, submission_index: Option<wgpu::SubmissionIndex>) -> Result<(), GpuError> {
+        self.check()?;
+        let poll = wgpu::PollType::Wait { submission_index, timeout: Some(self.timeout) };
+        let answer = std::panic::catch_unwind(AssertUnwindSafe(|| self.device.poll(poll)));
+        self.check()?;
+        match answer {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(wgpu::PollError::Timeout)) => {
+                note(&self.flags.lost, format!("no answer within {} s", self.timeout.as_secs()));
+                Err(GpuError::Timeout { seconds: self.timeout.as_secs() })
+            }
+            Ok(Err(other)) => Err(GpuError::Failed(other.to_string())),
+            Err(_) => {
+                note(&self.flags.lost, "polling failed".to_owned());
+                Err(GpuError::Lost("polling failed".to_owned()))
+            }
+        }
+    }
+}

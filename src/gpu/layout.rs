@@ -1,0 +1,163 @@
+//! Rust twins of the records in `shaders/shared/types.wgsl` and `state.wgsl`.
+//!
+//! Purpose: what the host writes and reads, byte for byte.
+//! Invariant: same fields, names, offsets and sizes as in WGSL; `tests/gpu_shaders.rs` compares
+//! each of them with what naga reflects.
+//! Must not know: where the numbers come from.
+
+use bytemuck::{Pod, Zeroable};
+
+/// Highest bit of [`Seed::row_length`]: no other neighbour can matter.
+pub const COMPLETE: u32 = 1 << 31;
+/// Highest bit of a pair's second word: the first cell of its facet.
+pub const ROOT: u32 = 1 << 31;
+/// The other 31 bits.
+pub const INDEX: u32 = ROOT - 1;
+/// Words of sums per seed: mass, moment x y z, energy, area; two limbs each.
+pub const SUM_WORDS: usize = 12;
+
+/// Codes in the list of failures, as in WGSL. [`failure`] unpacks them.
+pub mod code {
+    /// The facet's set of cells is full.
+    pub const CELLS: u32 = 0;
+    /// The row of neighbours ended.
+    pub const NEIGHBOURS: u32 = 1;
+    /// The polygon needed more slots.
+    pub const POLYGON: u32 = 2;
+    /// To be finished in double precision.
+    pub const FINISH: u32 = 3;
+}
+
+/// An entry of the list of failures: (facet, seed, code).
+pub fn failure(entry: [u32; 2]) -> (u32, u32, u32) {
+    (entry[0] & INDEX, entry[1] & INDEX, (entry[0] >> 31) | ((entry[1] >> 31) << 1))
+}
+
+/// A seed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Seed {
+    /// Upper part of the position.
+    pub hi: [f32; 3],
+    /// First entry of its row in the table.
+    pub row_begin: u32,
+    /// Position less upper part.
+    pub lo: [f32; 3],
+    /// Entries of its row, and [`COMPLETE`].
+    pub row_length: u32,
+}
+
+/// A facet: first corner, frame, other corners in it, weight, slots.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Facet {
+    /// Upper part of the first corner.
+    pub hi: [f32; 3],
+    /// First slot of its set of cells.
+    pub slot_begin: u32,
+    /// First corner less upper part.
+    pub lo: [f32; 3],
+    /// Slots less one; a power of two less one.
+    pub slot_mask: u32,
+    /// Unit vector along the first edge.
+    pub e1: [f32; 3],
+    /// Second corner less the first, along e1. Its other coordinate is 0.
+    pub corner1_u: f32,
+    /// Unit vector in the plane, to the left of e1.
+    pub e2: [f32; 3],
+    /// Third corner less the first, along e1.
+    pub corner2_u: f32,
+    /// Unit normal.
+    pub n: [f32; 3],
+    /// Third corner less the first, along e2.
+    pub corner2_v: f32,
+    /// Weight at the first corner.
+    pub weight: f32,
+    /// Its slope along e1.
+    pub weight_u: f32,
+    /// Its slope along e2.
+    pub weight_v: f32,
+    /// Largest weight of the three corners.
+    pub weight_top: f32,
+}
+
+/// What is the same for all invocations of one dispatch. A uniform.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Params {
+    /// Units per unit of mass. All four are powers of two.
+    pub mass_scale: f32,
+    /// Units per unit of first moment.
+    pub moment_scale: f32,
+    /// Units per unit of energy.
+    pub energy_scale: f32,
+    /// Units per unit of area.
+    pub area_scale: f32,
+    /// 1 if all weights are 1; then mass is area.
+    pub uniform_weights: u32,
+    /// Entries that the list of pairs holds.
+    pub list_capacity: u32,
+    /// Pairs per clip dispatch at most.
+    pub batch: u32,
+    /// First proposal to enter.
+    pub propose_begin: u32,
+    /// How many.
+    pub propose_count: u32,
+    /// [`ROOT`] for first cells of facets, 0 for others.
+    pub propose_root: u32,
+    /// First pair to emit.
+    pub emit_begin: u32,
+    /// How many.
+    pub emit_count: u32,
+}
+
+/// What the host reads between submissions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct State {
+    /// First pair that no dispatch has taken.
+    pub head: u32,
+    /// First pair of the last dispatch.
+    pub begin: u32,
+    /// End of the last dispatch.
+    pub end: u32,
+    /// Pairs in the list.
+    pub length: u32,
+    /// Entries in the list of failures.
+    pub failures: u32,
+    /// Non-empty pieces.
+    pub pieces: u32,
+    /// Pairs that found the list full.
+    pub list_overflow: u32,
+    /// Pairs that found their facet's set full.
+    pub cells_overflow: u32,
+}
+
+/// Splits a double into upper and lower floats. Below 2048 the upper part is a multiple of
+/// 2⁻¹², so that differences of upper parts are exact, and the lower part adds 24 bits to it.
+pub fn split(p: [f64; 3]) -> ([f32; 3], [f32; 3]) {
+    let hi = p.map(|x| if x.abs() < 2048.0 { ((x * 4096.0).round() / 4096.0) as f32 } else { x as f32 });
+    let lo = [0, 1, 2].map(|k| (p[k] - f64::from(hi[k])) as f32);
+    (hi, lo)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn split_keeps_detail() {
+        for x in [0.0, 0.3, -0.499_999_999, 1.0 / 3.0, 7.123_456_789, -5000.3, 9e5 + 0.1] {
+            let (hi, lo) = split([x; 3]);
+            let error = (f64::from(hi[0]) + f64::from(lo[0]) - x).abs();
+            assert!(error <= x.abs().max(0.25) * 2e-11, "{x}: {error:e}");
+        }
+    }
+
+    #[test]
+    fn failures_unpack() {
+        assert_eq!(failure([5 | 1 << 31, 7]), (5, 7, code::NEIGHBOURS));
+        assert_eq!(failure([5, 7 | 1 << 31]), (5, 7, code::POLYGON));
+        assert_eq!(failure([5 | 1 << 31, 7 | 1 << 31]), (5, 7, code::FINISH));
+    }
+}

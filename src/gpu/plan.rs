@@ -1,0 +1,209 @@
+//! All sizes, computed before anything is allocated.
+//!
+//! Purpose: numbers of things in, bytes of every buffer and shape of every dispatch out. The
+//! same [`Plan`] serves admission, allocation and the error message.
+//! Invariant: pure. A plan that comes back fits the limits it was made for.
+//! Must not know: the device itself, what the things are.
+
+use super::GpuError;
+use super::device::WORKGROUP;
+use super::layout::{Facet, Params, SUM_WORDS, Seed, State};
+
+/// Numbers of things that a session holds room for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Counts {
+    /// Facets.
+    pub facets: u64,
+    /// Seeds at most.
+    pub seeds: u64,
+    /// Entries of the neighbour table, longer rows included.
+    pub table: u64,
+    /// Slots of all facets' sets of cells.
+    pub slots: u64,
+    /// Pairs in the list.
+    pub pairs: u64,
+    /// Pairs whose pieces one emit dispatch writes.
+    pub emitted: u64,
+    /// Polygon vertices per pair.
+    pub polygon: u64,
+}
+
+/// What the device allows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Largest buffer, bytes.
+    pub buffer_bytes: u64,
+    /// Largest storage binding, bytes.
+    pub binding_bytes: u64,
+    /// Workgroups in one dimension.
+    pub workgroups: u32,
+}
+
+impl Limits {
+    /// Those of an open device.
+    pub fn of(limits: &wgpu::Limits) -> Self {
+        Self {
+            buffer_bytes: limits.max_buffer_size,
+            binding_bytes: limits.max_storage_buffer_binding_size,
+            workgroups: limits.max_compute_workgroups_per_dimension,
+        }
+    }
+}
+
+/// Pairs that one dispatch clips at most: tens of milliseconds on a software adapter, far below
+/// every watchdog, and few enough workgroups for one dimension.
+pub const BATCH: u32 = 1 << 18;
+/// Proposals that the host can add to the facets' first cells at once.
+pub const EXTRA_PROPOSALS: u64 = 4096;
+/// The part of a buffer that one readback copies at most.
+pub const STAGING_BYTES: u64 = 32 << 20;
+
+/// Bytes of every buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Plan {
+    /// What it was made for.
+    pub counts: Counts,
+    /// Seed records.
+    pub seeds_bytes: u64,
+    /// Facet records.
+    pub facets_bytes: u64,
+    /// Neighbour table.
+    pub table_bytes: u64,
+    /// Sets of cells.
+    pub slots_bytes: u64,
+    /// List of pairs.
+    pub list_bytes: u64,
+    /// Fixed-point sums.
+    pub sums_bytes: u64,
+    /// List of failures.
+    pub failures_bytes: u64,
+    /// Proposals.
+    pub proposals_bytes: u64,
+    /// Summary block.
+    pub state_bytes: u64,
+    /// Indirect arguments.
+    pub arguments_bytes: u64,
+    /// Parameters.
+    pub params_bytes: u64,
+    /// Heads of emitted pieces.
+    pub heads_bytes: u64,
+    /// Their vertices.
+    pub vertices_bytes: u64,
+    /// Their labels.
+    pub labels_bytes: u64,
+    /// Readback.
+    pub staging_bytes: u64,
+}
+
+impl Plan {
+    /// Bytes of everything.
+    ///
+    /// # Errors
+    /// `OutOfMemory` with the bytes of the first buffer that passes a limit.
+    pub fn new(counts: Counts, limits: Limits) -> Result<Self, GpuError> {
+        let seed = size_of::<Seed>() as u64;
+        let vertices = counts.emitted.saturating_mul(counts.polygon);
+        let sums_bytes = counts.seeds.saturating_mul(4 * SUM_WORDS as u64);
+        let vertices_bytes = vertices.saturating_mul(16);
+        let plan = Self {
+            counts,
+            seeds_bytes: counts.seeds.saturating_mul(seed),
+            facets_bytes: counts.facets.saturating_mul(size_of::<Facet>() as u64),
+            table_bytes: counts.table.saturating_mul(4),
+            slots_bytes: counts.slots.saturating_mul(4),
+            list_bytes: counts.pairs.saturating_mul(8),
+            sums_bytes,
+            failures_bytes: counts.pairs.saturating_mul(8),
+            proposals_bytes: counts.facets.saturating_add(EXTRA_PROPOSALS).saturating_mul(8),
+            state_bytes: size_of::<State>() as u64,
+            arguments_bytes: 16,
+            params_bytes: size_of::<Params>() as u64,
+            heads_bytes: counts.emitted.saturating_mul(16),
+            vertices_bytes,
+            labels_bytes: vertices.saturating_mul(4),
+            staging_bytes: sums_bytes.max(vertices_bytes).clamp(1 << 16, STAGING_BYTES),
+        };
+        let limit_bytes = limits.buffer_bytes.min(limits.binding_bytes);
+        for (what, needed_bytes) in plan.buffers() {
+            // Offsets within a buffer are 32-bit words on the device.
+            if needed_bytes > limit_bytes.min(16 << 30) {
+                return Err(GpuError::OutOfMemory { what: what.to_owned(), needed_bytes, limit_bytes });
+            }
+        }
+        Ok(plan)
+    }
+
+    /// Name and bytes of every buffer.
+    pub fn buffers(&self) -> [(&'static str, u64); 15] {
+        [
+            ("seeds", self.seeds_bytes),
+            ("facets", self.facets_bytes),
+            ("table", self.table_bytes),
+            ("slots", self.slots_bytes),
+            ("list", self.list_bytes),
+            ("sums", self.sums_bytes),
+            ("failures", self.failures_bytes),
+            ("proposals", self.proposals_bytes),
+            ("state", self.state_bytes),
+            ("arguments", self.arguments_bytes),
+            ("params", self.params_bytes),
+            ("heads", self.heads_bytes),
+            ("vertices", self.vertices_bytes),
+            ("labels", self.labels_bytes),
+            ("staging", self.staging_bytes),
+        ]
+    }
+
+    /// Bytes of all buffers together: what admission reserves.
+    pub fn total_bytes(&self) -> u64 {
+        self.buffers().iter().fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
+    }
+}
+
+/// Workgroups in x and y for `items` invocations. The shaders number them row by row.
+pub fn dispatch(items: u64, limits: Limits) -> [u32; 2] {
+    let groups = items.div_ceil(u64::from(WORKGROUP)).max(1);
+    let x = groups.min(u64::from(limits.workgroups));
+    let y = groups.div_ceil(x);
+    [x as u32, y as u32]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: Limits = Limits { buffer_bytes: 256 << 20, binding_bytes: 128 << 20, workgroups: 65_535 };
+
+    fn counts(n: u64) -> Counts {
+        Counts { facets: n, seeds: n, table: 25 * n, slots: 16 * n, pairs: 5 * n, emitted: 65_536, polygon: 10 }
+    }
+
+    #[test]
+    fn a_million_facets_and_seeds_fit_128_mib_bindings() {
+        let plan = Plan::new(counts(1_000_000), LIMITS).unwrap();
+        assert_eq!(plan.facets_bytes, 96_000_000);
+        assert_eq!(plan.total_bytes(), plan.buffers().iter().map(|b| b.1).sum::<u64>());
+    }
+
+    #[test]
+    fn refusal_names_buffer_and_bytes() {
+        let error = Plan::new(counts(2_000_000), LIMITS).unwrap_err();
+        let GpuError::OutOfMemory { what, needed_bytes, limit_bytes } = error else { panic!("{error}") };
+        assert_eq!((what.as_str(), needed_bytes, limit_bytes), ("facets", 192_000_000, 128 << 20));
+    }
+
+    #[test]
+    fn absurd_counts_do_not_overflow() {
+        assert!(Plan::new(counts(u64::MAX / 8), LIMITS).is_err());
+    }
+
+    #[test]
+    fn dispatches_cover_their_items() {
+        for items in [0, 1, 64, 65, 65_535 * 64, 65_535 * 64 + 1, 100_000_000] {
+            let [x, y] = dispatch(items, LIMITS);
+            assert!(x <= 65_535 && y <= 65_535);
+            assert!(u64::from(x) * u64::from(y) * 64 >= items);
+        }
+        assert!(BATCH.div_ceil(WORKGROUP) <= LIMITS.workgroups);
+    }
+}

@@ -1,0 +1,142 @@
+//! STL, ascii and binary, through the `stl_io` crate.
+//!
+//! Purpose: bytes to triangles and back. Corners with the same position bits become one vertex
+//! (0 and -0 are the same), numbered by first use; normals are left aside.
+//! Why some of the reading is done around the crate: it takes every file that begins with "solid " for
+//! ascii, which many binary ones do; of several solids it reads the first; and it wants
+//! keywords in lower case and a name after "solid".
+//! Must not know: other formats.
+
+use std::collections::HashMap;
+use std::io::{Cursor, ErrorKind, Read, Seek};
+
+use glam::DVec3;
+use stl_io::{Normal, Triangle, Vertex};
+
+use super::{DataError, Soup};
+use crate::mesh::TriMesh;
+
+const HEADER: usize = 84;
+const RECORD: usize = 50;
+
+pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
+    let mut welder = Welder::default();
+    if is_ascii(bytes) {
+        let text = bytes.to_ascii_lowercase();
+        for solid in solids(&text) {
+            welder.read(&mut Cursor::new(solid))?;
+        }
+    } else {
+        let declared = declared_facets(bytes);
+        let held = bytes.len().saturating_sub(HEADER) / RECORD;
+        match declared {
+            Some(declared) if declared <= held => {}
+            Some(declared) => {
+                return Err(DataError::Truncated(format!("{declared} facets are declared and {held} are there")));
+            }
+            None => return Err(DataError::Truncated("it ends inside the header".to_owned())),
+        }
+        // Without its title, so that the title cannot say "solid".
+        let mut untitled = bytes.to_vec();
+        untitled[..80].fill(0);
+        welder.read(&mut Cursor::new(untitled))?;
+    }
+    Ok(welder.soup)
+}
+
+pub(super) fn encode(mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
+    let limit = f64::from(f32::MAX);
+    if let Some(vertex) = mesh.positions().iter().position(|p| p.abs().max_element() > limit) {
+        let [x, y, z] = mesh.positions()[vertex].to_array();
+        return Err(DataError::SinglePrecision { vertex, x, y, z });
+    }
+    let triangles: Vec<Triangle> = (0..mesh.facets().len())
+        .map(|facet| {
+            let [a, b, c] = mesh.corners(facet);
+            // Scaled first, so that a small surface keeps its normals.
+            let (ab, ac) = (b - a, c - a);
+            let size = ab.abs().max(ac.abs()).max_element();
+            let scale = if size > 0.0 { size } else { 1.0 };
+            let normal = (ab / scale).cross(ac / scale).normalize_or_zero();
+            let single = |p: DVec3| p.as_vec3().to_array();
+            Triangle { normal: Normal::new(single(normal)), vertices: [a, b, c].map(|p| Vertex::new(single(p))) }
+        })
+        .collect();
+    let mut out = Vec::with_capacity(HEADER + RECORD * triangles.len());
+    match stl_io::write_stl(&mut out, triangles.iter()) {
+        Ok(()) => Ok(out),
+        Err(error) => Err(DataError::Header(error.to_string())),
+    }
+}
+
+fn declared_facets(bytes: &[u8]) -> Option<usize> {
+    let count = bytes.get(80..HEADER)?.first_chunk::<4>()?;
+    Some(u32::from_le_bytes(*count) as usize)
+}
+
+/// Text begins with "solid" and has not exactly the size that a binary file of its count would have.
+fn is_ascii(bytes: &[u8]) -> bool {
+    let binary_size = declared_facets(bytes).and_then(|n| n.checked_mul(RECORD)).map(|n| n + HEADER);
+    let start = bytes.trim_ascii_start();
+    start.get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
+        && binary_size != Some(bytes.len())
+        // A binary file that is cut short has a size of its own, but hardly text throughout.
+        && !bytes[..bytes.len().min(512)].contains(&0)
+}
+
+/// Each solid of an ascii file, under a title that the crate takes.
+fn solids(text: &[u8]) -> Vec<Vec<u8>> {
+    let mut solids: Vec<Vec<u8>> = Vec::new();
+    let mut open = false;
+    for line in text.split(|&b| b == b'\n') {
+        let word = line.trim_ascii();
+        if word.is_empty() {
+            continue;
+        }
+        if !open {
+            solids.push(b"solid -\n".to_vec());
+            open = true;
+            if word.starts_with(b"solid") {
+                continue;
+            }
+        }
+        if let Some(solid) = solids.last_mut() {
+            solid.extend_from_slice(word);
+            solid.push(b'\n');
+        }
+        open = !word.starts_with(b"endsolid");
+    }
+    solids
+}
+
+#[derive(Default)]
+struct Welder {
+    soup: Soup,
+    numbers: HashMap<[u32; 3], u32>,
+}
+
+impl Welder {
+    fn read<R: Read + Seek>(&mut self, source: &mut R) -> Result<(), DataError> {
+        let failed = |index: usize, error: std::io::Error| match error.kind() {
+            ErrorKind::UnexpectedEof => DataError::Truncated(format!("it ends in or after facet {index}")),
+            _ => DataError::Element { element: "facet", index, message: error.to_string().chars().take(160).collect() },
+        };
+        let facets = stl_io::create_stl_reader(source).map_err(|error| failed(0, error))?;
+        for triangle in facets {
+            let triangle = triangle.map_err(|error| failed(self.soup.facets.len(), error))?;
+            let facet = triangle.vertices.map(|v| self.number(v.0));
+            self.soup.facets.push(facet);
+        }
+        Ok(())
+    }
+
+    fn number(&mut self, position: [f32; 3]) -> u32 {
+        // Adding 0 makes -0 the same as 0.
+        let next = self.soup.positions.len() as u32;
+        let number = *self.numbers.entry(position.map(|x| (x + 0.0).to_bits())).or_insert(next);
+        if number == next {
+            self.soup.positions.push(DVec3::from_array(position.map(f64::from)));
+        }
+        number
+    }
+}

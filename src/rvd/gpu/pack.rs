@@ -1,0 +1,132 @@
+//! Records for the device from the surface and the seeds.
+//!
+//! Purpose: f64 in, the shaders' records out; how many slots each facet's set of cells gets.
+//! Invariant: frames are computed in f64 and rounded once.
+//! Must not know: the device.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::gpu::layout::{self, split};
+use crate::knn::NeighbourTable;
+use crate::rvd::Surface;
+
+/// What a facet is expected to meet: a triangle of area a and perimeter p meets about
+/// 1 + a / h² + 0.9 p / h cells of spacing h (measured within a few percent on relaxed seeds).
+pub fn expected_cells(surface: &Surface, seeds: usize) -> Vec<f64> {
+    let h2 = surface.area() / seeds.max(1) as f64;
+    let h = h2.sqrt();
+    let estimate = |f: usize| {
+        if surface.skips(f) {
+            return 0.0;
+        }
+        let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
+        let area = 0.5 * (b - a).cross(c - a).length();
+        let perimeter = a.distance(b) + b.distance(c) + c.distance(a);
+        // No facet meets more cells than there are seeds.
+        (1.0 + area / h2 + 0.9 * perimeter / h).min(seeds as f64)
+    };
+    (0..surface.facets().len()).into_par_iter().map(estimate).collect()
+}
+
+/// Log2 of every facet's slots: at least `cells`, and twice what is expected. `cells` below the
+/// default shrinks the expectation too, since it asks for a small start.
+pub fn first_slots(expected: &[f64], cells: usize, default_cells: usize) -> Vec<u8> {
+    let share = (cells as f64 / default_cells as f64).min(1.0);
+    let log2 = |cells_in_facet: f64| {
+        if cells_in_facet == 0.0 {
+            return 0;
+        }
+        let wanted = ((2.0 * share * cells_in_facet) as usize).max(cells).max(1);
+        wanted.next_power_of_two().ilog2().min(30) as u8
+    };
+    expected.iter().map(|&e| log2(e)).collect()
+}
+
+/// Slots of all facets together.
+pub fn slot_count(log2: &[u8]) -> u64 {
+    log2.iter().map(|&l| 1u64 << l).sum()
+}
+
+/// The records of all facets. Degenerate ones are zero but for their slots.
+pub fn facets(surface: &Surface, slots_log2: &[u8]) -> Vec<layout::Facet> {
+    let mut records: Vec<layout::Facet> = (0..surface.facets().len())
+        .into_par_iter()
+        .map(|f| if surface.skips(f) { layout::Facet::default() } else { facet(surface, f) })
+        .collect();
+    assign_slots(&mut records, slots_log2);
+    records
+}
+
+/// Lays the sets of cells one behind the other.
+pub fn assign_slots(records: &mut [layout::Facet], slots_log2: &[u8]) {
+    let mut begin = 0u32;
+    for (record, &log2) in records.iter_mut().zip(slots_log2) {
+        record.slot_begin = begin;
+        record.slot_mask = (1u32 << log2) - 1;
+        begin = begin.wrapping_add(1 << log2);
+    }
+}
+
+fn facet(surface: &Surface, f: usize) -> layout::Facet {
+    let corners = surface.facets()[f];
+    let [a, b, c] = corners.map(|v| surface.positions()[v as usize]);
+    let [wa, wb, wc] = corners.map(|v| surface.weights()[v as usize]);
+    let e1 = (b - a).normalize();
+    let n = (b - a).cross(c - a).normalize();
+    let e2 = n.cross(e1).normalize();
+    let (length, u, v) = ((b - a).dot(e1), (c - a).dot(e1), (c - a).dot(e2));
+    let weight_u = (wb - wa) / length;
+    let weight_v = ((wc - wa) - weight_u * u) / v;
+    let (hi, lo) = split(a.to_array());
+    layout::Facet {
+        hi,
+        slot_begin: 0,
+        lo,
+        slot_mask: 0,
+        e1: e1.as_vec3().to_array(),
+        corner1_u: length as f32,
+        e2: e2.as_vec3().to_array(),
+        corner2_u: u as f32,
+        n: n.as_vec3().to_array(),
+        corner2_v: v as f32,
+        weight: wa as f32,
+        weight_u: weight_u as f32,
+        weight_v: weight_v as f32,
+        weight_top: wa.max(wb).max(wc) as f32,
+    }
+}
+
+/// Seed records and the table of neighbours, rows packed one behind the other.
+pub fn seeds(seeds: &[DVec3], table: &NeighbourTable, records: &mut Vec<layout::Seed>, packed: &mut Vec<u32>) {
+    records.clear();
+    packed.clear();
+    records.reserve(seeds.len());
+    for (i, seed) in seeds.iter().enumerate() {
+        let (row, complete) = table.row(i as u32);
+        records.push(record(*seed, packed.len() as u32, row.len() as u32, complete));
+        packed.extend_from_slice(row);
+    }
+}
+
+/// One seed record.
+pub fn record(seed: DVec3, row_begin: u32, row_length: u32, complete: bool) -> layout::Seed {
+    let (hi, lo) = split(seed.to_array());
+    layout::Seed { hi, row_begin, lo, row_length: row_length | if complete { layout::COMPLETE } else { 0 } }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slots_follow_expectation_and_capacity() {
+        assert_eq!(first_slots(&[0.0, 2.7, 9.0, 5000.0], 16, 16), vec![0, 4, 5, 14]);
+        assert_eq!(first_slots(&[0.0, 2.7, 5000.0], 2, 16), vec![0, 1, 11]);
+        let log2 = [4, 0, 3];
+        let mut records = vec![layout::Facet::default(); 3];
+        assign_slots(&mut records, &log2);
+        assert_eq!(records.iter().map(|r| (r.slot_begin, r.slot_mask)).collect::<Vec<_>>(), [(0, 15), (16, 0), (17, 7)]);
+        assert_eq!(slot_count(&log2), 25);
+    }
+}

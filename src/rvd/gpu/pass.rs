@@ -1,0 +1,214 @@
+//! One pass over a range of facets.
+//!
+//! Purpose: seed the list, run clip dispatches until it is drained, hand failures to
+//! [`super::relaunch`], and begin again with more room where a set or the list was full.
+//! Invariant: a pass that returns has every pair of its facets done, on the device or in f64.
+//! Must not know: what failures need.
+
+use std::collections::HashSet;
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::{GpuSession, fixed, pack};
+use crate::gpu::buffers;
+use crate::gpu::layout::{Params, ROOT, SUM_WORDS, State, code, failure};
+use crate::gpu::plan::{BATCH, Limits, dispatch};
+use crate::rvd::{CancelFlag, PassStats, RvdError, elapsed_ms};
+
+/// What a pass leaves beside the sums on the device.
+#[derive(Default)]
+pub(super) struct PassResult {
+    /// Pieces that the host clipped: seed and sums.
+    pub finished: Vec<(u32, fixed::Units)>,
+    /// Facets that the host walked as a whole.
+    pub walked: HashSet<u32>,
+    /// Parts of the list that repeat earlier pairs.
+    pub repeats: Vec<Range<u32>>,
+    /// Pairs in the list, repeats included.
+    pub length: u32,
+}
+
+/// Which variant of the clip stage a launch uses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Variant {
+    Registers,
+    Large,
+}
+
+/// Clip dispatches per submission: at first, and at most.
+const STEPS: (u32, u32) = (8, 64);
+/// A submission that took longer than this is not made longer.
+const SUBMISSION_MS: f64 = 50.0;
+
+impl GpuSession {
+    /// Brings the pairs of `facets` to their end.
+    pub(super) fn run_pass(
+        &mut self,
+        facets: Range<u32>,
+        cancel: &CancelFlag,
+        stats: &mut PassStats,
+    ) -> Result<(), RvdError> {
+        while !self.attempt(facets.clone(), cancel, stats)? {}
+        Ok(())
+    }
+
+    /// One attempt from zero. `false` if a capacity had to grow.
+    fn attempt(
+        &mut self,
+        facets: Range<u32>,
+        cancel: &CancelFlag,
+        stats: &mut PassStats,
+    ) -> Result<bool, RvdError> {
+        self.pass = PassResult::default();
+        let mut state = self.launch_roots(facets, cancel)?;
+        let mut tried_large = HashSet::new();
+        loop {
+            if state.list_overflow + state.cells_overflow > 0 {
+                self.grow(state, stats)?;
+                return Ok(false);
+            }
+            self.pass.length = state.length;
+            if state.failures == 0 {
+                break;
+            }
+            match self.relaunch(state, &mut tried_large, cancel, stats)? {
+                Some(next) => state = next,
+                None => return Ok(false),
+            }
+        }
+        stats.pairs += u64::from(state.pieces) + self.pass.finished.len() as u64;
+        Ok(true)
+    }
+
+    /// Clears what the pass uses, enters the facets' first cells and drains the list.
+    fn launch_roots(&mut self, facets: Range<u32>, cancel: &CancelFlag) -> Result<State, RvdError> {
+        let first = self.roots.partition_point(|r| r[0] < facets.start);
+        let last = self.roots.partition_point(|r| r[0] < facets.end);
+        let roots = Params {
+            propose_begin: first as u32,
+            propose_count: (last - first) as u32,
+            propose_root: ROOT,
+            ..self.params()
+        };
+        let slot = |f: u32| {
+            let end = u64::from(self.facets[f as usize].slot_begin) + u64::from(self.facets[f as usize].slot_mask) + 1;
+            (u64::from(self.facets[f as usize].slot_begin) * 4, end * 4)
+        };
+        let cleared = (!facets.is_empty()).then(|| slot(facets.start).0..slot(facets.end - 1).1);
+        let seeds = self.seeds.len();
+        let device = Arc::clone(&self.device);
+        let buffers = &self.resident()?.buffers;
+        let mut encoder = device.encoder();
+        if let Some(range) = cleared {
+            encoder.clear_buffer(&buffers.slots, range.start, Some(range.end - range.start));
+        }
+        encoder.clear_buffer(&buffers.sums, 0, Some((seeds * SUM_WORDS * 4) as u64));
+        buffers::write(&device, &buffers.state, 0, &[State::default()])?;
+        if last == first {
+            device.run(encoder)?;
+            return Ok(State::default());
+        }
+        self.drain(encoder, Some(roots), Variant::Registers, 0, cancel)
+    }
+
+    /// Runs clip steps until the list is drained or something is full. `proposals` are entered
+    /// first. The first `large` pairs after the head go through the variant with many slots.
+    pub(super) fn drain(
+        &mut self,
+        mut encoder: wgpu::CommandEncoder,
+        proposals: Option<Params>,
+        first: Variant,
+        pairs: u32,
+        cancel: &CancelFlag,
+    ) -> Result<State, RvdError> {
+        let mut params = proposals;
+        let mut steps = if first == Variant::Large { pairs.div_ceil(BATCH) } else { STEPS.0 };
+        let mut variant = first;
+        loop {
+            cancel.check()?;
+            let begin = Instant::now();
+            let state = self.submit(encoder, params.take(), variant, steps)?;
+            if state.list_overflow + state.cells_overflow > 0 || state.head >= state.length {
+                return Ok(state);
+            }
+            steps = match variant {
+                Variant::Large => STEPS.0,
+                Variant::Registers if elapsed_ms(begin) < SUBMISSION_MS => (steps * 2).min(STEPS.1),
+                Variant::Registers => steps,
+            };
+            variant = Variant::Registers;
+            encoder = self.device.encoder();
+        }
+    }
+
+    /// One submission: proposals, then `steps` times prepare and clip. Returns the summary.
+    fn submit(
+        &mut self,
+        mut encoder: wgpu::CommandEncoder,
+        proposals: Option<Params>,
+        variant: Variant,
+        steps: u32,
+    ) -> Result<State, RvdError> {
+        let params = proposals.unwrap_or_else(|| self.params());
+        let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
+        let limits = Limits::of(&device.limits());
+        let resident = self.resident()?;
+        buffers::write(&device, &resident.buffers.params, 0, &[params])?;
+        {
+            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            if proposals.is_some() {
+                let [x, y] = dispatch(params.propose_count.into(), limits);
+                compute.set_pipeline(&pipelines.propose);
+                compute.set_bind_group(0, &resident.bindings.propose, &[]);
+                compute.dispatch_workgroups(x, y, 1);
+            }
+            let (clip, bindings) = match variant {
+                Variant::Registers => (&pipelines.clip, &resident.bindings.clip),
+                Variant::Large => (&pipelines.clip_large, &resident.bindings.clip_large),
+            };
+            for _ in 0..steps {
+                compute.set_pipeline(&pipelines.prepare);
+                compute.set_bind_group(0, &resident.bindings.prepare, &[]);
+                compute.dispatch_workgroups(1, 1, 1);
+                compute.set_pipeline(clip);
+                compute.set_bind_group(0, bindings, &[]);
+                compute.dispatch_workgroups_indirect(&resident.buffers.arguments, 0);
+            }
+        }
+        let mut state = State::default();
+        resident.buffers.read_with(&device, encoder, &resident.buffers.state, 0..1, |s| state = s[0])?;
+        Ok(state)
+    }
+
+    /// More slots for the facets whose sets were full, a longer list if it was. What has grown
+    /// stays for the life of the session.
+    fn grow(&mut self, state: State, stats: &mut PassStats) -> Result<(), RvdError> {
+        stats.relaunched_cells += u64::from(state.cells_overflow) + u64::from(state.list_overflow);
+        if state.cells_overflow > 0 {
+            let device = Arc::clone(&self.device);
+            let stored = (state.failures as usize).min(self.counts.pairs as usize);
+            let buffers = &self.resident()?.buffers;
+            let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..stored)?;
+            let full: HashSet<u32> =
+                failures.iter().map(|&e| failure(e)).filter(|f| f.2 == code::CELLS).map(|f| f.0).collect();
+            for facet in full {
+                // Four times as many, but never more than all seeds need.
+                let most = (self.seeds.len() * 2).next_power_of_two().ilog2() as u8;
+                let log2 = &mut self.slots_log2[facet as usize];
+                *log2 = (*log2 + 2).min(most.max(*log2 + 1));
+            }
+            self.counts.slots = pack::slot_count(&self.slots_log2);
+            pack::assign_slots(&mut self.facets, &self.slots_log2);
+        }
+        if state.list_overflow > 0 {
+            self.grow_list(u64::from(state.length));
+        }
+        self.release()
+    }
+
+    /// Room for `pairs` pairs and half as many again.
+    pub(super) fn grow_list(&mut self, pairs: u64) {
+        self.counts.pairs = (self.counts.pairs * 2).max(pairs + pairs / 2);
+    }
+}

@@ -1,0 +1,140 @@
+//! The pieces themselves.
+//!
+//! Purpose: a pass finds the pairs of a range of facets; then batches of them are clipped once
+//! more by the stage that writes polygons, and converted to the unit frame in f64.
+//! Invariant: one batch of polygons at a time is on the device and in readback memory; pieces
+//! come out by facet, then seed.
+//! Must not know: sums.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::{DVec3, dvec3};
+
+use super::GpuSession;
+use crate::gpu::buffers;
+use crate::gpu::layout::Params;
+use crate::gpu::plan::{Limits, dispatch};
+use crate::rvd::cells::PieceBatch;
+use crate::rvd::{CancelFlag, PassStats, RvdError, elapsed_ms};
+
+/// Status of a pair that ended, in the heads that the device writes.
+const DONE: u32 = 0;
+
+/// One batch as read back.
+struct Emitted {
+    heads: Vec<[u32; 4]>,
+    vertices: Vec<[f32; 4]>,
+    labels: Vec<u32>,
+}
+
+impl GpuSession {
+    pub(super) fn compute_pieces(
+        &mut self,
+        facets: Range<u32>,
+        out: &mut PieceBatch,
+        cancel: &CancelFlag,
+    ) -> Result<PassStats, RvdError> {
+        out.clear();
+        let end = facets.end.min(self.facets.len() as u32);
+        let facets = facets.start.min(end)..end;
+        let mut stats = self.begin_pass()?;
+        let begin = Instant::now();
+        self.run_pass(facets, cancel, &mut stats)?;
+        stats.clip_ms = elapsed_ms(begin);
+        let begin = Instant::now();
+        let length = self.pass.length;
+        let batch = self.counts.emitted as u32;
+        let mut first = 0;
+        while first < length {
+            cancel.check()?;
+            let count = batch.min(length - first);
+            let emitted = self.emit(first, count)?;
+            self.collect(first, &emitted, out);
+            first += count;
+        }
+        self.collect_walked(out);
+        out.sort();
+        stats.pairs = out.len() as u64;
+        stats.update_ms += elapsed_ms(begin);
+        Ok(stats)
+    }
+
+    fn emit(&mut self, first: u32, count: u32) -> Result<Emitted, RvdError> {
+        let params = Params { emit_begin: first, emit_count: count, ..self.params() };
+        let (device, pipelines, slots) = (Arc::clone(&self.device), Arc::clone(&self.pipelines), self.slots);
+        let limits = Limits::of(&device.limits());
+        let resident = self.resident()?;
+        let buffers = &resident.buffers;
+        buffers::write(&device, &buffers.params, 0, &[params])?;
+        let mut encoder = device.encoder();
+        {
+            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            let [x, y] = dispatch(count.into(), limits);
+            compute.set_pipeline(&pipelines.emit);
+            compute.set_bind_group(0, &resident.bindings.emit, &[]);
+            compute.dispatch_workgroups(x, y, 1);
+        }
+        device.run(encoder)?;
+        let vertices = count as usize * slots;
+        Ok(Emitted {
+            heads: buffers.read(&device, &buffers.heads, 0..count as usize)?,
+            vertices: buffers.read(&device, &buffers.vertices, 0..vertices)?,
+            labels: buffers.read(&device, &buffers.labels, 0..vertices)?,
+        })
+    }
+
+    fn collect(&mut self, first: u32, emitted: &Emitted, out: &mut PieceBatch) {
+        for (k, &[facet, seed, size, status]) in emitted.heads.iter().enumerate() {
+            let at = first + k as u32;
+            if self.pass.walked.contains(&facet) || self.pass.repeats.iter().any(|r| r.contains(&at)) {
+                continue;
+            }
+            if status != DONE {
+                self.collect_pair(facet, seed, out);
+                continue;
+            }
+            if size == 0 {
+                continue;
+            }
+            let origin = self.seeds[seed as usize];
+            let vertices = k * self.slots..k * self.slots + size as usize;
+            out.push(
+                facet,
+                seed,
+                vertices.map(|v| {
+                    let [x, y, z, w] = emitted.vertices[v].map(f64::from);
+                    (origin + dvec3(x, y, z), w, emitted.labels[v])
+                }),
+            );
+        }
+    }
+
+    /// A pair that the device cannot write: too many vertices for the slots, or finished in f64.
+    fn collect_pair(&mut self, facet: u32, seed: u32, out: &mut PieceBatch) {
+        let mut walker = std::mem::take(&mut self.walker);
+        let mut ignored = PassStats::default();
+        walker.clip_to_end(self.diagram(), facet, seed, self.capacities, &mut ignored);
+        push(facet, seed, self.seeds[seed as usize], walker.clipper().polygon(), out);
+        self.walker = walker;
+    }
+
+    fn collect_walked(&mut self, out: &mut PieceBatch) {
+        let mut walker = std::mem::take(&mut self.walker);
+        let mut ignored = PassStats::default();
+        for &facet in &self.pass.walked {
+            let start = self.starts[facet as usize];
+            walker.walk(self.diagram(), facet, start, self.capacities, &mut ignored, |i, clipper| {
+                push(facet, i, self.seeds[i as usize], clipper.polygon(), out);
+            });
+        }
+        self.walker = walker;
+    }
+}
+
+fn push(facet: u32, seed: u32, origin: DVec3, polygon: &[crate::rvd::clip::Vertex], out: &mut PieceBatch) {
+    if !polygon.is_empty() {
+        out.push(facet, seed, polygon.iter().map(|v| (origin + v.p, v.w, v.edge)));
+    }
+}

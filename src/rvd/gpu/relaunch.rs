@@ -1,0 +1,229 @@
+//! Pairs that did not end.
+//!
+//! Purpose: longer rows for `NeighboursExhausted`, more slots for `PolygonOverflow`, f64 for the
+//! rest; then the pairs are put to the end of the list and launched again.
+//! Invariant: nothing is dropped. A relaunched pair sees a longer prefix of the same row, so
+//! capacities cannot change its polygon.
+//! Must not know: how a launch works.
+
+use std::collections::HashSet;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::pass::Variant;
+use super::{EXTRA_PROPOSALS, GpuSession, fixed, pack};
+use crate::gpu::buffers;
+use crate::gpu::layout::{INDEX, Params, ROOT, State, code, failure};
+use crate::knn::NeighbourRow;
+use crate::rvd::cells::facet_edge;
+use crate::rvd::{CancelFlag, PassStats, RvdError};
+
+/// The longest row that is sent to the device.
+const LONGEST_ROW: u32 = 4096;
+
+type Pair = (u32, u32);
+
+/// What is to be done with the pairs that failed.
+#[derive(Default)]
+struct Plans {
+    again: Vec<Pair>,
+    large: Vec<Pair>,
+    finish: Vec<Pair>,
+    rows: Vec<u32>,
+}
+
+impl GpuSession {
+    /// Gives the failed pairs what they lack and launches them again. `None` if a buffer had to
+    /// grow for it, so that the pass must begin anew.
+    pub(super) fn relaunch(
+        &mut self,
+        state: State,
+        tried_large: &mut HashSet<Pair>,
+        cancel: &CancelFlag,
+        stats: &mut PassStats,
+    ) -> Result<Option<State>, RvdError> {
+        let device = Arc::clone(&self.device);
+        let buffers = &self.resident()?.buffers;
+        let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..state.failures as usize)?;
+        let plans = self.sort_out(&failures, tried_large);
+        stats.relaunched_neighbours += plans.again.len() as u64;
+        stats.relaunched_polygon += plans.large.len() as u64;
+        if !self.lengthen(&plans.rows)? {
+            return Ok(None);
+        }
+        let pieces = self.pass.finished.len();
+        let proposals = self.finish(&plans.finish, cancel)?;
+        stats.f64_finished += (self.pass.finished.len() - pieces) as u64;
+
+        let mut state = State { failures: 0, ..state };
+        for (pairs, variant) in [(&plans.again, Variant::Registers), (&plans.large, Variant::Large)] {
+            if pairs.is_empty() {
+                continue;
+            }
+            match self.launch_again(state, pairs, variant, cancel)? {
+                Some(next) => state = next,
+                None => return Ok(None),
+            }
+            if state.list_overflow + state.cells_overflow > 0 {
+                return Ok(Some(state));
+            }
+        }
+        for part in proposals.chunks(EXTRA_PROPOSALS as usize) {
+            state = self.launch_proposals(part, state, cancel)?;
+            if state.list_overflow + state.cells_overflow > 0 {
+                break;
+            }
+        }
+        Ok(Some(state))
+    }
+
+    fn sort_out(&self, failures: &[[u32; 2]], tried_large: &mut HashSet<Pair>) -> Plans {
+        let mut plans = Plans::default();
+        for &entry in failures {
+            let (facet, seed, why) = failure(entry);
+            let pair = (facet, seed);
+            let length = self.records[seed as usize].row_length & INDEX;
+            match why {
+                code::NEIGHBOURS if length < LONGEST_ROW => {
+                    plans.rows.push(seed);
+                    let list = if tried_large.contains(&pair) { &mut plans.large } else { &mut plans.again };
+                    list.push(pair);
+                }
+                code::POLYGON if tried_large.insert(pair) => plans.large.push(pair),
+                _ => plans.finish.push(pair),
+            }
+        }
+        // The device lists failures in no order; the host works in one.
+        for list in [&mut plans.again, &mut plans.large, &mut plans.finish] {
+            list.sort_unstable();
+        }
+        plans.rows.sort_unstable();
+        plans.rows.dedup();
+        plans
+    }
+
+    /// Four times longer rows for `seeds`, behind the table. `false` if the table had to grow.
+    fn lengthen(&mut self, seeds: &[u32]) -> Result<bool, RvdError> {
+        let (index, records) = (&self.index, &self.records);
+        let query = |&i: &u32| {
+            let mut row = NeighbourRow::default();
+            // Rows stop short of ties, so the next length counts from what was asked for.
+            let mut k = ((records[i as usize].row_length & INDEX).max(1) * 4).min(LONGEST_ROW) as usize;
+            loop {
+                index.row(i, k, &mut row);
+                if row.complete || row.seeds.len() > (records[i as usize].row_length & INDEX) as usize {
+                    return row;
+                }
+                // All of them at one distance: only a row that reaches past them says more.
+                k *= 4;
+            }
+        };
+        let rows: Vec<NeighbourRow> = seeds.par_iter().map(query).collect();
+        let first = self.packed.len();
+        for (&i, row) in seeds.iter().zip(&rows) {
+            let begin = self.packed.len() as u32;
+            self.records[i as usize] =
+                pack::record(self.seeds[i as usize], begin, row.seeds.len() as u32, row.complete);
+            self.packed.extend_from_slice(&row.seeds);
+        }
+        if self.packed.len() as u64 > self.counts.table {
+            self.counts.table = self.packed.len() as u64 * 3 / 2;
+            self.release()?;
+            return Ok(false);
+        }
+        let device = Arc::clone(&self.device);
+        let all = (seeds.len() * 4 > self.records.len()).then(|| self.records.clone());
+        let changed: Vec<_> = seeds.iter().map(|&i| (i, self.records[i as usize])).collect();
+        let tail = self.packed[first..].to_vec();
+        let buffers = &self.resident()?.buffers;
+        buffers::write(&device, &buffers.table, first, &tail)?;
+        match all {
+            Some(records) => buffers::write(&device, &buffers.seeds, 0, &records)?,
+            None => {
+                for (i, record) in changed {
+                    buffers::write(&device, &buffers.seeds, i as usize, &[record])?;
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    /// Clips pairs in f64 and notes their sums. Returns the cells across their bisectors. A pair
+    /// that began its facet is finished with the whole facet: the device found nothing there.
+    fn finish(&mut self, pairs: &[Pair], cancel: &CancelFlag) -> Result<Vec<[u32; 2]>, RvdError> {
+        let mut proposals = Vec::new();
+        let mut walker = std::mem::take(&mut self.walker);
+        // The walker counts what it does again; the device's relaunches are what is reported.
+        let mut ignored = PassStats::default();
+        for &(facet, seed) in pairs {
+            cancel.check()?;
+            if self.starts[facet as usize] == seed {
+                let mut found = Vec::new();
+                walker.walk(self.diagram(), facet, seed, self.capacities, &mut ignored, |i, clipper| {
+                    found.push((i, fixed::encode(&clipper.integrals(), &self.scales)));
+                });
+                self.pass.finished.append(&mut found);
+                self.pass.walked.insert(facet);
+                continue;
+            }
+            walker.clip_to_end(self.diagram(), facet, seed, self.capacities, &mut ignored);
+            let clipper = walker.clipper();
+            if clipper.polygon().is_empty() {
+                continue;
+            }
+            self.pass.finished.push((seed, fixed::encode(&clipper.integrals(), &self.scales)));
+            let labels = clipper.polygon().iter().map(|v| v.edge).filter(|&j| facet_edge(j).is_none());
+            proposals.extend(labels.map(|j| [facet, j]));
+        }
+        self.walker = walker;
+        Ok(proposals)
+    }
+
+    fn launch_again(
+        &mut self,
+        state: State,
+        pairs: &[Pair],
+        variant: Variant,
+        cancel: &CancelFlag,
+    ) -> Result<Option<State>, RvdError> {
+        let end = u64::from(state.length) + pairs.len() as u64;
+        if end > self.counts.pairs {
+            self.grow_list(end);
+            self.release()?;
+            return Ok(None);
+        }
+        let root = |facet: u32, seed: u32| if self.starts[facet as usize] == seed { ROOT } else { 0 };
+        let entries: Vec<[u32; 2]> = pairs.iter().map(|&(f, i)| [f, i | root(f, i)]).collect();
+        let next = State { head: state.length, length: end as u32, ..state };
+        let device = Arc::clone(&self.device);
+        let buffers = &self.resident()?.buffers;
+        buffers::write(&device, &buffers.list, state.length as usize, &entries)?;
+        buffers::write(&device, &buffers.state, 0, &[next])?;
+        self.pass.repeats.push(state.length..end as u32);
+        let encoder = device.encoder();
+        self.drain(encoder, None, variant, pairs.len() as u32, cancel).map(Some)
+    }
+
+    fn launch_proposals(
+        &mut self,
+        proposals: &[[u32; 2]],
+        state: State,
+        cancel: &CancelFlag,
+    ) -> Result<State, RvdError> {
+        let first = self.counts.facets as usize;
+        let params = Params {
+            propose_begin: first as u32,
+            propose_count: proposals.len() as u32,
+            propose_root: 0,
+            ..self.params()
+        };
+        let device = Arc::clone(&self.device);
+        let buffers = &self.resident()?.buffers;
+        buffers::write(&device, &buffers.proposals, first, proposals)?;
+        // The failures were read; the device's count of them was not reset if nothing ran since.
+        buffers::write(&device, &buffers.state, 0, &[State { head: state.length, ..state }])?;
+        let encoder = device.encoder();
+        self.drain(encoder, Some(params), Variant::Registers, 0, cancel)
+    }
+}

@@ -1,0 +1,95 @@
+//! Promise: every shader is valid WGSL and every record has one layout on both sides. No GPU.
+
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use tessera::gpu::layout;
+use tessera::gpu::shader::{SOURCES, compose};
+
+fn parse(stage: &str, slots: i64, array: i64) -> naga::Module {
+    let source = compose(stage, &[("SLOTS", slots), ("ARRAY", array)]).unwrap();
+    let module = naga::front::wgsl::parse_str(&source)
+        .unwrap_or_else(|e| panic!("{stage}, {slots} slots:\n{}", e.emit_to_string(&source)));
+    Validator::new(ValidationFlags::all(), Capabilities::empty())
+        .validate(&module)
+        .unwrap_or_else(|e| panic!("{stage}, {slots} slots:\n{}", e.emit_to_string(&source)));
+    module
+}
+
+#[test]
+fn every_stage_is_valid_for_every_size() {
+    for (stage, _) in SOURCES.iter().filter(|(name, _)| !name.starts_with("shared/")) {
+        for slots in 4..=16 {
+            parse(stage, slots, 0);
+        }
+        parse(stage, 64, 1);
+    }
+}
+
+#[test]
+fn no_stage_binds_more_storage_buffers_than_webgpu_guarantees() {
+    for (stage, _) in SOURCES.iter().filter(|(name, _)| !name.starts_with("shared/")) {
+        let module = parse(stage, 10, 0);
+        let storage = module
+            .global_variables
+            .iter()
+            .filter(|(_, v)| matches!(v.space, naga::AddressSpace::Storage { .. }))
+            .count();
+        assert!(storage <= tessera::gpu::device::STORAGE_BUFFERS as usize, "{stage}: {storage}");
+    }
+}
+
+/// (name, offset) of every member, and the size.
+fn reflected(module: &naga::Module, name: &str) -> (Vec<(String, u32)>, u32) {
+    let found = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name));
+    let naga::TypeInner::Struct { members, span } = &found.unwrap_or_else(|| panic!("no {name}")).1.inner else {
+        panic!("{name} is no struct");
+    };
+    (members.iter().map(|m| (m.name.clone().unwrap(), m.offset)).collect(), *span)
+}
+
+macro_rules! same_layout {
+    ($module:expr, $name:ident { $($field:ident),* $(,)? }) => {{
+        let twin = vec![$((stringify!($field).to_owned(), std::mem::offset_of!(layout::$name, $field) as u32)),*];
+        assert_eq!(reflected($module, stringify!($name)), (twin, size_of::<layout::$name>() as u32));
+    }};
+}
+
+#[test]
+fn records_have_one_layout() {
+    let clip = parse("clip", 10, 0);
+    same_layout!(&clip, Seed { hi, row_begin, lo, row_length });
+    same_layout!(
+        &clip,
+        Facet {
+            hi, slot_begin, lo, slot_mask, e1, corner1_u, e2, corner2_u, n, corner2_v, weight, weight_u, weight_v,
+            weight_top
+        }
+    );
+    same_layout!(
+        &clip,
+        Params {
+            mass_scale, moment_scale, energy_scale, area_scale, uniform_weights, list_capacity, batch, propose_begin,
+            propose_count, propose_root, emit_begin, emit_count
+        }
+    );
+    same_layout!(
+        &clip,
+        State { head, begin, end, length, failures, pieces, list_overflow, cells_overflow }
+    );
+}
+
+#[test]
+fn constants_agree() {
+    let text = compose("clip", &[("SLOTS", 10), ("ARRAY", 0)]).unwrap();
+    for line in [
+        format!("const COMPLETE: u32 = {:#x}u;", layout::COMPLETE),
+        format!("const ROOT: u32 = {:#x}u;", layout::ROOT),
+        format!("const INDEX: u32 = {:#x}u;", layout::INDEX),
+        format!("const NEIGHBOURS: u32 = {}u;", layout::code::NEIGHBOURS),
+        format!("const POLYGON: u32 = {}u;", layout::code::POLYGON),
+        format!("const FINISH: u32 = {}u;", layout::code::FINISH),
+        format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
+        format!("const FACET_EDGE: u32 = {:#x}u;", tessera::rvd::cells::FACET_EDGE),
+    ] {
+        assert!(text.contains(&line), "{line}");
+    }
+}
