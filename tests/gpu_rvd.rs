@@ -112,7 +112,12 @@ fn seeds_on(surface: &Surface, n: usize, off: f64, seed: u64) -> Vec<DVec3> {
         .collect()
 }
 
-fn sums(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], capacities: Capacities) -> (CellSums, PassStats) {
+fn sums(
+    backend: &dyn Backend,
+    surface: &Arc<Surface>,
+    seeds: &[DVec3],
+    capacities: Capacities,
+) -> (CellSums, PassStats) {
     let options = SessionOptions { max_seeds: seeds.len(), capacities };
     let mut session = backend.session(Arc::clone(surface), options).unwrap();
     session.set_seeds(seeds).unwrap();

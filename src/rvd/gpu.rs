@@ -43,10 +43,9 @@ impl From<GpuError> for RvdError {
             GpuError::OutOfMemory { needed_bytes, limit_bytes, .. } => Self::OutOfMemory { needed_bytes, limit_bytes },
             GpuError::Lost(why) => Self::DeviceLost(why),
             GpuError::Timeout { .. } => Self::DeviceLost(error.to_string()),
-            GpuError::NoAdapter { .. }
-            | GpuError::Unsupported { .. }
-            | GpuError::Failed(_)
-            | GpuError::Shader(_) => Self::Device(error.to_string()),
+            GpuError::NoAdapter { .. } | GpuError::Unsupported { .. } | GpuError::Failed(_) | GpuError::Shader(_) => {
+                Self::Device(error.to_string())
+            }
         }
     }
 }
@@ -182,13 +181,7 @@ struct GpuSession {
 }
 
 impl GpuSession {
-    fn new(
-        gpu: &Gpu,
-        pipelines: Arc<Pipelines>,
-        slots: usize,
-        surface: Arc<Surface>,
-        options: SessionOptions,
-    ) -> Self {
+    fn new(gpu: &Gpu, pipelines: Arc<Pipelines>, slots: usize, surface: Arc<Surface>, options: SessionOptions) -> Self {
         let SessionOptions { max_seeds, capacities } = options;
         let expected = pack::expected_cells(&surface, max_seeds);
         let slots_log2 = pack::first_slots(&expected, capacities.cells, Capacities::default().cells);

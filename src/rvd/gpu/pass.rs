@@ -54,12 +54,7 @@ impl GpuSession {
     }
 
     /// One attempt from zero. `false` if a capacity had to grow.
-    fn attempt(
-        &mut self,
-        facets: Range<u32>,
-        cancel: &CancelFlag,
-        stats: &mut PassStats,
-    ) -> Result<bool, RvdError> {
+    fn attempt(&mut self, facets: Range<u32>, cancel: &CancelFlag, stats: &mut PassStats) -> Result<bool, RvdError> {
         self.pass = PassResult::default();
         let mut state = self.launch_roots(facets, cancel)?;
         let mut tried_large = HashSet::new();
