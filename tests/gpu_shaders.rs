@@ -60,21 +60,44 @@ fn records_have_one_layout() {
     same_layout!(
         &clip,
         Facet {
-            hi, slot_begin, lo, slot_mask, e1, corner1_u, e2, corner2_u, n, corner2_v, weight, weight_u, weight_v,
+            hi,
+            slot_begin,
+            lo,
+            slot_mask,
+            e1,
+            corner1_u,
+            e2,
+            corner2_u,
+            n,
+            corner2_v,
+            weight,
+            weight_u,
+            weight_v,
             weight_top
         }
     );
     same_layout!(
         &clip,
         Params {
-            mass_scale, moment_scale, energy_scale, area_scale, uniform_weights, list_capacity, batch, propose_begin,
-            propose_count, propose_root, emit_begin, emit_count
+            mass_scale,
+            moment_scale,
+            energy_scale,
+            area_scale,
+            uniform_weights,
+            list_capacity,
+            batch,
+            propose_begin,
+            propose_count,
+            propose_root,
+            emit_begin,
+            emit_count,
+            polygon,
+            padding0,
+            padding1,
+            padding2
         }
     );
-    same_layout!(
-        &clip,
-        State { head, begin, end, length, failures, pieces, list_overflow, cells_overflow }
-    );
+    same_layout!(&clip, State { head, begin, end, length, failures, pieces, list_overflow, cells_overflow });
 }
 
 #[test]

@@ -161,12 +161,7 @@ impl Buffers {
 ///
 /// # Errors
 /// Those of [`Device::run`].
-pub fn write<T: NoUninit>(
-    device: &Device,
-    buffer: &wgpu::Buffer,
-    first: usize,
-    values: &[T],
-) -> Result<(), GpuError> {
+pub fn write<T: NoUninit>(device: &Device, buffer: &wgpu::Buffer, first: usize, values: &[T]) -> Result<(), GpuError> {
     let bytes: &[u8] = bytemuck::cast_slice(values);
     let mut offset = (first * size_of::<T>()) as u64;
     for (k, portion) in bytes.chunks(UPLOAD_BYTES).enumerate() {

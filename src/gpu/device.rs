@@ -188,11 +188,8 @@ impl Device {
     }
 
     fn request(adapter: &wgpu::Adapter, summary: AdapterSummary, timeout: Duration) -> Result<Arc<Self>, GpuError> {
-        let descriptor = wgpu::DeviceDescriptor {
-            label: Some("tessera"),
-            required_limits: adapter.limits(),
-            ..Default::default()
-        };
+        let descriptor =
+            wgpu::DeviceDescriptor { label: Some("tessera"), required_limits: adapter.limits(), ..Default::default() };
         let (device, queue) =
             pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| GpuError::Failed(e.to_string()))?;
         let flags = Arc::new(Flags::default());

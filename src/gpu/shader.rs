@@ -290,9 +290,14 @@ mod tests {
 
     #[test]
     fn mistakes_name_their_line() {
-        for (source, line) in
-            [("x\n#if 1", 2), ("#import nowhere", 1), ("$", 1), ("\n\n$(1 +)", 3), ("#frob", 1), ("#repeat K 0..1\n#end", 1)]
-        {
+        for (source, line) in [
+            ("x\n#if 1", 2),
+            ("#import nowhere", 1),
+            ("$", 1),
+            ("\n\n$(1 +)", 3),
+            ("#frob", 1),
+            ("#repeat K 0..1\n#end", 1),
+        ] {
             assert_eq!(text(source, &[]).unwrap_err().line, line, "{source:?}");
         }
     }

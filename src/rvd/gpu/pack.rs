@@ -126,7 +126,10 @@ mod tests {
         let log2 = [4, 0, 3];
         let mut records = vec![layout::Facet::default(); 3];
         assign_slots(&mut records, &log2);
-        assert_eq!(records.iter().map(|r| (r.slot_begin, r.slot_mask)).collect::<Vec<_>>(), [(0, 15), (16, 0), (17, 7)]);
+        assert_eq!(
+            records.iter().map(|r| (r.slot_begin, r.slot_mask)).collect::<Vec<_>>(),
+            [(0, 15), (16, 0), (17, 7)]
+        );
         assert_eq!(slot_count(&log2), 25);
     }
 }

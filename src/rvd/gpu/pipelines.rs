@@ -90,8 +90,7 @@ impl Bindings {
     /// # Errors
     /// `Failed`, `Lost`.
     pub fn new(device: &Device, pipelines: &Pipelines, b: &Buffers) -> Result<Self, GpuError> {
-        let clip =
-            [&b.params, &b.seeds, &b.facets, &b.table, &b.slots, &b.list, &b.sums, &b.failures, &b.state];
+        let clip = [&b.params, &b.seeds, &b.facets, &b.table, &b.slots, &b.list, &b.sums, &b.failures, &b.state];
         Ok(Self {
             propose: bind(
                 device,
