@@ -15,6 +15,7 @@ mod remesh;
 mod remote;
 mod rvd;
 mod serve;
+pub mod shape;
 
 use std::process::ExitCode;
 
@@ -51,6 +52,8 @@ enum Command {
     Remesh(remesh::RemeshArgs),
     /// Compute the restricted Voronoi diagram of seeds on a surface.
     Rvd(rvd::RvdArgs),
+    /// Write a procedural surface.
+    Shape(shape::ShapeArgs),
     /// Say what this machine has and what would be used.
     Doctor(doctor::DoctorArgs),
 }
@@ -68,6 +71,7 @@ pub fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         Command::Remesh(args) => remesh::run(args),
         Command::Rvd(args) => rvd::run(args),
+        Command::Shape(args) => shape::run(args),
         Command::Doctor(args) => doctor::run(args),
     });
     match result {

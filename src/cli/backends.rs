@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use crate::config::{BackendArg, BackendArgs};
+use crate::gpu::device::{Device, DeviceOptions};
 use crate::job::{Backends, JobError, Wish};
+use crate::rvd::gpu::Gpu;
 use crate::rvd::parallel::Parallel;
 use crate::rvd::serial::Serial;
 use crate::rvd::{Backend, BackendKind};
@@ -51,6 +53,15 @@ pub fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
 /// # Errors
 /// A sentence for the caller.
 pub fn gpu(args: &BackendArgs) -> Result<Arc<dyn Backend>, String> {
-    let software = if args.gpu_software { "" } else { "; --gpu-software takes a software adapter" };
-    Err(format!("this build has no GPU backend{software}, and --backend parallel always works"))
+    let options = DeviceOptions { software: args.gpu_software, ..DeviceOptions::default() };
+    let device = Device::open(&options).map_err(|e| {
+        let software = if args.gpu_software { "" } else { "--gpu-software takes a software adapter, " };
+        format!("{e}; {software}--backend parallel works without a GPU")
+    })?;
+    // An adapter that opens and then fails is a fault that should be seen, not passed over.
+    let gpu = Gpu::new(device, args.threads).map_err(|e| {
+        tracing::warn!(error = %e, "the GPU was found but does not work");
+        format!("the GPU was found but does not work: {e}; --backend parallel works without it")
+    })?;
+    Ok(Arc::new(gpu))
 }

@@ -5,6 +5,7 @@ use clap::Args;
 
 use super::backends;
 use crate::config::BackendArgs;
+use crate::gpu::device::adapters;
 use crate::job::Wish;
 
 /// `tessera doctor`'s options: the same as where work is done, to see their effect.
@@ -22,6 +23,21 @@ pub fn run(args: &DoctorArgs) -> Result<()> {
     args.backend.check()?;
     println!("tessera     {}", env!("CARGO_PKG_VERSION"));
     println!("cores       {}", std::thread::available_parallelism().map_or(1, usize::from));
+    for adapter in adapters() {
+        println!("adapter     {} ({}, {}, {})", adapter.name, adapter.kind, adapter.backend, adapter.driver);
+        println!(
+            "            buffers to {} MiB, bindings to {} MiB, {} storage buffers a stage, {} workgroups a dimension",
+            adapter.max_buffer_bytes >> 20,
+            adapter.max_binding_bytes >> 20,
+            adapter.max_storage_buffers,
+            adapter.max_workgroups
+        );
+        if let Some(reason) = &adapter.unusable {
+            println!("            cannot be used: {reason}");
+        } else if adapter.software {
+            println!("            used with --gpu-software only");
+        }
+    }
     match backends::gpu(&args.backend) {
         Ok(gpu) => println!("gpu         {}", gpu.adapter().unwrap_or_default()),
         Err(reason) => println!("gpu         none: {reason}"),

@@ -3,6 +3,7 @@
 use crate::config::ConfigError;
 use crate::job::JobError;
 use crate::mesh::MeshError;
+use crate::mesh::io::FileError;
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
 use crate::telemetry::TelemetryError;
@@ -35,6 +36,9 @@ pub(crate) fn code(error: &anyhow::Error) -> u8 {
 
 fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
     if cause.is::<Usage>() || cause.is::<ConfigError>() || cause.is::<TelemetryError>() {
+        return Some(USAGE);
+    }
+    if let Some(FileError::UnknownFormat { .. }) = cause.downcast_ref::<FileError>() {
         return Some(USAGE);
     }
     if cause.is::<BadInput>() || cause.is::<MeshError>() {

@@ -80,7 +80,7 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, start: Instant, read_ms: f64) -> Resu
     drop(progress);
     let mut done = done?;
     let writing = Instant::now();
-    io::write(&args.output, &done.mesh).map_err(|e| anyhow::anyhow!("{e}"))?;
+    io::write(&args.output, &done.mesh)?;
     let timings = &mut done.report.timings_ms;
     (timings.read, timings.write, timings.total) = (read_ms, ms(writing), ms(start));
     if let Some(path) = &args.report {
@@ -99,7 +99,7 @@ fn there(args: &RemeshArgs, mesh: &TriMesh, endpoint: &str) -> Result<()> {
         backend: args.backend.backend,
     };
     let done = remote::remesh(endpoint, &job)?;
-    io::write(&args.output, &done.mesh).map_err(|e| anyhow::anyhow!("{e}"))?;
+    io::write(&args.output, &done.mesh)?;
     if let Some(path) = &args.report {
         files::write_json(path, &done.report)?;
     }
