@@ -121,7 +121,7 @@ impl TriMesh {
         }
         let (low, high) = bounds(&positions, &facets);
         let extent = (high - low).max_element();
-        if extent.is_nan() || extent >= 1e150 {
+        if extent >= 1e150 {
             return Err(MeshError::ExtentTooLarge { extent });
         }
         let mesh = Self::assemble(positions, facets);
@@ -145,7 +145,7 @@ impl TriMesh {
             // A facet whose corners repeat, or whose area is no more than rounding leaves of
             // one: relative to its longest edge an altitude below 1e-15 is not a direction.
             let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
-            let flat = twice.is_nan() || twice <= 1e-15 * longest;
+            let flat = twice <= 1e-15 * longest;
             degenerate.push(flat);
             if flat {
                 degenerate_count += 1;

@@ -91,7 +91,7 @@ fn fixed_point_sums_carry_and_go_negative() {
         (0..4096)
             .map(|_| {
                 x = x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                let magnitude = f64::from(x >> 8) * f64::from(x % 41).exp2();
+                let magnitude = f64::from(x >> 8) * f64::from(x % 25).exp2();
                 if x & 64 == 0 { magnitude as f32 } else { -(magnitude as f32) }
             })
             .collect(),

@@ -90,7 +90,11 @@ fn records_have_one_layout() {
             propose_count,
             propose_root,
             emit_begin,
-            emit_count
+            emit_count,
+            polygon,
+            padding0,
+            padding1,
+            padding2
         }
     );
     same_layout!(&clip, State { head, begin, end, length, failures, pieces, list_overflow, cells_overflow });

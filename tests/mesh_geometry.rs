@@ -3,6 +3,8 @@
 //! Real surfaces are read from the folder that `TESSERA_MESHES` names; without it those tests say
 //! that they did nothing.
 
+#![allow(clippy::unwrap_used, clippy::panic)] // a failure here is the test's failure
+
 use std::path::PathBuf;
 
 use glam::{DVec3, dvec3};

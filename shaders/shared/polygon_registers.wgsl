@@ -118,7 +118,7 @@ fn polygon_cut(c: f32, g: vec2f, j: u32, ties: bool) -> u32 {
     #end
     size += select(0u, 1u, crossing_$K);
     #end
-    if size > $(SLOTS)u {
+    if size > params.polygon {
         return OVERFLOW;
     }
     #repeat S in 0..SLOTS

@@ -46,6 +46,11 @@ struct Params {
     // Pairs that one emit dispatch writes.
     emit_begin: u32,
     emit_count: u32,
+    // Vertices that a polygon in registers may have; at most its slots.
+    polygon: u32,
+    padding0: u32,
+    padding1: u32,
+    padding2: u32,
 }
 
 const COMPLETE: u32 = 0x80000000u;

@@ -109,6 +109,14 @@ pub struct Params {
     pub emit_begin: u32,
     /// How many.
     pub emit_count: u32,
+    /// Vertices that a polygon in registers may have; at most its slots.
+    pub polygon: u32,
+    /// Zero.
+    pub padding0: u32,
+    /// Zero.
+    pub padding1: u32,
+    /// Zero.
+    pub padding2: u32,
 }
 
 /// What the host reads between submissions.

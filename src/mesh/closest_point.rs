@@ -14,8 +14,10 @@ use glam::DVec3;
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::math::Vector;
 use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode};
+use rayon::prelude::*;
 
 use super::TriMesh;
+use super::adjacency::weld;
 
 /// A point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,8 +59,7 @@ impl ClosestPoint {
         let centre = low * 0.5 + high * 0.5;
         let scale = inverse_power_of_two((high - low).max_element());
         let unit: Vec<DVec3> = mesh.positions().iter().map(|&p| (p - centre) * scale).collect();
-        let facets: Vec<([u32; 3], u32)> =
-            mesh.facets().iter().copied().zip(0..).filter(|&(_, f)| !mesh.is_degenerate(f as usize)).collect();
+        let facets = distinct_facets(mesh);
         let boxes = facets.iter().map(|(corners, _)| {
             let [a, b, c] = corners.map(|v| unit[v as usize]);
             Aabb::new(vector(a.min(b).min(c)), vector(a.max(b).max(c)))
@@ -132,6 +133,28 @@ fn inverse_power_of_two(extent: f64) -> f64 {
     let exponent = ((extent.to_bits() >> 52) & 0x7ff) as i64 - 1023;
     let k = if extent > 0.0 { (-exponent - 1).clamp(-1000, 1000) } else { 0 };
     f64::from_bits(((1023 + k) as u64) << 52)
+}
+
+/// Facets with area, of those in the same place the lowest. A thousand facets in one place would all be
+/// as near as the nearest, and every query would have to visit all of them.
+fn distinct_facets(mesh: &TriMesh) -> Vec<([u32; 3], u32)> {
+    let representative = weld(mesh);
+    let mut places: Vec<([u32; 3], u32)> = mesh
+        .facets()
+        .iter()
+        .zip(0..)
+        .filter(|&(_, facet)| !mesh.is_degenerate(facet as usize))
+        .map(|(corners, facet)| {
+            let mut place = corners.map(|v| representative[v as usize]);
+            place.sort_unstable();
+            (place, facet)
+        })
+        .collect();
+    places.par_sort_unstable();
+    places.dedup_by_key(|(place, _)| *place);
+    let mut kept: Vec<u32> = places.into_iter().map(|(_, facet)| facet).collect();
+    kept.par_sort_unstable();
+    kept.into_iter().map(|facet| (mesh.facets()[facet as usize], facet)).collect()
 }
 
 fn vector(p: DVec3) -> Vector {

@@ -17,9 +17,8 @@ mod pipelines;
 mod relaunch;
 mod starts;
 
-use std::collections::HashMap;
 use std::ops::Range;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Instant;
 
 use glam::{DVec3, dvec3};
@@ -55,7 +54,7 @@ impl From<GpuError> for RvdError {
 pub struct Gpu {
     device: Arc<Device>,
     pool: Arc<rayon::ThreadPool>,
-    pipelines: Mutex<HashMap<usize, Arc<Pipelines>>>,
+    pipelines: Arc<Pipelines>,
 }
 
 impl Gpu {
@@ -70,7 +69,8 @@ impl Gpu {
             .thread_name(|i| format!("tessera-gpu-host-{i}"))
             .build()
             .map_err(|e| RvdError::Internal(format!("no thread pool: {e}")))?;
-        let gpu = Self { device, pool: Arc::new(pool), pipelines: Mutex::default() };
+        let pipelines = Arc::new(Pipelines::new(&device, SLOTS)?);
+        let gpu = Self { device, pool: Arc::new(pool), pipelines };
         gpu.warm_up()?;
         Ok(gpu)
     }
@@ -101,20 +101,12 @@ impl Gpu {
         }
         Ok(())
     }
-
-    fn pipelines(&self, slots: usize) -> Result<Arc<Pipelines>, GpuError> {
-        let mut made = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(pipelines) = made.get(&slots) {
-            return Ok(Arc::clone(pipelines));
-        }
-        let pipelines = Arc::new(Pipelines::new(&self.device, slots)?);
-        made.insert(slots, Arc::clone(&pipelines));
-        Ok(pipelines)
-    }
 }
 
-/// Polygon slots of the register variant, whatever the capacity asked for.
-const SLOTS: std::ops::RangeInclusive<usize> = 4..=16;
+/// Polygon slots of the register variant. The same for all capacities: other slots would be
+/// another program, which a driver may round differently in the last bit. A smaller capacity is
+/// a limit below it, a larger one goes to the large variant.
+const SLOTS: usize = 10;
 
 impl Backend for Gpu {
     fn kind(&self) -> BackendKind {
@@ -130,10 +122,8 @@ impl Backend for Gpu {
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        let slots = options.capacities.polygon.clamp(*SLOTS.start(), *SLOTS.end());
-        let pipelines = self.pipelines(slots)?;
         let pool = Arc::clone(&self.pool);
-        let mut session = pool.install(|| GpuSession::new(self, pipelines, slots, surface, options));
+        let mut session = pool.install(|| GpuSession::new(self, surface, options));
         session.resident()?;
         Ok(Box::new(session))
     }
@@ -150,6 +140,7 @@ struct GpuSession {
     pool: Arc<rayon::ThreadPool>,
     pipelines: Arc<Pipelines>,
     slots: usize,
+    first_polygon: u32,
     surface: Arc<Surface>,
     mass: f64,
     max_seeds: usize,
@@ -181,7 +172,7 @@ struct GpuSession {
 }
 
 impl GpuSession {
-    fn new(gpu: &Gpu, pipelines: Arc<Pipelines>, slots: usize, surface: Arc<Surface>, options: SessionOptions) -> Self {
+    fn new(gpu: &Gpu, surface: Arc<Surface>, options: SessionOptions) -> Self {
         let SessionOptions { max_seeds, capacities } = options;
         let expected = pack::expected_cells(&surface, max_seeds);
         let slots_log2 = pack::first_slots(&expected, capacities.cells, Capacities::default().cells);
@@ -197,13 +188,14 @@ impl GpuSession {
             slots: pack::slot_count(&slots_log2),
             pairs,
             emitted: pairs.min(1 << 16),
-            polygon: slots as u64,
+            polygon: SLOTS as u64,
         };
         Self {
             device: Arc::clone(&gpu.device),
             pool: Arc::clone(&gpu.pool),
-            pipelines,
-            slots,
+            pipelines: Arc::clone(&gpu.pipelines),
+            slots: SLOTS,
+            first_polygon: capacities.polygon.clamp(4, SLOTS) as u32,
             mass: fixed::total_mass(&surface),
             surface,
             max_seeds,
@@ -259,6 +251,7 @@ impl GpuSession {
             uniform_weights: u32::from(self.surface.is_uniform()),
             list_capacity: self.counts.pairs.min(u64::from(layout::INDEX)) as u32,
             batch: BATCH,
+            polygon: self.pass.polygon,
             ..Params::default()
         }
     }

@@ -2,6 +2,8 @@
 //!
 //! Purpose: bytes to triangles and back. `vertex` needs scalar properties x, y, z; `face` a list property
 //! `vertex_indices` or `vertex_index`. All else is skipped.
+//! Why the ascii data are read here ([`ascii`]): the crate's grammar knows no `.5`, no `1.` and no `nan`,
+//! and wants each element on a line of its own; files in use have all of them.
 //! Invariant: declared counts are checked against the bytes that are there before anything is read.
 //! Must not know: other formats.
 
@@ -16,11 +18,16 @@ use ply_rs_bw::ply::{
 use super::{DataError, Soup};
 use crate::mesh::TriMesh;
 
+mod ascii;
+
 pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
     let mut reader = Reader::new(bytes);
     let vertices = Parser::<Vertex>::new();
     let header = vertices.read_header(&mut reader).map_err(header_error)?;
     check_header(&header, reader.get_ref().len())?;
+    if header.encoding == Encoding::Ascii {
+        return ascii::decode(reader.get_ref(), reader.line(), &header);
+    }
     let mut soup = Soup::default();
     let mut faces = Vec::new();
     for (name, element) in &header.elements {

@@ -15,7 +15,7 @@ pub(super) fn slab(holes: u32, facets: usize) -> TriMesh {
 
 /// Three by two by two cubes without two of them, which do not touch.
 pub(super) fn block(facets: usize) -> TriMesh {
-    surface([3, 2, 2], facets, |[x, y, z]| !(x == 0 && y == 1 && z == 1) && !(x == 2 && y == 0 && z == 1))
+    surface([3, 2, 2], facets, |cell| cell != [0, 1, 1] && cell != [2, 0, 1])
 }
 
 /// The boundary of the cubes that `solid` names, each square divided so that about `facets`

@@ -5,7 +5,7 @@
 //! Invariant: a pass that returns has every pair of its facets done, on the device or in f64.
 //! Must not know: what failures need.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
@@ -13,7 +13,7 @@ use std::time::Instant;
 use super::{GpuSession, fixed, pack};
 use crate::gpu::buffers;
 use crate::gpu::layout::{Params, ROOT, SUM_WORDS, State, code, failure};
-use crate::gpu::plan::{BATCH, Limits, dispatch};
+use crate::gpu::plan::{Limits, dispatch};
 use crate::rvd::{CancelFlag, PassStats, RvdError, elapsed_ms};
 
 /// What a pass leaves beside the sums on the device.
@@ -27,12 +27,16 @@ pub(super) struct PassResult {
     pub repeats: Vec<Range<u32>>,
     /// Pairs in the list, repeats included.
     pub length: u32,
+    /// Polygon vertices allowed at present.
+    pub polygon: u32,
 }
 
 /// Which variant of the clip stage a launch uses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Variant {
+    /// Polygon in registers.
     Registers,
+    /// Polygon in many indexed slots.
     Large,
 }
 
@@ -55,9 +59,9 @@ impl GpuSession {
 
     /// One attempt from zero. `false` if a capacity had to grow.
     fn attempt(&mut self, facets: Range<u32>, cancel: &CancelFlag, stats: &mut PassStats) -> Result<bool, RvdError> {
-        self.pass = PassResult::default();
+        self.pass = PassResult { polygon: self.first_polygon, ..PassResult::default() };
         let mut state = self.launch_roots(facets, cancel)?;
-        let mut tried_large = HashSet::new();
+        let mut variants = HashMap::new();
         loop {
             if state.list_overflow + state.cells_overflow > 0 {
                 self.grow(state, stats)?;
@@ -67,7 +71,7 @@ impl GpuSession {
             if state.failures == 0 {
                 break;
             }
-            match self.relaunch(state, &mut tried_large, cancel, stats)? {
+            match self.relaunch(state, &mut variants, cancel, stats)? {
                 Some(next) => state = next,
                 None => return Ok(false),
             }
@@ -104,22 +108,20 @@ impl GpuSession {
             device.run(encoder)?;
             return Ok(State::default());
         }
-        self.drain(encoder, Some(roots), Variant::Registers, 0, cancel)
+        self.drain(encoder, Some(roots), Variant::Registers, cancel)
     }
 
     /// Runs clip steps until the list is drained or something is full. `proposals` are entered
-    /// first. The first `large` pairs after the head go through the variant with many slots.
+    /// first; the first step uses `variant`, the others registers.
     pub(super) fn drain(
         &mut self,
         mut encoder: wgpu::CommandEncoder,
         proposals: Option<Params>,
-        first: Variant,
-        pairs: u32,
+        mut variant: Variant,
         cancel: &CancelFlag,
     ) -> Result<State, RvdError> {
         let mut params = proposals;
-        let mut steps = if first == Variant::Large { pairs.div_ceil(BATCH) } else { STEPS.0 };
-        let mut variant = first;
+        let mut steps = if variant == Variant::Large { 1 } else { STEPS.0 };
         loop {
             cancel.check()?;
             let begin = Instant::now();

@@ -62,7 +62,7 @@ impl GpuSession {
     }
 
     fn emit(&mut self, first: u32, count: u32) -> Result<Emitted, RvdError> {
-        let params = Params { emit_begin: first, emit_count: count, ..self.params() };
+        let params = Params { emit_begin: first, emit_count: count, polygon: self.slots as u32, ..self.params() };
         let (device, pipelines, slots) = (Arc::clone(&self.device), Arc::clone(&self.pipelines), self.slots);
         let limits = Limits::of(&device.limits());
         let resident = self.resident()?;

@@ -6,7 +6,7 @@
 //! capacities cannot change its polygon.
 //! Must not know: how a launch works.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -15,6 +15,7 @@ use super::pass::Variant;
 use super::{EXTRA_PROPOSALS, GpuSession, fixed, pack};
 use crate::gpu::buffers;
 use crate::gpu::layout::{INDEX, Params, ROOT, State, code, failure};
+use crate::gpu::plan::BATCH;
 use crate::knn::NeighbourRow;
 use crate::rvd::cells::facet_edge;
 use crate::rvd::{CancelFlag, PassStats, RvdError};
@@ -31,6 +32,9 @@ struct Plans {
     large: Vec<Pair>,
     finish: Vec<Pair>,
     rows: Vec<u32>,
+    /// Pairs whose rows were too short, and whose polygons were too large.
+    short: u64,
+    crowded: u64,
 }
 
 impl GpuSession {
@@ -39,16 +43,16 @@ impl GpuSession {
     pub(super) fn relaunch(
         &mut self,
         state: State,
-        tried_large: &mut HashSet<Pair>,
+        variants: &mut HashMap<Pair, Variant>,
         cancel: &CancelFlag,
         stats: &mut PassStats,
     ) -> Result<Option<State>, RvdError> {
         let device = Arc::clone(&self.device);
         let buffers = &self.resident()?.buffers;
         let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..state.failures as usize)?;
-        let plans = self.sort_out(&failures, tried_large);
-        stats.relaunched_neighbours += plans.again.len() as u64;
-        stats.relaunched_polygon += plans.large.len() as u64;
+        let plans = self.sort_out(&failures, variants);
+        stats.relaunched_neighbours += plans.short;
+        stats.relaunched_polygon += plans.crowded;
         if !self.lengthen(&plans.rows)? {
             return Ok(None);
         }
@@ -57,10 +61,11 @@ impl GpuSession {
         stats.f64_finished += (self.pass.finished.len() - pieces) as u64;
 
         let mut state = State { failures: 0, ..state };
-        for (pairs, variant) in [(&plans.again, Variant::Registers), (&plans.large, Variant::Large)] {
-            if pairs.is_empty() {
-                continue;
-            }
+        // At most one dispatch of the large variant at a time, so that no pair found meanwhile
+        // goes through it: its last bits may differ from those of the registers.
+        let again = plans.again.chunks(usize::MAX).map(|p| (p, Variant::Registers));
+        let large = plans.large.chunks(BATCH as usize).map(|p| (p, Variant::Large));
+        for (pairs, variant) in again.chain(large) {
             match self.launch_again(state, pairs, variant, cancel)? {
                 Some(next) => state = next,
                 None => return Ok(None),
@@ -78,8 +83,9 @@ impl GpuSession {
         Ok(Some(state))
     }
 
-    fn sort_out(&self, failures: &[[u32; 2]], tried_large: &mut HashSet<Pair>) -> Plans {
+    fn sort_out(&mut self, failures: &[[u32; 2]], variants: &mut HashMap<Pair, Variant>) -> Plans {
         let mut plans = Plans::default();
+        let all_slots = self.pass.polygon as usize == self.slots;
         for &entry in failures {
             let (facet, seed, why) = failure(entry);
             let pair = (facet, seed);
@@ -87,10 +93,17 @@ impl GpuSession {
             match why {
                 code::NEIGHBOURS if length < LONGEST_ROW => {
                     plans.rows.push(seed);
-                    let list = if tried_large.contains(&pair) { &mut plans.large } else { &mut plans.again };
-                    list.push(pair);
+                    plans.short += 1;
+                    let large = variants.get(&pair) == Some(&Variant::Large);
+                    if large { &mut plans.large } else { &mut plans.again }.push(pair);
                 }
-                code::POLYGON if tried_large.insert(pair) => plans.large.push(pair),
+                code::POLYGON if variants.get(&pair) != Some(&Variant::Large) => {
+                    plans.crowded += 1;
+                    self.pass.polygon = self.slots as u32;
+                    let variant = if all_slots { Variant::Large } else { Variant::Registers };
+                    variants.insert(pair, variant);
+                    if all_slots { &mut plans.large } else { &mut plans.again }.push(pair);
+                }
                 _ => plans.finish.push(pair),
             }
         }
@@ -202,7 +215,7 @@ impl GpuSession {
         buffers::write(&device, &buffers.state, 0, &[next])?;
         self.pass.repeats.push(state.length..end as u32);
         let encoder = device.encoder();
-        self.drain(encoder, None, variant, pairs.len() as u32, cancel).map(Some)
+        self.drain(encoder, None, variant, cancel).map(Some)
     }
 
     fn launch_proposals(
@@ -224,6 +237,6 @@ impl GpuSession {
         // The failures were read; the device's count of them was not reset if nothing ran since.
         buffers::write(&device, &buffers.state, 0, &[State { head: state.length, ..state }])?;
         let encoder = device.encoder();
-        self.drain(encoder, Some(params), Variant::Registers, 0, cancel)
+        self.drain(encoder, Some(params), Variant::Registers, cancel)
     }
 }
