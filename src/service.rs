@@ -60,6 +60,9 @@ pub enum ServeError {
     /// The transport failed.
     #[error("serving failed: {0}")]
     Transport(#[from] tonic::transport::Error),
+    /// The device thread ended by itself.
+    #[error("the device thread ended while it was needed; the log may say why")]
+    WorkerDied,
     /// The device thread did not end in time.
     #[error("the device thread did not end within {} s of the shutdown", .0.as_secs_f64())]
     WorkerStuck(Duration),
@@ -155,7 +158,7 @@ pub async fn run(
 
     let early = tokio::select! {
         ended = &mut serving => Some(ended),
-        () = async { tokio::join!(shutdown, async {}).0 } => None,
+        () = shutdown => None,
         () = follow_device(&engine, &health) => None,
     };
     tracing::info!(grace_s = limits.grace.as_secs_f64(), "shutting down: no new streams, open ones may end");
@@ -183,8 +186,12 @@ pub async fn run(
     };
     phase.send_replace(Phase::Cut);
     engine.cancel_all();
+    let died = *engine.watch_device().borrow() == Device::Gone;
     engine.close();
     join(worker).await?;
+    if died {
+        return Err(ServeError::WorkerDied);
+    }
     tracing::info!("ended");
     Ok(served?)
 }
@@ -205,11 +212,15 @@ async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
     Ok(())
 }
 
-/// Tells health while the device is lost; never returns while the engine lives.
+/// Tells health while the device is lost; returns when the device thread has ended.
 async fn follow_device(engine: &Engine, health: &HealthReporter) {
     let mut device = engine.watch_device();
     loop {
         let now = *device.borrow_and_update();
+        if now == Device::Gone {
+            tracing::error!("the device thread has ended");
+            return;
+        }
         tell(health, if now == Device::Ready { ServingStatus::Serving } else { ServingStatus::NotServing }).await;
         if device.changed().await.is_err() {
             return;

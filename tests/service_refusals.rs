@@ -1,5 +1,5 @@
 //! Promise: whatever is wrong with a request is refused with the right code and names the place.
-#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
 #[path = "common/server.rs"]
 #[allow(dead_code)]

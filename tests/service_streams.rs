@@ -1,5 +1,5 @@
 //! Promise: every stream of the service does its work end to end, through a real client.
-#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
 #[path = "common/server.rs"]
 #[allow(dead_code)]

@@ -44,7 +44,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
         warm_up(&backends)?;
         Ok(backends)
     };
-    let engine_options = EngineOptions { queue_jobs: config.queue_jobs };
+    let engine_options = EngineOptions { queue_jobs: config.queue_jobs, ..EngineOptions::default() };
     let starting = tokio::task::spawn_blocking(move || Engine::start(factory, engine_options));
     let (engine, worker) = tokio::select! {
         started = starting => started.context("starting the backends")?.context("starting the backends")?,

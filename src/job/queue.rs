@@ -31,6 +31,16 @@ pub(crate) trait Item: Send {
     fn cancel_flag(&self) -> &CancelFlag;
 }
 
+/// What [`Queue::pop`] found.
+pub(crate) enum Popped<T> {
+    /// Work.
+    Item(T),
+    /// No work within the time given.
+    Nothing,
+    /// No work, and none will come.
+    Closed,
+}
+
 /// See the module's head.
 pub(crate) struct Queue<T> {
     state: Mutex<State<T>>,
@@ -87,15 +97,16 @@ impl<T: Item> Queue<T> {
         Ok(position)
     }
 
-    /// Waits for the next item that is still wanted; `None` once closed and empty.
-    pub(crate) fn pop(&self) -> Option<T> {
+    /// Waits for the next item that is still wanted, for ever or so long.
+    pub(crate) fn pop(&self, patience: Option<Duration>) -> Popped<T> {
         let mut state = self.lock();
+        let mut waited = false;
         loop {
             state.running = None;
             while let Some((_, item)) = state.waiting.pop_front() {
                 if item.is_wanted() {
                     state.running = Some(item.cancel_flag().clone());
-                    return Some(item);
+                    return Popped::Item(item);
                 }
                 // Its destructor may free much; not under the lock.
                 drop(state);
@@ -104,9 +115,18 @@ impl<T: Item> Queue<T> {
             }
             if state.closed {
                 state.ended = true;
-                return None;
+                return Popped::Closed;
             }
-            state = self.ready.wait(state).unwrap_or_else(PoisonError::into_inner);
+            let Some(patience) = patience else {
+                state = self.ready.wait(state).unwrap_or_else(PoisonError::into_inner);
+                continue;
+            };
+            if waited {
+                return Popped::Nothing;
+            }
+            // A wake-up for nothing only shortens the wait.
+            state = self.ready.wait_timeout(state, patience).unwrap_or_else(PoisonError::into_inner).0;
+            waited = true;
         }
     }
 
@@ -114,11 +134,6 @@ impl<T: Item> Queue<T> {
     pub(crate) fn learn(&self, took: Duration) {
         let mut state = self.lock();
         state.mean_s = 0.8 * state.mean_s + 0.2 * took.as_secs_f64();
-    }
-
-    /// Whether anybody waits for a turn.
-    pub(crate) fn is_contended(&self) -> bool {
-        !self.lock().waiting.is_empty()
     }
 
     /// Items that wait, and whether one is at work.
@@ -171,6 +186,13 @@ mod tests {
         }
     }
 
+    fn pop(queue: &Queue<Token>) -> Option<Token> {
+        match queue.pop(Some(Duration::from_millis(1))) {
+            Popped::Item(token) => Some(token),
+            Popped::Nothing | Popped::Closed => None,
+        }
+    }
+
     fn token(id: u32, wanted: bool) -> Token {
         Token(id, wanted, CancelFlag::default())
     }
@@ -186,7 +208,7 @@ mod tests {
         queue.push(Place::Continuation, token(5, true)).unwrap();
         queue.close();
         assert!(matches!(queue.push(Place::New, token(6, true)), Err(JobError::Draining)));
-        let order: Vec<u32> = std::iter::from_fn(|| queue.pop()).map(|t| t.0).collect();
+        let order: Vec<u32> = std::iter::from_fn(|| pop(&queue)).map(|t| t.0).collect();
         assert_eq!(order, [5, 0, 2, 4], "closing keeps what waits");
     }
 
@@ -196,10 +218,10 @@ mod tests {
         for id in 0..3 {
             queue.push(Place::New, token(id, true)).unwrap();
         }
-        let running = queue.pop().unwrap();
+        let running = pop(&queue).unwrap();
         queue.cancel_all();
         assert!(running.2.is_cancelled());
         queue.close();
-        assert!(std::iter::from_fn(|| queue.pop()).all(|t| t.2.is_cancelled()));
+        assert!(std::iter::from_fn(|| pop(&queue)).all(|t| t.2.is_cancelled()));
     }
 }

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
 
-use super::queue::{Item, Place, Queue};
+use super::queue::{Item, Place, Popped, Queue};
 use super::{BackendInfo, Backends, CancelOnDrop, JobError, Wish};
 use crate::rvd::CancelFlag;
 
@@ -22,6 +22,14 @@ use crate::rvd::CancelFlag;
 pub struct EngineOptions {
     /// New jobs that may wait, at least 1.
     pub queue_jobs: usize,
+    /// How long until a lost device is tried again when nobody asks for it.
+    pub revive: Duration,
+}
+
+impl Default for EngineOptions {
+    fn default() -> Self {
+        Self { queue_jobs: 32, revive: Duration::from_secs(5) }
+    }
 }
 
 /// How the device is.
@@ -31,6 +39,8 @@ pub enum Device {
     Ready,
     /// Lost; being made anew.
     Lost,
+    /// The device thread has ended.
+    Gone,
 }
 
 /// Whether a piece may be begun anew after the device was lost.
@@ -49,14 +59,6 @@ pub struct Turn {
     pub cancel: CancelFlag,
     /// Milliseconds the piece waited.
     pub queue_ms: f64,
-    shared: Arc<Shared>,
-}
-
-impl Turn {
-    /// Whether others wait for a turn.
-    pub fn is_contended(&self) -> bool {
-        self.shared.queue.is_contended()
-    }
 }
 
 /// An answer and what it took.
@@ -235,20 +237,29 @@ impl<F: FnMut() -> Result<Backends, JobError>> Worker<F> {
             return;
         }
         let _end = EndOnDrop(&shared);
-        while let Some(mut task) = shared.queue.pop() {
-            let start = Instant::now();
-            let mut attempts = 0;
-            while task.run(&backends, &shared, attempts) == Outcome::DeviceLost {
-                attempts += 1;
-                self.replace(&mut backends, &shared);
-                if !task.is_wanted() || task.cancel_flag().is_cancelled() {
-                    break;
-                }
+        loop {
+            let lost = *shared.device.borrow() == Device::Lost;
+            match shared.queue.pop(lost.then_some(options.revive)) {
+                Popped::Item(task) => self.work(task, &mut backends, &shared),
+                Popped::Nothing => self.replace(&mut backends, &shared),
+                Popped::Closed => return,
             }
-            // State that the answer did not take along is dropped here, on its own thread.
-            drop(task);
-            shared.queue.learn(start.elapsed());
         }
+    }
+
+    fn work(&mut self, mut task: Box<dyn Task>, backends: &mut Backends, shared: &Shared) {
+        let start = Instant::now();
+        let mut attempts = 0;
+        while task.run(backends, attempts) == Outcome::DeviceLost {
+            attempts += 1;
+            self.replace(backends, shared);
+            if !task.is_wanted() || task.cancel_flag().is_cancelled() {
+                break;
+            }
+        }
+        // State that the answer did not take along is dropped here, on its own thread.
+        drop(task);
+        shared.queue.learn(start.elapsed());
     }
 
     fn make(&mut self) -> Result<Backends, JobError> {
@@ -256,11 +267,15 @@ impl<F: FnMut() -> Result<Backends, JobError>> Worker<F> {
             .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))))
     }
 
-    /// New backends after a loss; while it fails the old ones stay, and answer with errors.
+    /// New backends after a loss. While there are none the old ones stay, and answer with errors:
+    /// work that was promised to a GPU does not go to a CPU unsaid.
     fn replace(&mut self, backends: &mut Backends, shared: &Shared) {
         shared.device.send_replace(Device::Lost);
         tracing::warn!("the device was lost; making it anew");
         match self.make() {
+            Ok(new) if new.gpu.is_err() && backends.gpu.is_ok() => {
+                tracing::error!(reason = new.gpu.err(), "the GPU did not come back");
+            }
             Ok(new) => {
                 *backends = new;
                 shared.device.send_replace(Device::Ready);
@@ -276,7 +291,7 @@ struct EndOnDrop<'a>(&'a Shared);
 impl Drop for EndOnDrop<'_> {
     fn drop(&mut self) {
         self.0.queue.end();
-        self.0.device.send_replace(Device::Lost);
+        self.0.device.send_replace(Device::Gone);
     }
 }
 
@@ -287,7 +302,7 @@ enum Outcome {
 }
 
 trait Task: Item {
-    fn run(&mut self, backends: &Backends, shared: &Arc<Shared>, attempt: usize) -> Outcome;
+    fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome;
 }
 
 impl Item for Box<dyn Task> {
@@ -322,10 +337,10 @@ impl<R: Send, F: Send> Item for Call<R, F> {
 const ATTEMPTS: usize = 3;
 
 impl<R: Send, F: FnMut(&Backends, &Turn) -> Result<R, JobError> + Send> Task for Call<R, F> {
-    fn run(&mut self, backends: &Backends, shared: &Arc<Shared>, attempt: usize) -> Outcome {
+    fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome {
         let queue_ms = ms(self.queued.elapsed());
         let start = Instant::now();
-        let turn = Turn { cancel: self.cancel.clone(), queue_ms, shared: shared.clone() };
+        let turn = Turn { cancel: self.cancel.clone(), queue_ms };
         let Some(work) = self.work.as_mut() else { return Outcome::Answered };
         let result = catch_unwind(AssertUnwindSafe(|| work(backends, &turn)))
             .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))));
@@ -350,4 +365,56 @@ fn ms(duration: Duration) -> f64 {
 fn text(panic: &(dyn Any + Send)) -> String {
     let message = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
     message.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "(no message)".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+    use crate::rvd::RvdError;
+    use crate::rvd::parallel::Parallel;
+    use crate::rvd::serial::Serial;
+
+    fn backends() -> Result<Backends, JobError> {
+        let parallel = Arc::new(Parallel::new(Some(1))?);
+        Ok(Backends { gpu: Err("none".into()), parallel, serial: Arc::new(Serial), default: Wish::Auto })
+    }
+
+    #[tokio::test]
+    async fn a_lost_device_comes_back_though_nobody_asks() {
+        let made = Arc::new(AtomicUsize::new(0));
+        let counter = made.clone();
+        let factory = move || match counter.fetch_add(1, Ordering::SeqCst) {
+            0 => backends(),
+            1 | 2 => Err(RvdError::Device("still gone".into()).into()),
+            _ => backends(),
+        };
+        let options = EngineOptions { revive: Duration::from_millis(20), ..EngineOptions::default() };
+        let (engine, thread) = Engine::start(factory, options).unwrap();
+        let mut health = engine.watch_device();
+        let lose = |_: &Backends, _: &Turn| -> Result<(), JobError> { Err(RvdError::DeviceLost("x".into()).into()) };
+        let error = engine.submit(Place::New, Retry::Never, lose).unwrap().wait().await.unwrap_err();
+        assert!(error.is_device_lost());
+        health.wait_for(|d| *d == Device::Lost).await.unwrap();
+        tokio::time::timeout(Duration::from_secs(5), health.wait_for(|d| *d == Device::Ready)).await.unwrap().unwrap();
+        assert_eq!(made.load(Ordering::SeqCst), 4);
+        engine.close();
+        thread.join().unwrap();
+        assert_eq!(*health.borrow(), Device::Gone);
+        let late = engine.submit(Place::Session, Retry::Never, |_, _| Ok(()));
+        assert!(matches!(late, Err(JobError::Draining)), "nobody would answer");
+    }
+
+    #[tokio::test]
+    async fn what_waits_is_answered_when_the_queue_closes() {
+        let (engine, thread) = Engine::start(backends, EngineOptions::default()).unwrap();
+        let mut all: Vec<_> =
+            (0..10).map(|i| engine.submit(Place::New, Retry::Never, move |_, _| Ok(i)).unwrap()).collect();
+        engine.close();
+        for (i, pending) in all.iter_mut().enumerate() {
+            assert_eq!(pending.wait().await.unwrap().value, i);
+        }
+        thread.join().unwrap();
+    }
 }

@@ -16,7 +16,7 @@ use super::stream::{Answers, Gate, Inbox, Outbox, respond};
 use super::{Phase, RequestError, convert};
 use crate::config::Limits;
 use crate::job::spec::{Input, Prepared};
-use crate::job::{Engine, JobError};
+use crate::job::{BackendInfo, Engine, JobError};
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
 
@@ -194,6 +194,12 @@ impl Clock {
 
     fn timing(self) -> proto::Timing {
         proto::Timing { queue_ms: self.queue_ms, compute_ms: self.compute_ms }
+    }
+
+    /// Tells the log who did the work and how long it took.
+    fn note(self, method: &'static str, by: &BackendInfo) {
+        let Self { queue_ms, compute_ms } = self;
+        tracing::info!(method, backend = by.kind.name(), adapter = by.adapter, queue_ms, compute_ms, "worked");
     }
 
     fn progress(self, stage: &str, done: u64, total: u64) -> proto::Progress {

@@ -150,7 +150,8 @@ impl Server {
                 default: Wish::Auto,
             })
         };
-        let (engine, worker) = Engine::start(factory, EngineOptions { queue_jobs: setup.queue_jobs }).unwrap();
+        let (engine, worker) =
+            Engine::start(factory, EngineOptions { queue_jobs: setup.queue_jobs, ..EngineOptions::default() }).unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel();

@@ -133,6 +133,7 @@ impl Talk {
     async fn end(self) -> Result<(), RequestError> {
         send_seeds(&self.outbox, &self.session.seeds(), wrap_chunk).await?;
         let by = self.session.by();
+        self.clock.note("Cvt", by);
         let done = CvtDone {
             backend: by.kind.name().to_owned(),
             adapter: by.adapter.clone().unwrap_or_default(),

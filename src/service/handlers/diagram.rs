@@ -9,7 +9,7 @@ use super::super::proto::{ArrayKind, ComputeRvdHeader, ComputeRvdRequest, Comput
 use super::super::proto::{compute_rvd_request as request, compute_rvd_response as response};
 use super::*;
 use crate::job::diagram::{Diagram, WorldSums};
-use crate::job::{BackendInfo, Pending, Place, Retry, Timed, Turn};
+use crate::job::{Pending, Place, Retry, Timed, Turn};
 use crate::rvd::PieceBatch;
 
 impl Header for ComputeRvdHeader {
@@ -78,6 +78,7 @@ pub(super) async fn handle(
             send_all(&outbox, convert::number_chunks(kind, numbers), wrap_chunk).await?;
         }
     }
+    clock.note("ComputeRvd", &by);
     let done = done(&report, &by, clock);
     outbox.send(wrap(response::Message::Done(done))).await
 }

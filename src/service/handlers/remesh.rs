@@ -11,7 +11,7 @@ use super::super::proto::{ArrayKind, RemeshDone, RemeshHeader, RemeshRequest, Re
 use super::super::proto::{remesh_request as request, remesh_response as response};
 use super::*;
 use crate::cvt::Iteration;
-use crate::job::{BackendInfo, Place, Retry, Timed};
+use crate::job::{Place, Retry, Timed};
 use crate::remesh::{Observer, Remesh, RemeshOptions};
 
 /// Progress that waits for the client.
@@ -136,6 +136,7 @@ async fn send_result(
     by: &BackendInfo,
     clock: Clock,
 ) -> Result<(), RequestError> {
+    clock.note("Remesh", by);
     let (positions, facets) = (result.mesh.positions(), result.mesh.facets());
     send_all(outbox, convert::point_chunks(ArrayKind::Positions, positions), wrap_chunk).await?;
     send_all(outbox, convert::facet_chunks(ArrayKind::Facets, facets), wrap_chunk).await?;
