@@ -147,8 +147,8 @@ pub fn remesh(
     }
     let figures = RepairFigures { split_cells: dual.split_cells, disputed_vertices: dual.disputed, ..repaired.figures };
     let vertex_seed = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
-    let placed = repaired.source.iter().map(|&c| positions[c as usize]).collect();
-    let result = TriMesh::new(placed, repaired.facets).map_err(|_| RemeshError::TooFewSeeds { seeds: cvt.len() })?;
+    let result =
+        TriMesh::new(repaired.positions, repaired.facets).map_err(|_| RemeshError::TooFewSeeds { seeds: cvt.len() })?;
     timings.repair = clock.lap();
 
     observer.stage("measure");

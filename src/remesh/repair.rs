@@ -19,6 +19,10 @@ use super::report::RepairFigures;
 pub struct Repaired {
     /// For each result vertex, the input vertex it stands for (several for a split vertex).
     pub source: Vec<u32>,
+    /// Where each result vertex goes: where its source is, except that all fans of a split vertex
+    /// but the largest step back a sixteenth of the way to their own facets' middle, so that nobody
+    /// who welds equal positions joins them again.
+    pub positions: Vec<DVec3>,
     /// Facets over the result's vertices.
     pub facets: Vec<[u32; 3]>,
     /// What was done.
@@ -30,7 +34,7 @@ pub fn repair(positions: &[DVec3], triangles: &[[u32; 3]]) -> Repaired {
     let mut figures = RepairFigures::default();
     let simple = simple_facets(triangles, &mut figures);
     let facets = oriented(positions, simple, &mut figures);
-    split_fans(facets, figures)
+    split_fans(positions, facets, figures)
 }
 
 /// Facets with three different corners, each set of corners once. Two facets with the same corners
@@ -104,7 +108,7 @@ fn shape([a, b, c]: [DVec3; 3]) -> f64 {
 }
 
 /// Gives every fan of facets around a vertex a vertex of its own, and drops unused vertices.
-fn split_fans(facets: Vec<[u32; 3]>, mut figures: RepairFigures) -> Repaired {
+fn split_fans(positions: &[DVec3], facets: Vec<[u32; 3]>, mut figures: RepairFigures) -> Repaired {
     let owner: HashMap<(u32, u32), u32> =
         facets.iter().enumerate().flat_map(|(f, &t)| half_edges(t).map(|h| (h, f as u32))).collect();
     let mut fan: Vec<u32> = (0..facets.len() as u32 * 3).collect();
@@ -134,8 +138,35 @@ fn split_fans(facets: Vec<[u32; 3]>, mut figures: RepairFigures) -> Repaired {
     fans.dedup();
     figures.split_vertices = fans.windows(2).filter(|w| w[0].0 == w[1].0).count();
     let number = |key: &(u32, u32)| fans.binary_search(key).unwrap_or(0) as u32;
-    let facets = corners.chunks(3).map(|c| [number(&c[0]), number(&c[1]), number(&c[2])]).collect();
-    Repaired { source: fans.iter().map(|&(v, _)| v).collect(), facets, figures }
+    let facets: Vec<[u32; 3]> = corners.chunks(3).map(|c| [number(&c[0]), number(&c[1]), number(&c[2])]).collect();
+    let source: Vec<u32> = fans.iter().map(|&(v, _)| v).collect();
+    let mut placed: Vec<DVec3> = source.iter().map(|&v| positions[v as usize]).collect();
+    if figures.split_vertices > 0 {
+        step_back(&mut placed, &source, &facets);
+    }
+    Repaired { source, positions: placed, facets, figures }
+}
+
+/// Moves all copies of a split vertex but the one with the most facets.
+fn step_back(placed: &mut [DVec3], source: &[u32], facets: &[[u32; 3]]) {
+    let mut middle = vec![(DVec3::ZERO, 0u32); placed.len()];
+    for t in facets {
+        let centre = t.iter().map(|&v| placed[v as usize]).sum::<DVec3>() / 3.0;
+        for &v in t {
+            middle[v as usize].0 += centre;
+            middle[v as usize].1 += 1;
+        }
+    }
+    let mut first = 0;
+    for copies in source.chunk_by(|a, b| a == b) {
+        let range = first..first + copies.len();
+        first = range.end;
+        let largest = range.clone().max_by_key(|&v| (middle[v].1, std::cmp::Reverse(v)));
+        for v in range.filter(|&v| Some(v) != largest) {
+            let (sum, count) = middle[v];
+            placed[v] = placed[v].lerp(sum / f64::from(count), 1.0 / 16.0);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -181,5 +212,6 @@ mod tests {
         let out = repair(&points(5), &[[0, 1, 2], [0, 3, 4]]);
         assert_eq!((out.source, out.figures.split_vertices), (vec![0, 0, 1, 2, 3, 4], 1));
         assert_ne!(out.facets[0][0], out.facets[1][0]);
+        assert_ne!(out.positions[0], out.positions[1]);
     }
 }

@@ -43,6 +43,10 @@ pub struct Integrals {
 /// more, so that rounding of either does not matter.
 const SECURITY: f64 = 4.0 * (1.0 + 1e-9);
 
+/// A cut that rounding may have moved by more than this share of the radius is placed exactly: the
+/// two lines are nearly parallel there, one cut in some ten thousand.
+const MAX_SLIP: f64 = 1e-11;
+
 /// Corners of one facet relative to one seed.
 struct Corners {
     p: [DVec3; 3],
@@ -132,6 +136,7 @@ impl Clipper {
     /// Cuts by the bisector of b = x_j - x_i. Returns whether anything changed.
     fn cut(&mut self, bisector: Bisector, corners: &Corners, sides: Sides<'_>) -> bool {
         let n = self.polygon.len();
+        let inherited = self.error;
         // d = |b|²/2 - p·b in floating point is off by at most this: three roundings in the dot
         // product and one of |b|²/2, and the vertex's own error along b.
         let unsure = bisector.length * (self.error + 4.0 * f64::EPSILON * (bisector.length + self.radius));
@@ -164,18 +169,15 @@ impl Clipper {
                     self.next.push(v);
                 }
                 if v_in != u_in {
-                    let (p, w) = match facet_edge(v.edge) {
-                        Some(e) => {
-                            self.error = self.error.max(corners.error(e, &bisector));
-                            corners.meet(e, &bisector)
-                        }
-                        None => {
-                            let length = v.p.distance(u.p);
-                            // The parameter is off by `unsure` over the difference; the point stays between the two.
-                            let slip = (2.0 * unsure / (dv - du).abs()).min(1.0) * length;
-                            self.error += slip + 4.0 * f64::EPSILON * self.radius;
-                            between(v.p, v.w, dv, u.p, u.w, du)
-                        }
+                    let (p, w, slip) = match facet_edge(v.edge) {
+                        Some(e) => corners.meet(e, &bisector),
+                        None => between((v.p, v.w, dv), (u.p, u.w, du), unsure),
+                    };
+                    let (p, w) = if slip <= MAX_SLIP * self.radius {
+                        self.error = self.error.max(inherited) + slip + 4.0 * f64::EPSILON * self.radius;
+                        (p, w)
+                    } else {
+                        corners.at(sides.place(v.edge, bisector.j)).unwrap_or((p, w))
                     };
                     self.next.push(Vertex { p, w, edge: if v_in { bisector.j } else { v.edge } });
                 }
@@ -207,12 +209,13 @@ impl Clipper {
     }
 }
 
-/// Where the segment from p to q meets the bisector with values `dp`, `dq` at its ends, in a
-/// direction that does not depend on which of the two facets asks.
-fn between(p: DVec3, wp: f64, dp: f64, q: DVec3, wq: f64, dq: f64) -> (DVec3, f64) {
-    let ((p, wp, dp), (q, wq, dq)) = if dp > dq { ((p, wp, dp), (q, wq, dq)) } else { ((q, wq, dq), (p, wp, dp)) };
+/// Where the segment between two points (position, weight, bisector's value off by at most `unsure`)
+/// meets the bisector, in a direction that does not depend on which of the two facets asks; and how
+/// far along the segment that may be wrong.
+fn between(v: (DVec3, f64, f64), u: (DVec3, f64, f64), unsure: f64) -> (DVec3, f64, f64) {
+    let ((p, wp, dp), (q, wq, dq)) = if v.2 > u.2 { (v, u) } else { (u, v) };
     let t = parameter(dp, dq);
-    (p + t * (q - p), wp + t * (wq - wp))
+    (p + t * (q - p), wp + t * (wq - wp), 2.0 * unsure / (dp - dq) * p.distance(q))
 }
 
 /// Where a linear function with values `a` and `b` at 0 and 1 is zero, kept in [0, 1]: exact
@@ -232,30 +235,26 @@ impl Corners {
         }
     }
 
-    /// The ends of edge `e` from the lower mesh vertex to the higher, with the bisector's values.
-    fn ends(&self, e: usize, bisector: &Bisector) -> ((usize, f64), (usize, f64)) {
+    /// Where edge `e` meets a bisector, from its own ends, the lower mesh vertex first; and how far
+    /// along the edge that may be wrong.
+    fn meet(&self, e: usize, bisector: &Bisector) -> (DVec3, f64, f64) {
         let (mut lo, mut hi) = (e, (e + 1) % 3);
         if self.vertex[lo] > self.vertex[hi] {
             std::mem::swap(&mut lo, &mut hi);
         }
         let value = |c: usize| bisector.half - self.p[c].dot(bisector.b);
-        ((lo, value(lo)), (hi, value(hi)))
-    }
-
-    /// Where edge `e` meets a bisector, from its own ends.
-    fn meet(&self, e: usize, bisector: &Bisector) -> (DVec3, f64) {
-        let ((lo, dl), (hi, dh)) = self.ends(e, bisector);
+        let (dl, dh) = (value(lo), value(hi));
         let t = parameter(dl, dh);
-        (self.p[lo] + t * (self.p[hi] - self.p[lo]), self.w[lo] + t * (self.w[hi] - self.w[lo]))
-    }
-
-    /// How far that point can be from the true one.
-    fn error(&self, e: usize, bisector: &Bisector) -> f64 {
-        let ((lo, dl), (hi, dh)) = self.ends(e, bisector);
         let radius = self.p[lo].length().max(self.p[hi].length());
         let unsure = 4.0 * f64::EPSILON * bisector.length * (bisector.length + radius);
-        let slip = (2.0 * unsure / (dl - dh).abs()).min(1.0) * self.p[lo].distance(self.p[hi]);
-        slip + 4.0 * f64::EPSILON * radius
+        let slip = 2.0 * unsure / (dl - dh).abs() * self.p[lo].distance(self.p[hi]);
+        (self.p[lo] + t * (self.p[hi] - self.p[lo]), self.w[lo] + t * (self.w[hi] - self.w[lo]), slip)
+    }
+
+    /// Position and weight at barycentric coordinates.
+    fn at(&self, bary: Option<[f64; 3]>) -> Option<(DVec3, f64)> {
+        let [x, y, z] = bary?;
+        Some((x * self.p[0] + y * self.p[1] + z * self.p[2], x * self.w[0] + y * self.w[1] + z * self.w[2]))
     }
 }
 

@@ -1,6 +1,7 @@
 //! Exact decisions where rounding could decide otherwise.
 //!
-//! Purpose: on which side of a bisector a symbolic RVD vertex lies, in integers.
+//! Purpose: on which side of a bisector a symbolic RVD vertex lies, in integers; and where it is,
+//! when two lines are so nearly parallel that rounding would put it elsewhere.
 //! Invariant: the answer depends on the vertex's identity alone (mesh vertex; mesh edge and one
 //! bisector; facet and two bisectors), not on who asks or how the vertex was computed, so that all
 //! cells and facets around a vertex agree. There are no ties: seed i is given the infinitesimal
@@ -17,6 +18,7 @@
 //! coefficients are the same determinants with one row replaced by ones.
 
 use num_bigint::{BigInt, Sign};
+use num_traits::ToPrimitive;
 
 use super::Surface;
 use super::cells::facet_edge;
@@ -63,6 +65,33 @@ impl Sides<'_> {
         let one: Values = [1, 1, 1].map(BigInt::from);
         let (dl, dj, dk) = (det(&one, &jv, &kv), det(m, &one, &kv), det(m, &jv, &one));
         positive(det(m, &jv, &kv), [(self.i, &dl + &dj + &dk), (l, -&dl), (j, -dj), (k, -dk)], &dl)
+    }
+
+    /// Barycentric coordinates of the vertex between polygon edges `before` and `after`, each right
+    /// to a few roundings; `None` for a mesh vertex, or for two that meet nowhere.
+    pub(super) fn place(&self, before: u32, after: u32) -> Option<[f64; 3]> {
+        let (edge, j) = match (facet_edge(before), facet_edge(after)) {
+            (None, None) => return self.place_in_facet(before, after),
+            (Some(edge), None) => (edge, after),
+            (None, Some(edge)) => (edge, before),
+            (Some(_), Some(_)) => return None,
+        };
+        let (a, b) = (edge, (edge + 1) % 3);
+        let jv = self.values(j);
+        let run = (&jv[a] - &jv[b]).to_f64()?;
+        let mut bary = [0.0; 3];
+        bary[a] = -jv[b].to_f64()? / run;
+        bary[b] = jv[a].to_f64()? / run;
+        bary.iter().all(|x| x.is_finite()).then_some(bary)
+    }
+
+    fn place_in_facet(&self, j: u32, k: u32) -> Option<[f64; 3]> {
+        let (jv, kv) = (self.values(j), self.values(k));
+        let cross: Values = [(1, 2), (2, 0), (0, 1)].map(|(p, q): (usize, usize)| &jv[p] * &kv[q] - &jv[q] * &kv[p]);
+        let sum = cross.iter().sum::<BigInt>().to_f64()?;
+        let [x, y, z] = cross;
+        let bary = [x.to_f64()? / sum, y.to_f64()? / sum, z.to_f64()? / sum];
+        bary.iter().all(|x| x.is_finite()).then_some(bary)
     }
 
     /// L_l at the three corners, in units of the grid squared.
