@@ -1,6 +1,8 @@
 //! Promise: each shared shader helper does on the device what f64 and integers do on the host,
 //! and the device refuses what it cannot do with a typed error.
 
+#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+
 #[path = "common/gpu.rs"]
 mod gpu;
 

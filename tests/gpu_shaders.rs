@@ -1,5 +1,7 @@
 //! Promise: every shader is valid WGSL and every record has one layout on both sides. No GPU.
 
+#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use tessera::gpu::layout;
 use tessera::gpu::shader::{SOURCES, compose};

@@ -31,9 +31,66 @@ fn cut_point(i: vec3f, o: vec3f) -> vec2f {
 var<private> height: f32;
 var<private> corner0: vec2f;
 
+// A polygon that shrank by more than this in radius has its vertices computed anew.
+const SHRUNK2: f32 = 256.0;
+
+// The line of an edge as (g, c): g.p = c.
+fn edge_line(facet: Facet, seed: Seed, label: u32) -> vec3f {
+    if label < FACET_EDGE - 2u {
+        let other = seeds[label];
+        let b = (other.hi - seed.hi) + (other.lo - seed.lo);
+        let c = 0.5 * dot(b, b) - height * dot(facet.n, b);
+        return vec3f(dot(facet.e1, b), dot(facet.e2, b), c);
+    }
+    let corner1 = vec2f(facet.corner1_u, 0.0);
+    let corner2 = vec2f(facet.corner2_u, facet.corner2_v);
+    let e = FACET_EDGE - label;
+    let tail = select(select(corner2, corner1, e == 1u), vec2f(0.0), e == 0u);
+    let tip = select(select(vec2f(0.0), corner2, e == 1u), corner1, e == 0u);
+    let along = normalize(tip - tail);
+    let g = vec2f(-along.y, along.x);
+    return vec3f(g, dot(g, corner0 + tail));
+}
+
+// In a facet much larger than the cell, vertices come from cutting long edges with large
+// coordinates, and keep their rounding. The lines that meet in a vertex are near the seed and
+// know nothing of that, so the vertex is put where they meet.
+fn polygon_refine(facet: Facet, seed: Seed, radius2: f32) {
+    var before = edge_line(facet, seed, polygon_edge(count - 1u));
+    for (var k = 0u; k < count; k += 1u) {
+        let after = edge_line(facet, seed, polygon_edge(k));
+        let area = before.x * after.y - before.y * after.x;
+        // Lines that are nearly one say nothing of where on them the vertex is.
+        if area * area > 1e-4 * dot(before.xy, before.xy) * dot(after.xy, after.xy) {
+            let p = vec2f(before.z * after.y - before.y * after.z, before.x * after.z - before.z * after.x) / area;
+            let old = polygon_vertex(k);
+            if dot(p - old, p - old) < 1e-4 * radius2 {
+                polygon_move(k, p);
+            }
+        }
+        before = after;
+    }
+}
+
 // Leaves the polygon in `count` and the slots. Empty if the cell does not meet the facet.
 fn clip_pair(facet: Facet, i: u32) -> u32 {
     let seed = seeds[i];
+    var first_radius2 = 0.0;
+    var radius2 = 0.0;
+    let status = clip_to_row(facet, seed, i, &first_radius2, &radius2);
+    if status == DONE && count != 0u && first_radius2 > SHRUNK2 * radius2 {
+        polygon_refine(facet, seed, radius2);
+    }
+    return status;
+}
+
+fn clip_to_row(
+    facet: Facet,
+    seed: Seed,
+    i: u32,
+    first_radius2: ptr<function, f32>,
+    last_radius2: ptr<function, f32>,
+) -> u32 {
     let w = (facet.hi - seed.hi) + (facet.lo - seed.lo);
     height = dot(facet.n, w);
     corner0 = vec2f(dot(facet.e1, w), dot(facet.e2, w));
@@ -44,6 +101,8 @@ fn clip_pair(facet: Facet, i: u32) -> u32 {
     );
     let height2 = height * height;
     var radius2 = polygon_radius2() + height2;
+    *first_radius2 = radius2;
+    *last_radius2 = radius2;
     // Written so that NaN fails too.
     if !(radius2 <= RANGE2) {
         return FINISH;
@@ -63,6 +122,7 @@ fn clip_pair(facet: Facet, i: u32) -> u32 {
         let outcome = polygon_cut(c, vec2f(dot(facet.e1, b), dot(facet.e2, b)), j, i < j);
         if outcome == CUT {
             radius2 = polygon_radius2() + height2;
+            *last_radius2 = radius2;
         } else if outcome == EMPTY {
             return DONE;
         } else if outcome == OVERFLOW {

@@ -30,6 +30,10 @@ fn polygon_vertex(k: u32) -> vec2f {
     return points[k];
 }
 
+fn polygon_move(k: u32, p: vec2f) {
+    points[k] = p;
+}
+
 fn polygon_edge(k: u32) -> u32 {
     return edges[k];
 }

@@ -39,6 +39,12 @@ fn polygon_vertex(k: u32) -> vec2f {
     return p;
 }
 
+fn polygon_move(k: u32, p: vec2f) {
+    #repeat K in 0..SLOTS
+    p_$K = select(p_$K, p, k == $(K)u);
+    #end
+}
+
 fn polygon_edge(k: u32) -> u32 {
     var edge = edge_0;
     #repeat K in 1..SLOTS

@@ -26,7 +26,7 @@ use glam::{DVec3, dvec3};
 use super::incident::{Diagram, FacetWalker};
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
-    Surface, check_seeds, elapsed_ms,
+    Surface, elapsed_ms, take_seeds,
 };
 use crate::gpu::buffers::{self, Buffers};
 use crate::gpu::layout::{self, Params, SUM_WORDS};
@@ -260,17 +260,16 @@ impl GpuSession {
         Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table }
     }
 
-    fn take_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+    fn load_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+        take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
         let begin = Instant::now();
-        self.seeds.clear();
-        self.seeds.extend_from_slice(seeds);
-        self.index = SeedIndex::new(seeds);
+        self.index = SeedIndex::new(&self.seeds);
         self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool);
         self.walker.reset();
         self.neighbours_ms = elapsed_ms(begin);
         let begin = Instant::now();
-        pack::seeds(seeds, &self.table, &mut self.records, &mut self.packed);
-        self.scales = fixed::Scales::new(self.mass, self.surface.area(), fixed::covering_radius(seeds));
+        pack::seeds(&self.seeds, &self.table, &mut self.records, &mut self.packed);
+        self.scales = fixed::Scales::new(self.mass, self.surface.area(), fixed::covering_radius(&self.seeds));
         self.starts_fresh = false;
         self.resident()?;
         if let Some(Resident { buffers, .. }) = &self.resident {
@@ -293,7 +292,9 @@ impl GpuSession {
         };
         if !self.starts_fresh {
             let begin = Instant::now();
-            starts::find(&self.surface, &self.seeds, &self.index, &self.table, &mut self.starts);
+            let mut starts = std::mem::take(&mut self.starts);
+            starts::find(self.diagram(), &mut starts);
+            self.starts = starts;
             self.roots.clear();
             let live = (0..self.starts.len()).filter(|&f| !self.surface.skips(f));
             self.roots.extend(live.map(|f| [f as u32, self.starts[f]]));
@@ -339,9 +340,8 @@ impl GpuSession {
 
 impl Session for GpuSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        check_seeds(seeds, self.max_seeds)?;
         let pool = Arc::clone(&self.pool);
-        pool.install(|| self.take_seeds(seeds))
+        pool.install(|| self.load_seeds(seeds))
     }
 
     fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {

@@ -3,6 +3,8 @@
 //! `TESSERA_TEST_GPU` is `required` (no adapter is a failure), `auto` (any adapter, software too;
 //! without one the test says so and is skipped) or `off`. What was decided is printed.
 
+#![allow(clippy::panic)]
+
 use std::sync::{Arc, OnceLock};
 
 use tessera::gpu::{Device, DeviceOptions};

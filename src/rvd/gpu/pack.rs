@@ -21,7 +21,7 @@ pub fn expected_cells(surface: &Surface, seeds: usize) -> Vec<f64> {
             return 0.0;
         }
         let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
-        let area = 0.5 * (b - a).cross(c - a).length();
+        let area = surface.facet_area(f as u32);
         let perimeter = a.distance(b) + b.distance(c) + c.distance(a);
         // No facet meets more cells than there are seeds.
         (1.0 + area / h2 + 0.9 * perimeter / h).min(seeds as f64)
