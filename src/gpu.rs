@@ -37,7 +37,17 @@ pub enum GpuError {
         /// What the shaders need.
         needed: u64,
     },
-    /// A buffer, or all of them, do not fit. Smaller ones may.
+    /// A buffer is larger than this device allows, however much memory is free.
+    #[error("{what} needs {needed_bytes} bytes and this device allows {limit_bytes}")]
+    NeverFits {
+        /// Which buffer.
+        what: String,
+        /// Bytes it needs.
+        needed_bytes: u64,
+        /// The device's limit.
+        limit_bytes: u64,
+    },
+    /// A buffer, or all of them, do not fit now. Smaller ones may.
     #[error("{needed_bytes} bytes of device memory are needed for {what}, {limit_bytes} can be had")]
     OutOfMemory {
         /// Which buffer, or "all buffers".

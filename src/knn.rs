@@ -7,7 +7,7 @@
 //! seed alone, which leaves it an empty cell.
 //! Must not know: facets, polygons.
 
-pub(crate) mod duplicates;
+mod duplicates;
 mod kdtree;
 mod table;
 

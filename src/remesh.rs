@@ -15,12 +15,12 @@ use glam::DVec3;
 use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::measure::{quality, topology};
+use crate::mesh::measure::{quality_unless, topology};
 use crate::mesh::sample::sample;
 use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
 
 pub use report::Report;
-use report::{InputFigures, IterationFigures, RepairFigures, ResultFigures, RvdFigures, Timings};
+use report::{InputFigures, IterationFigures, MemoryFigures, RepairFigures, ResultFigures, RvdFigures, Timings};
 
 /// Where the first seeds come from.
 #[derive(Clone, Debug)]
@@ -115,6 +115,7 @@ pub fn remesh(
         }
     };
     timings.sample = clock.lap();
+    cancel.check()?;
 
     observer.stage("iterations");
     let cvt_options = CvtOptions { projection: options.projection, max_seeds: 0 };
@@ -136,8 +137,9 @@ pub fn remesh(
     session.set_seeds(cvt.unit_seeds())?;
     let dual = dual::extract(&mut *session, &surface, cvt.len(), cancel)?;
     rvd.add_pass(&dual.stats);
-    rvd.of_dual(&dual, &surface, cvt.device_bytes());
+    rvd.of_dual(&dual, &surface);
     timings.dual = clock.lap();
+    cancel.check()?;
 
     observer.stage("repair");
     let positions = vertex_positions(&dual, &surface, cvt.unit_seeds(), mesh);
@@ -153,11 +155,15 @@ pub fn remesh(
 
     observer.stage("measure");
     cancel.check()?;
+    let figures_of_shape = match options.measure {
+        true => Some(quality_unless(mesh, &result, &|| cancel.is_cancelled()).ok_or(RvdError::Cancelled)?),
+        false => None,
+    };
     let result_figures = ResultFigures {
         vertices: result.positions().len(),
         facets: result.facets().len(),
         topology: topology(&result),
-        quality: options.measure.then(|| quality(mesh, &result)),
+        quality: figures_of_shape,
         repair: figures,
     };
     timings.measure = clock.lap();
@@ -172,6 +178,7 @@ pub fn remesh(
         rvd,
         iterations,
         timings_ms: timings,
+        memory: MemoryFigures { host_peak_bytes: None, device_bytes: cvt.device_bytes() },
         result: result_figures,
     };
     Ok(Remesh { mesh: result, vertex_seed, seeds: cvt.seeds(), report })

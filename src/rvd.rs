@@ -220,6 +220,16 @@ pub enum RvdError {
     /// The caller asked to stop.
     #[error("cancelled")]
     Cancelled,
+    /// The plan will never fit this device.
+    #[error(
+        "the job needs a buffer of {needed_bytes} bytes and this device allows {limit_bytes}; use fewer seeds or facets, or the parallel backend"
+    )]
+    NeverFits {
+        /// What the largest buffer needs.
+        needed_bytes: u64,
+        /// What the device allows.
+        limit_bytes: u64,
+    },
     /// The plan does not fit the device now.
     #[error(
         "the job needs {needed_bytes} bytes on the device and {limit_bytes} can be had; use fewer seeds or facets, or the parallel backend"

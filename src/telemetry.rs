@@ -29,6 +29,14 @@ pub enum TelemetryError {
     Twice,
 }
 
+/// The most memory that this process ever held, bytes; `None` where the system does not say.
+pub fn peak_memory_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    let kibibytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kibibytes * 1024)
+}
+
 /// Starts logging. What is logged: the variable `TESSERA_LOG`, or `default` (e.g. "info").
 ///
 /// # Errors

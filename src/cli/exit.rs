@@ -79,7 +79,9 @@ fn of_remesh(error: &RemeshError) -> u8 {
 fn of_rvd(error: &RvdError) -> u8 {
     match error {
         RvdError::Cancelled => INTERRUPTED,
-        RvdError::OutOfMemory { .. } | RvdError::DeviceLost(_) | RvdError::Device(_) => UNAVAILABLE,
+        RvdError::OutOfMemory { .. } | RvdError::NeverFits { .. } | RvdError::DeviceLost(_) | RvdError::Device(_) => {
+            UNAVAILABLE
+        }
         RvdError::Internal(_) => INTERNAL,
         _ => DATA,
     }

@@ -14,6 +14,7 @@ use crate::cvt::Projection;
 use crate::mesh::{TriMesh, io};
 use crate::remesh::{RemeshOptions, Report, Seeds, remesh};
 use crate::rvd::CancelFlag;
+use crate::telemetry;
 
 /// `tessera remesh`'s options.
 #[derive(Args, Debug)]
@@ -83,6 +84,7 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, start: Instant, read_ms: f64) -> Resu
     io::write(&args.output, &done.mesh)?;
     let timings = &mut done.report.timings_ms;
     (timings.read, timings.write, timings.total) = (read_ms, ms(writing), ms(start));
+    done.report.memory.host_peak_bytes = telemetry::peak_memory_bytes();
     if let Some(path) = &args.report {
         files::write_json(path, &done.report)?;
     }
@@ -134,6 +136,10 @@ fn print(report: &Report) {
         "topology    {} boundary edges, {} non-manifold edges, {} non-manifold vertices",
         result.topology.boundary_edges, result.topology.non_manifold_edges, result.topology.non_manifold_vertices
     );
+    if let Some(bytes) = report.memory.host_peak_bytes {
+        let mib = |bytes: u64| bytes >> 20;
+        println!("memory      {} MiB, {} MiB on the device", mib(bytes), mib(report.memory.device_bytes));
+    }
     println!("time        {:.0} ms", report.timings_ms.total);
 }
 

@@ -16,6 +16,7 @@ use crate::job::spec::{Input, Prepared};
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
 use crate::rvd::{CancelFlag, PieceBatch};
+use crate::telemetry;
 
 /// `tessera rvd`'s options.
 #[derive(Args, Debug)]
@@ -88,6 +89,9 @@ pub(crate) fn run(args: &RvdArgs) -> Result<()> {
         timings["read"] = read_ms.into();
         timings["write"] = (writing.elapsed().as_secs_f64() * 1e3).into();
         timings["total"] = (start.elapsed().as_secs_f64() * 1e3).into();
+    }
+    if args.endpoint.is_none() {
+        result.report["memory"]["host_peak_bytes"] = telemetry::peak_memory_bytes().into();
     }
     if let Some(path) = &args.report {
         files::write_json(path, &result.report)?;

@@ -99,7 +99,7 @@ impl Plan {
     /// Bytes of everything.
     ///
     /// # Errors
-    /// `OutOfMemory` with the bytes of the first buffer that passes a limit.
+    /// `NeverFits` with the bytes of the first buffer that passes a limit.
     pub fn new(counts: Counts, limits: Limits) -> Result<Self, GpuError> {
         let seed = size_of::<Seed>() as u64;
         let vertices = counts.emitted.saturating_mul(counts.polygon);
@@ -127,7 +127,7 @@ impl Plan {
         for (what, needed_bytes) in plan.buffers() {
             // Offsets within a buffer are 32-bit words on the device.
             if needed_bytes > limit_bytes.min(16 << 30) {
-                return Err(GpuError::OutOfMemory { what: what.to_owned(), needed_bytes, limit_bytes });
+                return Err(GpuError::NeverFits { what: what.to_owned(), needed_bytes, limit_bytes });
             }
         }
         Ok(plan)
@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn refusal_names_buffer_and_bytes() {
         let error = Plan::new(counts(2_000_000), LIMITS).unwrap_err();
-        let GpuError::OutOfMemory { what, needed_bytes, limit_bytes } = error else { panic!("{error}") };
+        let GpuError::NeverFits { what, needed_bytes, limit_bytes } = error else { panic!("{error}") };
         assert_eq!((what.as_str(), needed_bytes, limit_bytes), ("facets", 192_000_000, 128 << 20));
     }
 

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::spec::Prepared;
 use super::{BackendInfo, JobError};
-use crate::remesh::report::{InputFigures, IterationFigures, RvdFigures, Timings};
+use crate::remesh::report::{InputFigures, IterationFigures, MemoryFigures, RvdFigures, Timings};
 use crate::rvd::{Backend, CancelFlag, CellSums, PassStats, PieceBatch, Session, SessionOptions, Surface};
 
 /// Pieces that a batch aims at: a few MiB.
@@ -54,6 +54,8 @@ pub struct RvdReport {
     pub iterations: Vec<IterationFigures>,
     /// `iterations` is the time for the diagram.
     pub timings_ms: Timings,
+    /// Memory.
+    pub memory: MemoryFigures,
 }
 
 /// See the module's head.
@@ -84,7 +86,6 @@ impl Diagram {
         session.set_seeds(&unit)?;
         let facets = surface.facets().len();
         let pieces_per_facet = 1 + 6 * seeds.len() / facets.max(1);
-        let figures = RvdFigures { device_bytes: session.device_bytes(), ..RvdFigures::default() };
         Ok(Self {
             session,
             surface,
@@ -94,7 +95,7 @@ impl Diagram {
             pieces_area: 0.0,
             met: vec![false; seeds.len()],
             seeds,
-            figures,
+            figures: RvdFigures::default(),
             compute_ms: start.elapsed().as_secs_f64() * 1e3,
         })
     }
@@ -123,7 +124,6 @@ impl Diagram {
         self.figures.pairs = stats.pairs;
         self.figures.area = sums.areas.iter().sum();
         self.figures.empty_cells = sums.areas.iter().filter(|a| **a <= 0.0).count();
-        self.figures.device_bytes = self.session.device_bytes();
         self.compute_ms += start.elapsed().as_secs_f64() * 1e3;
         Ok(sums)
     }
@@ -156,7 +156,6 @@ impl Diagram {
             self.figures.pairs = self.pass.pairs;
             self.figures.area = self.pieces_area / (frame.scale * frame.scale);
             self.figures.empty_cells = self.met.iter().filter(|met| !**met).count();
-            self.figures.device_bytes = self.session.device_bytes();
         }
         self.compute_ms += start.elapsed().as_secs_f64() * 1e3;
         Ok(Some(batch))
@@ -183,6 +182,7 @@ impl Diagram {
             rvd: self.figures.clone(),
             iterations: Vec::new(),
             timings_ms,
+            memory: MemoryFigures { host_peak_bytes: None, device_bytes: self.session.device_bytes() },
         }
     }
 }

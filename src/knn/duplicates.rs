@@ -6,7 +6,7 @@
 use glam::DVec3;
 
 /// `(later, earliest)` for every point that lies exactly on an earlier one, in order of `later`.
-pub(crate) fn find(seeds: &[DVec3]) -> Vec<(u32, u32)> {
+pub(super) fn find(seeds: &[DVec3]) -> Vec<(u32, u32)> {
     const EMPTY: u32 = u32::MAX;
     let mask = (seeds.len() * 2).next_power_of_two() - 1;
     let mut slots = vec![EMPTY; mask + 1];

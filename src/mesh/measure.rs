@@ -11,6 +11,7 @@ use serde::Serialize;
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
 use super::closest_point::ClosestPoint;
+use super::disjoint::DisjointSets;
 use super::sample::sample;
 use glam::DVec3;
 
@@ -103,17 +104,22 @@ pub fn topology_of(mesh: &TriMesh, adjacency: &Adjacency) -> Topology {
 /// Quality of `result` against `original`. Distances are taken from about 200,000 random points and all
 /// vertices of each side to the other surface.
 pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
+    quality_unless(original, result, &|| false).unwrap_or_default()
+}
+
+/// As [`quality`], but `None` soon after `stop` says so.
+pub fn quality_unless(original: &TriMesh, result: &TriMesh, stop: &(dyn Fn() -> bool + Sync)) -> Option<Quality> {
     let adjacency = Adjacency::new(result);
     let mut quality = shape_quality(result, &adjacency);
     quality.v567_percent = v567_percent(result, &adjacency);
-    let (there, back) = (distances(original, result), distances(result, original));
+    let (there, back) = (distances(original, result, stop)?, distances(result, original, stop)?);
     let (low, high) = original.bounds();
     // Scaled, so that the squares of a tiny or huge box stay within range.
     let extent = (high - low).max_element();
     let diagonal = ((high - low) / extent).length() * extent;
     quality.hausdorff_percent = 100.0 * there.0.max(back.0) / diagonal;
     quality.rms_percent = 100.0 * there.1.max(back.1) / diagonal;
-    quality
+    Some(quality)
 }
 
 /// Corners that are connected through edges with two facets. Corner `3 * facet + c` is the
@@ -219,7 +225,7 @@ fn v567_percent(mesh: &TriMesh, adjacency: &Adjacency) -> f64 {
 }
 
 /// Largest and root mean square distance of `from`'s points to `to`, caller's units.
-fn distances(from: &TriMesh, to: &TriMesh) -> (f64, f64) {
+fn distances(from: &TriMesh, to: &TriMesh, stop: &(dyn Fn() -> bool + Sync)) -> Option<(f64, f64)> {
     let mut points: Vec<DVec3> = sample(from, None, SAMPLES, SAMPLE_SEED).iter().map(|s| s.position).collect();
     let mut used = vec![false; from.positions().len()];
     // Facets without area are no part of the surface for samples and closest points; nor here.
@@ -232,38 +238,14 @@ fn distances(from: &TriMesh, to: &TriMesh) -> (f64, f64) {
     let chunks: Vec<(f64, f64)> = points
         .par_chunks(CHUNK)
         .map(|chunk| {
+            if stop() {
+                return (0.0, 0.0);
+            }
             chunk.iter().map(|&p| target.distance(p) / unit).fold((0.0, 0.0), |(max, sum), d| (d.max(max), sum + d * d))
         })
         .collect();
     let (max, sum) = chunks.into_iter().fold((0.0f64, 0.0), |(max, sum), (m, s)| (m.max(max), sum + s));
-    (max * unit, (sum / points.len() as f64).sqrt() * unit)
-}
-
-/// Union-find with path halving; the root of a set is its lowest member.
-struct DisjointSets(Vec<usize>);
-
-impl DisjointSets {
-    fn new(n: usize) -> Self {
-        Self((0..n).collect())
-    }
-
-    fn len(&self) -> usize {
-        self.0.len()
-    }
-
-    fn root(&mut self, mut i: usize) -> usize {
-        while self.0[i] != i {
-            self.0[i] = self.0[self.0[i]];
-            i = self.0[i];
-        }
-        i
-    }
-
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        let (low, high) = (a.min(b), a.max(b));
-        self.0[high] = low;
-    }
+    (!stop()).then_some((max * unit, (sum / points.len() as f64).sqrt() * unit))
 }
 
 #[cfg(test)]

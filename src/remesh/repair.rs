@@ -13,6 +13,7 @@ use std::collections::{HashMap, HashSet};
 use glam::DVec3;
 
 use super::report::RepairFigures;
+use crate::mesh::disjoint::DisjointSets;
 
 /// A repaired triangulation.
 #[derive(Clone, Debug, Default)]
@@ -111,33 +112,24 @@ fn shape([a, b, c]: [DVec3; 3]) -> f64 {
 fn split_fans(positions: &[DVec3], facets: Vec<[u32; 3]>, mut figures: RepairFigures) -> Repaired {
     let owner: HashMap<(u32, u32), u32> =
         facets.iter().enumerate().flat_map(|(f, &t)| half_edges(t).map(|h| (h, f as u32))).collect();
-    let mut fan: Vec<u32> = (0..facets.len() as u32 * 3).collect();
-    fn root(fan: &mut [u32], mut i: u32) -> u32 {
-        while fan[i as usize] != i {
-            fan[i as usize] = fan[fan[i as usize] as usize];
-            i = fan[i as usize];
-        }
-        i
-    }
+    let mut fan = DisjointSets::new(facets.len() * 3);
     for (f, &t) in facets.iter().enumerate() {
         for (e, (a, b)) in half_edges(t).into_iter().enumerate() {
             // Across edge a -> b lies the facet with b -> a; both corners are then in one fan.
             let Some(&g) = owner.get(&(b, a)) else { continue };
             for (v, here) in [(a, e), (b, (e + 1) % 3)] {
                 let Some(there) = facets[g as usize].iter().position(|&u| u == v) else { continue };
-                let (x, y) = (root(&mut fan, f as u32 * 3 + here as u32), root(&mut fan, g * 3 + there as u32));
-                fan[x.max(y) as usize] = x.min(y);
+                fan.join(f * 3 + here, g as usize * 3 + there);
             }
         }
     }
     // Numbered by old vertex, then by first corner: a manifold keeps its order.
-    let corners: Vec<(u32, u32)> =
-        (0..fan.len() as u32).map(|c| (facets[c as usize / 3][c as usize % 3], root(&mut fan, c))).collect();
+    let corners: Vec<(u32, usize)> = (0..fan.len()).map(|c| (facets[c / 3][c % 3], fan.root(c))).collect();
     let mut fans = corners.clone();
     fans.sort_unstable();
     fans.dedup();
     figures.split_vertices = fans.windows(2).filter(|w| w[0].0 == w[1].0).count();
-    let number = |key: &(u32, u32)| fans.binary_search(key).unwrap_or(0) as u32;
+    let number = |key: &(u32, usize)| fans.binary_search(key).unwrap_or(0) as u32;
     let facets: Vec<[u32; 3]> = corners.chunks(3).map(|c| [number(&c[0]), number(&c[1]), number(&c[2])]).collect();
     let source: Vec<u32> = fans.iter().map(|&(v, _)| v).collect();
     let mut placed: Vec<DVec3> = source.iter().map(|&v| positions[v as usize]).collect();

@@ -33,6 +33,8 @@ pub struct Report {
     pub iterations: Vec<IterationFigures>,
     /// Wall-clock times.
     pub timings_ms: Timings,
+    /// Memory.
+    pub memory: MemoryFigures,
     /// The surface that came out.
     pub result: ResultFigures,
 }
@@ -74,7 +76,15 @@ pub struct RvdFigures {
     pub empty_cells: usize,
     /// Seeds placed anew because their cell was empty, all passes.
     pub reseeded_cells: usize,
-    /// Device memory held, bytes.
+}
+
+/// Memory that the run took.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct MemoryFigures {
+    /// The most that the process ever held, bytes; absent where the system does not say, and in a
+    /// server's report, whose process does other jobs too.
+    pub host_peak_bytes: Option<u64>,
+    /// Device memory of the job's plan, bytes; 0 on a CPU.
     pub device_bytes: u64,
 }
 
@@ -89,6 +99,8 @@ pub struct IterationFigures {
     pub energy_ratio: f64,
     /// ‖∇E‖.
     pub gradient_norm: f64,
+    /// Area covered by the pieces that this step saw, caller's units squared.
+    pub area: f64,
     /// Passes.
     pub evaluations: usize,
     /// Wall-clock.
@@ -178,12 +190,11 @@ impl RvdFigures {
     }
 
     /// Takes the last diagram's figures.
-    pub fn of_dual(&mut self, dual: &Dual, surface: &Surface, device_bytes: u64) {
+    pub fn of_dual(&mut self, dual: &Dual, surface: &Surface) {
         let scale = surface.frame().scale;
         self.area = dual.area / scale / scale;
         self.pairs = dual.stats.pairs;
         self.empty_cells = dual.empty_cells;
-        self.device_bytes = device_bytes;
     }
 }
 
@@ -195,6 +206,7 @@ impl IterationFigures {
             energy: step.energy,
             energy_ratio: step.energy_ratio,
             gradient_norm: step.gradient_norm,
+            area: step.area,
             evaluations: step.evaluations,
             ms: step.ms,
             neighbours_ms: step.stats.neighbours_ms,

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 
 use super::cells::facet_edge;
 use super::{CancelFlag, PassStats, PieceBatch, RvdError, Session, Surface};
+use crate::mesh::disjoint::DisjointSets;
 
 /// A triangulation whose vertices are components of restricted cells.
 #[derive(Clone, Debug, Default)]
@@ -149,7 +150,7 @@ impl Pieces {
                     if let Some(other) = self.find(g, self.seed[piece])
                         && self.edges[other as usize] & (1 << d) != 0
                     {
-                        sets.join(piece as u32, other);
+                        sets.join(piece, other as usize);
                     }
                 }
             }
@@ -159,9 +160,9 @@ impl Pieces {
 
     fn number(&self, mut sets: DisjointSets, seeds: usize) -> Dual {
         // A root is the lowest piece of its set, so (seed, root) orders by first facet.
-        let mut components: BTreeMap<(u32, u32), (f64, DVec3)> = BTreeMap::new();
+        let mut components: BTreeMap<(u32, usize), (f64, DVec3)> = BTreeMap::new();
         for piece in 0..self.facet.len() {
-            let key = (self.seed[piece], sets.root(piece as u32));
+            let key = (self.seed[piece], sets.root(piece));
             let sum = components.entry(key).or_default();
             sum.0 += self.area[piece];
             sum.1 += self.moment[piece];
@@ -171,7 +172,7 @@ impl Pieces {
         let mut largest: Vec<u32> = vec![u32::MAX; seeds];
         for (&(seed, root), &(area, moment)) in &components {
             let id = dual.components.len() as u32;
-            number[root as usize] = id;
+            number[root] = id;
             let best = &mut largest[seed as usize];
             let whole = *best == u32::MAX;
             if whole || dual.components[*best as usize].area < area {
@@ -191,13 +192,13 @@ impl Pieces {
         for &(piece, others) in &self.vertices {
             let facet = self.facet[piece as usize];
             let corners = others.map(|seed| match self.find(facet, seed) {
-                Some(p) => number[sets.root(p) as usize],
+                Some(p) => number[sets.root(p as usize)],
                 None => {
                     dual.disputed += 1;
                     largest[seed as usize]
                 }
             });
-            let own = number[sets.root(piece) as usize];
+            let own = number[sets.root(piece as usize)];
             if corners.iter().all(|&c| c != u32::MAX) {
                 dual.triangles.push([own, corners[0], corners[1]]);
             }
@@ -217,27 +218,4 @@ fn edge_groups(surface: &Surface) -> Vec<(u64, u32)> {
     }
     halves.par_sort_unstable();
     halves
-}
-
-/// Disjoint sets whose root is their lowest member.
-struct DisjointSets(Vec<u32>);
-
-impl DisjointSets {
-    fn new(n: usize) -> Self {
-        Self((0..n as u32).collect())
-    }
-
-    fn root(&mut self, mut i: u32) -> u32 {
-        while self.0[i as usize] != i {
-            let up = self.0[self.0[i as usize] as usize];
-            self.0[i as usize] = up;
-            i = up;
-        }
-        i
-    }
-
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.0[a.max(b) as usize] = a.min(b);
-    }
 }

@@ -24,6 +24,7 @@ use std::time::Instant;
 use glam::{DVec3, dvec3};
 
 use super::incident::{Diagram, FacetWalker};
+use super::parallel::Parallel;
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
     Surface, elapsed_ms, take_seeds,
@@ -40,6 +41,7 @@ impl From<GpuError> for RvdError {
     fn from(error: GpuError) -> Self {
         match error {
             GpuError::OutOfMemory { needed_bytes, limit_bytes, .. } => Self::OutOfMemory { needed_bytes, limit_bytes },
+            GpuError::NeverFits { needed_bytes, limit_bytes, .. } => Self::NeverFits { needed_bytes, limit_bytes },
             GpuError::Lost(why) => Self::DeviceLost(why),
             GpuError::Timeout { .. } => Self::DeviceLost(error.to_string()),
             GpuError::NoAdapter { .. } | GpuError::Unsupported { .. } | GpuError::Failed(_) | GpuError::Shader(_) => {
@@ -119,6 +121,10 @@ impl Backend for Gpu {
 
     fn threads(&self) -> usize {
         self.pool.current_num_threads()
+    }
+
+    fn exact_session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        Parallel::on(Arc::clone(&self.pool)).session(surface, options)
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {

@@ -40,6 +40,11 @@ impl Parallel {
             .map_err(|e| RvdError::Internal(format!("no thread pool: {e}")))?;
         Ok(Self { pool: Arc::new(pool) })
     }
+
+    /// On a pool that is there already.
+    pub(super) fn on(pool: Arc<rayon::ThreadPool>) -> Self {
+        Self { pool }
+    }
 }
 
 impl Backend for Parallel {

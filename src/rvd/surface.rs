@@ -8,8 +8,8 @@
 use glam::DVec3;
 
 use super::RvdError;
-use crate::knn::duplicates;
 use crate::mesh::TriMesh;
+use crate::mesh::adjacency::weld;
 
 /// The map between the caller's coordinates and the unit frame: unit = (p - centre) * scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -91,10 +91,7 @@ impl Surface {
             }
         };
         let positions: Vec<DVec3> = mesh.positions().iter().map(|&p| snap(frame.to_unit(p))).collect();
-        let mut class: Vec<u32> = (0..vertices as u32).collect();
-        for (later, earliest) in duplicates::find(mesh.positions()) {
-            class[later as usize] = earliest;
-        }
+        let class = weld(mesh);
         let skip: Vec<bool> = (0..mesh.facets().len()).map(|f| mesh.is_degenerate(f)).collect();
         let mut surface = Self {
             frame,

@@ -76,6 +76,7 @@ fn of_rvd(error: &RvdError) -> Status {
         RvdError::BadWeight { vertex, .. } => format!("mesh.weights[{vertex}]"),
         RvdError::WeightCount { .. } => "mesh.weights".to_owned(),
         RvdError::Cancelled => return Status::cancelled("the work was cancelled"),
+        RvdError::NeverFits { .. } => "header".to_owned(),
         RvdError::OutOfMemory { .. } => return retry(Code::ResourceExhausted, text, Duration::from_secs(5)),
         RvdError::DeviceLost(_) => return retry(Code::Unavailable, text, Duration::from_secs(5)),
         RvdError::Device(_) | RvdError::Internal(_) => {
