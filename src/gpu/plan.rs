@@ -194,7 +194,7 @@ mod tests {
 
     #[test]
     fn absurd_counts_do_not_overflow() {
-        assert!(Plan::new(counts(u64::MAX / 8), LIMITS).is_err());
+        assert!(Plan::new(counts(u64::MAX / 32), LIMITS).is_err());
     }
 
     #[test]

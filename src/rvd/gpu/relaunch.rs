@@ -146,7 +146,8 @@ impl GpuSession {
             return Ok(false);
         }
         let device = Arc::clone(&self.device);
-        let all = (seeds.len() * 4 > self.records.len()).then(|| self.records.clone());
+        // One write costs as much as copying a few hundred records.
+        let all = (seeds.len() * 256 > self.records.len()).then(|| self.records.clone());
         let changed: Vec<_> = seeds.iter().map(|&i| (i, self.records[i as usize])).collect();
         let tail = self.packed[first..].to_vec();
         let buffers = &self.resident()?.buffers;
