@@ -353,15 +353,15 @@ pub trait Backend: Send + Sync {
 ///
 /// All coordinates are in the surface's unit frame ([`Surface::frame`]).
 pub trait Session: Send {
-    /// Sets the seeds and builds their neighbour table. May be called any number of times,
-    /// with another number of seeds each time, up to `max_seeds`.
+    /// Sets the seeds. Their neighbour table is built by the next pass, which can be cancelled. May
+    /// be called any number of times, with another number of seeds each time, up to `max_seeds`.
     ///
     /// # Errors
     /// `NoSeeds`, `TooManySeeds`, `NonFiniteSeed`.
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError>;
 
     /// The sums over every cell for the present seeds. `out` is reset to their number.
-    /// The statistics include what `set_seeds` spent on the neighbour table.
+    /// The statistics include the neighbour table, if these seeds are new.
     fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError>;
 
     /// The pieces in `facets`, ordered by facet and then by seed. `out` is cleared first.

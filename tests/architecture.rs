@@ -4,6 +4,8 @@
 //! each outside crate of weight has the rooms it may appear in. Comments and unit tests are
 //! not looked at.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,7 @@
 //! Lloyd's iteration: the energy falls, empty cells are filled, edits take effect, cancelling stops.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 #[path = "common/surfaces.rs"]
 mod surfaces;
 

@@ -1,5 +1,7 @@
 //! Real scans and CAD parts, where `TESSERA_MESHES` and `TESSERA_SEEDS` name folders with them.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 #[path = "common/points.rs"]
 mod points;
 #[path = "common/surfaces.rs"]

@@ -1,5 +1,7 @@
 //! The whole pipeline on generated surfaces: topology kept, orientation kept, the same bits.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 #[path = "common/surfaces.rs"]
 mod surfaces;
 

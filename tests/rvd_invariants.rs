@@ -1,6 +1,8 @@
 //! What holds of every diagram, whatever the surface and the seeds: pieces tile their facets, every
 //! point lies in the cell of its nearest seed, capacities and threads change nothing.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 #[path = "common/points.rs"]
 mod points;
 #[path = "common/surfaces.rs"]

@@ -17,8 +17,9 @@ pub struct NeighbourTable {
 const CHUNK: usize = 256;
 
 impl NeighbourTable {
-    /// Fills the table with rows of at most `k` neighbours, reusing its memory.
-    pub fn fill(&mut self, index: &SeedIndex, k: usize, threads: Threads) {
+    /// Fills the table with rows of at most `k` neighbours, reusing its memory. Returns `false` soon
+    /// after `stop` says so; the table is then of no use.
+    pub fn fill(&mut self, index: &SeedIndex, k: usize, threads: Threads, stop: &(dyn Fn() -> bool + Sync)) -> bool {
         let (n, k) = (index.len(), k.max(1).min(index.len()));
         self.k = k;
         self.seeds.resize(n * k, 0);
@@ -26,6 +27,9 @@ impl NeighbourTable {
         self.complete.resize(n, false);
         let fill = |chunk: usize, (seeds, (len, complete)): (&mut [u32], (&mut [u32], &mut [bool]))| {
             let mut row = NeighbourRow::default();
+            if stop() {
+                return;
+            }
             for (s, (l, c)) in len.iter_mut().zip(complete).enumerate() {
                 index.row((chunk * CHUNK + s) as u32, k, &mut row);
                 seeds[s * k..s * k + row.seeds.len()].copy_from_slice(&row.seeds);
@@ -47,6 +51,7 @@ impl NeighbourTable {
                 .enumerate()
                 .for_each(|(c, part)| fill(c, part)),
         }
+        !stop()
     }
 
     /// The row of seed `i`, and whether it is complete.

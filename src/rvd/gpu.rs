@@ -15,7 +15,6 @@ mod pass;
 mod pieces;
 mod pipelines;
 mod relaunch;
-mod starts;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -25,6 +24,7 @@ use glam::{DVec3, dvec3};
 
 use super::incident::{Diagram, FacetWalker};
 use super::parallel::Parallel;
+use super::start::Starts;
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
     Surface, elapsed_ms, take_seeds,
@@ -167,12 +167,12 @@ struct GpuSession {
     records: Vec<layout::Seed>,
     scales: fixed::Scales,
     /// Nearest seed of each facet; kept as a guess when the seeds move.
-    starts: Vec<u32>,
+    starts: Starts,
     starts_fresh: bool,
     /// (facet, first cell) of every facet that is not degenerate, by facet.
     roots: Vec<[u32; 2]>,
-    neighbours_ms: f64,
-    upload_ms: f64,
+    /// The tree, the table and the device's copy are not those of `seeds` yet.
+    stale: bool,
     walker: FacetWalker,
     pass: pass::PassResult,
 }
@@ -216,11 +216,10 @@ impl GpuSession {
             packed: Vec::new(),
             records: Vec::new(),
             scales: fixed::Scales::default(),
-            starts: Vec::new(),
+            starts: Starts::default(),
             starts_fresh: false,
             roots: Vec::new(),
-            neighbours_ms: 0.0,
-            upload_ms: 0.0,
+            stale: false,
             walker: FacetWalker::default(),
             pass: pass::PassResult::default(),
         }
@@ -266,13 +265,21 @@ impl GpuSession {
         Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table }
     }
 
-    fn load_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
+    /// The tree, the table and the device's copy of new seeds.
+    fn refresh(&mut self, cancel: &CancelFlag, stats: &mut PassStats) -> Result<(), RvdError> {
+        if self.seeds.is_empty() {
+            return Err(RvdError::NoSeeds);
+        }
+        if !self.stale {
+            return Ok(());
+        }
         let begin = Instant::now();
         self.index = SeedIndex::new(&self.seeds);
-        self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool);
+        if !self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool, &|| cancel.is_cancelled()) {
+            return Err(RvdError::Cancelled);
+        }
         self.walker.reset();
-        self.neighbours_ms = elapsed_ms(begin);
+        stats.neighbours_ms = elapsed_ms(begin);
         let begin = Instant::now();
         pack::seeds(&self.seeds, &self.table, &mut self.records, &mut self.packed);
         self.scales = fixed::Scales::new(self.mass, self.surface.area(), fixed::covering_radius(&self.seeds));
@@ -282,28 +289,23 @@ impl GpuSession {
             buffers::write(&self.device, &buffers.seeds, 0, &self.records)?;
             buffers::write(&self.device, &buffers.table, 0, &self.packed)?;
         }
-        self.upload_ms = elapsed_ms(begin);
+        self.stale = false;
+        stats.update_ms = elapsed_ms(begin);
         Ok(())
     }
 
-    /// Statistics of a pass that begins: what `set_seeds` spent, and the first cells.
-    fn begin_pass(&mut self) -> Result<PassStats, RvdError> {
-        if self.seeds.is_empty() {
-            return Err(RvdError::NoSeeds);
-        }
-        let mut stats = PassStats {
-            neighbours_ms: std::mem::take(&mut self.neighbours_ms),
-            update_ms: std::mem::take(&mut self.upload_ms),
-            ..PassStats::default()
-        };
+    /// Statistics of a pass that begins: new seeds' tables, and the first cells.
+    fn begin_pass(&mut self, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+        let mut stats = PassStats::default();
+        self.refresh(cancel, &mut stats)?;
         if !self.starts_fresh {
             let begin = Instant::now();
             let mut starts = std::mem::take(&mut self.starts);
-            starts::find(self.diagram(), &mut starts);
+            starts.find(self.diagram(), 0..self.facets.len() as u32);
             self.starts = starts;
             self.roots.clear();
-            let live = (0..self.starts.len()).filter(|&f| !self.surface.skips(f));
-            self.roots.extend(live.map(|f| [f as u32, self.starts[f]]));
+            let live = self.starts.seeds().iter().enumerate().filter(|&(f, _)| !self.surface.skips(f));
+            self.roots.extend(live.map(|(f, &start)| [f as u32, start]));
             stats.start_ms = elapsed_ms(begin);
             self.resident()?;
             if let Some(Resident { buffers, .. }) = &self.resident {
@@ -316,7 +318,7 @@ impl GpuSession {
 
     fn compute_sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
         let n = self.seeds.len();
-        let mut stats = self.begin_pass()?;
+        let mut stats = self.begin_pass(cancel)?;
         let begin = Instant::now();
         self.run_pass(0..self.facets.len() as u32, cancel, &mut stats)?;
         stats.clip_ms = elapsed_ms(begin);
@@ -346,8 +348,9 @@ impl GpuSession {
 
 impl Session for GpuSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        let pool = Arc::clone(&self.pool);
-        pool.install(|| self.load_seeds(seeds))
+        take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
+        self.stale = true;
+        Ok(())
     }
 
     fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {

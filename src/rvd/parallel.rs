@@ -15,9 +15,10 @@ use rayon::prelude::*;
 
 use super::clip::Integrals;
 use super::incident::{Diagram, FacetWalker};
+use super::start::Starts;
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
-    Surface, elapsed_ms, start, take_seeds,
+    Surface, elapsed_ms, take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 
@@ -65,9 +66,8 @@ impl Backend for Parallel {
             seeds: Vec::new(),
             index: SeedIndex::new(&[]),
             table: NeighbourTable::default(),
-            neighbours_ms: 0.0,
-            starts: Vec::new(),
-            starts_of: (0..0, 0),
+            stale: false,
+            starts: Starts::default(),
             chunks: Vec::new(),
         }))
     }
@@ -88,10 +88,9 @@ struct ParallelSession {
     seeds: Vec<DVec3>,
     index: SeedIndex,
     table: NeighbourTable,
-    neighbours_ms: f64,
-    starts: Vec<u32>,
-    /// For which facets, and how many seeds.
-    starts_of: (Range<u32>, usize),
+    /// The tree and the table are not those of `seeds` yet.
+    stale: bool,
+    starts: Starts,
     chunks: Vec<Chunk>,
 }
 
@@ -111,22 +110,18 @@ enum Wanted {
 }
 
 impl ParallelSession {
-    /// The nearest seed of each facet in `facets`. The last answers are the guesses; at first, and
-    /// with another number of seeds, the answer of the facet before.
-    fn find_starts(&mut self, facets: Range<u32>) {
-        let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
-        let fresh = self.starts_of != (facets.clone(), self.seeds.len());
-        self.starts.resize(facets.len(), 0);
-        self.starts.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
-            let mut last = None;
-            for (k, start) in part.iter_mut().enumerate() {
-                let q = diagram.surface.centroid(facets.start + (c * CHUNK + k) as u32);
-                let guess = if fresh { last.unwrap_or_else(|| diagram.index.nearest(q)) } else { *start };
-                *start = start::nearest(diagram, q, guess);
-                last = Some(*start);
-            }
-        });
-        self.starts_of = (facets, self.seeds.len());
+    /// Builds the tree and the table of new seeds. Returns the milliseconds spent.
+    fn refresh(&mut self, cancel: &CancelFlag) -> Result<f64, RvdError> {
+        if !self.stale {
+            return if self.seeds.is_empty() { Err(RvdError::NoSeeds) } else { Ok(0.0) };
+        }
+        let begin = Instant::now();
+        self.index = SeedIndex::with_threads(&self.seeds, Threads::Pool);
+        if !self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool, &|| cancel.is_cancelled()) {
+            return Err(RvdError::Cancelled);
+        }
+        self.stale = false;
+        Ok(elapsed_ms(begin))
     }
 
     /// Runs all tasks of `facets`, wave by wave; `merge` gets each wave's chunks in order.
@@ -137,12 +132,12 @@ impl ParallelSession {
         cancel: &CancelFlag,
         mut merge: impl FnMut(&[Chunk]) + Send,
     ) -> Result<PassStats, RvdError> {
-        let mut stats = PassStats { neighbours_ms: std::mem::take(&mut self.neighbours_ms), ..PassStats::default() };
+        let mut stats = PassStats { neighbours_ms: self.refresh(cancel)?, ..PassStats::default() };
         let begin = Instant::now();
-        self.find_starts(facets.clone());
-        stats.start_ms = elapsed_ms(begin);
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
-        let (starts, capacities) = (&self.starts, self.capacities);
+        let starts = self.starts.find(diagram, facets.clone());
+        stats.start_ms = elapsed_ms(begin);
+        let capacities = self.capacities;
         // A facet meets its share of the cells and some more at its rim.
         let per_facet = 3 + 2 * self.seeds.len() / self.surface.facets().len();
         let size = (CHUNK_PAIRS / per_facet).clamp(1, CHUNK);
@@ -231,14 +226,8 @@ fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
 
 impl Session for ParallelSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        let begin = Instant::now();
         take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
-        let pool = Arc::clone(&self.pool);
-        pool.install(|| {
-            self.index = SeedIndex::with_threads(&self.seeds, Threads::Pool);
-            self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool);
-        });
-        self.neighbours_ms = elapsed_ms(begin);
+        self.stale = true;
         Ok(())
     }
 

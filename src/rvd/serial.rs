@@ -41,7 +41,7 @@ impl Backend for Serial {
             index: SeedIndex::with_threads(&[], Threads::One),
             table: NeighbourTable::default(),
             walker: FacetWalker::default(),
-            neighbours_ms: 0.0,
+            stale: false,
         }))
     }
 }
@@ -54,13 +54,29 @@ struct SerialSession {
     index: SeedIndex,
     table: NeighbourTable,
     walker: FacetWalker,
-    neighbours_ms: f64,
+    /// The tree and the table are not those of `seeds` yet.
+    stale: bool,
 }
 
 /// Facets between two looks at the cancel flag.
 const BATCH: usize = 1024;
 
 impl SerialSession {
+    /// Builds the tree and the table of new seeds. Returns the milliseconds spent.
+    fn refresh(&mut self, cancel: &CancelFlag) -> Result<f64, RvdError> {
+        if !self.stale {
+            return if self.seeds.is_empty() { Err(RvdError::NoSeeds) } else { Ok(0.0) };
+        }
+        let begin = Instant::now();
+        self.index = SeedIndex::with_threads(&self.seeds, Threads::One);
+        if !self.table.fill(&self.index, self.capacities.neighbours, Threads::One, &|| cancel.is_cancelled()) {
+            return Err(RvdError::Cancelled);
+        }
+        self.walker.reset();
+        self.stale = false;
+        Ok(elapsed_ms(begin))
+    }
+
     /// Walks the facets in `range`; the nearest seed of each is found first.
     fn walk(
         &mut self,
@@ -68,7 +84,7 @@ impl SerialSession {
         cancel: &CancelFlag,
         mut visit: impl FnMut(u32, u32, DVec3, &Clipper),
     ) -> Result<PassStats, RvdError> {
-        let mut stats = PassStats { neighbours_ms: std::mem::take(&mut self.neighbours_ms), ..PassStats::default() };
+        let mut stats = PassStats { neighbours_ms: self.refresh(cancel)?, ..PassStats::default() };
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
         let mut starts = Vec::with_capacity(BATCH);
         for first in range.clone().step_by(BATCH) {
@@ -93,12 +109,8 @@ impl SerialSession {
 
 impl Session for SerialSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        let begin = Instant::now();
         take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
-        self.index = SeedIndex::with_threads(&self.seeds, Threads::One);
-        self.table.fill(&self.index, self.capacities.neighbours, Threads::One);
-        self.walker.reset();
-        self.neighbours_ms = elapsed_ms(begin);
+        self.stale = true;
         Ok(())
     }
 

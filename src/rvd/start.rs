@@ -3,19 +3,60 @@
 //! Purpose: a seed whose cell holds the facet's centroid, found by walking the neighbour table from
 //! a guess and proved by the same radius that ends a clip; the kd-tree answers where the table
 //! cannot.
-//! Invariant: the answer is a nearest seed. Which of several equal ones it is may depend on the
+//! Invariant: the answer is a nearest seed, never a later twin. Which of several equal ones it is may depend on the
 //! guess; the diagram does not.
 //! Must not know: polygons.
 
+use std::ops::Range;
+
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::incident::Diagram;
 
+/// Facets per task. Part of no result.
+const CHUNK: usize = 512;
+
+/// The first cells of a range of facets, kept as guesses for when the seeds have moved.
+#[derive(Debug, Default)]
+pub(super) struct Starts {
+    facets: Range<u32>,
+    seeds: Vec<u32>,
+}
+
+impl Starts {
+    /// Finds those of `facets` on all threads of the present pool. The guess is the last answer for
+    /// the same facets, or else the answer for the facet before.
+    pub(super) fn find(&mut self, diagram: Diagram<'_>, facets: Range<u32>) -> &[u32] {
+        let guessed = self.facets == facets;
+        self.seeds.resize(facets.len(), 0);
+        self.seeds.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
+            let mut last = None;
+            for (k, start) in part.iter_mut().enumerate() {
+                let q = diagram.surface.centroid(facets.start + (c * CHUNK + k) as u32);
+                let old = Some(*start).filter(|&s| guessed && (s as usize) < diagram.seeds.len());
+                *start = match old.or(last) {
+                    Some(guess) => nearest(diagram, q, guess),
+                    None => diagram.index.nearest(q),
+                };
+                last = Some(*start);
+            }
+        });
+        self.facets = facets;
+        &self.seeds
+    }
+
+    /// The last answers.
+    pub(super) fn seeds(&self) -> &[u32] {
+        &self.seeds
+    }
+}
+
 /// A nearest seed of `q`, from the guess `from`. Seeds nearer to q than x_i lie within 2|q - x_i|
 /// of x_i, so the row of i, nearest first, need not be read beyond that.
-pub(super) fn nearest(diagram: Diagram<'_>, q: DVec3, from: u32) -> u32 {
+fn nearest(diagram: Diagram<'_>, q: DVec3, from: u32) -> u32 {
     let Diagram { seeds, index, table, .. } = diagram;
-    let mut i = from;
+    let mut i = first_twin(diagram, from);
     let mut best = q.distance_squared(seeds[i as usize]);
     'walk: loop {
         let (row, complete) = table.row(i);
@@ -32,5 +73,13 @@ pub(super) fn nearest(diagram: Diagram<'_>, q: DVec3, from: u32) -> u32 {
             }
         }
         return if complete { i } else { index.nearest(q) };
+    }
+}
+
+/// The earliest seed at the place of seed `i`. A later one has no cell, and no neighbour but it.
+fn first_twin(diagram: Diagram<'_>, i: u32) -> u32 {
+    match diagram.table.row(i).0 {
+        [first, ..] if diagram.seeds[*first as usize] == diagram.seeds[i as usize] => *first,
+        _ => i,
     }
 }

@@ -39,7 +39,7 @@ impl GpuSession {
         out.clear();
         let end = facets.end.min(self.facets.len() as u32);
         let facets = facets.start.min(end)..end;
-        let mut stats = self.begin_pass()?;
+        let mut stats = self.begin_pass(cancel)?;
         let begin = Instant::now();
         self.run_pass(facets, cancel, &mut stats)?;
         stats.clip_ms = elapsed_ms(begin);
@@ -124,7 +124,7 @@ impl GpuSession {
         let mut walker = std::mem::take(&mut self.walker);
         let mut ignored = PassStats::default();
         for &facet in &self.pass.walked {
-            let start = self.starts[facet as usize];
+            let start = self.starts.seeds()[facet as usize];
             walker.walk(self.diagram(), facet, start, self.capacities, &mut ignored, |i, clipper| {
                 push(facet, i, self.seeds[i as usize], clipper.polygon(), out);
             });

@@ -172,7 +172,7 @@ impl GpuSession {
         let mut ignored = PassStats::default();
         for &(facet, seed) in pairs {
             cancel.check()?;
-            if self.starts[facet as usize] == seed {
+            if self.starts.seeds()[facet as usize] == seed {
                 let mut found = Vec::new();
                 walker.walk(self.diagram(), facet, seed, self.capacities, &mut ignored, |i, clipper| {
                     found.push((i, fixed::encode(&clipper.integrals(), &self.scales)));
@@ -207,7 +207,7 @@ impl GpuSession {
             self.release()?;
             return Ok(None);
         }
-        let root = |facet: u32, seed: u32| if self.starts[facet as usize] == seed { ROOT } else { 0 };
+        let root = |facet: u32, seed: u32| if self.starts.seeds()[facet as usize] == seed { ROOT } else { 0 };
         let entries: Vec<[u32; 2]> = pairs.iter().map(|&(f, i)| [f, i | root(f, i)]).collect();
         let next = State { head: state.length, length: end as u32, ..state };
         let device = Arc::clone(&self.device);
