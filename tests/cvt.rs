@@ -79,7 +79,7 @@ fn seeds_without_a_cell_are_placed_anew() {
     let mut cvt = open(&mesh, &seeds, CvtOptions::default());
     let first = cvt.lloyd(&CancelFlag::default()).unwrap();
     assert_eq!(first.empty_cells, 60);
-    let mut last = first.clone();
+    let mut last = first;
     for _ in 0..20 {
         last = cvt.lloyd(&CancelFlag::default()).unwrap();
     }

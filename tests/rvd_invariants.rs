@@ -13,6 +13,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use points::{in_facet, on_surface, outside_their_cells, rng};
 use rand::RngExt;
+use tessera::mesh::shapes::Shape;
 use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
 use tessera::rvd::{
@@ -193,5 +194,26 @@ fn the_gradient_is_that_of_the_energy() {
             // The energy is C²; the central difference is good to h² and to rounding / h.
             assert!((difference - exact).abs() < 1e-8, "{name}, seed {i}: {difference} for {exact}");
         }
+    }
+}
+
+/// Few facets with very many cells each, and many facets with more seeds than facets.
+#[test]
+fn many_more_seeds_than_facets() {
+    let backend = Parallel::new(Some(2)).unwrap();
+    for (shape, facets, count) in [(Shape::Square, 2, 30_000), (Shape::Sphere, 80, 20_000)] {
+        let surface = Arc::new(Surface::new(&shape.build(facets), None).unwrap());
+        let seeds: Vec<DVec3> = on_surface(&surface, count, &mut rng(1)).into_iter().map(|x| x.1).collect();
+        let mut reference = open(&Serial, &surface, &seeds, Capacities::default());
+        let want = everything(&mut *reference, &surface);
+        let mut session = open(&backend, &surface, &seeds, Capacities::default());
+        let got = everything(&mut *session, &surface);
+        assert!(got.0 == want.0 && got.1 == want.1, "{shape}");
+        assert!((want.0.area.iter().sum::<f64>() / surface.area() - 1.0).abs() < 1e-11, "{shape}");
+        let mut met = vec![false; count];
+        want.1.seed.iter().for_each(|&i| met[i as usize] = true);
+        assert!(met.into_iter().all(|m| m), "{shape}: a seed on the surface has a cell");
+        let probes = on_surface(&surface, 300, &mut rng(2));
+        assert!(outside_their_cells(&want.1, &seeds, &probes).is_empty(), "{shape}");
     }
 }

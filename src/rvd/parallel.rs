@@ -152,8 +152,8 @@ impl ParallelSession {
                     if cancel.is_cancelled() {
                         return;
                     }
-                    let first = wave + (c * CHUNK) as u32;
-                    let range = first..facets.end.min(first + CHUNK as u32);
+                    let first = wave + (c * size) as u32;
+                    let range = first..facets.end.min(first + size as u32);
                     chunk.fill(walker, diagram, range, &starts[(first - facets.start) as usize..], capacities, wanted);
                 },
             );
