@@ -1,6 +1,6 @@
 //! Surface files: OBJ, PLY, STL and OFF, in and out.
 //!
-//! Purpose: [`read`] and [`write`] for a path, [`decode`] and [`encode`] for bytes. The format is the file's
+//! Purpose: [`read`] and [`write()`] for a path, [`decode`] and [`encode`] for bytes. The format is the file's
 //! extension ([`Format`]).
 //! Invariant: no sequence of bytes makes a reader panic, hang, or allocate more than a small
 //! multiple of the bytes that are there, whatever counts they declare. Polygons become triangle

@@ -3,7 +3,7 @@
 //! Purpose: the polygon in which facet and cell meet, and its integrals.
 //! Invariant: coordinates are relative to the seed, so nothing cancels; a point on a bisector
 //! belongs to the lower seed index (two-way sign); a side that rounding could get wrong is decided
-//! exactly from the vertex's identity ([`super::exact`]); where a bisector meets a mesh edge the point is
+//! exactly from the vertex's identity (`rvd::exact`); where a bisector meets a mesh edge the point is
 //! computed from the edge's own ends, from the lower vertex index to the higher, so that both
 //! facets of the edge get the same bits.
 //! Must not know: which pairs there are, where neighbours come from.

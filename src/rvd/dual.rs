@@ -6,8 +6,6 @@
 //! so that no triangle joins two sheets; triangles are oriented as the facet they were found in.
 //! Must not know: which backend made the pieces, what happens to the triangles.
 
-use std::collections::BTreeMap;
-
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -160,17 +158,22 @@ impl Pieces {
 
     fn number(&self, mut sets: DisjointSets, seeds: usize) -> Dual {
         // A root is the lowest piece of its set, so (seed, root) orders by first facet.
-        let mut components: BTreeMap<(u32, usize), (f64, DVec3)> = BTreeMap::new();
+        let mut sums = vec![(0.0, DVec3::ZERO); self.facet.len()];
+        let mut components = Vec::new();
         for piece in 0..self.facet.len() {
-            let key = (self.seed[piece], sets.root(piece));
-            let sum = components.entry(key).or_default();
-            sum.0 += self.area[piece];
-            sum.1 += self.moment[piece];
+            let root = sets.root(piece);
+            if root == piece {
+                components.push((self.seed[piece], root));
+            }
+            sums[root].0 += self.area[piece];
+            sums[root].1 += self.moment[piece];
         }
+        components.sort_unstable();
         let mut dual = Dual { area: self.area.iter().sum(), ..Dual::default() };
         let mut number = vec![u32::MAX; self.facet.len()];
         let mut largest: Vec<u32> = vec![u32::MAX; seeds];
-        for (&(seed, root), &(area, moment)) in &components {
+        for (seed, root) in components {
+            let (area, moment) = sums[root];
             let id = dual.components.len() as u32;
             number[root] = id;
             let best = &mut largest[seed as usize];

@@ -43,8 +43,8 @@ impl Frame {
 /// Unit-frame positions of vertices and seeds are multiples of 1/`GRID`, 2·10⁻¹⁶ of the bounding box.
 pub(crate) const GRID: f64 = (1u64 << 52) as f64;
 
-/// The nearest point whose coordinates are multiples of 1/[`GRID`]: a difference of two such points
-/// inside the box is exact, and so are the decisions of [`super::exact`].
+/// The nearest point whose coordinates are multiples of 2⁻⁵²: a difference of two such points
+/// inside the box is exact, and so are the decisions of `rvd::exact`.
 pub fn snap(p: DVec3) -> DVec3 {
     DVec3::from_array(p.to_array().map(|x| (x * GRID).round_ties_even() / GRID))
 }

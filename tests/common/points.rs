@@ -40,22 +40,27 @@ pub fn on_surface(surface: &Surface, n: usize, rng: &mut ChaCha8Rng) -> Vec<(u32
 /// Those of `probes` (facet, point) that lie in no cell of a nearest seed, found by trying all
 /// seeds. `pieces` are sorted by facet.
 pub fn outside_their_cells(pieces: &PieceBatch, seeds: &[DVec3], probes: &[(u32, DVec3)]) -> Vec<(u32, DVec3)> {
+    outside_by(pieces, seeds, probes, 1e-9)
+}
+
+/// As [`outside_their_cells`]; a point may be outside a piece by `margin` (unit frame), and its seed
+/// farther than the nearest by as much.
+pub fn outside_by(pieces: &PieceBatch, seeds: &[DVec3], probes: &[(u32, DVec3)], margin: f64) -> Vec<(u32, DVec3)> {
     let missing = |&(f, p): &(u32, DVec3)| -> Option<(u32, DVec3)> {
-        let nearest = seeds.iter().map(|s| s.distance_squared(p)).fold(f64::INFINITY, f64::min);
+        let nearest = seeds.iter().map(|s| s.distance_squared(p)).fold(f64::INFINITY, f64::min).sqrt();
         let first = pieces.facet.partition_point(|&g| g < f);
-        // A point within rounding of a bisector may be in either cell.
         let found = (first..pieces.len())
             .take_while(|&i| pieces.facet[i] == f)
-            .filter(|&i| contains(pieces, i, p))
-            .any(|i| seeds[pieces.seed[i] as usize].distance_squared(p) <= nearest + 1e-12 * (1.0 + nearest));
+            .filter(|&i| contains(pieces, i, p, margin))
+            .any(|i| seeds[pieces.seed[i] as usize].distance(p) <= nearest + margin.max(1e-12 * nearest));
         (!found).then_some((f, p))
     };
     probes.par_iter().filter_map(missing).collect()
 }
 
-/// Whether piece `i` holds `p`, a point of its facet. The piece is convex; the margin is rounding,
-/// of the distance to an edge and of the direction of an edge whose length is itself rounding.
-fn contains(pieces: &PieceBatch, i: usize, p: DVec3) -> bool {
+/// Whether piece `i` holds `p`, a point of its facet, to within `margin`. The piece is convex; an
+/// edge whose length is itself rounding has no direction, which the last term allows for.
+fn contains(pieces: &PieceBatch, i: usize, p: DVec3, margin: f64) -> bool {
     let polygon = &pieces.position[pieces.vertices(i)];
     let mut normal = DVec3::ZERO;
     for k in 2..polygon.len() {
@@ -64,6 +69,6 @@ fn contains(pieces: &PieceBatch, i: usize, p: DVec3) -> bool {
     let normal = normal.normalize_or_zero();
     (0..polygon.len()).all(|k| {
         let (a, b) = (polygon[k], polygon[(k + 1) % polygon.len()]);
-        (b - a).cross(p - a).dot(normal) >= -1e-9 * (b - a).length() - 1e-15
+        (b - a).cross(p - a).dot(normal) >= -margin * (b - a).length() - 1e-6 * margin
     })
 }
