@@ -20,12 +20,14 @@ def read_ply(path):
     lines = head.decode().split("\n")
     count = {l.split()[1]: int(l.split()[2]) for l in lines if l.startswith("element")}
     points = np.frombuffer(body, "<f8", 3 * count["vertex"]).reshape(-1, 3)
-    extra = [("seed", "<i4"), ("facet", "<i4"), ("rgb", "u1", 3)] if any("int seed" in l for l in lines) else []
+    cells = any("seed" in l for l in lines)
+    extra = [("seed", "<u4"), ("facet", "<u4"), ("rgb", "u1", 3)] if cells else []
     at, polygons, seeds = 24 * count["vertex"], [], []
     for _ in range(count["face"]):
-        n = body[at]
-        row = np.frombuffer(body, np.dtype([("v", "<u4", n)] + extra), 1, at + 1)[0]
-        at += 1 + row.dtype.itemsize
+        n = int.from_bytes(body[at:at + 4], "little") if cells else body[at]
+        at += 4 if cells else 1
+        row = np.frombuffer(body, np.dtype([("v", "<u4", n)] + extra), 1, at)[0]
+        at += row.dtype.itemsize
         polygons.append(points[row["v"]])
         seeds.append(int(row["seed"]) if extra else -1)
     return polygons, seeds
