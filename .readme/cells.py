@@ -21,12 +21,12 @@ def read_ply(path):
     count = {l.split()[1]: int(l.split()[2]) for l in lines if l.startswith("element")}
     points = np.frombuffer(body, "<f8", 3 * count["vertex"]).reshape(-1, 3)
     cells = any("seed" in l for l in lines)
-    extra = [("seed", "<u4"), ("facet", "<u4"), ("rgb", "u1", 3)] if cells else []
+    extra = [("seed", "<i4"), ("facet", "<i4"), ("rgb", "u1", 3)] if cells else []
     at, polygons, seeds = 24 * count["vertex"], [], []
     for _ in range(count["face"]):
-        n = int.from_bytes(body[at:at + 4], "little") if cells else body[at]
-        at += 4 if cells else 1
-        row = np.frombuffer(body, np.dtype([("v", "<u4", n)] + extra), 1, at)[0]
+        n = body[at]
+        at += 1
+        row = np.frombuffer(body, np.dtype([("v", "<i4", n)] + extra), 1, at)[0]
         at += row.dtype.itemsize
         polygons.append(points[row["v"]])
         seeds.append(int(row["seed"]) if extra else -1)

@@ -7,6 +7,7 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -26,6 +27,9 @@ pub(crate) struct CellFile {
 
 /// Long enough for any counts; the rest is a comment.
 const HEADER_BYTES: usize = 512;
+
+/// Readers of PLY expect the length of a list in one byte.
+const MOST_CORNERS: usize = 255;
 
 impl CellFile {
     /// Begins a file that will be `path`.
@@ -50,20 +54,35 @@ impl CellFile {
             p.to_array().iter().try_for_each(|x| self.vertices.write_all(&x.to_le_bytes()))?;
         }
         for i in 0..cells.len() {
+            // A piece is convex, so a fan of parts is the same piece.
             let vertices = cells.vertices(i);
-            self.polygons.write_all(&(vertices.len() as u32).to_le_bytes())?;
-            for v in vertices {
-                let index = u32::try_from(self.vertex_count + v as u64).map_err(|_| {
-                    io::Error::new(io::ErrorKind::FileTooLarge, "PLY cannot number more than 2^32 vertices")
-                })?;
-                self.polygons.write_all(&index.to_le_bytes())?;
+            let (apex, last) = (vertices.start, vertices.end - 1);
+            let mut from = apex + 1;
+            loop {
+                let to = last.min(from + MOST_CORNERS - 2);
+                self.polygon(apex, from..=to, cells.facet[i], cells.seed[i])?;
+                if to == last {
+                    break;
+                }
+                from = to;
             }
-            self.polygons.write_all(&cells.seed[i].to_le_bytes())?;
-            self.polygons.write_all(&cells.facet[i].to_le_bytes())?;
-            self.polygons.write_all(&colour(cells.seed[i]))?;
         }
         self.vertex_count += cells.position.len() as u64;
-        self.polygon_count += cells.len() as u64;
+        Ok(())
+    }
+
+    fn polygon(&mut self, apex: usize, rest: RangeInclusive<usize>, facet: u32, seed: u32) -> io::Result<()> {
+        self.polygons.write_all(&[(rest.end() - rest.start() + 2) as u8])?;
+        for v in std::iter::once(apex).chain(rest) {
+            let index = i32::try_from(self.vertex_count + v as u64).map_err(|_| {
+                io::Error::new(io::ErrorKind::FileTooLarge, "PLY cannot number more than 2^31 vertices")
+            })?;
+            self.polygons.write_all(&index.to_le_bytes())?;
+        }
+        self.polygons.write_all(&seed.to_le_bytes())?;
+        self.polygons.write_all(&facet.to_le_bytes())?;
+        self.polygons.write_all(&colour(seed))?;
+        self.polygon_count += 1;
         Ok(())
     }
 
@@ -99,11 +118,14 @@ fn header(vertices: u64, polygons: u64) -> String {
     let top = "ply\nformat binary_little_endian 1.0\ncomment pieces of a restricted Voronoi diagram";
     let rest = format!(
         "\nelement vertex {vertices}\nproperty double x\nproperty double y\nproperty double z\n\
-         element face {polygons}\nproperty list uint uint vertex_indices\nproperty uint seed\n\
-         property uint facet\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+         element face {polygons}\nproperty list uchar int vertex_indices\nproperty int seed\n\
+         property int facet\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
     );
-    let pad = ".".repeat(HEADER_BYTES.saturating_sub(top.len() + rest.len() + 1));
-    format!("{top} {pad}{rest}")
+    // Lines of comment, none so long that a reader's line buffer overflows.
+    let room = HEADER_BYTES.saturating_sub(top.len() + rest.len());
+    let pad: String = "\ncomment ".chars().chain(std::iter::repeat_n('.', 31)).cycle().take(room).collect();
+    let cut = pad.rfind('\n').filter(|at| room - at < 10).unwrap_or(room);
+    format!("{top}{}{}{rest}", &pad[..cut], ".".repeat(room - cut))
 }
 
 /// A colour that neighbours in number do not share: the index, well mixed, never dark.
@@ -132,10 +154,28 @@ mod tests {
         file.append(&batch).unwrap();
         file.finish().unwrap();
         let bytes = std::fs::read(&path).unwrap();
-        assert_eq!(bytes.len(), HEADER_BYTES + 6 * 24 + 2 * (4 + 12 + 8 + 3));
+        assert_eq!(bytes.len(), HEADER_BYTES + 6 * 24 + 2 * (1 + 12 + 8 + 3));
         assert!(bytes[..HEADER_BYTES].ends_with(b"end_header\n"));
-        let second = &bytes[HEADER_BYTES + 6 * 24 + 27..];
-        assert_eq!(second[..16], [3, 0, 0, 0, 3, 0, 0, 0, 4, 0, 0, 0, 5, 0, 0, 0]);
-        assert!(header(u64::MAX, u64::MAX).len() <= HEADER_BYTES);
+        let second = &bytes[HEADER_BYTES + 6 * 24 + 24..];
+        assert_eq!(second[..13], [3, 3, 0, 0, 0, 4, 0, 0, 0, 5, 0, 0, 0]);
+        for digits in 0..19 {
+            let text = header(10u64.pow(digits), 1);
+            assert_eq!(text.len(), HEADER_BYTES);
+            assert!(text.lines().skip(2).all(|l| l.len() < 80 && l.split(' ').next().unwrap().len() > 2), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_piece_of_many_corners_is_a_fan_of_parts() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cells.ply");
+        let mut file = CellFile::create(&path).unwrap();
+        let mut batch = PieceBatch::default();
+        batch.push(0, 0, (0..300).map(|_| (DVec3::X, 1.0, 0)));
+        file.append(&batch).unwrap();
+        assert_eq!(file.polygon_count, 2);
+        file.finish().unwrap();
+        let lists = &std::fs::read(&path).unwrap()[HEADER_BYTES + 300 * 24..];
+        assert_eq!((lists[0], lists[1 + 255 * 4 + 11]), (255, 47));
     }
 }
