@@ -154,6 +154,7 @@ pub fn remesh(
         split_cells: dual.split_cells,
         not_disks: dual.not_disks,
         multiple_edges: dual.multiple_edges,
+        multiple_rims: dual.multiple_rims,
         disputed_vertices: dual.disputed,
         ..repaired.figures
     };

@@ -167,11 +167,13 @@ pub struct ResultFigures {
 pub struct RepairFigures {
     /// Restricted cells with more than one connected component.
     pub split_cells: usize,
-    /// Cell components that are not a disk. Where this and the next are 0, the dual has the
-    /// topology of the surface.
+    /// Cell components that are not a disk. Where this and the next two are 0, the dual has
+    /// the topology of the surface, if that is a manifold.
     pub not_disks: usize,
     /// Pairs of cell components that meet in more than one curve.
     pub multiple_edges: usize,
+    /// Cell components that meet the boundary in more than one stretch.
+    pub multiple_rims: usize,
     /// RVD vertices whose three cells do not agree (see `rvd::dual`).
     pub disputed_vertices: usize,
     /// Facets dropped because two of their corners are one vertex.

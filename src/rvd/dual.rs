@@ -31,6 +31,8 @@ pub struct Dual {
     pub not_disks: usize,
     /// Pairs of components that meet in more than one curve.
     pub multiple_edges: usize,
+    /// Components that meet the boundary in more than one stretch.
+    pub multiple_rims: usize,
     /// Area of all pieces, unit frame.
     pub area: f64,
     /// Cells without any piece.

@@ -1,8 +1,9 @@
 //! When the dual has the topology of the surface.
 //!
 //! Purpose: counts of what breaks it. The dual is homeomorphic to the surface if every component of
-//! a restricted cell is a disk, and two of them meet in at most one curve (the closed ball property,
-//! Edelsbrunner and Shah 1997); where that fails, more seeds are the cure.
+//! a restricted cell is a disk that meets the boundary in at most one stretch, and two of them meet
+//! in at most one curve (the closed ball property, Edelsbrunner and Shah 1997); where that fails,
+//! more seeds are the cure.
 //! Invariant: read from symbolic identities alone. A mesh line meets a convex cell in one segment, so
 //! a component with F pieces, E mesh edges between two of its pieces and V mesh vertices inside has
 //! χ = F - E + V, and is a disk if that is 1.
@@ -24,6 +25,14 @@ pub(super) fn not_disks(components: usize, pieces: &[u32], joints: &[u32], inner
     joints.iter().for_each(|&c| chi[c as usize] -= 1);
     inner.iter().for_each(|&c| chi[c as usize] += 1);
     chi.into_iter().filter(|&chi| chi != 1).count()
+}
+
+/// Components that meet the boundary in more than one stretch. `ends` has the component of every
+/// end of a stretch.
+pub(super) fn multiple_rims(components: usize, ends: impl Iterator<Item = u32>) -> usize {
+    let mut count = vec![0u32; components];
+    ends.for_each(|c| count[c as usize] += 1);
+    count.into_iter().filter(|&ends| ends > 2).count()
 }
 
 /// Pairs of components that meet in more than one curve.

@@ -42,6 +42,8 @@ struct Joined {
     joints: Vec<u32>,
     /// Number of the edge of each half-edge.
     edge: Vec<u32>,
+    /// Whether an edge has one facet.
+    rim_edge: Vec<bool>,
     /// Whether a mesh vertex lies on a boundary.
     rim: Vec<bool>,
 }
@@ -118,6 +120,10 @@ impl Pieces {
         dual.not_disks = conditions::not_disks(count, &component, &of(&joined.joints), &of(&inner));
         let stretches: Vec<Stretch> =
             self.stretches.iter().map(|&(p, j)| [p, self.find(self.facet[p as usize], j).unwrap_or(p)]).collect();
+        // A stretch of boundary ends where a bisector crosses it, for the cells on both sides.
+        let at_rim = self.crossings.iter().filter(|(half, _)| joined.rim_edge[joined.edge[*half as usize] as usize]);
+        let ends = at_rim.flat_map(|&(_, s)| stretches[s as usize]).map(|p| component[p as usize]);
+        dual.multiple_rims = conditions::multiple_rims(count, ends);
         let crossings: Vec<Crossing> = self
             .crossings
             .iter()
@@ -135,11 +141,13 @@ impl Pieces {
             sets: DisjointSets::new(self.facet.len()),
             joints: Vec::new(),
             edge: vec![0; surface.facets().len() * 3],
+            rim_edge: Vec::new(),
             rim: vec![false; surface.positions().len()],
         };
         for (number, group) in edge_groups(surface).chunk_by(|a, b| a.0 == b.0).enumerate() {
             let [(_, first), rest @ ..] = group else { continue };
             group.iter().for_each(|&(_, half)| joined.edge[half as usize] = number as u32);
+            joined.rim_edge.push(rest.is_empty());
             let (f, e) = (first / 3, (first % 3) as usize);
             if rest.is_empty() {
                 let corners = surface.welded()[f as usize];
