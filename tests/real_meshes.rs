@@ -9,6 +9,7 @@ mod points;
 #[path = "common/surfaces.rs"]
 mod surfaces;
 
+use std::collections::HashSet;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -21,10 +22,16 @@ use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
 use tessera::rvd::{Backend, CancelFlag, CellSums, PieceBatch, SessionOptions, Surface};
 
-/// Centroids of white-noise cells against those of two independent exact programs.
+/// Centroids of white-noise cells against those of two independent exact programs, and the same
+/// (facet, cell) incidences on all backends.
 #[test]
-fn centroids_agree_with_the_oracle() {
-    let parallel = Parallel::new(None).unwrap();
+fn centroids_and_incidences_agree_with_the_oracle() {
+    let mut backends: Vec<(Box<dyn Backend>, f64)> =
+        vec![(Box::new(Serial), 1e-10), (Box::new(Parallel::new(None).unwrap()), 1e-10)];
+    if let Some(device) = gpu::device() {
+        // Single precision relative to the seed, of a cell some spacings wide.
+        backends.push((Box::new(Gpu::new(device, None).unwrap()), 1e-5));
+    }
     for (mesh, seeds) in
         [("stanford-bunny.obj", "bunny10k"), ("rocker-arm.obj", "rocker5k"), ("nefertiti.obj", "nefertiti50k")]
     {
@@ -39,18 +46,37 @@ fn centroids_agree_with_the_oracle() {
         let frame = surface.frame();
         let unit: Vec<DVec3> = given.iter().map(|&p| frame.to_unit(p)).collect();
         let spacing = (surface.area() / unit.len() as f64).sqrt();
-        for backend in [&Serial as &dyn Backend, &parallel] {
+        let mut reference: Option<PieceBatch> = None;
+        for (backend, tolerance) in &backends {
+            let name = backend.kind().name();
             let mut session = backend.session(Arc::clone(&surface), SessionOptions::new(unit.len())).unwrap();
-            let mut sums = CellSums::default();
+            let (mut sums, mut pieces, cancel) = (CellSums::default(), PieceBatch::default(), CancelFlag::default());
             session.set_seeds(&unit).unwrap();
-            session.sums(&mut sums, &CancelFlag::default()).unwrap();
+            session.sums(&mut sums, &cancel).unwrap();
             let worst = (0..unit.len())
                 .map(|i| sums.centroid(i, unit[i]).distance(frame.to_unit(want[i])) / spacing)
                 .fold(0.0, f64::max);
-            println!("{seeds}, {}: worst centroid {worst:e} of the spacing", backend.kind().name());
-            assert!(worst < 1e-10, "{seeds}: {worst:e}");
+            session.pieces(0..surface.facets().len() as u32, &mut pieces, &cancel).unwrap();
+            let reference = reference.get_or_insert_with(|| pieces.clone());
+            let (missing, added) = (differences(reference, &pieces), differences(&pieces, reference));
+            println!(
+                "{seeds}, {name}: worst centroid {worst:e} of the spacing; {} pieces, {} missing, {} added",
+                pieces.len(),
+                missing.len(),
+                added.len()
+            );
+            assert!(worst < *tolerance, "{seeds}, {name}: {worst:e}");
+            for area in missing.into_iter().chain(added) {
+                assert!(area < 1e-10 * surface.area(), "{seeds}, {name}: a piece of area {area:e} is in one only");
+            }
         }
     }
+}
+
+/// Areas of the pieces of `a` whose (facet, seed) is not in `b`.
+fn differences(a: &PieceBatch, b: &PieceBatch) -> Vec<f64> {
+    let known: HashSet<(u32, u32)> = b.facet.iter().copied().zip(b.seed.iter().copied()).collect();
+    (0..a.len()).filter(|&i| !known.contains(&(a.facet[i], a.seed[i]))).map(|i| a.area(i)).collect()
 }
 
 /// 100,000 random points of the bunny lie in the cells of their nearest seeds, for white-noise

@@ -69,6 +69,32 @@ fn no_facet_joins_two_sheets() {
     }
 }
 
+/// A plate a hundredth as thick as wide with 200 vertices, spaced a tenth of its width: cells reach
+/// through it, and their two parts are two vertices.
+#[test]
+fn a_thin_plate_keeps_its_two_sides() {
+    let block = Shape::Genus(0).build(6000);
+    let (low, high) = block.bounds();
+    let thin = (high - low).min_element();
+    let flat = if (high - low).z == thin {
+        DVec3::Z
+    } else if (high - low).y == thin {
+        DVec3::Y
+    } else {
+        DVec3::X
+    };
+    let squeeze = DVec3::ONE + flat * (0.01 / thin - 1.0);
+    let positions = block.positions().iter().map(|&p| (p - low) / (high - low).max_element() * squeeze).collect();
+    let mesh = TriMesh::new(positions, block.facets().to_vec()).unwrap();
+    for lloyd in [0, 20] {
+        let out = run(&mesh, &options(200, lloyd), &Serial).unwrap();
+        let after = topology(&out.mesh);
+        assert_eq!((after.euler, after.components), (2, 1), "{lloyd} steps: {:?}", out.report.result.repair);
+        assert_eq!((after.boundary_edges, after.non_manifold_edges, after.non_manifold_vertices), (0, 0, 0));
+        assert!(out.report.result.repair.split_cells > 20, "{lloyd} steps: the plate is not thin");
+    }
+}
+
 #[test]
 fn the_same_bits_on_any_number_of_threads() {
     for mesh in [Shape::Torus.build(3000), Shape::Slivers.build(3000)] {
