@@ -72,6 +72,9 @@ pub enum RemeshError {
     /// The diagram could not be had.
     #[error(transparent)]
     Rvd(#[from] RvdError),
+    /// Every triangle of the dual lies back to back with another.
+    #[error("the surface lies back to back with itself and has no thickness; remesh one of its sides")]
+    NoThickness,
     /// The dual has no triangle: too few seeds for this surface.
     #[error("the dual of {seeds} seeds has no triangle; give more points")]
     TooFewSeeds {
@@ -147,6 +150,9 @@ pub fn remesh(
     observer.stage("repair");
     let positions = vertex_positions(&dual, &surface, cvt.unit_seeds(), mesh);
     let repaired = repair::repair(&positions, &dual.triangles);
+    if repaired.facets.is_empty() && repaired.figures.closed_pockets > 1 {
+        return Err(RemeshError::NoThickness);
+    }
     if repaired.facets.is_empty() {
         return Err(RemeshError::TooFewSeeds { seeds: cvt.len() });
     }

@@ -248,6 +248,33 @@ fn flat_facets_do_not_cut_the_surface() {
     assert_eq!(out.mesh.positions().len(), 150);
 }
 
+/// Both sides of a surface without thickness: the sides stay two where they are two sheets, and a
+/// surface that is the same facets twice over is refused by name.
+#[test]
+fn surfaces_without_thickness() {
+    let sheet = Shape::Plane.build(200);
+    let flip = |f: &[u32; 3], by: u32| [f[0] + by, f[2] + by, f[1] + by];
+    let count = sheet.positions().len() as u32;
+    let two = |by: u32| {
+        let mut positions = sheet.positions().to_vec();
+        positions.extend_from_slice(sheet.positions());
+        let facets = sheet.facets().iter().copied().chain(sheet.facets().iter().map(|f| flip(f, by))).collect();
+        TriMesh::new(positions, facets).unwrap()
+    };
+    // Welded or not, both sides lie in the same places, so they are the same edges.
+    for mesh in [two(0), two(count)] {
+        assert!(matches!(run(&mesh, &options(100, 2), &Serial), Err(RemeshError::NoThickness)));
+    }
+    // Two triangles with the same corners are a closed surface.
+    let corners = vec![DVec3::ZERO, DVec3::X, DVec3::Y];
+    let mesh = TriMesh::new(corners, vec![[0, 1, 2], [0, 2, 1]]).unwrap();
+    for points in [8, 30, 100] {
+        let out = run(&mesh, &options(points, 2), &Serial).unwrap();
+        let after = topology(&out.mesh);
+        assert_eq!((after.euler, after.non_manifold_edges, after.non_manifold_vertices), (2, 0, 0), "{points} points");
+    }
+}
+
 #[test]
 fn too_few_seeds_for_the_topology_are_said_to_be() {
     let mesh = Shape::Genus(3).build(3000);

@@ -8,7 +8,7 @@
 //! Invariant: deterministic; a dual that is a manifold already comes out as it went in.
 //! Must not know: where the triangles came from.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::DVec3;
 
@@ -20,9 +20,11 @@ use crate::mesh::disjoint::DisjointSets;
 pub struct Repaired {
     /// For each result vertex, the input vertex it stands for (several for a split vertex).
     pub source: Vec<u32>,
-    /// Where each result vertex goes: where its source is, except that all fans of a split vertex
-    /// but the largest step back a sixteenth of the way to their own facets' middle, so that nobody
-    /// who welds equal positions joins them again.
+    /// Where each result vertex goes: where its source is, except that no two are in one place, so
+    /// that nobody who welds equal positions joins them. All fans of a split vertex but the largest
+    /// step back a sixteenth of the way to their own facets' middle; vertices that still coincide,
+    /// on the two sides of a surface without thickness, move a thousandth of an edge along their
+    /// normals.
     pub positions: Vec<DVec3>,
     /// Facets over the result's vertices.
     pub facets: Vec<[u32; 3]>,
@@ -137,6 +139,7 @@ fn split_fans(positions: &[DVec3], facets: Vec<[u32; 3]>, mut figures: RepairFig
     if figures.split_vertices > 0 {
         step_back(&mut placed, &source, &facets);
     }
+    part_sides(&mut placed, &facets);
     Repaired { source, positions: placed, facets, figures }
 }
 
@@ -159,6 +162,36 @@ fn step_back(placed: &mut [DVec3], source: &[u32], facets: &[[u32; 3]]) {
             let (sum, count) = middle[v];
             placed[v] = placed[v].lerp(sum / f64::from(count), 1.0 / 16.0);
         }
+    }
+}
+
+/// Moves vertices that are in one place along their normals.
+fn part_sides(placed: &mut [DVec3], facets: &[[u32; 3]]) {
+    let mut there: HashMap<[u64; 3], u32> = HashMap::with_capacity(placed.len());
+    for p in placed.iter() {
+        *there.entry(p.to_array().map(|x| (x + 0.0).to_bits())).or_default() += 1;
+    }
+    let mut normal: BTreeMap<usize, (DVec3, f64)> = BTreeMap::new();
+    for (v, p) in placed.iter().enumerate() {
+        if there[&p.to_array().map(|x| (x + 0.0).to_bits())] > 1 {
+            normal.insert(v, (DVec3::ZERO, f64::INFINITY));
+        }
+    }
+    if normal.is_empty() {
+        return;
+    }
+    for t in facets {
+        let [a, b, c] = t.map(|v| placed[v as usize]);
+        let shortest = a.distance(b).min(b.distance(c)).min(c.distance(a));
+        for v in t {
+            if let Some((sum, edge)) = normal.get_mut(&(*v as usize)) {
+                *sum += (b - a).cross(c - a).normalize_or_zero();
+                *edge = edge.min(shortest);
+            }
+        }
+    }
+    for (v, (sum, edge)) in normal {
+        placed[v] += 1e-3 * edge * sum.normalize_or_zero();
     }
 }
 

@@ -51,6 +51,7 @@ fn of_job(error: &JobError) -> Status {
             Status::internal("the work was lost by a fault of the server; its log may say why")
         }
         JobError::Mesh(error) => of_mesh(error),
+        JobError::Remesh(RemeshError::NoThickness) => invalid(text.clone(), "mesh.facets".into(), text),
         JobError::Remesh(RemeshError::TooFewSeeds { .. }) => invalid(text.clone(), "seeds".into(), text),
         JobError::Rvd(error) | JobError::Remesh(RemeshError::Rvd(error)) => of_rvd(error),
     }
