@@ -94,9 +94,9 @@ fn records_have_one_layout() {
             emit_begin,
             emit_count,
             polygon,
-            padding0,
-            padding1,
-            padding2
+            accumulate,
+            grid,
+            padding0
         }
     );
     same_layout!(&clip, State { head, begin, end, length, failures, pieces, list_overflow, cells_overflow });
@@ -113,6 +113,10 @@ fn constants_agree() {
         format!("const POLYGON: u32 = {}u;", layout::code::POLYGON),
         format!("const FINISH: u32 = {}u;", layout::code::FINISH),
         format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
+        format!("const CELLED: u32 = {:#x}u;", layout::CELLED),
+        format!("const DIRECT: u32 = {}u;", layout::accumulate::DIRECT),
+        format!("const TWO_PHASE: u32 = {}u;", layout::accumulate::TWO_PHASE),
+        format!("const NOWHERE: u32 = {}u;", layout::accumulate::NOWHERE),
         format!("const FACET_EDGE: u32 = {:#x}u;", tessera::rvd::cells::FACET_EDGE),
     ] {
         assert!(text.contains(&line), "{line}");

@@ -24,6 +24,10 @@ pub struct Pipelines {
     pub clip_large: wgpu::ComputePipeline,
     /// Writes pieces.
     pub emit: wgpu::ComputePipeline,
+    /// Enters pairs by cell.
+    pub reach: wgpu::ComputePipeline,
+    /// Proves those pairs.
+    pub verify: wgpu::ComputePipeline,
 }
 
 impl Pipelines {
@@ -40,6 +44,8 @@ impl Pipelines {
             clip: pipeline(device, "clip", &registers)?,
             clip_large: pipeline(device, "clip", &array)?,
             emit: pipeline(device, "emit", &registers)?,
+            reach: pipeline(device, "reach", &registers)?,
+            verify: pipeline(device, "verify", &registers)?,
         })
     }
 }
@@ -82,6 +88,10 @@ pub struct Bindings {
     pub clip_large: wgpu::BindGroup,
     /// For [`Pipelines::emit`].
     pub emit: wgpu::BindGroup,
+    /// For [`Pipelines::reach`].
+    pub reach: wgpu::BindGroup,
+    /// For [`Pipelines::verify`].
+    pub verify: wgpu::BindGroup,
 }
 
 impl Bindings {
@@ -105,6 +115,12 @@ impl Bindings {
                 &pipelines.emit,
                 &[&b.params, &b.seeds, &b.facets, &b.table, &b.list, &b.heads, &b.vertices, &b.labels],
             )?,
+            reach: bind(
+                device,
+                &pipelines.reach,
+                &[&b.params, &b.seeds, &b.facets, &b.table, &b.near, &b.slots, &b.list, &b.failures, &b.state],
+            )?,
+            verify: bind(device, &pipelines.verify, &[&b.params, &b.facets, &b.slots, &b.list, &b.failures, &b.state])?,
         })
     }
 }

@@ -51,6 +51,13 @@ impl GpuSession {
         let buffers = &self.resident()?.buffers;
         let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..state.failures as usize)?;
         let plans = self.sort_out(&failures, variants);
+        // The device's proof covers only what the device clips.
+        let unproved: Vec<u32> =
+            plans.finish.iter().map(|p| p.0).filter(|&f| self.pass.by_cell && self.is_celled(f)).collect();
+        if !unproved.is_empty() {
+            self.leave_to_propagation(unproved, stats)?;
+            return Ok(None);
+        }
         stats.relaunched_neighbours += plans.short;
         stats.relaunched_polygon += plans.crowded;
         if !self.lengthen(&plans.rows)? {
