@@ -1,7 +1,7 @@
 // The per-cell side ([HYWZ17]: where a facet meets many cells, the work is done by cell): each seed
 // looks for the CELLED facets that its cell reaches, and enters the pairs. A grid over the unit box
-// says which facets are near; a facet is reached if its point nearest to the seed has no nearer seed
-// in the seed's row. Cells that meet a facet elsewhere only are missed here and named by their
+// says which facets are near; a facet is reached if its point nearest to the seed has no nearer seed,
+// and the seed's row is long enough to say so. Cells that meet a facet elsewhere only are missed here and named by their
 // neighbours when those are clipped.
 
 #import shared/types
@@ -67,7 +67,8 @@ fn reaches(seed: Seed, facet: Facet) -> bool {
             return false;
         }
     }
-    return true;
+    // Facets behind the seed, beyond what its row knows of, would be many and in vain.
+    return (seed.row_length & COMPLETE) != 0u;
 }
 
 @compute @workgroup_size(64)

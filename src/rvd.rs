@@ -67,12 +67,14 @@ impl Default for Capacities {
 /// How the GPU backend finds the pairs of a facet (\[HYWZ17\]). The diagram is the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
-    /// From the facet's first cell across bisectors.
+    /// From the facet's first cell across bisectors. The default: on a software adapter looking by
+    /// cell costs more than the rounds it saves, unless a facet meets thousands of cells.
+    #[default]
     Facet,
     /// Each cell looks for the facets that it reaches.
     Cell,
-    /// By cell for the facets that are expected to meet more than [`CELLS_PER_FACET`] cells.
-    #[default]
+    /// The publication's rule: by cell for the facets that are expected to meet more than
+    /// [`CELLS_PER_FACET`] cells.
     Auto,
 }
 
@@ -86,7 +88,8 @@ pub enum Accumulate {
     Direct,
     /// Partial sums within a workgroup, merged in a second phase.
     TwoPhase,
-    /// What measured better.
+    /// What measured better: direct. On a software adapter adding takes 4 to 15 % of the clip phase
+    /// directly and 14 to 32 % in two phases (the publication: 10 % and 20 %).
     #[default]
     Auto,
 }

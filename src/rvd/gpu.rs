@@ -10,6 +10,7 @@
 //! Must not know: iterations, jobs, files.
 
 mod fixed;
+mod measure;
 mod pack;
 mod pass;
 mod pieces;
@@ -36,6 +37,7 @@ use crate::gpu::plan::{BATCH, Counts, EXTRA_PROPOSALS, Limits, Plan};
 use crate::gpu::{Device, GpuError};
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 use crate::mesh::TriMesh;
+pub use measure::AccumulationMs;
 use pass::Wants;
 use pipelines::{Bindings, Pipelines};
 
