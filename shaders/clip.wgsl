@@ -134,9 +134,12 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(local_invocation_inde
     if index < state.end {
         piece = process(index);
     }
-    if params.accumulate == TWO_PHASE {
-        add_shared(lane, piece.exists, piece.seed, piece.sums);
-    } else if piece.exists && params.accumulate == DIRECT {
+#if SHARED
+    add_shared(lane, piece.exists, piece.seed, piece.sums);
+#end
+#if 1 - SHARED
+    if piece.exists && params.accumulate != NOWHERE {
         add_direct(piece.seed, piece.sums);
     }
+#end
 }

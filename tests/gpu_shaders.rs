@@ -7,7 +7,11 @@ use tessera::gpu::layout;
 use tessera::gpu::shader::{SOURCES, compose};
 
 fn parse(stage: &str, slots: i64, array: i64) -> naga::Module {
-    let source = compose(stage, &[("SLOTS", slots), ("ARRAY", array)]).unwrap();
+    parse_with(stage, slots, array, 0)
+}
+
+fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module {
+    let source = compose(stage, &[("SLOTS", slots), ("ARRAY", array), ("SHARED", shared)]).unwrap();
     let module = naga::front::wgsl::parse_str(&source)
         .unwrap_or_else(|e| panic!("{stage}, {slots} slots:\n{}", e.emit_to_string(&source)));
     Validator::new(ValidationFlags::all(), Capabilities::empty())
@@ -21,6 +25,7 @@ fn every_stage_is_valid_for_every_size() {
     for (stage, _) in SOURCES.iter().filter(|(name, _)| !name.starts_with("shared/")) {
         for slots in 4..=16 {
             parse(stage, slots, 0);
+            parse_with(stage, slots, 0, 1);
         }
         parse(stage, 64, 1);
     }
@@ -104,7 +109,7 @@ fn records_have_one_layout() {
 
 #[test]
 fn constants_agree() {
-    let text = compose("clip", &[("SLOTS", 10), ("ARRAY", 0)]).unwrap();
+    let text = compose("clip", &[("SLOTS", 10), ("ARRAY", 0), ("SHARED", 0)]).unwrap();
     for line in [
         format!("const COMPLETE: u32 = {:#x}u;", layout::COMPLETE),
         format!("const ROOT: u32 = {:#x}u;", layout::ROOT),

@@ -1,6 +1,6 @@
 // Two ways to add a piece to its cell's sums ([HYWZ17]: atomics to global memory, or partial sums in
-// the memory of a workgroup, merged in a second phase). Integers, so both give the same bits; a
-// uniform decides between them, not the build, so that the pieces come from one program too.
+// the memory of a workgroup, merged in a second phase). Integers, so both give the same bits. SHARED
+// decides at compile time: the barriers alone, not taken, cost a software adapter a tenth of the clip.
 
 // Words per seed: mass, moment x y z, energy, area; two each.
 const SUM_WORDS: u32 = 12u;
@@ -14,10 +14,6 @@ struct PieceSums {
     area: f32,
 }
 
-// The workgroup's seeds, plus 1; as many slots as pieces, so that each finds one.
-var<workgroup> part_seeds: array<atomic<u32>, 64>;
-var<workgroup> part_sums: array<atomic<u32>, 768>;
-
 fn add_direct(i: u32, s: PieceSums) {
     let at = i * SUM_WORDS;
     if s.mass != 0.0 {
@@ -29,6 +25,11 @@ fn add_direct(i: u32, s: PieceSums) {
     add_fixed(at + 8u, s.energy);
     add_fixed(at + 10u, s.area);
 }
+
+#if SHARED
+// The workgroup's seeds, plus 1; as many slots as pieces, so that each finds one.
+var<workgroup> part_seeds: array<atomic<u32>, 64>;
+var<workgroup> part_sums: array<atomic<u32>, 768>;
 
 // As add_fixed, to partial sums.
 fn add_part(at: u32, v: f32) {
@@ -81,3 +82,4 @@ fn add_shared(lane: u32, piece: bool, i: u32, s: PieceSums) {
         }
     }
 }
+#end

@@ -2,7 +2,7 @@
 //!
 //! Purpose: \[HYWZ17\] gives the share of a pass that adding the pieces takes, with atomics to global
 //! memory and in two phases. The same is measured here by passes that do all but add.
-//! Invariant: all three are one program and clip the same pairs.
+//! Invariant: all clip the same pairs. Those that add directly and not at all are one program.
 //! Must not know: what is printed.
 
 use std::sync::Arc;

@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use super::{GpuSession, fixed, pack};
 use crate::gpu::buffers;
-use crate::gpu::layout::{Params, ROOT, SUM_WORDS, State, code, failure};
+use crate::gpu::layout::{Params, ROOT, SUM_WORDS, State, accumulate, code, failure};
 use crate::gpu::plan::{Limits, dispatch};
 use crate::rvd::{CancelFlag, PassStats, RvdError, elapsed_ms};
 
@@ -176,6 +176,7 @@ impl GpuSession {
         let params = proposals.unwrap_or_else(|| self.params());
         let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
         let limits = Limits::of(&device.limits());
+        let shared = self.accumulate == accumulate::TWO_PHASE;
         let resident = self.resident()?;
         buffers::write(&device, &resident.buffers.params, 0, &[params])?;
         {
@@ -193,6 +194,7 @@ impl GpuSession {
                 compute.dispatch_workgroups(x, y, 1);
             }
             let (clip, bindings) = match variant {
+                Variant::Registers if shared => (&pipelines.clip_shared, &resident.bindings.clip_shared),
                 Variant::Registers => (&pipelines.clip, &resident.bindings.clip),
                 Variant::Large => (&pipelines.clip_large, &resident.bindings.clip_large),
             };
