@@ -88,8 +88,8 @@ pub enum Accumulate {
     Direct,
     /// Partial sums within a workgroup, merged in a second phase.
     TwoPhase,
-    /// What measured better: direct. On a software adapter adding takes 4 to 15 % of the clip phase
-    /// directly and 14 to 32 % in two phases (the publication: 10 % and 20 %).
+    /// What measured better: direct. On a software adapter adding takes 5 to 10 % of the clip phase
+    /// directly and 20 to 39 % in two phases (the publication: 10 % and 20 %).
     #[default]
     Auto,
 }
