@@ -5,6 +5,9 @@
 @group(0) @binding(2) var<storage, read_write> slots: array<atomic<u32>>;
 @group(0) @binding(3) var<storage, read_write> outcomes: array<u32>;
 
+// Of shared/types.
+const NAMED: u32 = 0x80000000u;
+
 #import shared/fixed
 #import shared/cell_set
 
@@ -20,6 +23,6 @@ fn check_fixed(@builtin(global_invocation_id) id: vec3u) {
 @compute @workgroup_size(64)
 fn check_cell_set(@builtin(global_invocation_id) id: vec3u) {
     if id.x < arrayLength(&inputs) {
-        outcomes[id.x] = insert_cell(0u, arrayLength(&slots) - 1u, inputs[id.x]);
+        outcomes[id.x] = insert_cell(0u, arrayLength(&slots) - 1u, inputs[id.x], 0u);
     }
 }

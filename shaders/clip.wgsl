@@ -18,14 +18,12 @@
 #import shared/fixed
 #import shared/append
 #import shared/cell_set
+#import shared/accumulate
 
-// Sums per seed: mass, moment x y z, energy, area; two words each.
-const SUM_WORDS: u32 = 12u;
-
-// Adds the piece's integrals, fanned from its first vertex. The weight is linear, so with
+// The piece's integrals in units, fanned from its first vertex. The weight is linear, so with
 // W = sum of the corner weights: mass |T| W / 3, moment |T| / 12 sum (W + w_a) p_a,
 // energy |T| / 30 sum over a <= b of (W + w_a + w_b) p_a.p_b.
-fn add_piece(facet: Facet, i: u32) {
+fn piece_sums(facet: Facet) -> PieceSums {
     let weighted = params.uniform_weights == 0u;
     let a = polygon_vertex(0u);
     let wa = select(1.0, weight_at(facet, a), weighted);
@@ -53,26 +51,42 @@ fn add_piece(facet: Facet, i: u32) {
     }
     energy += mass * height * height;
     let m = (moment.x * facet.e1 + moment.y * facet.e2 + (mass * height) * facet.n) * params.moment_scale;
-    let at = i * SUM_WORDS;
-    if weighted {
-        add_fixed(at, mass * params.mass_scale);
-    }
-    add_fixed(at + 2u, m.x);
-    add_fixed(at + 4u, m.y);
-    add_fixed(at + 6u, m.z);
-    add_fixed(at + 8u, energy * params.energy_scale);
-    add_fixed(at + 10u, area * params.area_scale);
+    return PieceSums(
+        select(0.0, mass * params.mass_scale, weighted),
+        m,
+        energy * params.energy_scale,
+        area * params.area_scale,
+    );
 }
 
-@compute @workgroup_size(64)
-fn main(@builtin(global_invocation_id) id: vec3u) {
-    let index = state.begin + id.x;
-    if index >= state.end {
-        return;
-    }
+// Whether the seed at `b` from the present one is farther from the facet's centroid than it, beyond
+// what rounding could have done. A strict order of the cells, which `verify` needs: distances to the
+// centroid in the facet's rounded frame are one fixed function of the seed.
+fn is_farther(facet: Facet, b: vec3f) -> bool {
+    let c = vec3f(
+        corner0.x + (facet.corner1_u + facet.corner2_u) * (1.0 / 3.0),
+        corner0.y + facet.corner2_v * (1.0 / 3.0),
+        height,
+    );
+    let d = c - vec3f(dot(facet.e1, b), dot(facet.e2, b), dot(facet.n, b));
+    let extent = abs(corner0.x) + abs(corner0.y) + abs(height) + facet.corner1_u + facet.corner2_v + length(b);
+    return dot(c, c) + 4e-6 * (extent + abs(facet.corner2_u)) * (length(c) + length(d)) < dot(d, d);
+}
+
+// A piece's cell and sums, or nothing.
+struct Piece {
+    exists: bool,
+    seed: u32,
+    sums: PieceSums,
+}
+
+// Clips one pair and appends what it leads to.
+fn process(index: u32) -> Piece {
     let pair = list[index];
+    let f = pair.x & INDEX;
     let i = pair.y & INDEX;
-    let facet = facets[pair.x];
+    let facet = facets[f];
+    let celled = (facet.slot_mask & CELLED) != 0u;
     var status = clip_pair(facet, i);
     // The first cell of a facet holds its centroid. If rounding says otherwise nothing would
     // lead to the facet's other cells, so the host takes over.
@@ -80,27 +94,52 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         status = FINISH;
     }
     if status != DONE {
-        append_failure(pair.x, i, status);
-        return;
+        append_failure(f, i, status);
+        return Piece();
     }
     if count == 0u {
-        return;
+        return Piece();
     }
     atomicAdd(&state.pieces, 1u);
-    add_piece(facet, i);
+    if celled {
+        list[index].x = f | PIECE;
+    }
     var full = false;
+    let seed = seeds[i];
     for (var k = 0u; k < count; k += 1u) {
         let j = polygon_edge(k);
         if j < FACET_EDGE - 2u {
-            let outcome = insert_cell(facet.slot_begin, facet.slot_mask, j);
+            var named = 0u;
+            if celled && is_farther(facet, (seeds[j].hi - seed.hi) + (seeds[j].lo - seed.lo)) {
+                named = NAMED;
+            }
+            let outcome = insert_cell(facet.slot_begin, facet.slot_mask & ~CELLED, j, named);
             if outcome == INSERTED {
-                append_pair(pair.x, j);
+                append_pair(f, j);
             }
             full = full || outcome == FULL;
         }
     }
     if full {
         atomicAdd(&state.cells_overflow, 1u);
-        append_failure(pair.x, i, 0u);
+        append_failure(f, i, 0u);
     }
+    return Piece(true, i, piece_sums(facet));
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3u, @builtin(local_invocation_index) lane: u32) {
+    let index = state.begin + id.x;
+    var piece = Piece();
+    if index < state.end {
+        piece = process(index);
+    }
+#if SHARED
+    add_shared(lane, piece.exists, piece.seed, piece.sums);
+#end
+#if 1 - SHARED
+    if piece.exists && params.accumulate != NOWHERE {
+        add_direct(piece.seed, piece.sums);
+    }
+#end
 }

@@ -22,10 +22,11 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     }
     let pair = list[params.emit_begin + id.x];
     let i = pair.y & INDEX;
-    let facet = facets[pair.x];
+    let f = pair.x & INDEX;
+    let facet = facets[f];
     let status = clip_pair(facet, i);
     let size = select(0u, count, status == DONE);
-    heads[id.x] = vec4u(pair.x, i, size, status);
+    heads[id.x] = vec4u(f, i, size, status);
     let weighted = params.uniform_weights == 0u;
     for (var k = 0u; k < size; k += 1u) {
         let p = polygon_vertex(k);

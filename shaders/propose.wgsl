@@ -25,7 +25,7 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     let pair = proposals[params.propose_begin + index];
     let facet = pair.x;
     let seed = pair.y;
-    let outcome = insert_cell(facets[facet].slot_begin, facets[facet].slot_mask, seed);
+    let outcome = insert_cell(facets[facet].slot_begin, facets[facet].slot_mask & ~CELLED, seed, 0u);
     if outcome == INSERTED {
         append_pair(facet, seed | params.propose_root);
     } else if outcome == FULL {

@@ -6,6 +6,7 @@
 //! stream. Must not know: how anything is computed.
 
 pub mod backends;
+mod bench;
 mod cell_file;
 pub mod doctor;
 mod exit;
@@ -53,6 +54,8 @@ enum Command {
     Remesh(remesh::RemeshArgs),
     /// Compute the restricted Voronoi diagram of seeds on a surface.
     Rvd(rvd::RvdArgs),
+    /// Measure.
+    Bench(bench::BenchArgs),
     /// Write a procedural surface.
     Shape(shape::ShapeArgs),
     /// Say what this machine has and what would be used.
@@ -72,6 +75,7 @@ pub fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         Command::Remesh(args) => remesh::run(args),
         Command::Rvd(args) => rvd::run(args),
+        Command::Bench(args) => bench::run(args),
         Command::Shape(args) => shape::run(args),
         Command::Doctor(args) => doctor::run(args),
     });

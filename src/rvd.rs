@@ -64,6 +64,46 @@ impl Default for Capacities {
     }
 }
 
+/// How the GPU backend finds the pairs of a facet (\[HYWZ17\]). The diagram is the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Strategy {
+    /// From the facet's first cell across bisectors. The default: on a software adapter looking by
+    /// cell costs more than the rounds it saves, unless a facet meets thousands of cells.
+    #[default]
+    Facet,
+    /// Each cell looks for the facets that it reaches.
+    Cell,
+    /// The publication's rule: by cell for the facets that are expected to meet more than
+    /// [`CELLS_PER_FACET`] cells.
+    Auto,
+}
+
+/// Where \[HYWZ17\] turns from facets to cells.
+pub const CELLS_PER_FACET: f64 = 20.0;
+
+/// How the GPU backend adds pieces to their cells' sums (\[HYWZ17\]). The sums are the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Accumulate {
+    /// Atomics to global memory.
+    Direct,
+    /// Partial sums within a workgroup, merged in a second phase.
+    TwoPhase,
+    /// What measured better: direct. On a software adapter adding takes 5 to 10 % of the clip phase
+    /// directly and 20 to 39 % in two phases (the publication: 10 % and 20 %).
+    #[default]
+    Auto,
+}
+
+/// Choices that exist to be measured. They change the time of a pass on a GPU, never a bit of its
+/// result; the CPU backends walk facet by facet and add in a fixed order whatever is chosen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tuning {
+    /// How pairs are found.
+    pub strategy: Strategy,
+    /// How sums are added.
+    pub accumulate: Accumulate,
+}
+
 /// What a session needs to know before it allocates.
 #[derive(Clone, Copy, Debug)]
 pub struct SessionOptions {
@@ -71,6 +111,8 @@ pub struct SessionOptions {
     pub max_seeds: usize,
     /// First capacities.
     pub capacities: Capacities,
+    /// How the work is done.
+    pub tuning: Tuning,
     /// Whether [`Session::pieces`] has pieces of facets without area, which the dual needs to go
     /// across them. f64 sessions only; sums never have them.
     pub flat_pieces: bool,
@@ -79,7 +121,7 @@ pub struct SessionOptions {
 impl SessionOptions {
     /// Default capacities for at most `max_seeds` seeds.
     pub fn new(max_seeds: usize) -> Self {
-        Self { max_seeds, capacities: Capacities::default(), flat_pieces: false }
+        Self { max_seeds, capacities: Capacities::default(), tuning: Tuning::default(), flat_pieces: false }
     }
 }
 
@@ -134,6 +176,9 @@ pub struct PassStats {
     pub relaunched_polygon: u64,
     /// Pairs done again, or inserted again, with more cell slots for their facet.
     pub relaunched_cells: u64,
+    /// Facets whose cells had found them and that were left to propagation, so that the pass began
+    /// anew (GPU, [`Strategy::Cell`]).
+    pub relaunched_facets: u64,
     /// Pairs that another precision finished (GPU: the f64 path).
     pub f64_finished: u64,
     /// Neighbour tables: building the tree and querying it.
@@ -158,6 +203,7 @@ impl PassStats {
         self.relaunched_neighbours += other.relaunched_neighbours;
         self.relaunched_polygon += other.relaunched_polygon;
         self.relaunched_cells += other.relaunched_cells;
+        self.relaunched_facets += other.relaunched_facets;
         self.f64_finished += other.f64_finished;
         self.neighbours_ms += other.neighbours_ms;
         self.start_ms += other.start_ms;

@@ -1,5 +1,5 @@
 //! Promise: the GPU backend computes the diagram of the f64 reference, with the same bits on
-//! every run, whatever its capacities.
+//! every run, whatever its capacities, strategy and way of adding.
 
 #![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
 
@@ -11,10 +11,12 @@ use std::sync::{Arc, OnceLock};
 use glam::{DVec3, dvec3};
 use rand::{RngExt, SeedableRng};
 use tessera::mesh::TriMesh;
+use tessera::mesh::shapes::Shape;
 use tessera::rvd::gpu::Gpu;
 use tessera::rvd::serial::Serial;
 use tessera::rvd::{
-    Backend, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, SessionOptions, Surface,
+    Accumulate, Backend, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, SessionOptions, Strategy,
+    Surface, Tuning,
 };
 
 fn backend() -> Option<&'static Gpu> {
@@ -134,6 +136,33 @@ fn pieces(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> Pie
     let mut out = PieceBatch::default();
     session.pieces(0..surface.facets().len() as u32, &mut out, &CancelFlag::default()).unwrap();
     out
+}
+
+/// Sums and all pieces of one session.
+fn both(
+    backend: &dyn Backend,
+    surface: &Arc<Surface>,
+    seeds: &[DVec3],
+    options: SessionOptions,
+) -> (CellSums, PieceBatch, PassStats) {
+    let mut session = backend.session(Arc::clone(surface), options).unwrap();
+    session.set_seeds(seeds).unwrap();
+    let (mut sums, mut pieces) = (CellSums::default(), PieceBatch::default());
+    let stats = session.sums(&mut sums, &CancelFlag::default()).unwrap();
+    session.pieces(0..surface.facets().len() as u32, &mut pieces, &CancelFlag::default()).unwrap();
+    (sums, pieces, stats)
+}
+
+/// Seed sets that are hard in different ways.
+fn seed_sets(surface: &Surface, n: usize) -> [(&'static str, Vec<DVec3>); 3] {
+    let noise = seeds_on(surface, n, 0.0, 21);
+    let mut twins = seeds_on(surface, n / 2, 0.0, 22);
+    twins.extend_from_within(..);
+    // Half of them in a ball a hundredth of the surface wide: 100 : 1 in spacing.
+    let mut cluster = seeds_on(surface, n / 2, 0.0, 23);
+    let middle = cluster[0];
+    cluster.extend(seeds_on(surface, n - n / 2, 0.0, 24).iter().map(|&p| middle + (p - middle) * 0.01));
+    [("white noise", noise), ("twins", twins), ("cluster", cluster)]
 }
 
 /// Every cell within `tolerance` of the reference, relative to the mean cell and to the cell.
@@ -334,4 +363,110 @@ fn one_cell_with_a_hundred_sides() {
     eprintln!("{stats:?}");
     assert!(stats.f64_finished > 0 && stats.relaunched_polygon > 0);
     compare("hundred sides", &surface, &got, &want, 1e-5);
+}
+
+#[test]
+fn capacities_change_no_sum_and_no_piece_of_any_shape() {
+    let gpu = require_gpu!();
+    let tiny = Capacities { neighbours: 4, polygon: 5, cells: 2, pairs_percent: 10 };
+    let mut total = PassStats::default();
+    for shape in Shape::ALL {
+        let surface = Arc::new(Surface::new(&shape.build(250), None).unwrap());
+        for (set, seeds) in seed_sets(&surface, 500) {
+            let name = format!("{shape}, {set}");
+            let options = SessionOptions::new(seeds.len());
+            let (sums, pieces, _) = both(gpu, &surface, &seeds, options);
+            let small = SessionOptions { capacities: tiny, ..options };
+            let (small_sums, small_pieces, stats) = both(gpu, &surface, &seeds, small);
+            same_bits(&name, &sums, &small_sums);
+            assert!(pieces == small_pieces, "{name}: pieces differ");
+            assert!(stats.relaunched_neighbours > 0, "{name}: {stats:?}");
+            assert!(stats.relaunched_polygon > 0, "{name}: {stats:?}");
+            assert!(stats.relaunched_cells > 0, "{name}: {stats:?}");
+            total.add(&stats);
+        }
+    }
+    eprintln!("{total:?}");
+}
+
+#[test]
+fn strategies_and_accumulation_change_no_bit() {
+    let gpu = require_gpu!();
+    let mut total = PassStats::default();
+    for shape in Shape::ALL {
+        // From some cells per facet to hundreds.
+        let mesh = shape.build(60);
+        let weights = weights(&mesh);
+        let surface = Arc::new(Surface::new(&mesh, (shape != Shape::Torus).then_some(&weights[..])).unwrap());
+        for (set, seeds) in seed_sets(&surface, 1500) {
+            let with = |strategy, accumulate| {
+                let tuning = Tuning { strategy, accumulate };
+                both(gpu, &surface, &seeds, SessionOptions { tuning, ..SessionOptions::new(seeds.len()) })
+            };
+            let (sums, pieces, _) = with(Strategy::Facet, Accumulate::Direct);
+            for (strategy, accumulate) in [
+                (Strategy::Facet, Accumulate::TwoPhase),
+                (Strategy::Cell, Accumulate::TwoPhase),
+                (Strategy::Auto, Accumulate::Auto),
+            ] {
+                let name = format!("{shape}, {set}, {strategy:?}, {accumulate:?}");
+                let (other_sums, other_pieces, stats) = with(strategy, accumulate);
+                same_bits(&name, &sums, &other_sums);
+                assert!(pieces == other_pieces, "{name}: pieces differ");
+                total.add(&stats);
+            }
+        }
+    }
+    eprintln!("{total:?}");
+}
+
+#[test]
+fn cells_find_the_facets_of_two_triangles() {
+    let gpu = require_gpu!();
+    let surface = Arc::new(Surface::new(&square(), None).unwrap());
+    let mut proved = 0;
+    for sample in 31..34 {
+        let seeds = seeds_on(&surface, 5000, 0.0, sample);
+        let with = |strategy| {
+            let tuning = Tuning { strategy, ..Tuning::default() };
+            both(gpu, &surface, &seeds, SessionOptions { tuning, ..SessionOptions::new(seeds.len()) })
+        };
+        let (by_facet, by_cell, chosen) = (with(Strategy::Facet), with(Strategy::Cell), with(Strategy::Auto));
+        same_bits("cell", &by_facet.0, &by_cell.0);
+        same_bits("auto", &by_facet.0, &chosen.0);
+        assert!(by_facet.1 == by_cell.1 && by_facet.1 == chosen.1);
+        proved += u32::from(by_cell.2.relaunched_facets == 0);
+    }
+    // Falling back is for what rounding broke, not the rule.
+    assert!(proved > 0);
+}
+
+#[test]
+fn what_cells_cannot_prove_is_left_to_propagation() {
+    let gpu = require_gpu!();
+    let surface = Arc::new(Surface::new(&square(), None).unwrap());
+    let [a, b, c] = surface.facets()[0].map(|v| surface.positions()[v as usize]);
+    let centroid = (a + b + c) / 3.0;
+    // All as far from the centroid, so that none is the nearer one.
+    let ring: Vec<DVec3> = (0..40)
+        .map(|k| {
+            let (sin, cos) = (f64::from(k) / 40.0 * std::f64::consts::TAU).sin_cos();
+            centroid + 0.2 * dvec3(cos, sin, 0.0)
+        })
+        .collect();
+    // Out of the range of floats, so that the host ends the pairs.
+    let mut far = seeds_on(&surface, 40, 0.0, 1);
+    for p in &mut far {
+        p.z += 1000.0;
+    }
+    for (name, seeds) in [("ring", ring), ("far", far)] {
+        let with = |strategy| {
+            let tuning = Tuning { strategy, ..Tuning::default() };
+            both(gpu, &surface, &seeds, SessionOptions { tuning, ..SessionOptions::new(seeds.len()) })
+        };
+        let (by_facet, by_cell) = (with(Strategy::Facet), with(Strategy::Cell));
+        assert!(by_cell.2.relaunched_facets > 0, "{name}: {:?}", by_cell.2);
+        same_bits(name, &by_facet.0, &by_cell.0);
+        assert!(by_facet.1 == by_cell.1, "{name}: pieces differ");
+    }
 }

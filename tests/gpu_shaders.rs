@@ -7,7 +7,11 @@ use tessera::gpu::layout;
 use tessera::gpu::shader::{SOURCES, compose};
 
 fn parse(stage: &str, slots: i64, array: i64) -> naga::Module {
-    let source = compose(stage, &[("SLOTS", slots), ("ARRAY", array)]).unwrap();
+    parse_with(stage, slots, array, 0)
+}
+
+fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module {
+    let source = compose(stage, &[("SLOTS", slots), ("ARRAY", array), ("SHARED", shared)]).unwrap();
     let module = naga::front::wgsl::parse_str(&source)
         .unwrap_or_else(|e| panic!("{stage}, {slots} slots:\n{}", e.emit_to_string(&source)));
     Validator::new(ValidationFlags::all(), Capabilities::empty())
@@ -21,6 +25,7 @@ fn every_stage_is_valid_for_every_size() {
     for (stage, _) in SOURCES.iter().filter(|(name, _)| !name.starts_with("shared/")) {
         for slots in 4..=16 {
             parse(stage, slots, 0);
+            parse_with(stage, slots, 0, 1);
         }
         parse(stage, 64, 1);
     }
@@ -94,9 +99,9 @@ fn records_have_one_layout() {
             emit_begin,
             emit_count,
             polygon,
-            padding0,
-            padding1,
-            padding2
+            accumulate,
+            grid,
+            padding0
         }
     );
     same_layout!(&clip, State { head, begin, end, length, failures, pieces, list_overflow, cells_overflow });
@@ -104,7 +109,7 @@ fn records_have_one_layout() {
 
 #[test]
 fn constants_agree() {
-    let text = compose("clip", &[("SLOTS", 10), ("ARRAY", 0)]).unwrap();
+    let text = compose("clip", &[("SLOTS", 10), ("ARRAY", 0), ("SHARED", 0)]).unwrap();
     for line in [
         format!("const COMPLETE: u32 = {:#x}u;", layout::COMPLETE),
         format!("const ROOT: u32 = {:#x}u;", layout::ROOT),
@@ -113,6 +118,10 @@ fn constants_agree() {
         format!("const POLYGON: u32 = {}u;", layout::code::POLYGON),
         format!("const FINISH: u32 = {}u;", layout::code::FINISH),
         format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
+        format!("const CELLED: u32 = {:#x}u;", layout::CELLED),
+        format!("const DIRECT: u32 = {}u;", layout::accumulate::DIRECT),
+        format!("const TWO_PHASE: u32 = {}u;", layout::accumulate::TWO_PHASE),
+        format!("const NOWHERE: u32 = {}u;", layout::accumulate::NOWHERE),
         format!("const FACET_EDGE: u32 = {:#x}u;", tessera::rvd::cells::FACET_EDGE),
     ] {
         assert!(text.contains(&line), "{line}");

@@ -17,7 +17,10 @@ fn to_fixed(v: f32) -> vec2u {
 
 // Adds to the sum whose low limb is word `at`.
 fn add_fixed(at: u32, v: f32) {
-    let x = to_fixed(v);
+    add_limbs(at, to_fixed(v));
+}
+
+fn add_limbs(at: u32, x: vec2u) {
     let before = atomicAdd(&sums[at], x.x);
     let carry = select(0u, 1u, before + x.x < x.x);
     if (x.y + carry) != 0u {

@@ -11,7 +11,7 @@ struct Seed {
 
 // A facet: its first corner as hi + lo, an orthonormal frame (e1 along the first edge, n its
 // normal), the other corners in that frame, the weight as a linear function, and its slots in
-// the hash sets of cells.
+// the hash sets of cells. The highest bit of slot_mask is CELLED.
 struct Facet {
     hi: vec3f,
     slot_begin: u32,
@@ -43,20 +43,32 @@ struct Params {
     propose_begin: u32,
     propose_count: u32,
     propose_root: u32,
-    // Pairs that one emit dispatch writes.
+    // Pairs that one emit dispatch writes; pairs that `verify` looks at; seeds of `reach`.
     emit_begin: u32,
     emit_count: u32,
     // Vertices that a polygon in registers may have; at most its slots.
     polygon: u32,
+    // How sums reach global memory: DIRECT, TWO_PHASE or NOWHERE.
+    accumulate: u32,
+    // Grid cells along each side of the unit box, for `reach`.
+    grid: u32,
     padding0: u32,
-    padding1: u32,
-    padding2: u32,
 }
 
 const COMPLETE: u32 = 0x80000000u;
 const ROOT: u32 = 0x80000000u;
 const INDEX: u32 = 0x7fffffffu;
 const FACET_EDGE: u32 = 0xffffffffu;
+// In a facet's slot_mask: cells look for this facet themselves, so its pieces are to be proved.
+const CELLED: u32 = 0x80000000u;
+// In a pair's first word: the pair is not empty and its facet is CELLED.
+const PIECE: u32 = 0x80000000u;
+// In a slot: a cell nearer to the facet's centroid has named this one as its neighbour.
+const NAMED: u32 = 0x80000000u;
+
+const DIRECT: u32 = 0u;
+const TWO_PHASE: u32 = 1u;
+const NOWHERE: u32 = 2u;
 
 // How a pair ended. The host's names are those of rvd::PairStatus; FINISH is NonFinite, and an
 // empty polygon of a facet's first cell.

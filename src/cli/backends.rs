@@ -53,6 +53,14 @@ pub fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
 /// # Errors
 /// A sentence for the caller.
 pub fn gpu(args: &BackendArgs) -> Result<Arc<dyn Backend>, String> {
+    Ok(open_gpu(args)?)
+}
+
+/// As [`gpu`], for who needs more of it than a backend.
+///
+/// # Errors
+/// A sentence for the caller.
+pub fn open_gpu(args: &BackendArgs) -> Result<Arc<Gpu>, String> {
     let options = DeviceOptions { software: args.gpu_software, ..DeviceOptions::default() };
     let device = Device::open(&options).map_err(|e| {
         let software = if args.gpu_software { "" } else { "--gpu-software takes a software adapter, " };

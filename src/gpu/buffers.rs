@@ -6,8 +6,7 @@
 //! Must not know: what the bytes mean.
 
 use std::ops::Range;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
 
 use bytemuck::{NoUninit, Pod};
 use wgpu::BufferUsages as Usage;
@@ -49,6 +48,8 @@ pub struct Buffers {
     pub vertices: wgpu::Buffer,
     /// Their labels.
     pub labels: wgpu::Buffer,
+    /// Grid of facets.
+    pub near: wgpu::Buffer,
     staging: wgpu::Buffer,
     plan: Plan,
 }
@@ -83,6 +84,7 @@ impl Buffers {
             heads: make("heads", plan.heads_bytes, storage)?,
             vertices: make("vertices", plan.vertices_bytes, storage)?,
             labels: make("labels", plan.labels_bytes, storage)?,
+            near: make("near", plan.near_bytes, storage)?,
             staging: make("staging", plan.staging_bytes, Usage::MAP_READ | Usage::COPY_DST)?,
             plan,
         })
@@ -134,12 +136,15 @@ impl Buffers {
         encoder.copy_buffer_to_buffer(buffer, (range.start * size_of::<T>()) as u64, &self.staging, 0, bytes);
         device.check()?;
         let index = device.queue().submit([encoder.finish()]);
-        let mapped = Arc::new(AtomicBool::new(false));
-        let seen = Arc::clone(&mapped);
+        let (mapped, answer) = mpsc::sync_channel(1);
         // Refusals reach the flags of the device; this one only says that the bytes are there.
-        self.staging.map_async(wgpu::MapMode::Read, 0..bytes, move |r| seen.store(r.is_ok(), Ordering::Release));
+        self.staging.map_async(wgpu::MapMode::Read, 0..bytes, move |r| {
+            // The receiver is gone only if waiting failed.
+            let _ = mapped.send(r.is_ok());
+        });
         device.wait(Some(index))?;
-        if !mapped.load(Ordering::Acquire) {
+        // Another thread that waits for the same device may have taken this callback and not run it yet.
+        if answer.recv_timeout(device.timeout()) != Ok(true) {
             return Err(GpuError::Failed("a buffer could not be mapped".to_owned()));
         }
         let view = self.staging.get_mapped_range(0..bytes).map_err(|e| GpuError::Failed(e.to_string()))?;

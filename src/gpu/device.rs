@@ -277,6 +277,11 @@ impl Device {
         self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("tessera") })
     }
 
+    /// How long anything is waited for.
+    pub(super) fn timeout(&self) -> Duration {
+        self.timeout
+    }
+
     /// Submits, waits for the end, and checks the flags.
     ///
     /// # Errors

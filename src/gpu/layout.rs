@@ -11,6 +11,8 @@ use bytemuck::{Pod, Zeroable};
 pub const COMPLETE: u32 = 1 << 31;
 /// Highest bit of a pair's second word: the first cell of its facet.
 pub const ROOT: u32 = 1 << 31;
+/// Highest bit of [`Facet::slot_mask`]: cells look for this facet themselves.
+pub const CELLED: u32 = 1 << 31;
 /// The other 31 bits.
 pub const INDEX: u32 = ROOT - 1;
 /// Words of sums per seed: mass, moment x y z, energy, area; two limbs each.
@@ -26,6 +28,16 @@ pub mod code {
     pub const POLYGON: u32 = 2;
     /// To be finished in double precision.
     pub const FINISH: u32 = 3;
+}
+
+/// How sums reach global memory, as in WGSL.
+pub mod accumulate {
+    /// Atomics, a piece at a time.
+    pub const DIRECT: u32 = 0;
+    /// Partial sums of a workgroup first.
+    pub const TWO_PHASE: u32 = 1;
+    /// Not at all, to measure what it costs.
+    pub const NOWHERE: u32 = 2;
 }
 
 /// An entry of the list of failures: (facet, seed, code).
@@ -57,7 +69,7 @@ pub struct Facet {
     pub slot_begin: u32,
     /// First corner less upper part.
     pub lo: [f32; 3],
-    /// Slots less one; a power of two less one.
+    /// Slots less one; a power of two less one. And [`CELLED`].
     pub slot_mask: u32,
     /// Unit vector along the first edge.
     pub e1: [f32; 3],
@@ -107,16 +119,16 @@ pub struct Params {
     pub propose_root: u32,
     /// First pair to emit.
     pub emit_begin: u32,
-    /// How many.
+    /// How many; also the pairs that `verify` looks at and the seeds of `reach`.
     pub emit_count: u32,
     /// Vertices that a polygon in registers may have; at most its slots.
     pub polygon: u32,
+    /// How sums reach global memory, see [`accumulate`].
+    pub accumulate: u32,
+    /// Grid cells along each side of the unit box.
+    pub grid: u32,
     /// Zero.
     pub padding0: u32,
-    /// Zero.
-    pub padding1: u32,
-    /// Zero.
-    pub padding2: u32,
 }
 
 /// What the host reads between submissions.

@@ -26,6 +26,8 @@ pub struct Counts {
     pub emitted: u64,
     /// Polygon vertices per pair.
     pub polygon: u64,
+    /// Entries of the grid of facets near each place.
+    pub near: u64,
 }
 
 /// What the device allows.
@@ -91,6 +93,8 @@ pub struct Plan {
     pub vertices_bytes: u64,
     /// Their labels.
     pub labels_bytes: u64,
+    /// Grid of facets.
+    pub near_bytes: u64,
     /// Readback.
     pub staging_bytes: u64,
 }
@@ -121,6 +125,7 @@ impl Plan {
             heads_bytes: counts.emitted.saturating_mul(16),
             vertices_bytes,
             labels_bytes: vertices.saturating_mul(4),
+            near_bytes: counts.near.saturating_mul(4),
             staging_bytes: sums_bytes.max(vertices_bytes).clamp(1 << 16, STAGING_BYTES),
         };
         let limit_bytes = limits.buffer_bytes.min(limits.binding_bytes);
@@ -134,7 +139,7 @@ impl Plan {
     }
 
     /// Name and bytes of every buffer.
-    pub fn buffers(&self) -> [(&'static str, u64); 15] {
+    pub fn buffers(&self) -> [(&'static str, u64); 16] {
         [
             ("seeds", self.seeds_bytes),
             ("facets", self.facets_bytes),
@@ -150,6 +155,7 @@ impl Plan {
             ("heads", self.heads_bytes),
             ("vertices", self.vertices_bytes),
             ("labels", self.labels_bytes),
+            ("near", self.near_bytes),
             ("staging", self.staging_bytes),
         ]
     }
@@ -175,7 +181,16 @@ mod tests {
     const LIMITS: Limits = Limits { buffer_bytes: 256 << 20, binding_bytes: 128 << 20, workgroups: 65_535 };
 
     fn counts(n: u64) -> Counts {
-        Counts { facets: n, seeds: n, table: 25 * n, slots: 16 * n, pairs: 5 * n, emitted: 65_536, polygon: 10 }
+        Counts {
+            facets: n,
+            seeds: n,
+            table: 25 * n,
+            slots: 16 * n,
+            pairs: 5 * n,
+            emitted: 65_536,
+            polygon: 10,
+            near: 9,
+        }
     }
 
     #[test]

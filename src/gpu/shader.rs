@@ -43,6 +43,8 @@ sources![
     "emit",
     "prepare",
     "propose",
+    "reach",
+    "shared/accumulate",
     "shared/append",
     "shared/cell_set",
     "shared/clip_pair",
@@ -51,6 +53,7 @@ sources![
     "shared/polygon_registers",
     "shared/state",
     "shared/types",
+    "verify",
 ];
 
 /// A name and its value.

@@ -10,10 +10,12 @@
 //! Must not know: iterations, jobs, files.
 
 mod fixed;
+mod measure;
 mod pack;
 mod pass;
 mod pieces;
 mod pipelines;
+mod reach;
 mod relaunch;
 
 use std::ops::Range;
@@ -26,8 +28,8 @@ use super::incident::{Diagram, FacetWalker};
 use super::parallel::Parallel;
 use super::start::Starts;
 use super::{
-    Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
-    Surface, elapsed_ms, take_seeds,
+    Accumulate, Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session,
+    SessionOptions, Surface, elapsed_ms, take_seeds,
 };
 use crate::gpu::buffers::{self, Buffers};
 use crate::gpu::layout::{self, Params, SUM_WORDS};
@@ -35,6 +37,8 @@ use crate::gpu::plan::{BATCH, Counts, EXTRA_PROPOSALS, Limits, Plan};
 use crate::gpu::{Device, GpuError};
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 use crate::mesh::TriMesh;
+pub use measure::AccumulationMs;
+use pass::Wants;
 use pipelines::{Bindings, Pipelines};
 
 impl From<GpuError> for RvdError {
@@ -156,6 +160,11 @@ struct GpuSession {
     counts: Counts,
     slots_log2: Vec<u8>,
     facets: Vec<layout::Facet>,
+    /// Where cells look for facets, and the facets that are left to propagation for these seeds.
+    grid: reach::Grid,
+    demoted: Vec<u32>,
+    /// Code in [`layout::accumulate`].
+    accumulate: u32,
     /// `None` before the first use and while capacities grow.
     resident: Option<Resident>,
 
@@ -179,10 +188,13 @@ struct GpuSession {
 
 impl GpuSession {
     fn new(gpu: &Gpu, surface: Arc<Surface>, options: SessionOptions) -> Self {
-        let SessionOptions { max_seeds, capacities, .. } = options;
+        let SessionOptions { max_seeds, capacities, tuning, flat_pieces: _ } = options;
         let expected = pack::expected_cells(&surface, max_seeds);
         let slots_log2 = pack::first_slots(&expected, capacities.cells, Capacities::default().cells);
-        let facets = pack::facets(&surface, &slots_log2);
+        let mut facets = pack::facets(&surface, &slots_log2);
+        let celled = reach::celled(&expected, tuning.strategy);
+        reach::mark(&mut facets, &celled);
+        let grid = reach::Grid::new(&surface, &celled, max_seeds);
         // Half as many again for pairs that turn out empty and for pairs done again.
         let percent = capacities.pairs_percent as f64 / 100.0;
         let pairs = (1.5 * expected.iter().sum::<f64>() * percent) as u64 + 1024;
@@ -195,6 +207,7 @@ impl GpuSession {
             pairs,
             emitted: pairs.min(1 << 16),
             polygon: SLOTS as u64,
+            near: grid.near.len() as u64,
         };
         Self {
             device: Arc::clone(&gpu.device),
@@ -209,6 +222,12 @@ impl GpuSession {
             counts,
             slots_log2,
             facets,
+            grid,
+            demoted: Vec::new(),
+            accumulate: match tuning.accumulate {
+                Accumulate::Direct | Accumulate::Auto => layout::accumulate::DIRECT,
+                Accumulate::TwoPhase => layout::accumulate::TWO_PHASE,
+            },
             resident: None,
             seeds: Vec::new(),
             index: SeedIndex::new(&[]),
@@ -235,6 +254,7 @@ impl GpuSession {
             buffers::write(&self.device, &buffers.seeds, 0, &self.records)?;
             buffers::write(&self.device, &buffers.table, 0, &self.packed)?;
             buffers::write(&self.device, &buffers.proposals, 0, &self.roots)?;
+            buffers::write(&self.device, &buffers.near, 0, &self.grid.near)?;
             self.resident = Some(Resident { buffers, bindings });
         }
         self.resident.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))
@@ -257,6 +277,8 @@ impl GpuSession {
             list_capacity: self.counts.pairs.min(u64::from(layout::INDEX)) as u32,
             batch: BATCH,
             polygon: self.pass.polygon,
+            accumulate: self.accumulate,
+            grid: self.grid.side,
             ..Params::default()
         }
     }
@@ -279,6 +301,7 @@ impl GpuSession {
             return Err(RvdError::Cancelled);
         }
         self.walker.reset();
+        self.promote()?;
         stats.neighbours_ms = elapsed_ms(begin);
         let begin = Instant::now();
         pack::seeds(&self.seeds, &self.table, &mut self.records, &mut self.packed);
@@ -320,7 +343,7 @@ impl GpuSession {
         let n = self.seeds.len();
         let mut stats = self.begin_pass(cancel)?;
         let begin = Instant::now();
-        self.run_pass(0..self.facets.len() as u32, cancel, &mut stats)?;
+        self.run_pass(0..self.facets.len() as u32, Wants::Sums, cancel, &mut stats)?;
         stats.clip_ms = elapsed_ms(begin);
         let begin = Instant::now();
         let device = Arc::clone(&self.device);

@@ -7,7 +7,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::gpu::layout::{self, split};
+use crate::gpu::layout::{self, CELLED, split};
 use crate::knn::NeighbourTable;
 use crate::rvd::Surface;
 
@@ -58,12 +58,12 @@ pub fn facets(surface: &Surface, slots_log2: &[u8]) -> Vec<layout::Facet> {
     records
 }
 
-/// Lays the sets of cells one behind the other.
+/// Lays the sets of cells one behind the other. What is [`CELLED`] stays so.
 pub fn assign_slots(records: &mut [layout::Facet], slots_log2: &[u8]) {
     let mut begin = 0u32;
     for (record, &log2) in records.iter_mut().zip(slots_log2) {
         record.slot_begin = begin;
-        record.slot_mask = (1u32 << log2) - 1;
+        record.slot_mask = (record.slot_mask & CELLED) | ((1u32 << log2) - 1);
         begin = begin.wrapping_add(1 << log2);
     }
 }

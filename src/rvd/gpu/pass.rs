@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use super::{GpuSession, fixed, pack};
 use crate::gpu::buffers;
-use crate::gpu::layout::{Params, ROOT, SUM_WORDS, State, code, failure};
+use crate::gpu::layout::{Params, ROOT, SUM_WORDS, State, accumulate, code, failure};
 use crate::gpu::plan::{Limits, dispatch};
 use crate::rvd::{CancelFlag, PassStats, RvdError, elapsed_ms};
 
@@ -29,6 +29,17 @@ pub(super) struct PassResult {
     pub length: u32,
     /// Polygon vertices allowed at present.
     pub polygon: u32,
+    /// Whether cells entered facets of their own, so that the pieces are to be proved.
+    pub by_cell: bool,
+}
+
+/// What a pass is for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Wants {
+    /// Sums and the list of pairs.
+    Sums,
+    /// The list of pairs; what the sums hold is of no use.
+    Pairs,
 }
 
 /// Which variant of the clip stage a launch uses.
@@ -50,17 +61,26 @@ impl GpuSession {
     pub(super) fn run_pass(
         &mut self,
         facets: Range<u32>,
+        wants: Wants,
         cancel: &CancelFlag,
         stats: &mut PassStats,
     ) -> Result<(), RvdError> {
-        while !self.attempt(facets.clone(), cancel, stats)? {}
+        while !self.attempt(facets.clone(), wants, cancel, stats)? {}
         Ok(())
     }
 
     /// One attempt from zero. `false` if a capacity had to grow.
-    fn attempt(&mut self, facets: Range<u32>, cancel: &CancelFlag, stats: &mut PassStats) -> Result<bool, RvdError> {
-        self.pass = PassResult { polygon: self.first_polygon, ..PassResult::default() };
-        let mut state = self.launch_roots(facets, cancel)?;
+    fn attempt(
+        &mut self,
+        facets: Range<u32>,
+        wants: Wants,
+        cancel: &CancelFlag,
+        stats: &mut PassStats,
+    ) -> Result<bool, RvdError> {
+        // Of a part of the surface most cells are elsewhere.
+        let by_cell = self.grid.side > 0 && facets.len() == self.facets.len();
+        self.pass = PassResult { polygon: self.first_polygon, by_cell, ..PassResult::default() };
+        let mut state = self.launch_roots(facets, wants, cancel)?;
         let mut variants = HashMap::new();
         loop {
             if state.list_overflow + state.cells_overflow > 0 {
@@ -76,23 +96,27 @@ impl GpuSession {
                 None => return Ok(false),
             }
         }
+        if self.pass.by_cell && !self.verify(state, stats)? {
+            return Ok(false);
+        }
         stats.pairs += u64::from(state.pieces) + self.pass.finished.len() as u64;
         Ok(true)
     }
 
     /// Clears what the pass uses, enters the facets' first cells and drains the list.
-    fn launch_roots(&mut self, facets: Range<u32>, cancel: &CancelFlag) -> Result<State, RvdError> {
+    fn launch_roots(&mut self, facets: Range<u32>, wants: Wants, cancel: &CancelFlag) -> Result<State, RvdError> {
         let first = self.roots.partition_point(|r| r[0] < facets.start);
         let last = self.roots.partition_point(|r| r[0] < facets.end);
         let roots = Params {
             propose_begin: first as u32,
             propose_count: (last - first) as u32,
             propose_root: ROOT,
+            emit_count: if self.pass.by_cell { self.seeds.len() as u32 } else { 0 },
             ..self.params()
         };
         let slot = |f: u32| {
-            let end = u64::from(self.facets[f as usize].slot_begin) + u64::from(self.facets[f as usize].slot_mask) + 1;
-            (u64::from(self.facets[f as usize].slot_begin) * 4, end * 4)
+            let begin = u64::from(self.facets[f as usize].slot_begin);
+            (begin * 4, (begin + (1 << self.slots_log2[f as usize])) * 4)
         };
         let cleared = (!facets.is_empty()).then(|| slot(facets.start).0..slot(facets.end - 1).1);
         let seeds = self.seeds.len();
@@ -102,7 +126,9 @@ impl GpuSession {
         if let Some(range) = cleared {
             encoder.clear_buffer(&buffers.slots, range.start, Some(range.end - range.start));
         }
-        encoder.clear_buffer(&buffers.sums, 0, Some((seeds * SUM_WORDS * 4) as u64));
+        if wants == Wants::Sums {
+            encoder.clear_buffer(&buffers.sums, 0, Some((seeds * SUM_WORDS * 4) as u64));
+        }
         buffers::write(&device, &buffers.state, 0, &[State::default()])?;
         if last == first {
             device.run(encoder)?;
@@ -139,7 +165,7 @@ impl GpuSession {
         }
     }
 
-    /// One submission: proposals, then `steps` times prepare and clip. Returns the summary.
+    /// One submission: proposals, by facet and by cell, then `steps` times prepare and clip. Returns the summary.
     fn submit(
         &mut self,
         mut encoder: wgpu::CommandEncoder,
@@ -150,6 +176,7 @@ impl GpuSession {
         let params = proposals.unwrap_or_else(|| self.params());
         let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
         let limits = Limits::of(&device.limits());
+        let shared = self.accumulate == accumulate::TWO_PHASE;
         let resident = self.resident()?;
         buffers::write(&device, &resident.buffers.params, 0, &[params])?;
         {
@@ -160,7 +187,14 @@ impl GpuSession {
                 compute.set_bind_group(0, &resident.bindings.propose, &[]);
                 compute.dispatch_workgroups(x, y, 1);
             }
+            if params.emit_count > 0 {
+                let [x, y] = dispatch(params.emit_count.into(), limits);
+                compute.set_pipeline(&pipelines.reach);
+                compute.set_bind_group(0, &resident.bindings.reach, &[]);
+                compute.dispatch_workgroups(x, y, 1);
+            }
             let (clip, bindings) = match variant {
+                Variant::Registers if shared => (&pipelines.clip_shared, &resident.bindings.clip_shared),
                 Variant::Registers => (&pipelines.clip, &resident.bindings.clip),
                 Variant::Large => (&pipelines.clip_large, &resident.bindings.clip_large),
             };
@@ -176,6 +210,33 @@ impl GpuSession {
         let mut state = State::default();
         resident.buffers.read_with(&device, encoder, &resident.buffers.state, 0..1, |s| state = s[0])?;
         Ok(state)
+    }
+
+    /// Whether all pieces that cells entered are proved; if not, their facets are left to
+    /// propagation and the pass begins anew.
+    fn verify(&mut self, state: State, stats: &mut PassStats) -> Result<bool, RvdError> {
+        let params = Params { emit_count: state.length, ..self.params() };
+        let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
+        let [x, y] = dispatch(state.length.into(), Limits::of(&device.limits()));
+        let resident = self.resident()?;
+        let buffers = &resident.buffers;
+        buffers::write(&device, &buffers.params, 0, &[params])?;
+        buffers::write(&device, &buffers.state, 0, &[State { failures: 0, ..state }])?;
+        let mut encoder = device.encoder();
+        {
+            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            compute.set_pipeline(&pipelines.verify);
+            compute.set_bind_group(0, &resident.bindings.verify, &[]);
+            compute.dispatch_workgroups(x, y, 1);
+        }
+        let mut unproved = 0;
+        buffers.read_with(&device, encoder, &buffers.state, 0..1, |s: &[State]| unproved = s[0].failures)?;
+        if unproved == 0 {
+            return Ok(true);
+        }
+        let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..unproved as usize)?;
+        self.leave_to_propagation(failures.iter().map(|&e| failure(e).0).collect(), stats)?;
+        Ok(false)
     }
 
     /// More slots for the facets whose sets were full, a longer list if it was. What has grown

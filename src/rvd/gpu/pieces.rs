@@ -13,6 +13,7 @@ use std::time::Instant;
 use glam::{DVec3, dvec3};
 
 use super::GpuSession;
+use super::pass::Wants;
 use crate::gpu::buffers;
 use crate::gpu::layout::Params;
 use crate::gpu::plan::{Limits, dispatch};
@@ -41,7 +42,7 @@ impl GpuSession {
         let facets = facets.start.min(end)..end;
         let mut stats = self.begin_pass(cancel)?;
         let begin = Instant::now();
-        self.run_pass(facets, cancel, &mut stats)?;
+        self.run_pass(facets, Wants::Pairs, cancel, &mut stats)?;
         stats.clip_ms = elapsed_ms(begin);
         let begin = Instant::now();
         let length = self.pass.length;

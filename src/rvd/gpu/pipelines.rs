@@ -20,10 +20,16 @@ pub struct Pipelines {
     pub prepare: wgpu::ComputePipeline,
     /// Clips them, polygon in registers.
     pub clip: wgpu::ComputePipeline,
-    /// The same with [`LARGE_POLYGON`] indexed slots.
+    /// The same, adding in two phases.
+    pub clip_shared: wgpu::ComputePipeline,
+    /// The first with [`LARGE_POLYGON`] indexed slots.
     pub clip_large: wgpu::ComputePipeline,
     /// Writes pieces.
     pub emit: wgpu::ComputePipeline,
+    /// Enters pairs by cell.
+    pub reach: wgpu::ComputePipeline,
+    /// Proves those pairs.
+    pub verify: wgpu::ComputePipeline,
 }
 
 impl Pipelines {
@@ -32,14 +38,18 @@ impl Pipelines {
     /// # Errors
     /// `Failed`, `Lost`; `Shader` only for a mistake in `shaders/`.
     pub fn new(device: &Device, slots: usize) -> Result<Self, GpuError> {
-        let registers = [("SLOTS", slots as i64), ("ARRAY", 0)];
-        let array = [("SLOTS", LARGE_POLYGON as i64), ("ARRAY", 1)];
+        let registers = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 0)];
+        let shared = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 1)];
+        let array = [("SLOTS", LARGE_POLYGON as i64), ("ARRAY", 1), ("SHARED", 0)];
         Ok(Self {
             propose: pipeline(device, "propose", &registers)?,
             prepare: pipeline(device, "prepare", &registers)?,
             clip: pipeline(device, "clip", &registers)?,
+            clip_shared: pipeline(device, "clip", &shared)?,
             clip_large: pipeline(device, "clip", &array)?,
             emit: pipeline(device, "emit", &registers)?,
+            reach: pipeline(device, "reach", &registers)?,
+            verify: pipeline(device, "verify", &registers)?,
         })
     }
 }
@@ -78,10 +88,16 @@ pub struct Bindings {
     pub prepare: wgpu::BindGroup,
     /// For [`Pipelines::clip`].
     pub clip: wgpu::BindGroup,
+    /// For [`Pipelines::clip_shared`].
+    pub clip_shared: wgpu::BindGroup,
     /// For [`Pipelines::clip_large`].
     pub clip_large: wgpu::BindGroup,
     /// For [`Pipelines::emit`].
     pub emit: wgpu::BindGroup,
+    /// For [`Pipelines::reach`].
+    pub reach: wgpu::BindGroup,
+    /// For [`Pipelines::verify`].
+    pub verify: wgpu::BindGroup,
 }
 
 impl Bindings {
@@ -99,12 +115,19 @@ impl Bindings {
             )?,
             prepare: bind(device, &pipelines.prepare, &[&b.params, &b.state, &b.arguments])?,
             clip: bind(device, &pipelines.clip, &clip)?,
+            clip_shared: bind(device, &pipelines.clip_shared, &clip)?,
             clip_large: bind(device, &pipelines.clip_large, &clip)?,
             emit: bind(
                 device,
                 &pipelines.emit,
                 &[&b.params, &b.seeds, &b.facets, &b.table, &b.list, &b.heads, &b.vertices, &b.labels],
             )?,
+            reach: bind(
+                device,
+                &pipelines.reach,
+                &[&b.params, &b.seeds, &b.facets, &b.table, &b.near, &b.slots, &b.list, &b.failures, &b.state],
+            )?,
+            verify: bind(device, &pipelines.verify, &[&b.params, &b.facets, &b.slots, &b.list, &b.failures, &b.state])?,
         })
     }
 }

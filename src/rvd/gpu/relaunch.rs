@@ -18,6 +18,7 @@ use crate::gpu::layout::{INDEX, Params, ROOT, State, code, failure};
 use crate::gpu::plan::BATCH;
 use crate::knn::NeighbourRow;
 use crate::rvd::cells::facet_edge;
+use crate::rvd::incident::FacetWalker;
 use crate::rvd::{CancelFlag, PassStats, RvdError};
 
 /// The longest row that is sent to the device.
@@ -37,6 +38,15 @@ struct Plans {
     crowded: u64,
 }
 
+/// What became of a pair in f64.
+#[derive(Default)]
+struct Ended {
+    sums: Vec<(u32, fixed::Units)>,
+    proposals: Vec<[u32; 2]>,
+    /// The whole facet was done.
+    walked: bool,
+}
+
 impl GpuSession {
     /// Gives the failed pairs what they lack and launches them again. `None` if a buffer had to
     /// grow for it, so that the pass must begin anew.
@@ -51,6 +61,13 @@ impl GpuSession {
         let buffers = &self.resident()?.buffers;
         let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..state.failures as usize)?;
         let plans = self.sort_out(&failures, variants);
+        // The device's proof covers only what the device clips.
+        let unproved: Vec<u32> =
+            plans.finish.iter().map(|p| p.0).filter(|&f| self.pass.by_cell && self.is_celled(f)).collect();
+        if !unproved.is_empty() {
+            self.leave_to_propagation(unproved, stats)?;
+            return Ok(None);
+        }
         stats.relaunched_neighbours += plans.short;
         stats.relaunched_polygon += plans.crowded;
         if !self.lengthen(&plans.rows)? {
@@ -166,32 +183,41 @@ impl GpuSession {
     /// Clips pairs in f64 and notes their sums. Returns the cells across their bisectors. A pair
     /// that began its facet is finished with the whole facet: the device found nothing there.
     fn finish(&mut self, pairs: &[Pair], cancel: &CancelFlag) -> Result<Vec<[u32; 2]>, RvdError> {
+        let end = |walker: &mut FacetWalker, &pair: &Pair| {
+            cancel.check()?;
+            Ok(self.end_pair(walker, pair))
+        };
+        let ended: Result<Vec<Ended>, RvdError> = pairs.par_iter().map_init(FacetWalker::default, end).collect();
         let mut proposals = Vec::new();
-        let mut walker = std::mem::take(&mut self.walker);
+        for (&(facet, _), mut ended) in pairs.iter().zip(ended?) {
+            self.pass.finished.append(&mut ended.sums);
+            proposals.append(&mut ended.proposals);
+            if ended.walked {
+                self.pass.walked.insert(facet);
+            }
+        }
+        Ok(proposals)
+    }
+
+    fn end_pair(&self, walker: &mut FacetWalker, (facet, seed): Pair) -> Ended {
         // The walker counts what it does again; the device's relaunches are what is reported.
         let mut ignored = PassStats::default();
-        for &(facet, seed) in pairs {
-            cancel.check()?;
-            if self.starts.seeds()[facet as usize] == seed {
-                let mut found = Vec::new();
-                walker.walk(self.diagram(), facet, seed, self.capacities, &mut ignored, |i, clipper| {
-                    found.push((i, fixed::encode(&clipper.integrals(), &self.scales)));
-                });
-                self.pass.finished.append(&mut found);
-                self.pass.walked.insert(facet);
-                continue;
-            }
-            walker.clip_to_end(self.diagram(), facet, seed, self.capacities, &mut ignored);
-            let clipper = walker.clipper();
-            if clipper.polygon().is_empty() {
-                continue;
-            }
-            self.pass.finished.push((seed, fixed::encode(&clipper.integrals(), &self.scales)));
-            let labels = clipper.polygon().iter().map(|v| v.edge).filter(|&j| facet_edge(j).is_none());
-            proposals.extend(labels.map(|j| [facet, j]));
+        let mut ended = Ended::default();
+        if self.starts.seeds()[facet as usize] == seed {
+            walker.walk(self.diagram(), facet, seed, self.capacities, &mut ignored, |i, clipper| {
+                ended.sums.push((i, fixed::encode(&clipper.integrals(), &self.scales)));
+            });
+            ended.walked = true;
+            return ended;
         }
-        self.walker = walker;
-        Ok(proposals)
+        walker.clip_to_end(self.diagram(), facet, seed, self.capacities, &mut ignored);
+        let clipper = walker.clipper();
+        if !clipper.polygon().is_empty() {
+            ended.sums.push((seed, fixed::encode(&clipper.integrals(), &self.scales)));
+            let labels = clipper.polygon().iter().map(|v| v.edge).filter(|&j| facet_edge(j).is_none());
+            ended.proposals.extend(labels.map(|j| [facet, j]));
+        }
+        ended
     }
 
     fn launch_again(
