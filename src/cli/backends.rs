@@ -26,6 +26,7 @@ impl From<BackendArg> for Wish {
 /// # Errors
 /// `BackendUnavailable` if the default one is the GPU and there is none.
 pub fn all(args: &BackendArgs) -> Result<Backends, JobError> {
+    bound_common_pool(args.threads);
     let backends = Backends {
         gpu: gpu(args).inspect_err(|reason| tracing::info!(%reason, "no GPU backend")),
         parallel: Arc::new(Parallel::new(args.threads)?),
@@ -41,11 +42,19 @@ pub fn all(args: &BackendArgs) -> Result<Backends, JobError> {
 /// # Errors
 /// `BackendUnavailable`.
 pub fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
+    bound_common_pool(if args.backend == BackendArg::Serial { Some(1) } else { args.threads });
     match args.backend {
         BackendArg::Serial => Ok(Arc::new(Serial)),
         BackendArg::Parallel => Ok(Arc::new(Parallel::new(args.threads)?)),
         BackendArg::Gpu | BackendArg::Auto => all(args)?.choose(Wish::Auto).cloned(),
     }
+}
+
+/// What no backend does (putting seeds back on the surface, measuring) runs in rayon's common pool,
+/// which `--threads` bounds as well.
+fn bound_common_pool(threads: Option<usize>) {
+    // It can be set once; a server that makes its backends anew has set it to the same number.
+    let _ = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build_global();
 }
 
 /// The GPU backend, or why there is none and what to do.
