@@ -66,8 +66,14 @@ fn geometry(bytes: &[u8]) -> Result<Vec<u8>, DataError> {
                 out.push(b'f');
                 let mut corners = 0;
                 for word in words {
+                    let index = position_index(word);
+                    if index.is_empty() {
+                        // `//3`: the crate would not see the corner, and take a smaller face or none.
+                        let word = String::from_utf8_lossy(word).into_owned();
+                        return Err(DataError::Syntax { line, message: format!("\"{word}\" names no vertex") });
+                    }
                     out.push(b' ');
-                    out.extend_from_slice(position_index(word));
+                    out.extend_from_slice(index);
                     corners += 1;
                 }
                 out.push(b'\n');
