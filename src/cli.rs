@@ -6,6 +6,7 @@
 //! stream. Must not know: how anything is computed.
 
 pub mod backends;
+mod cell_file;
 pub mod doctor;
 mod exit;
 mod files;

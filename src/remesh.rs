@@ -20,7 +20,9 @@ use crate::mesh::sample::sample;
 use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
 
 pub use report::Report;
-use report::{InputFigures, IterationFigures, MemoryFigures, RepairFigures, ResultFigures, RvdFigures, Timings};
+use report::{
+    InputFigures, IterationFigures, MemoryFigures, RepairFigures, ResultFigures, RvdFigures, Timings, topology_changes,
+};
 
 /// Where the first seeds come from.
 #[derive(Clone, Debug)]
@@ -133,7 +135,8 @@ pub fn remesh(
 
     observer.stage("dual");
     cvt.project_seeds()?;
-    let mut session = backend.exact_session(Arc::clone(&surface), SessionOptions::new(cvt.len()))?;
+    let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(cvt.len()) };
+    let mut session = backend.exact_session(Arc::clone(&surface), exact)?;
     session.set_seeds(cvt.unit_seeds())?;
     let dual = dual::extract(&mut *session, &surface, cvt.len(), cancel)?;
     rvd.add_pass(&dual.stats);
@@ -147,7 +150,13 @@ pub fn remesh(
     if repaired.facets.is_empty() {
         return Err(RemeshError::TooFewSeeds { seeds: cvt.len() });
     }
-    let figures = RepairFigures { split_cells: dual.split_cells, disputed_vertices: dual.disputed, ..repaired.figures };
+    let figures = RepairFigures {
+        split_cells: dual.split_cells,
+        not_disks: dual.not_disks,
+        multiple_edges: dual.multiple_edges,
+        disputed_vertices: dual.disputed,
+        ..repaired.figures
+    };
     let vertex_seed = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
     let result =
         TriMesh::new(repaired.positions, repaired.facets).map_err(|_| RemeshError::TooFewSeeds { seeds: cvt.len() })?;
@@ -168,6 +177,7 @@ pub fn remesh(
     };
     timings.measure = clock.lap();
     timings.total = clock.total();
+    let changes = topology_changes(&input.topology, &result_figures.topology);
     let report = Report {
         backend: backend.kind().name().into(),
         adapter: backend.adapter(),
@@ -180,6 +190,7 @@ pub fn remesh(
         timings_ms: timings,
         memory: MemoryFigures { host_peak_bytes: None, device_bytes: cvt.device_bytes() },
         result: result_figures,
+        topology_changes: changes,
     };
     Ok(Remesh { mesh: result, vertex_seed, seeds: cvt.seeds(), report })
 }

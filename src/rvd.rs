@@ -71,12 +71,15 @@ pub struct SessionOptions {
     pub max_seeds: usize,
     /// First capacities.
     pub capacities: Capacities,
+    /// Whether [`Session::pieces`] has pieces of facets without area, which the dual needs to go
+    /// across them. f64 sessions only; sums never have them.
+    pub flat_pieces: bool,
 }
 
 impl SessionOptions {
     /// Default capacities for at most `max_seeds` seeds.
     pub fn new(max_seeds: usize) -> Self {
-        Self { max_seeds, capacities: Capacities::default() }
+        Self { max_seeds, capacities: Capacities::default(), flat_pieces: false }
     }
 }
 

@@ -120,7 +120,7 @@ fn sums(
     seeds: &[DVec3],
     capacities: Capacities,
 ) -> (CellSums, PassStats) {
-    let options = SessionOptions { max_seeds: seeds.len(), capacities };
+    let options = SessionOptions { capacities, ..SessionOptions::new(seeds.len()) };
     let mut session = backend.session(Arc::clone(surface), options).unwrap();
     session.set_seeds(seeds).unwrap();
     let mut out = CellSums::default();

@@ -126,3 +126,110 @@ fn weights_gather_seeds() {
     let ratio = right / (1000.0 - right);
     assert!(ratio > 11.0 && ratio < 20.0, "{ratio}");
 }
+
+fn seeded(mesh: &TriMesh, seeds: Vec<DVec3>) -> Remesh {
+    run(mesh, &RemeshOptions { seeds: Seeds::Given(seeds), ..options(0, 0) }, &Serial).unwrap()
+}
+
+/// A square lattice: every RVD vertex is where four cells meet.
+#[test]
+fn a_lattice_has_a_valid_dual() {
+    let mesh = Shape::Plane.build(800);
+    for side in [2u32, 5, 10, 21] {
+        let seeds: Vec<DVec3> = (0..side * side)
+            .map(|k| DVec3::new(f64::from(k % side) + 0.5, f64::from(k / side) + 0.5, 0.0) / f64::from(side))
+            .collect();
+        let out = seeded(&mesh, seeds);
+        assert_eq!(out.mesh.positions().len(), (side * side) as usize);
+        assert_eq!(out.mesh.facets().len(), 2 * (side as usize - 1).pow(2), "side {side}");
+        let after = topology(&out.mesh);
+        assert_eq!((after.euler, after.boundary_loops, after.non_manifold_edges), (1, 1, 0), "side {side}");
+        let report = &out.report.result.repair;
+        assert_eq!((report.not_disks, report.multiple_edges, report.disputed_vertices), (0, 0, 0));
+    }
+}
+
+/// Seeds on a circle: all their cells meet in its centre.
+#[test]
+fn cocircular_seeds_have_a_valid_dual() {
+    let mesh = Shape::Plane.build(500);
+    for n in [3, 4, 6, 8, 12] {
+        let seeds: Vec<DVec3> = (0..n)
+            .map(|k| f64::from(k) / f64::from(n) * std::f64::consts::TAU)
+            .map(|a| DVec3::new(0.5 + 0.25 * a.cos(), 0.5 + 0.25 * a.sin(), 0.0))
+            .collect();
+        let out = seeded(&mesh, seeds);
+        assert_eq!((out.mesh.positions().len(), out.mesh.facets().len()), (n as usize, n as usize - 2));
+        assert_eq!(topology(&out.mesh).euler, 1);
+    }
+}
+
+/// A cube with seeds on its corners, edges and faces, in a grid.
+#[test]
+fn a_cube_with_seeds_on_edges_and_corners() {
+    let corner = |k: u32| DVec3::new(f64::from(k & 1), f64::from(k >> 1 & 1), f64::from(k >> 2));
+    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let facets = quads.iter().flat_map(|q: &[u32; 4]| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
+    let mesh = TriMesh::new((0..8).map(corner).collect(), facets).unwrap();
+    assert!(volume(&mesh) > 0.0);
+    for n in [2u32, 3, 5] {
+        let mut seeds = Vec::new();
+        for k in 0..(n + 1).pow(3) {
+            let at = [k % (n + 1), k / (n + 1) % (n + 1), k / (n + 1).pow(2)];
+            if at.iter().any(|&c| c == 0 || c == n) {
+                seeds.push(DVec3::from_array(at.map(f64::from)) / f64::from(n));
+            }
+        }
+        let count = seeds.len();
+        let out = seeded(&mesh, seeds);
+        let after = topology(&out.mesh);
+        assert_eq!(out.mesh.positions().len(), count, "n {n}");
+        assert_eq!((after.euler, after.components, after.non_manifold_edges), (2, 1, 0), "n {n}");
+        assert_eq!(out.mesh.facets().len(), 2 * count - 4);
+        assert!(out.report.topology_changes.is_empty());
+    }
+}
+
+/// Facets without area between others: no integral has them, but the surface goes on across them.
+#[test]
+fn flat_facets_do_not_cut_the_surface() {
+    // A grid whose middle line is doubled: below it the edges are twice as long as above, and flat
+    // triangles lie between.
+    let n = 8u32;
+    let mut positions = Vec::new();
+    let mut facets = Vec::new();
+    let mut row = |y: f64, count: u32| -> Vec<u32> {
+        let first = positions.len() as u32;
+        positions.extend((0..=count).map(|x| DVec3::new(f64::from(x) / f64::from(count), y, 0.0)));
+        (first..=first + count).collect()
+    };
+    let (low, coarse, fine, high) = (row(0.0, n), row(0.5, n), row(0.5, 2 * n), row(1.0, 2 * n));
+    let mut strip = |a: &[u32], b: &[u32]| {
+        for k in 0..a.len() - 1 {
+            facets.extend([[a[k], a[k + 1], b[k + 1]], [a[k], b[k + 1], b[k]]]);
+        }
+    };
+    strip(&low, &coarse);
+    strip(&fine, &high);
+    for k in 0..n as usize {
+        facets.push([coarse[k], coarse[k + 1], fine[2 * k + 1]]);
+    }
+    let mesh = TriMesh::new(positions, facets).unwrap();
+    assert_eq!(mesh.degenerate_count(), n as usize);
+    let out = run(&mesh, &options(150, 10), &Parallel::new(Some(2)).unwrap()).unwrap();
+    let after = topology(&out.mesh);
+    assert_eq!((after.euler, after.components, after.boundary_loops), (1, 1, 1), "{:?}", out.report.result.repair);
+    assert_eq!(out.mesh.positions().len(), 150);
+}
+
+#[test]
+fn too_few_seeds_for_the_topology_are_said_to_be() {
+    let mesh = Shape::Genus(3).build(3000);
+    let out = run(&mesh, &options(12, 5), &Serial).unwrap();
+    let repair = &out.report.result.repair;
+    assert!(repair.not_disks + repair.multiple_edges > 0);
+    assert_eq!(out.report.topology_changes.is_empty(), topology(&out.mesh).euler == -4);
+    let enough = run(&mesh, &options(1500, 5), &Serial).unwrap();
+    assert_eq!((enough.report.result.repair.not_disks, enough.report.result.repair.multiple_edges), (0, 0));
+    assert!(enough.report.topology_changes.is_empty());
+}

@@ -49,7 +49,7 @@ fn seed_sets(surface: &Surface) -> Vec<(&'static str, Vec<DVec3>)> {
 }
 
 fn open(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], capacities: Capacities) -> Box<dyn Session> {
-    let options = SessionOptions { max_seeds: seeds.len(), capacities };
+    let options = SessionOptions { capacities, ..SessionOptions::new(seeds.len()) };
     let mut session = backend.session(Arc::clone(surface), options).unwrap();
     session.set_seeds(seeds).unwrap();
     session

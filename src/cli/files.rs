@@ -11,7 +11,6 @@ use glam::DVec3;
 
 use super::exit::{BadInput, Usage};
 use crate::mesh::{TriMesh, io};
-use crate::rvd::PieceBatch;
 
 /// Reads a surface.
 pub(crate) fn read_mesh(path: &Path) -> Result<TriMesh> {
@@ -71,50 +70,6 @@ pub(crate) fn write_json(path: &Path, report: &impl serde::Serialize) -> Result<
         serde_json::to_writer_pretty(&mut *out, report)?;
         writeln!(out)
     })
-}
-
-/// Writes pieces as a polygon PLY (binary, little-endian): double positions; for each polygon its
-/// seed, its facet and a colour by seed.
-pub(crate) fn write_cells(path: &Path, cells: &PieceBatch) -> Result<()> {
-    let most = (0..cells.len()).map(|i| cells.vertices(i).len()).max().unwrap_or(0);
-    let (count_type, wide) = if most > 255 { ("uint", true) } else { ("uchar", false) };
-    write(path, |out| {
-        write!(
-            out,
-            "ply\nformat binary_little_endian 1.0\ncomment pieces of a restricted Voronoi diagram\n\
-             element vertex {}\nproperty double x\nproperty double y\nproperty double z\n\
-             element face {}\nproperty list {count_type} int vertex_indices\nproperty int seed\n\
-             property int facet\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
-            cells.position.len(),
-            cells.len()
-        )?;
-        for x in cells.position.iter().flat_map(DVec3::to_array) {
-            out.write_all(&x.to_le_bytes())?;
-        }
-        for i in 0..cells.len() {
-            let vertices = cells.vertices(i);
-            match wide {
-                true => out.write_all(&(vertices.len() as u32).to_le_bytes())?,
-                false => out.write_all(&[vertices.len() as u8])?,
-            }
-            for v in vertices {
-                out.write_all(&(v as u32).to_le_bytes())?;
-            }
-            out.write_all(&cells.seed[i].to_le_bytes())?;
-            out.write_all(&cells.facet[i].to_le_bytes())?;
-            out.write_all(&colour(cells.seed[i]))?;
-        }
-        Ok(())
-    })
-}
-
-/// A colour that neighbours in number do not share: the index, well mixed, never dark.
-fn colour(seed: u32) -> [u8; 3] {
-    let mut h = seed.wrapping_mul(0x9e37_79b1) ^ 0x85eb_ca6b;
-    h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);
-    h = (h ^ (h >> 12)).wrapping_mul(0x297a_2d39);
-    h ^= h >> 15;
-    [h as u8, (h >> 8) as u8, (h >> 16) as u8].map(|c| 64 + (c >> 1) + (c >> 2))
 }
 
 fn write(path: &Path, body: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>) -> Result<()> {

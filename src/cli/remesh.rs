@@ -136,6 +136,9 @@ fn print(report: &Report) {
         "topology    {} boundary edges, {} non-manifold edges, {} non-manifold vertices",
         result.topology.boundary_edges, result.topology.non_manifold_edges, result.topology.non_manifold_vertices
     );
+    if !report.topology_changes.is_empty() {
+        println!("changed     {}; more points keep more", report.topology_changes.join(", "));
+    }
     if let Some(bytes) = report.memory.host_peak_bytes {
         let mib = |bytes: u64| bytes >> 20;
         println!("memory      {} MiB, {} MiB on the device", mib(bytes), mib(report.memory.device_bytes));

@@ -13,7 +13,7 @@ use tonic::transport::{Channel, Endpoint};
 use super::exit::{BadInput, Unavailable, Usage};
 use super::interrupt;
 use super::progress::Progress;
-use super::rvd::{RvdResult, Wants};
+use super::rvd::{RvdResult, Sink, Wants};
 use crate::config::BackendArg;
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
@@ -89,6 +89,7 @@ pub(crate) fn rvd(
     seeds: Seeds,
     wants: Wants,
     backend: BackendArg,
+    sink: Sink<'_>,
 ) -> Result<RvdResult> {
     use proto::compute_rvd_request::Message as Ask;
     use proto::compute_rvd_response::Message as Answer;
@@ -120,17 +121,16 @@ pub(crate) fn rvd(
     block_on(async {
         let mut client = connect(endpoint).await?;
         let mut answers = client.compute_rvd(tokio_stream::iter(requests)).await.map_err(refused)?.into_inner();
-        let (mut arrays, progress, mut cells) = (Arrays::default(), Progress::new(), PieceBatch::default());
-        cells.clear();
+        let (mut arrays, progress) = (Arrays::default(), Progress::new());
         while let Some(answer) = answers.message().await.map_err(refused)? {
             match answer.message {
                 Some(Answer::Progress(p)) => progress.stage(&p.stage, p.done, p.total),
-                Some(Answer::Cells(chunk)) => append(&mut cells, &chunk)?,
+                Some(Answer::Cells(chunk)) => sink(&batch(&chunk)?)?,
                 Some(Answer::Chunk(chunk)) => arrays.take(chunk)?,
                 Some(Answer::Done(done)) => {
                     let centroids = if wants.centroids { arrays.points(ArrayKind::Centroids)? } else { Vec::new() };
                     let report = serde_json::from_str(&done.report_json).context("the server's report is broken")?;
-                    return Ok(RvdResult { cells, centroids, report });
+                    return Ok(RvdResult { centroids, report });
                 }
                 _ => {}
             }
@@ -240,7 +240,9 @@ fn indices(data: &[u8]) -> Vec<u32> {
     data.as_chunks::<4>().0.iter().map(|b| u32::from_le_bytes(*b)).collect()
 }
 
-fn append(cells: &mut PieceBatch, chunk: &CellsChunk) -> Result<()> {
+/// Pieces from the wire.
+fn batch(chunk: &CellsChunk) -> Result<PieceBatch> {
+    let mut cells = PieceBatch::default();
     let (facet, seed, count) = (indices(&chunk.facet), indices(&chunk.seed), indices(&chunk.vertex_count));
     let (position, weight, opposite) = (points(&chunk.positions), numbers(&chunk.weights), indices(&chunk.opposite));
     let vertices: u64 = count.iter().map(|c| u64::from(*c)).sum();
@@ -254,5 +256,5 @@ fn append(cells: &mut PieceBatch, chunk: &CellsChunk) -> Result<()> {
         first = range.end;
         cells.push(facet, seed, range.map(|v| (position[v], weight[v], opposite[v])));
     }
-    Ok(())
+    Ok(cells)
 }

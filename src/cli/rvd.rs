@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use glam::DVec3;
 
+use super::cell_file::CellFile;
 use super::progress::Progress;
 use super::{backends, files, interrupt, remote};
 use crate::config::BackendArgs;
@@ -51,8 +52,6 @@ pub(crate) struct RvdArgs {
 
 /// What came out, wherever it was computed.
 pub(crate) struct RvdResult {
-    /// All pieces, caller's coordinates; empty if not wanted.
-    pub(crate) cells: PieceBatch,
     /// One a seed; empty if not wanted.
     pub(crate) centroids: Vec<DVec3>,
     /// The report.
@@ -71,15 +70,17 @@ pub(crate) fn run(args: &RvdArgs) -> Result<()> {
         (None, points) => Seeds::Sample { points: points.unwrap_or(1) as usize, seed: args.seed },
     };
     let read_ms = start.elapsed().as_secs_f64() * 1e3;
-    // Without any file the sums give the figures, which need no pieces in memory.
+    // Without any file the sums give the figures.
     let wants = Wants { cells: args.output.is_some(), centroids: args.centroids.is_some() || args.output.is_none() };
+    let mut cells = args.output.as_deref().map(CellFile::create).transpose()?;
+    let mut sink = |batch: &PieceBatch| cells.as_mut().map_or(Ok(()), |file| file.append(batch));
     let mut result = match &args.endpoint {
-        None => here(args, mesh, seeds, wants)?,
-        Some(endpoint) => remote::rvd(endpoint, &mesh, seeds, wants, args.backend.backend)?,
+        None => here(args, mesh, seeds, wants, &mut sink)?,
+        Some(endpoint) => remote::rvd(endpoint, &mesh, seeds, wants, args.backend.backend, &mut sink)?,
     };
     let writing = Instant::now();
-    if let Some(path) = &args.output {
-        files::write_cells(path, &result.cells)?;
+    if let Some(file) = cells {
+        file.finish()?;
     }
     if let Some(path) = &args.centroids {
         files::write_points(path, &result.centroids)?;
@@ -109,6 +110,9 @@ pub(crate) fn run(args: &RvdArgs) -> Result<()> {
     Ok(())
 }
 
+/// Takes each batch of pieces as it comes, caller's coordinates.
+pub(crate) type Sink<'a> = &'a mut dyn FnMut(&PieceBatch) -> Result<()>;
+
 /// What is to be computed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Wants {
@@ -118,7 +122,7 @@ pub(crate) struct Wants {
     pub(crate) centroids: bool,
 }
 
-fn here(args: &RvdArgs, mesh: TriMesh, seeds: Seeds, wants: Wants) -> Result<RvdResult> {
+fn here(args: &RvdArgs, mesh: TriMesh, seeds: Seeds, wants: Wants, sink: Sink<'_>) -> Result<RvdResult> {
     let cancel = CancelFlag::default();
     interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
     let backend = backends::one(&args.backend)?;
@@ -129,15 +133,13 @@ fn here(args: &RvdArgs, mesh: TriMesh, seeds: Seeds, wants: Wants) -> Result<Rvd
     progress.stage("diagram", 0, 0);
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;
     let centroids = if wants.centroids { diagram.sums(&cancel)?.centroids } else { Vec::new() };
-    let mut cells = PieceBatch::default();
-    cells.clear();
     if wants.cells {
         while let Some(batch) = diagram.batch(&cancel)? {
-            cells.extend(&batch);
+            sink(&batch)?;
             let (done, total) = diagram.progress();
             progress.stage("diagram", done, total);
         }
     }
     let report = serde_json::to_value(diagram.report(&prepared, &BackendInfo::of(backend.as_ref())))?;
-    Ok(RvdResult { cells, centroids, report })
+    Ok(RvdResult { centroids, report })
 }

@@ -38,12 +38,13 @@ pub fn repair(positions: &[DVec3], triangles: &[[u32; 3]]) -> Repaired {
     split_fans(positions, facets, figures)
 }
 
-/// Facets with three different corners, each set of corners once. Two facets with the same corners
-/// and opposite orientation are a pocket around a cell component that touches two cells only:
-/// both go, and the surface closes behind them.
+/// Facets with three different corners, each set of corners at most once. Two facets with the same
+/// corners and opposite orientation cancel, as boundaries do: they are a pocket around a cell
+/// component that touches two cells only, or a fold of the surface smaller than its cells, and the
+/// surface closes without them. What is left over of three facets is one.
 fn simple_facets(triangles: &[[u32; 3]], figures: &mut RepairFigures) -> Vec<[u32; 3]> {
-    // Corners in order -> (first facet of even order, first of odd order).
-    let mut seen: HashMap<[u32; 3], [Option<usize>; 2]> = HashMap::with_capacity(triangles.len());
+    // Corners in order -> facets of even order and of odd order: (how many, the first).
+    let mut seen: HashMap<[u32; 3], [(usize, usize); 2]> = HashMap::with_capacity(triangles.len());
     for (f, &t) in triangles.iter().enumerate() {
         let mut key = t;
         key.sort_unstable();
@@ -52,18 +53,18 @@ fn simple_facets(triangles: &[[u32; 3]], figures: &mut RepairFigures) -> Vec<[u3
             continue;
         }
         let odd = usize::from(t != key && t != [key[1], key[2], key[0]] && t != [key[2], key[0], key[1]]);
-        let slot = &mut seen.entry(key).or_default()[odd];
-        if slot.is_some() {
-            figures.duplicate_facets += 1;
-        } else {
-            *slot = Some(f);
+        let side = &mut seen.entry(key).or_default()[odd];
+        if side.0 == 0 {
+            side.1 = f;
         }
+        side.0 += 1;
     }
     let mut kept: Vec<usize> = Vec::with_capacity(seen.len());
-    for sides in seen.values() {
-        match sides {
-            [Some(_), Some(_)] => figures.closed_pockets += 1,
-            [one, other] => kept.extend(one.or(*other)),
+    for &[(even, first_even), (odd, first_odd)] in seen.values() {
+        figures.closed_pockets += even.min(odd);
+        if even != odd {
+            kept.push(if even > odd { first_even } else { first_odd });
+            figures.duplicate_facets += even.abs_diff(odd) - 1;
         }
     }
     kept.sort_unstable();
@@ -182,6 +183,13 @@ mod tests {
         let out = repair(&points(4), &[[0, 1, 2], [1, 2, 0], [3, 3, 1]]);
         assert_eq!(out.facets, [[0, 1, 2]]);
         assert_eq!((out.figures.duplicate_facets, out.figures.degenerate_facets), (1, 1));
+    }
+
+    #[test]
+    fn of_a_fold_one_facet_is_left() {
+        let out = repair(&points(4), &[[0, 1, 2], [0, 2, 1], [1, 2, 0]]);
+        assert_eq!(out.facets, [[0, 1, 2]]);
+        assert_eq!((out.figures.closed_pockets, out.figures.duplicate_facets), (1, 0));
     }
 
     #[test]

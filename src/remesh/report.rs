@@ -37,6 +37,21 @@ pub struct Report {
     pub memory: MemoryFigures,
     /// The surface that came out.
     pub result: ResultFigures,
+    /// What is not as in the input, e.g. "euler: 0 becomes 2"; empty if χ, components and boundary
+    /// loops are kept.
+    pub topology_changes: Vec<String>,
+}
+
+/// What of the topology is not kept, one sentence each. Non-manifold elements are not counted as
+/// kept or lost: the result never has any.
+pub fn topology_changes(input: &Topology, result: &Topology) -> Vec<String> {
+    let pairs = [
+        ("euler", input.euler, result.euler),
+        ("components", input.components as i64, result.components as i64),
+        ("boundary_loops", input.boundary_loops as i64, result.boundary_loops as i64),
+    ];
+    let changed = pairs.into_iter().filter(|(_, before, after)| before != after);
+    changed.map(|(name, before, after)| format!("{name}: {before} becomes {after}")).collect()
 }
 
 /// The surface that came in.
@@ -154,6 +169,11 @@ pub struct ResultFigures {
 pub struct RepairFigures {
     /// Restricted cells with more than one connected component.
     pub split_cells: usize,
+    /// Cell components that are not a disk. Where this and the next are 0, the dual has the
+    /// topology of the surface.
+    pub not_disks: usize,
+    /// Pairs of cell components that meet in more than one curve.
+    pub multiple_edges: usize,
     /// RVD vertices whose three cells do not agree (see `rvd::dual`).
     pub disputed_vertices: usize,
     /// Facets dropped because two of their corners are one vertex.

@@ -179,7 +179,7 @@ struct GpuSession {
 
 impl GpuSession {
     fn new(gpu: &Gpu, surface: Arc<Surface>, options: SessionOptions) -> Self {
-        let SessionOptions { max_seeds, capacities } = options;
+        let SessionOptions { max_seeds, capacities, .. } = options;
         let expected = pack::expected_cells(&surface, max_seeds);
         let slots_log2 = pack::first_slots(&expected, capacities.cells, Capacities::default().cells);
         let facets = pack::facets(&surface, &slots_log2);

@@ -62,6 +62,7 @@ impl Backend for Parallel {
             pool: Arc::clone(&self.pool),
             surface,
             max_seeds: options.max_seeds,
+            flat_pieces: options.flat_pieces,
             capacities: options.capacities,
             seeds: Vec::new(),
             index: SeedIndex::new(&[]),
@@ -84,6 +85,7 @@ struct ParallelSession {
     pool: Arc<rayon::ThreadPool>,
     surface: Arc<Surface>,
     max_seeds: usize,
+    flat_pieces: bool,
     capacities: Capacities,
     seeds: Vec<DVec3>,
     index: SeedIndex,
@@ -107,6 +109,8 @@ struct Chunk {
 enum Wanted {
     Integrals,
     Pieces,
+    /// Of facets without area too.
+    FlatPieces,
 }
 
 impl ParallelSession {
@@ -185,18 +189,21 @@ impl Chunk {
         self.pieces.clear();
         self.stats = PassStats::default();
         let first = facets.start;
-        for facet in facets.filter(|&f| !diagram.surface.skips(f as usize)) {
+        for facet in facets.filter(|&f| match wanted {
+            Wanted::FlatPieces => diagram.surface.joins(f as usize),
+            Wanted::Integrals | Wanted::Pieces => !diagram.surface.skips(f as usize),
+        }) {
             let start = starts[(facet - first) as usize];
             let (integrals, pieces) = (&mut self.integrals, &mut self.pieces);
             walker.walk(diagram, facet, start, capacities, &mut self.stats, |i, clipper| match wanted {
                 Wanted::Integrals => integrals.push((i, clipper.integrals())),
-                Wanted::Pieces => {
+                Wanted::Pieces | Wanted::FlatPieces => {
                     let origin = diagram.seeds[i as usize];
                     pieces.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
                 }
             });
         }
-        if wanted == Wanted::Pieces {
+        if wanted != Wanted::Integrals {
             self.pieces.sort();
         }
     }
@@ -243,7 +250,8 @@ impl Session for ParallelSession {
         out.clear();
         let pool = Arc::clone(&self.pool);
         pool.install(|| {
-            self.waves(facets, Wanted::Pieces, cancel, |chunks| {
+            let wanted = if self.flat_pieces { Wanted::FlatPieces } else { Wanted::Pieces };
+            self.waves(facets, wanted, cancel, |chunks| {
                 for chunk in chunks {
                     out.extend(&chunk.pieces);
                 }

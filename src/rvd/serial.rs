@@ -36,6 +36,7 @@ impl Backend for Serial {
         Ok(Box::new(SerialSession {
             surface,
             max_seeds: options.max_seeds,
+            flat_pieces: options.flat_pieces,
             capacities: options.capacities,
             seeds: Vec::new(),
             index: SeedIndex::with_threads(&[], Threads::One),
@@ -49,6 +50,7 @@ impl Backend for Serial {
 struct SerialSession {
     surface: Arc<Surface>,
     max_seeds: usize,
+    flat_pieces: bool,
     capacities: Capacities,
     seeds: Vec<DVec3>,
     index: SeedIndex,
@@ -81,6 +83,7 @@ impl SerialSession {
     fn walk(
         &mut self,
         range: Range<u32>,
+        wanted: impl Fn(&Surface, usize) -> bool,
         cancel: &CancelFlag,
         mut visit: impl FnMut(u32, u32, DVec3, &Clipper),
     ) -> Result<PassStats, RvdError> {
@@ -96,7 +99,7 @@ impl SerialSession {
             starts.extend(batch.clone().map(|f| self.index.nearest(self.surface.centroid(f))));
             stats.start_ms += elapsed_ms(begin);
             let begin = Instant::now();
-            for facet in batch.clone().filter(|&f| !self.surface.skips(f as usize)) {
+            for facet in batch.clone().filter(|&f| wanted(&self.surface, f as usize)) {
                 let start = starts[(facet - first) as usize];
                 self.walker.walk(diagram, facet, start, self.capacities, &mut stats, |i, clipper| {
                     visit(facet, i, diagram.seeds[i as usize], clipper);
@@ -118,12 +121,14 @@ impl Session for SerialSession {
     fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
         out.reset(self.seeds.len());
         let facets = 0..self.surface.facets().len() as u32;
-        self.walk(facets, cancel, |_, i, _, clipper| out.add(i as usize, &clipper.integrals()))
+        self.walk(facets, |s, f| !s.skips(f), cancel, |_, i, _, clipper| out.add(i as usize, &clipper.integrals()))
     }
 
     fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
         out.clear();
-        let stats = self.walk(facets, cancel, |facet, i, origin, clipper| {
+        let flat = self.flat_pieces;
+        let wanted = |s: &Surface, f: usize| if flat { s.joins(f) } else { !s.skips(f) };
+        let stats = self.walk(facets, wanted, cancel, |facet, i, origin, clipper| {
             out.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
         })?;
         out.sort();

@@ -174,6 +174,14 @@ impl Surface {
         0.5 * (b - a).cross(c - a).length()
     }
 
+    /// Whether facet `f` joins its neighbours: it has an area, or at least three corners in three
+    /// places. A facet without area between two others is part of no integral, but the surface
+    /// goes on across it.
+    pub fn joins(&self, f: usize) -> bool {
+        let [a, b, c] = self.welded[f];
+        !self.skip[f] || (a != b && b != c && c != a)
+    }
+
     /// Area of all facets that are not left out, unit frame.
     pub fn area(&self) -> f64 {
         self.area

@@ -152,6 +152,7 @@ async fn send_result(
         converged: result.report.converged,
         figures: Some(convert::figures(&result.report.rvd)),
         report_json: serde_json::to_string(&result.report).unwrap_or_default(),
+        topology_changes: result.report.topology_changes.clone(),
     };
     outbox.send(wrap(response::Message::Done(done))).await
 }
