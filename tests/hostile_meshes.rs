@@ -19,7 +19,7 @@ use hostile::{covered, options, remeshed};
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::{MeshError, TriMesh};
-use tessera::remesh::Seeds;
+use tessera::remesh::{RemeshError, Seeds};
 use tessera::rvd::{RvdError, Surface};
 
 /// Several surfaces as one.
@@ -180,6 +180,46 @@ fn facets_without_area_slivers_and_duplicates() {
     let (positions, mut facets) = torus.into_parts();
     facets.extend_from_within(10..30);
     check("facets twice", &TriMesh::new(positions, facets).unwrap(), 200);
+}
+
+/// Both sides of a square, sewn together at the rim: closed, and of no thickness.
+fn pillow(facets: usize) -> TriMesh {
+    let (positions, mut facets) = Shape::Plane.build(facets).into_parts();
+    let back: Vec<[u32; 3]> = facets.iter().map(|&[a, b, c]| [a, c, b]).collect();
+    facets.extend(back);
+    TriMesh::new(positions, facets).unwrap()
+}
+
+#[test]
+fn a_surface_without_thickness() {
+    let mesh = pillow(200);
+    let surface = Arc::new(Surface::new(&mesh, None).unwrap());
+    let seeds: Vec<DVec3> = points::on_surface(&surface, 80, &mut points::rng(4)).into_iter().map(|x| x.1).collect();
+    covered("pillow", &surface, &seeds);
+    for (backend, _) in hostile::backends() {
+        for points in [4, 20, 100] {
+            match hostile::run(&mesh, &options(Seeds::Sample { points, seed: 2 }, 2), backend) {
+                Ok(out) => cases::manifold(out.mesh.facets(), out.mesh.positions().len()).unwrap(),
+                Err(error) => assert!(matches!(error, RemeshError::TooFewSeeds { .. }), "{error}"),
+            }
+        }
+    }
+}
+
+#[test]
+#[ignore = "open: triangles back to back are taken out, all of them here, and more points do not help"]
+fn a_surface_without_thickness_has_a_remesh() {
+    remeshed("pillow", &pillow(200), &options(Seeds::Sample { points: 100, seed: 2 }, 2));
+}
+
+#[test]
+#[ignore = "open: the components of one cell on the two sides get one position, so welding makes non-manifold edges"]
+fn two_facets_back_to_back() {
+    let corners = vec![DVec3::ZERO, DVec3::X, DVec3::Y];
+    let mesh = TriMesh::new(corners, vec![[0, 1, 2], [0, 2, 1]]).unwrap();
+    for points in [8, 30, 100] {
+        remeshed("two facets", &mesh, &options(Seeds::Sample { points, seed: 2 }, 2));
+    }
 }
 
 #[test]

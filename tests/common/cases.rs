@@ -219,7 +219,7 @@ pub fn everything(
     seeds: &[DVec3],
     capacities: Capacities,
 ) -> Result<(CellSums, PieceBatch, PassStats), String> {
-    let options = SessionOptions { max_seeds: seeds.len(), capacities };
+    let options = SessionOptions { capacities, ..SessionOptions::new(seeds.len()) };
     let (mut sums, mut pieces) = (CellSums::default(), PieceBatch::default());
     let flag = CancelFlag::default();
     let mut work = || {
