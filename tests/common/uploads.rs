@@ -58,7 +58,7 @@ fn client(data: &[u8]) -> (Vec<u8>, bool) {
     if byte() % 32 == 31 {
         whole = false;
         match byte() % 4 {
-            0 => mesh.vertices = u64::MAX / u64::from(1 + byte()),
+            0 => mesh.vertices = u64::MAX / (1 + u64::from(byte())),
             1 => mesh.facets = u64::MAX,
             2 => mesh.position_type = i32::from(byte()) - 100,
             _ => mesh.weights = u64::from(byte()),
