@@ -266,3 +266,18 @@ fn far_from_the_surface() {
         RemeshError::Rvd(RvdError::SeedTooFar { seed: 4, .. } | RvdError::NonFiniteSeed { seed: 4 })
     ));
 }
+
+/// From afar a whole cluster is at one distance, so that a row ends before it: it must grow until it holds all of it.
+#[test]
+fn a_cluster_at_one_rounded_distance() {
+    let mesh = Shape::Plane.build(50);
+    let surface = surface(&mesh);
+    let mut seeds = vec![dvec3(-9e5, 0.0, 0.0)];
+    seeds.extend((0..600).map(|k| dvec3(9e5, 0.0, 1e-9 * f64::from(k))));
+    for (backend, tolerance) in backends() {
+        let (got, _) = sums(backend, &surface, &seeds).unwrap();
+        let error = (got.area.iter().sum::<f64>() / surface.area() - 1.0).abs();
+        // As in `far_from_the_surface`.
+        assert!(error < tolerance.max(1e-11 * 9e5), "{}: {error:e}", backend.kind().name());
+    }
+}
