@@ -79,6 +79,14 @@ pub enum MeshError {
         /// Longest side of the bounding box.
         extent: f64,
     },
+    /// Coordinates so small that double precision has few digits left for them.
+    #[error(
+        "the bounding box is {extent:e} wide; coordinates that small lose their digits. Scale the mesh to above 1e-305"
+    )]
+    ExtentTooSmall {
+        /// Longest side of the bounding box.
+        extent: f64,
+    },
 }
 
 /// The largest number of vertices or facets: indices above are used as labels.
@@ -124,6 +132,11 @@ impl TriMesh {
         let extent = (high - low).max_element();
         if extent >= 1e150 {
             return Err(MeshError::ExtentTooLarge { extent });
+        }
+        // Below 2.2e-308 numbers are subnormal, and the scale to a unit box overflows. A box of width
+        // 0 has no area, which is said below.
+        if extent > 0.0 && extent < 1e-305 {
+            return Err(MeshError::ExtentTooSmall { extent });
         }
         let mesh = Self::assemble(positions, facets);
         if mesh.degenerate_count == mesh.facets.len() {

@@ -181,6 +181,8 @@ pub struct PassStats {
     pub relaunched_facets: u64,
     /// Pairs that another precision finished (GPU: the f64 path).
     pub f64_finished: u64,
+    /// Seeds that lie exactly on an earlier one, and so have an empty cell.
+    pub duplicate_seeds: u64,
     /// Neighbour tables: building the tree and querying it.
     pub neighbours_ms: f64,
     /// The nearest seed of every facet.
@@ -197,7 +199,7 @@ impl PassStats {
         self.relaunched_neighbours + self.relaunched_polygon + self.relaunched_cells
     }
 
-    /// Adds another pass's figures to these.
+    /// Adds another pass's figures to these. Of the duplicate seeds it keeps the most that a pass saw.
     pub fn add(&mut self, other: &PassStats) {
         self.pairs += other.pairs;
         self.relaunched_neighbours += other.relaunched_neighbours;
@@ -205,6 +207,7 @@ impl PassStats {
         self.relaunched_cells += other.relaunched_cells;
         self.relaunched_facets += other.relaunched_facets;
         self.f64_finished += other.f64_finished;
+        self.duplicate_seeds = self.duplicate_seeds.max(other.duplicate_seeds);
         self.neighbours_ms += other.neighbours_ms;
         self.start_ms += other.start_ms;
         self.clip_ms += other.clip_ms;

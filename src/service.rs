@@ -11,6 +11,7 @@ mod handlers;
 mod limits;
 mod status;
 mod stream;
+mod upload;
 
 use std::future::Future;
 use std::thread::JoinHandle;
@@ -23,6 +24,7 @@ use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
 use crate::config::Limits;
+use crate::job::spec::Input;
 use crate::job::{Device, Engine, JobError};
 
 /// The messages and services of `proto/tessera/v1`, generated.
@@ -116,6 +118,16 @@ pub(crate) enum Phase {
 
 /// Time for streams to end once they were cut, and for connections to close.
 const CUT_TIME: Duration = Duration::from_secs(2);
+
+/// Takes the upload of a recorded `Remesh` stream as the service would, without a server: fuzzers call it, and
+/// so may whoever has a recording that was refused. A recording is every request after its length
+/// as a varint, up to the one that finishes the upload.
+///
+/// # Errors
+/// What the service would say.
+pub fn replay(recording: &[u8], limits: &Limits) -> Result<Input, String> {
+    handlers::replay(&mut &*recording, limits).map_err(|error| error.to_string())
+}
 
 /// Serves on `listener` until `shutdown` is ready; then refuses new streams, lets open ones end
 /// within the grace period, cuts what is left, joins the device thread and returns.

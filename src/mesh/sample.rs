@@ -46,8 +46,10 @@ impl<'a> Sampler<'a> {
             return None;
         }
         let valid = |w: f64| if w.is_finite() && w > 0.0 { w } else { 0.0 };
-        // Only ratios matter; scaled to at most 1 they cannot overflow.
-        let largest = weights.map_or(1.0, |given| given.iter().copied().map(valid).fold(0.0, f64::max));
+        // Only ratios matter; scaled to at most 1 they cannot overflow. Vertices that no facet uses have no say.
+        let used =
+            |given: &[f64]| mesh.facets().iter().flatten().map(|&v| valid(given[v as usize])).fold(0.0, f64::max);
+        let largest = weights.map_or(1.0, used);
         let weights: Option<Vec<f64>> = weights.map(|given| given.iter().map(|&w| valid(w) / largest).collect());
         let (low, high) = mesh.bounds();
         let extent = (high - low).max_element();

@@ -89,6 +89,8 @@ pub struct RvdFigures {
     pub f64_finished_pairs: u64,
     /// Cells without surface in the last diagram.
     pub empty_cells: usize,
+    /// Seeds that lay exactly on an earlier one, in the pass that had most of them. Their cells are empty.
+    pub duplicate_seeds: usize,
     /// Seeds placed anew because their cell was empty, all passes.
     pub reseeded_cells: usize,
 }
@@ -209,6 +211,7 @@ impl RvdFigures {
         self.relaunched_polygon += stats.relaunched_polygon;
         self.relaunched_cells += stats.relaunched_cells;
         self.f64_finished_pairs += stats.f64_finished;
+        self.duplicate_seeds = self.duplicate_seeds.max(stats.duplicate_seeds as usize);
     }
 
     /// Takes the last diagram's figures.

@@ -321,6 +321,7 @@ impl GpuSession {
     fn begin_pass(&mut self, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
         let mut stats = PassStats::default();
         self.refresh(cancel, &mut stats)?;
+        stats.duplicate_seeds = self.index.duplicates() as u64;
         if !self.starts_fresh {
             let begin = Instant::now();
             let mut starts = std::mem::take(&mut self.starts);

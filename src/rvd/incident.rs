@@ -96,7 +96,9 @@ impl FacetWalker {
             let row = if k == 0 { table.row(i) } else { self.long_rows.row(index, i, k) };
             match self.clipper.clip(surface, facet, seeds, i, row, slots) {
                 PairStatus::NeighboursExhausted => {
-                    k = (row.0.len().max(capacities.neighbours).max(1) + 1) * 4;
+                    // From what was asked for, not from what came: a row without its ties at the end may
+                    // be as short as the last one, or empty.
+                    k = (k.max(row.0.len()).max(capacities.neighbours).max(1) + 1) * 4;
                     stats.relaunched_neighbours += 1;
                 }
                 PairStatus::PolygonOverflow => {

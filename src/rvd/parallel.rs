@@ -137,6 +137,7 @@ impl ParallelSession {
         mut merge: impl FnMut(&[Chunk]) + Send,
     ) -> Result<PassStats, RvdError> {
         let mut stats = PassStats { neighbours_ms: self.refresh(cancel)?, ..PassStats::default() };
+        stats.duplicate_seeds = self.index.duplicates() as u64;
         let begin = Instant::now();
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
         let starts = self.starts.find(diagram, facets.clone());

@@ -88,6 +88,7 @@ impl SerialSession {
         mut visit: impl FnMut(u32, u32, DVec3, &Clipper),
     ) -> Result<PassStats, RvdError> {
         let mut stats = PassStats { neighbours_ms: self.refresh(cancel)?, ..PassStats::default() };
+        stats.duplicate_seeds = self.index.duplicates() as u64;
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
         let mut starts = Vec::with_capacity(BATCH);
         for first in range.clone().step_by(BATCH) {

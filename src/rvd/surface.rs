@@ -81,16 +81,22 @@ impl Surface {
                 if let Some(vertex) = given.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
                     return Err(RvdError::BadWeight { vertex, value: given[vertex] });
                 }
-                let largest = given.iter().copied().fold(0.0, f64::max);
+                // Vertices that no facet uses have no say.
+                let used = mesh.facets().iter().flatten().map(|&v| given[v as usize]);
+                let largest = used.fold(0.0, f64::max);
                 if largest == 0.0 {
-                    return Err(RvdError::BadWeight { vertex: 0, value: 0.0 });
+                    return Err(RvdError::BadWeight { vertex: mesh.facets()[0][0] as usize, value: 0.0 });
                 }
-                // Scaled so that the largest is in (1/2, 1]: only ratios matter, and f32 must hold them.
-                let scale = (-largest.log2().ceil()).exp2();
-                Some(given.iter().map(|w| w * scale).collect::<Vec<_>>())
+                // Scaled so that the largest is in (1/2, 1]: only ratios matter, and f32 must hold them. In
+                // two steps, as the scale of a subnormal weight is beyond the range.
+                let half = (-largest.log2().ceil() * 0.5).floor().exp2();
+                let rest = (-largest.log2().ceil() - half.log2()).exp2();
+                Some(given.iter().map(|w| (w * half * rest).min(1.0)).collect::<Vec<_>>())
             }
         };
-        let positions: Vec<DVec3> = mesh.positions().iter().map(|&p| snap(frame.to_unit(p))).collect();
+        // A vertex that no facet uses may be so far away that the unit frame cannot hold it.
+        let held = |p: DVec3| if p.is_finite() { p } else { DVec3::ZERO };
+        let positions: Vec<DVec3> = mesh.positions().iter().map(|&p| held(snap(frame.to_unit(p)))).collect();
         let class = weld(mesh);
         let skip: Vec<bool> = (0..mesh.facets().len()).map(|f| mesh.is_degenerate(f)).collect();
         let mut surface = Self {
@@ -113,7 +119,7 @@ impl Surface {
         self.frame
     }
 
-    /// Vertex positions in the unit frame. A vertex that no facet uses may lie anywhere.
+    /// Vertex positions in the unit frame, all finite. A vertex that no facet uses may lie anywhere.
     pub fn positions(&self) -> &[DVec3] {
         &self.positions
     }

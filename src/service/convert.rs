@@ -127,6 +127,7 @@ pub(crate) fn figures(figures: &RvdFigures) -> proto::RvdFigures {
         relaunched_pairs: figures.relaunched_pairs,
         f64_finished_pairs: figures.f64_finished_pairs,
         empty_cells: figures.empty_cells as u64,
+        duplicate_seeds: figures.duplicate_seeds as u64,
     }
 }
 

@@ -6,13 +6,15 @@
 
 use std::sync::Arc;
 
+use prost::Message as _;
 use tokio::sync::{Semaphore, watch};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::assemble::{Assembly, Uploaded};
+use super::assemble::Uploaded;
 use super::limits::{self, Budget, MeshCounts, SeedCounts, Share};
 use super::proto::{self, ArrayKind, Chunk};
 use super::stream::{Answers, Gate, Inbox, Outbox, respond};
+use super::upload::{Header, Incoming, Upload};
 use super::{Phase, RequestError, convert};
 use crate::config::Limits;
 use crate::job::spec::{Input, Prepared};
@@ -90,43 +92,34 @@ impl proto::remesh_service_server::RemeshService for Handlers {
     }
 }
 
-/// What a message of an upload is, whatever its type.
-enum Incoming<H> {
-    Header(H),
-    Chunk(Chunk),
-    End,
-    /// Nothing that belongs into an upload, or an empty message.
-    Other,
-}
-
-/// What headers have in common.
-trait Header {
-    /// Checks everything in it.
-    fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError>;
-}
-
 /// Reads header, chunks and the end mark.
 async fn upload<M, H: Header>(
     shared: &Shared,
     inbox: &mut Inbox<M>,
     split: fn(M) -> Incoming<H>,
 ) -> Result<(H, SeedCounts, Uploaded), RequestError> {
-    let idle = shared.limits.upload_idle;
-    let protocol = |text: &str| RequestError::Protocol(text.to_owned());
-    let header = match inbox.next(idle).await?.map(split) {
-        Some(Incoming::Header(header)) => header,
-        Some(_) => return Err(protocol("the first message must be the header")),
-        None => return Err(protocol("the stream ended before the header")),
-    };
-    let (mesh, seeds) = header.check(&shared.limits)?;
-    let mut assembly = Assembly::new(mesh, seeds, shared.budget.share());
+    let mut upload = Upload::new(shared.limits, shared.budget.clone());
     loop {
-        match inbox.next(idle).await?.map(split) {
-            Some(Incoming::Chunk(chunk)) => assembly.take(&chunk)?,
-            Some(Incoming::End) => return Ok((header, seeds, assembly.finish()?)),
-            Some(Incoming::Header(_)) => return Err(protocol("a second header came")),
-            Some(Incoming::Other) => return Err(protocol("the upload goes on with chunks until it is finished")),
-            None => return Err(protocol("the stream ended before the upload was finished")),
+        let message = inbox.next(shared.limits.upload_idle).await?;
+        if let Some(complete) = upload.take(message.map(split))? {
+            return Ok(complete);
+        }
+    }
+}
+
+/// The upload of a recorded `Remesh` stream, as far as it needs no engine.
+pub(crate) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, RequestError> {
+    let mut upload = Upload::new(*limits, Budget::new(limits.memory_bytes));
+    loop {
+        let message = match recording.is_empty() {
+            true => None,
+            false => Some(proto::RemeshRequest::decode_length_delimited(&mut *recording).map_err(|error| {
+                // As tonic says it.
+                RequestError::Inbound(Status::invalid_argument(error.to_string()))
+            })?),
+        };
+        if let Some((_, seeds, uploaded)) = upload.take(message.map(remesh::split))? {
+            return Ok(input(seeds, uploaded)?.0);
         }
     }
 }

@@ -63,7 +63,7 @@ fn of_mesh(error: &MeshError) -> Status {
         MeshError::IndexOutOfRange { facet, corner, .. } => format!("mesh.facets[{facet}][{corner}]"),
         MeshError::NoFacets | MeshError::NoArea { .. } => "mesh.facets".to_owned(),
         MeshError::TooLarge { what, .. } => format!("header.mesh.{what}"),
-        MeshError::ExtentTooLarge { .. } => "mesh.positions".to_owned(),
+        MeshError::ExtentTooLarge { .. } | MeshError::ExtentTooSmall { .. } => "mesh.positions".to_owned(),
     };
     invalid(error.to_string(), path, error.to_string())
 }

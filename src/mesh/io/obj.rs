@@ -66,8 +66,16 @@ fn geometry(bytes: &[u8]) -> Result<Vec<u8>, DataError> {
                 out.push(b'f');
                 let mut corners = 0;
                 for word in words {
+                    let index = position_index(word);
+                    if index.is_empty() {
+                        // `//3`: the crate would not see the corner, and take a smaller face or none.
+                        return Err(DataError::Syntax {
+                            line,
+                            message: format!("\"{}\" names no vertex", shown(word)),
+                        });
+                    }
                     out.push(b' ');
-                    out.extend_from_slice(position_index(word));
+                    out.extend_from_slice(index);
                     corners += 1;
                 }
                 out.push(b'\n');
@@ -109,8 +117,7 @@ fn locate(bytes: &[u8]) -> Option<DataError> {
             Some(b"f") => {
                 for word in words {
                     let Some(index) = number::<i64>(position_index(word)) else {
-                        let word = String::from_utf8_lossy(word).into_owned();
-                        let message = format!("\"{word}\" is no vertex number");
+                        let message = format!("\"{}\" is no vertex number", shown(word));
                         return Some(DataError::Syntax { line, message });
                     };
                     let from_start =
@@ -131,6 +138,11 @@ fn locate(bytes: &[u8]) -> Option<DataError> {
 
 fn number<T: std::str::FromStr>(word: &[u8]) -> Option<T> {
     std::str::from_utf8(word).ok()?.parse().ok()
+}
+
+/// The beginning of a word, for a message: a file may hold one of any length.
+fn shown(word: &[u8]) -> String {
+    String::from_utf8_lossy(&word[..word.len().min(160)]).chars().take(40).collect()
 }
 
 fn position_index(word: &[u8]) -> &[u8] {

@@ -27,7 +27,7 @@ impl Header for RemeshHeader {
     }
 }
 
-fn split(message: RemeshRequest) -> Incoming<RemeshHeader> {
+pub(super) fn split(message: RemeshRequest) -> Incoming<RemeshHeader> {
     match message.message {
         Some(request::Message::Header(header)) => Incoming::Header(header),
         Some(request::Message::Chunk(chunk)) => Incoming::Chunk(chunk),

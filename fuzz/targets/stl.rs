@@ -1,0 +1,13 @@
+//! Any bytes as a .stl file.
+#![no_main]
+
+#[path = "../../tests/common/readers.rs"]
+mod readers;
+
+use tessera::mesh::io::Format;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| {
+    if let Err(text) = readers::check(Format::Stl, data) {
+        panic!("{text}");
+    }
+});

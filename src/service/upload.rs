@@ -1,0 +1,67 @@
+//! The order of an upload's messages: a header, chunks, an end mark.
+//!
+//! Purpose: [`Upload`] takes messages one by one and gives everything when the end mark comes.
+//! Invariant: the header's counts are checked before anything is kept; any other order is refused.
+//! Must not know: where messages come from, jobs.
+
+use super::RequestError;
+use super::assemble::{Assembly, Uploaded};
+use super::limits::{Budget, MeshCounts, SeedCounts};
+use super::proto::Chunk;
+use crate::config::Limits;
+
+/// What a message of an upload is, whatever its type.
+pub(crate) enum Incoming<H> {
+    Header(H),
+    Chunk(Chunk),
+    End,
+    /// Nothing that belongs into an upload, or an empty message.
+    Other,
+}
+
+/// What headers have in common.
+pub(crate) trait Header {
+    /// Checks everything in it.
+    fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError>;
+}
+
+/// See the module's head.
+pub(crate) struct Upload<H> {
+    limits: Limits,
+    budget: Budget,
+    open: Option<(H, SeedCounts, Assembly)>,
+}
+
+impl<H: Header> Upload<H> {
+    /// Nothing has come yet.
+    pub(crate) fn new(limits: Limits, budget: Budget) -> Self {
+        Self { limits, budget, open: None }
+    }
+
+    /// Takes the next message, or `None` for the end of the stream. Gives what was uploaded once it
+    /// is complete.
+    pub(crate) fn take(
+        &mut self,
+        message: Option<Incoming<H>>,
+    ) -> Result<Option<(H, SeedCounts, Uploaded)>, RequestError> {
+        let protocol = |text: &str| Err(RequestError::Protocol(text.to_owned()));
+        match (message, self.open.take()) {
+            (Some(Incoming::Header(header)), None) => {
+                let (mesh, seeds) = header.check(&self.limits)?;
+                self.open = Some((header, seeds, Assembly::new(mesh, seeds, self.budget.share())));
+                Ok(None)
+            }
+            (Some(_), None) => protocol("the first message must be the header"),
+            (None, None) => protocol("the stream ended before the header"),
+            (Some(Incoming::Chunk(chunk)), Some((header, seeds, mut assembly))) => {
+                assembly.take(&chunk)?;
+                self.open = Some((header, seeds, assembly));
+                Ok(None)
+            }
+            (Some(Incoming::End), Some((header, seeds, assembly))) => Ok(Some((header, seeds, assembly.finish()?))),
+            (Some(Incoming::Header(_)), Some(_)) => protocol("a second header came"),
+            (Some(Incoming::Other), Some(_)) => protocol("the upload goes on with chunks until it is finished"),
+            (None, Some(_)) => protocol("the stream ended before the upload was finished"),
+        }
+    }
+}
