@@ -21,7 +21,7 @@ use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{RemeshError, Seeds};
 use tessera::rvd::serial::Serial;
-use tessera::rvd::{MAX_SEED_DISTANCE, RvdError, Surface};
+use tessera::rvd::{BackendKind, MAX_SEED_DISTANCE, RvdError, Surface};
 
 fn surface(mesh: &TriMesh) -> Arc<Surface> {
     Arc::new(Surface::new(mesh, None).unwrap())
@@ -279,5 +279,29 @@ fn a_cluster_at_one_rounded_distance() {
         let error = (got.area.iter().sum::<f64>() / surface.area() - 1.0).abs();
         // As in `far_from_the_surface`.
         assert!(error < tolerance.max(1e-11 * 9e5), "{}: {error:e}", backend.kind().name());
+    }
+}
+
+/// The centroid is as far from two seeds as rounding can tell, and the cell of the one that is taken for the nearest
+/// does not meet the facet.
+#[test]
+fn a_first_cell_that_misses_its_facet() {
+    let corners = vec![dvec3(9.5367431640625e-7, -0.5, 0.0), dvec3(0.25, -0.25, 0.0), dvec3(0.25, 0.0, -0.25)];
+    // The rest of an octahedron, so that the box stays where it is.
+    let rest = [DVec3::X, DVec3::Y, DVec3::Z].into_iter().flat_map(|p| [0.5 * p, -0.5 * p]);
+    let mesh = TriMesh::new(corners.into_iter().chain(rest).collect(), vec![[0, 1, 2], [3, 5, 7], [4, 6, 8]]).unwrap();
+    let surface = surface(&mesh);
+    let one = dvec3(-0.4375, -0.1875, -0.1875);
+    let seeds = [
+        dvec3(0.5, 0.1875, -0.375),
+        dvec3(0.125, 0.25, -0.5),
+        dvec3(0.25, 0.4375, -0.5),
+        dvec3(-0.75, -0.1875, 0.75),
+        one,
+        one + 2f64.powi(-52) * DVec3::Z,
+    ];
+    for (backend, _) in backends().into_iter().filter(|(b, _)| b.kind() != BackendKind::Gpu) {
+        let (got, _) = sums(backend, &surface, &seeds).unwrap();
+        assert!((got.area.iter().sum::<f64>() / surface.area() - 1.0).abs() < 1e-10, "{}", backend.kind().name());
     }
 }

@@ -52,7 +52,21 @@ impl FacetWalker {
         let mut slots = capacities.cells.max(1);
         let mut next = 0;
         let mut found = false;
-        while let Some(&i) = self.cells.order.get(next) {
+        let mut others = 0;
+        loop {
+            let Some(&i) = self.cells.order.get(next) else {
+                // Where two seeds are equally far from the centroid but for a rounding, the start's cell may not
+                // meet the facet, nor that of the seed that cut it last. One does: its neighbours', most
+                // often, or else any.
+                let row = diagram.table.row(start).0;
+                let all = row.len() + diagram.seeds.len();
+                if found || others == all || diagram.surface.facet_area(facet) == 0.0 {
+                    break;
+                }
+                self.cells.insert(row.get(others).copied().unwrap_or((others.max(row.len()) - row.len()) as u32));
+                others += 1;
+                continue;
+            };
             next += 1;
             self.clip_to_end(diagram, facet, i, capacities, stats);
             let polygon = self.clipper.polygon();
