@@ -1,4 +1,4 @@
-//! Promise: what the fuzzers in `fuzz/` look for is looked for in every test run too, with fixed cases.
+//! Promise: what the fuzzers in `tests/fuzz/` look for is looked for in every test run too, with fixed cases.
 //!
 //! `TESSERA_FUZZ_CASES=1000000 cargo test --release --test fuzz_short -- --ignored --nocapture cpu` makes the long
 //! run on all cores (`TESSERA_FUZZ_THREADS` of them); `TESSERA_FUZZ_FIRST` begins it elsewhere, so that with
@@ -77,10 +77,10 @@ fn many_small_diagrams_gpu() {
     run_long(&|case| gpu_cases::check(case, &gpu), 1);
 }
 
-/// The inputs in `fuzz/corpus`, so that what a fuzzer found once is looked at for ever.
+/// The inputs in `tests/fuzz/corpus`, so that what a fuzzer found once is looked at for ever.
 #[test]
 fn committed_corpora() {
-    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus");
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz/corpus");
     let cpu = cpu();
     let mut looked_at = 0;
     for folder in std::fs::read_dir(&root).unwrap().map(|e| e.unwrap().path()) {

@@ -1,7 +1,7 @@
 //! Any bytes as a small surface with seeds, through every CPU backend and the whole pipeline.
 #![no_main]
 
-#[path = "../../tests/common/cases.rs"]
+#[path = "../../common/cases.rs"]
 mod cases;
 
 use std::sync::OnceLock;

@@ -1,13 +1,13 @@
-//! Any bytes as a .ply file.
+//! Any bytes as a .obj file.
 #![no_main]
 
-#[path = "../../tests/common/readers.rs"]
+#[path = "../../common/readers.rs"]
 mod readers;
 
 use tessera::mesh::io::Format;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
-    if let Err(text) = readers::check(Format::Ply, data) {
+    if let Err(text) = readers::check(Format::Obj, data) {
         panic!("{text}");
     }
 });

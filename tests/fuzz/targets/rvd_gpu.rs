@@ -3,11 +3,11 @@
 //! `TESSERA_TEST_GPU` says whether a machine without an adapter is a failure (`tests/common/gpu.rs`).
 #![no_main]
 
-#[path = "../../tests/common/cases.rs"]
+#[path = "../../common/cases.rs"]
 mod cases;
-#[path = "../../tests/common/gpu.rs"]
+#[path = "../../common/gpu.rs"]
 mod gpu;
-#[path = "../../tests/common/gpu_cases.rs"]
+#[path = "../../common/gpu_cases.rs"]
 mod gpu_cases;
 
 use std::sync::OnceLock;

@@ -1,7 +1,7 @@
 //! Any bytes as the upload of a stream: protobuf messages, or a client that errs now and then.
 #![no_main]
 
-#[path = "../../tests/common/uploads.rs"]
+#[path = "../../common/uploads.rs"]
 mod uploads;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {

@@ -1,13 +1,13 @@
-//! Any bytes as a .obj file.
+//! Any bytes as a .off file.
 #![no_main]
 
-#[path = "../../tests/common/readers.rs"]
+#[path = "../../common/readers.rs"]
 mod readers;
 
 use tessera::mesh::io::Format;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
-    if let Err(text) = readers::check(Format::Obj, data) {
+    if let Err(text) = readers::check(Format::Off, data) {
         panic!("{text}");
     }
 });

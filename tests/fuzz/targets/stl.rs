@@ -1,7 +1,7 @@
 //! Any bytes as a .stl file.
 #![no_main]
 
-#[path = "../../tests/common/readers.rs"]
+#[path = "../../common/readers.rs"]
 mod readers;
 
 use tessera::mesh::io::Format;
