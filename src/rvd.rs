@@ -253,6 +253,9 @@ pub enum RvdError {
         /// How many there are.
         seeds: usize,
     },
+    /// In the unit box every facet is thinner than double precision resolves.
+    #[error("every facet is thinner than 1e-15 of the bounding box; there is no surface to divide")]
+    NoArea,
     /// A weight is negative, NaN or infinite, or all are zero.
     #[error("weight {vertex} is {value}; weights are finite and at least 0, and not all 0")]
     BadWeight {

@@ -176,6 +176,7 @@ pub async fn run(
     tracing::info!(grace_s = limits.grace.as_secs_f64(), "shutting down: no new streams, open ones may end");
     phase.send_replace(Phase::Draining);
     tell(&health, ServingStatus::NotServing).await;
+    let begin = Instant::now();
     let served = match early {
         Some(ended) => ended,
         None => {
@@ -187,7 +188,8 @@ pub async fn run(
                 engine.cancel_all();
                 let _ = tokio::time::timeout(CUT_TIME, gate.idle()).await;
                 let _ = stop.send(());
-                tokio::time::sleep(CUT_TIME).await;
+                // Answers that are written may still be on their way to a slow reader.
+                tokio::time::sleep(limits.grace.saturating_sub(begin.elapsed()).max(CUT_TIME)).await;
             };
             // Connections that clients keep open do not hold the process.
             tokio::select! {

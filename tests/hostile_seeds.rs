@@ -79,7 +79,9 @@ fn on_each_other() {
         let wish = options(world(&surface, &seeds), 0);
         match run(&mesh, &wish, &Serial) {
             Ok(out) => assert_eq!(out.report.rvd.duplicate_seeds, duplicates as usize, "{name}"),
-            Err(error) => assert!(matches!(error, RemeshError::TooFewSeeds { .. }), "{name}: {error}"),
+            Err(error) => {
+                assert!(matches!(error, RemeshError::TooFewSeeds { .. } | RemeshError::NoThickness), "{name}: {error}")
+            }
         }
         for out in remeshed(name, &mesh, &options(world(&surface, &seeds), 12)) {
             assert_eq!(out.seeds.len(), seeds.len(), "{name}");
@@ -112,7 +114,6 @@ fn nearly_on_each_other() {
 }
 
 #[test]
-#[ignore = "open: on the GPU seeds that are one in single precision and two in double leave gaps"]
 fn nearly_on_each_other_on_the_gpu() {
     let corners = vec![dvec3(-0.5, -0.5, 0.5), dvec3(0.5, 0.5, 0.5), dvec3(0.5, -0.5, -0.5)];
     let surface = surface(&TriMesh::new(corners, vec![[0, 1, 2]]).unwrap());
@@ -124,7 +125,6 @@ fn nearly_on_each_other_on_the_gpu() {
 }
 
 #[test]
-#[ignore = "open: on the GPU a facet in the bisector of two seeds is covered twice or not at all"]
 fn mirror_images_in_the_plane_of_a_facet_on_the_gpu() {
     let corners = vec![dvec3(0.5, -0.5, 0.0), dvec3(0.5, 0.5, 0.0), dvec3(-0.5, -0.5, 0.0)];
     let surface = surface(&TriMesh::new(corners, vec![[0, 1, 2]]).unwrap());
@@ -132,7 +132,6 @@ fn mirror_images_in_the_plane_of_a_facet_on_the_gpu() {
 }
 
 #[test]
-#[ignore = "open: on the GPU a surface of slivers alone fails the check of its area"]
 fn a_surface_of_slivers_on_the_gpu() {
     for altitude in [1e-4, 1e-6, 1e-8, 1e-10] {
         let corners = vec![dvec3(-0.5, altitude, 0.5), dvec3(0.5, -altitude, -0.5), dvec3(-0.5, -altitude, 0.5)];
@@ -238,7 +237,10 @@ fn far_from_the_surface() {
             }
             match run(&mesh, &options(world(&surface, &seeds), 3), &Serial) {
                 Ok(out) => cases::manifold(out.mesh.facets(), out.mesh.positions().len()).unwrap(),
-                Err(error) => assert!(matches!(error, RemeshError::TooFewSeeds { .. }), "{name}: {error}"),
+                Err(error) => assert!(
+                    matches!(error, RemeshError::TooFewSeeds { .. } | RemeshError::NoThickness),
+                    "{name}: {error}"
+                ),
             }
         }
     }

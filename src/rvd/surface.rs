@@ -67,7 +67,7 @@ impl Surface {
     /// (linear in each facet; edge length h needs w ∝ h⁻⁴).
     ///
     /// # Errors
-    /// `WeightCount`, `BadWeight`.
+    /// `WeightCount`, `BadWeight`, `NoArea`.
     pub fn new(mesh: &TriMesh, weights: Option<&[f64]>) -> Result<Self, RvdError> {
         let (low, high) = mesh.bounds();
         let frame = Frame::of_bounds(low, high);
@@ -98,7 +98,16 @@ impl Surface {
         let held = |p: DVec3| if p.is_finite() { p } else { DVec3::ZERO };
         let positions: Vec<DVec3> = mesh.positions().iter().map(|&p| held(snap(frame.to_unit(p)))).collect();
         let class = weld(mesh);
-        let skip: Vec<bool> = (0..mesh.facets().len()).map(|f| mesh.is_degenerate(f)).collect();
+        // On the grid a facet may lose what area it had, by the same measure as in the mesh.
+        let flat = |f: usize| {
+            let [a, b, c] = mesh.facets()[f].map(|v| positions[v as usize]);
+            let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+            (b - a).cross(c - a).length() <= 1e-15 * longest
+        };
+        let skip: Vec<bool> = (0..mesh.facets().len()).map(|f| mesh.is_degenerate(f) || flat(f)).collect();
+        if skip.iter().all(|&skipped| skipped) {
+            return Err(RvdError::NoArea);
+        }
         let mut surface = Self {
             frame,
             uniform: weights.is_none(),

@@ -73,6 +73,7 @@ fn of_rvd(error: &RvdError) -> Status {
     let path = match error {
         RvdError::NoSeeds | RvdError::TooManySeeds { .. } => "seeds".to_owned(),
         RvdError::NonFiniteSeed { seed } | RvdError::SeedTooFar { seed, .. } => format!("seeds[{seed}]"),
+        RvdError::NoArea => "mesh.facets".to_owned(),
         RvdError::NoSuchSeed { .. } => "edit.edits".to_owned(),
         RvdError::BadWeight { vertex, .. } => format!("mesh.weights[{vertex}]"),
         RvdError::WeightCount { .. } => "mesh.weights".to_owned(),

@@ -378,7 +378,7 @@ fn remeshes(case: &Case, parallel: &Parallel) -> Result<(), String> {
     };
     let out = match remesh(&case.mesh, &options, parallel, &mut (), &CancelFlag::default()) {
         Ok(out) => out,
-        Err(RemeshError::TooFewSeeds { .. }) => return Ok(()),
+        Err(RemeshError::TooFewSeeds { .. } | RemeshError::NoThickness) => return Ok(()),
         // Rounding to the caller's coordinates moved a seed from the limit over it.
         Err(RemeshError::Rvd(tessera::rvd::RvdError::SeedTooFar { .. })) => return Ok(()),
         Err(error) => return Err(format!("remesh: {error}")),

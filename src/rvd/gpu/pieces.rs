@@ -42,7 +42,7 @@ impl GpuSession {
         let facets = facets.start.min(end)..end;
         let mut stats = self.begin_pass(cancel)?;
         let begin = Instant::now();
-        self.run_pass(facets, Wants::Pairs, cancel, &mut stats)?;
+        self.run_pass(facets.clone(), Wants::Pairs, cancel, &mut stats)?;
         stats.clip_ms = elapsed_ms(begin);
         let begin = Instant::now();
         let length = self.pass.length;
@@ -59,6 +59,9 @@ impl GpuSession {
         out.sort();
         stats.pairs = out.len() as u64;
         stats.update_ms += elapsed_ms(begin);
+        if !self.covers((0..out.len()).map(|i| out.area(i)).sum(), facets.clone()) {
+            return self.pieces_in_f64(facets, out, stats, cancel);
+        }
         Ok(stats)
     }
 
