@@ -112,13 +112,7 @@ pub fn remesh(
     cancel.check()?;
 
     observer.stage("sample");
-    let (first, seed) = match &options.seeds {
-        Seeds::Given(seeds) => (seeds.clone(), None),
-        Seeds::Sample { points, seed } => {
-            let points = sample(mesh, options.weights.as_deref(), *points, *seed);
-            (points.iter().map(|p| p.position).collect(), Some(*seed))
-        }
-    };
+    let (first, seed) = first_seeds(mesh, options);
     timings.sample = clock.lap();
     cancel.check()?;
 
@@ -148,43 +142,20 @@ pub fn remesh(
     cancel.check()?;
 
     observer.stage("repair");
-    let positions = vertex_positions(&dual, &surface, cvt.unit_seeds(), mesh);
-    let repaired = repair::repair(&positions, &dual.triangles);
-    if repaired.facets.is_empty() && repaired.figures.closed_pockets > 1 {
-        return Err(RemeshError::NoThickness);
-    }
-    if repaired.facets.is_empty() {
-        return Err(RemeshError::TooFewSeeds { seeds: cvt.len() });
-    }
-    let figures = RepairFigures {
-        split_cells: dual.split_cells,
-        not_disks: dual.not_disks,
-        multiple_edges: dual.multiple_edges,
-        multiple_rims: dual.multiple_rims,
-        disputed_vertices: dual.disputed,
-        ..repaired.figures
-    };
-    let vertex_seed = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
-    let result =
-        TriMesh::new(repaired.positions, repaired.facets).map_err(|_| RemeshError::TooFewSeeds { seeds: cvt.len() })?;
+    let (result, vertex_seed, repair) = triangulated(&dual, &surface, cvt.unit_seeds(), mesh)?;
     timings.repair = clock.lap();
 
     observer.stage("measure");
     cancel.check()?;
-    let figures_of_shape = match options.measure {
+    let quality = match options.measure {
         true => Some(quality_unless(mesh, &result, &|| cancel.is_cancelled()).ok_or(RvdError::Cancelled)?),
         false => None,
     };
-    let result_figures = ResultFigures {
-        vertices: result.positions().len(),
-        facets: result.facets().len(),
-        topology: topology(&result),
-        quality: figures_of_shape,
-        repair: figures,
-    };
+    let (vertices, facets) = (result.positions().len(), result.facets().len());
+    let figures = ResultFigures { vertices, facets, topology: topology(&result), quality, repair };
     timings.measure = clock.lap();
     timings.total = clock.total();
-    let changes = topology_changes(&input.topology, &result_figures.topology);
+    let changes = topology_changes(&input.topology, &figures.topology);
     let report = Report {
         backend: backend.kind().name().into(),
         adapter: backend.adapter(),
@@ -196,10 +167,48 @@ pub fn remesh(
         iterations,
         timings_ms: timings,
         memory: MemoryFigures { host_peak_bytes: None, device_bytes: cvt.device_bytes() },
-        result: result_figures,
+        result: figures,
         topology_changes: changes,
     };
     Ok(Remesh { mesh: result, vertex_seed, seeds: cvt.seeds(), report })
+}
+
+/// The seeds that the options name, caller's coordinates, and the random seed they were drawn from.
+fn first_seeds(mesh: &TriMesh, options: &RemeshOptions) -> (Vec<DVec3>, Option<u64>) {
+    match &options.seeds {
+        Seeds::Given(seeds) => (seeds.clone(), None),
+        Seeds::Sample { points, seed } => {
+            let points = sample(mesh, options.weights.as_deref(), *points, *seed);
+            (points.iter().map(|p| p.position).collect(), Some(*seed))
+        }
+    }
+}
+
+/// The dual made a surface: repaired, its vertices placed, with the seed of each vertex.
+fn triangulated(
+    dual: &dual::Dual,
+    surface: &Surface,
+    seeds: &[DVec3],
+    mesh: &TriMesh,
+) -> Result<(TriMesh, Vec<u32>, RepairFigures), RemeshError> {
+    let positions = vertex_positions(dual, surface, seeds, mesh);
+    let repaired = repair::repair(&positions, &dual.triangles);
+    let too_few = RemeshError::TooFewSeeds { seeds: seeds.len() };
+    if repaired.facets.is_empty() {
+        return Err(if repaired.figures.closed_pockets > 1 { RemeshError::NoThickness } else { too_few });
+    }
+    let figures = RepairFigures {
+        split_cells: dual.split_cells,
+        not_disks: dual.not_disks,
+        multiple_edges: dual.multiple_edges,
+        multiple_rims: dual.multiple_rims,
+        disputed_vertices: dual.disputed,
+        ..repaired.figures
+    };
+    let vertex_seed = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
+    // All that can be wrong with it is that no facet has an area: seeds on a line.
+    let result = TriMesh::new(repaired.positions, repaired.facets).map_err(|_| too_few)?;
+    Ok((result, vertex_seed, figures))
 }
 
 /// Where the dual's vertices go, caller's coordinates: a cell in one piece at its seed, which is
