@@ -7,7 +7,6 @@
 //! seed alone, which leaves it an empty cell.
 //! Must not know: facets, polygons.
 
-mod duplicates;
 mod kdtree;
 mod table;
 

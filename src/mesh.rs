@@ -9,6 +9,7 @@
 
 pub mod adjacency;
 pub mod closest_point;
+pub(crate) mod coincident;
 pub(crate) mod disjoint;
 pub mod io;
 pub mod measure;

@@ -6,7 +6,7 @@ use std::num::NonZero;
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
-use super::duplicates;
+use crate::mesh::coincident;
 
 /// One seed's neighbours.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -47,7 +47,7 @@ impl SeedIndex {
 
     /// Builds the tree over finite `seeds`. The answers do not depend on `threads`.
     pub fn with_threads(seeds: &[DVec3], threads: Threads) -> Self {
-        let twin: HashMap<u32, u32> = duplicates::find(seeds).into_iter().collect();
+        let twin: HashMap<u32, u32> = coincident::find(seeds).into_iter().collect();
         let points: Vec<[f64; 3]> = seeds.iter().map(|p| p.to_array()).collect();
         let (unique, item_seed) = if twin.is_empty() {
             (None, None)

@@ -10,7 +10,7 @@
 
 use rayon::prelude::*;
 
-use super::TriMesh;
+use super::{TriMesh, coincident};
 
 /// What an edge is, seen from one of its facets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -43,16 +43,9 @@ const NONE: usize = usize::MAX;
 
 /// For each vertex the lowest vertex at exactly the same position (0 and -0 are the same).
 pub fn weld(mesh: &TriMesh) -> Vec<u32> {
-    let mut order: Vec<([u64; 3], u32)> =
-        mesh.positions().iter().zip(0..).map(|(p, v)| (p.to_array().map(|x| (x + 0.0).to_bits()), v)).collect();
-    order.par_sort_unstable();
-    let mut representative = vec![0; order.len()];
-    let mut first = 0;
-    for (i, &(key, vertex)) in order.iter().enumerate() {
-        if key != order[first].0 {
-            first = i;
-        }
-        representative[vertex as usize] = order[first].1;
+    let mut representative: Vec<u32> = (0..mesh.positions().len() as u32).collect();
+    for (later, earliest) in coincident::find(mesh.positions()) {
+        representative[later as usize] = earliest;
     }
     representative
 }

@@ -1,25 +1,30 @@
 //! Points that lie exactly on one another.
 //!
 //! Purpose: the earliest twin of every later one, in linear time.
-//! Must not know: trees.
+//! Invariant: 0 and -0 are the same place. Must not know: whether points are vertices or seeds.
+
+use std::hash::{BuildHasher, RandomState};
 
 use glam::DVec3;
 
 /// `(later, earliest)` for every point that lies exactly on an earlier one, in order of `later`.
-pub(super) fn find(seeds: &[DVec3]) -> Vec<(u32, u32)> {
+pub(crate) fn find(points: &[DVec3]) -> Vec<(u32, u32)> {
     const EMPTY: u32 = u32::MAX;
-    let mask = (seeds.len() * 2).next_power_of_two() - 1;
+    let mask = (points.len() * 2).next_power_of_two() - 1;
     let mut slots = vec![EMPTY; mask + 1];
     let mut pairs = Vec::new();
-    for (i, seed) in seeds.iter().enumerate() {
-        let mut slot = hash(*seed) & mask;
+    // Another key each time, so that nobody can send points that all fall into one slot. The
+    // answer does not depend on it.
+    let key = RandomState::new().hash_one(points.len());
+    for (i, point) in points.iter().enumerate() {
+        let mut slot = hash(*point, key) & mask;
         loop {
             match slots[slot] {
                 EMPTY => {
                     slots[slot] = i as u32;
                     break;
                 }
-                j if seeds[j as usize] == *seed => {
+                j if points[j as usize] == *point => {
                     pairs.push((i as u32, j));
                     break;
                 }
@@ -31,8 +36,8 @@ pub(super) fn find(seeds: &[DVec3]) -> Vec<(u32, u32)> {
 }
 
 /// Equal points hash alike: -0 is +0 after adding +0.
-fn hash(p: DVec3) -> usize {
-    let mut h = 0u64;
+fn hash(p: DVec3, key: u64) -> usize {
+    let mut h = key;
     for x in p.to_array() {
         h = (h ^ (x + 0.0).to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         h ^= h >> 29;
