@@ -15,6 +15,7 @@ mod exact;
 pub mod gpu;
 pub mod incident;
 pub mod parallel;
+pub mod resident;
 pub mod serial;
 mod start;
 pub mod surface;
@@ -26,6 +27,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use glam::DVec3;
 
 pub use cells::PieceBatch;
+pub use resident::{Look, Resident};
 pub use surface::{Frame, Surface};
 
 /// How a (facet, cell) pair ended.
@@ -425,5 +427,11 @@ pub trait Session: Send {
     /// Bytes of device memory that the session holds (0 on a CPU).
     fn device_bytes(&self) -> u64 {
         0
+    }
+
+    /// The seeds last set, to be moved where they are; `None` where they lie in the host's memory, whose
+    /// vectors are the caller's own.
+    fn resident(&mut self) -> Option<&mut dyn Resident> {
+        None
     }
 }

@@ -1,0 +1,88 @@
+//! Seeds that move where they are kept.
+//!
+//! Purpose: [`Resident`] is what an optimiser needs of a session whose seeds, gradient and
+//! quasi-Newton history never leave the device: it says what to do and hears scalars.
+//! Invariant: the present point changes by [`Resident::to_centroids`] and [`Resident::accept`] alone;
+//! every reduction has a fixed order, so that a run has the same bits every time.
+//! Must not know: line searches, convergence, curves; which seeds are held it is told.
+
+use glam::DVec3;
+
+use super::{CancelFlag, CellSums, PassStats, RvdError};
+
+/// Pairs (s, y) that a quasi-Newton history holds (design, section 3, "Optimiser").
+pub const HISTORY: usize = 7;
+
+/// What one pass over the diagram says of a point. Unit frame.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Look {
+    /// E = Σ ∫ w |p - x_i|².
+    pub energy: f64,
+    /// ‖∇E‖², ∇E_i = 2 m_i (x_i - c_i), 0 for held seeds.
+    pub gradient_squared: f64,
+    /// ∇E · d for the present direction d; 0 where there is none.
+    pub slope: f64,
+    /// Cells without any surface.
+    pub empty_cells: usize,
+    /// Area covered by all pieces.
+    pub area: f64,
+    /// What the pass did.
+    pub stats: PassStats,
+}
+
+/// One session's seeds, moved in place. Vectors have three components a seed.
+pub trait Resident {
+    /// Which seeds stay where they are, one entry a seed. Forgets the history and the direction.
+    ///
+    /// # Errors
+    /// What the device says.
+    fn hold(&mut self, held: &[bool]) -> Result<(), RvdError>;
+
+    /// One pass at the present point x; its gradient g is kept. The slope is 0.
+    ///
+    /// # Errors
+    /// `Cancelled`, or what the device says. x is as before.
+    fn evaluate(&mut self, cancel: &CancelFlag) -> Result<Look, RvdError>;
+
+    /// After [`Resident::evaluate`]: every seed that is not held goes to its cell's centroid; the seed
+    /// of an empty cell stays. Forgets the history.
+    ///
+    /// # Errors
+    /// What the device says.
+    fn to_centroids(&mut self) -> Result<(), RvdError>;
+
+    /// d := -H g by the two-loop recursion over the history, H₀ = (sᵀy / yᵀy) I of the last pair; -g
+    /// without history. Returns gᵀd.
+    ///
+    /// # Errors
+    /// What the device says.
+    fn direct(&mut self) -> Result<f64, RvdError>;
+
+    /// One pass at x + step·d; its gradient is kept beside g. The slope is that gradient along d.
+    ///
+    /// # Errors
+    /// `Cancelled`, or what the device says. x is as before.
+    fn probe(&mut self, step: f64, cancel: &CancelFlag) -> Result<Look, RvdError>;
+
+    /// The point of the last probe becomes x, its gradient g; the pair (s, y) joins the history, the
+    /// oldest going where there are [`HISTORY`], unless sᵀy <= 1e-10 ‖s‖ ‖y‖.
+    ///
+    /// # Errors
+    /// What the device says.
+    fn accept(&mut self) -> Result<(), RvdError>;
+
+    /// Empties the history.
+    fn forget(&mut self);
+
+    /// The present point, unit frame, into `out`.
+    ///
+    /// # Errors
+    /// What the device says.
+    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError>;
+
+    /// The cells' sums of the last pass at x, into `out`.
+    ///
+    /// # Errors
+    /// What the device says.
+    fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError>;
+}
