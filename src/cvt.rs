@@ -3,9 +3,12 @@
 //! Purpose: [`Cvt`] holds a backend session and the seeds, and takes one step at a time, so that
 //! a caller can look, stop or edit the seeds between steps.
 //! Invariant: sees the backend through its trait and cannot name one. Energy and gradient come
-//! from one pass over the diagram.
+//! from one pass over the diagram. The seeds stay where the backend keeps them, and come to the host
+//! when somebody asks.
 //! Must not know: files, remeshing, jobs.
 
+mod convergence;
+mod line_search;
 mod reseed;
 
 use std::sync::Arc;
@@ -14,10 +17,13 @@ use std::time::Instant;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use convergence::Convergence;
+
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::rvd::{
-    Backend, CancelFlag, CellSums, PassStats, RvdError, Session, SessionOptions, Surface, check_seeds, elapsed_ms,
+    Backend, CancelFlag, CellSums, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface, check_seeds,
+    elapsed_ms,
 };
 
 /// Where seeds go after each step.
@@ -111,13 +117,22 @@ pub struct Cvt {
     surface: Arc<Surface>,
     session: Box<dyn Session>,
     options: CvtOptions,
-    /// Unit frame.
+    /// Unit frame; behind the session's where `read` is false.
     seeds: Vec<DVec3>,
+    read: bool,
+    /// The session has not seen `seeds` yet.
+    stale: bool,
+    /// Seeds that never move; empty if all do.
+    held: Vec<bool>,
+    /// What the last pass found at the present seeds.
+    present: Option<Look>,
+    /// The present seeds' history is empty, so that a step's length has to be guessed.
+    fresh: bool,
+    convergence: Convergence,
+    converged: bool,
     sums: CellSums,
     /// The surface in the unit frame, built when it is first needed.
     closest: Option<ClosestPoint>,
-    /// The session has not seen `seeds` yet.
-    stale: bool,
     steps: usize,
 }
 
@@ -136,7 +151,36 @@ impl Cvt {
         let session = backend.session(Arc::clone(&surface), SessionOptions::new(options.max_seeds))?;
         let seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
         check_seeds(&seeds, options.max_seeds)?;
-        Ok(Self { surface, session, options, seeds, sums: CellSums::default(), closest: None, stale: true, steps: 0 })
+        Ok(Self {
+            surface,
+            session,
+            options,
+            seeds,
+            read: true,
+            stale: true,
+            held: Vec::new(),
+            present: None,
+            fresh: true,
+            convergence: Convergence::default(),
+            converged: false,
+            sums: CellSums::default(),
+            closest: None,
+            steps: 0,
+        })
+    }
+
+    /// Which seeds never move, one entry a seed.
+    ///
+    /// # Errors
+    /// `Internal` if the list is not as long as there are seeds.
+    pub fn hold(&mut self, held: Vec<bool>) -> Result<(), RvdError> {
+        if held.len() != self.seeds.len() {
+            return Err(RvdError::Internal(format!("{} marks for {} seeds", held.len(), self.seeds.len())));
+        }
+        self.pull()?;
+        self.held = held;
+        self.moved();
+        Ok(())
     }
 
     /// One Lloyd step: every seed to the centroid of its cell.
@@ -147,42 +191,90 @@ impl Cvt {
     /// `Cancelled`, or what the device says. The seeds are then as before.
     pub fn lloyd(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
         let begin = Instant::now();
-        self.refresh()?;
-        let mut stats = self.session.sums(&mut self.sums, cancel)?;
-        let update = Instant::now();
-        let mut report = self.figures(StepKind::Lloyd);
-        let mut next: Vec<DVec3> = (0..self.seeds.len()).map(|i| self.sums.centroid(i, self.seeds[i])).collect();
-        let empty: Vec<u32> = (0..next.len() as u32).filter(|&i| self.sums.area[i as usize] <= 0.0).collect();
-        if !empty.is_empty() {
-            let closest = closest(&mut self.closest, &self.surface)?;
-            reseed::place(&empty, &self.sums, &mut next, &self.surface, closest);
+        let (look, evaluations) = self.look(cancel)?;
+        self.lloyd_from(look, Iteration { evaluations, ..self.figures(StepKind::Lloyd, look) }, begin)
+    }
+
+    /// One quasi-Newton step (L-BFGS; \[YLL*09\], \[FWW14\]): along -H∇E as far as the strong Wolfe
+    /// conditions ask. Where the search fails, and where cells are empty, it is a Lloyd step instead.
+    ///
+    /// # Errors
+    /// `Cancelled`, or what the device says. The seeds are then as before.
+    pub fn lbfgs(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
+        let begin = Instant::now();
+        let (look, evaluations) = self.look(cancel)?;
+        let mut report = Iteration { evaluations, ..self.figures(StepKind::Lbfgs, look) };
+        if look.empty_cells > 0 || look.gradient_squared == 0.0 {
+            report.kind = StepKind::Lloyd;
+            self.converged |= look.empty_cells == 0;
+            return self.lloyd_from(look, report, begin);
         }
+        let fresh = self.fresh;
+        let vectors = resident(&mut *self.session)?;
+        let mut slope = vectors.direct()?;
+        let mut first = 1.0;
+        if slope >= 0.0 {
+            vectors.forget();
+            slope = vectors.direct()?;
+        }
+        if fresh || slope == -look.gradient_squared {
+            first = 1.0 / look.gradient_squared.sqrt();
+        }
+        let found = line_search::search(vectors, (look.energy, slope), first, cancel)?;
+        report.evaluations += found.probes;
+        report.stats.add(&found.stats);
+        let Some(next) = found.look else {
+            report.kind = StepKind::Lloyd;
+            return self.lloyd_from(look, report, begin);
+        };
+        vectors.accept()?;
+        (self.read, self.fresh) = (false, false);
+        self.present = Some(next);
+        self.converged = self.convergence.judge(look.energy, next.energy, next.gradient_squared.sqrt());
         if self.options.projection == Projection::OnSurface {
-            self.project(&mut next)?;
+            self.project_seeds()?;
         }
-        self.replace(next);
         self.steps += 1;
-        stats.update_ms += elapsed_ms(update);
-        report.stats = stats;
-        report.empty_cells = empty.len();
         report.ms = elapsed_ms(begin);
         Ok(report)
     }
 
-    /// Moves every seed to the closest point of the surface.
+    /// Whether the last quasi-Newton step passed a test of convergence: ‖∇E‖ below a thousandth of the
+    /// first step's, or two steps running that gain less than a millionth of the energy.
+    pub fn converged(&self) -> bool {
+        self.converged
+    }
+
+    /// Energy, energy ratio and gradient norm of the present seeds, as in [`Iteration`]: known after a
+    /// quasi-Newton step, otherwise one more pass.
+    ///
+    /// # Errors
+    /// `Cancelled`, or what the device says.
+    pub fn present(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
+        let (look, evaluations) = self.look(cancel)?;
+        Ok(Iteration { evaluations, ..self.figures(StepKind::Lloyd, look) })
+    }
+
+    /// Moves every seed that is not held to the closest point of the surface.
     ///
     /// # Errors
     /// Only `Internal`.
     pub fn project_seeds(&mut self) -> Result<(), RvdError> {
-        let mut seeds = self.seeds.clone();
-        self.project(&mut seeds)?;
-        self.replace(seeds);
-        Ok(())
+        self.pull()?;
+        let mut seeds = std::mem::take(&mut self.seeds);
+        let done = self.project(&mut seeds);
+        self.seeds = seeds;
+        self.moved();
+        done
     }
 
     /// The seeds now, caller's coordinates.
-    pub fn seeds(&self) -> Vec<DVec3> {
-        self.seeds.iter().map(|&p| self.surface.frame().to_world(p)).collect()
+    ///
+    /// # Errors
+    /// What the device says.
+    pub fn seeds(&mut self) -> Result<Vec<DVec3>, RvdError> {
+        self.pull()?;
+        Ok(self.seeds.iter().map(|&p| self.surface.frame().to_world(p)).collect())
     }
 
     /// How many seeds there are.
@@ -196,8 +288,12 @@ impl Cvt {
     }
 
     /// The seeds now, unit frame.
-    pub fn unit_seeds(&self) -> &[DVec3] {
-        &self.seeds
+    ///
+    /// # Errors
+    /// What the device says.
+    pub fn unit_seeds(&mut self) -> Result<&[DVec3], RvdError> {
+        self.pull()?;
+        Ok(&self.seeds)
     }
 
     /// Applies edits in order; nothing is changed if one of them is wrong.
@@ -206,8 +302,11 @@ impl Cvt {
     /// `TooManySeeds` beyond the room reserved, `NonFiniteSeed`, `NoSeeds` if none would be
     /// left, `NoSuchSeed`.
     pub fn edit(&mut self, edits: &[SeedEdit]) -> Result<(), RvdError> {
+        self.pull()?;
         let frame = self.surface.frame();
         let mut seeds = self.seeds.clone();
+        let mut held = self.held.clone();
+        held.resize(seeds.len(), false);
         for edit in edits {
             match *edit {
                 SeedEdit::Move { index, to } => {
@@ -222,17 +321,23 @@ impl Cvt {
                         return Err(RvdError::TooManySeeds { given: seeds.len() + 1, limit: self.options.max_seeds });
                     }
                     seeds.push(frame.to_unit(at));
+                    held.push(false);
                 }
                 SeedEdit::Remove { index } => {
                     if index as usize >= seeds.len() {
                         return Err(RvdError::NoSuchSeed { seed: index as usize, seeds: seeds.len() });
                     }
                     seeds.swap_remove(index as usize);
+                    held.swap_remove(index as usize);
                 }
             }
         }
         check_seeds(&seeds, self.options.max_seeds)?;
-        self.replace(seeds);
+        self.seeds = seeds;
+        if held.contains(&true) {
+            self.held = held;
+        }
+        self.moved();
         Ok(())
     }
 
@@ -241,7 +346,7 @@ impl Cvt {
     /// # Errors
     /// What the backend says of the seeds.
     pub fn session(&mut self) -> Result<&mut dyn Session, RvdError> {
-        self.refresh()?;
+        self.push()?;
         Ok(&mut *self.session)
     }
 
@@ -255,45 +360,106 @@ impl Cvt {
         self.session.device_bytes()
     }
 
-    /// Energy and gradient from the sums of the last pass.
-    fn figures(&self, kind: StepKind) -> Iteration {
-        let energy: f64 = self.sums.energy.iter().sum();
-        // m (x - c) is minus the moment about the seed, so nothing is subtracted here.
-        let gradient: f64 = self.sums.moment.iter().map(|m| 4.0 * m.length_squared()).sum();
+    /// What a pass says of the present seeds, and how many passes that took: one, or none if it is known.
+    fn look(&mut self, cancel: &CancelFlag) -> Result<(Look, usize), RvdError> {
+        if let Some(known) = self.present {
+            // The pass was another step's; so are its times.
+            return Ok((Look { stats: PassStats::default(), ..known }, 0));
+        }
+        self.push()?;
+        let look = resident(&mut *self.session)?.evaluate(cancel)?;
+        self.convergence.begin(look.gradient_squared.sqrt());
+        self.present = Some(look);
+        Ok((look, 1))
+    }
+
+    /// The step to the centroids from seeds that were looked at.
+    fn lloyd_from(&mut self, look: Look, mut report: Iteration, begin: Instant) -> Result<Iteration, RvdError> {
+        let update = Instant::now();
+        let vectors = resident(&mut *self.session)?;
+        if look.empty_cells > 0 {
+            vectors.read_sums(&mut self.sums)?;
+        }
+        vectors.to_centroids()?;
+        (self.read, self.fresh) = (false, true);
+        self.present = None;
+        if look.empty_cells > 0 {
+            self.pull()?;
+            let empty: Vec<u32> = (0..self.seeds.len() as u32)
+                .filter(|&i| self.sums.area[i as usize] <= 0.0 && !self.is_held(i))
+                .collect();
+            let closest = closest(&mut self.closest, &self.surface)?;
+            reseed::place(&empty, &self.sums, &mut self.seeds, &self.surface, closest);
+            self.moved();
+        }
+        if self.options.projection == Projection::OnSurface {
+            self.project_seeds()?;
+        }
+        self.steps += 1;
+        report.stats.update_ms += elapsed_ms(update);
+        report.ms = elapsed_ms(begin);
+        Ok(report)
+    }
+
+    /// Energy and gradient as a caller wants them.
+    fn figures(&self, kind: StepKind, look: Look) -> Iteration {
         let scale = self.surface.frame().scale;
         Iteration {
             index: self.steps,
             kind,
-            energy: energy / scale / scale / scale / scale,
-            energy_ratio: energy / self.surface.hexagonal_energy(self.seeds.len()),
-            gradient_norm: gradient.sqrt() / scale / scale / scale,
-            evaluations: 1,
-            empty_cells: 0,
-            area: self.sums.area.iter().sum::<f64>() / scale / scale,
+            energy: look.energy / scale / scale / scale / scale,
+            energy_ratio: look.energy / self.surface.hexagonal_energy(self.seeds.len()),
+            gradient_norm: look.gradient_squared.sqrt() / scale / scale / scale,
+            evaluations: 0,
+            empty_cells: look.empty_cells,
+            area: look.area / scale / scale,
             ms: 0.0,
-            stats: PassStats::default(),
+            stats: look.stats,
         }
+    }
+
+    fn is_held(&self, seed: u32) -> bool {
+        self.held.get(seed as usize).is_some_and(|&held| held)
     }
 
     fn project(&mut self, seeds: &mut [DVec3]) -> Result<(), RvdError> {
         let closest = closest(&mut self.closest, &self.surface)?;
-        seeds.par_iter_mut().for_each(|p| *p = closest.project(*p).position);
+        let held = &self.held;
+        let free = |i: usize| !held.get(i).is_some_and(|&held| held);
+        seeds.par_iter_mut().enumerate().filter(|(i, _)| free(*i)).for_each(|(_, p)| *p = closest.project(*p).position);
         Ok(())
     }
 
     /// Hands the seeds to the session if it has others.
-    fn refresh(&mut self) -> Result<(), RvdError> {
+    fn push(&mut self) -> Result<(), RvdError> {
         if self.stale {
             self.session.set_seeds(&self.seeds)?;
+            if !self.held.is_empty() {
+                resident(&mut *self.session)?.hold(&self.held)?;
+            }
             self.stale = false;
         }
         Ok(())
     }
 
-    fn replace(&mut self, seeds: Vec<DVec3>) {
-        self.seeds = seeds;
-        self.stale = true;
+    /// Fetches the seeds if the session has moved them.
+    fn pull(&mut self) -> Result<(), RvdError> {
+        if !self.read {
+            resident(&mut *self.session)?.read(&mut self.seeds)?;
+            self.read = true;
+        }
+        Ok(())
     }
+
+    /// The host's seeds are others now.
+    fn moved(&mut self) {
+        (self.read, self.stale, self.fresh) = (true, true, true);
+        self.present = None;
+    }
+}
+
+fn resident(session: &mut dyn Session) -> Result<&mut dyn Resident, RvdError> {
+    session.resident().ok_or_else(|| RvdError::Internal("this backend cannot move seeds".to_owned()))
 }
 
 /// The closest-point tree of the surface in the unit frame, built on first use.

@@ -21,7 +21,8 @@ use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
 
 pub use report::Report;
 use report::{
-    InputFigures, IterationFigures, MemoryFigures, RepairFigures, ResultFigures, RvdFigures, Timings, topology_changes,
+    FinalFigures, InputFigures, IterationFigures, MemoryFigures, RepairFigures, ResultFigures, RvdFigures, Timings,
+    topology_changes,
 };
 
 /// Where the first seeds come from.
@@ -45,12 +46,26 @@ pub struct RemeshOptions {
     pub seeds: Seeds,
     /// Lloyd steps.
     pub lloyd: usize,
+    /// Quasi-Newton steps after them, at most; fewer where a test of convergence says so.
+    pub newton: usize,
     /// Density weight per mesh vertex, or uniform.
     pub weights: Option<Vec<f64>>,
     /// Where seeds go after each step. The last step always ends on the surface.
     pub projection: Projection,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
     pub measure: bool,
+}
+
+impl RemeshOptions {
+    /// The defaults: 5 Lloyd steps and up to 30 quasi-Newton steps of a uniform density, measured.
+    pub fn new(seeds: Seeds) -> Self {
+        Self { seeds, lloyd: 5, newton: 30, weights: None, projection: Projection::Free, measure: true }
+    }
+
+    /// The seeds as they are, moved by so many Lloyd steps and nothing else, not measured.
+    pub fn plain(seeds: Seeds, lloyd: usize) -> Self {
+        Self { lloyd, newton: 0, measure: false, ..Self::new(seeds) }
+    }
 }
 
 /// A remesh and how it came about.
@@ -120,21 +135,23 @@ pub fn remesh(
     let cvt_options = CvtOptions { projection: options.projection, max_seeds: 0 };
     let mut cvt = Cvt::new(backend, Arc::clone(&surface), &first, cvt_options)?;
     let mut rvd = RvdFigures::default();
-    let mut iterations = Vec::with_capacity(options.lloyd);
-    for _ in 0..options.lloyd {
-        let step = cvt.lloyd(cancel)?;
+    let steps = options.lloyd + options.newton;
+    let mut iterations = Vec::with_capacity(steps);
+    while iterations.len() < steps && !cvt.converged() {
+        let step = if iterations.len() < options.lloyd { cvt.lloyd(cancel)? } else { cvt.lbfgs(cancel)? };
         rvd.add_pass(&step.stats);
         rvd.reseeded_cells += step.empty_cells;
-        observer.iteration(&step, options.lloyd);
+        observer.iteration(&step, steps);
         iterations.push(IterationFigures::of(&step));
     }
+    let last = FinalFigures::of(&cvt.present(cancel)?);
     timings.iterations = clock.lap();
 
     observer.stage("dual");
     cvt.project_seeds()?;
     let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(cvt.len()) };
     let mut session = backend.exact_session(Arc::clone(&surface), exact)?;
-    session.set_seeds(cvt.unit_seeds())?;
+    session.set_seeds(cvt.unit_seeds()?)?;
     let dual = dual::extract(&mut *session, &surface, cvt.len(), cancel)?;
     rvd.add_pass(&dual.stats);
     rvd.of_dual(&dual, &surface);
@@ -142,7 +159,7 @@ pub fn remesh(
     cancel.check()?;
 
     observer.stage("repair");
-    let (result, vertex_seed, repair) = triangulated(&dual, &surface, cvt.unit_seeds(), mesh)?;
+    let (result, vertex_seed, repair) = triangulated(&dual, &surface, cvt.unit_seeds()?, mesh)?;
     timings.repair = clock.lap();
 
     observer.stage("measure");
@@ -161,16 +178,17 @@ pub fn remesh(
         adapter: backend.adapter(),
         threads: backend.threads(),
         seed,
-        converged: false,
+        converged: cvt.converged(),
         input,
         rvd,
         iterations,
+        last,
         timings_ms: timings,
         memory: MemoryFigures { host_peak_bytes: None, device_bytes: cvt.device_bytes() },
         result: figures,
         topology_changes: changes,
     };
-    Ok(Remesh { mesh: result, vertex_seed, seeds: cvt.seeds(), report })
+    Ok(Remesh { mesh: result, vertex_seed, seeds: cvt.seeds()?, report })
 }
 
 /// The seeds that the options name, caller's coordinates, and the random seed they were drawn from.

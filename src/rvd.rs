@@ -14,6 +14,7 @@ pub mod dual;
 mod exact;
 pub mod gpu;
 pub mod incident;
+mod on_host;
 pub mod parallel;
 pub mod resident;
 pub mod serial;

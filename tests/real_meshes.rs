@@ -13,7 +13,6 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 use glam::DVec3;
-use tessera::cvt::Projection;
 use tessera::mesh::measure::topology;
 use tessera::mesh::sample::sample;
 use tessera::remesh::{RemeshOptions, Seeds, remesh};
@@ -111,13 +110,7 @@ fn a_hundred_thousand_points_lie_in_their_nearest_cells() {
 
 fn remesh_real(file: &str, points: usize, lloyd: usize) -> Option<(tessera::mesh::TriMesh, tessera::remesh::Remesh)> {
     let mesh = surfaces::real(file)?;
-    let options = RemeshOptions {
-        seeds: Seeds::Sample { points, seed: 0 },
-        lloyd,
-        weights: None,
-        projection: Projection::Free,
-        measure: false,
-    };
+    let options = RemeshOptions::plain(Seeds::Sample { points, seed: 0 }, lloyd);
     let backend = Parallel::new(None).unwrap();
     let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
     Some((mesh, result))

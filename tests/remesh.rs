@@ -6,7 +6,6 @@
 mod surfaces;
 
 use glam::DVec3;
-use tessera::cvt::Projection;
 use tessera::mesh::TriMesh;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
@@ -16,13 +15,7 @@ use tessera::rvd::serial::Serial;
 use tessera::rvd::{Backend, CancelFlag, RvdError};
 
 fn options(points: usize, lloyd: usize) -> RemeshOptions {
-    RemeshOptions {
-        seeds: Seeds::Sample { points, seed: 3 },
-        lloyd,
-        weights: None,
-        projection: Projection::Free,
-        measure: false,
-    }
+    RemeshOptions::plain(Seeds::Sample { points, seed: 3 }, lloyd)
 }
 
 fn run(mesh: &TriMesh, options: &RemeshOptions, backend: &dyn Backend) -> Result<Remesh, RemeshError> {

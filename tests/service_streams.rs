@@ -137,7 +137,9 @@ async fn a_session_steps_and_edits() {
     let mut next = async || answers.next().await.unwrap().unwrap().message.unwrap();
     assert!(matches!(next().await, M::Accepted(_)));
 
-    let step = |iterations, seeds: SeedsWanted| cvt(Ask::Step(CvtStep { iterations, seeds: seeds.into() }));
+    let step = |iterations, seeds: SeedsWanted| {
+        cvt(Ask::Step(CvtStep { iterations, seeds: seeds.into(), ..CvtStep::default() }))
+    };
     send.send(step(3, SeedsWanted::Each)).await.unwrap();
     let mut energies = Vec::new();
     for index in 0..3 {

@@ -6,11 +6,9 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::Args;
 
-use super::exit::Usage;
 use super::progress::Progress;
 use super::{backends, files, interrupt, remote};
 use crate::config::BackendArgs;
-use crate::cvt::Projection;
 use crate::mesh::{TriMesh, io};
 use crate::remesh::{RemeshOptions, Report, Seeds, remesh};
 use crate::rvd::CancelFlag;
@@ -30,8 +28,8 @@ pub(crate) struct RemeshArgs {
     /// Lloyd steps.
     #[arg(long, value_name = "N", default_value_t = 5)]
     lloyd: u32,
-    /// Quasi-Newton steps after them. Not available yet: only 0, which is the default for now.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    /// Quasi-Newton (L-BFGS) steps after them, at most; they end when converged.
+    #[arg(long, value_name = "N", default_value_t = 30)]
     newton: u32,
     /// Random seed of the first points.
     #[arg(long, default_value_t = 0)]
@@ -49,10 +47,6 @@ pub(crate) struct RemeshArgs {
 
 /// Runs it.
 pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
-    if args.newton > 0 {
-        let text = format!("--newton {}: quasi-Newton steps are not available yet; use --newton 0", args.newton);
-        return Err(Usage(text).into());
-    }
     args.backend.check()?;
     files::check_output(&args.output, &["obj", "ply", "stl", "off"])?;
     args.report.iter().try_for_each(|path| files::check_output(path, &[]))?;
@@ -70,11 +64,9 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, start: Instant, read_ms: f64) -> Resu
     interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
     let backend = backends::one(&args.backend)?;
     let options = RemeshOptions {
-        seeds: Seeds::Sample { points: args.points as usize, seed: args.seed },
         lloyd: args.lloyd as usize,
-        weights: None,
-        projection: Projection::Free,
-        measure: true,
+        newton: args.newton as usize,
+        ..RemeshOptions::new(Seeds::Sample { points: args.points as usize, seed: args.seed })
     };
     let mut progress = Progress::new();
     let done = remesh(mesh, &options, backend.as_ref(), &mut progress, &cancel);
@@ -98,6 +90,7 @@ fn there(args: &RemeshArgs, mesh: &TriMesh, endpoint: &str) -> Result<()> {
         points: args.points.into(),
         random_seed: args.seed,
         lloyd: args.lloyd,
+        newton: args.newton,
         backend: args.backend.backend,
     };
     let done = remote::remesh(endpoint, &job)?;

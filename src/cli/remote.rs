@@ -32,6 +32,8 @@ pub(crate) struct RemeshJob<'a> {
     pub(crate) random_seed: u64,
     /// Lloyd steps.
     pub(crate) lloyd: u32,
+    /// Quasi-Newton steps after them.
+    pub(crate) newton: u32,
     /// Who should do it.
     pub(crate) backend: BackendArg,
 }
@@ -53,6 +55,7 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
         seeds: Some(sampled(job.points, job.random_seed)),
         backend: choice(job.backend).into(),
         lloyd_steps: job.lloyd,
+        newton_steps: job.newton,
         ..proto::RemeshHeader::default()
     };
     let mut messages = vec![Ask::Header(header)];

@@ -77,13 +77,8 @@ fn warm_up(backends: &Backends) -> Result<(), JobError> {
     let axes = [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z];
     let facets = vec![[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
     let octahedron = TriMesh::new(axes.to_vec(), facets)?;
-    let options = RemeshOptions {
-        seeds: Seeds::Given(axes.to_vec()),
-        lloyd: 1,
-        weights: None,
-        projection: Projection::OnSurface,
-        measure: false,
-    };
+    let plain = RemeshOptions::plain(Seeds::Given(axes.to_vec()), 1);
+    let options = RemeshOptions { projection: Projection::OnSurface, ..plain };
     let backend = backends.choose(Wish::Auto)?;
     let done = remesh(&octahedron, &options, backend.as_ref(), &mut (), &CancelFlag::default())?;
     let (facets, area) = (done.report.result.facets, done.report.rvd.area);

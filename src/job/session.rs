@@ -12,7 +12,7 @@ use glam::DVec3;
 
 use super::spec::Prepared;
 use super::{BackendInfo, Engine, JobError, Pending, Place, Retry, Timed, Wish};
-use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit};
+use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};
 
 /// How long a step command keeps the device before others get a turn.
 const SLICE: Duration = Duration::from_millis(100);
@@ -87,25 +87,31 @@ impl CvtSession {
     }
 
     /// The seeds now, caller's coordinates.
-    pub fn seeds(&self) -> Vec<DVec3> {
-        self.cvt.as_ref().map_or_else(Vec::new, Cvt::seeds)
+    ///
+    /// # Errors
+    /// What the backend says; the session is then over.
+    pub async fn seeds(&mut self) -> Result<Timed<Vec<DVec3>>, JobError> {
+        self.call(|cvt, _| Ok(cvt.seeds()?)).await
     }
 
-    /// Takes at least one and at most `steps` Lloyd steps, as many as fit a slice of time. With
+    /// Takes at least one and at most `steps` steps of a kind, as many as fit a slice of time. With
     /// `SeedsWanted::Each` one step is taken: seeds are large, and the caller sends them on first.
     ///
     /// # Errors
     /// What the backend says; the session is then over.
-    pub async fn step(&mut self, steps: usize, seeds: SeedsWanted) -> Result<Timed<Steps>, JobError> {
+    pub async fn step(&mut self, steps: usize, kind: StepKind, seeds: SeedsWanted) -> Result<Timed<Steps>, JobError> {
         self.call(move |cvt, cancel| {
             let start = Instant::now();
             let mut taken = Vec::new();
             let most = if seeds == SeedsWanted::Each { 1 } else { steps.min(SLICE_STEPS) };
             while taken.len() < most.max(1) {
-                let iteration = cvt.lloyd(cancel)?;
+                let iteration = match kind {
+                    StepKind::Lloyd => cvt.lloyd(cancel)?,
+                    StepKind::Lbfgs => cvt.lbfgs(cancel)?,
+                };
                 let last = taken.len() + 1 == steps;
                 let wanted = seeds == SeedsWanted::Each || (seeds == SeedsWanted::Last && last);
-                taken.push((iteration, wanted.then(|| cvt.seeds())));
+                taken.push((iteration, wanted.then(|| cvt.seeds()).transpose()?));
                 if start.elapsed() >= SLICE {
                     break;
                 }

@@ -31,6 +31,9 @@ pub struct Report {
     pub rvd: RvdFigures,
     /// One entry a step.
     pub iterations: Vec<IterationFigures>,
+    /// The seeds after the last step.
+    #[serde(rename = "final")]
+    pub last: FinalFigures,
     /// Wall-clock times.
     pub timings_ms: Timings,
     /// Memory.
@@ -130,6 +133,25 @@ pub struct IterationFigures {
     pub clip_ms: f64,
     /// Results, seeds moved.
     pub update_ms: f64,
+}
+
+/// The seeds after the last step, before they are put on the surface.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct FinalFigures {
+    /// Caller's units.
+    pub energy: f64,
+    /// Over the hexagonal tiling's.
+    pub energy_ratio: f64,
+    /// ‖∇E‖.
+    pub gradient_norm: f64,
+}
+
+impl FinalFigures {
+    /// Of the seeds that `present` was taken at.
+    pub fn of(present: &Iteration) -> Self {
+        let Iteration { energy, energy_ratio, gradient_norm, .. } = *present;
+        Self { energy, energy_ratio, gradient_norm }
+    }
 }
 
 /// Wall-clock milliseconds per stage.

@@ -136,7 +136,7 @@ impl Backend for Gpu {
         let pool = Arc::clone(&self.pool);
         let mut session = pool.install(|| GpuSession::new(self, surface, options));
         session.resident()?;
-        Ok(Box::new(session))
+        Ok(Box::new(super::on_host::OnHost::new(session)))
     }
 }
 

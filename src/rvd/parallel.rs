@@ -15,6 +15,7 @@ use rayon::prelude::*;
 
 use super::clip::Integrals;
 use super::incident::{Diagram, FacetWalker};
+use super::on_host::OnHost;
 use super::start::Starts;
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
@@ -58,7 +59,7 @@ impl Backend for Parallel {
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        Ok(Box::new(ParallelSession {
+        Ok(Box::new(OnHost::new(ParallelSession {
             pool: Arc::clone(&self.pool),
             surface,
             max_seeds: options.max_seeds,
@@ -70,7 +71,7 @@ impl Backend for Parallel {
             stale: false,
             starts: Starts::default(),
             chunks: Vec::new(),
-        }))
+        })))
     }
 }
 

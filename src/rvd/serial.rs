@@ -13,6 +13,7 @@ use glam::DVec3;
 
 use super::clip::Clipper;
 use super::incident::{Diagram, FacetWalker};
+use super::on_host::OnHost;
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
     Surface, elapsed_ms, take_seeds,
@@ -33,7 +34,7 @@ impl Backend for Serial {
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        Ok(Box::new(SerialSession {
+        Ok(Box::new(OnHost::new(SerialSession {
             surface,
             max_seeds: options.max_seeds,
             flat_pieces: options.flat_pieces,
@@ -43,7 +44,7 @@ impl Backend for Serial {
             table: NeighbourTable::default(),
             walker: FacetWalker::default(),
             stale: false,
-        }))
+        })))
     }
 }
 

@@ -8,7 +8,7 @@ use prost::bytes::Bytes;
 
 use super::RequestError;
 use super::proto::{self, ArrayKind, BackendChoice, CellsChunk, Chunk};
-use crate::cvt::{Iteration, Projection, SeedEdit};
+use crate::cvt::{Iteration, Projection, SeedEdit, StepKind};
 use crate::job::session::SeedsWanted;
 use crate::job::{BackendInfo, Wish};
 use crate::remesh::report::RvdFigures;
@@ -49,6 +49,14 @@ pub(crate) fn seeds_wanted(value: i32, path: &str) -> Result<SeedsWanted, Reques
         Ok(proto::SeedsWanted::Last) => Ok(SeedsWanted::Last),
         Ok(proto::SeedsWanted::Each) => Ok(SeedsWanted::Each),
         Err(_) => Err(RequestError::unknown_enum(path, value)),
+    }
+}
+
+pub(crate) fn step_kind(value: i32) -> Result<StepKind, RequestError> {
+    match proto::StepKind::try_from(value) {
+        Ok(proto::StepKind::Unspecified | proto::StepKind::Lloyd) => Ok(StepKind::Lloyd),
+        Ok(proto::StepKind::Lbfgs) => Ok(StepKind::Lbfgs),
+        Err(_) => Err(RequestError::unknown_enum("step.kind", value)),
     }
 }
 

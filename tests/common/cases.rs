@@ -15,7 +15,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{DVec3, dvec3};
 use rand::{Rng, RngExt, SeedableRng};
-use tessera::cvt::Projection;
 use tessera::mesh::TriMesh;
 use tessera::remesh::{RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::cells::facet_edge;
@@ -370,11 +369,11 @@ fn inside(polygon: &[DVec3], p: DVec3, normal: DVec3, margin: f64) -> bool {
 fn remeshes(case: &Case, parallel: &Parallel) -> Result<(), String> {
     let surface = case.surface();
     let options = RemeshOptions {
-        seeds: Seeds::Given(case.seeds.iter().map(|&p| surface.frame().to_world(p)).collect()),
-        lloyd: case.tiny.cells,
         weights: case.weights.clone(),
-        projection: Projection::Free,
-        measure: false,
+        ..RemeshOptions::plain(
+            Seeds::Given(case.seeds.iter().map(|&p| surface.frame().to_world(p)).collect()),
+            case.tiny.cells,
+        )
     };
     let out = match remesh(&case.mesh, &options, parallel, &mut (), &CancelFlag::default()) {
         Ok(out) => out,

@@ -99,11 +99,12 @@ struct Talk {
 impl Talk {
     async fn step(&mut self, step: CvtStep) -> Result<(), RequestError> {
         let wanted = convert::seeds_wanted(step.seeds, "step.seeds")?;
+        let kind = convert::step_kind(step.kind)?;
         limits::within("step.iterations", step.iterations.into(), 1, self.limits.max_iterations.into())?;
         let total = step.iterations as usize;
         let mut left = total;
         while left > 0 {
-            let Timed { value: steps, queue_ms, compute_ms } = self.session.step(left, wanted).await?;
+            let Timed { value: steps, queue_ms, compute_ms } = self.session.step(left, kind, wanted).await?;
             self.clock.add(queue_ms, compute_ms);
             left = left.saturating_sub(steps.taken.len());
             for (iteration, seeds) in steps.taken {
@@ -125,13 +126,17 @@ impl Talk {
         let edited = CvtEdited { seeds: self.session.len() as u64 };
         self.outbox.send(wrap(response::Message::Edited(edited))).await?;
         if wanted != SeedsWanted::Never {
-            send_seeds(&self.outbox, &self.session.seeds(), wrap_chunk).await?;
+            let seeds = self.session.seeds().await?;
+            self.clock.add(seeds.queue_ms, seeds.compute_ms);
+            send_seeds(&self.outbox, &seeds.value, wrap_chunk).await?;
         }
         Ok(())
     }
 
-    async fn end(self) -> Result<(), RequestError> {
-        send_seeds(&self.outbox, &self.session.seeds(), wrap_chunk).await?;
+    async fn end(mut self) -> Result<(), RequestError> {
+        let seeds = self.session.seeds().await?;
+        self.clock.add(seeds.queue_ms, seeds.compute_ms);
+        send_seeds(&self.outbox, &seeds.value, wrap_chunk).await?;
         let by = self.session.by();
         self.clock.note("Cvt", by);
         let done = CvtDone {

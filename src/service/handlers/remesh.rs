@@ -23,6 +23,7 @@ impl Header for RemeshHeader {
         convert::projection(self.projection)?;
         convert::measure(self.measure)?;
         limits::within("header.lloyd_steps", self.lloyd_steps.into(), 0, limits.max_iterations.into())?;
+        limits::within("header.newton_steps", self.newton_steps.into(), 0, limits.max_iterations.into())?;
         Ok((limits::mesh(self.mesh.as_ref(), limits)?, limits::seeds(self.seeds.as_ref(), limits)?))
     }
 }
@@ -76,6 +77,7 @@ pub(super) async fn handle(
     let options = RemeshOptions {
         seeds,
         lloyd: header.lloyd_steps as usize,
+        newton: header.newton_steps as usize,
         weights,
         projection: convert::projection(header.projection)?,
         measure: convert::measure(header.measure)?,
