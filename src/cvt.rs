@@ -8,6 +8,7 @@
 //! Must not know: files, remeshing, jobs.
 
 mod convergence;
+pub mod curves;
 mod line_search;
 mod reseed;
 
@@ -18,6 +19,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use convergence::Convergence;
+use curves::CurveSeeds;
 
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
@@ -124,6 +126,8 @@ pub struct Cvt {
     stale: bool,
     /// Seeds that never move; empty if all do.
     held: Vec<bool>,
+    /// The first seeds lie on curves, of which the others are kept clear.
+    curves: CurveSeeds,
     /// What the last pass found at the present seeds.
     present: Option<Look>,
     /// The present seeds' history is empty, so that a step's length has to be guessed.
@@ -159,6 +163,7 @@ impl Cvt {
             read: true,
             stale: true,
             held: Vec::new(),
+            curves: CurveSeeds::default(),
             present: None,
             fresh: true,
             convergence: Convergence::default(),
@@ -181,6 +186,36 @@ impl Cvt {
         self.held = held;
         self.moved();
         Ok(())
+    }
+
+    /// Holds the first seeds, which are those of `curves`, and keeps the others clear of them in every Lloyd
+    /// step.
+    ///
+    /// # Errors
+    /// `Internal` if there are fewer seeds.
+    pub fn keep_curves(&mut self, curves: CurveSeeds) -> Result<(), RvdError> {
+        self.hold((0..self.seeds.len()).map(|i| i < curves.len()).collect())?;
+        self.curves = curves;
+        self.clear_curves()?;
+        Ok(())
+    }
+
+    /// Pushes seeds off the curves. Returns how many there were.
+    ///
+    /// # Errors
+    /// What the device says.
+    pub fn clear_curves(&mut self) -> Result<usize, RvdError> {
+        if self.curves.is_empty() {
+            return Ok(0);
+        }
+        self.pull()?;
+        let mut seeds = self.seeds.clone();
+        let pushed = self.curves.push_out(&mut seeds);
+        if pushed > 0 {
+            self.seeds = seeds;
+            self.moved();
+        }
+        Ok(pushed)
     }
 
     /// One Lloyd step: every seed to the centroid of its cell.
@@ -392,6 +427,7 @@ impl Cvt {
             reseed::place(&empty, &self.sums, &mut self.seeds, &self.surface, closest);
             self.moved();
         }
+        self.clear_curves()?;
         if self.options.projection == Projection::OnSurface {
             self.project_seeds()?;
         }

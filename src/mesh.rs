@@ -11,6 +11,7 @@ pub mod adjacency;
 pub mod closest_point;
 pub(crate) mod coincident;
 pub(crate) mod disjoint;
+pub mod features;
 pub mod io;
 pub mod measure;
 pub mod sample;

@@ -4,6 +4,8 @@
 //! Invariant: the result is oriented as the input; what could not be kept is in the report.
 //! Must not know: files, jobs, the network.
 
+mod curves;
+mod fit;
 pub mod repair;
 pub mod report;
 
@@ -15,6 +17,7 @@ use glam::DVec3;
 use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{quality_unless, topology};
 use crate::mesh::sample::sample;
 use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
@@ -39,6 +42,18 @@ pub enum Seeds {
     Given(Vec<DVec3>),
 }
 
+/// Where the result's vertices go.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Placement {
+    /// Where the facets between them are nearest to the input in the mean, a little off the surface.
+    #[default]
+    Fitted,
+    /// To their seeds, on the surface.
+    Surface,
+    /// To the centroids of their restricted cells, a little inside where the surface bulges.
+    Centroids,
+}
+
 /// What to do. Everything has a default but the seeds.
 #[derive(Clone, Debug)]
 pub struct RemeshOptions {
@@ -52,6 +67,15 @@ pub struct RemeshOptions {
     pub weights: Option<Vec<f64>>,
     /// Where seeds go after each step. The last step always ends on the surface.
     pub projection: Projection,
+    /// Where the result's vertices go.
+    pub placement: Placement,
+    /// Edges bent by more than this are creases, which the result keeps, degrees; 0 finds none. Creases and
+    /// boundaries get seeds of their own where seeds are drawn; given seeds stay as they are.
+    pub crease_angle_deg: f64,
+    /// Edges that are creases whatever their angle, two vertices each.
+    pub creases: Vec<[u32; 2]>,
+    /// Whether boundaries get seeds of their own, so that they do not shrink.
+    pub keep_boundaries: bool,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
     pub measure: bool,
 }
@@ -59,12 +83,31 @@ pub struct RemeshOptions {
 impl RemeshOptions {
     /// The defaults: 5 Lloyd steps and up to 30 quasi-Newton steps of a uniform density, measured.
     pub fn new(seeds: Seeds) -> Self {
-        Self { seeds, lloyd: 5, newton: 30, weights: None, projection: Projection::Free, measure: true }
+        Self {
+            seeds,
+            lloyd: 5,
+            newton: 30,
+            weights: None,
+            projection: Projection::Free,
+            placement: Placement::Fitted,
+            crease_angle_deg: 30.0,
+            creases: Vec::new(),
+            keep_boundaries: true,
+            measure: true,
+        }
     }
 
     /// The seeds as they are, moved by so many Lloyd steps and nothing else, not measured.
     pub fn plain(seeds: Seeds, lloyd: usize) -> Self {
-        Self { lloyd, newton: 0, measure: false, ..Self::new(seeds) }
+        Self {
+            lloyd,
+            newton: 0,
+            placement: Placement::Surface,
+            crease_angle_deg: 0.0,
+            keep_boundaries: false,
+            measure: false,
+            ..Self::new(seeds)
+        }
     }
 }
 
@@ -75,6 +118,8 @@ pub struct Remesh {
     pub mesh: TriMesh,
     /// For each vertex of `mesh`, the seed whose cell it stands for.
     pub vertex_seed: Vec<u32>,
+    /// Edges of `mesh` that lie on creases and boundaries that were kept, two vertices each.
+    pub curve_edges: Vec<[u32; 2]>,
     /// The last seeds, on the surface, caller's coordinates.
     pub seeds: Vec<DVec3>,
     /// Figures.
@@ -87,6 +132,9 @@ pub enum RemeshError {
     /// The diagram could not be had.
     #[error(transparent)]
     Rvd(#[from] RvdError),
+    /// Creases that cannot be.
+    #[error(transparent)]
+    Feature(#[from] FeatureError),
     /// Every triangle of the dual lies back to back with another.
     #[error("the surface lies back to back with itself and has no thickness; remesh one of its sides")]
     NoThickness,
@@ -123,28 +171,23 @@ pub fn remesh(
     observer.stage("prepare");
     let surface = Arc::new(Surface::new(mesh, options.weights.as_deref())?);
     let input = InputFigures::of(mesh);
+    let kept = curves::Kept::find(mesh, &surface, options)?;
     let mut timings = Timings { prepare: clock.lap(), ..Timings::default() };
     cancel.check()?;
 
     observer.stage("sample");
-    let (first, seed) = first_seeds(mesh, options);
+    let (first, seed) = first_seeds(mesh, &surface, &kept, options);
     timings.sample = clock.lap();
     cancel.check()?;
 
     observer.stage("iterations");
     let cvt_options = CvtOptions { projection: options.projection, max_seeds: 0 };
     let mut cvt = Cvt::new(backend, Arc::clone(&surface), &first, cvt_options)?;
-    let mut rvd = RvdFigures::default();
-    let steps = options.lloyd + options.newton;
-    let mut iterations = Vec::with_capacity(steps);
-    while iterations.len() < steps && !cvt.converged() {
-        let step = if iterations.len() < options.lloyd { cvt.lloyd(cancel)? } else { cvt.lbfgs(cancel)? };
-        rvd.add_pass(&step.stats);
-        rvd.reseeded_cells += step.empty_cells;
-        observer.iteration(&step, steps);
-        iterations.push(IterationFigures::of(&step));
+    if !kept.seeds.is_empty() {
+        cvt.keep_curves(kept.seeds.clone())?;
     }
-    let last = FinalFigures::of(&cvt.present(cancel)?);
+    let mut rvd = RvdFigures::default();
+    let (iterations, last) = iterate(&mut cvt, options, &mut rvd, observer, cancel)?;
     timings.iterations = clock.lap();
 
     observer.stage("dual");
@@ -159,17 +202,20 @@ pub fn remesh(
     cancel.check()?;
 
     observer.stage("repair");
-    let (result, vertex_seed, repair) = triangulated(&dual, &surface, cvt.unit_seeds()?, mesh)?;
+    let source = Source { mesh, surface: &surface, kept: &kept };
+    let built = source.triangulated(&dual, cvt.unit_seeds()?, options.placement)?;
     timings.repair = clock.lap();
 
     observer.stage("measure");
     cancel.check()?;
+    let result = &built.mesh;
     let quality = match options.measure {
-        true => Some(quality_unless(mesh, &result, &|| cancel.is_cancelled()).ok_or(RvdError::Cancelled)?),
+        true => Some(quality_unless(mesh, result, &|| cancel.is_cancelled()).ok_or(RvdError::Cancelled)?),
         false => None,
     };
     let (vertices, facets) = (result.positions().len(), result.facets().len());
-    let figures = ResultFigures { vertices, facets, topology: topology(&result), quality, repair };
+    let repair = built.repair;
+    let figures = ResultFigures { vertices, facets, topology: topology(result), quality, repair };
     timings.measure = clock.lap();
     timings.total = clock.total();
     let changes = topology_changes(&input.topology, &figures.topology);
@@ -180,6 +226,7 @@ pub fn remesh(
         seed,
         converged: cvt.converged(),
         input,
+        features: kept.figures(&built.curve_edges),
         rvd,
         iterations,
         last,
@@ -188,59 +235,144 @@ pub fn remesh(
         result: figures,
         topology_changes: changes,
     };
-    Ok(Remesh { mesh: result, vertex_seed, seeds: cvt.seeds()?, report })
+    let curve_edges = built.curve_edges.into_iter().flatten().collect();
+    Ok(Remesh { mesh: built.mesh, vertex_seed: built.vertex_seed, curve_edges, seeds: cvt.seeds()?, report })
 }
 
-/// The seeds that the options name, caller's coordinates, and the random seed they were drawn from.
-fn first_seeds(mesh: &TriMesh, options: &RemeshOptions) -> (Vec<DVec3>, Option<u64>) {
-    match &options.seeds {
-        Seeds::Given(seeds) => (seeds.clone(), None),
-        Seeds::Sample { points, seed } => {
-            let points = sample(mesh, options.weights.as_deref(), *points, *seed);
-            (points.iter().map(|p| p.position).collect(), Some(*seed))
+/// Takes the steps, and some more where a seed was found on a curve that is not its own.
+fn iterate(
+    cvt: &mut Cvt,
+    options: &RemeshOptions,
+    rvd: &mut RvdFigures,
+    observer: &mut dyn Observer,
+    cancel: &CancelFlag,
+) -> Result<(Vec<IterationFigures>, FinalFigures), RemeshError> {
+    let steps = options.lloyd + options.newton;
+    let mut iterations = Vec::with_capacity(steps);
+    let mut take = |cvt: &mut Cvt, newton: bool, iterations: &mut Vec<IterationFigures>| -> Result<(), RemeshError> {
+        let step = if newton { cvt.lbfgs(cancel)? } else { cvt.lloyd(cancel)? };
+        rvd.add_pass(&step.stats);
+        rvd.reseeded_cells += step.empty_cells;
+        observer.iteration(&step, steps);
+        iterations.push(IterationFigures::of(&step));
+        Ok(())
+    };
+    while iterations.len() < steps && !cvt.converged() {
+        let newton = iterations.len() >= options.lloyd;
+        take(cvt, newton, &mut iterations)?;
+    }
+    let last = FinalFigures::of(&cvt.present(cancel)?);
+    for _ in 0..CLEARINGS {
+        if cvt.clear_curves()? == 0 {
+            break;
+        }
+        for k in 0..CLEARING_STEPS {
+            take(cvt, k > 0, &mut iterations)?;
         }
     }
+    Ok((iterations, last))
 }
 
-/// The dual made a surface: repaired, its vertices placed, with the seed of each vertex.
-fn triangulated(
-    dual: &dual::Dual,
-    surface: &Surface,
-    seeds: &[DVec3],
+/// Times that seeds are pushed off curves after the last step, and steps after each.
+const CLEARINGS: usize = 3;
+const CLEARING_STEPS: usize = 4;
+
+/// The seeds that the options name, those of curves first, caller's coordinates, and the random seed they were
+/// drawn from.
+fn first_seeds(
     mesh: &TriMesh,
-) -> Result<(TriMesh, Vec<u32>, RepairFigures), RemeshError> {
-    let positions = vertex_positions(dual, surface, seeds, mesh);
-    let repaired = repair::repair(&positions, &dual.triangles);
-    let too_few = RemeshError::TooFewSeeds { seeds: seeds.len() };
-    if repaired.facets.is_empty() {
-        return Err(if repaired.figures.closed_pockets > 1 { RemeshError::NoThickness } else { too_few });
+    surface: &Surface,
+    kept: &curves::Kept,
+    options: &RemeshOptions,
+) -> (Vec<DVec3>, Option<u64>) {
+    match &options.seeds {
+        Seeds::Given(seeds) => (seeds.clone(), None),
+        &Seeds::Sample { points, seed } if kept.seeds.is_empty() => {
+            let drawn = sample(mesh, options.weights.as_deref(), points, seed);
+            (drawn.iter().map(|p| p.position).collect(), Some(seed))
+        }
+        &Seeds::Sample { points, seed } => (kept.with_others(mesh, surface, options, points, seed), Some(seed)),
     }
-    let figures = RepairFigures {
-        split_cells: dual.split_cells,
-        not_disks: dual.not_disks,
-        multiple_edges: dual.multiple_edges,
-        multiple_rims: dual.multiple_rims,
-        disputed_vertices: dual.disputed,
-        ..repaired.figures
-    };
-    let vertex_seed = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
-    // All that can be wrong with it is that no facet has an area: seeds on a line.
-    let result = TriMesh::new(repaired.positions, repaired.facets).map_err(|_| too_few)?;
-    Ok((result, vertex_seed, figures))
 }
 
-/// Where the dual's vertices go, caller's coordinates: a cell in one piece at its seed, which is
-/// on the surface; a component of a split cell at the closest point to its own centroid.
-fn vertex_positions(dual: &dual::Dual, surface: &Surface, seeds: &[DVec3], mesh: &TriMesh) -> Vec<DVec3> {
-    let frame = surface.frame();
-    let closest = dual.components.iter().any(|c| !c.whole).then(|| ClosestPoint::new(mesh));
-    dual.components
-        .iter()
-        .map(|c| match &closest {
+/// What a result is made from.
+struct Source<'a> {
+    mesh: &'a TriMesh,
+    surface: &'a Surface,
+    kept: &'a curves::Kept,
+}
+
+/// The dual made a surface.
+struct Built {
+    mesh: TriMesh,
+    vertex_seed: Vec<u32>,
+    /// For each segment of the curves the result's edge, if it is there.
+    curve_edges: Vec<Option<[u32; 2]>>,
+    repair: RepairFigures,
+}
+
+impl Source<'_> {
+    /// The dual made a surface: repaired, its vertices placed, with the seed of each vertex.
+    fn triangulated(&self, dual: &dual::Dual, seeds: &[DVec3], placement: Placement) -> Result<Built, RemeshError> {
+        let positions = self.vertex_positions(dual, seeds, placement);
+        let repaired = repair::repair(&positions, &dual.triangles);
+        let too_few = RemeshError::TooFewSeeds { seeds: seeds.len() };
+        if repaired.facets.is_empty() {
+            return Err(if repaired.figures.closed_pockets > 1 { RemeshError::NoThickness } else { too_few });
+        }
+        let figures = RepairFigures {
+            split_cells: dual.split_cells,
+            not_disks: dual.not_disks,
+            multiple_edges: dual.multiple_edges,
+            multiple_rims: dual.multiple_rims,
+            disputed_vertices: dual.disputed,
+            ..repaired.figures
+        };
+        let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
+        let mut positions = repaired.positions;
+        let curve_edges = self.kept.edges_in(&repaired.facets, &vertex_seed);
+        if placement == Placement::Fitted {
+            let held: Vec<bool> = vertex_seed.iter().map(|&s| (s as usize) < self.kept.seeds.len()).collect();
+            self.fit(&mut positions, &repaired.facets, &repaired.source, &held, dual);
+        }
+        // All that can be wrong with it is that no facet has an area: seeds on a line.
+        let mesh = TriMesh::new(positions, repaired.facets).map_err(|_| too_few)?;
+        Ok(Built { mesh, vertex_seed, curve_edges, repair: figures })
+    }
+
+    /// Where the dual's vertices go, caller's coordinates: a cell in one piece at its seed, which is
+    /// on the surface, or its centroid; a component of a split cell at the closest point to its own centroid.
+    fn vertex_positions(&self, dual: &dual::Dual, seeds: &[DVec3], placement: Placement) -> Vec<DVec3> {
+        let frame = self.surface.frame();
+        let closest = dual.components.iter().any(|c| !c.whole).then(|| ClosestPoint::new(self.mesh));
+        let place = |c: &dual::Component| match &closest {
+            _ if (c.seed as usize) < self.kept.seeds.len() && c.whole => self.kept.position(self.mesh, frame, c.seed),
+            _ if placement == Placement::Centroids => frame.to_world(c.centroid),
             Some(tree) if !c.whole => tree.project(frame.to_world(c.centroid)).position,
             _ => frame.to_world(seeds[c.seed as usize]),
-        })
-        .collect()
+        };
+        dual.components.iter().map(place).collect()
+    }
+
+    /// Moves the result's vertices to where its facets are nearest to the input ([`fit`]).
+    fn fit(&self, positions: &mut [DVec3], facets: &[[u32; 3]], source: &[u32], held: &[bool], dual: &dual::Dual) {
+        let mut vertex = vec![u32::MAX; dual.components.len()];
+        source.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
+        let pieces = dual.pieces.iter().filter(|p| p.area > 0.0 && vertex[p.component as usize] != u32::MAX);
+        let sample = |p: &dual::Piece| fit::Sample {
+            position: p.centroid,
+            normal: self.surface.normal(p.facet),
+            area: p.area,
+            vertex: vertex[p.component as usize],
+        };
+        let samples: Vec<fit::Sample> = pieces.map(sample).collect();
+        let frame = self.surface.frame();
+        let mut unit: Vec<DVec3> = positions.iter().map(|&p| frame.to_unit(p)).collect();
+        fit::fit(&mut unit, facets, held, &samples);
+        for ((p, u), _) in positions.iter_mut().zip(unit).zip(held).filter(|(_, held)| !**held) {
+            *p = frame.to_world(u);
+        }
+    }
 }
 
 /// Wall-clock laps in milliseconds.

@@ -4,13 +4,13 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use super::progress::Progress;
 use super::{backends, files, interrupt, remote};
 use crate::config::BackendArgs;
 use crate::mesh::{TriMesh, io};
-use crate::remesh::{RemeshOptions, Report, Seeds, remesh};
+use crate::remesh::{Placement, RemeshOptions, Report, Seeds, remesh};
 use crate::rvd::CancelFlag;
 use crate::telemetry;
 
@@ -34,6 +34,15 @@ pub(crate) struct RemeshArgs {
     /// Random seed of the first points.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Edges bent by more than this are creases that the remesh keeps; 0 keeps none.
+    #[arg(long, value_name = "DEGREES", default_value_t = 30.0)]
+    crease_angle: f64,
+    /// What happens to the boundaries of an open surface.
+    #[arg(long, value_enum, default_value_t)]
+    boundaries: BoundariesArg,
+    /// Where the vertices of the remesh go.
+    #[arg(long, value_enum, default_value_t)]
+    placement: PlacementArg,
     /// Who works.
     #[command(flatten)]
     backend: BackendArgs,
@@ -43,6 +52,38 @@ pub(crate) struct RemeshArgs {
     /// Write the report there, as JSON.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
+}
+
+/// What happens to boundaries.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum BoundariesArg {
+    /// They get vertices of their own and stay where they are.
+    #[default]
+    Keep,
+    /// The rim settles where the cells end, about half an edge inside.
+    Free,
+}
+
+/// Where vertices go.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PlacementArg {
+    /// Where the facets between them are nearest to the input in the mean.
+    #[default]
+    Fitted,
+    /// On the input surface.
+    Surface,
+    /// To the centroids of their cells.
+    Centroids,
+}
+
+impl PlacementArg {
+    fn placement(self) -> Placement {
+        match self {
+            Self::Fitted => Placement::Fitted,
+            Self::Surface => Placement::Surface,
+            Self::Centroids => Placement::Centroids,
+        }
+    }
 }
 
 /// Runs it.
@@ -66,6 +107,9 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, start: Instant, read_ms: f64) -> Resu
     let options = RemeshOptions {
         lloyd: args.lloyd as usize,
         newton: args.newton as usize,
+        crease_angle_deg: args.crease_angle,
+        keep_boundaries: args.boundaries == BoundariesArg::Keep,
+        placement: args.placement.placement(),
         ..RemeshOptions::new(Seeds::Sample { points: args.points as usize, seed: args.seed })
     };
     let mut progress = Progress::new();

@@ -162,7 +162,7 @@ fn vector(p: DVec3) -> Vector {
 }
 
 /// Squared distance of `p` from a facet and the barycentric coordinates of its nearest point.
-fn closest_on_facet(p: DVec3, [a, b, c]: [DVec3; 3], ids: [u32; 3]) -> (f64, [f64; 3]) {
+pub(crate) fn closest_on_facet(p: DVec3, [a, b, c]: [DVec3; 3], ids: [u32; 3]) -> (f64, [f64; 3]) {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let normal = ab.cross(ac);
     let whole = normal.length_squared();

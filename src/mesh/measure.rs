@@ -166,6 +166,14 @@ fn boundary_loops(adjacency: &Adjacency, fans: &mut DisjointSets, vertex: impl F
     (0..halves.len()).filter(|&edge| chains.root(edge) == edge).count()
 }
 
+/// Q = (6/√3) S/(p h) of one facet: area, half-perimeter, longest edge. 1 is equilateral, 0 a sliver.
+pub fn facet_quality([a, b, c]: [DVec3; 3]) -> f64 {
+    let (u, v, w) = (b - a, c - b, a - c);
+    let (lu, lv, lw) = (u.length(), v.length(), w.length());
+    let box_of = 0.5 * (lu + lv + lw) * lu.max(lv).max(lw);
+    if box_of > 0.0 { 6.0 / 3f64.sqrt() * 0.5 * u.cross(w).length() / box_of } else { 0.0 }
+}
+
 /// Q and angles over all facets but the collapsed ones.
 fn shape_quality(mesh: &TriMesh, adjacency: &Adjacency) -> Quality {
     let (low, high) = mesh.bounds();
@@ -176,9 +184,7 @@ fn shape_quality(mesh: &TriMesh, adjacency: &Adjacency) -> Quality {
         let [a, b, c] = mesh.corners(facet).map(|p| (p - low) / extent);
         let (u, v, w) = (b - a, c - b, a - c);
         let twice = u.cross(w).length();
-        let (lu, lv, lw) = (u.length(), v.length(), w.length());
-        let box_of = 0.5 * (lu + lv + lw) * lu.max(lv).max(lw);
-        let q = if box_of > 0.0 { 6.0 / 3f64.sqrt() * 0.5 * twice / box_of } else { 0.0 };
+        let q = facet_quality([a, b, c]);
         // The arc tangent stays exact where the arc cosine does not, near 0.
         let angle = |p: DVec3, q: DVec3| twice.atan2(-p.dot(q)).to_degrees();
         let theta = angle(u, v).min(angle(v, w)).min(angle(w, u));

@@ -27,6 +27,8 @@ pub struct Report {
     pub converged: bool,
     /// The surface that came in.
     pub input: InputFigures,
+    /// Creases and boundaries.
+    pub features: FeatureFigures,
     /// The last diagram and what it took.
     pub rvd: RvdFigures,
     /// One entry a step.
@@ -71,6 +73,29 @@ pub struct InputFigures {
     /// χ, components, holes, non-manifold elements.
     #[serde(flatten)]
     pub topology: Topology,
+}
+
+/// Creases and boundaries that got seeds of their own.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+pub struct FeatureFigures {
+    /// Boundary curves.
+    pub boundaries: usize,
+    /// Creases.
+    pub creases: usize,
+    /// Places where curves end, meet or turn sharply.
+    pub corners: usize,
+    /// Seeds of corners and curves.
+    pub seeds: usize,
+    /// Pairs of seeds that follow each other on a curve.
+    pub segments: usize,
+    /// Of these, such as the result has no edge for.
+    pub missing_segments: usize,
+    /// Curves with such a pair.
+    pub broken_curves: usize,
+    /// Curves that there were too few points for.
+    pub given_up: usize,
+    /// Edges bent enough for a crease in stretches too short for one.
+    pub short_crease_edges: usize,
 }
 
 /// The last diagram and what all of them took.

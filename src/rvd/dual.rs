@@ -33,12 +33,27 @@ pub struct Dual {
     pub multiple_edges: usize,
     /// Components that meet the boundary in more than one stretch.
     pub multiple_rims: usize,
+    /// The pieces, in facet order.
+    pub pieces: Vec<Piece>,
     /// Area of all pieces, unit frame.
     pub area: f64,
     /// Cells without any piece.
     pub empty_cells: usize,
     /// What the pass did.
     pub stats: PassStats,
+}
+
+/// Where a cell meets a facet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Piece {
+    /// The part of a cell that it belongs to, in [`Dual::components`].
+    pub component: u32,
+    /// The facet.
+    pub facet: u32,
+    /// Its area, unit frame.
+    pub area: f64,
+    /// Its centroid, unit frame.
+    pub centroid: DVec3,
 }
 
 /// One connected part of a restricted cell.

@@ -160,6 +160,12 @@ impl Surface {
         (a + b + c) / 3.0
     }
 
+    /// Unit normal of facet `f`, or 0 if it has no area.
+    pub fn normal(&self, f: u32) -> DVec3 {
+        let [a, b, c] = self.facets[f as usize].map(|v| self.positions[v as usize]);
+        (b - a).cross(c - a).normalize_or_zero()
+    }
+
     /// Whether facet `f` is degenerate and left out.
     pub fn skips(&self, f: usize) -> bool {
         self.skip[f]
@@ -169,12 +175,18 @@ impl Surface {
     /// density if every cell were a regular hexagon, 5/(18√3) (∫√w)²/n, unit frame. √w is taken
     /// as linear between the corners of a facet.
     pub fn hexagonal_energy(&self, seeds: usize) -> f64 {
+        let root_mass = self.root_mass();
+        5.0 / (18.0 * 3f64.sqrt()) * root_mass * root_mass / seeds as f64
+    }
+
+    /// ∫√w, unit frame, √w taken as linear between the corners of a facet.
+    pub fn root_mass(&self) -> f64 {
         let mut root_mass = 0.0;
         for (f, corners) in self.facets.iter().enumerate().filter(|&(f, _)| !self.skip[f]) {
             let mean = corners.map(|v| self.weights[v as usize].sqrt()).iter().sum::<f64>() / 3.0;
             root_mass += mean * self.facet_area(f as u32);
         }
-        5.0 / (18.0 * 3f64.sqrt()) * root_mass * root_mass / seeds as f64
+        root_mass
     }
 
     /// Area of facet `f`, unit frame.

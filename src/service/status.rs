@@ -12,6 +12,7 @@ use tonic_types::{ErrorDetails, StatusExt};
 use super::RequestError;
 use crate::job::JobError;
 use crate::mesh::MeshError;
+use crate::mesh::features::FeatureError;
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
 
@@ -52,6 +53,13 @@ fn of_job(error: &JobError) -> Status {
         }
         JobError::Mesh(error) => of_mesh(error),
         JobError::Remesh(RemeshError::NoThickness) => invalid(text.clone(), "mesh.facets".into(), text),
+        JobError::Remesh(RemeshError::Feature(error)) => {
+            let path = match error {
+                FeatureError::NoSuchEdge { crease, .. } => format!("mesh.creases[{crease}]"),
+                FeatureError::BadAngle(_) => "header.crease_angle_deg".to_owned(),
+            };
+            invalid(text.clone(), path, text)
+        }
         JobError::Remesh(RemeshError::TooFewSeeds { .. }) => invalid(text.clone(), "seeds".into(), text),
         JobError::Rvd(error) | JobError::Remesh(RemeshError::Rvd(error)) => of_rvd(error),
     }

@@ -8,7 +8,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::conditions::{self, Crossing, Stretch};
-use super::{Component, Dual};
+use super::{Component, Dual, Piece};
 use crate::mesh::disjoint::DisjointSets;
 use crate::rvd::cells::facet_edge;
 use crate::rvd::{PieceBatch, Surface};
@@ -133,7 +133,18 @@ impl Pieces {
             })
             .collect();
         dual.multiple_edges = conditions::multiple_edges(&stretches, crossings, &component);
+        dual.pieces = self.centres(&component);
         dual
+    }
+
+    fn centres(&self, component: &[u32]) -> Vec<Piece> {
+        let centre = |p: usize| Piece {
+            component: component[p],
+            facet: self.facet[p],
+            area: self.area[p],
+            centroid: if self.area[p] > 0.0 { self.moment[p] / self.area[p] } else { DVec3::ZERO },
+        };
+        (0..self.facet.len()).map(centre).collect()
     }
 
     fn across_edges(&self, surface: &Surface) -> Joined {

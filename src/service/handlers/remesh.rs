@@ -75,12 +75,12 @@ pub(super) async fn handle(
     let (input, _share) = apart(&shared, move || input(seeds, uploaded)).await?;
     let Input { mesh, weights, seeds } = input;
     let options = RemeshOptions {
-        seeds,
         lloyd: header.lloyd_steps as usize,
         newton: header.newton_steps as usize,
         weights,
         projection: convert::projection(header.projection)?,
         measure: convert::measure(header.measure)?,
+        ..RemeshOptions::new(seeds)
     };
     let (events, mut heard) = mpsc::channel(EVENTS);
     let mut pending = shared.engine.submit(Place::New, Retry::Anew, move |backends, turn| {

@@ -1,0 +1,401 @@
+//! Curves that a remesh must keep: boundaries and creases.
+//!
+//! Purpose: [`Features::find`] names the edges that are a boundary, are bent by more than an angle, or were
+//! given; joins them to curves between corners; and leaves out what is shorter than a remesh could
+//! show, which on scans is noise.
+//! Invariant: a curve is a chain of mesh edges through welded vertices, simple inside, either
+//! closed or between two corners. A boundary is never left out. Depends on the mesh alone, not on threads.
+//! Must not know: seeds, diagrams.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+
+use super::TriMesh;
+use super::adjacency::{Adjacency, EdgeKind};
+
+/// What counts as a feature.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeatureOptions {
+    /// Edges whose facets' normals differ by more than this are creases, degrees; 0 finds none.
+    pub crease_angle_deg: f64,
+    /// Edges that are creases whatever their angle: two vertices each.
+    pub given: Vec<[u32; 2]>,
+    /// Creases by angle go where they end freely within this length, and where all that
+    /// hangs together is shorter; in the frame of the positions.
+    pub shortest: f64,
+    /// Bends are measured over this length on either side; same frame.
+    pub reach: f64,
+}
+
+/// A curve bends by more than this, degrees: there is a corner.
+const CORNER_ANGLE: f64 = 60.0;
+
+/// What a curve is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum CurveKind {
+    /// Edges with one facet.
+    Boundary,
+    /// Edges that are bent or were given.
+    Crease,
+}
+
+/// A chain of edges.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curve {
+    /// What it is.
+    pub kind: CurveKind,
+    /// Mesh vertices, in order. A closed curve does not repeat its first vertex.
+    pub vertices: Vec<u32>,
+    /// Whether the last vertex joins the first. Otherwise both ends are corners.
+    pub closed: bool,
+}
+
+/// The curves of a surface.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Features {
+    /// Ordered by their first vertices.
+    pub curves: Vec<Curve>,
+    /// Vertices where curves end or meet, ascending.
+    pub corners: Vec<u32>,
+    /// Edges that were bent enough and were left out as too short a crease.
+    pub left_out: usize,
+}
+
+/// Why given creases were refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FeatureError {
+    /// A pair of vertices is no edge of the surface.
+    #[error("crease {crease} names vertices {a} and {b}, which no facet joins; name the two ends of a mesh edge")]
+    NoSuchEdge {
+        /// Its place in the list, from 0.
+        crease: usize,
+        /// First vertex.
+        a: u32,
+        /// Second vertex.
+        b: u32,
+    },
+    /// The angle makes no sense.
+    #[error("the crease angle is {0}°; give 0 (no creases) to 180")]
+    BadAngle(f64),
+}
+
+type Edge = [u32; 2];
+
+fn edge(a: u32, b: u32) -> Edge {
+    [a.min(b), a.max(b)]
+}
+
+impl Features {
+    /// Finds the curves of `mesh`. `positions` are its vertices in the frame in which lengths are meant.
+    ///
+    /// # Errors
+    /// [`FeatureError`].
+    pub fn find(mesh: &TriMesh, positions: &[DVec3], options: &FeatureOptions) -> Result<Self, FeatureError> {
+        if !(0.0..=180.0).contains(&options.crease_angle_deg) {
+            return Err(FeatureError::BadAngle(options.crease_angle_deg));
+        }
+        let adjacency = Adjacency::new(mesh);
+        let class = adjacency.representative();
+        let (bent, boundary) = classify(mesh, positions, &adjacency, options.crease_angle_deg);
+        let mut graph = Graph::default();
+        boundary.iter().for_each(|&e| graph.add(e, CurveKind::Boundary));
+        let known: std::collections::HashSet<Edge> = all_edges(mesh, &adjacency).collect();
+        for (crease, &[a, b]) in options.given.iter().enumerate() {
+            let welded = |v: u32| class.get(v as usize).copied();
+            match (welded(a), welded(b)) {
+                (Some(p), Some(q)) if known.contains(&edge(p, q)) => graph.add_kept(edge(p, q)),
+                _ => return Err(FeatureError::NoSuchEdge { crease, a, b }),
+            }
+        }
+        bent.iter().for_each(|&e| graph.add(e, CurveKind::Crease));
+        let left_out = graph.prune(positions, options.shortest);
+        let (curves, corners) = graph.curves(positions, options.reach);
+        Ok(Self { curves, corners, left_out })
+    }
+
+    /// Leaves the boundaries out. So are corners that only they had.
+    pub fn drop_boundaries(&mut self) {
+        self.curves.retain(|c| c.kind != CurveKind::Boundary);
+        let ends: std::collections::BTreeSet<u32> = self
+            .curves
+            .iter()
+            .filter(|c| !c.closed)
+            .flat_map(|c| [c.vertices[0], c.vertices[c.vertices.len() - 1]])
+            .collect();
+        self.corners.retain(|v| ends.contains(v));
+    }
+}
+
+impl Curve {
+    /// Its vertices in order, a closed curve's first one again at the end.
+    pub fn round(&self) -> impl Iterator<Item = u32> + '_ {
+        self.vertices.iter().copied().chain(self.closed.then(|| self.vertices[0]))
+    }
+}
+
+fn all_edges<'a>(mesh: &'a TriMesh, adjacency: &'a Adjacency) -> impl Iterator<Item = Edge> + 'a {
+    let class = adjacency.representative();
+    (0..3 * mesh.facets().len()).map(move |half| {
+        let corners = mesh.facets()[half / 3];
+        edge(class[corners[half % 3] as usize], class[corners[(half + 1) % 3] as usize])
+    })
+}
+
+/// Edges between facets that are bent by more than `angle` degrees, and boundary edges; both ascending.
+fn classify(mesh: &TriMesh, positions: &[DVec3], adjacency: &Adjacency, angle: f64) -> (Vec<Edge>, Vec<Edge>) {
+    let normal = |f: usize| {
+        let [a, b, c] = mesh.facets()[f].map(|v| positions[v as usize]);
+        (b - a).cross(c - a).normalize_or_zero()
+    };
+    let limit = angle.to_radians().cos();
+    let (mut bent, mut boundary) = (Vec::new(), Vec::new());
+    for (half, e) in all_edges(mesh, adjacency).enumerate() {
+        match (adjacency.kind(half), adjacency.opposite(half)) {
+            (EdgeKind::Boundary, _) => boundary.push(e),
+            (kind @ (EdgeKind::Manifold | EdgeKind::Inconsistent), Some(other)) if angle > 0.0 && half < other => {
+                let (f, g) = (half / 3, other / 3);
+                // A facet without area has no normal, and says nothing of a bend.
+                let turned = if kind == EdgeKind::Inconsistent { -1.0 } else { 1.0 };
+                if !mesh.is_degenerate(f) && !mesh.is_degenerate(g) && turned * normal(f).dot(normal(g)) < limit {
+                    bent.push(e);
+                }
+            }
+            _ => {}
+        }
+    }
+    bent.sort_unstable();
+    boundary.sort_unstable();
+    (bent, boundary)
+}
+
+/// Feature edges around each vertex.
+#[derive(Default)]
+struct Graph {
+    around: BTreeMap<u32, Vec<u32>>,
+    /// What an edge is, and whether it must stay.
+    edges: BTreeMap<Edge, (CurveKind, bool)>,
+}
+
+impl Graph {
+    /// Adds an edge that is not there yet. Boundaries stay, creases may go.
+    fn add(&mut self, e: Edge, kind: CurveKind) {
+        self.insert(e, (kind, kind == CurveKind::Boundary));
+    }
+
+    /// Adds a crease that stays.
+    fn add_kept(&mut self, e: Edge) {
+        self.insert(e, (CurveKind::Crease, true));
+    }
+
+    fn insert(&mut self, e: Edge, what: (CurveKind, bool)) {
+        if e[0] != e[1] && !self.edges.contains_key(&e) {
+            self.edges.insert(e, what);
+            self.around.entry(e[0]).or_default().push(e[1]);
+            self.around.entry(e[1]).or_default().push(e[0]);
+        }
+    }
+
+    fn remove(&mut self, e: Edge) {
+        self.edges.remove(&e);
+        for (v, u) in [(e[0], e[1]), (e[1], e[0])] {
+            if let Some(list) = self.around.get_mut(&v) {
+                list.retain(|&x| x != u);
+                if list.is_empty() {
+                    self.around.remove(&v);
+                }
+            }
+        }
+    }
+
+    fn degree(&self, v: u32) -> usize {
+        self.around.get(&v).map_or(0, Vec::len)
+    }
+
+    /// The chain that begins with the edge from `v` to `next`, through vertices of two edges.
+    fn chain(&self, v: u32, next: u32) -> Vec<u32> {
+        let mut chain = vec![v, next];
+        let (mut before, mut here) = (v, next);
+        while self.degree(here) == 2 && here != v {
+            let list = &self.around[&here];
+            let ahead = if list[0] == before { list[1] } else { list[0] };
+            chain.push(ahead);
+            (before, here) = (here, ahead);
+        }
+        chain
+    }
+
+    /// Takes creases out that end freely within `shortest`, again and again, and then whole
+    /// networks of them that are shorter. Returns how many edges went.
+    fn prune(&mut self, positions: &[DVec3], shortest: f64) -> usize {
+        let before = self.edges.len();
+        let length = |chain: &[u32]| -> f64 {
+            chain.windows(2).map(|p| positions[p[0] as usize].distance(positions[p[1] as usize])).sum()
+        };
+        loop {
+            let ends: Vec<u32> = self.around.iter().filter(|(_, l)| l.len() == 1).map(|(&v, _)| v).collect();
+            let mut loose: Vec<(f64, Vec<u32>)> = ends
+                .into_iter()
+                .map(|v| self.chain(v, self.around[&v][0]))
+                .map(|chain| (length(&chain), chain))
+                .filter(|(length, chain)| *length < shortest && self.may_go(chain))
+                .collect();
+            // The shortest first, one at a time where they meet: what is left of a junction may be one long curve.
+            loose.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)));
+            let mut touched = std::collections::BTreeSet::new();
+            let mut gone = 0;
+            for (_, chain) in loose {
+                let ends = [chain[0], chain[chain.len() - 1]];
+                if ends.iter().any(|v| touched.contains(v)) {
+                    continue;
+                }
+                touched.extend(ends);
+                chain.windows(2).for_each(|p| self.remove(edge(p[0], p[1])));
+                gone += 1;
+            }
+            if gone == 0 {
+                break;
+            }
+        }
+        self.drop_short_networks(positions, shortest);
+        before - self.edges.len()
+    }
+
+    fn may_go(&self, chain: &[u32]) -> bool {
+        chain.windows(2).all(|p| self.edges.get(&edge(p[0], p[1])).is_none_or(|&(_, kept)| !kept))
+    }
+
+    fn drop_short_networks(&mut self, positions: &[DVec3], shortest: f64) {
+        let mut seen = std::collections::BTreeSet::new();
+        let starts: Vec<u32> = self.around.keys().copied().collect();
+        for start in starts {
+            if !seen.insert(start) {
+                continue;
+            }
+            let (mut stack, mut edges) = (vec![start], std::collections::BTreeSet::new());
+            while let Some(v) = stack.pop() {
+                for &u in self.around.get(&v).into_iter().flatten() {
+                    edges.insert(edge(v, u));
+                    if seen.insert(u) {
+                        stack.push(u);
+                    }
+                }
+            }
+            let total: f64 = edges.iter().map(|e| positions[e[0] as usize].distance(positions[e[1] as usize])).sum();
+            let kept = edges.iter().any(|e| self.edges.get(e).is_some_and(|&(_, kept)| kept));
+            if total < 2.0 * shortest && !kept {
+                edges.into_iter().for_each(|e| self.remove(e));
+            }
+        }
+    }
+
+    /// The curves between corners, and the corners.
+    fn curves(&self, positions: &[DVec3], reach: f64) -> (Vec<Curve>, Vec<u32>) {
+        let kind = |a: u32, b: u32| self.edges[&edge(a, b)].0;
+        let mut corners: std::collections::BTreeSet<u32> = self
+            .around
+            .iter()
+            .filter(|(v, l)| l.len() != 2 || kind(**v, l[0]) != kind(**v, l[1]))
+            .map(|(&v, _)| v)
+            .collect();
+        let mut curves = Vec::new();
+        let mut done = std::collections::BTreeSet::new();
+        let ends: Vec<u32> = corners.iter().copied().chain(self.around.keys().copied()).collect();
+        for v in ends {
+            for &next in &self.around[&v] {
+                if done.contains(&edge(v, next)) {
+                    continue;
+                }
+                let chain = self.chain_to(v, next, &corners);
+                chain.windows(2).for_each(|p| {
+                    done.insert(edge(p[0], p[1]));
+                });
+                let closed = chain[0] == chain[chain.len() - 1] && !corners.contains(&v);
+                split(&chain, closed, kind(v, next), positions, reach, &mut corners, &mut curves);
+            }
+        }
+        curves.sort_by(|a, b| a.vertices.cmp(&b.vertices));
+        (curves, corners.into_iter().collect())
+    }
+
+    fn chain_to(&self, v: u32, next: u32, corners: &std::collections::BTreeSet<u32>) -> Vec<u32> {
+        let mut chain = vec![v, next];
+        let (mut before, mut here) = (v, next);
+        while here != v && !corners.contains(&here) {
+            let list = &self.around[&here];
+            let ahead = if list[0] == before { list[1] } else { list[0] };
+            chain.push(ahead);
+            (before, here) = (here, ahead);
+        }
+        chain
+    }
+}
+
+/// Cuts a chain where it turns sharply.
+fn split(
+    chain: &[u32],
+    closed: bool,
+    kind: CurveKind,
+    positions: &[DVec3],
+    reach: f64,
+    corners: &mut std::collections::BTreeSet<u32>,
+    curves: &mut Vec<Curve>,
+) {
+    let turns = sharp_turns(chain, closed, positions, reach);
+    let last = chain.len() - 1;
+    if turns.is_empty() {
+        let vertices = if closed { chain[..last].to_vec() } else { chain.to_vec() };
+        curves.push(Curve { kind, vertices, closed });
+        return;
+    }
+    corners.extend(turns.iter().map(|&k| chain[k]));
+    let mut pieces: Vec<Vec<u32>> = Vec::new();
+    if closed {
+        for (i, &from) in turns.iter().enumerate() {
+            let to = turns.get(i + 1).copied().unwrap_or(turns[0] + last);
+            pieces.push((from..=to).map(|k| chain[k % last]).collect());
+        }
+    } else {
+        let cuts: Vec<usize> = std::iter::once(0).chain(turns).chain(std::iter::once(last)).collect();
+        pieces.extend(cuts.windows(2).map(|c| chain[c[0]..=c[1]].to_vec()));
+    }
+    curves.extend(pieces.into_iter().map(|vertices| Curve { kind, vertices, closed: false }));
+}
+
+/// Places in a chain where it turns by more than [`CORNER_ANGLE`] between the points `reach` behind and
+/// ahead: the sharpest within each stretch of that length.
+fn sharp_turns(chain: &[u32], closed: bool, positions: &[DVec3], reach: f64) -> Vec<usize> {
+    let p: Vec<DVec3> = chain.iter().map(|&v| positions[v as usize]).collect();
+    let last = p.len() - 1;
+    let mut along = vec![0.0];
+    p.windows(2).for_each(|w| along.push(along[along.len() - 1] + w[0].distance(w[1])));
+    let total = along[last];
+    // The point at arc length s.
+    let at = |s: f64| {
+        let s = if closed { s.rem_euclid(total) } else { s.clamp(0.0, total) };
+        let k = along.partition_point(|&a| a <= s).clamp(1, last);
+        let width = along[k] - along[k - 1];
+        if width > 0.0 { p[k - 1].lerp(p[k], (s - along[k - 1]) / width) } else { p[k] }
+    };
+    let limit = CORNER_ANGLE.to_radians().cos();
+    let inner = if closed { 0..last } else { 1..last };
+    let reach = reach.min(total / 3.0);
+    let cosine = |k: usize| {
+        let (back, ahead) = (p[k] - at(along[k] - reach), at(along[k] + reach) - p[k]);
+        back.normalize_or_zero().dot(ahead.normalize_or_zero())
+    };
+    let mut found: Vec<(f64, usize)> = inner.map(|k| (cosine(k), k)).filter(|&(c, _)| c < limit).collect();
+    found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut taken: Vec<usize> = Vec::new();
+    for (_, k) in found {
+        let apart = |j: usize| {
+            let d = (along[k] - along[j]).abs();
+            if closed { d.min(total - d) } else { d }
+        };
+        if taken.iter().all(|&j| apart(j) > reach) {
+            taken.push(k);
+        }
+    }
+    taken.sort_unstable();
+    taken
+}

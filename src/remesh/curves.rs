@@ -1,0 +1,142 @@
+//! The curves that a remesh keeps.
+//!
+//! Purpose: finds creases and boundaries at the scale of the result, places their seeds, and says
+//! afterwards whether the result has them.
+//! Invariant: where the curves would take too many of the seeds, creases go first and boundaries
+//! last, and the report says so. Must not know: backends, iterations.
+
+use std::collections::HashSet;
+
+use glam::DVec3;
+
+use super::report::FeatureFigures;
+use super::{RemeshError, RemeshOptions, Seeds};
+use crate::cvt::curves::{CurveSeeds, edge_length};
+use crate::knn::SeedIndex;
+use crate::mesh::TriMesh;
+use crate::mesh::features::{CurveKind, FeatureOptions, Features};
+use crate::mesh::sample::sample;
+use crate::rvd::{Frame, Surface};
+
+/// A crease by angle that ends freely within so many edge lengths is noise of a scan, or a fold that fades out.
+const SHORTEST: f64 = 8.0;
+/// Bends of a curve are measured over so many edge lengths.
+const REACH: f64 = 0.5;
+/// Curves get at most this share of the seeds.
+const LARGEST_SHARE: f64 = 0.6;
+
+/// Curves and their seeds.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Kept {
+    features: Features,
+    pub(super) seeds: CurveSeeds,
+    /// Creases that there was no room for.
+    given_up: usize,
+}
+
+impl Kept {
+    /// Finds what `options` ask for; nothing where seeds are given.
+    pub(super) fn find(mesh: &TriMesh, surface: &Surface, options: &RemeshOptions) -> Result<Self, RemeshError> {
+        let Seeds::Sample { points, .. } = options.seeds else { return Ok(Self::default()) };
+        let scale = edge_length(surface, &Features::default(), points);
+        let mut wish = FeatureOptions {
+            crease_angle_deg: options.crease_angle_deg,
+            given: options.creases.clone(),
+            shortest: SHORTEST * scale,
+            reach: REACH * scale,
+        };
+        let mut given_up = 0;
+        loop {
+            let mut features = Features::find(mesh, surface.positions(), &wish)?;
+            if !options.keep_boundaries {
+                features.drop_boundaries();
+            }
+            let edge = edge_length(surface, &features, points);
+            let seeds = CurveSeeds::place(surface, &features, edge);
+            if seeds.len() as f64 <= LARGEST_SHARE * points as f64 {
+                return Ok(Self { features, seeds, given_up });
+            }
+            let creases = features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
+            given_up += creases;
+            if creases == 0 {
+                return Ok(Self { given_up: given_up + features.curves.len(), ..Self::default() });
+            }
+            wish.crease_angle_deg = 0.0;
+            wish.given.clear();
+        }
+    }
+
+    /// The curves' seeds and as many drawn ones as make `points`, clear of the curves; caller's coordinates.
+    pub(super) fn with_others(
+        &self,
+        mesh: &TriMesh,
+        surface: &Surface,
+        options: &RemeshOptions,
+        points: usize,
+        seed: u64,
+    ) -> Vec<DVec3> {
+        let frame = surface.frame();
+        let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
+        let others = points - all.len();
+        let (places, reach) = self.seeds.clearance();
+        let index = SeedIndex::new(&places);
+        let clear = |p: DVec3| {
+            let p = frame.to_unit(p);
+            let k = index.nearest(p) as usize;
+            p.distance(places[k]) >= reach[k]
+        };
+        // Curves cover a small part of most surfaces; on one that they cover all of, seeds begin
+        // where they can.
+        let drawn = sample(mesh, options.weights.as_deref(), 4 * others, seed);
+        let (mut kept, rest): (Vec<DVec3>, Vec<DVec3>) = drawn.iter().map(|s| s.position).partition(|&p| clear(p));
+        kept.extend(rest);
+        all.extend(kept.into_iter().take(others));
+        all
+    }
+
+    /// Where a curve's seed lies, caller's coordinates: a corner exactly at its vertex.
+    pub(super) fn position(&self, mesh: &TriMesh, frame: Frame, seed: u32) -> DVec3 {
+        match self.features.corners.get(seed as usize) {
+            Some(&vertex) => mesh.positions()[vertex as usize],
+            None => frame.to_world(self.seeds.seeds[seed as usize]),
+        }
+    }
+
+    /// For each segment of the curves the edge between its seeds, where the facets have it.
+    pub(super) fn edges_in(&self, facets: &[[u32; 3]], vertex_seed: &[u32]) -> Vec<Option<[u32; 2]>> {
+        let n = self.seeds.len() as u32;
+        let edges = facets.iter().flat_map(|t| [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]]);
+        let on_curves = edges.filter(|e| e.iter().all(|&v| vertex_seed[v as usize] < n));
+        let mut by_seeds: Vec<([u32; 2], [u32; 2])> = on_curves
+            .map(|e| {
+                let [a, b] = e.map(|v| vertex_seed[v as usize]);
+                if a < b { ([a, b], e) } else { ([b, a], [e[1], e[0]]) }
+            })
+            .collect();
+        by_seeds.sort_unstable();
+        let find = |[a, b]: [u32; 2]| {
+            let key = [a.min(b), a.max(b)];
+            let at = by_seeds.partition_point(|(seeds, _)| *seeds < key);
+            by_seeds.get(at).filter(|(seeds, _)| *seeds == key).map(|&(_, e)| e)
+        };
+        self.seeds.segments.iter().map(|s| find(s.ends)).collect()
+    }
+
+    /// What the report says; `edges` are those of [`Kept::edges_in`].
+    pub(super) fn figures(&self, edges: &[Option<[u32; 2]>]) -> FeatureFigures {
+        let count = |kind| self.features.curves.iter().filter(|c| c.kind == kind).count();
+        let broken: HashSet<u32> =
+            self.seeds.segments.iter().zip(edges).filter(|(_, e)| e.is_none()).map(|(s, _)| s.curve).collect();
+        FeatureFigures {
+            boundaries: count(CurveKind::Boundary),
+            creases: count(CurveKind::Crease),
+            corners: self.features.corners.len(),
+            seeds: self.seeds.len(),
+            segments: self.seeds.segments.len(),
+            missing_segments: edges.iter().filter(|e| e.is_none()).count(),
+            broken_curves: broken.len(),
+            given_up: self.given_up,
+            short_crease_edges: self.features.left_out,
+        }
+    }
+}
