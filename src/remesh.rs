@@ -4,8 +4,10 @@
 //! Invariant: the result is oriented as the input; what could not be kept is in the report.
 //! Must not know: files, jobs, the network.
 
+mod around;
 mod curves;
 mod fit;
+mod polish;
 pub mod repair;
 pub mod report;
 
@@ -332,8 +334,14 @@ impl Source<'_> {
         let mut positions = repaired.positions;
         let curve_edges = self.kept.edges_in(&repaired.facets, &vertex_seed);
         if placement == Placement::Fitted {
-            let held: Vec<bool> = vertex_seed.iter().map(|&s| (s as usize) < self.kept.seeds.len()).collect();
-            self.fit(&mut positions, &repaired.facets, &repaired.source, &held, dual);
+            let mut draft = Draft {
+                positions: &mut positions,
+                facets: &repaired.facets,
+                source: &repaired.source,
+                vertex_seed: &vertex_seed,
+                curve_edges: &curve_edges,
+            };
+            self.fit(&mut draft, dual);
         }
         // All that can be wrong with it is that no facet has an area: seeds on a line.
         let mesh = TriMesh::new(positions, repaired.facets).map_err(|_| too_few)?;
@@ -354,25 +362,70 @@ impl Source<'_> {
         dual.components.iter().map(place).collect()
     }
 
-    /// Moves the result's vertices to where its facets are nearest to the input ([`fit`]).
-    fn fit(&self, positions: &mut [DVec3], facets: &[[u32; 3]], source: &[u32], held: &[bool], dual: &dual::Dual) {
+    /// Moves the result's vertices to where its facets are nearest to the input ([`fit`]). Corners of curves stay.
+    fn fit(&self, built: &mut Draft<'_>, dual: &dual::Dual) {
         let mut vertex = vec![u32::MAX; dual.components.len()];
-        source.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
-        let pieces = dual.pieces.iter().filter(|p| p.area > 0.0 && vertex[p.component as usize] != u32::MAX);
-        let sample = |p: &dual::Piece| fit::Sample {
-            position: p.centroid,
-            normal: self.surface.normal(p.facet),
-            area: p.area,
-            vertex: vertex[p.component as usize],
+        built.source.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
+        let mut target = fit::Target {
+            curves: self.kept.samples(built.curve_edges),
+            fixed: built.vertex_seed.iter().map(|&s| self.kept.is_corner(s)).collect(),
+            ..fit::Target::default()
         };
-        let samples: Vec<fit::Sample> = pieces.map(sample).collect();
+        let mut held = vec![false; self.surface.positions().len()];
+        for p in dual.pieces.iter().filter(|p| p.area > 0.0 && vertex[p.component as usize] != u32::MAX) {
+            let vertex = vertex[p.component as usize];
+            let normal = self.surface.normal(p.facet);
+            target.samples.push(fit::Sample { position: p.centroid, normal, area: p.area, vertex });
+            for corner in (0..3).filter(|c| p.corners & (1 << c) != 0) {
+                let v = self.surface.welded()[p.facet as usize][corner] as usize;
+                if !std::mem::replace(&mut held[v], true) {
+                    target.tips.push(fit::Tip { position: self.surface.positions()[v], vertex });
+                }
+            }
+        }
         let frame = self.surface.frame();
-        let mut unit: Vec<DVec3> = positions.iter().map(|&p| frame.to_unit(p)).collect();
-        fit::fit(&mut unit, facets, held, &samples);
-        for ((p, u), _) in positions.iter_mut().zip(unit).zip(held).filter(|(_, held)| !**held) {
+        let mut unit: Vec<DVec3> = built.positions.iter().map(|&p| frame.to_unit(p)).collect();
+        let around = around::Around::new(unit.len(), built.facets);
+        fit::fit(&mut unit, built.facets, &around, &target);
+        let rails = rails(&unit, built.curve_edges, &target.fixed);
+        polish::polish(&mut unit, built.facets, &around, &rails);
+        for ((p, u), _) in built.positions.iter_mut().zip(unit).zip(&target.fixed).filter(|(_, fixed)| !**fixed) {
             *p = frame.to_world(u);
         }
     }
+}
+
+/// How each vertex may move: those with two edges of curves along these, and other ends of curves not at all.
+fn rails(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<polish::Rail> {
+    let mut ends: Vec<(u32, u32)> = curve_edges.iter().flatten().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
+    ends.sort_unstable();
+    let of = |v: usize| match fixed[v] {
+        true => polish::Rail::Fixed,
+        false => polish::Rail::Free,
+    };
+    let mut rails: Vec<polish::Rail> = (0..positions.len()).map(of).collect();
+    for group in ends.chunk_by(|a, b| a.0 == b.0) {
+        let rail = &mut rails[group[0].0 as usize];
+        if *rail == polish::Rail::Free {
+            *rail = match group {
+                [(_, a), (_, b)] => (positions[*b as usize] - positions[*a as usize])
+                    .try_normalize()
+                    .map_or(polish::Rail::Fixed, polish::Rail::Along),
+                _ => polish::Rail::Fixed,
+            };
+        }
+    }
+    rails
+}
+
+/// A result whose vertices may still move.
+struct Draft<'a> {
+    positions: &'a mut [DVec3],
+    facets: &'a [[u32; 3]],
+    /// Component of the dual and seed of each vertex.
+    source: &'a [u32],
+    vertex_seed: &'a [u32],
+    curve_edges: &'a [Option<[u32; 2]>],
 }
 
 /// Wall-clock laps in milliseconds.

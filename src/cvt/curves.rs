@@ -9,9 +9,11 @@
 //! surface: the weight w of a surface is w^(3/4) on its curves. Lengths are those of the unit frame.
 //! Must not know: how curves were found, backends.
 
+use std::collections::BTreeSet;
+
 use glam::DVec3;
 
-use crate::knn::SeedIndex;
+use crate::knn::{NeighbourRow, SeedIndex};
 use crate::mesh::features::{Curve, Features};
 use crate::rvd::Surface;
 
@@ -24,6 +26,8 @@ pub struct CurveSeeds {
     pub corners: usize,
     /// Neighbours on a curve.
     pub segments: Vec<Segment>,
+    /// Curves between two corners that are much shorter than an edge.
+    short: Vec<u32>,
 }
 
 /// Two neighbouring seeds of a curve.
@@ -31,10 +35,20 @@ pub struct CurveSeeds {
 pub struct Segment {
     /// The seeds.
     pub ends: [u32; 2],
-    /// The point of the curve half-way between them, unit frame.
-    pub middle: DVec3,
+    /// Points of the curve between them, evenly spaced, unit frame.
+    pub between: [DVec3; BETWEEN],
     /// Which curve.
     pub curve: u32,
+}
+
+/// Points between two neighbours on a curve; odd, so that one is in the middle.
+pub const BETWEEN: usize = 7;
+
+impl Segment {
+    /// The point of the curve half-way between its seeds, unit frame.
+    pub fn middle(&self) -> DVec3 {
+        self.between[BETWEEN / 2]
+    }
 }
 
 /// Steps of Lloyd's iteration on a curve whose density varies. It starts at equal shares of ∫ ds/h,
@@ -42,6 +56,23 @@ pub struct Segment {
 const STEPS: usize = 20;
 /// Points at which the density is taken on each edge of a curve.
 const PARTS: usize = 4;
+/// Where a curve bends, its seeds come closer together, until a chord leaves it by at most this share of h,
+const SAGITTA: f64 = 0.05;
+/// but not closer than this share of h.
+const LEAST_SHARE: f64 = 0.65;
+/// Two curves are too close where seeds of them are nearer than this share of their spacing.
+const CROWDED: f64 = 0.45;
+/// and where they leave a common corner at less than this angle, radians; and a curve as short as that is too short.
+const ACUTE: f64 = 0.3;
+/// A deviation of a chord counts for so much of a difference in length.
+const KINKS: f64 = 6.0;
+const KINK_SWEEPS: usize = 4;
+/// A curve between two corners is too short for its edge at this share of h.
+const SHORT: f64 = 0.65;
+/// Points of a running mean on either side.
+const MEAN_OF: i32 = 4;
+/// No segment is longer than so many h: a seed beside its middle would take a part of the curve.
+const LONGEST: f64 = 1.2;
 
 /// The edge length in the unit frame that so many seeds will have where the weight is 1: 1/u of
 /// (4/√3) u² ∫√w + u ∫_boundary w^(1/4) = 2n, since a triangulation of n vertices, of which b lie on the
@@ -70,6 +101,9 @@ impl CurveSeeds {
         pairs.sort_unstable();
         for (number, curve) in features.curves.iter().enumerate() {
             let path = Path::new(surface, curve, edge);
+            if !curve.closed && path.total() < SHORT {
+                all.short.push(number as u32);
+            }
             // Fewer would give two edges the same ends.
             let least = match curve.closed {
                 true => 3,
@@ -77,8 +111,9 @@ impl CurveSeeds {
                 false if pairs.iter().filter(|&&p| p == ends(curve)).count() > 1 => 2,
                 false => 1,
             };
-            let count = (path.total().round() as usize).max(least);
-            let places = path.tessellate(count, curve.closed, surface.is_uniform());
+            let total = path.total();
+            let count = (total.round() as usize).max((total / LONGEST).ceil() as usize).max(least);
+            let places = path.tessellate(count);
             let first = all.seeds.len() as u32;
             all.seeds.extend(places.iter().map(|&s| path.at(s)));
             let inner = (0..places.len() as u32).map(|k| first + k);
@@ -92,7 +127,9 @@ impl CurveSeeds {
             }
             all.segments.extend(chain.windows(2).map(|w| Segment {
                 ends: [w[0].0, w[1].0],
-                middle: path.at(0.5 * (w[0].1 + w[1].1)),
+                between: std::array::from_fn(|k| {
+                    path.at(w[0].1 + (k + 1) as f64 / (BETWEEN + 1) as f64 * (w[1].1 - w[0].1))
+                }),
                 curve: number as u32,
             }));
         }
@@ -109,21 +146,73 @@ impl CurveSeeds {
         self.seeds.is_empty()
     }
 
-    /// Seeds that come between two neighbours on a curve: (seed, segment). Their cells hold a part of
-    /// the curve, and the dual may have the curve no more. On a straight curve such a seed is nearer to the
-    /// middle of the segment than its ends are.
+    /// Seeds that come between two neighbours on a curve: (seed, segment), each seed once. Their cells hold a part
+    /// of the curve, and the dual may have the curve no more. On a straight curve such a seed is nearer to
+    /// the middle of the segment than its ends are.
     pub fn intruders(&self, seeds: &[DVec3], index: &SeedIndex) -> Vec<(u32, u32)> {
         let mut found = Vec::new();
         for (k, segment) in self.segments.iter().enumerate() {
-            let nearest = index.nearest(segment.middle);
-            if nearest as usize >= self.seeds.len() {
-                let reach = segment.ends.map(|e| seeds[e as usize].distance(segment.middle));
-                if seeds[nearest as usize].distance(segment.middle) < reach[0].min(reach[1]) {
+            for p in segment.between {
+                let nearest = index.nearest(p);
+                let own = segment.ends.map(|e| seeds[e as usize].distance(p));
+                if nearest as usize >= self.seeds.len() && seeds[nearest as usize].distance(p) < own[0].min(own[1]) {
                     found.push((nearest, k as u32));
                 }
             }
         }
+        found.sort_unstable();
+        found.dedup_by_key(|f| f.0);
         found
+    }
+
+    /// Creases to leave out because they run so close to another curve that a triangulation has no room
+    /// between them: of two that come within [`CROWDED`] of their spacing and do not meet there, the less
+    /// bent one; one that was given, or a boundary, never.
+    pub fn crowded(&self, features: &Features) -> BTreeSet<u32> {
+        let mut on = vec![Vec::new(); self.seeds.len()];
+        let mut reach = vec![0.0f64; self.seeds.len()];
+        for s in &self.segments {
+            let spacing = self.seeds[s.ends[0] as usize].distance(self.seeds[s.ends[1] as usize]);
+            for e in s.ends {
+                on[e as usize].push(s.curve);
+                reach[e as usize] = reach[e as usize].max(CROWDED * spacing);
+            }
+        }
+        let meet: BTreeSet<(u32, u32)> =
+            self.segments.iter().map(|s| (s.ends[0].min(s.ends[1]), s.ends[0].max(s.ends[1]))).collect();
+        // Seeds next to a common corner are close because their curves meet there.
+        let mut beside = vec![Vec::new(); self.corners];
+        for s in &self.segments {
+            for (a, b) in [(s.ends[0], s.ends[1]), (s.ends[1], s.ends[0])] {
+                if (a as usize) < self.corners {
+                    beside[a as usize].push(b);
+                }
+            }
+        }
+        let index = SeedIndex::new(&self.seeds);
+        let mut row = NeighbourRow::default();
+        let mut out = BTreeSet::new();
+        let may_go = |c: u32| features.curves[c as usize].angle_deg < 180.0;
+        out.extend(self.short.iter().copied().filter(|&c| may_go(c)));
+        for i in 0..self.seeds.len() as u32 {
+            index.row(i, 16, &mut row);
+            let near = |&&j: &&u32| self.seeds[j as usize].distance(self.seeds[i as usize]) < reach[i as usize];
+            for &j in row.seeds.iter().take_while(near) {
+                let joined =
+                    meet.contains(&(i.min(j), i.max(j))) || beside.iter().any(|b| b.contains(&i) && b.contains(&j));
+                let apart = self.seeds[j as usize].distance(self.seeds[i as usize]);
+                if joined && apart > ACUTE / CROWDED * reach[i as usize] {
+                    continue;
+                }
+                let candidates = on[i as usize].iter().chain(&on[j as usize]);
+                let weakest = candidates
+                    .map(|&c| (features.curves[c as usize].angle_deg, c))
+                    .filter(|(_, c)| may_go(*c))
+                    .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+                out.extend(weakest.map(|(_, c)| c));
+            }
+        }
+        out
     }
 
     /// Moves intruders away from their segments, to the distance that the next row of a regular
@@ -131,7 +220,8 @@ impl CurveSeeds {
     pub fn push_out(&self, seeds: &mut [DVec3]) -> usize {
         let intruders = self.intruders(seeds, &SeedIndex::new(seeds));
         for &(seed, segment) in &intruders {
-            let Segment { ends, middle, .. } = self.segments[segment as usize];
+            let segment = &self.segments[segment as usize];
+            let (ends, middle) = (segment.ends, segment.middle());
             let along = seeds[ends[1] as usize] - seeds[ends[0] as usize];
             let away = seeds[seed as usize] - middle;
             // Across the curve, where there is such a direction.
@@ -150,7 +240,7 @@ impl CurveSeeds {
         for s in &self.segments {
             let d = self.seeds[s.ends[0] as usize].distance(self.seeds[s.ends[1] as usize]);
             s.ends.iter().for_each(|&e| reach[e as usize] = reach[e as usize].max(0.75 * d));
-            middles.0.push(s.middle);
+            middles.0.push(s.middle());
             middles.1.push(0.75 * d);
         }
         (self.seeds.iter().copied().chain(middles.0).collect(), reach.into_iter().chain(middles.1).collect())
@@ -166,51 +256,100 @@ struct Path {
     edges: Vec<f64>,
     mass: Vec<f64>,
     moment: Vec<f64>,
+    closed: bool,
+    /// Length of the running mean.
+    smooth: Vec<f64>,
 }
 
 impl Path {
     fn new(surface: &Surface, curve: &Curve, edge: f64) -> Self {
-        let mut path =
-            Self { points: Vec::new(), along: Vec::new(), edges: Vec::new(), mass: Vec::new(), moment: Vec::new() };
+        let (mut points, mut along, mut per_length) = (Vec::new(), vec![0.0], Vec::new());
         let mut last: Option<(DVec3, f64)> = None;
         for v in curve.round() {
             let (p, w) = (surface.positions()[v as usize], surface.weights()[v as usize]);
-            match last {
-                None => path.push(p, 0.0, 0.0, edge),
-                Some((q, u)) => (1..=PARTS).for_each(|k| {
-                    let t = k as f64 / PARTS as f64;
-                    let before = (k - 1) as f64 / PARTS as f64;
-                    path.push(q.lerp(p, t), u + before * (w - u), u + t * (w - u), edge);
-                }),
+            let from = last.map_or(PARTS, |_| 1);
+            let (q, u) = last.unwrap_or((p, w));
+            for k in from..=PARTS {
+                let t = k as f64 / PARTS as f64;
+                if let Some(&before) = points.last() {
+                    let next = q.lerp(p, t);
+                    along.push(along[along.len() - 1] + next.distance(before));
+                }
+                points.push(q.lerp(p, t));
+                per_length.push((u + t * (w - u)).powf(0.25) / edge);
             }
             last = Some((p, w));
         }
+        let mut path = Self {
+            points,
+            along,
+            edges: Vec::new(),
+            mass: Vec::new(),
+            moment: Vec::new(),
+            closed: curve.closed,
+            smooth: vec![0.0],
+        };
+        path.smooth_length(&per_length);
+        let fine: Vec<f64> = (0..per_length.len()).map(|k| per_length[k] / path.shortening(k, per_length[k])).collect();
+        path.accumulate(&fine);
         path
     }
 
-    /// Goes on to `p`; the weight is `before` where the path is and `after` there.
-    fn push(&mut self, p: DVec3, before: f64, after: f64, edge: f64) {
-        let Some(&q) = self.points.last() else {
-            self.points.push(p);
-            [&mut self.along, &mut self.edges, &mut self.mass, &mut self.moment]
-                .into_iter()
-                .for_each(|list| list.push(0.0));
-            return;
-        };
-        let last = self.points.len() - 1;
-        let step = q.distance(p);
-        let (s, t) = (self.along[last], self.along[last] + step);
-        let (a, b) = (before.powf(0.25) / edge, after.powf(0.25) / edge);
-        let (ma, mb) = (a * a * a, b * b * b);
-        self.points.push(p);
-        self.along.push(t);
-        self.edges.push(self.edges[last] + 0.5 * (a + b) * step);
-        self.mass.push(self.mass[last] + 0.5 * (ma + mb) * step);
-        self.moment.push(self.moment[last] + 0.5 * (ma * s + mb * t) * step);
+    /// Measures the length by the curve's running mean over h: the zigzag of a scan's rim is longer than
+    /// what a chain of edges can follow.
+    fn smooth_length(&mut self, per_length: &[f64]) {
+        let total = self.length();
+        let mean: Vec<DVec3> = (0..self.points.len())
+            .map(|k| {
+                let mut reach = (0.5 / per_length[k]).min(total / 3.0);
+                if !self.closed {
+                    // The ends stay where they are.
+                    reach = reach.min(self.along[k]).min(total - self.along[k]);
+                }
+                let part = |j: i32| self.at(self.along[k] + reach * f64::from(j) / MEAN_OF as f64);
+                (-MEAN_OF..=MEAN_OF).map(part).sum::<DVec3>() / f64::from(2 * MEAN_OF + 1)
+            })
+            .collect();
+        for k in 1..self.points.len() {
+            // Points of a zigzag stay in order.
+            let step = mean[k].distance(mean[k - 1]).max(1e-6 * (self.along[k] - self.along[k - 1]));
+            self.smooth.push(self.smooth[k - 1] + step);
+        }
+    }
+
+    /// By how much the spacing is to shrink at point `k`, where 1/h is `per_length`, so that chords stay close
+    /// to the curve: ℓ² κ / 8 <= [`SAGITTA`] h.
+    fn shortening(&self, k: usize, per_length: f64) -> f64 {
+        let reach = (0.5 / per_length).min(self.length() / 3.0);
+        let (here, s) = (self.points[k], self.along[k]);
+        let ends = (s - reach, s + reach);
+        if !self.closed && (ends.0 < 0.0 || ends.1 > self.length()) {
+            return 1.0;
+        }
+        let (back, ahead) = (here - self.at(ends.0), self.at(ends.1) - here);
+        let turn = back.cross(ahead).length().atan2(back.dot(ahead));
+        let bend = turn / (reach * per_length);
+        if bend > 8.0 * SAGITTA { (8.0 * SAGITTA / bend).sqrt().max(LEAST_SHARE) } else { 1.0 }
+    }
+
+    fn accumulate(&mut self, per_length: &[f64]) {
+        [&mut self.edges, &mut self.mass, &mut self.moment].into_iter().for_each(|list| list.push(0.0));
+        for k in 1..self.points.len() {
+            let (s, t) = (self.smooth[k - 1], self.smooth[k]);
+            let (a, b) = (per_length[k - 1], per_length[k]);
+            let (ma, mb) = (a * a * a, b * b * b);
+            self.edges.push(self.edges[k - 1] + 0.5 * (a + b) * (t - s));
+            self.mass.push(self.mass[k - 1] + 0.5 * (ma + mb) * (t - s));
+            self.moment.push(self.moment[k - 1] + 0.5 * (ma * s + mb * t) * (t - s));
+        }
     }
 
     fn length(&self) -> f64 {
         self.along[self.along.len() - 1]
+    }
+
+    fn smooth_total(&self) -> f64 {
+        self.smooth[self.smooth.len() - 1]
     }
 
     /// How many edges fit.
@@ -220,7 +359,7 @@ impl Path {
 
     /// The point at an arc length, that of a closed curve going round.
     fn at(&self, s: f64) -> DVec3 {
-        let s = if s > self.length() { s - self.length() } else { s };
+        let s = if self.closed { s.rem_euclid(self.length()) } else { s };
         let k = self.along.partition_point(|&a| a <= s).clamp(1, self.along.len() - 1);
         let width = self.along[k] - self.along[k - 1];
         let t = if width > 0.0 { ((s - self.along[k - 1]) / width).clamp(0.0, 1.0) } else { 0.0 };
@@ -229,20 +368,74 @@ impl Path {
 
     /// Arc lengths of the seeds of `count` segments, without those at the ends; a closed curve has its first
     /// one where it begins.
-    fn tessellate(&self, count: usize, closed: bool, uniform: bool) -> Vec<f64> {
+    fn tessellate(&self, count: usize) -> Vec<f64> {
         let share = self.total() / count as f64;
         let mut places: Vec<f64> = match share > 0.0 {
-            true => (1..count).map(|k| interpolate(&self.edges, &self.along, share * k as f64)).collect(),
+            true => (1..count).map(|k| interpolate(&self.edges, &self.smooth, share * k as f64)).collect(),
             // A curve without weight anywhere is divided by length.
-            false => (1..count).map(|k| self.length() * k as f64 / count as f64).collect(),
+            false => (1..count).map(|k| self.smooth_total() * k as f64 / count as f64).collect(),
         };
-        if !uniform && !places.is_empty() {
+        if !places.is_empty() {
             self.relax(&mut places);
         }
-        if closed {
+        places.iter_mut().for_each(|s| *s = interpolate(&self.smooth, &self.along, *s));
+        self.follow_kinks(&mut places);
+        if self.closed {
             places.insert(0, 0.0);
         }
         places
+    }
+
+    /// Moves seeds to kinks of the curve near them, where the chords then follow it better: each in turn to
+    /// the vertex between its neighbours for which Σ (ℓ/ℓ₀ - 1)² + KINKS (deviation/ℓ₀)² over its two
+    /// chords ℓ is least.
+    fn follow_kinks(&self, places: &mut [f64]) {
+        let length = self.length();
+        let neighbours = |places: &[f64], k: usize| {
+            let before = if k > 0 {
+                places[k - 1]
+            } else if self.closed {
+                places[places.len() - 1] - length
+            } else {
+                0.0
+            };
+            let after = match places.get(k + 1) {
+                Some(&s) => s,
+                None if self.closed => places[0] + length,
+                None => length,
+            };
+            (before, after)
+        };
+        for _ in 0..KINK_SWEEPS {
+            for k in 0..places.len() {
+                let (before, after) = neighbours(places, k);
+                let goal = 0.5 * self.at(before).distance(self.at(after)).max(0.25 * (after - before));
+                let cost = |s: f64| self.chord(before, s, goal) + self.chord(s, after, goal);
+                let (low, high) = (before + 0.2 * (after - before), after - 0.2 * (after - before));
+                let mut best = (cost(places[k]), places[k]);
+                for turn in [-length, 0.0, length].into_iter().filter(|t| self.closed || *t == 0.0) {
+                    let from = self.along.partition_point(|&s| s + turn <= low).div_ceil(PARTS) * PARTS;
+                    let vertices = (from..self.along.len()).step_by(PARTS).map(|v| self.along[v] + turn);
+                    for s in vertices.take_while(|s| *s < high) {
+                        let c = cost(s);
+                        if c < best.0 {
+                            best = (c, s);
+                        }
+                    }
+                }
+                places[k] = best.1;
+            }
+        }
+    }
+
+    /// What a chord from s to t costs that should be `goal` long.
+    fn chord(&self, s: f64, t: f64, goal: f64) -> f64 {
+        let (a, b) = (self.at(s), self.at(t));
+        let way = (b - a).normalize_or_zero();
+        let off = |p: DVec3| (p - a - way * way.dot(p - a)).length();
+        let inner = (1..=BETWEEN).map(|k| self.at(s + k as f64 / (BETWEEN + 1) as f64 * (t - s)));
+        let deviation = inner.map(off).fold(0.0, f64::max);
+        (a.distance(b) / goal - 1.0).powi(2) + KINKS * (deviation / goal).powi(2)
     }
 
     /// Lloyd's iteration of inner seeds between two that stay at the ends.
@@ -250,10 +443,10 @@ impl Path {
         for _ in 0..STEPS {
             let mut bounds = vec![0.5 * places[0]];
             bounds.extend(places.windows(2).map(|p| 0.5 * (p[0] + p[1])));
-            bounds.push(0.5 * (places[places.len() - 1] + self.length()));
+            bounds.push(0.5 * (places[places.len() - 1] + self.smooth_total()));
             for (k, place) in places.iter_mut().enumerate() {
                 let of = |list: &[f64]| {
-                    interpolate(&self.along, list, bounds[k + 1]) - interpolate(&self.along, list, bounds[k])
+                    interpolate(&self.smooth, list, bounds[k + 1]) - interpolate(&self.smooth, list, bounds[k])
                 };
                 let (mass, moment) = (of(&self.mass), of(&self.moment));
                 if mass > 0.0 {

@@ -21,13 +21,20 @@ pub struct FeatureOptions {
     pub crease_angle_deg: f64,
     /// Edges that are creases whatever their angle: two vertices each.
     pub given: Vec<[u32; 2]>,
-    /// Creases by angle go where they end freely within this length, and where all that
-    /// hangs together is shorter; in the frame of the positions.
+    /// Creases by angle go where they end freely within this length, and where all that hangs
+    /// together is shorter than twice this, or a tangle of curves that are much shorter still. In the frame
+    /// of the positions.
     pub shortest: f64,
     /// Bends are measured over this length on either side; same frame.
     pub reach: f64,
 }
 
+/// A network whose curves are shorter on average than this share of the shortest crease is a tangle,
+const TANGLE: f64 = 0.5;
+/// or this share, where most of it is sharp: that is meant, and short only beside the edges of the remesh.
+const TANGLE_OF_SHARP: f64 = 0.15;
+/// What is bent by more than this, degrees, is sharp.
+const SHARP_ANGLE: f64 = 75.0;
 /// A curve bends by more than this, degrees: there is a corner.
 const CORNER_ANGLE: f64 = 60.0;
 
@@ -49,6 +56,8 @@ pub struct Curve {
     pub vertices: Vec<u32>,
     /// Whether the last vertex joins the first. Otherwise both ends are corners.
     pub closed: bool,
+    /// How much it is bent, degrees, mean over its edges; 180 for a boundary and where it was given.
+    pub angle_deg: f64,
 }
 
 /// The curves of a surface.
@@ -99,24 +108,31 @@ impl Features {
         let class = adjacency.representative();
         let (bent, boundary) = classify(mesh, positions, &adjacency, options.crease_angle_deg);
         let mut graph = Graph::default();
-        boundary.iter().for_each(|&e| graph.add(e, CurveKind::Boundary));
+        let must = |kind| What { kind, kept: true, angle: 180.0 };
+        boundary.iter().for_each(|&e| graph.insert(e, must(CurveKind::Boundary)));
         let known: std::collections::HashSet<Edge> = all_edges(mesh, &adjacency).collect();
         for (crease, &[a, b]) in options.given.iter().enumerate() {
             let welded = |v: u32| class.get(v as usize).copied();
             match (welded(a), welded(b)) {
-                (Some(p), Some(q)) if known.contains(&edge(p, q)) => graph.add_kept(edge(p, q)),
+                (Some(p), Some(q)) if known.contains(&edge(p, q)) => graph.insert(edge(p, q), must(CurveKind::Crease)),
                 _ => return Err(FeatureError::NoSuchEdge { crease, a, b }),
             }
         }
-        bent.iter().for_each(|&e| graph.add(e, CurveKind::Crease));
+        for &(e, angle) in &bent {
+            graph.insert(e, What { kind: CurveKind::Crease, kept: false, angle });
+        }
         let left_out = graph.prune(positions, options.shortest);
         let (curves, corners) = graph.curves(positions, options.reach);
         Ok(Self { curves, corners, left_out })
     }
 
-    /// Leaves the boundaries out. So are corners that only they had.
-    pub fn drop_boundaries(&mut self) {
-        self.curves.retain(|c| c.kind != CurveKind::Boundary);
+    /// Keeps the curves for which `keep` says so, and the corners that these have.
+    pub fn retain(&mut self, mut keep: impl FnMut(usize, &Curve) -> bool) {
+        let mut number = 0;
+        self.curves.retain(|c| {
+            number += 1;
+            keep(number - 1, c)
+        });
         let ends: std::collections::BTreeSet<u32> = self
             .curves
             .iter()
@@ -142,13 +158,12 @@ fn all_edges<'a>(mesh: &'a TriMesh, adjacency: &'a Adjacency) -> impl Iterator<I
     })
 }
 
-/// Edges between facets that are bent by more than `angle` degrees, and boundary edges; both ascending.
-fn classify(mesh: &TriMesh, positions: &[DVec3], adjacency: &Adjacency, angle: f64) -> (Vec<Edge>, Vec<Edge>) {
+/// Edges that are bent by more than `angle` degrees, with their angles, and boundary edges; both ascending.
+fn classify(mesh: &TriMesh, positions: &[DVec3], adjacency: &Adjacency, angle: f64) -> (Vec<(Edge, f64)>, Vec<Edge>) {
     let normal = |f: usize| {
         let [a, b, c] = mesh.facets()[f].map(|v| positions[v as usize]);
         (b - a).cross(c - a).normalize_or_zero()
     };
-    let limit = angle.to_radians().cos();
     let (mut bent, mut boundary) = (Vec::new(), Vec::new());
     for (half, e) in all_edges(mesh, adjacency).enumerate() {
         match (adjacency.kind(half), adjacency.opposite(half)) {
@@ -157,14 +172,16 @@ fn classify(mesh: &TriMesh, positions: &[DVec3], adjacency: &Adjacency, angle: f
                 let (f, g) = (half / 3, other / 3);
                 // A facet without area has no normal, and says nothing of a bend.
                 let turned = if kind == EdgeKind::Inconsistent { -1.0 } else { 1.0 };
-                if !mesh.is_degenerate(f) && !mesh.is_degenerate(g) && turned * normal(f).dot(normal(g)) < limit {
-                    bent.push(e);
+                let (n, m) = (normal(f), turned * normal(g));
+                let between = n.cross(m).length().atan2(n.dot(m)).to_degrees();
+                if !mesh.is_degenerate(f) && !mesh.is_degenerate(g) && between > angle {
+                    bent.push((e, between));
                 }
             }
             _ => {}
         }
     }
-    bent.sort_unstable();
+    bent.sort_unstable_by_key(|b| b.0);
     boundary.sort_unstable();
     (bent, boundary)
 }
@@ -173,22 +190,22 @@ fn classify(mesh: &TriMesh, positions: &[DVec3], adjacency: &Adjacency, angle: f
 #[derive(Default)]
 struct Graph {
     around: BTreeMap<u32, Vec<u32>>,
-    /// What an edge is, and whether it must stay.
-    edges: BTreeMap<Edge, (CurveKind, bool)>,
+    edges: BTreeMap<Edge, What>,
+}
+
+/// What a feature edge is.
+#[derive(Clone, Copy)]
+struct What {
+    kind: CurveKind,
+    /// Whether it must stay.
+    kept: bool,
+    /// How much it is bent, degrees.
+    angle: f64,
 }
 
 impl Graph {
-    /// Adds an edge that is not there yet. Boundaries stay, creases may go.
-    fn add(&mut self, e: Edge, kind: CurveKind) {
-        self.insert(e, (kind, kind == CurveKind::Boundary));
-    }
-
-    /// Adds a crease that stays.
-    fn add_kept(&mut self, e: Edge) {
-        self.insert(e, (CurveKind::Crease, true));
-    }
-
-    fn insert(&mut self, e: Edge, what: (CurveKind, bool)) {
+    /// Adds an edge that is not there yet.
+    fn insert(&mut self, e: Edge, what: What) {
         if e[0] != e[1] && !self.edges.contains_key(&e) {
             self.edges.insert(e, what);
             self.around.entry(e[0]).or_default().push(e[1]);
@@ -262,7 +279,7 @@ impl Graph {
     }
 
     fn may_go(&self, chain: &[u32]) -> bool {
-        chain.windows(2).all(|p| self.edges.get(&edge(p[0], p[1])).is_none_or(|&(_, kept)| !kept))
+        chain.windows(2).all(|p| self.edges.get(&edge(p[0], p[1])).is_none_or(|what| !what.kept))
     }
 
     fn drop_short_networks(&mut self, positions: &[DVec3], shortest: f64) {
@@ -273,7 +290,9 @@ impl Graph {
                 continue;
             }
             let (mut stack, mut edges) = (vec![start], std::collections::BTreeSet::new());
+            let mut ends = 0;
             while let Some(v) = stack.pop() {
+                ends += if self.degree(v) == 2 { 0 } else { self.degree(v) };
                 for &u in self.around.get(&v).into_iter().flatten() {
                     edges.insert(edge(v, u));
                     if seen.insert(u) {
@@ -281,9 +300,16 @@ impl Graph {
                     }
                 }
             }
-            let total: f64 = edges.iter().map(|e| positions[e[0] as usize].distance(positions[e[1] as usize])).sum();
-            let kept = edges.iter().any(|e| self.edges.get(e).is_some_and(|&(_, kept)| kept));
-            if total < 2.0 * shortest && !kept {
+            if edges.iter().any(|e| self.edges.get(e).is_some_and(|what| what.kept)) {
+                continue;
+            }
+            let length = |e: &Edge| positions[e[0] as usize].distance(positions[e[1] as usize]);
+            let total: f64 = edges.iter().map(length).sum();
+            let sharp: f64 = edges.iter().filter(|e| self.edges[*e].angle >= SHARP_ANGLE).map(length).sum();
+            let chains = (ends / 2).max(1) as f64;
+            let least = if sharp >= 0.5 * total { TANGLE_OF_SHARP } else { TANGLE };
+            let tangled = total < least * shortest * chains;
+            if total < 2.0 * shortest || tangled {
                 edges.into_iter().for_each(|e| self.remove(e));
             }
         }
@@ -291,7 +317,9 @@ impl Graph {
 
     /// The curves between corners, and the corners.
     fn curves(&self, positions: &[DVec3], reach: f64) -> (Vec<Curve>, Vec<u32>) {
-        let kind = |a: u32, b: u32| self.edges[&edge(a, b)].0;
+        let kind = |a: u32, b: u32| self.edges[&edge(a, b)].kind;
+        let bend =
+            |c: &[u32]| c.windows(2).map(|p| self.edges[&edge(p[0], p[1])].angle).sum::<f64>() / (c.len() - 1) as f64;
         let mut corners: std::collections::BTreeSet<u32> = self
             .around
             .iter()
@@ -314,7 +342,11 @@ impl Graph {
                 split(&chain, closed, kind(v, next), positions, reach, &mut corners, &mut curves);
             }
         }
-        curves.sort_by(|a, b| a.vertices.cmp(&b.vertices));
+        for curve in &mut curves {
+            let chain: Vec<u32> = curve.round().collect();
+            curve.angle_deg = bend(&chain);
+        }
+        curves.sort_by(|a: &Curve, b| a.vertices.cmp(&b.vertices));
         (curves, corners.into_iter().collect())
     }
 
@@ -345,7 +377,7 @@ fn split(
     let last = chain.len() - 1;
     if turns.is_empty() {
         let vertices = if closed { chain[..last].to_vec() } else { chain.to_vec() };
-        curves.push(Curve { kind, vertices, closed });
+        curves.push(Curve { kind, vertices, closed, angle_deg: 0.0 });
         return;
     }
     corners.extend(turns.iter().map(|&k| chain[k]));
@@ -359,7 +391,7 @@ fn split(
         let cuts: Vec<usize> = std::iter::once(0).chain(turns).chain(std::iter::once(last)).collect();
         pieces.extend(cuts.windows(2).map(|c| chain[c[0]..=c[1]].to_vec()));
     }
-    curves.extend(pieces.into_iter().map(|vertices| Curve { kind, vertices, closed: false }));
+    curves.extend(pieces.into_iter().map(|vertices| Curve { kind, vertices, closed: false, angle_deg: 0.0 }));
 }
 
 /// Places in a chain where it turns by more than [`CORNER_ANGLE`] between the points `reach` behind and

@@ -174,6 +174,12 @@ pub fn facet_quality([a, b, c]: [DVec3; 3]) -> f64 {
     if box_of > 0.0 { 6.0 / 3f64.sqrt() * 0.5 * u.cross(w).length() / box_of } else { 0.0 }
 }
 
+/// The smallest angle of one facet, degrees.
+pub fn least_angle([a, b, c]: [DVec3; 3]) -> f64 {
+    let at = |p: DVec3, q: DVec3, r: DVec3| (q - p).cross(r - p).length().atan2((q - p).dot(r - p)).to_degrees();
+    at(a, b, c).min(at(b, c, a)).min(at(c, a, b))
+}
+
 /// Q and angles over all facets but the collapsed ones.
 fn shape_quality(mesh: &TriMesh, adjacency: &Adjacency) -> Quality {
     let (low, high) = mesh.bounds();

@@ -9,9 +9,10 @@ use std::collections::HashSet;
 
 use glam::DVec3;
 
+use super::fit::CurveSample;
 use super::report::FeatureFigures;
 use super::{RemeshError, RemeshOptions, Seeds};
-use crate::cvt::curves::{CurveSeeds, edge_length};
+use crate::cvt::curves::{BETWEEN, CurveSeeds, Segment, edge_length};
 use crate::knn::SeedIndex;
 use crate::mesh::TriMesh;
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
@@ -21,7 +22,7 @@ use crate::rvd::{Frame, Surface};
 /// A crease by angle that ends freely within so many edge lengths is noise of a scan, or a fold that fades out.
 const SHORTEST: f64 = 8.0;
 /// Bends of a curve are measured over so many edge lengths.
-const REACH: f64 = 0.5;
+const REACH: f64 = 1.0;
 /// Curves get at most this share of the seeds.
 const LARGEST_SHARE: f64 = 0.6;
 
@@ -49,10 +50,19 @@ impl Kept {
         loop {
             let mut features = Features::find(mesh, surface.positions(), &wish)?;
             if !options.keep_boundaries {
-                features.drop_boundaries();
+                features.retain(|_, c| c.kind != CurveKind::Boundary);
             }
             let edge = edge_length(surface, &features, points);
-            let seeds = CurveSeeds::place(surface, &features, edge);
+            let mut seeds = CurveSeeds::place(surface, &features, edge);
+            loop {
+                let crowded = seeds.crowded(&features);
+                if crowded.is_empty() {
+                    break;
+                }
+                given_up += crowded.len();
+                features.retain(|k, _| !crowded.contains(&(k as u32)));
+                seeds = CurveSeeds::place(surface, &features, edge);
+            }
             if seeds.len() as f64 <= LARGEST_SHARE * points as f64 {
                 return Ok(Self { features, seeds, given_up });
             }
@@ -120,6 +130,22 @@ impl Kept {
             by_seeds.get(at).filter(|(seeds, _)| *seeds == key).map(|&(_, e)| e)
         };
         self.seeds.segments.iter().map(|s| find(s.ends)).collect()
+    }
+
+    /// Whether a seed is a corner.
+    pub(super) fn is_corner(&self, seed: u32) -> bool {
+        (seed as usize) < self.seeds.corners
+    }
+
+    /// Points of the curves that the result has edges for; `edges` are those of [`Kept::edges_in`].
+    pub(super) fn samples(&self, edges: &[Option<[u32; 2]>]) -> Vec<CurveSample> {
+        let present = self.seeds.segments.iter().zip(edges).filter_map(|(s, &e)| Some((s, e?)));
+        let of = |(segment, edge): (&Segment, [u32; 2])| {
+            let [a, b] = segment.ends.map(|e| self.seeds.seeds[e as usize]);
+            let area = a.distance_squared(b) / BETWEEN as f64;
+            segment.between.map(|position| CurveSample { position, edge, area })
+        };
+        present.flat_map(of).collect()
     }
 
     /// What the report says; `edges` are those of [`Kept::edges_in`].

@@ -1,85 +1,139 @@
 //! Vertices where the surface through them is nearest to the input.
 //!
-//! Purpose: a triangulation whose vertices lie on a curved surface lies on one side of it, off by
-//! a share of κh² everywhere. This moves the vertices so that the mean square distance from the
-//! input to the facets is least, tangent plane by tangent plane: along the normals where the surface
-//! is smooth, and towards a ridge where samples of its two sides ask for it.
-//! Invariant: no facet turns over and none becomes a sliver; held vertices stay; deterministic.
+//! Purpose: a triangulation whose vertices lie on a curved surface lies on one side of it, off by a
+//! share of κh² everywhere. This moves the vertices so that the mean square distance from the input to the
+//! facets is least, tangent plane by tangent plane: along the normals where the surface is smooth, and
+//! towards a ridge where samples of its two sides ask for it. Tips that still stick out pull the
+//! nearest vertex to them.
+//! Invariant: no facet turns over and none becomes a sliver; fixed vertices stay; deterministic.
 //! Must not know: seeds, diagrams, files.
 //!
-//! The quadrature is given: points of the input, each with its tangent plane, its area, and a vertex
-//! around which the facet nearest to it lies. For a point s with normal n and nearest facet point
-//! Σ λ_i x_i the residual is n·(Σ λ_i x_i - s), as in the point-to-plane registration of Chen and Medioni
-//! (1992); the displacements solve a sparse system, facet by facet 9 x 9, by conjugate gradients.
+//! For a point s of the input with normal n and nearest facet point Σ λ_i x_i the residual is
+//! n·(Σ λ_i x_i - s), as in the point-to-plane registration of Chen and Medioni (1992); for a point of a
+//! curve it is the part of Σ λ_i x_i - s across the edge. The displacements solve a sparse system, facet by
+//! facet 9 x 9, by conjugate gradients.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
+use super::around::Around;
 use crate::mesh::closest_point::closest_on_facet;
-use crate::mesh::measure::facet_quality;
+use crate::mesh::measure::{facet_quality, least_angle};
 
 /// A point of the input with its share of the area.
 #[derive(Clone, Copy, Debug)]
-pub struct Sample {
+pub(super) struct Sample {
     /// Where it is.
-    pub position: DVec3,
+    pub(super) position: DVec3,
     /// Unit normal of the input there.
-    pub normal: DVec3,
+    pub(super) normal: DVec3,
     /// Area it stands for.
-    pub area: f64,
+    pub(super) area: f64,
     /// A result vertex; the nearest facet is one of those around it.
-    pub vertex: u32,
+    pub(super) vertex: u32,
 }
 
-/// Times that nearest points are found anew.
-const ROUNDS: usize = 3;
+/// A point of an input curve.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CurveSample {
+    /// Where it is.
+    pub(super) position: DVec3,
+    /// The result's edge for its stretch of the curve.
+    pub(super) edge: [u32; 2],
+    /// Area it stands for: its share of the curve's length times the length of the edge.
+    pub(super) area: f64,
+}
+
+/// A vertex of the input.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tip {
+    /// Where it is.
+    pub(super) position: DVec3,
+    /// A result vertex; the nearest facet is one of those around it.
+    pub(super) vertex: u32,
+}
+
+/// What there is to fit to.
+#[derive(Debug, Default)]
+pub(super) struct Target {
+    pub(super) samples: Vec<Sample>,
+    pub(super) curves: Vec<CurveSample>,
+    pub(super) tips: Vec<Tip>,
+    /// Vertices that stay.
+    pub(super) fixed: Vec<bool>,
+}
+
+/// Times that nearest points are found anew,
+const ROUNDS: usize = 2;
+/// and after these around tips alone, which then pull.
+const TIP_ROUNDS: usize = 6;
+/// A tip moves vertices that are so many edges away from it, with it.
+const RINGS: usize = 3;
+/// Tips that stick out at least this share as far as the worst one pull next.
+const FARTHEST: f64 = 0.6;
 /// Steps of conjugate gradients a round: displacements reach a few facets far.
-const STEPS: usize = 12;
-/// A move by so much against the pull of the residuals is as costly as a residual of the same length. It
-/// keeps vertices from sliding within a plane, where they have nothing to gain.
+const STEPS: usize = 14;
+/// A move within the tangent plane by so much is as costly as a residual of the same length: a vertex has
+/// nothing to gain by sliding.
 const DAMPING: f64 = 0.05;
-/// Facets keep at least this quality (1 is equilateral), or what they had.
-const LEAST_SHAPE: f64 = 0.62;
+/// Neighbours that move apart by so much, likewise: who is pulled away takes them along.
+const STIFFNESS: f64 = 0.02;
+/// What keeps the system solvable where samples are few.
+const FLOOR: f64 = 0.01;
+/// Curves are lines that the eye follows: a residual there counts for this many of the surface's.
+const CURVES: f64 = 2.0;
+/// A tip sticks out if it is farther from the facets than this share of an edge,
+const TIP: f64 = 0.08;
+/// and pulls a vertex that is not farther away than this share of it,
+const TIP_REACH: f64 = 0.75;
+/// as strongly as this many of the vertex's own areas.
+const TIP_PULL: f64 = 20.0;
+/// Facets keep at least this quality (1 is equilateral) and this smallest angle in degrees, or what they had.
+const LEAST_SHAPE: f64 = 0.63;
+const LEAST_ANGLE: f64 = 35.0;
 /// A facet's normal turns by at most this cosine from that before the fit.
 const LEAST_COSINE: f64 = 0.5;
 
-/// Moves `positions`, of which `held` stay.
-pub fn fit(positions: &mut [DVec3], facets: &[[u32; 3]], held: &[bool], samples: &[Sample]) {
-    let around = Around::new(positions.len(), facets);
-    let first: Vec<Facet> = facets.iter().map(|&t| Facet::of(positions, t)).collect();
-    for _ in 0..ROUNDS {
-        let systems = assemble(positions, facets, &around, samples);
-        let mut moves = solve(&systems, facets, held);
-        restrain(positions, facets, &first, &mut moves);
+/// Moves `positions`. Returns how many tips pulled.
+pub(super) fn fit(positions: &mut [DVec3], facets: &[[u32; 3]], around: &Around, target: &Target) -> usize {
+    let first: Vec<Facet> = facets.par_iter().map(|&t| Facet::of(positions, t)).collect();
+    let start = positions.to_vec();
+    let mut pulls: Vec<(u32, DVec3)> = Vec::new();
+    let mut region = vec![true; positions.len()];
+    for round in 0..ROUNDS + TIP_ROUNDS {
+        if round >= ROUNDS {
+            let before = pulls.len();
+            find_pulls(positions, facets, around, target, &mut pulls);
+            if pulls.len() == before && round > ROUNDS + 1 {
+                break;
+            }
+            region = neighbourhood(facets, around, &pulls, positions.len());
+        }
+        let elements = Elements::new(positions, facets, around, target, &region);
+        let moved: Vec<DVec3> = positions.iter().zip(&start).map(|(p, s)| *p - *s).collect();
+        let free: Vec<bool> = region.iter().zip(&target.fixed).map(|(&inside, &fixed)| inside && !fixed).collect();
+        let mut moves = elements.solve(positions, around, &free, &pulls, &moved);
+        restrain(positions, facets, &first, &region, &mut moves);
         positions.iter_mut().zip(&moves).for_each(|(p, m)| *p += *m);
     }
+    pulls.len()
 }
 
-/// Facets around each vertex.
-struct Around {
-    first: Vec<u32>,
-    facets: Vec<u32>,
-}
-
-impl Around {
-    fn new(vertices: usize, facets: &[[u32; 3]]) -> Self {
-        let mut first = vec![0u32; vertices + 1];
-        facets.iter().flatten().for_each(|&v| first[v as usize + 1] += 1);
-        (0..vertices).for_each(|v| first[v + 1] += first[v]);
-        let mut next = first.clone();
-        let mut list = vec![0u32; 3 * facets.len()];
-        for (f, t) in facets.iter().enumerate() {
-            for &v in t {
-                list[next[v as usize] as usize] = f as u32;
-                next[v as usize] += 1;
+/// Vertices within a few edges of those that are pulled.
+fn neighbourhood(facets: &[[u32; 3]], around: &Around, pulls: &[(u32, DVec3)], vertices: usize) -> Vec<bool> {
+    let mut inside = vec![false; vertices];
+    let mut front: Vec<u32> = pulls.iter().map(|p| p.0).collect();
+    front.iter().for_each(|&v| inside[v as usize] = true);
+    for _ in 0..RINGS {
+        let mut next = Vec::new();
+        for u in front.iter().flat_map(|&v| around.of(v)).flat_map(|&f| facets[f as usize]) {
+            if !std::mem::replace(&mut inside[u as usize], true) {
+                next.push(u);
             }
         }
-        Self { first, facets: list }
+        front = next;
     }
-
-    fn of(&self, v: u32) -> &[u32] {
-        &self.facets[self.first[v as usize] as usize..self.first[v as usize + 1] as usize]
-    }
+    inside
 }
 
 /// What a facet was before.
@@ -93,133 +147,323 @@ impl Facet {
     fn of(positions: &[DVec3], t: [u32; 3]) -> Self {
         let corners = t.map(|v| positions[v as usize]);
         let [a, b, c] = corners;
-        Self {
-            normal: (b - a).cross(c - a).normalize_or_zero(),
-            shape: facet_quality(corners),
-            angle: least_angle(corners),
-        }
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        Self { normal, shape: facet_quality(corners), angle: least_angle(corners) }
     }
-}
-
-fn least_angle([a, b, c]: [DVec3; 3]) -> f64 {
-    let at = |p: DVec3, q: DVec3, r: DVec3| (q - p).cross(r - p).length().atan2((q - p).dot(r - p)).to_degrees();
-    at(a, b, c).min(at(b, c, a)).min(at(c, a, b))
 }
 
 /// One facet's share of the normal equations: blocks (i, j) of Σ a λ_i λ_j n nᵀ, and of -Σ a λ_i r n.
 #[derive(Clone, Copy)]
 struct System {
-    blocks: [[DMat3; 3]; 3],
+    blocks: [Symmetric; 6],
     right: [DVec3; 3],
+    /// Area for each corner, and ∫ n.
     area: [f64; 3],
     normal: DVec3,
 }
 
-fn env(k: &str, d: f64) -> f64 {
-    std::env::var(k).ok().and_then(|v| v.parse().ok()).unwrap_or(d)
+/// Pairs of corners that have a block; the others are the same, since all are symmetric.
+const PAIRS: [(usize, usize); 6] = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
+
+/// A symmetric matrix: xx xy xz yy yz zz.
+#[derive(Clone, Copy)]
+struct Symmetric([f64; 6]);
+
+impl Symmetric {
+    fn times(&self, p: DVec3) -> DVec3 {
+        let [xx, xy, xz, yy, yz, zz] = self.0;
+        DVec3::new(xx * p.x + xy * p.y + xz * p.z, xy * p.x + yy * p.y + yz * p.z, xz * p.x + yz * p.y + zz * p.z)
+    }
 }
 
-fn assemble(positions: &[DVec3], facets: &[[u32; 3]], around: &Around, samples: &[Sample]) -> Vec<System> {
-    let nearest: Vec<(u32, [f64; 3])> = samples.par_iter().map(|s| nearest(positions, facets, around, s)).collect();
-    let mut order: Vec<u32> = (0..samples.len() as u32).filter(|&k| nearest[k as usize].0 != u32::MAX).collect();
-    order.par_sort_unstable_by_key(|&k| (nearest[k as usize].0, k));
-    let mut begin = vec![0u32; facets.len() + 1];
-    order.iter().for_each(|&k| begin[nearest[k as usize].0 as usize + 1] += 1);
-    (0..facets.len()).for_each(|f| begin[f + 1] += begin[f]);
-    facets
-        .par_iter()
-        .enumerate()
-        .map(|(f, t)| {
-            let corners = t.map(|v| positions[v as usize]);
-            let mut system =
-                System { blocks: [[DMat3::ZERO; 3]; 3], right: [DVec3::ZERO; 3], area: [0.0; 3], normal: DVec3::ZERO };
-            for &k in &order[begin[f] as usize..begin[f + 1] as usize] {
-                let (sample, lambda) = (&samples[k as usize], nearest[k as usize].1);
-                let point: DVec3 = (0..3).map(|i| lambda[i] * corners[i]).sum();
-                let n = sample.normal;
-                let residual = n.dot(point - sample.position);
-                let plane = DMat3::from_cols(n * n.x, n * n.y, n * n.z);
-                system.normal += sample.area * n;
-                for i in 0..3 {
-                    system.right[i] -= sample.area * lambda[i] * residual * n;
-                    system.area[i] += sample.area * lambda[i];
-                    for j in 0..3 {
-                        system.blocks[i][j] += plane * (sample.area * lambda[i] * lambda[j]);
-                    }
+/// An edge's share likewise.
+struct Rod {
+    ends: [u32; 2],
+    blocks: [[DMat3; 2]; 2],
+    right: [DVec3; 2],
+}
+
+/// The normal equations of the facets that have a vertex in a region.
+struct Elements<'a> {
+    facets: &'a [[u32; 3]],
+    /// The place of each facet in `systems`; [`NONE`] where it has none.
+    place: Vec<u32>,
+    systems: Vec<System>,
+    /// The facet of each system.
+    of: Vec<u32>,
+    rods: Vec<Rod>,
+}
+
+const NONE: u32 = u32::MAX;
+
+fn outer(n: DVec3) -> DMat3 {
+    DMat3::from_cols(n * n.x, n * n.y, n * n.z)
+}
+
+impl<'a> Elements<'a> {
+    fn new(positions: &[DVec3], facets: &'a [[u32; 3]], around: &Around, target: &Target, region: &[bool]) -> Self {
+        let inside = |t: &[u32; 3]| t.iter().any(|&v| region[v as usize]);
+        let of: Vec<u32> = (0..facets.len() as u32).filter(|&f| inside(&facets[f as usize])).collect();
+        let mut place = vec![NONE; facets.len()];
+        of.iter().enumerate().for_each(|(k, &f)| place[f as usize] = k as u32);
+        let samples = &target.samples;
+        let nearest: Vec<(u32, [f64; 3])> = samples
+            .par_iter()
+            .map(|s| match around.of(s.vertex).iter().any(|&f| place[f as usize] != NONE) {
+                true => {
+                    let (_, facet, lambda) = nearest(positions, facets, around, s.position, s.vertex);
+                    (place.get(facet as usize).copied().unwrap_or(NONE), lambda)
                 }
+                false => (NONE, [0.0; 3]),
+            })
+            .collect();
+        let mut begin = vec![0u32; of.len() + 1];
+        let found = || nearest.iter().enumerate().filter(|(_, n)| n.0 != NONE);
+        found().for_each(|(_, n)| begin[n.0 as usize + 1] += 1);
+        (0..of.len()).for_each(|f| begin[f + 1] += begin[f]);
+        let mut next = begin.clone();
+        let mut order = vec![0u32; begin[of.len()] as usize];
+        for (k, n) in found() {
+            order[next[n.0 as usize] as usize] = k as u32;
+            next[n.0 as usize] += 1;
+        }
+        let system = |(k, &f): (usize, &u32)| {
+            let corners = facets[f as usize].map(|v| positions[v as usize]);
+            let mut system = System::ZERO;
+            for &s in &order[begin[k] as usize..begin[k + 1] as usize] {
+                system.add(&samples[s as usize], corners, nearest[s as usize].1);
             }
             system
-        })
-        .collect()
+        };
+        let systems = of.par_iter().enumerate().map(system).collect();
+        let in_region = target.curves.iter().filter(|s| s.edge.iter().any(|&v| region[v as usize]));
+        let rods = in_region.map(|s| Rod::new(positions, s)).collect();
+        Self { facets, place, systems, of, rods }
+    }
+
+    /// Displacements of the vertices that are `free`.
+    fn solve(
+        &self,
+        positions: &[DVec3],
+        around: &Around,
+        free: &[bool],
+        pulls: &[(u32, DVec3)],
+        moved: &[DVec3],
+    ) -> Vec<DVec3> {
+        let n = positions.len();
+        let (mut own, mut right) = (vec![DMat3::ZERO; n], vec![DVec3::ZERO; n]);
+        let (mut area, mut normal) = (vec![0.0; n], vec![DVec3::ZERO; n]);
+        for (system, &f) in self.systems.iter().zip(&self.of) {
+            let t = self.facets[f as usize];
+            let from = t.map(|v| moved[v as usize]);
+            let (sum, k) = (from[0] + from[1] + from[2], system.stiffness());
+            for (i, &v) in t.iter().enumerate() {
+                let v = v as usize;
+                own[v] += system.block(i, i) + DMat3::from_diagonal(DVec3::splat(2.0 * k));
+                // Against moving apart counts all that they have moved so far.
+                right[v] += system.right[i] - k * (3.0 * from[i] - sum);
+                area[v] += system.area[i];
+                normal[v] += system.normal;
+            }
+        }
+        for rod in &self.rods {
+            for (i, &v) in rod.ends.iter().enumerate() {
+                own[v as usize] += rod.blocks[i][i];
+                right[v as usize] += rod.right[i];
+            }
+        }
+        let mut extra: Vec<DMat3> = (0..n)
+            .map(|v| {
+                let along = outer(normal[v].normalize_or_zero());
+                (DMat3::IDENTITY * DAMPING + along * (FLOOR - DAMPING)) * area[v]
+            })
+            .collect();
+        // So it does against sliding.
+        (0..n).for_each(|v| right[v] -= extra[v] * moved[v]);
+        for &(v, to) in pulls {
+            let v = v as usize;
+            extra[v] += DMat3::IDENTITY * (TIP_PULL * area[v]);
+            right[v] += TIP_PULL * area[v] * (to - positions[v]);
+        }
+        let free = |v: usize| free[v] && area[v] > 0.0;
+        let inverse: Vec<DMat3> =
+            (0..n).map(|v| if free(v) { (own[v] + extra[v]).inverse() } else { DMat3::ZERO }).collect();
+        right.iter_mut().enumerate().filter(|(v, _)| !free(*v)).for_each(|(_, r)| *r = DVec3::ZERO);
+        let mut shares = vec![[DVec3::ZERO; 3]; self.systems.len()];
+        let apply = |p: &[DVec3], q: &mut [DVec3]| {
+            self.apply(around, &extra, p, &mut shares, q);
+            q.iter_mut().enumerate().filter(|(v, _)| !free(*v)).for_each(|(_, q)| *q = DVec3::ZERO);
+        };
+        conjugate_gradients(&inverse, right, apply)
+    }
+
+    /// q = (extra + this) p: every facet's share first, then every vertex adds its own up, in order.
+    fn apply(&self, around: &Around, extra: &[DMat3], p: &[DVec3], shares: &mut [[DVec3; 3]], q: &mut [DVec3]) {
+        shares.par_iter_mut().zip(&self.systems).zip(&self.of).with_min_len(512).for_each(|((share, system), &f)| {
+            let from = self.facets[f as usize].map(|v| p[v as usize]);
+            let (sum, k) = (from[0] + from[1] + from[2], system.stiffness());
+            *share = system.times(from);
+            (0..3).for_each(|i| share[i] += k * (3.0 * from[i] - sum));
+        });
+        q.par_iter_mut().enumerate().with_min_len(512).for_each(|(v, q)| {
+            *q = extra[v] * p[v];
+            for &f in around.of(v as u32) {
+                let place = self.place[f as usize];
+                if place != NONE {
+                    let corner = self.facets[f as usize].iter().position(|&u| u as usize == v).unwrap_or(0);
+                    *q += shares[place as usize][corner];
+                }
+            }
+        });
+        for rod in &self.rods {
+            let from = rod.ends.map(|v| p[v as usize]);
+            for (i, &v) in rod.ends.iter().enumerate() {
+                q[v as usize] += rod.blocks[i][0] * from[0] + rod.blocks[i][1] * from[1];
+            }
+        }
+    }
 }
 
-/// The facet around the sample's vertex that is nearest to it, and barycentric coordinates there.
-fn nearest(positions: &[DVec3], facets: &[[u32; 3]], around: &Around, sample: &Sample) -> (u32, [f64; 3]) {
+impl System {
+    const ZERO: Self =
+        Self { blocks: [Symmetric([0.0; 6]); 6], right: [DVec3::ZERO; 3], area: [0.0; 3], normal: DVec3::ZERO };
+
+    fn add(&mut self, sample: &Sample, corners: [DVec3; 3], lambda: [f64; 3]) {
+        let point: DVec3 = (0..3).map(|i| lambda[i] * corners[i]).sum();
+        let n = sample.normal;
+        let residual = n.dot(point - sample.position);
+        let plane = [n.x * n.x, n.x * n.y, n.x * n.z, n.y * n.y, n.y * n.z, n.z * n.z];
+        self.normal += sample.area * n;
+        for i in 0..3 {
+            self.right[i] -= sample.area * lambda[i] * residual * n;
+            self.area[i] += sample.area * lambda[i];
+        }
+        for (block, (i, j)) in self.blocks.iter_mut().zip(PAIRS) {
+            let weight = sample.area * lambda[i] * lambda[j];
+            block.0.iter_mut().zip(plane).for_each(|(to, from)| *to += weight * from);
+        }
+    }
+
+    fn block(&self, i: usize, j: usize) -> DMat3 {
+        // 00 01 02 11 12 22
+        let (i, j) = (i.min(j), i.max(j));
+        let [xx, xy, xz, yy, yz, zz] = self.blocks[i * (5 - i) / 2 + j].0;
+        DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz])
+    }
+
+    fn times(&self, p: [DVec3; 3]) -> [DVec3; 3] {
+        let mut q = [DVec3::ZERO; 3];
+        for (block, (i, j)) in self.blocks.iter().zip(PAIRS) {
+            q[i] += block.times(p[j]);
+            if i != j {
+                q[j] += block.times(p[i]);
+            }
+        }
+        q
+    }
+
+    /// Of the springs between its corners.
+    fn stiffness(&self) -> f64 {
+        STIFFNESS / 3.0 * (self.area[0] + self.area[1] + self.area[2])
+    }
+}
+
+impl Rod {
+    fn new(positions: &[DVec3], sample: &CurveSample) -> Self {
+        let [a, b] = sample.edge.map(|v| positions[v as usize]);
+        let along = b - a;
+        let length = along.length_squared();
+        let t = if length > 0.0 { ((sample.position - a).dot(along) / length).clamp(0.0, 1.0) } else { 0.5 };
+        let lambda = [1.0 - t, t];
+        let across = DMat3::IDENTITY - outer(along.normalize_or_zero());
+        let residual = across * (a + t * along - sample.position);
+        let weight = CURVES * sample.area;
+        let block = |i: usize, j: usize| across * (weight * lambda[i] * lambda[j]);
+        Self {
+            ends: sample.edge,
+            blocks: [[block(0, 0), block(0, 1)], [block(1, 0), block(1, 1)]],
+            right: lambda.map(|l| -weight * l * residual),
+        }
+    }
+}
+
+/// Of the facets around a vertex the nearest one: squared distance, facet, barycentric coordinates.
+fn nearest(positions: &[DVec3], facets: &[[u32; 3]], around: &Around, p: DVec3, vertex: u32) -> (f64, u32, [f64; 3]) {
     let mut best = (f64::INFINITY, u32::MAX, [0.0; 3]);
-    for &f in around.of(sample.vertex) {
+    for &f in around.of(vertex) {
         let t = facets[f as usize];
-        let corners = t.map(|v| positions[v as usize]);
-        let (squared, lambda) = closest_on_facet(sample.position, corners, t);
+        let (squared, lambda) = closest_on_facet(p, t.map(|v| positions[v as usize]), t);
         if squared < best.0 {
             best = (squared, f, lambda);
         }
     }
-    (best.1, best.2)
+    best
 }
 
-/// Conjugate gradients, preconditioned by each vertex's own 3 x 3 block.
-fn solve(systems: &[System], facets: &[[u32; 3]], held: &[bool]) -> Vec<DVec3> {
-    let n = held.len();
-    let (mut own, mut right, mut area) = (vec![DMat3::ZERO; n], vec![DVec3::ZERO; n], vec![0.0; n]);
-    let mut normal = vec![DVec3::ZERO; n];
-    for (system, t) in systems.iter().zip(facets) {
-        for (i, &v) in t.iter().enumerate() {
-            own[v as usize] += system.blocks[i][i];
-            right[v as usize] += system.right[i];
-            area[v as usize] += system.area[i];
-            normal[v as usize] += system.normal;
-        }
-    }
-    // The planes' own mean direction counts as the normal.
-    let damping: Vec<DMat3> = (0..n)
-        .map(|v| {
-            let n = normal[v].normalize_or_zero();
-            let along = DMat3::from_cols(n * n.x, n * n.y, n * n.z);
-            (DMat3::IDENTITY * env("DT", 0.3) - along * env("DT", 0.3) + along * env("DN", 0.01)) * area[v]
+/// Which vertices tips pull, and where to: those that stick out most first, none beside another.
+fn find_pulls(
+    positions: &[DVec3],
+    facets: &[[u32; 3]],
+    around: &Around,
+    target: &Target,
+    pulls: &mut Vec<(u32, DVec3)>,
+) {
+    let edge = |f: u32| {
+        let [a, b, c] = facets[f as usize].map(|v| positions[v as usize]);
+        (a.distance(b) + b.distance(c) + c.distance(a)) / 3.0
+    };
+    let mut out: Vec<(f64, usize, u32)> = target
+        .tips
+        .par_iter()
+        .enumerate()
+        .filter_map(|(k, tip)| {
+            let (squared, f, _) = nearest(positions, facets, around, tip.position, tip.vertex);
+            let (distance, edge) = (squared.sqrt(), if f == u32::MAX { f64::INFINITY } else { edge(f) });
+            let corners = facets.get(f as usize)?;
+            let to = |v: &&u32| positions[**v as usize].distance_squared(tip.position);
+            let v = *corners.iter().min_by(|a, b| to(a).total_cmp(&to(b)))?;
+            let near = positions[v as usize].distance(tip.position) < TIP_REACH * edge;
+            (distance > TIP * edge && near && !target.fixed[v as usize]).then_some((distance / edge, k, v))
         })
         .collect();
-    let inverse: Vec<DMat3> =
-        (0..n).map(|v| if held[v] || area[v] <= 0.0 { DMat3::ZERO } else { (own[v] + damping[v]).inverse() }).collect();
-    let mut x = vec![DVec3::ZERO; n];
-    let mut r: Vec<DVec3> = (0..n).map(|v| if held[v] { DVec3::ZERO } else { right[v] }).collect();
-    let precondition = |r: &[DVec3]| -> Vec<DVec3> { inverse.iter().zip(r).map(|(m, &r)| *m * r).collect() };
+    out.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let enough = FARTHEST * out.first().map_or(0.0, |o| o.0);
+    let mut taken = vec![false; positions.len()];
+    let take = |v: u32, taken: &mut Vec<bool>| {
+        around.of(v).iter().flat_map(|&f| facets[f as usize]).for_each(|u| taken[u as usize] = true);
+    };
+    pulls.iter().for_each(|&(v, _)| take(v, &mut taken));
+    for (_, k, v) in out.into_iter().take_while(|o| o.0 >= enough) {
+        if !taken[v as usize] {
+            take(v, &mut taken);
+            pulls.push((v, target.tips[k].position));
+        }
+    }
+}
+
+fn conjugate_gradients(inverse: &[DMat3], mut r: Vec<DVec3>, mut apply: impl FnMut(&[DVec3], &mut [DVec3])) -> Vec<DVec3> {
+    let n = r.len();
     let dot = |a: &[DVec3], b: &[DVec3]| -> f64 { a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum() };
-    let mut z = precondition(&r);
-    let mut p = z.clone();
-    let mut rz = dot(&r, &z);
-    let damp = ();
-    let _ = damp;
+    let precondition = |r: &[DVec3]| -> Vec<DVec3> { inverse.iter().zip(r).map(|(m, &r)| *m * r).collect() };
+    let (mut x, mut q) = (vec![DVec3::ZERO; n], vec![DVec3::ZERO; n]);
+    let mut p = precondition(&r);
+    let mut rz = dot(&r, &p);
     let enough = 1e-8 * rz;
-    let mut q = vec![DVec3::ZERO; n];
     for _ in 0..STEPS {
-        if rz <= enough || rz == 0.0 {
+        if !(rz > enough) {
             break;
         }
-        (0..n).for_each(|v| q[v] = damping[v] * p[v]);
-        for (system, t) in systems.iter().zip(facets) {
-            let from = t.map(|v| p[v as usize]);
-            for (i, &v) in t.iter().enumerate() {
-                q[v as usize] +=
-                    system.blocks[i][0] * from[0] + system.blocks[i][1] * from[1] + system.blocks[i][2] * from[2];
-            }
+        apply(&p, &mut q);
+        let curvature = dot(&p, &q);
+        if !(curvature > 0.0) {
+            break;
         }
-        (0..n).filter(|&v| held[v]).for_each(|v| q[v] = DVec3::ZERO);
-        let alpha = rz / dot(&p, &q);
+        let alpha = rz / curvature;
         for v in 0..n {
             x[v] += alpha * p[v];
             r[v] -= alpha * q[v];
         }
-        z = precondition(&r);
+        let z = precondition(&r);
         let next = dot(&r, &z);
         let beta = next / rz;
         rz = next;
@@ -229,16 +473,18 @@ fn solve(systems: &[System], facets: &[[u32; 3]], held: &[bool]) -> Vec<DVec3> {
 }
 
 /// Shortens moves until no facet turns or becomes a sliver.
-fn restrain(positions: &[DVec3], facets: &[[u32; 3]], first: &[Facet], moves: &mut [DVec3]) {
-    for round in 0.. {
+fn restrain(positions: &[DVec3], facets: &[[u32; 3]], first: &[Facet], region: &[bool], moves: &mut [DVec3]) {
+    for round in 0..8 {
         let spoilt: Vec<u32> = facets
             .par_iter()
             .zip(first)
+            .filter(|(t, _)| t.iter().any(|&v| region[v as usize]))
             .filter(|(t, before)| {
-                let after = Facet::of(&[0, 1, 2].map(|i| positions[t[i] as usize] + moves[t[i] as usize]), [0, 1, 2]);
+                let moved = t.map(|v| positions[v as usize] + moves[v as usize]);
+                let after = Facet::of(&moved, [0, 1, 2]);
                 after.normal.dot(before.normal) < LEAST_COSINE
                     || after.shape < before.shape.min(LEAST_SHAPE)
-                    || after.angle < before.angle.min(env("LA", 34.0))
+                    || after.angle < before.angle.min(LEAST_ANGLE)
             })
             .flat_map_iter(|(t, _)| *t)
             .collect();
@@ -251,10 +497,6 @@ fn restrain(positions: &[DVec3], facets: &[[u32; 3]], first: &[Facet], moves: &m
             if !std::mem::replace(&mut shortened[v as usize], true) {
                 moves[v as usize] *= factor;
             }
-        }
-        if round == 8 {
-            // Facets that were spoilt before any move: nothing more can be done for them.
-            return;
         }
     }
 }

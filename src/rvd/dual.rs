@@ -50,6 +50,8 @@ pub struct Piece {
     pub component: u32,
     /// The facet.
     pub facet: u32,
+    /// Bit c: corner c of the facet is in it.
+    pub corners: u8,
     /// Its area, unit frame.
     pub area: f64,
     /// Its centroid, unit frame.

@@ -141,6 +141,7 @@ impl Pieces {
         let centre = |p: usize| Piece {
             component: component[p],
             facet: self.facet[p],
+            corners: self.corners[p],
             area: self.area[p],
             centroid: if self.area[p] > 0.0 { self.moment[p] / self.area[p] } else { DVec3::ZERO },
         };

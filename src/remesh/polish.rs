@@ -1,0 +1,169 @@
+//! The few worst triangles, made better.
+//!
+//! Purpose: after the iterations a handful of triangles, most of them where curves come close to each other,
+//! have an angle far below the rest. Their vertices are moved a little, one at a time, to where the smallest
+//! angle around them is largest.
+//! Invariant: moves are short beside an edge, within the tangent plane, and for a vertex of a curve along the
+//! curve but for a small tolerance; fixed vertices stay; no facet turns over. Deterministic.
+//! Must not know: seeds, diagrams, files.
+
+use glam::DVec3;
+
+use super::around::Around;
+use crate::mesh::measure::least_angle;
+
+/// How a vertex may move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Rail {
+    /// Within the surface.
+    Free,
+    /// Along a direction, unit.
+    Along(DVec3),
+    /// Not at all.
+    Fixed,
+}
+
+/// Facets with a smaller angle, degrees, are to be better.
+const GOAL: f64 = 36.0;
+/// Passes over their vertices.
+const SWEEPS: usize = 20;
+/// Steps that are tried, as shares of the mean edge around the vertex.
+const STEPS: [f64; 4] = [0.15, 0.08, 0.04, 0.02];
+/// Directions that are tried.
+const DIRECTIONS: usize = 12;
+/// A vertex goes no farther in all, same shares: within the surface or along its curve,
+const FARTHEST: f64 = 0.4;
+/// and across its curve.
+const ACROSS: f64 = 0.08;
+/// A facet's normal turns by at most this cosine.
+const LEAST_COSINE: f64 = 0.8;
+
+/// Improves the worst facets.
+pub(super) fn polish(positions: &mut [DVec3], facets: &[[u32; 3]], around: &Around, rails: &[Rail]) {
+    let start = positions.to_vec();
+    let normals: Vec<DVec3> = facets.iter().map(|t| normal(t.map(|v| positions[v as usize]))).collect();
+    let poor = |positions: &[DVec3], t: &[u32; 3]| least_angle(t.map(|v| positions[v as usize])) < GOAL;
+    let mut vertices: Vec<u32> = facets.iter().filter(|t| poor(positions, t)).flatten().copied().collect();
+    for _ in 0..SWEEPS {
+        vertices.sort_unstable();
+        vertices.dedup();
+        let mut moved = Vec::new();
+        for &v in &vertices {
+            let star = Star { around: around.of(v), facets, normals: &normals, v };
+            if rails[v as usize] != Rail::Fixed && star.improve(positions, &start, rails[v as usize]) {
+                moved.extend(star.around.iter().flat_map(|&f| facets[f as usize]));
+            }
+        }
+        if moved.is_empty() {
+            return;
+        }
+        vertices = moved;
+    }
+}
+
+fn normal([a, b, c]: [DVec3; 3]) -> DVec3 {
+    (b - a).cross(c - a).normalize_or_zero()
+}
+
+/// A vertex and the facets around it.
+struct Star<'a> {
+    around: &'a [u32],
+    facets: &'a [[u32; 3]],
+    normals: &'a [DVec3],
+    v: u32,
+}
+
+impl Star<'_> {
+    /// Moves the vertex to the best place in reach. Returns whether it moved.
+    fn improve(&self, positions: &mut [DVec3], start: &[DVec3], rail: Rail) -> bool {
+        let v = self.v as usize;
+        let here = positions[v];
+        let now = self.worst(positions, here);
+        if !(now < GOAL) {
+            return false;
+        }
+        let edge = self.edge(positions);
+        let normal = self.around.iter().map(|&f| self.normals[f as usize]).sum::<DVec3>().normalize_or(DVec3::Z);
+        let (x, y) = match rail {
+            // Across a crease there is no tangent plane; any direction beside the curve's will do.
+            Rail::Along(way) => {
+                (way, way.cross(normal).try_normalize().unwrap_or_else(|| way.any_orthonormal_vector()))
+            }
+            _ => normal.any_orthonormal_pair(),
+        };
+        let mut best = (now, here);
+        for step in STEPS {
+            for k in 0..DIRECTIONS {
+                let (sin, cos) = (k as f64 / DIRECTIONS as f64 * std::f64::consts::TAU).sin_cos();
+                let to = here + step * edge * (cos * x + sin * y);
+                let far = to - start[v];
+                let within = match rail {
+                    Rail::Along(way) => {
+                        let along = far.dot(way);
+                        along.abs() <= FARTHEST * edge && (far - along * way).length() <= ACROSS * edge
+                    }
+                    _ => far.length() <= FARTHEST * edge,
+                };
+                if within {
+                    let angle = self.worst(positions, to);
+                    if angle > best.0 + 0.05 {
+                        best = (angle, to);
+                    }
+                }
+            }
+        }
+        positions[v] = best.1;
+        best.1 != here
+    }
+
+    /// The smallest angle around the vertex if it were at `p`; -1 if a facet turned.
+    fn worst(&self, positions: &[DVec3], p: DVec3) -> f64 {
+        let at = |u: u32| if u == self.v { p } else { positions[u as usize] };
+        let angle = |&f: &u32| {
+            let corners = self.facets[f as usize].map(at);
+            let turned = normal(corners).dot(self.normals[f as usize]) < LEAST_COSINE;
+            if turned { -1.0 } else { least_angle(corners) }
+        };
+        self.around.iter().map(angle).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Mean length of the edges around.
+    fn edge(&self, positions: &[DVec3]) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for &f in self.around {
+            let [a, b, c] = self.facets[f as usize].map(|u| positions[u as usize]);
+            sum += a.distance(b) + b.distance(c) + c.distance(a);
+            count += 3.0;
+        }
+        sum / f64::max(count, 1.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hub_of_a_wheel_goes_to_its_middle_and_no_farther_than_it_may() {
+        let mut positions = vec![DVec3::new(0.25, 0.0, 0.0)];
+        positions.extend((0..6).map(|k| {
+            let (sin, cos) = (f64::from(k) / 6.0 * std::f64::consts::TAU).sin_cos();
+            DVec3::new(cos, sin, 0.0)
+        }));
+        positions[0] = DVec3::new(0.6, 0.2, 0.0);
+        let facets: Vec<[u32; 3]> = (0..6).map(|k| [0, 1 + k, 1 + (k + 1) % 6]).collect();
+        let around = Around::new(7, &facets);
+        let mut rails = vec![Rail::Fixed; 7];
+        let worst =
+            |p: &[DVec3]| facets.iter().map(|t| least_angle(t.map(|v| p[v as usize]))).fold(f64::INFINITY, f64::min);
+        let (before, first) = (worst(&positions), positions[0]);
+        let mut fixed = positions.clone();
+        polish(&mut fixed, &facets, &around, &rails);
+        assert_eq!(fixed, positions);
+        rails[0] = Rail::Free;
+        polish(&mut positions, &facets, &around, &rails);
+        assert!(worst(&positions) > before + 5.0, "{} after {before}", worst(&positions));
+        assert!(positions[0].distance(first) < 0.35);
+        assert_eq!(positions[0].z, 0.0);
+    }
+}
