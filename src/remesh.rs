@@ -7,6 +7,7 @@
 mod around;
 mod curves;
 mod fit;
+mod flips;
 mod polish;
 pub mod repair;
 pub mod report;
@@ -331,12 +332,12 @@ impl Source<'_> {
             ..repaired.figures
         };
         let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
-        let mut positions = repaired.positions;
-        let curve_edges = self.kept.edges_in(&repaired.facets, &vertex_seed);
+        let (mut positions, mut facets) = (repaired.positions, repaired.facets);
+        let curve_edges = self.kept.edges_in(&facets, &vertex_seed);
         if placement == Placement::Fitted {
             let mut draft = Draft {
                 positions: &mut positions,
-                facets: &repaired.facets,
+                facets: &mut facets,
                 source: &repaired.source,
                 vertex_seed: &vertex_seed,
                 curve_edges: &curve_edges,
@@ -344,7 +345,7 @@ impl Source<'_> {
             self.fit(&mut draft, dual);
         }
         // All that can be wrong with it is that no facet has an area: seeds on a line.
-        let mesh = TriMesh::new(positions, repaired.facets).map_err(|_| too_few)?;
+        let mesh = TriMesh::new(positions, facets).map_err(|_| too_few)?;
         Ok(Built { mesh, vertex_seed, curve_edges, repair: figures })
     }
 
@@ -385,8 +386,8 @@ impl Source<'_> {
         }
         let frame = self.surface.frame();
         let mut unit: Vec<DVec3> = built.positions.iter().map(|&p| frame.to_unit(p)).collect();
+        fit::fit(&mut unit, built.facets, &target);
         let around = around::Around::new(unit.len(), built.facets);
-        fit::fit(&mut unit, built.facets, &around, &target);
         let rails = rails(&unit, built.curve_edges, &target.fixed);
         polish::polish(&mut unit, built.facets, &around, &rails);
         for ((p, u), _) in built.positions.iter_mut().zip(unit).zip(&target.fixed).filter(|(_, fixed)| !**fixed) {
@@ -421,7 +422,7 @@ fn rails(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) 
 /// A result whose vertices may still move.
 struct Draft<'a> {
     positions: &'a mut [DVec3],
-    facets: &'a [[u32; 3]],
+    facets: &'a mut [[u32; 3]],
     /// Component of the dual and seed of each vertex.
     source: &'a [u32],
     vertex_seed: &'a [u32],

@@ -17,6 +17,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::around::Around;
+use super::flips;
 use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::measure::{facet_quality, least_angle};
 
@@ -83,7 +84,7 @@ const FLOOR: f64 = 0.01;
 /// Curves are lines that the eye follows: a residual there counts for this many of the surface's.
 const CURVES: f64 = 2.0;
 /// A tip sticks out if it is farther from the facets than this share of an edge,
-const TIP: f64 = 0.08;
+pub(super) const TIP: f64 = 0.08;
 /// and pulls a vertex that is not farther away than this share of it,
 const TIP_REACH: f64 = 0.75;
 /// as strongly as this many of the vertex's own areas.
@@ -94,35 +95,40 @@ const LEAST_ANGLE: f64 = 35.0;
 /// A facet's normal turns by at most this cosine from that before the fit.
 const LEAST_COSINE: f64 = 0.5;
 
-/// Moves `positions`. Returns how many tips pulled.
-pub(super) fn fit(positions: &mut [DVec3], facets: &[[u32; 3]], around: &Around, target: &Target) -> usize {
-    let first: Vec<Facet> = facets.par_iter().map(|&t| Facet::of(positions, t)).collect();
+/// Moves `positions`, and turns edges that lie across a ridge.
+pub(super) fn fit(positions: &mut [DVec3], facets: &mut [[u32; 3]], target: &Target) {
+    let mut around = Around::new(positions.len(), facets);
+    let mut first: Vec<Facet> = facets.par_iter().map(|&t| Facet::of(positions, t)).collect();
     let start = positions.to_vec();
     let mut pulls: Vec<(u32, DVec3)> = Vec::new();
     let mut region = vec![true; positions.len()];
     for round in 0..ROUNDS + TIP_ROUNDS {
         if round >= ROUNDS {
-            let before = pulls.len();
-            find_pulls(positions, facets, around, target, &mut pulls);
-            if pulls.len() == before && round > ROUNDS + 1 {
+            let flipped = flips::along_ridges(positions, facets, &around, target);
+            if !flipped.is_empty() {
+                around = Around::new(positions.len(), facets);
+                flipped.iter().for_each(|&f| first[f as usize] = Facet::of(positions, facets[f as usize]));
+            }
+            find_pulls(positions, facets, &around, target, &mut pulls);
+            let mut front: Vec<u32> = flipped.iter().flat_map(|&f| facets[f as usize]).collect();
+            front.extend(pulls.iter().map(|p| p.0));
+            if front.is_empty() {
                 break;
             }
-            region = neighbourhood(facets, around, &pulls, positions.len());
+            region = neighbourhood(facets, &around, front, positions.len());
         }
-        let elements = Elements::new(positions, facets, around, target, &region);
+        let elements = Elements::new(positions, facets, &around, target, &region);
         let moved: Vec<DVec3> = positions.iter().zip(&start).map(|(p, s)| *p - *s).collect();
         let free: Vec<bool> = region.iter().zip(&target.fixed).map(|(&inside, &fixed)| inside && !fixed).collect();
-        let mut moves = elements.solve(positions, around, &free, &pulls, &moved);
+        let mut moves = elements.solve(positions, &around, &free, &pulls, &moved);
         restrain(positions, facets, &first, &region, &mut moves);
         positions.iter_mut().zip(&moves).for_each(|(p, m)| *p += *m);
     }
-    pulls.len()
 }
 
-/// Vertices within a few edges of those that are pulled.
-fn neighbourhood(facets: &[[u32; 3]], around: &Around, pulls: &[(u32, DVec3)], vertices: usize) -> Vec<bool> {
+/// Vertices within a few edges of `front`.
+fn neighbourhood(facets: &[[u32; 3]], around: &Around, mut front: Vec<u32>, vertices: usize) -> Vec<bool> {
     let mut inside = vec![false; vertices];
-    let mut front: Vec<u32> = pulls.iter().map(|p| p.0).collect();
     front.iter().for_each(|&v| inside[v as usize] = true);
     for _ in 0..RINGS {
         let mut next = Vec::new();
@@ -388,7 +394,7 @@ impl Rod {
 }
 
 /// Of the facets around a vertex the nearest one: squared distance, facet, barycentric coordinates.
-fn nearest(positions: &[DVec3], facets: &[[u32; 3]], around: &Around, p: DVec3, vertex: u32) -> (f64, u32, [f64; 3]) {
+pub(super) fn nearest(positions: &[DVec3], facets: &[[u32; 3]], around: &Around, p: DVec3, vertex: u32) -> (f64, u32, [f64; 3]) {
     let mut best = (f64::INFINITY, u32::MAX, [0.0; 3]);
     for &f in around.of(vertex) {
         let t = facets[f as usize];
@@ -441,7 +447,11 @@ fn find_pulls(
     }
 }
 
-fn conjugate_gradients(inverse: &[DMat3], mut r: Vec<DVec3>, mut apply: impl FnMut(&[DVec3], &mut [DVec3])) -> Vec<DVec3> {
+fn conjugate_gradients(
+    inverse: &[DMat3],
+    mut r: Vec<DVec3>,
+    mut apply: impl FnMut(&[DVec3], &mut [DVec3]),
+) -> Vec<DVec3> {
     let n = r.len();
     let dot = |a: &[DVec3], b: &[DVec3]| -> f64 { a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum() };
     let precondition = |r: &[DVec3]| -> Vec<DVec3> { inverse.iter().zip(r).map(|(m, &r)| *m * r).collect() };

@@ -1,0 +1,124 @@
+//! Edges turned to lie along ridges.
+//!
+//! Purpose: where an edge of a triangulation lies across a ridge of the input, the ridge sticks out between
+//! its ends however these are placed; the other diagonal of its two facets lies along it. Edges are turned
+//! where a tip of the input comes nearer to the facets by it.
+//! Invariant: the result is a manifold if the triangulation was one, valences stay between 5 and 7 where they
+//! were, no facet turns over or becomes a sliver, edges of curves stay. Deterministic.
+//! Must not know: seeds, diagrams, files.
+
+use std::collections::HashSet;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::around::Around;
+use super::fit::{TIP, Target, nearest};
+use crate::mesh::closest_point::closest_on_facet;
+use crate::mesh::measure::{facet_quality, least_angle};
+
+/// A tip comes nearer by at least this factor.
+const GAIN: f64 = 0.8;
+/// New facets have at least this quality and smallest angle, degrees, and normals within this cosine of the old.
+const LEAST_SHAPE: f64 = 0.63;
+const LEAST_ANGLE: f64 = 35.0;
+const LEAST_COSINE: f64 = 0.3;
+
+/// Turns edges; returns the facets that changed.
+pub(super) fn along_ridges(positions: &[DVec3], facets: &mut [[u32; 3]], around: &Around, target: &Target) -> Vec<u32> {
+    let mut out: Vec<(f64, usize, u32)> = target
+        .tips
+        .par_iter()
+        .enumerate()
+        .filter_map(|(k, tip)| {
+            let (squared, f, _) = nearest(positions, facets, around, tip.position, tip.vertex);
+            let [a, b, c] = facets.get(f as usize)?.map(|v| positions[v as usize]);
+            let edge = (a.distance(b) + b.distance(c) + c.distance(a)) / 3.0;
+            let share = squared.sqrt() / edge;
+            (share > TIP).then_some((share, k, f))
+        })
+        .collect();
+    out.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let curves: HashSet<[u32; 2]> = target.curves.iter().map(|s| sorted(s.edge)).collect();
+    let mut touched = HashSet::new();
+    let mut changed = Vec::new();
+    for (_, k, f) in out {
+        let p = target.tips[k].position;
+        let patch = Patch { positions, facets, around };
+        if let Some((f, g, new)) = patch.best(p, f, &curves, &touched) {
+            // Around a changed facet nothing else changes in this round: `around` is of before.
+            for t in [facets[f as usize], facets[g as usize]] {
+                touched.extend(t.into_iter().flat_map(|v| around.of(v)).copied());
+            }
+            (facets[f as usize], facets[g as usize]) = (new[0], new[1]);
+            changed.extend([f, g]);
+        }
+    }
+    changed
+}
+
+fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
+    [a.min(b), a.max(b)]
+}
+
+/// The triangulation as it is.
+struct Patch<'a> {
+    positions: &'a [DVec3],
+    facets: &'a [[u32; 3]],
+    around: &'a Around,
+}
+
+type Turn = (u32, u32, [[u32; 3]; 2]);
+
+impl Patch<'_> {
+    /// The edge of `f`, or of a facet across one, whose turning brings the facets nearest to `p`.
+    fn best(&self, p: DVec3, f: u32, curves: &HashSet<[u32; 2]>, touched: &HashSet<u32>) -> Option<Turn> {
+        let distance = |t: &[u32; 3]| closest_on_facet(p, t.map(|v| self.positions[v as usize]), *t).0;
+        let before = distance(&self.facets[f as usize]);
+        let mut best: Option<(f64, Turn)> = None;
+        let near = self.facets[f as usize].into_iter().flat_map(|v| self.around.of(v)).copied();
+        let mut seen = HashSet::new();
+        for f in near.filter(|f| seen.insert(*f)) {
+            for e in 0..3 {
+                let Some(turn) = self.turn(f, e, curves, touched) else { continue };
+                let after = turn.2.iter().map(distance).fold(f64::INFINITY, f64::min);
+                if after < GAIN * GAIN * before && best.is_none_or(|(least, _)| after < least) {
+                    best = Some((after, turn));
+                }
+            }
+        }
+        best.map(|(_, turn)| turn)
+    }
+
+    /// The two facets at edge `e` of `f` and what they become, if that is allowed.
+    fn turn(&self, f: u32, e: usize, curves: &HashSet<[u32; 2]>, touched: &HashSet<u32>) -> Option<Turn> {
+        let t = self.facets[f as usize];
+        let (a, b, c) = (t[e], t[(e + 1) % 3], t[(e + 2) % 3]);
+        let other =
+            |&&g: &&u32| (0..3).any(|k| self.facets[g as usize][k] == b && self.facets[g as usize][(k + 1) % 3] == a);
+        let &g = self.around.of(a).iter().find(other)?;
+        let d = *self.facets[g as usize].iter().find(|&&v| v != a && v != b)?;
+        let joined = self.around.of(c).iter().any(|&h| self.facets[h as usize].contains(&d));
+        let lose = |v: u32| self.around.of(v).len() > 5;
+        let win = |v: u32| self.around.of(v).len() < 7;
+        if touched.contains(&f) || touched.contains(&g) || joined || curves.contains(&sorted([a, b])) {
+            return None;
+        }
+        if !(lose(a) && lose(b) && win(c) && win(d)) {
+            return None;
+        }
+        let corners = |t: [u32; 3]| t.map(|v| self.positions[v as usize]);
+        let normal = |t: [u32; 3]| {
+            let [p, q, r] = corners(t);
+            (q - p).cross(r - p).normalize_or_zero()
+        };
+        let new = [[a, d, c], [d, b, c]];
+        let mean = (normal(t) + normal(self.facets[g as usize])).normalize_or_zero();
+        let fine = new.into_iter().all(|t| {
+            facet_quality(corners(t)) >= LEAST_SHAPE
+                && least_angle(corners(t)) >= LEAST_ANGLE
+                && normal(t).dot(mean) >= LEAST_COSINE
+        });
+        fine.then_some((f, g, new))
+    }
+}
