@@ -114,6 +114,9 @@ pub enum SeedEdit {
     },
 }
 
+/// Intruders that become seeds of a curve; more of them are a curve that the seeds cannot resolve.
+const MOST_ADOPTED: usize = 64;
+
 /// One surface, its seeds, and the session that computes their diagram.
 pub struct Cvt {
     surface: Arc<Surface>,
@@ -216,6 +219,56 @@ impl Cvt {
             self.moved();
         }
         Ok(pushed)
+    }
+
+    /// Makes seeds that come between two neighbours on a curve, and could not be pushed off, seeds of that curve.
+    /// Returns how many there were.
+    ///
+    /// # Errors
+    /// What the device says.
+    pub fn adopt_intruders(&mut self) -> Result<usize, RvdError> {
+        self.pull()?;
+        let mut adopted = 0;
+        while adopted < MOST_ADOPTED {
+            let index = crate::knn::SeedIndex::new(&self.seeds);
+            let Some(&(seed, segment)) = self.curves.intruders(&self.seeds, &index).first() else { break };
+            let place = self.curves.len();
+            self.seeds.swap(place, seed as usize);
+            self.held.swap(place, seed as usize);
+            self.seeds[place] = self.curves.split(segment, curves::BETWEEN / 2);
+            self.held[place] = true;
+            adopted += 1;
+        }
+        if adopted > 0 {
+            self.moved();
+        }
+        Ok(adopted)
+    }
+
+    /// The curves' seeds, which are the first ones.
+    pub fn curves(&self) -> &CurveSeeds {
+        &self.curves
+    }
+
+    /// Puts seeds at places (unit frame), where they stay, and adds and holds new ones as far as there is room.
+    /// Returns how many could be added.
+    ///
+    /// # Errors
+    /// `NoSuchSeed`, `NonFiniteSeed`, or what the device says.
+    pub fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
+        self.pull()?;
+        self.held.resize(self.seeds.len(), false);
+        for &(seed, to) in pins {
+            let seeds = self.seeds.len();
+            let place = self.seeds.get_mut(seed as usize).ok_or(RvdError::NoSuchSeed { seed: seed as usize, seeds })?;
+            (*place, self.held[seed as usize]) = (to, true);
+        }
+        let room = self.options.max_seeds - self.seeds.len().min(self.options.max_seeds);
+        let added = new.len().min(room);
+        self.seeds.extend(&new[..added]);
+        self.held.resize(self.seeds.len(), true);
+        self.moved();
+        Ok(added)
     }
 
     /// One Lloyd step: every seed to the centroid of its cell.

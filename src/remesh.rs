@@ -174,7 +174,7 @@ pub fn remesh(
     observer.stage("prepare");
     let surface = Arc::new(Surface::new(mesh, options.weights.as_deref())?);
     let input = InputFigures::of(mesh);
-    let kept = curves::Kept::find(mesh, &surface, options)?;
+    let mut kept = curves::Kept::find(mesh, &surface, options)?;
     let mut timings = Timings { prepare: clock.lap(), ..Timings::default() };
     cancel.check()?;
 
@@ -191,6 +191,7 @@ pub fn remesh(
     }
     let mut rvd = RvdFigures::default();
     let (iterations, last) = iterate(&mut cvt, options, &mut rvd, observer, cancel)?;
+    kept.seeds = cvt.curves().clone();
     timings.iterations = clock.lap();
 
     observer.stage("dual");
@@ -265,8 +266,9 @@ fn iterate(
         take(cvt, newton, &mut iterations)?;
     }
     let last = FinalFigures::of(&cvt.present(cancel)?);
-    for _ in 0..CLEARINGS {
-        if cvt.clear_curves()? == 0 {
+    for round in 0..CLEARINGS {
+        let in_the_way = if round + 1 < CLEARINGS { cvt.clear_curves()? } else { cvt.adopt_intruders()? };
+        if in_the_way == 0 {
             break;
         }
         for k in 0..CLEARING_STEPS {
@@ -276,9 +278,10 @@ fn iterate(
     Ok((iterations, last))
 }
 
-/// Times that seeds are pushed off curves after the last step, and steps after each.
+/// Times that seeds are pushed off curves after the last step, the last time taken up by them, and
+/// steps after each.
 const CLEARINGS: usize = 3;
-const CLEARING_STEPS: usize = 4;
+const CLEARING_STEPS: usize = 3;
 
 /// The seeds that the options name, those of curves first, caller's coordinates, and the random seed they were
 /// drawn from.
@@ -387,9 +390,9 @@ impl Source<'_> {
         let frame = self.surface.frame();
         let mut unit: Vec<DVec3> = built.positions.iter().map(|&p| frame.to_unit(p)).collect();
         fit::fit(&mut unit, built.facets, &target);
-        let around = around::Around::new(unit.len(), built.facets);
         let rails = rails(&unit, built.curve_edges, &target.fixed);
-        polish::polish(&mut unit, built.facets, &around, &rails);
+        let curves = built.curve_edges.iter().flatten().map(|&e| flips::sorted(e)).collect();
+        polish::polish(&mut unit, built.facets, &rails, &curves);
         for ((p, u), _) in built.positions.iter_mut().zip(unit).zip(&target.fixed).filter(|(_, fixed)| !**fixed) {
             *p = frame.to_world(u);
         }

@@ -39,6 +39,8 @@ pub struct Segment {
     pub between: [DVec3; BETWEEN],
     /// Which curve.
     pub curve: u32,
+    /// The edge length wished for there, unit frame.
+    pub edge: f64,
 }
 
 /// Points between two neighbours on a curve; odd, so that one is in the middle.
@@ -65,10 +67,16 @@ const CROWDED: f64 = 0.45;
 /// and where they leave a common corner at less than this angle, radians; and a curve as short as that is too short.
 const ACUTE: f64 = 0.3;
 /// A deviation of a chord counts for so much of a difference in length.
-const KINKS: f64 = 6.0;
+const KINKS: f64 = 15.0;
 const KINK_SWEEPS: usize = 4;
 /// A curve between two corners is too short for its edge at this share of h.
 const SHORT: f64 = 0.65;
+/// A chord leaves its curve by at most this share of an edge,
+const DEVIATION: f64 = 0.13;
+/// unless one of its parts would be shorter than this share.
+const SHORTEST_PART: f64 = 0.3;
+/// A segment is split so often at most where another curve is closer than its length.
+const PARTINGS: usize = 2;
 /// Points of a running mean on either side.
 const MEAN_OF: i32 = 4;
 /// No segment is longer than so many h: a seed beside its middle would take a part of the curve.
@@ -131,6 +139,7 @@ impl CurveSeeds {
                     path.at(w[0].1 + (k + 1) as f64 / (BETWEEN + 1) as f64 * (w[1].1 - w[0].1))
                 }),
                 curve: number as u32,
+                edge: path.edge_at(0.5 * (w[0].1 + w[1].1)),
             }));
         }
         all
@@ -139,6 +148,75 @@ impl CurveSeeds {
     /// How many there are.
     pub fn len(&self) -> usize {
         self.seeds.len()
+    }
+
+    /// Puts a seed at a point between the ends of a segment, after all others; the segment becomes two. Returns where
+    /// it is.
+    pub fn split(&mut self, segment: u32, at: usize) -> DVec3 {
+        let new = self.seeds.len() as u32;
+        let Segment { ends: [a, b], between, curve, edge } = self.segments[segment as usize];
+        let middle = between[at];
+        self.seeds.push(middle);
+        // Points evenly along what is known of each part.
+        let half = |from: DVec3, to: DVec3, inner: &[DVec3]| {
+            let mut known = vec![from];
+            known.extend_from_slice(inner);
+            known.push(to);
+            std::array::from_fn(|k| {
+                let t = (k + 1) as f64 / (BETWEEN + 1) as f64 * (known.len() - 1) as f64;
+                let before = (t as usize).min(known.len() - 2);
+                known[before].lerp(known[before + 1], t - before as f64)
+            })
+        };
+        let (start, end) = (self.seeds[a as usize], self.seeds[b as usize]);
+        let first = half(start, middle, &between[..at]);
+        let second = half(middle, end, &between[at + 1..]);
+        self.segments[segment as usize] = Segment { ends: [a, new], between: first, curve, edge };
+        self.segments.push(Segment { ends: [new, b], between: second, curve, edge });
+        middle
+    }
+
+    /// Splits segments of which other curves' seeds are nearer to some point than their own ends.
+    pub fn part_neighbours(&mut self) {
+        for _ in 0..PARTINGS {
+            let index = SeedIndex::new(&self.seeds);
+            let foreign = |s: &Segment| {
+                s.between.iter().any(|&p| {
+                    let nearest = index.nearest(p);
+                    let own = s.ends.map(|e| self.seeds[e as usize].distance(p));
+                    !s.ends.contains(&nearest) && self.seeds[nearest as usize].distance(p) < own[0].min(own[1])
+                })
+            };
+            let crossed: Vec<u32> =
+                (0..self.segments.len() as u32).filter(|&k| foreign(&self.segments[k as usize])).collect();
+            if crossed.is_empty() {
+                return;
+            }
+            crossed.into_iter().for_each(|k| {
+                self.split(k, BETWEEN / 2);
+            });
+        }
+    }
+
+    /// Splits segments whose chord leaves the curve by more than [`DEVIATION`] of an edge, where it is
+    /// farthest away and both parts are long enough.
+    pub fn follow_bends(&mut self) {
+        let mut next = 0;
+        while let Some(&segment) = self.segments.get(next) {
+            let [a, b] = segment.ends.map(|e| self.seeds[e as usize]);
+            let way = (b - a).normalize_or_zero();
+            let off = |p: DVec3| (p - a - way * way.dot(p - a)).length();
+            let long = |p: DVec3| p.distance(a).min(p.distance(b)) > SHORTEST_PART * segment.edge;
+            let far = (0..BETWEEN)
+                .filter(|&k| long(segment.between[k]) && off(segment.between[k]) > DEVIATION * segment.edge)
+                .max_by(|&j, &k| off(segment.between[j]).total_cmp(&off(segment.between[k])));
+            match far {
+                Some(at) => {
+                    self.split(next as u32, at);
+                }
+                None => next += 1,
+            }
+        }
     }
 
     /// Whether there are none.
@@ -259,6 +337,8 @@ struct Path {
     closed: bool,
     /// Length of the running mean.
     smooth: Vec<f64>,
+    /// 1/h as wished for.
+    wish: Vec<f64>,
 }
 
 impl Path {
@@ -288,10 +368,12 @@ impl Path {
             moment: Vec::new(),
             closed: curve.closed,
             smooth: vec![0.0],
+            wish: Vec::new(),
         };
         path.smooth_length(&per_length);
         let fine: Vec<f64> = (0..per_length.len()).map(|k| per_length[k] / path.shortening(k, per_length[k])).collect();
         path.accumulate(&fine);
+        path.wish = per_length;
         path
     }
 
@@ -355,6 +437,13 @@ impl Path {
     /// How many edges fit.
     fn total(&self) -> f64 {
         self.edges[self.edges.len() - 1]
+    }
+
+    /// The edge length wished for at an arc length.
+    fn edge_at(&self, s: f64) -> f64 {
+        let s = if self.closed { s.rem_euclid(self.length()) } else { s };
+        let k = self.along.partition_point(|&a| a <= s).min(self.along.len() - 1);
+        1.0 / self.wish[k]
     }
 
     /// The point at an arc length, that of a closed curve going round.

@@ -63,6 +63,8 @@ impl Kept {
                 features.retain(|k, _| !crowded.contains(&(k as u32)));
                 seeds = CurveSeeds::place(surface, &features, edge);
             }
+            seeds.follow_bends();
+            seeds.part_neighbours();
             if seeds.len() as f64 <= LARGEST_SHARE * points as f64 {
                 return Ok(Self { features, seeds, given_up });
             }

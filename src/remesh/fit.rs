@@ -82,7 +82,7 @@ const STIFFNESS: f64 = 0.02;
 /// What keeps the system solvable where samples are few.
 const FLOOR: f64 = 0.01;
 /// Curves are lines that the eye follows: a residual there counts for this many of the surface's.
-const CURVES: f64 = 2.0;
+const CURVES: f64 = 20.0;
 /// A tip sticks out if it is farther from the facets than this share of an edge,
 pub(super) const TIP: f64 = 0.08;
 /// and pulls a vertex that is not farther away than this share of it,
@@ -394,7 +394,13 @@ impl Rod {
 }
 
 /// Of the facets around a vertex the nearest one: squared distance, facet, barycentric coordinates.
-pub(super) fn nearest(positions: &[DVec3], facets: &[[u32; 3]], around: &Around, p: DVec3, vertex: u32) -> (f64, u32, [f64; 3]) {
+pub(super) fn nearest(
+    positions: &[DVec3],
+    facets: &[[u32; 3]],
+    around: &Around,
+    p: DVec3,
+    vertex: u32,
+) -> (f64, u32, [f64; 3]) {
     let mut best = (f64::INFINITY, u32::MAX, [0.0; 3]);
     for &f in around.of(vertex) {
         let t = facets[f as usize];

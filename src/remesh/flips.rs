@@ -57,7 +57,43 @@ pub(super) fn along_ridges(positions: &[DVec3], facets: &mut [[u32; 3]], around:
     changed
 }
 
-fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
+/// Turns edges of facets with an angle below `goal`, degrees, where the smaller of the two facets' angles grows;
+/// returns whether any was.
+pub(super) fn for_angles(
+    positions: &[DVec3],
+    facets: &mut [[u32; 3]],
+    around: &Around,
+    curves: &HashSet<[u32; 2]>,
+    goal: f64,
+) -> bool {
+    let angle = |t: &[u32; 3]| least_angle(t.map(|v| positions[v as usize]));
+    let mut poor: Vec<(f64, u32)> =
+        (0..).zip(facets.iter()).map(|(f, t)| (angle(t), f)).filter(|p| p.0 < goal).collect();
+    poor.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut touched = HashSet::new();
+    let mut changed = false;
+    for (_, f) in poor {
+        let patch = Patch { positions, facets, around };
+        let turns = (0..3).filter_map(|e| patch.turn(f, e, curves, &touched));
+        let gain = |t: &Turn| {
+            let before = angle(&facets[t.0 as usize]).min(angle(&facets[t.1 as usize]));
+            angle(&t.2[0]).min(angle(&t.2[1])) - before
+        };
+        let best = turns.map(|t| (gain(&t), t)).max_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((gain, (f, g, new))) = best
+            && gain > 0.5
+        {
+            for t in [facets[f as usize], facets[g as usize]] {
+                touched.extend(t.into_iter().flat_map(|v| around.of(v)).copied());
+            }
+            (facets[f as usize], facets[g as usize]) = (new[0], new[1]);
+            changed = true;
+        }
+    }
+    changed
+}
+
+pub(super) fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
 
@@ -80,7 +116,7 @@ impl Patch<'_> {
         let mut seen = HashSet::new();
         for f in near.filter(|f| seen.insert(*f)) {
             for e in 0..3 {
-                let Some(turn) = self.turn(f, e, curves, touched) else { continue };
+                let Some(turn) = self.turn(f, e, curves, touched).filter(|t| self.is_fine(t)) else { continue };
                 let after = turn.2.iter().map(distance).fold(f64::INFINITY, f64::min);
                 if after < GAIN * GAIN * before && best.is_none_or(|(least, _)| after < least) {
                     best = Some((after, turn));
@@ -114,11 +150,11 @@ impl Patch<'_> {
         };
         let new = [[a, d, c], [d, b, c]];
         let mean = (normal(t) + normal(self.facets[g as usize])).normalize_or_zero();
-        let fine = new.into_iter().all(|t| {
-            facet_quality(corners(t)) >= LEAST_SHAPE
-                && least_angle(corners(t)) >= LEAST_ANGLE
-                && normal(t).dot(mean) >= LEAST_COSINE
-        });
-        fine.then_some((f, g, new))
+        new.into_iter().all(|t| normal(t).dot(mean) >= LEAST_COSINE).then_some((f, g, new))
+    }
+
+    fn is_fine(&self, turn: &Turn) -> bool {
+        let corners = |t: [u32; 3]| t.map(|v| self.positions[v as usize]);
+        turn.2.iter().all(|&t| facet_quality(corners(t)) >= LEAST_SHAPE && least_angle(corners(t)) >= LEAST_ANGLE)
     }
 }
