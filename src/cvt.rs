@@ -507,7 +507,8 @@ impl Cvt {
         }
     }
 
-    fn is_held(&self, seed: u32) -> bool {
+    /// Whether a seed never moves.
+    pub fn is_held(&self, seed: u32) -> bool {
         self.held.get(seed as usize).is_some_and(|&held| held)
     }
 

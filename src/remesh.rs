@@ -5,12 +5,14 @@
 //! Must not know: files, jobs, the network.
 
 mod around;
+mod build;
 mod curves;
 mod fit;
 mod flips;
 mod polish;
 pub mod repair;
 pub mod report;
+mod steps;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -19,17 +21,14 @@ use glam::DVec3;
 
 use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
 use crate::mesh::TriMesh;
-use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{quality_unless, topology};
 use crate::mesh::sample::sample;
 use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
 
 pub use report::Report;
-use report::{
-    FinalFigures, InputFigures, IterationFigures, MemoryFigures, RepairFigures, ResultFigures, RvdFigures, Timings,
-    topology_changes,
-};
+use report::{InputFigures, MemoryFigures, RefineFigures, ResultFigures, RvdFigures, Timings, topology_changes};
+use steps::Steps;
 
 /// Where the first seeds come from.
 #[derive(Clone, Debug)]
@@ -57,6 +56,16 @@ pub enum Placement {
     Centroids,
 }
 
+/// Seeds that are added where the result is far from the input. The vertices of the result are to be
+/// [`Placement::Fitted`]; no seeds are added otherwise.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Refine {
+    /// How far the vertices of the input may be from the result, caller's units.
+    pub tolerance: f64,
+    /// The most seeds that there may be in all. Room for them is planned from the beginning.
+    pub max_points: usize,
+}
+
 /// What to do. Everything has a default but the seeds.
 #[derive(Clone, Debug)]
 pub struct RemeshOptions {
@@ -77,6 +86,8 @@ pub struct RemeshOptions {
     pub crease_angle_deg: f64,
     /// Edges that are creases whatever their angle, two vertices each.
     pub creases: Vec<[u32; 2]>,
+    /// Adds seeds where the result is too far from the input; `None` only moves some there.
+    pub refine: Option<Refine>,
     /// Whether boundaries get seeds of their own, so that they do not shrink.
     pub keep_boundaries: bool,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
@@ -95,6 +106,7 @@ impl RemeshOptions {
             placement: Placement::Fitted,
             crease_angle_deg: 30.0,
             creases: Vec::new(),
+            refine: None,
             keep_boundaries: true,
             measure: true,
         }
@@ -184,31 +196,21 @@ pub fn remesh(
     cancel.check()?;
 
     observer.stage("iterations");
-    let cvt_options = CvtOptions { projection: options.projection, max_seeds: 0 };
-    let mut cvt = Cvt::new(backend, Arc::clone(&surface), &first, cvt_options)?;
+    let max_seeds = options.refine.map_or(0, |r| r.max_points);
+    let mut cvt =
+        Cvt::new(backend, Arc::clone(&surface), &first, CvtOptions { projection: options.projection, max_seeds })?;
     if !kept.seeds.is_empty() {
         cvt.keep_curves(kept.seeds.clone())?;
     }
-    let mut rvd = RvdFigures::default();
-    let (iterations, last) = iterate(&mut cvt, options, &mut rvd, observer, cancel)?;
-    kept.seeds = cvt.curves().clone();
+    let (rvd, refine) = (RvdFigures::default(), RefineFigures::default());
+    let mut steps = Steps { options, observer, cancel, rvd, iterations: Vec::new(), refine };
+    let last = steps.main(&mut cvt)?;
     timings.iterations = clock.lap();
-
-    observer.stage("dual");
-    cvt.project_seeds()?;
-    let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(cvt.len()) };
-    let mut session = backend.exact_session(Arc::clone(&surface), exact)?;
-    session.set_seeds(cvt.unit_seeds()?)?;
-    let dual = dual::extract(&mut *session, &surface, cvt.len(), cancel)?;
-    rvd.add_pass(&dual.stats);
-    rvd.of_dual(&dual, &surface);
-    timings.dual = clock.lap();
-    cancel.check()?;
-
-    observer.stage("repair");
-    let source = Source { mesh, surface: &surface, kept: &kept };
-    let built = source.triangulated(&dual, cvt.unit_seeds()?, options.placement)?;
-    timings.repair = clock.lap();
+    steps.clear_curves(&mut cvt)?;
+    kept.seeds = cvt.curves().clone();
+    timings.refine = clock.lap();
+    let built = settle(mesh, &mut kept, &mut cvt, backend, &mut steps, &mut timings, &mut clock)?;
+    let Steps { observer, rvd, iterations, refine, .. } = steps;
 
     observer.stage("measure");
     cancel.check()?;
@@ -234,6 +236,7 @@ pub fn remesh(
         rvd,
         iterations,
         last,
+        refine,
         timings_ms: timings,
         memory: MemoryFigures { host_peak_bytes: None, device_bytes: cvt.device_bytes() },
         result: figures,
@@ -243,45 +246,54 @@ pub fn remesh(
     Ok(Remesh { mesh: built.mesh, vertex_seed: built.vertex_seed, curve_edges, seeds: cvt.seeds()?, report })
 }
 
-/// Takes the steps, and some more where a seed was found on a curve that is not its own.
-fn iterate(
-    cvt: &mut Cvt,
-    options: &RemeshOptions,
-    rvd: &mut RvdFigures,
-    observer: &mut dyn Observer,
-    cancel: &CancelFlag,
-) -> Result<(Vec<IterationFigures>, FinalFigures), RemeshError> {
-    let steps = options.lloyd + options.newton;
-    let mut iterations = Vec::with_capacity(steps);
-    let mut take = |cvt: &mut Cvt, newton: bool, iterations: &mut Vec<IterationFigures>| -> Result<(), RemeshError> {
-        let step = if newton { cvt.lbfgs(cancel)? } else { cvt.lloyd(cancel)? };
-        rvd.add_pass(&step.stats);
-        rvd.reseeded_cells += step.empty_cells;
-        observer.iteration(&step, steps);
-        iterations.push(IterationFigures::of(&step));
-        Ok(())
-    };
-    while iterations.len() < steps && !cvt.converged() {
-        let newton = iterations.len() >= options.lloyd;
-        take(cvt, newton, &mut iterations)?;
-    }
-    let last = FinalFigures::of(&cvt.present(cancel)?);
-    for round in 0..CLEARINGS {
-        let in_the_way = if round + 1 < CLEARINGS { cvt.clear_curves()? } else { cvt.adopt_intruders()? };
-        if in_the_way == 0 {
-            break;
-        }
-        for k in 0..CLEARING_STEPS {
-            take(cvt, k > 0, &mut iterations)?;
-        }
-    }
-    Ok((iterations, last))
-}
+/// Times that seeds are moved to what the result missed, and that they are added where a tolerance was given.
+const MOVING_ROUNDS: usize = 2;
+const ADDING_ROUNDS: usize = 8;
 
-/// Times that seeds are pushed off curves after the last step, the last time taken up by them, and
-/// steps after each.
-const CLEARINGS: usize = 3;
-const CLEARING_STEPS: usize = 3;
+/// The result of the present seeds, and of better ones as long as it is far from the input somewhere.
+fn settle(
+    mesh: &TriMesh,
+    kept: &mut curves::Kept,
+    cvt: &mut Cvt,
+    backend: &dyn Backend,
+    steps: &mut Steps<'_>,
+    timings: &mut Timings,
+    clock: &mut Clock,
+) -> Result<build::Built, RemeshError> {
+    let options = steps.options;
+    let surface = Arc::clone(cvt.surface());
+    let room = options.refine.map_or(0, |r| r.max_points).max(cvt.len());
+    let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(room) };
+    let mut session = backend.exact_session(Arc::clone(&surface), exact)?;
+    let rounds = match (options.refine, options.placement) {
+        (Some(_), _) => ADDING_ROUNDS,
+        (None, Placement::Fitted) if options.newton > 0 => MOVING_ROUNDS,
+        _ => 0,
+    };
+    let tolerance = options.refine.map(|r| r.tolerance * surface.frame().scale);
+    let mut round = 0;
+    loop {
+        steps.observer.stage("dual");
+        cvt.project_seeds()?;
+        session.set_seeds(cvt.unit_seeds()?)?;
+        let dual = dual::extract(&mut *session, &surface, cvt.len(), steps.cancel)?;
+        steps.rvd.add_pass(&dual.stats);
+        steps.rvd.of_dual(&dual, &surface);
+        timings.dual += clock.lap();
+        steps.cancel.check()?;
+        steps.observer.stage("repair");
+        let source = build::Source { mesh, surface: &surface, kept, placement: options.placement, tolerance };
+        let built = source.triangulated(&dual, cvt.unit_seeds()?)?;
+        timings.repair += clock.lap();
+        steps.refine.missed = built.missed.len();
+        if round == rounds || !steps.refine(cvt, &built.missed, tolerance.is_some())? {
+            return Ok(built);
+        }
+        kept.seeds = cvt.curves().clone();
+        timings.refine += clock.lap();
+        round += 1;
+    }
+}
 
 /// The seeds that the options name, those of curves first, caller's coordinates, and the random seed they were
 /// drawn from.
@@ -299,137 +311,6 @@ fn first_seeds(
         }
         &Seeds::Sample { points, seed } => (kept.with_others(mesh, surface, options, points, seed), Some(seed)),
     }
-}
-
-/// What a result is made from.
-struct Source<'a> {
-    mesh: &'a TriMesh,
-    surface: &'a Surface,
-    kept: &'a curves::Kept,
-}
-
-/// The dual made a surface.
-struct Built {
-    mesh: TriMesh,
-    vertex_seed: Vec<u32>,
-    /// For each segment of the curves the result's edge, if it is there.
-    curve_edges: Vec<Option<[u32; 2]>>,
-    repair: RepairFigures,
-}
-
-impl Source<'_> {
-    /// The dual made a surface: repaired, its vertices placed, with the seed of each vertex.
-    fn triangulated(&self, dual: &dual::Dual, seeds: &[DVec3], placement: Placement) -> Result<Built, RemeshError> {
-        let positions = self.vertex_positions(dual, seeds, placement);
-        let repaired = repair::repair(&positions, &dual.triangles);
-        let too_few = RemeshError::TooFewSeeds { seeds: seeds.len() };
-        if repaired.facets.is_empty() {
-            return Err(if repaired.figures.closed_pockets > 1 { RemeshError::NoThickness } else { too_few });
-        }
-        let figures = RepairFigures {
-            split_cells: dual.split_cells,
-            not_disks: dual.not_disks,
-            multiple_edges: dual.multiple_edges,
-            multiple_rims: dual.multiple_rims,
-            disputed_vertices: dual.disputed,
-            ..repaired.figures
-        };
-        let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
-        let (mut positions, mut facets) = (repaired.positions, repaired.facets);
-        let curve_edges = self.kept.edges_in(&facets, &vertex_seed);
-        if placement == Placement::Fitted {
-            let mut draft = Draft {
-                positions: &mut positions,
-                facets: &mut facets,
-                source: &repaired.source,
-                vertex_seed: &vertex_seed,
-                curve_edges: &curve_edges,
-            };
-            self.fit(&mut draft, dual);
-        }
-        // All that can be wrong with it is that no facet has an area: seeds on a line.
-        let mesh = TriMesh::new(positions, facets).map_err(|_| too_few)?;
-        Ok(Built { mesh, vertex_seed, curve_edges, repair: figures })
-    }
-
-    /// Where the dual's vertices go, caller's coordinates: a cell in one piece at its seed, which is
-    /// on the surface, or its centroid; a component of a split cell at the closest point to its own centroid.
-    fn vertex_positions(&self, dual: &dual::Dual, seeds: &[DVec3], placement: Placement) -> Vec<DVec3> {
-        let frame = self.surface.frame();
-        let closest = dual.components.iter().any(|c| !c.whole).then(|| ClosestPoint::new(self.mesh));
-        let place = |c: &dual::Component| match &closest {
-            _ if (c.seed as usize) < self.kept.seeds.len() && c.whole => self.kept.position(self.mesh, frame, c.seed),
-            _ if placement == Placement::Centroids => frame.to_world(c.centroid),
-            Some(tree) if !c.whole => tree.project(frame.to_world(c.centroid)).position,
-            _ => frame.to_world(seeds[c.seed as usize]),
-        };
-        dual.components.iter().map(place).collect()
-    }
-
-    /// Moves the result's vertices to where its facets are nearest to the input ([`fit`]). Corners of curves stay.
-    fn fit(&self, built: &mut Draft<'_>, dual: &dual::Dual) {
-        let mut vertex = vec![u32::MAX; dual.components.len()];
-        built.source.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
-        let mut target = fit::Target {
-            curves: self.kept.samples(built.curve_edges),
-            fixed: built.vertex_seed.iter().map(|&s| self.kept.is_corner(s)).collect(),
-            ..fit::Target::default()
-        };
-        let mut held = vec![false; self.surface.positions().len()];
-        for p in dual.pieces.iter().filter(|p| p.area > 0.0 && vertex[p.component as usize] != u32::MAX) {
-            let vertex = vertex[p.component as usize];
-            let normal = self.surface.normal(p.facet);
-            target.samples.push(fit::Sample { position: p.centroid, normal, area: p.area, vertex });
-            for corner in (0..3).filter(|c| p.corners & (1 << c) != 0) {
-                let v = self.surface.welded()[p.facet as usize][corner] as usize;
-                if !std::mem::replace(&mut held[v], true) {
-                    target.tips.push(fit::Tip { position: self.surface.positions()[v], vertex });
-                }
-            }
-        }
-        let frame = self.surface.frame();
-        let mut unit: Vec<DVec3> = built.positions.iter().map(|&p| frame.to_unit(p)).collect();
-        fit::fit(&mut unit, built.facets, &target);
-        let rails = rails(&unit, built.curve_edges, &target.fixed);
-        let curves = built.curve_edges.iter().flatten().map(|&e| flips::sorted(e)).collect();
-        polish::polish(&mut unit, built.facets, &rails, &curves);
-        for ((p, u), _) in built.positions.iter_mut().zip(unit).zip(&target.fixed).filter(|(_, fixed)| !**fixed) {
-            *p = frame.to_world(u);
-        }
-    }
-}
-
-/// How each vertex may move: those with two edges of curves along these, and other ends of curves not at all.
-fn rails(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<polish::Rail> {
-    let mut ends: Vec<(u32, u32)> = curve_edges.iter().flatten().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
-    ends.sort_unstable();
-    let of = |v: usize| match fixed[v] {
-        true => polish::Rail::Fixed,
-        false => polish::Rail::Free,
-    };
-    let mut rails: Vec<polish::Rail> = (0..positions.len()).map(of).collect();
-    for group in ends.chunk_by(|a, b| a.0 == b.0) {
-        let rail = &mut rails[group[0].0 as usize];
-        if *rail == polish::Rail::Free {
-            *rail = match group {
-                [(_, a), (_, b)] => (positions[*b as usize] - positions[*a as usize])
-                    .try_normalize()
-                    .map_or(polish::Rail::Fixed, polish::Rail::Along),
-                _ => polish::Rail::Fixed,
-            };
-        }
-    }
-    rails
-}
-
-/// A result whose vertices may still move.
-struct Draft<'a> {
-    positions: &'a mut [DVec3],
-    facets: &'a mut [[u32; 3]],
-    /// Component of the dual and seed of each vertex.
-    source: &'a [u32],
-    vertex_seed: &'a [u32],
-    curve_edges: &'a [Option<[u32; 2]>],
 }
 
 /// Wall-clock laps in milliseconds.

@@ -59,9 +59,9 @@ const STEPS: usize = 20;
 /// Points at which the density is taken on each edge of a curve.
 const PARTS: usize = 4;
 /// Where a curve bends, its seeds come closer together, until a chord leaves it by at most this share of h,
-const SAGITTA: f64 = 0.05;
+const SAGITTA: f64 = 0.035;
 /// but not closer than this share of h.
-const LEAST_SHARE: f64 = 0.65;
+const LEAST_SHARE: f64 = 0.6;
 /// Two curves are too close where seeds of them are nearer than this share of their spacing.
 const CROWDED: f64 = 0.45;
 /// and where they leave a common corner at less than this angle, radians; and a curve as short as that is too short.

@@ -89,6 +89,8 @@ pub(super) const TIP: f64 = 0.08;
 const TIP_REACH: f64 = 0.75;
 /// as strongly as this many of the vertex's own areas.
 const TIP_PULL: f64 = 20.0;
+/// What is farther from the facets than this share of an edge was missed.
+const MISSED: f64 = 0.17;
 /// Facets keep at least this quality (1 is equilateral) and this smallest angle in degrees, or what they had.
 const LEAST_SHAPE: f64 = 0.63;
 const LEAST_ANGLE: f64 = 35.0;
@@ -124,6 +126,42 @@ pub(super) fn fit(positions: &mut [DVec3], facets: &mut [[u32; 3]], target: &Tar
         restrain(positions, facets, &first, &region, &mut moves);
         positions.iter_mut().zip(&moves).for_each(|(p, m)| *p += *m);
     }
+}
+
+/// Where the input sticks out of the facets by more than `tolerance`, or by more than a share of an edge where
+/// that is `None`: (vertex nearest to the place, the place), the farthest first, none beside another.
+pub(super) fn missed(
+    positions: &[DVec3],
+    facets: &[[u32; 3]],
+    target: &Target,
+    tolerance: Option<f64>,
+) -> Vec<(u32, DVec3)> {
+    let around = Around::new(positions.len(), facets);
+    let mut out: Vec<(f64, usize, u32)> = target
+        .tips
+        .par_iter()
+        .enumerate()
+        .filter_map(|(k, tip)| {
+            let (squared, f, _) = nearest(positions, facets, &around, tip.position, tip.vertex);
+            let t = facets.get(f as usize)?;
+            let [a, b, c] = t.map(|v| positions[v as usize]);
+            let edge = (a.distance(b) + b.distance(c) + c.distance(a)) / 3.0;
+            let to = |v: &&u32| positions[**v as usize].distance_squared(tip.position);
+            let v = *t.iter().min_by(|a, b| to(a).total_cmp(&to(b)))?;
+            let distance = squared.sqrt();
+            (distance > tolerance.unwrap_or(MISSED * edge)).then_some((distance / edge, k, v))
+        })
+        .collect();
+    out.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut taken = vec![false; positions.len()];
+    let mut found = Vec::new();
+    for (_, k, v) in out {
+        if !taken[v as usize] {
+            around.of(v).iter().flat_map(|&f| facets[f as usize]).for_each(|u| taken[u as usize] = true);
+            found.push((v, target.tips[k].position));
+        }
+    }
+    found
 }
 
 /// Vertices within a few edges of `front`.

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use super::around::Around;
 use super::fit::{TIP, Target, nearest};
+use super::polish::score;
 use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::measure::{facet_quality, least_angle};
 
@@ -57,7 +58,7 @@ pub(super) fn along_ridges(positions: &[DVec3], facets: &mut [[u32; 3]], around:
     changed
 }
 
-/// Turns edges of facets with an angle below `goal`, degrees, where the smaller of the two facets' angles grows;
+/// Turns edges of facets with a score below `goal` where the lesser of the two facets' scores grows;
 /// returns whether any was.
 pub(super) fn for_angles(
     positions: &[DVec3],
@@ -66,7 +67,7 @@ pub(super) fn for_angles(
     curves: &HashSet<[u32; 2]>,
     goal: f64,
 ) -> bool {
-    let angle = |t: &[u32; 3]| least_angle(t.map(|v| positions[v as usize]));
+    let angle = |t: &[u32; 3]| score(t.map(|v| positions[v as usize]));
     let mut poor: Vec<(f64, u32)> =
         (0..).zip(facets.iter()).map(|(f, t)| (angle(t), f)).filter(|p| p.0 < goal).collect();
     poor.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));

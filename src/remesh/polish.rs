@@ -13,7 +13,7 @@ use glam::DVec3;
 
 use super::around::Around;
 use super::flips;
-use crate::mesh::measure::least_angle;
+use crate::mesh::measure::{facet_quality, least_angle};
 
 /// How a vertex may move.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,8 +26,9 @@ pub(super) enum Rail {
     Fixed,
 }
 
-/// Facets with a smaller angle, degrees, are to be better.
+/// Facets with a smaller score are to be better: the smallest angle, degrees, or [`SHAPE`] times Q if that is less.
 const GOAL: f64 = 33.0;
+const SHAPE: f64 = 55.0;
 /// Passes over their vertices.
 const SWEEPS: usize = 20;
 /// Times that edges are turned between such passes, at most.
@@ -59,7 +60,7 @@ pub(super) fn polish(positions: &mut [DVec3], facets: &mut [[u32; 3]], rails: &[
 
 fn move_vertices(positions: &mut [DVec3], start: &[DVec3], facets: &[[u32; 3]], around: &Around, rails: &[Rail]) {
     let normals: Vec<DVec3> = facets.iter().map(|t| normal(t.map(|v| positions[v as usize]))).collect();
-    let poor = |positions: &[DVec3], t: &[u32; 3]| least_angle(t.map(|v| positions[v as usize])) < GOAL;
+    let poor = |positions: &[DVec3], t: &[u32; 3]| score(t.map(|v| positions[v as usize])) < GOAL;
     let mut vertices: Vec<u32> = facets.iter().filter(|t| poor(positions, t)).flatten().copied().collect();
     for _ in 0..SWEEPS {
         vertices.sort_unstable();
@@ -76,6 +77,11 @@ fn move_vertices(positions: &mut [DVec3], start: &[DVec3], facets: &[[u32; 3]], 
         }
         vertices = moved;
     }
+}
+
+/// How good a facet is.
+pub(super) fn score(corners: [DVec3; 3]) -> f64 {
+    least_angle(corners).min(SHAPE * facet_quality(corners))
 }
 
 fn normal([a, b, c]: [DVec3; 3]) -> DVec3 {
@@ -133,13 +139,13 @@ impl Star<'_> {
         best.1 != here
     }
 
-    /// The smallest angle around the vertex if it were at `p`; -1 if a facet turned.
+    /// The least score around the vertex if it were at `p`; -1 if a facet turned.
     fn worst(&self, positions: &[DVec3], p: DVec3) -> f64 {
         let at = |u: u32| if u == self.v { p } else { positions[u as usize] };
         let angle = |&f: &u32| {
             let corners = self.facets[f as usize].map(at);
             let turned = normal(corners).dot(self.normals[f as usize]) < LEAST_COSINE;
-            if turned { -1.0 } else { least_angle(corners) }
+            if turned { -1.0 } else { score(corners) }
         };
         self.around.iter().map(angle).fold(f64::INFINITY, f64::min)
     }

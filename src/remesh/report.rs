@@ -36,6 +36,8 @@ pub struct Report {
     /// The seeds after the last step.
     #[serde(rename = "final")]
     pub last: FinalFigures,
+    /// What was done after them.
+    pub refine: RefineFigures,
     /// Wall-clock times.
     pub timings_ms: Timings,
     /// Memory.
@@ -73,6 +75,21 @@ pub struct InputFigures {
     /// χ, components, holes, non-manifold elements.
     #[serde(flatten)]
     pub topology: Topology,
+}
+
+/// What was done after the iterations: curves cleared, seeds moved or added where the result was far from the input.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+pub struct RefineFigures {
+    /// Rounds in which seeds were moved or added.
+    pub rounds: usize,
+    /// Seeds moved to places that were missed.
+    pub moved_seeds: usize,
+    /// Seeds added there.
+    pub added_seeds: usize,
+    /// Passes over the diagram.
+    pub evaluations: usize,
+    /// Places that the result is still far from.
+    pub missed: usize,
 }
 
 /// Creases and boundaries that got seeds of their own.
@@ -187,6 +204,7 @@ pub struct Timings {
     pub prepare: f64,
     pub sample: f64,
     pub iterations: f64,
+    pub refine: f64,
     pub dual: f64,
     pub repair: f64,
     pub measure: f64,

@@ -1,0 +1,105 @@
+//! The steps of a remesh.
+//!
+//! Purpose: Lloyd and quasi-Newton steps until they converge or are used up; steps that clear the curves; and
+//! rounds in which seeds go, or are added, where the result is far from the input.
+//! Invariant: what is reported as iterations are the steps that were asked for; the others are counted apart.
+//! Must not know: how a surface is made of the seeds.
+
+use super::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
+use super::{Observer, RemeshError, RemeshOptions};
+use crate::cvt::{Cvt, Iteration};
+use crate::rvd::CancelFlag;
+
+/// Times that seeds are pushed off curves after the last step, the last time taken up by them, and
+/// steps after each.
+const CLEARINGS: usize = 3;
+const CLEARING_STEPS: usize = 3;
+/// Steps after seeds were moved or added for what was missed.
+const REFINING_STEPS: usize = 6;
+
+/// Takes the steps of one remesh.
+pub(super) struct Steps<'a> {
+    pub(super) options: &'a RemeshOptions,
+    pub(super) observer: &'a mut dyn Observer,
+    pub(super) cancel: &'a CancelFlag,
+    pub(super) rvd: RvdFigures,
+    pub(super) iterations: Vec<IterationFigures>,
+    pub(super) refine: RefineFigures,
+}
+
+impl Steps<'_> {
+    /// The steps that were asked for. Returns what they came to.
+    pub(super) fn main(&mut self, cvt: &mut Cvt) -> Result<FinalFigures, RemeshError> {
+        let planned = self.options.lloyd + self.options.newton;
+        while self.iterations.len() < planned && !cvt.converged() {
+            let newton = self.iterations.len() >= self.options.lloyd;
+            let step = self.take(cvt, newton)?;
+            self.observer.iteration(&step, planned);
+            self.iterations.push(IterationFigures::of(&step));
+        }
+        Ok(FinalFigures::of(&cvt.present(self.cancel)?))
+    }
+
+    fn take(&mut self, cvt: &mut Cvt, newton: bool) -> Result<Iteration, RemeshError> {
+        let step = if newton { cvt.lbfgs(self.cancel)? } else { cvt.lloyd(self.cancel)? };
+        self.rvd.add_pass(&step.stats);
+        self.rvd.reseeded_cells += step.empty_cells;
+        Ok(step)
+    }
+
+    /// Steps that are not counted as iterations: one of Lloyd's and quasi-Newton steps.
+    fn more(&mut self, cvt: &mut Cvt, steps: usize) -> Result<(), RemeshError> {
+        for k in 0..steps {
+            let step = self.take(cvt, k > 0)?;
+            self.refine.evaluations += step.evaluations;
+        }
+        Ok(())
+    }
+
+    /// Clears the curves of seeds that are not theirs.
+    pub(super) fn clear_curves(&mut self, cvt: &mut Cvt) -> Result<(), RemeshError> {
+        for round in 1..=CLEARINGS {
+            let in_the_way = if round < CLEARINGS { cvt.clear_curves()? } else { cvt.adopt_intruders()? };
+            if in_the_way == 0 {
+                break;
+            }
+            self.more(cvt, CLEARING_STEPS)?;
+        }
+        Ok(())
+    }
+
+    /// Sends seeds to places that were missed, or adds them there where `add` says so, and lets the
+    /// others settle. Returns whether there was anything to do.
+    pub(super) fn refine(
+        &mut self,
+        cvt: &mut Cvt,
+        missed: &[(u32, glam::DVec3)],
+        add: bool,
+    ) -> Result<bool, RemeshError> {
+        let curves = cvt.curves().len() as u32;
+        let pins: Vec<(u32, glam::DVec3)> =
+            missed.iter().copied().filter(|&(seed, _)| add || (seed >= curves && !cvt.is_held(seed))).collect();
+        let changed = if add {
+            let places: Vec<glam::DVec3> = pins.iter().map(|p| p.1).collect();
+            let added = cvt.pin(&[], &places)?;
+            self.refine.added_seeds += added;
+            added
+        } else {
+            let most = (cvt.len() as f64 * LARGEST_SHARE) as usize;
+            let pins = &pins[..pins.len().min(most)];
+            if !pins.is_empty() {
+                cvt.pin(pins, &[])?;
+            }
+            self.refine.moved_seeds += pins.len();
+            pins.len()
+        };
+        if changed > 0 {
+            self.refine.rounds += 1;
+            self.more(cvt, REFINING_STEPS)?;
+        }
+        Ok(changed > 0)
+    }
+}
+
+/// Seeds that are sent to places that were missed, at most, as a share of all.
+const LARGEST_SHARE: f64 = 0.02;
