@@ -271,6 +271,7 @@ fn settle(
         _ => 0,
     };
     let tolerance = options.refine.map(|r| r.tolerance * surface.frame().scale);
+    let mut best: Option<build::Built> = None;
     let mut round = 0;
     loop {
         steps.observer.stage("dual");
@@ -285,14 +286,21 @@ fn settle(
         let source = build::Source { mesh, surface: &surface, kept, placement: options.placement, tolerance };
         let built = source.triangulated(&dual, cvt.unit_seeds()?)?;
         timings.repair += clock.lap();
-        steps.refine.missed = built.missed.len();
-        if round == rounds || !steps.refine(cvt, &built.missed, tolerance.is_some())? {
-            return Ok(built);
+        let missed = built.missed.clone();
+        // Where seeds are only moved, another place may come out worse than the one that was mended.
+        match &best {
+            Some(before) if tolerance.is_none() && before.deviation <= built.deviation => {}
+            _ => best = Some(built),
         }
-        kept.seeds = cvt.curves().clone();
+        if round == rounds || !steps.refine(cvt, &missed, tolerance.is_some())? {
+            break;
+        }
         timings.refine += clock.lap();
         round += 1;
     }
+    let best = best.ok_or_else(|| RvdError::Internal("no result was built".to_owned()))?;
+    steps.refine.missed = best.missed.len();
+    Ok(best)
 }
 
 /// The seeds that the options name, those of curves first, caller's coordinates, and the random seed they were

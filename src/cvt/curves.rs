@@ -72,9 +72,9 @@ const KINK_SWEEPS: usize = 4;
 /// A curve between two corners is too short for its edge at this share of h.
 const SHORT: f64 = 0.65;
 /// A chord leaves its curve by at most this share of an edge,
-const DEVIATION: f64 = 0.13;
+const DEVIATION: f64 = 0.15;
 /// unless one of its parts would be shorter than this share.
-const SHORTEST_PART: f64 = 0.3;
+const SHORTEST_PART: f64 = 0.4;
 /// A segment is split so often at most where another curve is closer than its length.
 const PARTINGS: usize = 2;
 /// Points of a running mean on either side.

@@ -34,6 +34,8 @@ pub(super) struct Built {
     /// Places that the result is far from, with the seed nearest to each, the farthest first; unit frame. Known
     /// where the vertices were fitted.
     pub(super) missed: Vec<(u32, DVec3)>,
+    /// How far a vertex of the input is from the result at most, unit frame; 0 where it is not known.
+    pub(super) deviation: f64,
 }
 
 impl Source<'_> {
@@ -56,7 +58,7 @@ impl Source<'_> {
         let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
         let (mut positions, mut facets) = (repaired.positions, repaired.facets);
         let curve_edges = self.kept.edges_in(&facets, &vertex_seed);
-        let mut missed = Vec::new();
+        let (mut missed, mut deviation) = (Vec::new(), 0.0);
         if self.placement == Placement::Fitted {
             let mut draft = Draft {
                 positions: &mut positions,
@@ -65,11 +67,11 @@ impl Source<'_> {
                 vertex_seed: &vertex_seed,
                 curve_edges: &curve_edges,
             };
-            missed = self.fit(&mut draft, dual);
+            (missed, deviation) = self.fit(&mut draft, dual);
         }
         // All that can be wrong with it is that no facet has an area: seeds on a line.
         let mesh = TriMesh::new(positions, facets).map_err(|_| too_few)?;
-        Ok(Built { mesh, vertex_seed, curve_edges, repair: figures, missed })
+        Ok(Built { mesh, vertex_seed, curve_edges, repair: figures, missed, deviation })
     }
 
     /// Where the dual's vertices go, caller's coordinates: a cell in one piece at its seed, which is
@@ -87,8 +89,8 @@ impl Source<'_> {
     }
 
     /// Moves the result's vertices to where its facets are nearest to the input ([`fit`]). Corners of curves stay.
-    /// Returns what was missed.
-    fn fit(&self, built: &mut Draft<'_>, dual: &dual::Dual) -> Vec<(u32, DVec3)> {
+    /// Returns what was missed, and how far off the farthest place is.
+    fn fit(&self, built: &mut Draft<'_>, dual: &dual::Dual) -> (Vec<(u32, DVec3)>, f64) {
         let mut vertex = vec![u32::MAX; dual.components.len()];
         built.source.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
         let mut target = fit::Target {
@@ -114,20 +116,20 @@ impl Source<'_> {
         let rails = rails(&unit, built.curve_edges, &target.fixed);
         let curves: HashSet<[u32; 2]> = built.curve_edges.iter().flatten().map(|&e| flips::sorted(e)).collect();
         polish::polish(&mut unit, built.facets, &rails, &curves);
-        let missed = fit::missed(&unit, built.facets, &target, self.tolerance);
+        let (missed, deviation) = fit::missed(&unit, built.facets, &target, self.tolerance);
         for ((p, u), _) in built.positions.iter_mut().zip(unit).zip(&target.fixed).filter(|(_, fixed)| !**fixed) {
             *p = frame.to_world(u);
         }
-        missed.into_iter().map(|(v, place)| (built.vertex_seed[v as usize], place)).collect()
+        (missed.into_iter().map(|(v, place)| (built.vertex_seed[v as usize], place)).collect(), deviation)
     }
 }
 
-/// How each vertex may move: those with two edges of curves along these, and other ends of curves not at all.
+/// How each vertex may move: those with two edges of curves along these, and other ends of curves hardly at all.
 fn rails(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<polish::Rail> {
     let mut ends: Vec<(u32, u32)> = curve_edges.iter().flatten().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
     ends.sort_unstable();
     let of = |v: usize| match fixed[v] {
-        true => polish::Rail::Fixed,
+        true => polish::Rail::Corner,
         false => polish::Rail::Free,
     };
     let mut rails: Vec<polish::Rail> = (0..positions.len()).map(of).collect();
@@ -137,8 +139,8 @@ fn rails(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) 
             *rail = match group {
                 [(_, a), (_, b)] => (positions[*b as usize] - positions[*a as usize])
                     .try_normalize()
-                    .map_or(polish::Rail::Fixed, polish::Rail::Along),
-                _ => polish::Rail::Fixed,
+                    .map_or(polish::Rail::Corner, polish::Rail::Along),
+                _ => polish::Rail::Corner,
             };
         }
     }

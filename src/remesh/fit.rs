@@ -129,15 +129,16 @@ pub(super) fn fit(positions: &mut [DVec3], facets: &mut [[u32; 3]], target: &Tar
 }
 
 /// Where the input sticks out of the facets by more than `tolerance`, or by more than a share of an edge where
-/// that is `None`: (vertex nearest to the place, the place), the farthest first, none beside another.
+/// that is `None`: (vertex nearest to the place, the place), the farthest first, none beside another; and how
+/// far off the farthest vertex of the input is.
 pub(super) fn missed(
     positions: &[DVec3],
     facets: &[[u32; 3]],
     target: &Target,
     tolerance: Option<f64>,
-) -> Vec<(u32, DVec3)> {
+) -> (Vec<(u32, DVec3)>, f64) {
     let around = Around::new(positions.len(), facets);
-    let mut out: Vec<(f64, usize, u32)> = target
+    let all: Vec<(f64, f64, usize, u32)> = target
         .tips
         .par_iter()
         .enumerate()
@@ -149,9 +150,12 @@ pub(super) fn missed(
             let to = |v: &&u32| positions[**v as usize].distance_squared(tip.position);
             let v = *t.iter().min_by(|a, b| to(a).total_cmp(&to(b)))?;
             let distance = squared.sqrt();
-            (distance > tolerance.unwrap_or(MISSED * edge)).then_some((distance / edge, k, v))
+            Some((distance, distance / edge, k, v))
         })
         .collect();
+    let deviation = all.iter().map(|a| a.0).fold(0.0, f64::max);
+    let far = |a: &&(f64, f64, usize, u32)| tolerance.map_or(a.1 > MISSED, |t| a.0 > t);
+    let mut out: Vec<(f64, usize, u32)> = all.iter().filter(far).map(|a| (a.1, a.2, a.3)).collect();
     out.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let mut taken = vec![false; positions.len()];
     let mut found = Vec::new();
@@ -161,7 +165,7 @@ pub(super) fn missed(
             found.push((v, target.tips[k].position));
         }
     }
-    found
+    (found, deviation)
 }
 
 /// Vertices within a few edges of `front`.

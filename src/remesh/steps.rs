@@ -12,7 +12,7 @@ use crate::rvd::CancelFlag;
 
 /// Times that seeds are pushed off curves after the last step, the last time taken up by them, and
 /// steps after each.
-const CLEARINGS: usize = 3;
+const CLEARINGS: usize = 2;
 const CLEARING_STEPS: usize = 3;
 /// Steps after seeds were moved or added for what was missed.
 const REFINING_STEPS: usize = 6;
