@@ -74,9 +74,9 @@ const SHORT: f64 = 0.65;
 /// A chord leaves its curve by at most this share of an edge,
 const DEVIATION: f64 = 0.15;
 /// unless one of its parts would be shorter than this share.
-const SHORTEST_PART: f64 = 0.4;
+const SHORTEST_PART: f64 = 0.5;
 /// A segment is split so often at most where another curve is closer than its length.
-const PARTINGS: usize = 2;
+const PARTINGS: usize = 0;
 /// Points of a running mean on either side.
 const MEAN_OF: i32 = 4;
 /// No segment is longer than so many h: a seed beside its middle would take a part of the curve.

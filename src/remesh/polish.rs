@@ -27,13 +27,13 @@ pub(super) enum Rail {
 }
 
 /// Facets with a smaller score are to be better: the smallest angle, degrees, or [`SHAPE`] times Q if that is less.
-const GOAL: f64 = 33.0;
+const GOAL: f64 = 33.5;
 const SHAPE: f64 = 55.0;
 /// The vertices around them, so many edges far, move as long as their own facets have less than this.
-const RINGS: usize = 0;
-const ENOUGH: f64 = 33.0;
+const RINGS: usize = 1;
+const ENOUGH: f64 = 35.0;
 /// Passes over their vertices.
-const SWEEPS: usize = 20;
+const SWEEPS: usize = 40;
 /// Times that edges are turned between such passes, at most.
 const TURNS: usize = 3;
 /// Steps that are tried, as shares of the mean edge around the vertex.
@@ -108,8 +108,8 @@ impl Star<'_> {
     fn improve(&self, positions: &mut [DVec3], start: &[DVec3], rail: Rail) -> bool {
         let v = self.v as usize;
         let here = positions[v];
-        let now = self.worst(positions, here);
-        if !(now < ENOUGH) {
+        let now = self.lack(positions, here);
+        if !(now > 0.0) {
             return false;
         }
         let edge = self.edge(positions);
@@ -136,9 +136,9 @@ impl Star<'_> {
                     Rail::Free => far.length() <= FARTHEST * edge,
                 };
                 if within {
-                    let angle = self.worst(positions, to);
-                    if angle > best.0 + 0.05 {
-                        best = (angle, to);
+                    let lack = self.lack(positions, to);
+                    if lack < best.0 - 0.01 {
+                        best = (lack, to);
                     }
                 }
             }
@@ -147,15 +147,16 @@ impl Star<'_> {
         best.1 != here
     }
 
-    /// The least score around the vertex if it were at `p`; -1 if a facet turned.
-    fn worst(&self, positions: &[DVec3], p: DVec3) -> f64 {
+    /// The sum of squares of what the facets around the vertex lack if it were at `p`: where one can only gain
+    /// at another's cost, the worse one gains. Infinite if a facet turned.
+    fn lack(&self, positions: &[DVec3], p: DVec3) -> f64 {
         let at = |u: u32| if u == self.v { p } else { positions[u as usize] };
-        let angle = |&f: &u32| {
+        let lack = |&f: &u32| {
             let corners = self.facets[f as usize].map(at);
             let turned = normal(corners).dot(self.normals[f as usize]) < LEAST_COSINE;
-            if turned { -1.0 } else { score(corners) }
+            if turned { f64::INFINITY } else { (ENOUGH - score(corners)).max(0.0).powi(3) }
         };
-        self.around.iter().map(angle).fold(f64::INFINITY, f64::min)
+        self.around.iter().map(lack).sum()
     }
 
     /// Mean length of the edges around.
