@@ -6,6 +6,7 @@
 //! from one pass over the diagram.
 //! Must not know: files, remeshing, jobs.
 
+pub mod density;
 mod reseed;
 
 use std::sync::Arc;

@@ -12,6 +12,7 @@ use std::time::Instant;
 
 use glam::DVec3;
 
+use crate::cvt::density::{self, Count, DensityError, DensityOptions, Plan};
 use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
@@ -36,6 +37,22 @@ pub enum Seeds {
     },
     /// These, caller's coordinates.
     Given(Vec<DVec3>),
+    /// As many as the edge lengths of the density imply, drawn as `Sample`.
+    Implied {
+        /// Random seed.
+        seed: u64,
+    },
+}
+
+impl Seeds {
+    /// How many there are to be.
+    pub fn count(&self) -> Count {
+        match self {
+            Self::Sample { points, .. } => Count::Points(*points),
+            Self::Given(seeds) => Count::Points(seeds.len()),
+            Self::Implied { .. } => Count::Implied,
+        }
+    }
 }
 
 /// What to do. Everything has a default but the seeds.
@@ -45,8 +62,8 @@ pub struct RemeshOptions {
     pub seeds: Seeds,
     /// Lloyd steps.
     pub lloyd: usize,
-    /// Density weight per mesh vertex, or uniform.
-    pub weights: Option<Vec<f64>>,
+    /// How long edges should be, and where.
+    pub density: DensityOptions,
     /// Where seeds go after each step. The last step always ends on the surface.
     pub projection: Projection,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
@@ -72,6 +89,9 @@ pub enum RemeshError {
     /// The diagram could not be had.
     #[error(transparent)]
     Rvd(#[from] RvdError),
+    /// The wished density cannot be had.
+    #[error(transparent)]
+    Density(DensityError),
     /// Every triangle of the dual lies back to back with another.
     #[error("the surface lies back to back with itself and has no thickness; remesh one of its sides")]
     NoThickness,
@@ -81,6 +101,15 @@ pub enum RemeshError {
         /// How many there were.
         seeds: usize,
     },
+}
+
+impl From<DensityError> for RemeshError {
+    fn from(error: DensityError) -> Self {
+        match error {
+            DensityError::Cancelled => Self::Rvd(RvdError::Cancelled),
+            error => Self::Density(error),
+        }
+    }
 }
 
 /// What the caller hears while it waits. All methods have empty defaults.
@@ -106,13 +135,14 @@ pub fn remesh(
 ) -> Result<Remesh, RemeshError> {
     let mut clock = Clock::start();
     observer.stage("prepare");
-    let surface = Arc::new(Surface::new(mesh, options.weights.as_deref())?);
+    let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?;
+    let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
     let input = InputFigures::of(mesh);
     let mut timings = Timings { prepare: clock.lap(), ..Timings::default() };
     cancel.check()?;
 
     observer.stage("sample");
-    let (first, seed) = first_seeds(mesh, options);
+    let (first, seed) = first_seeds(&plan, &options.seeds);
     timings.sample = clock.lap();
     cancel.check()?;
 
@@ -169,16 +199,17 @@ pub fn remesh(
         memory: MemoryFigures { host_peak_bytes: None, device_bytes: cvt.device_bytes() },
         result: figures,
         topology_changes: changes,
+        density: plan.figures,
     };
     Ok(Remesh { mesh: result, vertex_seed, seeds: cvt.seeds(), report })
 }
 
 /// The seeds that the options name, caller's coordinates, and the random seed they were drawn from.
-fn first_seeds(mesh: &TriMesh, options: &RemeshOptions) -> (Vec<DVec3>, Option<u64>) {
-    match &options.seeds {
+fn first_seeds(plan: &Plan<'_>, seeds: &Seeds) -> (Vec<DVec3>, Option<u64>) {
+    match seeds {
         Seeds::Given(seeds) => (seeds.clone(), None),
-        Seeds::Sample { points, seed } => {
-            let points = sample(mesh, options.weights.as_deref(), *points, *seed);
+        Seeds::Sample { seed, .. } | Seeds::Implied { seed } => {
+            let points = sample(&plan.mesh, plan.weights.as_deref(), plan.points, *seed);
             (points.iter().map(|p| p.position).collect(), Some(*seed))
         }
     }

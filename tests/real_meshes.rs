@@ -14,6 +14,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use tessera::cvt::Projection;
+use tessera::cvt::density::DensityOptions;
 use tessera::mesh::measure::topology;
 use tessera::mesh::sample::sample;
 use tessera::remesh::{RemeshOptions, Seeds, remesh};
@@ -114,7 +115,7 @@ fn remesh_real(file: &str, points: usize, lloyd: usize) -> Option<(tessera::mesh
     let options = RemeshOptions {
         seeds: Seeds::Sample { points, seed: 0 },
         lloyd,
-        weights: None,
+        density: DensityOptions::default(),
         projection: Projection::Free,
         measure: false,
     };

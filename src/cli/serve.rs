@@ -13,6 +13,7 @@ use super::exit::Unavailable;
 use super::{backends, interrupt};
 use crate::config::{ServeArgs, ServeConfig};
 use crate::cvt::Projection;
+use crate::cvt::density::DensityOptions;
 use crate::job::{Backends, Engine, EngineOptions, JobError, Wish};
 use crate::mesh::TriMesh;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
@@ -80,7 +81,7 @@ fn warm_up(backends: &Backends) -> Result<(), JobError> {
     let options = RemeshOptions {
         seeds: Seeds::Given(axes.to_vec()),
         lloyd: 1,
-        weights: None,
+        density: DensityOptions::default(),
         projection: Projection::OnSurface,
         measure: false,
     };

@@ -372,7 +372,7 @@ fn remeshes(case: &Case, parallel: &Parallel) -> Result<(), String> {
     let options = RemeshOptions {
         seeds: Seeds::Given(case.seeds.iter().map(|&p| surface.frame().to_world(p)).collect()),
         lloyd: case.tiny.cells,
-        weights: case.weights.clone(),
+        density: case.weights.clone().into(),
         projection: Projection::Free,
         measure: false,
     };

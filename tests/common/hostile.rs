@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use glam::DVec3;
 use tessera::cvt::Projection;
+use tessera::cvt::density::DensityOptions;
 use tessera::mesh::TriMesh;
 use tessera::mesh::measure::topology;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
@@ -73,7 +74,7 @@ pub fn covered(name: &str, surface: &Arc<Surface>, seeds: &[DVec3]) {
 }
 
 pub fn options(seeds: Seeds, lloyd: usize) -> RemeshOptions {
-    RemeshOptions { seeds, lloyd, weights: None, projection: Projection::Free, measure: false }
+    RemeshOptions { seeds, lloyd, density: DensityOptions::default(), projection: Projection::Free, measure: false }
 }
 
 pub fn run(mesh: &TriMesh, options: &RemeshOptions, backend: &dyn Backend) -> Result<Remesh, RemeshError> {
