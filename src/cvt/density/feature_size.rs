@@ -17,8 +17,9 @@ use super::net::Net;
 use super::normals;
 use crate::knn::{SeedIndex, Threads};
 
-/// Radius of the first ball, and what a surface without medial axis has: twice the bounding box's longest side.
-pub(super) const FAR: f64 = 2.0;
+/// Radius of the first ball, and what a surface without medial axis has: the bounding box's longest side. A ball that
+/// touches two points of the box and is larger says nothing of features.
+pub(super) const FAR: f64 = 1.0;
 
 /// A ball stops shrinking before its two touching points are seen from its centre under a smaller angle: they are
 /// then neighbours, and what the ball would measure is noise or the faceting. A normal that is off by δ makes a
@@ -30,7 +31,7 @@ const LEAST_ANGLE: f64 = PI / 3.0;
 const OPPOSITE: f64 = 0.75 * PI;
 
 /// Samples that are put into large facets, at about equal distances.
-const SAMPLES: f64 = 20_000.0;
+const SAMPLES: f64 = 10_000.0;
 
 /// The most samples of each kind; of more vertices than this every k-th is one.
 const MOST_SAMPLES: usize = 200_000;

@@ -40,7 +40,12 @@ impl Outline {
         let (low, high) = mesh.bounds();
         let extent = (high - low).max_element();
         let boundary = boundary_edges(mesh, adjacency).map(|[a, b]| ((a - b) / extent).length()).sum();
-        let area = mesh.area() / extent / extent;
+        // In the box of side 1: the area of a mesh scaled by 1e-200 is no number.
+        let area = (0..mesh.facets().len())
+            .filter(|&f| !mesh.is_degenerate(f))
+            .map(|f| mesh.corners(f).map(|p| (p - low) / extent))
+            .map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length())
+            .sum();
         Self { extent, area, boundary, euler: topology_of(mesh, adjacency).euler as f64 }
     }
 
@@ -64,6 +69,10 @@ impl Outline {
     /// it changes them by no more than a factor of two: a torn surface may have a χ of any size.
     pub(super) fn count(&self, cells: f64, boundary: f64) -> f64 {
         let flat = cells + 0.5 * boundary;
+        // Lengths so small that they vanish beside the extent: 0 of a boundary over 0.
+        if flat.is_nan() {
+            return f64::INFINITY;
+        }
         (flat + self.euler).max(0.5 * flat).min(2.0 * flat).max(1.0)
     }
 }
