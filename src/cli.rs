@@ -18,6 +18,7 @@ mod remote;
 mod rvd;
 mod serve;
 pub mod shape;
+mod sizes;
 
 use std::process::ExitCode;
 

@@ -9,6 +9,7 @@
 
 mod convergence;
 pub mod curves;
+pub mod density;
 mod line_search;
 mod reseed;
 

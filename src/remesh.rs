@@ -19,6 +19,7 @@ use std::time::Instant;
 
 use glam::DVec3;
 
+use crate::cvt::density::{self, Count, DensityError, DensityOptions, Plan};
 use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
 use crate::mesh::TriMesh;
 use crate::mesh::features::FeatureError;
@@ -42,6 +43,22 @@ pub enum Seeds {
     },
     /// These, caller's coordinates.
     Given(Vec<DVec3>),
+    /// As many as the edge lengths of the density imply, drawn as `Sample`.
+    Implied {
+        /// Random seed.
+        seed: u64,
+    },
+}
+
+impl Seeds {
+    /// How many there are to be.
+    pub fn count(&self) -> Count {
+        match self {
+            Self::Sample { points, .. } => Count::Points(*points),
+            Self::Given(seeds) => Count::Points(seeds.len()),
+            Self::Implied { .. } => Count::Implied,
+        }
+    }
 }
 
 /// Where the result's vertices go.
@@ -75,8 +92,8 @@ pub struct RemeshOptions {
     pub lloyd: usize,
     /// Quasi-Newton steps after them, at most; fewer where a test of convergence says so.
     pub newton: usize,
-    /// Density weight per mesh vertex, or uniform.
-    pub weights: Option<Vec<f64>>,
+    /// How long edges should be, and where.
+    pub density: DensityOptions,
     /// Where seeds go after each step. The last step always ends on the surface.
     pub projection: Projection,
     /// Where the result's vertices go.
@@ -101,7 +118,7 @@ impl RemeshOptions {
             seeds,
             lloyd: 5,
             newton: 30,
-            weights: None,
+            density: DensityOptions::default(),
             projection: Projection::Free,
             placement: Placement::Fitted,
             crease_angle_deg: 30.0,
@@ -150,6 +167,9 @@ pub enum RemeshError {
     /// Creases that cannot be.
     #[error(transparent)]
     Feature(#[from] FeatureError),
+    /// The wished density cannot be had.
+    #[error(transparent)]
+    Density(DensityError),
     /// Every triangle of the dual lies back to back with another.
     #[error("the surface lies back to back with itself and has no thickness; remesh one of its sides")]
     NoThickness,
@@ -159,6 +179,15 @@ pub enum RemeshError {
         /// How many there were.
         seeds: usize,
     },
+}
+
+impl From<DensityError> for RemeshError {
+    fn from(error: DensityError) -> Self {
+        match error {
+            DensityError::Cancelled => Self::Rvd(RvdError::Cancelled),
+            error => Self::Density(error),
+        }
+    }
 }
 
 /// What the caller hears while it waits. All methods have empty defaults.
@@ -184,14 +213,15 @@ pub fn remesh(
 ) -> Result<Remesh, RemeshError> {
     let mut clock = Clock::start();
     observer.stage("prepare");
-    let surface = Arc::new(Surface::new(mesh, options.weights.as_deref())?);
+    let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?;
+    let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
     let input = InputFigures::of(mesh);
-    let mut kept = curves::Kept::find(mesh, &surface, options)?;
+    let mut kept = curves::Kept::find(&plan, &surface, options)?;
     let mut timings = Timings { prepare: clock.lap(), ..Timings::default() };
     cancel.check()?;
 
     observer.stage("sample");
-    let (first, seed) = first_seeds(mesh, &surface, &kept, options);
+    let (first, seed) = first_seeds(&plan, &surface, &kept, &options.seeds);
     timings.sample = clock.lap();
     cancel.check()?;
 
@@ -209,7 +239,7 @@ pub fn remesh(
     steps.clear_curves(&mut cvt)?;
     kept.seeds = cvt.curves().clone();
     timings.refine = clock.lap();
-    let built = settle(mesh, &mut kept, &mut cvt, backend, &mut steps, &mut timings, &mut clock)?;
+    let built = settle(&plan.mesh, &mut kept, &mut cvt, backend, &mut steps, &mut timings, &mut clock)?;
     let Steps { observer, rvd, iterations, refine, .. } = steps;
 
     observer.stage("measure");
@@ -241,6 +271,7 @@ pub fn remesh(
         memory: MemoryFigures { host_peak_bytes: None, device_bytes: cvt.device_bytes() },
         result: figures,
         topology_changes: changes,
+        density: plan.figures,
     };
     let curve_edges = built.curve_edges.into_iter().flatten().collect();
     Ok(Remesh { mesh: built.mesh, vertex_seed: built.vertex_seed, curve_edges, seeds: cvt.seeds()?, report })
@@ -305,19 +336,14 @@ fn settle(
 
 /// The seeds that the options name, those of curves first, caller's coordinates, and the random seed they were
 /// drawn from.
-fn first_seeds(
-    mesh: &TriMesh,
-    surface: &Surface,
-    kept: &curves::Kept,
-    options: &RemeshOptions,
-) -> (Vec<DVec3>, Option<u64>) {
-    match &options.seeds {
-        Seeds::Given(seeds) => (seeds.clone(), None),
-        &Seeds::Sample { points, seed } if kept.seeds.is_empty() => {
-            let drawn = sample(mesh, options.weights.as_deref(), points, seed);
+fn first_seeds(plan: &Plan<'_>, surface: &Surface, kept: &curves::Kept, seeds: &Seeds) -> (Vec<DVec3>, Option<u64>) {
+    match *seeds {
+        Seeds::Given(ref seeds) => (seeds.clone(), None),
+        Seeds::Sample { seed, .. } | Seeds::Implied { seed } if kept.seeds.is_empty() => {
+            let drawn = sample(&plan.mesh, plan.weights.as_deref(), plan.points, seed);
             (drawn.iter().map(|p| p.position).collect(), Some(seed))
         }
-        &Seeds::Sample { points, seed } => (kept.with_others(mesh, surface, options, points, seed), Some(seed)),
+        Seeds::Sample { seed, .. } | Seeds::Implied { seed } => (kept.with_others(plan, surface, seed), Some(seed)),
     }
 }
 

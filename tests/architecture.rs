@@ -31,6 +31,7 @@ const DOORS: &[(&str, &[&str])] = &[
     ("rvd/gpu", &["gpu"]),
     ("knn/gpu", &["gpu"]),
     ("cvt/gpu", &["gpu"]),
+    ("cvt/density", &["knn"]),
     ("job/admission", &["gpu"]),
     ("job/worker", &["gpu"]),
 ];

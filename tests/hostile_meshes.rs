@@ -312,7 +312,7 @@ fn weights_of_any_size() {
             points::on_surface(&surface, 100, &mut points::rng(4)).into_iter().map(|x| x.1).collect();
         covered(name, &surface, &seeds);
         let wish = options(Seeds::Sample { points: 100, seed: 2 }, 2);
-        remeshed(name, &mesh, &tessera::remesh::RemeshOptions { weights: Some(weights), ..wish });
+        remeshed(name, &mesh, &tessera::remesh::RemeshOptions { density: Some(weights).into(), ..wish });
     }
     let refused = |of: &dyn Fn(usize) -> f64| Surface::new(&mesh, Some(&like(of))).unwrap_err();
     let unused = refused(&|v| f64::from(v + 1 == count));

@@ -139,7 +139,7 @@ fn given_seeds_are_the_vertices() {
 fn weights_gather_seeds() {
     let mesh = Shape::Plane.build(4000);
     let weights: Vec<f64> = mesh.positions().iter().map(|p| if p.x > 0.5 { 1.0 } else { 1.0 / 256.0 }).collect();
-    let out = run(&mesh, &RemeshOptions { weights: Some(weights), ..options(1000, 20) }, &Serial).unwrap();
+    let out = run(&mesh, &RemeshOptions { density: Some(weights).into(), ..options(1000, 20) }, &Serial).unwrap();
     let right = out.mesh.positions().iter().filter(|p| p.x > 0.5).count() as f64;
     // Edge length ∝ w^(-1/4): four times as fine on the right, sixteen times as many seeds.
     let ratio = right / (1000.0 - right);

@@ -16,6 +16,7 @@ use serde_json::{Value, json};
 
 use super::{backends, files, interrupt};
 use crate::config::{BackendArg, BackendArgs};
+use crate::cvt::density::DensityOptions;
 use crate::job::spec::{Input, Prepared};
 use crate::mesh::shapes::Shape;
 use crate::remesh::Seeds;
@@ -118,7 +119,7 @@ fn rvd(args: &RvdBenchArgs) -> Result<()> {
     let cancel = CancelFlag::default();
     interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
     let (backend, gpu) = open(&args.backend)?;
-    let Prepared { surface, seeds, .. } = Prepared::new(Input { mesh, weights: None, seeds })?;
+    let Prepared { surface, seeds, .. } = Prepared::new(Input { mesh, density: DensityOptions::default(), seeds })?;
     let mut seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
     let options = SessionOptions { tuning: tuning(args), ..SessionOptions::new(seeds.len()) };
     let mut session = backend.session(Arc::clone(&surface), options)?;

@@ -1,14 +1,16 @@
 //! `tessera remesh`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 
+use super::exit::Usage;
 use super::progress::Progress;
-use super::{backends, files, interrupt, remote};
+use super::{backends, files, interrupt, remote, sizes};
 use crate::config::BackendArgs;
+use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::{TriMesh, io};
 use crate::remesh::{Placement, RemeshOptions, Report, Seeds, remesh};
 use crate::rvd::CancelFlag;
@@ -22,9 +24,10 @@ pub(crate) struct RemeshArgs {
     /// Where the remesh goes; the extension is the format.
     #[arg(short, long, value_name = "OUTPUT")]
     output: PathBuf,
-    /// Number of seeds, about the number of vertices of the result.
+    /// Number of seeds, about the number of vertices of the result. This, --edge-length or --sizes is required.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    points: u32,
+    #[arg(required_unless_present_any = ["edge_length", "sizes"], conflicts_with = "edge_length")]
+    points: Option<u32>,
     /// Lloyd steps.
     #[arg(long, value_name = "N", default_value_t = 5)]
     lloyd: u32,
@@ -52,6 +55,61 @@ pub(crate) struct RemeshArgs {
     /// Write the report there, as JSON.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
+    /// How lengths of edges vary.
+    #[command(flatten)]
+    density: DensityArgs,
+}
+
+/// Where edges are short and where long.
+#[derive(Args, Debug)]
+struct DensityArgs {
+    /// Where short edges go.
+    #[arg(long, value_enum, default_value_t, conflicts_with = "sizes")]
+    density: DensityArg,
+    /// Length of the edges, in the input's units, instead of --points. If --density is not uniform: as many points
+    /// as edges of this length everywhere would need.
+    #[arg(long, value_name = "H", value_parser = positive, conflicts_with = "sizes")]
+    edge_length: Option<f64>,
+    /// File with the length of the edges at each vertex of the input, one number a line in the order of the
+    /// input's vertices. With --points only the ratios are kept.
+    #[arg(long, value_name = "FILE")]
+    sizes: Option<PathBuf>,
+    /// The most that edge lengths grow per distance.
+    #[arg(long, value_name = "G", default_value_t = DensityOptions::default().gradation, value_parser = positive)]
+    gradation: f64,
+    /// 0 for edges of one length, 1 for lengths as --density or --sizes says.
+    #[arg(long, value_name = "A", default_value_t = 1.0)]
+    adaptivity: f64,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum DensityArg {
+    /// Edges of one length.
+    #[default]
+    Uniform,
+    /// Where the surface bends.
+    Curvature,
+    /// Where the surface is thin, hollow or sharp: local feature size.
+    Lfs,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().map_err(|error| error.to_string())?;
+    if number.is_finite() && number > 0.0 { Ok(number) } else { Err("a finite number above 0 is needed".to_owned()) }
+}
+
+impl DensityArgs {
+    /// What the options say of `mesh`, which was read from `input`.
+    fn options(&self, input: &Path, mesh: &TriMesh) -> Result<DensityOptions> {
+        let source = match (&self.sizes, self.density) {
+            (Some(path), _) => DensitySource::Sizes(sizes::read(path, input, mesh)?),
+            (None, DensityArg::Uniform) => DensitySource::Uniform,
+            (None, DensityArg::Curvature) => DensitySource::Curvature,
+            (None, DensityArg::Lfs) => DensitySource::FeatureSize,
+        };
+        let (edge_length, gradation, adaptivity) = (self.edge_length, self.gradation, self.adaptivity);
+        Ok(DensityOptions { edge_length, gradation, adaptivity, ..DensityOptions::from_source(source) })
+    }
 }
 
 /// What happens to boundaries.
@@ -91,16 +149,21 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     args.backend.check()?;
     files::check_output(&args.output, &["obj", "ply", "stl", "off"])?;
     args.report.iter().try_for_each(|path| files::check_output(path, &[]))?;
+    if args.density.sizes.is_some() {
+        sizes::check_format(&args.input)?;
+    }
     let start = Instant::now();
     let mesh = files::read_mesh(&args.input)?;
+    let density = args.density.options(&args.input, &mesh)?;
+    density.check().map_err(|error| Usage(error.to_string()))?;
     let read_ms = ms(start);
     match &args.endpoint {
-        None => here(args, &mesh, start, read_ms),
-        Some(endpoint) => there(args, &mesh, endpoint),
+        None => here(args, &mesh, density, start, read_ms),
+        Some(endpoint) => there(args, &mesh, &density, endpoint),
     }
 }
 
-fn here(args: &RemeshArgs, mesh: &TriMesh, start: Instant, read_ms: f64) -> Result<()> {
+fn here(args: &RemeshArgs, mesh: &TriMesh, density: DensityOptions, start: Instant, read_ms: f64) -> Result<()> {
     let cancel = CancelFlag::default();
     interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
     let backend = backends::one(&args.backend)?;
@@ -110,7 +173,11 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, start: Instant, read_ms: f64) -> Resu
         crease_angle_deg: args.crease_angle,
         keep_boundaries: args.boundaries == BoundariesArg::Keep,
         placement: args.placement.placement(),
-        ..RemeshOptions::new(Seeds::Sample { points: args.points as usize, seed: args.seed })
+        density,
+        ..RemeshOptions::new(match args.points {
+            Some(points) => Seeds::Sample { points: points as usize, seed: args.seed },
+            None => Seeds::Implied { seed: args.seed },
+        })
     };
     let mut progress = Progress::new();
     let done = remesh(mesh, &options, backend.as_ref(), &mut progress, &cancel);
@@ -128,14 +195,15 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, start: Instant, read_ms: f64) -> Resu
     Ok(())
 }
 
-fn there(args: &RemeshArgs, mesh: &TriMesh, endpoint: &str) -> Result<()> {
+fn there(args: &RemeshArgs, mesh: &TriMesh, density: &DensityOptions, endpoint: &str) -> Result<()> {
     let job = remote::RemeshJob {
         mesh,
-        points: args.points.into(),
+        points: args.points.unwrap_or(0).into(),
         random_seed: args.seed,
         lloyd: args.lloyd,
         newton: args.newton,
         backend: args.backend.backend,
+        density,
     };
     let done = remote::remesh(endpoint, &job)?;
     io::write(&args.output, &done.mesh)?;
@@ -159,6 +227,11 @@ fn print(report: &Report) {
     println!("result      {} vertices, {} facets, χ {}", result.vertices, result.facets, result.topology.euler);
     if let Some(last) = report.iterations.last() {
         println!("iterations  {}, E/E_hex before the last {:.5}", report.iterations.len(), last.energy_ratio);
+    }
+    let density = &report.density;
+    if let (Some(least), Some(median), Some(largest)) = (density.edge_least, density.edge_median, density.edge_largest)
+    {
+        println!("lengths     {}: target {least:.4e} to {largest:.4e}, median {median:.4e}", density.source);
     }
     println!("pairs       {}, launched again {}, empty cells {}", rvd.pairs, rvd.relaunched_pairs, rvd.empty_cells);
     if let Some(q) = &result.quality {

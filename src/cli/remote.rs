@@ -15,6 +15,7 @@ use super::interrupt;
 use super::progress::Progress;
 use super::rvd::{RvdResult, Sink, Wants};
 use crate::config::BackendArg;
+use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
 use crate::rvd::{PieceBatch, RvdError};
@@ -26,7 +27,7 @@ use crate::service::proto::{self, ArrayKind, CellsChunk, Chunk, seed_source};
 pub(crate) struct RemeshJob<'a> {
     /// The surface.
     pub(crate) mesh: &'a TriMesh,
-    /// How many seeds to draw.
+    /// How many seeds to draw; 0 for as many as the density implies.
     pub(crate) points: u64,
     /// Random seed.
     pub(crate) random_seed: u64,
@@ -36,6 +37,8 @@ pub(crate) struct RemeshJob<'a> {
     pub(crate) newton: u32,
     /// Who should do it.
     pub(crate) backend: BackendArg,
+    /// How long edges should be; `points` is 0 if that says how many.
+    pub(crate) density: &'a DensityOptions,
 }
 
 /// What came back.
@@ -56,10 +59,14 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
         backend: choice(job.backend).into(),
         lloyd_steps: job.lloyd,
         newton_steps: job.newton,
+        density: Some(density(job.density)),
         ..proto::RemeshHeader::default()
     };
     let mut messages = vec![Ask::Header(header)];
     messages.extend(mesh_chunks(job.mesh).map(Ask::Chunk));
+    if let DensitySource::Sizes(sizes) = &job.density.source {
+        messages.extend(convert::number_chunks(ArrayKind::EdgeLengths, sizes).map(Ask::Chunk));
+    }
     messages.push(Ask::Finish(proto::Finish {}));
     let requests = messages.into_iter().map(|m| proto::RemeshRequest { message: Some(m) }).collect::<Vec<_>>();
     block_on(async {
@@ -101,6 +108,10 @@ pub(crate) fn rvd(
         Seeds::Sample { points, seed } => {
             let sampled = proto::SampledSeeds { points: points as u64, random_seed: seed };
             (seed_source::Source::Sampled(sampled), Vec::new())
+        }
+        // Which the server refuses: a diagram has no edge lengths.
+        Seeds::Implied { seed } => {
+            (seed_source::Source::Sampled(proto::SampledSeeds { points: 0, random_seed: seed }), Vec::new())
         }
     };
     let mut outputs = Vec::new();
@@ -180,6 +191,24 @@ fn choice(backend: BackendArg) -> proto::BackendChoice {
         BackendArg::Gpu => proto::BackendChoice::Gpu,
         BackendArg::Parallel => proto::BackendChoice::Parallel,
         BackendArg::Serial => proto::BackendChoice::Serial,
+    }
+}
+
+fn density(options: &DensityOptions) -> proto::DensityOptions {
+    let source = match options.source {
+        DensitySource::Uniform => proto::DensitySource::Uniform,
+        DensitySource::Weights(_) => proto::DensitySource::Weights,
+        DensitySource::Sizes(_) => proto::DensitySource::EdgeLengths,
+        DensitySource::Curvature => proto::DensitySource::Curvature,
+        DensitySource::FeatureSize => proto::DensitySource::FeatureSize,
+    };
+    let edge_lengths = if let DensitySource::Sizes(sizes) = &options.source { sizes.len() as u64 } else { 0 };
+    proto::DensityOptions {
+        source: source.into(),
+        edge_length: options.edge_length.unwrap_or(0.0),
+        edge_lengths,
+        adaptivity: Some(options.adaptivity),
+        gradation: Some(options.gradation),
     }
 }
 

@@ -11,6 +11,7 @@ use super::cell_file::CellFile;
 use super::progress::Progress;
 use super::{backends, files, interrupt, remote};
 use crate::config::BackendArgs;
+use crate::cvt::density::DensityOptions;
 use crate::job::BackendInfo;
 use crate::job::diagram::Diagram;
 use crate::job::spec::{Input, Prepared};
@@ -128,7 +129,7 @@ fn here(args: &RvdArgs, mesh: TriMesh, seeds: Seeds, wants: Wants, sink: Sink<'_
     let backend = backends::one(&args.backend)?;
     let progress = Progress::new();
     progress.stage("prepare", 0, 0);
-    let prepared = Prepared::new(Input { mesh, weights: None, seeds })?;
+    let prepared = Prepared::new(Input { mesh, density: DensityOptions::default(), seeds })?;
     cancel.check()?;
     progress.stage("diagram", 0, 0);
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;

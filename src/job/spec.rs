@@ -10,10 +10,11 @@ use std::time::Instant;
 use glam::DVec3;
 
 use super::JobError;
+use crate::cvt::density::{self, DensityFigures, DensityOptions};
 use crate::mesh::TriMesh;
 use crate::mesh::sample::sample;
-use crate::remesh::Seeds;
 use crate::remesh::report::{InputFigures, Timings};
+use crate::remesh::{RemeshError, Seeds};
 use crate::rvd::{RvdError, Surface};
 
 /// A surface and seeds, as given.
@@ -21,8 +22,8 @@ use crate::rvd::{RvdError, Surface};
 pub struct Input {
     /// The surface, caller's coordinates.
     pub mesh: TriMesh,
-    /// One weight per vertex, or uniform.
-    pub weights: Option<Vec<f64>>,
+    /// How long edges should be, and where.
+    pub density: DensityOptions,
     /// The seeds, or how to draw them.
     pub seeds: Seeds,
 }
@@ -40,24 +41,28 @@ pub struct Prepared {
     pub figures: InputFigures,
     /// `prepare` and `sample` are set.
     pub timings: Timings,
+    /// Target edge lengths.
+    pub density: DensityFigures,
 }
 
 impl Prepared {
-    /// Checks the weights and the seeds, and draws seeds if asked.
+    /// Checks the density and the seeds, and draws seeds if asked. Lengths per vertex, curvature and feature
+    /// size may divide facets; with weights and uniform the surface's facets are the mesh's.
     ///
     /// # Errors
-    /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`.
+    /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`, `Density`.
     pub fn new(input: Input) -> Result<Self, JobError> {
         let start = Instant::now();
-        let Input { mesh, weights, seeds } = input;
-        let surface = Arc::new(Surface::new(&mesh, weights.as_deref())?);
+        let Input { mesh, density, seeds } = input;
+        let plan = density::plan(&mesh, &density, seeds.count(), &|| false).map_err(RemeshError::from)?;
+        let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
         let figures = InputFigures::of(&mesh);
         let mut timings = Timings { prepare: start.elapsed().as_secs_f64() * 1e3, ..Timings::default() };
         let start = Instant::now();
         let (seeds, random_seed) = match seeds {
             Seeds::Given(seeds) => (seeds, None),
-            Seeds::Sample { points, seed } => {
-                let points = sample(&mesh, weights.as_deref(), points, seed);
+            Seeds::Sample { seed, .. } | Seeds::Implied { seed } => {
+                let points = sample(&plan.mesh, plan.weights.as_deref(), plan.points, seed);
                 (points.into_iter().map(|p| p.position).collect(), Some(seed))
             }
         };
@@ -68,6 +73,7 @@ impl Prepared {
         if let Some(seed) = seeds.iter().position(|p: &DVec3| !p.is_finite()) {
             return Err(RvdError::NonFiniteSeed { seed }.into());
         }
-        Ok(Self { surface, seeds: Arc::new(seeds), random_seed, figures, timings })
+        let density = plan.figures;
+        Ok(Self { surface, seeds: Arc::new(seeds), random_seed, figures, timings, density })
     }
 }

@@ -13,6 +13,7 @@ use super::fit::CurveSample;
 use super::report::FeatureFigures;
 use super::{RemeshError, RemeshOptions, Seeds};
 use crate::cvt::curves::{BETWEEN, CurveSeeds, Segment, edge_length};
+use crate::cvt::density::Plan;
 use crate::knn::SeedIndex;
 use crate::mesh::TriMesh;
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
@@ -37,8 +38,11 @@ pub(super) struct Kept {
 
 impl Kept {
     /// Finds what `options` ask for; nothing where seeds are given.
-    pub(super) fn find(mesh: &TriMesh, surface: &Surface, options: &RemeshOptions) -> Result<Self, RemeshError> {
-        let Seeds::Sample { points, .. } = options.seeds else { return Ok(Self::default()) };
+    pub(super) fn find(plan: &Plan<'_>, surface: &Surface, options: &RemeshOptions) -> Result<Self, RemeshError> {
+        if matches!(options.seeds, Seeds::Given(_)) {
+            return Ok(Self::default());
+        }
+        let (mesh, points): (&TriMesh, usize) = (&plan.mesh, plan.points);
         let scale = edge_length(surface, &Features::default(), points);
         let mut wish = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
@@ -79,14 +83,8 @@ impl Kept {
     }
 
     /// The curves' seeds and as many drawn ones as make `points`, clear of the curves; caller's coordinates.
-    pub(super) fn with_others(
-        &self,
-        mesh: &TriMesh,
-        surface: &Surface,
-        options: &RemeshOptions,
-        points: usize,
-        seed: u64,
-    ) -> Vec<DVec3> {
+    pub(super) fn with_others(&self, plan: &Plan<'_>, surface: &Surface, seed: u64) -> Vec<DVec3> {
+        let (mesh, points): (&TriMesh, usize) = (&plan.mesh, plan.points);
         let frame = surface.frame();
         let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
         let others = points - all.len();
@@ -99,7 +97,7 @@ impl Kept {
         };
         // Curves cover a small part of most surfaces; on one that they cover all of, seeds begin
         // where they can.
-        let drawn = sample(mesh, options.weights.as_deref(), 4 * others, seed);
+        let drawn = sample(mesh, plan.weights.as_deref(), 4 * others, seed);
         let (mut kept, rest): (Vec<DVec3>, Vec<DVec3>) = drawn.iter().map(|s| s.position).partition(|&p| clear(p));
         kept.extend(rest);
         all.extend(kept.into_iter().take(others));

@@ -185,8 +185,9 @@ mod tests {
         positions[0] = DVec3::new(0.6, 0.2, 0.0);
         let mut facets: Vec<[u32; 3]> = (0..6).map(|k| [0, 1 + k, 1 + (k + 1) % 6]).collect();
         let mut rails = vec![Rail::Corner; 7];
+        let wheel = facets.clone();
         let worst =
-            |p: &[DVec3]| facets.iter().map(|t| least_angle(t.map(|v| p[v as usize]))).fold(f64::INFINITY, f64::min);
+            |p: &[DVec3]| wheel.iter().map(|t| least_angle(t.map(|v| p[v as usize]))).fold(f64::INFINITY, f64::min);
         let (before, first) = (worst(&positions), positions[0]);
         let mut still = positions.clone();
         polish(&mut still, &mut facets, &rails, &HashSet::new());

@@ -7,6 +7,7 @@
 use serde::Serialize;
 
 use crate::cvt::Iteration;
+use crate::cvt::density::DensityFigures;
 use crate::mesh::TriMesh;
 use crate::mesh::measure::{Quality, Topology, topology};
 use crate::rvd::dual::Dual;
@@ -47,6 +48,8 @@ pub struct Report {
     /// What is not as in the input, e.g. "euler: 0 becomes 2"; empty if χ, components and boundary
     /// loops are kept.
     pub topology_changes: Vec<String>,
+    /// Target edge lengths.
+    pub density: DensityFigures,
 }
 
 /// What of the topology is not kept, one sentence each. Non-manifold elements are not counted as

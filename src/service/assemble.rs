@@ -17,6 +17,7 @@ pub(crate) struct Uploaded {
     pub(crate) facets: Vec<[u32; 3]>,
     pub(crate) weights: Option<Vec<f64>>,
     pub(crate) seeds: Vec<DVec3>,
+    pub(crate) edge_lengths: Option<Vec<f64>>,
     /// Held until the job is done.
     pub(crate) share: Share,
 }
@@ -24,7 +25,7 @@ pub(crate) struct Uploaded {
 /// See the module's head.
 #[derive(Debug)]
 pub(crate) struct Assembly {
-    arrays: [Array; 4],
+    arrays: [Array; 5],
     share: Share,
 }
 
@@ -67,6 +68,7 @@ impl Assembly {
                 array(ArrayKind::Facets, 4, 3, mesh.facets, Store::Triples(Vec::new())),
                 array(ArrayKind::Weights, 8, 1, mesh.weights, Store::Numbers(Vec::new())),
                 array(ArrayKind::Seeds, points, 3, seeds.uploaded(), Store::Points(Vec::new())),
+                array(ArrayKind::EdgeLengths, 8, 1, mesh.edge_lengths, Store::Numbers(Vec::new())),
             ],
             share,
         }
@@ -76,7 +78,7 @@ impl Assembly {
     pub(crate) fn take(&mut self, chunk: &Chunk) -> Result<(), RequestError> {
         let kind = ArrayKind::try_from(chunk.kind).map_err(|_| RequestError::unknown_enum("chunk.kind", chunk.kind))?;
         let Some(array) = self.arrays.iter_mut().find(|a| a.kind == kind) else {
-            let text = format!("is {}; upload POSITIONS, FACETS, WEIGHTS or SEEDS", kind.as_str_name());
+            let text = format!("is {}; upload POSITIONS, FACETS, WEIGHTS, SEEDS or EDGE_LENGTHS", kind.as_str_name());
             return Err(RequestError::field("chunk.kind", text));
         };
         array.check(chunk)?;
@@ -94,11 +96,17 @@ impl Assembly {
                 return Err(RequestError::field(array.path(), text));
             }
         }
-        let [positions, facets, weights, seeds] = self.arrays.map(|a| a.store);
-        match (positions, facets, weights, seeds) {
-            (Store::Points(positions), Store::Triples(facets), Store::Numbers(weights), Store::Points(seeds)) => {
+        match self.arrays.map(|a| a.store) {
+            [
+                Store::Points(positions),
+                Store::Triples(facets),
+                Store::Numbers(weights),
+                Store::Points(seeds),
+                Store::Numbers(edge_lengths),
+            ] => {
                 let weights = (!weights.is_empty()).then_some(weights);
-                Ok(Uploaded { positions, facets, weights, seeds, share: self.share })
+                let edge_lengths = (!edge_lengths.is_empty()).then_some(edge_lengths);
+                Ok(Uploaded { positions, facets, weights, seeds, edge_lengths, share: self.share })
             }
             _ => Err(RequestError::field("chunk", "internal: arrays changed places")),
         }
@@ -111,6 +119,7 @@ impl Array {
             ArrayKind::Positions => "mesh.positions",
             ArrayKind::Facets => "mesh.facets",
             ArrayKind::Weights => "mesh.weights",
+            ArrayKind::EdgeLengths => "mesh.edge_lengths",
             _ => "seeds",
         }
     }
@@ -204,7 +213,7 @@ mod tests {
     use super::*;
 
     fn assembly() -> Assembly {
-        let mesh = MeshCounts { vertices: 3, facets: 1, weights: 3, coordinate_bytes: 4 };
+        let mesh = MeshCounts { vertices: 3, facets: 1, weights: 3, coordinate_bytes: 4, edge_lengths: 0 };
         Assembly::new(mesh, SeedCounts::Uploaded(1), Budget::new(1 << 20).share())
     }
 
@@ -253,7 +262,7 @@ mod tests {
 
     #[test]
     fn memory_is_taken_for_what_arrives() {
-        let mesh = MeshCounts { vertices: 1 << 30, facets: 1, weights: 0, coordinate_bytes: 8 };
+        let mesh = MeshCounts { vertices: 1 << 30, facets: 1, weights: 0, coordinate_bytes: 8, edge_lengths: 0 };
         let mut a = Assembly::new(mesh, SeedCounts::Sampled { points: 1, seed: 0 }, Budget::new(30).share());
         a.take(&chunk(ArrayKind::Positions, 0, &[0; 24])).unwrap();
         let error = a.take(&chunk(ArrayKind::Positions, 24, &[0; 24])).unwrap_err();

@@ -8,6 +8,7 @@ use prost::bytes::Bytes;
 
 use super::RequestError;
 use super::proto::{self, ArrayKind, BackendChoice, CellsChunk, Chunk};
+use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::cvt::{Iteration, Projection, SeedEdit, StepKind};
 use crate::job::session::SeedsWanted;
 use crate::job::{BackendInfo, Wish};
@@ -58,6 +59,68 @@ pub(crate) fn step_kind(value: i32) -> Result<StepKind, RequestError> {
         Ok(proto::StepKind::Lbfgs) => Ok(StepKind::Lbfgs),
         Err(_) => Err(RequestError::unknown_enum("step.kind", value)),
     }
+}
+
+/// A density's source; what is uploaded must be what it reads.
+pub(crate) fn density_kind(
+    density: &proto::DensityOptions,
+    weights: bool,
+) -> Result<proto::DensitySource, RequestError> {
+    use proto::DensitySource as Source;
+    let lengths = density.edge_lengths != 0;
+    let source = match Source::try_from(density.source) {
+        Ok(Source::Unspecified) if lengths => Source::EdgeLengths,
+        Ok(Source::Unspecified) if weights => Source::Weights,
+        Ok(Source::Unspecified) => Source::Uniform,
+        Ok(source) => source,
+        Err(_) => return Err(RequestError::unknown_enum("header.density.source", density.source)),
+    };
+    for (path, uploaded, read) in [
+        ("header.density.edge_lengths", lengths, source == Source::EdgeLengths),
+        ("header.mesh.weights", weights, source == Source::Weights),
+    ] {
+        if uploaded != read {
+            let name = source.as_str_name();
+            let text =
+                if read { format!("is 0, but {name} reads them") } else { format!("is not 0, but {name} reads none") };
+            return Err(RequestError::field(path, text));
+        }
+    }
+    Ok(source)
+}
+
+/// A density without what it reads per vertex.
+pub(crate) fn density_numbers(density: Option<&proto::DensityOptions>) -> DensityOptions {
+    let usual = DensityOptions::default();
+    let Some(given) = density else { return usual };
+    DensityOptions {
+        edge_length: (given.edge_length != 0.0).then_some(given.edge_length),
+        adaptivity: given.adaptivity.unwrap_or(usual.adaptivity),
+        gradation: given.gradation.unwrap_or(usual.gradation),
+        ..usual
+    }
+}
+
+/// A density whose header was checked, with what was uploaded for it.
+pub(crate) fn density(
+    density: Option<&proto::DensityOptions>,
+    weights: Option<Vec<f64>>,
+    lengths: Option<Vec<f64>>,
+    max_points: u64,
+) -> Result<DensityOptions, RequestError> {
+    let kind = match density {
+        Some(given) => density_kind(given, weights.is_some())?,
+        None => proto::DensitySource::Unspecified,
+    };
+    let source = match (kind, lengths, weights) {
+        (proto::DensitySource::Curvature, ..) => DensitySource::Curvature,
+        (proto::DensitySource::FeatureSize, ..) => DensitySource::FeatureSize,
+        (_, Some(lengths), _) => DensitySource::Sizes(lengths),
+        (_, None, Some(weights)) => DensitySource::Weights(weights),
+        (_, None, None) => DensitySource::Uniform,
+    };
+    let max_points = usize::try_from(max_points).unwrap_or(usize::MAX);
+    Ok(DensityOptions { source, max_points, ..density_numbers(density) })
 }
 
 /// What of a diagram is to be sent.

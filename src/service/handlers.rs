@@ -118,21 +118,28 @@ pub(crate) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, Re
                 RequestError::Inbound(Status::invalid_argument(error.to_string()))
             })?),
         };
-        if let Some((_, seeds, uploaded)) = upload.take(message.map(remesh::split))? {
-            return Ok(input(seeds, uploaded)?.0);
+        if let Some((header, seeds, uploaded)) = upload.take(message.map(remesh::split))? {
+            return Ok(input(seeds, uploaded, header.density.as_ref(), limits)?.0);
         }
     }
 }
 
 /// Makes the engine's input of an upload.
-fn input(seeds: SeedCounts, uploaded: Uploaded) -> Result<(Input, Share), RequestError> {
-    let Uploaded { positions, facets, weights, seeds: points, share } = uploaded;
+fn input(
+    seeds: SeedCounts,
+    uploaded: Uploaded,
+    density: Option<&proto::DensityOptions>,
+    limits: &Limits,
+) -> Result<(Input, Share), RequestError> {
+    let Uploaded { positions, facets, weights, seeds: points, edge_lengths, share } = uploaded;
+    let density = convert::density(density, weights, edge_lengths, limits.max_seeds)?;
     let mesh = TriMesh::new(positions, facets).map_err(JobError::from)?;
     let seeds = match seeds {
         SeedCounts::Uploaded(_) => Seeds::Given(points),
         SeedCounts::Sampled { points, seed } => Seeds::Sample { points: points as usize, seed },
+        SeedCounts::Implied { seed } => Seeds::Implied { seed },
     };
-    Ok((Input { mesh, weights, seeds }, share))
+    Ok((Input { mesh, density, seeds }, share))
 }
 
 /// Does long work that needs no backend, on a thread that may block.
@@ -152,9 +159,11 @@ async fn prepare(
     shared: &Shared,
     seeds: SeedCounts,
     uploaded: Uploaded,
+    density: Option<proto::DensityOptions>,
 ) -> Result<(Arc<Prepared>, Share), RequestError> {
+    let limits = shared.limits;
     apart(shared, move || {
-        let (input, share) = input(seeds, uploaded)?;
+        let (input, share) = input(seeds, uploaded, density.as_ref(), &limits)?;
         Ok((Arc::new(Prepared::new(input)?), share))
     })
     .await
@@ -203,6 +212,12 @@ impl Clock {
 /// Sends points as an array; a name for what all streams do with seeds.
 async fn send_seeds<T>(outbox: &Outbox<T>, seeds: &[glam::DVec3], wrap: fn(Chunk) -> T) -> Result<(), RequestError> {
     send_all(outbox, convert::point_chunks(ArrayKind::Seeds, seeds), wrap).await
+}
+
+impl From<crate::remesh::RemeshError> for RequestError {
+    fn from(error: crate::remesh::RemeshError) -> Self {
+        Self::Job(error.into())
+    }
 }
 
 impl From<crate::mesh::MeshError> for RequestError {

@@ -7,8 +7,8 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::RequestError;
-use super::proto::{MeshHeader, PositionType, SeedSource, seed_source};
+use super::proto::{DensityOptions, MeshHeader, PositionType, SeedSource, seed_source};
+use super::{RequestError, convert};
 use crate::config::Limits;
 
 /// A mesh header whose counts are usable.
@@ -19,20 +19,29 @@ pub(crate) struct MeshCounts {
     pub(crate) weights: u64,
     /// Bytes a coordinate: 4 or 8.
     pub(crate) coordinate_bytes: u64,
+    /// Target edge lengths.
+    pub(crate) edge_lengths: u64,
 }
 
 /// A seed source whose count is usable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SeedCounts {
     Uploaded(u64),
-    Sampled { points: u64, seed: u64 },
+    Sampled {
+        points: u64,
+        seed: u64,
+    },
+    /// As many as the density implies.
+    Implied {
+        seed: u64,
+    },
 }
 
 impl SeedCounts {
     pub(crate) fn uploaded(self) -> u64 {
         match self {
             Self::Uploaded(count) => count,
-            Self::Sampled { .. } => 0,
+            Self::Sampled { .. } | Self::Implied { .. } => 0,
         }
     }
 }
@@ -55,7 +64,7 @@ pub(crate) fn mesh(header: Option<&MeshHeader>, limits: &Limits) -> Result<MeshC
         Ok(PositionType::F64 | PositionType::Unspecified) => 8,
         Err(_) => return Err(RequestError::unknown_enum("header.mesh.position_type", header.position_type)),
     };
-    Ok(MeshCounts { vertices, facets, weights, coordinate_bytes })
+    Ok(MeshCounts { vertices, facets, weights, coordinate_bytes, edge_lengths: 0 })
 }
 
 /// Checks the number of seeds.
@@ -70,6 +79,37 @@ pub(crate) fn seeds(source: Option<&SeedSource>, limits: &Limits) -> Result<Seed
             Ok(SeedCounts::Sampled { points: sampled.points, seed: sampled.random_seed })
         }
         None => Err(RequestError::field("header.seeds", "is missing; upload seeds or have them sampled")),
+    }
+}
+
+/// Checks a mesh, seeds and the density that ties them.
+pub(crate) fn with_density(
+    header: Option<&MeshHeader>,
+    source: Option<&SeedSource>,
+    density: Option<&DensityOptions>,
+    limits: &Limits,
+) -> Result<(MeshCounts, SeedCounts), RequestError> {
+    let mut mesh = mesh(header, limits)?;
+    let Some(density) = density else { return Ok((mesh, seeds(source, limits)?)) };
+    let DensityOptions { edge_length, edge_lengths, .. } = *density;
+    if edge_lengths != 0 && edge_lengths != mesh.vertices {
+        let text = format!("is {edge_lengths}; give 0, or one length for each of the {} vertices", mesh.vertices);
+        return Err(RequestError::field("header.density.edge_lengths", text));
+    }
+    mesh.edge_lengths = edge_lengths;
+    convert::density_kind(density, mesh.weights != 0)?;
+    convert::density_numbers(Some(density)).check().map_err(crate::remesh::RemeshError::from)?;
+    match source.and_then(|s| s.source) {
+        Some(seed_source::Source::Sampled(sampled))
+            if sampled.points == 0 && (edge_length != 0.0 || edge_lengths != 0) =>
+        {
+            Ok((mesh, SeedCounts::Implied { seed: sampled.random_seed }))
+        }
+        Some(_) if edge_length != 0.0 => {
+            let text = "is given beside a number of seeds; give one of the two (header.seeds.sampled.points = 0)";
+            Err(RequestError::field("header.density.edge_length", text))
+        }
+        _ => Ok((mesh, seeds(source, limits)?)),
     }
 }
 

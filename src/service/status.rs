@@ -10,6 +10,7 @@ use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
 use super::RequestError;
+use crate::cvt::density::DensityError;
 use crate::job::JobError;
 use crate::mesh::MeshError;
 use crate::mesh::features::FeatureError;
@@ -61,6 +62,7 @@ fn of_job(error: &JobError) -> Status {
             invalid(text.clone(), path, text)
         }
         JobError::Remesh(RemeshError::TooFewSeeds { .. }) => invalid(text.clone(), "seeds".into(), text),
+        JobError::Remesh(RemeshError::Density(error)) => of_density(error),
         JobError::Rvd(error) | JobError::Remesh(RemeshError::Rvd(error)) => of_rvd(error),
     }
 }
@@ -72,6 +74,18 @@ fn of_mesh(error: &MeshError) -> Status {
         MeshError::NoFacets | MeshError::NoArea { .. } => "mesh.facets".to_owned(),
         MeshError::TooLarge { what, .. } => format!("header.mesh.{what}"),
         MeshError::ExtentTooLarge { .. } | MeshError::ExtentTooSmall { .. } => "mesh.positions".to_owned(),
+    };
+    invalid(error.to_string(), path, error.to_string())
+}
+
+fn of_density(error: &DensityError) -> Status {
+    let path = match error {
+        DensityError::SizeCount { .. } => "mesh.edge_lengths".to_owned(),
+        DensityError::BadSize { vertex, .. } => format!("mesh.edge_lengths[{vertex}]"),
+        DensityError::BadOption { name, .. } => format!("header.density.{}", name.replace(' ', "_")),
+        DensityError::NoCount => "header.seeds.sampled.points".to_owned(),
+        DensityError::TooManyPoints { .. } => "header.density".to_owned(),
+        DensityError::Cancelled => return Status::cancelled("the work was cancelled"),
     };
     invalid(error.to_string(), path, error.to_string())
 }

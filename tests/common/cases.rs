@@ -369,7 +369,7 @@ fn inside(polygon: &[DVec3], p: DVec3, normal: DVec3, margin: f64) -> bool {
 fn remeshes(case: &Case, parallel: &Parallel) -> Result<(), String> {
     let surface = case.surface();
     let options = RemeshOptions {
-        weights: case.weights.clone(),
+        density: case.weights.clone().into(),
         ..RemeshOptions::plain(
             Seeds::Given(case.seeds.iter().map(|&p| surface.frame().to_world(p)).collect()),
             case.tiny.cells,

@@ -5,6 +5,7 @@
 
 use prost::Message;
 use tessera::config::Limits;
+use tessera::cvt::density::DensitySource;
 use tessera::remesh::Seeds;
 use tessera::service::proto::*;
 use tessera::service::replay;
@@ -32,10 +33,15 @@ pub fn check(data: &[u8]) -> Result<bool, String> {
             let seeds = match &input.seeds {
                 Seeds::Given(seeds) => seeds.len(),
                 Seeds::Sample { points, .. } => *points,
+                // The density says it later.
+                Seeds::Implied { .. } => 1,
             };
             let (vertices, facets) = (input.mesh.positions().len(), input.mesh.facets().len());
             let fits = vertices <= 200 && facets <= 400 && (1..=300).contains(&seeds);
-            let weighted = input.weights.is_none_or(|w| w.len() == vertices);
+            let weighted = match &input.density.source {
+                DensitySource::Weights(given) | DensitySource::Sizes(given) => given.len() == vertices,
+                _ => true,
+            };
             if fits && weighted {
                 Ok(true)
             } else {

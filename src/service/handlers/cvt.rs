@@ -16,11 +16,13 @@ impl Header for CvtHeader {
     fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
         convert::wish(self.backend)?;
         convert::projection(self.projection)?;
-        let mesh = limits::mesh(self.mesh.as_ref(), limits)?;
-        let seeds = limits::seeds(self.seeds.as_ref(), limits)?;
+        let (mesh, seeds) =
+            limits::with_density(self.mesh.as_ref(), self.seeds.as_ref(), self.density.as_ref(), limits)?;
         if self.max_seeds != 0 {
             let first = match seeds {
                 SeedCounts::Uploaded(count) | SeedCounts::Sampled { points: count, .. } => count,
+                // As many as there turn out to be have room.
+                SeedCounts::Implied { .. } => 1,
             };
             limits::within("header.max_seeds", self.max_seeds, first, limits.max_seeds)?;
         }
@@ -57,7 +59,7 @@ pub(super) async fn handle(
     shared.engine.backend(wish)?;
     let options =
         CvtOptions { projection: convert::projection(header.projection)?, max_seeds: header.max_seeds as usize };
-    let (prepared, _share) = prepare(&shared, seeds, uploaded).await?;
+    let (prepared, _share) = prepare(&shared, seeds, uploaded, header.density).await?;
     let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options)?;
     let position = pending.position;
     let Timed { value, queue_ms, compute_ms } = pending.wait().await?;

@@ -46,7 +46,7 @@ pub(super) async fn handle(
     let (header, seeds, uploaded) = upload(&shared, &mut inbox, split).await?;
     let (wish, outputs) = (convert::wish(header.backend)?, convert::outputs(&header.outputs)?);
     let by = shared.engine.backend(wish)?;
-    let (prepared, _share) = prepare(&shared, seeds, uploaded).await?;
+    let (prepared, _share) = prepare(&shared, seeds, uploaded, None).await?;
     let for_device = Arc::clone(&prepared);
     let mut pending = shared.engine.submit(Place::New, Retry::Anew, move |backends, turn| {
         turn.cancel.check()?;

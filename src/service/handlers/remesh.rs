@@ -24,7 +24,7 @@ impl Header for RemeshHeader {
         convert::measure(self.measure)?;
         limits::within("header.lloyd_steps", self.lloyd_steps.into(), 0, limits.max_iterations.into())?;
         limits::within("header.newton_steps", self.newton_steps.into(), 0, limits.max_iterations.into())?;
-        Ok((limits::mesh(self.mesh.as_ref(), limits)?, limits::seeds(self.seeds.as_ref(), limits)?))
+        limits::with_density(self.mesh.as_ref(), self.seeds.as_ref(), self.density.as_ref(), limits)
     }
 }
 
@@ -72,12 +72,13 @@ pub(super) async fn handle(
     let (header, seeds, uploaded) = upload(&shared, &mut inbox, split).await?;
     let wish = convert::wish(header.backend)?;
     let by = shared.engine.backend(wish)?;
-    let (input, _share) = apart(&shared, move || input(seeds, uploaded)).await?;
-    let Input { mesh, weights, seeds } = input;
+    let (limits, density) = (shared.limits, header.density);
+    let work = move || input(seeds, uploaded, density.as_ref(), &limits);
+    let (Input { mesh, density, seeds }, _share) = apart(&shared, work).await?;
     let options = RemeshOptions {
         lloyd: header.lloyd_steps as usize,
         newton: header.newton_steps as usize,
-        weights,
+        density,
         projection: convert::projection(header.projection)?,
         measure: convert::measure(header.measure)?,
         ..RemeshOptions::new(seeds)

@@ -1,0 +1,127 @@
+//! A surface as the density sees it: welded vertices, the edges between them, areas.
+//!
+//! Purpose: [`Net`] is built once and read by curvature, feature size and gradation.
+//! Invariant: positions are relative to the longest side of the bounding box, so that no units overflow; a
+//! class of coincident vertices is known by its lowest vertex; order depends on the mesh alone.
+//! Must not know: where sizes come from.
+
+use std::ops::Range;
+
+use glam::DVec3;
+
+use super::outline::Outline;
+use crate::mesh::TriMesh;
+use crate::mesh::adjacency::{Adjacency, EdgeKind};
+
+/// See the module's head.
+#[derive(Clone, Debug)]
+pub struct Net {
+    pub(super) outline: Outline,
+    /// Caller's coordinates of the box's lower corner.
+    pub(super) low: DVec3,
+    /// Lowest vertex at the same position, for each vertex.
+    pub(super) class: Vec<u32>,
+    /// In the box of side 1; zero for vertices that no facet uses.
+    pub(super) points: Vec<DVec3>,
+    /// Facets that have an area, by class, with that area.
+    pub(super) facets: Vec<([u32; 3], f64)>,
+    /// Boundary edges, by class.
+    pub(super) boundary: Vec<[u32; 2]>,
+    /// A third of the area of each class's facets; 0 for a vertex that is not its class's lowest.
+    pub(super) area: Vec<f64>,
+    /// First entry of each vertex in `ends`, and one more.
+    starts: Vec<u32>,
+    /// Other end and length of each edge, both ways. Facets without area have edges too.
+    ends: Vec<(u32, f64)>,
+}
+
+impl Net {
+    /// Reads `mesh`.
+    pub fn new(mesh: &TriMesh) -> Self {
+        let adjacency = Adjacency::new(mesh);
+        let outline = Outline::of(mesh, &adjacency);
+        let class = adjacency.representative().to_vec();
+        let (low, _) = mesh.bounds();
+        let vertices = mesh.positions().len();
+        let mut points = vec![DVec3::ZERO; vertices];
+        for &v in mesh.facets().iter().flatten() {
+            let point = (mesh.positions()[v as usize] - low) / outline.extent;
+            (points[v as usize], points[class[v as usize] as usize]) = (point, point);
+        }
+        let mut facets = Vec::with_capacity(mesh.facets().len());
+        let mut area = vec![0.0; vertices];
+        let mut boundary = Vec::new();
+        let mut edges: Vec<(u32, u32)> = Vec::with_capacity(6 * mesh.facets().len());
+        for (f, corners) in mesh.facets().iter().enumerate() {
+            let v = corners.map(|c| class[c as usize]);
+            for e in 0..3 {
+                let (from, to) = (v[e], v[(e + 1) % 3]);
+                if from != to {
+                    edges.extend([(from, to), (to, from)]);
+                }
+                if adjacency.kind(3 * f + e) == EdgeKind::Boundary {
+                    boundary.push([from, to]);
+                }
+            }
+            if mesh.is_degenerate(f) {
+                continue;
+            }
+            let [a, b, c] = v.map(|v| points[v as usize]);
+            let size = 0.5 * (b - a).cross(c - a).length();
+            v.iter().for_each(|&v| area[v as usize] += size / 3.0);
+            facets.push((v, size));
+        }
+        edges.sort_unstable();
+        edges.dedup();
+        let mut starts = vec![0u32; vertices + 1];
+        edges.iter().for_each(|&(from, _)| starts[from as usize + 1] += 1);
+        (0..vertices).for_each(|v| starts[v + 1] += starts[v]);
+        let length = |(from, to): (u32, u32)| (points[from as usize] - points[to as usize]).length();
+        let ends = edges.iter().map(|&edge| (edge.1, length(edge))).collect();
+        Self { outline, low, class, points, facets, boundary, area, starts, ends }
+    }
+
+    /// Area, boundary and χ.
+    pub fn outline(&self) -> &Outline {
+        &self.outline
+    }
+
+    /// How many vertices the mesh has.
+    pub(super) fn vertices(&self) -> usize {
+        self.class.len()
+    }
+
+    /// Vertices across an edge from `v` (lowest of its class), with distances.
+    pub(super) fn neighbours(&self, v: usize) -> &[(u32, f64)] {
+        let Range { start, end } = self.starts[v] as usize..self.starts[v + 1] as usize;
+        &self.ends[start..end]
+    }
+
+    /// Mean length of an edge, in units of the extent.
+    pub(super) fn mean_edge(&self) -> f64 {
+        self.ends.iter().map(|end| end.1).sum::<f64>() / self.ends.len().max(1) as f64
+    }
+
+    /// The value that half of the area has at most. Vertices without area have no say.
+    pub(super) fn median(&self, values: &[f64]) -> f64 {
+        let mut order: Vec<u32> = (0..values.len() as u32)
+            .filter(|&v| self.area[v as usize] > 0.0 && values[v as usize].is_finite())
+            .collect();
+        order.sort_unstable_by(|&a, &b| values[a as usize].total_cmp(&values[b as usize]).then(a.cmp(&b)));
+        let half = 0.5 * order.iter().map(|&v| self.area[v as usize]).sum::<f64>();
+        let mut sum = 0.0;
+        let middle = order.iter().find(|&&v| {
+            sum += self.area[v as usize];
+            sum >= half
+        });
+        middle.map_or(f64::NAN, |&v| values[v as usize])
+    }
+
+    /// Gives every vertex the value of its class, and `other` to those that no facet with area uses.
+    pub(super) fn spread(&self, values: &mut [f64], other: f64) {
+        for v in 0..values.len() {
+            let lowest = self.class[v] as usize;
+            values[v] = if self.neighbours(lowest).is_empty() { other } else { values[lowest] };
+        }
+    }
+}
