@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 
 use super::exit::Usage;
+use super::picture::PictureArgs;
 use super::progress::Progress;
 use super::{backends, files, interrupt, remote};
 use crate::config::BackendArgs;
@@ -45,6 +46,9 @@ pub(crate) struct RemeshArgs {
     /// Write the report there, as JSON.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
+    /// How it looks.
+    #[command(flatten)]
+    picture: PictureArgs,
 }
 
 /// Runs it.
@@ -56,6 +60,7 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     args.backend.check()?;
     files::check_output(&args.output, &["obj", "ply", "stl", "off"])?;
     args.report.iter().try_for_each(|path| files::check_output(path, &[]))?;
+    args.picture.check()?;
     let start = Instant::now();
     let mesh = files::read_mesh(&args.input)?;
     let read_ms = ms(start);
@@ -82,6 +87,7 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, start: Instant, read_ms: f64) -> Resu
     let mut done = done?;
     let writing = Instant::now();
     io::write(&args.output, &done.mesh)?;
+    args.picture.draw(&done.mesh)?;
     let timings = &mut done.report.timings_ms;
     (timings.read, timings.write, timings.total) = (read_ms, ms(writing), ms(start));
     done.report.memory.host_peak_bytes = telemetry::peak_memory_bytes();
@@ -102,6 +108,7 @@ fn there(args: &RemeshArgs, mesh: &TriMesh, endpoint: &str) -> Result<()> {
     };
     let done = remote::remesh(endpoint, &job)?;
     io::write(&args.output, &done.mesh)?;
+    args.picture.draw(&done.mesh)?;
     if let Some(path) = &args.report {
         files::write_json(path, &done.report)?;
     }

@@ -122,6 +122,14 @@ pub fn quality_unless(original: &TriMesh, result: &TriMesh, stop: &(dyn Fn() -> 
     Some(quality)
 }
 
+/// Q = (6/√3) S/(p h) of one triangle about one unit in size: 1 is equilateral, 0 has no area.
+pub fn facet_quality([a, b, c]: [DVec3; 3]) -> f64 {
+    let (u, v, w) = (b - a, c - b, a - c);
+    let (lu, lv, lw) = (u.length(), v.length(), w.length());
+    let box_of = 0.5 * (lu + lv + lw) * lu.max(lv).max(lw);
+    if box_of > 0.0 { 6.0 / 3f64.sqrt() * 0.5 * u.cross(w).length() / box_of } else { 0.0 }
+}
+
 /// Corners that are connected through edges with two facets. Corner `3 * facet + c` is the
 /// origin of the half-edge of that number.
 fn fans(mesh: &TriMesh, adjacency: &Adjacency, live: &[usize]) -> DisjointSets {
@@ -176,9 +184,7 @@ fn shape_quality(mesh: &TriMesh, adjacency: &Adjacency) -> Quality {
         let [a, b, c] = mesh.corners(facet).map(|p| (p - low) / extent);
         let (u, v, w) = (b - a, c - b, a - c);
         let twice = u.cross(w).length();
-        let (lu, lv, lw) = (u.length(), v.length(), w.length());
-        let box_of = 0.5 * (lu + lv + lw) * lu.max(lv).max(lw);
-        let q = if box_of > 0.0 { 6.0 / 3f64.sqrt() * 0.5 * twice / box_of } else { 0.0 };
+        let q = facet_quality([a, b, c]);
         // The arc tangent stays exact where the arc cosine does not, near 0.
         let angle = |p: DVec3, q: DVec3| twice.atan2(-p.dot(q)).to_degrees();
         let theta = angle(u, v).min(angle(v, w)).min(angle(w, u));
