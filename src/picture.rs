@@ -25,7 +25,7 @@ use rayon::prelude::*;
 
 pub use colour::{PLAIN, Rgb, distinct, of_quality};
 pub use image::Image;
-pub use surface::{Paint, SOFT, draw_mesh, shading_normals};
+pub use surface::{Paint, SOFT, draw_mesh, shading_normals, spacing};
 pub use view::{Look, View};
 
 use raster::Triangle;

@@ -14,7 +14,7 @@ use super::files;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::picture::{Canvas, Face, Image, Look, PLAIN, Paint, Pens, Size, View};
-use crate::picture::{distinct, draw_mesh, shading_normals};
+use crate::picture::{distinct, draw_mesh, shading_normals, spacing};
 use crate::rvd::PieceBatch;
 use crate::rvd::cells::facet_edge;
 
@@ -99,11 +99,9 @@ impl PictureArgs {
     pub(crate) fn begin(&self, mesh: &TriMesh, seeds: usize, dots: bool) -> Result<Option<CellPicture>> {
         let Some(path) = &self.picture else { return Ok(None) };
         let view = self.view_of(mesh)?;
-        // The side of a square as large as a cell.
-        let spacing = mesh.area().sqrt() / (seeds.max(1) as f64).sqrt();
         Ok(Some(CellPicture {
             path: path.clone(),
-            pens: Pens::for_spacing(view.pixels(spacing)),
+            pens: Pens::for_spacing(spacing(mesh, &view, seeds)),
             canvas: Canvas::new(view),
             normals: shading_normals(mesh),
             dots: dots.then(|| ClosestPoint::new(mesh)),

@@ -28,10 +28,9 @@ const BATCH: usize = 1 << 16;
 
 /// Draws `mesh` with its edges and, as bold lines, `features`, whose ends lie on it.
 pub fn draw_mesh(mesh: &TriMesh, view: View, paint: Paint, features: &[[DVec3; 2]]) -> Image {
-    // Edges of equilateral triangles of the mean area.
-    let count = mesh.facets().len().max(1) as f64;
-    let edge = (4.0 / 3f64.sqrt()).sqrt() * (mesh.area().sqrt() / count.sqrt());
-    let pens = Pens::for_spacing(view.pixels(edge));
+    // An equilateral triangle's edge is longer than the side of a square of its area.
+    let edge = (4.0 / 3f64.sqrt()).sqrt() * spacing(mesh, &view, mesh.facets().len());
+    let pens = Pens::for_spacing(edge);
     let mut canvas = Canvas::new(view);
     let facets: Vec<usize> = (0..mesh.facets().len()).collect();
     let mut faces = Vec::new();
@@ -47,15 +46,26 @@ pub fn draw_mesh(mesh: &TriMesh, view: View, paint: Paint, features: &[[DVec3; 2
     canvas.finish(&pens)
 }
 
+/// Pixels from one to the next of `count` things that share `mesh`: the side of a square of a share's area.
+pub fn spacing(mesh: &TriMesh, view: &View, count: usize) -> f64 {
+    // In pixels, where the areas of tiny and huge meshes are numbers too.
+    let area = |facet: usize| {
+        let [a, b, c] = mesh.corners(facet).map(|p| view.place(p));
+        0.5 * (b - a).cross(c - a).length()
+    };
+    ((0..mesh.facets().len()).map(area).sum::<f64>() / count.max(1) as f64).sqrt()
+}
+
 fn paint_facet(mesh: &TriMesh, facet: usize, paint: Paint, faces: &mut Vec<Face>) {
     let corners = mesh.corners(facet);
     let whole = |colour: Rgb| Face { corners, colour, normal: None };
     match paint {
         Paint::Plain => faces.push(whole(colour::PLAIN)),
         Paint::Quality => {
-            // Scaled, so that lengths of a tiny or huge mesh can be squared.
-            let size = corners[0].distance(corners[1]).max(corners[0].distance(corners[2]));
-            let unit = corners.map(|p| (p - corners[0]) / size);
+            // Scaled, so that lengths in a tiny or huge mesh can be squared.
+            let sides = corners.map(|p| p - corners[0]);
+            let size = sides[1].abs().max(sides[2].abs()).max_element();
+            let unit = sides.map(|p| p / size);
             faces.push(whole(colour::of_quality(facet_quality(unit))));
         }
         Paint::Cell => {

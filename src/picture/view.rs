@@ -97,11 +97,6 @@ impl View {
         self.size
     }
 
-    /// Pixels that `length`, in the caller's units, takes at right angles to the view.
-    pub fn pixels(&self, length: f64) -> f64 {
-        length / self.half * self.scale
-    }
-
     /// Where `p` is in the picture: pixels from the left and the top edge, and depth in pixels away from
     /// the viewer. Not finite where `p` is not, or is beyond the range of double precision from the
     /// framed points.
