@@ -7,9 +7,9 @@
 //! whatever the number of threads. No coordinates make it panic: a face that cannot be placed is left out.
 //! Must not know: seeds, cells, jobs, files other than the picture.
 //!
-//! Faces go through an own depth buffer. The rasterisers there are either draw in two dimensions
-//! (tiny-skia, vello_cpu) or work in one thread and single precision, with no lines on surfaces and no
-//! release in years (euc); what is needed of one is [`raster`](self) and its 200 lines.
+//! Faces go through an own depth buffer. Rasterisers that are kept up draw in two dimensions (tiny-skia,
+//! vello_cpu); those with depth have had no release in years (euc) or are one person's beginning
+//! (retrofire), work in one thread and know no lines on surfaces. What is needed of one is 200 lines.
 
 mod colour;
 mod image;
@@ -138,13 +138,13 @@ pub struct Pens {
 }
 
 impl Pens {
-    /// Pens for fine lines that are `spacing` pixels apart on average: below about eight pixels lines
+    /// Pens for fine lines that are `spacing` pixels apart on average: below about 14 pixels lines
     /// fade, so that a dense mesh keeps its shading and does not turn black.
     pub fn for_spacing(spacing: f64) -> Self {
         let spacing = if spacing.is_finite() { spacing.max(0.0) } else { 0.0 };
         Self {
             fine_width: (0.09 * spacing).clamp(0.6, 1.5),
-            fine_strength: ((spacing - 1.0) / 8.0).clamp(0.1, 0.85),
+            fine_strength: ((spacing - 2.0) / 14.0).clamp(0.1, 0.85),
             bold_width: (0.2 * spacing).clamp(2.0, 3.0),
             dot_width: (0.25 * spacing).clamp(2.0, 6.0),
         }

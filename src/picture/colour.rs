@@ -42,7 +42,7 @@ pub fn distinct(index: u32) -> Rgb {
     let hash = hash ^ (hash >> 15);
     let hue = (f64::from(index) * 0.618_033_988_749_895).fract() * 6.0;
     let (pale, light) = (f64::from(hash & 0xff) / 255.0, f64::from((hash >> 8) & 0xff) / 255.0);
-    let (low, high) = (0.38 + 0.3 * pale, 0.86 + 0.14 * light);
+    let (low, high) = (0.42 + 0.3 * pale, 0.88 + 0.12 * light);
     // Each channel is a trapezium around its third of the circle of hues.
     let channel = |at: f64| {
         let distance = (hue - at).abs().min(6.0 - (hue - at).abs());
@@ -58,7 +58,7 @@ pub(super) fn lit(base: Rgb, normal: DVec3, back: bool) -> Rgb {
     let base = if back { mix(base, BACK, 0.75) } else { base };
     let normal = (normal / normal.abs().max_element()).try_normalize().unwrap_or(DVec3::Z);
     let lamp = |toward: DVec3| normal.dot(toward.normalize()).max(0.0);
-    let light = 0.36 + 0.58 * lamp(dvec3(-0.35, 0.6, 0.8)) + 0.16 * lamp(dvec3(0.9, 0.0, 0.5));
+    let light = 0.42 + 0.56 * lamp(dvec3(-0.35, 0.6, 0.8)) + 0.16 * lamp(dvec3(0.9, 0.0, 0.5));
     base.map(|c| (f64::from(c) * light).min(255.0).round() as u8)
 }
 

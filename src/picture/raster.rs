@@ -22,7 +22,7 @@ const FAR: f64 = (1 << 21) as f64;
 /// A triangle in sample coordinates.
 #[derive(Clone, Debug)]
 pub(super) struct Triangle {
-    /// Corners in grid steps, so ordered that the inside is where [`Edge::at`] is positive.
+    /// Corners in grid steps, so ordered that its area is positive.
     x: [i32; 3],
     y: [i32; 3],
     /// Depths, in samples.

@@ -17,7 +17,7 @@ pub enum Paint {
     /// Nothing: one colour.
     #[default]
     Plain,
-    /// The quality of each triangle, by [`of_quality`](colour::of_quality).
+    /// The quality of each triangle, by [`of_quality`](super::of_quality).
     Quality,
     /// Which vertex is near: the thirds of a facet that belong to its corners.
     Cell,
