@@ -12,6 +12,7 @@ pub mod doctor;
 mod exit;
 mod files;
 mod interrupt;
+mod picture;
 mod progress;
 mod remesh;
 mod remote;

@@ -9,6 +9,7 @@
 //! | module | what lives there | may use |
 //! | --- | --- | --- |
 //! | [`mesh`] | triangle surfaces: validated, read, written, sampled, measured | nothing here |
+//! | [`picture`] | pictures of surfaces, drawn in software | `mesh` |
 //! | [`knn`] | neighbour tables of the seeds | `mesh` |
 //! | [`gpu`] | the device, buffer plans, shader sources; knows no mesh, seed or job | nothing here |
 //! | [`rvd`] | the restricted Voronoi diagram: one trait, three backends, the dual | `knn`, `mesh`, `gpu` (only `rvd::gpu`) |
@@ -27,6 +28,7 @@ pub mod gpu;
 pub mod job;
 pub mod knn;
 pub mod mesh;
+pub mod picture;
 pub mod remesh;
 pub mod rvd;
 pub mod service;

@@ -112,6 +112,9 @@ pub struct RemeshOptions {
 }
 
 impl RemeshOptions {
+    /// Edges bent by more than this are creases unless somebody says otherwise, degrees.
+    pub const CREASE_ANGLE_DEG: f64 = 30.0;
+
     /// The defaults: 5 Lloyd steps and up to 30 quasi-Newton steps of a uniform density, measured.
     pub fn new(seeds: Seeds) -> Self {
         Self {
@@ -121,7 +124,7 @@ impl RemeshOptions {
             density: DensityOptions::default(),
             projection: Projection::Free,
             placement: Placement::Fitted,
-            crease_angle_deg: 30.0,
+            crease_angle_deg: Self::CREASE_ANGLE_DEG,
             creases: Vec::new(),
             refine: None,
             keep_boundaries: true,
@@ -216,7 +219,7 @@ pub fn remesh(
     let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?;
     let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
     let input = InputFigures::of(mesh);
-    let mut kept = curves::Kept::find(&plan, &surface, options)?;
+    let mut kept = curves::Kept::find(mesh, &plan, &surface, options)?;
     let mut timings = Timings { prepare: clock.lap(), ..Timings::default() };
     cancel.check()?;
 

@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 const ROOMS: &[(&str, &[&str])] = &[
     ("mesh", &[]),
     ("gpu", &[]),
+    ("picture", &["mesh"]),
     ("knn", &["mesh"]),
     ("rvd", &["knn", "mesh"]),
     ("cvt", &["rvd", "mesh"]),
@@ -21,7 +22,7 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("telemetry", &["config"]),
     ("job", &["remesh", "cvt", "rvd", "mesh", "config"]),
     ("service", &["job", "remesh", "cvt", "rvd", "mesh", "config"]),
-    ("cli", &["service", "job", "remesh", "cvt", "rvd", "knn", "mesh", "gpu", "config", "telemetry"]),
+    ("cli", &["service", "job", "remesh", "cvt", "rvd", "knn", "mesh", "gpu", "picture", "config", "telemetry"]),
     ("main", &["cli", "config", "telemetry"]),
     ("lib", &[]),
 ];
@@ -46,6 +47,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("anyhow", &["cli", "main"]),
     ("kiddo", &["knn"]),
     ("tobj", &["mesh/io"]),
+    ("png", &["picture"]),
 ];
 
 fn sources(folder: &Path, out: &mut Vec<PathBuf>) {

@@ -6,7 +6,6 @@
 mod surfaces;
 
 use glam::DVec3;
-use tessera::cvt::Projection;
 use tessera::cvt::density::{Count, DensityError, DensityOptions, DensitySource, Net, Outline, Plan, plan};
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
@@ -17,7 +16,7 @@ use tessera::rvd::parallel::Parallel;
 use tessera::rvd::{CancelFlag, RvdError};
 
 fn run(mesh: &TriMesh, density: DensityOptions, seeds: Seeds, lloyd: usize) -> Result<Remesh, RemeshError> {
-    let options = RemeshOptions { seeds, lloyd, density, projection: Projection::Free, measure: false };
+    let options = RemeshOptions { density, ..RemeshOptions::plain(seeds, lloyd) };
     remesh(mesh, &options, &Parallel::new(None).unwrap(), &mut (), &CancelFlag::default())
 }
 

@@ -119,7 +119,8 @@ fn rvd(args: &RvdBenchArgs) -> Result<()> {
     let cancel = CancelFlag::default();
     interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
     let (backend, gpu) = open(&args.backend)?;
-    let Prepared { surface, seeds, .. } = Prepared::new(Input { mesh, density: DensityOptions::default(), seeds })?;
+    let Prepared { surface, seeds, .. } =
+        Prepared::new(Input { mesh, density: DensityOptions::default(), seeds, creases: Vec::new() })?;
     let mut seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
     let options = SessionOptions { tuning: tuning(args), ..SessionOptions::new(seeds.len()) };
     let mut session = backend.session(Arc::clone(&surface), options)?;

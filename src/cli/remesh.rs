@@ -7,12 +7,13 @@ use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 
 use super::exit::Usage;
+use super::picture::PictureArgs;
 use super::progress::Progress;
 use super::{backends, files, interrupt, remote, sizes};
 use crate::config::BackendArgs;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::{TriMesh, io};
-use crate::remesh::{Placement, RemeshOptions, Report, Seeds, remesh};
+use crate::remesh::{Placement, Refine, RemeshOptions, Report, Seeds, remesh};
 use crate::rvd::CancelFlag;
 use crate::telemetry;
 
@@ -40,6 +41,13 @@ pub(crate) struct RemeshArgs {
     /// Edges bent by more than this are creases that the remesh keeps; 0 keeps none.
     #[arg(long, value_name = "DEGREES", default_value_t = 30.0)]
     crease_angle: f64,
+    /// Add points where a vertex of the input is farther than this from the remesh, in percent of the bounding
+    /// box's diagonal; for --placement fitted.
+    #[arg(long, value_name = "PERCENT", value_parser = positive)]
+    max_deviation: Option<f64>,
+    /// The most points that --max-deviation may come to; twice --points if not given.
+    #[arg(long, value_name = "N", requires = "max_deviation", value_parser = clap::value_parser!(u32).range(1..))]
+    max_points: Option<u32>,
     /// What happens to the boundaries of an open surface.
     #[arg(long, value_enum, default_value_t)]
     boundaries: BoundariesArg,
@@ -55,6 +63,9 @@ pub(crate) struct RemeshArgs {
     /// Write the report there, as JSON.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
+    /// How it looks.
+    #[command(flatten)]
+    picture: PictureArgs,
     /// How lengths of edges vary.
     #[command(flatten)]
     density: DensityArgs,
@@ -152,39 +163,58 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     if args.density.sizes.is_some() {
         sizes::check_format(&args.input)?;
     }
+    args.picture.check()?;
     let start = Instant::now();
     let mesh = files::read_mesh(&args.input)?;
-    let density = args.density.options(&args.input, &mesh)?;
-    density.check().map_err(|error| Usage(error.to_string()))?;
+    let options = options(args, &mesh)?;
     let read_ms = ms(start);
     match &args.endpoint {
-        None => here(args, &mesh, density, start, read_ms),
-        Some(endpoint) => there(args, &mesh, &density, endpoint),
+        None => here(args, &mesh, &options, start, read_ms),
+        Some(endpoint) => there(args, &mesh, &options, endpoint),
     }
 }
 
-fn here(args: &RemeshArgs, mesh: &TriMesh, density: DensityOptions, start: Instant, read_ms: f64) -> Result<()> {
-    let cancel = CancelFlag::default();
-    interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
-    let backend = backends::one(&args.backend)?;
-    let options = RemeshOptions {
+/// What the arguments say of `mesh`.
+fn options(args: &RemeshArgs, mesh: &TriMesh) -> Result<RemeshOptions> {
+    let density = args.density.options(&args.input, mesh)?;
+    density.check().map_err(|error| Usage(error.to_string()))?;
+    let (low, high) = mesh.bounds();
+    let extent = (high - low).max_element();
+    let diagonal = ((high - low) / extent).length() * extent;
+    let most = args.max_points.or(args.points.map(|n| n.saturating_mul(2)));
+    let refine = match (args.max_deviation, most) {
+        (Some(percent), Some(most)) => {
+            Some(Refine { tolerance: percent / 100.0 * diagonal, max_points: most as usize })
+        }
+        (Some(_), None) => return Err(Usage("--max-deviation without --points needs --max-points".to_owned()).into()),
+        (None, _) => None,
+    };
+    Ok(RemeshOptions {
         lloyd: args.lloyd as usize,
         newton: args.newton as usize,
         crease_angle_deg: args.crease_angle,
         keep_boundaries: args.boundaries == BoundariesArg::Keep,
         placement: args.placement.placement(),
+        refine,
         density,
         ..RemeshOptions::new(match args.points {
             Some(points) => Seeds::Sample { points: points as usize, seed: args.seed },
             None => Seeds::Implied { seed: args.seed },
         })
-    };
+    })
+}
+
+fn here(args: &RemeshArgs, mesh: &TriMesh, options: &RemeshOptions, start: Instant, read_ms: f64) -> Result<()> {
+    let cancel = CancelFlag::default();
+    interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
+    let backend = backends::one(&args.backend)?;
     let mut progress = Progress::new();
-    let done = remesh(mesh, &options, backend.as_ref(), &mut progress, &cancel);
+    let done = remesh(mesh, options, backend.as_ref(), &mut progress, &cancel);
     drop(progress);
     let mut done = done?;
     let writing = Instant::now();
     io::write(&args.output, &done.mesh)?;
+    args.picture.draw(&done.mesh, &done.curve_edges)?;
     let timings = &mut done.report.timings_ms;
     (timings.read, timings.write, timings.total) = (read_ms, ms(writing), ms(start));
     done.report.memory.host_peak_bytes = telemetry::peak_memory_bytes();
@@ -195,18 +225,11 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, density: DensityOptions, start: Insta
     Ok(())
 }
 
-fn there(args: &RemeshArgs, mesh: &TriMesh, density: &DensityOptions, endpoint: &str) -> Result<()> {
-    let job = remote::RemeshJob {
-        mesh,
-        points: args.points.unwrap_or(0).into(),
-        random_seed: args.seed,
-        lloyd: args.lloyd,
-        newton: args.newton,
-        backend: args.backend.backend,
-        density,
-    };
+fn there(args: &RemeshArgs, mesh: &TriMesh, options: &RemeshOptions, endpoint: &str) -> Result<()> {
+    let job = remote::RemeshJob { mesh, options, backend: args.backend.backend };
     let done = remote::remesh(endpoint, &job)?;
     io::write(&args.output, &done.mesh)?;
+    args.picture.draw(&done.mesh, &done.curve_edges)?;
     if let Some(path) = &args.report {
         files::write_json(path, &done.report)?;
     }

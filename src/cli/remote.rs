@@ -17,7 +17,7 @@ use super::rvd::{RvdResult, Sink, Wants};
 use crate::config::BackendArg;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::TriMesh;
-use crate::remesh::Seeds;
+use crate::remesh::{Placement, RemeshOptions, Seeds};
 use crate::rvd::{PieceBatch, RvdError};
 use crate::service::convert;
 use crate::service::proto::remesh_service_client::RemeshServiceClient;
@@ -27,24 +27,18 @@ use crate::service::proto::{self, ArrayKind, CellsChunk, Chunk, seed_source};
 pub(crate) struct RemeshJob<'a> {
     /// The surface.
     pub(crate) mesh: &'a TriMesh,
-    /// How many seeds to draw; 0 for as many as the density implies.
-    pub(crate) points: u64,
-    /// Random seed.
-    pub(crate) random_seed: u64,
-    /// Lloyd steps.
-    pub(crate) lloyd: u32,
-    /// Quasi-Newton steps after them.
-    pub(crate) newton: u32,
+    /// What to do. Seeds are drawn by the server.
+    pub(crate) options: &'a RemeshOptions,
     /// Who should do it.
     pub(crate) backend: BackendArg,
-    /// How long edges should be; `points` is 0 if that says how many.
-    pub(crate) density: &'a DensityOptions,
 }
 
 /// What came back.
 pub(crate) struct RemeshDone {
     /// The remesh.
     pub(crate) mesh: TriMesh,
+    /// Its edges on creases and boundaries that were kept.
+    pub(crate) curve_edges: Vec<[u32; 2]>,
     /// The server's report.
     pub(crate) report: serde_json::Value,
 }
@@ -53,18 +47,33 @@ pub(crate) struct RemeshDone {
 pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> {
     use proto::remesh_request::Message as Ask;
     use proto::remesh_response::Message as Answer;
+    let options = job.options;
+    let (points, random_seed) = match options.seeds {
+        Seeds::Sample { points, seed } => (points as u64, seed),
+        Seeds::Implied { seed } => (0, seed),
+        Seeds::Given(_) => bail!("seeds are drawn by the server"),
+    };
     let header = proto::RemeshHeader {
         mesh: Some(mesh_header(job.mesh)),
-        seeds: Some(sampled(job.points, job.random_seed)),
+        seeds: Some(sampled(points, random_seed)),
         backend: choice(job.backend).into(),
-        lloyd_steps: job.lloyd,
-        newton_steps: job.newton,
-        density: Some(density(job.density)),
+        lloyd_steps: options.lloyd as u32,
+        newton_steps: options.newton as u32,
+        crease_angle_deg: Some(options.crease_angle_deg),
+        placement: placement(options.placement).into(),
+        boundaries: match options.keep_boundaries {
+            true => proto::BoundaryRule::Keep.into(),
+            false => proto::BoundaryRule::Free.into(),
+        },
+        refinement: options
+            .refine
+            .map(|r| proto::Refinement { tolerance: r.tolerance, max_points: r.max_points as u64 }),
+        density: Some(density(&options.density)),
         ..proto::RemeshHeader::default()
     };
     let mut messages = vec![Ask::Header(header)];
     messages.extend(mesh_chunks(job.mesh).map(Ask::Chunk));
-    if let DensitySource::Sizes(sizes) = &job.density.source {
+    if let DensitySource::Sizes(sizes) = &options.density.source {
         messages.extend(convert::number_chunks(ArrayKind::EdgeLengths, sizes).map(Ask::Chunk));
     }
     messages.push(Ask::Finish(proto::Finish {}));
@@ -82,8 +91,9 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
                     let positions = arrays.points(ArrayKind::Positions)?;
                     let facets = arrays.facets(ArrayKind::Facets)?;
                     let mesh = TriMesh::new(positions, facets).context("the server's remesh is broken")?;
+                    let curve_edges = arrays.pairs(ArrayKind::Creases);
                     let report = serde_json::from_str(&done.report_json).context("the server's report is broken")?;
-                    return Ok(RemeshDone { mesh, report });
+                    return Ok(RemeshDone { mesh, curve_edges, report });
                 }
                 _ => {}
             }
@@ -194,6 +204,14 @@ fn choice(backend: BackendArg) -> proto::BackendChoice {
     }
 }
 
+fn placement(placement: Placement) -> proto::Placement {
+    match placement {
+        Placement::Fitted => proto::Placement::Fitted,
+        Placement::Surface => proto::Placement::Surface,
+        Placement::Centroids => proto::Placement::Centroids,
+    }
+}
+
 fn density(options: &DensityOptions) -> proto::DensityOptions {
     let source = match options.source {
         DensitySource::Uniform => proto::DensitySource::Uniform,
@@ -253,6 +271,11 @@ impl Arrays {
 
     fn points(&self, kind: ArrayKind) -> Result<Vec<DVec3>> {
         Ok(points(self.bytes(kind)?))
+    }
+
+    /// None if the server sent none: an empty array has no chunks.
+    fn pairs(&self, kind: ArrayKind) -> Vec<[u32; 2]> {
+        self.bytes(kind).map_or_else(|_| Vec::new(), |data| indices(data).as_chunks::<2>().0.to_vec())
     }
 
     fn facets(&self, kind: ArrayKind) -> Result<Vec<[u32; 3]>> {

@@ -1,6 +1,7 @@
 //! `tessera rvd`.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
@@ -8,6 +9,8 @@ use clap::Args;
 use glam::DVec3;
 
 use super::cell_file::CellFile;
+use super::exit::Usage;
+use super::picture::PictureArgs;
 use super::progress::Progress;
 use super::{backends, files, interrupt, remote};
 use crate::config::BackendArgs;
@@ -49,6 +52,12 @@ pub(crate) struct RvdArgs {
     /// Let a server do the work, e.g. http://127.0.0.1:50051.
     #[arg(long, value_name = "URL")]
     endpoint: Option<String>,
+    /// How it looks.
+    #[command(flatten)]
+    picture: PictureArgs,
+    /// Draw the seeds as dots in the picture, where the surface is next to them.
+    #[arg(long, requires = "picture")]
+    dots: bool,
 }
 
 /// What came out, wherever it was computed.
@@ -64,6 +73,11 @@ pub(crate) fn run(args: &RvdArgs) -> Result<()> {
     args.backend.check()?;
     args.output.iter().try_for_each(|path| files::check_output(path, &["ply"]))?;
     args.centroids.iter().chain(&args.report).try_for_each(|path| files::check_output(path, &[]))?;
+    args.picture.check_for_cells()?;
+    if args.dots && args.endpoint.is_some() && args.seeds.is_none() {
+        let text = "--dots with --endpoint: the server draws the points and keeps them; give them with --seeds";
+        return Err(Usage(text.to_owned()).into());
+    }
     let start = Instant::now();
     let mesh = files::read_mesh(&args.input)?;
     let seeds = match (&args.seeds, args.points) {
@@ -72,16 +86,29 @@ pub(crate) fn run(args: &RvdArgs) -> Result<()> {
     };
     let read_ms = start.elapsed().as_secs_f64() * 1e3;
     // Without any file the sums give the figures.
-    let wants = Wants { cells: args.output.is_some(), centroids: args.centroids.is_some() || args.output.is_none() };
+    let pieces = args.output.is_some() || args.picture.wanted();
+    let wants = Wants { cells: pieces, centroids: args.centroids.is_some() || !pieces };
     let mut cells = args.output.as_deref().map(CellFile::create).transpose()?;
-    let mut sink = |batch: &PieceBatch| cells.as_mut().map_or(Ok(()), |file| file.append(batch));
-    let mut result = match &args.endpoint {
+    let (count, given) = match &seeds {
+        Seeds::Given(points) => (points.len(), Arc::new(points.clone())),
+        Seeds::Sample { points, .. } => (*points, Arc::default()),
+        Seeds::Implied { .. } => (0, Arc::default()),
+    };
+    let mut picture = args.picture.begin(&mesh, count, args.dots)?;
+    let mut sink = |batch: &PieceBatch| {
+        picture.iter_mut().for_each(|picture| picture.append(batch));
+        cells.as_mut().map_or(Ok(()), |file| file.append(batch))
+    };
+    let (mut result, seeds) = match &args.endpoint {
         None => here(args, mesh, seeds, wants, &mut sink)?,
-        Some(endpoint) => remote::rvd(endpoint, &mesh, seeds, wants, args.backend.backend, &mut sink)?,
+        Some(endpoint) => (remote::rvd(endpoint, &mesh, seeds, wants, args.backend.backend, &mut sink)?, given),
     };
     let writing = Instant::now();
     if let Some(file) = cells {
         file.finish()?;
+    }
+    if let Some(picture) = picture {
+        picture.finish(&seeds)?;
     }
     if let Some(path) = &args.centroids {
         files::write_points(path, &result.centroids)?;
@@ -123,13 +150,20 @@ pub(crate) struct Wants {
     pub(crate) centroids: bool,
 }
 
-fn here(args: &RvdArgs, mesh: TriMesh, seeds: Seeds, wants: Wants, sink: Sink<'_>) -> Result<RvdResult> {
+/// The diagram, and its seeds.
+fn here(
+    args: &RvdArgs,
+    mesh: TriMesh,
+    seeds: Seeds,
+    wants: Wants,
+    sink: Sink<'_>,
+) -> Result<(RvdResult, Arc<Vec<DVec3>>)> {
     let cancel = CancelFlag::default();
     interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
     let backend = backends::one(&args.backend)?;
     let progress = Progress::new();
     progress.stage("prepare", 0, 0);
-    let prepared = Prepared::new(Input { mesh, density: DensityOptions::default(), seeds })?;
+    let prepared = Prepared::new(Input { mesh, density: DensityOptions::default(), seeds, creases: Vec::new() })?;
     cancel.check()?;
     progress.stage("diagram", 0, 0);
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;
@@ -142,5 +176,5 @@ fn here(args: &RvdArgs, mesh: TriMesh, seeds: Seeds, wants: Wants, sink: Sink<'_
         }
     }
     let report = serde_json::to_value(diagram.report(&prepared, &BackendInfo::of(backend.as_ref())))?;
-    Ok(RvdResult { centroids, report })
+    Ok((RvdResult { centroids, report }, Arc::clone(&prepared.seeds)))
 }

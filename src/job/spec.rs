@@ -26,6 +26,8 @@ pub struct Input {
     pub density: DensityOptions,
     /// The seeds, or how to draw them.
     pub seeds: Seeds,
+    /// Edges that are creases whatever their angle; of no use but to a remesh.
+    pub creases: Vec<[u32; 2]>,
 }
 
 /// A surface in the unit frame and seeds in the caller's.
@@ -53,7 +55,7 @@ impl Prepared {
     /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`, `Density`.
     pub fn new(input: Input) -> Result<Self, JobError> {
         let start = Instant::now();
-        let Input { mesh, density, seeds } = input;
+        let Input { mesh, density, seeds, creases: _ } = input;
         let plan = density::plan(&mesh, &density, seeds.count(), &|| false).map_err(RemeshError::from)?;
         let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
         let figures = InputFigures::of(&mesh);

@@ -126,6 +126,18 @@ impl Features {
         Ok(Self { curves, corners, left_out })
     }
 
+    /// Checks that `given` edges are there.
+    ///
+    /// # Errors
+    /// [`FeatureError::NoSuchEdge`].
+    pub fn check(mesh: &TriMesh, given: &[[u32; 2]]) -> Result<(), FeatureError> {
+        if given.is_empty() {
+            return Ok(());
+        }
+        let options = FeatureOptions { crease_angle_deg: 0.0, given: given.to_vec(), shortest: 0.0, reach: 0.0 };
+        Self::find(mesh, mesh.positions(), &options).map(|_| ())
+    }
+
     /// Keeps the curves for which `keep` says so, and the corners that these have.
     pub fn retain(&mut self, mut keep: impl FnMut(usize, &Curve) -> bool) {
         let mut number = 0;

@@ -122,6 +122,14 @@ pub fn quality_unless(original: &TriMesh, result: &TriMesh, stop: &(dyn Fn() -> 
     Some(quality)
 }
 
+/// Q = (6/√3) S/(p h) of one triangle about one unit in size: 1 is equilateral, 0 has no area.
+pub fn facet_quality([a, b, c]: [DVec3; 3]) -> f64 {
+    let (u, v, w) = (b - a, c - b, a - c);
+    let (lu, lv, lw) = (u.length(), v.length(), w.length());
+    let box_of = 0.5 * (lu + lv + lw) * lu.max(lv).max(lw);
+    if box_of > 0.0 { 6.0 / 3f64.sqrt() * 0.5 * u.cross(w).length() / box_of } else { 0.0 }
+}
+
 /// Corners that are connected through edges with two facets. Corner `3 * facet + c` is the
 /// origin of the half-edge of that number.
 fn fans(mesh: &TriMesh, adjacency: &Adjacency, live: &[usize]) -> DisjointSets {
@@ -164,14 +172,6 @@ fn boundary_loops(adjacency: &Adjacency, fans: &mut DisjointSets, vertex: impl F
         }
     }
     (0..halves.len()).filter(|&edge| chains.root(edge) == edge).count()
-}
-
-/// Q = (6/√3) S/(p h) of one facet: area, half-perimeter, longest edge. 1 is equilateral, 0 a sliver.
-pub fn facet_quality([a, b, c]: [DVec3; 3]) -> f64 {
-    let (u, v, w) = (b - a, c - b, a - c);
-    let (lu, lv, lw) = (u.length(), v.length(), w.length());
-    let box_of = 0.5 * (lu + lv + lw) * lu.max(lv).max(lw);
-    if box_of > 0.0 { 6.0 / 3f64.sqrt() * 0.5 * u.cross(w).length() / box_of } else { 0.0 }
 }
 
 /// The smallest angle of one facet, degrees.

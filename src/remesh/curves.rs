@@ -5,7 +5,7 @@
 //! Invariant: where the curves would take too many of the seeds, creases go first and boundaries
 //! last, and the report says so. Must not know: backends, iterations.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
 
@@ -16,6 +16,7 @@ use crate::cvt::curves::{BETWEEN, CurveSeeds, Segment, edge_length};
 use crate::cvt::density::Plan;
 use crate::knn::SeedIndex;
 use crate::mesh::TriMesh;
+use crate::mesh::adjacency::weld;
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
 use crate::mesh::sample::sample;
 use crate::rvd::{Frame, Surface};
@@ -26,6 +27,33 @@ const SHORTEST: f64 = 8.0;
 const REACH: f64 = 1.0;
 /// Curves get at most this share of the seeds.
 const LARGEST_SHARE: f64 = 0.6;
+
+/// Edges of a mesh as those of another one, which has the same vertices first and some edges in halves.
+fn subdivided(mesh: &TriMesh, edges: &[[u32; 2]]) -> Vec<[u32; 2]> {
+    if edges.is_empty() {
+        return Vec::new();
+    }
+    let class = weld(mesh);
+    let sorted = |a: u32, b: u32| [a.min(b), a.max(b)];
+    let key = |p: DVec3| p.to_array().map(|x| (x + 0.0).to_bits());
+    let there: HashSet<[u32; 2]> = mesh
+        .facets()
+        .iter()
+        .map(|t| t.map(|v| class[v as usize]))
+        .flat_map(|[a, b, c]| [sorted(a, b), sorted(b, c), sorted(c, a)])
+        .collect();
+    let at: HashMap<[u64; 3], u32> = mesh.positions().iter().zip(&class).map(|(&p, &v)| (key(p), v)).collect();
+    let mut stack: Vec<[u32; 2]> = edges.iter().rev().map(|e| e.map(|v| class[v as usize])).collect();
+    let mut found = Vec::new();
+    while let Some([a, b]) = stack.pop() {
+        let middle = mesh.positions()[a as usize] * 0.5 + mesh.positions()[b as usize] * 0.5;
+        match at.get(&key(middle)) {
+            Some(&m) if !there.contains(&sorted(a, b)) && m != a && m != b => stack.extend([[m, b], [a, m]]),
+            _ => found.push([a, b]),
+        }
+    }
+    found
+}
 
 /// Curves and their seeds.
 #[derive(Clone, Debug, Default)]
@@ -38,21 +66,27 @@ pub(super) struct Kept {
 
 impl Kept {
     /// Finds what `options` ask for; nothing where seeds are given.
-    pub(super) fn find(plan: &Plan<'_>, surface: &Surface, options: &RemeshOptions) -> Result<Self, RemeshError> {
+    pub(super) fn find(
+        mesh: &TriMesh,
+        plan: &Plan<'_>,
+        surface: &Surface,
+        options: &RemeshOptions,
+    ) -> Result<Self, RemeshError> {
         if matches!(options.seeds, Seeds::Given(_)) {
             return Ok(Self::default());
         }
-        let (mesh, points): (&TriMesh, usize) = (&plan.mesh, plan.points);
+        let points = plan.points;
         let scale = edge_length(surface, &Features::default(), points);
+        Features::check(mesh, &options.creases)?;
         let mut wish = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
-            given: options.creases.clone(),
+            given: subdivided(&plan.mesh, &options.creases),
             shortest: SHORTEST * scale,
             reach: REACH * scale,
         };
         let mut given_up = 0;
         loop {
-            let mut features = Features::find(mesh, surface.positions(), &wish)?;
+            let mut features = Features::find(&plan.mesh, surface.positions(), &wish)?;
             if !options.keep_boundaries {
                 features.retain(|_, c| c.kind != CurveKind::Boundary);
             }

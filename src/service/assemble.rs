@@ -18,6 +18,7 @@ pub(crate) struct Uploaded {
     pub(crate) weights: Option<Vec<f64>>,
     pub(crate) seeds: Vec<DVec3>,
     pub(crate) edge_lengths: Option<Vec<f64>>,
+    pub(crate) creases: Vec<[u32; 2]>,
     /// Held until the job is done.
     pub(crate) share: Share,
 }
@@ -25,7 +26,7 @@ pub(crate) struct Uploaded {
 /// See the module's head.
 #[derive(Debug)]
 pub(crate) struct Assembly {
-    arrays: [Array; 5],
+    arrays: [Array; 6],
     share: Share,
 }
 
@@ -46,6 +47,7 @@ struct Array {
 enum Store {
     Points(Vec<DVec3>),
     Triples(Vec<[u32; 3]>),
+    Pairs(Vec<[u32; 2]>),
     Numbers(Vec<f64>),
 }
 
@@ -69,6 +71,7 @@ impl Assembly {
                 array(ArrayKind::Weights, 8, 1, mesh.weights, Store::Numbers(Vec::new())),
                 array(ArrayKind::Seeds, points, 3, seeds.uploaded(), Store::Points(Vec::new())),
                 array(ArrayKind::EdgeLengths, 8, 1, mesh.edge_lengths, Store::Numbers(Vec::new())),
+                array(ArrayKind::Creases, 4, 2, mesh.creases, Store::Pairs(Vec::new())),
             ],
             share,
         }
@@ -78,7 +81,8 @@ impl Assembly {
     pub(crate) fn take(&mut self, chunk: &Chunk) -> Result<(), RequestError> {
         let kind = ArrayKind::try_from(chunk.kind).map_err(|_| RequestError::unknown_enum("chunk.kind", chunk.kind))?;
         let Some(array) = self.arrays.iter_mut().find(|a| a.kind == kind) else {
-            let text = format!("is {}; upload POSITIONS, FACETS, WEIGHTS, SEEDS or EDGE_LENGTHS", kind.as_str_name());
+            let text =
+                format!("is {}; upload POSITIONS, FACETS, WEIGHTS, SEEDS, EDGE_LENGTHS or CREASES", kind.as_str_name());
             return Err(RequestError::field("chunk.kind", text));
         };
         array.check(chunk)?;
@@ -103,10 +107,11 @@ impl Assembly {
                 Store::Numbers(weights),
                 Store::Points(seeds),
                 Store::Numbers(edge_lengths),
+                Store::Pairs(creases),
             ] => {
                 let weights = (!weights.is_empty()).then_some(weights);
                 let edge_lengths = (!edge_lengths.is_empty()).then_some(edge_lengths);
-                Ok(Uploaded { positions, facets, weights, seeds, edge_lengths, share: self.share })
+                Ok(Uploaded { positions, facets, weights, seeds, edge_lengths, creases, share: self.share })
             }
             _ => Err(RequestError::field("chunk", "internal: arrays changed places")),
         }
@@ -120,6 +125,7 @@ impl Array {
             ArrayKind::Facets => "mesh.facets",
             ArrayKind::Weights => "mesh.weights",
             ArrayKind::EdgeLengths => "mesh.edge_lengths",
+            ArrayKind::Creases => "mesh.creases",
             _ => "seeds",
         }
     }
@@ -197,6 +203,10 @@ impl Store {
             Self::Points(points) => {
                 points.extend(triples::<8>(data).map(|t| DVec3::from_array(t.map(f64::from_le_bytes))));
             }
+            Self::Pairs(edges) => {
+                let numbers = data.as_chunks::<4>().0.as_chunks::<2>().0;
+                edges.extend(numbers.iter().map(|pair| pair.map(u32::from_le_bytes)));
+            }
             Self::Triples(facets) => facets.extend(triples::<4>(data).map(|t| t.map(u32::from_le_bytes))),
             Self::Numbers(numbers) => numbers.extend(data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b))),
         }
@@ -213,7 +223,7 @@ mod tests {
     use super::*;
 
     fn assembly() -> Assembly {
-        let mesh = MeshCounts { vertices: 3, facets: 1, weights: 3, coordinate_bytes: 4, edge_lengths: 0 };
+        let mesh = MeshCounts { vertices: 3, facets: 1, weights: 3, coordinate_bytes: 4, edge_lengths: 0, creases: 0 };
         Assembly::new(mesh, SeedCounts::Uploaded(1), Budget::new(1 << 20).share())
     }
 
@@ -262,7 +272,8 @@ mod tests {
 
     #[test]
     fn memory_is_taken_for_what_arrives() {
-        let mesh = MeshCounts { vertices: 1 << 30, facets: 1, weights: 0, coordinate_bytes: 8, edge_lengths: 0 };
+        let mesh =
+            MeshCounts { vertices: 1 << 30, facets: 1, weights: 0, coordinate_bytes: 8, edge_lengths: 0, creases: 0 };
         let mut a = Assembly::new(mesh, SeedCounts::Sampled { points: 1, seed: 0 }, Budget::new(30).share());
         a.take(&chunk(ArrayKind::Positions, 0, &[0; 24])).unwrap();
         let error = a.take(&chunk(ArrayKind::Positions, 24, &[0; 24])).unwrap_err();

@@ -8,11 +8,13 @@ use prost::bytes::Bytes;
 
 use super::RequestError;
 use super::proto::{self, ArrayKind, BackendChoice, CellsChunk, Chunk};
+use crate::config::Limits;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::cvt::{Iteration, Projection, SeedEdit, StepKind};
 use crate::job::session::SeedsWanted;
 use crate::job::{BackendInfo, Wish};
 use crate::remesh::report::RvdFigures;
+use crate::remesh::{Placement, Refine};
 use crate::rvd::{BackendKind, PieceBatch};
 
 /// Bytes of data in a chunk that is sent.
@@ -51,6 +53,34 @@ pub(crate) fn seeds_wanted(value: i32, path: &str) -> Result<SeedsWanted, Reques
         Ok(proto::SeedsWanted::Each) => Ok(SeedsWanted::Each),
         Err(_) => Err(RequestError::unknown_enum(path, value)),
     }
+}
+
+pub(crate) fn placement(value: i32) -> Result<Placement, RequestError> {
+    match proto::Placement::try_from(value) {
+        Ok(proto::Placement::Unspecified | proto::Placement::Fitted) => Ok(Placement::Fitted),
+        Ok(proto::Placement::Surface) => Ok(Placement::Surface),
+        Ok(proto::Placement::Centroids) => Ok(Placement::Centroids),
+        Err(_) => Err(RequestError::unknown_enum("header.placement", value)),
+    }
+}
+
+/// Whether boundaries are kept.
+pub(crate) fn boundaries(value: i32) -> Result<bool, RequestError> {
+    match proto::BoundaryRule::try_from(value) {
+        Ok(proto::BoundaryRule::Unspecified | proto::BoundaryRule::Keep) => Ok(true),
+        Ok(proto::BoundaryRule::Free) => Ok(false),
+        Err(_) => Err(RequestError::unknown_enum("header.boundaries", value)),
+    }
+}
+
+pub(crate) fn refinement(given: Option<&proto::Refinement>, limits: &Limits) -> Result<Option<Refine>, RequestError> {
+    let Some(&proto::Refinement { tolerance, max_points }) = given else { return Ok(None) };
+    if !(tolerance.is_finite() && tolerance > 0.0) {
+        let text = format!("is {tolerance}; give a distance above 0");
+        return Err(RequestError::field("header.refinement.tolerance", text));
+    }
+    super::limits::within("header.refinement.max_points", max_points, 1, limits.max_seeds)?;
+    Ok(Some(Refine { tolerance, max_points: max_points as usize }))
 }
 
 pub(crate) fn step_kind(value: i32) -> Result<StepKind, RequestError> {

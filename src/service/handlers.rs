@@ -131,7 +131,7 @@ fn input(
     density: Option<&proto::DensityOptions>,
     limits: &Limits,
 ) -> Result<(Input, Share), RequestError> {
-    let Uploaded { positions, facets, weights, seeds: points, edge_lengths, share } = uploaded;
+    let Uploaded { positions, facets, weights, seeds: points, edge_lengths, creases, share } = uploaded;
     let density = convert::density(density, weights, edge_lengths, limits.max_seeds)?;
     let mesh = TriMesh::new(positions, facets).map_err(JobError::from)?;
     let seeds = match seeds {
@@ -139,7 +139,7 @@ fn input(
         SeedCounts::Sampled { points, seed } => Seeds::Sample { points: points as usize, seed },
         SeedCounts::Implied { seed } => Seeds::Implied { seed },
     };
-    Ok((Input { mesh, density, seeds }, share))
+    Ok((Input { mesh, density, seeds, creases }, share))
 }
 
 /// Does long work that needs no backend, on a thread that may block.

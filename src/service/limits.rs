@@ -21,6 +21,8 @@ pub(crate) struct MeshCounts {
     pub(crate) coordinate_bytes: u64,
     /// Target edge lengths.
     pub(crate) edge_lengths: u64,
+    /// Creases.
+    pub(crate) creases: u64,
 }
 
 /// A seed source whose count is usable.
@@ -64,7 +66,7 @@ pub(crate) fn mesh(header: Option<&MeshHeader>, limits: &Limits) -> Result<MeshC
         Ok(PositionType::F64 | PositionType::Unspecified) => 8,
         Err(_) => return Err(RequestError::unknown_enum("header.mesh.position_type", header.position_type)),
     };
-    Ok(MeshCounts { vertices, facets, weights, coordinate_bytes, edge_lengths: 0 })
+    Ok(MeshCounts { vertices, facets, weights, coordinate_bytes, edge_lengths: 0, creases: 0 })
 }
 
 /// Checks the number of seeds.

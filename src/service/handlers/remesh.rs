@@ -12,7 +12,8 @@ use super::super::proto::{remesh_request as request, remesh_response as response
 use super::*;
 use crate::cvt::Iteration;
 use crate::job::{Place, Retry, Timed};
-use crate::remesh::{Observer, Remesh, RemeshOptions};
+use crate::mesh::features::FeatureError;
+use crate::remesh::{Observer, Remesh, RemeshError, RemeshOptions};
 
 /// Progress that waits for the client.
 const EVENTS: usize = 256;
@@ -24,7 +25,18 @@ impl Header for RemeshHeader {
         convert::measure(self.measure)?;
         limits::within("header.lloyd_steps", self.lloyd_steps.into(), 0, limits.max_iterations.into())?;
         limits::within("header.newton_steps", self.newton_steps.into(), 0, limits.max_iterations.into())?;
-        limits::with_density(self.mesh.as_ref(), self.seeds.as_ref(), self.density.as_ref(), limits)
+        convert::placement(self.placement)?;
+        convert::boundaries(self.boundaries)?;
+        convert::refinement(self.refinement.as_ref(), limits)?;
+        if !(0.0..=180.0).contains(&self.crease_angle_deg.unwrap_or_default()) {
+            let error = FeatureError::BadAngle(self.crease_angle_deg.unwrap_or_default());
+            return Err(JobError::from(RemeshError::from(error)).into());
+        }
+        let density = self.density.as_ref();
+        let (mut mesh, seeds) = limits::with_density(self.mesh.as_ref(), self.seeds.as_ref(), density, limits)?;
+        limits::within("header.creases", self.creases, 0, 3 * mesh.facets)?;
+        mesh.creases = self.creases;
+        Ok((mesh, seeds))
     }
 }
 
@@ -74,10 +86,15 @@ pub(super) async fn handle(
     let by = shared.engine.backend(wish)?;
     let (limits, density) = (shared.limits, header.density);
     let work = move || input(seeds, uploaded, density.as_ref(), &limits);
-    let (Input { mesh, density, seeds }, _share) = apart(&shared, work).await?;
+    let (Input { mesh, density, seeds, creases }, _share) = apart(&shared, work).await?;
     let options = RemeshOptions {
         lloyd: header.lloyd_steps as usize,
         newton: header.newton_steps as usize,
+        crease_angle_deg: header.crease_angle_deg.unwrap_or(RemeshOptions::CREASE_ANGLE_DEG),
+        creases,
+        placement: convert::placement(header.placement)?,
+        keep_boundaries: convert::boundaries(header.boundaries)?,
+        refine: convert::refinement(header.refinement.as_ref(), &shared.limits)?,
         density,
         projection: convert::projection(header.projection)?,
         measure: convert::measure(header.measure)?,
@@ -144,6 +161,8 @@ async fn send_result(
     send_all(outbox, convert::point_chunks(ArrayKind::Positions, positions), wrap_chunk).await?;
     send_all(outbox, convert::facet_chunks(ArrayKind::Facets, facets), wrap_chunk).await?;
     send_all(outbox, convert::index_chunks(ArrayKind::VertexSeeds, &result.vertex_seed), wrap_chunk).await?;
+    let curve_edges = result.curve_edges.as_flattened();
+    send_all(outbox, convert::index_chunks(ArrayKind::Creases, curve_edges), wrap_chunk).await?;
     send_seeds(outbox, &result.seeds, wrap_chunk).await?;
     let done = RemeshDone {
         backend: by.kind.name().to_owned(),

@@ -1,0 +1,179 @@
+//! `--picture`: the result as a PNG.
+//!
+//! Purpose: options to a view, a remesh or pieces to faces and lines. Invariant: a wrong option is
+//! refused before any work. Must not know: how a picture is drawn.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+use glam::DVec3;
+
+use super::exit::Usage;
+use super::files;
+use crate::mesh::TriMesh;
+use crate::mesh::closest_point::ClosestPoint;
+use crate::picture::{Canvas, Face, Image, Look, PLAIN, Paint, Pens, Size, View};
+use crate::picture::{distinct, draw_mesh, shading_normals, spacing};
+use crate::rvd::PieceBatch;
+use crate::rvd::cells::facet_edge;
+
+/// The options of a picture.
+#[derive(Args, Debug)]
+pub(crate) struct PictureArgs {
+    /// Draw the result there, as a PNG; needs no display.
+    #[arg(long, value_name = "FILE.png")]
+    picture: Option<PathBuf>,
+    /// Pixels of the picture.
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1600x1200", value_parser = size, requires = "picture")]
+    picture_size: Size,
+    /// Where the picture is seen from: the direction from the surface to the viewer.
+    #[arg(long, value_name = "X,Y,Z", default_value = "0.7,0.5,1", value_parser = direction, requires = "picture",
+        allow_hyphen_values = true)]
+    view: DVec3,
+    /// What is up in the picture.
+    #[arg(long, value_name = "X,Y,Z", default_value = "0,1,0", value_parser = direction, requires = "picture",
+        allow_hyphen_values = true)]
+    up: DVec3,
+    /// What the colours say [default: plain for a remesh, cell for a diagram]
+    #[arg(long, alias = "color", value_enum, requires = "picture")]
+    colour: Option<Colour>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Colour {
+    /// Nothing.
+    Plain,
+    /// The quality of each triangle, red to blue-grey.
+    Quality,
+    /// The cell: in a remesh, what lies nearest to each vertex.
+    Cell,
+}
+
+fn size(text: &str) -> Result<Size, String> {
+    let (width, height) = text.split_once(['x', 'X', '×']).ok_or("give it as 1600x1200")?;
+    let number = |text: &str| text.trim().parse::<u32>().map_err(|_| format!("\"{text}\" is no number of pixels"));
+    Size::new(number(width)?, number(height)?).map_err(|e| e.to_string())
+}
+
+fn direction(text: &str) -> Result<DVec3, String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
+    match numbers.as_deref() {
+        Ok(&[x, y, z]) if [x, y, z].iter().all(|c| c.is_finite()) && [x, y, z] != [0.0; 3] => Ok(DVec3::new(x, y, z)),
+        _ => Err("give three finite numbers that are not all 0, as 0.7,0.5,1".to_owned()),
+    }
+}
+
+impl PictureArgs {
+    /// Whether one is wanted.
+    pub(crate) fn wanted(&self) -> bool {
+        self.picture.is_some()
+    }
+
+    /// Refuses a name that does not end in .png and a folder that is not there.
+    pub(crate) fn check(&self) -> Result<()> {
+        self.picture.iter().try_for_each(|path| files::check_output(path, &["png"]))
+    }
+
+    /// As [`Self::check`], for a diagram, which has no triangles.
+    pub(crate) fn check_for_cells(&self) -> Result<()> {
+        if self.colour == Some(Colour::Quality) {
+            let text = "--colour quality is for a remesh; the pieces of a diagram have plain or cell";
+            return Err(Usage(text.to_owned()).into());
+        }
+        self.check()
+    }
+
+    /// Draws a remesh, with bold lines for edges on curves that it keeps, if that is wanted.
+    pub(crate) fn draw(&self, mesh: &TriMesh, curves: &[[u32; 2]]) -> Result<()> {
+        let Some(path) = &self.picture else { return Ok(()) };
+        let paint = match self.colour {
+            None | Some(Colour::Plain) => Paint::Plain,
+            Some(Colour::Quality) => Paint::Quality,
+            Some(Colour::Cell) => Paint::Cell,
+        };
+        let lines: Vec<[DVec3; 2]> = curves.iter().map(|e| e.map(|v| mesh.positions()[v as usize])).collect();
+        write(path, &draw_mesh(mesh, self.view_of(mesh)?, paint, &lines))
+    }
+
+    /// Begins the picture of a diagram of `seeds` seeds, if that is wanted.
+    pub(crate) fn begin(&self, mesh: &TriMesh, seeds: usize, dots: bool) -> Result<Option<CellPicture>> {
+        let Some(path) = &self.picture else { return Ok(None) };
+        let view = self.view_of(mesh)?;
+        Ok(Some(CellPicture {
+            path: path.clone(),
+            pens: Pens::for_spacing(spacing(mesh, &view, seeds)),
+            canvas: Canvas::new(view),
+            normals: shading_normals(mesh),
+            dots: dots.then(|| ClosestPoint::new(mesh)),
+            plain: self.colour == Some(Colour::Plain),
+            faces: Vec::new(),
+        }))
+    }
+
+    fn view_of(&self, mesh: &TriMesh) -> Result<View> {
+        let look = Look { toward: self.view, up: self.up };
+        let used = mesh.facets().iter().flatten().map(|&v| mesh.positions()[v as usize]);
+        View::framing(&look, self.picture_size, used).context("--view, --up")
+    }
+}
+
+/// The picture of a diagram, drawn batch by batch: memory for the pixels, and for the lines between cells.
+pub(crate) struct CellPicture {
+    path: PathBuf,
+    pens: Pens,
+    canvas: Canvas,
+    normals: Vec<DVec3>,
+    dots: Option<ClosestPoint>,
+    plain: bool,
+    faces: Vec<Face>,
+}
+
+impl CellPicture {
+    /// Draws pieces, positions in the caller's coordinates.
+    pub(crate) fn append(&mut self, cells: &PieceBatch) {
+        self.faces.clear();
+        for i in 0..cells.len() {
+            let (seed, corners) = (cells.seed[i], &cells.position[cells.vertices(i)]);
+            let colour = if self.plain { PLAIN } else { distinct(seed) };
+            let normal = self.normals.get(cells.facet[i] as usize).copied();
+            self.faces.extend(Face::fan(corners, colour, normal));
+            for (k, &across) in cells.opposite[cells.vertices(i)].iter().enumerate() {
+                // The piece across has the same edge.
+                if facet_edge(across).is_none() && seed < across {
+                    self.canvas.line(corners[k], corners[(k + 1) % corners.len()]);
+                }
+            }
+        }
+        self.canvas.faces(&self.faces);
+    }
+
+    /// Draws the lines, and the dots of `seeds` where they were wanted, and writes the file.
+    pub(crate) fn finish(mut self, seeds: &[DVec3]) -> Result<()> {
+        if let Some(surface) = &self.dots {
+            seeds.iter().for_each(|&seed| self.canvas.dot(surface.project(seed).position));
+        }
+        write(&self.path, &self.canvas.finish(&self.pens))
+    }
+}
+
+fn write(path: &Path, image: &Image) -> Result<()> {
+    Ok(image.write(path)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_and_directions_are_read() {
+        assert_eq!(size("640x480"), Ok(Size { width: 640, height: 480 }));
+        assert_eq!(direction("-1, 0,2.5"), Ok(DVec3::new(-1.0, 0.0, 2.5)));
+        for bad in ["", "640", "640x", "0x480", "640x480x2", "9000x10", "8192x8192", "-1x5"] {
+            assert!(size(bad).is_err(), "{bad}");
+        }
+        for bad in ["", "1,2", "1,2,3,4", "0,0,0", "nan,0,1", "1,inf,0", "x,y,z"] {
+            assert!(direction(bad).is_err(), "{bad}");
+        }
+    }
+}
