@@ -231,8 +231,7 @@ impl Cvt {
         self.pull()?;
         let mut adopted = 0;
         while adopted < MOST_ADOPTED {
-            let index = crate::knn::SeedIndex::new(&self.seeds);
-            let Some(&(seed, segment)) = self.curves.intruders(&self.seeds, &index).first() else { break };
+            let Some(&(seed, segment)) = self.curves.intruders(&self.seeds).first() else { break };
             let place = self.curves.len();
             self.seeds.swap(place, seed as usize);
             self.held.swap(place, seed as usize);

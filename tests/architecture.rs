@@ -32,6 +32,7 @@ const DOORS: &[(&str, &[&str])] = &[
     ("rvd/gpu", &["gpu"]),
     ("knn/gpu", &["gpu"]),
     ("cvt/gpu", &["gpu"]),
+    ("cvt/curves", &["knn"]),
     ("cvt/density", &["knn"]),
     ("job/admission", &["gpu"]),
     ("job/worker", &["gpu"]),

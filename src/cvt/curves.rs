@@ -75,8 +75,6 @@ const SHORT: f64 = 0.65;
 const DEVIATION: f64 = 0.15;
 /// unless one of its parts would be shorter than this share.
 const SHORTEST_PART: f64 = 0.5;
-/// A segment is split so often at most where another curve is closer than its length.
-const PARTINGS: usize = 0;
 /// Points of a running mean on either side.
 const MEAN_OF: i32 = 4;
 /// No segment is longer than so many h: a seed beside its middle would take a part of the curve.
@@ -176,28 +174,6 @@ impl CurveSeeds {
         middle
     }
 
-    /// Splits segments of which other curves' seeds are nearer to some point than their own ends.
-    pub fn part_neighbours(&mut self) {
-        for _ in 0..PARTINGS {
-            let index = SeedIndex::new(&self.seeds);
-            let foreign = |s: &Segment| {
-                s.between.iter().any(|&p| {
-                    let nearest = index.nearest(p);
-                    let own = s.ends.map(|e| self.seeds[e as usize].distance(p));
-                    !s.ends.contains(&nearest) && self.seeds[nearest as usize].distance(p) < own[0].min(own[1])
-                })
-            };
-            let crossed: Vec<u32> =
-                (0..self.segments.len() as u32).filter(|&k| foreign(&self.segments[k as usize])).collect();
-            if crossed.is_empty() {
-                return;
-            }
-            crossed.into_iter().for_each(|k| {
-                self.split(k, BETWEEN / 2);
-            });
-        }
-    }
-
     /// Splits segments whose chord leaves the curve by more than [`DEVIATION`] of an edge, where it is
     /// farthest away and both parts are long enough.
     pub fn follow_bends(&mut self) {
@@ -227,7 +203,8 @@ impl CurveSeeds {
     /// Seeds that come between two neighbours on a curve: (seed, segment), each seed once. Their cells hold a part
     /// of the curve, and the dual may have the curve no more. On a straight curve such a seed is nearer to
     /// the middle of the segment than its ends are.
-    pub fn intruders(&self, seeds: &[DVec3], index: &SeedIndex) -> Vec<(u32, u32)> {
+    pub fn intruders(&self, seeds: &[DVec3]) -> Vec<(u32, u32)> {
+        let index = SeedIndex::new(seeds);
         let mut found = Vec::new();
         for (k, segment) in self.segments.iter().enumerate() {
             for p in segment.between {
@@ -296,7 +273,7 @@ impl CurveSeeds {
     /// Moves intruders away from their segments, to the distance that the next row of a regular
     /// triangulation has. Returns how many there were. One pass: who was pushed may intrude elsewhere.
     pub fn push_out(&self, seeds: &mut [DVec3]) -> usize {
-        let intruders = self.intruders(seeds, &SeedIndex::new(seeds));
+        let intruders = self.intruders(seeds);
         for &(seed, segment) in &intruders {
             let segment = &self.segments[segment as usize];
             let (ends, middle) = (segment.ends, segment.middle());
@@ -310,18 +287,35 @@ impl CurveSeeds {
         intruders.len()
     }
 
-    /// A distance for each curve seed and each middle of a segment within which no other seed should begin:
-    /// three quarters of the spacing there.
-    pub fn clearance(&self) -> (Vec<DVec3>, Vec<f64>) {
+    /// Where other seeds may begin: farther from every curve seed and every middle of a segment than three
+    /// quarters of the spacing there.
+    pub fn clearance(&self) -> Clearance {
         let mut reach = vec![0.0f64; self.seeds.len()];
-        let mut middles = (Vec::new(), Vec::new());
+        let mut places = self.seeds.clone();
+        let mut middles = Vec::new();
         for s in &self.segments {
             let d = self.seeds[s.ends[0] as usize].distance(self.seeds[s.ends[1] as usize]);
             s.ends.iter().for_each(|&e| reach[e as usize] = reach[e as usize].max(0.75 * d));
-            middles.0.push(s.middle());
-            middles.1.push(0.75 * d);
+            places.push(s.middle());
+            middles.push(0.75 * d);
         }
-        (self.seeds.iter().copied().chain(middles.0).collect(), reach.into_iter().chain(middles.1).collect())
+        reach.extend(middles);
+        Clearance { index: SeedIndex::new(&places), places, reach }
+    }
+}
+
+/// See [`CurveSeeds::clearance`].
+pub struct Clearance {
+    index: SeedIndex,
+    places: Vec<DVec3>,
+    reach: Vec<f64>,
+}
+
+impl Clearance {
+    /// Whether a seed may begin at `p`, unit frame.
+    pub fn holds(&self, p: DVec3) -> bool {
+        let k = self.index.nearest(p) as usize;
+        p.distance(self.places[k]) >= self.reach[k]
     }
 }
 

@@ -14,7 +14,6 @@ use super::report::FeatureFigures;
 use super::{RemeshError, RemeshOptions, Seeds};
 use crate::cvt::curves::{BETWEEN, CurveSeeds, Segment, edge_length};
 use crate::cvt::density::Plan;
-use crate::knn::SeedIndex;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::weld;
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
@@ -102,7 +101,6 @@ impl Kept {
                 seeds = CurveSeeds::place(surface, &features, edge);
             }
             seeds.follow_bends();
-            seeds.part_neighbours();
             if seeds.len() as f64 <= LARGEST_SHARE * points as f64 {
                 return Ok(Self { features, seeds, given_up });
             }
@@ -122,13 +120,8 @@ impl Kept {
         let frame = surface.frame();
         let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
         let others = points - all.len();
-        let (places, reach) = self.seeds.clearance();
-        let index = SeedIndex::new(&places);
-        let clear = |p: DVec3| {
-            let p = frame.to_unit(p);
-            let k = index.nearest(p) as usize;
-            p.distance(places[k]) >= reach[k]
-        };
+        let clearance = self.seeds.clearance();
+        let clear = |p: DVec3| clearance.holds(frame.to_unit(p));
         // Curves cover a small part of most surfaces; on one that they cover all of, seeds begin
         // where they can.
         let drawn = sample(mesh, plan.weights.as_deref(), 4 * others, seed);

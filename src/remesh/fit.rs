@@ -382,9 +382,9 @@ impl System {
         let residual = n.dot(point - sample.position);
         let plane = [n.x * n.x, n.x * n.y, n.x * n.z, n.y * n.y, n.y * n.z, n.z * n.z];
         self.normal += sample.area * n;
-        for i in 0..3 {
-            self.right[i] -= sample.area * lambda[i] * residual * n;
-            self.area[i] += sample.area * lambda[i];
+        for (i, weight) in lambda.into_iter().enumerate() {
+            self.right[i] -= sample.area * weight * residual * n;
+            self.area[i] += sample.area * weight;
         }
         for (block, (i, j)) in self.blocks.iter_mut().zip(PAIRS) {
             let weight = sample.area * lambda[i] * lambda[j];
@@ -508,12 +508,12 @@ fn conjugate_gradients(
     let mut rz = dot(&r, &p);
     let enough = 1e-8 * rz;
     for _ in 0..STEPS {
-        if !(rz > enough) {
+        if rz <= enough || rz.is_nan() {
             break;
         }
         apply(&p, &mut q);
         let curvature = dot(&p, &q);
-        if !(curvature > 0.0) {
+        if curvature <= 0.0 || curvature.is_nan() {
             break;
         }
         let alpha = rz / curvature;

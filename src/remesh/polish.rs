@@ -109,7 +109,7 @@ impl Star<'_> {
         let v = self.v as usize;
         let here = positions[v];
         let now = self.lack(positions, here);
-        if !(now > 0.0) {
+        if now <= 0.0 {
             return false;
         }
         let edge = self.edge(positions);
