@@ -13,6 +13,7 @@ mod polish;
 pub mod repair;
 pub mod report;
 mod steps;
+mod tips;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -281,7 +282,7 @@ pub fn remesh(
 }
 
 /// Times that seeds are moved to what the result missed, and that they are added where a tolerance was given.
-const MOVING_ROUNDS: usize = 2;
+const MOVING_ROUNDS: usize = 3;
 const ADDING_ROUNDS: usize = 8;
 
 /// The result of the present seeds, and of better ones as long as it is far from the input somewhere.

@@ -9,6 +9,7 @@ use std::collections::HashSet;
 use glam::DVec3;
 
 use super::report::RepairFigures;
+use super::tips::Tip;
 use super::{Placement, RemeshError, curves, fit, flips, polish, repair};
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
@@ -106,17 +107,16 @@ impl Source<'_> {
             for corner in (0..3).filter(|c| p.corners & (1 << c) != 0) {
                 let v = self.surface.welded()[p.facet as usize][corner] as usize;
                 if !std::mem::replace(&mut held[v], true) {
-                    target.tips.push(fit::Tip { position: self.surface.positions()[v], vertex });
+                    target.tips.push(Tip { position: self.surface.positions()[v], vertex });
                 }
             }
         }
         let frame = self.surface.frame();
         let mut unit: Vec<DVec3> = built.positions.iter().map(|&p| frame.to_unit(p)).collect();
-        fit::fit(&mut unit, built.facets, &target);
+        let (missed, deviation) = fit::fit(&mut unit, built.facets, &target, self.tolerance);
         let rails = rails(&unit, built.curve_edges, &target.fixed);
         let curves: HashSet<[u32; 2]> = built.curve_edges.iter().flatten().map(|&e| flips::sorted(e)).collect();
         polish::polish(&mut unit, built.facets, &rails, &curves);
-        let (missed, deviation) = fit::missed(&unit, built.facets, &target, self.tolerance);
         for ((p, u), _) in built.positions.iter_mut().zip(unit).zip(&target.fixed).filter(|(_, fixed)| !**fixed) {
             *p = frame.to_world(u);
         }

@@ -13,12 +13,14 @@
 //! curve it is the part of Σ λ_i x_i - s across the edge. The displacements solve a sparse system, facet by
 //! facet 9 x 9, by conjugate gradients.
 
+use std::collections::HashSet;
+
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::around::Around;
 use super::flips;
-use crate::mesh::closest_point::closest_on_facet;
+use super::tips::{Offset, Offsets, Tip, nearest};
 use crate::mesh::measure::{facet_quality, least_angle};
 
 /// A point of the input with its share of the area.
@@ -43,15 +45,6 @@ pub(super) struct CurveSample {
     pub(super) edge: [u32; 2],
     /// Area it stands for: its share of the curve's length times the length of the edge.
     pub(super) area: f64,
-}
-
-/// A vertex of the input.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Tip {
-    /// Where it is.
-    pub(super) position: DVec3,
-    /// A result vertex; the nearest facet is one of those around it.
-    pub(super) vertex: u32,
 }
 
 /// What there is to fit to.
@@ -90,82 +83,111 @@ const TIP_REACH: f64 = 0.75;
 /// as strongly as this many of the vertex's own areas.
 const TIP_PULL: f64 = 20.0;
 /// What is farther from the facets than this share of an edge was missed.
-const MISSED: f64 = 0.17;
+const MISSED: f64 = 0.2;
 /// Facets keep at least this quality (1 is equilateral) and this smallest angle in degrees, or what they had.
 const LEAST_SHAPE: f64 = 0.63;
 const LEAST_ANGLE: f64 = 35.0;
 /// A facet's normal turns by at most this cosine from that before the fit.
 const LEAST_COSINE: f64 = 0.5;
 
-/// Moves `positions`, and turns edges that lie across a ridge.
-pub(super) fn fit(positions: &mut [DVec3], facets: &mut [[u32; 3]], target: &Target) {
-    let mut around = Around::new(positions.len(), facets);
-    let mut first: Vec<Facet> = facets.par_iter().map(|&t| Facet::of(positions, t)).collect();
-    let start = positions.to_vec();
-    let mut pulls: Vec<(u32, DVec3)> = Vec::new();
-    let mut region = vec![true; positions.len()];
-    for round in 0..ROUNDS + TIP_ROUNDS {
-        if round >= ROUNDS {
-            let flipped = flips::along_ridges(positions, facets, &around, target);
-            if !flipped.is_empty() {
-                around = Around::new(positions.len(), facets);
-                flipped.iter().for_each(|&f| first[f as usize] = Facet::of(positions, facets[f as usize]));
-            }
-            find_pulls(positions, facets, &around, target, &mut pulls);
-            let mut front: Vec<u32> = flipped.iter().flat_map(|&f| facets[f as usize]).collect();
-            front.extend(pulls.iter().map(|p| p.0));
-            if front.is_empty() {
-                break;
-            }
-            region = neighbourhood(facets, &around, front, positions.len());
-        }
-        let elements = Elements::new(positions, facets, &around, target, &region);
-        let moved: Vec<DVec3> = positions.iter().zip(&start).map(|(p, s)| *p - *s).collect();
-        let free: Vec<bool> = region.iter().zip(&target.fixed).map(|(&inside, &fixed)| inside && !fixed).collect();
-        let mut moves = elements.solve(positions, &around, &free, &pulls, &moved);
-        restrain(positions, facets, &first, &region, &mut moves);
-        positions.iter_mut().zip(&moves).for_each(|(p, m)| *p += *m);
-    }
-}
-
-/// Where the input sticks out of the facets by more than `tolerance`, or by more than a share of an edge where
-/// that is `None`: (vertex nearest to the place, the place), the farthest first, none beside another; and how
-/// far off the farthest vertex of the input is.
-pub(super) fn missed(
-    positions: &[DVec3],
-    facets: &[[u32; 3]],
+/// Moves `positions`, and turns edges that lie across a ridge. Returns the places that are still farther away than
+/// `tolerance`, or than a share of an edge where that is `None`: (vertex nearest to the place, the
+/// place), the farthest first, none beside another; and how far off the farthest vertex of the input is.
+pub(super) fn fit(
+    positions: &mut [DVec3],
+    facets: &mut [[u32; 3]],
     target: &Target,
     tolerance: Option<f64>,
 ) -> (Vec<(u32, DVec3)>, f64) {
-    let around = Around::new(positions.len(), facets);
-    let all: Vec<(f64, f64, usize, u32)> = target
-        .tips
-        .par_iter()
-        .enumerate()
-        .filter_map(|(k, tip)| {
-            let (squared, f, _) = nearest(positions, facets, &around, tip.position, tip.vertex);
-            let t = facets.get(f as usize)?;
-            let [a, b, c] = t.map(|v| positions[v as usize]);
-            let edge = (a.distance(b) + b.distance(c) + c.distance(a)) / 3.0;
-            let to = |v: &&u32| positions[**v as usize].distance_squared(tip.position);
-            let v = *t.iter().min_by(|a, b| to(a).total_cmp(&to(b)))?;
-            let distance = squared.sqrt();
-            Some((distance, distance / edge, k, v))
-        })
-        .collect();
-    let deviation = all.iter().map(|a| a.0).fold(0.0, f64::max);
-    let far = |a: &&(f64, f64, usize, u32)| tolerance.map_or(a.1 > MISSED, |t| a.0 > t);
-    let mut out: Vec<(f64, usize, u32)> = all.iter().filter(far).map(|a| (a.1, a.2, a.3)).collect();
-    out.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut around = Around::new(positions.len(), facets);
+    let first: Vec<Facet> = facets.par_iter().map(|&t| Facet::of(positions, t)).collect();
+    let mut state = State { start: positions.to_vec(), first, pulls: Vec::new() };
+    let everywhere = vec![true; positions.len()];
+    for _ in 0..ROUNDS {
+        state.round(positions, facets, &around, target, &everywhere);
+    }
+    let mut offsets = Offsets::new(positions, facets, &around, &target.tips);
+    let curves: HashSet<[u32; 2]> = target.curves.iter().map(|s| flips::sorted(s.edge)).collect();
+    for _ in 0..TIP_ROUNDS {
+        let flipped = flips::along_ridges(positions, facets, &around, &offsets, &curves);
+        if !flipped.is_empty() {
+            around = Around::new(positions.len(), facets);
+            flipped.iter().for_each(|&f| state.first[f as usize] = Facet::of(positions, facets[f as usize]));
+        }
+        state.find_pulls(positions, facets, &around, target, &offsets);
+        let mut front: Vec<u32> = flipped.iter().flat_map(|&f| facets[f as usize]).collect();
+        front.extend(state.pulls.iter().map(|p| p.0));
+        if front.is_empty() {
+            break;
+        }
+        let region = neighbourhood(facets, &around, front, positions.len());
+        state.round(positions, facets, &around, target, &region);
+        let wider =
+            neighbourhood(facets, &around, (0..).zip(&region).filter(|r| *r.1).map(|r| r.0).collect(), positions.len());
+        offsets.update(positions, facets, &around, &wider);
+    }
+    let missed = offsets.far(|o| tolerance.map_or(o.share > MISSED, |t| o.distance > t));
     let mut taken = vec![false; positions.len()];
     let mut found = Vec::new();
-    for (_, k, v) in out {
-        if !taken[v as usize] {
-            around.of(v).iter().flat_map(|&f| facets[f as usize]).for_each(|u| taken[u as usize] = true);
-            found.push((v, target.tips[k].position));
+    for (k, o) in missed {
+        if !taken[o.corner as usize] {
+            around.of(o.corner).iter().flat_map(|&f| facets[f as usize]).for_each(|u| taken[u as usize] = true);
+            found.push((o.corner, target.tips[k].position));
         }
     }
-    (found, deviation)
+    (found, offsets.deviation())
+}
+
+/// What the rounds share.
+struct State {
+    start: Vec<DVec3>,
+    first: Vec<Facet>,
+    /// Vertices that tips pull, and where to.
+    pulls: Vec<(u32, DVec3)>,
+}
+
+impl State {
+    /// Moves the vertices of a region once.
+    fn round(&self, positions: &mut [DVec3], facets: &[[u32; 3]], around: &Around, target: &Target, region: &[bool]) {
+        let elements = Elements::new(positions, facets, around, target, region);
+        let moved: Vec<DVec3> = positions.iter().zip(&self.start).map(|(p, s)| *p - *s).collect();
+        let free: Vec<bool> = region.iter().zip(&target.fixed).map(|(&inside, &fixed)| inside && !fixed).collect();
+        let mut moves = elements.solve(positions, around, &free, &self.pulls, &moved);
+        restrain(positions, facets, &self.first, region, &mut moves);
+        positions.iter_mut().zip(&moves).for_each(|(p, m)| *p += *m);
+    }
+
+    /// More vertices that tips pull: those that stick out most first, none beside another.
+    fn find_pulls(
+        &mut self,
+        positions: &[DVec3],
+        facets: &[[u32; 3]],
+        around: &Around,
+        target: &Target,
+        offsets: &Offsets<'_>,
+    ) {
+        let reaches = |k: usize, o: &Offset| {
+            let edge = o.distance / o.share;
+            positions[o.corner as usize].distance(target.tips[k].position) < TIP_REACH * edge
+        };
+        let out: Vec<(usize, Offset)> = offsets
+            .far(|o| o.share > TIP && !target.fixed[o.corner as usize])
+            .into_iter()
+            .filter(|(k, o)| reaches(*k, o))
+            .collect();
+        let enough = FARTHEST * out.first().map_or(0.0, |o| o.1.share);
+        let mut taken = vec![false; positions.len()];
+        let take = |v: u32, taken: &mut Vec<bool>| {
+            around.of(v).iter().flat_map(|&f| facets[f as usize]).for_each(|u| taken[u as usize] = true);
+        };
+        self.pulls.iter().for_each(|&(v, _)| take(v, &mut taken));
+        for (k, o) in out.into_iter().take_while(|o| o.1.share >= enough) {
+            if !taken[o.corner as usize] {
+                take(o.corner, &mut taken);
+                self.pulls.push((o.corner, target.tips[k].position));
+            }
+        }
+    }
 }
 
 /// Vertices within a few edges of `front`.
@@ -254,15 +276,14 @@ impl<'a> Elements<'a> {
         let of: Vec<u32> = (0..facets.len() as u32).filter(|&f| inside(&facets[f as usize])).collect();
         let mut place = vec![NONE; facets.len()];
         of.iter().enumerate().for_each(|(k, &f)| place[f as usize] = k as u32);
-        let samples = &target.samples;
+        let in_reach: Vec<bool> =
+            (0..region.len() as u32).map(|v| around.of(v).iter().any(|&f| place[f as usize] != NONE)).collect();
+        let samples: Vec<&Sample> = target.samples.iter().filter(|s| in_reach[s.vertex as usize]).collect();
         let nearest: Vec<(u32, [f64; 3])> = samples
             .par_iter()
-            .map(|s| match around.of(s.vertex).iter().any(|&f| place[f as usize] != NONE) {
-                true => {
-                    let (_, facet, lambda) = nearest(positions, facets, around, s.position, s.vertex);
-                    (place.get(facet as usize).copied().unwrap_or(NONE), lambda)
-                }
-                false => (NONE, [0.0; 3]),
+            .map(|s| {
+                let (_, facet, lambda) = nearest(positions, facets, around, s.position, s.vertex);
+                (place.get(facet as usize).copied().unwrap_or(NONE), lambda)
             })
             .collect();
         let mut begin = vec![0u32; of.len() + 1];
@@ -279,7 +300,7 @@ impl<'a> Elements<'a> {
             let corners = facets[f as usize].map(|v| positions[v as usize]);
             let mut system = System::ZERO;
             for &s in &order[begin[k] as usize..begin[k + 1] as usize] {
-                system.add(&samples[s as usize], corners, nearest[s as usize].1);
+                system.add(samples[s as usize], corners, nearest[s as usize].1);
             }
             system
         };
@@ -431,66 +452,6 @@ impl Rod {
             ends: sample.edge,
             blocks: [[block(0, 0), block(0, 1)], [block(1, 0), block(1, 1)]],
             right: lambda.map(|l| -weight * l * residual),
-        }
-    }
-}
-
-/// Of the facets around a vertex the nearest one: squared distance, facet, barycentric coordinates.
-pub(super) fn nearest(
-    positions: &[DVec3],
-    facets: &[[u32; 3]],
-    around: &Around,
-    p: DVec3,
-    vertex: u32,
-) -> (f64, u32, [f64; 3]) {
-    let mut best = (f64::INFINITY, u32::MAX, [0.0; 3]);
-    for &f in around.of(vertex) {
-        let t = facets[f as usize];
-        let (squared, lambda) = closest_on_facet(p, t.map(|v| positions[v as usize]), t);
-        if squared < best.0 {
-            best = (squared, f, lambda);
-        }
-    }
-    best
-}
-
-/// Which vertices tips pull, and where to: those that stick out most first, none beside another.
-fn find_pulls(
-    positions: &[DVec3],
-    facets: &[[u32; 3]],
-    around: &Around,
-    target: &Target,
-    pulls: &mut Vec<(u32, DVec3)>,
-) {
-    let edge = |f: u32| {
-        let [a, b, c] = facets[f as usize].map(|v| positions[v as usize]);
-        (a.distance(b) + b.distance(c) + c.distance(a)) / 3.0
-    };
-    let mut out: Vec<(f64, usize, u32)> = target
-        .tips
-        .par_iter()
-        .enumerate()
-        .filter_map(|(k, tip)| {
-            let (squared, f, _) = nearest(positions, facets, around, tip.position, tip.vertex);
-            let (distance, edge) = (squared.sqrt(), if f == u32::MAX { f64::INFINITY } else { edge(f) });
-            let corners = facets.get(f as usize)?;
-            let to = |v: &&u32| positions[**v as usize].distance_squared(tip.position);
-            let v = *corners.iter().min_by(|a, b| to(a).total_cmp(&to(b)))?;
-            let near = positions[v as usize].distance(tip.position) < TIP_REACH * edge;
-            (distance > TIP * edge && near && !target.fixed[v as usize]).then_some((distance / edge, k, v))
-        })
-        .collect();
-    out.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let enough = FARTHEST * out.first().map_or(0.0, |o| o.0);
-    let mut taken = vec![false; positions.len()];
-    let take = |v: u32, taken: &mut Vec<bool>| {
-        around.of(v).iter().flat_map(|&f| facets[f as usize]).for_each(|u| taken[u as usize] = true);
-    };
-    pulls.iter().for_each(|&(v, _)| take(v, &mut taken));
-    for (_, k, v) in out.into_iter().take_while(|o| o.0 >= enough) {
-        if !taken[v as usize] {
-            take(v, &mut taken);
-            pulls.push((v, target.tips[k].position));
         }
     }
 }

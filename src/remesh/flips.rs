@@ -10,11 +10,11 @@
 use std::collections::HashSet;
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::around::Around;
-use super::fit::{TIP, Target, nearest};
+use super::fit::TIP;
 use super::polish::score;
+use super::tips::Offsets;
 use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::measure::{facet_quality, least_angle};
 
@@ -25,28 +25,19 @@ const LEAST_SHAPE: f64 = 0.63;
 const LEAST_ANGLE: f64 = 35.0;
 const LEAST_COSINE: f64 = 0.3;
 
-/// Turns edges; returns the facets that changed.
-pub(super) fn along_ridges(positions: &[DVec3], facets: &mut [[u32; 3]], around: &Around, target: &Target) -> Vec<u32> {
-    let mut out: Vec<(f64, usize, u32)> = target
-        .tips
-        .par_iter()
-        .enumerate()
-        .filter_map(|(k, tip)| {
-            let (squared, f, _) = nearest(positions, facets, around, tip.position, tip.vertex);
-            let [a, b, c] = facets.get(f as usize)?.map(|v| positions[v as usize]);
-            let edge = (a.distance(b) + b.distance(c) + c.distance(a)) / 3.0;
-            let share = squared.sqrt() / edge;
-            (share > TIP).then_some((share, k, f))
-        })
-        .collect();
-    out.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let curves: HashSet<[u32; 2]> = target.curves.iter().map(|s| sorted(s.edge)).collect();
+/// Turns edges that are not in `curves` (lower end first); returns the facets that changed.
+pub(super) fn along_ridges(
+    positions: &[DVec3],
+    facets: &mut [[u32; 3]],
+    around: &Around,
+    offsets: &Offsets<'_>,
+    curves: &HashSet<[u32; 2]>,
+) -> Vec<u32> {
     let mut touched = HashSet::new();
     let mut changed = Vec::new();
-    for (_, k, f) in out {
-        let p = target.tips[k].position;
+    for (k, o) in offsets.far(|o| o.share > TIP) {
         let patch = Patch { positions, facets, around };
-        if let Some((f, g, new)) = patch.best(p, f, &curves, &touched) {
+        if let Some((f, g, new)) = patch.best(offsets.tips[k].position, o.facet, curves, &touched) {
             // Around a changed facet nothing else changes in this round: `around` is of before.
             for t in [facets[f as usize], facets[g as usize]] {
                 touched.extend(t.into_iter().flat_map(|v| around.of(v)).copied());
