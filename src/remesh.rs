@@ -1,9 +1,10 @@
-//! The pipeline: sample, iterate, dual, repair, measure.
+//! The pipeline: sample, iterate, dual, repair, attributes, measure.
 //!
 //! Purpose: one call from a surface and a count to a new surface and a report.
 //! Invariant: the result is oriented as the input; what could not be kept is in the report.
 //! Must not know: files, jobs, the network.
 
+pub mod attributes;
 pub mod repair;
 pub mod report;
 
@@ -14,11 +15,13 @@ use glam::DVec3;
 
 use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
 use crate::mesh::TriMesh;
+use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::measure::{quality_unless, topology};
 use crate::mesh::sample::sample;
 use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
 
+pub use attributes::Provenance;
 pub use report::Report;
 use report::{
     InputFigures, IterationFigures, MemoryFigures, RepairFigures, ResultFigures, RvdFigures, Timings, topology_changes,
@@ -51,6 +54,8 @@ pub struct RemeshOptions {
     pub projection: Projection,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
     pub measure: bool,
+    /// What `mesh` carries and the result is to carry. Some, even if empty, asks for the provenance too.
+    pub attributes: Option<Attributes>,
 }
 
 /// A remesh and how it came about.
@@ -64,6 +69,10 @@ pub struct Remesh {
     pub seeds: Vec<DVec3>,
     /// Figures.
     pub report: Report,
+    /// What `mesh` carries, if [`RemeshOptions::attributes`] was given.
+    pub attributes: Option<Attributes>,
+    /// For each vertex of `mesh`, where on the input it lies; empty if [`RemeshOptions::attributes`] was not given.
+    pub provenance: Vec<Provenance>,
 }
 
 /// Why there is no remesh.
@@ -81,11 +90,15 @@ pub enum RemeshError {
         /// How many there were.
         seeds: usize,
     },
+    /// The attributes are not the surface's.
+    #[error(transparent)]
+    Attributes(#[from] AttributeError),
 }
 
 /// What the caller hears while it waits. All methods have empty defaults.
 pub trait Observer {
-    /// A stage began: "prepare", "sample", "iterations", "dual", "repair", "measure".
+    /// A stage began: "prepare", "sample", "iterations", "dual", "repair", "attributes" (if
+    /// any were given), "measure".
     fn stage(&mut self, _name: &'static str) {}
     /// An iteration ended; `total` iterations are planned.
     fn iteration(&mut self, _iteration: &Iteration, _total: usize) {}
@@ -104,6 +117,7 @@ pub fn remesh(
     observer: &mut dyn Observer,
     cancel: &CancelFlag,
 ) -> Result<Remesh, RemeshError> {
+    options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(mesh))?;
     let mut clock = Clock::start();
     observer.stage("prepare");
     let surface = Arc::new(Surface::new(mesh, options.weights.as_deref())?);
@@ -145,6 +159,16 @@ pub fn remesh(
     let (result, vertex_seed, repair) = triangulated(&dual, &surface, cvt.unit_seeds(), mesh)?;
     timings.repair = clock.lap();
 
+    let (attributes, provenance) = match &options.attributes {
+        Some(attributes) => {
+            observer.stage("attributes");
+            cancel.check()?;
+            carried(mesh, attributes, &result)?
+        }
+        None => (None, Vec::new()),
+    };
+    timings.attributes = clock.lap();
+
     observer.stage("measure");
     cancel.check()?;
     let quality = match options.measure {
@@ -170,7 +194,7 @@ pub fn remesh(
         result: figures,
         topology_changes: changes,
     };
-    Ok(Remesh { mesh: result, vertex_seed, seeds: cvt.seeds(), report })
+    Ok(Remesh { mesh: result, vertex_seed, seeds: cvt.seeds(), report, attributes, provenance })
 }
 
 /// The seeds that the options name, caller's coordinates, and the random seed they were drawn from.
@@ -223,6 +247,18 @@ fn vertex_positions(dual: &dual::Dual, surface: &Surface, seeds: &[DVec3], mesh:
             _ => frame.to_world(seeds[c.seed as usize]),
         })
         .collect()
+}
+
+/// The input's attributes on the result, and where its vertices lie on the input.
+fn carried(
+    mesh: &TriMesh,
+    attributes: &Attributes,
+    result: &TriMesh,
+) -> Result<(Option<Attributes>, Vec<Provenance>), RemeshError> {
+    let closest = ClosestPoint::new(mesh);
+    let provenance = attributes::provenance(&closest, result.positions());
+    let carried = attributes::carry(mesh, attributes, &closest, result, &provenance)?;
+    Ok((Some(carried), provenance))
 }
 
 /// Wall-clock laps in milliseconds.

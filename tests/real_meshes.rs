@@ -117,6 +117,7 @@ fn remesh_real(file: &str, points: usize, lloyd: usize) -> Option<(tessera::mesh
         weights: None,
         projection: Projection::Free,
         measure: false,
+        attributes: None,
     };
     let backend = Parallel::new(None).unwrap();
     let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();

@@ -22,6 +22,7 @@ fn options(points: usize, lloyd: usize) -> RemeshOptions {
         weights: None,
         projection: Projection::Free,
         measure: false,
+        attributes: None,
     }
 }
 

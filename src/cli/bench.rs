@@ -118,7 +118,7 @@ fn rvd(args: &RvdBenchArgs) -> Result<()> {
     let cancel = CancelFlag::default();
     interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
     let (backend, gpu) = open(&args.backend)?;
-    let Prepared { surface, seeds, .. } = Prepared::new(Input { mesh, weights: None, seeds })?;
+    let Prepared { surface, seeds, .. } = Prepared::new(Input { mesh, weights: None, seeds, attributes: None })?;
     let mut seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
     let options = SessionOptions { tuning: tuning(args), ..SessionOptions::new(seeds.len()) };
     let mut session = backend.session(Arc::clone(&surface), options)?;

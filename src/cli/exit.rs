@@ -72,7 +72,7 @@ fn of_job(error: &JobError) -> u8 {
 fn of_remesh(error: &RemeshError) -> u8 {
     match error {
         RemeshError::Rvd(error) => of_rvd(error),
-        RemeshError::TooFewSeeds { .. } | RemeshError::NoThickness => DATA,
+        RemeshError::TooFewSeeds { .. } | RemeshError::NoThickness | RemeshError::Attributes(_) => DATA,
     }
 }
 

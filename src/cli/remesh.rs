@@ -11,7 +11,8 @@ use super::progress::Progress;
 use super::{backends, files, interrupt, remote};
 use crate::config::BackendArgs;
 use crate::cvt::Projection;
-use crate::mesh::{TriMesh, io};
+use crate::mesh::TriMesh;
+use crate::mesh::attributes::Attributes;
 use crate::remesh::{RemeshOptions, Report, Seeds, remesh};
 use crate::rvd::CancelFlag;
 use crate::telemetry;
@@ -45,6 +46,9 @@ pub(crate) struct RemeshArgs {
     /// Write the report there, as JSON.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
+    /// Leave aside normals, texture coordinates, colours and scalars of the input.
+    #[arg(long)]
+    no_attributes: bool,
 }
 
 /// Runs it.
@@ -57,15 +61,18 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     files::check_output(&args.output, &["obj", "ply", "stl", "off"])?;
     args.report.iter().try_for_each(|path| files::check_output(path, &[]))?;
     let start = Instant::now();
-    let mesh = files::read_mesh(&args.input)?;
+    let (mesh, attributes) = match args.no_attributes {
+        true => (files::read_mesh(&args.input)?, None),
+        false => files::read_loaded(&args.input)?,
+    };
     let read_ms = ms(start);
     match &args.endpoint {
-        None => here(args, &mesh, start, read_ms),
-        Some(endpoint) => there(args, &mesh, endpoint),
+        None => here(args, &mesh, attributes, start, read_ms),
+        Some(endpoint) => there(args, &mesh, attributes.as_ref(), endpoint),
     }
 }
 
-fn here(args: &RemeshArgs, mesh: &TriMesh, start: Instant, read_ms: f64) -> Result<()> {
+fn here(args: &RemeshArgs, mesh: &TriMesh, attributes: Option<Attributes>, start: Instant, read_ms: f64) -> Result<()> {
     let cancel = CancelFlag::default();
     interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
     let backend = backends::one(&args.backend)?;
@@ -75,13 +82,14 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, start: Instant, read_ms: f64) -> Resu
         weights: None,
         projection: Projection::Free,
         measure: true,
+        attributes,
     };
     let mut progress = Progress::new();
     let done = remesh(mesh, &options, backend.as_ref(), &mut progress, &cancel);
     drop(progress);
     let mut done = done?;
     let writing = Instant::now();
-    io::write(&args.output, &done.mesh)?;
+    files::write_loaded(&args.output, &done.mesh, done.attributes.as_ref())?;
     let timings = &mut done.report.timings_ms;
     (timings.read, timings.write, timings.total) = (read_ms, ms(writing), ms(start));
     done.report.memory.host_peak_bytes = telemetry::peak_memory_bytes();
@@ -92,16 +100,17 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, start: Instant, read_ms: f64) -> Resu
     Ok(())
 }
 
-fn there(args: &RemeshArgs, mesh: &TriMesh, endpoint: &str) -> Result<()> {
+fn there(args: &RemeshArgs, mesh: &TriMesh, attributes: Option<&Attributes>, endpoint: &str) -> Result<()> {
     let job = remote::RemeshJob {
         mesh,
         points: args.points.into(),
         random_seed: args.seed,
         lloyd: args.lloyd,
         backend: args.backend.backend,
+        attributes,
     };
     let done = remote::remesh(endpoint, &job)?;
-    io::write(&args.output, &done.mesh)?;
+    files::write_loaded(&args.output, &done.mesh, done.attributes.as_ref())?;
     if let Some(path) = &args.report {
         files::write_json(path, &done.report)?;
     }

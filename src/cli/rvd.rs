@@ -128,7 +128,7 @@ fn here(args: &RvdArgs, mesh: TriMesh, seeds: Seeds, wants: Wants, sink: Sink<'_
     let backend = backends::one(&args.backend)?;
     let progress = Progress::new();
     progress.stage("prepare", 0, 0);
-    let prepared = Prepared::new(Input { mesh, weights: None, seeds })?;
+    let prepared = Prepared::new(Input { mesh, weights: None, seeds, attributes: None })?;
     cancel.check()?;
     progress.stage("diagram", 0, 0);
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;

@@ -83,6 +83,7 @@ fn warm_up(backends: &Backends) -> Result<(), JobError> {
         weights: None,
         projection: Projection::OnSurface,
         measure: false,
+        attributes: None,
     };
     let backend = backends.choose(Wish::Auto)?;
     let done = remesh(&octahedron, &options, backend.as_ref(), &mut (), &CancelFlag::default())?;

@@ -11,6 +11,7 @@ use glam::DVec3;
 
 use super::JobError;
 use crate::mesh::TriMesh;
+use crate::mesh::attributes::Attributes;
 use crate::mesh::sample::sample;
 use crate::remesh::Seeds;
 use crate::remesh::report::{InputFigures, Timings};
@@ -25,6 +26,8 @@ pub struct Input {
     pub weights: Option<Vec<f64>>,
     /// The seeds, or how to draw them.
     pub seeds: Seeds,
+    /// What the surface carries and a remesh is to carry. Diagrams do without.
+    pub attributes: Option<Attributes>,
 }
 
 /// A surface in the unit frame and seeds in the caller's.
@@ -49,7 +52,7 @@ impl Prepared {
     /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`.
     pub fn new(input: Input) -> Result<Self, JobError> {
         let start = Instant::now();
-        let Input { mesh, weights, seeds } = input;
+        let Input { mesh, weights, seeds, .. } = input;
         let surface = Arc::new(Surface::new(&mesh, weights.as_deref())?);
         let figures = InputFigures::of(&mesh);
         let mut timings = Timings { prepare: start.elapsed().as_secs_f64() * 1e3, ..Timings::default() };

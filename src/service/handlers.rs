@@ -126,13 +126,17 @@ pub(crate) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, Re
 
 /// Makes the engine's input of an upload.
 fn input(seeds: SeedCounts, uploaded: Uploaded) -> Result<(Input, Share), RequestError> {
-    let Uploaded { positions, facets, weights, seeds: points, share } = uploaded;
+    let Uploaded { positions, facets, weights, seeds: points, attributes, share } = uploaded;
     let mesh = TriMesh::new(positions, facets).map_err(JobError::from)?;
+    let attributes = match attributes.is_empty() {
+        true => None,
+        false => Some(super::attributes::collect(&mesh, attributes)?),
+    };
     let seeds = match seeds {
         SeedCounts::Uploaded(_) => Seeds::Given(points),
         SeedCounts::Sampled { points, seed } => Seeds::Sample { points: points as usize, seed },
     };
-    Ok((Input { mesh, weights, seeds }, share))
+    Ok((Input { mesh, weights, seeds, attributes }, share))
 }
 
 /// Does long work that needs no backend, on a thread that may block.

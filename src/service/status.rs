@@ -53,6 +53,8 @@ fn of_job(error: &JobError) -> Status {
         JobError::Mesh(error) => of_mesh(error),
         JobError::Remesh(RemeshError::NoThickness) => invalid(text.clone(), "mesh.facets".into(), text),
         JobError::Remesh(RemeshError::TooFewSeeds { .. }) => invalid(text.clone(), "seeds".into(), text),
+        // What an upload carries is checked when it is collected, where its index is known.
+        JobError::Remesh(RemeshError::Attributes(_)) => invalid(text.clone(), "mesh.attributes".into(), text),
         JobError::Rvd(error) | JobError::Remesh(RemeshError::Rvd(error)) => of_rvd(error),
     }
 }

@@ -375,6 +375,7 @@ fn remeshes(case: &Case, parallel: &Parallel) -> Result<(), String> {
         weights: case.weights.clone(),
         projection: Projection::Free,
         measure: false,
+        attributes: None,
     };
     let out = match remesh(&case.mesh, &options, parallel, &mut (), &CancelFlag::default()) {
         Ok(out) => out,

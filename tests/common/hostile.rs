@@ -73,7 +73,7 @@ pub fn covered(name: &str, surface: &Arc<Surface>, seeds: &[DVec3]) {
 }
 
 pub fn options(seeds: Seeds, lloyd: usize) -> RemeshOptions {
-    RemeshOptions { seeds, lloyd, weights: None, projection: Projection::Free, measure: false }
+    RemeshOptions { seeds, lloyd, weights: None, projection: Projection::Free, measure: false, attributes: None }
 }
 
 pub fn run(mesh: &TriMesh, options: &RemeshOptions, backend: &dyn Backend) -> Result<Remesh, RemeshError> {

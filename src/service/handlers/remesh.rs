@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use tokio::sync::mpsc;
 
-use super::super::proto::{ArrayKind, RemeshDone, RemeshHeader, RemeshRequest, RemeshResponse};
+use super::super::attributes::{self, AttributeCounts};
+use super::super::proto::{ArrayKind, AttributeHeader, RemeshDone, RemeshHeader, RemeshRequest, RemeshResponse};
 use super::super::proto::{remesh_request as request, remesh_response as response};
 use super::*;
 use crate::cvt::Iteration;
@@ -24,6 +25,10 @@ impl Header for RemeshHeader {
         convert::measure(self.measure)?;
         limits::within("header.lloyd_steps", self.lloyd_steps.into(), 0, limits.max_iterations.into())?;
         Ok((limits::mesh(self.mesh.as_ref(), limits)?, limits::seeds(self.seeds.as_ref(), limits)?))
+    }
+
+    fn attributes(&self, mesh: MeshCounts) -> Result<Vec<AttributeCounts>, RequestError> {
+        attributes::check(&self.attributes, mesh)
     }
 }
 
@@ -72,13 +77,15 @@ pub(super) async fn handle(
     let wish = convert::wish(header.backend)?;
     let by = shared.engine.backend(wish)?;
     let (input, _share) = apart(&shared, move || input(seeds, uploaded)).await?;
-    let Input { mesh, weights, seeds } = input;
+    let Input { mesh, weights, seeds, attributes } = input;
+    let announced = header.attributes.clone();
     let options = RemeshOptions {
         seeds,
         lloyd: header.lloyd_steps as usize,
         weights,
         projection: convert::projection(header.projection)?,
         measure: convert::measure(header.measure)?,
+        attributes,
     };
     let (events, mut heard) = mpsc::channel(EVENTS);
     let mut pending = shared.engine.submit(Place::New, Retry::Anew, move |backends, turn| {
@@ -101,7 +108,7 @@ pub(super) async fn handle(
         outbox.send(teller.tell(event)).await?;
     }
     let Timed { value, queue_ms, compute_ms } = result;
-    send_result(&outbox, &value, &by, Clock { queue_ms, compute_ms }).await
+    send_result(&outbox, &value, &announced, &by, Clock { queue_ms, compute_ms }).await
 }
 
 /// Makes messages of events.
@@ -133,6 +140,7 @@ impl Teller {
 async fn send_result(
     outbox: &Outbox<RemeshResponse>,
     result: &Remesh,
+    announced: &[AttributeHeader],
     by: &BackendInfo,
     clock: Clock,
 ) -> Result<(), RequestError> {
@@ -142,6 +150,13 @@ async fn send_result(
     send_all(outbox, convert::facet_chunks(ArrayKind::Facets, facets), wrap_chunk).await?;
     send_all(outbox, convert::index_chunks(ArrayKind::VertexSeeds, &result.vertex_seed), wrap_chunk).await?;
     send_seeds(outbox, &result.seeds, wrap_chunk).await?;
+    let mut carried = Vec::new();
+    if let Some(attributes) = &result.attributes {
+        carried = attributes::headers_like(attributes, announced);
+        for chunks in attributes::chunks(attributes, &carried) {
+            send_all(outbox, chunks, wrap_chunk).await?;
+        }
+    }
     let done = RemeshDone {
         backend: by.kind.name().to_owned(),
         adapter: by.adapter.clone().unwrap_or_default(),
@@ -153,6 +168,7 @@ async fn send_result(
         figures: Some(convert::figures(&result.report.rvd)),
         report_json: serde_json::to_string(&result.report).unwrap_or_default(),
         topology_changes: result.report.topology_changes.clone(),
+        attributes: carried,
     };
     outbox.send(wrap(response::Message::Done(done))).await
 }
