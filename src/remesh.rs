@@ -159,14 +159,7 @@ pub fn remesh(
     let (result, vertex_seed, repair) = triangulated(&dual, &surface, cvt.unit_seeds(), mesh)?;
     timings.repair = clock.lap();
 
-    let (attributes, provenance) = match &options.attributes {
-        Some(attributes) => {
-            observer.stage("attributes");
-            cancel.check()?;
-            carried(mesh, attributes, &result)?
-        }
-        None => (None, Vec::new()),
-    };
+    let (attributes, provenance) = carried(mesh, options, &result, observer, cancel)?;
     timings.attributes = clock.lap();
 
     observer.stage("measure");
@@ -249,14 +242,20 @@ fn vertex_positions(dual: &dual::Dual, surface: &Surface, seeds: &[DVec3], mesh:
         .collect()
 }
 
-/// The input's attributes on the result, and where its vertices lie on the input.
+/// The input's attributes on the result, and where its vertices lie on the input, if asked for.
 fn carried(
     mesh: &TriMesh,
-    attributes: &Attributes,
+    options: &RemeshOptions,
     result: &TriMesh,
+    observer: &mut dyn Observer,
+    cancel: &CancelFlag,
 ) -> Result<(Option<Attributes>, Vec<Provenance>), RemeshError> {
+    let Some(attributes) = &options.attributes else { return Ok((None, Vec::new())) };
+    observer.stage("attributes");
+    cancel.check()?;
     let closest = ClosestPoint::new(mesh);
     let provenance = attributes::provenance(&closest, result.positions());
+    cancel.check()?;
     let carried = attributes::carry(mesh, attributes, &closest, result, &provenance)?;
     Ok((Some(carried), provenance))
 }
