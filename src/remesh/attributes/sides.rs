@@ -314,7 +314,7 @@ impl Walk {
                 found.met = true;
                 break;
             }
-            for half in 3 * facet as usize..3 * facet as usize + 3 {
+            for half in [0, 1, 2].map(|edge| 3 * facet as usize + edge) {
                 if !open[half] {
                     found.barred |= sides.is_shared(half);
                     continue;
