@@ -8,6 +8,7 @@
 //! Must not know: seeds, Voronoi cells, backends, jobs.
 
 pub mod adjacency;
+pub mod attributes;
 pub mod closest_point;
 pub(crate) mod coincident;
 pub(crate) mod disjoint;

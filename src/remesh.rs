@@ -1,10 +1,11 @@
-//! The pipeline: sample, iterate, dual, repair, measure.
+//! The pipeline: sample, iterate, dual, repair, attributes, measure.
 //!
 //! Purpose: one call from a surface and a count to a new surface and a report.
 //! Invariant: the result is oriented as the input; what could not be kept is in the report.
 //! Must not know: files, jobs, the network.
 
 mod around;
+pub mod attributes;
 mod build;
 mod curves;
 mod fit;
@@ -23,11 +24,14 @@ use glam::DVec3;
 use crate::cvt::density::{self, Count, DensityError, DensityOptions, Plan};
 use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
 use crate::mesh::TriMesh;
+use crate::mesh::attributes::{AttributeError, Attributes};
+use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{quality_unless, topology};
 use crate::mesh::sample::sample;
 use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
 
+pub use attributes::Provenance;
 pub use report::Report;
 use report::{InputFigures, MemoryFigures, RefineFigures, ResultFigures, RvdFigures, Timings, topology_changes};
 use steps::Steps;
@@ -110,6 +114,8 @@ pub struct RemeshOptions {
     pub keep_boundaries: bool,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
     pub measure: bool,
+    /// What `mesh` carries and the result is to carry. Some, even if empty, asks for the provenance too.
+    pub attributes: Option<Attributes>,
 }
 
 impl RemeshOptions {
@@ -130,6 +136,7 @@ impl RemeshOptions {
             refine: None,
             keep_boundaries: true,
             measure: true,
+            attributes: None,
         }
     }
 
@@ -160,6 +167,10 @@ pub struct Remesh {
     pub seeds: Vec<DVec3>,
     /// Figures.
     pub report: Report,
+    /// What `mesh` carries, if [`RemeshOptions::attributes`] was given.
+    pub attributes: Option<Attributes>,
+    /// For each vertex of `mesh`, where on the input it lies; empty if [`RemeshOptions::attributes`] was not given.
+    pub provenance: Vec<Provenance>,
 }
 
 /// Why there is no remesh.
@@ -183,6 +194,9 @@ pub enum RemeshError {
         /// How many there were.
         seeds: usize,
     },
+    /// The attributes are not the surface's.
+    #[error(transparent)]
+    Attributes(#[from] AttributeError),
 }
 
 impl From<DensityError> for RemeshError {
@@ -196,7 +210,8 @@ impl From<DensityError> for RemeshError {
 
 /// What the caller hears while it waits. All methods have empty defaults.
 pub trait Observer {
-    /// A stage began: "prepare", "sample", "iterations", "dual", "repair", "measure".
+    /// A stage began: "prepare", "sample", "iterations", "dual", "repair", "attributes" (if
+    /// any were given), "measure".
     fn stage(&mut self, _name: &'static str) {}
     /// An iteration ended; `total` iterations are planned.
     fn iteration(&mut self, _iteration: &Iteration, _total: usize) {}
@@ -215,6 +230,7 @@ pub fn remesh(
     observer: &mut dyn Observer,
     cancel: &CancelFlag,
 ) -> Result<Remesh, RemeshError> {
+    options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(mesh))?;
     let mut clock = Clock::start();
     observer.stage("prepare");
     let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?;
@@ -245,6 +261,9 @@ pub fn remesh(
     timings.refine = clock.lap();
     let built = settle(&plan.mesh, &mut kept, &mut cvt, backend, &mut steps, &mut timings, &mut clock)?;
     let Steps { observer, rvd, iterations, refine, .. } = steps;
+
+    let (attributes, provenance) = carried(mesh, options, &built.mesh, observer, cancel)?;
+    timings.attributes = clock.lap();
 
     observer.stage("measure");
     cancel.check()?;
@@ -278,7 +297,15 @@ pub fn remesh(
         density: plan.figures,
     };
     let curve_edges = built.curve_edges.into_iter().flatten().collect();
-    Ok(Remesh { mesh: built.mesh, vertex_seed: built.vertex_seed, curve_edges, seeds: cvt.seeds()?, report })
+    Ok(Remesh {
+        mesh: built.mesh,
+        vertex_seed: built.vertex_seed,
+        curve_edges,
+        seeds: cvt.seeds()?,
+        report,
+        attributes,
+        provenance,
+    })
 }
 
 /// Times that seeds are moved to what the result missed, and that they are added where a tolerance was given.
@@ -349,6 +376,24 @@ fn first_seeds(plan: &Plan<'_>, surface: &Surface, kept: &curves::Kept, seeds: &
         }
         Seeds::Sample { seed, .. } | Seeds::Implied { seed } => (kept.with_others(plan, surface, seed), Some(seed)),
     }
+}
+
+/// The input's attributes on the result, and where its vertices lie on the input, if asked for.
+fn carried(
+    mesh: &TriMesh,
+    options: &RemeshOptions,
+    result: &TriMesh,
+    observer: &mut dyn Observer,
+    cancel: &CancelFlag,
+) -> Result<(Option<Attributes>, Vec<Provenance>), RemeshError> {
+    let Some(attributes) = &options.attributes else { return Ok((None, Vec::new())) };
+    observer.stage("attributes");
+    cancel.check()?;
+    let closest = ClosestPoint::new(mesh);
+    let provenance = attributes::provenance(&closest, result.positions());
+    cancel.check()?;
+    let carried = attributes::carry(mesh, attributes, &closest, result, &provenance)?;
+    Ok((Some(carried), provenance))
 }
 
 /// Wall-clock laps in milliseconds.

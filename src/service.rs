@@ -5,10 +5,11 @@
 //! a stream that ends in any way gives back its memory and its place. Must not know: how a diagram
 //! is computed, the command line.
 
-mod assemble;
+pub(crate) mod assemble;
+pub(crate) mod attributes;
 pub(crate) mod convert;
 mod handlers;
-mod limits;
+pub(crate) mod limits;
 mod status;
 mod stream;
 mod upload;

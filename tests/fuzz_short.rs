@@ -20,8 +20,10 @@ mod uploads;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use glam::dvec2;
 use rand::{Rng, RngExt, SeedableRng};
-use tessera::mesh::io::{Format, encode};
+use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
+use tessera::mesh::io::{Format, encode, encode_with_attributes};
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::gpu::Gpu;
 use tessera::rvd::parallel::Parallel;
@@ -105,10 +107,19 @@ fn committed_corpora() {
 fn changed_files() {
     let mesh = Shape::Torus.build(24);
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+    let count = mesh.positions().len();
+    let mut attributes = Attributes::new(&mesh);
+    let corners: Vec<[u32; 3]> = (0..mesh.facets().len() as u32).map(|f| [f, f + 1, 0]).collect();
+    let values = (0..=corners.len()).map(|i| dvec2(i as f64, 0.5)).collect();
+    attributes.set_texture(PerCorner { values, corners }).unwrap();
+    attributes.set_normals(Normals::PerVertex(mesh.positions().to_vec())).unwrap();
+    attributes.set_colours(Colours { values: vec![[0.2, 0.4, 0.6, 0.8]; count], depth: ColourDepth::Eight }).unwrap();
+    attributes.add_scalar("density", vec![1.5; count]).unwrap();
     for format in Format::ALL {
-        let original = encode(format, &mesh).unwrap();
-        for round in 0..400 {
-            let mut bytes = original.clone();
+        let carrying = encode_with_attributes(format, &mesh, &attributes).unwrap().0;
+        let originals = [encode(format, &mesh).unwrap(), carrying];
+        for round in 0..800 {
+            let mut bytes = originals[round % 2].clone();
             for _ in 0..rng.random_range(1..6) {
                 let at = rng.random_range(0..bytes.len());
                 let end = (at + rng.random_range(1..40)).min(bytes.len());

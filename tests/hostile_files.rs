@@ -10,7 +10,8 @@ use std::fmt::Write as _;
 use std::time::Instant;
 
 use rand::{Rng, SeedableRng};
-use tessera::mesh::io::{DataError, FileError, Format, decode, encode, read};
+use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
+use tessera::mesh::io::{DataError, FileError, Format, decode, encode, encode_with_attributes, read};
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::{MeshError, TriMesh};
 
@@ -124,6 +125,24 @@ fn cut_off_at_every_byte() {
                 Err(DataError::Empty) => assert_eq!(end, 0),
                 Err(_) => {}
             }
+        }
+    }
+}
+
+/// With attributes too: the same surface or the same error as without, wherever the file ends.
+#[test]
+fn cut_off_with_attributes() {
+    let mesh = Shape::Square.build(2);
+    let mut attributes = Attributes::new(&mesh);
+    let values = vec![glam::dvec2(0.25, 1.0), glam::dvec2(1e-3, 0.5)];
+    attributes.set_texture(PerCorner { values, corners: vec![[0, 1, 1], [1, 0, 0]] }).unwrap();
+    attributes.set_normals(Normals::PerVertex(vec![glam::DVec3::Z; 4])).unwrap();
+    attributes.set_colours(Colours { values: vec![[0.2, 0.4, 0.6, 1.0]; 4], depth: ColourDepth::Eight }).unwrap();
+    attributes.add_scalar("density", vec![0.1; 4]).unwrap();
+    for format in Format::ALL {
+        let whole = encode_with_attributes(format, &mesh, &attributes).unwrap().0;
+        for end in 0..=whole.len() {
+            readers::check(format, &whole[..end]).unwrap_or_else(|text| panic!("{end}: {text}"));
         }
     }
 }

@@ -119,8 +119,13 @@ fn rvd(args: &RvdBenchArgs) -> Result<()> {
     let cancel = CancelFlag::default();
     interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
     let (backend, gpu) = open(&args.backend)?;
-    let Prepared { surface, seeds, .. } =
-        Prepared::new(Input { mesh, density: DensityOptions::default(), seeds, creases: Vec::new() })?;
+    let Prepared { surface, seeds, .. } = Prepared::new(Input {
+        mesh,
+        density: DensityOptions::default(),
+        seeds,
+        creases: Vec::new(),
+        attributes: None,
+    })?;
     let mut seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
     let options = SessionOptions { tuning: tuning(args), ..SessionOptions::new(seeds.len()) };
     let mut session = backend.session(Arc::clone(&surface), options)?;

@@ -75,7 +75,8 @@ fn of_remesh(error: &RemeshError) -> u8 {
         RemeshError::TooFewSeeds { .. }
         | RemeshError::NoThickness
         | RemeshError::Feature(_)
-        | RemeshError::Density(_) => DATA,
+        | RemeshError::Density(_)
+        | RemeshError::Attributes(_) => DATA,
     }
 }
 

@@ -10,11 +10,31 @@ use anyhow::{Context, Result};
 use glam::DVec3;
 
 use super::exit::{BadInput, Usage};
+use crate::mesh::attributes::Attributes;
 use crate::mesh::{TriMesh, io};
 
 /// Reads a surface.
 pub(crate) fn read_mesh(path: &Path) -> Result<TriMesh> {
     io::read(path).map_err(|e| BadInput(e.to_string()).into())
+}
+
+/// Reads a surface and what it carries; says what of that cannot be used.
+pub(crate) fn read_loaded(path: &Path) -> Result<(TriMesh, Option<Attributes>)> {
+    let loaded = io::read_with_attributes(path).map_err(|e| BadInput(e.to_string()))?;
+    for reason in &loaded.left_aside {
+        eprintln!("tessera: {}: left aside: {reason}", path.display());
+    }
+    Ok((loaded.mesh, Some(loaded.attributes).filter(|attributes| !attributes.is_empty())))
+}
+
+/// Writes a surface and what it carries; says what of that the format cannot hold.
+pub(crate) fn write_loaded(path: &Path, mesh: &TriMesh, attributes: Option<&Attributes>) -> Result<()> {
+    let Some(attributes) = attributes else { return Ok(io::write(path, mesh)?) };
+    let left_out = io::write_with_attributes(path, mesh, attributes)?;
+    if !left_out.is_empty() {
+        eprintln!("tessera: {}: this format cannot hold: {}", path.display(), left_out.join(", "));
+    }
+    Ok(())
 }
 
 /// Refuses an output whose folder is not there or whose name is wrong, before any work is done.

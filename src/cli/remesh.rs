@@ -12,7 +12,7 @@ use super::progress::Progress;
 use super::{backends, files, interrupt, remote, sizes};
 use crate::config::BackendArgs;
 use crate::cvt::density::{DensityOptions, DensitySource};
-use crate::mesh::{TriMesh, io};
+use crate::mesh::TriMesh;
 use crate::remesh::{Placement, Refine, RemeshOptions, Report, Seeds, remesh};
 use crate::rvd::CancelFlag;
 use crate::telemetry;
@@ -66,6 +66,9 @@ pub(crate) struct RemeshArgs {
     /// How it looks.
     #[command(flatten)]
     picture: PictureArgs,
+    /// Leave aside normals, texture coordinates, colours and scalars of the input.
+    #[arg(long)]
+    no_attributes: bool,
     /// How lengths of edges vary.
     #[command(flatten)]
     density: DensityArgs,
@@ -165,8 +168,11 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     }
     args.picture.check()?;
     let start = Instant::now();
-    let mesh = files::read_mesh(&args.input)?;
-    let options = options(args, &mesh)?;
+    let (mesh, attributes) = match args.no_attributes {
+        true => (files::read_mesh(&args.input)?, None),
+        false => files::read_loaded(&args.input)?,
+    };
+    let options = RemeshOptions { attributes, ..options(args, &mesh)? };
     let read_ms = ms(start);
     match &args.endpoint {
         None => here(args, &mesh, &options, start, read_ms),
@@ -213,7 +219,7 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, options: &RemeshOptions, start: Insta
     drop(progress);
     let mut done = done?;
     let writing = Instant::now();
-    io::write(&args.output, &done.mesh)?;
+    files::write_loaded(&args.output, &done.mesh, done.attributes.as_ref())?;
     args.picture.draw(&done.mesh, &done.curve_edges)?;
     let timings = &mut done.report.timings_ms;
     (timings.read, timings.write, timings.total) = (read_ms, ms(writing), ms(start));
@@ -228,7 +234,7 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, options: &RemeshOptions, start: Insta
 fn there(args: &RemeshArgs, mesh: &TriMesh, options: &RemeshOptions, endpoint: &str) -> Result<()> {
     let job = remote::RemeshJob { mesh, options, backend: args.backend.backend };
     let done = remote::remesh(endpoint, &job)?;
-    io::write(&args.output, &done.mesh)?;
+    files::write_loaded(&args.output, &done.mesh, done.attributes.as_ref())?;
     args.picture.draw(&done.mesh, &done.curve_edges)?;
     if let Some(path) = &args.report {
         files::write_json(path, &done.report)?;

@@ -17,11 +17,14 @@ use super::rvd::{RvdResult, Sink, Wants};
 use crate::config::BackendArg;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::TriMesh;
+use crate::mesh::attributes::Attributes;
 use crate::remesh::{Placement, RemeshOptions, Seeds};
 use crate::rvd::{PieceBatch, RvdError};
-use crate::service::convert;
+use crate::service::assemble::UploadedAttribute;
+use crate::service::limits::MeshCounts;
 use crate::service::proto::remesh_service_client::RemeshServiceClient;
 use crate::service::proto::{self, ArrayKind, CellsChunk, Chunk, seed_source};
+use crate::service::{attributes, convert};
 
 /// A remesh to ask for.
 pub(crate) struct RemeshJob<'a> {
@@ -41,6 +44,8 @@ pub(crate) struct RemeshDone {
     pub(crate) curve_edges: Vec<[u32; 2]>,
     /// The server's report.
     pub(crate) report: serde_json::Value,
+    /// What the remesh carries.
+    pub(crate) attributes: Option<Attributes>,
 }
 
 /// Has `job` done at `endpoint`.
@@ -53,6 +58,7 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
         Seeds::Implied { seed } => (0, seed),
         Seeds::Given(_) => bail!("seeds are drawn by the server"),
     };
+    let announced = options.attributes.as_ref().map(attributes::headers).unwrap_or_default();
     let header = proto::RemeshHeader {
         mesh: Some(mesh_header(job.mesh)),
         seeds: Some(sampled(points, random_seed)),
@@ -69,6 +75,7 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
             .refine
             .map(|r| proto::Refinement { tolerance: r.tolerance, max_points: r.max_points as u64 }),
         density: Some(density(&options.density)),
+        attributes: announced.clone(),
         ..proto::RemeshHeader::default()
     };
     let mut messages = vec![Ask::Header(header)];
@@ -76,6 +83,9 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
     if let DensitySource::Sizes(sizes) = &options.density.source {
         messages.extend(convert::number_chunks(ArrayKind::EdgeLengths, sizes).map(Ask::Chunk));
     }
+    let carried =
+        options.attributes.as_ref().map(|attributes| attributes::chunks(attributes, &announced)).unwrap_or_default();
+    messages.extend(carried.into_iter().flatten().map(Ask::Chunk));
     messages.push(Ask::Finish(proto::Finish {}));
     let requests = messages.into_iter().map(|m| proto::RemeshRequest { message: Some(m) }).collect::<Vec<_>>();
     block_on(async {
@@ -93,7 +103,8 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
                     let mesh = TriMesh::new(positions, facets).context("the server's remesh is broken")?;
                     let curve_edges = arrays.pairs(ArrayKind::Creases);
                     let report = serde_json::from_str(&done.report_json).context("the server's report is broken")?;
-                    return Ok(RemeshDone { mesh, curve_edges, report });
+                    let attributes = arrays.attributes(&mesh, &done.attributes)?;
+                    return Ok(RemeshDone { mesh, curve_edges, report, attributes });
                 }
                 _ => {}
             }
@@ -248,13 +259,13 @@ fn mesh_chunks(mesh: &TriMesh) -> impl Iterator<Item = Chunk> + '_ {
     positions.chain(convert::facet_chunks(ArrayKind::Facets, mesh.facets()))
 }
 
-/// Arrays that a server sends.
+/// Arrays that a server sends: kind and attribute, bytes so far, bytes in all.
 #[derive(Default)]
-struct Arrays(HashMap<i32, (Vec<u8>, u64)>);
+struct Arrays(HashMap<(i32, u32), (Vec<u8>, u64)>);
 
 impl Arrays {
     fn take(&mut self, chunk: Chunk) -> Result<()> {
-        let (data, total) = self.0.entry(chunk.kind).or_default();
+        let (data, total) = self.0.entry((chunk.kind, chunk.attribute)).or_default();
         ensure!(chunk.offset == data.len() as u64, "the server left out or repeated a part of an array");
         ensure!(crc32c::crc32c(&chunk.data) == chunk.crc32c, "a chunk was damaged on its way from the server");
         data.extend_from_slice(&chunk.data);
@@ -263,8 +274,13 @@ impl Arrays {
     }
 
     fn bytes(&self, kind: ArrayKind) -> Result<&[u8]> {
+        self.bytes_of(kind, 0)
+    }
+
+    fn bytes_of(&self, kind: ArrayKind, attribute: u32) -> Result<&[u8]> {
         let name = kind.as_str_name();
-        let (data, total) = self.0.get(&kind.into()).with_context(|| format!("the server sent no {name}"))?;
+        let (data, total) =
+            self.0.get(&(kind.into(), attribute)).with_context(|| format!("the server sent no {name}"))?;
         ensure!(data.len() as u64 == *total, "the server sent a part of {name} only");
         Ok(data)
     }
@@ -276,6 +292,30 @@ impl Arrays {
     /// None if the server sent none: an empty array has no chunks.
     fn pairs(&self, kind: ArrayKind) -> Vec<[u32; 2]> {
         self.bytes(kind).map_or_else(|_| Vec::new(), |data| indices(data).as_chunks::<2>().0.to_vec())
+    }
+
+    /// What the mesh carries, as the last message announces it.
+    fn attributes(&self, mesh: &TriMesh, headers: &[proto::AttributeHeader]) -> Result<Option<Attributes>> {
+        if headers.is_empty() {
+            return Ok(None);
+        }
+        let broken = "the server's attributes are broken";
+        let (vertices, facets) = (mesh.positions().len() as u64, mesh.facets().len() as u64);
+        let counts = MeshCounts { vertices, facets, coordinate_bytes: 8, ..MeshCounts::default() };
+        let all = attributes::check(headers, counts).context(broken)?.into_iter().zip(0u32..).map(|(counts, i)| {
+            let (values, corners) = counts.array_kinds();
+            let place = if values == ArrayKind::Scalars { i } else { 0 };
+            let data = self.bytes_of(values, place)?;
+            let numbers = match counts.number_bytes {
+                1 => data.iter().map(|&b| f64::from(b) / 255.0).collect(),
+                4 => data.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
+                _ => numbers(data),
+            };
+            let corners = if counts.by_corner { self.facets(corners)? } else { Vec::new() };
+            Ok(UploadedAttribute { counts, numbers, corners })
+        });
+        let all = all.collect::<Result<Vec<_>>>()?;
+        Ok(Some(attributes::collect(mesh, all).context(broken)?))
     }
 
     fn facets(&self, kind: ArrayKind) -> Result<Vec<[u32; 3]>> {

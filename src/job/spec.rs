@@ -12,6 +12,7 @@ use glam::DVec3;
 use super::JobError;
 use crate::cvt::density::{self, DensityFigures, DensityOptions};
 use crate::mesh::TriMesh;
+use crate::mesh::attributes::Attributes;
 use crate::mesh::sample::sample;
 use crate::remesh::report::{InputFigures, Timings};
 use crate::remesh::{RemeshError, Seeds};
@@ -28,6 +29,8 @@ pub struct Input {
     pub seeds: Seeds,
     /// Edges that are creases whatever their angle; of no use but to a remesh.
     pub creases: Vec<[u32; 2]>,
+    /// What the surface carries and a remesh is to carry. Diagrams do without.
+    pub attributes: Option<Attributes>,
 }
 
 /// A surface in the unit frame and seeds in the caller's.
@@ -55,7 +58,7 @@ impl Prepared {
     /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`, `Density`.
     pub fn new(input: Input) -> Result<Self, JobError> {
         let start = Instant::now();
-        let Input { mesh, density, seeds, creases: _ } = input;
+        let Input { mesh, density, seeds, .. } = input;
         let plan = density::plan(&mesh, &density, seeds.count(), &|| false).map_err(RemeshError::from)?;
         let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
         let figures = InputFigures::of(&mesh);

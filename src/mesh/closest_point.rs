@@ -161,7 +161,8 @@ fn vector(p: DVec3) -> Vector {
     Vector::new(p.x, p.y, p.z)
 }
 
-/// Squared distance of `p` from a facet and the barycentric coordinates of its nearest point.
+/// Squared distance of `p` from a facet and the barycentric coordinates of its nearest point. Coordinates
+/// are to be of the order of 1.
 pub(crate) fn closest_on_facet(p: DVec3, [a, b, c]: [DVec3; 3], ids: [u32; 3]) -> (f64, [f64; 3]) {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let normal = ab.cross(ac);

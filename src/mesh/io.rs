@@ -1,13 +1,14 @@
 //! Surface files: OBJ, PLY, STL and OFF, in and out.
 //!
 //! Purpose: [`read`] and [`write()`] for a path, [`decode`] and [`encode`] for bytes. The format is the file's
-//! extension ([`Format`]).
+//! extension ([`Format`]). The same names with `_with_attributes` take and give what a surface carries too.
 //! Invariant: no sequence of bytes makes a reader panic, hang, or allocate more than a small
 //! multiple of the bytes that are there, whatever counts they declare. Polygons become triangle
 //! fans around their first corner, which is right for convex ones. Positions are double
 //! precision; only STL, whose format says so, holds single precision.
 //! Must not know: what is done with a surface.
 
+mod attributed;
 mod obj;
 mod off;
 mod ply;
@@ -17,12 +18,17 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
+use super::attributes::AttributeError;
 use super::{MeshError, TriMesh};
+
+pub use attributed::{
+    Loaded, decode_with_attributes, encode_with_attributes, read_with_attributes, write_with_attributes,
+};
 
 /// A file format that can be read and written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Format {
-    /// Wavefront OBJ, text. Groups and objects are one surface; texture, normals and materials are left aside.
+    /// Wavefront OBJ, text. Groups and objects are one surface; materials are left aside.
     Obj,
     /// Stanford PLY. Reads ascii and both binary orders, writes little-endian binary with doubles.
     Ply,
@@ -145,6 +151,9 @@ pub enum DataError {
         /// Third coordinate.
         z: f64,
     },
+    /// The attributes are not this surface's.
+    #[error(transparent)]
+    Attributes(#[from] AttributeError),
 }
 
 /// Reads a surface; the format is the extension's.

@@ -213,6 +213,7 @@ pub struct Timings {
     pub measure: f64,
     pub write: f64,
     pub total: f64,
+    pub attributes: f64,
 }
 
 /// The surface that came out.

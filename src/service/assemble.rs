@@ -4,9 +4,12 @@
 //! Invariant: memory grows with what has arrived; nothing is used before every announced byte is
 //! there. Must not know: streams, jobs.
 
+use std::borrow::Cow;
+
 use glam::DVec3;
 
 use super::RequestError;
+use super::attributes::AttributeCounts;
 use super::limits::{MeshCounts, SeedCounts, Share};
 use super::proto::{ArrayKind, Chunk};
 
@@ -19,20 +22,35 @@ pub(crate) struct Uploaded {
     pub(crate) seeds: Vec<DVec3>,
     pub(crate) edge_lengths: Option<Vec<f64>>,
     pub(crate) creases: Vec<[u32; 2]>,
+    /// What was announced beside the mesh, in this order.
+    pub(crate) attributes: Vec<UploadedAttribute>,
     /// Held until the job is done.
     pub(crate) share: Share,
+}
+
+/// An attribute's arrays, complete.
+#[derive(Debug)]
+pub(crate) struct UploadedAttribute {
+    pub(crate) counts: AttributeCounts,
+    /// All numbers of all values.
+    pub(crate) numbers: Vec<f64>,
+    /// Empty if it is not given by corner.
+    pub(crate) corners: Vec<[u32; 3]>,
 }
 
 /// See the module's head.
 #[derive(Debug)]
 pub(crate) struct Assembly {
     arrays: [Array; 6],
+    attributes: Vec<(AttributeCounts, Array, Array)>,
     share: Share,
 }
 
 #[derive(Debug)]
 struct Array {
     kind: ArrayKind,
+    /// How it is called in errors.
+    path: Cow<'static, str>,
     /// Bytes of one element and of its numbers, and how many were announced.
     element_bytes: u64,
     number_bytes: u64,
@@ -55,15 +73,7 @@ impl Assembly {
     /// Nothing has arrived yet.
     pub(crate) fn new(mesh: MeshCounts, seeds: SeedCounts, share: Share) -> Self {
         let points = mesh.coordinate_bytes;
-        let array = |kind, number_bytes, numbers, announced, store| Array {
-            kind,
-            element_bytes: number_bytes * numbers,
-            number_bytes,
-            announced,
-            received_bytes: 0,
-            rest: Vec::new(),
-            store,
-        };
+        let array = Array::new;
         Self {
             arrays: [
                 array(ArrayKind::Positions, points, 3, mesh.vertices, Store::Points(Vec::new())),
@@ -73,45 +83,90 @@ impl Assembly {
                 array(ArrayKind::EdgeLengths, 8, 1, mesh.edge_lengths, Store::Numbers(Vec::new())),
                 array(ArrayKind::Creases, 4, 2, mesh.creases, Store::Pairs(Vec::new())),
             ],
+            attributes: Vec::new(),
             share,
         }
+    }
+
+    /// Attributes of the mesh are to arrive as well.
+    pub(crate) fn announce(mut self, facets: u64, attributes: Vec<AttributeCounts>) -> Self {
+        let arrays = attributes.into_iter().enumerate().map(|(i, counts)| {
+            let (values, corners) = counts.array_kinds();
+            let mut values =
+                Array::new(values, counts.number_bytes, counts.numbers, counts.values, Store::Numbers(Vec::new()));
+            let announced = if counts.by_corner { facets } else { 0 };
+            let mut corners = Array::new(corners, 4, 3, announced, Store::Triples(Vec::new()));
+            values.path = format!("mesh.attributes[{i}].values").into();
+            corners.path = format!("mesh.attributes[{i}].corners").into();
+            (counts, values, corners)
+        });
+        self.attributes = arrays.collect();
+        self
+    }
+
+    /// The array that a chunk belongs to.
+    fn array(&mut self, kind: ArrayKind, attribute: u32) -> Option<&mut Array> {
+        if kind == ArrayKind::Scalars {
+            let (_, values, _) = self.attributes.get_mut(attribute as usize)?;
+            return Some(values).filter(|array| array.kind == kind);
+        }
+        let attributes = self.attributes.iter_mut().flat_map(|(_, values, corners)| [values, corners]);
+        self.arrays.iter_mut().chain(attributes).find(|array| array.kind == kind)
     }
 
     /// Takes the next chunk of an array.
     pub(crate) fn take(&mut self, chunk: &Chunk) -> Result<(), RequestError> {
         let kind = ArrayKind::try_from(chunk.kind).map_err(|_| RequestError::unknown_enum("chunk.kind", chunk.kind))?;
-        let Some(array) = self.arrays.iter_mut().find(|a| a.kind == kind) else {
-            let text =
-                format!("is {}; upload POSITIONS, FACETS, WEIGHTS, SEEDS, EDGE_LENGTHS or CREASES", kind.as_str_name());
+        let Some(array) = self.array(kind, chunk.attribute) else {
+            let name = kind.as_str_name();
+            let text = match kind {
+                ArrayKind::Scalars => format!("is {name}, and header.attributes[{}] is no scalar", chunk.attribute),
+                _ => format!(
+                    "is {name}; upload POSITIONS, FACETS, WEIGHTS, SEEDS, EDGE_LENGTHS, CREASES or an array of an attribute in the header"
+                ),
+            };
             return Err(RequestError::field("chunk.kind", text));
         };
         array.check(chunk)?;
-        self.share.grow(array.memory_bytes(chunk.data.len() as u64))?;
-        array.append(&chunk.data);
+        let memory = array.memory_bytes(chunk.data.len() as u64);
+        // The array's other borrow ends here.
+        self.share.grow(memory)?;
+        if let Some(array) = self.array(kind, chunk.attribute) {
+            array.append(&chunk.data);
+        }
         Ok(())
     }
 
     /// Gives what was uploaded if it is complete.
     pub(crate) fn finish(self) -> Result<Uploaded, RequestError> {
-        for array in &self.arrays {
+        let attributes = self.attributes.iter().flat_map(|(_, values, corners)| [values, corners]);
+        for array in self.arrays.iter().chain(attributes) {
             let whole = array.whole_bytes();
             if array.received_bytes != whole {
                 let text = format!("{} of {whole} bytes arrived before finish", array.received_bytes);
                 return Err(RequestError::field(array.path(), text));
             }
         }
-        match self.arrays.map(|a| a.store) {
-            [
+        let attributes = self.attributes.into_iter().map(|(counts, values, corners)| {
+            let (Store::Numbers(numbers), Store::Triples(corners)) = (values.store, corners.store) else { return None };
+            Some(UploadedAttribute { counts, numbers, corners })
+        });
+        let attributes = attributes.collect::<Option<Vec<_>>>();
+        let [positions, facets, weights, seeds, edge_lengths, creases] = self.arrays.map(|a| a.store);
+        match (positions, facets, weights, seeds, edge_lengths, creases, attributes) {
+            (
                 Store::Points(positions),
                 Store::Triples(facets),
                 Store::Numbers(weights),
                 Store::Points(seeds),
                 Store::Numbers(edge_lengths),
                 Store::Pairs(creases),
-            ] => {
+                Some(attributes),
+            ) => {
                 let weights = (!weights.is_empty()).then_some(weights);
                 let edge_lengths = (!edge_lengths.is_empty()).then_some(edge_lengths);
-                Ok(Uploaded { positions, facets, weights, seeds, edge_lengths, creases, share: self.share })
+                let share = self.share;
+                Ok(Uploaded { positions, facets, weights, seeds, edge_lengths, creases, attributes, share })
             }
             _ => Err(RequestError::field("chunk", "internal: arrays changed places")),
         }
@@ -119,15 +174,22 @@ impl Assembly {
 }
 
 impl Array {
-    fn path(&self) -> &'static str {
-        match self.kind {
+    fn new(kind: ArrayKind, number_bytes: u64, numbers: u64, announced: u64, store: Store) -> Self {
+        let path = match kind {
             ArrayKind::Positions => "mesh.positions",
             ArrayKind::Facets => "mesh.facets",
             ArrayKind::Weights => "mesh.weights",
             ArrayKind::EdgeLengths => "mesh.edge_lengths",
             ArrayKind::Creases => "mesh.creases",
             _ => "seeds",
-        }
+        };
+        let element_bytes = number_bytes * numbers;
+        let (path, rest) = (path.into(), Vec::new());
+        Self { kind, path, element_bytes, number_bytes, announced, received_bytes: 0, rest, store }
+    }
+
+    fn path(&self) -> &str {
+        &self.path
     }
 
     fn whole_bytes(&self) -> u64 {
@@ -136,7 +198,10 @@ impl Array {
 
     /// Bytes that so many wire bytes need once they are stored.
     fn memory_bytes(&self, wire: u64) -> u64 {
-        if self.number_bytes == 4 && matches!(self.store, Store::Points(_)) { 2 * wire } else { wire }
+        match self.store {
+            Store::Points(_) | Store::Numbers(_) => 8 / self.number_bytes * wire,
+            Store::Triples(_) | Store::Pairs(_) => wire,
+        }
     }
 
     fn check(&self, chunk: &Chunk) -> Result<(), RequestError> {
@@ -208,6 +273,10 @@ impl Store {
                 edges.extend(numbers.iter().map(|pair| pair.map(u32::from_le_bytes)));
             }
             Self::Triples(facets) => facets.extend(triples::<4>(data).map(|t| t.map(u32::from_le_bytes))),
+            Self::Numbers(numbers) if number_bytes == 1 => numbers.extend(data.iter().map(|&b| f64::from(b) / 255.0)),
+            Self::Numbers(numbers) if number_bytes == 4 => {
+                numbers.extend(data.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))));
+            }
             Self::Numbers(numbers) => numbers.extend(data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b))),
         }
     }
@@ -229,7 +298,7 @@ mod tests {
 
     fn chunk(kind: ArrayKind, offset: u64, data: &[u8]) -> Chunk {
         let crc32c = crc32c::crc32c(data);
-        Chunk { kind: kind.into(), offset, data: data.to_vec().into(), crc32c, total_bytes: 0 }
+        Chunk { kind: kind.into(), offset, data: data.to_vec().into(), crc32c, ..Chunk::default() }
     }
 
     fn path(error: RequestError) -> String {

@@ -252,7 +252,7 @@ pub(crate) fn index_chunks(kind: ArrayKind, indices: &[u32]) -> impl Iterator<It
     chunks(kind, indices, 4, |i, out| out.extend_from_slice(&i.to_le_bytes()))
 }
 
-fn chunks<'a, T>(
+pub(super) fn chunks<'a, T>(
     kind: ArrayKind,
     items: &'a [T],
     item_bytes: usize,
@@ -265,7 +265,7 @@ fn chunks<'a, T>(
         part.iter().for_each(|item| encode(item, &mut data));
         let crc32c = crc32c::crc32c(&data);
         let offset = (i * per_chunk * item_bytes) as u64;
-        Chunk { kind: kind.into(), offset, data: data.into(), crc32c, total_bytes }
+        Chunk { kind: kind.into(), offset, data: data.into(), crc32c, total_bytes, ..Chunk::default() }
     })
 }
 

@@ -131,15 +131,19 @@ fn input(
     density: Option<&proto::DensityOptions>,
     limits: &Limits,
 ) -> Result<(Input, Share), RequestError> {
-    let Uploaded { positions, facets, weights, seeds: points, edge_lengths, creases, share } = uploaded;
+    let Uploaded { positions, facets, weights, seeds: points, edge_lengths, creases, attributes, share } = uploaded;
     let density = convert::density(density, weights, edge_lengths, limits.max_seeds)?;
     let mesh = TriMesh::new(positions, facets).map_err(JobError::from)?;
+    let attributes = match attributes.is_empty() {
+        true => None,
+        false => Some(super::attributes::collect(&mesh, attributes)?),
+    };
     let seeds = match seeds {
         SeedCounts::Uploaded(_) => Seeds::Given(points),
         SeedCounts::Sampled { points, seed } => Seeds::Sample { points: points as usize, seed },
         SeedCounts::Implied { seed } => Seeds::Implied { seed },
     };
-    Ok((Input { mesh, density, seeds, creases }, share))
+    Ok((Input { mesh, density, seeds, creases, attributes }, share))
 }
 
 /// Does long work that needs no backend, on a thread that may block.

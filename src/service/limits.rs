@@ -12,7 +12,7 @@ use super::{RequestError, convert};
 use crate::config::Limits;
 
 /// A mesh header whose counts are usable.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub(crate) struct MeshCounts {
     pub(crate) vertices: u64,
     pub(crate) facets: u64,

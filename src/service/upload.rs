@@ -6,6 +6,7 @@
 
 use super::RequestError;
 use super::assemble::{Assembly, Uploaded};
+use super::attributes::AttributeCounts;
 use super::limits::{Budget, MeshCounts, SeedCounts};
 use super::proto::Chunk;
 use crate::config::Limits;
@@ -23,6 +24,11 @@ pub(crate) enum Incoming<H> {
 pub(crate) trait Header {
     /// Checks everything in it.
     fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError>;
+
+    /// Checks what the mesh is said to carry.
+    fn attributes(&self, _mesh: MeshCounts) -> Result<Vec<AttributeCounts>, RequestError> {
+        Ok(Vec::new())
+    }
 }
 
 /// See the module's head.
@@ -48,7 +54,9 @@ impl<H: Header> Upload<H> {
         match (message, self.open.take()) {
             (Some(Incoming::Header(header)), None) => {
                 let (mesh, seeds) = header.check(&self.limits)?;
-                self.open = Some((header, seeds, Assembly::new(mesh, seeds, self.budget.share())));
+                let assembly = Assembly::new(mesh, seeds, self.budget.share());
+                let assembly = assembly.announce(mesh.facets, header.attributes(mesh)?);
+                self.open = Some((header, seeds, assembly));
                 Ok(None)
             }
             (Some(_), None) => protocol("the first message must be the header"),

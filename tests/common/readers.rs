@@ -3,11 +3,26 @@
 
 use glam::DVec3;
 use tessera::mesh::TriMesh;
-use tessera::mesh::io::{DataError, Format, decode, encode};
+use tessera::mesh::attributes::{Attributes, Normals};
+use tessera::mesh::io::{DataError, Format, Loaded, decode, decode_with_attributes, encode, encode_with_attributes};
 
 /// A surface that was read is written and read again as the same one; an error is said in a line.
 pub fn check(format: Format, bytes: &[u8]) -> Result<(), String> {
-    let mesh = match decode(format, bytes) {
+    let loaded = decode_with_attributes(format, bytes);
+    let plain = decode(format, bytes);
+    let same = match (&loaded, &plain) {
+        (Ok(loaded), Ok(plain)) => loaded.mesh == *plain,
+        // As text: an error may hold a NaN.
+        (Err(a), Err(b)) => a.to_string() == b.to_string(),
+        _ => false,
+    };
+    if !same {
+        return Err(format!("{format:?}: with attributes another surface is read"));
+    }
+    if let Ok(loaded) = loaded {
+        check_attributes(format, &loaded)?;
+    }
+    let mesh = match plain {
         Ok(mesh) => mesh,
         Err(error) => {
             let text = error.to_string();
@@ -37,6 +52,56 @@ pub fn check(format: Format, bytes: &[u8]) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+/// What was read is written and read again as the same, corner by corner, as far as a format can hold it.
+fn check_attributes(format: Format, loaded: &Loaded) -> Result<(), String> {
+    for reason in &loaded.left_aside {
+        let text = reason.to_string();
+        if text.is_empty() || text.len() > 1000 || text.contains('\n') {
+            return Err(format!("{format:?}: the reason is {text:?}"));
+        }
+    }
+    for other in [Format::Obj, Format::Ply, Format::Off] {
+        let (file, left_out) = encode_with_attributes(other, &loaded.mesh, &loaded.attributes)
+            .map_err(|error| format!("{other:?}: {error}"))?;
+        let again = decode_with_attributes(other, &file).map_err(|error| format!("{other:?}: {error}"))?;
+        if !again.left_aside.is_empty() {
+            return Err(format!("{format:?} as {other:?}: {:?}", again.left_aside));
+        }
+        let (before, after) =
+            (on_corners(&loaded.mesh, &loaded.attributes), on_corners(&again.mesh, &again.attributes));
+        for (i, (before, after)) in before.iter().zip(&after).enumerate() {
+            // Opacity may be lost alone.
+            let whole = i != 2 || left_out.is_empty();
+            let right =
+                if after.is_empty() { before.is_empty() || !left_out.is_empty() } else { before == after || !whole };
+            if !right {
+                return Err(format!("{format:?} as {other:?}: array {i} comes back otherwise"));
+            }
+        }
+        if other == Format::Ply && again.attributes.scalars() != loaded.attributes.scalars() {
+            return Err(format!("{format:?} as {other:?}: other scalars come back"));
+        }
+    }
+    Ok(())
+}
+
+/// Normals, texture coordinates and colours at all corners; empty if there are none.
+pub fn on_corners(mesh: &TriMesh, attributes: &Attributes) -> [Vec<Vec<f64>>; 3] {
+    let vertices = mesh.facets().as_flattened();
+    let normals = attributes.normals().map_or(Vec::new(), |normals| match normals {
+        Normals::PerVertex(n) => vertices.iter().map(|&v| n[v as usize].to_array().to_vec()).collect(),
+        Normals::PerCorner(n) => {
+            n.corners.as_flattened().iter().map(|&i| n.values[i as usize].to_array().to_vec()).collect()
+        }
+    });
+    let texture = attributes.texture().map_or(Vec::new(), |t| {
+        t.corners.as_flattened().iter().map(|&i| t.values[i as usize].to_array().to_vec()).collect()
+    });
+    let colours =
+        attributes.colours().map_or(Vec::new(), |c| vertices.iter().map(|&v| c.values[v as usize].to_vec()).collect());
+    [normals, texture, colours]
 }
 
 fn corners(mesh: &TriMesh) -> Vec<[DVec3; 3]> {

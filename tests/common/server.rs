@@ -249,7 +249,7 @@ pub fn facet_bytes(facets: &[[u32; 3]]) -> Vec<u8> {
 
 pub fn chunk(kind: ArrayKind, offset: u64, data: &[u8]) -> Chunk {
     let crc32c = crc32c::crc32c(data);
-    Chunk { kind: kind.into(), offset, data: data.to_vec().into(), crc32c, total_bytes: 0 }
+    Chunk { kind: kind.into(), offset, data: data.to_vec().into(), crc32c, ..Chunk::default() }
 }
 
 /// An array in chunks of an awkward size.

@@ -15,14 +15,14 @@ fn limits() -> Limits {
     Limits { max_vertices: 200, max_facets: 400, max_seeds: 300, memory_bytes: 8000, ..Limits::default() }
 }
 
-/// Bytes as they are, or, if the first one is even, as orders for a client that errs now and then. Says
-/// whether the upload was taken.
+/// Bytes as they are, or, if the first one is even, as orders for a client that errs now and then; half of the first
+/// one says what the mesh carries. Says whether the upload was taken.
 ///
 /// # Errors
 /// What is wrong with the answer.
 pub fn check(data: &[u8]) -> Result<bool, String> {
     let Some((&first, rest)) = data.split_first() else { return Ok(false) };
-    let (recording, whole) = if first % 2 == 1 { (rest.to_vec(), false) } else { client(rest) };
+    let (recording, whole) = if first % 2 == 1 { (rest.to_vec(), false) } else { client(rest, first / 2 % 4) };
     match replay(&recording, &limits()) {
         Err(text) if whole && !text.contains("facet") && !text.contains("vertex") && !text.contains("do not fit") => {
             Err(format!("a faultless upload is refused: {text}"))
@@ -42,7 +42,8 @@ pub fn check(data: &[u8]) -> Result<bool, String> {
                 DensitySource::Weights(given) | DensitySource::Sizes(given) => given.len() == vertices,
                 _ => true,
             };
-            if fits && weighted {
+            let carries = input.attributes.is_none_or(|attributes| attributes.check_mesh(&input.mesh).is_ok());
+            if fits && weighted && carries {
                 Ok(true)
             } else {
                 Err(format!("{vertices} vertices, {facets} facets, {seeds} seeds"))
@@ -52,7 +53,7 @@ pub fn check(data: &[u8]) -> Result<bool, String> {
 }
 
 /// The recording of a client, and whether it made no mistake.
-fn client(data: &[u8]) -> (Vec<u8>, bool) {
+fn client(data: &[u8], carried: u8) -> (Vec<u8>, bool) {
     let mut rest = data.iter().copied();
     let mut byte = || rest.next().unwrap_or(0);
     let mut whole = true;
@@ -74,7 +75,9 @@ fn client(data: &[u8]) -> (Vec<u8>, bool) {
         true => seed_source::Source::Sampled(SampledSeeds { points: count, random_seed: 1 }),
         false => seed_source::Source::Uploaded(count),
     };
+    let attributes = announced(carried, vertices, facets);
     let header = RemeshHeader {
+        attributes: attributes.clone(),
         mesh: Some(mesh),
         seeds: Some(SeedSource { source: Some(source) }),
         lloyd_steps: 1,
@@ -92,7 +95,7 @@ fn client(data: &[u8]) -> (Vec<u8>, bool) {
         values.flat_map(|x| if double { x.to_le_bytes().to_vec() } else { (x as f32).to_le_bytes().to_vec() }).collect()
     };
     let corners: Vec<u8> = (0..3 * facets).flat_map(|i| ((i % vertices) as u32).to_le_bytes()).collect();
-    let mut arrays = [
+    let mut arrays = vec![
         (ArrayKind::Positions, points(vertices, byte())),
         (ArrayKind::Facets, corners),
         (ArrayKind::Weights, (0..weights).flat_map(|_| 1f64.to_le_bytes()).collect()),
@@ -101,6 +104,7 @@ fn client(data: &[u8]) -> (Vec<u8>, bool) {
     debug_assert_eq!(arrays[0].1.len() as u64, 3 * number * vertices);
     let turn = usize::from(byte() % 4);
     arrays.rotate_left(turn);
+    arrays.extend(attributes.iter().flat_map(|header| arrays_of(header, facets)));
     for (kind, array) in arrays {
         let mut offset = 0;
         while offset < array.len() {
@@ -112,13 +116,17 @@ fn client(data: &[u8]) -> (Vec<u8>, bool) {
                 crc32c: crc32c::crc32c(&data),
                 data: data.into(),
                 total_bytes: if byte() % 2 == 0 { 0 } else { array.len() as u64 },
+                ..Chunk::default()
             };
             if byte() % 32 == 31 {
                 whole = false;
                 match byte() % 6 {
                     0 => chunk.offset = u64::MAX - u64::from(byte()),
                     1 => chunk.offset = u64::from(byte()),
-                    2 => chunk.kind = i32::from(byte()) - 8,
+                    2 => {
+                        chunk.kind = i32::from(byte()) - 8;
+                        chunk.attribute = u32::from(byte());
+                    }
                     3 => chunk.crc32c ^= 1 << (byte() % 32),
                     4 => chunk.total_bytes = u64::from(byte()) << (byte() % 57),
                     _ => chunk.data = vec![byte(); usize::from(byte())].into(),
@@ -134,4 +142,39 @@ fn client(data: &[u8]) -> (Vec<u8>, bool) {
         send(remesh_request::Message::Finish(Finish {}));
     }
     (out, whole)
+}
+
+/// What the mesh carries: nothing, a scalar, texture and colours, or all with normals by corner.
+fn announced(carried: u8, vertices: u64, facets: u64) -> Vec<AttributeHeader> {
+    let header = |kind: AttributeKind, r#type: AttributeType, values, by_corner| {
+        let name = if kind == AttributeKind::Scalar { "a".to_owned() } else { String::new() };
+        AttributeHeader { kind: kind.into(), name, r#type: r#type.into(), values, by_corner }
+    };
+    let mut all = Vec::new();
+    if carried & 1 != 0 {
+        all.push(header(AttributeKind::Scalar, AttributeType::F32, vertices, false));
+    }
+    if carried & 2 != 0 {
+        all.push(header(AttributeKind::TextureCoordinates, AttributeType::F64, 2, false));
+        all.push(header(AttributeKind::Colours, AttributeType::U8, vertices, false));
+    }
+    if carried == 3 {
+        all.push(header(AttributeKind::Normals, AttributeType::F64, 3 * facets, true));
+    }
+    all
+}
+
+/// The arrays of an attribute: zeros, and corners that name the first value.
+fn arrays_of(header: &AttributeHeader, facets: u64) -> Vec<(ArrayKind, Vec<u8>)> {
+    let zeros = |bytes: u64| vec![0; (bytes * header.values) as usize];
+    let corners = vec![0; 12 * facets as usize];
+    match header.kind() {
+        AttributeKind::Scalar => vec![(ArrayKind::Scalars, zeros(4))],
+        AttributeKind::TextureCoordinates => {
+            vec![(ArrayKind::TextureCoordinates, zeros(16)), (ArrayKind::TextureCorners, corners)]
+        }
+        AttributeKind::Colours => vec![(ArrayKind::Colours, zeros(4))],
+        AttributeKind::Normals => vec![(ArrayKind::Normals, zeros(24)), (ArrayKind::NormalCorners, corners)],
+        AttributeKind::Unspecified => Vec::new(),
+    }
 }

@@ -7,13 +7,15 @@
 //! matter here, and its errors name no line.
 //! Must not know: other formats.
 
-use std::fmt::Write as _;
-
 use glam::DVec3;
 use tobj::LoadOptions;
 
+use super::attributed::Held;
 use super::{DataError, Soup};
 use crate::mesh::{MeshError, TriMesh};
+
+mod attributes;
+pub(super) use attributes::{attributes, encode_with};
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
     let text = geometry(bytes)?;
@@ -34,15 +36,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
 }
 
 pub(super) fn encode(mesh: &TriMesh) -> Vec<u8> {
-    let mut text = String::with_capacity(64 * mesh.positions().len() + 24 * mesh.facets().len());
-    // Debug formatting is the shortest text that reads back as the same bits.
-    for p in mesh.positions() {
-        let _ = writeln!(text, "v {:?} {:?} {:?}", p.x, p.y, p.z);
-    }
-    for [a, b, c] in mesh.facets().iter().map(|f| f.map(|v| u64::from(v) + 1)) {
-        let _ = writeln!(text, "f {a} {b} {c}");
-    }
-    text.into_bytes()
+    encode_with(mesh, &Held::default())
 }
 
 /// The `v` and `f` lines alone, with position indices alone, continued lines joined.

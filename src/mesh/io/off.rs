@@ -4,12 +4,14 @@
 //! position (normals of NOFF, colours of COFF) or the corners (colours) is left aside.
 //! Must not know: other formats.
 
-use std::fmt::Write as _;
-
 use glam::DVec3;
 
+use super::attributed::Held;
 use super::{DataError, Soup};
 use crate::mesh::TriMesh;
+
+mod attributes;
+pub(super) use attributes::{attributes, encode_with};
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
     let mut lines = Lines { rest: bytes, line: 0 };
@@ -55,16 +57,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
 }
 
 pub(super) fn encode(mesh: &TriMesh) -> Vec<u8> {
-    let mut text = String::with_capacity(64 * mesh.positions().len() + 24 * mesh.facets().len());
-    let _ = writeln!(text, "OFF\n{} {} 0", mesh.positions().len(), mesh.facets().len());
-    // Debug formatting is the shortest text that reads back as the same bits.
-    for p in mesh.positions() {
-        let _ = writeln!(text, "{:?} {:?} {:?}", p.x, p.y, p.z);
-    }
-    for [a, b, c] in mesh.facets() {
-        let _ = writeln!(text, "3 {a} {b} {c}");
-    }
-    text.into_bytes()
+    encode_with(mesh, &Held::default())
 }
 
 /// Reads the keyword, which may be missing, and the counts, which may be on its line.

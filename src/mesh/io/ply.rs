@@ -15,10 +15,13 @@ use ply_rs_bw::ply::{
     BeginList, ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType, ScalarType,
 };
 
+use super::attributed::Held;
 use super::{DataError, Soup};
 use crate::mesh::TriMesh;
 
 mod ascii;
+mod attributes;
+pub(super) use attributes::{attributes, encode_with};
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
     let mut reader = Reader::new(bytes);
@@ -57,21 +60,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
 }
 
 pub(super) fn encode(mesh: &TriMesh) -> Vec<u8> {
-    let (vertices, faces) = (mesh.positions().len(), mesh.facets().len());
-    let mut out = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\nproperty double x\nproperty double y\n\
-         property double z\nelement face {faces}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    .into_bytes();
-    out.reserve(24 * vertices + 13 * faces);
-    for value in mesh.positions().iter().flat_map(|p| p.to_array()) {
-        out.extend_from_slice(&value.to_le_bytes());
-    }
-    for facet in mesh.facets() {
-        out.push(3);
-        facet.iter().for_each(|v| out.extend_from_slice(&v.to_le_bytes()));
-    }
-    out
+    encode_with(mesh, &Held::default())
 }
 
 /// Refuses headers without a surface, and counts that the remaining bytes cannot hold.

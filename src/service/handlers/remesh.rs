@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use tokio::sync::mpsc;
 
-use super::super::proto::{ArrayKind, RemeshDone, RemeshHeader, RemeshRequest, RemeshResponse};
+use super::super::attributes::{self, AttributeCounts};
+use super::super::proto::{ArrayKind, AttributeHeader, RemeshDone, RemeshHeader, RemeshRequest, RemeshResponse};
 use super::super::proto::{remesh_request as request, remesh_response as response};
 use super::*;
 use crate::cvt::Iteration;
@@ -37,6 +38,10 @@ impl Header for RemeshHeader {
         limits::within("header.creases", self.creases, 0, 3 * mesh.facets)?;
         mesh.creases = self.creases;
         Ok((mesh, seeds))
+    }
+
+    fn attributes(&self, mesh: MeshCounts) -> Result<Vec<AttributeCounts>, RequestError> {
+        attributes::check(&self.attributes, mesh)
     }
 }
 
@@ -86,7 +91,8 @@ pub(super) async fn handle(
     let by = shared.engine.backend(wish)?;
     let (limits, density) = (shared.limits, header.density);
     let work = move || input(seeds, uploaded, density.as_ref(), &limits);
-    let (Input { mesh, density, seeds, creases }, _share) = apart(&shared, work).await?;
+    let (Input { mesh, density, seeds, creases, attributes }, _share) = apart(&shared, work).await?;
+    let announced = header.attributes.clone();
     let options = RemeshOptions {
         lloyd: header.lloyd_steps as usize,
         newton: header.newton_steps as usize,
@@ -98,6 +104,7 @@ pub(super) async fn handle(
         density,
         projection: convert::projection(header.projection)?,
         measure: convert::measure(header.measure)?,
+        attributes,
         ..RemeshOptions::new(seeds)
     };
     let (events, mut heard) = mpsc::channel(EVENTS);
@@ -121,7 +128,7 @@ pub(super) async fn handle(
         outbox.send(teller.tell(event)).await?;
     }
     let Timed { value, queue_ms, compute_ms } = result;
-    send_result(&outbox, &value, &by, Clock { queue_ms, compute_ms }).await
+    send_result(&outbox, &value, &announced, &by, Clock { queue_ms, compute_ms }).await
 }
 
 /// Makes messages of events.
@@ -153,6 +160,7 @@ impl Teller {
 async fn send_result(
     outbox: &Outbox<RemeshResponse>,
     result: &Remesh,
+    announced: &[AttributeHeader],
     by: &BackendInfo,
     clock: Clock,
 ) -> Result<(), RequestError> {
@@ -164,6 +172,13 @@ async fn send_result(
     let curve_edges = result.curve_edges.as_flattened();
     send_all(outbox, convert::index_chunks(ArrayKind::Creases, curve_edges), wrap_chunk).await?;
     send_seeds(outbox, &result.seeds, wrap_chunk).await?;
+    let mut carried = Vec::new();
+    if let Some(attributes) = &result.attributes {
+        carried = attributes::headers_like(attributes, announced);
+        for chunks in attributes::chunks(attributes, &carried) {
+            send_all(outbox, chunks, wrap_chunk).await?;
+        }
+    }
     let done = RemeshDone {
         backend: by.kind.name().to_owned(),
         adapter: by.adapter.clone().unwrap_or_default(),
@@ -175,6 +190,7 @@ async fn send_result(
         figures: Some(convert::figures(&result.report.rvd)),
         report_json: serde_json::to_string(&result.report).unwrap_or_default(),
         topology_changes: result.report.topology_changes.clone(),
+        attributes: carried,
     };
     outbox.send(wrap(response::Message::Done(done))).await
 }

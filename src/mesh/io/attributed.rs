@@ -1,0 +1,223 @@
+//! Surface files with what they carry beside the surface.
+//!
+//! Purpose: what [`super::read`] and its kin do, with [`Attributes`].
+//! Invariant: the surface is the one that the plain reader gives, and the bytes of a surface without attributes are
+//! those of the plain writer. An attribute that cannot be used is left aside and named; it never
+//! spoils the surface or another attribute. Must not know: what is done with attributes.
+
+use std::path::Path;
+
+use glam::{DVec2, DVec3};
+
+use super::{DataError, FileError, Format, decode, encode, obj, off, ply};
+use crate::mesh::TriMesh;
+use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
+
+/// A file's surface and what it carries.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loaded {
+    /// The surface.
+    pub mesh: TriMesh,
+    /// What it carries.
+    pub attributes: Attributes,
+    /// What is in the file and cannot be used, with the reason.
+    pub left_aside: Vec<AttributeError>,
+}
+
+/// Reads a surface and its attributes; the format is the extension's.
+///
+/// # Errors
+/// [`FileError`], as [`super::read`].
+pub fn read_with_attributes(path: &Path) -> Result<Loaded, FileError> {
+    let format = Format::of_path(path)?;
+    let bytes =
+        std::fs::read(path).map_err(|source| FileError::Io { path: path.to_path_buf(), action: "read", source })?;
+    decode_with_attributes(format, &bytes).map_err(|source| FileError::Data { path: path.to_path_buf(), source })
+}
+
+/// Writes a surface and its attributes; the format is the extension's. Gives the names of the
+/// attributes that the format cannot hold.
+///
+/// Numbers keep their bits, except colours that came in 8 bits, which PLY and OFF store so.
+///
+/// # Errors
+/// [`FileError`], as [`super::write()`].
+pub fn write_with_attributes(path: &Path, mesh: &TriMesh, attributes: &Attributes) -> Result<Vec<String>, FileError> {
+    let format = Format::of_path(path)?;
+    let encoded = encode_with_attributes(format, mesh, attributes);
+    let (bytes, left_out) = encoded.map_err(|source| FileError::Data { path: path.to_path_buf(), source })?;
+    std::fs::write(path, bytes).map_err(|source| FileError::Io {
+        path: path.to_path_buf(),
+        action: "write",
+        source,
+    })?;
+    Ok(left_out)
+}
+
+/// Reads a surface and its attributes from the bytes of a file.
+///
+/// # Errors
+/// [`DataError`], exactly where [`decode`] gives it.
+///
+/// ```
+/// use tessera::mesh::io::{DataError, Format, decode_with_attributes};
+/// let text = b"COFF 3 1 0\n0 0 0 255 0 0 255\n1 0 0 0 255 0 255\n0 1 0 0 0 51 255\n3 0 1 2\n";
+/// let loaded = decode_with_attributes(Format::Off, text)?;
+/// assert_eq!(loaded.attributes.colours().unwrap().values[2], [0.0, 0.0, 0.2, 1.0]);
+/// # Ok::<(), DataError>(())
+/// ```
+pub fn decode_with_attributes(format: Format, bytes: &[u8]) -> Result<Loaded, DataError> {
+    let mesh = decode(format, bytes)?;
+    let raw = match format {
+        Format::Obj => obj::attributes(bytes, &mesh),
+        Format::Ply => ply::attributes(bytes, &mesh),
+        Format::Off => off::attributes(bytes, &mesh),
+        Format::Stl => Raw::default(),
+    };
+    let (attributes, left_aside) = raw.onto(&mesh);
+    Ok(Loaded { mesh, attributes, left_aside })
+}
+
+/// The bytes of a file that holds `mesh` and of `attributes` what the format can hold, and the names of
+/// the others.
+///
+/// | | normals | texture coordinates | colours | scalars |
+/// | --- | --- | --- | --- | --- |
+/// | OBJ | yes | yes | without opacity | no |
+/// | PLY | per vertex | yes; with seams as the face property `texcoord` | yes | yes |
+/// | OFF | per vertex | per vertex | yes | no |
+/// | STL | no | no | no | no |
+///
+/// # Errors
+/// [`DataError::SinglePrecision`] for STL; [`DataError::Attributes`] if they are another mesh's.
+pub fn encode_with_attributes(
+    format: Format,
+    mesh: &TriMesh,
+    attributes: &Attributes,
+) -> Result<(Vec<u8>, Vec<String>), DataError> {
+    attributes.check_mesh(mesh)?;
+    let held = Held::of(format, mesh, attributes);
+    let bytes = match format {
+        Format::Obj => obj::encode_with(mesh, &held),
+        Format::Ply => ply::encode_with(mesh, &held),
+        Format::Off => off::encode_with(mesh, &held),
+        Format::Stl => encode(format, mesh)?,
+    };
+    Ok((bytes, held.left_out))
+}
+
+/// What a reader finds, not yet checked.
+#[derive(Debug, Default)]
+pub(super) struct Raw {
+    pub(super) normals: Option<Normals>,
+    pub(super) texture: Option<PerCorner<DVec2>>,
+    pub(super) colours: Option<Colours>,
+    pub(super) scalars: Vec<Scalar>,
+    /// What could not even be understood.
+    pub(super) unreadable: Vec<AttributeError>,
+}
+
+impl Raw {
+    pub(super) fn unreadable(&mut self, attribute: &str, message: String) {
+        self.unreadable.push(AttributeError::Unreadable { attribute: attribute.to_owned(), message });
+    }
+
+    /// Checks each attribute by itself.
+    fn onto(self, mesh: &TriMesh) -> (Attributes, Vec<AttributeError>) {
+        let mut attributes = Attributes::new(mesh);
+        let mut left_aside = self.unreadable;
+        let results = [
+            self.normals.map(|normals| attributes.set_normals(normals)),
+            self.texture.map(|texture| attributes.set_texture(texture)),
+            self.colours.map(|colours| attributes.set_colours(colours)),
+        ];
+        left_aside.extend(results.into_iter().flatten().filter_map(Result::err));
+        for Scalar { name, values } in self.scalars {
+            left_aside.extend(attributes.add_scalar(name, values).err());
+        }
+        (attributes, left_aside)
+    }
+}
+
+/// What a format can hold of some attributes, in the shape in which it holds them.
+#[derive(Debug, Default)]
+pub(super) struct Held<'a> {
+    pub(super) normals: Option<Vec<DVec3>>,
+    /// OBJ alone has them.
+    pub(super) corner_normals: Option<&'a PerCorner<DVec3>>,
+    pub(super) uv: Option<Vec<DVec2>>,
+    pub(super) corner_uv: Option<&'a PerCorner<DVec2>>,
+    pub(super) colours: Option<&'a Colours>,
+    pub(super) scalars: &'a [Scalar],
+    pub(super) left_out: Vec<String>,
+}
+
+impl<'a> Held<'a> {
+    fn of(format: Format, mesh: &TriMesh, attributes: &'a Attributes) -> Self {
+        let mut held = Self::default();
+        let (facets, vertices) = (mesh.facets(), mesh.positions().len());
+        match attributes.normals() {
+            Some(_) if format == Format::Stl => held.leave_out("normals"),
+            Some(Normals::PerVertex(values)) => held.normals = Some(values.clone()),
+            Some(Normals::PerCorner(normals)) if format == Format::Obj => held.corner_normals = Some(normals),
+            Some(Normals::PerCorner(normals)) => {
+                held.normals = normals.per_vertex(facets, vertices);
+                if held.normals.is_none() {
+                    held.leave_out("normals (they differ from facet to facet)");
+                }
+            }
+            None => {}
+        }
+        match (attributes.texture(), format) {
+            (Some(_), Format::Stl) => held.leave_out("texture coordinates"),
+            (Some(texture), Format::Obj) => held.corner_uv = Some(texture),
+            (Some(texture), Format::Ply | Format::Off) => {
+                held.uv = texture.per_vertex(facets, vertices);
+                match (&held.uv, format) {
+                    (None, Format::Ply) => held.corner_uv = Some(texture),
+                    (None, _) => held.leave_out("texture coordinates (they have seams)"),
+                    (Some(_), _) => {}
+                }
+            }
+            (None, _) => {}
+        }
+        match (attributes.colours(), format) {
+            (Some(_), Format::Stl) => held.leave_out("colours"),
+            (Some(colours), _) => {
+                held.colours = Some(colours);
+                if format == Format::Obj && colours.values.iter().any(|c| c[3] != 1.0) {
+                    held.leave_out("opacity");
+                }
+            }
+            (None, _) => {}
+        }
+        match format {
+            Format::Ply => held.scalars = attributes.scalars(),
+            _ => attributes.scalars().iter().for_each(|s| held.leave_out(&format!("scalar {}", s.name))),
+        }
+        held
+    }
+
+    fn leave_out(&mut self, what: &str) {
+        self.left_out.push(what.to_owned());
+    }
+}
+
+/// The whole number of 0 to 255 that stands for a colour's component.
+pub(super) fn eight_bit(component: f64) -> u8 {
+    // The cast saturates.
+    (component * 255.0).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn eight_bits_come_back() {
+        for k in 0..=255u8 {
+            assert_eq!(eight_bit(f64::from(k) / 255.0), k);
+        }
+        assert_eq!((eight_bit(-1.0), eight_bit(7.0)), (0, 255));
+    }
+}

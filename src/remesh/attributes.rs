@@ -1,0 +1,150 @@
+//! Attributes of the input, carried to the remesh.
+//!
+//! Purpose: [`provenance`] tells where on the input each vertex of the result lies, [`carry`] brings the input's
+//! attributes there.
+//! Invariant: what is given per vertex is interpolated in the facet and stays between its corners' values. What
+//! is given per corner is taken from one side of a seam for each result facet: no facet's texture spans a seam. The
+//! result depends on the meshes alone, not on threads.
+//! Must not know: how the result came about, files, messages.
+
+mod sides;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::mesh::TriMesh;
+use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, unit};
+use crate::mesh::closest_point::ClosestPoint;
+use sides::{Place, Sides};
+
+/// Where on the input surface a vertex of the result lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Provenance {
+    /// The input's facet.
+    pub facet: u32,
+    /// Barycentric coordinates in it: at least 0, their sum is 1 up to rounding.
+    pub barycentric: [f64; 3],
+}
+
+/// The closest point of the input to each of `positions`.
+pub fn provenance(closest: &ClosestPoint, positions: &[DVec3]) -> Vec<Provenance> {
+    let place = |p: &DVec3| {
+        let point = closest.project(*p);
+        Provenance { facet: point.facet, barycentric: point.barycentric }
+    };
+    positions.par_iter().map(place).collect()
+}
+
+/// The attributes of `result`, whose vertices lie on `mesh` where `provenance` says. `closest` answers for
+/// `mesh`.
+///
+/// Normals come out of unit length: where the interpolated one vanishes, or none is known, it is the
+/// input facet's. Texture coordinates beyond a seam or a border are extrapolated linearly from
+/// the facet at it.
+///
+/// # Errors
+/// `OtherMesh` if the attributes are not `mesh`'s, `Count` if the provenance is not `result`'s.
+pub fn carry(
+    mesh: &TriMesh,
+    attributes: &Attributes,
+    closest: &ClosestPoint,
+    result: &TriMesh,
+    provenance: &[Provenance],
+) -> Result<Attributes, AttributeError> {
+    attributes.check_mesh(mesh)?;
+    let vertices = result.positions().len();
+    if provenance.len() != vertices {
+        let (attribute, count) = ("provenance".to_owned(), provenance.len());
+        return Err(AttributeError::Count { attribute, count, expected: vertices, of: "vertices" });
+    }
+    let mut carried = Attributes::new(result);
+    let facets = mesh.facets();
+    let needs_sides = matches!(attributes.normals(), Some(Normals::PerCorner(_))) || attributes.texture().is_some();
+    let sides = needs_sides.then(|| Sides::new(mesh, closest, result, provenance));
+    match (attributes.normals(), &sides) {
+        (Some(Normals::PerVertex(normals)), _) => {
+            let at = |p: &Provenance| normal(mesh, p.facet, facets[p.facet as usize], normals, p.barycentric);
+            carried.set_normals(Normals::PerVertex(provenance.par_iter().map(at).collect()))?;
+        }
+        (Some(Normals::PerCorner(normals)), Some(sides)) => {
+            let at =
+                |p: &Place| normal(mesh, p.facet, normals.corners[p.facet as usize], &normals.values, p.barycentric);
+            carried.set_normals(Normals::PerCorner(sides.split(normals, at)))?;
+        }
+        _ => {}
+    }
+    if let (Some(texture), Some(sides)) = (attributes.texture(), &sides) {
+        carried.set_texture(sides.split(texture, |p| sides.texture_at(texture, p)))?;
+    }
+    if let Some(Colours { values, depth }) = attributes.colours() {
+        let colour = |p: &Provenance| {
+            let [a, b, c] = facets[p.facet as usize].map(|v| values[v as usize]);
+            std::array::from_fn(|i| between([a[i], b[i], c[i]], p.barycentric))
+        };
+        let values = provenance.par_iter().map(colour).collect();
+        carried.set_colours(Colours { values, depth: *depth })?;
+    }
+    for scalar in attributes.scalars() {
+        let at = |p: &Provenance| between(facets[p.facet as usize].map(|v| scalar.values[v as usize]), p.barycentric);
+        carried.add_scalar(scalar.name.clone(), provenance.par_iter().map(at).collect())?;
+    }
+    Ok(carried)
+}
+
+/// Interpolated, and despite rounding not outside of what it is interpolated from.
+fn between(values: [f64; 3], weights: [f64; 3]) -> f64 {
+    let [a, b, c] = values;
+    // Halves, so that a sum near the largest double does not overflow on its way.
+    let half = (0.5 * a) * weights[0] + (0.5 * b) * weights[1] + (0.5 * c) * weights[2];
+    (2.0 * half).clamp(a.min(b).min(c), a.max(b).max(c))
+}
+
+/// The normal inside of `facet`, at whose corners are the `normals` with these indices.
+fn normal(mesh: &TriMesh, facet: u32, indices: [u32; 3], normals: &[DVec3], weights: [f64; 3]) -> DVec3 {
+    let [a, b, c] = indices.map(|i| normals[i as usize]);
+    let sum = a * weights[0] + b * weights[1] + c * weights[2];
+    // Shorter than this, rounding decides where it points.
+    if sum.length_squared() > 1e-18 { unit(sum) } else { facet_normal(mesh.corners(facet as usize)) }
+}
+
+/// Of unit length; zero for a facet without area.
+fn facet_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
+    // Scaled first, so that a small surface keeps its normals.
+    let (ab, ac) = (b - a, c - a);
+    let size = ab.abs().max(ac.abs()).max_element();
+    let scale = if size > 0.0 { size } else { 1.0 };
+    unit((ab / scale).cross(ac / scale))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::shapes::Shape;
+
+    #[test]
+    fn interpolation_stays_between_and_keeps_corners() {
+        let third = 1.0 / 3.0;
+        assert_eq!(between([0.1, 0.1, 0.1], [third; 3]), 0.1);
+        assert_eq!(between([0.3, 1e300, -7.0], [1.0, 0.0, 0.0]), 0.3);
+        assert_eq!(between([f64::MAX; 3], [third, third, third + 1e-16]), f64::MAX);
+    }
+
+    #[test]
+    fn where_normals_cancel_the_facets_own_is_taken() {
+        let mesh = Shape::Square.build(2);
+        let opposite = [DVec3::X, DVec3::NEG_X, DVec3::ZERO];
+        assert_eq!(normal(&mesh, 0, [0, 1, 2], &opposite, [0.5, 0.5, 0.0]), DVec3::Z);
+        assert_eq!(normal(&mesh, 0, [0, 1, 2], &opposite, [0.75, 0.25, 0.0]), DVec3::X);
+    }
+
+    #[test]
+    fn attributes_of_another_mesh_are_refused() {
+        let (mesh, other) = (Shape::Plane.build(500), Shape::Square.build(2));
+        let closest = ClosestPoint::new(&mesh);
+        let places = provenance(&closest, other.positions());
+        let wrong = carry(&mesh, &Attributes::new(&other), &closest, &other, &places);
+        assert!(matches!(wrong, Err(AttributeError::OtherMesh { .. })));
+        let short = carry(&mesh, &Attributes::new(&mesh), &closest, &other, &places[1..]);
+        assert!(matches!(short, Err(AttributeError::Count { .. })));
+    }
+}

@@ -1,0 +1,236 @@
+//! What a surface carries, as messages.
+//!
+//! Purpose: [`check`] takes headers, [`collect`] uploaded arrays; [`headers`] and [`chunks`] make messages. The
+//! client of the command line uses them too, the other way round.
+//! Invariant: an attribute is known by its place in the list of headers, in errors and in chunks.
+//! Must not know: streams, jobs, how attributes get to a result.
+
+use glam::{DVec2, DVec3};
+
+use super::RequestError;
+use super::assemble::UploadedAttribute;
+use super::convert::{self, facet_chunks, number_chunks, point_chunks};
+use super::limits::{MeshCounts, within};
+use super::proto::{ArrayKind, AttributeHeader, AttributeKind, AttributeType, Chunk};
+use crate::mesh::TriMesh;
+use crate::mesh::attributes::{
+    AttributeError, Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar, check_name,
+};
+
+/// The most attributes of a surface.
+const MOST: usize = 256;
+
+/// A header that makes sense.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct AttributeCounts {
+    pub(crate) kind: AttributeKind,
+    pub(crate) name: String,
+    /// Values, numbers of each, and bytes of a number.
+    pub(crate) values: u64,
+    pub(crate) numbers: u64,
+    pub(crate) number_bytes: u64,
+    pub(crate) by_corner: bool,
+}
+
+impl AttributeCounts {
+    /// Of the values and of the corners. The latter is `Unspecified` where there are none.
+    pub(crate) fn array_kinds(&self) -> (ArrayKind, ArrayKind) {
+        match self.kind {
+            AttributeKind::Normals => (ArrayKind::Normals, ArrayKind::NormalCorners),
+            AttributeKind::TextureCoordinates => (ArrayKind::TextureCoordinates, ArrayKind::TextureCorners),
+            AttributeKind::Colours => (ArrayKind::Colours, ArrayKind::Unspecified),
+            AttributeKind::Scalar | AttributeKind::Unspecified => (ArrayKind::Scalars, ArrayKind::Unspecified),
+        }
+    }
+}
+
+/// Checks what is said of a mesh before anything of it arrives.
+pub(crate) fn check(headers: &[AttributeHeader], mesh: MeshCounts) -> Result<Vec<AttributeCounts>, RequestError> {
+    if headers.len() > MOST {
+        return Err(RequestError::field("header.attributes", format!("has {} entries; {MOST} may be", headers.len())));
+    }
+    let mut all: Vec<AttributeCounts> = Vec::with_capacity(headers.len());
+    for (i, header) in headers.iter().enumerate() {
+        let counts = check_one(i, header, mesh)?;
+        if all.iter().any(|other| (other.kind, &other.name) == (counts.kind, &counts.name)) {
+            let text = "is a second one of its kind and name";
+            return Err(RequestError::field(format!("header.attributes[{i}]"), text));
+        }
+        all.push(counts);
+    }
+    Ok(all)
+}
+
+fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<AttributeCounts, RequestError> {
+    let path = |field: &str| format!("header.attributes[{i}].{field}");
+    let unknown = |field: &str, value: i32| RequestError::unknown_enum(&path(field), value);
+    let AttributeHeader { kind, name, r#type, values, by_corner } = header.clone();
+    let kind = match AttributeKind::try_from(kind) {
+        Ok(AttributeKind::Unspecified) | Err(_) => return Err(unknown("kind", kind)),
+        Ok(kind) => kind,
+    };
+    let number_bytes = match AttributeType::try_from(r#type) {
+        Ok(AttributeType::F32) => 4,
+        Ok(AttributeType::F64 | AttributeType::Unspecified) => 8,
+        Ok(AttributeType::U8) if kind == AttributeKind::Colours => 1,
+        Ok(AttributeType::U8) => return Err(RequestError::field(path("type"), "is U8, which colours alone may be")),
+        Err(_) => return Err(unknown("type", r#type)),
+    };
+    if kind == AttributeKind::Scalar {
+        check_name(&name).map_err(|error| RequestError::field(path("name"), error.to_string()))?;
+    } else if !name.is_empty() {
+        return Err(RequestError::field(path("name"), "is given; scalars alone have names"));
+    }
+    let (numbers, by_corner) = match kind {
+        AttributeKind::Normals => (3, by_corner),
+        AttributeKind::TextureCoordinates => (2, true),
+        AttributeKind::Colours => (4, false),
+        AttributeKind::Scalar | AttributeKind::Unspecified => (1, false),
+    };
+    match by_corner {
+        // More values than corners cannot be of use, and would get around the limit on facets.
+        true => within(&path("values"), values, 1, 3 * mesh.facets)?,
+        false if values != mesh.vertices => {
+            let text = format!("is {values}; give one value for each of the {} vertices", mesh.vertices);
+            return Err(RequestError::field(path("values"), text));
+        }
+        false => {}
+    }
+    Ok(AttributeCounts { kind, name, values, numbers, number_bytes, by_corner })
+}
+
+/// Attributes of what was uploaded.
+pub(crate) fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Result<Attributes, RequestError> {
+    let mut attributes = Attributes::new(mesh);
+    for (i, UploadedAttribute { counts, numbers, corners }) in uploaded.into_iter().enumerate() {
+        let points = || numbers.as_chunks::<3>().0.iter().map(|&n| DVec3::from_array(n)).collect();
+        let taken = match counts.kind {
+            AttributeKind::Normals if counts.by_corner => {
+                attributes.set_normals(Normals::PerCorner(PerCorner { values: points(), corners }))
+            }
+            AttributeKind::Normals => attributes.set_normals(Normals::PerVertex(points())),
+            AttributeKind::TextureCoordinates => {
+                let values = numbers.as_chunks::<2>().0.iter().map(|&uv| DVec2::from_array(uv)).collect();
+                attributes.set_texture(PerCorner { values, corners })
+            }
+            AttributeKind::Colours => {
+                let depth = if counts.number_bytes == 1 { ColourDepth::Eight } else { ColourDepth::Float };
+                attributes.set_colours(Colours { values: numbers.as_chunks::<4>().0.to_vec(), depth })
+            }
+            AttributeKind::Scalar | AttributeKind::Unspecified => attributes.add_scalar(counts.name, numbers),
+        };
+        taken.map_err(|error| {
+            let path = match &error {
+                AttributeError::NonFinite { index, .. } => format!("mesh.attributes[{i}].values[{index}]"),
+                AttributeError::IndexOutOfRange { facet, corner, .. } => {
+                    format!("mesh.attributes[{i}].corners[{facet}][{corner}]")
+                }
+                _ => format!("mesh.attributes[{i}]"),
+            };
+            RequestError::field(path, error.to_string())
+        })?;
+    }
+    Ok(attributes)
+}
+
+/// Headers of all that there is.
+pub(crate) fn headers(attributes: &Attributes) -> Vec<AttributeHeader> {
+    let mut all = Vec::new();
+    let mut push = |kind: AttributeKind, name: &str, values: usize, by_corner, r#type: AttributeType| {
+        let (kind, r#type) = (kind.into(), r#type.into());
+        all.push(AttributeHeader { kind, name: name.to_owned(), r#type, values: values as u64, by_corner });
+    };
+    match attributes.normals() {
+        Some(Normals::PerVertex(n)) => push(AttributeKind::Normals, "", n.len(), false, AttributeType::F64),
+        Some(Normals::PerCorner(n)) => push(AttributeKind::Normals, "", n.values.len(), true, AttributeType::F64),
+        None => {}
+    }
+    if let Some(texture) = attributes.texture() {
+        push(AttributeKind::TextureCoordinates, "", texture.values.len(), true, AttributeType::F64);
+    }
+    if let Some(Colours { values, depth }) = attributes.colours() {
+        let kind = if *depth == ColourDepth::Eight { AttributeType::U8 } else { AttributeType::F64 };
+        push(AttributeKind::Colours, "", values.len(), false, kind);
+    }
+    for Scalar { name, values } in attributes.scalars() {
+        push(AttributeKind::Scalar, name, values.len(), false, AttributeType::F64);
+    }
+    all
+}
+
+/// Headers of all that there is, in the order in which a request named it.
+pub(crate) fn headers_like(attributes: &Attributes, request: &[AttributeHeader]) -> Vec<AttributeHeader> {
+    let all = headers(attributes);
+    let same = |a: &AttributeHeader, b: &AttributeHeader| (a.kind, &a.name) == (b.kind, &b.name);
+    request.iter().filter_map(|asked| all.iter().find(|header| same(header, asked)).cloned()).collect()
+}
+
+/// Chunks of some arrays, made one at a time.
+type Chunks<'a> = Box<dyn Iterator<Item = Chunk> + Send + 'a>;
+
+/// All arrays of `attributes`, under the places that `headers` gives them.
+pub(crate) fn chunks<'a>(attributes: &'a Attributes, headers: &[AttributeHeader]) -> Vec<Chunks<'a>> {
+    let mut all: Vec<Chunks<'a>> = Vec::new();
+    match attributes.normals() {
+        Some(Normals::PerVertex(normals)) => all.push(Box::new(point_chunks(ArrayKind::Normals, normals))),
+        Some(Normals::PerCorner(normals)) => {
+            all.push(Box::new(point_chunks(ArrayKind::Normals, &normals.values)));
+            all.push(Box::new(facet_chunks(ArrayKind::NormalCorners, &normals.corners)));
+        }
+        None => {}
+    }
+    if let Some(texture) = attributes.texture() {
+        let put = |uv: &DVec2, out: &mut Vec<u8>| {
+            uv.to_array().iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
+        };
+        all.push(Box::new(convert::chunks(ArrayKind::TextureCoordinates, &texture.values, 16, put)));
+        all.push(Box::new(facet_chunks(ArrayKind::TextureCorners, &texture.corners)));
+    }
+    if let Some(Colours { values, depth }) = attributes.colours() {
+        match depth {
+            ColourDepth::Eight => {
+                let put = |colour: &[f64; 4], out: &mut Vec<u8>| out.extend(colour.map(|x| (x * 255.0).round() as u8));
+                all.push(Box::new(convert::chunks(ArrayKind::Colours, values, 4, put)));
+            }
+            ColourDepth::Float => all.push(Box::new(number_chunks(ArrayKind::Colours, values.as_flattened()))),
+        }
+    }
+    for Scalar { name, values } in attributes.scalars() {
+        let is_it = |h: &AttributeHeader| h.kind == i32::from(AttributeKind::Scalar) && h.name == *name;
+        let Some(attribute) = headers.iter().position(is_it).and_then(|i| u32::try_from(i).ok()) else { continue };
+        let numbers = number_chunks(ArrayKind::Scalars, values);
+        all.push(Box::new(numbers.map(move |chunk| Chunk { attribute, ..chunk })));
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(kind: AttributeKind, values: u64) -> AttributeHeader {
+        let name = if kind == AttributeKind::Scalar { "a".to_owned() } else { String::new() };
+        AttributeHeader { kind: kind.into(), values, name, ..AttributeHeader::default() }
+    }
+
+    #[test]
+    fn headers_are_checked_before_anything_arrives() {
+        let mesh = MeshCounts { vertices: 4, facets: 2, coordinate_bytes: 8, ..MeshCounts::default() };
+        let path = |headers: &[AttributeHeader]| match check(headers, mesh) {
+            Err(RequestError::Field { path, .. }) => path,
+            other => panic!("{other:?}"),
+        };
+        let scalar = header(AttributeKind::Scalar, 4);
+        let all = [header(AttributeKind::TextureCoordinates, 6), scalar.clone(), header(AttributeKind::Colours, 4)];
+        assert_eq!(check(&all, mesh).unwrap().len(), 3);
+        assert_eq!(path(&[scalar.clone(), scalar.clone()]), "header.attributes[1]");
+        assert_eq!(path(&[header(AttributeKind::Normals, 3)]), "header.attributes[0].values");
+        assert_eq!(path(&[header(AttributeKind::TextureCoordinates, 7)]), "header.attributes[0].values");
+        assert_eq!(path(&[header(AttributeKind::TextureCoordinates, 0)]), "header.attributes[0].values");
+        assert_eq!(path(&[header(AttributeKind::Unspecified, 4)]), "header.attributes[0].kind");
+        assert_eq!(path(&[AttributeHeader { name: "a b".into(), ..scalar.clone() }]), "header.attributes[0].name");
+        assert_eq!(path(&[AttributeHeader { r#type: 3, ..scalar.clone() }]), "header.attributes[0].type");
+        assert_eq!(path(&[AttributeHeader { r#type: 9, ..scalar.clone() }]), "header.attributes[0].type");
+        assert_eq!(path(&vec![scalar; 257]), "header.attributes");
+    }
+}
