@@ -1,5 +1,6 @@
 // Puts every seed where its cell of the grid is. Within a cell they are in no order; every stage that
-// looks through cells takes the least of a strict order, so it does not matter.
+// looks through cells takes the least of a strict order, so it does not matter. Until `twins` writes it, the
+// last word is the cell: what another stage computes for it may differ by a rounding.
 
 #import shared/types
 #import shared/state
@@ -19,5 +20,5 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
         return;
     }
     let seed = seeds[i];
-    sorted[cells[seed.row_length] + seed.row_begin] = Sorted(seed.hi, i, seed.lo, i);
+    sorted[cells[seed.row_length] + seed.row_begin] = Sorted(seed.hi, i, seed.lo, seed.row_length);
 }

@@ -19,7 +19,7 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     let hi = sorted[own].hi;
     let lo = sorted[own].lo;
     let seed = sorted[own].seed;
-    let cell = cell_at(place_of(hi + lo));
+    let cell = sorted[own].first;
     var first = seed;
     for (var at = cells[cell]; at < cells[cell + 1u]; at += 1u) {
         let b = (sorted[at].hi - hi) + (sorted[at].lo - lo);
@@ -27,8 +27,8 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
             first = min(first, sorted[at].seed);
         }
     }
+    sorted[own].first = first;
     if first != seed {
-        sorted[own].first = first;
         atomicAdd(&state.twins, 1u);
     }
 }

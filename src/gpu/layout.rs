@@ -258,9 +258,9 @@ pub const DOTS: usize = 3 * (2 * PAIRS + 1);
 
 /// Splits a double into upper and lower floats. Below 2048 the upper part is a multiple of
 /// 2⁻¹², so that differences of upper parts are exact, and the lower part adds 24 bits to it. It is a
-/// multiple of 2⁻⁴⁸, so that no square of a difference is below what a float holds in full.
+/// multiple of 2⁻⁵², so that no square of a difference is below what a float holds in full.
 pub fn split(p: [f64; 3]) -> ([f32; 3], [f32; 3]) {
-    const LEAST: f64 = (1u64 << 48) as f64;
+    const LEAST: f64 = (1u64 << 52) as f64;
     let hi = p.map(|x| if x.abs() < 2048.0 { ((x * 4096.0).round() / 4096.0) as f32 } else { x as f32 });
     let lo = [0, 1, 2].map(|k| (((p[k] - f64::from(hi[k])) * LEAST).round() / LEAST) as f32);
     (hi, lo)

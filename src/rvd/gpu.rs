@@ -190,8 +190,9 @@ struct GpuSession {
     rows: Rows,
     /// The device has their facets' first cells.
     started: bool,
-    /// Later twins among them.
+    /// Later twins among them, and whether some of those are none in f64.
     twins: u64,
+    merged: bool,
     scales: fixed::Scales,
     /// (facet, first cell) of every facet that is not degenerate, by facet; cells as far as the host knows them.
     roots: Vec<[u32; 2]>,
@@ -258,6 +259,7 @@ impl GpuSession {
             rows: Rows::Missing,
             started: false,
             twins: 0,
+            merged: false,
             scales: fixed::Scales::default(),
             roots,
             host: HostCopy::default(),
@@ -374,7 +376,7 @@ impl GpuSession {
         let begin = Instant::now();
         self.download_sums(out)?;
         stats.update_ms += elapsed_ms(begin);
-        if !self.covers(out.area.iter().sum(), 0..self.facets.len() as u32) {
+        if self.merged || !self.covers(out.area.iter().sum(), 0..self.facets.len() as u32) {
             stats = self.sums_in_f64(out, stats, cancel)?;
         }
         self.meter(before, &mut stats);

@@ -61,7 +61,7 @@ impl GpuSession {
         out.sort();
         stats.pairs = out.len() as u64;
         stats.update_ms += elapsed_ms(begin);
-        if !self.covers((0..out.len()).map(|i| out.area(i)).sum(), facets.clone()) {
+        if self.merged || !self.covers((0..out.len()).map(|i| out.area(i)).sum(), facets.clone()) {
             stats = self.pieces_in_f64(facets, out, stats, cancel)?;
         }
         self.meter(before, &mut stats);

@@ -18,6 +18,7 @@ use crate::gpu::buffers;
 use crate::gpu::layout::{self, COMPLETE, Figures, INDEX, NONE, State, halt};
 use crate::gpu::plan::{Limits, grid_cells};
 use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, Threads};
+use crate::mesh::coincident;
 use crate::rvd::start::Starts;
 use crate::rvd::{CancelFlag, RvdError, Session, SessionOptions, Surface, check_seed};
 
@@ -159,6 +160,7 @@ impl GpuSession {
         self.started = false;
         self.host.fresh = false;
         self.host.far = false;
+        self.merged = false;
         self.scales = fixed::Scales::new(self.mass, self.surface.area(), COVERING_RADIUS);
         self.walker.reset();
     }
@@ -283,6 +285,9 @@ impl GpuSession {
         }
         self.rows = Rows::Device;
         self.twins = u64::from(state.twins);
+        // Seeds that the device cannot tell apart and the host can are for the host.
+        self.merged =
+            self.twins > 0 && self.place == Place::Set && coincident::find(&self.seeds).len() as u64 != self.twins;
         Ok(true)
     }
 
@@ -313,6 +318,7 @@ impl GpuSession {
     fn search_on_host(&mut self, far: bool, cancel: &CancelFlag) -> Result<(), RvdError> {
         self.host_searches += 1;
         self.fetch_records()?;
+        let seeds = &self.seeds;
         let host = &mut self.host;
         host.far = far;
         host.seen.clear();
@@ -326,6 +332,8 @@ impl GpuSession {
             return Err(RvdError::Cancelled);
         }
         self.twins = host.index.duplicates() as u64;
+        self.merged =
+            !far && self.twins > 0 && self.place == Place::Set && coincident::find(seeds).len() as u64 != self.twins;
         let rows: Vec<NeighbourRow> = (0..host.seen.len() as u32)
             .into_par_iter()
             .map(|i| {
