@@ -19,12 +19,15 @@
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let index = id.x + id.y * groups.x * 64u;
-    if index >= params.propose_count {
+    if index >= params.propose_count || atomicLoad(&state.halt) != 0u {
         return;
     }
     let pair = proposals[params.propose_begin + index];
     let facet = pair.x;
     let seed = pair.y;
+    if seed == NONE {
+        return;
+    }
     let outcome = insert_cell(facets[facet].slot_begin, facets[facet].slot_mask & ~CELLED, seed, 0u);
     if outcome == INSERTED {
         append_pair(facet, seed | params.propose_root);

@@ -14,7 +14,7 @@ pub mod layout;
 pub mod plan;
 pub mod shader;
 
-pub use device::{AdapterSummary, Device, DeviceOptions, adapters};
+pub use device::{AdapterSummary, Device, DeviceOptions, Traffic, adapters};
 
 /// What can go wrong on a device.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -194,6 +194,17 @@ pub struct PassStats {
     pub clip_ms: f64,
     /// Moving results to where the caller reads them.
     pub update_ms: f64,
+    /// Rows of neighbours and first cells that a GPU session's host made, because the device could not
+    /// prove its own: passes that did so.
+    pub host_searches: u64,
+    /// Command buffers handed to the device.
+    pub device_submissions: u64,
+    /// Buffers allocated on the device.
+    pub device_allocations: u64,
+    /// Bytes written to the device.
+    pub uploaded_bytes: u64,
+    /// Bytes read back from it.
+    pub read_back_bytes: u64,
 }
 
 impl PassStats {
@@ -215,6 +226,11 @@ impl PassStats {
         self.start_ms += other.start_ms;
         self.clip_ms += other.clip_ms;
         self.update_ms += other.update_ms;
+        self.host_searches += other.host_searches;
+        self.device_submissions += other.device_submissions;
+        self.device_allocations += other.device_allocations;
+        self.uploaded_bytes += other.uploaded_bytes;
+        self.read_back_bytes += other.read_back_bytes;
     }
 }
 
@@ -321,14 +337,17 @@ pub(crate) fn check_seeds(seeds: &[DVec3], limit: usize) -> Result<(), RvdError>
     if seeds.len() > limit {
         return Err(RvdError::TooManySeeds { given: seeds.len(), limit });
     }
-    for (seed, p) in seeds.iter().enumerate() {
-        if !p.is_finite() {
-            return Err(RvdError::NonFiniteSeed { seed });
-        }
-        let boxes = p.abs().max_element();
-        if boxes > MAX_SEED_DISTANCE {
-            return Err(RvdError::SeedTooFar { seed, boxes });
-        }
+    seeds.iter().enumerate().try_for_each(|(seed, &p)| check_seed(seed, p))
+}
+
+/// What every session checks of one seed.
+fn check_seed(seed: usize, p: DVec3) -> Result<(), RvdError> {
+    if !p.is_finite() {
+        return Err(RvdError::NonFiniteSeed { seed });
+    }
+    let boxes = p.abs().max_element();
+    if boxes > MAX_SEED_DISTANCE {
+        return Err(RvdError::SeedTooFar { seed, boxes });
     }
     Ok(())
 }

@@ -11,7 +11,8 @@ fn parse(stage: &str, slots: i64, array: i64) -> naga::Module {
 }
 
 fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module {
-    let source = compose(stage, &[("SLOTS", slots), ("ARRAY", array), ("SHARED", shared)]).unwrap();
+    let constants = [("SLOTS", slots), ("ARRAY", array), ("SHARED", shared), ("ROW", i64::from(layout::ROW))];
+    let source = compose(stage, &constants).unwrap();
     let module = naga::front::wgsl::parse_str(&source)
         .unwrap_or_else(|e| panic!("{stage}, {slots} slots:\n{}", e.emit_to_string(&source)));
     Validator::new(ValidationFlags::all(), Capabilities::empty())
@@ -101,10 +102,44 @@ fn records_have_one_layout() {
             polygon,
             accumulate,
             grid,
-            padding0
+            zero,
+            seeds,
+            row,
+            side,
+            roots
         }
     );
-    same_layout!(&clip, State { head, begin, end, length, failures, pieces, list_overflow, cells_overflow });
+    same_layout!(
+        &clip,
+        State {
+            head,
+            begin,
+            end,
+            length,
+            failures,
+            pieces,
+            list_overflow,
+            cells_overflow,
+            halt,
+            near,
+            twins,
+            unproved,
+            bad,
+            cursor,
+            padding0,
+            padding1
+        }
+    );
+    same_layout!(&parse("search", 10, 0), Sorted { hi, seed, lo, first });
+    let tally = parse("tally", 10, 0);
+    same_layout!(
+        &tally,
+        Motion { seeds, groups, step, slot, directed, uniform_weights, moment_per_mass, gradient_unit, coefficients }
+    );
+    same_layout!(
+        &tally,
+        Figures { energy_low, energy_high, area_low, area_high, empty, gradient_squared, slope, padding }
+    );
 }
 
 #[test]
@@ -123,6 +158,21 @@ fn constants_agree() {
         format!("const TWO_PHASE: u32 = {}u;", layout::accumulate::TWO_PHASE),
         format!("const NOWHERE: u32 = {}u;", layout::accumulate::NOWHERE),
         format!("const FACET_EDGE: u32 = {:#x}u;", tessera::rvd::cells::FACET_EDGE),
+    ] {
+        assert!(text.contains(&line), "{line}");
+    }
+    let constants = [("ROW", i64::from(layout::ROW))];
+    let all = ["count", "propose", "search", "products", "centroids", "dots"];
+    let text: String = all.iter().map(|stage| compose(stage, &constants).unwrap()).collect();
+    for line in [
+        format!("const NONE: u32 = {:#x}u;", layout::NONE),
+        format!("const BAD: u32 = {}u;", layout::halt::BAD),
+        format!("const FAR: u32 = {}u;", layout::halt::FAR),
+        format!("const CROWDED: u32 = {}u;", layout::halt::CROWDED),
+        format!("const PAIRS: u32 = {}u;", layout::PAIRS),
+        format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
+        format!("const ACCEPTED: f32 = {:e};", tessera::rvd::MAX_SEED_DISTANCE),
+        format!("var<storage, read_write> dots: array<f32, {}>;", layout::DOTS),
     ] {
         assert!(text.contains(&line), "{line}");
     }

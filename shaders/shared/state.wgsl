@@ -14,4 +14,22 @@ struct State {
     pieces: atomic<u32>,
     list_overflow: atomic<u32>,
     cells_overflow: atomic<u32>,
+    // Why the search did not go on; 0 if it did.
+    halt: atomic<u32>,
+    // 1 if a seed is near the surface's box.
+    near: atomic<u32>,
+    // Seeds that lie on an earlier one.
+    twins: atomic<u32>,
+    // Facets whose first cell could not be proved.
+    unproved: atomic<u32>,
+    // 2^32 - 1 less the first seed that is not finite or beyond the range; 0 if there is none.
+    bad: atomic<u32>,
+    // Entries of the sorted seeds that are given out.
+    cursor: atomic<u32>,
+    padding0: u32,
+    padding1: u32,
 }
+
+const BAD: u32 = 1u;
+const FAR: u32 = 2u;
+const CROWDED: u32 = 4u;

@@ -52,7 +52,14 @@ struct Params {
     accumulate: u32,
     // Grid cells along each side of the unit box, for `reach`.
     grid: u32,
-    padding0: u32,
+    // Zero, which the compiler cannot know.
+    zero: u32,
+    // Seeds; entries of a row as the search writes it; cells along each side of the grid of seeds;
+    // facets that have a first cell.
+    seeds: u32,
+    row: u32,
+    side: u32,
+    roots: u32,
 }
 
 const COMPLETE: u32 = 0x80000000u;
@@ -65,6 +72,9 @@ const CELLED: u32 = 0x80000000u;
 const PIECE: u32 = 0x80000000u;
 // In a slot: a cell nearer to the facet's centroid has named this one as its neighbour.
 const NAMED: u32 = 0x80000000u;
+
+// A proposal that is not known.
+const NONE: u32 = 0xffffffffu;
 
 const DIRECT: u32 = 0u;
 const TWO_PHASE: u32 = 1u;

@@ -11,7 +11,7 @@ use std::sync::mpsc;
 use bytemuck::{NoUninit, Pod};
 use wgpu::BufferUsages as Usage;
 
-use super::plan::Plan;
+use super::plan::{MotionPlan, Plan};
 use super::{Device, GpuError};
 
 /// Bytes that are handed to the queue between two submissions.
@@ -50,6 +50,10 @@ pub struct Buffers {
     pub labels: wgpu::Buffer,
     /// Grid of facets.
     pub near: wgpu::Buffer,
+    /// Grid of seeds.
+    pub cells: wgpu::Buffer,
+    /// Seeds in its order.
+    pub sorted: wgpu::Buffer,
     staging: wgpu::Buffer,
     plan: Plan,
 }
@@ -85,6 +89,8 @@ impl Buffers {
             vertices: make("vertices", plan.vertices_bytes, storage)?,
             labels: make("labels", plan.labels_bytes, storage)?,
             near: make("near", plan.near_bytes, storage)?,
+            cells: make("cells", plan.cells_bytes, storage)?,
+            sorted: make("sorted", plan.sorted_bytes, storage)?,
             staging: make("staging", plan.staging_bytes, Usage::MAP_READ | Usage::COPY_DST)?,
             plan,
         })
@@ -124,18 +130,44 @@ impl Buffers {
     pub fn read_with<T: Pod>(
         &self,
         device: &Device,
-        mut encoder: wgpu::CommandEncoder,
+        encoder: wgpu::CommandEncoder,
         buffer: &wgpu::Buffer,
         range: Range<usize>,
         show: impl FnOnce(&[T]),
     ) -> Result<(), GpuError> {
-        let bytes = (range.len() * size_of::<T>()) as u64;
+        let (first, bytes) = ((range.start * size_of::<T>()) as u64, (range.len() * size_of::<T>()) as u64);
+        self.read_parts(device, encoder, &[(buffer, first, bytes)], |view| match bytemuck::try_cast_slice(view) {
+            Ok(values) => show(values),
+            // A mapped range is aligned to 8 bytes; the copy serves a driver that aligns less.
+            Err(_) => {
+                let copy: Vec<T> = view.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect();
+                show(&copy);
+            }
+        })
+    }
+
+    /// Ends `encoder` with copies of (buffer, first byte, bytes), which must fit the staging buffer
+    /// together, submits, waits, and shows them one behind the other.
+    ///
+    /// # Errors
+    /// Those of [`Device::run`].
+    pub fn read_parts(
+        &self,
+        device: &Device,
+        mut encoder: wgpu::CommandEncoder,
+        parts: &[(&wgpu::Buffer, u64, u64)],
+        show: impl FnOnce(&[u8]),
+    ) -> Result<(), GpuError> {
+        let mut bytes = 0;
+        for &(buffer, first, length) in parts.iter().filter(|part| part.2 > 0) {
+            encoder.copy_buffer_to_buffer(buffer, first, &self.staging, bytes, length);
+            bytes += length;
+        }
         if bytes == 0 {
             return device.run(encoder);
         }
-        encoder.copy_buffer_to_buffer(buffer, (range.start * size_of::<T>()) as u64, &self.staging, 0, bytes);
-        device.check()?;
-        let index = device.queue().submit([encoder.finish()]);
+        let index = device.submit(encoder)?;
+        device.count_read(bytes);
         let (mapped, answer) = mpsc::sync_channel(1);
         // Refusals reach the flags of the device; this one only says that the bytes are there.
         self.staging.map_async(wgpu::MapMode::Read, 0..bytes, move |r| {
@@ -148,17 +180,78 @@ impl Buffers {
             return Err(GpuError::Failed("a buffer could not be mapped".to_owned()));
         }
         let view = self.staging.get_mapped_range(0..bytes).map_err(|e| GpuError::Failed(e.to_string()))?;
-        match bytemuck::try_cast_slice(&view) {
-            Ok(values) => show(values),
-            // A mapped range is aligned to 8 bytes; the copy serves a driver that aligns less.
-            Err(_) => {
-                let copy: Vec<T> = view.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect();
-                show(&copy);
-            }
-        }
+        show(&view);
         drop(view);
         self.staging.unmap();
         Ok(())
+    }
+}
+
+/// The buffers with which seeds are moved. Fields as in [`MotionPlan`] and in the shaders.
+#[derive(Debug)]
+pub struct MotionBuffers {
+    /// The present point.
+    pub points: wgpu::Buffer,
+    /// Which seeds are held.
+    pub held: wgpu::Buffer,
+    /// The gradient there.
+    pub gradient: wgpu::Buffer,
+    /// The gradient at the trial point.
+    pub ahead: wgpu::Buffer,
+    /// The direction.
+    pub direction: wgpu::Buffer,
+    /// Steps of the history.
+    pub steps: wgpu::Buffer,
+    /// Changes of the gradient.
+    pub changes: wgpu::Buffer,
+    /// Partial sums over cells.
+    pub tallies: wgpu::Buffer,
+    /// Their sum.
+    pub figures: wgpu::Buffer,
+    /// Partial dot products.
+    pub partials: wgpu::Buffer,
+    /// Dot products.
+    pub dots: wgpu::Buffer,
+    /// Parameters.
+    pub motion: wgpu::Buffer,
+    plan: MotionPlan,
+}
+
+impl MotionBuffers {
+    /// Allocates everything, zeroed.
+    ///
+    /// # Errors
+    /// `OutOfMemory` with the bytes of the whole plan.
+    pub fn new(device: &Device, plan: MotionPlan) -> Result<Self, GpuError> {
+        let storage = Usage::STORAGE | Usage::COPY_DST | Usage::COPY_SRC;
+        let make = |label: &str, bytes: u64, usage: Usage| {
+            device.buffer(label, bytes, usage).map_err(|e| match e {
+                GpuError::OutOfMemory { what, limit_bytes, .. } => {
+                    GpuError::OutOfMemory { what, needed_bytes: plan.total_bytes(), limit_bytes }
+                }
+                other => other,
+            })
+        };
+        Ok(Self {
+            points: make("points", plan.points_bytes, storage)?,
+            held: make("held", plan.held_bytes, storage)?,
+            gradient: make("gradient", plan.vector_bytes, storage)?,
+            ahead: make("ahead", plan.vector_bytes, storage)?,
+            direction: make("direction", plan.vector_bytes, storage)?,
+            steps: make("steps", plan.history_bytes, storage)?,
+            changes: make("changes", plan.history_bytes, storage)?,
+            tallies: make("tallies", plan.tallies_bytes, storage)?,
+            figures: make("figures", plan.figures_bytes, storage)?,
+            partials: make("partials", plan.partials_bytes, storage)?,
+            dots: make("dots", plan.dots_bytes, storage)?,
+            motion: make("motion", plan.motion_bytes, Usage::UNIFORM | Usage::COPY_DST)?,
+            plan,
+        })
+    }
+
+    /// What they were made for.
+    pub fn plan(&self) -> &MotionPlan {
+        &self.plan
     }
 }
 
@@ -174,6 +267,7 @@ pub fn write<T: NoUninit>(device: &Device, buffer: &wgpu::Buffer, first: usize, 
             device.run(device.encoder())?;
         }
         device.queue().write_buffer(buffer, offset, portion);
+        device.count_upload(portion.len());
         offset += portion.len() as u64;
     }
     device.check()

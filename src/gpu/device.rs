@@ -7,6 +7,7 @@
 //! Must not know: what is computed.
 
 use std::panic::AssertUnwindSafe;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -146,6 +147,28 @@ fn noted(place: &Mutex<Option<String>>) -> Option<String> {
     place.lock().unwrap_or_else(PoisonError::into_inner).clone()
 }
 
+/// What went to and from a device since it was opened. A difference of two says what a pass did, if no
+/// other session used the device meanwhile.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Traffic {
+    /// Command buffers handed to the queue.
+    pub submissions: u64,
+    /// Buffers allocated.
+    pub allocations: u64,
+    /// Bytes written to buffers.
+    pub uploaded_bytes: u64,
+    /// Bytes mapped for reading.
+    pub read_bytes: u64,
+}
+
+#[derive(Default)]
+struct Meters {
+    submissions: AtomicU64,
+    allocations: AtomicU64,
+    uploaded_bytes: AtomicU64,
+    read_bytes: AtomicU64,
+}
+
 /// An open device. Meant to be used by one thread at a time; shared by `Arc`.
 pub struct Device {
     device: wgpu::Device,
@@ -153,6 +176,7 @@ pub struct Device {
     adapter: AdapterSummary,
     timeout: Duration,
     flags: Arc<Flags>,
+    meters: Meters,
 }
 
 impl std::fmt::Debug for Device {
@@ -197,7 +221,7 @@ impl Device {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&seen.error, error.to_string())));
         let seen = Arc::clone(&flags);
         device.set_device_lost_callback(move |reason, message| note(&seen.lost, format!("{reason:?}: {message}")));
-        Ok(Arc::new(Self { device, queue, adapter: summary, timeout, flags }))
+        Ok(Arc::new(Self { device, queue, adapter: summary, timeout, flags, meters: Meters::default() }))
     }
 
     /// The adapter in use.
@@ -218,6 +242,25 @@ impl Device {
     /// The queue, for writing to buffers.
     pub fn queue(&self) -> &wgpu::Queue {
         &self.queue
+    }
+
+    /// What went to and fro so far.
+    pub fn traffic(&self) -> Traffic {
+        let read = |meter: &AtomicU64| meter.load(Ordering::Relaxed);
+        Traffic {
+            submissions: read(&self.meters.submissions),
+            allocations: read(&self.meters.allocations),
+            uploaded_bytes: read(&self.meters.uploaded_bytes),
+            read_bytes: read(&self.meters.read_bytes),
+        }
+    }
+
+    pub(super) fn count_upload(&self, bytes: usize) {
+        self.meters.uploaded_bytes.fetch_add(bytes as u64, Ordering::Relaxed);
+    }
+
+    pub(super) fn count_read(&self, bytes: u64) {
+        self.meters.read_bytes.fetch_add(bytes, Ordering::Relaxed);
     }
 
     /// What the callbacks saw since the device was opened.
@@ -261,6 +304,7 @@ impl Device {
     pub fn buffer(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer, GpuError> {
         let size = bytes.max(16).next_multiple_of(4);
         let descriptor = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
+        self.meters.allocations.fetch_add(1, Ordering::Relaxed);
         self.scoped(|| self.device.create_buffer(&descriptor)).map_err(|e| match e {
             GpuError::OutOfMemory { .. } => GpuError::OutOfMemory {
                 what: label.to_owned(),
@@ -287,9 +331,15 @@ impl Device {
     /// # Errors
     /// `Timeout`, `Lost`, `Failed`.
     pub fn run(&self, encoder: wgpu::CommandEncoder) -> Result<(), GpuError> {
-        self.check()?;
-        let index = self.queue.submit([encoder.finish()]);
+        let index = self.submit(encoder)?;
         self.wait(Some(index))
+    }
+
+    /// Submits without waiting.
+    pub(super) fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<wgpu::SubmissionIndex, GpuError> {
+        self.check()?;
+        self.meters.submissions.fetch_add(1, Ordering::Relaxed);
+        Ok(self.queue.submit([encoder.finish()]))
     }
 
     /// Waits for a submission (or for the last one) and runs the callbacks that it made due.

@@ -127,8 +127,16 @@ pub struct Params {
     pub accumulate: u32,
     /// Grid cells along each side of the unit box.
     pub grid: u32,
-    /// Zero.
-    pub padding0: u32,
+    /// Zero, which the compiler of the shader cannot know.
+    pub zero: u32,
+    /// Seeds.
+    pub seeds: u32,
+    /// Entries of a row of the table as the search writes it, at most [`ROW`].
+    pub row: u32,
+    /// Cells along each side of the grid of seeds.
+    pub side: u32,
+    /// Facets that have a first cell: entries of the proposals.
+    pub roots: u32,
 }
 
 /// What the host reads between submissions.
@@ -151,14 +159,125 @@ pub struct State {
     pub list_overflow: u32,
     /// Pairs that found their facet's set full.
     pub cells_overflow: u32,
+    /// Why the search did not go on, see [`halt`]; 0 if it did.
+    pub halt: u32,
+    /// 1 if a seed is near the surface's box.
+    pub near: u32,
+    /// Seeds that lie on an earlier one.
+    pub twins: u32,
+    /// Facets whose first cell could not be proved.
+    pub unproved: u32,
+    /// `u32::MAX` less the first seed that is not finite or beyond the range; 0 if there is none.
+    pub bad: u32,
+    /// Entries of the sorted seeds that are given out.
+    pub cursor: u32,
+    /// Zero.
+    pub padding0: u32,
+    /// Zero.
+    pub padding1: u32,
 }
 
+/// A seed in the order of the grid.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Sorted {
+    /// Upper part of the position.
+    pub hi: [f32; 3],
+    /// Which seed.
+    pub seed: u32,
+    /// Position less upper part.
+    pub lo: [f32; 3],
+    /// The earliest seed at the same place.
+    pub first: u32,
+}
+
+/// What the stages that move seeds are told. A uniform.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Motion {
+    /// Seeds.
+    pub seeds: u32,
+    /// Workgroups of a reduction: partial sums.
+    pub groups: u32,
+    /// How far along the direction.
+    pub step: f32,
+    /// Where in the history the new pair goes.
+    pub slot: u32,
+    /// 1 if there is a direction.
+    pub directed: u32,
+    /// 1 if all weights are 1; then mass is area.
+    pub uniform_weights: u32,
+    /// Mass units times this are moment units.
+    pub moment_per_mass: f32,
+    /// Units of the gradient: -2 over the moment's scale.
+    pub gradient_unit: f32,
+    /// Coefficients of the direction: steps, changes of the gradient, the gradient.
+    pub coefficients: [[f32; 4]; 5],
+}
+
+/// What one reduction over the cells says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Figures {
+    /// Σ energy in units, low limb.
+    pub energy_low: u32,
+    /// Its high limb.
+    pub energy_high: u32,
+    /// Σ area in units, low limb.
+    pub area_low: u32,
+    /// Its high limb.
+    pub area_high: u32,
+    /// Cells without area.
+    pub empty: u32,
+    /// Σ |gradient|².
+    pub gradient_squared: f32,
+    /// Σ gradient · direction.
+    pub slope: f32,
+    /// Zero.
+    pub padding: u32,
+}
+
+/// Bits of [`State::halt`].
+pub mod halt {
+    /// A seed is not finite, or farther than any seed may be.
+    pub const BAD: u32 = 1;
+    /// A seed is farther than single precision reaches.
+    pub const FAR: u32 = 2;
+    /// A cell of the grid has more seeds than are worth searching.
+    pub const CROWDED: u32 = 4;
+}
+
+/// Neighbours that the search finds at most.
+pub const ROW: u32 = 24;
+/// A proposal that is not known.
+pub const NONE: u32 = u32::MAX;
+/// Pairs of the history, and one that is not accepted yet.
+pub const PAIRS: usize = 8;
+/// Dot products that one stage makes at most: each step and change and the gradient with three vectors.
+pub const DOTS: usize = 3 * (2 * PAIRS + 1);
+
 /// Splits a double into upper and lower floats. Below 2048 the upper part is a multiple of
-/// 2⁻¹², so that differences of upper parts are exact, and the lower part adds 24 bits to it.
+/// 2⁻¹², so that differences of upper parts are exact, and the lower part adds 24 bits to it. It is a
+/// multiple of 2⁻⁵², so that no square of a difference is below what a float holds in full.
 pub fn split(p: [f64; 3]) -> ([f32; 3], [f32; 3]) {
+    const LEAST: f64 = (1u64 << 52) as f64;
     let hi = p.map(|x| if x.abs() < 2048.0 { ((x * 4096.0).round() / 4096.0) as f32 } else { x as f32 });
-    let lo = [0, 1, 2].map(|k| (p[k] - f64::from(hi[k])) as f32);
+    let lo = [0, 1, 2].map(|k| (((p[k] - f64::from(hi[k])) * LEAST).round() / LEAST) as f32);
     (hi, lo)
+}
+
+impl Seed {
+    /// Where it is for the device.
+    pub fn position(&self) -> [f64; 3] {
+        [0, 1, 2].map(|k| f64::from(self.hi[k]) + f64::from(self.lo[k]))
+    }
+
+    /// Squared distance to `other`, with the bits of `squared` in `shaders/shared/distance.wgsl`: each
+    /// operation rounded once.
+    pub fn key(&self, other: &Self) -> f32 {
+        let [x, y, z] = [0, 1, 2].map(|k| (other.hi[k] - self.hi[k]) + (other.lo[k] - self.lo[k])).map(|b| b * b);
+        (x + y) + z
+    }
 }
 
 #[cfg(test)]

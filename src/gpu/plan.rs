@@ -7,7 +7,7 @@
 
 use super::GpuError;
 use super::device::WORKGROUP;
-use super::layout::{Facet, Params, SUM_WORDS, Seed, State};
+use super::layout::{DOTS, Facet, Figures, Motion, PAIRS, Params, SUM_WORDS, Seed, Sorted, State};
 
 /// Numbers of things that a session holds room for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,6 +28,8 @@ pub struct Counts {
     pub polygon: u64,
     /// Entries of the grid of facets near each place.
     pub near: u64,
+    /// Entries of the grid of seeds.
+    pub cells: u64,
 }
 
 /// What the device allows.
@@ -95,6 +97,10 @@ pub struct Plan {
     pub labels_bytes: u64,
     /// Grid of facets.
     pub near_bytes: u64,
+    /// Grid of seeds.
+    pub cells_bytes: u64,
+    /// Seeds in its order.
+    pub sorted_bytes: u64,
     /// Readback.
     pub staging_bytes: u64,
 }
@@ -126,20 +132,16 @@ impl Plan {
             vertices_bytes,
             labels_bytes: vertices.saturating_mul(4),
             near_bytes: counts.near.saturating_mul(4),
+            cells_bytes: counts.cells.saturating_mul(4),
+            sorted_bytes: counts.seeds.saturating_mul(size_of::<Sorted>() as u64),
             staging_bytes: sums_bytes.max(vertices_bytes).clamp(1 << 16, STAGING_BYTES),
         };
-        let limit_bytes = limits.buffer_bytes.min(limits.binding_bytes);
-        for (what, needed_bytes) in plan.buffers() {
-            // Offsets within a buffer are 32-bit words on the device.
-            if needed_bytes > limit_bytes.min(16 << 30) {
-                return Err(GpuError::NeverFits { what: what.to_owned(), needed_bytes, limit_bytes });
-            }
-        }
+        fits(&plan.buffers(), limits)?;
         Ok(plan)
     }
 
     /// Name and bytes of every buffer.
-    pub fn buffers(&self) -> [(&'static str, u64); 16] {
+    pub fn buffers(&self) -> [(&'static str, u64); 18] {
         [
             ("seeds", self.seeds_bytes),
             ("facets", self.facets_bytes),
@@ -156,6 +158,8 @@ impl Plan {
             ("vertices", self.vertices_bytes),
             ("labels", self.labels_bytes),
             ("near", self.near_bytes),
+            ("cells", self.cells_bytes),
+            ("sorted", self.sorted_bytes),
             ("staging", self.staging_bytes),
         ]
     }
@@ -164,6 +168,112 @@ impl Plan {
     pub fn total_bytes(&self) -> u64 {
         self.buffers().iter().fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
     }
+}
+
+fn fits(buffers: &[(&str, u64)], limits: Limits) -> Result<(), GpuError> {
+    let limit_bytes = limits.buffer_bytes.min(limits.binding_bytes);
+    for &(what, needed_bytes) in buffers {
+        // Offsets within a buffer are 32-bit words on the device.
+        if needed_bytes > limit_bytes.min(16 << 30) {
+            return Err(GpuError::NeverFits { what: what.to_owned(), needed_bytes, limit_bytes });
+        }
+    }
+    Ok(())
+}
+
+/// Workgroups of a reduction at most; each leaves one partial sum.
+pub const REDUCTION_GROUPS: u32 = 256;
+
+/// Bytes of the buffers with which seeds are moved where they are: a session has them once somebody does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MotionPlan {
+    /// The present point.
+    pub points_bytes: u64,
+    /// Which seeds are held.
+    pub held_bytes: u64,
+    /// One vector of three floats a seed: the gradient, that of the trial point, the direction.
+    pub vector_bytes: u64,
+    /// Steps of the history, and as many changes of the gradient.
+    pub history_bytes: u64,
+    /// Partial sums over cells.
+    pub tallies_bytes: u64,
+    /// Their sum.
+    pub figures_bytes: u64,
+    /// Partial dot products.
+    pub partials_bytes: u64,
+    /// Dot products.
+    pub dots_bytes: u64,
+    /// Parameters.
+    pub motion_bytes: u64,
+}
+
+impl MotionPlan {
+    /// For at most `seeds` seeds.
+    ///
+    /// # Errors
+    /// `NeverFits` with the bytes of the first buffer that passes a limit.
+    pub fn new(seeds: u64, limits: Limits) -> Result<Self, GpuError> {
+        let vector_bytes = seeds.saturating_mul(12);
+        let groups = u64::from(REDUCTION_GROUPS);
+        let plan = Self {
+            points_bytes: seeds.saturating_mul(size_of::<Seed>() as u64),
+            held_bytes: seeds.saturating_mul(4),
+            vector_bytes,
+            history_bytes: vector_bytes.saturating_mul(PAIRS as u64),
+            tallies_bytes: groups * size_of::<Figures>() as u64,
+            figures_bytes: size_of::<Figures>() as u64,
+            partials_bytes: groups * DOTS as u64 * 4,
+            dots_bytes: DOTS as u64 * 4,
+            motion_bytes: size_of::<Motion>() as u64,
+        };
+        fits(&plan.buffers(), limits)?;
+        Ok(plan)
+    }
+
+    /// Name and bytes of every buffer.
+    pub fn buffers(&self) -> [(&'static str, u64); 12] {
+        [
+            ("points", self.points_bytes),
+            ("held", self.held_bytes),
+            ("gradient", self.vector_bytes),
+            ("ahead", self.vector_bytes),
+            ("direction", self.vector_bytes),
+            ("steps", self.history_bytes),
+            ("changes", self.history_bytes),
+            ("tallies", self.tallies_bytes),
+            ("figures", self.figures_bytes),
+            ("partials", self.partials_bytes),
+            ("dots", self.dots_bytes),
+            ("motion", self.motion_bytes),
+        ]
+    }
+
+    /// Bytes of all of them.
+    pub fn total_bytes(&self) -> u64 {
+        self.buffers().iter().fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
+    }
+}
+
+/// Workgroups of a reduction over `items`.
+pub fn reduction(items: u64) -> u32 {
+    items.div_ceil(u64::from(WORKGROUP)).clamp(1, u64::from(REDUCTION_GROUPS)) as u32
+}
+
+/// Cells along each side of the grid over the unit box in which `seeds` seeds on a surface of `area` are
+/// searched: three spacings wide, not many more than there are seeds, and at most 160 a side.
+pub fn grid_side(area: f64, seeds: u64) -> u32 {
+    let n = seeds.max(1) as f64;
+    let by_spacing = 1.0 / (CELL_SPACINGS * (area / n).sqrt());
+    by_spacing.min(4.0 * n.cbrt()).clamp(1.0, 160.0) as u32
+}
+
+/// Width of a cell of that grid, in spacings.
+const CELL_SPACINGS: f64 = 3.0;
+
+/// Entries of that grid.
+pub fn grid_cells(side: u32) -> u64 {
+    let side = u64::from(side);
+    side * side * (side + 1)
 }
 
 /// Workgroups in x and y for `items` invocations. The shaders number them row by row.
@@ -190,6 +300,7 @@ mod tests {
             emitted: 65_536,
             polygon: 10,
             near: 9,
+            cells: grid_cells(grid_side(2.0, n)),
         }
     }
 
@@ -210,6 +321,24 @@ mod tests {
     #[test]
     fn absurd_counts_do_not_overflow() {
         assert!(Plan::new(counts(u64::MAX / 32), LIMITS).is_err());
+    }
+
+    #[test]
+    fn a_million_seeds_can_be_moved_within_128_mib_bindings() {
+        let plan = MotionPlan::new(1_000_000, LIMITS).unwrap();
+        assert_eq!(plan.history_bytes, 96_000_000);
+        assert!(MotionPlan::new(u64::MAX / 8, LIMITS).is_err());
+    }
+
+    #[test]
+    fn grids_follow_the_spacing_within_bounds() {
+        assert_eq!(grid_side(2.0, 10_000), 23);
+        assert_eq!(grid_side(2.0, 1), 1);
+        assert_eq!(grid_side(1e-9, 8), 8);
+        assert_eq!(grid_side(2.0, 100_000_000), 160);
+        // More seeds need no smaller grid, so that room for the most is room for all.
+        let sides: Vec<u32> = (0..24).map(|k| grid_side(2.0, 1 << k)).collect();
+        assert!(sides.is_sorted());
     }
 
     #[test]

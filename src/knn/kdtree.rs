@@ -81,6 +81,11 @@ impl SeedIndex {
         self.twin.len()
     }
 
+    /// Whether seed `i` lies exactly on an earlier one.
+    pub fn is_twin(&self, i: u32) -> bool {
+        self.twin.contains_key(&i)
+    }
+
     /// A nearest seed of a point, never a later twin. Among seeds at exactly the same distance
     /// it is any one of them, always the same one.
     pub fn nearest(&self, p: DVec3) -> u32 {

@@ -54,10 +54,18 @@ impl NeighbourTable {
         !stop()
     }
 
-    /// The row of seed `i`, and whether it is complete.
+    /// Takes all rows away.
+    pub fn clear(&mut self) {
+        self.seeds.clear();
+        self.len.clear();
+        self.complete.clear();
+    }
+
+    /// The row of seed `i`, and whether it is complete; of a table without rows an empty one.
     pub fn row(&self, i: u32) -> (&[u32], bool) {
         let i = i as usize;
+        let Some(&len) = self.len.get(i) else { return (&[], false) };
         let start = i * self.k;
-        (&self.seeds[start..start + self.len[i] as usize], self.complete[i])
+        (&self.seeds[start..start + len as usize], self.complete[i])
     }
 }

@@ -3,21 +3,25 @@
 //! Purpose: the GPU backend. The device works on a list of (facet, cell) pairs (\[HYWZ17\],
 //! Algorithms 1 and 2): the nearest seed of each facet begins it, each clipped piece appends the
 //! cells across its bisectors, a hash set per facet keeps them apart, and the sums are added in
-//! fixed point. Indirect dispatches follow the list; the host reads one small block between
-//! submissions and does again, with more of what they lacked, the pairs that did not end.
+//! fixed point. The neighbours and the nearest seeds are found there too (`search`), and seeds can
+//! be moved where they are (`moving`). Indirect dispatches follow the list; the host reads one small
+//! block between submissions and does again, with more of what they lacked, the pairs that did not end.
 //! Invariant: every pair ends `Done` here or in f64; a full set or list means growing and
 //! repeating the pass from zero. Integer sums have no order, so every run has the same bits.
 //! Must not know: iterations, jobs, files.
 
 mod fallback;
 mod fixed;
+mod history;
 mod measure;
+mod moving;
 mod pack;
 mod pass;
 mod pieces;
 mod pipelines;
 mod reach;
 mod relaunch;
+mod search;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -27,20 +31,21 @@ use glam::{DVec3, dvec3};
 
 use super::incident::{Diagram, FacetWalker};
 use super::parallel::Parallel;
-use super::start::Starts;
 use super::{
-    Accumulate, Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session,
-    SessionOptions, Surface, elapsed_ms, take_seeds,
+    Accumulate, Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, Resident, RvdError,
+    Session, SessionOptions, Surface, elapsed_ms, take_seeds,
 };
 use crate::gpu::buffers::{self, Buffers};
-use crate::gpu::layout::{self, Params, SUM_WORDS};
-use crate::gpu::plan::{BATCH, Counts, EXTRA_PROPOSALS, Limits, Plan};
-use crate::gpu::{Device, GpuError};
-use crate::knn::{NeighbourTable, SeedIndex, Threads};
+use crate::gpu::layout::{self, NONE, Params, ROW, SUM_WORDS};
+use crate::gpu::plan::{self, BATCH, Counts, EXTRA_PROPOSALS, Limits, Plan};
+use crate::gpu::{Device, GpuError, Traffic};
 use crate::mesh::TriMesh;
 pub use measure::AccumulationMs;
+use moving::Moving;
 use pass::Wants;
 use pipelines::{Bindings, Pipelines};
+pub use search::Found;
+use search::{HostCopy, Place, Rows};
 
 impl From<GpuError> for RvdError {
     fn from(error: GpuError) -> Self {
@@ -99,6 +104,13 @@ impl Gpu {
         session.sums(&mut sums, &cancel)?;
         let mut batch = PieceBatch::default();
         session.pieces(0..2, &mut batch, &cancel)?;
+        if let Some(seeds) = session.resident() {
+            seeds.evaluate(&cancel)?;
+            seeds.direct()?;
+            seeds.probe(1e-3, &cancel)?;
+            seeds.accept()?;
+            seeds.to_centroids()?;
+        }
         // The middle cell is a regular 24-gon of inradius 0.05.
         let polygon = 24.0 * 0.05 * 0.05 * (std::f64::consts::PI / 24.0).tan();
         let area: f64 = (0..batch.len()).map(|i| batch.area(i)).sum();
@@ -135,13 +147,13 @@ impl Backend for Gpu {
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
         let pool = Arc::clone(&self.pool);
         let mut session = pool.install(|| GpuSession::new(self, surface, options));
-        session.resident()?;
-        Ok(Box::new(super::on_host::OnHost::new(session)))
+        session.on_device()?;
+        Ok(Box::new(session))
     }
 }
 
 /// What lies on the device.
-struct Resident {
+struct OnDevice {
     buffers: Buffers,
     bindings: Bindings,
 }
@@ -167,22 +179,29 @@ struct GpuSession {
     /// Code in [`layout::accumulate`].
     accumulate: u32,
     /// `None` before the first use and while capacities grow.
-    resident: Option<Resident>,
+    on_device: Option<OnDevice>,
 
+    /// The seeds as they were set, and how many there are.
     seeds: Vec<DVec3>,
-    index: SeedIndex,
-    table: NeighbourTable,
-    /// The table and the seeds as on the device, longer rows appended.
-    packed: Vec<u32>,
-    records: Vec<layout::Seed>,
+    count: usize,
+    /// Which seeds the next pass is of.
+    place: Place,
+    /// Who made the rows that the device has for them.
+    rows: Rows,
+    /// The device has their facets' first cells.
+    started: bool,
+    /// Later twins among them, and whether some of those are none in f64.
+    twins: u64,
+    merged: bool,
     scales: fixed::Scales,
-    /// Nearest seed of each facet; kept as a guess when the seeds move.
-    starts: Starts,
-    starts_fresh: bool,
-    /// (facet, first cell) of every facet that is not degenerate, by facet.
+    /// (facet, first cell) of every facet that is not degenerate, by facet; cells as far as the host knows them.
     roots: Vec<[u32; 2]>,
-    /// The tree, the table and the device's copy are not those of `seeds` yet.
-    stale: bool,
+    /// What the host knows of the seeds on the device.
+    host: HostCopy,
+    /// Times that the host searched.
+    host_searches: u64,
+    /// What moves seeds, once somebody does.
+    moving: Option<Moving>,
     walker: FacetWalker,
     pass: pass::PassResult,
 }
@@ -200,6 +219,7 @@ impl GpuSession {
         let percent = capacities.pairs_percent as f64 / 100.0;
         let pairs = (1.5 * expected.iter().sum::<f64>() * percent) as u64 + 1024;
         let k = capacities.neighbours.clamp(1, max_seeds.max(1)) as u64;
+        let side = plan::grid_side(surface.area(), max_seeds as u64);
         let counts = Counts {
             facets: facets.len() as u64,
             seeds: max_seeds as u64,
@@ -209,7 +229,10 @@ impl GpuSession {
             emitted: pairs.min(1 << 16),
             polygon: SLOTS as u64,
             near: grid.near.len() as u64,
+            cells: plan::grid_cells(side),
         };
+        let live = (0..facets.len()).filter(|&f| !surface.skips(f));
+        let roots = live.map(|f| [f as u32, NONE]).collect();
         Self {
             device: Arc::clone(&gpu.device),
             pool: Arc::clone(&gpu.pool),
@@ -229,41 +252,51 @@ impl GpuSession {
                 Accumulate::Direct | Accumulate::Auto => layout::accumulate::DIRECT,
                 Accumulate::TwoPhase => layout::accumulate::TWO_PHASE,
             },
-            resident: None,
+            on_device: None,
             seeds: Vec::new(),
-            index: SeedIndex::new(&[]),
-            table: NeighbourTable::default(),
-            packed: Vec::new(),
-            records: Vec::new(),
+            count: 0,
+            place: Place::Set,
+            rows: Rows::Missing,
+            started: false,
+            twins: 0,
+            merged: false,
             scales: fixed::Scales::default(),
-            starts: Starts::default(),
-            starts_fresh: false,
-            roots: Vec::new(),
-            stale: false,
+            roots,
+            host: HostCopy::default(),
+            host_searches: 0,
+            moving: None,
             walker: FacetWalker::default(),
             pass: pass::PassResult::default(),
         }
     }
 
     /// The buffers; allocated, and filled with all that the host knows, if they are not there.
-    fn resident(&mut self) -> Result<&Resident, RvdError> {
-        if self.resident.is_none() {
+    fn on_device(&mut self) -> Result<&OnDevice, RvdError> {
+        if self.on_device.is_none() {
             let plan = Plan::new(self.counts, Limits::of(&self.device.limits()))?;
             let buffers = Buffers::new(&self.device, plan)?;
             let bindings = Bindings::new(&self.device, &self.pipelines, &buffers)?;
             buffers::write(&self.device, &buffers.facets, 0, &self.facets)?;
-            buffers::write(&self.device, &buffers.seeds, 0, &self.records)?;
-            buffers::write(&self.device, &buffers.table, 0, &self.packed)?;
             buffers::write(&self.device, &buffers.proposals, 0, &self.roots)?;
             buffers::write(&self.device, &buffers.near, 0, &self.grid.near)?;
-            self.resident = Some(Resident { buffers, bindings });
+            if self.rows == Rows::Host {
+                buffers::write(&self.device, &buffers.seeds, 0, &self.host.records)?;
+                buffers::write(&self.device, &buffers.table, 0, &self.host.packed)?;
+            }
+            self.on_device = Some(OnDevice { buffers, bindings });
         }
-        self.resident.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))
+        self.on_device.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))
     }
 
-    /// Frees the buffers; [`Self::resident`] makes larger ones.
+    /// Frees the buffers; [`Self::on_device`] makes larger ones. What the device found is found again.
     fn release(&mut self) -> Result<(), RvdError> {
-        self.resident = None;
+        self.on_device = None;
+        if let Some(moving) = &mut self.moving {
+            moving.unbind();
+        }
+        if self.rows != Rows::Host {
+            self.moved();
+        }
         // Memory comes back once the device has seen that nothing uses it.
         Ok(self.device.run(self.device.encoder())?)
     }
@@ -280,94 +313,102 @@ impl GpuSession {
             polygon: self.pass.polygon,
             accumulate: self.accumulate,
             grid: self.grid.side,
+            seeds: self.count as u32,
+            row: self.capacities.neighbours.clamp(1, ROW as usize) as u32,
+            side: plan::grid_side(self.surface.area(), self.count as u64),
+            roots: self.roots.len() as u32,
             ..Params::default()
         }
     }
 
+    /// For the pairs that the host does; [`Self::view`] comes before.
     fn diagram(&self) -> Diagram<'_> {
-        Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table }
+        let HostCopy { seen, index, table, .. } = &self.host;
+        Diagram { surface: &self.surface, seeds: seen, index, table }
     }
 
-    /// The tree, the table and the device's copy of new seeds.
-    fn refresh(&mut self, cancel: &CancelFlag, stats: &mut PassStats) -> Result<(), RvdError> {
-        if self.seeds.is_empty() {
-            return Err(RvdError::NoSeeds);
-        }
-        if !self.stale {
-            return Ok(());
-        }
-        let begin = Instant::now();
-        self.index = SeedIndex::new(&self.seeds);
-        if !self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool, &|| cancel.is_cancelled()) {
-            return Err(RvdError::Cancelled);
-        }
-        self.walker.reset();
-        self.promote()?;
-        stats.neighbours_ms = elapsed_ms(begin);
-        let begin = Instant::now();
-        pack::seeds(&self.seeds, &self.table, &mut self.records, &mut self.packed);
-        self.scales = fixed::Scales::new(self.mass, self.surface.area(), fixed::covering_radius(&self.seeds));
-        self.starts_fresh = false;
-        self.resident()?;
-        if let Some(Resident { buffers, .. }) = &self.resident {
-            buffers::write(&self.device, &buffers.seeds, 0, &self.records)?;
-            buffers::write(&self.device, &buffers.table, 0, &self.packed)?;
-        }
-        self.stale = false;
-        stats.update_ms = elapsed_ms(begin);
-        Ok(())
-    }
-
-    /// Statistics of a pass that begins: new seeds' tables, and the first cells.
+    /// Statistics of a pass that begins: rows and first cells, in submissions of their own, so that
+    /// they can be timed.
     fn begin_pass(&mut self, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
         let mut stats = PassStats::default();
-        self.refresh(cancel, &mut stats)?;
-        stats.duplicate_seeds = self.index.duplicates() as u64;
-        if !self.starts_fresh {
-            let begin = Instant::now();
-            let mut starts = std::mem::take(&mut self.starts);
-            starts.find(self.diagram(), 0..self.facets.len() as u32);
-            self.starts = starts;
-            self.roots.clear();
-            let live = self.starts.seeds().iter().enumerate().filter(|&(f, _)| !self.surface.skips(f));
-            self.roots.extend(live.map(|(f, &start)| [f as u32, start]));
-            stats.start_ms = elapsed_ms(begin);
-            self.resident()?;
-            if let Some(Resident { buffers, .. }) = &self.resident {
-                buffers::write(&self.device, &buffers.proposals, 0, &self.roots)?;
-            }
-            self.starts_fresh = true;
+        if self.count == 0 {
+            return Err(RvdError::NoSeeds);
         }
+        if let Place::Trial(_) = self.place {
+            self.place = Place::Point;
+            self.moved();
+        }
+        if let Some(moving) = &mut self.moving {
+            moving.sums_lost();
+        }
+        cancel.check()?;
+        let begin = Instant::now();
+        self.search_now(cancel)?;
+        stats.neighbours_ms = elapsed_ms(begin);
+        let begin = Instant::now();
+        self.start_now(cancel)?;
+        stats.start_ms = elapsed_ms(begin);
+        stats.duplicate_seeds = self.twins;
         Ok(stats)
     }
 
+    /// What the session did up to now, for [`Self::meter`].
+    fn metered(&self) -> (Traffic, u64) {
+        (self.device.traffic(), self.host_searches)
+    }
+
+    /// Adds what the session did since `before`.
+    fn meter(&self, (before, searches): (Traffic, u64), stats: &mut PassStats) {
+        let now = self.device.traffic();
+        stats.device_submissions += now.submissions - before.submissions;
+        stats.device_allocations += now.allocations - before.allocations;
+        stats.uploaded_bytes += now.uploaded_bytes - before.uploaded_bytes;
+        stats.read_back_bytes += now.read_bytes - before.read_bytes;
+        stats.host_searches += self.host_searches - searches;
+    }
+
     fn compute_sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        let n = self.seeds.len();
+        let before = self.metered();
         let mut stats = self.begin_pass(cancel)?;
         let begin = Instant::now();
         self.run_pass(0..self.facets.len() as u32, Wants::Sums, cancel, &mut stats)?;
         stats.clip_ms = elapsed_ms(begin);
         let begin = Instant::now();
-        let device = Arc::clone(&self.device);
-        let buffers = &self.resident()?.buffers;
+        self.download_sums(out)?;
+        stats.update_ms += elapsed_ms(begin);
+        if self.merged || !self.covers(out.area.iter().sum(), 0..self.facets.len() as u32) {
+            stats = self.sums_in_f64(out, stats, cancel)?;
+        }
+        self.meter(before, &mut stats);
+        Ok(stats)
+    }
+
+    /// The sums of the last pass, with what the host finished.
+    fn download_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
+        let words = self.sum_words()?;
+        out.reset(self.count);
+        fixed::decode(&words, self.surface.is_uniform(), &self.scales, out);
+        Ok(())
+    }
+
+    /// The same in units.
+    fn sum_words(&mut self) -> Result<Vec<u32>, RvdError> {
+        let (device, n) = (Arc::clone(&self.device), self.count);
+        let buffers = &self.on_device()?.buffers;
         let mut words: Vec<u32> = buffers.read(&device, &buffers.sums, 0..n * SUM_WORDS)?;
         for (seed, units) in &self.pass.finished {
             fixed::add(&mut words[*seed as usize * SUM_WORDS..][..SUM_WORDS], units);
         }
-        out.reset(n);
-        fixed::decode(&words, self.surface.is_uniform(), &self.scales, out);
-        stats.update_ms += elapsed_ms(begin);
-        if !self.covers(out.area.iter().sum(), 0..self.facets.len() as u32) {
-            return self.sums_in_f64(out, stats, cancel);
-        }
-        Ok(stats)
+        Ok(words)
     }
 }
 
 impl Session for GpuSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
         take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
-        self.stale = true;
+        self.count = self.seeds.len();
+        self.place = Place::Set;
+        self.moved();
         Ok(())
     }
 
@@ -382,6 +423,11 @@ impl Session for GpuSession {
     }
 
     fn device_bytes(&self) -> u64 {
-        self.resident.as_ref().map_or(0, |r| r.buffers.plan().total_bytes())
+        let moving = self.moving.as_ref().map_or(0, Moving::device_bytes);
+        self.on_device.as_ref().map_or(0, |r| r.buffers.plan().total_bytes()) + moving
+    }
+
+    fn resident(&mut self) -> Option<&mut dyn Resident> {
+        (self.count > 0).then_some(self)
     }
 }

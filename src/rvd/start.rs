@@ -43,11 +43,6 @@ impl Starts {
         self.facets = facets;
         &self.seeds
     }
-
-    /// The last answers.
-    pub(super) fn seeds(&self) -> &[u32] {
-        &self.seeds
-    }
 }
 
 /// A nearest seed of `q`, from the guess `from`. Seeds nearer to q than x_i lie within 2|q - x_i|

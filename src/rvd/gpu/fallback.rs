@@ -10,6 +10,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::GpuSession;
+use super::search::Place;
 use crate::rvd::parallel::Parallel;
 use crate::rvd::{Backend, CancelFlag, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions};
 
@@ -30,7 +31,7 @@ impl GpuSession {
 
     /// The sums again, in f64. `lost` is what the device's pass did.
     pub(super) fn sums_in_f64(
-        &self,
+        &mut self,
         out: &mut CellSums,
         lost: PassStats,
         cancel: &CancelFlag,
@@ -40,7 +41,7 @@ impl GpuSession {
 
     /// The pieces again, in f64.
     pub(super) fn pieces_in_f64(
-        &self,
+        &mut self,
         facets: Range<u32>,
         out: &mut PieceBatch,
         lost: PassStats,
@@ -49,10 +50,15 @@ impl GpuSession {
         Ok(finished(lost, self.in_f64()?.pieces(facets, out, cancel)?))
     }
 
-    fn in_f64(&self) -> Result<Box<dyn Session>, RvdError> {
+    fn in_f64(&mut self) -> Result<Box<dyn Session>, RvdError> {
         let options = SessionOptions { capacities: self.capacities, ..SessionOptions::new(self.max_seeds) };
         let mut session = Parallel::on(Arc::clone(&self.pool)).session(Arc::clone(&self.surface), options)?;
-        session.set_seeds(&self.seeds)?;
+        if self.place == Place::Set {
+            session.set_seeds(&self.seeds)?;
+        } else {
+            self.view()?;
+            session.set_seeds(&self.host.seen)?;
+        }
         Ok(session)
     }
 }

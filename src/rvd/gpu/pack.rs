@@ -8,7 +8,6 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::gpu::layout::{self, CELLED, split};
-use crate::knn::NeighbourTable;
 use crate::rvd::Surface;
 
 /// What a facet is expected to meet: a triangle of area a and perimeter p meets about
@@ -97,22 +96,10 @@ fn facet(surface: &Surface, f: usize) -> layout::Facet {
     }
 }
 
-/// Seed records and the table of neighbours, rows packed one behind the other.
-pub fn seeds(seeds: &[DVec3], table: &NeighbourTable, records: &mut Vec<layout::Seed>, packed: &mut Vec<u32>) {
-    records.clear();
-    packed.clear();
-    records.reserve(seeds.len());
-    for (i, seed) in seeds.iter().enumerate() {
-        let (row, complete) = table.row(i as u32);
-        records.push(record(*seed, packed.len() as u32, row.len() as u32, complete));
-        packed.extend_from_slice(row);
-    }
-}
-
-/// One seed record.
-pub fn record(seed: DVec3, row_begin: u32, row_length: u32, complete: bool) -> layout::Seed {
+/// One seed record, its row not known yet.
+pub fn record(seed: DVec3) -> layout::Seed {
     let (hi, lo) = split(seed.to_array());
-    layout::Seed { hi, row_begin, lo, row_length: row_length | if complete { layout::COMPLETE } else { 0 } }
+    layout::Seed { hi, row_begin: 0, lo, row_length: 0 }
 }
 
 #[cfg(test)]

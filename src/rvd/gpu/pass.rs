@@ -10,6 +10,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
+use super::search::Rows;
 use super::{GpuSession, fixed, pack};
 use crate::gpu::buffers;
 use crate::gpu::layout::{Params, ROOT, SUM_WORDS, State, accumulate, code, failure};
@@ -79,8 +80,11 @@ impl GpuSession {
     ) -> Result<bool, RvdError> {
         // Of a part of the surface most cells are elsewhere.
         let by_cell = self.grid.side > 0 && facets.len() == self.facets.len();
+        if self.rows == Rows::Missing {
+            self.promote()?;
+        }
         self.pass = PassResult { polygon: self.first_polygon, by_cell, ..PassResult::default() };
-        let mut state = self.launch_roots(facets, wants, cancel)?;
+        let Some(mut state) = self.launch_roots(facets, wants, cancel)? else { return Ok(false) };
         let mut variants = HashMap::new();
         loop {
             if state.list_overflow + state.cells_overflow > 0 {
@@ -104,14 +108,20 @@ impl GpuSession {
     }
 
     /// Clears what the pass uses, enters the facets' first cells and drains the list.
-    fn launch_roots(&mut self, facets: Range<u32>, wants: Wants, cancel: &CancelFlag) -> Result<State, RvdError> {
+    /// `None` if the host took something over, so that the pass must begin anew.
+    fn launch_roots(
+        &mut self,
+        facets: Range<u32>,
+        wants: Wants,
+        cancel: &CancelFlag,
+    ) -> Result<Option<State>, RvdError> {
         let first = self.roots.partition_point(|r| r[0] < facets.start);
         let last = self.roots.partition_point(|r| r[0] < facets.end);
         let roots = Params {
             propose_begin: first as u32,
             propose_count: (last - first) as u32,
             propose_root: ROOT,
-            emit_count: if self.pass.by_cell { self.seeds.len() as u32 } else { 0 },
+            emit_count: if self.pass.by_cell { self.count as u32 } else { 0 },
             ..self.params()
         };
         let slot = |f: u32| {
@@ -119,9 +129,9 @@ impl GpuSession {
             (begin * 4, (begin + (1 << self.slots_log2[f as usize])) * 4)
         };
         let cleared = (!facets.is_empty()).then(|| slot(facets.start).0..slot(facets.end - 1).1);
-        let seeds = self.seeds.len();
+        let seeds = self.count;
         let device = Arc::clone(&self.device);
-        let buffers = &self.resident()?.buffers;
+        let buffers = &self.on_device()?.buffers;
         let mut encoder = device.encoder();
         if let Some(range) = cleared {
             encoder.clear_buffer(&buffers.slots, range.start, Some(range.end - range.start));
@@ -132,7 +142,7 @@ impl GpuSession {
         buffers::write(&device, &buffers.state, 0, &[State::default()])?;
         if last == first {
             device.run(encoder)?;
-            return Ok(State::default());
+            return Ok(Some(State::default()));
         }
         self.drain(encoder, Some(roots), Variant::Registers, cancel)
     }
@@ -145,15 +155,15 @@ impl GpuSession {
         proposals: Option<Params>,
         mut variant: Variant,
         cancel: &CancelFlag,
-    ) -> Result<State, RvdError> {
+    ) -> Result<Option<State>, RvdError> {
         let mut params = proposals;
         let mut steps = if variant == Variant::Large { 1 } else { STEPS.0 };
         loop {
             cancel.check()?;
             let begin = Instant::now();
-            let state = self.submit(encoder, params.take(), variant, steps)?;
+            let Some(state) = self.submit(encoder, params.take(), variant, steps, cancel)? else { return Ok(None) };
             if state.list_overflow + state.cells_overflow > 0 || state.head >= state.length {
-                return Ok(state);
+                return Ok(Some(state));
             }
             steps = match variant {
                 Variant::Large => STEPS.0,
@@ -165,51 +175,55 @@ impl GpuSession {
         }
     }
 
-    /// One submission: proposals, by facet and by cell, then `steps` times prepare and clip. Returns the summary.
+    /// One submission: rows and first cells if the device lacks them, proposals, by facet and by cell,
+    /// then `steps` times prepare and clip, then the figures if they are wanted. Returns the summary,
+    /// or `None` if the host took something over.
     fn submit(
         &mut self,
         mut encoder: wgpu::CommandEncoder,
         proposals: Option<Params>,
         variant: Variant,
         steps: u32,
-    ) -> Result<State, RvdError> {
+        cancel: &CancelFlag,
+    ) -> Result<Option<State>, RvdError> {
         let params = proposals.unwrap_or_else(|| self.params());
         let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
         let limits = Limits::of(&device.limits());
         let shared = self.accumulate == accumulate::TWO_PHASE;
-        let resident = self.resident()?;
-        buffers::write(&device, &resident.buffers.params, 0, &[params])?;
+        buffers::write(&device, &self.on_device()?.buffers.params, 0, &[params])?;
+        let (search, start) = (self.rows == Rows::Missing, !self.started);
+        if search {
+            self.encode_search(&mut encoder)?;
+        }
+        if start {
+            self.encode_start(&mut encoder)?;
+        }
+        let there = self.on_device()?;
         {
             let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
             if proposals.is_some() {
-                let [x, y] = dispatch(params.propose_count.into(), limits);
-                compute.set_pipeline(&pipelines.propose);
-                compute.set_bind_group(0, &resident.bindings.propose, &[]);
-                compute.dispatch_workgroups(x, y, 1);
+                run(&mut compute, &pipelines.propose, &there.bindings.propose, params.propose_count.into(), limits);
             }
             if params.emit_count > 0 {
-                let [x, y] = dispatch(params.emit_count.into(), limits);
-                compute.set_pipeline(&pipelines.reach);
-                compute.set_bind_group(0, &resident.bindings.reach, &[]);
-                compute.dispatch_workgroups(x, y, 1);
+                run(&mut compute, &pipelines.reach, &there.bindings.reach, params.emit_count.into(), limits);
             }
             let (clip, bindings) = match variant {
-                Variant::Registers if shared => (&pipelines.clip_shared, &resident.bindings.clip_shared),
-                Variant::Registers => (&pipelines.clip, &resident.bindings.clip),
-                Variant::Large => (&pipelines.clip_large, &resident.bindings.clip_large),
+                Variant::Registers if shared => (&pipelines.clip_shared, &there.bindings.clip_shared),
+                Variant::Registers => (&pipelines.clip, &there.bindings.clip),
+                Variant::Large => (&pipelines.clip_large, &there.bindings.clip_large),
             };
             for _ in 0..steps {
                 compute.set_pipeline(&pipelines.prepare);
-                compute.set_bind_group(0, &resident.bindings.prepare, &[]);
+                compute.set_bind_group(0, &there.bindings.prepare, &[]);
                 compute.dispatch_workgroups(1, 1, 1);
                 compute.set_pipeline(clip);
                 compute.set_bind_group(0, bindings, &[]);
-                compute.dispatch_workgroups_indirect(&resident.buffers.arguments, 0);
+                compute.dispatch_workgroups_indirect(&there.buffers.arguments, 0);
             }
         }
-        let mut state = State::default();
-        resident.buffers.read_with(&device, encoder, &resident.buffers.state, 0..1, |s| state = s[0])?;
-        Ok(state)
+        let state = self.read_summary(encoder)?;
+        let settled = (!search || self.settle_search(&state, cancel)?) && (!start || self.settle_start(&state)?);
+        Ok(settled.then_some(state))
     }
 
     /// Whether all pieces that cells entered are proved; if not, their facets are left to
@@ -217,17 +231,15 @@ impl GpuSession {
     fn verify(&mut self, state: State, stats: &mut PassStats) -> Result<bool, RvdError> {
         let params = Params { emit_count: state.length, ..self.params() };
         let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
-        let [x, y] = dispatch(state.length.into(), Limits::of(&device.limits()));
-        let resident = self.resident()?;
-        let buffers = &resident.buffers;
+        let limits = Limits::of(&device.limits());
+        let there = self.on_device()?;
+        let buffers = &there.buffers;
         buffers::write(&device, &buffers.params, 0, &[params])?;
         buffers::write(&device, &buffers.state, 0, &[State { failures: 0, ..state }])?;
         let mut encoder = device.encoder();
         {
             let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            compute.set_pipeline(&pipelines.verify);
-            compute.set_bind_group(0, &resident.bindings.verify, &[]);
-            compute.dispatch_workgroups(x, y, 1);
+            run(&mut compute, &pipelines.verify, &there.bindings.verify, state.length.into(), limits);
         }
         let mut unproved = 0;
         buffers.read_with(&device, encoder, &buffers.state, 0..1, |s: &[State]| unproved = s[0].failures)?;
@@ -246,13 +258,13 @@ impl GpuSession {
         if state.cells_overflow > 0 {
             let device = Arc::clone(&self.device);
             let stored = (state.failures as usize).min(self.counts.pairs as usize);
-            let buffers = &self.resident()?.buffers;
+            let buffers = &self.on_device()?.buffers;
             let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..stored)?;
             let full: HashSet<u32> =
                 failures.iter().map(|&e| failure(e)).filter(|f| f.2 == code::CELLS).map(|f| f.0).collect();
             for facet in full {
                 // Four times as many, but never more than all seeds need.
-                let most = (self.seeds.len() * 2).next_power_of_two().ilog2() as u8;
+                let most = (self.count * 2).next_power_of_two().ilog2() as u8;
                 let log2 = &mut self.slots_log2[facet as usize];
                 *log2 = (*log2 + 2).min(most.max(*log2 + 1));
             }
@@ -269,4 +281,18 @@ impl GpuSession {
     pub(super) fn grow_list(&mut self, pairs: u64) {
         self.counts.pairs = (self.counts.pairs * 2).max(pairs + pairs / 2);
     }
+}
+
+/// Dispatches a stage over `items`.
+pub(super) fn run(
+    compute: &mut wgpu::ComputePass<'_>,
+    pipeline: &wgpu::ComputePipeline,
+    bindings: &wgpu::BindGroup,
+    items: u64,
+    limits: Limits,
+) {
+    let [x, y] = dispatch(items, limits);
+    compute.set_pipeline(pipeline);
+    compute.set_bind_group(0, bindings, &[]);
+    compute.dispatch_workgroups(x, y, 1);
 }

@@ -14,6 +14,7 @@ use glam::{DVec3, dvec3};
 
 use super::GpuSession;
 use super::pass::Wants;
+use super::search::Place;
 use crate::gpu::buffers;
 use crate::gpu::layout::Params;
 use crate::gpu::plan::{Limits, dispatch};
@@ -40,6 +41,7 @@ impl GpuSession {
         out.clear();
         let end = facets.end.min(self.facets.len() as u32);
         let facets = facets.start.min(end)..end;
+        let before = self.metered();
         let mut stats = self.begin_pass(cancel)?;
         let begin = Instant::now();
         self.run_pass(facets.clone(), Wants::Pairs, cancel, &mut stats)?;
@@ -52,16 +54,17 @@ impl GpuSession {
             cancel.check()?;
             let count = batch.min(length - first);
             let emitted = self.emit(first, count)?;
-            self.collect(first, &emitted, out);
+            self.collect(first, &emitted, out)?;
             first += count;
         }
-        self.collect_walked(out);
+        self.collect_walked(out)?;
         out.sort();
         stats.pairs = out.len() as u64;
         stats.update_ms += elapsed_ms(begin);
-        if !self.covers((0..out.len()).map(|i| out.area(i)).sum(), facets.clone()) {
-            return self.pieces_in_f64(facets, out, stats, cancel);
+        if self.merged || !self.covers((0..out.len()).map(|i| out.area(i)).sum(), facets.clone()) {
+            stats = self.pieces_in_f64(facets, out, stats, cancel)?;
         }
+        self.meter(before, &mut stats);
         Ok(stats)
     }
 
@@ -69,15 +72,15 @@ impl GpuSession {
         let params = Params { emit_begin: first, emit_count: count, polygon: self.slots as u32, ..self.params() };
         let (device, pipelines, slots) = (Arc::clone(&self.device), Arc::clone(&self.pipelines), self.slots);
         let limits = Limits::of(&device.limits());
-        let resident = self.resident()?;
-        let buffers = &resident.buffers;
+        let there = self.on_device()?;
+        let buffers = &there.buffers;
         buffers::write(&device, &buffers.params, 0, &[params])?;
         let mut encoder = device.encoder();
         {
             let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
             let [x, y] = dispatch(count.into(), limits);
             compute.set_pipeline(&pipelines.emit);
-            compute.set_bind_group(0, &resident.bindings.emit, &[]);
+            compute.set_bind_group(0, &there.bindings.emit, &[]);
             compute.dispatch_workgroups(x, y, 1);
         }
         device.run(encoder)?;
@@ -89,20 +92,24 @@ impl GpuSession {
         })
     }
 
-    fn collect(&mut self, first: u32, emitted: &Emitted, out: &mut PieceBatch) {
+    fn collect(&mut self, first: u32, emitted: &Emitted, out: &mut PieceBatch) -> Result<(), RvdError> {
+        if self.place != Place::Set {
+            self.view()?;
+        }
         for (k, &[facet, seed, size, status]) in emitted.heads.iter().enumerate() {
             let at = first + k as u32;
             if self.pass.walked.contains(&facet) || self.pass.repeats.iter().any(|r| r.contains(&at)) {
                 continue;
             }
             if status != DONE {
-                self.collect_pair(facet, seed, out);
+                self.collect_pair(facet, seed, out)?;
                 continue;
             }
             if size == 0 {
                 continue;
             }
-            let origin = self.seeds[seed as usize];
+            let set = if self.place == Place::Set { &self.seeds } else { &self.host.seen };
+            let origin = set[seed as usize];
             let vertices = k * self.slots..k * self.slots + size as usize;
             out.push(
                 facet,
@@ -113,27 +120,35 @@ impl GpuSession {
                 }),
             );
         }
+        Ok(())
     }
 
     /// A pair that the device cannot write: too many vertices for the slots, or finished in f64.
-    fn collect_pair(&mut self, facet: u32, seed: u32, out: &mut PieceBatch) {
+    fn collect_pair(&mut self, facet: u32, seed: u32, out: &mut PieceBatch) -> Result<(), RvdError> {
+        self.view()?;
         let mut walker = std::mem::take(&mut self.walker);
         let mut ignored = PassStats::default();
         walker.clip_to_end(self.diagram(), facet, seed, self.capacities, &mut ignored);
-        push(facet, seed, self.seeds[seed as usize], walker.clipper().polygon(), out);
+        push(facet, seed, self.host.seen[seed as usize], walker.clipper().polygon(), out);
         self.walker = walker;
+        Ok(())
     }
 
-    fn collect_walked(&mut self, out: &mut PieceBatch) {
+    fn collect_walked(&mut self, out: &mut PieceBatch) -> Result<(), RvdError> {
+        if self.pass.walked.is_empty() {
+            return Ok(());
+        }
+        self.view()?;
         let mut walker = std::mem::take(&mut self.walker);
         let mut ignored = PassStats::default();
         for &facet in &self.pass.walked {
-            let start = self.starts.seeds()[facet as usize];
+            let start = self.host.first[facet as usize];
             walker.walk(self.diagram(), facet, start, self.capacities, &mut ignored, |i, clipper| {
-                push(facet, i, self.seeds[i as usize], clipper.polygon(), out);
+                push(facet, i, self.host.seen[i as usize], clipper.polygon(), out);
             });
         }
         self.walker = walker;
+        Ok(())
     }
 }
 

@@ -5,7 +5,8 @@
 //! them, so that a stage is described in one place only.
 //! Must not know: what is dispatched when.
 
-use crate::gpu::buffers::Buffers;
+use crate::gpu::buffers::{Buffers, MotionBuffers};
+use crate::gpu::layout::ROW;
 use crate::gpu::{Device, GpuError, shader};
 
 /// Slots of the variant that pairs with large polygons are clipped by.
@@ -30,6 +31,34 @@ pub struct Pipelines {
     pub reach: wgpu::ComputePipeline,
     /// Proves those pairs.
     pub verify: wgpu::ComputePipeline,
+    /// Counts the seeds of each grid cell.
+    pub count: wgpu::ComputePipeline,
+    /// Places the grid's cells.
+    pub rows: wgpu::ComputePipeline,
+    /// Puts seeds into them.
+    pub scatter: wgpu::ComputePipeline,
+    /// Finds seeds on one another.
+    pub twins: wgpu::ComputePipeline,
+    /// Finds every seed's nearest.
+    pub search: wgpu::ComputePipeline,
+    /// Finds every facet's first cell.
+    pub start: wgpu::ComputePipeline,
+    /// Seeds along the direction.
+    pub trial: wgpu::ComputePipeline,
+    /// Seeds to their cells' centroids.
+    pub centroids: wgpu::ComputePipeline,
+    /// Gradient, and parts of the figures.
+    pub tally: wgpu::ComputePipeline,
+    /// The figures.
+    pub figures: wgpu::ComputePipeline,
+    /// Accepts the trial point.
+    pub keep: wgpu::ComputePipeline,
+    /// Parts of dot products.
+    pub products: wgpu::ComputePipeline,
+    /// Dot products.
+    pub dots: wgpu::ComputePipeline,
+    /// The direction.
+    pub combine: wgpu::ComputePipeline,
 }
 
 impl Pipelines {
@@ -41,6 +70,7 @@ impl Pipelines {
         let registers = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 0)];
         let shared = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 1)];
         let array = [("SLOTS", LARGE_POLYGON as i64), ("ARRAY", 1), ("SHARED", 0)];
+        let search = [("ROW", i64::from(ROW))];
         Ok(Self {
             propose: pipeline(device, "propose", &registers)?,
             prepare: pipeline(device, "prepare", &registers)?,
@@ -50,6 +80,20 @@ impl Pipelines {
             emit: pipeline(device, "emit", &registers)?,
             reach: pipeline(device, "reach", &registers)?,
             verify: pipeline(device, "verify", &registers)?,
+            count: pipeline(device, "count", &[])?,
+            rows: pipeline(device, "rows", &[])?,
+            scatter: pipeline(device, "scatter", &[])?,
+            twins: pipeline(device, "twins", &[])?,
+            search: pipeline(device, "search", &search)?,
+            start: pipeline(device, "start", &[])?,
+            trial: pipeline(device, "trial", &[])?,
+            centroids: pipeline(device, "centroids", &[])?,
+            tally: pipeline(device, "tally", &[])?,
+            figures: pipeline(device, "figures", &[])?,
+            keep: pipeline(device, "keep", &[])?,
+            products: pipeline(device, "products", &[])?,
+            dots: pipeline(device, "dots", &[])?,
+            combine: pipeline(device, "combine", &[])?,
         })
     }
 }
@@ -98,6 +142,18 @@ pub struct Bindings {
     pub reach: wgpu::BindGroup,
     /// For [`Pipelines::verify`].
     pub verify: wgpu::BindGroup,
+    /// For [`Pipelines::count`].
+    pub count: wgpu::BindGroup,
+    /// For [`Pipelines::rows`].
+    pub rows: wgpu::BindGroup,
+    /// For [`Pipelines::scatter`].
+    pub scatter: wgpu::BindGroup,
+    /// For [`Pipelines::twins`].
+    pub twins: wgpu::BindGroup,
+    /// For [`Pipelines::search`].
+    pub search: wgpu::BindGroup,
+    /// For [`Pipelines::start`].
+    pub start: wgpu::BindGroup,
 }
 
 impl Bindings {
@@ -128,6 +184,71 @@ impl Bindings {
                 &[&b.params, &b.seeds, &b.facets, &b.table, &b.near, &b.slots, &b.list, &b.failures, &b.state],
             )?,
             verify: bind(device, &pipelines.verify, &[&b.params, &b.facets, &b.slots, &b.list, &b.failures, &b.state])?,
+            count: bind(device, &pipelines.count, &[&b.params, &b.seeds, &b.cells, &b.state])?,
+            rows: bind(device, &pipelines.rows, &[&b.params, &b.cells, &b.state])?,
+            scatter: bind(device, &pipelines.scatter, &[&b.params, &b.seeds, &b.cells, &b.sorted, &b.state])?,
+            twins: bind(device, &pipelines.twins, &[&b.params, &b.cells, &b.sorted, &b.state])?,
+            search: bind(device, &pipelines.search, &[&b.params, &b.seeds, &b.cells, &b.sorted, &b.table, &b.state])?,
+            start: bind(
+                device,
+                &pipelines.start,
+                &[&b.params, &b.seeds, &b.facets, &b.table, &b.cells, &b.sorted, &b.proposals, &b.state],
+            )?,
+        })
+    }
+}
+
+/// The stages that move seeds, bound. Made anew whenever one of the two sets of buffers is.
+#[derive(Debug)]
+pub struct MotionBindings {
+    /// For [`Pipelines::trial`].
+    pub trial: wgpu::BindGroup,
+    /// For [`Pipelines::centroids`].
+    pub centroids: wgpu::BindGroup,
+    /// For [`Pipelines::figures`].
+    pub figures: wgpu::BindGroup,
+    /// For [`Pipelines::keep`].
+    pub keep: wgpu::BindGroup,
+    /// For [`Pipelines::products`].
+    pub products: wgpu::BindGroup,
+    /// For [`Pipelines::dots`].
+    pub dots: wgpu::BindGroup,
+    /// For [`Pipelines::combine`].
+    pub combine: wgpu::BindGroup,
+    /// For [`Pipelines::tally`], at the present point.
+    pub tally: wgpu::BindGroup,
+    /// The same at the trial point.
+    pub tally_ahead: wgpu::BindGroup,
+}
+
+impl MotionBindings {
+    /// Binds `b` and `m`.
+    ///
+    /// # Errors
+    /// `Failed`, `Lost`.
+    pub fn new(device: &Device, pipelines: &Pipelines, b: &Buffers, m: &MotionBuffers) -> Result<Self, GpuError> {
+        let tally = |gradient| {
+            let buffers = [&m.motion, &b.sums, &m.held, &m.direction, gradient, &m.tallies];
+            bind(device, &pipelines.tally, &buffers)
+        };
+        Ok(Self {
+            trial: bind(device, &pipelines.trial, &[&m.motion, &m.points, &m.direction, &b.seeds])?,
+            centroids: bind(device, &pipelines.centroids, &[&m.motion, &b.sums, &m.held, &m.points])?,
+            figures: bind(device, &pipelines.figures, &[&m.motion, &m.tallies, &m.figures])?,
+            keep: bind(
+                device,
+                &pipelines.keep,
+                &[&m.motion, &b.seeds, &m.points, &m.ahead, &m.gradient, &m.steps, &m.changes],
+            )?,
+            products: bind(device, &pipelines.products, &[&m.motion, &m.steps, &m.changes, &m.gradient, &m.partials])?,
+            dots: bind(device, &pipelines.dots, &[&m.motion, &m.partials, &m.dots])?,
+            combine: bind(
+                device,
+                &pipelines.combine,
+                &[&m.motion, &m.steps, &m.changes, &m.gradient, &m.direction, &m.partials],
+            )?,
+            tally: tally(&m.gradient)?,
+            tally_ahead: tally(&m.ahead)?,
         })
     }
 }

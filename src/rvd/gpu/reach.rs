@@ -108,8 +108,8 @@ impl GpuSession {
     }
 
     fn upload_facets(&self) -> Result<(), RvdError> {
-        match &self.resident {
-            Some(resident) => Ok(buffers::write(&self.device, &resident.buffers.facets, 0, &self.facets)?),
+        match &self.on_device {
+            Some(there) => Ok(buffers::write(&self.device, &there.buffers.facets, 0, &self.facets)?),
             None => Ok(()),
         }
     }

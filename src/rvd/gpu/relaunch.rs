@@ -12,9 +12,10 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::pass::Variant;
-use super::{EXTRA_PROPOSALS, GpuSession, fixed, pack};
+use super::search::{self, HostCopy, Rows};
+use super::{EXTRA_PROPOSALS, GpuSession, fixed};
 use crate::gpu::buffers;
-use crate::gpu::layout::{INDEX, Params, ROOT, State, code, failure};
+use crate::gpu::layout::{COMPLETE, INDEX, Params, ROOT, State, code, failure};
 use crate::gpu::plan::BATCH;
 use crate::knn::NeighbourRow;
 use crate::rvd::cells::facet_edge;
@@ -58,7 +59,8 @@ impl GpuSession {
         stats: &mut PassStats,
     ) -> Result<Option<State>, RvdError> {
         let device = Arc::clone(&self.device);
-        let buffers = &self.resident()?.buffers;
+        self.view()?;
+        let buffers = &self.on_device()?.buffers;
         let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..state.failures as usize)?;
         let plans = self.sort_out(&failures, variants);
         // The device's proof covers only what the device clips.
@@ -92,7 +94,10 @@ impl GpuSession {
             }
         }
         for part in proposals.chunks(EXTRA_PROPOSALS as usize) {
-            state = self.launch_proposals(part, state, cancel)?;
+            match self.launch_proposals(part, state, cancel)? {
+                Some(next) => state = next,
+                None => return Ok(None),
+            }
             if state.list_overflow + state.cells_overflow > 0 {
                 break;
             }
@@ -106,7 +111,7 @@ impl GpuSession {
         for &entry in failures {
             let (facet, seed, why) = failure(entry);
             let pair = (facet, seed);
-            let length = self.records[seed as usize].row_length & INDEX;
+            let length = self.host.records[seed as usize].row_length & INDEX;
             match why {
                 code::NEIGHBOURS if length < LONGEST_ROW => {
                     plans.rows.push(seed);
@@ -135,14 +140,18 @@ impl GpuSession {
 
     /// Four times longer rows for `seeds`, behind the table. `false` if the table had to grow.
     fn lengthen(&mut self, seeds: &[u32]) -> Result<bool, RvdError> {
-        let (index, records) = (&self.index, &self.records);
+        let HostCopy { index, records, far, .. } = &self.host;
         let query = |&i: &u32| {
             let mut row = NeighbourRow::default();
+            let known = (records[i as usize].row_length & INDEX) as usize;
             // Rows stop short of ties, so the next length counts from what was asked for.
-            let mut k = ((records[i as usize].row_length & INDEX).max(1) * 4).min(LONGEST_ROW) as usize;
+            let mut k = (known.max(1) * 4).min(LONGEST_ROW as usize);
             loop {
                 index.row(i, k, &mut row);
-                if row.complete || row.seeds.len() > (records[i as usize].row_length & INDEX) as usize {
+                if !far {
+                    search::in_device_order(i, records, &mut row);
+                }
+                if row.complete || row.seeds.len() > known {
                     return row;
                 }
                 // All of them at one distance: only a row that reaches past them says more.
@@ -150,24 +159,28 @@ impl GpuSession {
             }
         };
         let rows: Vec<NeighbourRow> = seeds.par_iter().map(query).collect();
-        let first = self.packed.len();
+        let mut tail = Vec::new();
         for (&i, row) in seeds.iter().zip(&rows) {
-            let begin = self.packed.len() as u32;
-            self.records[i as usize] =
-                pack::record(self.seeds[i as usize], begin, row.seeds.len() as u32, row.complete);
-            self.packed.extend_from_slice(&row.seeds);
+            let record = &mut self.host.records[i as usize];
+            record.row_begin = (self.host.packed_end + tail.len()) as u32;
+            record.row_length = row.seeds.len() as u32 | if row.complete { COMPLETE } else { 0 };
+            tail.extend_from_slice(&row.seeds);
         }
-        if self.packed.len() as u64 > self.counts.table {
-            self.counts.table = self.packed.len() as u64 * 3 / 2;
+        let first = self.host.packed_end;
+        self.host.packed_end += tail.len();
+        if self.rows == Rows::Host {
+            self.host.packed.extend_from_slice(&tail);
+        }
+        if self.host.packed_end as u64 > self.counts.table {
+            self.counts.table = self.host.packed_end as u64 * 3 / 2;
             self.release()?;
             return Ok(false);
         }
         let device = Arc::clone(&self.device);
         // One write costs as much as copying a few hundred records.
-        let all = (seeds.len() * 256 > self.records.len()).then(|| self.records.clone());
-        let changed: Vec<_> = seeds.iter().map(|&i| (i, self.records[i as usize])).collect();
-        let tail = self.packed[first..].to_vec();
-        let buffers = &self.resident()?.buffers;
+        let all = (seeds.len() * 256 > self.host.records.len()).then(|| self.host.records.clone());
+        let changed: Vec<_> = seeds.iter().map(|&i| (i, self.host.records[i as usize])).collect();
+        let buffers = &self.on_device()?.buffers;
         buffers::write(&device, &buffers.table, first, &tail)?;
         match all {
             Some(records) => buffers::write(&device, &buffers.seeds, 0, &records)?,
@@ -203,7 +216,7 @@ impl GpuSession {
         // The walker counts what it does again; the device's relaunches are what is reported.
         let mut ignored = PassStats::default();
         let mut ended = Ended::default();
-        if self.starts.seeds()[facet as usize] == seed {
+        if self.host.first[facet as usize] == seed {
             walker.walk(self.diagram(), facet, seed, self.capacities, &mut ignored, |i, clipper| {
                 ended.sums.push((i, fixed::encode(&clipper.integrals(), &self.scales)));
             });
@@ -233,16 +246,16 @@ impl GpuSession {
             self.release()?;
             return Ok(None);
         }
-        let root = |facet: u32, seed: u32| if self.starts.seeds()[facet as usize] == seed { ROOT } else { 0 };
+        let root = |facet: u32, seed: u32| if self.host.first[facet as usize] == seed { ROOT } else { 0 };
         let entries: Vec<[u32; 2]> = pairs.iter().map(|&(f, i)| [f, i | root(f, i)]).collect();
         let next = State { head: state.length, length: end as u32, ..state };
         let device = Arc::clone(&self.device);
-        let buffers = &self.resident()?.buffers;
+        let buffers = &self.on_device()?.buffers;
         buffers::write(&device, &buffers.list, state.length as usize, &entries)?;
         buffers::write(&device, &buffers.state, 0, &[next])?;
         self.pass.repeats.push(state.length..end as u32);
         let encoder = device.encoder();
-        self.drain(encoder, None, variant, cancel).map(Some)
+        self.drain(encoder, None, variant, cancel)
     }
 
     fn launch_proposals(
@@ -250,7 +263,7 @@ impl GpuSession {
         proposals: &[[u32; 2]],
         state: State,
         cancel: &CancelFlag,
-    ) -> Result<State, RvdError> {
+    ) -> Result<Option<State>, RvdError> {
         let first = self.counts.facets as usize;
         let params = Params {
             propose_begin: first as u32,
@@ -259,7 +272,7 @@ impl GpuSession {
             ..self.params()
         };
         let device = Arc::clone(&self.device);
-        let buffers = &self.resident()?.buffers;
+        let buffers = &self.on_device()?.buffers;
         buffers::write(&device, &buffers.proposals, first, proposals)?;
         // The failures were read; the device's count of them was not reset if nothing ran since.
         buffers::write(&device, &buffers.state, 0, &[State { head: state.length, ..state }])?;

@@ -1,0 +1,25 @@
+// Every seed that is not held goes to the centroid of its cell; that of an empty cell stays.
+
+#import shared/types
+#import shared/motion
+
+@group(0) @binding(0) var<uniform> motion: Motion;
+@group(0) @binding(1) var<storage, read> sums: array<u32>;
+@group(0) @binding(2) var<storage, read> held: array<u32>;
+@group(0) @binding(3) var<storage, read_write> points: array<Seed>;
+
+#import shared/moved
+#import shared/unfixed
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
+    let i = id.x + id.y * groups.x * 64u;
+    if i >= motion.seeds || held[i] != 0u {
+        return;
+    }
+    // With uniform weights mass is area.
+    let mass = from_fixed(limbs(i, select(0u, 5u, motion.uniform_weights != 0u)));
+    if mass > 0.0 {
+        points[i] = moved(points[i], moment_of(i) / (mass * motion.moment_per_mass));
+    }
+}

@@ -1,0 +1,55 @@
+// The first stage of the search: looks at every seed, and counts those of each cell of the grid.
+
+#import shared/types
+#import shared/state
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read_write> seeds: array<Seed>;
+@group(0) @binding(2) var<storage, read_write> cells: array<atomic<u32>>;
+@group(0) @binding(3) var<storage, read_write> state: State;
+
+#import shared/place
+
+// Farther out, in boxes, a float's rounding is more than neighbours are apart. So far the host searches.
+const FARTHEST: f32 = 8.0;
+// As rvd::MAX_SEED_DISTANCE.
+const ACCEPTED: f32 = 1e6;
+// The fixed-point scales hold if a seed is so near to all of the box.
+const NEAR: f32 = 2.0;
+// Seeds that a cell may have: all of them meet all of the neighbouring cells'.
+const CROWD: u32 = 256u;
+
+fn is_finite(x: f32) -> bool {
+    return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
+    let i = id.x + id.y * groups.x * 64u;
+    if i >= params.seeds {
+        return;
+    }
+    let p = seeds[i].hi + seeds[i].lo;
+    let a = abs(p);
+    let reach = max(max(a.x, a.y), a.z);
+    let finite = is_finite(p.x) && is_finite(p.y) && is_finite(p.z);
+    if !finite || reach > ACCEPTED {
+        atomicMax(&state.bad, 0xffffffffu - i);
+        atomicOr(&state.halt, BAD);
+        return;
+    }
+    if reach > FARTHEST {
+        atomicOr(&state.halt, FAR);
+    }
+    if length(a + 0.5) <= NEAR && atomicLoad(&state.near) == 0u {
+        atomicStore(&state.near, 1u);
+    }
+    let cell = cell_at(place_of(p));
+    let rank = atomicAdd(&cells[cell], 1u);
+    if rank == CROWD {
+        atomicOr(&state.halt, CROWDED);
+    }
+    // Until `search` writes them, these two say where `scatter` puts the seed.
+    seeds[i].row_begin = rank;
+    seeds[i].row_length = cell;
+}

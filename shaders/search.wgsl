@@ -1,0 +1,102 @@
+// Every seed's nearest seeds, nearest first: cells of the grid ring by ring, until the last of them is
+// nearer than anything outside could be. A row that is not proved that far ends where the proof ends, so
+// that every row is the beginning of a longer one. Later twins are nobody's neighbours; their own row is
+// the first twin alone.
+
+#import shared/types
+#import shared/state
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read_write> seeds: array<Seed>;
+@group(0) @binding(2) var<storage, read> cells: array<u32>;
+@group(0) @binding(3) var<storage, read> sorted: array<Sorted>;
+@group(0) @binding(4) var<storage, read_write> table: array<u32>;
+@group(0) @binding(5) var<storage, read_write> state: State;
+
+#import shared/distance
+#import shared/grid
+
+// Rings of cells at most. What is still open then is left to the host, row by row.
+const RINGS: i32 = 5;
+const FREE: f32 = 1e36;
+
+// The nearest so far, in registers: memory that is indexed by a variable is many times slower.
+#repeat T in 0..ROW
+var<private> key_$T: f32;
+var<private> seed_$T: u32;
+#end
+
+fn clear_row() {
+#repeat T in 0..ROW
+    key_$T = FREE;
+    seed_$T = NONE;
+#end
+}
+
+// Enters a neighbour where it belongs; the last goes.
+fn offer(key: f32, seed: u32) {
+    if !before(key, seed, key_$(ROW - 1), seed_$(ROW - 1)) {
+        return;
+    }
+    var here = true;
+#repeat T in 1..ROW
+    let next_$T = before(key, seed, key_$(ROW - T - 1), seed_$(ROW - T - 1));
+    key_$(ROW - T) = select(key_$(ROW - T), select(key, key_$(ROW - T - 1), next_$T), here);
+    seed_$(ROW - T) = select(seed_$(ROW - T), select(seed, seed_$(ROW - T - 1), next_$T), here);
+    here = next_$T;
+#end
+    key_0 = select(key_0, key, here);
+    seed_0 = select(seed_0, seed, here);
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
+    let index = id.x + id.y * groups.x * 64u;
+    if index >= params.seeds || atomicLoad(&state.halt) != 0u {
+        return;
+    }
+    let own = sorted[index];
+    let row = own.seed * params.row;
+    seeds[own.seed].row_begin = row;
+    if own.first != own.seed {
+        table[row] = own.first;
+        seeds[own.seed].row_length = 1u | COMPLETE;
+        return;
+    }
+    clear_row();
+    let p = own.hi + own.lo;
+    let place = place_of(p);
+    let last = i32(params.side) - 1;
+    var others = 0u;
+    var radius = 0.0;
+    for (var ring = 1; ring <= RINGS; ring += 1) {
+        for (var z = max(place.z - ring, 0); z <= min(place.z + ring, last); z += 1) {
+            for (var y = max(place.y - ring, 0); y <= min(place.y + ring, last); y += 1) {
+                for (var part = 0; part < 2; part += 1) {
+                    let range = part_of(place, ring, y, z, part);
+                    for (var at = range.x; at < range.y; at += 1u) {
+                        let other = sorted[at];
+                        if at != index && other.first == other.seed {
+                            others += 1u;
+                            offer(squared((other.hi - own.hi) + (other.lo - own.lo)), other.seed);
+                        }
+                    }
+                }
+            }
+        }
+        radius = covered(p, place, ring);
+        if key_$(ROW - 1) < radius * radius * 0.9999 {
+            break;
+        }
+    }
+    let proved = radius * radius * 0.9999;
+    var length = 0u;
+#repeat T in 0..ROW
+    if $(T)u < params.row && key_$T < proved && seed_$T != NONE {
+        table[row + $(T)u] = seed_$T;
+        length = $(T + 1)u;
+    }
+#end
+    let complete = radius >= NOWHERE_NEAR * 0.5 && others <= params.row;
+    seeds[own.seed].row_length = select(length, length | COMPLETE, complete);
+}

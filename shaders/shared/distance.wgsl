@@ -1,0 +1,15 @@
+// Distances in which neighbours are ordered. The host computes the same bits (Seed::key), whatever the
+// compiler of this text may fuse: a product goes through an integer operation before it is added.
+
+fn rounded(x: f32) -> f32 {
+    return bitcast<f32>(bitcast<u32>(x) ^ params.zero);
+}
+
+fn squared(b: vec3f) -> f32 {
+    return (rounded(b.x * b.x) + rounded(b.y * b.y)) + rounded(b.z * b.z);
+}
+
+// The order of neighbours, a strict one: distance, then index.
+fn before(key: f32, seed: u32, other_key: f32, other: u32) -> bool {
+    return key < other_key || (key == other_key && seed < other);
+}

@@ -1,0 +1,49 @@
+// The uniform grid over the unit box. Its outermost cells go on without end, so that every seed is in
+// one. A row of cells along x is contiguous, and so are their seeds: entry (z side + y)(side + 1) + x is
+// where cell (x, y, z) begins, and the entry after a row's last is where the row ends.
+
+// A seed in the order of the grid.
+struct Sorted {
+    hi: vec3f,
+    seed: u32,
+    lo: vec3f,
+    // The earliest seed at the same place.
+    first: u32,
+}
+
+const NOWHERE_NEAR: f32 = 1e18;
+
+#import shared/place
+
+// A distance from p within which everything is in the cells at most `ring` from `place`, p's own;
+// less than the truth by more than rounding could have moved a seed across a wall.
+fn covered(p: vec3f, place: vec3i, ring: i32) -> f32 {
+    let last = i32(params.side) - 1;
+    let low = vec3f(place - ring) / f32(params.side) - 0.5;
+    let high = vec3f(place + ring + 1) / f32(params.side) - 0.5;
+    let below = select(p - low, vec3f(NOWHERE_NEAR), place - ring <= vec3i(0));
+    let above = select(high - p, vec3f(NOWHERE_NEAR), place + ring >= vec3i(last));
+    let least = min(below, above);
+    return max(min(min(least.x, least.y), least.z) - 1e-6, 0.0);
+}
+
+// Part 0 or 1 of the cells of row (y, z) that `ring` adds to those of the ring before; the first ring
+// has the middle too. As (begin, end) in the sorted seeds.
+fn part_of(place: vec3i, ring: i32, y: i32, z: i32, part: i32) -> vec2u {
+    let last = i32(params.side) - 1;
+    var low = max(place.x - ring, 0);
+    var high = min(place.x + ring, last);
+    if ring == 1 || abs(y - place.y) == ring || abs(z - place.z) == ring {
+        if part == 1 {
+            return vec2u(0u);
+        }
+    } else {
+        low = select(place.x - ring, place.x + ring, part == 1);
+        high = low;
+        if low < 0 || low > last {
+            return vec2u(0u);
+        }
+    }
+    let row = row_of(y, z);
+    return vec2u(cells[row + u32(low)], cells[row + u32(high) + 1u]);
+}

@@ -1,0 +1,484 @@
+//! Seeds that are moved on the device.
+//!
+//! Purpose: [`Resident`] for a GPU session. The present point x, its gradient, the direction and the
+//! history are buffers; each call is one submission where nothing has to be done again, and scalars
+//! come back.
+//! Invariant: a trial point goes into the pass's own seeds, so x is what it was until it is accepted.
+//! Energy and area are added as integers, the rest in a fixed tree: the same bits on every run.
+//! Gradients are stored times a power of two that makes a mean one about 1, far from what floats lose.
+//! Must not know: what a search along the direction looks for.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::DVec3;
+
+use super::pass::{Wants, run};
+use super::pipelines::MotionBindings;
+use super::search::Place;
+use super::{GpuSession, OnDevice, fixed, history::History, pack};
+use crate::gpu::buffers::{self, MotionBuffers};
+use crate::gpu::layout::{self, DOTS, Figures, Motion, PAIRS, SUM_WORDS};
+use crate::gpu::plan::{Limits, MotionPlan, reduction};
+use crate::rvd::clip::Integrals;
+use crate::rvd::resident::{Look, Resident};
+use crate::rvd::{CancelFlag, CellSums, PassStats, RvdError, elapsed_ms};
+
+/// What a session has once somebody moves its seeds.
+pub(super) struct Moving {
+    pub buffers: MotionBuffers,
+    bindings: Option<MotionBindings>,
+    held: Vec<bool>,
+    history: History,
+    /// The products in `history` are those of the present gradient.
+    products_known: bool,
+    /// There is a direction.
+    directed: bool,
+    /// The gradient is that of the present point, the other one that of the last trial.
+    gradient_known: bool,
+    ahead_known: bool,
+    /// Whose sums the device has.
+    sums_of: Option<Place>,
+    /// Of the present pass, while it is one of a point.
+    wanted: Option<Place>,
+    /// As read last.
+    pub figures: Figures,
+}
+
+impl Moving {
+    pub fn device_bytes(&self) -> u64 {
+        self.buffers.plan().total_bytes()
+    }
+
+    /// Whether the present pass ends with figures.
+    pub fn wants_figures(&self) -> bool {
+        self.wanted.is_some()
+    }
+
+    /// The buffers that the stages were bound to are gone.
+    pub fn unbind(&mut self) {
+        self.bindings = None;
+    }
+
+    /// Another pass took the sums' place.
+    pub fn sums_lost(&mut self) {
+        self.sums_of = None;
+    }
+
+    fn forget(&mut self) {
+        self.history.forget();
+    }
+}
+
+fn missing() -> RvdError {
+    RvdError::Internal("seeds that are moved have no buffers".to_owned())
+}
+
+impl GpuSession {
+    /// The buffers, and in them the seeds that were set last.
+    fn moving(&mut self) -> Result<&mut Moving, RvdError> {
+        let device = Arc::clone(&self.device);
+        if self.moving.is_none() {
+            let plan = MotionPlan::new(self.max_seeds as u64, Limits::of(&device.limits()))?;
+            self.moving = Some(Moving {
+                buffers: MotionBuffers::new(&device, plan)?,
+                bindings: None,
+                held: Vec::new(),
+                history: History::default(),
+                products_known: false,
+                directed: false,
+                gradient_known: false,
+                ahead_known: false,
+                sums_of: None,
+                wanted: None,
+                figures: Figures::default(),
+            });
+        }
+        let moving = self.moving.as_mut().ok_or_else(missing)?;
+        if self.place == Place::Set {
+            let points: Vec<layout::Seed> = self.seeds.iter().map(|&p| pack::record(p)).collect();
+            buffers::write(&device, &moving.buffers.points, 0, &points)?;
+            if moving.held.len() != points.len() {
+                moving.held = vec![false; points.len()];
+                buffers::write(&device, &moving.buffers.held, 0, &vec![0u32; points.len()])?;
+            }
+            moving.forget();
+            moving.directed = false;
+            moving.gradient_known = false;
+            moving.ahead_known = false;
+            moving.sums_of = None;
+            // What was found of the seeds as set holds for them as points, but for what the host did in f64
+            // with bits that the device does not see.
+            self.place = Place::Point;
+            self.moved();
+        }
+        self.moving.as_mut().ok_or_else(missing)
+    }
+
+    /// Parameters of the stages that move seeds.
+    fn motion(&self) -> Motion {
+        let s = &self.scales;
+        let mass = if self.surface.is_uniform() { s.area } else { s.mass };
+        Motion {
+            seeds: self.count as u32,
+            groups: reduction(self.count as u64),
+            uniform_weights: u32::from(self.surface.is_uniform()),
+            moment_per_mass: (s.moment / mass) as f32,
+            gradient_unit: (-2.0 * self.grain() / s.moment) as f32,
+            directed: u32::from(self.moving.as_ref().is_some_and(|m| m.directed)),
+            step: if let Place::Trial(step) = self.place { step } else { 0.0 },
+            ..Motion::default()
+        }
+    }
+
+    /// What gradients are multiplied by: a power of two near n / (m h), which a gradient of a mean cell is not
+    /// much larger than.
+    fn grain(&self) -> f64 {
+        let n = self.count as f64;
+        let spacing = (self.surface.area() / n).sqrt();
+        (n / (self.mass * spacing)).log2().round().clamp(-90.0, 90.0).exp2()
+    }
+
+    fn write_motion(&self, motion: Motion) -> Result<(), RvdError> {
+        let moving = self.moving.as_ref().ok_or_else(missing)?;
+        Ok(buffers::write(&self.device, &moving.buffers.motion, 0, &[motion])?)
+    }
+
+    /// Binds the stages, if they are not bound.
+    fn bind_motion(&mut self) -> Result<(), RvdError> {
+        self.on_device()?;
+        if let (Some(there), Some(moving)) = (&self.on_device, &mut self.moving)
+            && moving.bindings.is_none()
+        {
+            moving.bindings =
+                Some(MotionBindings::new(&self.device, &self.pipelines, &there.buffers, &moving.buffers)?);
+        }
+        Ok(())
+    }
+
+    /// What a stage is bound to. After [`Self::bind_motion`].
+    fn bound(&self) -> Result<(&Moving, &MotionBindings, &OnDevice), RvdError> {
+        let moving = self.moving.as_ref().ok_or_else(missing)?;
+        let bindings = moving.bindings.as_ref().ok_or_else(missing)?;
+        Ok((moving, bindings, self.on_device.as_ref().ok_or_else(missing)?))
+    }
+
+    /// Encodes the seeds of the trial point.
+    pub(super) fn encode_trial(&mut self, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
+        self.write_motion(self.motion())?;
+        self.bind_motion()?;
+        let (_, bindings, _) = self.bound()?;
+        let limits = Limits::of(&self.device.limits());
+        let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        run(&mut compute, &self.pipelines.trial, &bindings.trial, self.count as u64, limits);
+        Ok(())
+    }
+
+    /// Encodes gradient and figures of the pass, if it is one of a point.
+    pub(super) fn encode_figures(&mut self, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
+        let Some(place) = self.moving.as_ref().and_then(|m| m.wanted) else { return Ok(()) };
+        let motion = self.motion();
+        self.write_motion(motion)?;
+        self.bind_motion()?;
+        let (_, bindings, _) = self.bound()?;
+        let tally = if place == Place::Point { &bindings.tally } else { &bindings.tally_ahead };
+        let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        compute.set_pipeline(&self.pipelines.tally);
+        compute.set_bind_group(0, tally, &[]);
+        compute.dispatch_workgroups(motion.groups, 1, 1);
+        compute.set_pipeline(&self.pipelines.figures);
+        compute.set_bind_group(0, &bindings.figures, &[]);
+        compute.dispatch_workgroups(1, 1, 1);
+        Ok(())
+    }
+
+    /// A pass at `place`, its gradient and its figures.
+    fn look(&mut self, place: Place, cancel: &CancelFlag) -> Result<Look, RvdError> {
+        cancel.check()?;
+        let before = self.metered();
+        let begin = Instant::now();
+        if self.place != place {
+            self.place = place;
+            self.moved();
+        }
+        let moving = self.moving.as_mut().ok_or_else(missing)?;
+        moving.sums_of = None;
+        if place == Place::Point {
+            moving.gradient_known = false;
+            moving.products_known = false;
+        }
+        moving.ahead_known = false;
+        moving.wanted = Some(place);
+        let mut stats = PassStats::default();
+        let ran = self.run_pass(0..self.facets.len() as u32, Wants::Sums, cancel, &mut stats);
+        stats.clip_ms = elapsed_ms(begin);
+        let settled = ran.and_then(|()| self.complete_figures(&mut stats, cancel));
+        let moving = self.moving.as_mut().ok_or_else(missing)?;
+        moving.wanted = None;
+        settled?;
+        moving.sums_of = Some(place);
+        moving.gradient_known |= place == Place::Point;
+        moving.ahead_known = place != Place::Point;
+        stats.duplicate_seeds = self.twins;
+        self.meter(before, &mut stats);
+        Ok(self.describe(place, stats))
+    }
+
+    /// Puts what the host did of the pass into the device's sums, or all sums where pieces do not cover
+    /// the surface, and makes the figures anew.
+    fn complete_figures(&mut self, stats: &mut PassStats, cancel: &CancelFlag) -> Result<(), RvdError> {
+        let mut words = None;
+        if !self.pass.finished.is_empty() {
+            words = Some(self.sum_words()?);
+        }
+        let mut area = self.area();
+        if let Some(words) = &words {
+            area = words.chunks_exact(SUM_WORDS).map(|c| limbs(c[10], c[11])).sum::<i64>() as f64 / self.scales.area;
+        }
+        if !self.covers(area, 0..self.facets.len() as u32) {
+            let mut sums = CellSums::default();
+            *stats = self.sums_in_f64(&mut sums, *stats, cancel)?;
+            let mut exact = vec![0; self.count * SUM_WORDS];
+            for (i, cell) in exact.chunks_exact_mut(SUM_WORDS).enumerate() {
+                let (mass, moment, energy) = (sums.mass[i], sums.moment[i], sums.energy[i]);
+                let whole = Integrals { mass, moment, energy, area: sums.area[i] };
+                fixed::add(cell, &fixed::encode(&whole, &self.scales));
+            }
+            words = Some(exact);
+        }
+        let Some(words) = words else { return Ok(()) };
+        self.pass.finished.clear();
+        let device = Arc::clone(&self.device);
+        buffers::write(&device, &self.on_device()?.buffers.sums, 0, &words)?;
+        self.read_summary(device.encoder())?;
+        Ok(())
+    }
+
+    /// Area by the figures.
+    fn area(&self) -> f64 {
+        let figures = self.moving.as_ref().map(|m| m.figures).unwrap_or_default();
+        limbs(figures.area_low, figures.area_high) as f64 / self.scales.area
+    }
+
+    fn describe(&self, place: Place, stats: PassStats) -> Look {
+        let figures = self.moving.as_ref().map(|m| m.figures).unwrap_or_default();
+        let grain = self.grain();
+        Look {
+            energy: limbs(figures.energy_low, figures.energy_high) as f64 / self.scales.energy,
+            gradient_squared: f64::from(figures.gradient_squared) / grain / grain,
+            slope: if place == Place::Point { 0.0 } else { f64::from(figures.slope) / grain },
+            empty_cells: figures.empty as usize,
+            area: self.area(),
+            stats,
+        }
+    }
+
+    /// Submits what `encoder` has and `products`, and takes them in as those of the pair in `slot`.
+    fn learn(&mut self, mut encoder: wgpu::CommandEncoder, motion: Motion) -> Result<(), RvdError> {
+        let (_, bindings, _) = self.bound()?;
+        {
+            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            compute.set_pipeline(&self.pipelines.products);
+            compute.set_bind_group(0, &bindings.products, &[]);
+            compute.dispatch_workgroups(motion.groups, 2 * PAIRS as u32 + 1, 1);
+            compute.set_pipeline(&self.pipelines.dots);
+            compute.set_bind_group(0, &bindings.dots, &[]);
+            compute.dispatch_workgroups(1, 1, 1);
+        }
+        let dots = self.read_dots(encoder)?;
+        let moving = self.moving.as_mut().ok_or_else(missing)?;
+        moving.history.learn(motion.slot as usize, &dots);
+        moving.products_known = true;
+        Ok(())
+    }
+
+    fn read_dots(&self, encoder: wgpu::CommandEncoder) -> Result<[f32; DOTS], RvdError> {
+        let (moving, _, there) = self.bound()?;
+        let mut dots = [0.0; DOTS];
+        there.buffers.read_with(&self.device, encoder, &moving.buffers.dots, 0..DOTS, |read: &[f32]| {
+            dots.copy_from_slice(read);
+        })?;
+        Ok(dots)
+    }
+
+    /// The direction and its slope.
+    fn combine(&mut self) -> Result<f64, RvdError> {
+        if !self.moving()?.gradient_known {
+            self.look(Place::Point, &CancelFlag::default())?;
+        }
+        if let Place::Trial(_) = self.place {
+            // The same step along another direction is another point.
+            self.place = Place::Point;
+            self.moved();
+        }
+        self.bind_motion()?;
+        let moving = self.moving.as_ref().ok_or_else(missing)?;
+        if !moving.products_known && !moving.history.is_empty() {
+            let motion = Motion { slot: moving.history.free_slot() as u32, ..self.motion() };
+            self.write_motion(motion)?;
+            self.learn(self.device.encoder(), motion)?;
+        }
+        let grain = self.grain();
+        let moving = self.moving.as_ref().ok_or_else(missing)?;
+        let mut c = moving.history.direction();
+        if moving.history.is_empty() {
+            // The gradient is stored with its grain; with a history its scale has that in it.
+            c[2 * PAIRS] /= grain;
+        }
+        let mut coefficients = [[0.0; 4]; 5];
+        for (k, c) in c.into_iter().enumerate() {
+            coefficients[k / 4][k % 4] = c as f32;
+        }
+        let motion = Motion { coefficients, ..self.motion() };
+        self.write_motion(motion)?;
+        let mut encoder = self.device.encoder();
+        let (_, bindings, _) = self.bound()?;
+        {
+            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            compute.set_pipeline(&self.pipelines.combine);
+            compute.set_bind_group(0, &bindings.combine, &[]);
+            compute.dispatch_workgroups(motion.groups, 1, 1);
+            compute.set_pipeline(&self.pipelines.dots);
+            compute.set_bind_group(0, &bindings.dots, &[]);
+            compute.dispatch_workgroups(1, 1, 1);
+        }
+        let slope = f64::from(self.read_dots(encoder)?[0]) / grain;
+        let moving = self.moving.as_mut().ok_or_else(missing)?;
+        moving.directed = true;
+        moving.ahead_known = false;
+        Ok(slope)
+    }
+
+    /// The trial point becomes the present one.
+    fn keep(&mut self) -> Result<(), RvdError> {
+        let trial = matches!(self.place, Place::Trial(_));
+        let moving = self.moving.as_ref().filter(|m| trial && m.ahead_known && m.gradient_known);
+        let moving = moving.ok_or_else(|| RvdError::Internal("no trial point to accept".to_owned()))?;
+        let slot = moving.history.free_slot();
+        let motion = Motion { slot: slot as u32, ..self.motion() };
+        self.write_motion(motion)?;
+        self.bind_motion()?;
+        let (moving, bindings, there) = self.bound()?;
+        let limits = Limits::of(&self.device.limits());
+        let mut encoder = self.device.encoder();
+        {
+            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            run(&mut compute, &self.pipelines.keep, &bindings.keep, self.count as u64, limits);
+        }
+        let bytes = (self.count * size_of::<layout::Seed>()) as u64;
+        encoder.copy_buffer_to_buffer(&there.buffers.seeds, 0, &moving.buffers.points, 0, bytes);
+        self.learn(encoder, motion)?;
+        // The rows and sums are those of these very seeds.
+        self.place = Place::Point;
+        let moving = self.moving.as_mut().ok_or_else(missing)?;
+        moving.history.take(slot);
+        moving.ahead_known = false;
+        moving.sums_of = Some(Place::Point);
+        Ok(())
+    }
+
+    fn centre(&mut self) -> Result<(), RvdError> {
+        if self.moving()?.sums_of != Some(Place::Point) {
+            self.look(Place::Point, &CancelFlag::default())?;
+        }
+        self.write_motion(self.motion())?;
+        self.bind_motion()?;
+        let (_, bindings, _) = self.bound()?;
+        let limits = Limits::of(&self.device.limits());
+        let mut encoder = self.device.encoder();
+        {
+            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            run(&mut compute, &self.pipelines.centroids, &bindings.centroids, self.count as u64, limits);
+        }
+        self.device.run(encoder)?;
+        self.moved();
+        let moving = self.moving.as_mut().ok_or_else(missing)?;
+        moving.forget();
+        moving.gradient_known = false;
+        moving.sums_of = None;
+        Ok(())
+    }
+}
+
+fn limbs(low: u32, high: u32) -> i64 {
+    ((u64::from(high) << 32) | u64::from(low)) as i64
+}
+
+impl Resident for GpuSession {
+    fn hold(&mut self, held: &[bool]) -> Result<(), RvdError> {
+        let (device, count) = (Arc::clone(&self.device), self.count);
+        let moving = self.moving()?;
+        if held.len() != count {
+            return Err(RvdError::Internal(format!("{} seeds are held or not, of {count}", held.len())));
+        }
+        let words: Vec<u32> = held.iter().map(|&h| u32::from(h)).collect();
+        buffers::write(&device, &moving.buffers.held, 0, &words)?;
+        moving.held = held.to_vec();
+        moving.forget();
+        moving.directed = false;
+        moving.gradient_known = false;
+        moving.ahead_known = false;
+        Ok(())
+    }
+
+    fn evaluate(&mut self, cancel: &CancelFlag) -> Result<Look, RvdError> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| {
+            self.moving()?;
+            self.look(Place::Point, cancel)
+        })
+    }
+
+    fn to_centroids(&mut self) -> Result<(), RvdError> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.centre())
+    }
+
+    fn direct(&mut self) -> Result<f64, RvdError> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.combine())
+    }
+
+    fn probe(&mut self, step: f64, cancel: &CancelFlag) -> Result<Look, RvdError> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| {
+            if !self.moving()?.directed {
+                return Err(RvdError::Internal("no direction to try".to_owned()));
+            }
+            self.look(Place::Trial(step as f32), cancel)
+        })
+    }
+
+    fn accept(&mut self) -> Result<(), RvdError> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.keep())
+    }
+
+    fn forget(&mut self) {
+        if let Some(moving) = &mut self.moving {
+            moving.forget();
+        }
+    }
+
+    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError> {
+        let (device, n) = (Arc::clone(&self.device), self.count);
+        self.moving()?;
+        self.on_device()?;
+        let moving = self.moving.as_ref().ok_or_else(missing)?;
+        let there = self.on_device.as_ref().ok_or_else(missing)?;
+        let points: Vec<layout::Seed> = there.buffers.read(&device, &moving.buffers.points, 0..n)?;
+        out.clear();
+        out.extend(points.iter().map(|p| DVec3::from_array(p.position())));
+        Ok(())
+    }
+
+    fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| {
+            if self.moving()?.sums_of != Some(Place::Point) {
+                self.look(Place::Point, &CancelFlag::default())?;
+            }
+            self.download_sums(out)
+        })
+    }
+}

@@ -1,0 +1,417 @@
+//! Neighbours and first cells: the device's search, and the host's where that is not enough.
+//!
+//! Purpose: rows of neighbours from a uniform grid on the device, the nearest seed of each facet by a
+//! walk over them, and the decision whether the host does it instead.
+//! Invariant: a row is the beginning of every longer row, whoever made it: its order is that of
+//! [`layout::Seed::key`], then of indices. Rows and first cells are proved, or the host makes them with
+//! its tree; nothing is cut off. Who makes them depends on the seeds alone.
+//! Must not know: clipping.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::pass::run;
+use super::{Gpu, GpuSession, OnDevice, fixed, pack};
+use crate::gpu::buffers;
+use crate::gpu::layout::{self, COMPLETE, Figures, INDEX, NONE, State, halt};
+use crate::gpu::plan::{Limits, grid_cells};
+use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, Threads};
+use crate::mesh::coincident;
+use crate::rvd::start::Starts;
+use crate::rvd::{CancelFlag, RvdError, Session, SessionOptions, Surface, check_seed};
+
+/// The device's fixed-point scales hold where a seed is within this of all of the surface's box
+/// (`NEAR` in `shaders/count.wgsl`): twice the box's half diagonal and some. Without such a seed
+/// the host searches, and takes the radius from the seeds.
+const COVERING_RADIUS: f64 = 2.0;
+
+/// Which seeds a pass is of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Place {
+    /// Those that the host has set.
+    Set,
+    /// The present point on the device.
+    Point,
+    /// So far along the direction from there.
+    Trial(f32),
+}
+
+/// Who made the rows that the device has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Rows {
+    /// Nobody yet.
+    Missing,
+    /// The device.
+    Device,
+    /// The host.
+    Host,
+}
+
+/// What the host knows of the seeds on the device. Of no use while not fresh, but for `starts`,
+/// which are guesses.
+pub(super) struct HostCopy {
+    pub fresh: bool,
+    /// The records as on the device, longer rows noted.
+    pub records: Vec<layout::Seed>,
+    /// Positions. Those that the device sees, unless seeds are far.
+    pub seen: Vec<DVec3>,
+    pub index: SeedIndex,
+    /// Rows of the host's search; without rows if the device made them.
+    pub table: NeighbourTable,
+    /// The device's table, if the host made it.
+    pub packed: Vec<u32>,
+    /// Entries of the device's table in use.
+    pub packed_end: usize,
+    /// First cell of every facet.
+    pub first: Vec<u32>,
+    /// Rows are in the order of f64 and so are distances: seeds are farther than floats reach.
+    pub far: bool,
+    starts: Starts,
+}
+
+impl Default for HostCopy {
+    fn default() -> Self {
+        Self {
+            fresh: false,
+            records: Vec::new(),
+            seen: Vec::new(),
+            index: SeedIndex::new(&[]),
+            table: NeighbourTable::default(),
+            packed: Vec::new(),
+            packed_end: 0,
+            first: Vec::new(),
+            far: false,
+            starts: Starts::default(),
+        }
+    }
+}
+
+/// Puts a row of the tree into the device's order. The end of a row that is not complete goes, as far as
+/// a seed that is not in it might come before it in that order: a key is good to 4e-7 of itself.
+pub(super) fn in_device_order(i: u32, records: &[layout::Seed], row: &mut NeighbourRow) {
+    let own = &records[i as usize];
+    let mut keyed: Vec<(f32, u32)> = row.seeds.iter().map(|&j| (own.key(&records[j as usize]), j)).collect();
+    keyed.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    if !row.complete
+        && let Some(&(last, _)) = keyed.last()
+    {
+        keyed.retain(|&(key, _)| key < last * (1.0 - 2e-6));
+    }
+    row.seeds.clear();
+    row.seeds.extend(keyed.iter().map(|&(_, j)| j));
+}
+
+/// What a search found.
+#[derive(Clone, Debug, Default)]
+pub struct Found {
+    /// Neighbours of every seed, nearest first.
+    pub rows: Vec<NeighbourRow>,
+    /// First cell of every facet that is not degenerate.
+    pub first: Vec<(u32, u32)>,
+    /// Seeds that lie on an earlier one.
+    pub twins: u64,
+    /// The host made the rows.
+    pub by_host: bool,
+}
+
+impl Gpu {
+    /// Searches once for the neighbours of `seeds` (unit frame) and the first cells of `surface`, as every pass
+    /// does, and shows what was found.
+    ///
+    /// # Errors
+    /// Those of a pass.
+    pub fn search(
+        &self,
+        surface: Arc<Surface>,
+        seeds: &[DVec3],
+        options: SessionOptions,
+        cancel: &CancelFlag,
+    ) -> Result<Found, RvdError> {
+        self.pool.install(|| {
+            let mut session = GpuSession::new(self, surface, options);
+            session.set_seeds(seeds)?;
+            session.search_now(cancel)?;
+            session.start_now(cancel)?;
+            session.host.fresh = false;
+            session.view()?;
+            let b = &session.on_device()?.buffers;
+            let table: Vec<u32> = b.read(&self.device, &b.table, 0..b.plan().counts.table as usize)?;
+            let row = |r: &layout::Seed| {
+                let begin = r.row_begin as usize;
+                let seeds = table[begin..begin + (r.row_length & INDEX) as usize].to_vec();
+                NeighbourRow { seeds, complete: r.row_length & COMPLETE != 0 }
+            };
+            Ok(Found {
+                rows: session.host.records.iter().map(row).collect(),
+                first: session.roots.iter().map(|r| (r[0], r[1])).collect(),
+                twins: session.twins,
+                by_host: session.rows == Rows::Host,
+            })
+        })
+    }
+}
+
+impl GpuSession {
+    /// The seeds are others than those that rows and first cells were made for.
+    pub(super) fn moved(&mut self) {
+        self.rows = Rows::Missing;
+        self.started = false;
+        self.host.fresh = false;
+        self.host.far = false;
+        self.merged = false;
+        self.scales = fixed::Scales::new(self.mass, self.surface.area(), COVERING_RADIUS);
+        self.walker.reset();
+    }
+
+    /// Encodes the seeds' arrival and the search for their rows.
+    pub(super) fn encode_search(&mut self, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
+        let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
+        let limits = Limits::of(&device.limits());
+        let (n, place, params) = (self.count as u64, self.place, self.params());
+        if place == Place::Set {
+            self.host.records.clear();
+            self.host.records.extend(self.seeds.iter().map(|&p| pack::record(p)));
+            self.on_device()?;
+        }
+        if let Place::Trial(_) = place {
+            self.encode_trial(encoder)?;
+        }
+        let Some(OnDevice { buffers: b, bindings }) = &self.on_device else {
+            return Err(RvdError::Internal("no buffers".to_owned()));
+        };
+        match (place, &self.moving) {
+            (Place::Set, _) => buffers::write(&device, &b.seeds, 0, &self.host.records)?,
+            (Place::Point, Some(moving)) => {
+                let bytes = n * size_of::<layout::Seed>() as u64;
+                encoder.copy_buffer_to_buffer(&moving.buffers.points, 0, &b.seeds, 0, bytes);
+            }
+            _ => {}
+        }
+        encoder.clear_buffer(&b.cells, 0, Some(grid_cells(params.side) * 4));
+        let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        run(&mut compute, &pipelines.count, &bindings.count, n, limits);
+        run(&mut compute, &pipelines.rows, &bindings.rows, u64::from(params.side).pow(2), limits);
+        run(&mut compute, &pipelines.scatter, &bindings.scatter, n, limits);
+        run(&mut compute, &pipelines.twins, &bindings.twins, n, limits);
+        run(&mut compute, &pipelines.search, &bindings.search, n, limits);
+        Ok(())
+    }
+
+    /// Encodes the search for the facets' first cells.
+    pub(super) fn encode_start(&mut self, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
+        let (pipelines, roots) = (Arc::clone(&self.pipelines), self.roots.len() as u64);
+        let limits = Limits::of(&self.device.limits());
+        let there = self.on_device()?;
+        let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        run(&mut compute, &pipelines.start, &there.bindings.start, roots, limits);
+        Ok(())
+    }
+
+    /// Ends `encoder` with the figures, if they are wanted, and reads the summary.
+    pub(super) fn read_summary(&mut self, mut encoder: wgpu::CommandEncoder) -> Result<State, RvdError> {
+        self.encode_figures(&mut encoder)?;
+        let device = Arc::clone(&self.device);
+        self.on_device()?;
+        let Some(OnDevice { buffers: b, .. }) = &self.on_device else {
+            return Err(RvdError::Internal("no buffers".to_owned()));
+        };
+        let mut parts = vec![(&b.state, 0, size_of::<State>() as u64)];
+        let wanted = self.moving.as_ref().filter(|m| m.wants_figures());
+        parts.extend(wanted.map(|m| (&m.buffers.figures, 0, size_of::<Figures>() as u64)));
+        let (mut state, mut figures) = (State::default(), None);
+        b.read_parts(&device, encoder, &parts, |bytes| {
+            let (first, rest) = bytes.split_at(size_of::<State>());
+            state = bytemuck::pod_read_unaligned(first);
+            figures = (!rest.is_empty()).then(|| bytemuck::pod_read_unaligned(rest));
+        })?;
+        if let (Some(moving), Some(figures)) = (&mut self.moving, figures) {
+            moving.figures = figures;
+        }
+        Ok(state)
+    }
+
+    /// The rows, if they are not there, in a submission of their own.
+    pub(super) fn search_now(&mut self, cancel: &CancelFlag) -> Result<(), RvdError> {
+        if self.rows != Rows::Missing {
+            return Ok(());
+        }
+        self.promote()?;
+        let (device, params) = (Arc::clone(&self.device), self.params());
+        let b = &self.on_device()?.buffers;
+        buffers::write(&device, &b.params, 0, &[params])?;
+        buffers::write(&device, &b.state, 0, &[State::default()])?;
+        let mut encoder = device.encoder();
+        self.encode_search(&mut encoder)?;
+        let state = self.read_summary(encoder)?;
+        self.settle_search(&state, cancel)?;
+        Ok(())
+    }
+
+    /// The first cells likewise.
+    pub(super) fn start_now(&mut self, cancel: &CancelFlag) -> Result<(), RvdError> {
+        cancel.check()?;
+        if self.started {
+            return Ok(());
+        }
+        let (device, params) = (Arc::clone(&self.device), self.params());
+        let b = &self.on_device()?.buffers;
+        buffers::write(&device, &b.params, 0, &[params])?;
+        buffers::write(&device, &b.state, 0, &[State::default()])?;
+        let mut encoder = device.encoder();
+        self.encode_start(&mut encoder)?;
+        let state = self.read_summary(encoder)?;
+        self.settle_start(&state)?;
+        Ok(())
+    }
+
+    /// What came of the search. `false` if the host searched instead.
+    pub(super) fn settle_search(&mut self, state: &State, cancel: &CancelFlag) -> Result<bool, RvdError> {
+        if state.halt & halt::BAD != 0 {
+            let i = (u32::MAX - state.bad) as usize;
+            let device = Arc::clone(&self.device);
+            let b = &self.on_device()?.buffers;
+            let record: Vec<layout::Seed> = b.read(&device, &b.seeds, i..i + 1)?;
+            let place = record.first().map_or(DVec3::NAN, |r| DVec3::from_array(r.position()));
+            check_seed(i, place)?;
+            // Beyond the range by a rounding.
+            return Err(RvdError::SeedTooFar { seed: i, boxes: place.abs().max_element() });
+        }
+        let far = state.halt & halt::FAR != 0 || state.near == 0;
+        if far || state.halt != 0 {
+            self.search_on_host(far, cancel)?;
+            return Ok(false);
+        }
+        self.rows = Rows::Device;
+        self.twins = u64::from(state.twins);
+        // Seeds that the device cannot tell apart and the host can are for the host.
+        self.merged =
+            self.twins > 0 && self.place == Place::Set && coincident::find(&self.seeds).len() as u64 != self.twins;
+        Ok(true)
+    }
+
+    /// What came of the facets' first cells. `false` if the host found some of them.
+    pub(super) fn settle_start(&mut self, state: &State) -> Result<bool, RvdError> {
+        self.started = true;
+        if state.unproved == 0 {
+            return Ok(true);
+        }
+        self.host_searches += 1;
+        self.host.fresh = false;
+        self.view()?;
+        let HostCopy { index, first, .. } = &mut self.host;
+        let surface = &self.surface;
+        self.roots.par_iter_mut().filter(|root| root[1] == NONE).for_each(|root| {
+            root[1] = index.nearest(surface.centroid(root[0]));
+        });
+        for root in &self.roots {
+            first[root[0] as usize] = root[1];
+        }
+        let device = Arc::clone(&self.device);
+        let Some(there) = &self.on_device else { return Ok(false) };
+        buffers::write(&device, &there.buffers.proposals, 0, &self.roots)?;
+        Ok(false)
+    }
+
+    /// Rows and first cells by the host's tree, and onto the device with them.
+    fn search_on_host(&mut self, far: bool, cancel: &CancelFlag) -> Result<(), RvdError> {
+        self.host_searches += 1;
+        self.fetch_records()?;
+        let seeds = &self.seeds;
+        let host = &mut self.host;
+        host.far = far;
+        host.seen.clear();
+        match self.place {
+            // Where floats do not reach, the host decides, so it takes what it was given.
+            Place::Set if far => host.seen.extend_from_slice(&self.seeds),
+            _ => host.seen.extend(host.records.iter().map(|r| DVec3::from_array(r.position()))),
+        }
+        host.index = SeedIndex::new(&host.seen);
+        if !host.table.fill(&host.index, self.capacities.neighbours, Threads::Pool, &|| cancel.is_cancelled()) {
+            return Err(RvdError::Cancelled);
+        }
+        self.twins = host.index.duplicates() as u64;
+        self.merged =
+            !far && self.twins > 0 && self.place == Place::Set && coincident::find(seeds).len() as u64 != self.twins;
+        let rows: Vec<NeighbourRow> = (0..host.seen.len() as u32)
+            .into_par_iter()
+            .map(|i| {
+                let (seeds, complete) = host.table.row(i);
+                let mut row = NeighbourRow { seeds: seeds.to_vec(), complete };
+                if !far {
+                    in_device_order(i, &host.records, &mut row);
+                }
+                row
+            })
+            .collect();
+        host.packed.clear();
+        for (record, row) in host.records.iter_mut().zip(&rows) {
+            record.row_begin = host.packed.len() as u32;
+            record.row_length = row.seeds.len() as u32 | if row.complete { COMPLETE } else { 0 };
+            host.packed.extend_from_slice(&row.seeds);
+        }
+        host.packed_end = host.packed.len();
+        if far {
+            let radius = fixed::covering_radius(&host.seen);
+            self.scales = fixed::Scales::new(self.mass, self.surface.area(), radius);
+        }
+        let facets = self.facets.len() as u32;
+        let mut starts = std::mem::take(&mut self.host.starts);
+        self.host.first.clear();
+        self.host.first.extend_from_slice(starts.find(self.diagram(), 0..facets));
+        self.host.starts = starts;
+        for root in &mut self.roots {
+            root[1] = self.host.first[root[0] as usize];
+        }
+        self.rows = Rows::Host;
+        self.started = true;
+        self.host.fresh = true;
+        if self.host.packed.len() as u64 > self.counts.table {
+            self.counts.table = self.host.packed.len() as u64 * 3 / 2;
+            return self.release();
+        }
+        let device = Arc::clone(&self.device);
+        self.on_device()?;
+        if let Some(there) = &self.on_device {
+            buffers::write(&device, &there.buffers.seeds, 0, &self.host.records)?;
+            buffers::write(&device, &there.buffers.table, 0, &self.host.packed)?;
+            buffers::write(&device, &there.buffers.proposals, 0, &self.roots)?;
+        }
+        Ok(())
+    }
+
+    /// The records as they are on the device.
+    fn fetch_records(&mut self) -> Result<(), RvdError> {
+        let (device, n) = (Arc::clone(&self.device), self.count);
+        let b = &self.on_device()?.buffers;
+        self.host.records = b.read(&device, &b.seeds, 0..n)?;
+        Ok(())
+    }
+
+    /// Brings what the host knows of the device's seeds, rows and first cells up to date: for pairs
+    /// that the device could not end.
+    pub(super) fn view(&mut self) -> Result<(), RvdError> {
+        if self.host.fresh {
+            return Ok(());
+        }
+        self.fetch_records()?;
+        let (device, roots) = (Arc::clone(&self.device), self.roots.len());
+        let b = &self.on_device()?.buffers;
+        self.roots = b.read(&device, &b.proposals, 0..roots)?;
+        let host = &mut self.host;
+        host.first.clear();
+        host.first.resize(self.facets.len(), 0);
+        for root in &self.roots {
+            host.first[root[0] as usize] = root[1];
+        }
+        host.seen.clear();
+        host.seen.extend(host.records.iter().map(|r| DVec3::from_array(r.position())));
+        host.index = SeedIndex::new(&host.seen);
+        host.table.clear();
+        let end = |r: &layout::Seed| (r.row_begin + (r.row_length & INDEX)) as usize;
+        host.packed_end = host.records.iter().map(end).max().unwrap_or(0);
+        host.fresh = true;
+        Ok(())
+    }
+}
