@@ -117,6 +117,9 @@ pub(crate) enum Phase {
     Cut,
 }
 
+/// Between the last answer and the end of its connection.
+const LINGER: Duration = Duration::from_millis(300);
+
 /// Time for streams to end once they were cut, and for connections to close.
 const CUT_TIME: Duration = Duration::from_secs(2);
 
@@ -188,6 +191,9 @@ pub async fn run(
                 phase.send_replace(Phase::Cut);
                 engine.cancel_all();
                 let _ = tokio::time::timeout(CUT_TIME, gate.idle()).await;
+                // A connection that closes while its client still acknowledges data is reset, and what
+                // the client has not read yet is lost.
+                tokio::time::sleep(LINGER).await;
                 let _ = stop.send(());
                 // Answers that are written may still be on their way to a slow reader.
                 tokio::time::sleep(limits.grace.saturating_sub(begin.elapsed()).max(CUT_TIME)).await;

@@ -39,6 +39,8 @@ fn request(attributes: Vec<AttributeHeader>, arrays: Vec<Chunk>) -> Vec<RemeshRe
         seeds: uploaded(seeds.len()),
         lloyd_steps: 2,
         measure: Measure::Topology.into(),
+        // Off the surface a linear field is not that of the place.
+        placement: Placement::Surface.into(),
         attributes,
         ..RemeshHeader::default()
     };
@@ -185,7 +187,7 @@ async fn the_program_carries_them_here_and_there() {
     let run = |output: &str, more: &[&str]| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_tessera"));
         command.arg("remesh").arg(path("in.ply")).arg("-o").arg(path(output));
-        command.args(["--points", "200", "--lloyd", "2", "--backend", "serial"]).args(more);
+        command.args(["--points", "200", "--lloyd", "2", "--placement", "surface", "--backend", "serial"]).args(more);
         let out = command.output().unwrap();
         assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
         String::from_utf8_lossy(&out.stderr).into_owned()
