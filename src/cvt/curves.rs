@@ -64,6 +64,9 @@ const SAGITTA: f64 = 0.035;
 const LEAST_SHARE: f64 = 0.6;
 /// Two curves are too close where seeds of them are nearer than this share of their spacing.
 const CROWDED: f64 = 0.45;
+/// Creases that leave a corner at less than this, degrees, stay only if bent by more than that, degrees.
+const LEAST_CORNER: f64 = 32.0;
+const MEANT: f64 = 55.0;
 /// and where they leave a common corner at less than this angle, radians; and a curve as short as that is too short.
 const ACUTE: f64 = 0.3;
 /// A deviation of a chord counts for so much of a difference in length.
@@ -246,7 +249,7 @@ impl CurveSeeds {
         }
         let index = SeedIndex::new(&self.seeds);
         let mut row = NeighbourRow::default();
-        let mut out = BTreeSet::new();
+        let mut out = self.acute(features);
         let may_go = |c: u32| features.curves[c as usize].angle_deg < 180.0;
         out.extend(self.short.iter().copied().filter(|&c| may_go(c)));
         for i in 0..self.seeds.len() as u32 {
@@ -265,6 +268,33 @@ impl CurveSeeds {
                     .filter(|(_, c)| may_go(*c))
                     .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
                 out.extend(weakest.map(|(_, c)| c));
+            }
+        }
+        out
+    }
+
+    /// Of two creases that leave a corner at an acute angle the less bent one, where that is a fold of a scan
+    /// rather than an edge of a part: the triangle between them could not be better than the angle.
+    fn acute(&self, features: &Features) -> BTreeSet<u32> {
+        let mut leaving = vec![Vec::new(); self.corners];
+        for s in &self.segments {
+            let bend = features.curves[s.curve as usize].ends_deg;
+            for (a, b, bend) in [(s.ends[0], s.ends[1], bend[0]), (s.ends[1], s.ends[0], bend[1])] {
+                if let Some(list) = leaving.get_mut(a as usize) {
+                    let way = (self.seeds[b as usize] - self.seeds[a as usize]).normalize_or_zero();
+                    list.push((way, bend, s.curve));
+                }
+            }
+        }
+        let mut out = BTreeSet::new();
+        for list in leaving {
+            for (k, &(way, bend, c)) in list.iter().enumerate() {
+                for &(other, other_bend, d) in &list[..k] {
+                    let (weaker, bend) = if bend < other_bend { (c, bend) } else { (d, other_bend) };
+                    if way.dot(other) > LEAST_CORNER.to_radians().cos() && bend < MEANT {
+                        out.insert(weaker);
+                    }
+                }
             }
         }
         out

@@ -35,6 +35,10 @@ const TANGLE: f64 = 0.5;
 const TANGLE_OF_SHARP: f64 = 0.15;
 /// What is bent by more than this, degrees, is sharp.
 const SHARP_ANGLE: f64 = 75.0;
+/// So many edges are an end of a curve.
+const END_EDGES: usize = 3;
+/// Edges that are bent by more than this, degrees, are ridges.
+const RIDGE_ANGLE: f64 = 20.0;
 /// A curve bends by more than this, degrees: there is a corner.
 const CORNER_ANGLE: f64 = 60.0;
 
@@ -58,6 +62,8 @@ pub struct Curve {
     pub closed: bool,
     /// How much it is bent, degrees, mean over its edges; 180 for a boundary and where it was given.
     pub angle_deg: f64,
+    /// The same of its first and its last edges alone.
+    pub ends_deg: [f64; 2],
 }
 
 /// The curves of a surface.
@@ -69,6 +75,8 @@ pub struct Features {
     pub corners: Vec<u32>,
     /// Edges that were bent enough and were left out as too short a crease.
     pub left_out: usize,
+    /// All edges bent by more than 20°, whether or not they are part of a curve.
+    pub ridges: Vec<[u32; 2]>,
 }
 
 /// Why given creases were refused.
@@ -106,7 +114,7 @@ impl Features {
         }
         let adjacency = Adjacency::new(mesh);
         let class = adjacency.representative();
-        let (bent, boundary) = classify(mesh, positions, &adjacency, options.crease_angle_deg);
+        let (bent, boundary, ridges) = classify(mesh, positions, &adjacency, options.crease_angle_deg);
         let mut graph = Graph::default();
         let must = |kind| What { kind, kept: true, angle: 180.0 };
         boundary.iter().for_each(|&e| graph.insert(e, must(CurveKind::Boundary)));
@@ -123,7 +131,7 @@ impl Features {
         }
         let left_out = graph.prune(positions, options.shortest);
         let (curves, corners) = graph.curves(positions, options.reach);
-        Ok(Self { curves, corners, left_out })
+        Ok(Self { curves, corners, left_out, ridges })
     }
 
     /// Checks that `given` edges are there.
@@ -170,24 +178,34 @@ fn all_edges<'a>(mesh: &'a TriMesh, adjacency: &'a Adjacency) -> impl Iterator<I
     })
 }
 
-/// Edges that are bent by more than `angle` degrees, with their angles, and boundary edges; both ascending.
-fn classify(mesh: &TriMesh, positions: &[DVec3], adjacency: &Adjacency, angle: f64) -> (Vec<(Edge, f64)>, Vec<Edge>) {
+/// Edges that are bent by more than `angle` degrees, with their angles, boundary edges, and ridges; all ascending.
+fn classify(
+    mesh: &TriMesh,
+    positions: &[DVec3],
+    adjacency: &Adjacency,
+    angle: f64,
+) -> (Vec<(Edge, f64)>, Vec<Edge>, Vec<Edge>) {
     let normal = |f: usize| {
         let [a, b, c] = mesh.facets()[f].map(|v| positions[v as usize]);
         (b - a).cross(c - a).normalize_or_zero()
     };
-    let (mut bent, mut boundary) = (Vec::new(), Vec::new());
+    let (mut bent, mut boundary, mut ridges) = (Vec::new(), Vec::new(), Vec::new());
     for (half, e) in all_edges(mesh, adjacency).enumerate() {
         match (adjacency.kind(half), adjacency.opposite(half)) {
             (EdgeKind::Boundary, _) => boundary.push(e),
-            (kind @ (EdgeKind::Manifold | EdgeKind::Inconsistent), Some(other)) if angle > 0.0 && half < other => {
+            (kind @ (EdgeKind::Manifold | EdgeKind::Inconsistent), Some(other)) if half < other => {
                 let (f, g) = (half / 3, other / 3);
                 // A facet without area has no normal, and says nothing of a bend.
                 let turned = if kind == EdgeKind::Inconsistent { -1.0 } else { 1.0 };
                 let (n, m) = (normal(f), turned * normal(g));
                 let between = n.cross(m).length().atan2(n.dot(m)).to_degrees();
-                if !mesh.is_degenerate(f) && !mesh.is_degenerate(g) && between > angle {
-                    bent.push((e, between));
+                if !mesh.is_degenerate(f) && !mesh.is_degenerate(g) {
+                    if angle > 0.0 && between > angle {
+                        bent.push((e, between));
+                    }
+                    if between > RIDGE_ANGLE {
+                        ridges.push(e);
+                    }
                 }
             }
             _ => {}
@@ -195,7 +213,8 @@ fn classify(mesh: &TriMesh, positions: &[DVec3], adjacency: &Adjacency, angle: f
     }
     bent.sort_unstable_by_key(|b| b.0);
     boundary.sort_unstable();
-    (bent, boundary)
+    ridges.sort_unstable();
+    (bent, boundary, ridges)
 }
 
 /// Feature edges around each vertex.
@@ -357,6 +376,8 @@ impl Graph {
         for curve in &mut curves {
             let chain: Vec<u32> = curve.round().collect();
             curve.angle_deg = bend(&chain);
+            let few = chain.len().min(END_EDGES + 1);
+            curve.ends_deg = [bend(&chain[..few]), bend(&chain[chain.len() - few..])];
         }
         curves.sort_by(|a: &Curve, b| a.vertices.cmp(&b.vertices));
         (curves, corners.into_iter().collect())
@@ -389,7 +410,7 @@ fn split(
     let last = chain.len() - 1;
     if turns.is_empty() {
         let vertices = if closed { chain[..last].to_vec() } else { chain.to_vec() };
-        curves.push(Curve { kind, vertices, closed, angle_deg: 0.0 });
+        curves.push(Curve { kind, vertices, closed, angle_deg: 0.0, ends_deg: [0.0; 2] });
         return;
     }
     corners.extend(turns.iter().map(|&k| chain[k]));
@@ -403,7 +424,13 @@ fn split(
         let cuts: Vec<usize> = std::iter::once(0).chain(turns).chain(std::iter::once(last)).collect();
         pieces.extend(cuts.windows(2).map(|c| chain[c[0]..=c[1]].to_vec()));
     }
-    curves.extend(pieces.into_iter().map(|vertices| Curve { kind, vertices, closed: false, angle_deg: 0.0 }));
+    curves.extend(pieces.into_iter().map(|vertices| Curve {
+        kind,
+        vertices,
+        closed: false,
+        angle_deg: 0.0,
+        ends_deg: [0.0; 2],
+    }));
 }
 
 /// Places in a chain where it turns by more than [`CORNER_ANGLE`] between the points `reach` behind and

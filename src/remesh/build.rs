@@ -99,24 +99,36 @@ impl Source<'_> {
             fixed: built.vertex_seed.iter().map(|&s| self.kept.is_corner(s)).collect(),
             ..fit::Target::default()
         };
-        let mut held = vec![false; self.surface.positions().len()];
+        let mut first_tip: Vec<Option<u32>> = vec![None; self.surface.positions().len()];
         for p in dual.pieces.iter().filter(|p| p.area > 0.0 && vertex[p.component as usize] != u32::MAX) {
             let vertex = vertex[p.component as usize];
             let normal = self.surface.normal(p.facet);
             target.samples.push(fit::Sample { position: p.centroid, normal, area: p.area, vertex });
             for corner in (0..3).filter(|c| p.corners & (1 << c) != 0) {
                 let v = self.surface.welded()[p.facet as usize][corner] as usize;
-                if !std::mem::replace(&mut held[v], true) {
+                if first_tip[v].is_none() {
+                    first_tip[v] = Some(target.tips.len() as u32);
                     target.tips.push(Tip { position: self.surface.positions()[v], vertex });
                 }
             }
         }
         let frame = self.surface.frame();
         let mut unit: Vec<DVec3> = built.positions.iter().map(|&p| frame.to_unit(p)).collect();
-        let (missed, deviation) = fit::fit(&mut unit, built.facets, &target, self.tolerance);
+        // The middle of an edge on a ridge is far from a facet across it though its ends may be near.
+        for &[a, b] in self.kept.ridges() {
+            if let (Some(a), Some(b)) = (first_tip[a as usize], first_tip[b as usize]) {
+                let (a, b) = (target.tips[a as usize], target.tips[b as usize]);
+                let position = 0.5 * (a.position + b.position);
+                let to = |v: u32| unit[v as usize].distance_squared(position);
+                let vertex = if to(a.vertex) <= to(b.vertex) { a.vertex } else { b.vertex };
+                target.tips.push(Tip { position, vertex });
+            }
+        }
+        fit::fit(&mut unit, built.facets, &target);
         let rails = rails(&unit, built.curve_edges, &target.fixed);
         let curves: HashSet<[u32; 2]> = built.curve_edges.iter().flatten().map(|&e| flips::sorted(e)).collect();
         polish::polish(&mut unit, built.facets, &rails, &curves);
+        let (missed, deviation) = fit::missed(&unit, built.facets, &target, self.tolerance);
         for ((p, u), _) in built.positions.iter_mut().zip(unit).zip(&target.fixed).filter(|(_, fixed)| !**fixed) {
             *p = frame.to_world(u);
         }

@@ -90,15 +90,8 @@ const LEAST_ANGLE: f64 = 35.0;
 /// A facet's normal turns by at most this cosine from that before the fit.
 const LEAST_COSINE: f64 = 0.5;
 
-/// Moves `positions`, and turns edges that lie across a ridge. Returns the places that are still farther away than
-/// `tolerance`, or than a share of an edge where that is `None`: (vertex nearest to the place, the
-/// place), the farthest first, none beside another; and how far off the farthest vertex of the input is.
-pub(super) fn fit(
-    positions: &mut [DVec3],
-    facets: &mut [[u32; 3]],
-    target: &Target,
-    tolerance: Option<f64>,
-) -> (Vec<(u32, DVec3)>, f64) {
+/// Moves `positions`, and turns edges that lie across a ridge.
+pub(super) fn fit(positions: &mut [DVec3], facets: &mut [[u32; 3]], target: &Target) {
     let mut around = Around::new(positions.len(), facets);
     let first: Vec<Facet> = facets.par_iter().map(|&t| Facet::of(positions, t)).collect();
     let mut state = State { start: positions.to_vec(), first, pulls: Vec::new() };
@@ -126,6 +119,19 @@ pub(super) fn fit(
             neighbourhood(facets, &around, (0..).zip(&region).filter(|r| *r.1).map(|r| r.0).collect(), positions.len());
         offsets.update(positions, facets, &around, &wider);
     }
+}
+
+/// Places of the input that are farther from the result than `tolerance`, or than a share of an edge where that is
+/// `None`: (vertex nearest to the place, the place), the farthest first, none beside another; and how far
+/// apart the two are anywhere, both ways.
+pub(super) fn missed(
+    positions: &[DVec3],
+    facets: &[[u32; 3]],
+    target: &Target,
+    tolerance: Option<f64>,
+) -> (Vec<(u32, DVec3)>, f64) {
+    let around = Around::new(positions.len(), facets);
+    let offsets = Offsets::new(positions, facets, &around, &target.tips);
     let missed = offsets.far(|o| tolerance.map_or(o.share > MISSED, |t| o.distance > t));
     let mut taken = vec![false; positions.len()];
     let mut found = Vec::new();
@@ -135,7 +141,37 @@ pub(super) fn fit(
             found.push((o.corner, target.tips[k].position));
         }
     }
-    (found, offsets.deviation())
+    (found, offsets.deviation().max(strayed(positions, facets, target)))
+}
+
+/// How far a vertex or the middle of a facet is from the input at most: from the plane of the nearest sample around
+/// it, or from the sample where that is not below it.
+fn strayed(positions: &[DVec3], facets: &[[u32; 3]], target: &Target) -> f64 {
+    let mut first = vec![0u32; positions.len() + 1];
+    target.samples.iter().for_each(|s| first[s.vertex as usize + 1] += 1);
+    (0..positions.len()).for_each(|v| first[v + 1] += first[v]);
+    let mut next = first.clone();
+    let mut order = vec![0u32; target.samples.len()];
+    for (k, s) in target.samples.iter().enumerate() {
+        order[next[s.vertex as usize] as usize] = k as u32;
+        next[s.vertex as usize] += 1;
+    }
+    let distance = |p: DVec3, corners: &[u32; 3]| {
+        let near = corners.iter().flat_map(|&v| &order[first[v as usize] as usize..first[v as usize + 1] as usize]);
+        let squared = |k: &&u32| target.samples[**k as usize].position.distance_squared(p);
+        near.min_by(|a, b| squared(a).total_cmp(&squared(b))).map_or(0.0, |&k| {
+            let s = &target.samples[k as usize];
+            let (height, reach) = (s.normal.dot(p - s.position).abs(), s.area.sqrt());
+            let aside = (p.distance_squared(s.position) - height * height).max(0.0).sqrt();
+            height.max(aside - 2.0 * reach)
+        })
+    };
+    let of = |t: &[u32; 3]| {
+        let corners = t.map(|v| positions[v as usize]);
+        let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+        corners.iter().chain([&middle]).map(|&p| distance(p, t)).fold(0.0, f64::max)
+    };
+    facets.par_iter().map(of).reduce(|| 0.0, f64::max)
 }
 
 /// What the rounds share.

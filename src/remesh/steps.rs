@@ -15,7 +15,7 @@ use crate::rvd::CancelFlag;
 const CLEARINGS: usize = 2;
 const CLEARING_STEPS: usize = 3;
 /// Steps after seeds were moved or added for what was missed.
-const REFINING_STEPS: usize = 4;
+const REFINING_STEPS: usize = 6;
 
 /// Takes the steps of one remesh.
 pub(super) struct Steps<'a> {
