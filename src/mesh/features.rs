@@ -37,8 +37,6 @@ const TANGLE_OF_SHARP: f64 = 0.15;
 const SHARP_ANGLE: f64 = 75.0;
 /// So many edges are an end of a curve.
 const END_EDGES: usize = 3;
-/// Edges that are bent by more than this, degrees, are ridges.
-const RIDGE_ANGLE: f64 = 20.0;
 /// A curve bends by more than this, degrees: there is a corner.
 const CORNER_ANGLE: f64 = 60.0;
 
@@ -75,8 +73,6 @@ pub struct Features {
     pub corners: Vec<u32>,
     /// Edges that were bent enough and were left out as too short a crease.
     pub left_out: usize,
-    /// All edges bent by more than 20°, whether or not they are part of a curve.
-    pub ridges: Vec<[u32; 2]>,
 }
 
 /// Why given creases were refused.
@@ -114,7 +110,7 @@ impl Features {
         }
         let adjacency = Adjacency::new(mesh);
         let class = adjacency.representative();
-        let (bent, boundary, ridges) = classify(mesh, positions, &adjacency, options.crease_angle_deg);
+        let (bent, boundary) = classify(mesh, positions, &adjacency, options.crease_angle_deg);
         let mut graph = Graph::default();
         let must = |kind| What { kind, kept: true, angle: 180.0 };
         boundary.iter().for_each(|&e| graph.insert(e, must(CurveKind::Boundary)));
@@ -131,7 +127,7 @@ impl Features {
         }
         let left_out = graph.prune(positions, options.shortest);
         let (curves, corners) = graph.curves(positions, options.reach);
-        Ok(Self { curves, corners, left_out, ridges })
+        Ok(Self { curves, corners, left_out })
     }
 
     /// Checks that `given` edges are there.
@@ -178,34 +174,24 @@ fn all_edges<'a>(mesh: &'a TriMesh, adjacency: &'a Adjacency) -> impl Iterator<I
     })
 }
 
-/// Edges that are bent by more than `angle` degrees, with their angles, boundary edges, and ridges; all ascending.
-fn classify(
-    mesh: &TriMesh,
-    positions: &[DVec3],
-    adjacency: &Adjacency,
-    angle: f64,
-) -> (Vec<(Edge, f64)>, Vec<Edge>, Vec<Edge>) {
+/// Edges that are bent by more than `angle` degrees, with their angles, and boundary edges; both ascending.
+fn classify(mesh: &TriMesh, positions: &[DVec3], adjacency: &Adjacency, angle: f64) -> (Vec<(Edge, f64)>, Vec<Edge>) {
     let normal = |f: usize| {
         let [a, b, c] = mesh.facets()[f].map(|v| positions[v as usize]);
         (b - a).cross(c - a).normalize_or_zero()
     };
-    let (mut bent, mut boundary, mut ridges) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut bent, mut boundary) = (Vec::new(), Vec::new());
     for (half, e) in all_edges(mesh, adjacency).enumerate() {
         match (adjacency.kind(half), adjacency.opposite(half)) {
             (EdgeKind::Boundary, _) => boundary.push(e),
-            (kind @ (EdgeKind::Manifold | EdgeKind::Inconsistent), Some(other)) if half < other => {
+            (kind @ (EdgeKind::Manifold | EdgeKind::Inconsistent), Some(other)) if angle > 0.0 && half < other => {
                 let (f, g) = (half / 3, other / 3);
                 // A facet without area has no normal, and says nothing of a bend.
                 let turned = if kind == EdgeKind::Inconsistent { -1.0 } else { 1.0 };
                 let (n, m) = (normal(f), turned * normal(g));
                 let between = n.cross(m).length().atan2(n.dot(m)).to_degrees();
-                if !mesh.is_degenerate(f) && !mesh.is_degenerate(g) {
-                    if angle > 0.0 && between > angle {
-                        bent.push((e, between));
-                    }
-                    if between > RIDGE_ANGLE {
-                        ridges.push(e);
-                    }
+                if !mesh.is_degenerate(f) && !mesh.is_degenerate(g) && between > angle {
+                    bent.push((e, between));
                 }
             }
             _ => {}
@@ -213,8 +199,7 @@ fn classify(
     }
     bent.sort_unstable_by_key(|b| b.0);
     boundary.sort_unstable();
-    ridges.sort_unstable();
-    (bent, boundary, ridges)
+    (bent, boundary)
 }
 
 /// Feature edges around each vertex.

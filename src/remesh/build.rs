@@ -114,16 +114,6 @@ impl Source<'_> {
         }
         let frame = self.surface.frame();
         let mut unit: Vec<DVec3> = built.positions.iter().map(|&p| frame.to_unit(p)).collect();
-        // The middle of an edge on a ridge is far from a facet across it though its ends may be near.
-        for &[a, b] in self.kept.ridges() {
-            if let (Some(a), Some(b)) = (first_tip[a as usize], first_tip[b as usize]) {
-                let (a, b) = (target.tips[a as usize], target.tips[b as usize]);
-                let position = 0.5 * (a.position + b.position);
-                let to = |v: u32| unit[v as usize].distance_squared(position);
-                let vertex = if to(a.vertex) <= to(b.vertex) { a.vertex } else { b.vertex };
-                target.tips.push(Tip { position, vertex });
-            }
-        }
         fit::fit(&mut unit, built.facets, &target);
         let rails = rails(&unit, built.curve_edges, &target.fixed);
         let curves: HashSet<[u32; 2]> = built.curve_edges.iter().flatten().map(|&e| flips::sorted(e)).collect();

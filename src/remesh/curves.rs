@@ -159,11 +159,6 @@ impl Kept {
         self.seeds.segments.iter().map(|s| find(s.ends)).collect()
     }
 
-    /// Edges of the surface that are ridges.
-    pub(super) fn ridges(&self) -> &[[u32; 2]] {
-        &self.features.ridges
-    }
-
     /// Whether a seed is a corner.
     pub(super) fn is_corner(&self, seed: u32) -> bool {
         (seed as usize) < self.seeds.corners

@@ -82,8 +82,9 @@ pub(super) const TIP: f64 = 0.08;
 const TIP_REACH: f64 = 0.75;
 /// as strongly as this many of the vertex's own areas.
 const TIP_PULL: f64 = 20.0;
-/// What is farther from the facets than this share of an edge was missed.
-const MISSED: f64 = 0.2;
+/// What is farther from the facets than the second share of an edge was missed, if something is farther than the
+/// first.
+const MISSED: [f64; 2] = [0.25, 0.17];
 /// Facets keep at least this quality (1 is equilateral) and this smallest angle in degrees, or what they had.
 const LEAST_SHAPE: f64 = 0.63;
 const LEAST_ANGLE: f64 = 35.0;
@@ -132,7 +133,10 @@ pub(super) fn missed(
 ) -> (Vec<(u32, DVec3)>, f64) {
     let around = Around::new(positions.len(), facets);
     let offsets = Offsets::new(positions, facets, &around, &target.tips);
-    let missed = offsets.far(|o| tolerance.map_or(o.share > MISSED, |t| o.distance > t));
+    let mut missed = offsets.far(|o| tolerance.map_or(o.share > MISSED[1], |t| o.distance > t));
+    if tolerance.is_none() && missed.first().is_some_and(|(_, o)| o.share <= MISSED[0]) {
+        missed.clear();
+    }
     let mut taken = vec![false; positions.len()];
     let mut found = Vec::new();
     for (k, o) in missed {
