@@ -11,6 +11,7 @@ use super::picture::PictureArgs;
 use super::progress::Progress;
 use super::{backends, files, interrupt, remote, sizes};
 use crate::config::BackendArgs;
+use crate::cvt::Projection;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::TriMesh;
 use crate::remesh::{Placement, Refine, RemeshOptions, Report, Seeds, remesh};
@@ -54,6 +55,9 @@ pub(crate) struct RemeshArgs {
     /// Where the vertices of the remesh go.
     #[arg(long, value_enum, default_value_t)]
     placement: PlacementArg,
+    /// Where seeds go after each step. They end on the surface either way.
+    #[arg(long, value_enum, default_value_t)]
+    projection: ProjectionArg,
     /// Who works.
     #[command(flatten)]
     backend: BackendArgs,
@@ -136,6 +140,16 @@ pub(crate) enum BoundariesArg {
     Free,
 }
 
+/// Where seeds go.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ProjectionArg {
+    /// Where the step takes them, near the surface.
+    #[default]
+    Free,
+    /// To the closest point of the surface; a quasi-Newton step then begins without a history.
+    Surface,
+}
+
 /// Where vertices go.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PlacementArg {
@@ -201,6 +215,10 @@ fn options(args: &RemeshArgs, mesh: &TriMesh) -> Result<RemeshOptions> {
         crease_angle_deg: args.crease_angle,
         keep_boundaries: args.boundaries == BoundariesArg::Keep,
         placement: args.placement.placement(),
+        projection: match args.projection {
+            ProjectionArg::Free => Projection::Free,
+            ProjectionArg::Surface => Projection::OnSurface,
+        },
         refine,
         density,
         ..RemeshOptions::new(match args.points {

@@ -15,6 +15,7 @@ use super::interrupt;
 use super::progress::Progress;
 use super::rvd::{RvdResult, Sink, Wants};
 use crate::config::BackendArg;
+use crate::cvt::Projection;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Attributes;
@@ -67,6 +68,10 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
         newton_steps: options.newton as u32,
         crease_angle_deg: Some(options.crease_angle_deg),
         placement: placement(options.placement).into(),
+        projection: match options.projection {
+            Projection::Free => proto::Projection::Free.into(),
+            Projection::OnSurface => proto::Projection::OnSurface.into(),
+        },
         boundaries: match options.keep_boundaries {
             true => proto::BoundaryRule::Keep.into(),
             false => proto::BoundaryRule::Free.into(),
