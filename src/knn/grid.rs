@@ -252,9 +252,10 @@ impl Grid {
         true
     }
 
-    /// Sorts the `enough` nearest of `keys` to the front.
+    /// Sorts the `enough` nearest of `keys` to the front; others may follow.
     fn arrange(&self, p: &[f64; 3], enough: usize, keys: &mut Vec<u64>) {
-        if keys.len() > enough {
+        // Not many more are sorted sooner than they are set apart.
+        if keys.len() > 2 * enough {
             let last = *keys.select_nth_unstable(enough - 1).1 & DISTANCE;
             let mut end = enough;
             for q in enough..keys.len() {

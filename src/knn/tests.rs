@@ -42,7 +42,14 @@ fn sets() -> Vec<(&'static str, Vec<DVec3>, bool)> {
         ("sphere", sphere(2000), true),
         ("sheet", sheet(900), true),
         ("lattice", lattice(), true),
-        ("flat lattice", lattice().iter().map(|p| DVec3::new(p.x + 8.0 * (p.z % 4.0), p.y + 8.0 * (p.z / 4.0).floor(), 0.0)).collect(), true),
+        (
+            "flat lattice",
+            lattice()
+                .iter()
+                .map(|p| DVec3::new(p.x + 8.0 * (p.z % 4.0), p.y + 8.0 * (p.z / 4.0).floor(), 0.0))
+                .collect(),
+            true,
+        ),
         ("graded", graded, true),
         ("clustered", clustered, false),
         ("line", random(300).iter().map(|p| DVec3::splat(p.x)).collect(), true),
@@ -96,7 +103,11 @@ fn rows_are_prefixes_of_the_whole_order() {
                 if !index.is_twin(i as u32) {
                     // All that are nearer than the k-th, and no others.
                     let whole = k + 1 >= unique;
-                    let len = if whole { all.len() } else { all.partition_point(|&j| squared(i, j) < squared(i, all[k - 1])) };
+                    let len = if whole {
+                        all.len()
+                    } else {
+                        all.partition_point(|&j| squared(i, j) < squared(i, all[k - 1]))
+                    };
                     assert_eq!(row.seeds.len(), len, "{name}: seed {i}, k {k}");
                 }
             }
