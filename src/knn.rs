@@ -7,8 +7,18 @@
 //! seed alone, which leaves it an empty cell.
 //! Must not know: facets, polygons.
 
+mod grid;
+mod index;
 mod kdtree;
 mod table;
+#[cfg(test)]
+mod tests;
 
-pub use kdtree::{NeighbourRow, SeedIndex, Threads};
+pub use index::{NeighbourRow, SeedIndex, Threads};
 pub use table::NeighbourTable;
+
+/// The squared distance that orders all rows: always the same roundings, whichever way a row was found.
+fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    x * x + y * y + z * z
+}

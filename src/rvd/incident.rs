@@ -21,7 +21,7 @@ pub struct Diagram<'a> {
     pub surface: &'a Surface,
     /// Seeds, unit frame.
     pub seeds: &'a [DVec3],
-    /// Their tree, for rows longer than the table's.
+    /// Their index, for rows longer than the table's.
     pub index: &'a SeedIndex,
     /// First rows.
     pub table: &'a NeighbourTable,

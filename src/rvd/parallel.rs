@@ -91,7 +91,7 @@ struct ParallelSession {
     seeds: Vec<DVec3>,
     index: SeedIndex,
     table: NeighbourTable,
-    /// The tree and the table are not those of `seeds` yet.
+    /// The index and the table are not those of `seeds` yet.
     stale: bool,
     starts: Starts,
     chunks: Vec<Chunk>,
@@ -115,7 +115,7 @@ enum Wanted {
 }
 
 impl ParallelSession {
-    /// Builds the tree and the table of new seeds. Returns the milliseconds spent.
+    /// Builds the index and the table of new seeds. Returns the milliseconds spent.
     fn refresh(&mut self, cancel: &CancelFlag) -> Result<f64, RvdError> {
         if !self.stale {
             return if self.seeds.is_empty() { Err(RvdError::NoSeeds) } else { Ok(0.0) };

@@ -57,7 +57,7 @@ struct SerialSession {
     index: SeedIndex,
     table: NeighbourTable,
     walker: FacetWalker,
-    /// The tree and the table are not those of `seeds` yet.
+    /// The index and the table are not those of `seeds` yet.
     stale: bool,
 }
 
@@ -65,7 +65,7 @@ struct SerialSession {
 const BATCH: usize = 1024;
 
 impl SerialSession {
-    /// Builds the tree and the table of new seeds. Returns the milliseconds spent.
+    /// Builds the index and the table of new seeds. Returns the milliseconds spent.
     fn refresh(&mut self, cancel: &CancelFlag) -> Result<f64, RvdError> {
         if !self.stale {
             return if self.seeds.is_empty() { Err(RvdError::NoSeeds) } else { Ok(0.0) };

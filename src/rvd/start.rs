@@ -1,7 +1,7 @@
 //! The nearest seed of every facet, where its walk over the cells begins.
 //!
 //! Purpose: a seed whose cell holds the facet's centroid, found by walking the neighbour table from
-//! a guess and proved by the same radius that ends a clip; the kd-tree answers where the table
+//! a guess and proved by the same radius that ends a clip; the seeds' index answers where the table
 //! cannot.
 //! Invariant: the answer is a nearest seed, never a later twin. Which of several equal ones it is may depend on the
 //! guess; the diagram does not.
@@ -26,7 +26,7 @@ pub(super) struct Starts {
 
 impl Starts {
     /// Finds those of `facets` on all threads of the present pool. The guess is the last answer for
-    /// the same facets; without one the kd-tree answers, which is faster than a walk from afar.
+    /// the same facets; without one the index answers, which is faster than a walk from afar.
     pub(super) fn find(&mut self, diagram: Diagram<'_>, facets: Range<u32>) -> &[u32] {
         let guessed = self.facets == facets;
         self.seeds.resize(facets.len(), 0);

@@ -1,0 +1,123 @@
+//! The searchable seeds: a grid where it proves an answer, a kd-tree where it does not.
+//!
+//! Purpose: rows and nearest seeds, each by the faster of the two ways.
+//! Invariant: the promise of [`super`]; which way answered shows in no answer.
+//! Must not know: how many rows a table wants.
+
+use std::collections::HashMap;
+use std::sync::OnceLock;
+
+use glam::DVec3;
+
+use super::grid::{Grid, Scratch};
+use super::kdtree::Tree;
+use crate::mesh::coincident;
+
+/// One seed's neighbours.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NeighbourRow {
+    /// Other seeds, nearest first.
+    pub seeds: Vec<u32>,
+    /// Whether no other seed can matter, so that the row cannot be exhausted.
+    pub complete: bool,
+}
+
+/// Who builds an index or a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Threads {
+    /// The calling thread alone.
+    One,
+    /// All threads of the present rayon pool.
+    Pool,
+}
+
+/// One set of seeds, ready to be searched.
+pub struct SeedIndex {
+    seeds: Vec<[f64; 3]>,
+    /// Later twin -> earliest twin.
+    twin: HashMap<u32, u32>,
+    grid: Option<Grid>,
+    /// Built at once where there is no grid, or else when the grid first fails to prove an answer.
+    tree: OnceLock<Tree>,
+}
+
+impl SeedIndex {
+    /// Builds the index of finite `seeds`, on all threads of the present rayon pool.
+    pub fn new(seeds: &[DVec3]) -> Self {
+        Self::with_threads(seeds, Threads::Pool)
+    }
+
+    /// Builds the index of finite `seeds`. The answers do not depend on `threads`.
+    pub fn with_threads(seeds: &[DVec3], threads: Threads) -> Self {
+        let points: Vec<[f64; 3]> = seeds.iter().map(|p| p.to_array()).collect();
+        let mut grid = Grid::new(&points, threads);
+        let pairs = match &grid {
+            Some(grid) => grid.twins(),
+            None => coincident::find(seeds),
+        };
+        if let Some(grid) = grid.as_mut().filter(|_| !pairs.is_empty()) {
+            grid.hide(&pairs);
+        }
+        let index = Self { seeds: points, twin: pairs.into_iter().collect(), grid, tree: OnceLock::new() };
+        if index.grid.is_none() {
+            index.tree.get_or_init(|| Tree::new(&index.seeds, &index.twin, threads));
+        }
+        index
+    }
+
+    /// How many seeds there are.
+    pub fn len(&self) -> usize {
+        self.seeds.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.seeds.is_empty()
+    }
+
+    /// How many seeds lie exactly on an earlier one.
+    pub fn duplicates(&self) -> usize {
+        self.twin.len()
+    }
+
+    /// Whether seed `i` lies exactly on an earlier one.
+    pub fn is_twin(&self, i: u32) -> bool {
+        self.twin.contains_key(&i)
+    }
+
+    /// A nearest seed of a point, never a later twin. Among seeds at exactly the same distance
+    /// it is any one of them, always the same one.
+    pub fn nearest(&self, p: DVec3) -> u32 {
+        let p = p.to_array();
+        // Which of several at one distance it is, the tree alone says.
+        self.grid.as_ref().and_then(|g| g.nearest(&p)).unwrap_or_else(|| self.tree().nearest(&p))
+    }
+
+    /// The nearest neighbours of seed `i`, about `k` of them: the last ones are left out where
+    /// more seeds may lie at the same distance, so that every row is a prefix of the longer ones.
+    pub fn row(&self, i: u32, k: usize, out: &mut NeighbourRow) {
+        self.row_with(i, k, &mut Scratch::default(), out);
+    }
+
+    /// [`Self::row`] without an allocation of its own.
+    pub(super) fn row_with(&self, i: u32, k: usize, scratch: &mut Scratch, out: &mut NeighbourRow) {
+        if let Some(&first) = self.twin.get(&i) {
+            out.seeds.clear();
+            out.seeds.push(first);
+            out.complete = true;
+        } else if !self.grid.as_ref().is_some_and(|g| g.row(i, k, scratch, out)) {
+            self.tree().row(i, &self.seeds[i as usize], k, out);
+        }
+    }
+
+    /// All seeds, those close together close to one another; `None` for their own order.
+    pub(super) fn order(&self) -> Option<&[u32]> {
+        self.grid.as_ref().map(Grid::order)
+    }
+
+    /// The tree. Who comes first builds it alone: a thread that waits for helpers may take up
+    /// another search meanwhile, which would wait for this very tree.
+    fn tree(&self) -> &Tree {
+        self.tree.get_or_init(|| Tree::new(&self.seeds, &self.twin, Threads::One))
+    }
+}
