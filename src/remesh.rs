@@ -333,6 +333,7 @@ fn settle(
         _ => 0,
     };
     let tolerance = options.refine.map(|r| r.tolerance * surface.frame().scale);
+    let first_added = cvt.len() as u32;
     let mut best: Option<build::Built> = None;
     let mut round = 0;
     loop {
@@ -345,7 +346,8 @@ fn settle(
         timings.dual += clock.lap();
         steps.cancel.check()?;
         steps.observer.stage("repair");
-        let source = build::Source { mesh, surface: &surface, kept, placement: options.placement, tolerance };
+        let placement = options.placement;
+        let source = build::Source { mesh, surface: &surface, kept, placement, first_added, tolerance };
         let built = source.triangulated(&dual, cvt.unit_seeds()?)?;
         timings.repair += clock.lap();
         let missed = built.missed.clone();

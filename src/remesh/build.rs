@@ -21,6 +21,8 @@ pub(super) struct Source<'a> {
     pub(super) surface: &'a Surface,
     pub(super) kept: &'a curves::Kept,
     pub(super) placement: Placement,
+    /// Seeds from this one on were added where the result was far from the input, and stay there.
+    pub(super) first_added: u32,
     /// What is farther from the result than this was missed, unit frame; a share of an edge if `None`.
     pub(super) tolerance: Option<f64>,
 }
@@ -96,7 +98,7 @@ impl Source<'_> {
         built.source.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
         let mut target = fit::Target {
             curves: self.kept.samples(built.curve_edges),
-            fixed: built.vertex_seed.iter().map(|&s| self.kept.is_corner(s)).collect(),
+            fixed: built.vertex_seed.iter().map(|&s| self.kept.is_corner(s) || s >= self.first_added).collect(),
             ..fit::Target::default()
         };
         let mut first_tip: Vec<Option<u32>> = vec![None; self.surface.positions().len()];

@@ -80,7 +80,10 @@ impl Steps<'_> {
         let pins: Vec<(u32, glam::DVec3)> =
             missed.iter().copied().filter(|&(seed, _)| add || (seed >= curves && !cvt.is_held(seed))).collect();
         let changed = if add {
-            let places: Vec<glam::DVec3> = pins.iter().map(|p| p.1).collect();
+            // Where a seed is already, another would only be its twin.
+            let seeds = cvt.unit_seeds()?;
+            let apart = |p: &&(u32, glam::DVec3)| seeds[p.0 as usize].distance(p.1) > TWINS;
+            let places: Vec<glam::DVec3> = pins.iter().filter(apart).map(|p| p.1).collect();
             let added = cvt.pin(&[], &places)?;
             self.refine.added_seeds += added;
             added
@@ -101,5 +104,7 @@ impl Steps<'_> {
     }
 }
 
+/// Seeds nearer to each other than this, unit frame, are in one place.
+const TWINS: f64 = 1e-9;
 /// Seeds that are sent to places that were missed, at most, as a share of all.
 const LARGEST_SHARE: f64 = 0.02;
