@@ -198,15 +198,17 @@ fn the_steps_converge_and_stop() {
             assert!(steps < 300, "{}", backend.kind().name());
         }
         let last = cvt.present(&CancelFlag::default()).unwrap();
-        println!("{}: {steps} steps, ‖∇E‖ {:e} of {:e}", backend.kind().name(), last.gradient_norm, first.gradient_norm);
+        println!(
+            "{}: {steps} steps, ‖∇E‖ {:e} of {:e}",
+            backend.kind().name(),
+            last.gradient_norm,
+            first.gradient_norm
+        );
         // A standstill may come before the gradient has shrunk to a thousandth, but not long before.
         assert!(last.gradient_norm < 0.05 * first.gradient_norm);
 
         // A pipeline takes no more of them.
-        let options = RemeshOptions {
-            newton: 300,
-            ..RemeshOptions::plain(Seeds::Sample { points: 20, seed: 1 }, 2)
-        };
+        let options = RemeshOptions { newton: 300, ..RemeshOptions::plain(Seeds::Sample { points: 20, seed: 1 }, 2) };
         let out = remesh(&mesh, &options, backend.as_ref(), &mut (), &CancelFlag::default()).unwrap();
         assert!(out.report.converged);
         let taken = out.report.iterations.len();
