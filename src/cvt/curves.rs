@@ -479,8 +479,8 @@ impl Path {
         if t == 1.0 { self.points[k] } else { self.points[k - 1] + t * (self.points[k] - self.points[k - 1]) }
     }
 
-    /// Arc lengths of the seeds of `count` segments, without those at the ends; a closed curve has its first
-    /// one where it begins.
+    /// Arc lengths of the seeds of `count` segments, ascending, without those at the ends; a closed curve has its first
+    /// one near where it begins, on either side of it.
     fn tessellate(&self, count: usize) -> Vec<f64> {
         let share = self.total() / count as f64;
         let mut places: Vec<f64> = match share > 0.0 {
@@ -492,10 +492,11 @@ impl Path {
             self.relax(&mut places);
         }
         places.iter_mut().for_each(|s| *s = interpolate(&self.smooth, &self.along, *s));
-        self.follow_kinks(&mut places);
         if self.closed {
+            // Before the others look for kinks: the first and the last one are its neighbours.
             places.insert(0, 0.0);
         }
+        self.follow_kinks(&mut places);
         places
     }
 
