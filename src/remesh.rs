@@ -82,7 +82,9 @@ pub enum Placement {
 /// [`Placement::Fitted`]; no seeds are added otherwise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Refine {
-    /// How far the vertices of the input may be from the result, caller's units.
+    /// How far the vertices of the input should be from the result at most, caller's units. Rounds of additions end
+    /// when that is so, when there are `max_points`, or after eight; the report's `refine.missed` says how
+    /// many places are farther away.
     pub tolerance: f64,
     /// The most seeds that there may be in all. Room for them is planned from the beginning.
     pub max_points: usize,
@@ -259,7 +261,7 @@ pub fn remesh(
     steps.clear_curves(&mut cvt)?;
     kept.seeds = cvt.curves().clone();
     timings.refine = clock.lap();
-    let built = settle(&plan.mesh, &mut kept, &mut cvt, backend, &mut steps, &mut timings, &mut clock)?;
+    let (built, seeds) = settle(&plan.mesh, &mut kept, &mut cvt, backend, &mut steps, &mut timings, &mut clock)?;
     let Steps { observer, rvd, iterations, refine, .. } = steps;
 
     let (attributes, provenance) = carried(mesh, options, &built.mesh, observer, cancel)?;
@@ -297,22 +299,15 @@ pub fn remesh(
         density: plan.figures,
     };
     let curve_edges = built.curve_edges.into_iter().flatten().collect();
-    Ok(Remesh {
-        mesh: built.mesh,
-        vertex_seed: built.vertex_seed,
-        curve_edges,
-        seeds: cvt.seeds()?,
-        report,
-        attributes,
-        provenance,
-    })
+    Ok(Remesh { mesh: built.mesh, vertex_seed: built.vertex_seed, curve_edges, seeds, report, attributes, provenance })
 }
 
 /// Times that seeds are moved to what the result missed, and that they are added where a tolerance was given.
 const MOVING_ROUNDS: usize = 3;
 const ADDING_ROUNDS: usize = 8;
 
-/// The result of the present seeds, and of better ones as long as it is far from the input somewhere.
+/// The result of the present seeds, or of better ones as long as it is far from the input somewhere, and the
+/// seeds that it is of, caller's coordinates.
 fn settle(
     mesh: &TriMesh,
     kept: &mut curves::Kept,
@@ -321,7 +316,7 @@ fn settle(
     steps: &mut Steps<'_>,
     timings: &mut Timings,
     clock: &mut Clock,
-) -> Result<build::Built, RemeshError> {
+) -> Result<(build::Built, Vec<DVec3>), RemeshError> {
     let options = steps.options;
     let surface = Arc::clone(cvt.surface());
     let room = options.refine.map_or(0, |r| r.max_points).max(cvt.len());
@@ -334,7 +329,7 @@ fn settle(
     };
     let tolerance = options.refine.map(|r| r.tolerance * surface.frame().scale);
     let first_added = cvt.len() as u32;
-    let mut best: Option<build::Built> = None;
+    let mut best: Option<(build::Built, Vec<DVec3>)> = None;
     let mut round = 0;
     loop {
         steps.observer.stage("dual");
@@ -351,10 +346,9 @@ fn settle(
         let built = source.triangulated(&dual, cvt.unit_seeds()?)?;
         timings.repair += clock.lap();
         let missed = built.missed.clone();
-        // Where seeds are only moved, another place may come out worse than the one that was mended.
-        match &best {
-            Some(before) if tolerance.is_none() && before.deviation <= built.deviation => {}
-            _ => best = Some(built),
+        // Another place may come out worse than the one that was mended.
+        if best.as_ref().is_none_or(|(before, _)| built.deviation < before.deviation) {
+            best = Some((built, cvt.seeds()?));
         }
         if round == rounds || !steps.refine(cvt, &missed, tolerance.is_some())? {
             break;
@@ -363,7 +357,7 @@ fn settle(
         round += 1;
     }
     let best = best.ok_or_else(|| RvdError::Internal("no result was built".to_owned()))?;
-    steps.refine.missed = best.missed.len();
+    steps.refine.missed = best.0.missed.len();
     Ok(best)
 }
 

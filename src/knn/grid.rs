@@ -185,13 +185,12 @@ impl Grid {
         }
         let (mut kept, mut from) = (0, 0);
         for c in 1..self.begin.len() {
-            for p in from..self.begin[c] as usize {
-                if !hidden[p] {
-                    (self.order[kept], self.points[kept]) = (self.order[p], self.points[p]);
-                    kept += 1;
-                }
+            let end = self.begin[c] as usize;
+            for (p, _) in (from..end).zip(&hidden[from..end]).filter(|(_, hidden)| !**hidden) {
+                (self.order[kept], self.points[kept]) = (self.order[p], self.points[p]);
+                kept += 1;
             }
-            from = self.begin[c] as usize;
+            from = end;
             self.begin[c] = kept as u32;
         }
         self.points.truncate(kept);
@@ -345,12 +344,12 @@ impl Grid {
     /// No seed outside the block is within this distance; squared.
     fn proved(&self, at: [f64; 3], block: Block) -> f64 {
         let mut reach = f64::INFINITY;
-        for c in 0..3 {
+        for (c, at) in at.into_iter().enumerate() {
             if block.low[c] > 0 {
-                reach = reach.min(at[c] - block.low[c] as f64);
+                reach = reach.min(at - block.low[c] as f64);
             }
             if block.high[c] + 1 < self.cells[c] {
-                reach = reach.min((block.high[c] + 1) as f64 - at[c]);
+                reach = reach.min((block.high[c] + 1) as f64 - at);
             }
         }
         let reach = (reach * (1.0 - SLACK) / self.inverse).max(0.0);

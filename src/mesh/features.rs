@@ -130,11 +130,14 @@ impl Features {
         Ok(Self { curves, corners, left_out })
     }
 
-    /// Checks that `given` edges are there.
+    /// Checks that an angle makes sense and that `given` edges are there.
     ///
     /// # Errors
     /// [`FeatureError::NoSuchEdge`].
-    pub fn check(mesh: &TriMesh, given: &[[u32; 2]]) -> Result<(), FeatureError> {
+    pub fn check(mesh: &TriMesh, crease_angle_deg: f64, given: &[[u32; 2]]) -> Result<(), FeatureError> {
+        if !(0.0..=180.0).contains(&crease_angle_deg) {
+            return Err(FeatureError::BadAngle(crease_angle_deg));
+        }
         if given.is_empty() {
             return Ok(());
         }

@@ -71,12 +71,12 @@ impl Kept {
         surface: &Surface,
         options: &RemeshOptions,
     ) -> Result<Self, RemeshError> {
+        Features::check(mesh, options.crease_angle_deg, &options.creases)?;
         if matches!(options.seeds, Seeds::Given(_)) {
             return Ok(Self::default());
         }
         let points = plan.points;
         let scale = edge_length(surface, &Features::default(), points);
-        Features::check(mesh, &options.creases)?;
         let mut wish = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
             given: subdivided(&plan.mesh, &options.creases),
