@@ -346,8 +346,10 @@ fn settle(
         let built = source.triangulated(&dual, cvt.unit_seeds()?)?;
         timings.repair += clock.lap();
         let missed = built.missed.clone();
-        // Another place may come out worse than the one that was mended.
-        if best.as_ref().is_none_or(|(before, _)| built.deviation < before.deviation) {
+        // Another place may come out worse than the one that was mended. More seeds are better all the same,
+        // unless it is much worse.
+        let slack = if tolerance.is_some() { 2.0 } else { 1.0 };
+        if best.as_ref().is_none_or(|(before, _)| built.deviation < slack * before.deviation) {
             best = Some((built, cvt.seeds()?));
         }
         if round == rounds || !steps.refine(cvt, &missed, tolerance.is_some())? {

@@ -116,16 +116,17 @@ fn refinement_keeps_its_tolerance_or_uses_its_points_up() {
             let figures = &out.report.refine;
             let worst = distances(&mesh, &out.mesh).into_iter().fold(0.0, f64::max);
             println!("{name}: {} seeds, {worst:e} off, {figures:?}", out.seeds.len());
-            assert_eq!(out.seeds.len(), 250 + figures.added_seeds, "{name}");
-            assert!(out.seeds.len() <= max_points, "{name}");
+            // The result may be that of an earlier round, if the last ones came out much worse somewhere.
+            assert!(out.seeds.len() <= 250 + figures.added_seeds, "{name}");
+            assert!(250 + figures.added_seeds <= max_points, "{name}");
             if figures.missed == 0 {
                 met += 1;
-                // Distances are taken before the last polish, which slides vertices by a part of an edge.
-                let edge = (mesh.area() / out.seeds.len() as f64).sqrt();
-                assert!(worst <= tolerance + 0.1 * edge, "{name}: {worst:e}");
+                // What the rounds look at is not the nearest facet of all, so the truth is no farther.
+                assert!(worst <= tolerance * (1.0 + 1e-9), "{name}: {worst:e}");
             } else {
                 // Points are used up, or rounds.
-                assert!(out.seeds.len() == max_points || figures.rounds == ROUNDS, "{name}: {figures:?}");
+                let used_up = 250 + figures.added_seeds == max_points;
+                assert!(used_up || figures.rounds == ROUNDS, "{name}: {figures:?}");
             }
             is_sound(&name, &mesh, &out.mesh, -0.9);
         }
