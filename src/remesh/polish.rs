@@ -43,9 +43,9 @@ const DIRECTIONS: usize = 12;
 /// A vertex goes no farther in all, same shares: within the surface or along its curve,
 const FARTHEST: f64 = 0.4;
 /// across its curve,
-const ACROSS: f64 = 0.085;
+const ACROSS: f64 = 0.09;
 /// and off its corner.
-const OFF: f64 = 0.06;
+const OFF: f64 = 0.07;
 /// A facet's normal turns by at most this cosine.
 const LEAST_COSINE: f64 = 0.8;
 
