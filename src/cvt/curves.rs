@@ -177,7 +177,7 @@ impl CurveSeeds {
         middle
     }
 
-    /// Splits segments whose chord leaves the curve by more than [`DEVIATION`] of an edge, where it is
+    /// Splits segments whose chord leaves the curve by more than a seventh of an edge, where it is
     /// farthest away and both parts are long enough.
     pub fn follow_bends(&mut self) {
         let mut next = 0;
@@ -224,7 +224,7 @@ impl CurveSeeds {
     }
 
     /// Creases to leave out because they run so close to another curve that a triangulation has no room
-    /// between them: of two that come within [`CROWDED`] of their spacing and do not meet there, the less
+    /// between them: of two that come within half of their spacing and do not meet there, the less
     /// bent one; one that was given, or a boundary, never.
     pub fn crowded(&self, features: &Features) -> BTreeSet<u32> {
         let mut on = vec![Vec::new(); self.seeds.len()];
