@@ -40,7 +40,7 @@ pub(crate) struct RemeshArgs {
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Edges bent by more than this are creases that the remesh keeps; 0 keeps none.
-    #[arg(long, value_name = "DEGREES", default_value_t = 30.0)]
+    #[arg(long, value_name = "DEGREES", default_value_t = RemeshOptions::CREASE_ANGLE_DEG, value_parser = angle)]
     crease_angle: f64,
     /// Add points where a vertex of the input is farther than this from the remesh, in percent of the bounding
     /// box's diagonal; for --placement fitted.
@@ -114,6 +114,11 @@ enum DensityArg {
 fn positive(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().map_err(|error| error.to_string())?;
     if number.is_finite() && number > 0.0 { Ok(number) } else { Err("a finite number above 0 is needed".to_owned()) }
+}
+
+fn angle(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().map_err(|error| error.to_string())?;
+    if (0.0..=180.0).contains(&number) { Ok(number) } else { Err("an angle from 0 to 180 is needed".to_owned()) }
 }
 
 impl DensityArgs {
