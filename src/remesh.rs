@@ -257,6 +257,8 @@ pub fn remesh(
     let (rvd, refine) = (RvdFigures::default(), RefineFigures::default());
     let mut steps = Steps { options, observer, cancel, rvd, iterations: Vec::new(), refine };
     let last = steps.main(&mut cvt)?;
+    // Of the steps that were asked for; those that come after have their own end.
+    let converged = cvt.converged();
     timings.iterations = clock.lap();
     steps.clear_curves(&mut cvt)?;
     kept.seeds = cvt.curves().clone();
@@ -285,7 +287,7 @@ pub fn remesh(
         adapter: backend.adapter(),
         threads: backend.threads(),
         seed,
-        converged: cvt.converged(),
+        converged,
         input,
         features: kept.figures(&built.curve_edges),
         rvd,
@@ -337,7 +339,6 @@ fn settle(
         session.set_seeds(cvt.unit_seeds()?)?;
         let dual = dual::extract(&mut *session, &surface, cvt.len(), steps.cancel)?;
         steps.rvd.add_pass(&dual.stats);
-        steps.rvd.of_dual(&dual, &surface);
         timings.dual += clock.lap();
         steps.cancel.check()?;
         steps.observer.stage("repair");
@@ -350,6 +351,7 @@ fn settle(
         // unless it is much worse.
         let slack = if tolerance.is_some() { 2.0 } else { 1.0 };
         if best.as_ref().is_none_or(|(before, _)| built.deviation < slack * before.deviation) {
+            steps.rvd.of_dual(&dual, &surface);
             best = Some((built, cvt.seeds()?));
         }
         if round == rounds || !steps.refine(cvt, &missed, tolerance.is_some())? {

@@ -64,11 +64,11 @@ const SAGITTA: f64 = 0.035;
 const LEAST_SHARE: f64 = 0.6;
 /// Two curves are too close where seeds of them are nearer than this share of their spacing.
 const CROWDED: f64 = 0.45;
+/// or, where they are beside a common corner, than this share.
+const ACUTE: f64 = 0.3;
 /// Creases that leave a corner at less than this, degrees, stay only if bent by more than that, degrees.
 const LEAST_CORNER: f64 = 32.0;
 const MEANT: f64 = 55.0;
-/// and where they leave a common corner at less than this angle, radians; and a curve as short as that is too short.
-const ACUTE: f64 = 0.3;
 /// A deviation of a chord counts for so much of a difference in length.
 const KINKS: f64 = 15.0;
 const KINK_SWEEPS: usize = 4;

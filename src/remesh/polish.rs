@@ -1,8 +1,8 @@
 //! The few worst triangles, made better.
 //!
 //! Purpose: after the iterations a handful of triangles, most of them where curves come close to each other,
-//! have an angle far below the rest. Their vertices are moved a little, one at a time, to where the smallest
-//! angle around them is largest.
+//! have an angle far below the rest. Their vertices are moved a little, one at a time, to where the facets
+//! around them lack least of a good shape, the worst counting most.
 //! Invariant: moves are short beside an edge, within the tangent plane, and for a vertex of a curve along the
 //! curve but for a small tolerance, which is all that corners have; no facet turns over. Deterministic.
 //! Must not know: seeds, diagrams, files.
