@@ -48,7 +48,7 @@ pub enum PairStatus {
 }
 
 /// Capacities with which a pass starts. They grow where a pair needs more, so they tune speed
-/// and memory and never a result.
+/// and memory and never the diagram (sums in floating point may add up in another order).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capacities {
     /// Neighbours per seed in the first table (\[HYWZ17\] uses 20).

@@ -156,7 +156,7 @@ fn the_same_bits_on_any_number_of_threads() {
     for mesh in [Shape::Torus.build(3000), Shape::Block.build(2000)] {
         let refine = Some(Refine { tolerance: 0.004, max_points: 500 });
         for options in [options(300), RemeshOptions { refine, newton: 4, ..options(300) }] {
-            let want = run_on(&Serial, &mesh, &options);
+            let want = run_on(&Parallel::new(Some(2)).unwrap(), &mesh, &options);
             for threads in [1, 3] {
                 let got = run_on(&Parallel::new(Some(threads)).unwrap(), &mesh, &options);
                 assert!(got.mesh == want.mesh, "{threads} threads");

@@ -91,7 +91,7 @@ fn a_thin_plate_keeps_its_two_sides() {
 #[test]
 fn the_same_bits_on_any_number_of_threads() {
     for mesh in [Shape::Torus.build(3000), Shape::Slivers.build(3000)] {
-        let want = run(&mesh, &options(500, 5), &Serial).unwrap();
+        let want = run(&mesh, &options(500, 5), &Parallel::new(Some(2)).unwrap()).unwrap();
         for threads in [1, 2, 3] {
             let backend = Parallel::new(Some(threads)).unwrap();
             let got = run(&mesh, &options(500, 5), &backend).unwrap();

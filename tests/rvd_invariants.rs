@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[path = "common/alike.rs"]
+mod alike;
 #[path = "common/points.rs"]
 mod points;
 #[path = "common/surfaces.rs"]
@@ -109,7 +111,7 @@ fn every_point_lies_in_the_cell_of_its_nearest_seed() {
 }
 
 #[test]
-fn backends_threads_and_capacities_give_the_same_bits() {
+fn backends_threads_and_capacities_give_the_same_diagram() {
     let tiny = Capacities { neighbours: 4, polygon: 5, cells: 2, pairs_percent: 10 };
     let pools: Vec<Parallel> = [1, 2, 3].map(|t| Parallel::new(Some(t)).unwrap()).into();
     for (name, mesh) in surfaces::all() {
@@ -122,9 +124,23 @@ fn backends_threads_and_capacities_give_the_same_bits() {
                 tried.push(("parallel", open(pool, &surface, &seeds, Capacities::default())));
             }
             tried.push(("parallel, tiny", open(&pools[1], &surface, &seeds, tiny)));
+            // Integrals are taken apart and put together differently: a cell's are off by some roundings of what
+            // its facets have, which is at most all.
+            let rounding = 1e-13 * surface.area();
+            let far = 2.0 + seeds.iter().map(|p| p.length()).fold(0.0, f64::max);
+            let mut first: Option<CellSums> = None;
             for (who, mut session) in tried {
                 let got = everything(&mut *session, &surface);
-                assert!(got.0 == want.0, "{name}, {kind}: sums of {who}");
+                match (who, &first) {
+                    ("serial, tiny", _) => assert!(got.0 == want.0, "{name}, {kind}: sums of {who}"),
+                    ("parallel", Some(first)) => assert!(got.0 == *first, "{name}, {kind}: sums by threads"),
+                    _ => {
+                        assert_eq!(alike::unlike(&got.0, &want.0, rounding, far), None, "{name}, {kind}: sums of {who}")
+                    }
+                }
+                if who == "parallel" {
+                    first = Some(got.0);
+                }
                 assert!(got.1 == want.1, "{name}, {kind}: pieces of {who}");
                 assert_eq!(got.2.pairs, want.2.pairs, "{name}, {kind}: pairs of {who}");
                 if who.ends_with("tiny") && kind == "many" {

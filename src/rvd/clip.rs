@@ -41,7 +41,7 @@ pub struct Integrals {
 
 /// Four times the squared radius bounds the squared distance of a seed that can cut; a little
 /// more, so that rounding of either does not matter.
-const SECURITY: f64 = 4.0 * (1.0 + 1e-9);
+pub(super) const SECURITY: f64 = 4.0 * (1.0 + 1e-9);
 
 /// A cut that rounding may have moved by more than this share of the radius is placed exactly: the
 /// two lines are nearly parallel there, one cut in some ten thousand.

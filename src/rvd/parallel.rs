@@ -1,10 +1,14 @@
 //! f64 on all cores.
 //!
-//! Purpose: the fast CPU backend.
-//! Invariant: the same bits as [`super::serial`], whatever the number of threads: facets are cut
-//! into chunks of fixed size, each chunk writes its pieces' integrals down in facet order, and
-//! every cell adds its own up in that order.
+//! Purpose: the fast CPU backend. Sums are taken of all cells of a facet at once (`facet`), and by
+//! [`super::serial`]'s walk where that does not suffice; pieces by the walk alone.
+//! Invariant: the diagram of [`super::serial`], pieces to the bit and sums to rounding; and the same
+//! bits whatever the number of threads: facets are cut into chunks of fixed size, each chunk writes its
+//! pieces' integrals down in facet order, and every cell adds its own up in that order.
 //! Must not know: iterations.
+
+mod facet;
+mod gather;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -13,10 +17,11 @@ use std::time::Instant;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use self::facet::FacetCells;
 use super::clip::Integrals;
 use super::incident::{Diagram, FacetWalker};
 use super::on_host::OnHost;
-use super::start::Starts;
+use super::start::{self, Starts};
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
     Surface, elapsed_ms, take_seeds,
@@ -141,7 +146,10 @@ impl ParallelSession {
         stats.duplicate_seeds = self.index.duplicates() as u64;
         let begin = Instant::now();
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
-        let starts = self.starts.find(diagram, facets.clone());
+        let starts = match wanted {
+            Wanted::Integrals => self.starts.guesses(diagram, facets.clone()),
+            Wanted::Pieces | Wanted::FlatPieces => self.starts.find(diagram, facets.clone()),
+        };
         stats.start_ms = elapsed_ms(begin);
         let capacities = self.capacities;
         // A facet meets its share of the cells and some more at its rim.
@@ -152,15 +160,16 @@ impl ParallelSession {
             cancel.check()?;
             let begin = Instant::now();
             let tasks = ((facets.end - wave) as usize).div_ceil(size).min(WAVE);
-            self.chunks[..tasks].par_iter_mut().enumerate().for_each_init(
-                FacetWalker::default,
-                |walker, (c, chunk)| {
+            let of_wave = &mut starts[(wave - facets.start) as usize..];
+            self.chunks[..tasks].par_iter_mut().zip(of_wave.par_chunks_mut(size)).enumerate().for_each_init(
+                Walkers::default,
+                |walkers, (c, (chunk, starts))| {
                     if cancel.is_cancelled() {
                         return;
                     }
                     let first = wave + (c * size) as u32;
                     let range = first..facets.end.min(first + size as u32);
-                    chunk.fill(walker, diagram, range, &starts[(first - facets.start) as usize..], capacities, wanted);
+                    chunk.fill(walkers, diagram, range, starts, capacities, wanted);
                 },
             );
             cancel.check()?;
@@ -176,33 +185,56 @@ impl ParallelSession {
     }
 }
 
+/// One thread's scratch memory.
+#[derive(Default)]
+struct Walkers {
+    at_once: FacetCells,
+    walker: FacetWalker,
+}
+
 impl Chunk {
     fn fill(
         &mut self,
-        walker: &mut FacetWalker,
+        walkers: &mut Walkers,
         diagram: Diagram<'_>,
         facets: Range<u32>,
-        starts: &[u32],
+        starts: &mut [u32],
         capacities: Capacities,
         wanted: Wanted,
     ) {
         self.integrals.clear();
         self.pieces.clear();
         self.stats = PassStats::default();
-        let first = facets.start;
-        for facet in facets.filter(|&f| match wanted {
-            Wanted::FlatPieces => diagram.surface.joins(f as usize),
-            Wanted::Integrals | Wanted::Pieces => !diagram.surface.skips(f as usize),
-        }) {
-            let start = starts[(facet - first) as usize];
-            let (integrals, pieces) = (&mut self.integrals, &mut self.pieces);
-            walker.walk(diagram, facet, start, capacities, &mut self.stats, |i, clipper| match wanted {
-                Wanted::Integrals => integrals.push((i, clipper.integrals())),
-                Wanted::Pieces | Wanted::FlatPieces => {
-                    let origin = diagram.seeds[i as usize];
-                    pieces.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
+        let Self { integrals, pieces, stats } = self;
+        let Walkers { at_once, walker } = walkers;
+        for (facet, start) in facets.zip(starts) {
+            match wanted {
+                Wanted::Integrals => {
+                    if diagram.surface.skips(facet as usize) {
+                        continue;
+                    }
+                    let before = integrals.len();
+                    if let Some(nearest) = at_once.divide(diagram, facet, *start, |i, sum| integrals.push((i, sum))) {
+                        *start = nearest;
+                        stats.pairs += (integrals.len() - before) as u64;
+                    } else {
+                        *start = start::nearest(diagram, diagram.surface.centroid(facet), *start);
+                        walker.walk(diagram, facet, *start, capacities, stats, |i, clipper| {
+                            integrals.push((i, clipper.integrals()));
+                        });
+                    }
                 }
-            });
+                Wanted::Pieces | Wanted::FlatPieces => {
+                    let flat = wanted == Wanted::FlatPieces;
+                    if if flat { diagram.surface.joins(facet as usize) } else { !diagram.surface.skips(facet as usize) }
+                    {
+                        walker.walk(diagram, facet, *start, capacities, stats, |i, clipper| {
+                            let origin = diagram.seeds[i as usize];
+                            pieces.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
+                        });
+                    }
+                }
+            }
         }
         if wanted != Wanted::Integrals {
             self.pieces.sort();

@@ -22,12 +22,22 @@ const CHUNK: usize = 512;
 pub(super) struct Starts {
     facets: Range<u32>,
     seeds: Vec<u32>,
+    /// How many seeds there were.
+    count: usize,
 }
 
 impl Starts {
+    /// Guesses for `facets`, to be made better: the last answers, or else [`Self::find`]'s.
+    pub(super) fn guesses(&mut self, diagram: Diagram<'_>, facets: Range<u32>) -> &mut [u32] {
+        if self.facets != facets || self.count != diagram.seeds.len() {
+            self.find(diagram, facets);
+        }
+        &mut self.seeds
+    }
+
     /// Finds those of `facets` on all threads of the present pool. The guess is the last answer for
     /// the same facets; without one the index answers, which is faster than a walk from afar.
-    pub(super) fn find(&mut self, diagram: Diagram<'_>, facets: Range<u32>) -> &[u32] {
+    pub(super) fn find(&mut self, diagram: Diagram<'_>, facets: Range<u32>) -> &mut [u32] {
         let guessed = self.facets == facets;
         self.seeds.resize(facets.len(), 0);
         self.seeds.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
@@ -41,13 +51,14 @@ impl Starts {
             }
         });
         self.facets = facets;
-        &self.seeds
+        self.count = diagram.seeds.len();
+        &mut self.seeds
     }
 }
 
 /// A nearest seed of `q`, from the guess `from`. Seeds nearer to q than x_i lie within 2|q - x_i|
 /// of x_i, so the row of i, nearest first, need not be read beyond that.
-fn nearest(diagram: Diagram<'_>, q: DVec3, from: u32) -> u32 {
+pub(super) fn nearest(diagram: Diagram<'_>, q: DVec3, from: u32) -> u32 {
     let Diagram { seeds, index, table, .. } = diagram;
     let mut i = first_twin(diagram, from);
     let mut best = q.distance_squared(seeds[i as usize]);

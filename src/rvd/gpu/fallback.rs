@@ -51,7 +51,8 @@ impl GpuSession {
     }
 
     fn in_f64(&mut self) -> Result<Box<dyn Session>, RvdError> {
-        let options = SessionOptions { capacities: self.capacities, ..SessionOptions::new(self.max_seeds) };
+        // With capacities of its own: these may show in the last bits.
+        let options = SessionOptions::new(self.max_seeds);
         let mut session = Parallel::on(Arc::clone(&self.pool)).session(Arc::clone(&self.surface), options)?;
         if self.place == Place::Set {
             session.set_seeds(&self.seeds)?;
