@@ -18,13 +18,13 @@ use super::gather::{CELLS, Gathered, Gatherer, Members};
 use crate::rvd::clip::Integrals;
 use crate::rvd::incident::Diagram;
 
-/// A segment's end may be off by this share of the farthest corner's distance, and is left to the
-/// walk beyond: two bisectors are nearly parallel there.
-const MAX_SLIP: f64 = 1e-11;
+/// A segment's end may be off by this share of the farthest corner's distance, in the worst case, and the facet is
+/// left to the walk beyond: two bisectors are nearly parallel there, one facet in some thousand.
+const MAX_SLIP: f64 = 1e-10;
 
-/// A piece with less than this share of the facet is left to the walk: its integrals, sums of terms as
-/// large as the facet's, would keep too few digits for a cell that has nothing else.
-const LEAST_SHARE: f64 = 1e-4;
+/// A facet with a piece of less than this share is left to the walk: the piece's integrals, sums of terms as large as
+/// the facet's, would keep nine digits at most, and some cell may have nothing else.
+const LEAST_SHARE: f64 = 1e-6;
 
 /// One thread's scratch memory.
 #[derive(Default)]
@@ -64,8 +64,6 @@ struct Facet {
 struct Bounds {
     /// A bisector's value at a corner is off by at most this.
     value: f64,
-    /// and varies by at most this over the facet.
-    range: f64,
     /// What a cut may be off by, as a share of the edge that it cuts.
     slip: f64,
 }
@@ -144,7 +142,7 @@ impl Bounds {
         let longest2 = side[0].length_squared().max(side[1].length_squared());
         // A third side is at most the other two together.
         let slip = MAX_SLIP * (0.25 * gathered.radius2 / longest2).max(1.0).sqrt();
-        Self { value: 2.0 * error + 4.0 * f64::EPSILON * most, range: 4.0 * most, slip }
+        Self { value: 2.0 * error + 8.0 * f64::EPSILON * most, slip }
     }
 }
 
@@ -181,20 +179,21 @@ fn divide(
             let (a, b) = ((c + 1) % 3, (c + 2) % 3);
             let (to_a, to_b) = (1.0 / (d[c] - d[a]), 1.0 / (d[c] - d[b]));
             let (xa, xb) = (d[c] * to_a, d[c] * to_b);
-            let slip = 2.0 * bounds.value * (if to_a.abs() > to_b.abs() { to_a } else { to_b }).abs();
-            sure &= slip <= bounds.slip;
-            let unsure = bounds.value + slip * bounds.range;
+            let (slip_a, slip_b) = (2.0 * bounds.value * to_a.abs(), 2.0 * bounds.value * to_b.abs());
+            sure &= slip_a <= bounds.slip && slip_b <= bounds.slip;
             let [fc, fa, fb] = [c, a, b].map(|c| &members.farther[c]);
-            let (ia, ib) = (fc[i] + xa * (fa[i] - fc[i]), fc[i] + xb * (fb[i] - fc[i]));
             let (mut low, mut high) = (0.0f64, 1.0f64);
             for k in (0..n).filter(|&k| k != i && k != j) {
-                let ga = fc[k] + xa * (fa[k] - fc[k]) - ia;
-                let gb = fc[k] + xb * (fb[k] - fc[k]) - ib;
+                let (g, to_ga, to_gb) = (fc[k] - fc[i], fa[k] - fa[i], fb[k] - fb[i]);
+                let (run_a, run_b) = (to_ga - g, to_gb - g);
+                let (ga, gb) = (g + xa * run_a, g + xb * run_b);
                 let (out_a, out_b) = (ga <= 0.0, gb <= 0.0);
-                sure &= ga.abs() > unsure && gb.abs() > unsure;
+                let unsure_a = bounds.value + slip_a * run_a.abs();
+                let unsure_b = bounds.value + slip_b * run_b.abs();
+                sure &= ga.abs() > unsure_a && gb.abs() > unsure_b;
                 if out_a != out_b {
                     let inverse = 1.0 / (ga - gb);
-                    sure &= 2.0 * unsure * inverse.abs() <= bounds.slip;
+                    sure &= (unsure_a + unsure_b) * inverse.abs() <= bounds.slip;
                     let t = ga * inverse;
                     if out_a {
                         low = if t > low { t } else { low };
