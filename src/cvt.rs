@@ -25,8 +25,8 @@ use curves::CurveSeeds;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::rvd::{
-    Backend, CancelFlag, CellSums, DeviceWork, Look, PassStats, Resident, RvdError, Session, SessionOptions,
-    Surface, check_seeds, elapsed_ms,
+    Backend, CancelFlag, CellSums, DeviceWork, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface,
+    check_seeds, elapsed_ms,
 };
 
 /// Where seeds go after each step.
@@ -463,10 +463,7 @@ impl Cvt {
 
     /// Takes a step and puts into its report all that the device did for it, not only in its passes. A device that
     /// keeps time says what the phases took.
-    fn metered(
-        &mut self,
-        step: impl FnOnce(&mut Self) -> Result<Iteration, RvdError>,
-    ) -> Result<Iteration, RvdError> {
+    fn metered(&mut self, step: impl FnOnce(&mut Self) -> Result<Iteration, RvdError>) -> Result<Iteration, RvdError> {
         let (work, phases) = (self.session.device_work(), self.session.device_phases());
         let mut report = step(self)?;
         report.stats.set_device_work(self.session.device_work().since(&work));

@@ -227,7 +227,15 @@ impl Device {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&seen.error, error.to_string())));
         let seen = Arc::clone(&flags);
         device.set_device_lost_callback(move |reason, message| note(&seen.lost, format!("{reason:?}: {message}")));
-        Ok(Arc::new(Self { device, queue, adapter: summary, timeout, flags, meters: Meters::default(), timer: Mutex::default() }))
+        Ok(Arc::new(Self {
+            device,
+            queue,
+            adapter: summary,
+            timeout,
+            flags,
+            meters: Meters::default(),
+            timer: Mutex::default(),
+        }))
     }
 
     /// The adapter in use.

@@ -50,11 +50,8 @@ impl Timer {
                 mapped_at_creation: false,
             })
         };
-        let stamps = wgpu::QuerySetDescriptor {
-            label: Some("stamps"),
-            ty: wgpu::QueryType::Timestamp,
-            count: 2 * SPANS as u32,
-        };
+        let stamps =
+            wgpu::QuerySetDescriptor { label: Some("stamps"), ty: wgpu::QueryType::Timestamp, count: 2 * SPANS as u32 };
         Self {
             stamps: device.create_query_set(&stamps),
             resolved: buffer("stamps", wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC),

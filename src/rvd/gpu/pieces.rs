@@ -12,9 +12,9 @@ use std::time::Instant;
 
 use glam::{DVec3, dvec3};
 
-use super::{GpuSession, lane};
 use super::pass::Wants;
 use super::search::Place;
+use super::{GpuSession, lane};
 use crate::gpu::buffers;
 use crate::gpu::layout::Params;
 use crate::gpu::plan::{Limits, dispatch};
