@@ -110,27 +110,33 @@ impl Panel {
         series.points.iter().copied().filter(move |&(x, y)| fits(&self.x, x) && fits(&self.y, y))
     }
 
-    /// From the least to the most that is placed, with some room. Linear axes of heights begin at 0.
+    /// From the least to the most that is placed, with room for the legend above. Linear axes of heights begin at 0.
     fn ranges(&self) -> (Range<f64>, Range<f64>) {
         let all: Vec<(f64, f64)> = self.series.iter().flat_map(|s| self.placed(s)).collect();
         let ends = |of: fn(&(f64, f64)) -> f64| {
             let ends = (f64::INFINITY, f64::NEG_INFINITY);
-            all.iter().map(of).fold(ends, |(low, high), v| (low.min(v), high.max(v)))
+            let (low, high) = all.iter().map(of).fold(ends, |(low, high), v| (low.min(v), high.max(v)));
+            if low <= high { (low, high) } else { (0.1, 1.0) }
         };
-        let spread = |(low, high): (f64, f64), log: bool, from_zero: bool| match (low <= high, log) {
-            (false, _) => 0.1..1.0,
-            (true, true) => low / 1.6..high * 1.6,
-            (true, false) if from_zero => 0.0..(high * 1.15).max(f64::MIN_POSITIVE),
-            (true, false) => {
+        let (low, high) = ends(|p| p.0);
+        let x = match (self.groups.len(), self.x.log) {
+            (0, true) => factors(low, high),
+            (0, false) => {
                 let room = 0.04 * (high - low).max(0.1 * high.abs()).max(1e-9);
                 low - room..high + room
             }
+            (groups, _) => -0.5..groups as f64 - 0.5,
         };
-        let x = match self.groups.len() {
-            0 => spread(ends(|p| p.0), self.x.log, false),
-            groups => -0.5..groups as f64 - 0.5,
+        let (low, high) = ends(|p| p.1);
+        // A line of the legend takes about a twenty-fifth of the height.
+        let taken = (0.04 * (self.series.len() + 1) as f64).min(0.5);
+        let y = if self.y.log {
+            let Range { start, end } = factors(low, high);
+            start..end * (end / start).powf(taken / (1.0 - taken))
+        } else {
+            0.0..(high / (1.0 - taken)).max(f64::MIN_POSITIVE)
         };
-        (x, spread(ends(|p| p.1), self.y.log, true))
+        (x, y)
     }
 
     fn draw(&self, area: &Area<'_>) -> Result<(), PictureError> {
@@ -202,6 +208,17 @@ impl Panel {
         legend.legend_area_size(TEXT).background_style(WHITE.mix(0.85)).border_style(RGBColor(160, 160, 160));
         legend.draw().map_err(failed)
     }
+}
+
+/// Ends of an axis of factors: a little room, and two powers of ten at least, which are what is labelled.
+fn factors(low: f64, high: f64) -> Range<f64> {
+    let (start, end) = (low / 1.6, high * 1.6);
+    let powers = end.log10().floor() - start.log10().ceil() + 1.0;
+    if powers >= 2.0 {
+        return start..end;
+    }
+    let (floor, ceil) = (10f64.powf(start.log10().floor()), 10f64.powf(end.log10().ceil()));
+    floor / 1.1..ceil * 1.1
 }
 
 /// A number as short as it goes.
