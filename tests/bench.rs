@@ -276,6 +276,9 @@ fn a_gpu_is_timed_by_its_clock_and_counted() {
     let device = &report["device"];
     assert_eq!(work(&device["iterations"]), sum);
     assert_eq!(work(&device["later_iteration_most"]), most);
+    let median = work(&device["later_iteration_median"]);
+    // 400 seeds of 12 bytes would be 4800.
+    assert!((median[0], median[2]) == (0, 0) && median[4] < 2048, "{device}");
     assert!(work(device).iter().zip(sum).all(|(all, part)| *all >= part), "{device}");
     assert!(work(device)[2] > 0, "buffers were allocated: {device}");
     run(folder, "rvd in.ply --points 400 --backend gpu --gpu-software --report report.json");

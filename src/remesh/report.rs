@@ -163,18 +163,33 @@ pub struct DeviceFigures {
     pub total: DeviceWork,
     /// Of this, in the iterations.
     pub iterations: DeviceWork,
-    /// Figure by figure, the most of any iteration but the first, which allocates and uploads what the others use.
+    /// Figure by figure, the middle of the iterations but the first, which allocates and uploads what the others use.
+    pub later_iteration_median: DeviceWork,
+    /// The most of them. Where pairs are done again or on the host, seeds and sums are read back.
     pub later_iteration_most: DeviceWork,
 }
 
 impl DeviceFigures {
     /// Of a run with these iterations.
     pub fn new(total: DeviceWork, iterations: &[IterationFigures]) -> Self {
-        let none = DeviceWork::default();
-        let fold = |from: usize, by: fn(u64, u64) -> u64| {
-            iterations.iter().skip(from).fold(none, |sum, step| sum.with(&step.device, by))
+        let sum = iterations.iter().fold(DeviceWork::default(), |sum, step| sum.with(&step.device, |a, b| a + b));
+        let later: Vec<DeviceWork> = iterations.iter().skip(1).map(|step| step.device).collect();
+        let at = |place: fn(usize) -> usize| {
+            let of = |figure: fn(&DeviceWork) -> u64| {
+                let mut all: Vec<u64> = later.iter().map(figure).collect();
+                all.sort_unstable();
+                all.get(place(all.len())).copied().unwrap_or(0)
+            };
+            DeviceWork {
+                host_searches: of(|w| w.host_searches),
+                device_submissions: of(|w| w.device_submissions),
+                device_allocations: of(|w| w.device_allocations),
+                uploaded_bytes: of(|w| w.uploaded_bytes),
+                read_back_bytes: of(|w| w.read_back_bytes),
+            }
         };
-        Self { total, iterations: fold(0, |a, b| a + b), later_iteration_most: fold(1, u64::max) }
+        let (later_iteration_median, later_iteration_most) = (at(|n| n / 2), at(|n| n.saturating_sub(1)));
+        Self { total, iterations: sum, later_iteration_median, later_iteration_most }
     }
 }
 

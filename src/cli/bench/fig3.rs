@@ -44,7 +44,7 @@ pub(super) struct Fig3Args {
     max_facets: u32,
     /// Seconds for one case of one backend. When they are over, three steps are enough, and the backend is left out
     /// of larger cases.
-    #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = seconds)]
+    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = seconds)]
     time_limit: f64,
     /// Random seed of the points.
     #[arg(long, default_value_t = 0)]

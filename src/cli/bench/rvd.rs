@@ -21,7 +21,9 @@ use crate::mesh::shapes::Shape;
 use crate::picture::chart::{Axis, Figure, Panel, Series};
 use crate::remesh::Seeds;
 use crate::rvd::gpu::AccumulationMs;
-use crate::rvd::{Accumulate, CancelFlag, CellSums, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
+use crate::rvd::{
+    Accumulate, CancelFlag, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning,
+};
 
 /// `tessera bench rvd`'s options.
 #[derive(Args, Debug)]
@@ -273,6 +275,9 @@ impl Case {
             "relaunched_pairs": total.relaunched(),
             "relaunched_facets": total.relaunched_facets,
             "f64_finished_pairs": total.f64_finished,
+            "device_most": self.steps.iter().fold(DeviceWork::default(), |most, s| {
+                most.with(&s.stats.device_work(), u64::max)
+            }),
             "accumulation": adding,
             "exact": true,
         })
