@@ -25,8 +25,8 @@ use curves::CurveSeeds;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::rvd::{
-    Backend, CancelFlag, CellSums, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface, check_seeds,
-    elapsed_ms,
+    Backend, CancelFlag, CellSums, DeviceWork, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface,
+    check_seeds, elapsed_ms,
 };
 
 /// Where seeds go after each step.
@@ -278,6 +278,10 @@ impl Cvt {
     /// # Errors
     /// `Cancelled`, or what the device says. The seeds are then as before.
     pub fn lloyd(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
+        self.metered(|cvt| cvt.take_lloyd(cancel))
+    }
+
+    fn take_lloyd(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
         let begin = Instant::now();
         let (look, evaluations) = self.look(cancel)?;
         self.lloyd_from(look, Iteration { evaluations, ..self.figures(StepKind::Lloyd, look) }, begin)
@@ -289,6 +293,10 @@ impl Cvt {
     /// # Errors
     /// `Cancelled`, or what the device says. The seeds are then as before.
     pub fn lbfgs(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
+        self.metered(|cvt| cvt.take_lbfgs(cancel))
+    }
+
+    fn take_lbfgs(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
         let begin = Instant::now();
         let (look, evaluations) = self.look(cancel)?;
         let mut report = Iteration { evaluations, ..self.figures(StepKind::Lbfgs, look) };
@@ -446,6 +454,23 @@ impl Cvt {
     /// Bytes of device memory held.
     pub fn device_bytes(&self) -> u64 {
         self.session.device_bytes()
+    }
+
+    /// What the device did since the session was opened.
+    pub fn device_work(&self) -> DeviceWork {
+        self.session.device_work()
+    }
+
+    /// Takes a step and puts into its report all that the device did for it, not only in its passes. A device that
+    /// keeps time says what the phases took.
+    fn metered(&mut self, step: impl FnOnce(&mut Self) -> Result<Iteration, RvdError>) -> Result<Iteration, RvdError> {
+        let (work, phases) = (self.session.device_work(), self.session.device_phases());
+        let mut report = step(self)?;
+        report.stats.set_device_work(self.session.device_work().since(&work));
+        if let (Some(before), Some(now)) = (phases, self.session.device_phases()) {
+            report.stats.set_phases(now.since(&before));
+        }
+        Ok(report)
     }
 
     /// What a pass says of the present seeds, and how many passes that took: one, or none if it is known.

@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`device`] opens one persistent wgpu device and turns everything that can go wrong
 //! with it into [`GpuError`]; [`plan`] computes all sizes and dispatch counts without touching
-//! it; [`buffers`] allocates them and moves bytes; [`shader`] composes the WGSL in `shaders/`;
+//! it; [`buffers`] allocates them and moves bytes; `timing` reads the device's clock; [`shader`] composes the WGSL in `shaders/`;
 //! [`layout`] holds the Rust twins of the shaders' records.
 //! Invariant: no panic and no silent error leaves here; a lost device is reported as
 //! [`GpuError::Lost`] by the next call.
@@ -13,8 +13,10 @@ pub mod device;
 pub mod layout;
 pub mod plan;
 pub mod shader;
+mod timing;
 
 pub use device::{AdapterSummary, Device, DeviceOptions, Traffic, adapters};
+pub use timing::LANES;
 
 /// What can go wrong on a device.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`Canvas`] takes coloured faces, in as many batches as the caller likes, lines that lie on
 //! them and dots, and becomes an [`Image`]; [`View`] is where it is seen from; [`draw_mesh`] draws a
-//! whole mesh with its edges.
+//! whole mesh with its edges. [`chart`] plots figures.
 //! Invariant: what is hidden does not show, whatever the order of drawing, and the bytes are the same
 //! whatever the number of threads. No coordinates make it panic: a face that cannot be placed is left out.
 //! Must not know: seeds, cells, jobs, files other than the picture.
@@ -11,6 +11,7 @@
 //! vello_cpu); those with depth have had no release in years (euc) or are one person's beginning
 //! (retrofire), work in one thread and know no lines on surfaces. What is needed of one is 200 lines.
 
+pub mod chart;
 mod colour;
 mod image;
 mod raster;
@@ -93,6 +94,9 @@ pub enum PictureError {
         /// Third coordinate.
         z: f64,
     },
+    /// A plot could not be laid out.
+    #[error("cannot draw the plot: {0}")]
+    Plot(String),
     /// The PNG could not be encoded.
     #[error("cannot encode the picture: {0}")]
     Encode(#[from] png::EncodingError),

@@ -33,7 +33,9 @@ use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
 
 pub use attributes::Provenance;
 pub use report::Report;
-use report::{InputFigures, MemoryFigures, RefineFigures, ResultFigures, RvdFigures, Timings, topology_changes};
+use report::{
+    DeviceFigures, InputFigures, MemoryFigures, RefineFigures, ResultFigures, RvdFigures, Timings, topology_changes,
+};
 use steps::Steps;
 
 /// Where the first seeds come from.
@@ -291,6 +293,7 @@ pub fn remesh(
         input,
         features: kept.figures(&built.curve_edges),
         rvd,
+        device: DeviceFigures::new(cvt.device_work(), &iterations),
         iterations,
         last,
         refine,

@@ -20,6 +20,7 @@ pub mod resident;
 pub mod serial;
 mod start;
 pub mod surface;
+pub mod work;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -30,6 +31,7 @@ use glam::DVec3;
 pub use cells::PieceBatch;
 pub use resident::{Look, Resident};
 pub use surface::{Frame, Surface};
+pub use work::{DeviceWork, PhasesMs};
 
 /// How a (facet, cell) pair ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -211,6 +213,34 @@ impl PassStats {
     /// All pairs that were launched more than once.
     pub fn relaunched(&self) -> u64 {
         self.relaunched_neighbours + self.relaunched_polygon + self.relaunched_cells
+    }
+
+    /// What of this the device did.
+    pub fn device_work(&self) -> DeviceWork {
+        DeviceWork {
+            host_searches: self.host_searches,
+            device_submissions: self.device_submissions,
+            device_allocations: self.device_allocations,
+            uploaded_bytes: self.uploaded_bytes,
+            read_back_bytes: self.read_back_bytes,
+        }
+    }
+
+    /// Takes `work` for what the device did.
+    pub fn set_device_work(&mut self, work: DeviceWork) {
+        self.host_searches = work.host_searches;
+        self.device_submissions = work.device_submissions;
+        self.device_allocations = work.device_allocations;
+        self.uploaded_bytes = work.uploaded_bytes;
+        self.read_back_bytes = work.read_back_bytes;
+    }
+
+    /// Takes what the device says of the phases.
+    pub fn set_phases(&mut self, phases: PhasesMs) {
+        self.neighbours_ms = phases.neighbours;
+        self.start_ms = phases.start;
+        self.clip_ms = phases.clip;
+        self.update_ms = phases.update;
     }
 
     /// Adds another pass's figures to these. Of the duplicate seeds it keeps the most that a pass saw.
@@ -447,6 +477,16 @@ pub trait Session: Send {
     /// Bytes of device memory that the session holds (0 on a CPU).
     fn device_bytes(&self) -> u64 {
         0
+    }
+
+    /// What the device did for the session since it was opened: passes, uploads and everything else.
+    fn device_work(&self) -> DeviceWork {
+        DeviceWork::default()
+    }
+
+    /// What the device's stages took, if it keeps time.
+    fn device_phases(&self) -> Option<PhasesMs> {
+        None
     }
 
     /// The seeds last set, to be moved where they are; `None` where they lie in the host's memory, whose

@@ -49,6 +49,8 @@ const CRATES: &[(&str, &[&str])] = &[
     ("kiddo", &["knn"]),
     ("tobj", &["mesh/io"]),
     ("png", &["picture"]),
+    ("plotters", &["picture/chart"]),
+    ("noto_sans_mono_bitmap", &["picture/chart"]),
 ];
 
 fn sources(folder: &Path, out: &mut Vec<PathBuf>) {

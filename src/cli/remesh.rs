@@ -100,8 +100,9 @@ struct DensityArgs {
     adaptivity: f64,
 }
 
+/// Where short edges go.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum DensityArg {
+pub(crate) enum DensityArg {
     /// Edges of one length.
     #[default]
     Uniform,
@@ -109,6 +110,17 @@ enum DensityArg {
     Curvature,
     /// Where the surface is thin, hollow or sharp: local feature size.
     Lfs,
+}
+
+impl DensityArg {
+    /// The same, for the library.
+    pub(crate) fn source(self) -> DensitySource {
+        match self {
+            Self::Uniform => DensitySource::Uniform,
+            Self::Curvature => DensitySource::Curvature,
+            Self::Lfs => DensitySource::FeatureSize,
+        }
+    }
 }
 
 fn positive(text: &str) -> Result<f64, String> {
@@ -126,9 +138,7 @@ impl DensityArgs {
     fn options(&self, input: &Path, mesh: &TriMesh) -> Result<DensityOptions> {
         let source = match (&self.sizes, self.density) {
             (Some(path), _) => DensitySource::Sizes(sizes::read(path, input, mesh)?),
-            (None, DensityArg::Uniform) => DensitySource::Uniform,
-            (None, DensityArg::Curvature) => DensitySource::Curvature,
-            (None, DensityArg::Lfs) => DensitySource::FeatureSize,
+            (None, density) => density.source(),
         };
         let (edge_length, gradation, adaptivity) = (self.edge_length, self.gradation, self.adaptivity);
         Ok(DensityOptions { edge_length, gradation, adaptivity, ..DensityOptions::from_source(source) })

@@ -8,10 +8,11 @@
 
 use std::panic::AssertUnwindSafe;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::GpuError;
+use super::timing::{LANES, Timer};
 
 /// Which adapters may be used.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -177,6 +178,7 @@ pub struct Device {
     timeout: Duration,
     flags: Arc<Flags>,
     meters: Meters,
+    timer: Mutex<Option<Timer>>,
 }
 
 impl std::fmt::Debug for Device {
@@ -212,8 +214,12 @@ impl Device {
     }
 
     fn request(adapter: &wgpu::Adapter, summary: AdapterSummary, timeout: Duration) -> Result<Arc<Self>, GpuError> {
-        let descriptor =
-            wgpu::DeviceDescriptor { label: Some("tessera"), required_limits: adapter.limits(), ..Default::default() };
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("tessera"),
+            required_limits: adapter.limits(),
+            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+            ..Default::default()
+        };
         let (device, queue) =
             pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| GpuError::Failed(e.to_string()))?;
         let flags = Arc::new(Flags::default());
@@ -221,7 +227,15 @@ impl Device {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&seen.error, error.to_string())));
         let seen = Arc::clone(&flags);
         device.set_device_lost_callback(move |reason, message| note(&seen.lost, format!("{reason:?}: {message}")));
-        Ok(Arc::new(Self { device, queue, adapter: summary, timeout, flags, meters: Meters::default() }))
+        Ok(Arc::new(Self {
+            device,
+            queue,
+            adapter: summary,
+            timeout,
+            flags,
+            meters: Meters::default(),
+            timer: Mutex::default(),
+        }))
     }
 
     /// The adapter in use.
@@ -321,6 +335,37 @@ impl Device {
         self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("tessera") })
     }
 
+    /// Times every compute pass from now on, by the device's own clock. What that takes is not counted as
+    /// traffic. Returns whether the device has a clock.
+    ///
+    /// # Errors
+    /// Those of [`Self::scoped`].
+    pub fn keep_time(&self) -> Result<bool, GpuError> {
+        if !self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
+            return Ok(false);
+        }
+        let timer = self.scoped(|| Timer::new(&self.device, &self.queue))?;
+        self.timer().get_or_insert(timer);
+        Ok(true)
+    }
+
+    /// Milliseconds of the passes of each lane since [`Self::keep_time`]; `None` without it.
+    pub fn stage_ms(&self) -> Option<[f64; LANES]> {
+        self.timer().as_ref().map(Timer::total_ms)
+    }
+
+    /// Begins a compute pass, timed as one of `lane` if time is kept.
+    pub fn pass<'a>(&self, encoder: &'a mut wgpu::CommandEncoder, lane: usize) -> wgpu::ComputePass<'a> {
+        match &mut *self.timer() {
+            Some(timer) => timer.pass(encoder, lane),
+            None => encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()),
+        }
+    }
+
+    fn timer(&self) -> MutexGuard<'_, Option<Timer>> {
+        self.timer.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// How long anything is waited for.
     pub(super) fn timeout(&self) -> Duration {
         self.timeout
@@ -336,10 +381,16 @@ impl Device {
     }
 
     /// Submits without waiting.
-    pub(super) fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<wgpu::SubmissionIndex, GpuError> {
+    pub(super) fn submit(&self, mut encoder: wgpu::CommandEncoder) -> Result<wgpu::SubmissionIndex, GpuError> {
         self.check()?;
         self.meters.submissions.fetch_add(1, Ordering::Relaxed);
-        Ok(self.queue.submit([encoder.finish()]))
+        let mut timer = self.timer();
+        let timed = timer.as_mut().map(|timer| timer.finish(&mut encoder));
+        let index = self.queue.submit([encoder.finish()]);
+        if let (Some(timer), Some(true)) = (timer.as_mut(), timed) {
+            timer.submitted();
+        }
+        Ok(index)
     }
 
     /// Waits for a submission (or for the last one) and runs the callbacks that it made due.
@@ -349,7 +400,7 @@ impl Device {
         let answer = std::panic::catch_unwind(AssertUnwindSafe(|| self.device.poll(poll)));
         self.check()?;
         match answer {
-            Ok(Ok(_)) => Ok(()),
+            Ok(Ok(_)) => self.timer().as_mut().map_or(Ok(()), |timer| timer.collect(self.timeout)),
             Ok(Err(wgpu::PollError::Timeout)) => {
                 note(&self.flags.lost, format!("no answer within {} s", self.timeout.as_secs()));
                 Err(GpuError::Timeout { seconds: self.timeout.as_secs() })

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::spec::Prepared;
 use super::{BackendInfo, JobError};
-use crate::remesh::report::{InputFigures, IterationFigures, MemoryFigures, RvdFigures, Timings};
+use crate::remesh::report::{DeviceFigures, InputFigures, IterationFigures, MemoryFigures, RvdFigures, Timings};
 use crate::rvd::{Backend, CancelFlag, CellSums, PassStats, PieceBatch, Session, SessionOptions, Surface};
 
 /// Pieces that a batch aims at: a few MiB.
@@ -56,6 +56,8 @@ pub struct RvdReport {
     pub timings_ms: Timings,
     /// Memory.
     pub memory: MemoryFigures,
+    /// What a GPU was kept busy with.
+    pub device: DeviceFigures,
 }
 
 /// See the module's head.
@@ -183,6 +185,7 @@ impl Diagram {
             iterations: Vec::new(),
             timings_ms,
             memory: MemoryFigures { host_peak_bytes: None, device_bytes: self.session.device_bytes() },
+            device: DeviceFigures::new(self.session.device_work(), &[]),
         }
     }
 }

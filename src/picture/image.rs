@@ -34,6 +34,19 @@ impl Image {
         inside.then(|| self.pixels[y as usize * self.size.width as usize + x as usize])
     }
 
+    /// From `by` times as many pixels in each direction, rows from the top: the mean of each square.
+    pub(super) fn shrunk(size: Size, pixels: &[Rgb], by: usize) -> Self {
+        let (width, height) = (size.width as usize, size.height as usize);
+        let mean = |(x, y): (usize, usize)| {
+            let block = (0..by * by).map(|k| pixels[(y * by + k / by) * width * by + x * by + k % by]);
+            let sum = block.fold([0; 3], |sum, c| [0, 1, 2].map(|i| sum[i] + u32::from(c[i])));
+            let count = (by * by) as u32;
+            sum.map(|s| ((s + count / 2) / count) as u8)
+        };
+        let pixels = (0..width * height).map(|k| mean((k % width, k / width))).collect();
+        Self { size, pixels }
+    }
+
     /// The picture as the bytes of a PNG file.
     ///
     /// # Errors

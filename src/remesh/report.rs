@@ -11,7 +11,7 @@ use crate::cvt::density::DensityFigures;
 use crate::mesh::TriMesh;
 use crate::mesh::measure::{Quality, Topology, topology};
 use crate::rvd::dual::Dual;
-use crate::rvd::{PassStats, Surface};
+use crate::rvd::{DeviceWork, PassStats, Surface};
 
 /// What `--report` writes.
 #[derive(Clone, Debug, Serialize)]
@@ -43,6 +43,8 @@ pub struct Report {
     pub timings_ms: Timings,
     /// Memory.
     pub memory: MemoryFigures,
+    /// What a GPU was kept busy with.
+    pub device: DeviceFigures,
     /// The surface that came out.
     pub result: ResultFigures,
     /// What is not as in the input, e.g. "euler: 0 becomes 2"; empty if χ, components and boundary
@@ -153,6 +155,44 @@ pub struct MemoryFigures {
     pub device_bytes: u64,
 }
 
+/// What a GPU was kept busy with: nothing on a CPU. A device counts for all its users together.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+pub struct DeviceFigures {
+    /// All of the run, from opening the session on.
+    #[serde(flatten)]
+    pub total: DeviceWork,
+    /// Of this, in the iterations.
+    pub iterations: DeviceWork,
+    /// Figure by figure, the middle of the iterations but the first, which allocates and uploads what the others use.
+    pub later_iteration_median: DeviceWork,
+    /// The most of them. Where pairs are done again or on the host, seeds and sums are read back.
+    pub later_iteration_most: DeviceWork,
+}
+
+impl DeviceFigures {
+    /// Of a run with these iterations.
+    pub fn new(total: DeviceWork, iterations: &[IterationFigures]) -> Self {
+        let sum = iterations.iter().fold(DeviceWork::default(), |sum, step| sum.with(&step.device, |a, b| a + b));
+        let later: Vec<DeviceWork> = iterations.iter().skip(1).map(|step| step.device).collect();
+        let at = |place: fn(usize) -> usize| {
+            let of = |figure: fn(&DeviceWork) -> u64| {
+                let mut all: Vec<u64> = later.iter().map(figure).collect();
+                all.sort_unstable();
+                all.get(place(all.len())).copied().unwrap_or(0)
+            };
+            DeviceWork {
+                host_searches: of(|w| w.host_searches),
+                device_submissions: of(|w| w.device_submissions),
+                device_allocations: of(|w| w.device_allocations),
+                uploaded_bytes: of(|w| w.uploaded_bytes),
+                read_back_bytes: of(|w| w.read_back_bytes),
+            }
+        };
+        let (later_iteration_median, later_iteration_most) = (at(|n| n / 2), at(|n| n.saturating_sub(1)));
+        Self { total, iterations: sum, later_iteration_median, later_iteration_most }
+    }
+}
+
 /// One step.
 #[derive(Clone, Debug, Serialize)]
 pub struct IterationFigures {
@@ -178,6 +218,9 @@ pub struct IterationFigures {
     pub clip_ms: f64,
     /// Results, seeds moved.
     pub update_ms: f64,
+    /// What a GPU was kept busy with.
+    #[serde(flatten)]
+    pub device: DeviceWork,
 }
 
 /// The seeds after the last step, before they are put on the surface.
@@ -307,6 +350,7 @@ impl IterationFigures {
             start_ms: step.stats.start_ms,
             clip_ms: step.stats.clip_ms,
             update_ms: step.stats.update_ms,
+            device: step.stats.device_work(),
         }
     }
 }

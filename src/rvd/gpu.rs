@@ -32,8 +32,8 @@ use glam::{DVec3, dvec3};
 use super::incident::{Diagram, FacetWalker};
 use super::parallel::Parallel;
 use super::{
-    Accumulate, Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, Resident, RvdError,
-    Session, SessionOptions, Surface, elapsed_ms, take_seeds,
+    Accumulate, Backend, BackendKind, CancelFlag, Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch,
+    Resident, RvdError, Session, SessionOptions, Surface, elapsed_ms, take_seeds,
 };
 use crate::gpu::buffers::{self, Buffers};
 use crate::gpu::layout::{self, NONE, Params, ROW, SUM_WORDS};
@@ -87,6 +87,14 @@ impl Gpu {
         Ok(gpu)
     }
 
+    /// From now on the device's own clock times the stages ([`Session::device_phases`]). Returns whether it can.
+    ///
+    /// # Errors
+    /// `Device`, `DeviceLost`.
+    pub fn keep_time(&self) -> Result<bool, RvdError> {
+        Ok(self.device.keep_time()?)
+    }
+
     /// One seed amid a ring of 24, so that both polygon variants run, on a square of area 1. Some
     /// drivers compile at the first dispatch, which the first caller should not pay for.
     fn warm_up(&self) -> Result<(), RvdError> {
@@ -126,6 +134,14 @@ impl Gpu {
 /// another program, which a driver may round differently in the last bit. A smaller capacity is
 /// a limit below it, a larger one goes to the large variant.
 const SLOTS: usize = 10;
+
+/// What a device's time is added up by, in the order of [`PhasesMs`].
+mod lane {
+    pub const NEIGHBOURS: usize = 0;
+    pub const START: usize = 1;
+    pub const CLIP: usize = 2;
+    pub const UPDATE: usize = 3;
+}
 
 impl Backend for Gpu {
     fn kind(&self) -> BackendKind {
@@ -200,6 +216,8 @@ struct GpuSession {
     host: HostCopy,
     /// Times that the host searched.
     host_searches: u64,
+    /// What the device had done before the session was opened.
+    opened: Traffic,
     /// What moves seeds, once somebody does.
     moving: Option<Moving>,
     walker: FacetWalker,
@@ -264,6 +282,7 @@ impl GpuSession {
             roots,
             host: HostCopy::default(),
             host_searches: 0,
+            opened: gpu.device.traffic(),
             moving: None,
             walker: FacetWalker::default(),
             pass: pass::PassResult::default(),
@@ -352,23 +371,26 @@ impl GpuSession {
         Ok(stats)
     }
 
-    /// What the session did up to now, for [`Self::meter`].
-    fn metered(&self) -> (Traffic, u64) {
-        (self.device.traffic(), self.host_searches)
+    /// What was done since the session was opened.
+    fn work(&self) -> DeviceWork {
+        let now = self.device.traffic();
+        DeviceWork {
+            host_searches: self.host_searches,
+            device_submissions: now.submissions - self.opened.submissions,
+            device_allocations: now.allocations - self.opened.allocations,
+            uploaded_bytes: now.uploaded_bytes - self.opened.uploaded_bytes,
+            read_back_bytes: now.read_bytes - self.opened.read_bytes,
+        }
     }
 
-    /// Adds what the session did since `before`.
-    fn meter(&self, (before, searches): (Traffic, u64), stats: &mut PassStats) {
-        let now = self.device.traffic();
-        stats.device_submissions += now.submissions - before.submissions;
-        stats.device_allocations += now.allocations - before.allocations;
-        stats.uploaded_bytes += now.uploaded_bytes - before.uploaded_bytes;
-        stats.read_back_bytes += now.read_bytes - before.read_bytes;
-        stats.host_searches += self.host_searches - searches;
+    /// Adds what was done since `before`.
+    fn meter(&self, before: &DeviceWork, stats: &mut PassStats) {
+        let done = self.work().since(before);
+        stats.set_device_work(stats.device_work().with(&done, |a, b| a + b));
     }
 
     fn compute_sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        let before = self.metered();
+        let before = self.work();
         let mut stats = self.begin_pass(cancel)?;
         let begin = Instant::now();
         self.run_pass(0..self.facets.len() as u32, Wants::Sums, cancel, &mut stats)?;
@@ -379,7 +401,7 @@ impl GpuSession {
         if self.merged || !self.covers(out.area.iter().sum(), 0..self.facets.len() as u32) {
             stats = self.sums_in_f64(out, stats, cancel)?;
         }
-        self.meter(before, &mut stats);
+        self.meter(&before, &mut stats);
         Ok(stats)
     }
 
@@ -425,6 +447,14 @@ impl Session for GpuSession {
     fn device_bytes(&self) -> u64 {
         let moving = self.moving.as_ref().map_or(0, Moving::device_bytes);
         self.on_device.as_ref().map_or(0, |r| r.buffers.plan().total_bytes()) + moving
+    }
+
+    fn device_work(&self) -> DeviceWork {
+        self.work()
+    }
+
+    fn device_phases(&self) -> Option<PhasesMs> {
+        self.device.stage_ms().map(|[neighbours, start, clip, update]| PhasesMs { neighbours, start, clip, update })
     }
 
     fn resident(&mut self) -> Option<&mut dyn Resident> {

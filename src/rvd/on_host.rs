@@ -12,7 +12,7 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::resident::HISTORY;
-use super::{CancelFlag, CellSums, Look, PassStats, PieceBatch, Resident, RvdError, Session};
+use super::{CancelFlag, CellSums, DeviceWork, Look, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session};
 
 /// A session and the vectors of its seeds.
 pub(super) struct OnHost<S> {
@@ -86,6 +86,14 @@ impl<S: Session> Session for OnHost<S> {
 
     fn device_bytes(&self) -> u64 {
         self.session.device_bytes()
+    }
+
+    fn device_work(&self) -> DeviceWork {
+        self.session.device_work()
+    }
+
+    fn device_phases(&self) -> Option<PhasesMs> {
+        self.session.device_phases()
     }
 
     fn resident(&mut self) -> Option<&mut dyn Resident> {

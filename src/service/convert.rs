@@ -218,6 +218,11 @@ pub(crate) fn iteration(it: &Iteration, total: usize, queue_ms: f64) -> proto::I
         relaunched_pairs: it.stats.relaunched(),
         total: total as u64,
         queue_ms,
+        host_searches: it.stats.host_searches,
+        device_submissions: it.stats.device_submissions,
+        device_allocations: it.stats.device_allocations,
+        uploaded_bytes: it.stats.uploaded_bytes,
+        read_back_bytes: it.stats.read_back_bytes,
     }
 }
 

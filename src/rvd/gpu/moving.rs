@@ -16,7 +16,7 @@ use glam::DVec3;
 use super::pass::{Wants, run};
 use super::pipelines::MotionBindings;
 use super::search::Place;
-use super::{GpuSession, OnDevice, fixed, history::History, pack};
+use super::{GpuSession, OnDevice, fixed, history::History, lane, pack};
 use crate::gpu::buffers::{self, MotionBuffers};
 use crate::gpu::layout::{self, DOTS, Figures, Motion, PAIRS, SUM_WORDS};
 use crate::gpu::plan::{Limits, MotionPlan, reduction};
@@ -169,7 +169,7 @@ impl GpuSession {
         self.bind_motion()?;
         let (_, bindings, _) = self.bound()?;
         let limits = Limits::of(&self.device.limits());
-        let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        let mut compute = self.device.pass(encoder, lane::NEIGHBOURS);
         run(&mut compute, &self.pipelines.trial, &bindings.trial, self.count as u64, limits);
         Ok(())
     }
@@ -182,7 +182,7 @@ impl GpuSession {
         self.bind_motion()?;
         let (_, bindings, _) = self.bound()?;
         let tally = if place == Place::Point { &bindings.tally } else { &bindings.tally_ahead };
-        let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        let mut compute = self.device.pass(encoder, lane::UPDATE);
         compute.set_pipeline(&self.pipelines.tally);
         compute.set_bind_group(0, tally, &[]);
         compute.dispatch_workgroups(motion.groups, 1, 1);
@@ -195,7 +195,7 @@ impl GpuSession {
     /// A pass at `place`, its gradient and its figures.
     fn look(&mut self, place: Place, cancel: &CancelFlag) -> Result<Look, RvdError> {
         cancel.check()?;
-        let before = self.metered();
+        let before = self.work();
         let begin = Instant::now();
         if self.place != place {
             self.place = place;
@@ -220,7 +220,7 @@ impl GpuSession {
         moving.gradient_known |= place == Place::Point;
         moving.ahead_known = place != Place::Point;
         stats.duplicate_seeds = self.twins;
-        self.meter(before, &mut stats);
+        self.meter(&before, &mut stats);
         Ok(self.describe(place, stats))
     }
 
@@ -277,7 +277,7 @@ impl GpuSession {
     fn learn(&mut self, mut encoder: wgpu::CommandEncoder, motion: Motion) -> Result<(), RvdError> {
         let (_, bindings, _) = self.bound()?;
         {
-            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            let mut compute = self.device.pass(&mut encoder, lane::UPDATE);
             compute.set_pipeline(&self.pipelines.products);
             compute.set_bind_group(0, &bindings.products, &[]);
             compute.dispatch_workgroups(motion.groups, 2 * PAIRS as u32 + 1, 1);
@@ -334,7 +334,7 @@ impl GpuSession {
         let mut encoder = self.device.encoder();
         let (_, bindings, _) = self.bound()?;
         {
-            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            let mut compute = self.device.pass(&mut encoder, lane::UPDATE);
             compute.set_pipeline(&self.pipelines.combine);
             compute.set_bind_group(0, &bindings.combine, &[]);
             compute.dispatch_workgroups(motion.groups, 1, 1);
@@ -362,7 +362,7 @@ impl GpuSession {
         let limits = Limits::of(&self.device.limits());
         let mut encoder = self.device.encoder();
         {
-            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            let mut compute = self.device.pass(&mut encoder, lane::UPDATE);
             run(&mut compute, &self.pipelines.keep, &bindings.keep, self.count as u64, limits);
         }
         let bytes = (self.count * size_of::<layout::Seed>()) as u64;
@@ -387,7 +387,7 @@ impl GpuSession {
         let limits = Limits::of(&self.device.limits());
         let mut encoder = self.device.encoder();
         {
-            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            let mut compute = self.device.pass(&mut encoder, lane::UPDATE);
             run(&mut compute, &self.pipelines.centroids, &bindings.centroids, self.count as u64, limits);
         }
         self.device.run(encoder)?;

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::search::Rows;
-use super::{GpuSession, fixed, pack};
+use super::{GpuSession, fixed, lane, pack};
 use crate::gpu::buffers;
 use crate::gpu::layout::{Params, ROOT, SUM_WORDS, State, accumulate, code, failure};
 use crate::gpu::plan::{Limits, dispatch};
@@ -200,7 +200,7 @@ impl GpuSession {
         }
         let there = self.on_device()?;
         {
-            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            let mut compute = device.pass(&mut encoder, lane::CLIP);
             if proposals.is_some() {
                 run(&mut compute, &pipelines.propose, &there.bindings.propose, params.propose_count.into(), limits);
             }
@@ -238,7 +238,7 @@ impl GpuSession {
         buffers::write(&device, &buffers.state, 0, &[State { failures: 0, ..state }])?;
         let mut encoder = device.encoder();
         {
-            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            let mut compute = device.pass(&mut encoder, lane::CLIP);
             run(&mut compute, &pipelines.verify, &there.bindings.verify, state.length.into(), limits);
         }
         let mut unproved = 0;

@@ -12,9 +12,9 @@ use std::time::Instant;
 
 use glam::{DVec3, dvec3};
 
-use super::GpuSession;
 use super::pass::Wants;
 use super::search::Place;
+use super::{GpuSession, lane};
 use crate::gpu::buffers;
 use crate::gpu::layout::Params;
 use crate::gpu::plan::{Limits, dispatch};
@@ -41,7 +41,7 @@ impl GpuSession {
         out.clear();
         let end = facets.end.min(self.facets.len() as u32);
         let facets = facets.start.min(end)..end;
-        let before = self.metered();
+        let before = self.work();
         let mut stats = self.begin_pass(cancel)?;
         let begin = Instant::now();
         self.run_pass(facets.clone(), Wants::Pairs, cancel, &mut stats)?;
@@ -64,7 +64,7 @@ impl GpuSession {
         if self.merged || !self.covers((0..out.len()).map(|i| out.area(i)).sum(), facets.clone()) {
             stats = self.pieces_in_f64(facets, out, stats, cancel)?;
         }
-        self.meter(before, &mut stats);
+        self.meter(&before, &mut stats);
         Ok(stats)
     }
 
@@ -77,7 +77,7 @@ impl GpuSession {
         buffers::write(&device, &buffers.params, 0, &[params])?;
         let mut encoder = device.encoder();
         {
-            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            let mut compute = device.pass(&mut encoder, lane::CLIP);
             let [x, y] = dispatch(count.into(), limits);
             compute.set_pipeline(&pipelines.emit);
             compute.set_bind_group(0, &there.bindings.emit, &[]);

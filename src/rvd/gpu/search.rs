@@ -13,7 +13,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::pass::run;
-use super::{Gpu, GpuSession, OnDevice, fixed, pack};
+use super::{Gpu, GpuSession, OnDevice, fixed, lane, pack};
 use crate::gpu::buffers;
 use crate::gpu::layout::{self, COMPLETE, Figures, INDEX, NONE, State, halt};
 use crate::gpu::plan::{Limits, grid_cells};
@@ -190,7 +190,7 @@ impl GpuSession {
             _ => {}
         }
         encoder.clear_buffer(&b.cells, 0, Some(grid_cells(params.side) * 4));
-        let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        let mut compute = device.pass(encoder, lane::NEIGHBOURS);
         run(&mut compute, &pipelines.count, &bindings.count, n, limits);
         run(&mut compute, &pipelines.rows, &bindings.rows, u64::from(params.side).pow(2), limits);
         run(&mut compute, &pipelines.scatter, &bindings.scatter, n, limits);
@@ -201,10 +201,10 @@ impl GpuSession {
 
     /// Encodes the search for the facets' first cells.
     pub(super) fn encode_start(&mut self, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
-        let (pipelines, roots) = (Arc::clone(&self.pipelines), self.roots.len() as u64);
-        let limits = Limits::of(&self.device.limits());
+        let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
+        let (limits, roots) = (Limits::of(&device.limits()), self.roots.len() as u64);
         let there = self.on_device()?;
-        let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        let mut compute = device.pass(encoder, lane::START);
         run(&mut compute, &pipelines.start, &there.bindings.start, roots, limits);
         Ok(())
     }

@@ -1,0 +1,189 @@
+//! `tessera bench cvt`: steps of an iteration.
+//!
+//! Purpose: what a Lloyd step and a quasi-Newton step take, and their evaluations, with one density or two.
+//! Invariant: both kinds begin at the same seeds. Must not know: how a step is taken.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::Result;
+use clap::Args;
+use serde_json::json;
+
+use super::measure::{Load, Timed, Worker, cancel_flag, mesh};
+use super::output::{OutputArgs, head, ratio, report};
+use crate::cli::files;
+use crate::cli::remesh::DensityArg;
+use crate::config::BackendArgs;
+use crate::cvt::StepKind;
+use crate::cvt::density::DensityOptions;
+use crate::mesh::shapes::Shape;
+use crate::picture::chart::{Axis, Figure, Panel, Series};
+use crate::remesh::Seeds;
+
+/// `tessera bench cvt`'s options.
+#[derive(Args, Debug)]
+pub(super) struct CvtBenchArgs {
+    /// The surface: .obj, .ply, .stl or .off; a torus if not given.
+    #[arg(long, value_name = "FILE")]
+    mesh: Option<PathBuf>,
+    /// Facets of the torus.
+    #[arg(long, value_name = "N", default_value_t = 20_000, conflicts_with = "mesh",
+          value_parser = clap::value_parser!(u32).range(1..))]
+    facets: u32,
+    /// Seeds to draw.
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..))]
+    points: u32,
+    /// Random seed of the points.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// The seeds, `x y z` a line, instead.
+    #[arg(long, value_name = "FILE.xyz", conflicts_with = "points")]
+    seeds: Option<PathBuf>,
+    /// Lloyd steps before anything is timed; two more steps of each kind warm up.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    relax: u32,
+    /// Steps of each kind that are timed.
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: u32,
+    /// Compare adaptive seeds of this density with uniform ones.
+    #[arg(long, value_enum, default_value_t)]
+    density: DensityArg,
+    /// Who works.
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Files to write.
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// One density's figures.
+struct Measured {
+    load: Load,
+    lloyd: Timed,
+    lbfgs: Timed,
+}
+
+/// Nothing limits the steps that were asked for.
+const UNLIMITED: Duration = Duration::MAX;
+
+/// Runs it.
+pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
+    args.backend.check()?;
+    args.output.check()?;
+    let mesh = mesh(args.mesh.as_deref(), Shape::Torus, args.facets as usize)?;
+    let seeds = match &args.seeds {
+        Some(path) => Seeds::Given(files::read_points(path)?),
+        None => Seeds::Sample { points: args.points as usize, seed: args.seed },
+    };
+    let cancel = cancel_flag()?;
+    let mut worker = Worker::one(&args.backend)?;
+    worker.keep_time()?;
+    let densities = match args.density {
+        DensityArg::Uniform => vec![DensityArg::Uniform],
+        adaptive => vec![DensityArg::Uniform, adaptive],
+    };
+    let mut measured: Vec<Measured> = Vec::new();
+    for density in densities {
+        let options = DensityOptions::from_source(density.source());
+        let mut load = Load::new(mesh.clone(), seeds.clone(), options)?;
+        load.relax(&worker, args.relax as usize, UNLIMITED, &cancel)?;
+        let time = |kind| load.time(&worker, kind, args.iterations as usize, UNLIMITED, &cancel);
+        let (lloyd, lbfgs) = (time(StepKind::Lloyd)?, time(StepKind::Lbfgs)?);
+        let one = Measured { load, lloyd, lbfgs };
+        one.print(&worker);
+        measured.push(one);
+    }
+    let mut adaptive = serde_json::Map::new();
+    if let [uniform, other] = &measured[..] {
+        for (name, of) in [("lloyd", Measured::lloyd as fn(&Measured) -> &Timed), ("lbfgs", Measured::lbfgs)] {
+            let (a, b) = (of(other), of(uniform));
+            let step = ratio(a.step_ms().median, b.step_ms().median);
+            let evaluation = ratio(a.evaluation_ms().median, b.evaluation_ms().median);
+            let text = |r: Option<f64>| r.map_or("-".to_owned(), |r| format!("{r:.2}"));
+            println!("{} : uniform, {name}: step {}, evaluation {}", other.load.density, text(step), text(evaluation));
+            adaptive.insert(name.to_owned(), json!({ "iteration": step, "evaluation": evaluation }));
+        }
+    }
+    let cases = measured.iter().flat_map(|m| [m.lloyd.json(&m.load, &worker), m.lbfgs.json(&m.load, &worker)]);
+    let mut report = report(std::slice::from_ref(&worker), cases.collect());
+    let evaluations = measured.iter().map(|m| (m.load.density.to_owned(), json!(m.evaluation_ratio())));
+    report["lbfgs_evaluation_per_lloyd_evaluation"] = evaluations.collect::<serde_json::Map<_, _>>().into();
+    report["adaptive_per_uniform"] = adaptive.into();
+    args.output.write(&report, &figure(&measured, &worker))
+}
+
+impl Measured {
+    fn lloyd(&self) -> &Timed {
+        &self.lloyd
+    }
+
+    fn lbfgs(&self) -> &Timed {
+        &self.lbfgs
+    }
+
+    fn evaluation_ratio(&self) -> Option<f64> {
+        ratio(self.lbfgs.evaluation_ms().median, self.lloyd.evaluation_ms().median)
+    }
+
+    fn print(&self, worker: &Worker) {
+        let Self { load, lloyd, lbfgs } = self;
+        println!(
+            "{}, {}: {} facets, {} points; {}; {} steps of each kind after {}; phases by {}",
+            load.name,
+            load.density,
+            load.surface.facets().len(),
+            load.seeds.len(),
+            worker.describe(),
+            lloyd.steps.len(),
+            load.relaxed,
+            worker.phases_by(),
+        );
+        println!("{}", head());
+        for (timed, name) in [(lloyd, "Lloyd"), (lbfgs, "L-BFGS")] {
+            println!("{}", timed.step_ms().row(&format!("{name} step")));
+            println!("{}", timed.evaluation_ms().row(&format!("{name} evaluation")));
+            if worker.phases_by() != "none" {
+                for (phase, spread) in &timed.phases() {
+                    println!("{}", spread.row(&format!("  {phase}")));
+                }
+            }
+            let per_step = timed.evaluations() as f64 / timed.steps.len().max(1) as f64;
+            let fallbacks = match timed.fallbacks() {
+                0 => String::new(),
+                n => format!(", {n} steps failed and were Lloyd's"),
+            };
+            println!("  {per_step:.2} evaluations a step{fallbacks}; E / E_hex ends at {:.4}", timed.energy_ratio);
+            if worker.gpu.is_some() {
+                let most = timed.device();
+                println!(
+                    "  at most {} submissions, {} allocations, {} bytes up and {} bytes back a step",
+                    most.device_submissions, most.device_allocations, most.uploaded_bytes, most.read_back_bytes
+                );
+            }
+        }
+        if let Some(ratio) = self.evaluation_ratio() {
+            println!("an evaluation, L-BFGS : Lloyd = {ratio:.3}");
+        }
+    }
+}
+
+fn figure(measured: &[Measured], worker: &Worker) -> Figure {
+    let line = |density: &str, timed: &Timed| Series {
+        name: format!("{}, {density}", if timed.kind == StepKind::Lloyd { "Lloyd" } else { "L-BFGS" }),
+        points: timed.steps.iter().enumerate().map(|(k, s)| (k as f64 + 1.0, s.ms)).collect(),
+    };
+    let series = measured.iter().flat_map(|m| [line(m.load.density, &m.lloyd), line(m.load.density, &m.lbfgs)]);
+    let title = measured.first().map(|m| {
+        let facets = m.load.surface.facets().len();
+        format!("{}: {facets} facets, {} points", m.load.name, m.load.seeds.len())
+    });
+    let panel = Panel {
+        title: worker.describe(),
+        x: Axis { label: "step".to_owned(), log: false },
+        y: Axis { label: "ms".to_owned(), log: false },
+        series: series.collect(),
+        groups: Vec::new(),
+    };
+    Figure { title: title.unwrap_or_default(), panels: vec![panel] }
+}

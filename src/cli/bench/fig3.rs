@@ -1,0 +1,238 @@
+//! `tessera bench fig3`: how times grow.
+//!
+//! Purpose: time against points on one mesh, and against facets with one number of points (\[HYWZ17\], Figure 3),
+//! with slopes by decade. Invariant: it ends: no case takes much longer than its limit, and a backend that a case
+//! was too much for is left out of larger ones. Must not know: how a step is taken.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::Result;
+use clap::Args;
+use serde_json::{Value, json};
+
+use super::measure::{Load, Worker, cancel_flag, mesh};
+use super::output::{OutputArgs, report, slopes};
+use crate::config::BackendArgs;
+use crate::cvt::StepKind;
+use crate::cvt::density::DensityOptions;
+use crate::mesh::TriMesh;
+use crate::mesh::shapes::{MAX_FACETS, Shape};
+use crate::picture::chart::{Axis, Figure, Panel, Series};
+use crate::remesh::Seeds;
+use crate::rvd::CancelFlag;
+
+/// `tessera bench fig3`'s options.
+#[derive(Args, Debug)]
+pub(super) struct Fig3Args {
+    /// The surface of the times against points: .obj, .ply, .stl or .off; a torus if not given.
+    #[arg(long, value_name = "FILE")]
+    mesh: Option<PathBuf>,
+    /// Facets of the torus.
+    #[arg(long, value_name = "N", default_value_t = 20_000, conflicts_with = "mesh",
+          value_parser = clap::value_parser!(u32).range(1..))]
+    facets: u32,
+    /// Points of the times against facets.
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..))]
+    points: u32,
+    /// The most points: 20, 50, 100, 200 and so on up to it.
+    #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = clap::value_parser!(u32).range(1..))]
+    max_points: u32,
+    /// The most facets: 3000, 6000, 12000, 25000, 50000, 100000 and so on up to it, of a torus.
+    #[arg(long, value_name = "N", default_value_t = 100_000,
+          value_parser = clap::value_parser!(u32).range(1..=MAX_FACETS as i64))]
+    max_facets: u32,
+    /// Seconds for one case of one backend. When they are over, three steps are enough, and the backend is left out
+    /// of larger cases.
+    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = seconds)]
+    time_limit: f64,
+    /// Random seed of the points.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Lloyd steps before anything is timed; two more of each backend warm up.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    relax: u32,
+    /// Lloyd steps that are timed.
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: u32,
+    /// Who works: auto measures all that are there.
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Files to write.
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(s) if (0.001..=86_400.0).contains(&s) => Ok(s),
+        _ => Err("seconds from 0.001 to 86400 are needed".to_owned()),
+    }
+}
+
+/// One of the two curves.
+struct Sweep {
+    /// "points" or "facets".
+    over: &'static str,
+    title: String,
+    /// By worker: (count, median milliseconds).
+    lines: Vec<Vec<(f64, f64)>>,
+    cases: Vec<Value>,
+    left_out: Vec<Value>,
+}
+
+/// Runs it.
+pub(super) fn run(args: &Fig3Args) -> Result<()> {
+    args.backend.check()?;
+    args.output.check()?;
+    let fixed = mesh(args.mesh.as_deref(), Shape::Torus, args.facets as usize)?;
+    let cancel = cancel_flag()?;
+    let mut workers = Worker::all(&args.backend)?;
+    workers.iter_mut().try_for_each(Worker::keep_time)?;
+    workers.iter().for_each(|worker| println!("{}", worker.describe()));
+    let runner = Runner { args, workers: &workers, cancel: &cancel };
+    let title = format!("{}, {} facets", fixed.0, fixed.1.facets().len());
+    let points = counts(&[20, 50, 100, 200, 500], 10, args.max_points);
+    let by_points = runner.sweep("points", title, &points, |n| (fixed.clone(), n))?;
+    drop(fixed);
+    let facets = counts(&[3_000, 6_000, 12_000, 25_000, 50_000, 100_000], 2, args.max_facets);
+    let title = format!("torus, {} points", args.points);
+    let by_facets = runner
+        .sweep("facets", title, &facets, |n| (("torus".to_owned(), Shape::Torus.build(n as usize)), args.points))?;
+    let sweeps = [by_points, by_facets];
+    let slopes: Vec<Value> = sweeps.iter().flat_map(|sweep| sweep.slopes(&workers)).collect();
+    let mut report = report(&workers, sweeps.iter().flat_map(|s| s.cases.clone()).collect());
+    report["slopes"] = slopes.into();
+    report["left_out"] = sweeps.iter().flat_map(|s| s.left_out.clone()).collect::<Vec<_>>().into();
+    args.output.write(&report, &figure(&sweeps, &workers))
+}
+
+/// These, and the last of them or the pattern of the first ones times `factor` and so on, up to `most`, which is the last.
+fn counts(first: &[u32], factor: u32, most: u32) -> Vec<u32> {
+    let mut all: Vec<u64> = first.iter().map(|&n| u64::from(n)).collect();
+    // With a factor of 10 the pattern is that of one decade, with 2 only the last number goes on.
+    let step = if factor == 10 { 3 } else { 1 };
+    while all.last().is_some_and(|&n| n < u64::from(most)) {
+        all.push(all[all.len() - step] * u64::from(factor));
+    }
+    let mut all: Vec<u32> = all.into_iter().filter(|&n| n < u64::from(most)).map(|n| n as u32).collect();
+    all.push(most);
+    all
+}
+
+struct Runner<'a> {
+    args: &'a Fig3Args,
+    workers: &'a [Worker],
+    cancel: &'a CancelFlag,
+}
+
+impl Runner<'_> {
+    fn sweep(
+        &self,
+        over: &'static str,
+        title: String,
+        counts: &[u32],
+        case: impl Fn(u32) -> ((String, TriMesh), u32),
+    ) -> Result<Sweep> {
+        let (args, workers) = (self.args, self.workers);
+        let limit = Duration::from_secs_f64(args.time_limit);
+        let mut lines = vec![Vec::new(); workers.len()];
+        let (mut cases, mut left_out) = (Vec::new(), Vec::new());
+        let mut able = vec![true; workers.len()];
+        println!("{title}: milliseconds per Lloyd step, medians");
+        let heads: String = workers.iter().map(|w| format!("{:>14}", w.name())).collect();
+        println!("{over:<12}{heads}");
+        for &n in counts {
+            let Some(first) = able.iter().position(|able| *able) else {
+                left_out.extend(workers.iter().map(|w| json!({ "backend": w.name(), "over": over, over: n })));
+                continue;
+            };
+            let (mesh, points) = case(n);
+            let seeds = Seeds::Sample { points: points as usize, seed: args.seed };
+            let mut load = Load::new(mesh, seeds, DensityOptions::default())?;
+            load.relax(&workers[first], args.relax as usize, limit, self.cancel)?;
+            let count = if over == "points" { load.seeds.len() } else { load.surface.facets().len() };
+            let mut line = format!("{count:<12}");
+            for (k, worker) in workers.iter().enumerate() {
+                if !able[k] {
+                    line += &format!("{:>14}", "-");
+                    left_out.push(json!({ "backend": worker.name(), "over": over, over: count }));
+                    continue;
+                }
+                let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, limit, self.cancel)?;
+                able[k] = !timed.cut;
+                let ms = timed.step_ms().median;
+                line += &format!("{ms:>14.3}");
+                lines[k].push((count as f64, ms));
+                let mut case = timed.json(&load, worker);
+                case["over"] = over.into();
+                cases.push(case);
+            }
+            println!("{line}");
+        }
+        let sweep = Sweep { over, title, lines, cases, left_out };
+        sweep.print_slopes(workers);
+        Ok(sweep)
+    }
+}
+
+impl Sweep {
+    fn print_slopes(&self, workers: &[Worker]) {
+        for (worker, line) in workers.iter().zip(&self.lines) {
+            let slopes: Vec<String> =
+                slopes(line).iter().map(|(from, to, slope)| format!("{slope:.2} from {from} to {to}")).collect();
+            if !slopes.is_empty() {
+                println!("slope of log time over log {}, {}: {}", self.over, worker.name(), slopes.join(", "));
+            }
+        }
+        if !self.left_out.is_empty() {
+            println!("{} cases are left out: the one before took longer than --time-limit", self.left_out.len());
+        }
+    }
+
+    fn slopes(&self, workers: &[Worker]) -> Vec<Value> {
+        let of = |(worker, line): (&Worker, &Vec<(f64, f64)>)| {
+            let (backend, over) = (worker.name(), self.over);
+            let all = slopes(line).into_iter();
+            all.map(
+                |(from, to, slope)| json!({ "backend": backend, "over": over, "from": from, "to": to, "slope": slope }),
+            )
+            .collect::<Vec<_>>()
+        };
+        workers.iter().zip(&self.lines).flat_map(of).collect()
+    }
+}
+
+fn figure(sweeps: &[Sweep], workers: &[Worker]) -> Figure {
+    let panel = |sweep: &Sweep| {
+        let line =
+            |(worker, points): (&Worker, &Vec<(f64, f64)>)| Series { name: worker.describe(), points: points.clone() };
+        Panel {
+            title: sweep.title.clone(),
+            x: Axis { label: sweep.over.to_owned(), log: true },
+            y: Axis { label: "ms per Lloyd step".to_owned(), log: true },
+            series: workers.iter().zip(&sweep.lines).map(line).collect(),
+            groups: Vec::new(),
+        }
+    };
+    Figure { title: "How times grow".to_owned(), panels: sweeps.iter().map(panel).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_go_up_to_the_most() {
+        let points = |most| counts(&[20, 50, 100, 200, 500], 10, most);
+        assert_eq!(points(1_000_000).len(), 15);
+        assert_eq!(points(1_000_000)[12..], [200_000, 500_000, 1_000_000]);
+        assert_eq!(points(100), [20, 50, 100]);
+        assert_eq!(points(130), [20, 50, 100, 130]);
+        assert_eq!(points(7), [7]);
+        let facets = |most| counts(&[3_000, 6_000, 12_000, 25_000, 50_000, 100_000], 2, most);
+        assert_eq!(facets(100_000), [3_000, 6_000, 12_000, 25_000, 50_000, 100_000]);
+        assert_eq!(facets(300_000)[5..], [100_000, 200_000, 300_000]);
+        assert_eq!(*points(u32::MAX).last().unwrap(), u32::MAX);
+    }
+}

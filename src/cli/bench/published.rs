@@ -1,0 +1,63 @@
+//! Figures of a publication, from a file.
+//!
+//! Purpose: what `--published` reads, to stand beside what is measured. Invariant: no figure that is not in the
+//! file. Must not know: what is measured.
+
+use std::path::Path;
+
+use anyhow::Result;
+use serde::{Deserialize, Serialize};
+
+use crate::cli::exit::BadInput;
+
+/// One row of the table, milliseconds.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Row {
+    /// The model: a file's name without ending, in any case.
+    pub(super) mesh: String,
+    /// Its facets, as published.
+    pub(super) facets: Option<u64>,
+    /// Points, as published.
+    pub(super) points: Option<u64>,
+    /// The GPU's time.
+    pub(super) gpu_ms: Option<f64>,
+    /// One core's.
+    pub(super) serial_ms: Option<f64>,
+    /// All cores'.
+    pub(super) parallel_ms: Option<f64>,
+}
+
+/// What a publication says.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Published {
+    /// Where the figures are from.
+    #[serde(default)]
+    pub(super) source: String,
+    /// One a model.
+    pub(super) rows: Vec<Row>,
+}
+
+impl Published {
+    /// Reads a file.
+    pub(super) fn read(path: &Path) -> Result<Self> {
+        let bad = |text: String| BadInput(format!("{}: {text}", path.display()));
+        let text = std::fs::read_to_string(path).map_err(|e| bad(e.to_string()))?;
+        let published: Self = serde_json::from_str(&text).map_err(|e| {
+            bad(format!(
+                "{e}; it should be {{\"source\": \"...\", \"rows\": [{{\"mesh\": \"bunny\", \"gpu_ms\": 1.5, ...}}]}}"
+            ))
+        })?;
+        let times = published.rows.iter().flat_map(|r| [r.gpu_ms, r.serial_ms, r.parallel_ms]).flatten();
+        match times.into_iter().find(|ms| !(ms.is_finite() && *ms > 0.0)) {
+            Some(ms) => Err(bad(format!("{ms} is no time; milliseconds are above 0")).into()),
+            None => Ok(published),
+        }
+    }
+
+    /// The row of a model.
+    pub(super) fn row(&self, mesh: &str) -> Option<&Row> {
+        self.rows.iter().find(|row| row.mesh.eq_ignore_ascii_case(mesh))
+    }
+}

@@ -1,0 +1,285 @@
+//! `tessera bench rvd`: passes of a diagram.
+//!
+//! Purpose: times of the passes by phase, seeds in and sums out, and for a GPU what each way of adding costs.
+//! Invariant: what is timed is the exact diagram, every pass of it. Must not know: how a phase is done.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use glam::DVec3;
+use serde_json::{Value, json};
+
+use super::measure::{Load, Worker, cancel_flag, mesh};
+use super::output::{OutputArgs, Spread, head, report};
+use crate::cli::files;
+use crate::config::BackendArgs;
+use crate::cvt::density::DensityOptions;
+use crate::mesh::shapes::Shape;
+use crate::picture::chart::{Axis, Figure, Panel, Series};
+use crate::remesh::Seeds;
+use crate::rvd::gpu::AccumulationMs;
+use crate::rvd::{
+    Accumulate, CancelFlag, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning,
+};
+
+/// `tessera bench rvd`'s options.
+#[derive(Args, Debug)]
+pub(super) struct RvdBenchArgs {
+    /// The surface: .obj, .ply, .stl or .off; a torus if not given.
+    #[arg(long, value_name = "FILE")]
+    mesh: Option<PathBuf>,
+    /// Facets of the torus.
+    #[arg(long, value_name = "N", default_value_t = 20_000, conflicts_with = "mesh",
+          value_parser = clap::value_parser!(u32).range(1..))]
+    facets: u32,
+    /// Seeds to draw.
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..))]
+    points: u32,
+    /// Random seed of the points.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// The seeds, `x y z` a line, instead.
+    #[arg(long, value_name = "FILE.xyz", conflicts_with = "points")]
+    seeds: Option<PathBuf>,
+    /// Lloyd steps before anything is timed.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    relax: u32,
+    /// Lloyd steps that are timed, and passes of each way of adding.
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: u32,
+    /// Who works.
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// How a GPU finds the pairs of a facet.
+    #[arg(long, value_enum, default_value_t)]
+    strategy: StrategyArg,
+    /// How a GPU adds pieces to their cells.
+    #[arg(long, value_enum, default_value_t)]
+    accumulate: AccumulateArg,
+    /// Files to write.
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+enum StrategyArg {
+    /// Across bisectors, from each facet's first cell.
+    #[default]
+    Facet,
+    /// Each cell looks for its facets.
+    Cell,
+    /// By cell where a facet is expected to meet more than 20 cells.
+    Auto,
+}
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+enum AccumulateArg {
+    /// Atomics to global memory.
+    Direct,
+    /// Partial sums of a workgroup first.
+    TwoPhase,
+    /// What measured better.
+    #[default]
+    Auto,
+}
+
+/// Runs it.
+pub(super) fn run(args: &RvdBenchArgs) -> Result<()> {
+    args.backend.check()?;
+    args.output.check()?;
+    let mesh = mesh(args.mesh.as_deref(), Shape::Torus, args.facets as usize)?;
+    let seeds = match &args.seeds {
+        Some(path) => Seeds::Given(files::read_points(path)?),
+        None => Seeds::Sample { points: args.points as usize, seed: args.seed },
+    };
+    let cancel = cancel_flag()?;
+    let worker = Worker::one(&args.backend)?;
+    let Load { name, surface, seeds, .. } = Load::new(mesh, seeds, DensityOptions::default())?;
+    let mut seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
+    let options = SessionOptions { tuning: tuning(args), ..SessionOptions::new(seeds.len()) };
+    let mut session = worker.backend.session(Arc::clone(&surface), options)?;
+    for _ in 0..args.relax {
+        step(session.as_mut(), &mut seeds, &cancel)?;
+    }
+    let mut steps = Vec::new();
+    for _ in 0..args.iterations {
+        steps.push(step(session.as_mut(), &mut seeds, &cancel)?);
+    }
+    drop(session);
+    let adding = match &worker.gpu {
+        Some(gpu) => {
+            Some(gpu.measure_accumulation(Arc::clone(&surface), &seeds, options, args.iterations as usize, &cancel)?)
+        }
+        None => None,
+    };
+    let case = Case { name, surface, points: seeds.len(), steps, adding, tuning: options.tuning };
+    case.print(args, &worker);
+    args.output.write(&report(std::slice::from_ref(&worker), vec![case.json(args)]), &case.figure(&worker))
+}
+
+fn tuning(args: &RvdBenchArgs) -> Tuning {
+    Tuning {
+        strategy: match args.strategy {
+            StrategyArg::Facet => Strategy::Facet,
+            StrategyArg::Cell => Strategy::Cell,
+            StrategyArg::Auto => Strategy::Auto,
+        },
+        accumulate: match args.accumulate {
+            AccumulateArg::Direct => Accumulate::Direct,
+            AccumulateArg::TwoPhase => Accumulate::TwoPhase,
+            AccumulateArg::Auto => Accumulate::Auto,
+        },
+    }
+}
+
+/// One Lloyd step: its whole time and what its pass did.
+struct Step {
+    ms: f64,
+    stats: PassStats,
+}
+
+fn step(session: &mut dyn Session, seeds: &mut [DVec3], cancel: &CancelFlag) -> Result<Step> {
+    let mut sums = CellSums::default();
+    let begin = Instant::now();
+    session.set_seeds(seeds)?;
+    let mut stats = session.sums(&mut sums, cancel)?;
+    let update = Instant::now();
+    for (i, seed) in seeds.iter_mut().enumerate() {
+        *seed = sums.centroid(i, *seed);
+    }
+    stats.update_ms += update.elapsed().as_secs_f64() * 1e3;
+    Ok(Step { ms: begin.elapsed().as_secs_f64() * 1e3, stats })
+}
+
+struct Case {
+    name: String,
+    surface: Arc<Surface>,
+    points: usize,
+    steps: Vec<Step>,
+    adding: Option<AccumulationMs>,
+    tuning: Tuning,
+}
+
+impl Case {
+    fn phases(&self) -> [(&'static str, Spread); 4] {
+        let of = |phase: fn(&PassStats) -> f64| Spread::of(self.steps.iter().map(|s| phase(&s.stats)));
+        [
+            ("neighbours", of(|s| s.neighbours_ms)),
+            ("start", of(|s| s.start_ms)),
+            ("clip", of(|s| s.clip_ms)),
+            ("update", of(|s| s.update_ms)),
+        ]
+    }
+
+    fn total(&self) -> PassStats {
+        let mut total = PassStats::default();
+        self.steps.iter().for_each(|s| total.add(&s.stats));
+        total
+    }
+
+    /// (name, times, share of the clip phase that adding takes), by medians.
+    fn adding(&self) -> Option<[(&'static str, Spread, f64); 3]> {
+        let adding = self.adding.as_ref()?;
+        let of = |times: &[f64]| Spread::of(times.iter().copied());
+        let without = of(&adding.without).median;
+        let row = |name, times: &[f64]| {
+            let spread = of(times);
+            let share = 1.0 - without / spread.median;
+            (name, spread, share)
+        };
+        Some([
+            row("direct", &adding.direct),
+            row("two-phase", &adding.two_phase),
+            row("without adding", &adding.without),
+        ])
+    }
+
+    fn print(&self, args: &RvdBenchArgs, worker: &Worker) {
+        println!(
+            "{}: {} facets, {} points; {}; {} iterations after {}",
+            self.name,
+            self.surface.facets().len(),
+            self.points,
+            worker.describe(),
+            args.iterations,
+            args.relax
+        );
+        let total = self.total();
+        println!(
+            "{:.1} pairs an iteration, {} relaunched and {} finished in f64 in all",
+            total.pairs as f64 / self.steps.len() as f64,
+            total.relaunched(),
+            total.f64_finished
+        );
+        println!("{}", head());
+        for (name, spread) in &self.phases() {
+            println!("{}", spread.row(name));
+        }
+        println!("{}", Spread::of(self.steps.iter().map(|s| s.ms)).row("iteration"));
+        for (name, spread, share) in self.adding().iter().flatten() {
+            println!("{}   {:>5.1} % of it is adding", spread.row(name), share * 100.0);
+        }
+    }
+
+    fn figure(&self, worker: &Worker) -> Figure {
+        let line = |name: &str, of: fn(&Step) -> f64| Series {
+            name: name.to_owned(),
+            points: self.steps.iter().enumerate().map(|(k, s)| (k as f64 + 1.0, of(s))).collect(),
+        };
+        let panel = Panel {
+            title: worker.describe(),
+            x: Axis { label: "iteration".to_owned(), log: false },
+            y: Axis { label: "ms".to_owned(), log: false },
+            series: vec![
+                line("iteration", |s| s.ms),
+                line("neighbours", |s| s.stats.neighbours_ms),
+                line("start", |s| s.stats.start_ms),
+                line("clip", |s| s.stats.clip_ms),
+                line("update", |s| s.stats.update_ms),
+            ],
+            groups: Vec::new(),
+        };
+        let title = format!("{}: {} facets, {} points", self.name, self.surface.facets().len(), self.points);
+        Figure { title, panels: vec![panel] }
+    }
+
+    fn json(&self, args: &RvdBenchArgs) -> Value {
+        let phases = self.phases();
+        let by = |value: &dyn Fn(&Spread) -> Value| {
+            Value::Object(phases.iter().map(|(name, s)| ((*name).to_owned(), value(s))).collect())
+        };
+        let total = self.total();
+        let adding = self.adding().map(|rows| {
+            let [direct, two_phase, without] = rows.map(|(_, s, share)| json!({ "ms": s.json(), "share": share }));
+            json!({ "direct": direct, "two_phase": two_phase, "without": without })
+        });
+        json!({
+            "mesh": self.name,
+            "facets": self.surface.facets().len(),
+            "points": self.points,
+            "relax": args.relax,
+            "iterations": self.steps.len(),
+            "strategy": format!("{:?}", self.tuning.strategy).to_lowercase(),
+            "accumulate": match self.tuning.accumulate {
+                Accumulate::Direct => "direct",
+                Accumulate::TwoPhase => "two-phase",
+                Accumulate::Auto => "auto",
+            },
+            "iteration_ms": Spread::of(self.steps.iter().map(|s| s.ms)).json(),
+            "phases_ms": by(&|s| json!(s.median)),
+            "phases_spread_ms": by(&Spread::json),
+            "pairs": total.pairs / self.steps.len().max(1) as u64,
+            "relaunched_pairs": total.relaunched(),
+            "relaunched_facets": total.relaunched_facets,
+            "f64_finished_pairs": total.f64_finished,
+            "device_most": self.steps.iter().fold(DeviceWork::default(), |most, s| {
+                most.with(&s.stats.device_work(), u64::max)
+            }),
+            "accumulation": adding,
+            "exact": true,
+        })
+    }
+}

@@ -1,0 +1,262 @@
+//! `tessera bench table1`: several models, all backends.
+//!
+//! Purpose: Table 1 of \[HYWZ17\] laid out the same way, beside what was published.
+//! Invariant: all backends of a row begin at the same seeds. Must not know: how a step is taken.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::Result;
+use clap::Args;
+use serde_json::{Value, json};
+
+use super::measure::{Load, Timed, Worker, cancel_flag, mesh};
+use super::output::{OutputArgs, ratio, report};
+use super::published::Published;
+use crate::cli::exit::Usage;
+use crate::cli::files;
+use crate::config::BackendArgs;
+use crate::cvt::StepKind;
+use crate::cvt::density::DensityOptions;
+use crate::mesh::shapes::Shape;
+use crate::picture::chart::{Axis, Figure, Panel, Series};
+use crate::remesh::Seeds;
+
+/// `tessera bench table1`'s options.
+#[derive(Args, Debug)]
+pub(super) struct Table1Args {
+    /// A model: .obj, .ply, .stl or .off. May be repeated. If not given: a torus, a sphere and a slab with three holes.
+    #[arg(long, value_name = "FILE")]
+    mesh: Vec<PathBuf>,
+    /// Seeds to draw: one number for all models, or one for each; 10000 a file, 15000,20000,50000 otherwise.
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..))]
+    points: Vec<u32>,
+    /// The seeds of the one --mesh, `x y z` a line, instead.
+    #[arg(long, value_name = "FILE.xyz", conflicts_with = "points", requires = "mesh")]
+    seeds: Option<PathBuf>,
+    /// Facets of the models that are not files: one number for all, or one for each [default: 20000,69000,100000]
+    #[arg(long, value_name = "N", value_delimiter = ',', conflicts_with = "mesh",
+          value_parser = clap::value_parser!(u32).range(1..))]
+    facets: Vec<u32>,
+    /// Random seed of the points.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Lloyd steps before anything is timed; two more of each backend warm up.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    relax: u32,
+    /// Lloyd steps that are timed.
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: u32,
+    /// Figures to put beside: {"source": "...", "rows": [{"mesh", "facets", "points", "gpu_ms", "serial_ms",
+    /// "parallel_ms"}]}. Rows go by the name of the model; a figure may be missing.
+    #[arg(long, value_name = "FILE.json")]
+    published: Option<PathBuf>,
+    /// Who works: auto measures all that are there, any other that one column.
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Files to write.
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// Models that need no file: shape, facets, points.
+const MODELS: [(Shape, u32, u32); 3] =
+    [(Shape::Torus, 20_000, 15_000), (Shape::Sphere, 69_000, 20_000), (Shape::Genus(3), 100_000, 50_000)];
+/// Seeds on a file, if nobody says how many.
+const POINTS: u32 = 10_000;
+
+/// The columns of times: name in reports, head.
+const COLUMNS: [(&str, &str); 3] = [("gpu", "GPU"), ("serial", "CPU"), ("parallel", "multi-core")];
+const UNLIMITED: Duration = Duration::MAX;
+const NOT_AT_HAND: &str = "not at hand";
+
+/// A model that is to be measured.
+struct Model<'a> {
+    file: Option<&'a PathBuf>,
+    shape: Shape,
+    facets: u32,
+    points: u32,
+}
+
+/// One line of the table.
+struct Row {
+    load: Load,
+    /// In the order of the workers.
+    times: Vec<(&'static str, Timed)>,
+}
+
+/// Runs it.
+pub(super) fn run(args: &Table1Args) -> Result<()> {
+    args.backend.check()?;
+    args.output.check()?;
+    let models = models(args)?;
+    let published = args.published.as_deref().map(Published::read).transpose()?.unwrap_or_default();
+    let given = args.seeds.as_deref().map(files::read_points).transpose()?;
+    let cancel = cancel_flag()?;
+    let mut workers = Worker::all(&args.backend)?;
+    workers.iter_mut().try_for_each(Worker::keep_time)?;
+    workers.iter().for_each(|worker| println!("{}", worker.describe()));
+    println!("milliseconds per Lloyd step, {} after {}; medians", args.iterations, args.relax);
+    println!("{}", head_line());
+    let mut rows: Vec<Row> = Vec::new();
+    for model in &models {
+        let seeds = match &given {
+            Some(seeds) => Seeds::Given(seeds.clone()),
+            None => Seeds::Sample { points: model.points as usize, seed: args.seed },
+        };
+        let mesh = mesh(model.file.map(PathBuf::as_path), model.shape, model.facets as usize)?;
+        let mut load = Load::new(mesh, seeds, DensityOptions::default())?;
+        let mut times = Vec::new();
+        for (k, worker) in workers.iter().enumerate() {
+            if k == 0 {
+                load.relax(worker, args.relax as usize, UNLIMITED, &cancel)?;
+            }
+            let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, UNLIMITED, &cancel)?;
+            times.push((worker.name(), timed));
+        }
+        let row = Row { load, times };
+        println!("{}", row.line(&published));
+        rows.push(row);
+    }
+    close(&published, &rows);
+    let cases = rows.iter().flat_map(|row| row.times.iter().zip(&workers).map(|((_, t), w)| t.json(&row.load, w)));
+    let mut report = report(&workers, cases.collect());
+    report["rows"] = rows.iter().map(|row| row.json(&published)).collect::<Vec<_>>().into();
+    report["published_source"] = json!(Some(&published.source).filter(|_| args.published.is_some()));
+    args.output.write(&report, &figure(&rows, &published))
+}
+
+/// What the options name.
+fn models(args: &Table1Args) -> Result<Vec<Model<'_>>> {
+    let pick = |name: &str, given: &[u32], k: usize, models: usize, default: u32| match given.len() {
+        0 => Ok(default),
+        1 => Ok(given[0]),
+        n if n == models => Ok(given[k]),
+        n => Err(Usage(format!("{name}: {n} numbers for {models} models; give one, or one for each"))),
+    };
+    if args.seeds.is_some() && args.mesh.len() != 1 {
+        return Err(Usage(format!("--seeds is for one --mesh, and there are {}", args.mesh.len())).into());
+    }
+    let mut models = Vec::new();
+    for (k, file) in args.mesh.iter().enumerate() {
+        let points = pick("--points", &args.points, k, args.mesh.len(), POINTS)?;
+        models.push(Model { file: Some(file), shape: Shape::Torus, facets: 0, points });
+    }
+    if models.is_empty() {
+        for (k, &(shape, facets, points)) in MODELS.iter().enumerate() {
+            let facets = pick("--facets", &args.facets, k, MODELS.len(), facets)?;
+            let points = pick("--points", &args.points, k, MODELS.len(), points)?;
+            models.push(Model { file: None, shape, facets, points });
+        }
+    }
+    Ok(models)
+}
+
+fn head_line() -> String {
+    let mut line = format!("{:<16}{:>9}{:>9}", "model", "facets", "points");
+    for (_, head) in COLUMNS {
+        line += &format!("{head:>11}");
+    }
+    line += &format!("{:>9}{:>12}", "CPU/GPU", "multi/GPU");
+    line + "   published: GPU, CPU, multi-core, CPU/GPU, multi/GPU"
+}
+
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or("-".to_owned(), |v| format!("{v:.digits$}"))
+}
+
+impl Row {
+    fn ms(&self, backend: &str) -> Option<f64> {
+        self.times.iter().find(|(name, _)| *name == backend).map(|(_, timed)| timed.step_ms().median)
+    }
+
+    /// How much longer one core and all cores take than the GPU.
+    fn speedups(&self) -> [Option<f64>; 2] {
+        speedups(self.ms("gpu"), self.ms("serial"), self.ms("parallel"))
+    }
+
+    fn line(&self, published: &Published) -> String {
+        let Load { name, surface, seeds, .. } = &self.load;
+        let mut line = format!("{name:<16}{:>9}{:>9}", surface.facets().len(), seeds.len());
+        for (column, _) in COLUMNS {
+            line += &format!("{:>11}", number(self.ms(column), 3));
+        }
+        let [one, all] = self.speedups();
+        line += &format!("{:>9}{:>12}", number(one, 2), number(all, 2));
+        line + "   " + &published.row(name).map_or(NOT_AT_HAND.to_owned(), said)
+    }
+
+    fn json(&self, published: &Published) -> Value {
+        let [one, all] = self.speedups();
+        json!({
+            "mesh": self.load.name,
+            "facets": self.load.surface.facets().len(),
+            "points": self.load.seeds.len(),
+            "gpu_ms": self.ms("gpu"),
+            "serial_ms": self.ms("serial"),
+            "parallel_ms": self.ms("parallel"),
+            "speedup_serial": one,
+            "speedup_parallel": all,
+            "published": published.row(&self.load.name),
+        })
+    }
+}
+
+fn speedups(gpu: Option<f64>, serial: Option<f64>, parallel: Option<f64>) -> [Option<f64>; 2] {
+    [serial, parallel].map(|cpu| ratio(cpu?, gpu?))
+}
+
+/// A row of the publication.
+fn said(row: &super::published::Row) -> String {
+    let [one, all] = speedups(row.gpu_ms, row.serial_ms, row.parallel_ms);
+    let times = [row.gpu_ms, row.serial_ms, row.parallel_ms].map(|ms| number(ms, 3));
+    format!("{}, {}, {}, {}, {}", times[0], times[1], times[2], number(one, 2), number(all, 2))
+}
+
+/// What the publication has beside, and where its figures are from.
+fn close(published: &Published, rows: &[Row]) {
+    if published.rows.is_empty() {
+        println!("published figures: {NOT_AT_HAND}; --published FILE.json puts them beside");
+        return;
+    }
+    let measured = |mesh: &str| rows.iter().any(|row| row.load.name.eq_ignore_ascii_case(mesh));
+    for row in published.rows.iter().filter(|row| !measured(&row.mesh)) {
+        let count = |n: Option<u64>| n.map_or("-".to_owned(), |n| n.to_string());
+        println!(
+            "{:<16}{:>9}{:>9}   not measured; published: {}",
+            row.mesh,
+            count(row.facets),
+            count(row.points),
+            said(row)
+        );
+    }
+    println!("published figures: {}", if published.source.is_empty() { "no source given" } else { &published.source });
+}
+
+fn figure(rows: &[Row], published: &Published) -> Figure {
+    let mut series = Vec::new();
+    for (column, head) in COLUMNS {
+        let points = rows.iter().enumerate().filter_map(|(k, row)| Some((k as f64, row.ms(column)?)));
+        series.push(Series { name: head.to_owned(), points: points.collect() });
+    }
+    let of = [
+        |row: &super::published::Row| row.gpu_ms,
+        |row: &super::published::Row| row.serial_ms,
+        |row: &super::published::Row| row.parallel_ms,
+    ];
+    for ((_, head), of) in COLUMNS.into_iter().zip(of) {
+        let points =
+            rows.iter().enumerate().filter_map(|(k, row)| Some((k as f64, of(published.row(&row.load.name)?)?)));
+        series.push(Series { name: format!("{head}, published"), points: points.collect() });
+    }
+    series.retain(|s| !s.points.is_empty());
+    let group = |row: &Row| format!("{} {}/{}", row.load.name, row.load.surface.facets().len(), row.load.seeds.len());
+    let panel = Panel {
+        title: String::new(),
+        x: Axis { label: "model facets/points".to_owned(), log: false },
+        y: Axis { label: "ms per Lloyd step".to_owned(), log: true },
+        series,
+        groups: rows.iter().map(group).collect(),
+    };
+    Figure { title: "Lloyd steps by model and backend".to_owned(), panels: vec![panel] }
+}

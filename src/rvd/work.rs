@@ -1,0 +1,72 @@
+//! What a session's device is kept busy with.
+//!
+//! Purpose: [`DeviceWork`] counts what crosses between host and device, [`PhasesMs`] what the device itself says
+//! its stages took. Both grow from a session's opening on; a difference of two is what was done between.
+//! Invariant: a session on a CPU has neither. Must not know: what a submission is for.
+
+use serde::Serialize;
+
+/// Counts of what a session had its device do, since it was opened. A device counts for all its users together, so
+/// the figures are a session's own only while nobody else uses its device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct DeviceWork {
+    /// Passes whose rows of neighbours or first cells the host made.
+    pub host_searches: u64,
+    /// Command buffers handed to the device.
+    pub device_submissions: u64,
+    /// Buffers allocated on the device.
+    pub device_allocations: u64,
+    /// Bytes written to the device.
+    pub uploaded_bytes: u64,
+    /// Bytes read back from it.
+    pub read_back_bytes: u64,
+}
+
+impl DeviceWork {
+    /// What was done after `before`.
+    pub fn since(&self, before: &Self) -> Self {
+        Self {
+            host_searches: self.host_searches - before.host_searches,
+            device_submissions: self.device_submissions - before.device_submissions,
+            device_allocations: self.device_allocations - before.device_allocations,
+            uploaded_bytes: self.uploaded_bytes - before.uploaded_bytes,
+            read_back_bytes: self.read_back_bytes - before.read_back_bytes,
+        }
+    }
+
+    /// Figure by figure, what `by` makes of these and `other`.
+    pub fn with(&self, other: &Self, by: impl Fn(u64, u64) -> u64) -> Self {
+        Self {
+            host_searches: by(self.host_searches, other.host_searches),
+            device_submissions: by(self.device_submissions, other.device_submissions),
+            device_allocations: by(self.device_allocations, other.device_allocations),
+            uploaded_bytes: by(self.uploaded_bytes, other.uploaded_bytes),
+            read_back_bytes: by(self.read_back_bytes, other.read_back_bytes),
+        }
+    }
+}
+
+/// Milliseconds by the device's own clock, since it was told to keep time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PhasesMs {
+    /// Rows of neighbours.
+    pub neighbours: f64,
+    /// First cells of the facets.
+    pub start: f64,
+    /// Clipping and summing.
+    pub clip: f64,
+    /// Figures, gradients, directions, seeds moved.
+    pub update: f64,
+}
+
+impl PhasesMs {
+    /// What they took after `before`.
+    pub fn since(&self, before: &Self) -> Self {
+        Self {
+            neighbours: self.neighbours - before.neighbours,
+            start: self.start - before.start,
+            clip: self.clip - before.clip,
+            update: self.update - before.update,
+        }
+    }
+}
