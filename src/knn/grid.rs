@@ -41,9 +41,9 @@ struct Block {
     high: [usize; 3],
 }
 
-/// Seeds that share a seed's cell, itself among them, on average: cells of about three spacings, so
-/// that the cells around one hold the 24 nearest seeds of all its seeds.
-const OCCUPANCY: f64 = 8.0;
+/// Seeds that share a seed's cell, itself among them, on average: cells of two and a half spacings, so
+/// that the cells around one hold the 16 nearest seeds of all its seeds, and the 24 nearest of most.
+const OCCUPANCY: f64 = 6.0;
 /// So many on average, and a tree is faster.
 const CROWDED: f64 = 64.0;
 /// Cells per seed, at most.
@@ -88,7 +88,7 @@ impl Grid {
             size = grid.lay(size, extent, longest, n);
             grid.sort_into(points, &mut cell, threads);
             let occupancy = grid.begin.windows(2).map(|w| f64::from(w[1] - w[0]).powi(2)).sum::<f64>() / n as f64;
-            if last || (OCCUPANCY / 2.0..OCCUPANCY * 2.0).contains(&occupancy) {
+            if last || (OCCUPANCY / 1.25..OCCUPANCY * 1.25).contains(&occupancy) {
                 if occupancy > CROWDED {
                     return None;
                 }
@@ -206,13 +206,21 @@ impl Grid {
         &self.order
     }
 
-    /// The row of seed `i`, which is not hidden; `false` if the cells around it do not prove it.
-    pub(super) fn row(&self, i: u32, k: usize, scratch: &mut Scratch, out: &mut NeighbourRow) -> bool {
+    /// The row of seed `i`, which is not hidden, about `k` long and at least about `least`; `false` if the
+    /// cells around it do not prove it.
+    pub(super) fn row(
+        &self,
+        i: u32,
+        (least, k): (usize, usize),
+        scratch: &mut Scratch,
+        out: &mut NeighbourRow,
+    ) -> bool {
         let (own, n) = (self.place[i as usize], self.points.len());
         let p = &self.points[own as usize];
         let wanted = k.saturating_add(1);
         out.complete = wanted >= n;
         let enough = wanted.min(n);
+        let least = enough.min(least.saturating_add(1));
         let at = [0, 1, 2].map(|c| self.at(p, c));
         let cell = [0, 1, 2].map(|c| self.clamped(at[c], c));
         if out.complete {
@@ -223,16 +231,17 @@ impl Grid {
             let proved = RINGS.iter().any(|&ring| {
                 let block = self.around(cell, ring);
                 let count = self.ranges(block, &mut scratch.ranges);
-                if count < enough || count > enough.saturating_mul(CANDIDATES) {
+                if count < least || count > enough.saturating_mul(CANDIDATES) {
                     return false;
                 }
                 self.read(p, self.proved(at, block), scratch);
-                scratch.keys.len() >= enough
+                scratch.keys.len() >= least
             });
             if !proved {
                 return false;
             }
         }
+        let enough = enough.min(scratch.keys.len());
         self.arrange(p, enough, &mut scratch.keys);
         let mut keys = &scratch.keys[..];
         if !out.complete {

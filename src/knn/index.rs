@@ -96,16 +96,17 @@ impl SeedIndex {
     /// The nearest neighbours of seed `i`, about `k` of them: the last ones are left out where
     /// more seeds may lie at the same distance, so that every row is a prefix of the longer ones.
     pub fn row(&self, i: u32, k: usize, out: &mut NeighbourRow) {
-        self.row_with(i, k, &mut Scratch::default(), out);
+        self.row_with(i, (k, k), &mut Scratch::default(), out);
     }
 
-    /// [`Self::row`] without an allocation of its own.
-    pub(super) fn row_with(&self, i: u32, k: usize, scratch: &mut Scratch, out: &mut NeighbourRow) {
+    /// [`Self::row`] without an allocation of its own, and shorter where that saves work, but of about `least`
+    /// neighbours at least.
+    pub(super) fn row_with(&self, i: u32, (least, k): (usize, usize), scratch: &mut Scratch, out: &mut NeighbourRow) {
         if let Some(&first) = self.twin.get(&i) {
             out.seeds.clear();
             out.seeds.push(first);
             out.complete = true;
-        } else if !self.grid.as_ref().is_some_and(|g| g.row(i, k, scratch, out)) {
+        } else if !self.grid.as_ref().is_some_and(|g| g.row(i, (least, k), scratch, out)) {
             self.tree().row(i, &self.seeds[i as usize], k, out);
         }
     }

@@ -20,10 +20,12 @@ pub struct NeighbourTable {
 const CHUNK: usize = 256;
 
 impl NeighbourTable {
-    /// Fills the table with rows of at most `k` neighbours, reusing its memory. Returns `false` soon
+    /// Fills the table with rows of at most `k` neighbours, most of at least two thirds of that, reusing its memory. Returns `false` soon
     /// after `stop` says so; the table is then of no use.
     pub fn fill(&mut self, index: &SeedIndex, k: usize, threads: Threads, stop: &(dyn Fn() -> bool + Sync)) -> bool {
         let (n, k) = (index.len(), k.min(index.len()).max(1));
+        // Shorter, rather than that the grid reads cells farther away for a few.
+        let least = k - k / 3;
         self.k = k;
         self.seeds.resize(n * k, 0);
         self.len.resize(n, 0);
@@ -44,7 +46,7 @@ impl NeighbourTable {
             }
             for (s, (l, c)) in len.iter_mut().zip(complete).enumerate() {
                 let r = chunk * CHUNK + s;
-                index.row_with(order.map_or(r as u32, |o| o[r]), k, &mut scratch, &mut row);
+                index.row_with(order.map_or(r as u32, |o| o[r]), (least, k), &mut scratch, &mut row);
                 seeds[s * k..s * k + row.seeds.len()].copy_from_slice(&row.seeds);
                 *l = row.seeds.len() as u32;
                 *c = row.complete;

@@ -132,7 +132,7 @@ fn a_grid_proves_nearly_all_rows_on_a_surface() {
     let grid = Grid::new(&points, Threads::One).unwrap();
     let mut row = NeighbourRow::default();
     for k in [16, 24, 100, 400] {
-        let proved = (0..20_000).filter(|&i| grid.row(i, k, &mut Default::default(), &mut row)).count();
+        let proved = (0..20_000).filter(|&i| grid.row(i, (k - k / 3, k), &mut Default::default(), &mut row)).count();
         assert_eq!(proved, 20_000, "k {k}");
     }
     let found = seeds.iter().filter(|p| grid.nearest(&(**p * 1.0005).to_array()).is_some()).count();
@@ -211,7 +211,15 @@ fn a_table_holds_the_rows() {
             let mut row = NeighbourRow::default();
             for i in 0..seeds.len() as u32 {
                 index.row(i, 24.min(seeds.len()), &mut row);
-                assert_eq!(table.row(i), (&row.seeds[..], row.complete), "{name}: seed {i}");
+                // A beginning of the row, with all that are nearer than the one at two thirds of it.
+                let (got, complete) = table.row(i);
+                assert_eq!(*got, row.seeds[..got.len()], "{name}: seed {i}");
+                if let Some(&last) = row.seeds.get(15) {
+                    let squared = |j: u32| (seeds[j as usize] - seeds[i as usize]).length_squared();
+                    let nearer = row.seeds.partition_point(|&j| squared(j) < squared(last) * (1.0 - 1e-12));
+                    assert!(got.len() >= nearer, "{name}: seed {i} has {} of {nearer}", got.len());
+                }
+                assert_eq!(complete, row.complete, "{name}: seed {i}");
             }
         }
     }
