@@ -10,9 +10,14 @@ mod build;
 mod curves;
 mod fit;
 mod flips;
+mod ground;
+mod mend;
+mod patch;
 mod polish;
+mod regular;
 pub mod repair;
 pub mod report;
+mod stars;
 mod steps;
 mod tips;
 
@@ -265,7 +270,7 @@ pub fn remesh(
     steps.clear_curves(&mut cvt)?;
     kept.seeds = cvt.curves().clone();
     timings.refine = clock.lap();
-    let (built, seeds) = settle(&plan.mesh, &mut kept, &mut cvt, backend, &mut steps, &mut timings, &mut clock)?;
+    let (built, seeds) = settle(&plan.mesh, &kept, &mut cvt, backend, &mut steps, &mut timings, &mut clock)?;
     let Steps { observer, rvd, iterations, refine, .. } = steps;
 
     let (attributes, provenance) = carried(mesh, options, &built.mesh, observer, cancel)?;
@@ -308,14 +313,14 @@ pub fn remesh(
 }
 
 /// Times that seeds are moved to what the result missed, and that they are added where a tolerance was given.
-const MOVING_ROUNDS: usize = 3;
+const MOVING_ROUNDS: usize = 1;
 const ADDING_ROUNDS: usize = 8;
 
 /// The result of the present seeds, or of better ones as long as it is far from the input somewhere, and the
 /// seeds that it is of, caller's coordinates.
 fn settle(
     mesh: &TriMesh,
-    kept: &mut curves::Kept,
+    kept: &curves::Kept,
     cvt: &mut Cvt,
     backend: &dyn Backend,
     steps: &mut Steps<'_>,
@@ -334,7 +339,9 @@ fn settle(
     };
     let tolerance = options.refine.map(|r| r.tolerance * surface.frame().scale);
     let first_added = cvt.len() as u32;
-    let mut best: Option<(build::Built, Vec<DVec3>)> = None;
+    let mut best: Option<(build::Draft, build::Missed, Vec<DVec3>)> = None;
+    let placement = options.placement;
+    let source = build::Source { mesh, surface: &surface, kept, placement, first_added, tolerance };
     let mut round = 0;
     loop {
         steps.observer.stage("dual");
@@ -345,27 +352,27 @@ fn settle(
         timings.dual += clock.lap();
         steps.cancel.check()?;
         steps.observer.stage("repair");
-        let placement = options.placement;
-        let source = build::Source { mesh, surface: &surface, kept, placement, first_added, tolerance };
-        let built = source.triangulated(&dual, cvt.unit_seeds()?)?;
+        let draft = source.draft(&dual, cvt.unit_seeds()?)?;
         timings.repair += clock.lap();
-        let missed = built.missed.clone();
+        let missed = draft.missed();
         // Another place may come out worse than the one that was mended. More seeds are better all the same,
         // unless it is much worse.
         let slack = if tolerance.is_some() { 2.0 } else { 1.0 };
-        if best.as_ref().is_none_or(|(before, _)| built.deviation < slack * before.deviation) {
+        if best.as_ref().is_none_or(|(_, before, _)| missed.deviation < slack * before.deviation) {
             steps.rvd.of_dual(&dual, &surface);
-            best = Some((built, cvt.seeds()?));
+            best = Some((draft, missed.clone(), cvt.seeds()?));
         }
-        if round == rounds || !steps.refine(cvt, &missed, tolerance.is_some())? {
+        if round == rounds || !steps.refine(cvt, &missed.places, tolerance.is_some())? {
             break;
         }
         timings.refine += clock.lap();
         round += 1;
     }
-    let best = best.ok_or_else(|| RvdError::Internal("no result was built".to_owned()))?;
-    steps.refine.missed = best.0.missed.len();
-    Ok(best)
+    let (draft, _, seeds) = best.ok_or_else(|| RvdError::Internal("no result was built".to_owned()))?;
+    let built = source.finish(draft)?;
+    steps.refine.missed = built.missed;
+    timings.repair += clock.lap();
+    Ok((built, seeds))
 }
 
 /// The seeds that the options name, those of curves first, caller's coordinates, and the random seed they were

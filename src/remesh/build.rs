@@ -8,9 +8,11 @@ use std::collections::HashSet;
 
 use glam::DVec3;
 
+use super::ground::Ground;
+use super::mend::Bench;
 use super::report::RepairFigures;
 use super::tips::Tip;
-use super::{Placement, RemeshError, curves, fit, flips, polish, repair};
+use super::{Placement, RemeshError, curves, fit, flips, polish, regular, repair};
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::rvd::{Surface, dual};
@@ -27,6 +29,51 @@ pub(super) struct Source<'a> {
     pub(super) tolerance: Option<f64>,
 }
 
+/// The dual made a triangulation that may still change.
+pub(super) struct Draft {
+    /// Caller's coordinates.
+    positions: Vec<DVec3>,
+    facets: Vec<[u32; 3]>,
+    vertex_seed: Vec<u32>,
+    curve_edges: Vec<Option<[u32; 2]>>,
+    repair: RepairFigures,
+    fitted: Option<Fitted>,
+    /// How many seeds there were.
+    seeds: usize,
+}
+
+/// Vertices that were fitted.
+struct Fitted {
+    /// Where they are, unit frame.
+    positions: Vec<DVec3>,
+    target: fit::Target,
+    /// Vertices and the input's facets that their cells meet.
+    cells: Vec<(u32, u32)>,
+    missed: Missed,
+}
+
+/// What a result is far from.
+#[derive(Clone, Default)]
+pub(super) struct Missed {
+    /// Places that it is far from, with the seed nearest to each, the farthest first; unit frame. Known
+    /// where the vertices were fitted.
+    pub(super) places: Vec<(u32, DVec3)>,
+    /// How far the two surfaces are apart at most, unit frame; 0 where it is not known.
+    pub(super) deviation: f64,
+}
+
+impl Draft {
+    /// What it is far from.
+    pub(super) fn missed(&self) -> Missed {
+        self.fitted.as_ref().map_or_else(Missed::default, |f| f.missed.clone())
+    }
+
+    /// Edges of curves, lower end first.
+    fn curves(&self) -> HashSet<[u32; 2]> {
+        self.curve_edges.iter().flatten().map(|&e| flips::sorted(e)).collect()
+    }
+}
+
 /// The dual made a surface.
 pub(super) struct Built {
     pub(super) mesh: TriMesh,
@@ -34,23 +81,20 @@ pub(super) struct Built {
     /// For each segment of the curves the result's edge, if it is there.
     pub(super) curve_edges: Vec<Option<[u32; 2]>>,
     pub(super) repair: RepairFigures,
-    /// Places that the result is far from, with the seed nearest to each, the farthest first; unit frame. Known
-    /// where the vertices were fitted.
-    pub(super) missed: Vec<(u32, DVec3)>,
-    /// How far a vertex of the input is from the result at most, unit frame; 0 where it is not known.
-    pub(super) deviation: f64,
+    /// Places that it is still far from.
+    pub(super) missed: usize,
 }
 
 impl Source<'_> {
-    /// The dual made a surface: repaired, its vertices placed, with the seed of each vertex.
-    pub(super) fn triangulated(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Result<Built, RemeshError> {
+    /// The dual made a triangulation: repaired, its vertices placed, with the seed of each vertex.
+    pub(super) fn draft(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Result<Draft, RemeshError> {
         let positions = self.vertex_positions(dual, seeds);
         let repaired = repair::repair(&positions, &dual.triangles);
-        let too_few = RemeshError::TooFewSeeds { seeds: seeds.len() };
         if repaired.facets.is_empty() {
+            let too_few = RemeshError::TooFewSeeds { seeds: seeds.len() };
             return Err(if repaired.figures.closed_pockets > 1 { RemeshError::NoThickness } else { too_few });
         }
-        let figures = RepairFigures {
+        let repair = RepairFigures {
             split_cells: dual.split_cells,
             not_disks: dual.not_disks,
             multiple_edges: dual.multiple_edges,
@@ -59,22 +103,63 @@ impl Source<'_> {
             ..repaired.figures
         };
         let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
-        let (mut positions, mut facets) = (repaired.positions, repaired.facets);
+        let (positions, facets) = (repaired.positions, repaired.facets);
         let curve_edges = self.kept.edges_in(&facets, &vertex_seed);
-        let (mut missed, mut deviation) = (Vec::new(), 0.0);
+        let mut draft = Draft { positions, facets, vertex_seed, curve_edges, repair, fitted: None, seeds: seeds.len() };
         if self.placement == Placement::Fitted {
-            let mut draft = Draft {
-                positions: &mut positions,
-                facets: &mut facets,
-                source: &repaired.source,
-                vertex_seed: &vertex_seed,
-                curve_edges: &curve_edges,
-            };
-            (missed, deviation) = self.fit(&mut draft, dual);
+            self.fit(&mut draft, &repaired.source, dual);
         }
+        Ok(draft)
+    }
+
+    /// What is wrong with a draft in places, mended; its vertices in the caller's coordinates.
+    pub(super) fn finish(&self, mut draft: Draft) -> Result<Built, RemeshError> {
+        let mut missed = 0;
+        if let Some(mut fitted) = draft.fitted.take() {
+            missed = self.mend(&mut draft, &mut fitted);
+            let frame = self.surface.frame();
+            let moved = draft.positions.iter_mut().zip(fitted.positions).zip(&fitted.target.fixed);
+            moved.filter(|(_, fixed)| !**fixed).for_each(|((p, u), _)| *p = frame.to_world(u));
+        }
+        let Draft { positions, facets, vertex_seed, curve_edges, repair, seeds, .. } = draft;
         // All that can be wrong with it is that no facet has an area: seeds on a line.
-        let mesh = TriMesh::new(positions, facets).map_err(|_| too_few)?;
-        Ok(Built { mesh, vertex_seed, curve_edges, repair: figures, missed, deviation })
+        let mesh = TriMesh::new(positions, facets).map_err(|_| RemeshError::TooFewSeeds { seeds })?;
+        Ok(Built { mesh, vertex_seed, curve_edges, repair, missed })
+    }
+
+    /// Returns how many places are still far from it.
+    fn mend(&self, draft: &mut Draft, fitted: &mut Fitted) -> usize {
+        let Fitted { positions, target, cells, missed } = fitted;
+        let ground = Ground::new(self.surface, positions.len(), cells, &target.tips);
+        let absent = self.kept.missing(&draft.curve_edges, &draft.vertex_seed);
+        if !absent.is_empty() {
+            let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
+            let mut bench = Bench::new(positions, &mut draft.facets, &rails, curves, &ground);
+            let there = absent.into_iter().filter(|&ends| regular::insert(&mut bench, ends)).count();
+            if there > 0 {
+                self.find_curves(draft);
+                self.polish(positions, draft, target);
+            }
+        }
+        let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
+        let far = fit::far(positions, &draft.facets, target);
+        let mut bench = Bench::new(positions, &mut draft.facets, &rails, curves, &ground);
+        let changed = bench.mend(&far) + regular::valences(&mut bench);
+        if changed == 0 && missed.places.is_empty() {
+            return 0;
+        }
+        self.find_curves(draft);
+        fit::missed(positions, &draft.facets, target, self.tolerance).0.len()
+    }
+
+    /// Looks again which edges of curves there are, in facets' order.
+    fn find_curves(&self, draft: &mut Draft) {
+        draft.curve_edges = self.kept.edges_in(&draft.facets, &draft.vertex_seed);
+    }
+
+    fn polish(&self, positions: &mut [DVec3], draft: &mut Draft, target: &fit::Target) {
+        let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
+        polish::polish(positions, &mut draft.facets, &rails, &curves);
     }
 
     /// Where the dual's vertices go, caller's coordinates: a cell in one piece at its seed, which is
@@ -91,20 +176,22 @@ impl Source<'_> {
         dual.components.iter().map(place).collect()
     }
 
-    /// Moves the result's vertices to where its facets are nearest to the input ([`fit`]). Corners of curves stay.
-    /// Returns what was missed, and how far off the farthest place is.
-    fn fit(&self, built: &mut Draft<'_>, dual: &dual::Dual) -> (Vec<(u32, DVec3)>, f64) {
+    /// Moves the draft's vertices to where its facets are nearest to the input ([`fit`]). Corners of curves stay.
+    /// `component` is that of the dual for each vertex.
+    fn fit(&self, draft: &mut Draft, component: &[u32], dual: &dual::Dual) {
         let mut vertex = vec![u32::MAX; dual.components.len()];
-        built.source.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
+        component.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
         let mut target = fit::Target {
-            curves: self.kept.samples(built.curve_edges),
-            fixed: built.vertex_seed.iter().map(|&s| self.kept.is_corner(s) || s >= self.first_added).collect(),
+            curves: self.kept.samples(&draft.curve_edges),
+            fixed: draft.vertex_seed.iter().map(|&s| self.kept.is_corner(s) || s >= self.first_added).collect(),
             ..fit::Target::default()
         };
+        let mut cells = Vec::new();
         let mut first_tip: Vec<Option<u32>> = vec![None; self.surface.positions().len()];
         for p in dual.pieces.iter().filter(|p| p.area > 0.0 && vertex[p.component as usize] != u32::MAX) {
             let vertex = vertex[p.component as usize];
             let normal = self.surface.normal(p.facet);
+            cells.push((vertex, p.facet));
             target.samples.push(fit::Sample { position: p.centroid, normal, area: p.area, vertex });
             for corner in (0..3).filter(|c| p.corners & (1 << c) != 0) {
                 let v = self.surface.welded()[p.facet as usize][corner] as usize;
@@ -115,16 +202,12 @@ impl Source<'_> {
             }
         }
         let frame = self.surface.frame();
-        let mut unit: Vec<DVec3> = built.positions.iter().map(|&p| frame.to_unit(p)).collect();
-        fit::fit(&mut unit, built.facets, &target);
-        let rails = rails(&unit, built.curve_edges, &target.fixed);
-        let curves: HashSet<[u32; 2]> = built.curve_edges.iter().flatten().map(|&e| flips::sorted(e)).collect();
-        polish::polish(&mut unit, built.facets, &rails, &curves);
-        let (missed, deviation) = fit::missed(&unit, built.facets, &target, self.tolerance);
-        for ((p, u), _) in built.positions.iter_mut().zip(unit).zip(&target.fixed).filter(|(_, fixed)| !**fixed) {
-            *p = frame.to_world(u);
-        }
-        (missed.into_iter().map(|(v, place)| (built.vertex_seed[v as usize], place)).collect(), deviation)
+        let mut unit: Vec<DVec3> = draft.positions.iter().map(|&p| frame.to_unit(p)).collect();
+        fit::fit(&mut unit, &mut draft.facets, &target);
+        self.polish(&mut unit, draft, &target);
+        let (places, deviation) = fit::missed(&unit, &draft.facets, &target, self.tolerance);
+        let places = places.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
+        draft.fitted = Some(Fitted { positions: unit, target, cells, missed: Missed { places, deviation } });
     }
 }
 
@@ -149,14 +232,4 @@ fn rails(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) 
         }
     }
     rails
-}
-
-/// A result whose vertices may still move.
-struct Draft<'a> {
-    positions: &'a mut [DVec3],
-    facets: &'a mut [[u32; 3]],
-    /// Component of the dual and seed of each vertex.
-    source: &'a [u32],
-    vertex_seed: &'a [u32],
-    curve_edges: &'a [Option<[u32; 2]>],
 }

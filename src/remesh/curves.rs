@@ -159,6 +159,18 @@ impl Kept {
         self.seeds.segments.iter().map(|s| find(s.ends)).collect()
     }
 
+    /// Vertices between which the result has no edge although their seeds follow each other on a curve.
+    pub(super) fn missing(&self, edges: &[Option<[u32; 2]>], vertex_seed: &[u32]) -> Vec<[u32; 2]> {
+        // Seeds of curves are the first ones, and so are their vertices, unless a cell is in parts.
+        let vertex = |seed: u32| {
+            let first = vertex_seed.partition_point(|&s| s < seed);
+            let copies = vertex_seed[first..].iter().take_while(|&&s| s == seed).count();
+            (copies == 1).then_some(first as u32)
+        };
+        let missing = self.seeds.segments.iter().zip(edges).filter(|(_, e)| e.is_none());
+        missing.filter_map(|(s, _)| Some([vertex(s.ends[0])?, vertex(s.ends[1])?])).collect()
+    }
+
     /// Whether a seed is a corner.
     pub(super) fn is_corner(&self, seed: u32) -> bool {
         (seed as usize) < self.seeds.corners

@@ -145,12 +145,22 @@ pub(super) fn missed(
             found.push((o.corner, target.tips[k].position));
         }
     }
-    (found, offsets.deviation().max(strayed(positions, facets, target)))
+    (found, strayed(positions, facets, target).into_iter().fold(offsets.deviation(), f64::max))
 }
 
-/// How far a vertex or the middle of a facet is from the input at most: from the plane of the nearest sample around
+/// How far the result is from the input around each vertex, both ways, about.
+pub(super) fn far(positions: &[DVec3], facets: &[[u32; 3]], target: &Target) -> Vec<f64> {
+    let around = Around::new(positions.len(), facets);
+    let mut far = Offsets::new(positions, facets, &around, &target.tips).by_vertex(positions.len());
+    for (t, d) in facets.iter().zip(strayed(positions, facets, target)) {
+        t.iter().for_each(|&v| far[v as usize] = far[v as usize].max(d));
+    }
+    far
+}
+
+/// How far a vertex or the middle of each facet is from the input at most: from the plane of the nearest sample around
 /// it, or from the sample where that is not below it.
-fn strayed(positions: &[DVec3], facets: &[[u32; 3]], target: &Target) -> f64 {
+fn strayed(positions: &[DVec3], facets: &[[u32; 3]], target: &Target) -> Vec<f64> {
     let mut first = vec![0u32; positions.len() + 1];
     target.samples.iter().for_each(|s| first[s.vertex as usize + 1] += 1);
     (0..positions.len()).for_each(|v| first[v + 1] += first[v]);
@@ -175,7 +185,7 @@ fn strayed(positions: &[DVec3], facets: &[[u32; 3]], target: &Target) -> f64 {
         let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
         corners.iter().chain([&middle]).map(|&p| distance(p, t)).fold(0.0, f64::max)
     };
-    facets.par_iter().map(of).reduce(|| 0.0, f64::max)
+    facets.par_iter().map(of).collect()
 }
 
 /// What the rounds share.

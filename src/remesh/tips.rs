@@ -96,6 +96,16 @@ impl<'a> Offsets<'a> {
         found
     }
 
+    /// The largest distance of a tip of each of so many result vertices.
+    pub(super) fn by_vertex(&self, vertices: usize) -> Vec<f64> {
+        let mut far = vec![0.0f64; vertices];
+        for (tip, o) in self.tips.iter().zip(&self.list) {
+            let far = &mut far[tip.vertex as usize];
+            *far = far.max(o.distance);
+        }
+        far
+    }
+
     /// The largest distance.
     pub(super) fn deviation(&self) -> f64 {
         self.list.iter().map(|o| o.distance).fold(0.0, f64::max)

@@ -1,0 +1,232 @@
+//! The few places that are farthest from the input, brought nearer.
+//!
+//! Purpose: where a ridge that is no crease runs between two vertices, or a tip lies between some, the result is
+//! much farther from the input than elsewhere, and seeds that are moved there leave another place behind. Here
+//! edges around such a place are turned, and its vertices moved, the farthest place first.
+//! Invariant: nothing gets farther than the place that was mended, no facet gets worse than it should be or
+//! than the worst one there was, valences stay between 5 and 7 where they were. Deterministic.
+//! Must not know: seeds, diagrams, files.
+
+use std::collections::{BinaryHeap, HashSet};
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::around::Around;
+use super::ground::Ground;
+use super::patch::{LEAST, Patch, Scene, distance_at};
+use super::polish::Rail;
+use super::stars::Stars;
+
+/// Places nearer than this share of an edge are left alone.
+const FAR: f64 = 0.14;
+/// A place is mended if it comes nearer by this factor.
+const GAIN: f64 = 0.95;
+/// Places that could not be mended, at most; so many in all, and this share of the vertices.
+const FAILURES: usize = 4;
+const PLACES: usize = 24;
+const SHARE: f64 = 0.001;
+/// What is nearer than this share of a place that could not be mended is left alone.
+const ENOUGH: f64 = 0.8;
+/// What seems nearer than this share of that is not looked at.
+const SEEMS: f64 = 0.65;
+/// Places that seem far and are looked at, at most.
+const LOOKED_AT: usize = 1000;
+/// Passes over the vertices of a patch.
+const SWEEPS: usize = 12;
+/// before the most promising ones are chosen, so many of them.
+const FIRST_SWEEPS: usize = 3;
+const FINISHED: usize = 2;
+/// What has come no nearer by then than this share, with lacking angles added, will not.
+const HOPELESS: f64 = 0.99;
+/// An angle that a facet lacks, degrees, counts for as much as the distance of the place.
+const PROMISE: f64 = 10.0;
+
+/// A vertex and how far the result is from the input around it.
+struct Place {
+    far: f64,
+    vertex: u32,
+}
+
+impl Ord for Place {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.far.total_cmp(&other.far).then(other.vertex.cmp(&self.vertex))
+    }
+}
+
+impl PartialOrd for Place {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Place {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Place {}
+
+/// A triangulation that is worked on patch by patch.
+pub(super) struct Bench<'a> {
+    pub(super) positions: &'a mut [DVec3],
+    pub(super) facets: &'a mut [[u32; 3]],
+    stars: Stars,
+    ground: &'a Ground<'a>,
+    free: Vec<bool>,
+    on_rim: Vec<bool>,
+    /// Edges that stay, lower end first.
+    curves: HashSet<[u32; 2]>,
+}
+
+impl<'a> Bench<'a> {
+    /// Edges in `curves` (lower end first) stay.
+    pub(super) fn new(
+        positions: &'a mut [DVec3],
+        facets: &'a mut [[u32; 3]],
+        rails: &[Rail],
+        curves: HashSet<[u32; 2]>,
+        ground: &'a Ground<'a>,
+    ) -> Self {
+        let around = Around::new(positions.len(), facets);
+        let on_rim = on_rim(facets, &around, positions.len());
+        let free = rails.iter().zip(&on_rim).map(|(r, rim)| *r == Rail::Free && !rim).collect();
+        Self { positions, facets, stars: Stars::new(around), ground, free, on_rim, curves }
+    }
+
+    pub(super) fn scene(&self) -> Scene<'_> {
+        let Self { positions, facets, stars, ground, free, on_rim, curves } = self;
+        Scene { positions, facets, stars, ground, free, on_rim, curves }
+    }
+
+    pub(super) fn put_back(&mut self, patch: &Patch) {
+        patch.apply(self.positions, self.facets, &mut self.stars);
+    }
+
+    /// From now on an edge stays.
+    pub(super) fn keep(&mut self, ends: [u32; 2]) {
+        self.curves.insert(super::flips::sorted(ends));
+    }
+
+    /// Mends the places that are farthest from the input; the result is `far` from it around each vertex, about.
+    /// Returns how many were mended.
+    pub(super) fn mend(&mut self, far: &[f64]) -> usize {
+        let mut heap = first_places(&self.scene(), far);
+        let mut floor = 0.0f64;
+        let (mut left, mut failures, mut mended) = (PLACES + (SHARE * far.len() as f64) as usize, 0, 0);
+        while let Some(place) = heap.pop() {
+            if place.far < floor || left == 0 || failures == FAILURES {
+                break;
+            }
+            let patch = Patch::around(&self.scene(), place.vertex);
+            let now = patch.distance();
+            if now.middle < FAR * patch.edge() {
+                continue;
+            }
+            if now.middle < 0.98 * place.far {
+                // Something else was changed beside it.
+                heap.push(Place { far: now.middle, vertex: place.vertex });
+                continue;
+            }
+            left -= 1;
+            if let Some((better, far)) = better(&patch) {
+                self.put_back(&better);
+                mended += 1;
+                // As far as anything there may be now.
+                heap.extend(better.inner().map(|vertex| Place { far, vertex }));
+            } else {
+                failures += 1;
+                floor = floor.max(ENOUGH * now.middle);
+            }
+        }
+        mended
+    }
+}
+
+/// Vertices around which the result is far from the input, of those that seem to be.
+fn first_places(scene: &Scene<'_>, far: &[f64]) -> BinaryHeap<Place> {
+    let seems = |(&far, vertex): (&f64, u32)| {
+        let p = scene.positions[vertex as usize];
+        let ring = scene.stars.of(vertex).iter().flat_map(|&f| scene.facets[f as usize]);
+        let longest = ring.map(|u| scene.positions[u as usize].distance(p)).fold(0.0, f64::max);
+        (far > SEEMS * FAR * longest).then_some(Place { far, vertex })
+    };
+    let mut places: Vec<Place> = far.iter().zip(0..).filter_map(seems).collect();
+    places.sort_by(|a, b| b.cmp(a));
+    places.truncate(LOOKED_AT);
+    let exact = |place: Place| {
+        let (far, edge) = distance_at(scene, place.vertex);
+        (far > FAR * edge).then_some(Place { far, ..place })
+    };
+    let places: Vec<Option<Place>> = places.into_par_iter().map(exact).collect();
+    places.into_iter().flatten().collect()
+}
+
+/// What is done to a patch before its vertices move.
+enum Trial {
+    AsItIs,
+    /// A vertex goes to the tip that is farthest off.
+    Jump(DVec3),
+    /// An edge is turned: facet and edge of it.
+    Turn(usize, usize),
+}
+
+/// The patch with its middle nearer to the input, if that can be had, and how far anything in it is then.
+fn better(patch: &Patch) -> Option<(Patch, f64)> {
+    let now = patch.distance();
+    let least = patch.worst().min(LEAST);
+    let (goal, sharpest) = (GAIN * now.middle, patch.sharpest());
+    let mut trials = vec![Trial::AsItIs];
+    trials.extend(now.tip.map(Trial::Jump));
+    trials.extend(patch.turns().into_iter().map(|(f, e)| Trial::Turn(f, e)));
+    let first = |trial: &Trial| {
+        let mut patch = patch.clone();
+        let can = match *trial {
+            Trial::AsItIs => true,
+            Trial::Jump(to) => patch.jump(to),
+            Trial::Turn(f, e) => patch.turn(f, e),
+        };
+        if !can {
+            return None;
+        }
+        patch.relax(now.middle, FIRST_SWEEPS);
+        let then = patch.distance();
+        let lack = (least - patch.worst()).max(0.0) / PROMISE;
+        Some((then.middle.max(then.rest) / now.middle + lack, patch))
+    };
+    let last = |mut patch: Patch| {
+        patch.relax(now.middle, SWEEPS);
+        let then = patch.distance();
+        let shaped = patch.worst() >= least && patch.sharpest() >= sharpest;
+        let fine = shaped && then.middle <= goal && then.rest <= now.rest.max(goal);
+        fine.then_some((patch, then.middle.max(then.rest)))
+    };
+    let begun: Vec<Option<(f64, Patch)>> = trials.par_iter().map(first).collect();
+    let mut begun: Vec<(f64, Patch)> = begun.into_iter().flatten().collect();
+    // Where nothing moves at first nothing will.
+    begun.retain(|b| b.0 < HOPELESS.max(now.rest / now.middle + 1e-9));
+    begun.sort_by(|a, b| a.0.total_cmp(&b.0));
+    begun.truncate(FINISHED);
+    let done: Vec<Option<(Patch, f64)>> = begun.into_par_iter().map(|(_, patch)| last(patch)).collect();
+    // The first of the best.
+    done.into_iter().flatten().reduce(|a, b| if b.1 < a.1 { b } else { a })
+}
+
+/// Whether each vertex is on an edge with one facet.
+fn on_rim(facets: &[[u32; 3]], around: &Around, vertices: usize) -> Vec<bool> {
+    let mut rim = vec![false; vertices];
+    for t in facets {
+        for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
+            let runs_back = |f: &u32| {
+                let t = facets[*f as usize];
+                (0..3).any(|k| t[k] == b && t[(k + 1) % 3] == a)
+            };
+            if !around.of(a).iter().any(runs_back) {
+                rim[a as usize] = true;
+                rim[b as usize] = true;
+            }
+        }
+    }
+    rim
+}

@@ -1,0 +1,91 @@
+//! Edges that the result should have, and valences.
+//!
+//! Purpose: a curve whose seeds the dual did not join gets its edge where turning one edge, or two, makes it; and
+//! vertices with less than five or more than seven neighbours lose or win one where an edge can be turned for it.
+//! Invariant: facets stay as good as they should be, or as the worst one around was. Deterministic.
+//! Must not know: seeds, diagrams, files.
+
+use super::mend::Bench;
+use super::patch::{LEAST, Patch};
+
+/// Around an edge that was put in facets have at least this score, no angle below it.
+const LEAST_AT_CURVES: f64 = 30.0;
+/// Passes over the vertices of a patch.
+const SWEEPS: usize = 10;
+/// Distances below this share of an edge are nothing that a patch need mind.
+const NEAR: f64 = 0.02;
+/// Vertices whose valence is looked at, at most.
+const MOST: usize = 500;
+
+/// Puts the edge between two vertices in, if turning two edges does it, and keeps it. Returns whether it is there.
+pub(super) fn insert(bench: &mut Bench<'_>, ends: [u32; 2]) -> bool {
+    let patch = Patch::around(&bench.scene(), ends[0]);
+    let (least, sharpest) = (patch.worst().min(LEAST_AT_CURVES), patch.sharpest());
+    let mut found: Option<(f64, Patch)> = None;
+    let mut consider = |patch: Patch| {
+        if let Some(better) = settled(patch, least, sharpest)
+            && found.as_ref().is_none_or(|(score, _)| better.0 > *score)
+        {
+            found = Some(better);
+        }
+    };
+    for turn in patch.turns_to(ends[1]) {
+        let mut joined = patch.clone();
+        if joined.turn_anyhow(turn.0, turn.1) {
+            consider(joined);
+        }
+    }
+    for (f, e) in patch.edges_around() {
+        let mut first = patch.clone();
+        if first.turn_anyhow(f, e) {
+            for turn in first.turns_to(ends[1]) {
+                let mut joined = first.clone();
+                if joined.turn_anyhow(turn.0, turn.1) {
+                    consider(joined);
+                }
+            }
+        }
+    }
+    let Some((_, patch)) = found else { return false };
+    bench.put_back(&patch);
+    bench.keep(ends);
+    true
+}
+
+/// The patch after its vertices have settled and its least score, if that is fine.
+fn settled(mut patch: Patch, least: f64, sharpest: f64) -> Option<(f64, Patch)> {
+    let now = patch.distance();
+    let most = now.middle.max(now.rest).max(NEAR * patch.edge());
+    patch.relax(most, SWEEPS);
+    let (then, worst) = (patch.distance(), patch.worst());
+    (worst >= least && patch.sharpest() >= sharpest && then.middle.max(then.rest) <= most).then_some((worst, patch))
+}
+
+/// Turns edges for valences. Returns how many vertices are better.
+pub(super) fn valences(bench: &mut Bench<'_>) -> usize {
+    let irregular: Vec<u32> = bench.scene().irregular().take(MOST).collect();
+    let mut done = 0;
+    for v in irregular {
+        let patch = Patch::around(&bench.scene(), v);
+        if patch.is_regular() {
+            continue;
+        }
+        let now = patch.distance();
+        let most = now.middle.max(now.rest).max(NEAR * patch.edge());
+        let (least, sharpest) = (patch.worst().min(LEAST), patch.sharpest());
+        let turned = patch.turns().into_iter().filter_map(|(f, e)| {
+            let mut turned = patch.clone();
+            (turned.turn(f, e) && turned.is_more_regular_than(&patch)).then_some(turned)
+        });
+        let settled = turned.filter_map(|turned| {
+            let (score, patch) = settled(turned, least, sharpest)?;
+            let far = patch.distance();
+            (far.middle.max(far.rest) <= most).then_some((score, patch))
+        });
+        if let Some((_, best)) = settled.reduce(|a, b| if b.0 > a.0 { b } else { a }) {
+            bench.put_back(&best);
+            done += 1;
+        }
+    }
+    done
+}
