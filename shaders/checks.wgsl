@@ -1,7 +1,12 @@
 // Entry points that run one shared helper each, for tests against f64.
 
 @group(0) @binding(0) var<storage, read> inputs: array<u32>;
+#if WIDE
+@group(0) @binding(1) var<storage, read_write> sums: array<atomic<u64>>;
+#end
+#if 1 - WIDE
 @group(0) @binding(1) var<storage, read_write> sums: array<atomic<u32>>;
+#end
 @group(0) @binding(2) var<storage, read_write> slots: array<atomic<u32>>;
 @group(0) @binding(3) var<storage, read_write> outcomes: array<u32>;
 

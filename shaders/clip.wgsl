@@ -10,7 +10,12 @@
 @group(0) @binding(3) var<storage, read> table: array<u32>;
 @group(0) @binding(4) var<storage, read_write> slots: array<atomic<u32>>;
 @group(0) @binding(5) var<storage, read_write> list: array<vec2u>;
+#if WIDE
+@group(0) @binding(6) var<storage, read_write> sums: array<atomic<u64>>;
+#end
+#if 1 - WIDE
 @group(0) @binding(6) var<storage, read_write> sums: array<atomic<u32>>;
+#end
 @group(0) @binding(7) var<storage, read_write> failures: array<vec2u>;
 @group(0) @binding(8) var<storage, read_write> state: State;
 
@@ -33,7 +38,8 @@ fn piece_sums(facet: Facet) -> PieceSums {
     var moment = vec2f(0.0);
     var energy = 0.0;
     var area = 0.0;
-    for (var k = 2u; k < count; k += 1u) {
+    var k = 2u;
+    loop {
         let c = polygon_vertex(k);
         let wc = select(1.0, weight_at(facet, c), weighted);
         let ab = b - a;
@@ -48,6 +54,10 @@ fn piece_sums(facet: Facet) -> PieceSums {
         energy += (t * (1.0 / 30.0)) * (squares + products);
         b = c;
         wb = wc;
+        k += 1u;
+        if k >= count {
+            break;
+        }
     }
     energy += mass * height * height;
     let m = (moment.x * facet.e1 + moment.y * facet.e2 + (mass * height) * facet.n) * params.moment_scale;
@@ -106,7 +116,8 @@ fn process(index: u32) -> Piece {
     }
     var full = false;
     let seed = seeds[i];
-    for (var k = 0u; k < count; k += 1u) {
+    var k = 0u;
+    loop {
         let j = polygon_edge(k);
         if j < FACET_EDGE - 2u {
             var named = 0u;
@@ -118,6 +129,10 @@ fn process(index: u32) -> Piece {
                 append_pair(f, j);
             }
             full = full || outcome == FULL;
+        }
+        k += 1u;
+        if k >= count {
+            break;
         }
     }
     if full {

@@ -84,7 +84,8 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     for (var at = near[box]; at < near[box + 1u]; at += 1u) {
         let f = near[at];
         let mask = facets[f].slot_mask;
-        if (mask & CELLED) == 0u || !reaches(seed, facets[f]) {
+        let done = params.divided != NONE && atomicLoad(&slots[params.divided + f]) != 0u;
+        if done || (mask & CELLED) == 0u || !reaches(seed, facets[f]) {
             continue;
         }
         let outcome = insert_cell(facets[f].slot_begin, mask & ~CELLED, i, 0u);

@@ -19,6 +19,8 @@
 // Rings of cells at most. What is still open then is left to the host, row by row.
 const RINGS: i32 = 5;
 const FREE: f32 = 1e36;
+// Words of a row: how long it is, then the seeds.
+const STRIDE: u32 = $(ROW + 1)u;
 
 // The nearest so far, in registers: memory that is indexed by a variable is many times slower.
 #repeat T in 0..ROW
@@ -33,11 +35,8 @@ fn clear_row() {
 #end
 }
 
-// Enters a neighbour where it belongs; the last goes.
+// Enters a neighbour that is before the last where it belongs; the last goes.
 fn offer(key: f32, seed: u32) {
-    if !before(key, seed, key_$(ROW - 1), seed_$(ROW - 1)) {
-        return;
-    }
     var here = true;
 #repeat T in 1..ROW
     let next_$T = before(key, seed, key_$(ROW - T - 1), seed_$(ROW - T - 1));
@@ -56,9 +55,10 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
         return;
     }
     let own = sorted[index];
-    let row = own.seed * params.row;
+    let row = own.seed * STRIDE + 1u;
     seeds[own.seed].row_begin = row;
     if own.first != own.seed {
+        table[row - 1u] = 1u | COMPLETE;
         table[row] = own.first;
         seeds[own.seed].row_length = 1u | COMPLETE;
         return;
@@ -69,34 +69,56 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     let last = i32(params.side) - 1;
     var others = 0u;
     var radius = 0.0;
-    for (var ring = 1; ring <= RINGS; ring += 1) {
-        for (var z = max(place.z - ring, 0); z <= min(place.z + ring, last); z += 1) {
-            for (var y = max(place.y - ring, 0); y <= min(place.y + ring, last); y += 1) {
-                for (var part = 0; part < 2; part += 1) {
-                    let range = part_of(place, ring, y, z, part);
-                    for (var at = range.x; at < range.y; at += 1u) {
-                        let other = sorted[at];
-                        if at != index && other.first == other.seed {
-                            others += 1u;
-                            offer(squared((other.hi - own.hi) + (other.lo - own.lo)), other.seed);
+    // Loops are left at their ends: a driver on a CPU runs a body once more after the last lane has left at
+    // the head.
+    var ring = 1;
+    loop {
+        let width = 2 * ring + 1;
+        var line = 0;
+        loop {
+            let range = parts_of(place, ring, place.y - ring + line % width, place.z - ring + line / width);
+            let first = range.y - range.x;
+            let count = first + range.w - range.z;
+            var k = 0u;
+            loop {
+                let at = select(range.z + k - first, range.x + k, k < first);
+                if k < count && at != index {
+                    let key = squared((sorted[at].hi - own.hi) + (sorted[at].lo - own.lo));
+                    let other = sorted[at].seed;
+                    if sorted[at].first == other {
+                        others += 1u;
+                        if before(key, other, key_$(ROW - 1), seed_$(ROW - 1)) {
+                            offer(key, other);
                         }
                     }
                 }
+                k += 1u;
+                if k >= count {
+                    break;
+                }
+            }
+            line += 1;
+            if line >= width * width {
+                break;
             }
         }
         radius = covered(p, place, ring);
-        if key_$(ROW - 1) < radius * radius * 0.9999 {
+        ring += 1;
+        if ring > RINGS || key_$(ROW - 1) < radius * radius * 0.9999 {
             break;
         }
     }
     let proved = radius * radius * 0.9999;
     var length = 0u;
 #repeat T in 0..ROW
-    if $(T)u < params.row && key_$T < proved && seed_$T != NONE {
+    if key_$T < proved && seed_$T != NONE {
         table[row + $(T)u] = seed_$T;
         length = $(T + 1)u;
     }
 #end
-    let complete = radius >= NOWHERE_NEAR * 0.5 && others <= params.row;
-    seeds[own.seed].row_length = select(length, length | COMPLETE, complete);
+    let everything = radius >= NOWHERE_NEAR * 0.5;
+    table[row - 1u] = select(length, length | COMPLETE, everything && others <= $(ROW)u);
+    // Of `params.row` entries the stages that take pair by pair know.
+    length = min(length, params.row);
+    seeds[own.seed].row_length = select(length, length | COMPLETE, everything && others <= params.row);
 }

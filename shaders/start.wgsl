@@ -32,12 +32,18 @@ fn to_q(hi: vec3f, lo: vec3f) -> f32 {
 fn walk(guess: u32) -> u32 {
     var i = guess;
     var best = to_q(seeds[i].hi, seeds[i].lo);
-    for (var step = 0u; step < STEPS; step += 1u) {
+    var step = 0u;
+    // Loops are left at their ends, as in `search`.
+    loop {
         let seed = seeds[i];
         let end = seed.row_begin + (seed.row_length & INDEX);
         var next = i;
         var proved = (seed.row_length & COMPLETE) != 0u;
-        for (var at = seed.row_begin; at < end; at += 1u) {
+        var at = seed.row_begin;
+        if at == end {
+            return select(NONE, i, proved);
+        }
+        loop {
             let j = table[at];
             let other = seeds[j];
             if squared((other.hi - seed.hi) + (other.lo - seed.lo)) > 4.0004 * best {
@@ -50,11 +56,19 @@ fn walk(guess: u32) -> u32 {
                 best = key;
                 break;
             }
+            at += 1u;
+            if at >= end {
+                break;
+            }
         }
+        step += 1u;
         if next == i {
             return select(NONE, i, proved);
         }
         i = next;
+        if step == STEPS {
+            break;
+        }
     }
     return NONE;
 }
@@ -69,14 +83,14 @@ fn look() -> u32 {
     for (var ring = 1; ring <= RINGS; ring += 1) {
         for (var z = max(place.z - ring, 0); z <= min(place.z + ring, last); z += 1) {
             for (var y = max(place.y - ring, 0); y <= min(place.y + ring, last); y += 1) {
-                for (var part = 0; part < 2; part += 1) {
-                    let range = part_of(place, ring, y, z, part);
-                    for (var at = range.x; at < range.y; at += 1u) {
-                        let key = to_q(sorted[at].hi, sorted[at].lo);
-                        if before(key, sorted[at].seed, best, found) {
-                            best = key;
-                            found = sorted[at].seed;
-                        }
+                let range = parts_of(place, ring, y, z);
+                let first = range.y - range.x;
+                for (var k = 0u; k < first + range.w - range.z; k += 1u) {
+                    let at = select(range.z + k - first, range.x + k, k < first);
+                    let key = to_q(sorted[at].hi, sorted[at].lo);
+                    if before(key, sorted[at].seed, best, found) {
+                        best = key;
+                        found = sorted[at].seed;
                     }
                 }
             }

@@ -11,7 +11,6 @@ use tessera::mesh::measure::{Topology, topology};
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Placement, Refine, Remesh, RemeshOptions, Seeds, remesh};
 use tessera::rvd::parallel::Parallel;
-use tessera::rvd::serial::Serial;
 use tessera::rvd::{Backend, CancelFlag};
 
 fn options(points: usize) -> RemeshOptions {

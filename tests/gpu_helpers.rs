@@ -21,8 +21,14 @@ fn borrowed(device: &Device) -> Buffers {
 }
 
 /// Runs one check and reads (sums, slots, outcomes).
-fn check(device: &Arc<Device>, entry: &str, inputs: &[u32], slots: usize) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
-    let source = shader::compose("checks", &[]).unwrap();
+fn check(
+    device: &Arc<Device>,
+    wide: bool,
+    entry: &str,
+    inputs: &[u32],
+    slots: usize,
+) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
+    let source = shader::compose("checks", &[("WIDE", i64::from(wide))]).unwrap();
     let raw = device.raw();
     let module = raw.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: None,
@@ -102,9 +108,15 @@ fn fixed_point_sums_carry_and_go_negative() {
     for case in cases {
         let want: i64 = case.iter().map(|&v| f64::from(v).round_ties_even() as i64).sum();
         let inputs: Vec<u32> = case.iter().map(|v| v.to_bits()).collect();
-        let (sums, _, _) = check(&device, "check_fixed", &inputs, 4);
-        let got = (u64::from(sums[0]) | u64::from(sums[1]) << 32) as i64;
-        assert_eq!(got, want, "{:?}...", &case[..case.len().min(8)]);
+        for wide in [false, true] {
+            if wide && !device.has_wide_atomics() {
+                eprintln!("no 64-bit atomics here");
+                continue;
+            }
+            let (sums, _, _) = check(&device, wide, "check_fixed", &inputs, 4);
+            let got = (u64::from(sums[0]) | u64::from(sums[1]) << 32) as i64;
+            assert_eq!(got, want, "{wide}, {:?}...", &case[..case.len().min(8)]);
+        }
     }
 }
 
@@ -113,7 +125,7 @@ fn a_cell_set_takes_each_cell_once_and_says_when_it_is_full() {
     let Some(device) = gpu::device() else { return };
     // 4096 insertions of 256 different cells into 256 slots, the key 0 and large ones among them.
     let inputs: Vec<u32> = (0..4096u32).map(|k| (k * 7919 % 256) * 8_000_000).collect();
-    let (_, slots, outcomes) = check(&device, "check_cell_set", &inputs, 256);
+    let (_, slots, outcomes) = check(&device, false, "check_cell_set", &inputs, 256);
     let mut stored: Vec<u32> = slots.iter().map(|s| s.wrapping_sub(1)).collect();
     stored.sort_unstable();
     assert_eq!(stored, (0..256u32).map(|k| k * 8_000_000).collect::<Vec<_>>());
@@ -121,7 +133,7 @@ fn a_cell_set_takes_each_cell_once_and_says_when_it_is_full() {
     assert!(outcomes.iter().all(|o| *o < 2));
     // 300 different cells do not fit.
     let inputs: Vec<u32> = (0..300).collect();
-    let (_, _, outcomes) = check(&device, "check_cell_set", &inputs, 256);
+    let (_, _, outcomes) = check(&device, false, "check_cell_set", &inputs, 256);
     assert_eq!(outcomes.iter().filter(|o| **o == 1).count(), 256);
     assert_eq!(outcomes.iter().filter(|o| **o == 2).count(), 44);
 }

@@ -10,8 +10,21 @@ fn parse(stage: &str, slots: i64, array: i64) -> naga::Module {
     parse_with(stage, slots, array, 0)
 }
 
+/// Every variant, as slots are gone through.
+fn members(slots: i64) -> i64 {
+    i64::from(layout::MEMBERS[slots as usize % layout::MEMBERS.len()])
+}
+
 fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module {
-    let constants = [("SLOTS", slots), ("ARRAY", array), ("SHARED", shared), ("ROW", i64::from(layout::ROW))];
+    let constants = [
+        ("SLOTS", slots),
+        ("ARRAY", array),
+        ("SHARED", shared),
+        ("ROW", i64::from(layout::ROW)),
+        ("MEMBERS", members(slots)),
+        ("WEIGHTED", shared),
+        ("WIDE", 0),
+    ];
     let source = compose(stage, &constants).unwrap();
     let module = naga::front::wgsl::parse_str(&source)
         .unwrap_or_else(|e| panic!("{stage}, {slots} slots:\n{}", e.emit_to_string(&source)));
@@ -106,7 +119,8 @@ fn records_have_one_layout() {
             seeds,
             row,
             side,
-            roots
+            roots,
+            divided
         }
     );
     same_layout!(
@@ -144,7 +158,7 @@ fn records_have_one_layout() {
 
 #[test]
 fn constants_agree() {
-    let text = compose("clip", &[("SLOTS", 10), ("ARRAY", 0), ("SHARED", 0)]).unwrap();
+    let text = compose("clip", &[("SLOTS", 10), ("ARRAY", 0), ("SHARED", 0), ("WIDE", 0)]).unwrap();
     for line in [
         format!("const COMPLETE: u32 = {:#x}u;", layout::COMPLETE),
         format!("const ROOT: u32 = {:#x}u;", layout::ROOT),

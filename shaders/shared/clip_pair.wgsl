@@ -109,7 +109,12 @@ fn clip_to_row(
     }
     let complete = (seed.row_length & COMPLETE) != 0u;
     let row_end = seed.row_begin + (seed.row_length & INDEX);
-    for (var at = seed.row_begin; at < row_end; at += 1u) {
+    var at = seed.row_begin;
+    if at >= row_end {
+        return select(NEIGHBOURS, DONE, complete);
+    }
+    // Left at its end: a driver on a CPU runs a body once more after the last lane has left at the head.
+    loop {
         let j = table[at];
         let other = seeds[j];
         let b = (other.hi - seed.hi) + (other.lo - seed.lo);
@@ -129,6 +134,10 @@ fn clip_to_row(
             return POLYGON;
         } else if outcome == BROKEN {
             return FINISH;
+        }
+        at += 1u;
+        if at >= row_end {
+            break;
         }
     }
     return select(NEIGHBOURS, DONE, complete);

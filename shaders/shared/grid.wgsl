@@ -27,23 +27,27 @@ fn covered(p: vec3f, place: vec3i, ring: i32) -> f32 {
     return max(min(min(least.x, least.y), least.z) - 1e-6, 0.0);
 }
 
-// Part 0 or 1 of the cells of row (y, z) that `ring` adds to those of the ring before; the first ring
-// has the middle too. As (begin, end) in the sorted seeds.
-fn part_of(place: vec3i, ring: i32, y: i32, z: i32, part: i32) -> vec2u {
+// The cells of row (y, z) that `ring` adds to those of the ring before; the first ring has the middle too.
+// Two ranges of the sorted seeds, as (begin, end, begin, end).
+fn parts_of(place: vec3i, ring: i32, y: i32, z: i32) -> vec4u {
     let last = i32(params.side) - 1;
-    var low = max(place.x - ring, 0);
-    var high = min(place.x + ring, last);
-    if ring == 1 || abs(y - place.y) == ring || abs(z - place.z) == ring {
-        if part == 1 {
-            return vec2u(0u);
-        }
-    } else {
-        low = select(place.x - ring, place.x + ring, part == 1);
-        high = low;
-        if low < 0 || low > last {
-            return vec2u(0u);
-        }
+    if min(y, z) < 0 || max(y, z) > last {
+        return vec4u(0u);
     }
     let row = row_of(y, z);
-    return vec2u(cells[row + u32(low)], cells[row + u32(high) + 1u]);
+    let low = place.x - ring;
+    let high = place.x + ring;
+    if ring == 1 || abs(y - place.y) == ring || abs(z - place.z) == ring {
+        return vec4u(cells[row + u32(max(low, 0))], cells[row + u32(min(high, last)) + 1u], 0u, 0u);
+    }
+    var parts = vec4u(0u);
+    if low >= 0 {
+        parts.x = cells[row + u32(low)];
+        parts.y = cells[row + u32(low) + 1u];
+    }
+    if high <= last {
+        parts.z = cells[row + u32(high)];
+        parts.w = cells[row + u32(high) + 1u];
+    }
+    return parts;
 }

@@ -60,6 +60,8 @@ struct Params {
     row: u32,
     side: u32,
     roots: u32,
+    // Where in `slots` it says which CELLED facets `divide` has done; NONE if it does not.
+    divided: u32,
 }
 
 const COMPLETE: u32 = 0x80000000u;

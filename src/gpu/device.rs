@@ -64,6 +64,9 @@ pub const STORAGE_BUFFERS: u32 = 8;
 /// Invocations per workgroup of all shaders.
 pub const WORKGROUP: u32 = 64;
 
+/// What 64-bit sums by one atomic take.
+const WIDE_ATOMICS: wgpu::Features = wgpu::Features::SHADER_INT64.union(wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS);
+
 fn instance() -> wgpu::Instance {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     descriptor.backends = wgpu::Backends::PRIMARY;
@@ -217,7 +220,7 @@ impl Device {
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("tessera"),
             required_limits: adapter.limits(),
-            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+            required_features: adapter.features() & (wgpu::Features::TIMESTAMP_QUERY | WIDE_ATOMICS),
             ..Default::default()
         };
         let (device, queue) =
@@ -246,6 +249,11 @@ impl Device {
     /// Limits of the device.
     pub fn limits(&self) -> wgpu::Limits {
         self.device.limits()
+    }
+
+    /// Whether shaders may add 64-bit integers atomically.
+    pub fn has_wide_atomics(&self) -> bool {
+        self.device.features().contains(WIDE_ATOMICS)
     }
 
     /// The wgpu device, for making pipelines and bind groups.

@@ -137,6 +137,8 @@ pub struct Params {
     pub side: u32,
     /// Facets that have a first cell: entries of the proposals.
     pub roots: u32,
+    /// Where among the slots it says which facets `divide` has done; [`NONE`] if it need not.
+    pub divided: u32,
 }
 
 /// What the host reads between submissions.
@@ -249,6 +251,10 @@ pub mod halt {
 
 /// Neighbours that the search finds at most.
 pub const ROW: u32 = 24;
+/// Words of a row as the search writes it: its length, then the neighbours.
+pub const STRIDE: u32 = ROW + 1;
+/// Cells that the variants of `divide` can do at once.
+pub const MEMBERS: [u32; 4] = [4, 6, 8, 12];
 /// A proposal that is not known.
 pub const NONE: u32 = u32::MAX;
 /// Pairs of the history, and one that is not accepted yet.

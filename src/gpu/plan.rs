@@ -294,7 +294,7 @@ mod tests {
         Counts {
             facets: n,
             seeds: n,
-            table: 25 * n,
+            table: 31 * n,
             slots: 16 * n,
             pairs: 5 * n,
             emitted: 65_536,

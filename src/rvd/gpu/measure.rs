@@ -43,6 +43,8 @@ impl Gpu {
         self.pool.install(|| {
             let mut session = GpuSession::new(self, surface, options);
             session.set_seeds(seeds)?;
+            // Facets that are done as a whole are added directly only.
+            session.divides = false;
             let mut stats = session.begin_pass(cancel)?;
             let mut out = AccumulationMs::default();
             for pass in 0..=passes {

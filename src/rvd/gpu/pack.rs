@@ -28,6 +28,22 @@ pub fn expected_cells(surface: &Surface, seeds: usize) -> Vec<f64> {
     (0..surface.facets().len()).into_par_iter().map(estimate).collect()
 }
 
+/// Mean area and mean perimeter of the facets that have an area.
+pub fn mean_facet(surface: &Surface) -> (f64, f64) {
+    let live: Vec<usize> = (0..surface.facets().len()).filter(|&f| !surface.skips(f)).collect();
+    let perimeter = |&f: &usize| {
+        let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
+        a.distance(b) + b.distance(c) + c.distance(a)
+    };
+    let count = live.len().max(1) as f64;
+    (surface.area() / count, live.iter().map(perimeter).sum::<f64>() / count)
+}
+
+/// Cells of spacing `h2.sqrt()` that a facet of the mean area and perimeter meets.
+pub fn mean_cells((area, perimeter): (f64, f64), h2: f64) -> f64 {
+    1.0 + area / h2 + 0.9 * perimeter / h2.sqrt()
+}
+
 /// Log2 of every facet's slots: at least `cells`, and twice what is expected. `cells` below the
 /// default shrinks the expectation too, since it asks for a small start.
 pub fn first_slots(expected: &[f64], cells: usize, default_cells: usize) -> Vec<u8> {

@@ -13,7 +13,7 @@ use std::time::Instant;
 use super::search::Rows;
 use super::{GpuSession, fixed, lane, pack};
 use crate::gpu::buffers;
-use crate::gpu::layout::{Params, ROOT, SUM_WORDS, State, accumulate, code, failure};
+use crate::gpu::layout::{MEMBERS, NONE, Params, ROOT, SUM_WORDS, State, accumulate, code, failure};
 use crate::gpu::plan::{Limits, dispatch};
 use crate::rvd::{CancelFlag, PassStats, RvdError, elapsed_ms};
 
@@ -30,6 +30,8 @@ pub(super) struct PassResult {
     pub length: u32,
     /// Polygon vertices allowed at present.
     pub polygon: u32,
+    /// Whether facets were done as a whole where that was possible.
+    pub divided: bool,
     /// Whether cells entered facets of their own, so that the pieces are to be proved.
     pub by_cell: bool,
 }
@@ -54,6 +56,9 @@ pub(super) enum Variant {
 
 /// Clip dispatches per submission: at first, and at most.
 const STEPS: (u32, u32) = (8, 64);
+/// The variant of `divide` has room for so many times the cells that a mean facet is expected to meet. More room
+/// costs every facet time, less sends more of them through the list of pairs.
+const ROOM: f64 = 1.1;
 /// A submission that took longer than this is not made longer.
 const SUBMISSION_MS: f64 = 50.0;
 
@@ -117,11 +122,16 @@ impl GpuSession {
     ) -> Result<Option<State>, RvdError> {
         let first = self.roots.partition_point(|r| r[0] < facets.start);
         let last = self.roots.partition_point(|r| r[0] < facets.end);
+        // The rows of the host are in an order of its own.
+        self.pass.divided = self.divides && wants == Wants::Sums && self.rows != Rows::Host;
+        let by_both = self.pass.divided && self.pass.by_cell;
+        let flags = pack::slot_count(&self.slots_log2);
         let roots = Params {
             propose_begin: first as u32,
             propose_count: (last - first) as u32,
             propose_root: ROOT,
             emit_count: if self.pass.by_cell { self.count as u32 } else { 0 },
+            divided: if by_both { flags as u32 } else { NONE },
             ..self.params()
         };
         let slot = |f: u32| {
@@ -129,12 +139,15 @@ impl GpuSession {
             (begin * 4, (begin + (1 << self.slots_log2[f as usize])) * 4)
         };
         let cleared = (!facets.is_empty()).then(|| slot(facets.start).0..slot(facets.end - 1).1);
-        let seeds = self.count;
+        let (seeds, facet_count) = (self.count, self.facets.len() as u64);
         let device = Arc::clone(&self.device);
         let buffers = &self.on_device()?.buffers;
         let mut encoder = device.encoder();
         if let Some(range) = cleared {
             encoder.clear_buffer(&buffers.slots, range.start, Some(range.end - range.start));
+        }
+        if by_both {
+            encoder.clear_buffer(&buffers.slots, flags * 4, Some(facet_count * 4));
         }
         if wants == Wants::Sums {
             encoder.clear_buffer(&buffers.sums, 0, Some((seeds * SUM_WORDS * 4) as u64));
@@ -198,10 +211,15 @@ impl GpuSession {
         if start {
             self.encode_start(&mut encoder)?;
         }
-        let there = self.on_device()?;
+        self.on_device()?;
+        let there = self.on_device.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))?;
         {
             let mut compute = device.pass(&mut encoder, lane::CLIP);
-            if proposals.is_some() {
+            if proposals.is_some() && params.propose_root != 0 && self.pass.divided {
+                let (size, weighted) = (self.divide_size(), usize::from(!self.surface.is_uniform()));
+                let (divide, bindings) = (&pipelines.divide[size][weighted], &there.bindings.divide[size][weighted]);
+                run(&mut compute, divide, bindings, params.propose_count.into(), limits);
+            } else if proposals.is_some() {
                 run(&mut compute, &pipelines.propose, &there.bindings.propose, params.propose_count.into(), limits);
             }
             if params.emit_count > 0 {
@@ -224,6 +242,14 @@ impl GpuSession {
         let state = self.read_summary(encoder)?;
         let settled = (!search || self.settle_search(&state, cancel)?) && (!start || self.settle_start(&state)?);
         Ok(settled.then_some(state))
+    }
+
+    /// Which variant of `divide` suits the facets.
+    /// By the surface and the number of seeds alone: another variant may round differently.
+    fn divide_size(&self) -> usize {
+        let h2 = self.surface.area() / self.count.max(1) as f64;
+        let mean = pack::mean_cells(self.lengths, h2);
+        MEMBERS.iter().position(|&m| ROOM * mean <= f64::from(m)).unwrap_or(MEMBERS.len() - 1)
     }
 
     /// Whether all pieces that cells entered are proved; if not, their facets are left to
@@ -256,6 +282,7 @@ impl GpuSession {
     fn grow(&mut self, state: State, stats: &mut PassStats) -> Result<(), RvdError> {
         stats.relaunched_cells += u64::from(state.cells_overflow) + u64::from(state.list_overflow);
         if state.cells_overflow > 0 {
+            let slots_before = pack::slot_count(&self.slots_log2);
             let device = Arc::clone(&self.device);
             let stored = (state.failures as usize).min(self.counts.pairs as usize);
             let buffers = &self.on_device()?.buffers;
@@ -268,7 +295,8 @@ impl GpuSession {
                 let log2 = &mut self.slots_log2[facet as usize];
                 *log2 = (*log2 + 2).min(most.max(*log2 + 1));
             }
-            self.counts.slots = pack::slot_count(&self.slots_log2);
+            let flags = self.counts.slots - slots_before;
+            self.counts.slots = pack::slot_count(&self.slots_log2) + flags;
             pack::assign_slots(&mut self.facets, &self.slots_log2);
         }
         if state.list_overflow > 0 {

@@ -6,7 +6,7 @@
 //! Must not know: what is dispatched when.
 
 use crate::gpu::buffers::{Buffers, MotionBuffers};
-use crate::gpu::layout::ROW;
+use crate::gpu::layout::{MEMBERS, ROW};
 use crate::gpu::{Device, GpuError, shader};
 
 /// Slots of the variant that pairs with large polygons are clipped by.
@@ -17,6 +17,9 @@ pub const LARGE_POLYGON: usize = 64;
 pub struct Pipelines {
     /// Enters proposals.
     pub propose: wgpu::ComputePipeline,
+    /// Does most facets as a whole, and enters the others' first cells.
+    /// By [`MEMBERS`], then without and with weights.
+    pub divide: [[wgpu::ComputePipeline; 2]; MEMBERS.len()],
     /// Takes the next pairs.
     pub prepare: wgpu::ComputePipeline,
     /// Clips them, polygon in registers.
@@ -67,12 +70,21 @@ impl Pipelines {
     /// # Errors
     /// `Failed`, `Lost`; `Shader` only for a mistake in `shaders/`.
     pub fn new(device: &Device, slots: usize) -> Result<Self, GpuError> {
-        let registers = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 0)];
-        let shared = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 1)];
-        let array = [("SLOTS", LARGE_POLYGON as i64), ("ARRAY", 1), ("SHARED", 0)];
+        let wide = ("WIDE", i64::from(device.has_wide_atomics()));
+        let registers = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 0), wide];
+        let shared = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 1), wide];
+        let array = [("SLOTS", LARGE_POLYGON as i64), ("ARRAY", 1), ("SHARED", 0), wide];
         let search = [("ROW", i64::from(ROW))];
+        let divide = |members: usize, weighted| {
+            let members = i64::from(MEMBERS[members]);
+            let constants =
+                [("ROW", i64::from(ROW)), ("MEMBERS", members), ("WEIGHTED", weighted), ("SHARED", 0), wide];
+            pipeline(device, "divide", &constants)
+        };
+        let both = |members| Ok::<_, GpuError>([divide(members, 0)?, divide(members, 1)?]);
         Ok(Self {
             propose: pipeline(device, "propose", &registers)?,
+            divide: [both(0)?, both(1)?, both(2)?, both(3)?],
             prepare: pipeline(device, "prepare", &registers)?,
             clip: pipeline(device, "clip", &registers)?,
             clip_shared: pipeline(device, "clip", &shared)?,
@@ -128,6 +140,8 @@ fn pipeline(
 pub struct Bindings {
     /// For [`Pipelines::propose`].
     pub propose: wgpu::BindGroup,
+    /// For each of [`Pipelines::divide`].
+    pub divide: Vec<[wgpu::BindGroup; 2]>,
     /// For [`Pipelines::prepare`].
     pub prepare: wgpu::BindGroup,
     /// For [`Pipelines::clip`].
@@ -163,12 +177,16 @@ impl Bindings {
     /// `Failed`, `Lost`.
     pub fn new(device: &Device, pipelines: &Pipelines, b: &Buffers) -> Result<Self, GpuError> {
         let clip = [&b.params, &b.seeds, &b.facets, &b.table, &b.slots, &b.list, &b.sums, &b.failures, &b.state];
+        let divide = [&b.params, &b.seeds, &b.facets, &b.table, &b.proposals, &b.slots, &b.list, &b.sums, &b.state];
+        let both =
+            |plain, weighted| Ok::<_, GpuError>([bind(device, plain, &divide)?, bind(device, weighted, &divide)?]);
         Ok(Self {
             propose: bind(
                 device,
                 &pipelines.propose,
                 &[&b.params, &b.facets, &b.proposals, &b.slots, &b.list, &b.failures, &b.state],
             )?,
+            divide: pipelines.divide.iter().map(|[a, b]| both(a, b)).collect::<Result<_, _>>()?,
             prepare: bind(device, &pipelines.prepare, &[&b.params, &b.state, &b.arguments])?,
             clip: bind(device, &pipelines.clip, &clip)?,
             clip_shared: bind(device, &pipelines.clip_shared, &clip)?,

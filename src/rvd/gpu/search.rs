@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use super::pass::run;
 use super::{Gpu, GpuSession, OnDevice, fixed, lane, pack};
 use crate::gpu::buffers;
-use crate::gpu::layout::{self, COMPLETE, Figures, INDEX, NONE, State, halt};
+use crate::gpu::layout::{self, COMPLETE, Figures, INDEX, NONE, STRIDE, State, halt};
 use crate::gpu::plan::{Limits, grid_cells};
 use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, Threads};
 use crate::mesh::coincident;
@@ -410,7 +410,8 @@ impl GpuSession {
         host.index = SeedIndex::new(&host.seen);
         host.table.clear();
         let end = |r: &layout::Seed| (r.row_begin + (r.row_length & INDEX)) as usize;
-        host.packed_end = host.records.iter().map(end).max().unwrap_or(0);
+        let by_device = if self.rows == Rows::Device { self.count * STRIDE as usize } else { 0 };
+        host.packed_end = host.records.iter().map(end).max().unwrap_or(0).max(by_device);
         host.fresh = true;
         Ok(())
     }

@@ -102,8 +102,8 @@ impl<const N: usize> Members<N> {
     #[inline(always)]
     fn put(&mut self, at: usize, seed: u32, farther: [f64; 3], error: f64) {
         self.seed[at] = seed;
-        for c in 0..3 {
-            self.farther[c][at] = farther[c];
+        for (list, value) in self.farther.iter_mut().zip(farther) {
+            list[at] = value;
         }
         self.error[at] = error;
     }
