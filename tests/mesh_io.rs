@@ -196,6 +196,7 @@ fn in_place_and_through_the_crates() {
     assert!(read > 2000 && refused > 2000, "{read} {refused}");
 
     let kinds = ["char", "uchar", "short", "ushort", "int", "uint", "float", "double"];
+    let mut planes = 0;
     for round in 0..400u32 {
         let kind = |rng: &mut ChaCha8Rng| kinds[rng.random_range(0..8)];
         let position = if round % 3 == 0 { kind(&mut rng) } else { ["float", "double"][round as usize % 2] };
@@ -208,13 +209,39 @@ fn in_place_and_through_the_crates() {
              element face 2\nproperty {face} b\nproperty list uchar {index} vertex_index\nproperty {after} c\nend_header\n"
         )
         .into_bytes();
+        let size = |kind: &str| match kind {
+            "char" | "uchar" => 1,
+            "short" | "ushort" => 2,
+            "double" => 8,
+            _ => 4,
+        };
+        let mut noise = |file: &mut Vec<u8>, kind: &str| file.extend((0..size(kind)).map(|_| rng.random_range(0..64u8)));
         let start = file.len();
-        file.extend((0..200).map(|_| rng.random_range(0..4u8) * (16 * u8::from(rng.random_range(0..3) == 0) + 1)));
-        // Now and then a list of three.
-        let at = start + rng.random_range(0..150usize);
-        file[at] = 3;
+        for _ in 0..4 {
+            [before, position, position, after, position].iter().for_each(|kind| noise(&mut file, kind));
+        }
+        [face, face].iter().for_each(|kind| noise(&mut file, kind));
+        for corners in [[0u8, 1, 2], [2, 1, 3]] {
+            noise(&mut file, face);
+            file.push(3);
+            for corner in corners {
+                let mut bytes = vec![0; size(index)];
+                bytes[if order == "big" { size(index) - 1 } else { 0 }] = corner;
+                file.extend(bytes);
+            }
+            noise(&mut file, after);
+        }
+        if round % 2 == 0 {
+            let at = rng.random_range(start..file.len());
+            file[at] = rng.random_range(0..=255);
+        }
+        if round % 11 == 0 {
+            file.truncate(rng.random_range(start..file.len()));
+        }
+        planes += usize::from(decode(Format::Ply, &file).is_ok());
         readers::check(Format::Ply, &file).unwrap_or_else(|error| panic!("{error}: round {round}"));
     }
+    assert!((100..380).contains(&planes), "{planes}");
 }
 
 /// A piece of text ends between lines, and faces name vertices of other pieces.

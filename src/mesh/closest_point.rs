@@ -49,6 +49,9 @@ struct Nearest {
     barycentric: [f64; 3],
 }
 
+/// So many points are one task.
+const RUN: usize = 256;
+
 /// Farther away than this many unit boxes, only the direction of a point counts.
 const FAR: f64 = 1e100;
 
@@ -71,7 +74,45 @@ impl ClosestPoint {
 
     /// The closest point of the surface to `p` (finite); the lowest facet among equals.
     pub fn project(&self, p: DVec3) -> SurfacePoint {
-        let nearest = self.nearest(p);
+        self.on_surface(self.nearest(p, None))
+    }
+
+    /// As [`ClosestPoint::project`], all points at once: they are taken along a curve that fills space, and each
+    /// search begins with the facet that the last one found. Nothing soon after `stop` says so.
+    pub fn project_all(&self, points: &[DVec3], stop: &(dyn Fn() -> bool + Sync)) -> Option<Vec<SurfacePoint>> {
+        self.all(points, stop, |nearest| self.on_surface(nearest))
+    }
+
+    /// As [`ClosestPoint::distance`], all points at once; see [`ClosestPoint::project_all`].
+    pub fn distances(&self, points: &[DVec3], stop: &(dyn Fn() -> bool + Sync)) -> Option<Vec<f64>> {
+        self.all(points, stop, |nearest| nearest.squared.sqrt() / self.scale)
+    }
+
+    fn all<T: Send + Clone>(
+        &self,
+        points: &[DVec3],
+        stop: &(dyn Fn() -> bool + Sync),
+        answer: impl Fn(Nearest) -> T + Sync,
+    ) -> Option<Vec<T>> {
+        let place = |(i, &p): (usize, &DVec3)| (along_curve(self.to_unit(p)), i);
+        let mut order: Vec<(u32, usize)> = points.par_iter().enumerate().map(place).collect();
+        order.par_sort_unstable();
+        let run = |run: &[(u32, usize)]| {
+            let mut last = None;
+            let next = |&(_, i): &(u32, usize)| {
+                let nearest = self.nearest(points[i], last);
+                last = Some(nearest.leaf);
+                (i, answer(nearest))
+            };
+            if stop() { Vec::new() } else { run.iter().map(next).collect() }
+        };
+        let runs: Vec<Vec<(usize, T)>> = order.par_chunks(RUN).map(run).collect();
+        let mut answers: Vec<Option<T>> = vec![None; points.len()];
+        runs.into_iter().flatten().for_each(|(i, found)| answers[i] = Some(found));
+        answers.into_iter().collect()
+    }
+
+    fn on_surface(&self, nearest: Nearest) -> SurfacePoint {
         let (corners, facet) = self.facets[nearest.leaf as usize];
         let [a, b, c] = corners.map(|v| self.positions[v as usize]);
         let [wa, wb, wc] = nearest.barycentric;
@@ -88,30 +129,34 @@ impl ClosestPoint {
 
     /// Distance of `p` (finite) from the surface, caller's units.
     pub fn distance(&self, p: DVec3) -> f64 {
-        self.nearest(p).squared.sqrt() / self.scale
+        self.nearest(p, None).squared.sqrt() / self.scale
     }
 
-    fn nearest(&self, p: DVec3) -> Nearest {
+    /// `hint` is a facet that may be near, as its place in `facets`; it does not change the answer.
+    fn nearest(&self, p: DVec3, hint: Option<u32>) -> Nearest {
         let p = self.to_unit(p);
         let point = vector(p);
         // Boxes and facets round differently; a box is opened although it is this much too far.
         let slack = 4.0 * f64::EPSILON * (1.0 + p.abs().max_element());
-        let best = Cell::new(Nearest { squared: f64::INFINITY, leaf: 0, barycentric: [1.0, 0.0, 0.0] });
+        let none = Nearest { squared: f64::INFINITY, leaf: 0, barycentric: [1.0, 0.0, 0.0] };
+        let of_facet = |leaf: u32| {
+            let (ids, _) = self.facets[leaf as usize];
+            let (squared, barycentric) = closest_on_facet(p, ids.map(|v| self.unit[v as usize]), ids);
+            Nearest { squared, leaf, barycentric }
+        };
+        let best = Cell::new(hint.map_or(none, of_facet));
         let box_cost = |node: &BvhNode, _: f64| {
             let outside = (node.mins() - point).max(point - node.maxs()) - Vector::splat(slack);
             outside.max(Vector::ZERO).length_squared()
         };
         let facet_cost = |leaf: u32, _: f64| {
-            let (ids, _) = self.facets[leaf as usize];
-            let (squared, barycentric) = closest_on_facet(p, ids.map(|v| self.unit[v as usize]), ids);
-            let so_far = best.get();
-            if squared < so_far.squared || (squared == so_far.squared && leaf < so_far.leaf) {
-                best.set(Nearest { squared, leaf, barycentric });
+            let (here, so_far) = (of_facet(leaf), best.get());
+            if here.squared < so_far.squared || (here.squared == so_far.squared && leaf < so_far.leaf) {
+                best.set(here);
             }
-            // A little more than nothing, so that boxes at distance 0 stay better than a hit.
-            Some(squared + f64::MIN_POSITIVE)
+            Some(cost(here.squared))
         };
-        self.bvh.find_best(f64::MAX, box_cost, facet_cost);
+        self.bvh.find_best(cost(best.get().squared).min(f64::MAX), box_cost, facet_cost);
         best.get()
     }
 
@@ -126,6 +171,24 @@ impl ClosestPoint {
         let direction = half / half.abs().max_element();
         if direction.is_finite() { direction * FAR } else { DVec3::ZERO }
     }
+}
+
+/// A little more than nothing, so that boxes at distance 0 stay better than a hit.
+fn cost(squared: f64) -> f64 {
+    squared + f64::MIN_POSITIVE
+}
+
+/// Place on a curve through cells of a 512th of twice the box, in the order of their interleaved bits.
+fn along_curve(unit: DVec3) -> u32 {
+    let spread = |x: f64| {
+        // The cast saturates.
+        let mut bits = (((x + 1.0) * 512.0) as u32).min(1023);
+        bits = (bits | bits << 16) & 0x0300_00ff;
+        bits = (bits | bits << 8) & 0x0300_f00f;
+        bits = (bits | bits << 4) & 0x030c_30c3;
+        (bits | bits << 2) & 0x0924_9249
+    };
+    spread(unit.x) | spread(unit.y) << 1 | spread(unit.z) << 2
 }
 
 /// 2^-k with the largest k for which `extent * 2^-k` is at least 1/2; 1 for 0. Within 2^±1000.
