@@ -9,6 +9,7 @@
 
 pub mod adjacency;
 pub mod attributes;
+pub(crate) mod boxes;
 pub mod closest_point;
 pub(crate) mod coincident;
 pub(crate) mod disjoint;
