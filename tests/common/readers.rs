@@ -26,7 +26,12 @@ pub fn check(format: Format, bytes: &[u8]) -> Result<(), String> {
             _ => false,
         };
         if !same {
-            return Err(format!("{format:?}: read in place, another surface comes out than through the crate"));
+            let result = |bytes: &[u8]| match decode(format, bytes) {
+                Ok(mesh) => format!("{} vertices, {} facets", mesh.positions().len(), mesh.facets().len()),
+                Err(error) => error.to_string(),
+            };
+            let (here, there) = (result(bytes), result(&other));
+            return Err(format!("{format:?}: read in place ({here}), another surface comes out than through the crate ({there})"));
         }
     }
     if let Ok(loaded) = loaded {
@@ -68,6 +73,7 @@ pub fn check(format: Format, bytes: &[u8]) -> Result<(), String> {
 /// ones: a continued comment, a list that no element has.
 pub fn detour(format: Format, bytes: &[u8]) -> Option<Vec<u8>> {
     match format {
+        _ if bytes.trim_ascii().is_empty() => None,
         Format::Obj => Some([bytes, b"\n# \\\n"].concat()),
         Format::Ply => {
             let end = b"\nend_header";
