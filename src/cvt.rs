@@ -17,7 +17,6 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use convergence::Convergence;
 use curves::CurveSeeds;
@@ -541,7 +540,9 @@ impl Cvt {
         let closest = closest(&mut self.closest, &self.surface)?;
         let held = &self.held;
         let free = |i: usize| !held.get(i).is_some_and(|&held| held);
-        seeds.par_iter_mut().enumerate().filter(|(i, _)| free(*i)).for_each(|(_, p)| *p = closest.project(*p).position);
+        let placed = closest.project_all(seeds, &|| false).unwrap_or_default();
+        let moved = seeds.iter_mut().zip(placed).enumerate().filter(|(i, _)| free(*i));
+        moved.for_each(|(_, (seed, place))| *seed = place.position);
         Ok(())
     }
 

@@ -9,9 +9,11 @@
 
 pub mod adjacency;
 pub mod attributes;
+pub(crate) mod boxes;
 pub mod closest_point;
 pub(crate) mod coincident;
 pub(crate) mod disjoint;
+pub(crate) mod edges;
 pub mod features;
 pub mod io;
 pub mod measure;
@@ -19,6 +21,7 @@ pub mod sample;
 pub mod shapes;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// A validated triangle surface in the caller's own coordinates, double precision.
 #[derive(Clone, Debug, PartialEq)]
@@ -120,16 +123,15 @@ impl TriMesh {
         if facets.is_empty() {
             return Err(MeshError::NoFacets);
         }
-        if let Some(vertex) = positions.iter().position(|p| !p.is_finite()) {
+        if let Some(vertex) = positions.par_iter().position_first(|p| !p.is_finite()) {
             let [x, y, z] = positions[vertex].to_array();
             return Err(MeshError::NonFinitePosition { vertex, x, y, z });
         }
-        for (facet, corners) in facets.iter().enumerate() {
-            for (corner, &index) in corners.iter().enumerate() {
-                if index as usize >= positions.len() {
-                    return Err(MeshError::IndexOutOfRange { facet, corner, index, vertices: positions.len() });
-                }
-            }
+        let outside = |&index: &u32| index as usize >= positions.len();
+        if let Some(facet) = facets.par_iter().position_first(|corners| corners.iter().any(outside)) {
+            let corner = facets[facet].iter().position(outside).unwrap_or(0);
+            let (index, vertices) = (facets[facet][corner], positions.len());
+            return Err(MeshError::IndexOutOfRange { facet, corner, index, vertices });
         }
         let (low, high) = bounds(&positions, &facets);
         let extent = (high - low).max_element();
@@ -141,7 +143,7 @@ impl TriMesh {
         if extent > 0.0 && extent < 1e-305 {
             return Err(MeshError::ExtentTooSmall { extent });
         }
-        let mesh = Self::assemble(positions, facets);
+        let mesh = Self::measured(positions, facets, low, extent);
         if mesh.degenerate_count == mesh.facets.len() {
             return Err(MeshError::NoArea { facets: mesh.facets.len() });
         }
@@ -151,25 +153,34 @@ impl TriMesh {
     /// Measures a surface that is known to be valid.
     fn assemble(positions: Vec<DVec3>, facets: Vec<[u32; 3]>) -> Self {
         let (low, high) = bounds(&positions, &facets);
-        let extent = (high - low).max_element();
+        Self::measured(positions, facets, low, (high - low).max_element())
+    }
+
+    /// As [`Self::assemble`], the box known.
+    fn measured(positions: Vec<DVec3>, facets: Vec<[u32; 3]>, low: DVec3, extent: f64) -> Self {
         // Areas are taken in the unit box, so that a mesh scaled by 1e-200 keeps its facets.
         let scale = if extent > 0.0 { extent } else { 1.0 };
-        let mut degenerate = Vec::with_capacity(facets.len());
-        let (mut area, mut degenerate_count) = (0.0, 0);
-        for corners in &facets {
-            let [a, b, c] = corners.map(|v| (positions[v as usize] - low) / scale);
-            let twice = (b - a).cross(c - a).length();
-            // A facet whose corners repeat, or whose area is no more than rounding leaves of
-            // one: relative to its longest edge an altitude below 1e-15 is not a direction.
-            let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
-            let flat = twice <= 1e-15 * longest;
-            degenerate.push(flat);
-            if flat {
-                degenerate_count += 1;
-            } else {
-                area += 0.5 * twice;
+        let mut degenerate = vec![false; facets.len()];
+        let measure = |(flats, facets): (&mut [bool], &[[u32; 3]])| {
+            let (mut area, mut degenerate_count) = (0.0, 0);
+            for (flat, corners) in flats.iter_mut().zip(facets) {
+                let [a, b, c] = corners.map(|v| (positions[v as usize] - low) / scale);
+                let twice = (b - a).cross(c - a).length();
+                // A facet whose corners repeat, or whose area is no more than rounding leaves of
+                // one: relative to its longest edge an altitude below 1e-15 is not a direction.
+                let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
+                *flat = twice <= 1e-15 * longest;
+                if *flat {
+                    degenerate_count += 1;
+                } else {
+                    area += 0.5 * twice;
+                }
             }
-        }
+            (area, degenerate_count)
+        };
+        let parts: Vec<(f64, usize)> =
+            degenerate.par_chunks_mut(CHUNK).zip(facets.par_chunks(CHUNK)).map(measure).collect();
+        let (area, degenerate_count) = parts.iter().fold((0.0, 0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
         Self { positions, facets, degenerate, degenerate_count, area: area * scale * scale }
     }
 
@@ -214,12 +225,15 @@ impl TriMesh {
     }
 }
 
+/// Sums are taken over so many facets, then over these parts in order, so that threads do not change them.
+const CHUNK: usize = 1 << 14;
+
 fn bounds(positions: &[DVec3], facets: &[[u32; 3]]) -> (DVec3, DVec3) {
-    let mut low = DVec3::INFINITY;
-    let mut high = DVec3::NEG_INFINITY;
-    for p in facets.iter().flatten().map(|&v| positions[v as usize]) {
-        low = low.min(p);
-        high = high.max(p);
-    }
-    (low, high)
+    let empty = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    let part = |facets: &[[u32; 3]]| {
+        let corners = facets.iter().flatten().map(|&v| positions[v as usize]);
+        corners.fold(empty, |(low, high), p| (low.min(p), high.max(p)))
+    };
+    let parts: Vec<(DVec3, DVec3)> = facets.par_chunks(CHUNK).map(part).collect();
+    parts.into_iter().fold(empty, |(low, high), part| (low.min(part.0), high.max(part.1)))
 }

@@ -272,6 +272,10 @@ pub fn remesh(
     timings.refine = clock.lap();
     let (built, seeds) = settle(&plan.mesh, &kept, &mut cvt, backend, &mut steps, &mut timings, &mut clock)?;
     let Steps { observer, rvd, iterations, refine, .. } = steps;
+    let device = DeviceFigures::new(cvt.device_work(), &iterations);
+    let memory = MemoryFigures { host_peak_bytes: None, device_bytes: cvt.device_bytes() };
+    // What it holds is not needed beside what the measures hold.
+    drop(cvt);
 
     let (attributes, provenance) = carried(mesh, options, &built.mesh, observer, cancel)?;
     timings.attributes = clock.lap();
@@ -298,12 +302,12 @@ pub fn remesh(
         input,
         features: kept.figures(&built.curve_edges),
         rvd,
-        device: DeviceFigures::new(cvt.device_work(), &iterations),
+        device,
         iterations,
         last,
         refine,
         timings_ms: timings,
-        memory: MemoryFigures { host_peak_bytes: None, device_bytes: cvt.device_bytes() },
+        memory,
         result: figures,
         topology_changes: changes,
         density: plan.figures,

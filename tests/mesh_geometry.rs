@@ -88,6 +88,23 @@ fn vertices_answer_with_their_lowest_facet() {
     }
 }
 
+/// Searches that begin where the last one ended find the same, to the bit, ties included.
+#[test]
+fn all_points_at_once() {
+    for shape in Shape::ALL {
+        let mesh = shape.build(700);
+        let closest = ClosestPoint::new(&mesh);
+        let mut points = queries(&mesh, 2000);
+        points.extend_from_slice(mesh.positions());
+        points.extend([DVec3::splat(-1e30), DVec3::splat(f64::MAX), DVec3::ZERO]);
+        let (one, all) = (points.iter().map(|&p| closest.project(p)), closest.project_all(&points, &|| false).unwrap());
+        assert!(one.eq(all), "{shape}");
+        let (one, all) = (points.iter().map(|&p| closest.distance(p)), closest.distances(&points, &|| false).unwrap());
+        assert!(one.eq(all), "{shape}");
+        assert!(closest.distances(&points, &|| true).is_none());
+    }
+}
+
 #[test]
 fn any_scale_any_place_any_shape() {
     let mesh = Shape::Block.build(500);

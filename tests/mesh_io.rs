@@ -2,9 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // a failure here is the test's failure
 
+#[path = "common/readers.rs"]
+mod readers;
+
 use std::path::Path;
 
 use glam::{DVec3, dvec3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use tessera::mesh::io::{DataError, FileError, Format, decode, encode, read, write};
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::{MeshError, TriMesh};
@@ -166,6 +171,90 @@ fn off_dialects() {
     let huge = text(Format::Off, &plain.replace("4 1 0", "4000000000 1 0"));
     assert!(matches!(huge, Err(DataError::Truncated(_) | DataError::Syntax { .. })), "{huge:?}");
     assert!(matches!(text(Format::Off, "OFF BINARY\n"), Err(DataError::Header(_))));
+}
+
+/// Common OBJ and PLY files are read in place, all others through the crates; both are to be the same.
+#[test]
+fn in_place_and_through_the_crates() {
+    let words = [
+        "v ", "v 0 0 0", "v 1 0 0\n", "v 0 1. .5e-3\n", "v 1 1 1 1 0 0.5\n", "v 0 0 0 2\n", "v 1 2 3 4 5\n", "f 1 2 3\n",
+        "f 1/1 2/2/2 3//4\n", "f 3 2 1 4", "f 1 2\n", "f -1 -2 -3\n", "f 1 2 3 # 4\n", "f 1 2 3 #4\\\n", "f 1 2 3#\n",
+        "vt 0 0\n", "vn 0 0 1\n", "\n", "\\\n", "\r\n", " ", "\t", "#", "# x \\\n", "g \\\n", "g a\\b\n", "nan", "1e999",
+        "f 1 +2 3\n", "f 0 1 2\n", "f 1 2 99\n", "f 4294967297 1 2\n", "f 1 2 3 4 5\n", "x\\", "\u{b}", "\u{e9}", "0",
+    ];
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let (mut read, mut refused) = (0, 0);
+    for _ in 0..20_000 {
+        let mut source = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n".to_owned();
+        (0..rng.random_range(1..6)).for_each(|_| source.push_str(words[rng.random_range(0..words.len())]));
+        readers::check(Format::Obj, source.as_bytes()).unwrap_or_else(|error| panic!("{error}:\n{source}"));
+        match text(Format::Obj, &source) {
+            Ok(_) => read += 1,
+            Err(_) => refused += 1,
+        }
+    }
+    assert!(read > 2000 && refused > 2000, "{read} {refused}");
+
+    let kinds = ["char", "uchar", "short", "ushort", "int", "uint", "float", "double"];
+    let mut planes = 0;
+    for round in 0..400u32 {
+        let kind = |rng: &mut ChaCha8Rng| kinds[rng.random_range(0..8)];
+        let position = if round % 3 == 0 { kind(&mut rng) } else { ["float", "double"][round as usize % 2] };
+        let (before, after, face) = (kind(&mut rng), kind(&mut rng), kind(&mut rng));
+        let index = if round % 5 == 0 { kind(&mut rng) } else { ["int", "uint"][round as usize % 2] };
+        let order = if round % 7 == 0 { "big" } else { "little" };
+        let mut file = format!(
+            "ply\nformat binary_{order}_endian 1.0\nelement vertex 4\nproperty {before} w\nproperty {position} x\n\
+             property {position} y\nproperty {after} t\nproperty {position} z\nelement other 2\nproperty {face} a\n\
+             element face 2\nproperty {face} b\nproperty list uchar {index} vertex_index\nproperty {after} c\nend_header\n"
+        )
+        .into_bytes();
+        let size = |kind: &str| match kind {
+            "char" | "uchar" => 1,
+            "short" | "ushort" => 2,
+            "double" => 8,
+            _ => 4,
+        };
+        let mut noise = |file: &mut Vec<u8>, kind: &str| file.extend((0..size(kind)).map(|_| rng.random_range(0..64u8)));
+        let start = file.len();
+        for _ in 0..4 {
+            [before, position, position, after, position].iter().for_each(|kind| noise(&mut file, kind));
+        }
+        [face, face].iter().for_each(|kind| noise(&mut file, kind));
+        for corners in [[0u8, 1, 2], [2, 1, 3]] {
+            noise(&mut file, face);
+            file.push(3);
+            for corner in corners {
+                let mut bytes = vec![0; size(index)];
+                bytes[if order == "big" { size(index) - 1 } else { 0 }] = corner;
+                file.extend(bytes);
+            }
+            noise(&mut file, after);
+        }
+        if round % 2 == 0 {
+            let at = rng.random_range(start..file.len());
+            file[at] = rng.random_range(0..=255);
+        }
+        if round % 11 == 0 {
+            file.truncate(rng.random_range(start..file.len()));
+        }
+        planes += usize::from(decode(Format::Ply, &file).is_ok());
+        readers::check(Format::Ply, &file).unwrap_or_else(|error| panic!("{error}: round {round}"));
+    }
+    assert!((100..380).contains(&planes), "{planes}");
+}
+
+/// A piece of text ends between lines, and faces name vertices of other pieces.
+#[test]
+fn long_files() {
+    let mesh = Shape::Torus.build(60_000);
+    for format in [Format::Obj, Format::Ply] {
+        let file = encode(format, &mesh).unwrap();
+        let other = decode(format, &readers::detour(format, &file).unwrap()).unwrap();
+        assert!(file.len() > 1 << 20 && decode(format, &file).unwrap() == other && corners(&other) == corners(&mesh));
+        let count = |end: usize| decode(format, &file[..end]).map(|mesh| mesh.facets().len()).unwrap_or(0);
+        assert!(count(file.len()) == mesh.facets().len() && count(file.len() - 9) < mesh.facets().len());
+    }
 }
 
 /// Files cut anywhere and files with one byte changed: any answer, no panic. Cut binary files are refused.

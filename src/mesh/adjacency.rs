@@ -8,8 +8,7 @@
 //! mesh alone, not on threads.
 //! Must not know: quality, files, seeds.
 
-use rayon::prelude::*;
-
+use super::edges::{EdgeGroups, Half};
 use super::{TriMesh, coincident};
 
 /// What an edge is, seen from one of its facets.
@@ -55,48 +54,35 @@ impl Adjacency {
     pub fn new(mesh: &TriMesh) -> Self {
         let representative = weld(mesh);
         let halves = 3 * mesh.facets().len();
-        let mut keyed = Vec::with_capacity(halves);
-        for (facet, corners) in mesh.facets().iter().enumerate() {
-            let v = corners.map(|c| representative[c as usize]);
-            if v[0] == v[1] || v[1] == v[2] || v[2] == v[0] {
-                continue;
-            }
-            for e in 0..3 {
-                let (from, to) = (v[e], v[(e + 1) % 3]);
-                let key = (u64::from(from.min(to)) << 32) | u64::from(from.max(to));
-                keyed.push((key, 3 * facet + e, from < to));
-            }
-        }
-        keyed.par_sort_unstable();
-        let mut found = Self {
-            representative,
-            kinds: vec![EdgeKind::Collapsed; halves],
-            opposites: vec![NONE; halves],
-            edges: 0,
-            boundary: 0,
-            inconsistent: 0,
-            non_manifold: 0,
-        };
-        for edge in keyed.chunk_by(|a, b| a.0 == b.0) {
-            found.edges += 1;
-            let kind = match edge {
+        let welded = |corners: &[u32; 3]| corners.map(|c| representative[c as usize]);
+        let facets = mesh.facets().iter().map(welded).enumerate();
+        let different = facets.filter(|(_, v)| v[0] != v[1] && v[1] != v[2] && v[2] != v[0]);
+        let groups = EdgeGroups::new(representative.len(), different);
+        let forward = |low: u32, half: Half| welded(&mesh.facets()[half.facet as usize])[half.side] == low;
+        let number = |half: Half| 3 * half.facet as usize + half.side;
+        let mut kinds = vec![EdgeKind::Collapsed; halves];
+        let mut opposites = vec![NONE; halves];
+        let (mut edges, mut boundary, mut inconsistent, mut non_manifold) = (0, 0, 0, 0);
+        groups.for_each(|low, edge| {
+            edges += 1;
+            let kind = match *edge {
                 [_] => EdgeKind::Boundary,
                 [a, b] => {
-                    found.opposites[a.1] = b.1;
-                    found.opposites[b.1] = a.1;
-                    if a.2 == b.2 { EdgeKind::Inconsistent } else { EdgeKind::Manifold }
+                    opposites[number(a)] = number(b);
+                    opposites[number(b)] = number(a);
+                    if forward(low, a) == forward(low, b) { EdgeKind::Inconsistent } else { EdgeKind::Manifold }
                 }
                 _ => EdgeKind::NonManifold,
             };
-            edge.iter().for_each(|half| found.kinds[half.1] = kind);
+            edge.iter().for_each(|&half| kinds[number(half)] = kind);
             match kind {
-                EdgeKind::Boundary => found.boundary += 1,
-                EdgeKind::Inconsistent => found.inconsistent += 1,
-                EdgeKind::NonManifold => found.non_manifold += 1,
+                EdgeKind::Boundary => boundary += 1,
+                EdgeKind::Inconsistent => inconsistent += 1,
+                EdgeKind::NonManifold => non_manifold += 1,
                 EdgeKind::Manifold | EdgeKind::Collapsed => {}
             }
-        }
-        found
+        });
+        Self { representative, kinds, opposites, edges, boundary, inconsistent, non_manifold }
     }
 
     /// The half-edge across an edge with exactly two facets, whichever way they run.

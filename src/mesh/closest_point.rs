@@ -1,23 +1,18 @@
 //! The closest point of a surface.
 //!
 //! Purpose: [`ClosestPoint`] answers where a surface is nearest to a point, on which facet and
-//! where in it. The hierarchy of boxes is `parry3d-f64`'s; the point of a facet is computed here,
-//! because parry's triangle decides its region by products that cancel on slivers.
+//! where in it.
 //! Invariant: an answer is a point of the surface, is the nearest up to rounding, and among
 //! facets at the same distance names the lowest; it does not depend on the shape of the
 //! hierarchy. Facets without area are left out. Queries are `Sync`.
 //! Must not know: samples, quality.
 
-use std::cell::Cell;
-
 use glam::DVec3;
-use parry3d_f64::bounding_volume::Aabb;
-use parry3d_f64::math::Vector;
-use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode};
 use rayon::prelude::*;
 
 use super::TriMesh;
 use super::adjacency::weld;
+use super::boxes::BoxTree;
 
 /// A point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,12 +27,12 @@ pub struct SurfacePoint {
 
 /// Answers closest-point queries on one surface.
 pub struct ClosestPoint {
-    bvh: Bvh,
+    tree: BoxTree,
     centre: DVec3,
     scale: f64,
     positions: Vec<DVec3>,
     unit: Vec<DVec3>,
-    /// Facets with area, with their numbers in the mesh.
+    /// Facets with area, with their numbers in the mesh, along a curve through space.
     facets: Vec<([u32; 3], u32)>,
 }
 
@@ -49,29 +44,68 @@ struct Nearest {
     barycentric: [f64; 3],
 }
 
+/// So many points are one task.
+const RUN: usize = 256;
+
 /// Farther away than this many unit boxes, only the direction of a point counts.
 const FAR: f64 = 1e100;
 
 impl ClosestPoint {
-    /// Builds the bounding-volume hierarchy: about a microsecond a facet.
+    /// Sorts the facets and puts boxes around them.
     pub fn new(mesh: &TriMesh) -> Self {
         let (low, high) = mesh.bounds();
         let centre = low * 0.5 + high * 0.5;
         let scale = inverse_power_of_two((high - low).max_element());
         let unit: Vec<DVec3> = mesh.positions().iter().map(|&p| (p - centre) * scale).collect();
-        let facets = distinct_facets(mesh);
-        let boxes = facets.iter().map(|(corners, _)| {
-            let [a, b, c] = corners.map(|v| unit[v as usize]);
-            Aabb::new(vector(a.min(b).min(c)), vector(a.max(b).max(c)))
-        });
-        // Leaves are numbered without gaps: parry takes numbers 0 and 1 for granted in small trees.
-        let bvh = Bvh::from_iter(BvhBuildStrategy::Binned, boxes.enumerate());
-        Self { bvh, centre, scale, positions: mesh.positions().to_vec(), unit, facets }
+        let mut facets = distinct_facets(mesh);
+        let corners = |facet: &([u32; 3], u32)| facet.0.map(|v| unit[v as usize]);
+        facets.par_sort_by_cached_key(|facet| (along_curve(corners(facet).iter().sum::<DVec3>() / 3.0), facet.1));
+        let things: Vec<[DVec3; 3]> = facets.par_iter().map(corners).collect();
+        let tree = BoxTree::new(&things);
+        Self { tree, centre, scale, positions: mesh.positions().to_vec(), unit, facets }
     }
 
     /// The closest point of the surface to `p` (finite); the lowest facet among equals.
     pub fn project(&self, p: DVec3) -> SurfacePoint {
-        let nearest = self.nearest(p);
+        self.on_surface(self.nearest(p, None))
+    }
+
+    /// As [`ClosestPoint::project`], all points at once: they are taken along a curve that fills space, and each
+    /// search begins with the facet that the last one found. Nothing soon after `stop` says so.
+    pub fn project_all(&self, points: &[DVec3], stop: &(dyn Fn() -> bool + Sync)) -> Option<Vec<SurfacePoint>> {
+        self.all(points, stop, |nearest| self.on_surface(nearest))
+    }
+
+    /// As [`ClosestPoint::distance`], all points at once; see [`ClosestPoint::project_all`].
+    pub fn distances(&self, points: &[DVec3], stop: &(dyn Fn() -> bool + Sync)) -> Option<Vec<f64>> {
+        self.all(points, stop, |nearest| nearest.squared.sqrt() / self.scale)
+    }
+
+    fn all<T: Send + Clone>(
+        &self,
+        points: &[DVec3],
+        stop: &(dyn Fn() -> bool + Sync),
+        answer: impl Fn(Nearest) -> T + Sync,
+    ) -> Option<Vec<T>> {
+        let place = |(i, &p): (usize, &DVec3)| (along_curve(self.to_unit(p)), i);
+        let mut order: Vec<(u64, usize)> = points.par_iter().enumerate().map(place).collect();
+        order.par_sort_unstable();
+        let run = |run: &[(u64, usize)]| {
+            let mut last = None;
+            let next = |&(_, i): &(u64, usize)| {
+                let nearest = self.nearest(points[i], last);
+                last = Some(nearest.leaf);
+                (i, answer(nearest))
+            };
+            if stop() { Vec::new() } else { run.iter().map(next).collect() }
+        };
+        let runs: Vec<Vec<(usize, T)>> = order.par_chunks(RUN).map(run).collect();
+        let mut answers: Vec<Option<T>> = vec![None; points.len()];
+        runs.into_iter().flatten().for_each(|(i, found)| answers[i] = Some(found));
+        answers.into_iter().collect()
+    }
+
+    fn on_surface(&self, nearest: Nearest) -> SurfacePoint {
         let (corners, facet) = self.facets[nearest.leaf as usize];
         let [a, b, c] = corners.map(|v| self.positions[v as usize]);
         let [wa, wb, wc] = nearest.barycentric;
@@ -88,31 +122,29 @@ impl ClosestPoint {
 
     /// Distance of `p` (finite) from the surface, caller's units.
     pub fn distance(&self, p: DVec3) -> f64 {
-        self.nearest(p).squared.sqrt() / self.scale
+        self.nearest(p, None).squared.sqrt() / self.scale
     }
 
-    fn nearest(&self, p: DVec3) -> Nearest {
+    /// `hint` is a facet that may be near, as its place in `facets`; it does not change the answer.
+    fn nearest(&self, p: DVec3, hint: Option<u32>) -> Nearest {
         let p = self.to_unit(p);
-        let point = vector(p);
         // Boxes and facets round differently; a box is opened although it is this much too far.
         let slack = 4.0 * f64::EPSILON * (1.0 + p.abs().max_element());
-        let best = Cell::new(Nearest { squared: f64::INFINITY, leaf: 0, barycentric: [1.0, 0.0, 0.0] });
-        let box_cost = |node: &BvhNode, _: f64| {
-            let outside = (node.mins() - point).max(point - node.maxs()) - Vector::splat(slack);
-            outside.max(Vector::ZERO).length_squared()
-        };
-        let facet_cost = |leaf: u32, _: f64| {
-            let (ids, _) = self.facets[leaf as usize];
+        let of_facet = |leaf: u32| {
+            let (ids, facet) = self.facets[leaf as usize];
             let (squared, barycentric) = closest_on_facet(p, ids.map(|v| self.unit[v as usize]), ids);
-            let so_far = best.get();
-            if squared < so_far.squared || (squared == so_far.squared && leaf < so_far.leaf) {
-                best.set(Nearest { squared, leaf, barycentric });
-            }
-            // A little more than nothing, so that boxes at distance 0 stay better than a hit.
-            Some(squared + f64::MIN_POSITIVE)
+            (Nearest { squared, leaf, barycentric }, facet)
         };
-        self.bvh.find_best(f64::MAX, box_cost, facet_cost);
-        best.get()
+        let none = (Nearest { squared: f64::INFINITY, leaf: 0, barycentric: [1.0, 0.0, 0.0] }, u32::MAX);
+        let mut best = hint.map_or(none, of_facet);
+        self.tree.nearest(p, slack, best.0.squared, |leaf| {
+            let here = of_facet(leaf as u32);
+            if here.0.squared < best.0.squared || (here.0.squared == best.0.squared && here.1 < best.1) {
+                best = here;
+            }
+            best.0.squared
+        });
+        best.0
     }
 
     fn to_unit(&self, p: DVec3) -> DVec3 {
@@ -126,6 +158,20 @@ impl ClosestPoint {
         let direction = half / half.abs().max_element();
         if direction.is_finite() { direction * FAR } else { DVec3::ZERO }
     }
+}
+
+/// Place on a curve through cells of a 2²⁰th of the box, in the order of their interleaved bits.
+fn along_curve(unit: DVec3) -> u64 {
+    let spread = |x: f64| {
+        // The cast saturates.
+        let mut bits = (((x + 1.0) * (1u64 << 20) as f64) as u64).min((1 << 21) - 1);
+        bits = (bits | bits << 32) & 0x001f_0000_0000_ffff;
+        bits = (bits | bits << 16) & 0x001f_0000_ff00_00ff;
+        bits = (bits | bits << 8) & 0x100f_00f0_0f00_f00f;
+        bits = (bits | bits << 4) & 0x10c3_0c30_c30c_30c3;
+        (bits | bits << 2) & 0x1249_2492_4924_9249
+    };
+    spread(unit.x) | spread(unit.y) << 1 | spread(unit.z) << 2
 }
 
 /// 2^-k with the largest k for which `extent * 2^-k` is at least 1/2; 1 for 0. Within 2^±1000.
@@ -155,10 +201,6 @@ fn distinct_facets(mesh: &TriMesh) -> Vec<([u32; 3], u32)> {
     let mut kept: Vec<u32> = places.into_iter().map(|(_, facet)| facet).collect();
     kept.par_sort_unstable();
     kept.into_iter().map(|facet| (mesh.facets()[facet as usize], facet)).collect()
-}
-
-fn vector(p: DVec3) -> Vector {
-    Vector::new(p.x, p.y, p.z)
 }
 
 /// Squared distance of `p` from a facet and the barycentric coordinates of its nearest point. Coordinates

@@ -193,6 +193,11 @@ pub fn write(path: &Path, mesh: &TriMesh) -> Result<(), FileError> {
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
+    Ok(decode_bare(format, bytes)?.0)
+}
+
+/// The surface, and whether its reader saw that the file carries nothing else.
+fn decode_bare(format: Format, bytes: &[u8]) -> Result<(TriMesh, bool), DataError> {
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Err(DataError::Empty);
     }
@@ -202,7 +207,7 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
         Format::Stl => stl::decode(bytes),
         Format::Off => off::decode(bytes),
     }?;
-    Ok(TriMesh::new(soup.positions, soup.facets)?)
+    Ok((TriMesh::new(soup.positions, soup.facets)?, soup.bare))
 }
 
 /// The bytes of a file that holds `mesh`.
@@ -223,6 +228,8 @@ pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
 struct Soup {
     positions: Vec<DVec3>,
     facets: Vec<[u32; 3]>,
+    /// Whether it was seen that the file has no attributes; false where nobody looked.
+    bare: bool,
 }
 
 impl Soup {

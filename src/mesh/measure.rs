@@ -5,7 +5,6 @@
 //! Both functions give the same figures whatever the number of threads.
 //! Must not know: how a surface came about.
 
-use rayon::prelude::*;
 use serde::Serialize;
 
 use super::TriMesh;
@@ -85,11 +84,12 @@ pub fn topology_of(mesh: &TriMesh, adjacency: &Adjacency) -> Topology {
     let components = (0..used.len()).filter(|&v| used[v] && surfaces.root(v) == v).count();
 
     let mut fans = fans(mesh, adjacency, &live);
-    let mut corners: Vec<(usize, usize)> =
-        live.iter().flat_map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).map(|half| (vertex(half), fans.root(half))).collect();
-    corners.par_sort_unstable();
-    corners.dedup();
-    let non_manifold_vertices = corners.chunk_by(|a, b| a.0 == b.0).filter(|fans| fans.len() > 1).count();
+    // Each fan is known by one of its corners.
+    let mut fans_at = vec![0u32; representative.len()];
+    for half in live.iter().flat_map(|f| [3 * f, 3 * f + 1, 3 * f + 2]) {
+        fans_at[vertex(half)] += u32::from(fans.root(half) == half);
+    }
+    let non_manifold_vertices = fans_at.iter().filter(|&&fans| fans > 1).count();
 
     Topology {
         euler: vertices as i64 - adjacency.edges() as i64 + live.len() as i64,
@@ -112,7 +112,8 @@ pub fn quality_unless(original: &TriMesh, result: &TriMesh, stop: &(dyn Fn() -> 
     let adjacency = Adjacency::new(result);
     let mut quality = shape_quality(result, &adjacency);
     quality.v567_percent = v567_percent(result, &adjacency);
-    let (there, back) = (distances(original, result, stop)?, distances(result, original, stop)?);
+    let (there, back) = rayon::join(|| distances(original, result, stop), || distances(result, original, stop));
+    let (there, back) = (there?, back?);
     let (low, high) = original.bounds();
     // Scaled, so that the squares of a tiny or huge box stay within range.
     let extent = (high - low).max_element();
@@ -248,24 +249,15 @@ fn distances(from: &TriMesh, to: &TriMesh, stop: &(dyn Fn() -> bool + Sync)) -> 
     let target = ClosestPoint::new(to);
     let (low, high) = to.bounds();
     let unit = (high - low).max_element();
-    let chunks: Vec<(f64, f64)> = points
-        .par_chunks(CHUNK)
-        .enumerate()
-        .map(|(c, chunk)| {
-            let first = c * CHUNK;
-            if stop() {
-                return (0.0, 0.0);
-            }
-            let of = |k: usize, p: DVec3| (target.distance(p) / unit, first + k < drawn);
-            chunk
-                .iter()
-                .enumerate()
-                .map(|(k, &p)| of(k, p))
-                .fold((0.0, 0.0), |(max, sum), (d, counts)| (d.max(max), if counts { sum + d * d } else { sum }))
-        })
-        .collect();
-    let (max, sum) = chunks.into_iter().fold((0.0f64, 0.0), |(max, sum), (m, s)| (m.max(max), sum + s));
-    (!stop()).then_some((max * unit, (sum / drawn as f64).sqrt() * unit))
+    let distances = target.distances(&points, stop)?;
+    let of_chunk = |(c, chunk): (usize, &[f64])| {
+        let random = drawn.saturating_sub(c * CHUNK);
+        let squares = chunk.iter().take(random).map(|d| (d / unit) * (d / unit));
+        (chunk.iter().fold(0.0, |max, d| f64::max(d / unit, max)), squares.fold(0.0, |sum, d| sum + d))
+    };
+    let chunks = distances.chunks(CHUNK).enumerate().map(of_chunk);
+    let (max, sum) = chunks.fold((0.0f64, 0.0), |(max, sum), (m, s)| (m.max(max), sum + s));
+    Some((max * unit, (sum / drawn as f64).sqrt() * unit))
 }
 
 #[cfg(test)]

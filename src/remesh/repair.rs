@@ -8,12 +8,15 @@
 //! Invariant: deterministic; a dual that is a manifold already comes out as it went in.
 //! Must not know: where the triangles came from.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, HashSet};
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::report::RepairFigures;
+use crate::mesh::coincident;
 use crate::mesh::disjoint::DisjointSets;
+use crate::mesh::edges::{EdgeGroups, Half};
 
 /// A repaired triangulation.
 #[derive(Clone, Debug, Default)]
@@ -45,32 +48,30 @@ pub fn repair(positions: &[DVec3], triangles: &[[u32; 3]]) -> Repaired {
 /// component that touches two cells only, or a fold of the surface smaller than its cells, and the
 /// surface closes without them. What is left over of three facets is one.
 fn simple_facets(triangles: &[[u32; 3]], figures: &mut RepairFigures) -> Vec<[u32; 3]> {
-    // Corners in order -> facets of even order and of odd order: (how many, the first).
-    let mut seen: HashMap<[u32; 3], [(usize, usize); 2]> = HashMap::with_capacity(triangles.len());
-    for (f, &t) in triangles.iter().enumerate() {
+    // Corners in order, facet, whether they are in even order in it.
+    let mut sorted: Vec<([u32; 3], u32, bool)> = Vec::with_capacity(triangles.len());
+    for (&t, f) in triangles.iter().zip(0..) {
         let mut key = t;
         key.sort_unstable();
         if key[0] == key[1] || key[1] == key[2] {
             figures.degenerate_facets += 1;
             continue;
         }
-        let odd = usize::from(t != key && t != [key[1], key[2], key[0]] && t != [key[2], key[0], key[1]]);
-        let side = &mut seen.entry(key).or_default()[odd];
-        if side.0 == 0 {
-            side.1 = f;
-        }
-        side.0 += 1;
+        sorted.push((key, f, t == key || t == [key[1], key[2], key[0]] || t == [key[2], key[0], key[1]]));
     }
-    let mut kept: Vec<usize> = Vec::with_capacity(seen.len());
-    for &[(even, first_even), (odd, first_odd)] in seen.values() {
+    sorted.par_sort_unstable();
+    let mut kept: Vec<u32> = Vec::with_capacity(sorted.len());
+    for same in sorted.chunk_by(|a, b| a.0 == b.0) {
+        let even = same.iter().filter(|facet| facet.2).count();
+        let odd = same.len() - even;
         figures.closed_pockets += even.min(odd);
         if even != odd {
-            kept.push(if even > odd { first_even } else { first_odd });
+            kept.extend(same.iter().find(|facet| facet.2 == (even > odd)).map(|facet| facet.1));
             figures.duplicate_facets += even.abs_diff(odd) - 1;
         }
     }
     kept.sort_unstable();
-    kept.into_iter().map(|f| triangles[f]).collect()
+    kept.into_iter().map(|f| triangles[f as usize]).collect()
 }
 
 fn half_edges(t: [u32; 3]) -> [(u32, u32); 3] {
@@ -80,12 +81,17 @@ fn half_edges(t: [u32; 3]) -> [(u32, u32); 3] {
 /// Keeps facets so that every directed edge is used once. Facets that share none of theirs stay;
 /// the others are taken by falling quality as long as their edges are free.
 fn oriented(positions: &[DVec3], facets: Vec<[u32; 3]>, figures: &mut RepairFigures) -> Vec<[u32; 3]> {
-    let mut uses: HashMap<(u32, u32), u32> = HashMap::with_capacity(facets.len() * 3);
-    for half in facets.iter().flat_map(|&t| half_edges(t)) {
-        *uses.entry(half).or_default() += 1;
-    }
-    let quarrels = |t: &[u32; 3]| half_edges(*t).iter().any(|h| uses[h] > 1);
-    let mut disputed: Vec<usize> = (0..facets.len()).filter(|&f| quarrels(&facets[f])).collect();
+    let mut quarrels = vec![false; facets.len()];
+    EdgeGroups::new(positions.len(), facets.iter().copied().enumerate()).for_each(|low, halves| {
+        let forward = |half: &Half| facets[half.facet as usize][half.side] == low;
+        for way in [true, false] {
+            let same = || halves.iter().filter(|half| forward(half) == way);
+            if same().count() > 1 {
+                same().for_each(|half| quarrels[half.facet as usize] = true);
+            }
+        }
+    });
+    let mut disputed: Vec<usize> = (0..facets.len()).filter(|&f| quarrels[f]).collect();
     if disputed.is_empty() {
         return facets;
     }
@@ -113,27 +119,28 @@ fn shape([a, b, c]: [DVec3; 3]) -> f64 {
 
 /// Gives every fan of facets around a vertex a vertex of its own, and drops unused vertices.
 fn split_fans(positions: &[DVec3], facets: Vec<[u32; 3]>, mut figures: RepairFigures) -> Repaired {
-    let owner: HashMap<(u32, u32), u32> =
-        facets.iter().enumerate().flat_map(|(f, &t)| half_edges(t).map(|h| (h, f as u32))).collect();
     let mut fan = DisjointSets::new(facets.len() * 3);
-    for (f, &t) in facets.iter().enumerate() {
-        for (e, (a, b)) in half_edges(t).into_iter().enumerate() {
-            // Across edge a -> b lies the facet with b -> a; both corners are then in one fan.
-            let Some(&g) = owner.get(&(b, a)) else { continue };
-            for (v, here) in [(a, e), (b, (e + 1) % 3)] {
-                let Some(there) = facets[g as usize].iter().position(|&u| u == v) else { continue };
-                fan.join(f * 3 + here, g as usize * 3 + there);
+    EdgeGroups::new(positions.len(), facets.iter().copied().enumerate()).for_each(|_, halves| {
+        let [near, far] = *halves else { return };
+        let corner = |half: Half, end: usize| half.facet as usize * 3 + (half.side + end) % 3;
+        let vertex = |corner: usize| facets[corner / 3][corner % 3];
+        // Each edge has one facet of either direction at most: the far one runs back.
+        for (here, there) in [(corner(near, 0), corner(far, 1)), (corner(near, 1), corner(far, 0))] {
+            if vertex(here) == vertex(there) {
+                fan.join(here, there);
             }
         }
-    }
+    });
     // Numbered by old vertex, then by first corner: a manifold keeps its order.
     let corners: Vec<(u32, usize)> = (0..fan.len()).map(|c| (facets[c / 3][c % 3], fan.root(c))).collect();
-    let mut fans = corners.clone();
-    fans.sort_unstable();
-    fans.dedup();
+    let own = corners.iter().enumerate().filter(|&(corner, &(_, first))| corner == first);
+    let mut fans: Vec<(u32, usize)> = own.map(|(_, &fan)| fan).collect();
+    fans.par_sort_unstable();
     figures.split_vertices = fans.windows(2).filter(|w| w[0].0 == w[1].0).count();
-    let number = |key: &(u32, usize)| fans.binary_search(key).unwrap_or(0) as u32;
-    let facets: Vec<[u32; 3]> = corners.chunks(3).map(|c| [number(&c[0]), number(&c[1]), number(&c[2])]).collect();
+    // By a fan's first corner.
+    let mut number = vec![0; corners.len()];
+    fans.iter().zip(0u32..).for_each(|(&(_, first), i)| number[first] = i);
+    let facets: Vec<[u32; 3]> = corners.as_chunks::<3>().0.iter().map(|c| c.map(|(_, first)| number[first])).collect();
     let source: Vec<u32> = fans.iter().map(|&(v, _)| v).collect();
     let mut placed: Vec<DVec3> = source.iter().map(|&v| positions[v as usize]).collect();
     if figures.split_vertices > 0 {
@@ -167,16 +174,9 @@ fn step_back(placed: &mut [DVec3], source: &[u32], facets: &[[u32; 3]]) {
 
 /// Moves vertices that are in one place along their normals.
 fn part_sides(placed: &mut [DVec3], facets: &[[u32; 3]]) {
-    let mut there: HashMap<[u64; 3], u32> = HashMap::with_capacity(placed.len());
-    for p in placed.iter() {
-        *there.entry(p.to_array().map(|x| (x + 0.0).to_bits())).or_default() += 1;
-    }
-    let mut normal: BTreeMap<usize, (DVec3, f64)> = BTreeMap::new();
-    for (v, p) in placed.iter().enumerate() {
-        if there[&p.to_array().map(|x| (x + 0.0).to_bits())] > 1 {
-            normal.insert(v, (DVec3::ZERO, f64::INFINITY));
-        }
-    }
+    let together = coincident::find(placed).into_iter().flat_map(|(later, earliest)| [later, earliest]);
+    let mut normal: BTreeMap<usize, (DVec3, f64)> =
+        together.map(|v| (v as usize, (DVec3::ZERO, f64::INFINITY))).collect();
     if normal.is_empty() {
         return;
     }

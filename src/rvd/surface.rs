@@ -60,6 +60,7 @@ pub struct Surface {
     welded: Vec<[u32; 3]>,
     skip: Vec<bool>,
     area: f64,
+    root_mass: f64,
 }
 
 impl Surface {
@@ -117,9 +118,11 @@ impl Surface {
             welded: mesh.facets().iter().map(|f| f.map(|v| class[v as usize])).collect(),
             skip,
             area: 0.0,
+            root_mass: 0.0,
         };
         surface.area =
             (0..surface.facets.len()).filter(|&f| !surface.skip[f]).map(|f| surface.facet_area(f as u32)).sum();
+        surface.root_mass = surface.measure_root_mass();
         Ok(surface)
     }
 
@@ -181,6 +184,10 @@ impl Surface {
 
     /// ∫√w, unit frame, √w taken as linear between the corners of a facet.
     pub fn root_mass(&self) -> f64 {
+        self.root_mass
+    }
+
+    fn measure_root_mass(&self) -> f64 {
         let mut root_mass = 0.0;
         for (f, corners) in self.facets.iter().enumerate().filter(|&(f, _)| !self.skip[f]) {
             let mean = corners.map(|v| self.weights[v as usize].sqrt()).iter().sum::<f64>() / 3.0;

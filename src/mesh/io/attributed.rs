@@ -9,7 +9,7 @@ use std::path::Path;
 
 use glam::{DVec2, DVec3};
 
-use super::{DataError, FileError, Format, decode, encode, obj, off, ply};
+use super::{DataError, FileError, Format, decode_bare, encode, obj, off, ply};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
 
@@ -67,8 +67,9 @@ pub fn write_with_attributes(path: &Path, mesh: &TriMesh, attributes: &Attribute
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode_with_attributes(format: Format, bytes: &[u8]) -> Result<Loaded, DataError> {
-    let mesh = decode(format, bytes)?;
+    let (mesh, bare) = decode_bare(format, bytes)?;
     let raw = match format {
+        _ if bare => Raw::default(),
         Format::Obj => obj::attributes(bytes, &mesh),
         Format::Ply => ply::attributes(bytes, &mesh),
         Format::Off => off::attributes(bytes, &mesh),

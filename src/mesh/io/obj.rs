@@ -1,4 +1,4 @@
-//! Wavefront OBJ, through the `tobj` crate.
+//! Wavefront OBJ: common text read in place ([`plain`]), all other through the `tobj` crate.
 //!
 //! Purpose: bytes to triangles and back. Vertices are numbered by their first use in a facet;
 //! those that no facet uses are left out.
@@ -15,9 +15,13 @@ use super::{DataError, Soup};
 use crate::mesh::{MeshError, TriMesh};
 
 mod attributes;
+mod plain;
 pub(super) use attributes::{attributes, encode_with};
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
+    if let Some(soup) = plain::decode(bytes) {
+        return Ok(soup);
+    }
     let text = geometry(bytes)?;
     let options = LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..LoadOptions::default() };
     let no_materials = |_: &std::path::Path| Ok((Vec::new(), Default::default()));
@@ -32,7 +36,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
         return Err(locate(bytes).unwrap_or_else(|| DataError::Header("a coordinate is not finite".into())));
     }
     let (facets, _) = mesh.indices.as_chunks::<3>();
-    Ok(Soup { positions, facets: facets.to_vec() })
+    Ok(Soup { positions, facets: facets.to_vec(), bare: false })
 }
 
 pub(super) fn encode(mesh: &TriMesh) -> Vec<u8> {

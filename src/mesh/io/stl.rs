@@ -1,13 +1,14 @@
-//! STL, ascii and binary, through the `stl_io` crate.
+//! STL, ascii and binary, with the `stl_io` crate.
 //!
 //! Purpose: bytes to triangles and back. Corners with the same position bits become one vertex
 //! (0 and -0 are the same), numbered by first use; normals are left aside.
 //! Why some of the reading is done around the crate: it takes every file that begins with "solid " for
-//! ascii, which many binary ones do; of several solids it reads the first; and it wants
-//! keywords in lower case and a name after "solid".
+//! ascii, which many binary ones do, so the records of binary files are read here; of several solids it reads
+//! the first; and it wants keywords in lower case and a name after "solid".
 //! Must not know: other formats.
 
 use std::collections::HashMap;
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{Cursor, ErrorKind, Read, Seek};
 
 use glam::DVec3;
@@ -36,10 +37,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
             }
             None => return Err(DataError::Truncated("it ends inside the header".to_owned())),
         }
-        // Without its title, so that the title cannot say "solid".
-        let mut untitled = bytes.to_vec();
-        untitled[..80].fill(0);
-        welder.read(&mut Cursor::new(untitled))?;
+        let records = bytes[HEADER..].as_chunks::<RECORD>().0;
+        records.iter().take(declared.unwrap_or(0)).for_each(|record| welder.take(record));
     }
     Ok(welder.soup)
 }
@@ -109,10 +108,46 @@ fn solids(text: &[u8]) -> Vec<Vec<u8>> {
     solids
 }
 
+/// Gives equal positions one number, by first use.
 #[derive(Default)]
 struct Welder {
     soup: Soup,
-    numbers: HashMap<[u32; 3], u32>,
+    numbers: HashMap<[u32; 3], u32, Keyed>,
+}
+
+/// Hashes the bits of positions, three multiplications each. Another key each time, so that nobody can send
+/// positions that all fall into one slot; no result depends on it.
+struct Keyed(u64);
+
+impl Default for Keyed {
+    fn default() -> Self {
+        Self(RandomState::new().hash_one(0))
+    }
+}
+
+impl BuildHasher for Keyed {
+    type Hasher = Mixed;
+
+    fn build_hasher(&self) -> Mixed {
+        Mixed(self.0)
+    }
+}
+
+struct Mixed(u64);
+
+impl Hasher for Mixed {
+    fn write(&mut self, bytes: &[u8]) {
+        for word in bytes.chunks(8) {
+            let mut padded = [0; 8];
+            padded[..word.len()].copy_from_slice(word);
+            let product = u128::from(self.0 ^ u64::from_le_bytes(padded)) * 0x9e37_79b9_7f4a_7c15;
+            self.0 = (product >> 64) as u64 ^ product as u64;
+        }
+    }
+
+    fn finish(&self) -> u64 {
+        self.0
+    }
 }
 
 impl Welder {
@@ -128,6 +163,15 @@ impl Welder {
             self.soup.facets.push(facet);
         }
         Ok(())
+    }
+
+    /// A binary file's facet: its normal, its corners, two bytes that mean nothing.
+    fn take(&mut self, record: &[u8; RECORD]) {
+        let mut numbers = record.as_chunks::<4>().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).skip(3);
+        let mut corner = || [0; 3].map(|_| numbers.next().unwrap_or(f32::NAN));
+        let corners = [corner(), corner(), corner()];
+        let facet = corners.map(|position| self.number(position));
+        self.soup.facets.push(facet);
     }
 
     fn number(&mut self, position: [f32; 3]) -> u32 {

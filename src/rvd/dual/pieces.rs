@@ -5,11 +5,11 @@
 //! Invariant: nothing is decided by coordinates. Must not know: how polygons were made.
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use super::conditions::{self, Crossing, Stretch};
 use super::{Component, Dual, Piece};
 use crate::mesh::disjoint::DisjointSets;
+use crate::mesh::edges::EdgeGroups;
 use crate::rvd::cells::facet_edge;
 use crate::rvd::{PieceBatch, Surface};
 
@@ -156,20 +156,22 @@ impl Pieces {
             rim_edge: Vec::new(),
             rim: vec![false; surface.positions().len()],
         };
-        for (number, group) in edge_groups(surface).chunk_by(|a, b| a.0 == b.0).enumerate() {
-            let [(_, first), rest @ ..] = group else { continue };
-            group.iter().for_each(|&(_, half)| joined.edge[half as usize] = number as u32);
+        let joining = surface.welded().iter().copied().enumerate().filter(|&(f, _)| surface.joins(f));
+        EdgeGroups::new(surface.positions().len(), joining).for_each(|_, group| {
+            let [first, rest @ ..] = group else { return };
+            let number = joined.rim_edge.len() as u32;
+            group.iter().for_each(|half| joined.edge[half.facet as usize * 3 + half.side] = number);
             joined.rim_edge.push(rest.is_empty());
-            let (f, e) = (first / 3, (first % 3) as usize);
+            let (f, e) = (first.facet, first.side);
             if rest.is_empty() {
                 let corners = surface.welded()[f as usize];
                 [e, (e + 1) % 3].into_iter().for_each(|c| joined.rim[corners[c] as usize] = true);
             }
             for piece in self.of_facet(f).filter(|&p| self.edges[p] & (1 << e) != 0) {
                 let mut met = false;
-                for (g, d) in rest.iter().map(|&(_, half)| (half / 3, half % 3)) {
-                    if let Some(other) = self.find(g, self.seed[piece])
-                        && self.edges[other as usize] & (1 << d) != 0
+                for half in rest {
+                    if let Some(other) = self.find(half.facet, self.seed[piece])
+                        && self.edges[other as usize] & (1 << half.side) != 0
                     {
                         joined.sets.join(piece, other as usize);
                         met = true;
@@ -179,7 +181,7 @@ impl Pieces {
                     joined.joints.push(piece as u32);
                 }
             }
-        }
+        });
         joined
     }
 
@@ -252,17 +254,4 @@ impl Pieces {
         }
         (dual, component)
     }
-}
-
-/// (edge, facet * 3 + local edge) of every facet that joins others, sorted: halves of one edge side by side.
-fn edge_groups(surface: &Surface) -> Vec<(u64, u32)> {
-    let mut halves: Vec<(u64, u32)> = Vec::with_capacity(surface.welded().len() * 3);
-    for (f, corners) in surface.welded().iter().enumerate().filter(|&(f, _)| surface.joins(f)) {
-        for e in 0..3 {
-            let (a, b) = (corners[e], corners[(e + 1) % 3]);
-            halves.push((u64::from(a.min(b)) << 32 | u64::from(a.max(b)), (f * 3 + e) as u32));
-        }
-    }
-    halves.par_sort_unstable();
-    halves
 }

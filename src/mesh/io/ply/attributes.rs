@@ -8,7 +8,7 @@ use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{ElementDef, Encoding, Header, PropertyType, ScalarType};
 
 use super::super::attributed::{Held, Raw, eight_bit};
-use super::{Vertex, is_index_name};
+use super::{Vertex, is_index_name, records};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
 
@@ -27,6 +27,13 @@ pub(in super::super) fn attributes(bytes: &[u8], mesh: &TriMesh) -> Raw {
     });
     if columns.0.is_empty() && !has_wedges {
         return Raw::default();
+    }
+    if !has_wedges {
+        let names: Vec<&str> = columns.0.iter().map(|column| column.name.as_str()).collect();
+        if let Some(values) = records::columns(reader.get_ref(), &header, &names) {
+            columns.0.iter_mut().zip(values).for_each(|(column, values)| column.values = values);
+            return columns.sort(mesh, None);
+        }
     }
     let mut wedges = Wedges::default();
     if walk(reader.get_ref(), &header, &mut columns, &mut wedges).is_none() {
