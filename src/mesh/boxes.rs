@@ -12,6 +12,11 @@ const WIDTH: usize = 8;
 /// Nodes that wait at most: seven of each level and the first, and 11 levels hold 2³¹ things.
 const WAITING: usize = (WIDTH - 1) * 12 + 1;
 
+/// Single precision tells boxes of a unit apart for points up to here.
+const NEAR_BY: f64 = 4.0;
+/// Rounding of a point and of its difference from a box, of a unit: half an ulp and another, and as much again.
+const ROUNDING: f32 = 2.0 * f32::EPSILON;
+
 /// Boxes side by side, axis by axis. Those that nothing is in are at infinity.
 #[derive(Clone)]
 struct Node {
@@ -50,6 +55,7 @@ impl BoxTree {
     /// squared distance from `p` of what was found, `first` before that. Boxes count as `slack` larger on each side.
     pub(crate) fn nearest(&self, p: DVec3, slack: f64, first: f64, mut visit: impl FnMut(usize) -> f64) {
         let mut bound = first;
+        let near_by = p.abs().max_element() < NEAR_BY;
         let mut waiting = [(0.0, 0, 0); WAITING];
         let mut count = 1;
         waiting[0] = (0.0, self.levels.len() - 1, 0);
@@ -60,11 +66,18 @@ impl BoxTree {
                 continue;
             }
             let Some(node) = self.levels[level].get(index) else { continue };
-            let costs = node.costs(p, slack);
+            let costs = if near_by { node.quick_costs(p) } else { node.costs(p, slack) };
             // Those within the bound, the nearest last.
             let mut near = [(0.0, 0); WIDTH];
             let mut found = 0;
-            for (lane, &cost) in costs.iter().enumerate().filter(|&(_, &cost)| cost <= bound && cost < f64::INFINITY) {
+            // Lanes that nothing is in cost infinity. All are compared before any is looked at: which of them are
+            // within cannot be foretold.
+            let most = bound.min(f64::MAX);
+            let mut within = costs.iter().rev().fold(0u32, |bits, &cost| bits << 1 | u32::from(cost <= most));
+            while within != 0 {
+                let lane = within.trailing_zeros() as usize;
+                within &= within - 1;
+                let cost = costs[lane];
                 let mut at = found;
                 while at > 0 && near[at - 1].0 < cost {
                     near[at] = near[at - 1];
@@ -105,6 +118,23 @@ impl Node {
     fn bounds(&self) -> Box {
         let low = self.low.map(|lanes| lanes.into_iter().fold(f32::INFINITY, f32::min));
         (low, self.high.map(|lanes| lanes.into_iter().fold(f32::NEG_INFINITY, f32::max)))
+    }
+
+    /// As [`Node::costs`], hardly less, for a slack up to [`ROUNDING`]; in single precision, three times as fast.
+    #[inline]
+    fn quick_costs(&self, p: DVec3) -> [f64; WIDTH] {
+        let slack = ROUNDING * (1.0 + p.abs().max_element() as f32);
+        let larger = |a: f32, b: f32| if a > b { a } else { b };
+        let mut costs = [0.0; WIDTH];
+        for (axis, x) in p.as_vec3().to_array().into_iter().enumerate() {
+            let (low, high) = (&self.low[axis], &self.high[axis]);
+            for lane in 0..WIDTH {
+                let apart = larger(larger(low[lane] - x, x - high[lane]) - slack, 0.0);
+                costs[lane] += apart * apart;
+            }
+        }
+        // The squares and their sum are rounded four times.
+        costs.map(|cost| f64::from(cost) * (1.0 - 8.0 * f64::from(f32::EPSILON)))
     }
 
     /// Squared distance of `p` from each box.
