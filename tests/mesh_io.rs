@@ -177,10 +177,43 @@ fn off_dialects() {
 #[test]
 fn in_place_and_through_the_crates() {
     let words = [
-        "v ", "v 0 0 0", "v 1 0 0\n", "v 0 1. .5e-3\n", "v 1 1 1 1 0 0.5\n", "v 0 0 0 2\n", "v 1 2 3 4 5\n", "f 1 2 3\n",
-        "f 1/1 2/2/2 3//4\n", "f 3 2 1 4", "f 1 2\n", "f -1 -2 -3\n", "f 1 2 3 # 4\n", "f 1 2 3 #4\\\n", "f 1 2 3#\n",
-        "vt 0 0\n", "vn 0 0 1\n", "\n", "\\\n", "\r\n", " ", "\t", "#", "# x \\\n", "g \\\n", "g a\\b\n", "nan", "1e999",
-        "f 1 +2 3\n", "f 0 1 2\n", "f 1 2 99\n", "f 4294967297 1 2\n", "f 1 2 3 4 5\n", "x\\", "\u{b}", "\u{e9}", "0",
+        "v ",
+        "v 0 0 0",
+        "v 1 0 0\n",
+        "v 0 1. .5e-3\n",
+        "v 1 1 1 1 0 0.5\n",
+        "v 0 0 0 2\n",
+        "v 1 2 3 4 5\n",
+        "f 1 2 3\n",
+        "f 1/1 2/2/2 3//4\n",
+        "f 3 2 1 4",
+        "f 1 2\n",
+        "f -1 -2 -3\n",
+        "f 1 2 3 # 4\n",
+        "f 1 2 3 #4\\\n",
+        "f 1 2 3#\n",
+        "vt 0 0\n",
+        "vn 0 0 1\n",
+        "\n",
+        "\\\n",
+        "\r\n",
+        " ",
+        "\t",
+        "#",
+        "# x \\\n",
+        "g \\\n",
+        "g a\\b\n",
+        "nan",
+        "1e999",
+        "f 1 +2 3\n",
+        "f 0 1 2\n",
+        "f 1 2 99\n",
+        "f 4294967297 1 2\n",
+        "f 1 2 3 4 5\n",
+        "x\\",
+        "\u{b}",
+        "\u{e9}",
+        "0",
     ];
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let (mut read, mut refused) = (0, 0);
@@ -215,7 +248,8 @@ fn in_place_and_through_the_crates() {
             "double" => 8,
             _ => 4,
         };
-        let mut noise = |file: &mut Vec<u8>, kind: &str| file.extend((0..size(kind)).map(|_| rng.random_range(0..64u8)));
+        let mut noise =
+            |file: &mut Vec<u8>, kind: &str| file.extend((0..size(kind)).map(|_| rng.random_range(0..64u8)));
         let start = file.len();
         for _ in 0..4 {
             [before, position, position, after, position].iter().for_each(|kind| noise(&mut file, kind));

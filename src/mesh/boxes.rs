@@ -1,7 +1,7 @@
-//! A hierarchy of boxes around things that were sorted along a curve through space.
+//! A hierarchy of boxes around things that were brought into an order in which neighbours are side by side.
 //!
-//! Purpose: [`BoxTree`] finds what may be nearest to a point. Each node is the boxes of eight neighbours on the curve, and
-//! there is no tree to store beside them: 28 bytes a thing, built in linear time on all threads.
+//! Purpose: [`BoxTree`] finds what may be nearest to a point. Each node is the boxes of eight neighbours, and
+//! there is no tree to store beside them: 28 bytes a thing, built on all threads.
 //! Invariant: boxes are rounded outwards, so that nothing is missed. Must not know: what is in the boxes.
 
 use glam::DVec3;
@@ -16,6 +16,9 @@ const WAITING: usize = (WIDTH - 1) * 12 + 1;
 const NEAR_BY: f64 = 4.0;
 /// Rounding of a point and of its difference from a box, of a unit: half an ulp and another, and as much again.
 const ROUNDING: f32 = 2.0 * f32::EPSILON;
+
+/// More things than these are shared out to threads.
+const SEVERAL: usize = 4096;
 
 /// Boxes side by side, axis by axis. Those that nothing is in are at infinity.
 #[derive(Clone)]
@@ -100,6 +103,37 @@ impl BoxTree {
                 }
             }
         }
+    }
+}
+
+/// Brings neighbours side by side: each eight that become a node, each eight such nodes, and so on, are one part of
+/// things that were halved across their longest extent. `place` says where a thing is. The order that things come
+/// in decides between those in one place.
+pub(crate) fn arrange<T: Copy + Send + Sync>(things: &mut Vec<T>, place: &(dyn Fn(&T) -> DVec3 + Sync)) {
+    let mut placed: Vec<(DVec3, u32)> =
+        things.par_iter().enumerate().map(|(i, thing)| (place(thing), i as u32)).collect();
+    halve(&mut placed);
+    *things = placed.par_iter().map(|&(_, i)| things[i as usize]).collect();
+}
+
+fn halve(placed: &mut [(DVec3, u32)]) {
+    let mut part = 1;
+    while part * WIDTH < placed.len() {
+        part *= WIDTH;
+    }
+    if part == 1 {
+        return;
+    }
+    let (low, high) = placed.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), p| (l.min(p.0), h.max(p.0)));
+    let axis = (high - low).max_position();
+    let middle = placed.len().div_ceil(part).div_ceil(2) * part;
+    placed.select_nth_unstable_by(middle, |a, b| a.0[axis].total_cmp(&b.0[axis]).then(a.1.cmp(&b.1)));
+    let (one, other) = placed.split_at_mut(middle);
+    if one.len() > SEVERAL {
+        rayon::join(|| halve(one), || halve(other));
+    } else {
+        halve(one);
+        halve(other);
     }
 }
 

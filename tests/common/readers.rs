@@ -31,7 +31,9 @@ pub fn check(format: Format, bytes: &[u8]) -> Result<(), String> {
                 Err(error) => error.to_string(),
             };
             let (here, there) = (result(bytes), result(&other));
-            return Err(format!("{format:?}: read in place ({here}), another surface comes out than through the crate ({there})"));
+            return Err(format!(
+                "{format:?}: read in place ({here}), another surface comes out than through the crate ({there})"
+            ));
         }
     }
     if let Ok(loaded) = loaded {
