@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::TriMesh;
 use super::adjacency::weld;
-use super::boxes::BoxTree;
+use super::boxes::{self, BoxTree};
 
 /// A point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,7 +32,7 @@ pub struct ClosestPoint {
     scale: f64,
     positions: Vec<DVec3>,
     unit: Vec<DVec3>,
-    /// Facets with area, with their numbers in the mesh, along a curve through space.
+    /// Facets with area, with their numbers in the mesh, neighbours side by side.
     facets: Vec<([u32; 3], u32)>,
 }
 
@@ -59,7 +59,7 @@ impl ClosestPoint {
         let unit: Vec<DVec3> = mesh.positions().iter().map(|&p| (p - centre) * scale).collect();
         let mut facets = distinct_facets(mesh);
         let corners = |facet: &([u32; 3], u32)| facet.0.map(|v| unit[v as usize]);
-        facets.par_sort_by_cached_key(|facet| (along_curve(corners(facet).iter().sum::<DVec3>() / 3.0), facet.1));
+        boxes::arrange(&mut facets, &|facet| corners(facet).iter().sum::<DVec3>() / 3.0);
         let things: Vec<[DVec3; 3]> = facets.par_iter().map(corners).collect();
         let tree = BoxTree::new(&things);
         Self { tree, centre, scale, positions: mesh.positions().to_vec(), unit, facets }
