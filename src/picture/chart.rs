@@ -1,7 +1,7 @@
 //! Plots: figures over figures.
 //!
 //! Purpose: [`Figure`] is panels of named series with axes, [`Figure::draw`] makes a picture of them; plotters lays
-//! out and draws, [`canvas`] is the paper.
+//! out and draws, `canvas` is the paper.
 //! Invariant: no font of the system and no display is needed, and the bytes are the same everywhere. Values that
 //! have no place on an axis are left out. Must not know: what is plotted.
 

@@ -57,7 +57,7 @@ pub fn write_with_attributes(path: &Path, mesh: &TriMesh, attributes: &Attribute
 /// Reads a surface and its attributes from the bytes of a file.
 ///
 /// # Errors
-/// [`DataError`], exactly where [`decode`] gives it.
+/// [`DataError`], exactly where [`super::decode`] gives it.
 ///
 /// ```
 /// use tessera::mesh::io::{DataError, Format, decode_with_attributes};
