@@ -46,7 +46,7 @@ struct Piece {
 }
 
 /// ∫ uᵃvᵇ over a piece in barycentric coordinates, p = p₀ + u (p₁ - p₀) + v (p₂ - p₀), in order 1, u, v,
-/// u², uv, v², u³, u²v, uv², v³, each times (a + b + 2)!/(a! b!) or so; see [`Moments::add`].
+/// u², uv, v², u³, u²v, uv², v³, times the numbers that [`Moments::uniform`] and [`Moments::weighted`] divide by.
 #[derive(Clone, Copy, Default)]
 struct Moments([f64; 10]);
 
