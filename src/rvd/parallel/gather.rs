@@ -1,9 +1,8 @@
 //! The seeds whose cells may meet a facet.
 //!
 //! Purpose: from any seed to all that count on a facet, with their distances at its corners.
-//! Invariant: no cell that meets the facet is missing; or else [`Gathered::unproved`], and pieces that
-//! reach farther than [`Gatherer::reaches`] allows are those of cells that may be too large. A
-//! comparison that rounding could get wrong keeps the seed.
+//! Invariant: no cell that meets the facet is missing, unless [`Gathered::unproved`]; then none is if
+//! [`Gatherer::reaches`] holds for every piece. A comparison that rounding could get wrong keeps the seed.
 //! Must not know: pieces.
 
 use glam::DVec3;
