@@ -18,7 +18,7 @@ pub use index::{NeighbourRow, SeedIndex, Threads};
 pub use table::NeighbourTable;
 
 /// The squared distance that orders all rows: always the same roundings, whichever way a row was found.
-fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+pub(crate) fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
     x * x + y * y + z * z
 }

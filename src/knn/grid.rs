@@ -317,6 +317,42 @@ impl Grid {
         (!best.several).then(|| self.order[best.place as usize])
     }
 
+    /// A seed of the cells around a point, the nearest of the first that have any; `None` if none has.
+    pub(super) fn near(&self, p: &[f64; 3]) -> Option<u32> {
+        let cell = [0, 1, 2].map(|c| self.clamped(self.at(p, c), c));
+        let mut best = Nearest { squared: f64::INFINITY, place: 0, several: false };
+        (0..2).any(|ring| {
+            self.visit(self.around(cell, ring), p, &mut best);
+            best.squared < f64::INFINITY
+        });
+        (best.squared < f64::INFINITY).then(|| self.order[best.place as usize])
+    }
+
+    /// Appends the seeds of all cells that meet a box; `false` if there are more than `most`, or more lines
+    /// of cells.
+    pub(super) fn in_box(&self, low: &[f64; 3], high: &[f64; 3], most: usize, out: &mut Vec<u32>) -> bool {
+        // A place and an end of the box may be rounded apart by this.
+        let block = Block {
+            low: [0, 1, 2].map(|c| self.clamped(self.at(low, c) - SLACK, c)),
+            high: [0, 1, 2].map(|c| self.clamped(self.at(high, c) + SLACK, c)),
+        };
+        let lines = (block.high[2] - block.low[2] + 1) * (block.high[1] - block.low[1] + 1);
+        let end = out.len() + most;
+        if lines > most {
+            return false;
+        }
+        for z in block.low[2]..=block.high[2] {
+            for y in block.low[1]..=block.high[1] {
+                let (begin, last) = self.range(block, y, z);
+                if out.len() + (last - begin) as usize > end {
+                    return false;
+                }
+                out.extend_from_slice(&self.order[begin as usize..last as usize]);
+            }
+        }
+        true
+    }
+
     fn visit(&self, block: Block, p: &[f64; 3], best: &mut Nearest) {
         for z in block.low[2]..=block.high[2] {
             for y in block.low[1]..=block.high[1] {

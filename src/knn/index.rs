@@ -93,6 +93,18 @@ impl SeedIndex {
         self.grid.as_ref().and_then(|g| g.nearest(&p)).unwrap_or_else(|| self.tree().nearest(&p))
     }
 
+    /// A seed that is not far from a point, found sooner than the nearest one.
+    pub fn near(&self, p: DVec3) -> u32 {
+        let near = self.grid.as_ref().and_then(|g| g.near(&p.to_array()));
+        near.unwrap_or_else(|| self.nearest(p))
+    }
+
+    /// Appends all seeds in a box, ends included, some around it, and no later twin. `false` where there
+    /// would be more than `most`, or where they cannot be told fast.
+    pub fn in_box(&self, low: DVec3, high: DVec3, most: usize, out: &mut Vec<u32>) -> bool {
+        self.grid.as_ref().is_some_and(|g| g.in_box(&low.to_array(), &high.to_array(), most, out))
+    }
+
     /// The nearest neighbours of seed `i`, about `k` of them: the last ones are left out where
     /// more seeds may lie at the same distance, so that every row is a prefix of the longer ones.
     pub fn row(&self, i: u32, k: usize, out: &mut NeighbourRow) {

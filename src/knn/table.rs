@@ -77,6 +77,11 @@ impl NeighbourTable {
         self.complete.clear();
     }
 
+    /// Whether it has no rows.
+    pub fn is_empty(&self) -> bool {
+        self.len.is_empty()
+    }
+
     /// The row of seed `i`, and whether it is complete; of a table without rows an empty one.
     pub fn row(&self, i: u32) -> (&[u32], bool) {
         let i = self.place.get(i as usize).map_or(i, |&row| row) as usize;

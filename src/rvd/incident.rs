@@ -4,7 +4,7 @@
 //! piece; and the relaunch of every pair that runs out of something.
 //! Invariant: when [`FacetWalker::walk`] returns, every cell that meets the facet was visited once.
 //! Capacities only decide how often a pair is clipped, never what comes out of it.
-//! Must not know: sums, threads, batches.
+//! Must not know: sums, threads, batches, how seeds that count on a facet were listed.
 
 use std::collections::{HashMap, HashSet};
 
@@ -12,7 +12,7 @@ use glam::DVec3;
 
 use super::clip::Clipper;
 use super::{Capacities, PairStatus, PassStats, Surface};
-use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex};
+use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, squared_distance};
 
 /// What every walk over one seed set reads.
 #[derive(Clone, Copy)]
@@ -33,6 +33,16 @@ pub struct FacetWalker {
     clipper: Clipper,
     cells: CellList,
     long_rows: LongRows,
+    listed: Listed,
+}
+
+/// Where rows come from.
+#[derive(Clone, Copy)]
+enum Rows {
+    /// The table, and the index where its rows end.
+    Table,
+    /// The facet's list.
+    Listed,
 }
 
 impl FacetWalker {
@@ -40,6 +50,37 @@ impl FacetWalker {
     /// point of the facet. `visit` gets the seed and a non-empty polygon.
     pub fn walk(
         &mut self,
+        diagram: Diagram<'_>,
+        facet: u32,
+        start: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+        visit: impl FnMut(u32, &Clipper),
+    ) {
+        self.walk_by(Rows::Table, diagram, facet, start, capacities, stats, visit);
+    }
+
+    /// The same where `list` holds all seeds that could be nearest to some point of the facet: the index
+    /// and the table are not read.
+    #[expect(clippy::too_many_arguments, reason = "those of a walk, and the list")]
+    pub fn walk_listed(
+        &mut self,
+        list: &[u32],
+        diagram: Diagram<'_>,
+        facet: u32,
+        start: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+        visit: impl FnMut(u32, &Clipper),
+    ) {
+        self.listed.set(list);
+        self.walk_by(Rows::Listed, diagram, facet, start, capacities, stats, visit);
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "those of a walk, and where rows come from")]
+    fn walk_by(
+        &mut self,
+        rows: Rows,
         diagram: Diagram<'_>,
         facet: u32,
         start: u32,
@@ -58,8 +99,11 @@ impl FacetWalker {
                 // Where two seeds are equally far from the centroid but for a rounding, the start's cell may not
                 // meet the facet, nor that of the seed that cut it last. One does: its neighbours', most
                 // often, or else any.
-                let row = diagram.table.row(start).0;
-                let all = row.len() + diagram.seeds.len();
+                let (row, rest) = match rows {
+                    Rows::Table => (diagram.table.row(start).0, diagram.seeds.len()),
+                    Rows::Listed => (&self.listed.seeds[..], 0),
+                };
+                let all = row.len() + rest;
                 if found || others == all || diagram.surface.facet_area(facet) == 0.0 {
                     break;
                 }
@@ -68,7 +112,7 @@ impl FacetWalker {
                 continue;
             };
             next += 1;
-            self.clip_to_end(diagram, facet, i, capacities, stats);
+            self.clip_by(rows, diagram, facet, i, capacities, stats);
             let polygon = self.clipper.polygon();
             if polygon.is_empty() {
                 if !found {
@@ -103,11 +147,28 @@ impl FacetWalker {
         capacities: Capacities,
         stats: &mut PassStats,
     ) -> PairStatus {
+        self.clip_by(Rows::Table, diagram, facet, i, capacities, stats)
+    }
+
+    fn clip_by(
+        &mut self,
+        rows: Rows,
+        diagram: Diagram<'_>,
+        facet: u32,
+        i: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+    ) -> PairStatus {
         let Diagram { surface, seeds, index, table } = diagram;
         let mut slots = capacities.polygon.max(4);
-        let mut k = 0;
+        // Of a table without rows there is nothing to try first.
+        let mut k = if table.is_empty() { capacities.neighbours.max(1) } else { 0 };
         loop {
-            let row = if k == 0 { table.row(i) } else { self.long_rows.row(index, i, k) };
+            let row = match rows {
+                Rows::Listed => (self.listed.row(seeds, i), true),
+                Rows::Table if k == 0 => table.row(i),
+                Rows::Table => self.long_rows.row(index, i, k),
+            };
             match self.clipper.clip(surface, facet, seeds, i, row, slots) {
                 PairStatus::NeighboursExhausted => {
                     // From what was asked for, not from what came: a row without its ties at the end may
@@ -127,6 +188,45 @@ impl FacetWalker {
     /// The clipper with the polygon of the last pair.
     pub fn clipper(&self) -> &Clipper {
         &self.clipper
+    }
+}
+
+/// All seeds that count on one facet, and rows of them.
+#[derive(Default)]
+struct Listed {
+    seeds: Vec<u32>,
+    /// The others from each of them, nearest first, one after the other; those that are there.
+    rows: Vec<u32>,
+    there: Vec<bool>,
+    keys: Vec<(f64, u32)>,
+}
+
+impl Listed {
+    fn set(&mut self, list: &[u32]) {
+        self.seeds.clear();
+        self.seeds.extend_from_slice(list);
+        self.there.clear();
+        self.there.resize(list.len(), false);
+        self.rows.resize(list.len() * list.len(), 0);
+    }
+
+    /// The order of a table's row: a cut that changes nothing apart, a walk does the same with either.
+    fn row(&mut self, seeds: &[DVec3], i: u32) -> &[u32] {
+        // A walk visits listed seeds alone.
+        let Some(at) = self.seeds.iter().position(|&j| j == i) else { return &[] };
+        let n = self.seeds.len() - 1;
+        let row = &mut self.rows[at * n..(at + 1) * n];
+        if !std::mem::replace(&mut self.there[at], true) {
+            self.keys.clear();
+            let origin = seeds[i as usize].to_array();
+            let key = |&j: &u32| (squared_distance(&origin, &seeds[j as usize].to_array()), j);
+            self.keys.extend(self.seeds.iter().filter(|&&j| j != i).map(key));
+            self.keys.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            for (slot, key) in row.iter_mut().zip(&self.keys) {
+                *slot = key.1;
+            }
+        }
+        row
     }
 }
 

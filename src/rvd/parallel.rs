@@ -1,14 +1,19 @@
 //! f64 on all cores.
 //!
-//! Purpose: the fast CPU backend. Sums are taken of all cells of a facet at once (`facet`), and by
-//! [`super::serial`]'s walk where that does not suffice; pieces by the walk alone.
+//! Purpose: the fast CPU backend. Sums are taken of all cells of a facet at once (`facet`), from lists that
+//! serve several passes (`lists`), and by [`super::serial`]'s walk where that does not suffice; pieces by the walk
+//! alone.
 //! Invariant: the diagram of [`super::serial`], pieces to the bit and sums to rounding; and the same
-//! bits whatever the number of threads: facets are cut into chunks of fixed size, each chunk writes its
+//! bits whatever the number of threads and whatever passes came before: facets are cut into chunks of fixed size, each chunk writes its
 //! pieces' integrals down in facet order, and every cell adds its own up in that order.
 //! Must not know: iterations.
 
-mod facet;
+mod chunk;
+mod facets;
 mod gather;
+mod lanes;
+mod lists;
+mod moments;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -17,11 +22,11 @@ use std::time::Instant;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use self::facet::FacetCells;
-use super::clip::Integrals;
-use super::incident::{Diagram, FacetWalker};
+use self::chunk::{Chunk, Walkers};
+use self::lists::KeptLists;
+use super::incident::Diagram;
 use super::on_host::OnHost;
-use super::start::{self, Starts};
+use super::start::Starts;
 use super::{
     Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
     Surface, elapsed_ms, take_seeds,
@@ -75,6 +80,8 @@ impl Backend for Parallel {
             table: NeighbourTable::default(),
             stale: false,
             starts: Starts::default(),
+            lists: KeptLists::default(),
+            no_table: NeighbourTable::default(),
             chunks: Vec::new(),
         })))
     }
@@ -99,24 +106,10 @@ struct ParallelSession {
     /// The index and the table are not those of `seeds` yet.
     stale: bool,
     starts: Starts,
+    lists: KeptLists,
+    /// Stands for the table where that is stale.
+    no_table: NeighbourTable,
     chunks: Vec<Chunk>,
-}
-
-/// What one task found, in facet order. Reused from wave to wave.
-#[derive(Default)]
-struct Chunk {
-    integrals: Vec<(u32, Integrals)>,
-    pieces: PieceBatch,
-    stats: PassStats,
-}
-
-/// What a task writes down.
-#[derive(Clone, Copy, PartialEq)]
-enum Wanted {
-    Integrals,
-    Pieces,
-    /// Of facets without area too.
-    FlatPieces,
 }
 
 impl ParallelSession {
@@ -134,135 +127,101 @@ impl ParallelSession {
         Ok(elapsed_ms(begin))
     }
 
-    /// Runs all tasks of `facets`, wave by wave; `merge` gets each wave's chunks in order.
-    fn waves(
-        &mut self,
-        facets: Range<u32>,
-        wanted: Wanted,
-        cancel: &CancelFlag,
-        mut merge: impl FnMut(&[Chunk]) + Send,
-    ) -> Result<PassStats, RvdError> {
+    /// Sums of all facets, from the lists if they still hold, or else from new ones.
+    fn sum_up(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+        let mut stats = PassStats::default();
+        let kept = self.stale && !self.seeds.is_empty() && self.lists.hold(&self.seeds);
+        if !kept {
+            stats.neighbours_ms = self.refresh(cancel)?;
+            stats.duplicate_seeds = self.index.duplicates() as u64;
+            self.lists.choose(&self.seeds, &self.table);
+        } else if self.lists.lack_some() {
+            let begin = Instant::now();
+            self.index = SeedIndex::with_threads(&self.seeds, Threads::Pool);
+            stats.neighbours_ms = elapsed_ms(begin);
+        }
+        let size = self.chunk_size();
+        let facets = 0..self.surface.facets().len() as u32;
+        let tasks = facets.len().div_ceil(size);
+        self.chunks.resize_with(WAVE.min(tasks), Chunk::default);
+        let table = if kept { &self.no_table } else { &self.table };
+        let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table };
+        let begin = Instant::now();
+        let starts = self.starts.guesses(diagram, facets.clone());
+        stats.start_ms = elapsed_ms(begin);
+        let (slack, lists) = self.lists.split(tasks);
+        let capacities = self.capacities;
+        let mut unlisted = 0;
+        for (w, (lists, starts)) in lists.chunks_mut(WAVE).zip(starts.chunks_mut(size * WAVE)).enumerate() {
+            cancel.check()?;
+            let begin = Instant::now();
+            let chunks = &mut self.chunks[..lists.len()];
+            let each = chunks.par_iter_mut().zip(lists).zip(starts.par_chunks_mut(size)).enumerate();
+            each.for_each_init(Walkers::default, |walkers, (c, ((chunk, lists), starts))| {
+                if cancel.is_cancelled() {
+                    return;
+                }
+                let first = ((w * WAVE + c) * size) as u32;
+                if kept {
+                    chunk.sum_listed(walkers, diagram, first, lists, starts, capacities);
+                } else {
+                    chunk.sum(walkers, (diagram, slack), first, lists, starts, capacities);
+                }
+            });
+            cancel.check()?;
+            stats.clip_ms += elapsed_ms(begin);
+            let begin = Instant::now();
+            for chunk in &*chunks {
+                stats.add(&chunk.stats);
+                unlisted += chunk.unlisted;
+            }
+            chunk::add_up(out, chunks);
+            stats.update_ms += elapsed_ms(begin);
+        }
+        self.lists.end_pass(&self.seeds, (!kept).then_some((unlisted, facets.len())));
+        Ok(stats)
+    }
+
+    /// Pieces of `facets`, of flat ones too if they are asked for.
+    fn cut(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
         let mut stats = PassStats { neighbours_ms: self.refresh(cancel)?, ..PassStats::default() };
         stats.duplicate_seeds = self.index.duplicates() as u64;
         let begin = Instant::now();
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
-        let starts = match wanted {
-            Wanted::Integrals => self.starts.guesses(diagram, facets.clone()),
-            Wanted::Pieces | Wanted::FlatPieces => self.starts.find(diagram, facets.clone()),
-        };
+        let size = self.chunk_size();
+        let starts = self.starts.find(diagram, facets.clone());
         stats.start_ms = elapsed_ms(begin);
-        let capacities = self.capacities;
-        // A facet meets its share of the cells and some more at its rim.
-        let per_facet = 3 + 2 * self.seeds.len() / self.surface.facets().len();
-        let size = (CHUNK_PAIRS / per_facet).clamp(1, CHUNK);
+        let (capacities, flat) = (self.capacities, self.flat_pieces);
         self.chunks.resize_with(WAVE.min(facets.len().div_ceil(size)), Chunk::default);
-        for wave in facets.clone().step_by(size * WAVE) {
+        for (w, starts) in starts.chunks(size * WAVE).enumerate() {
             cancel.check()?;
             let begin = Instant::now();
-            let tasks = ((facets.end - wave) as usize).div_ceil(size).min(WAVE);
-            let of_wave = &mut starts[(wave - facets.start) as usize..];
-            self.chunks[..tasks].par_iter_mut().zip(of_wave.par_chunks_mut(size)).enumerate().for_each_init(
-                Walkers::default,
-                |walkers, (c, (chunk, starts))| {
-                    if cancel.is_cancelled() {
-                        return;
-                    }
-                    let first = wave + (c * size) as u32;
-                    let range = first..facets.end.min(first + size as u32);
-                    chunk.fill(walkers, diagram, range, starts, capacities, wanted);
-                },
-            );
+            let chunks = &mut self.chunks[..starts.len().div_ceil(size)];
+            let each = chunks.par_iter_mut().zip(starts.par_chunks(size)).enumerate();
+            each.for_each_init(Walkers::default, |walkers, (c, (chunk, starts))| {
+                if !cancel.is_cancelled() {
+                    let first = facets.start + ((w * WAVE + c) * size) as u32;
+                    chunk.cut(walkers, diagram, first, starts, capacities, flat);
+                }
+            });
             cancel.check()?;
             stats.clip_ms += elapsed_ms(begin);
             let begin = Instant::now();
-            for chunk in &self.chunks[..tasks] {
+            for chunk in &*chunks {
                 stats.add(&chunk.stats);
+                out.extend(&chunk.pieces);
             }
-            merge(&self.chunks[..tasks]);
             stats.update_ms += elapsed_ms(begin);
         }
         Ok(stats)
     }
-}
 
-/// One thread's scratch memory.
-#[derive(Default)]
-struct Walkers {
-    at_once: FacetCells,
-    walker: FacetWalker,
-}
-
-impl Chunk {
-    fn fill(
-        &mut self,
-        walkers: &mut Walkers,
-        diagram: Diagram<'_>,
-        facets: Range<u32>,
-        starts: &mut [u32],
-        capacities: Capacities,
-        wanted: Wanted,
-    ) {
-        self.integrals.clear();
-        self.pieces.clear();
-        self.stats = PassStats::default();
-        let Self { integrals, pieces, stats } = self;
-        let Walkers { at_once, walker } = walkers;
-        for (facet, start) in facets.zip(starts) {
-            match wanted {
-                Wanted::Integrals => {
-                    if diagram.surface.skips(facet as usize) {
-                        continue;
-                    }
-                    let before = integrals.len();
-                    if let Some(nearest) = at_once.divide(diagram, facet, *start, |i, sum| integrals.push((i, sum))) {
-                        *start = nearest;
-                        stats.pairs += (integrals.len() - before) as u64;
-                    } else {
-                        *start = start::nearest(diagram, diagram.surface.centroid(facet), *start);
-                        walker.walk(diagram, facet, *start, capacities, stats, |i, clipper| {
-                            integrals.push((i, clipper.integrals()));
-                        });
-                    }
-                }
-                Wanted::Pieces | Wanted::FlatPieces => {
-                    let flat = wanted == Wanted::FlatPieces;
-                    if if flat { diagram.surface.joins(facet as usize) } else { !diagram.surface.skips(facet as usize) }
-                    {
-                        walker.walk(diagram, facet, *start, capacities, stats, |i, clipper| {
-                            let origin = diagram.seeds[i as usize];
-                            pieces.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
-                        });
-                    }
-                }
-            }
-        }
-        if wanted != Wanted::Integrals {
-            self.pieces.sort();
-        }
+    /// Facets per task.
+    fn chunk_size(&self) -> usize {
+        // A facet meets its share of the cells and some more at its rim.
+        let per_facet = 3 + 2 * self.seeds.len() / self.surface.facets().len();
+        (CHUNK_PAIRS / per_facet).clamp(1, CHUNK)
     }
-}
-
-/// Adds what the chunks wrote down. Every thread owns a range of seeds and reads everything, so
-/// that each cell is added up in facet order without a lock.
-fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
-    let share = out.mass.len().div_ceil(rayon::current_num_threads()).max(1);
-    out.mass
-        .par_chunks_mut(share)
-        .zip(out.moment.par_chunks_mut(share))
-        .zip(out.energy.par_chunks_mut(share).zip(out.area.par_chunks_mut(share)))
-        .enumerate()
-        .for_each(|(part, ((mass, moment), (energy, area)))| {
-            let base = (part * share) as u32;
-            for (seed, sum) in chunks.iter().flat_map(|c| &c.integrals) {
-                let local = seed.wrapping_sub(base) as usize;
-                if local < mass.len() {
-                    mass[local] += sum.mass;
-                    moment[local] += sum.moment;
-                    energy[local] += sum.energy;
-                    area[local] += sum.area;
-                }
-            }
-        });
 }
 
 impl Session for ParallelSession {
@@ -274,21 +233,13 @@ impl Session for ParallelSession {
 
     fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
         out.reset(self.seeds.len());
-        let facets = 0..self.surface.facets().len() as u32;
         let pool = Arc::clone(&self.pool);
-        pool.install(|| self.waves(facets, Wanted::Integrals, cancel, |chunks| add_up(out, chunks)))
+        pool.install(|| self.sum_up(out, cancel))
     }
 
     fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
         out.clear();
         let pool = Arc::clone(&self.pool);
-        pool.install(|| {
-            let wanted = if self.flat_pieces { Wanted::FlatPieces } else { Wanted::Pieces };
-            self.waves(facets, wanted, cancel, |chunks| {
-                for chunk in chunks {
-                    out.extend(&chunk.pieces);
-                }
-            })
-        })
+        pool.install(|| self.cut(facets, out, cancel))
     }
 }

@@ -1,0 +1,371 @@
+//! Some facets, one task's share.
+//!
+//! Purpose: what a task writes down of its facets in order, and the sums of what all tasks wrote.
+//! Facets are taken in groups of as many members.
+//! Invariant: every cell adds its pieces up in the order of facets, whatever the number of threads and the width of a
+//! processor's registers.
+//! Must not know: how tasks are shared out.
+
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::facets::{Facets, Found, LISTED, MEMBERS};
+use super::gather::{Gatherer, Slack};
+use super::lanes::{Number, Row, WIDEST};
+use super::lists::Lists;
+use super::moments::{UNIFORM, WEIGHTED};
+use crate::rvd::clip::Integrals;
+use crate::rvd::incident::{Diagram, FacetWalker};
+use crate::rvd::{Capacities, CellSums, PassStats, PieceBatch, start};
+
+/// What one task found. Reused from wave to wave.
+#[derive(Default)]
+pub(super) struct Chunk {
+    /// In the order of facets, of as many seeds as each has members; [`NONE`] where a member has no piece.
+    integrals: Vec<(u32, Integrals)>,
+    /// Those of facets that were walked,
+    walked: Vec<(u32, Integrals)>,
+    /// and before which of the others they come.
+    inserts: Vec<Insert>,
+    pub pieces: PieceBatch,
+    pub stats: PassStats,
+    /// Facets that have no list.
+    pub unlisted: u64,
+}
+
+const NONE: u32 = u32::MAX;
+
+struct Insert {
+    before: usize,
+    end: usize,
+}
+
+/// One thread's scratch memory.
+#[derive(Default)]
+pub(super) struct Walkers {
+    gatherer: Gatherer,
+    /// Lists that are not kept.
+    lists: Lists,
+    facets: Facets,
+    found: Found,
+    walker: FacetWalker,
+    groups: Groups,
+    /// Of each facet the members among its list, as bits.
+    members: Vec<u32>,
+    /// Where each facet's integrals begin.
+    begin: Vec<u32>,
+    to_walk: Vec<u32>,
+}
+
+/// Facets by a small number.
+#[derive(Default)]
+struct Groups {
+    first: Vec<u32>,
+    order: Vec<u32>,
+}
+
+impl Groups {
+    /// Sorts facets by their numbers, from 1 to `most`; others are left out.
+    fn sort(&mut self, most: usize, numbers: impl Iterator<Item = usize> + Clone) {
+        self.first.clear();
+        self.first.resize(most + 2, 0);
+        for n in numbers.clone().filter(|&n| (1..=most).contains(&n)) {
+            self.first[n + 1] += 1;
+        }
+        for n in 1..self.first.len() {
+            self.first[n] += self.first[n - 1];
+        }
+        self.order.clear();
+        self.order.resize(self.first[most + 1] as usize, 0);
+        let mut next = self.first.clone();
+        for (at, n) in numbers.enumerate().filter(|(_, n)| (1..=most).contains(n)) {
+            self.order[next[n] as usize] = at as u32;
+            next[n] += 1;
+        }
+    }
+
+    /// The facets with this number.
+    fn of(&self, n: usize) -> &[u32] {
+        &self.order[self.first[n] as usize..self.first[n + 1] as usize]
+    }
+}
+
+/// The facets of a chunk and their lists.
+#[derive(Clone, Copy)]
+struct Listed<'a> {
+    diagram: Diagram<'a>,
+    first: u32,
+    starts: &'a [u32],
+    lists: &'a Lists,
+    capacities: Capacities,
+}
+
+struct Divide<'a> {
+    chunk: &'a mut Chunk,
+    walkers: &'a mut Walkers,
+    listed: Listed<'a>,
+}
+
+impl WithSimd for Divide<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { chunk, walkers, listed } = self;
+        choose_members(simd, walkers, listed);
+        chunk.make_room(walkers, listed);
+        if listed.diagram.surface.is_uniform() {
+            chunk.divide::<S, UNIFORM>(simd, walkers, listed);
+        } else {
+            chunk.divide::<S, WEIGHTED>(simd, walkers, listed);
+        }
+    }
+}
+
+/// Finds the members of every facet with a list that is neither empty nor long.
+#[inline(always)]
+fn choose_members<S: Simd>(simd: S, walkers: &mut Walkers, listed: Listed<'_>) {
+    let Walkers { facets, groups, members, .. } = walkers;
+    let Listed { diagram, first, starts, lists, .. } = listed;
+    members.clear();
+    members.resize(starts.len(), 0);
+    groups.sort(LISTED, (0..starts.len()).map(|at| lists.get(at).len()));
+    for &at in groups.of(1) {
+        members[at as usize] = 1;
+    }
+    for n in 2..=LISTED {
+        for group in groups.of(n).chunks(Number::<S>::LANES) {
+            for lane in 0..Number::<S>::LANES {
+                let at = group[lane.min(group.len() - 1)];
+                facets.set_corners(lane, diagram.surface, first + at);
+                for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
+                    facets.set_seed(lane, k, diagram.seeds[seed as usize]);
+                }
+            }
+            let chosen = facets.choose(simd, n);
+            for (&at, chosen) in group.iter().zip(chosen) {
+                members[at as usize] = chosen;
+            }
+        }
+    }
+}
+
+impl Chunk {
+    fn begin(&mut self) {
+        self.integrals.clear();
+        self.walked.clear();
+        self.inserts.clear();
+        self.pieces.clear();
+        self.stats = PassStats::default();
+        self.unlisted = 0;
+    }
+
+    /// Integrals over the pieces of the facets from `first` on, as many as there are `starts`, which become the
+    /// facets' nearest seeds. Their lists are kept where there is slack.
+    pub(super) fn sum(
+        &mut self,
+        walkers: &mut Walkers,
+        (diagram, slack): (Diagram<'_>, Slack<'_>),
+        first: u32,
+        kept: &mut Lists,
+        starts: &mut [u32],
+        capacities: Capacities,
+    ) {
+        let mut own = std::mem::take(&mut walkers.lists);
+        let lists = if slack.share > 0.0 { kept } else { &mut own };
+        lists.clear();
+        let surface = diagram.surface;
+        let mut unlisted = 0;
+        for (facet, start) in (first..).zip(&mut *starts) {
+            let mut list: &[u32] = &[];
+            if !surface.skips(facet as usize) {
+                let [a, b, c] = surface.facets()[facet as usize];
+                let positions = surface.positions();
+                let corner = [positions[a as usize], positions[b as usize], positions[c as usize]];
+                let centroid = surface.centroid(facet);
+                if let Some(nearest) = walkers.gatherer.gather(diagram, slack, &corner, centroid, *start) {
+                    *start = nearest;
+                    list = walkers.gatherer.list();
+                } else {
+                    *start = start::nearest(diagram, centroid, *start);
+                    unlisted += 1;
+                }
+            }
+            lists.push(list);
+        }
+        self.sum_listed(walkers, diagram, first, lists, starts, capacities);
+        self.unlisted = unlisted;
+        walkers.lists = own;
+    }
+
+    /// The same from lists that hold.
+    pub(super) fn sum_listed(
+        &mut self,
+        walkers: &mut Walkers,
+        diagram: Diagram<'_>,
+        first: u32,
+        lists: &Lists,
+        starts: &[u32],
+        capacities: Capacities,
+    ) {
+        self.begin();
+        let listed = Listed { diagram, first, starts, lists, capacities };
+        Arch::new().dispatch(Divide { chunk: self, walkers, listed });
+        self.walk(walkers, listed);
+    }
+
+    /// Gives every facet with a usable number of members room for their integrals; the others are to be walked.
+    fn make_room(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
+        let Walkers { members, begin, to_walk, .. } = walkers;
+        begin.clear();
+        to_walk.clear();
+        let mut end = 0;
+        for (at, members) in members.iter_mut().enumerate() {
+            begin.push(end);
+            let n = members.count_ones();
+            if n > MEMBERS as u32 {
+                *members = 0;
+            }
+            if *members != 0 {
+                end += n;
+            } else if !listed.diagram.surface.skips(listed.first as usize + at) {
+                to_walk.push(at as u32);
+            }
+        }
+        self.integrals.resize(end as usize, (NONE, Integrals::default()));
+    }
+
+    /// Divides all facets with members among them.
+    #[inline(always)]
+    fn divide<S: Simd, const N: usize>(&mut self, simd: S, walkers: &mut Walkers, listed: Listed<'_>) {
+        let Walkers { facets, found, groups, members, begin, to_walk, .. } = walkers;
+        let Listed { diagram, first, lists, .. } = listed;
+        groups.sort(MEMBERS, members.iter().map(|m| m.count_ones() as usize));
+        let mut weight = [Row([1.0; WIDEST]); 3];
+        for n in 1..=MEMBERS {
+            for group in groups.of(n).chunks(Number::<S>::LANES) {
+                for lane in 0..Number::<S>::LANES {
+                    let at = group[lane.min(group.len() - 1)];
+                    facets.set_corners(lane, diagram.surface, first + at);
+                    if N == WEIGHTED {
+                        let vertex = diagram.surface.facets()[(first + at) as usize];
+                        for (weight, v) in weight.iter_mut().zip(vertex) {
+                            weight.0[lane % WIDEST] = diagram.surface.weights()[v as usize];
+                        }
+                    }
+                    let list = lists.get(at as usize);
+                    let mut left = members[at as usize];
+                    for k in 0..n {
+                        let seed = list[left.trailing_zeros() as usize];
+                        left &= left - 1;
+                        facets.set_seed(lane, k, diagram.seeds[seed as usize]);
+                        self.integrals[begin[at as usize] as usize + k].0 = seed;
+                    }
+                }
+                facets.divide::<S, N>(simd, n, &weight, found);
+                for (lane, &at) in group.iter().enumerate() {
+                    let slots = &mut self.integrals[begin[at as usize] as usize..][..n];
+                    if found.unsure.0[lane] != 0.0 {
+                        slots.iter_mut().for_each(|slot| slot.0 = NONE);
+                        to_walk.push(at);
+                        continue;
+                    }
+                    for (slot, piece) in slots.iter_mut().zip(&found.pieces) {
+                        match piece.get(lane) {
+                            Some(integrals) => {
+                                slot.1 = integrals;
+                                self.stats.pairs += 1;
+                            }
+                            None => slot.0 = NONE,
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Walks the facets that are left.
+    fn walk(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
+        let Walkers { walker, to_walk, begin, .. } = walkers;
+        let Listed { diagram, first, starts, lists, capacities } = listed;
+        let Self { walked, inserts, stats, .. } = self;
+        to_walk.sort_unstable();
+        for &at in &*to_walk {
+            let (facet, at) = (first + at, at as usize);
+            let list = lists.get(at);
+            let centroid = diagram.surface.centroid(facet);
+            let visit = |i: u32, clipper: &crate::rvd::clip::Clipper| walked.push((i, clipper.integrals()));
+            if list.is_empty() {
+                let start = start::nearest(diagram, centroid, starts[at]);
+                walker.walk(diagram, facet, start, capacities, stats, visit);
+            } else {
+                let key = |i: u32| centroid.distance_squared(diagram.seeds[i as usize]);
+                let nearest = list.iter().fold(list[0], |best, &i| if key(i) < key(best) { i } else { best });
+                walker.walk_listed(list, diagram, facet, nearest, capacities, stats, visit);
+            }
+            inserts.push(Insert { before: begin[at] as usize, end: walked.len() });
+        }
+    }
+
+    /// All integrals, in the order of facets.
+    fn each(&self, mut visit: impl FnMut(u32, &Integrals)) {
+        let (mut at, mut from) = (0, 0);
+        for insert in &self.inserts {
+            self.integrals[at..insert.before].iter().for_each(|(seed, sum)| visit(*seed, sum));
+            self.walked[from..insert.end].iter().for_each(|(seed, sum)| visit(*seed, sum));
+            (at, from) = (insert.before, insert.end);
+        }
+        self.integrals[at..].iter().for_each(|(seed, sum)| visit(*seed, sum));
+    }
+
+    /// Pieces of the facets from `first` on, as many as there are `starts`, their nearest seeds; of those without area
+    /// too if they are wanted.
+    pub(super) fn cut(
+        &mut self,
+        walkers: &mut Walkers,
+        diagram: Diagram<'_>,
+        first: u32,
+        starts: &[u32],
+        capacities: Capacities,
+        flat: bool,
+    ) {
+        self.begin();
+        let surface = diagram.surface;
+        let Self { pieces, stats, .. } = self;
+        for (facet, &start) in (first..).zip(starts) {
+            if if flat { surface.joins(facet as usize) } else { !surface.skips(facet as usize) } {
+                walkers.walker.walk(diagram, facet, start, capacities, stats, |i, clipper| {
+                    let origin = diagram.seeds[i as usize];
+                    pieces.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
+                });
+            }
+        }
+        pieces.sort();
+    }
+}
+
+/// Adds what the chunks wrote down. Every thread owns a range of seeds and reads everything, so
+/// that each cell is added up in facet order without a lock.
+pub(super) fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
+    let share = out.mass.len().div_ceil(rayon::current_num_threads()).max(1);
+    out.mass
+        .par_chunks_mut(share)
+        .zip(out.moment.par_chunks_mut(share))
+        .zip(out.energy.par_chunks_mut(share).zip(out.area.par_chunks_mut(share)))
+        .enumerate()
+        .for_each(|(part, ((mass, moment), (energy, area)))| {
+            let base = (part * share) as u32;
+            for chunk in chunks {
+                chunk.each(|seed, sum| {
+                    // No piece, and another thread's seeds, are beyond the end.
+                    let local = seed.wrapping_sub(base) as usize;
+                    if local < mass.len() {
+                        mass[local] += sum.mass;
+                        moment[local] += sum.moment;
+                        energy[local] += sum.energy;
+                        area[local] += sum.area;
+                    }
+                });
+            }
+        });
+}
