@@ -77,6 +77,20 @@ impl FacetWalker {
         self.walk_by(Rows::Listed, diagram, facet, start, capacities, stats, visit);
     }
 
+    /// Clips one pair as [`Self::clip_to_end`] does, of a facet with such a list.
+    pub fn clip_listed(
+        &mut self,
+        list: &[u32],
+        diagram: Diagram<'_>,
+        facet: u32,
+        i: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+    ) {
+        self.listed.set(list);
+        self.clip_by(Rows::Listed, diagram, facet, i, capacities, stats);
+    }
+
     #[expect(clippy::too_many_arguments, reason = "those of a walk, and where rows come from")]
     fn walk_by(
         &mut self,

@@ -44,7 +44,7 @@ struct Insert {
 #[derive(Default)]
 pub(super) struct Walkers {
     gatherer: Gatherer,
-    /// Lists that are not kept.
+    /// Lists before those of them that are to be kept are made shorter.
     lists: Lists,
     facets: Facets,
     found: Found,
@@ -55,6 +55,8 @@ pub(super) struct Walkers {
     /// Where each facet's integrals begin.
     begin: Vec<u32>,
     to_walk: Vec<u32>,
+    /// Pieces that are clipped alone: facet, and place among the integrals.
+    to_clip: Vec<(u32, usize)>,
 }
 
 /// Facets by a small number.
@@ -126,26 +128,75 @@ impl WithSimd for Divide<'_> {
 #[inline(always)]
 fn choose_members<S: Simd>(simd: S, walkers: &mut Walkers, listed: Listed<'_>) {
     let Walkers { facets, groups, members, .. } = walkers;
-    let Listed { diagram, first, starts, lists, .. } = listed;
     members.clear();
-    members.resize(starts.len(), 0);
-    groups.sort(LISTED, (0..starts.len()).map(|at| lists.get(at).len()));
+    members.resize(listed.starts.len(), 0);
+    groups.sort(LISTED, (0..listed.starts.len()).map(|at| listed.lists.get(at).len()));
     for &at in groups.of(1) {
         members[at as usize] = 1;
     }
     for n in 2..=LISTED {
         for group in groups.of(n).chunks(Number::<S>::LANES) {
-            for lane in 0..Number::<S>::LANES {
-                let at = group[lane.min(group.len() - 1)];
-                facets.set_corners(lane, diagram.surface, first + at);
-                for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
-                    facets.set_seed(lane, k, diagram.seeds[seed as usize]);
-                }
-            }
+            set_lists::<S>(facets, group, listed, n);
             let chosen = facets.choose(simd, n);
             for (&at, chosen) in group.iter().zip(chosen) {
                 members[at as usize] = chosen;
             }
+        }
+    }
+}
+
+/// Puts a group of facets with lists of `n` seeds into lanes; the last one fills those that are left.
+#[inline(always)]
+fn set_lists<S: Simd>(facets: &mut Facets, group: &[u32], listed: Listed<'_>, n: usize) {
+    let Listed { diagram, first, lists, .. } = listed;
+    for lane in 0..Number::<S>::LANES {
+        let at = group[lane.min(group.len() - 1)];
+        facets.set_corners(lane, diagram.surface, first + at);
+        for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
+            facets.set_seed(lane, k, diagram.seeds[seed as usize]);
+        }
+    }
+}
+
+/// Lists without those that others beat whatever way they move.
+struct Thin<'a> {
+    walkers: &'a mut Walkers,
+    listed: Listed<'a>,
+    slack: Slack<'a>,
+    out: &'a mut Lists,
+}
+
+impl WithSimd for Thin<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { walkers: Walkers { facets, groups, members, .. }, listed, slack, out } = self;
+        let Listed { starts, lists, .. } = listed;
+        members.clear();
+        members.resize(starts.len(), !0);
+        groups.sort(LISTED, (0..starts.len()).map(|at| lists.get(at).len()));
+        for n in 2..=LISTED {
+            for group in groups.of(n).chunks(Number::<S>::LANES) {
+                set_lists::<S>(facets, group, listed, n);
+                for lane in 0..Number::<S>::LANES {
+                    let at = group[lane.min(group.len() - 1)];
+                    for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
+                        facets.set_slack(lane, k, slack.of(seed));
+                    }
+                }
+                let chosen = facets.choose_with_slack(simd, n);
+                for (&at, chosen) in group.iter().zip(chosen) {
+                    members[at as usize] = chosen;
+                }
+            }
+        }
+        out.clear();
+        for (at, &members) in members.iter().enumerate() {
+            let list = lists.get(at);
+            let kept = |k: usize| list.len() > LISTED || members >> k & 1 != 0;
+            out.push(list.iter().enumerate().filter(|(k, _)| kept(*k)).map(|(_, &seed)| seed));
+            out.last_mut().sort_unstable();
         }
     }
 }
@@ -171,31 +222,32 @@ impl Chunk {
         starts: &mut [u32],
         capacities: Capacities,
     ) {
-        let mut own = std::mem::take(&mut walkers.lists);
-        let lists = if slack.share > 0.0 { kept } else { &mut own };
+        let mut lists = std::mem::take(&mut walkers.lists);
         lists.clear();
         let surface = diagram.surface;
         let mut unlisted = 0;
         for (facet, start) in (first..).zip(&mut *starts) {
-            let mut list: &[u32] = &[];
-            if !surface.skips(facet as usize) {
-                let [a, b, c] = surface.facets()[facet as usize];
-                let positions = surface.positions();
-                let corner = [positions[a as usize], positions[b as usize], positions[c as usize]];
-                let centroid = surface.centroid(facet);
-                if let Some(nearest) = walkers.gatherer.gather(diagram, slack, &corner, centroid, *start) {
-                    *start = nearest;
-                    list = walkers.gatherer.list();
-                } else {
-                    *start = start::nearest(diagram, centroid, *start);
-                    unlisted += 1;
-                }
+            if surface.skips(facet as usize) {
+                lists.push([]);
+                continue;
             }
-            lists.push(list);
+            let [a, b, c] = surface.facets()[facet as usize];
+            let positions = surface.positions();
+            let corner = [positions[a as usize], positions[b as usize], positions[c as usize]];
+            let (nearest, few) = walkers.gatherer.gather(diagram, slack, &corner, surface.centroid(facet), *start);
+            *start = nearest;
+            unlisted += u64::from(!few);
+            lists.push(walkers.gatherer.list().iter().copied().take(if few { usize::MAX } else { 0 }));
         }
-        self.sum_listed(walkers, diagram, first, lists, starts, capacities);
+        let mut of_chunk = &lists;
+        if slack.share > 0.0 {
+            let listed = Listed { diagram, first, starts, lists: &lists, capacities };
+            Arch::new().dispatch(Thin { walkers, listed, slack, out: kept });
+            of_chunk = kept;
+        }
+        self.sum_listed(walkers, diagram, first, of_chunk, starts, capacities);
         self.unlisted = unlisted;
-        walkers.lists = own;
+        walkers.lists = lists;
     }
 
     /// The same from lists that hold.
@@ -216,9 +268,10 @@ impl Chunk {
 
     /// Gives every facet with a usable number of members room for their integrals; the others are to be walked.
     fn make_room(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { members, begin, to_walk, .. } = walkers;
+        let Walkers { members, begin, to_walk, to_clip, .. } = walkers;
         begin.clear();
         to_walk.clear();
+        to_clip.clear();
         let mut end = 0;
         for (at, members) in members.iter_mut().enumerate() {
             begin.push(end);
@@ -238,7 +291,7 @@ impl Chunk {
     /// Divides all facets with members among them.
     #[inline(always)]
     fn divide<S: Simd, const N: usize>(&mut self, simd: S, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { facets, found, groups, members, begin, to_walk, .. } = walkers;
+        let Walkers { facets, found, groups, members, begin, to_walk, to_clip, .. } = walkers;
         let Listed { diagram, first, lists, .. } = listed;
         groups.sort(MEMBERS, members.iter().map(|m| m.count_ones() as usize));
         let mut weight = [Row([1.0; WIDEST]); 3];
@@ -254,12 +307,23 @@ impl Chunk {
                         }
                     }
                     let list = lists.get(at as usize);
+                    let mut seeds = [0; MEMBERS];
                     let mut left = members[at as usize];
                     for k in 0..n {
                         let seed = list[left.trailing_zeros() as usize];
                         left &= left - 1;
+                        // In the order of their numbers, in which kept lists are already.
+                        let mut k = k;
+                        while k > 0 && seeds[k - 1] > seed {
+                            seeds[k] = seeds[k - 1];
+                            k -= 1;
+                        }
+                        seeds[k] = seed;
+                    }
+                    let slots = &mut self.integrals[begin[at as usize] as usize..][..n];
+                    for (k, (slot, &seed)) in slots.iter_mut().zip(&seeds).enumerate() {
+                        slot.0 = seed;
                         facets.set_seed(lane, k, diagram.seeds[seed as usize]);
-                        self.integrals[begin[at as usize] as usize + k].0 = seed;
                     }
                 }
                 facets.divide::<S, N>(simd, n, &weight, found);
@@ -270,8 +334,9 @@ impl Chunk {
                         to_walk.push(at);
                         continue;
                     }
-                    for (slot, piece) in slots.iter_mut().zip(&found.pieces) {
+                    for (k, (slot, piece)) in slots.iter_mut().zip(&found.pieces).enumerate() {
                         match piece.get(lane) {
+                            Some(_) if piece.is_small(lane) => to_clip.push((at, begin[at as usize] as usize + k)),
                             Some(integrals) => {
                                 slot.1 = integrals;
                                 self.stats.pairs += 1;
@@ -284,11 +349,21 @@ impl Chunk {
         }
     }
 
-    /// Walks the facets that are left.
+    /// Clips the pieces and walks the facets that are left.
     fn walk(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { walker, to_walk, begin, .. } = walkers;
+        let Walkers { walker, to_walk, to_clip, begin, .. } = walkers;
         let Listed { diagram, first, starts, lists, capacities } = listed;
-        let Self { walked, inserts, stats, .. } = self;
+        let Self { integrals, walked, inserts, stats, .. } = self;
+        for &(at, slot) in &*to_clip {
+            let (seed, sum) = &mut integrals[slot];
+            walker.clip_listed(lists.get(at as usize), diagram, first + at, *seed, capacities, stats);
+            if walker.clipper().polygon().is_empty() {
+                *seed = NONE;
+            } else {
+                *sum = walker.clipper().integrals();
+                stats.pairs += 1;
+            }
+        }
         to_walk.sort_unstable();
         for &at in &*to_walk {
             let (facet, at) = (first + at, at as usize);

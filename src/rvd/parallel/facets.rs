@@ -22,14 +22,14 @@ use glam::DVec3;
 /// left to the walk beyond: two bisectors are nearly parallel there, one facet in some thousand.
 const MAX_SLIP: f64 = 1e-10;
 
-/// A facet with a piece of less than this share is left to the walk: the piece's integrals, sums of terms as large as
+/// A piece of less than this share of its facet is left to the clip: its integrals, sums of terms as large as
 /// the facet's, would keep nine digits at most, and some cell may have nothing else.
 const LEAST_SHARE: f64 = 1e-6;
 
 /// Members that a facet may have; one with more is walked.
-pub(super) const MEMBERS: usize = 12;
+pub(super) const MEMBERS: usize = 24;
 /// Seeds that a list may have; a facet with more is walked.
-pub(super) const LISTED: usize = 24;
+pub(super) const LISTED: usize = 32;
 
 /// A squared distance is off by at most this share of it: three roundings of a coordinate's square, the first of which
 /// counts twice, and two of the sum.
@@ -41,8 +41,12 @@ pub(super) struct Facets {
     corner: [[Row; 3]; 3],
     /// Of each seed, coordinate by coordinate.
     seed: [[Row; 3]; LISTED],
+    /// How far each seed may move.
+    slack: [Row; LISTED],
     /// Squared distances of each seed from the corners.
     squared: [[Row; 3]; LISTED],
+    /// The least distances that each seed may have to the corners.
+    least: [[Row; 3]; LISTED],
     /// The parts of the edges from the second corner to the third that lie in the members' cells.
     low: [Row; MEMBERS],
     high: [Row; MEMBERS],
@@ -57,7 +61,9 @@ impl Default for Facets {
         Self {
             corner: [[row; 3]; 3],
             seed: [[row; 3]; LISTED],
+            slack: [row; LISTED],
             squared: [[row; 3]; LISTED],
+            least: [[row; 3]; LISTED],
             low: [row; MEMBERS],
             high: [row; MEMBERS],
             there: [row; MEMBERS],
@@ -82,16 +88,25 @@ pub(super) struct Found {
     pub pieces: [PieceRows; MEMBERS],
 }
 
+/// What stands for a piece that is there, but of less than [`LEAST_SHARE`].
+const SMALL: f64 = 2.0;
+
 /// One member's pieces.
 #[derive(Clone, Copy, Default)]
 pub(super) struct PieceRows {
-    /// 1 where it is there.
-    pub there: Row,
+    /// 1 where it is there, and [`SMALL`].
+    there: Row,
     /// Mass, moment, energy, area.
-    pub values: [Row; 6],
+    values: [Row; 6],
 }
 
 impl PieceRows {
+    /// Whether there is a piece in one lane that is too small for [`Self::get`].
+    #[inline(always)]
+    pub(super) fn is_small(&self, lane: usize) -> bool {
+        self.there.0[lane] == SMALL
+    }
+
     /// The integrals in one lane, if there is a piece.
     #[inline(always)]
     pub(super) fn get(&self, lane: usize) -> Option<Integrals> {
@@ -131,11 +146,17 @@ impl Facets {
         (seed[0].0[lane], seed[1].0[lane], seed[2].0[lane]) = (p.x, p.y, p.z);
     }
 
+    /// Sets how far a lane's k-th seed may move.
+    #[inline(always)]
+    pub(super) fn set_slack(&mut self, lane: usize, k: usize, slack: f64) {
+        self.slack[k].0[lane % WIDEST] = slack;
+    }
+
     /// The squared distances of the first `n` seeds.
     #[inline(always)]
     fn measure<S: Simd>(&mut self, simd: S, n: usize) {
         for c in 0..3 {
-            let [x, y, z] = [0, 1, 2].map(|axis| Number::load(simd, &self.corner[c][axis]));
+            let [x, y, z] = load(simd, &self.corner[c]);
             for k in 0..n {
                 let [dx, dy, dz] = [
                     Number::load(simd, &self.seed[k][0]) - x,
@@ -151,28 +172,47 @@ impl Facets {
     #[inline(always)]
     pub(super) fn choose<S: Simd>(&mut self, simd: S, n: usize) -> [u32; WIDEST] {
         self.measure(simd, n);
-        let room = Number::all(simd, 1.0 + 4.0 * ERROR);
-        let squared = |k: usize, c: usize| Number::load(simd, &self.squared[k][c]);
+        // A seed beats another one by more than roundings.
+        let room = Number::all(simd, 1.0 - 4.0 * ERROR);
+        for k in 0..n {
+            for c in 0..3 {
+                (Number::load(simd, &self.squared[k][c]) * room).store(&mut self.least[k][c]);
+            }
+        }
+        self.unbeaten(simd, n)
+    }
+
+    /// The same, whatever way any two of them move within their slacks.
+    #[inline(always)]
+    pub(super) fn choose_with_slack<S: Simd>(&mut self, simd: S, n: usize) -> [u32; WIDEST] {
+        self.measure(simd, n);
+        let room = Number::all(simd, 1.0 - 4.0 * ERROR);
+        for k in 0..n {
+            let slack = Number::load(simd, &self.slack[k]);
+            for c in 0..3 {
+                let distance = Number::load(simd, &self.squared[k][c]).sqrt();
+                ((distance - slack) * room).store(&mut self.least[k][c]);
+                (distance + slack).store(&mut self.squared[k][c]);
+            }
+        }
+        self.unbeaten(simd, n)
+    }
+
+    #[inline(always)]
+    fn unbeaten<S: Simd>(&mut self, simd: S, n: usize) -> [u32; WIDEST] {
         let mut bits = Number::all(simd, 0.0);
         for a in 0..n {
-            let [x, y, z] = [squared(a, 0), squared(a, 1), squared(a, 2)];
+            let [x, y, z] = load(simd, &self.least[a]);
             let mut beaten = Mask::none(simd);
             for b in 0..n {
-                // Nobody beats itself, with room.
-                let [by_x, by_y, by_z] = [squared(b, 0) * room, squared(b, 1) * room, squared(b, 2) * room];
+                let [by_x, by_y, by_z] = load(simd, &self.squared[b]);
                 beaten = beaten | (by_x.below(x) & by_y.below(y) & by_z.below(z));
             }
-            bits = bits + beaten.choose(Number::all(simd, 0.0), Number::all(simd, f64::from(1 << a)));
+            bits = bits + beaten.choose(Number::all(simd, 0.0), Number::all(simd, f64::from(1u32 << a)));
         }
         let mut row = Row::default();
         bits.store(&mut row);
         row.0.map(|bits| bits as u32)
-    }
-
-    #[inline(always)]
-    fn at<S: Simd>(&self, simd: S, member: usize) -> [Number<S>; 3] {
-        let [x, y, z] = &self.squared[member];
-        [Number::load(simd, x), Number::load(simd, y), Number::load(simd, z)]
     }
 
     /// Divides facets of `n` members among them. `weight` holds the weights at the corners where they are not 1.
@@ -186,14 +226,12 @@ impl Facets {
     ) {
         self.measure(simd, n);
         let (zero, one) = (Number::all(simd, 0.0), Number::all(simd, 1.0));
-        let corner = |c: usize| [0, 1, 2].map(|axis| Number::load(simd, &self.corner[c][axis]));
-        let first = corner(0);
-        let side = [corner(1), corner(2)].map(|p| [p[0] - first[0], p[1] - first[1], p[2] - first[2]]);
-        let [e, f] = side;
+        let first = load(simd, &self.corner[0]);
+        let (e, f) = (minus(load(simd, &self.corner[1]), first), minus(load(simd, &self.corner[2]), first));
         let cross = [e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]];
         let twice_area = (cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]).sqrt();
         let longest2 = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]).larger(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]);
-        let shape = Shape { side, twice_area, weight: [0, 1, 2].map(|c| Number::load(simd, &weight[c])) };
+        let shape = Shape { side: [e, f], twice_area, weight: load(simd, weight) };
         for k in 0..n {
             zero.store(&mut self.low[k]);
             one.store(&mut self.high[k]);
@@ -215,19 +253,20 @@ impl Facets {
             let (low, high) = (Number::load(simd, &self.low[k]), Number::load(simd, &self.high[k]));
             let some = low.below(high);
             unsure = unsure | (high - low).abs().at_most(four_slips);
-            let [low, high] = [low, high].map(|t| some.choose(t, zero));
+            let (low, high) = (some.choose(low, zero), some.choose(high, zero));
             let segment = moments::of::<S, N>(simd, [one - low, low], [one - high, high]);
             let moments = &mut self.moments[k];
             moments::add(simd, moments, segment);
             let there = some | zero.below(Number::load(simd, &self.there[k]));
-            unsure = unsure | (there & Number::load(simd, &moments[0]).below(Number::all(simd, LEAST_SHARE)));
+            let small = Number::load(simd, &moments[0]).below(Number::all(simd, LEAST_SHARE));
             let piece = &mut found.pieces[k];
-            there.choose(one, zero).store(&mut piece.there);
-            let origin = [0, 1, 2].map(|axis| first[axis] - Number::load(simd, &self.seed[k][axis]));
+            there.choose(small.choose(Number::all(simd, SMALL), one), zero).store(&mut piece.there);
+            let origin = minus(first, load(simd, &self.seed[k]));
             let PieceIntegrals { mass, moment: [x, y, z], energy, area } =
                 moments::integrals::<S, N>(simd, moments, &shape, origin);
-            for (value, row) in [mass, x, y, z, energy, area].into_iter().zip(&mut piece.values) {
-                value.store(row);
+            let values = [mass, x, y, z, energy, area];
+            for v in 0..values.len() {
+                values[v].store(&mut piece.values[v]);
             }
         }
         unsure.choose(one, zero).store(&mut found.unsure);
@@ -237,7 +276,7 @@ impl Facets {
     fn bounds<S: Simd>(&self, simd: S, n: usize, longest2: Number<S>) -> Bounds<S> {
         let (mut most, mut nearest) = (Number::all(simd, 0.0), Number::all(simd, f64::MAX));
         for k in 0..n {
-            let [x, y, z] = self.at(simd, k);
+            let [x, y, z] = load(simd, &self.squared[k]);
             let farthest = x.larger(y).larger(z);
             most = most.larger(farthest);
             nearest = nearest.smaller(farthest);
@@ -260,9 +299,9 @@ impl Facets {
         bounds: Bounds<S>,
     ) -> Mask<S> {
         let (zero, one) = (Number::all(simd, 0.0), Number::all(simd, 1.0));
-        let mine = self.at(simd, i);
-        let other = self.at(simd, j);
-        let d = [other[0] - mine[0], other[1] - mine[1], other[2] - mine[2]];
+        let mine = load(simd, &self.squared[i]);
+        let other = load(simd, &self.squared[j]);
+        let d = minus(other, mine);
         let inside = [zero.below(d[0]), zero.below(d[1]), zero.below(d[2])];
         let mut unsure =
             d[0].abs().at_most(bounds.value) | d[1].abs().at_most(bounds.value) | d[2].abs().at_most(bounds.value);
@@ -273,23 +312,25 @@ impl Facets {
         if !crossed.any() {
             return unsure;
         }
-        let (at_2, at_1) = (!alone[2], !alone[1]);
-        let pick = |values: [Number<S>; 3]| at_2.choose(values[2], at_1.choose(values[1], values[0]));
-        let (c, a, b) = (pick(d), pick([d[1], d[2], d[0]]), pick([d[2], d[0], d[1]]));
+        let at = [!alone[1], !alone[2]];
+        let (c, a, b) = (pick(at, d), pick(at, [d[1], d[2], d[0]]), pick(at, [d[2], d[0], d[1]]));
         let (to_a, to_b) = (one / (c - a), one / (c - b));
         let (xa, xb) = (c * to_a, c * to_b);
         let twice = bounds.value + bounds.value;
         let (slip_a, slip_b) = ((twice * to_a).abs(), (twice * to_b).abs());
         // The barycentric coordinates of both ends, of which the one across is none.
         let (rest_a, rest_b) = (one - xa, one - xb);
-        let from = [pick([rest_a, zero, xa]), pick([xa, rest_a, zero]), pick([zero, xa, rest_a])];
-        let to = [pick([rest_b, xb, zero]), pick([zero, rest_b, xb]), pick([xb, zero, rest_b])];
+        let from = [pick(at, [rest_a, zero, xa]), pick(at, [xa, rest_a, zero]), pick(at, [zero, xa, rest_a])];
+        let to = [pick(at, [rest_b, xb, zero]), pick(at, [zero, rest_b, xb]), pick(at, [xb, zero, rest_b])];
         let (mut low, mut high) = (zero, one);
-        let (mut close, mut taken) = (slip_a.larger(slip_b), Mask::none(simd));
-        let mut near = bounds.slip.below(close);
-        for k in (0..n).filter(|&k| k != i && k != j) {
-            let third = self.at(simd, k);
-            let g = [third[0] - mine[0], third[1] - mine[1], third[2] - mine[2]];
+        let mut taken = Mask::none(simd);
+        let mut near = bounds.slip.below(slip_a.larger(slip_b));
+        for k in 0..n {
+            if k == i || k == j {
+                continue;
+            }
+            let third = load(simd, &self.squared[k]);
+            let g = minus(third, mine);
             let ga = from[0] * g[0] + from[1] * g[1] + from[2] * g[2];
             let gb = to[0] * g[0] + to[1] * g[1] + to[2] * g[2];
             // What a slip along an edge changes, at most.
@@ -306,17 +347,16 @@ impl Facets {
             high = (cuts & out_b & t.below(high)).choose(t, high);
         }
         let left = crossed & !taken;
-        close = (high - low).abs();
-        near = near | close.at_most(Number::all(simd, 4.0) * bounds.slip);
+        near = near | (high - low).abs().at_most(Number::all(simd, 4.0) * bounds.slip);
         let some = left & low.below(high);
         if some.any() {
             let (du, dv) = (to[1] - from[1], to[2] - from[2]);
-            let start = [from[1] + low * du, from[2] + low * dv].map(|x| some.choose(x, zero));
-            let end = [from[1] + high * du, from[2] + high * dv].map(|x| some.choose(x, zero));
             // Around corner c, and so around its piece, the segment runs from a's side to b's.
             let along = zero.below(c);
-            let [p, q] = [[start[0], end[0]], [start[1], end[1]]].map(|[s, e]| [along.choose(s, e), along.choose(e, s)]);
-            let segment = moments::of::<S, N>(simd, [p[0], q[0]], [p[1], q[1]]);
+            let (begin, end) = (along.choose(low, high), along.choose(high, low));
+            let begin = [some.choose(from[1] + begin * du, zero), some.choose(from[2] + begin * dv, zero)];
+            let end = [some.choose(from[1] + end * du, zero), some.choose(from[2] + end * dv, zero)];
+            let segment = moments::of::<S, N>(simd, begin, end);
             moments::add(simd, &mut self.moments[i], segment);
             moments::take(simd, &mut self.moments[j], segment);
             for k in [i, j] {
@@ -341,15 +381,29 @@ impl Facets {
         let (first, last) = (zero.below(d), zero.below(e));
         let run = d - e;
         let t = d / run;
-        let mut part = |k: usize, first: Mask<S>, last: Mask<S>| {
+        for (k, first, last) in [(i, first, last), (j, !first, !last)] {
             let begin = first.choose(zero, last.choose(t, nothing));
             let end = last.choose(one, first.choose(t, one));
             let (low, high) = (Number::load(simd, &self.low[k]), Number::load(simd, &self.high[k]));
             low.below(begin).choose(begin, low).store(&mut self.low[k]);
             end.below(high).choose(end, high).store(&mut self.high[k]);
-        };
-        part(i, first, last);
-        part(j, !first, !last);
+        }
         (first ^ last) & (bounds.slip * run.abs()).below(bounds.value + bounds.value)
     }
+}
+
+#[inline(always)]
+fn load<S: Simd>(simd: S, [x, y, z]: &[Row; 3]) -> [Number<S>; 3] {
+    [Number::load(simd, x), Number::load(simd, y), Number::load(simd, z)]
+}
+
+#[inline(always)]
+fn minus<S: Simd>(a: [Number<S>; 3], b: [Number<S>; 3]) -> [Number<S>; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// The second or the third value where `at` says so, or else the first.
+#[inline(always)]
+fn pick<S: Simd>(at: [Mask<S>; 2], values: [Number<S>; 3]) -> Number<S> {
+    at[1].choose(values[2], at[0].choose(values[1], values[0]))
 }

@@ -42,9 +42,15 @@ impl Lists {
         self.seeds.clear();
     }
 
-    pub(super) fn push(&mut self, list: &[u32]) {
-        self.seeds.extend_from_slice(list);
+    pub(super) fn push(&mut self, list: impl IntoIterator<Item = u32>) {
+        self.seeds.extend(list);
         self.ends.push(self.seeds.len() as u32);
+    }
+
+    /// The list that was pushed last.
+    pub(super) fn last_mut(&mut self) -> &mut [u32] {
+        let begin = self.ends.len().checked_sub(2).map_or(0, |before| self.ends[before]);
+        &mut self.seeds[begin as usize..]
     }
 
     /// The list of the facet at `at` of the chunk.

@@ -45,16 +45,16 @@ pub(super) fn of<S: Simd, const N: usize>(simd: S, [a, b]: Place<S>, [c, d]: Pla
 /// Adds to a piece's moments.
 #[inline(always)]
 pub(super) fn add<S: Simd, const N: usize>(simd: S, sum: &mut Moments, more: [Number<S>; N]) {
-    for (sum, more) in sum.iter_mut().zip(more) {
-        (Number::load(simd, sum) + more).store(sum);
+    for m in 0..N {
+        (Number::load(simd, &sum[m]) + more[m]).store(&mut sum[m]);
     }
 }
 
 /// Takes from a piece's moments.
 #[inline(always)]
 pub(super) fn take<S: Simd, const N: usize>(simd: S, sum: &mut Moments, less: [Number<S>; N]) {
-    for (sum, less) in sum.iter_mut().zip(less) {
-        (Number::load(simd, sum) - less).store(sum);
+    for m in 0..N {
+        (Number::load(simd, &sum[m]) - less[m]).store(&mut sum[m]);
     }
 }
 
@@ -88,36 +88,51 @@ pub(super) fn integrals<S: Simd, const N: usize>(
     shape: &Shape<S>,
     origin: [Number<S>; 3],
 ) -> PieceIntegrals<S> {
-    let m = |k: usize, by: f64| Number::load(simd, &moments[k]) * Number::all(simd, 1.0 / by);
-    let (one, u, v) = (m(0, 2.0), m(1, 6.0), m(2, 6.0));
-    let (uu, uv, vv) = (m(3, 12.0), m(4, 12.0), m(5, 12.0));
+    let (one, u, v) = (part(simd, moments, 0, 2.0), part(simd, moments, 1, 6.0), part(simd, moments, 2, 6.0));
+    let (uu, uv, vv) = (part(simd, moments, 3, 12.0), part(simd, moments, 4, 12.0), part(simd, moments, 5, 12.0));
+    let area = shape.twice_area * one;
+    if N == UNIFORM {
+        let (moment, energy) = about(simd, shape, origin, [one, u, v, uu, uv, vv]);
+        return PieceIntegrals { mass: area, moment, energy, area };
+    }
+    let (uuu, uuv) = (part(simd, moments, 6, 20.0), part(simd, moments, 7, 60.0));
+    let (uvv, vvv) = (part(simd, moments, 8, 60.0), part(simd, moments, 9, 20.0));
+    let w = shape.weight;
+    let (mass, mu, mv) = (weighted(w, one, u, v), weighted(w, u, uu, uv), weighted(w, v, uv, vv));
+    let (muu, muv, mvv) = (weighted(w, uu, uuu, uuv), weighted(w, uv, uuv, uvv), weighted(w, vv, uvv, vvv));
+    let (moment, energy) = about(simd, shape, origin, [mass, mu, mv, muu, muv, mvv]);
+    PieceIntegrals { mass: shape.twice_area * mass, moment, energy, area }
+}
+
+#[inline(always)]
+fn part<S: Simd>(simd: S, moments: &Moments, k: usize, by: f64) -> Number<S> {
+    Number::load(simd, &moments[k]) / Number::all(simd, by)
+}
+
+/// From the integral of a function, and of it times u and v, that of the function times a weight.
+#[inline(always)]
+fn weighted<S: Simd>(w: [Number<S>; 3], one: Number<S>, u: Number<S>, v: Number<S>) -> Number<S> {
+    w[0] * one + (w[1] - w[0]) * u + (w[2] - w[0]) * v
+}
+
+/// ∫ (p - x) and ∫ |p - x|² from the integrals of 1, u, v, u², uv, v².
+#[inline(always)]
+fn about<S: Simd>(
+    simd: S,
+    shape: &Shape<S>,
+    origin: [Number<S>; 3],
+    [one, u, v, uu, uv, vv]: [Number<S>; 6],
+) -> ([Number<S>; 3], Number<S>) {
     let [e, f] = shape.side;
     let two = Number::all(simd, 2.0);
-    let squares = |one, u, v, uu, uv, vv| {
-        dot(origin, origin) * one
-            + two * (dot(origin, e) * u + dot(origin, f) * v + dot(e, f) * uv)
-            + dot(e, e) * uu
-            + dot(f, f) * vv
-    };
-    let area = shape.twice_area * one;
-    let first = |one, u, v| {
-        let along = |c: usize| shape.twice_area * (one * origin[c] + u * e[c] + v * f[c]);
-        [along(0), along(1), along(2)]
-    };
-    if N == UNIFORM {
-        let energy = shape.twice_area * squares(one, u, v, uu, uv, vv);
-        return PieceIntegrals { mass: area, moment: first(one, u, v), energy, area };
-    }
-    let (uuu, uuv, uvv, vvv) = (m(6, 20.0), m(7, 60.0), m(8, 60.0), m(9, 20.0));
-    let w = shape.weight;
-    let (wu, wv) = (w[1] - w[0], w[2] - w[0]);
-    let by = |one, u, v| w[0] * one + wu * u + wv * v;
-    let (mass, mu, mv) = (by(one, u, v), by(u, uu, uv), by(v, uv, vv));
-    let (muu, muv, mvv) = (by(uu, uuu, uuv), by(uv, uuv, uvv), by(vv, uvv, vvv));
-    PieceIntegrals {
-        mass: shape.twice_area * mass,
-        moment: first(mass, mu, mv),
-        energy: shape.twice_area * squares(mass, mu, mv, muu, muv, mvv),
-        area,
-    }
+    let squares = dot(origin, origin) * one
+        + two * (dot(origin, e) * u + dot(origin, f) * v + dot(e, f) * uv)
+        + dot(e, e) * uu
+        + dot(f, f) * vv;
+    let moment = [
+        shape.twice_area * (one * origin[0] + u * e[0] + v * f[0]),
+        shape.twice_area * (one * origin[1] + u * e[1] + v * f[1]),
+        shape.twice_area * (one * origin[2] + u * e[2] + v * f[2]),
+    ];
+    (moment, shape.twice_area * squares)
 }
