@@ -98,8 +98,8 @@ pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
     if let [uniform, other] = &measured[..] {
         for (name, of) in [("lloyd", Measured::lloyd as fn(&Measured) -> &Timed), ("lbfgs", Measured::lbfgs)] {
             let (a, b) = (of(other), of(uniform));
-            let step = ratio(a.step_ms().median, b.step_ms().median);
-            let evaluation = ratio(a.evaluation_ms().median, b.evaluation_ms().median);
+            let step = ratio(a.step_ms().mean, b.step_ms().mean);
+            let evaluation = ratio(a.evaluation_ms().mean, b.evaluation_ms().mean);
             let text = |r: Option<f64>| r.map_or("-".to_owned(), |r| format!("{r:.2}"));
             println!("{} : uniform, {name}: step {}, evaluation {}", other.load.density, text(step), text(evaluation));
             adaptive.insert(name.to_owned(), json!({ "iteration": step, "evaluation": evaluation }));
@@ -123,7 +123,7 @@ impl Measured {
     }
 
     fn evaluation_ratio(&self) -> Option<f64> {
-        ratio(self.lbfgs.evaluation_ms().median, self.lloyd.evaluation_ms().median)
+        ratio(self.lbfgs.evaluation_ms().mean, self.lloyd.evaluation_ms().mean)
     }
 
     fn print(&self, worker: &Worker) {

@@ -75,7 +75,7 @@ struct Sweep {
     /// "points" or "facets".
     over: &'static str,
     title: String,
-    /// By worker: (count, median milliseconds).
+    /// By worker: (count, mean milliseconds).
     lines: Vec<Vec<(f64, f64)>>,
     cases: Vec<Value>,
     left_out: Vec<Value>,
@@ -139,7 +139,7 @@ impl Runner<'_> {
         let mut lines = vec![Vec::new(); workers.len()];
         let (mut cases, mut left_out) = (Vec::new(), Vec::new());
         let mut able = vec![true; workers.len()];
-        println!("{title}: milliseconds per Lloyd step, medians");
+        println!("{title}: milliseconds per Lloyd step, means");
         let heads: String = workers.iter().map(|w| format!("{:>14}", w.name())).collect();
         println!("{over:<12}{heads}");
         for &n in counts {
@@ -161,7 +161,7 @@ impl Runner<'_> {
                 }
                 let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, limit, self.cancel)?;
                 able[k] = !timed.cut;
-                let ms = timed.step_ms().median;
+                let ms = timed.step_ms().mean;
                 line += &format!("{ms:>14.3}");
                 lines[k].push((count as f64, ms));
                 let mut case = timed.json(&load, worker);

@@ -59,7 +59,7 @@ pub(super) fn run(args: &Fig4Args) -> Result<()> {
     let mut workers = Worker::all(&args.backend)?;
     workers.iter_mut().try_for_each(Worker::keep_time)?;
     workers.iter().for_each(|worker| println!("{}", worker.describe()));
-    println!("{title}, seconds; milliseconds per step, medians");
+    println!("{title}, seconds; milliseconds per step, means");
     let heads: String = workers.iter().map(|w| format!("{:>12} s{:>9} ms", w.name(), "")).collect();
     println!("{:<10}{heads}", "points");
     let mut lines = vec![Vec::new(); workers.len()];
@@ -73,7 +73,7 @@ pub(super) fn run(args: &Fig4Args) -> Result<()> {
                 load.relax(worker, args.relax as usize, Duration::MAX, &cancel)?;
             }
             let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, Duration::MAX, &cancel)?;
-            line += &format!("{:>14.3}{:>12.3}", timed.total_ms / 1e3, timed.step_ms().median);
+            line += &format!("{:>14.3}{:>12.3}", timed.total_ms / 1e3, timed.step_ms().mean);
             lines[k].push((f64::from(points), timed.total_ms / 1e3));
             cases.push(timed.json(&load, worker));
         }

@@ -272,7 +272,7 @@ impl Timed {
             ("lloyd_fallbacks", json!(self.fallbacks())),
             ("total_ms", json!(self.total_ms)),
             ("energy_ratio", json!(self.energy_ratio)),
-            ("phases_ms", by_phase(&|s| json!(s.median))),
+            ("phases_ms", by_phase(&|s| json!(s.mean))),
             ("phases_spread_ms", by_phase(&Spread::json)),
             ("phases_by", json!(by.phases_by())),
             ("pairs", json!(sum(|s| s.stats.pairs) / self.evaluations().max(1) as u64)),

@@ -269,7 +269,7 @@ impl Case {
                 Accumulate::Auto => "auto",
             },
             "iteration_ms": Spread::of(self.steps.iter().map(|s| s.ms)).json(),
-            "phases_ms": by(&|s| json!(s.median)),
+            "phases_ms": by(&|s| json!(s.mean)),
             "phases_spread_ms": by(&Spread::json),
             "pairs": total.pairs / self.steps.len().max(1) as u64,
             "relaunched_pairs": total.relaunched(),

@@ -96,7 +96,7 @@ pub(super) fn run(args: &Table1Args) -> Result<()> {
     let mut workers = Worker::all(&args.backend)?;
     workers.iter_mut().try_for_each(Worker::keep_time)?;
     workers.iter().for_each(|worker| println!("{}", worker.describe()));
-    println!("milliseconds per Lloyd step, {} after {}; medians", args.iterations, args.relax);
+    println!("milliseconds per Lloyd step, {} after {}; means", args.iterations, args.relax);
     println!("{}", head_line());
     let mut rows: Vec<Row> = Vec::new();
     for model in &models {
@@ -167,7 +167,7 @@ fn number(value: Option<f64>, digits: usize) -> String {
 
 impl Row {
     fn ms(&self, backend: &str) -> Option<f64> {
-        self.times.iter().find(|(name, _)| *name == backend).map(|(_, timed)| timed.step_ms().median)
+        self.times.iter().find(|(name, _)| *name == backend).map(|(_, timed)| timed.step_ms().mean)
     }
 
     /// How much longer one core and all cores take than the GPU.

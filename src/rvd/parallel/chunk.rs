@@ -203,7 +203,6 @@ impl WithSimd for Thin<'_> {
 
 impl Chunk {
     fn begin(&mut self) {
-        self.integrals.clear();
         self.walked.clear();
         self.inserts.clear();
         self.pieces.clear();
@@ -285,6 +284,7 @@ impl Chunk {
                 to_walk.push(at as u32);
             }
         }
+        // Each gets its value, so that what is there from an earlier wave may stay until then.
         self.integrals.resize(end as usize, (NONE, Integrals::default()));
     }
 

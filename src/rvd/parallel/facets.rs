@@ -217,13 +217,7 @@ impl Facets {
 
     /// Divides facets of `n` members among them. `weight` holds the weights at the corners where they are not 1.
     #[inline(always)]
-    pub(super) fn divide<S: Simd, const N: usize>(
-        &mut self,
-        simd: S,
-        n: usize,
-        weight: &[Row; 3],
-        found: &mut Found,
-    ) {
+    pub(super) fn divide<S: Simd, const N: usize>(&mut self, simd: S, n: usize, weight: &[Row; 3], found: &mut Found) {
         self.measure(simd, n);
         let (zero, one) = (Number::all(simd, 0.0), Number::all(simd, 1.0));
         let first = load(simd, &self.corner[0]);

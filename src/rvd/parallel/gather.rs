@@ -85,11 +85,8 @@ impl Gatherer {
         let nearest = start::nearest(diagram, centroid, start);
         let view = View::new(diagram, slack, corner, nearest);
         // Seeds beyond have a slack of at most the share of what their width can be there.
-        let reach = if slack.share > 0.0 {
-            2.0 * (view.radius + view.slack) / (1.0 - slack.share)
-        } else {
-            2.0 * view.radius
-        };
+        let reach =
+            if slack.share > 0.0 { 2.0 * (view.radius + view.slack) / (1.0 - slack.share) } else { 2.0 * view.radius };
         let reach2 = 0.25 * SECURITY * reach * reach;
         let (row, complete) = diagram.table.row(nearest);
         let beyond = |&&j: &&u32| diagram.seeds[j as usize].distance_squared(view.origin) > reach2;

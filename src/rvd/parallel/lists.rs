@@ -16,9 +16,9 @@ use crate::knn::NeighbourTable;
 /// A seed's slack is a share of the distance to this neighbour of it, which relaxed cells touch.
 const NEIGHBOUR: usize = 6;
 /// Lists are made for so many moves like the last one,
-const MOVES: f64 = 4.25;
+const MOVES: f64 = 6.25;
 /// with a share of at most this, as lists get longer with it, and of at least that.
-const MOST: f64 = 0.15;
+const MOST: f64 = 0.2;
 const LEAST: f64 = 0.03;
 /// They are not made where the last move says that they would not serve twice,
 const FAST: f64 = MOST / 2.0;
@@ -109,7 +109,9 @@ impl KeptLists {
         if self.last.len() != seeds.len() {
             return;
         }
-        let moved = |i: usize| if self.width[i] > 0.0 { self.last[i].distance(seeds[i]) / self.width[i] } else { f64::INFINITY };
+        let moved = |i: usize| {
+            if self.width[i] > 0.0 { self.last[i].distance(seeds[i]) / self.width[i] } else { f64::INFINITY }
+        };
         let moved = (0..seeds.len()).into_par_iter().with_min_len(CHUNK).map(moved).reduce(|| 0.0, f64::max);
         if moved <= FAST {
             self.share = (MOVES * moved).clamp(LEAST, MOST);
