@@ -135,10 +135,6 @@ impl ParallelSession {
             stats.neighbours_ms = self.refresh(cancel)?;
             stats.duplicate_seeds = self.index.duplicates() as u64;
             self.lists.choose(&self.seeds, &self.table);
-        } else if self.lists.lack_some() {
-            let begin = Instant::now();
-            self.index = SeedIndex::with_threads(&self.seeds, Threads::Pool);
-            stats.neighbours_ms = elapsed_ms(begin);
         }
         let size = self.chunk_size();
         let facets = 0..self.surface.facets().len() as u32;
@@ -178,7 +174,7 @@ impl ParallelSession {
             chunk::add_up(out, chunks);
             stats.update_ms += elapsed_ms(begin);
         }
-        self.lists.end_pass(&self.seeds, (!kept).then_some((unlisted, facets.len())));
+        self.lists.end_pass(&self.seeds, !kept && unlisted == 0);
         Ok(stats)
     }
 

@@ -247,6 +247,21 @@ fn reused(case: &Case, surface: &Arc<Surface>, parallel: &Parallel) -> Result<Ce
     Ok(sums)
 }
 
+/// The sums of a session whose seeds came nearer and nearer by steps of `by` and less, each in a direction of its own.
+fn moved(case: &Case, surface: &Arc<Surface>, parallel: &Parallel, by: f64) -> Result<CellSums, String> {
+    let text = |e: tessera::rvd::RvdError| format!("moved: {e}");
+    let mut session = parallel.session(Arc::clone(surface), SessionOptions::new(case.seeds.len())).map_err(text)?;
+    let mut sums = CellSums::default();
+    for left in [3.0, 2.0, 1.5, 1.25, 1.0, 0.5, 0.0] {
+        let away = |k: usize| dvec3((k as f64).sin(), (k as f64 * 1.7).cos(), (k as f64 * 2.3).sin());
+        let seeds: Vec<DVec3> = case.seeds.iter().enumerate().map(|(k, &p)| p + left * by * away(k)).collect();
+        let seeds: Vec<DVec3> = seeds.iter().map(|p| p.clamp(DVec3::splat(-1e6), DVec3::splat(1e6))).collect();
+        session.set_seeds(&seeds).map_err(text)?;
+        session.sums(&mut sums, &CancelFlag::default()).map_err(text)?;
+    }
+    Ok(sums)
+}
+
 /// Everything that must hold of a case on the CPU.
 ///
 /// # Errors
@@ -276,6 +291,9 @@ pub fn check(case: &Case, parallel: &Parallel) -> Result<(), String> {
     let fresh = everything(parallel, &surface, &case.seeds, Capacities::default())?;
     let again = reused(case, &surface, parallel)?;
     ensure!(again == fresh.0, "sums of a session that had other seeds before differ");
+    for by in [1e-2, 1e-4, 1e-9] {
+        ensure!(moved(case, &surface, parallel, by)? == fresh.0, "sums after moves by {by:e} differ");
+    }
     let seeds: Vec<DVec3> = case.seeds.iter().map(|&p| tessera::rvd::surface::snap(p)).collect();
     well_formed(&surface, &seeds, &want.1)?;
     tiles(&surface, &seeds, &want)?;

@@ -6,15 +6,16 @@
 //! processor's registers.
 //! Must not know: how tasks are shared out.
 
+use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::facets::{Facets, Found, LISTED, MEMBERS};
+use super::facets::{Facets, Found, LISTED, MEMBERS, beats};
 use super::gather::{Gatherer, Slack};
 use super::lanes::{Number, Row, WIDEST};
 use super::lists::Lists;
 use super::moments::{UNIFORM, WEIGHTED};
-use crate::rvd::clip::Integrals;
+use crate::rvd::clip::{Clipper, Integrals};
 use crate::rvd::incident::{Diagram, FacetWalker};
 use crate::rvd::{Capacities, CellSums, PassStats, PieceBatch, start};
 
@@ -29,7 +30,7 @@ pub(super) struct Chunk {
     inserts: Vec<Insert>,
     pub pieces: PieceBatch,
     pub stats: PassStats,
-    /// Facets that have no list.
+    /// Facets that have no list that could be kept.
     pub unlisted: u64,
 }
 
@@ -55,8 +56,42 @@ pub(super) struct Walkers {
     /// Where each facet's integrals begin.
     begin: Vec<u32>,
     to_walk: Vec<u32>,
+    among: Among,
     /// Pieces that are clipped alone: facet, and place among the integrals.
     to_clip: Vec<(u32, usize)>,
+}
+
+/// The members of one facet.
+#[derive(Default)]
+struct Among {
+    /// In the order of their numbers.
+    seeds: Vec<u32>,
+    squared: Vec<[f64; 3]>,
+}
+
+impl Among {
+    /// Those of a list; `members` says which, if it is not long.
+    fn set(&mut self, diagram: Diagram<'_>, facet: u32, list: &[u32], members: u32) {
+        self.seeds.clear();
+        if list.len() <= LISTED {
+            self.seeds.extend(list.iter().enumerate().filter(|(k, _)| members >> k & 1 != 0).map(|(_, &seed)| seed));
+        } else {
+            let corner = diagram.surface.facets()[facet as usize].map(|v| diagram.surface.positions()[v as usize]);
+            let squared = |&j: &u32| corner.map(|q| diagram.seeds[j as usize].distance_squared(q));
+            self.squared.clear();
+            self.squared.extend(list.iter().map(squared));
+            let beaten = |mine: [f64; 3]| self.squared.iter().any(|by| beats(*by, mine));
+            let left = list.iter().zip(&self.squared).filter(|(_, squared)| !beaten(**squared));
+            self.seeds.extend(left.map(|(&seed, _)| seed));
+        }
+        self.seeds.sort_unstable();
+    }
+
+    /// The one that is nearest to a point, the lowest of several.
+    fn nearest(&self, diagram: Diagram<'_>, p: DVec3) -> u32 {
+        let key = |i: u32| p.distance_squared(diagram.seeds[i as usize]);
+        self.seeds.iter().copied().min_by(|&a, &b| key(a).total_cmp(&key(b))).unwrap_or_default()
+    }
 }
 
 /// Facets by a small number.
@@ -233,10 +268,16 @@ impl Chunk {
             let [a, b, c] = surface.facets()[facet as usize];
             let positions = surface.positions();
             let corner = [positions[a as usize], positions[b as usize], positions[c as usize]];
-            let (nearest, few) = walkers.gatherer.gather(diagram, slack, &corner, surface.centroid(facet), *start);
+            let gatherer = &mut walkers.gatherer;
+            let centroid = surface.centroid(facet);
+            let (nearest, mut few) = gatherer.gather(diagram, slack, &corner, centroid, *start);
             *start = nearest;
-            unlisted += u64::from(!few);
-            lists.push(walkers.gatherer.list().iter().copied().take(if few { usize::MAX } else { 0 }));
+            if !few && slack.share > 0.0 {
+                // Whether there are too many does not depend on what was before.
+                unlisted += 1;
+                (_, few) = gatherer.gather(diagram, Slack::NONE, &corner, centroid, *start);
+            }
+            lists.push(gatherer.list().iter().copied().take(if few { usize::MAX } else { 0 }));
         }
         let mut of_chunk = &lists;
         if slack.share > 0.0 {
@@ -272,13 +313,10 @@ impl Chunk {
         to_walk.clear();
         to_clip.clear();
         let mut end = 0;
-        for (at, members) in members.iter_mut().enumerate() {
+        for (at, members) in members.iter().enumerate() {
             begin.push(end);
             let n = members.count_ones();
-            if n > MEMBERS as u32 {
-                *members = 0;
-            }
-            if *members != 0 {
+            if (1..=MEMBERS as u32).contains(&n) {
                 end += n;
             } else if !listed.diagram.surface.skips(listed.first as usize + at) {
                 to_walk.push(at as u32);
@@ -349,14 +387,16 @@ impl Chunk {
         }
     }
 
-    /// Clips the pieces and walks the facets that are left.
+    /// Clips the pieces and walks the facets that are left, among their members alone: what else a list holds would
+    /// change roundings.
     fn walk(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { walker, to_walk, to_clip, begin, .. } = walkers;
+        let Walkers { walker, to_walk, to_clip, begin, members, among, .. } = walkers;
         let Listed { diagram, first, starts, lists, capacities } = listed;
         let Self { integrals, walked, inserts, stats, .. } = self;
         for &(at, slot) in &*to_clip {
+            among.set(diagram, first + at, lists.get(at as usize), members[at as usize]);
             let (seed, sum) = &mut integrals[slot];
-            walker.clip_listed(lists.get(at as usize), diagram, first + at, *seed, capacities, stats);
+            walker.clip_listed(&among.seeds, diagram, first + at, *seed, capacities, stats);
             if walker.clipper().polygon().is_empty() {
                 *seed = NONE;
             } else {
@@ -369,14 +409,14 @@ impl Chunk {
             let (facet, at) = (first + at, at as usize);
             let list = lists.get(at);
             let centroid = diagram.surface.centroid(facet);
-            let visit = |i: u32, clipper: &crate::rvd::clip::Clipper| walked.push((i, clipper.integrals()));
+            let visit = |i: u32, clipper: &Clipper| walked.push((i, clipper.integrals()));
             if list.is_empty() {
                 let start = start::nearest(diagram, centroid, starts[at]);
                 walker.walk(diagram, facet, start, capacities, stats, visit);
             } else {
-                let key = |i: u32| centroid.distance_squared(diagram.seeds[i as usize]);
-                let nearest = list.iter().fold(list[0], |best, &i| if key(i) < key(best) { i } else { best });
-                walker.walk_listed(list, diagram, facet, nearest, capacities, stats, visit);
+                among.set(diagram, facet, list, members[at]);
+                let nearest = among.nearest(diagram, centroid);
+                walker.walk_listed(&among.seeds, diagram, facet, nearest, capacities, stats, visit);
             }
             inserts.push(Insert { before: begin[at] as usize, end: walked.len() });
         }

@@ -55,6 +55,12 @@ pub(super) struct Facets {
     moments: [Moments; MEMBERS],
 }
 
+/// Whether a seed with these squared distances from the corners is nearer to all of them than one with those, whatever
+/// way they are rounded: as [`Facets::choose`] says it.
+pub(super) fn beats(squared: [f64; 3], other: [f64; 3]) -> bool {
+    (0..3).all(|c| squared[c] < other[c] * (1.0 - 4.0 * ERROR))
+}
+
 impl Default for Facets {
     fn default() -> Self {
         let row = Row::default();

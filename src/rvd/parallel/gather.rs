@@ -34,6 +34,9 @@ pub(super) struct Slack<'a> {
 }
 
 impl Slack<'_> {
+    /// No seed moves.
+    pub(super) const NONE: Self = Self { share: 0.0, width: &[] };
+
     pub(super) fn of(&self, seed: u32) -> f64 {
         if self.share > 0.0 { self.share * self.width[seed as usize] } else { 0.0 }
     }

@@ -20,10 +20,8 @@ const MOVES: f64 = 6.25;
 /// with a share of at most this, as lists get longer with it, and of at least that.
 const MOST: f64 = 0.2;
 const LEAST: f64 = 0.03;
-/// They are not made where the last move says that they would not serve twice,
+/// They are not made where the last move says that they would not serve twice.
 const FAST: f64 = MOST / 2.0;
-/// and not kept where more facets than one in so many have none.
-const UNLISTED: usize = 64;
 /// Of its slack a seed may use so much, so that comparisons of distances are never near their roundings.
 const USED: f64 = 1.0 - 1e-6;
 /// Seeds per task.
@@ -67,8 +65,6 @@ pub(super) struct KeptLists {
     chunks: Vec<Lists>,
     /// Whether there are lists.
     there: bool,
-    /// Facets that have none.
-    unlisted: u64,
     share: f64,
     /// The distance to a neighbour, of each seed when rows were last made.
     width: Vec<f64>,
@@ -89,11 +85,6 @@ impl KeptLists {
             && self.made_at.len() == seeds.len()
             && seeds.iter().zip(&self.made_at).zip(&self.width).all(still)
             && self.close.iter().all(|&[i, j]| seeds[i as usize] != seeds[j as usize])
-    }
-
-    /// Whether some facets have none.
-    pub(super) fn lack_some(&self) -> bool {
-        self.unlisted > 0
     }
 
     /// Chooses the slack of lists that are to be made now, from the new rows of these seeds.
@@ -127,14 +118,11 @@ impl KeptLists {
         (Slack { share: self.share, width: &self.width }, &mut self.chunks)
     }
 
-    /// A pass over these seeds is done. If it made lists, so many facets of `facets` got none.
-    pub(super) fn end_pass(&mut self, seeds: &[DVec3], made: Option<(u64, usize)>) {
+    /// A pass over these seeds is done; whether it made a list for every facet.
+    pub(super) fn end_pass(&mut self, seeds: &[DVec3], made: bool) {
         self.last.clear();
         self.last.extend_from_slice(seeds);
-        if let Some((unlisted, facets)) = made {
-            self.unlisted = unlisted;
-            self.there = self.share > 0.0 && unlisted as usize <= facets / UNLISTED;
-        }
+        self.there |= made && self.share > 0.0;
     }
 
     /// Of two seeds that could meet, one is in the other's row before the neighbour that gives the width: slacks
