@@ -27,10 +27,17 @@ pub(super) struct Starts {
 }
 
 impl Starts {
-    /// Guesses for `facets`, to be made better: the last answers, or else [`Self::find`]'s.
+    /// Guesses for `facets`, to be made better: the last answers, or else seeds not far away.
     pub(super) fn guesses(&mut self, diagram: Diagram<'_>, facets: Range<u32>) -> &mut [u32] {
         if self.facets != facets || self.count != diagram.seeds.len() {
-            self.find(diagram, facets);
+            self.seeds.resize(facets.len(), 0);
+            self.seeds.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
+                for (k, start) in part.iter_mut().enumerate() {
+                    *start = diagram.index.near(diagram.surface.centroid(facets.start + (c * CHUNK + k) as u32));
+                }
+            });
+            self.facets = facets;
+            self.count = diagram.seeds.len();
         }
         &mut self.seeds
     }
