@@ -484,3 +484,71 @@ pub(super) fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
             }
         });
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::knn::{NeighbourTable, SeedIndex, Threads};
+    use crate::mesh::shapes::Shape;
+    use crate::rvd::Surface;
+
+    /// What a chunk of all facets finds with registers of one kind.
+    fn found<S: Simd>(simd: S, listed: Listed<'_>) -> Vec<(u32, Integrals)> {
+        let (mut chunk, mut walkers) = (Chunk::default(), Walkers::default());
+        chunk.begin();
+        simd.vectorize(Divide { chunk: &mut chunk, walkers: &mut walkers, listed });
+        chunk.walk(&mut walkers, listed);
+        let mut all = Vec::new();
+        chunk.each(|seed, sum| all.push((seed, *sum)));
+        all.retain(|(seed, _)| *seed != NONE);
+        all
+    }
+
+    #[test]
+    fn the_width_of_registers_changes_no_bit() {
+        let mesh = Shape::Torus.build(3000);
+        let weights: Vec<f64> = (0..mesh.positions().len()).map(|v| 0.25 + (v % 5) as f64).collect();
+        for weights in [None, Some(&weights[..])] {
+            let surface = Surface::new(&mesh, weights).unwrap();
+            // Some facets meet one cell, some many, and some corners are seeds, so that rounding could decide.
+            let seeds: Vec<DVec3> = (0..surface.facets().len() as u32)
+                .filter(|f| f % 3 == 0 || f % 400 < 100)
+                .map(|f| surface.centroid(f))
+                .chain(surface.positions().iter().copied().step_by(7))
+                .collect();
+            let index = SeedIndex::new(&seeds);
+            let mut table = NeighbourTable::default();
+            assert!(table.fill(&index, 24, Threads::One, &|| false));
+            let diagram = Diagram { surface: &surface, seeds: &seeds, index: &index, table: &table };
+            let (mut lists, mut gatherer) = (Lists::default(), Gatherer::default());
+            for facet in 0..surface.facets().len() as u32 {
+                let corner = surface.facets()[facet as usize].map(|v| surface.positions()[v as usize]);
+                let centroid = surface.centroid(facet);
+                let (_, few) = gatherer.gather(diagram, Slack::NONE, &corner, centroid, index.near(centroid));
+                assert!(few);
+                lists.push(gatherer.list().iter().copied());
+            }
+            let starts = vec![0; surface.facets().len()];
+            let listed =
+                Listed { diagram, first: 0, starts: &starts, lists: &lists, capacities: Capacities::default() };
+            let want = found(pulp::Scalar::new(), listed);
+            let area: f64 = want.iter().map(|(_, sum)| sum.area).sum();
+            assert!((area - surface.area()).abs() < 1e-13, "{area}");
+            #[cfg(target_arch = "x86_64")]
+            {
+                if let Some(simd) = pulp::x86::V3::try_new() {
+                    assert!(found(simd, listed) == want, "four lanes");
+                }
+                if let Some(simd) = pulp::x86::V4::try_new() {
+                    assert!(found(simd, listed) == want, "eight lanes");
+                }
+            }
+            #[cfg(target_arch = "aarch64")]
+            if let Some(simd) = pulp::aarch64::Neon::try_new() {
+                assert!(found(simd, listed) == want, "two lanes");
+            }
+        }
+    }
+}

@@ -138,9 +138,9 @@ impl Facets {
     pub(super) fn set_corners(&mut self, lane: usize, surface: &Surface, facet: u32) {
         let lane = lane % WIDEST;
         let vertex = surface.facets()[facet as usize];
-        for c in 0..3 {
-            let p = surface.positions()[vertex[c] as usize];
-            (self.corner[c][0].0[lane], self.corner[c][1].0[lane], self.corner[c][2].0[lane]) = (p.x, p.y, p.z);
+        for (corner, v) in self.corner.iter_mut().zip(vertex) {
+            let p = surface.positions()[v as usize];
+            (corner[0].0[lane], corner[1].0[lane], corner[2].0[lane]) = (p.x, p.y, p.z);
         }
     }
 
@@ -264,10 +264,13 @@ impl Facets {
             let origin = minus(first, load(simd, &self.seed[k]));
             let PieceIntegrals { mass, moment: [x, y, z], energy, area } =
                 moments::integrals::<S, N>(simd, moments, &shape, origin);
-            let values = [mass, x, y, z, energy, area];
-            for v in 0..values.len() {
-                values[v].store(&mut piece.values[v]);
-            }
+            let [m, mx, my, mz, e, a] = &mut piece.values;
+            mass.store(m);
+            x.store(mx);
+            y.store(my);
+            z.store(mz);
+            energy.store(e);
+            area.store(a);
         }
         unsure.choose(one, zero).store(&mut found.unsure);
     }
