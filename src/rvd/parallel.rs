@@ -11,6 +11,7 @@
 mod chunk;
 mod facets;
 mod gather;
+mod groups;
 mod lanes;
 mod lists;
 mod moments;

@@ -6,12 +6,12 @@
 //! processor's registers.
 //! Must not know: how tasks are shared out.
 
-use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::facets::{Facets, Found, LISTED, MEMBERS, beats};
+use super::facets::{Found, MEMBERS};
 use super::gather::{Gatherer, Slack};
+use super::groups::{Among, Chooser, Listed, Thin, choose_members};
 use super::lanes::{Number, Row, WIDEST};
 use super::lists::Lists;
 use super::moments::{UNIFORM, WEIGHTED};
@@ -47,94 +47,15 @@ pub(super) struct Walkers {
     gatherer: Gatherer,
     /// Lists before those of them that are to be kept are made shorter.
     lists: Lists,
-    facets: Facets,
+    chooser: Chooser,
     found: Found,
     walker: FacetWalker,
-    groups: Groups,
-    /// Of each facet the members among its list, as bits.
-    members: Vec<u32>,
     /// Where each facet's integrals begin.
     begin: Vec<u32>,
     to_walk: Vec<u32>,
     among: Among,
     /// Pieces that are clipped alone: facet, and place among the integrals.
     to_clip: Vec<(u32, usize)>,
-}
-
-/// The members of one facet.
-#[derive(Default)]
-struct Among {
-    /// In the order of their numbers.
-    seeds: Vec<u32>,
-    squared: Vec<[f64; 3]>,
-}
-
-impl Among {
-    /// Those of a list; `members` says which, if it is not long.
-    fn set(&mut self, diagram: Diagram<'_>, facet: u32, list: &[u32], members: u32) {
-        self.seeds.clear();
-        if list.len() <= LISTED {
-            self.seeds.extend(list.iter().enumerate().filter(|(k, _)| members >> k & 1 != 0).map(|(_, &seed)| seed));
-        } else {
-            let corner = diagram.surface.facets()[facet as usize].map(|v| diagram.surface.positions()[v as usize]);
-            let squared = |&j: &u32| corner.map(|q| diagram.seeds[j as usize].distance_squared(q));
-            self.squared.clear();
-            self.squared.extend(list.iter().map(squared));
-            let beaten = |mine: [f64; 3]| self.squared.iter().any(|by| beats(*by, mine));
-            let left = list.iter().zip(&self.squared).filter(|(_, squared)| !beaten(**squared));
-            self.seeds.extend(left.map(|(&seed, _)| seed));
-        }
-        self.seeds.sort_unstable();
-    }
-
-    /// The one that is nearest to a point, the lowest of several.
-    fn nearest(&self, diagram: Diagram<'_>, p: DVec3) -> u32 {
-        let key = |i: u32| p.distance_squared(diagram.seeds[i as usize]);
-        self.seeds.iter().copied().min_by(|&a, &b| key(a).total_cmp(&key(b))).unwrap_or_default()
-    }
-}
-
-/// Facets by a small number.
-#[derive(Default)]
-struct Groups {
-    first: Vec<u32>,
-    order: Vec<u32>,
-}
-
-impl Groups {
-    /// Sorts facets by their numbers, from 1 to `most`; others are left out.
-    fn sort(&mut self, most: usize, numbers: impl Iterator<Item = usize> + Clone) {
-        self.first.clear();
-        self.first.resize(most + 2, 0);
-        for n in numbers.clone().filter(|&n| (1..=most).contains(&n)) {
-            self.first[n + 1] += 1;
-        }
-        for n in 1..self.first.len() {
-            self.first[n] += self.first[n - 1];
-        }
-        self.order.clear();
-        self.order.resize(self.first[most + 1] as usize, 0);
-        let mut next = self.first.clone();
-        for (at, n) in numbers.enumerate().filter(|(_, n)| (1..=most).contains(n)) {
-            self.order[next[n] as usize] = at as u32;
-            next[n] += 1;
-        }
-    }
-
-    /// The facets with this number.
-    fn of(&self, n: usize) -> &[u32] {
-        &self.order[self.first[n] as usize..self.first[n + 1] as usize]
-    }
-}
-
-/// The facets of a chunk and their lists.
-#[derive(Clone, Copy)]
-struct Listed<'a> {
-    diagram: Diagram<'a>,
-    first: u32,
-    starts: &'a [u32],
-    lists: &'a Lists,
-    capacities: Capacities,
 }
 
 struct Divide<'a> {
@@ -149,89 +70,12 @@ impl WithSimd for Divide<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { chunk, walkers, listed } = self;
-        choose_members(simd, walkers, listed);
+        choose_members(simd, &mut walkers.chooser, listed);
         chunk.make_room(walkers, listed);
         if listed.diagram.surface.is_uniform() {
             chunk.divide::<S, UNIFORM>(simd, walkers, listed);
         } else {
             chunk.divide::<S, WEIGHTED>(simd, walkers, listed);
-        }
-    }
-}
-
-/// Finds the members of every facet with a list that is neither empty nor long.
-#[inline(always)]
-fn choose_members<S: Simd>(simd: S, walkers: &mut Walkers, listed: Listed<'_>) {
-    let Walkers { facets, groups, members, .. } = walkers;
-    members.clear();
-    members.resize(listed.starts.len(), 0);
-    groups.sort(LISTED, (0..listed.starts.len()).map(|at| listed.lists.get(at).len()));
-    for &at in groups.of(1) {
-        members[at as usize] = 1;
-    }
-    for n in 2..=LISTED {
-        for group in groups.of(n).chunks(Number::<S>::LANES) {
-            set_lists::<S>(facets, group, listed, n);
-            let chosen = facets.choose(simd, n);
-            for (&at, chosen) in group.iter().zip(chosen) {
-                members[at as usize] = chosen;
-            }
-        }
-    }
-}
-
-/// Puts a group of facets with lists of `n` seeds into lanes; the last one fills those that are left.
-#[inline(always)]
-fn set_lists<S: Simd>(facets: &mut Facets, group: &[u32], listed: Listed<'_>, n: usize) {
-    let Listed { diagram, first, lists, .. } = listed;
-    for lane in 0..Number::<S>::LANES {
-        let at = group[lane.min(group.len() - 1)];
-        facets.set_corners(lane, diagram.surface, first + at);
-        for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
-            facets.set_seed(lane, k, diagram.seeds[seed as usize]);
-        }
-    }
-}
-
-/// Lists without those that others beat whatever way they move.
-struct Thin<'a> {
-    walkers: &'a mut Walkers,
-    listed: Listed<'a>,
-    slack: Slack<'a>,
-    out: &'a mut Lists,
-}
-
-impl WithSimd for Thin<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self { walkers: Walkers { facets, groups, members, .. }, listed, slack, out } = self;
-        let Listed { starts, lists, .. } = listed;
-        members.clear();
-        members.resize(starts.len(), !0);
-        groups.sort(LISTED, (0..starts.len()).map(|at| lists.get(at).len()));
-        for n in 2..=LISTED {
-            for group in groups.of(n).chunks(Number::<S>::LANES) {
-                set_lists::<S>(facets, group, listed, n);
-                for lane in 0..Number::<S>::LANES {
-                    let at = group[lane.min(group.len() - 1)];
-                    for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
-                        facets.set_slack(lane, k, slack.of(seed));
-                    }
-                }
-                let chosen = facets.choose_with_slack(simd, n);
-                for (&at, chosen) in group.iter().zip(chosen) {
-                    members[at as usize] = chosen;
-                }
-            }
-        }
-        out.clear();
-        for (at, &members) in members.iter().enumerate() {
-            let list = lists.get(at);
-            let kept = |k: usize| list.len() > LISTED || members >> k & 1 != 0;
-            out.push(list.iter().enumerate().filter(|(k, _)| kept(*k)).map(|(_, &seed)| seed));
-            out.last_mut().sort_unstable();
         }
     }
 }
@@ -282,7 +126,7 @@ impl Chunk {
         let mut of_chunk = &lists;
         if slack.share > 0.0 {
             let listed = Listed { diagram, first, starts, lists: &lists, capacities };
-            Arch::new().dispatch(Thin { walkers, listed, slack, out: kept });
+            Arch::new().dispatch(Thin { chooser: &mut walkers.chooser, listed, slack, out: kept });
             of_chunk = kept;
         }
         self.sum_listed(walkers, diagram, first, of_chunk, starts, capacities);
@@ -308,7 +152,7 @@ impl Chunk {
 
     /// Gives every facet with a usable number of members room for their integrals; the others are to be walked.
     fn make_room(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { members, begin, to_walk, to_clip, .. } = walkers;
+        let Walkers { chooser: Chooser { members, .. }, begin, to_walk, to_clip, .. } = walkers;
         begin.clear();
         to_walk.clear();
         to_clip.clear();
@@ -329,7 +173,7 @@ impl Chunk {
     /// Divides all facets with members among them.
     #[inline(always)]
     fn divide<S: Simd, const N: usize>(&mut self, simd: S, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { facets, found, groups, members, begin, to_walk, to_clip, .. } = walkers;
+        let Walkers { chooser: Chooser { facets, groups, members }, found, begin, to_walk, to_clip, .. } = walkers;
         let Listed { diagram, first, lists, .. } = listed;
         groups.sort(MEMBERS, members.iter().map(|m| m.count_ones() as usize));
         let mut weight = [Row([1.0; WIDEST]); 3];
@@ -390,7 +234,7 @@ impl Chunk {
     /// Clips the pieces and walks the facets that are left, among their members alone: what else a list holds would
     /// change roundings.
     fn walk(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { walker, to_walk, to_clip, begin, members, among, .. } = walkers;
+        let Walkers { chooser: Chooser { members, .. }, walker, to_walk, to_clip, begin, among, .. } = walkers;
         let Listed { diagram, first, starts, lists, capacities } = listed;
         let Self { integrals, walked, inserts, stats, .. } = self;
         for &(at, slot) in &*to_clip {
@@ -488,6 +332,8 @@ pub(super) fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+
+    use glam::DVec3;
 
     use super::*;
     use crate::knn::{NeighbourTable, SeedIndex, Threads};

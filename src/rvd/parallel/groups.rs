@@ -1,0 +1,178 @@
+//! Facets with as many seeds, side by side.
+//!
+//! Purpose: sorts facets by how many seeds they have to do with, puts those with as many into lanes together, and finds
+//! their members.
+//! Invariant: what is found of a facet does not depend on those beside it.
+//! Must not know: what becomes of members.
+
+use glam::DVec3;
+use pulp::{Simd, WithSimd};
+
+use super::facets::{Facets, LISTED, beats};
+use super::gather::Slack;
+use super::lanes::Number;
+use super::lists::Lists;
+use crate::rvd::Capacities;
+use crate::rvd::incident::Diagram;
+
+/// The facets of a chunk and their lists.
+#[derive(Clone, Copy)]
+pub(super) struct Listed<'a> {
+    pub diagram: Diagram<'a>,
+    pub first: u32,
+    pub starts: &'a [u32],
+    pub lists: &'a Lists,
+    pub capacities: Capacities,
+}
+
+/// Facets by a small number.
+#[derive(Default)]
+pub(super) struct Groups {
+    first: Vec<u32>,
+    order: Vec<u32>,
+}
+
+impl Groups {
+    /// Sorts facets by their numbers, from 1 to `most`; others are left out.
+    pub(super) fn sort(&mut self, most: usize, numbers: impl Iterator<Item = usize> + Clone) {
+        self.first.clear();
+        self.first.resize(most + 2, 0);
+        for n in numbers.clone().filter(|&n| (1..=most).contains(&n)) {
+            self.first[n + 1] += 1;
+        }
+        for n in 1..self.first.len() {
+            self.first[n] += self.first[n - 1];
+        }
+        self.order.clear();
+        self.order.resize(self.first[most + 1] as usize, 0);
+        let mut next = self.first.clone();
+        for (at, n) in numbers.enumerate().filter(|(_, n)| (1..=most).contains(n)) {
+            self.order[next[n] as usize] = at as u32;
+            next[n] += 1;
+        }
+    }
+
+    /// The facets with this number.
+    pub(super) fn of(&self, n: usize) -> &[u32] {
+        &self.order[self.first[n] as usize..self.first[n + 1] as usize]
+    }
+}
+
+/// One thread's scratch memory for finding members.
+#[derive(Default)]
+pub(super) struct Chooser {
+    pub facets: Facets,
+    pub groups: Groups,
+    /// Of each facet the members among its list, as bits.
+    pub members: Vec<u32>,
+}
+
+/// Finds the members of every facet with a list that is neither empty nor long.
+#[inline(always)]
+pub(super) fn choose_members<S: Simd>(simd: S, chooser: &mut Chooser, listed: Listed<'_>) {
+    let Chooser { facets, groups, members } = chooser;
+    members.clear();
+    members.resize(listed.starts.len(), 0);
+    groups.sort(LISTED, (0..listed.starts.len()).map(|at| listed.lists.get(at).len()));
+    for &at in groups.of(1) {
+        members[at as usize] = 1;
+    }
+    for n in 2..=LISTED {
+        for group in groups.of(n).chunks(Number::<S>::LANES) {
+            set_lists::<S>(facets, group, listed, n);
+            let chosen = facets.choose(simd, n);
+            for (&at, chosen) in group.iter().zip(chosen) {
+                members[at as usize] = chosen;
+            }
+        }
+    }
+}
+
+/// Puts a group of facets with lists of `n` seeds into lanes; the last one fills those that are left.
+#[inline(always)]
+fn set_lists<S: Simd>(facets: &mut Facets, group: &[u32], listed: Listed<'_>, n: usize) {
+    let Listed { diagram, first, lists, .. } = listed;
+    for lane in 0..Number::<S>::LANES {
+        let at = group[lane.min(group.len() - 1)];
+        facets.set_corners(lane, diagram.surface, first + at);
+        for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
+            facets.set_seed(lane, k, diagram.seeds[seed as usize]);
+        }
+    }
+}
+
+/// Lists without those that others beat whatever way they move.
+pub(super) struct Thin<'a> {
+    pub chooser: &'a mut Chooser,
+    pub listed: Listed<'a>,
+    pub slack: Slack<'a>,
+    pub out: &'a mut Lists,
+}
+
+impl WithSimd for Thin<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { chooser: Chooser { facets, groups, members }, listed, slack, out } = self;
+        let Listed { starts, lists, .. } = listed;
+        members.clear();
+        members.resize(starts.len(), !0);
+        groups.sort(LISTED, (0..starts.len()).map(|at| lists.get(at).len()));
+        for n in 2..=LISTED {
+            for group in groups.of(n).chunks(Number::<S>::LANES) {
+                set_lists::<S>(facets, group, listed, n);
+                for lane in 0..Number::<S>::LANES {
+                    let at = group[lane.min(group.len() - 1)];
+                    for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
+                        facets.set_slack(lane, k, slack.of(seed));
+                    }
+                }
+                let chosen = facets.choose_with_slack(simd, n);
+                for (&at, chosen) in group.iter().zip(chosen) {
+                    members[at as usize] = chosen;
+                }
+            }
+        }
+        out.clear();
+        for (at, &members) in members.iter().enumerate() {
+            let list = lists.get(at);
+            let kept = |k: usize| list.len() > LISTED || members >> k & 1 != 0;
+            out.push(list.iter().enumerate().filter(|(k, _)| kept(*k)).map(|(_, &seed)| seed));
+            out.last_mut().sort_unstable();
+        }
+    }
+}
+
+/// The members of one facet.
+#[derive(Default)]
+pub(super) struct Among {
+    /// In the order of their numbers.
+    pub seeds: Vec<u32>,
+    squared: Vec<[f64; 3]>,
+}
+
+impl Among {
+    /// Those of a list; `members` says which, if it is not long.
+    pub(super) fn set(&mut self, diagram: Diagram<'_>, facet: u32, list: &[u32], members: u32) {
+        self.seeds.clear();
+        if list.len() <= LISTED {
+            self.seeds.extend(list.iter().enumerate().filter(|(k, _)| members >> k & 1 != 0).map(|(_, &seed)| seed));
+        } else {
+            let corner = diagram.surface.facets()[facet as usize].map(|v| diagram.surface.positions()[v as usize]);
+            let squared = |&j: &u32| corner.map(|q| diagram.seeds[j as usize].distance_squared(q));
+            self.squared.clear();
+            self.squared.extend(list.iter().map(squared));
+            let beaten = |mine: [f64; 3]| self.squared.iter().any(|by| beats(*by, mine));
+            let left = list.iter().zip(&self.squared).filter(|(_, squared)| !beaten(**squared));
+            self.seeds.extend(left.map(|(&seed, _)| seed));
+        }
+        self.seeds.sort_unstable();
+    }
+
+    /// The one that is nearest to a point, the lowest of several.
+    pub(super) fn nearest(&self, diagram: Diagram<'_>, p: DVec3) -> u32 {
+        let key = |i: u32| p.distance_squared(diagram.seeds[i as usize]);
+        self.seeds.iter().copied().min_by(|&a, &b| key(a).total_cmp(&key(b))).unwrap_or_default()
+    }
+}
