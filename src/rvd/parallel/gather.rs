@@ -61,11 +61,9 @@ struct Kept {
 
 /// The facet as seen from a seed.
 struct View {
-    origin: DVec3,
     corner: [DVec3; 3],
-    /// From the seed to each corner, and to the farthest.
+    /// From the seed to each corner.
     distance: [f64; 3],
-    radius: f64,
     slack: f64,
 }
 
@@ -76,7 +74,8 @@ impl Gatherer {
     }
 
     /// Finds the seeds that count on the facet with these corners, beginning at any seed; the nearer, the
-    /// sooner. Returns the one nearest to the facet's centroid, and whether there are few enough.
+    /// sooner. Returns a seed of those that is nearer to the facet's centroid, if there is one, and whether there are few
+    /// enough.
     pub(super) fn gather(
         &mut self,
         diagram: Diagram<'_>,
@@ -85,22 +84,58 @@ impl Gatherer {
         centroid: DVec3,
         start: u32,
     ) -> (u32, bool) {
-        let nearest = start::nearest(diagram, centroid, start);
-        let view = View::new(diagram, slack, corner, nearest);
-        // Seeds beyond have a slack of at most the share of what their width can be there.
-        let reach =
-            if slack.share > 0.0 { 2.0 * (view.radius + view.slack) / (1.0 - slack.share) } else { 2.0 * view.radius };
-        let reach2 = 0.25 * SECURITY * reach * reach;
-        let (row, complete) = diagram.table.row(nearest);
-        let beyond = |&&j: &&u32| diagram.seeds[j as usize].distance_squared(view.origin) > reach2;
-        self.list.clear();
-        // The row closes, if its last one is beyond (\[LB12\]).
-        if complete || row.last().as_ref().is_some_and(beyond) {
-            self.list.push(nearest);
-            self.list.extend(row.iter().take_while(|j| !beyond(j)));
+        if let Some(nearest) = self.read_row(diagram, slack, corner, centroid, start) {
             return (nearest, true);
         }
+        let nearest = start::nearest(diagram, centroid, start);
+        if nearest != start && self.read_row(diagram, slack, corner, centroid, nearest).is_some() {
+            return (nearest, true);
+        }
+        let view = View::new(diagram, slack, corner, nearest);
         (nearest, self.look_around(diagram, slack, &view))
+    }
+
+    /// Lists seed `i` and its row, as far as the facet needs it (\[LB12\]: no farther than twice its farthest corner).
+    /// Returns the nearest to the centroid; `None` if the row ends before that.
+    fn read_row(
+        &mut self,
+        diagram: Diagram<'_>,
+        slack: Slack<'_>,
+        corner: &[DVec3; 3],
+        centroid: DVec3,
+        i: u32,
+    ) -> Option<u32> {
+        let (row, complete) = diagram.table.row(i);
+        let origin = diagram.seeds[i as usize];
+        let squared = |a: DVec3| a.distance_squared(origin);
+        let radius2 = squared(corner[0]).max(squared(corner[1])).max(squared(corner[2]));
+        let reach2 = if slack.share > 0.0 {
+            // Seeds beyond have a slack of at most the share of what their width can be there.
+            let reach = (radius2.sqrt() + slack.of(i)) / (1.0 - slack.share);
+            SECURITY * reach * reach
+        } else {
+            SECURITY * radius2
+        };
+        let last = diagram.seeds[*row.last()? as usize];
+        // A later twin has the earlier one alone.
+        if !complete && squared(last) <= reach2 || squared(diagram.seeds[row[0] as usize]) == 0.0 {
+            return None;
+        }
+        let (mut nearest, mut least) = (i, centroid.distance_squared(origin));
+        self.list.clear();
+        self.list.push(i);
+        for &j in row {
+            let p = diagram.seeds[j as usize];
+            if squared(p) > reach2 {
+                break;
+            }
+            self.list.push(j);
+            let distance = centroid.distance_squared(p);
+            if distance < least {
+                (nearest, least) = (j, distance);
+            }
+        }
+        Some(nearest)
     }
 
     /// Lists all seeds around the facet that may be nearer at some corner than the view's. Returns whether there are
@@ -112,6 +147,7 @@ impl Gatherer {
             let reach = (distance * (1.0 + slack.share) + 2.0 * view.slack) / (1.0 - slack.share) * (1.0 + 1e-9);
             (low, high) = (low.min(*corner - reach), high.max(*corner + reach));
         }
+        self.list.clear();
         self.looked_at.clear();
         self.kept.clear();
         if !diagram.index.in_box(low, high, LOOKED_AT, &mut self.looked_at) {
@@ -158,7 +194,6 @@ impl View {
     fn new(diagram: Diagram<'_>, slack: Slack<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
         let origin = diagram.seeds[seed as usize];
         let distance = corner.map(|p| p.distance(origin));
-        let radius = distance[0].max(distance[1]).max(distance[2]);
-        Self { origin, corner: *corner, distance, radius, slack: slack.of(seed) }
+        Self { corner: *corner, distance, slack: slack.of(seed) }
     }
 }
