@@ -88,12 +88,15 @@ impl Backend for Parallel {
     }
 }
 
-/// Facets per task, at most. Part of no result: sums are added facet by facet all the same.
-const CHUNK: usize = 256;
-/// Pairs that a task should have, so that coarse meshes with many seeds are shared out too.
-const CHUNK_PAIRS: usize = 2048;
+/// Facets per task, at most: enough that those with as many members fill the lanes of a register. Part of no result:
+/// sums are added facet by facet all the same.
+const CHUNK: usize = 1024;
+/// Pairs that a task should have, so that coarse meshes with many seeds are shared out too,
+const CHUNK_PAIRS: usize = 8192;
+/// and tasks that each thread should have, so that none waits long for the last.
+const SHARES: usize = 8;
 /// Tasks between two additions, which bounds the memory of the integrals written down.
-const WAVE: usize = 512;
+const WAVE: usize = 128;
 
 struct ParallelSession {
     pool: Arc<rayon::ThreadPool>,
@@ -216,8 +219,10 @@ impl ParallelSession {
     /// Facets per task.
     fn chunk_size(&self) -> usize {
         // A facet meets its share of the cells and some more at its rim.
-        let per_facet = 3 + 2 * self.seeds.len() / self.surface.facets().len();
-        (CHUNK_PAIRS / per_facet).clamp(1, CHUNK)
+        let facets = self.surface.facets().len();
+        let per_facet = 3 + 2 * self.seeds.len() / facets;
+        let share = facets / (rayon::current_num_threads() * SHARES);
+        (CHUNK_PAIRS / per_facet).min(share).clamp(1, CHUNK)
     }
 }
 

@@ -23,7 +23,8 @@ use crate::rvd::{Capacities, CellSums, PassStats, PieceBatch, start};
 #[derive(Default)]
 pub(super) struct Chunk {
     /// In the order of facets, of as many seeds as each has members; [`NONE`] where a member has no piece.
-    integrals: Vec<(u32, Integrals)>,
+    seeds: Vec<u32>,
+    integrals: Vec<Integrals>,
     /// Those of facets that were walked,
     walked: Vec<(u32, Integrals)>,
     /// and before which of the others they come.
@@ -167,7 +168,8 @@ impl Chunk {
             }
         }
         // Each gets its value, so that what is there from an earlier wave may stay until then.
-        self.integrals.resize(end as usize, (NONE, Integrals::default()));
+        self.seeds.resize(end as usize, NONE);
+        self.integrals.resize(end as usize, Integrals::default());
     }
 
     /// Divides all facets with members among them.
@@ -202,28 +204,28 @@ impl Chunk {
                         }
                         seeds[k] = seed;
                     }
-                    let slots = &mut self.integrals[begin[at as usize] as usize..][..n];
-                    for (k, (slot, &seed)) in slots.iter_mut().zip(&seeds).enumerate() {
-                        slot.0 = seed;
+                    self.seeds[begin[at as usize] as usize..][..n].copy_from_slice(&seeds[..n]);
+                    for (k, &seed) in seeds[..n].iter().enumerate() {
                         facets.set_seed(lane, k, diagram.seeds[seed as usize]);
                     }
                 }
                 facets.divide::<S, N>(simd, n, &weight, found);
                 for (lane, &at) in group.iter().enumerate() {
-                    let slots = &mut self.integrals[begin[at as usize] as usize..][..n];
+                    let first = begin[at as usize] as usize;
+                    let (seeds, slots) = (&mut self.seeds[first..][..n], &mut self.integrals[first..][..n]);
                     if found.unsure.0[lane] != 0.0 {
-                        slots.iter_mut().for_each(|slot| slot.0 = NONE);
+                        seeds.fill(NONE);
                         to_walk.push(at);
                         continue;
                     }
-                    for (k, (slot, piece)) in slots.iter_mut().zip(&found.pieces).enumerate() {
+                    for (k, ((seed, slot), piece)) in seeds.iter_mut().zip(slots).zip(&found.pieces).enumerate() {
                         match piece.get(lane) {
-                            Some(_) if piece.is_small(lane) => to_clip.push((at, begin[at as usize] as usize + k)),
+                            Some(_) if piece.is_small(lane) => to_clip.push((at, first + k)),
                             Some(integrals) => {
-                                slot.1 = integrals;
+                                *slot = integrals;
                                 self.stats.pairs += 1;
                             }
-                            None => slot.0 = NONE,
+                            None => *seed = NONE,
                         }
                     }
                 }
@@ -236,10 +238,10 @@ impl Chunk {
     fn walk(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
         let Walkers { chooser: Chooser { members, .. }, walker, to_walk, to_clip, begin, among, .. } = walkers;
         let Listed { diagram, first, starts, lists, capacities } = listed;
-        let Self { integrals, walked, inserts, stats, .. } = self;
+        let Self { seeds, integrals, walked, inserts, stats, .. } = self;
         for &(at, slot) in &*to_clip {
             among.set(diagram, first + at, lists.get(at as usize), members[at as usize]);
-            let (seed, sum) = &mut integrals[slot];
+            let (seed, sum) = (&mut seeds[slot], &mut integrals[slot]);
             walker.clip_listed(&among.seeds, diagram, first + at, *seed, capacities, stats);
             if walker.clipper().polygon().is_empty() {
                 *seed = NONE;
@@ -267,14 +269,16 @@ impl Chunk {
     }
 
     /// All integrals, in the order of facets.
+    #[inline(always)]
     fn each(&self, mut visit: impl FnMut(u32, &Integrals)) {
         let (mut at, mut from) = (0, 0);
         for insert in &self.inserts {
-            self.integrals[at..insert.before].iter().for_each(|(seed, sum)| visit(*seed, sum));
+            let before = self.seeds[at..insert.before].iter().zip(&self.integrals[at..insert.before]);
+            before.for_each(|(seed, sum)| visit(*seed, sum));
             self.walked[from..insert.end].iter().for_each(|(seed, sum)| visit(*seed, sum));
             (at, from) = (insert.before, insert.end);
         }
-        self.integrals[at..].iter().for_each(|(seed, sum)| visit(*seed, sum));
+        self.seeds[at..].iter().zip(&self.integrals[at..]).for_each(|(seed, sum)| visit(*seed, sum));
     }
 
     /// Pieces of the facets from `first` on, as many as there are `starts`, their nearest seeds; of those without area
