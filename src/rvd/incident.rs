@@ -176,10 +176,11 @@ impl FacetWalker {
         let Diagram { surface, seeds, index, table } = diagram;
         let mut slots = capacities.polygon.max(4);
         // Of a table without rows there is nothing to try first.
-        let mut k = if table.is_empty() { capacities.neighbours.max(1) } else { 0 };
+        let no_rows = matches!(rows, Rows::Table) && table.is_empty();
+        let mut k = if no_rows { capacities.neighbours.max(1) } else { 0 };
         loop {
             let row = match rows {
-                Rows::Listed => (self.listed.row(seeds, i), true),
+                Rows::Listed => self.listed.row(seeds, i, k > 0),
                 Rows::Table if k == 0 => table.row(i),
                 Rows::Table => self.long_rows.row(index, i, k),
             };
@@ -209,38 +210,48 @@ impl FacetWalker {
 #[derive(Default)]
 struct Listed {
     seeds: Vec<u32>,
-    /// The others from each of them, nearest first, one after the other; those that are there.
+    /// The others from each of them, nearest first, one after the other; as many as are sorted.
     rows: Vec<u32>,
-    there: Vec<bool>,
+    sorted: Vec<usize>,
     keys: Vec<(f64, u32)>,
 }
 
 impl Listed {
+    /// A cell has hardly more neighbours on a facet.
+    const FIRST: usize = 16;
+
     fn set(&mut self, list: &[u32]) {
         self.seeds.clear();
         self.seeds.extend_from_slice(list);
-        self.there.clear();
-        self.there.resize(list.len(), false);
+        self.sorted.clear();
+        self.sorted.resize(list.len(), 0);
         self.rows.resize(list.len() * list.len(), 0);
     }
 
-    /// The order of a table's row: a cut that changes nothing apart, a walk does the same with either.
-    fn row(&mut self, seeds: &[DVec3], i: u32) -> &[u32] {
+    /// The nearest others, in the order of a table's row, or `all`; and whether these are all. A cut that changes
+    /// nothing apart, a walk does the same with either.
+    fn row(&mut self, seeds: &[DVec3], i: u32, all: bool) -> (&[u32], bool) {
         // A walk visits listed seeds alone.
-        let Some(at) = self.seeds.iter().position(|&j| j == i) else { return &[] };
+        let Some(at) = self.seeds.iter().position(|&j| j == i) else { return (&[], true) };
         let n = self.seeds.len() - 1;
         let row = &mut self.rows[at * n..(at + 1) * n];
-        if !std::mem::replace(&mut self.there[at], true) {
+        let wanted = if all { n } else { n.min(Self::FIRST) };
+        if self.sorted[at] < wanted {
             self.keys.clear();
             let origin = seeds[i as usize].to_array();
             let key = |&j: &u32| (squared_distance(&origin, &seeds[j as usize].to_array()), j);
             self.keys.extend(self.seeds.iter().filter(|&&j| j != i).map(key));
-            self.keys.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            for (slot, key) in row.iter_mut().zip(&self.keys) {
+            let order = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+            if wanted < n {
+                self.keys.select_nth_unstable_by(wanted, order);
+            }
+            self.keys[..wanted].sort_unstable_by(order);
+            for (slot, key) in row.iter_mut().zip(&self.keys[..wanted]) {
                 *slot = key.1;
             }
+            self.sorted[at] = wanted;
         }
-        row
+        (&row[..wanted], wanted == n)
     }
 }
 

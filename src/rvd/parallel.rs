@@ -24,6 +24,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use self::chunk::{Chunk, Walkers};
+use self::groups::Listed;
 use self::lists::KeptLists;
 use super::incident::Diagram;
 use super::on_host::OnHost;
@@ -95,6 +96,8 @@ const CHUNK: usize = 1024;
 const CHUNK_PAIRS: usize = 8192;
 /// and tasks that each thread should have, so that none waits long for the last.
 const SHARES: usize = 8;
+/// Seeds a facet, from which on facets are divided and walked by rows of neighbours instead of by lists that are kept.
+const MANY: usize = 8;
 /// Tasks between two additions, which bounds the memory of the integrals written down.
 const WAVE: usize = 128;
 
@@ -134,11 +137,13 @@ impl ParallelSession {
     /// Sums of all facets, from the lists if they still hold, or else from new ones.
     fn sum_up(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
         let mut stats = PassStats::default();
+        let by_rows = self.seeds.len() > MANY * self.surface.facets().len();
         let kept = self.stale && !self.seeds.is_empty() && self.lists.hold(&self.seeds);
         if !kept {
             stats.neighbours_ms = self.refresh(cancel)?;
             stats.duplicate_seeds = self.index.duplicates() as u64;
-            self.lists.choose(&self.seeds, &self.table);
+            // Where facets have many cells, the walk does most of the work, and it needs rows.
+            self.lists.choose(&self.seeds, &self.table, by_rows);
         }
         let size = self.chunk_size();
         let facets = 0..self.surface.facets().len() as u32;
@@ -163,9 +168,9 @@ impl ParallelSession {
                 }
                 let first = ((w * WAVE + c) * size) as u32;
                 if kept {
-                    chunk.sum_listed(walkers, diagram, first, lists, starts, capacities);
+                    chunk.sum_listed(walkers, Listed { diagram, first, starts, lists, capacities, by_rows });
                 } else {
-                    chunk.sum(walkers, (diagram, slack), first, lists, starts, capacities);
+                    chunk.sum(walkers, (diagram, slack, by_rows), first, lists, starts, capacities);
                 }
             });
             cancel.check()?;

@@ -10,8 +10,8 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::facets::{Found, MEMBERS};
-use super::gather::{Gatherer, Slack};
-use super::groups::{Among, Chooser, Listed, Thin, choose_members};
+use super::gather::{Few, Gatherer, Slack};
+use super::groups::{Chooser, Listed, Thin, choose_members};
 use super::lanes::{Number, Row, WIDEST};
 use super::lists::Lists;
 use super::moments::{UNIFORM, WEIGHTED};
@@ -54,7 +54,6 @@ pub(super) struct Walkers {
     /// Where each facet's integrals begin.
     begin: Vec<u32>,
     to_walk: Vec<u32>,
-    among: Among,
     /// Pieces that are clipped alone: facet, and place among the integrals.
     to_clip: Vec<(u32, usize)>,
 }
@@ -95,7 +94,7 @@ impl Chunk {
     pub(super) fn sum(
         &mut self,
         walkers: &mut Walkers,
-        (diagram, slack): (Diagram<'_>, Slack<'_>),
+        (diagram, slack, by_rows): (Diagram<'_>, Slack<'_>, bool),
         first: u32,
         kept: &mut Lists,
         starts: &mut [u32],
@@ -104,6 +103,7 @@ impl Chunk {
         let mut lists = std::mem::take(&mut walkers.lists);
         lists.clear();
         let surface = diagram.surface;
+        let most = if by_rows { Few::TO_DIVIDE } else { Few::TO_WALK };
         let mut unlisted = 0;
         for (facet, start) in (first..).zip(&mut *starts) {
             if surface.skips(facet as usize) {
@@ -115,38 +115,30 @@ impl Chunk {
             let corner = [positions[a as usize], positions[b as usize], positions[c as usize]];
             let gatherer = &mut walkers.gatherer;
             let centroid = surface.centroid(facet);
-            let (nearest, mut few) = gatherer.gather(diagram, slack, &corner, centroid, *start);
+            let (nearest, mut few) = gatherer.gather(diagram, (slack, most), &corner, centroid, *start);
             *start = nearest;
             if !few && slack.share > 0.0 {
                 // Whether there are too many does not depend on what was before.
                 unlisted += 1;
-                (_, few) = gatherer.gather(diagram, Slack::NONE, &corner, centroid, *start);
+                (_, few) = gatherer.gather(diagram, (Slack::NONE, most), &corner, centroid, *start);
             }
             lists.push(gatherer.list().iter().copied().take(if few { usize::MAX } else { 0 }));
         }
         let mut of_chunk = &lists;
         if slack.share > 0.0 {
-            let listed = Listed { diagram, first, starts, lists: &lists, capacities };
+            let listed = Listed { diagram, first, starts, lists: &lists, capacities, by_rows };
             Arch::new().dispatch(Thin { chooser: &mut walkers.chooser, listed, slack, out: kept });
             of_chunk = kept;
         }
-        self.sum_listed(walkers, diagram, first, of_chunk, starts, capacities);
+        self.sum_listed(walkers, Listed { diagram, first, starts, lists: of_chunk, capacities, by_rows });
         self.unlisted = unlisted;
         walkers.lists = lists;
     }
 
     /// The same from lists that hold.
-    pub(super) fn sum_listed(
-        &mut self,
-        walkers: &mut Walkers,
-        diagram: Diagram<'_>,
-        first: u32,
-        lists: &Lists,
-        starts: &[u32],
-        capacities: Capacities,
-    ) {
+    pub(super) fn sum_listed(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
         self.begin();
-        let listed = Listed { diagram, first, starts, lists, capacities };
+        walkers.chooser.begin(listed);
         Arch::new().dispatch(Divide { chunk: self, walkers, listed });
         self.walk(walkers, listed);
     }
@@ -175,8 +167,9 @@ impl Chunk {
     /// Divides all facets with members among them.
     #[inline(always)]
     fn divide<S: Simd, const N: usize>(&mut self, simd: S, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { chooser: Chooser { facets, groups, members }, found, begin, to_walk, to_clip, .. } = walkers;
-        let Listed { diagram, first, lists, .. } = listed;
+        let Walkers { chooser: Chooser { facets, groups, members, long }, found, begin, to_walk, to_clip, .. } =
+            walkers;
+        let Listed { diagram, first, .. } = listed;
         groups.sort(MEMBERS, members.iter().map(|m| m.count_ones() as usize));
         let mut weight = [Row([1.0; WIDEST]); 3];
         for n in 1..=MEMBERS {
@@ -190,7 +183,7 @@ impl Chunk {
                             weight.0[lane % WIDEST] = diagram.surface.weights()[v as usize];
                         }
                     }
-                    let list = lists.get(at as usize);
+                    let list = long.list(listed, at as usize);
                     let mut seeds = [0; MEMBERS];
                     let mut left = members[at as usize];
                     for k in 0..n {
@@ -236,11 +229,11 @@ impl Chunk {
     /// Clips the pieces and walks the facets that are left, among their members alone: what else a list holds would
     /// change roundings.
     fn walk(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { chooser: Chooser { members, .. }, walker, to_walk, to_clip, begin, among, .. } = walkers;
-        let Listed { diagram, first, starts, lists, capacities } = listed;
+        let Walkers { chooser: Chooser { members, long, .. }, walker, to_walk, to_clip, begin, .. } = walkers;
+        let Listed { diagram, first, starts, lists, capacities, by_rows } = listed;
         let Self { seeds, integrals, walked, inserts, stats, .. } = self;
         for &(at, slot) in &*to_clip {
-            among.set(diagram, first + at, lists.get(at as usize), members[at as usize]);
+            let among = long.among(listed, at as usize, members[at as usize]);
             let (seed, sum) = (&mut seeds[slot], &mut integrals[slot]);
             walker.clip_listed(&among.seeds, diagram, first + at, *seed, capacities, stats);
             if walker.clipper().polygon().is_empty() {
@@ -253,14 +246,15 @@ impl Chunk {
         to_walk.sort_unstable();
         for &at in &*to_walk {
             let (facet, at) = (first + at, at as usize);
-            let list = lists.get(at);
             let centroid = diagram.surface.centroid(facet);
             let visit = |i: u32, clipper: &Clipper| walked.push((i, clipper.integrals()));
-            if list.is_empty() {
+            // Who has many members was not tried, and is found by rows, if there are any.
+            let many = !(1..=MEMBERS as u32).contains(&members[at].count_ones());
+            if lists.get(at).is_empty() || many && by_rows {
                 let start = start::nearest(diagram, centroid, starts[at]);
                 walker.walk(diagram, facet, start, capacities, stats, visit);
             } else {
-                among.set(diagram, facet, list, members[at]);
+                let among = long.among(listed, at, members[at]);
                 let nearest = among.nearest(diagram, centroid);
                 walker.walk_listed(&among.seeds, diagram, facet, nearest, capacities, stats, visit);
             }
@@ -348,6 +342,7 @@ mod tests {
     fn found<S: Simd>(simd: S, listed: Listed<'_>) -> Vec<(u32, Integrals)> {
         let (mut chunk, mut walkers) = (Chunk::default(), Walkers::default());
         chunk.begin();
+        walkers.chooser.begin(listed);
         simd.vectorize(Divide { chunk: &mut chunk, walkers: &mut walkers, listed });
         chunk.walk(&mut walkers, listed);
         let mut all = Vec::new();
@@ -376,13 +371,20 @@ mod tests {
             for facet in 0..surface.facets().len() as u32 {
                 let corner = surface.facets()[facet as usize].map(|v| surface.positions()[v as usize]);
                 let centroid = surface.centroid(facet);
-                let (_, few) = gatherer.gather(diagram, Slack::NONE, &corner, centroid, index.near(centroid));
+                let (_, few) =
+                    gatherer.gather(diagram, (Slack::NONE, Few::TO_WALK), &corner, centroid, index.near(centroid));
                 assert!(few);
                 lists.push(gatherer.list().iter().copied());
             }
             let starts = vec![0; surface.facets().len()];
-            let listed =
-                Listed { diagram, first: 0, starts: &starts, lists: &lists, capacities: Capacities::default() };
+            let listed = Listed {
+                diagram,
+                first: 0,
+                starts: &starts,
+                lists: &lists,
+                capacities: Capacities::default(),
+                by_rows: false,
+            };
             let want = found(pulp::Scalar::new(), listed);
             let area: f64 = want.iter().map(|(_, sum)| sum.area).sum();
             assert!((area - surface.area()).abs() < 1e-13, "{area}");

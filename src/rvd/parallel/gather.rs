@@ -14,12 +14,27 @@ use crate::rvd::clip::SECURITY;
 use crate::rvd::incident::Diagram;
 use crate::rvd::start;
 
-/// Seeds that a list may have; a facet with more is walked.
-const KEPT: usize = 256;
 /// A list with more is made shorter here, not together with others.
 const ENOUGH: usize = LISTED;
 /// Seeds that are looked at around a facet that rows do not suffice for; one with more is walked.
 const LOOKED_AT: usize = 2048;
+
+/// How long a list may be; a facet with a longer one is walked.
+#[derive(Clone, Copy)]
+pub(super) struct Few {
+    /// Before those are left out that any other one beats,
+    seen: usize,
+    /// and after.
+    kept: usize,
+}
+
+impl Few {
+    /// Where rows of neighbours are at hand for the walk.
+    pub(super) const TO_DIVIDE: Self = Self { seen: 2 * LISTED, kept: LISTED };
+    /// Where the walk has the list alone.
+    pub(super) const TO_WALK: Self = Self { seen: 16 * LISTED, kept: 4 * LISTED };
+}
+
 /// Squared distances are compared with so much room, far more than their roundings.
 const ROOM: f64 = 1.0 + 1e-14;
 
@@ -79,7 +94,7 @@ impl Gatherer {
     pub(super) fn gather(
         &mut self,
         diagram: Diagram<'_>,
-        slack: Slack<'_>,
+        (slack, few): (Slack<'_>, Few),
         corner: &[DVec3; 3],
         centroid: DVec3,
         start: u32,
@@ -92,7 +107,7 @@ impl Gatherer {
             return (nearest, true);
         }
         let view = View::new(diagram, slack, corner, nearest);
-        (nearest, self.look_around(diagram, slack, &view))
+        (nearest, self.look_around(diagram, slack, few, &view))
     }
 
     /// Lists seed `i` and its row, as far as the facet needs it (\[LB12\]: no farther than twice its farthest corner).
@@ -140,7 +155,7 @@ impl Gatherer {
 
     /// Lists all seeds around the facet that may be nearer at some corner than the view's. Returns whether there are
     /// few enough.
-    fn look_around(&mut self, diagram: Diagram<'_>, slack: Slack<'_>, view: &View) -> bool {
+    fn look_around(&mut self, diagram: Diagram<'_>, slack: Slack<'_>, few: Few, view: &View) -> bool {
         let mut low = DVec3::INFINITY;
         let mut high = DVec3::NEG_INFINITY;
         for (corner, distance) in view.corner.iter().zip(view.distance) {
@@ -159,6 +174,9 @@ impl Gatherer {
             let own = view.slack + slack.of(seed);
             let [x, y, z] = [0, 1, 2].map(|c| (view.distance[c] + own) * (view.distance[c] + own) * ROOM);
             if (a <= x) | (b <= y) | (c <= z) {
+                if self.kept.len() == few.seen {
+                    return false;
+                }
                 self.kept.push(Kept { seed, least: [a, b, c], most: [a, b, c] });
             }
         }
@@ -167,7 +185,7 @@ impl Gatherer {
         }
         self.list.extend(self.kept.iter().map(|kept| kept.seed));
         // The view's own seed is among them, if rounding did not put it beyond the box.
-        !self.list.is_empty() && self.list.len() <= KEPT
+        !self.list.is_empty() && self.list.len() <= few.kept
     }
 
     /// Leaves out the seeds that another one beats at all corners.

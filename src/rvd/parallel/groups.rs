@@ -8,7 +8,7 @@
 use glam::DVec3;
 use pulp::{Simd, WithSimd};
 
-use super::facets::{Facets, LISTED, beats};
+use super::facets::{Facets, LISTED, MEMBERS, beats};
 use super::gather::Slack;
 use super::lanes::Number;
 use super::lists::Lists;
@@ -23,6 +23,8 @@ pub(super) struct Listed<'a> {
     pub starts: &'a [u32],
     pub lists: &'a Lists,
     pub capacities: Capacities,
+    /// There are rows of neighbours, and facets with many members are walked by them.
+    pub by_rows: bool,
 }
 
 /// Facets by a small number.
@@ -63,16 +65,69 @@ impl Groups {
 pub(super) struct Chooser {
     pub facets: Facets,
     pub groups: Groups,
-    /// Of each facet the members among its list, as bits.
+    /// Of each facet the members among its list, as bits; 0 where there are too many for that.
     pub members: Vec<u32>,
+    pub long: LongLists,
 }
 
-/// Finds the members of every facet with a list that is neither empty nor long.
+/// Lists that are too long for lanes, without those that others beat.
+#[derive(Default)]
+pub(super) struct LongLists {
+    lists: Lists,
+    /// Which of them each facet has, from 1, or 0.
+    of: Vec<u32>,
+    among: Among,
+}
+
+impl Chooser {
+    /// Finds the members of every facet with a long list.
+    pub(super) fn begin(&mut self, listed: Listed<'_>) {
+        let Self { members, long: LongLists { lists, of, among }, .. } = self;
+        members.clear();
+        members.resize(listed.starts.len(), 0);
+        lists.clear();
+        of.clear();
+        of.resize(listed.starts.len(), 0);
+        for at in 0..listed.starts.len() {
+            let list = listed.lists.get(at);
+            if list.len() > LISTED {
+                among.of_long(listed.diagram, listed.first + at as u32, list);
+                lists.push(among.seeds.iter().copied());
+                of[at] = lists.len() as u32;
+                let n = among.seeds.len();
+                members[at] = if n <= MEMBERS { (1 << n) - 1 } else { 0 };
+            }
+        }
+    }
+}
+
+impl LongLists {
+    /// The list of which a facet's `members` say who is one.
+    #[inline(always)]
+    pub(super) fn list<'a>(&'a self, listed: Listed<'a>, at: usize) -> &'a [u32] {
+        match self.of[at] {
+            0 => listed.lists.get(at),
+            k => self.lists.get(k as usize - 1),
+        }
+    }
+
+    /// One facet's members in the order of their numbers; `members` says who is one, if its list is not long.
+    pub(super) fn among(&mut self, listed: Listed<'_>, at: usize, members: u32) -> &Among {
+        let mut among = std::mem::take(&mut self.among);
+        let all = self.of[at] != 0;
+        let chosen = self.list(listed, at).iter().enumerate().filter(|(k, _)| all || members >> k & 1 != 0);
+        among.seeds.clear();
+        among.seeds.extend(chosen.map(|(_, &seed)| seed));
+        among.seeds.sort_unstable();
+        self.among = among;
+        &self.among
+    }
+}
+
+/// Finds the members of every other facet with a list.
 #[inline(always)]
 pub(super) fn choose_members<S: Simd>(simd: S, chooser: &mut Chooser, listed: Listed<'_>) {
-    let Chooser { facets, groups, members } = chooser;
-    members.clear();
-    members.resize(listed.starts.len(), 0);
+    let Chooser { facets, groups, members, .. } = chooser;
     groups.sort(LISTED, (0..listed.starts.len()).map(|at| listed.lists.get(at).len()));
     for &at in groups.of(1) {
         members[at as usize] = 1;
@@ -114,7 +169,7 @@ impl WithSimd for Thin<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { chooser: Chooser { facets, groups, members }, listed, slack, out } = self;
+        let Self { chooser: Chooser { facets, groups, members, .. }, listed, slack, out } = self;
         let Listed { starts, lists, .. } = listed;
         members.clear();
         members.resize(starts.len(), !0);
@@ -153,20 +208,16 @@ pub(super) struct Among {
 }
 
 impl Among {
-    /// Those of a list; `members` says which, if it is not long.
-    pub(super) fn set(&mut self, diagram: Diagram<'_>, facet: u32, list: &[u32], members: u32) {
+    /// Those of a long list.
+    fn of_long(&mut self, diagram: Diagram<'_>, facet: u32, list: &[u32]) {
+        let corner = diagram.surface.facets()[facet as usize].map(|v| diagram.surface.positions()[v as usize]);
+        self.squared.clear();
+        self.squared.extend(list.iter().map(|&j| corner.map(|q| diagram.seeds[j as usize].distance_squared(q))));
+        // One after the other would not be sooner: few are beaten.
+        let beaten = |mine: [f64; 3]| self.squared.iter().fold(false, |beaten, by| beaten | beats(*by, mine));
         self.seeds.clear();
-        if list.len() <= LISTED {
-            self.seeds.extend(list.iter().enumerate().filter(|(k, _)| members >> k & 1 != 0).map(|(_, &seed)| seed));
-        } else {
-            let corner = diagram.surface.facets()[facet as usize].map(|v| diagram.surface.positions()[v as usize]);
-            let squared = |&j: &u32| corner.map(|q| diagram.seeds[j as usize].distance_squared(q));
-            self.squared.clear();
-            self.squared.extend(list.iter().map(squared));
-            let beaten = |mine: [f64; 3]| self.squared.iter().any(|by| beats(*by, mine));
-            let left = list.iter().zip(&self.squared).filter(|(_, squared)| !beaten(**squared));
-            self.seeds.extend(left.map(|(&seed, _)| seed));
-        }
+        let left = list.iter().zip(&self.squared).filter(|(_, squared)| !beaten(**squared));
+        self.seeds.extend(left.map(|(&seed, _)| seed));
         self.seeds.sort_unstable();
     }
 

@@ -45,6 +45,11 @@ impl Lists {
         self.ends.push(self.seeds.len() as u32);
     }
 
+    /// How many lists there are.
+    pub(super) fn len(&self) -> usize {
+        self.ends.len()
+    }
+
     /// The list that was pushed last.
     pub(super) fn last_mut(&mut self) -> &mut [u32] {
         let begin = self.ends.len().checked_sub(2).map_or(0, |before| self.ends[before]);
@@ -87,10 +92,13 @@ impl KeptLists {
             && self.close.iter().all(|&[i, j]| seeds[i as usize] != seeds[j as usize])
     }
 
-    /// Chooses the slack of lists that are to be made now, from the new rows of these seeds.
-    pub(super) fn choose(&mut self, seeds: &[DVec3], table: &NeighbourTable) {
+    /// Chooses the slack of lists that are to be made now, from the new rows of these seeds; or `never`, that none are.
+    pub(super) fn choose(&mut self, seeds: &[DVec3], table: &NeighbourTable, never: bool) {
         self.there = false;
         self.share = 0.0;
+        if never {
+            return;
+        }
         self.width.resize(seeds.len(), 0.0);
         // Rows that are too short for it leave no width; lists are not kept then.
         self.width.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(i, width)| {
