@@ -1,12 +1,15 @@
-// Every seed that is not held goes to the centroid of its cell; that of an empty cell stays.
+// Every seed that is not held goes to the centroid of its cell; that of an empty cell stays. None goes where
+// the pass is not at its end.
 
 #import shared/types
+#import shared/state
 #import shared/motion
 
 @group(0) @binding(0) var<uniform> motion: Motion;
 @group(0) @binding(1) var<storage, read> sums: array<u32>;
 @group(0) @binding(2) var<storage, read> held: array<u32>;
 @group(0) @binding(3) var<storage, read_write> points: array<Seed>;
+@group(0) @binding(4) var<storage, read_write> state: State;
 
 #import shared/moved
 #import shared/unfixed
@@ -14,7 +17,7 @@
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let i = id.x + id.y * groups.x * 64u;
-    if i >= motion.seeds || held[i] != 0u {
+    if i >= motion.seeds || held[i] != 0u || atomicLoad(&state.halt) != 0u {
         return;
     }
     // With uniform weights mass is area.

@@ -95,7 +95,7 @@ fn process(index: u32) -> Piece {
     let pair = list[index];
     let f = pair.x & INDEX;
     let i = pair.y & INDEX;
-    let facet = facets[f];
+    let facet = facets[f - params.facet_first];
     let celled = (facet.slot_mask & CELLED) != 0u;
     var status = clip_pair(facet, i);
     // The first cell of a facet holds its centroid. If rounding says otherwise nothing would

@@ -25,8 +25,9 @@ fn is_finite(x: f32) -> bool {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let i = id.x + id.y * groups.x * 64u;
-    if i >= params.seeds {
+    let i = params.part_first + id.x + id.y * groups.x * 64u;
+    // Bits that other seeds of this dispatch set are of no consequence.
+    if i >= params.seeds || (atomicLoad(&state.halt) & UNSETTLED) != 0u {
         return;
     }
     let p = seeds[i].hi + seeds[i].lo;

@@ -146,7 +146,7 @@ fn consider(j: u32, far: vec3f, foot: vec3f) {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let index = id.x + id.y * groups.x * 64u;
+    let index = params.part_first + id.x + id.y * groups.x * 64u;
     if index >= params.propose_count || atomicLoad(&state.halt) != 0u {
         return;
     }
@@ -155,7 +155,7 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
         return;
     }
     let f = pair.x;
-    let facet = facets[f];
+    let facet = facets[f - params.facet_first];
     if divide(facet, pair.y) {
         if (facet.slot_mask & CELLED) != 0u {
             atomicStore(&slots[params.divided + f], 1u);
@@ -166,6 +166,7 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     let mask = facet.slot_mask & ~CELLED;
     atomicStore(&slots[facet.slot_begin + first_slot(mask, pair.y)], pair.y + 1u);
     append_pair(f, pair.y | ROOT);
+    atomicAdd(&state.paired, 1u);
 }
 
 // The row of the seed nearest to the centroid. `reach` is how far it is known; every seed nearer was considered.

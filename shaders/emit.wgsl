@@ -23,7 +23,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let pair = list[params.emit_begin + id.x];
     let i = pair.y & INDEX;
     let f = pair.x & INDEX;
-    let facet = facets[f];
+    let facet = facets[f - params.facet_first];
     let status = clip_pair(facet, i);
     let size = select(0u, count, status == DONE);
     heads[id.x] = vec4u(f, i, size, status);

@@ -25,6 +25,7 @@ fn main() {
     state.begin = begin;
     state.end = end;
     state.head = end;
+    state.rounds += select(0u, 1u, end > begin);
     arguments.x = (end - begin + 63u) / 64u;
     arguments.y = 1u;
     arguments.z = 1u;

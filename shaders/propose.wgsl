@@ -18,7 +18,7 @@
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let index = id.x + id.y * groups.x * 64u;
+    let index = params.part_first + id.x + id.y * groups.x * 64u;
     if index >= params.propose_count || atomicLoad(&state.halt) != 0u {
         return;
     }
@@ -28,7 +28,8 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     if seed == NONE {
         return;
     }
-    let outcome = insert_cell(facets[facet].slot_begin, facets[facet].slot_mask & ~CELLED, seed, 0u);
+    let at = facet - params.facet_first;
+    let outcome = insert_cell(facets[at].slot_begin, facets[at].slot_mask & ~CELLED, seed, 0u);
     if outcome == INSERTED {
         append_pair(facet, seed | params.propose_root);
     } else if outcome == FULL {

@@ -73,7 +73,7 @@ fn reaches(seed: Seed, facet: Facet) -> bool {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let i = id.x + id.y * groups.x * 64u;
+    let i = params.part_first + id.x + id.y * groups.x * 64u;
     if i >= params.emit_count {
         return;
     }
@@ -83,12 +83,13 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     let box = (place.z * params.grid + place.y) * params.grid + place.x;
     for (var at = near[box]; at < near[box + 1u]; at += 1u) {
         let f = near[at];
-        let mask = facets[f].slot_mask;
+        let facet = facets[f - params.facet_first];
+        let mask = facet.slot_mask;
         let done = params.divided != NONE && atomicLoad(&slots[params.divided + f]) != 0u;
-        if done || (mask & CELLED) == 0u || !reaches(seed, facets[f]) {
+        if done || (mask & CELLED) == 0u || !reaches(seed, facet) {
             continue;
         }
-        let outcome = insert_cell(facets[f].slot_begin, mask & ~CELLED, i, 0u);
+        let outcome = insert_cell(facet.slot_begin, mask & ~CELLED, i, 0u);
         if outcome == INSERTED {
             append_pair(f, i);
         } else if outcome == FULL {

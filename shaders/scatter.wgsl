@@ -15,7 +15,7 @@
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let i = id.x + id.y * groups.x * 64u;
+    let i = params.part_first + id.x + id.y * groups.x * 64u;
     if i >= params.seeds || atomicLoad(&state.halt) != 0u {
         return;
     }

@@ -50,7 +50,7 @@ fn offer(key: f32, seed: u32) {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let index = id.x + id.y * groups.x * 64u;
+    let index = params.part_first + id.x + id.y * groups.x * 64u;
     if index >= params.seeds || atomicLoad(&state.halt) != 0u {
         return;
     }

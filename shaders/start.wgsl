@@ -105,11 +105,11 @@ fn look() -> u32 {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let index = id.x + id.y * groups.x * 64u;
+    let index = params.part_first + id.x + id.y * groups.x * 64u;
     if index >= params.roots || atomicLoad(&state.halt) != 0u {
         return;
     }
-    let f = proposals[index].x;
+    let f = proposals[index].x - params.facet_first;
     let u = (facets[f].corner1_u + facets[f].corner2_u) * (1.0 / 3.0);
     let v = facets[f].corner2_v * (1.0 / 3.0);
     let s = facets[f].lo + (u * facets[f].e1 + v * facets[f].e2);

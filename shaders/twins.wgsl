@@ -12,7 +12,7 @@
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let own = id.x + id.y * groups.x * 64u;
+    let own = params.part_first + id.x + id.y * groups.x * 64u;
     if own >= params.seeds || atomicLoad(&state.halt) != 0u {
         return;
     }

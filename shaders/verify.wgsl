@@ -18,7 +18,7 @@
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let index = id.x + id.y * groups.x * 64u;
+    let index = params.part_first + id.x + id.y * groups.x * 64u;
     if index >= params.emit_count {
         return;
     }
@@ -27,7 +27,8 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
         return;
     }
     let f = pair.x & INDEX;
-    if !is_named(facets[f].slot_begin, facets[f].slot_mask & ~CELLED, pair.y) {
+    let facet = f - params.facet_first;
+    if !is_named(facets[facet].slot_begin, facets[facet].slot_mask & ~CELLED, pair.y) {
         append_failure(f, pair.y, FINISH);
     }
 }

@@ -11,6 +11,7 @@ mod convergence;
 pub mod curves;
 pub mod density;
 mod line_search;
+mod relax;
 mod reseed;
 
 use std::sync::Arc;

@@ -199,6 +199,10 @@ pub struct PassStats {
     /// Rows of neighbours and first cells that a GPU session's host made, because the device could not
     /// prove its own: passes that did so.
     pub host_searches: u64,
+    /// Facets that a device divided among their cells at once.
+    pub divided_facets: u64,
+    /// Facets that a GPU session went through pair by pair.
+    pub paired_facets: u64,
     /// Command buffers handed to the device.
     pub device_submissions: u64,
     /// Buffers allocated on the device.
@@ -219,6 +223,8 @@ impl PassStats {
     pub fn device_work(&self) -> DeviceWork {
         DeviceWork {
             host_searches: self.host_searches,
+            divided_facets: self.divided_facets,
+            paired_facets: self.paired_facets,
             device_submissions: self.device_submissions,
             device_allocations: self.device_allocations,
             uploaded_bytes: self.uploaded_bytes,
@@ -229,6 +235,8 @@ impl PassStats {
     /// Takes `work` for what the device did.
     pub fn set_device_work(&mut self, work: DeviceWork) {
         self.host_searches = work.host_searches;
+        self.divided_facets = work.divided_facets;
+        self.paired_facets = work.paired_facets;
         self.device_submissions = work.device_submissions;
         self.device_allocations = work.device_allocations;
         self.uploaded_bytes = work.uploaded_bytes;
@@ -257,6 +265,8 @@ impl PassStats {
         self.clip_ms += other.clip_ms;
         self.update_ms += other.update_ms;
         self.host_searches += other.host_searches;
+        self.divided_facets += other.divided_facets;
+        self.paired_facets += other.paired_facets;
         self.device_submissions += other.device_submissions;
         self.device_allocations += other.device_allocations;
         self.uploaded_bytes += other.uploaded_bytes;

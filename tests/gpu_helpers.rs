@@ -15,9 +15,20 @@ use wgpu::BufferUsages as Usage;
 
 /// Buffers whose readback is borrowed; the smallest plan there is.
 fn borrowed(device: &Device) -> Buffers {
-    let counts =
-        Counts { facets: 1, seeds: 1, table: 1, slots: 1, pairs: 1, emitted: 1, polygon: 4, near: 1, cells: 2 };
-    Buffers::new(device, Plan::new(counts, Limits::of(&device.limits())).unwrap()).unwrap()
+    let counts = Counts {
+        facets: 1,
+        window: 1,
+        windows: 1,
+        seeds: 1,
+        table: 1,
+        slots: 1,
+        pairs: 1,
+        emitted: 1,
+        polygon: 4,
+        near: 1,
+        cells: 2,
+    };
+    Buffers::new(device, Plan::new(counts, Limits::of(&device.limits())).unwrap(), &[1]).unwrap()
 }
 
 /// Runs one check and reads (sums, slots, outcomes).

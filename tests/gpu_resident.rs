@@ -413,3 +413,68 @@ fn iterations_allocate_nothing_and_move_few_bytes() {
     assert!(stats.device_submissions == 4 && stats.read_back_bytes <= 4 * 128, "{stats:?}");
     assert!(stats.uploaded_bytes <= 4 * 512 && look.stats.uploaded_bytes <= 512, "{stats:?}");
 }
+
+/// Energies and gradients of `steps` Lloyd steps, one by one or as the device likes, and where they lead.
+fn relaxed(session: &mut dyn Session, steps: usize, together: bool) -> (Vec<[f64; 3]>, Vec<DVec3>, PassStats) {
+    let moving = session.resident().unwrap();
+    let mut looks = Vec::new();
+    while looks.len() < steps {
+        if together {
+            let before = looks.len();
+            moving.relax(steps - before, &mut looks, &CancelFlag::default()).unwrap();
+            assert!(looks.len() > before && looks.len() <= steps);
+            if looks.last().unwrap().empty_cells == 0 {
+                continue;
+            }
+        } else {
+            looks.push(evaluate(moving));
+        }
+        moving.to_centroids().unwrap();
+    }
+    let mut stats = PassStats::default();
+    looks.iter().for_each(|look| stats.add(&look.stats));
+    (looks.iter().map(|l| [l.energy, l.gradient_squared, l.area]).collect(), read(moving), stats)
+}
+
+#[test]
+fn steps_taken_together_have_the_bits_of_steps_taken_one_by_one() {
+    require_gpu!();
+    // Traffic is counted by device.
+    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
+    let gpu = &Gpu::new(device, None).unwrap();
+    // The third has facets of more cells than one goes through at once.
+    for (facets, weighted, n) in [(3000, false, 500), (1500, true, 400), (200, false, 600)] {
+        let surface = surface(Shape::Torus, facets, weighted);
+        for (name, seeds) in sets(&surface, n) {
+            let (alone, alone_at, one) = relaxed(&mut *open(gpu, &surface, &seeds), 12, false);
+            let (together, at, many) = relaxed(&mut *open(gpu, &surface, &seeds), 12, true);
+            assert_eq!(alone, together, "{name}");
+            assert!(alone_at == at, "{name}: seeds");
+            assert_eq!(
+                (one.divided_facets + one.paired_facets) % surface.facets().len() as u64,
+                0,
+                "{name}: a facet is divided or goes pair by pair"
+            );
+            eprintln!(
+                "{facets} facets, {name}: {} submissions together; {} facets divided, {} by pairs",
+                many.device_submissions, many.divided_facets, many.paired_facets
+            );
+        }
+    }
+    let surface = surface(Shape::Torus, 3000, false);
+    let held: Vec<bool> = (0..500).map(|i| i % 3 == 0).collect();
+    let mut sessions = [0, 1].map(|_| open(gpu, &surface, &noise(&surface, 500, 0.0, 9)));
+    sessions.iter_mut().for_each(|s| s.resident().unwrap().hold(&held).unwrap());
+    let [one, many] = &mut sessions;
+    assert!(relaxed(&mut **one, 12, false).1 == relaxed(&mut **many, 12, true).1, "held");
+    // Settled seeds need nothing of the host: 2, 4, 8, ... at a time, as far as they come within a tenth of a second.
+    let (_, _, stats) = relaxed(&mut **many, 30, true);
+    eprintln!("{stats:?}");
+    assert!(stats.device_submissions < 20 && stats.device_allocations == 0, "{stats:?}");
+    let cancelled = CancelFlag::default();
+    cancelled.cancel();
+    let moving = many.resident().unwrap();
+    let before = read(moving);
+    assert!(matches!(moving.relax(5, &mut Vec::new(), &cancelled), Err(RvdError::Cancelled)));
+    assert!(before == read(moving));
+}

@@ -120,7 +120,9 @@ fn records_have_one_layout() {
             row,
             side,
             roots,
-            divided
+            divided,
+            facet_first,
+            part_first
         }
     );
     same_layout!(
@@ -140,15 +142,27 @@ fn records_have_one_layout() {
             unproved,
             bad,
             cursor,
-            padding0,
-            padding1
+            paired,
+            rounds
         }
     );
     same_layout!(&parse("search", 10, 0), Sorted { hi, seed, lo, first });
     let tally = parse("tally", 10, 0);
     same_layout!(
         &tally,
-        Motion { seeds, groups, step, slot, directed, uniform_weights, moment_per_mass, gradient_unit, coefficients }
+        Motion {
+            seeds,
+            groups,
+            step,
+            slot,
+            directed,
+            uniform_weights,
+            moment_per_mass,
+            gradient_unit,
+            coefficients,
+            least_area,
+            most_area
+        }
     );
     same_layout!(
         &tally,
@@ -176,13 +190,14 @@ fn constants_agree() {
         assert!(text.contains(&line), "{line}");
     }
     let constants = [("ROW", i64::from(layout::ROW))];
-    let all = ["count", "propose", "search", "products", "centroids", "dots"];
+    let all = ["count", "propose", "search", "products", "centroids", "dots", "settle"];
     let text: String = all.iter().map(|stage| compose(stage, &constants).unwrap()).collect();
     for line in [
         format!("const NONE: u32 = {:#x}u;", layout::NONE),
         format!("const BAD: u32 = {}u;", layout::halt::BAD),
         format!("const FAR: u32 = {}u;", layout::halt::FAR),
         format!("const CROWDED: u32 = {}u;", layout::halt::CROWDED),
+        format!("const UNSETTLED: u32 = {}u;", layout::halt::UNSETTLED),
         format!("const PAIRS: u32 = {}u;", layout::PAIRS),
         format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
         format!("const ACCEPTED: f32 = {:e};", tessera::rvd::MAX_SEED_DISTANCE),

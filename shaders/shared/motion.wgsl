@@ -17,6 +17,9 @@ struct Motion {
     gradient_unit: f32,
     // Coefficients of the direction: steps, changes of the gradient, the gradient.
     coefficients: array<vec4f, 5>,
+    // Units of area between which the pieces cover the surface.
+    least_area: vec2u,
+    most_area: vec2u,
 }
 
 const PAIRS: u32 = 8u;

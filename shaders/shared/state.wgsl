@@ -26,10 +26,14 @@ struct State {
     bad: atomic<u32>,
     // Entries of the sorted seeds that are given out.
     cursor: atomic<u32>,
-    padding0: u32,
-    padding1: u32,
+    // Facets that `divide` left to the list of pairs.
+    paired: atomic<u32>,
+    // Clip dispatches that had pairs.
+    rounds: u32,
 }
 
 const BAD: u32 = 1u;
 const FAR: u32 = 2u;
 const CROWDED: u32 = 4u;
+// Not of the search: the pass is not at its end.
+const UNSETTLED: u32 = 8u;

@@ -62,6 +62,10 @@ struct Params {
     roots: u32,
     // Where in `slots` it says which CELLED facets `divide` has done; NONE if it does not.
     divided: u32,
+    // The facet whose record comes first in the present window of them.
+    facet_first: u32,
+    // The item that the present part of a dispatch begins at.
+    part_first: u32,
 }
 
 const COMPLETE: u32 = 0x80000000u;

@@ -11,7 +11,7 @@ use std::sync::mpsc;
 use bytemuck::{NoUninit, Pod};
 use wgpu::BufferUsages as Usage;
 
-use super::plan::{MotionPlan, Plan};
+use super::plan::{self, MotionPlan, Plan};
 use super::{Device, GpuError};
 
 /// Bytes that are handed to the queue between two submissions.
@@ -22,8 +22,6 @@ pub const UPLOAD_BYTES: usize = 32 << 20;
 pub struct Buffers {
     /// Seed records.
     pub seeds: wgpu::Buffer,
-    /// Facet records.
-    pub facets: wgpu::Buffer,
     /// Neighbour table.
     pub table: wgpu::Buffer,
     /// Sets of cells.
@@ -34,8 +32,6 @@ pub struct Buffers {
     pub sums: wgpu::Buffer,
     /// List of failures.
     pub failures: wgpu::Buffer,
-    /// Proposals.
-    pub proposals: wgpu::Buffer,
     /// Summary block.
     pub state: wgpu::Buffer,
     /// Indirect arguments.
@@ -54,16 +50,29 @@ pub struct Buffers {
     pub cells: wgpu::Buffer,
     /// Seeds in its order.
     pub sorted: wgpu::Buffer,
+    /// Where the parts of a dispatch begin.
+    pub origins: wgpu::Buffer,
+    /// What there is of each window of facets.
+    pub windows: Vec<WindowBuffers>,
     staging: wgpu::Buffer,
     plan: Plan,
 }
 
+/// Buffers of the facets of a window.
+#[derive(Debug)]
+pub struct WindowBuffers {
+    /// Facet records.
+    pub facets: wgpu::Buffer,
+    /// Proposals.
+    pub proposals: wgpu::Buffer,
+}
+
 impl Buffers {
-    /// Allocates everything.
+    /// Allocates everything, for windows of so many facets each.
     ///
     /// # Errors
     /// `OutOfMemory` with the bytes of the whole plan; what was allocated is freed again.
-    pub fn new(device: &Device, plan: Plan) -> Result<Self, GpuError> {
+    pub fn new(device: &Device, plan: Plan, windows: &[u64]) -> Result<Self, GpuError> {
         let storage = Usage::STORAGE | Usage::COPY_DST | Usage::COPY_SRC;
         let make = |label: &str, bytes: u64, usage: Usage| {
             device.buffer(label, bytes, usage).map_err(|e| match e {
@@ -73,15 +82,22 @@ impl Buffers {
                 other => other,
             })
         };
-        Ok(Self {
+        let window = |&facets: &u64| {
+            let (records, proposals) = plan::window_bytes(facets);
+            Ok(WindowBuffers {
+                facets: make("facets", records, storage)?,
+                proposals: make("proposals", proposals, storage)?,
+            })
+        };
+        let windows = windows.iter().map(window).collect::<Result<_, GpuError>>()?;
+        let made = Self {
+            windows,
             seeds: make("seeds", plan.seeds_bytes, storage)?,
-            facets: make("facets", plan.facets_bytes, storage)?,
             table: make("table", plan.table_bytes, storage)?,
             slots: make("slots", plan.slots_bytes, storage)?,
             list: make("list", plan.list_bytes, storage)?,
             sums: make("sums", plan.sums_bytes, storage)?,
             failures: make("failures", plan.failures_bytes, storage)?,
-            proposals: make("proposals", plan.proposals_bytes, storage)?,
             state: make("state", plan.state_bytes, storage)?,
             arguments: make("arguments", plan.arguments_bytes, storage | Usage::INDIRECT)?,
             params: make("params", plan.params_bytes, Usage::UNIFORM | Usage::COPY_DST)?,
@@ -91,9 +107,12 @@ impl Buffers {
             near: make("near", plan.near_bytes, storage)?,
             cells: make("cells", plan.cells_bytes, storage)?,
             sorted: make("sorted", plan.sorted_bytes, storage)?,
+            origins: make("origins", plan.origins_bytes, Usage::COPY_SRC | Usage::COPY_DST)?,
             staging: make("staging", plan.staging_bytes, Usage::MAP_READ | Usage::COPY_DST)?,
             plan,
-        })
+        };
+        write(device, &made.origins, 0, &plan::part_origins(&plan))?;
+        Ok(made)
     }
 
     /// What they were made for.
@@ -214,6 +233,8 @@ pub struct MotionBuffers {
     pub dots: wgpu::Buffer,
     /// Parameters.
     pub motion: wgpu::Buffer,
+    /// What is kept of each pass of a submission.
+    pub journal: wgpu::Buffer,
     plan: MotionPlan,
 }
 
@@ -245,6 +266,7 @@ impl MotionBuffers {
             partials: make("partials", plan.partials_bytes, storage)?,
             dots: make("dots", plan.dots_bytes, storage)?,
             motion: make("motion", plan.motion_bytes, Usage::UNIFORM | Usage::COPY_DST)?,
+            journal: make("journal", plan.journal_bytes, Usage::COPY_SRC | Usage::COPY_DST)?,
             plan,
         })
     }

@@ -24,11 +24,14 @@ pub struct DeviceOptions {
     pub name: Option<String>,
     /// How long one submission may take before the device counts as hung.
     pub timeout: Duration,
+    /// No buffer larger than this, and no more of one seen by a shader, though the adapter allows more: what
+    /// another device's limits come to can be tried so.
+    pub most_buffer_bytes: Option<u64>,
 }
 
 impl Default for DeviceOptions {
     fn default() -> Self {
-        Self { software: false, name: None, timeout: Duration::from_secs(60) }
+        Self { software: false, name: None, timeout: Duration::from_secs(60), most_buffer_bytes: None }
     }
 }
 
@@ -209,17 +212,27 @@ impl Device {
                 summary.unusable.clone()
             };
             match refusal {
-                None => return Self::request(&adapter, summary, options.timeout),
+                None => return Self::request(&adapter, summary, options),
                 Some(why) => found.push(format!("{} ({}, {}): {why}", summary.name, summary.backend, summary.kind)),
             }
         }
         Err(GpuError::NoAdapter { found })
     }
 
-    fn request(adapter: &wgpu::Adapter, summary: AdapterSummary, timeout: Duration) -> Result<Arc<Self>, GpuError> {
+    fn request(
+        adapter: &wgpu::Adapter,
+        summary: AdapterSummary,
+        options: &DeviceOptions,
+    ) -> Result<Arc<Self>, GpuError> {
+        let mut required_limits = adapter.limits();
+        if let Some(most) = options.most_buffer_bytes {
+            required_limits.max_buffer_size = required_limits.max_buffer_size.min(most);
+            let binding = &mut required_limits.max_storage_buffer_binding_size;
+            *binding = (*binding).min(most);
+        }
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("tessera"),
-            required_limits: adapter.limits(),
+            required_limits,
             required_features: adapter.features() & (wgpu::Features::TIMESTAMP_QUERY | WIDE_ATOMICS),
             ..Default::default()
         };
@@ -234,7 +247,7 @@ impl Device {
             device,
             queue,
             adapter: summary,
-            timeout,
+            timeout: options.timeout,
             flags,
             meters: Meters::default(),
             timer: Mutex::default(),
@@ -360,6 +373,12 @@ impl Device {
     /// Milliseconds of the passes of each lane since [`Self::keep_time`]; `None` without it.
     pub fn stage_ms(&self) -> Option<[f64; LANES]> {
         self.timer().as_ref().map(Timer::total_ms)
+    }
+
+    /// Milliseconds of the longest pass of each lane since [`Self::keep_time`], and so no less than its longest
+    /// dispatch took; `None` without it.
+    pub fn longest_ms(&self) -> Option<[f64; LANES]> {
+        self.timer().as_ref().map(Timer::longest_ms)
     }
 
     /// Begins a compute pass, timed as one of `lane` if time is kept.

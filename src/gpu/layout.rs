@@ -139,6 +139,10 @@ pub struct Params {
     pub roots: u32,
     /// Where among the slots it says which facets `divide` has done; [`NONE`] if it need not.
     pub divided: u32,
+    /// The facet whose record comes first in the present window.
+    pub facet_first: u32,
+    /// The item that the present part of a dispatch begins at.
+    pub part_first: u32,
 }
 
 /// What the host reads between submissions.
@@ -173,10 +177,10 @@ pub struct State {
     pub bad: u32,
     /// Entries of the sorted seeds that are given out.
     pub cursor: u32,
-    /// Zero.
-    pub padding0: u32,
-    /// Zero.
-    pub padding1: u32,
+    /// Facets that `divide` left to the list of pairs.
+    pub paired: u32,
+    /// Clip dispatches that had pairs.
+    pub rounds: u32,
 }
 
 /// A seed in the order of the grid.
@@ -215,6 +219,10 @@ pub struct Motion {
     pub gradient_unit: f32,
     /// Coefficients of the direction: steps, changes of the gradient, the gradient.
     pub coefficients: [[f32; 4]; 5],
+    /// Units of area, two limbs, that the pieces come to at least if they cover the surface.
+    pub least_area: [u32; 2],
+    /// The same at most.
+    pub most_area: [u32; 2],
 }
 
 /// What one reduction over the cells says.
@@ -247,7 +255,12 @@ pub mod halt {
     pub const FAR: u32 = 2;
     /// A cell of the grid has more seeds than are worth searching.
     pub const CROWDED: u32 = 4;
+    /// Not of the search: the pass is not at its end.
+    pub const UNSETTLED: u32 = 8;
 }
+
+/// What is kept of each pass of a submission: its summary and its figures, as bytes.
+pub const ENTRY_BYTES: u64 = (size_of::<State>() + size_of::<Figures>()) as u64;
 
 /// Neighbours that the search finds at most.
 pub const ROW: u32 = 24;

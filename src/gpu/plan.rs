@@ -5,22 +5,28 @@
 //! Invariant: pure. A plan that comes back fits the limits it was made for.
 //! Must not know: the device itself, what the things are.
 
+use std::ops::Range;
+
 use super::GpuError;
 use super::device::WORKGROUP;
-use super::layout::{DOTS, Facet, Figures, Motion, PAIRS, Params, SUM_WORDS, Seed, Sorted, State};
+use super::layout::{DOTS, ENTRY_BYTES, Facet, Figures, Motion, PAIRS, Params, SUM_WORDS, Seed, Sorted, State};
 
 /// Numbers of things that a session holds room for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Facets.
+    /// Facets of all windows.
     pub facets: u64,
+    /// Facets of the largest window.
+    pub window: u64,
+    /// Windows.
+    pub windows: u64,
     /// Seeds at most.
     pub seeds: u64,
     /// Entries of the neighbour table, longer rows included.
     pub table: u64,
-    /// Slots of all facets' sets of cells.
+    /// Slots of the sets of cells of one window's facets.
     pub slots: u64,
-    /// Pairs in the list.
+    /// Pairs in the list, which is one window's.
     pub pairs: u64,
     /// Pairs whose pieces one emit dispatch writes.
     pub emitted: u64,
@@ -52,11 +58,71 @@ impl Limits {
             workgroups: limits.max_compute_workgroups_per_dimension,
         }
     }
+
+    /// Largest buffer that a shader can see all of, bytes.
+    pub fn seen_bytes(self) -> u64 {
+        // Offsets within a buffer are 32-bit words on the device.
+        self.buffer_bytes.min(self.binding_bytes).min(16 << 30)
+    }
 }
+
+/// What a facet needs of the buffers that the facets of a window share.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Need {
+    /// Slots of its set of cells.
+    pub slots: u64,
+    /// Pairs in the list.
+    pub pairs: f64,
+}
+
+/// Facets that the device sees at once. A diagram is a sum over its facets, so that windows are done one
+/// after another.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Window {
+    /// Which.
+    pub facets: Range<u32>,
+    /// Slots of their sets of cells.
+    pub slots: u64,
+    /// Pairs that are expected of them, rounded up.
+    pub pairs: u64,
+}
+
+/// The longest windows of which every buffer can be seen whole: records and first cells of their facets, sets of
+/// cells with a word more a facet, and `spare` pairs beside those that are expected. One facet at least is in
+/// each; if that is too much, [`Plan::new`] says so.
+pub fn windows(needs: impl IntoIterator<Item = Need>, spare: u64, limits: Limits) -> Vec<Window> {
+    let most = limits.seen_bytes();
+    let records = (most / size_of::<Facet>() as u64).min((most / 8).saturating_sub(EXTRA_PROPOSALS));
+    let (slots, pairs) = (most / 4, (most / 8).saturating_sub(spare) as f64);
+    let mut windows = Vec::new();
+    let (mut first, mut end, mut have) = (0, 0, Need { slots: 0, pairs: 0.0 });
+    let close = |facets: Range<u32>, have: Need| Window { facets, slots: have.slots, pairs: have.pairs.ceil() as u64 };
+    for need in needs {
+        let next = Need { slots: have.slots.saturating_add(need.slots), pairs: have.pairs + need.pairs };
+        let count = u64::from(end - first) + 1;
+        if count > 1 && (count > records || next.slots.saturating_add(count) > slots || next.pairs > pairs) {
+            windows.push(close(first..end, have));
+            (first, have) = (end, need);
+        } else {
+            have = next;
+        }
+        end += 1;
+    }
+    windows.push(close(first..end, have));
+    windows
+}
+
+/// Items that one dispatch of a heavy stage has at most. Each stage takes some such parts at once; none comes near
+/// 100 ms on a software adapter (`tessera bench cvt` says how long the longest took).
+pub const PART: u64 = 1 << 15;
+/// Parts that one submission has at most, so that a job can be cancelled between them.
+pub const PARTS: u64 = 16;
 
 /// Pairs that one dispatch clips at most: tens of milliseconds on a software adapter, far below
 /// every watchdog, and few enough workgroups for one dimension.
 pub const BATCH: u32 = 1 << 18;
+/// The same of pairs whose polygons are in memory instead of registers, ten times slower.
+pub const LARGE_BATCH: usize = 1 << 14;
 /// Proposals that the host can add to the facets' first cells at once.
 pub const EXTRA_PROPOSALS: u64 = 4096;
 /// The part of a buffer that one readback copies at most.
@@ -69,7 +135,7 @@ pub struct Plan {
     pub counts: Counts,
     /// Seed records.
     pub seeds_bytes: u64,
-    /// Facet records.
+    /// Facet records, of all windows.
     pub facets_bytes: u64,
     /// Neighbour table.
     pub table_bytes: u64,
@@ -81,7 +147,7 @@ pub struct Plan {
     pub sums_bytes: u64,
     /// List of failures.
     pub failures_bytes: u64,
-    /// Proposals.
+    /// Proposals, of all windows.
     pub proposals_bytes: u64,
     /// Summary block.
     pub state_bytes: u64,
@@ -101,6 +167,8 @@ pub struct Plan {
     pub cells_bytes: u64,
     /// Seeds in its order.
     pub sorted_bytes: u64,
+    /// Where the parts of a dispatch begin.
+    pub origins_bytes: u64,
     /// Readback.
     pub staging_bytes: u64,
 }
@@ -124,7 +192,10 @@ impl Plan {
             list_bytes: counts.pairs.saturating_mul(8),
             sums_bytes,
             failures_bytes: counts.pairs.saturating_mul(8),
-            proposals_bytes: counts.facets.saturating_add(EXTRA_PROPOSALS).saturating_mul(8),
+            proposals_bytes: EXTRA_PROPOSALS
+                .saturating_mul(counts.windows)
+                .saturating_add(counts.facets)
+                .saturating_mul(8),
             state_bytes: size_of::<State>() as u64,
             arguments_bytes: 16,
             params_bytes: size_of::<Params>() as u64,
@@ -134,14 +205,21 @@ impl Plan {
             near_bytes: counts.near.saturating_mul(4),
             cells_bytes: counts.cells.saturating_mul(4),
             sorted_bytes: counts.seeds.saturating_mul(size_of::<Sorted>() as u64),
+            origins_bytes: 4 * origins(counts.window.max(counts.seeds)),
             staging_bytes: sums_bytes.max(vertices_bytes).clamp(1 << 16, STAGING_BYTES),
         };
-        fits(&plan.buffers(), limits)?;
+        // Of the facets' buffers there is one a window.
+        let seen = plan.buffers().map(|(what, bytes)| match what {
+            "facets" => (what, window_bytes(counts.window).0),
+            "proposals" => (what, window_bytes(counts.window).1),
+            _ => (what, bytes),
+        });
+        fits(&seen, limits)?;
         Ok(plan)
     }
 
-    /// Name and bytes of every buffer.
-    pub fn buffers(&self) -> [(&'static str, u64); 18] {
+    /// Name and bytes of every buffer; those of all windows together.
+    pub fn buffers(&self) -> [(&'static str, u64); 19] {
         [
             ("seeds", self.seeds_bytes),
             ("facets", self.facets_bytes),
@@ -160,6 +238,7 @@ impl Plan {
             ("near", self.near_bytes),
             ("cells", self.cells_bytes),
             ("sorted", self.sorted_bytes),
+            ("origins", self.origins_bytes),
             ("staging", self.staging_bytes),
         ]
     }
@@ -170,16 +249,40 @@ impl Plan {
     }
 }
 
+/// Bytes of the records and of the proposals of a window of so many facets.
+pub fn window_bytes(facets: u64) -> (u64, u64) {
+    let records = facets.saturating_mul(size_of::<Facet>() as u64);
+    (records, facets.saturating_add(EXTRA_PROPOSALS).saturating_mul(8))
+}
+
+/// Parts that a dispatch over `items` may be in.
+fn origins(items: u64) -> u64 {
+    items.min(u64::from(u32::MAX)).div_ceil(PART).max(1)
+}
+
+/// Where each of them begins.
+pub fn part_origins(plan: &Plan) -> Vec<u32> {
+    (0..plan.origins_bytes / 4).map(|k| (k * PART) as u32).collect()
+}
+
+/// The items of each dispatch over `items`, `parts` times [`PART`] in each but the last; one dispatch if there are none.
+pub fn parts(items: u64, parts: u64) -> impl Iterator<Item = Range<u64>> {
+    let most = parts * PART;
+    (0..items.div_ceil(most).max(1)).map(move |k| k * most..((k + 1) * most).min(items))
+}
+
 fn fits(buffers: &[(&str, u64)], limits: Limits) -> Result<(), GpuError> {
-    let limit_bytes = limits.buffer_bytes.min(limits.binding_bytes);
+    let limit_bytes = limits.seen_bytes();
     for &(what, needed_bytes) in buffers {
-        // Offsets within a buffer are 32-bit words on the device.
-        if needed_bytes > limit_bytes.min(16 << 30) {
+        if needed_bytes > limit_bytes {
             return Err(GpuError::NeverFits { what: what.to_owned(), needed_bytes, limit_bytes });
         }
     }
     Ok(())
 }
+
+/// Passes of one submission at most.
+pub const PASSES: usize = 32;
 
 /// Workgroups of a reduction at most; each leaves one partial sum.
 pub const REDUCTION_GROUPS: u32 = 256;
@@ -205,6 +308,8 @@ pub struct MotionPlan {
     pub dots_bytes: u64,
     /// Parameters.
     pub motion_bytes: u64,
+    /// What is kept of each pass of a submission.
+    pub journal_bytes: u64,
 }
 
 impl MotionPlan {
@@ -225,13 +330,14 @@ impl MotionPlan {
             partials_bytes: groups * DOTS as u64 * 4,
             dots_bytes: DOTS as u64 * 4,
             motion_bytes: size_of::<Motion>() as u64,
+            journal_bytes: PASSES as u64 * ENTRY_BYTES,
         };
         fits(&plan.buffers(), limits)?;
         Ok(plan)
     }
 
     /// Name and bytes of every buffer.
-    pub fn buffers(&self) -> [(&'static str, u64); 12] {
+    pub fn buffers(&self) -> [(&'static str, u64); 13] {
         [
             ("points", self.points_bytes),
             ("held", self.held_bytes),
@@ -245,6 +351,7 @@ impl MotionPlan {
             ("partials", self.partials_bytes),
             ("dots", self.dots_bytes),
             ("motion", self.motion_bytes),
+            ("journal", self.journal_bytes),
         ]
     }
 
@@ -254,9 +361,12 @@ impl MotionPlan {
     }
 }
 
+/// Items that a lane of a reduction adds up before lanes are added: a workgroup's barriers cost as much as many items.
+const LANE_ITEMS: u64 = 4;
+
 /// Workgroups of a reduction over `items`.
 pub fn reduction(items: u64) -> u32 {
-    items.div_ceil(u64::from(WORKGROUP)).clamp(1, u64::from(REDUCTION_GROUPS)) as u32
+    items.div_ceil(LANE_ITEMS * u64::from(WORKGROUP)).clamp(1, u64::from(REDUCTION_GROUPS)) as u32
 }
 
 /// Cells along each side of the grid over the unit box in which `seeds` seeds on a surface of `area` are
@@ -293,6 +403,8 @@ mod tests {
     fn counts(n: u64) -> Counts {
         Counts {
             facets: n,
+            window: n,
+            windows: 1,
             seeds: n,
             table: 31 * n,
             slots: 16 * n,
@@ -316,6 +428,42 @@ mod tests {
         let error = Plan::new(counts(2_000_000), LIMITS).unwrap_err();
         let GpuError::NeverFits { what, needed_bytes, limit_bytes } = error else { panic!("{error}") };
         assert_eq!((what.as_str(), needed_bytes, limit_bytes), ("facets", 192_000_000, 128 << 20));
+    }
+
+    #[test]
+    fn windows_are_as_long_as_fits_and_leave_nothing_out() {
+        let needs = |n: u64, slots: u64, pairs: f64| (0..n).map(move |_| Need { slots, pairs });
+        let one = windows(needs(1_000_000, 16, 3.0), 1024, LIMITS);
+        assert_eq!(one, [Window { facets: 0..1_000_000, slots: 16_000_000, pairs: 3_000_000 }]);
+        assert_eq!(windows(needs(0, 0, 0.0), 1024, LIMITS).len(), 1);
+        // By records, by slots, by pairs.
+        for (slots, pairs, most) in [(16, 3.0, 1_398_101), (64, 3.0, 516_222), (16, 100.0, 167_761)] {
+            let many = windows(needs(5_000_000, slots, pairs), 1024, LIMITS);
+            assert_eq!(many[0].facets, 0..most);
+            assert!(many.windows(2).all(|w| w[0].facets.end == w[1].facets.start));
+            assert_eq!(many.last().unwrap().facets.end, 5_000_000);
+            let (records, proposals) = window_bytes(most.into());
+            let most = u64::from(most);
+            let all = [records, proposals, 4 * (slots + 1) * most, 8 * (pairs as u64 * most + 1024)];
+            assert!(all.iter().all(|bytes| *bytes <= 128 << 20), "{all:?}");
+        }
+        // What fits nowhere is alone, and refused by the plan.
+        let huge =
+            windows([needs(3, 16, 1.0), needs(1, 1 << 30, 1.0), needs(3, 16, 1.0)].into_iter().flatten(), 0, LIMITS);
+        assert_eq!(huge.iter().map(|w| w.facets.clone()).collect::<Vec<_>>(), [0..3, 3..4, 4..7]);
+    }
+
+    #[test]
+    fn parts_cover_all_items_and_none_is_too_large() {
+        for items in [0, 1, PART, PART + 1, 10 * PART + 7] {
+            for most in [1, 4] {
+                let parts: Vec<_> = parts(items, most).collect();
+                assert_eq!((parts[0].start, parts[parts.len() - 1].end), (0, items));
+                assert!(parts.windows(2).all(|p| p[0].end == p[1].start));
+                assert!(parts.iter().all(|p| p.end - p.start <= most * PART && p.start % PART == 0));
+                assert!(parts.last().unwrap().start / PART < origins(items));
+            }
+        }
     }
 
     #[test]

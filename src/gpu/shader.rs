@@ -55,6 +55,7 @@ sources![
     "rows",
     "scatter",
     "search",
+    "settle",
     "shared/accumulate",
     "shared/append",
     "shared/append_pair",

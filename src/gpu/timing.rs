@@ -15,7 +15,7 @@ use super::GpuError;
 pub const LANES: usize = 4;
 
 /// Passes of one submission that are timed.
-const SPANS: usize = 32;
+const SPANS: usize = 256;
 
 /// The stamps of one device.
 pub(super) struct Timer {
@@ -30,6 +30,7 @@ pub(super) struct Timer {
     /// Lanes of what was submitted and not read yet.
     due: Option<(Vec<usize>, Receiver<bool>)>,
     total_ms: [f64; LANES],
+    longest_ms: [f64; LANES],
 }
 
 fn name(encoder: &wgpu::CommandEncoder) -> u64 {
@@ -61,6 +62,7 @@ impl Timer {
             lanes: Vec::with_capacity(SPANS),
             due: None,
             total_ms: [0.0; LANES],
+            longest_ms: [0.0; LANES],
         }
     }
 
@@ -123,9 +125,16 @@ impl Timer {
         self.staging.unmap();
         for (&lane, ends) in lanes.iter().zip(ticks.chunks_exact(2)) {
             // A clock may be set back between two stamps; such a span is worth nothing.
-            self.total_ms[lane] += ends[1].saturating_sub(ends[0]) as f64 * self.period / 1e6;
+            let ms = ends[1].saturating_sub(ends[0]) as f64 * self.period / 1e6;
+            self.total_ms[lane] += ms;
+            self.longest_ms[lane] = self.longest_ms[lane].max(ms);
         }
         Ok(())
+    }
+
+    /// Milliseconds of each lane's longest pass so far.
+    pub(super) fn longest_ms(&self) -> [f64; LANES] {
+        self.longest_ms
     }
 
     /// Milliseconds of each lane so far.

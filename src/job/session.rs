@@ -105,13 +105,16 @@ impl CvtSession {
             let mut taken = Vec::new();
             let most = if seeds == SeedsWanted::Each { 1 } else { steps.min(SLICE_STEPS) };
             while taken.len() < most.max(1) {
-                let iteration = match kind {
-                    StepKind::Lloyd => cvt.lloyd(cancel)?,
-                    StepKind::Lbfgs => cvt.lbfgs(cancel)?,
+                let iterations = match kind {
+                    StepKind::Lloyd => cvt.relax(most.max(1) - taken.len(), cancel)?,
+                    StepKind::Lbfgs => vec![cvt.lbfgs(cancel)?],
                 };
-                let last = taken.len() + 1 == steps;
+                taken.extend(iterations.into_iter().map(|iteration| (iteration, None)));
+                let last = taken.len() == steps;
                 let wanted = seeds == SeedsWanted::Each || (seeds == SeedsWanted::Last && last);
-                taken.push((iteration, wanted.then(|| cvt.seeds()).transpose()?));
+                if let Some(taken) = taken.last_mut().filter(|_| wanted) {
+                    taken.1 = Some(cvt.seeds()?);
+                }
                 if start.elapsed() >= SLICE {
                     break;
                 }

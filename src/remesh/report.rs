@@ -182,6 +182,8 @@ impl DeviceFigures {
             };
             DeviceWork {
                 host_searches: of(|w| w.host_searches),
+                divided_facets: of(|w| w.divided_facets),
+                paired_facets: of(|w| w.paired_facets),
                 device_submissions: of(|w| w.device_submissions),
                 device_allocations: of(|w| w.device_allocations),
                 uploaded_bytes: of(|w| w.uploaded_bytes),

@@ -32,19 +32,26 @@ impl Steps<'_> {
     pub(super) fn main(&mut self, cvt: &mut Cvt) -> Result<FinalFigures, RemeshError> {
         let planned = self.options.lloyd + self.options.newton;
         while self.iterations.len() < planned && !cvt.converged() {
-            let newton = self.iterations.len() >= self.options.lloyd;
-            let step = self.take(cvt, newton)?;
-            self.observer.iteration(&step, planned);
-            self.iterations.push(IterationFigures::of(&step));
+            let lloyd = self.options.lloyd.saturating_sub(self.iterations.len());
+            let steps = if lloyd > 0 { cvt.relax(lloyd, self.cancel)? } else { vec![cvt.lbfgs(self.cancel)?] };
+            for step in steps {
+                self.count(&step);
+                self.observer.iteration(&step, planned);
+                self.iterations.push(IterationFigures::of(&step));
+            }
         }
         Ok(FinalFigures::of(&cvt.present(self.cancel)?))
     }
 
     fn take(&mut self, cvt: &mut Cvt, newton: bool) -> Result<Iteration, RemeshError> {
         let step = if newton { cvt.lbfgs(self.cancel)? } else { cvt.lloyd(self.cancel)? };
+        self.count(&step);
+        Ok(step)
+    }
+
+    fn count(&mut self, step: &Iteration) {
         self.rvd.add_pass(&step.stats);
         self.rvd.reseeded_cells += step.empty_cells;
-        Ok(step)
     }
 
     /// Steps that are not counted as iterations: one of Lloyd's and quasi-Newton steps.

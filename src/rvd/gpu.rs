@@ -24,12 +24,15 @@ mod history;
 mod measure;
 mod moving;
 mod pack;
+mod parts;
 mod pass;
 mod pieces;
 mod pipelines;
 mod reach;
 mod relaunch;
+mod relax;
 mod search;
+mod windows;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -43,17 +46,17 @@ use super::{
     Accumulate, Backend, BackendKind, CancelFlag, Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch,
     Resident, RvdError, Session, SessionOptions, Surface, elapsed_ms, take_seeds,
 };
-use crate::gpu::buffers::{self, Buffers};
-use crate::gpu::layout::{self, NONE, Params, ROW, STRIDE, SUM_WORDS};
-use crate::gpu::plan::{self, BATCH, Counts, EXTRA_PROPOSALS, Limits, Plan};
+use crate::gpu::buffers::Buffers;
+use crate::gpu::layout::{self, NONE, Params, ROW, STRIDE, SUM_WORDS, State};
+use crate::gpu::plan::{self, BATCH, Counts, EXTRA_PROPOSALS, Limits};
 use crate::gpu::{Device, GpuError, Traffic};
 use crate::mesh::TriMesh;
 pub use measure::AccumulationMs;
 use moving::Moving;
-use pass::Wants;
 use pipelines::{Bindings, Pipelines};
 pub use search::Found;
 use search::{HostCopy, Place, Rows};
+use windows::Layout;
 
 impl From<GpuError> for RvdError {
     fn from(error: GpuError) -> Self {
@@ -103,6 +106,12 @@ impl Gpu {
         Ok(self.device.keep_time()?)
     }
 
+    /// What the longest of the device's compute passes took since [`Self::keep_time`], by phase; each is one dispatch or
+    /// more.
+    pub fn longest_passes(&self) -> Option<PhasesMs> {
+        self.device.longest_ms().map(phases)
+    }
+
     /// One seed amid a ring of 24, so that both polygon variants run, on a square of area 1. Some
     /// drivers compile at the first dispatch, which the first caller should not pay for.
     fn warm_up(&self) -> Result<(), RvdError> {
@@ -126,6 +135,11 @@ impl Gpu {
             seeds.probe(1e-3, &cancel)?;
             seeds.accept()?;
             seeds.to_centroids()?;
+            // The first one of them alone, then two at once.
+            let mut looks = Vec::new();
+            while looks.len() < 3 {
+                seeds.relax(3, &mut looks, &cancel)?;
+            }
         }
         // The middle cell is a regular 24-gon of inradius 0.05.
         let polygon = 24.0 * 0.05 * 0.05 * (std::f64::consts::PI / 24.0).tan();
@@ -149,6 +163,10 @@ mod lane {
     pub const START: usize = 1;
     pub const CLIP: usize = 2;
     pub const UPDATE: usize = 3;
+}
+
+fn phases([neighbours, start, clip, update]: [f64; 4]) -> PhasesMs {
+    PhasesMs { neighbours, start, clip, update }
 }
 
 impl Backend for Gpu {
@@ -197,6 +215,7 @@ struct GpuSession {
 
     /// Capacities on the device, which grow, and the sets of cells they are made of.
     counts: Counts,
+    layout: Layout,
     slots_log2: Vec<u8>,
     facets: Vec<layout::Facet>,
     /// Where cells look for facets, and the facets that are left to propagation for these seeds.
@@ -218,6 +237,8 @@ struct GpuSession {
     rows: Rows,
     /// The device has their facets' first cells.
     started: bool,
+    /// The first cells that the device has are those of other seeds at least.
+    guessed: bool,
     /// Later twins among them, and whether some of those are none in f64.
     twins: u64,
     merged: bool,
@@ -234,6 +255,11 @@ struct GpuSession {
     moving: Option<Moving>,
     walker: FacetWalker,
     pass: pass::PassResult,
+    /// Clip dispatches of a pass's first submission: some more than the last pass needed.
+    steps: u32,
+    /// Facets that were divided at once, and that went pair by pair.
+    divided: u64,
+    paired: u64,
 }
 
 impl GpuSession {
@@ -245,25 +271,22 @@ impl GpuSession {
         let celled = reach::celled(&expected, tuning.strategy);
         reach::mark(&mut facets, &celled);
         let grid = reach::Grid::new(&surface, &celled, max_seeds);
-        // Half as many again for pairs that turn out empty and for pairs done again.
-        let percent = capacities.pairs_percent as f64 / 100.0;
-        let pairs = (1.5 * expected.iter().sum::<f64>() * percent) as u64 + 1024;
         let k = capacities.neighbours.clamp(1, max_seeds.max(1)) as u64;
-        // Rows by the device or by the host, and a quarter for longer ones.
+        // Rows by the device or by the host, and a quarter for longer ones where there is room for it.
         let rows = max_seeds as u64 * k.max(u64::from(STRIDE));
-        let flags = if grid.side > 0 { facets.len() as u64 } else { 0 };
+        let most = Limits::of(&gpu.device.limits()).seen_bytes() / 4;
         let side = plan::grid_side(surface.area(), max_seeds as u64);
         let counts = Counts {
             facets: facets.len() as u64,
             seeds: max_seeds as u64,
-            table: rows + max_seeds as u64 * k / 4 + 4096,
-            slots: pack::slot_count(&slots_log2) + flags,
-            pairs,
-            emitted: pairs.min(1 << 16),
+            table: (rows + max_seeds as u64 * k / 4 + 4096).min(most.max(rows)),
             polygon: SLOTS as u64,
             near: grid.near.len() as u64,
             cells: plan::grid_cells(side),
+            ..Counts::default()
         };
+        // Half as many again for pairs that turn out empty and for pairs done again.
+        let layout = Layout::new(&expected, 1.5 * capacities.pairs_percent as f64 / 100.0);
         let live = (0..facets.len()).filter(|&f| !surface.skips(f));
         let roots = live.map(|f| [f as u32, NONE]).collect();
         Self {
@@ -278,6 +301,7 @@ impl GpuSession {
             max_seeds,
             capacities,
             counts,
+            layout,
             slots_log2,
             facets,
             grid,
@@ -293,6 +317,7 @@ impl GpuSession {
             place: Place::Set,
             rows: Rows::Missing,
             started: false,
+            guessed: false,
             twins: 0,
             merged: false,
             scales: fixed::Scales::default(),
@@ -303,38 +328,10 @@ impl GpuSession {
             moving: None,
             walker: FacetWalker::default(),
             pass: pass::PassResult::default(),
+            steps: pass::STEPS.0,
+            divided: 0,
+            paired: 0,
         }
-    }
-
-    /// The buffers; allocated, and filled with all that the host knows, if they are not there.
-    fn on_device(&mut self) -> Result<&OnDevice, RvdError> {
-        if self.on_device.is_none() {
-            let plan = Plan::new(self.counts, Limits::of(&self.device.limits()))?;
-            let buffers = Buffers::new(&self.device, plan)?;
-            let bindings = Bindings::new(&self.device, &self.pipelines, &buffers)?;
-            buffers::write(&self.device, &buffers.facets, 0, &self.facets)?;
-            buffers::write(&self.device, &buffers.proposals, 0, &self.roots)?;
-            buffers::write(&self.device, &buffers.near, 0, &self.grid.near)?;
-            if self.rows == Rows::Host {
-                buffers::write(&self.device, &buffers.seeds, 0, &self.host.records)?;
-                buffers::write(&self.device, &buffers.table, 0, &self.host.packed)?;
-            }
-            self.on_device = Some(OnDevice { buffers, bindings });
-        }
-        self.on_device.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))
-    }
-
-    /// Frees the buffers; [`Self::on_device`] makes larger ones. What the device found is found again.
-    fn release(&mut self) -> Result<(), RvdError> {
-        self.on_device = None;
-        if let Some(moving) = &mut self.moving {
-            moving.unbind();
-        }
-        if self.rows != Rows::Host {
-            self.moved();
-        }
-        // Memory comes back once the device has seen that nothing uses it.
-        Ok(self.device.run(self.device.encoder())?)
     }
 
     fn params(&self) -> Params {
@@ -352,8 +349,9 @@ impl GpuSession {
             seeds: self.count as u32,
             row: self.capacities.neighbours.clamp(1, ROW as usize) as u32,
             side: plan::grid_side(self.surface.area(), self.count as u64),
-            roots: self.roots.len() as u32,
+            roots: self.roots_of(&self.layout.facets()).len() as u32,
             divided: NONE,
+            facet_first: self.layout.facets().start,
             ..Params::default()
         }
     }
@@ -394,11 +392,22 @@ impl GpuSession {
         let now = self.device.traffic();
         DeviceWork {
             host_searches: self.host_searches,
+            divided_facets: self.divided,
+            paired_facets: self.paired,
             device_submissions: now.submissions - self.opened.submissions,
             device_allocations: now.allocations - self.opened.allocations,
             uploaded_bytes: now.uploaded_bytes - self.opened.uploaded_bytes,
             read_back_bytes: now.read_bytes - self.opened.read_bytes,
         }
+    }
+
+    /// Counts how the facets of a pass went that entered `roots` of them. Returns that alone.
+    fn count_facets(&mut self, state: &State, roots: u32) -> DeviceWork {
+        let paired_facets = if self.pass.divided { state.paired.min(roots) } else { roots }.into();
+        let divided_facets = u64::from(roots) - paired_facets;
+        self.divided += divided_facets;
+        self.paired += paired_facets;
+        DeviceWork { divided_facets, paired_facets, ..DeviceWork::default() }
     }
 
     /// Adds what was done since `before`.
@@ -411,7 +420,7 @@ impl GpuSession {
         let before = self.work();
         let mut stats = self.begin_pass(cancel)?;
         let begin = Instant::now();
-        self.run_pass(0..self.facets.len() as u32, Wants::Sums, cancel, &mut stats)?;
+        self.run_sums(cancel, &mut stats)?;
         stats.clip_ms = elapsed_ms(begin);
         let begin = Instant::now();
         self.download_sums(out)?;
@@ -446,6 +455,7 @@ impl GpuSession {
 impl Session for GpuSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
         take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
+        self.guessed &= self.count == self.seeds.len();
         self.count = self.seeds.len();
         self.place = Place::Set;
         self.moved();
@@ -472,7 +482,7 @@ impl Session for GpuSession {
     }
 
     fn device_phases(&self) -> Option<PhasesMs> {
-        self.device.stage_ms().map(|[neighbours, start, clip, update]| PhasesMs { neighbours, start, clip, update })
+        self.device.stage_ms().map(phases)
     }
 
     fn resident(&mut self) -> Option<&mut dyn Resident> {

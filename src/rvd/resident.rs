@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`Resident`] is what an optimiser needs of a session whose seeds, gradient and
 //! quasi-Newton history never leave the device: it says what to do and hears scalars.
-//! Invariant: the present point changes by [`Resident::to_centroids`] and [`Resident::accept`] alone;
+//! Invariant: the present point changes by [`Resident::to_centroids`], [`Resident::relax`] and [`Resident::accept`] alone;
 //! every reduction has a fixed order, so that a run has the same bits every time.
 //! Must not know: line searches, convergence, curves; which seeds are held it is told.
 
@@ -50,6 +50,22 @@ pub trait Resident {
     /// # Errors
     /// What the device says.
     fn to_centroids(&mut self) -> Result<(), RvdError>;
+
+    /// One Lloyd step at least and `steps` at most, each as [`Resident::evaluate`] and then
+    /// [`Resident::to_centroids`], with the same bits; the look of each is put to `looks`. No step is taken from a
+    /// point with empty cells: its look is then the last, and [`Resident::read_sums`] has its sums.
+    ///
+    /// # Errors
+    /// `Cancelled`, or what the device says. x is as after the looks that were put.
+    fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, cancel: &CancelFlag) -> Result<(), RvdError> {
+        let _one_by_one = steps;
+        let look = self.evaluate(cancel)?;
+        if look.empty_cells == 0 {
+            self.to_centroids()?;
+        }
+        looks.push(look);
+        Ok(())
+    }
 
     /// d := -H g by the two-loop recursion over the history, H₀ = (sᵀy / yᵀy) I of the last pair; -g
     /// without history. Returns gᵀd.

@@ -12,6 +12,10 @@ use serde::Serialize;
 pub struct DeviceWork {
     /// Passes whose rows of neighbours or first cells the host made.
     pub host_searches: u64,
+    /// Facets that the device divided among their cells at once, of all passes that add up.
+    pub divided_facets: u64,
+    /// Facets that it, or the host, went through pair by pair.
+    pub paired_facets: u64,
     /// Command buffers handed to the device.
     pub device_submissions: u64,
     /// Buffers allocated on the device.
@@ -27,6 +31,8 @@ impl DeviceWork {
     pub fn since(&self, before: &Self) -> Self {
         Self {
             host_searches: self.host_searches - before.host_searches,
+            divided_facets: self.divided_facets - before.divided_facets,
+            paired_facets: self.paired_facets - before.paired_facets,
             device_submissions: self.device_submissions - before.device_submissions,
             device_allocations: self.device_allocations - before.device_allocations,
             uploaded_bytes: self.uploaded_bytes - before.uploaded_bytes,
@@ -38,6 +44,8 @@ impl DeviceWork {
     pub fn with(&self, other: &Self, by: impl Fn(u64, u64) -> u64) -> Self {
         Self {
             host_searches: by(self.host_searches, other.host_searches),
+            divided_facets: by(self.divided_facets, other.divided_facets),
+            paired_facets: by(self.paired_facets, other.paired_facets),
             device_submissions: by(self.device_submissions, other.device_submissions),
             device_allocations: by(self.device_allocations, other.device_allocations),
             uploaded_bytes: by(self.uploaded_bytes, other.uploaded_bytes),
@@ -60,6 +68,12 @@ pub struct PhasesMs {
 }
 
 impl PhasesMs {
+    /// Each of `count` that took them together.
+    pub fn over(&self, count: f64) -> Self {
+        let Self { neighbours, start, clip, update } = *self;
+        Self { neighbours: neighbours / count, start: start / count, clip: clip / count, update: update / count }
+    }
+
     /// What they took after `before`.
     pub fn since(&self, before: &Self) -> Self {
         Self {

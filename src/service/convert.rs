@@ -219,6 +219,8 @@ pub(crate) fn iteration(it: &Iteration, total: usize, queue_ms: f64) -> proto::I
         total: total as u64,
         queue_ms,
         host_searches: it.stats.host_searches,
+        divided_facets: it.stats.divided_facets,
+        paired_facets: it.stats.paired_facets,
         device_submissions: it.stats.device_submissions,
         device_allocations: it.stats.device_allocations,
         uploaded_bytes: it.stats.uploaded_bytes,

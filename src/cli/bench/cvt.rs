@@ -20,6 +20,7 @@ use crate::cvt::density::DensityOptions;
 use crate::mesh::shapes::Shape;
 use crate::picture::chart::{Axis, Figure, Panel, Series};
 use crate::remesh::Seeds;
+use crate::rvd::PhasesMs;
 
 /// `tessera bench cvt`'s options.
 #[derive(Args, Debug)]
@@ -156,11 +157,19 @@ impl Measured {
             println!("  {per_step:.2} evaluations a step{fallbacks}; E / E_hex ends at {:.4}", timed.energy_ratio);
             if worker.gpu.is_some() {
                 let most = timed.device();
+                let all: u64 = timed.steps.iter().map(|s| s.stats.device_submissions).sum();
+                println!("  {:.2} submissions a step", all as f64 / timed.steps.len().max(1) as f64);
                 println!(
                     "  at most {} submissions, {} allocations, {} bytes up and {} bytes back a step",
                     most.device_submissions, most.device_allocations, most.uploaded_bytes, most.read_back_bytes
                 );
             }
+        }
+        if let Some(longest) = worker.gpu.as_ref().and_then(|gpu| gpu.longest_passes()) {
+            let PhasesMs { neighbours, start, clip, update } = longest;
+            println!(
+                "longest passes of the device: neighbours {neighbours:.1} ms, start {start:.1}, clip {clip:.1}, update {update:.1}"
+            );
         }
         if let Some(ratio) = self.evaluation_ratio() {
             println!("an evaluation, L-BFGS : Lloyd = {ratio:.3}");

@@ -155,8 +155,7 @@ impl Load {
         let mut cvt = self.cvt(by)?;
         let mut taken = 0;
         while taken < steps && begin.elapsed() < limit {
-            cvt.lloyd(cancel)?;
-            taken += 1;
+            taken += cvt.relax(steps - taken, cancel)?.len();
         }
         if taken > 0 {
             self.seeds = cvt.seeds()?;
@@ -180,17 +179,18 @@ impl Load {
         cancel: &CancelFlag,
     ) -> Result<Timed> {
         let mut cvt = self.cvt(by)?;
-        let mut take = || match kind {
-            StepKind::Lloyd => cvt.lloyd(cancel),
-            StepKind::Lbfgs => cvt.lbfgs(cancel),
+        let mut take = |most| match kind {
+            StepKind::Lloyd => cvt.relax(most, cancel),
+            StepKind::Lbfgs => cvt.lbfgs(cancel).map(|step| vec![step]),
         };
         let begin = Instant::now();
-        for _ in 0..WARM_UP {
-            take()?;
+        let mut warmed = 0;
+        while warmed < WARM_UP {
+            warmed += take(WARM_UP - warmed)?.len();
         }
         let (first, mut taken) = (Instant::now(), Vec::with_capacity(steps));
         while taken.len() < steps && (taken.len() < FEWEST || begin.elapsed() < limit) {
-            taken.push(take()?);
+            taken.append(&mut take(steps - taken.len())?);
         }
         let total_ms = first.elapsed().as_secs_f64() * 1e3;
         let cut = taken.len() < steps && taken.len() <= FEWEST;

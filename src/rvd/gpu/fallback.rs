@@ -29,6 +29,14 @@ impl GpuSession {
         (area - expected).abs() <= COVER * expected
     }
 
+    /// Units of area, as limbs, between which the pieces of all facets cover the surface; within what
+    /// [`Self::covers`] says by more than a rounding.
+    pub(super) fn area_bounds(&self) -> ([u32; 2], [u32; 2]) {
+        let at = |share: f64| self.scales.area * self.surface.area() * (1.0 + 0.999 * share);
+        let limbs = |units: u64| [units as u32, (units >> 32) as u32];
+        (limbs(at(-COVER).ceil() as u64), limbs(at(COVER).floor() as u64))
+    }
+
     /// The sums again, in f64. `lost` is what the device's pass did.
     pub(super) fn sums_in_f64(
         &mut self,

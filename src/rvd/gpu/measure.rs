@@ -10,7 +10,6 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use super::pass::Wants;
 use super::{Gpu, GpuSession};
 use crate::gpu::layout::accumulate::{DIRECT, NOWHERE, TWO_PHASE};
 use crate::rvd::{CancelFlag, RvdError, Session, SessionOptions, Surface, elapsed_ms};
@@ -52,7 +51,7 @@ impl Gpu {
                 for (code, times) in kinds {
                     session.accumulate = code;
                     let begin = Instant::now();
-                    session.run_pass(0..session.facets.len() as u32, Wants::Sums, cancel, &mut stats)?;
+                    session.run_sums(cancel, &mut stats)?;
                     if pass > 0 {
                         times.push(elapsed_ms(begin));
                     }

@@ -13,12 +13,13 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use super::pass::{Wants, run};
+use super::pass::run;
 use super::pipelines::MotionBindings;
+use super::relax::Together;
 use super::search::Place;
 use super::{GpuSession, OnDevice, fixed, history::History, lane, pack};
 use crate::gpu::buffers::{self, MotionBuffers};
-use crate::gpu::layout::{self, DOTS, Figures, Motion, PAIRS, SUM_WORDS};
+use crate::gpu::layout::{self, DOTS, Figures, Motion, PAIRS, SUM_WORDS, State};
 use crate::gpu::plan::{Limits, MotionPlan, reduction};
 use crate::rvd::clip::Integrals;
 use crate::rvd::resident::{Look, Resident};
@@ -41,6 +42,11 @@ pub(super) struct Moving {
     sums_of: Option<Place>,
     /// Of the present pass, while it is one of a point.
     wanted: Option<Place>,
+    /// A step is to follow the pass at once, if that ends with its first submission; it has.
+    pub steps: bool,
+    pub moved: bool,
+    /// How many passes a submission may have.
+    pub together: Together,
     /// As read last.
     pub figures: Figures,
 }
@@ -68,6 +74,15 @@ impl Moving {
     fn forget(&mut self) {
         self.history.forget();
     }
+
+    /// The present point is another.
+    pub fn leave(&mut self) {
+        self.forget();
+        self.gradient_known = false;
+        self.products_known = false;
+        self.ahead_known = false;
+        self.sums_of = None;
+    }
 }
 
 fn missing() -> RvdError {
@@ -76,7 +91,7 @@ fn missing() -> RvdError {
 
 impl GpuSession {
     /// The buffers, and in them the seeds that were set last.
-    fn moving(&mut self) -> Result<&mut Moving, RvdError> {
+    pub(super) fn moving(&mut self) -> Result<&mut Moving, RvdError> {
         let device = Arc::clone(&self.device);
         if self.moving.is_none() {
             let plan = MotionPlan::new(self.max_seeds as u64, Limits::of(&device.limits()))?;
@@ -91,6 +106,9 @@ impl GpuSession {
                 ahead_known: false,
                 sums_of: None,
                 wanted: None,
+                steps: false,
+                moved: false,
+                together: Together::default(),
                 figures: Figures::default(),
             });
         }
@@ -116,9 +134,10 @@ impl GpuSession {
     }
 
     /// Parameters of the stages that move seeds.
-    fn motion(&self) -> Motion {
+    pub(super) fn motion(&self) -> Motion {
         let s = &self.scales;
         let mass = if self.surface.is_uniform() { s.area } else { s.mass };
+        let (least_area, most_area) = self.area_bounds();
         Motion {
             seeds: self.count as u32,
             groups: reduction(self.count as u64),
@@ -127,6 +146,8 @@ impl GpuSession {
             gradient_unit: (-2.0 * self.grain() / s.moment) as f32,
             directed: u32::from(self.moving.as_ref().is_some_and(|m| m.directed)),
             step: if let Place::Trial(step) = self.place { step } else { 0.0 },
+            least_area,
+            most_area,
             ..Motion::default()
         }
     }
@@ -139,13 +160,13 @@ impl GpuSession {
         (n / (self.mass * spacing)).log2().round().clamp(-90.0, 90.0).exp2()
     }
 
-    fn write_motion(&self, motion: Motion) -> Result<(), RvdError> {
+    pub(super) fn write_motion(&self, motion: Motion) -> Result<(), RvdError> {
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         Ok(buffers::write(&self.device, &moving.buffers.motion, 0, &[motion])?)
     }
 
     /// Binds the stages, if they are not bound.
-    fn bind_motion(&mut self) -> Result<(), RvdError> {
+    pub(super) fn bind_motion(&mut self) -> Result<(), RvdError> {
         self.on_device()?;
         if let (Some(there), Some(moving)) = (&self.on_device, &mut self.moving)
             && moving.bindings.is_none()
@@ -157,7 +178,7 @@ impl GpuSession {
     }
 
     /// What a stage is bound to. After [`Self::bind_motion`].
-    fn bound(&self) -> Result<(&Moving, &MotionBindings, &OnDevice), RvdError> {
+    pub(super) fn bound(&self) -> Result<(&Moving, &MotionBindings, &OnDevice), RvdError> {
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         let bindings = moving.bindings.as_ref().ok_or_else(missing)?;
         Ok((moving, bindings, self.on_device.as_ref().ok_or_else(missing)?))
@@ -177,23 +198,15 @@ impl GpuSession {
     /// Encodes gradient and figures of the pass, if it is one of a point.
     pub(super) fn encode_figures(&mut self, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
         let Some(place) = self.moving.as_ref().and_then(|m| m.wanted) else { return Ok(()) };
-        let motion = self.motion();
-        self.write_motion(motion)?;
+        self.write_motion(self.motion())?;
         self.bind_motion()?;
-        let (_, bindings, _) = self.bound()?;
-        let tally = if place == Place::Point { &bindings.tally } else { &bindings.tally_ahead };
-        let mut compute = self.device.pass(encoder, lane::UPDATE);
-        compute.set_pipeline(&self.pipelines.tally);
-        compute.set_bind_group(0, tally, &[]);
-        compute.dispatch_workgroups(motion.groups, 1, 1);
-        compute.set_pipeline(&self.pipelines.figures);
-        compute.set_bind_group(0, &bindings.figures, &[]);
-        compute.dispatch_workgroups(1, 1, 1);
-        Ok(())
+        // Later submissions of a pass may lack what the host has done of it.
+        let steps = self.moving.as_mut().is_some_and(|m| std::mem::take(&mut m.steps));
+        self.encode_tally(encoder, place, steps)
     }
 
     /// A pass at `place`, its gradient and its figures.
-    fn look(&mut self, place: Place, cancel: &CancelFlag) -> Result<Look, RvdError> {
+    pub(super) fn look(&mut self, place: Place, cancel: &CancelFlag) -> Result<Look, RvdError> {
         cancel.check()?;
         let before = self.work();
         let begin = Instant::now();
@@ -210,7 +223,7 @@ impl GpuSession {
         moving.ahead_known = false;
         moving.wanted = Some(place);
         let mut stats = PassStats::default();
-        let ran = self.run_pass(0..self.facets.len() as u32, Wants::Sums, cancel, &mut stats);
+        let ran = self.run_sums(cancel, &mut stats);
         stats.clip_ms = elapsed_ms(begin);
         let settled = ran.and_then(|()| self.complete_figures(&mut stats, cancel));
         let moving = self.moving.as_mut().ok_or_else(missing)?;
@@ -260,7 +273,7 @@ impl GpuSession {
         limbs(figures.area_low, figures.area_high) as f64 / self.scales.area
     }
 
-    fn describe(&self, place: Place, stats: PassStats) -> Look {
+    pub(super) fn describe(&self, place: Place, stats: PassStats) -> Look {
         let figures = self.moving.as_ref().map(|m| m.figures).unwrap_or_default();
         let grain = self.grain();
         Look {
@@ -377,13 +390,15 @@ impl GpuSession {
         Ok(())
     }
 
-    fn centre(&mut self) -> Result<(), RvdError> {
+    pub(super) fn centre(&mut self) -> Result<(), RvdError> {
         if self.moving()?.sums_of != Some(Place::Point) {
             self.look(Place::Point, &CancelFlag::default())?;
         }
         self.write_motion(self.motion())?;
         self.bind_motion()?;
-        let (_, bindings, _) = self.bound()?;
+        let (_, bindings, there) = self.bound()?;
+        // The pass is at its end, whatever its first submissions came to.
+        buffers::write(&self.device, &there.buffers.state, 0, &[State::default()])?;
         let limits = Limits::of(&self.device.limits());
         let mut encoder = self.device.encoder();
         {
@@ -391,11 +406,7 @@ impl GpuSession {
             run(&mut compute, &self.pipelines.centroids, &bindings.centroids, self.count as u64, limits);
         }
         self.device.run(encoder)?;
-        self.moved();
-        let moving = self.moving.as_mut().ok_or_else(missing)?;
-        moving.forget();
-        moving.gradient_known = false;
-        moving.sums_of = None;
+        self.left();
         Ok(())
     }
 }
@@ -432,6 +443,11 @@ impl Resident for GpuSession {
     fn to_centroids(&mut self) -> Result<(), RvdError> {
         let pool = Arc::clone(&self.pool);
         pool.install(|| self.centre())
+    }
+
+    fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, cancel: &CancelFlag) -> Result<(), RvdError> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.take_steps(steps.max(1), looks, cancel))
     }
 
     fn direct(&mut self) -> Result<f64, RvdError> {

@@ -58,11 +58,6 @@ pub fn first_slots(expected: &[f64], cells: usize, default_cells: usize) -> Vec<
     expected.iter().map(|&e| log2(e)).collect()
 }
 
-/// Slots of all facets together.
-pub fn slot_count(log2: &[u8]) -> u64 {
-    log2.iter().map(|&l| 1u64 << l).sum()
-}
-
 /// The records of all facets. Degenerate ones are zero but for their slots.
 pub fn facets(surface: &Surface, slots_log2: &[u8]) -> Vec<layout::Facet> {
     let mut records: Vec<layout::Facet> = (0..surface.facets().len())
@@ -133,6 +128,5 @@ mod tests {
             records.iter().map(|r| (r.slot_begin, r.slot_mask)).collect::<Vec<_>>(),
             [(0, 15), (16, 0), (17, 7)]
         );
-        assert_eq!(slot_count(&log2), 25);
     }
 }

@@ -10,6 +10,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
+use super::parts::{Stage, encode, size};
 use super::search::Rows;
 use super::{GpuSession, fixed, lane, pack};
 use crate::gpu::buffers;
@@ -28,6 +29,8 @@ pub(super) struct PassResult {
     pub repeats: Vec<Range<u32>>,
     /// Pairs in the list, repeats included.
     pub length: u32,
+    /// Pieces.
+    pub pairs: u64,
     /// Polygon vertices allowed at present.
     pub polygon: u32,
     /// Whether facets were done as a whole where that was possible.
@@ -55,7 +58,9 @@ pub(super) enum Variant {
 }
 
 /// Clip dispatches per submission: at first, and at most.
-const STEPS: (u32, u32) = (8, 64);
+pub(super) const STEPS: (u32, u32) = (8, 64);
+/// However few the last pass needed.
+const FEWEST_STEPS: u32 = 3;
 /// The variant of `divide` has room for so many times the cells that a mean facet is expected to meet. More room
 /// costs every facet time, less sends more of them through the list of pairs.
 const ROOM: f64 = 1.1;
@@ -63,19 +68,68 @@ const ROOM: f64 = 1.1;
 const SUBMISSION_MS: f64 = 50.0;
 
 impl GpuSession {
-    /// Brings the pairs of `facets` to their end.
-    pub(super) fn run_pass(
-        &mut self,
-        facets: Range<u32>,
-        wants: Wants,
-        cancel: &CancelFlag,
-        stats: &mut PassStats,
-    ) -> Result<(), RvdError> {
-        while !self.attempt(facets.clone(), wants, cancel, stats)? {}
+    /// Brings the pairs of all facets to their end, and adds them up.
+    pub(super) fn run_sums(&mut self, cancel: &CancelFlag, stats: &mut PassStats) -> Result<(), RvdError> {
+        loop {
+            let mut done = PassStats::default();
+            let ended = self.attempt_sums(cancel, &mut done);
+            stats.add(&done);
+            if ended? {
+                return Ok(());
+            }
+        }
+    }
+
+    /// All windows from zero. `false` if a capacity had to grow.
+    fn attempt_sums(&mut self, cancel: &CancelFlag, stats: &mut PassStats) -> Result<bool, RvdError> {
+        self.search_apart(cancel)?;
+        let (mut finished, mut pairs) = (Vec::new(), 0);
+        for k in 0..self.layout.windows().len() {
+            self.layout.turn_to(k);
+            if !self.attempt(self.layout.facets(), Wants::Sums, cancel, stats)? {
+                return Ok(false);
+            }
+            finished.append(&mut self.pass.finished);
+            pairs += std::mem::take(&mut self.pass.pairs);
+        }
+        self.pass.finished = finished;
+        stats.pairs += pairs;
+        Ok(true)
+    }
+
+    /// Where there are windows, rows and first cells come in submissions of their own: what a window lacks is
+    /// then known before any is added up.
+    fn search_apart(&mut self, cancel: &CancelFlag) -> Result<(), RvdError> {
+        self.on_device()?;
+        if self.layout.windows().len() > 1 {
+            self.search_now(cancel)?;
+            self.start_now(cancel)?;
+            self.on_device()?;
+        }
         Ok(())
     }
 
-    /// One attempt from zero. `false` if a capacity had to grow.
+    /// Brings the pairs of `facets`, as far as they are in one window, to their end; the list has them then.
+    /// Returns where those facets end.
+    pub(super) fn run_pairs(
+        &mut self,
+        facets: Range<u32>,
+        cancel: &CancelFlag,
+        stats: &mut PassStats,
+    ) -> Result<u32, RvdError> {
+        loop {
+            // Where a capacity has grown, windows may be smaller.
+            self.search_apart(cancel)?;
+            self.layout.turn_to(self.layout.window_of(facets.start));
+            let part = facets.start..facets.end.min(self.layout.facets().end);
+            if self.attempt(part.clone(), Wants::Pairs, cancel, stats)? {
+                stats.pairs += self.pass.pairs;
+                return Ok(part.end);
+            }
+        }
+    }
+
+    /// One attempt from zero at facets of the window at work. `false` if a capacity had to grow.
     fn attempt(
         &mut self,
         facets: Range<u32>,
@@ -105,10 +159,10 @@ impl GpuSession {
                 None => return Ok(false),
             }
         }
-        if self.pass.by_cell && !self.verify(state, stats)? {
+        if self.pass.by_cell && !self.verify(state, stats, cancel)? {
             return Ok(false);
         }
-        stats.pairs += u64::from(state.pieces) + self.pass.finished.len() as u64;
+        self.pass.pairs = u64::from(state.pieces) + self.pass.finished.len() as u64;
         Ok(true)
     }
 
@@ -120,44 +174,62 @@ impl GpuSession {
         wants: Wants,
         cancel: &CancelFlag,
     ) -> Result<Option<State>, RvdError> {
-        let first = self.roots.partition_point(|r| r[0] < facets.start);
-        let last = self.roots.partition_point(|r| r[0] < facets.end);
+        self.on_device()?;
         // The rows of the host are in an order of its own.
         self.pass.divided = self.divides && wants == Wants::Sums && self.rows != Rows::Host;
+        let roots = self.roots_params(&facets);
+        let device = Arc::clone(&self.device);
+        let mut encoder = device.encoder();
+        self.encode_clears(&mut encoder, &facets, wants == Wants::Sums && self.layout.present() == 0);
+        buffers::write(&device, &self.on_device()?.buffers.state, 0, &[State::default()])?;
+        if roots.propose_count == 0 {
+            return self.read_summary(encoder).map(Some);
+        }
+        let state = self.drain(encoder, Some(roots), Variant::Registers, cancel)?;
+        if let Some(state) = &state {
+            self.steps = (state.rounds + 2).clamp(FEWEST_STEPS, STEPS.1);
+            if wants == Wants::Sums {
+                self.count_facets(state, roots.propose_count);
+            }
+        }
+        Ok(state)
+    }
+
+    /// Parameters of a pass over `facets` of the window at work.
+    pub(super) fn roots_params(&self, facets: &Range<u32>) -> Params {
+        let present = self.roots_of(facets);
+        let first = present.start - self.roots_of(&self.layout.facets()).start;
         let by_both = self.pass.divided && self.pass.by_cell;
-        let flags = pack::slot_count(&self.slots_log2);
-        let roots = Params {
+        Params {
             propose_begin: first as u32,
-            propose_count: (last - first) as u32,
+            propose_count: present.len() as u32,
             propose_root: ROOT,
             emit_count: if self.pass.by_cell { self.count as u32 } else { 0 },
-            divided: if by_both { flags as u32 } else { NONE },
+            divided: if by_both { self.first_flag() as u32 } else { NONE },
             ..self.params()
-        };
-        let slot = |f: u32| {
-            let begin = u64::from(self.facets[f as usize].slot_begin);
-            (begin * 4, (begin + (1 << self.slots_log2[f as usize])) * 4)
-        };
-        let cleared = (!facets.is_empty()).then(|| slot(facets.start).0..slot(facets.end - 1).1);
-        let (seeds, facet_count) = (self.count, self.facets.len() as u64);
-        let device = Arc::clone(&self.device);
-        let buffers = &self.on_device()?.buffers;
-        let mut encoder = device.encoder();
-        if let Some(range) = cleared {
-            encoder.clear_buffer(&buffers.slots, range.start, Some(range.end - range.start));
         }
-        if by_both {
-            encoder.clear_buffer(&buffers.slots, flags * 4, Some(facet_count * 4));
+    }
+
+    /// The slot where it begins to say which facets are divided.
+    fn first_flag(&self) -> u64 {
+        self.counts.slots - if self.grid.side > 0 { self.counts.window } else { 0 }
+    }
+
+    /// Clears what a pass over `facets` uses; the sums too if it `begins` them.
+    pub(super) fn encode_clears(&self, encoder: &mut wgpu::CommandEncoder, facets: &Range<u32>, begins: bool) {
+        let Some(there) = &self.on_device else { return };
+        let buffers = &there.buffers;
+        if let (Some(first), Some(last)) = (facets.clone().next(), facets.clone().next_back()) {
+            let begin = u64::from(self.facets[first as usize].slot_begin);
+            let end = u64::from(self.facets[last as usize].slot_begin) + (1 << self.slots_log2[last as usize]);
+            encoder.clear_buffer(&buffers.slots, begin * 4, Some((end - begin) * 4));
         }
-        if wants == Wants::Sums {
-            encoder.clear_buffer(&buffers.sums, 0, Some((seeds * SUM_WORDS * 4) as u64));
+        if self.pass.divided && self.pass.by_cell {
+            encoder.clear_buffer(&buffers.slots, self.first_flag() * 4, Some(self.counts.window * 4));
         }
-        buffers::write(&device, &buffers.state, 0, &[State::default()])?;
-        if last == first {
-            device.run(encoder)?;
-            return Ok(Some(State::default()));
+        if begins {
+            encoder.clear_buffer(&buffers.sums, 0, Some((self.count * SUM_WORDS * 4) as u64));
         }
-        self.drain(encoder, Some(roots), Variant::Registers, cancel)
     }
 
     /// Runs clip steps until the list is drained or something is full. `proposals` are entered
@@ -170,7 +242,7 @@ impl GpuSession {
         cancel: &CancelFlag,
     ) -> Result<Option<State>, RvdError> {
         let mut params = proposals;
-        let mut steps = if variant == Variant::Large { 1 } else { STEPS.0 };
+        let mut steps = if variant == Variant::Large { 1 } else { self.steps };
         loop {
             cancel.check()?;
             let begin = Instant::now();
@@ -200,35 +272,66 @@ impl GpuSession {
         cancel: &CancelFlag,
     ) -> Result<Option<State>, RvdError> {
         let params = proposals.unwrap_or_else(|| self.params());
-        let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
-        let limits = Limits::of(&device.limits());
-        let shared = self.accumulate == accumulate::TWO_PHASE;
+        let device = Arc::clone(&self.device);
         buffers::write(&device, &self.on_device()?.buffers.params, 0, &[params])?;
         let (search, start) = (self.rows == Rows::Missing, !self.started);
         if search {
-            self.encode_search(&mut encoder)?;
+            self.encode_search(&mut encoder, cancel)?;
         }
         if start {
-            self.encode_start(&mut encoder)?;
+            self.encode_start(&mut encoder, cancel)?;
         }
         self.on_device()?;
+        self.encode_clip(&mut encoder, proposals.as_ref(), variant, steps, cancel)?;
+        let state = self.read_summary(encoder)?;
+        let settled = (!search || self.settle_search(&state, cancel)?) && (!start || self.settle_start(&state)?);
+        Ok(settled.then_some(state))
+    }
+
+    /// Encodes the proposals' arrival, by facet and by cell, then `steps` times prepare and clip.
+    pub(super) fn encode_clip(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        proposals: Option<&Params>,
+        variant: Variant,
+        steps: u32,
+        cancel: &CancelFlag,
+    ) -> Result<(), RvdError> {
+        let (device, pipelines) = (&self.device, &self.pipelines);
+        let limits = Limits::of(&device.limits());
+        let shared = self.accumulate == accumulate::TWO_PHASE;
         let there = self.on_device.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))?;
-        {
-            let mut compute = device.pass(&mut encoder, lane::CLIP);
-            if proposals.is_some() && params.propose_root != 0 && self.pass.divided {
-                let (size, weighted) = (self.divide_size(), usize::from(!self.surface.is_uniform()));
-                let (divide, bindings) = (&pipelines.divide[size][weighted], &there.bindings.divide[size][weighted]);
-                run(&mut compute, divide, bindings, params.propose_count.into(), limits);
-            } else if proposals.is_some() {
-                run(&mut compute, &pipelines.propose, &there.bindings.propose, params.propose_count.into(), limits);
+        let window = &there.bindings.windows[self.layout.present()];
+        let mut entries = Vec::with_capacity(2);
+        let mut enter = |pipeline, bindings, items: u32, size| {
+            entries.push(Stage { pipeline, bindings, items: items.into(), size });
+        };
+        if let Some(params) = proposals {
+            if params.propose_root != 0 && self.pass.divided {
+                let (room, weighted) = (self.divide_size(), usize::from(!self.surface.is_uniform()));
+                let (divide, bindings) = (&pipelines.divide[room][weighted], &window.divide[room][weighted]);
+                let size = if room < 2 && weighted == 0 { size::FACET } else { size::SEARCH };
+                enter(divide, bindings, params.propose_count, size);
+            } else {
+                enter(&pipelines.propose, &window.propose, params.propose_count, size::ITEM);
             }
             if params.emit_count > 0 {
-                run(&mut compute, &pipelines.reach, &there.bindings.reach, params.emit_count.into(), limits);
+                enter(&pipelines.reach, &window.reach, params.emit_count, size::SEARCH);
+            }
+        }
+        let long = entries.iter().any(Stage::is_long);
+        if long {
+            encode(device, encoder, lane::CLIP, &entries, &there.buffers, cancel)?;
+        }
+        {
+            let mut compute = device.pass(encoder, lane::CLIP);
+            if !long {
+                entries.iter().for_each(|stage| stage.run(&mut compute, limits));
             }
             let (clip, bindings) = match variant {
-                Variant::Registers if shared => (&pipelines.clip_shared, &there.bindings.clip_shared),
-                Variant::Registers => (&pipelines.clip, &there.bindings.clip),
-                Variant::Large => (&pipelines.clip_large, &there.bindings.clip_large),
+                Variant::Registers if shared => (&pipelines.clip_shared, &window.clip_shared),
+                Variant::Registers => (&pipelines.clip, &window.clip),
+                Variant::Large => (&pipelines.clip_large, &window.clip_large),
             };
             for _ in 0..steps {
                 compute.set_pipeline(&pipelines.prepare);
@@ -239,9 +342,7 @@ impl GpuSession {
                 compute.dispatch_workgroups_indirect(&there.buffers.arguments, 0);
             }
         }
-        let state = self.read_summary(encoder)?;
-        let settled = (!search || self.settle_search(&state, cancel)?) && (!start || self.settle_start(&state)?);
-        Ok(settled.then_some(state))
+        Ok(())
     }
 
     /// Which variant of `divide` suits the facets.
@@ -254,19 +355,18 @@ impl GpuSession {
 
     /// Whether all pieces that cells entered are proved; if not, their facets are left to
     /// propagation and the pass begins anew.
-    fn verify(&mut self, state: State, stats: &mut PassStats) -> Result<bool, RvdError> {
+    fn verify(&mut self, state: State, stats: &mut PassStats, cancel: &CancelFlag) -> Result<bool, RvdError> {
         let params = Params { emit_count: state.length, ..self.params() };
         let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
-        let limits = Limits::of(&device.limits());
+        let window = self.layout.present();
         let there = self.on_device()?;
         let buffers = &there.buffers;
         buffers::write(&device, &buffers.params, 0, &[params])?;
         buffers::write(&device, &buffers.state, 0, &[State { failures: 0, ..state }])?;
         let mut encoder = device.encoder();
-        {
-            let mut compute = device.pass(&mut encoder, lane::CLIP);
-            run(&mut compute, &pipelines.verify, &there.bindings.verify, state.length.into(), limits);
-        }
+        let (pipeline, bindings) = (&pipelines.verify, &there.bindings.windows[window].verify);
+        let stage = Stage { pipeline, bindings, items: state.length.into(), size: size::ITEM };
+        encode(&device, &mut encoder, lane::CLIP, &[stage], buffers, cancel)?;
         let mut unproved = 0;
         buffers.read_with(&device, encoder, &buffers.state, 0..1, |s: &[State]| unproved = s[0].failures)?;
         if unproved == 0 {
@@ -282,7 +382,6 @@ impl GpuSession {
     fn grow(&mut self, state: State, stats: &mut PassStats) -> Result<(), RvdError> {
         stats.relaunched_cells += u64::from(state.cells_overflow) + u64::from(state.list_overflow);
         if state.cells_overflow > 0 {
-            let slots_before = pack::slot_count(&self.slots_log2);
             let device = Arc::clone(&self.device);
             let stored = (state.failures as usize).min(self.counts.pairs as usize);
             let buffers = &self.on_device()?.buffers;
@@ -295,19 +394,11 @@ impl GpuSession {
                 let log2 = &mut self.slots_log2[facet as usize];
                 *log2 = (*log2 + 2).min(most.max(*log2 + 1));
             }
-            let flags = self.counts.slots - slots_before;
-            self.counts.slots = pack::slot_count(&self.slots_log2) + flags;
-            pack::assign_slots(&mut self.facets, &self.slots_log2);
         }
         if state.list_overflow > 0 {
             self.grow_list(u64::from(state.length));
         }
         self.release()
-    }
-
-    /// Room for `pairs` pairs and half as many again.
-    pub(super) fn grow_list(&mut self, pairs: u64) {
-        self.counts.pairs = (self.counts.pairs * 2).max(pairs + pairs / 2);
     }
 }
 

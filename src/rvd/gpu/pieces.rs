@@ -12,7 +12,6 @@ use std::time::Instant;
 
 use glam::{DVec3, dvec3};
 
-use super::pass::Wants;
 use super::search::Place;
 use super::{GpuSession, lane};
 use crate::gpu::buffers;
@@ -43,21 +42,16 @@ impl GpuSession {
         let facets = facets.start.min(end)..end;
         let before = self.work();
         let mut stats = self.begin_pass(cancel)?;
-        let begin = Instant::now();
-        self.run_pass(facets.clone(), Wants::Pairs, cancel, &mut stats)?;
-        stats.clip_ms = elapsed_ms(begin);
-        let begin = Instant::now();
-        let length = self.pass.length;
-        let batch = self.counts.emitted as u32;
-        let mut first = 0;
-        while first < length {
-            cancel.check()?;
-            let count = batch.min(length - first);
-            let emitted = self.emit(first, count)?;
-            self.collect(first, &emitted, out)?;
-            first += count;
+        let mut next = facets.start;
+        while next < facets.end {
+            let begin = Instant::now();
+            next = self.run_pairs(next..facets.end, cancel, &mut stats)?;
+            stats.clip_ms += elapsed_ms(begin);
+            let begin = Instant::now();
+            self.emit_all(out, cancel)?;
+            stats.update_ms += elapsed_ms(begin);
         }
-        self.collect_walked(out)?;
+        let begin = Instant::now();
         out.sort();
         stats.pairs = out.len() as u64;
         stats.update_ms += elapsed_ms(begin);
@@ -68,10 +62,25 @@ impl GpuSession {
         Ok(stats)
     }
 
+    /// All pieces of the list.
+    fn emit_all(&mut self, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<(), RvdError> {
+        let length = self.pass.length;
+        let batch = self.counts.emitted as u32;
+        let mut first = 0;
+        while first < length {
+            cancel.check()?;
+            let count = batch.min(length - first);
+            let emitted = self.emit(first, count)?;
+            self.collect(first, &emitted, out)?;
+            first += count;
+        }
+        self.collect_walked(out)
+    }
+
     fn emit(&mut self, first: u32, count: u32) -> Result<Emitted, RvdError> {
         let params = Params { emit_begin: first, emit_count: count, polygon: self.slots as u32, ..self.params() };
         let (device, pipelines, slots) = (Arc::clone(&self.device), Arc::clone(&self.pipelines), self.slots);
-        let limits = Limits::of(&device.limits());
+        let (limits, window) = (Limits::of(&device.limits()), self.layout.present());
         let there = self.on_device()?;
         let buffers = &there.buffers;
         buffers::write(&device, &buffers.params, 0, &[params])?;
@@ -80,7 +89,7 @@ impl GpuSession {
             let mut compute = device.pass(&mut encoder, lane::CLIP);
             let [x, y] = dispatch(count.into(), limits);
             compute.set_pipeline(&pipelines.emit);
-            compute.set_bind_group(0, &there.bindings.emit, &[]);
+            compute.set_bind_group(0, &there.bindings.windows[window].emit, &[]);
             compute.dispatch_workgroups(x, y, 1);
         }
         device.run(encoder)?;

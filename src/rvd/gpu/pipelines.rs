@@ -5,7 +5,7 @@
 //! them, so that a stage is described in one place only.
 //! Must not know: what is dispatched when.
 
-use crate::gpu::buffers::{Buffers, MotionBuffers};
+use crate::gpu::buffers::{Buffers, MotionBuffers, WindowBuffers};
 use crate::gpu::layout::{MEMBERS, ROW};
 use crate::gpu::{Device, GpuError, shader};
 
@@ -54,6 +54,8 @@ pub struct Pipelines {
     pub tally: wgpu::ComputePipeline,
     /// The figures.
     pub figures: wgpu::ComputePipeline,
+    /// Whether a step may follow at once.
+    pub settle: wgpu::ComputePipeline,
     /// Accepts the trial point.
     pub keep: wgpu::ComputePipeline,
     /// Parts of dot products.
@@ -102,6 +104,7 @@ impl Pipelines {
             centroids: pipeline(device, "centroids", &[])?,
             tally: pipeline(device, "tally", &[])?,
             figures: pipeline(device, "figures", &[])?,
+            settle: pipeline(device, "settle", &[])?,
             keep: pipeline(device, "keep", &[])?,
             products: pipeline(device, "products", &[])?,
             dots: pipeline(device, "dots", &[])?,
@@ -138,12 +141,29 @@ fn pipeline(
 /// One session's buffers bound to each stage.
 #[derive(Debug)]
 pub struct Bindings {
+    /// Stages that see a window of the facets.
+    pub windows: Vec<WindowBindings>,
+    /// For [`Pipelines::prepare`].
+    pub prepare: wgpu::BindGroup,
+    /// For [`Pipelines::count`].
+    pub count: wgpu::BindGroup,
+    /// For [`Pipelines::rows`].
+    pub rows: wgpu::BindGroup,
+    /// For [`Pipelines::scatter`].
+    pub scatter: wgpu::BindGroup,
+    /// For [`Pipelines::twins`].
+    pub twins: wgpu::BindGroup,
+    /// For [`Pipelines::search`].
+    pub search: wgpu::BindGroup,
+}
+
+/// One window's.
+#[derive(Debug)]
+pub struct WindowBindings {
     /// For [`Pipelines::propose`].
     pub propose: wgpu::BindGroup,
     /// For each of [`Pipelines::divide`].
     pub divide: Vec<[wgpu::BindGroup; 2]>,
-    /// For [`Pipelines::prepare`].
-    pub prepare: wgpu::BindGroup,
     /// For [`Pipelines::clip`].
     pub clip: wgpu::BindGroup,
     /// For [`Pipelines::clip_shared`].
@@ -156,16 +176,6 @@ pub struct Bindings {
     pub reach: wgpu::BindGroup,
     /// For [`Pipelines::verify`].
     pub verify: wgpu::BindGroup,
-    /// For [`Pipelines::count`].
-    pub count: wgpu::BindGroup,
-    /// For [`Pipelines::rows`].
-    pub rows: wgpu::BindGroup,
-    /// For [`Pipelines::scatter`].
-    pub scatter: wgpu::BindGroup,
-    /// For [`Pipelines::twins`].
-    pub twins: wgpu::BindGroup,
-    /// For [`Pipelines::search`].
-    pub search: wgpu::BindGroup,
     /// For [`Pipelines::start`].
     pub start: wgpu::BindGroup,
 }
@@ -176,41 +186,50 @@ impl Bindings {
     /// # Errors
     /// `Failed`, `Lost`.
     pub fn new(device: &Device, pipelines: &Pipelines, b: &Buffers) -> Result<Self, GpuError> {
-        let clip = [&b.params, &b.seeds, &b.facets, &b.table, &b.slots, &b.list, &b.sums, &b.failures, &b.state];
-        let divide = [&b.params, &b.seeds, &b.facets, &b.table, &b.proposals, &b.slots, &b.list, &b.sums, &b.state];
+        let window = |w| WindowBindings::new(device, pipelines, b, w);
+        Ok(Self {
+            windows: b.windows.iter().map(window).collect::<Result<_, _>>()?,
+            prepare: bind(device, &pipelines.prepare, &[&b.params, &b.state, &b.arguments])?,
+            count: bind(device, &pipelines.count, &[&b.params, &b.seeds, &b.cells, &b.state])?,
+            rows: bind(device, &pipelines.rows, &[&b.params, &b.cells, &b.state])?,
+            scatter: bind(device, &pipelines.scatter, &[&b.params, &b.seeds, &b.cells, &b.sorted, &b.state])?,
+            twins: bind(device, &pipelines.twins, &[&b.params, &b.cells, &b.sorted, &b.state])?,
+            search: bind(device, &pipelines.search, &[&b.params, &b.seeds, &b.cells, &b.sorted, &b.table, &b.state])?,
+        })
+    }
+}
+
+impl WindowBindings {
+    fn new(device: &Device, pipelines: &Pipelines, b: &Buffers, w: &WindowBuffers) -> Result<Self, GpuError> {
+        let clip = [&b.params, &b.seeds, &w.facets, &b.table, &b.slots, &b.list, &b.sums, &b.failures, &b.state];
+        let divide = [&b.params, &b.seeds, &w.facets, &b.table, &w.proposals, &b.slots, &b.list, &b.sums, &b.state];
         let both =
             |plain, weighted| Ok::<_, GpuError>([bind(device, plain, &divide)?, bind(device, weighted, &divide)?]);
         Ok(Self {
             propose: bind(
                 device,
                 &pipelines.propose,
-                &[&b.params, &b.facets, &b.proposals, &b.slots, &b.list, &b.failures, &b.state],
+                &[&b.params, &w.facets, &w.proposals, &b.slots, &b.list, &b.failures, &b.state],
             )?,
             divide: pipelines.divide.iter().map(|[a, b]| both(a, b)).collect::<Result<_, _>>()?,
-            prepare: bind(device, &pipelines.prepare, &[&b.params, &b.state, &b.arguments])?,
             clip: bind(device, &pipelines.clip, &clip)?,
             clip_shared: bind(device, &pipelines.clip_shared, &clip)?,
             clip_large: bind(device, &pipelines.clip_large, &clip)?,
             emit: bind(
                 device,
                 &pipelines.emit,
-                &[&b.params, &b.seeds, &b.facets, &b.table, &b.list, &b.heads, &b.vertices, &b.labels],
+                &[&b.params, &b.seeds, &w.facets, &b.table, &b.list, &b.heads, &b.vertices, &b.labels],
             )?,
             reach: bind(
                 device,
                 &pipelines.reach,
-                &[&b.params, &b.seeds, &b.facets, &b.table, &b.near, &b.slots, &b.list, &b.failures, &b.state],
+                &[&b.params, &b.seeds, &w.facets, &b.table, &b.near, &b.slots, &b.list, &b.failures, &b.state],
             )?,
-            verify: bind(device, &pipelines.verify, &[&b.params, &b.facets, &b.slots, &b.list, &b.failures, &b.state])?,
-            count: bind(device, &pipelines.count, &[&b.params, &b.seeds, &b.cells, &b.state])?,
-            rows: bind(device, &pipelines.rows, &[&b.params, &b.cells, &b.state])?,
-            scatter: bind(device, &pipelines.scatter, &[&b.params, &b.seeds, &b.cells, &b.sorted, &b.state])?,
-            twins: bind(device, &pipelines.twins, &[&b.params, &b.cells, &b.sorted, &b.state])?,
-            search: bind(device, &pipelines.search, &[&b.params, &b.seeds, &b.cells, &b.sorted, &b.table, &b.state])?,
+            verify: bind(device, &pipelines.verify, &[&b.params, &w.facets, &b.slots, &b.list, &b.failures, &b.state])?,
             start: bind(
                 device,
                 &pipelines.start,
-                &[&b.params, &b.seeds, &b.facets, &b.table, &b.cells, &b.sorted, &b.proposals, &b.state],
+                &[&b.params, &b.seeds, &w.facets, &b.table, &b.cells, &b.sorted, &w.proposals, &b.state],
             )?,
         })
     }
@@ -225,6 +244,8 @@ pub struct MotionBindings {
     pub centroids: wgpu::BindGroup,
     /// For [`Pipelines::figures`].
     pub figures: wgpu::BindGroup,
+    /// For [`Pipelines::settle`].
+    pub settle: wgpu::BindGroup,
     /// For [`Pipelines::keep`].
     pub keep: wgpu::BindGroup,
     /// For [`Pipelines::products`].
@@ -251,8 +272,9 @@ impl MotionBindings {
         };
         Ok(Self {
             trial: bind(device, &pipelines.trial, &[&m.motion, &m.points, &m.direction, &b.seeds])?,
-            centroids: bind(device, &pipelines.centroids, &[&m.motion, &b.sums, &m.held, &m.points])?,
+            centroids: bind(device, &pipelines.centroids, &[&m.motion, &b.sums, &m.held, &m.points, &b.state])?,
             figures: bind(device, &pipelines.figures, &[&m.motion, &m.tallies, &m.figures])?,
+            settle: bind(device, &pipelines.settle, &[&m.motion, &m.figures, &b.state])?,
             keep: bind(
                 device,
                 &pipelines.keep,

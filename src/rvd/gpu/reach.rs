@@ -16,7 +16,6 @@
 //! Must not know: launches.
 
 use super::GpuSession;
-use crate::gpu::buffers;
 use crate::gpu::layout::{self, CELLED};
 use crate::rvd::{CELLS_PER_FACET, PassStats, RvdError, Strategy, Surface};
 
@@ -106,12 +105,12 @@ impl GpuSession {
     pub(super) fn is_celled(&self, facet: u32) -> bool {
         self.facets[facet as usize].slot_mask & CELLED != 0
     }
+}
 
-    fn upload_facets(&self) -> Result<(), RvdError> {
-        match &self.on_device {
-            Some(there) => Ok(buffers::write(&self.device, &there.buffers.facets, 0, &self.facets)?),
-            None => Ok(()),
-        }
+/// Leaves all facets to propagation.
+pub(super) fn unmark(records: &mut [layout::Facet]) {
+    for record in records {
+        record.slot_mask &= !CELLED;
     }
 }
 

@@ -16,7 +16,7 @@ use super::search::{self, HostCopy, Rows};
 use super::{EXTRA_PROPOSALS, GpuSession, fixed};
 use crate::gpu::buffers;
 use crate::gpu::layout::{COMPLETE, INDEX, Params, ROOT, State, code, failure};
-use crate::gpu::plan::BATCH;
+use crate::gpu::plan::{LARGE_BATCH, Limits};
 use crate::knn::NeighbourRow;
 use crate::rvd::cells::facet_edge;
 use crate::rvd::incident::FacetWalker;
@@ -83,7 +83,7 @@ impl GpuSession {
         // At most one dispatch of the large variant at a time, so that no pair found meanwhile
         // goes through it: its last bits may differ from those of the registers.
         let again = plans.again.chunks(usize::MAX).map(|p| (p, Variant::Registers));
-        let large = plans.large.chunks(BATCH as usize).map(|p| (p, Variant::Large));
+        let large = plans.large.chunks(LARGE_BATCH).map(|p| (p, Variant::Large));
         for (pairs, variant) in again.chain(large) {
             match self.launch_again(state, pairs, variant, cancel)? {
                 Some(next) => state = next,
@@ -105,8 +105,14 @@ impl GpuSession {
         Ok(Some(state))
     }
 
+    /// Entries of the table at most.
+    fn most_entries(&self) -> u64 {
+        Limits::of(&self.device.limits()).seen_bytes() / 4
+    }
+
     fn sort_out(&mut self, failures: &[[u32; 2]], variants: &mut HashMap<Pair, Variant>) -> Plans {
         let mut plans = Plans::default();
+        let mut short = Vec::new();
         let all_slots = self.pass.polygon as usize == self.slots;
         for &entry in failures {
             let (facet, seed, why) = failure(entry);
@@ -115,9 +121,7 @@ impl GpuSession {
             match why {
                 code::NEIGHBOURS if length < LONGEST_ROW => {
                     plans.rows.push(seed);
-                    plans.short += 1;
-                    let large = variants.get(&pair) == Some(&Variant::Large);
-                    if large { &mut plans.large } else { &mut plans.again }.push(pair);
+                    short.push(pair);
                 }
                 code::POLYGON if variants.get(&pair) != Some(&Variant::Large) => {
                     plans.crowded += 1;
@@ -129,12 +133,26 @@ impl GpuSession {
                 _ => plans.finish.push(pair),
             }
         }
+        plans.rows.sort_unstable();
+        plans.rows.dedup();
+        let longer =
+            |&i: &u32| (self.host.records[i as usize].row_length & INDEX).max(1).saturating_mul(4).min(LONGEST_ROW);
+        let entries = self.host.packed_end as u64 + plans.rows.iter().map(|i| u64::from(longer(i))).sum::<u64>();
+        if entries <= self.most_entries() {
+            plans.short = short.len() as u64;
+            for pair in short {
+                let large = variants.get(&pair) == Some(&Variant::Large);
+                if large { &mut plans.large } else { &mut plans.again }.push(pair);
+            }
+        } else {
+            // The table would be more than the device can see.
+            plans.rows.clear();
+            plans.finish.append(&mut short);
+        }
         // The device lists failures in no order; the host works in one.
         for list in [&mut plans.again, &mut plans.large, &mut plans.finish] {
             list.sort_unstable();
         }
-        plans.rows.sort_unstable();
-        plans.rows.dedup();
         plans
     }
 
@@ -172,7 +190,8 @@ impl GpuSession {
             self.host.packed.extend_from_slice(&tail);
         }
         if self.host.packed_end as u64 > self.counts.table {
-            self.counts.table = self.host.packed_end as u64 * 3 / 2;
+            let end = self.host.packed_end as u64;
+            self.counts.table = (end * 3 / 2).min(self.most_entries()).max(end);
             self.release()?;
             return Ok(false);
         }
@@ -264,7 +283,8 @@ impl GpuSession {
         state: State,
         cancel: &CancelFlag,
     ) -> Result<Option<State>, RvdError> {
-        let first = self.counts.facets as usize;
+        // Behind the first cells.
+        let first = self.layout.facets().len();
         let params = Params {
             propose_begin: first as u32,
             propose_count: proposals.len() as u32,
@@ -272,8 +292,9 @@ impl GpuSession {
             ..self.params()
         };
         let device = Arc::clone(&self.device);
+        self.on_device()?;
+        buffers::write(&device, &self.window()?.proposals, first, proposals)?;
         let buffers = &self.on_device()?.buffers;
-        buffers::write(&device, &buffers.proposals, first, proposals)?;
         // The failures were read; the device's count of them was not reset if nothing ran since.
         buffers::write(&device, &buffers.state, 0, &[State { head: state.length, ..state }])?;
         let encoder = device.encoder();

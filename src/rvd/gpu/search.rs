@@ -12,7 +12,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::pass::run;
+use super::parts::{Stage, encode, size};
 use super::{Gpu, GpuSession, OnDevice, fixed, lane, pack};
 use crate::gpu::buffers;
 use crate::gpu::layout::{self, COMPLETE, Figures, INDEX, NONE, STRIDE, State, halt};
@@ -166,9 +166,12 @@ impl GpuSession {
     }
 
     /// Encodes the seeds' arrival and the search for their rows.
-    pub(super) fn encode_search(&mut self, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
+    pub(super) fn encode_search(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        cancel: &CancelFlag,
+    ) -> Result<(), RvdError> {
         let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
-        let limits = Limits::of(&device.limits());
         let (n, place, params) = (self.count as u64, self.place, self.params());
         if place == Place::Set {
             self.host.records.clear();
@@ -190,28 +193,39 @@ impl GpuSession {
             _ => {}
         }
         encoder.clear_buffer(&b.cells, 0, Some(grid_cells(params.side) * 4));
-        let mut compute = device.pass(encoder, lane::NEIGHBOURS);
-        run(&mut compute, &pipelines.count, &bindings.count, n, limits);
-        run(&mut compute, &pipelines.rows, &bindings.rows, u64::from(params.side).pow(2), limits);
-        run(&mut compute, &pipelines.scatter, &bindings.scatter, n, limits);
-        run(&mut compute, &pipelines.twins, &bindings.twins, n, limits);
-        run(&mut compute, &pipelines.search, &bindings.search, n, limits);
-        Ok(())
+        let stage = |pipeline, bindings, items, size| Stage { pipeline, bindings, items, size };
+        let stages = [
+            stage(&pipelines.count, &bindings.count, n, size::ITEM),
+            stage(&pipelines.rows, &bindings.rows, u64::from(params.side).pow(2), size::ITEM),
+            stage(&pipelines.scatter, &bindings.scatter, n, size::ITEM),
+            stage(&pipelines.twins, &bindings.twins, n, size::ITEM),
+            stage(&pipelines.search, &bindings.search, n, size::SEARCH),
+        ];
+        encode(&device, encoder, lane::NEIGHBOURS, &stages, b, cancel)
     }
 
     /// Encodes the search for the facets' first cells.
-    pub(super) fn encode_start(&mut self, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
+    pub(super) fn encode_start(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        cancel: &CancelFlag,
+    ) -> Result<(), RvdError> {
         let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
-        let (limits, roots) = (Limits::of(&device.limits()), self.roots.len() as u64);
+        let (roots, window) = (self.roots_of(&self.layout.facets()).len() as u64, self.layout.present());
+        self.on_device()?;
+        let size = if self.guessed { size::FACET } else { size::LOOK };
         let there = self.on_device()?;
-        let mut compute = device.pass(encoder, lane::START);
-        run(&mut compute, &pipelines.start, &there.bindings.start, roots, limits);
-        Ok(())
+        let bindings = &there.bindings.windows[window].start;
+        let stage = Stage { pipeline: &pipelines.start, bindings, items: roots, size };
+        encode(&device, encoder, lane::START, &[stage], &there.buffers, cancel)
     }
 
-    /// Ends `encoder` with the figures, if they are wanted, and reads the summary.
+    /// Ends `encoder` with the figures, if they are wanted and all windows are done, and reads the summary.
     pub(super) fn read_summary(&mut self, mut encoder: wgpu::CommandEncoder) -> Result<State, RvdError> {
-        self.encode_figures(&mut encoder)?;
+        let steps = self.moving.as_ref().is_some_and(|m| m.steps);
+        if self.layout.is_last() {
+            self.encode_figures(&mut encoder)?;
+        }
         let device = Arc::clone(&self.device);
         self.on_device()?;
         let Some(OnDevice { buffers: b, .. }) = &self.on_device else {
@@ -228,7 +242,9 @@ impl GpuSession {
         })?;
         if let (Some(moving), Some(figures)) = (&mut self.moving, figures) {
             moving.figures = figures;
+            moving.moved |= steps && state.halt == 0;
         }
+        state.halt &= !halt::UNSETTLED;
         Ok(state)
     }
 
@@ -243,7 +259,7 @@ impl GpuSession {
         buffers::write(&device, &b.params, 0, &[params])?;
         buffers::write(&device, &b.state, 0, &[State::default()])?;
         let mut encoder = device.encoder();
-        self.encode_search(&mut encoder)?;
+        self.encode_search(&mut encoder, cancel)?;
         let state = self.read_summary(encoder)?;
         self.settle_search(&state, cancel)?;
         Ok(())
@@ -255,14 +271,20 @@ impl GpuSession {
         if self.started {
             return Ok(());
         }
-        let (device, params) = (Arc::clone(&self.device), self.params());
-        let b = &self.on_device()?.buffers;
-        buffers::write(&device, &b.params, 0, &[params])?;
-        buffers::write(&device, &b.state, 0, &[State::default()])?;
-        let mut encoder = device.encoder();
-        self.encode_start(&mut encoder)?;
-        let state = self.read_summary(encoder)?;
-        self.settle_start(&state)?;
+        self.on_device()?;
+        let device = Arc::clone(&self.device);
+        let mut all = State::default();
+        for k in 0..self.layout.windows().len() {
+            self.layout.turn_to(k);
+            let params = self.params();
+            let b = &self.on_device()?.buffers;
+            buffers::write(&device, &b.params, 0, &[params])?;
+            buffers::write(&device, &b.state, 0, &[State::default()])?;
+            let mut encoder = device.encoder();
+            self.encode_start(&mut encoder, cancel)?;
+            all.unproved += self.read_summary(encoder)?.unproved;
+        }
+        self.settle_start(&all)?;
         Ok(())
     }
 
@@ -294,6 +316,7 @@ impl GpuSession {
     /// What came of the facets' first cells. `false` if the host found some of them.
     pub(super) fn settle_start(&mut self, state: &State) -> Result<bool, RvdError> {
         self.started = true;
+        self.guessed = true;
         if state.unproved == 0 {
             return Ok(true);
         }
@@ -308,9 +331,7 @@ impl GpuSession {
         for root in &self.roots {
             first[root[0] as usize] = root[1];
         }
-        let device = Arc::clone(&self.device);
-        let Some(there) = &self.on_device else { return Ok(false) };
-        buffers::write(&device, &there.buffers.proposals, 0, &self.roots)?;
+        self.upload_roots()?;
         Ok(false)
     }
 
@@ -368,7 +389,8 @@ impl GpuSession {
         self.started = true;
         self.host.fresh = true;
         if self.host.packed.len() as u64 > self.counts.table {
-            self.counts.table = self.host.packed.len() as u64 * 3 / 2;
+            let end = self.host.packed.len() as u64;
+            self.counts.table = (end * 3 / 2).min(Limits::of(&self.device.limits()).seen_bytes() / 4).max(end);
             return self.release();
         }
         let device = Arc::clone(&self.device);
@@ -376,9 +398,8 @@ impl GpuSession {
         if let Some(there) = &self.on_device {
             buffers::write(&device, &there.buffers.seeds, 0, &self.host.records)?;
             buffers::write(&device, &there.buffers.table, 0, &self.host.packed)?;
-            buffers::write(&device, &there.buffers.proposals, 0, &self.roots)?;
         }
-        Ok(())
+        self.upload_roots()
     }
 
     /// The records as they are on the device.
@@ -396,9 +417,7 @@ impl GpuSession {
             return Ok(());
         }
         self.fetch_records()?;
-        let (device, roots) = (Arc::clone(&self.device), self.roots.len());
-        let b = &self.on_device()?.buffers;
-        self.roots = b.read(&device, &b.proposals, 0..roots)?;
+        self.download_roots()?;
         let host = &mut self.host;
         host.first.clear();
         host.first.resize(self.facets.len(), 0);

@@ -65,7 +65,7 @@ fn wrap_chunk(chunk: Chunk) -> RemeshResponse {
 enum Event {
     Started(f64),
     Stage(&'static str),
-    Iteration(Iteration, usize),
+    Iteration(Box<Iteration>, usize),
 }
 
 struct Reporter(mpsc::Sender<Event>);
@@ -76,7 +76,7 @@ impl Observer for Reporter {
     }
 
     fn iteration(&mut self, iteration: &Iteration, total: usize) {
-        let _ = self.0.try_send(Event::Iteration(*iteration, total));
+        let _ = self.0.try_send(Event::Iteration(Box::new(*iteration), total));
     }
 }
 

@@ -1,0 +1,61 @@
+//! Lloyd steps several at a time.
+//!
+//! Purpose: where nothing is to be done between steps, the backend takes them on its own; a GPU then needs one
+//! submission for several of them.
+//! Invariant: the seeds, energies and gradients are those of [`Cvt::lloyd`] taken as often, to the last bit.
+//! Must not know: how the backend takes steps.
+
+use std::time::Instant;
+
+use super::{Cvt, Iteration, Projection, StepKind, resident};
+use crate::rvd::{CancelFlag, DeviceWork, Look, RvdError, elapsed_ms};
+
+impl Cvt {
+    /// One Lloyd step at least and `steps` at most, as many as the backend takes at once. The time and the work of those
+    /// that were taken together is told of their first or evenly of all.
+    ///
+    /// # Errors
+    /// `Cancelled`, or what the device says. The seeds are then as after some of the steps.
+    pub fn relax(&mut self, steps: usize, cancel: &CancelFlag) -> Result<Vec<Iteration>, RvdError> {
+        let between = !self.curves.is_empty() || self.options.projection != Projection::Free;
+        if between || self.present.is_some() {
+            return Ok(vec![self.lloyd(cancel)?]);
+        }
+        let begin = Instant::now();
+        let (work, phases) = (self.session.device_work(), self.session.device_phases());
+        self.push()?;
+        let mut looks: Vec<Look> = Vec::new();
+        let ended = resident(&mut *self.session)?.relax(steps.max(1), &mut looks, cancel);
+        if let Some(first) = looks.first() {
+            self.convergence.begin(first.gradient_squared.sqrt());
+            (self.read, self.fresh) = (false, true);
+        }
+        let mut taken = Vec::with_capacity(looks.len());
+        for look in looks {
+            let report = Iteration { evaluations: 1, ..self.figures(StepKind::Lloyd, look) };
+            taken.push(if look.empty_cells > 0 {
+                self.lloyd_from(look, report, Instant::now())?
+            } else {
+                self.steps += 1;
+                report
+            });
+        }
+        ended?;
+        let count = taken.len().max(1) as f64;
+        let known =
+            taken.iter().fold(DeviceWork::default(), |sum, step| sum.with(&step.stats.device_work(), |a, b| a + b));
+        let now = self.session.device_phases();
+        for step in &mut taken {
+            step.ms = elapsed_ms(begin) / count;
+            if let (Some(before), Some(now)) = (phases, now) {
+                step.stats.set_phases(now.since(&before).over(count));
+            }
+        }
+        if let Some(last) = taken.last_mut() {
+            // What was done after the last look.
+            let rest = self.session.device_work().since(&work).with(&known, u64::saturating_sub);
+            last.stats.set_device_work(last.stats.device_work().with(&rest, |a, b| a + b));
+        }
+        Ok(taken)
+    }
+}
