@@ -118,6 +118,10 @@ pub enum SeedEdit {
 /// Intruders that become seeds of a curve; more of them are a curve that the seeds cannot resolve.
 const MOST_ADOPTED: usize = 64;
 
+/// A first step along the gradient, where 1 takes the seed of an average cell to its centroid. The energy falls
+/// most at about this: by 0.035 of 1.11 after five Lloyd steps on three models, and by 0.014 at 1.
+const FIRST_STEP: f64 = 3.5;
+
 /// One surface, its seeds, and the session that computes their diagram.
 pub struct Cvt {
     surface: Arc<Surface>,
@@ -305,7 +309,7 @@ impl Cvt {
             self.converged |= look.empty_cells == 0;
             return self.lloyd_from(look, report, begin);
         }
-        let fresh = self.fresh;
+        let (fresh, unscaled) = (self.fresh, self.first_step(look));
         let vectors = resident(&mut *self.session)?;
         let mut slope = vectors.direct()?;
         let mut first = 1.0;
@@ -314,7 +318,7 @@ impl Cvt {
             slope = vectors.direct()?;
         }
         if fresh || slope == -look.gradient_squared {
-            first = 1.0 / look.gradient_squared.sqrt();
+            first = unscaled;
         }
         let found = line_search::search(vectors, (look.energy, slope), first, cancel)?;
         report.evaluations += found.probes;
@@ -333,6 +337,16 @@ impl Cvt {
         self.steps += 1;
         report.ms = elapsed_ms(begin);
         Ok(report)
+    }
+
+    /// A step along the gradient itself, which has no history to say how long: where the density is uniform, all
+    /// cells weigh about the same, and a step takes an average one a few times as far as its centroid. It gains as much
+    /// with one probe as 1/‖∇E‖ does with two or more.
+    fn first_step(&self, look: Look) -> f64 {
+        match self.surface.is_uniform() {
+            true => FIRST_STEP * 0.5 * self.seeds.len() as f64 / self.surface.mass(),
+            false => 1.0 / look.gradient_squared.sqrt(),
+        }
     }
 
     /// Whether the last quasi-Newton step passed a test of convergence: ‖∇E‖ below a thousandth of the

@@ -8,9 +8,11 @@ mod around;
 pub mod attributes;
 mod build;
 mod curves;
+mod fan;
 mod fit;
 mod flips;
 mod ground;
+mod grouped;
 mod mend;
 mod patch;
 mod polish;
@@ -242,10 +244,8 @@ pub fn remesh(
     options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(mesh))?;
     let mut clock = Clock::start();
     observer.stage("prepare");
-    let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?;
-    let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
-    let input = InputFigures::of(mesh);
-    let mut kept = curves::Kept::find(mesh, &plan, &surface, options)?;
+    let (input, prepared) = rayon::join(|| InputFigures::of(mesh), || prepare(mesh, options, cancel));
+    let (plan, surface, mut kept) = prepared?;
     let mut timings = Timings { prepare: clock.lap(), ..Timings::default() };
     cancel.check()?;
 
@@ -283,13 +283,12 @@ pub fn remesh(
     observer.stage("measure");
     cancel.check()?;
     let result = &built.mesh;
-    let quality = match options.measure {
-        true => Some(quality_unless(mesh, result, &|| cancel.is_cancelled()).ok_or(RvdError::Cancelled)?),
-        false => None,
-    };
+    let quality = || options.measure.then(|| quality_unless(mesh, result, &|| cancel.is_cancelled()));
+    let (topology, quality) = rayon::join(|| topology(result), quality);
+    let quality = quality.map(|q| q.ok_or(RvdError::Cancelled)).transpose()?;
     let (vertices, facets) = (result.positions().len(), result.facets().len());
     let repair = built.repair;
-    let figures = ResultFigures { vertices, facets, topology: topology(result), quality, repair };
+    let figures = ResultFigures { vertices, facets, topology, quality, repair };
     timings.measure = clock.lap();
     timings.total = clock.total();
     let changes = topology_changes(&input.topology, &figures.topology);
@@ -314,6 +313,18 @@ pub fn remesh(
     };
     let curve_edges = built.curve_edges.into_iter().flatten().collect();
     Ok(Remesh { mesh: built.mesh, vertex_seed: built.vertex_seed, curve_edges, seeds, report, attributes, provenance })
+}
+
+/// The plan, the surface that it is for and the curves on it.
+fn prepare<'a>(
+    mesh: &'a TriMesh,
+    options: &RemeshOptions,
+    cancel: &CancelFlag,
+) -> Result<(Plan<'a>, Arc<Surface>, curves::Kept), RemeshError> {
+    let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?;
+    let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+    let kept = curves::Kept::find(mesh, &plan, &surface, options)?;
+    Ok((plan, surface, kept))
 }
 
 /// Times that seeds are moved to what the result missed, and that they are added where a tolerance was given.
@@ -356,7 +367,9 @@ fn settle(
         timings.dual += clock.lap();
         steps.cancel.check()?;
         steps.observer.stage("repair");
-        let draft = source.draft(&dual, cvt.unit_seeds()?)?;
+        // On the pool's threads as a whole, so that nobody waits for them to wake up at each part.
+        let seeds = cvt.unit_seeds()?;
+        let draft = rayon::scope(|_| source.draft(&dual, seeds))?;
         timings.repair += clock.lap();
         let missed = draft.missed();
         // Another place may come out worse than the one that was mended. More seeds are better all the same,
@@ -373,7 +386,7 @@ fn settle(
         round += 1;
     }
     let (draft, _, seeds) = best.ok_or_else(|| RvdError::Internal("no result was built".to_owned()))?;
-    let built = source.finish(draft)?;
+    let built = rayon::scope(|_| source.finish(draft))?;
     steps.refine.missed = built.missed;
     timings.repair += clock.lap();
     Ok((built, seeds))

@@ -185,23 +185,40 @@ fn inverse_power_of_two(extent: f64) -> f64 {
 /// as near as the nearest, and every query would have to visit all of them.
 fn distinct_facets(mesh: &TriMesh) -> Vec<([u32; 3], u32)> {
     let representative = weld(mesh);
-    let mut places: Vec<([u32; 3], u32)> = mesh
-        .facets()
-        .iter()
-        .zip(0..)
-        .filter(|&(_, facet)| !mesh.is_degenerate(facet as usize))
-        .map(|(corners, facet)| {
-            let mut place = corners.map(|v| representative[v as usize]);
-            place.sort_unstable();
-            (place, facet)
-        })
-        .collect();
-    places.par_sort_unstable();
-    places.dedup_by_key(|(place, _)| *place);
-    let mut kept: Vec<u32> = places.into_iter().map(|(_, facet)| facet).collect();
-    kept.par_sort_unstable();
-    kept.into_iter().map(|facet| (mesh.facets()[facet as usize], facet)).collect()
+    let place = |f: usize| {
+        let mut place = mesh.facets()[f].map(|v| representative[v as usize]);
+        place.sort_unstable();
+        place
+    };
+    let solid = || (0..mesh.facets().len()).filter(|&f| !mesh.is_degenerate(f));
+    // Side by side by their lowest vertex, of each the lowest facet first.
+    let mut first = vec![0u32; mesh.positions().len() + 1];
+    solid().for_each(|f| first[place(f)[0] as usize + 1] += 1);
+    (1..first.len()).for_each(|v| first[v] += first[v - 1]);
+    let mut next = first.clone();
+    let mut others = vec![([0; 2], 0); first[first.len() - 1] as usize];
+    for f in solid() {
+        let [lowest, rest @ ..] = place(f);
+        let at = &mut next[lowest as usize];
+        others[*at as usize] = (rest, f as u32);
+        *at += 1;
+    }
+    let mut again = vec![false; mesh.facets().len()];
+    let mut rest = others.as_mut_slice();
+    for range in first.windows(2) {
+        let (here, after) = rest.split_at_mut((range[1] - range[0]) as usize);
+        rest = after;
+        here.sort_unstable();
+        here.windows(2).filter(|two| two[0].0 == two[1].0).for_each(|two| again[two[1].1 as usize] = true);
+    }
+    solid().filter(|&f| !again[f]).map(|f| (mesh.facets()[f], f as u32)).collect()
 }
+
+/// A barycentric coordinate is off by a few roundings times the product of the lengths that it was computed from, by
+/// the facet's area. While that is less than the root of the first it is less than the second, and says on which side of
+/// an edge a point is.
+const SURE: f64 = 1e16;
+const SEEN: f64 = 1e-6;
 
 /// Squared distance of `p` from a facet and the barycentric coordinates of its nearest point. Coordinates
 /// are to be of the order of 1.
@@ -214,10 +231,15 @@ pub(crate) fn closest_on_facet(p: DVec3, [a, b, c]: [DVec3; 3], ids: [u32; 3]) -
         let (v, w) = (v / whole, w / whole);
         return ((ap - ab * v - ac * w).length_squared(), [(1.0 - v - w).max(0.0), v, w]);
     }
-    // Outside: the nearest of the three edges, which is right for slivers too.
+    // Outside: the nearest of the edges that can be seen from there; of all three where rounding hides which these are.
     let corners = [a, b, c];
+    let sure = ap.length_squared() * (ab.length_squared() + ac.length_squared()) <= SURE * whole;
+    let seen = |side: f64| !sure || side <= SEEN * whole;
     let mut best = (f64::INFINITY, [1.0, 0.0, 0.0]);
-    for (i, j) in [(0, 1), (1, 2), (2, 0)] {
+    for (i, j, side) in [(0, 1, w), (1, 2, whole - v - w), (2, 0, v)] {
+        if !seen(side) {
+            continue;
+        }
         // From the lower vertex, so that both facets of an edge compute the same bits.
         let (i, j) = if ids[i] <= ids[j] { (i, j) } else { (j, i) };
         let (from, along) = (corners[i], corners[j] - corners[i]);
@@ -233,4 +255,35 @@ pub(crate) fn closest_on_facet(p: DVec3, [a, b, c]: [DVec3; 3], ids: [u32; 3]) -
         }
     }
     best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn edges_that_cannot_be_seen_are_not_the_nearest() {
+        let number = |k: u32| f64::from(k.wrapping_mul(2_654_435_761) >> 8) / f64::from(1 << 24) - 0.5;
+        let point = |k: u32| DVec3::new(number(3 * k), number(3 * k + 1), number(3 * k + 2));
+        let to_segment = |p: DVec3, a: DVec3, b: DVec3| {
+            let t = ((p - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
+            p.distance(a + t * (b - a))
+        };
+        for k in 0..20_000 {
+            let (a, b) = (point(4 * k), point(4 * k + 1));
+            // One in three is a sliver, flatter and flatter.
+            let flat = if k % 3 == 0 { 10f64.powi(-(k as i32 % 17)) } else { 1.0 };
+            let c = a.lerp(b, number(7 * k) + 0.5) + flat * point(4 * k + 2);
+            let p = 2.0 * point(4 * k + 3);
+            let (squared, weights) = closest_on_facet(p, [a, b, c], [0, 1, 2]);
+            let place = weights[0] * a + weights[1] * b + weights[2] * c;
+            assert!((place.distance(p) - squared.sqrt()).abs() < 1e-9, "{k}");
+            let to_edges = to_segment(p, a, b).min(to_segment(p, b, c)).min(to_segment(p, c, a));
+            // No farther than the edges, and as far where it is not within: coordinates are of the order of 1.
+            assert!(squared.sqrt() < to_edges + 1e-12, "{k}: {} of {to_edges}", squared.sqrt());
+            if weights.contains(&0.0) {
+                assert!((squared.sqrt() - to_edges).abs() < 1e-9, "{k}: {} of {to_edges}", squared.sqrt());
+            }
+        }
+    }
 }

@@ -4,7 +4,12 @@
 //! Invariant: edges ascend by (lower vertex, higher vertex), the half-edges of one by (facet, side), whatever the
 //! number of threads. Must not know: which vertices are one, what an edge is.
 
+use rayon::prelude::*;
+
 use super::MAX_ELEMENTS;
+
+/// Vertices that are one task.
+const RUN: usize = 2048;
 
 /// All half-edges of some facets. One is a number: the edge's higher vertex in 31 bits, the facet in 31, the side in 2.
 pub(crate) struct EdgeGroups {
@@ -46,19 +51,43 @@ impl EdgeGroups {
         }
         first.rotate_right(1);
         first[0] = 0;
+        let mut runs = Vec::with_capacity(vertices / RUN + 1);
         let mut rest = halves.as_mut_slice();
-        for pair in first.windows(2) {
-            let (here, after) = rest.split_at_mut(pair[1] - pair[0]);
-            here.sort_unstable();
+        for run in first[..vertices].chunks(RUN).enumerate().map(|(k, run)| &first[k * RUN..=k * RUN + run.len()]) {
+            let (here, after) = rest.split_at_mut(run[run.len() - 1] - run[0]);
+            runs.push((run, here));
             rest = after;
         }
+        runs.into_par_iter().for_each(|(first, mut rest)| {
+            for pair in first.windows(2) {
+                let (here, after) = rest.split_at_mut(pair[1] - pair[0]);
+                here.sort_unstable();
+                rest = after;
+            }
+        });
         Self { first, halves }
     }
 
+    /// Calls `visit` as [`Self::for_each`] does, for runs of vertices on all threads; each run gathers in a list of its
+    /// own, and the lists come in order.
+    pub(crate) fn gather<T: Default + Send>(&self, visit: impl Fn(&mut T, u32, &[Half]) + Sync) -> Vec<T> {
+        let vertices = self.first.len() - 1;
+        let run = |k: usize| {
+            let mut list = T::default();
+            self.visit(k * RUN..vertices.min((k + 1) * RUN), |low, group| visit(&mut list, low, group));
+            list
+        };
+        (0..vertices.div_ceil(RUN)).into_par_iter().map(run).collect()
+    }
+
     /// Calls `visit` with the lower vertex and the half-edges of each edge.
-    pub(crate) fn for_each(&self, mut visit: impl FnMut(u32, &[Half])) {
+    pub(crate) fn for_each(&self, visit: impl FnMut(u32, &[Half])) {
+        self.visit(0..self.first.len() - 1, visit);
+    }
+
+    fn visit(&self, vertices: std::ops::Range<usize>, mut visit: impl FnMut(u32, &[Half])) {
         let mut group = Vec::new();
-        for (vertex, range) in self.first.windows(2).enumerate() {
+        for (vertex, range) in vertices.clone().zip(self.first[vertices.start..=vertices.end].windows(2)) {
             for edge in self.halves[range[0]..range[1]].chunk_by(|a, b| a >> 33 == b >> 33) {
                 group.clear();
                 let half = |&h: &u64| Half { facet: (h >> 2) as u32 & (u32::MAX >> 1), side: (h & 3) as usize };

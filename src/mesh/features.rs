@@ -114,7 +114,8 @@ impl Features {
         let mut graph = Graph::default();
         let must = |kind| What { kind, kept: true, angle: 180.0 };
         boundary.iter().for_each(|&e| graph.insert(e, must(CurveKind::Boundary)));
-        let known: std::collections::HashSet<Edge> = all_edges(mesh, &adjacency).collect();
+        let edges = (!options.given.is_empty()).then(|| all_edges(mesh, &adjacency)).into_iter().flatten();
+        let known: std::collections::HashSet<Edge> = edges.collect();
         for (crease, &[a, b]) in options.given.iter().enumerate() {
             let welded = |v: u32| class.get(v as usize).copied();
             match (welded(a), welded(b)) {

@@ -109,10 +109,12 @@ pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
 
 /// As [`quality`], but `None` soon after `stop` says so.
 pub fn quality_unless(original: &TriMesh, result: &TriMesh, stop: &(dyn Fn() -> bool + Sync)) -> Option<Quality> {
-    let adjacency = Adjacency::new(result);
-    let mut quality = shape_quality(result, &adjacency);
-    quality.v567_percent = v567_percent(result, &adjacency);
-    let (there, back) = rayon::join(|| distances(original, result, stop), || distances(result, original, stop));
+    let shapes = || {
+        let adjacency = Adjacency::new(result);
+        Quality { v567_percent: v567_percent(result, &adjacency), ..shape_quality(result, &adjacency) }
+    };
+    let back = || rayon::join(shapes, || distances(result, original, stop));
+    let (there, (mut quality, back)) = rayon::join(|| distances(original, result, stop), back);
     let (there, back) = (there?, back?);
     let (low, high) = original.bounds();
     // Scaled, so that the squares of a tiny or huge box stay within range.

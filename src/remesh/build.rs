@@ -7,8 +7,10 @@
 use std::collections::HashSet;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::ground::Ground;
+use super::grouped::Grouped;
 use super::mend::Bench;
 use super::report::RepairFigures;
 use super::tips::Tip;
@@ -50,6 +52,8 @@ struct Fitted {
     /// Vertices and the input's facets that their cells meet.
     cells: Vec<(u32, u32)>,
     missed: Missed,
+    /// How far it is from the input around each vertex.
+    far: Vec<f64>,
 }
 
 /// What a result is far from.
@@ -129,8 +133,8 @@ impl Source<'_> {
 
     /// Returns how many places are still far from it.
     fn mend(&self, draft: &mut Draft, fitted: &mut Fitted) -> usize {
-        let Fitted { positions, target, cells, missed } = fitted;
-        let ground = Ground::new(self.surface, positions.len(), cells, &target.tips);
+        let Fitted { positions, target, cells, missed, far } = fitted;
+        let ground = Ground::new(self.surface, positions.len(), cells, target.tips.all());
         let absent = self.kept.missing(&draft.curve_edges, &draft.vertex_seed);
         if !absent.is_empty() {
             let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
@@ -139,17 +143,17 @@ impl Source<'_> {
             if there > 0 {
                 self.find_curves(draft);
                 self.polish(positions, draft, target);
+                *far = fit::Far::of(positions, &draft.facets, target, self.tolerance).by_vertex;
             }
         }
         let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
-        let far = fit::far(positions, &draft.facets, target);
         let mut bench = Bench::new(positions, &mut draft.facets, &rails, curves, &ground);
-        let changed = bench.mend(&far) + regular::valences(&mut bench);
+        let changed = bench.mend(far) + regular::valences(&mut bench);
         if changed == 0 && missed.places.is_empty() {
             return 0;
         }
         self.find_curves(draft);
-        fit::missed(positions, &draft.facets, target, self.tolerance).0.len()
+        fit::missed(positions, &draft.facets, target, self.tolerance).len()
     }
 
     /// Looks again which edges of curves there are, in facets' order.
@@ -181,33 +185,49 @@ impl Source<'_> {
     fn fit(&self, draft: &mut Draft, component: &[u32], dual: &dual::Dual) {
         let mut vertex = vec![u32::MAX; dual.components.len()];
         component.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
-        let mut target = fit::Target {
-            curves: self.kept.samples(&draft.curve_edges),
-            fixed: draft.vertex_seed.iter().map(|&s| self.kept.is_corner(s) || s >= self.first_added).collect(),
-            ..fit::Target::default()
-        };
-        let mut cells = Vec::new();
-        let mut first_tip: Vec<Option<u32>> = vec![None; self.surface.positions().len()];
-        for p in dual.pieces.iter().filter(|p| p.area > 0.0 && vertex[p.component as usize] != u32::MAX) {
-            let vertex = vertex[p.component as usize];
-            let normal = self.surface.normal(p.facet);
-            cells.push((vertex, p.facet));
-            target.samples.push(fit::Sample { position: p.centroid, normal, area: p.area, vertex });
-            for corner in (0..3).filter(|c| p.corners & (1 << c) != 0) {
-                let v = self.surface.welded()[p.facet as usize][corner] as usize;
-                if first_tip[v].is_none() {
-                    first_tip[v] = Some(target.tips.len() as u32);
-                    target.tips.push(Tip { position: self.surface.positions()[v], vertex });
-                }
-            }
-        }
+        let fixed = draft.vertex_seed.iter().map(|&s| self.kept.is_corner(s) || s >= self.first_added).collect();
+        let target = self.target(&vertex, dual, draft.positions.len(), self.kept.samples(&draft.curve_edges), fixed);
+        let own = |p: &dual::Piece| (p.area > 0.0).then(|| (vertex[p.component as usize], p.facet));
+        let cells = dual.pieces.par_iter().filter_map(own).filter(|c| c.0 != u32::MAX).collect();
         let frame = self.surface.frame();
-        let mut unit: Vec<DVec3> = draft.positions.iter().map(|&p| frame.to_unit(p)).collect();
+        let mut unit: Vec<DVec3> = draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect();
         fit::fit(&mut unit, &mut draft.facets, &target);
         self.polish(&mut unit, draft, &target);
-        let (places, deviation) = fit::missed(&unit, &draft.facets, &target, self.tolerance);
-        let places = places.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
-        draft.fitted = Some(Fitted { positions: unit, target, cells, missed: Missed { places, deviation } });
+        let fit::Far { missed, deviation, by_vertex } = fit::Far::of(&unit, &draft.facets, &target, self.tolerance);
+        let places = missed.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
+        let missed = Missed { places, deviation };
+        draft.fitted = Some(Fitted { positions: unit, target, cells, missed, far: by_vertex });
+    }
+
+    /// What there is to fit to: a sample a piece, and the input's vertices. `vertex` is that of the draft for each
+    /// component of the dual.
+    fn target(
+        &self,
+        vertex: &[u32],
+        dual: &dual::Dual,
+        vertices: usize,
+        curves: Vec<fit::CurveSample>,
+        fixed: Vec<bool>,
+    ) -> fit::Target {
+        let surface = self.surface;
+        let of = |p: &dual::Piece| if p.area > 0.0 { vertex[p.component as usize] } else { u32::MAX };
+        let owners: Vec<u32> = dual.pieces.par_iter().map(of).collect();
+        let sample = |k: usize| {
+            let p = &dual.pieces[k];
+            fit::Sample { position: p.centroid, normal: surface.normal(p.facet), area: p.area }
+        };
+        // The first piece that a vertex of the input is a corner of.
+        let mut holder = vec![u32::MAX; surface.positions().len()];
+        for (p, &owner) in dual.pieces.iter().zip(&owners).filter(|(p, owner)| p.corners != 0 && **owner != u32::MAX) {
+            let facet = surface.welded()[p.facet as usize];
+            for corner in (0..3).filter(|c| p.corners & (1 << c) != 0) {
+                let holder = &mut holder[facet[corner] as usize];
+                *holder = if *holder == u32::MAX { owner } else { *holder };
+            }
+        }
+        let tip = |v: usize| Tip { position: surface.positions()[v], vertex: holder[v] };
+        let tips = Grouped::new(vertices, &holder, tip);
+        fit::Target { samples: Grouped::new(vertices, &owners, sample), curves, tips, fixed }
     }
 }
 

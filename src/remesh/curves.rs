@@ -124,8 +124,15 @@ impl Kept {
         let clear = |p: DVec3| clearance.holds(frame.to_unit(p));
         // Curves cover a small part of most surfaces; on one that they cover all of, seeds begin
         // where they can.
-        let drawn = sample(mesh, plan.weights.as_deref(), 4 * others, seed);
-        let (mut kept, rest): (Vec<DVec3>, Vec<DVec3>) = drawn.iter().map(|s| s.position).partition(|&p| clear(p));
+        // The first of many draws are those of few.
+        let draw = |count: usize| -> (Vec<DVec3>, Vec<DVec3>) {
+            let drawn = sample(mesh, plan.weights.as_deref(), count, seed);
+            drawn.iter().map(|s| s.position).partition(|&p| clear(p))
+        };
+        let (mut kept, mut rest) = draw(others + others / 8);
+        if kept.len() < others {
+            (kept, rest) = draw(4 * others);
+        }
         kept.extend(rest);
         all.extend(kept.into_iter().take(others));
         all

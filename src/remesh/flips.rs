@@ -10,11 +10,12 @@
 use std::collections::HashSet;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::around::Around;
 use super::fit::TIP;
 use super::polish::score;
-use super::tips::Offsets;
+use super::tips::{Offset, Offsets};
 use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::measure::{facet_quality, least_angle};
 
@@ -33,15 +34,21 @@ pub(super) fn along_ridges(
     offsets: &Offsets<'_>,
     curves: &HashSet<[u32; 2]>,
 ) -> Vec<u32> {
-    let mut touched = HashSet::new();
+    let far = offsets.far(|o| o.share > TIP);
+    let mut touched = vec![false; facets.len()];
+    let patch = Patch { positions, facets, around };
+    // What would be best for each if nothing else changed.
+    let wish = |(k, o): &(usize, Offset)| patch.best(offsets.place(*k), o.facet, curves, &touched);
+    let wishes: Vec<Option<Turn>> = far.par_iter().map(wish).collect();
     let mut changed = Vec::new();
-    for (k, o) in offsets.far(|o| o.share > TIP) {
+    for ((k, o), wish) in far.into_iter().zip(wishes) {
+        let stands =
+            !touched[o.facet as usize] && wish.is_none_or(|t| !touched[t.0 as usize] && !touched[t.1 as usize]);
         let patch = Patch { positions, facets, around };
-        if let Some((f, g, new)) = patch.best(offsets.tips[k].position, o.facet, curves, &touched) {
+        let turn = if stands { wish } else { patch.best(offsets.place(k), o.facet, curves, &touched) };
+        if let Some((f, g, new)) = turn {
             // Around a changed facet nothing else changes in this round: `around` is of before.
-            for t in [facets[f as usize], facets[g as usize]] {
-                touched.extend(t.into_iter().flat_map(|v| around.of(v)).copied());
-            }
+            touch(&mut touched, around, [facets[f as usize], facets[g as usize]]);
             (facets[f as usize], facets[g as usize]) = (new[0], new[1]);
             changed.extend([f, g]);
         }
@@ -59,10 +66,10 @@ pub(super) fn for_angles(
     goal: f64,
 ) -> bool {
     let angle = |t: &[u32; 3]| score(t.map(|v| positions[v as usize]));
-    let mut poor: Vec<(f64, u32)> =
-        (0..).zip(facets.iter()).map(|(f, t)| (angle(t), f)).filter(|p| p.0 < goal).collect();
+    let angles = facets.par_iter().enumerate().map(|(f, t)| (angle(t), f as u32));
+    let mut poor: Vec<(f64, u32)> = angles.filter(|p| p.0 < goal).collect();
     poor.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let mut touched = HashSet::new();
+    let mut touched = vec![false; facets.len()];
     let mut changed = false;
     for (_, f) in poor {
         let patch = Patch { positions, facets, around };
@@ -75,14 +82,17 @@ pub(super) fn for_angles(
         if let Some((gain, (f, g, new))) = best
             && gain > 0.5
         {
-            for t in [facets[f as usize], facets[g as usize]] {
-                touched.extend(t.into_iter().flat_map(|v| around.of(v)).copied());
-            }
+            touch(&mut touched, around, [facets[f as usize], facets[g as usize]]);
             (facets[f as usize], facets[g as usize]) = (new[0], new[1]);
             changed = true;
         }
     }
     changed
+}
+
+/// Marks all facets around two.
+fn touch(touched: &mut [bool], around: &Around, two: [[u32; 3]; 2]) {
+    two.into_iter().flatten().flat_map(|v| around.of(v)).for_each(|&f| touched[f as usize] = true);
 }
 
 pub(super) fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
@@ -100,13 +110,17 @@ type Turn = (u32, u32, [[u32; 3]; 2]);
 
 impl Patch<'_> {
     /// The edge of `f`, or of a facet across one, whose turning brings the facets nearest to `p`.
-    fn best(&self, p: DVec3, f: u32, curves: &HashSet<[u32; 2]>, touched: &HashSet<u32>) -> Option<Turn> {
+    fn best(&self, p: DVec3, f: u32, curves: &HashSet<[u32; 2]>, touched: &[bool]) -> Option<Turn> {
         let distance = |t: &[u32; 3]| closest_on_facet(p, t.map(|v| self.positions[v as usize]), *t).0;
         let before = distance(&self.facets[f as usize]);
         let mut best: Option<(f64, Turn)> = None;
-        let near = self.facets[f as usize].into_iter().flat_map(|v| self.around.of(v)).copied();
-        let mut seen = HashSet::new();
-        for f in near.filter(|f| seen.insert(*f)) {
+        let mut near: Vec<u32> = Vec::new();
+        for &g in self.facets[f as usize].into_iter().flat_map(|v| self.around.of(v)) {
+            if !near.contains(&g) {
+                near.push(g);
+            }
+        }
+        for f in near {
             for e in 0..3 {
                 let Some(turn) = self.turn(f, e, curves, touched).filter(|t| self.is_fine(t)) else { continue };
                 let after = turn.2.iter().map(distance).fold(f64::INFINITY, f64::min);
@@ -119,20 +133,20 @@ impl Patch<'_> {
     }
 
     /// The two facets at edge `e` of `f` and what they become, if that is allowed.
-    fn turn(&self, f: u32, e: usize, curves: &HashSet<[u32; 2]>, touched: &HashSet<u32>) -> Option<Turn> {
+    fn turn(&self, f: u32, e: usize, curves: &HashSet<[u32; 2]>, touched: &[bool]) -> Option<Turn> {
         let t = self.facets[f as usize];
         let (a, b, c) = (t[e], t[(e + 1) % 3], t[(e + 2) % 3]);
         let other =
             |&&g: &&u32| (0..3).any(|k| self.facets[g as usize][k] == b && self.facets[g as usize][(k + 1) % 3] == a);
         let &g = self.around.of(a).iter().find(other)?;
         let d = *self.facets[g as usize].iter().find(|&&v| v != a && v != b)?;
-        let joined = self.around.of(c).iter().any(|&h| self.facets[h as usize].contains(&d));
         let lose = |v: u32| self.around.of(v).len() > 5;
         let win = |v: u32| self.around.of(v).len() < 7;
-        if touched.contains(&f) || touched.contains(&g) || joined || curves.contains(&sorted([a, b])) {
+        if touched[f as usize] || touched[g as usize] || !(lose(a) && lose(b) && win(c) && win(d)) {
             return None;
         }
-        if !(lose(a) && lose(b) && win(c) && win(d)) {
+        let joined = self.around.of(c).iter().any(|&h| self.facets[h as usize].contains(&d));
+        if joined || curves.contains(&sorted([a, b])) {
             return None;
         }
         let corners = |t: [u32; 3]| t.map(|v| self.positions[v as usize]);

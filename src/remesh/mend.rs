@@ -32,6 +32,8 @@ const ENOUGH: f64 = 0.8;
 const SEEMS: f64 = 0.65;
 /// Places that seem far and are looked at, at most.
 const LOOKED_AT: usize = 1000;
+/// Patches that are made at the same time.
+const AT_ONCE: usize = 64;
 /// Passes over the vertices of a patch.
 const SWEEPS: usize = 12;
 /// before the most promising ones are chosen, so many of them.
@@ -109,6 +111,33 @@ impl<'a> Bench<'a> {
         self.curves.insert(super::flips::sorted(ends));
     }
 
+    /// Puts in what `better` makes of the patch around each of `middles`, one after the other. Many are made at the same
+    /// time: what a patch was made from is known, and it is made again where that has changed since. So the result is
+    /// the same whatever the number of threads. Returns how many were put in.
+    pub(super) fn change(
+        &mut self,
+        middles: &[u32],
+        better: impl Fn(&Scene<'_>, u32) -> Option<Patch> + Sync,
+    ) -> usize {
+        let mut done = 0;
+        for middles in middles.chunks(AT_ONCE) {
+            let scene = self.scene();
+            let make = |&v: &u32| (better(&scene, v), around(&scene, v));
+            let made: Vec<(Option<Patch>, Seen)> = middles.par_iter().map(make).collect();
+            let mut changed = HashSet::new();
+            for (&v, (patch, seen)) in middles.iter().zip(made) {
+                let is_stale = !changed.is_empty() && seen.all.iter().any(|u| changed.contains(u));
+                let patch = if is_stale { better(&self.scene(), v) } else { patch };
+                if let Some(patch) = patch {
+                    changed.extend(if is_stale { around(&self.scene(), v).own } else { seen.own });
+                    self.put_back(&patch);
+                    done += 1;
+                }
+            }
+        }
+        done
+    }
+
     /// Mends the places that are farthest from the input; the result is `far` from it around each vertex, about.
     /// Returns how many were mended.
     pub(super) fn mend(&mut self, far: &[f64]) -> usize {
@@ -142,6 +171,27 @@ impl<'a> Bench<'a> {
         }
         mended
     }
+}
+
+/// Vertices that a patch depends on.
+struct Seen {
+    /// Its own, which may change with it.
+    own: Vec<u32>,
+    /// And the corners of all facets around these.
+    all: Vec<u32>,
+}
+
+/// Those of the patch around a vertex.
+fn around(scene: &Scene<'_>, middle: u32) -> Seen {
+    let ring = |vertices: &[u32]| {
+        let facets = vertices.iter().flat_map(|&v| scene.stars.of(v));
+        let mut ring: Vec<u32> = facets.flat_map(|&f| scene.facets[f as usize]).collect();
+        ring.sort_unstable();
+        ring.dedup();
+        ring
+    };
+    let own = ring(&ring(&[middle]));
+    Seen { all: ring(&own), own }
 }
 
 /// Vertices around which the result is far from the input, of those that seem to be.

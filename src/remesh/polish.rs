@@ -10,6 +10,7 @@
 use std::collections::HashSet;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::around::Around;
 use super::flips;
@@ -64,9 +65,9 @@ pub(super) fn polish(positions: &mut [DVec3], facets: &mut [[u32; 3]], rails: &[
 }
 
 fn move_vertices(positions: &mut [DVec3], start: &[DVec3], facets: &[[u32; 3]], around: &Around, rails: &[Rail]) {
-    let normals: Vec<DVec3> = facets.iter().map(|t| normal(t.map(|v| positions[v as usize]))).collect();
+    let normals: Vec<DVec3> = facets.par_iter().map(|t| normal(t.map(|v| positions[v as usize]))).collect();
     let poor = |positions: &[DVec3], t: &[u32; 3]| score(t.map(|v| positions[v as usize])) < GOAL;
-    let mut vertices: Vec<u32> = facets.iter().filter(|t| poor(positions, t)).flatten().copied().collect();
+    let mut vertices: Vec<u32> = facets.par_iter().filter(|t| poor(positions, t)).flat_map_iter(|t| *t).collect();
     // Those around make room.
     for _ in 0..RINGS {
         let ring = vertices.iter().flat_map(|&v| around.of(v)).flat_map(|&f| facets[f as usize]);

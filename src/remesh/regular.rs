@@ -5,8 +5,10 @@
 //! Invariant: facets stay as good as they should be, or as the worst one around was. Deterministic.
 //! Must not know: seeds, diagrams, files.
 
+use rayon::prelude::*;
+
 use super::mend::Bench;
-use super::patch::{LEAST, Patch};
+use super::patch::{LEAST, Patch, Scene};
 
 /// Around an edge that was put in facets have at least this score, no angle below it.
 const LEAST_AT_CURVES: f64 = 30.0;
@@ -64,28 +66,26 @@ fn settled(mut patch: Patch, least: f64, sharpest: f64) -> Option<(f64, Patch)> 
 /// Turns edges for valences. Returns how many vertices are better.
 pub(super) fn valences(bench: &mut Bench<'_>) -> usize {
     let irregular: Vec<u32> = bench.scene().irregular().take(MOST).collect();
-    let mut done = 0;
-    for v in irregular {
-        let patch = Patch::around(&bench.scene(), v);
-        if patch.is_regular() {
-            continue;
-        }
-        let now = patch.distance();
-        let most = now.middle.max(now.rest).max(NEAR * patch.edge());
-        let (least, sharpest) = (patch.worst().min(LEAST), patch.sharpest());
-        let turned = patch.turns().into_iter().filter_map(|(f, e)| {
-            let mut turned = patch.clone();
-            (turned.turn(f, e) && turned.is_more_regular_than(&patch)).then_some(turned)
-        });
-        let settled = turned.filter_map(|turned| {
-            let (score, patch) = settled(turned, least, sharpest)?;
-            let far = patch.distance();
-            (far.middle.max(far.rest) <= most).then_some((score, patch))
-        });
-        if let Some((_, best)) = settled.reduce(|a, b| if b.0 > a.0 { b } else { a }) {
-            bench.put_back(&best);
-            done += 1;
-        }
+    bench.change(&irregular, more_regular)
+}
+
+/// The patch around a vertex after an edge was turned for its valence.
+fn more_regular(scene: &Scene<'_>, v: u32) -> Option<Patch> {
+    let patch = Patch::around(scene, v);
+    if patch.is_regular() {
+        return None;
     }
-    done
+    let now = patch.distance();
+    let most = now.middle.max(now.rest).max(NEAR * patch.edge());
+    let (least, sharpest) = (patch.worst().min(LEAST), patch.sharpest());
+    let after = |&(f, e): &(usize, usize)| {
+        let mut turned = patch.clone();
+        let can = turned.turn(f, e) && turned.is_more_regular_than(&patch);
+        let (score, patch) = if can { settled(turned, least, sharpest)? } else { return None };
+        let far = patch.distance();
+        (far.middle.max(far.rest) <= most).then_some((score, patch))
+    };
+    let settled: Vec<Option<(f64, Patch)>> = patch.turns().par_iter().map(after).collect();
+    let best = settled.into_iter().flatten().reduce(|a, b| if b.0 > a.0 { b } else { a });
+    best.map(|(_, patch)| patch)
 }

@@ -8,7 +8,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::around::Around;
-use crate::mesh::closest_point::closest_on_facet;
+use super::fan::Fan;
+use super::grouped::Grouped;
 
 /// A vertex of the input.
 #[derive(Clone, Copy, Debug)]
@@ -34,34 +35,18 @@ pub(super) struct Offset {
 /// A result vertex has no facets; nothing is known.
 const NOWHERE: Offset = Offset { distance: 0.0, share: 0.0, facet: 0, corner: 0 };
 
+/// Vertices that are one task.
+const RUN: usize = 256;
+
 /// See the module's head.
 pub(super) struct Offsets<'a> {
-    pub(super) tips: &'a [Tip],
+    pub(super) tips: &'a Grouped<Tip>,
     list: Vec<Offset>,
 }
 
-/// Of the facets around a vertex the nearest one: squared distance, facet, barycentric coordinates.
-pub(super) fn nearest(
-    positions: &[DVec3],
-    facets: &[[u32; 3]],
-    around: &Around,
-    p: DVec3,
-    vertex: u32,
-) -> (f64, u32, [f64; 3]) {
-    let mut best = (f64::INFINITY, u32::MAX, [0.0; 3]);
-    for &f in around.of(vertex) {
-        let t = facets[f as usize];
-        let (squared, lambda) = closest_on_facet(p, t.map(|v| positions[v as usize]), t);
-        if squared < best.0 {
-            best = (squared, f, lambda);
-        }
-    }
-    best
-}
-
-fn offset(positions: &[DVec3], facets: &[[u32; 3]], around: &Around, tip: &Tip) -> Offset {
-    let (squared, facet, _) = nearest(positions, facets, around, tip.position, tip.vertex);
-    let Some(&t) = facets.get(facet as usize) else { return NOWHERE };
+fn offset(positions: &[DVec3], facets: &[[u32; 3]], fan: &mut Fan, tip: &Tip) -> Offset {
+    let found = fan.nearest(tip.position);
+    let Some(&t) = facets.get(found.facet as usize) else { return NOWHERE };
     let p = t.map(|v| positions[v as usize]);
     let edge = (p[0].distance(p[1]) + p[1].distance(p[2]) + p[2].distance(p[0])) / 3.0;
     let to = p.map(|q| q.distance_squared(tip.position));
@@ -72,21 +57,49 @@ fn offset(positions: &[DVec3], facets: &[[u32; 3]], around: &Around, tip: &Tip) 
     } else {
         t[2]
     };
-    let distance = squared.sqrt();
-    Offset { distance, share: if edge > 0.0 { distance / edge } else { 0.0 }, facet, corner }
+    let distance = found.squared.sqrt();
+    Offset { distance, share: if edge > 0.0 { distance / edge } else { 0.0 }, facet: found.facet, corner }
 }
 
 impl<'a> Offsets<'a> {
     /// Looks at all of them.
-    pub(super) fn new(positions: &[DVec3], facets: &[[u32; 3]], around: &Around, tips: &'a [Tip]) -> Self {
-        let list = tips.par_iter().map(|tip| offset(positions, facets, around, tip)).collect();
-        Self { tips, list }
+    pub(super) fn new(positions: &[DVec3], facets: &[[u32; 3]], around: &Around, tips: &'a Grouped<Tip>) -> Self {
+        let mut offsets = Self { tips, list: vec![NOWHERE; tips.all().len()] };
+        offsets.look(positions, facets, around, |_| true);
+        offsets
     }
 
-    /// Looks again at those whose vertex is in `region`.
-    pub(super) fn update(&mut self, positions: &[DVec3], facets: &[[u32; 3]], around: &Around, region: &[bool]) {
-        let changed = self.list.par_iter_mut().zip(self.tips).filter(|(_, tip)| region[tip.vertex as usize]);
-        changed.for_each(|(old, tip)| *old = offset(positions, facets, around, tip));
+    /// Looks again at those of vertices for which `changed` says so: itself or a neighbour has moved, or its facets are
+    /// others.
+    pub(super) fn look(
+        &mut self,
+        positions: &[DVec3],
+        facets: &[[u32; 3]],
+        around: &Around,
+        changed: impl Fn(u32) -> bool + Sync,
+    ) {
+        let tips = self.tips;
+        // Runs of vertices, each with its part of the list.
+        let mut runs = Vec::with_capacity(positions.len() / RUN + 1);
+        let mut rest = self.list.as_mut_slice();
+        for begin in (0..positions.len()).step_by(RUN) {
+            let vertices = begin as u32..(begin + RUN).min(positions.len()) as u32;
+            let count = tips.range(vertices.end - 1).end - tips.range(vertices.start).start;
+            let (here, after) = rest.split_at_mut(count);
+            rest = after;
+            runs.push((vertices, here));
+        }
+        runs.into_par_iter().for_each_init(Fan::default, |fan, (vertices, mut here)| {
+            for v in vertices {
+                let own = tips.of(v);
+                let (list, after) = here.split_at_mut(own.len());
+                here = after;
+                if !own.is_empty() && changed(v) {
+                    fan.turn_to(positions, facets, around, v);
+                    list.iter_mut().zip(own).for_each(|(o, tip)| *o = offset(positions, facets, fan, tip));
+                }
+            }
+        });
     }
 
     /// Those for which `far` says so, with their numbers, the farthest (as a share of an edge) first.
@@ -96,14 +109,15 @@ impl<'a> Offsets<'a> {
         found
     }
 
+    /// Where tip `k` is.
+    pub(super) fn place(&self, k: usize) -> DVec3 {
+        self.tips.all()[k].position
+    }
+
     /// The largest distance of a tip of each of so many result vertices.
     pub(super) fn by_vertex(&self, vertices: usize) -> Vec<f64> {
-        let mut far = vec![0.0f64; vertices];
-        for (tip, o) in self.tips.iter().zip(&self.list) {
-            let far = &mut far[tip.vertex as usize];
-            *far = far.max(o.distance);
-        }
-        far
+        let largest = |v: u32| self.list[self.tips.range(v)].iter().map(|o| o.distance).fold(0.0, f64::max);
+        (0..vertices as u32).into_par_iter().map(largest).collect()
     }
 
     /// The largest distance.

@@ -82,16 +82,23 @@ pub fn extract(
     cancel: &CancelFlag,
 ) -> Result<Dual, RvdError> {
     let mut pieces = Pieces::default();
-    let mut batch = PieceBatch::default();
     let mut stats = PassStats::default();
     let facets = surface.facets().len() as u32;
+    // While one batch is taken in the next is made.
+    let (mut made, mut next) = (PieceBatch::default(), PieceBatch::default());
     for first in (0..facets).step_by(BATCH as usize) {
-        stats.add(&session.pieces(first..facets.min(first + BATCH), &mut batch, cancel)?);
-        pieces.take(&batch);
+        let range = first..facets.min(first + BATCH);
+        let (done, ()) = rayon::join(|| session.pieces(range, &mut next, cancel), || pieces.take(&made));
+        stats.add(&done?);
+        std::mem::swap(&mut made, &mut next);
     }
-    pieces.close(facets);
+    // On the pool's threads as a whole, so that nobody waits for them to wake up at each part.
+    let mut dual = rayon::scope(|_| {
+        pieces.take(&made);
+        pieces.close(facets);
+        pieces.join(surface, seeds)
+    });
     cancel.check()?;
-    let mut dual = pieces.join(surface, seeds);
     dual.stats = stats;
     Ok(dual)
 }

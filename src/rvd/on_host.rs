@@ -209,8 +209,15 @@ fn look(sums: &CellSums, g: &[DVec3], stats: PassStats) -> Look {
     }
 }
 
+/// In four sums side by side: one alone waits for each addition.
 fn dot(a: &[DVec3], b: &[DVec3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum()
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<4>(), b.as_chunks::<4>());
+    let mut sums = [DVec3::ZERO; 4];
+    for (a, b) in a.iter().zip(b) {
+        (0..4).for_each(|k| sums[k] += a[k] * b[k]);
+    }
+    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a.dot(*b)).sum();
+    ((sums[0] + sums[1]) + (sums[2] + sums[3])).element_sum() + rest
 }
 
 fn add_scaled(to: &mut [DVec3], factor: f64, from: &[DVec3]) {

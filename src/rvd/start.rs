@@ -43,24 +43,35 @@ impl Starts {
     }
 
     /// Finds those of `facets` on all threads of the present pool. The guess is the last answer for
-    /// the same facets; without one the index answers, which is faster than a walk from afar.
+    /// the same facets, or the one before where that is near; without one the index answers, which is faster than a
+    /// walk from afar.
     pub(super) fn find(&mut self, diagram: Diagram<'_>, facets: Range<u32>) -> &mut [u32] {
         let guessed = self.facets == facets;
         self.seeds.resize(facets.len(), 0);
         self.seeds.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
+            let mut last = None;
             for (k, start) in part.iter_mut().enumerate() {
                 let q = diagram.surface.centroid(facets.start + (c * CHUNK + k) as u32);
                 let old = Some(*start).filter(|&s| guessed && (s as usize) < diagram.seeds.len());
-                *start = match old {
+                // Facets in a row are often beside each other.
+                *start = match old.or_else(|| last.filter(|&s| is_beside(diagram, q, s))) {
                     Some(guess) => nearest(diagram, q, guess),
                     None => diagram.index.nearest(q),
                 };
+                last = Some(*start);
             }
         });
         self.facets = facets;
         self.count = diagram.seeds.len();
         &mut self.seeds
     }
+}
+
+/// Whether a walk from seed `s` to `q` is short: `q` is no farther away than the last neighbour in the table.
+fn is_beside(diagram: Diagram<'_>, q: DVec3, s: u32) -> bool {
+    let here = diagram.seeds[s as usize];
+    let last = diagram.table.row(s).0.last();
+    last.is_some_and(|&j| q.distance_squared(here) <= here.distance_squared(diagram.seeds[j as usize]))
 }
 
 /// A nearest seed of `q`, from the guess `from`. Seeds nearer to q than x_i lie within 2|q - x_i|

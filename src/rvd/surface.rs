@@ -6,6 +6,7 @@
 //! Must not know: seeds, backends.
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::RvdError;
 use crate::mesh::TriMesh;
@@ -46,7 +47,12 @@ pub(crate) const GRID: f64 = (1u64 << 52) as f64;
 /// The nearest point whose coordinates are multiples of 2⁻⁵²: a difference of two such points
 /// inside the box is exact, and so are the decisions of `rvd::exact`.
 pub fn snap(p: DVec3) -> DVec3 {
-    DVec3::from_array(p.to_array().map(|x| (x * GRID).round_ties_even() / GRID))
+    DVec3::from_array(p.to_array().map(|x| {
+        let x = x * GRID;
+        // A sum of this size has no digits behind the point, and is rounded to the even one of two.
+        let rounded = if x.abs() < 0.5 * GRID { (x + 1.5 * GRID) - 1.5 * GRID } else { x.round_ties_even() };
+        rounded / GRID
+    }))
 }
 
 /// A mesh in the unit frame, with weights. Immutable; sessions share it.
@@ -60,6 +66,7 @@ pub struct Surface {
     welded: Vec<[u32; 3]>,
     skip: Vec<bool>,
     area: f64,
+    mass: f64,
     root_mass: f64,
 }
 
@@ -97,15 +104,16 @@ impl Surface {
         };
         // A vertex that no facet uses may be so far away that the unit frame cannot hold it.
         let held = |p: DVec3| if p.is_finite() { p } else { DVec3::ZERO };
-        let positions: Vec<DVec3> = mesh.positions().iter().map(|&p| held(snap(frame.to_unit(p)))).collect();
-        let class = weld(mesh);
+        let (positions, class): (Vec<DVec3>, Vec<u32>) =
+            rayon::join(|| mesh.positions().par_iter().map(|&p| held(snap(frame.to_unit(p)))).collect(), || weld(mesh));
         // On the grid a facet may lose what area it had, by the same measure as in the mesh.
         let flat = |f: usize| {
             let [a, b, c] = mesh.facets()[f].map(|v| positions[v as usize]);
             let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
             (b - a).cross(c - a).length() <= 1e-15 * longest
         };
-        let skip: Vec<bool> = (0..mesh.facets().len()).map(|f| mesh.is_degenerate(f) || flat(f)).collect();
+        let skip: Vec<bool> =
+            (0..mesh.facets().len()).into_par_iter().map(|f| mesh.is_degenerate(f) || flat(f)).collect();
         if skip.iter().all(|&skipped| skipped) {
             return Err(RvdError::NoArea);
         }
@@ -115,14 +123,16 @@ impl Surface {
             weights: weights.unwrap_or_else(|| vec![1.0; vertices]),
             positions,
             facets: mesh.facets().to_vec(),
-            welded: mesh.facets().iter().map(|f| f.map(|v| class[v as usize])).collect(),
+            welded: mesh.facets().par_iter().map(|f| f.map(|v| class[v as usize])).collect(),
             skip,
             area: 0.0,
+            mass: 0.0,
             root_mass: 0.0,
         };
         surface.area =
             (0..surface.facets.len()).filter(|&f| !surface.skip[f]).map(|f| surface.facet_area(f as u32)).sum();
-        surface.root_mass = surface.measure_root_mass();
+        surface.mass = surface.integral(|w| w);
+        surface.root_mass = surface.integral(f64::sqrt);
         Ok(surface)
     }
 
@@ -187,13 +197,19 @@ impl Surface {
         self.root_mass
     }
 
-    fn measure_root_mass(&self) -> f64 {
-        let mut root_mass = 0.0;
+    /// ∫ w, unit frame.
+    pub fn mass(&self) -> f64 {
+        self.mass
+    }
+
+    /// The integral of what `of` makes of the weights, taken as linear between the corners of a facet.
+    fn integral(&self, of: impl Fn(f64) -> f64) -> f64 {
+        let mut sum = 0.0;
         for (f, corners) in self.facets.iter().enumerate().filter(|&(f, _)| !self.skip[f]) {
-            let mean = corners.map(|v| self.weights[v as usize].sqrt()).iter().sum::<f64>() / 3.0;
-            root_mass += mean * self.facet_area(f as u32);
+            let mean = corners.map(|v| of(self.weights[v as usize])).iter().sum::<f64>() / 3.0;
+            sum += mean * self.facet_area(f as u32);
         }
-        root_mass
+        sum
     }
 
     /// Area of facet `f`, unit frame.
@@ -213,5 +229,20 @@ impl Surface {
     /// Area of all facets that are not left out, unit frame.
     pub fn area(&self) -> f64 {
         self.area
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn snapping_rounds_to_the_even_one_of_two() {
+        let plain = |x: f64| (x * GRID).round_ties_even() / GRID;
+        let numbers = (0..2000).map(|k| f64::from(k).sin() * 1.1f64.powi(k % 200 - 100));
+        let ties = (-40..40).map(|k| (f64::from(k) + 0.5) / GRID);
+        for x in numbers.chain(ties).chain([0.5, -0.5, 0.499_999_999_999_999_9, 1e6 + 0.1, 0.0]) {
+            assert_eq!(snap(DVec3::splat(x)), DVec3::splat(plain(x)), "{x:e}");
+        }
     }
 }

@@ -9,6 +9,8 @@
 //! χ = F - E + V, and is a disk if that is 1.
 //! Must not know: triangles, positions.
 
+use rayon::prelude::*;
+
 use crate::mesh::disjoint::DisjointSets;
 
 /// A stretch of the curve in which two cells meet, within one facet: the pieces on its two sides.
@@ -38,7 +40,7 @@ pub(super) fn multiple_rims(components: usize, ends: impl Iterator<Item = u32>) 
 /// Pairs of components that meet in more than one curve.
 pub(super) fn multiple_edges(stretches: &[Stretch], mut crossings: Vec<Crossing>, component: &[u32]) -> usize {
     let mut curves = DisjointSets::new(stretches.len());
-    crossings.sort_unstable();
+    crossings.par_sort_unstable();
     for here in crossings.chunk_by(|a, b| a.0 == b.0) {
         here.windows(2).for_each(|pair| curves.join(pair[0].1 as usize, pair[1].1 as usize));
     }

@@ -5,11 +5,12 @@
 //! Invariant: nothing is decided by coordinates. Must not know: how polygons were made.
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::conditions::{self, Crossing, Stretch};
 use super::{Component, Dual, Piece};
 use crate::mesh::disjoint::DisjointSets;
-use crate::mesh::edges::EdgeGroups;
+use crate::mesh::edges::{EdgeGroups, Half};
 use crate::rvd::cells::facet_edge;
 use crate::rvd::{PieceBatch, Surface};
 
@@ -48,19 +49,54 @@ struct Joined {
     rim: Vec<bool>,
 }
 
+/// What some mesh edges join.
+#[derive(Default)]
+struct Seams {
+    /// Half-edges with the number of their edge among these.
+    halves: Vec<(u32, u32)>,
+    rim_edge: Vec<bool>,
+    /// Mesh vertices on a boundary.
+    rim: Vec<u32>,
+    /// Pieces of one cell, and whether the first has no other partner before at this edge.
+    pairs: Vec<(u32, u32, bool)>,
+}
+
+/// Pieces that are one task.
+const RUN: usize = 2048;
+
 impl Pieces {
+    /// Takes in the next batch.
     pub(super) fn take(&mut self, batch: &PieceBatch) {
-        for i in 0..batch.len() {
+        let runs: Vec<usize> = (0..batch.len()).step_by(RUN).collect();
+        let part = |&first: &usize| Self::of(batch, first..batch.len().min(first + RUN));
+        let parts: Vec<Self> = runs.par_iter().map(part).collect();
+        self.facet.extend_from_slice(&batch.facet);
+        self.seed.extend_from_slice(&batch.seed);
+        for part in parts {
+            let (piece, stretch) = (self.area.len() as u32, self.stretches.len() as u32);
+            self.area.extend(part.area);
+            self.moment.extend(part.moment);
+            self.edges.extend(part.edges);
+            self.corners.extend(part.corners);
+            self.vertices.extend(part.vertices.into_iter().map(|(p, others)| (piece + p, others)));
+            self.stretches.extend(part.stretches.into_iter().map(|(p, other)| (piece + p, other)));
+            self.crossings.extend(part.crossings.into_iter().map(|(half, s)| (half, stretch + s)));
+        }
+    }
+
+    /// What some pieces of a batch are, numbered from the first of them, but for facets and seeds.
+    fn of(batch: &PieceBatch, range: std::ops::Range<usize>) -> Self {
+        let mut part = Self::default();
+        for i in range {
             let (facet, seed) = (batch.facet[i], batch.seed[i]);
-            let piece = self.facet.len() as u32;
-            self.first.resize(self.first.len().max(facet as usize + 1), piece);
+            let piece = part.area.len() as u32;
             let range = batch.vertices(i);
             let (p, label) = (&batch.position[range.clone()], &batch.opposite[range]);
             let (mut area, mut moment) = (0.0, DVec3::ZERO);
             for k in 2..p.len() {
-                let part = 0.5 * (p[k - 1] - p[0]).cross(p[k] - p[0]).length();
-                area += part;
-                moment += part / 3.0 * (p[0] + p[k - 1] + p[k]);
+                let third = 0.5 * (p[k - 1] - p[0]).cross(p[k] - p[0]).length();
+                area += third;
+                moment += third / 3.0 * (p[0] + p[k - 1] + p[k]);
             }
             let (mut edges, mut corners) = (0, 0);
             for k in 0..label.len() {
@@ -73,29 +109,34 @@ impl Pieces {
                     // Around the vertex, counter-clockwise: this cell, the one across the edge
                     // that arrives, the one across the edge that leaves.
                     (None, None) if before != after && seed < before && seed < after => {
-                        self.vertices.push((piece, [before, after]));
+                        part.vertices.push((piece, [before, after]));
                     }
                     _ => {}
                 }
                 if facet_edge(after).is_none() && seed < after {
-                    let stretch = self.stretches.len() as u32;
-                    self.stretches.push((piece, after));
+                    let stretch = part.stretches.len() as u32;
+                    part.stretches.push((piece, after));
                     let next = label[if k + 1 == label.len() { 0 } else { k + 1 }];
                     let ends = [before, next].into_iter().filter_map(facet_edge);
-                    self.crossings.extend(ends.map(|e| (facet * 3 + e as u32, stretch)));
+                    part.crossings.extend(ends.map(|e| (facet * 3 + e as u32, stretch)));
                 }
             }
-            self.facet.push(facet);
-            self.seed.push(seed);
-            self.area.push(area);
-            self.moment.push(moment);
-            self.edges.push(edges);
-            self.corners.push(corners);
+            part.area.push(area);
+            part.moment.push(moment);
+            part.edges.push(edges);
+            part.corners.push(corners);
         }
+        part
     }
 
+    /// After the last batch.
     pub(super) fn close(&mut self, facets: u32) {
-        self.first.resize(facets as usize + 1, self.facet.len() as u32);
+        let count = self.facet.len() as u32;
+        self.first.reserve_exact(facets as usize + 1);
+        for (&facet, piece) in self.facet.iter().zip(0..) {
+            self.first.resize(self.first.len().max(facet as usize + 1), piece);
+        }
+        self.first.resize(facets as usize + 1, count);
     }
 
     fn of_facet(&self, facet: u32) -> std::ops::Range<usize> {
@@ -115,26 +156,35 @@ impl Pieces {
         let mut joined = self.across_edges(surface);
         let (mut dual, component) = self.number(&mut joined.sets, seeds);
         let count = dual.components.len();
+        let counts = || self.count(surface, &joined, count, &component);
+        let ([not_disks, multiple_rims, multiple_edges], pieces) = rayon::join(counts, || self.centres(&component));
+        Dual { not_disks, multiple_rims, multiple_edges, pieces, ..std::mem::take(&mut dual) }
+    }
+
+    /// What of so many components breaks the topology: `not_disks`, `multiple_rims`, `multiple_edges` of the [`Dual`].
+    fn count(&self, surface: &Surface, joined: &Joined, count: usize, component: &[u32]) -> [usize; 3] {
         let of = |pieces: &[u32]| pieces.iter().map(|&p| component[p as usize]).collect::<Vec<u32>>();
-        let inner = self.inner_vertices(surface, &joined.rim);
-        dual.not_disks = conditions::not_disks(count, &component, &of(&joined.joints), &of(&inner));
-        let stretches: Vec<Stretch> =
-            self.stretches.iter().map(|&(p, j)| [p, self.find(self.facet[p as usize], j).unwrap_or(p)]).collect();
-        // A stretch of boundary ends where a bisector crosses it, for the cells on both sides.
-        let at_rim = self.crossings.iter().filter(|(half, _)| joined.rim_edge[joined.edge[*half as usize] as usize]);
-        let ends = at_rim.flat_map(|&(_, s)| stretches[s as usize]).map(|p| component[p as usize]);
-        dual.multiple_rims = conditions::multiple_rims(count, ends);
-        let crossings: Vec<Crossing> = self
-            .crossings
-            .iter()
-            .map(|&(half, s)| {
+        let disks = || {
+            let inner = self.inner_vertices(surface, &joined.rim);
+            conditions::not_disks(count, component, &of(&joined.joints), &of(&inner))
+        };
+        let edges = || {
+            let other = |&(p, j): &(u32, u32)| [p, self.find(self.facet[p as usize], j).unwrap_or(p)];
+            let stretches: Vec<Stretch> = self.stretches.par_iter().with_min_len(RUN).map(other).collect();
+            // A stretch of boundary ends where a bisector crosses it, for the cells on both sides.
+            let at_rim =
+                self.crossings.iter().filter(|(half, _)| joined.rim_edge[joined.edge[*half as usize] as usize]);
+            let ends = at_rim.flat_map(|&(_, s)| stretches[s as usize]).map(|p| component[p as usize]);
+            let rims = conditions::multiple_rims(count, ends);
+            let crossing = |&(half, s): &(u32, u32)| -> Crossing {
                 let (piece, j) = self.stretches[s as usize];
                 ((joined.edge[half as usize], [self.seed[piece as usize], j]), s)
-            })
-            .collect();
-        dual.multiple_edges = conditions::multiple_edges(&stretches, crossings, &component);
-        dual.pieces = self.centres(&component);
-        dual
+            };
+            let crossings: Vec<Crossing> = self.crossings.par_iter().with_min_len(RUN).map(crossing).collect();
+            [rims, conditions::multiple_edges(&stretches, crossings, component)]
+        };
+        let (not_disks, [rims, edges]) = rayon::join(disks, edges);
+        [not_disks, rims, edges]
     }
 
     fn centres(&self, component: &[u32]) -> Vec<Piece> {
@@ -145,10 +195,13 @@ impl Pieces {
             area: self.area[p],
             centroid: if self.area[p] > 0.0 { self.moment[p] / self.area[p] } else { DVec3::ZERO },
         };
-        (0..self.facet.len()).map(centre).collect()
+        (0..self.facet.len()).into_par_iter().map(centre).collect()
     }
 
     fn across_edges(&self, surface: &Surface) -> Joined {
+        let joining = surface.welded().iter().copied().enumerate().filter(|&(f, _)| surface.joins(f));
+        let groups = EdgeGroups::new(surface.positions().len(), joining);
+        let seams = groups.gather(|seams: &mut Seams, _, group| self.across_edge(surface, group, seams));
         let mut joined = Joined {
             sets: DisjointSets::new(self.facet.len()),
             joints: Vec::new(),
@@ -156,33 +209,38 @@ impl Pieces {
             rim_edge: Vec::new(),
             rim: vec![false; surface.positions().len()],
         };
-        let joining = surface.welded().iter().copied().enumerate().filter(|&(f, _)| surface.joins(f));
-        EdgeGroups::new(surface.positions().len(), joining).for_each(|_, group| {
-            let [first, rest @ ..] = group else { return };
+        for seams in seams {
             let number = joined.rim_edge.len() as u32;
-            group.iter().for_each(|half| joined.edge[half.facet as usize * 3 + half.side] = number);
-            joined.rim_edge.push(rest.is_empty());
-            let (f, e) = (first.facet, first.side);
-            if rest.is_empty() {
-                let corners = surface.welded()[f as usize];
-                [e, (e + 1) % 3].into_iter().for_each(|c| joined.rim[corners[c] as usize] = true);
-            }
-            for piece in self.of_facet(f).filter(|&p| self.edges[p] & (1 << e) != 0) {
-                let mut met = false;
-                for half in rest {
-                    if let Some(other) = self.find(half.facet, self.seed[piece])
-                        && self.edges[other as usize] & (1 << half.side) != 0
-                    {
-                        joined.sets.join(piece, other as usize);
-                        met = true;
-                    }
-                }
-                if met {
-                    joined.joints.push(piece as u32);
-                }
-            }
-        });
+            seams.halves.iter().for_each(|&(half, edge)| joined.edge[half as usize] = number + edge);
+            joined.rim_edge.extend(seams.rim_edge);
+            seams.rim.iter().for_each(|&v| joined.rim[v as usize] = true);
+            seams.pairs.iter().for_each(|&(a, b, _)| joined.sets.join(a as usize, b as usize));
+            joined.joints.extend(seams.pairs.iter().filter(|p| p.2).map(|p| p.0));
+        }
         joined
+    }
+
+    fn across_edge(&self, surface: &Surface, group: &[Half], seams: &mut Seams) {
+        let [first, rest @ ..] = group else { return };
+        let number = seams.rim_edge.len() as u32;
+        seams.halves.extend(group.iter().map(|half| (half.facet * 3 + half.side as u32, number)));
+        seams.rim_edge.push(rest.is_empty());
+        let (f, e) = (first.facet, first.side);
+        if rest.is_empty() {
+            let corners = surface.welded()[f as usize];
+            seams.rim.extend([e, (e + 1) % 3].map(|c| corners[c]));
+        }
+        for piece in self.of_facet(f).filter(|&p| self.edges[p] & (1 << e) != 0) {
+            let mut met = false;
+            for half in rest {
+                if let Some(other) = self.find(half.facet, self.seed[piece])
+                    && self.edges[other as usize] & (1 << half.side) != 0
+                {
+                    seams.pairs.push((piece as u32, other, !met));
+                    met = true;
+                }
+            }
+        }
     }
 
     /// For each mesh vertex that is on no boundary, a piece that holds it.
@@ -205,8 +263,10 @@ impl Pieces {
         // A root is the lowest piece of its set, so (seed, root) orders by first facet.
         let mut sums = vec![(0.0, DVec3::ZERO); self.facet.len()];
         let mut components = Vec::new();
+        let mut roots = Vec::with_capacity(self.facet.len());
         for piece in 0..self.facet.len() {
             let root = sets.root(piece);
+            roots.push(root as u32);
             if root == piece {
                 components.push((self.seed[piece], root));
             }
@@ -237,21 +297,17 @@ impl Pieces {
             }
         }
         dual.empty_cells = largest.iter().filter(|&&id| id == u32::MAX).count();
-        let component: Vec<u32> = (0..self.facet.len()).map(|piece| number[sets.root(piece)]).collect();
-        for &(piece, others) in &self.vertices {
+        let component: Vec<u32> = roots.par_iter().with_min_len(RUN).map(|&root| number[root as usize]).collect();
+        let triangle = |&(piece, others): &(u32, [u32; 2])| {
             let facet = self.facet[piece as usize];
-            let corners = others.map(|seed| match self.find(facet, seed) {
-                Some(p) => component[p as usize],
-                None => {
-                    dual.disputed += 1;
-                    largest[seed as usize]
-                }
-            });
-            let own = component[piece as usize];
-            if corners.iter().all(|&c| c != u32::MAX) {
-                dual.triangles.push([own, corners[0], corners[1]]);
-            }
-        }
+            let known = others.map(|seed| self.find(facet, seed).map(|p| component[p as usize]));
+            let disputed = known.iter().filter(|c| c.is_none()).count();
+            let [a, b] = [0, 1].map(|k| known[k].unwrap_or(largest[others[k] as usize]));
+            ([component[piece as usize], a, b], disputed)
+        };
+        let triangles: Vec<([u32; 3], usize)> = self.vertices.par_iter().with_min_len(RUN).map(triangle).collect();
+        dual.disputed = triangles.iter().map(|t| t.1).sum();
+        dual.triangles = triangles.into_iter().map(|t| t.0).filter(|t| !t.contains(&u32::MAX)).collect();
         (dual, component)
     }
 }
