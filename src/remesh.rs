@@ -9,6 +9,7 @@ pub mod attributes;
 mod build;
 mod curves;
 mod fan;
+mod fences;
 mod fit;
 mod flips;
 mod ground;

@@ -19,7 +19,7 @@ use tessera::rvd::parallel::Parallel;
 use tessera::rvd::{Backend, CancelFlag};
 
 fn wish(crease_angle_deg: f64) -> FeatureOptions {
-    FeatureOptions { crease_angle_deg, given: Vec::new(), shortest: 0.0, reach: 0.05 }
+    FeatureOptions { crease_angle_deg, given: Vec::new(), shortest: 0.0, reach: 0.05, alone: 0.0 }
 }
 
 fn find(mesh: &TriMesh, options: &FeatureOptions) -> Result<Features, FeatureError> {
@@ -220,6 +220,17 @@ fn angles_are_measured() {
         assert!((crease.angle_deg - degrees).abs() < 1e-9, "{degrees}°: {}", crease.angle_deg);
         assert_eq!(counts(&find(&mesh, &wish(degrees + 1.0)).unwrap()).1, 0);
     }
+}
+
+/// A ridge of twenty degrees between two rims is one if it is alone; the edges of a tube, bent as much, are not.
+#[test]
+fn a_ridge_below_the_angle_of_creases_stands_alone() {
+    let creases = |mesh: &TriMesh, alone: f64| counts(&find(mesh, &FeatureOptions { alone, ..wish(30.0) }).unwrap()).1;
+    assert_eq!([0.0, 0.3].map(|alone| creases(&fold(20.0, 8), alone)), [0, 1]);
+    assert_eq!(creases(&fold(10.0, 8), 0.3), 0, "less than half of a crease");
+    let tube = tube(18, 12);
+    // Its facets are 0.35 wide; to who looks no farther each edge is alone.
+    assert_eq!([0.8, 0.3].map(|alone| creases(&tube, alone)), [0, 18]);
 }
 
 #[test]
@@ -445,6 +456,33 @@ fn closed_boundaries_stay() {
         let free = run(&mesh, &RemeshOptions { keep_boundaries: false, ..options(600) }).unwrap();
         assert!(free.mesh.area() < 0.97 * mesh.area(), "{name}");
     }
+}
+
+/// A sheet, 2 by 1, with a slit through its middle, its rims in small teeth.
+fn slit(n: u32) -> TriMesh {
+    let tooth = |i: u32, j: u32| {
+        let rim = (n / 2..=n / 2 + 1).contains(&j) && (n / 2..=3 * n / 2).contains(&i);
+        if rim { 0.3 * f64::from(i * 7 % 5) / 4.0 - 0.15 } else { 0.0 }
+    };
+    let place = |i: u32, j: u32| dvec3(f64::from(i), f64::from(j) + tooth(i, j), 0.0) / f64::from(n);
+    let positions = (0..=n).flat_map(|j| (0..=2 * n).map(move |i| place(i, j))).collect();
+    let vertex = |i: u32, j: u32| j * (2 * n + 1) + i;
+    let open = |i: u32, j: u32| j == n / 2 && (n / 2..3 * n / 2).contains(&i);
+    let cells = (0..n).flat_map(|j| (0..2 * n).map(move |i| (i, j))).filter(|&(i, j)| !open(i, j));
+    let facets = cells.flat_map(|(i, j)| {
+        let [a, b, c, d] = [vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)];
+        [[a, b, c], [a, c, d]]
+    });
+    TriMesh::new(positions, facets.collect()).unwrap()
+}
+
+/// Its rims are a third of an edge apart, and both stay.
+#[test]
+fn a_slit_keeps_both_its_rims() {
+    let mesh = slit(40);
+    let out = run(&mesh, &options(500)).unwrap();
+    let figures = &out.report.features;
+    assert_eq!((figures.missing_segments, topology(&out.mesh).boundary_loops), (0, 2), "{figures:?}");
 }
 
 fn topology_of_open(loops: usize) -> TopologyWithoutEdges {

@@ -9,9 +9,14 @@
 //! surface: the weight w of a surface is w^(3/4) on its curves. Lengths are those of the unit frame.
 //! Must not know: how curves were found, backends.
 
+mod chords;
+mod path;
+
 use std::collections::BTreeSet;
 
 use glam::DVec3;
+
+use path::Path;
 
 use crate::knn::{NeighbourRow, SeedIndex};
 use crate::mesh::features::{Curve, Features};
@@ -53,33 +58,26 @@ impl Segment {
     }
 }
 
-/// Steps of Lloyd's iteration on a curve whose density varies. It starts at equal shares of ∫ ds/h,
-/// where the tessellation ends up as the seeds become many.
-const STEPS: usize = 20;
-/// Points at which the density is taken on each edge of a curve.
-const PARTS: usize = 4;
-/// Where a curve bends, its seeds come closer together, until a chord leaves it by at most this share of h,
-const SAGITTA: f64 = 0.035;
-/// but not closer than this share of h.
-const LEAST_SHARE: f64 = 0.6;
 /// Two curves are too close where seeds of them are nearer than this share of their spacing.
 const CROWDED: f64 = 0.45;
 /// or, where they are beside a common corner, than this share.
 const ACUTE: f64 = 0.3;
+/// What is that much nearer to a point of a segment than its ends are comes between them.
+const BETWEEN_MARGIN: f64 = 0.98;
+/// Times that segments are split so that seeds face those of other curves, and the shortest part, a share of h.
+const FACINGS: usize = 4;
+const SHORTEST_FACING: f64 = 0.3;
+/// Curves that leave a corner at less than this, degrees, make it an acute one.
+const ACUTE_CORNER: f64 = 40.0;
 /// Creases that leave a corner at less than this, degrees, stay only if bent by more than that, degrees.
 const LEAST_CORNER: f64 = 32.0;
 const MEANT: f64 = 55.0;
-/// A deviation of a chord counts for so much of a difference in length.
-const KINKS: f64 = 15.0;
-const KINK_SWEEPS: usize = 4;
 /// A curve between two corners is too short for its edge at this share of h.
 const SHORT: f64 = 0.65;
 /// A chord leaves its curve by at most this share of an edge,
 const DEVIATION: f64 = 0.15;
 /// unless one of its parts would be shorter than this share.
 const SHORTEST_PART: f64 = 0.5;
-/// Points of a running mean on either side.
-const MEAN_OF: i32 = 4;
 /// No segment is longer than so many h: a seed beside its middle would take a part of the curve.
 const LONGEST: f64 = 1.2;
 
@@ -122,7 +120,7 @@ impl CurveSeeds {
             };
             let total = path.total();
             let count = (total.round() as usize).max((total / LONGEST).ceil() as usize).max(least);
-            let places = path.tessellate(count);
+            let places = path.tessellate(count, least);
             let first = all.seeds.len() as u32;
             all.seeds.extend(places.iter().map(|&s| path.at(s)));
             let inner = (0..places.len() as u32).map(|k| first + k);
@@ -144,6 +142,27 @@ impl CurveSeeds {
             }));
         }
         all
+    }
+
+    /// For each seed, whether it is next to a corner that another segment leaves at an acute angle with its own.
+    pub fn beside_acute(&self) -> Vec<bool> {
+        let mut leaving = vec![Vec::new(); self.corners];
+        for s in &self.segments {
+            for (a, b) in [(s.ends[0], s.ends[1]), (s.ends[1], s.ends[0])] {
+                if let Some(list) = leaving.get_mut(a as usize) {
+                    list.push(((self.seeds[b as usize] - self.seeds[a as usize]).normalize_or_zero(), b));
+                }
+            }
+        }
+        let limit = ACUTE_CORNER.to_radians().cos();
+        let mut beside = vec![false; self.seeds.len()];
+        for list in leaving {
+            for (k, &(way, seed)) in list.iter().enumerate() {
+                let is_acute = |(j, other): (usize, &(DVec3, u32))| j != k && other.0.dot(way) > limit;
+                beside[seed as usize] |= seed as usize >= self.corners && list.iter().enumerate().any(is_acute);
+            }
+        }
+        beside
     }
 
     /// How many there are.
@@ -194,6 +213,33 @@ impl CurveSeeds {
                     self.split(next as u32, at);
                 }
                 None => next += 1,
+            }
+        }
+    }
+
+    /// Splits segments of the curves for which `may` says so where a seed of another curve comes between their ends, as
+    /// one from the other side of a slit does: until seeds lie opposite each other, or parts would be too short.
+    pub fn face_others(&mut self, may: impl Fn(u32) -> bool) {
+        for _ in 0..FACINGS {
+            let index = SeedIndex::new(&self.seeds);
+            let mut found: Vec<(u32, usize)> = Vec::new();
+            for (number, segment) in (0..).zip(&self.segments).filter(|(_, s)| may(s.curve)) {
+                let ends = segment.ends.map(|e| self.seeds[e as usize]);
+                let between = |&k: &usize| {
+                    let p = segment.between[k];
+                    let (nearest, own) = (index.nearest(p), ends[0].distance(p).min(ends[1].distance(p)));
+                    let apart = self.seeds[nearest as usize].distance(p);
+                    let comes_between = !segment.ends.contains(&nearest) && apart < BETWEEN_MARGIN * own;
+                    (comes_between && own > SHORTEST_FACING * segment.edge).then_some((apart, k))
+                };
+                let places = (0..BETWEEN).filter_map(|k| between(&k));
+                found.extend(places.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| (number, k)));
+            }
+            if found.is_empty() {
+                return;
+            }
+            for (segment, at) in found {
+                self.split(segment, at);
             }
         }
     }
@@ -250,6 +296,7 @@ impl CurveSeeds {
         let index = SeedIndex::new(&self.seeds);
         let mut row = NeighbourRow::default();
         let mut out = self.acute(features);
+        out.extend(self.crossed(features, &index, &on));
         let may_go = |c: u32| features.curves[c as usize].angle_deg < 180.0;
         out.extend(self.short.iter().copied().filter(|&c| may_go(c)));
         for i in 0..self.seeds.len() as u32 {
@@ -268,6 +315,26 @@ impl CurveSeeds {
                     .filter(|(_, c)| may_go(*c))
                     .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
                 out.extend(weakest.map(|(_, c)| c));
+            }
+        }
+        out
+    }
+
+    /// Folds of a scan that come between two neighbours on another curve, of which the triangulation would have no
+    /// edge then.
+    fn crossed(&self, features: &Features, index: &SeedIndex, on: &[Vec<u32>]) -> BTreeSet<u32> {
+        let mut out = BTreeSet::new();
+        for segment in &self.segments {
+            for p in segment.between {
+                let nearest = index.nearest(p);
+                let own = segment.ends.map(|e| self.seeds[e as usize].distance(p));
+                let between = self.seeds[nearest as usize].distance(p) < BETWEEN_MARGIN * own[0].min(own[1]);
+                if between && !segment.ends.contains(&nearest) {
+                    let both = on[nearest as usize].iter().chain([&segment.curve]);
+                    let bend = both.map(|&c| (features.curves[c as usize].angle_deg, c));
+                    let weakest = bend.filter(|b| b.0 < MEANT).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+                    out.extend(weakest.map(|(_, c)| c));
+                }
             }
         }
         out
@@ -347,234 +414,4 @@ impl Clearance {
         let k = self.index.nearest(p) as usize;
         p.distance(self.places[k]) >= self.reach[k]
     }
-}
-
-/// A curve by arc length, with ∫ ds/h, ∫ ds/h³ and ∫ s ds/h³ up to each of its points.
-struct Path {
-    points: Vec<DVec3>,
-    /// Arc length.
-    along: Vec<f64>,
-    /// ∫ ds/h: how many edges fit.
-    edges: Vec<f64>,
-    mass: Vec<f64>,
-    moment: Vec<f64>,
-    closed: bool,
-    /// Length of the running mean.
-    smooth: Vec<f64>,
-    /// 1/h as wished for.
-    wish: Vec<f64>,
-}
-
-impl Path {
-    fn new(surface: &Surface, curve: &Curve, edge: f64) -> Self {
-        let (mut points, mut along, mut per_length) = (Vec::new(), vec![0.0], Vec::new());
-        let mut last: Option<(DVec3, f64)> = None;
-        for v in curve.round() {
-            let (p, w) = (surface.positions()[v as usize], surface.weights()[v as usize]);
-            let from = last.map_or(PARTS, |_| 1);
-            let (q, u) = last.unwrap_or((p, w));
-            for k in from..=PARTS {
-                let t = k as f64 / PARTS as f64;
-                if let Some(&before) = points.last() {
-                    let next = q.lerp(p, t);
-                    along.push(along[along.len() - 1] + next.distance(before));
-                }
-                points.push(q.lerp(p, t));
-                per_length.push((u + t * (w - u)).powf(0.25) / edge);
-            }
-            last = Some((p, w));
-        }
-        let mut path = Self {
-            points,
-            along,
-            edges: Vec::new(),
-            mass: Vec::new(),
-            moment: Vec::new(),
-            closed: curve.closed,
-            smooth: vec![0.0],
-            wish: Vec::new(),
-        };
-        path.smooth_length(&per_length);
-        let fine: Vec<f64> = (0..per_length.len()).map(|k| per_length[k] / path.shortening(k, per_length[k])).collect();
-        path.accumulate(&fine);
-        path.wish = per_length;
-        path
-    }
-
-    /// Measures the length by the curve's running mean over h: the zigzag of a scan's rim is longer than
-    /// what a chain of edges can follow.
-    fn smooth_length(&mut self, per_length: &[f64]) {
-        let total = self.length();
-        let mean: Vec<DVec3> = (0..self.points.len())
-            .map(|k| {
-                let mut reach = (0.5 / per_length[k]).min(total / 3.0);
-                if !self.closed {
-                    // The ends stay where they are.
-                    reach = reach.min(self.along[k]).min(total - self.along[k]);
-                }
-                let part = |j: i32| self.at(self.along[k] + reach * f64::from(j) / MEAN_OF as f64);
-                (-MEAN_OF..=MEAN_OF).map(part).sum::<DVec3>() / f64::from(2 * MEAN_OF + 1)
-            })
-            .collect();
-        for k in 1..self.points.len() {
-            // Points of a zigzag stay in order.
-            let step = mean[k].distance(mean[k - 1]).max(1e-6 * (self.along[k] - self.along[k - 1]));
-            self.smooth.push(self.smooth[k - 1] + step);
-        }
-    }
-
-    /// By how much the spacing is to shrink at point `k`, where 1/h is `per_length`, so that chords stay close
-    /// to the curve: ℓ² κ / 8 <= [`SAGITTA`] h.
-    fn shortening(&self, k: usize, per_length: f64) -> f64 {
-        let reach = (0.5 / per_length).min(self.length() / 3.0);
-        let (here, s) = (self.points[k], self.along[k]);
-        let ends = (s - reach, s + reach);
-        if !self.closed && (ends.0 < 0.0 || ends.1 > self.length()) {
-            return 1.0;
-        }
-        let (back, ahead) = (here - self.at(ends.0), self.at(ends.1) - here);
-        let turn = back.cross(ahead).length().atan2(back.dot(ahead));
-        let bend = turn / (reach * per_length);
-        if bend > 8.0 * SAGITTA { (8.0 * SAGITTA / bend).sqrt().max(LEAST_SHARE) } else { 1.0 }
-    }
-
-    fn accumulate(&mut self, per_length: &[f64]) {
-        [&mut self.edges, &mut self.mass, &mut self.moment].into_iter().for_each(|list| list.push(0.0));
-        for k in 1..self.points.len() {
-            let (s, t) = (self.smooth[k - 1], self.smooth[k]);
-            let (a, b) = (per_length[k - 1], per_length[k]);
-            let (ma, mb) = (a * a * a, b * b * b);
-            self.edges.push(self.edges[k - 1] + 0.5 * (a + b) * (t - s));
-            self.mass.push(self.mass[k - 1] + 0.5 * (ma + mb) * (t - s));
-            self.moment.push(self.moment[k - 1] + 0.5 * (ma * s + mb * t) * (t - s));
-        }
-    }
-
-    fn length(&self) -> f64 {
-        self.along[self.along.len() - 1]
-    }
-
-    fn smooth_total(&self) -> f64 {
-        self.smooth[self.smooth.len() - 1]
-    }
-
-    /// How many edges fit.
-    fn total(&self) -> f64 {
-        self.edges[self.edges.len() - 1]
-    }
-
-    /// The edge length wished for at an arc length.
-    fn edge_at(&self, s: f64) -> f64 {
-        let s = if self.closed { s.rem_euclid(self.length()) } else { s };
-        let k = self.along.partition_point(|&a| a <= s).min(self.along.len() - 1);
-        1.0 / self.wish[k]
-    }
-
-    /// The point at an arc length, that of a closed curve going round.
-    fn at(&self, s: f64) -> DVec3 {
-        let s = if self.closed { s.rem_euclid(self.length()) } else { s };
-        let k = self.along.partition_point(|&a| a <= s).clamp(1, self.along.len() - 1);
-        let width = self.along[k] - self.along[k - 1];
-        let t = if width > 0.0 { ((s - self.along[k - 1]) / width).clamp(0.0, 1.0) } else { 0.0 };
-        if t == 1.0 { self.points[k] } else { self.points[k - 1] + t * (self.points[k] - self.points[k - 1]) }
-    }
-
-    /// Arc lengths of the seeds of `count` segments, ascending, without those at the ends; a closed curve has its first
-    /// one near where it begins, on either side of it.
-    fn tessellate(&self, count: usize) -> Vec<f64> {
-        let share = self.total() / count as f64;
-        let mut places: Vec<f64> = match share > 0.0 {
-            true => (1..count).map(|k| interpolate(&self.edges, &self.smooth, share * k as f64)).collect(),
-            // A curve without weight anywhere is divided by length.
-            false => (1..count).map(|k| self.smooth_total() * k as f64 / count as f64).collect(),
-        };
-        if !places.is_empty() {
-            self.relax(&mut places);
-        }
-        places.iter_mut().for_each(|s| *s = interpolate(&self.smooth, &self.along, *s));
-        if self.closed {
-            // Before the others look for kinks: the first and the last one are its neighbours.
-            places.insert(0, 0.0);
-        }
-        self.follow_kinks(&mut places);
-        places
-    }
-
-    /// Moves seeds to kinks of the curve near them, where the chords then follow it better: each in turn to
-    /// the vertex between its neighbours for which Σ (ℓ/ℓ₀ - 1)² + KINKS (deviation/ℓ₀)² over its two
-    /// chords ℓ is least.
-    fn follow_kinks(&self, places: &mut [f64]) {
-        let length = self.length();
-        let neighbours = |places: &[f64], k: usize| {
-            let before = if k > 0 {
-                places[k - 1]
-            } else if self.closed {
-                places[places.len() - 1] - length
-            } else {
-                0.0
-            };
-            let after = match places.get(k + 1) {
-                Some(&s) => s,
-                None if self.closed => places[0] + length,
-                None => length,
-            };
-            (before, after)
-        };
-        for _ in 0..KINK_SWEEPS {
-            for k in 0..places.len() {
-                let (before, after) = neighbours(places, k);
-                let goal = 0.5 * self.at(before).distance(self.at(after)).max(0.25 * (after - before));
-                let cost = |s: f64| self.chord(before, s, goal) + self.chord(s, after, goal);
-                let (low, high) = (before + 0.2 * (after - before), after - 0.2 * (after - before));
-                let mut best = (cost(places[k]), places[k]);
-                for turn in [-length, 0.0, length].into_iter().filter(|t| self.closed || *t == 0.0) {
-                    let from = self.along.partition_point(|&s| s + turn <= low).div_ceil(PARTS) * PARTS;
-                    let vertices = (from..self.along.len()).step_by(PARTS).map(|v| self.along[v] + turn);
-                    for s in vertices.take_while(|s| *s < high) {
-                        let c = cost(s);
-                        if c < best.0 {
-                            best = (c, s);
-                        }
-                    }
-                }
-                places[k] = best.1;
-            }
-        }
-    }
-
-    /// What a chord from s to t costs that should be `goal` long.
-    fn chord(&self, s: f64, t: f64, goal: f64) -> f64 {
-        let (a, b) = (self.at(s), self.at(t));
-        let way = (b - a).normalize_or_zero();
-        let off = |p: DVec3| (p - a - way * way.dot(p - a)).length();
-        let inner = (1..=BETWEEN).map(|k| self.at(s + k as f64 / (BETWEEN + 1) as f64 * (t - s)));
-        let deviation = inner.map(off).fold(0.0, f64::max);
-        (a.distance(b) / goal - 1.0).powi(2) + KINKS * (deviation / goal).powi(2)
-    }
-
-    /// Lloyd's iteration of inner seeds between two that stay at the ends.
-    fn relax(&self, places: &mut [f64]) {
-        for _ in 0..STEPS {
-            let mut bounds = vec![0.5 * places[0]];
-            bounds.extend(places.windows(2).map(|p| 0.5 * (p[0] + p[1])));
-            bounds.push(0.5 * (places[places.len() - 1] + self.smooth_total()));
-            for (k, place) in places.iter_mut().enumerate() {
-                let of = |list: &[f64]| {
-                    interpolate(&self.smooth, list, bounds[k + 1]) - interpolate(&self.smooth, list, bounds[k])
-                };
-                let (mass, moment) = (of(&self.mass), of(&self.moment));
-                if mass > 0.0 {
-                    *place = (moment / mass).clamp(bounds[k], bounds[k + 1]);
-                }
-            }
-        }
-    }
-}
-
-/// y at x, both lists ascending.
-fn interpolate(xs: &[f64], ys: &[f64], x: f64) -> f64 {
-    let k = xs.partition_point(|&a| a <= x).clamp(1, xs.len() - 1);
-    let width = xs[k] - xs[k - 1];
-    let t = if width > 0.0 { ((x - xs[k - 1]) / width).clamp(0.0, 1.0) } else { 0.0 };
-    ys[k - 1] + t * (ys[k] - ys[k - 1])
 }

@@ -7,12 +7,15 @@
 //! closed or between two corners. A boundary is never left out. Depends on the mesh alone, not on threads.
 //! Must not know: seeds, diagrams.
 
+mod ridges;
+
 use std::collections::BTreeMap;
 
 use glam::DVec3;
 
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
+use ridges::Bends;
 
 /// What counts as a feature.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +30,9 @@ pub struct FeatureOptions {
     pub shortest: f64,
     /// Bends are measured over this length on either side; same frame.
     pub reach: f64,
+    /// A ridge that is bent by half the angle of creases is one too where nothing within this length beside it is
+    /// bent nearly as much, if it goes on from a crease or joins two; same frame. 0 finds none.
+    pub alone: f64,
 }
 
 /// A network whose curves are shorter on average than this share of the shortest crease is a tangle,
@@ -127,6 +133,10 @@ impl Features {
             graph.insert(e, What { kind: CurveKind::Crease, kept: false, angle });
         }
         let left_out = graph.prune(positions, options.shortest);
+        if options.alone > 0.0 && options.crease_angle_deg > 0.0 {
+            let bends = Bends::new(mesh, positions, &adjacency);
+            bends.add_ridges(&mut graph, options.crease_angle_deg, options.alone, options.shortest);
+        }
         let (curves, corners) = graph.curves(positions, options.reach);
         Ok(Self { curves, corners, left_out })
     }
@@ -142,7 +152,8 @@ impl Features {
         if given.is_empty() {
             return Ok(());
         }
-        let options = FeatureOptions { crease_angle_deg: 0.0, given: given.to_vec(), shortest: 0.0, reach: 0.0 };
+        let options =
+            FeatureOptions { crease_angle_deg: 0.0, given: given.to_vec(), shortest: 0.0, reach: 0.0, alone: 0.0 };
         Self::find(mesh, mesh.positions(), &options).map(|_| ())
     }
 
@@ -180,23 +191,13 @@ fn all_edges<'a>(mesh: &'a TriMesh, adjacency: &'a Adjacency) -> impl Iterator<I
 
 /// Edges that are bent by more than `angle` degrees, with their angles, and boundary edges; both ascending.
 fn classify(mesh: &TriMesh, positions: &[DVec3], adjacency: &Adjacency, angle: f64) -> (Vec<(Edge, f64)>, Vec<Edge>) {
-    let normal = |f: usize| {
-        let [a, b, c] = mesh.facets()[f].map(|v| positions[v as usize]);
-        (b - a).cross(c - a).normalize_or_zero()
-    };
+    let bends = Bends::new(mesh, positions, adjacency);
     let (mut bent, mut boundary) = (Vec::new(), Vec::new());
     for (half, e) in all_edges(mesh, adjacency).enumerate() {
         match (adjacency.kind(half), adjacency.opposite(half)) {
             (EdgeKind::Boundary, _) => boundary.push(e),
-            (kind @ (EdgeKind::Manifold | EdgeKind::Inconsistent), Some(other)) if angle > 0.0 && half < other => {
-                let (f, g) = (half / 3, other / 3);
-                // A facet without area has no normal, and says nothing of a bend.
-                let turned = if kind == EdgeKind::Inconsistent { -1.0 } else { 1.0 };
-                let (n, m) = (normal(f), turned * normal(g));
-                let between = n.cross(m).length().atan2(n.dot(m)).to_degrees();
-                if !mesh.is_degenerate(f) && !mesh.is_degenerate(g) && between > angle {
-                    bent.push((e, between));
-                }
+            (_, Some(other)) if angle > 0.0 && half < other => {
+                bent.extend(bends.at(half).filter(|&bend| bend > angle).map(|bend| (e, bend)));
             }
             _ => {}
         }

@@ -9,6 +9,7 @@ use std::collections::HashSet;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::fences::Fences;
 use super::ground::Ground;
 use super::grouped::Grouped;
 use super::mend::Bench;
@@ -49,6 +50,7 @@ struct Fitted {
     /// Where they are, unit frame.
     positions: Vec<DVec3>,
     target: fit::Target,
+    fences: Fences,
     /// Vertices and the input's facets that their cells meet.
     cells: Vec<(u32, u32)>,
     missed: Missed,
@@ -133,7 +135,8 @@ impl Source<'_> {
 
     /// Returns how many places are still far from it.
     fn mend(&self, draft: &mut Draft, fitted: &mut Fitted) -> usize {
-        let Fitted { positions, target, cells, missed, far } = fitted;
+        let Fitted { positions, target, fences, cells, missed, far } = fitted;
+        let before = missed.places.len();
         let ground = Ground::new(self.surface, positions.len(), cells, target.tips.all());
         let absent = self.kept.missing(&draft.curve_edges, &draft.vertex_seed);
         if !absent.is_empty() {
@@ -142,18 +145,20 @@ impl Source<'_> {
             let there = absent.into_iter().filter(|&ends| regular::insert(&mut bench, ends)).count();
             if there > 0 {
                 self.find_curves(draft);
-                self.polish(positions, draft, target);
+                self.polish(positions, draft, target, fences);
                 *far = fit::Far::of(positions, &draft.facets, target, self.tolerance).by_vertex;
             }
         }
         let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
         let mut bench = Bench::new(positions, &mut draft.facets, &rails, curves, &ground);
-        let changed = bench.mend(far) + regular::valences(&mut bench);
+        // What is irregular has more room before its places are mended; some that has not then, has it after.
+        let changed = regular::valences(&mut bench) + bench.mend(far) + regular::valences(&mut bench);
         if changed == 0 && missed.places.is_empty() {
             return 0;
         }
         self.find_curves(draft);
-        fit::missed(positions, &draft.facets, target, self.tolerance).len()
+        // Nothing gets farther by being mended, but what is nearest to a place may not be looked at any more.
+        fit::missed(positions, &draft.facets, target, self.tolerance).len().min(before)
     }
 
     /// Looks again which edges of curves there are, in facets' order.
@@ -161,9 +166,9 @@ impl Source<'_> {
         draft.curve_edges = self.kept.edges_in(&draft.facets, &draft.vertex_seed);
     }
 
-    fn polish(&self, positions: &mut [DVec3], draft: &mut Draft, target: &fit::Target) {
+    fn polish(&self, positions: &mut [DVec3], draft: &mut Draft, target: &fit::Target, fences: &Fences) {
         let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
-        polish::polish(positions, &mut draft.facets, &rails, &curves);
+        polish::polish(positions, &mut draft.facets, &rails, fences, &curves);
     }
 
     /// Where the dual's vertices go, caller's coordinates: a cell in one piece at its seed, which is
@@ -191,12 +196,15 @@ impl Source<'_> {
         let cells = dual.pieces.par_iter().filter_map(own).filter(|c| c.0 != u32::MAX).collect();
         let frame = self.surface.frame();
         let mut unit: Vec<DVec3> = draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect();
+        // Seeds that are added bring edges to the curves; to hold these there as well would fold facets between them.
+        let fences = Fences::new(&unit, if self.tolerance.is_some() { &[] } else { &target.curves });
         fit::fit(&mut unit, &mut draft.facets, &target);
-        self.polish(&mut unit, draft, &target);
+        fences.restore(&mut unit, &draft.facets);
+        self.polish(&mut unit, draft, &target, &fences);
         let fit::Far { missed, deviation, by_vertex } = fit::Far::of(&unit, &draft.facets, &target, self.tolerance);
         let places = missed.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
         let missed = Missed { places, deviation };
-        draft.fitted = Some(Fitted { positions: unit, target, cells, missed, far: by_vertex });
+        draft.fitted = Some(Fitted { positions: unit, target, fences, cells, missed, far: by_vertex });
     }
 
     /// What there is to fit to: a sample a piece, and the input's vertices. `vertex` is that of the draft for each
@@ -236,7 +244,7 @@ fn rails(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) 
     let mut ends: Vec<(u32, u32)> = curve_edges.iter().flatten().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
     ends.sort_unstable();
     let of = |v: usize| match fixed[v] {
-        true => polish::Rail::Corner,
+        true => polish::Rail::Fixed,
         false => polish::Rail::Free,
     };
     let mut rails: Vec<polish::Rail> = (0..positions.len()).map(of).collect();

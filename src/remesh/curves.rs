@@ -24,6 +24,13 @@ use crate::rvd::{Frame, Surface};
 const SHORTEST: f64 = 8.0;
 /// Bends of a curve are measured over so many edge lengths.
 const REACH: f64 = 1.0;
+/// Ridges that are bent less than creases are curves if nothing beside them is bent within so many edge lengths.
+const ALONE: f64 = 2.5;
+/// Edges of boundaries and of creases may leave these by these shares of the edge length,
+const RIM_LIMIT: f64 = 0.08;
+const CREASE_LIMIT: f64 = 0.06;
+/// and where two leave a corner at an acute angle, between which no facet could have a good one, by this share.
+const ACUTE_LIMIT: f64 = 0.3;
 /// Curves get at most this share of the seeds.
 const LARGEST_SHARE: f64 = 0.6;
 
@@ -82,6 +89,7 @@ impl Kept {
             given: subdivided(&plan.mesh, &options.creases),
             shortest: SHORTEST * scale,
             reach: REACH * scale,
+            alone: ALONE * scale,
         };
         let mut given_up = 0;
         loop {
@@ -101,8 +109,13 @@ impl Kept {
                 seeds = CurveSeeds::place(surface, &features, edge);
             }
             seeds.follow_bends();
+            seeds.face_others(|c| features.curves[c as usize].kind == CurveKind::Boundary);
             if seeds.len() as f64 <= LARGEST_SHARE * points as f64 {
                 return Ok(Self { features, seeds, given_up });
+            }
+            if wish.alone > 0.0 {
+                wish.alone = 0.0;
+                continue;
             }
             let creases = features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
             given_up += creases;
@@ -186,10 +199,17 @@ impl Kept {
     /// Points of the curves that the result has edges for; `edges` are those of [`Kept::edges_in`].
     pub(super) fn samples(&self, edges: &[Option<[u32; 2]>]) -> Vec<CurveSample> {
         let present = self.seeds.segments.iter().zip(edges).filter_map(|(s, &e)| Some((s, e?)));
+        let beside_acute = self.seeds.beside_acute();
         let of = |(segment, edge): (&Segment, [u32; 2])| {
             let [a, b] = segment.ends.map(|e| self.seeds.seeds[e as usize]);
             let area = a.distance_squared(b) / BETWEEN as f64;
-            segment.between.map(|position| CurveSample { position, edge, area })
+            let limit = segment.edge
+                * match self.features.curves[segment.curve as usize].kind {
+                    _ if segment.ends.iter().any(|&e| beside_acute[e as usize]) => ACUTE_LIMIT,
+                    CurveKind::Boundary => RIM_LIMIT,
+                    CurveKind::Crease => CREASE_LIMIT,
+                };
+            segment.between.map(|position| CurveSample { position, edge, area, limit })
         };
         present.flat_map(of).collect()
     }

@@ -47,6 +47,8 @@ pub(super) struct CurveSample {
     pub(super) edge: [u32; 2],
     /// Area it stands for: its share of the curve's length times the length of the edge.
     pub(super) area: f64,
+    /// How far the edge may be from the curve.
+    pub(super) limit: f64,
 }
 
 /// What there is to fit to.

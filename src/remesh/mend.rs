@@ -18,8 +18,11 @@ use super::patch::{LEAST, Patch, Scene, distance_at};
 use super::polish::Rail;
 use super::stars::Stars;
 
-/// Places nearer than this share of an edge are left alone.
-const FAR: f64 = 0.14;
+/// Places nearer than this share of an edge are left alone,
+const FAR: f64 = 0.06;
+/// and of those nearer than this share so many are looked at, at most.
+const NOT_SO_FAR: f64 = 0.14;
+const FEW: usize = 12;
 /// A place is mended if it comes nearer by this factor.
 const GAIN: f64 = 0.95;
 /// Places that could not be mended, at most; so many in all, and this share of the vertices.
@@ -39,6 +42,8 @@ const SWEEPS: usize = 12;
 /// before the most promising ones are chosen, so many of them.
 const FIRST_SWEEPS: usize = 3;
 const FINISHED: usize = 2;
+/// One of these that comes nearer than this share by moving alone is not worth more trials.
+const EASY: f64 = 0.85;
 /// What has come no nearer by then than this share, with lacking angles added, will not.
 const HOPELESS: f64 = 0.99;
 /// An angle that a facet lacks, degrees, counts for as much as the distance of the place.
@@ -143,6 +148,7 @@ impl<'a> Bench<'a> {
     pub(super) fn mend(&mut self, far: &[f64]) -> usize {
         let mut heap = first_places(&self.scene(), far);
         let mut floor = 0.0f64;
+        let mut few = FEW;
         let (mut left, mut failures, mut mended) = (PLACES + (SHARE * far.len() as f64) as usize, 0, 0);
         while let Some(place) = heap.pop() {
             if place.far < floor || left == 0 || failures == FAILURES {
@@ -157,6 +163,12 @@ impl<'a> Bench<'a> {
                 // Something else was changed beside it.
                 heap.push(Place { far: now.middle, vertex: place.vertex });
                 continue;
+            }
+            if now.middle < NOT_SO_FAR * patch.edge() {
+                if few == 0 {
+                    break;
+                }
+                few -= 1;
             }
             left -= 1;
             if let Some((better, far)) = better(&patch) {
@@ -252,6 +264,11 @@ fn better(patch: &Patch) -> Option<(Patch, f64)> {
         let fine = shaped && then.middle <= goal && then.rest <= now.rest.max(goal);
         fine.then_some((patch, then.middle.max(then.rest)))
     };
+    if now.middle < NOT_SO_FAR * patch.edge()
+        && let Some(easy) = first(&Trial::AsItIs).filter(|b| b.0 < EASY).and_then(|(_, patch)| last(patch))
+    {
+        return Some(easy);
+    }
     let begun: Vec<Option<(f64, Patch)>> = trials.par_iter().map(first).collect();
     let mut begun: Vec<(f64, Patch)> = begun.into_iter().flatten().collect();
     // Where nothing moves at first nothing will.

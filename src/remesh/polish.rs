@@ -4,7 +4,7 @@
 //! have an angle far below the rest. Their vertices are moved a little, one at a time, to where the facets
 //! around them lack least of a good shape, the worst counting most.
 //! Invariant: moves are short beside an edge, within the tangent plane, and for a vertex of a curve along the
-//! curve but for a small tolerance, which is all that corners have; no facet turns over. Deterministic.
+//! curve but for a small tolerance, which is all that ends of curves have, corners not even that; no facet turns over. Deterministic.
 //! Must not know: seeds, diagrams, files.
 
 use std::collections::HashSet;
@@ -13,6 +13,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::around::Around;
+use super::fences::Fences;
 use super::flips;
 use crate::mesh::measure::{facet_quality, least_angle};
 
@@ -25,6 +26,8 @@ pub(super) enum Rail {
     Along(DVec3),
     /// Within a small tolerance.
     Corner,
+    /// Not at all.
+    Fixed,
 }
 
 /// Facets with a smaller score are to be better: the smallest angle, degrees, or [`SHAPE`] times Q if that is less.
@@ -45,26 +48,39 @@ const DIRECTIONS: usize = 12;
 const FARTHEST: f64 = 0.4;
 /// across its curve,
 const ACROSS: f64 = 0.09;
-/// and off its corner.
+/// and off the end of its curve.
 const OFF: f64 = 0.07;
 /// A facet's normal turns by at most this cosine.
 const LEAST_COSINE: f64 = 0.8;
 
 /// Improves the worst facets; edges in `curves` (lower end first) stay.
-pub(super) fn polish(positions: &mut [DVec3], facets: &mut [[u32; 3]], rails: &[Rail], curves: &HashSet<[u32; 2]>) {
+pub(super) fn polish(
+    positions: &mut [DVec3],
+    facets: &mut [[u32; 3]],
+    rails: &[Rail],
+    fences: &Fences,
+    curves: &HashSet<[u32; 2]>,
+) {
     let start = positions.to_vec();
     for _ in 0..TURNS {
         let around = Around::new(positions.len(), facets);
-        move_vertices(positions, &start, facets, &around, rails);
+        move_vertices(positions, &start, facets, &around, rails, fences);
         if !flips::for_angles(positions, facets, &around, curves, GOAL) {
             return;
         }
     }
     let around = Around::new(positions.len(), facets);
-    move_vertices(positions, &start, facets, &around, rails);
+    move_vertices(positions, &start, facets, &around, rails, fences);
 }
 
-fn move_vertices(positions: &mut [DVec3], start: &[DVec3], facets: &[[u32; 3]], around: &Around, rails: &[Rail]) {
+fn move_vertices(
+    positions: &mut [DVec3],
+    start: &[DVec3],
+    facets: &[[u32; 3]],
+    around: &Around,
+    rails: &[Rail],
+    fences: &Fences,
+) {
     let normals: Vec<DVec3> = facets.par_iter().map(|t| normal(t.map(|v| positions[v as usize]))).collect();
     let poor = |positions: &[DVec3], t: &[u32; 3]| score(t.map(|v| positions[v as usize])) < GOAL;
     let mut vertices: Vec<u32> = facets.par_iter().filter(|t| poor(positions, t)).flat_map_iter(|t| *t).collect();
@@ -79,7 +95,7 @@ fn move_vertices(positions: &mut [DVec3], start: &[DVec3], facets: &[[u32; 3]], 
         let mut moved = false;
         for &v in &vertices {
             let star = Star { around: around.of(v), facets, normals: &normals, v };
-            moved |= star.improve(positions, start, rails[v as usize]);
+            moved |= star.improve(positions, start, rails[v as usize], fences);
         }
         if !moved {
             return;
@@ -106,9 +122,12 @@ struct Star<'a> {
 
 impl Star<'_> {
     /// Moves the vertex to the best place in reach. Returns whether it moved.
-    fn improve(&self, positions: &mut [DVec3], start: &[DVec3], rail: Rail) -> bool {
+    fn improve(&self, positions: &mut [DVec3], start: &[DVec3], rail: Rail, fences: &Fences) -> bool {
         let v = self.v as usize;
         let here = positions[v];
+        if rail == Rail::Fixed {
+            return false;
+        }
         let now = self.lack(positions, here);
         if now <= 0.0 {
             return false;
@@ -134,9 +153,10 @@ impl Star<'_> {
                         along.abs() <= FARTHEST * edge && (far - along * way).length() <= ACROSS * edge
                     }
                     Rail::Corner => far.length() <= OFF * edge,
+                    Rail::Fixed => false,
                     Rail::Free => far.length() <= FARTHEST * edge,
                 };
-                if within {
+                if within && fences.allow(positions, self.v, to) {
                     let lack = self.lack(positions, to);
                     if lack < best.0 - 0.01 {
                         best = (lack, to);
@@ -191,10 +211,10 @@ mod tests {
             |p: &[DVec3]| wheel.iter().map(|t| least_angle(t.map(|v| p[v as usize]))).fold(f64::INFINITY, f64::min);
         let (before, first) = (worst(&positions), positions[0]);
         let mut still = positions.clone();
-        polish(&mut still, &mut facets, &rails, &HashSet::new());
+        polish(&mut still, &mut facets, &rails, &Fences::new(&[DVec3::ZERO; 7], &[]), &HashSet::new());
         assert!(still.iter().zip(&positions).all(|(p, q)| p.distance(*q) < 0.1), "corners have a tolerance");
         rails[0] = Rail::Free;
-        polish(&mut positions, &mut facets, &rails, &HashSet::new());
+        polish(&mut positions, &mut facets, &rails, &Fences::new(&[DVec3::ZERO; 7], &[]), &HashSet::new());
         assert!(worst(&positions) > before + 5.0, "{} after {before}", worst(&positions));
         assert!(positions[0].distance(first) < 0.35);
         assert_eq!(positions[0].z, 0.0);

@@ -1,0 +1,200 @@
+//! Where to cut a curve into chords that stay close to it.
+//!
+//! Purpose: the rim of a scan zigzags at the scale of its facets; chords of even length leave it by a fifth of
+//! theirs. Of all ways to choose some of a curve's points, [`cut`] finds the one whose chords are about as long as
+//! wished for and leave the curve least: dynamic programming over the curve, as for the polygons of
+//! Perez and Vidal (1994), with a cost of length beside that of deviation.
+//! Invariant: deterministic; chords are no shorter and no longer than stated shares of the wished length.
+//! Must not know: surfaces, seeds.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// A chord that leaves the curve by this share of the wished length
+pub(super) const TOLERANCE: f64 = 0.095;
+/// costs as much as this; the cost of length is the square of the logarithm of its share.
+const COST: f64 = 0.3;
+/// Chords are at least and at most so many wished lengths long.
+const SHORTEST: f64 = 0.5;
+const LONGEST: f64 = 1.5;
+/// A curve is no longer than so many of its chords; what zigzags more is cut there anyway.
+const DETOUR: f64 = 2.5;
+
+/// A curve by points in order; a closed one repeats its first point at the end.
+pub(super) struct Line<'a> {
+    pub(super) points: &'a [DVec3],
+    /// Wished length at each point.
+    pub(super) wish: &'a [f64],
+    pub(super) closed: bool,
+}
+
+impl Line<'_> {
+    /// How far the curve from one point to another leaves the chord between them.
+    fn deviation(&self, i: usize, j: usize) -> f64 {
+        let n = self.points.len() - 1;
+        let at = |k: usize| if k > n { self.points[k - n] } else { self.points[k] };
+        let (a, b) = (at(i), at(j));
+        let chord = b - a;
+        let squared = chord.length_squared();
+        let off = |p: DVec3| {
+            let t = if squared > 0.0 { ((p - a).dot(chord) / squared).clamp(0.0, 1.0) } else { 0.0 };
+            p.distance_squared(a + t * chord)
+        };
+        (i + 1..j).map(|k| off(at(k))).fold(0.0, f64::max).sqrt()
+    }
+
+    /// The cost of the chord from point `i` to point `j`, if it may be.
+    fn cost(&self, i: usize, j: usize) -> Option<f64> {
+        let n = self.points.len() - 1;
+        let wrap = |k: usize| if k > n { k - n } else { k };
+        let wish = 0.5 * (self.wish[wrap(i)] + self.wish[wrap(j)]);
+        let share = self.points[wrap(i)].distance(self.points[wrap(j)]) / wish;
+        if !(SHORTEST..=LONGEST).contains(&share) {
+            return None;
+        }
+        let off = self.deviation(i, j) / (TOLERANCE * wish);
+        Some(share.ln().powi(2) + COST * off.powi(6))
+    }
+
+    /// Chords that end in each point: (first point, cost). Points of a second round follow those of a closed curve.
+    fn chords(&self) -> Vec<Vec<(usize, f64)>> {
+        let n = self.points.len() - 1;
+        let end = if self.closed { 2 * n } else { n };
+        let mut along = vec![0.0];
+        for k in 1..=end {
+            let (p, q) = (self.points[(k - 1) % n], self.points[(k - 1) % n + 1]);
+            along.push(along[k - 1] + p.distance(q));
+        }
+        let first = if self.closed { n } else { 1 };
+        let of = |j: usize| {
+            let reach = DETOUR * LONGEST * self.wish[if j > n { j - n } else { j }];
+            let near = (j.saturating_sub(n)..j).rev().take_while(|&i| along[j] - along[i] <= reach);
+            near.filter_map(|i| Some((i, self.cost(i, j)?))).collect()
+        };
+        (0..=end).into_par_iter().map(|j| if j < first { Vec::new() } else { of(j) }).collect()
+    }
+}
+
+/// The points at which to cut, ascending, without the ends of an open line; of a closed one at least three. `None` if it
+/// cannot be cut so, or not into `least` parts.
+pub(super) fn cut(line: &Line<'_>, least: usize) -> Option<Vec<usize>> {
+    let n = line.points.len().checked_sub(1).filter(|&n| n > 1)?;
+    let chords = line.chords();
+    let best = if line.closed {
+        let mut best: Option<(f64, Vec<usize>)> = None;
+        // Some cut is within the longest chord from the beginning.
+        let mut gone = 0.0;
+        for start in 0..n {
+            if start > 0 {
+                gone += line.points[start].distance(line.points[start - 1]);
+            }
+            if gone > LONGEST * line.wish[0] {
+                break;
+            }
+            // Chords of one round are those of the next, n points on.
+            let chord = |j: usize| {
+                let (from, back) = if j < n { (j + n, n) } else { (j, 0) };
+                chords[from].iter().filter(move |c| c.0 >= back + start).map(move |c| (c.0 - back, c.1))
+            };
+            if let Some(found) = shortest(start, start + n, chord)
+                && best.as_ref().is_none_or(|b| found.0 < b.0)
+            {
+                best = Some(found);
+            }
+        }
+        best.map(|(_, mut path)| {
+            path.pop();
+            path.iter_mut().for_each(|k| *k %= n);
+            path.sort_unstable();
+            path
+        })
+    } else {
+        shortest(0, n, |j| chords[j].iter().copied()).map(|(_, path)| path[1..path.len() - 1].to_vec())
+    }?;
+    let parts = if line.closed { best.len() } else { best.len() + 1 };
+    (parts >= least).then_some(best)
+}
+
+/// The path from `start` to `end` that costs least, through ascending points.
+fn shortest<I: Iterator<Item = (usize, f64)>>(
+    start: usize,
+    end: usize,
+    chords: impl Fn(usize) -> I,
+) -> Option<(f64, Vec<usize>)> {
+    let mut known = vec![(f64::INFINITY, start); end - start + 1];
+    known[0].0 = 0.0;
+    for j in start + 1..=end {
+        for (i, cost) in chords(j) {
+            if i >= start && !(i == start && j == end) {
+                let whole = known[i - start].0 + cost;
+                if whole < known[j - start].0 {
+                    known[j - start] = (whole, i);
+                }
+            }
+        }
+    }
+    let whole = known[end - start].0;
+    if whole == f64::INFINITY {
+        return None;
+    }
+    let mut path = vec![end];
+    let mut here = end;
+    while here > start {
+        here = known[here - start].1;
+        path.push(here);
+    }
+    path.reverse();
+    Some((whole, path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A zigzag of teeth so high and half as wide as long, along a line or around a circle of so many wished lengths.
+    fn zigzag(length: f64, height: f64, closed: bool) -> Vec<DVec3> {
+        let n = (4.0 * length) as usize * 2;
+        let point = |k: usize| {
+            let (s, off) = (k as f64 / n as f64, if k % 4 == 2 { height } else { 0.0 });
+            let radius = length / std::f64::consts::TAU;
+            let (sin, cos) = (s * std::f64::consts::TAU).sin_cos();
+            if closed { (radius + off) * DVec3::new(cos, sin, 0.0) } else { DVec3::new(s * length, off, 0.0) }
+        };
+        (0..=n).map(|k| if closed { point(k % n) } else { point(k) }).collect()
+    }
+
+    #[test]
+    fn chords_of_a_zigzag_stay_close_to_it() {
+        for closed in [false, true] {
+            let points = zigzag(12.0, 0.2, closed);
+            let wish = vec![1.0; points.len()];
+            let line = Line { points: &points, wish: &wish, closed };
+            let cuts = cut(&line, 1).unwrap();
+            let mut ends = cuts.clone();
+            if closed {
+                ends.push(cuts[0] + points.len() - 1);
+            } else {
+                ends.insert(0, 0);
+                ends.push(points.len() - 1);
+            }
+            let n = points.len() - 1;
+            for w in ends.windows(2) {
+                let share = points[w[0] % n].distance(points[if w[1] == n { n } else { w[1] % n }]);
+                assert!((SHORTEST..=LONGEST).contains(&share), "{closed}: a chord of {share}");
+                // Teeth are 0.2 high, by which chords from foot to foot leave them; their sides are too short for chords.
+                assert!(line.deviation(w[0], w[1]) < 0.17, "{closed}: {w:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_smooth_is_cut_evenly_and_what_is_short_not_at_all() {
+        let points = zigzag(10.0, 0.0, false);
+        let wish = vec![1.0; points.len()];
+        let cuts = cut(&Line { points: &points, wish: &wish, closed: false }, 1).unwrap();
+        assert_eq!(cuts, (1..10).map(|k| 8 * k).collect::<Vec<_>>());
+        let long = vec![30.0; points.len()];
+        assert_eq!(cut(&Line { points: &points, wish: &long, closed: false }, 1), None);
+        assert_eq!(cut(&Line { points: &points[..1], wish: &wish, closed: true }, 3), None);
+    }
+}

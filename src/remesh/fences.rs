@@ -1,0 +1,156 @@
+//! How far edges of curves may be from their curves.
+//!
+//! Purpose: the chords of a curve are chosen to stay close to it, and what moves their ends afterwards, for the
+//! sake of the mean or of a facet's shape, is not to undo that. [`Fences`] knows for every vertex of a curve the
+//! points of the curve beside it, and how far from them its edges may be.
+//! Invariant: a chord that was farther than the limit may stay as far as it was. Must not know: why vertices move.
+
+use glam::DVec3;
+
+use super::around::Around;
+use super::fit::CurveSample;
+
+/// A vertex that went too far goes back by these shares of its way.
+const BACK: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
+/// Facets' normals turn by at most this cosine by it.
+const LEAST_COSINE: f64 = 0.8;
+/// Passes over such vertices.
+const SWEEPS: usize = 3;
+
+/// One end of an edge of a curve.
+struct Side {
+    /// The other end.
+    other: u32,
+    /// The curve's points between them: from and to, in `points`.
+    points: [u32; 2],
+    limit: f64,
+}
+
+/// See the module's head.
+pub(super) struct Fences {
+    points: Vec<DVec3>,
+    /// By vertex, where its sides begin.
+    first: Vec<u32>,
+    sides: Vec<Side>,
+    start: Vec<DVec3>,
+}
+
+fn off(p: DVec3, [a, b]: [DVec3; 2]) -> f64 {
+    let way = b - a;
+    let squared = way.length_squared();
+    let t = if squared > 0.0 { ((p - a).dot(way) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    p.distance(a + t * way)
+}
+
+impl Fences {
+    /// For edges of curves with their ends at `start`; samples of one edge follow each other.
+    pub(super) fn new(start: &[DVec3], samples: &[CurveSample]) -> Self {
+        let points: Vec<DVec3> = samples.iter().map(|s| s.position).collect();
+        let mut sides: Vec<(u32, Side)> = Vec::new();
+        let mut from = 0;
+        for same in samples.chunk_by(|a, b| a.edge == b.edge) {
+            let range = [from, from + same.len() as u32];
+            from = range[1];
+            let ends = same[0].edge.map(|v| start[v as usize]);
+            let own = same.iter().map(|s| off(s.position, ends)).fold(0.0, f64::max);
+            let limit = own.max(same[0].limit);
+            let [a, b] = same[0].edge;
+            sides.extend([(a, b), (b, a)].map(|(v, other)| (v, Side { other, points: range, limit })));
+        }
+        sides.sort_by_key(|s| (s.0, s.1.other));
+        let mut first = vec![0u32; start.len() + 1];
+        sides.iter().for_each(|s| first[s.0 as usize + 1] += 1);
+        (0..start.len()).for_each(|v| first[v + 1] += first[v]);
+        Self { points, first, sides: sides.into_iter().map(|s| s.1).collect(), start: start.to_vec() }
+    }
+
+    fn sides(&self, v: u32) -> &[Side] {
+        &self.sides[self.first[v as usize] as usize..self.first[v as usize + 1] as usize]
+    }
+
+    /// By how much of their limits the edges of vertex `v` leave their curves if it is at `p`.
+    fn share(&self, positions: &[DVec3], v: u32, p: DVec3) -> f64 {
+        let of = |side: &Side| {
+            let ends = [p, positions[side.other as usize]];
+            let between = &self.points[side.points[0] as usize..side.points[1] as usize];
+            let far = between.iter().map(|&q| off(q, ends)).fold(0.0, f64::max);
+            // The points where the curve was cut: ends of edges slide no farther along it either.
+            let cut = off(self.start[v as usize], ends).min(p.distance(self.start[v as usize]));
+            let other = off(self.start[side.other as usize], ends);
+            far.max(cut).max(other.min(positions[side.other as usize].distance(self.start[side.other as usize])))
+                / side.limit
+        };
+        self.sides(v).iter().map(of).fold(0.0, f64::max)
+    }
+
+    /// Whether vertex `v` may go to `p`: its edges stay within their limits, or come nearer to them.
+    pub(super) fn allow(&self, positions: &[DVec3], v: u32, p: DVec3) -> bool {
+        if self.sides(v).is_empty() {
+            return true;
+        }
+        let then = self.share(positions, v, p);
+        then <= 1.0 || then < self.share(positions, v, positions[v as usize])
+    }
+
+    /// Brings vertices that went too far back on their way, as far as no facet turns by it.
+    pub(super) fn restore(&self, positions: &mut [DVec3], facets: &[[u32; 3]]) {
+        let around = Around::new(positions.len(), facets);
+        let turns = |positions: &[DVec3], v: u32, p: DVec3| {
+            let normal = |t: &[u32; 3], at: &dyn Fn(u32) -> DVec3| {
+                let [a, b, c] = t.map(at);
+                (b - a).cross(c - a).normalize_or_zero()
+            };
+            around.of(v).iter().map(|&f| &facets[f as usize]).any(|t| {
+                let before = normal(t, &|u| positions[u as usize]);
+                let after = normal(t, &|u| if u == v { p } else { positions[u as usize] });
+                before.dot(after) < LEAST_COSINE
+            })
+        };
+        for _ in 0..SWEEPS {
+            let mut moved = false;
+            for v in 0..self.start.len() as u32 {
+                if self.sides(v).is_empty() {
+                    continue;
+                }
+                let here = positions[v as usize];
+                let mut best = (self.share(positions, v, here), here);
+                for t in BACK {
+                    if best.0 <= 1.0 {
+                        break;
+                    }
+                    let p = here.lerp(self.start[v as usize], t);
+                    let share = self.share(positions, v, p);
+                    if share < best.0 && !turns(positions, v, p) {
+                        best = (share, p);
+                    }
+                }
+                moved |= best.1 != here;
+                positions[v as usize] = best.1;
+            }
+            if !moved {
+                return;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_leaves_its_curve_goes_back_as_far_as_it_must() {
+        let start = [DVec3::ZERO, DVec3::X, 2.0 * DVec3::X, DVec3::Y];
+        let sample = |edge: [u32; 2], x: f64| CurveSample { position: x * DVec3::X, edge, area: 0.1, limit: 0.1 };
+        let fences = Fences::new(&start, &[sample([0, 1], 0.5), sample([1, 2], 1.5)]);
+        let mut moved = start;
+        moved[1] += DVec3::new(0.1, 0.3, 0.0);
+        moved[3] *= 5.0;
+        assert!(fences.allow(&start, 3, 9.0 * DVec3::Y), "who is on no curve may go anywhere");
+        assert!(!fences.allow(&start, 1, moved[1]) && fences.allow(&start, 1, DVec3::new(1.05, 0.05, 0.0)));
+        fences.restore(&mut moved, &[]);
+        // Back by three quarters of its way, one of the steps.
+        assert!(moved[1].distance(DVec3::new(1.025, 0.075, 0.0)) < 1e-12, "{}", moved[1]);
+        assert_eq!(moved[3], 5.0 * DVec3::Y);
+    }
+}
