@@ -22,12 +22,12 @@ use super::stars::Stars;
 const FAR: f64 = 0.06;
 /// and of those nearer than this share so many are looked at, at most.
 const NOT_SO_FAR: f64 = 0.14;
-const FEW: usize = 12;
+const FEW: usize = 4;
 /// A place is mended if it comes nearer by this factor.
 const GAIN: f64 = 0.95;
 /// Places that could not be mended, at most; so many in all, and this share of the vertices.
 const FAILURES: usize = 4;
-const PLACES: usize = 24;
+const PLACES: usize = 4;
 const SHARE: f64 = 0.001;
 /// What is nearer than this share of a place that could not be mended is left alone.
 const ENOUGH: f64 = 0.8;
