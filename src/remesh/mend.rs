@@ -22,7 +22,7 @@ use super::stars::Stars;
 const FAR: f64 = 0.06;
 /// and of those nearer than this share so many are looked at, at most.
 const NOT_SO_FAR: f64 = 0.14;
-const FEW: usize = 4;
+const FEW: usize = 8;
 /// A place is mended if it comes nearer by this factor.
 const GAIN: f64 = 0.95;
 /// Places that could not be mended, at most; so many in all, and this share of the vertices.
