@@ -84,12 +84,14 @@ impl Kept {
         }
         let points = plan.points;
         let scale = edge_length(surface, &Features::default(), points);
+        // Who asks for a larger angle wants fewer creases.
+        let softer = options.crease_angle_deg <= RemeshOptions::CREASE_ANGLE_DEG;
         let mut wish = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
             given: subdivided(&plan.mesh, &options.creases),
             shortest: SHORTEST * scale,
             reach: REACH * scale,
-            alone: ALONE * scale,
+            alone: if softer { ALONE * scale } else { 0.0 },
         };
         let mut given_up = 0;
         loop {
