@@ -10,13 +10,13 @@
 //! nor on the facets in the other lanes. The pieces of a facet add up to it.
 //! Must not know: which facets share their lanes and why, threads, how integrals are added, where a list comes from.
 
+use glam::DVec3;
 use pulp::Simd;
 
 use super::lanes::{Mask, Number, Row, WIDEST};
 use super::moments::{self, Moments, PieceIntegrals, Shape, WEIGHTED};
 use crate::rvd::Surface;
 use crate::rvd::clip::Integrals;
-use glam::DVec3;
 
 /// A segment's end may be off by this share of the farthest corner's distance, in the worst case, and the facet is
 /// left to the walk beyond: two bisectors are nearly parallel there, one facet in some thousand.
