@@ -4,7 +4,7 @@
 //! a guess and proved by the same radius that ends a clip; the seeds' index answers where the table
 //! cannot.
 //! Invariant: the answer is a nearest seed, never a later twin. Which of several equal ones it is may depend on the
-//! guess; the diagram does not.
+//! guess; the diagram does not. A guess that is to be made better promises nothing.
 //! Must not know: polygons.
 
 use std::ops::Range;
