@@ -17,6 +17,8 @@ pub(super) struct Grid {
     inverse: f64,
     /// Number of cells along each axis.
     cells: [usize; 3],
+    /// Seeds that share a seed's cell, on average.
+    occupancy: f64,
     /// First place of each cell, x running fastest, and the end of the last.
     begin: Vec<u32>,
     /// Seed at each place; the hidden ones at the end.
@@ -44,6 +46,8 @@ struct Block {
 /// Seeds that share a seed's cell, itself among them, on average: cells of two and a half spacings, so
 /// that the cells around one hold the 16 nearest seeds of all its seeds, and the 24 nearest of most.
 const OCCUPANCY: f64 = 6.0;
+/// So many on average, and the cells are about as many seeds each.
+const EVEN: f64 = 12.0;
 /// So many on average, and a tree is faster.
 const CROWDED: f64 = 64.0;
 /// Cells per seed, at most.
@@ -92,6 +96,7 @@ impl Grid {
                 if occupancy > CROWDED {
                     return None;
                 }
+                grid.occupancy = occupancy;
                 break;
             }
             size *= (OCCUPANCY / occupancy).sqrt();
@@ -102,7 +107,7 @@ impl Grid {
 
     fn empty(origin: [f64; 3]) -> Self {
         let (begin, order, points, place) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Self { origin, inverse: 0.0, cells: [1; 3], begin, order, points, place }
+        Self { origin, inverse: 0.0, cells: [1; 3], occupancy: 0.0, begin, order, points, place }
     }
 
     /// Chooses the cells: of `size`, or larger where there would be too many. Returns their size.
@@ -160,6 +165,11 @@ impl Grid {
             Threads::One => self.points.extend(self.order.iter().map(of)),
             Threads::Pool => self.order.par_iter().with_min_len(CHUNK).map(of).collect_into_vec(&mut self.points),
         }
+    }
+
+    /// Whether cells hold about as many seeds each.
+    pub(super) fn is_even(&self) -> bool {
+        self.occupancy <= EVEN
     }
 
     /// `(later, earliest)` for every seed that lies exactly on an earlier one, in order of `later`.

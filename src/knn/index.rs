@@ -85,6 +85,11 @@ impl SeedIndex {
         self.twin.contains_key(&i)
     }
 
+    /// Whether the seeds are spread so evenly that [`Self::in_box`] finds few that are not in the box.
+    pub fn is_even(&self) -> bool {
+        self.grid.as_ref().is_some_and(Grid::is_even)
+    }
+
     /// A nearest seed of a point, never a later twin. Among seeds at exactly the same distance
     /// it is any one of them, always the same one.
     pub fn nearest(&self, p: DVec3) -> u32 {

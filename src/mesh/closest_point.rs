@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::TriMesh;
 use super::adjacency::weld;
 use super::boxes::{self, BoxTree};
+use super::curve;
 
 /// A point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -87,7 +88,7 @@ impl ClosestPoint {
         stop: &(dyn Fn() -> bool + Sync),
         answer: impl Fn(Nearest) -> T + Sync,
     ) -> Option<Vec<T>> {
-        let place = |(i, &p): (usize, &DVec3)| (along_curve(self.to_unit(p)), i);
+        let place = |(i, &p): (usize, &DVec3)| (curve::along(self.to_unit(p)), i);
         let mut order: Vec<(u64, usize)> = points.par_iter().enumerate().map(place).collect();
         order.par_sort_unstable();
         let run = |run: &[(u64, usize)]| {
@@ -158,20 +159,6 @@ impl ClosestPoint {
         let direction = half / half.abs().max_element();
         if direction.is_finite() { direction * FAR } else { DVec3::ZERO }
     }
-}
-
-/// Place on a curve through cells of a 2²⁰th of the box, in the order of their interleaved bits.
-fn along_curve(unit: DVec3) -> u64 {
-    let spread = |x: f64| {
-        // The cast saturates.
-        let mut bits = (((x + 1.0) * (1u64 << 20) as f64) as u64).min((1 << 21) - 1);
-        bits = (bits | bits << 32) & 0x001f_0000_0000_ffff;
-        bits = (bits | bits << 16) & 0x001f_0000_ff00_00ff;
-        bits = (bits | bits << 8) & 0x100f_00f0_0f00_f00f;
-        bits = (bits | bits << 4) & 0x10c3_0c30_c30c_30c3;
-        (bits | bits << 2) & 0x1249_2492_4924_9249
-    };
-    spread(unit.x) | spread(unit.y) << 1 | spread(unit.z) << 2
 }
 
 /// 2^-k with the largest k for which `extent * 2^-k` is at least 1/2; 1 for 0. Within 2^±1000.

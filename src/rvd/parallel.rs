@@ -4,28 +4,35 @@
 //! serve several passes (`lists`), and by [`super::serial`]'s walk where that does not suffice; pieces by the walk
 //! alone.
 //! Invariant: the diagram of [`super::serial`], pieces to the bit and sums to rounding; and the same
-//! bits whatever the number of threads and whatever passes came before: facets are cut into chunks of fixed size, each chunk writes its
-//! pieces' integrals down in facet order, and every cell adds its own up in that order.
+//! bits whatever the number of threads and whatever passes came before: facets are taken in one order (`order`), blocks
+//! of it, whose size depends on the counts of facets and seeds alone, are added up for themselves, and every cell adds
+//! those sums up in that order.
 //! Must not know: iterations.
 
+mod around;
 mod chunk;
 mod facets;
 mod gather;
 mod groups;
 mod lanes;
+mod lister;
 mod lists;
 mod moments;
+mod order;
+mod strays;
+mod written;
 
 use std::ops::Range;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::Instant;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use self::chunk::{Chunk, Walkers};
-use self::groups::Listed;
+use self::chunk::{Chunk, Task, Walkers};
 use self::lists::KeptLists;
+use self::order::Order;
 use super::incident::Diagram;
 use super::on_host::OnHost;
 use super::start::Starts;
@@ -81,6 +88,9 @@ impl Backend for Parallel {
             index: SeedIndex::new(&[]),
             table: NeighbourTable::default(),
             stale: false,
+            no_rows: true,
+            by_rows: 0,
+            order: Order::default(),
             starts: Starts::default(),
             lists: KeptLists::default(),
             no_table: NeighbourTable::default(),
@@ -89,17 +99,40 @@ impl Backend for Parallel {
     }
 }
 
-/// Facets per task, at most: enough that those with as many members fill the lanes of a register. Part of no result:
-/// sums are added facet by facet all the same.
-const CHUNK: usize = 1024;
-/// Pairs that a task should have, so that coarse meshes with many seeds are shared out too,
-const CHUNK_PAIRS: usize = 8192;
+/// Facets that are added up together, at most: so few cells that their sums stay at hand, and most of a cell's pieces.
+const BLOCK: usize = 256;
+/// Pairs that those should have, so that coarse meshes with many seeds are shared out too.
+const BLOCK_PAIRS: usize = 2048;
+/// Blocks per task, at most: enough that facets with as many members fill the lanes of a register,
+const BLOCKS: usize = 4;
 /// and tasks that each thread should have, so that none waits long for the last.
 const SHARES: usize = 8;
 /// Seeds a facet, from which on facets are divided and walked by rows of neighbours instead of by lists that are kept.
 const MANY: usize = 8;
+/// The squared distance between relaxed seeds, of the area of a cell: 2/√3.
+const HEXAGON: f64 = 1.1547;
+/// Passes by rows, after lists without them did not do.
+const LATER: usize = 8;
 /// Tasks between two additions, which bounds the memory of the integrals written down.
 const WAVE: usize = 128;
+
+/// Facets by the block, which sums depend on, and blocks by the task, which they do not.
+#[derive(Clone, Copy)]
+struct Blocks {
+    facets: usize,
+    a_chunk: usize,
+}
+
+/// Where a pass finds the seeds that count on facets.
+#[derive(Clone, Copy, PartialEq)]
+enum From {
+    /// In lists that were kept,
+    Kept,
+    /// by looks around facets that are beside one another,
+    Index,
+    /// or in rows of neighbours; where facets have many cells, those are walked by them too.
+    Rows { coarse: bool },
+}
 
 struct ParallelSession {
     pool: Arc<rayon::ThreadPool>,
@@ -110,8 +143,14 @@ struct ParallelSession {
     seeds: Vec<DVec3>,
     index: SeedIndex,
     table: NeighbourTable,
-    /// The index and the table are not those of `seeds` yet.
+    /// The index is not that of `seeds` yet,
     stale: bool,
+    /// and the table not that of the index.
+    no_rows: bool,
+    /// For so many passes rows are to be used where lists without them did not do.
+    by_rows: usize,
+    order: Order,
+    /// First cells of the facets whose pieces were asked for.
     starts: Starts,
     lists: KeptLists,
     /// Stands for the table where that is stale.
@@ -120,60 +159,114 @@ struct ParallelSession {
 }
 
 impl ParallelSession {
-    /// Builds the index and the table of new seeds. Returns the milliseconds spent.
-    fn refresh(&mut self, cancel: &CancelFlag) -> Result<f64, RvdError> {
+    /// Builds the index of new seeds. Returns the milliseconds spent.
+    fn refresh(&mut self) -> Result<f64, RvdError> {
         if !self.stale {
             return if self.seeds.is_empty() { Err(RvdError::NoSeeds) } else { Ok(0.0) };
         }
         let begin = Instant::now();
+        self.lists.lose_index();
         self.index = SeedIndex::with_threads(&self.seeds, Threads::Pool);
+        (self.stale, self.no_rows) = (false, true);
+        Ok(elapsed_ms(begin))
+    }
+
+    /// The same and the table.
+    fn refresh_rows(&mut self, cancel: &CancelFlag) -> Result<f64, RvdError> {
+        let index_ms = self.refresh()?;
+        if !self.no_rows {
+            return Ok(index_ms);
+        }
+        let begin = Instant::now();
         if !self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool, &|| cancel.is_cancelled()) {
             return Err(RvdError::Cancelled);
         }
-        self.stale = false;
-        Ok(elapsed_ms(begin))
+        self.no_rows = false;
+        Ok(index_ms + elapsed_ms(begin))
     }
 
     /// Sums of all facets, from the lists if they still hold, or else from new ones.
     fn sum_up(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        let mut stats = PassStats::default();
-        let by_rows = self.seeds.len() > MANY * self.surface.facets().len();
-        let kept = self.stale && !self.seeds.is_empty() && self.lists.hold(&self.seeds);
-        if !kept {
-            stats.neighbours_ms = self.refresh(cancel)?;
-            stats.duplicate_seeds = self.index.duplicates() as u64;
-            // Where facets have many cells, the walk does most of the work, and it needs rows.
-            self.lists.choose(&self.seeds, &self.table, by_rows);
+        self.order.begin(&self.surface);
+        let blocks = self.blocks(self.order.facets.len());
+        // Where facets have many cells, the walk does most of the work, and it needs rows.
+        let coarse = self.seeds.len() > MANY * self.surface.facets().len();
+        let listed = self.stale && !self.seeds.is_empty() && !coarse;
+        if listed
+            && self.lists.hold(&self.seeds, blocks.facets * blocks.a_chunk)
+            && let Some(stats) = self.pass(out, (blocks, From::Kept), cancel)?
+        {
+            return Ok(stats);
         }
-        let size = self.chunk_size();
-        let facets = 0..self.surface.facets().len() as u32;
-        let tasks = facets.len().div_ceil(size);
+        let mut stats = PassStats { neighbours_ms: self.refresh()?, ..PassStats::default() };
+        stats.duplicate_seeds = self.index.duplicates() as u64;
+        if !coarse && self.by_rows == 0 && self.index.is_even() {
+            let length = (self.surface.area() * HEXAGON / self.seeds.len() as f64).sqrt();
+            let begin = Instant::now();
+            self.lists.choose_evenly(&self.seeds, &self.index, length);
+            stats.neighbours_ms += elapsed_ms(begin);
+            if let Some(pass) = self.pass(out, (blocks, From::Index), cancel)? {
+                stats.add(&pass);
+                return Ok(stats);
+            }
+            self.by_rows = LATER;
+        }
+        self.by_rows = self.by_rows.saturating_sub(1);
+        stats.neighbours_ms += self.refresh_rows(cancel)?;
+        match coarse {
+            true => self.lists.leave(),
+            false => self.lists.choose(&self.seeds, &self.table),
+        }
+        stats.add(&self.pass(out, (blocks, From::Rows { coarse }), cancel)?.unwrap_or_default());
+        Ok(stats)
+    }
+
+    /// Sums of all facets; `None` if those lists do not do.
+    fn pass(
+        &mut self,
+        out: &mut CellSums,
+        (blocks, from): (Blocks, From),
+        cancel: &CancelFlag,
+    ) -> Result<Option<PassStats>, RvdError> {
+        out.reset(self.seeds.len());
+        let mut stats = PassStats::default();
+        let Blocks { facets: block, a_chunk } = blocks;
+        let size = block * a_chunk;
+        let tasks = self.order.facets.len().div_ceil(size);
         self.chunks.resize_with(WAVE.min(tasks), Chunk::default);
-        let table = if kept { &self.no_table } else { &self.table };
+        let table = if matches!(from, From::Rows { .. }) { &self.table } else { &self.no_table };
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table };
         let begin = Instant::now();
-        let starts = self.starts.guesses(diagram, facets.clone());
+        let (facets, starts) = self.order.guesses(diagram);
         stats.start_ms = elapsed_ms(begin);
-        let (slack, lists) = self.lists.split(tasks);
-        let capacities = self.capacities;
+        let (kept, lists) = self.lists.split(tasks, size);
+        let rows = if kept.even { &self.no_table } else { &self.table };
+        let (slack, even, by_rows) = (kept.slack, from == From::Index, from == From::Rows { coarse: true });
+        let task = Task { diagram, slack, capacities: self.capacities, by_rows, even, block };
         let mut unlisted = 0;
-        for (w, (lists, starts)) in lists.chunks_mut(WAVE).zip(starts.chunks_mut(size * WAVE)).enumerate() {
+        let void = AtomicBool::new(false);
+        let waves = lists.chunks_mut(WAVE).zip(facets.chunks(size * WAVE)).zip(starts.chunks_mut(size * WAVE));
+        for ((lists, facets), starts) in waves {
             cancel.check()?;
             let begin = Instant::now();
             let chunks = &mut self.chunks[..lists.len()];
-            let each = chunks.par_iter_mut().zip(lists).zip(starts.par_chunks_mut(size)).enumerate();
-            each.for_each_init(Walkers::default, |walkers, (c, ((chunk, lists), starts))| {
-                if cancel.is_cancelled() {
+            let each = chunks.par_iter_mut().zip(lists).zip(facets.par_chunks(size)).zip(starts.par_chunks_mut(size));
+            each.for_each_init(Walkers::default, |walkers, (((chunk, lists), facets), starts)| {
+                if cancel.is_cancelled() || void.load(Relaxed) {
                     return;
                 }
-                let first = ((w * WAVE + c) * size) as u32;
-                if kept {
-                    chunk.sum_listed(walkers, Listed { diagram, first, starts, lists, capacities, by_rows });
-                } else {
-                    chunk.sum(walkers, (diagram, slack, by_rows), first, lists, starts, capacities);
+                let done = match from {
+                    From::Kept => chunk.sum_kept(walkers, task.listed(facets, starts, lists), (kept, rows), block),
+                    _ => chunk.sum(walkers, task, (facets, starts), lists),
+                };
+                if !done {
+                    void.store(true, Relaxed);
                 }
             });
             cancel.check()?;
+            if void.load(Relaxed) {
+                return Ok(None);
+            }
             stats.clip_ms += elapsed_ms(begin);
             let begin = Instant::now();
             for chunk in &*chunks {
@@ -183,17 +276,18 @@ impl ParallelSession {
             chunk::add_up(out, chunks);
             stats.update_ms += elapsed_ms(begin);
         }
-        self.lists.end_pass(&self.seeds, !kept && unlisted == 0);
-        Ok(stats)
+        self.lists.end_pass(&self.seeds, from != From::Kept && unlisted == 0);
+        Ok(Some(stats))
     }
 
     /// Pieces of `facets`, of flat ones too if they are asked for.
     fn cut(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        let mut stats = PassStats { neighbours_ms: self.refresh(cancel)?, ..PassStats::default() };
+        let mut stats = PassStats { neighbours_ms: self.refresh_rows(cancel)?, ..PassStats::default() };
         stats.duplicate_seeds = self.index.duplicates() as u64;
         let begin = Instant::now();
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
-        let size = self.chunk_size();
+        let Blocks { facets: block, a_chunk } = self.blocks(facets.len());
+        let size = block * a_chunk;
         let starts = self.starts.find(diagram, facets.clone());
         stats.start_ms = elapsed_ms(begin);
         let (capacities, flat) = (self.capacities, self.flat_pieces);
@@ -221,13 +315,13 @@ impl ParallelSession {
         Ok(stats)
     }
 
-    /// Facets per task.
-    fn chunk_size(&self) -> usize {
+    /// How so many facets are shared out.
+    fn blocks(&self, facets: usize) -> Blocks {
         // A facet meets its share of the cells and some more at its rim.
-        let facets = self.surface.facets().len();
-        let per_facet = 3 + 2 * self.seeds.len() / facets;
+        let per_facet = 3 + 2 * self.seeds.len() / self.surface.facets().len();
+        let block = (BLOCK_PAIRS / per_facet).clamp(1, BLOCK);
         let share = facets / (rayon::current_num_threads() * SHARES);
-        (CHUNK_PAIRS / per_facet).min(share).clamp(1, CHUNK)
+        Blocks { facets: block, a_chunk: (share / block).clamp(1, BLOCKS) }
     }
 }
 
@@ -239,7 +333,6 @@ impl Session for ParallelSession {
     }
 
     fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        out.reset(self.seeds.len());
         let pool = Arc::clone(&self.pool);
         pool.install(|| self.sum_up(out, cancel))
     }

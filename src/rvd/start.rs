@@ -22,26 +22,9 @@ const CHUNK: usize = 512;
 pub(super) struct Starts {
     facets: Range<u32>,
     seeds: Vec<u32>,
-    /// How many seeds there were.
-    count: usize,
 }
 
 impl Starts {
-    /// Guesses for `facets`, to be made better: the last answers, or else seeds not far away.
-    pub(super) fn guesses(&mut self, diagram: Diagram<'_>, facets: Range<u32>) -> &mut [u32] {
-        if self.facets != facets || self.count != diagram.seeds.len() {
-            self.seeds.resize(facets.len(), 0);
-            self.seeds.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
-                for (k, start) in part.iter_mut().enumerate() {
-                    *start = diagram.index.near(diagram.surface.centroid(facets.start + (c * CHUNK + k) as u32));
-                }
-            });
-            self.facets = facets;
-            self.count = diagram.seeds.len();
-        }
-        &mut self.seeds
-    }
-
     /// Finds those of `facets` on all threads of the present pool. The guess is the last answer for
     /// the same facets, or the one before where that is near; without one the index answers, which is faster than a
     /// walk from afar.
@@ -62,7 +45,6 @@ impl Starts {
             }
         });
         self.facets = facets;
-        self.count = diagram.seeds.len();
         &mut self.seeds
     }
 }

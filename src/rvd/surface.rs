@@ -167,9 +167,14 @@ impl Surface {
         &self.welded
     }
 
+    /// Corners of facet `f`.
+    pub fn corners(&self, f: u32) -> [DVec3; 3] {
+        self.facets[f as usize].map(|v| self.positions[v as usize])
+    }
+
     /// Centroid of facet `f`.
     pub fn centroid(&self, f: u32) -> DVec3 {
-        let [a, b, c] = self.facets[f as usize].map(|v| self.positions[v as usize]);
+        let [a, b, c] = self.corners(f);
         (a + b + c) / 3.0
     }
 

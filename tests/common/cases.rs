@@ -247,16 +247,21 @@ fn reused(case: &Case, surface: &Arc<Surface>, parallel: &Parallel) -> Result<Ce
     Ok(sums)
 }
 
-/// The sums of a session whose seeds came nearer and nearer by steps of `by` and less, each in a direction of its own.
+/// The sums of a session whose seeds came nearer and nearer by steps of `by` and less, each in a direction of its own; but
+/// for one that comes from afar in the last step, one that was afar in the step before, and the last one, which is new.
 fn moved(case: &Case, surface: &Arc<Surface>, parallel: &Parallel, by: f64) -> Result<CellSums, String> {
     let text = |e: tessera::rvd::RvdError| format!("moved: {e}");
-    let mut session = parallel.session(Arc::clone(surface), SessionOptions::new(case.seeds.len())).map_err(text)?;
+    let n = case.seeds.len();
+    let mut session = parallel.session(Arc::clone(surface), SessionOptions::new(n)).map_err(text)?;
     let mut sums = CellSums::default();
     for left in [3.0, 2.0, 1.5, 1.25, 1.0, 0.5, 0.0] {
         let away = |k: usize| dvec3((k as f64).sin(), (k as f64 * 1.7).cos(), (k as f64 * 2.3).sin());
-        let seeds: Vec<DVec3> = case.seeds.iter().enumerate().map(|(k, &p)| p + left * by * away(k)).collect();
-        let seeds: Vec<DVec3> = seeds.iter().map(|p| p.clamp(DVec3::splat(-1e6), DVec3::splat(1e6))).collect();
-        session.set_seeds(&seeds).map_err(text)?;
+        let afar = |k: usize| k == n / 2 && left > 0.0 || k == n / 3 && left == 0.5;
+        let offset = |k: usize| left * by * away(k) + if afar(k) { dvec3(0.13, -0.07, 0.05) } else { DVec3::ZERO };
+        let seeds = case.seeds.iter().enumerate().map(|(k, &p)| p + offset(k));
+        let seeds: Vec<DVec3> = seeds.map(|p| p.clamp(DVec3::splat(-1e6), DVec3::splat(1e6))).collect();
+        let count = if left > 0.0 { (n - 1).max(1) } else { n };
+        session.set_seeds(&seeds[..count]).map_err(text)?;
         session.sums(&mut sums, &CancelFlag::default()).map_err(text)?;
     }
     Ok(sums)

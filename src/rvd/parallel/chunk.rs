@@ -1,20 +1,23 @@
 //! Some facets, one task's share.
 //!
-//! Purpose: what a task writes down of its facets in order, and the sums of what all tasks wrote.
-//! Facets are taken in groups of as many members.
-//! Invariant: every cell adds its pieces up in the order of facets, whatever the number of threads and the width of a
-//! processor's registers.
+//! Purpose: finds the pieces of a task's facets, in groups of as many members, and adds up what all tasks found.
+//! Invariant: what comes of a facet depends on nothing beside it, and the sums not on how many blocks a task has.
 //! Must not know: how tasks are shared out.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
+use super::around::GROUP;
 use super::facets::{Found, MEMBERS};
-use super::gather::{Few, Gatherer, Slack};
+use super::gather::Slack;
 use super::groups::{Chooser, Listed, Thin, choose_members};
 use super::lanes::{Number, Row, WIDEST};
-use super::lists::Lists;
+use super::lister::Lister;
+use super::lists::{Kept, Lists};
 use super::moments::{UNIFORM, WEIGHTED};
+use super::strays::{Bounds, Reach};
+use super::written::{NONE, Written};
+use crate::knn::NeighbourTable;
 use crate::rvd::clip::{Clipper, Integrals};
 use crate::rvd::incident::{Diagram, FacetWalker};
 use crate::rvd::{Capacities, CellSums, PassStats, PieceBatch, start};
@@ -22,44 +25,53 @@ use crate::rvd::{Capacities, CellSums, PassStats, PieceBatch, start};
 /// What one task found. Reused from wave to wave.
 #[derive(Default)]
 pub(super) struct Chunk {
-    /// In the order of facets, of as many seeds as each has members; [`NONE`] where a member has no piece.
-    seeds: Vec<u32>,
-    integrals: Vec<Integrals>,
-    /// Those of facets that were walked,
-    walked: Vec<(u32, Integrals)>,
-    /// and before which of the others they come.
-    inserts: Vec<Insert>,
+    /// Block by block, the integrals over the pieces of each cell that meets it.
+    cells: Vec<(u32, Integrals)>,
     pub pieces: PieceBatch,
     pub stats: PassStats,
     /// Facets that have no list that could be kept.
     pub unlisted: u64,
 }
 
-const NONE: u32 = u32::MAX;
+/// What is asked for of facets without lists.
+#[derive(Clone, Copy)]
+pub(super) struct Task<'a> {
+    pub diagram: Diagram<'a>,
+    pub slack: Slack<'a>,
+    pub capacities: Capacities,
+    /// Facets with many members are walked by rows.
+    pub by_rows: bool,
+    /// Seeds are spread evenly, and there are no rows.
+    pub even: bool,
+    /// Facets that are added up together.
+    pub block: usize,
+}
 
-struct Insert {
-    before: usize,
-    end: usize,
+impl<'a> Task<'a> {
+    /// Of facets with lists.
+    pub(super) fn listed(&self, facets: &'a [u32], starts: &'a [u32], lists: &'a Lists) -> Listed<'a> {
+        let Self { diagram, capacities, by_rows, .. } = *self;
+        Listed { diagram, facets, starts, lists, capacities, by_rows }
+    }
 }
 
 /// One thread's scratch memory.
 #[derive(Default)]
 pub(super) struct Walkers {
-    gatherer: Gatherer,
+    lister: Lister,
     /// Lists before those of them that are to be kept are made shorter.
     lists: Lists,
     chooser: Chooser,
     found: Found,
     walker: FacetWalker,
-    /// Where each facet's integrals begin.
-    begin: Vec<u32>,
+    written: Written,
     to_walk: Vec<u32>,
     /// Pieces that are clipped alone: facet, and place among the integrals.
     to_clip: Vec<(u32, usize)>,
 }
 
 struct Divide<'a> {
-    chunk: &'a mut Chunk,
+    stats: &'a mut PassStats,
     walkers: &'a mut Walkers,
     listed: Listed<'a>,
 }
@@ -69,116 +81,39 @@ impl WithSimd for Divide<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { chunk, walkers, listed } = self;
+        let Self { stats, walkers, listed } = self;
         choose_members(simd, &mut walkers.chooser, listed);
-        chunk.make_room(walkers, listed);
+        walkers.begin();
         if listed.diagram.surface.is_uniform() {
-            chunk.divide::<S, UNIFORM>(simd, walkers, listed);
+            walkers.divide::<S, UNIFORM>(simd, listed, stats);
         } else {
-            chunk.divide::<S, WEIGHTED>(simd, walkers, listed);
+            walkers.divide::<S, WEIGHTED>(simd, listed, stats);
         }
     }
 }
 
-impl Chunk {
+impl Walkers {
+    /// Makes room for what is found.
     fn begin(&mut self) {
-        self.walked.clear();
-        self.inserts.clear();
-        self.pieces.clear();
-        self.stats = PassStats::default();
-        self.unlisted = 0;
-    }
-
-    /// Integrals over the pieces of the facets from `first` on, as many as there are `starts`, which become the
-    /// facets' nearest seeds. Their lists are kept where there is slack.
-    pub(super) fn sum(
-        &mut self,
-        walkers: &mut Walkers,
-        (diagram, slack, by_rows): (Diagram<'_>, Slack<'_>, bool),
-        first: u32,
-        kept: &mut Lists,
-        starts: &mut [u32],
-        capacities: Capacities,
-    ) {
-        let mut lists = std::mem::take(&mut walkers.lists);
-        lists.clear();
-        let surface = diagram.surface;
-        let most = if by_rows { Few::TO_DIVIDE } else { Few::TO_WALK };
-        let mut unlisted = 0;
-        for (facet, start) in (first..).zip(&mut *starts) {
-            if surface.skips(facet as usize) {
-                lists.push([]);
-                continue;
-            }
-            let [a, b, c] = surface.facets()[facet as usize];
-            let positions = surface.positions();
-            let corner = [positions[a as usize], positions[b as usize], positions[c as usize]];
-            let gatherer = &mut walkers.gatherer;
-            let centroid = surface.centroid(facet);
-            let (nearest, mut few) = gatherer.gather(diagram, (slack, most), &corner, centroid, *start);
-            *start = nearest;
-            if !few && slack.share > 0.0 {
-                // Whether there are too many does not depend on what was before.
-                unlisted += 1;
-                (_, few) = gatherer.gather(diagram, (Slack::NONE, most), &corner, centroid, *start);
-            }
-            lists.push(gatherer.list().iter().copied().take(if few { usize::MAX } else { 0 }));
-        }
-        let mut of_chunk = &lists;
-        if slack.share > 0.0 {
-            let listed = Listed { diagram, first, starts, lists: &lists, capacities, by_rows };
-            Arch::new().dispatch(Thin { chooser: &mut walkers.chooser, listed, slack, out: kept });
-            of_chunk = kept;
-        }
-        self.sum_listed(walkers, Listed { diagram, first, starts, lists: of_chunk, capacities, by_rows });
-        self.unlisted = unlisted;
-        walkers.lists = lists;
-    }
-
-    /// The same from lists that hold.
-    pub(super) fn sum_listed(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
-        self.begin();
-        walkers.chooser.begin(listed);
-        Arch::new().dispatch(Divide { chunk: self, walkers, listed });
-        self.walk(walkers, listed);
-    }
-
-    /// Gives every facet with a usable number of members room for their integrals; the others are to be walked.
-    fn make_room(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { chooser: Chooser { members, .. }, begin, to_walk, to_clip, .. } = walkers;
-        begin.clear();
-        to_walk.clear();
-        to_clip.clear();
-        let mut end = 0;
-        for (at, members) in members.iter().enumerate() {
-            begin.push(end);
-            let n = members.count_ones();
-            if (1..=MEMBERS as u32).contains(&n) {
-                end += n;
-            } else if !listed.diagram.surface.skips(listed.first as usize + at) {
-                to_walk.push(at as u32);
-            }
-        }
-        // Each gets its value, so that what is there from an earlier wave may stay until then.
-        self.seeds.resize(end as usize, NONE);
-        self.integrals.resize(end as usize, Integrals::default());
+        self.written.begin(&self.chooser.members, &mut self.to_walk);
+        self.to_clip.clear();
     }
 
     /// Divides all facets with members among them.
     #[inline(always)]
-    fn divide<S: Simd, const N: usize>(&mut self, simd: S, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { chooser: Chooser { facets, groups, members, long }, found, begin, to_walk, to_clip, .. } =
-            walkers;
-        let Listed { diagram, first, .. } = listed;
+    fn divide<S: Simd, const N: usize>(&mut self, simd: S, listed: Listed<'_>, stats: &mut PassStats) {
+        let Self { chooser: Chooser { facets, groups, members, long }, found, written, to_walk, to_clip, .. } = self;
+        let diagram = listed.diagram;
         groups.sort(MEMBERS, members.iter().map(|m| m.count_ones() as usize));
         let mut weight = [Row([1.0; WIDEST]); 3];
         for n in 1..=MEMBERS {
             for group in groups.of(n).chunks(Number::<S>::LANES) {
                 for lane in 0..Number::<S>::LANES {
                     let at = group[lane.min(group.len() - 1)];
-                    facets.set_corners(lane, diagram.surface, first + at);
+                    let facet = listed.facets[at as usize];
+                    facets.set_corners(lane, diagram.surface, facet);
                     if N == WEIGHTED {
-                        let vertex = diagram.surface.facets()[(first + at) as usize];
+                        let vertex = diagram.surface.facets()[facet as usize];
                         for (weight, v) in weight.iter_mut().zip(vertex) {
                             weight.0[lane % WIDEST] = diagram.surface.weights()[v as usize];
                         }
@@ -197,15 +132,16 @@ impl Chunk {
                         }
                         seeds[k] = seed;
                     }
-                    self.seeds[begin[at as usize] as usize..][..n].copy_from_slice(&seeds[..n]);
+                    let first = written.first(at);
+                    written.seeds[first..][..n].copy_from_slice(&seeds[..n]);
                     for (k, &seed) in seeds[..n].iter().enumerate() {
                         facets.set_seed(lane, k, diagram.seeds[seed as usize]);
                     }
                 }
                 facets.divide::<S, N>(simd, n, &weight, found);
                 for (lane, &at) in group.iter().enumerate() {
-                    let first = begin[at as usize] as usize;
-                    let (seeds, slots) = (&mut self.seeds[first..][..n], &mut self.integrals[first..][..n]);
+                    let first = written.first(at);
+                    let (seeds, slots) = (&mut written.seeds[first..][..n], &mut written.integrals[first..][..n]);
                     if found.unsure.0[lane] != 0.0 {
                         seeds.fill(NONE);
                         to_walk.push(at);
@@ -216,7 +152,7 @@ impl Chunk {
                             Some(_) if piece.is_small(lane) => to_clip.push((at, first + k)),
                             Some(integrals) => {
                                 *slot = integrals;
-                                self.stats.pairs += 1;
+                                stats.pairs += 1;
                             }
                             None => *seed = NONE,
                         }
@@ -228,14 +164,13 @@ impl Chunk {
 
     /// Clips the pieces and walks the facets that are left, among their members alone: what else a list holds would
     /// change roundings.
-    fn walk(&mut self, walkers: &mut Walkers, listed: Listed<'_>) {
-        let Walkers { chooser: Chooser { members, long, .. }, walker, to_walk, to_clip, begin, .. } = walkers;
-        let Listed { diagram, first, starts, lists, capacities, by_rows } = listed;
-        let Self { seeds, integrals, walked, inserts, stats, .. } = self;
+    fn walk(&mut self, listed: Listed<'_>, stats: &mut PassStats) {
+        let Self { chooser: Chooser { members, long, .. }, walker, to_walk, to_clip, written, .. } = self;
+        let Listed { diagram, facets, starts, lists, capacities, by_rows } = listed;
         for &(at, slot) in &*to_clip {
             let among = long.among(listed, at as usize, members[at as usize]);
-            let (seed, sum) = (&mut seeds[slot], &mut integrals[slot]);
-            walker.clip_listed(&among.seeds, diagram, first + at, *seed, capacities, stats);
+            let (seed, sum) = (&mut written.seeds[slot], &mut written.integrals[slot]);
+            walker.clip_listed(&among.seeds, diagram, facets[at as usize], *seed, capacities, stats);
             if walker.clipper().polygon().is_empty() {
                 *seed = NONE;
             } else {
@@ -245,9 +180,10 @@ impl Chunk {
         }
         to_walk.sort_unstable();
         for &at in &*to_walk {
-            let (facet, at) = (first + at, at as usize);
+            let at = at as usize;
+            let facet = facets[at];
             let centroid = diagram.surface.centroid(facet);
-            let visit = |i: u32, clipper: &Clipper| walked.push((i, clipper.integrals()));
+            let visit = |i: u32, clipper: &Clipper| written.walked.push((i, clipper.integrals()));
             // Who has many members was not tried, and is found by rows, if there are any.
             let many = !(1..=MEMBERS as u32).contains(&members[at].count_ones());
             if lists.get(at).is_empty() || many && by_rows {
@@ -258,21 +194,83 @@ impl Chunk {
                 let nearest = among.nearest(diagram, centroid);
                 walker.walk_listed(&among.seeds, diagram, facet, nearest, capacities, stats, visit);
             }
-            inserts.push(Insert { before: begin[at] as usize, end: walked.len() });
+            written.end_walk(at);
         }
     }
+}
 
-    /// All integrals, in the order of facets.
-    #[inline(always)]
-    fn each(&self, mut visit: impl FnMut(u32, &Integrals)) {
-        let (mut at, mut from) = (0, 0);
-        for insert in &self.inserts {
-            let before = self.seeds[at..insert.before].iter().zip(&self.integrals[at..insert.before]);
-            before.for_each(|(seed, sum)| visit(*seed, sum));
-            self.walked[from..insert.end].iter().for_each(|(seed, sum)| visit(*seed, sum));
-            (at, from) = (insert.before, insert.end);
+impl Chunk {
+    fn begin(&mut self) {
+        self.cells.clear();
+        self.pieces.clear();
+        self.stats = PassStats::default();
+        self.unlisted = 0;
+    }
+
+    /// Integrals over the pieces of the facets, added up in blocks of so many; `starts` become seeds near them. Their lists
+    /// are kept where there is slack. Returns whether all could be listed, or walked by rows; nothing is summed otherwise.
+    pub(super) fn sum(
+        &mut self,
+        walkers: &mut Walkers,
+        task: Task<'_>,
+        (facets, starts): (&[u32], &mut [u32]),
+        kept: &mut Lists,
+    ) -> bool {
+        let Task { diagram, slack, by_rows, even, block, .. } = task;
+        let mut lists = std::mem::take(&mut walkers.lists);
+        lists.clear();
+        let unlisted = match even {
+            true => walkers.lister.list_evenly(diagram, slack, (facets, starts), &mut lists),
+            false => Some(walkers.lister.list(diagram, slack, by_rows, (facets, starts), &mut lists)),
+        };
+        if let Some(unlisted) = unlisted {
+            let mut of_chunk = &lists;
+            if !slack.is_none() {
+                let listed = task.listed(facets, starts, &lists);
+                Arch::new().dispatch(Thin { chooser: &mut walkers.chooser, listed, slack, out: kept });
+                kept.bounds.extend(facets.chunks(GROUP).zip(starts.chunks(GROUP)).map(|(facets, starts)| {
+                    let each = facets.iter().zip(starts).map(|(&f, &start)| Reach::of(diagram, slack, f, start));
+                    each.fold(Bounds::NONE, |all, reach| all.with(reach.bounds()))
+                }));
+                of_chunk = kept;
+            }
+            self.sum_listed(walkers, task.listed(facets, starts, of_chunk), block);
+            self.unlisted = unlisted;
         }
-        self.seeds[at..].iter().zip(&self.integrals[at..]).for_each(|(seed, sum)| visit(*seed, sum));
+        walkers.lists = lists;
+        unlisted.is_some()
+    }
+
+    /// The same from lists that hold but for strays. Returns whether all facets with strays got a list; nothing is summed
+    /// otherwise.
+    pub(super) fn sum_kept(
+        &mut self,
+        walkers: &mut Walkers,
+        listed: Listed<'_>,
+        (kept, table): (Kept<'_>, &NeighbourTable),
+        block: usize,
+    ) -> bool {
+        if kept.strays.is_empty() {
+            self.sum_listed(walkers, listed, block);
+            return true;
+        }
+        let mut lists = std::mem::take(&mut walkers.lists);
+        let diagram = Diagram { seeds: kept.made_at, table, ..listed.diagram };
+        let done = walkers.lister.relist(listed, diagram, kept, &mut lists);
+        if done {
+            self.sum_listed(walkers, Listed { lists: &lists, ..listed }, block);
+        }
+        walkers.lists = lists;
+        done
+    }
+
+    /// The same from lists that hold.
+    fn sum_listed(&mut self, walkers: &mut Walkers, listed: Listed<'_>, block: usize) {
+        self.begin();
+        walkers.chooser.begin(listed);
+        Arch::new().dispatch(Divide { stats: &mut self.stats, walkers, listed });
+        walkers.walk(listed, &mut self.stats);
+        walkers.written.add_blocks(block, listed.diagram.seeds.len(), &mut self.cells);
     }
 
     /// Pieces of the facets from `first` on, as many as there are `starts`, their nearest seeds; of those without area
@@ -301,8 +299,8 @@ impl Chunk {
     }
 }
 
-/// Adds what the chunks wrote down. Every thread owns a range of seeds and reads everything, so
-/// that each cell is added up in facet order without a lock.
+/// Adds the blocks' sums up. Every thread owns a range of seeds and reads everything, so that each cell is added up in
+/// the order of blocks without a lock.
 pub(super) fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
     let share = out.mass.len().div_ceil(rayon::current_num_threads()).max(1);
     out.mass
@@ -313,8 +311,8 @@ pub(super) fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
         .for_each(|(part, ((mass, moment), (energy, area)))| {
             let base = (part * share) as u32;
             for chunk in chunks {
-                chunk.each(|seed, sum| {
-                    // No piece, and another thread's seeds, are beyond the end.
+                for (seed, sum) in &chunk.cells {
+                    // Another thread's seeds are beyond the end.
                     let local = seed.wrapping_sub(base) as usize;
                     if local < mass.len() {
                         mass[local] += sum.mass;
@@ -322,7 +320,7 @@ pub(super) fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
                         energy[local] += sum.energy;
                         area[local] += sum.area;
                     }
-                });
+                }
             }
         });
 }
@@ -333,21 +331,20 @@ mod tests {
 
     use glam::DVec3;
 
+    use super::super::gather::{Few, Gatherer};
     use super::*;
-    use crate::knn::{NeighbourTable, SeedIndex, Threads};
+    use crate::knn::{SeedIndex, Threads};
     use crate::mesh::shapes::Shape;
     use crate::rvd::Surface;
 
     /// What a chunk of all facets finds with registers of one kind.
     fn found<S: Simd>(simd: S, listed: Listed<'_>) -> Vec<(u32, Integrals)> {
-        let (mut chunk, mut walkers) = (Chunk::default(), Walkers::default());
-        chunk.begin();
+        let (mut stats, mut walkers, mut all) = (PassStats::default(), Walkers::default(), Vec::new());
         walkers.chooser.begin(listed);
-        simd.vectorize(Divide { chunk: &mut chunk, walkers: &mut walkers, listed });
-        chunk.walk(&mut walkers, listed);
-        let mut all = Vec::new();
-        chunk.each(|seed, sum| all.push((seed, *sum)));
-        all.retain(|(seed, _)| *seed != NONE);
+        simd.vectorize(Divide { stats: &mut stats, walkers: &mut walkers, listed });
+        walkers.walk(listed, &mut stats);
+        // Facet by facet, so that nothing is lost in sums.
+        walkers.written.add_blocks(1, listed.diagram.seeds.len(), &mut all);
         all
     }
 
@@ -377,9 +374,10 @@ mod tests {
                 lists.push(gatherer.list().iter().copied());
             }
             let starts = vec![0; surface.facets().len()];
+            let facets: Vec<u32> = (0..surface.facets().len() as u32).collect();
             let listed = Listed {
                 diagram,
-                first: 0,
+                facets: &facets,
                 starts: &starts,
                 lists: &lists,
                 capacities: Capacities::default(),

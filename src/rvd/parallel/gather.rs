@@ -36,12 +36,14 @@ impl Few {
 }
 
 /// Squared distances are compared with so much room, far more than their roundings.
-const ROOM: f64 = 1.0 + 1e-14;
+pub(super) const ROOM: f64 = 1.0 + 1e-14;
 
 /// How far each seed may move before the lists are void.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub(super) struct Slack<'a> {
-    /// By this share of its width; 0 for lists that serve the present place alone.
+    /// The same for all, where it is no share.
+    pub same: f64,
+    /// A share of each seed's width, if it is not 0.
     pub share: f64,
     /// A length at each seed that differs between two of them by no more than their distance; unused where the share
     /// is 0.
@@ -50,10 +52,15 @@ pub(super) struct Slack<'a> {
 
 impl Slack<'_> {
     /// No seed moves.
-    pub(super) const NONE: Self = Self { share: 0.0, width: &[] };
+    pub(super) const NONE: Self = Self { same: 0.0, share: 0.0, width: &[] };
 
     pub(super) fn of(&self, seed: u32) -> f64 {
-        if self.share > 0.0 { self.share * self.width[seed as usize] } else { 0.0 }
+        if self.share > 0.0 { self.share * self.width[seed as usize] } else { self.same }
+    }
+
+    /// Whether there is none.
+    pub(super) fn is_none(&self) -> bool {
+        self.share == 0.0 && self.same == 0.0
     }
 }
 
@@ -110,6 +117,18 @@ impl Gatherer {
         (nearest, self.look_around(diagram, slack, few, &view))
     }
 
+    /// The same as seen from seed `i`, whether there are nearer ones or not. Returns whether there are few enough.
+    pub(super) fn gather_from(
+        &mut self,
+        diagram: Diagram<'_>,
+        (slack, few): (Slack<'_>, Few),
+        corner: &[DVec3; 3],
+        i: u32,
+    ) -> bool {
+        self.read_row(diagram, slack, corner, corner[0], i).is_some()
+            || self.look_around(diagram, slack, few, &View::new(diagram, slack, corner, i))
+    }
+
     /// Lists seed `i` and its row, as far as the facet needs it (\[LB12\]: no farther than twice its farthest corner).
     /// Returns the nearest to the centroid; `None` if the row ends before that.
     fn read_row(
@@ -124,7 +143,7 @@ impl Gatherer {
         let origin = diagram.seeds[i as usize];
         let squared = |a: DVec3| a.distance_squared(origin);
         let radius2 = squared(corner[0]).max(squared(corner[1])).max(squared(corner[2]));
-        let reach2 = if slack.share > 0.0 {
+        let reach2 = if !slack.is_none() {
             // Seeds beyond have a slack of at most the share of what their width can be there.
             let reach = (radius2.sqrt() + slack.of(i)) / (1.0 - slack.share);
             SECURITY * reach * reach

@@ -15,11 +15,13 @@ use super::lists::Lists;
 use crate::rvd::Capacities;
 use crate::rvd::incident::Diagram;
 
-/// The facets of a chunk and their lists.
+/// The facets of a chunk, all with area, and their lists.
 #[derive(Clone, Copy)]
 pub(super) struct Listed<'a> {
     pub diagram: Diagram<'a>,
-    pub first: u32,
+    /// The facets,
+    pub facets: &'a [u32],
+    /// and of each a seed that is near.
     pub starts: &'a [u32],
     pub lists: &'a Lists,
     pub capacities: Capacities,
@@ -91,7 +93,7 @@ impl Chooser {
         for at in 0..listed.starts.len() {
             let list = listed.lists.get(at);
             if list.len() > LISTED {
-                among.of_long(listed.diagram, listed.first + at as u32, list);
+                among.of_long(listed.diagram, listed.facets[at], list);
                 lists.push(among.seeds.iter().copied());
                 of[at] = lists.len() as u32;
                 let n = among.seeds.len();
@@ -146,10 +148,10 @@ pub(super) fn choose_members<S: Simd>(simd: S, chooser: &mut Chooser, listed: Li
 /// Puts a group of facets with lists of `n` seeds into lanes; the last one fills those that are left.
 #[inline(always)]
 fn set_lists<S: Simd>(facets: &mut Facets, group: &[u32], listed: Listed<'_>, n: usize) {
-    let Listed { diagram, first, lists, .. } = listed;
+    let Listed { diagram, lists, .. } = listed;
     for lane in 0..Number::<S>::LANES {
         let at = group[lane.min(group.len() - 1)];
-        facets.set_corners(lane, diagram.surface, first + at);
+        facets.set_corners(lane, diagram.surface, listed.facets[at as usize]);
         for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
             facets.set_seed(lane, k, diagram.seeds[seed as usize]);
         }

@@ -1,0 +1,150 @@
+//! The seeds around facets that are beside one another.
+//!
+//! Purpose: the lists of several facets from one look at the seeds around them all, without rows of neighbours. Every
+//! facet has a lane.
+//! Invariant: a seed that is left out of a facet's list is farther from all three corners than the seed that the
+//! facet is seen from, whatever way either moves within its slack; a stray is where it is.
+//! Must not know: what becomes of lists.
+
+use glam::DVec3;
+use pulp::Simd;
+
+use super::gather::ROOM;
+use super::lanes::{Mask, Number, Row, WIDEST};
+use super::strays::{Bounds, Reach, Strays};
+use crate::rvd::incident::Diagram;
+
+/// Facets that are looked around together.
+pub(super) const GROUP: usize = 16;
+/// Seeds that are looked at for them. They are far more where seeds are crowded somewhere near.
+const LOOKED_AT: usize = 1024;
+/// Seeds in a word: as many as a number has bits.
+const WORD: usize = 52;
+
+/// One thread's scratch memory.
+#[derive(Default)]
+pub(super) struct Around {
+    seeds: Vec<u32>,
+    /// Of each seed its place, and how far it may move.
+    places: Vec<(DVec3, f64)>,
+    corner: [[Row; 3]; 3],
+    /// How far the seed that a facet is seen from may be from each corner.
+    most: [Row; 3],
+    /// Which seeds count, word by word, in each lane.
+    words: Vec<Row>,
+}
+
+impl Around {
+    /// Takes all seeds that could count on facets with these reaches, at most [`GROUP`]: those of the diagram, which move by
+    /// `slack`, but for strays, and the strays. Returns whether it could, and whether there are not too many.
+    pub(super) fn look(
+        &mut self,
+        diagram: Diagram<'_>,
+        slack: f64,
+        reaches: &[Reach],
+        strays: Option<&Strays>,
+    ) -> bool {
+        let bounds = reaches.iter().fold(Bounds::NONE, |all, reach| all.with(reach.bounds()));
+        self.seeds.clear();
+        self.places.clear();
+        let (low, high) = bounds.wider(slack);
+        if !diagram.index.in_box(low, high, LOOKED_AT, &mut self.seeds) {
+            return false;
+        }
+        match strays {
+            None => self.places.extend(self.seeds.iter().map(|&i| (diagram.seeds[i as usize], slack))),
+            Some(strays) => {
+                self.seeds.retain(|&i| !strays.contains(i));
+                self.places.extend(self.seeds.iter().map(|&i| (diagram.seeds[i as usize], slack)));
+                for (p, i) in strays.within(bounds) {
+                    self.seeds.push(i);
+                    self.places.push((p, 0.0));
+                }
+            }
+        }
+        true
+    }
+
+    /// Calls `visit` with each facet's number among the `reaches` and its seeds.
+    #[inline(always)]
+    pub(super) fn each<S: Simd>(&mut self, simd: S, reaches: &[Reach], mut visit: impl FnMut(usize, Seeds<'_>)) {
+        let lanes = Number::<S>::LANES;
+        for (first, facets) in (0..).step_by(lanes).zip(reaches.chunks(lanes)) {
+            self.set(lanes, facets);
+            self.compare(simd);
+            for lane in 0..facets.len() {
+                visit(first + lane, Seeds { around: self, lane });
+            }
+        }
+    }
+
+    /// Puts facets into lanes; the last one fills those that are left.
+    fn set(&mut self, lanes: usize, facets: &[Reach]) {
+        for lane in 0..lanes {
+            let Reach { corner, most } = facets[lane.min(facets.len() - 1)];
+            for c in 0..3 {
+                for (row, x) in self.corner[c].iter_mut().zip(corner[c].to_array()) {
+                    row.0[lane % WIDEST] = x;
+                }
+                self.most[c].0[lane % WIDEST] = most[c];
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn compare<S: Simd>(&mut self, simd: S) {
+        let (zero, room) = (Number::all(simd, 0.0), Number::all(simd, ROOM));
+        let corner = self.corner.each_ref().map(|c| [0, 1, 2].map(|k| Number::load(simd, &c[k])));
+        let most = self.most.each_ref().map(|most| Number::load(simd, most));
+        self.words.clear();
+        for places in self.places.chunks(WORD) {
+            let (mut bits, mut bit) = (zero, 1.0);
+            for &(p, slack) in places {
+                let [x, y, z] = p.to_array().map(|x| Number::all(simd, x));
+                let slack = Number::all(simd, slack);
+                let mut counts = Mask::none(simd);
+                for c in 0..3 {
+                    let [dx, dy, dz] = [corner[c][0] - x, corner[c][1] - y, corner[c][2] - z];
+                    let most = most[c] + slack;
+                    counts = counts | (dx * dx + dy * dy + dz * dz).at_most(most * most * room);
+                }
+                bits = bits + counts.choose(Number::all(simd, bit), zero);
+                bit *= 2.0;
+            }
+            self.words.push(Row::default());
+            if let Some(word) = self.words.last_mut() {
+                bits.store(word);
+            }
+        }
+    }
+}
+
+/// The seeds that count on one facet.
+#[derive(Clone, Copy)]
+pub(super) struct Seeds<'a> {
+    around: &'a Around,
+    lane: usize,
+}
+
+impl Seeds<'_> {
+    fn words(&self) -> impl Iterator<Item = u64> {
+        self.around.words.iter().map(|word| word.0[self.lane] as u64)
+    }
+
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.words().map(|word| word.count_ones() as usize).sum()
+    }
+
+    /// Calls `visit` with each and where it was.
+    #[inline(always)]
+    pub(super) fn each(&self, mut visit: impl FnMut(u32, DVec3)) {
+        for (first, mut left) in (0..).step_by(WORD).zip(self.words()) {
+            while left != 0 {
+                let at = first + left.trailing_zeros() as usize;
+                left &= left - 1;
+                visit(self.around.seeds[at], self.around.places[at].0);
+            }
+        }
+    }
+}

@@ -1,0 +1,130 @@
+//! Seeds that have left their slack.
+//!
+//! Purpose: a few seeds that move farther than the others need not void the lists of all facets. Those that a stray
+//! has to do with are told apart, and get lists for one pass.
+//! Invariant: a list without strays on a facet that no stray reaches holds: all other seeds are within their slack. A
+//! stray reaches a facet where it may be nearer to some corner than a seed within its slack is; beyond, that one beats
+//! it at all three.
+//! Must not know: what becomes of a list.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::gather::{ROOM, Slack};
+use crate::rvd::incident::Diagram;
+
+/// Seeds per task.
+const CHUNK: usize = 2048;
+
+/// Which seeds are strays, and where they are.
+#[derive(Default)]
+pub(super) struct Strays {
+    /// From low to high x.
+    all: Vec<(DVec3, u32)>,
+    /// Of each seed whether it is one.
+    astray: Vec<bool>,
+}
+
+/// A facet as seen from a seed within its slack: to each corner, how far that may be at most.
+#[derive(Clone, Copy)]
+pub(super) struct Reach {
+    pub corner: [DVec3; 3],
+    pub most: [f64; 3],
+}
+
+impl Reach {
+    /// Of seed `i`, which was at `origin` when lists were made.
+    pub(super) fn new(corner: &[DVec3; 3], origin: DVec3, slack: f64) -> Self {
+        Self { corner: *corner, most: corner.map(|c| (c.distance(origin) + slack) * ROOM) }
+    }
+
+    /// Of a facet from a seed of the diagram.
+    pub(super) fn of(diagram: Diagram<'_>, slack: Slack<'_>, facet: u32, seed: u32) -> Self {
+        Self::new(&diagram.surface.corners(facet), diagram.seeds[seed as usize], slack.of(seed))
+    }
+
+    /// A box around all seeds that are nearer to some corner, roundings included.
+    pub(super) fn bounds(&self) -> Bounds {
+        let mut bounds = Bounds::NONE;
+        for (&corner, most) in self.corner.iter().zip(self.most) {
+            let most = DVec3::splat(most * (1.0 + 1e-9));
+            bounds = bounds.with(Bounds { low: corner - most, high: corner + most });
+        }
+        bounds
+    }
+
+    /// Whether a seed there may be nearer to some corner.
+    pub(super) fn holds(&self, p: DVec3) -> bool {
+        let near = |c: usize| self.corner[c].distance_squared(p) <= self.most[c] * self.most[c] * ROOM;
+        near(0) || near(1) || near(2)
+    }
+}
+
+/// A box.
+#[derive(Clone, Copy)]
+pub(super) struct Bounds {
+    low: DVec3,
+    high: DVec3,
+}
+
+impl Bounds {
+    /// Nothing is in it.
+    pub(super) const NONE: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
+
+    /// The least box around both.
+    pub(super) fn with(self, other: Self) -> Self {
+        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
+    }
+
+    /// Both ends of a box that is larger on all sides.
+    pub(super) fn wider(self, by: f64) -> (DVec3, DVec3) {
+        let by = DVec3::splat(by * (1.0 + 1e-9));
+        (self.low - by, self.high + by)
+    }
+}
+
+impl Strays {
+    /// Finds those that are not within `used` of their slack about where they were; seeds that were not there are strays
+    /// too. Returns how many there are.
+    pub(super) fn find(&mut self, seeds: &[DVec3], were: &[DVec3], slack: Slack<'_>, used: f64) -> usize {
+        let strayed = |i: usize| {
+            let Some(was) = were.get(i) else { return true };
+            let most = used * slack.of(i as u32);
+            was.distance_squared(seeds[i]) > most * most
+        };
+        let indices = (0..seeds.len()).into_par_iter().with_min_len(CHUNK);
+        indices.clone().map(strayed).collect_into_vec(&mut self.astray);
+        self.all.clear();
+        let strays = self.astray.iter().enumerate().filter(|(_, astray)| **astray);
+        self.all.extend(strays.map(|(i, _)| (seeds[i], i as u32)));
+        self.all.sort_unstable_by(|a, b| a.0.x.total_cmp(&b.0.x).then(a.1.cmp(&b.1)));
+        self.all.len()
+    }
+
+    /// Whether there are none.
+    pub(super) fn is_empty(&self) -> bool {
+        self.all.is_empty()
+    }
+
+    /// Whether a seed is one.
+    pub(super) fn contains(&self, seed: u32) -> bool {
+        self.astray[seed as usize]
+    }
+
+    /// Those in a box, ends included.
+    pub(super) fn within(&self, Bounds { low, high }: Bounds) -> impl Iterator<Item = (DVec3, u32)> {
+        let first = self.all.partition_point(|(p, _)| p.x < low.x);
+        let along = self.all[first..].iter().take_while(move |(p, _)| p.x <= high.x);
+        along.copied().filter(move |(p, _)| p.y >= low.y && p.y <= high.y && p.z >= low.z && p.z <= high.z)
+    }
+
+    /// Whether one lies exactly on another seed.
+    pub(super) fn meet(&self, seeds: &[DVec3]) -> bool {
+        let on_another = |(i, &p): (usize, &DVec3)| {
+            let first = self.all.partition_point(|(q, _)| q.x < p.x);
+            let along = self.all[first..].iter().take_while(|(q, _)| q.x == p.x);
+            along.clone().any(|&(q, j)| q == p && j as usize != i)
+        };
+        seeds.par_iter().enumerate().with_min_len(CHUNK).any(on_another)
+    }
+}
