@@ -24,6 +24,7 @@ const WORD: usize = 52;
 /// One thread's scratch memory.
 #[derive(Default)]
 pub(super) struct Around {
+    looked_at: Vec<u32>,
     seeds: Vec<u32>,
     /// Of each seed its place, and how far it may move.
     places: Vec<(DVec3, f64)>,
@@ -47,20 +48,21 @@ impl Around {
         let bounds = reaches.iter().fold(Bounds::NONE, |all, reach| all.with(reach.bounds()));
         self.seeds.clear();
         self.places.clear();
-        let (low, high) = bounds.wider(slack);
-        if !diagram.index.in_box(low, high, LOOKED_AT, &mut self.seeds) {
+        let others = bounds.wider(slack);
+        self.looked_at.clear();
+        if !diagram.index.in_box(others.low, others.high, LOOKED_AT, &mut self.looked_at) {
             return false;
         }
-        match strays {
-            None => self.places.extend(self.seeds.iter().map(|&i| (diagram.seeds[i as usize], slack))),
-            Some(strays) => {
-                self.seeds.retain(|&i| !strays.contains(i));
-                self.places.extend(self.seeds.iter().map(|&i| (diagram.seeds[i as usize], slack)));
-                for (p, i) in strays.within(bounds) {
-                    self.seeds.push(i);
-                    self.places.push((p, 0.0));
-                }
+        for &i in &self.looked_at {
+            let p = diagram.seeds[i as usize];
+            if others.contains(p) && !strays.is_some_and(|strays| strays.contains(i)) {
+                self.seeds.push(i);
+                self.places.push((p, slack));
             }
+        }
+        for (p, i) in strays.iter().flat_map(|strays| strays.within(bounds)) {
+            self.seeds.push(i);
+            self.places.push((p, 0.0));
         }
         true
     }

@@ -33,6 +33,10 @@ pub(super) struct Chunk {
     pub unlisted: u64,
 }
 
+/// On facets that are much smaller than cells, whose lists have fewer seeds than this, hardly one is listed that another
+/// one than the start beats.
+const SHORT: usize = 10;
+
 /// What is asked for of facets without lists.
 #[derive(Clone, Copy)]
 pub(super) struct Task<'a> {
@@ -226,8 +230,12 @@ impl Chunk {
         if let Some(unlisted) = unlisted {
             let mut of_chunk = &lists;
             if !slack.is_none() {
-                let listed = task.listed(facets, starts, &lists);
-                Arch::new().dispatch(Thin { chooser: &mut walkers.chooser, listed, slack, out: kept });
+                if even && lists.mean_len() < SHORT {
+                    kept.take(&mut lists);
+                } else {
+                    let listed = task.listed(facets, starts, &lists);
+                    Arch::new().dispatch(Thin { chooser: &mut walkers.chooser, listed, slack, out: kept });
+                }
                 kept.bounds.extend(facets.chunks(GROUP).zip(starts.chunks(GROUP)).map(|(facets, starts)| {
                     let each = facets.iter().zip(starts).map(|(&f, &start)| Reach::of(diagram, slack, f, start));
                     each.fold(Bounds::NONE, |all, reach| all.with(reach.bounds()))
@@ -250,7 +258,7 @@ impl Chunk {
         (kept, table): (Kept<'_>, &NeighbourTable),
         block: usize,
     ) -> bool {
-        if kept.strays.is_empty() {
+        if !walkers.lister.strayed(listed.lists, kept) {
             self.sum_listed(walkers, listed, block);
             return true;
         }

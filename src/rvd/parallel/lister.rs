@@ -6,6 +6,8 @@
 //! not beat at all corners, nor a stray that such a one does not beat.
 //! Must not know: what becomes of a list.
 
+use std::ops::Range;
+
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
@@ -14,8 +16,13 @@ use super::facets::LISTED;
 use super::gather::{Few, Gatherer, Slack};
 use super::groups::Listed;
 use super::lists::{Kept, Lists};
-use super::strays::Reach;
+use super::strays::{Bounds, Reach};
 use crate::rvd::incident::Diagram;
+
+/// Seeds that are looked at for one within its slack,
+const LOOKED_AT: usize = 1024;
+/// and how often farther away.
+const WIDENED: usize = 6;
 
 /// One thread's scratch memory.
 #[derive(Default)]
@@ -23,9 +30,13 @@ pub(super) struct Lister {
     gatherer: Gatherer,
     around: Around,
     reaches: Vec<Reach>,
+    /// Strays near the facets, and where strays were.
     near: Vec<DVec3>,
-    /// Facets of a group that need a new list.
-    strayed: Vec<u32>,
+    were: Vec<DVec3>,
+    /// Facets of a group that need a new list, and the seed from which each is seen.
+    strayed: Vec<usize>,
+    from: Vec<u32>,
+    seeds: Vec<u32>,
 }
 
 /// Lists of facets without rows.
@@ -42,6 +53,7 @@ struct Evenly<'a> {
 struct Relist<'a> {
     lister: &'a mut Lister,
     listed: Listed<'a>,
+    /// The diagram as it was when those were made.
     was: Diagram<'a>,
     kept: Kept<'a>,
     out: &'a mut Lists,
@@ -99,81 +111,111 @@ impl WithSimd for Relist<'_> {
     type Output = bool;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> bool {
-        let Self { lister, listed: Listed { facets, starts, lists, .. }, was, kept, out } = self;
-        let Lister { gatherer, around, reaches, near, strayed } = lister;
-        let Kept { slack, strays, even, .. } = kept;
-        for (first, bounds) in (0..facets.len()).step_by(GROUP).zip(&lists.bounds) {
-            near.clear();
-            near.extend(strays.within(*bounds).map(|(p, _)| p));
-            strayed.clear();
-            reaches.clear();
-            let group = first..facets.len().min(first + GROUP);
-            for at in group.clone() {
-                let (list, start) = (lists.get(at), starts[at]);
-                let mut from = start;
-                // Where the start is a stray, the bounds say nothing.
-                let mut astray = strays.contains(start) || list.iter().any(|&seed| strays.contains(seed));
-                if astray {
-                    match steady(was, kept, facets[at], start, list) {
-                        Some(seed) => from = seed,
-                        None => return false,
-                    }
-                } else if !near.is_empty() {
-                    let reach = Reach::of(was, slack, facets[at], start);
-                    astray = near.iter().any(|&p| reach.holds(p));
-                }
-                if astray {
-                    strayed.push(at as u32);
-                    reaches.push(Reach::of(was, slack, facets[at], from));
-                    if !even && !gatherer.gather_from(was, (slack, Few::TO_WALK), &reaches[0].corner, from) {
-                        return false;
-                    }
-                }
-                if !even {
-                    if let [reach] = reaches[..] {
-                        let all = gatherer.list().iter().copied().filter(|&seed| !strays.contains(seed));
-                        let new = strays.within(reach.bounds()).filter(|(p, _)| reach.holds(*p));
-                        out.push(all.chain(new.map(|(_, seed)| seed)));
-                        reaches.clear();
-                    } else {
-                        out.push(list.iter().copied());
-                    }
-                }
-            }
-            if !even {
-                continue;
-            }
-            if strayed.is_empty() {
-                group.for_each(|at| out.push(lists.get(at).iter().copied()));
-                continue;
-            }
-            if !around.look(was, slack.same, reaches, Some(strays)) {
+    fn with_simd<S: Simd>(mut self, simd: S) -> bool {
+        let facets = self.listed.facets.len();
+        for (first, bounds) in (0..facets).step_by(GROUP).zip(&self.listed.lists.bounds) {
+            let group = first..facets.min(first + GROUP);
+            let about = self.kept.strays.about(*bounds);
+            let Lister { near, were, .. } = &*self.lister;
+            let away = |near: &[DVec3], bounds: &Bounds| !near.iter().any(|&p| bounds.contains(p));
+            if away(near, bounds) && away(were, &about) {
+                self.out.copy(self.listed.lists, group);
+            } else if !self.group(simd, group) {
                 return false;
             }
-            let mut next = first;
-            around.each(simd, reaches, |k, seeds| {
-                let at = strayed[k] as usize;
-                (next..at).for_each(|at| out.push(lists.get(at).iter().copied()));
-                seeds.each(|seed, _| out.add(seed));
-                out.end();
-                next = at + 1;
-            });
-            (next..group.end).for_each(|at| out.push(lists.get(at).iter().copied()));
         }
         true
     }
 }
 
-/// A seed within its slack from which to see a facet: the one it starts with, or the nearest on its list.
-fn steady(was: Diagram<'_>, kept: Kept<'_>, facet: u32, start: u32, list: &[u32]) -> Option<u32> {
+impl Relist<'_> {
+    /// Lists of a group that strays have to do with. Returns whether it could.
+    #[inline(always)]
+    fn group<S: Simd>(&mut self, simd: S, group: Range<usize>) -> bool {
+        let Self { lister, listed: Listed { facets, starts, lists, .. }, was, kept, out } = self;
+        let Kept { slack, strays, even, .. } = *kept;
+        lister.strayed.clear();
+        lister.reaches.clear();
+        lister.from.clear();
+        for at in group.clone() {
+            let (list, start) = (lists.get(at), starts[at]);
+            let reach = Reach::of(*was, slack, facets[at], start);
+            if strays.contains(start) || list.iter().any(|&seed| strays.contains(seed)) {
+                let Some(from) = steady(*was, *kept, facets[at], (start, list), &mut lister.seeds) else {
+                    return false;
+                };
+                lister.reaches.push(Reach::of(*was, slack, facets[at], from));
+                lister.from.push(from);
+            } else if lister.near.iter().any(|&p| reach.holds(p)) {
+                lister.reaches.push(reach);
+                lister.from.push(start);
+            } else {
+                continue;
+            }
+            lister.strayed.push(at);
+        }
+        let Lister { gatherer, around, reaches, strayed, from, .. } = &mut **lister;
+        let mut next = group.start;
+        if even && !reaches.is_empty() {
+            if !around.look(*was, slack.same, reaches, Some(strays)) {
+                return false;
+            }
+            around.each(simd, reaches, |k, seeds| {
+                out.copy(lists, next..strayed[k]);
+                seeds.each(|seed, _| out.add(seed));
+                out.end();
+                next = strayed[k] + 1;
+            });
+        } else {
+            for ((&at, reach), &from) in strayed.iter().zip(&*reaches).zip(&*from) {
+                if !gatherer.gather_from(*was, (slack, Few::TO_WALK), &reach.corner, from) {
+                    return false;
+                }
+                out.copy(lists, next..at);
+                let steady = gatherer.list().iter().copied().filter(|&seed| !strays.contains(seed));
+                let new = strays.within(reach.bounds()).filter(|(p, _)| reach.holds(*p));
+                out.push(steady.chain(new.map(|(_, seed)| seed)));
+                next = at + 1;
+            }
+        }
+        out.copy(lists, next..group.end);
+        true
+    }
+}
+
+/// A seed within its slack from which to see a facet: the one it starts with, the nearest on its list, or one around the
+/// one it starts with. `near` is scratch memory.
+fn steady(
+    was: Diagram<'_>,
+    kept: Kept<'_>,
+    facet: u32,
+    (start, list): (u32, &[u32]),
+    near: &mut Vec<u32>,
+) -> Option<u32> {
     if !kept.strays.contains(start) {
         return Some(start);
     }
     let centroid = was.surface.centroid(facet);
     let distance = |seed: u32| centroid.distance_squared(was.seeds[seed as usize]);
-    let steady = list.iter().copied().filter(|&seed| !kept.strays.contains(seed));
-    steady.min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
+    let nearest = |seeds: &[u32]| {
+        let steady = seeds.iter().copied().filter(|&seed| !kept.strays.contains(seed));
+        steady.min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
+    };
+    // All of a list are strays where a facet lies deep in a cell.
+    nearest(list).or_else(|| nearest(was.table.row(start).0)).or_else(|| {
+        let mut reach = distance(start).sqrt() + kept.slack.of(start);
+        for _ in 0..WIDENED {
+            near.clear();
+            if !was.index.in_box(centroid - reach, centroid + reach, LOOKED_AT, near) {
+                return None;
+            }
+            if let Some(seed) = nearest(near) {
+                return Some(seed);
+            }
+            reach *= 2.0;
+        }
+        None
+    })
 }
 
 impl Lister {
@@ -214,6 +256,16 @@ impl Lister {
         out: &mut Lists,
     ) -> Option<u64> {
         Arch::new().dispatch(Evenly { lister: self, diagram, slack, facets, starts, out })
+    }
+
+    /// Whether strays have to do with the facets. If so, they are to be [relisted](Self::relist).
+    pub(super) fn strayed(&mut self, lists: &Lists, kept: Kept<'_>) -> bool {
+        let bounds = lists.bounds.iter().fold(Bounds::NONE, |all, &bounds| all.with(bounds));
+        self.near.clear();
+        self.near.extend(kept.strays.within(bounds).map(|(p, _)| p));
+        self.were.clear();
+        self.were.extend(kept.strays.were_within(bounds));
+        !self.near.is_empty() || !self.were.is_empty()
     }
 
     /// Lists of all facets for one pass with strays, with the diagram as it was when `listed` were made. Returns whether

@@ -7,6 +7,8 @@
 //! that counts is missing then. What comes of a facet is the same with a kept list and with a new one.
 //! Must not know: what becomes of a list; surfaces.
 
+use std::ops::Range;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -20,10 +22,10 @@ const NEIGHBOUR: usize = 6;
 const MOVES: f64 = 6.0;
 const FAR: f64 = 1.0 / 64.0;
 /// with a slack of at most this share, as lists get longer with it, and of at least that.
-const MOST: f64 = 0.3;
+const MOST: f64 = 0.2;
 const LEAST: f64 = 0.03;
 /// They are not made where the last move says that they would not serve twice.
-const FAST: f64 = MOST / 3.0;
+const FAST: f64 = MOST / 2.0;
 /// They are made anew where more than this share of the seeds are strays, and more than so many.
 const ASTRAY: f64 = 1.0 / 32.0;
 const A_FEW: usize = 2;
@@ -66,6 +68,35 @@ impl Lists {
         self.ends.push(self.seeds.len() as u32);
     }
 
+    /// Takes another one's lists, each in the order of its seeds' numbers.
+    pub(super) fn take(&mut self, other: &mut Self) {
+        std::mem::swap(self, other);
+        self.bounds.clear();
+        let mut begin = 0;
+        for &end in &self.ends {
+            self.seeds[begin as usize..end as usize].sort_unstable();
+            begin = end;
+        }
+    }
+
+    /// How many seeds a list has.
+    pub(super) fn mean_len(&self) -> usize {
+        self.seeds.len() / self.ends.len().max(1)
+    }
+
+    /// Appends a range of another one's lists.
+    pub(super) fn copy(&mut self, other: &Self, range: Range<usize>) {
+        let (first, end) = (other.first(range.start), other.first(range.end));
+        let shift = (self.seeds.len() as u32).wrapping_sub(first);
+        self.seeds.extend_from_slice(&other.seeds[first as usize..end as usize]);
+        self.ends.extend(other.ends[range].iter().map(|end| end.wrapping_add(shift)));
+    }
+
+    /// Where the list at `at` begins.
+    fn first(&self, at: usize) -> u32 {
+        if at == 0 { 0 } else { self.ends[at - 1] }
+    }
+
     /// How many lists there are.
     pub(super) fn len(&self) -> usize {
         self.ends.len()
@@ -79,8 +110,7 @@ impl Lists {
 
     /// The list of the facet at `at` of the chunk.
     pub(super) fn get(&self, at: usize) -> &[u32] {
-        let begin = if at == 0 { 0 } else { self.ends[at - 1] };
-        &self.seeds[begin as usize..self.ends[at] as usize]
+        &self.seeds[self.first(at) as usize..self.ends[at] as usize]
     }
 }
 

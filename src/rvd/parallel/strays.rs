@@ -21,6 +21,10 @@ const CHUNK: usize = 2048;
 pub(super) struct Strays {
     /// From low to high x.
     all: Vec<(DVec3, u32)>,
+    /// Where those were that were there when lists were made, from low to high x.
+    were: Vec<DVec3>,
+    /// The most slack that one of those has.
+    slack: f64,
     /// Of each seed whether it is one.
     astray: Vec<bool>,
 }
@@ -63,8 +67,8 @@ impl Reach {
 /// A box.
 #[derive(Clone, Copy)]
 pub(super) struct Bounds {
-    low: DVec3,
-    high: DVec3,
+    pub low: DVec3,
+    pub high: DVec3,
 }
 
 impl Bounds {
@@ -76,10 +80,15 @@ impl Bounds {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
-    /// Both ends of a box that is larger on all sides.
-    pub(super) fn wider(self, by: f64) -> (DVec3, DVec3) {
+    /// Larger on all sides.
+    pub(super) fn wider(self, by: f64) -> Self {
         let by = DVec3::splat(by * (1.0 + 1e-9));
-        (self.low - by, self.high + by)
+        Self { low: self.low - by, high: self.high + by }
+    }
+
+    /// Whether a point is in it, ends included.
+    pub(super) fn contains(&self, p: DVec3) -> bool {
+        p.cmpge(self.low).all() && p.cmple(self.high).all()
     }
 }
 
@@ -98,12 +107,12 @@ impl Strays {
         let strays = self.astray.iter().enumerate().filter(|(_, astray)| **astray);
         self.all.extend(strays.map(|(i, _)| (seeds[i], i as u32)));
         self.all.sort_unstable_by(|a, b| a.0.x.total_cmp(&b.0.x).then(a.1.cmp(&b.1)));
+        self.were.clear();
+        self.were.extend(self.all.iter().filter_map(|&(_, i)| were.get(i as usize)));
+        self.were.sort_unstable_by(|a, b| a.x.total_cmp(&b.x));
+        let old = self.all.iter().filter(|(_, i)| (*i as usize) < were.len());
+        self.slack = old.map(|(_, i)| slack.of(*i)).fold(0.0, f64::max);
         self.all.len()
-    }
-
-    /// Whether there are none.
-    pub(super) fn is_empty(&self) -> bool {
-        self.all.is_empty()
     }
 
     /// Whether a seed is one.
@@ -112,10 +121,23 @@ impl Strays {
     }
 
     /// Those in a box, ends included.
-    pub(super) fn within(&self, Bounds { low, high }: Bounds) -> impl Iterator<Item = (DVec3, u32)> {
-        let first = self.all.partition_point(|(p, _)| p.x < low.x);
-        let along = self.all[first..].iter().take_while(move |(p, _)| p.x <= high.x);
-        along.copied().filter(move |(p, _)| p.y >= low.y && p.y <= high.y && p.z >= low.z && p.z <= high.z)
+    pub(super) fn within(&self, bounds: Bounds) -> impl Iterator<Item = (DVec3, u32)> {
+        let first = self.all.partition_point(|(p, _)| p.x < bounds.low.x);
+        let along = self.all[first..].iter().take_while(move |(p, _)| p.x <= bounds.high.x);
+        along.copied().filter(move |(p, _)| bounds.contains(*p))
+    }
+
+    /// Where those were that may have been nearer to a facet in these bounds than the seed that it starts with.
+    pub(super) fn were_within(&self, bounds: Bounds) -> impl Iterator<Item = DVec3> {
+        let bounds = self.about(bounds);
+        let first = self.were.partition_point(|p| p.x < bounds.low.x);
+        let along = self.were[first..].iter().take_while(move |p| p.x <= bounds.high.x);
+        along.copied().filter(move |p| bounds.contains(*p))
+    }
+
+    /// Around bounds what strays had for slack.
+    pub(super) fn about(&self, bounds: Bounds) -> Bounds {
+        bounds.wider(self.slack)
     }
 
     /// Whether one lies exactly on another seed.
@@ -125,6 +147,6 @@ impl Strays {
             let along = self.all[first..].iter().take_while(|(q, _)| q.x == p.x);
             along.clone().any(|&(q, j)| q == p && j as usize != i)
         };
-        seeds.par_iter().enumerate().with_min_len(CHUNK).any(on_another)
+        !self.all.is_empty() && seeds.par_iter().enumerate().with_min_len(CHUNK).any(on_another)
     }
 }
