@@ -1,8 +1,8 @@
 //! f64 on all cores.
 //!
-//! Purpose: the fast CPU backend. Sums are taken of all cells of a facet at once (`facet`), from lists that
-//! serve several passes (`lists`), and by [`super::serial`]'s walk where that does not suffice; pieces by the walk
-//! alone.
+//! Purpose: the fast CPU backend. Sums are taken of all cells of a facet at once (`facets`), from lists (`lister`) that
+//! serve several passes (`lists`) but for a few seeds (`strays`), and by [`super::serial`]'s walk where that does not
+//! suffice; pieces by the walk alone.
 //! Invariant: the diagram of [`super::serial`], pieces to the bit and sums to rounding; and the same
 //! bits whatever the number of threads and whatever passes came before: facets are taken in one order (`order`), blocks
 //! of it, whose size depends on the counts of facets and seeds alone, are added up for themselves, and every cell adds
@@ -23,8 +23,8 @@ mod strays;
 mod written;
 
 use std::ops::Range;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use glam::DVec3;
@@ -95,6 +95,7 @@ impl Backend for Parallel {
             lists: KeptLists::default(),
             no_table: NeighbourTable::default(),
             chunks: Vec::new(),
+            walkers: (0..self.threads()).map(|_| Mutex::default()).collect(),
         })))
     }
 }
@@ -156,6 +157,15 @@ struct ParallelSession {
     /// Stands for the table where that is stale.
     no_table: NeighbourTable,
     chunks: Vec<Chunk>,
+    /// One for each thread of the pool.
+    walkers: Vec<Mutex<Walkers>>,
+}
+
+/// Scratch memory that no other thread uses now.
+fn of_this_thread(walkers: &[Mutex<Walkers>]) -> MutexGuard<'_, Walkers> {
+    let own = rayon::current_thread_index().unwrap_or_default() % walkers.len();
+    // A pass that panics gives no sums.
+    walkers[own].lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl ParallelSession {
@@ -229,6 +239,7 @@ impl ParallelSession {
         cancel: &CancelFlag,
     ) -> Result<Option<PassStats>, RvdError> {
         out.reset(self.seeds.len());
+        self.reset_walkers();
         let mut stats = PassStats::default();
         let Blocks { facets: block, a_chunk } = blocks;
         let size = block * a_chunk;
@@ -251,10 +262,11 @@ impl ParallelSession {
             let begin = Instant::now();
             let chunks = &mut self.chunks[..lists.len()];
             let each = chunks.par_iter_mut().zip(lists).zip(facets.par_chunks(size)).zip(starts.par_chunks_mut(size));
-            each.for_each_init(Walkers::default, |walkers, (((chunk, lists), facets), starts)| {
+            each.for_each(|(((chunk, lists), facets), starts)| {
                 if cancel.is_cancelled() || void.load(Relaxed) {
                     return;
                 }
+                let walkers = &mut *of_this_thread(&self.walkers);
                 let done = match from {
                     From::Kept => chunk.sum_kept(walkers, task.listed(facets, starts, lists), (kept, rows), block),
                     _ => chunk.sum(walkers, task, (facets, starts), lists),
@@ -283,6 +295,7 @@ impl ParallelSession {
     /// Pieces of `facets`, of flat ones too if they are asked for.
     fn cut(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
         let mut stats = PassStats { neighbours_ms: self.refresh_rows(cancel)?, ..PassStats::default() };
+        self.reset_walkers();
         stats.duplicate_seeds = self.index.duplicates() as u64;
         let begin = Instant::now();
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
@@ -297,8 +310,9 @@ impl ParallelSession {
             let begin = Instant::now();
             let chunks = &mut self.chunks[..starts.len().div_ceil(size)];
             let each = chunks.par_iter_mut().zip(starts.par_chunks(size)).enumerate();
-            each.for_each_init(Walkers::default, |walkers, (c, (chunk, starts))| {
+            each.for_each(|(c, (chunk, starts))| {
                 if !cancel.is_cancelled() {
+                    let walkers = &mut *of_this_thread(&self.walkers);
                     let first = facets.start + ((w * WAVE + c) * size) as u32;
                     chunk.cut(walkers, diagram, first, starts, capacities, flat);
                 }
@@ -313,6 +327,17 @@ impl ParallelSession {
             stats.update_ms += elapsed_ms(begin);
         }
         Ok(stats)
+    }
+
+    /// Forgets what scratch memory has of other seeds.
+    fn reset_walkers(&mut self) {
+        for walkers in &mut self.walkers {
+            match walkers.get_mut() {
+                Ok(walkers) => walkers.reset(),
+                // A panic left it as it was.
+                Err(_) => *walkers = Mutex::default(),
+            }
+        }
     }
 
     /// How so many facets are shared out.

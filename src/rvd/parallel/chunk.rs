@@ -97,6 +97,11 @@ impl WithSimd for Divide<'_> {
 }
 
 impl Walkers {
+    /// Forgets what is known of other seeds.
+    pub(super) fn reset(&mut self) {
+        self.walker.reset();
+    }
+
     /// Makes room for what is found.
     fn begin(&mut self) {
         self.written.begin(&self.chooser.members, &mut self.to_walk);
