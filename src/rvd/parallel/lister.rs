@@ -69,38 +69,42 @@ impl WithSimd for Evenly<'_> {
         for (facets, starts) in facets.chunks(GROUP).zip(starts.chunks_mut(GROUP)) {
             reaches.clear();
             reaches.extend(facets.iter().zip(&*starts).map(|(&f, &start)| Reach::of(diagram, slack, f, start)));
-            let mut done = 0;
-            if around.look(diagram, slack.same, reaches, None) {
-                around.each(simd, reaches, |k, seeds| {
-                    // One after the other; what comes after one that has too many is left.
-                    if done == k && seeds.len() <= LISTED {
-                        let centroid = diagram.surface.centroid(facets[k]);
-                        let mut least = f64::INFINITY;
-                        seeds.each(|seed, p| {
-                            out.add(seed);
-                            let distance = centroid.distance_squared(p);
-                            if distance < least {
-                                (starts[k], least) = (seed, distance);
-                            }
-                        });
-                        out.end();
-                        done += 1;
-                    }
-                });
-            }
-            for k in done..facets.len() {
+            // A facet with too many is listed alone.
+            let mut alone = |k: usize, start: &mut u32, out: &mut Lists| {
                 let corner = diagram.surface.corners(facets[k]);
-                starts[k] = diagram.index.nearest(diagram.surface.centroid(facets[k]));
-                let mut few = gatherer.gather_from(diagram, (slack, Few::TO_WALK), &corner, starts[k]);
+                *start = diagram.index.nearest(diagram.surface.centroid(facets[k]));
+                let mut few = gatherer.gather_from(diagram, (slack, Few::TO_WALK), &corner, *start);
                 if !few && !slack.is_none() {
                     // Whether there are too many does not depend on what was before.
                     unlisted += 1;
-                    few = gatherer.gather_from(diagram, (Slack::NONE, Few::TO_WALK), &corner, starts[k]);
-                }
-                if !few {
-                    return None;
+                    few = gatherer.gather_from(diagram, (Slack::NONE, Few::TO_WALK), &corner, *start);
                 }
                 out.push(gatherer.list().iter().copied());
+                few
+            };
+            let mut done = true;
+            if around.look(diagram, slack.same, reaches, None) {
+                around.each(simd, reaches, |k, seeds| {
+                    if seeds.len() > LISTED {
+                        done &= alone(k, &mut starts[k], out);
+                        return;
+                    }
+                    let centroid = diagram.surface.centroid(facets[k]);
+                    let mut least = f64::INFINITY;
+                    seeds.each(|seed, p| {
+                        out.add(seed);
+                        let distance = centroid.distance_squared(p);
+                        if distance < least {
+                            (starts[k], least) = (seed, distance);
+                        }
+                    });
+                    out.end();
+                });
+            } else {
+                starts.iter_mut().enumerate().for_each(|(k, start)| done &= alone(k, start, out));
+            }
+            if !done {
+                return None;
             }
         }
         Some(unlisted)
