@@ -7,8 +7,11 @@
 @group(0) @binding(1) var<storage, read_write> seeds: array<Seed>;
 @group(0) @binding(2) var<storage, read_write> cells: array<atomic<u32>>;
 @group(0) @binding(3) var<storage, read_write> state: State;
+@group(0) @binding(4) var<storage, read> kept: array<vec4f>;
+@group(0) @binding(5) var<storage, read_write> keep: Keep;
 
 #import shared/place
+#import shared/keep
 
 // Farther out, in boxes, a float's rounding is more than neighbours are apart. So far the host searches.
 const FARTHEST: f32 = 8.0;
@@ -18,6 +21,8 @@ const ACCEPTED: f32 = 1e6;
 const NEAR: f32 = 2.0;
 // Seeds that a cell may have: all of them meet all of the neighbouring cells'.
 const CROWD: u32 = 256u;
+// A seed that has moved by such a share of what it knows around it is fast.
+const FAST: f32 = 0.05;
 
 fn is_finite(x: f32) -> bool {
     return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
@@ -49,6 +54,17 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     let rank = atomicAdd(&cells[cell], 1u);
     if rank == CROWD {
         atomicOr(&state.halt, CROWDED);
+    }
+    if params.kept != 0u {
+        let noted = kept[i];
+        let by = length(p - noted.xyz);
+        // Few are farther than all before them, so few lanes wait for each other.
+        if bitcast<u32>(by) > atomicLoad(&keep.drift) {
+            atomicMax(&keep.drift, bitcast<u32>(by));
+        }
+        if by > FAST * noted.w && atomicLoad(&keep.fast) * MANY <= params.seeds {
+            atomicAdd(&keep.fast, 1u);
+        }
     }
     // Until `search` writes them, these two say where `scatter` puts the seed.
     seeds[i].row_begin = rank;

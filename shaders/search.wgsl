@@ -12,24 +12,41 @@
 @group(0) @binding(3) var<storage, read> sorted: array<Sorted>;
 @group(0) @binding(4) var<storage, read_write> table: array<u32>;
 @group(0) @binding(5) var<storage, read_write> state: State;
+@group(0) @binding(6) var<storage, read_write> kept: array<vec4f>;
+@group(0) @binding(7) var<storage, read> plan: Plan;
+#if ROW < WIDTH
+@group(0) @binding(8) var<storage, read_write> lists: array<u32>;
+#end
 
 #import shared/distance
 #import shared/grid
+#import shared/keep
+#import shared/rings
 
-// Rings of cells at most. What is still open then is left to the host, row by row.
-const RINGS: i32 = 5;
-const FREE: f32 = 1e36;
+// As Keep, for a stage that only reads it.
+struct Plan {
+    drift: u32,
+    fast: u32,
+    open: u32,
+    made: u32,
+    mode: u32,
+    padding_0: u32,
+    padding_1: u32,
+    padding_2: u32,
+    words: array<u32>,
+}
+
 // Words of a row: how long it is, then the seeds.
 const STRIDE: u32 = $(ROW + 1)u;
 
 // The nearest so far, in registers: memory that is indexed by a variable is many times slower.
-#repeat T in 0..ROW
+#repeat T in 0..WIDTH
 var<private> key_$T: f32;
 var<private> seed_$T: u32;
 #end
 
 fn clear_row() {
-#repeat T in 0..ROW
+#repeat T in 0..WIDTH
     key_$T = FREE;
     seed_$T = NONE;
 #end
@@ -38,10 +55,10 @@ fn clear_row() {
 // Enters a neighbour that is before the last where it belongs; the last goes.
 fn offer(key: f32, seed: u32) {
     var here = true;
-#repeat T in 1..ROW
-    let next_$T = before(key, seed, key_$(ROW - T - 1), seed_$(ROW - T - 1));
-    key_$(ROW - T) = select(key_$(ROW - T), select(key, key_$(ROW - T - 1), next_$T), here);
-    seed_$(ROW - T) = select(seed_$(ROW - T), select(seed, seed_$(ROW - T - 1), next_$T), here);
+#repeat T in 1..WIDTH
+    let next_$T = before(key, seed, key_$(WIDTH - T - 1), seed_$(WIDTH - T - 1));
+    key_$(WIDTH - T) = select(key_$(WIDTH - T), select(key, key_$(WIDTH - T - 1), next_$T), here);
+    seed_$(WIDTH - T) = select(seed_$(WIDTH - T), select(seed, seed_$(WIDTH - T - 1), next_$T), here);
     here = next_$T;
 #end
     key_0 = select(key_0, key, here);
@@ -49,10 +66,14 @@ fn offer(key: f32, seed: u32) {
 }
 
 @compute @workgroup_size(64)
-fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
-    let index = params.part_first + id.x + id.y * groups.x * 64u;
-    if index >= params.seeds || atomicLoad(&state.halt) != 0u {
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    var index = params.part_first + id.x;
+    let some = plan.mode == RECALL;
+    if index >= select(params.seeds, plan.open, some) || atomicLoad(&state.halt) != 0u {
         return;
+    }
+    if some {
+        index = plan.words[6u * parts() + index];
     }
     let own = sorted[index];
     let row = own.seed * STRIDE + 1u;
@@ -87,7 +108,7 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
                     let other = sorted[at].seed;
                     if sorted[at].first == other {
                         others += 1u;
-                        if before(key, other, key_$(ROW - 1), seed_$(ROW - 1)) {
+                        if before(key, other, key_$(WIDTH - 1), seed_$(WIDTH - 1)) {
                             offer(key, other);
                         }
                     }
@@ -114,6 +135,19 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
     if key_$T < proved && seed_$T != NONE {
         table[row + $(T)u] = seed_$T;
         length = $(T + 1)u;
+    }
+#end
+#if ROW < WIDTH
+    // Nobody is nearer who is not in the list, but for later twins.
+    let reach = select(min(sqrt(key_$(WIDTH - 1)), radius), 0.0, atomicLoad(&state.twins) != 0u);
+    kept[own.seed] = vec4f(p, reach);
+#repeat T in 0..WIDTH
+    lists[own.seed * $(WIDTH)u + $(T)u] = seed_$T;
+#end
+#end
+#if 1 - (ROW < WIDTH)
+    if params.kept != 0u && !some {
+        kept[own.seed] = vec4f(p, min(sqrt(key_$(WIDTH - 1)), radius));
     }
 #end
     let everything = radius >= NOWHERE_NEAR * 0.5;

@@ -107,6 +107,18 @@ pub struct Tuning {
     pub strategy: Strategy,
     /// How sums are added.
     pub accumulate: Accumulate,
+    /// How many Lloyd steps a submission may have.
+    pub together: Together,
+}
+
+/// How many Lloyd steps [`Resident::relax`] hands to a GPU at once, where nothing has to be done again in between.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Together {
+    /// Twice as many each time, as long as they end within a tenth of a second.
+    #[default]
+    ByTime,
+    /// Twice as many each time up to this, however long they take.
+    AtMost(usize),
 }
 
 /// What a session needs to know before it allocates.

@@ -27,6 +27,7 @@ fn borrowed(device: &Device) -> Buffers {
         polygon: 4,
         near: 1,
         cells: 2,
+        kept: 1,
     };
     Buffers::new(device, Plan::new(counts, Limits::of(&device.limits())).unwrap(), &[1]).unwrap()
 }

@@ -17,6 +17,7 @@ use tessera::rvd::gpu::{Found, Gpu};
 use tessera::rvd::serial::Serial;
 use tessera::rvd::{
     Backend, CancelFlag, Capacities, CellSums, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface,
+    Together, Tuning,
 };
 
 fn backend() -> Option<&'static Gpu> {
@@ -92,7 +93,52 @@ fn sets(surface: &Surface, n: usize) -> Vec<(&'static str, Vec<DVec3>)> {
 fn search(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], neighbours: usize) -> Found {
     let capacities = Capacities { neighbours, ..Capacities::default() };
     let options = SessionOptions { capacities, ..SessionOptions::new(seeds.len()) };
-    gpu.search(Arc::clone(surface), seeds, options, &CancelFlag::default()).unwrap()
+    gpu.search(Arc::clone(surface), &[seeds], options, &CancelFlag::default()).unwrap().remove(0)
+}
+
+#[test]
+fn rows_from_kept_lists_are_those_of_a_search() {
+    let gpu = require_gpu!();
+    let surface = surface(Shape::Torus, 600, false);
+    let never = CancelFlag::default();
+    let options = || SessionOptions::new(1001);
+    let h = (surface.area() / 1000.0).sqrt();
+    for (name, seeds) in sets(&surface, 1000) {
+        // Little moves, one seed that goes far, other seeds, a long way in small steps, twins that part.
+        let moves =
+            [0.0, 0.002, 0.0, 0.01, 0.01, 0.02, 1.0, 0.01, 0.03, 0.03, 0.03, 0.03, 0.03, 0.03, 1e-4, 1e-4, 1e-4];
+        let mut sets = vec![seeds.clone()];
+        for (k, by) in moves.into_iter().enumerate() {
+            let away = noise(&surface, seeds.len(), 0.0, 20 + k as u64);
+            let mut next: Vec<DVec3> = sets[k].iter().zip(&away).map(|(&p, &a)| p + a * (2.0 * by * h)).collect();
+            if (k == 4 || k == 10) && seeds.len() > 9 {
+                next[7] = next[300 % seeds.len()] + dvec3(1e-4, 0.0, 0.0);
+            }
+            if k == 14 && seeds.len() > 9 {
+                next[9] = next[8];
+            }
+            sets.push(next);
+        }
+        sets.push(seeds[..seeds.len() / 2 + 1].to_vec());
+        sets.push(seeds.clone());
+        let refs: Vec<&[DVec3]> = sets.iter().map(|s| &s[..]).collect();
+        let found = gpu.search(Arc::clone(&surface), &refs, options(), &never).unwrap();
+        for (k, (found, seeds)) in found.iter().zip(&sets).enumerate() {
+            let alone = gpu.search(Arc::clone(&surface), &[seeds], options(), &never).unwrap().remove(0);
+            assert!(found.rows == alone.rows, "{name}, {k}: rows");
+            assert_eq!(
+                (&found.first, found.twins, found.by_host),
+                (&alone.first, alone.twins, alone.by_host),
+                "{name}"
+            );
+            assert_eq!(alone.recalled, 0);
+        }
+        let recalled: Vec<u64> = found.iter().map(|f| f.recalled).collect();
+        eprintln!("{name}: {recalled:?} of {} recalled", seeds.len());
+        if name == "noise" {
+            assert!(recalled[3] > 900, "little moves: {recalled:?}");
+        }
+    }
 }
 
 #[test]
@@ -150,6 +196,15 @@ fn the_device_searches_what_it_can() {
 
 fn open(gpu: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> Box<dyn Session> {
     let mut session = gpu.session(Arc::clone(surface), SessionOptions::new(seeds.len())).unwrap();
+    session.set_seeds(seeds).unwrap();
+    session
+}
+
+/// The same with so many steps a submission, however slow the device is.
+fn open_together(gpu: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], most: usize) -> Box<dyn Session> {
+    let tuning = Tuning { together: Together::AtMost(most), ..Tuning::default() };
+    let options = SessionOptions { tuning, ..SessionOptions::new(seeds.len()) };
+    let mut session = gpu.session(Arc::clone(surface), options).unwrap();
     session.set_seeds(seeds).unwrap();
     session
 }
@@ -447,7 +502,7 @@ fn steps_taken_together_have_the_bits_of_steps_taken_one_by_one() {
         let surface = surface(Shape::Torus, facets, weighted);
         for (name, seeds) in sets(&surface, n) {
             let (alone, alone_at, one) = relaxed(&mut *open(gpu, &surface, &seeds), 12, false);
-            let (together, at, many) = relaxed(&mut *open(gpu, &surface, &seeds), 12, true);
+            let (together, at, many) = relaxed(&mut *open_together(gpu, &surface, &seeds, 8), 12, true);
             assert_eq!(alone, together, "{name}");
             assert!(alone_at == at, "{name}: seeds");
             assert_eq!(
@@ -463,14 +518,14 @@ fn steps_taken_together_have_the_bits_of_steps_taken_one_by_one() {
     }
     let surface = surface(Shape::Torus, 3000, false);
     let held: Vec<bool> = (0..500).map(|i| i % 3 == 0).collect();
-    let mut sessions = [0, 1].map(|_| open(gpu, &surface, &noise(&surface, 500, 0.0, 9)));
+    let mut sessions = [0, 1].map(|_| open_together(gpu, &surface, &noise(&surface, 500, 0.0, 9), 8));
     sessions.iter_mut().for_each(|s| s.resident().unwrap().hold(&held).unwrap());
     let [one, many] = &mut sessions;
     assert!(relaxed(&mut **one, 12, false).1 == relaxed(&mut **many, 12, true).1, "held");
-    // Settled seeds need nothing of the host: 2, 4, 8, ... at a time, as far as they come within a tenth of a second.
+    // Settled seeds need nothing of the host: 1, 2, 4, 8, 8, ... at a time, twice that if a pass of these is not clean.
     let (_, _, stats) = relaxed(&mut **many, 30, true);
     eprintln!("{stats:?}");
-    assert!(stats.device_submissions < 20 && stats.device_allocations == 0, "{stats:?}");
+    assert!(stats.device_submissions <= 12 && stats.device_allocations == 0, "{stats:?}");
     let cancelled = CancelFlag::default();
     cancelled.cancel();
     let moving = many.resident().unwrap();

@@ -400,7 +400,7 @@ fn strategies_and_accumulation_change_no_bit() {
         let surface = Arc::new(Surface::new(&mesh, (shape != Shape::Torus).then_some(&weights[..])).unwrap());
         for (set, seeds) in seed_sets(&surface, 1500) {
             let with = |strategy, accumulate| {
-                let tuning = Tuning { strategy, accumulate };
+                let tuning = Tuning { strategy, accumulate, ..Tuning::default() };
                 both(gpu, &surface, &seeds, SessionOptions { tuning, ..SessionOptions::new(seeds.len()) })
             };
             let (sums, pieces, _) = with(Strategy::Facet, Accumulate::Direct);

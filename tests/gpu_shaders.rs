@@ -21,6 +21,9 @@ fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module 
         ("ARRAY", array),
         ("SHARED", shared),
         ("ROW", i64::from(layout::ROW)),
+        ("LIST", i64::from(layout::LIST)),
+        ("WIDTH", i64::from(if shared == 0 { layout::ROW } else { layout::LIST })),
+        ("PART", tessera::gpu::plan::SEARCH_PART as i64),
         ("MEMBERS", members(slots)),
         ("WEIGHTED", shared),
         ("WIDE", 0),
@@ -122,7 +125,8 @@ fn records_have_one_layout() {
             roots,
             divided,
             facet_first,
-            part_first
+            part_first,
+            kept
         }
     );
     same_layout!(
@@ -189,7 +193,8 @@ fn constants_agree() {
     ] {
         assert!(text.contains(&line), "{line}");
     }
-    let constants = [("ROW", i64::from(layout::ROW))];
+    let row = i64::from(layout::ROW);
+    let constants = [("ROW", row), ("WIDTH", row), ("PART", 1)];
     let all = ["count", "propose", "search", "products", "centroids", "dots", "settle"];
     let text: String = all.iter().map(|stage| compose(stage, &constants).unwrap()).collect();
     for line in [

@@ -2,14 +2,7 @@
 // one. A row of cells along x is contiguous, and so are their seeds: entry (z side + y)(side + 1) + x is
 // where cell (x, y, z) begins, and the entry after a row's last is where the row ends.
 
-// A seed in the order of the grid.
-struct Sorted {
-    hi: vec3f,
-    seed: u32,
-    lo: vec3f,
-    // The earliest seed at the same place.
-    first: u32,
-}
+#import shared/sorted
 
 const NOWHERE_NEAR: f32 = 1e18;
 

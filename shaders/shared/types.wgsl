@@ -66,6 +66,8 @@ struct Params {
     facet_first: u32,
     // The item that the present part of a dispatch begins at.
     part_first: u32,
+    // 1 if there is room for lists that are kept.
+    kept: u32,
 }
 
 const COMPLETE: u32 = 0x80000000u;

@@ -52,6 +52,12 @@ pub struct Buffers {
     pub sorted: wgpu::Buffer,
     /// Where the parts of a dispatch begin.
     pub origins: wgpu::Buffer,
+    /// Where seeds were when lists were made, and how far these reach.
+    pub kept: wgpu::Buffer,
+    /// Lists.
+    pub lists: wgpu::Buffer,
+    /// What is done with them.
+    pub keep: wgpu::Buffer,
     /// What there is of each window of facets.
     pub windows: Vec<WindowBuffers>,
     staging: wgpu::Buffer,
@@ -108,6 +114,9 @@ impl Buffers {
             cells: make("cells", plan.cells_bytes, storage)?,
             sorted: make("sorted", plan.sorted_bytes, storage)?,
             origins: make("origins", plan.origins_bytes, Usage::COPY_SRC | Usage::COPY_DST)?,
+            kept: make("kept", plan.kept_bytes, storage)?,
+            lists: make("lists", plan.lists_bytes, storage)?,
+            keep: make("keep", plan.keep_bytes, storage | Usage::INDIRECT)?,
             staging: make("staging", plan.staging_bytes, Usage::MAP_READ | Usage::COPY_DST)?,
             plan,
         };

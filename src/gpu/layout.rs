@@ -143,6 +143,8 @@ pub struct Params {
     pub facet_first: u32,
     /// The item that the present part of a dispatch begins at.
     pub part_first: u32,
+    /// 1 if there is room for lists that are kept.
+    pub kept: u32,
 }
 
 /// What the host reads between submissions.
@@ -195,6 +197,35 @@ pub struct Sorted {
     pub lo: [f32; 3],
     /// The earliest seed at the same place.
     pub first: u32,
+}
+
+/// What is done with lists that are kept. Behind it are the arguments of the dispatches that it decides of, and the
+/// seeds whose rows lists do not suffice for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Keep {
+    /// How far any seed is from where it was noted; the bits of a float.
+    pub drift: u32,
+    /// Seeds that are far from there, as far as it matters how many.
+    pub fast: u32,
+    /// Rows that lists did not suffice for.
+    pub open: u32,
+    /// 0 if nothing is noted, 1 if places are, from 2 on the passes that the lists have served, and two.
+    pub made: u32,
+    /// What the last search did, see [`search`].
+    pub mode: u32,
+    /// Zero.
+    pub padding_0: u32,
+    /// Zero.
+    pub padding_1: u32,
+    /// Zero.
+    pub padding_2: u32,
+}
+
+/// Values of [`Keep::mode`].
+pub mod search {
+    /// Rows from the lists, where they suffice.
+    pub const RECALL: u32 = 3;
 }
 
 /// What the stages that move seeds are told. A uniform.
@@ -264,6 +295,10 @@ pub const ENTRY_BYTES: u64 = (size_of::<State>() + size_of::<Figures>()) as u64;
 
 /// Neighbours that the search finds at most.
 pub const ROW: u32 = 24;
+/// Seeds of a list that is kept.
+pub const LIST: u32 = 32;
+/// Words that say what becomes of the lists, see [`Keep`].
+pub const KEEP_WORDS: u64 = (size_of::<Keep>() / 4) as u64;
 /// Words of a row as the search writes it: its length, then the neighbours.
 pub const STRIDE: u32 = ROW + 1;
 /// Cells that the variants of `divide` can do at once.

@@ -9,7 +9,9 @@ use std::ops::Range;
 
 use super::GpuError;
 use super::device::WORKGROUP;
-use super::layout::{DOTS, ENTRY_BYTES, Facet, Figures, Motion, PAIRS, Params, SUM_WORDS, Seed, Sorted, State};
+use super::layout::{
+    DOTS, ENTRY_BYTES, Facet, Figures, KEEP_WORDS, LIST, Motion, PAIRS, Params, SUM_WORDS, Seed, Sorted, State,
+};
 
 /// Numbers of things that a session holds room for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -36,6 +38,8 @@ pub struct Counts {
     pub near: u64,
     /// Entries of the grid of seeds.
     pub cells: u64,
+    /// Seeds whose lists are kept: all, or none where lists would be more than a shader can see.
+    pub kept: u64,
 }
 
 /// What the device allows.
@@ -169,6 +173,12 @@ pub struct Plan {
     pub sorted_bytes: u64,
     /// Where the parts of a dispatch begin.
     pub origins_bytes: u64,
+    /// Where seeds were when lists were made, and how far these reach.
+    pub kept_bytes: u64,
+    /// Lists.
+    pub lists_bytes: u64,
+    /// What is done with them.
+    pub keep_bytes: u64,
     /// Readback.
     pub staging_bytes: u64,
 }
@@ -197,7 +207,7 @@ impl Plan {
                 .saturating_add(counts.facets)
                 .saturating_mul(8),
             state_bytes: size_of::<State>() as u64,
-            arguments_bytes: 16,
+            arguments_bytes: search_bytes(counts.seeds).max(16),
             params_bytes: size_of::<Params>() as u64,
             heads_bytes: counts.emitted.saturating_mul(16),
             vertices_bytes,
@@ -206,6 +216,9 @@ impl Plan {
             cells_bytes: counts.cells.saturating_mul(4),
             sorted_bytes: counts.seeds.saturating_mul(size_of::<Sorted>() as u64),
             origins_bytes: 4 * origins(counts.window.max(counts.seeds)),
+            kept_bytes: counts.kept.max(1).saturating_mul(16),
+            lists_bytes: counts.kept.max(1).saturating_mul(LIST_BYTES),
+            keep_bytes: (4 * KEEP_WORDS + 2 * search_bytes(counts.seeds)).saturating_add(counts.kept.saturating_mul(4)),
             staging_bytes: sums_bytes.max(vertices_bytes).clamp(1 << 16, STAGING_BYTES),
         };
         // Of the facets' buffers there is one a window.
@@ -219,7 +232,7 @@ impl Plan {
     }
 
     /// Name and bytes of every buffer; those of all windows together.
-    pub fn buffers(&self) -> [(&'static str, u64); 19] {
+    pub fn buffers(&self) -> [(&'static str, u64); 22] {
         [
             ("seeds", self.seeds_bytes),
             ("facets", self.facets_bytes),
@@ -239,6 +252,9 @@ impl Plan {
             ("cells", self.cells_bytes),
             ("sorted", self.sorted_bytes),
             ("origins", self.origins_bytes),
+            ("kept", self.kept_bytes),
+            ("lists", self.lists_bytes),
+            ("keep", self.keep_bytes),
             ("staging", self.staging_bytes),
         ]
     }
@@ -247,6 +263,29 @@ impl Plan {
     pub fn total_bytes(&self) -> u64 {
         self.buffers().iter().fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
     }
+}
+
+/// Bytes of a list that is kept.
+pub const LIST_BYTES: u64 = 4 * LIST as u64;
+/// Seeds that one dispatch of a search looks at.
+pub const SEARCH_PART: u64 = 2 * PART;
+/// Bytes of the arguments of an indirect dispatch.
+pub const ARGUMENTS_BYTES: u64 = 12;
+
+/// Bytes of the arguments of all parts of a search for so many seeds.
+fn search_bytes(seeds: u64) -> u64 {
+    ARGUMENTS_BYTES * seeds.min(u64::from(u32::MAX)).div_ceil(SEARCH_PART)
+}
+
+/// The byte of the buffer of [`Plan::keep_bytes`] where the arguments of a search for `seeds` seeds begin, with lists or
+/// without.
+pub fn search_arguments(seeds: u64, lists: bool) -> u64 {
+    4 * KEEP_WORDS + u64::from(lists) * search_bytes(seeds)
+}
+
+/// Seeds whose lists are kept, of so many: all or none.
+pub fn kept(seeds: u64, limits: Limits) -> u64 {
+    if seeds.saturating_mul(LIST_BYTES) <= limits.seen_bytes() { seeds } else { 0 }
 }
 
 /// Bytes of the records and of the proposals of a window of so many facets.
@@ -413,6 +452,7 @@ mod tests {
             polygon: 10,
             near: 9,
             cells: grid_cells(grid_side(2.0, n)),
+            kept: kept(n, LIMITS),
         }
     }
 

@@ -44,7 +44,7 @@ use super::incident::{Diagram, FacetWalker};
 use super::parallel::Parallel;
 use super::{
     Accumulate, Backend, BackendKind, CancelFlag, Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch,
-    Resident, RvdError, Session, SessionOptions, Surface, elapsed_ms, take_seeds,
+    Resident, RvdError, Session, SessionOptions, Surface, Together, elapsed_ms, take_seeds,
 };
 use crate::gpu::buffers::Buffers;
 use crate::gpu::layout::{self, NONE, Params, ROW, STRIDE, SUM_WORDS, State};
@@ -223,6 +223,8 @@ struct GpuSession {
     demoted: Vec<u32>,
     /// Whether facets are done as a whole where that is possible.
     divides: bool,
+    /// How many steps a submission may have.
+    together: Together,
     /// Code in [`layout::accumulate`].
     accumulate: u32,
     /// `None` before the first use and while capacities grow.
@@ -239,6 +241,8 @@ struct GpuSession {
     started: bool,
     /// The first cells that the device has are those of other seeds at least.
     guessed: bool,
+    /// So many seeds were noted for lists when rows were last made.
+    kept_for: usize,
     /// Later twins among them, and whether some of those are none in f64.
     twins: u64,
     merged: bool,
@@ -283,6 +287,7 @@ impl GpuSession {
             polygon: SLOTS as u64,
             near: grid.near.len() as u64,
             cells: plan::grid_cells(side),
+            kept: plan::kept(max_seeds as u64, Limits::of(&gpu.device.limits())),
             ..Counts::default()
         };
         // Half as many again for pairs that turn out empty and for pairs done again.
@@ -307,6 +312,7 @@ impl GpuSession {
             grid,
             demoted: Vec::new(),
             divides: true,
+            together: tuning.together,
             accumulate: match tuning.accumulate {
                 Accumulate::Direct | Accumulate::Auto => layout::accumulate::DIRECT,
                 Accumulate::TwoPhase => layout::accumulate::TWO_PHASE,
@@ -318,6 +324,7 @@ impl GpuSession {
             rows: Rows::Missing,
             started: false,
             guessed: false,
+            kept_for: 0,
             twins: 0,
             merged: false,
             scales: fixed::Scales::default(),
@@ -352,6 +359,7 @@ impl GpuSession {
             roots: self.roots_of(&self.layout.facets()).len() as u32,
             divided: NONE,
             facet_first: self.layout.facets().start,
+            kept: u32::from(self.counts.kept > 0),
             ..Params::default()
         }
     }

@@ -132,6 +132,7 @@ fn tuning(args: &RvdBenchArgs) -> Tuning {
             AccumulateArg::TwoPhase => Accumulate::TwoPhase,
             AccumulateArg::Auto => Accumulate::Auto,
         },
+        ..Tuning::default()
     }
 }
 

@@ -15,7 +15,7 @@ use glam::DVec3;
 
 use super::pass::run;
 use super::pipelines::MotionBindings;
-use super::relax::Together;
+use super::relax;
 use super::search::Place;
 use super::{GpuSession, OnDevice, fixed, history::History, lane, pack};
 use crate::gpu::buffers::{self, MotionBuffers};
@@ -46,7 +46,7 @@ pub(super) struct Moving {
     pub steps: bool,
     pub moved: bool,
     /// How many passes a submission may have.
-    pub together: Together,
+    pub together: relax::Next,
     /// As read last.
     pub figures: Figures,
 }
@@ -108,7 +108,7 @@ impl GpuSession {
                 wanted: None,
                 steps: false,
                 moved: false,
-                together: Together::default(),
+                together: relax::Next::new(self.together),
                 figures: Figures::default(),
             });
         }

@@ -11,7 +11,7 @@ use super::pass::run;
 use crate::gpu::Device;
 use crate::gpu::buffers::Buffers;
 use crate::gpu::layout::Params;
-use crate::gpu::plan::{Limits, PART, PARTS, parts};
+use crate::gpu::plan::{ARGUMENTS_BYTES, Limits, PART, PARTS, parts};
 use crate::rvd::{CancelFlag, RvdError};
 
 /// [`PART`]s that one dispatch of a stage may have, by what an item costs: on a software adapter with two cores 20 to
@@ -34,6 +34,8 @@ pub(super) struct Stage<'a> {
     pub items: u64,
     /// One of [`size`].
     pub size: u64,
+    /// Where the device says how many workgroups each part has, one part's arguments after another's, if it does.
+    pub arguments: Option<(&'a wgpu::Buffer, u64)>,
 }
 
 impl Stage<'_> {
@@ -42,9 +44,18 @@ impl Stage<'_> {
         self.items > self.size * PART
     }
 
-    /// Dispatches all of it.
+    /// Dispatches all of it; it is not long.
     pub fn run(&self, compute: &mut wgpu::ComputePass<'_>, limits: Limits) {
-        run(compute, self.pipeline, self.bindings, self.items, limits);
+        self.run_part(compute, 0, self.items, limits);
+    }
+
+    fn run_part(&self, compute: &mut wgpu::ComputePass<'_>, part: u64, items: u64, limits: Limits) {
+        let Some((arguments, first)) = self.arguments else {
+            return run(compute, self.pipeline, self.bindings, items, limits);
+        };
+        compute.set_pipeline(self.pipeline);
+        compute.set_bind_group(0, self.bindings, &[]);
+        compute.dispatch_workgroups_indirect(arguments, first + part * ARGUMENTS_BYTES);
     }
 }
 
@@ -94,7 +105,7 @@ fn in_parts(
         }
         begin_at(encoder, part.start);
         let mut compute = device.pass(encoder, lane);
-        run(&mut compute, stage.pipeline, stage.bindings, part.end - part.start, limits);
+        stage.run_part(&mut compute, k as u64, part.end - part.start, limits);
     }
     begin_at(encoder, 0);
     Ok(())

@@ -304,7 +304,7 @@ impl GpuSession {
         let window = &there.bindings.windows[self.layout.present()];
         let mut entries = Vec::with_capacity(2);
         let mut enter = |pipeline, bindings, items: u32, size| {
-            entries.push(Stage { pipeline, bindings, items: items.into(), size });
+            entries.push(Stage { pipeline, bindings, items: items.into(), size, arguments: None });
         };
         if let Some(params) = proposals {
             if params.propose_root != 0 && self.pass.divided {
@@ -365,7 +365,7 @@ impl GpuSession {
         buffers::write(&device, &buffers.state, 0, &[State { failures: 0, ..state }])?;
         let mut encoder = device.encoder();
         let (pipeline, bindings) = (&pipelines.verify, &there.bindings.windows[window].verify);
-        let stage = Stage { pipeline, bindings, items: state.length.into(), size: size::ITEM };
+        let stage = Stage { pipeline, bindings, items: state.length.into(), size: size::ITEM, arguments: None };
         encode(&device, &mut encoder, lane::CLIP, &[stage], buffers, cancel)?;
         let mut unproved = 0;
         buffers.read_with(&device, encoder, &buffers.state, 0..1, |s: &[State]| unproved = s[0].failures)?;

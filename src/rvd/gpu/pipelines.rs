@@ -6,7 +6,8 @@
 //! Must not know: what is dispatched when.
 
 use crate::gpu::buffers::{Buffers, MotionBuffers, WindowBuffers};
-use crate::gpu::layout::{MEMBERS, ROW};
+use crate::gpu::layout::{LIST, MEMBERS, ROW};
+use crate::gpu::plan::SEARCH_PART;
 use crate::gpu::{Device, GpuError, shader};
 
 /// Slots of the variant that pairs with large polygons are clipped by.
@@ -42,8 +43,12 @@ pub struct Pipelines {
     pub scatter: wgpu::ComputePipeline,
     /// Finds seeds on one another.
     pub twins: wgpu::ComputePipeline,
+    /// Takes rows from the lists that are kept.
+    pub recall: wgpu::ComputePipeline,
     /// Finds every seed's nearest.
     pub search: wgpu::ComputePipeline,
+    /// The same, and makes lists.
+    pub search_lists: wgpu::ComputePipeline,
     /// Finds every facet's first cell.
     pub start: wgpu::ComputePipeline,
     /// Seeds along the direction.
@@ -76,7 +81,8 @@ impl Pipelines {
         let registers = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 0), wide];
         let shared = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 1), wide];
         let array = [("SLOTS", LARGE_POLYGON as i64), ("ARRAY", 1), ("SHARED", 0), wide];
-        let search = [("ROW", i64::from(ROW))];
+        let part = ("PART", SEARCH_PART as i64);
+        let search = |width| [("ROW", i64::from(ROW)), ("LIST", i64::from(LIST)), ("WIDTH", i64::from(width)), part];
         let divide = |members: usize, weighted| {
             let members = i64::from(MEMBERS[members]);
             let constants =
@@ -94,11 +100,13 @@ impl Pipelines {
             emit: pipeline(device, "emit", &registers)?,
             reach: pipeline(device, "reach", &registers)?,
             verify: pipeline(device, "verify", &registers)?,
-            count: pipeline(device, "count", &[])?,
-            rows: pipeline(device, "rows", &[])?,
+            count: pipeline(device, "count", &[part])?,
+            rows: pipeline(device, "rows", &[part])?,
             scatter: pipeline(device, "scatter", &[])?,
             twins: pipeline(device, "twins", &[])?,
-            search: pipeline(device, "search", &search)?,
+            recall: pipeline(device, "recall", &search(LIST))?,
+            search: pipeline(device, "search", &search(ROW))?,
+            search_lists: pipeline(device, "search", &search(LIST))?,
             start: pipeline(device, "start", &[])?,
             trial: pipeline(device, "trial", &[])?,
             centroids: pipeline(device, "centroids", &[])?,
@@ -153,8 +161,12 @@ pub struct Bindings {
     pub scatter: wgpu::BindGroup,
     /// For [`Pipelines::twins`].
     pub twins: wgpu::BindGroup,
+    /// For [`Pipelines::recall`].
+    pub recall: wgpu::BindGroup,
     /// For [`Pipelines::search`].
     pub search: wgpu::BindGroup,
+    /// For [`Pipelines::search_lists`].
+    pub search_lists: wgpu::BindGroup,
 }
 
 /// One window's.
@@ -187,14 +199,18 @@ impl Bindings {
     /// `Failed`, `Lost`.
     pub fn new(device: &Device, pipelines: &Pipelines, b: &Buffers) -> Result<Self, GpuError> {
         let window = |w| WindowBindings::new(device, pipelines, b, w);
+        let search = [&b.params, &b.seeds, &b.cells, &b.sorted, &b.table, &b.state, &b.kept, &b.keep];
+        let recall = [&b.params, &b.seeds, &b.sorted, &b.table, &b.kept, &b.lists, &b.keep, &b.state];
         Ok(Self {
             windows: b.windows.iter().map(window).collect::<Result<_, _>>()?,
             prepare: bind(device, &pipelines.prepare, &[&b.params, &b.state, &b.arguments])?,
-            count: bind(device, &pipelines.count, &[&b.params, &b.seeds, &b.cells, &b.state])?,
-            rows: bind(device, &pipelines.rows, &[&b.params, &b.cells, &b.state])?,
+            count: bind(device, &pipelines.count, &[&b.params, &b.seeds, &b.cells, &b.state, &b.kept, &b.keep])?,
+            rows: bind(device, &pipelines.rows, &[&b.params, &b.cells, &b.state, &b.keep, &b.arguments])?,
             scatter: bind(device, &pipelines.scatter, &[&b.params, &b.seeds, &b.cells, &b.sorted, &b.state])?,
             twins: bind(device, &pipelines.twins, &[&b.params, &b.cells, &b.sorted, &b.state])?,
-            search: bind(device, &pipelines.search, &[&b.params, &b.seeds, &b.cells, &b.sorted, &b.table, &b.state])?,
+            recall: bind(device, &pipelines.recall, &recall)?,
+            search: bind(device, &pipelines.search, &search)?,
+            search_lists: bind(device, &pipelines.search_lists, &[&search[..], &[&b.lists]].concat())?,
         })
     }
 }

@@ -18,25 +18,29 @@ use super::{GpuSession, OnDevice, lane};
 use crate::gpu::buffers;
 use crate::gpu::layout::{ENTRY_BYTES, Figures, State};
 use crate::gpu::plan::{Limits, PASSES, reduction};
-use crate::rvd::{CancelFlag, Look, PassStats, RvdError, elapsed_ms};
+use crate::rvd::{CancelFlag, Look, PassStats, RvdError, Together, elapsed_ms};
 
 /// A submission of several passes is not to take longer, by what the last ones took.
 const SUBMISSION_MS: f64 = 100.0;
 
 /// How many passes the next submission may have.
-pub(super) struct Together(usize);
-
-impl Default for Together {
-    fn default() -> Self {
-        Self(1)
-    }
+pub(super) struct Next {
+    count: usize,
+    by: Together,
 }
 
-impl Together {
+impl Next {
+    pub fn new(by: Together) -> Self {
+        Self { count: 1, by }
+    }
+
     /// `taken` passes out of `tried` were clean, in `ms` altogether: twice as many next time, or one.
     fn learn(&mut self, tried: usize, taken: usize, ms: f64) {
-        let by_time = (SUBMISSION_MS * taken as f64 / ms.max(1e-3)) as usize;
-        self.0 = if taken < tried { 1 } else { (2 * tried).max(self.0).min(by_time).clamp(1, PASSES) };
+        let most = match self.by {
+            Together::ByTime => (SUBMISSION_MS * taken as f64 / ms.max(1e-3)) as usize,
+            Together::AtMost(most) => most,
+        };
+        self.count = if taken < tried { 1 } else { (2 * tried).max(self.count).min(most).clamp(1, PASSES) };
     }
 }
 
@@ -54,7 +58,7 @@ impl GpuSession {
         self.on_device()?;
         // Windows come one after another, and facets that are found by cell have to be proved first.
         let alone = self.layout.windows().len() == 1 && self.grid.side == 0;
-        let together = steps.min(self.moving()?.together.0);
+        let together = steps.min(self.moving()?.together.count);
         let before = self.work();
         let begin = Instant::now();
         if alone && together > 1 {
@@ -191,23 +195,30 @@ mod tests {
 
     #[test]
     fn clean_passes_double_within_the_time_and_others_begin_anew() {
-        let mut together = Together::default();
+        let mut together = Next::new(Together::ByTime);
         let mut seen = Vec::new();
         for _ in 0..7 {
-            seen.push(together.0);
-            together.learn(together.0, together.0, 1.0);
+            seen.push(together.count);
+            together.learn(together.count, together.count, 1.0);
         }
         assert_eq!(seen, [1, 2, 4, 8, 16, 32, 32]);
         together.learn(32, 3, 10.0);
-        assert_eq!(together.0, 1);
+        assert_eq!(together.count, 1);
         together.learn(1, 1, 20.0);
         together.learn(2, 2, 40.0);
         together.learn(4, 4, 80.0);
-        assert_eq!(together.0, 5);
+        assert_eq!(together.count, 5);
         // Fewer than might have been.
         together.learn(3, 3, 6.0);
-        assert_eq!(together.0, 6);
+        assert_eq!(together.count, 6);
         together.learn(1, 1, 500.0);
-        assert_eq!(together.0, 1);
+        assert_eq!(together.count, 1);
+        let mut together = Next::new(Together::AtMost(4));
+        for count in [1, 2, 4, 4] {
+            assert_eq!(together.count, count);
+            together.learn(count, count, 1e6);
+        }
+        together.learn(4, 3, 1.0);
+        assert_eq!(together.count, 1);
     }
 }

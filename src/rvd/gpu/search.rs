@@ -5,8 +5,13 @@
 //! Invariant: a row is the beginning of every longer row, whoever made it: its order is that of
 //! [`layout::Seed::key`], then of indices. Rows and first cells are proved, or the host makes them with
 //! its tree; nothing is cut off. Who makes them depends on the seeds alone.
+//! Seeds that converge hardly move, so the device keeps the nearest of each in a list, somewhat longer than its row, as
+//! molecular dynamics does (Verlet 1967), and takes rows from the lists while those prove them: a seed that was beyond a
+//! list's reach is no nearer now than that less what both have moved. A row is the same wherever it comes from; what
+//! is done is decided on the device (`shaders/rows.wgsl`), so that passes without the host can do it too.
 //! Must not know: clipping.
 
+use std::mem::offset_of;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -15,8 +20,8 @@ use rayon::prelude::*;
 use super::parts::{Stage, encode, size};
 use super::{Gpu, GpuSession, OnDevice, fixed, lane, pack};
 use crate::gpu::buffers;
-use crate::gpu::layout::{self, COMPLETE, Figures, INDEX, NONE, STRIDE, State, halt};
-use crate::gpu::plan::{Limits, grid_cells};
+use crate::gpu::layout::{self, COMPLETE, Figures, INDEX, Keep, NONE, STRIDE, State, halt};
+use crate::gpu::plan::{Limits, grid_cells, search_arguments};
 use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, Threads};
 use crate::mesh::coincident;
 use crate::rvd::start::Starts;
@@ -114,46 +119,60 @@ pub struct Found {
     pub twins: u64,
     /// The host made the rows.
     pub by_host: bool,
+    /// Rows that came from lists of an earlier search.
+    pub recalled: u64,
 }
 
 impl Gpu {
-    /// Searches once for the neighbours of `seeds` (unit frame) and the first cells of `surface`, as every pass
-    /// does, and shows what was found.
+    /// Searches for the neighbours of each of `sets` of seeds (unit frame) in turn and the first cells of `surface`, as
+    /// every pass of one session does, and shows what was found.
     ///
     /// # Errors
     /// Those of a pass.
     pub fn search(
         &self,
         surface: Arc<Surface>,
-        seeds: &[DVec3],
+        sets: &[&[DVec3]],
         options: SessionOptions,
         cancel: &CancelFlag,
-    ) -> Result<Found, RvdError> {
+    ) -> Result<Vec<Found>, RvdError> {
         self.pool.install(|| {
             let mut session = GpuSession::new(self, surface, options);
-            session.set_seeds(seeds)?;
-            session.search_now(cancel)?;
-            session.start_now(cancel)?;
-            session.host.fresh = false;
-            session.view()?;
-            let b = &session.on_device()?.buffers;
-            let table: Vec<u32> = b.read(&self.device, &b.table, 0..b.plan().counts.table as usize)?;
-            let row = |r: &layout::Seed| {
-                let begin = r.row_begin as usize;
-                let seeds = table[begin..begin + (r.row_length & INDEX) as usize].to_vec();
-                NeighbourRow { seeds, complete: r.row_length & COMPLETE != 0 }
+            let find = |seeds: &&[DVec3]| {
+                session.set_seeds(seeds)?;
+                session.search_now(cancel)?;
+                session.start_now(cancel)?;
+                session.found()
             };
-            Ok(Found {
-                rows: session.host.records.iter().map(row).collect(),
-                first: session.roots.iter().map(|r| (r[0], r[1])).collect(),
-                twins: session.twins,
-                by_host: session.rows == Rows::Host,
-            })
+            sets.iter().map(find).collect()
         })
     }
 }
 
 impl GpuSession {
+    /// Rows and first cells as they are on the device.
+    fn found(&mut self) -> Result<Found, RvdError> {
+        self.host.fresh = false;
+        self.view()?;
+        let device = Arc::clone(&self.device);
+        let b = &self.on_device()?.buffers;
+        let table: Vec<u32> = b.read(&device, &b.table, 0..b.plan().counts.table as usize)?;
+        let keep: Vec<Keep> = b.read(&device, &b.keep, 0..1)?;
+        let recalled = keep.first().filter(|k| k.mode == layout::search::RECALL && self.rows == Rows::Device);
+        let row = |r: &layout::Seed| {
+            let begin = r.row_begin as usize;
+            let seeds = table[begin..begin + (r.row_length & INDEX) as usize].to_vec();
+            NeighbourRow { seeds, complete: r.row_length & COMPLETE != 0 }
+        };
+        Ok(Found {
+            rows: self.host.records.iter().map(row).collect(),
+            first: self.roots.iter().map(|r| (r[0], r[1])).collect(),
+            twins: self.twins,
+            by_host: self.rows == Rows::Host,
+            recalled: recalled.map_or(0, |k| self.count as u64 - u64::from(k.open)),
+        })
+    }
+
     /// The seeds are others than those that rows and first cells were made for.
     pub(super) fn moved(&mut self) {
         self.rows = Rows::Missing;
@@ -193,15 +212,28 @@ impl GpuSession {
             _ => {}
         }
         encoder.clear_buffer(&b.cells, 0, Some(grid_cells(params.side) * 4));
-        let stage = |pipeline, bindings, items, size| Stage { pipeline, bindings, items, size };
+        // Lists of other seeds, or of a search that did not come to its end, are none.
+        let known = std::mem::take(&mut self.kept_for) == self.count;
+        let of_one_pass = offset_of!(Keep, open) as u64;
+        encoder.clear_buffer(&b.keep, 0, Some(if known { of_one_pass } else { size_of::<Keep>() as u64 }));
+        let stage = |pipeline, bindings, items, size| Stage { pipeline, bindings, items, size, arguments: None };
+        let chosen = |pipeline, bindings, buffer, first| {
+            let arguments = Some((buffer, first));
+            Stage { pipeline, bindings, items: n, size: size::SEARCH, arguments }
+        };
+        let (anew, with_lists) = (search_arguments(n, false), search_arguments(n, true));
         let stages = [
             stage(&pipelines.count, &bindings.count, n, size::ITEM),
             stage(&pipelines.rows, &bindings.rows, u64::from(params.side).pow(2), size::ITEM),
             stage(&pipelines.scatter, &bindings.scatter, n, size::ITEM),
             stage(&pipelines.twins, &bindings.twins, n, size::ITEM),
-            stage(&pipelines.search, &bindings.search, n, size::SEARCH),
+            chosen(&pipelines.recall, &bindings.recall, &b.arguments, 0),
+            chosen(&pipelines.search, &bindings.search, &b.keep, anew),
+            chosen(&pipelines.search_lists, &bindings.search_lists, &b.keep, with_lists),
         ];
-        encode(&device, encoder, lane::NEIGHBOURS, &stages, b, cancel)
+        encode(&device, encoder, lane::NEIGHBOURS, &stages, b, cancel)?;
+        self.kept_for = self.count;
+        Ok(())
     }
 
     /// Encodes the search for the facets' first cells.
@@ -216,7 +248,7 @@ impl GpuSession {
         let size = if self.guessed { size::FACET } else { size::LOOK };
         let there = self.on_device()?;
         let bindings = &there.bindings.windows[window].start;
-        let stage = Stage { pipeline: &pipelines.start, bindings, items: roots, size };
+        let stage = Stage { pipeline: &pipelines.start, bindings, items: roots, size, arguments: None };
         encode(&device, encoder, lane::START, &[stage], &there.buffers, cancel)
     }
 

@@ -119,6 +119,7 @@ impl GpuSession {
     /// Frees the buffers; [`Self::on_device`] makes larger ones. What the device found is found again.
     pub(super) fn release(&mut self) -> Result<(), RvdError> {
         self.on_device = None;
+        self.kept_for = 0;
         if let Some(moving) = &mut self.moving {
             moving.unbind();
         }

@@ -1,0 +1,93 @@
+// Rows from the lists of an earlier pass: the same rows that `search` would find. A seed that is not in a list
+// was no nearer than its reach when that was made; it has not come nearer since by more than both have moved. Where
+// that does not prove the row, `search` is told to make it.
+
+#import shared/types
+#import shared/state
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read_write> seeds: array<Seed>;
+@group(0) @binding(2) var<storage, read> sorted: array<Sorted>;
+@group(0) @binding(3) var<storage, read_write> table: array<u32>;
+@group(0) @binding(4) var<storage, read> kept: array<vec4f>;
+@group(0) @binding(5) var<storage, read> lists: array<u32>;
+@group(0) @binding(6) var<storage, read_write> keep: Keep;
+@group(0) @binding(7) var<storage, read_write> state: State;
+
+#import shared/distance
+#import shared/keep
+#import shared/rings
+#import shared/sorted
+
+const STRIDE: u32 = $(ROW + 1)u;
+// More than rounding changes in what two seeds have moved, where they are and what was known.
+const ROUNDED: f32 = 8e-6;
+
+#repeat T in 0..LIST
+var<private> key_$T: f32;
+var<private> seed_$T: u32;
+#end
+
+// Batcher's merge exchange (Knuth, The Art of Computer Programming 3, 5.2.2, Algorithm M): the same comparisons
+// whatever the keys, so that no lane waits for another.
+fn sort() {
+#repeat P in 1..LIST
+#if LIST % P < 1
+#repeat Q in 0..P
+#if P % (P - Q) < 1
+#repeat A in 0..LIST - P + Q
+#if (1 - (A < (P - Q) % P)) * ((A - (P - Q) % P) % (2 * (P - Q)) < P - Q) * (A % (2 * P) < P + Q)
+    {
+        let swap = before(key_$(A + P - Q), seed_$(A + P - Q), key_$A, seed_$A);
+        let key = key_$A;
+        let seed = seed_$A;
+        key_$A = select(key, key_$(A + P - Q), swap);
+        seed_$A = select(seed, seed_$(A + P - Q), swap);
+        key_$(A + P - Q) = select(key_$(A + P - Q), key, swap);
+        seed_$(A + P - Q) = select(seed_$(A + P - Q), seed, swap);
+    }
+#end
+#end
+#end
+#end
+#end
+#end
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    let index = params.part_first + id.x;
+    if index >= params.seeds || atomicLoad(&state.halt) != 0u {
+        return;
+    }
+    let own = sorted[index];
+    let begin = own.seed * $(LIST)u;
+#repeat T in 0..LIST
+    seed_$T = lists[begin + $(T)u];
+    key_$T = FREE;
+    if seed_$T != NONE {
+        key_$T = squared((seeds[seed_$T].hi - own.hi) + (seeds[seed_$T].lo - own.lo));
+    }
+#end
+    sort();
+    let noted = kept[own.seed];
+    let moved = length((own.hi + own.lo) - noted.xyz) + bitcast<f32>(atomicLoad(&keep.drift));
+    // No farther than what `search` would prove, wherever in its cell the seed is.
+    let rings = f32(RINGS) / f32(params.side);
+    let proved = max(min(noted.w - moved, rings) * 0.99999 - ROUNDED, 0.0);
+    // Later twins are in no list.
+    if key_$(ROW - 1) < proved * proved && atomicLoad(&state.twins) == 0u {
+        let row = own.seed * STRIDE + 1u;
+        table[row - 1u] = $(ROW)u;
+#repeat T in 0..ROW
+        table[row + $(T)u] = seed_$T;
+#end
+        seeds[own.seed].row_begin = row;
+        seeds[own.seed].row_length = min($(ROW)u, params.row);
+    } else {
+        let at = atomicAdd(&keep.open, 1u);
+        atomicStore(&keep.words[6u * parts() + at], index);
+        let part = at / PART;
+        atomicMax(&keep.words[part * 3u], (at - part * PART) / 64u + 1u);
+    }
+}
