@@ -460,6 +460,12 @@ impl Cvt {
         Ok(&mut *self.session)
     }
 
+    /// What answers for closest points of the surface, caller's coordinates, if it was needed; gives the rest back.
+    pub fn into_closest(self) -> Option<ClosestPoint> {
+        let frame = self.surface.frame();
+        self.closest.map(|tree| tree.moved(frame.centre, frame.scale))
+    }
+
     /// The surface.
     pub fn surface(&self) -> &Arc<Surface> {
         &self.surface

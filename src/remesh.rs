@@ -275,8 +275,8 @@ pub fn remesh(
     let Steps { observer, rvd, iterations, refine, .. } = steps;
     let device = DeviceFigures::new(cvt.device_work(), &iterations);
     let memory = MemoryFigures { host_peak_bytes: None, device_bytes: cvt.device_bytes() };
-    // What it holds is not needed beside what the measures hold.
-    drop(cvt);
+    // What else it holds is not needed beside what the measures hold.
+    let closest = cvt.into_closest();
 
     let (attributes, provenance) = carried(mesh, options, &built.mesh, observer, cancel)?;
     timings.attributes = clock.lap();
@@ -284,7 +284,7 @@ pub fn remesh(
     observer.stage("measure");
     cancel.check()?;
     let result = &built.mesh;
-    let quality = || options.measure.then(|| quality_unless(mesh, result, &|| cancel.is_cancelled()));
+    let quality = || options.measure.then(|| quality_unless(mesh, closest, result, &|| cancel.is_cancelled()));
     let (topology, quality) = rayon::join(|| topology(result), quality);
     let quality = quality.map(|q| q.ok_or(RvdError::Cancelled)).transpose()?;
     let (vertices, facets) = (result.positions().len(), result.facets().len());

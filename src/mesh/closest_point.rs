@@ -8,6 +8,7 @@
 //! Must not know: samples, quality.
 
 use glam::DVec3;
+use pulp::Arch;
 use rayon::prelude::*;
 
 use super::TriMesh;
@@ -66,6 +67,14 @@ impl ClosestPoint {
         Self { tree, centre, scale, positions: mesh.positions().to_vec(), unit, facets }
     }
 
+    /// Answers from now on for coordinates in which what was p is p / `scale` + `centre`. The scale is a power of two.
+    pub fn moved(mut self, centre: DVec3, scale: f64) -> Self {
+        self.positions.par_iter_mut().for_each(|p| *p = *p / scale + centre);
+        self.centre = self.centre / scale + centre;
+        self.scale *= scale;
+        self
+    }
+
     /// The closest point of the surface to `p` (finite); the lowest facet among equals.
     pub fn project(&self, p: DVec3) -> SurfacePoint {
         self.on_surface(self.nearest(p, None))
@@ -98,7 +107,9 @@ impl ClosestPoint {
                 last = Some(nearest.leaf);
                 (i, answer(nearest))
             };
-            if stop() { Vec::new() } else { run.iter().map(next).collect() }
+            // Boxes are compared as many at once as the processor can.
+            let all = || run.iter().map(next).collect();
+            if stop() { Vec::new() } else { Arch::new().dispatch(all) }
         };
         let runs: Vec<Vec<(usize, T)>> = order.par_chunks(RUN).map(run).collect();
         let mut answers: Vec<Option<T>> = vec![None; points.len()];
@@ -247,6 +258,23 @@ pub(crate) fn closest_on_facet(p: DVec3, [a, b, c]: [DVec3; 3], ids: [u32; 3]) -
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::shapes::Shape;
+
+    #[test]
+    fn a_moved_surface_answers_as_one_that_was_there() {
+        let mesh = Shape::Torus.build(2000);
+        let (centre, scale) = (DVec3::new(3.0, -1.0, 0.5), 0.25);
+        let there = mesh.positions().iter().map(|&p| p / scale + centre).collect();
+        let there = ClosestPoint::new(&TriMesh::new(there, mesh.facets().to_vec()).unwrap());
+        let moved = ClosestPoint::new(&mesh).moved(centre, scale);
+        for k in 1..500 {
+            let p = 4.0 * DVec3::new(f64::from(k).sin(), f64::from(3 * k).cos(), f64::from(k * k).sin()) + centre;
+            let (want, got) = (there.project(p), moved.project(p));
+            // Coordinates up to 10.
+            assert!(want.position.distance(got.position) < 1e-13 && want.facet == got.facet, "{k}: {got:?}, {want:?}");
+            assert!((there.distance(p) - moved.distance(p)).abs() < 1e-13);
+        }
+    }
 
     #[test]
     fn edges_that_cannot_be_seen_are_not_the_nearest() {

@@ -104,17 +104,23 @@ pub fn topology_of(mesh: &TriMesh, adjacency: &Adjacency) -> Topology {
 /// Quality of `result` against `original`. Distances are taken from about 100,000 random points and all
 /// vertices of each side to the other surface.
 pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
-    quality_unless(original, result, &|| false).unwrap_or_default()
+    quality_unless(original, None, result, &|| false).unwrap_or_default()
 }
 
-/// As [`quality`], but `None` soon after `stop` says so.
-pub fn quality_unless(original: &TriMesh, result: &TriMesh, stop: &(dyn Fn() -> bool + Sync)) -> Option<Quality> {
+/// As [`quality`], but `None` soon after `stop` says so. Who has something that answers for `original`, or for the same
+/// surface with its facets divided, saves the time to make it.
+pub fn quality_unless(
+    original: &TriMesh,
+    closest: Option<ClosestPoint>,
+    result: &TriMesh,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Option<Quality> {
     let shapes = || {
         let adjacency = Adjacency::new(result);
         Quality { v567_percent: v567_percent(result, &adjacency), ..shape_quality(result, &adjacency) }
     };
-    let back = || rayon::join(shapes, || distances(result, original, stop));
-    let (there, (mut quality, back)) = rayon::join(|| distances(original, result, stop), back);
+    let back = || rayon::join(shapes, || distances(result, original, closest, stop));
+    let (there, (mut quality, back)) = rayon::join(|| distances(original, result, None, stop), back);
     let (there, back) = (there?, back?);
     let (low, high) = original.bounds();
     // Scaled, so that the squares of a tiny or huge box stay within range.
@@ -240,7 +246,12 @@ fn v567_percent(mesh: &TriMesh, adjacency: &Adjacency) -> f64 {
 }
 
 /// Largest and root mean square distance of `from`'s points to `to`, caller's units.
-fn distances(from: &TriMesh, to: &TriMesh, stop: &(dyn Fn() -> bool + Sync)) -> Option<(f64, f64)> {
+fn distances(
+    from: &TriMesh,
+    to: &TriMesh,
+    closest: Option<ClosestPoint>,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Option<(f64, f64)> {
     let mut points: Vec<DVec3> = sample(from, None, SAMPLES, SAMPLE_SEED).iter().map(|s| s.position).collect();
     let drawn = points.len();
     let mut used = vec![false; from.positions().len()];
@@ -248,7 +259,7 @@ fn distances(from: &TriMesh, to: &TriMesh, stop: &(dyn Fn() -> bool + Sync)) -> 
     let solid = from.facets().iter().enumerate().filter(|&(f, _)| !from.is_degenerate(f));
     solid.flat_map(|(_, corners)| corners).for_each(|&v| used[v as usize] = true);
     points.extend(from.positions().iter().zip(used).filter(|&(_, used)| used).map(|(&p, _)| p));
-    let target = ClosestPoint::new(to);
+    let target = closest.unwrap_or_else(|| ClosestPoint::new(to));
     let (low, high) = to.bounds();
     let unit = (high - low).max_element();
     let distances = target.distances(&points, stop)?;

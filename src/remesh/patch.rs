@@ -258,19 +258,19 @@ impl Patch {
 
     /// Squared distance of `p` from those of the input's facets that `near` names, or 0 if it is below `enough`.
     fn rocks_distance(&self, p: DVec3, near: &[usize], hint: &mut usize, enough: f64) -> f64 {
-        let mut best = f64::INFINITY;
+        let (mut best, mut root) = (f64::INFINITY, f64::INFINITY);
         let known = *hint;
         let first = near.get(known).copied();
         for (k, &r) in first.iter().map(|r| (known, r)).chain(near.iter().enumerate()) {
             let rock = &self.rocks[r];
             let reach = p.distance_squared(rock.centre);
-            let bound = best.sqrt() + rock.radius;
-            if best < f64::INFINITY && reach >= bound * bound {
+            let bound = root + rock.radius;
+            if reach >= bound * bound {
                 continue;
             }
             let squared = squared_distance(p, rock.corners);
             if squared < best {
-                (best, *hint) = (squared, k);
+                (best, root, *hint) = (squared, squared.sqrt(), k);
                 if best < enough {
                     return 0.0;
                 }
@@ -290,33 +290,36 @@ impl Patch {
         if near.is_empty() { (0..self.rocks.len()).collect() } else { near }
     }
 
+    /// Squared distance of tip `t`.
     fn tip_distance(&self, t: usize) -> f64 {
         let row = &self.apart[t * self.facets.len()..(t + 1) * self.facets.len()];
-        row.iter().copied().fold(self.tips[t].2, f64::min).sqrt()
+        row.iter().copied().fold(self.tips[t].2, f64::min)
     }
 
     /// How far it is from the input, both ways.
     pub(super) fn distance(&self) -> Distance {
-        let mut out = Distance { middle: 0.0, rest: 0.0, tip: None };
+        // Squared, in and around the middle's cell and elsewhere.
+        let (mut far, mut tip) = ([0.0f64; 2], None);
+        for (t, &(p, of, _)) in self.tips.iter().enumerate() {
+            let squared = self.tip_distance(t);
+            let side = &mut far[usize::from(of != self.middle)];
+            if squared > *side {
+                *side = squared;
+                tip = if of == self.middle { Some(p) } else { tip };
+            }
+        }
+        let of_tips = far[0];
         for (f, t) in self.facets.iter().enumerate() {
             let [a, b, c] = self.corners(f);
             let centre = (a + b + c) / 3.0;
             let near = self.near(centre, [a, b, c].map(|p| p.distance(centre)).into_iter().fold(0.0, f64::max));
+            let side = &mut far[usize::from(!t.contains(&self.middle))];
             let mut hint = 0;
-            let of = |p: DVec3| self.rocks_distance(p, &near, &mut hint, 0.0).sqrt();
-            let far = samples([a, b, c]).map(of).fold(0.0, f64::max);
-            let side = if t.contains(&self.middle) { &mut out.middle } else { &mut out.rest };
-            *side = side.max(far);
+            // What is not as far as something else already need not be known.
+            samples([a, b, c]).for_each(|p| *side = side.max(self.rocks_distance(p, &near, &mut hint, *side)));
         }
-        for t in 0..self.tips.len() {
-            let far = self.tip_distance(t);
-            if self.tips[t].1 != self.middle {
-                out.rest = out.rest.max(far);
-            } else if far > out.middle {
-                (out.middle, out.tip) = (far, Some(self.tips[t].0));
-            }
-        }
-        out
+        let [middle, rest] = far.map(f64::sqrt);
+        Distance { middle, rest, tip: tip.filter(|_| of_tips == far[0]) }
     }
 
     /// Edges that may be turned so that valences stay or become fine: facet and edge of it. Of the middle's facets.
@@ -448,10 +451,9 @@ impl Patch {
 
     /// Moves one vertex by one step to where it costs least. Returns whether it moved.
     fn improve(&mut self, v: usize, worst: f64, step: f64) -> bool {
-        let view = View::new(self, v, worst, step);
+        let mut view = View::new(self, v, worst, step);
         let here = self.at[v];
-        let mut hints = vec![0; 1 + 2 * self.star[v].len()];
-        let mut best = (view.cost(here, f64::INFINITY, &mut hints), here);
+        let mut best = (view.cost(here, f64::INFINITY), here);
         if best.0 <= 0.0 {
             return false;
         }
@@ -464,7 +466,7 @@ impl Patch {
         for way in aside.chain([0.5 * up, -0.5 * up]) {
             let to = here + step * way;
             if to.distance(self.start[v]) <= FARTHEST * self.edge {
-                let cost = view.cost(to, best.0, &mut hints);
+                let cost = view.cost(to, best.0);
                 if cost < best.0 - 1e-4 {
                     best = (cost, to);
                 }

@@ -79,15 +79,33 @@ impl PieceBatch {
     /// Orders the pieces by facet, then by seed.
     pub fn sort(&mut self) {
         let mut order: Vec<usize> = (0..self.len()).collect();
-        order.sort_unstable_by_key(|&i| (self.facet[i], self.seed[i]));
+        if !self.facet.is_sorted() {
+            order.sort_by_key(|&i| self.facet[i]);
+        }
+        // Those of one facet are few.
+        let of_facet = order.chunk_by_mut(|&i, &j| self.facet[i] == self.facet[j]);
+        of_facet.for_each(|pieces| pieces.sort_unstable_by_key(|&i| self.seed[i]));
         if order.is_sorted() {
             return;
         }
-        let mut sorted = PieceBatch::default();
-        sorted.position.reserve(self.position.len());
+        let (pieces, vertices) = (self.len(), self.position.len());
+        let mut sorted = PieceBatch {
+            facet: Vec::with_capacity(pieces),
+            seed: Vec::with_capacity(pieces),
+            offset: Vec::with_capacity(pieces + 1),
+            position: Vec::with_capacity(vertices),
+            weight: Vec::with_capacity(vertices),
+            opposite: Vec::with_capacity(vertices),
+        };
+        sorted.offset.push(0);
         for i in order {
-            let vertices = self.vertices(i).map(|v| (self.position[v], self.weight[v], self.opposite[v]));
-            sorted.push(self.facet[i], self.seed[i], vertices);
+            let vertices = self.vertices(i);
+            sorted.facet.push(self.facet[i]);
+            sorted.seed.push(self.seed[i]);
+            sorted.position.extend_from_slice(&self.position[vertices.clone()]);
+            sorted.weight.extend_from_slice(&self.weight[vertices.clone()]);
+            sorted.opposite.extend_from_slice(&self.opposite[vertices]);
+            sorted.offset.push(sorted.position.len() as u32);
         }
         *self = sorted;
     }

@@ -71,8 +71,8 @@ pub struct Component {
     pub whole: bool,
 }
 
-/// Facets per batch: bounds the memory of polygons whatever the mesh.
-const BATCH: u32 = 1 << 15;
+/// Facets per batch: bounds the memory of polygons whatever the mesh, and the next batch finds it there.
+const BATCH: u32 = 1 << 14;
 
 /// Reads the dual of the session's present seeds (there are `seeds` of them).
 pub fn extract(

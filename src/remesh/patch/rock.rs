@@ -47,6 +47,22 @@ pub(super) fn squared_distance(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
     (ap - ab * (vb / whole) - ac * (vc / whole)).length_squared()
 }
 
+/// The least of `other` and the squared distances of `p` from some facets; any number below `enough` if it is below
+/// that. The facet that `hint` says is looked at first, and the nearest one left there.
+pub(super) fn least_distance(p: DVec3, facets: &[[DVec3; 3]], other: f64, enough: f64, hint: &mut usize) -> f64 {
+    let (mut least, first) = (other, *hint);
+    for k in std::iter::once(first).chain((0..facets.len()).filter(|&k| k != first)) {
+        let squared = squared_distance(p, facets[k]);
+        if squared < least {
+            (least, *hint) = (squared, k);
+            if least < enough {
+                break;
+            }
+        }
+    }
+    least
+}
+
 /// How far the result is from the input in and around the cell of vertex `v`, and its mean edge: what
 /// [`Patch::distance`] says of the middle, sooner.
 pub(in crate::remesh) fn distance_at(scene: &Scene<'_>, v: u32) -> (f64, f64) {
@@ -59,29 +75,34 @@ pub(in crate::remesh) fn distance_at(scene: &Scene<'_>, v: u32) -> (f64, f64) {
     wider.sort_unstable();
     wider.dedup();
     let wider: Vec<[DVec3; 3]> = wider.into_iter().map(corners).collect();
-    let tip = |p: DVec3| wider.iter().map(|&t| squared_distance(p, t)).fold(f64::INFINITY, f64::min);
     let mut rocks: Vec<u32> = ring.iter().flat_map(|&u| scene.ground.facets(u)).copied().collect();
     rocks.sort_unstable();
     rocks.dedup();
     let own = scene.ground.facets(v).iter().flat_map(|&f| middles(scene.ground.corners(f)));
     let here = scene.positions[v as usize];
-    let beside =
-        |p: &DVec3| ring.iter().all(|&u| u == v || scene.positions[u as usize].distance(*p) > here.distance(*p));
-    let mut far = scene.ground.tips(v).iter().copied().chain(own.filter(beside)).map(tip).fold(0.0, f64::max);
+    let beside = |p: &DVec3| {
+        let own = here.distance(*p);
+        ring.iter().all(|&u| u == v || scene.positions[u as usize].distance(*p) > own)
+    };
+    let (mut far, mut hint) = (0.0f64, 0);
+    for p in scene.ground.tips(v).iter().copied().chain(own.filter(beside)) {
+        // What is not as far as something else already need not be known.
+        far = far.max(least_distance(p, &wider, f64::INFINITY, far, &mut hint));
+    }
     let rocks: Vec<Rock> = rocks.into_iter().map(|f| Rock::new(scene.ground.corners(f))).collect();
     let (mut edge, mut hint) = (0.0, 0);
     for &f in star {
         let [a, b, c] = corners(f);
         edge += (a.distance(b) + b.distance(c) + c.distance(a)) / (3 * star.len()) as f64;
         for p in samples([a, b, c]) {
-            let mut best = f64::INFINITY;
+            let (mut best, mut root) = (f64::INFINITY, f64::INFINITY);
             let known = hint;
             for (k, rock) in rocks.get(known).into_iter().map(|r| (known, r)).chain(rocks.iter().enumerate()) {
-                let bound = best.sqrt() + rock.radius;
+                let bound = root + rock.radius;
                 if p.distance_squared(rock.centre) < bound * bound {
                     let squared = squared_distance(p, rock.corners);
                     if squared < best {
-                        (best, hint) = (squared, k);
+                        (best, root, hint) = (squared, squared.sqrt(), k);
                         // Nearer than something else already.
                         if best <= far {
                             break;

@@ -6,7 +6,8 @@
 
 use glam::DVec3;
 
-use super::{LEAST, LEAST_COSINE, Patch, SHAPE, normal, squared_distance};
+use super::rock::least_distance;
+use super::{LEAST, LEAST_COSINE, Patch, SHAPE, normal};
 use crate::mesh::measure::{facet_quality, least_angle};
 
 /// A facet that has so much less than [`LEAST`] + [`MARGIN`] costs as much as the farthest place,
@@ -18,6 +19,11 @@ const OFF: f64 = 0.3;
 /// Distances below this share of the farthest one cost nothing.
 const NEAR: f64 = 0.55;
 
+/// Of angles that may be too sharp for a bound this is left to the exact ones.
+const CLEAR: f64 = 1.0 - 1e-9;
+/// Squares below this share of the squared bound are below it whatever rounding makes of their roots.
+const SURE: f64 = 1.0 - 1e-12;
+
 /// See the module's head.
 pub(super) struct View<'a> {
     patch: &'a Patch,
@@ -26,6 +32,13 @@ pub(super) struct View<'a> {
     /// Tips that depend on it: number, squared distance to all other facets.
     tips: Vec<(usize, f64)>,
     near: Vec<usize>,
+    /// An angle is wider than what costs anything where its cosine is less than so many sines.
+    wide: f64,
+    /// What was nearest when the last place was looked at, which changes no cost: a facet of the input for the vertex
+    /// and for the middle and the spoke of each of its facets, and a facet for each tip.
+    hints: Vec<usize>,
+    /// Corners of the facets with the vertex where it is looked at.
+    corners: Vec<[DVec3; 3]>,
 }
 
 impl<'a> View<'a> {
@@ -55,52 +68,69 @@ impl<'a> View<'a> {
         }
         // Points on its spokes, wherever it steps.
         let near = patch.near(p, 0.8 * reach + step);
-        Self { patch, v, worst, tips, near }
+        let hints = vec![0; 1 + 2 * star.len() + tips.len()];
+        let wide = CLEAR / (LEAST + MARGIN).to_radians().tan();
+        Self { patch, v, worst, tips, near, wide, hints, corners: Vec::with_capacity(star.len()) }
     }
 
     /// What all that depends on the vertex costs if it is at `p`; any number not less than `most` if it costs that.
-    pub(super) fn cost(&self, p: DVec3, most: f64, hints: &mut [usize]) -> f64 {
+    pub(super) fn cost(&mut self, p: DVec3, most: f64) -> f64 {
         let patch = self.patch;
-        let at = |u: usize| if u == self.v { p } else { patch.at[u] };
         let star = &patch.star[self.v];
-        let mut cost = 0.0;
-        for &f in star {
-            let corners = patch.facets[f].map(at);
-            if normal(corners).dot(patch.normals[f]) < LEAST_COSINE {
-                return f64::INFINITY;
-            }
-            let quality = facet_quality(corners);
-            let lack = (LEAST + MARGIN - least_angle(corners).min(SHAPE * quality)).max(0.0) / MARGIN;
-            cost += lack * lack + ROUND * (1.0 - quality);
-        }
+        self.corners.clear();
+        self.corners.extend(star.iter().map(|&f| patch.facets[f].map(|u| if u == self.v { p } else { patch.at[u] })));
+        let Some(mut cost) = self.shapes(most) else { return f64::INFINITY };
         if cost >= most {
             return cost;
         }
+        let (hints, of_tips) = self.hints.split_at_mut(1 + 2 * star.len());
         let enough = (NEAR * self.worst).powi(2);
         let far = |squared: f64| ((squared.sqrt() / self.worst - NEAR).max(0.0) / (1.0 - NEAR)).powi(3);
-        for &(t, other) in &self.tips {
-            let tip = patch.tips[t].0;
-            let own = star.iter().map(|&f| squared_distance(tip, patch.facets[f].map(at)));
-            cost += far(own.fold(other, f64::min));
-        }
-        if cost >= most {
-            return cost;
+        for (&(t, other), hint) in self.tips.iter().zip(of_tips) {
+            let own = least_distance(patch.tips[t].0, &self.corners, other, SURE * enough, hint);
+            cost += far(own);
+            if cost >= most {
+                return cost;
+            }
         }
         let own = patch.rocks_distance(p, &self.near, &mut hints[0], 0.0);
         cost += OFF * own / (self.worst * self.worst) + far(own);
-        for (k, &f) in star.iter().enumerate() {
-            let [a, b, c] = patch.facets[f].map(at);
+        for (k, (&f, &corners)) in star.iter().zip(&self.corners).enumerate() {
+            let [a, b, c] = corners;
             cost += far(patch.rocks_distance((a + b + c) / 3.0, &self.near, &mut hints[1 + 2 * k], enough));
             // Each spoke once: the one to the corner after this vertex.
             let next = (0..3).find(|&i| patch.facets[f][i] == self.v).map_or(0, |i| (i + 1) % 3);
-            let end = at(patch.facets[f][next]);
             let apart = [0.25, 0.5, 0.75]
-                .map(|t| patch.rocks_distance(p.lerp(end, t), &self.near, &mut hints[2 + 2 * k], enough));
+                .map(|t| patch.rocks_distance(p.lerp(corners[next], t), &self.near, &mut hints[2 + 2 * k], enough));
             cost += far(apart.into_iter().fold(0.0, f64::max));
             if cost >= most {
                 return cost;
             }
         }
         cost
+    }
+
+    /// What the shapes of the facets cost, or some of them as soon as these cost `most`; nothing if one turned.
+    fn shapes(&self, most: f64) -> Option<f64> {
+        let (mut cost, mut fine) = (0.0, true);
+        for (&f, &corners) in self.patch.star[self.v].iter().zip(&self.corners) {
+            fine &= normal(corners).dot(self.patch.normals[f]) >= LEAST_COSINE;
+            if !fine || cost >= most {
+                break;
+            }
+            let quality = facet_quality(corners);
+            // Most angles are wider than what costs anything, and that is seen without an arc tangent.
+            let angle = if self.is_wide(corners) { f64::INFINITY } else { least_angle(corners) };
+            let lack = (LEAST + MARGIN - angle.min(SHAPE * quality)).max(0.0) / MARGIN;
+            cost += lack * lack + ROUND * (1.0 - quality);
+        }
+        fine.then_some(cost)
+    }
+
+    /// Whether all angles are clearly wider than what costs anything.
+    fn is_wide(&self, [a, b, c]: [DVec3; 3]) -> bool {
+        let (u, v, w) = (b - a, c - b, a - c);
+        let sine = self.wide * u.cross(w).length();
+        -u.dot(v) < sine && -v.dot(w) < sine && -w.dot(u) < sine
     }
 }
