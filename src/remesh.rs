@@ -44,7 +44,7 @@ pub use report::Report;
 use report::{
     DeviceFigures, InputFigures, MemoryFigures, RefineFigures, ResultFigures, RvdFigures, Timings, topology_changes,
 };
-use steps::Steps;
+use steps::{Refinement, Steps};
 
 /// Where the first seeds come from.
 #[derive(Clone, Debug)]
@@ -331,6 +331,10 @@ fn prepare<'a>(
 /// Times that seeds are moved to what the result missed, and that they are added where a tolerance was given.
 const MOVING_ROUNDS: usize = 1;
 const ADDING_ROUNDS: usize = 8;
+/// One more round follows where seeds are left without a vertex. Its result may be so much farther from the input.
+const COUNT_SLACK: f64 = 1.25;
+/// Rounds of that kind, at most.
+const LOST_ROUNDS: usize = 1;
 
 /// The result of the present seeds, or of better ones as long as it is far from the input somewhere, and the
 /// seeds that it is of, caller's coordinates.
@@ -375,12 +379,23 @@ fn settle(
         let missed = draft.missed();
         // Another place may come out worse than the one that was mended. More seeds are better all the same,
         // unless it is much worse.
-        let slack = if tolerance.is_some() { 2.0 } else { 1.0 };
-        if best.as_ref().is_none_or(|(_, before, _)| missed.deviation < slack * before.deviation) {
+        let slack = |before: &build::Missed| match tolerance {
+            Some(_) => 2.0,
+            None if missed.lost.len() < before.lost.len() => COUNT_SLACK,
+            None => 1.0,
+        };
+        let better = best.as_ref().is_none_or(|(_, before, _)| missed.deviation < slack(before) * before.deviation);
+        if better {
             steps.rvd.of_dual(&dual, &surface);
             best = Some((draft, missed.clone(), cvt.seeds()?));
         }
-        if round == rounds || !steps.refine(cvt, &missed.places, tolerance.is_some())? {
+        let what = match tolerance {
+            Some(_) => Refinement::Add,
+            None if round < rounds => Refinement::Move,
+            None => Refinement::MoveLost,
+        };
+        let over = rounds == 0 || round >= rounds + if tolerance.is_none() && better { LOST_ROUNDS } else { 0 };
+        if over || !steps.refine(cvt, &missed, what)? {
             break;
         }
         timings.refine += clock.lap();

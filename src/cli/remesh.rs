@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 
-use super::exit::Usage;
+use super::exit::{BadInput, Usage};
 use super::picture::PictureArgs;
 use super::progress::Progress;
 use super::{backends, files, interrupt, remote, sizes};
@@ -14,6 +14,8 @@ use crate::config::BackendArgs;
 use crate::cvt::Projection;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::TriMesh;
+use crate::mesh::features::Features;
+use crate::remesh::report::RepairFigures;
 use crate::remesh::{Placement, Refine, RemeshOptions, Report, Seeds, remesh};
 use crate::rvd::CancelFlag;
 use crate::telemetry;
@@ -42,6 +44,9 @@ pub(crate) struct RemeshArgs {
     /// Edges bent by more than this are creases that the remesh keeps; 0 keeps none.
     #[arg(long, value_name = "DEGREES", default_value_t = RemeshOptions::CREASE_ANGLE_DEG, value_parser = angle)]
     crease_angle: f64,
+    /// File with edges that are creases whatever their angle: the numbers of two vertices of the input a line, from 0.
+    #[arg(long, value_name = "FILE")]
+    creases: Option<PathBuf>,
     /// Add points where a vertex of the input is farther than this from the remesh, in percent of the bounding
     /// box's diagonal; for --placement fitted.
     #[arg(long, value_name = "PERCENT", value_parser = positive)]
@@ -193,7 +198,10 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     files::check_output(&args.output, &["obj", "ply", "stl", "off"])?;
     args.report.iter().try_for_each(|path| files::check_output(path, &[]))?;
     if args.density.sizes.is_some() {
-        sizes::check_format(&args.input)?;
+        sizes::check_format(&args.input, "--sizes")?;
+    }
+    if args.creases.is_some() {
+        sizes::check_format(&args.input, "--creases")?;
     }
     args.picture.check()?;
     let start = Instant::now();
@@ -224,7 +232,15 @@ fn options(args: &RemeshArgs, mesh: &TriMesh) -> Result<RemeshOptions> {
         (Some(_), None) => return Err(Usage("--max-deviation without --points needs --max-points".to_owned()).into()),
         (None, _) => None,
     };
+    let creases = args.creases.as_ref().map(|path| {
+        let edges = sizes::read_edges(path, &args.input, mesh)?;
+        // Before a server is asked.
+        Features::check(mesh, args.crease_angle, &edges)
+            .map_err(|e| BadInput(format!("{}: {e} (numbers of the surface as it was read)", path.display())))?;
+        Ok::<_, anyhow::Error>(edges)
+    });
     Ok(RemeshOptions {
+        creases: creases.transpose()?.unwrap_or_default(),
         lloyd: args.lloyd as usize,
         newton: args.newton as usize,
         crease_angle_deg: args.crease_angle,
@@ -287,6 +303,12 @@ fn print(report: &Report) {
     println!("backend     {} ({by}), {} threads", report.backend, report.threads);
     println!("input       {} vertices, {} facets, χ {}", input.vertices, input.facets, input.topology.euler);
     println!("result      {} vertices, {} facets, χ {}", result.vertices, result.facets, result.topology.euler);
+    let RepairFigures { seeds_without_vertex: without, further_vertices: further, .. } = result.repair;
+    if without + further > 0 {
+        println!(
+            "            {without} points have no vertex, {further} vertices share one: the surface is thin there"
+        );
+    }
     if let Some(last) = report.iterations.last() {
         println!("iterations  {}, E/E_hex before the last {:.5}", report.iterations.len(), last.energy_ratio);
     }

@@ -67,6 +67,7 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
         lloyd_steps: options.lloyd as u32,
         newton_steps: options.newton as u32,
         crease_angle_deg: Some(options.crease_angle_deg),
+        creases: options.creases.len() as u64,
         placement: placement(options.placement).into(),
         projection: match options.projection {
             Projection::Free => proto::Projection::Free.into(),
@@ -87,6 +88,9 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
     messages.extend(mesh_chunks(job.mesh).map(Ask::Chunk));
     if let DensitySource::Sizes(sizes) = &options.density.source {
         messages.extend(convert::number_chunks(ArrayKind::EdgeLengths, sizes).map(Ask::Chunk));
+    }
+    if !options.creases.is_empty() {
+        messages.extend(convert::index_chunks(ArrayKind::Creases, options.creases.as_flattened()).map(Ask::Chunk));
     }
     let carried =
         options.attributes.as_ref().map(|attributes| attributes::chunks(attributes, &announced)).unwrap_or_default();

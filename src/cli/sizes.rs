@@ -1,9 +1,9 @@
-//! `--sizes`: an edge length for each vertex of a file.
+//! `--sizes` and `--creases`: an edge length for each vertex of a file, and pairs of its vertices.
 //!
-//! Purpose: numbers in the order of the file's own vertices, brought into the order of the surface that was read.
+//! Purpose: numbers that go by the file's own vertices, brought to those of the surface that was read.
 //! Invariant: PLY and OFF vertices keep their numbers. OBJ vertices are numbered by first use in a face, and the
 //! ones that no face uses are left out; the order is read from the file once more and compared with the surface, so
-//! that a length never lands on another vertex. STL has no vertices to speak of. Must not know: what lengths are for.
+//! that a length never lands on another vertex. STL has no vertices to speak of. Must not know: what lengths and pairs are for.
 
 use std::path::Path;
 
@@ -14,12 +14,12 @@ use super::exit::{BadInput, Usage};
 use crate::mesh::TriMesh;
 use crate::mesh::io::Format;
 
-/// Refuses a file whose vertices have no numbers.
-pub(crate) fn check_format(input: &Path) -> Result<()> {
+/// Refuses a file whose vertices have no numbers, for which `option` has a list.
+pub(crate) fn check_format(input: &Path, option: &str) -> Result<()> {
     match Format::of_path(input)? {
         Format::Stl => {
             let text =
-                format!("--sizes: {} has no numbered vertices; convert it to .ply, .obj or .off", input.display());
+                format!("{option}: {} has no numbered vertices; convert it to .ply, .obj or .off", input.display());
             Err(Usage(text).into())
         }
         Format::Obj | Format::Ply | Format::Off => Ok(()),
@@ -46,19 +46,68 @@ pub(crate) fn read(path: &Path, input: &Path, mesh: &TriMesh) -> Result<Vec<f64>
             format!("{} lengths, but {} has {vertices} vertices; give one for each", sizes.len(), input.display());
         if sizes.len() == vertices { Ok(()) } else { Err(bad(text)) }
     };
-    if Format::of_path(input)? != Format::Obj {
+    let Some(order) = file_order(input, mesh)? else {
         count(mesh.positions().len())?;
         return Ok(sizes);
+    };
+    count(order.file_vertices)?;
+    Ok(order.of_vertex.iter().map(|&v| sizes[v]).collect())
+}
+
+/// Reads two vertices of the file `input` a line from `path`, numbered from 0: edges of `mesh`, which was read from it.
+/// Empty lines and lines that begin with `#` are left out.
+pub(crate) fn read_edges(path: &Path, input: &Path, mesh: &TriMesh) -> Result<Vec<[u32; 2]>> {
+    let bad = |text: String| BadInput(format!("{}: {text}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|e| bad(e.to_string()))?;
+    let order = file_order(input, mesh)?;
+    let vertices = order.as_ref().map_or(mesh.positions().len(), |o| o.file_vertices);
+    // Where the file's vertices are in the surface.
+    let place: Option<Vec<Option<u32>>> = order.map(|order| {
+        let mut place = vec![None; order.file_vertices];
+        order.of_vertex.iter().zip(0..).for_each(|(&v, k)| place[v] = Some(k));
+        place
+    });
+    let mut edges = Vec::new();
+    for (i, line) in text.lines().enumerate().map(|(i, line)| (i, line.trim())) {
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let at = |text: String| bad(format!("line {}: {text}", i + 1));
+        let numbers: Result<Vec<usize>, _> = line.split_whitespace().map(str::parse).collect();
+        let Ok(&[a, b]) = numbers.as_deref() else {
+            return Err(at(format!("not two numbers of vertices, which begin at 0: {line:?}")).into());
+        };
+        let vertex = |v: usize| match &place {
+            _ if v >= vertices => {
+                Err(at(format!("there is no vertex {v}; {} has {vertices}, numbered from 0", input.display())))
+            }
+            Some(place) => place[v].ok_or_else(|| at(format!("no facet has vertex {v}"))),
+            None => Ok(v as u32),
+        };
+        edges.push([vertex(a)?, vertex(b)?]);
+    }
+    Ok(edges)
+}
+
+/// Which vertex of its file each vertex of a surface is.
+struct Order {
+    of_vertex: Vec<usize>,
+    file_vertices: usize,
+}
+
+/// The order of the vertices of `mesh`, which was read from `input`; `None` if it is the file's.
+fn file_order(input: &Path, mesh: &TriMesh) -> Result<Option<Order>> {
+    if Format::of_path(input)? != Format::Obj {
+        return Ok(None);
     }
     let bytes = std::fs::read(input).map_err(|e| BadInput(format!("{}: {e}", input.display())))?;
     let (positions, order) = obj_order(&String::from_utf8_lossy(&bytes));
-    count(positions.len())?;
     let found: Option<Vec<&DVec3>> = order.iter().map(|&v| positions.get(v)).collect();
     if found.is_none_or(|found| !found.into_iter().eq(mesh.positions())) {
         let text = format!("cannot tell which vertex of {} is which; convert it to .ply", input.display());
         return Err(BadInput(text).into());
     }
-    Ok(order.iter().map(|&v| sizes[v]).collect())
+    Ok(Some(Order { of_vertex: order, file_vertices: positions.len() }))
 }
 
 /// Vertices of an OBJ file, and those that faces use, by first use. NaN for what is no number.
@@ -122,6 +171,32 @@ mod tests {
         assert!(read(&path, &input, &mesh).unwrap_err().to_string().contains("line 3"));
         std::fs::write(&path, "1\n2\n").unwrap();
         assert!(read(&path, &input, &mesh).unwrap_err().to_string().contains("3 vertices"));
-        assert!(check_format(Path::new("a.stl")).is_err());
+        assert!(check_format(Path::new("a.stl"), "--sizes").is_err());
+    }
+
+    #[test]
+    fn edges_follow_the_vertices_of_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("creases.txt");
+        std::fs::write(&path, "# from 0\n1 2\n\n 4 1\n").unwrap();
+        let files = [
+            ("a.obj", "v 9 9 9\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 4 5 2\nf 2 3 4\n"),
+            ("a.off", "OFF 5 2 0\n9 9 9\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 3 4 1\n3 1 2 3\n"),
+        ];
+        for (name, text) in files {
+            let input = folder.path().join(name);
+            std::fs::write(&input, text).unwrap();
+            let mesh = io::read(&input).unwrap();
+            let at = |v: u32| mesh.positions()[v as usize];
+            let edges = read_edges(&path, &input, &mesh).unwrap();
+            let ends: Vec<[DVec3; 2]> = edges.iter().map(|e| e.map(at)).collect();
+            assert_eq!(ends, [[DVec3::ZERO, DVec3::X], [DVec3::Y, DVec3::ZERO]], "{name}");
+            for bad in ["1 2\n1\n", "1 2\n1 2 3\n", "1 2\n-1 2\n", "1 2\n1 5\n", "1 2\n1 x\n"] {
+                let path = folder.path().join("bad.txt");
+                std::fs::write(&path, bad).unwrap();
+                let error = read_edges(&path, &input, &mesh).unwrap_err().to_string();
+                assert!(error.contains("line 2"), "{name}, {bad:?}: {error}");
+            }
+        }
     }
 }

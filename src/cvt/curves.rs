@@ -40,7 +40,7 @@ pub struct CurveSeeds {
 pub struct Segment {
     /// The seeds.
     pub ends: [u32; 2],
-    /// Points of the curve between them, evenly spaced, unit frame.
+    /// Points of the curve between them, in order and about evenly spaced, unit frame.
     pub between: [DVec3; BETWEEN],
     /// Which curve.
     pub curve: u32,
@@ -134,9 +134,7 @@ impl CurveSeeds {
             }
             all.segments.extend(chain.windows(2).map(|w| Segment {
                 ends: [w[0].0, w[1].0],
-                between: std::array::from_fn(|k| {
-                    path.at(w[0].1 + (k + 1) as f64 / (BETWEEN + 1) as f64 * (w[1].1 - w[0].1))
-                }),
+                between: path.between(w[0].1, w[1].1),
                 curve: number as u32,
                 edge: path.edge_at(0.5 * (w[0].1 + w[1].1)),
             }));

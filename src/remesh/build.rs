@@ -66,6 +66,10 @@ pub(super) struct Missed {
     pub(super) places: Vec<(u32, DVec3)>,
     /// How far the two surfaces are apart at most, unit frame; 0 where it is not known.
     pub(super) deviation: f64,
+    /// Seeds, of no curve, that no vertex is of: what their cells hold closes without them.
+    pub(super) lost: Vec<u32>,
+    /// Where as many could be of use: middles of long edges, unit frame.
+    pub(super) room: Vec<DVec3>,
 }
 
 impl Draft {
@@ -109,6 +113,13 @@ impl Source<'_> {
             ..repaired.figures
         };
         let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
+        // Ascending, as the components are.
+        let present = vertex_seed.chunk_by(|a, b| a == b).count();
+        let repair = RepairFigures {
+            seeds_without_vertex: seeds.len() - present,
+            further_vertices: vertex_seed.len() - present,
+            ..repair
+        };
         let (positions, facets) = (repaired.positions, repaired.facets);
         let curve_edges = self.kept.edges_in(&facets, &vertex_seed);
         let mut draft = Draft { positions, facets, vertex_seed, curve_edges, repair, fitted: None, seeds: seeds.len() };
@@ -191,7 +202,8 @@ impl Source<'_> {
         let mut vertex = vec![u32::MAX; dual.components.len()];
         component.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
         let fixed = draft.vertex_seed.iter().map(|&s| self.kept.is_corner(s) || s >= self.first_added).collect();
-        let target = self.target(&vertex, dual, draft.positions.len(), self.kept.samples(&draft.curve_edges), fixed);
+        let mut target =
+            self.target(&vertex, dual, draft.positions.len(), self.kept.samples(&draft.curve_edges), fixed);
         let own = |p: &dual::Piece| (p.area > 0.0).then(|| (vertex[p.component as usize], p.facet));
         let cells = dual.pieces.par_iter().filter_map(own).filter(|c| c.0 != u32::MAX).collect();
         let frame = self.surface.frame();
@@ -201,10 +213,22 @@ impl Source<'_> {
         fit::fit(&mut unit, &mut draft.facets, &target);
         fences.restore(&mut unit, &draft.facets);
         self.polish(&mut unit, draft, &target, &fences);
+        for v in fences.tighten(&mut unit, &draft.facets, &target.fixed) {
+            target.fixed[v as usize] = false;
+        }
         let fit::Far { missed, deviation, by_vertex } = fit::Far::of(&unit, &draft.facets, &target, self.tolerance);
         let places = missed.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
-        let missed = Missed { places, deviation };
+        let lost = self.lost(draft);
+        let room = roomy(&unit, &draft.facets, &target.fixed, lost.len());
+        let missed = Missed { places, deviation, lost, room };
         draft.fitted = Some(Fitted { positions: unit, target, fences, cells, missed, far: by_vertex });
+    }
+
+    /// See [`Missed::lost`].
+    fn lost(&self, draft: &Draft) -> Vec<u32> {
+        let mut there = vec![false; draft.seeds];
+        draft.vertex_seed.iter().for_each(|&s| there[s as usize] = true);
+        (self.kept.seeds.len() as u32..draft.seeds as u32).filter(|&s| !there[s as usize]).collect()
     }
 
     /// What there is to fit to: a sample a piece, and the input's vertices. `vertex` is that of the draft for each
@@ -237,6 +261,20 @@ impl Source<'_> {
         let tips = Grouped::new(vertices, &holder, tip);
         fit::Target { samples: Grouped::new(vertices, &owners, sample), curves, tips, fixed }
     }
+}
+
+/// The middles of the longest edges with free ends, `count` of them, none beside another.
+fn roomy(positions: &[DVec3], facets: &[[u32; 3]], fixed: &[bool], count: usize) -> Vec<DVec3> {
+    if count == 0 {
+        return Vec::new();
+    }
+    let at = |v: u32| positions[v as usize];
+    let edges = facets.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).filter(|[a, b]| a < b);
+    let mut edges: Vec<(f64, [u32; 2])> = edges.map(|e| (at(e[0]).distance_squared(at(e[1])), e)).collect();
+    edges.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut taken = fixed.to_vec();
+    let free = |e: &[u32; 2]| !e.iter().any(|&v| std::mem::replace(&mut taken[v as usize], true));
+    edges.into_iter().map(|(_, e)| e).filter(free).map(|[a, b]| at(a).midpoint(at(b))).take(count).collect()
 }
 
 /// How each vertex may move: those with two edges of curves along these, and other ends of curves hardly at all.

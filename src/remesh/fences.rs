@@ -9,6 +9,7 @@ use glam::DVec3;
 
 use super::around::Around;
 use super::fit::CurveSample;
+use super::polish::score;
 
 /// A vertex that went too far goes back by these shares of its way.
 const BACK: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
@@ -17,6 +18,15 @@ const LEAST_COSINE: f64 = 0.8;
 /// Passes over such vertices.
 const SWEEPS: usize = 3;
 
+/// Passes over vertices whose edges are too far from their curves, the steps that are tried there, and how far one goes
+/// in all, corners less far: shares of the shortest edge of a curve there.
+const TIGHTENINGS: usize = 8;
+const STEPS: [f64; 4] = [0.1, 0.05, 0.025, 0.0125];
+const REACH: f64 = 0.25;
+const CORNER_REACH: f64 = 0.12;
+/// Facets come to no less than this score by it, or than they had.
+const ENOUGH: f64 = 34.0;
+
 /// One end of an edge of a curve.
 struct Side {
     /// The other end.
@@ -24,6 +34,8 @@ struct Side {
     /// The curve's points between them: from and to, in `points`.
     points: [u32; 2],
     limit: f64,
+    /// What the limit would be if the edge had been within it.
+    goal: f64,
 }
 
 /// See the module's head.
@@ -42,6 +54,23 @@ fn off(p: DVec3, [a, b]: [DVec3; 2]) -> f64 {
     p.distance(a + t * way)
 }
 
+fn normal([a, b, c]: [DVec3; 3]) -> DVec3 {
+    (b - a).cross(c - a).normalize_or_zero()
+}
+
+/// Whether an edge of vertex `v` has one facet, of those `around` it.
+fn on_boundary(around: &[u32], facets: &[[u32; 3]], v: u32) -> bool {
+    let mut others: Vec<u32> = around.iter().flat_map(|&f| facets[f as usize]).filter(|&u| u != v).collect();
+    others.sort_unstable();
+    others.chunk_by(|a, b| a == b).any(|same| same.len() == 1)
+}
+
+/// Along the axes, across the edges and to the corners of a cube.
+fn ways() -> impl Iterator<Item = DVec3> {
+    let of = |k: i32| DVec3::new(f64::from(k % 3 - 1), f64::from(k / 3 % 3 - 1), f64::from(k / 9 - 1));
+    (0..27).filter(|k| *k != 13).map(move |k| of(k).normalize())
+}
+
 impl Fences {
     /// For edges of curves with their ends at `start`; samples of one edge follow each other.
     pub(super) fn new(start: &[DVec3], samples: &[CurveSample]) -> Self {
@@ -55,7 +84,9 @@ impl Fences {
             let own = same.iter().map(|s| off(s.position, ends)).fold(0.0, f64::max);
             let limit = own.max(same[0].limit);
             let [a, b] = same[0].edge;
-            sides.extend([(a, b), (b, a)].map(|(v, other)| (v, Side { other, points: range, limit })));
+            sides.extend(
+                [(a, b), (b, a)].map(|(v, other)| (v, Side { other, points: range, limit, goal: same[0].limit })),
+            );
         }
         sides.sort_by_key(|s| (s.0, s.1.other));
         let mut first = vec![0u32; start.len() + 1];
@@ -83,6 +114,87 @@ impl Fences {
         self.sides(v).iter().map(of).fold(0.0, f64::max)
     }
 
+    /// By how much of what they should be the edges of vertex `v` and the curve are apart if it is at `p`.
+    fn excess(&self, positions: &[DVec3], v: u32, p: DVec3) -> f64 {
+        let (sides, start) = (self.sides(v), self.start[v as usize]);
+        let goal = sides.iter().map(|side| side.goal).fold(f64::INFINITY, f64::min);
+        // The vertex is near some part of the curve, and the place where that was cut near one of the edges.
+        let cut = |side: &Side| off(start, [p, positions[side.other as usize]]) / goal;
+        let beside = |side: &Side| {
+            let between = &self.points[side.points[0] as usize..side.points[1] as usize];
+            let ends = [between[0], between[between.len() - 1]];
+            let next = if start.distance(ends[0]) < start.distance(ends[1]) { ends[0] } else { ends[1] };
+            between.windows(2).map(|w| off(p, [w[0], w[1]])).fold(off(p, [start, next]), f64::min) / goal
+        };
+        let at = |u: u32| if u == v { p } else { positions[u as usize] };
+        // A tip of the curve may be nearer to the next edge than to its own.
+        let near = |q: DVec3, other: u32| {
+            let chords = |u: u32| self.sides(u).iter().map(move |s| off(q, [at(u), at(s.other)]));
+            chords(v).chain(chords(other)).fold(f64::INFINITY, f64::min)
+        };
+        let edges = sides.iter().map(|side| {
+            let between = &self.points[side.points[0] as usize..side.points[1] as usize];
+            let cut = near(self.start[side.other as usize], side.other);
+            between.iter().map(|&q| near(q, side.other)).fold(cut, f64::max) / side.goal
+        });
+        let own = sides.iter().map(cut).fold(f64::INFINITY, f64::min);
+        let astray = sides.iter().map(beside).fold(f64::INFINITY, f64::min);
+        edges.fold(own.max(astray), f64::max)
+    }
+
+    /// Moves vertices whose edges are farther from their curves than they should be a little, to where they are nearer;
+    /// corners less, and only those of boundaries, whose teeth may be narrower than an edge is long. Returns the corners
+    /// that moved.
+    pub(super) fn tighten(&self, positions: &mut [DVec3], facets: &[[u32; 3]], fixed: &[bool]) -> Vec<u32> {
+        let vertices: Vec<u32> = (0..self.start.len() as u32).filter(|&v| !self.sides(v).is_empty()).collect();
+        let far = |positions: &[DVec3], v: u32| self.excess(positions, v, positions[v as usize]);
+        if vertices.iter().all(|&v| far(positions, v) <= 1.0) {
+            return Vec::new();
+        }
+        let around = Around::new(positions.len(), facets);
+        let first = positions.to_vec();
+        let spoils = |positions: &[DVec3], v: u32, p: DVec3| {
+            around.of(v).iter().map(|&f| &facets[f as usize]).any(|t| {
+                let (before, now) = (t.map(|u| first[u as usize]), t.map(|u| positions[u as usize]));
+                let after = t.map(|u| if u == v { p } else { positions[u as usize] });
+                normal(before).dot(normal(after)) < LEAST_COSINE
+                    || score(after) < ENOUGH.min(score(now)).min(score(before))
+            })
+        };
+        let mut moved = Vec::new();
+        for _ in 0..TIGHTENINGS {
+            let mut any = false;
+            for &v in &vertices {
+                let here = positions[v as usize];
+                let mut best = (self.excess(positions, v, here), here);
+                if best.0 <= 1.0 || fixed[v as usize] && !on_boundary(around.of(v), facets, v) {
+                    continue;
+                }
+                let sides = self.sides(v).iter();
+                let edge = sides.map(|s| here.distance(positions[s.other as usize])).fold(f64::INFINITY, f64::min);
+                let reach = edge * if fixed[v as usize] { CORNER_REACH } else { REACH };
+                for (step, way) in STEPS.iter().flat_map(|&s| ways().map(move |w| (s, w))) {
+                    let p = here + step * edge * way;
+                    let excess = self.excess(positions, v, p);
+                    if excess < best.0 && p.distance(first[v as usize]) <= reach && !spoils(positions, v, p) {
+                        best = (excess, p);
+                    }
+                }
+                if best.1 != here {
+                    any = true;
+                    positions[v as usize] = best.1;
+                    moved.extend(fixed[v as usize].then_some(v));
+                }
+            }
+            if !any {
+                break;
+            }
+        }
+        moved.sort_unstable();
+        moved.dedup();
+        moved
+    }
+
     /// Whether vertex `v` may go to `p`: its edges stay within their limits, or come nearer to them.
     pub(super) fn allow(&self, positions: &[DVec3], v: u32, p: DVec3) -> bool {
         if self.sides(v).is_empty() {
@@ -96,13 +208,9 @@ impl Fences {
     pub(super) fn restore(&self, positions: &mut [DVec3], facets: &[[u32; 3]]) {
         let around = Around::new(positions.len(), facets);
         let turns = |positions: &[DVec3], v: u32, p: DVec3| {
-            let normal = |t: &[u32; 3], at: &dyn Fn(u32) -> DVec3| {
-                let [a, b, c] = t.map(at);
-                (b - a).cross(c - a).normalize_or_zero()
-            };
             around.of(v).iter().map(|&f| &facets[f as usize]).any(|t| {
-                let before = normal(t, &|u| positions[u as usize]);
-                let after = normal(t, &|u| if u == v { p } else { positions[u as usize] });
+                let before = normal(t.map(|u| positions[u as usize]));
+                let after = normal(t.map(|u| if u == v { p } else { positions[u as usize] }));
                 before.dot(after) < LEAST_COSINE
             })
         };

@@ -302,6 +302,11 @@ pub struct RepairFigures {
     pub non_manifold_facets: usize,
     /// Vertices split because their facets form more than one fan.
     pub split_vertices: usize,
+    /// Seeds that no vertex is of, and vertices beyond the first of their seed: the result has as many vertices as
+    /// there are seeds, less the former, plus the latter.
+    pub seeds_without_vertex: usize,
+    /// See `seeds_without_vertex`.
+    pub further_vertices: usize,
 }
 
 impl InputFigures {

@@ -5,6 +5,9 @@
 //! Invariant: what is reported as iterations are the steps that were asked for; the others are counted apart.
 //! Must not know: how a surface is made of the seeds.
 
+use glam::DVec3;
+
+use super::build::Missed;
 use super::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
 use super::{Observer, RemeshError, RemeshOptions};
 use crate::cvt::{Cvt, Iteration};
@@ -16,6 +19,17 @@ const CLEARINGS: usize = 2;
 const CLEARING_STEPS: usize = 3;
 /// Steps after seeds were moved or added for what was missed.
 const REFINING_STEPS: usize = 6;
+
+/// What is done about what a result missed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Refinement {
+    /// The nearest seeds go there, and those without a vertex where edges are long.
+    Move,
+    /// Only those without a vertex move.
+    MoveLost,
+    /// New ones do.
+    Add,
+}
 
 /// Takes the steps of one remesh.
 pub(super) struct Steps<'a> {
@@ -75,30 +89,29 @@ impl Steps<'_> {
         Ok(())
     }
 
-    /// Sends seeds to places that were missed, or adds them there where `add` says so, and lets the
-    /// others settle. Returns whether there was anything to do.
-    pub(super) fn refine(
-        &mut self,
-        cvt: &mut Cvt,
-        missed: &[(u32, glam::DVec3)],
-        add: bool,
-    ) -> Result<bool, RemeshError> {
+    /// Sends seeds to places that were missed, or adds them there, and lets the others settle. Seeds without a vertex
+    /// go where edges are long. Returns whether there was anything to do.
+    pub(super) fn refine(&mut self, cvt: &mut Cvt, missed: &Missed, what: Refinement) -> Result<bool, RemeshError> {
         let curves = cvt.curves().len() as u32;
-        let pins: Vec<(u32, glam::DVec3)> =
-            missed.iter().copied().filter(|&(seed, _)| add || (seed >= curves && !cvt.is_held(seed))).collect();
-        let changed = if add {
+        let changed = if what == Refinement::Add {
             // Where a seed is already, another would only be its twin.
             let seeds = cvt.unit_seeds()?;
-            let apart = |p: &&(u32, glam::DVec3)| seeds[p.0 as usize].distance(p.1) > TWINS;
-            let places: Vec<glam::DVec3> = pins.iter().filter(apart).map(|p| p.1).collect();
+            let apart = |p: &&(u32, DVec3)| seeds[p.0 as usize].distance(p.1) > TWINS;
+            let places: Vec<DVec3> = missed.places.iter().filter(apart).map(|p| p.1).collect();
             let added = cvt.pin(&[], &places)?;
             self.refine.added_seeds += added;
             added
         } else {
+            let free = |&(seed, _): &(u32, DVec3)| seed >= curves && !cvt.is_held(seed);
             let most = (cvt.len() as f64 * LARGEST_SHARE) as usize;
-            let pins = &pins[..pins.len().min(most)];
+            let mut pins: Vec<(u32, DVec3)> = match what {
+                Refinement::Move => missed.places.iter().copied().filter(free).take(most).collect(),
+                _ => Vec::new(),
+            };
+            // Where they were lost, as on a flap whose sides close back to back, they would be lost again.
+            pins.extend(missed.lost.iter().copied().zip(missed.room.iter().copied()));
             if !pins.is_empty() {
-                cvt.pin(pins, &[])?;
+                cvt.pin(&pins, &[])?;
             }
             self.refine.moved_seeds += pins.len();
             pins.len()

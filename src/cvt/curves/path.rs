@@ -158,6 +158,21 @@ impl Path {
         if t == 1.0 { self.points[k] } else { self.points[k - 1] + t * (self.points[k] - self.points[k - 1]) }
     }
 
+    /// Points between two arc lengths, evenly spaced but for those that a vertex of the curve is near: they are there, so
+    /// that none of a zigzag's tips goes unseen.
+    pub(super) fn between(&self, s: f64, t: f64) -> [DVec3; BETWEEN] {
+        let step = (t - s) / (BETWEEN + 1) as f64;
+        std::array::from_fn(|k| {
+            let even = s + (k + 1) as f64 * step;
+            let round = if self.closed { even.div_euclid(self.length()) * self.length() } else { 0.0 };
+            let after = self.along.partition_point(|&a| a <= even - round).min(self.along.len() - 1);
+            let vertices = [after / PARTS * PARTS, after.div_ceil(PARTS) * PARTS];
+            let apart = |v: usize| (self.along[v] + round - even).abs();
+            let near = if apart(vertices[0]) < apart(vertices[1]) { vertices[0] } else { vertices[1] };
+            if apart(near) < 0.5 * step { self.points[near] } else { self.at(even) }
+        })
+    }
+
     /// Arc lengths of the seeds of `count` segments, ascending, without those at the ends; a closed curve has its first
     /// one near where it begins, on either side of it.
     pub(super) fn tessellate(&self, count: usize, least: usize) -> Vec<f64> {
