@@ -210,6 +210,49 @@ fn lists_that_are_kept_change_nothing() {
     assert!(strays > 10, "lists were kept in {strays} passes with strays or after them");
 }
 
+/// Passes in which most seeds stay near where they were and some go astray, far enough to change cells that they
+/// had nothing to do with, or come back.
+#[test]
+fn seeds_that_go_astray_change_nothing_elsewhere() {
+    let backend = Parallel::new(Some(2)).unwrap();
+    let flag = CancelFlag::default();
+    let mut rng = rng(11);
+    // Facets deep in cells, about as many facets as seeds, and facets with several cells; and most seeds in one place.
+    let cases = [
+        (Shape::Torus, 6000, 300, false),
+        (Shape::Torus, 3000, 1500, false),
+        (Shape::Torus, 600, 1500, false),
+        (Shape::Sphere, 5000, 1200, true),
+    ];
+    for (shape, facets, count, crowded) in cases {
+        let surface = Arc::new(Surface::new(&shape.build(facets), None).unwrap());
+        let mut seeds: Vec<DVec3> = on_surface(&surface, count, &mut rng).into_iter().map(|x| x.1).collect();
+        if crowded {
+            let near = |p: &DVec3| p.x > 0.2 && p.y > 0.2;
+            let others: Vec<DVec3> = on_surface(&surface, 20 * count, &mut rng).into_iter().map(|x| x.1).collect();
+            seeds.iter_mut().zip(others.into_iter().filter(near)).skip(200).for_each(|(seed, p)| *seed = p);
+        }
+        let spacing = (surface.area() / count as f64).sqrt();
+        let mut session = backend.session(Arc::clone(&surface), SessionOptions::new(count)).unwrap();
+        let (mut sums, mut want) = (CellSums::default(), CellSums::default());
+        let mut kept = 0;
+        for pass in 0..60 {
+            session.set_seeds(&seeds).unwrap();
+            kept += u32::from(session.sums(&mut sums, &flag).unwrap().neighbours_ms == 0.0);
+            let mut fresh = open(&backend, &surface, &seeds, Capacities::default());
+            fresh.sums(&mut want, &flag).unwrap();
+            assert!(sums == want, "{shape}, {count} seeds: pass {pass}");
+            let mut by = |size: f64| size * DVec3::from_array([(); 3].map(|()| rng.random::<f64>() - 0.5));
+            seeds.iter_mut().for_each(|seed| *seed += by(0.01 * spacing));
+            for k in 0..pass % 6 {
+                let who = (pass * 37 + k * 101) % count;
+                seeds[who] += by([0.5, 2.0, 6.0][k % 3] * spacing);
+            }
+        }
+        assert!(kept > 20, "{shape}, {count} seeds: lists were kept in {kept} passes");
+    }
+}
+
 #[test]
 fn mass_follows_the_weights() {
     for (name, mesh) in surfaces::all() {

@@ -20,7 +20,7 @@ const STEPS: usize = 14;
 /// nothing to gain by sliding.
 const DAMPING: f64 = 0.05;
 /// Neighbours that move apart by so much, likewise: who is pulled away takes them along.
-const STIFFNESS: f64 = 0.005;
+const STIFFNESS: f64 = 0.02;
 /// What keeps the system solvable where samples are few.
 const FLOOR: f64 = 0.01;
 /// Curves are lines that the eye follows: a residual there counts for this many of the surface's.
