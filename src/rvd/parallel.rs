@@ -248,7 +248,7 @@ impl ParallelSession {
         let table = if matches!(from, From::Rows { .. }) { &self.table } else { &self.no_table };
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table };
         let begin = Instant::now();
-        let (facets, starts) = self.order.guesses(diagram);
+        let (facets, starts) = self.order.guesses(diagram, from != From::Kept);
         stats.start_ms = elapsed_ms(begin);
         let (kept, lists) = self.lists.split(tasks, size);
         let rows = if kept.even { &self.no_table } else { &self.table };

@@ -19,7 +19,7 @@ const CHUNK: usize = 4096;
 pub(super) struct Order {
     /// All facets with area along a curve that fills space, by their centroids.
     pub facets: Vec<u32>,
-    /// Of each facet, and how many seeds there were.
+    /// Of each facet, and how many seeds there were when they were found.
     starts: Vec<u32>,
     seeds: usize,
 }
@@ -37,13 +37,16 @@ impl Order {
         places.into_par_iter().with_min_len(CHUNK).map(|(_, facet)| facet).collect_into_vec(&mut self.facets);
     }
 
-    /// The facets, and a guess for each, to be made better: the last answer, or else a seed not far away.
-    pub(super) fn guesses(&mut self, diagram: Diagram<'_>) -> (&[u32], &mut [u32]) {
+    /// The facets, and a guess for each: the last answer, or else a seed not far away. Whether better ones are to be found.
+    pub(super) fn guesses(&mut self, diagram: Diagram<'_>, better: bool) -> (&[u32], &mut [u32]) {
         if self.starts.is_empty() || self.seeds > diagram.seeds.len() {
             let near = |&facet: &u32| diagram.index.near(diagram.surface.centroid(facet));
             self.facets.par_iter().with_min_len(CHUNK).map(near).collect_into_vec(&mut self.starts);
+            self.seeds = diagram.seeds.len();
         }
-        self.seeds = diagram.seeds.len();
+        if better {
+            self.seeds = diagram.seeds.len();
+        }
         (&self.facets, &mut self.starts)
     }
 }

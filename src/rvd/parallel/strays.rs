@@ -16,6 +16,9 @@ use crate::rvd::incident::Diagram;
 /// Seeds per task.
 const CHUNK: usize = 2048;
 
+/// The ends of a box around corners, whose coordinates are of the order of 1, may be rounded by less than this.
+const ROUNDING: f64 = 1e-15;
+
 /// Which seeds are strays, and where they are.
 #[derive(Default)]
 pub(super) struct Strays {
@@ -51,7 +54,7 @@ impl Reach {
     pub(super) fn bounds(&self) -> Bounds {
         let mut bounds = Bounds::NONE;
         for (&corner, most) in self.corner.iter().zip(self.most) {
-            let most = DVec3::splat(most * (1.0 + 1e-9));
+            let most = DVec3::splat(most * (1.0 + 1e-9) + ROUNDING);
             bounds = bounds.with(Bounds { low: corner - most, high: corner + most });
         }
         bounds
@@ -82,7 +85,7 @@ impl Bounds {
 
     /// Larger on all sides.
     pub(super) fn wider(self, by: f64) -> Self {
-        let by = DVec3::splat(by * (1.0 + 1e-9));
+        let by = DVec3::splat(by * (1.0 + 1e-9) + ROUNDING);
         Self { low: self.low - by, high: self.high + by }
     }
 
