@@ -46,8 +46,8 @@ struct Block {
 /// Seeds that share a seed's cell, itself among them, on average: cells of two and a half spacings, so
 /// that the cells around one hold the 16 nearest seeds of all its seeds, and the 24 nearest of most.
 const OCCUPANCY: f64 = 6.0;
-/// So many on average, and the cells are about as many seeds each.
-const EVEN: f64 = 12.0;
+/// So many on average, and rows of neighbours are found sooner than all seeds in a box.
+const EVEN: f64 = 30.0;
 /// So many on average, and a tree is faster.
 const CROWDED: f64 = 64.0;
 /// Cells per seed, at most.
@@ -167,7 +167,7 @@ impl Grid {
         }
     }
 
-    /// Whether cells hold about as many seeds each.
+    /// Whether cells hold few enough seeds that what is in a box is found fast.
     pub(super) fn is_even(&self) -> bool {
         self.occupancy <= EVEN
     }
