@@ -261,4 +261,29 @@ mod tests {
         assert!(moved[1].distance(DVec3::new(1.025, 0.075, 0.0)) < 1e-12, "{}", moved[1]);
         assert_eq!(moved[3], 5.0 * DVec3::Y);
     }
+
+    /// A tooth of a curve beside its edge: ends of the edge come nearer to it, corners of a boundary a little, others not
+    /// at all.
+    #[test]
+    fn ends_of_an_edge_that_is_too_far_from_its_curve_move_a_little() {
+        let start = [DVec3::ZERO, DVec3::X, 2.0 * DVec3::X, DVec3::new(1.0, 1.2, 0.0), DVec3::new(1.0, -1.2, 0.0)];
+        let sample = |edge: [u32; 2], x: f64, y: f64| {
+            let position = DVec3::new(x, y, 0.0);
+            CurveSample { position, edge, area: 0.1, limit: 0.02 }
+        };
+        let fences = Fences::new(&start, &[sample([0, 1], 0.6, -0.06), sample([1, 2], 1.5, 0.0)]);
+        let tooth = |at: &[DVec3; 5]| off(DVec3::new(0.6, -0.06, 0.0), [at[0], at[1]]);
+        let (open, closed) = ([[0, 1, 3], [1, 2, 3]], [[0, 1, 3], [1, 2, 3], [1, 0, 4], [2, 1, 4]]);
+        let mut free = start;
+        assert!(fences.tighten(&mut free, &open, &[false; 5]).is_empty());
+        assert!(tooth(&free) < 0.7 * tooth(&start), "{free:?}");
+        let mut corners = start;
+        let moved = fences.tighten(&mut corners, &open, &[true; 5]);
+        assert!(!moved.is_empty() && tooth(&corners) < 0.9 * tooth(&start), "{corners:?}");
+        // Of the edge as it is by then, a little longer.
+        assert!((0..5).all(|v| corners[v].distance(start[v]) <= CORNER_REACH * 1.1), "{corners:?}");
+        let mut inside = start;
+        assert!(!fences.tighten(&mut inside, &closed, &[true; 5]).contains(&1));
+        assert_eq!(inside[1], start[1]);
+    }
 }
