@@ -2,8 +2,10 @@
 //!
 //! Purpose: the chords of a curve are chosen to stay close to it, and what moves their ends afterwards, for the
 //! sake of the mean or of a facet's shape, is not to undo that. [`Fences`] knows for every vertex of a curve the
-//! points of the curve beside it, and how far from them its edges may be.
-//! Invariant: a chord that was farther than the limit may stay as far as it was. Must not know: why vertices move.
+//! points of the curve beside it, and how far from them its edges may be. Where chords are farther than they should be all
+//! the same, it moves their ends a little ([`Fences::tighten`]).
+//! Invariant: a chord that was farther than the limit may stay as far as it was; a corner moves on a boundary alone.
+//! Must not know: why else vertices move.
 
 use glam::DVec3;
 

@@ -216,8 +216,8 @@ impl Chunk {
         self.unlisted = 0;
     }
 
-    /// Integrals over the pieces of the facets, added up in blocks of so many; `starts` become seeds near them. Their lists
-    /// are kept where there is slack. Returns whether all could be listed, or walked by rows; nothing is summed otherwise.
+    /// Integrals over the pieces of the facets, added up block by block; `starts` become the seeds nearest to them that are
+    /// listed. Their lists are kept where there is slack. Returns whether all could be listed, or walked by rows; nothing is summed otherwise.
     pub(super) fn sum(
         &mut self,
         walkers: &mut Walkers,

@@ -37,7 +37,8 @@ impl Order {
         places.into_par_iter().with_min_len(CHUNK).map(|(_, facet)| facet).collect_into_vec(&mut self.facets);
     }
 
-    /// The facets, and a guess for each: the last answer, or else a seed not far away. Whether better ones are to be found.
+    /// The facets, and a guess for each: the last answer, or else a seed not far away. With `better` the caller puts
+    /// nearer seeds in their place.
     pub(super) fn guesses(&mut self, diagram: Diagram<'_>, better: bool) -> (&[u32], &mut [u32]) {
         if self.starts.is_empty() || self.seeds > diagram.seeds.len() {
             let near = |&facet: &u32| diagram.index.near(diagram.surface.centroid(facet));
