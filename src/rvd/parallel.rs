@@ -105,7 +105,7 @@ const BLOCK: usize = 256;
 /// Pairs that those should have, so that coarse meshes with many seeds are shared out too.
 const BLOCK_PAIRS: usize = 2048;
 /// Blocks per task, at most: enough that facets with as many members fill the lanes of a register,
-const BLOCKS: usize = 4;
+const BLOCKS: usize = 8;
 /// and tasks that each thread should have, so that none waits long for the last.
 const SHARES: usize = 8;
 /// Seeds a facet, from which on facets are divided and walked by rows of neighbours instead of by lists that are kept.
@@ -198,7 +198,7 @@ impl ParallelSession {
     /// Sums of all facets, from the lists if they still hold, or else from new ones.
     fn sum_up(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
         self.order.begin(&self.surface);
-        let blocks = self.blocks(self.order.facets.len());
+        let blocks = self.blocks(self.order.len());
         // Where facets have many cells, the walk does most of the work, and it needs rows.
         let coarse = self.seeds.len() > MANY * self.surface.facets().len();
         let listed = self.stale && !self.seeds.is_empty() && !coarse;
@@ -243,7 +243,7 @@ impl ParallelSession {
         let mut stats = PassStats::default();
         let Blocks { facets: block, a_chunk } = blocks;
         let size = block * a_chunk;
-        let tasks = self.order.facets.len().div_ceil(size);
+        let tasks = self.order.len().div_ceil(size);
         self.chunks.resize_with(WAVE.min(tasks), Chunk::default);
         let table = if matches!(from, From::Rows { .. }) { &self.table } else { &self.no_table };
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table };

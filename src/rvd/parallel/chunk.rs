@@ -8,13 +8,14 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::around::GROUP;
-use super::facets::{Found, MEMBERS};
+use super::facets::{Found, InTurn, MEMBERS};
 use super::gather::Slack;
 use super::groups::{Chooser, Listed, Thin, choose_members};
-use super::lanes::{Number, Row, WIDEST};
+use super::lanes::Number;
 use super::lister::Lister;
 use super::lists::{Kept, Lists};
 use super::moments::{UNIFORM, WEIGHTED};
+use super::order::Stretch;
 use super::strays::{Bounds, Reach};
 use super::written::{NONE, Written};
 use crate::knn::NeighbourTable;
@@ -53,7 +54,7 @@ pub(super) struct Task<'a> {
 
 impl<'a> Task<'a> {
     /// Of facets with lists.
-    pub(super) fn listed(&self, facets: &'a [u32], starts: &'a [u32], lists: &'a Lists) -> Listed<'a> {
+    pub(super) fn listed(&self, facets: Stretch<'a>, starts: &'a [u32], lists: &'a Lists) -> Listed<'a> {
         let Self { diagram, capacities, by_rows, .. } = *self;
         Listed { diagram, facets, starts, lists, capacities, by_rows }
     }
@@ -111,43 +112,30 @@ impl Walkers {
     /// Divides all facets with members among them.
     #[inline(always)]
     fn divide<S: Simd, const N: usize>(&mut self, simd: S, listed: Listed<'_>, stats: &mut PassStats) {
-        let Self { chooser: Chooser { facets, groups, members, long }, found, written, to_walk, to_clip, .. } = self;
+        let Self { chooser, found, written, to_walk, to_clip, .. } = self;
+        let Chooser { facets, in_turn, groups, members, long } = chooser;
         let diagram = listed.diagram;
         groups.sort(MEMBERS, members.iter().map(|m| m.count_ones() as usize));
-        let mut weight = [Row([1.0; WIDEST]); 3];
         for n in 1..=MEMBERS {
-            for group in groups.of(n).chunks(Number::<S>::LANES) {
-                for lane in 0..Number::<S>::LANES {
-                    let at = group[lane.min(group.len() - 1)];
-                    let facet = listed.facets[at as usize];
-                    facets.set_corners(lane, diagram.surface, facet);
-                    if N == WEIGHTED {
-                        let vertex = diagram.surface.facets()[facet as usize];
-                        for (weight, v) in weight.iter_mut().zip(vertex) {
-                            weight.0[lane % WIDEST] = diagram.surface.weights()[v as usize];
+            for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
+                if let Some(group) = turn.set {
+                    let given = in_turn.to_set(&turn);
+                    for lane in 0..Number::<S>::LANES {
+                        let at = group[lane.min(group.len() - 1)];
+                        let vertices = listed.facets.vertices(at as usize);
+                        given.set_facet(lane, &vertices);
+                        if N == WEIGHTED {
+                            given.set_weights(lane, &vertices);
                         }
-                    }
-                    let list = long.list(listed, at as usize);
-                    let mut seeds = [0; MEMBERS];
-                    let mut left = members[at as usize];
-                    for k in 0..n {
-                        let seed = list[left.trailing_zeros() as usize];
-                        left &= left - 1;
-                        // In the order of their numbers, in which kept lists are already.
-                        let mut k = k;
-                        while k > 0 && seeds[k - 1] > seed {
-                            seeds[k] = seeds[k - 1];
-                            k -= 1;
+                        let seeds = written.seeds_of(at, n);
+                        sorted(long.list(listed, at as usize), members[at as usize], seeds);
+                        for (k, &seed) in seeds.iter().enumerate() {
+                            given.set_seed(lane, k, diagram.seeds[seed as usize]);
                         }
-                        seeds[k] = seed;
-                    }
-                    let first = written.first(at);
-                    written.seeds[first..][..n].copy_from_slice(&seeds[..n]);
-                    for (k, &seed) in seeds[..n].iter().enumerate() {
-                        facets.set_seed(lane, k, diagram.seeds[seed as usize]);
                     }
                 }
-                facets.divide::<S, N>(simd, n, &weight, found);
+                let Some(group) = turn.read else { continue };
+                facets.divide::<S, N>(simd, n, in_turn.to_read(&turn), found);
                 for (lane, &at) in group.iter().enumerate() {
                     let first = written.first(at);
                     let (seeds, slots) = (&mut written.seeds[first..][..n], &mut written.integrals[first..][..n]);
@@ -179,7 +167,7 @@ impl Walkers {
         for &(at, slot) in &*to_clip {
             let among = long.among(listed, at as usize, members[at as usize]);
             let (seed, sum) = (&mut written.seeds[slot], &mut written.integrals[slot]);
-            walker.clip_listed(&among.seeds, diagram, facets[at as usize], *seed, capacities, stats);
+            walker.clip_listed(&among.seeds, diagram, facets.facet(at as usize), *seed, capacities, stats);
             if walker.clipper().polygon().is_empty() {
                 *seed = NONE;
             } else {
@@ -190,8 +178,7 @@ impl Walkers {
         to_walk.sort_unstable();
         for &at in &*to_walk {
             let at = at as usize;
-            let facet = facets[at];
-            let centroid = diagram.surface.centroid(facet);
+            let (facet, centroid) = (facets.facet(at), facets.centroid(at));
             let visit = |i: u32, clipper: &Clipper| written.walked.push((i, clipper.integrals()));
             // Who has many members was not tried, and is found by rows, if there are any.
             let many = !(1..=MEMBERS as u32).contains(&members[at].count_ones());
@@ -222,7 +209,7 @@ impl Chunk {
         &mut self,
         walkers: &mut Walkers,
         task: Task<'_>,
-        (facets, starts): (&[u32], &mut [u32]),
+        (facets, starts): (Stretch<'_>, &mut [u32]),
         kept: &mut Lists,
     ) -> bool {
         let Task { diagram, slack, by_rows, even, block, .. } = task;
@@ -242,7 +229,8 @@ impl Chunk {
                     Arch::new().dispatch(Thin { chooser: &mut walkers.chooser, listed, slack, out: kept });
                 }
                 kept.bounds.extend(facets.chunks(GROUP).zip(starts.chunks(GROUP)).map(|(facets, starts)| {
-                    let each = facets.iter().zip(starts).map(|(&f, &start)| Reach::of(diagram, slack, f, start));
+                    let each =
+                        (0..).zip(starts).map(|(k, &start)| Reach::of(diagram, slack, &facets.corners(k), start));
                     each.fold(Bounds::NONE, |all, reach| all.with(reach.bounds()))
                 }));
                 of_chunk = kept;
@@ -312,6 +300,21 @@ impl Chunk {
     }
 }
 
+/// As many seeds of a list as `members` says, in the order of their numbers, in which kept lists are already.
+#[inline(always)]
+fn sorted(list: &[u32], mut members: u32, out: &mut [u32]) {
+    for k in 0..out.len() {
+        let seed = list[members.trailing_zeros() as usize];
+        members &= members - 1;
+        let mut k = k;
+        while k > 0 && out[k - 1] > seed {
+            out[k] = out[k - 1];
+            k -= 1;
+        }
+        out[k] = seed;
+    }
+}
+
 /// Adds the blocks' sums up. Every thread owns a range of seeds and reads everything, so that each cell is added up in
 /// the order of blocks without a lock.
 pub(super) fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
@@ -345,6 +348,7 @@ mod tests {
     use glam::DVec3;
 
     use super::super::gather::{Few, Gatherer};
+    use super::super::order::Order;
     use super::*;
     use crate::knn::{SeedIndex, Threads};
     use crate::mesh::shapes::Shape;
@@ -378,19 +382,20 @@ mod tests {
             assert!(table.fill(&index, 24, Threads::One, &|| false));
             let diagram = Diagram { surface: &surface, seeds: &seeds, index: &index, table: &table };
             let (mut lists, mut gatherer) = (Lists::default(), Gatherer::default());
-            for facet in 0..surface.facets().len() as u32 {
-                let corner = surface.facets()[facet as usize].map(|v| surface.positions()[v as usize]);
-                let centroid = surface.centroid(facet);
+            let mut order = Order::default();
+            order.begin(&surface);
+            let facets = order.all();
+            for at in 0..facets.len() {
+                let (corner, centroid) = (facets.corners(at), facets.centroid(at));
                 let (_, few) =
                     gatherer.gather(diagram, (Slack::NONE, Few::TO_WALK), &corner, centroid, index.near(centroid));
                 assert!(few);
                 lists.push(gatherer.list().iter().copied());
             }
-            let starts = vec![0; surface.facets().len()];
-            let facets: Vec<u32> = (0..surface.facets().len() as u32).collect();
+            let starts = vec![0; facets.len()];
             let listed = Listed {
                 diagram,
-                facets: &facets,
+                facets,
                 starts: &starts,
                 lists: &lists,
                 capacities: Capacities::default(),

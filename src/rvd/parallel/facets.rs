@@ -14,8 +14,8 @@ use glam::DVec3;
 use pulp::Simd;
 
 use super::lanes::{Mask, Number, Row, WIDEST};
-use super::moments::{self, Moments, PieceIntegrals, Shape, WEIGHTED};
-use crate::rvd::Surface;
+use super::moments::{self, Moments, PieceIntegrals, Shape, WEIGHTED, Weight};
+use super::order::Vertex;
 use crate::rvd::clip::Integrals;
 
 /// A segment's end may be off by this share of the farthest corner's distance, in the worst case, and the facet is
@@ -35,14 +35,20 @@ pub(super) const LISTED: usize = 32;
 /// counts twice, and two of the sum.
 const ERROR: f64 = 2.5 * f64::EPSILON;
 
-/// Scratch memory.
-pub(super) struct Facets {
+/// Facets and seeds, one facet in each lane.
+pub(super) struct Given {
     /// Corners, coordinate by coordinate.
     corner: [[Row; 3]; 3],
+    /// The weights there.
+    weight: [Row; 3],
     /// Of each seed, coordinate by coordinate.
     seed: [[Row; 3]; LISTED],
     /// How far each seed may move.
     slack: [Row; LISTED],
+}
+
+/// Scratch memory.
+pub(super) struct Facets {
     /// Squared distances of each seed from the corners.
     squared: [[Row; 3]; LISTED],
     /// The least distances that each seed may have to the corners.
@@ -61,13 +67,17 @@ pub(super) fn beats(squared: [f64; 3], other: [f64; 3]) -> bool {
     (0..3).all(|c| squared[c] < other[c] * (1.0 - 4.0 * ERROR))
 }
 
+impl Default for Given {
+    fn default() -> Self {
+        let row = Row::default();
+        Self { corner: [[row; 3]; 3], weight: [row; 3], seed: [[row; 3]; LISTED], slack: [row; LISTED] }
+    }
+}
+
 impl Default for Facets {
     fn default() -> Self {
         let row = Row::default();
         Self {
-            corner: [[row; 3]; 3],
-            seed: [[row; 3]; LISTED],
-            slack: [row; LISTED],
             squared: [[row; 3]; LISTED],
             least: [[row; 3]; LISTED],
             low: [row; MEMBERS],
@@ -132,16 +142,20 @@ impl Default for Found {
     }
 }
 
-impl Facets {
+impl Given {
     /// Sets a lane's facet.
     #[inline(always)]
-    pub(super) fn set_corners(&mut self, lane: usize, surface: &Surface, facet: u32) {
+    pub(super) fn set_facet(&mut self, lane: usize, vertices: &[Vertex; 3]) {
         let lane = lane % WIDEST;
-        let vertex = surface.facets()[facet as usize];
-        for (corner, v) in self.corner.iter_mut().zip(vertex) {
-            let p = surface.positions()[v as usize];
+        for (corner, Vertex { p, .. }) in self.corner.iter_mut().zip(vertices) {
             (corner[0].0[lane], corner[1].0[lane], corner[2].0[lane]) = (p.x, p.y, p.z);
         }
+    }
+
+    /// Sets the weights at its corners.
+    #[inline(always)]
+    pub(super) fn set_weights(&mut self, lane: usize, vertices: &[Vertex; 3]) {
+        self.weight.iter_mut().zip(vertices).for_each(|(row, vertex)| row.0[lane % WIDEST] = vertex.weight);
     }
 
     /// Sets a lane's k-th seed.
@@ -157,17 +171,50 @@ impl Facets {
     pub(super) fn set_slack(&mut self, lane: usize, k: usize, slack: f64) {
         self.slack[k].0[lane % WIDEST] = slack;
     }
+}
 
+/// Two groups' lanes. The next one's are set before those of the one at hand are read: what was written number by
+/// number could not be read as a whole at once.
+#[derive(Default)]
+pub(super) struct InTurn([Given; 2]);
+
+/// A group to set, and one to read that was set before.
+pub(super) struct Turn<'a> {
+    pub set: Option<&'a [u32]>,
+    pub read: Option<&'a [u32]>,
+    into: usize,
+}
+
+impl InTurn {
+    /// The turns that it takes for facets, so many to a group.
+    pub(super) fn turns(facets: &[u32], lanes: usize) -> impl Iterator<Item = Turn<'_>> {
+        let groups = facets.chunks(lanes).map(Some);
+        let set = groups.clone().chain([None]);
+        set.zip([None].into_iter().chain(groups)).enumerate().map(|(k, (set, read))| Turn { set, read, into: k % 2 })
+    }
+
+    #[inline(always)]
+    pub(super) fn to_set(&mut self, turn: &Turn<'_>) -> &mut Given {
+        &mut self.0[turn.into]
+    }
+
+    #[inline(always)]
+    pub(super) fn to_read(&self, turn: &Turn<'_>) -> &Given {
+        &self.0[1 - turn.into]
+    }
+}
+
+impl Facets {
     /// The squared distances of the first `n` seeds.
     #[inline(always)]
-    fn measure<S: Simd>(&mut self, simd: S, n: usize) {
+    fn measure<S: Simd>(&mut self, simd: S, n: usize, given: &Given) {
         for c in 0..3 {
-            let [x, y, z] = load(simd, &self.corner[c]);
+            let [x, y, z] = load(simd, &given.corner[c]);
             for k in 0..n {
                 let [dx, dy, dz] = [
-                    Number::load(simd, &self.seed[k][0]) - x,
-                    Number::load(simd, &self.seed[k][1]) - y,
-                    Number::load(simd, &self.seed[k][2]) - z,
+                    Number::load(simd, &given.seed[k][0]) - x,
+                    Number::load(simd, &given.seed[k][1]) - y,
+                    Number::load(simd, &given.seed[k][2]) - z,
                 ];
                 (dx * dx + dy * dy + dz * dz).store(&mut self.squared[k][c]);
             }
@@ -176,8 +223,8 @@ impl Facets {
 
     /// Of lists of `n` seeds those that are not farther than another one from all corners, as bits.
     #[inline(always)]
-    pub(super) fn choose<S: Simd>(&mut self, simd: S, n: usize) -> [u32; WIDEST] {
-        self.measure(simd, n);
+    pub(super) fn choose<S: Simd>(&mut self, simd: S, n: usize, given: &Given) -> [u32; WIDEST] {
+        self.measure(simd, n, given);
         // A seed beats another one by more than roundings.
         let room = Number::all(simd, 1.0 - 4.0 * ERROR);
         for k in 0..n {
@@ -190,11 +237,11 @@ impl Facets {
 
     /// The same, whatever way any two of them move within their slacks.
     #[inline(always)]
-    pub(super) fn choose_with_slack<S: Simd>(&mut self, simd: S, n: usize) -> [u32; WIDEST] {
-        self.measure(simd, n);
+    pub(super) fn choose_with_slack<S: Simd>(&mut self, simd: S, n: usize, given: &Given) -> [u32; WIDEST] {
+        self.measure(simd, n, given);
         let room = Number::all(simd, 1.0 - 4.0 * ERROR);
         for k in 0..n {
-            let slack = Number::load(simd, &self.slack[k]);
+            let slack = Number::load(simd, &given.slack[k]);
             for c in 0..3 {
                 let distance = Number::load(simd, &self.squared[k][c]).sqrt();
                 ((distance - slack) * room).store(&mut self.least[k][c]);
@@ -221,17 +268,18 @@ impl Facets {
         row.0.map(|bits| bits as u32)
     }
 
-    /// Divides facets of `n` members among them. `weight` holds the weights at the corners where they are not 1.
+    /// Divides facets of `n` members among them. Weights are read where they are not 1.
     #[inline(always)]
-    pub(super) fn divide<S: Simd, const N: usize>(&mut self, simd: S, n: usize, weight: &[Row; 3], found: &mut Found) {
-        self.measure(simd, n);
+    pub(super) fn divide<S: Simd, const N: usize>(&mut self, simd: S, n: usize, given: &Given, found: &mut Found) {
+        self.measure(simd, n, given);
         let (zero, one) = (Number::all(simd, 0.0), Number::all(simd, 1.0));
-        let first = load(simd, &self.corner[0]);
-        let (e, f) = (minus(load(simd, &self.corner[1]), first), minus(load(simd, &self.corner[2]), first));
+        let first = load(simd, &given.corner[0]);
+        let (e, f) = (minus(load(simd, &given.corner[1]), first), minus(load(simd, &given.corner[2]), first));
         let cross = [e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]];
         let twice_area = (cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]).sqrt();
         let longest2 = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]).larger(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]);
-        let shape = Shape { side: [e, f], twice_area, weight: load(simd, weight) };
+        let shape = Shape { side: [e, f], twice_area };
+        let weight = Weight::new(load(simd, &given.weight));
         for k in 0..n {
             zero.store(&mut self.low[k]);
             one.store(&mut self.high[k]);
@@ -244,7 +292,7 @@ impl Facets {
         let mut unsure = Mask::none(simd);
         for i in 0..n {
             for j in i + 1..n {
-                unsure = unsure | self.pair::<S, N>(simd, (i, j, n), bounds);
+                unsure = unsure | self.pair::<S, N>(simd, (i, j, n), bounds, weight);
             }
         }
         let four_slips = Number::all(simd, 4.0) * bounds.slip;
@@ -254,14 +302,14 @@ impl Facets {
             let some = low.below(high);
             unsure = unsure | (high - low).abs().at_most(four_slips);
             let (low, high) = (some.choose(low, zero), some.choose(high, zero));
-            let segment = moments::of::<S, N>(simd, [one - low, low], [one - high, high]);
+            let segment = moments::of::<S, N>(simd, weight, [[one - low, low], [one - high, high]]);
             let moments = &mut self.moments[k];
             moments::add(simd, moments, segment);
             let there = some | zero.below(Number::load(simd, &self.there[k]));
             let small = Number::load(simd, &moments[0]).below(Number::all(simd, LEAST_SHARE));
             let piece = &mut found.pieces[k];
             there.choose(small.choose(Number::all(simd, SMALL), one), zero).store(&mut piece.there);
-            let origin = minus(first, load(simd, &self.seed[k]));
+            let origin = minus(first, load(simd, &given.seed[k]));
             let PieceIntegrals { mass, moment: [x, y, z], energy, area } =
                 moments::integrals::<S, N>(simd, moments, &shape, origin);
             let [m, mx, my, mz, e, a] = &mut piece.values;
@@ -300,6 +348,7 @@ impl Facets {
         simd: S,
         (i, j, n): (usize, usize, usize),
         bounds: Bounds<S>,
+        weight: Weight<S>,
     ) -> Mask<S> {
         let (zero, one) = (Number::all(simd, 0.0), Number::all(simd, 1.0));
         let mine = load(simd, &self.squared[i]);
@@ -341,6 +390,9 @@ impl Facets {
             let (unsure_a, unsure_b) = (bounds.value + slip_a * range, bounds.value + slip_b * range);
             let (out_a, out_b) = (ga.at_most(zero), gb.at_most(zero));
             taken = taken | (out_a & out_b & unsure_a.below(ga.abs()) & unsure_b.below(gb.abs()));
+            if n > 4 && !(crossed & !taken).any() {
+                return unsure;
+            }
             let run = ga - gb;
             let cuts = out_a ^ out_b;
             let slips = cuts & (bounds.slip * run.abs()).below(unsure_a + unsure_b);
@@ -359,7 +411,7 @@ impl Facets {
             let (begin, end) = (along.choose(low, high), along.choose(high, low));
             let begin = [some.choose(from[1] + begin * du, zero), some.choose(from[2] + begin * dv, zero)];
             let end = [some.choose(from[1] + end * du, zero), some.choose(from[2] + end * dv, zero)];
-            let segment = moments::of::<S, N>(simd, begin, end);
+            let segment = moments::of::<S, N>(simd, weight, [begin, end]);
             moments::add(simd, &mut self.moments[i], segment);
             moments::take(simd, &mut self.moments[j], segment);
             for k in [i, j] {

@@ -8,10 +8,11 @@
 use glam::DVec3;
 use pulp::{Simd, WithSimd};
 
-use super::facets::{Facets, LISTED, MEMBERS, beats};
+use super::facets::{Facets, Given, InTurn, LISTED, MEMBERS, beats};
 use super::gather::Slack;
 use super::lanes::Number;
 use super::lists::Lists;
+use super::order::Stretch;
 use crate::rvd::Capacities;
 use crate::rvd::incident::Diagram;
 
@@ -20,7 +21,7 @@ use crate::rvd::incident::Diagram;
 pub(super) struct Listed<'a> {
     pub diagram: Diagram<'a>,
     /// The facets,
-    pub facets: &'a [u32],
+    pub facets: Stretch<'a>,
     /// and of each a seed that is near.
     pub starts: &'a [u32],
     pub lists: &'a Lists,
@@ -66,6 +67,7 @@ impl Groups {
 #[derive(Default)]
 pub(super) struct Chooser {
     pub facets: Facets,
+    pub in_turn: InTurn,
     pub groups: Groups,
     /// Of each facet the members among its list, as bits; 0 where there are too many for that.
     pub members: Vec<u32>,
@@ -93,7 +95,7 @@ impl Chooser {
         for at in 0..listed.starts.len() {
             let list = listed.lists.get(at);
             if list.len() > LISTED {
-                among.of_long(listed.diagram, listed.facets[at], list);
+                among.of_long(listed.diagram.seeds, &listed.facets.corners(at), list);
                 lists.push(among.seeds.iter().copied());
                 of[at] = lists.len() as u32;
                 let n = among.seeds.len();
@@ -129,17 +131,21 @@ impl LongLists {
 /// Finds the members of every other facet with a list.
 #[inline(always)]
 pub(super) fn choose_members<S: Simd>(simd: S, chooser: &mut Chooser, listed: Listed<'_>) {
-    let Chooser { facets, groups, members, .. } = chooser;
+    let Chooser { facets, in_turn, groups, members, .. } = chooser;
     groups.sort(LISTED, (0..listed.starts.len()).map(|at| listed.lists.get(at).len()));
     for &at in groups.of(1) {
         members[at as usize] = 1;
     }
     for n in 2..=LISTED {
-        for group in groups.of(n).chunks(Number::<S>::LANES) {
-            set_lists::<S>(facets, group, listed, n);
-            let chosen = facets.choose(simd, n);
-            for (&at, chosen) in group.iter().zip(chosen) {
-                members[at as usize] = chosen;
+        for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
+            if let Some(group) = turn.set {
+                set_lists::<S>(in_turn.to_set(&turn), group, listed, n);
+            }
+            if let Some(group) = turn.read {
+                let chosen = facets.choose(simd, n, in_turn.to_read(&turn));
+                for (&at, chosen) in group.iter().zip(chosen) {
+                    members[at as usize] = chosen;
+                }
             }
         }
     }
@@ -147,13 +153,13 @@ pub(super) fn choose_members<S: Simd>(simd: S, chooser: &mut Chooser, listed: Li
 
 /// Puts a group of facets with lists of `n` seeds into lanes; the last one fills those that are left.
 #[inline(always)]
-fn set_lists<S: Simd>(facets: &mut Facets, group: &[u32], listed: Listed<'_>, n: usize) {
-    let Listed { diagram, lists, .. } = listed;
+fn set_lists<S: Simd>(given: &mut Given, group: &[u32], listed: Listed<'_>, n: usize) {
+    let Listed { diagram, facets, lists, .. } = listed;
     for lane in 0..Number::<S>::LANES {
         let at = group[lane.min(group.len() - 1)];
-        facets.set_corners(lane, diagram.surface, listed.facets[at as usize]);
+        given.set_facet(lane, &facets.vertices(at as usize));
         for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
-            facets.set_seed(lane, k, diagram.seeds[seed as usize]);
+            given.set_seed(lane, k, diagram.seeds[seed as usize]);
         }
     }
 }
@@ -171,23 +177,28 @@ impl WithSimd for Thin<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { chooser: Chooser { facets, groups, members, .. }, listed, slack, out } = self;
+        let Self { chooser: Chooser { facets, in_turn, groups, members, .. }, listed, slack, out } = self;
         let Listed { starts, lists, .. } = listed;
         members.clear();
         members.resize(starts.len(), !0);
         groups.sort(LISTED, (0..starts.len()).map(|at| lists.get(at).len()));
         for n in 2..=LISTED {
-            for group in groups.of(n).chunks(Number::<S>::LANES) {
-                set_lists::<S>(facets, group, listed, n);
-                for lane in 0..Number::<S>::LANES {
-                    let at = group[lane.min(group.len() - 1)];
-                    for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
-                        facets.set_slack(lane, k, slack.of(seed));
+            for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
+                if let Some(group) = turn.set {
+                    let given = in_turn.to_set(&turn);
+                    set_lists::<S>(given, group, listed, n);
+                    for lane in 0..Number::<S>::LANES {
+                        let at = group[lane.min(group.len() - 1)];
+                        for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
+                            given.set_slack(lane, k, slack.of(seed));
+                        }
                     }
                 }
-                let chosen = facets.choose_with_slack(simd, n);
-                for (&at, chosen) in group.iter().zip(chosen) {
-                    members[at as usize] = chosen;
+                if let Some(group) = turn.read {
+                    let chosen = facets.choose_with_slack(simd, n, in_turn.to_read(&turn));
+                    for (&at, chosen) in group.iter().zip(chosen) {
+                        members[at as usize] = chosen;
+                    }
                 }
             }
         }
@@ -211,10 +222,9 @@ pub(super) struct Among {
 
 impl Among {
     /// Those of a long list.
-    fn of_long(&mut self, diagram: Diagram<'_>, facet: u32, list: &[u32]) {
-        let corner = diagram.surface.facets()[facet as usize].map(|v| diagram.surface.positions()[v as usize]);
+    fn of_long(&mut self, seeds: &[DVec3], corner: &[DVec3; 3], list: &[u32]) {
         self.squared.clear();
-        self.squared.extend(list.iter().map(|&j| corner.map(|q| diagram.seeds[j as usize].distance_squared(q))));
+        self.squared.extend(list.iter().map(|&j| corner.map(|q| seeds[j as usize].distance_squared(q))));
         // One after the other would not be sooner: few are beaten.
         let beaten = |mine: [f64; 3]| self.squared.iter().fold(false, |beaten, by| beaten | beats(*by, mine));
         self.seeds.clear();

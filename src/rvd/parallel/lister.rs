@@ -16,6 +16,7 @@ use super::facets::LISTED;
 use super::gather::{Few, Gatherer, Slack};
 use super::groups::Listed;
 use super::lists::{Kept, Lists};
+use super::order::Stretch;
 use super::strays::{Bounds, Reach};
 use crate::rvd::incident::Diagram;
 
@@ -44,7 +45,7 @@ struct Evenly<'a> {
     lister: &'a mut Lister,
     diagram: Diagram<'a>,
     slack: Slack<'a>,
-    facets: &'a [u32],
+    facets: Stretch<'a>,
     starts: &'a mut [u32],
     out: &'a mut Lists,
 }
@@ -68,11 +69,11 @@ impl WithSimd for Evenly<'_> {
         let mut unlisted = 0;
         for (facets, starts) in facets.chunks(GROUP).zip(starts.chunks_mut(GROUP)) {
             reaches.clear();
-            reaches.extend(facets.iter().zip(&*starts).map(|(&f, &start)| Reach::of(diagram, slack, f, start)));
+            reaches.extend((0..).zip(&*starts).map(|(k, &start)| Reach::of(diagram, slack, &facets.corners(k), start)));
             // A facet with too many is listed alone.
             let mut alone = |k: usize, start: &mut u32, out: &mut Lists| {
-                let corner = diagram.surface.corners(facets[k]);
-                *start = diagram.index.nearest(diagram.surface.centroid(facets[k]));
+                let corner = facets.corners(k);
+                *start = diagram.index.nearest(facets.centroid(k));
                 let mut few = gatherer.gather_from(diagram, (slack, Few::TO_WALK), &corner, *start);
                 if !few && !slack.is_none() {
                     // Whether there are too many does not depend on what was before.
@@ -89,7 +90,7 @@ impl WithSimd for Evenly<'_> {
                         done &= alone(k, &mut starts[k], out);
                         return;
                     }
-                    let centroid = diagram.surface.centroid(facets[k]);
+                    let centroid = facets.centroid(k);
                     let mut least = f64::INFINITY;
                     seeds.each(|seed, p| {
                         out.add(seed);
@@ -143,12 +144,13 @@ impl Relist<'_> {
         lister.from.clear();
         for at in group.clone() {
             let (list, start) = (lists.get(at), starts[at]);
-            let reach = Reach::of(*was, slack, facets[at], start);
+            let corner = facets.corners(at);
+            let reach = Reach::of(*was, slack, &corner, start);
             if strays.contains(start) || list.iter().any(|&seed| strays.contains(seed)) {
-                let Some(from) = steady(*was, *kept, facets[at], (start, list), &mut lister.seeds) else {
+                let Some(from) = steady(*was, *kept, facets.centroid(at), (start, list), &mut lister.seeds) else {
                     return false;
                 };
-                lister.reaches.push(Reach::of(*was, slack, facets[at], from));
+                lister.reaches.push(Reach::of(*was, slack, &corner, from));
                 lister.from.push(from);
             } else if lister.near.iter().any(|&p| reach.holds(p)) {
                 lister.reaches.push(reach);
@@ -187,19 +189,18 @@ impl Relist<'_> {
     }
 }
 
-/// A seed within its slack from which to see a facet: the one it starts with, the nearest on its list, or one around the
+/// A seed within its slack from which to see a facet with this centroid: the one it starts with, the nearest on its list, or one around the
 /// one it starts with. `near` is scratch memory.
 fn steady(
     was: Diagram<'_>,
     kept: Kept<'_>,
-    facet: u32,
+    centroid: DVec3,
     (start, list): (u32, &[u32]),
     near: &mut Vec<u32>,
 ) -> Option<u32> {
     if !kept.strays.contains(start) {
         return Some(start);
     }
-    let centroid = was.surface.centroid(facet);
     let distance = |seed: u32| centroid.distance_squared(was.seeds[seed as usize]);
     let nearest = |seeds: &[u32]| {
         let steady = seeds.iter().copied().filter(|&seed| !kept.strays.contains(seed));
@@ -230,15 +231,14 @@ impl Lister {
         diagram: Diagram<'_>,
         slack: Slack<'_>,
         by_rows: bool,
-        (facets, starts): (&[u32], &mut [u32]),
+        (facets, starts): (Stretch<'_>, &mut [u32]),
         out: &mut Lists,
     ) -> u64 {
         let most = if by_rows { Few::TO_DIVIDE } else { Few::TO_WALK };
         let gatherer = &mut self.gatherer;
         let mut unlisted = 0;
-        for (&facet, start) in facets.iter().zip(starts) {
-            let corner = diagram.surface.corners(facet);
-            let centroid = diagram.surface.centroid(facet);
+        for (at, start) in starts.iter_mut().enumerate() {
+            let (corner, centroid) = (facets.corners(at), facets.centroid(at));
             let (nearest, mut few) = gatherer.gather(diagram, (slack, most), &corner, centroid, *start);
             *start = nearest;
             if !few && !slack.is_none() {
@@ -256,7 +256,7 @@ impl Lister {
         &mut self,
         diagram: Diagram<'_>,
         slack: Slack<'_>,
-        (facets, starts): (&[u32], &mut [u32]),
+        (facets, starts): (Stretch<'_>, &mut [u32]),
         out: &mut Lists,
     ) -> Option<u64> {
         Arch::new().dispatch(Evenly { lister: self, diagram, slack, facets, starts, out })

@@ -9,36 +9,64 @@ use pulp::Simd;
 
 use super::lanes::{Number, Row};
 
-/// ∫ uᵃvᵇ over a piece in barycentric coordinates, p = p₀ + u (p₁ - p₀) + v (p₂ - p₀), in order 1, u, v,
-/// u², uv, v², u³, u²v, uv², v³, times the numbers that [`integrals`] divides by.
+/// Integrals over a piece in barycentric coordinates, p = p₀ + u (p₁ - p₀) + v (p₂ - p₀): its area as a share, ∫ of wu, wv,
+/// wu², wuv, wv², where w is the weight, and w; times the numbers that [`integrals`] divides by.
 pub(super) type Moments = [Row; WEIGHTED];
 
-/// How many of them weight 1 takes, which leaves the third powers out,
+/// How many of them there are where the weight is 1, and the last one the first,
 pub(super) const UNIFORM: usize = 6;
-/// and weights linear in the facet.
-pub(super) const WEIGHTED: usize = 10;
+/// and where it is linear in the facet.
+pub(super) const WEIGHTED: usize = 7;
+
+/// The weight at the first corner, and how much more it is at the others.
+#[derive(Clone, Copy)]
+pub(super) struct Weight<S: Simd>([Number<S>; 3]);
+
+impl<S: Simd> Weight<S> {
+    /// From the weights at the corners.
+    #[inline(always)]
+    pub(super) fn new([first, second, third]: [Number<S>; 3]) -> Self {
+        Self([first, second - first, third - first])
+    }
+
+    #[inline(always)]
+    fn at(&self, [u, v]: Place<S>) -> Number<S> {
+        let [first, du, dv] = self.0;
+        first + du * u + dv * v
+    }
+}
 
 /// A place (u, v).
 pub(super) type Place<S> = [Number<S>; 2];
 
-/// The moments of the triangle from the origin to a segment, whose integral of a homogeneous polynomial of degree
-/// n is that along the segment, times the cross product over n + 2.
+/// The moments of the triangle from the origin to a segment. The integral of a product of linear functions over a triangle
+/// is a sum of products of their values at its corners, where u and v are 0 at the origin.
 #[inline(always)]
-pub(super) fn of<S: Simd, const N: usize>(simd: S, [a, b]: Place<S>, [c, d]: Place<S>) -> [Number<S>; N] {
-    let (half, two, three) = (Number::all(simd, 0.5), Number::all(simd, 2.0), Number::all(simd, 3.0));
+pub(super) fn of<S: Simd, const N: usize>(simd: S, weight: Weight<S>, [from, to]: [Place<S>; 2]) -> [Number<S>; N] {
+    let ([a, b], [c, d]) = (from, to);
     let cross = a * d - c * b;
     let mut m = [cross; N];
-    m[1] = cross * (a + c);
-    m[2] = cross * (b + d);
-    m[3] = cross * (a * a + a * c + c * c);
-    m[4] = cross * ((a * b + c * d) + half * (a * d + c * b));
-    m[5] = cross * (b * b + b * d + d * d);
-    if N == WEIGHTED {
-        m[6] = cross * (a + c) * (a * a + c * c);
-        m[7] = cross * (a * a * (three * b + d) + two * a * c * (b + d) + c * c * (b + three * d));
-        m[8] = cross * (b * b * (three * a + c) + two * b * d * (a + c) + d * d * (a + three * c));
-        m[9] = cross * (b + d) * (b * b + d * d);
+    if N == UNIFORM {
+        let half = Number::all(simd, 0.5);
+        m[1] = cross * (a + c);
+        m[2] = cross * (b + d);
+        m[3] = cross * (a * a + a * c + c * c);
+        m[4] = cross * ((a * b + c * d) + half * (a * d + c * b));
+        m[5] = cross * (b * b + b * d + d * d);
+        return m;
     }
+    let (w_from, w_to) = (weight.at(from), weight.at(to));
+    let all = cross * (weight.0[0] + w_from + w_to);
+    m[6] = all;
+    let (f, t) = (cross * w_from, cross * w_to);
+    let (x, y) = (all + f, all + t);
+    m[1] = a * x + c * y;
+    m[2] = b * x + d * y;
+    let (x, y, z) = (x + f, y + t, all - cross * (Number::all(simd, 0.5) * weight.0[0]));
+    let (ax, cy, two_z) = (a * x, c * y, z + z);
+    m[3] = a * ax + c * cy + a * c * two_z;
+    m[4] = b * ax + d * cy + (a * d + c * b) * z;
+    m[5] = b * b * x + d * d * y + b * d * two_z;
     m
 }
 
@@ -63,8 +91,6 @@ pub(super) struct Shape<S: Simd> {
     /// From the first corner to the others.
     pub side: [[Number<S>; 3]; 2],
     pub twice_area: Number<S>,
-    /// At the corners.
-    pub weight: [Number<S>; 3],
 }
 
 /// Integrals over pieces about their seeds.
@@ -88,31 +114,21 @@ pub(super) fn integrals<S: Simd, const N: usize>(
     shape: &Shape<S>,
     origin: [Number<S>; 3],
 ) -> PieceIntegrals<S> {
-    let (one, u, v) = (part(simd, moments, 0, 2.0), part(simd, moments, 1, 6.0), part(simd, moments, 2, 6.0));
-    let (uu, uv, vv) = (part(simd, moments, 3, 12.0), part(simd, moments, 4, 12.0), part(simd, moments, 5, 12.0));
-    let area = shape.twice_area * one;
-    if N == UNIFORM {
-        let (moment, energy) = about(simd, shape, origin, [one, u, v, uu, uv, vv]);
-        return PieceIntegrals { mass: area, moment, energy, area };
-    }
-    let (uuu, uuv) = (part(simd, moments, 6, 20.0), part(simd, moments, 7, 60.0));
-    let (uvv, vvv) = (part(simd, moments, 8, 60.0), part(simd, moments, 9, 20.0));
-    let w = shape.weight;
-    let (mass, mu, mv) = (weighted(w, one, u, v), weighted(w, u, uu, uv), weighted(w, v, uv, vv));
-    let (muu, muv, mvv) = (weighted(w, uu, uuu, uuv), weighted(w, uv, uuv, uvv), weighted(w, vv, uvv, vvv));
-    let (moment, energy) = about(simd, shape, origin, [mass, mu, mv, muu, muv, mvv]);
+    let area = shape.twice_area * part(simd, moments, 0, 2.0);
+    let ([one, first, second], [mass, linear, quadratic]) = match N {
+        UNIFORM => ([0, 1, 3], [2.0, 6.0, 12.0]),
+        _ => ([6, 1, 3], [6.0, 24.0, 60.0]),
+    };
+    let mass = part(simd, moments, one, mass);
+    let [u, v] = [0, 1].map(|k| part(simd, moments, first + k, linear));
+    let [uu, uv, vv] = [0, 1, 2].map(|k| part(simd, moments, second + k, quadratic));
+    let (moment, energy) = about(simd, shape, origin, [mass, u, v, uu, uv, vv]);
     PieceIntegrals { mass: shape.twice_area * mass, moment, energy, area }
 }
 
 #[inline(always)]
 fn part<S: Simd>(simd: S, moments: &Moments, k: usize, by: f64) -> Number<S> {
-    Number::load(simd, &moments[k]) / Number::all(simd, by)
-}
-
-/// From the integral of a function, and of it times u and v, that of the function times a weight.
-#[inline(always)]
-fn weighted<S: Simd>(w: [Number<S>; 3], one: Number<S>, u: Number<S>, v: Number<S>) -> Number<S> {
-    w[0] * one + (w[1] - w[0]) * u + (w[2] - w[0]) * v
+    Number::load(simd, &moments[k]) * Number::all(simd, 1.0 / by)
 }
 
 /// ∫ (p - x) and ∫ |p - x|² from the integrals of 1, u, v, u², uv, v².

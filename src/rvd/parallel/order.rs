@@ -1,10 +1,11 @@
 //! The order in which facets are taken.
 //!
 //! Purpose: facets beside one another are taken one after the other, whatever order the mesh has them in, so that a
-//! task meets few cells, and what it reads of vertices and seeds is at hand.
+//! task meets few cells, and what it reads of vertices and seeds is at hand. Vertices are in that order too.
 //! Invariant: every facet with area, once; the order depends on the surface alone.
 //! Must not know: tasks, lists.
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::mesh::curve;
@@ -18,10 +19,72 @@ const CHUNK: usize = 4096;
 #[derive(Default)]
 pub(super) struct Order {
     /// All facets with area along a curve that fills space, by their centroids.
-    pub facets: Vec<u32>,
+    facets: Vec<u32>,
+    /// The vertices of each.
+    corners: Vec<[u32; 3]>,
+    vertices: Vec<Vertex>,
     /// Of each facet, and how many seeds there were when they were found.
     starts: Vec<u32>,
     seeds: usize,
+}
+
+/// Where a vertex is, and its weight.
+#[derive(Clone, Copy)]
+#[repr(align(32))]
+pub(super) struct Vertex {
+    pub p: DVec3,
+    pub weight: f64,
+}
+
+/// Facets one after the other, by their places among them.
+#[derive(Clone, Copy)]
+pub(super) struct Stretch<'a> {
+    facets: &'a [u32],
+    corners: &'a [[u32; 3]],
+    vertices: &'a [Vertex],
+}
+
+impl<'a> Stretch<'a> {
+    /// How many there are.
+    #[inline(always)]
+    pub(super) fn len(&self) -> usize {
+        self.facets.len()
+    }
+
+    /// A facet's number on the surface.
+    #[inline(always)]
+    pub(super) fn facet(&self, at: usize) -> u32 {
+        self.facets[at]
+    }
+
+    #[inline(always)]
+    pub(super) fn vertices(&self, at: usize) -> [Vertex; 3] {
+        self.corners[at].map(|v| self.vertices[v as usize])
+    }
+
+    #[inline(always)]
+    pub(super) fn corners(&self, at: usize) -> [DVec3; 3] {
+        self.vertices(at).map(|vertex| vertex.p)
+    }
+
+    /// As [`Surface::centroid`] has it.
+    #[inline(always)]
+    pub(super) fn centroid(&self, at: usize) -> DVec3 {
+        let [a, b, c] = self.corners(at);
+        (a + b + c) / 3.0
+    }
+
+    /// So many at a time.
+    pub(super) fn chunks(self, size: usize) -> impl Iterator<Item = Stretch<'a>> {
+        let each = self.facets.chunks(size).zip(self.corners.chunks(size));
+        each.map(move |(facets, corners)| Stretch { facets, corners, ..self })
+    }
+
+    /// The same on all threads.
+    pub(super) fn par_chunks(self, size: usize) -> impl IndexedParallelIterator<Item = Stretch<'a>> {
+        let each = self.facets.par_chunks(size).zip(self.corners.par_chunks(size));
+        each.map(move |(facets, corners)| Stretch { facets, corners, ..self })
+    }
 }
 
 impl Order {
@@ -35,19 +98,46 @@ impl Order {
         let mut places: Vec<(u64, u32)> = with_area.map(|f| (curve::along(surface.centroid(f)), f)).collect();
         places.par_sort_unstable();
         places.into_par_iter().with_min_len(CHUNK).map(|(_, facet)| facet).collect_into_vec(&mut self.facets);
+        let mut new = vec![u32::MAX; surface.positions().len()];
+        self.corners.reserve(self.facets.len());
+        for &facet in &self.facets {
+            self.corners.push(surface.facets()[facet as usize].map(|v| {
+                let new = &mut new[v as usize];
+                if *new == u32::MAX {
+                    *new = self.vertices.len() as u32;
+                    let (p, weight) = (surface.positions()[v as usize], surface.weights()[v as usize]);
+                    self.vertices.push(Vertex { p, weight });
+                }
+                *new
+            }));
+        }
+    }
+
+    /// How many facets there are.
+    pub(super) fn len(&self) -> usize {
+        self.facets.len()
+    }
+
+    /// All facets.
+    pub(super) fn all(&self) -> Stretch<'_> {
+        Stretch { facets: &self.facets, corners: &self.corners, vertices: &self.vertices }
     }
 
     /// The facets, and a guess for each: the last answer, or else a seed not far away. With `better` the caller puts
     /// nearer seeds in their place.
-    pub(super) fn guesses(&mut self, diagram: Diagram<'_>, better: bool) -> (&[u32], &mut [u32]) {
-        if self.starts.is_empty() || self.seeds > diagram.seeds.len() {
-            let near = |&facet: &u32| diagram.index.near(diagram.surface.centroid(facet));
-            self.facets.par_iter().with_min_len(CHUNK).map(near).collect_into_vec(&mut self.starts);
+    pub(super) fn guesses(&mut self, diagram: Diagram<'_>, better: bool) -> (Stretch<'_>, &mut [u32]) {
+        let mut starts = std::mem::take(&mut self.starts);
+        if starts.is_empty() || self.seeds > diagram.seeds.len() {
+            let all = self.all();
+            let near = |at: usize| diagram.index.near(all.centroid(at));
+            (0..all.len()).into_par_iter().with_min_len(CHUNK).map(near).collect_into_vec(&mut starts);
             self.seeds = diagram.seeds.len();
         }
         if better {
             self.seeds = diagram.seeds.len();
         }
-        (&self.facets, &mut self.starts)
+        self.starts = starts;
+        let all = Stretch { facets: &self.facets, corners: &self.corners, vertices: &self.vertices };
+        (all, &mut self.starts)
     }
 }

@@ -45,9 +45,9 @@ impl Reach {
         Self { corner: *corner, most: corner.map(|c| (c.distance(origin) + slack) * ROOM) }
     }
 
-    /// Of a facet from a seed of the diagram.
-    pub(super) fn of(diagram: Diagram<'_>, slack: Slack<'_>, facet: u32, seed: u32) -> Self {
-        Self::new(&diagram.surface.corners(facet), diagram.seeds[seed as usize], slack.of(seed))
+    /// Of a facet with these corners from a seed of the diagram.
+    pub(super) fn of(diagram: Diagram<'_>, slack: Slack<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
+        Self::new(corner, diagram.seeds[seed as usize], slack.of(seed))
     }
 
     /// A box around all seeds that are nearer to some corner, roundings included.

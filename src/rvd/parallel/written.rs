@@ -60,6 +60,13 @@ impl Written {
         self.begin[at as usize] as usize
     }
 
+    /// Room for the seeds of the facet at `at`, which has `n` members.
+    #[inline(always)]
+    pub(super) fn seeds_of(&mut self, at: u32, n: usize) -> &mut [u32] {
+        let first = self.first(at);
+        &mut self.seeds[first..][..n]
+    }
+
     /// What was walked since belongs to the facet at `at`. Facets come in order.
     pub(super) fn end_walk(&mut self, at: usize) {
         self.inserts.push(Insert { at, end: self.walked.len() });
