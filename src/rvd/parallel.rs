@@ -110,8 +110,6 @@ const BLOCKS: usize = 8;
 const SHARES: usize = 8;
 /// Seeds a facet, from which on facets are divided and walked by rows of neighbours instead of by lists that are kept.
 const MANY: usize = 8;
-/// The squared distance between relaxed seeds, of the area of a cell: 2/√3.
-const HEXAGON: f64 = 1.1547;
 /// Passes by rows, after lists without them did not do.
 const LATER: usize = 8;
 /// Tasks between two additions, which bounds the memory of the integrals written down.
@@ -211,9 +209,8 @@ impl ParallelSession {
         let mut stats = PassStats { neighbours_ms: self.refresh()?, ..PassStats::default() };
         stats.duplicate_seeds = self.index.duplicates() as u64;
         if !coarse && self.by_rows == 0 && self.index.is_even() {
-            let length = (self.surface.area() * HEXAGON / self.seeds.len() as f64).sqrt();
             let begin = Instant::now();
-            self.lists.choose_evenly(&self.seeds, &self.index, length);
+            self.lists.choose_evenly(&self.seeds, &self.index, self.surface.area() / self.seeds.len() as f64);
             stats.neighbours_ms += elapsed_ms(begin);
             if let Some(pass) = self.pass(out, (blocks, From::Index), cancel)? {
                 stats.add(&pass);
@@ -288,7 +285,7 @@ impl ParallelSession {
             chunk::add_up(out, chunks);
             stats.update_ms += elapsed_ms(begin);
         }
-        self.lists.end_pass(&self.seeds, from != From::Kept && unlisted == 0);
+        self.lists.end_pass(&self.seeds, &out.area, from != From::Kept && unlisted == 0);
         Ok(Some(stats))
     }
 

@@ -9,7 +9,7 @@
 use glam::DVec3;
 use pulp::Simd;
 
-use super::gather::ROOM;
+use super::gather::{ROOM, Slack};
 use super::lanes::{Mask, Number, Row, WIDEST};
 use super::strays::{Bounds, Reach, Strays};
 use crate::rvd::incident::Diagram;
@@ -37,18 +37,18 @@ pub(super) struct Around {
 
 impl Around {
     /// Takes all seeds that could count on facets with these reaches, at most [`GROUP`]: those of the diagram, which move by
-    /// `slack`, but for strays, and the strays. Returns whether it could, and whether there are not too many.
+    /// their slack, but for strays, and the strays. Returns whether it could, and whether there are not too many.
     pub(super) fn look(
         &mut self,
         diagram: Diagram<'_>,
-        slack: f64,
+        slack: Slack<'_>,
         reaches: &[Reach],
         strays: Option<&Strays>,
     ) -> bool {
         let bounds = reaches.iter().fold(Bounds::NONE, |all, reach| all.with(reach.bounds()));
         self.seeds.clear();
         self.places.clear();
-        let others = bounds.wider(slack);
+        let others = bounds.wider(slack.most);
         self.looked_at.clear();
         if !diagram.index.in_box(others.low, others.high, LOOKED_AT, &mut self.looked_at) {
             return false;
@@ -57,7 +57,7 @@ impl Around {
             let p = diagram.seeds[i as usize];
             if others.contains(p) && !strays.is_some_and(|strays| strays.contains(i)) {
                 self.seeds.push(i);
-                self.places.push((p, slack));
+                self.places.push((p, slack.of(i)));
             }
         }
         for (p, i) in strays.iter().flat_map(|strays| strays.within(bounds)) {

@@ -38,29 +38,36 @@ impl Few {
 /// Squared distances are compared with so much room, far more than their roundings.
 pub(super) const ROOM: f64 = 1.0 + 1e-14;
 
-/// How far each seed may move before the lists are void.
-#[derive(Clone, Copy, Default)]
+/// How far each seed may move before the lists are void: a share of a length, its width.
+#[derive(Clone, Copy)]
 pub(super) struct Slack<'a> {
-    /// The same for all, where it is no share.
-    pub same: f64,
-    /// A share of each seed's width, if it is not 0.
+    /// The share; 0 if no seed moves.
     pub share: f64,
-    /// A length at each seed that differs between two of them by no more than their distance; unused where the share
-    /// is 0.
+    /// Of each seed; unused where the share is 0.
     pub width: &'a [f64],
+    /// The most slack that any has. Where that is infinite, widths of two seeds differ by no more than their distance.
+    pub most: f64,
 }
 
 impl Slack<'_> {
     /// No seed moves.
-    pub(super) const NONE: Self = Self { same: 0.0, share: 0.0, width: &[] };
+    pub(super) const NONE: Self = Self { share: 0.0, width: &[], most: 0.0 };
 
     pub(super) fn of(&self, seed: u32) -> f64 {
-        if self.share > 0.0 { self.share * self.width[seed as usize] } else { self.same }
+        if self.share > 0.0 { self.share * self.width[seed as usize] } else { 0.0 }
     }
 
     /// Whether there is none.
     pub(super) fn is_none(&self) -> bool {
-        self.share == 0.0 && self.same == 0.0
+        self.share == 0.0
+    }
+
+    /// How far a seed may be that can move to within `reach` of a place which is `away` from a seed with slack `own`.
+    pub(super) fn farthest(&self, reach: f64, away: f64, own: f64) -> f64 {
+        match self.most.is_finite() {
+            true => reach + self.most,
+            false => (reach + own + self.share * away) / (1.0 - self.share),
+        }
     }
 }
 
@@ -144,8 +151,8 @@ impl Gatherer {
         let squared = |a: DVec3| a.distance_squared(origin);
         let radius2 = squared(corner[0]).max(squared(corner[1])).max(squared(corner[2]));
         let reach2 = if !slack.is_none() {
-            // Seeds beyond have a slack of at most the share of what their width can be there.
-            let reach = (radius2.sqrt() + slack.of(i)) / (1.0 - slack.share);
+            let own = slack.of(i);
+            let reach = 0.5 * slack.farthest(2.0 * radius2.sqrt() + own, 0.0, own);
             SECURITY * reach * reach
         } else {
             SECURITY * radius2
@@ -178,7 +185,7 @@ impl Gatherer {
         let mut low = DVec3::INFINITY;
         let mut high = DVec3::NEG_INFINITY;
         for (corner, distance) in view.corner.iter().zip(view.distance) {
-            let reach = (distance * (1.0 + slack.share) + 2.0 * view.slack) / (1.0 - slack.share) * (1.0 + 1e-9);
+            let reach = slack.farthest(distance + view.slack, distance, view.slack) * (1.0 + 1e-9);
             (low, high) = (low.min(*corner - reach), high.max(*corner + reach));
         }
         self.list.clear();

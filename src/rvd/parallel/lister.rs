@@ -84,7 +84,7 @@ impl WithSimd for Evenly<'_> {
                 few
             };
             let mut done = true;
-            if around.look(diagram, slack.same, reaches, None) {
+            if around.look(diagram, slack, reaches, None) {
                 around.each(simd, reaches, |k, seeds| {
                     if seeds.len() > LISTED {
                         done &= alone(k, &mut starts[k], out);
@@ -163,7 +163,7 @@ impl Relist<'_> {
         let Lister { gatherer, around, reaches, strayed, from, .. } = &mut **lister;
         let mut next = group.start;
         if even && !reaches.is_empty() {
-            if !around.look(*was, slack.same, reaches, Some(strays)) {
+            if !around.look(*was, slack, reaches, Some(strays)) {
                 return false;
             }
             around.each(simd, reaches, |k, seeds| {

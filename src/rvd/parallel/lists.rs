@@ -16,8 +16,14 @@ use super::gather::Slack;
 use super::strays::{Bounds, Strays};
 use crate::knn::{NeighbourTable, SeedIndex};
 
-/// A seed's slack is a share of the distance to this neighbour of it, which relaxed cells touch.
+/// A seed's slack is a share of the distance to this neighbour of it, which relaxed cells touch,
 const NEIGHBOUR: usize = 6;
+/// or of about as much by the area of its cell: the squared distance between relaxed seeds is 2/√3 of that.
+const HEXAGON: f64 = 1.1547;
+/// That is at least and at most so many times as wide as an average cell, as all that any seed could move is added to
+/// where others are looked for.
+const NARROW: f64 = 0.25;
+const WIDE: f64 = 1.5;
 /// Lists are made for so many moves like the last one of a seed that all but this share of them moved less than,
 const MOVES: f64 = 6.0;
 const FAR: f64 = 1.0 / 64.0;
@@ -79,6 +85,12 @@ impl Lists {
         }
     }
 
+    /// The list that was pushed last.
+    pub(super) fn last_mut(&mut self) -> &mut [u32] {
+        let begin = self.ends.len().checked_sub(2).map_or(0, |before| self.ends[before]);
+        &mut self.seeds[begin as usize..]
+    }
+
     /// How many seeds a list has.
     pub(super) fn mean_len(&self) -> usize {
         self.seeds.len() / self.ends.len().max(1)
@@ -102,12 +114,6 @@ impl Lists {
         self.ends.len()
     }
 
-    /// The list that was pushed last.
-    pub(super) fn last_mut(&mut self) -> &mut [u32] {
-        let begin = self.ends.len().checked_sub(2).map_or(0, |before| self.ends[before]);
-        &mut self.seeds[begin as usize..]
-    }
-
     /// The list of the facet at `at` of the chunk.
     pub(super) fn get(&self, at: usize) -> &[u32] {
         &self.seeds[self.first(at) as usize..self.ends[at] as usize]
@@ -123,11 +129,15 @@ pub(super) struct KeptLists {
     /// Whether there are lists.
     there: bool,
     share: f64,
-    /// Whether the slack is a share of a length that all seeds have in common, not of each one's width.
+    /// Whether lists come without rows, and how wide a cell is then on average.
     even: bool,
     length: f64,
-    /// The distance to a neighbour, of each seed when rows were last made.
+    /// Of each seed the distance to a neighbour when rows were last made, or else about that of its cell.
     width: Vec<f64>,
+    /// Of each cell at the last pass.
+    area: Vec<f64>,
+    /// The most slack that a seed can have where that is known.
+    most: f64,
     /// Where the seeds were when the lists were made,
     made_at: Vec<DVec3>,
     /// and at the last pass.
@@ -158,7 +168,7 @@ impl KeptLists {
         if !self.there || self.facets != facets || self.made_at.len() > seeds.len() {
             return false;
         }
-        let slack = slack(self.share, self.even, self.length, &self.width);
+        let slack = slack(self.share, self.most, &self.width);
         let strays = self.strays.find(seeds, &self.made_at, slack, USED);
         let few = strays == 0 || self.indexed && (strays <= A_FEW || strays as f64 <= ASTRAY * seeds.len() as f64);
         few && self.close.iter().all(|&[i, j]| seeds[i as usize] != seeds[j as usize]) && !self.strays.meet(seeds)
@@ -195,11 +205,15 @@ impl KeptLists {
         }
     }
 
-    /// The same without rows, where seeds are spread evenly, at about this `length` from their neighbours.
-    pub(super) fn choose_evenly(&mut self, seeds: &[DVec3], index: &SeedIndex, length: f64) {
+    /// The same without rows, where no seeds are crowded; cells are as large as at the last pass, and `area` on average.
+    pub(super) fn choose_evenly(&mut self, seeds: &[DVec3], index: &SeedIndex, area: f64) {
         self.leave();
         self.even = true;
-        self.length = length;
+        self.length = (HEXAGON * area).sqrt();
+        self.width.clear();
+        let width = |&area: &f64| (HEXAGON * area).sqrt().clamp(NARROW * self.length, WIDE * self.length);
+        self.width.extend(self.area.iter().map(width));
+        self.width.resize(seeds.len(), self.length);
         let share = self.share_for(seeds);
         if share > 0.0 && index.duplicates() == 0 {
             self.begin(seeds, share);
@@ -216,8 +230,7 @@ impl KeptLists {
         if self.last.is_empty() || self.last.len() > seeds.len() {
             return 0.0;
         }
-        let width = |i: usize| if self.even { self.length } else { self.width[i] };
-        let moved = |i: usize| self.last[i].distance(seeds[i]) / width(i);
+        let moved = |i: usize| self.last[i].distance(seeds[i]) / self.width[i];
         let indices = (0..self.last.len()).into_par_iter().with_min_len(CHUNK);
         indices.map(moved).collect_into_vec(&mut self.moves);
         let most = self.moves.len() - 1;
@@ -228,6 +241,7 @@ impl KeptLists {
 
     fn begin(&mut self, seeds: &[DVec3], share: f64) {
         self.share = share;
+        self.most = if self.even { share * WIDE * self.length } else { f64::INFINITY };
         self.indexed = true;
         self.made_at.clear();
         self.made_at.extend_from_slice(seeds);
@@ -237,14 +251,16 @@ impl KeptLists {
     pub(super) fn split(&mut self, chunks: usize, facets: usize) -> (Kept<'_>, &mut [Lists]) {
         self.facets = facets;
         self.chunks.resize_with(chunks, Lists::default);
-        let slack = slack(self.share, self.even, self.length, &self.width);
+        let slack = slack(self.share, self.most, &self.width);
         (Kept { made_at: &self.made_at, slack, strays: &self.strays, even: self.even }, &mut self.chunks)
     }
 
-    /// A pass over these seeds is done; whether it made a list for every facet.
-    pub(super) fn end_pass(&mut self, seeds: &[DVec3], made: bool) {
+    /// A pass over these seeds is done, with cells of such areas; whether it made a list for every facet.
+    pub(super) fn end_pass(&mut self, seeds: &[DVec3], area: &[f64], made: bool) {
         self.last.clear();
         self.last.extend_from_slice(seeds);
+        self.area.clear();
+        self.area.extend_from_slice(area);
         self.there |= made && self.share > 0.0;
     }
 
@@ -252,18 +268,17 @@ impl KeptLists {
     /// other's row before the neighbour that gives the width, as slacks are a small part of that. There will be no lists
     /// where `around` cannot say.
     fn find_close(&mut self, seeds: &[DVec3], around: impl Fn(u32, f64, &mut Vec<u32>) -> bool + Sync) {
-        let slack = slack(self.share, self.even, self.length, &self.width);
-        let share = slack.share;
+        let slack = slack(self.share, self.most, &self.width);
         let find = |chunk: usize| {
             let (mut near, mut pairs) = (Vec::new(), Vec::new());
             for i in chunk * CHUNK..seeds.len().min((chunk + 1) * CHUNK) {
-                // The other one's slack is at most a share more than what their distance adds to the width.
-                let most = 2.0 * slack.of(i as u32) / (1.0 - share);
+                let own = slack.of(i as u32);
+                let most = slack.farthest(own, 0.0, own);
                 near.clear();
                 if !around(i as u32, most, &mut near) {
                     return None;
                 }
-                let reach = |j: u32| slack.of(i as u32) + slack.of(j);
+                let reach = |j: u32| own + slack.of(j);
                 let close = |&&j: &&u32| i < j as usize && seeds[i].distance(seeds[j as usize]) <= reach(j);
                 pairs.extend(near.iter().filter(close).map(|&j| [i as u32, j]));
             }
@@ -279,6 +294,6 @@ impl KeptLists {
 }
 
 /// The slack of seeds.
-fn slack(share: f64, even: bool, length: f64, width: &[f64]) -> Slack<'_> {
-    if even { Slack { same: share * length, share: 0.0, width: &[] } } else { Slack { same: 0.0, share, width } }
+fn slack(share: f64, most: f64, width: &[f64]) -> Slack<'_> {
+    Slack { share, width, most }
 }
