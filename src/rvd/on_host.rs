@@ -1,22 +1,28 @@
 //! Seeds that move in the host's memory.
 //!
-//! Purpose: makes any session [`Resident`]: the vectors of an optimiser as plain arrays, every
+//! Purpose: makes any session [`Resident`]: the vectors of an optimiser as plain arrays (`vectors`), every
 //! pass through the session's own `sums`.
-//! Invariant: one thread and one order of additions, so that all backends whose sums have the same bits
+//! Invariant: one order of additions, whatever the number of threads, so that all backends whose sums have the same bits
 //! walk the same path. The vectors cost a few per cent of a pass.
 //! Must not know: how sums are computed, line searches.
 
+mod vectors;
+
 use std::collections::VecDeque;
 use std::ops::Range;
+use std::sync::Arc;
 
 use glam::DVec3;
 
 use super::resident::HISTORY;
 use super::{CancelFlag, CellSums, DeviceWork, Look, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session};
+use crate::knn::Threads;
 
 /// A session and the vectors of its seeds.
 pub(super) struct OnHost<S> {
     session: S,
+    /// Whose threads serve long vectors; the caller's alone if there is none.
+    pool: Option<Arc<rayon::ThreadPool>>,
     /// The present point, its gradient and what the pass there found.
     x: Vec<DVec3>,
     g: Vec<DVec3>,
@@ -30,20 +36,25 @@ pub(super) struct OnHost<S> {
     history: VecDeque<Pair>,
 }
 
-/// A step s, the change y of the gradient over it, and 1 / sᵀy.
+/// A step s, the change y of the gradient over it, yᵀy, and 1 / sᵀy.
+#[derive(Default)]
 struct Pair {
     s: Vec<DVec3>,
     y: Vec<DVec3>,
+    y_squared: f64,
     rho: f64,
 }
 
 /// A pair with less curvature than this, as a cosine, would blow the direction up.
 const LEAST_CURVATURE: f64 = 1e-10;
+/// Seeds from which on a second thread saves more than it takes to wake it.
+const LONG: usize = 4096;
 
 impl<S> OnHost<S> {
-    pub(super) fn new(session: S) -> Self {
+    pub(super) fn new(session: S, pool: Option<Arc<rayon::ThreadPool>>) -> Self {
         Self {
             session,
+            pool,
             x: Vec::new(),
             g: Vec::new(),
             sums: CellSums::default(),
@@ -60,6 +71,14 @@ impl<S> OnHost<S> {
         self.d.clear();
         self.d.resize(n, DVec3::ZERO);
         self.history.clear();
+    }
+}
+
+/// Works on vectors of so many seeds.
+fn on<R: Send>(pool: Option<&rayon::ThreadPool>, seeds: usize, work: impl FnOnce(Threads) -> R + Send) -> R {
+    match pool {
+        Some(pool) if seeds >= LONG => pool.install(|| work(Threads::Pool)),
+        _ => work(Threads::One),
     }
 }
 
@@ -115,8 +134,9 @@ impl<S: Session> Resident for OnHost<S> {
     fn evaluate(&mut self, cancel: &CancelFlag) -> Result<Look, RvdError> {
         self.session.set_seeds(&self.x)?;
         let stats = self.session.sums(&mut self.sums, cancel)?;
-        gradient(&self.sums, &self.held, &mut self.g);
-        Ok(look(&self.sums, &self.g, stats))
+        let Self { pool, g, sums, held, d, .. } = self;
+        let look = on(pool.as_deref(), held.len(), |threads| vectors::look(threads, sums, held, d, g));
+        Ok(Look { slope: 0.0, stats, ..look })
     }
 
     fn to_centroids(&mut self) -> Result<(), RvdError> {
@@ -128,23 +148,26 @@ impl<S: Session> Resident for OnHost<S> {
     }
 
     fn direct(&mut self) -> Result<f64, RvdError> {
-        let d = &mut self.d;
-        d.clear();
-        d.extend(self.g.iter().map(|&g| -g));
-        let mut alphas = [0.0; HISTORY];
-        for (pair, alpha) in self.history.iter().zip(&mut alphas).rev() {
-            *alpha = pair.rho * dot(&pair.s, d);
-            add_scaled(d, -*alpha, &pair.y);
-        }
-        if let Some(last) = self.history.back() {
-            let scale = 1.0 / (last.rho * dot(&last.y, &last.y));
-            d.iter_mut().for_each(|d| *d *= scale);
-        }
-        for (pair, alpha) in self.history.iter().zip(alphas) {
-            let beta = pair.rho * dot(&pair.y, d);
-            add_scaled(d, alpha - beta, &pair.s);
-        }
-        Ok(dot(&self.g, &self.d))
+        let Self { pool, g, d, history, .. } = self;
+        Ok(on(pool.as_deref(), g.len(), |threads| {
+            let first = history.back().map_or(&*g, |last| &last.s);
+            let mut value = vectors::negate(threads, g, d, first);
+            let mut alphas = [0.0; HISTORY];
+            for (k, pair) in history.iter().enumerate().rev() {
+                alphas[k] = pair.rho * value;
+                let (scale, next) = match (k.checked_sub(1), history.back()) {
+                    (Some(k), _) => (1.0, &history[k].s),
+                    (None, last) => (last.map_or(1.0, |last| 1.0 / (last.rho * last.y_squared)), &pair.y),
+                };
+                value = vectors::add(threads, d, (-alphas[k], &pair.y), scale, next);
+            }
+            for (k, pair) in history.iter().enumerate() {
+                let beta = pair.rho * value;
+                let next = history.get(k + 1).map_or(&*g, |next| &next.y);
+                value = vectors::add(threads, d, (alphas[k] - beta, &pair.s), 1.0, next);
+            }
+            value
+        }))
     }
 
     fn probe(&mut self, step: f64, cancel: &CancelFlag) -> Result<Look, RvdError> {
@@ -152,9 +175,9 @@ impl<S: Session> Resident for OnHost<S> {
         self.trial.extend(self.x.iter().zip(&self.d).map(|(&x, &d)| x + step * d));
         self.session.set_seeds(&self.trial)?;
         let stats = self.session.sums(&mut self.trial_sums, cancel)?;
-        gradient(&self.trial_sums, &self.held, &mut self.trial_g);
-        let slope = dot(&self.trial_g, &self.d);
-        Ok(Look { slope, ..look(&self.trial_sums, &self.trial_g, stats) })
+        let Self { pool, trial_g: g, trial_sums: sums, held, d, .. } = self;
+        let look = on(pool.as_deref(), held.len(), |threads| vectors::look(threads, sums, held, d, g));
+        Ok(Look { stats, ..look })
     }
 
     fn accept(&mut self) -> Result<(), RvdError> {
@@ -162,12 +185,13 @@ impl<S: Session> Resident for OnHost<S> {
             HISTORY => self.history.pop_front(),
             _ => None,
         }
-        .unwrap_or(Pair { s: Vec::new(), y: Vec::new(), rho: 0.0 });
-        difference(&self.trial, &self.x, &mut pair.s);
-        difference(&self.trial_g, &self.g, &mut pair.y);
-        let curvature = dot(&pair.s, &pair.y);
-        if curvature > LEAST_CURVATURE * (dot(&pair.s, &pair.s) * dot(&pair.y, &pair.y)).sqrt() {
-            pair.rho = 1.0 / curvature;
+        .unwrap_or_default();
+        let Self { pool, x, g, trial, trial_g, .. } = self;
+        let [s_squared, y_squared, curvature] = on(pool.as_deref(), x.len(), |threads| {
+            vectors::differences(threads, [trial, x], [trial_g, g], [&mut pair.s, &mut pair.y])
+        });
+        if curvature > LEAST_CURVATURE * (s_squared * y_squared).sqrt() {
+            (pair.rho, pair.y_squared) = (1.0 / curvature, y_squared);
             self.history.push_back(pair);
         }
         std::mem::swap(&mut self.x, &mut self.trial);
@@ -190,41 +214,4 @@ impl<S: Session> Resident for OnHost<S> {
         out.clone_from(&self.sums);
         Ok(())
     }
-}
-
-/// ∇E_i = 2 m_i (x_i - c_i) is minus twice the moment about the seed, so nothing cancels.
-fn gradient(sums: &CellSums, held: &[bool], out: &mut Vec<DVec3>) {
-    out.clear();
-    out.extend(sums.moment.iter().zip(held).map(|(&m, &held)| if held { DVec3::ZERO } else { -2.0 * m }));
-}
-
-fn look(sums: &CellSums, g: &[DVec3], stats: PassStats) -> Look {
-    Look {
-        energy: sums.energy.iter().sum(),
-        gradient_squared: dot(g, g),
-        slope: 0.0,
-        empty_cells: sums.area.iter().filter(|&&a| a <= 0.0).count(),
-        area: sums.area.iter().sum(),
-        stats,
-    }
-}
-
-/// In four sums side by side: one alone waits for each addition.
-fn dot(a: &[DVec3], b: &[DVec3]) -> f64 {
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<4>(), b.as_chunks::<4>());
-    let mut sums = [DVec3::ZERO; 4];
-    for (a, b) in a.iter().zip(b) {
-        (0..4).for_each(|k| sums[k] += a[k] * b[k]);
-    }
-    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a.dot(*b)).sum();
-    ((sums[0] + sums[1]) + (sums[2] + sums[3])).element_sum() + rest
-}
-
-fn add_scaled(to: &mut [DVec3], factor: f64, from: &[DVec3]) {
-    to.iter_mut().zip(from).for_each(|(to, from)| *to += factor * *from);
-}
-
-fn difference(a: &[DVec3], b: &[DVec3], out: &mut Vec<DVec3>) {
-    out.clear();
-    out.extend(a.iter().zip(b).map(|(&a, &b)| a - b));
 }

@@ -78,7 +78,7 @@ impl Backend for Parallel {
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        Ok(Box::new(OnHost::new(ParallelSession {
+        let session = ParallelSession {
             pool: Arc::clone(&self.pool),
             surface,
             max_seeds: options.max_seeds,
@@ -96,7 +96,8 @@ impl Backend for Parallel {
             no_table: NeighbourTable::default(),
             chunks: Vec::new(),
             walkers: (0..self.threads()).map(|_| Mutex::default()).collect(),
-        })))
+        };
+        Ok(Box::new(OnHost::new(session, Some(Arc::clone(&self.pool)))))
     }
 }
 

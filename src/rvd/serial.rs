@@ -34,7 +34,7 @@ impl Backend for Serial {
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        Ok(Box::new(OnHost::new(SerialSession {
+        let session = SerialSession {
             surface,
             max_seeds: options.max_seeds,
             flat_pieces: options.flat_pieces,
@@ -44,7 +44,8 @@ impl Backend for Serial {
             table: NeighbourTable::default(),
             walker: FacetWalker::default(),
             stale: false,
-        })))
+        };
+        Ok(Box::new(OnHost::new(session, None)))
     }
 }
 

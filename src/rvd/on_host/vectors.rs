@@ -1,0 +1,146 @@
+//! Long vectors, block by block.
+//!
+//! Purpose: what a quasi-Newton step does with vectors in as few passes over memory as it takes, on one thread or several:
+//! each pass changes a vector and has the product with the one that comes next.
+//! Invariant: sums are of blocks of one size, added up in their order, so that threads change no bit.
+//! Must not know: what the vectors mean to an optimiser.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::knn::Threads;
+use crate::rvd::{CellSums, Look};
+
+/// Seeds in a block: a few vectors of so many stay in the cache that a core has for itself.
+const BLOCK: usize = 1024;
+
+/// What comes of each block, in their order.
+fn each<A: Send, R: Send>(
+    threads: Threads,
+    blocks: impl Iterator<Item = A>,
+    of: impl Fn(A) -> R + Send + Sync,
+) -> Vec<R> {
+    match threads {
+        Threads::One => blocks.map(of).collect(),
+        Threads::Pool => blocks.collect::<Vec<_>>().into_par_iter().map(of).collect(),
+    }
+}
+
+/// The gradient from what a pass found, ∇E_i = 2 m_i (x_i - c_i), 0 for seeds that are held, into `g`; and what the pass
+/// says as a whole, with the gradient along `d` for its slope.
+pub(super) fn look(threads: Threads, sums: &CellSums, held: &[bool], d: &[DVec3], g: &mut Vec<DVec3>) -> Look {
+    g.resize(held.len(), DVec3::ZERO);
+    let of_cells = sums.moment.chunks(BLOCK).zip(sums.energy.chunks(BLOCK)).zip(sums.area.chunks(BLOCK));
+    let of_seeds = g.chunks_mut(BLOCK).zip(held.chunks(BLOCK)).zip(d.chunks(BLOCK));
+    let looks = each(threads, of_cells.zip(of_seeds), |(((moment, energy), area), ((g, held), d))| {
+        for ((g, &moment), &held) in g.iter_mut().zip(moment).zip(held) {
+            // Minus twice the moment about the seed, so that nothing cancels.
+            *g = if held { DVec3::ZERO } else { -2.0 * moment };
+        }
+        Look {
+            energy: energy.iter().sum(),
+            gradient_squared: dot(g, g),
+            slope: dot(g, d),
+            empty_cells: area.iter().filter(|&&a| a <= 0.0).count(),
+            area: area.iter().sum(),
+            ..Look::default()
+        }
+    });
+    looks.iter().fold(Look::default(), |all, one| Look {
+        energy: all.energy + one.energy,
+        gradient_squared: all.gradient_squared + one.gradient_squared,
+        slope: all.slope + one.slope,
+        empty_cells: all.empty_cells + one.empty_cells,
+        area: all.area + one.area,
+        ..all
+    })
+}
+
+/// d := -g. Returns its product with another vector.
+pub(super) fn negate(threads: Threads, g: &[DVec3], d: &mut [DVec3], with: &[DVec3]) -> f64 {
+    let blocks = d.chunks_mut(BLOCK).zip(g.chunks(BLOCK)).zip(with.chunks(BLOCK));
+    let products = each(threads, blocks, |((d, g), with)| {
+        d.iter_mut().zip(g).for_each(|(d, &g)| *d = -g);
+        dot(d, with)
+    });
+    products.iter().sum()
+}
+
+/// d := (d + factor · v) · scale. Returns its product with another vector.
+pub(super) fn add(threads: Threads, d: &mut [DVec3], (factor, v): (f64, &[DVec3]), scale: f64, with: &[DVec3]) -> f64 {
+    let blocks = d.chunks_mut(BLOCK).zip(v.chunks(BLOCK)).zip(with.chunks(BLOCK));
+    let products = each(threads, blocks, |((d, v), with)| {
+        d.iter_mut().zip(v).for_each(|(d, &v)| *d = (*d + factor * v) * scale);
+        dot(d, with)
+    });
+    products.iter().sum()
+}
+
+/// s := x' - x and y := g' - g. Returns s·s, y·y and s·y.
+pub(super) fn differences(
+    threads: Threads,
+    [x_then, x]: [&[DVec3]; 2],
+    [g_then, g]: [&[DVec3]; 2],
+    [s, y]: [&mut Vec<DVec3>; 2],
+) -> [f64; 3] {
+    s.resize(x.len(), DVec3::ZERO);
+    y.resize(x.len(), DVec3::ZERO);
+    let steps = s.chunks_mut(BLOCK).zip(x_then.chunks(BLOCK)).zip(x.chunks(BLOCK));
+    let changes = y.chunks_mut(BLOCK).zip(g_then.chunks(BLOCK)).zip(g.chunks(BLOCK));
+    let products = each(threads, steps.zip(changes), |(((s, x_then), x), ((y, g_then), g))| {
+        difference(x_then, x, s);
+        difference(g_then, g, y);
+        [dot(s, s), dot(y, y), dot(s, y)]
+    });
+    products.iter().fold([0.0; 3], |all, one| [all[0] + one[0], all[1] + one[1], all[2] + one[2]])
+}
+
+fn difference(a: &[DVec3], b: &[DVec3], out: &mut [DVec3]) {
+    out.iter_mut().zip(a).zip(b).for_each(|((out, &a), &b)| *out = a - b);
+}
+
+/// In four sums side by side: one alone waits for each addition.
+fn dot(a: &[DVec3], b: &[DVec3]) -> f64 {
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<4>(), b.as_chunks::<4>());
+    let mut sums = [DVec3::ZERO; 4];
+    for (a, b) in a.iter().zip(b) {
+        (0..4).for_each(|k| sums[k] += a[k] * b[k]);
+    }
+    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a.dot(*b)).sum();
+    ((sums[0] + sums[1]) + (sums[2] + sums[3])).element_sum() + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn threads_change_no_bit() {
+        let n = 3 * BLOCK + 77;
+        let vector = |k: usize| -> Vec<DVec3> {
+            (0..n).map(|i| DVec3::new((i * k) as f64, 1.0, (i + k) as f64).map(f64::sin)).collect()
+        };
+        let run = |threads| {
+            let (g, v, w) = (vector(1), vector(2), vector(3));
+            let mut d = vec![DVec3::ZERO; n];
+            let first = negate(threads, &g, &mut d, &v);
+            let second = add(threads, &mut d, (0.3, &v), 1.7, &w);
+            let (mut s, mut y) = (Vec::new(), Vec::new());
+            let third = differences(threads, [&d, &g], [&v, &w], [&mut s, &mut y]);
+            (first, second, third, d, s, y)
+        };
+        let alone = run(Threads::One);
+        assert!(run(Threads::Pool) == alone);
+        let (first, second, [s_squared, y_squared, curvature], d, s, y) = alone;
+        let product = |a: &[DVec3], b: &[DVec3]| a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum::<f64>();
+        let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-12 * n as f64, "{a} for {b}");
+        let g = vector(1);
+        near(first, -product(&g, &vector(2)));
+        near(second, product(&d, &vector(3)));
+        near(s_squared, product(&s, &s));
+        near(y_squared, product(&y, &y));
+        near(curvature, product(&s, &y));
+        let want = g.iter().zip(vector(2)).map(|(&g, v)| (0.3 * v - g) * 1.7);
+        assert!(d.iter().zip(want).all(|(d, want)| d.abs_diff_eq(want, 1e-15)));
+    }
+}
