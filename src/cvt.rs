@@ -309,7 +309,7 @@ impl Cvt {
             self.converged |= look.empty_cells == 0;
             return self.lloyd_from(look, report, begin);
         }
-        let (fresh, unscaled) = (self.fresh, self.first_step(look));
+        let (fresh, unscaled) = (self.fresh, self.first_step());
         let vectors = resident(&mut *self.session)?;
         let mut slope = vectors.direct()?;
         let mut first = 1.0;
@@ -339,14 +339,10 @@ impl Cvt {
         Ok(report)
     }
 
-    /// A step along the gradient itself, which has no history to say how long: where the density is uniform, all
-    /// cells weigh about the same, and a step takes an average one a few times as far as its centroid. It gains as much
-    /// with one probe as 1/‖∇E‖ does with two or more.
-    fn first_step(&self, look: Look) -> f64 {
-        match self.surface.is_uniform() {
-            true => FIRST_STEP * 0.5 * self.seeds.len() as f64 / self.surface.mass(),
-            false => 1.0 / look.gradient_squared.sqrt(),
-        }
+    /// A step along the gradient itself, which has no history to say how long. A cell's part of it is twice its mass
+    /// times the way to its centroid, so that mass says how far a seed goes.
+    fn first_step(&self) -> f64 {
+        FIRST_STEP * 0.5 / self.surface.cell_mass(self.seeds.len())
     }
 
     /// Whether the last quasi-Newton step passed a test of convergence: ‖∇E‖ below a thousandth of the
