@@ -34,6 +34,8 @@ pub(super) struct Lister {
     /// Strays near the facets, and where strays were.
     near: Vec<DVec3>,
     were: Vec<DVec3>,
+    /// Those near a group of facets.
+    nearer: Vec<DVec3>,
     /// Facets of a group that need a new list, and the seed from which each is seen.
     strayed: Vec<usize>,
     from: Vec<u32>,
@@ -121,9 +123,10 @@ impl WithSimd for Relist<'_> {
         for (first, bounds) in (0..facets).step_by(GROUP).zip(&self.listed.lists.bounds) {
             let group = first..facets.min(first + GROUP);
             let about = self.kept.strays.about(*bounds);
-            let Lister { near, were, .. } = &*self.lister;
-            let away = |near: &[DVec3], bounds: &Bounds| !near.iter().any(|&p| bounds.contains(p));
-            if away(near, bounds) && away(were, &about) {
+            let Lister { near, were, nearer, .. } = &mut *self.lister;
+            nearer.clear();
+            nearer.extend(near.iter().filter(|&&p| bounds.contains(p)));
+            if nearer.is_empty() && !were.iter().any(|&p| about.contains(p)) {
                 self.out.copy(self.listed.lists, group);
             } else if !self.group(simd, group) {
                 return false;
@@ -144,15 +147,17 @@ impl Relist<'_> {
         lister.from.clear();
         for at in group.clone() {
             let (list, start) = (lists.get(at), starts[at]);
-            let corner = facets.corners(at);
-            let reach = Reach::of(*was, slack, &corner, start);
             if strays.contains(start) || list.iter().any(|&seed| strays.contains(seed)) {
                 let Some(from) = steady(*was, *kept, facets.centroid(at), (start, list), &mut lister.seeds) else {
                     return false;
                 };
-                lister.reaches.push(Reach::of(*was, slack, &corner, from));
+                lister.reaches.push(Reach::of(*was, slack, &facets.corners(at), from));
                 lister.from.push(from);
-            } else if lister.near.iter().any(|&p| reach.holds(p)) {
+            } else if !lister.nearer.is_empty() {
+                let reach = Reach::of(*was, slack, &facets.corners(at), start);
+                if !lister.nearer.iter().any(|&p| reach.holds(p)) {
+                    continue;
+                }
                 lister.reaches.push(reach);
                 lister.from.push(start);
             } else {
