@@ -514,11 +514,8 @@ impl Cvt {
         self.present = None;
         if look.empty_cells > 0 {
             self.pull()?;
-            let empty: Vec<u32> = (0..self.seeds.len() as u32)
-                .filter(|&i| self.sums.area[i as usize] <= 0.0 && !self.is_held(i))
-                .collect();
-            let closest = closest(&mut self.closest, &self.surface)?;
-            reseed::place(&empty, &self.sums, &mut self.seeds, &self.surface, closest);
+            let places = self.new_places()?;
+            places.into_iter().for_each(|(seed, place)| self.seeds[seed as usize] = place);
             self.moved();
         }
         self.clear_curves()?;
