@@ -36,12 +36,11 @@ pub(super) struct OnHost<S> {
     history: VecDeque<Pair>,
 }
 
-/// A step s, the change y of the gradient over it, yᵀy, and 1 / sᵀy.
+/// A step s, the change y of the gradient over it, and 1 / sᵀy.
 #[derive(Default)]
 struct Pair {
     s: Vec<DVec3>,
     y: Vec<DVec3>,
-    y_squared: f64,
     rho: f64,
 }
 
@@ -148,23 +147,25 @@ impl<S: Session> Resident for OnHost<S> {
     }
 
     fn direct(&mut self) -> Result<f64, RvdError> {
-        let Self { pool, g, d, history, .. } = self;
+        let Self { pool, g, d, history, sums, .. } = self;
         Ok(on(pool.as_deref(), g.len(), |threads| {
-            let first = history.back().map_or(&*g, |last| &last.s);
-            let mut value = vectors::negate(threads, g, d, first);
+            let mass = &sums.mass[..];
+            let Some(last) = history.back() else { return vectors::negate(threads, g, Some(mass), d, g) };
+            let scale = 1.0 / (last.rho * vectors::eased(threads, &last.y, mass));
+            let mut value = vectors::negate(threads, g, None, d, &last.s);
             let mut alphas = [0.0; HISTORY];
             for (k, pair) in history.iter().enumerate().rev() {
                 alphas[k] = pair.rho * value;
-                let (scale, next) = match (k.checked_sub(1), history.back()) {
-                    (Some(k), _) => (1.0, &history[k].s),
-                    (None, last) => (last.map_or(1.0, |last| 1.0 / (last.rho * last.y_squared)), &pair.y),
+                let (ease, next) = match k.checked_sub(1) {
+                    Some(k) => (None, &history[k].s),
+                    None => (Some((scale, mass)), &pair.y),
                 };
-                value = vectors::add(threads, d, (-alphas[k], &pair.y), scale, next);
+                value = vectors::add(threads, d, (-alphas[k], &pair.y), ease, next);
             }
             for (k, pair) in history.iter().enumerate() {
                 let beta = pair.rho * value;
                 let next = history.get(k + 1).map_or(&*g, |next| &next.y);
-                value = vectors::add(threads, d, (alphas[k] - beta, &pair.s), 1.0, next);
+                value = vectors::add(threads, d, (alphas[k] - beta, &pair.s), None, next);
             }
             value
         }))
@@ -191,7 +192,7 @@ impl<S: Session> Resident for OnHost<S> {
             vectors::differences(threads, [trial, x], [trial_g, g], [&mut pair.s, &mut pair.y])
         });
         if curvature > LEAST_CURVATURE * (s_squared * y_squared).sqrt() {
-            (pair.rho, pair.y_squared) = (1.0 / curvature, y_squared);
+            pair.rho = 1.0 / curvature;
             self.history.push_back(pair);
         }
         std::mem::swap(&mut self.x, &mut self.trial);

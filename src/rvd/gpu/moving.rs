@@ -335,8 +335,8 @@ impl GpuSession {
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         let mut c = moving.history.direction();
         if moving.history.is_empty() {
-            // The gradient is stored with its grain; with a history its scale has that in it.
-            c[2 * PAIRS] /= grain;
+            // The gradient is stored with its grain; with a history its scale has that in it, and the mass.
+            c[2 * PAIRS] *= 0.5 / (grain * self.surface.cell_mass(self.count));
         }
         let mut coefficients = [[0.0; 4]; 5];
         for (k, c) in c.into_iter().enumerate() {

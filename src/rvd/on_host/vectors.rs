@@ -56,24 +56,56 @@ pub(super) fn look(threads: Threads, sums: &CellSums, held: &[bool], d: &[DVec3]
     })
 }
 
-/// d := -g. Returns its product with another vector.
-pub(super) fn negate(threads: Threads, g: &[DVec3], d: &mut [DVec3], with: &[DVec3]) -> f64 {
-    let blocks = d.chunks_mut(BLOCK).zip(g.chunks(BLOCK)).zip(with.chunks(BLOCK));
-    let products = each(threads, blocks, |((d, g), with)| {
+/// By what a seed's part of the gradient is divided so that it is the way from its centroid: twice its mass. 0 for a cell
+/// without mass, which has no part.
+fn ease(mass: f64) -> f64 {
+    let ease = 0.5 / mass;
+    if ease.is_finite() { ease } else { 0.0 }
+}
+
+/// yᵀPy, where P divides by twice the masses.
+pub(super) fn eased(threads: Threads, y: &[DVec3], mass: &[f64]) -> f64 {
+    let blocks = y.chunks(BLOCK).zip(mass.chunks(BLOCK));
+    let products = each(threads, blocks, |(y, mass)| {
+        y.iter().zip(mass).map(|(y, &mass)| ease(mass) * y.length_squared()).sum::<f64>()
+    });
+    products.iter().sum()
+}
+
+/// d := -g, or -P g with masses. Returns its product with another vector.
+pub(super) fn negate(threads: Threads, g: &[DVec3], mass: Option<&[f64]>, d: &mut [DVec3], with: &[DVec3]) -> f64 {
+    let blocks = d.chunks_mut(BLOCK).zip(g.chunks(BLOCK)).zip(with.chunks(BLOCK)).enumerate();
+    let products = each(threads, blocks, |(block, ((d, g), with))| {
         d.iter_mut().zip(g).for_each(|(d, &g)| *d = -g);
+        if let Some(mass) = mass {
+            divide(d, 1.0, &mass[block * BLOCK..]);
+        }
         dot(d, with)
     });
     products.iter().sum()
 }
 
-/// d := (d + factor · v) · scale. Returns its product with another vector.
-pub(super) fn add(threads: Threads, d: &mut [DVec3], (factor, v): (f64, &[DVec3]), scale: f64, with: &[DVec3]) -> f64 {
-    let blocks = d.chunks_mut(BLOCK).zip(v.chunks(BLOCK)).zip(with.chunks(BLOCK));
-    let products = each(threads, blocks, |((d, v), with)| {
-        d.iter_mut().zip(v).for_each(|(d, &v)| *d = (*d + factor * v) * scale);
+/// d := d + factor · v, and then scale · P d with a scale and masses. Returns its product with another vector.
+pub(super) fn add(
+    threads: Threads,
+    d: &mut [DVec3],
+    (factor, v): (f64, &[DVec3]),
+    scale: Option<(f64, &[f64])>,
+    with: &[DVec3],
+) -> f64 {
+    let blocks = d.chunks_mut(BLOCK).zip(v.chunks(BLOCK)).zip(with.chunks(BLOCK)).enumerate();
+    let products = each(threads, blocks, |(block, ((d, v), with))| {
+        d.iter_mut().zip(v).for_each(|(d, &v)| *d += factor * v);
+        if let Some((scale, mass)) = scale {
+            divide(d, scale, &mass[block * BLOCK..]);
+        }
         dot(d, with)
     });
     products.iter().sum()
+}
+
+fn divide(d: &mut [DVec3], scale: f64, mass: &[f64]) {
+    d.iter_mut().zip(mass).for_each(|(d, &mass)| *d *= scale * ease(mass));
 }
 
 /// s := x' - x and y := g' - g. Returns s·s, y·y and s·y.
@@ -120,27 +152,35 @@ mod tests {
         let vector = |k: usize| -> Vec<DVec3> {
             (0..n).map(|i| DVec3::new((i * k) as f64, 1.0, (i + k) as f64).map(f64::sin)).collect()
         };
+        let mass: Vec<f64> = (0..n).map(|i| if i % 50 == 0 { 0.0 } else { 1.0 + i as f64 }).collect();
         let run = |threads| {
             let (g, v, w) = (vector(1), vector(2), vector(3));
             let mut d = vec![DVec3::ZERO; n];
-            let first = negate(threads, &g, &mut d, &v);
-            let second = add(threads, &mut d, (0.3, &v), 1.7, &w);
+            let first = negate(threads, &g, Some(&mass), &mut d, &v);
+            let second = negate(threads, &g, None, &mut d, &v);
+            let third = add(threads, &mut d, (0.3, &v), Some((1.7, &mass)), &w);
+            let fourth = eased(threads, &v, &mass);
             let (mut s, mut y) = (Vec::new(), Vec::new());
-            let third = differences(threads, [&d, &g], [&v, &w], [&mut s, &mut y]);
-            (first, second, third, d, s, y)
+            let fifth = differences(threads, [&d, &g], [&v, &w], [&mut s, &mut y]);
+            ([first, second, third, fourth], fifth, d, s, y)
         };
         let alone = run(Threads::One);
         assert!(run(Threads::Pool) == alone);
-        let (first, second, [s_squared, y_squared, curvature], d, s, y) = alone;
+        let ([first, second, third, fourth], [s_squared, y_squared, curvature], d, s, y) = alone;
         let product = |a: &[DVec3], b: &[DVec3]| a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum::<f64>();
         let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-12 * n as f64, "{a} for {b}");
-        let g = vector(1);
-        near(first, -product(&g, &vector(2)));
-        near(second, product(&d, &vector(3)));
+        let over = |a: &[DVec3]| -> Vec<DVec3> {
+            a.iter().zip(&mass).map(|(&a, &m)| if m > 0.0 { a / (2.0 * m) } else { DVec3::ZERO }).collect()
+        };
+        let (g, v) = (vector(1), vector(2));
+        near(first, -product(&over(&g), &v));
+        near(second, -product(&g, &v));
+        near(third, product(&d, &vector(3)));
+        near(fourth, product(&over(&v), &v));
         near(s_squared, product(&s, &s));
         near(y_squared, product(&y, &y));
         near(curvature, product(&s, &y));
-        let want = g.iter().zip(vector(2)).map(|(&g, v)| (0.3 * v - g) * 1.7);
-        assert!(d.iter().zip(want).all(|(d, want)| d.abs_diff_eq(want, 1e-15)));
+        let sum: Vec<DVec3> = g.iter().zip(&v).map(|(&g, &v)| 1.7 * (0.3 * v - g)).collect();
+        assert!(d.iter().zip(over(&sum)).all(|(d, want)| d.abs_diff_eq(want, 1e-15)));
     }
 }
