@@ -1,4 +1,5 @@
-// The direction as a combination of steps, changes and gradient, and its slope: the first dot product.
+// The direction as a combination of steps, and of changes and the gradient divided by masses, and its slope: the first
+// dot product.
 
 #import shared/motion
 
@@ -8,8 +9,10 @@
 @group(0) @binding(3) var<storage, read> gradient: array<f32>;
 @group(0) @binding(4) var<storage, read_write> direction: array<f32>;
 @group(0) @binding(5) var<storage, read_write> partials: array<f32>;
+@group(0) @binding(6) var<storage, read> sums: array<u32>;
 
 #import shared/dot
+#import shared/ease
 
 @compute @workgroup_size(64)
 fn main(
@@ -22,17 +25,19 @@ fn main(
     for (var e = id.x; e < length; e += motion.groups * 64u) {
         let g = gradient[e];
         var d = motion.coefficients[4].x * g;
+        var steps_part = 0.0;
         for (var k = 0u; k < PAIRS; k += 1u) {
             let s = motion.coefficients[k / 4u][k % 4u];
             let y = motion.coefficients[2u + k / 4u][k % 4u];
             // A slot that is not in use holds no numbers.
             if s != 0.0 {
-                d += s * steps[k * length + e];
+                steps_part += s * steps[k * length + e];
             }
             if y != 0.0 {
                 d += y * changes[k * length + e];
             }
         }
+        d = d * ease(e / 3u) + steps_part;
         direction[e] = d;
         own += g * d;
     }

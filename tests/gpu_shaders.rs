@@ -165,7 +165,10 @@ fn records_have_one_layout() {
             gradient_unit,
             coefficients,
             least_area,
-            most_area
+            most_area,
+            mean_mass,
+            used,
+            padding
         }
     );
     same_layout!(
@@ -195,7 +198,7 @@ fn constants_agree() {
     }
     let row = i64::from(layout::ROW);
     let constants = [("ROW", row), ("WIDTH", row), ("PART", 1)];
-    let all = ["count", "propose", "search", "products", "centroids", "dots", "settle"];
+    let all = ["count", "propose", "search", "products", "eased", "centroids", "dots", "settle"];
     let text: String = all.iter().map(|stage| compose(stage, &constants).unwrap()).collect();
     for line in [
         format!("const NONE: u32 = {:#x}u;", layout::NONE),
@@ -207,6 +210,8 @@ fn constants_agree() {
         format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
         format!("const ACCEPTED: f32 = {:e};", tessera::rvd::MAX_SEED_DISTANCE),
         format!("var<storage, read_write> dots: array<f32, {}>;", layout::DOTS),
+        format!("for (var d = lane; d < {}u; d += 64u)", layout::DOTS),
+        format!("const FIRST: u32 = {}u;", layout::PLAIN_DOTS),
     ] {
         assert!(text.contains(&line), "{line}");
     }

@@ -20,6 +20,11 @@ struct Motion {
     // Units of area between which the pieces cover the surface.
     least_area: vec2u,
     most_area: vec2u,
+    // Mean mass of a cell, in its units.
+    mean_mass: f32,
+    // Slots of the history that hold pairs, as bits.
+    used: u32,
+    padding: vec2u,
 }
 
 const PAIRS: u32 = 8u;

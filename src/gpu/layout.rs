@@ -254,6 +254,12 @@ pub struct Motion {
     pub least_area: [u32; 2],
     /// The same at most.
     pub most_area: [u32; 2],
+    /// Mean mass of a cell, in its units.
+    pub mean_mass: f32,
+    /// Slots of the history that hold pairs, as bits.
+    pub used: u32,
+    /// Unused.
+    pub padding: [u32; 2],
 }
 
 /// What one reduction over the cells says.
@@ -307,8 +313,10 @@ pub const MEMBERS: [u32; 4] = [4, 6, 8, 12];
 pub const NONE: u32 = u32::MAX;
 /// Pairs of the history, and one that is not accepted yet.
 pub const PAIRS: usize = 8;
-/// Dot products that one stage makes at most: each step and change and the gradient with three vectors.
-pub const DOTS: usize = 3 * (2 * PAIRS + 1);
+/// Dot products of each step and change and the gradient with three vectors,
+pub const PLAIN_DOTS: usize = 3 * (2 * PAIRS + 1);
+/// and with those of each change, divided by masses, with every change and the gradient.
+pub const DOTS: usize = PLAIN_DOTS + PAIRS * (PAIRS + 1);
 
 /// Splits a double into upper and lower floats. Below 2048 the upper part is a multiple of
 /// 2⁻¹², so that differences of upper parts are exact, and the lower part adds 24 bits to it. It is a

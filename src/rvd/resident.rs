@@ -69,8 +69,7 @@ pub trait Resident {
 
     /// d := -H g by the two-loop recursion over the history, H₀ = (sᵀy / yᵀPy) P of the last pair; -P g
     /// without history, the way to the centroids. P divides each seed's part by twice the mass of its cell, as Lloyd's
-    /// method does: masses differ a hundredfold on a density, and one scale for all suits none. A device may take one mass for
-    /// all, [`Surface::cell_mass`](super::Surface::cell_mass). Returns gᵀd.
+    /// method does: masses differ a hundredfold on a density, and one scale for all suits none. Returns gᵀd.
     ///
     /// # Errors
     /// What the device says.

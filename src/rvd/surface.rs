@@ -68,7 +68,6 @@ pub struct Surface {
     area: f64,
     mass: f64,
     root_mass: f64,
-    steep_mass: f64,
 }
 
 impl Surface {
@@ -129,13 +128,11 @@ impl Surface {
             area: 0.0,
             mass: 0.0,
             root_mass: 0.0,
-            steep_mass: 0.0,
         };
         surface.area =
             (0..surface.facets.len()).filter(|&f| !surface.skip[f]).map(|f| surface.facet_area(f as u32)).sum();
         surface.mass = surface.integral(|w| w);
         surface.root_mass = surface.integral(f64::sqrt);
-        surface.steep_mass = surface.integral(|w| w * w.sqrt());
         Ok(surface)
     }
 
@@ -208,12 +205,6 @@ impl Surface {
     /// ∫ w, unit frame.
     pub fn mass(&self) -> f64 {
         self.mass
-    }
-
-    /// Σ m² / Σ m over the cells of so many seeds that share the energy evenly, where a cell's mass m goes with √w:
-    /// ∫√w ∫w√w / (n ∫w), unit frame. The mean mass where the density is uniform.
-    pub fn cell_mass(&self, seeds: usize) -> f64 {
-        self.root_mass * self.steep_mass / (self.mass * seeds as f64)
     }
 
     /// The integral of what `of` makes of the weights, taken as linear between the corners of a facet.

@@ -1,12 +1,12 @@
 //! The quasi-Newton history as scalars.
 //!
 //! Purpose: the two-loop recursion works on steps s, changes of the gradient y and the gradient g only by
-//! their dot products, so the host does it on those, in f64, and the device combines the vectors once
+//! their dot products, and those of y and g divided by the cells' masses, so the host does it on those, in f64, and the device combines the vectors once
 //! (\[FWW14\] does L-BFGS on a GPU loop by loop; this way there is one stage instead of thirty).
 //! Invariant: a pair is in use only if sᵀy > 1e-10 ‖s‖ ‖y‖; the oldest goes where there are [`HISTORY`].
 //! Must not know: the device.
 
-use crate::gpu::layout::{DOTS, PAIRS};
+use crate::gpu::layout::{DOTS, PAIRS, PLAIN_DOTS};
 use crate::rvd::resident::HISTORY;
 
 /// Vectors there are: steps, changes, the gradient.
@@ -19,6 +19,8 @@ pub(super) struct History {
     /// Slots in use, oldest first.
     order: Vec<usize>,
     products: [[f64; VECTORS]; VECTORS],
+    /// Of each change, divided by masses, with every change and the gradient.
+    eased: [[f64; PAIRS + 1]; PAIRS],
 }
 
 impl History {
@@ -37,7 +39,12 @@ impl History {
         (0..PAIRS).find(|slot| !self.order.contains(slot)).unwrap_or(0)
     }
 
-    /// Takes what the `products` stage says of the pair in `slot` and of the gradient.
+    /// The slots in use and one more, as bits.
+    pub fn used(&self, slot: usize) -> u32 {
+        self.order.iter().fold(1 << slot, |bits, &slot| bits | 1 << slot)
+    }
+
+    /// Takes what the `products` stage says of the pair in `slot` and of the gradient, and `eased` of all.
     pub fn learn(&mut self, slot: usize, dots: &[f32; DOTS]) {
         for which in 0..VECTORS {
             for (k, other) in [slot, PAIRS + slot, GRADIENT].into_iter().enumerate() {
@@ -45,6 +52,9 @@ impl History {
                 self.products[which][other] = dot;
                 self.products[other][which] = dot;
             }
+        }
+        for (row, dots) in self.eased.iter_mut().zip(dots[PLAIN_DOTS..].chunks_exact(PAIRS + 1)) {
+            row.iter_mut().zip(dots).for_each(|(to, &dot)| *to = f64::from(dot));
         }
     }
 
@@ -61,7 +71,7 @@ impl History {
         }
     }
 
-    /// Coefficients of -H g: of the steps, the changes, the gradient.
+    /// Coefficients of -H g: of the steps, and of the changes and the gradient, both divided by masses.
     pub fn direction(&self) -> [f64; VECTORS] {
         let mut c = [0.0; VECTORS];
         c[GRADIENT] = -1.0;
@@ -74,12 +84,14 @@ impl History {
             alphas.push(alpha);
         }
         if let Some(&last) = self.order.last() {
-            let y = PAIRS + last;
-            let scale = self.products[last][y] / self.products[y][y];
+            // Steps have no part yet.
+            let scale = self.products[last][PAIRS + last] / self.eased[last][last];
             c.iter_mut().for_each(|x| *x *= scale);
         }
         for (&slot, alpha) in self.order.iter().zip(alphas.iter().rev()) {
-            let beta = along(&c, PAIRS + slot) / self.products[slot][PAIRS + slot];
+            let steps: f64 = (0..PAIRS).map(|k| c[k] * self.product(PAIRS + slot, k, c[k])).sum();
+            let of = |k: usize| if c[PAIRS + k] == 0.0 { 0.0 } else { c[PAIRS + k] * self.eased[slot][k] };
+            let beta = (steps + (0..=PAIRS).map(of).sum::<f64>()) / self.products[slot][PAIRS + slot];
             c[slot] += alpha - beta;
         }
         c
@@ -100,8 +112,13 @@ mod tests {
         a.iter().zip(b).map(|(x, y)| x * y).sum()
     }
 
+    /// v over the masses.
+    fn eased(v: &[f64], ease: &[f64]) -> Vec<f64> {
+        v.iter().zip(ease).map(|(v, ease)| v * ease).collect()
+    }
+
     /// The recursion on the vectors themselves.
-    fn two_loops(pairs: &[(Vec<f64>, Vec<f64>)], g: &[f64]) -> Vec<f64> {
+    fn two_loops(pairs: &[(Vec<f64>, Vec<f64>)], g: &[f64], ease: &[f64]) -> Vec<f64> {
         let mut q: Vec<f64> = g.iter().map(|x| -x).collect();
         let mut alphas = Vec::new();
         for (s, y) in pairs.iter().rev() {
@@ -110,8 +127,8 @@ mod tests {
             alphas.push(alpha);
         }
         if let Some((s, y)) = pairs.last() {
-            let scale = dot(s, y) / dot(y, y);
-            q.iter_mut().for_each(|q| *q *= scale);
+            let scale = dot(s, y) / dot(y, &eased(y, ease));
+            q.iter_mut().zip(ease).for_each(|(q, ease)| *q *= scale * ease);
         }
         for ((s, y), alpha) in pairs.iter().zip(alphas.iter().rev()) {
             let beta = dot(y, &q) / dot(s, y);
@@ -128,6 +145,7 @@ mod tests {
         let (mut slots, mut pairs) = (vec![(vec![f64::NAN; 20], vec![f64::NAN; 20]); PAIRS], Vec::new());
         for round in 0..12 {
             let (s, noise, g) = (vector(), vector(), vector());
+            let ease: Vec<f64> = vector().iter().map(|x| (2.0 * x).exp()).collect();
             // Positive curvature but for every fifth pair.
             let sign = if round % 5 == 4 { -1.0 } else { 1.0 };
             let y: Vec<f64> = s.iter().zip(&noise).map(|(s, n)| sign * (2.0 * s + 0.3 * n)).collect();
@@ -141,6 +159,11 @@ mod tests {
                     dots[3 * which + k] = dot(v, other) as f32;
                 }
             }
+            for (i, change) in slots.iter().enumerate() {
+                for (j, other) in slots.iter().map(|p| &p.1).chain([&g]).enumerate() {
+                    dots[PLAIN_DOTS + (PAIRS + 1) * i + j] = dot(&eased(&change.1, &ease), other) as f32;
+                }
+            }
             history.learn(slot, &dots);
             history.take(slot);
             if dot(&s, &y) > 0.0 {
@@ -149,10 +172,11 @@ mod tests {
                     pairs.remove(0);
                 }
             }
-            let want = two_loops(&pairs, &g);
+            let want = two_loops(&pairs, &g, &ease);
             let c = history.direction();
             for (e, want) in want.iter().enumerate() {
-                let got: f64 = (0..VECTORS).filter(|&k| c[k] != 0.0).map(|k| c[k] * all[k][e]).sum();
+                let over = |k: usize| if k < PAIRS { 1.0 } else { ease[e] };
+                let got: f64 = (0..VECTORS).filter(|&k| c[k] != 0.0).map(|k| c[k] * all[k][e] * over(k)).sum();
                 // The products were rounded to single precision.
                 assert!((got - want).abs() < 1e-4, "round {round}: {got} for {want}");
             }

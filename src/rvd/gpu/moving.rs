@@ -148,6 +148,7 @@ impl GpuSession {
             step: if let Place::Trial(step) = self.place { step } else { 0.0 },
             least_area,
             most_area,
+            mean_mass: (self.surface.mass() / self.count as f64 * mass) as f32,
             ..Motion::default()
         }
     }
@@ -294,6 +295,9 @@ impl GpuSession {
             compute.set_pipeline(&self.pipelines.products);
             compute.set_bind_group(0, &bindings.products, &[]);
             compute.dispatch_workgroups(motion.groups, 2 * PAIRS as u32 + 1, 1);
+            compute.set_pipeline(&self.pipelines.eased);
+            compute.set_bind_group(0, &bindings.eased, &[]);
+            compute.dispatch_workgroups(motion.groups, PAIRS as u32, 1);
             compute.set_pipeline(&self.pipelines.dots);
             compute.set_bind_group(0, &bindings.dots, &[]);
             compute.dispatch_workgroups(1, 1, 1);
@@ -327,7 +331,8 @@ impl GpuSession {
         self.bind_motion()?;
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         if !moving.products_known && !moving.history.is_empty() {
-            let motion = Motion { slot: moving.history.free_slot() as u32, ..self.motion() };
+            let slot = moving.history.free_slot();
+            let motion = Motion { slot: slot as u32, used: moving.history.used(slot), ..self.motion() };
             self.write_motion(motion)?;
             self.learn(self.device.encoder(), motion)?;
         }
@@ -335,8 +340,9 @@ impl GpuSession {
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         let mut c = moving.history.direction();
         if moving.history.is_empty() {
-            // The gradient is stored with its grain; with a history its scale has that in it, and the mass.
-            c[2 * PAIRS] *= 0.5 / (grain * self.surface.cell_mass(self.count));
+            // The gradient is stored with its grain, and is divided by masses over their mean; with a history its scale
+            // has both in it.
+            c[2 * PAIRS] *= 0.5 * self.count as f64 / (grain * self.surface.mass());
         }
         let mut coefficients = [[0.0; 4]; 5];
         for (k, c) in c.into_iter().enumerate() {
@@ -368,7 +374,7 @@ impl GpuSession {
         let moving = self.moving.as_ref().filter(|m| trial && m.ahead_known && m.gradient_known);
         let moving = moving.ok_or_else(|| RvdError::Internal("no trial point to accept".to_owned()))?;
         let slot = moving.history.free_slot();
-        let motion = Motion { slot: slot as u32, ..self.motion() };
+        let motion = Motion { slot: slot as u32, used: moving.history.used(slot), ..self.motion() };
         self.write_motion(motion)?;
         self.bind_motion()?;
         let (moving, bindings, there) = self.bound()?;

@@ -65,6 +65,8 @@ pub struct Pipelines {
     pub keep: wgpu::ComputePipeline,
     /// Parts of dot products.
     pub products: wgpu::ComputePipeline,
+    /// Parts of those of changes that are divided by masses.
+    pub eased: wgpu::ComputePipeline,
     /// Dot products.
     pub dots: wgpu::ComputePipeline,
     /// The direction.
@@ -115,6 +117,7 @@ impl Pipelines {
             settle: pipeline(device, "settle", &[])?,
             keep: pipeline(device, "keep", &[])?,
             products: pipeline(device, "products", &[])?,
+            eased: pipeline(device, "eased", &[])?,
             dots: pipeline(device, "dots", &[])?,
             combine: pipeline(device, "combine", &[])?,
         })
@@ -266,6 +269,8 @@ pub struct MotionBindings {
     pub keep: wgpu::BindGroup,
     /// For [`Pipelines::products`].
     pub products: wgpu::BindGroup,
+    /// For [`Pipelines::eased`].
+    pub eased: wgpu::BindGroup,
     /// For [`Pipelines::dots`].
     pub dots: wgpu::BindGroup,
     /// For [`Pipelines::combine`].
@@ -297,11 +302,12 @@ impl MotionBindings {
                 &[&m.motion, &b.seeds, &m.points, &m.ahead, &m.gradient, &m.steps, &m.changes],
             )?,
             products: bind(device, &pipelines.products, &[&m.motion, &m.steps, &m.changes, &m.gradient, &m.partials])?,
+            eased: bind(device, &pipelines.eased, &[&m.motion, &b.sums, &m.changes, &m.gradient, &m.partials])?,
             dots: bind(device, &pipelines.dots, &[&m.motion, &m.partials, &m.dots])?,
             combine: bind(
                 device,
                 &pipelines.combine,
-                &[&m.motion, &m.steps, &m.changes, &m.gradient, &m.direction, &m.partials],
+                &[&m.motion, &m.steps, &m.changes, &m.gradient, &m.direction, &m.partials, &b.sums],
             )?,
             tally: tally(&m.gradient)?,
             tally_ahead: tally(&m.ahead)?,
