@@ -290,6 +290,26 @@ fn seeds_without_a_cell_are_placed_anew() {
     }
 }
 
+/// Cells without mass have no part in a gradient, and give none a scale.
+#[test]
+fn weights_of_zero_stop_no_step() {
+    let mesh = Shape::Torus.build(1500);
+    // Weight is there on one side alone, and on a single vertex.
+    let half: Vec<f64> = mesh.positions().iter().map(|p| p.x.max(0.0)).collect();
+    let mut one = vec![0.0; mesh.positions().len()];
+    one[17] = 1.0;
+    for weights in [half, one] {
+        for backend in backends() {
+            let surface = Arc::new(Surface::new(&mesh, Some(&weights)).unwrap());
+            let mut cvt = Cvt::new(backend.as_ref(), surface, &drawn(&mesh, 100), CvtOptions::default()).unwrap();
+            let energies: Vec<f64> = (0..15).map(|_| lbfgs(&mut cvt).energy).collect();
+            let name = backend.kind().name();
+            assert!(energies.windows(2).all(|e| e[1] <= e[0] * (1.0 + 1e-5)), "{name}: {energies:?}");
+            assert!(cvt.seeds().unwrap().iter().all(|p| p.is_finite()), "{name}");
+        }
+    }
+}
+
 #[test]
 fn cancelling_leaves_the_seeds_as_they_were() {
     let mesh = Shape::Torus.build(800);

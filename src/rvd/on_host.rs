@@ -150,8 +150,13 @@ impl<S: Session> Resident for OnHost<S> {
         let Self { pool, g, d, history, sums, .. } = self;
         Ok(on(pool.as_deref(), g.len(), |threads| {
             let mass = &sums.mass[..];
-            let Some(last) = history.back() else { return vectors::negate(threads, g, Some(mass), d, g) };
-            let scale = 1.0 / (last.rho * vectors::eased(threads, &last.y, mass));
+            let scale = |last: &Pair| 1.0 / (last.rho * vectors::eased(threads, &last.y, mass));
+            // Where y has to do with cells alone that have lost their mass, there is no scale.
+            let last = history.back().map(|last| (last, scale(last))).filter(|(_, scale)| scale.is_finite());
+            let Some((last, scale)) = last else {
+                history.clear();
+                return vectors::negate(threads, g, Some(mass), d, g);
+            };
             let mut value = vectors::negate(threads, g, None, d, &last.s);
             let mut alphas = [0.0; HISTORY];
             for (k, pair) in history.iter().enumerate().rev() {

@@ -30,6 +30,17 @@ impl History {
         self.order.clear();
     }
 
+    /// Empties it if it has no scale: where the last change has to do with cells alone that have lost their mass.
+    pub fn settle(&mut self) {
+        if self
+            .order
+            .last()
+            .is_some_and(|&last| !(self.products[last][PAIRS + last] / self.eased[last][last]).is_finite())
+        {
+            self.forget();
+        }
+    }
+
     /// Whether there is no pair.
     pub fn is_empty(&self) -> bool {
         self.order.is_empty()

@@ -337,7 +337,8 @@ impl GpuSession {
             self.learn(self.device.encoder(), motion)?;
         }
         let grain = self.grain();
-        let moving = self.moving.as_ref().ok_or_else(missing)?;
+        let moving = self.moving.as_mut().ok_or_else(missing)?;
+        moving.history.settle();
         let mut c = moving.history.direction();
         if moving.history.is_empty() {
             // The gradient is stored with its grain, and is divided by masses over their mean; with a history its scale

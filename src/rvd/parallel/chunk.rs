@@ -204,7 +204,8 @@ impl Chunk {
     }
 
     /// Integrals over the pieces of the facets, added up block by block; `starts` become the seeds nearest to them that are
-    /// listed. Their lists are kept where there is slack. Returns whether all could be listed, or walked by rows; nothing is summed otherwise.
+    /// listed. Their lists are kept where there is slack. Returns whether all could be listed, or walked by rows; nothing is
+    /// summed otherwise.
     pub(super) fn sum(
         &mut self,
         walkers: &mut Walkers,

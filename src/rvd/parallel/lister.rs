@@ -194,8 +194,8 @@ impl Relist<'_> {
     }
 }
 
-/// A seed within its slack from which to see a facet with this centroid: the one it starts with, the nearest on its list, or one around the
-/// one it starts with. `near` is scratch memory.
+/// A seed within its slack from which to see a facet with this centroid: the one it starts with, the nearest on its list,
+/// or one around the one it starts with. `near` is scratch memory.
 fn steady(
     was: Diagram<'_>,
     kept: Kept<'_>,

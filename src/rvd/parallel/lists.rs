@@ -47,7 +47,8 @@ const CHUNK: usize = 2048;
 pub(super) struct Lists {
     ends: Vec<u32>,
     seeds: Vec<u32>,
-    /// Of each group of [`super::around::GROUP`] facets, who may be nearer to a corner than the seed that the facet starts with.
+    /// Of each group of [`super::around::GROUP`] facets, who may be nearer to a corner than the seed that the facet starts
+    /// with.
     pub bounds: Vec<Bounds>,
 }
 

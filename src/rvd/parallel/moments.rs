@@ -9,8 +9,8 @@ use pulp::Simd;
 
 use super::lanes::{Number, Row};
 
-/// Integrals over a piece in barycentric coordinates, p = p₀ + u (p₁ - p₀) + v (p₂ - p₀): its area as a share, ∫ of wu, wv,
-/// wu², wuv, wv², where w is the weight, and w; times the numbers that [`integrals`] divides by.
+/// Integrals over a piece in barycentric coordinates, p = p₀ + u (p₁ - p₀) + v (p₂ - p₀): of 1, wu, wv, wu², wuv, wv²
+/// and w, where w is the weight; times the numbers that [`integrals`] divides by.
 pub(super) type Moments = [Row; WEIGHTED];
 
 /// How many of them there are where the weight is 1, and the last one the first,
