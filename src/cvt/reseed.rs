@@ -49,7 +49,7 @@ fn place(
             .unwrap_or(DVec3::X)
             .normalize_or(DVec3::X);
         let radius = 0.5 * (sums.area[host] / std::f64::consts::PI).sqrt() / (1 + round / 2) as f64;
-        let way = if round % 2 == 0 { radius } else { -radius };
+        let way = if round.is_multiple_of(2) { radius } else { -radius };
         closest.project(centre.position + way * tangent).position
     };
     // A place where no seed stays would leave its cell empty again, step after step.

@@ -320,7 +320,9 @@ impl GpuSession {
 
     /// The direction and its slope.
     fn combine(&mut self) -> Result<f64, RvdError> {
-        if !self.moving()?.gradient_known {
+        // The masses are those of the last pass, which may have been of another point.
+        let moving = self.moving()?;
+        if !moving.gradient_known || moving.sums_of != Some(Place::Point) {
             self.look(Place::Point, &CancelFlag::default())?;
         }
         if let Place::Trial(_) = self.place {

@@ -119,7 +119,7 @@ impl Walkers {
         for n in 1..=MEMBERS {
             for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
                 if let Some(group) = turn.set {
-                    let given = in_turn.to_set(&turn);
+                    let given = in_turn.next(&turn);
                     for lane in 0..Number::<S>::LANES {
                         let at = group[lane.min(group.len() - 1)];
                         let vertices = listed.facets.vertices(at as usize);
@@ -135,7 +135,7 @@ impl Walkers {
                     }
                 }
                 let Some(group) = turn.read else { continue };
-                facets.divide::<S, N>(simd, n, in_turn.to_read(&turn), found);
+                facets.divide::<S, N>(simd, n, in_turn.present(&turn), found);
                 for (lane, &at) in group.iter().enumerate() {
                     let first = written.first(at);
                     let (seeds, slots) = (&mut written.seeds[first..][..n], &mut written.integrals[first..][..n]);

@@ -194,12 +194,12 @@ impl InTurn {
     }
 
     #[inline(always)]
-    pub(super) fn to_set(&mut self, turn: &Turn<'_>) -> &mut Given {
+    pub(super) fn next(&mut self, turn: &Turn<'_>) -> &mut Given {
         &mut self.0[turn.into]
     }
 
     #[inline(always)]
-    pub(super) fn to_read(&self, turn: &Turn<'_>) -> &Given {
+    pub(super) fn present(&self, turn: &Turn<'_>) -> &Given {
         &self.0[1 - turn.into]
     }
 }

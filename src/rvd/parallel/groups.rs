@@ -139,10 +139,10 @@ pub(super) fn choose_members<S: Simd>(simd: S, chooser: &mut Chooser, listed: Li
     for n in 2..=LISTED {
         for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
             if let Some(group) = turn.set {
-                set_lists::<S>(in_turn.to_set(&turn), group, listed, n);
+                set_lists::<S>(in_turn.next(&turn), group, listed, n);
             }
             if let Some(group) = turn.read {
-                let chosen = facets.choose(simd, n, in_turn.to_read(&turn));
+                let chosen = facets.choose(simd, n, in_turn.present(&turn));
                 for (&at, chosen) in group.iter().zip(chosen) {
                     members[at as usize] = chosen;
                 }
@@ -185,7 +185,7 @@ impl WithSimd for Thin<'_> {
         for n in 2..=LISTED {
             for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
                 if let Some(group) = turn.set {
-                    let given = in_turn.to_set(&turn);
+                    let given = in_turn.next(&turn);
                     set_lists::<S>(given, group, listed, n);
                     for lane in 0..Number::<S>::LANES {
                         let at = group[lane.min(group.len() - 1)];
@@ -195,7 +195,7 @@ impl WithSimd for Thin<'_> {
                     }
                 }
                 if let Some(group) = turn.read {
-                    let chosen = facets.choose_with_slack(simd, n, in_turn.to_read(&turn));
+                    let chosen = facets.choose_with_slack(simd, n, in_turn.present(&turn));
                     for (&at, chosen) in group.iter().zip(chosen) {
                         members[at as usize] = chosen;
                     }
