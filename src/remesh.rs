@@ -15,6 +15,7 @@ mod flips;
 mod ground;
 mod grouped;
 mod mend;
+mod notches;
 mod patch;
 mod polish;
 mod regular;
@@ -36,7 +37,7 @@ use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{quality_unless, topology};
-use crate::mesh::sample::sample;
+use crate::mesh::sample::spread;
 use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
 
 pub use attributes::Provenance;
@@ -49,7 +50,7 @@ use steps::{Refinement, Steps};
 /// Where the first seeds come from.
 #[derive(Clone, Debug)]
 pub enum Seeds {
-    /// So many, drawn on the surface ∝ √w from this random seed.
+    /// So many, drawn on the surface ∝ √w from this random seed, spread out ([`spread`]).
     Sample {
         /// How many.
         points: usize,
@@ -197,11 +198,11 @@ pub enum RemeshError {
     /// The wished density cannot be had.
     #[error(transparent)]
     Density(DensityError),
-    /// Every triangle of the dual lies back to back with another.
+    /// Every facet of the surface lies back to back with another, and so does every triangle of the dual.
     #[error("the surface lies back to back with itself and has no thickness; remesh one of its sides")]
     NoThickness,
-    /// The dual has no triangle: too few seeds for this surface.
-    #[error("the dual of {seeds} seeds has no triangle; give more points")]
+    /// The dual has no triangle, or only such as lie back to back: too few seeds for this surface.
+    #[error("the dual of {seeds} seeds has no triangle but what lies back to back; give more points")]
     TooFewSeeds {
         /// How many there were.
         seeds: usize,
@@ -331,6 +332,9 @@ fn prepare<'a>(
 /// Times that seeds are moved to what the result missed, and that they are added where a tolerance was given.
 const MOVING_ROUNDS: usize = 1;
 const ADDING_ROUNDS: usize = 8;
+/// What was moved took more steps, after which facets are better; its result may be so much farther from the input, since
+/// the farthest places are mended yet.
+const MOVED_SLACK: f64 = 1.1;
 /// One more round follows where seeds are left without a vertex. Its result may be so much farther from the input.
 const COUNT_SLACK: f64 = 1.25;
 /// Rounds of that kind, at most.
@@ -377,12 +381,12 @@ fn settle(
         let draft = rayon::scope(|_| source.draft(&dual, seeds))?;
         timings.repair += clock.lap();
         let missed = draft.missed();
-        // Another place may come out worse than the one that was mended. More seeds are better all the same,
-        // unless it is much worse.
+        // Another place may come out worse than those that seeds were sent to. More seeds, and more steps, are better all
+        // the same, unless it is much worse.
         let slack = |before: &build::Missed| match tolerance {
             Some(_) => 2.0,
             None if missed.lost.len() < before.lost.len() => COUNT_SLACK,
-            None => 1.0,
+            None => MOVED_SLACK,
         };
         let better = best.as_ref().is_none_or(|(_, before, _)| missed.deviation < slack(before) * before.deviation);
         if better {
@@ -414,7 +418,7 @@ fn first_seeds(plan: &Plan<'_>, surface: &Surface, kept: &curves::Kept, seeds: &
     match *seeds {
         Seeds::Given(ref seeds) => (seeds.clone(), None),
         Seeds::Sample { seed, .. } | Seeds::Implied { seed } if kept.seeds.is_empty() => {
-            let drawn = sample(&plan.mesh, plan.weights.as_deref(), plan.points, seed);
+            let drawn = spread(&plan.mesh, plan.weights.as_deref(), plan.points, seed);
             (drawn.iter().map(|p| p.position).collect(), Some(seed))
         }
         Seeds::Sample { seed, .. } | Seeds::Implied { seed } => (kept.with_others(plan, surface, seed), Some(seed)),

@@ -212,8 +212,13 @@ fn a_surface_without_thickness() {
 fn two_facets_back_to_back() {
     let corners = vec![DVec3::ZERO, DVec3::X, DVec3::Y];
     let mesh = TriMesh::new(corners, vec![[0, 1, 2], [0, 2, 1]]).unwrap();
-    for points in [8, 30, 100] {
+    for points in [20, 30, 100] {
         remeshed("two facets", &mesh, &options(Seeds::Sample { points, seed: 2 }, 2));
+    }
+    // Each of four a side has a cell that goes around the rim to the other side, where its triangles are too.
+    let few = options(Seeds::Sample { points: 8, seed: 2 }, 2);
+    for (backend, _) in hostile::backends() {
+        assert!(matches!(hostile::run(&mesh, &few, backend), Err(RemeshError::NoThickness)));
     }
 }
 

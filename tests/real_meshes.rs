@@ -164,8 +164,8 @@ struct Bars {
 
 /// 5 + 30 steps, as a user gets them. The bars are the project's own promises for these meshes and counts; the last
 /// mesh has fewer points than its promise (50,000, 0.15 %), for time, and a distance for its longer edges. The second one
-/// is here for its rims; no angle is promised of it but that none is under 30°. The rocker-arm's distance
-/// differs from seed to seed, 0.22 to 0.34 % over seeds 0 to 4; 0.30 % is promised of seed 0, with little to spare.
+/// is here for its rims; no angle is promised of it but that none is under 30°. The rocker-arm has
+/// a groove of 93° that is half an edge deep, where the distance differs from seed to seed; see the next test.
 #[test]
 fn remeshes_come_up_to_the_bars() {
     let bars = [
@@ -182,6 +182,35 @@ fn remeshes_come_up_to_the_bars() {
         let backend = Parallel::new(None).unwrap();
         let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
         bars.check(&mesh, &result);
+    }
+}
+
+/// In the mean over some seeds, since one alone may be lucky.
+#[test]
+fn the_rocker_arm_is_near_whatever_the_seed() {
+    let Some(mesh) = surfaces::real("rocker-arm.obj") else { return };
+    let backend = Parallel::new(None).unwrap();
+    let distance = |seed: u64| {
+        let options = RemeshOptions::new(Seeds::Sample { points: 5000, seed });
+        let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+        result.report.result.quality.unwrap().hausdorff_percent
+    };
+    let all: Vec<f64> = (0..5).map(distance).collect();
+    println!("{all:?}");
+    assert!(all.iter().all(|&d| d <= 0.30), "{all:?}");
+    assert!(all.iter().sum::<f64>() / all.len() as f64 <= 0.25, "{all:?}");
+}
+
+/// Where the cell of a seed beside a boundary reaches it, the boundary has its edge all the same.
+#[test]
+fn boundaries_are_whole_whatever_the_seed() {
+    let Some(mesh) = surfaces::real("stanford-bunny.obj") else { return };
+    let backend = Parallel::new(None).unwrap();
+    for seed in 1..7 {
+        let options = RemeshOptions { measure: false, ..RemeshOptions::new(Seeds::Sample { points: 3000, seed }) };
+        let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+        let features = &result.report.features;
+        assert_eq!((features.missing_segments, features.broken_curves), (0, 0), "seed {seed}: {features:?}");
     }
 }
 

@@ -1,16 +1,20 @@
 //! Random points of a surface.
 //!
-//! Purpose: independent points with a density ∝ √w, as initial seeds and for distances.
+//! Purpose: points with a density ∝ √w: [`sample`], independent ones, for distances and as the seeds that benches begin at,
+//! and [`spread`], the first seeds of a remesh.
 //! Invariant: the same mesh, weights, count and seed give the same bits on every platform and
 //! with any number of threads (ChaCha8, one stream; of the floating-point functions only those that IEEE
 //! 754 rounds correctly).
 //! Must not know: what the points are for.
+
+mod spread;
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use super::TriMesh;
 use super::closest_point::SurfacePoint;
+pub use spread::spread;
 
 /// `count` random points on `mesh`, ∝ area times √weight (linear in each facet), from `seed`.
 ///
@@ -21,15 +25,13 @@ use super::closest_point::SurfacePoint;
 /// weight, a point uniformly in it, and the pair is kept with probability √(w / largest), which is at
 /// least 8/15 on average.
 pub fn sample(mesh: &TriMesh, weights: Option<&[f64]>, count: usize, seed: u64) -> Vec<SurfacePoint> {
-    let weighted = weights.and_then(|given| Sampler::new(mesh, Some(given)));
-    let Some(sampler) = weighted.or_else(|| Sampler::new(mesh, None)) else {
-        return Vec::new();
-    };
+    let Some(masses) = Masses::weighted_or_not(mesh, weights) else { return Vec::new() };
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    (0..count).map(|_| sampler.draw(&mut rng)).collect()
+    (0..count).map(|_| masses.draw(&mut rng)).collect()
 }
 
-struct Sampler<'a> {
+/// What each facet may have of the points.
+struct Masses<'a> {
     mesh: &'a TriMesh,
     weights: Option<Vec<f64>>,
     /// Running sums of area times the root of the largest weight. Empty facets repeat a value.
@@ -39,7 +41,12 @@ struct Sampler<'a> {
     last: usize,
 }
 
-impl<'a> Sampler<'a> {
+impl<'a> Masses<'a> {
+    /// Without weights if these cannot be. Nothing if no facet has a mass.
+    fn weighted_or_not(mesh: &'a TriMesh, weights: Option<&[f64]>) -> Option<Self> {
+        weights.and_then(|given| Self::new(mesh, Some(given))).or_else(|| Self::new(mesh, None))
+    }
+
     /// Nothing if no facet has a mass.
     fn new(mesh: &'a TriMesh, weights: Option<&[f64]>) -> Option<Self> {
         if weights.is_some_and(|given| given.len() != mesh.positions().len()) {
@@ -70,15 +77,21 @@ impl<'a> Sampler<'a> {
         last.map(|last| Self { mesh, weights, cumulative, total, last })
     }
 
+    /// Weights of a facet's corners, the largest of the mesh 1.
+    fn weights(&self, facet: usize) -> Option<[f64; 3]> {
+        self.weights.as_ref().map(|weights| self.mesh.facets()[facet].map(|v| weights[v as usize]))
+    }
+
+    /// Of a facet: its area times the root of its largest weight.
+    fn most(&self, facet: usize) -> f64 {
+        self.cumulative[facet] - if facet > 0 { self.cumulative[facet - 1] } else { 0.0 }
+    }
+
     fn draw(&self, rng: &mut ChaCha8Rng) -> SurfacePoint {
         loop {
             let target = uniform(rng) * self.total;
             let facet = self.cumulative.partition_point(|&sum| sum <= target).min(self.last);
-            let (mut v, mut w) = (uniform(rng), uniform(rng));
-            if v + w > 1.0 {
-                (v, w) = (1.0 - v, 1.0 - w);
-            }
-            let u = (1.0 - v - w).max(0.0);
+            let [u, v, w] = in_triangle(rng);
             if let Some(weights) = &self.weights {
                 let corners = self.mesh.facets()[facet];
                 let [wa, wb, wc] = corners.map(|corner| weights[corner as usize]);
@@ -89,11 +102,24 @@ impl<'a> Sampler<'a> {
                     continue;
                 }
             }
-            let [a, b, c] = self.mesh.corners(facet);
-            let position = a + (b - a) * v + (c - a) * w;
-            return SurfacePoint { position, facet: facet as u32, barycentric: [u, v, w] };
+            return self.point(facet, [u, v, w]);
         }
     }
+
+    fn point(&self, facet: usize, barycentric: [f64; 3]) -> SurfacePoint {
+        let [a, b, c] = self.mesh.corners(facet);
+        let position = a + (b - a) * barycentric[1] + (c - a) * barycentric[2];
+        SurfacePoint { position, facet: facet as u32, barycentric }
+    }
+}
+
+/// Barycentric coordinates of a random point of a triangle, uniform.
+fn in_triangle(rng: &mut ChaCha8Rng) -> [f64; 3] {
+    let (mut v, mut w) = (uniform(rng), uniform(rng));
+    if v + w > 1.0 {
+        (v, w) = (1.0 - v, 1.0 - w);
+    }
+    [(1.0 - v - w).max(0.0), v, w]
 }
 
 fn top(weights: &[f64], corners: [u32; 3]) -> f64 {

@@ -15,9 +15,10 @@ use super::grouped::Grouped;
 use super::mend::Bench;
 use super::report::RepairFigures;
 use super::tips::Tip;
-use super::{Placement, RemeshError, curves, fit, flips, polish, regular, repair};
+use super::{Placement, RemeshError, curves, fit, flips, notches, polish, regular, repair};
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::features::CurveKind;
 use crate::rvd::{Surface, dual};
 
 /// What a result is made from.
@@ -102,7 +103,7 @@ impl Source<'_> {
         let repaired = repair::repair(&positions, &dual.triangles);
         if repaired.facets.is_empty() {
             let too_few = RemeshError::TooFewSeeds { seeds: seeds.len() };
-            return Err(if repaired.figures.closed_pockets > 1 { RemeshError::NoThickness } else { too_few });
+            return Err(if repair::all_cancel(self.surface.welded()) { RemeshError::NoThickness } else { too_few });
         }
         let repair = RepairFigures {
             split_cells: dual.split_cells,
@@ -120,8 +121,13 @@ impl Source<'_> {
             further_vertices: vertex_seed.len() - present,
             ..repair
         };
-        let (positions, facets) = (repaired.positions, repaired.facets);
-        let curve_edges = self.kept.edges_in(&facets, &vertex_seed);
+        let (positions, mut facets) = (repaired.positions, repaired.facets);
+        let mut curve_edges = self.kept.edges_in(&facets, &vertex_seed);
+        let notches = self.kept.missing(&curve_edges, &vertex_seed, |kind| kind == CurveKind::Boundary);
+        let is_free = |v: u32| vertex_seed[v as usize] as usize >= self.kept.seeds.len();
+        if notches::fill(&positions, &mut facets, &notches, is_free) > 0 {
+            curve_edges = self.kept.edges_in(&facets, &vertex_seed);
+        }
         let mut draft = Draft { positions, facets, vertex_seed, curve_edges, repair, fitted: None, seeds: seeds.len() };
         if self.placement == Placement::Fitted {
             self.fit(&mut draft, &repaired.source, dual);
@@ -149,7 +155,7 @@ impl Source<'_> {
         let Fitted { positions, target, fences, cells, missed, far } = fitted;
         let before = missed.places.len();
         let ground = Ground::new(self.surface, positions.len(), cells, target.tips.all());
-        let absent = self.kept.missing(&draft.curve_edges, &draft.vertex_seed);
+        let absent = self.kept.missing(&draft.curve_edges, &draft.vertex_seed, |_| true);
         if !absent.is_empty() {
             let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
             let mut bench = Bench::new(positions, &mut draft.facets, &rails, curves, &ground);

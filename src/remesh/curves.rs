@@ -17,7 +17,7 @@ use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::weld;
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
-use crate::mesh::sample::sample;
+use crate::mesh::sample::spread;
 use crate::rvd::{Frame, Surface};
 
 /// A crease by angle that ends freely within so many edge lengths is noise of a scan, or a fold that fades out.
@@ -33,6 +33,17 @@ const CREASE_LIMIT: f64 = 0.06;
 const ACUTE_LIMIT: f64 = 0.3;
 /// Curves get at most this share of the seeds.
 const LARGEST_SHARE: f64 = 0.6;
+
+/// A fiftieth more points are drawn than there are to be, since some are too near to a curve.
+const SPARE: usize = 50;
+/// If less than this share of them is clear of the curves, the others take some that are not.
+const LEAST_CLEAR: f64 = 0.2;
+
+/// So many of some points in an order, at most all of them, none far from where those that are left out are.
+fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
+    let count = count.min(points.len());
+    (0..count).map(move |k| points[(k as u64 * points.len() as u64 / count as u64) as usize])
+}
 
 /// Edges of a mesh as those of another one, which has the same vertices first and some edges in halves.
 fn subdivided(mesh: &TriMesh, edges: &[[u32; 2]]) -> Vec<[u32; 2]> {
@@ -136,20 +147,20 @@ impl Kept {
         let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
         let others = points - all.len();
         let clearance = self.seeds.clearance();
-        let clear = |p: DVec3| clearance.holds(frame.to_unit(p));
-        // Curves cover a small part of most surfaces; on one that they cover all of, seeds begin
-        // where they can.
-        // The first of many draws are those of few.
+        let clear = |p: &DVec3| clearance.holds(frame.to_unit(*p));
         let draw = |count: usize| -> (Vec<DVec3>, Vec<DVec3>) {
-            let drawn = sample(mesh, plan.weights.as_deref(), count, seed);
-            drawn.iter().map(|s| s.position).partition(|&p| clear(p))
+            let drawn = spread(mesh, plan.weights.as_deref(), count, seed);
+            drawn.iter().map(|s| s.position).partition(clear)
         };
-        let (mut kept, mut rest) = draw(others + others / 8);
+        let (mut kept, mut rest) = draw(others + others / SPARE);
         if kept.len() < others {
-            (kept, rest) = draw(4 * others);
+            let share = (kept.len() as f64 / (others + others / SPARE) as f64).max(LEAST_CLEAR);
+            (kept, rest) = draw((others as f64 / share) as usize + others / SPARE + 1);
         }
-        kept.extend(rest);
-        all.extend(kept.into_iter().take(others));
+        // Curves cover a small part of most surfaces; on one that they cover all of, seeds begin where they can.
+        let lacking = others.saturating_sub(kept.len());
+        all.extend(evenly(&rest, lacking));
+        all.extend(evenly(&kept, others - lacking));
         all
     }
 
@@ -181,15 +192,22 @@ impl Kept {
         self.seeds.segments.iter().map(|s| find(s.ends)).collect()
     }
 
-    /// Vertices between which the result has no edge although their seeds follow each other on a curve.
-    pub(super) fn missing(&self, edges: &[Option<[u32; 2]>], vertex_seed: &[u32]) -> Vec<[u32; 2]> {
+    /// Vertices between which the result has no edge although their seeds follow each other on a curve of a kind that
+    /// `counts`.
+    pub(super) fn missing(
+        &self,
+        edges: &[Option<[u32; 2]>],
+        vertex_seed: &[u32],
+        counts: impl Fn(CurveKind) -> bool,
+    ) -> Vec<[u32; 2]> {
         // Seeds of curves are the first ones, and so are their vertices, unless a cell is in parts.
         let vertex = |seed: u32| {
             let first = vertex_seed.partition_point(|&s| s < seed);
             let copies = vertex_seed[first..].iter().take_while(|&&s| s == seed).count();
             (copies == 1).then_some(first as u32)
         };
-        let missing = self.seeds.segments.iter().zip(edges).filter(|(_, e)| e.is_none());
+        let kind = |s: &Segment| self.features.curves[s.curve as usize].kind;
+        let missing = self.seeds.segments.iter().zip(edges).filter(|(s, e)| e.is_none() && counts(kind(s)));
         missing.filter_map(|(s, _)| Some([vertex(s.ends[0])?, vertex(s.ends[1])?])).collect()
     }
 

@@ -27,7 +27,7 @@ const FEW: usize = 8;
 const GAIN: f64 = 0.95;
 /// Places that could not be mended, at most; so many in all, and this share of the vertices.
 const FAILURES: usize = 4;
-const PLACES: usize = 1;
+const PLACES: usize = 4;
 const SHARE: f64 = 0.001;
 /// What is nearer than this share of a place that could not be mended is left alone.
 const ENOUGH: f64 = 0.8;

@@ -47,7 +47,7 @@ const DIRECTIONS: usize = 12;
 /// A vertex goes no farther in all, same shares: within the surface or along its curve,
 const FARTHEST: f64 = 0.4;
 /// across its curve,
-const ACROSS: f64 = 0.09;
+const ACROSS: f64 = 0.095;
 /// and off the end of its curve.
 const OFF: f64 = 0.07;
 /// A facet's normal turns by at most this cosine.

@@ -2,9 +2,9 @@
 //!
 //! Purpose: whatever the dual is, the result has no degenerate or duplicate facet, no edge with
 //! more than two facets or two that disagree on its direction, no vertex with more than one fan.
-//! The order is: degenerate and duplicate facets go, and pairs of facets back to back; then, where facets quarrel over a directed
-//! edge, the better shaped one stays; then vertices with several fans are split, one copy a fan;
-//! vertices without a facet go.
+//! The order is: degenerate and duplicate facets go, and pairs of facets back to back; edges along which two sheets touch
+//! are made two; then, where facets quarrel over a directed edge, the better shaped one stays; then vertices with several
+//! fans are split, one copy a fan; vertices without a facet go.
 //! Invariant: deterministic; a dual that is a manifold already comes out as it went in.
 //! Must not know: where the triangles came from.
 
@@ -21,7 +21,8 @@ use crate::mesh::edges::{EdgeGroups, Half};
 /// A repaired triangulation.
 #[derive(Clone, Debug, Default)]
 pub struct Repaired {
-    /// For each result vertex, the input vertex it stands for (several for a split vertex).
+    /// For each result vertex, the input vertex it stands for (several for a split vertex, and for one that was put into an
+    /// edge along which two sheets touched).
     pub source: Vec<u32>,
     /// Where each result vertex goes: where its source is, except that no two are in one place, so
     /// that nobody who welds equal positions joins them. All fans of a split vertex but the largest
@@ -38,9 +39,74 @@ pub struct Repaired {
 /// Repairs `triangles` over `positions`.
 pub fn repair(positions: &[DVec3], triangles: &[[u32; 3]]) -> Repaired {
     let mut figures = RepairFigures::default();
-    let simple = simple_facets(triangles, &mut figures);
-    let facets = oriented(positions, simple, &mut figures);
-    split_fans(positions, facets, figures)
+    let mut facets = simple_facets(triangles, &mut figures);
+    let mut places = positions.to_vec();
+    let mut source: Vec<u32> = (0..positions.len() as u32).collect();
+    for _ in 0..PARTINGS {
+        if !part_sheets(&mut places, &mut source, &mut facets) {
+            break;
+        }
+    }
+    let facets = oriented(&places, facets, &mut figures);
+    split_fans(&places, &source, facets, figures)
+}
+
+/// Whether each of these triangles lies back to back with another.
+pub(super) fn all_cancel(triangles: &[[u32; 3]]) -> bool {
+    simple_facets(triangles, &mut RepairFigures::default()).is_empty()
+}
+
+/// Times that edges are made two, at most: a facet may have three of them, and its parts the others' ends.
+const PARTINGS: usize = 4;
+
+/// Where an edge has two facets of either direction, two sheets touch along it: on a surface without thickness cells reach
+/// through to its other side. Of the sheet whose facets have later numbers the edge gets a new vertex in its middle, so
+/// that the sheets have no edge in common. The facets whose normals differ least are one sheet. Returns whether any
+/// edge was parted; not those of facets that another edge's parting has changed.
+fn part_sheets(places: &mut Vec<DVec3>, source: &mut Vec<u32>, facets: &mut Vec<[u32; 3]>) -> bool {
+    let mut touching: Vec<[Half; 4]> = Vec::new();
+    EdgeGroups::new(places.len(), facets.iter().copied().enumerate()).for_each(|low, halves| {
+        let mut four: Vec<Half> = halves.to_vec();
+        let forward = |half: &Half| facets[half.facet as usize][half.side] == low;
+        four.sort_by_key(|half| !forward(half));
+        if let [a, b, c, d] = four[..]
+            && forward(&b)
+            && !forward(&c)
+        {
+            touching.push([a, b, c, d]);
+        }
+    });
+    let normal = |half: Half, facets: &[[u32; 3]]| {
+        let [a, b, c] = facets[half.facet as usize].map(|v| places[v as usize]);
+        (b - a).cross(c - a).normalize_or_zero()
+    };
+    let mut changed = HashSet::new();
+    let mut parted = Vec::new();
+    for [a, b, c, d] in touching {
+        let [na, nb, nc, nd] = [a, b, c, d].map(|half| normal(half, facets));
+        let sheets =
+            if na.dot(nc) + nb.dot(nd) >= na.dot(nd) + nb.dot(nc) { [[a, c], [b, d]] } else { [[a, d], [b, c]] };
+        let later = sheets.into_iter().max_by_key(|sheet| sheet.map(|half| half.facet).into_iter().min());
+        if let Some(sheet) = later.filter(|sheet| sheet.iter().all(|half| !changed.contains(&half.facet))) {
+            changed.extend(sheet.map(|half| half.facet));
+            parted.push(sheet);
+        }
+    }
+    for sheet in &parted {
+        let Half { facet, side } = sheet[0];
+        let ends = [facets[facet as usize][side], facets[facet as usize][(side + 1) % 3]];
+        let middle = places.len() as u32;
+        places.push(places[ends[0] as usize].midpoint(places[ends[1] as usize]));
+        // As if its cell were a part of that of the end with the higher number: ends of curves have low ones.
+        source.push(ends.map(|v| source[v as usize]).into_iter().fold(0, u32::max));
+        for half in sheet {
+            let t = facets[half.facet as usize];
+            let (a, b, c) = (t[half.side], t[(half.side + 1) % 3], t[(half.side + 2) % 3]);
+            facets[half.facet as usize] = [a, middle, c];
+            facets.push([middle, b, c]);
+        }
+    }
+    !parted.is_empty()
 }
 
 /// Facets with three different corners, each set of corners at most once. Two facets with the same
@@ -118,7 +184,8 @@ fn shape([a, b, c]: [DVec3; 3]) -> f64 {
 }
 
 /// Gives every fan of facets around a vertex a vertex of its own, and drops unused vertices.
-fn split_fans(positions: &[DVec3], facets: Vec<[u32; 3]>, mut figures: RepairFigures) -> Repaired {
+/// `source` is what each of `positions` stands for.
+fn split_fans(positions: &[DVec3], source: &[u32], facets: Vec<[u32; 3]>, mut figures: RepairFigures) -> Repaired {
     let mut fan = DisjointSets::new(facets.len() * 3);
     EdgeGroups::new(positions.len(), facets.iter().copied().enumerate()).for_each(|_, halves| {
         let [near, far] = *halves else { return };
@@ -131,18 +198,18 @@ fn split_fans(positions: &[DVec3], facets: Vec<[u32; 3]>, mut figures: RepairFig
             }
         }
     });
-    // Numbered by old vertex, then by first corner: a manifold keeps its order.
+    // Numbered by what the vertex stands for, by vertex, then by first corner: a manifold keeps its order.
     let corners: Vec<(u32, usize)> = (0..fan.len()).map(|c| (facets[c / 3][c % 3], fan.root(c))).collect();
     let own = corners.iter().enumerate().filter(|&(corner, &(_, first))| corner == first);
-    let mut fans: Vec<(u32, usize)> = own.map(|(_, &fan)| fan).collect();
+    let mut fans: Vec<(u32, u32, usize)> = own.map(|(_, &(v, first))| (source[v as usize], v, first)).collect();
     fans.par_sort_unstable();
     figures.split_vertices = fans.windows(2).filter(|w| w[0].0 == w[1].0).count();
     // By a fan's first corner.
     let mut number = vec![0; corners.len()];
-    fans.iter().zip(0u32..).for_each(|(&(_, first), i)| number[first] = i);
+    fans.iter().zip(0u32..).for_each(|(&(_, _, first), i)| number[first] = i);
     let facets: Vec<[u32; 3]> = corners.as_chunks::<3>().0.iter().map(|c| c.map(|(_, first)| number[first])).collect();
-    let source: Vec<u32> = fans.iter().map(|&(v, _)| v).collect();
-    let mut placed: Vec<DVec3> = source.iter().map(|&v| positions[v as usize]).collect();
+    let mut placed: Vec<DVec3> = fans.iter().map(|&(_, v, _)| positions[v as usize]).collect();
+    let source: Vec<u32> = fans.into_iter().map(|(source, _, _)| source).collect();
     if figures.split_vertices > 0 {
         step_back(&mut placed, &source, &facets);
     }
@@ -238,6 +305,25 @@ mod tests {
     fn a_third_facet_at_an_edge_goes() {
         let out = repair(&points(5), &[[0, 1, 2], [1, 0, 3], [0, 1, 4]]);
         assert_eq!((out.facets.len(), out.figures.non_manifold_facets), (2, 1));
+    }
+
+    #[test]
+    fn two_sheets_that_touch_along_an_edge_are_parted() {
+        // Two closed surfaces, above and below z = 0, with the edge 0-1 in common, and each a vertex of its own.
+        let at = DVec3::new;
+        let places = [at(-1.0, 0.0, 0.0), at(1.0, 0.0, 0.0), at(0.0, 1.0, 1.0), at(0.0, -1.0, 1.0), at(0.0, 1.0, -1.0)];
+        let places = [&places[..], &[at(0.0, -1.0, -1.0)]].concat();
+        let above = [[0, 1, 2], [1, 0, 3], [0, 2, 3], [1, 3, 2]];
+        let below = [[1, 0, 4], [0, 1, 5], [1, 4, 5], [0, 5, 4]];
+        let out = repair(&places, &[above, below].concat());
+        assert_eq!(out.facets.len(), 10);
+        assert_eq!(out.figures.non_manifold_facets, 0);
+        let mut halves: Vec<(u32, u32)> = out.facets.iter().flat_map(|&t| half_edges(t)).collect();
+        halves.sort_unstable();
+        assert!(halves.windows(2).all(|w| w[0] != w[1]));
+        assert!(halves.iter().all(|&(a, b)| halves.binary_search(&(b, a)).is_ok()), "closed");
+        // Ascending, as whoever reads them relies on.
+        assert!(out.source.is_sorted() && out.source.iter().all(|&v| v < 6), "{:?}", out.source);
     }
 
     #[test]

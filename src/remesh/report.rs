@@ -300,7 +300,7 @@ pub struct RepairFigures {
     pub duplicate_facets: usize,
     /// Facets dropped at edges with more than two facets or with two of one direction.
     pub non_manifold_facets: usize,
-    /// Vertices split because their facets form more than one fan.
+    /// Vertices split because their facets form more than one fan, and vertices put into edges along which two sheets touch.
     pub split_vertices: usize,
     /// Seeds that no vertex is of, and vertices beyond the first of their seed: the result has as many vertices as
     /// there are seeds, less the former, plus the latter.
