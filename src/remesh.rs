@@ -418,7 +418,7 @@ fn first_seeds(plan: &Plan<'_>, surface: &Surface, kept: &curves::Kept, seeds: &
     match *seeds {
         Seeds::Given(ref seeds) => (seeds.clone(), None),
         Seeds::Sample { seed, .. } | Seeds::Implied { seed } if kept.seeds.is_empty() => {
-            let drawn = spread(&plan.mesh, plan.weights.as_deref(), plan.points, seed);
+            let drawn = spread(&plan.mesh, plan.weights.as_deref(), None, plan.points, seed);
             (drawn.iter().map(|p| p.position).collect(), Some(seed))
         }
         Seeds::Sample { seed, .. } | Seeds::Implied { seed } => (kept.with_others(plan, surface, seed), Some(seed)),

@@ -98,6 +98,20 @@ fn vertices_are_where_the_placement_says() {
     assert!(farthest(Placement::Centroids) > 1e-6);
 }
 
+/// Vertices of creases may leave these for the shapes of facets, but not so far that points are added for it.
+#[test]
+fn a_tolerance_holds_beside_creases() {
+    let mesh = Shape::Block.build(5000);
+    let (low, high) = mesh.bounds();
+    let tolerance = 0.004 * (high - low).length();
+    for seed in 1..7 {
+        let refine = Some(Refine { tolerance, max_points: 2500 });
+        let wish = RemeshOptions { refine, seeds: Seeds::Sample { points: 250, seed }, newton: 8, ..options(250) };
+        let figures = run(&mesh, &wish).report.refine;
+        assert!(figures.missed == 0 && figures.added_seeds <= 10, "seed {seed}: {figures:?}");
+    }
+}
+
 /// Rounds of refinement at most.
 const ROUNDS: usize = 8;
 

@@ -165,14 +165,15 @@ struct Bars {
 /// 5 + 30 steps, as a user gets them. The bars are the project's own promises for these meshes and counts; the last
 /// mesh has fewer points than its promise (50,000, 0.15 %), for time, and a distance for its longer edges. The second one
 /// is here for its rims; no angle is promised of it but that none is under 30°. The rocker-arm has
-/// a groove of 93° that is half an edge deep, where the distance differs from seed to seed; see the next test.
+/// a groove of 93° that is half an edge deep, and fandisk fillets that are no creases: their distance differs from seed to
+/// seed; see the next test.
 #[test]
 fn remeshes_come_up_to_the_bars() {
     let bars = [
         ("stanford-bunny.obj", 10_000, [0.55, 0.920], 32.0, 0.0, 99.5, 0.20, [0.10, 0.02]),
         ("stanford-bunny.obj", 20_000, [0.55, 0.920], 30.0, 0.0, 99.5, 0.15, [0.10, 0.01]),
         ("rocker-arm.obj", 5000, [0.60, 0.920], 34.0, 0.0, 100.0, 0.30, [0.0; 2]),
-        ("fandisk.obj", 3000, [0.50, 0.900], 28.0, 0.2, 99.0, 0.14, [0.0; 2]),
+        ("fandisk.obj", 3000, [0.50, 0.900], 28.0, 0.2, 99.0, 0.15, [0.0; 2]),
         ("nefertiti.obj", 20_000, [0.50, 0.915], 30.0, 0.05, 99.5, 0.17, [0.0; 2]),
     ];
     for (file, points, q, angle, under_30, v567, distance, rim) in bars {
@@ -185,20 +186,22 @@ fn remeshes_come_up_to_the_bars() {
     }
 }
 
-/// In the mean over some seeds, since one alone may be lucky.
+/// In the mean over some seeds, since one alone may be lucky: 0.242 and 0.132 % when this was written.
 #[test]
-fn the_rocker_arm_is_near_whatever_the_seed() {
-    let Some(mesh) = surfaces::real("rocker-arm.obj") else { return };
-    let backend = Parallel::new(None).unwrap();
-    let distance = |seed: u64| {
-        let options = RemeshOptions::new(Seeds::Sample { points: 5000, seed });
-        let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
-        result.report.result.quality.unwrap().hausdorff_percent
-    };
-    let all: Vec<f64> = (0..5).map(distance).collect();
-    println!("{all:?}");
-    assert!(all.iter().all(|&d| d <= 0.30), "{all:?}");
-    assert!(all.iter().sum::<f64>() / all.len() as f64 <= 0.25, "{all:?}");
+fn results_are_near_whatever_the_seed() {
+    for (file, points, most, mean) in [("rocker-arm.obj", 5000, 0.30, 0.25), ("fandisk.obj", 3000, 0.15, 0.137)] {
+        let Some(mesh) = surfaces::real(file) else { return };
+        let backend = Parallel::new(None).unwrap();
+        let distance = |seed: u64| {
+            let options = RemeshOptions::new(Seeds::Sample { points, seed });
+            let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+            result.report.result.quality.unwrap().hausdorff_percent
+        };
+        let all: Vec<f64> = (0..5).map(distance).collect();
+        println!("{file}: {all:?}");
+        assert!(all.iter().all(|&d| d <= most), "{file}: {all:?}");
+        assert!(all.iter().sum::<f64>() / all.len() as f64 <= mean, "{file}: {all:?}");
+    }
 }
 
 /// Where the cell of a seed beside a boundary reaches it, the boundary has its edge all the same.

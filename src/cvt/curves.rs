@@ -382,17 +382,16 @@ impl CurveSeeds {
         intruders.len()
     }
 
-    /// Where other seeds may begin: farther from every curve seed and every middle of a segment than three
-    /// quarters of the spacing there.
-    pub fn clearance(&self) -> Clearance {
+    /// What is farther from every curve seed and every middle of a segment than this share of the spacing there.
+    pub fn clearance(&self, share: f64) -> Clearance {
         let mut reach = vec![0.0f64; self.seeds.len()];
         let mut places = self.seeds.clone();
         let mut middles = Vec::new();
         for s in &self.segments {
             let d = self.seeds[s.ends[0] as usize].distance(self.seeds[s.ends[1] as usize]);
-            s.ends.iter().for_each(|&e| reach[e as usize] = reach[e as usize].max(0.75 * d));
+            s.ends.iter().for_each(|&e| reach[e as usize] = reach[e as usize].max(share * d));
             places.push(s.middle());
-            middles.push(0.75 * d);
+            middles.push(share * d);
         }
         reach.extend(middles);
         Clearance { index: SeedIndex::new(&places), places, reach }
@@ -407,7 +406,7 @@ pub struct Clearance {
 }
 
 impl Clearance {
-    /// Whether a seed may begin at `p`, unit frame.
+    /// Whether `p` is clear of the curves, unit frame.
     pub fn holds(&self, p: DVec3) -> bool {
         let k = self.index.nearest(p) as usize;
         p.distance(self.places[k]) >= self.reach[k]

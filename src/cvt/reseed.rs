@@ -11,13 +11,16 @@ use super::{Cvt, closest};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::rvd::{CellSums, RvdError, Surface};
 
+/// A seed that is farther from a curve than this share of the spacing of the curve's seeds is not pushed off it.
+const STAYS: f64 = 0.75;
+
 impl Cvt {
     /// New places for seeds with empty cells, by the sums and the seeds that are at hand.
     pub(super) fn new_places(&mut self) -> Result<Vec<(u32, DVec3)>, RvdError> {
         let empty: Vec<u32> =
             (0..self.seeds.len() as u32).filter(|&i| self.sums.area[i as usize] <= 0.0 && !self.is_held(i)).collect();
         let closest = closest(&mut self.closest, &self.surface)?;
-        let clearance = (!self.curves.is_empty()).then(|| self.curves.clearance());
+        let clearance = (!self.curves.is_empty()).then(|| self.curves.clearance(STAYS));
         let may = |p| clearance.as_ref().is_none_or(|clearance| clearance.holds(p));
         Ok(place(&empty, &self.sums, &self.seeds, (&self.surface, closest), may))
     }

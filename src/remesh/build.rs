@@ -185,7 +185,10 @@ impl Source<'_> {
 
     fn polish(&self, positions: &mut [DVec3], draft: &mut Draft, target: &fit::Target, fences: &Fences) {
         let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
-        polish::polish(positions, &mut draft.facets, &rails, fences, &curves);
+        // Half of what the result may be off: chords between such places are off too.
+        let off_curve = self.tolerance.map_or(f64::INFINITY, |tolerance| 0.5 * tolerance);
+        let bounds = polish::Bounds { rails: &rails, fences, off_curve };
+        polish::polish(positions, &mut draft.facets, bounds, &curves);
     }
 
     /// Where the dual's vertices go, caller's coordinates: a cell in one piece at its seed, which is

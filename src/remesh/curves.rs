@@ -10,12 +10,15 @@ use std::collections::{HashMap, HashSet};
 use glam::DVec3;
 
 use super::fit::CurveSample;
+use super::flips::sorted;
 use super::report::FeatureFigures;
 use super::{RemeshError, RemeshOptions, Seeds};
 use crate::cvt::curves::{BETWEEN, CurveSeeds, Segment, edge_length};
 use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::weld;
+use crate::mesh::disjoint::DisjointSets;
+use crate::mesh::edges::{EdgeGroups, Half};
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
 use crate::mesh::sample::spread;
 use crate::rvd::{Frame, Surface};
@@ -34,6 +37,9 @@ const ACUTE_LIMIT: f64 = 0.3;
 /// Curves get at most this share of the seeds.
 const LARGEST_SHARE: f64 = 0.6;
 
+/// The cells of a curve's seeds reach this share of their spacing to either side, about: what lies beyond is the others'. With
+/// more, seeds would be too few between two curves that are close, and no step takes a seed across a curve.
+const OWN: f64 = 0.5;
 /// A fiftieth more points are drawn than there are to be, since some are too near to a curve.
 const SPARE: usize = 50;
 /// If less than this share of them is clear of the curves, the others take some that are not.
@@ -146,10 +152,12 @@ impl Kept {
         let frame = surface.frame();
         let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
         let others = points - all.len();
-        let clearance = self.seeds.clearance();
+        let clearance = self.seeds.clearance(OWN);
         let clear = |p: &DVec3| clearance.holds(frame.to_unit(*p));
+        // Seeds do not cross curves: what one side has too many it keeps.
+        let regions = self.regions(mesh);
         let draw = |count: usize| -> (Vec<DVec3>, Vec<DVec3>) {
-            let drawn = spread(mesh, plan.weights.as_deref(), count, seed);
+            let drawn = spread(mesh, plan.weights.as_deref(), Some(&regions), count, seed);
             drawn.iter().map(|s| s.position).partition(clear)
         };
         let (mut kept, mut rest) = draw(others + others / SPARE);
@@ -162,6 +170,28 @@ impl Kept {
         all.extend(evenly(&rest, lacking));
         all.extend(evenly(&kept, others - lacking));
         all
+    }
+
+    /// For each facet of `mesh` the number of its region: facets that an edge of no curve joins are in one.
+    fn regions(&self, mesh: &TriMesh) -> Vec<u32> {
+        let class = weld(mesh);
+        let welded = |t: &[u32; 3]| t.map(|v| class[v as usize]);
+        let mut curves = HashSet::new();
+        for c in &self.features.curves {
+            let ends = c.vertices.windows(2).map(|w| [w[0], w[1]]);
+            let last = if c.closed { c.vertices.last().map(|&v| [v, c.vertices[0]]) } else { None };
+            curves.extend(ends.chain(last).map(|e| sorted(e.map(|v| class[v as usize]))));
+        }
+        let mut regions = DisjointSets::new(mesh.facets().len());
+        let facets = mesh.facets().iter().map(welded).enumerate();
+        EdgeGroups::new(class.len(), facets).for_each(|_, halves| {
+            let Some(&Half { facet, side }) = halves.first() else { return };
+            let t = welded(&mesh.facets()[facet as usize]);
+            if !curves.contains(&sorted([t[side], t[(side + 1) % 3]])) {
+                halves.windows(2).for_each(|pair| regions.join(pair[0].facet as usize, pair[1].facet as usize));
+            }
+        });
+        (0..regions.len()).map(|f| regions.root(f) as u32).collect()
     }
 
     /// Where a curve's seed lies, caller's coordinates: a corner exactly at its vertex.

@@ -3,7 +3,7 @@
 //! Purpose: where an edge of a triangulation lies across a ridge of the input, the ridge sticks out between
 //! its ends however these are placed; the other diagonal of its two facets lies along it. Edges are turned
 //! where a tip of the input comes nearer to the facets by it.
-//! Invariant: the result is a manifold if the triangulation was one, valences stay between 5 and 7 where they
+//! Invariant: the result is a manifold if the triangulation was one, inner valences stay between 5 and 7 where they
 //! were, no facet turns over or becomes a sliver, edges of curves stay. Deterministic.
 //! Must not know: seeds, diagrams, files.
 
@@ -140,8 +140,9 @@ impl Patch<'_> {
             |&&g: &&u32| (0..3).any(|k| self.facets[g as usize][k] == b && self.facets[g as usize][(k + 1) % 3] == a);
         let &g = self.around.of(a).iter().find(other)?;
         let d = *self.facets[g as usize].iter().find(|&&v| v != a && v != b)?;
-        let lose = |v: u32| self.around.of(v).len() > 5;
-        let win = |v: u32| self.around.of(v).len() < 7;
+        // Those of a boundary have no valence to keep.
+        let lose = |v: u32| self.around.of(v).len() > 5 || self.is_on_rim(v);
+        let win = |v: u32| self.around.of(v).len() < 7 || self.is_on_rim(v);
         if touched[f as usize] || touched[g as usize] || !(lose(a) && lose(b) && win(c) && win(d)) {
             return None;
         }
@@ -157,6 +158,16 @@ impl Patch<'_> {
         let new = [[a, d, c], [d, b, c]];
         let mean = (normal(t) + normal(self.facets[g as usize])).normalize_or_zero();
         new.into_iter().all(|t| normal(t).dot(mean) >= LEAST_COSINE).then_some((f, g, new))
+    }
+
+    /// Whether an edge of `v` has no facet behind it.
+    fn is_on_rim(&self, v: u32) -> bool {
+        let around = self.around.of(v);
+        let after = |f: &u32, by: usize| {
+            let t = self.facets[*f as usize];
+            (0..3).find(|&k| t[k] == v).map(|k| t[(k + by) % 3])
+        };
+        around.iter().any(|f| !around.iter().any(|g| after(g, 2) == after(f, 1)))
     }
 
     fn is_fine(&self, turn: &Turn) -> bool {

@@ -20,12 +20,12 @@ use super::stars::Stars;
 
 /// Places nearer than this share of an edge are left alone,
 const FAR: f64 = 0.06;
-/// and of those nearer than this share so many are looked at, at most.
+/// and of those nearer than this share so many are mended, at most.
 const NOT_SO_FAR: f64 = 0.14;
 const FEW: usize = 8;
 /// A place is mended if it comes nearer by this factor.
 const GAIN: f64 = 0.95;
-/// Places that could not be mended, at most; so many in all, and this share of the vertices.
+/// Places that could not be mended, at most; and those that were: so many, and this share of the vertices.
 const FAILURES: usize = 4;
 const PLACES: usize = 4;
 const SHARE: f64 = 0.001;
@@ -164,16 +164,15 @@ impl<'a> Bench<'a> {
                 heap.push(Place { far: now.middle, vertex: place.vertex });
                 continue;
             }
-            if now.middle < NOT_SO_FAR * patch.edge() {
-                if few == 0 {
-                    break;
-                }
-                few -= 1;
+            let is_near = now.middle < NOT_SO_FAR * patch.edge();
+            if is_near && few == 0 {
+                break;
             }
-            left -= 1;
             if let Some((better, far)) = better(&patch) {
                 self.put_back(&better);
                 mended += 1;
+                left -= 1;
+                few -= usize::from(is_near);
                 // As far as anything there may be now.
                 heap.extend(better.inner().map(|vertex| Place { far, vertex }));
             } else {

@@ -53,34 +53,30 @@ const OFF: f64 = 0.07;
 /// A facet's normal turns by at most this cosine.
 const LEAST_COSINE: f64 = 0.8;
 
+/// How vertices may move.
+#[derive(Clone, Copy)]
+pub(super) struct Bounds<'a> {
+    pub(super) rails: &'a [Rail],
+    pub(super) fences: &'a Fences,
+    /// What leaves a curve leaves it by no more than this, whatever the edge.
+    pub(super) off_curve: f64,
+}
+
 /// Improves the worst facets; edges in `curves` (lower end first) stay.
-pub(super) fn polish(
-    positions: &mut [DVec3],
-    facets: &mut [[u32; 3]],
-    rails: &[Rail],
-    fences: &Fences,
-    curves: &HashSet<[u32; 2]>,
-) {
+pub(super) fn polish(positions: &mut [DVec3], facets: &mut [[u32; 3]], bounds: Bounds<'_>, curves: &HashSet<[u32; 2]>) {
     let start = positions.to_vec();
     for _ in 0..TURNS {
         let around = Around::new(positions.len(), facets);
-        move_vertices(positions, &start, facets, &around, rails, fences);
+        move_vertices(positions, &start, facets, &around, bounds);
         if !flips::for_angles(positions, facets, &around, curves, GOAL) {
             return;
         }
     }
     let around = Around::new(positions.len(), facets);
-    move_vertices(positions, &start, facets, &around, rails, fences);
+    move_vertices(positions, &start, facets, &around, bounds);
 }
 
-fn move_vertices(
-    positions: &mut [DVec3],
-    start: &[DVec3],
-    facets: &[[u32; 3]],
-    around: &Around,
-    rails: &[Rail],
-    fences: &Fences,
-) {
+fn move_vertices(positions: &mut [DVec3], start: &[DVec3], facets: &[[u32; 3]], around: &Around, bounds: Bounds<'_>) {
     let normals: Vec<DVec3> = facets.par_iter().map(|t| normal(t.map(|v| positions[v as usize]))).collect();
     let poor = |positions: &[DVec3], t: &[u32; 3]| score(t.map(|v| positions[v as usize])) < GOAL;
     let mut vertices: Vec<u32> = facets.par_iter().filter(|t| poor(positions, t)).flat_map_iter(|t| *t).collect();
@@ -95,7 +91,7 @@ fn move_vertices(
         let mut moved = false;
         for &v in &vertices {
             let star = Star { around: around.of(v), facets, normals: &normals, v };
-            moved |= star.improve(positions, start, rails[v as usize], fences);
+            moved |= star.improve(positions, start, bounds);
         }
         if !moved {
             return;
@@ -122,9 +118,10 @@ struct Star<'a> {
 
 impl Star<'_> {
     /// Moves the vertex to the best place in reach. Returns whether it moved.
-    fn improve(&self, positions: &mut [DVec3], start: &[DVec3], rail: Rail, fences: &Fences) -> bool {
+    fn improve(&self, positions: &mut [DVec3], start: &[DVec3], bounds: Bounds<'_>) -> bool {
         let v = self.v as usize;
         let here = positions[v];
+        let rail = bounds.rails[v];
         if rail == Rail::Fixed {
             return false;
         }
@@ -150,13 +147,14 @@ impl Star<'_> {
                 let within = match rail {
                     Rail::Along(way) => {
                         let along = far.dot(way);
-                        along.abs() <= FARTHEST * edge && (far - along * way).length() <= ACROSS * edge
+                        along.abs() <= FARTHEST * edge
+                            && (far - along * way).length() <= (ACROSS * edge).min(bounds.off_curve)
                     }
-                    Rail::Corner => far.length() <= OFF * edge,
+                    Rail::Corner => far.length() <= (OFF * edge).min(bounds.off_curve),
                     Rail::Fixed => false,
                     Rail::Free => far.length() <= FARTHEST * edge,
                 };
-                if within && fences.allow(positions, self.v, to) {
+                if within && bounds.fences.allow(positions, self.v, to) {
                     let lack = self.lack(positions, to);
                     if lack < best.0 - 0.01 {
                         best = (lack, to);
@@ -211,10 +209,18 @@ mod tests {
             |p: &[DVec3]| wheel.iter().map(|t| least_angle(t.map(|v| p[v as usize]))).fold(f64::INFINITY, f64::min);
         let (before, first) = (worst(&positions), positions[0]);
         let mut still = positions.clone();
-        polish(&mut still, &mut facets, &rails, &Fences::new(&[DVec3::ZERO; 7], &[]), &HashSet::new());
+        let fences = Fences::new(&[DVec3::ZERO; 7], &[]);
+        let none = HashSet::new();
+        fn within<'a>(rails: &'a [Rail], fences: &'a Fences, off_curve: f64) -> Bounds<'a> {
+            Bounds { rails, fences, off_curve }
+        }
+        polish(&mut still, &mut facets, within(&rails, &fences, f64::INFINITY), &none);
         assert!(still.iter().zip(&positions).all(|(p, q)| p.distance(*q) < 0.1), "corners have a tolerance");
+        let mut stiller = positions.clone();
+        polish(&mut stiller, &mut facets, within(&rails, &fences, 0.01), &none);
+        assert!(stiller.iter().zip(&positions).all(|(p, q)| p.distance(*q) <= 0.01), "and no more than that");
         rails[0] = Rail::Free;
-        polish(&mut positions, &mut facets, &rails, &Fences::new(&[DVec3::ZERO; 7], &[]), &HashSet::new());
+        polish(&mut positions, &mut facets, within(&rails, &fences, f64::INFINITY), &none);
         assert!(worst(&positions) > before + 5.0, "{} after {before}", worst(&positions));
         assert!(positions[0].distance(first) < 0.35);
         assert_eq!(positions[0].z, 0.0);

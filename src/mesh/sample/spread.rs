@@ -22,12 +22,20 @@ const FINER: f64 = 4.0;
 /// points miss theirs by the root of their number. Such waves of the density are long, and what iterations that even out
 /// points take longest for.
 ///
-/// The same `weights` as there. Points come in the order of the curve: facets by the Morton order of their middles, places
+/// The same `weights` as there. `regions` has a number for each facet (all the same if `None`): those of one number follow
+/// each other, so that each such region has its share to within one. Points come in the order of the curve: facets by their
+/// region and the Morton order of their middles, places
 /// in a facet by its quarters, the quarters of these and so on (Basu and Owen, *Low discrepancy constructions in the
 /// triangle*, SIAM J. Numer. Anal. 2015, section 3).
-pub fn spread(mesh: &TriMesh, weights: Option<&[f64]>, count: usize, seed: u64) -> Vec<SurfacePoint> {
+pub fn spread(
+    mesh: &TriMesh,
+    weights: Option<&[f64]>,
+    regions: Option<&[u32]>,
+    count: usize,
+    seed: u64,
+) -> Vec<SurfacePoint> {
     let Some(masses) = Masses::weighted_or_not(mesh, weights) else { return Vec::new() };
-    let curve = Curve::through(&masses);
+    let curve = Curve::through(&masses, regions);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut place = 0;
     let point = |k: usize| {
@@ -53,7 +61,7 @@ struct Curve<'a> {
 }
 
 impl<'a> Curve<'a> {
-    fn through(masses: &'a Masses<'a>) -> Self {
+    fn through(masses: &'a Masses<'a>, regions: Option<&[u32]>) -> Self {
         let mesh = masses.mesh;
         let (low, high) = mesh.bounds();
         // Halves first: bounds may be as far apart as numbers go.
@@ -63,9 +71,10 @@ impl<'a> Curve<'a> {
             curve::along((a + b + c) / 3.0)
         };
         let with_mass = (0..mesh.facets().len() as u32).filter(|&f| masses.most(f as usize) > 0.0);
-        let mut order: Vec<(u64, u32)> = with_mass.map(|f| (place(f), f)).collect();
+        let region = |f: u32| regions.and_then(|r| r.get(f as usize)).copied().unwrap_or(0);
+        let mut order: Vec<(u32, u64, u32)> = with_mass.map(|f| (region(f), place(f), f)).collect();
         order.sort_unstable();
-        let facets: Vec<u32> = order.into_iter().map(|(_, f)| f).collect();
+        let facets: Vec<u32> = order.into_iter().map(|(_, _, f)| f).collect();
         let mut total = 0.0;
         let sum = |&f: &u32| {
             total += mass(masses, f as usize);
@@ -165,13 +174,13 @@ mod tests {
             let mesh = shape.build(2000);
             let (low, high) = mesh.bounds();
             assert_eq!((low.x, high.x), (0.0, 1.0), "{shape}");
-            let points = spread(&mesh, None, 4000, 3);
+            let points = spread(&mesh, None, None, 4000, 3);
             assert_eq!(points.len(), 4000);
             // A line meets some 60 pieces; of independent points 32 are too many in the mean.
             let off = error(&points, |x| x);
             assert!(off < 16.0, "{shape}: {off}");
-            assert_eq!(points, spread(&mesh, None, 4000, 3));
-            assert_ne!(points, spread(&mesh, None, 4000, 4));
+            assert_eq!(points, spread(&mesh, None, None, 4000, 3));
+            assert_ne!(points, spread(&mesh, None, None, 4000, 4));
         }
     }
 
@@ -180,25 +189,42 @@ mod tests {
         // w = x, so that the density is √x, in two facets.
         let mesh = Shape::Square.build(2);
         let weights: Vec<f64> = mesh.positions().iter().map(|p| p.x).collect();
-        let points = spread(&mesh, Some(&weights), 4000, 5);
+        let points = spread(&mesh, Some(&weights), None, 4000, 5);
         let off = error(&points, |x| x.powf(1.5));
         // The quadrature of a facet's mass alone makes a few in a hundred; beside these the parts' steps.
         assert!(off < 60.0, "{off}");
         let none = vec![0.0; weights.len()];
-        assert_eq!(spread(&mesh, Some(&none), 10, 4), spread(&mesh, None, 10, 4));
+        assert_eq!(spread(&mesh, Some(&none), None, 10, 4), spread(&mesh, None, None, 10, 4));
+    }
+
+    #[test]
+    fn a_region_has_its_share_to_within_one() {
+        // Every third facet of a torus, wherever it is.
+        let mesh = Shape::Torus.build(900);
+        let regions: Vec<u32> = (0..mesh.facets().len() as u32).map(|f| f % 3).collect();
+        let area = |f: usize| {
+            let [a, b, c] = mesh.corners(f);
+            (b - a).cross(c - a).length() / 2.0
+        };
+        let points = spread(&mesh, None, Some(&regions), 500, 7);
+        for region in 0..3 {
+            let share: f64 = (0..regions.len()).filter(|&f| regions[f] == region).map(area).sum::<f64>() / mesh.area();
+            let there = points.iter().filter(|p| regions[p.facet as usize] == region).count() as f64;
+            assert!((there - 500.0 * share).abs() <= 1.0, "{there} for {}", 500.0 * share);
+        }
     }
 
     #[test]
     fn points_lie_where_they_say() {
         for shape in [Shape::Torus, Shape::Slivers, Shape::Sheets] {
             let mesh = shape.build(300);
-            for p in spread(&mesh, None, 1000, 1) {
+            for p in spread(&mesh, None, None, 1000, 1) {
                 let [a, b, c] = mesh.corners(p.facet as usize);
                 let [u, v, w] = p.barycentric;
                 assert!((a * u + b * v + c * w).distance(p.position) < 1e-12, "{shape}");
                 assert!((u + v + w - 1.0).abs() < 1e-12 && u.min(v).min(w) >= 0.0, "{shape}");
             }
         }
-        assert!(spread(&Shape::Torus.build(300), None, 0, 1).is_empty());
+        assert!(spread(&Shape::Torus.build(300), None, None, 0, 1).is_empty());
     }
 }
