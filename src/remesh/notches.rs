@@ -5,6 +5,8 @@
 //! Invariant: only a rim that goes by way of one free vertex is filled; the facet is a fair one and bends little from
 //! those beside it. The surface stays a manifold. Must not know: why a cell reaches a boundary.
 
+use std::collections::HashSet;
+
 use glam::DVec3;
 
 use super::around::Around;
@@ -16,6 +18,9 @@ const LEAST_ANGLE: f64 = 12.0;
 /// The cosine between its normal and those of the facets beside it, at least.
 const LEAST_COSINE: f64 = 0.5;
 
+/// Notches that have a vertex in common are filled in different passes; so many.
+const PASSES: usize = 3;
+
 /// Adds a facet for each pair of `wanted` rim vertices between which the rim goes by way of one other vertex that
 /// `may_be_inside`. Returns how many were added.
 pub(super) fn fill(
@@ -25,15 +30,26 @@ pub(super) fn fill(
     may_be_inside: impl Fn(u32) -> bool,
 ) -> usize {
     let before = facets.len();
-    for &[a, b] in wanted {
-        // Few are wanted, and one may lie beside another.
+    for _ in 0..PASSES {
         let rim = Rim { around: &Around::new(positions.len(), facets), facets };
-        let way =
-            |a: u32, b: u32| rim.only_after(a).filter(|&x| x != b && rim.only_after(x) == Some(b)).map(|x| [a, b, x]);
-        let found = way(a, b).or_else(|| way(b, a)).filter(|&[a, b, x]| may_be_inside(x) && !rim.is_edge(a, b));
-        if let Some(facet) = found.filter(|&facet| rim.is_fair(positions, facet)) {
-            facets.push(facet);
+        let way = |a: u32, b: u32| {
+            let inside = rim.only_after(a).filter(|&x| x != b && rim.only_after(x) == Some(b));
+            inside.map(|x| [a, b, x])
+        };
+        let (mut touched, mut added) = (HashSet::new(), Vec::new());
+        for &[a, b] in wanted {
+            let found = way(a, b).or_else(|| way(b, a)).filter(|&[a, b, x]| may_be_inside(x) && !rim.is_edge(a, b));
+            if let Some(facet) = found.filter(|&facet| rim.is_fair(positions, facet))
+                && !facet.iter().any(|v| touched.contains(v))
+            {
+                touched.extend(facet);
+                added.push(facet);
+            }
         }
+        if added.is_empty() {
+            break;
+        }
+        facets.extend(added);
     }
     facets.len() - before
 }

@@ -42,12 +42,14 @@ pub fn repair(positions: &[DVec3], triangles: &[[u32; 3]]) -> Repaired {
     let mut facets = simple_facets(triangles, &mut figures);
     let mut places = positions.to_vec();
     let mut source: Vec<u32> = (0..positions.len() as u32).collect();
+    let mut quarrels = quarrelling(places.len(), &facets);
     for _ in 0..PARTINGS {
-        if !part_sheets(&mut places, &mut source, &mut facets) {
+        if quarrels.is_empty() || !part_sheets(&mut places, &mut source, &mut facets) {
             break;
         }
+        quarrels = quarrelling(places.len(), &facets);
     }
-    let facets = oriented(&places, facets, &mut figures);
+    let facets = oriented(&places, facets, quarrels, &mut figures);
     split_fans(&places, &source, facets, figures)
 }
 
@@ -144,11 +146,10 @@ fn half_edges(t: [u32; 3]) -> [(u32, u32); 3] {
     [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]
 }
 
-/// Keeps facets so that every directed edge is used once. Facets that share none of theirs stay;
-/// the others are taken by falling quality as long as their edges are free.
-fn oriented(positions: &[DVec3], facets: Vec<[u32; 3]>, figures: &mut RepairFigures) -> Vec<[u32; 3]> {
+/// Facets that have a directed edge in common with another, ascending.
+fn quarrelling(vertices: usize, facets: &[[u32; 3]]) -> Vec<usize> {
     let mut quarrels = vec![false; facets.len()];
-    EdgeGroups::new(positions.len(), facets.iter().copied().enumerate()).for_each(|low, halves| {
+    EdgeGroups::new(vertices, facets.iter().copied().enumerate()).for_each(|low, halves| {
         let forward = |half: &Half| facets[half.facet as usize][half.side] == low;
         for way in [true, false] {
             let same = || halves.iter().filter(|half| forward(half) == way);
@@ -157,7 +158,17 @@ fn oriented(positions: &[DVec3], facets: Vec<[u32; 3]>, figures: &mut RepairFigu
             }
         }
     });
-    let mut disputed: Vec<usize> = (0..facets.len()).filter(|&f| quarrels[f]).collect();
+    (0..facets.len()).filter(|&f| quarrels[f]).collect()
+}
+
+/// Keeps facets so that every directed edge is used once. Those that share none of theirs stay; the `disputed` ones
+/// are taken by falling quality as long as their edges are free.
+fn oriented(
+    positions: &[DVec3],
+    facets: Vec<[u32; 3]>,
+    mut disputed: Vec<usize>,
+    figures: &mut RepairFigures,
+) -> Vec<[u32; 3]> {
     if disputed.is_empty() {
         return facets;
     }
