@@ -333,7 +333,7 @@ fn prepare<'a>(
 const MOVING_ROUNDS: usize = 1;
 const ADDING_ROUNDS: usize = 8;
 /// What was moved took more steps, after which facets are better; its result may be so much farther from the input, since
-/// the farthest places are mended yet.
+/// the farthest places have yet to be mended.
 const MOVED_SLACK: f64 = 1.1;
 /// One more round follows where seeds are left without a vertex. Its result may be so much farther from the input.
 const COUNT_SLACK: f64 = 1.25;
