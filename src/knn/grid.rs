@@ -338,26 +338,33 @@ impl Grid {
         (best.squared < f64::INFINITY).then(|| self.order[best.place as usize])
     }
 
-    /// Appends the seeds of all cells that meet a box; `false` if there are more than `most`, or more lines
-    /// of cells.
-    pub(super) fn in_box(&self, low: &[f64; 3], high: &[f64; 3], most: usize, out: &mut Vec<u32>) -> bool {
+    /// Calls `found` with the seeds of all cells that meet a box, and where they are; `false`, before it has all, if there
+    /// are more than `most`, or more lines of cells.
+    #[inline(always)]
+    pub(super) fn in_box(
+        &self,
+        low: &[f64; 3],
+        high: &[f64; 3],
+        most: usize,
+        mut found: impl FnMut(u32, &[f64; 3]),
+    ) -> bool {
         // A place and an end of the box may be rounded apart by this.
         let block = Block {
             low: [0, 1, 2].map(|c| self.clamped(self.at(low, c) - SLACK, c)),
             high: [0, 1, 2].map(|c| self.clamped(self.at(high, c) + SLACK, c)),
         };
         let lines = (block.high[2] - block.low[2] + 1) * (block.high[1] - block.low[1] + 1);
-        let end = out.len() + most;
+        let mut left = most;
         if lines > most {
             return false;
         }
         for z in block.low[2]..=block.high[2] {
             for y in block.low[1]..=block.high[1] {
-                let (begin, last) = self.range(block, y, z);
-                if out.len() + (last - begin) as usize > end {
-                    return false;
-                }
-                out.extend_from_slice(&self.order[begin as usize..last as usize]);
+                let (begin, end) = self.range(block, y, z);
+                let places = begin as usize..end as usize;
+                let Some(fewer) = left.checked_sub(places.len()) else { return false };
+                left = fewer;
+                self.order[places.clone()].iter().zip(&self.points[places]).for_each(|(&seed, p)| found(seed, p));
             }
         }
         true

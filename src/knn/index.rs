@@ -107,7 +107,15 @@ impl SeedIndex {
     /// Appends all seeds in a box, ends included, some around it, and no later twin. `false` where there
     /// would be more than `most`, or where they cannot be told fast.
     pub fn in_box(&self, low: DVec3, high: DVec3, most: usize, out: &mut Vec<u32>) -> bool {
-        self.grid.as_ref().is_some_and(|g| g.in_box(&low.to_array(), &high.to_array(), most, out))
+        self.each_in_box(low, high, most, |seed, _| out.push(seed))
+    }
+
+    /// The same one by one, with their places; some may have been told where it is `false`.
+    #[inline(always)]
+    pub fn each_in_box(&self, low: DVec3, high: DVec3, most: usize, mut found: impl FnMut(u32, DVec3)) -> bool {
+        let (low, high) = (low.to_array(), high.to_array());
+        let found = |seed: u32, p: &[f64; 3]| found(seed, DVec3::from_array(*p));
+        self.grid.as_ref().is_some_and(|grid| grid.in_box(&low, &high, most, found))
     }
 
     /// The nearest neighbours of seed `i`, about `k` of them: the last ones are left out where

@@ -128,8 +128,10 @@ struct Blocks {
 enum From {
     /// In lists that were kept,
     Kept,
-    /// by looks around facets that are beside one another,
+    /// by looks around facets that are beside one another, where seeds are
     Index,
+    /// or about to be,
+    Ahead,
     /// or in rows of neighbours; where facets have many cells, those are walked by them too.
     Rows { coarse: bool },
 }
@@ -180,6 +182,19 @@ impl ParallelSession {
         Ok(elapsed_ms(begin))
     }
 
+    /// Builds the index of where seeds are expected to go, instead of one of where they are. Returns whether lists can be
+    /// made about that.
+    fn look_ahead(&mut self, area: f64) -> bool {
+        let Some(places) = self.lists.look_ahead(&self.seeds, area) else { return false };
+        self.index = SeedIndex::with_threads(places, Threads::Pool);
+        self.no_rows = true;
+        let ahead = self.lists.check(&self.seeds, &self.index);
+        if !ahead {
+            self.lists.be_blind(LATER);
+        }
+        ahead
+    }
+
     /// The same and the table.
     fn refresh_rows(&mut self, cancel: &CancelFlag) -> Result<f64, RvdError> {
         let index_ms = self.refresh()?;
@@ -207,11 +222,25 @@ impl ParallelSession {
         {
             return Ok(stats);
         }
-        let mut stats = PassStats { neighbours_ms: self.refresh()?, ..PassStats::default() };
+        let area = self.surface.area() / self.seeds.len().max(1) as f64;
+        let mut stats = PassStats::default();
+        if listed && self.by_rows == 0 && self.index.is_even() {
+            let begin = Instant::now();
+            let ahead = self.look_ahead(area);
+            stats.neighbours_ms += elapsed_ms(begin);
+            if ahead {
+                if let Some(pass) = self.pass(out, (blocks, From::Ahead), cancel)? {
+                    stats.add(&pass);
+                    return Ok(stats);
+                }
+                self.lists.be_blind(LATER);
+            }
+        }
+        stats.neighbours_ms += self.refresh()?;
         stats.duplicate_seeds = self.index.duplicates() as u64;
         if !coarse && self.by_rows == 0 && self.index.is_even() {
             let begin = Instant::now();
-            self.lists.choose_evenly(&self.seeds, &self.index, self.surface.area() / self.seeds.len() as f64);
+            self.lists.choose_evenly(&self.seeds, &self.index, area);
             stats.neighbours_ms += elapsed_ms(begin);
             if let Some(pass) = self.pass(out, (blocks, From::Index), cancel)? {
                 stats.add(&pass);
@@ -250,8 +279,16 @@ impl ParallelSession {
         stats.start_ms = elapsed_ms(begin);
         let (kept, lists) = self.lists.split(tasks, size);
         let rows = if kept.even { &self.no_table } else { &self.table };
-        let (slack, even, by_rows) = (kept.slack, from == From::Index, from == From::Rows { coarse: true });
-        let task = Task { diagram, slack, capacities: self.capacities, by_rows, even, block };
+        let about = (from == From::Ahead).then_some(kept.made_at);
+        let task = Task {
+            diagram,
+            about,
+            slack: kept.slack,
+            capacities: self.capacities,
+            by_rows: from == From::Rows { coarse: true },
+            even: matches!(from, From::Index | From::Ahead),
+            block,
+        };
         let mut unlisted = 0;
         let void = AtomicBool::new(false);
         let waves = lists.chunks_mut(WAVE).zip(facets.chunks(size * WAVE)).zip(starts.chunks_mut(size * WAVE));

@@ -10,9 +10,11 @@ use glam::DVec3;
 use super::net::Net;
 use crate::mesh::TriMesh;
 
-/// Lengths at the ends of an edge may differ by this factor: half-way, linear w is then 1.32 times that of
-/// linear h, 7 % in edge length, and less elsewhere.
-const STEP: f64 = 1.4;
+/// Lengths at the ends of an edge may differ by this factor: half-way, linear w is then at most 1.65 times that of
+/// linear h, 13 % in edge length, and less elsewhere. Of a sphere of 80 facets with lengths of 1:20, all of which this
+/// decides, they come out 2.6 % off (median), with 1.4 1.9 %; from some thousand facets on there is no difference. With 1.4
+/// a scan of 100,000 facets by curvature had a fifth more of them, now it has a twentieth more.
+const STEP: f64 = 1.6;
 
 /// An edge shorter than this many target lengths is not halved: within a cell only the mean density counts.
 const SHORT: f64 = 0.5;
@@ -140,7 +142,7 @@ mod tests {
                 for (a, b) in [(v[0], v[1]), (v[1], v[2]), (v[2], v[0])] {
                     let (least, most) = (fine_sizes[a].min(fine_sizes[b]), fine_sizes[a].max(fine_sizes[b]));
                     let short = fine.positions()[a].distance(fine.positions()[b]) <= 0.5 * least * (1.0 + 1e-12);
-                    assert!(short || most <= 1.4 * least, "{shape}");
+                    assert!(short || most <= STEP * least, "{shape}");
                 }
             }
         }

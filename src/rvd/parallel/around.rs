@@ -16,6 +16,9 @@ use crate::rvd::incident::Diagram;
 
 /// Facets that are looked around together.
 pub(super) const GROUP: usize = 16;
+/// They are taken by halves where the halves lie so far apart that two boxes around them are smaller than one; but not
+/// further than so many, which fill some lanes.
+const APART: usize = 4;
 /// Seeds that are looked at for them. They are far more where seeds are crowded somewhere near.
 const LOOKED_AT: usize = 1024;
 /// Seeds in a word: as many as a number has bits.
@@ -24,15 +27,34 @@ const WORD: usize = 52;
 /// One thread's scratch memory.
 #[derive(Default)]
 pub(super) struct Around {
-    looked_at: Vec<u32>,
     seeds: Vec<u32>,
     /// Of each seed its place, and how far it may move.
     places: Vec<(DVec3, f64)>,
     corner: [[Row; 3]; 3],
     /// How far the seed that a facet is seen from may be from each corner.
     most: [Row; 3],
-    /// Which seeds count, word by word, in each lane.
+    /// Which seeds count, word by word, in each lane,
     words: Vec<Row>,
+    /// and the place among them of the one that is nearest to the centroid.
+    nearest: Row,
+}
+
+/// Cuts facets that lie apart from one another into parts that do not; appends how many each has.
+pub(super) fn parts(reaches: &[Reach], out: &mut Vec<usize>) -> Bounds {
+    let begin = out.len();
+    if reaches.len() <= APART {
+        out.push(reaches.len());
+        return reaches.iter().fold(Bounds::NONE, |all, reach| all.with(reach.bounds()));
+    }
+    let (first, second) = reaches.split_at(reaches.len() / 2);
+    let (first, second) = (parts(first, out), parts(second, out));
+    let all = first.with(second);
+    // About as many seeds lie in a box as the square of its width says: they are on a surface.
+    if all.width_squared() <= first.width_squared() + second.width_squared() {
+        out.truncate(begin);
+        out.push(reaches.len());
+    }
+    all
 }
 
 impl Around {
@@ -49,16 +71,15 @@ impl Around {
         self.seeds.clear();
         self.places.clear();
         let others = bounds.wider(slack.most);
-        self.looked_at.clear();
-        if !diagram.index.in_box(others.low, others.high, LOOKED_AT, &mut self.looked_at) {
-            return false;
-        }
-        for &i in &self.looked_at {
-            let p = diagram.seeds[i as usize];
-            if others.contains(p) && !strays.is_some_and(|strays| strays.contains(i)) {
+        let done = diagram.index.each_in_box(others.low, others.high, LOOKED_AT, |i, p| {
+            let own = slack.of(i);
+            if bounds.is_within(own, p) && !strays.is_some_and(|strays| strays.contains(i)) {
                 self.seeds.push(i);
-                self.places.push((p, slack.of(i)));
+                self.places.push((p, own));
             }
+        });
+        if !done {
+            return false;
         }
         for (p, i) in strays.iter().flat_map(|strays| strays.within(bounds)) {
             self.seeds.push(i);
@@ -99,25 +120,33 @@ impl Around {
         let corner = self.corner.each_ref().map(|c| [0, 1, 2].map(|k| Number::load(simd, &c[k])));
         let most = self.most.each_ref().map(|most| Number::load(simd, most));
         self.words.clear();
+        let (mut nearest, mut least) = (zero, Number::all(simd, f64::MAX));
+        let mut at = 0.0;
         for places in self.places.chunks(WORD) {
             let (mut bits, mut bit) = (zero, 1.0);
             for &(p, slack) in places {
                 let [x, y, z] = p.to_array().map(|x| Number::all(simd, x));
                 let slack = Number::all(simd, slack);
-                let mut counts = Mask::none(simd);
+                let (mut sum, mut counts) = (zero, Mask::none(simd));
                 for c in 0..3 {
                     let [dx, dy, dz] = [corner[c][0] - x, corner[c][1] - y, corner[c][2] - z];
-                    let most = most[c] + slack;
-                    counts = counts | (dx * dx + dy * dy + dz * dz).at_most(most * most * room);
+                    let (squared, most) = (dx * dx + dy * dy + dz * dz, most[c] + slack);
+                    counts = counts | squared.at_most(most * most * room);
+                    sum = sum + squared;
                 }
                 bits = bits + counts.choose(Number::all(simd, bit), zero);
                 bit *= 2.0;
+                // Who is nearest to the centroid has the least sum of squared distances from the corners, and counts.
+                let nearer = sum.below(least);
+                (least, nearest) = (sum.smaller(least), nearer.choose(Number::all(simd, at), nearest));
+                at += 1.0;
             }
             self.words.push(Row::default());
             if let Some(word) = self.words.last_mut() {
                 bits.store(word);
             }
         }
+        nearest.store(&mut self.nearest);
     }
 }
 
@@ -138,14 +167,24 @@ impl Seeds<'_> {
         self.words().map(|word| word.count_ones() as usize).sum()
     }
 
-    /// Calls `visit` with each and where it was.
+    /// The one that is nearest to the facet's centroid, unless it does not count.
+    pub(super) fn nearest(&self) -> Option<u32> {
+        let at = self.around.nearest.0[self.lane] as usize;
+        let word = self.around.words.get(at / WORD)?.0[self.lane] as u64;
+        (word >> (at % WORD) & 1 != 0).then(|| self.around.seeds[at])
+    }
+
+    /// Puts them into `out`, which has room for as many as there are.
     #[inline(always)]
-    pub(super) fn each(&self, mut visit: impl FnMut(u32, DVec3)) {
+    pub(super) fn write(&self, out: &mut [u32]) {
+        let mut out = out.iter_mut();
         for (first, mut left) in (0..).step_by(WORD).zip(self.words()) {
             while left != 0 {
                 let at = first + left.trailing_zeros() as usize;
                 left &= left - 1;
-                visit(self.around.seeds[at], self.around.places[at].0);
+                if let Some(out) = out.next() {
+                    *out = self.around.seeds[at];
+                }
             }
         }
     }

@@ -4,10 +4,10 @@
 //! Invariant: what comes of a facet depends on nothing beside it, and the sums not on how many blocks a task has.
 //! Must not know: how tasks are shared out.
 
+use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::around::GROUP;
 use super::facets::{Found, InTurn, MEMBERS};
 use super::gather::Slack;
 use super::groups::{Chooser, Listed, Thin, choose_members};
@@ -16,7 +16,6 @@ use super::lister::Lister;
 use super::lists::{Kept, Lists};
 use super::moments::{UNIFORM, WEIGHTED};
 use super::order::Stretch;
-use super::strays::{Bounds, Reach};
 use super::written::{NONE, Written};
 use crate::knn::NeighbourTable;
 use crate::rvd::clip::{Clipper, Integrals};
@@ -42,6 +41,8 @@ const SHORT: usize = 10;
 #[derive(Clone, Copy)]
 pub(super) struct Task<'a> {
     pub diagram: Diagram<'a>,
+    /// The places about which seeds have their slack, if those are not where they are; then the index is of the places.
+    pub about: Option<&'a [DVec3]>,
     pub slack: Slack<'a>,
     pub capacities: Capacities,
     /// Facets with many members are walked by rows.
@@ -213,27 +214,26 @@ impl Chunk {
         (facets, starts): (Stretch<'_>, &mut [u32]),
         kept: &mut Lists,
     ) -> bool {
-        let Task { diagram, slack, by_rows, even, block, .. } = task;
+        let Task { about, slack, by_rows, even, block, .. } = task;
+        let diagram = Diagram { seeds: about.unwrap_or(task.diagram.seeds), ..task.diagram };
         let mut lists = std::mem::take(&mut walkers.lists);
         lists.clear();
         let unlisted = match even {
             true => walkers.lister.list_evenly(diagram, slack, (facets, starts), &mut lists),
             false => Some(walkers.lister.list(diagram, slack, by_rows, (facets, starts), &mut lists)),
         };
+        // A list without slack holds for seeds that are where they were when it was made.
+        let unlisted = unlisted.filter(|&n| n == 0 || about.is_none());
         if let Some(unlisted) = unlisted {
             let mut of_chunk = &lists;
             if !slack.is_none() {
                 if even && lists.mean_len() < SHORT {
-                    kept.take(&mut lists);
+                    std::mem::swap(kept, &mut lists);
                 } else {
-                    let listed = task.listed(facets, starts, &lists);
+                    let listed = Listed { diagram, ..task.listed(facets, starts, &lists) };
                     Arch::new().dispatch(Thin { chooser: &mut walkers.chooser, listed, slack, out: kept });
+                    std::mem::swap(&mut kept.bounds, &mut lists.bounds);
                 }
-                kept.bounds.extend(facets.chunks(GROUP).zip(starts.chunks(GROUP)).map(|(facets, starts)| {
-                    let each =
-                        (0..).zip(starts).map(|(k, &start)| Reach::of(diagram, slack, &facets.corners(k), start));
-                    each.fold(Bounds::NONE, |all, reach| all.with(reach.bounds()))
-                }));
                 of_chunk = kept;
             }
             self.sum_listed(walkers, task.listed(facets, starts, of_chunk), block);
@@ -301,18 +301,30 @@ impl Chunk {
     }
 }
 
-/// As many seeds of a list as `members` says, in the order of their numbers, in which kept lists are already.
+/// As many seeds of a list as `members` says, in the order of their numbers.
 #[inline(always)]
 fn sorted(list: &[u32], mut members: u32, out: &mut [u32]) {
-    for k in 0..out.len() {
+    let mut next = || {
         let seed = list[members.trailing_zeros() as usize];
         members &= members - 1;
-        let mut k = k;
-        while k > 0 && out[k - 1] > seed {
-            out[k] = out[k - 1];
-            k -= 1;
+        seed
+    };
+    match out {
+        // Without a jump that depends on who is first, for most facets.
+        [one] => *one = next(),
+        [one, two] => {
+            let (a, b) = (next(), next());
+            (*one, *two) = (a.min(b), a.max(b));
         }
-        out[k] = seed;
+        [one, two, three] => {
+            let (a, b, c) = (next(), next(), next());
+            let (low, high) = (a.min(b), a.max(b));
+            (*one, *two, *three) = (low.min(c), low.max(high.min(c)), high.max(c));
+        }
+        more => {
+            more.iter_mut().for_each(|seed| *seed = next());
+            more.sort_unstable();
+        }
     }
 }
 

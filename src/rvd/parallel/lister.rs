@@ -11,7 +11,7 @@ use std::ops::Range;
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::around::{Around, GROUP};
+use super::around::{self, Around, GROUP};
 use super::facets::LISTED;
 use super::gather::{Few, Gatherer, Slack};
 use super::groups::Listed;
@@ -31,6 +31,8 @@ pub(super) struct Lister {
     gatherer: Gatherer,
     around: Around,
     reaches: Vec<Reach>,
+    /// How many facets are looked around together.
+    parts: Vec<usize>,
     /// Strays near the facets, and where strays were.
     near: Vec<DVec3>,
     were: Vec<DVec3>,
@@ -67,11 +69,14 @@ impl WithSimd for Evenly<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Option<u64> {
-        let Self { lister: Lister { gatherer, around, reaches, .. }, diagram, slack, facets, starts, out } = self;
+        let Self { lister, diagram, slack, facets, starts, out } = self;
+        let Lister { gatherer, around, reaches, parts, .. } = lister;
         let mut unlisted = 0;
         for (facets, starts) in facets.chunks(GROUP).zip(starts.chunks_mut(GROUP)) {
             reaches.clear();
             reaches.extend((0..).zip(&*starts).map(|(k, &start)| Reach::of(diagram, slack, &facets.corners(k), start)));
+            parts.clear();
+            let mut bounds = around::parts(reaches, parts);
             // A facet with too many is listed alone.
             let mut alone = |k: usize, start: &mut u32, out: &mut Lists| {
                 let corner = facets.corners(k);
@@ -83,32 +88,32 @@ impl WithSimd for Evenly<'_> {
                     few = gatherer.gather_from(diagram, (Slack::NONE, Few::TO_WALK), &corner, *start);
                 }
                 out.push(gatherer.list().iter().copied());
+                bounds = bounds.with(Reach::of(diagram, slack, &corner, *start).bounds());
                 few
             };
-            let mut done = true;
-            if around.look(diagram, slack, reaches, None) {
-                around.each(simd, reaches, |k, seeds| {
-                    if seeds.len() > LISTED {
-                        done &= alone(k, &mut starts[k], out);
-                        return;
-                    }
-                    let centroid = facets.centroid(k);
-                    let mut least = f64::INFINITY;
-                    seeds.each(|seed, p| {
-                        out.add(seed);
-                        let distance = centroid.distance_squared(p);
-                        if distance < least {
-                            (starts[k], least) = (seed, distance);
+            let (mut done, mut first) = (true, 0);
+            for &part in &*parts {
+                let reaches = &reaches[first..first + part];
+                if around.look(diagram, slack, reaches, None) {
+                    around.each(simd, reaches, |k, seeds| {
+                        if seeds.len() > LISTED {
+                            done &= alone(first + k, &mut starts[first + k], out);
+                            return;
+                        }
+                        seeds.write(out.end(seeds.len()));
+                        if let Some(nearest) = seeds.nearest() {
+                            starts[first + k] = nearest;
                         }
                     });
-                    out.end();
-                });
-            } else {
-                starts.iter_mut().enumerate().for_each(|(k, start)| done &= alone(k, start, out));
+                } else {
+                    (first..first + part).for_each(|k| done &= alone(k, &mut starts[k], out));
+                }
+                first += part;
             }
             if !done {
                 return None;
             }
+            out.bounds.push(bounds);
         }
         Some(unlisted)
     }
@@ -167,14 +172,11 @@ impl Relist<'_> {
         }
         let Lister { gatherer, around, reaches, strayed, from, .. } = &mut **lister;
         let mut next = group.start;
-        if even && !reaches.is_empty() {
-            if !around.look(*was, slack, reaches, Some(strays)) {
-                return false;
-            }
+        // Facets that are too far apart go one by one.
+        if even && !reaches.is_empty() && around.look(*was, slack, reaches, Some(strays)) {
             around.each(simd, reaches, |k, seeds| {
                 out.copy(lists, next..strayed[k]);
-                seeds.each(|seed, _| out.add(seed));
-                out.end();
+                seeds.write(out.end(seeds.len()));
                 next = strayed[k] + 1;
             });
         } else {
@@ -252,6 +254,12 @@ impl Lister {
                 (_, few) = gatherer.gather(diagram, (Slack::NONE, most), &corner, centroid, *start);
             }
             out.push(gatherer.list().iter().copied().take(if few { usize::MAX } else { 0 }));
+        }
+        if !slack.is_none() {
+            out.bounds.extend(facets.chunks(GROUP).zip(starts.chunks(GROUP)).map(|(facets, starts)| {
+                let each = (0..).zip(starts).map(|(k, &start)| Reach::of(diagram, slack, &facets.corners(k), start));
+                each.fold(Bounds::NONE, |all, reach| all.with(reach.bounds()))
+            }));
         }
         unlisted
     }

@@ -31,7 +31,11 @@ const FAR: f64 = 1.0 / 64.0;
 const MOST: f64 = 0.2;
 const LEAST: f64 = 0.03;
 /// They are not made where the last move says that they would not serve twice.
-const FAST: f64 = MOST / 2.0;
+const FAST: f64 = MOST;
+/// Seeds whose last two moves are alike, by the cosine between them, go on, and lists are made about places ahead of them,
+/// by at most this share of their slack, so that they serve for nearly twice as long.
+const ALIKE: f64 = 0.5;
+const AHEAD: f64 = 0.8;
 /// They are made anew where more than this share of the seeds are strays, and more than so many.
 const ASTRAY: f64 = 1.0 / 32.0;
 const A_FEW: usize = 2;
@@ -64,32 +68,13 @@ impl Lists {
         self.ends.push(self.seeds.len() as u32);
     }
 
-    /// Appends to the list that [`Self::end`] ends.
+    /// Appends a list of so many, which are to be written there.
     #[inline(always)]
-    pub(super) fn add(&mut self, seed: u32) {
-        self.seeds.push(seed);
-    }
-
-    #[inline(always)]
-    pub(super) fn end(&mut self) {
+    pub(super) fn end(&mut self, len: usize) -> &mut [u32] {
+        let begin = self.seeds.len();
+        self.seeds.resize(begin + len, 0);
         self.ends.push(self.seeds.len() as u32);
-    }
-
-    /// Takes another one's lists, each in the order of its seeds' numbers.
-    pub(super) fn take(&mut self, other: &mut Self) {
-        std::mem::swap(self, other);
-        self.bounds.clear();
-        let mut begin = 0;
-        for &end in &self.ends {
-            self.seeds[begin as usize..end as usize].sort_unstable();
-            begin = end;
-        }
-    }
-
-    /// The list that was pushed last.
-    pub(super) fn last_mut(&mut self) -> &mut [u32] {
-        let begin = self.ends.len().checked_sub(2).map_or(0, |before| self.ends[before]);
-        &mut self.seeds[begin as usize..]
+        &mut self.seeds[begin..]
     }
 
     /// How many seeds a list has.
@@ -139,10 +124,14 @@ pub(super) struct KeptLists {
     area: Vec<f64>,
     /// The most slack that a seed can have where that is known.
     most: f64,
-    /// Where the seeds were when the lists were made,
+    /// The places about which the seeds have their slack: where they were when the lists were made, or were expected to go,
     made_at: Vec<DVec3>,
-    /// and at the last pass.
+    /// where they were at the last pass,
     last: Vec<DVec3>,
+    /// and at the one before.
+    before: Vec<DVec3>,
+    /// In so many passes nothing is expected.
+    blind: usize,
     /// Seeds that could come to lie on each other within their slack.
     close: Vec<[u32; 2]>,
     /// Whether the index, and the rows, of the seeds as they were then are still there.
@@ -169,10 +158,16 @@ impl KeptLists {
         if !self.there || self.facets != facets || self.made_at.len() > seeds.len() {
             return false;
         }
+        let few = if self.indexed { A_FEW.max((ASTRAY * seeds.len() as f64) as usize) } else { 0 };
+        self.hold_but_for(few, seeds)
+    }
+
+    /// The same for so many strays at most.
+    fn hold_but_for(&mut self, strays: usize, seeds: &[DVec3]) -> bool {
         let slack = slack(self.share, self.most, &self.width);
-        let strays = self.strays.find(seeds, &self.made_at, slack, USED);
-        let few = strays == 0 || self.indexed && (strays <= A_FEW || strays as f64 <= ASTRAY * seeds.len() as f64);
-        few && self.close.iter().all(|&[i, j]| seeds[i as usize] != seeds[j as usize]) && !self.strays.meet(seeds)
+        self.strays.find(seeds, &self.made_at, (slack, USED), strays)
+            && self.close.iter().all(|&[i, j]| seeds[i as usize] != seeds[j as usize])
+            && !self.strays.meet(seeds)
     }
 
     /// The index and the rows are others now.
@@ -199,7 +194,7 @@ impl KeptLists {
         let share = self.share_for(seeds);
         if share > 0.0 && self.width.par_iter().all(|&width| width > 0.0) {
             self.begin(seeds, share);
-            self.find_close(seeds, |i, _, out| {
+            self.find_close(|i, _, _, out| {
                 out.extend(table.row(i).0.iter().take(NEIGHBOUR - 1));
                 true
             });
@@ -209,20 +204,81 @@ impl KeptLists {
     /// The same without rows, where no seeds are crowded; cells are as large as at the last pass, and `area` on average.
     pub(super) fn choose_evenly(&mut self, seeds: &[DVec3], index: &SeedIndex, area: f64) {
         self.leave();
+        self.widths_of_cells(seeds.len(), area);
+        let share = self.share_for(seeds);
+        if share > 0.0 && index.duplicates() == 0 {
+            self.begin(seeds, share);
+            self.find_close_evenly(index);
+        }
+    }
+
+    /// The same for seeds that are about to move on as they moved last, if they are. Lists are to be made about places that
+    /// lie ahead of them, which are returned; [`Self::check`] says whether they may.
+    pub(super) fn look_ahead(&mut self, seeds: &[DVec3], area: f64) -> Option<&[DVec3]> {
+        self.leave();
+        if self.blind > 0 {
+            self.blind -= 1;
+            return None;
+        }
+        if self.before.is_empty() || self.last.len() != seeds.len() || self.before.len() != seeds.len() {
+            return None;
+        }
+        let goes_on = self.goes_on(seeds)?;
+        self.widths_of_cells(seeds.len(), area);
+        let moved = self.moved(seeds);
+        let way = moved * goes_on_for(goes_on, 2.0 * MOVES);
+        // They may go on as fast as they went, or turn.
+        let share = (0.5 * way.max(MOVES * moved)).clamp(LEAST, MOST);
+        if moved * (goes_on + goes_on * goes_on) > (1.0 + AHEAD) * MOST || moved == 0.0 {
+            return None;
+        }
+        self.begin(seeds, share);
+        let moves = (0.5 * way).min(AHEAD * share) / moved;
+        let Self { made_at, last, width, .. } = self;
+        made_at.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(i, p)| {
+            let on = moves * (*p - last[i]);
+            let most = AHEAD * share * width[i];
+            *p += on * (most / on.length()).min(1.0);
+        });
+        Some(&self.made_at)
+    }
+
+    /// Whether lists about places with this index hold for seeds there.
+    pub(super) fn check(&mut self, seeds: &[DVec3], index: &SeedIndex) -> bool {
+        if index.is_even() && index.duplicates() == 0 {
+            self.find_close_evenly(index);
+            return self.share > 0.0 && self.hold_but_for(0, seeds);
+        }
+        false
+    }
+
+    /// Looking ahead did not do.
+    pub(super) fn be_blind(&mut self, passes: usize) {
+        self.leave();
+        self.blind = passes;
+    }
+
+    /// How much of their last moves but one the seeds made again with their last ones, at most all; nothing if many turned.
+    fn goes_on(&self, seeds: &[DVec3]) -> Option<f64> {
+        let each = seeds.par_chunks(CHUNK).zip(self.last.par_chunks(CHUNK)).zip(self.before.par_chunks(CHUNK));
+        let sums = each.map(|((now, last), before)| {
+            let moves = now.iter().zip(last).zip(before).map(|((&now, &last), &before)| (now - last, last - before));
+            moves.fold([0.0; 3], |[ab, aa, bb], (a, b)| [ab + a.dot(b), aa + a.length_squared(), bb + b.length_squared()])
+        });
+        // Chunk by chunk in their order: the same number on any number of threads.
+        let sums: Vec<[f64; 3]> = sums.collect();
+        let [ab, aa, bb] = sums.iter().fold([0.0; 3], |sum, more| [0, 1, 2].map(|k| sum[k] + more[k]));
+        (ab > ALIKE * (aa * bb).sqrt()).then(|| (ab / bb).min(1.0))
+    }
+
+    /// Widths by cells as large as at the last pass, and `area` on average.
+    fn widths_of_cells(&mut self, seeds: usize, area: f64) {
         self.even = true;
         self.length = (HEXAGON * area).sqrt();
         self.width.clear();
         let width = |&area: &f64| (HEXAGON * area).sqrt().clamp(NARROW * self.length, WIDE * self.length);
         self.width.extend(self.area.iter().map(width));
-        self.width.resize(seeds.len(), self.length);
-        let share = self.share_for(seeds);
-        if share > 0.0 && index.duplicates() == 0 {
-            self.begin(seeds, share);
-            self.find_close(seeds, |i, most, out| {
-                let p = seeds[i as usize];
-                index.in_box(p - most, p + most, MANY_AROUND, out)
-            });
-        }
+        self.width.resize(seeds, self.length);
     }
 
     /// The share for these seeds after their last move; 0 where no lists are to be made.
@@ -231,13 +287,18 @@ impl KeptLists {
         if self.last.is_empty() || self.last.len() > seeds.len() {
             return 0.0;
         }
+        let moved = self.moved(seeds);
+        if moved <= FAST { (MOVES * moved).clamp(LEAST, MOST) } else { 0.0 }
+    }
+
+    /// What all but some seeds moved less than, in widths.
+    fn moved(&mut self, seeds: &[DVec3]) -> f64 {
         let moved = |i: usize| self.last[i].distance(seeds[i]) / self.width[i];
         let indices = (0..self.last.len()).into_par_iter().with_min_len(CHUNK);
         indices.map(moved).collect_into_vec(&mut self.moves);
         let most = self.moves.len() - 1;
         let nth = most - (FAR * most as f64) as usize;
-        let &mut moved = self.moves.select_nth_unstable_by(nth, f64::total_cmp).1;
-        if moved <= FAST { (MOVES * moved).clamp(LEAST, MOST) } else { 0.0 }
+        *self.moves.select_nth_unstable_by(nth, f64::total_cmp).1
     }
 
     fn begin(&mut self, seeds: &[DVec3], share: f64) {
@@ -258,6 +319,7 @@ impl KeptLists {
 
     /// A pass over these seeds is done, with cells of such areas; whether it made a list for every facet.
     pub(super) fn end_pass(&mut self, seeds: &[DVec3], area: &[f64], made: bool) {
+        std::mem::swap(&mut self.before, &mut self.last);
         self.last.clear();
         self.last.extend_from_slice(seeds);
         self.area.clear();
@@ -265,18 +327,30 @@ impl KeptLists {
         self.there |= made && self.share > 0.0;
     }
 
+    /// The same without rows, with the index of the places where lists are made.
+    fn find_close_evenly(&mut self, index: &SeedIndex) {
+        self.find_close(|i, p, most, out| {
+            index.each_in_box(p - most, p + most, MANY_AROUND, |j, q| {
+                if i < j && p.distance_squared(q) <= most * most {
+                    out.push(j);
+                }
+            })
+        });
+    }
+
     /// Finds pairs of seeds that could meet, among those within a distance that `around` finds: with rows, one is in the
     /// other's row before the neighbour that gives the width, as slacks are a small part of that. There will be no lists
     /// where `around` cannot say.
-    fn find_close(&mut self, seeds: &[DVec3], around: impl Fn(u32, f64, &mut Vec<u32>) -> bool + Sync) {
+    fn find_close(&mut self, around: impl Fn(u32, DVec3, f64, &mut Vec<u32>) -> bool + Sync) {
         let slack = slack(self.share, self.most, &self.width);
+        let seeds = &self.made_at;
         let find = |chunk: usize| {
             let (mut near, mut pairs) = (Vec::new(), Vec::new());
             for i in chunk * CHUNK..seeds.len().min((chunk + 1) * CHUNK) {
                 let own = slack.of(i as u32);
                 let most = slack.farthest(own, 0.0, own);
                 near.clear();
-                if !around(i as u32, most, &mut near) {
+                if !around(i as u32, seeds[i], most, &mut near) {
                     return None;
                 }
                 let reach = |j: u32| own + slack.of(j);
@@ -291,6 +365,14 @@ impl KeptLists {
             Some(pairs) => self.close.extend(pairs.iter().flatten()),
             None => self.leave(),
         }
+    }
+}
+
+/// How far a seed comes in so many moves, as a multiple of its last one, if each is `goes_on` times the one before.
+fn goes_on_for(goes_on: f64, moves: f64) -> f64 {
+    match goes_on < 1.0 {
+        true => goes_on * (1.0 - goes_on.powf(moves)) / (1.0 - goes_on),
+        false => moves,
     }
 }
 

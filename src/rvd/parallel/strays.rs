@@ -74,6 +74,12 @@ pub(super) struct Bounds {
     pub high: DVec3,
 }
 
+impl Default for Bounds {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
 impl Bounds {
     /// Nothing is in it.
     pub(super) const NONE: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
@@ -83,10 +89,21 @@ impl Bounds {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
+    /// The square of its diagonal.
+    pub(super) fn width_squared(&self) -> f64 {
+        self.low.distance_squared(self.high)
+    }
+
     /// Larger on all sides.
     pub(super) fn wider(self, by: f64) -> Self {
         let by = DVec3::splat(by * (1.0 + 1e-9) + ROUNDING);
         Self { low: self.low - by, high: self.high + by }
+    }
+
+    /// Whether a point may come to lie in it that moves by so much.
+    pub(super) fn is_within(&self, by: f64, p: DVec3) -> bool {
+        let away = (self.low - p).max(p - self.high);
+        away.x.max(away.y).max(away.z) <= by * (1.0 + 1e-9) + ROUNDING
     }
 
     /// Whether a point is in it, ends included.
@@ -97,8 +114,14 @@ impl Bounds {
 
 impl Strays {
     /// Finds those that are not within `used` of their slack about where they were; seeds that were not there are strays
-    /// too. Returns how many there are.
-    pub(super) fn find(&mut self, seeds: &[DVec3], were: &[DVec3], slack: Slack<'_>, used: f64) -> usize {
+    /// too. Returns whether there are at most so many; nothing is known of them otherwise.
+    pub(super) fn find(
+        &mut self,
+        seeds: &[DVec3],
+        were: &[DVec3],
+        (slack, used): (Slack<'_>, f64),
+        most: usize,
+    ) -> bool {
         let strayed = |i: usize| {
             let Some(was) = were.get(i) else { return true };
             let most = used * slack.of(i as u32);
@@ -107,6 +130,9 @@ impl Strays {
         let indices = (0..seeds.len()).into_par_iter().with_min_len(CHUNK);
         indices.clone().map(strayed).collect_into_vec(&mut self.astray);
         self.all.clear();
+        if self.astray.iter().filter(|astray| **astray).count() > most {
+            return false;
+        }
         let strays = self.astray.iter().enumerate().filter(|(_, astray)| **astray);
         self.all.extend(strays.map(|(i, _)| (seeds[i], i as u32)));
         self.all.sort_unstable_by(|a, b| a.0.x.total_cmp(&b.0.x).then(a.1.cmp(&b.1)));
@@ -115,7 +141,7 @@ impl Strays {
         self.were.sort_unstable_by(|a, b| a.x.total_cmp(&b.x));
         let old = self.all.iter().filter(|(_, i)| (*i as usize) < were.len());
         self.slack = old.map(|(_, i)| slack.of(*i)).fold(0.0, f64::max);
-        self.all.len()
+        true
     }
 
     /// Whether a seed is one.
