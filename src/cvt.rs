@@ -182,6 +182,11 @@ impl Cvt {
         })
     }
 
+    /// Takes what answers for closest points of its surface ([`closest_points`]), so that it need not make it.
+    pub fn bring_closest(&mut self, closest: ClosestPoint) {
+        self.closest = Some(closest);
+    }
+
     /// Which seeds never move, one entry a seed.
     ///
     /// # Errors
@@ -583,14 +588,20 @@ fn resident(session: &mut dyn Session) -> Result<&mut dyn Resident, RvdError> {
     session.resident().ok_or_else(|| RvdError::Internal("this backend cannot move seeds".to_owned()))
 }
 
-/// The closest-point tree of the surface in the unit frame, built on first use.
+/// What answers for closest points of a surface, unit frame.
+///
+/// # Errors
+/// None for a surface that is one.
+pub fn closest_points(surface: &Surface) -> Result<ClosestPoint, RvdError> {
+    let mesh = TriMesh::new(surface.positions().to_vec(), surface.facets().to_vec())
+        .map_err(|e| RvdError::Internal(format!("the surface was valid before: {e}")))?;
+    Ok(ClosestPoint::new(&mesh))
+}
+
+/// The same, made on first use.
 fn closest<'a>(slot: &'a mut Option<ClosestPoint>, surface: &Surface) -> Result<&'a ClosestPoint, RvdError> {
     match slot {
         Some(tree) => Ok(tree),
-        None => {
-            let mesh = TriMesh::new(surface.positions().to_vec(), surface.facets().to_vec())
-                .map_err(|e| RvdError::Internal(format!("the surface was valid before: {e}")))?;
-            Ok(slot.insert(ClosestPoint::new(&mesh)))
-        }
+        None => Ok(slot.insert(closest_points(surface)?)),
     }
 }

@@ -31,7 +31,7 @@ use std::time::Instant;
 use glam::DVec3;
 
 use crate::cvt::density::{self, Count, DensityError, DensityOptions, Plan};
-use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
+use crate::cvt::{Cvt, CvtOptions, Iteration, Projection, closest_points};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::closest_point::ClosestPoint;
@@ -247,7 +247,7 @@ pub fn remesh(
     let mut clock = Clock::start();
     observer.stage("prepare");
     let (input, prepared) = rayon::join(|| InputFigures::of(mesh), || prepare(mesh, options, cancel));
-    let (plan, surface, mut kept) = prepared?;
+    let Prepared { plan, surface, mut kept, closest } = prepared?;
     let mut timings = Timings { prepare: clock.lap(), ..Timings::default() };
     cancel.check()?;
 
@@ -260,6 +260,7 @@ pub fn remesh(
     let max_seeds = options.refine.map_or(0, |r| r.max_points);
     let mut cvt =
         Cvt::new(backend, Arc::clone(&surface), &first, CvtOptions { projection: options.projection, max_seeds })?;
+    cvt.bring_closest(closest);
     if !kept.seeds.is_empty() {
         cvt.keep_curves(kept.seeds.clone())?;
     }
@@ -317,16 +318,23 @@ pub fn remesh(
     Ok(Remesh { mesh: built.mesh, vertex_seed: built.vertex_seed, curve_edges, seeds, report, attributes, provenance })
 }
 
-/// The plan, the surface that it is for and the curves on it.
-fn prepare<'a>(
-    mesh: &'a TriMesh,
-    options: &RemeshOptions,
-    cancel: &CancelFlag,
-) -> Result<(Plan<'a>, Arc<Surface>, curves::Kept), RemeshError> {
+/// What steps begin with.
+struct Prepared<'a> {
+    plan: Plan<'a>,
+    /// The surface that the plan is for,
+    surface: Arc<Surface>,
+    /// the curves on it,
+    kept: curves::Kept,
+    /// and what answers for its closest points, unit frame.
+    closest: ClosestPoint,
+}
+
+fn prepare<'a>(mesh: &'a TriMesh, options: &RemeshOptions, cancel: &CancelFlag) -> Result<Prepared<'a>, RemeshError> {
     let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?;
     let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
-    let kept = curves::Kept::find(mesh, &plan, &surface, options)?;
-    Ok((plan, surface, kept))
+    let find = || curves::Kept::find(mesh, &plan, &surface, options);
+    let (kept, closest) = rayon::join(find, || closest_points(&surface));
+    Ok(Prepared { kept: kept?, closest: closest?, plan, surface })
 }
 
 /// Times that seeds are moved to what the result missed, and that they are added where a tolerance was given.

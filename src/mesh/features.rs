@@ -116,7 +116,8 @@ impl Features {
         }
         let adjacency = Adjacency::new(mesh);
         let class = adjacency.representative();
-        let (bent, boundary) = classify(mesh, positions, &adjacency, options.crease_angle_deg);
+        let bends = Bends::new(mesh, positions, &adjacency);
+        let (bent, boundary) = classify(mesh, &bends, &adjacency, options.crease_angle_deg);
         let mut graph = Graph::default();
         let must = |kind| What { kind, kept: true, angle: 180.0 };
         boundary.iter().for_each(|&e| graph.insert(e, must(CurveKind::Boundary)));
@@ -134,7 +135,6 @@ impl Features {
         }
         let left_out = graph.prune(positions, options.shortest);
         if options.alone > 0.0 && options.crease_angle_deg > 0.0 {
-            let bends = Bends::new(mesh, positions, &adjacency);
             bends.add_ridges(&mut graph, options.crease_angle_deg, options.alone, options.shortest);
         }
         let (curves, corners) = graph.curves(positions, options.reach);
@@ -190,8 +190,7 @@ fn all_edges<'a>(mesh: &'a TriMesh, adjacency: &'a Adjacency) -> impl Iterator<I
 }
 
 /// Edges that are bent by more than `angle` degrees, with their angles, and boundary edges; both ascending.
-fn classify(mesh: &TriMesh, positions: &[DVec3], adjacency: &Adjacency, angle: f64) -> (Vec<(Edge, f64)>, Vec<Edge>) {
-    let bends = Bends::new(mesh, positions, adjacency);
+fn classify(mesh: &TriMesh, bends: &Bends<'_>, adjacency: &Adjacency, angle: f64) -> (Vec<(Edge, f64)>, Vec<Edge>) {
     let (mut bent, mut boundary) = (Vec::new(), Vec::new());
     for (half, e) in all_edges(mesh, adjacency).enumerate() {
         match (adjacency.kind(half), adjacency.opposite(half)) {

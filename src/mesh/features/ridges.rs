@@ -7,6 +7,7 @@
 //! Invariant: depends on the mesh alone. Must not know: seeds, diagrams.
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::{Edge, Graph, What, edge};
 use crate::mesh::TriMesh;
@@ -18,6 +19,8 @@ const FAINT: f64 = 0.5;
 const BESIDE: f64 = 0.55;
 /// What goes on from the free end of a crease is at least this share of that length, other ridges all of it.
 const LEAST: f64 = 0.6;
+/// Half-edges per task.
+const CHUNK: usize = 8192;
 /// Facets that are looked at on either side, at most.
 const MOST_FACETS: usize = 200;
 
@@ -26,11 +29,18 @@ pub(super) struct Bends<'a> {
     mesh: &'a TriMesh,
     positions: &'a [DVec3],
     adjacency: &'a Adjacency,
+    /// Of each edge, by the lower one of its half-edges; no number where there is none.
+    degrees: Vec<f64>,
 }
 
 impl<'a> Bends<'a> {
     pub(super) fn new(mesh: &'a TriMesh, positions: &'a [DVec3], adjacency: &'a Adjacency) -> Self {
-        Self { mesh, positions, adjacency }
+        let mut bends = Self { mesh, positions, adjacency, degrees: Vec::new() };
+        let halves = (0..3 * mesh.facets().len()).into_par_iter().with_min_len(CHUNK);
+        let lower = |half: usize| adjacency.opposite(half).is_some_and(|other| half < other);
+        let degrees = halves.map(|half| if lower(half) { bends.measure(half) } else { None }.unwrap_or(f64::NAN));
+        bends.degrees = degrees.collect();
+        bends
     }
 
     fn corners(&self, f: usize) -> [DVec3; 3] {
@@ -44,6 +54,10 @@ impl<'a> Bends<'a> {
 
     /// By how much the surface is bent at a half-edge, degrees; `None` where it has not two facets with an area.
     pub(super) fn at(&self, half: usize) -> Option<f64> {
+        Some(self.degrees[half.min(self.adjacency.opposite(half)?)]).filter(|bend| !bend.is_nan())
+    }
+
+    fn measure(&self, half: usize) -> Option<f64> {
         let kind = self.adjacency.kind(half);
         let other = self.adjacency.opposite(half)?;
         // A facet without area has no normal, and says nothing of a bend.
