@@ -329,6 +329,7 @@ struct Prepared<'a> {
     closest: ClosestPoint,
 }
 
+/// All that depends on the mesh and the options alone.
 fn prepare<'a>(mesh: &'a TriMesh, options: &RemeshOptions, cancel: &CancelFlag) -> Result<Prepared<'a>, RemeshError> {
     let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?;
     let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);

@@ -38,7 +38,7 @@ const FAST: f64 = MOST;
 /// that they serve for nearly twice as long.
 const ALIKE: f64 = 0.5;
 const AHEAD: f64 = 0.8;
-/// They are made anew where more than this share of the seeds are strays, and more than so many.
+/// Lists are made anew where more than this share of the seeds are strays, and more than so many.
 const ASTRAY: f64 = 1.0 / 32.0;
 const A_FEW: usize = 2;
 /// Seeds around a seed that are looked at for one that it could meet.

@@ -40,7 +40,7 @@ pub(super) struct Reach {
 }
 
 impl Reach {
-    /// Of seed `i`, which was at `origin` when lists were made.
+    /// Of a seed that has its slack about `origin`.
     pub(super) fn new(corner: &[DVec3; 3], origin: DVec3, slack: f64) -> Self {
         Self { corner: *corner, most: corner.map(|c| (c.distance(origin) + slack) * ROOM) }
     }
@@ -72,12 +72,6 @@ impl Reach {
 pub(super) struct Bounds {
     pub low: DVec3,
     pub high: DVec3,
-}
-
-impl Default for Bounds {
-    fn default() -> Self {
-        Self::NONE
-    }
 }
 
 impl Bounds {
