@@ -45,7 +45,7 @@ pub use report::Report;
 use report::{
     DeviceFigures, InputFigures, MemoryFigures, RefineFigures, ResultFigures, RvdFigures, Timings, topology_changes,
 };
-use steps::{Refinement, Steps};
+use steps::Steps;
 
 /// Where the first seeds come from.
 #[derive(Clone, Debug)]
@@ -121,7 +121,7 @@ pub struct RemeshOptions {
     pub crease_angle_deg: f64,
     /// Edges that are creases whatever their angle, two vertices each.
     pub creases: Vec<[u32; 2]>,
-    /// Adds seeds where the result is too far from the input; `None` only moves some there.
+    /// Adds seeds where the result is too far from the input; `None` adds none.
     pub refine: Option<Refine>,
     /// Whether boundaries get seeds of their own, so that they do not shrink.
     pub keep_boundaries: bool,
@@ -338,19 +338,18 @@ fn prepare<'a>(mesh: &'a TriMesh, options: &RemeshOptions, cancel: &CancelFlag) 
     Ok(Prepared { kept: kept?, closest: closest?, plan, surface })
 }
 
-/// Times that seeds are moved to what the result missed, and that they are added where a tolerance was given.
-const MOVING_ROUNDS: usize = 1;
+/// Times that seeds are added where a tolerance was given,
 const ADDING_ROUNDS: usize = 8;
-/// What was moved took more steps, after which facets are better; its result may be so much farther from the input, since
-/// the farthest places have yet to be mended.
-const MOVED_SLACK: f64 = 1.1;
-/// One more round follows where seeds are left without a vertex. Its result may be so much farther from the input.
-const COUNT_SLACK: f64 = 1.25;
-/// Rounds of that kind, at most.
+/// and that seeds are moved which are left without a vertex.
 const LOST_ROUNDS: usize = 1;
+/// The result of a round may be so much farther from the input than the one before, since another place may come out worse
+/// than those that seeds were added to: more seeds are better all the same, unless it is much worse.
+const ADDED_SLACK: f64 = 2.0;
+/// And so much where fewer seeds are left without a vertex.
+const LOST_SLACK: f64 = 1.25;
 
-/// The result of the present seeds, or of better ones as long as it is far from the input somewhere, and the
-/// seeds that it is of, caller's coordinates.
+/// The result of the present seeds, or of better ones as long as it is farther from the input than it may be or seeds are
+/// left without a vertex, and the seeds that it is of, caller's coordinates.
 fn settle(
     mesh: &TriMesh,
     kept: &curves::Kept,
@@ -367,7 +366,7 @@ fn settle(
     let mut session = backend.exact_session(Arc::clone(&surface), exact)?;
     let rounds = match (options.refine, options.placement) {
         (Some(_), _) => ADDING_ROUNDS,
-        (None, Placement::Fitted) if options.newton > 0 => MOVING_ROUNDS,
+        (None, Placement::Fitted) if options.newton > 0 => LOST_ROUNDS,
         _ => 0,
     };
     let tolerance = options.refine.map(|r| r.tolerance * surface.frame().scale);
@@ -390,25 +389,20 @@ fn settle(
         let draft = rayon::scope(|_| source.draft(&dual, seeds))?;
         timings.repair += clock.lap();
         let missed = draft.missed();
-        // Another place may come out worse than those that seeds were sent to. More seeds, and more steps, are better all
-        // the same, unless it is much worse.
-        let slack = |before: &build::Missed| match tolerance {
-            Some(_) => 2.0,
-            None if missed.lost.len() < before.lost.len() => COUNT_SLACK,
-            None => MOVED_SLACK,
+        let is_better = |before: &build::Missed| match tolerance {
+            Some(_) => missed.deviation < ADDED_SLACK * before.deviation,
+            None => missed.lost.len() < before.lost.len() && missed.deviation < LOST_SLACK * before.deviation,
         };
-        let better = best.as_ref().is_none_or(|(_, before, _)| missed.deviation < slack(before) * before.deviation);
-        if better {
+        if best.as_ref().is_none_or(|(_, before, _)| is_better(before)) {
             steps.rvd.of_dual(&dual, &surface);
             best = Some((draft, missed.clone(), cvt.seeds()?));
         }
-        let what = match tolerance {
-            Some(_) => Refinement::Add,
-            None if round < rounds => Refinement::Move,
-            None => Refinement::MoveLost,
-        };
-        let over = rounds == 0 || round >= rounds + if tolerance.is_none() && better { LOST_ROUNDS } else { 0 };
-        if over || !steps.refine(cvt, &missed, what)? {
+        let goes_on = round < rounds
+            && match tolerance {
+                Some(_) => steps.add(cvt, &missed.places)?,
+                None => steps.move_lost(cvt, &missed)?,
+            };
+        if !goes_on {
             break;
         }
         timings.refine += clock.lap();

@@ -23,6 +23,11 @@ impl Around {
         Self { first, facets: list }
     }
 
+    /// How many vertices there are.
+    pub(super) fn vertices(&self) -> usize {
+        self.first.len() - 1
+    }
+
     /// Facets around vertex `v`, ascending.
     pub(super) fn of(&self, v: u32) -> &[u32] {
         &self.facets[self.first[v as usize] as usize..self.first[v as usize + 1] as usize]

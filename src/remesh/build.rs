@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::fences::Fences;
 use super::ground::Ground;
 use super::grouped::Grouped;
-use super::mend::Bench;
+use super::mend::{Bench, Vain};
 use super::report::RepairFigures;
 use super::tips::Tip;
 use super::{Placement, RemeshError, curves, fit, flips, notches, polish, regular, repair};
@@ -169,7 +169,10 @@ impl Source<'_> {
         let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
         let mut bench = Bench::new(positions, &mut draft.facets, &rails, curves, &ground);
         // What is irregular has more room before its places are mended; some that has not then, has it after.
-        let changed = regular::valences(&mut bench) + bench.mend(far) + regular::valences(&mut bench);
+        let mut vain = Vain::default();
+        let mut changed = regular::valences(&mut bench, &mut vain);
+        changed += bench.mend(far);
+        changed += regular::valences(&mut bench, &mut vain);
         if changed == 0 && missed.places.is_empty() {
             return 0;
         }

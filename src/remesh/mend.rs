@@ -7,7 +7,7 @@
 //! than the worst one there was, valences stay between 5 and 7 where they were. Deterministic.
 //! Must not know: seeds, diagrams, files.
 
-use std::collections::{BinaryHeap, HashSet};
+use std::collections::{BinaryHeap, HashMap, HashSet};
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -26,7 +26,7 @@ const FEW: usize = 8;
 /// A place is mended if it comes nearer by this factor.
 const GAIN: f64 = 0.95;
 /// Places that could not be mended, at most; and those that were: so many, and this share of the vertices.
-const FAILURES: usize = 4;
+const FAILURES: usize = 8;
 const PLACES: usize = 4;
 const SHARE: f64 = 0.001;
 /// What is nearer than this share of a place that could not be mended is left alone.
@@ -85,6 +85,9 @@ pub(super) struct Bench<'a> {
     on_rim: Vec<bool>,
     /// Edges that stay, lower end first.
     curves: HashSet<[u32; 2]>,
+    /// Patches that were put back so far, and by vertex the last of them that it was in; 0 if it was in none.
+    edits: u32,
+    edited: Vec<u32>,
 }
 
 impl<'a> Bench<'a> {
@@ -99,16 +102,19 @@ impl<'a> Bench<'a> {
         let around = Around::new(positions.len(), facets);
         let on_rim = on_rim(facets, &around, positions.len());
         let free = rails.iter().zip(&on_rim).map(|(r, rim)| *r == Rail::Free && !rim).collect();
-        Self { positions, facets, stars: Stars::new(around), ground, free, on_rim, curves }
+        let edited = vec![0; positions.len()];
+        Self { positions, facets, stars: Stars::new(around), ground, free, on_rim, curves, edits: 0, edited }
     }
 
     pub(super) fn scene(&self) -> Scene<'_> {
-        let Self { positions, facets, stars, ground, free, on_rim, curves } = self;
+        let Self { positions, facets, stars, ground, free, on_rim, curves, .. } = self;
         Scene { positions, facets, stars, ground, free, on_rim, curves }
     }
 
     pub(super) fn put_back(&mut self, patch: &Patch) {
         patch.apply(self.positions, self.facets, &mut self.stars);
+        self.edits += 1;
+        patch.vertices().iter().for_each(|&v| self.edited[v as usize] = self.edits);
     }
 
     /// From now on an edge stays.
@@ -118,29 +124,39 @@ impl<'a> Bench<'a> {
 
     /// Puts in what `better` makes of the patch around each of `middles`, one after the other. Many are made at the same
     /// time: what a patch was made from is known, and it is made again where that has changed since. So the result is
-    /// the same whatever the number of threads. Returns how many were put in.
+    /// the same whatever the number of threads. Returns how many were put in; what came to nothing is `vain` from then on,
+    /// and is not tried again where nothing has changed.
     pub(super) fn change(
         &mut self,
         middles: &[u32],
+        vain: &mut Vain,
         better: impl Fn(&Scene<'_>, u32) -> Option<Patch> + Sync,
     ) -> usize {
         let mut done = 0;
         for middles in middles.chunks(AT_ONCE) {
-            let scene = self.scene();
-            let make = |&v: &u32| (better(&scene, v), around(&scene, v));
-            let made: Vec<(Option<Patch>, Seen)> = middles.par_iter().map(make).collect();
-            let mut changed = HashSet::new();
+            let (now, scene) = (self.edits, self.scene());
+            let make = |&v: &u32| {
+                let seen = seen(&scene, v);
+                let is_vain = vain.0.get(&v).is_some_and(|&then| !self.is_changed(&seen, then));
+                (if is_vain { None } else { better(&scene, v) }, seen)
+            };
+            let made: Vec<(Option<Patch>, Vec<u32>)> = middles.par_iter().map(make).collect();
             for (&v, (patch, seen)) in middles.iter().zip(made) {
-                let is_stale = !changed.is_empty() && seen.all.iter().any(|u| changed.contains(u));
-                let patch = if is_stale { better(&self.scene(), v) } else { patch };
+                let patch = if self.is_changed(&seen, now) { better(&self.scene(), v) } else { patch };
                 if let Some(patch) = patch {
-                    changed.extend(if is_stale { around(&self.scene(), v).own } else { seen.own });
                     self.put_back(&patch);
                     done += 1;
+                } else {
+                    vain.0.insert(v, self.edits);
                 }
             }
         }
         done
+    }
+
+    /// Whether any of some vertices was in a patch that was put back after so many others.
+    fn is_changed(&self, vertices: &[u32], edits: u32) -> bool {
+        vertices.iter().any(|&v| self.edited[v as usize] > edits)
     }
 
     /// Mends the places that are farthest from the input; the result is `far` from it around each vertex, about.
@@ -149,33 +165,39 @@ impl<'a> Bench<'a> {
         let mut heap = first_places(&self.scene(), far);
         let mut floor = 0.0f64;
         let mut few = FEW;
+        let mut vain = Vain::default();
         let (mut left, mut failures, mut mended) = (PLACES + (SHARE * far.len() as f64) as usize, 0, 0);
         while let Some(place) = heap.pop() {
             if place.far < floor || left == 0 || failures == FAILURES {
                 break;
             }
-            let patch = Patch::around(&self.scene(), place.vertex);
+            let v = place.vertex;
+            if vain.0.get(&v).is_some_and(|&then| !self.is_changed(&seen(&self.scene(), v), then)) {
+                continue;
+            }
+            let patch = Patch::around(&self.scene(), v);
             let now = patch.distance();
             if now.middle < FAR * patch.edge() {
                 continue;
             }
             if now.middle < 0.98 * place.far {
                 // Something else was changed beside it.
-                heap.push(Place { far: now.middle, vertex: place.vertex });
+                heap.push(Place { far: now.middle, vertex: v });
                 continue;
             }
             let is_near = now.middle < NOT_SO_FAR * patch.edge();
             if is_near && few == 0 {
                 break;
             }
-            if let Some((better, far)) = better(&patch) {
+            if let Some(better) = better(&patch) {
                 self.put_back(&better);
                 mended += 1;
                 left -= 1;
                 few -= usize::from(is_near);
-                // As far as anything there may be now.
-                heap.extend(better.inner().map(|vertex| Place { far, vertex }));
+                let inner: Vec<u32> = better.inner().collect();
+                heap.extend(places(&self.scene(), inner));
             } else {
+                vain.0.insert(v, self.edits);
                 failures += 1;
                 floor = floor.max(ENOUGH * now.middle);
             }
@@ -184,16 +206,12 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// Vertices that a patch depends on.
-struct Seen {
-    /// Its own, which may change with it.
-    own: Vec<u32>,
-    /// And the corners of all facets around these.
-    all: Vec<u32>,
-}
+/// Vertices around which nothing better was found, with how many patches had been put back by then.
+#[derive(Default)]
+pub(super) struct Vain(HashMap<u32, u32>);
 
-/// Those of the patch around a vertex.
-fn around(scene: &Scene<'_>, middle: u32) -> Seen {
+/// Vertices that the patch around one depends on: its own and the corners of all facets around these.
+fn seen(scene: &Scene<'_>, middle: u32) -> Vec<u32> {
     let ring = |vertices: &[u32]| {
         let facets = vertices.iter().flat_map(|&v| scene.stars.of(v));
         let mut ring: Vec<u32> = facets.flat_map(|&f| scene.facets[f as usize]).collect();
@@ -201,8 +219,7 @@ fn around(scene: &Scene<'_>, middle: u32) -> Seen {
         ring.dedup();
         ring
     };
-    let own = ring(&ring(&[middle]));
-    Seen { all: ring(&own), own }
+    ring(&ring(&ring(&[middle])))
 }
 
 /// Vertices around which the result is far from the input, of those that seem to be.
@@ -213,15 +230,20 @@ fn first_places(scene: &Scene<'_>, far: &[f64]) -> BinaryHeap<Place> {
         let longest = ring.map(|u| scene.positions[u as usize].distance(p)).fold(0.0, f64::max);
         (far > SEEMS * FAR * longest).then_some(Place { far, vertex })
     };
-    let mut places: Vec<Place> = far.iter().zip(0..).filter_map(seems).collect();
-    places.sort_by(|a, b| b.cmp(a));
-    places.truncate(LOOKED_AT);
-    let exact = |place: Place| {
-        let (far, edge) = distance_at(scene, place.vertex);
-        (far > FAR * edge).then_some(Place { far, ..place })
+    let mut seeming: Vec<Place> = far.iter().zip(0..).filter_map(seems).collect();
+    seeming.sort_by(|a, b| b.cmp(a));
+    seeming.truncate(LOOKED_AT);
+    places(scene, seeming.into_iter().map(|place| place.vertex).collect()).collect()
+}
+
+/// Those of some vertices around which the result is far from the input.
+fn places(scene: &Scene<'_>, vertices: Vec<u32>) -> impl Iterator<Item = Place> + use<> {
+    let of = |vertex: u32| {
+        let (far, edge) = distance_at(scene, vertex);
+        (far > FAR * edge).then_some(Place { far, vertex })
     };
-    let places: Vec<Option<Place>> = places.into_par_iter().map(exact).collect();
-    places.into_iter().flatten().collect()
+    let places: Vec<Option<Place>> = vertices.into_par_iter().map(of).collect();
+    places.into_iter().flatten()
 }
 
 /// What is done to a patch before its vertices move.
@@ -233,8 +255,8 @@ enum Trial {
     Turn(usize, usize),
 }
 
-/// The patch with its middle nearer to the input, if that can be had, and how far anything in it is then.
-fn better(patch: &Patch) -> Option<(Patch, f64)> {
+/// The patch with its middle nearer to the input, if that can be had.
+fn better(patch: &Patch) -> Option<Patch> {
     let now = patch.distance();
     let least = patch.worst().min(LEAST);
     let (goal, sharpest) = (GAIN * now.middle, patch.sharpest());
@@ -264,7 +286,7 @@ fn better(patch: &Patch) -> Option<(Patch, f64)> {
         fine.then_some((patch, then.middle.max(then.rest)))
     };
     if now.middle < NOT_SO_FAR * patch.edge()
-        && let Some(easy) = first(&Trial::AsItIs).filter(|b| b.0 < EASY).and_then(|(_, patch)| last(patch))
+        && let Some((easy, _)) = first(&Trial::AsItIs).filter(|b| b.0 < EASY).and_then(|(_, patch)| last(patch))
     {
         return Some(easy);
     }
@@ -276,7 +298,7 @@ fn better(patch: &Patch) -> Option<(Patch, f64)> {
     begun.truncate(FINISHED);
     let done: Vec<Option<(Patch, f64)>> = begun.into_par_iter().map(|(_, patch)| last(patch)).collect();
     // The first of the best.
-    done.into_iter().flatten().reduce(|a, b| if b.1 < a.1 { b } else { a })
+    done.into_iter().flatten().reduce(|a, b| if b.1 < a.1 { b } else { a }).map(|(patch, _)| patch)
 }
 
 /// Whether each vertex is on an edge with one facet.

@@ -256,7 +256,8 @@ impl Patch {
         self.edge
     }
 
-    /// Squared distance of `p` from those of the input's facets that `near` names, or 0 if it is below `enough`.
+    /// Squared distance of `p` from those of the input's facets that `near` names, or something between that and `enough`.
+    /// The one that `hint` says is looked at first, and the nearest one left there.
     fn rocks_distance(&self, p: DVec3, near: &[usize], hint: &mut usize, enough: f64) -> f64 {
         let (mut best, mut root) = (f64::INFINITY, f64::INFINITY);
         let known = *hint;
@@ -272,7 +273,7 @@ impl Patch {
             if squared < best {
                 (best, root, *hint) = (squared, squared.sqrt(), k);
                 if best < enough {
-                    return 0.0;
+                    return best;
                 }
             }
         }
@@ -453,7 +454,7 @@ impl Patch {
     fn improve(&mut self, v: usize, worst: f64, step: f64) -> bool {
         let mut view = View::new(self, v, worst, step);
         let here = self.at[v];
-        let mut best = (view.cost(here, f64::INFINITY), here);
+        let mut best = (view.cost_here(step), here);
         if best.0 <= 0.0 {
             return false;
         }
@@ -477,6 +478,11 @@ impl Patch {
         }
         self.put(v, best.1);
         true
+    }
+
+    /// All its vertices, numbers in the result.
+    pub(super) fn vertices(&self) -> &[u32] {
+        &self.vertices
     }
 
     /// Vertices of the result that have all their facets in it.

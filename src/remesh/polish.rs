@@ -87,11 +87,19 @@ fn move_vertices(positions: &mut [DVec3], start: &[DVec3], facets: &[[u32; 3]], 
         vertices.sort_unstable();
         vertices.dedup();
     }
+    // Who stayed stays, as long as nobody beside it moves.
+    let mut is_due = vec![true; positions.len()];
     for _ in 0..SWEEPS {
         let mut moved = false;
         for &v in &vertices {
+            if !std::mem::replace(&mut is_due[v as usize], false) {
+                continue;
+            }
             let star = Star { around: around.of(v), facets, normals: &normals, v };
-            moved |= star.improve(positions, start, bounds);
+            if star.improve(positions, start, bounds) {
+                moved = true;
+                star.around.iter().flat_map(|&f| facets[f as usize]).for_each(|u| is_due[u as usize] = true);
+            }
         }
         if !moved {
             return;

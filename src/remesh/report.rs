@@ -82,12 +82,13 @@ pub struct InputFigures {
     pub topology: Topology,
 }
 
-/// What was done after the iterations: curves cleared, seeds moved or added where the result was far from the input.
+/// What was done after the iterations: curves cleared, seeds moved that had no vertex or added where the result was far from
+/// the input.
 #[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
 pub struct RefineFigures {
     /// Rounds in which seeds were moved or added.
     pub rounds: usize,
-    /// Seeds moved to places that were missed.
+    /// Seeds without a vertex that were moved to where edges are long.
     pub moved_seeds: usize,
     /// Seeds added there.
     pub added_seeds: usize,

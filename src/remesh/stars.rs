@@ -3,25 +3,28 @@
 //! Purpose: as [`Around`], and keeps up with facets that are replaced.
 //! Invariant: facets of a vertex ascend. Must not know: why facets change.
 
-use std::collections::HashMap;
-
 use super::around::Around;
+
+/// A vertex whose facets are as they were.
+const AS_BEFORE: u32 = u32::MAX;
 
 /// See the module's head.
 pub(super) struct Stars {
     base: Around,
-    changed: HashMap<u32, Vec<u32>>,
+    /// By vertex, which of `changed` has its facets.
+    place: Vec<u32>,
+    changed: Vec<Vec<u32>>,
 }
 
 impl Stars {
     /// Of a triangulation as it is.
     pub(super) fn new(base: Around) -> Self {
-        Self { base, changed: HashMap::new() }
+        Self { place: vec![AS_BEFORE; base.vertices()], base, changed: Vec::new() }
     }
 
     /// Facets around vertex `v`, ascending.
     pub(super) fn of(&self, v: u32) -> &[u32] {
-        self.changed.get(&v).map_or_else(|| self.base.of(v), Vec::as_slice)
+        self.changed.get(self.place[v as usize] as usize).map_or_else(|| self.base.of(v), Vec::as_slice)
     }
 
     /// Facet `f` had the corners `old` and has the corners `new`.
@@ -37,8 +40,12 @@ impl Stars {
     }
 
     fn edit(&mut self, v: u32) -> &mut Vec<u32> {
-        let base = &self.base;
-        self.changed.entry(v).or_insert_with(|| base.of(v).to_vec())
+        let place = &mut self.place[v as usize];
+        if *place == AS_BEFORE {
+            *place = self.changed.len() as u32;
+            self.changed.push(self.base.of(v).to_vec());
+        }
+        &mut self.changed[*place as usize]
     }
 }
 

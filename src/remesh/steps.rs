@@ -1,7 +1,7 @@
 //! The steps of a remesh.
 //!
 //! Purpose: Lloyd and quasi-Newton steps until they converge or are used up; steps that clear the curves; and
-//! rounds in which seeds go, or are added, where the result is far from the input.
+//! rounds in which seeds are added where the result is far from the input, or moved where they have no vertex.
 //! Invariant: what is reported as iterations are the steps that were asked for; the others are counted apart.
 //! Must not know: how a surface is made of the seeds.
 
@@ -19,17 +19,6 @@ const CLEARINGS: usize = 2;
 const CLEARING_STEPS: usize = 3;
 /// Steps after seeds were moved or added for what was missed.
 const REFINING_STEPS: usize = 6;
-
-/// What is done about what a result missed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Refinement {
-    /// The nearest seeds go there, and those without a vertex where edges are long.
-    Move,
-    /// Only those without a vertex move.
-    MoveLost,
-    /// New ones do.
-    Add,
-}
 
 /// Takes the steps of one remesh.
 pub(super) struct Steps<'a> {
@@ -89,33 +78,30 @@ impl Steps<'_> {
         Ok(())
     }
 
-    /// Sends seeds to places that were missed, or adds them there, and lets the others settle. Seeds without a vertex
-    /// go where edges are long. Returns whether there was anything to do.
-    pub(super) fn refine(&mut self, cvt: &mut Cvt, missed: &Missed, what: Refinement) -> Result<bool, RemeshError> {
-        let curves = cvt.curves().len() as u32;
-        let changed = if what == Refinement::Add {
-            // Where a seed is already, another would only be its twin.
-            let seeds = cvt.unit_seeds()?;
-            let apart = |p: &&(u32, DVec3)| seeds[p.0 as usize].distance(p.1) > TWINS;
-            let places: Vec<DVec3> = missed.places.iter().filter(apart).map(|p| p.1).collect();
-            let added = cvt.pin(&[], &places)?;
-            self.refine.added_seeds += added;
-            added
-        } else {
-            let free = |&(seed, _): &(u32, DVec3)| seed >= curves && !cvt.is_held(seed);
-            let most = (cvt.len() as f64 * LARGEST_SHARE) as usize;
-            let mut pins: Vec<(u32, DVec3)> = match what {
-                Refinement::Move => missed.places.iter().copied().filter(free).take(most).collect(),
-                _ => Vec::new(),
-            };
-            // Where they were lost, as on a flap whose sides close back to back, they would be lost again.
-            pins.extend(missed.lost.iter().copied().zip(missed.room.iter().copied()));
-            if !pins.is_empty() {
-                cvt.pin(&pins, &[])?;
-            }
-            self.refine.moved_seeds += pins.len();
-            pins.len()
-        };
+    /// Adds seeds at places that were missed, each with the seed nearest to it, and lets the others settle. Returns
+    /// whether there was anything to do.
+    pub(super) fn add(&mut self, cvt: &mut Cvt, places: &[(u32, DVec3)]) -> Result<bool, RemeshError> {
+        // Where a seed is already, another would only be its twin.
+        let seeds = cvt.unit_seeds()?;
+        let apart = |p: &&(u32, DVec3)| seeds[p.0 as usize].distance(p.1) > TWINS;
+        let places: Vec<DVec3> = places.iter().filter(apart).map(|p| p.1).collect();
+        let added = cvt.pin(&[], &places)?;
+        self.refine.added_seeds += added;
+        self.settle(cvt, added)
+    }
+
+    /// Sends seeds without a vertex to where edges are long, and lets the others settle. Returns whether there was
+    /// anything to do.
+    pub(super) fn move_lost(&mut self, cvt: &mut Cvt, missed: &Missed) -> Result<bool, RemeshError> {
+        let pins: Vec<(u32, DVec3)> = missed.lost.iter().copied().zip(missed.room.iter().copied()).collect();
+        if !pins.is_empty() {
+            cvt.pin(&pins, &[])?;
+        }
+        self.refine.moved_seeds += pins.len();
+        self.settle(cvt, pins.len())
+    }
+
+    fn settle(&mut self, cvt: &mut Cvt, changed: usize) -> Result<bool, RemeshError> {
         if changed > 0 {
             self.refine.rounds += 1;
             self.more(cvt, REFINING_STEPS)?;
@@ -126,5 +112,3 @@ impl Steps<'_> {
 
 /// Seeds nearer to each other than this, unit frame, are in one place.
 const TWINS: f64 = 1e-9;
-/// Seeds that are sent to places that were missed, at most, as a share of all.
-const LARGEST_SHARE: f64 = 0.02;

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::measure::{Load, Timed, Worker, cancel_flag, mesh};
 use super::output::{OutputArgs, head, ratio, report};
@@ -17,6 +17,7 @@ use crate::cli::remesh::DensityArg;
 use crate::config::BackendArgs;
 use crate::cvt::StepKind;
 use crate::cvt::density::DensityOptions;
+use crate::mesh::TriMesh;
 use crate::mesh::shapes::Shape;
 use crate::picture::chart::{Axis, Figure, Panel, Series};
 use crate::remesh::Seeds;
@@ -47,7 +48,8 @@ pub(super) struct CvtBenchArgs {
     /// Steps of each kind that are timed.
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     iterations: u32,
-    /// Compare adaptive seeds of this density with uniform ones.
+    /// Compare adaptive seeds of this density with uniform ones: on the surface as it is, and with those facets halved that
+    /// are for this density, where it changes fast beside them.
     #[arg(long, value_enum, default_value_t)]
     density: DensityArg,
     /// Who works.
@@ -60,6 +62,8 @@ pub(super) struct CvtBenchArgs {
 
 /// One density's figures.
 struct Measured {
+    /// The density, and whose facets.
+    name: String,
     load: Load,
     lloyd: Timed,
     lbfgs: Timed,
@@ -80,59 +84,61 @@ pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
     let cancel = cancel_flag()?;
     let mut worker = Worker::one(&args.backend)?;
     worker.keep_time()?;
-    let densities = match args.density {
-        DensityArg::Uniform => vec![DensityArg::Uniform],
-        adaptive => vec![DensityArg::Uniform, adaptive],
-    };
-    let mut measured: Vec<Measured> = Vec::new();
-    for density in densities {
-        let options = DensityOptions::from_source(density.source());
-        let mut load = Load::new(mesh.clone(), seeds.clone(), options)?;
+    let take = |name: &str, mesh: (String, TriMesh), density: DensityArg| -> Result<Measured> {
+        let mut load = Load::new(mesh, seeds.clone(), DensityOptions::from_source(density.source()))?;
         load.relax(&worker, args.relax as usize, UNLIMITED, &cancel)?;
         let time = |kind| load.time(&worker, kind, args.iterations as usize, UNLIMITED, &cancel);
         let (lloyd, lbfgs) = (time(StepKind::Lloyd)?, time(StepKind::Lbfgs)?);
-        let one = Measured { load, lloyd, lbfgs };
+        let one = Measured { name: name.to_owned(), load, lloyd, lbfgs };
         one.print(&worker);
-        measured.push(one);
-    }
-    let mut adaptive = serde_json::Map::new();
-    if let [uniform, other] = &measured[..] {
-        for (name, of) in [("lloyd", Measured::lloyd as fn(&Measured) -> &Timed), ("lbfgs", Measured::lbfgs)] {
-            let (a, b) = (of(other), of(uniform));
-            let step = ratio(a.step_ms().mean, b.step_ms().mean);
-            let evaluation = ratio(a.evaluation_ms().mean, b.evaluation_ms().mean);
-            let text = |r: Option<f64>| r.map_or("-".to_owned(), |r| format!("{r:.2}"));
-            println!("{} : uniform, {name}: step {}, evaluation {}", other.load.density, text(step), text(evaluation));
-            adaptive.insert(name.to_owned(), json!({ "iteration": step, "evaluation": evaluation }));
+        Ok(one)
+    };
+    let mut measured = vec![take("uniform", mesh.clone(), DensityArg::Uniform)?];
+    if args.density != DensityArg::Uniform {
+        let adaptive = take(args.density.source().name(), mesh.clone(), args.density)?;
+        let (facets, given) = (adaptive.load.surface.facets().len(), mesh.1.facets().len());
+        let divided = adaptive.load.mesh()?;
+        measured.push(adaptive);
+        if facets != given {
+            measured.push(take("uniform on these facets", (mesh.0, divided), DensityArg::Uniform)?);
         }
     }
     let cases = measured.iter().flat_map(|m| [m.lloyd.json(&m.load, &worker), m.lbfgs.json(&m.load, &worker)]);
     let mut report = report(std::slice::from_ref(&worker), cases.collect());
-    let evaluations = measured.iter().map(|m| (m.load.density.to_owned(), json!(m.evaluation_ratio())));
+    let evaluations = measured.iter().map(|m| (m.name.clone(), json!(m.evaluation_ratio())));
     report["lbfgs_evaluation_per_lloyd_evaluation"] = evaluations.collect::<serde_json::Map<_, _>>().into();
-    report["adaptive_per_uniform"] = adaptive.into();
+    // Of these two or three, the second is adaptive.
+    for (key, uniform) in [("adaptive_per_uniform", 0), ("adaptive_per_uniform_on_its_facets", 2)] {
+        if let (Some(adaptive), Some(uniform)) = (measured.get(1), measured.get(uniform)) {
+            report[key] = adaptive.compared_with(uniform);
+        }
+    }
     args.output.write(&report, &figure(&measured, &worker))
 }
 
 impl Measured {
-    fn lloyd(&self) -> &Timed {
-        &self.lloyd
-    }
-
-    fn lbfgs(&self) -> &Timed {
-        &self.lbfgs
-    }
-
     fn evaluation_ratio(&self) -> Option<f64> {
         ratio(self.lbfgs.evaluation_ms().mean, self.lloyd.evaluation_ms().mean)
     }
 
+    /// How much longer its steps take than those of another, as printed.
+    fn compared_with(&self, other: &Self) -> Value {
+        let kinds = [("lloyd", &self.lloyd, &other.lloyd), ("lbfgs", &self.lbfgs, &other.lbfgs)].map(|(kind, a, b)| {
+            let step = ratio(a.step_ms().mean, b.step_ms().mean);
+            let evaluation = ratio(a.evaluation_ms().mean, b.evaluation_ms().mean);
+            let text = |r: Option<f64>| r.map_or("-".to_owned(), |r| format!("{r:.2}"));
+            println!("{} : {}, {kind}: step {}, evaluation {}", self.name, other.name, text(step), text(evaluation));
+            (kind.to_owned(), json!({ "iteration": step, "evaluation": evaluation }))
+        });
+        kinds.into_iter().collect::<serde_json::Map<_, _>>().into()
+    }
+
     fn print(&self, worker: &Worker) {
-        let Self { load, lloyd, lbfgs } = self;
+        let Self { name, load, lloyd, lbfgs } = self;
         println!(
             "{}, {}: {} facets, {} points; {}; {} steps of each kind after {}; phases by {}",
             load.name,
-            load.density,
+            name,
             load.surface.facets().len(),
             load.seeds.len(),
             worker.describe(),
@@ -182,7 +188,7 @@ fn figure(measured: &[Measured], worker: &Worker) -> Figure {
         name: format!("{}, {density}", if timed.kind == StepKind::Lloyd { "Lloyd" } else { "L-BFGS" }),
         points: timed.steps.iter().enumerate().map(|(k, s)| (k as f64 + 1.0, s.ms)).collect(),
     };
-    let series = measured.iter().flat_map(|m| [line(m.load.density, &m.lloyd), line(m.load.density, &m.lbfgs)]);
+    let series = measured.iter().flat_map(|m| [line(&m.name, &m.lloyd), line(&m.name, &m.lbfgs)]);
     let title = measured.first().map(|m| {
         let facets = m.load.surface.facets().len();
         format!("{}: {facets} facets, {} points", m.load.name, m.load.seeds.len())

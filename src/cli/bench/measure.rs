@@ -149,6 +149,12 @@ impl Load {
         Ok(Self { name, surface, seeds: seeds.to_vec(), density: source, relaxed: 0 })
     }
 
+    /// The surface as it was prepared: its facets may have been divided for a density.
+    pub(super) fn mesh(&self) -> Result<TriMesh> {
+        let positions = self.surface.positions().iter().map(|&p| self.surface.frame().to_world(p)).collect();
+        Ok(TriMesh::new(positions, self.surface.facets().to_vec())?)
+    }
+
     /// Moves the seeds by so many Lloyd steps, fewer if `limit` is over.
     pub(super) fn relax(&mut self, by: &Worker, steps: usize, limit: Duration, cancel: &CancelFlag) -> Result<()> {
         let begin = Instant::now();

@@ -1,8 +1,9 @@
 //! What a vertex of a patch sees while it moves.
 //!
 //! Purpose: the cost of a place for one vertex: how far from the input everything is that depends on it, and how
-//! well shaped the facets around it are.
-//! Invariant: nothing changes. Must not know: which places are tried.
+//! well shaped the facets around it are. What was near enough where the vertex is, by more than it can come farther by one
+//! step, is not looked at again: no point of a facet moves farther than its corner does.
+//! Invariant: nothing changes, and costs are those of looking at everything. Must not know: which places are tried.
 
 use glam::DVec3;
 
@@ -21,24 +22,56 @@ const NEAR: f64 = 0.55;
 
 /// Of angles that may be too sharp for a bound this is left to the exact ones.
 const CLEAR: f64 = 1.0 - 1e-9;
+/// So much farther than what is too far for the nearest is left to be compared.
+const BEYOND: f64 = 1.0 + 1e-9;
 /// Squares below this share of the squared bound are below it whatever rounding makes of their roots.
 const SURE: f64 = 1.0 - 1e-12;
+
+/// Points of a spoke that are looked at, as shares of it from the vertex; the vertex's weight is the rest.
+const ON_SPOKE: [f64; 3] = [0.25, 0.5, 0.75];
 
 /// See the module's head.
 pub(super) struct View<'a> {
     patch: &'a Patch,
     v: usize,
     worst: f64,
-    /// Tips that depend on it: number, squared distance to all other facets.
-    tips: Vec<(usize, f64)>,
+    /// Where it is, and the squared distance from the input there, once that is known.
+    here: DVec3,
+    own: f64,
+    /// Tips that depend on it.
+    tips: Vec<SeenTip>,
+    /// Facets of the input that may be nearest to anything of it,
     near: Vec<usize>,
+    /// and to itself.
+    nearest: Vec<usize>,
+    /// What was nearest to it when the last place was looked at: of `nearest`.
+    hint: usize,
+    /// What it sees of each of its facets.
+    around: Vec<SeenFacet>,
     /// An angle is wider than what costs anything where its cosine is less than so many sines.
     wide: f64,
-    /// What was nearest when the last place was looked at, which changes no cost: a facet of the input for the vertex
-    /// and for the middle and the spoke of each of its facets, and a facet for each tip.
-    hints: Vec<usize>,
     /// Corners of the facets with the vertex where it is looked at.
     corners: Vec<[DVec3; 3]>,
+}
+
+/// A vertex of the input that may be near a facet around the vertex.
+struct SeenTip {
+    number: usize,
+    /// Squared distance to all facets that are not around the vertex.
+    other: f64,
+    /// The facet around it that was nearest last.
+    hint: usize,
+}
+
+/// A facet around the vertex.
+struct SeenFacet {
+    /// Which corner comes after the vertex.
+    next: usize,
+    /// Of its inner points and its spoke to that corner: which of `near` was nearest last, and how far they are from it at
+    /// most while the vertex is here.
+    hints: [usize; 2],
+    inner: [f64; 4],
+    spoke: [f64; 3],
 }
 
 impl<'a> View<'a> {
@@ -47,12 +80,17 @@ impl<'a> View<'a> {
         let enough = (NEAR * worst).powi(2);
         let p = patch.at[v];
         let reach = star.iter().flat_map(|&f| patch.facets[f]).map(|u| patch.at[u].distance(p)).fold(0.0, f64::max);
+        // So near that it costs nothing wherever the vertex steps.
+        let settled = (NEAR * worst * CLEAR - step).max(0.0).powi(2);
         let mut tips = Vec::new();
         for (t, tip) in patch.tips.iter().enumerate() {
             if tip.0.distance_squared(p) > (reach + step + worst).powi(2) {
                 continue;
             }
             let row = &patch.apart[t * patch.facets.len()..(t + 1) * patch.facets.len()];
+            if star.iter().any(|&f| row[f] < settled) {
+                continue;
+            }
             let mut other = tip.2;
             for (f, &squared) in row.iter().enumerate() {
                 if squared < other && !star.contains(&f) {
@@ -63,17 +101,46 @@ impl<'a> View<'a> {
                 }
             }
             if other >= enough {
-                tips.push((t, other));
+                tips.push(SeenTip { number: t, other, hint: 0 });
             }
         }
         // Points on its spokes, wherever it steps.
         let near = patch.near(p, 0.8 * reach + step);
-        let hints = vec![0; 1 + 2 * star.len() + tips.len()];
+        let seen = |&facet: &usize| {
+            let next = patch.facets[facet].iter().position(|&u| u == v).map_or(0, |i| (i + 1) % 3);
+            SeenFacet { next, hints: [0; 2], inner: [f64::INFINITY; 4], spoke: [f64::INFINITY; 3] }
+        };
+        let around = star.iter().map(seen).collect();
         let wide = CLEAR / (LEAST + MARGIN).to_radians().tan();
-        Self { patch, v, worst, tips, near, wide, hints, corners: Vec::with_capacity(star.len()) }
+        let corners = Vec::with_capacity(star.len());
+        Self {
+            patch,
+            v,
+            worst,
+            here: p,
+            own: f64::INFINITY,
+            tips,
+            nearest: near.clone(),
+            near,
+            hint: 0,
+            around,
+            wide,
+            corners,
+        }
     }
 
-    /// What all that depends on the vertex costs if it is at `p`; any number not less than `most` if it costs that.
+    /// What all that depends on the vertex costs where it is. To be asked for before places that are at most `step` away.
+    pub(super) fn cost_here(&mut self, step: f64) -> f64 {
+        let cost = self.cost(self.here, f64::INFINITY);
+        // What is farther than the nearest by two steps will not be nearer than that after one.
+        let Self { patch, here, .. } = *self;
+        let most = self.own.sqrt() + 2.0 * step;
+        self.nearest.retain(|&r| here.distance(patch.rocks[r].centre) <= (most + patch.rocks[r].radius) * BEYOND);
+        self.hint = 0;
+        cost
+    }
+
+    /// What it costs if the vertex is at `p`; any number not less than `most` if it costs that.
     pub(super) fn cost(&mut self, p: DVec3, most: f64) -> f64 {
         let patch = self.patch;
         let star = &patch.star[self.v];
@@ -83,26 +150,54 @@ impl<'a> View<'a> {
         if cost >= most {
             return cost;
         }
-        let (hints, of_tips) = self.hints.split_at_mut(1 + 2 * star.len());
-        let enough = (NEAR * self.worst).powi(2);
-        let far = |squared: f64| ((squared.sqrt() / self.worst - NEAR).max(0.0) / (1.0 - NEAR)).powi(3);
-        for (&(t, other), hint) in self.tips.iter().zip(of_tips) {
-            let own = least_distance(patch.tips[t].0, &self.corners, other, SURE * enough, hint);
-            cost += far(own);
+        let Self { worst, here, .. } = *self;
+        let enough = (NEAR * worst).powi(2);
+        let far = |squared: f64| ((squared.sqrt() / worst - NEAR).max(0.0) / (1.0 - NEAR)).powi(3);
+        let moved = here.distance(p);
+        let is_here = moved == 0.0;
+        // What is surely nearer than what costs anything.
+        let near_by = NEAR * worst * CLEAR;
+        for tip in &mut self.tips {
+            let place = patch.tips[tip.number].0;
+            cost += far(least_distance(place, &self.corners, tip.other, SURE * enough, &mut tip.hint));
             if cost >= most {
                 return cost;
             }
         }
-        let own = patch.rocks_distance(p, &self.near, &mut hints[0], 0.0);
-        cost += OFF * own / (self.worst * self.worst) + far(own);
-        for (k, (&f, &corners)) in star.iter().zip(&self.corners).enumerate() {
-            let [a, b, c] = corners;
-            cost += far(patch.rocks_distance((a + b + c) / 3.0, &self.near, &mut hints[1 + 2 * k], enough));
+        let own = patch.rocks_distance(p, &self.nearest, &mut self.hint, 0.0);
+        if is_here {
+            self.own = own;
+        }
+        cost += OFF * own / (worst * worst) + far(own);
+        for (seen, &corners) in self.around.iter_mut().zip(&self.corners) {
+            let look = |place: DVec3, weight: f64, hint: &mut usize, reach: &mut f64| {
+                if *reach + weight * moved < near_by {
+                    return 0.0;
+                }
+                let squared = patch.rocks_distance(place, &self.near, hint, enough);
+                if is_here {
+                    *reach = squared.sqrt();
+                }
+                if squared < enough { 0.0 } else { squared }
+            };
+            let [of_inner, of_spoke] = &mut seen.hints;
+            let centre = (corners[0] + corners[1] + corners[2]) / 3.0;
+            let mut within = 0.0f64;
+            for (k, reach) in seen.inner.iter_mut().enumerate() {
+                // Its centre, and halfway from there to its corners; the one before `next` is the vertex.
+                let (place, weight) = match k {
+                    3 => (centre, 1.0 / 3.0),
+                    _ => (corners[k].lerp(centre, 0.5), if (k + 1) % 3 == seen.next { 2.0 / 3.0 } else { 1.0 / 6.0 }),
+                };
+                within = within.max(look(place, weight, of_inner, reach));
+            }
+            cost += far(within);
             // Each spoke once: the one to the corner after this vertex.
-            let next = (0..3).find(|&i| patch.facets[f][i] == self.v).map_or(0, |i| (i + 1) % 3);
-            let apart = [0.25, 0.5, 0.75]
-                .map(|t| patch.rocks_distance(p.lerp(corners[next], t), &self.near, &mut hints[2 + 2 * k], enough));
-            cost += far(apart.into_iter().fold(0.0, f64::max));
+            let mut apart = 0.0f64;
+            for (&t, reach) in ON_SPOKE.iter().zip(&mut seen.spoke) {
+                apart = apart.max(look(p.lerp(corners[seen.next], t), 1.0 - t, of_spoke, reach));
+            }
+            cost += far(apart);
             if cost >= most {
                 return cost;
             }
