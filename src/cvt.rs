@@ -14,6 +14,7 @@ mod line_search;
 mod relax;
 mod reseed;
 
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -240,13 +241,23 @@ impl Cvt {
         self.pull()?;
         let mut adopted = 0;
         while adopted < MOST_ADOPTED {
-            let Some(&(seed, segment)) = self.curves.intruders(&self.seeds).first() else { break };
-            let place = self.curves.len();
-            self.seeds.swap(place, seed as usize);
-            self.held.swap(place, seed as usize);
-            self.seeds[place] = self.curves.split(segment, curves::BETWEEN / 2);
-            self.held[place] = true;
-            adopted += 1;
+            // One a segment: who comes between the same two may not, when these have another between them. Seeds ascend, so
+            // that none of those to come changes its number.
+            let mut split = HashSet::new();
+            let mut intruders = self.curves.intruders(&self.seeds);
+            intruders.retain(|&(_, segment)| split.insert(segment));
+            intruders.truncate(MOST_ADOPTED - adopted);
+            if intruders.is_empty() {
+                break;
+            }
+            for &(seed, segment) in &intruders {
+                let place = self.curves.len();
+                self.seeds.swap(place, seed as usize);
+                self.held.swap(place, seed as usize);
+                self.seeds[place] = self.curves.split(segment, curves::BETWEEN / 2);
+                self.held[place] = true;
+            }
+            adopted += intruders.len();
         }
         if adopted > 0 {
             self.moved();

@@ -17,6 +17,7 @@ use std::collections::BTreeSet;
 use glam::DVec3;
 
 use path::Path;
+use rayon::prelude::*;
 
 use crate::knn::{NeighbourRow, SeedIndex};
 use crate::mesh::features::{Curve, Features};
@@ -58,6 +59,8 @@ impl Segment {
     }
 }
 
+/// Segments that are not worth a task of their own.
+const SHARE: usize = 256;
 /// Two curves are too close where seeds of them are nearer than this share of their spacing.
 const CROWDED: f64 = 0.45;
 /// or, where they are beside a common corner, than this share.
@@ -252,16 +255,18 @@ impl CurveSeeds {
     /// the middle of the segment than its ends are.
     pub fn intruders(&self, seeds: &[DVec3]) -> Vec<(u32, u32)> {
         let index = SeedIndex::new(seeds);
-        let mut found = Vec::new();
-        for (k, segment) in self.segments.iter().enumerate() {
-            for p in segment.between {
+        let of = |(k, segment): (usize, &Segment)| {
+            let ends = segment.ends.map(|e| seeds[e as usize]);
+            let intruder = |p: DVec3| {
                 let nearest = index.nearest(p);
-                let own = segment.ends.map(|e| seeds[e as usize].distance(p));
-                if nearest as usize >= self.seeds.len() && seeds[nearest as usize].distance(p) < own[0].min(own[1]) {
-                    found.push((nearest, k as u32));
-                }
-            }
-        }
+                let own = ends[0].distance(p).min(ends[1].distance(p));
+                let intrudes = nearest as usize >= self.seeds.len() && seeds[nearest as usize].distance(p) < own;
+                intrudes.then_some((nearest, k as u32))
+            };
+            segment.between.map(intruder).into_iter().flatten()
+        };
+        let segments = self.segments.par_iter().enumerate().with_min_len(SHARE);
+        let mut found: Vec<(u32, u32)> = segments.flat_map_iter(of).collect();
         found.sort_unstable();
         found.dedup_by_key(|f| f.0);
         found

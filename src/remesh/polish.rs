@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use super::around::Around;
 use super::fences::Fences;
 use super::flips;
-use crate::mesh::measure::{facet_quality, least_angle};
+use crate::mesh::measure::{facet_quality, is_wide, least_angle};
 
 /// How a vertex may move.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,6 +52,10 @@ const ACROSS: f64 = 0.095;
 const OFF: f64 = 0.07;
 /// A facet's normal turns by at most this cosine.
 const LEAST_COSINE: f64 = 0.8;
+/// A place is better if it lacks so much less.
+const GAIN: f64 = 0.01;
+/// Of angles that may be too sharp for a bound this is left to the exact ones.
+const CLEAR: f64 = 1.0 - 1e-9;
 
 /// How vertices may move.
 #[derive(Clone, Copy)]
@@ -133,7 +137,7 @@ impl Star<'_> {
         if rail == Rail::Fixed {
             return false;
         }
-        let now = self.lack(positions, here);
+        let now = self.lack(positions, here, f64::INFINITY);
         if now <= 0.0 {
             return false;
         }
@@ -163,8 +167,8 @@ impl Star<'_> {
                     Rail::Free => far.length() <= FARTHEST * edge,
                 };
                 if within && bounds.fences.allow(positions, self.v, to) {
-                    let lack = self.lack(positions, to);
-                    if lack < best.0 - 0.01 {
+                    let lack = self.lack(positions, to, best.0 - GAIN);
+                    if lack < best.0 - GAIN {
                         best = (lack, to);
                     }
                 }
@@ -174,16 +178,26 @@ impl Star<'_> {
         best.1 != here
     }
 
-    /// The sum of squares of what the facets around the vertex lack if it were at `p`: where one can only gain
-    /// at another's cost, the worse one gains. Infinite if a facet turned.
-    fn lack(&self, positions: &[DVec3], p: DVec3) -> f64 {
+    /// The sum of cubes of what the facets around the vertex lack if it were at `p`, or of some of them as soon as that is
+    /// not less than `most`: where one can only gain at another's cost, the worse one gains. Infinite if a facet turned.
+    fn lack(&self, positions: &[DVec3], p: DVec3, most: f64) -> f64 {
         let at = |u: u32| if u == self.v { p } else { positions[u as usize] };
-        let lack = |&f: &u32| {
+        let cotangent = CLEAR / ENOUGH.to_radians().tan();
+        let mut sum = 0.0;
+        for &f in self.around {
             let corners = self.facets[f as usize].map(at);
-            let turned = normal(corners).dot(self.normals[f as usize]) < LEAST_COSINE;
-            if turned { f64::INFINITY } else { (ENOUGH - score(corners)).max(0.0).powi(3) }
-        };
-        self.around.iter().map(lack).sum()
+            if normal(corners).dot(self.normals[f as usize]) < LEAST_COSINE {
+                return f64::INFINITY;
+            }
+            // Most facets lack nothing, and that is seen without an arc tangent.
+            if !(SHAPE * facet_quality(corners) >= ENOUGH && is_wide(corners, cotangent)) {
+                sum += (ENOUGH - score(corners)).max(0.0).powi(3);
+            }
+            if sum >= most {
+                break;
+            }
+        }
+        sum
     }
 
     /// Mean length of the edges around.

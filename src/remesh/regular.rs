@@ -28,32 +28,27 @@ const MOST: usize = 500;
 pub(super) fn insert(bench: &mut Bench<'_>, ends: [u32; 2]) -> bool {
     let patch = Patch::around(&bench.scene(), ends[0]);
     let (least, sharpest) = (patch.worst().min(LEAST_AT_CURVES), patch.sharpest());
-    let mut found: Option<(f64, Patch)> = None;
-    let mut consider = |patch: Patch| {
-        if let Some(better) = settled(patch, least, sharpest)
-            && found.as_ref().is_none_or(|(score, _)| better.0 > *score)
-        {
-            found = Some(better);
+    let mut joined = Vec::new();
+    let mut join = |patch: &Patch| {
+        for (f, e) in patch.turns_to(ends[1]) {
+            let mut patch = patch.clone();
+            if patch.turn_anyhow(f, e) {
+                joined.push(patch);
+            }
         }
     };
-    for turn in patch.turns_to(ends[1]) {
-        let mut joined = patch.clone();
-        if joined.turn_anyhow(turn.0, turn.1) {
-            consider(joined);
-        }
-    }
+    join(&patch);
     for (f, e) in patch.edges_around() {
         let mut first = patch.clone();
         if first.turn_anyhow(f, e) {
-            for turn in first.turns_to(ends[1]) {
-                let mut joined = first.clone();
-                if joined.turn_anyhow(turn.0, turn.1) {
-                    consider(joined);
-                }
-            }
+            join(&first);
         }
     }
-    let Some((_, patch)) = found else { return false };
+    let settled: Vec<Option<(f64, Patch)>> =
+        joined.into_par_iter().map(|patch| settled(patch, least, sharpest)).collect();
+    // The first of the best.
+    let best = settled.into_iter().flatten().reduce(|a, b| if b.0 > a.0 { b } else { a });
+    let Some((_, patch)) = best else { return false };
     bench.put_back(&patch);
     bench.keep(ends);
     true

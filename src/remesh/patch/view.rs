@@ -9,7 +9,7 @@ use glam::DVec3;
 
 use super::rock::least_distance;
 use super::{LEAST, LEAST_COSINE, Patch, SHAPE, normal};
-use crate::mesh::measure::{facet_quality, least_angle};
+use crate::mesh::measure::{facet_quality, is_wide, least_angle};
 
 /// A facet that has so much less than [`LEAST`] + [`MARGIN`] costs as much as the farthest place,
 const MARGIN: f64 = 3.0;
@@ -48,7 +48,7 @@ pub(super) struct View<'a> {
     hint: usize,
     /// What it sees of each of its facets.
     around: Vec<SeenFacet>,
-    /// An angle is wider than what costs anything where its cosine is less than so many sines.
+    /// An angle is wider than what costs anything where its cotangent is less than this.
     wide: f64,
     /// Corners of the facets with the vertex where it is looked at.
     corners: Vec<[DVec3; 3]>,
@@ -215,17 +215,10 @@ impl<'a> View<'a> {
             }
             let quality = facet_quality(corners);
             // Most angles are wider than what costs anything, and that is seen without an arc tangent.
-            let angle = if self.is_wide(corners) { f64::INFINITY } else { least_angle(corners) };
+            let angle = if is_wide(corners, self.wide) { f64::INFINITY } else { least_angle(corners) };
             let lack = (LEAST + MARGIN - angle.min(SHAPE * quality)).max(0.0) / MARGIN;
             cost += lack * lack + ROUND * (1.0 - quality);
         }
         fine.then_some(cost)
-    }
-
-    /// Whether all angles are clearly wider than what costs anything.
-    fn is_wide(&self, [a, b, c]: [DVec3; 3]) -> bool {
-        let (u, v, w) = (b - a, c - b, a - c);
-        let sine = self.wide * u.cross(w).length();
-        -u.dot(v) < sine && -v.dot(w) < sine && -w.dot(u) < sine
     }
 }
