@@ -70,7 +70,7 @@ fn a_diagram_and_steps_are_timed() {
     check(&json(folder, "out.json"), 1);
     assert!(picture(&folder.join("out.png")).2 > 20);
 
-    let text = run(folder, &format!("bench cvt --points 200 --density curvature {SMALL}"));
+    let text = run(folder, &format!("bench cvt --points 200 --density curvature --rounds 2 {SMALL}"));
     for wanted in ["Lloyd step", "L-BFGS evaluation", "L-BFGS : Lloyd", "curvature : uniform"] {
         assert!(text.contains(wanted), "{wanted}: {text}");
     }
@@ -85,10 +85,15 @@ fn a_diagram_and_steps_are_timed() {
     let wanted = [("uniform", "lloyd"), ("uniform", "lbfgs"), ("curvature", "lloyd"), ("curvature", "lbfgs")];
     assert_eq!(kinds, wanted);
     for case in report["cases"].as_array().unwrap() {
-        assert_eq!((&case["iterations"], &case["phases_by"]), (&3.into(), &"wall clock".into()));
-        assert!(case["evaluations"].as_u64() >= Some(3) && case["evaluation_ms"]["median"].as_f64() > Some(0.0));
+        assert_eq!(
+            (&case["iterations"], &case["phases_by"]),
+            (&6.into(), &"wall clock".into()),
+            "3 in each of 2 rounds"
+        );
+        assert!(case["evaluations"].as_u64() >= Some(6) && case["evaluation_ms"]["median"].as_f64() > Some(0.0));
         assert_eq!(case["device_most"]["device_submissions"], 0);
     }
+    assert_eq!(report["rounds"], 2);
     let ratio = &report["lbfgs_evaluation_per_lloyd_evaluation"];
     assert!(ratio["uniform"].as_f64() > Some(0.0) && ratio["curvature"].as_f64() > Some(0.0), "{report}");
     assert!(report["adaptive_per_uniform"]["lloyd"]["iteration"].as_f64() > Some(0.0));
@@ -176,6 +181,7 @@ fn wrong_usage_is_refused_before_any_work() {
         ("bench fig5", 2),
         ("bench cvt --density sizes", 2),
         ("bench cvt --iterations 0", 2),
+        ("bench cvt --rounds 0", 2),
         ("bench cvt --points 9 --seeds seeds.xyz", 2),
         ("bench cvt --plot out.jpg", 2),
         ("bench fig3 --plot nowhere/out.png", 2),
@@ -247,8 +253,7 @@ fn a_gpu_is_timed_by_its_clock_and_counted() {
     }
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let line =
-        "bench cvt --facets 2000 --points 800 --relax 3 --iterations 4 --backend gpu --gpu-software --json out.json";
+    let line = "bench cvt --facets 2000 --points 800 --relax 3 --iterations 4 --rounds 1 --backend gpu --gpu-software --json out.json";
     let text = run(folder, line);
     assert!(text.contains("submissions"), "{text}");
     let report = json(folder, "out.json");

@@ -1,7 +1,8 @@
 //! `tessera bench cvt`: steps of an iteration.
 //!
 //! Purpose: what a Lloyd step and a quasi-Newton step take, and their evaluations, with one density or two.
-//! Invariant: both kinds begin at the same seeds. Must not know: how a step is taken.
+//! Invariant: both kinds begin at the same seeds, in every round; what is compared was timed in the same round, as machines
+//! change their speed from one minute to the next. Must not know: how a step is taken.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -11,7 +12,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::measure::{Load, Timed, Worker, cancel_flag, mesh};
-use super::output::{OutputArgs, head, ratio, report};
+use super::output::{OutputArgs, Spread, head, ratio, report};
 use crate::cli::files;
 use crate::cli::remesh::DensityArg;
 use crate::config::BackendArgs;
@@ -48,8 +49,11 @@ pub(super) struct CvtBenchArgs {
     /// Steps of each kind that are timed.
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     iterations: u32,
+    /// Times that they are timed, in turn. Ratios are the middle ones of the rounds'.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    rounds: u32,
     /// Compare adaptive seeds of this density with uniform ones: on the surface as it is, and with those facets halved that
-    /// are for this density, where it changes fast beside them.
+    /// are for this density, where it changes fast beside them or they are much longer than the edges it asks for.
     #[arg(long, value_enum, default_value_t)]
     density: DensityArg,
     /// Who works.
@@ -65,8 +69,10 @@ struct Measured {
     /// The density, and whose facets.
     name: String,
     load: Load,
-    lloyd: Timed,
-    lbfgs: Timed,
+    /// Lloyd and quasi-Newton steps of each round,
+    rounds: Vec<[Timed; 2]>,
+    /// and of all of them.
+    all: [Timed; 2],
 }
 
 /// Nothing limits the steps that were asked for.
@@ -84,28 +90,41 @@ pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
     let cancel = cancel_flag()?;
     let mut worker = Worker::one(&args.backend)?;
     worker.keep_time()?;
-    let take = |name: &str, mesh: (String, TriMesh), density: DensityArg| -> Result<Measured> {
+    let load = |name: &str, mesh: (String, TriMesh), density: DensityArg| -> Result<(String, Load)> {
         let mut load = Load::new(mesh, seeds.clone(), DensityOptions::from_source(density.source()))?;
         load.relax(&worker, args.relax as usize, UNLIMITED, &cancel)?;
-        let time = |kind| load.time(&worker, kind, args.iterations as usize, UNLIMITED, &cancel);
-        let (lloyd, lbfgs) = (time(StepKind::Lloyd)?, time(StepKind::Lbfgs)?);
-        let one = Measured { name: name.to_owned(), load, lloyd, lbfgs };
-        one.print(&worker);
-        Ok(one)
+        Ok((name.to_owned(), load))
     };
-    let mut measured = vec![take("uniform", mesh.clone(), DensityArg::Uniform)?];
+    let mut loads = vec![load("uniform", mesh.clone(), DensityArg::Uniform)?];
     if args.density != DensityArg::Uniform {
-        let adaptive = take(args.density.source().name(), mesh.clone(), args.density)?;
-        let (facets, given) = (adaptive.load.surface.facets().len(), mesh.1.facets().len());
-        let divided = adaptive.load.mesh()?;
-        measured.push(adaptive);
-        if facets != given {
-            measured.push(take("uniform on these facets", (mesh.0, divided), DensityArg::Uniform)?);
+        let adaptive = load(args.density.source().name(), mesh.clone(), args.density)?;
+        let divided = match adaptive.1.surface.facets().len() == mesh.1.facets().len() {
+            true => None,
+            false => Some(adaptive.1.mesh()?),
+        };
+        loads.push(adaptive);
+        if let Some(divided) = divided {
+            loads.push(load("uniform on these facets", (mesh.0, divided), DensityArg::Uniform)?);
         }
     }
-    let cases = measured.iter().flat_map(|m| [m.lloyd.json(&m.load, &worker), m.lbfgs.json(&m.load, &worker)]);
+    let time = |load: &Load, kind| load.time(&worker, kind, args.iterations as usize, UNLIMITED, &cancel);
+    let mut rounds: Vec<Vec<[Timed; 2]>> = loads.iter().map(|_| Vec::new()).collect();
+    for _ in 0..args.rounds {
+        for ((_, load), rounds) in loads.iter().zip(&mut rounds) {
+            rounds.push([time(load, StepKind::Lloyd)?, time(load, StepKind::Lbfgs)?]);
+        }
+    }
+    let of = |((name, load), rounds): ((String, Load), Vec<[Timed; 2]>)| {
+        let all = [StepKind::Lloyd, StepKind::Lbfgs];
+        let all = std::array::from_fn(|k| Timed::joined(all[k], rounds.iter().map(|round| &round[k])));
+        Measured { name, load, rounds, all }
+    };
+    let measured: Vec<Measured> = loads.into_iter().zip(rounds).map(of).collect();
+    measured.iter().for_each(|m| m.print(&worker));
+    let cases = measured.iter().flat_map(|m| m.all.each_ref().map(|timed| timed.json(&m.load, &worker)));
     let mut report = report(std::slice::from_ref(&worker), cases.collect());
     let evaluations = measured.iter().map(|m| (m.name.clone(), json!(m.evaluation_ratio())));
+    report["rounds"] = args.rounds.into();
     report["lbfgs_evaluation_per_lloyd_evaluation"] = evaluations.collect::<serde_json::Map<_, _>>().into();
     // Of these two or three, the second is adaptive.
     for (key, uniform) in [("adaptive_per_uniform", 0), ("adaptive_per_uniform_on_its_facets", 2)] {
@@ -117,32 +136,37 @@ pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
 }
 
 impl Measured {
+    /// An evaluation of a quasi-Newton step against one of a Lloyd step.
     fn evaluation_ratio(&self) -> Option<f64> {
-        ratio(self.lbfgs.evaluation_ms().mean, self.lloyd.evaluation_ms().mean)
+        let of = |[lloyd, lbfgs]: &[Timed; 2]| ratio(lbfgs.evaluation_ms().mean, lloyd.evaluation_ms().mean);
+        middle(self.rounds.iter().map(of))
     }
 
     /// How much longer its steps take than those of another, as printed.
     fn compared_with(&self, other: &Self) -> Value {
-        let kinds = [("lloyd", &self.lloyd, &other.lloyd), ("lbfgs", &self.lbfgs, &other.lbfgs)].map(|(kind, a, b)| {
-            let step = ratio(a.step_ms().mean, b.step_ms().mean);
-            let evaluation = ratio(a.evaluation_ms().mean, b.evaluation_ms().mean);
+        let kinds = ["lloyd", "lbfgs"].into_iter().enumerate().map(|(k, kind)| {
+            let of = |ms: fn(&Timed) -> Spread| {
+                middle(self.rounds.iter().zip(&other.rounds).map(|(a, b)| ratio(ms(&a[k]).mean, ms(&b[k]).mean)))
+            };
+            let (step, evaluation) = (of(Timed::step_ms), of(Timed::evaluation_ms));
             let text = |r: Option<f64>| r.map_or("-".to_owned(), |r| format!("{r:.2}"));
             println!("{} : {}, {kind}: step {}, evaluation {}", self.name, other.name, text(step), text(evaluation));
             (kind.to_owned(), json!({ "iteration": step, "evaluation": evaluation }))
         });
-        kinds.into_iter().collect::<serde_json::Map<_, _>>().into()
+        kinds.collect::<serde_json::Map<_, _>>().into()
     }
 
     fn print(&self, worker: &Worker) {
-        let Self { name, load, lloyd, lbfgs } = self;
+        let Self { name, load, rounds, all: [lloyd, lbfgs] } = self;
         println!(
-            "{}, {}: {} facets, {} points; {}; {} steps of each kind after {}; phases by {}",
+            "{}, {}: {} facets, {} points; {}; {} steps of each kind in {} rounds after {}; phases by {}",
             load.name,
             name,
             load.surface.facets().len(),
             load.seeds.len(),
             worker.describe(),
             lloyd.steps.len(),
+            rounds.len(),
             load.relaxed,
             worker.phases_by(),
         );
@@ -183,12 +207,19 @@ impl Measured {
     }
 }
 
+/// The middle one of ratios, if all are there.
+fn middle(ratios: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    let all: Option<Vec<f64>> = ratios.collect();
+    all.filter(|all| !all.is_empty()).map(|all| Spread::of(all.into_iter()).median)
+}
+
+/// The steps of the last round.
 fn figure(measured: &[Measured], worker: &Worker) -> Figure {
     let line = |density: &str, timed: &Timed| Series {
         name: format!("{}, {density}", if timed.kind == StepKind::Lloyd { "Lloyd" } else { "L-BFGS" }),
         points: timed.steps.iter().enumerate().map(|(k, s)| (k as f64 + 1.0, s.ms)).collect(),
     };
-    let series = measured.iter().flat_map(|m| [line(&m.name, &m.lloyd), line(&m.name, &m.lbfgs)]);
+    let series = measured.iter().flat_map(|m| m.rounds.last().map(|round| round.each_ref().map(|t| line(&m.name, t))));
     let title = measured.first().map(|m| {
         let facets = m.load.surface.facets().len();
         format!("{}: {facets} facets, {} points", m.load.name, m.load.seeds.len())
@@ -197,7 +228,7 @@ fn figure(measured: &[Measured], worker: &Worker) -> Figure {
         title: worker.describe(),
         x: Axis { label: "step".to_owned(), log: false },
         y: Axis { label: "ms".to_owned(), log: false },
-        series: series.collect(),
+        series: series.flatten().collect(),
         groups: Vec::new(),
     };
     Figure { title: title.unwrap_or_default(), panels: vec![panel] }

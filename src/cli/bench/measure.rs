@@ -222,6 +222,17 @@ pub(super) struct Timed {
 pub(super) const PHASES: [&str; 5] = ["neighbours", "start", "clip", "update", "rest"];
 
 impl Timed {
+    /// Those of several rounds, each of which began at the same seeds.
+    pub(super) fn joined<'a>(kind: StepKind, rounds: impl Iterator<Item = &'a Self>) -> Self {
+        let none = Self { kind, steps: Vec::new(), total_ms: 0.0, cut: false, energy_ratio: 0.0 };
+        rounds.fold(none, |mut all, round| {
+            all.steps.extend_from_slice(&round.steps);
+            all.total_ms += round.total_ms;
+            all.cut |= round.cut;
+            Self { energy_ratio: round.energy_ratio, ..all }
+        })
+    }
+
     /// Times of the steps.
     pub(super) fn step_ms(&self) -> Spread {
         Spread::of(self.steps.iter().map(|s| s.ms))
