@@ -111,7 +111,7 @@ impl ClosestPoint {
             let all = || run.iter().map(next).collect();
             if stop() { Vec::new() } else { Arch::new().dispatch(all) }
         };
-        let runs: Vec<Vec<(usize, T)>> = order.par_chunks(RUN).map(run).collect();
+        let runs: Vec<Vec<(usize, T)>> = order.par_chunks(RUN).with_max_len(1).map(run).collect();
         let mut answers: Vec<Option<T>> = vec![None; points.len()];
         runs.into_iter().flatten().for_each(|(i, found)| answers[i] = Some(found));
         answers.into_iter().collect()

@@ -140,7 +140,7 @@ impl<'a> Bench<'a> {
                 let is_vain = vain.0.get(&v).is_some_and(|&then| !self.is_changed(&seen, then));
                 (if is_vain { None } else { better(&scene, v) }, seen)
             };
-            let made: Vec<(Option<Patch>, Vec<u32>)> = middles.par_iter().map(make).collect();
+            let made: Vec<(Option<Patch>, Vec<u32>)> = middles.par_iter().with_max_len(1).map(make).collect();
             for (&v, (patch, seen)) in middles.iter().zip(made) {
                 let patch = if self.is_changed(&seen, now) { better(&self.scene(), v) } else { patch };
                 if let Some(patch) = patch {
@@ -290,13 +290,13 @@ fn better(patch: &Patch) -> Option<Patch> {
     {
         return Some(easy);
     }
-    let begun: Vec<Option<(f64, Patch)>> = trials.par_iter().map(first).collect();
+    let begun: Vec<Option<(f64, Patch)>> = trials.par_iter().with_max_len(1).map(first).collect();
     let mut begun: Vec<(f64, Patch)> = begun.into_iter().flatten().collect();
     // Where nothing moves at first nothing will.
     begun.retain(|b| b.0 < HOPELESS.max(now.rest / now.middle + 1e-9));
     begun.sort_by(|a, b| a.0.total_cmp(&b.0));
     begun.truncate(FINISHED);
-    let done: Vec<Option<(Patch, f64)>> = begun.into_par_iter().map(|(_, patch)| last(patch)).collect();
+    let done: Vec<Option<(Patch, f64)>> = begun.into_par_iter().with_max_len(1).map(|(_, patch)| last(patch)).collect();
     // The first of the best.
     done.into_iter().flatten().reduce(|a, b| if b.1 < a.1 { b } else { a }).map(|(patch, _)| patch)
 }

@@ -45,7 +45,7 @@ pub(super) fn insert(bench: &mut Bench<'_>, ends: [u32; 2]) -> bool {
         }
     }
     let settled: Vec<Option<(f64, Patch)>> =
-        joined.into_par_iter().map(|patch| settled(patch, least, sharpest)).collect();
+        joined.into_par_iter().with_max_len(1).map(|patch| settled(patch, least, sharpest)).collect();
     // The first of the best.
     let best = settled.into_iter().flatten().reduce(|a, b| if b.0 > a.0 { b } else { a });
     let Some((_, patch)) = best else { return false };
@@ -92,12 +92,15 @@ fn more_regular(scene: &Scene<'_>, v: u32) -> Option<Patch> {
             ((least - turned.worst()).max(0.0) / PROMISE + (far.middle.max(far.rest) / most).max(1.0), turned)
         })
     };
-    let begun: Vec<Option<(f64, Patch)>> = patch.turns().par_iter().map(begin).collect();
+    let begun: Vec<Option<(f64, Patch)>> = patch.turns().par_iter().with_max_len(1).map(begin).collect();
     let mut begun: Vec<(f64, Patch)> = begun.into_iter().flatten().collect();
     begun.sort_by(|a, b| a.0.total_cmp(&b.0));
     begun.truncate(FINISHED);
-    let settled: Vec<Option<(f64, Patch)>> =
-        begun.into_par_iter().map(|(_, turned)| settled_within(turned, most, least, sharpest)).collect();
+    let settled: Vec<Option<(f64, Patch)>> = begun
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|(_, turned)| settled_within(turned, most, least, sharpest))
+        .collect();
     let best = settled.into_iter().flatten().reduce(|a, b| if b.0 > a.0 { b } else { a });
     best.map(|(_, patch)| patch)
 }

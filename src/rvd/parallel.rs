@@ -297,7 +297,8 @@ impl ParallelSession {
             let begin = Instant::now();
             let chunks = &mut self.chunks[..lists.len()];
             let each = chunks.par_iter_mut().zip(lists).zip(facets.par_chunks(size)).zip(starts.par_chunks_mut(size));
-            each.for_each(|(((chunk, lists), facets), starts)| {
+            // Tasks differ; one by one, so that no thread waits while another has several left.
+            each.with_max_len(1).for_each(|(((chunk, lists), facets), starts)| {
                 if cancel.is_cancelled() || void.load(Relaxed) {
                     return;
                 }
@@ -345,7 +346,7 @@ impl ParallelSession {
             let begin = Instant::now();
             let chunks = &mut self.chunks[..starts.len().div_ceil(size)];
             let each = chunks.par_iter_mut().zip(starts.par_chunks(size)).enumerate();
-            each.for_each(|(c, (chunk, starts))| {
+            each.with_max_len(1).for_each(|(c, (chunk, starts))| {
                 if !cancel.is_cancelled() {
                     let walkers = &mut *of_this_thread(&self.walkers);
                     let first = facets.start + ((w * WAVE + c) * size) as u32;

@@ -69,7 +69,7 @@ impl Pieces {
     pub(super) fn take(&mut self, batch: &PieceBatch) {
         let runs: Vec<usize> = (0..batch.len()).step_by(RUN).collect();
         let part = |&first: &usize| Self::of(batch, first..batch.len().min(first + RUN));
-        let parts: Vec<Self> = runs.par_iter().map(part).collect();
+        let parts: Vec<Self> = runs.par_iter().with_max_len(1).map(part).collect();
         self.facet.extend_from_slice(&batch.facet);
         self.seed.extend_from_slice(&batch.seed);
         for part in parts {

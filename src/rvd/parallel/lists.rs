@@ -21,9 +21,9 @@ use crate::knn::{NeighbourTable, SeedIndex};
 const NEIGHBOUR: usize = 6;
 /// or of about as much by the area of its cell: the squared distance between relaxed seeds is 2/√3 of that.
 const HEXAGON: f64 = 1.1547;
-/// That is at least and at most so many times as wide as an average cell, as all that any seed could move is added to
-/// where others are looked for.
-const NARROW: f64 = 0.25;
+/// That is at least so many times as wide as an average cell, as cells may be empty,
+const NARROW: f64 = 1.0 / 32.0;
+/// and at most so many times, as all that any seed could move is added to where others are looked for.
 const WIDE: f64 = 1.5;
 /// Lists are made for so many moves like the last one of a seed that all but this share of them moved less than,
 const MOVES: f64 = 6.0;
@@ -41,8 +41,8 @@ const AHEAD: f64 = 0.8;
 /// Lists are made anew where more than this share of the seeds are strays, and more than so many.
 const ASTRAY: f64 = 1.0 / 32.0;
 const A_FEW: usize = 2;
-/// Seeds around a seed that are looked at for one that it could meet.
-const MANY_AROUND: usize = 512;
+/// Seeds around a seed that are looked at for one that it could meet; beside a crowd there are many.
+const MANY_AROUND: usize = 4096;
 /// Of its slack a seed may use so much, so that comparisons of distances are never near their roundings.
 const USED: f64 = 1.0 - 1e-6;
 /// Seeds per task.
@@ -333,18 +333,19 @@ impl KeptLists {
 
     /// The same without rows, with the index of the places where lists are made.
     fn find_close_evenly(&mut self, index: &SeedIndex) {
-        self.find_close(|i, p, most, out| {
+        self.find_close(|_, p, most, out| {
             index.each_in_box(p - most, p + most, MANY_AROUND, |j, q| {
-                if i < j && p.distance_squared(q) <= most * most {
+                if p.distance_squared(q) <= most * most {
                     out.push(j);
                 }
             })
         });
     }
 
-    /// Finds pairs of seeds that could meet, among those within a distance that `around` finds: with rows, one is in the
-    /// other's row before the neighbour that gives the width, as slacks are a small part of that. There will be no lists
-    /// where `around` cannot say.
+    /// Finds pairs of seeds that could meet. Of two, the one with more slack has the other within twice that, among those
+    /// that `around` finds; with rows that is before the neighbour that gives its width, as slacks are a small part of
+    /// that. So seeds that are crowded beside wide cells are looked for from these few. There will be no lists where
+    /// `around` cannot say.
     fn find_close(&mut self, around: impl Fn(u32, DVec3, f64, &mut Vec<u32>) -> bool + Sync) {
         let slack = slack(self.share, self.most, &self.width);
         let seeds = &self.made_at;
@@ -352,18 +353,20 @@ impl KeptLists {
             let (mut near, mut pairs) = (Vec::new(), Vec::new());
             for i in chunk * CHUNK..seeds.len().min((chunk + 1) * CHUNK) {
                 let own = slack.of(i as u32);
-                let most = slack.farthest(own, 0.0, own);
                 near.clear();
-                if !around(i as u32, seeds[i], most, &mut near) {
+                if !around(i as u32, seeds[i], 2.0 * own, &mut near) {
                     return None;
                 }
-                let reach = |j: u32| own + slack.of(j);
-                let close = |&&j: &&u32| i < j as usize && seeds[i].distance(seeds[j as usize]) <= reach(j);
+                let close = |&&j: &&u32| {
+                    let other = slack.of(j);
+                    (other, j) < (own, i as u32) && seeds[i].distance(seeds[j as usize]) <= own + other
+                };
                 pairs.extend(near.iter().filter(close).map(|&j| [i as u32, j]));
             }
             Some(pairs)
         };
-        let chunks: Option<Vec<_>> = (0..seeds.len().div_ceil(CHUNK)).into_par_iter().map(find).collect();
+        let chunks: Option<Vec<_>> =
+            (0..seeds.len().div_ceil(CHUNK)).into_par_iter().with_max_len(1).map(find).collect();
         self.close.clear();
         match chunks {
             Some(pairs) => self.close.extend(pairs.iter().flatten()),
@@ -383,4 +386,38 @@ fn goes_on_for(goes_on: f64, moves: f64) -> f64 {
 /// The slack of seeds.
 fn slack(share: f64, most: f64, width: &[f64]) -> Slack<'_> {
     Slack { share, width, most }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_that_could_meet_are_found_beside_a_crowd() {
+        // A wide grid, and between four of its seeds cells that are a thirtieth as wide.
+        let wide = (0..900).map(|k| DVec3::new((k % 30) as f64, (k / 30) as f64, 0.0));
+        let crowd = (0..400).map(|k| DVec3::new(14.2 + (k % 20) as f64 / 30.0, 14.2 + (k / 20) as f64 / 30.0, 0.0));
+        let last: Vec<DVec3> = wide.chain(crowd).collect();
+        let area: Vec<f64> = (0..last.len()).map(|i| if i < 900 { 1.0 } else { 1.0 / 900.0 }).collect();
+        let mut lists = KeptLists::default();
+        lists.end_pass(&last, &area, false);
+        let moved = |i: usize| 0.02 * area[i].sqrt() * DVec3::new((i as f64).sin(), (i as f64).cos(), 0.0);
+        let seeds: Vec<DVec3> = last.iter().enumerate().map(|(i, &p)| p + moved(i)).collect();
+        let mean = area.iter().sum::<f64>() / area.len() as f64;
+        lists.choose_evenly(&seeds, &SeedIndex::new(&seeds), mean);
+        assert!((0.1..0.2).contains(&lists.share), "{}", lists.share);
+        // So wide that a crowded seed could meet a wide one.
+        lists.share = 0.4;
+        lists.find_close_evenly(&SeedIndex::new(&seeds));
+        let slack = slack(lists.share, lists.most, &lists.width);
+        let mut want = Vec::new();
+        for i in 0..seeds.len() as u32 {
+            let meets = |&j: &u32| seeds[i as usize].distance(seeds[j as usize]) <= slack.of(i) + slack.of(j);
+            want.extend((0..i).filter(meets).map(|j| [j, i]));
+        }
+        let mut found: Vec<[u32; 2]> = lists.close.iter().map(|&[i, j]| [i.min(j), i.max(j)]).collect();
+        found.sort_unstable();
+        want.sort_unstable();
+        assert!(found == want && want.iter().any(|&[i, j]| i < 900 && j >= 900), "{} for {}", found.len(), want.len());
+    }
 }
