@@ -23,7 +23,6 @@ use glam::DVec3;
 use convergence::Convergence;
 use curves::CurveSeeds;
 
-use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::rvd::{
     Backend, CancelFlag, CellSums, DeviceWork, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface,
@@ -183,7 +182,7 @@ impl Cvt {
         })
     }
 
-    /// Takes what answers for closest points of its surface ([`closest_points`]), so that it need not make it.
+    /// Takes what answers for closest points of its surface ([`Surface::closest_points`]), so that it need not make it.
     pub fn bring_closest(&mut self, closest: ClosestPoint) {
         self.closest = Some(closest);
     }
@@ -599,20 +598,10 @@ fn resident(session: &mut dyn Session) -> Result<&mut dyn Resident, RvdError> {
     session.resident().ok_or_else(|| RvdError::Internal("this backend cannot move seeds".to_owned()))
 }
 
-/// What answers for closest points of a surface, unit frame.
-///
-/// # Errors
-/// None for a surface that is one.
-pub fn closest_points(surface: &Surface) -> Result<ClosestPoint, RvdError> {
-    let mesh = TriMesh::new(surface.positions().to_vec(), surface.facets().to_vec())
-        .map_err(|e| RvdError::Internal(format!("the surface was valid before: {e}")))?;
-    Ok(ClosestPoint::new(&mesh))
-}
-
-/// The same, made on first use.
+/// What answers for closest points of a surface, made on first use.
 fn closest<'a>(slot: &'a mut Option<ClosestPoint>, surface: &Surface) -> Result<&'a ClosestPoint, RvdError> {
     match slot {
         Some(tree) => Ok(tree),
-        None => Ok(slot.insert(closest_points(surface)?)),
+        None => Ok(slot.insert(surface.closest_points()?)),
     }
 }

@@ -31,7 +31,7 @@ use std::time::Instant;
 use glam::DVec3;
 
 use crate::cvt::density::{self, Count, DensityError, DensityOptions, Plan};
-use crate::cvt::{Cvt, CvtOptions, Iteration, Projection, closest_points};
+use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::closest_point::ClosestPoint;
@@ -334,7 +334,7 @@ fn prepare<'a>(mesh: &'a TriMesh, options: &RemeshOptions, cancel: &CancelFlag) 
     let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?;
     let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
     let find = || curves::Kept::find(mesh, &plan, &surface, options);
-    let (kept, closest) = rayon::join(find, || closest_points(&surface));
+    let (kept, closest) = rayon::join(find, || surface.closest_points());
     Ok(Prepared { kept: kept?, closest: closest?, plan, surface })
 }
 

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::RvdError;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::weld;
+use crate::mesh::closest_point::ClosestPoint;
 
 /// The map between the caller's coordinates and the unit frame: unit = (p - centre) * scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -187,6 +188,16 @@ impl Surface {
     /// Whether facet `f` is degenerate and left out.
     pub fn skips(&self, f: usize) -> bool {
         self.skip[f]
+    }
+
+    /// What answers for closest points of it, unit frame.
+    ///
+    /// # Errors
+    /// None for a surface that is one.
+    pub fn closest_points(&self) -> Result<ClosestPoint, RvdError> {
+        let mesh = TriMesh::new(self.positions.clone(), self.facets.clone())
+            .map_err(|e| RvdError::Internal(format!("the surface was valid before: {e}")))?;
+        Ok(ClosestPoint::new(&mesh))
     }
 
     /// E_hex: the energy that so many seeds would have on a flat surface of this size and
