@@ -394,11 +394,12 @@ mod tests {
 
     #[test]
     fn seeds_that_could_meet_are_found_beside_a_crowd() {
-        // A wide grid, and between four of its seeds cells that are a thirtieth as wide.
+        // A wide grid, and between four of its seeds so many cells of a fiftieth the width that whoever looks as far as the
+        // widest slack goes sees too many.
         let wide = (0..900).map(|k| DVec3::new((k % 30) as f64, (k / 30) as f64, 0.0));
-        let crowd = (0..400).map(|k| DVec3::new(14.2 + (k % 20) as f64 / 30.0, 14.2 + (k / 20) as f64 / 30.0, 0.0));
+        let crowd = (0..900).map(|k| DVec3::new(14.2 + (k % 30) as f64 / 50.0, 14.2 + (k / 30) as f64 / 50.0, 0.0));
         let last: Vec<DVec3> = wide.chain(crowd).collect();
-        let area: Vec<f64> = (0..last.len()).map(|i| if i < 900 { 1.0 } else { 1.0 / 900.0 }).collect();
+        let area: Vec<f64> = (0..last.len()).map(|i| if i < 900 { 1.0 } else { 1.0 / 2500.0 }).collect();
         let mut lists = KeptLists::default();
         lists.end_pass(&last, &area, false);
         let moved = |i: usize| 0.02 * area[i].sqrt() * DVec3::new((i as f64).sin(), (i as f64).cos(), 0.0);
