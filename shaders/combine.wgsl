@@ -21,28 +21,29 @@ fn main(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let length = 3u * motion.seeds;
+#repeat K in 0..PAIRS
+    let step_$K = motion.coefficients[$(K)u / 4u][$(K)u % 4u];
+    let change_$K = motion.coefficients[2u + $(K)u / 4u][$(K)u % 4u];
+#end
     var own = 0.0;
-    for (var e = id.x; e < length; e += motion.groups * 64u) {
-        let g = gradient[e];
-        var d = motion.coefficients[4].x * g;
-        var steps_part = 0.0;
-        for (var k = 0u; k < PAIRS; k += 1u) {
-            let s = motion.coefficients[k / 4u][k % 4u];
-            let y = motion.coefficients[2u + k / 4u][k % 4u];
+    for (var i = id.x; i < motion.seeds; i += motion.groups * 64u) {
+        let light = ease(i);
+        for (var e = 3u * i; e < 3u * i + 3u; e += 1u) {
+            let g = gradient[e];
+            var d = motion.coefficients[4].x * g;
+            var steps_part = 0.0;
             // A slot that is not in use holds no numbers.
-            if s != 0.0 {
-                steps_part += s * steps[k * length + e];
-            }
-            if y != 0.0 {
-                d += y * changes[k * length + e];
-            }
+#repeat K in 0..PAIRS
+            steps_part += step_$K * select(0.0, steps[$(K)u * length + e], step_$K != 0.0);
+            d += change_$K * select(0.0, changes[$(K)u * length + e], change_$K != 0.0);
+#end
+            d = d * light + steps_part;
+            direction[e] = d;
+            own += g * d;
         }
-        d = d * ease(e / 3u) + steps_part;
-        direction[e] = d;
-        own += g * d;
     }
-    let sum = add_lanes(lane, vec3f(own));
+    let sum = add_lanes(lane, own);
     if lane == 0u {
-        partials[group.x] = sum.x;
+        partials[group.x] = sum;
     }
 }

@@ -9,6 +9,8 @@
 @group(0) @binding(3) var<storage, read_write> state: State;
 @group(0) @binding(4) var<storage, read> kept: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> keep: Keep;
+// Of each cell of the grid, how far any of its seeds is from where it was noted; the bits of a float.
+@group(0) @binding(6) var<storage, read_write> drifts: array<atomic<u32>>;
 
 #import shared/place
 #import shared/keep
@@ -62,6 +64,7 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
         if bitcast<u32>(by) > atomicLoad(&keep.drift) {
             atomicMax(&keep.drift, bitcast<u32>(by));
         }
+        atomicMax(&drifts[cell], bitcast<u32>(by));
         if by > FAST * noted.w && atomicLoad(&keep.fast) * MANY <= params.seeds {
             atomicAdd(&keep.fast, 1u);
         }

@@ -63,21 +63,28 @@ var<private> high_$K: vec3f;
 var<private> gap_$K: vec2f;
 #end
 
-// Integrals over a piece of 1, u, v, u^2, uv, v^2 where p = corner 0 + u (corner 1 - corner 0) + v (corner 2 -
-// corner 0), and of u^3, u^2 v, u v^2, v^3 for weights; times (n + 2)! or so, see `sides_of`.
+// Integrals over a piece of 1, wu, wv, wu^2, wuv, wv^2 and w, where p = corner 0 + u (corner 1 - corner 0) +
+// v (corner 2 - corner 0) and w is the weight, or 1; times what `piece_sums` divides by.
 struct Moments {
     one: f32,
     first: vec2f,
     second: vec3f,
 #if WEIGHTED
-    third: vec4f,
+    mass: f32,
 #end
 }
 
-// Those over the triangle from corner 0 to the side from p to q.
+#if WEIGHTED
+// The weight at corner 0, and how much more it is at the others.
+var<private> weight: vec3f;
+#end
+
+// Those over the triangle from corner 0 to the side from p to q. The integral of a product of linear functions
+// over a triangle is a sum of products of their values at its corners, where u and v are 0 at corner 0.
 fn sides_of(p: vec2f, q: vec2f) -> Moments {
     let d = q - p;
     let cross = p.x * d.y - p.y * d.x;
+#if 1 - WEIGHTED
     return Moments(
         cross,
         cross * (p + q),
@@ -86,15 +93,26 @@ fn sides_of(p: vec2f, q: vec2f) -> Moments {
             (p.x * p.y + q.x * q.y) + 0.5 * (p.x * q.y + q.x * p.y),
             p.y * p.y + p.y * q.y + q.y * q.y,
         ),
-#if WEIGHTED
-        cross * vec4f(
-            (p.x + q.x) * (p.x * p.x + q.x * q.x),
-            p.x * p.x * (3.0 * p.y + q.y) + 2.0 * p.x * q.x * (p.y + q.y) + q.x * q.x * (p.y + 3.0 * q.y),
-            p.y * p.y * (3.0 * p.x + q.x) + 2.0 * p.y * q.y * (p.x + q.x) + q.y * q.y * (p.x + 3.0 * q.x),
-            (p.y + q.y) * (p.y * p.y + q.y * q.y),
-        ),
-#end
     );
+#end
+#if WEIGHTED
+    let at_p = cross * (weight.x + dot(weight.yz, p));
+    let at_q = cross * (weight.x + dot(weight.yz, q));
+    let mass = cross * weight.x + at_p + at_q;
+    let once = vec2f(mass + at_p, mass + at_q);
+    let twice = once + vec2f(at_p, at_q);
+    let mixed = mass - 0.5 * cross * weight.x;
+    return Moments(
+        cross,
+        once.x * p + once.y * q,
+        vec3f(
+            twice.x * p.x * p.x + twice.y * q.x * q.x + 2.0 * mixed * p.x * q.x,
+            twice.x * p.x * p.y + twice.y * q.x * q.y + mixed * (p.x * q.y + q.x * p.y),
+            twice.x * p.y * p.y + twice.y * q.y * q.y + 2.0 * mixed * p.y * q.y,
+        ),
+        mass,
+    );
+#end
 }
 
 fn plus(a: Moments, b: Moments, sign: f32) -> Moments {
@@ -103,7 +121,7 @@ fn plus(a: Moments, b: Moments, sign: f32) -> Moments {
         a.first + sign * b.first,
         a.second + sign * b.second,
 #if WEIGHTED
-        a.third + sign * b.third,
+        a.mass + sign * b.mass,
 #end
     );
 }
@@ -114,7 +132,7 @@ fn either(a: Moments, b: Moments, second: bool) -> Moments {
         select(a.first, b.first, second),
         select(a.second, b.second, second),
 #if WEIGHTED
-        select(a.third, b.third, second),
+        select(a.mass, b.mass, second),
 #end
     );
 }
@@ -228,26 +246,19 @@ fn value_at(p: vec2f, values: vec3f) -> f32 {
 // The integrals of a piece about its own seed, in units.
 fn piece_sums(m: Moments, foot: vec3f, facet: Facet, corner: vec3f, side1: vec2f, side2: vec2f) -> PieceSums {
     let one = m.one * (1.0 / 2.0);
-    let first = m.first * (1.0 / 6.0);
-    let second = m.second * (1.0 / 12.0);
     let twice = side1.x * side2.y;
     let squares = vec3f(dot(side1, side1), 2.0 * dot(side1, side2), dot(side2, side2));
     let origin = corner.xy - foot.xy;
     let height = corner.z - foot.z;
-    // Weighted by w, of 1, u, v and u^2, uv, v^2.
 #if 1 - WEIGHTED
     let mass = one;
-    let linear = first;
-    let squared = second;
+    let linear = m.first * (1.0 / 6.0);
+    let squared = m.second * (1.0 / 12.0);
 #end
 #if WEIGHTED
-    let third = m.third * vec4f(1.0 / 20.0, 1.0 / 60.0, 1.0 / 60.0, 1.0 / 20.0);
-    let w = facet.weight;
-    let wu = facet.weight_u * side1.x;
-    let wv = facet.weight_u * side2.x + facet.weight_v * side2.y;
-    let mass = w * one + wu * first.x + wv * first.y;
-    let linear = w * first + wu * second.xy + wv * second.yz;
-    let squared = w * second + wu * third.xyz + wv * third.yzw;
+    let mass = m.mass * (1.0 / 6.0);
+    let linear = m.first * (1.0 / 24.0);
+    let squared = m.second * (1.0 / 60.0);
 #end
     let shift = linear.x * side1 + linear.y * side2;
     let moment = twice * (mass * origin + shift);
@@ -269,6 +280,9 @@ fn divide(facet: Facet, nearest: u32) -> bool {
     let side1 = vec2f(facet.corner1_u, 0.0);
     let side2 = vec2f(facet.corner2_u, facet.corner2_v);
     let corners = mat3x3f(q, vec3f(q.xy + side1, q.z), vec3f(q.xy + side2, q.z));
+#if WEIGHTED
+    weight = vec3f(facet.weight, facet.weight_u * side1.x, facet.weight_u * side2.x + facet.weight_v * side2.y);
+#end
     let squares = vec3f(dot(corners[0], corners[0]), dot(corners[1], corners[1]), dot(corners[2], corners[2]));
     let radius2 = max(max(squares.x, squares.y), squares.z);
     // Written so that NaN fails too.

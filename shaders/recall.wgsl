@@ -1,6 +1,7 @@
 // Rows from the lists of an earlier pass: the same rows that `search` would find. A seed that is not in a list
-// was no nearer than its reach when that was made; it has not come nearer since by more than both have moved. Where
-// that does not prove the row, `search` is told to make it.
+// was no nearer than its reach when that was made; it has not come nearer since by more than both have moved: as far as
+// any seed has, or, if it is near now, any of those in the cells of the grid around. Where that does not prove the row,
+// `search` is told to make it.
 
 #import shared/types
 #import shared/state
@@ -13,9 +14,11 @@
 @group(0) @binding(5) var<storage, read> lists: array<u32>;
 @group(0) @binding(6) var<storage, read_write> keep: Keep;
 @group(0) @binding(7) var<storage, read_write> state: State;
+@group(0) @binding(8) var<storage, read> drifts: array<u32>;
 
 #import shared/distance
 #import shared/keep
+#import shared/place
 #import shared/rings
 #import shared/sorted
 
@@ -54,6 +57,24 @@ fn sort() {
 #end
 }
 
+// How far any seed is from where it was noted that is in the cells around `place`.
+fn drift_around(place: vec3i) -> f32 {
+    let last = vec3i(i32(params.side) - 1);
+    let low = max(place - 1, vec3i(0));
+    let high = min(place + 1, last);
+    var most = 0u;
+    for (var z = low.z; z <= high.z; z += 1) {
+        for (var y = low.y; y <= high.y; y += 1) {
+            let row = row_of(y, z);
+            // At the wall a cell is read twice, so that no lane has fewer.
+            most = max(most, drifts[row + u32(low.x)]);
+            most = max(most, drifts[row + u32(place.x)]);
+            most = max(most, drifts[row + u32(high.x)]);
+        }
+    }
+    return bitcast<f32>(most);
+}
+
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u) {
     let index = params.part_first + id.x;
@@ -71,10 +92,16 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
 #end
     sort();
     let noted = kept[own.seed];
-    let moved = length((own.hi + own.lo) - noted.xyz) + bitcast<f32>(atomicLoad(&keep.drift));
+    let p = own.hi + own.lo;
+    let reach = noted.w - length(p - noted.xyz);
     // No farther than what `search` would prove, wherever in its cell the seed is.
     let rings = f32(RINGS) / f32(params.side);
-    let proved = max(min(noted.w - moved, rings) * 0.99999 - ROUNDED, 0.0);
+    var proved = max(min(reach - bitcast<f32>(atomicLoad(&keep.drift)), rings) * 0.99999 - ROUNDED, 0.0);
+    if key_$(ROW - 1) >= proved * proved {
+        let place = place_of(p);
+        let near = min(reach - drift_around(place), covered(p, place, 1));
+        proved = max(near * 0.99999 - ROUNDED, 0.0);
+    }
     // Later twins are in no list.
     if key_$(ROW - 1) < proved * proved && atomicLoad(&state.twins) == 0u {
         let row = own.seed * STRIDE + 1u;

@@ -26,6 +26,8 @@ fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module 
         ("PART", tessera::gpu::plan::SEARCH_PART as i64),
         ("MEMBERS", members(slots)),
         ("WEIGHTED", shared),
+        ("PAIRS", layout::PAIRS as i64),
+        ("DOTS", layout::DOTS as i64),
         ("WIDE", 0),
     ];
     let source = compose(stage, &constants).unwrap();
@@ -198,7 +200,7 @@ fn constants_agree() {
     }
     let row = i64::from(layout::ROW);
     let constants = [("ROW", row), ("WIDTH", row), ("PART", 1)];
-    let all = ["count", "propose", "search", "products", "eased", "centroids", "dots", "settle"];
+    let all = ["count", "propose", "search", "centroids", "settle"];
     let text: String = all.iter().map(|stage| compose(stage, &constants).unwrap()).collect();
     for line in [
         format!("const NONE: u32 = {:#x}u;", layout::NONE),
@@ -206,12 +208,8 @@ fn constants_agree() {
         format!("const FAR: u32 = {}u;", layout::halt::FAR),
         format!("const CROWDED: u32 = {}u;", layout::halt::CROWDED),
         format!("const UNSETTLED: u32 = {}u;", layout::halt::UNSETTLED),
-        format!("const PAIRS: u32 = {}u;", layout::PAIRS),
         format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
         format!("const ACCEPTED: f32 = {:e};", tessera::rvd::MAX_SEED_DISTANCE),
-        format!("var<storage, read_write> dots: array<f32, {}>;", layout::DOTS),
-        format!("for (var d = lane; d < {}u; d += 64u)", layout::DOTS),
-        format!("const FIRST: u32 = {}u;", layout::PLAIN_DOTS),
     ] {
         assert!(text.contains(&line), "{line}");
     }

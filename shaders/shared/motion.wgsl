@@ -26,5 +26,3 @@ struct Motion {
     used: u32,
     padding: vec2u,
 }
-
-const PAIRS: u32 = 8u;

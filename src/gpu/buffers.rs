@@ -48,6 +48,8 @@ pub struct Buffers {
     pub near: wgpu::Buffer,
     /// Grid of seeds.
     pub cells: wgpu::Buffer,
+    /// How far the seeds of each of its cells have moved.
+    pub drifts: wgpu::Buffer,
     /// Seeds in its order.
     pub sorted: wgpu::Buffer,
     /// Where the parts of a dispatch begin.
@@ -112,6 +114,7 @@ impl Buffers {
             labels: make("labels", plan.labels_bytes, storage)?,
             near: make("near", plan.near_bytes, storage)?,
             cells: make("cells", plan.cells_bytes, storage)?,
+            drifts: make("drifts", plan.drifts_bytes, storage)?,
             sorted: make("sorted", plan.sorted_bytes, storage)?,
             origins: make("origins", plan.origins_bytes, Usage::COPY_SRC | Usage::COPY_DST)?,
             kept: make("kept", plan.kept_bytes, storage)?,

@@ -315,8 +315,8 @@ pub const NONE: u32 = u32::MAX;
 pub const PAIRS: usize = 8;
 /// Dot products of each step and change and the gradient with three vectors,
 pub const PLAIN_DOTS: usize = 3 * (2 * PAIRS + 1);
-/// and with those of each change, divided by masses, with every change and the gradient.
-pub const DOTS: usize = PLAIN_DOTS + PAIRS * (PAIRS + 1);
+/// and with those of each change, divided by masses, with itself, every later change and the gradient.
+pub const DOTS: usize = PLAIN_DOTS + PAIRS * (PAIRS + 3) / 2;
 
 /// Splits a double into upper and lower floats. Below 2048 the upper part is a multiple of
 /// 2⁻¹², so that differences of upper parts are exact, and the lower part adds 24 bits to it. It is a

@@ -169,6 +169,8 @@ pub struct Plan {
     pub near_bytes: u64,
     /// Grid of seeds.
     pub cells_bytes: u64,
+    /// How far its seeds have moved.
+    pub drifts_bytes: u64,
     /// Seeds in its order.
     pub sorted_bytes: u64,
     /// Where the parts of a dispatch begin.
@@ -214,6 +216,7 @@ impl Plan {
             labels_bytes: vertices.saturating_mul(4),
             near_bytes: counts.near.saturating_mul(4),
             cells_bytes: counts.cells.saturating_mul(4),
+            drifts_bytes: counts.cells.saturating_mul(4),
             sorted_bytes: counts.seeds.saturating_mul(size_of::<Sorted>() as u64),
             origins_bytes: 4 * origins(counts.window.max(counts.seeds)),
             kept_bytes: counts.kept.max(1).saturating_mul(16),
@@ -232,7 +235,7 @@ impl Plan {
     }
 
     /// Name and bytes of every buffer; those of all windows together.
-    pub fn buffers(&self) -> [(&'static str, u64); 22] {
+    pub fn buffers(&self) -> [(&'static str, u64); 23] {
         [
             ("seeds", self.seeds_bytes),
             ("facets", self.facets_bytes),
@@ -250,6 +253,7 @@ impl Plan {
             ("labels", self.labels_bytes),
             ("near", self.near_bytes),
             ("cells", self.cells_bytes),
+            ("drifts", self.drifts_bytes),
             ("sorted", self.sorted_bytes),
             ("origins", self.origins_bytes),
             ("kept", self.kept_bytes),

@@ -45,7 +45,6 @@ sources![
     "count",
     "divide",
     "dots",
-    "eased",
     "emit",
     "figures",
     "keep",

@@ -56,7 +56,7 @@ impl History {
         self.order.iter().fold(1 << slot, |bits, &slot| bits | 1 << slot)
     }
 
-    /// Takes what the `products` stage says of the pair in `slot` and of the gradient, and `eased` of all.
+    /// Takes what the `products` stage says of the pair in `slot` and of the gradient, and of all changes divided by masses.
     pub fn learn(&mut self, slot: usize, dots: &[f32; DOTS]) {
         for which in 0..VECTORS {
             for (k, other) in [slot, PAIRS + slot, GRADIENT].into_iter().enumerate() {
@@ -65,8 +65,12 @@ impl History {
                 self.products[other][which] = dot;
             }
         }
-        for (row, dots) in self.eased.iter_mut().zip(dots[PLAIN_DOTS..].chunks_exact(PAIRS + 1)) {
-            row.iter_mut().zip(dots).for_each(|(to, &dot)| *to = f64::from(dot));
+        let pairs = (0..PAIRS).flat_map(|k| (k..=PAIRS).map(move |j| (k, j)));
+        for ((k, j), &dot) in pairs.zip(&dots[PLAIN_DOTS..]) {
+            self.eased[k][j] = f64::from(dot);
+            if j < PAIRS {
+                self.eased[j][k] = f64::from(dot);
+            }
         }
     }
 
@@ -171,10 +175,10 @@ mod tests {
                     dots[3 * which + k] = dot(v, other) as f32;
                 }
             }
+            let mut rest = dots[PLAIN_DOTS..].iter_mut();
             for (i, change) in slots.iter().enumerate() {
-                for (j, other) in slots.iter().map(|p| &p.1).chain([&g]).enumerate() {
-                    dots[PLAIN_DOTS + (PAIRS + 1) * i + j] = dot(&eased(&change.1, &ease), other) as f32;
-                }
+                let others = slots.iter().map(|p| &p.1).skip(i).chain([&g]);
+                others.zip(&mut rest).for_each(|(other, to)| *to = dot(&eased(&change.1, &ease), other) as f32);
             }
             history.learn(slot, &dots);
             history.take(slot);

@@ -294,10 +294,7 @@ impl GpuSession {
             let mut compute = self.device.pass(&mut encoder, lane::UPDATE);
             compute.set_pipeline(&self.pipelines.products);
             compute.set_bind_group(0, &bindings.products, &[]);
-            compute.dispatch_workgroups(motion.groups, 2 * PAIRS as u32 + 1, 1);
-            compute.set_pipeline(&self.pipelines.eased);
-            compute.set_bind_group(0, &bindings.eased, &[]);
-            compute.dispatch_workgroups(motion.groups, PAIRS as u32, 1);
+            compute.dispatch_workgroups(motion.groups, 1, 1);
             compute.set_pipeline(&self.pipelines.dots);
             compute.set_bind_group(0, &bindings.dots, &[]);
             compute.dispatch_workgroups(1, 1, 1);

@@ -6,7 +6,7 @@
 //! Must not know: what is dispatched when.
 
 use crate::gpu::buffers::{Buffers, MotionBuffers, WindowBuffers};
-use crate::gpu::layout::{LIST, MEMBERS, ROW};
+use crate::gpu::layout::{DOTS, LIST, MEMBERS, PAIRS, ROW};
 use crate::gpu::plan::SEARCH_PART;
 use crate::gpu::{Device, GpuError, shader};
 
@@ -65,8 +65,6 @@ pub struct Pipelines {
     pub keep: wgpu::ComputePipeline,
     /// Parts of dot products.
     pub products: wgpu::ComputePipeline,
-    /// Parts of those of changes that are divided by masses.
-    pub eased: wgpu::ComputePipeline,
     /// Dot products.
     pub dots: wgpu::ComputePipeline,
     /// The direction.
@@ -84,6 +82,7 @@ impl Pipelines {
         let shared = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 1), wide];
         let array = [("SLOTS", LARGE_POLYGON as i64), ("ARRAY", 1), ("SHARED", 0), wide];
         let part = ("PART", SEARCH_PART as i64);
+        let pairs = ("PAIRS", PAIRS as i64);
         let search = |width| [("ROW", i64::from(ROW)), ("LIST", i64::from(LIST)), ("WIDTH", i64::from(width)), part];
         let divide = |members: usize, weighted| {
             let members = i64::from(MEMBERS[members]);
@@ -116,10 +115,9 @@ impl Pipelines {
             figures: pipeline(device, "figures", &[])?,
             settle: pipeline(device, "settle", &[])?,
             keep: pipeline(device, "keep", &[])?,
-            products: pipeline(device, "products", &[])?,
-            eased: pipeline(device, "eased", &[])?,
-            dots: pipeline(device, "dots", &[])?,
-            combine: pipeline(device, "combine", &[])?,
+            products: pipeline(device, "products", &[pairs])?,
+            dots: pipeline(device, "dots", &[("DOTS", DOTS as i64)])?,
+            combine: pipeline(device, "combine", &[pairs])?,
         })
     }
 }
@@ -203,11 +201,15 @@ impl Bindings {
     pub fn new(device: &Device, pipelines: &Pipelines, b: &Buffers) -> Result<Self, GpuError> {
         let window = |w| WindowBindings::new(device, pipelines, b, w);
         let search = [&b.params, &b.seeds, &b.cells, &b.sorted, &b.table, &b.state, &b.kept, &b.keep];
-        let recall = [&b.params, &b.seeds, &b.sorted, &b.table, &b.kept, &b.lists, &b.keep, &b.state];
+        let recall = [&b.params, &b.seeds, &b.sorted, &b.table, &b.kept, &b.lists, &b.keep, &b.state, &b.drifts];
         Ok(Self {
             windows: b.windows.iter().map(window).collect::<Result<_, _>>()?,
             prepare: bind(device, &pipelines.prepare, &[&b.params, &b.state, &b.arguments])?,
-            count: bind(device, &pipelines.count, &[&b.params, &b.seeds, &b.cells, &b.state, &b.kept, &b.keep])?,
+            count: bind(
+                device,
+                &pipelines.count,
+                &[&b.params, &b.seeds, &b.cells, &b.state, &b.kept, &b.keep, &b.drifts],
+            )?,
             rows: bind(device, &pipelines.rows, &[&b.params, &b.cells, &b.state, &b.keep, &b.arguments])?,
             scatter: bind(device, &pipelines.scatter, &[&b.params, &b.seeds, &b.cells, &b.sorted, &b.state])?,
             twins: bind(device, &pipelines.twins, &[&b.params, &b.cells, &b.sorted, &b.state])?,
@@ -269,8 +271,6 @@ pub struct MotionBindings {
     pub keep: wgpu::BindGroup,
     /// For [`Pipelines::products`].
     pub products: wgpu::BindGroup,
-    /// For [`Pipelines::eased`].
-    pub eased: wgpu::BindGroup,
     /// For [`Pipelines::dots`].
     pub dots: wgpu::BindGroup,
     /// For [`Pipelines::combine`].
@@ -301,8 +301,11 @@ impl MotionBindings {
                 &pipelines.keep,
                 &[&m.motion, &b.seeds, &m.points, &m.ahead, &m.gradient, &m.steps, &m.changes],
             )?,
-            products: bind(device, &pipelines.products, &[&m.motion, &m.steps, &m.changes, &m.gradient, &m.partials])?,
-            eased: bind(device, &pipelines.eased, &[&m.motion, &b.sums, &m.changes, &m.gradient, &m.partials])?,
+            products: bind(
+                device,
+                &pipelines.products,
+                &[&m.motion, &b.sums, &m.steps, &m.changes, &m.gradient, &m.partials],
+            )?,
             dots: bind(device, &pipelines.dots, &[&m.motion, &m.partials, &m.dots])?,
             combine: bind(
                 device,

@@ -211,7 +211,9 @@ impl GpuSession {
             }
             _ => {}
         }
-        encoder.clear_buffer(&b.cells, 0, Some(grid_cells(params.side) * 4));
+        for of_cells in [&b.cells, &b.drifts] {
+            encoder.clear_buffer(of_cells, 0, Some(grid_cells(params.side) * 4));
+        }
         // Lists of other seeds, or of a search that did not come to its end, are none.
         let known = std::mem::take(&mut self.kept_for) == self.count;
         let of_one_pass = offset_of!(Keep, open) as u64;
