@@ -12,6 +12,7 @@ use glam::{DVec3, dvec3};
 use rand::{RngExt, SeedableRng};
 use tessera::gpu::{Device, DeviceOptions};
 use tessera::knn::{NeighbourRow, SeedIndex};
+use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::gpu::{Found, Gpu};
 use tessera::rvd::serial::Serial;
@@ -470,6 +471,28 @@ fn iterations_allocate_nothing_and_move_few_bytes() {
     assert_eq!((stats.device_allocations, stats.host_searches, stats.relaunched()), (0, 0, 0));
     assert!(stats.device_submissions == 4 && stats.read_back_bytes <= 4 * 128, "{stats:?}");
     assert!(stats.uploaded_bytes <= 4 * 512 && look.stats.uploaded_bytes <= 512, "{stats:?}");
+}
+
+/// Edges a twentieth as long at one point: cells three mean spacings wide would hold hundreds of seeds there.
+#[test]
+fn seeds_that_crowd_where_weights_are_large_are_searched_on_the_device() {
+    let gpu = require_gpu!();
+    let mesh = Shape::Torus.build(20_000);
+    let (p, size) = (mesh.positions(), mesh.positions()[0].length());
+    let length = |q: &DVec3| (2.0 * q.distance(p[0]) / size).clamp(0.05, 1.0);
+    let weights: Vec<f64> = p.iter().map(|q| length(q).powi(-4)).collect();
+    let surface = Arc::new(Surface::new(&mesh, Some(&weights)).unwrap());
+    let drawn = sample(&mesh, Some(&weights), 6000, 3);
+    let seeds: Vec<DVec3> = drawn.iter().map(|s| surface.frame().to_unit(s.position)).collect();
+    let mut session = open(gpu, &surface, &seeds);
+    let mut reference = Serial.session(Arc::clone(&surface), SessionOptions::new(6000)).unwrap();
+    let (mut sums, mut want) = (CellSums::default(), CellSums::default());
+    let stats = session.sums(&mut sums, &CancelFlag::default()).unwrap();
+    assert_eq!(stats.host_searches, 0);
+    reference.set_seeds(&seeds).unwrap();
+    reference.sums(&mut want, &CancelFlag::default()).unwrap();
+    let energy = |sums: &CellSums| sums.energy.iter().sum::<f64>();
+    assert!((energy(&sums) / energy(&want) - 1.0).abs() < 1e-5, "{} for {}", energy(&sums), energy(&want));
 }
 
 /// Energies and gradients of `steps` Lloyd steps, one by one or as the device likes, and where they lead.

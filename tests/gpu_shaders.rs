@@ -208,6 +208,7 @@ fn constants_agree() {
         format!("const FAR: u32 = {}u;", layout::halt::FAR),
         format!("const CROWDED: u32 = {}u;", layout::halt::CROWDED),
         format!("const UNSETTLED: u32 = {}u;", layout::halt::UNSETTLED),
+        format!("const RINGS: i32 = {};", layout::RINGS),
         format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
         format!("const ACCEPTED: f32 = {:e};", tessera::rvd::MAX_SEED_DISTANCE),
     ] {

@@ -301,6 +301,8 @@ pub const ENTRY_BYTES: u64 = (size_of::<State>() + size_of::<Figures>()) as u64;
 
 /// Neighbours that the search finds at most.
 pub const ROW: u32 = 24;
+/// Rings of cells around its own that a seed's search looks at, at most.
+pub const RINGS: u32 = 10;
 /// Seeds of a list that is kept.
 pub const LIST: u32 = 32;
 /// Words that say what becomes of the lists, see [`Keep`].

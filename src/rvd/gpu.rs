@@ -18,6 +18,7 @@
 //! atomics, a fifth of it). The same text as loops that were to be jumped over took 29.
 //! Must not know: iterations, jobs, files.
 
+mod crowding;
 mod fallback;
 mod fixed;
 mod history;
@@ -211,6 +212,9 @@ struct GpuSession {
     surface: Arc<Surface>,
     mass: f64,
     max_seeds: usize,
+    /// Cells along a side of the grid in which seeds are searched: of these, and at most.
+    side: u32,
+    finest: u32,
     capacities: Capacities,
 
     /// Capacities on the device, which grow, and the sets of cells they are made of.
@@ -279,7 +283,7 @@ impl GpuSession {
         // Rows by the device or by the host, and a quarter for longer ones where there is room for it.
         let rows = max_seeds as u64 * k.max(u64::from(STRIDE));
         let most = Limits::of(&gpu.device.limits()).seen_bytes() / 4;
-        let side = plan::grid_side(surface.area(), max_seeds as u64);
+        let side = crowding::grid_side_for(&surface, max_seeds);
         let counts = Counts {
             facets: facets.len() as u64,
             seeds: max_seeds as u64,
@@ -304,6 +308,8 @@ impl GpuSession {
             mass: fixed::total_mass(&surface),
             surface,
             max_seeds,
+            side,
+            finest: side,
             capacities,
             counts,
             layout,
@@ -355,7 +361,7 @@ impl GpuSession {
             grid: self.grid.side,
             seeds: self.count as u32,
             row: self.capacities.neighbours.clamp(1, ROW as usize) as u32,
-            side: plan::grid_side(self.surface.area(), self.count as u64),
+            side: self.side,
             roots: self.roots_of(&self.layout.facets()).len() as u32,
             divided: NONE,
             facet_first: self.layout.facets().start,
@@ -463,8 +469,15 @@ impl GpuSession {
 impl Session for GpuSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
         take_seeds(seeds, self.max_seeds, &mut self.seeds)?;
-        self.guessed &= self.count == self.seeds.len();
-        self.count = self.seeds.len();
+        if self.count != self.seeds.len() {
+            self.guessed = false;
+            self.count = self.seeds.len();
+            // There are buffers for the grid of the most seeds.
+            self.side = match self.count == self.max_seeds {
+                true => self.finest,
+                false => crowding::grid_side_for(&self.surface, self.count).min(self.finest),
+            };
+        }
         self.place = Place::Set;
         self.moved();
         Ok(())
