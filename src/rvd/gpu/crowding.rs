@@ -6,7 +6,7 @@
 //! many seeds that are far apart leave the rings that the device looks at; the host makes those rows longer.
 //! Measured on a software adapter: half as wide cells cost a third more time where seeds are spread evenly, so that cells
 //! are no narrower than they need to be; 50,000 seeds by feature size, up to a hundred times as crowded as on average, took
-//! 178 ms a step with the host's search and 118 to 148 without.
+//! 178 to 189 ms a step with the host's search and 150 without.
 //! Invariant: by the surface and the number of seeds alone. Must not know: where seeds are.
 
 use glam::DVec3;
