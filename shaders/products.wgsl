@@ -1,6 +1,6 @@
 // The dot products that the two-loop recursion needs: of all steps, all changes of the gradient and the gradient with the
 // new step, the new change and the gradient; and of all changes, divided by the masses of cells, with all changes and
-// the gradient, for its first guess. Every vector is read once.
+// the gradient, for its first guess. Every vector is read once, the new pair twice.
 
 #import shared/motion
 

@@ -492,7 +492,8 @@ fn seeds_that_crowd_where_weights_are_large_are_searched_on_the_device() {
     reference.set_seeds(&seeds).unwrap();
     reference.sums(&mut want, &CancelFlag::default()).unwrap();
     let energy = |sums: &CellSums| sums.energy.iter().sum::<f64>();
-    assert!((energy(&sums) / energy(&want) - 1.0).abs() < 1e-5, "{} for {}", energy(&sums), energy(&want));
+    // Pieces are floats, good to some 1e-7 of themselves, and their errors have either sign: 3e-8 of the sum was measured.
+    assert!((energy(&sums) / energy(&want) - 1.0).abs() < 1e-6, "{} for {}", energy(&sums), energy(&want));
 }
 
 /// Energies and gradients of `steps` Lloyd steps, one by one or as the device likes, and where they lead.

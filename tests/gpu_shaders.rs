@@ -199,8 +199,8 @@ fn constants_agree() {
         assert!(text.contains(&line), "{line}");
     }
     let row = i64::from(layout::ROW);
-    let constants = [("ROW", row), ("WIDTH", row), ("PART", 1)];
-    let all = ["count", "propose", "search", "centroids", "settle"];
+    let constants = [("ROW", row), ("WIDTH", row), ("PART", 1), ("PAIRS", layout::PAIRS as i64)];
+    let all = ["count", "propose", "search", "products", "centroids", "settle"];
     let text: String = all.iter().map(|stage| compose(stage, &constants).unwrap()).collect();
     for line in [
         format!("const NONE: u32 = {:#x}u;", layout::NONE),
@@ -209,6 +209,8 @@ fn constants_agree() {
         format!("const CROWDED: u32 = {}u;", layout::halt::CROWDED),
         format!("const UNSETTLED: u32 = {}u;", layout::halt::UNSETTLED),
         format!("const RINGS: i32 = {};", layout::RINGS),
+        // Room for the most products that are added up together, and odd.
+        format!("const TOGETHER: u32 = {}u;", (layout::DOTS - layout::PLAIN_DOTS) | 1),
         format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
         format!("const ACCEPTED: f32 = {:e};", tessera::rvd::MAX_SEED_DISTANCE),
     ] {
