@@ -4,9 +4,9 @@
 //! the device is to look at (`CROWD` in `shaders/count.wgsl`), so that the host would have to search, pass by pass. From
 //! how many seeds each cell is to expect, cells are made narrower until none is crowded, but not so narrow that the rows of
 //! many seeds that are far apart leave the rings that the device looks at; the host makes those rows longer.
-//! Measured on a software adapter: half as wide cells cost a third more time where seeds are spread evenly, so that cells
-//! are no narrower than they need to be; 50,000 seeds by feature size, up to a hundred times as crowded as on average, took
-//! 178 to 189 ms a step with the host's search and 150 without.
+//! Measured on a software adapter: with half as wide cells the search takes up to half as long again where seeds are spread
+//! evenly, so that they are no narrower than they need to be; 50,000 seeds by feature size, up to a hundred times as
+//! crowded as on average, took 178 to 189 ms a step with the host's search and 150 without.
 //! Invariant: by the surface and the number of seeds alone. Must not know: where seeds are.
 
 use glam::DVec3;
