@@ -104,7 +104,7 @@ fn process(index: u32) -> Piece {
         status = FINISH;
     }
     if status != DONE {
-        append_failure(f, i, status);
+        append_failure(f, pair.y, status);
         return Piece();
     }
     if count == 0u {

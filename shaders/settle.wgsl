@@ -22,7 +22,7 @@ fn main() {
     // What is negative is larger than everything here.
     let covers = at_most(motion.least_area, area) && at_most(area, motion.most_area);
     let full = atomicLoad(&state.list_overflow) + atomicLoad(&state.cells_overflow) != 0u;
-    let open = state.head < atomicLoad(&state.length) || atomicLoad(&state.failures) != 0u;
+    let open = state.head < atomicLoad(&state.length) || atomicLoad(&state.failures) != atomicLoad(&state.retaken);
     let searched = atomicLoad(&state.near) != 0u && atomicLoad(&state.unproved) == 0u;
     if full || open || !searched || !covers || figures.empty != 0u {
         atomicOr(&state.halt, UNSETTLED);

@@ -496,6 +496,54 @@ fn seeds_that_crowd_where_weights_are_large_are_searched_on_the_device() {
     assert!((energy(&sums) / energy(&want) - 1.0).abs() < 1e-6, "{} for {}", energy(&sums), energy(&want));
 }
 
+/// A crowd of seeds takes up the rows of those beside it, and an even ring around a seed makes more vertices than there
+/// are registers for. The host sees to it once; from then on the device does, with the same bits.
+#[test]
+fn cells_beside_a_crowd_and_within_a_ring_are_ended_on_the_device() {
+    require_gpu!();
+    // Traffic is counted by device.
+    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
+    let gpu = &Gpu::new(device, None).unwrap();
+    let surface = surface(Shape::Sphere, 300, false);
+    let mut seeds = noise(&surface, 300, 0.0, 9);
+    let (crowded, ringed) = (seeds[0], surface.centroid(0));
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(10);
+    let mut within = || 0.01 * (rng.random::<f64>() - 0.5);
+    let towards = (seeds[1] - crowded).normalize() * 0.02;
+    seeds.extend((0..100).map(|_| crowded + towards + dvec3(within(), within(), within())));
+    let [a, b, c] = surface.facets()[0].map(|v| surface.positions()[v as usize]);
+    let (across, normal) = ((b - a).normalize(), (b - a).cross(c - a).normalize());
+    seeds.push(ringed);
+    seeds.extend((0..12).map(|k| {
+        let (sin, cos) = (f64::from(k) / 12.0 * std::f64::consts::TAU).sin_cos();
+        ringed + 1e-3 * (across * cos + normal.cross(across) * sin)
+    }));
+    let mut session = open(gpu, &surface, &seeds);
+    let mut passes = Vec::new();
+    for _ in 0..3 {
+        session.set_seeds(&seeds).unwrap();
+        let moving = session.resident().unwrap();
+        let look = evaluate(moving);
+        let stats = look.stats;
+        eprintln!("{stats:?}");
+        assert!(stats.relaunched_neighbours > 0 && stats.relaunched_polygon > 0, "{stats:?}");
+        passes.push((look.energy.to_bits(), look.gradient_squared.to_bits(), stats.device_submissions));
+    }
+    assert!(passes[0].2 > 1, "{passes:?}");
+    assert_eq!(passes[1], (passes[0].0, passes[0].1, 1));
+    assert_eq!(passes[2], passes[1]);
+    let mut want = CellSums::default();
+    let mut reference = Serial.session(Arc::clone(&surface), SessionOptions::new(seeds.len())).unwrap();
+    reference.set_seeds(&seeds).unwrap();
+    reference.sums(&mut want, &CancelFlag::default()).unwrap();
+    let mut got = CellSums::default();
+    session.sums(&mut got, &CancelFlag::default()).unwrap();
+    for i in 0..seeds.len() {
+        // What a cell's area may be off by is a rounding of its facets' corners, as seen from its seed.
+        assert!((got.area[i] - want.area[i]).abs() < 1e-6, "{i}: {} for {}", got.area[i], want.area[i]);
+    }
+}
+
 /// Energies and gradients of `steps` Lloyd steps, one by one or as the device likes, and where they lead.
 fn relaxed(session: &mut dyn Session, steps: usize, together: bool) -> (Vec<[f64; 3]>, Vec<DVec3>, PassStats) {
     let moving = session.resident().unwrap();

@@ -24,6 +24,8 @@ fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module 
         ("LIST", i64::from(layout::LIST)),
         ("WIDTH", i64::from(if shared == 0 { layout::ROW } else { layout::LIST })),
         ("PART", tessera::gpu::plan::SEARCH_PART as i64),
+        ("LONGER", i64::from(layout::LONGER)),
+        ("MOST", i64::from(layout::MOST_RETAKEN)),
         ("MEMBERS", members(slots)),
         ("WEIGHTED", shared),
         ("PAIRS", layout::PAIRS as i64),
@@ -149,7 +151,10 @@ fn records_have_one_layout() {
             bad,
             cursor,
             paired,
-            rounds
+            rounds,
+            longer,
+            retaken,
+            crowded
         }
     );
     same_layout!(&parse("search", 10, 0), Sorted { hi, seed, lo, first });

@@ -6,6 +6,16 @@
 
 #import shared/place
 
+// The cells of row (y, z) that are at most `ring` from `place`: a range of the sorted seeds.
+fn row_around(place: vec3i, ring: i32, y: i32, z: i32) -> vec2u {
+    let last = i32(params.side) - 1;
+    if min(y, z) < 0 || max(y, z) > last {
+        return vec2u(0u);
+    }
+    let row = row_of(y, z);
+    return vec2u(cells[row + u32(max(place.x - ring, 0))], cells[row + u32(min(place.x + ring, last)) + 1u]);
+}
+
 // The cells of row (y, z) that `ring` adds to those of the ring before; the first ring has the middle too.
 // Two ranges of the sorted seeds, as (begin, end, begin, end).
 fn parts_of(place: vec3i, ring: i32, y: i32, z: i32) -> vec4u {

@@ -30,6 +30,12 @@ struct State {
     paired: atomic<u32>,
     // Clip dispatches that had pairs.
     rounds: u32,
+    // Entries of the rows that were made longer.
+    longer: atomic<u32>,
+    // Failures that were put to the end of the list again.
+    retaken: atomic<u32>,
+    // Those of them whose polygons had not fit.
+    crowded: atomic<u32>,
 }
 
 const BAD: u32 = 1u;

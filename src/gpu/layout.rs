@@ -40,9 +40,13 @@ pub mod accumulate {
     pub const NOWHERE: u32 = 2;
 }
 
-/// An entry of the list of failures: (facet, seed, code).
-pub fn failure(entry: [u32; 2]) -> (u32, u32, u32) {
-    (entry[0] & INDEX, entry[1] & INDEX, (entry[0] >> 31) | ((entry[1] >> 31) << 1))
+/// An entry of the list of failures: (facet, seed, code). `None` if the device has put the pair to the end of its
+/// list again.
+pub fn failure(entry: [u32; 2]) -> Option<(u32, u32, u32)> {
+    // The next bit says in the first word that it was, and in the second that the pair is the first of its facet.
+    let code = (entry[0] >> 31) | ((entry[1] >> 31) << 1);
+    let [facet, seed] = entry.map(|word| word & (INDEX >> 1));
+    (entry[0] & (1 << 30) == 0).then_some((facet, seed, code))
 }
 
 /// A seed.
@@ -183,6 +187,12 @@ pub struct State {
     pub paired: u32,
     /// Clip dispatches that had pairs.
     pub rounds: u32,
+    /// Entries of the rows that the device made longer.
+    pub longer: u32,
+    /// Failures that it put to the end of the list again.
+    pub retaken: u32,
+    /// Those of them whose polygons had not fit.
+    pub crowded: u32,
 }
 
 /// A seed in the order of the grid.
@@ -301,6 +311,10 @@ pub const ENTRY_BYTES: u64 = (size_of::<State>() + size_of::<Figures>()) as u64;
 
 /// Neighbours that the search finds at most.
 pub const ROW: u32 = 24;
+/// Entries of a row at most that the device makes longer.
+pub const LONGER: u32 = 256;
+/// Pairs at most that the device puts to the end of its list again.
+pub const MOST_RETAKEN: u32 = 256;
 /// Rings of cells around its own that a seed's search looks at, at most.
 pub const RINGS: u32 = 10;
 /// Seeds of a list that is kept.
@@ -359,8 +373,9 @@ mod tests {
 
     #[test]
     fn failures_unpack() {
-        assert_eq!(failure([5 | 1 << 31, 7]), (5, 7, code::NEIGHBOURS));
-        assert_eq!(failure([5, 7 | 1 << 31]), (5, 7, code::POLYGON));
-        assert_eq!(failure([5 | 1 << 31, 7 | 1 << 31]), (5, 7, code::FINISH));
+        assert_eq!(failure([5 | 1 << 31, 7]), Some((5, 7, code::NEIGHBOURS)));
+        assert_eq!(failure([5, 7 | 1 << 31]), Some((5, 7, code::POLYGON)));
+        assert_eq!(failure([5 | 1 << 31, 7 | 3 << 30]), Some((5, 7, code::FINISH)));
+        assert_eq!(failure([3 << 30 | 4, 7 | 1 << 30]), None);
     }
 }

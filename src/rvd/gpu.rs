@@ -48,7 +48,7 @@ use super::{
     Resident, RvdError, Session, SessionOptions, Surface, Together, elapsed_ms, take_seeds,
 };
 use crate::gpu::buffers::Buffers;
-use crate::gpu::layout::{self, NONE, Params, ROW, STRIDE, SUM_WORDS, State};
+use crate::gpu::layout::{self, LONGER, MOST_RETAKEN, NONE, Params, ROW, STRIDE, SUM_WORDS, State};
 use crate::gpu::plan::{self, BATCH, Counts, EXTRA_PROPOSALS, Limits};
 use crate::gpu::{Device, GpuError, Traffic};
 use crate::mesh::TriMesh;
@@ -263,6 +263,8 @@ struct GpuSession {
     moving: Option<Moving>,
     walker: FacetWalker,
     pass: pass::PassResult,
+    /// What pairs have lacked so far.
+    lacked: pass::Lacked,
     /// Clip dispatches of a pass's first submission: some more than the last pass needed.
     steps: u32,
     /// Facets that were divided at once, and that went pair by pair.
@@ -280,14 +282,15 @@ impl GpuSession {
         reach::mark(&mut facets, &celled);
         let grid = reach::Grid::new(&surface, &celled, max_seeds);
         let k = capacities.neighbours.clamp(1, max_seeds.max(1)) as u64;
-        // Rows by the device or by the host, and a quarter for longer ones where there is room for it.
+        // Rows by the device or by the host, and a quarter for longer ones where there is room for it; of these as many
+        // as the device makes in a pass.
         let rows = max_seeds as u64 * k.max(u64::from(STRIDE));
         let most = Limits::of(&gpu.device.limits()).seen_bytes() / 4;
         let side = crowding::grid_side_for(&surface, max_seeds);
         let counts = Counts {
             facets: facets.len() as u64,
             seeds: max_seeds as u64,
-            table: (rows + max_seeds as u64 * k / 4 + 4096).min(most.max(rows)),
+            table: (rows + max_seeds as u64 * k / 4 + u64::from(MOST_RETAKEN * LONGER)).min(most.max(rows)),
             polygon: SLOTS as u64,
             near: grid.near.len() as u64,
             cells: plan::grid_cells(side),
@@ -298,6 +301,7 @@ impl GpuSession {
         let layout = Layout::new(&expected, 1.5 * capacities.pairs_percent as f64 / 100.0);
         let live = (0..facets.len()).filter(|&f| !surface.skips(f));
         let roots = live.map(|f| [f as u32, NONE]).collect();
+        let weighted = !surface.is_uniform();
         Self {
             device: Arc::clone(&gpu.device),
             pool: Arc::clone(&gpu.pool),
@@ -341,6 +345,8 @@ impl GpuSession {
             moving: None,
             walker: FacetWalker::default(),
             pass: pass::PassResult::default(),
+            // Where weights vary seeds crowd.
+            lacked: pass::Lacked { neighbours: weighted, slots: weighted },
             steps: pass::STEPS.0,
             divided: 0,
             paired: 0,

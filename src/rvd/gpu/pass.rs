@@ -37,6 +37,23 @@ pub(super) struct PassResult {
     pub divided: bool,
     /// Whether cells entered facets of their own, so that the pieces are to be proved.
     pub by_cell: bool,
+    /// What the device itself sees to where pairs lack it.
+    pub mends: Lacked,
+}
+
+/// What pairs did not end for.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Lacked {
+    /// Longer rows.
+    pub neighbours: bool,
+    /// More slots for a polygon than there are in registers.
+    pub slots: bool,
+}
+
+/// Counts the pairs that the device launched again.
+pub(super) fn count_retaken(state: &State, stats: &mut PassStats) {
+    stats.relaunched_neighbours += u64::from(state.retaken - state.crowded);
+    stats.relaunched_polygon += u64::from(state.crowded);
 }
 
 /// What a pass is for.
@@ -61,6 +78,10 @@ pub(super) enum Variant {
 pub(super) const STEPS: (u32, u32) = (8, 64);
 /// However few the last pass needed.
 const FEWEST_STEPS: u32 = 3;
+/// Clip dispatches for what comes of pairs with large polygons.
+const STEPS_AGAIN: u32 = 4;
+/// Workgroups that make rows longer.
+const LENGTHENERS: u32 = 32;
 /// The variant of `divide` has room for so many times the cells that a mean facet is expected to meet. More room
 /// costs every facet time, less sends more of them through the list of pairs.
 const ROOM: f64 = 1.1;
@@ -145,13 +166,14 @@ impl GpuSession {
         self.pass = PassResult { polygon: self.first_polygon, by_cell, ..PassResult::default() };
         let Some(mut state) = self.launch_roots(facets, wants, cancel)? else { return Ok(false) };
         let mut variants = HashMap::new();
+        count_retaken(&state, stats);
         loop {
             if state.list_overflow + state.cells_overflow > 0 {
                 self.grow(state, stats)?;
                 return Ok(false);
             }
             self.pass.length = state.length;
-            if state.failures == 0 {
+            if state.failures == state.retaken {
                 break;
             }
             match self.relaunch(state, &mut variants, cancel, stats)? {
@@ -177,6 +199,10 @@ impl GpuSession {
         self.on_device()?;
         // The rows of the host are in an order of its own.
         self.pass.divided = self.divides && wants == Wants::Sums && self.rows != Rows::Host;
+        // Rows that are longer already may not be made again, and a list of which pieces are made has no pair twice.
+        if wants == Wants::Sums && self.rows == Rows::Missing {
+            self.pass.mends = self.lacked;
+        }
         let roots = self.roots_params(&facets);
         let device = Arc::clone(&self.device);
         let mut encoder = device.encoder();
@@ -333,13 +359,30 @@ impl GpuSession {
                 Variant::Registers => (&pipelines.clip, &window.clip),
                 Variant::Large => (&pipelines.clip_large, &window.clip_large),
             };
-            for _ in 0..steps {
-                compute.set_pipeline(&pipelines.prepare);
-                compute.set_bind_group(0, &there.bindings.prepare, &[]);
+            let taken = |compute: &mut wgpu::ComputePass<'_>, taking, with, clip, bindings| {
+                compute.set_pipeline(taking);
+                compute.set_bind_group(0, with, &[]);
                 compute.dispatch_workgroups(1, 1, 1);
                 compute.set_pipeline(clip);
                 compute.set_bind_group(0, bindings, &[]);
                 compute.dispatch_workgroups_indirect(&there.buffers.arguments, 0);
+            };
+            let mends =
+                if proposals.is_some_and(|p| p.propose_root != 0) { self.pass.mends } else { Lacked::default() };
+            let step = |compute: &mut wgpu::ComputePass<'_>| {
+                taken(compute, &pipelines.prepare, &there.bindings.prepare, clip, bindings);
+                if mends.neighbours {
+                    compute.set_pipeline(&pipelines.lengthen);
+                    compute.set_bind_group(0, &there.bindings.lengthen, &[]);
+                    compute.dispatch_workgroups(LENGTHENERS, 1, 1);
+                }
+            };
+            (0..steps).for_each(|_| step(&mut compute));
+            // With fewer slots allowed than there are, the host allows more first.
+            if mends.slots && self.first_polygon as usize == self.slots {
+                let (large, bindings) = (&pipelines.clip_large, &window.clip_large);
+                taken(&mut compute, &pipelines.crowded, &there.bindings.crowded, large, bindings);
+                (0..STEPS_AGAIN).for_each(|_| step(&mut compute));
             }
         }
         Ok(())
@@ -373,7 +416,7 @@ impl GpuSession {
             return Ok(true);
         }
         let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..unproved as usize)?;
-        self.leave_to_propagation(failures.iter().map(|&e| failure(e).0).collect(), stats)?;
+        self.leave_to_propagation(failures.iter().filter_map(|&e| failure(e)).map(|f| f.0).collect(), stats)?;
         Ok(false)
     }
 
@@ -387,7 +430,7 @@ impl GpuSession {
             let buffers = &self.on_device()?.buffers;
             let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..stored)?;
             let full: HashSet<u32> =
-                failures.iter().map(|&e| failure(e)).filter(|f| f.2 == code::CELLS).map(|f| f.0).collect();
+                failures.iter().filter_map(|&e| failure(e)).filter(|f| f.2 == code::CELLS).map(|f| f.0).collect();
             for facet in full {
                 // Four times as many, but never more than all seeds need.
                 let most = (self.count * 2).next_power_of_two().ilog2() as u8;

@@ -6,7 +6,7 @@
 //! Must not know: what is dispatched when.
 
 use crate::gpu::buffers::{Buffers, MotionBuffers, WindowBuffers};
-use crate::gpu::layout::{DOTS, LIST, MEMBERS, PAIRS, ROW};
+use crate::gpu::layout::{DOTS, LIST, LONGER, MEMBERS, MOST_RETAKEN, PAIRS, ROW};
 use crate::gpu::plan::SEARCH_PART;
 use crate::gpu::{Device, GpuError, shader};
 
@@ -49,6 +49,10 @@ pub struct Pipelines {
     pub search: wgpu::ComputePipeline,
     /// The same, and makes lists.
     pub search_lists: wgpu::ComputePipeline,
+    /// Makes rows longer that pairs found too short, and puts these to the end of the list again.
+    pub lengthen: wgpu::ComputePipeline,
+    /// Takes pairs once more that need the variant with more slots.
+    pub crowded: wgpu::ComputePipeline,
     /// Finds every facet's first cell.
     pub start: wgpu::ComputePipeline,
     /// Seeds along the direction.
@@ -84,6 +88,8 @@ impl Pipelines {
         let part = ("PART", SEARCH_PART as i64);
         let pairs = ("PAIRS", PAIRS as i64);
         let search = |width| [("ROW", i64::from(ROW)), ("LIST", i64::from(LIST)), ("WIDTH", i64::from(width)), part];
+        let most = ("MOST", i64::from(MOST_RETAKEN));
+        let longer = [("ROW", i64::from(ROW)), ("LONGER", i64::from(LONGER)), most];
         let divide = |members: usize, weighted| {
             let members = i64::from(MEMBERS[members]);
             let constants =
@@ -108,6 +114,8 @@ impl Pipelines {
             recall: pipeline(device, "recall", &search(LIST))?,
             search: pipeline(device, "search", &search(ROW))?,
             search_lists: pipeline(device, "search", &search(LIST))?,
+            lengthen: pipeline(device, "lengthen", &longer)?,
+            crowded: pipeline(device, "crowded", &[most])?,
             start: pipeline(device, "start", &[])?,
             trial: pipeline(device, "trial", &[])?,
             centroids: pipeline(device, "centroids", &[])?,
@@ -168,6 +176,10 @@ pub struct Bindings {
     pub search: wgpu::BindGroup,
     /// For [`Pipelines::search_lists`].
     pub search_lists: wgpu::BindGroup,
+    /// For [`Pipelines::lengthen`].
+    pub lengthen: wgpu::BindGroup,
+    /// For [`Pipelines::crowded`].
+    pub crowded: wgpu::BindGroup,
 }
 
 /// One window's.
@@ -202,6 +214,7 @@ impl Bindings {
         let window = |w| WindowBindings::new(device, pipelines, b, w);
         let search = [&b.params, &b.seeds, &b.cells, &b.sorted, &b.table, &b.state, &b.kept, &b.keep];
         let recall = [&b.params, &b.seeds, &b.sorted, &b.table, &b.kept, &b.lists, &b.keep, &b.state, &b.drifts];
+        let lengthen = [&b.params, &b.seeds, &b.cells, &b.sorted, &b.table, &b.list, &b.failures, &b.state];
         Ok(Self {
             windows: b.windows.iter().map(window).collect::<Result<_, _>>()?,
             prepare: bind(device, &pipelines.prepare, &[&b.params, &b.state, &b.arguments])?,
@@ -216,6 +229,8 @@ impl Bindings {
             recall: bind(device, &pipelines.recall, &recall)?,
             search: bind(device, &pipelines.search, &search)?,
             search_lists: bind(device, &pipelines.search_lists, &[&search[..], &[&b.lists]].concat())?,
+            lengthen: bind(device, &pipelines.lengthen, &lengthen)?,
+            crowded: bind(device, &pipelines.crowded, &[&b.params, &b.list, &b.failures, &b.state, &b.arguments])?,
         })
     }
 }

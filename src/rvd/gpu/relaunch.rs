@@ -71,6 +71,9 @@ impl GpuSession {
             return Ok(None);
         }
         stats.relaunched_neighbours += plans.short;
+        // From now on the device sees to it as far as it can.
+        self.lacked.neighbours |= plans.short > 0;
+        self.lacked.slots |= !plans.large.is_empty();
         stats.relaunched_polygon += plans.crowded;
         if !self.lengthen(&plans.rows)? {
             return Ok(None);
@@ -79,7 +82,7 @@ impl GpuSession {
         let proposals = self.finish(&plans.finish, cancel)?;
         stats.f64_finished += (self.pass.finished.len() - pieces) as u64;
 
-        let mut state = State { failures: 0, ..state };
+        let mut state = State { failures: 0, retaken: 0, ..state };
         // At most one dispatch of the large variant at a time, so that no pair found meanwhile
         // goes through it: its last bits may differ from those of the registers.
         let again = plans.again.chunks(usize::MAX).map(|p| (p, Variant::Registers));
@@ -115,7 +118,7 @@ impl GpuSession {
         let mut short = Vec::new();
         let all_slots = self.pass.polygon as usize == self.slots;
         for &entry in failures {
-            let (facet, seed, why) = failure(entry);
+            let Some((facet, seed, why)) = failure(entry) else { continue };
             let pair = (facet, seed);
             let length = self.host.records[seed as usize].row_length & INDEX;
             match why {

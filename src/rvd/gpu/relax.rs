@@ -12,7 +12,7 @@ use std::mem::offset_of;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::pass::{PassResult, Variant, run};
+use super::pass::{PassResult, Variant, count_retaken, run};
 use super::search::Place;
 use super::{GpuSession, OnDevice, lane};
 use crate::gpu::buffers;
@@ -101,6 +101,7 @@ impl GpuSession {
         self.left();
         self.place = Place::Point;
         self.pass = PassResult { polygon: self.first_polygon, divided: self.divides, ..PassResult::default() };
+        self.pass.mends = self.lacked;
         let facets = 0..self.facets.len() as u32;
         let params = self.roots_params(&facets);
         self.write_motion(self.motion())?;
@@ -140,6 +141,7 @@ impl GpuSession {
         for (state, figures) in passes.into_iter().take(taken) {
             let mut stats = PassStats { clip_ms, pairs: state.pieces.into(), ..PassStats::default() };
             stats.duplicate_seeds = state.twins.into();
+            count_retaken(&state, &mut stats);
             let work = self.count_facets(&state, params.propose_count);
             stats.set_device_work(work);
             self.moving()?.figures = figures;

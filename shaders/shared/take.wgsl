@@ -1,0 +1,24 @@
+// Taking the next pairs of the list: which, and the size of the dispatch that clips them.
+
+struct Arguments {
+    x: u32,
+    y: u32,
+    z: u32,
+}
+
+fn take(most: u32) {
+    let length = min(atomicLoad(&state.length), params.list_capacity);
+    let begin = state.head;
+    var end = min(begin + most, length);
+    // What comes after an overflow would be thrown away.
+    if atomicLoad(&state.list_overflow) + atomicLoad(&state.cells_overflow) != 0u {
+        end = begin;
+    }
+    state.begin = begin;
+    state.end = end;
+    state.head = end;
+    state.rounds += select(0u, 1u, end > begin);
+    arguments.x = (end - begin + 63u) / 64u;
+    arguments.y = 1u;
+    arguments.z = 1u;
+}
