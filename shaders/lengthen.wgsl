@@ -27,9 +27,14 @@
 const STRIDE: u32 = $(ROW + 1)u;
 // Entries of a longer row at most.
 const LONGER: u32 = $(LONGER)u;
+// Entries that will do.
+const ENOUGH: u32 = $(LONGER)u / 4u * 3u;
 // Halvings in search of the distance within which there are as many seeds as a longer row holds: of the bits of its
 // square, which are ordered as it is, since it may be of any magnitude.
 const HALVINGS: u32 = 30u;
+// Lines of cells that are looked through at the same time, and lanes for each: most hold a dozen seeds.
+const LINES: i32 = 16;
+const LINE_LANES: u32 = 4u;
 
 var<workgroup> word: u32;
 var<workgroup> tally: atomic<u32>;
@@ -71,9 +76,9 @@ fn of_first(lane: u32, value: u32) -> u32 {
 fn nearer(lane: u32, ring: i32, limit: f32, wanted: bool) -> u32 {
     var count = 0u;
     let width = 2 * ring + 1;
-    for (var line = 0; line < width * width; line += 1) {
+    for (var line = i32(lane / LINE_LANES); line < width * width; line += LINES) {
         let range = row_around(place, ring, place.y - ring + line % width, place.z - ring + line / width);
-        for (var at = range.x + lane; at < range.y; at += 64u) {
+        for (var at = range.x + lane % LINE_LANES; at < range.y; at += LINE_LANES) {
             let other = sorted[at].seed;
             let key = squared((sorted[at].hi - own.hi) + (sorted[at].lo - own.lo));
             // Later twins are nobody's neighbours.
@@ -109,11 +114,16 @@ fn make_row(lane: u32) -> bool {
             break;
         }
     }
-    // A row may end anywhere. More than half as long as it may be is long enough.
+    let known = of_first(lane, own.row_length & INDEX);
+    // A row may end anywhere, but it is to be longer than it was. Most of what it may be is long enough.
     if count > LONGER {
         everything = false;
         var few = 0.0;
-        for (var k = 0u; k < HALVINGS && (count > LONGER || count < LONGER / 2u); k += 1u) {
+        if known != 0u {
+            let last = seeds[table[own.row_begin + known - 1u]];
+            few = squared((last.hi - own.hi) + (last.lo - own.lo));
+        }
+        for (var k = 0u; k < HALVINGS && (count > LONGER || count < ENOUGH); k += 1u) {
             let middle = bitcast<f32>((bitcast<u32>(few) + bitcast<u32>(limit)) / 2u);
             count = all_of(lane, nearer(lane, ring, middle, false));
             if count > LONGER {
@@ -122,12 +132,11 @@ fn make_row(lane: u32) -> bool {
                 few = middle;
             }
         }
-        if count > LONGER || count < LONGER / 2u {
+        if count > LONGER || count < ENOUGH {
             count = all_of(lane, nearer(lane, ring, few, false));
         }
         limit = few;
     }
-    let known = of_first(lane, own.row_length & INDEX);
     if count <= known {
         return false;
     }

@@ -510,7 +510,7 @@ fn cells_beside_a_crowd_and_within_a_ring_are_ended_on_the_device() {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(10);
     let mut within = || 0.01 * (rng.random::<f64>() - 0.5);
     let towards = (seeds[1] - crowded).normalize() * 0.02;
-    seeds.extend((0..100).map(|_| crowded + towards + dvec3(within(), within(), within())));
+    seeds.extend((0..60).map(|_| crowded + towards + dvec3(within(), within(), within())));
     let [a, b, c] = surface.facets()[0].map(|v| surface.positions()[v as usize]);
     let (across, normal) = ((b - a).normalize(), (b - a).cross(c - a).normalize());
     seeds.push(ringed);

@@ -312,7 +312,7 @@ pub const ENTRY_BYTES: u64 = (size_of::<State>() + size_of::<Figures>()) as u64;
 /// Neighbours that the search finds at most.
 pub const ROW: u32 = 24;
 /// Entries of a row at most that the device makes longer.
-pub const LONGER: u32 = 256;
+pub const LONGER: u32 = 128;
 /// Pairs at most that the device puts to the end of its list again.
 pub const MOST_RETAKEN: u32 = 256;
 /// Rings of cells around its own that a seed's search looks at, at most.

@@ -301,7 +301,6 @@ impl GpuSession {
         let layout = Layout::new(&expected, 1.5 * capacities.pairs_percent as f64 / 100.0);
         let live = (0..facets.len()).filter(|&f| !surface.skips(f));
         let roots = live.map(|f| [f as u32, NONE]).collect();
-        let weighted = !surface.is_uniform();
         Self {
             device: Arc::clone(&gpu.device),
             pool: Arc::clone(&gpu.pool),
@@ -345,8 +344,7 @@ impl GpuSession {
             moving: None,
             walker: FacetWalker::default(),
             pass: pass::PassResult::default(),
-            // Where weights vary seeds crowd.
-            lacked: pass::Lacked { neighbours: weighted, slots: weighted },
+            lacked: pass::Lacked::default(),
             steps: pass::STEPS.0,
             divided: 0,
             paired: 0,

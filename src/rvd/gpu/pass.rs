@@ -81,7 +81,7 @@ const FEWEST_STEPS: u32 = 3;
 /// Clip dispatches for what comes of pairs with large polygons.
 const STEPS_AGAIN: u32 = 4;
 /// Workgroups that make rows longer.
-const LENGTHENERS: u32 = 32;
+const LENGTHENERS: u32 = 16;
 /// The variant of `divide` has room for so many times the cells that a mean facet is expected to meet. More room
 /// costs every facet time, less sends more of them through the list of pairs.
 const ROOM: f64 = 1.1;
