@@ -231,6 +231,14 @@ impl Plan {
             _ => (what, bytes),
         });
         fits(&seen, limits)?;
+        if counts.facets > MOST_FACETS {
+            let limit_bytes = MOST_FACETS * size_of::<Facet>() as u64;
+            return Err(GpuError::NeverFits {
+                what: "facets".to_owned(),
+                needed_bytes: plan.facets_bytes,
+                limit_bytes,
+            });
+        }
         Ok(plan)
     }
 
@@ -269,6 +277,8 @@ impl Plan {
     }
 }
 
+/// Facets that an entry of the list of failures can name. Seeds are fewer: their records are one binding.
+const MOST_FACETS: u64 = 1 << 30;
 /// Bytes of a list that is kept.
 pub const LIST_BYTES: u64 = 4 * LIST as u64;
 /// Seeds that one dispatch of a search looks at.
@@ -472,6 +482,13 @@ mod tests {
         let error = Plan::new(counts(2_000_000), LIMITS).unwrap_err();
         let GpuError::NeverFits { what, needed_bytes, limit_bytes } = error else { panic!("{error}") };
         assert_eq!((what.as_str(), needed_bytes, limit_bytes), ("facets", 192_000_000, 128 << 20));
+    }
+
+    #[test]
+    fn facets_that_no_failure_could_name_are_refused() {
+        let many = |facets| Counts { facets, window: 1000, ..counts(1000) };
+        assert!(Plan::new(many(1 << 30), LIMITS).is_ok());
+        assert!(matches!(Plan::new(many((1 << 30) + 1), LIMITS), Err(GpuError::NeverFits { .. })));
     }
 
     #[test]
