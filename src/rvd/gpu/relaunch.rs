@@ -1,7 +1,8 @@
 //! Pairs that did not end.
 //!
 //! Purpose: longer rows for `NeighboursExhausted`, more slots for `PolygonOverflow`, f64 for the
-//! rest; then the pairs are put to the end of the list and launched again.
+//! rest; then the pairs are put to the end of the list and launched again. What the device has seen
+//! to itself (`shaders/lengthen.wgsl`, `crowded.wgsl`) does not come here.
 //! Invariant: nothing is dropped. A relaunched pair sees a longer prefix of the same row, so
 //! capacities cannot change its polygon.
 //! Must not know: how a launch works.
@@ -82,7 +83,7 @@ impl GpuSession {
         let proposals = self.finish(&plans.finish, cancel)?;
         stats.f64_finished += (self.pass.finished.len() - pieces) as u64;
 
-        let mut state = State { failures: 0, retaken: 0, ..state };
+        let mut state = State { failures: 0, retaken: 0, crowded: 0, ..state };
         // At most one dispatch of the large variant at a time, so that no pair found meanwhile
         // goes through it: its last bits may differ from those of the registers.
         let again = plans.again.chunks(usize::MAX).map(|p| (p, Variant::Registers));
