@@ -8,6 +8,7 @@ mod gpu;
 use std::collections::BTreeSet;
 
 use glam::{DVec3, dvec3};
+use tessera::cvt::density::{DensityOptions, DensitySource};
 use tessera::mesh::TriMesh;
 use tessera::mesh::adjacency::{Adjacency, EdgeKind};
 use tessera::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
@@ -19,7 +20,7 @@ use tessera::rvd::parallel::Parallel;
 use tessera::rvd::{Backend, CancelFlag};
 
 fn wish(crease_angle_deg: f64) -> FeatureOptions {
-    FeatureOptions { crease_angle_deg, given: Vec::new(), shortest: 0.0, reach: 0.05, alone: 0.0 }
+    FeatureOptions { crease_angle_deg, reach: 0.05, ..FeatureOptions::default() }
 }
 
 fn find(mesh: &TriMesh, options: &FeatureOptions) -> Result<Features, FeatureError> {
@@ -286,6 +287,57 @@ fn short_open_creases_are_left_out_unless_they_were_given() {
         };
         let curve = found.curves.iter().find(has).unwrap();
         assert_eq!(curve.kind, CurveKind::Crease);
+    }
+}
+
+/// Lengths count by how fine the remesh is to be where they are.
+#[test]
+fn what_is_short_depends_on_the_edges_that_there_are_to_be() {
+    let mesh = Shape::Plane.build(800);
+    let (mut positions, facets) = mesh.into_parts();
+    let bump = dvec3(0.5, 0.5, 0.0);
+    let top = positions.iter().position(|p| p.distance(bump) < 1e-9).unwrap();
+    positions[top].z = 0.05;
+    let mesh = TriMesh::new(positions, facets).unwrap();
+    let fine = |f: &dyn Fn(DVec3) -> f64| FeatureOptions {
+        shortest: 0.5,
+        reach: 0.25,
+        alone: 0.25,
+        fineness: mesh.positions().iter().map(|&p| f(p)).collect(),
+        ..wish(30.0)
+    };
+    let found = |options: &FeatureOptions| find(&mesh, options).unwrap();
+    let without =
+        |by: f64| found(&FeatureOptions { shortest: 0.5 / by, reach: 0.25 / by, alone: 0.25 / by, ..wish(30.0) });
+    // A power of two, so that nothing is rounded.
+    for by in [0.5, 1.0, 16.0] {
+        assert_eq!(found(&fine(&|_| by)), without(by), "{by}");
+    }
+    assert_eq!(counts(&without(1.0)).1, 0, "too short for coarse edges");
+    assert!(counts(&without(16.0)).1 > 0, "long enough for fine ones");
+    let [elsewhere, there] =
+        [false, true].map(|near| found(&fine(&|p| if (p.distance(bump) < 0.25) == near { 16.0 } else { 1.0 })));
+    assert_eq!((counts(&elsewhere).1, counts(&there).1), (0, counts(&without(16.0)).1));
+}
+
+/// What is noise beside the edges of a remesh stays that where other edges of it are much shorter.
+#[test]
+fn an_adaptive_remesh_takes_no_noise_for_creases() {
+    let ball = Shape::Sphere.build(8000);
+    // Bumps of one vertex each on one side, and edges that are to be a tenth as long as there on the other.
+    let bumps = |(v, &p): (usize, &DVec3)| if v % 11 == 0 && p.x < 0.5 { 1.03 * p } else { p };
+    let positions = ball.positions().iter().enumerate().map(bumps).collect();
+    let mesh = TriMesh::new(positions, ball.facets().to_vec()).unwrap();
+    assert!(counts(&find(&mesh, &wish(30.0)).unwrap()).1 > 100);
+    let size = |p: DVec3| if p.x > 0.9 { 0.1 } else { 1.0 };
+    let sizes = DensitySource::Sizes(mesh.positions().iter().map(|&p| size(p)).collect());
+    for source in [DensitySource::Uniform, sizes, DensitySource::Curvature, DensitySource::FeatureSize] {
+        let name = source.name();
+        let density = DensityOptions::from_source(source);
+        let options = RemeshOptions { density, lloyd: 1, newton: 0, ..options(2000) };
+        let features = run(&mesh, &options).unwrap().report.features;
+        println!("{name}: {features:?}");
+        assert_eq!(features.creases, 0, "{name}");
     }
 }
 

@@ -17,8 +17,8 @@ use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
 use ridges::Bends;
 
-/// What counts as a feature.
-#[derive(Clone, Debug, PartialEq)]
+/// What counts as a feature. [`Default`] is boundaries alone.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct FeatureOptions {
     /// Edges whose facets' normals differ by more than this are creases, degrees; 0 finds none.
     pub crease_angle_deg: f64,
@@ -26,13 +26,16 @@ pub struct FeatureOptions {
     pub given: Vec<[u32; 2]>,
     /// Creases by angle go where they end freely within this length, and where all that hangs
     /// together is shorter than twice this, or a tangle of curves that are much shorter still. In the frame
-    /// of the positions.
+    /// of the positions, as all lengths here.
     pub shortest: f64,
-    /// Bends are measured over this length on either side; same frame.
+    /// Bends are measured over this length on either side.
     pub reach: f64,
     /// A ridge that is bent by half the angle of creases is one too where nothing within this length beside it is
-    /// bent nearly as much, if it goes on from a crease or joins two; same frame. 0 finds none.
+    /// bent nearly as much, if it goes on from a crease or joins two. 0 finds none.
     pub alone: f64,
+    /// How fine the remesh is to be at each vertex, at least 0: where this is f, lengths count f times, since what matters
+    /// is how many edges of the remesh they are. 1 everywhere if empty.
+    pub fineness: Vec<f64>,
 }
 
 /// A network whose curves are shorter on average than this share of the shortest crease is a tangle,
@@ -101,6 +104,33 @@ pub enum FeatureError {
 
 type Edge = [u32; 2];
 
+/// Lengths as [`FeatureOptions::fineness`] makes them.
+#[derive(Clone, Copy)]
+struct Ruler<'a> {
+    positions: &'a [DVec3],
+    fineness: &'a [f64],
+}
+
+impl Ruler<'_> {
+    fn fineness(&self, v: u32) -> f64 {
+        self.fineness.get(v as usize).copied().unwrap_or(1.0)
+    }
+
+    fn at(&self, v: u32) -> DVec3 {
+        self.positions[v as usize]
+    }
+
+    /// Of an edge.
+    fn edge(&self, a: u32, b: u32) -> f64 {
+        self.at(a).distance(self.at(b)) * (0.5 * (self.fineness(a) + self.fineness(b)))
+    }
+
+    /// Of a chain of edges.
+    fn chain(&self, chain: &[u32]) -> f64 {
+        chain.windows(2).map(|p| self.edge(p[0], p[1])).sum()
+    }
+}
+
 fn edge(a: u32, b: u32) -> Edge {
     [a.min(b), a.max(b)]
 }
@@ -116,7 +146,8 @@ impl Features {
         }
         let adjacency = Adjacency::new(mesh);
         let class = adjacency.representative();
-        let bends = Bends::new(mesh, positions, &adjacency);
+        let ruler = Ruler { positions, fineness: &options.fineness };
+        let bends = Bends::new(mesh, ruler, &adjacency);
         let (bent, boundary) = classify(mesh, &bends, &adjacency, options.crease_angle_deg);
         let mut graph = Graph::default();
         let must = |kind| What { kind, kept: true, angle: 180.0 };
@@ -133,11 +164,11 @@ impl Features {
         for &(e, angle) in &bent {
             graph.insert(e, What { kind: CurveKind::Crease, kept: false, angle });
         }
-        let left_out = graph.prune(positions, options.shortest);
+        let left_out = graph.prune(ruler, options.shortest);
         if options.alone > 0.0 && options.crease_angle_deg > 0.0 {
             bends.add_ridges(&mut graph, options.crease_angle_deg, options.alone, options.shortest);
         }
-        let (curves, corners) = graph.curves(positions, options.reach);
+        let (curves, corners) = graph.curves(ruler, options.reach);
         Ok(Self { curves, corners, left_out })
     }
 
@@ -152,8 +183,7 @@ impl Features {
         if given.is_empty() {
             return Ok(());
         }
-        let options =
-            FeatureOptions { crease_angle_deg: 0.0, given: given.to_vec(), shortest: 0.0, reach: 0.0, alone: 0.0 };
+        let options = FeatureOptions { given: given.to_vec(), ..FeatureOptions::default() };
         Self::find(mesh, mesh.positions(), &options).map(|_| ())
     }
 
@@ -264,17 +294,14 @@ impl Graph {
 
     /// Takes creases out that end freely within `shortest`, again and again, and then whole
     /// networks of them that are shorter. Returns how many edges went.
-    fn prune(&mut self, positions: &[DVec3], shortest: f64) -> usize {
+    fn prune(&mut self, ruler: Ruler<'_>, shortest: f64) -> usize {
         let before = self.edges.len();
-        let length = |chain: &[u32]| -> f64 {
-            chain.windows(2).map(|p| positions[p[0] as usize].distance(positions[p[1] as usize])).sum()
-        };
         loop {
             let ends: Vec<u32> = self.around.iter().filter(|(_, l)| l.len() == 1).map(|(&v, _)| v).collect();
             let mut loose: Vec<(f64, Vec<u32>)> = ends
                 .into_iter()
                 .map(|v| self.chain(v, self.around[&v][0]))
-                .map(|chain| (length(&chain), chain))
+                .map(|chain| (ruler.chain(&chain), chain))
                 .filter(|(length, chain)| *length < shortest && self.may_go(chain))
                 .collect();
             // The shortest first, one at a time where they meet: what is left of a junction may be one long curve.
@@ -294,7 +321,7 @@ impl Graph {
                 break;
             }
         }
-        self.drop_short_networks(positions, shortest);
+        self.drop_short_networks(ruler, shortest);
         before - self.edges.len()
     }
 
@@ -302,7 +329,7 @@ impl Graph {
         chain.windows(2).all(|p| self.edges.get(&edge(p[0], p[1])).is_none_or(|what| !what.kept))
     }
 
-    fn drop_short_networks(&mut self, positions: &[DVec3], shortest: f64) {
+    fn drop_short_networks(&mut self, ruler: Ruler<'_>, shortest: f64) {
         let mut seen = std::collections::BTreeSet::new();
         let starts: Vec<u32> = self.around.keys().copied().collect();
         for start in starts {
@@ -323,7 +350,7 @@ impl Graph {
             if edges.iter().any(|e| self.edges.get(e).is_some_and(|what| what.kept)) {
                 continue;
             }
-            let length = |e: &Edge| positions[e[0] as usize].distance(positions[e[1] as usize]);
+            let length = |e: &Edge| ruler.edge(e[0], e[1]);
             let total: f64 = edges.iter().map(length).sum();
             let sharp: f64 = edges.iter().filter(|e| self.edges[*e].angle >= SHARP_ANGLE).map(length).sum();
             let chains = (ends / 2).max(1) as f64;
@@ -336,7 +363,7 @@ impl Graph {
     }
 
     /// The curves between corners, and the corners.
-    fn curves(&self, positions: &[DVec3], reach: f64) -> (Vec<Curve>, Vec<u32>) {
+    fn curves(&self, ruler: Ruler<'_>, reach: f64) -> (Vec<Curve>, Vec<u32>) {
         let kind = |a: u32, b: u32| self.edges[&edge(a, b)].kind;
         let bend =
             |c: &[u32]| c.windows(2).map(|p| self.edges[&edge(p[0], p[1])].angle).sum::<f64>() / (c.len() - 1) as f64;
@@ -359,7 +386,7 @@ impl Graph {
                     done.insert(edge(p[0], p[1]));
                 });
                 let closed = chain[0] == chain[chain.len() - 1] && !corners.contains(&v);
-                split(&chain, closed, kind(v, next), positions, reach, &mut corners, &mut curves);
+                split(&chain, closed, kind(v, next), (ruler, reach), &mut corners, &mut curves);
             }
         }
         for curve in &mut curves {
@@ -390,12 +417,11 @@ fn split(
     chain: &[u32],
     closed: bool,
     kind: CurveKind,
-    positions: &[DVec3],
-    reach: f64,
+    (ruler, reach): (Ruler<'_>, f64),
     corners: &mut std::collections::BTreeSet<u32>,
     curves: &mut Vec<Curve>,
 ) {
-    let turns = sharp_turns(chain, closed, positions, reach);
+    let turns = sharp_turns(chain, closed, ruler, reach);
     let last = chain.len() - 1;
     if turns.is_empty() {
         let vertices = if closed { chain[..last].to_vec() } else { chain.to_vec() };
@@ -424,11 +450,11 @@ fn split(
 
 /// Places in a chain where it turns by more than [`CORNER_ANGLE`] between the points `reach` behind and
 /// ahead: the sharpest within each stretch of that length.
-fn sharp_turns(chain: &[u32], closed: bool, positions: &[DVec3], reach: f64) -> Vec<usize> {
-    let p: Vec<DVec3> = chain.iter().map(|&v| positions[v as usize]).collect();
+fn sharp_turns(chain: &[u32], closed: bool, ruler: Ruler<'_>, reach: f64) -> Vec<usize> {
+    let p: Vec<DVec3> = chain.iter().map(|&v| ruler.at(v)).collect();
     let last = p.len() - 1;
     let mut along = vec![0.0];
-    p.windows(2).for_each(|w| along.push(along[along.len() - 1] + w[0].distance(w[1])));
+    chain.windows(2).for_each(|w| along.push(along[along.len() - 1] + ruler.edge(w[0], w[1])));
     let total = along[last];
     // The point at arc length s.
     let at = |s: f64| {

@@ -100,7 +100,12 @@ impl Kept {
             return Ok(Self::default());
         }
         let points = plan.points;
+        // What is short depends on the edges that there are to be, which weights make shorter than this one.
         let scale = edge_length(surface, &Features::default(), points);
+        let fineness = match surface.is_uniform() {
+            true => Vec::new(),
+            false => surface.weights().iter().map(|w| w.powf(0.25)).collect(),
+        };
         // Who asks for a larger angle wants fewer creases.
         let softer = options.crease_angle_deg <= RemeshOptions::CREASE_ANGLE_DEG;
         let mut wish = FeatureOptions {
@@ -109,6 +114,7 @@ impl Kept {
             shortest: SHORTEST * scale,
             reach: REACH * scale,
             alone: if softer { ALONE * scale } else { 0.0 },
+            fineness,
         };
         let mut given_up = 0;
         loop {

@@ -9,7 +9,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Edge, Graph, What, edge};
+use super::{Edge, Graph, Ruler, What, edge};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
 
@@ -27,15 +27,15 @@ const MOST_FACETS: usize = 200;
 /// Bends of a surface's edges.
 pub(super) struct Bends<'a> {
     mesh: &'a TriMesh,
-    positions: &'a [DVec3],
+    ruler: Ruler<'a>,
     adjacency: &'a Adjacency,
     /// Of each edge, by the lower one of its half-edges; no number where there is none.
     degrees: Vec<f64>,
 }
 
 impl<'a> Bends<'a> {
-    pub(super) fn new(mesh: &'a TriMesh, positions: &'a [DVec3], adjacency: &'a Adjacency) -> Self {
-        let mut bends = Self { mesh, positions, adjacency, degrees: Vec::new() };
+    pub(super) fn new(mesh: &'a TriMesh, ruler: Ruler<'a>, adjacency: &'a Adjacency) -> Self {
+        let mut bends = Self { mesh, ruler, adjacency, degrees: Vec::new() };
         let halves = (0..3 * mesh.facets().len()).into_par_iter().with_min_len(CHUNK);
         let lower = |half: usize| adjacency.opposite(half).is_some_and(|other| half < other);
         let degrees = halves.map(|half| if lower(half) { bends.measure(half) } else { None }.unwrap_or(f64::NAN));
@@ -44,12 +44,17 @@ impl<'a> Bends<'a> {
     }
 
     fn corners(&self, f: usize) -> [DVec3; 3] {
-        self.mesh.facets()[f].map(|v| self.positions[v as usize])
+        self.mesh.facets()[f].map(|v| self.ruler.at(v))
     }
 
     fn normal(&self, f: usize) -> DVec3 {
         let [a, b, c] = self.corners(f);
         (b - a).cross(c - a).normalize_or_zero()
+    }
+
+    /// In the middle of a facet.
+    fn fineness(&self, f: usize) -> f64 {
+        self.mesh.facets()[f].map(|v| self.ruler.fineness(v)).iter().sum::<f64>() / 3.0
     }
 
     /// By how much the surface is bent at a half-edge, degrees; `None` where it has not two facets with an area.
@@ -93,7 +98,7 @@ impl<'a> Bends<'a> {
             let across = normal.cross(to - from);
             let towards = way.dot(across);
             let step = if towards < 0.0 { ((from - here).dot(across) / towards).max(0.0) } else { 0.0 };
-            left -= step;
+            left -= step * self.fineness(f);
             if left <= 0.0 {
                 return true;
             }
@@ -145,10 +150,7 @@ impl<'a> Bends<'a> {
                     // Seen from its other end.
                     continue;
                 }
-                let length: f64 = chain
-                    .windows(2)
-                    .map(|p| self.positions[p[0] as usize].distance(self.positions[p[1] as usize]))
-                    .sum();
+                let length = self.ruler.chain(&chain);
                 let ends = [first, last].map(|v| graph.degree(v));
                 let between = ends[0] > 0 && ends[1] > 0;
                 let goes_on = ends.contains(&1);
