@@ -178,6 +178,38 @@ fn curvature_and_feature_size_gather_points_where_they_should() {
     }
 }
 
+/// Folds of noise, whose feature size is next to nothing, and a wedge whose sheets are as close together.
+#[test]
+fn edges_are_no_shorter_than_the_meshs_own_but_between_sheets() {
+    let ball = Shape::Sphere.build(8000);
+    let noise = |v: usize| 1.0 + 0.02 * ((v * 7919 % 101) as f64 / 50.0 - 1.0);
+    let noisy = ball.positions().iter().enumerate().map(|(v, &p)| p * noise(v)).collect();
+    let noisy = TriMesh::new(noisy, ball.facets().to_vec()).unwrap();
+    let least = |mesh: &TriMesh, source, points| {
+        let figures = planned(mesh, &DensityOptions::from_source(source), Count::Points(points)).unwrap().figures;
+        println!("{points} points: {figures:?}, own edges {}", mean_edge(mesh));
+        assert!((figures.points_implied.unwrap() / points as f64 - 1.0).abs() < 0.01, "{figures:?}");
+        figures.edge_least.unwrap()
+    };
+    let own = mean_edge(&noisy);
+    for source in [DensitySource::Curvature, DensitySource::FeatureSize] {
+        // Heights of facets differ by a few tenths.
+        assert!(least(&noisy, source.clone(), 500) > 0.6 * own);
+        // So many points are to show more than the mesh has: half of what even ones are apart.
+        let even = Outline::new(&noisy).edge_length(40_000.0);
+        assert!(least(&noisy, source, 40_000) > 0.499 * even);
+    }
+    // Sheets 0.02 to 0.4 apart, edges of 0.1.
+    let sheets = Shape::Sheets.build(400);
+    let (low, high) = sheets.bounds();
+    let wedge = |p: DVec3| {
+        let x = (p.x - low.x) / (high.x - low.x);
+        DVec3::new(2.0 * x, 2.0 * (p.y - low.y) / (high.y - low.y), (p.z - low.z).signum() * (0.02 + 0.38 * x))
+    };
+    let wedge = TriMesh::new(sheets.positions().iter().map(|&p| wedge(p)).collect(), sheets.facets().to_vec()).unwrap();
+    assert!(least(&wedge, DensitySource::FeatureSize, 2000) < 0.25 * mean_edge(&wedge));
+}
+
 #[test]
 fn real_scans_and_parts_have_a_density() {
     for name in ["stanford-bunny.obj", "fandisk.obj", "rocker-arm.obj"] {

@@ -13,6 +13,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 use glam::DVec3;
+use tessera::cvt::density::{DensityOptions, DensitySource};
 use tessera::mesh::TriMesh;
 use tessera::mesh::adjacency::{Adjacency, EdgeKind};
 use tessera::mesh::closest_point::ClosestPoint;
@@ -183,6 +184,25 @@ fn remeshes_come_up_to_the_bars() {
         let backend = Parallel::new(None).unwrap();
         let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
         bars.check(&mesh, &result);
+    }
+}
+
+/// Graded edges keep triangles nearly as round. When a scan's noise beside coarse edges counted as creases, as if all edges
+/// were as short as the shortest, 0.23 and 0.22 % of the facets had an angle under 30°.
+#[test]
+fn graded_remeshes_are_of_round_triangles_too() {
+    for (file, points, source, q) in [
+        ("stanford-bunny.obj", 10_000, DensitySource::FeatureSize, 0.89),
+        ("rocker-arm.obj", 15_000, DensitySource::FeatureSize, 0.90),
+    ] {
+        let Some(mesh) = surfaces::real(file) else { return };
+        let density = DensityOptions::from_source(source);
+        let options = RemeshOptions { density, ..RemeshOptions::new(Seeds::Sample { points, seed: 0 }) };
+        let backend = Parallel::new(None).unwrap();
+        let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+        let quality = result.report.result.quality.unwrap();
+        println!("{file}: {quality:?}");
+        assert!(quality.q_avg > q && quality.under_30_percent <= 0.03 && quality.v567_percent > 99.9, "{quality:?}");
     }
 }
 

@@ -37,9 +37,11 @@ pub enum DensitySource {
     /// kept if the points are [`Count::Implied`]; with another count only their ratios are.
     Sizes(Vec<f64>),
     /// h ∝ κ^(-1/2), κ the larger principal curvature, so that all edges depart from the surface by about
-    /// the same: an edge of length h by h²κ/8.
+    /// the same: an edge of length h by h²κ/8. Edges are no shorter than the mesh's own, or than half of those of as many
+    /// even points where its own are longer: there is no more of the surface to see.
     Curvature,
-    /// h ∝ the distance to the medial axis: fine where the surface is thin, hollow or sharp.
+    /// h ∝ the distance to the medial axis: fine where the surface is thin, hollow or sharp. Edges are as short as with
+    /// curvature, or shorter where two sheets are so close.
     FeatureSize,
 }
 
@@ -197,7 +199,8 @@ pub struct DensityFigures {
     pub edge_median: Option<f64>,
     /// Largest.
     pub edge_largest: Option<f64>,
-    /// Vertices whose length was outside the bounds ([`DensityOptions::clamp`], [`DensityOptions::ratio`]).
+    /// Vertices whose length was outside the bounds ([`DensityOptions::clamp`], [`DensityOptions::ratio`], the mesh's own
+    /// edges).
     pub clamped_vertices: usize,
     /// Vertices whose length was lowered for the sake of gradation.
     pub graded_vertices: usize,
@@ -288,15 +291,26 @@ fn varying<'a>(
         rounded(target, options.max_points)?;
     }
     go_on()?;
-    let raw = match &options.source {
-        DensitySource::Sizes(sizes) => sizes.clone(),
-        DensitySource::FeatureSize => feature_size::local(&net),
-        _ => of_curvature(&net, target.unwrap_or(1.0)),
+    let (raw, sheets) = match &options.source {
+        DensitySource::Sizes(sizes) => (sizes.clone(), None),
+        DensitySource::FeatureSize => {
+            let size = feature_size::local(&net);
+            (size.all, Some(size.between_sheets))
+        }
+        _ => (of_curvature(&net, target.unwrap_or(1.0)), None),
     };
-    let mut field = SizeField::new(&net, whole(&net, raw, &options.source))?;
+    let given = matches!(options.source, DensitySource::Sizes(_));
+    let mut field = SizeField::new(&net, if given { raw } else { whole(&net, raw) })?;
+    let mut sheets = sheets.map(|sheets| SizeField::new(&net, whole(&net, sheets))).transpose()?;
     go_on()?;
-    let clamped = adapt(&mut field, &net, options);
-    let Bounded { field, graded, lowered, points } = bounded(field, &net, options, target, &go_on)?;
+    let median = field.median(&net);
+    let clamped = adapt(&mut field, median, options);
+    sheets.iter_mut().for_each(|sheets| _ = adapt(sheets, median, options));
+    let least = match target {
+        Some(target) if !given => Some(Least { edge: resolved(&net, target), sheets }),
+        _ => None,
+    };
+    let Bounded { field, graded, outside, points } = bounded(field, least.as_ref(), &net, options, target, &go_on)?;
     go_on()?;
     let points_implied = points;
     let points = match count {
@@ -312,7 +326,7 @@ fn varying<'a>(
         edge_least: Some(field.least()),
         edge_median: Some(field.median(&net)),
         edge_largest: Some(field.largest()),
-        clamped_vertices: clamped + lowered,
+        clamped_vertices: clamped + outside,
         graded_vertices: graded,
         facets: divided.as_ref().map_or(mesh, |(fine, _)| fine).facets().len(),
     };
@@ -345,35 +359,59 @@ fn of_curvature(net: &Net, points: f64) -> Vec<f64> {
     curvature.into_iter().map(length).collect()
 }
 
-/// Lengths that a source could not tell (NaN) become the median; given ones are left to be checked.
-fn whole(net: &Net, mut raw: Vec<f64>, source: &DensitySource) -> Vec<f64> {
-    if !matches!(source, DensitySource::Sizes(_)) {
-        let median = net.median(&raw);
-        let median = if median > 0.0 { median } else { 1.0 };
-        // A medial axis that runs through a vertex gives 0; the clamp decides how small that is.
-        raw.iter_mut().for_each(|h| *h = if h.is_nan() { median } else { h.max(1e-9) } * net.outline.extent);
-    }
+/// Lengths that a source could not tell (NaN) become the median; all in caller's units.
+fn whole(net: &Net, mut raw: Vec<f64>) -> Vec<f64> {
+    let median = net.median(&raw);
+    let median = if median > 0.0 { median } else { 1.0 };
+    // A medial axis that runs through a vertex gives 0; the clamp decides how small that is.
+    raw.iter_mut().for_each(|h| *h = if h.is_nan() { median } else { h.max(1e-9) } * net.outline.extent);
     raw
 }
 
 /// Adaptivity, and the bounds about the median; says how many lengths were outside.
-fn adapt(field: &mut SizeField, net: &Net, options: &DensityOptions) -> usize {
-    let median = field.median(net);
+fn adapt(field: &mut SizeField, median: f64, options: &DensityOptions) -> usize {
     field.flatten(median, options.adaptivity);
     field.clamp(median / options.clamp, median * options.clamp)
+}
+
+/// How short lengths that are found may become: not shorter than the mesh's own edges. Between its vertices a mesh is
+/// flat, so that shorter ones would show nothing of the surface, but they gather at each fold of a scan's noise, where feature
+/// size tends to nothing. With this bound the mean distance from the surface is 5 to 16 % less on scans (by feature size,
+/// bunny with 10,000 points and nefertiti with 50,000). Sheets that are close together count whatever they are made of.
+struct Least {
+    /// The least length at each vertex,
+    edge: Vec<f64>,
+    /// unless these ask for less, once they are scaled as the field is.
+    sheets: Option<SizeField>,
+}
+
+impl Least {
+    fn at(&self, v: usize, factor: f64) -> f64 {
+        self.sheets.as_ref().map_or(self.edge[v], |sheets| self.edge[v].min(factor * sheets.sizes()[v]))
+    }
+}
+
+/// Edges may be so much shorter than those of as many even points, even if the mesh has none as short.
+const SHORTER: f64 = 0.5;
+
+/// The length of the mesh's own edges at each vertex, caller's units, as far as so many points can tell.
+fn resolved(net: &Net, points: f64) -> Vec<f64> {
+    let most = SHORTER * net.outline.edge_length(points);
+    net.resolution().into_iter().map(|edge| (edge * net.outline.extent).min(most)).collect()
 }
 
 struct Bounded {
     field: SizeField,
     graded: usize,
-    lowered: usize,
+    outside: usize,
     points: f64,
 }
 
-/// Gradation and ratio; with a target, the factor for which that many points come out (within half a percent: the
-/// rest is the same for all points). Lengths and distances are compared, so the factor has to be found.
+/// Least lengths, gradation and ratio; with a target, the factor for which that many points come out (within half a
+/// percent: the rest is the same for all points). Lengths and distances are compared, so the factor has to be found.
 fn bounded(
     base: SizeField,
+    least: Option<&Least>,
     net: &Net,
     options: &DensityOptions,
     target: Option<f64>,
@@ -381,22 +419,28 @@ fn bounded(
 ) -> Result<Bounded, DensityError> {
     let once = |factor: f64| {
         let mut field = if factor == 1.0 { base.clone() } else { base.scaled(factor) };
+        let raised = least.map_or(0, |least| field.raise(|v| least.at(v, factor)));
         let graded = field.grade(net, options.gradation);
         let lowered = field.clamp(0.0, field.least() * options.ratio);
         let points = field.points(net);
-        Bounded { field, graded, lowered, points }
+        Bounded { field, graded, outside: raised + lowered, points }
     };
     let Some(target) = target else { return Ok(once(1.0)) };
     let mut factor = (base.points(net) / target).sqrt();
     let mut found = once(factor);
+    // How many points a factor takes away: its square, less where lengths cannot be shorter. In logarithms.
+    let mut slope = 2.0;
     for _ in 0..20 {
         go_on()?;
-        let off = found.points / target;
-        if (off - 1.0).abs() < 0.005 {
+        let off = (found.points / target).ln();
+        if off.abs() < 0.005 {
             break;
         }
-        factor *= off.sqrt();
+        let step = off / slope;
+        factor *= step.exp();
+        let before = found.points;
         found = once(factor);
+        slope = ((before / found.points).ln() / step).clamp(0.25, 4.0);
     }
     Ok(found)
 }

@@ -49,9 +49,17 @@ const SMOOTH: f64 = 0.8;
 const ROUNDS: usize = 40;
 
 /// For each vertex the distance to the nearest medial point, per extent of the mesh.
+pub(super) struct FeatureSize {
+    /// The nearest of all.
+    pub(super) all: Vec<f64>,
+    /// The nearest of those between two sheets, of which the other ones are the folds of one.
+    pub(super) between_sheets: Vec<f64>,
+}
+
+/// Finds it.
 ///
 /// Samples are the vertices, and points inside facets that are larger than the spacing of [`SAMPLES`] points.
-pub(super) fn local(net: &Net) -> Vec<f64> {
+pub(super) fn local(net: &Net) -> FeatureSize {
     let Samples { points, normals: sample_normals, spacing, first_inner } = samples(net);
     let index = SeedIndex::with_threads(&points, Threads::One);
     let every = |range: Range<usize>| range.clone().step_by(range.len().div_ceil(SOURCES).max(1));
@@ -63,11 +71,20 @@ pub(super) fn local(net: &Net) -> Vec<f64> {
             [sample_normals[i], -sample_normals[i]].map(|n| ball(&index, &points, i, n).filter(resolved))
         })
         .collect();
-    let centres = thinned(balls.into_iter().flatten().flatten());
+    let balls: Vec<Ball> = balls.into_iter().flatten().flatten().collect();
+    let (sheets, folds): (Vec<Ball>, Vec<Ball>) = balls.into_iter().partition(|ball| ball.angle >= OPPOSITE);
+    let between_sheets = distances(net, &thinned(sheets));
+    let within_folds = distances(net, &thinned(folds));
+    let all = between_sheets.iter().zip(within_folds).map(|(&sheet, fold)| sheet.min(fold)).collect();
+    FeatureSize { all, between_sheets }
+}
+
+/// Of each vertex from the nearest of some centres.
+fn distances(net: &Net, centres: &[DVec3]) -> Vec<f64> {
     if centres.is_empty() {
         return vec![FAR; net.vertices()];
     }
-    let axis = SeedIndex::with_threads(&centres, Threads::One);
+    let axis = SeedIndex::with_threads(centres, Threads::One);
     let distance = |p: &DVec3| centres[axis.nearest(*p) as usize].distance(*p).min(FAR);
     net.points.par_iter().map(distance).collect()
 }
@@ -80,13 +97,13 @@ struct Ball {
 }
 
 /// One centre for each small part of a radius, so that a thousand centres in one place are one.
-fn thinned(balls: impl Iterator<Item = Ball>) -> Vec<DVec3> {
+fn thinned(balls: Vec<Ball>) -> Vec<DVec3> {
     let key = |ball: &Ball| {
         let level = ball.radius.log2().floor();
         let cell = (ball.centre * (128.0 / level.exp2())).floor();
         (level as i64, [cell.x, cell.y, cell.z].map(|x| x as i64))
     };
-    let mut all: Vec<_> = balls.map(|ball| (key(&ball), ball.centre)).collect();
+    let mut all: Vec<_> = balls.into_iter().map(|ball| (key(&ball), ball.centre)).collect();
     // Stable: of one cell the first source's stays.
     all.sort_by_key(|entry| entry.0);
     all.dedup_by_key(|entry| entry.0);
@@ -215,7 +232,7 @@ mod tests {
     /// Relative errors against `want` (caller's units): median and largest.
     fn errors(mesh: &TriMesh, want: impl Fn(DVec3) -> f64) -> [f64; 2] {
         let net = Net::new(mesh);
-        let got = local(&net);
+        let got = local(&net).all;
         let off = mesh.positions().iter().zip(&got).map(|(&p, d)| (d * net.outline.extent / want(p) - 1.0).abs());
         let mut off: Vec<f64> = off.collect();
         off.sort_by(f64::total_cmp);
@@ -261,7 +278,7 @@ mod tests {
         println!("fine sheets: {got:?}");
         assert!(got[1] < 0.1, "{got:?}");
         for shape in [Shape::Plane, Shape::Square] {
-            assert!(local(&Net::new(&shape.build(1000))).iter().all(|&d| d == FAR), "{shape}");
+            assert!(local(&Net::new(&shape.build(1000))).all.iter().all(|&d| d == FAR), "{shape}");
         }
     }
 }

@@ -8,6 +8,7 @@
 use std::ops::Range;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::outline::Outline;
 use crate::mesh::TriMesh;
@@ -102,6 +103,25 @@ impl Net {
         self.ends.iter().map(|end| end.1).sum::<f64>() / self.ends.len().max(1) as f64
     }
 
+    /// How short the edges around each vertex are, in units of the extent: the edge of an equilateral triangle that is as
+    /// high as a middle one of the facets there, the lower one of two. A sliver among others does not count, nor do large
+    /// facets beside as many small ones. Infinite where no facet has area.
+    pub(super) fn resolution(&self) -> Vec<f64> {
+        let mut heights: Vec<(u32, f64)> = Vec::with_capacity(3 * self.facets.len());
+        for &(corners, area) in &self.facets {
+            let [a, b, c] = corners.map(|v| self.points[v as usize]);
+            let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+            heights.extend(corners.map(|v| (v, 2.0 * area / longest)));
+        }
+        heights.par_sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let mut edges = vec![f64::INFINITY; self.vertices()];
+        for around in heights.chunk_by(|a, b| a.0 == b.0) {
+            let (v, height) = around[(around.len() - 1) / 2];
+            edges[v as usize] = height * (2.0 / 3f64.sqrt());
+        }
+        (0..edges.len()).map(|v| edges[self.class[v] as usize]).collect()
+    }
+
     /// The value that half of the area has at most. Vertices without area have no say.
     pub(super) fn median(&self, values: &[f64]) -> f64 {
         let mut order: Vec<u32> = (0..values.len() as u32)
@@ -123,5 +143,40 @@ impl Net {
             let lowest = self.class[v] as usize;
             values[v] = if self.neighbours(lowest).is_empty() { other } else { values[lowest] };
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    #[test]
+    fn a_sliver_says_nothing_of_how_short_edges_are_and_small_facets_more_than_large_ones() {
+        // A fan of unit facets about the first vertex, two of which are parted by a sliver.
+        let at = |degrees: f64| DVec3::from((glam::DVec2::from_angle(degrees.to_radians()), 0.0));
+        let fan = |angles: &[f64]| {
+            let points = std::iter::once(DVec3::ZERO).chain(angles.iter().map(|&a| at(a))).collect();
+            let facets = (1..angles.len() as u32).map(|k| [0, k, k + 1]).collect();
+            TriMesh::new(points, facets).unwrap()
+        };
+        let of_first = |mesh: &TriMesh| {
+            let net = Net::new(mesh);
+            net.resolution()[0] * net.outline.extent
+        };
+        let even = [0.0, 60.0, 120.0, 180.0, 240.0];
+        assert!((of_first(&fan(&even)) - 1.0).abs() < 1e-12);
+        assert!((of_first(&fan(&[0.0, 60.0, 120.0, 120.1, 180.0, 240.0])) - 1.0).abs() < 1e-12);
+        // Two small facets, two ten times as large: a seam of a fine part and a coarse one.
+        let mut points = fan(&even).into_parts().0;
+        points[4] *= 10.0;
+        points[5] *= 10.0;
+        points.push(at(180.0));
+        let seam = TriMesh::new(points, vec![[0, 1, 2], [0, 2, 3], [0, 4, 5], [0, 6, 3]]).unwrap();
+        assert!(of_first(&seam) < 1.01, "{}", of_first(&seam));
+        // A vertex that no facet uses.
+        let mesh = TriMesh::new(vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z], vec![[0, 1, 2]]).unwrap();
+        assert_eq!(Net::new(&mesh).resolution()[3], f64::INFINITY);
     }
 }

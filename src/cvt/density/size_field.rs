@@ -108,6 +108,18 @@ impl SizeField {
         outside
     }
 
+    /// Raises every length to its `least` one; says how many were below. Coincident vertices have the same one.
+    pub(super) fn raise(&mut self, least: impl Fn(usize) -> f64) -> usize {
+        let mut below = 0;
+        for (v, h) in self.sizes.iter_mut().enumerate() {
+            let least = least(v);
+            if *h < least {
+                (*h, below) = (least, below + 1);
+            }
+        }
+        below
+    }
+
     /// Lowers lengths until h(p) <= h(q) + `slope` |p - q| along every edge of the mesh, from the smallest
     /// to the largest, each vertex settled once (Dijkstra's order). Says how many were lowered.
     ///
