@@ -9,10 +9,12 @@
 mod rock;
 mod view;
 
+use std::sync::Arc;
+
 use glam::DVec3;
 
 pub(super) use rock::distance_at;
-use rock::{Rock, samples, squared_distance};
+use rock::{Rocks, samples, squared_distance};
 use view::View;
 
 use super::ground::Ground;
@@ -69,7 +71,8 @@ pub(super) struct Patch {
     tips: Vec<(DVec3, usize, f64)>,
     /// Squared distance of tip t from facet f at t * facets + f.
     apart: Vec<f64>,
-    rocks: Vec<Rock>,
+    /// The input, which clones have together.
+    rocks: Arc<Rocks>,
 }
 
 /// How far a patch is from the input.
@@ -160,7 +163,7 @@ impl Patch {
             kept,
             tips: Vec::new(),
             apart: Vec::new(),
-            rocks: Vec::new(),
+            rocks: Arc::new(Rocks::new(std::iter::empty())),
             vertices,
         };
         patch.look_at(scene);
@@ -172,7 +175,7 @@ impl Patch {
         let mut rocks: Vec<u32> = self.vertices.iter().flat_map(|&v| scene.ground.facets(v)).copied().collect();
         rocks.sort_unstable();
         rocks.dedup();
-        self.rocks = rocks.iter().map(|&f| Rock::new(scene.ground.corners(f))).collect();
+        self.rocks = Arc::new(Rocks::new(rocks.iter().map(|&f| scene.ground.corners(f))));
         let mut tips: Vec<(DVec3, usize)> = Vec::new();
         for (k, &v) in self.vertices.iter().enumerate() {
             tips.extend(scene.ground.tips(v).iter().map(|&p| (p, k)));
@@ -194,8 +197,7 @@ impl Patch {
     /// Middles of the input's longer edges, each with the nearest vertex if that is near.
     fn take_middles(&self, tips: &mut Vec<(DVec3, usize)>) {
         let mut middles = Vec::new();
-        for rock in &self.rocks {
-            let [a, b, c] = rock.corners;
+        for [a, b, c] in self.rocks.corners() {
             for (p, q) in [(a, b), (b, c), (c, a)] {
                 // Both facets of an edge have it; one of them has its ends the other way round.
                 if p.distance(q) > LONG * self.edge {
@@ -256,39 +258,9 @@ impl Patch {
         self.edge
     }
 
-    /// Squared distance of `p` from those of the input's facets that `near` names, or something between that and `enough`.
-    /// The one that `hint` says is looked at first, and the nearest one left there.
-    fn rocks_distance(&self, p: DVec3, near: &[usize], hint: &mut usize, enough: f64) -> f64 {
-        let (mut best, mut root) = (f64::INFINITY, f64::INFINITY);
-        let known = *hint;
-        let first = near.get(known).copied();
-        for (k, &r) in first.iter().map(|r| (known, r)).chain(near.iter().enumerate()) {
-            let rock = &self.rocks[r];
-            let reach = p.distance_squared(rock.centre);
-            let bound = root + rock.radius;
-            if reach >= bound * bound {
-                continue;
-            }
-            let squared = squared_distance(p, rock.corners);
-            if squared < best {
-                (best, root, *hint) = (squared, squared.sqrt(), k);
-                if best < enough {
-                    return best;
-                }
-            }
-        }
-        if best < f64::INFINITY { best } else { 0.0 }
-    }
-
-    /// Facets of the input that may be nearest to something within `reach` of `p`.
-    fn near(&self, p: DVec3, reach: f64) -> Vec<usize> {
-        let reach = reach + 2.0 * self.worst;
-        let close = |r: &usize| {
-            let rock = &self.rocks[*r];
-            rock.centre.distance_squared(p) < (reach + rock.radius).powi(2)
-        };
-        let near: Vec<usize> = (0..self.rocks.len()).filter(close).collect();
-        if near.is_empty() { (0..self.rocks.len()).collect() } else { near }
+    /// Groups of the input's facets that may be nearest to something within `reach` of `p`.
+    fn near(&self, p: DVec3, reach: f64) -> Vec<u32> {
+        self.rocks.near(p, reach + 2.0 * self.worst)
     }
 
     /// Squared distance of tip `t`.
@@ -317,7 +289,7 @@ impl Patch {
             let side = &mut far[usize::from(!t.contains(&self.middle))];
             let mut hint = 0;
             // What is not as far as something else already need not be known.
-            samples([a, b, c]).for_each(|p| *side = side.max(self.rocks_distance(p, &near, &mut hint, *side)));
+            samples([a, b, c]).for_each(|p| *side = side.max(self.rocks.distance(p, &near, &mut hint, *side)));
         }
         let [middle, rest] = far.map(f64::sqrt);
         Distance { middle, rest, tip: tip.filter(|_| of_tips == far[0]) }

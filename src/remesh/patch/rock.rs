@@ -4,16 +4,121 @@
 //! distance around one vertex without a patch.
 //! Invariant: distances are no less than the true ones. Must not know: how patches change.
 
+use std::ops::Range;
+
 use glam::DVec3;
 
 use super::Scene;
+use crate::mesh::curve;
+
+/// Rocks of a group.
+const GROUP: usize = 8;
+/// Spheres are rounded by less than this share.
+const ROUNDING: f64 = 1.0 + 1e-12;
+
+/// Facets of the input, those that are near one another in groups.
+pub(super) struct Rocks {
+    rocks: Vec<Rock>,
+    groups: Vec<Ball>,
+}
 
 /// A facet of the input.
+struct Rock {
+    corners: [DVec3; 3],
+    ball: Ball,
+}
+
+/// A sphere around facets.
 #[derive(Clone, Copy)]
-pub(super) struct Rock {
-    pub(super) corners: [DVec3; 3],
-    pub(super) centre: DVec3,
-    pub(super) radius: f64,
+struct Ball {
+    centre: DVec3,
+    radius: f64,
+}
+
+impl Ball {
+    /// Around these points, as wide as it has to be.
+    fn around(points: &[DVec3]) -> Self {
+        let centre = points.iter().sum::<DVec3>() / points.len() as f64;
+        let squared = points.iter().map(|p| p.distance_squared(centre)).fold(0.0, f64::max);
+        Self { centre, radius: squared.sqrt() * ROUNDING }
+    }
+
+    /// Whether something of it may be nearer to `p` than `distance`.
+    fn is_within(&self, distance: f64, p: DVec3) -> bool {
+        let bound = distance + self.radius;
+        p.distance_squared(self.centre) < bound * bound
+    }
+}
+
+impl Rocks {
+    /// Of facets with these corners. Coordinates are of the order of 1.
+    pub(super) fn new(facets: impl Iterator<Item = [DVec3; 3]>) -> Self {
+        let of = |corners: [DVec3; 3]| Rock { corners, ball: Ball::around(&corners) };
+        let mut all: Vec<(u64, Rock)> = facets.map(of).map(|rock| (curve::along(rock.ball.centre), rock)).collect();
+        // Stable: of two in one place the first stays first.
+        all.sort_by_key(|r| r.0);
+        let rocks: Vec<Rock> = all.into_iter().map(|r| r.1).collect();
+        let group = |rocks: &[Rock]| Ball::around(&rocks.iter().flat_map(|rock| rock.corners).collect::<Vec<_>>());
+        let groups = rocks.chunks(GROUP).map(group).collect();
+        Self { rocks, groups }
+    }
+
+    /// The facets' corners.
+    pub(super) fn corners(&self) -> impl Iterator<Item = [DVec3; 3]> + '_ {
+        self.rocks.iter().map(|rock| rock.corners)
+    }
+
+    /// All groups.
+    pub(super) fn all(&self) -> Vec<u32> {
+        (0..self.groups.len() as u32).collect()
+    }
+
+    /// Groups of which something may be nearer to `p` than `distance`, or all if there are none.
+    pub(super) fn near(&self, p: DVec3, distance: f64) -> Vec<u32> {
+        let near = |g: &u32| self.groups[*g as usize].is_within(distance, p);
+        let near: Vec<u32> = (0..self.groups.len() as u32).filter(near).collect();
+        if near.is_empty() { self.all() } else { near }
+    }
+
+    /// Leaves those groups out of which nothing is nearer to `p` than `distance`.
+    pub(super) fn retain(&self, groups: &mut Vec<u32>, p: DVec3, distance: f64) {
+        groups.retain(|&g| self.groups[g as usize].is_within(distance, p));
+    }
+
+    fn of(&self, group: u32) -> Range<usize> {
+        let first = group as usize * GROUP;
+        first..self.rocks.len().min(first + GROUP)
+    }
+
+    /// Squared distance of `p` from those in `groups`, or something between that and `enough`; 0 if there are none.
+    /// The one that `hint` says is looked at first, of whatever group, and the nearest one left there.
+    pub(super) fn distance(&self, p: DVec3, groups: &[u32], hint: &mut u32, enough: f64) -> f64 {
+        let Some(first) = self.rocks.get(*hint as usize) else { return 0.0 };
+        let mut best = squared_distance(p, first.corners);
+        if best < enough {
+            return best;
+        }
+        let mut root = best.sqrt();
+        for &group in groups {
+            if !self.groups[group as usize].is_within(root, p) {
+                continue;
+            }
+            for r in self.of(group) {
+                let rock = &self.rocks[r];
+                if !rock.ball.is_within(root, p) {
+                    continue;
+                }
+                let squared = squared_distance(p, rock.corners);
+                if squared < best {
+                    (best, root, *hint) = (squared, squared.sqrt(), r as u32);
+                    if best < enough {
+                        return best;
+                    }
+                }
+            }
+        }
+        best
+    }
 }
 
 /// Squared distance of `p` from a facet, region by region. Slivers may come out a little too far.
@@ -89,29 +194,12 @@ pub(in crate::remesh) fn distance_at(scene: &Scene<'_>, v: u32) -> (f64, f64) {
         // What is not as far as something else already need not be known.
         far = far.max(least_distance(p, &wider, f64::INFINITY, far, &mut hint));
     }
-    let rocks: Vec<Rock> = rocks.into_iter().map(|f| Rock::new(scene.ground.corners(f))).collect();
-    let (mut edge, mut hint) = (0.0, 0);
+    let rocks = Rocks::new(rocks.into_iter().map(|f| scene.ground.corners(f)));
+    let (groups, mut edge, mut hint) = (rocks.all(), 0.0, 0);
     for &f in star {
         let [a, b, c] = corners(f);
         edge += (a.distance(b) + b.distance(c) + c.distance(a)) / (3 * star.len()) as f64;
-        for p in samples([a, b, c]) {
-            let (mut best, mut root) = (f64::INFINITY, f64::INFINITY);
-            let known = hint;
-            for (k, rock) in rocks.get(known).into_iter().map(|r| (known, r)).chain(rocks.iter().enumerate()) {
-                let bound = root + rock.radius;
-                if p.distance_squared(rock.centre) < bound * bound {
-                    let squared = squared_distance(p, rock.corners);
-                    if squared < best {
-                        (best, root, hint) = (squared, squared.sqrt(), k);
-                        // Nearer than something else already.
-                        if best <= far {
-                            break;
-                        }
-                    }
-                }
-            }
-            far = if best < f64::INFINITY { far.max(best) } else { far };
-        }
+        samples([a, b, c]).for_each(|p| far = far.max(rocks.distance(p, &groups, &mut hint, far)));
     }
     (far.sqrt(), edge)
 }
@@ -131,17 +219,34 @@ pub(super) fn samples([a, b, c]: [DVec3; 3]) -> impl Iterator<Item = DVec3> {
     (0..=GRID).flat_map(move |i| (0..=GRID - i).map(move |j| share(GRID - i - j) * a + share(i) * b + share(j) * c))
 }
 
-impl Rock {
-    pub(super) fn new(corners: [DVec3; 3]) -> Self {
-        let centre = (corners[0] + corners[1] + corners[2]) / 3.0;
-        Self { corners, centre, radius: corners.iter().map(|c| c.distance(centre)).fold(0.0, f64::max) }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::mesh::closest_point::closest_on_facet;
+
+    #[test]
+    fn the_nearest_rock_is_found_whatever_is_looked_at_first() {
+        let number = |k: u32| f64::from(k.wrapping_mul(2_654_435_761) >> 16) / 65_536.0;
+        let point = |k: u32| DVec3::new(number(3 * k), number(3 * k + 1), number(3 * k + 2));
+        for facets in [0, 1, 7, 8, 9, 200] {
+            let corners = |k: u32| [0, 1, 2].map(|c| point(7 * k) + 0.1 * point(7 * k + c + 1));
+            let rocks = Rocks::new((0..facets).map(corners));
+            assert_eq!(rocks.corners().count(), facets as usize);
+            let mut hint = 0;
+            for k in 0..500 {
+                let p = 2.0 * point(k + 5000) - 0.5;
+                let want = rocks.corners().map(|t| squared_distance(p, t)).fold(f64::INFINITY, f64::min);
+                let want = if facets == 0 { 0.0 } else { want };
+                assert_eq!(rocks.distance(p, &rocks.all(), &mut hint, 0.0), want);
+                let mut near = rocks.near(p, want.sqrt() * 1.1);
+                assert_eq!(rocks.distance(p, &near, &mut hint, 0.0), want);
+                rocks.retain(&mut near, p, want.sqrt() * 1.01);
+                assert_eq!(rocks.distance(p, &near, &mut 0, 0.0), want);
+                let some = rocks.distance(p, &near, &mut 0, 2.0 * want);
+                assert!(some == want || some < 2.0 * want);
+            }
+        }
+    }
 
     #[test]
     fn distances_are_those_of_the_closest_points() {

@@ -2,13 +2,14 @@
 //!
 //! Purpose: the cost of a place for one vertex: how far from the input everything is that depends on it, and how
 //! well shaped the facets around it are. What was near enough where the vertex is, by more than it can come farther by one
-//! step, is not looked at again: no point of a facet moves farther than its corner does.
+//! step, is not looked at again: a point of a facet moves by its corner's share in it.
 //! Invariant: nothing changes, and costs are those of looking at everything. Must not know: which places are tried.
 
 use glam::DVec3;
 
 use super::rock::least_distance;
 use super::{LEAST, LEAST_COSINE, Patch, SHAPE, normal};
+use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::measure::{facet_quality, is_wide, least_angle};
 
 /// A facet that has so much less than [`LEAST`] + [`MARGIN`] costs as much as the farthest place,
@@ -40,12 +41,12 @@ pub(super) struct View<'a> {
     own: f64,
     /// Tips that depend on it.
     tips: Vec<SeenTip>,
-    /// Facets of the input that may be nearest to anything of it,
-    near: Vec<usize>,
+    /// Groups of the input's facets that may be nearest to anything of it,
+    near: Vec<u32>,
     /// and to itself.
-    nearest: Vec<usize>,
-    /// What was nearest to it when the last place was looked at: of `nearest`.
-    hint: usize,
+    nearest: Vec<u32>,
+    /// What was nearest to it when the last place was looked at.
+    hint: u32,
     /// What it sees of each of its facets.
     around: Vec<SeenFacet>,
     /// An angle is wider than what costs anything where its cotangent is less than this.
@@ -67,9 +68,9 @@ struct SeenTip {
 struct SeenFacet {
     /// Which corner comes after the vertex.
     next: usize,
-    /// Of its inner points and its spoke to that corner: which of `near` was nearest last, and how far they are from it at
-    /// most while the vertex is here.
-    hints: [usize; 2],
+    /// Of its inner points and its spoke to that corner: what of the input was nearest last, and how far they are from it
+    /// at most while the vertex is here.
+    hints: [u32; 2],
     inner: [f64; 4],
     spoke: [f64; 3],
 }
@@ -80,16 +81,26 @@ impl<'a> View<'a> {
         let enough = (NEAR * worst).powi(2);
         let p = patch.at[v];
         let reach = star.iter().flat_map(|&f| patch.facets[f]).map(|u| patch.at[u].distance(p)).fold(0.0, f64::max);
-        // So near that it costs nothing wherever the vertex steps.
-        let settled = (NEAR * worst * CLEAR - step).max(0.0).powi(2);
+        // So near that it costs nothing, and that wherever the vertex steps.
+        let near_by = NEAR * worst * CLEAR;
+        let settled = (near_by - step).max(0.0).powi(2);
         let mut tips = Vec::new();
         for (t, tip) in patch.tips.iter().enumerate() {
             if tip.0.distance_squared(p) > (reach + step + worst).powi(2) {
                 continue;
             }
             let row = &patch.apart[t * patch.facets.len()..(t + 1) * patch.facets.len()];
-            if star.iter().any(|&f| row[f] < settled) {
+            let Some(&nearest) = star.iter().min_by(|&&f, &&g| row[f].total_cmp(&row[g])) else { continue };
+            if row[nearest] < settled {
                 continue;
+            }
+            // Where the facet is nearest to it, it moves by the vertex's share only.
+            if row[nearest] < enough {
+                let corner = patch.facets[nearest].iter().position(|&u| u == v).unwrap_or_default();
+                let (squared, weights) = closest_on_facet(tip.0, patch.corners(nearest), [0, 1, 2]);
+                if squared.sqrt() + weights[corner] * step < near_by {
+                    continue;
+                }
             }
             let mut other = tip.2;
             for (f, &squared) in row.iter().enumerate() {
@@ -135,8 +146,7 @@ impl<'a> View<'a> {
         // What is farther than the nearest by two steps will not be nearer than that after one.
         let Self { patch, here, .. } = *self;
         let most = self.own.sqrt() + 2.0 * step;
-        self.nearest.retain(|&r| here.distance(patch.rocks[r].centre) <= (most + patch.rocks[r].radius) * BEYOND);
-        self.hint = 0;
+        patch.rocks.retain(&mut self.nearest, here, most * BEYOND);
         cost
     }
 
@@ -164,17 +174,17 @@ impl<'a> View<'a> {
                 return cost;
             }
         }
-        let own = patch.rocks_distance(p, &self.nearest, &mut self.hint, 0.0);
+        let own = patch.rocks.distance(p, &self.nearest, &mut self.hint, 0.0);
         if is_here {
             self.own = own;
         }
         cost += OFF * own / (worst * worst) + far(own);
         for (seen, &corners) in self.around.iter_mut().zip(&self.corners) {
-            let look = |place: DVec3, weight: f64, hint: &mut usize, reach: &mut f64| {
+            let look = |place: DVec3, weight: f64, hint: &mut u32, reach: &mut f64| {
                 if *reach + weight * moved < near_by {
                     return 0.0;
                 }
-                let squared = patch.rocks_distance(place, &self.near, hint, enough);
+                let squared = patch.rocks.distance(place, &self.near, hint, enough);
                 if is_here {
                     *reach = squared.sqrt();
                 }
