@@ -122,10 +122,10 @@ impl<'a> Bench<'a> {
         self.curves.insert(super::flips::sorted(ends));
     }
 
-    /// Puts in what `better` makes of the patch around each of `middles`, one after the other. Many are made at the same
-    /// time: what a patch was made from is known, and it is made again where that has changed since. So the result is
-    /// the same whatever the number of threads. Returns how many were put in; what came to nothing is `vain` from then on,
-    /// and is not tried again where nothing has changed.
+    /// Puts in what `better` makes of the patch around each of `middles`, one after the other, but for those that have
+    /// nothing to do with others: these are made at the same time, and who comes behind one that it has to do with waits for
+    /// it. So the result is the same whatever the number of threads. Returns how many were put in; what came to nothing is
+    /// `vain` from then on, and is not tried again where nothing has changed.
     pub(super) fn change(
         &mut self,
         middles: &[u32],
@@ -133,16 +133,12 @@ impl<'a> Bench<'a> {
         better: impl Fn(&Scene<'_>, u32) -> Option<Patch> + Sync,
     ) -> usize {
         let mut done = 0;
-        for middles in middles.chunks(AT_ONCE) {
-            let (now, scene) = (self.edits, self.scene());
-            let make = |&v: &u32| {
-                let seen = seen(&scene, v);
-                let is_vain = vain.0.get(&v).is_some_and(|&then| !self.is_changed(&seen, then));
-                (if is_vain { None } else { better(&scene, v) }, seen)
-            };
-            let made: Vec<(Option<Patch>, Vec<u32>)> = middles.par_iter().with_max_len(1).map(make).collect();
-            for (&v, (patch, seen)) in middles.iter().zip(made) {
-                let patch = if self.is_changed(&seen, now) { better(&self.scene(), v) } else { patch };
+        let mut waiting = middles.to_vec();
+        while !waiting.is_empty() {
+            let next = self.take_apart(&mut waiting, vain);
+            let scene = self.scene();
+            let made: Vec<Option<Patch>> = next.par_iter().with_max_len(1).map(|&v| better(&scene, v)).collect();
+            for (v, patch) in next.into_iter().zip(made) {
                 if let Some(patch) = patch {
                     self.put_back(&patch);
                     done += 1;
@@ -152,6 +148,28 @@ impl<'a> Bench<'a> {
             }
         }
         done
+    }
+
+    /// Takes the first ones out whose patches depend on nothing that those before them could change. Leaves out what is vain.
+    fn take_apart(&self, waiting: &mut Vec<u32>, vain: &Vain) -> Vec<u32> {
+        let scene = self.scene();
+        let (mut claimed, mut next) = (HashSet::new(), Vec::new());
+        waiting.retain(|&v| {
+            if next.len() == AT_ONCE {
+                return true;
+            }
+            let seen = seen(&scene, v);
+            if vain.0.get(&v).is_some_and(|&then| !self.is_changed(&seen, then)) {
+                return false;
+            }
+            let is_apart = seen.iter().all(|u| !claimed.contains(u));
+            claimed.extend(seen);
+            if is_apart {
+                next.push(v);
+            }
+            !is_apart
+        });
+        next
     }
 
     /// Whether any of some vertices was in a patch that was put back after so many others.

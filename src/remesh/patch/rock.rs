@@ -11,7 +11,7 @@ use glam::DVec3;
 use super::Scene;
 use crate::mesh::curve;
 
-/// Rocks of a group.
+/// Rocks of a group, at least; as many as there are groups where there are many.
 const GROUP: usize = 8;
 /// Spheres are rounded by less than this share.
 const ROUNDING: f64 = 1.0 + 1e-12;
@@ -20,6 +20,8 @@ const ROUNDING: f64 = 1.0 + 1e-12;
 pub(super) struct Rocks {
     rocks: Vec<Rock>,
     groups: Vec<Ball>,
+    /// How many each group has, but for the last.
+    of_group: usize,
 }
 
 /// A facet of the input.
@@ -59,8 +61,9 @@ impl Rocks {
         all.sort_by_key(|r| r.0);
         let rocks: Vec<Rock> = all.into_iter().map(|r| r.1).collect();
         let group = |rocks: &[Rock]| Ball::around(&rocks.iter().flat_map(|rock| rock.corners).collect::<Vec<_>>());
-        let groups = rocks.chunks(GROUP).map(group).collect();
-        Self { rocks, groups }
+        let of_group = GROUP.max(rocks.len().isqrt());
+        let groups = rocks.chunks(of_group).map(group).collect();
+        Self { rocks, groups, of_group }
     }
 
     /// The facets' corners.
@@ -86,8 +89,8 @@ impl Rocks {
     }
 
     fn of(&self, group: u32) -> Range<usize> {
-        let first = group as usize * GROUP;
-        first..self.rocks.len().min(first + GROUP)
+        let first = group as usize * self.of_group;
+        first..self.rocks.len().min(first + self.of_group)
     }
 
     /// Squared distance of `p` from those in `groups`, or something between that and `enough`; 0 if there are none.
