@@ -35,6 +35,8 @@ pub(super) struct Path {
     along: Vec<f64>,
     /// ∫ ds/h: how many edges fit.
     edges: Vec<f64>,
+    /// 1/h³, linear between points, and its integrals.
+    density: Vec<f64>,
     mass: Vec<f64>,
     moment: Vec<f64>,
     closed: bool,
@@ -67,6 +69,7 @@ impl Path {
             points,
             along,
             edges: Vec::new(),
+            density: Vec::new(),
             mass: Vec::new(),
             moment: Vec::new(),
             closed: curve.closed,
@@ -118,15 +121,26 @@ impl Path {
     }
 
     fn accumulate(&mut self, per_length: &[f64]) {
+        self.density = per_length.iter().map(|a| a * a * a).collect();
         [&mut self.edges, &mut self.mass, &mut self.moment].into_iter().for_each(|list| list.push(0.0));
         for k in 1..self.points.len() {
             let (s, t) = (self.smooth[k - 1], self.smooth[k]);
-            let (a, b) = (per_length[k - 1], per_length[k]);
-            let (ma, mb) = (a * a * a, b * b * b);
-            self.edges.push(self.edges[k - 1] + 0.5 * (a + b) * (t - s));
-            self.mass.push(self.mass[k - 1] + 0.5 * (ma + mb) * (t - s));
-            self.moment.push(self.moment[k - 1] + 0.5 * (ma * s + mb * t) * (t - s));
+            self.edges.push(self.edges[k - 1] + 0.5 * (per_length[k - 1] + per_length[k]) * (t - s));
+            let [mass, moment] = integrals((s, self.density[k - 1]), (t, self.density[k]));
+            self.mass.push(self.mass[k - 1] + mass);
+            self.moment.push(self.moment[k - 1] + moment);
         }
+    }
+
+    /// ∫ ds/h³ and ∫ s ds/h³ up to a smoothed length, between points too: edges of a mesh may have many seeds.
+    fn up_to(&self, s: f64) -> [f64; 2] {
+        let k = self.smooth.partition_point(|&a| a <= s).clamp(1, self.smooth.len() - 1);
+        let (from, to) = (self.smooth[k - 1], self.smooth[k]);
+        let s = s.clamp(from, to);
+        let t = if to > from { (s - from) / (to - from) } else { 0.0 };
+        let density = self.density[k - 1] + t * (self.density[k] - self.density[k - 1]);
+        let [mass, moment] = integrals((from, self.density[k - 1]), (s, density));
+        [self.mass[k - 1] + mass, self.moment[k - 1] + moment]
     }
 
     pub(super) fn length(&self) -> f64 {
@@ -293,10 +307,8 @@ impl Path {
             bounds.extend(places.windows(2).map(|p| 0.5 * (p[0] + p[1])));
             bounds.push(0.5 * (places[places.len() - 1] + self.smooth_total()));
             for (k, place) in places.iter_mut().enumerate() {
-                let of = |list: &[f64]| {
-                    interpolate(&self.smooth, list, bounds[k + 1]) - interpolate(&self.smooth, list, bounds[k])
-                };
-                let (mass, moment) = (of(&self.mass), of(&self.moment));
+                let [before, after] = [self.up_to(bounds[k]), self.up_to(bounds[k + 1])];
+                let (mass, moment) = (after[0] - before[0], after[1] - before[1]);
                 if mass > 0.0 {
                     *place = (moment / mass).clamp(bounds[k], bounds[k + 1]);
                 }
@@ -305,10 +317,76 @@ impl Path {
     }
 }
 
+/// The integrals of a density that is linear between two (length, density), and of the length times it.
+fn integrals((s, a): (f64, f64), (t, b): (f64, f64)) -> [f64; 2] {
+    let width = t - s;
+    [0.5 * (a + b) * width, width / 6.0 * (a * (2.0 * s + t) + b * (s + 2.0 * t))]
+}
+
 /// y at x, both lists ascending.
 fn interpolate(xs: &[f64], ys: &[f64], x: f64) -> f64 {
     let k = xs.partition_point(|&a| a <= x).clamp(1, xs.len() - 1);
     let width = xs[k] - xs[k - 1];
     let t = if width > 0.0 { ((x - xs[k - 1]) / width).clamp(0.0, 1.0) } else { 0.0 };
     ys[k - 1] + t * (ys[k] - ys[k - 1])
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::mesh::TriMesh;
+    use crate::mesh::features::{FeatureOptions, Features};
+    use crate::mesh::shapes::Shape;
+
+    /// All sides of a square of two facets, or all of its rim at once.
+    fn sides(weights: Option<&[f64]>, reach: f64) -> (Surface, Vec<Curve>) {
+        let mesh: TriMesh = Shape::Square.build(2);
+        let surface = Surface::new(&mesh, weights).unwrap();
+        let options = FeatureOptions { reach, ..FeatureOptions::default() };
+        let curves = Features::find(&mesh, surface.positions(), &options).unwrap().curves;
+        assert_eq!(curves.len(), 4);
+        (surface, curves)
+    }
+
+    #[test]
+    fn seeds_are_even_on_edges_that_have_many() {
+        let (surface, curves) = sides(None, 0.1);
+        for curve in &curves {
+            for count in [2, 3, 7, 15, 200] {
+                let side = Path::new(&surface, curve, 1.0);
+                let path = Path::new(&surface, curve, side.length() / count as f64);
+                let mut places = path.tessellate(count, 1);
+                places.insert(0, 0.0);
+                places.push(path.length());
+                assert_eq!(places.len(), count + 1);
+                for w in places.windows(2) {
+                    let share = (w[1] - w[0]) / path.length() * count as f64;
+                    assert!((share - 1.0).abs() < 1e-9, "{count}: {share}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn seeds_are_as_close_as_the_weights_ask_within_one_edge_too() {
+        // Edges half as long at one end as at the other.
+        let (surface, curves) = sides(Some(&[1.0, 1.0, 16.0, 16.0]), 0.1);
+        for curve in &curves {
+            let ends = [curve.vertices[0], curve.vertices[1]].map(|v| surface.weights()[v as usize]);
+            let one = Path::new(&surface, curve, 1.0).total();
+            let path = Path::new(&surface, curve, one / 60.0);
+            let mut places = path.tessellate(60, 1);
+            places.insert(0, 0.0);
+            places.push(path.length());
+            let lengths: Vec<f64> = places.windows(2).map(|w| w[1] - w[0]).collect();
+            let ratio = (lengths[0] / lengths[59]) / (ends[1] / ends[0]).powf(0.25);
+            // The density is taken at four points of an edge and linear between, where the root of the weights is not: it
+            // grows from 1 to 1.19 in the first fifteenth of the edge.
+            assert!((ratio - 1.0).abs() < 0.2, "{ratio}: {lengths:?}");
+            let jump = lengths.windows(2).map(|w| (w[1] / w[0] - 1.0).abs()).fold(0.0, f64::max);
+            assert!(jump < 0.1, "{jump}: {lengths:?}");
+        }
+    }
 }
