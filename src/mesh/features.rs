@@ -4,7 +4,7 @@
 //! given; joins them to curves between corners; and leaves out what is shorter than a remesh could
 //! show, which on scans is noise.
 //! Invariant: a curve is a chain of mesh edges through welded vertices, simple inside, either
-//! closed or between two corners. A boundary is never left out. Depends on the mesh alone, not on threads.
+//! closed or between two corners. A boundary is never left out. Depends on the mesh and the options alone.
 //! Must not know: seeds, diagrams.
 
 mod ridges;

@@ -100,7 +100,7 @@ impl Kept {
             return Ok(Self::default());
         }
         let points = plan.points;
-        // What is short depends on the edges that there are to be, which weights make shorter than this one.
+        // The shortest edges, those where the weight is 1; what is short depends on the edges that are to be in its place.
         let scale = edge_length(surface, &Features::default(), points);
         let fineness = match surface.is_uniform() {
             true => Vec::new(),

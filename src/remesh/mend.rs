@@ -37,6 +37,8 @@ const SEEMS: f64 = 0.65;
 const LOOKED_AT: usize = 1000;
 /// Patches that are made at the same time.
 const AT_ONCE: usize = 64;
+/// Vertices among which those are looked for.
+const AHEAD: usize = 128;
 /// Passes over the vertices of a patch.
 const SWEEPS: usize = 12;
 /// before the most promising ones are chosen, so many of them.
@@ -153,11 +155,12 @@ impl<'a> Bench<'a> {
     /// Takes the first ones out whose patches depend on nothing that those before them could change. Leaves out what is vain.
     fn take_apart(&self, waiting: &mut Vec<u32>, vain: &Vain) -> Vec<u32> {
         let scene = self.scene();
-        let (mut claimed, mut next) = (HashSet::new(), Vec::new());
+        let (mut claimed, mut next, mut looked_at) = (HashSet::new(), Vec::new(), 0);
         waiting.retain(|&v| {
-            if next.len() == AT_ONCE {
+            if looked_at == AHEAD || next.len() == AT_ONCE {
                 return true;
             }
+            looked_at += 1;
             let seen = seen(&scene, v);
             if vain.0.get(&v).is_some_and(|&then| !self.is_changed(&seen, then)) {
                 return false;

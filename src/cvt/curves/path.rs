@@ -340,11 +340,11 @@ mod tests {
     use crate::mesh::features::{FeatureOptions, Features};
     use crate::mesh::shapes::Shape;
 
-    /// All sides of a square of two facets, or all of its rim at once.
-    fn sides(weights: Option<&[f64]>, reach: f64) -> (Surface, Vec<Curve>) {
+    /// The sides of a square of two facets.
+    fn sides(weights: Option<&[f64]>) -> (Surface, Vec<Curve>) {
         let mesh: TriMesh = Shape::Square.build(2);
         let surface = Surface::new(&mesh, weights).unwrap();
-        let options = FeatureOptions { reach, ..FeatureOptions::default() };
+        let options = FeatureOptions { reach: 0.1, ..FeatureOptions::default() };
         let curves = Features::find(&mesh, surface.positions(), &options).unwrap().curves;
         assert_eq!(curves.len(), 4);
         (surface, curves)
@@ -352,7 +352,7 @@ mod tests {
 
     #[test]
     fn seeds_are_even_on_edges_that_have_many() {
-        let (surface, curves) = sides(None, 0.1);
+        let (surface, curves) = sides(None);
         for curve in &curves {
             for count in [2, 3, 7, 15, 200] {
                 let side = Path::new(&surface, curve, 1.0);
@@ -372,7 +372,7 @@ mod tests {
     #[test]
     fn seeds_are_as_close_as_the_weights_ask_within_one_edge_too() {
         // Edges half as long at one end as at the other.
-        let (surface, curves) = sides(Some(&[1.0, 1.0, 16.0, 16.0]), 0.1);
+        let (surface, curves) = sides(Some(&[1.0, 1.0, 16.0, 16.0]));
         for curve in &curves {
             let ends = [curve.vertices[0], curve.vertices[1]].map(|v| surface.weights()[v as usize]);
             let one = Path::new(&surface, curve, 1.0).total();
