@@ -344,14 +344,14 @@ fn an_adaptive_remesh_takes_no_noise_for_creases() {
 /// The faces of a part may be a few large facets. Seeds of a side that is one edge of the mesh once gathered in four places.
 #[test]
 fn a_few_large_facets_are_remeshed_as_well_as_many() {
-    for (shape, facets) in [(Shape::Square, 2), (Shape::Plane, 8), (Shape::Genus(0), 12)] {
+    // What is flat is met, and a fitted vertex may leave a crease by 6 % of an edge, 0.2 % of the diagonal.
+    for (shape, facets, most) in [(Shape::Square, 2, 1e-9), (Shape::Plane, 8, 1e-9), (Shape::Genus(0), 12, 0.2)] {
         let mesh = shape.build(facets);
         let out = run(&mesh, &RemeshOptions::new(Seeds::Sample { points: 2000, seed: 5 })).unwrap();
         let quality = out.report.result.quality.unwrap();
         println!("{shape} of {} facets: {quality:?}", mesh.facets().len());
         assert!(quality.q_min > 0.5 && quality.q_avg > 0.91 && quality.theta_min_deg > 30.0, "{shape}: {quality:?}");
-        // All is flat between the curves, and a fitted vertex may leave these by 6 % of an edge, 0.2 % of the diagonal.
-        assert!(quality.hausdorff_percent < 0.2, "{shape}: {quality:?}");
+        assert!(quality.hausdorff_percent < most, "{shape}: {quality:?}");
         assert_eq!(out.report.features.missing_segments, 0, "{shape}");
     }
 }

@@ -382,8 +382,8 @@ mod tests {
             places.push(path.length());
             let lengths: Vec<f64> = places.windows(2).map(|w| w[1] - w[0]).collect();
             let ratio = (lengths[0] / lengths[59]) / (ends[1] / ends[0]).powf(0.25);
-            // The density is taken at four points of an edge and linear between, where the root of the weights is not: it
-            // grows from 1 to 1.19 in the first fifteenth of the edge.
+            // Seeds begin at even distances within each quarter of an edge. At the coarse end the mean of 1/h over the first
+            // one is 0.62 where it is 0.5 at the end, 24 % more; the iteration mends a part of that (13 to 16 % are left).
             assert!((ratio - 1.0).abs() < 0.2, "{ratio}: {lengths:?}");
             let jump = lengths.windows(2).map(|w| (w[1] / w[0] - 1.0).abs()).fold(0.0, f64::max);
             assert!(jump < 0.1, "{jump}: {lengths:?}");

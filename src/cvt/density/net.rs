@@ -170,10 +170,8 @@ mod tests {
         assert!((of_first(&fan(&[0.0, 60.0, 120.0, 120.1, 180.0, 240.0])) - 1.0).abs() < 1e-12);
         // Two small facets, two ten times as large: a seam of a fine part and a coarse one.
         let mut points = fan(&even).into_parts().0;
-        points[4] *= 10.0;
-        points[5] *= 10.0;
-        points.push(at(180.0));
-        let seam = TriMesh::new(points, vec![[0, 1, 2], [0, 2, 3], [0, 4, 5], [0, 6, 3]]).unwrap();
+        points.extend([180.0, 240.0, 300.0].map(|angle| 10.0 * at(angle)));
+        let seam = TriMesh::new(points, vec![[0, 1, 2], [0, 2, 3], [0, 6, 7], [0, 7, 8]]).unwrap();
         assert!(of_first(&seam) < 1.01, "{}", of_first(&seam));
         // A vertex that no facet uses.
         let mesh = TriMesh::new(vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z], vec![[0, 1, 2]]).unwrap();
