@@ -24,7 +24,7 @@ const NEAR: f32 = 2.0;
 // Seeds that a cell may have: all of them meet all of the neighbouring cells'.
 const CROWD: u32 = 256u;
 // A seed that has moved by such a share of what it knows around it is fast.
-const FAST: f32 = 0.05;
+const FAST: f32 = 0.08;
 
 fn is_finite(x: f32) -> bool {
     return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;

@@ -22,7 +22,7 @@ const FULL: f64 = 160.0;
 const NARROWER: f64 = 1.25;
 /// Cells along a side, at most; 64 MiB of them.
 const FINEST: u32 = 256;
-/// 24 neighbours are within 2.8 spacings in relaxed sets; and a third more to spare.
+/// 24 neighbours, more than a row has, are within 2.8 spacings in relaxed sets; and a third more to spare.
 const NEIGHBOURHOOD: f64 = 3.6;
 /// No more than this share of the seeds may be farther apart than rows are found.
 const FAR_APART: f64 = 0.01;
