@@ -210,6 +210,21 @@ fn a_tube_has_two_closed_boundaries() {
     }
 }
 
+/// Where a small angle makes creases of all edges of a round side, those that a larger one finds stay.
+#[test]
+fn a_smaller_angle_keeps_what_a_larger_one_does() {
+    let turn = |k: usize| (k as f64 / 128.0 * std::f64::consts::TAU).sin_cos();
+    let polygon: Vec<(f64, f64)> = (0..128).map(turn).map(|(sin, cos)| (cos, sin)).collect();
+    let lids: Vec<[usize; 3]> = (1..127).map(|k| [0, k, k + 1]).collect();
+    let mesh = prism(&polygon, &lids, 0.2, 0.3);
+    for angle in [30.0, 10.0, 2.0, 1.0] {
+        let found = find(&mesh, &FeatureOptions { shortest: 0.4, ..wish(angle) }).unwrap();
+        assert_eq!(counts(&found).1, 2, "{angle}");
+        let rims: f64 = found.curves.iter().map(|c| length(&mesh, &c.round().collect::<Vec<_>>())).sum();
+        assert!((rims / (2.0 * std::f64::consts::TAU) - 1.0).abs() < 1e-3, "{angle}: {rims}");
+    }
+}
+
 #[test]
 fn angles_are_measured() {
     for degrees in [20.0, 45.0, 100.0, 170.0] {

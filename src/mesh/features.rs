@@ -42,6 +42,9 @@ pub struct FeatureOptions {
 const TANGLE: f64 = 0.5;
 /// or this share, where most of it is sharp: that is meant, and short only beside the edges of the remesh.
 const TANGLE_OF_SHARP: f64 = 0.15;
+/// Bends of less than this are creases only because the caller has asked for such: where they make a tangle of a network,
+/// it is looked at without them.
+const PLAIN_ANGLE: f64 = 30.0;
 /// What is bent by more than this, degrees, is sharp.
 const SHARP_ANGLE: f64 = 75.0;
 /// So many edges are an end of a curve.
@@ -297,6 +300,15 @@ impl Graph {
     fn prune(&mut self, ruler: Ruler<'_>, shortest: f64) -> usize {
         let before = self.edges.len();
         loop {
+            self.drop_loose_ends(ruler, shortest);
+            if !self.drop_short_networks(ruler, shortest) {
+                return before - self.edges.len();
+            }
+        }
+    }
+
+    fn drop_loose_ends(&mut self, ruler: Ruler<'_>, shortest: f64) {
+        loop {
             let ends: Vec<u32> = self.around.iter().filter(|(_, l)| l.len() == 1).map(|(&v, _)| v).collect();
             let mut loose: Vec<(f64, Vec<u32>)> = ends
                 .into_iter()
@@ -321,15 +333,16 @@ impl Graph {
                 break;
             }
         }
-        self.drop_short_networks(ruler, shortest);
-        before - self.edges.len()
     }
 
     fn may_go(&self, chain: &[u32]) -> bool {
         chain.windows(2).all(|p| self.edges.get(&edge(p[0], p[1])).is_none_or(|what| !what.kept))
     }
 
-    fn drop_short_networks(&mut self, ruler: Ruler<'_>, shortest: f64) {
+    /// Takes networks out that are short or tangled; of such that are tangled since edges count that are bent but little,
+    /// these edges alone. Returns whether there were any of those, so that what is left is to be looked at again.
+    fn drop_short_networks(&mut self, ruler: Ruler<'_>, shortest: f64) -> bool {
+        let mut thinned = false;
         let mut seen = std::collections::BTreeSet::new();
         let starts: Vec<u32> = self.around.keys().copied().collect();
         for start in starts {
@@ -356,10 +369,22 @@ impl Graph {
             let chains = (ends / 2).max(1) as f64;
             let least = if sharp >= 0.5 * total { TANGLE_OF_SHARP } else { TANGLE };
             let tangled = total < least * shortest * chains;
-            if total < 2.0 * shortest || tangled {
-                edges.into_iter().for_each(|e| self.remove(e));
-            }
+            let weakest = edges.iter().map(|e| self.edges[e].angle).fold(f64::INFINITY, f64::min);
+            let gone = if total < 2.0 * shortest {
+                f64::INFINITY
+            } else if !tangled {
+                continue;
+            } else if weakest < PLAIN_ANGLE {
+                thinned = true;
+                PLAIN_ANGLE.min(2.0 * weakest)
+            } else {
+                f64::INFINITY
+            };
+            let bent = |e: &Edge| self.edges[e].angle;
+            let gone: Vec<Edge> = edges.into_iter().filter(|e| bent(e) < gone || bent(e) == weakest).collect();
+            gone.into_iter().for_each(|e| self.remove(e));
         }
+        thinned
     }
 
     /// The curves between corners, and the corners.
