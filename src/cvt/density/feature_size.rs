@@ -21,10 +21,14 @@ use crate::knn::{SeedIndex, Threads};
 /// touches two points of the box and is larger says nothing of features.
 pub(super) const FAR: f64 = 1.0;
 
-/// A ball stops shrinking before its two touching points are seen from its centre under a smaller angle: they are
-/// then neighbours, and what the ball would measure is noise or the faceting. A normal that is off by δ makes a
+/// A ball stops shrinking before its two touching points are seen from its centre under a smaller angle, if they are
+/// on one sheet: they are then neighbours, and what the ball would measure is noise or the faceting. A normal that is off by δ makes a
 /// radius wrong by about δ over half of this angle. 60 degrees.
 const LEAST_ANGLE: f64 = PI / 3.0;
+
+/// Points whose normals are farther apart are of two sheets (cosine; 120 degrees): a large ball that ends at the other one
+/// under whatever angle goes on shrinking. Beside the tip of a slender cone the first balls lean over to where it is wider.
+const FACING: f64 = -0.5;
 
 /// A ball smaller than half the distance of samples is kept only if its two points are as good as opposite: two
 /// sheets. 135 degrees.
@@ -68,7 +72,8 @@ pub(super) fn local(net: &Net) -> FeatureSize {
         .par_iter()
         .map(|&i| {
             let resolved = |ball: &Ball| ball.radius >= 0.5 * spacing[i] || ball.angle >= OPPOSITE;
-            [sample_normals[i], -sample_normals[i]].map(|n| ball(&index, &points, i, n).filter(resolved))
+            let ball = |n| ball(&index, &points, &sample_normals, i, n);
+            [sample_normals[i], -sample_normals[i]].map(|n| ball(n).filter(resolved))
         })
         .collect();
     let balls: Vec<Ball> = balls.into_iter().flatten().flatten().collect();
@@ -110,8 +115,9 @@ fn thinned(balls: Vec<Ball>) -> Vec<DVec3> {
     all.into_iter().map(|entry| entry.1).collect()
 }
 
-/// The largest ball beside sample `i` in direction `n` that holds no other sample, if it touches one.
-fn ball(index: &SeedIndex, points: &[DVec3], i: usize, n: DVec3) -> Option<Ball> {
+/// The largest ball beside sample `i` in direction `n`, that is along its normal or against it, that holds no other sample
+/// but of its own sheet, if it touches one.
+fn ball(index: &SeedIndex, points: &[DVec3], normals: &[DVec3], i: usize, n: DVec3) -> Option<Ball> {
     let p = points[i];
     if n == DVec3::ZERO {
         return None;
@@ -130,12 +136,14 @@ fn ball(index: &SeedIndex, points: &[DVec3], i: usize, n: DVec3) -> Option<Ball>
         let smaller = across.length_squared() / height;
         // Seen from the centre the chord has this half-angle's sine.
         let angle = 2.0 * (0.5 * across.length() / smaller).min(1.0).asin();
-        if angle < LEAST_ANGLE {
+        if angle >= LEAST_ANGLE {
+            seen = Some((smaller, angle));
+        } else if normals[nearest].dot(normals[i]) > FACING {
             break;
         }
-        (radius, seen) = (smaller, Some(angle));
+        radius = smaller;
     }
-    seen.map(|angle| Ball { centre: p + n * radius, radius, angle })
+    seen.map(|(radius, angle)| Ball { centre: p + n * radius, radius, angle })
 }
 
 struct Samples {
@@ -260,6 +268,30 @@ mod tests {
             println!("torus {tube}: {got:?}");
             // Edges of 0.06: balls touch within half of that.
             assert!(got[0] < 0.02 && got[1] < 0.1, "{got:?}");
+        }
+    }
+
+    #[test]
+    fn a_slender_cone_is_thin_up_to_its_tip() {
+        // Twenty times as high as wide, in 200 rings of 64; the first balls beside it are as large as it is high.
+        let ring = |k: u32| (0..64u32).map(move |i| (k, i));
+        let at = |(k, i): (u32, u32)| {
+            let (r, turn) = (1.0 - f64::from(k) / 200.0 * 0.995, f64::from(i) / 64.0 * std::f64::consts::TAU);
+            dvec3(r * turn.cos(), r * turn.sin(), 20.0 * f64::from(k) / 200.0)
+        };
+        let vertex = |k: u32, i: u32| 64 * k + i % 64;
+        let quad = |(k, i)| {
+            let [a, b, c, d] = [vertex(k, i), vertex(k, i + 1), vertex(k + 1, i + 1), vertex(k + 1, i)];
+            [[a, b, c], [a, c, d]]
+        };
+        let facets = (0..200).flat_map(ring).flat_map(quad).collect();
+        let mesh = TriMesh::new((0..=200).flat_map(ring).map(at).collect(), facets).unwrap();
+        let net = Net::new(&mesh);
+        let size = local(&net).all;
+        for (p, size) in mesh.positions().iter().zip(&size).filter(|(p, _)| p.z > 0.5) {
+            // The axis is as far as the ring is wide; balls are known at every other ring, which is up to 0.1 away.
+            let (radius, got) = (p.truncate().length(), size * net.outline.extent);
+            assert!(got < radius + 0.15, "{p}: {got} for {radius}");
         }
     }
 
