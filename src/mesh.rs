@@ -18,6 +18,7 @@ pub(crate) mod edges;
 pub mod features;
 pub mod io;
 pub mod measure;
+pub mod orient;
 pub mod sample;
 pub mod shapes;
 

@@ -7,6 +7,7 @@
 mod around;
 pub mod attributes;
 mod build;
+mod closer;
 mod curves;
 mod fan;
 mod fences;
@@ -37,13 +38,15 @@ use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{quality_unless, topology};
+use crate::mesh::orient;
 use crate::mesh::sample::spread;
 use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
 
 pub use attributes::Provenance;
 pub use report::Report;
 use report::{
-    DeviceFigures, InputFigures, MemoryFigures, RefineFigures, ResultFigures, RvdFigures, Timings, topology_changes,
+    DeviceFigures, FinalFigures, InputFigures, IterationFigures, MemoryFigures, RefineFigures, ResultFigures,
+    RvdFigures, Timings, topology_changes,
 };
 use steps::Steps;
 
@@ -89,15 +92,18 @@ pub enum Placement {
     Centroids,
 }
 
-/// Seeds that are added where the result is far from the input. The vertices of the result are to be
-/// [`Placement::Fitted`]; no seeds are added otherwise.
+/// More points where the result is far from the input. The vertices of the result are to be
+/// [`Placement::Fitted`]; no points are added otherwise.
+///
+/// Drawn seeds are drawn anew, for edges that are shorter where the last result was too far, up to five times. To given
+/// seeds some are added, up to eight times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Refine {
-    /// How far the vertices of the input should be from the result at most, caller's units. Rounds of additions end
-    /// when that is so, when there are `max_points`, or after eight; the report's `refine.missed` says how
+    /// How far the vertices of the input should be from the result at most, caller's units. Rounds end
+    /// when that is so or when there are `max_points`; the report's `refine.missed` says how
     /// many places are farther away.
     pub tolerance: f64,
-    /// The most seeds that there may be in all. Room for them is planned from the beginning.
+    /// The most seeds that there may be in all.
     pub max_points: usize,
 }
 
@@ -244,43 +250,32 @@ pub fn remesh(
     cancel: &CancelFlag,
 ) -> Result<Remesh, RemeshError> {
     options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(mesh))?;
-    let mut clock = Clock::start();
+    let laps = Laps { clock: Clock::start(), timings: Timings::default() };
     observer.stage("prepare");
-    let (input, prepared) = rayon::join(|| InputFigures::of(mesh), || prepare(mesh, options, cancel));
-    let Prepared { plan, surface, mut kept, closest } = prepared?;
-    let mut timings = Timings { prepare: clock.lap(), ..Timings::default() };
-    cancel.check()?;
-
-    observer.stage("sample");
-    let (first, seed) = first_seeds(&plan, &surface, &kept, &options.seeds);
-    timings.sample = clock.lap();
-    cancel.check()?;
-
-    observer.stage("iterations");
-    let max_seeds = options.refine.map_or(0, |r| r.max_points);
-    let mut cvt =
-        Cvt::new(backend, Arc::clone(&surface), &first, CvtOptions { projection: options.projection, max_seeds })?;
-    cvt.bring_closest(closest);
-    if !kept.seeds.is_empty() {
-        cvt.keep_curves(kept.seeds.clone())?;
+    let (mut input, mut prepared) = rayon::join(|| InputFigures::of(mesh), || prepare(mesh, options, cancel));
+    // Facets that are oriented unlike their neighbours would tear the result. Attributes are of the facets as given.
+    let oriented = if input.inconsistent_edges > 0 { orient::alike(mesh) } else { None };
+    let given = mesh;
+    let mesh = oriented.as_ref().map_or(mesh, |(mesh, _)| mesh);
+    if let Some((_, turned)) = oriented {
+        input.turned_facets = turned;
+        prepared = prepare(mesh, options, cancel);
     }
-    let (rvd, refine) = (RvdFigures::default(), RefineFigures::default());
-    let mut steps = Steps { options, observer, cancel, rvd, iterations: Vec::new(), refine };
-    let last = steps.main(&mut cvt)?;
-    // Of the steps that were asked for; those that come after have their own end.
-    let converged = cvt.converged();
-    timings.iterations = clock.lap();
-    steps.clear_curves(&mut cvt)?;
-    kept.seeds = cvt.curves().clone();
-    timings.refine = clock.lap();
-    let (built, seeds) = settle(&plan.mesh, &kept, &mut cvt, backend, &mut steps, &mut timings, &mut clock)?;
-    let Steps { observer, rvd, iterations, refine, .. } = steps;
-    let device = DeviceFigures::new(cvt.device_work(), &iterations);
-    let memory = MemoryFigures { host_peak_bytes: None, device_bytes: cvt.device_bytes() };
-    // What else it holds is not needed beside what the measures hold.
-    let closest = cvt.into_closest();
+    let mut job = Job { mesh, backend, cancel, observer, laps };
+    let attempt = match (options.refine, &options.seeds) {
+        (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed }))
+            if options.placement == Placement::Fitted =>
+        {
+            closer::find(&mut job, prepared?, options, refine, seed)?
+        }
+        _ => job.attempt(prepared?, options, options.refine.map(|r| r.tolerance))?,
+    };
+    let Job { observer, laps: Laps { mut clock, mut timings }, .. } = job;
+    let Attempt { plan, kept, closest, built, seeds, seed, steps, device, device_bytes } = attempt;
+    let Figures { converged, rvd, iterations, last, refine } = steps;
+    let memory = MemoryFigures { host_peak_bytes: None, device_bytes };
 
-    let (attributes, provenance) = carried(mesh, options, &built.mesh, observer, cancel)?;
+    let (attributes, provenance) = carried(given, options, &built.mesh, observer, cancel)?;
     timings.attributes = clock.lap();
 
     observer.stage("measure");
@@ -316,6 +311,92 @@ pub fn remesh(
     };
     let curve_edges = built.curve_edges.into_iter().flatten().collect();
     Ok(Remesh { mesh: built.mesh, vertex_seed: built.vertex_seed, curve_edges, seeds, report, attributes, provenance })
+}
+
+/// What all attempts at one remesh share.
+struct Job<'a, 'b> {
+    mesh: &'a TriMesh,
+    backend: &'b dyn Backend,
+    cancel: &'b CancelFlag,
+    observer: &'b mut dyn Observer,
+    /// Of all attempts.
+    laps: Laps,
+}
+
+/// What took how long.
+struct Laps {
+    clock: Clock,
+    timings: Timings,
+}
+
+/// A result, and how it came about.
+struct Attempt<'a> {
+    plan: Plan<'a>,
+    kept: curves::Kept,
+    closest: Option<ClosestPoint>,
+    built: build::Built,
+    /// Caller's coordinates.
+    seeds: Vec<DVec3>,
+    /// The random seed they were drawn from.
+    seed: Option<u64>,
+    steps: Figures,
+    device: DeviceFigures,
+    device_bytes: u64,
+}
+
+/// What the steps came to.
+struct Figures {
+    converged: bool,
+    rvd: RvdFigures,
+    iterations: Vec<IterationFigures>,
+    last: FinalFigures,
+    refine: RefineFigures,
+}
+
+impl<'a> Job<'a, '_> {
+    /// From what is prepared for `options` to a surface, whose creases are not to be off by more than half of `tolerance`.
+    fn attempt(
+        &mut self,
+        prepared: Prepared<'a>,
+        options: &RemeshOptions,
+        tolerance: Option<f64>,
+    ) -> Result<Attempt<'a>, RemeshError> {
+        let Prepared { plan, surface, mut kept, closest } = prepared;
+        self.laps.timings.prepare += self.laps.clock.lap();
+        self.cancel.check()?;
+
+        self.observer.stage("sample");
+        let (first, seed) = first_seeds(&plan, &surface, &kept, &options.seeds);
+        self.laps.timings.sample += self.laps.clock.lap();
+        self.cancel.check()?;
+
+        self.observer.stage("iterations");
+        let max_seeds = options.refine.map_or(0, |r| r.max_points);
+        let cvt_options = CvtOptions { projection: options.projection, max_seeds };
+        let mut cvt = Cvt::new(self.backend, Arc::clone(&surface), &first, cvt_options)?;
+        cvt.bring_closest(closest);
+        if !kept.seeds.is_empty() {
+            cvt.keep_curves(kept.seeds.clone())?;
+        }
+        let (rvd, refine) = (RvdFigures::default(), RefineFigures::default());
+        let cancel = self.cancel;
+        let mut steps = Steps { options, observer: &mut *self.observer, cancel, rvd, iterations: Vec::new(), refine };
+        let last = steps.main(&mut cvt)?;
+        // Of the steps that were asked for; those that come after have their own end.
+        let converged = cvt.converged();
+        self.laps.timings.iterations += self.laps.clock.lap();
+        steps.clear_curves(&mut cvt)?;
+        kept.seeds = cvt.curves().clone();
+        self.laps.timings.refine += self.laps.clock.lap();
+        let (built, seeds) = settle(&plan.mesh, &kept, &mut cvt, self.backend, &mut steps, tolerance, &mut self.laps)?;
+        let Steps { rvd, iterations, refine, .. } = steps;
+        let device = DeviceFigures::new(cvt.device_work(), &iterations);
+        let device_bytes = cvt.device_bytes();
+        // What else it holds is not needed beside what the measures hold.
+        let closest = cvt.into_closest();
+        let steps = Figures { converged, rvd, iterations, last, refine };
+        Ok(Attempt { plan, kept, closest, built, seeds, seed, steps, device, device_bytes })
+    }
 }
 
 /// What steps begin with.
@@ -356,8 +437,8 @@ fn settle(
     cvt: &mut Cvt,
     backend: &dyn Backend,
     steps: &mut Steps<'_>,
-    timings: &mut Timings,
-    clock: &mut Clock,
+    tolerance: Option<f64>,
+    laps: &mut Laps,
 ) -> Result<(build::Built, Vec<DVec3>), RemeshError> {
     let options = steps.options;
     let surface = Arc::clone(cvt.surface());
@@ -369,11 +450,12 @@ fn settle(
         (None, Placement::Fitted) if options.newton > 0 => LOST_ROUNDS,
         _ => 0,
     };
-    let tolerance = options.refine.map(|r| r.tolerance * surface.frame().scale);
+    let tolerance = tolerance.map(|t| t * surface.frame().scale);
     let first_added = cvt.len() as u32;
     let mut best: Option<(build::Draft, build::Missed, Vec<DVec3>)> = None;
     let placement = options.placement;
-    let source = build::Source { mesh, surface: &surface, kept, placement, first_added, tolerance };
+    let adds = options.refine.is_some();
+    let source = build::Source { mesh, surface: &surface, kept, placement, first_added, tolerance, adds };
     let mut round = 0;
     loop {
         steps.observer.stage("dual");
@@ -381,37 +463,37 @@ fn settle(
         session.set_seeds(cvt.unit_seeds()?)?;
         let dual = dual::extract(&mut *session, &surface, cvt.len(), steps.cancel)?;
         steps.rvd.add_pass(&dual.stats);
-        timings.dual += clock.lap();
+        laps.timings.dual += laps.clock.lap();
         steps.cancel.check()?;
         steps.observer.stage("repair");
         // On the pool's threads as a whole, so that nobody waits for them to wake up at each part.
         let seeds = cvt.unit_seeds()?;
         let draft = rayon::scope(|_| source.draft(&dual, seeds))?;
-        timings.repair += clock.lap();
+        laps.timings.repair += laps.clock.lap();
         let missed = draft.missed();
-        let is_better = |before: &build::Missed| match tolerance {
-            Some(_) => missed.deviation < ADDED_SLACK * before.deviation,
-            None => missed.lost.len() < before.lost.len() && missed.deviation < LOST_SLACK * before.deviation,
+        let is_better = |before: &build::Missed| match adds {
+            true => missed.deviation < ADDED_SLACK * before.deviation,
+            false => missed.lost.len() < before.lost.len() && missed.deviation < LOST_SLACK * before.deviation,
         };
         if best.as_ref().is_none_or(|(_, before, _)| is_better(before)) {
             steps.rvd.of_dual(&dual, &surface);
             best = Some((draft, missed.clone(), cvt.seeds()?));
         }
         let goes_on = round < rounds
-            && match tolerance {
-                Some(_) => steps.add(cvt, &missed.places)?,
-                None => steps.move_lost(cvt, &missed)?,
+            && match adds {
+                true => steps.add(cvt, &missed.places)?,
+                false => steps.move_lost(cvt, &missed)?,
             };
         if !goes_on {
             break;
         }
-        timings.refine += clock.lap();
+        laps.timings.refine += laps.clock.lap();
         round += 1;
     }
     let (draft, _, seeds) = best.ok_or_else(|| RvdError::Internal("no result was built".to_owned()))?;
     let built = rayon::scope(|_| source.finish(draft))?;
     steps.refine.missed = built.missed;
-    timings.repair += clock.lap();
+    laps.timings.repair += laps.clock.lap();
     Ok((built, seeds))
 }
 

@@ -344,6 +344,11 @@ fn bad_values_are_refused_by_name() {
         let density = DensityOptions { max_points: 1000, ..sizes(&mesh, |_| tiny) };
         assert!(matches!(implied(&density), DensityError::TooManyPoints { limit: 1000, .. }));
     }
+    for source in [DensitySource::Uniform, DensitySource::Curvature] {
+        let density = DensityOptions { max_points: 1000, ..DensityOptions::from_source(source) };
+        let error = plan(&mesh, &density, Count::Points(1001), &|| false).unwrap_err();
+        assert_eq!(error, DensityError::PointLimit { points: 1001, limit: 1000 });
+    }
     let stopped = plan(&mesh, &DensityOptions::from_source(DensitySource::Curvature), Count::Points(10), &|| true);
     assert_eq!(stopped.unwrap_err(), DensityError::Cancelled);
     let cancelled = RemeshError::from(DensityError::Cancelled);

@@ -112,8 +112,31 @@ fn a_tolerance_holds_beside_creases() {
     }
 }
 
-/// Rounds of refinement at most.
-const ROUNDS: usize = 8;
+/// Remeshes with shorter edges, at most.
+const ROUNDS: usize = 5;
+
+/// Points for a tolerance are as well spread as those that are asked for: the same number of these has triangles that are
+/// not much rounder, and is farther away.
+#[test]
+fn points_for_a_tolerance_leave_triangles_round() {
+    // A bump that a few points miss, on a ball.
+    let ball = Shape::Sphere.build(20_000);
+    let bump = |p: DVec3| p * (1.0 + 0.25 * (-80.0 * p.distance_squared(DVec3::X)).exp());
+    let mesh = TriMesh::new(ball.positions().iter().map(|&p| bump(p)).collect(), ball.facets().to_vec()).unwrap();
+    let farthest = |out: &Remesh| distances(&mesh, &out.mesh).into_iter().fold(0.0, f64::max);
+    let measured = RemeshOptions { measure: true, ..options(400) };
+    let coarse = run(&mesh, &measured);
+    let tolerance = 0.4 * farthest(&coarse);
+    let refine = Some(Refine { tolerance, max_points: 1600 });
+    let fine = run(&mesh, &RemeshOptions { refine, ..measured.clone() });
+    let even = run(&mesh, &RemeshOptions { measure: true, ..options(fine.seeds.len()) });
+    println!("{} points, {:?}", fine.seeds.len(), fine.report.refine);
+    assert_eq!(fine.report.refine.missed, 0);
+    assert!(farthest(&fine) <= tolerance && farthest(&fine) < farthest(&even));
+    assert!(fine.seeds.len() < 800, "more than the bump has got points");
+    let quality = fine.report.result.quality.unwrap();
+    assert!(quality.theta_min_deg > 25.0 && quality.under_30_percent < 0.5, "{quality:?}");
+}
 
 #[test]
 fn refinement_keeps_its_tolerance_or_uses_its_points_up() {
@@ -139,7 +162,7 @@ fn refinement_keeps_its_tolerance_or_uses_its_points_up() {
             } else {
                 // Points are used up, or rounds.
                 let used_up = 250 + figures.added_seeds == max_points;
-                assert!(used_up || figures.rounds == ROUNDS, "{name}: {figures:?}");
+                assert!(used_up || figures.rounds >= ROUNDS, "{name}: {figures:?}");
             }
             is_sound(&name, &mesh, &out.mesh, -0.9);
         }

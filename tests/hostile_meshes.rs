@@ -16,7 +16,8 @@ use std::sync::Arc;
 
 use glam::{DVec3, dvec3};
 use hostile::{covered, options, remeshed};
-use tessera::mesh::measure::topology;
+use tessera::mesh::adjacency::Adjacency;
+use tessera::mesh::measure::{Topology, topology};
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::{MeshError, TriMesh};
 use tessera::remesh::{RemeshError, Seeds};
@@ -116,8 +117,14 @@ fn facets_turned_over() {
         TriMesh::new(sphere.positions().to_vec(), facets.collect()).unwrap()
     };
     check("all turned over", &flip(1), 200);
-    check("every other turned over", &flip(2), 200);
-    check("one in fifty turned over", &flip(50), 200);
+    for every in [2, 3, 50] {
+        for out in check(&format!("one in {every} turned over"), &flip(every), 200) {
+            assert_eq!(topology(&out.mesh), Topology { euler: 2, components: 1, ..Topology::default() }, "{every}");
+            assert_eq!(Adjacency::new(&out.mesh).inconsistent_edges(), 0);
+            let count = out.report.input.turned_facets;
+            assert!(count == sphere.facets().len().div_ceil(every) || every == 2, "{every}: {count}");
+        }
+    }
     check("Möbius", &moebius(40, 4), 150);
 }
 

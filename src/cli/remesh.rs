@@ -225,6 +225,11 @@ fn options(args: &RemeshArgs, mesh: &TriMesh) -> Result<RemeshOptions> {
     let extent = (high - low).max_element();
     let diagonal = ((high - low) / extent).length() * extent;
     let most = args.max_points.or(args.points.map(|n| n.saturating_mul(2)));
+    if let (Some(points), Some(most)) = (args.points, args.max_points)
+        && most < points
+    {
+        return Err(Usage(format!("--max-points {most} is less than --points {points}")).into());
+    }
     let refine = match (args.max_deviation, most) {
         (Some(percent), Some(most)) => {
             Some(Refine { tolerance: percent / 100.0 * diagonal, max_points: most as usize })
@@ -276,7 +281,7 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, options: &RemeshOptions, start: Insta
     if let Some(path) = &args.report {
         files::write_json(path, &done.report)?;
     }
-    print(&done.report);
+    print(&done.report, args.max_deviation.is_some());
     Ok(())
 }
 
@@ -296,12 +301,15 @@ fn there(args: &RemeshArgs, mesh: &TriMesh, options: &RemeshOptions, endpoint: &
     Ok(())
 }
 
-/// What a person wants to know at the end.
-fn print(report: &Report) {
+/// What a person wants to know at the end; `bounded` if it was said how far the result may be.
+fn print(report: &Report, bounded: bool) {
     let (input, result, rvd) = (&report.input, &report.result, &report.rvd);
     let by = report.adapter.as_deref().unwrap_or("CPU");
     println!("backend     {} ({by}), {} threads", report.backend, report.threads);
     println!("input       {} vertices, {} facets, χ {}", input.vertices, input.facets, input.topology.euler);
+    if input.turned_facets > 0 {
+        println!("            {} facets were oriented unlike their neighbours and turned over", input.turned_facets);
+    }
     println!("result      {} vertices, {} facets, χ {}", result.vertices, result.facets, result.topology.euler);
     let RepairFigures { seeds_without_vertex: without, further_vertices: further, .. } = result.repair;
     if without + further > 0 {
@@ -332,6 +340,13 @@ fn print(report: &Report) {
     );
     if !report.topology_changes.is_empty() {
         println!("changed     {}; more points keep more", report.topology_changes.join(", "));
+    }
+    let refine = &report.refine;
+    if refine.added_seeds > 0 {
+        println!("added       {} points, where the result was too far from the input", refine.added_seeds);
+    }
+    if bounded && refine.missed > 0 {
+        println!("missed      {} places are still farther than asked; more --max-points bring more", refine.missed);
     }
     if let Some(bytes) = report.memory.host_peak_bytes {
         let mib = |bytes: u64| bytes >> 20;

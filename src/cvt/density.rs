@@ -80,7 +80,7 @@ pub struct DensityOptions {
     /// The largest length is at most this times the smallest; the large ones are lowered, which costs few
     /// points. At least 1, at most 1e4, so that weights stay within single precision. 100 by default.
     pub ratio: f64,
-    /// The most points that lengths may imply.
+    /// The most points that lengths may imply, or that may be asked for.
     pub max_points: usize,
 }
 
@@ -181,6 +181,14 @@ pub enum DensityError {
         /// How many there may be.
         limit: usize,
     },
+    /// More points than are allowed.
+    #[error("{points} points, and at most {limit} are allowed; give fewer")]
+    PointLimit {
+        /// How many were asked for.
+        points: usize,
+        /// How many there may be.
+        limit: usize,
+    },
     /// The caller asked to stop.
     #[error("cancelled")]
     Cancelled,
@@ -223,6 +231,33 @@ pub struct Plan<'a> {
     pub figures: DensityFigures,
 }
 
+impl Plan<'_> {
+    /// Target edge length per vertex of `mesh`, the caller's: those of the plan, or those that so many points have by
+    /// its weights.
+    pub fn lengths(&self, mesh: &TriMesh) -> Vec<f64> {
+        if let Some(sizes) = &self.sizes {
+            return sizes.clone();
+        }
+        let vertices = mesh.positions().len();
+        let Some(weights) = self.weights.as_ref() else {
+            return vec![Outline::new(mesh).edge_length(self.points as f64); vertices];
+        };
+        let top = weights.iter().copied().fold(0.0, f64::max);
+        let by_weight = |w: &f64| (w / top).max(LEAST_WEIGHT).powf(-0.25);
+        let lengths: Vec<f64> = weights[..vertices].iter().map(by_weight).collect();
+        // Weights were looked at when they were first used; lengths of none are as good as any.
+        let net = Net::new(mesh);
+        let scaled = SizeField::new(&net, lengths.clone()).map(|field| {
+            let factor = (field.points(&net) / self.points.max(1) as f64).sqrt();
+            field.scaled(factor).into_sizes()
+        });
+        scaled.unwrap_or(lengths)
+    }
+}
+
+/// Weights below this share of the largest stand for edges a hundred times as long.
+const LEAST_WEIGHT: f64 = 1e-8;
+
 /// Makes the wished density of `mesh`. `stop` is asked now and then.
 ///
 /// # Errors
@@ -251,7 +286,7 @@ fn level<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count) -> Resul
         (Count::Implied, None) => return Err(DensityError::NoCount),
     };
     let points = match count {
-        Count::Points(points) => points,
+        Count::Points(points) => within(points, options.max_points)?,
         Count::Implied => rounded(implied, options.max_points)?,
     };
     let weights = match &options.source {
@@ -287,8 +322,10 @@ fn varying<'a>(
         (Count::Implied, Some(edge), _) => Some(net.outline.points(edge)),
         (Count::Implied, None, _) => return Err(DensityError::NoCount),
     };
-    if let Some(target) = target {
-        rounded(target, options.max_points)?;
+    match (count, target) {
+        (Count::Points(points), _) => _ = within(points, options.max_points)?,
+        (_, Some(target)) => _ = rounded(target, options.max_points)?,
+        _ => {}
     }
     go_on()?;
     let (raw, sheets) = match &options.source {
@@ -335,6 +372,11 @@ fn varying<'a>(
         None => (Cow::Borrowed(mesh), SizeField::weights_of(field.sizes())),
     };
     Ok(Plan { mesh, weights: Some(weights), sizes: Some(field.into_sizes()), points, figures })
+}
+
+/// As many points as are allowed at most.
+fn within(points: usize, limit: usize) -> Result<usize, DensityError> {
+    if points <= limit { Ok(points) } else { Err(DensityError::PointLimit { points, limit }) }
 }
 
 /// Rounds a number of points.

@@ -31,6 +31,8 @@ pub(super) struct Source<'a> {
     pub(super) first_added: u32,
     /// What is farther from the result than this was missed, unit frame; a share of an edge if `None`.
     pub(super) tolerance: Option<f64>,
+    /// Whether seeds are added until nothing is missed.
+    pub(super) adds: bool,
 }
 
 /// The dual made a triangulation that may still change.
@@ -221,7 +223,7 @@ impl Source<'_> {
         let frame = self.surface.frame();
         let mut unit: Vec<DVec3> = draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect();
         // Seeds that are added bring edges to the curves; to hold these there as well would fold facets between them.
-        let fences = Fences::new(&unit, if self.tolerance.is_some() { &[] } else { &target.curves });
+        let fences = Fences::new(&unit, if self.adds { &[] } else { &target.curves });
         fit::fit(&mut unit, &mut draft.facets, &target);
         fences.restore(&mut unit, &draft.facets);
         self.polish(&mut unit, draft, &target, &fences);

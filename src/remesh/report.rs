@@ -9,7 +9,8 @@ use serde::Serialize;
 use crate::cvt::Iteration;
 use crate::cvt::density::DensityFigures;
 use crate::mesh::TriMesh;
-use crate::mesh::measure::{Quality, Topology, topology};
+use crate::mesh::adjacency::Adjacency;
+use crate::mesh::measure::{Quality, Topology, topology_of};
 use crate::rvd::dual::Dual;
 use crate::rvd::{DeviceWork, PassStats, Surface};
 
@@ -75,6 +76,10 @@ pub struct InputFigures {
     pub facets: usize,
     /// Facets without area.
     pub degenerate_facets: usize,
+    /// Edges of two facets that are oriented unlike each other.
+    pub inconsistent_edges: usize,
+    /// Facets that were turned over, to be oriented as their neighbours are.
+    pub turned_facets: usize,
     /// Caller's units squared.
     pub area: f64,
     /// χ, components, holes, non-manifold elements.
@@ -313,12 +318,15 @@ pub struct RepairFigures {
 impl InputFigures {
     /// Looks at the surface that came in.
     pub fn of(mesh: &TriMesh) -> Self {
+        let adjacency = Adjacency::new(mesh);
         Self {
             vertices: mesh.positions().len(),
             facets: mesh.facets().len(),
             degenerate_facets: mesh.degenerate_count(),
+            inconsistent_edges: adjacency.inconsistent_edges(),
+            turned_facets: 0,
             area: mesh.area(),
-            topology: topology(mesh),
+            topology: topology_of(mesh, &adjacency),
         }
     }
 }

@@ -85,7 +85,7 @@ fn of_density(error: &DensityError) -> Status {
         DensityError::SizeCount { .. } => "mesh.edge_lengths".to_owned(),
         DensityError::BadSize { vertex, .. } => format!("mesh.edge_lengths[{vertex}]"),
         DensityError::BadOption { name, .. } => format!("header.density.{}", name.replace(' ', "_")),
-        DensityError::NoCount => "header.seeds.sampled.points".to_owned(),
+        DensityError::NoCount | DensityError::PointLimit { .. } => "header.seeds.sampled.points".to_owned(),
         DensityError::TooManyPoints { .. } => "header.density".to_owned(),
         DensityError::Cancelled => return Status::cancelled("the work was cancelled"),
     };

@@ -1,0 +1,101 @@
+//! Facets that are oriented unlike their neighbours.
+//!
+//! Purpose: [`alike`] turns over those that do not go with most of their part of the surface. A part is what hangs
+//! together through edges of two facets.
+//! Invariant: a part that has no orientation (a Möbius strip) and one that is oriented alike, inward or outward, stay
+//! as they are. Facets keep their numbers, and their first corners. Must not know: why it matters.
+
+use super::TriMesh;
+use super::adjacency::{Adjacency, EdgeKind};
+
+/// `mesh` with its facets oriented alike, as most of the area of each part is, and how many were turned over; `None` if
+/// none had to be. Linear in the facets.
+pub fn alike(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
+    let adjacency = Adjacency::new(mesh);
+    if adjacency.inconsistent_edges() == 0 {
+        return None;
+    }
+    let area = |f: usize| {
+        let [a, b, c] = mesh.corners(f);
+        (b - a).cross(c - a).length()
+    };
+    let mut turned: Vec<Option<bool>> = vec![None; mesh.facets().len()];
+    let mut facets = mesh.facets().to_vec();
+    let mut count = 0;
+    for start in 0..facets.len() {
+        if turned[start].is_some() {
+            continue;
+        }
+        turned[start] = Some(false);
+        let mut part = vec![start];
+        let mut orientable = true;
+        let mut next = 0;
+        while let Some(&f) = part.get(next) {
+            next += 1;
+            for half in 3 * f..3 * f + 3 {
+                let Some(other) = adjacency.opposite(half) else { continue };
+                let unlike = adjacency.kind(half) == EdgeKind::Inconsistent;
+                let wanted = turned[f].map(|t| t != unlike);
+                match turned[other / 3] {
+                    None => {
+                        turned[other / 3] = wanted;
+                        part.push(other / 3);
+                    }
+                    known => orientable &= known == wanted,
+                }
+            }
+        }
+        if !orientable {
+            continue;
+        }
+        let of = |side: bool| part.iter().filter(|&&f| turned[f] == Some(side)).map(|&f| area(f)).sum::<f64>();
+        let fewer = of(true) <= of(false);
+        for &f in part.iter().filter(|&&f| turned[f] == Some(fewer)) {
+            facets[f].swap(1, 2);
+            count += 1;
+        }
+    }
+    let turned = (count > 0).then(|| TriMesh::new(mesh.positions().to_vec(), facets).ok())??;
+    Some((turned, count))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::shapes::Shape;
+
+    fn turn(mesh: &TriMesh, which: impl Fn(usize) -> bool) -> TriMesh {
+        let mut facets = mesh.facets().to_vec();
+        facets.iter_mut().enumerate().filter(|(f, _)| which(*f)).for_each(|(_, t)| t.swap(1, 2));
+        TriMesh::new(mesh.positions().to_vec(), facets).unwrap()
+    }
+
+    #[test]
+    fn the_lesser_part_is_turned() {
+        for shape in [Shape::Sphere, Shape::Plane, Shape::Torus, Shape::Sheets] {
+            let mesh = shape.build(2000);
+            assert!(alike(&mesh).is_none() && alike(&turn(&mesh, |_| true)).is_none(), "{shape}");
+            for every in [3, 7, 1000] {
+                let (back, count) = alike(&turn(&mesh, |f| f % every == 0)).unwrap();
+                assert_eq!((back.facets(), count), (mesh.facets(), mesh.facets().len().div_ceil(every)), "{shape}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_has_no_orientation_stays() {
+        // A strip of quadrilaterals whose ends meet with half a turn.
+        let n = 12u32;
+        let point = |k: u32| {
+            let (t, side) =
+                (f64::from(k / 2) / f64::from(n) * std::f64::consts::TAU, if k.is_multiple_of(2) { 0.3 } else { -0.3 });
+            let r = 1.0 + side * (0.5 * t).cos();
+            glam::dvec3(r * t.cos(), r * t.sin(), side * (0.5 * t).sin())
+        };
+        let at = |k: u32| if k >= 2 * n { (k - 2 * n) ^ 1 } else { k };
+        let quad = |k: u32| [[at(2 * k), at(2 * k + 1), at(2 * k + 2)], [at(2 * k + 1), at(2 * k + 3), at(2 * k + 2)]];
+        let mesh = TriMesh::new((0..2 * n).map(point).collect(), (0..n).flat_map(quad).collect()).unwrap();
+        assert!(Adjacency::new(&mesh).inconsistent_edges() > 0);
+        assert!(alike(&mesh).is_none());
+    }
+}
