@@ -245,7 +245,7 @@ impl Plan<'_> {
         let top = weights.iter().copied().fold(0.0, f64::max);
         let by_weight = |w: &f64| (w / top).max(LEAST_WEIGHT).powf(-0.25);
         let lengths: Vec<f64> = weights[..vertices].iter().map(by_weight).collect();
-        // Weights were looked at when they were first used; lengths of none are as good as any.
+        // No length is refused: weights were checked when the surface was made, and none is too small here.
         let net = Net::new(mesh);
         let scaled = SizeField::new(&net, lengths.clone()).map(|field| {
             let factor = (field.points(&net) / self.points.max(1) as f64).sqrt();

@@ -311,7 +311,7 @@ pub const ENTRY_BYTES: u64 = (size_of::<State>() + size_of::<Figures>()) as u64;
 
 /// Neighbours that the search finds at most. Cells of relaxed seeds need a dozen, facets that meet many cells some more. The
 /// more of them, the sooner lists of [`LIST`] do not prove them any more: with 20 instead of 24, steps of the bunny with
-/// 10,000 points take a tenth less, and 3 % more facets go to the list of pairs.
+/// 10,000 points take a tenth less, and 3 to 5 % more facets go to the list of pairs.
 pub const ROW: u32 = 20;
 /// Entries of a row at most that the device makes longer.
 pub const LONGER: u32 = 128;
