@@ -10,6 +10,7 @@ use std::sync::{Arc, OnceLock};
 
 use glam::{DVec3, dvec3};
 use rand::{RngExt, SeedableRng};
+use tessera::gpu::layout::ROW;
 use tessera::gpu::{Device, DeviceOptions};
 use tessera::knn::{NeighbourRow, SeedIndex};
 use tessera::mesh::sample::sample;
@@ -190,7 +191,7 @@ fn the_device_searches_what_it_can() {
         let found = search(gpu, &surface, &noise(&surface, n, 0.0, 1), 24);
         assert!(!found.by_host);
         // All but a few rows are full.
-        let full = found.rows.iter().filter(|r| r.seeds.len() == 24).count();
+        let full = found.rows.iter().filter(|r| r.seeds.len() == ROW as usize).count();
         assert!(full * 100 >= n * 95, "{n}: {full}");
     }
 }
