@@ -168,7 +168,7 @@ fn what_no_window_holds_is_refused() {
         Err(other) => panic!("{other}"),
         Ok(_) => panic!("{n} seeds fit"),
     };
-    // Seeds are not divided into windows: 84 bytes of neighbours each at least, and 96 of sums.
+    // Seeds are not divided into windows: 96 bytes of sums each.
     let (needed, limit) = refused(surface(500, false), 20_000);
-    assert!(limit == 1 << 20 && needed >= 20_000 * 84, "{needed}, {limit}");
+    assert!(limit == 1 << 20 && needed >= 20_000 * 96, "{needed}, {limit}");
 }

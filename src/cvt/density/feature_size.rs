@@ -289,7 +289,8 @@ mod tests {
         let net = Net::new(&mesh);
         let size = local(&net).all;
         for (p, size) in mesh.positions().iter().zip(&size).filter(|(p, _)| p.z > 0.5) {
-            // The axis is as far as the ring is wide; balls are known at every other ring, which is up to 0.1 away.
+            // The axis is as far as the ring is wide. A ball may end at another ring, so a ring and a half to spare; where none
+            // was found, lengths were 0.2 off and more.
             let (radius, got) = (p.truncate().length(), size * net.outline.extent);
             assert!(got < radius + 0.15, "{p}: {got} for {radius}");
         }
