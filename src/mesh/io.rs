@@ -3,15 +3,15 @@
 //! Purpose: [`read`] and [`write()`] for a path, [`decode`] and [`encode`] for bytes. The format is the file's
 //! extension ([`Format`]). The same names with `_with_attributes` take and give what a surface carries too.
 //! Invariant: no sequence of bytes makes a reader panic, hang, or allocate more than a small
-//! multiple of the bytes that are there, whatever counts they declare. Polygons become triangle
-//! fans around their first corner, which is right for convex ones. Positions are double
-//! precision; only STL, whose format says so, holds single precision.
+//! multiple of the bytes that are there, whatever counts they declare. A polygon of n corners becomes n - 2 facets: a
+//! fan around its first corner if it is convex, or ears (`polygons`). Positions are double precision; only STL, whose format says so, holds single precision.
 //! Must not know: what is done with a surface.
 
 mod attributed;
 mod obj;
 mod off;
 mod ply;
+mod polygons;
 mod stl;
 
 use std::path::{Path, PathBuf};
@@ -20,6 +20,7 @@ use glam::DVec3;
 
 use super::attributes::AttributeError;
 use super::{MeshError, TriMesh};
+use polygons::Fan;
 
 pub use attributed::{
     Loaded, decode_with_attributes, encode_with_attributes, read_with_attributes, write_with_attributes,
@@ -193,21 +194,22 @@ pub fn write(path: &Path, mesh: &TriMesh) -> Result<(), FileError> {
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
-    Ok(decode_bare(format, bytes)?.0)
+    let Soup { positions, mut facets, fans, .. } = decode_soup(format, bytes)?;
+    polygons::recut(&positions, &facets, &fans).iter().for_each(|cut| cut.apply(&mut facets));
+    Ok(TriMesh::new(positions, facets)?)
 }
 
-/// The surface, and whether its reader saw that the file carries nothing else.
-fn decode_bare(format: Format, bytes: &[u8]) -> Result<(TriMesh, bool), DataError> {
+/// What the format's reader finds.
+fn decode_soup(format: Format, bytes: &[u8]) -> Result<Soup, DataError> {
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Err(DataError::Empty);
     }
-    let soup = match format {
+    match format {
         Format::Obj => obj::decode(bytes),
         Format::Ply => ply::decode(bytes),
         Format::Stl => stl::decode(bytes),
         Format::Off => off::decode(bytes),
-    }?;
-    Ok((TriMesh::new(soup.positions, soup.facets)?, soup.bare))
+    }
 }
 
 /// The bytes of a file that holds `mesh`.
@@ -228,6 +230,8 @@ pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
 struct Soup {
     positions: Vec<DVec3>,
     facets: Vec<[u32; 3]>,
+    /// Which of them are polygons' with more than three corners, all of them fans.
+    fans: Vec<Fan>,
     /// Whether it was seen that the file has no attributes; false where nobody looked.
     bare: bool,
 }
@@ -244,6 +248,11 @@ impl Soup {
             Ok(index) if (index as usize) < vertices => Ok(index),
             _ => Err(format!("vertex {corner} is named, but there are {vertices} vertices, counted from 0")),
         };
+        if corners.len() > 3 {
+            // As many facets as numbers can tell apart are refused later.
+            let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+            self.fans.push((count(self.facets.len()), count(corners.len() - 2)));
+        }
         let first = index(corners[0])?;
         let mut last = index(corners[1])?;
         for &corner in &corners[2..] {

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use glam::{DVec2, DVec3};
 
-use super::{DataError, FileError, Format, decode_bare, encode, obj, off, ply};
+use super::{DataError, FileError, Format, Soup, decode_soup, encode, obj, off, ply, polygons};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
 
@@ -67,14 +67,26 @@ pub fn write_with_attributes(path: &Path, mesh: &TriMesh, attributes: &Attribute
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode_with_attributes(format: Format, bytes: &[u8]) -> Result<Loaded, DataError> {
-    let (mesh, bare) = decode_bare(format, bytes)?;
-    let raw = match format {
+    let Soup { positions, mut facets, fans, bare } = decode_soup(format, bytes)?;
+    let cuts = polygons::recut(&positions, &facets, &fans);
+    if bare {
+        cuts.iter().for_each(|cut| cut.apply(&mut facets));
+    }
+    let mut mesh = TriMesh::new(positions, facets)?;
+    let mut raw = match format {
         _ if bare => Raw::default(),
         Format::Obj => obj::attributes(bytes, &mesh),
         Format::Ply => ply::attributes(bytes, &mesh),
         Format::Off => off::attributes(bytes, &mesh),
         Format::Stl => Raw::default(),
     };
+    if !bare && !cuts.is_empty() {
+        // Readers of attributes know fans alone.
+        let mut facets = mesh.facets().to_vec();
+        cuts.iter().for_each(|cut| cut.apply(&mut facets));
+        mesh = TriMesh::new(mesh.positions().to_vec(), facets)?;
+        raw.recut(&cuts);
+    }
     let (attributes, left_aside) = raw.onto(&mesh);
     Ok(Loaded { mesh, attributes, left_aside })
 }
@@ -121,6 +133,20 @@ pub(super) struct Raw {
 impl Raw {
     pub(super) fn unreadable(&mut self, attribute: &str, message: String) {
         self.unreadable.push(AttributeError::Unreadable { attribute: attribute.to_owned(), message });
+    }
+
+    /// Cuts what corners have as the surface's polygons are.
+    fn recut(&mut self, cuts: &[polygons::Cut]) {
+        let corners = [
+            self.texture.as_mut().map(|texture| &mut texture.corners),
+            match &mut self.normals {
+                Some(Normals::PerCorner(normals)) => Some(&mut normals.corners),
+                _ => None,
+            },
+        ];
+        for corners in corners.into_iter().flatten() {
+            cuts.iter().for_each(|cut| cut.apply(corners));
+        }
     }
 
     /// Checks each attribute by itself.

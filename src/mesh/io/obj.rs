@@ -23,7 +23,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
         return Ok(soup);
     }
     let text = geometry(bytes)?;
-    let options = LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..LoadOptions::default() };
+    let options = LoadOptions { ignore_points: true, ignore_lines: true, ..LoadOptions::default() };
     let no_materials = |_: &std::path::Path| Ok((Vec::new(), Default::default()));
     let (models, _) = tobj::load_obj_buf(&mut text.as_slice(), &options, no_materials)
         .map_err(|error| locate(bytes).unwrap_or_else(|| DataError::Header(error.to_string())))?;
@@ -35,8 +35,19 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
     if positions.iter().any(|p| !p.is_finite()) {
         return Err(locate(bytes).unwrap_or_else(|| DataError::Header("a coordinate is not finite".into())));
     }
-    let (facets, _) = mesh.indices.as_chunks::<3>();
-    Ok(Soup { positions, facets: facets.to_vec(), bare: false })
+    let mut soup = Soup { positions, ..Soup::default() };
+    if mesh.face_arities.is_empty() {
+        soup.facets = mesh.indices.as_chunks::<3>().0.to_vec();
+        return Ok(soup);
+    }
+    let mut rest = &mesh.indices[..];
+    for &corners in &mesh.face_arities {
+        let (face, after) = rest.split_at_checked(corners as usize).unwrap_or((rest, &[]));
+        let corners: Vec<i64> = face.iter().map(|&v| i64::from(v)).collect();
+        soup.push_polygon(&corners).map_err(DataError::Header)?;
+        rest = after;
+    }
+    Ok(soup)
 }
 
 pub(super) fn encode(mesh: &TriMesh) -> Vec<u8> {

@@ -9,6 +9,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::super::Soup;
+use super::super::polygons::Fan;
 
 /// About so many bytes are one task.
 const PIECE: usize = 1 << 19;
@@ -25,6 +26,12 @@ pub(super) fn decode(bytes: &[u8]) -> Option<Soup> {
     // Vertices get their numbers by first use.
     const UNUSED: u32 = u32::MAX;
     let mut number = vec![UNUSED; positions.len()];
+    let mut before = 0;
+    for part in &parts {
+        let begin = u32::try_from(before).ok()?;
+        soup.fans.extend(part.fans.iter().map(|&(first, count)| (begin + first, count)));
+        before += part.facets.len();
+    }
     for facet in parts.iter().flat_map(|part| &part.facets) {
         let mut corners = [0; 3];
         for (corner, &index) in corners.iter_mut().zip(facet) {
@@ -59,13 +66,15 @@ struct Part {
     positions: Vec<DVec3>,
     /// Vertices counted from 1, over the whole file.
     facets: Vec<[u32; 3]>,
+    /// Polygons with more than three corners, by the facets of this part.
+    fans: Vec<Fan>,
     /// Whether no line has any attribute.
     bare: bool,
 }
 
 impl Part {
     fn read(text: &[u8]) -> Option<Self> {
-        let mut part = Self { positions: Vec::new(), facets: Vec::new(), bare: true };
+        let mut part = Self { positions: Vec::new(), facets: Vec::new(), fans: Vec::new(), bare: true };
         let mut words = Words { rest: text, last: b' ' };
         while !words.rest.is_empty() {
             match words.next() {
@@ -95,6 +104,7 @@ impl Part {
     fn face(&mut self, words: &mut Words<'_>) -> Option<()> {
         let (first, mut last) = (self.corner(words.next()?)?, self.corner(words.next()?)?);
         let third = self.corner(words.next()?)?;
+        let begin = self.facets.len();
         self.facets.push([first, last, third]);
         last = third;
         while let Some(word) = words.next() {
@@ -104,6 +114,10 @@ impl Part {
             let next = self.corner(word)?;
             self.facets.push([first, last, next]);
             last = next;
+        }
+        let count = self.facets.len() - begin;
+        if count > 1 {
+            self.fans.push((u32::try_from(begin).ok()?, u32::try_from(count).ok()?));
         }
         Some(())
     }
