@@ -24,6 +24,7 @@ pub mod repair;
 pub mod report;
 mod stars;
 mod steps;
+mod thin;
 mod tips;
 
 use std::sync::Arc;
@@ -31,16 +32,16 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use crate::cvt::density::{self, Count, DensityError, DensityOptions, Plan};
+use crate::cvt::density::{self, Count, DensityError, DensityOptions, DensitySource, Plan};
 use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
-use crate::mesh::measure::{quality_unless, topology};
+use crate::mesh::measure::{Topology, quality_unless, topology};
 use crate::mesh::orient;
 use crate::mesh::sample::spread;
-use crate::rvd::{Backend, CancelFlag, RvdError, SessionOptions, Surface, dual};
+use crate::rvd::{Backend, CancelFlag, RvdError, Session, SessionOptions, Surface, dual};
 
 pub use attributes::Provenance;
 pub use report::Report;
@@ -131,6 +132,9 @@ pub struct RemeshOptions {
     pub refine: Option<Refine>,
     /// Whether boundaries get seeds of their own, so that they do not shrink.
     pub keep_boundaries: bool,
+    /// Whether edges become shorter where the surface is too thin for their length, so that horns, fingers and bridges
+    /// stay. Only where seeds are drawn, and not for lengths or weights that are given.
+    pub keep_thin: bool,
     /// Whether to measure the result (Hausdorff distance and the like) for the report.
     pub measure: bool,
     /// What `mesh` carries and the result is to carry. Some, even if empty, asks for the provenance too.
@@ -154,6 +158,7 @@ impl RemeshOptions {
             creases: Vec::new(),
             refine: None,
             keep_boundaries: true,
+            keep_thin: true,
             measure: true,
             attributes: None,
         }
@@ -167,6 +172,7 @@ impl RemeshOptions {
             placement: Placement::Surface,
             crease_angle_deg: 0.0,
             keep_boundaries: false,
+            keep_thin: false,
             measure: false,
             ..Self::new(seeds)
         }
@@ -261,7 +267,10 @@ pub fn remesh(
         input.turned_facets = turned;
         prepared = prepare(mesh, options, cancel);
     }
-    let mut job = Job { mesh, backend, cancel, observer, laps };
+    // Who says how long edges are is not contradicted.
+    let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
+    let keep_thin = options.keep_thin && free && options.placement == Placement::Fitted;
+    let mut job = Job { mesh, backend, cancel, observer, laps, keep_thin, topology: input.topology };
     let attempt = match (options.refine, &options.seeds) {
         (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed }))
             if options.placement == Placement::Fitted =>
@@ -321,6 +330,10 @@ struct Job<'a, 'b> {
     observer: &'b mut dyn Observer,
     /// Of all attempts.
     laps: Laps,
+    /// Edges become shorter where cells fail.
+    keep_thin: bool,
+    /// The input's.
+    topology: Topology,
 }
 
 /// What took how long.
@@ -344,6 +357,26 @@ struct Attempt<'a> {
     device_bytes: u64,
 }
 
+/// Seeds after their steps.
+struct Settled<'a> {
+    plan: Plan<'a>,
+    surface: Arc<Surface>,
+    kept: curves::Kept,
+    cvt: Cvt,
+    /// In double precision.
+    session: Box<dyn Session>,
+    dual: dual::Dual,
+    failing: thin::Failing,
+    /// The random seed they were drawn from.
+    seed: Option<u64>,
+    /// What they came to by the steps that were asked for.
+    converged: bool,
+    last: FinalFigures,
+    rvd: RvdFigures,
+    iterations: Vec<IterationFigures>,
+    refine: RefineFigures,
+}
+
 /// What the steps came to.
 struct Figures {
     converged: bool,
@@ -361,6 +394,24 @@ impl<'a> Job<'a, '_> {
         options: &RemeshOptions,
         tolerance: Option<f64>,
     ) -> Result<Attempt<'a>, RemeshError> {
+        let settled = self.settle(prepared, options)?;
+        let settled = self.thicken(settled, options)?;
+        let Settled { plan, surface, kept, mut cvt, mut session, dual, seed, converged, last, .. } = settled;
+        let Settled { rvd, iterations, refine, .. } = settled;
+        let mut steps = Steps { options, observer: &mut *self.observer, cancel: self.cancel, rvd, iterations, refine };
+        let exact = Exact { surface: &surface, session: &mut *session };
+        let (built, seeds) = build(&plan.mesh, &kept, &mut cvt, (exact, dual), &mut steps, tolerance, &mut self.laps)?;
+        let Steps { rvd, iterations, refine, .. } = steps;
+        let device = DeviceFigures::new(cvt.device_work(), &iterations);
+        let device_bytes = cvt.device_bytes();
+        // What else it holds is not needed beside what the measures hold.
+        let closest = cvt.into_closest();
+        let steps = Figures { converged, rvd, iterations, last, refine };
+        Ok(Attempt { plan, kept, closest, built, seeds, seed, steps, device, device_bytes })
+    }
+
+    /// Draws seeds, lets them settle, and reads their dual.
+    fn settle(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Settled<'a>, RemeshError> {
         let Prepared { plan, surface, mut kept, closest } = prepared;
         self.laps.timings.prepare += self.laps.clock.lap();
         self.cancel.check()?;
@@ -388,14 +439,86 @@ impl<'a> Job<'a, '_> {
         steps.clear_curves(&mut cvt)?;
         kept.seeds = cvt.curves().clone();
         self.laps.timings.refine += self.laps.clock.lap();
-        let (built, seeds) = settle(&plan.mesh, &kept, &mut cvt, self.backend, &mut steps, tolerance, &mut self.laps)?;
+
+        steps.observer.stage("dual");
+        let room = max_seeds.max(cvt.len());
+        let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(room) };
+        let mut session = self.backend.exact_session(Arc::clone(&surface), exact)?;
+        let dual = Exact { surface: &surface, session: &mut *session }.dual(&mut cvt, &mut steps)?;
+        let failing = thin::failing(&dual, &plan.mesh, &surface, &self.topology);
+        self.laps.timings.dual += self.laps.clock.lap();
         let Steps { rvd, iterations, refine, .. } = steps;
-        let device = DeviceFigures::new(cvt.device_work(), &iterations);
-        let device_bytes = cvt.device_bytes();
-        // What else it holds is not needed beside what the measures hold.
-        let closest = cvt.into_closest();
-        let steps = Figures { converged, rvd, iterations, last, refine };
-        Ok(Attempt { plan, kept, closest, built, seeds, seed, steps, device, device_bytes })
+        Ok(Settled { plan, surface, kept, cvt, session, dual, failing, seed, converged, last, rvd, iterations, refine })
+    }
+
+    /// Settles anew, with shorter edges where cells fail, as long as that helps.
+    fn thicken(&mut self, settled: Settled<'a>, options: &RemeshOptions) -> Result<Settled<'a>, RemeshError> {
+        if !self.keep_thin || matches!(options.seeds, Seeds::Given(_)) {
+            return Ok(settled);
+        }
+        let median = settled.plan.figures.edge_median;
+        let (mut best, mut latest) = (settled, None::<Settled<'a>>);
+        let mut vain = 0;
+        for round in 1..=thin::ROUNDS {
+            let last = latest.as_ref().unwrap_or(&best);
+            if last.failing.is_empty() || vain == thin::VAIN {
+                break;
+            }
+            let mut lengths = last.plan.lengths(self.mesh);
+            thin::shorten(&mut lengths, &last.failing, &last.dual, &last.surface);
+            let source = DensitySource::Sizes(lengths);
+            let density = DensityOptions { source, edge_length: None, adaptivity: 1.0, ..options.density.clone() };
+            let options = RemeshOptions { density, ..options.clone() };
+            self.observer.stage("prepare");
+            let prepared = match prepare(self.mesh, &options, self.cancel) {
+                Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => break,
+                prepared => prepared?,
+            };
+            let figures = &prepared.plan.figures;
+            if median.zip(figures.edge_median).is_some_and(|(before, now)| now > thin::LONGER * before) {
+                break;
+            }
+            let mut next = self.settle(prepared, &options)?;
+            let spent = best.passes() + latest.take().map_or(0, |worse| worse.passes());
+            if next.failing.is_better(&best.failing) {
+                next.refine.evaluations += spent;
+                next.refine.thin_rounds = round;
+                next.plan.figures.source = best.plan.figures.source;
+                (best, vain) = (next, 0);
+            } else {
+                vain += 1;
+                latest = Some(next);
+            }
+        }
+        if let Some(worse) = latest {
+            best.refine.evaluations += worse.passes();
+        }
+        best.refine.thin_cells = best.failing.len();
+        Ok(best)
+    }
+}
+
+impl Settled<'_> {
+    /// Passes over the diagram that it took.
+    fn passes(&self) -> usize {
+        self.refine.evaluations + self.iterations.iter().map(|step| step.evaluations).sum::<usize>()
+    }
+}
+
+/// What the last diagrams are computed with.
+struct Exact<'a> {
+    surface: &'a Surface,
+    session: &'a mut dyn Session,
+}
+
+impl Exact<'_> {
+    /// Puts the seeds on the surface and reads their dual.
+    fn dual(&mut self, cvt: &mut Cvt, steps: &mut Steps<'_>) -> Result<dual::Dual, RemeshError> {
+        cvt.project_seeds()?;
+        self.session.set_seeds(cvt.unit_seeds()?)?;
+        let dual = dual::extract(self.session, self.surface, cvt.len(), steps.cancel)?;
+        steps.rvd.add_pass(&dual.stats);
+        Ok(dual)
     }
 }
 
@@ -429,22 +552,19 @@ const ADDED_SLACK: f64 = 2.0;
 /// And so much where fewer seeds are left without a vertex.
 const LOST_SLACK: f64 = 1.25;
 
-/// The result of the present seeds, or of better ones as long as it is farther from the input than it may be or seeds are
-/// left without a vertex, and the seeds that it is of, caller's coordinates.
-fn settle(
+/// The result of the present seeds, whose dual is there, or of better ones as long as it is farther from the input than it
+/// may be or seeds are left without a vertex, and the seeds that it is of, caller's coordinates.
+fn build(
     mesh: &TriMesh,
     kept: &curves::Kept,
     cvt: &mut Cvt,
-    backend: &dyn Backend,
+    (mut exact, mut dual): (Exact<'_>, dual::Dual),
     steps: &mut Steps<'_>,
     tolerance: Option<f64>,
     laps: &mut Laps,
 ) -> Result<(build::Built, Vec<DVec3>), RemeshError> {
     let options = steps.options;
-    let surface = Arc::clone(cvt.surface());
-    let room = options.refine.map_or(0, |r| r.max_points).max(cvt.len());
-    let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(room) };
-    let mut session = backend.exact_session(Arc::clone(&surface), exact)?;
+    let surface = exact.surface;
     let rounds = match (options.refine, options.placement) {
         (Some(_), _) => ADDING_ROUNDS,
         (None, Placement::Fitted) if options.newton > 0 => LOST_ROUNDS,
@@ -455,15 +575,9 @@ fn settle(
     let mut best: Option<(build::Draft, build::Missed, Vec<DVec3>)> = None;
     let placement = options.placement;
     let adds = options.refine.is_some();
-    let source = build::Source { mesh, surface: &surface, kept, placement, first_added, tolerance, adds };
+    let source = build::Source { mesh, surface, kept, placement, first_added, tolerance, adds };
     let mut round = 0;
     loop {
-        steps.observer.stage("dual");
-        cvt.project_seeds()?;
-        session.set_seeds(cvt.unit_seeds()?)?;
-        let dual = dual::extract(&mut *session, &surface, cvt.len(), steps.cancel)?;
-        steps.rvd.add_pass(&dual.stats);
-        laps.timings.dual += laps.clock.lap();
         steps.cancel.check()?;
         steps.observer.stage("repair");
         // On the pool's threads as a whole, so that nobody waits for them to wake up at each part.
@@ -476,7 +590,7 @@ fn settle(
             false => missed.lost.len() < before.lost.len() && missed.deviation < LOST_SLACK * before.deviation,
         };
         if best.as_ref().is_none_or(|(_, before, _)| is_better(before)) {
-            steps.rvd.of_dual(&dual, &surface);
+            steps.rvd.of_dual(&dual, surface);
             best = Some((draft, missed.clone(), cvt.seeds()?));
         }
         let goes_on = round < rounds
@@ -489,6 +603,9 @@ fn settle(
         }
         laps.timings.refine += laps.clock.lap();
         round += 1;
+        steps.observer.stage("dual");
+        dual = exact.dual(cvt, steps)?;
+        laps.timings.dual += laps.clock.lap();
     }
     let (draft, _, seeds) = best.ok_or_else(|| RvdError::Internal("no result was built".to_owned()))?;
     let built = rayon::scope(|_| source.finish(draft))?;

@@ -176,6 +176,27 @@ async fn uploaded_creases_are_kept() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn thin_parts_stay_or_are_even() {
+    let server = Server::start(Setup::default()).await;
+    let mut client = server.client().await;
+    // A ring whose tube is thinner than edges are long.
+    let (positions, facets) = Shape::Torus.build(3000).into_parts();
+    let tube = positions.iter().map(|p| p.z).fold(0.0, f64::max);
+    let middle = positions.iter().map(|p| p.x).fold(0.0, f64::max) - tube;
+    let thinner = |p: DVec3| {
+        let on = middle * DVec3::new(p.x, p.y, 0.0).normalize();
+        on + 0.15 * (p - on)
+    };
+    let mesh = (positions.into_iter().map(thinner).collect(), facets);
+    for (rule, rounds) in [(ThinRule::Unspecified, true), (ThinRule::Finer, true), (ThinRule::Even, false)] {
+        let wish = RemeshHeader { thin: rule.into(), ..header(&mesh, 60) };
+        let out = remesh(&mut client, &mesh, wish, &[]).await.unwrap();
+        assert_eq!(out.report["refine"]["thin_rounds"].as_u64().unwrap() > 0, rounds, "{rule:?}");
+    }
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn boundaries_stay_or_are_free() {
     let server = Server::start(Setup::default()).await;
     let mut client = server.client().await;
@@ -256,6 +277,7 @@ async fn unknown_choices_and_too_many_steps_are_refused_by_field() {
         (RemeshHeader { placement: 99, ..good.clone() }, "header.placement"),
         (RemeshHeader { placement: -1, ..good.clone() }, "header.placement"),
         (RemeshHeader { boundaries: 99, ..good.clone() }, "header.boundaries"),
+        (RemeshHeader { thin: 99, ..good.clone() }, "header.thin"),
         (RemeshHeader { newton_steps: 11, ..good.clone() }, "header.newton_steps"),
         (RemeshHeader { newton_steps: u32::MAX, ..good.clone() }, "header.newton_steps"),
     ] {

@@ -57,6 +57,9 @@ pub(crate) struct RemeshArgs {
     /// What happens to the boundaries of an open surface.
     #[arg(long, value_enum, default_value_t)]
     boundaries: BoundariesArg,
+    /// What happens where the surface is too thin for edges as long as elsewhere.
+    #[arg(long, value_enum, default_value_t)]
+    thin: ThinArg,
     /// Where the vertices of the remesh go.
     #[arg(long, value_enum, default_value_t)]
     placement: PlacementArg,
@@ -160,6 +163,16 @@ pub(crate) enum BoundariesArg {
     Free,
 }
 
+/// What happens where the surface is thin.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ThinArg {
+    /// Edges become shorter there, so that horns, fingers, strips and bridges stay. Not if --sizes says how long they are.
+    #[default]
+    Finer,
+    /// Edges are as long as elsewhere; what is too thin for them may be missing.
+    Even,
+}
+
 /// Where seeds go.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ProjectionArg {
@@ -250,6 +263,7 @@ fn options(args: &RemeshArgs, mesh: &TriMesh) -> Result<RemeshOptions> {
         newton: args.newton as usize,
         crease_angle_deg: args.crease_angle,
         keep_boundaries: args.boundaries == BoundariesArg::Keep,
+        keep_thin: args.thin == ThinArg::Finer,
         placement: args.placement.placement(),
         projection: match args.projection {
             ProjectionArg::Free => Projection::Free,
@@ -325,6 +339,9 @@ fn print(report: &Report, bounded: bool) {
     {
         println!("lengths     {}: target {least:.4e} to {largest:.4e}, median {median:.4e}", density.source);
     }
+    if report.refine.thin_rounds > 0 {
+        println!("            shorter where the surface is too thin for others");
+    }
     println!("pairs       {}, launched again {}, empty cells {}", rvd.pairs, rvd.relaunched_pairs, rvd.empty_cells);
     if let Some(q) = &result.quality {
         println!(
@@ -339,7 +356,9 @@ fn print(report: &Report, bounded: bool) {
         result.topology.boundary_edges, result.topology.non_manifold_edges, result.topology.non_manifold_vertices
     );
     if !report.topology_changes.is_empty() {
-        println!("changed     {}; more points keep more", report.topology_changes.join(", "));
+        let odd = input.topology.non_manifold_edges + input.topology.non_manifold_vertices;
+        let why = if odd > 0 { "the input is no manifold, as the result is" } else { "more points keep more" };
+        println!("changed     {}; {why}", report.topology_changes.join(", "));
     }
     let refine = &report.refine;
     if refine.added_seeds > 0 {

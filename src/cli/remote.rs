@@ -77,6 +77,10 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
             true => proto::BoundaryRule::Keep.into(),
             false => proto::BoundaryRule::Free.into(),
         },
+        thin: match options.keep_thin {
+            true => proto::ThinRule::Finer.into(),
+            false => proto::ThinRule::Even.into(),
+        },
         refinement: options
             .refine
             .map(|r| proto::Refinement { tolerance: r.tolerance, max_points: r.max_points as u64 }),

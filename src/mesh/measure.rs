@@ -84,12 +84,8 @@ pub fn topology_of(mesh: &TriMesh, adjacency: &Adjacency) -> Topology {
     let components = (0..used.len()).filter(|&v| used[v] && surfaces.root(v) == v).count();
 
     let mut fans = fans(mesh, adjacency, &live);
-    // Each fan is known by one of its corners.
-    let mut fans_at = vec![0u32; representative.len()];
-    for half in live.iter().flat_map(|f| [3 * f, 3 * f + 1, 3 * f + 2]) {
-        fans_at[vertex(half)] += u32::from(fans.root(half) == half);
-    }
-    let non_manifold_vertices = fans_at.iter().filter(|&&fans| fans > 1).count();
+    let non_manifold_vertices =
+        fans_at(&mut fans, &live, representative.len(), vertex).filter(|&fans| fans > 1).count();
 
     Topology {
         euler: vertices as i64 - adjacency.edges() as i64 + live.len() as i64,
@@ -155,6 +151,30 @@ fn fans(mesh: &TriMesh, adjacency: &Adjacency, live: &[usize]) -> DisjointSets {
         }
     }
     fans
+}
+
+/// How many fans there are around each vertex.
+fn fans_at(
+    fans: &mut DisjointSets,
+    live: &[usize],
+    vertices: usize,
+    vertex: impl Fn(usize) -> usize,
+) -> impl Iterator<Item = u32> {
+    let mut count = vec![0u32; vertices];
+    // Each fan is known by one of its corners.
+    for half in live.iter().flat_map(|f| [3 * f, 3 * f + 1, 3 * f + 2]) {
+        count[vertex(half)] += u32::from(fans.root(half) == half);
+    }
+    count.into_iter()
+}
+
+/// Where several fans of facets meet in a vertex; each is known by the lowest vertex in its place.
+pub(crate) fn split_vertices(mesh: &TriMesh, adjacency: &Adjacency) -> Vec<bool> {
+    let live: Vec<usize> = (0..mesh.facets().len()).filter(|&f| !adjacency.is_collapsed(f)).collect();
+    let representative = adjacency.representative();
+    let vertex = |half: usize| representative[mesh.facets()[half / 3][half % 3] as usize] as usize;
+    let mut fans = fans(mesh, adjacency, &live);
+    fans_at(&mut fans, &live, representative.len(), vertex).map(|fans| fans > 1).collect()
 }
 
 /// Chains of boundary edges: two that end in one fan are one chain.

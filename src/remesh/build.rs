@@ -109,9 +109,9 @@ impl Source<'_> {
         }
         let repair = RepairFigures {
             split_cells: dual.split_cells,
-            not_disks: dual.not_disks,
-            multiple_edges: dual.multiple_edges,
-            multiple_rims: dual.multiple_rims,
+            not_disks: dual.not_disks.len(),
+            multiple_edges: dual.multiple_edges.len(),
+            multiple_rims: dual.multiple_rims.len(),
             disputed_vertices: dual.disputed,
             ..repaired.figures
         };

@@ -101,6 +101,10 @@ pub struct RefineFigures {
     pub evaluations: usize,
     /// Places that the result is still far from.
     pub missed: usize,
+    /// Rounds in which seeds were drawn anew for shorter edges, where the surface was too thin for its cells.
+    pub thin_rounds: usize,
+    /// Cells for which it still is.
+    pub thin_cells: usize,
 }
 
 /// Creases and boundaries that got seeds of their own.

@@ -27,12 +27,12 @@ pub struct Dual {
     /// RVD vertices whose three cells do not agree that they meet there. Their triangles are
     /// attached to the largest component of the cell that does not know.
     pub disputed: usize,
-    /// Components that are not a disk: their surroundings may have another topology than the surface.
-    pub not_disks: usize,
-    /// Pairs of components that meet in more than one curve.
-    pub multiple_edges: usize,
-    /// Components that meet the boundary in more than one stretch.
-    pub multiple_rims: usize,
+    /// Components that are not a disk: their surroundings may have another topology than the surface. Ascending.
+    pub not_disks: Vec<u32>,
+    /// Pairs of components that meet in more than one curve, ascending.
+    pub multiple_edges: Vec<[u32; 2]>,
+    /// Components that meet the boundary in more than one stretch, ascending.
+    pub multiple_rims: Vec<u32>,
     /// The pieces, in facet order.
     pub pieces: Vec<Piece>,
     /// Area of all pieces, unit frame.

@@ -73,6 +73,15 @@ pub(crate) fn boundaries(value: i32) -> Result<bool, RequestError> {
     }
 }
 
+/// Whether edges become shorter where the surface is thin.
+pub(crate) fn thin(value: i32) -> Result<bool, RequestError> {
+    match proto::ThinRule::try_from(value) {
+        Ok(proto::ThinRule::Unspecified | proto::ThinRule::Finer) => Ok(true),
+        Ok(proto::ThinRule::Even) => Ok(false),
+        Err(_) => Err(RequestError::unknown_enum("header.thin", value)),
+    }
+}
+
 pub(crate) fn refinement(given: Option<&proto::Refinement>, limits: &Limits) -> Result<Option<Refine>, RequestError> {
     let Some(&proto::Refinement { tolerance, max_points }) = given else { return Ok(None) };
     if !(tolerance.is_finite() && tolerance > 0.0) {

@@ -1,6 +1,6 @@
 //! When the dual has the topology of the surface.
 //!
-//! Purpose: counts of what breaks it. The dual is homeomorphic to the surface if every component of
+//! Purpose: finds what breaks it. The dual is homeomorphic to the surface if every component of
 //! a restricted cell is a disk that meets the boundary in at most one stretch, and two of them meet
 //! in at most one curve (the closed ball property, Edelsbrunner and Shah 1997); where that fails,
 //! more seeds are the cure.
@@ -19,26 +19,31 @@ pub(super) type Stretch = [u32; 2];
 /// Where such a curve crosses a mesh edge: (edge, seeds in order) -> stretch.
 pub(super) type Crossing = ((u32, [u32; 2]), u32);
 
-/// Component numbers that are not a disk. `pieces` has the component of each piece; `joints` the
+/// Components that are not a disk, ascending. `pieces` has the component of each piece; `joints` the
 /// component of each mesh edge between two pieces; `inner` that of each mesh vertex inside.
-pub(super) fn not_disks(components: usize, pieces: &[u32], joints: &[u32], inner: &[u32]) -> usize {
+pub(super) fn not_disks(components: usize, pieces: &[u32], joints: &[u32], inner: &[u32]) -> Vec<u32> {
     let mut chi = vec![0i64; components];
     pieces.iter().for_each(|&c| chi[c as usize] += 1);
     joints.iter().for_each(|&c| chi[c as usize] -= 1);
     inner.iter().for_each(|&c| chi[c as usize] += 1);
-    chi.into_iter().filter(|&chi| chi != 1).count()
+    numbers(chi, |&chi| chi != 1)
 }
 
-/// Components that meet the boundary in more than one stretch. `ends` has the component of every
+/// Components that meet the boundary in more than one stretch, ascending. `ends` has the component of every
 /// end of a stretch.
-pub(super) fn multiple_rims(components: usize, ends: impl Iterator<Item = u32>) -> usize {
+pub(super) fn multiple_rims(components: usize, ends: impl Iterator<Item = u32>) -> Vec<u32> {
     let mut count = vec![0u32; components];
     ends.for_each(|c| count[c as usize] += 1);
-    count.into_iter().filter(|&ends| ends > 2).count()
+    numbers(count, |&ends| ends > 2)
 }
 
-/// Pairs of components that meet in more than one curve.
-pub(super) fn multiple_edges(stretches: &[Stretch], mut crossings: Vec<Crossing>, component: &[u32]) -> usize {
+/// Where it is so.
+fn numbers<T>(of: Vec<T>, is_so: impl Fn(&T) -> bool) -> Vec<u32> {
+    (0..).zip(of).filter(|(_, value)| is_so(value)).map(|(number, _)| number).collect()
+}
+
+/// Pairs of components that meet in more than one curve, ascending.
+pub(super) fn multiple_edges(stretches: &[Stretch], mut crossings: Vec<Crossing>, component: &[u32]) -> Vec<[u32; 2]> {
     let mut curves = DisjointSets::new(stretches.len());
     crossings.par_sort_unstable();
     for here in crossings.chunk_by(|a, b| a.0 == b.0) {
@@ -52,5 +57,5 @@ pub(super) fn multiple_edges(stretches: &[Stretch], mut crossings: Vec<Crossing>
         })
         .collect();
     pairs.sort_unstable();
-    pairs.chunk_by(|a, b| a == b).filter(|same| same.len() > 1).count()
+    pairs.chunk_by(|a, b| a == b).filter(|same| same.len() > 1).map(|same| same[0]).collect()
 }

@@ -61,6 +61,13 @@ struct Seams {
     pairs: Vec<(u32, u32, bool)>,
 }
 
+/// See the [`Dual`]'s fields of these names.
+struct Failing {
+    not_disks: Vec<u32>,
+    multiple_rims: Vec<u32>,
+    multiple_edges: Vec<[u32; 2]>,
+}
+
 /// Pieces that are one task.
 const RUN: usize = 2048;
 
@@ -151,18 +158,19 @@ impl Pieces {
     }
 
     /// Joins pieces of one cell across mesh edges, numbers the components, names the triangles, and
-    /// counts what breaks the topology.
+    /// finds what breaks the topology.
     pub(super) fn join(&self, surface: &Surface, seeds: usize) -> Dual {
         let mut joined = self.across_edges(surface);
         let (mut dual, component) = self.number(&mut joined.sets, seeds);
         let count = dual.components.len();
-        let counts = || self.count(surface, &joined, count, &component);
-        let ([not_disks, multiple_rims, multiple_edges], pieces) = rayon::join(counts, || self.centres(&component));
+        let failing = || self.failing(surface, &joined, count, &component);
+        let (failing, pieces) = rayon::join(failing, || self.centres(&component));
+        let Failing { not_disks, multiple_rims, multiple_edges } = failing;
         Dual { not_disks, multiple_rims, multiple_edges, pieces, ..std::mem::take(&mut dual) }
     }
 
-    /// What of so many components breaks the topology: `not_disks`, `multiple_rims`, `multiple_edges` of the [`Dual`].
-    fn count(&self, surface: &Surface, joined: &Joined, count: usize, component: &[u32]) -> [usize; 3] {
+    /// What of so many components breaks the topology.
+    fn failing(&self, surface: &Surface, joined: &Joined, count: usize, component: &[u32]) -> Failing {
         let of = |pieces: &[u32]| pieces.iter().map(|&p| component[p as usize]).collect::<Vec<u32>>();
         let disks = || {
             let inner = self.inner_vertices(surface, &joined.rim);
@@ -181,10 +189,10 @@ impl Pieces {
                 ((joined.edge[half as usize], [self.seed[piece as usize], j]), s)
             };
             let crossings: Vec<Crossing> = self.crossings.par_iter().with_min_len(RUN).map(crossing).collect();
-            [rims, conditions::multiple_edges(&stretches, crossings, component)]
+            (rims, conditions::multiple_edges(&stretches, crossings, component))
         };
-        let (not_disks, [rims, edges]) = rayon::join(disks, edges);
-        [not_disks, rims, edges]
+        let (not_disks, (multiple_rims, multiple_edges)) = rayon::join(disks, edges);
+        Failing { not_disks, multiple_rims, multiple_edges }
     }
 
     fn centres(&self, component: &[u32]) -> Vec<Piece> {

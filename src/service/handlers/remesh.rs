@@ -28,6 +28,7 @@ impl Header for RemeshHeader {
         limits::within("header.newton_steps", self.newton_steps.into(), 0, limits.max_iterations.into())?;
         convert::placement(self.placement)?;
         convert::boundaries(self.boundaries)?;
+        convert::thin(self.thin)?;
         convert::refinement(self.refinement.as_ref(), limits)?;
         if !(0.0..=180.0).contains(&self.crease_angle_deg.unwrap_or_default()) {
             let error = FeatureError::BadAngle(self.crease_angle_deg.unwrap_or_default());
@@ -100,6 +101,7 @@ pub(super) async fn handle(
         creases,
         placement: convert::placement(header.placement)?,
         keep_boundaries: convert::boundaries(header.boundaries)?,
+        keep_thin: convert::thin(header.thin)?,
         refine: convert::refinement(header.refinement.as_ref(), &shared.limits)?,
         density,
         projection: convert::projection(header.projection)?,
