@@ -21,6 +21,7 @@ pub mod measure;
 pub mod orient;
 pub mod sample;
 pub mod shapes;
+pub mod stitch;
 
 use glam::DVec3;
 use rayon::prelude::*;

@@ -34,13 +34,13 @@ use glam::DVec3;
 
 use crate::cvt::density::{self, Count, DensityError, DensityOptions, DensitySource, Plan};
 use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
-use crate::mesh::TriMesh;
+use crate::mesh::adjacency::Adjacency;
 use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{Topology, quality_unless, topology};
-use crate::mesh::orient;
 use crate::mesh::sample::spread;
+use crate::mesh::{TriMesh, orient, stitch};
 use crate::rvd::{Backend, CancelFlag, RvdError, Session, SessionOptions, Surface, dual};
 
 pub use attributes::Provenance;
@@ -258,13 +258,11 @@ pub fn remesh(
     options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(mesh))?;
     let laps = Laps { clock: Clock::start(), timings: Timings::default() };
     observer.stage("prepare");
-    let (mut input, mut prepared) = rayon::join(|| InputFigures::of(mesh), || prepare(mesh, options, cancel));
-    // Facets that are oriented unlike their neighbours would tear the result. Attributes are of the facets as given.
-    let oriented = if input.inconsistent_edges > 0 { orient::alike(mesh) } else { None };
+    let ((input, whole), mut prepared) = rayon::join(|| without_tears(mesh), || prepare(mesh, options, cancel));
+    // Attributes are of the facets as given, which keep their numbers.
     let given = mesh;
-    let mesh = oriented.as_ref().map_or(mesh, |(mesh, _)| mesh);
-    if let Some((_, turned)) = oriented {
-        input.turned_facets = turned;
+    let mesh = whole.as_ref().unwrap_or(mesh);
+    if whole.is_some() {
         prepared = prepare(mesh, options, cancel);
     }
     // Who says how long edges are is not contradicted.
@@ -320,6 +318,25 @@ pub fn remesh(
     };
     let curve_edges = built.curve_edges.into_iter().flatten().collect();
     Ok(Remesh { mesh: built.mesh, vertex_seed: built.vertex_seed, curve_edges, seeds, report, attributes, provenance })
+}
+
+/// What came in, and the same without what would tear a result, if there is any of it: corners that are nearly in one place,
+/// and facets that are oriented unlike their neighbours.
+fn without_tears(mesh: &TriMesh) -> (InputFigures, Option<TriMesh>) {
+    let adjacency = Adjacency::new(mesh);
+    let (mut figures, mut whole) = match stitch::rims(mesh, &adjacency) {
+        Some((stitched, moved)) => {
+            (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched) }, Some(stitched))
+        }
+        None => (InputFigures::with(mesh, &adjacency), None),
+    };
+    if figures.inconsistent_edges > 0
+        && let Some((alike, turned)) = orient::alike(whole.as_ref().unwrap_or(mesh))
+    {
+        figures.turned_facets = turned;
+        whole = Some(alike);
+    }
+    (figures, whole)
 }
 
 /// What all attempts at one remesh share.

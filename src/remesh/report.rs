@@ -80,6 +80,9 @@ pub struct InputFigures {
     pub inconsistent_edges: usize,
     /// Facets that were turned over, to be oriented as their neighbours are.
     pub turned_facets: usize,
+    /// Vertices of boundaries that were moved to others which are nearly in the same place; the other figures are of the surface
+    /// after that.
+    pub stitched_vertices: usize,
     /// Caller's units squared.
     pub area: f64,
     /// χ, components, holes, non-manifold elements.
@@ -322,15 +325,20 @@ pub struct RepairFigures {
 impl InputFigures {
     /// Looks at the surface that came in.
     pub fn of(mesh: &TriMesh) -> Self {
-        let adjacency = Adjacency::new(mesh);
+        Self::with(mesh, &Adjacency::new(mesh))
+    }
+
+    /// The same of a surface whose edges are known.
+    pub(super) fn with(mesh: &TriMesh, adjacency: &Adjacency) -> Self {
         Self {
             vertices: mesh.positions().len(),
             facets: mesh.facets().len(),
             degenerate_facets: mesh.degenerate_count(),
             inconsistent_edges: adjacency.inconsistent_edges(),
             turned_facets: 0,
+            stitched_vertices: 0,
             area: mesh.area(),
-            topology: topology_of(mesh, &adjacency),
+            topology: topology_of(mesh, adjacency),
         }
     }
 }

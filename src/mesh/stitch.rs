@@ -1,0 +1,134 @@
+//! Corners that should be one.
+//!
+//! Purpose: [`rims`] moves vertices of boundaries that are nearly in one place into one, so that a list of triangles whose
+//! corners were rounded one by one, or parts that were exported one by one, hang together.
+//! Invariant: nothing moves by more than [`NEAR`] of the surface's diagonal, nor by more than [`SHORT`] of the edges
+//! around it, so that no facet vanishes or turns over. Vertices and facets keep their numbers. The same whatever the number of threads.
+//! Must not know: why it matters.
+
+use std::cmp::Ordering::Equal;
+use std::collections::HashMap;
+
+use glam::DVec3;
+
+use super::TriMesh;
+use super::adjacency::{Adjacency, EdgeKind};
+
+/// Vertices as near as this are one, as a share of the surface's diagonal: ten times what single precision
+/// rounds by.
+const NEAR: f64 = 1e-6;
+/// And as a share of the shortest edge around them.
+const SHORT: f64 = 0.01;
+
+/// `mesh` with such vertices in one place, and how many were moved; `None` if there are none. Linear in the facets.
+pub fn rims(mesh: &TriMesh, adjacency: &Adjacency) -> Option<(TriMesh, usize)> {
+    if adjacency.boundary_edges() == 0 {
+        return None;
+    }
+    let (low, high) = mesh.bounds();
+    let near = NEAR * (high - low).length();
+    if !(near.is_finite() && near > 0.0) {
+        return None;
+    }
+    let ends = |half: usize| {
+        let facet = mesh.facets()[half / 3];
+        [facet[half % 3], facet[(half + 1) % 3]].map(|v| adjacency.representative()[v as usize])
+    };
+    let place = |v: u32| mesh.positions()[v as usize];
+    let mut rim: Vec<u32> =
+        (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) == EdgeKind::Boundary).flat_map(ends).collect();
+    rim.sort_unstable();
+    rim.dedup();
+    // The first in a place stands for those that are near it. Others are farther from it, so that few are in a cell.
+    let cell = |p: DVec3| (p / (4.0 * near)).floor().to_array().map(|x| x as i64);
+    let mut first_in: HashMap<[i64; 3], Vec<u32>> = HashMap::with_capacity(rim.len());
+    let mut near_others: Vec<(u32, u32, f64)> = Vec::new();
+    for &v in &rim {
+        let (low, high) = (cell(place(v) - near), cell(place(v) + near));
+        let along = |axis: usize| low[axis]..=high[axis];
+        let around = along(0).flat_map(|x| along(1).flat_map(move |y| along(2).map(move |z| [x, y, z])));
+        let there = around.filter_map(|cell| first_in.get(&cell)).flatten();
+        let nearest = there.map(|&u| (place(u).distance(place(v)), u)).min_by(|a, b| a.partial_cmp(b).unwrap_or(Equal));
+        match nearest.filter(|(distance, _)| *distance <= near) {
+            Some((distance, u)) => near_others.push((v, u, distance)),
+            None => first_in.entry(cell(place(v))).or_default().push(v),
+        }
+    }
+    if near_others.is_empty() {
+        return None;
+    }
+    let mut shortest = vec![f64::INFINITY; mesh.positions().len()];
+    for half in (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) != EdgeKind::Collapsed) {
+        let [a, b] = ends(half);
+        let length = place(a).distance(place(b));
+        for v in [a, b] {
+            shortest[v as usize] = shortest[v as usize].min(length);
+        }
+    }
+    let mut target: Vec<u32> = adjacency.representative().to_vec();
+    let mut moved = 0;
+    for (v, u, distance) in near_others {
+        if distance <= SHORT * shortest[u as usize].min(shortest[v as usize]) {
+            target[v as usize] = u;
+            moved += 1;
+        }
+    }
+    if moved == 0 {
+        return None;
+    }
+    let all = adjacency.representative().iter().enumerate().map(|(v, &first)| match target[first as usize] {
+        to if to != first => place(to),
+        _ => mesh.positions()[v],
+    });
+    Some((TriMesh::new(all.collect(), mesh.facets().to_vec()).ok()?, moved))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::mesh::measure::topology;
+    use crate::mesh::shapes::Shape;
+
+    /// Every facet with corners of its own, each off by at most `noise`.
+    fn soup(mesh: &TriMesh, noise: f64) -> TriMesh {
+        let corners = mesh.facets().iter().flatten().enumerate();
+        let off = |k: usize| DVec3::new(k as f64, (k * k) as f64, (3 * k) as f64).map(f64::sin);
+        let positions: Vec<DVec3> = corners.map(|(k, &v)| mesh.positions()[v as usize] + noise * off(k)).collect();
+        let facets = (0..mesh.facets().len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+        TriMesh::new(positions, facets).unwrap()
+    }
+
+    #[test]
+    fn corners_rounded_one_by_one_are_one_again() {
+        for shape in [Shape::Torus, Shape::Block, Shape::Plane] {
+            let mesh = shape.build(2000);
+            for noise in [1e-15, 1e-12, 1e-7] {
+                let soup = soup(&mesh, noise);
+                let (stitched, moved) = rims(&soup, &Adjacency::new(&soup)).unwrap();
+                assert_eq!(topology(&stitched), topology(&mesh), "{shape:?} {noise}");
+                assert!(moved > 0);
+                let farthest = soup.positions().iter().zip(stitched.positions()).map(|(a, b)| a.distance(*b));
+                let (low, high) = mesh.bounds();
+                assert!(farthest.fold(0.0, f64::max) <= NEAR * (high - low).length());
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_apart_or_one_already_stays() {
+        let mesh = Shape::Plane.build(2000);
+        for mesh in [Shape::Torus.build(2000), mesh.clone(), soup(&mesh, 0.0), soup(&mesh, 1e-3)] {
+            assert!(rims(&mesh, &Adjacency::new(&mesh)).is_none());
+        }
+        // Facets as small as what is near elsewhere.
+        let mut tiny = mesh.positions().iter().map(|p| *p * 1e-8).collect::<Vec<_>>();
+        tiny.push(DVec3::ONE);
+        let (mut facets, n) = (mesh.facets().to_vec(), tiny.len() as u32);
+        tiny.extend([DVec3::new(1.0, 0.0, 1.0), DVec3::new(0.0, 1.0, 1.0)]);
+        facets.push([n - 1, n, n + 1]);
+        let tiny = TriMesh::new(tiny, facets).unwrap();
+        assert!(rims(&tiny, &Adjacency::new(&tiny)).is_none());
+    }
+}
