@@ -68,7 +68,7 @@ fn bridged() -> TriMesh {
 /// How far the input's vertices are from a result at most.
 fn farthest(mesh: &TriMesh, result: &TriMesh) -> f64 {
     let tree = ClosestPoint::new(result);
-    mesh.positions().iter().map(|&p| tree.project(p).distance).fold(0.0, f64::max)
+    mesh.positions().iter().map(|&p| tree.project(p).position.distance(p)).fold(0.0, f64::max)
 }
 
 /// The edge of a triangle, where so many vertices are even on a surface.

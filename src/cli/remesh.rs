@@ -323,7 +323,9 @@ fn print(report: &Report, bounded: bool) {
     println!("input       {} vertices, {} facets, χ {}", input.vertices, input.facets, input.topology.euler);
     if input.stitched_vertices > 0 {
         let moved = input.stitched_vertices;
-        println!("            {moved} vertices of its boundaries were nearly in the same place as others and moved there");
+        println!(
+            "            {moved} vertices of its boundaries were nearly in the same place as others and moved there"
+        );
     }
     if input.turned_facets > 0 {
         println!("            {} facets were oriented unlike their neighbours and turned over", input.turned_facets);
