@@ -474,15 +474,15 @@ impl<'a> Job<'a, '_> {
             return Ok(settled);
         }
         let median = settled.plan.figures.edge_median;
-        let (mut best, mut latest) = (settled, None::<Settled<'a>>);
+        let most = thin::MORE * settled.plan.points;
+        let mut best = settled;
+        let mut failing = !best.failing.is_empty();
+        let mut lengths = if failing { best.shorter(self.mesh) } else { Vec::new() };
         let mut vain = 0;
         for round in 1..=thin::ROUNDS {
-            let last = latest.as_ref().unwrap_or(&best);
-            if last.failing.is_empty() || vain == thin::VAIN {
+            if !failing || vain == thin::VAIN {
                 break;
             }
-            let mut lengths = last.plan.lengths(self.mesh);
-            thin::shorten(&mut lengths, &last.failing, &last.dual, &last.surface);
             let source = DensitySource::Sizes(lengths);
             let density = DensityOptions { source, edge_length: None, adaptivity: 1.0, ..options.density.clone() };
             let options = RemeshOptions { density, ..options.clone() };
@@ -491,24 +491,26 @@ impl<'a> Job<'a, '_> {
                 Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => break,
                 prepared => prepared?,
             };
-            let figures = &prepared.plan.figures;
-            if median.zip(figures.edge_median).is_some_and(|(before, now)| now > thin::LONGER * before) {
+            let Plan { figures, points, .. } = &prepared.plan;
+            let longer = median.zip(figures.edge_median).is_some_and(|(before, now)| now > thin::LONGER * before);
+            if longer || *points > most {
                 break;
             }
-            let mut next = self.settle(prepared, &options)?;
-            let spent = best.passes() + latest.take().map_or(0, |worse| worse.passes());
+            let mut next = match self.settle(prepared, &options) {
+                // What there is stays on the device beside it.
+                Err(RemeshError::Rvd(RvdError::NeverFits { .. } | RvdError::OutOfMemory { .. })) => break,
+                next => next?,
+            };
+            (lengths, failing) = (next.shorter(self.mesh), !next.failing.is_empty());
             if next.failing.is_better(&best.failing) {
-                next.refine.evaluations += spent;
+                next.refine.evaluations += best.passes();
                 next.refine.thin_rounds = round;
                 next.plan.figures.source = best.plan.figures.source;
                 (best, vain) = (next, 0);
             } else {
+                best.refine.evaluations += next.passes();
                 vain += 1;
-                latest = Some(next);
             }
-        }
-        if let Some(worse) = latest {
-            best.refine.evaluations += worse.passes();
         }
         best.refine.thin_cells = best.failing.len();
         Ok(best)
@@ -516,6 +518,13 @@ impl<'a> Job<'a, '_> {
 }
 
 impl Settled<'_> {
+    /// Target edge length per vertex of the caller's `mesh`, shorter where cells fail.
+    fn shorter(&self, mesh: &TriMesh) -> Vec<f64> {
+        let mut lengths = self.plan.lengths(mesh);
+        thin::shorten(&mut lengths, &self.failing, &self.dual, &self.surface);
+        lengths
+    }
+
     /// Passes over the diagram that it took.
     fn passes(&self) -> usize {
         self.refine.evaluations + self.iterations.iter().map(|step| step.evaluations).sum::<usize>()

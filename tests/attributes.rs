@@ -376,6 +376,55 @@ fn files_of_other_programs() {
 }
 
 /// Whatever is wrong with an attribute, the surface is read, and what is wrong is named.
+/// A polygon that is not convex is not cut as a fan; texture coordinates go with their corners in every format that has them.
+#[test]
+fn corners_of_polygons_that_are_not_convex_keep_their_texture() {
+    // An L with a corner in the middle of a side, its first corner far from the notch, and a triangle before and after it.
+    let ring = [(2, 0), (2, 1), (1, 1), (1, 2), (0, 2), (0, 1), (0, 0)];
+    let obj = |sign: &str| {
+        let places: String = ring.iter().map(|(x, y)| format!("v {x} {y} 0\nvt {x} {y}\n")).collect();
+        let corners: Vec<String> = (1..=7).map(|k| format!("{k}/{k}")).collect();
+        format!("{places}v 9 0 0\n{sign}f 1 2 8\nf {}\nf 2 3 8\n", corners.join(" "))
+    };
+    let places: String = ring.iter().map(|(x, y)| format!("{x} {y} 0\n")).collect();
+    let uv: Vec<String> = ring.iter().map(|(x, y)| format!("{x} {y}")).collect();
+    let ply = format!(
+        "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\nelement face 3\n\
+         property list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n{places}9 0 0\n\
+         3 0 1 7 6 2 0 2 1 9 0\n7 0 1 2 3 4 5 6 14 {}\n3 1 2 7 6 2 1 1 1 9 0\n",
+        uv.join(" ")
+    );
+    let off = format!("OFF\n8 3 0\n{places}9 0 0\n3 0 1 7\n7 0 1 2 3 4 5 6\n3 1 2 7\n");
+    // `s off` is a line that does not matter; continued lines go through the crate.
+    let texts =
+        [(Format::Obj, obj("s off\n")), (Format::Obj, obj("f 1 2 \\\n8\n")), (Format::Ply, ply), (Format::Off, off)];
+    for (format, text) in texts {
+        let loaded = decode_with_attributes(format, text.as_bytes()).unwrap();
+        assert_eq!(loaded.left_aside, [], "{format:?}");
+        assert_eq!(loaded.mesh, tessera::mesh::io::decode(format, text.as_bytes()).unwrap());
+        let flat = |f: usize| {
+            let [a, b, c] = loaded.mesh.corners(f);
+            0.5 * (b - a).cross(c - a).z
+        };
+        let polygon: Vec<f64> = (0..loaded.mesh.facets().len())
+            .filter(|&f| loaded.mesh.corners(f).iter().all(|p| p.x < 3.0))
+            .map(flat)
+            .collect();
+        assert_eq!(polygon.len(), 5, "{format:?}");
+        assert!(polygon.iter().all(|&area| area > 0.0), "{format:?}: {polygon:?}");
+        assert_eq!(polygon.iter().sum::<f64>(), 3.0, "{format:?}");
+        let Some(texture) = loaded.attributes.texture() else {
+            assert_eq!(format, Format::Off);
+            continue;
+        };
+        for f in (0..loaded.mesh.facets().len()).filter(|&f| loaded.mesh.corners(f).iter().all(|p| p.x < 3.0)) {
+            for (uv, p) in uvs(texture, f).into_iter().zip(loaded.mesh.corners(f)) {
+                assert_eq!(uv, p.truncate(), "{format:?}, facet {f}");
+            }
+        }
+    }
+}
+
 #[test]
 fn hostile_attributes_spoil_nothing_else() {
     let obj = |lines: &str, face: &str| format!("v 0 0 0\nv 1 0 0\nv 0 1 0\n{lines}\nf {face}\n");

@@ -128,6 +128,24 @@ fn facets_turned_over() {
     check("Möbius", &moebius(40, 4), 150);
 }
 
+/// A list of triangles whose corners were rounded one by one hangs together.
+#[test]
+fn corners_that_are_nearly_one() {
+    let sphere = Shape::Sphere.build(600);
+    let corners = sphere.facets().iter().flatten().enumerate();
+    let off = |k: usize| DVec3::new(k as f64, (k * k) as f64, (3 * k) as f64).map(f64::sin);
+    let places = corners.map(|(k, &v)| sphere.positions()[v as usize] + 1e-8 * off(k)).collect();
+    let facets = (0..sphere.facets().len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+    let soup = TriMesh::new(places, facets).unwrap();
+    assert_eq!(topology(&soup).components, sphere.facets().len());
+    for out in check("nearly one", &soup, 200) {
+        assert_eq!(topology(&out.mesh), Topology { euler: 2, components: 1, ..Topology::default() });
+        let input = &out.report.input;
+        assert!(input.stitched_vertices > 2 * sphere.positions().len(), "{}", input.stitched_vertices);
+        assert_eq!((input.topology.components, out.report.topology_changes.len()), (1, 0));
+    }
+}
+
 #[test]
 fn many_components_and_surfaces_through_each_other() {
     let small = Shape::Sphere.build(80);

@@ -179,17 +179,15 @@ async fn uploaded_creases_are_kept() {
 async fn thin_parts_stay_or_are_even() {
     let server = Server::start(Setup::default()).await;
     let mut client = server.client().await;
-    // A ring whose tube is thinner than edges are long.
+    // A ring whose tube is thinner than edges on one side.
     let (positions, facets) = Shape::Torus.build(3000).into_parts();
-    let tube = positions.iter().map(|p| p.z).fold(0.0, f64::max);
-    let middle = positions.iter().map(|p| p.x).fold(0.0, f64::max) - tube;
     let thinner = |p: DVec3| {
-        let on = middle * DVec3::new(p.x, p.y, 0.0).normalize();
-        on + 0.15 * (p - on)
+        let on = DVec3::new(p.x, p.y, 0.0).normalize();
+        on + (0.1 + 0.9 * (0.5 + 0.5 * on.x).powi(2)) * (p - on)
     };
     let mesh = (positions.into_iter().map(thinner).collect(), facets);
     for (rule, rounds) in [(ThinRule::Unspecified, true), (ThinRule::Finer, true), (ThinRule::Even, false)] {
-        let wish = RemeshHeader { thin: rule.into(), ..header(&mesh, 60) };
+        let wish = RemeshHeader { thin: rule.into(), ..header(&mesh, 600) };
         let out = remesh(&mut client, &mesh, wish, &[]).await.unwrap();
         assert_eq!(out.report["refine"]["thin_rounds"].as_u64().unwrap() > 0, rounds, "{rule:?}");
     }

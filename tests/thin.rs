@@ -65,6 +65,16 @@ fn bridged() -> TriMesh {
     turned(&profile, 24)
 }
 
+/// A ring of radius 1 whose tube has radii from 0.04 to 0.4.
+fn ring() -> TriMesh {
+    let (positions, facets) = Shape::Torus.build(6000).into_parts();
+    let thinner = |p: DVec3| {
+        let on = DVec3::new(p.x, p.y, 0.0).normalize();
+        on + (0.1 + 0.9 * (0.5 + 0.5 * on.x).powi(2)) * (p - on)
+    };
+    TriMesh::new(positions.into_iter().map(thinner).collect(), facets).unwrap()
+}
+
 /// How far the input's vertices are from a result at most.
 fn farthest(mesh: &TriMesh, result: &TriMesh) -> f64 {
     let tree = ClosestPoint::new(result);
@@ -97,22 +107,13 @@ fn a_horn_stays() {
     // Not more than half of the points are there, so that edges elsewhere are longer by the root of two at most.
     let figures = &finer.report.density;
     assert!(figures.edge_median.unwrap() < 1.42 * even.report.density.edge_median.unwrap());
-    assert!(figures.edge_least.unwrap() < 0.5 * edge);
+    assert!(figures.edge_least.unwrap() < 0.7 * edge);
 }
 
 #[test]
 fn a_bridge_and_a_thin_ring_stay() {
-    let ring = |mesh: &TriMesh| {
-        // The torus' tube made thinner.
-        let thinner = |p: &DVec3| {
-            let on = DVec3::new(p.x, p.y, 0.0).normalize();
-            let middle = (mesh.bounds().1.x - mesh.bounds().1.z) * on;
-            middle + 0.15 * (*p - middle)
-        };
-        TriMesh::new(mesh.positions().iter().map(thinner).collect(), mesh.facets().to_vec()).unwrap()
-    };
-    for (name, mesh, points, euler) in [("bridge", bridged(), 200, 2), ("ring", ring(&Shape::Torus.build(6000)), 60, 0)]
-    {
+    for (name, mesh, euler) in [("bridge", bridged(), 2), ("ring", ring(), 0)] {
+        let points = 600;
         let finer = run(&mesh, &options(points));
         let after = topology(&finer.mesh);
         assert_eq!((after.euler, after.components, after.boundary_loops), (euler, 1, 0), "{name}");

@@ -14,9 +14,9 @@ use glam::DVec3;
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
 
-/// Vertices as near as this are one, as a share of the surface's diagonal: ten times what single precision
-/// rounds by.
-const NEAR: f64 = 1e-6;
+/// Vertices as near as this are one, as a share of the surface's diagonal: coordinates that were rounded to single
+/// precision twice differ by two of its steps of 1.2e-7, in three directions.
+const NEAR: f64 = 5e-7;
 /// And as a share of the shortest edge around them.
 const SHORT: f64 = 0.01;
 

@@ -25,6 +25,8 @@ pub(super) const VAIN: usize = 3;
 const SHORTER: f64 = 0.5;
 /// Edges elsewhere may become so much longer, for as many points: half of them may go to what is thin.
 pub(super) const LONGER: f64 = 1.4;
+/// And where lengths say how many points there are, they may be so many times as many.
+pub(super) const MORE: usize = 2;
 
 /// Cells around which a dual has another topology than the surface.
 #[derive(Default)]
