@@ -8,6 +8,7 @@
 //! Must not know: seeds, Voronoi cells, backends, jobs.
 
 pub mod adjacency;
+pub mod apart;
 pub mod attributes;
 pub(crate) mod boxes;
 pub mod closest_point;

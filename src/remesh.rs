@@ -35,6 +35,7 @@ use glam::DVec3;
 use crate::cvt::density::{self, Count, DensityError, DensityOptions, DensitySource, Plan};
 use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
 use crate::mesh::adjacency::Adjacency;
+use crate::mesh::apart::Apart;
 use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
@@ -262,13 +263,17 @@ pub fn remesh(
     // Attributes are of the facets as given, which keep their numbers.
     let given = mesh;
     let mesh = whole.as_ref().unwrap_or(mesh);
-    if whole.is_some() {
-        prepared = prepare(mesh, options, cancel);
+    // A cell does not reach through to a part beside its own where none is beside another.
+    let several = input.topology.components > 1;
+    let apart = several.then(|| between(mesh, options)).flatten().and_then(|gap| Apart::of(mesh, gap));
+    let ground = apart.as_ref().map_or(mesh, |apart| &apart.mesh);
+    if whole.is_some() || apart.is_some() {
+        prepared = prepare(ground, options, cancel);
     }
     // Who says how long edges are is not contradicted.
     let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
     let keep_thin = options.keep_thin && free && options.placement == Placement::Fitted;
-    let mut job = Job { mesh, backend, cancel, observer, laps, keep_thin, topology: input.topology };
+    let mut job = Job { mesh: ground, backend, cancel, observer, laps, keep_thin, topology: input.topology };
     let attempt = match (options.refine, &options.seeds) {
         (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed }))
             if options.placement == Placement::Fitted =>
@@ -278,11 +283,20 @@ pub fn remesh(
         _ => job.attempt(prepared?, options, options.refine.map(|r| r.tolerance))?,
     };
     let Job { observer, laps: Laps { mut clock, mut timings }, .. } = job;
-    let Attempt { plan, kept, closest, built, seeds, seed, steps, device, device_bytes } = attempt;
+    let Attempt { plan, kept, closest, mut built, mut seeds, seed, steps, device, device_bytes } = attempt;
     let Figures { converged, rvd, iterations, last, refine } = steps;
     let memory = MemoryFigures { host_peak_bytes: None, device_bytes };
 
-    let (attributes, provenance) = carried(given, options, &built.mesh, observer, cancel)?;
+    let at = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
+    let beside = apart.as_ref().map(|apart| TriMesh::new(apart.mesh.positions().to_vec(), given.facets().to_vec()));
+    let beside = beside.transpose().map_err(at)?;
+    let (attributes, provenance) = carried(beside.as_ref().unwrap_or(given), options, &built.mesh, observer, cancel)?;
+    if let Some(apart) = &apart {
+        built.mesh = apart.mesh_back(&built.mesh).map_err(at)?;
+        seeds.iter_mut().for_each(|p| *p = apart.back(*p));
+    }
+    // What answers for the parts apart does not for the input.
+    let closest = closest.filter(|_| apart.is_none());
     timings.attributes = clock.lap();
 
     observer.stage("measure");
@@ -318,6 +332,23 @@ pub fn remesh(
     };
     let curve_edges = built.curve_edges.into_iter().flatten().collect();
     Ok(Remesh { mesh: built.mesh, vertex_seed: built.vertex_seed, curve_edges, seeds, report, attributes, provenance })
+}
+
+/// How far parts should be from each other: twice the length of edges, and a little of the surface. `None` where seeds are
+/// given, since it is not known which part one is on.
+fn between(mesh: &TriMesh, options: &RemeshOptions) -> Option<f64> {
+    let (low, high) = mesh.bounds();
+    // As on a flat surface without boundary.
+    let even = |points: usize| (2.0 / 3f64.sqrt() * mesh.area() / points.max(1) as f64).sqrt();
+    let edge = match (&options.seeds, &options.density) {
+        (Seeds::Given(_), _) => return None,
+        (Seeds::Sample { points, .. }, _) => even(*points),
+        (_, DensityOptions { source: DensitySource::Sizes(sizes), .. }) => {
+            sizes.iter().copied().fold(0.0, f64::max).min((high - low).length())
+        }
+        (_, density) => density.edge_length?,
+    };
+    Some(2.0 * edge + 0.02 * (high - low).length())
 }
 
 /// What came in, and the same without what would tear a result, if there is any of it: corners that are nearly in one place,

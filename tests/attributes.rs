@@ -376,6 +376,39 @@ fn files_of_other_programs() {
 }
 
 /// Whatever is wrong with an attribute, the surface is read, and what is wrong is named.
+/// Shells that are nearer to each other than edges are long are remeshed each as if alone, and keep what is theirs.
+#[test]
+fn shells_beside_each_other_keep_their_own() {
+    let one = Shape::Sphere.build(2000);
+    let (mut positions, mut facets) = one.clone().into_parts();
+    let n = positions.len();
+    positions.extend(one.positions().iter().map(|p| 1.01 * *p));
+    facets.extend(one.facets().iter().map(|f| f.map(|v| v + n as u32)));
+    let mesh = TriMesh::new(positions, facets).unwrap();
+    let mut attributes = Attributes::new(&mesh);
+    let shell: Vec<f64> = (0..2 * n).map(|v| if v < n { 0.0 } else { 1.0 }).collect();
+    attributes.add_scalar("shell".to_owned(), shell).unwrap();
+    let wish =
+        RemeshOptions { attributes: Some(attributes), ..RemeshOptions::new(Seeds::Sample { points: 600, seed: 4 }) };
+    let out = remesh(&mesh, &wish, &Serial, &mut (), &CancelFlag::default()).unwrap();
+    let result = &out.report.result;
+    assert_eq!((result.vertices, result.repair.split_cells, result.topology.components), (600, 0, 2));
+    assert!(out.report.topology_changes.is_empty());
+    // An edge is 0.22 long, and a chord of it 0.006 below the shell.
+    let quality = result.quality.unwrap();
+    assert!(quality.theta_min_deg > 28.0 && quality.hausdorff_percent < 0.4, "{quality:?}");
+    let values = &out.attributes.as_ref().unwrap().scalars()[0].values;
+    let per_shell = [0.0, 1.0].map(|shell| values.iter().filter(|v| **v == shell).count());
+    assert_eq!(per_shell.iter().sum::<usize>(), 600, "no vertex is on both");
+    for (p, value) in out.mesh.positions().iter().zip(values) {
+        // Fitted vertices are off the shell by half of a chord's height at most, less than half of what is between the two.
+        assert!((p.length() - (1.0 + 0.01 * value)).abs() < 0.005, "{p} of shell {value}");
+    }
+    for p in &out.seeds {
+        assert!((p.length() - 1.0).abs() < 0.005 || (p.length() - 1.01).abs() < 0.005, "{p}");
+    }
+}
+
 /// A polygon that is not convex is not cut as a fan; texture coordinates go with their corners in every format that has them.
 #[test]
 fn corners_of_polygons_that_are_not_convex_keep_their_texture() {

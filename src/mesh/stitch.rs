@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`rims`] moves vertices of boundaries that are nearly in one place into one, so that a list of triangles whose
 //! corners were rounded one by one, or parts that were exported one by one, hang together.
-//! Invariant: nothing moves by more than [`NEAR`] of the surface's diagonal, nor by more than [`SHORT`] of the edges
+//! Invariant: nothing moves by more than `NEAR` of the surface's diagonal, nor by more than `SHORT` of the edges
 //! around it, so that no facet vanishes or turns over. Vertices and facets keep their numbers. The same whatever the number of threads.
 //! Must not know: why it matters.
 
