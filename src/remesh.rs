@@ -22,6 +22,7 @@ mod polish;
 mod regular;
 pub mod repair;
 pub mod report;
+mod settled;
 mod stars;
 mod steps;
 mod thin;
@@ -33,7 +34,7 @@ use std::time::Instant;
 use glam::DVec3;
 
 use crate::cvt::density::{self, Count, DensityError, DensityOptions, DensitySource, Plan};
-use crate::cvt::{Cvt, CvtOptions, Iteration, Projection};
+use crate::cvt::{Cvt, Iteration, Projection};
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::apart::Apart;
 use crate::mesh::attributes::{AttributeError, Attributes};
@@ -42,7 +43,7 @@ use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{Topology, quality_unless, topology};
 use crate::mesh::sample::spread;
 use crate::mesh::{TriMesh, orient, stitch};
-use crate::rvd::{Backend, CancelFlag, RvdError, Session, SessionOptions, Surface, dual};
+use crate::rvd::{Backend, CancelFlag, RvdError, Surface, dual};
 
 pub use attributes::Provenance;
 pub use report::Report;
@@ -50,6 +51,7 @@ use report::{
     DeviceFigures, FinalFigures, InputFigures, IterationFigures, MemoryFigures, RefineFigures, ResultFigures,
     RvdFigures, Timings, topology_changes,
 };
+use settled::{Exact, Settled};
 use steps::Steps;
 
 /// Where the first seeds come from.
@@ -287,12 +289,12 @@ pub fn remesh(
     let Figures { converged, rvd, iterations, last, refine } = steps;
     let memory = MemoryFigures { host_peak_bytes: None, device_bytes };
 
-    let at = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
+    let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
     let beside = apart.as_ref().map(|apart| TriMesh::new(apart.mesh.positions().to_vec(), given.facets().to_vec()));
-    let beside = beside.transpose().map_err(at)?;
+    let beside = beside.transpose().map_err(broken)?;
     let (attributes, provenance) = carried(beside.as_ref().unwrap_or(given), options, &built.mesh, observer, cancel)?;
     if let Some(apart) = &apart {
-        built.mesh = apart.mesh_back(&built.mesh).map_err(at)?;
+        built.mesh = apart.mesh_back(&built.mesh).map_err(broken)?;
         seeds.iter_mut().for_each(|p| *p = apart.back(*p));
     }
     // What answers for the parts apart does not for the input.
@@ -405,26 +407,6 @@ struct Attempt<'a> {
     device_bytes: u64,
 }
 
-/// Seeds after their steps.
-struct Settled<'a> {
-    plan: Plan<'a>,
-    surface: Arc<Surface>,
-    kept: curves::Kept,
-    cvt: Cvt,
-    /// In double precision.
-    session: Box<dyn Session>,
-    dual: dual::Dual,
-    failing: thin::Failing,
-    /// The random seed they were drawn from.
-    seed: Option<u64>,
-    /// What they came to by the steps that were asked for.
-    converged: bool,
-    last: FinalFigures,
-    rvd: RvdFigures,
-    iterations: Vec<IterationFigures>,
-    refine: RefineFigures,
-}
-
 /// What the steps came to.
 struct Figures {
     converged: bool,
@@ -442,8 +424,7 @@ impl<'a> Job<'a, '_> {
         options: &RemeshOptions,
         tolerance: Option<f64>,
     ) -> Result<Attempt<'a>, RemeshError> {
-        let settled = self.settle(prepared, options)?;
-        let settled = self.thicken(settled, options)?;
+        let settled = self.settled(prepared, options)?;
         let Settled { plan, surface, kept, mut cvt, mut session, dual, seed, converged, last, .. } = settled;
         let Settled { rvd, iterations, refine, .. } = settled;
         let mut steps = Steps { options, observer: &mut *self.observer, cancel: self.cancel, rvd, iterations, refine };
@@ -456,126 +437,6 @@ impl<'a> Job<'a, '_> {
         let closest = cvt.into_closest();
         let steps = Figures { converged, rvd, iterations, last, refine };
         Ok(Attempt { plan, kept, closest, built, seeds, seed, steps, device, device_bytes })
-    }
-
-    /// Draws seeds, lets them settle, and reads their dual.
-    fn settle(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Settled<'a>, RemeshError> {
-        let Prepared { plan, surface, mut kept, closest } = prepared;
-        self.laps.timings.prepare += self.laps.clock.lap();
-        self.cancel.check()?;
-
-        self.observer.stage("sample");
-        let (first, seed) = first_seeds(&plan, &surface, &kept, &options.seeds);
-        self.laps.timings.sample += self.laps.clock.lap();
-        self.cancel.check()?;
-
-        self.observer.stage("iterations");
-        let max_seeds = options.refine.map_or(0, |r| r.max_points);
-        let cvt_options = CvtOptions { projection: options.projection, max_seeds };
-        let mut cvt = Cvt::new(self.backend, Arc::clone(&surface), &first, cvt_options)?;
-        cvt.bring_closest(closest);
-        if !kept.seeds.is_empty() {
-            cvt.keep_curves(kept.seeds.clone())?;
-        }
-        let (rvd, refine) = (RvdFigures::default(), RefineFigures::default());
-        let cancel = self.cancel;
-        let mut steps = Steps { options, observer: &mut *self.observer, cancel, rvd, iterations: Vec::new(), refine };
-        let last = steps.main(&mut cvt)?;
-        // Of the steps that were asked for; those that come after have their own end.
-        let converged = cvt.converged();
-        self.laps.timings.iterations += self.laps.clock.lap();
-        steps.clear_curves(&mut cvt)?;
-        kept.seeds = cvt.curves().clone();
-        self.laps.timings.refine += self.laps.clock.lap();
-
-        steps.observer.stage("dual");
-        let room = max_seeds.max(cvt.len());
-        let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(room) };
-        let mut session = self.backend.exact_session(Arc::clone(&surface), exact)?;
-        let dual = Exact { surface: &surface, session: &mut *session }.dual(&mut cvt, &mut steps)?;
-        let failing = thin::failing(&dual, &plan.mesh, &surface, &self.topology);
-        self.laps.timings.dual += self.laps.clock.lap();
-        let Steps { rvd, iterations, refine, .. } = steps;
-        Ok(Settled { plan, surface, kept, cvt, session, dual, failing, seed, converged, last, rvd, iterations, refine })
-    }
-
-    /// Settles anew, with shorter edges where cells fail, as long as that helps.
-    fn thicken(&mut self, settled: Settled<'a>, options: &RemeshOptions) -> Result<Settled<'a>, RemeshError> {
-        if !self.keep_thin || matches!(options.seeds, Seeds::Given(_)) {
-            return Ok(settled);
-        }
-        let median = settled.plan.figures.edge_median;
-        let most = thin::MORE * settled.plan.points;
-        let mut best = settled;
-        let mut failing = !best.failing.is_empty();
-        let mut lengths = if failing { best.shorter(self.mesh) } else { Vec::new() };
-        let mut vain = 0;
-        for round in 1..=thin::ROUNDS {
-            if !failing || vain == thin::VAIN {
-                break;
-            }
-            let source = DensitySource::Sizes(lengths);
-            let density = DensityOptions { source, edge_length: None, adaptivity: 1.0, ..options.density.clone() };
-            let options = RemeshOptions { density, ..options.clone() };
-            self.observer.stage("prepare");
-            let prepared = match prepare(self.mesh, &options, self.cancel) {
-                Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => break,
-                prepared => prepared?,
-            };
-            let Plan { figures, points, .. } = &prepared.plan;
-            let longer = median.zip(figures.edge_median).is_some_and(|(before, now)| now > thin::LONGER * before);
-            if longer || *points > most {
-                break;
-            }
-            let mut next = match self.settle(prepared, &options) {
-                // What there is stays on the device beside it.
-                Err(RemeshError::Rvd(RvdError::NeverFits { .. } | RvdError::OutOfMemory { .. })) => break,
-                next => next?,
-            };
-            (lengths, failing) = (next.shorter(self.mesh), !next.failing.is_empty());
-            if next.failing.is_better(&best.failing) {
-                next.refine.evaluations += best.passes();
-                next.refine.thin_rounds = round;
-                next.plan.figures.source = best.plan.figures.source;
-                (best, vain) = (next, 0);
-            } else {
-                best.refine.evaluations += next.passes();
-                vain += 1;
-            }
-        }
-        best.refine.thin_cells = best.failing.len();
-        Ok(best)
-    }
-}
-
-impl Settled<'_> {
-    /// Target edge length per vertex of the caller's `mesh`, shorter where cells fail.
-    fn shorter(&self, mesh: &TriMesh) -> Vec<f64> {
-        let mut lengths = self.plan.lengths(mesh);
-        thin::shorten(&mut lengths, &self.failing, &self.dual, &self.surface);
-        lengths
-    }
-
-    /// Passes over the diagram that it took.
-    fn passes(&self) -> usize {
-        self.refine.evaluations + self.iterations.iter().map(|step| step.evaluations).sum::<usize>()
-    }
-}
-
-/// What the last diagrams are computed with.
-struct Exact<'a> {
-    surface: &'a Surface,
-    session: &'a mut dyn Session,
-}
-
-impl Exact<'_> {
-    /// Puts the seeds on the surface and reads their dual.
-    fn dual(&mut self, cvt: &mut Cvt, steps: &mut Steps<'_>) -> Result<dual::Dual, RemeshError> {
-        cvt.project_seeds()?;
-        self.session.set_seeds(cvt.unit_seeds()?)?;
-        let dual = dual::extract(self.session, self.surface, cvt.len(), steps.cancel)?;
-        steps.rvd.add_pass(&dual.stats);
-        Ok(dual)
     }
 }
 

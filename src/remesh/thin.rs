@@ -13,6 +13,7 @@ use glam::DVec3;
 use super::repair::{self, Repaired};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
+use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::measure::{self, Topology};
 use crate::rvd::Surface;
 use crate::rvd::dual::Dual;
@@ -107,9 +108,9 @@ fn odd_vertices(mesh: &TriMesh, adjacency: &Adjacency) -> Vec<bool> {
     odd
 }
 
-/// Makes the lengths, one a vertex of the caller's mesh, shorter at vertices that failing cells hold; where one holds none,
-/// at the nearest. The first vertices of `surface` are those of the caller's mesh.
-pub(super) fn shorten(lengths: &mut [f64], failing: &Failing, dual: &Dual, surface: &Surface) {
+/// Makes the lengths, one a vertex of the caller's `mesh`, shorter at vertices that failing cells hold; where one holds none,
+/// at the nearest corner of the facet that it is on. The first vertices of `surface` are those of `mesh`.
+pub(super) fn shorten(lengths: &mut [f64], mesh: &TriMesh, failing: &Failing, dual: &Dual, surface: &Surface) {
     let mut fails = vec![false; dual.components.len()];
     failing.components.iter().for_each(|&c| fails[c as usize] = true);
     let mut empty = fails.clone();
@@ -123,31 +124,18 @@ pub(super) fn shorten(lengths: &mut [f64], failing: &Failing, dual: &Dual, surfa
             }
         }
     }
-    let mut used: Vec<(u32, DVec3)> = Vec::new();
+    let mut shorter = vec![false; lengths.len()];
+    let mut closest = None;
     for (component, _) in dual.components.iter().zip(&empty).filter(|(_, empty)| **empty) {
-        if used.is_empty() {
-            used = used_vertices(surface, lengths.len());
-        }
-        let nearest = used.iter().min_by(|a, b| {
-            component.centroid.distance_squared(a.1).total_cmp(&component.centroid.distance_squared(b.1))
-        });
-        nearest.iter().for_each(|(v, _)| held[*v as usize] = true);
+        let tree = closest.get_or_insert_with(|| ClosestPoint::new(mesh));
+        let SurfacePoint { facet, barycentric, .. } = tree.project(surface.frame().to_world(component.centroid));
+        let corner = (0..3).max_by(|&a, &b| barycentric[a].total_cmp(&barycentric[b])).unwrap_or_default();
+        shorter[mesh.facets()[facet as usize][corner] as usize] = true;
     }
     // Vertices in one place are one.
     let twins = surface.facets().iter().zip(surface.welded()).flat_map(|(own, welded)| own.iter().zip(welded));
-    let mut shorter = vec![false; lengths.len()];
-    for (&own, &first) in twins {
-        if (own as usize) < lengths.len() {
-            shorter[own as usize] |= held[first as usize];
-        }
-    }
+    let twins = twins.map(|(&own, &first)| (own as usize, first as usize)).filter(|(own, _)| *own < lengths.len());
+    twins.clone().for_each(|(own, first)| held[first] |= shorter[own]);
+    twins.for_each(|(own, first)| shorter[own] |= held[first]);
     lengths.iter_mut().zip(&shorter).filter(|(_, shorter)| **shorter).for_each(|(length, _)| *length *= SHORTER);
-}
-
-/// Those of the first `count` vertices that facets have, with their places.
-fn used_vertices(surface: &Surface, count: usize) -> Vec<(u32, DVec3)> {
-    let mut used: Vec<u32> = surface.welded().iter().flatten().copied().filter(|&v| (v as usize) < count).collect();
-    used.sort_unstable();
-    used.dedup();
-    used.into_iter().map(|v| (v, surface.positions()[v as usize])).collect()
 }
