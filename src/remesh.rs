@@ -266,8 +266,8 @@ pub fn remesh(
     let given = mesh;
     let mesh = whole.as_ref().unwrap_or(mesh);
     // A cell does not reach through to a part beside its own where none is beside another.
-    let several = input.topology.components > 1;
-    let apart = several.then(|| between(mesh, options)).flatten().and_then(|gap| Apart::of(mesh, gap));
+    let parts = input.topology.components;
+    let apart = (parts > 1).then(|| between(mesh, parts, options)).flatten().and_then(|gap| Apart::of(mesh, gap));
     let ground = apart.as_ref().map_or(mesh, |apart| &apart.mesh);
     if whole.is_some() || apart.is_some() {
         prepared = prepare(ground, options, cancel);
@@ -336,9 +336,9 @@ pub fn remesh(
     Ok(Remesh { mesh: built.mesh, vertex_seed: built.vertex_seed, curve_edges, seeds, report, attributes, provenance })
 }
 
-/// How far parts should be from each other: twice the length of edges, and a little of the surface. `None` where seeds are
-/// given, since it is not known which part one is on.
-fn between(mesh: &TriMesh, options: &RemeshOptions) -> Option<f64> {
+/// How far so many parts should be from each other: twice the length of edges, and a little of the surface. `None` where
+/// seeds are given, since it is not known which part one is on, and where there are too few for each to become a surface.
+fn between(mesh: &TriMesh, parts: usize, options: &RemeshOptions) -> Option<f64> {
     let (low, high) = mesh.bounds();
     // As on a flat surface without boundary.
     let even = |points: usize| (2.0 / 3f64.sqrt() * mesh.area() / points.max(1) as f64).sqrt();
@@ -350,7 +350,8 @@ fn between(mesh: &TriMesh, options: &RemeshOptions) -> Option<f64> {
         }
         (_, density) => density.edge_length?,
     };
-    Some(2.0 * edge + 0.02 * (high - low).length())
+    // A tetrahedron has four.
+    (edge <= even(4 * parts)).then(|| 2.0 * edge + 0.02 * (high - low).length())
 }
 
 /// What came in, and the same without what would tear a result, if there is any of it: corners that are nearly in one place,
