@@ -93,7 +93,7 @@ fn a_horn_stays() {
     let even = run(&mesh, &RemeshOptions { keep_thin: false, ..options(points) });
     let finer = run(&mesh, &options(points));
     let edge = edge(&mesh, points);
-    // Around the horn's tip are 0.31, and an edge is longer than that.
+    // Around the horn's tip are 0.31, less than two edges.
     assert!(edge > 0.2, "{edge}");
     let (before, after) = (farthest(&mesh, &even.mesh), farthest(&mesh, &finer.mesh));
     assert!(before > 2.0 * edge, "the test shows nothing: {before}");

@@ -4,7 +4,8 @@
 //! extension ([`Format`]). The same names with `_with_attributes` take and give what a surface carries too.
 //! Invariant: no sequence of bytes makes a reader panic, hang, or allocate more than a small
 //! multiple of the bytes that are there, whatever counts they declare. A polygon of n corners becomes n - 2 facets: a
-//! fan around its first corner if it is convex, or ears (`polygons`). Positions are double precision; only STL, whose format says so, holds single precision.
+//! fan around its first corner if it is convex, or ears (`polygons`). Positions are double precision; only STL, whose
+//! format says so, holds single precision.
 //! Must not know: what is done with a surface.
 
 mod attributed;

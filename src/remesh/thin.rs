@@ -2,8 +2,9 @@
 //!
 //! Purpose: [`failing`] finds the cells of a diagram around which its dual has another topology than the surface:
 //! those that reach around a horn or a finger, across a bridge or a strip, or hold the whole end of something slender, of
-//! which the dual would have nothing. [`shorten`] makes edges shorter there, for seeds to be drawn anew. Where no cell
-//! fails, the dual is homeomorphic to the surface (closed ball property, Edelsbrunner and Shah 1997).
+//! which the dual would have nothing. [`shorten`] makes edges shorter there, for seeds to be drawn anew. Where all
+//! cells are disks that meet each other and the rim once, the dual is homeomorphic to the surface (closed ball property,
+//! Edelsbrunner and Shah 1997).
 //! Invariant: where the repaired dual has all components, holes and handles and every cell, none fails. Where the surface
 //! itself is no manifold, which no seeds could help, none is looked at.
 //! Must not know: how seeds are drawn, iterations.
