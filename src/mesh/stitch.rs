@@ -3,7 +3,7 @@
 //! Purpose: [`rims`] moves vertices of boundaries that are nearly in one place into one, so that a list of triangles whose
 //! corners were rounded one by one, or parts that were exported one by one, hang together.
 //! Invariant: nothing moves by more than `NEAR` of the surface's diagonal, nor by more than `SHORT` of the edges
-//! around it, so that no facet vanishes or turns over. Vertices and facets keep their numbers. The same whatever the number of threads.
+//! around it, so that no facet vanishes or turns over. Vertices and facets keep their numbers.
 //! Must not know: why it matters.
 
 use std::cmp::Ordering::Equal;
@@ -25,8 +25,8 @@ pub fn rims(mesh: &TriMesh, adjacency: &Adjacency) -> Option<(TriMesh, usize)> {
     if adjacency.boundary_edges() == 0 {
         return None;
     }
-    let (low, high) = mesh.bounds();
-    let near = NEAR * (high - low).length();
+    let (origin, high) = mesh.bounds();
+    let near = NEAR * (high - origin).length();
     if !(near.is_finite() && near > 0.0) {
         return None;
     }
@@ -40,7 +40,8 @@ pub fn rims(mesh: &TriMesh, adjacency: &Adjacency) -> Option<(TriMesh, usize)> {
     rim.sort_unstable();
     rim.dedup();
     // The first in a place stands for those that are near it. Others are farther from it, so that few are in a cell.
-    let cell = |p: DVec3| (p / (4.0 * near)).floor().to_array().map(|x| x as i64);
+    // Counted from the surface's corner, so that numbers stay small however far it is from the origin.
+    let cell = |p: DVec3| ((p - origin) / (4.0 * near)).floor().to_array().map(|x| x as i64);
     let mut first_in: HashMap<[i64; 3], Vec<u32>> = HashMap::with_capacity(rim.len());
     let mut near_others: Vec<(u32, u32, f64)> = Vec::new();
     for &v in &rim {
