@@ -7,6 +7,7 @@
 //! closed or between two corners. A boundary is never left out. Depends on the mesh and the options alone.
 //! Must not know: seeds, diagrams.
 
+mod near;
 mod ridges;
 
 use std::collections::BTreeMap;
@@ -15,6 +16,7 @@ use glam::DVec3;
 
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
+use near::Near;
 use ridges::Bends;
 
 /// What counts as a feature. [`Default`] is boundaries alone.
@@ -33,6 +35,9 @@ pub struct FeatureOptions {
     /// A ridge that is bent by half the angle of creases is one too where nothing within this length beside it is
     /// bent nearly as much, if it goes on from a crease or joins two. 0 finds none.
     pub alone: f64,
+    /// Of two corners between which a boundary is shorter than this one is left out, if the curves hardly change by that. 0
+    /// leaves none out.
+    pub near: f64,
     /// How fine the remesh is to be at each vertex, at least 0: where this is f, lengths count f times, since what matters
     /// is how many edges of the remesh they are. 1 everywhere if empty.
     pub fineness: Vec<f64>,
@@ -51,6 +56,9 @@ const SHARP_ANGLE: f64 = 75.0;
 const END_EDGES: usize = 3;
 /// A curve bends by more than this, degrees: there is a corner.
 const CORNER_ANGLE: f64 = 60.0;
+/// Curves hardly change if chords as long as [`FeatureOptions::reach`] leave them by less than this share of it, which is about
+/// as far as they leave a bent curve.
+const HARDLY: f64 = 0.1;
 
 /// What a curve is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -85,6 +93,8 @@ pub struct Features {
     pub corners: Vec<u32>,
     /// Edges that were bent enough and were left out as too short a crease.
     pub left_out: usize,
+    /// Corners that are none any more, as another one is near ([`FeatureOptions::near`]).
+    pub joined: usize,
 }
 
 /// Why given creases were refused.
@@ -171,8 +181,9 @@ impl Features {
         if options.alone > 0.0 && options.crease_angle_deg > 0.0 {
             bends.add_ridges(&mut graph, options.crease_angle_deg, options.alone, options.shortest);
         }
-        let (curves, corners) = graph.curves(ruler, options.reach);
-        Ok(Self { curves, corners, left_out })
+        let near = Near { length: options.near, reach: options.reach, off: HARDLY * options.reach };
+        let (curves, corners, joined) = graph.curves(ruler, near);
+        Ok(Self { curves, corners, left_out, joined })
     }
 
     /// Checks that an angle makes sense and that `given` edges are there.
@@ -387,8 +398,8 @@ impl Graph {
         thinned
     }
 
-    /// The curves between corners, and the corners.
-    fn curves(&self, ruler: Ruler<'_>, reach: f64) -> (Vec<Curve>, Vec<u32>) {
+    /// The curves between corners, the corners, and how many of them have become part of others.
+    fn curves(&self, ruler: Ruler<'_>, near: Near) -> (Vec<Curve>, Vec<u32>, usize) {
         let kind = |a: u32, b: u32| self.edges[&edge(a, b)].kind;
         let bend =
             |c: &[u32]| c.windows(2).map(|p| self.edges[&edge(p[0], p[1])].angle).sum::<f64>() / (c.len() - 1) as f64;
@@ -411,7 +422,7 @@ impl Graph {
                     done.insert(edge(p[0], p[1]));
                 });
                 let closed = chain[0] == chain[chain.len() - 1] && !corners.contains(&v);
-                split(&chain, closed, kind(v, next), (ruler, reach), &mut corners, &mut curves);
+                split(&chain, closed, kind(v, next), (ruler, near.reach), &mut corners, &mut curves);
             }
         }
         for curve in &mut curves {
@@ -420,8 +431,9 @@ impl Graph {
             let few = chain.len().min(END_EDGES + 1);
             curve.ends_deg = [bend(&chain[..few]), bend(&chain[chain.len() - few..])];
         }
+        let joined = near::join(&mut curves, &mut corners, ruler, near);
         curves.sort_by(|a: &Curve, b| a.vertices.cmp(&b.vertices));
-        (curves, corners.into_iter().collect())
+        (curves, corners.into_iter().collect(), joined)
     }
 
     fn chain_to(&self, v: u32, next: u32, corners: &std::collections::BTreeSet<u32>) -> Vec<u32> {

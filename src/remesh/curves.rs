@@ -29,6 +29,9 @@ const SHORTEST: f64 = 8.0;
 const REACH: f64 = 1.0;
 /// Ridges that are bent less than creases are curves if nothing beside them is bent within so many edge lengths.
 const ALONE: f64 = 2.5;
+/// Corners that a boundary of so many edge lengths joins are one, if that cuts little off: with both, a triangle between them would
+/// have an angle of as many radians, about.
+const NEAR: f64 = 0.4;
 /// Edges of boundaries and of creases may leave these by these shares of the edge length,
 const RIM_LIMIT: f64 = 0.08;
 const CREASE_LIMIT: f64 = 0.06;
@@ -114,6 +117,7 @@ impl Kept {
             shortest: SHORTEST * scale,
             reach: REACH * scale,
             alone: if softer { ALONE * scale } else { 0.0 },
+            near: NEAR * scale,
             fineness,
         };
         let mut given_up = 0;
@@ -279,6 +283,7 @@ impl Kept {
             boundaries: count(CurveKind::Boundary),
             creases: count(CurveKind::Crease),
             corners: self.features.corners.len(),
+            joined_corners: self.features.joined,
             seeds: self.seeds.len(),
             segments: self.seeds.segments.len(),
             missing_segments: edges.iter().filter(|e| e.is_none()).count(),

@@ -119,6 +119,8 @@ pub struct FeatureFigures {
     pub creases: usize,
     /// Places where curves end, meet or turn sharply.
     pub corners: usize,
+    /// Such places that have no seed, since another one is much nearer than an edge and the curves hardly change by it.
+    pub joined_corners: usize,
     /// Seeds of corners and curves.
     pub seeds: usize,
     /// Pairs of seeds that follow each other on a curve.
