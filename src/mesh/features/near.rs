@@ -74,6 +74,9 @@ impl Joiner<'_> {
             return None;
         }
         let [a, b] = ends(curve);
+        if a == b {
+            return None;
+        }
         let (gone, stays) = match (self.off(c, a, b), self.off(c, b, a)) {
             (Some(first), Some(second)) if second < first => (b, a),
             (Some(_), _) => (a, b),
@@ -223,6 +226,9 @@ mod tests {
         let positions = |size: f64| [at(0.0, 0.0), at(0.1, 0.0), at(0.0, size)];
         let curves = vec![curve(Boundary, &[0, 1]), curve(Boundary, &[1, 2, 0])];
         assert_eq!(joined(&positions(1.4), curves.clone()), (curves.clone(), vec![0, 1]));
+        // A small loop where three boundaries meet, as they do where facets are oriented unlike each other.
+        let odd = vec![curve(Boundary, &[0, 1, 0]), curve(Boundary, &[0, 2])];
+        assert_eq!(joined(&positions(1.6), odd.clone()), (odd, vec![0, 2]));
         assert_eq!(joined(&positions(1.6), curves), (vec![curve(Boundary, &[1, 2, 0, 1])], vec![1]));
     }
 }
