@@ -1,7 +1,7 @@
 //! Rust twins of the records in `shaders/shared/types.wgsl` and `state.wgsl`.
 //!
 //! Purpose: what the host writes and reads, byte for byte.
-//! Invariant: same fields, names, offsets and sizes as in WGSL; `tests/gpu_shaders.rs` compares
+//! Invariant: same fields, names, offsets and sizes as in WGSL; `tests/gpu/shaders.rs` compares
 //! each of them with what naga reflects.
 //! Must not know: where the numbers come from.
 

@@ -8,7 +8,7 @@
 //! Must not know: files, the service.
 #![allow(dead_code)]
 
-mod alike;
+pub mod alike;
 
 use std::collections::{HashMap, HashSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -1,0 +1,71 @@
+//! Promise: `--creases` keeps the edges that a file names, and says which line of it is wrong.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use tessera::mesh::io;
+use tessera::mesh::shapes::Shape;
+
+fn remesh(input: &Path, creases: &Path, output: &Path) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
+    command.env_remove("RUST_BACKTRACE").arg("remesh").arg(input).arg("-o").arg(output);
+    command.args(["--points", "300", "--backend", "serial", "--lloyd", "3", "--newton", "0"]);
+    command.arg("--report").arg(output.with_extension("json")).arg("--creases").arg(creases);
+    command.output().unwrap()
+}
+
+#[test]
+fn edges_of_a_file_become_creases() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let sphere = Shape::Sphere.build(2000);
+    io::write(&at("sphere.ply"), &sphere).unwrap();
+    // As read: the numbers are those of the file.
+    let sphere = io::read(&at("sphere.ply")).unwrap();
+    let (from, to) = (sphere.facets()[0][0], sphere.facets()[0][1]);
+    // Along the sphere by the edges that lead on best.
+    let (mut line, mut before, mut here) = (vec![format!("{from} {to}")], from, to);
+    while line.len() < 12 {
+        let p = |v: u32| sphere.positions()[v as usize];
+        let way = (p(here) - p(before)).normalize();
+        let next = sphere.facets().iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+        let next = next.filter(|e| e[0] == here && e[1] != before).map(|e| e[1]);
+        let ahead = |v: &u32| (p(*v) - p(here)).normalize().dot(way);
+        (before, here) = (here, next.max_by(|a, b| ahead(a).total_cmp(&ahead(b))).unwrap());
+        line.push(format!("{before} {here}"));
+    }
+    let creases = at("creases.txt");
+    let kept = |lines: &[String]| {
+        std::fs::write(&creases, lines.join("\n")).unwrap();
+        let done = remesh(&at("sphere.ply"), &creases, &at("out.ply"));
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        let report: serde_json::Value = serde_json::from_slice(&std::fs::read(at("out.json")).unwrap()).unwrap();
+        (report["features"]["creases"].as_u64().unwrap(), report["features"]["missing_segments"].as_u64().unwrap())
+    };
+    assert_eq!(kept(&["# none".to_owned()]).0, 0);
+    assert_eq!(kept(&line), (1, 0));
+}
+
+#[test]
+fn a_wrong_line_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let sphere = Shape::Sphere.build(200);
+    ["sphere.obj", "sphere.stl"].iter().for_each(|name| io::write(&at(name), &sphere).unwrap());
+    let last = sphere.positions().len();
+    for (text, code, words) in [
+        ("0 1\n0 one\n".to_owned(), 65, "line 2"),
+        (format!("0 {last}\n"), 65, "line 1"),
+        (format!("0 {}\n", last - 1), 65, "no facet joins"),
+    ] {
+        std::fs::write(at("creases.txt"), &text).unwrap();
+        let out = remesh(&at("sphere.obj"), &at("creases.txt"), &at("out.ply"));
+        let said = String::from_utf8_lossy(&out.stderr).into_owned();
+        assert_eq!(out.status.code(), Some(code), "{text:?}: {said}");
+        assert!(said.contains(words) && !at("out.ply").exists(), "{text:?}: {said}");
+    }
+    let out = remesh(&at("sphere.obj"), &at("nowhere.txt"), &at("out.ply"));
+    assert_eq!(out.status.code(), Some(65), "{}", String::from_utf8_lossy(&out.stderr));
+    let out = remesh(&at("sphere.stl"), &at("creases.txt"), &at("out.ply"));
+    assert_eq!(out.status.code(), Some(2), "{}", String::from_utf8_lossy(&out.stderr));
+}

@@ -1,0 +1,12 @@
+//! The program as its users call it.
+//!
+//! One program for all of it, since every test program links the whole library.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
+
+#[path = "../common/gpu.rs"]
+mod gpu;
+
+mod bench;
+mod given_creases;
+mod picture;

@@ -1,0 +1,182 @@
+//! Promise: each shared shader helper does on the device what f64 and integers do on the host,
+//! and the device refuses what it cannot do with a typed error.
+
+use std::sync::Arc;
+
+use crate::gpu;
+use tessera::gpu::buffers::{Buffers, write};
+use tessera::gpu::plan::{Counts, Limits, Plan};
+use tessera::gpu::{Device, DeviceOptions, GpuError, adapters, shader};
+use wgpu::BufferUsages as Usage;
+
+/// Buffers whose readback is borrowed; the smallest plan there is.
+fn borrowed(device: &Device) -> Buffers {
+    let counts = Counts {
+        facets: 1,
+        window: 1,
+        windows: 1,
+        seeds: 1,
+        table: 1,
+        slots: 1,
+        pairs: 1,
+        emitted: 1,
+        polygon: 4,
+        near: 1,
+        cells: 2,
+        kept: 1,
+    };
+    Buffers::new(device, Plan::new(counts, Limits::of(&device.limits())).unwrap(), &[1]).unwrap()
+}
+
+/// Runs one check and reads (sums, slots, outcomes).
+fn check(
+    device: &Arc<Device>,
+    wide: bool,
+    entry: &str,
+    inputs: &[u32],
+    slots: usize,
+) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
+    let source = shader::compose("checks", &[("WIDE", i64::from(wide))]).unwrap();
+    let raw = device.raw();
+    let module = raw.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: None,
+        source: wgpu::ShaderSource::Wgsl(source.into()),
+    });
+    let entries: Vec<_> = (0..4)
+        .map(|binding| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Storage { read_only: binding == 0 },
+                has_dynamic_offset: false,
+                min_binding_size: None,
+            },
+            count: None,
+        })
+        .collect();
+    let layout = raw.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries });
+    let pipeline = raw.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: None,
+        layout: Some(&raw.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        })),
+        module: &module,
+        entry_point: Some(entry),
+        compilation_options: Default::default(),
+        cache: None,
+    });
+    let usage = Usage::STORAGE | Usage::COPY_DST | Usage::COPY_SRC;
+    let buffers = [inputs.len(), 4, slots, inputs.len()].map(|n| device.buffer("check", 4 * n as u64, usage).unwrap());
+    write(device, &buffers[0], 0, inputs).unwrap();
+    let bound: Vec<_> = buffers
+        .iter()
+        .enumerate()
+        .map(|(k, b)| wgpu::BindGroupEntry { binding: k as u32, resource: b.as_entire_binding() })
+        .collect();
+    let group = raw.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout: &layout, entries: &bound });
+    let mut encoder = device.encoder();
+    {
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(0, &group, &[]);
+        pass.dispatch_workgroups(inputs.len().div_ceil(64) as u32, 1, 1);
+    }
+    device.run(encoder).unwrap();
+    let reader = borrowed(device);
+    let read = |k: usize, n: usize| reader.read::<u32>(device, &buffers[k], 0..n).unwrap();
+    (read(1, 4), read(2, slots), read(3, inputs.len()))
+}
+
+#[test]
+fn fixed_point_sums_carry_and_go_negative() {
+    let Some(device) = gpu::device() else { return };
+    let two32 = 4_294_967_296f32;
+    let mut cases: Vec<Vec<f32>> = vec![
+        vec![1.0; 1000],
+        vec![-1.0; 1000],
+        vec![4_294_967_040.0; 300],
+        vec![-4_294_967_040.0, 4_294_967_040.0, -3.0],
+        vec![two32, -two32, two32, 0.0, -0.0, 0.4, -0.4],
+        vec![1.5e18, -1.25e18, 7.0, -1e10],
+        vec![-two32 * 3.0, 1.0],
+    ];
+    // Mixed magnitudes and signs, so that every path of the carry is taken.
+    let mut x = 1u32;
+    cases.push(
+        (0..4096)
+            .map(|_| {
+                x = x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let magnitude = f64::from(x >> 8) * f64::from(x % 25).exp2();
+                if x & 64 == 0 { magnitude as f32 } else { -(magnitude as f32) }
+            })
+            .collect(),
+    );
+    for case in cases {
+        let want: i64 = case.iter().map(|&v| f64::from(v).round_ties_even() as i64).sum();
+        let inputs: Vec<u32> = case.iter().map(|v| v.to_bits()).collect();
+        for wide in [false, true] {
+            if wide && !device.has_wide_atomics() {
+                eprintln!("no 64-bit atomics here");
+                continue;
+            }
+            let (sums, _, _) = check(&device, wide, "check_fixed", &inputs, 4);
+            let got = (u64::from(sums[0]) | u64::from(sums[1]) << 32) as i64;
+            assert_eq!(got, want, "{wide}, {:?}...", &case[..case.len().min(8)]);
+        }
+    }
+}
+
+#[test]
+fn a_cell_set_takes_each_cell_once_and_says_when_it_is_full() {
+    let Some(device) = gpu::device() else { return };
+    // 4096 insertions of 256 different cells into 256 slots, the key 0 and large ones among them.
+    let inputs: Vec<u32> = (0..4096u32).map(|k| (k * 7919 % 256) * 8_000_000).collect();
+    let (_, slots, outcomes) = check(&device, false, "check_cell_set", &inputs, 256);
+    let mut stored: Vec<u32> = slots.iter().map(|s| s.wrapping_sub(1)).collect();
+    stored.sort_unstable();
+    assert_eq!(stored, (0..256u32).map(|k| k * 8_000_000).collect::<Vec<_>>());
+    assert_eq!(outcomes.iter().filter(|o| **o == 1).count(), 256);
+    assert!(outcomes.iter().all(|o| *o < 2));
+    // 300 different cells do not fit.
+    let inputs: Vec<u32> = (0..300).collect();
+    let (_, _, outcomes) = check(&device, false, "check_cell_set", &inputs, 256);
+    assert_eq!(outcomes.iter().filter(|o| **o == 1).count(), 256);
+    assert_eq!(outcomes.iter().filter(|o| **o == 2).count(), 44);
+}
+
+#[test]
+fn adapters_are_listed_and_software_is_not_taken_by_default() {
+    let Some(device) = gpu::device() else { return };
+    let all = adapters();
+    assert!(all.iter().any(|a| a.name == device.adapter().name));
+    if all.iter().all(|a| a.software) {
+        let Err(GpuError::NoAdapter { found }) = Device::open(&DeviceOptions::default()) else {
+            panic!("a software adapter was taken");
+        };
+        assert!(!found.is_empty() && found[0].contains("CPU"), "{found:?}");
+    }
+    let options = DeviceOptions { software: true, name: Some("no such adapter".into()), ..Default::default() };
+    assert!(matches!(Device::open(&options), Err(GpuError::NoAdapter { .. })));
+}
+
+#[test]
+fn too_large_a_buffer_is_an_error_and_the_device_goes_on() {
+    let Some(device) = gpu::device() else { return };
+    let bytes = device.limits().max_buffer_size.saturating_add(4);
+    assert!(device.buffer("huge", bytes, Usage::STORAGE).is_err());
+    device.check().unwrap();
+    device.buffer("small", 64, Usage::STORAGE).unwrap();
+}
+
+#[test]
+fn reads_longer_than_the_staging_buffer_come_in_portions() {
+    let Some(device) = gpu::device() else { return };
+    let values: Vec<u32> = (0..100_000).collect();
+    let buffer = device.buffer("long", 400_000, Usage::STORAGE | Usage::COPY_DST | Usage::COPY_SRC).unwrap();
+    write(&device, &buffer, 0, &values).unwrap();
+    let reader = borrowed(&device);
+    assert!(reader.plan().staging_bytes < 400_000);
+    assert_eq!(reader.read::<u32>(&device, &buffer, 5..99_999).unwrap(), values[5..99_999]);
+}

@@ -1,0 +1,607 @@
+//! Promise: seeds that are moved on the device go where the host would move them, by rows, first cells,
+//! energies and gradients that are the host's, with the same bits every time.
+
+use std::sync::{Arc, OnceLock};
+
+use crate::gpu;
+use glam::{DVec3, dvec3};
+use rand::{RngExt, SeedableRng};
+use tessera::gpu::layout::ROW;
+use tessera::gpu::{Device, DeviceOptions};
+use tessera::knn::{NeighbourRow, SeedIndex};
+use tessera::mesh::sample::sample;
+use tessera::mesh::shapes::Shape;
+use tessera::rvd::gpu::{Found, Gpu};
+use tessera::rvd::serial::Serial;
+use tessera::rvd::{
+    Backend, CancelFlag, Capacities, CellSums, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface,
+    Together, Tuning,
+};
+
+fn backend() -> Option<&'static Gpu> {
+    static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
+    GPU.get_or_init(|| gpu::device().map(|device| Gpu::new(device, None).unwrap())).as_ref()
+}
+
+macro_rules! require_gpu {
+    () => {
+        match backend() {
+            Some(gpu) => gpu,
+            None => return,
+        }
+    };
+}
+
+fn surface(shape: Shape, facets: usize, weighted: bool) -> Arc<Surface> {
+    let mesh = shape.build(facets);
+    let weights: Vec<f64> = mesh.positions().iter().map(|p| 1.5 + (3.0 * p.x).sin() * (2.0 * p.y).cos()).collect();
+    Arc::new(Surface::new(&mesh, weighted.then_some(&weights[..])).unwrap())
+}
+
+/// White noise on the surface, moved off it by up to `off`, in the unit frame.
+fn noise(surface: &Surface, n: usize, off: f64, seed: u64) -> Vec<DVec3> {
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let facets = surface.facets().len();
+    let areas: Vec<f64> = (0..facets).map(|f| surface.facet_area(f as u32)).collect();
+    let total: f64 = areas.iter().sum();
+    let sums: Vec<f64> = areas
+        .iter()
+        .scan(0.0, |sum, a| {
+            *sum += a;
+            Some(*sum)
+        })
+        .collect();
+    (0..n)
+        .map(|_| {
+            let at = rng.random::<f64>() * total;
+            let f = sums.partition_point(|s| *s <= at).min(facets - 1);
+            let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
+            let (s, t) = (rng.random::<f64>().sqrt(), rng.random::<f64>());
+            let away = dvec3(rng.random::<f64>() - 0.5, rng.random::<f64>() - 0.5, rng.random::<f64>() - 0.5);
+            a * (1.0 - s) + b * (s * (1.0 - t)) + c * (s * t) + away * (2.0 * off)
+        })
+        .collect()
+}
+
+/// Seed sets that are hard in different ways.
+fn sets(surface: &Surface, n: usize) -> Vec<(&'static str, Vec<DVec3>)> {
+    let mut twins = noise(surface, n / 2, 0.0, 2);
+    twins.extend_from_within(..);
+    twins.extend_from_within(3..4);
+    // Half of them in a ball a hundredth of the surface wide.
+    let mut cluster = noise(surface, n / 2, 0.0, 3);
+    let middle = cluster[0];
+    cluster.extend(noise(surface, n - n / 2, 0.0, 4).iter().map(|&p| middle + (p - middle) * 0.01));
+    let lattice = (0..n).map(|i| dvec3((i % 10) as f64, (i / 10 % 10) as f64, (i / 100) as f64) * 0.1 - 0.45);
+    vec![
+        ("noise", noise(surface, n, 0.0, 1)),
+        ("few", noise(surface, 20, 0.0, 1)),
+        ("one", noise(surface, 1, 0.2, 1)),
+        ("off", noise(surface, n, 0.1, 5)),
+        ("beside", noise(surface, n, 0.0, 6).iter().map(|&p| p + dvec3(0.9, 0.0, 0.0)).collect()),
+        ("twins", twins),
+        ("cluster", cluster),
+        ("lattice", lattice.collect()),
+        ("all in one place", vec![dvec3(0.1, 0.2, 0.3); n]),
+        ("nearly in one place", noise(surface, n, 0.0, 7).iter().map(|&p| p * 1e-6).collect()),
+        ("far", noise(surface, n, 0.0, 8).iter().map(|&p| p + dvec3(0.0, 100.0, 0.0)).collect()),
+    ]
+}
+
+fn search(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], neighbours: usize) -> Found {
+    let capacities = Capacities { neighbours, ..Capacities::default() };
+    let options = SessionOptions { capacities, ..SessionOptions::new(seeds.len()) };
+    gpu.search(Arc::clone(surface), &[seeds], options, &CancelFlag::default()).unwrap().remove(0)
+}
+
+#[test]
+fn rows_from_kept_lists_are_those_of_a_search() {
+    let gpu = require_gpu!();
+    let surface = surface(Shape::Torus, 600, false);
+    let never = CancelFlag::default();
+    let options = || SessionOptions::new(1001);
+    let h = (surface.area() / 1000.0).sqrt();
+    for (name, seeds) in sets(&surface, 1000) {
+        // Little moves, one seed that goes far, other seeds, a long way in small steps, twins that part.
+        let moves =
+            [0.0, 0.002, 0.0, 0.01, 0.01, 0.02, 1.0, 0.01, 0.03, 0.03, 0.03, 0.03, 0.03, 0.03, 1e-4, 1e-4, 1e-4];
+        let mut sets = vec![seeds.clone()];
+        for (k, by) in moves.into_iter().enumerate() {
+            let away = noise(&surface, seeds.len(), 0.0, 20 + k as u64);
+            let mut next: Vec<DVec3> = sets[k].iter().zip(&away).map(|(&p, &a)| p + a * (2.0 * by * h)).collect();
+            if (k == 4 || k == 10) && seeds.len() > 9 {
+                next[7] = next[300 % seeds.len()] + dvec3(1e-4, 0.0, 0.0);
+            }
+            if k == 14 && seeds.len() > 9 {
+                next[9] = next[8];
+            }
+            sets.push(next);
+        }
+        sets.push(seeds[..seeds.len() / 2 + 1].to_vec());
+        sets.push(seeds.clone());
+        let refs: Vec<&[DVec3]> = sets.iter().map(|s| &s[..]).collect();
+        let found = gpu.search(Arc::clone(&surface), &refs, options(), &never).unwrap();
+        for (k, (found, seeds)) in found.iter().zip(&sets).enumerate() {
+            let alone = gpu.search(Arc::clone(&surface), &[seeds], options(), &never).unwrap().remove(0);
+            assert!(found.rows == alone.rows, "{name}, {k}: rows");
+            assert_eq!(
+                (&found.first, found.twins, found.by_host),
+                (&alone.first, alone.twins, alone.by_host),
+                "{name}"
+            );
+            assert_eq!(alone.recalled, 0);
+        }
+        let recalled: Vec<u64> = found.iter().map(|f| f.recalled).collect();
+        eprintln!("{name}: {recalled:?} of {} recalled", seeds.len());
+        if name == "noise" {
+            assert!(recalled[3] > 900, "little moves: {recalled:?}");
+        }
+    }
+}
+
+#[test]
+fn rows_and_first_cells_are_the_hosts() {
+    let gpu = require_gpu!();
+    for (shape, facets) in [(Shape::Torus, 600), (Shape::Sphere, 2000)] {
+        let surface = surface(shape, facets, false);
+        for (name, seeds) in sets(&surface, 1000) {
+            let found = search(gpu, &surface, &seeds, 24);
+            let index = SeedIndex::new(&seeds);
+            assert_eq!(found.twins, index.duplicates() as u64, "{name}");
+            let mut longest = 0;
+            for (i, row) in found.rows.iter().enumerate() {
+                let mut want = NeighbourRow::default();
+                index.row(i as u32, seeds.len(), &mut want);
+                assert!(row.seeds.len() <= 24 && (!row.complete || row.seeds.len() == want.seeds.len()), "{name}, {i}");
+                // The same distances in the same order; which of two at nearly one distance is first may
+                // differ: a float's rounding, of the distance and of either end (2⁻³⁸).
+                for (&got, &want) in row.seeds.iter().zip(&want.seeds) {
+                    let (d, w) = (seeds[got as usize].distance(seeds[i]), seeds[want as usize].distance(seeds[i]));
+                    let slack = if found.by_host && name == "far" { 0.0 } else { 2e-7 * w + 2e-11 };
+                    assert!((d - w).abs() <= slack, "{name}: row of {i} has {d:e} for {w:e}");
+                }
+                longest = longest.max(row.seeds.len());
+            }
+            for &(f, first) in &found.first {
+                let q = surface.centroid(f);
+                let (d, w) = (q.distance(seeds[first as usize]), q.distance(seeds[index.nearest(q) as usize]));
+                assert!(d <= w + 2e-7 * (w + 1.0), "{name}: first cell of {f} is {d:e} away, not {w:e}");
+                assert!(!index.is_twin(first), "{name}: {first} is a later twin");
+            }
+            eprintln!("{shape}, {name}: by host {}, rows up to {longest}", found.by_host);
+            // A shorter row is the beginning of a longer one.
+            let short = search(gpu, &surface, &seeds, 5);
+            for (short, long) in short.rows.iter().zip(&found.rows) {
+                assert!(short.seeds.len() <= 5 && long.seeds.starts_with(&short.seeds), "{name}");
+            }
+            assert_eq!(short.first, found.first, "{name}");
+        }
+    }
+}
+
+#[test]
+fn the_device_searches_what_it_can() {
+    let gpu = require_gpu!();
+    let surface = surface(Shape::Torus, 2000, false);
+    for n in [100, 3000, 20_000] {
+        let found = search(gpu, &surface, &noise(&surface, n, 0.0, 1), 24);
+        assert!(!found.by_host);
+        // All but a few rows are full.
+        let full = found.rows.iter().filter(|r| r.seeds.len() == ROW as usize).count();
+        assert!(full * 100 >= n * 95, "{n}: {full}");
+    }
+}
+
+fn open(gpu: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> Box<dyn Session> {
+    let mut session = gpu.session(Arc::clone(surface), SessionOptions::new(seeds.len())).unwrap();
+    session.set_seeds(seeds).unwrap();
+    session
+}
+
+/// The same with so many steps a submission, however slow the device is.
+fn open_together(gpu: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], most: usize) -> Box<dyn Session> {
+    let tuning = Tuning { together: Together::AtMost(most), ..Tuning::default() };
+    let options = SessionOptions { tuning, ..SessionOptions::new(seeds.len()) };
+    let mut session = gpu.session(Arc::clone(surface), options).unwrap();
+    session.set_seeds(seeds).unwrap();
+    session
+}
+
+fn sums_of(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> CellSums {
+    let mut out = CellSums::default();
+    open(backend, surface, seeds).sums(&mut out, &CancelFlag::default()).unwrap();
+    out
+}
+
+fn read(seeds: &mut dyn Resident) -> Vec<DVec3> {
+    let mut out = Vec::new();
+    seeds.read(&mut out).unwrap();
+    out
+}
+
+fn evaluate(seeds: &mut dyn Resident) -> Look {
+    seeds.evaluate(&CancelFlag::default()).unwrap()
+}
+
+fn probe(seeds: &mut dyn Resident, step: f64) -> Look {
+    seeds.probe(step, &CancelFlag::default()).unwrap()
+}
+
+fn gradient_squared(sums: &CellSums) -> f64 {
+    sums.moment.iter().map(|m| 4.0 * m.length_squared()).sum()
+}
+
+fn close(name: &str, got: f64, want: f64, relative: f64) {
+    assert!((got - want).abs() <= relative * want.abs(), "{name}: {got:e} for {want:e}");
+}
+
+#[test]
+fn a_step_to_the_centroids_is_the_hosts() {
+    let gpu = require_gpu!();
+    let surface = surface(Shape::Torus, 1500, true);
+    for (name, seeds) in sets(&surface, 800) {
+        let want = sums_of(&Serial, &surface, &seeds);
+        let mut session = open(gpu, &surface, &seeds);
+        let moving = session.resident().unwrap();
+        let look = evaluate(moving);
+        // Energy and area are sums of f32 pieces, each good to about 1e-6 and without a common error; the
+        // gradient of a cell is as good as its boundary.
+        close(&format!("{name}, energy"), look.energy, want.energy.iter().sum(), 2e-6);
+        close(&format!("{name}, area"), look.area, surface.area(), 1e-6);
+        close(&format!("{name}, gradient"), look.gradient_squared, gradient_squared(&want), 1e-4);
+        // A cell that is nearly a point may be none in floats.
+        let smallest = |least: f64| want.area.iter().filter(|a| **a <= least * surface.area()).count();
+        assert!((smallest(0.0)..=smallest(1e-8)).contains(&look.empty_cells), "{name}: {}", look.empty_cells);
+        let mut own = CellSums::default();
+        moving.read_sums(&mut own).unwrap();
+        close(&format!("{name}, sums"), own.energy.iter().sum(), look.energy, 1e-12);
+        moving.to_centroids().unwrap();
+        let moved = read(moving);
+        let h = (surface.area() / seeds.len() as f64).sqrt();
+        if name == "nearly in one place" {
+            // The device knows where a seed is to 4e-12, so the boundary of two that are 1e-9 apart to a hundredth.
+            continue;
+        }
+        for (i, p) in moved.iter().enumerate() {
+            let target = want.centroid(i, seeds[i]);
+            if want.mass[i] < 1e-4 * want.mass.iter().sum::<f64>() / seeds.len() as f64 {
+                // Of a cell that is nearly a point a float does not know the middle well.
+                assert!(p.distance(target) < 0.1 * h, "{name}: seed {i} is off by {:e}", p.distance(target));
+                continue;
+            }
+            // Moment and mass are good to 1e-5 of a cell's size; a long step rounds to 1e-7 of itself.
+            let slack = 1e-4 * h + 1e-6 * target.distance(seeds[i]);
+            assert!(p.distance(target) < slack, "{name}: seed {i} is off by {:e}", p.distance(target));
+        }
+    }
+}
+
+#[test]
+fn energies_along_the_direction_have_the_slope_of_the_gradient() {
+    let gpu = require_gpu!();
+    let surface = surface(Shape::Sphere, 1200, true);
+    let seeds = noise(&surface, 300, 0.01, 3);
+    let mut session = open(gpu, &surface, &seeds);
+    let moving = session.resident().unwrap();
+    let here = evaluate(moving);
+    let slope = moving.direct().unwrap();
+    // Without a history the direction is -g over twice the masses, the way to the centroids.
+    let mut sums = CellSums::default();
+    moving.read_sums(&mut sums).unwrap();
+    let cells = || sums.moment.iter().zip(&sums.mass);
+    close("slope", slope, -cells().map(|(m, mass)| 2.0 * m.length_squared() / mass).sum::<f64>(), 1e-5);
+    // The steps are small against a cell, 0.1, and the energies' differences large against their rounding.
+    let longest = (surface.area() / 300.0).sqrt() * 0.01;
+    let step = longest * (300.0 / cells().map(|(m, mass)| m.length_squared() / mass / mass).sum::<f64>()).sqrt();
+    let (ahead, behind) = (probe(moving, step), probe(moving, -step));
+    close("difference", (ahead.energy - behind.energy) / (2.0 * step), slope, 2e-3);
+    // And the slopes at both ends are those of the energies beyond them, on average.
+    close("slopes", 0.5 * (ahead.slope + behind.slope), slope, 2e-2);
+    // x was never left.
+    let again = evaluate(moving);
+    assert_eq!((again.energy, again.gradient_squared), (here.energy, here.gradient_squared));
+    for (p, q) in read(moving).iter().zip(&seeds) {
+        // As the device splits them.
+        assert!(p.distance(*q) < 1e-10);
+    }
+}
+
+/// Lloyd steps, then quasi-Newton steps with a backtracking search. The energies of all points.
+fn minimise(seeds: &mut dyn Resident, lloyd: usize, newton: usize) -> (Vec<f64>, PassStats) {
+    let mut here = evaluate(seeds);
+    let mut energies = vec![here.energy];
+    let mut stats = PassStats::default();
+    for _ in 0..lloyd {
+        seeds.to_centroids().unwrap();
+        here = evaluate(seeds);
+        energies.push(here.energy);
+    }
+    for _ in 0..newton {
+        let slope = seeds.direct().unwrap();
+        assert!(slope < 0.0);
+        let mut step = 1.0;
+        let mut next = probe(seeds, step);
+        while next.energy > here.energy + 1e-4 * step * slope {
+            assert!(step > 1e-9, "no step goes down");
+            step *= 0.5;
+            next = probe(seeds, step);
+        }
+        seeds.accept().unwrap();
+        stats.add(&next.stats);
+        here = next;
+        energies.push(here.energy);
+    }
+    (energies, stats)
+}
+
+#[test]
+fn quasi_newton_steps_go_down_to_what_the_host_finds_there() {
+    let gpu = require_gpu!();
+    let surface = surface(Shape::Torus, 2000, false);
+    let seeds = noise(&surface, 500, 0.0, 4);
+    let mut session = open(gpu, &surface, &seeds);
+    let moving = session.resident().unwrap();
+    let (energies, _) = minimise(moving, 5, 25);
+    assert!(energies.windows(2).all(|e| e[1] < e[0]), "{energies:?}");
+    let (last, moved) = (energies.last().unwrap(), read(moving));
+    let ratio = last / surface.hexagonal_energy(500);
+    eprintln!("energies {:?}, ratio {ratio}", &energies[..6]);
+    // Lloyd alone is at about 1.06 then.
+    assert!(ratio < 1.03, "{ratio}");
+    close("energy", *last, sums_of(&Serial, &surface, &moved).energy.iter().sum(), 1e-6);
+    // The session goes on from there.
+    let mut sums = CellSums::default();
+    session.sums(&mut sums, &CancelFlag::default()).unwrap();
+    close("session", sums.energy.iter().sum(), *last, 1e-9);
+    session.set_seeds(&seeds[..400]).unwrap();
+    let moving = session.resident().unwrap();
+    close("fewer", evaluate(moving).energy, sums_of(&Serial, &surface, &seeds[..400]).energy.iter().sum(), 1e-6);
+    assert_eq!(read(moving).len(), 400);
+}
+
+#[test]
+fn a_run_has_the_same_bits_twice() {
+    let gpu = require_gpu!();
+    let surface = surface(Shape::Torus, 800, true);
+    for (name, seeds) in [("noise", noise(&surface, 400, 0.0, 5)), sets(&surface, 400).swap_remove(6)] {
+        let run = |capacities| {
+            let options = SessionOptions { capacities, ..SessionOptions::new(400) };
+            let mut session = gpu.session(Arc::clone(&surface), options).unwrap();
+            session.set_seeds(&seeds).unwrap();
+            let moving = session.resident().unwrap();
+            let (energies, _) = minimise(moving, 3, 8);
+            (energies, read(moving))
+        };
+        let first = run(Capacities::default());
+        assert!(first == run(Capacities::default()), "{name}: another run");
+        let tiny = Capacities { neighbours: 5, polygon: 5, cells: 2, pairs_percent: 10 };
+        assert!(first == run(tiny), "{name}: other capacities");
+    }
+}
+
+#[test]
+fn held_seeds_do_not_move() {
+    let gpu = require_gpu!();
+    let surface = surface(Shape::Sphere, 500, false);
+    let seeds = noise(&surface, 200, 0.0, 6);
+    let held: Vec<bool> = (0..200).map(|i| i % 3 == 0).collect();
+    let mut session = open(gpu, &surface, &seeds);
+    let moving = session.resident().unwrap();
+    let before = read(moving);
+    moving.hold(&held).unwrap();
+    let look = evaluate(moving);
+    let sums = sums_of(&Serial, &surface, &seeds);
+    let free = |i: &usize| !held[*i];
+    let want: f64 = (0..200).filter(free).map(|i| 4.0 * sums.moment[i].length_squared()).sum();
+    close("gradient", look.gradient_squared, want, 1e-4);
+    minimise(moving, 3, 6);
+    let after = read(moving);
+    for i in 0..200 {
+        assert_eq!(before[i] == after[i], held[i], "seed {i}");
+    }
+    assert!(moving.hold(&held[..100]).is_err());
+}
+
+#[test]
+fn twins_stay_and_clusters_spread() {
+    let gpu = require_gpu!();
+    let surface = surface(Shape::Torus, 800, false);
+    let sets = sets(&surface, 400);
+    let by_name = |name: &str| sets.iter().find(|s| s.0 == name).unwrap().1.clone();
+    let twins = by_name("twins");
+    let mut session = open(gpu, &surface, &twins);
+    let moving = session.resident().unwrap();
+    let look = evaluate(moving);
+    assert_eq!((look.empty_cells, look.stats.duplicate_seeds), (201, 201));
+    let before = read(moving);
+    moving.to_centroids().unwrap();
+    let after = read(moving);
+    assert!((200..401).all(|i| before[i] == after[i]), "a later twin has moved");
+    assert!((0..200).all(|i| before[i] != after[i]));
+    let mut session = open(gpu, &surface, &by_name("cluster"));
+    let (energies, _) = minimise(session.resident().unwrap(), 10, 10);
+    assert!(energies.windows(2).all(|e| e[1] < e[0]), "{energies:?}");
+}
+
+#[test]
+fn a_seed_that_leaves_the_range_is_named_and_x_stays() {
+    let gpu = require_gpu!();
+    let surface = surface(Shape::Sphere, 300, false);
+    let seeds = noise(&surface, 50, 0.0, 7);
+    let mut held = vec![false; 50];
+    held[0] = true;
+    let mut session = open(gpu, &surface, &seeds);
+    let moving = session.resident().unwrap();
+    moving.hold(&held).unwrap();
+    let here = evaluate(moving);
+    moving.direct().unwrap();
+    let never = CancelFlag::default();
+    // Seed 0 is held, so seed 1 is the first that leaves.
+    let far = moving.probe(1e12, &never).unwrap_err();
+    assert!(matches!(far, RvdError::SeedTooFar { seed: 1, boxes } if boxes > 1e6), "{far}");
+    let infinite = moving.probe(f64::INFINITY, &never).unwrap_err();
+    assert!(matches!(infinite, RvdError::NonFiniteSeed { .. }), "{infinite}");
+    // Far, but within the range: the host finishes it.
+    let look = moving.probe(100.0 / here.gradient_squared.sqrt(), &never).unwrap();
+    assert!(look.energy > here.energy && look.stats.host_searches > 0);
+    assert!(moving.probe(-0.0, &never).unwrap().energy == here.energy);
+    let cancelled = CancelFlag::default();
+    cancelled.cancel();
+    assert!(matches!(moving.evaluate(&cancelled), Err(RvdError::Cancelled)));
+    assert_eq!(evaluate(moving).energy, here.energy);
+}
+
+#[test]
+fn iterations_allocate_nothing_and_move_few_bytes() {
+    require_gpu!();
+    // Traffic is counted by device, and other tests use theirs at the same time.
+    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
+    let gpu = &Gpu::new(device, None).unwrap();
+    let surface = surface(Shape::Torus, 4000, false);
+    let seeds = noise(&surface, 3000, 0.0, 8);
+    let mut session = open(gpu, &surface, &seeds);
+    let moving = session.resident().unwrap();
+    minimise(moving, 20, 1);
+    let (_, stats) = minimise(moving, 0, 4);
+    eprintln!("{stats:?}");
+    let look = evaluate(moving);
+    assert_eq!((stats.device_allocations, stats.host_searches, stats.relaunched()), (0, 0, 0));
+    assert!(stats.device_submissions == 4 && stats.read_back_bytes <= 4 * 128, "{stats:?}");
+    assert!(stats.uploaded_bytes <= 4 * 512 && look.stats.uploaded_bytes <= 512, "{stats:?}");
+}
+
+/// Edges a twentieth as long at one point: cells three mean spacings wide would hold hundreds of seeds there.
+#[test]
+fn seeds_that_crowd_where_weights_are_large_are_searched_on_the_device() {
+    let gpu = require_gpu!();
+    let mesh = Shape::Torus.build(20_000);
+    let (p, size) = (mesh.positions(), mesh.positions()[0].length());
+    let length = |q: &DVec3| (2.0 * q.distance(p[0]) / size).clamp(0.05, 1.0);
+    let weights: Vec<f64> = p.iter().map(|q| length(q).powi(-4)).collect();
+    let surface = Arc::new(Surface::new(&mesh, Some(&weights)).unwrap());
+    let drawn = sample(&mesh, Some(&weights), 6000, 3);
+    let seeds: Vec<DVec3> = drawn.iter().map(|s| surface.frame().to_unit(s.position)).collect();
+    let mut session = open(gpu, &surface, &seeds);
+    let mut reference = Serial.session(Arc::clone(&surface), SessionOptions::new(6000)).unwrap();
+    let (mut sums, mut want) = (CellSums::default(), CellSums::default());
+    let stats = session.sums(&mut sums, &CancelFlag::default()).unwrap();
+    assert_eq!(stats.host_searches, 0);
+    reference.set_seeds(&seeds).unwrap();
+    reference.sums(&mut want, &CancelFlag::default()).unwrap();
+    let energy = |sums: &CellSums| sums.energy.iter().sum::<f64>();
+    // Pieces are floats, good to some 1e-7 of themselves, and their errors have either sign: 3e-8 of the sum was measured.
+    assert!((energy(&sums) / energy(&want) - 1.0).abs() < 1e-6, "{} for {}", energy(&sums), energy(&want));
+}
+
+/// A crowd of seeds takes up the rows of those beside it, and an even ring around a seed makes more vertices than there
+/// are registers for. The host sees to it once; from then on the device does, with the same bits.
+#[test]
+fn cells_beside_a_crowd_and_within_a_ring_are_ended_on_the_device() {
+    require_gpu!();
+    // Traffic is counted by device.
+    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
+    let gpu = &Gpu::new(device, None).unwrap();
+    let surface = surface(Shape::Sphere, 300, false);
+    let mut seeds = noise(&surface, 300, 0.0, 9);
+    let (crowded, ringed) = (seeds[0], surface.centroid(0));
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(10);
+    let mut within = || 0.01 * (rng.random::<f64>() - 0.5);
+    let towards = (seeds[1] - crowded).normalize() * 0.02;
+    seeds.extend((0..60).map(|_| crowded + towards + dvec3(within(), within(), within())));
+    let [a, b, c] = surface.facets()[0].map(|v| surface.positions()[v as usize]);
+    let (across, normal) = ((b - a).normalize(), (b - a).cross(c - a).normalize());
+    seeds.push(ringed);
+    seeds.extend((0..12).map(|k| {
+        let (sin, cos) = (f64::from(k) / 12.0 * std::f64::consts::TAU).sin_cos();
+        ringed + 1e-3 * (across * cos + normal.cross(across) * sin)
+    }));
+    let mut session = open(gpu, &surface, &seeds);
+    let mut passes = Vec::new();
+    for _ in 0..3 {
+        session.set_seeds(&seeds).unwrap();
+        let moving = session.resident().unwrap();
+        let look = evaluate(moving);
+        let stats = look.stats;
+        eprintln!("{stats:?}");
+        assert!(stats.relaunched_neighbours > 0 && stats.relaunched_polygon > 0, "{stats:?}");
+        passes.push((look.energy.to_bits(), look.gradient_squared.to_bits(), stats.device_submissions));
+    }
+    assert!(passes[0].2 > 1, "{passes:?}");
+    assert_eq!(passes[1], (passes[0].0, passes[0].1, 1));
+    assert_eq!(passes[2], passes[1]);
+    let mut want = CellSums::default();
+    let mut reference = Serial.session(Arc::clone(&surface), SessionOptions::new(seeds.len())).unwrap();
+    reference.set_seeds(&seeds).unwrap();
+    reference.sums(&mut want, &CancelFlag::default()).unwrap();
+    let mut got = CellSums::default();
+    session.sums(&mut got, &CancelFlag::default()).unwrap();
+    for i in 0..seeds.len() {
+        // What a cell's area may be off by is a rounding of its facets' corners, as seen from its seed.
+        assert!((got.area[i] - want.area[i]).abs() < 1e-6, "{i}: {} for {}", got.area[i], want.area[i]);
+    }
+}
+
+/// Energies and gradients of `steps` Lloyd steps, one by one or as the device likes, and where they lead.
+fn relaxed(session: &mut dyn Session, steps: usize, together: bool) -> (Vec<[f64; 3]>, Vec<DVec3>, PassStats) {
+    let moving = session.resident().unwrap();
+    let mut looks = Vec::new();
+    while looks.len() < steps {
+        if together {
+            let before = looks.len();
+            moving.relax(steps - before, &mut looks, &CancelFlag::default()).unwrap();
+            assert!(looks.len() > before && looks.len() <= steps);
+            if looks.last().unwrap().empty_cells == 0 {
+                continue;
+            }
+        } else {
+            looks.push(evaluate(moving));
+        }
+        moving.to_centroids().unwrap();
+    }
+    let mut stats = PassStats::default();
+    looks.iter().for_each(|look| stats.add(&look.stats));
+    (looks.iter().map(|l| [l.energy, l.gradient_squared, l.area]).collect(), read(moving), stats)
+}
+
+#[test]
+fn steps_taken_together_have_the_bits_of_steps_taken_one_by_one() {
+    require_gpu!();
+    // Traffic is counted by device.
+    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
+    let gpu = &Gpu::new(device, None).unwrap();
+    // The third has facets of more cells than one goes through at once.
+    for (facets, weighted, n) in [(3000, false, 500), (1500, true, 400), (200, false, 600)] {
+        let surface = surface(Shape::Torus, facets, weighted);
+        for (name, seeds) in sets(&surface, n) {
+            let (alone, alone_at, one) = relaxed(&mut *open(gpu, &surface, &seeds), 12, false);
+            let (together, at, many) = relaxed(&mut *open_together(gpu, &surface, &seeds, 8), 12, true);
+            assert_eq!(alone, together, "{name}");
+            assert!(alone_at == at, "{name}: seeds");
+            assert_eq!(
+                (one.divided_facets + one.paired_facets) % surface.facets().len() as u64,
+                0,
+                "{name}: a facet is divided or goes pair by pair"
+            );
+            eprintln!(
+                "{facets} facets, {name}: {} submissions together; {} facets divided, {} by pairs",
+                many.device_submissions, many.divided_facets, many.paired_facets
+            );
+        }
+    }
+    let surface = surface(Shape::Torus, 3000, false);
+    let held: Vec<bool> = (0..500).map(|i| i % 3 == 0).collect();
+    let mut sessions = [0, 1].map(|_| open_together(gpu, &surface, &noise(&surface, 500, 0.0, 9), 8));
+    sessions.iter_mut().for_each(|s| s.resident().unwrap().hold(&held).unwrap());
+    let [one, many] = &mut sessions;
+    assert!(relaxed(&mut **one, 12, false).1 == relaxed(&mut **many, 12, true).1, "held");
+    // Settled seeds need nothing of the host: 1, 2, 4, 8, 8, ... at a time, twice that if a pass of these is not clean.
+    let (_, _, stats) = relaxed(&mut **many, 30, true);
+    eprintln!("{stats:?}");
+    assert!(stats.device_submissions <= 12 && stats.device_allocations == 0, "{stats:?}");
+    let cancelled = CancelFlag::default();
+    cancelled.cancel();
+    let moving = many.resident().unwrap();
+    let before = read(moving);
+    assert!(matches!(moving.relax(5, &mut Vec::new(), &cancelled), Err(RvdError::Cancelled)));
+    assert!(before == read(moving));
+}

@@ -1,0 +1,222 @@
+//! Promise: every shader is valid WGSL and every record has one layout on both sides. No GPU.
+
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use tessera::gpu::layout;
+use tessera::gpu::shader::{SOURCES, compose};
+
+fn parse(stage: &str, slots: i64, array: i64) -> naga::Module {
+    parse_with(stage, slots, array, 0)
+}
+
+/// Every variant, as slots are gone through.
+fn members(slots: i64) -> i64 {
+    i64::from(layout::MEMBERS[slots as usize % layout::MEMBERS.len()])
+}
+
+fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module {
+    let constants = [
+        ("SLOTS", slots),
+        ("ARRAY", array),
+        ("SHARED", shared),
+        ("ROW", i64::from(layout::ROW)),
+        ("LIST", i64::from(layout::LIST)),
+        ("WIDTH", i64::from(if shared == 0 { layout::ROW } else { layout::LIST })),
+        ("PART", tessera::gpu::plan::SEARCH_PART as i64),
+        ("LONGER", i64::from(layout::LONGER)),
+        ("MOST", i64::from(layout::MOST_RETAKEN)),
+        ("MEMBERS", members(slots)),
+        ("WEIGHTED", shared),
+        ("PAIRS", layout::PAIRS as i64),
+        ("DOTS", layout::DOTS as i64),
+        ("WIDE", 0),
+    ];
+    let source = compose(stage, &constants).unwrap();
+    let module = naga::front::wgsl::parse_str(&source)
+        .unwrap_or_else(|e| panic!("{stage}, {slots} slots:\n{}", e.emit_to_string(&source)));
+    Validator::new(ValidationFlags::all(), Capabilities::empty())
+        .validate(&module)
+        .unwrap_or_else(|e| panic!("{stage}, {slots} slots:\n{}", e.emit_to_string(&source)));
+    module
+}
+
+#[test]
+fn every_stage_is_valid_for_every_size() {
+    for (stage, _) in SOURCES.iter().filter(|(name, _)| !name.starts_with("shared/")) {
+        for slots in 4..=16 {
+            parse(stage, slots, 0);
+            parse_with(stage, slots, 0, 1);
+        }
+        parse(stage, 64, 1);
+    }
+}
+
+#[test]
+fn no_stage_binds_more_storage_buffers_than_webgpu_guarantees() {
+    for (stage, _) in SOURCES.iter().filter(|(name, _)| !name.starts_with("shared/")) {
+        let module = parse(stage, 10, 0);
+        let storage = module
+            .global_variables
+            .iter()
+            .filter(|(_, v)| matches!(v.space, naga::AddressSpace::Storage { .. }))
+            .count();
+        assert!(storage <= tessera::gpu::device::STORAGE_BUFFERS as usize, "{stage}: {storage}");
+    }
+}
+
+/// (name, offset) of every member, and the size.
+fn reflected(module: &naga::Module, name: &str) -> (Vec<(String, u32)>, u32) {
+    let found = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name));
+    let naga::TypeInner::Struct { members, span } = &found.unwrap_or_else(|| panic!("no {name}")).1.inner else {
+        panic!("{name} is no struct");
+    };
+    (members.iter().map(|m| (m.name.clone().unwrap(), m.offset)).collect(), *span)
+}
+
+macro_rules! same_layout {
+    ($module:expr, $name:ident { $($field:ident),* $(,)? }) => {{
+        let twin = vec![$((stringify!($field).to_owned(), std::mem::offset_of!(layout::$name, $field) as u32)),*];
+        assert_eq!(reflected($module, stringify!($name)), (twin, size_of::<layout::$name>() as u32));
+    }};
+}
+
+#[test]
+fn records_have_one_layout() {
+    let clip = parse("clip", 10, 0);
+    same_layout!(&clip, Seed { hi, row_begin, lo, row_length });
+    same_layout!(
+        &clip,
+        Facet {
+            hi,
+            slot_begin,
+            lo,
+            slot_mask,
+            e1,
+            corner1_u,
+            e2,
+            corner2_u,
+            n,
+            corner2_v,
+            weight,
+            weight_u,
+            weight_v,
+            weight_top
+        }
+    );
+    same_layout!(
+        &clip,
+        Params {
+            mass_scale,
+            moment_scale,
+            energy_scale,
+            area_scale,
+            uniform_weights,
+            list_capacity,
+            batch,
+            propose_begin,
+            propose_count,
+            propose_root,
+            emit_begin,
+            emit_count,
+            polygon,
+            accumulate,
+            grid,
+            zero,
+            seeds,
+            row,
+            side,
+            roots,
+            divided,
+            facet_first,
+            part_first,
+            kept
+        }
+    );
+    same_layout!(
+        &clip,
+        State {
+            head,
+            begin,
+            end,
+            length,
+            failures,
+            pieces,
+            list_overflow,
+            cells_overflow,
+            halt,
+            near,
+            twins,
+            unproved,
+            bad,
+            cursor,
+            paired,
+            rounds,
+            longer,
+            retaken,
+            crowded
+        }
+    );
+    same_layout!(&parse("search", 10, 0), Sorted { hi, seed, lo, first });
+    let tally = parse("tally", 10, 0);
+    same_layout!(
+        &tally,
+        Motion {
+            seeds,
+            groups,
+            step,
+            slot,
+            directed,
+            uniform_weights,
+            moment_per_mass,
+            gradient_unit,
+            coefficients,
+            least_area,
+            most_area,
+            mean_mass,
+            used,
+            padding
+        }
+    );
+    same_layout!(
+        &tally,
+        Figures { energy_low, energy_high, area_low, area_high, empty, gradient_squared, slope, padding }
+    );
+}
+
+#[test]
+fn constants_agree() {
+    let text = compose("clip", &[("SLOTS", 10), ("ARRAY", 0), ("SHARED", 0), ("WIDE", 0)]).unwrap();
+    for line in [
+        format!("const COMPLETE: u32 = {:#x}u;", layout::COMPLETE),
+        format!("const ROOT: u32 = {:#x}u;", layout::ROOT),
+        format!("const INDEX: u32 = {:#x}u;", layout::INDEX),
+        format!("const NEIGHBOURS: u32 = {}u;", layout::code::NEIGHBOURS),
+        format!("const POLYGON: u32 = {}u;", layout::code::POLYGON),
+        format!("const FINISH: u32 = {}u;", layout::code::FINISH),
+        format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
+        format!("const CELLED: u32 = {:#x}u;", layout::CELLED),
+        format!("const DIRECT: u32 = {}u;", layout::accumulate::DIRECT),
+        format!("const TWO_PHASE: u32 = {}u;", layout::accumulate::TWO_PHASE),
+        format!("const NOWHERE: u32 = {}u;", layout::accumulate::NOWHERE),
+        format!("const FACET_EDGE: u32 = {:#x}u;", tessera::rvd::cells::FACET_EDGE),
+    ] {
+        assert!(text.contains(&line), "{line}");
+    }
+    let row = i64::from(layout::ROW);
+    let constants = [("ROW", row), ("WIDTH", row), ("PART", 1), ("PAIRS", layout::PAIRS as i64)];
+    let all = ["count", "propose", "search", "products", "centroids", "settle"];
+    let text: String = all.iter().map(|stage| compose(stage, &constants).unwrap()).collect();
+    for line in [
+        format!("const NONE: u32 = {:#x}u;", layout::NONE),
+        format!("const BAD: u32 = {}u;", layout::halt::BAD),
+        format!("const FAR: u32 = {}u;", layout::halt::FAR),
+        format!("const CROWDED: u32 = {}u;", layout::halt::CROWDED),
+        format!("const UNSETTLED: u32 = {}u;", layout::halt::UNSETTLED),
+        format!("const RINGS: i32 = {};", layout::RINGS),
+        // Room for the most products that are added up together, and odd.
+        format!("const TOGETHER: u32 = {}u;", (layout::DOTS - layout::PLAIN_DOTS) | 1),
+        format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
+        format!("const ACCEPTED: f32 = {:e};", tessera::rvd::MAX_SEED_DISTANCE),
+    ] {
+        assert!(text.contains(&line), "{line}");
+    }
+}

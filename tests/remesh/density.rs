@@ -1,0 +1,353 @@
+//! Promise: edges come out as long as they were asked to be, and no input makes a density that eats the budget.
+
+use crate::surfaces;
+use glam::DVec3;
+use tessera::cvt::density::{Count, DensityError, DensityOptions, DensitySource, Net, Outline, Plan, plan};
+use tessera::mesh::TriMesh;
+use tessera::mesh::closest_point::ClosestPoint;
+use tessera::mesh::measure::topology;
+use tessera::mesh::shapes::Shape;
+use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
+use tessera::rvd::parallel::Parallel;
+use tessera::rvd::{CancelFlag, RvdError};
+
+fn run(mesh: &TriMesh, density: DensityOptions, seeds: Seeds, lloyd: usize) -> Result<Remesh, RemeshError> {
+    let options = RemeshOptions { density, ..RemeshOptions::plain(seeds, lloyd) };
+    remesh(mesh, &options, &Parallel::new(None).unwrap(), &mut (), &CancelFlag::default())
+}
+
+fn planned<'a>(mesh: &'a TriMesh, density: &DensityOptions, count: Count) -> Result<Plan<'a>, DensityError> {
+    plan(mesh, density, count, &|| false)
+}
+
+fn sizes(mesh: &TriMesh, size: impl Fn(DVec3) -> f64) -> DensityOptions {
+    DensityOptions::from_source(DensitySource::Sizes(mesh.positions().iter().map(|&p| size(p)).collect()))
+}
+
+/// Mean length of the edges at each vertex.
+fn edges(mesh: &TriMesh) -> Vec<f64> {
+    let mut sums = vec![(0.0, 0.0); mesh.positions().len()];
+    for v in mesh.facets().iter().map(|f| f.map(|v| v as usize)) {
+        for e in 0..3 {
+            let (a, b) = (v[e], v[(e + 1) % 3]);
+            let length = mesh.positions()[a].distance(mesh.positions()[b]);
+            for end in [a, b] {
+                sums[end] = (sums[end].0 + length, sums[end].1 + 1.0);
+            }
+        }
+    }
+    sums.into_iter().map(|(sum, count)| sum / count).collect()
+}
+
+/// Mean length of all edges.
+fn mean_edge(mesh: &TriMesh) -> f64 {
+    let corners = mesh.facets().iter().map(|f| f.map(|v| mesh.positions()[v as usize]));
+    let sum: f64 = corners.map(|[a, b, c]| a.distance(b) + b.distance(c) + c.distance(a)).sum();
+    sum / (3 * mesh.facets().len()) as f64
+}
+
+fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[((values.len() - 1) as f64 * share) as usize]
+}
+
+/// From 1 on the left to 20 on the right.
+fn ramp(mesh: &TriMesh, least: f64) -> impl Fn(DVec3) -> f64 + use<> {
+    let (low, high) = mesh.bounds();
+    move |p: DVec3| least * (1.0 + 19.0 * ((p.x - low.x) / (high.x - low.x)).clamp(0.0, 1.0))
+}
+
+/// Medians over the result's vertices of |mean edge / target - 1|, and of the ratio itself.
+fn departure(out: &Remesh, size: impl Fn(DVec3) -> f64) -> (f64, f64) {
+    let lengths = edges(&out.mesh);
+    let ratios: Vec<f64> = out.mesh.positions().iter().zip(lengths).map(|(&p, l)| l / size(p)).collect();
+    (quantile(ratios.iter().map(|r| (r - 1.0).abs()).collect(), 0.5), quantile(ratios, 0.5))
+}
+
+#[test]
+fn lengths_of_one_to_twenty_are_reproduced() {
+    let cases = [
+        (Shape::Sphere, 5000, 0.02),
+        (Shape::Torus, 6000, 0.02),
+        (Shape::Plane, 3000, 0.008),
+        // Two facets: nearly all of the field is made by dividing them.
+        (Shape::Square, 2, 0.008),
+        (Shape::Sphere, 80, 0.02),
+    ];
+    for (shape, facets, least) in cases {
+        let mesh = shape.build(facets);
+        let size = ramp(&mesh, least);
+        let out = run(&mesh, sizes(&mesh, &size), Seeds::Implied { seed: 1 }, 60).unwrap();
+        let (off, ratio) = departure(&out, &size);
+        let n = out.mesh.positions().len();
+        let density = &out.report.density;
+        println!("{shape} of {facets}: {n} vertices, median {off:.3} off, median ratio {ratio:.3}; {density:?}");
+        assert!(off < 0.15, "{shape} of {facets}: {off}");
+        let implied = density.points_implied.unwrap();
+        assert!((n as f64 / implied - 1.0).abs() < 0.02, "{n} for {implied}");
+        assert_eq!(density.clamped_vertices, 0);
+        assert_eq!(topology(&out.mesh).euler, shape.euler());
+    }
+}
+
+#[test]
+fn the_bunny_too() {
+    let Some(mesh) = surfaces::real("stanford-bunny.obj") else { return };
+    let (low, high) = mesh.bounds();
+    let size = ramp(&mesh, 0.003 * (high.x - low.x));
+    let tree = ClosestPoint::new(&mesh);
+    let out = run(&mesh, sizes(&mesh, &size), Seeds::Implied { seed: 1 }, 60).unwrap();
+    let (off, ratio) = departure(&out, |p| size(tree.project(p).position));
+    println!("bunny: {} vertices, median {off:.3} off, median ratio {ratio:.3}", out.mesh.positions().len());
+    assert!(off < 0.15, "{off}");
+}
+
+#[test]
+fn an_edge_length_comes_out_on_closed_and_open_surfaces() {
+    for (shape, edge) in [
+        (Shape::Sphere, 0.1),
+        (Shape::Torus, 0.08),
+        (Shape::Plane, 0.025),
+        (Shape::Hills, 0.025),
+        (Shape::Genus(3), 0.05),
+    ] {
+        let mesh = shape.build(4000);
+        let (low, high) = mesh.bounds();
+        let edge = edge * if matches!(shape, Shape::Genus(_)) { (high - low).max_element() } else { 1.0 };
+        let density = DensityOptions { edge_length: Some(edge), ..DensityOptions::default() };
+        let out = run(&mesh, density, Seeds::Implied { seed: 2 }, 60).unwrap();
+        let mean = mean_edge(&out.mesh);
+        println!("{shape}: {} vertices, mean edge {:.3} of the target", out.mesh.positions().len(), mean / edge);
+        assert!((mean / edge - 1.0).abs() < 0.05, "{shape}: {mean} for {edge}");
+        let outline = Outline::new(&mesh);
+        assert!((outline.edge_length(outline.points(edge)) / edge - 1.0).abs() < 1e-9);
+    }
+}
+
+/// One vertex with a millionth of the others' length: it is brought to the bound, and gradation lets its
+/// neighbourhood take a few hundred points however many there are.
+#[test]
+fn a_spike_does_not_eat_the_budget() {
+    let mesh = Shape::Sphere.build(5000);
+    let spike = mesh.positions()[17];
+    let density = sizes(&mesh, |p| if p == spike { 1e-6 } else { 1.0 });
+    let points = 5000;
+    let plan = planned(&mesh, &density, Count::Points(points)).unwrap();
+    let figures = &plan.figures;
+    assert_eq!(figures.clamped_vertices, 1);
+    assert!(figures.edge_least.unwrap() > figures.edge_median.unwrap() / 33.0, "{figures:?}");
+    let drawn = tessera::mesh::sample::sample(&plan.mesh, plan.weights.as_deref(), points, 1);
+    let near = drawn.iter().filter(|p| p.position.distance(spike) < 0.25).count();
+    // Even points would have 1.6 % of the sphere's area there.
+    println!("{near} of {points} points near the spike; {figures:?}");
+    assert!(near < points / 10, "{near}");
+}
+
+#[test]
+fn curvature_and_feature_size_gather_points_where_they_should() {
+    // An ellipsoid, four times as long as thick: its ends are bent 16 times as much as its sides, and thinner.
+    let ball = Shape::Sphere.build(6000);
+    let stretch = DVec3::new(4.0, 1.0, 1.0);
+    let mesh = TriMesh::new(ball.positions().iter().map(|&p| p * stretch).collect(), ball.facets().to_vec()).unwrap();
+    for source in [DensitySource::Curvature, DensitySource::FeatureSize] {
+        let name = source.name();
+        let mut ends = Vec::new();
+        for adaptivity in [0.0, 0.5, 1.0] {
+            let density = DensityOptions { adaptivity, ..DensityOptions::from_source(source.clone()) };
+            let out = run(&mesh, density, Seeds::Sample { points: 1500, seed: 1 }, 20).unwrap();
+            let figures = &out.report.density;
+            assert!((figures.points_implied.unwrap() / 1500.0 - 1.0).abs() < 0.01, "{figures:?}");
+            let lengths = edges(&out.mesh);
+            let mean = |wanted: &dyn Fn(DVec3) -> bool| {
+                let some: Vec<f64> =
+                    out.mesh.positions().iter().zip(&lengths).filter(|(p, _)| wanted(**p)).map(|(_, &l)| l).collect();
+                some.iter().sum::<f64>() / some.len() as f64
+            };
+            ends.push(mean(&|p| p.x.abs() > 3.8) / mean(&|p| p.x.abs() < 1.0));
+            println!("{name}, adaptivity {adaptivity}: {figures:?}");
+        }
+        println!("{name}: edges at the ends over edges at the sides {ends:.3?}");
+        // At the ends both curvatures are 4 (a/b²), at the sides the larger is 1 (1/b): lengths 1 : 2. The medial
+        // axis ends b²/a = 0.25 from the ends and is 1 from the sides: 1 : 4 at the very ends, less beside.
+        assert!((ends[0] - 1.0).abs() < 0.1, "{ends:?}");
+        assert!(ends[2] < 0.7 && ends[2] < ends[1] - 0.05 && ends[1] < ends[0] - 0.05, "{name}: {ends:?}");
+    }
+}
+
+/// Folds of noise, whose feature size is next to nothing, and a wedge whose sheets are as close together.
+#[test]
+fn edges_are_no_shorter_than_the_meshs_own_but_between_sheets() {
+    let ball = Shape::Sphere.build(8000);
+    let noise = |v: usize| 1.0 + 0.02 * ((v * 7919 % 101) as f64 / 50.0 - 1.0);
+    let noisy = ball.positions().iter().enumerate().map(|(v, &p)| p * noise(v)).collect();
+    let noisy = TriMesh::new(noisy, ball.facets().to_vec()).unwrap();
+    let least = |mesh: &TriMesh, source, points| {
+        let figures = planned(mesh, &DensityOptions::from_source(source), Count::Points(points)).unwrap().figures;
+        println!("{points} points: {figures:?}, own edges {}", mean_edge(mesh));
+        assert!((figures.points_implied.unwrap() / points as f64 - 1.0).abs() < 0.01, "{figures:?}");
+        figures.edge_least.unwrap()
+    };
+    let own = mean_edge(&noisy);
+    for source in [DensitySource::Curvature, DensitySource::FeatureSize] {
+        // Heights of facets differ by a few tenths.
+        assert!(least(&noisy, source.clone(), 500) > 0.6 * own);
+        // So many points are to show more than the mesh has: half of what even ones are apart.
+        let even = Outline::new(&noisy).edge_length(40_000.0);
+        assert!(least(&noisy, source, 40_000) > 0.499 * even);
+    }
+    // Sheets 0.02 to 0.4 apart, edges of 0.1.
+    let sheets = Shape::Sheets.build(400);
+    let (low, high) = sheets.bounds();
+    let wedge = |p: DVec3| {
+        let x = (p.x - low.x) / (high.x - low.x);
+        DVec3::new(2.0 * x, 2.0 * (p.y - low.y) / (high.y - low.y), (p.z - low.z).signum() * (0.02 + 0.38 * x))
+    };
+    let wedge = TriMesh::new(sheets.positions().iter().map(|&p| wedge(p)).collect(), sheets.facets().to_vec()).unwrap();
+    assert!(least(&wedge, DensitySource::FeatureSize, 2000) < 0.25 * mean_edge(&wedge));
+}
+
+#[test]
+fn real_scans_and_parts_have_a_density() {
+    for name in ["stanford-bunny.obj", "fandisk.obj", "rocker-arm.obj"] {
+        let Some(mesh) = surfaces::real(name) else { return };
+        for source in [DensitySource::Curvature, DensitySource::FeatureSize] {
+            let begin = std::time::Instant::now();
+            let density = DensityOptions::from_source(source);
+            let plan = planned(&mesh, &density, Count::Points(5000)).unwrap();
+            let figures = &plan.figures;
+            println!("{name}, {} facets, {} ms: {figures:?}", mesh.facets().len(), begin.elapsed().as_millis());
+            assert!((figures.points_implied.unwrap() / 5000.0 - 1.0).abs() < 0.01, "{figures:?}");
+            let ratio = figures.edge_largest.unwrap() / figures.edge_least.unwrap();
+            assert!(ratio > 1.5 && ratio <= 100.0 * (1.0 + 1e-12), "{name}: {ratio}");
+            let gathered = plan.weights.unwrap();
+            assert!(gathered.iter().all(|w| (1e-9..=1.0).contains(w)));
+        }
+    }
+}
+
+#[test]
+fn the_same_bits_on_any_number_of_threads() {
+    let mesh = Shape::Hills.build(4000);
+    for source in [DensitySource::Curvature, DensitySource::FeatureSize] {
+        let density = DensityOptions::from_source(source);
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| planned(&mesh, &density, Count::Points(800)).unwrap().weights.unwrap())
+        };
+        let one = on(1);
+        assert!(on(2) == one && on(5) == one);
+    }
+}
+
+#[test]
+fn units_and_offset_do_not_matter() {
+    let mesh = Shape::Torus.build(2000);
+    for source in [DensitySource::Curvature, DensitySource::FeatureSize] {
+        let density = DensityOptions::from_source(source);
+        let want = planned(&mesh, &density, Count::Points(500)).unwrap().sizes.unwrap();
+        for (scale, offset) in [(1e-200, 0.0), (1e100, 0.0), (1e-9, 0.0), (1.0, 1e5)] {
+            let moved = mesh.positions().iter().map(|&p| p * scale + DVec3::splat(offset)).collect();
+            let moved = TriMesh::new(moved, mesh.facets().to_vec()).unwrap();
+            let got = planned(&moved, &density, Count::Points(500)).unwrap().sizes.unwrap();
+            let off = want.iter().zip(&got).map(|(w, g)| (g / scale / w - 1.0).abs()).fold(0.0, f64::max);
+            // At an offset of 1e5 coordinates have 11 digits; a ball that stops a sample earlier moves a length
+            // by about the square of the samples' distance.
+            assert!(off < 1e-2, "{density:?}: scale {scale:e}, offset {offset:e}: {off}");
+            let edge = Outline::new(&moved).edge_length(1000.0);
+            assert!((edge / scale / Outline::new(&mesh).edge_length(1000.0) - 1.0).abs() < 1e-6);
+        }
+    }
+}
+
+/// Lengths that jump by ten: how round triangles are for several slopes. What 0.3 costs and brings is printed.
+#[test]
+fn gradation_keeps_triangles_round() {
+    let mesh = Shape::Plane.build(8000);
+    let jump = |p: DVec3| if p.x < 0.3 { 0.01 } else { 0.1 };
+    let mut thin = Vec::new();
+    for gradation in [0.1, 0.3, 0.6, f64::INFINITY] {
+        let density = DensityOptions { gradation, ..sizes(&mesh, jump) };
+        let out = run(&mesh, density, Seeds::Implied { seed: 1 }, 40).unwrap();
+        let least: Vec<f64> = (0..out.mesh.facets().len())
+            .map(|f| out.mesh.corners(f))
+            .map(|p| {
+                let angle = |e: usize| (p[(e + 1) % 3] - p[e]).angle_between(p[(e + 2) % 3] - p[e]).to_degrees();
+                angle(0).min(angle(1)).min(angle(2))
+            })
+            .collect();
+        let vertices = out.mesh.positions().len();
+        let share = least.iter().filter(|&&a| a < 30.0).count() as f64 / least.len() as f64;
+        let mean = least.iter().sum::<f64>() / least.len() as f64;
+        println!("gradation {gradation}: {vertices} vertices, least angle {mean:.2} in the mean, under 30: {share:.4}");
+        thin.push(share);
+    }
+    assert!(thin[1] < thin[3], "{thin:?}");
+}
+
+/// Facets without area, edges of three facets, several components, vertices that no facet uses.
+#[test]
+fn broken_surfaces_have_a_density() {
+    let fan = |extra: &[[u32; 3]]| {
+        let mut points: Vec<DVec3> = (0..12).map(|i| DVec3::new(f64::from(i % 4), f64::from(i / 4), 0.0)).collect();
+        points.extend([DVec3::new(1.0, 1.0, 2.0), DVec3::splat(1e200), DVec3::splat(5.0)]);
+        let mut facets = vec![[0, 1, 4], [1, 5, 4], [1, 2, 5], [2, 6, 5], [1, 5, 12], [8, 9, 10], [3, 3, 7]];
+        facets.extend_from_slice(extra);
+        TriMesh::new(points, facets).unwrap()
+    };
+    let mut all: Vec<TriMesh> = Shape::ALL.iter().map(|s| s.build(60)).collect();
+    all.extend([fan(&[]), fan(&[[5, 1, 0], [10, 9, 8]]), fan(&[[0, 1, 2], [4, 5, 6]])]);
+    for mesh in &all {
+        for source in [DensitySource::Curvature, DensitySource::FeatureSize] {
+            for points in if source == DensitySource::Curvature { vec![1, 20, 3000] } else { vec![20] } {
+                let plan = planned(mesh, &DensityOptions::from_source(source.clone()), Count::Points(points)).unwrap();
+                assert!(plan.sizes.unwrap().iter().all(|h| h.is_finite() && *h > 0.0));
+                assert!(plan.weights.unwrap().iter().all(|w| w.is_finite() && *w > 0.0 && *w <= 1.0));
+            }
+        }
+    }
+    let out =
+        run(&all[0], DensityOptions::from_source(DensitySource::Curvature), Seeds::Sample { points: 100, seed: 1 }, 3);
+    assert_eq!(out.unwrap().mesh.positions().len(), 100);
+}
+
+#[test]
+fn bad_values_are_refused_by_name() {
+    let mesh = Shape::Sphere.build(200);
+    let vertices = mesh.positions().len();
+    let implied = |density: &DensityOptions| planned(&mesh, density, Count::Implied).unwrap_err();
+    for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let mut given = vec![1.0; vertices];
+        given[7] = bad;
+        let error = implied(&DensityOptions::from_source(DensitySource::Sizes(given)));
+        assert!(matches!(error, DensityError::BadSize { vertex: 7, .. }), "{error}");
+        assert!(error.to_string().contains("vertex 7"));
+        for density in [
+            DensityOptions { edge_length: Some(bad), ..DensityOptions::default() },
+            DensityOptions { gradation: -bad.abs(), ..DensityOptions::default() },
+            DensityOptions { ratio: bad, ..DensityOptions::default() },
+            DensityOptions { adaptivity: -2.0 - bad, ..DensityOptions::default() },
+        ] {
+            assert!(matches!(implied(&density), DensityError::BadOption { .. }), "{density:?}");
+        }
+    }
+    let short = DensityOptions::from_source(DensitySource::Sizes(vec![1.0; 5]));
+    assert_eq!(implied(&short), DensityError::SizeCount { given: 5, vertices });
+    assert_eq!(implied(&DensityOptions::default()), DensityError::NoCount);
+    assert_eq!(implied(&DensityOptions::from_source(DensitySource::Curvature)), DensityError::NoCount);
+    for tiny in [1e-9, 1e-200, 5e-324] {
+        let density = DensityOptions { edge_length: Some(tiny), max_points: 1000, ..DensityOptions::default() };
+        assert!(matches!(implied(&density), DensityError::TooManyPoints { limit: 1000, .. }));
+        let density = DensityOptions { max_points: 1000, ..sizes(&mesh, |_| tiny) };
+        assert!(matches!(implied(&density), DensityError::TooManyPoints { limit: 1000, .. }));
+    }
+    for source in [DensitySource::Uniform, DensitySource::Curvature] {
+        let density = DensityOptions { max_points: 1000, ..DensityOptions::from_source(source) };
+        let error = plan(&mesh, &density, Count::Points(1001), &|| false).unwrap_err();
+        assert_eq!(error, DensityError::PointLimit { points: 1001, limit: 1000 });
+    }
+    let stopped = plan(&mesh, &DensityOptions::from_source(DensitySource::Curvature), Count::Points(10), &|| true);
+    assert_eq!(stopped.unwrap_err(), DensityError::Cancelled);
+    let cancelled = RemeshError::from(DensityError::Cancelled);
+    assert!(matches!(cancelled, RemeshError::Rvd(RvdError::Cancelled)));
+    assert_eq!(Net::new(&mesh).outline(), &Outline::new(&mesh));
+}

@@ -1,0 +1,261 @@
+//! Promise: the server lives through full queues, clients that vanish, panics and lost devices; it
+//! drains before it ends, and says how it is.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use crate::server::*;
+use tessera::config::Limits;
+use tessera::service::SERVICE_NAME;
+use tessera::service::proto::*;
+use tonic::Code;
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_check_response::ServingStatus;
+use tonic_health::pb::health_client::HealthClient;
+use tonic_types::StatusExt;
+
+const SECOND: Duration = Duration::from_secs(1);
+
+/// Starts a request on a task of its own.
+fn begin(
+    mut client: Client,
+    backend: BackendChoice,
+) -> tokio::task::JoinHandle<Result<Vec<compute_rvd_response::Message>, tonic::Status>> {
+    tokio::spawn(async move { ask_rvd(&mut client, small_rvd(backend)).await })
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_full_queue_refuses_with_advice_and_empties() {
+    let fake = Arc::new(Fake::new(Mood::Busy));
+    let server = Server::start(Setup { queue_jobs: 2, ..Setup::fake(&fake) }).await;
+    let busy = begin(server.client().await, BackendChoice::Serial);
+    until(5 * SECOND, "the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
+    let waiting: Vec<_> = [server.client().await, server.client().await]
+        .into_iter()
+        .map(|client| begin(client, BackendChoice::Parallel))
+        .collect();
+    until(5 * SECOND, "two wait", || server.engine.load().0 == 2).await;
+    let status = ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Parallel)).await.unwrap_err();
+    assert_eq!(status.code(), Code::ResourceExhausted);
+    assert!(status.get_details_retry_info().unwrap().retry_delay.is_some());
+    // The one at work goes; those who wait get their turn.
+    busy.abort();
+    for job in waiting {
+        assert!(!job.await.unwrap().unwrap().is_empty());
+    }
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_vanishes_frees_the_worker_within_a_second() {
+    let fake = Arc::new(Fake::new(Mood::Busy));
+    let server = Server::start(Setup::fake(&fake)).await;
+    let job = begin(server.client().await, BackendChoice::Serial);
+    until(5 * SECOND, "the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
+    job.abort();
+    let took = until(SECOND, "the worker is free", || fake.running.load(Ordering::SeqCst) == 0).await;
+    println!("free after {took:?}");
+    ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Parallel)).await.unwrap();
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_deadline_stops_the_work() {
+    let fake = Arc::new(Fake::new(Mood::Busy));
+    let server = Server::start(Setup::fake(&fake)).await;
+    let mut request = tonic::Request::new(tokio_stream::iter(small_rvd(BackendChoice::Serial)));
+    request.set_timeout(Duration::from_millis(300));
+    let start = Instant::now();
+    let mut answers = server.client().await.compute_rvd(request).await.unwrap().into_inner();
+    let status = loop {
+        match answers.message().await {
+            Ok(Some(_)) => {}
+            Ok(None) => panic!("ends with an error"),
+            Err(status) => break status,
+        }
+    };
+    assert!(matches!(status.code(), Code::DeadlineExceeded | Code::Cancelled), "{status:?}");
+    assert!(start.elapsed() < 2 * SECOND);
+    until(SECOND, "the worker is free", || fake.running.load(Ordering::SeqCst) == 0).await;
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_left_the_queue_is_skipped() {
+    let fake = Arc::new(Fake::new(Mood::Busy));
+    let server = Server::start(Setup::fake(&fake)).await;
+    let first = begin(server.client().await, BackendChoice::Serial);
+    until(5 * SECOND, "the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
+    let second = begin(server.client().await, BackendChoice::Serial);
+    until(5 * SECOND, "one waits", || server.engine.load().0 == 1).await;
+    second.abort();
+    let _ = second.await;
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    first.abort();
+    until(5 * SECOND, "nothing is left", || server.engine.load() == (0, false)).await;
+    assert_eq!(fake.begun.load(Ordering::SeqCst), 1, "the second never began");
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_panic_is_internal_and_the_server_lives_on() {
+    let fake = Arc::new(Fake::new(Mood::Panics));
+    let server = Server::start(Setup::fake(&fake)).await;
+    let mut client = server.client().await;
+    for _ in 0..3 {
+        let status = ask_rvd(&mut client, small_rvd(BackendChoice::Serial)).await.unwrap_err();
+        assert_eq!(status.code(), Code::Internal);
+        assert!(!status.message().contains("on purpose"), "insides stay inside");
+        ask_rvd(&mut client, small_rvd(BackendChoice::Parallel)).await.unwrap();
+    }
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lost_device_is_tried_again_twice() {
+    let fake = Arc::new(Fake::new(Mood::Loses(2)));
+    let server = Server::start(Setup::fake(&fake)).await;
+    ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Serial)).await.unwrap();
+    server.stop().await.unwrap();
+
+    let fake = Arc::new(Fake::new(Mood::Loses(usize::MAX)));
+    let server = Server::start(Setup::fake(&fake)).await;
+    let status = ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Serial)).await.unwrap_err();
+    assert_eq!(status.code(), Code::Unavailable);
+    assert!(status.get_details_retry_info().is_some());
+    assert_eq!(fake.begun.load(Ordering::SeqCst), 3);
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_idle_session_blocks_nobody() {
+    use cvt_request::Message as Ask;
+    let limits = Limits { max_sessions: 1, session_idle: Duration::from_millis(700), ..Limits::default() };
+    let server = Server::start(Setup { limits, ..Setup::default() }).await;
+    let (points, facets) = octahedron();
+    let (send, stream) = by_hand();
+    let header = CvtHeader { mesh: Some(mesh_header(&points, &facets)), seeds: uploaded(9), ..CvtHeader::default() };
+    let wrap = |message| CvtRequest { message: Some(message) };
+    send.send(wrap(Ask::Header(header))).await.unwrap();
+    for chunk in all_chunks(&points, &facets, &spiral(9)) {
+        send.send(wrap(Ask::Chunk(chunk))).await.unwrap();
+    }
+    send.send(wrap(Ask::Start(CvtStart {}))).await.unwrap();
+    let mut client = server.client().await;
+    let mut session = client.cvt(stream).await.unwrap().into_inner();
+    session.message().await.unwrap().unwrap();
+    ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Auto)).await.unwrap();
+    let (_send, second) = by_hand::<CvtRequest>();
+    let status = client.cvt(second).await.unwrap().into_inner().message().await.unwrap_err();
+    assert_eq!(status.code(), Code::ResourceExhausted, "one session at a time here");
+    assert_eq!(session.message().await.unwrap_err().code(), Code::DeadlineExceeded, "idle for too long");
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_does_not_read_is_cut_and_stalls_nobody() {
+    let limits = Limits { stall: Duration::from_millis(300), ..Limits::default() };
+    let server = Server::start(Setup { limits, ..Setup::default() }).await;
+    let (points, facets) = sphere(6);
+    let request = rvd_request(&points, &facets, &spiral(20_000), BackendChoice::Parallel, &[RvdOutput::Cells]);
+    let mut answers = server.client().await.compute_rvd(tokio_stream::iter(request)).await.unwrap().into_inner();
+    // Reads nothing; another client is served meanwhile.
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    tokio::time::timeout(20 * SECOND, ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Parallel)))
+        .await
+        .expect("not stalled")
+        .unwrap();
+    tokio::time::sleep(2 * SECOND).await;
+    let end = loop {
+        match answers.message().await {
+            Ok(Some(_)) => {}
+            Ok(None) => break None,
+            Err(status) => break Some(status),
+        }
+    };
+    assert_eq!(end.expect("never ends as if all were well").code(), Code::Aborted);
+    server.stop().await.unwrap();
+}
+
+async fn health(server: &Server, service: &str) -> ServingStatus {
+    let mut client = HealthClient::new(server.channel().await);
+    let answer = client.check(HealthCheckRequest { service: service.to_owned() }).await.unwrap();
+    answer.into_inner().status()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn shutdown_drains_and_says_so() {
+    let fake = Arc::new(Fake::new(Mood::Busy));
+    let limits = Limits { grace: Duration::from_millis(800), ..Limits::default() };
+    let mut server = Server::start(Setup { limits, ..Setup::fake(&fake) }).await;
+    assert_eq!(health(&server, SERVICE_NAME).await, ServingStatus::Serving);
+    assert_eq!(health(&server, "").await, ServingStatus::Serving);
+    let mut client = server.client().await;
+    let job = begin(server.client().await, BackendChoice::Serial);
+    until(5 * SECOND, "the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
+    server.begin_stop();
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    assert_eq!(health(&server, SERVICE_NAME).await, ServingStatus::NotServing);
+    let status = ask_rvd(&mut client, small_rvd(BackendChoice::Parallel)).await.unwrap_err();
+    assert_eq!(status.code(), Code::Unavailable);
+    assert!(status.get_details_retry_info().is_some());
+    assert_eq!(fake.running.load(Ordering::SeqCst), 1, "work goes on through the grace period");
+    let start = Instant::now();
+    server.stop().await.unwrap();
+    assert!(start.elapsed() < 4 * SECOND, "took {:?}", start.elapsed());
+    assert_eq!(job.await.unwrap().unwrap_err().code(), Code::Unavailable, "what is left is cut");
+    assert_eq!(fake.running.load(Ordering::SeqCst), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn shutdown_lets_short_work_end() {
+    let server = Server::start(Setup::default()).await;
+    let (points, facets) = sphere(5);
+    let request = rvd_request(&points, &facets, &spiral(5000), BackendChoice::Parallel, &[RvdOutput::Cells]);
+    let mut client = server.client().await;
+    let mut answers = client.compute_rvd(tokio_stream::iter(request)).await.unwrap().into_inner();
+    answers.message().await.unwrap().unwrap();
+    let stopping = tokio::spawn(server.stop());
+    let mut last = None;
+    while let Some(answer) = answers.message().await.unwrap() {
+        last = answer.message;
+    }
+    assert!(matches!(last, Some(compute_rvd_response::Message::Done(_))));
+    stopping.await.unwrap().unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn both_reflections_list_the_service() {
+    let server = Server::start(Setup::default()).await;
+    {
+        use tonic_reflection::pb::v1::ServerReflectionRequest;
+        use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
+        use tonic_reflection::pb::v1::server_reflection_request::MessageRequest;
+        use tonic_reflection::pb::v1::server_reflection_response::MessageResponse;
+        let ask = ServerReflectionRequest {
+            host: String::new(),
+            message_request: Some(MessageRequest::ListServices(String::new())),
+        };
+        let mut client = ServerReflectionClient::new(server.channel().await);
+        let mut answers = client.server_reflection_info(tokio_stream::iter([ask])).await.unwrap().into_inner();
+        let answer = answers.message().await.unwrap().unwrap().message_response.unwrap();
+        let MessageResponse::ListServicesResponse(list) = answer else { panic!("a list") };
+        assert!(list.service.iter().any(|s| s.name == SERVICE_NAME));
+    }
+    {
+        use tonic_reflection::pb::v1alpha::ServerReflectionRequest;
+        use tonic_reflection::pb::v1alpha::server_reflection_client::ServerReflectionClient;
+        use tonic_reflection::pb::v1alpha::server_reflection_request::MessageRequest;
+        use tonic_reflection::pb::v1alpha::server_reflection_response::MessageResponse;
+        let ask = ServerReflectionRequest {
+            host: String::new(),
+            message_request: Some(MessageRequest::FileContainingSymbol(SERVICE_NAME.to_owned())),
+        };
+        let mut client = ServerReflectionClient::new(server.channel().await);
+        let mut answers = client.server_reflection_info(tokio_stream::iter([ask])).await.unwrap().into_inner();
+        let answer = answers.message().await.unwrap().unwrap().message_response.unwrap();
+        assert!(matches!(answer, MessageResponse::FileDescriptorResponse(_)));
+    }
+    server.stop().await.unwrap();
+}

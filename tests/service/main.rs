@@ -1,0 +1,16 @@
+//! The service through real clients.
+//!
+//! One program for all of it, since every test program links the whole library.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
+
+#[path = "../common/server.rs"]
+#[allow(dead_code)]
+mod server;
+
+mod attributes;
+mod density;
+mod features;
+mod life;
+mod refusals;
+mod streams;
