@@ -1,4 +1,4 @@
-// Takes the next pairs of the list and writes the size of the dispatch that clips them.
+// Takes the next pairs of the list and writes the sizes of the dispatches that follow.
 
 #import shared/types
 #import shared/state

@@ -1,9 +1,14 @@
-// Taking the next pairs of the list: which, and the size of the dispatch that clips them.
+// Taking the next pairs of the list: which, and the size of the dispatch that clips them; and of the one that makes
+// longer rows for pairs that failed before: none if there are none, since a driver on a CPU goes through all of a
+// shader's code for lanes that have nothing to do.
 
 struct Arguments {
     x: u32,
     y: u32,
     z: u32,
+    lengthen_x: u32,
+    lengthen_y: u32,
+    lengthen_z: u32,
 }
 
 fn take(most: u32) {
@@ -21,4 +26,8 @@ fn take(most: u32) {
     arguments.x = (end - begin + 63u) / 64u;
     arguments.y = 1u;
     arguments.z = 1u;
+    let open = atomicLoad(&state.failures) != atomicLoad(&state.retaken);
+    arguments.lengthen_x = select(0u, $(LENGTHENERS)u, open);
+    arguments.lengthen_y = 1u;
+    arguments.lengthen_z = 1u;
 }

@@ -327,6 +327,8 @@ pub const KEEP_WORDS: u64 = (size_of::<Keep>() / 4) as u64;
 pub const STRIDE: u32 = ROW + 1;
 /// Cells that the variants of `divide` can do at once.
 pub const MEMBERS: [u32; 4] = [4, 6, 8, 12];
+/// Workgroups that make rows longer.
+pub const LENGTHENERS: u32 = 16;
 /// A proposal that is not known.
 pub const NONE: u32 = u32::MAX;
 /// Pairs of the history, and one that is not accepted yet.

@@ -209,7 +209,7 @@ impl Plan {
                 .saturating_add(counts.facets)
                 .saturating_mul(8),
             state_bytes: size_of::<State>() as u64,
-            arguments_bytes: search_bytes(counts.seeds).max(16),
+            arguments_bytes: search_bytes(counts.seeds).max(2 * ARGUMENTS_BYTES),
             params_bytes: size_of::<Params>() as u64,
             heads_bytes: counts.emitted.saturating_mul(16),
             vertices_bytes,

@@ -27,6 +27,7 @@ fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module 
         ("MEMBERS", members(slots)),
         ("WEIGHTED", shared),
         ("PAIRS", layout::PAIRS as i64),
+        ("LENGTHENERS", i64::from(layout::LENGTHENERS)),
         ("DOTS", layout::DOTS as i64),
         ("WIDE", 0),
     ];

@@ -15,7 +15,7 @@ use super::search::Rows;
 use super::{GpuSession, fixed, lane, pack};
 use crate::gpu::buffers;
 use crate::gpu::layout::{MEMBERS, NONE, Params, ROOT, SUM_WORDS, State, accumulate, code, failure};
-use crate::gpu::plan::{Limits, dispatch};
+use crate::gpu::plan::{ARGUMENTS_BYTES, Limits, dispatch};
 use crate::rvd::{CancelFlag, PassStats, RvdError, elapsed_ms};
 
 /// What a pass leaves beside the sums on the device.
@@ -80,8 +80,6 @@ pub(super) const STEPS: (u32, u32) = (8, 64);
 const FEWEST_STEPS: u32 = 3;
 /// Clip dispatches for what comes of pairs with large polygons.
 const STEPS_AGAIN: u32 = 4;
-/// Workgroups that make rows longer.
-const LENGTHENERS: u32 = 16;
 /// The variant of `divide` has room for so many times the cells that a mean facet is expected to meet. More room
 /// costs every facet time, less sends more of them through the list of pairs.
 const ROOM: f64 = 1.1;
@@ -213,7 +211,9 @@ impl GpuSession {
         }
         let state = self.drain(encoder, Some(roots), Variant::Registers, cancel)?;
         if let Some(state) = &state {
-            self.steps = (state.rounds + 2).clamp(FEWEST_STEPS, STEPS.1);
+            // Pairs that failed come again one step later than others.
+            let later = u32::from(self.pass.mends.neighbours);
+            self.steps = (state.rounds + 2 + later).clamp(FEWEST_STEPS, STEPS.1);
             if wants == Wants::Sums {
                 self.count_facets(state, roots.propose_count);
             }
@@ -374,7 +374,7 @@ impl GpuSession {
                 if mends.neighbours {
                     compute.set_pipeline(&pipelines.lengthen);
                     compute.set_bind_group(0, &there.bindings.lengthen, &[]);
-                    compute.dispatch_workgroups(LENGTHENERS, 1, 1);
+                    compute.dispatch_workgroups_indirect(&there.buffers.arguments, ARGUMENTS_BYTES);
                 }
             };
             (0..steps).for_each(|_| step(&mut compute));

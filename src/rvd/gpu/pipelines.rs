@@ -6,7 +6,7 @@
 //! Must not know: what is dispatched when.
 
 use crate::gpu::buffers::{Buffers, MotionBuffers, WindowBuffers};
-use crate::gpu::layout::{DOTS, LIST, LONGER, MEMBERS, MOST_RETAKEN, PAIRS, ROW};
+use crate::gpu::layout::{DOTS, LENGTHENERS, LIST, LONGER, MEMBERS, MOST_RETAKEN, PAIRS, ROW};
 use crate::gpu::plan::SEARCH_PART;
 use crate::gpu::{Device, GpuError, shader};
 
@@ -89,6 +89,7 @@ impl Pipelines {
         let pairs = ("PAIRS", PAIRS as i64);
         let search = |width| [("ROW", i64::from(ROW)), ("LIST", i64::from(LIST)), ("WIDTH", i64::from(width)), part];
         let most = ("MOST", i64::from(MOST_RETAKEN));
+        let lengtheners = ("LENGTHENERS", i64::from(LENGTHENERS));
         let longer = [("ROW", i64::from(ROW)), ("LONGER", i64::from(LONGER)), most];
         let divide = |members: usize, weighted| {
             let members = i64::from(MEMBERS[members]);
@@ -100,7 +101,7 @@ impl Pipelines {
         Ok(Self {
             propose: pipeline(device, "propose", &registers)?,
             divide: [both(0)?, both(1)?, both(2)?, both(3)?],
-            prepare: pipeline(device, "prepare", &registers)?,
+            prepare: pipeline(device, "prepare", &[lengtheners])?,
             clip: pipeline(device, "clip", &registers)?,
             clip_shared: pipeline(device, "clip", &shared)?,
             clip_large: pipeline(device, "clip", &array)?,
@@ -115,7 +116,7 @@ impl Pipelines {
             search: pipeline(device, "search", &search(ROW))?,
             search_lists: pipeline(device, "search", &search(LIST))?,
             lengthen: pipeline(device, "lengthen", &longer)?,
-            crowded: pipeline(device, "crowded", &[most])?,
+            crowded: pipeline(device, "crowded", &[most, lengtheners])?,
             start: pipeline(device, "start", &[])?,
             trial: pipeline(device, "trial", &[])?,
             centroids: pipeline(device, "centroids", &[])?,
