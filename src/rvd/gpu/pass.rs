@@ -211,9 +211,7 @@ impl GpuSession {
         }
         let state = self.drain(encoder, Some(roots), Variant::Registers, cancel)?;
         if let Some(state) = &state {
-            // Pairs that failed come again one step later than others.
-            let later = u32::from(self.pass.mends.neighbours);
-            self.steps = (state.rounds + 2 + later).clamp(FEWEST_STEPS, STEPS.1);
+            self.steps = (state.rounds + 2).clamp(FEWEST_STEPS, STEPS.1);
             if wants == Wants::Sums {
                 self.count_facets(state, roots.propose_count);
             }
@@ -377,6 +375,8 @@ impl GpuSession {
                     compute.dispatch_workgroups_indirect(&there.buffers.arguments, ARGUMENTS_BYTES);
                 }
             };
+            // What failed in one step is seen by the next, and comes again in the one after.
+            let steps = steps + u32::from(mends.neighbours);
             (0..steps).for_each(|_| step(&mut compute));
             // With fewer slots allowed than there are, the host allows more first.
             if mends.slots && self.first_polygon as usize == self.slots {
