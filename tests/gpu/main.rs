@@ -4,8 +4,27 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
+use std::sync::OnceLock;
+
+use tessera::rvd::gpu::Gpu;
+
 #[path = "../common/gpu.rs"]
 mod gpu;
+
+/// The backend of these tests, or `None` if they are to be skipped.
+fn backend() -> Option<&'static Gpu> {
+    static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
+    GPU.get_or_init(|| gpu::device().map(|device| Gpu::new(device, None).unwrap())).as_ref()
+}
+
+macro_rules! require_gpu {
+    () => {
+        match crate::backend() {
+            Some(gpu) => gpu,
+            None => return,
+        }
+    };
+}
 
 mod helpers;
 mod resident;

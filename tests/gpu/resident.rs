@@ -1,9 +1,8 @@
 //! Promise: seeds that are moved on the device go where the host would move them, by rows, first cells,
 //! energies and gradients that are the host's, with the same bits every time.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
-use crate::gpu;
 use glam::{DVec3, dvec3};
 use rand::{RngExt, SeedableRng};
 use tessera::gpu::layout::ROW;
@@ -17,20 +16,6 @@ use tessera::rvd::{
     Backend, CancelFlag, Capacities, CellSums, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface,
     Together, Tuning,
 };
-
-fn backend() -> Option<&'static Gpu> {
-    static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
-    GPU.get_or_init(|| gpu::device().map(|device| Gpu::new(device, None).unwrap())).as_ref()
-}
-
-macro_rules! require_gpu {
-    () => {
-        match backend() {
-            Some(gpu) => gpu,
-            None => return,
-        }
-    };
-}
 
 fn surface(shape: Shape, facets: usize, weighted: bool) -> Arc<Surface> {
     let mesh = shape.build(facets);

@@ -1,33 +1,17 @@
 //! Promise: the GPU backend computes the diagram of the f64 reference, with the same bits on
 //! every run, whatever its capacities, strategy and way of adding.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
-use crate::gpu;
 use glam::{DVec3, dvec3};
 use rand::{RngExt, SeedableRng};
 use tessera::mesh::TriMesh;
 use tessera::mesh::shapes::Shape;
-use tessera::rvd::gpu::Gpu;
 use tessera::rvd::serial::Serial;
 use tessera::rvd::{
     Accumulate, Backend, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, SessionOptions, Strategy,
     Surface, Tuning,
 };
-
-fn backend() -> Option<&'static Gpu> {
-    static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
-    GPU.get_or_init(|| gpu::device().map(|device| Gpu::new(device, None).unwrap())).as_ref()
-}
-
-macro_rules! require_gpu {
-    () => {
-        match backend() {
-            Some(gpu) => gpu,
-            None => return,
-        }
-    };
-}
 
 fn rng(seed: u64) -> rand_chacha::ChaCha8Rng {
     rand_chacha::ChaCha8Rng::seed_from_u64(seed)
