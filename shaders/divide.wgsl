@@ -63,53 +63,44 @@ var<private> high_$K: vec3f;
 var<private> gap_$K: vec2f;
 #end
 
-// Integrals over a piece of 1, wu, wv, wu^2, wuv, wv^2 and w, where p = corner 0 + u (corner 1 - corner 0) +
-// v (corner 2 - corner 0) and w is the weight, or 1; times what `piece_sums` divides by.
+// Integrals over a piece of 1, wx, wy, w(x^2 + y^2) and w, where (x, y) is a place from corner 0 in the facet's
+// frame and w is the weight, or 1; times what `piece_sums` divides by.
 struct Moments {
     one: f32,
     first: vec2f,
-    second: vec3f,
+    second: f32,
 #if WEIGHTED
     mass: f32,
 #end
 }
 
 #if WEIGHTED
-// The weight at corner 0, and how much more it is at the others.
-var<private> weight: vec3f;
+// The weight at corner 0, and how it grows along the frame.
+var<private> weight: f32;
+var<private> growth: vec2f;
 #end
 
 // Those over the triangle from corner 0 to the side from p to q. The integral of a product of linear functions
-// over a triangle is a sum of products of their values at its corners, where u and v are 0 at corner 0.
+// over a triangle is a sum of products of their values at its corners, where x and y are 0 at corner 0.
 fn sides_of(p: vec2f, q: vec2f) -> Moments {
     let d = q - p;
     let cross = p.x * d.y - p.y * d.x;
 #if 1 - WEIGHTED
-    return Moments(
-        cross,
-        cross * (p + q),
-        cross * vec3f(
-            p.x * p.x + p.x * q.x + q.x * q.x,
-            (p.x * p.y + q.x * q.y) + 0.5 * (p.x * q.y + q.x * p.y),
-            p.y * p.y + p.y * q.y + q.y * q.y,
-        ),
-    );
+    let sum = p + q;
+    return Moments(cross, cross * sum, cross * (dot(sum, sum) - dot(p, q)));
 #end
 #if WEIGHTED
-    let at_p = cross * (weight.x + dot(weight.yz, p));
-    let at_q = cross * (weight.x + dot(weight.yz, q));
-    let mass = cross * weight.x + at_p + at_q;
+    let at_0 = cross * weight;
+    let at_p = at_0 + cross * dot(growth, p);
+    let at_q = at_0 + cross * dot(growth, q);
+    let mass = at_0 + at_p + at_q;
     let once = vec2f(mass + at_p, mass + at_q);
     let twice = once + vec2f(at_p, at_q);
-    let mixed = mass - 0.5 * cross * weight.x;
+    let mixed = mass + mass - at_0;
     return Moments(
         cross,
         once.x * p + once.y * q,
-        vec3f(
-            twice.x * p.x * p.x + twice.y * q.x * q.x + 2.0 * mixed * p.x * q.x,
-            twice.x * p.x * p.y + twice.y * q.x * q.y + mixed * (p.x * q.y + q.x * p.y),
-            twice.x * p.y * p.y + twice.y * q.y * q.y + 2.0 * mixed * p.y * q.y,
-        ),
+        twice.x * dot(p, p) + twice.y * dot(q, q) + mixed * dot(p, q),
         mass,
     );
 #end
@@ -142,19 +133,21 @@ fn nearer(far_i: vec3f, i: u32, far_j: vec3f, j: u32) -> vec3<bool> {
     return (far_i < far_j) | ((far_i == far_j) & vec3<bool>(i < j));
 }
 
-// Enters a seed unless another one is nearer at all corners; one that it is nearer than goes.
+// Enters a seed unless another one is nearer at all corners, in the place of one that it is nearer than: of a seed or,
+// as NOBODY is the farthest, behind them. Who is as near at a corner stays, if only for a piece of nothing.
 fn consider(j: u32, far: vec3f, foot: vec3f) {
-    var place = members;
+    var place = $(MEMBERS)u;
     var beaten = false;
 #repeat K in 0..MEMBERS
-    beaten = beaten || all(nearer(far_$K, seed_$K, far, j));
-    place = select(place, $(K)u, $(K)u < members && all(nearer(far, j, far_$K, seed_$K)));
+    let more_$K = far - far_$(MEMBERS - 1 - K);
+    beaten = beaten || min(min(more_$K.x, more_$K.y), more_$K.z) > 0.0;
+    place = select(place, $(MEMBERS - 1 - K)u, max(max(more_$K.x, more_$K.y), more_$K.z) < 0.0);
 #end
     if beaten {
         return;
     }
-    full = full || place == $(MEMBERS)u;
-    members = max(members, place + 1u);
+    full = place == $(MEMBERS)u;
+    members = max(members, min(place + 1u, $(MEMBERS)u));
 #repeat K in 0..MEMBERS
     seed_$K = select(seed_$K, j, place == $(K)u);
     far_$K = select(far_$K, far, place == $(K)u);
@@ -230,12 +223,17 @@ fn gather(nearest: u32, own: Seed, facet: Facet, corners: mat3x3f, radius2: f32,
     *reach_of_row = select(reach, sqrt(known) * 0.99999, reach < 0.0);
 }
 
-// The largest sum of the distances of a vertex from the first seed and from its own, where that of one at
-// (u, v) counts. A seed that is farther than that from the first one is farther from all vertices than theirs.
-fn span_at(p: vec2f, corners: mat3x3f, far: vec3f, least: f32) -> f32 {
-    let x = corners * vec3f(1.0 - p.x - p.y, p);
-    let squared = dot(x, x);
-    return sqrt(squared) + sqrt(max(squared + value_at(p, far), 0.0) + least);
+// The squared distances of a vertex from the first seed and from its own, added up: x is where it lies in the facet's
+// plane from the first seed, p where between the corners. The distances add up to no more than the root of twice that, and
+// a seed that is farther than their sum from the first one is farther from the vertex than its own.
+fn squares_at(x: vec2f, p: vec2f, height2: f32, far: vec3f) -> f32 {
+    let squared = dot(x, x) + height2;
+    return squared + max(squared + value_at(p, far), 0.0);
+}
+
+// From corner 0, in the facet's frame.
+fn in_frame(p: vec2f, side1: vec2f, side2: vec2f) -> vec2f {
+    return vec2f(p.x * side1.x + p.y * side2.x, p.y * side2.y);
 }
 
 // A linear function of which the values at the corners are given.
@@ -244,10 +242,8 @@ fn value_at(p: vec2f, values: vec3f) -> f32 {
 }
 
 // The integrals of a piece about its own seed, in units.
-fn piece_sums(m: Moments, foot: vec3f, facet: Facet, corner: vec3f, side1: vec2f, side2: vec2f) -> PieceSums {
+fn piece_sums(m: Moments, foot: vec3f, facet: Facet, corner: vec3f) -> PieceSums {
     let one = m.one * (1.0 / 2.0);
-    let twice = side1.x * side2.y;
-    let squares = vec3f(dot(side1, side1), 2.0 * dot(side1, side2), dot(side2, side2));
     let origin = corner.xy - foot.xy;
     let height = corner.z - foot.z;
 #if 1 - WEIGHTED
@@ -260,14 +256,13 @@ fn piece_sums(m: Moments, foot: vec3f, facet: Facet, corner: vec3f, side1: vec2f
     let linear = m.first * (1.0 / 24.0);
     let squared = m.second * (1.0 / 60.0);
 #end
-    let shift = linear.x * side1 + linear.y * side2;
-    let moment = twice * (mass * origin + shift);
-    let energy = twice * (mass * (dot(origin, origin) + height * height) + 2.0 * dot(origin, shift) + dot(squares, squared));
+    let moment = mass * origin + linear;
+    let energy = mass * (dot(origin, origin) + height * height) + 2.0 * dot(origin, linear) + squared;
     return PieceSums(
-        $(WEIGHTED).0 * (twice * mass * params.mass_scale),
-        (moment.x * facet.e1 + moment.y * facet.e2 + (twice * mass * height) * facet.n) * params.moment_scale,
+        $(WEIGHTED).0 * (mass * params.mass_scale),
+        (moment.x * facet.e1 + moment.y * facet.e2 + (mass * height) * facet.n) * params.moment_scale,
         energy * params.energy_scale,
-        twice * one * params.area_scale,
+        one * params.area_scale,
     );
 }
 
@@ -281,7 +276,8 @@ fn divide(facet: Facet, nearest: u32) -> bool {
     let side2 = vec2f(facet.corner2_u, facet.corner2_v);
     let corners = mat3x3f(q, vec3f(q.xy + side1, q.z), vec3f(q.xy + side2, q.z));
 #if WEIGHTED
-    weight = vec3f(facet.weight, facet.weight_u * side1.x, facet.weight_u * side2.x + facet.weight_v * side2.y);
+    weight = facet.weight;
+    growth = vec2f(facet.weight_u, facet.weight_v);
 #end
     let squares = vec3f(dot(corners[0], corners[0]), dot(corners[1], corners[1]), dot(corners[2], corners[2]));
     let radius2 = max(max(squares.x, squares.y), squares.z);
@@ -296,13 +292,13 @@ fn divide(facet: Facet, nearest: u32) -> bool {
     if full || longest2 > LONGEST2 * spacing2 {
         return false;
     }
-    let least = 1e-6 * radius2;
+    let height2 = q.z * q.z;
     var nearest2 = far_0;
 #repeat K in 1..MEMBERS
     nearest2 = min(nearest2, far_$K);
 #end
-    let spans = sqrt(squares) + sqrt(max(squares + nearest2, vec3f(0.0)) + least);
-    var span = max(max(spans.x, spans.y), spans.z);
+    let both = squares + max(squares + nearest2, vec3f(0.0));
+    var most = max(max(both.x, both.y), both.z);
     var apart = true;
 #repeat K in 0..MEMBERS
     m_$K = Moments();
@@ -348,29 +344,35 @@ fn divide(facet: Facet, nearest: u32) -> bool {
             let a = p + begin * (r - p);
             let b = p + finish * (r - p);
             let sign = select(-1.0, 1.0, select(inside.y, inside.x, crosses.x));
-            let side = sides_of(a, b);
+            let end_a = in_frame(a, side1, side2);
+            let end_b = in_frame(b, side1, side2);
+            let side = sides_of(end_a, end_b);
             m_$I = plus(m_$I, side, sign);
             m_$J = plus(m_$J, side, -sign);
             gap_$I += sign * (b - a);
             gap_$J -= sign * (b - a);
-            span = max(span, max(span_at(a, corners, far_$I, least), span_at(b, corners, far_$I, least)));
+            most = max(most, squares_at(q.xy + end_a, a, height2, far_$I));
+            most = max(most, squares_at(q.xy + end_b, b, height2, far_$I));
         }
     }
 #end
 #end
 
     // How much larger the seeds' distances are than the facet.
-    let ratio = 1.0 + sqrt(radius2 * longest2) / (side1.x * side2.y);
-    var sure = apart && span <= reach;
+    let twice = side1.x * side2.y;
+    let ratio = 1.0 + sqrt(radius2 * longest2) / twice;
+    // Where no piece can be large enough, areas may be less than what a float holds, and nobody would be missed.
+    var sure = apart && sqrt(2.0 * (most + 1e-6 * radius2)) <= reach && LEAST * ratio <= 1.0;
     var pieces = 0u;
 #repeat K in 0..MEMBERS
     if $(K)u < members {
         let along = max(high_$K - low_$K, vec3f(0.0));
         if along.y > 0.0 {
-            m_$K = plus(m_$K, sides_of(vec2f(1.0 - low_$K.y, low_$K.y), vec2f(1.0 - high_$K.y, high_$K.y)), 1.0);
+            let across = side2 - side1;
+            m_$K = plus(m_$K, sides_of(side1 + low_$K.y * across, side1 + high_$K.y * across), 1.0);
         }
         let gap = abs(gap_$K + vec2f(along.x - along.y, along.y - along.z));
-        sure = sure && max(gap.x, gap.y) <= GAP * ratio && (m_$K.one == 0.0 || m_$K.one >= LEAST * ratio);
+        sure = sure && max(gap.x, gap.y) <= GAP * ratio && (m_$K.one == 0.0 || m_$K.one >= LEAST * ratio * twice);
         pieces += select(0u, 1u, m_$K.one != 0.0);
     }
 #end
@@ -392,7 +394,7 @@ fn divide(facet: Facet, nearest: u32) -> bool {
         m = either(m, m_$K, k == $(K)u);
 #end
         if m.one != 0.0 {
-            add_direct(seed, piece_sums(m, foot, facet, q, side1, side2));
+            add_direct(seed, piece_sums(m, foot, facet, q));
         }
         k += 1u;
         if k >= members {
