@@ -454,7 +454,7 @@ struct Prepared<'a> {
 
 /// All that depends on the mesh and the options alone.
 fn prepare<'a>(mesh: &'a TriMesh, options: &RemeshOptions, cancel: &CancelFlag) -> Result<Prepared<'a>, RemeshError> {
-    let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?;
+    let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?.divided();
     let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
     let find = || curves::Kept::find(mesh, &plan, &surface, options);
     let (kept, closest) = rayon::join(find, || surface.closest_points());

@@ -212,14 +212,16 @@ pub struct DensityFigures {
     pub clamped_vertices: usize,
     /// Vertices whose length was lowered for the sake of gradation.
     pub graded_vertices: usize,
-    /// Facets that the surface was divided into for weights that change fast; as before if it was not.
+    /// Facets that the surface was divided into where weights change fast or facets are long beside the cells; as before
+    /// if it was not.
     pub facets: usize,
 }
 
 /// What the iterations take.
 #[derive(Clone, Debug)]
 pub struct Plan<'a> {
-    /// The surface, its facets divided where the density changes fast; the first vertices are the caller's.
+    /// The surface, its facets divided where the density changes fast or, after [`Plan::divided`], they are long beside
+    /// the cells; the first vertices are the caller's.
     pub mesh: Cow<'a, TriMesh>,
     /// One weight per vertex of `mesh`; none if uniform.
     pub weights: Option<Vec<f64>>,
@@ -231,7 +233,28 @@ pub struct Plan<'a> {
     pub figures: DensityFigures,
 }
 
-impl Plan<'_> {
+impl<'a> Plan<'a> {
+    /// The same where facets that are long beside the cells are divided, as they are already where lengths vary: a facet
+    /// costs by the pairs of cells that meet at it. For who does not ask which facet a piece is of.
+    #[must_use]
+    pub fn divided(self) -> Self {
+        if self.sizes.is_some() || self.points == 0 {
+            return self;
+        }
+        let most = most_facets(&self.mesh, self.points);
+        let lengths = match (&self.weights, self.figures.edge_median) {
+            (None, Some(edge)) => vec![edge; self.mesh.positions().len()],
+            _ => self.lengths(&self.mesh),
+        };
+        let Some((fine, values)) = refine::shorten(&self.mesh, &lengths, self.weights.as_deref().unwrap_or(&[]), most)
+        else {
+            return self;
+        };
+        let figures = DensityFigures { facets: fine.facets().len(), ..self.figures };
+        let weights = self.weights.map(|_| values);
+        Plan { mesh: Cow::Owned(fine), weights, figures, ..self }
+    }
+
     /// Target edge length per vertex of `mesh`, the caller's: those of the plan, or those that so many points have by
     /// its weights.
     pub fn lengths(&self, mesh: &TriMesh) -> Vec<f64> {
@@ -354,9 +377,7 @@ fn varying<'a>(
         Count::Points(points) => points,
         Count::Implied => rounded(target.unwrap_or(points_implied), options.max_points)?,
     };
-    // A facet is divided only where it is as large as a cell or so: a few for each point.
-    let most = mesh.facets().len() + 64 * points + 1000;
-    let divided = refine::refine(mesh, &net, field.sizes(), most.min(crate::mesh::MAX_ELEMENTS));
+    let divided = refine::refine(mesh, &net, field.sizes(), most_facets(mesh, points));
     let figures = DensityFigures {
         source: options.source.name(),
         points_implied: Some(points_implied),
@@ -372,6 +393,11 @@ fn varying<'a>(
         None => (Cow::Borrowed(mesh), SizeField::weights_of(field.sizes())),
     };
     Ok(Plan { mesh, weights: Some(weights), sizes: Some(field.into_sizes()), points, figures })
+}
+
+/// A facet is divided only where it is as large as a cell or so: a few for each point.
+fn most_facets(mesh: &TriMesh, points: usize) -> usize {
+    (mesh.facets().len() + 64 * points + 1000).min(crate::mesh::MAX_ELEMENTS)
 }
 
 /// As many points as are allowed at most.

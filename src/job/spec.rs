@@ -10,7 +10,7 @@ use std::time::Instant;
 use glam::DVec3;
 
 use super::JobError;
-use crate::cvt::density::{self, DensityFigures, DensityOptions};
+use crate::cvt::density::{self, DensityFigures, DensityOptions, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::sample::sample;
@@ -57,9 +57,22 @@ impl Prepared {
     /// # Errors
     /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`, `Density`.
     pub fn new(input: Input) -> Result<Self, JobError> {
+        Self::with(input, |plan| plan)
+    }
+
+    /// The same for steps alone, as a remesh takes them: facets that are long beside the cells are divided, so that steps
+    /// take less time ([`Plan::divided`]).
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn for_steps(input: Input) -> Result<Self, JobError> {
+        Self::with(input, |plan| plan.divided())
+    }
+
+    fn with(input: Input, change: impl FnOnce(Plan<'_>) -> Plan<'_>) -> Result<Self, JobError> {
         let start = Instant::now();
         let Input { mesh, density, seeds, .. } = input;
-        let plan = density::plan(&mesh, &density, seeds.count(), &|| false).map_err(RemeshError::from)?;
+        let plan = change(density::plan(&mesh, &density, seeds.count(), &|| false).map_err(RemeshError::from)?);
         let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
         let figures = InputFigures::of(&mesh);
         let mut timings = Timings { prepare: start.elapsed().as_secs_f64() * 1e3, ..Timings::default() };

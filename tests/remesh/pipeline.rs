@@ -2,7 +2,9 @@
 
 use crate::surfaces;
 use glam::DVec3;
+use tessera::cvt::density::{DensityOptions, DensitySource};
 use tessera::mesh::TriMesh;
+use tessera::mesh::attributes::Attributes;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
@@ -40,6 +42,33 @@ fn closed_surfaces_keep_their_topology_and_orientation() {
             let kept = volume(&out.mesh) / volume(&mesh);
             assert!(kept > 0.7 && kept < 1.1, "{shape}, {points} points: volume {kept}");
             assert_eq!(out.vertex_seed.len(), out.mesh.positions().len());
+        }
+    }
+}
+
+/// Facets that are much larger than cells are divided for the steps, and what is said of the surface is of those that came in.
+#[test]
+fn a_block_of_few_facets_is_divided_for_the_steps_alone() {
+    let mesh = Shape::Block.build(12);
+    let given = mesh.facets().len();
+    assert!(given <= 48, "{given}");
+    let weights = mesh.positions().iter().map(|p| 1.0 + p.x.abs()).collect();
+    for source in [DensitySource::Uniform, DensitySource::Weights(weights)] {
+        let density = DensityOptions { source, ..DensityOptions::default() };
+        let sample = RemeshOptions::new(Seeds::Sample { points: 900, seed: 3 });
+        let options = RemeshOptions { density, attributes: Some(Attributes::new(&mesh)), ..sample };
+        let out = run(&mesh, &options, &Parallel::new(Some(2)).unwrap()).unwrap();
+        let report = &out.report;
+        assert_eq!(report.input.facets, given);
+        assert!(report.density.facets > 10 * given, "{:?}", report.density);
+        assert!(report.features.seeds > 0 && report.features.missing_segments == 0, "{:?}", report.features);
+        assert!(report.result.quality.as_ref().unwrap().hausdorff_percent < 1e-9, "{:?}", report.result);
+        assert!((out.mesh.area() / mesh.area() - 1.0).abs() < 1e-9);
+        assert_eq!(out.provenance.len(), out.mesh.positions().len());
+        for (place, p) in out.provenance.iter().zip(out.mesh.positions()) {
+            let [a, b, c] = mesh.corners(place.facet as usize);
+            let [u, v, w] = place.barycentric;
+            assert!((u * a + v * b + w * c).distance(*p) < 1e-9);
         }
     }
 }

@@ -159,10 +159,14 @@ impl Measured {
     fn print(&self, worker: &Worker) {
         let Self { name, load, rounds, all: [lloyd, lbfgs] } = self;
         println!(
-            "{}, {}: {} facets, {} points; {}; {} steps of each kind in {} rounds after {}; phases by {}",
+            "{}, {}: {} facets{}, {} points; {}; {} steps of each kind in {} rounds after {}; phases by {}",
             load.name,
             name,
-            load.surface.facets().len(),
+            load.facets,
+            match load.surface.facets().len() {
+                facets if facets == load.facets => String::new(),
+                facets => format!(" divided into {facets}"),
+            },
             load.seeds.len(),
             worker.describe(),
             lloyd.steps.len(),
@@ -221,7 +225,7 @@ fn figure(measured: &[Measured], worker: &Worker) -> Figure {
     };
     let series = measured.iter().flat_map(|m| m.rounds.last().map(|round| round.each_ref().map(|t| line(&m.name, t))));
     let title = measured.first().map(|m| {
-        let facets = m.load.surface.facets().len();
+        let facets = m.load.facets;
         format!("{}: {facets} facets, {} points", m.load.name, m.load.seeds.len())
     });
     let panel = Panel {

@@ -151,7 +151,7 @@ impl Runner<'_> {
             let seeds = Seeds::Sample { points: points as usize, seed: args.seed };
             let mut load = Load::new(mesh, seeds, DensityOptions::default())?;
             load.relax(&workers[first], args.relax as usize, limit, self.cancel)?;
-            let count = if over == "points" { load.seeds.len() } else { load.surface.facets().len() };
+            let count = if over == "points" { load.seeds.len() } else { load.facets };
             let mut line = format!("{count:<12}");
             for (k, worker) in workers.iter().enumerate() {
                 if !able[k] {

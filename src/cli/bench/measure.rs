@@ -17,6 +17,7 @@ use crate::cli::{backends, files, interrupt};
 use crate::config::{BackendArg, BackendArgs};
 use crate::cvt::density::DensityOptions;
 use crate::cvt::{Cvt, CvtOptions, Iteration, StepKind};
+use crate::job::JobError;
 use crate::job::spec::{Input, Prepared};
 use crate::mesh::TriMesh;
 use crate::mesh::shapes::Shape;
@@ -124,6 +125,8 @@ impl Worker {
 pub(super) struct Load {
     pub(super) name: String,
     pub(super) surface: Arc<Surface>,
+    /// How many facets the mesh has; the surface's may be divided.
+    pub(super) facets: usize,
     /// Caller's coordinates.
     pub(super) seeds: Vec<DVec3>,
     /// "uniform", "curvature" or "lfs".
@@ -141,12 +144,26 @@ pub(super) fn mesh(file: Option<&Path>, shape: Shape, facets: usize) -> Result<(
 }
 
 impl Load {
-    /// Prepares the surface and draws the seeds, if they are to be drawn.
-    pub(super) fn new((name, mesh): (String, TriMesh), seeds: Seeds, density: DensityOptions) -> Result<Self> {
-        let source = density.source.name();
+    /// Prepares the surface as a remesh does, and draws the seeds, if they are to be drawn.
+    pub(super) fn new(mesh: (String, TriMesh), seeds: Seeds, density: DensityOptions) -> Result<Self> {
+        Self::of(mesh, seeds, density, Prepared::for_steps)
+    }
+
+    /// The same of the mesh's own facets.
+    pub(super) fn undivided(mesh: (String, TriMesh), seeds: Seeds) -> Result<Self> {
+        Self::of(mesh, seeds, DensityOptions::default(), Prepared::new)
+    }
+
+    fn of(
+        (name, mesh): (String, TriMesh),
+        seeds: Seeds,
+        density: DensityOptions,
+        prepare: impl FnOnce(Input) -> Result<Prepared, JobError>,
+    ) -> Result<Self> {
+        let (source, facets) = (density.source.name(), mesh.facets().len());
         let input = Input { mesh, density, seeds, creases: Vec::new(), attributes: None };
-        let Prepared { surface, seeds, .. } = Prepared::new(input)?;
-        Ok(Self { name, surface, seeds: seeds.to_vec(), density: source, relaxed: 0 })
+        let Prepared { surface, seeds, .. } = prepare(input)?;
+        Ok(Self { name, surface, facets, seeds: seeds.to_vec(), density: source, relaxed: 0 })
     }
 
     /// The surface as it was prepared: its facets may have been divided for a density.
@@ -277,7 +294,8 @@ impl Timed {
         let sum = |of: fn(&Iteration) -> u64| self.steps.iter().map(of).sum::<u64>();
         let fields = [
             ("mesh", json!(load.name)),
-            ("facets", json!(load.surface.facets().len())),
+            ("facets", json!(load.facets)),
+            ("facets_divided_into", json!(load.surface.facets().len())),
             ("points", json!(load.seeds.len())),
             ("density", json!(load.density)),
             ("kind", json!(self.kind.name())),

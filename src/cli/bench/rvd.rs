@@ -16,7 +16,6 @@ use super::measure::{Load, Worker, cancel_flag, mesh};
 use super::output::{OutputArgs, Spread, head, report};
 use crate::cli::files;
 use crate::config::BackendArgs;
-use crate::cvt::density::DensityOptions;
 use crate::mesh::shapes::Shape;
 use crate::picture::chart::{Axis, Figure, Panel, Series};
 use crate::remesh::Seeds;
@@ -97,7 +96,7 @@ pub(super) fn run(args: &RvdBenchArgs) -> Result<()> {
     };
     let cancel = cancel_flag()?;
     let worker = Worker::one(&args.backend)?;
-    let Load { name, surface, seeds, .. } = Load::new(mesh, seeds, DensityOptions::default())?;
+    let Load { name, surface, seeds, .. } = Load::undivided(mesh, seeds)?;
     let mut seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
     let options = SessionOptions { tuning: tuning(args), ..SessionOptions::new(seeds.len()) };
     let mut session = worker.backend.session(Arc::clone(&surface), options)?;

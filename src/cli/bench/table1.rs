@@ -176,8 +176,8 @@ impl Row {
     }
 
     fn line(&self, published: &Published) -> String {
-        let Load { name, surface, seeds, .. } = &self.load;
-        let mut line = format!("{name:<16}{:>9}{:>9}", surface.facets().len(), seeds.len());
+        let Load { name, facets, seeds, .. } = &self.load;
+        let mut line = format!("{name:<16}{facets:>9}{:>9}", seeds.len());
         for (column, _) in COLUMNS {
             line += &format!("{:>11}", number(self.ms(column), 3));
         }
@@ -190,7 +190,7 @@ impl Row {
         let [one, all] = self.speedups();
         json!({
             "mesh": self.load.name,
-            "facets": self.load.surface.facets().len(),
+            "facets": self.load.facets,
             "points": self.load.seeds.len(),
             "gpu_ms": self.ms("gpu"),
             "serial_ms": self.ms("serial"),
@@ -250,7 +250,7 @@ fn figure(rows: &[Row], published: &Published) -> Figure {
         series.push(Series { name: format!("{head}, published"), points: points.collect() });
     }
     series.retain(|s| !s.points.is_empty());
-    let group = |row: &Row| format!("{} {}/{}", row.load.name, row.load.surface.facets().len(), row.load.seeds.len());
+    let group = |row: &Row| format!("{} {}/{}", row.load.name, row.load.facets, row.load.seeds.len());
     let panel = Panel {
         title: String::new(),
         x: Axis { label: "model facets/points".to_owned(), log: false },
