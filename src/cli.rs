@@ -1,7 +1,7 @@
 //! The command line: one file per subcommand.
 //!
 //! Purpose: options to calls, errors to exit codes (0 done, 2 usage, 65 bad input data, 69 service
-//! or device unavailable, 70 internal, 130 interrupted).
+//! or device unavailable, 70 internal, 74 not written, 130 interrupted).
 //! Invariant: results go to files and the standard output, everything else to the standard error
 //! stream. Must not know: how anything is computed.
 

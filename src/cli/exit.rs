@@ -12,6 +12,7 @@ const USAGE: u8 = 2;
 const DATA: u8 = 65;
 const UNAVAILABLE: u8 = 69;
 const INTERNAL: u8 = 70;
+const IO: u8 = 74;
 const INTERRUPTED: u8 = 130;
 
 /// Options that do not go together, or ask for what is not there.
@@ -38,8 +39,11 @@ fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
     if cause.is::<Usage>() || cause.is::<ConfigError>() || cause.is::<TelemetryError>() {
         return Some(USAGE);
     }
-    if let Some(FileError::UnknownFormat { .. }) = cause.downcast_ref::<FileError>() {
-        return Some(USAGE);
+    match cause.downcast_ref::<FileError>() {
+        Some(FileError::UnknownFormat { .. }) => return Some(USAGE),
+        Some(FileError::Data { .. }) => return Some(DATA),
+        Some(FileError::Io { .. }) => return Some(IO),
+        None => {}
     }
     if cause.is::<BadInput>() || cause.is::<MeshError>() {
         return Some(DATA);

@@ -29,7 +29,7 @@ pub(crate) struct RemeshArgs {
     #[arg(short, long, value_name = "OUTPUT")]
     output: PathBuf,
     /// Number of seeds, about the number of vertices of the result. This, --edge-length or --sizes is required.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), allow_negative_numbers = true)]
     #[arg(required_unless_present_any = ["edge_length", "sizes"], conflicts_with = "edge_length")]
     points: Option<u32>,
     /// Lloyd steps.
@@ -43,13 +43,14 @@ pub(crate) struct RemeshArgs {
     seed: u64,
     /// Edges bent by more than this are creases that the remesh keeps; 0 keeps none.
     #[arg(long, value_name = "DEGREES", default_value_t = RemeshOptions::CREASE_ANGLE_DEG, value_parser = angle)]
+    #[arg(allow_negative_numbers = true)]
     crease_angle: f64,
     /// File with edges that are creases whatever their angle: the numbers of two vertices of the input a line, from 0.
     #[arg(long, value_name = "FILE")]
     creases: Option<PathBuf>,
     /// Add points where a vertex of the input is farther than this from the remesh, in percent of the bounding
     /// box's diagonal; for --placement fitted.
-    #[arg(long, value_name = "PERCENT", value_parser = positive)]
+    #[arg(long, value_name = "PERCENT", value_parser = positive, allow_negative_numbers = true)]
     max_deviation: Option<f64>,
     /// The most points that --max-deviation may come to; twice --points if not given.
     #[arg(long, value_name = "N", requires = "max_deviation", value_parser = clap::value_parser!(u32).range(1..))]
@@ -94,7 +95,7 @@ struct DensityArgs {
     density: DensityArg,
     /// Length of the edges, in the input's units, instead of --points. If --density is not uniform: as many points
     /// as edges of this length everywhere would need.
-    #[arg(long, value_name = "H", value_parser = positive, conflicts_with = "sizes")]
+    #[arg(long, value_name = "H", value_parser = positive, conflicts_with = "sizes", allow_negative_numbers = true)]
     edge_length: Option<f64>,
     /// File with the length of the edges at each vertex of the input, one number a line in the order of the
     /// input's vertices. With --points only the ratios are kept.
@@ -102,9 +103,10 @@ struct DensityArgs {
     sizes: Option<PathBuf>,
     /// The most that edge lengths grow per distance.
     #[arg(long, value_name = "G", default_value_t = DensityOptions::default().gradation, value_parser = positive)]
+    #[arg(allow_negative_numbers = true)]
     gradation: f64,
     /// 0 for edges of one length, 1 for lengths as --density or --sizes says.
-    #[arg(long, value_name = "A", default_value_t = 1.0)]
+    #[arg(long, value_name = "A", default_value_t = 1.0, allow_negative_numbers = true)]
     adaptivity: f64,
 }
 
@@ -210,6 +212,8 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     args.backend.check()?;
     files::check_output(&args.output, &["obj", "ply", "stl", "off"])?;
     args.report.iter().try_for_each(|path| files::check_output(path, &[]))?;
+    let beside = [args.report.as_deref(), args.picture.path()].into_iter().flatten();
+    files::check_apart(&[&args.input, &args.output], beside)?;
     if args.density.sizes.is_some() {
         sizes::check_format(&args.input, "--sizes")?;
     }
@@ -331,6 +335,11 @@ fn print(report: &Report, bounded: bool) {
         println!("            {} facets were oriented unlike their neighbours and turned over", input.turned_facets);
     }
     println!("result      {} vertices, {} facets, χ {}", result.vertices, result.facets, result.topology.euler);
+    let features = &report.features;
+    if features.given_up > 0 && features.boundaries + features.creases == 0 {
+        let curves = features.given_up;
+        println!("            {curves} creases and boundaries were given up: they need more of the points; give more");
+    }
     let RepairFigures { seeds_without_vertex: without, further_vertices: further, .. } = result.repair;
     if without + further > 0 {
         println!(

@@ -112,7 +112,7 @@ fn file_order(input: &Path, mesh: &TriMesh) -> Result<Option<Order>> {
 
 /// Vertices of an OBJ file, and those that faces use, by first use. NaN for what is no number.
 fn obj_order(text: &str) -> (Vec<DVec3>, Vec<usize>) {
-    let text = text.replace("\\\r\n", " ").replace("\\\n", " ");
+    let text = text.trim_start_matches('\u{feff}').replace("\\\r\n", " ").replace("\\\n", " ");
     let (mut positions, mut corners) = (Vec::new(), Vec::new());
     for line in text.lines() {
         let mut words = line.split('#').next().unwrap_or_default().split_ascii_whitespace();

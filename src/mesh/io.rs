@@ -82,22 +82,22 @@ pub enum FileError {
         extension: String,
     },
     /// The operating system refused.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}: {cause}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
         /// "read" or "write".
         action: &'static str,
         /// What it said.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// The file was read, and what it holds is not a surface; or the surface does not fit the format.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {cause}", path.display())]
     Data {
         /// The file.
         path: PathBuf,
         /// What is wrong and where.
-        source: DataError,
+        cause: DataError,
     },
 }
 
@@ -153,6 +153,12 @@ pub enum DataError {
         /// Third coordinate.
         z: f64,
     },
+    /// A facet would have two corners in one place.
+    #[error("facet {facet} is too small beside its coordinates for STL's single precision; write .ply, .obj or .off")]
+    Collapsed {
+        /// From 0.
+        facet: usize,
+    },
     /// The attributes are not this surface's.
     #[error(transparent)]
     Attributes(#[from] AttributeError),
@@ -165,8 +171,8 @@ pub enum DataError {
 pub fn read(path: &Path) -> Result<TriMesh, FileError> {
     let format = Format::of_path(path)?;
     let bytes =
-        std::fs::read(path).map_err(|source| FileError::Io { path: path.to_path_buf(), action: "read", source })?;
-    decode(format, &bytes).map_err(|source| FileError::Data { path: path.to_path_buf(), source })
+        std::fs::read(path).map_err(|cause| FileError::Io { path: path.to_path_buf(), action: "read", cause })?;
+    decode(format, &bytes).map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })
 }
 
 /// Writes a surface; the format is the extension's. An existing file is replaced.
@@ -178,8 +184,8 @@ pub fn read(path: &Path) -> Result<TriMesh, FileError> {
 /// [`FileError`]: an unknown extension, a file that cannot be written, or coordinates that the format cannot hold.
 pub fn write(path: &Path, mesh: &TriMesh) -> Result<(), FileError> {
     let format = Format::of_path(path)?;
-    let bytes = encode(format, mesh).map_err(|source| FileError::Data { path: path.to_path_buf(), source })?;
-    std::fs::write(path, bytes).map_err(|source| FileError::Io { path: path.to_path_buf(), action: "write", source })
+    let bytes = encode(format, mesh).map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })?;
+    std::fs::write(path, bytes).map_err(|cause| FileError::Io { path: path.to_path_buf(), action: "write", cause })
 }
 
 /// Reads a surface from the bytes of a file.
@@ -202,6 +208,7 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
 
 /// What the format's reader finds.
 fn decode_soup(format: Format, bytes: &[u8]) -> Result<Soup, DataError> {
+    let bytes = without_mark(bytes);
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Err(DataError::Empty);
     }
@@ -213,10 +220,15 @@ fn decode_soup(format: Format, bytes: &[u8]) -> Result<Soup, DataError> {
     }
 }
 
+/// Without the byte order mark that some editors put before text. It would hide the first word.
+fn without_mark(bytes: &[u8]) -> &[u8] {
+    bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
+}
+
 /// The bytes of a file that holds `mesh`.
 ///
 /// # Errors
-/// [`DataError::SinglePrecision`] for STL.
+/// [`DataError::SinglePrecision`] and [`DataError::Collapsed`] for STL.
 pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
     match format {
         Format::Obj => Ok(obj::encode(mesh)),

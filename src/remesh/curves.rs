@@ -37,7 +37,8 @@ const RIM_LIMIT: f64 = 0.08;
 const CREASE_LIMIT: f64 = 0.06;
 /// and where two leave a corner at an acute angle, between which no facet could have a good one, by this share.
 const ACUTE_LIMIT: f64 = 0.3;
-/// Curves get at most this share of the seeds.
+/// Curves get at most this share of the seeds, or all of them where there are boundaries alone: a strip that is narrower
+/// than an edge has no others, and would lose its width without them.
 const LARGEST_SHARE: f64 = 0.6;
 
 /// The cells of a curve's seeds reach this share of their spacing to either side, about: what lies beyond is the others'. With
@@ -139,14 +140,15 @@ impl Kept {
             }
             seeds.follow_bends();
             seeds.face_others(|c| features.curves[c as usize].kind == CurveKind::Boundary);
-            if seeds.len() as f64 <= LARGEST_SHARE * points as f64 {
+            let creases = features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
+            let share = if creases == 0 { 1.0 } else { LARGEST_SHARE };
+            if seeds.len() as f64 <= share * points as f64 {
                 return Ok(Self { features, seeds, given_up });
             }
             if wish.alone > 0.0 {
                 wish.alone = 0.0;
                 continue;
             }
-            let creases = features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
             given_up += creases;
             if creases == 0 {
                 return Ok(Self { given_up: given_up + features.curves.len(), ..Self::default() });

@@ -7,7 +7,9 @@ use std::time::Instant;
 use crate::readers;
 use rand::{Rng, SeedableRng};
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
-use tessera::mesh::io::{DataError, FileError, Format, decode, encode, encode_with_attributes, read};
+use tessera::mesh::io::{
+    DataError, FileError, Format, decode, decode_with_attributes, encode, encode_with_attributes, read,
+};
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::{MeshError, TriMesh};
 
@@ -204,7 +206,7 @@ fn empty_files_garbage_and_the_wrong_extension() {
         };
         for blank in [&b""[..], b"\n", b" \r\n\t "] {
             let error = write("empty", blank).unwrap_err();
-            assert!(matches!(&error, FileError::Data { source: DataError::Empty, .. }), "{error}");
+            assert!(matches!(&error, FileError::Data { cause: DataError::Empty, .. }), "{error}");
             assert!(error.to_string().contains("empty"), "{error}");
         }
         for (name, bytes) in [("noise", &noise[..]), ("zeros", &[0; 5000]), ("ones", &[0xff; 5000]), ("one", b"x")] {
@@ -240,4 +242,52 @@ fn dirty_but_right() {
         let again = decode(format, &bytes).unwrap();
         assert_eq!((again.area(), again.facets().len(), again.degenerate_count()), (1.0, 4, 2));
     }
+}
+
+/// Text that begins with a byte order mark, as some editors save it, is what it is without.
+#[test]
+fn a_byte_order_mark_hides_nothing() {
+    for format in [Format::Obj, Format::Off] {
+        // The last vertex is there so that no index is out of range if the first one is lost.
+        let first = TriMesh::new(
+            [[0., 0., 0.], [1., 0., 0.], [0., 1., 0.]].map(glam::DVec3::from_array).to_vec(),
+            vec![[0, 1, 2]],
+        );
+        let mut bytes = encode(format, &first.unwrap()).unwrap();
+        let without = decode(format, &bytes).unwrap();
+        bytes.splice(0..0, *b"\xef\xbb\xbf");
+        assert_eq!(decode(format, &bytes).unwrap(), without);
+        assert_eq!(decode_with_attributes(format, &bytes).unwrap().mesh, without);
+    }
+    let spare = obj("\u{feff}v 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nf 1 2 3\n").unwrap();
+    assert_eq!(spare.area(), 0.5);
+    assert_eq!(decode(Format::Ply, b"\xef\xbb\xbf"), Err(DataError::Empty));
+}
+
+/// Normals of ascii STL are left aside, whatever they are.
+#[test]
+fn stl_normals_that_are_no_numbers() {
+    for normal in ["facet normal nan nan nan", "facet normal -nan(ind) 0 0", "facet", "FACET normal 1e999 0 0"] {
+        let text = format!(
+            "solid s\n{normal}\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid s\n"
+        );
+        assert_eq!(decode(Format::Stl, text.as_bytes()).unwrap().area(), 0.5, "{normal}");
+    }
+}
+
+/// What single precision would make one point of is not written as if it were a surface.
+#[test]
+fn stl_holds_no_facets_that_vanish() {
+    let mesh = |low: f64, size: f64| {
+        let corner = |x: f64, y: f64| glam::DVec3::new(low + size * x, low + size * y, 0.0);
+        TriMesh::new(vec![corner(0.0, 0.0), corner(1.0, 0.0), corner(0.0, 1.0)], vec![[0, 1, 2]]).unwrap()
+    };
+    for (low, size) in [(1e9, 1.0), (0.0, 1e-46)] {
+        assert_eq!(encode(Format::Stl, &mesh(low, size)), Err(DataError::Collapsed { facet: 0 }), "{low} {size}");
+        assert_eq!(decode(Format::Ply, &encode(Format::Ply, &mesh(low, size)).unwrap()).unwrap(), mesh(low, size));
+    }
+    assert!(encode(Format::Stl, &mesh(1e6, 1.0)).is_ok());
+    // What has no extent to begin with keeps none.
+    let flat = TriMesh::new(vec![glam::DVec3::ONE; 3], vec![[0, 1, 2]]).unwrap();
+    assert!(encode(Format::Stl, &flat).is_ok());
 }

@@ -519,6 +519,20 @@ fn an_open_plane_does_not_shrink() {
     assert!(free.mesh.positions().iter().all(|p| (0.0..1.0).contains(&p.x) && p.x > 0.0 && p.y > 0.0 && p.y < 1.0));
 }
 
+/// Nearly all points, or all, are on the boundary where a strip is narrower than an edge; it keeps its width.
+#[test]
+fn a_narrow_strip_keeps_its_boundary() {
+    let plane = Shape::Plane.build(800);
+    let narrow = |p: &DVec3| DVec3::new(p.x * 6.0, p.y * 0.2, p.z);
+    let mesh = TriMesh::new(plane.positions().iter().map(narrow).collect(), plane.facets().to_vec()).unwrap();
+    for points in [100, 150, 200] {
+        let out = run(&mesh, &options(points)).unwrap();
+        assert!((out.mesh.area() / mesh.area() - 1.0).abs() < 1e-9, "{points}: {}", out.mesh.area());
+        assert!((rim(&out.mesh) - 12.4).abs() < 1e-9, "{points}: {}", rim(&out.mesh));
+        assert_eq!(topology(&out.mesh), topology_of_open(1), "{points}");
+    }
+}
+
 #[test]
 fn closed_boundaries_stay() {
     for (name, mesh, loops) in [("disk", disk(96, 16), 1), ("tube", tube(96, 24), 2)] {

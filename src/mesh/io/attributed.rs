@@ -31,8 +31,8 @@ pub struct Loaded {
 pub fn read_with_attributes(path: &Path) -> Result<Loaded, FileError> {
     let format = Format::of_path(path)?;
     let bytes =
-        std::fs::read(path).map_err(|source| FileError::Io { path: path.to_path_buf(), action: "read", source })?;
-    decode_with_attributes(format, &bytes).map_err(|source| FileError::Data { path: path.to_path_buf(), source })
+        std::fs::read(path).map_err(|cause| FileError::Io { path: path.to_path_buf(), action: "read", cause })?;
+    decode_with_attributes(format, &bytes).map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })
 }
 
 /// Writes a surface and its attributes; the format is the extension's. Gives the names of the
@@ -45,12 +45,8 @@ pub fn read_with_attributes(path: &Path) -> Result<Loaded, FileError> {
 pub fn write_with_attributes(path: &Path, mesh: &TriMesh, attributes: &Attributes) -> Result<Vec<String>, FileError> {
     let format = Format::of_path(path)?;
     let encoded = encode_with_attributes(format, mesh, attributes);
-    let (bytes, left_out) = encoded.map_err(|source| FileError::Data { path: path.to_path_buf(), source })?;
-    std::fs::write(path, bytes).map_err(|source| FileError::Io {
-        path: path.to_path_buf(),
-        action: "write",
-        source,
-    })?;
+    let (bytes, left_out) = encoded.map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })?;
+    std::fs::write(path, bytes).map_err(|cause| FileError::Io { path: path.to_path_buf(), action: "write", cause })?;
     Ok(left_out)
 }
 
@@ -67,6 +63,7 @@ pub fn write_with_attributes(path: &Path, mesh: &TriMesh, attributes: &Attribute
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode_with_attributes(format: Format, bytes: &[u8]) -> Result<Loaded, DataError> {
+    let bytes = super::without_mark(bytes);
     let Soup { positions, mut facets, fans, bare } = decode_soup(format, bytes)?;
     let cuts = polygons::recut(&positions, &facets, &fans);
     if bare {

@@ -4,7 +4,7 @@
 //! (0 and -0 are the same), numbered by first use; normals are left aside.
 //! Why some of the reading is done around the crate: it takes every file that begins with "solid " for
 //! ascii, which many binary ones do, so the records of binary files are read here; of several solids it reads
-//! the first; and it wants keywords in lower case and a name after "solid".
+//! the first; it wants keywords in lower case and a name after "solid"; and it refuses normals that are no numbers.
 //! Must not know: other formats.
 
 use std::collections::HashMap;
@@ -48,6 +48,14 @@ pub(super) fn encode(mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
     if let Some(vertex) = mesh.positions().iter().position(|p| p.abs().max_element() > limit) {
         let [x, y, z] = mesh.positions()[vertex].to_array();
         return Err(DataError::SinglePrecision { vertex, x, y, z });
+    }
+    let joined = |p: DVec3, q: DVec3| p != q && p.as_vec3() == q.as_vec3();
+    let collapses = |&facet: &usize| {
+        let [a, b, c] = mesh.corners(facet);
+        joined(a, b) || joined(b, c) || joined(c, a)
+    };
+    if let Some(facet) = (0..mesh.facets().len()).find(collapses) {
+        return Err(DataError::Collapsed { facet });
     }
     let triangles: Vec<Triangle> = (0..mesh.facets().len())
         .map(|facet| {
@@ -100,7 +108,8 @@ fn solids(text: &[u8]) -> Vec<Vec<u8>> {
             }
         }
         if let Some(solid) = solids.last_mut() {
-            solid.extend_from_slice(word);
+            // Normals are left aside, and the crate refuses those that are no numbers, as exporters give slivers.
+            solid.extend_from_slice(if word.starts_with(b"facet") { b"facet normal 0 0 0" } else { word });
             solid.push(b'\n');
         }
         open = !word.starts_with(b"endsolid");
