@@ -238,12 +238,15 @@ impl<'a> Plan<'a> {
     /// costs by the pairs of cells that meet at it. For who does not ask which facet a piece is of.
     #[must_use]
     pub fn divided(self) -> Self {
-        if self.sizes.is_some() || self.points == 0 {
+        let vertices = self.mesh.positions().len();
+        // Weights that are too many or too few are refused by whoever makes a surface of them.
+        let wrong = self.weights.as_ref().is_some_and(|weights| weights.len() != vertices);
+        if self.sizes.is_some() || self.points == 0 || wrong {
             return self;
         }
         let most = most_facets(&self.mesh, self.points);
         let lengths = match (&self.weights, self.figures.edge_median) {
-            (None, Some(edge)) => vec![edge; self.mesh.positions().len()],
+            (None, Some(edge)) => vec![edge; vertices],
             _ => self.lengths(&self.mesh),
         };
         let Some((fine, values)) = refine::shorten(&self.mesh, &lengths, self.weights.as_deref().unwrap_or(&[]), most)

@@ -5,7 +5,7 @@
 //! Must not know: where the input came from.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
@@ -72,11 +72,12 @@ impl Prepared {
     fn with(input: Input, change: impl FnOnce(Plan<'_>) -> Plan<'_>) -> Result<Self, JobError> {
         let start = Instant::now();
         let Input { mesh, density, seeds, .. } = input;
-        let plan = change(density::plan(&mesh, &density, seeds.count(), &|| false).map_err(RemeshError::from)?);
-        let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+        let plan = density::plan(&mesh, &density, seeds.count(), &|| false).map_err(RemeshError::from)?;
+        let mut surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
         let figures = InputFigures::of(&mesh);
-        let mut timings = Timings { prepare: start.elapsed().as_secs_f64() * 1e3, ..Timings::default() };
+        let mut prepare = start.elapsed();
         let start = Instant::now();
+        // Before facets are divided: the same number draws the same seeds for every kind of job.
         let (seeds, random_seed) = match seeds {
             Seeds::Given(seeds) => (seeds, None),
             Seeds::Sample { seed, .. } | Seeds::Implied { seed } => {
@@ -84,7 +85,16 @@ impl Prepared {
                 (points.into_iter().map(|p| p.position).collect(), Some(seed))
             }
         };
-        timings.sample = start.elapsed().as_secs_f64() * 1e3;
+        let sampled = start.elapsed();
+        let start = Instant::now();
+        let facets = plan.mesh.facets().len();
+        let plan = change(plan);
+        if plan.mesh.facets().len() != facets {
+            surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+        }
+        prepare += start.elapsed();
+        let ms = |time: Duration| time.as_secs_f64() * 1e3;
+        let timings = Timings { prepare: ms(prepare), sample: ms(sampled), ..Timings::default() };
         if seeds.is_empty() {
             return Err(RvdError::NoSeeds.into());
         }

@@ -153,7 +153,7 @@ pub enum DataError {
         /// Third coordinate.
         z: f64,
     },
-    /// A facet would have two corners in one place.
+    /// Facets that are more than a thousandth of the area would have two corners in one place; this is the first.
     #[error("facet {facet} is too small beside its coordinates for STL's single precision; write .ply, .obj or .off")]
     Collapsed {
         /// From 0.

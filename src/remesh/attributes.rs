@@ -13,8 +13,9 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::mesh::TriMesh;
-use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, unit};
+use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, unit};
 use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::coincident;
 use sides::{Place, Sides};
 
 /// Where on the input surface a vertex of the result lies.
@@ -59,9 +60,17 @@ pub fn carry(
     }
     let mut carried = Attributes::new(result);
     let facets = mesh.facets();
-    let needs_sides = matches!(attributes.normals(), Some(Normals::PerCorner(_))) || attributes.texture().is_some();
+    // Vertices that are split so that each side has a normal of its own are corners by another name.
+    let split = match attributes.normals() {
+        Some(Normals::PerVertex(normals)) if has_hard_edges(mesh, normals) => {
+            Some(Normals::PerCorner(PerCorner { values: normals.clone(), corners: facets.to_vec() }))
+        }
+        _ => None,
+    };
+    let normals = split.as_ref().or(attributes.normals());
+    let needs_sides = matches!(normals, Some(Normals::PerCorner(_))) || attributes.texture().is_some();
     let sides = needs_sides.then(|| Sides::new(mesh, closest, result, provenance));
-    match (attributes.normals(), &sides) {
+    match (normals, &sides) {
         (Some(Normals::PerVertex(normals)), _) => {
             let at = |p: &Provenance| normal(mesh, p.facet, facets[p.facet as usize], normals, p.barycentric);
             carried.set_normals(Normals::PerVertex(provenance.par_iter().map(at).collect()))?;
@@ -89,6 +98,18 @@ pub fn carry(
         carried.add_scalar(scalar.name.clone(), provenance.par_iter().map(at).collect())?;
     }
     Ok(carried)
+}
+
+/// Normals of vertices in one place that differ by no more than this cosine are one, up to how a file rounds them.
+const SAME_NORMAL: f64 = 0.999;
+
+/// Whether vertices in one place have different normals.
+fn has_hard_edges(mesh: &TriMesh, normals: &[DVec3]) -> bool {
+    let differ = |&(later, earliest): &(u32, u32)| {
+        let [p, q] = [later, earliest].map(|v| unit(normals[v as usize]));
+        p.dot(q) < SAME_NORMAL
+    };
+    coincident::find(mesh.positions()).iter().any(differ)
 }
 
 /// Interpolated, and despite rounding not outside of what it is interpolated from.

@@ -158,17 +158,18 @@ async fn apart<R: Send + 'static>(
     }
 }
 
-/// Checks and prepares an upload.
+/// Checks an upload, and prepares it `by` one of the ways there are.
 async fn prepare(
     shared: &Shared,
     seeds: SeedCounts,
     uploaded: Uploaded,
     density: Option<proto::DensityOptions>,
+    by: fn(Input) -> Result<Prepared, JobError>,
 ) -> Result<(Arc<Prepared>, Share), RequestError> {
     let limits = shared.limits;
     apart(shared, move || {
         let (input, share) = input(seeds, uploaded, density.as_ref(), &limits)?;
-        Ok((Arc::new(Prepared::new(input)?), share))
+        Ok((Arc::new(by(input)?), share))
     })
     .await
 }

@@ -50,7 +50,7 @@ pub fn check(format: Format, bytes: &[u8]) -> Result<(), String> {
     for other in Format::ALL {
         let file = match encode(other, &mesh) {
             Ok(file) => file,
-            Err(DataError::SinglePrecision { .. }) if other == Format::Stl => continue,
+            Err(DataError::SinglePrecision { .. } | DataError::Collapsed { .. }) if other == Format::Stl => continue,
             Err(error) => return Err(format!("{other:?}: {error}")),
         };
         let again = match decode(other, &file) {

@@ -262,6 +262,30 @@ fn normals_stay_unit_and_creases_sharp() {
     assert!(right * 2 > normals.corners.len(), "{right} of {}", normals.corners.len());
 }
 
+/// Sides with vertices and normals of their own, as most exporters write hard edges.
+#[test]
+fn split_normals_stay_on_their_sides() {
+    let block = Shape::Block.build(600);
+    let corners = |f: usize| block.corners(f);
+    let positions: Vec<DVec3> = (0..block.facets().len()).flat_map(corners).collect();
+    let facets: Vec<[u32; 3]> = (0..block.facets().len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+    let mesh = TriMesh::new(positions, facets).unwrap();
+    let straight = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).normalize();
+    let normals = (0..mesh.facets().len()).flat_map(|f| [straight(mesh.corners(f)); 3]).collect();
+    let mut attributes = Attributes::new(&mesh);
+    attributes.set_normals(Normals::PerVertex(normals)).unwrap();
+    let options = RemeshOptions::new(Seeds::Sample { points: 500, seed: 4 });
+    let options = RemeshOptions { attributes: Some(attributes), ..options };
+    let done = remesh(&mesh, &options, &Serial, &mut (), &CancelFlag::default()).unwrap();
+    let carried = done.attributes.unwrap();
+    let Some(Normals::PerCorner(normals)) = carried.normals() else { panic!("not by corners") };
+    for (f, corners) in normals.corners.iter().enumerate() {
+        let wanted = straight(done.mesh.corners(f));
+        // Creases are kept, so that no facet lies across one.
+        assert!(corners.iter().all(|&c| normals.values[c as usize].dot(wanted) > 0.999), "{f}");
+    }
+}
+
 /// A mesh with everything: two charts, normals, 8-bit colours, two scalars.
 fn everything() -> (TriMesh, Attributes) {
     let mesh = Shape::Hills.build(300);

@@ -49,9 +49,11 @@ fn closed_surfaces_keep_their_topology_and_orientation() {
 /// Facets that are much larger than cells are divided for the steps, and what is said of the surface is of those that came in.
 #[test]
 fn a_block_of_few_facets_is_divided_for_the_steps_alone() {
-    let mesh = Shape::Block.build(12);
+    let corner = |k: u32| DVec3::new(f64::from(k & 1), f64::from(k >> 1 & 1), f64::from(k >> 2));
+    let sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let facets = sides.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+    let mesh = TriMesh::new((0..8).map(corner).collect(), facets).unwrap();
     let given = mesh.facets().len();
-    assert!(given <= 48, "{given}");
     let weights = mesh.positions().iter().map(|p| 1.0 + p.x.abs()).collect();
     for source in [DensitySource::Uniform, DensitySource::Weights(weights)] {
         let density = DensityOptions { source, ..DensityOptions::default() };
@@ -71,6 +73,29 @@ fn a_block_of_few_facets_is_divided_for_the_steps_alone() {
             assert!((u * a + v * b + w * c).distance(*p) < 1e-9);
         }
     }
+}
+
+/// Weights are checked before anything is made of them.
+#[test]
+fn weights_that_are_none_are_refused() {
+    let mesh = Shape::Block.build(12);
+    let vertices = mesh.positions().len();
+    let of = |weights: Vec<f64>| {
+        let density = DensityOptions { source: DensitySource::Weights(weights), ..DensityOptions::default() };
+        let options = RemeshOptions { density, ..RemeshOptions::new(Seeds::Sample { points: 500, seed: 3 }) };
+        run(&mesh, &options, &Serial).map(|_| ())
+    };
+    for count in [0, vertices - 1, vertices + 1] {
+        let refused = of(vec![1.0; count]);
+        assert!(matches!(refused, Err(RemeshError::Rvd(RvdError::WeightCount { .. }))), "{count}: {refused:?}");
+    }
+    for bad in [f64::NAN, f64::INFINITY, -1.0] {
+        let mut weights = vec![1.0; vertices];
+        weights[2] = bad;
+        let refused = of(weights);
+        assert!(matches!(refused, Err(RemeshError::Rvd(RvdError::BadWeight { .. }))), "{bad}: {refused:?}");
+    }
+    assert!(of(vec![0.0; vertices]).is_err());
 }
 
 #[test]

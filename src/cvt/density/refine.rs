@@ -9,7 +9,7 @@
 use glam::DVec3;
 
 use super::net::Net;
-use crate::mesh::TriMesh;
+use crate::mesh::{TriMesh, coincident};
 
 /// Lengths at the ends of an edge may differ by this factor: half-way, linear w is then 1.32 times that of
 /// linear h, 7 % in edge length, and less elsewhere. With 1.6 nefertiti by curvature has a twentieth more facets instead of
@@ -20,9 +20,10 @@ const STEP: f64 = 1.4;
 const SHORT: f64 = 0.5;
 
 /// An edge longer than this many target lengths is halved, in a uniform density too. Lloyd steps of nefertiti with 50,000
-/// points, rocker-arm with 15,000 and a cube of 12 facets with 10,000 take 53, 13.7 and 62 ms without that, 43, 11.7 and 8.7
-/// with 3, 35, 9.0 and 7.2 with 2.5 (2, 18 % and some more facets), and with 2, of twice as many facets, no less.
-const LONG: f64 = 2.5;
+/// points, rocker-arm with 15,000 and a cube of 12 facets with 10,000 take 53, 13.7 and 62 ms without that, and 43, 11.7 and
+/// 8.7 with it. With 2.5 they take 35, 9.0 and 7.2, but preparing and the dual take that back, since there are up to a fifth more
+/// facets.
+const LONG: f64 = 3.0;
 
 /// Each round halves the edges that need it; a ratio of a thousand is spent after a dozen.
 const ROUNDS: usize = 40;
@@ -38,12 +39,30 @@ pub(super) fn refine(mesh: &TriMesh, net: &Net, sizes: &[f64], most: usize) -> O
 }
 
 /// Splits facets of `mesh` that are long beside `sizes` and nothing else; `values`, one a vertex if there are any, stay
-/// linear. Nothing if there is none, and as [`refine`] otherwise.
+/// linear. Nothing if there is none, or if facets lie on one another, and as [`refine`] otherwise.
 pub(super) fn shorten(mesh: &TriMesh, sizes: &[f64], values: &[f64], most: usize) -> Option<(TriMesh, Vec<f64>)> {
     let (low, high) = mesh.bounds();
     let mut draft = Draft::new(mesh, low, (high - low).max_element(), sizes);
+    if draft.halved(Draft::is_long).is_empty() || is_doubled(mesh) {
+        return None;
+    }
     draft.values = values.to_vec();
     if draft.split_all(Draft::is_long, most) { draft.mesh().map(|mesh| (mesh, draft.values)) } else { None }
+}
+
+/// Whether facets lie on one another with all their corners. They have their edges in common and no others, but would have the
+/// edges between their parts too if they were divided: two sides of a closed surface would become one.
+fn is_doubled(mesh: &TriMesh) -> bool {
+    let mut first: Vec<u32> = (0..mesh.positions().len() as u32).collect();
+    coincident::find(mesh.positions()).into_iter().for_each(|(later, earliest)| first[later as usize] = earliest);
+    let sorted = |t: &[u32; 3]| {
+        let mut corners = t.map(|v| first[v as usize]);
+        corners.sort_unstable();
+        corners
+    };
+    let mut corners: Vec<[u32; 3]> = mesh.facets().iter().map(sorted).collect();
+    corners.sort_unstable();
+    corners.windows(2).any(|pair| pair[0] == pair[1])
 }
 
 struct Draft {
@@ -218,5 +237,18 @@ mod tests {
             assert!(longest <= LONG * 0.01 * (1.0 + 1e-12), "{shape}: {longest}");
             assert!(shorten(&mesh, &vec![100.0; values.len()], &values, 1_000_000).is_none());
         }
+    }
+
+    #[test]
+    fn two_sides_of_one_facet_stay_apart() {
+        let at = DVec3::new;
+        let points = vec![DVec3::ZERO, DVec3::X, DVec3::Y, at(1.0, 1.0, 0.0), DVec3::ZERO, DVec3::X, DVec3::Y];
+        // Back to back, of the same vertices or of others in their places.
+        for back in [[0, 2, 1], [4, 6, 5]] {
+            let mesh = TriMesh::new(points.clone(), vec![[0, 1, 2], back, [1, 3, 2]]).unwrap();
+            assert!(shorten(&mesh, &[0.1; 7], &[], 100_000).is_none());
+        }
+        let one = TriMesh::new(points, vec![[0, 1, 2], [1, 3, 2]]).unwrap();
+        assert!(shorten(&one, &[0.1; 7], &[], 100_000).is_some());
     }
 }

@@ -19,6 +19,8 @@ use crate::mesh::TriMesh;
 
 const HEADER: usize = 84;
 const RECORD: usize = 50;
+/// Facets that single precision makes lines or points of may have this share of the area.
+const LOSS: f64 = 1e-3;
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
     let mut welder = Welder::default();
@@ -54,8 +56,19 @@ pub(super) fn encode(mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
         let [a, b, c] = mesh.corners(facet);
         joined(a, b) || joined(b, c) || joined(c, a)
     };
-    if let Some(facet) = (0..mesh.facets().len()).find(collapses) {
-        return Err(DataError::Collapsed { facet });
+    let collapsed: Vec<usize> = (0..mesh.facets().len()).filter(collapses).collect();
+    if let Some(&facet) = collapsed.first() {
+        // Scaled, so that no square vanishes. Slivers are no loss.
+        let (low, high) = mesh.bounds();
+        let extent = (high - low).max_element();
+        let area = |facet: usize| {
+            let [a, b, c] = mesh.corners(facet).map(|p| (p - low) / extent);
+            (b - a).cross(c - a).length()
+        };
+        let all: f64 = (0..mesh.facets().len()).map(area).sum();
+        if collapsed.into_iter().map(area).sum::<f64>() > LOSS * all {
+            return Err(DataError::Collapsed { facet });
+        }
     }
     let triangles: Vec<Triangle> = (0..mesh.facets().len())
         .map(|facet| {

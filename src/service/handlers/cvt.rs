@@ -11,6 +11,7 @@ use super::*;
 use crate::cvt::CvtOptions;
 use crate::job::Timed;
 use crate::job::session::{CvtSession, SeedsWanted};
+use crate::job::spec::Prepared;
 
 impl Header for CvtHeader {
     fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
@@ -59,7 +60,7 @@ pub(super) async fn handle(
     shared.engine.backend(wish)?;
     let options =
         CvtOptions { projection: convert::projection(header.projection)?, max_seeds: header.max_seeds as usize };
-    let (prepared, _share) = prepare(&shared, seeds, uploaded, header.density).await?;
+    let (prepared, _share) = prepare(&shared, seeds, uploaded, header.density, Prepared::for_steps).await?;
     let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options)?;
     let position = pending.position;
     let Timed { value, queue_ms, compute_ms } = pending.wait().await?;

@@ -9,6 +9,7 @@ use super::super::proto::{ArrayKind, ComputeRvdHeader, ComputeRvdRequest, Comput
 use super::super::proto::{compute_rvd_request as request, compute_rvd_response as response};
 use super::*;
 use crate::job::diagram::{Diagram, WorldSums};
+use crate::job::spec::Prepared;
 use crate::job::{Pending, Place, Retry, Timed, Turn};
 use crate::rvd::PieceBatch;
 
@@ -46,7 +47,7 @@ pub(super) async fn handle(
     let (header, seeds, uploaded) = upload(&shared, &mut inbox, split).await?;
     let (wish, outputs) = (convert::wish(header.backend)?, convert::outputs(&header.outputs)?);
     let by = shared.engine.backend(wish)?;
-    let (prepared, _share) = prepare(&shared, seeds, uploaded, None).await?;
+    let (prepared, _share) = prepare(&shared, seeds, uploaded, None, Prepared::new).await?;
     let for_device = Arc::clone(&prepared);
     let mut pending = shared.engine.submit(Place::New, Retry::Anew, move |backends, turn| {
         turn.cancel.check()?;

@@ -185,9 +185,9 @@ fn from_zero(index: i64, count: usize) -> Option<u32> {
 fn indices<T: Default>(facets: &[[Corner; 3]], of: impl Fn(&Corner) -> u32, values: &mut Vec<T>) -> Vec<[u32; 3]> {
     let missing = u32::try_from(values.len()).unwrap_or(NONE);
     let mut corners: Vec<[u32; 3]> = facets.iter().map(|f| [of(&f[0]), of(&f[1]), of(&f[2])]).collect();
-    // An index that is too large must stay so, and not become the default's.
-    corners.iter_mut().flatten().filter(|i| **i == missing).for_each(|i| *i = NONE - 1);
     if facets.iter().flatten().any(|c| of(c) == NONE) {
+        // An index that is too large must stay so, and not become the default's.
+        corners.iter_mut().flatten().filter(|i| **i == missing).for_each(|i| *i = missing + 1);
         values.push(T::default());
         corners.iter_mut().flatten().filter(|i| **i == NONE).for_each(|i| *i = missing);
     }
