@@ -51,15 +51,18 @@ pub(crate) fn check_output(path: &Path, extensions: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Refuses outputs `beside` others that would replace one of `first` or each other.
-pub(crate) fn check_apart<'a>(first: &[&'a Path], beside: impl Iterator<Item = &'a Path>) -> Result<()> {
+/// Refuses `outputs` that would replace a file in `kept`, or each other.
+pub(crate) fn check_apart<'a>(
+    kept: impl Iterator<Item = &'a Path>,
+    outputs: impl Iterator<Item = &'a Path>,
+) -> Result<()> {
     // A file that is not there yet has no place of its own, but its folder has.
     let place = |path: &Path| {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         path.canonicalize().ok().or_else(|| Some(folder.canonicalize().ok()?.join(path.file_name()?)))
     };
-    let mut places: Vec<_> = first.iter().map(|path| place(path)).collect();
-    for path in beside {
+    let mut places: Vec<_> = kept.map(place).collect();
+    for path in outputs {
         let own = place(path);
         if own.is_some() && places.contains(&own) {
             return Err(Usage(format!("{} is named twice; give each file a name of its own", path.display())).into());

@@ -212,8 +212,10 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     args.backend.check()?;
     files::check_output(&args.output, &["obj", "ply", "stl", "off"])?;
     args.report.iter().try_for_each(|path| files::check_output(path, &[]))?;
-    let beside = [args.report.as_deref(), args.picture.path()].into_iter().flatten();
-    files::check_apart(&[&args.input, &args.output], beside)?;
+    // A surface may be replaced by its remesh.
+    let others = [args.creases.as_deref(), args.density.sizes.as_deref()];
+    let kept = [args.input.as_path(), args.output.as_path()].into_iter().chain(others.into_iter().flatten());
+    files::check_apart(kept, [args.report.as_deref(), args.picture.path()].into_iter().flatten())?;
     if args.density.sizes.is_some() {
         sizes::check_format(&args.input, "--sizes")?;
     }
@@ -336,9 +338,9 @@ fn print(report: &Report, bounded: bool) {
     }
     println!("result      {} vertices, {} facets, χ {}", result.vertices, result.facets, result.topology.euler);
     let features = &report.features;
-    if features.given_up > 0 && features.boundaries + features.creases == 0 {
-        let curves = features.given_up;
-        println!("            {curves} creases and boundaries were given up: they need more of the points; give more");
+    if features.given_up > 0 && features.creases == 0 {
+        let (curves, what) = (features.given_up, if features.boundaries == 0 { " and boundaries" } else { "" });
+        println!("            {curves} creases{what} were given up: they are too close together for so few points");
     }
     let RepairFigures { seeds_without_vertex: without, further_vertices: further, .. } = result.repair;
     if without + further > 0 {

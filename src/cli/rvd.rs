@@ -73,6 +73,9 @@ pub(crate) fn run(args: &RvdArgs) -> Result<()> {
     args.backend.check()?;
     args.output.iter().try_for_each(|path| files::check_output(path, &["ply"]))?;
     args.centroids.iter().chain(&args.report).try_for_each(|path| files::check_output(path, &[]))?;
+    let outputs = [args.output.as_deref(), args.centroids.as_deref(), args.report.as_deref(), args.picture.path()];
+    let inputs = [Some(args.input.as_path()), args.seeds.as_deref()];
+    files::check_apart(inputs.into_iter().flatten(), outputs.into_iter().flatten())?;
     args.picture.check_for_cells()?;
     if args.dots && args.endpoint.is_some() && args.seeds.is_none() {
         let text = "--dots with --endpoint: the server draws the points and keeps them; give them with --seeds";

@@ -201,14 +201,13 @@ pub fn write(path: &Path, mesh: &TriMesh) -> Result<(), FileError> {
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
-    let Soup { positions, mut facets, fans, .. } = decode_soup(format, bytes)?;
+    let Soup { positions, mut facets, fans, .. } = decode_soup(format, without_mark(bytes))?;
     polygons::recut(&positions, &facets, &fans).iter().for_each(|cut| cut.apply(&mut facets));
     Ok(TriMesh::new(positions, facets)?)
 }
 
 /// What the format's reader finds.
 fn decode_soup(format: Format, bytes: &[u8]) -> Result<Soup, DataError> {
-    let bytes = without_mark(bytes);
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Err(DataError::Empty);
     }

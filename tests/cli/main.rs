@@ -9,4 +9,5 @@ mod gpu;
 
 mod bench;
 mod given_creases;
+mod outputs;
 mod picture;

@@ -248,7 +248,6 @@ fn dirty_but_right() {
 #[test]
 fn a_byte_order_mark_hides_nothing() {
     for format in [Format::Obj, Format::Off] {
-        // The last vertex is there so that no index is out of range if the first one is lost.
         let first = TriMesh::new(
             [[0., 0., 0.], [1., 0., 0.], [0., 1., 0.]].map(glam::DVec3::from_array).to_vec(),
             vec![[0, 1, 2]],
@@ -259,6 +258,7 @@ fn a_byte_order_mark_hides_nothing() {
         assert_eq!(decode(format, &bytes).unwrap(), without);
         assert_eq!(decode_with_attributes(format, &bytes).unwrap().mesh, without);
     }
+    // With a vertex to spare no index is out of range if the first one is lost.
     let spare = obj("\u{feff}v 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nf 1 2 3\n").unwrap();
     assert_eq!(spare.area(), 0.5);
     assert_eq!(decode(Format::Ply, b"\xef\xbb\xbf"), Err(DataError::Empty));

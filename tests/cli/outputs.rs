@@ -1,0 +1,104 @@
+//! Promise: no file is replaced that is still wanted, what cannot be written or had is said, and an option that is out of its
+//! range says which it is.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use tessera::mesh::shapes::Shape;
+use tessera::mesh::{TriMesh, io};
+
+fn tessera(folder: &Path, line: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
+    command.env_remove("RUST_BACKTRACE").env("TESSERA_BACKEND", "parallel").current_dir(folder);
+    command.args(line.split(' ')).output().unwrap()
+}
+
+fn said(out: &Output) -> String {
+    String::from_utf8_lossy(&out.stderr).into_owned()
+}
+
+#[test]
+fn files_are_named_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let surface = folder.path().join("in.ply");
+    io::write(&surface, &Shape::Sphere.build(200)).unwrap();
+    std::fs::write(folder.path().join("seeds.xyz"), "0 0 1\n0 1 0\n1 0 0\n").unwrap();
+    let before = std::fs::read(&surface).unwrap();
+    let remesh = "remesh in.ply -o out.ply --points 20";
+    for line in [
+        format!("{remesh} --report out.ply"),
+        format!("{remesh} --report ./in.ply"),
+        format!("{remesh} --report out.png --picture ./out.png"),
+        format!("{remesh} --report edges.txt --creases edges.txt"),
+        "rvd in.ply --points 20 -o in.ply".to_owned(),
+        "rvd in.ply --seeds seeds.xyz --centroids seeds.xyz".to_owned(),
+        "rvd in.ply --points 20 --centroids same --report same".to_owned(),
+    ] {
+        let out = tessera(folder.path(), &line);
+        assert!(out.status.code() == Some(2) && said(&out).contains("named twice"), "{line}: {}", said(&out));
+    }
+    assert_eq!(std::fs::read(&surface).unwrap(), before);
+    // A surface may be replaced by its remesh.
+    let out = tessera(folder.path(), "remesh in.ply -o in.ply --points 40 --newton 0");
+    assert!(out.status.success(), "{}", said(&out));
+    assert_eq!(io::read(&surface).unwrap().positions().len(), 40);
+}
+
+#[test]
+fn a_surface_that_cannot_be_written_is_said_once() {
+    let folder = tempfile::tempdir().unwrap();
+    io::write(&folder.path().join("in.ply"), &Shape::Sphere.build(200)).unwrap();
+    std::fs::create_dir(folder.path().join("folder.ply")).unwrap();
+    let out = tessera(folder.path(), "remesh in.ply -o folder.ply --points 40 --newton 0");
+    assert_eq!(out.status.code(), Some(74), "{}", said(&out));
+    let words = "cannot write folder.ply";
+    assert_eq!(said(&out).matches("os error").count(), 1, "{}", said(&out));
+    assert_eq!(said(&out).matches(words).count(), 1, "{}", said(&out));
+    // Far from the origin, so that single precision has one place for all of it.
+    let far = Shape::Sphere.build(200);
+    let far = TriMesh::new(far.positions().iter().map(|&p| p + 1e9).collect(), far.facets().to_vec()).unwrap();
+    io::write(&folder.path().join("far.ply"), &far).unwrap();
+    let out = tessera(folder.path(), "remesh far.ply -o out.stl --points 40 --newton 0");
+    assert_eq!(out.status.code(), Some(65), "{}", said(&out));
+    assert_eq!(said(&out).matches("single precision").count(), 1, "{}", said(&out));
+    assert!(!folder.path().join("out.stl").exists());
+}
+
+#[test]
+fn numbers_below_zero_are_told_what_is_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    for (option, words) in [
+        ("--points 20 --crease-angle -1", "0 to 180"),
+        ("--points 20 --max-deviation -1", "above 0"),
+        ("--points 20 --gradation -1", "above 0"),
+        ("--edge-length -0.5", "above 0"),
+        ("--points -5", "not in 1.."),
+    ] {
+        let out = tessera(folder.path(), &format!("remesh nowhere.ply -o out.ply {option}"));
+        assert!(out.status.code() == Some(2) && said(&out).contains(words), "{option}: {}", said(&out));
+    }
+}
+
+/// A texture index that no line brings is named as it is in the file, less one, and not by a number that stands for none.
+#[test]
+fn an_index_that_is_missing_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1/1 3/1 2/1\nf 1/3 2/1 4/1\nf 2/1 3/1 4/1\nf 3/1 1/1 4/1\n";
+    std::fs::write(folder.path().join("in.obj"), text).unwrap();
+    let out = tessera(folder.path(), "remesh in.obj -o out.ply --points 20 --newton 0");
+    assert!(out.status.success() && said(&out).contains("left aside"), "{}", said(&out));
+    assert!(said(&out).contains("names value 0, but there are 0"), "{}", said(&out));
+}
+
+#[test]
+fn creases_that_are_given_up_are_said() {
+    let folder = tempfile::tempdir().unwrap();
+    io::write(&folder.path().join("block.ply"), &Shape::Block.build(600)).unwrap();
+    for (points, given_up) in [(12, true), (400, false)] {
+        let out =
+            tessera(folder.path(), &format!("remesh block.ply -o out.ply --points {points} --newton 0 --thin even"));
+        let text = String::from_utf8_lossy(&out.stdout).into_owned();
+        assert!(out.status.success(), "{points}: {}", said(&out));
+        assert_eq!(text.contains("were given up"), given_up, "{points}: {text}");
+    }
+}
