@@ -223,7 +223,7 @@ impl Source<'_> {
         let frame = self.surface.frame();
         let mut unit: Vec<DVec3> = draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect();
         // Seeds that are added bring edges to the curves; to hold these there as well would fold facets between them.
-        let fences = Fences::new(&unit, if self.adds { &[] } else { &target.curves });
+        let fences = Fences::new(&unit, &target.fixed, if self.adds { &[] } else { &target.curves });
         fit::fit(&mut unit, &mut draft.facets, &target);
         fences.restore(&mut unit, &draft.facets);
         self.polish(&mut unit, draft, &target, &fences);

@@ -4,7 +4,8 @@
 //! sake of the mean or of a facet's shape, is not to undo that. [`Fences`] knows for every vertex of a curve the
 //! points of the curve beside it, and how far from them its edges may be. Where chords are farther than they should be all
 //! the same, it moves their ends a little ([`Fences::tighten`]).
-//! Invariant: a chord that was farther than the limit may stay as far as it was; a corner moves on a boundary alone.
+//! Invariant: a chord that was farther than the limit may stay as far as it was; a corner moves on a boundary alone; where a
+//! curve is straight, its edges stay on it.
 //! Must not know: why else vertices move.
 
 use glam::DVec3;
@@ -29,6 +30,11 @@ const CORNER_REACH: f64 = 0.12;
 /// Facets come to no less than this score by it, or than they had.
 const ENOUGH: f64 = 34.0;
 
+/// A curve is straight at an edge if it leaves the edge's line by no more than this share of it, so many edges to either
+/// side. What is curved is off its chords anyway; what is straight, as the edge of a plate, would show any dent.
+const STRAIGHT: f64 = 1e-3;
+const BESIDE: usize = 3;
+
 /// One end of an edge of a curve.
 struct Side {
     /// The other end.
@@ -38,6 +44,8 @@ struct Side {
     limit: f64,
     /// What the limit would be if the edge had been within it.
     goal: f64,
+    /// Whether the curve is straight there and beside it.
+    straight: bool,
 }
 
 /// See the module's head.
@@ -74,27 +82,71 @@ fn ways() -> impl Iterator<Item = DVec3> {
 }
 
 impl Fences {
-    /// For edges of curves with their ends at `start`; samples of one edge follow each other.
-    pub(super) fn new(start: &[DVec3], samples: &[CurveSample]) -> Self {
+    /// For edges of curves with their ends at `start`, `fixed` where they are corners; samples of one edge follow each other.
+    pub(super) fn new(start: &[DVec3], fixed: &[bool], samples: &[CurveSample]) -> Self {
         let points: Vec<DVec3> = samples.iter().map(|s| s.position).collect();
-        let mut sides: Vec<(u32, Side)> = Vec::new();
+        let mut edges: Vec<([u32; 2], Side)> = Vec::new();
         let mut from = 0;
         for same in samples.chunk_by(|a, b| a.edge == b.edge) {
             let range = [from, from + same.len() as u32];
             from = range[1];
             let ends = same[0].edge.map(|v| start[v as usize]);
             let own = same.iter().map(|s| off(s.position, ends)).fold(0.0, f64::max);
-            let limit = own.max(same[0].limit);
+            let goal = same[0].limit;
             let [a, b] = same[0].edge;
-            sides.extend(
-                [(a, b), (b, a)].map(|(v, other)| (v, Side { other, points: range, limit, goal: same[0].limit })),
-            );
+            let side = |other| Side { other, points: range, limit: own.max(goal), goal, straight: false };
+            edges.extend([([a, b], side(b)), ([b, a], side(a))]);
         }
-        sides.sort_by_key(|s| (s.0, s.1.other));
+        edges.sort_by_key(|e| e.0);
         let mut first = vec![0u32; start.len() + 1];
-        sides.iter().for_each(|s| first[s.0 as usize + 1] += 1);
+        edges.iter().for_each(|([v, _], _)| first[*v as usize + 1] += 1);
         (0..start.len()).for_each(|v| first[v + 1] += first[v]);
-        Self { points, first, sides: sides.into_iter().map(|s| s.1).collect(), start: start.to_vec() }
+        let sides = edges.into_iter().map(|e| e.1).collect();
+        let mut fences = Self { points, first, sides, start: start.to_vec() };
+        fences.hold_straight(fixed);
+        fences
+    }
+
+    /// Finds where curves are straight, and lowers the limits there.
+    fn hold_straight(&mut self, fixed: &[bool]) {
+        let own = &*self;
+        let of = |v: u32| own.sides(v).iter().map(move |side| (v, own.is_straight(v, side, fixed)));
+        let straight: Vec<(u32, bool)> = (0..self.start.len() as u32).flat_map(of).collect();
+        for (side, (v, straight)) in self.sides.iter_mut().zip(straight) {
+            side.straight = straight;
+            if straight {
+                side.limit = STRAIGHT * self.start[v as usize].distance(self.start[side.other as usize]);
+            }
+        }
+    }
+
+    /// Whether the curve is straight along one of the sides of vertex `v` and beside it.
+    fn is_straight(&self, v: u32, side: &Side, fixed: &[bool]) -> bool {
+        let (origin, way) = (self.start[v as usize], self.start[side.other as usize] - self.start[v as usize]);
+        let most = STRAIGHT * way.length();
+        let Some(way) = way.try_normalize() else { return false };
+        let is_near = |p: DVec3| (p - origin).reject_from_normalized(way).length() <= most;
+        let holds = |v: u32, side: &Side| {
+            let between = &self.points[side.points[0] as usize..side.points[1] as usize];
+            is_near(self.start[v as usize]) && between.iter().all(|&p| is_near(p))
+        };
+        // As far as the curve goes on without a corner.
+        let goes_on = |mut from: u32, mut to: u32| {
+            for _ in 0..BESIDE {
+                let next = match self.sides(to) {
+                    _ if fixed[to as usize] => return true,
+                    [a, b] if a.other == from => b,
+                    [a, b] if b.other == from => a,
+                    _ => return true,
+                };
+                if !holds(next.other, next) {
+                    return false;
+                }
+                (from, to) = (to, next.other);
+            }
+            true
+        };
+        holds(v, side) && goes_on(v, side.other) && goes_on(side.other, v)
     }
 
     fn sides(&self, v: u32) -> &[Side] {
@@ -104,6 +156,12 @@ impl Fences {
     /// By how much of their limits the edges of vertex `v` leave their curves if it is at `p`.
     fn share(&self, positions: &[DVec3], v: u32, p: DVec3) -> f64 {
         let of = |side: &Side| {
+            if side.straight {
+                // Whoever slides along a line stays on it.
+                let origin = self.start[v as usize];
+                let way = (self.start[side.other as usize] - origin).normalize_or_zero();
+                return (p - origin).reject_from_normalized(way).length() / side.limit;
+            }
             let ends = [p, positions[side.other as usize]];
             let between = &self.points[side.points[0] as usize..side.points[1] as usize];
             let far = between.iter().map(|&q| off(q, ends)).fold(0.0, f64::max);
@@ -251,8 +309,10 @@ mod tests {
     #[test]
     fn who_leaves_its_curve_goes_back_as_far_as_it_must() {
         let start = [DVec3::ZERO, DVec3::X, 2.0 * DVec3::X, DVec3::Y];
-        let sample = |edge: [u32; 2], x: f64| CurveSample { position: x * DVec3::X, edge, area: 0.1, limit: 0.1 };
-        let fences = Fences::new(&start, &[sample([0, 1], 0.5), sample([1, 2], 1.5)]);
+        let sample = |edge: [u32; 2], position: DVec3| CurveSample { position, edge, area: 0.1, limit: 0.1 };
+        // Not quite straight.
+        let samples = [sample([0, 1], 0.5 * DVec3::X), sample([1, 2], DVec3::new(1.5, 0.004, 0.0))];
+        let fences = Fences::new(&start, &[false; 4], &samples);
         let mut moved = start;
         moved[1] += DVec3::new(0.1, 0.3, 0.0);
         moved[3] *= 5.0;
@@ -264,6 +324,37 @@ mod tests {
         assert_eq!(moved[3], 5.0 * DVec3::Y);
     }
 
+    /// Nobody leaves a line where the curve is one, but may slide along it; a bend nearby leaves room, a corner does not.
+    #[test]
+    fn straight_curves_stay_straight() {
+        let ends = |bend: f64| -> Vec<DVec3> {
+            (0..9).map(|k| DVec3::new(f64::from(k), if k == 8 { bend } else { 0.0 }, 0.0)).collect()
+        };
+        let samples = |at: &[DVec3]| -> Vec<CurveSample> {
+            let of = |k: u32| {
+                let edge = [k, k + 1];
+                let position = edge.map(|v| at[v as usize]).iter().sum::<DVec3>() * 0.5;
+                CurveSample { position, edge, area: 0.1, limit: 0.08 }
+            };
+            (0..8).map(of).collect()
+        };
+        let step = |k: u32, x: f64, y: f64| DVec3::new(f64::from(k) + x, y, 0.0);
+        let straight = ends(0.0);
+        let fences = Fences::new(&straight, &[false; 9], &samples(&straight));
+        for k in 1..8 {
+            assert!(!fences.allow(&straight, k, step(k, 0.0, 0.05)), "{k}");
+            assert!(fences.allow(&straight, k, step(k, 0.3, 0.0005)), "{k}");
+        }
+        let bent = ends(0.5);
+        let fences = Fences::new(&bent, &[false; 9], &samples(&bent));
+        let allowed: Vec<bool> = (1..8).map(|k| fences.allow(&bent, k, step(k, 0.0, 0.05))).collect();
+        assert_eq!(allowed, [false, false, false, false, true, true, true]);
+        let mut corner = [false; 9];
+        corner[7] = true;
+        let fences = Fences::new(&bent, &corner, &samples(&bent));
+        assert!((1..7).all(|k| !fences.allow(&bent, k, step(k, 0.0, 0.05))));
+    }
+
     /// A tooth of a curve beside its edge: ends of the edge come nearer to it, corners of a boundary a little, others not
     /// at all.
     #[test]
@@ -273,7 +364,7 @@ mod tests {
             let position = DVec3::new(x, y, 0.0);
             CurveSample { position, edge, area: 0.1, limit: 0.02 }
         };
-        let fences = Fences::new(&start, &[sample([0, 1], 0.6, -0.06), sample([1, 2], 1.5, 0.0)]);
+        let fences = Fences::new(&start, &[false; 5], &[sample([0, 1], 0.6, -0.06), sample([1, 2], 1.5, 0.0)]);
         let tooth = |at: &[DVec3; 5]| off(DVec3::new(0.6, -0.06, 0.0), [at[0], at[1]]);
         let (open, closed) = ([[0, 1, 3], [1, 2, 3]], [[0, 1, 3], [1, 2, 3], [1, 0, 4], [2, 1, 4]]);
         let mut free = start;

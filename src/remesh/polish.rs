@@ -231,7 +231,7 @@ mod tests {
             |p: &[DVec3]| wheel.iter().map(|t| least_angle(t.map(|v| p[v as usize]))).fold(f64::INFINITY, f64::min);
         let (before, first) = (worst(&positions), positions[0]);
         let mut still = positions.clone();
-        let fences = Fences::new(&[DVec3::ZERO; 7], &[]);
+        let fences = Fences::new(&[DVec3::ZERO; 7], &[false; 7], &[]);
         let none = HashSet::new();
         fn within<'a>(rails: &'a [Rail], fences: &'a Fences, off_curve: f64) -> Bounds<'a> {
             Bounds { rails, fences, off_curve }

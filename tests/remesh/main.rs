@@ -12,11 +12,13 @@ mod readers;
 mod surfaces;
 
 mod attributes;
+mod curves;
 mod cvt;
 mod density;
 mod features;
 mod fidelity;
 mod lbfgs;
 mod near_corners;
+mod parts;
 mod pipeline;
 mod thin;
