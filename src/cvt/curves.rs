@@ -263,7 +263,9 @@ impl CurveSeeds {
                 let intrudes = nearest as usize >= self.seeds.len() && seeds[nearest as usize].distance(p) < own;
                 intrudes.then_some((nearest, k as u32))
             };
-            segment.between.map(intruder).into_iter().flatten()
+            // Points between are where the curve has vertices, and none may be in the middle.
+            let middle = ends[0].midpoint(ends[1]);
+            segment.between.into_iter().chain([middle]).filter_map(intruder).collect::<Vec<_>>()
         };
         let segments = self.segments.par_iter().enumerate().with_min_len(SHARE);
         let mut found: Vec<(u32, u32)> = segments.flat_map_iter(of).collect();
@@ -373,7 +375,13 @@ impl CurveSeeds {
     /// Moves intruders away from their segments, to the distance that the next row of a regular
     /// triangulation has. Returns how many there were. One pass: who was pushed may intrude elsewhere.
     pub fn push_out(&self, seeds: &mut [DVec3]) -> usize {
-        let intruders = self.intruders(seeds);
+        self.push_out_unless(seeds, |_| false)
+    }
+
+    /// The same but for seeds that `stays` says so of.
+    pub fn push_out_unless(&self, seeds: &mut [DVec3], stays: impl Fn(u32) -> bool) -> usize {
+        let mut intruders = self.intruders(seeds);
+        intruders.retain(|&(seed, _)| !stays(seed));
         for &(seed, segment) in &intruders {
             let segment = &self.segments[segment as usize];
             let (ends, middle) = (segment.ends, segment.middle());

@@ -160,7 +160,7 @@ pub(super) struct Exact<'a> {
 impl Exact<'_> {
     /// Puts the seeds on the surface and reads their dual.
     pub(super) fn dual(&mut self, cvt: &mut Cvt, steps: &mut Steps<'_>) -> Result<dual::Dual, RemeshError> {
-        cvt.project_seeds()?;
+        cvt.put_on_surface()?;
         self.session.set_seeds(cvt.unit_seeds()?)?;
         let dual = dual::extract(self.session, self.surface, cvt.len(), steps.cancel)?;
         steps.rvd.add_pass(&dual.stats);
