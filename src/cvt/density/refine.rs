@@ -2,9 +2,11 @@
 //!
 //! Purpose: the diagram takes weights as linear in a facet, and h⁻⁴ between two lengths that differ by a factor
 //! of two is far from that. [`refine`] halves edges until lengths change little along each; and such as are long beside the
-//! cells there, since a facet costs by the pairs of cells that meet at it.
+//! cells there, since a facet costs by the pairs of cells that meet at it. A needle is cut across, not into thinner ones.
 //! Invariant: the same surface, without T-junctions: an edge is halved by what its two ends are, so all its
 //! facets, and coincident edges of a seam, agree. The first vertices are the mesh's. Must not know: weights.
+
+use std::collections::HashMap;
 
 use glam::DVec3;
 
@@ -28,6 +30,8 @@ const LONG: f64 = 3.0;
 
 /// Each round halves the edges that need it; a ratio of a thousand is spent after a dozen.
 const ROUNDS: usize = 40;
+/// Halvings of one edge, one within the other.
+const DEPTH: usize = 60;
 
 /// Splits facets of `mesh` in which `sizes` (caller's units, one a vertex) change too fast for weights that are
 /// linear in a facet, or that are long beside them; nothing if there is none. Stops before there are more than `most` facets.
@@ -35,7 +39,7 @@ pub(super) fn refine(mesh: &TriMesh, net: &Net, sizes: &[f64], most: usize) -> O
     let mut draft = Draft::new(mesh, net.low, net.outline.extent, sizes);
     // What is wanted for the sake of time comes last, so that it takes nothing from what the density needs.
     let steep = draft.split_all(Draft::is_steep, most);
-    let long = draft.split_all(Draft::is_long, most);
+    let long = draft.split_long(most);
     if steep || long { draft.mesh().map(|mesh| (mesh, draft.sizes)) } else { None }
 }
 
@@ -45,7 +49,7 @@ pub(super) fn shorten(mesh: &TriMesh, sizes: &[f64], values: &[f64], most: usize
     let (low, high) = mesh.bounds();
     let mut draft = Draft::new(mesh, low, (high - low).max_element(), sizes);
     draft.values = values.to_vec();
-    if draft.has(Draft::is_long) && !is_doubled(mesh) && draft.split_all(Draft::is_long, most) {
+    if draft.has(Draft::is_long) && !is_doubled(mesh) && draft.split_long(most) {
         return draft.mesh().map(|mesh| (mesh, draft.values));
     }
     None
@@ -140,16 +144,7 @@ impl Draft {
 
     fn split(&mut self, halved: &[[u32; 2]]) {
         let first = self.positions.len() as u32;
-        for ends in halved {
-            let [a, b] = ends.map(|v| v as usize);
-            // Halves first, and the same sum whichever end is named first: seams stay closed.
-            self.positions.push(self.positions[a] * 0.5 + self.positions[b] * 0.5);
-            self.units.push(self.units[a] * 0.5 + self.units[b] * 0.5);
-            self.sizes.push(self.sizes[a] * 0.5 + self.sizes[b] * 0.5);
-            if !self.values.is_empty() {
-                self.values.push(self.values[a] * 0.5 + self.values[b] * 0.5);
-            }
-        }
+        halved.iter().for_each(|&ends| _ = self.add_middle(ends));
         let middle = |a: u32, b: u32| halved.binary_search(&[a.min(b), a.max(b)]).ok().map(|i| first + i as u32);
         let mut facets = Vec::with_capacity(self.facets.len() + 2 * halved.len());
         for &[a, b, c] in &self.facets {
@@ -165,6 +160,109 @@ impl Draft {
             }
         }
         self.facets = facets;
+    }
+
+    /// Puts a vertex into the middle of an edge.
+    fn add_middle(&mut self, ends: [u32; 2]) -> u32 {
+        let [a, b] = ends.map(|v| v as usize);
+        // Halves first, and the same sum whichever end is named first: seams stay closed.
+        self.positions.push(self.positions[a] * 0.5 + self.positions[b] * 0.5);
+        self.units.push(self.units[a] * 0.5 + self.units[b] * 0.5);
+        self.sizes.push(self.sizes[a] * 0.5 + self.sizes[b] * 0.5);
+        if !self.values.is_empty() {
+            self.values.push(self.values[a] * 0.5 + self.values[b] * 0.5);
+        }
+        self.positions.len() as u32 - 1
+    }
+
+    /// Halves edges until none is long. Returns whether there were any; nothing is changed if there would be more than `most`
+    /// facets.
+    fn split_long(&mut self, most: usize) -> bool {
+        let vertices = self.positions.len();
+        let mut done = Vec::with_capacity(self.facets.len());
+        let mut middles = HashMap::new();
+        let mut open = Vec::new();
+        for f in 0..self.facets.len() {
+            open.push(self.facets[f]);
+            while let Some(facet) = open.pop() {
+                let turned = |k: usize| [0, 1, 2].map(|i| facet[(i + k) % 3]);
+                let is_long = [0, 1, 2].map(|e| self.is_long(facet[e] as usize, facet[(e + 1) % 3] as usize));
+                match is_long {
+                    [false, false, false] => done.push(facet),
+                    [true, true, true] => {
+                        let [a, b, c] = facet;
+                        let [m, n, k] = [[a, b], [b, c], [c, a]].map(|ends| self.middle(ends, &mut middles));
+                        open.extend([[a, m, k], [m, b, n], [k, n, c], [m, n, k]]);
+                    }
+                    [true, false, false] => self.halve(turned(0), &mut middles, &mut open),
+                    [false, true, false] => self.halve(turned(1), &mut middles, &mut open),
+                    [false, false, true] => self.halve(turned(2), &mut middles, &mut open),
+                    // Beginning at the tip between the two long ones.
+                    [true, false, true] => self.cut(turned(0), &mut middles, &mut open),
+                    [true, true, false] => self.cut(turned(1), &mut middles, &mut open),
+                    [false, true, true] => self.cut(turned(2), &mut middles, &mut open),
+                }
+                if done.len() + open.len() > most {
+                    self.positions.truncate(vertices);
+                    self.units.truncate(vertices);
+                    self.sizes.truncate(vertices);
+                    self.values.truncate(vertices);
+                    return false;
+                }
+            }
+        }
+        self.facets = done;
+        self.positions.len() > vertices
+    }
+
+    /// The vertex in the middle of an edge, made where there was none.
+    fn middle(&mut self, [a, b]: [u32; 2], middles: &mut HashMap<[u32; 2], u32>) -> u32 {
+        let ends = [a.min(b), a.max(b)];
+        *middles.entry(ends).or_insert_with(|| self.add_middle(ends))
+    }
+
+    /// A facet of which the first edge is long.
+    fn halve(&mut self, [a, b, c]: [u32; 3], middles: &mut HashMap<[u32; 2], u32>, open: &mut Vec<[u32; 3]>) {
+        let m = self.middle([a, b], middles);
+        open.extend([[a, m, c], [m, b, c]]);
+    }
+
+    /// A facet of which the edges that meet at `a` are long and the other one is not: across, as often as they are halved.
+    /// Halving it as a whole would make three of it each time, as slender as it was.
+    fn cut(&mut self, [a, b, c]: [u32; 3], middles: &mut HashMap<[u32; 2], u32>, open: &mut Vec<[u32; 3]>) {
+        let (mut left, mut right) = (vec![a], vec![a]);
+        self.halve_edge([a, b], middles, &mut left);
+        self.halve_edge([a, c], middles, &mut right);
+        let apart = |p: u32, q: u32| self.units[p as usize].distance_squared(self.units[q as usize]);
+        let (mut i, mut j) = (1, 1);
+        open.push([a, left[1], right[1]]);
+        while i + 1 < left.len() || j + 1 < right.len() {
+            let down_left = left.get(i + 1).map_or(f64::INFINITY, |&p| apart(p, right[j]));
+            let down_right = right.get(j + 1).map_or(f64::INFINITY, |&q| apart(left[i], q));
+            if down_left <= down_right {
+                open.push([left[i], left[i + 1], right[j]]);
+                i += 1;
+            } else {
+                open.push([left[i], right[j + 1], right[j]]);
+                j += 1;
+            }
+        }
+    }
+
+    /// Appends the vertices of an edge after its first, halved until no part is long.
+    fn halve_edge(&mut self, [a, b]: [u32; 2], middles: &mut HashMap<[u32; 2], u32>, out: &mut Vec<u32>) {
+        let mut ends = vec![b];
+        let mut from = a;
+        while let Some(&to) = ends.last() {
+            // What has no length any more is not halved.
+            if self.is_long(from as usize, to as usize) && ends.len() < DEPTH {
+                ends.push(self.middle([from, to], middles));
+            } else {
+                out.push(to);
+                from = to;
+                ends.pop();
+            }
+        }
     }
 
     /// Facet a b c with m between a and b and n between b and c; the shorter diagonal of the rest.
@@ -244,6 +342,29 @@ mod tests {
             assert!(longest <= LONG * 0.01 * (1.0 + 1e-12), "{shape}: {longest}");
             assert!(shorten(&mesh, &vec![100.0; values.len()], &values, 1_000_000).is_none());
         }
+    }
+
+    /// A slender facet becomes as many pieces as it has lengths, and its neighbours have the same vertices.
+    #[test]
+    fn needles_are_cut_across() {
+        let at = DVec3::new;
+        let points =
+            vec![at(0.0, 0.0, 0.0), at(100.0, 0.0, 0.0), at(100.0, 0.3, 0.0), at(0.0, 0.3, 0.0), at(50.0, -30.0, 0.0)];
+        let mesh = TriMesh::new(points, vec![[0, 1, 2], [0, 2, 3], [1, 0, 4]]).unwrap();
+        let (fine, _) = shorten(&mesh, &[0.3; 5], &[], 1_000_000).unwrap();
+        let (before, after) = (topology(&mesh), topology(&fine));
+        assert_eq!((after.euler, after.boundary_loops), (before.euler, before.boundary_loops));
+        assert!((fine.area() / mesh.area() - 1.0).abs() < 1e-12);
+        let needles = |f: &usize| fine.corners(*f).iter().all(|p| p.y >= 0.0);
+        let count = (0..fine.facets().len()).filter(needles).count();
+        // 128 parts of each long edge, .78 long; two needles of them.
+        assert_eq!(count, 2 * (2 * 128 - 1));
+        let corners = (0..fine.facets().len()).map(|f| fine.corners(f));
+        let longest = corners.flat_map(|[a, b, c]| [a.distance(b), b.distance(c), c.distance(a)]).fold(0.0, f64::max);
+        assert!(longest <= LONG * 0.3, "{longest}");
+        let (whole, sizes) =
+            (shorten(&mesh, &[0.3; 5], &[], 300), shorten(&mesh, &[1e-300, 1.0, 1.0, 1.0, 1.0], &[], 10_000));
+        assert!(whole.is_none() && sizes.is_none_or(|(mesh, _)| mesh.facets().len() <= 10_000));
     }
 
     #[test]
