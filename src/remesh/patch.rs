@@ -194,22 +194,25 @@ impl Patch {
         self.worst = far.middle.max(far.rest);
     }
 
-    /// Middles of the input's longer edges, each with the nearest vertex if that is near.
+    /// Middles of the input's longer edges, each with the nearest vertex that has a facet on its side of the surface, if that
+    /// is near: across a sharp crease, and on a thin sheet, the other side is as near, and none of its.
     fn take_middles(&self, tips: &mut Vec<(DVec3, usize)>) {
         let mut middles = Vec::new();
         for [a, b, c] in self.rocks.corners() {
+            let normal = normal([a, b, c]);
             for (p, q) in [(a, b), (b, c), (c, a)] {
-                // Both facets of an edge have it; one of them has its ends the other way round.
                 if p.distance(q) > LONG * self.edge {
-                    middles.push((p + q) / 2.0);
+                    middles.push(((p + q) / 2.0, normal));
                 }
             }
         }
-        middles.sort_by(|p, q| p.x.total_cmp(&q.x).then(p.y.total_cmp(&q.y)).then(p.z.total_cmp(&q.z)));
-        middles.dedup();
-        for p in middles {
+        middles.sort_by(|(p, _), (q, _)| p.x.total_cmp(&q.x).then(p.y.total_cmp(&q.y)).then(p.z.total_cmp(&q.z)));
+        // Both facets of an edge have it; one of them has its ends the other way round.
+        for same in middles.chunk_by(|a, b| a.0 == b.0) {
+            let (p, normal) = (same[0].0, same.iter().map(|m| m.1).sum::<DVec3>());
             let to = |v: usize| self.at[v].distance_squared(p);
-            let nearest = (0..self.at.len()).min_by(|&u, &v| to(u).total_cmp(&to(v)));
+            let faces = |&v: &usize| self.star[v].iter().any(|&f| self.normals[f].dot(normal) >= 0.0);
+            let nearest = (0..self.at.len()).filter(faces).min_by(|&u, &v| to(u).total_cmp(&to(v)));
             tips.extend(nearest.filter(|&v| to(v) < (BESIDE * self.edge).powi(2)).map(|v| (p, v)));
         }
     }
