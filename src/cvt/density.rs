@@ -234,8 +234,8 @@ pub struct Plan<'a> {
 }
 
 impl<'a> Plan<'a> {
-    /// The same with facets divided that are long beside the cells, as they are already where lengths vary: a facet costs by
-    /// the pairs of cells that meet at it. For who does not ask which facet a piece is of.
+    /// The same with facets divided that are long beside the cells, if most of the surface is of these, as they are already where
+    /// lengths vary: a facet costs by the pairs of cells that meet at it. For who does not ask which facet a piece is of.
     #[must_use]
     pub fn divided(self) -> Self {
         let vertices = self.mesh.positions().len();
