@@ -109,7 +109,7 @@ fn a_tolerance_holds_beside_curves() {
             let refine = Some(Refine { tolerance, max_points: 2500 });
             let wish = RemeshOptions { refine, seeds: Seeds::Sample { points: 250, seed }, newton: 8, ..options(250) };
             let figures = run(&mesh, &wish).report.refine;
-            assert_eq!(figures.missed, 0, "{name}, seed {seed}: {figures:?}");
+            assert!(figures.missed == 0 && figures.added_seeds <= 10, "{name}, seed {seed}: {figures:?}");
             added += figures.added_seeds;
         }
         // One a remesh.
