@@ -29,7 +29,7 @@ const GAIN: f64 = 0.95;
 const FAILURES: usize = 8;
 const PLACES: usize = 4;
 const SHARE: f64 = 0.001;
-/// What is nearer than this share of a place that could not be mended is left alone.
+/// What is nearer than this share of a place that could not be mended is left alone, unless that is no longer as it was.
 const ENOUGH: f64 = 0.8;
 /// What seems nearer than this share of that is not looked at.
 const SEEMS: f64 = 0.65;
@@ -180,20 +180,27 @@ impl<'a> Bench<'a> {
         vertices.iter().any(|&v| self.edited[v as usize] > edits)
     }
 
+    /// Whether nothing better was found around a vertex, and nothing there has changed since.
+    fn is_vain(&self, v: u32, vain: &Vain) -> bool {
+        vain.0.get(&v).is_some_and(|&then| !self.is_changed(&seen(&self.scene(), v), then))
+    }
+
     /// Mends the places that are farthest from the input; the result is `far` from it around each vertex, about.
     /// Returns how many were mended.
     pub(super) fn mend(&mut self, far: &[f64]) -> usize {
         let mut heap = first_places(&self.scene(), far);
-        let mut floor = 0.0f64;
+        // What could not be mended and is as it was.
+        let mut failed: Vec<Place> = Vec::new();
         let mut few = FEW;
         let mut vain = Vain::default();
         let (mut left, mut failures, mut mended) = (PLACES + (SHARE * far.len() as f64) as usize, 0, 0);
         while let Some(place) = heap.pop() {
+            let floor = failed.iter().map(|failed| ENOUGH * failed.far).fold(0.0, f64::max);
             if place.far < floor || left == 0 || failures == FAILURES {
                 break;
             }
             let v = place.vertex;
-            if vain.0.get(&v).is_some_and(|&then| !self.is_changed(&seen(&self.scene(), v), then)) {
+            if self.is_vain(v, &vain) {
                 continue;
             }
             let patch = Patch::around(&self.scene(), v);
@@ -215,12 +222,14 @@ impl<'a> Bench<'a> {
                 mended += 1;
                 left -= 1;
                 few -= usize::from(is_near);
+                // Often a place is mended from the vertex beside it.
+                failed.retain(|failed| self.is_vain(failed.vertex, &vain));
                 let inner: Vec<u32> = better.inner().collect();
                 heap.extend(places(&self.scene(), inner));
             } else {
                 vain.0.insert(v, self.edits);
                 failures += 1;
-                floor = floor.max(ENOUGH * now.middle);
+                failed.push(Place { far: now.middle, vertex: v });
             }
         }
         mended

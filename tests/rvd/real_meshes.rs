@@ -217,6 +217,20 @@ fn results_are_near_whatever_the_seed() {
     }
 }
 
+/// What could not be mended is mended now and then from the vertex beside it. As long as it counted all the same, what was not
+/// much nearer was left as it was: these were off by .19 to .24 %.
+#[test]
+fn a_place_that_was_mended_after_all_holds_no_other_back() {
+    let Some(mesh) = surfaces::real("nefertiti.obj") else { return };
+    let backend = Parallel::new(None).unwrap();
+    for seed in [1, 9, 23] {
+        let options = RemeshOptions::new(Seeds::Sample { points: 20_000, seed });
+        let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+        let distance = result.report.result.quality.unwrap().hausdorff_percent;
+        assert!(distance <= 0.17, "seed {seed}: {distance}");
+    }
+}
+
 /// Where the cell of a seed beside a boundary reaches it, the boundary has its edge all the same.
 #[test]
 fn boundaries_are_whole_whatever_the_seed() {
