@@ -129,6 +129,52 @@ fn ply_dialects() {
     assert!(matches!(text(Format::Ply, &empty), Err(DataError::Header(_))));
 }
 
+/// Headers as files have them: other programs read these.
+#[test]
+fn ply_headers_off_the_beaten_track() {
+    let mesh = text(Format::Ply, PLY).unwrap();
+    let bytes = |from: &str, to: &[u8]| {
+        let (before, after) = PLY.split_once(from).unwrap();
+        [before.as_bytes(), to, after.as_bytes()].concat()
+    };
+    for (from, to) in [
+        ("comment made by hand", &b"comment M\xfcller \x80"[..]),
+        ("comment made by hand", b"obj_info \xe9"),
+        ("comment made by hand", b""),
+        ("comment made by hand", b"  \t"),
+        ("element vertex 4", b"  element  vertex\t4 "),
+        ("property uchar red", b"property uchar scalar_C2C_distances[<10]"),
+        ("property uchar red", b"property uchar 1.5"),
+        ("property uchar red", b"property uchar \xb0C (inside)"),
+        ("property uchar red", b"property uchar line_3"),
+        ("texcoord", b"tex.coord"),
+        ("ply\n", b"PLY\n"),
+    ] {
+        assert_eq!(decode(Format::Ply, &bytes(from, to)).unwrap(), mesh, "{}", String::from_utf8_lossy(to));
+    }
+    assert_eq!(text(Format::Ply, &PLY.replace('\n', "\r")).unwrap(), mesh);
+    // Two properties of one name are two all the same.
+    let twice = PLY.replace("red", "q\nproperty uchar q\nproperty uchar q_again").replace(" 9\n", " 9 8 7\n");
+    assert_eq!(text(Format::Ply, &twice).unwrap(), mesh);
+    // Errors name the line in the file.
+    for (from, to, line) in [
+        ("property uchar red", "property uhcar red", 8),
+        ("element face 1", "element vertex 1", 9),
+        ("element face 1", "elemant face 1", 9),
+        ("1 1 0 9", "1 b 0 9", 17),
+        ("ply\n", "a picture\n", 1),
+    ] {
+        let wrong = PLY.replace(from, to).replace("comment made by hand", "\ncomment a[b]");
+        let line = line + usize::from(line > 2);
+        let error = text(Format::Ply, &wrong).unwrap_err();
+        assert!(matches!(error, DataError::Syntax { line: found, .. } if found == line), "{to}: {error}");
+    }
+    assert!(matches!(text(Format::Ply, "ply\nformat ascii 1.0\n"), Err(DataError::Truncated(_))));
+    assert!(matches!(text(Format::Ply, "ply"), Err(DataError::Truncated(_))));
+    let strips = text(Format::Ply, &PLY.replace("element face", "element tristrips")).unwrap_err();
+    assert!(strips.to_string().contains("write them as faces"), "{strips}");
+}
+
 const STL: &str = "solid\nfacet normal 0 0 1\n outer loop\n  vertex 0 0 0\n  VERTEX 1E0 0 0\n  vertex 0 1 0\n endloop\n\
     endfacet\nendsolid\n\nSOLID second\nfacet normal 0 0 1\nouter loop\nvertex 1 0 -0\nvertex 1 1 0\nvertex 0 1 0\n\
     endloop\nendfacet\nendsolid second\n";

@@ -6,6 +6,7 @@
 //! and wants each element on a line of its own; files in use have all of them.
 //! Why most binary data are, too ([`records`]): the crate goes through a call for each number, at a tenth of the
 //! speed of memory.
+//! Why a header is looked at before the crate gets it ([`header`]): it refuses what many files have.
 //! Invariant: declared counts are checked against the bytes that are there before anything is read.
 //! Must not know: other formats.
 
@@ -23,20 +24,21 @@ use crate::mesh::TriMesh;
 
 mod ascii;
 mod attributes;
+mod header;
 mod records;
 pub(super) use attributes::{attributes, encode_with};
+use header::Parted;
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
-    let mut reader = Reader::new(bytes);
-    let vertices = Parser::<Vertex>::new();
-    let header = vertices.read_header(&mut reader).map_err(header_error)?;
-    check_header(&header, reader.get_ref().len())?;
+    let Parted { header, data, line } = header::read(bytes)?;
+    check_header(&header, data.len())?;
     if header.encoding == Encoding::Ascii {
-        return ascii::decode(reader.get_ref(), reader.line(), &header);
+        return ascii::decode(data, line, &header);
     }
-    if let Some(soup) = records::decode(reader.get_ref(), &header) {
+    if let Some(soup) = records::decode(data, &header) {
         return Ok(soup);
     }
+    let (mut reader, vertices) = (Reader::new(data), Parser::<Vertex>::new());
     let mut soup = Soup::default();
     let mut faces = Vec::new();
     for (name, element) in &header.elements {
@@ -72,7 +74,11 @@ pub(super) fn encode(mesh: &TriMesh) -> Vec<u8> {
 /// Refuses headers without a surface, and counts that the remaining bytes cannot hold.
 fn check_header(header: &Header, remaining: usize) -> Result<(), DataError> {
     let element = |name: &str| {
-        header.elements.get(name).ok_or_else(|| DataError::Header(format!("there is no element \"{name}\"")))
+        header.elements.get(name).ok_or_else(|| {
+            let strips = header.elements.contains_key("tristrips");
+            let hint = if strips { "; strips (\"tristrips\") are not read, write them as faces" } else { "" };
+            DataError::Header(format!("there is no element \"{name}\"{hint}"))
+        })
     };
     let is_scalar = |e: &ElementDef, n: &str| matches!(e.properties.get(n), Some(p) if matches!(p.data_type, PropertyType::Scalar(_)));
     let vertex = element("vertex")?;

@@ -4,11 +4,11 @@
 //! The data are walked through here, apart from the crate: it was seen that they are whole when the surface was read.
 
 use glam::{DVec2, DVec3};
-use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{ElementDef, Encoding, Header, PropertyType, ScalarType};
 
 use super::super::attributed::{Held, Raw, eight_bit};
-use super::{Vertex, is_index_name, records};
+use super::header::{self, Parted};
+use super::{is_index_name, records};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
 
@@ -19,8 +19,7 @@ const PREFIX: &str = "scalar_";
 
 /// `bytes` are those that `mesh` was read from.
 pub(in super::super) fn attributes(bytes: &[u8], mesh: &TriMesh) -> Raw {
-    let mut reader = Reader::new(bytes);
-    let Ok(header) = Parser::<Vertex>::new().read_header(&mut reader) else { return Raw::default() };
+    let Ok(Parted { header, data, .. }) = header::read(bytes) else { return Raw::default() };
     let mut columns = header.elements.get("vertex").map(Columns::of).unwrap_or_default();
     let has_wedges = header.elements.get("face").is_some_and(|face| {
         face.properties.iter().any(|(name, p)| name == "texcoord" && matches!(p.data_type, PropertyType::List(..)))
@@ -30,13 +29,13 @@ pub(in super::super) fn attributes(bytes: &[u8], mesh: &TriMesh) -> Raw {
     }
     if !has_wedges {
         let names: Vec<&str> = columns.0.iter().map(|column| column.name.as_str()).collect();
-        if let Some(values) = records::columns(reader.get_ref(), &header, &names) {
+        if let Some(values) = records::columns(data, &header, &names) {
             columns.0.iter_mut().zip(values).for_each(|(column, values)| column.values = values);
             return columns.sort(mesh, None);
         }
     }
     let mut wedges = Wedges::default();
-    if walk(reader.get_ref(), &header, &mut columns, &mut wedges).is_none() {
+    if walk(data, &header, &mut columns, &mut wedges).is_none() {
         let mut raw = Raw::default();
         raw.unreadable("all attributes", "the data could not be read again".to_owned());
         return raw;
@@ -292,7 +291,7 @@ fn shared(mesh: &TriMesh, given: PerCorner<DVec2>) -> PerCorner<DVec2> {
 pub(in super::super) fn encode_with(mesh: &TriMesh, held: &Held<'_>) -> Vec<u8> {
     let (vertices, faces) = (mesh.positions().len(), mesh.facets().len());
     let opaque = held.colours.is_none_or(|c| c.values.iter().all(|c| c[3] == 1.0));
-    let mut out = header(mesh, held, opaque).into_bytes();
+    let mut out = head(mesh, held, opaque).into_bytes();
     out.reserve((24 + 8 * held.scalars.len()) * vertices + 13 * faces);
     let number = |out: &mut Vec<u8>, x: f64| out.extend_from_slice(&x.to_le_bytes());
     for (vertex, p) in mesh.positions().iter().enumerate() {
@@ -325,7 +324,7 @@ pub(in super::super) fn encode_with(mesh: &TriMesh, held: &Held<'_>) -> Vec<u8> 
     out
 }
 
-fn header(mesh: &TriMesh, held: &Held<'_>, opaque: bool) -> String {
+fn head(mesh: &TriMesh, held: &Held<'_>, opaque: bool) -> String {
     let (vertices, faces) = (mesh.positions().len(), mesh.facets().len());
     let mut text = format!("ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n");
     let mut properties = |names: &[&str], kind: &str| {
