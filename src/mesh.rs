@@ -18,6 +18,7 @@ pub(crate) mod disjoint;
 pub(crate) mod edges;
 pub mod features;
 pub mod io;
+pub(crate) mod layers;
 pub mod measure;
 pub mod orient;
 pub mod sample;

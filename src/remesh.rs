@@ -42,7 +42,7 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{Topology, quality_unless, topology};
 use crate::mesh::sample::spread;
-use crate::mesh::{TriMesh, orient, stitch};
+use crate::mesh::{TriMesh, layers, orient, stitch};
 use crate::rvd::{Backend, CancelFlag, RvdError, Surface, dual};
 
 pub use attributes::Provenance;
@@ -262,7 +262,7 @@ pub fn remesh(
     let laps = Laps { clock: Clock::start(), timings: Timings::default() };
     observer.stage("prepare");
     let ((input, whole), mut prepared) = rayon::join(|| without_tears(mesh), || prepare(mesh, options, cancel));
-    // Attributes are of the facets as given, which keep their numbers.
+    // Attributes are of the facets as given, and so are the places where vertices lie.
     let given = mesh;
     let mesh = whole.as_ref().unwrap_or(mesh);
     // A cell does not reach through to a part beside its own where none is beside another.
@@ -355,7 +355,7 @@ fn between(mesh: &TriMesh, parts: usize, options: &RemeshOptions) -> Option<f64>
 }
 
 /// What came in, and the same without what would tear a result, if there is any of it: corners that are nearly in one place,
-/// and facets that are oriented unlike their neighbours.
+/// facets that are there twice, and facets that are oriented unlike their neighbours.
 fn without_tears(mesh: &TriMesh) -> (InputFigures, Option<TriMesh>) {
     let adjacency = Adjacency::new(mesh);
     let (mut figures, mut whole) = match stitch::rims(mesh, &adjacency) {
@@ -364,6 +364,13 @@ fn without_tears(mesh: &TriMesh) -> (InputFigures, Option<TriMesh>) {
         }
         None => (InputFigures::with(mesh, &adjacency), None),
     };
+    if figures.inconsistent_edges + figures.topology.non_manifold_edges > 0
+        && let Some((single, spare)) = layers::single(whole.as_ref().unwrap_or(mesh))
+    {
+        let stitched_vertices = figures.stitched_vertices;
+        figures = InputFigures { stitched_vertices, spare_facets: spare, ..InputFigures::of(&single) };
+        whole = Some(single);
+    }
     if figures.inconsistent_edges > 0
         && let Some((alike, turned)) = orient::alike(whole.as_ref().unwrap_or(mesh))
     {

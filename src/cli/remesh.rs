@@ -333,6 +333,9 @@ fn print(report: &Report, bounded: bool) {
             "            {moved} vertices of its boundaries were nearly in the same place as others and moved there"
         );
     }
+    if input.spare_facets > 0 {
+        println!("            {} facets lay on others, corner on corner, and were left out", input.spare_facets);
+    }
     if input.turned_facets > 0 {
         println!("            {} facets were oriented unlike their neighbours and turned over", input.turned_facets);
     }

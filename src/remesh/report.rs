@@ -81,8 +81,10 @@ pub struct InputFigures {
     /// Facets that were turned over, to be oriented as their neighbours are.
     pub turned_facets: usize,
     /// Vertices of boundaries that were moved to others which are nearly in the same place; the other figures are of the surface
-    /// after that.
+    /// after that,
     pub stitched_vertices: usize,
+    /// and without so many facets that lay on others, corner on corner, where the surface goes on without them.
+    pub spare_facets: usize,
     /// Caller's units squared.
     pub area: f64,
     /// χ, components, holes, non-manifold elements.
@@ -339,6 +341,7 @@ impl InputFigures {
             inconsistent_edges: adjacency.inconsistent_edges(),
             turned_facets: 0,
             stitched_vertices: 0,
+            spare_facets: 0,
             area: mesh.area(),
             topology: topology_of(mesh, adjacency),
         }

@@ -118,6 +118,34 @@ fn facets_turned_over() {
     check("Möbius", &moebius(40, 4), 150);
 }
 
+/// Facets that a file has twice, either way round, beside one another or with vertices of their own: two of them side by side tore
+/// a remesh open, where cells are small beside them.
+#[test]
+fn facets_that_are_there_twice() {
+    let sphere = Shape::Sphere.build(600);
+    let n = sphere.positions().len() as u32;
+    let again = |which: &[usize], back: bool, own: u32| {
+        let more = which.iter().map(|&f| {
+            let [a, b, c] = sphere.facets()[f].map(|v| v + own);
+            if back { [a, c, b] } else { [a, b, c] }
+        });
+        let positions = sphere.positions().repeat(if own > 0 { 2 } else { 1 });
+        TriMesh::new(positions, sphere.facets().iter().copied().chain(more).collect()).unwrap()
+    };
+    for (which, back, own) in [(&[100][..], true, 0), (&[0, 1, 2, 3, 60, 61, 62, 300], true, 0), (&[5, 6, 7], false, n)]
+    {
+        let mesh = again(which, back, own);
+        for points in [150, 2500] {
+            for out in check(&format!("{} twice, {points}", which.len()), &mesh, points) {
+                assert_eq!(topology(&out.mesh), Topology { euler: 2, components: 1, ..Topology::default() });
+                let input = &out.report.input;
+                assert_eq!((input.spare_facets, input.topology.non_manifold_edges), (which.len(), 0));
+                assert_eq!(out.report.topology_changes.len(), 0);
+            }
+        }
+    }
+}
+
 /// A list of triangles whose corners were rounded one by one hangs together.
 #[test]
 fn corners_that_are_nearly_one() {

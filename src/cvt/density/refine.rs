@@ -11,7 +11,7 @@ use std::collections::HashMap;
 use glam::DVec3;
 
 use super::net::Net;
-use crate::mesh::{TriMesh, coincident};
+use crate::mesh::{TriMesh, layers};
 
 /// Lengths at the ends of an edge may differ by this factor: half-way, linear w is then 1.32 times that of
 /// linear h, 7 % in edge length, and less elsewhere. With 1.6 nefertiti by curvature has a twentieth more facets instead of
@@ -52,25 +52,12 @@ pub(super) fn shorten(mesh: &TriMesh, sizes: &[f64], values: &[f64], most: usize
     let (low, high) = mesh.bounds();
     let mut draft = Draft::new(mesh, low, (high - low).max_element(), sizes);
     draft.values = values.to_vec();
-    if draft.is_mostly_long(mesh) && !is_doubled(mesh) && draft.split_long(most) {
+    // Facets that lie on one another have their edges in common and no others, but would have the edges between their parts
+    // too: two sides of a closed surface would become one.
+    if draft.is_mostly_long(mesh) && !layers::any(mesh) && draft.split_long(most) {
         return draft.mesh().map(|mesh| (mesh, draft.values));
     }
     None
-}
-
-/// Whether facets lie on one another with all their corners. They have their edges in common and no others, but would have the
-/// edges between their parts too if they were divided: two sides of a closed surface would become one.
-fn is_doubled(mesh: &TriMesh) -> bool {
-    let mut first: Vec<u32> = (0..mesh.positions().len() as u32).collect();
-    coincident::find(mesh.positions()).into_iter().for_each(|(later, earliest)| first[later as usize] = earliest);
-    let sorted = |t: &[u32; 3]| {
-        let mut corners = t.map(|v| first[v as usize]);
-        corners.sort_unstable();
-        corners
-    };
-    let mut corners: Vec<[u32; 3]> = mesh.facets().iter().map(sorted).collect();
-    corners.sort_unstable();
-    corners.windows(2).any(|pair| pair[0] == pair[1])
 }
 
 struct Draft {
@@ -385,7 +372,7 @@ mod tests {
             let mesh = TriMesh::new(points.clone(), vec![[0, 1, 2], back, [1, 3, 2]]).unwrap();
             assert!(shorten(&mesh, &[0.1; 7], &[], 100_000).is_none());
             let two = TriMesh::new(points.clone(), vec![[0, 1, 2], back]).unwrap();
-            assert!(is_doubled(&two) && shorten(&two, &[0.1; 7], &[], 100_000).is_none());
+            assert!(layers::any(&two) && shorten(&two, &[0.1; 7], &[], 100_000).is_none());
         }
     }
 }

@@ -1,0 +1,178 @@
+//! Facets that lie on one another.
+//!
+//! Purpose: [`single`] leaves one of the facets that have the same three corners where the surface goes on without the others:
+//! a file may have a facet twice, or one of its own for the back of some.
+//! Invariant: what has two sides and no thickness stays: a sheet of two layers, a flap of two on a solid, a pillow that is flat in
+//! its middle. Vertices keep their numbers, and facets their order. Must not know: why it matters.
+
+use std::collections::HashSet;
+
+use rayon::prelude::*;
+
+use super::TriMesh;
+use super::adjacency::weld;
+use super::disjoint::DisjointSets;
+use super::edges::EdgeGroups;
+
+/// A facet's corners, the lowest first and the highest last, its number, and whether it runs from the lowest to the middle one.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Layer {
+    corners: [u32; 3],
+    facet: u32,
+    forward: bool,
+}
+
+/// Facets with the same corners, whatever way round, side by side; the first one first.
+struct Layers {
+    all: Vec<Layer>,
+    /// How many vertices there are.
+    vertices: usize,
+}
+
+impl Layers {
+    fn of(mesh: &TriMesh) -> Self {
+        let class = weld(mesh);
+        let of = |(t, facet): (&[u32; 3], u32)| {
+            let [a, b, c] = t.map(|v| class[v as usize]);
+            let mut corners = [a, b, c];
+            corners.sort_unstable();
+            let next = |v: u32| {
+                if v == a {
+                    b
+                } else if v == b {
+                    c
+                } else {
+                    a
+                }
+            };
+            Layer { corners, facet, forward: next(corners[0]) == corners[1] }
+        };
+        let mut all: Vec<Layer> = mesh.facets().iter().zip(0..).map(of).collect();
+        // A facet that names a place twice has no sides.
+        all.retain(|Layer { corners: [a, b, c], .. }| a != b && b != c);
+        all.par_sort_unstable();
+        Self { all, vertices: class.len() }
+    }
+
+    fn places(&self) -> impl Iterator<Item = &[Layer]> {
+        self.all.chunk_by(|a, b| a.corners == b.corners)
+    }
+}
+
+/// Whether any facets have the same corners.
+pub(crate) fn any(mesh: &TriMesh) -> bool {
+    Layers::of(mesh).places().any(|place| place.len() > 1)
+}
+
+/// `mesh` with one facet where there are several, and how many are left out; `None` if none is. Of what hangs together through
+/// sides of such facets, all places have one afterwards or none has: where no side has facets in more than two places, and one
+/// side goes on to a facet that was alone before, or all facets in each place run the same way.
+pub fn single(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
+    let layers = Layers::of(mesh);
+    let places: Vec<&[Layer]> = layers.places().collect();
+    if places.iter().all(|place| place.len() == 1) {
+        return None;
+    }
+    let mut parts = DisjointSets::new(places.len());
+    // Of each side of several facets, in how many places it has facets, and one of those with several.
+    let mut sides: Vec<(usize, usize)> = Vec::new();
+    let mut ends = HashSet::new();
+    EdgeGroups::new(layers.vertices, places.iter().map(|place| place[0].corners).enumerate()).for_each(|_, halves| {
+        let several: Vec<usize> =
+            halves.iter().map(|half| half.facet as usize).filter(|&place| places[place].len() > 1).collect();
+        several.windows(2).for_each(|pair| parts.join(pair[0], pair[1]));
+        if let Some(&place) = several.first() {
+            sides.push((halves.len(), place));
+            if halves.len() > several.len() {
+                ends.insert(place);
+            }
+        }
+    });
+    let crowded: HashSet<usize> = sides.iter().filter(|side| side.0 > 2).map(|side| parts.root(side.1)).collect();
+    let goes_on: HashSet<usize> = ends.into_iter().map(|place| parts.root(place)).collect();
+    let several = || places.iter().enumerate().filter(|(_, place)| place.len() > 1);
+    let both_ways = several().filter(|(_, place)| place.iter().any(|layer| layer.forward != place[0].forward));
+    let both_ways: HashSet<usize> = both_ways.map(|(k, _)| parts.root(k)).collect();
+    let mut left_out = HashSet::new();
+    for (k, place) in several() {
+        let part = parts.root(k);
+        if !crowded.contains(&part) && (goes_on.contains(&part) || !both_ways.contains(&part)) {
+            left_out.extend(place[1..].iter().map(|layer| layer.facet as usize));
+        }
+    }
+    if left_out.is_empty() {
+        return None;
+    }
+    let facets = mesh.facets().iter().enumerate().filter(|(f, _)| !left_out.contains(f)).map(|(_, &t)| t).collect();
+    TriMesh::new(mesh.positions().to_vec(), facets).ok().map(|single| (single, left_out.len()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::shapes::Shape;
+
+    fn with(mesh: &TriMesh, more: impl Iterator<Item = [u32; 3]>) -> TriMesh {
+        let facets = mesh.facets().iter().copied().chain(more).collect();
+        TriMesh::new(mesh.positions().to_vec(), facets).unwrap()
+    }
+
+    fn back([a, b, c]: [u32; 3]) -> [u32; 3] {
+        [a, c, b]
+    }
+
+    #[test]
+    fn facets_that_are_there_twice() {
+        for shape in [Shape::Sphere, Shape::Torus] {
+            let mesh = shape.build(500);
+            assert!(single(&mesh).is_none() && !any(&mesh));
+            let some = || mesh.facets().iter().copied().enumerate().filter(|(f, _)| f % 50 < 7).map(|(_, t)| t);
+            for twice in
+                [with(&mesh, some()), with(&mesh, some().map(back)), with(&mesh, some().chain(some().map(back)))]
+            {
+                let (once, left_out) = single(&twice).unwrap();
+                assert_eq!((once.facets(), left_out), (mesh.facets(), twice.facets().len() - mesh.facets().len()));
+                assert!(any(&twice));
+            }
+            // All of it, the same way round.
+            let whole = with(&mesh, mesh.facets().iter().map(|&[a, b, c]| [b, c, a]));
+            assert_eq!(single(&whole).unwrap().0.facets(), mesh.facets());
+        }
+        // Also where it has boundaries, and where the second one has vertices of its own.
+        let sheet = Shape::Plane.build(200);
+        let n = sheet.positions().len() as u32;
+        let positions = [sheet.positions(), sheet.positions()].concat();
+        let facets = sheet.facets().iter().copied().chain(sheet.facets().iter().map(|t| t.map(|v| v + n))).collect();
+        assert_eq!(single(&TriMesh::new(positions, facets).unwrap()).unwrap().0.facets(), sheet.facets());
+    }
+
+    #[test]
+    fn what_has_no_thickness_stays() {
+        // Two sides of a sheet, of some of it, and of a closed surface.
+        for shape in [Shape::Plane, Shape::Sphere] {
+            let mesh = shape.build(200);
+            assert!(single(&with(&mesh, mesh.facets().iter().copied().map(back))).is_none());
+        }
+        // A flap on a solid, of two layers, and a fin of one.
+        let solid = Shape::Sphere.build(200);
+        let [a, b, _] = solid.facets()[0];
+        let mut positions = solid.positions().to_vec();
+        positions.push(2.0 * positions[a as usize]);
+        let flap = [a, b, solid.positions().len() as u32];
+        for flaps in [vec![flap, back(flap)], vec![flap]] {
+            let facets = solid.facets().iter().copied().chain(flaps).collect();
+            assert!(single(&TriMesh::new(positions.clone(), facets).unwrap()).is_none());
+        }
+        // A pillow that is flat in its middle.
+        let sheet = Shape::Plane.build(200);
+        let n = sheet.positions().len() as u32;
+        let (low, high) = sheet.bounds();
+        let middle = |p: glam::DVec3| (p - (low + high) / 2.0).abs().max_element() < 0.3 * (high - low).max_element();
+        let raised = sheet.positions().iter().map(|&p| if middle(p) { p } else { p + 0.1 * glam::DVec3::Z });
+        let positions = sheet.positions().iter().copied().chain(raised).collect();
+        let facets =
+            sheet.facets().iter().copied().chain(sheet.facets().iter().map(|t| back(t.map(|v| v + n)))).collect();
+        let pillow = TriMesh::new(positions, facets).unwrap();
+        assert!(any(&pillow) && single(&pillow).is_none());
+    }
+}
