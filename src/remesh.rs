@@ -97,7 +97,7 @@ pub enum Placement {
 }
 
 /// More points where the result is far from the input. The vertices of the result are to be
-/// [`Placement::Fitted`]; no points are added otherwise.
+/// [`Placement::Fitted`].
 ///
 /// Drawn seeds are drawn anew, for edges that are shorter where the last result was too far, up to five times. To given
 /// seeds some are added, up to eight times.
@@ -107,7 +107,7 @@ pub struct Refine {
     /// when that is so or when there are `max_points`; the report's `refine.missed` says how
     /// many places are farther away.
     pub tolerance: f64,
-    /// The most seeds that there may be in all.
+    /// The most seeds that there may be in all, at least as many as there are at first.
     pub max_points: usize,
 }
 
@@ -222,6 +222,21 @@ pub enum RemeshError {
         /// How many there were.
         seeds: usize,
     },
+    /// Points are to be added where vertices are not [`Placement::Fitted`].
+    #[error(
+        "points are added where a fitted result is far from the surface; place the vertices so, or give no tolerance"
+    )]
+    RefineUnfitted,
+    /// Points are to be added, and there are too many already.
+    #[error(
+        "there are {points} points before any is added, and at most {most} are allowed; allow more, or begin with fewer"
+    )]
+    RefineLimit {
+        /// How many there are.
+        points: usize,
+        /// [`Refine::max_points`].
+        most: usize,
+    },
     /// The attributes are not the surface's.
     #[error(transparent)]
     Attributes(#[from] AttributeError),
@@ -259,6 +274,9 @@ pub fn remesh(
     cancel: &CancelFlag,
 ) -> Result<Remesh, RemeshError> {
     options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(mesh))?;
+    if options.refine.is_some() && options.placement != Placement::Fitted {
+        return Err(RemeshError::RefineUnfitted);
+    }
     let laps = Laps { clock: Clock::start(), timings: Timings::default() };
     observer.stage("prepare");
     let ((input, whole), mut prepared) = rayon::join(|| without_tears(mesh), || prepare(mesh, options, cancel));
@@ -272,14 +290,18 @@ pub fn remesh(
     if whole.is_some() || apart.is_some() {
         prepared = prepare(ground, options, cancel);
     }
+    if let (Some(Refine { max_points: most, .. }), Ok(Prepared { plan: Plan { points, .. }, .. })) =
+        (options.refine, &prepared)
+        && *points > most
+    {
+        return Err(RemeshError::RefineLimit { points: *points, most });
+    }
     // Who says how long edges are is not contradicted.
     let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
     let keep_thin = options.keep_thin && free && options.placement == Placement::Fitted;
     let mut job = Job { mesh: ground, backend, cancel, observer, laps, keep_thin, topology: input.topology };
     let attempt = match (options.refine, &options.seeds) {
-        (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed }))
-            if options.placement == Placement::Fitted =>
-        {
+        (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
             closer::find(&mut job, prepared?, options, refine, seed)?
         }
         _ => job.attempt(prepared?, options, options.refine.map(|r| r.tolerance))?,

@@ -80,6 +80,8 @@ fn of_remesh(error: &RemeshError) -> u8 {
         | RemeshError::NoThickness
         | RemeshError::Feature(_)
         | RemeshError::Density(_)
+        | RemeshError::RefineUnfitted
+        | RemeshError::RefineLimit { .. }
         | RemeshError::Attributes(_) => DATA,
     }
 }

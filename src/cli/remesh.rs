@@ -223,6 +223,9 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
         sizes::check_format(&args.input, "--creases")?;
     }
     args.picture.check()?;
+    if args.max_deviation.is_some() && args.placement.placement() != Placement::Fitted {
+        return Err(Usage("--max-deviation is for --placement fitted; give one of them alone".to_owned()).into());
+    }
     let start = Instant::now();
     let (mesh, attributes) = match args.no_attributes {
         true => (files::read_mesh(&args.input)?, None),

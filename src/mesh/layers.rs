@@ -64,7 +64,8 @@ pub(crate) fn any(mesh: &TriMesh) -> bool {
     Layers::of(mesh).places().any(|place| place.len() > 1)
 }
 
-/// `mesh` with one facet where there are several, and how many are left out; `None` if none is. Of what hangs together through
+/// `mesh` with one facet where there are several, one that goes with those beside it, and how many are left out; `None` if none
+/// is. Of what hangs together through
 /// sides of such facets, all places have one afterwards or none has: where no side has facets in more than two places, and one
 /// side goes on to a facet that was alone before, or all facets in each place run the same way.
 pub fn single(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
@@ -77,6 +78,8 @@ pub fn single(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
     // Of each side of several facets, in how many places it has facets, and one of those with several.
     let mut sides: Vec<(usize, usize)> = Vec::new();
     let mut ends = HashSet::new();
+    // Of each place how many facets beside it go with one that runs forward, less those that do not.
+    let mut votes = vec![0i32; places.len()];
     EdgeGroups::new(layers.vertices, places.iter().map(|place| place[0].corners).enumerate()).for_each(|_, halves| {
         let several: Vec<usize> =
             halves.iter().map(|half| half.facet as usize).filter(|&place| places[place].len() > 1).collect();
@@ -85,6 +88,13 @@ pub fn single(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
             sides.push((halves.len(), place));
             if halves.len() > several.len() {
                 ends.insert(place);
+            }
+            if let (&[a, b], [_]) = (halves, &several[..]) {
+                let alone = if a.facet as usize == place { b } else { a };
+                let layer = places[alone.facet as usize][0];
+                // Two sides go together that run opposite ways; in what runs forward the last one runs from high to low.
+                let goes = layer.forward == ((a.side == 2) != (b.side == 2));
+                votes[place] += if goes { 1 } else { -1 };
             }
         }
     });
@@ -97,7 +107,9 @@ pub fn single(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
     for (k, place) in several() {
         let part = parts.root(k);
         if !crowded.contains(&part) && (goes_on.contains(&part) || !both_ways.contains(&part)) {
-            left_out.extend(place[1..].iter().map(|layer| layer.facet as usize));
+            let goes = |layer: &&Layer| votes[k] == 0 || layer.forward == (votes[k] > 0);
+            let kept = place.iter().find(goes).unwrap_or(&place[0]).facet;
+            left_out.extend(place.iter().map(|layer| layer.facet).filter(|&f| f != kept).map(|f| f as usize));
         }
     }
     if left_out.is_empty() {
@@ -110,6 +122,7 @@ pub fn single(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::adjacency::Adjacency;
     use crate::mesh::shapes::Shape;
 
     fn with(mesh: &TriMesh, more: impl Iterator<Item = [u32; 3]>) -> TriMesh {
@@ -138,6 +151,12 @@ mod tests {
             let whole = with(&mesh, mesh.facets().iter().map(|&[a, b, c]| [b, c, a]));
             assert_eq!(single(&whole).unwrap().0.facets(), mesh.facets());
         }
+        // The one is taken that goes with those beside it.
+        let mesh = Shape::Sphere.build(500);
+        let reversed = mesh.facets().iter().enumerate().map(|(f, &t)| if f % 50 == 0 { back(t) } else { t });
+        let more = mesh.facets().iter().copied().step_by(50);
+        let twice = TriMesh::new(mesh.positions().to_vec(), reversed.chain(more).collect()).unwrap();
+        assert_eq!(Adjacency::new(&single(&twice).unwrap().0).inconsistent_edges(), 0);
         // Also where it has boundaries, and where the second one has vertices of its own.
         let sheet = Shape::Plane.build(200);
         let n = sheet.positions().len() as u32;

@@ -63,6 +63,10 @@ fn of_job(error: &JobError) -> Status {
         }
         JobError::Remesh(RemeshError::TooFewSeeds { .. }) => invalid(text.clone(), "seeds".into(), text),
         JobError::Remesh(RemeshError::Density(error)) => of_density(error),
+        JobError::Remesh(RemeshError::RefineUnfitted) => invalid(text.clone(), "header.refinement".into(), text),
+        JobError::Remesh(RemeshError::RefineLimit { .. }) => {
+            invalid(text.clone(), "header.refinement.max_points".into(), text)
+        }
         // What an upload carries is checked when it is collected, where its index is known.
         JobError::Remesh(RemeshError::Attributes(_)) => invalid(text.clone(), "mesh.attributes".into(), text),
         JobError::Rvd(error) | JobError::Remesh(RemeshError::Rvd(error)) => of_rvd(error),

@@ -66,11 +66,12 @@ fn a_surface_that_cannot_be_written_is_said_once() {
 }
 
 #[test]
-fn numbers_below_zero_are_told_what_is_allowed() {
+fn wrong_numbers_are_told_what_is_allowed() {
     let folder = tempfile::tempdir().unwrap();
     for (option, words) in [
         ("--points 20 --crease-angle -1", "0 to 180"),
         ("--points 20 --max-deviation -1", "above 0"),
+        ("--points 20 --max-deviation 1 --placement surface", "for --placement fitted"),
         ("--points 20 --gradation -1", "above 0"),
         ("--edge-length -0.5", "above 0"),
         ("--points -5", "not in 1.."),

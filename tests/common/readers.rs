@@ -80,6 +80,8 @@ pub fn detour(format: Format, bytes: &[u8]) -> Option<Vec<u8>> {
         Format::Ply => {
             let end = b"\nend_header";
             let at = bytes.windows(end.len()).position(|window| window == end)? + 1;
+            // A line that only begins so is refused by its number, which would be another one.
+            bytes.get(at + end.len() - 1).filter(|b| b.is_ascii_whitespace())?;
             let list = b"element nothing 0\nproperty list uchar int a\n";
             Some([&bytes[..at], list, &bytes[at..]].concat())
         }

@@ -252,7 +252,8 @@ async fn refinement_adds_seeds() {
         let status = remesh(&mut client, &mesh, wish(tolerance, 60), &[]).await.err().unwrap();
         assert_eq!(field(&status), "header.refinement.tolerance", "{tolerance}");
     }
-    for max_points in [0, 1001, u64::MAX] {
+    // 50 are asked for.
+    for max_points in [0, 49, 1001, u64::MAX] {
         let status = remesh(&mut client, &mesh, wish(0.1, max_points), &[]).await.err().unwrap();
         assert_eq!(field(&status), "header.refinement.max_points", "{max_points}");
     }
@@ -271,6 +272,14 @@ async fn unknown_choices_and_too_many_steps_are_refused_by_field() {
         (RemeshHeader { placement: -1, ..good.clone() }, "header.placement"),
         (RemeshHeader { boundaries: 99, ..good.clone() }, "header.boundaries"),
         (RemeshHeader { thin: 99, ..good.clone() }, "header.thin"),
+        (
+            RemeshHeader {
+                placement: Placement::Surface.into(),
+                refinement: Some(Refinement { tolerance: 0.1, max_points: 100 }),
+                ..good.clone()
+            },
+            "header.refinement",
+        ),
         (RemeshHeader { newton_steps: 11, ..good.clone() }, "header.newton_steps"),
         (RemeshHeader { newton_steps: u32::MAX, ..good.clone() }, "header.newton_steps"),
     ] {

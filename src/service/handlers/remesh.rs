@@ -14,7 +14,7 @@ use super::*;
 use crate::cvt::Iteration;
 use crate::job::{Place, Retry, Timed};
 use crate::mesh::features::FeatureError;
-use crate::remesh::{Observer, Remesh, RemeshError, RemeshOptions};
+use crate::remesh::{Observer, Placement, Remesh, RemeshError, RemeshOptions};
 
 /// Progress that waits for the client.
 const EVENTS: usize = 256;
@@ -26,7 +26,10 @@ impl Header for RemeshHeader {
         convert::measure(self.measure)?;
         limits::within("header.lloyd_steps", self.lloyd_steps.into(), 0, limits.max_iterations.into())?;
         limits::within("header.newton_steps", self.newton_steps.into(), 0, limits.max_iterations.into())?;
-        convert::placement(self.placement)?;
+        let placement = convert::placement(self.placement)?;
+        if self.refinement.is_some() && placement != Placement::Fitted {
+            return Err(JobError::from(RemeshError::RefineUnfitted).into());
+        }
         convert::boundaries(self.boundaries)?;
         convert::thin(self.thin)?;
         convert::refinement(self.refinement.as_ref(), limits)?;
