@@ -27,6 +27,7 @@ mod stars;
 mod steps;
 mod thin;
 mod tips;
+mod whole;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -35,24 +36,24 @@ use glam::DVec3;
 
 use crate::cvt::density::{self, Count, DensityError, DensityOptions, DensitySource, Plan};
 use crate::cvt::{Cvt, Iteration, Projection};
-use crate::mesh::adjacency::Adjacency;
+use crate::mesh::TriMesh;
 use crate::mesh::apart::Apart;
 use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{Topology, quality_unless, topology};
 use crate::mesh::sample::spread;
-use crate::mesh::{TriMesh, layers, orient, stitch};
 use crate::rvd::{Backend, CancelFlag, RvdError, Surface, dual};
 
 pub use attributes::Provenance;
 pub use report::Report;
 use report::{
-    DeviceFigures, FinalFigures, InputFigures, IterationFigures, MemoryFigures, RefineFigures, ResultFigures,
-    RvdFigures, Timings, topology_changes,
+    DeviceFigures, FinalFigures, IterationFigures, MemoryFigures, RefineFigures, ResultFigures, RvdFigures, Timings,
+    topology_changes,
 };
 use settled::{Exact, Settled};
 use steps::Steps;
+use whole::without_tears;
 
 /// Where the first seeds come from.
 #[derive(Clone, Debug)]
@@ -374,32 +375,6 @@ fn between(mesh: &TriMesh, parts: usize, options: &RemeshOptions) -> Option<f64>
     };
     // A tetrahedron has four.
     (edge <= even(4 * parts)).then(|| 2.0 * edge + 0.02 * (high - low).length())
-}
-
-/// What came in, and the same without what would tear a result, if there is any of it: corners that are nearly in one place,
-/// facets that are there twice, and facets that are oriented unlike their neighbours.
-fn without_tears(mesh: &TriMesh) -> (InputFigures, Option<TriMesh>) {
-    let adjacency = Adjacency::new(mesh);
-    let (mut figures, mut whole) = match stitch::rims(mesh, &adjacency) {
-        Some((stitched, moved)) => {
-            (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched) }, Some(stitched))
-        }
-        None => (InputFigures::with(mesh, &adjacency), None),
-    };
-    if figures.inconsistent_edges + figures.topology.non_manifold_edges > 0
-        && let Some((single, spare)) = layers::single(whole.as_ref().unwrap_or(mesh))
-    {
-        let stitched_vertices = figures.stitched_vertices;
-        figures = InputFigures { stitched_vertices, spare_facets: spare, ..InputFigures::of(&single) };
-        whole = Some(single);
-    }
-    if figures.inconsistent_edges > 0
-        && let Some((alike, turned)) = orient::alike(whole.as_ref().unwrap_or(mesh))
-    {
-        figures.turned_facets = turned;
-        whole = Some(alike);
-    }
-    (figures, whole)
 }
 
 /// What all attempts at one remesh share.

@@ -1,0 +1,35 @@
+//! The input without what would tear a result.
+//!
+//! Purpose: corners that are nearly in one place are put there, facets that are there twice are left out, and such as are oriented
+//! unlike their neighbours turned over, in this order, since each shows what the next has to do.
+//! Invariant: vertices keep their numbers; what was done is counted. Must not know: density, seeds.
+
+use super::report::InputFigures;
+use crate::mesh::adjacency::Adjacency;
+use crate::mesh::{TriMesh, layers, orient, stitch};
+
+/// What came in, and the same without what would tear a result, if there is any of it: corners that are nearly in one place,
+/// facets that are there twice, and facets that are oriented unlike their neighbours.
+pub(super) fn without_tears(mesh: &TriMesh) -> (InputFigures, Option<TriMesh>) {
+    let adjacency = Adjacency::new(mesh);
+    let (mut figures, mut whole) = match stitch::rims(mesh, &adjacency) {
+        Some((stitched, moved)) => {
+            (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched) }, Some(stitched))
+        }
+        None => (InputFigures::with(mesh, &adjacency), None),
+    };
+    if figures.inconsistent_edges + figures.topology.non_manifold_edges > 0
+        && let Some((single, spare)) = layers::single(whole.as_ref().unwrap_or(mesh))
+    {
+        let stitched_vertices = figures.stitched_vertices;
+        figures = InputFigures { stitched_vertices, spare_facets: spare, ..InputFigures::of(&single) };
+        whole = Some(single);
+    }
+    if figures.inconsistent_edges > 0
+        && let Some((alike, turned)) = orient::alike(whole.as_ref().unwrap_or(mesh))
+    {
+        figures.turned_facets = turned;
+        whole = Some(alike);
+    }
+    (figures, whole)
+}
