@@ -118,8 +118,8 @@ fn facets_turned_over() {
     check("Möbius", &moebius(40, 4), 150);
 }
 
-/// Facets that a file has twice, either way round, beside one another or with vertices of their own: two of them side by side tore
-/// a remesh open, where cells are small beside them.
+/// Facets that a file has twice, either way round, beside one another or with vertices of their own: several of them tore a remesh
+/// open where cells are small beside them.
 #[test]
 fn facets_that_are_there_twice() {
     let sphere = Shape::Sphere.build(600);
