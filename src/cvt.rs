@@ -25,9 +25,10 @@ use curves::CurveSeeds;
 
 use crate::mesh::closest_point::ClosestPoint;
 use crate::rvd::{
-    Backend, CancelFlag, CellSums, DeviceWork, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface,
-    check_seeds, elapsed_ms,
+    Backend, CellSums, DeviceWork, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface, check_seeds,
+    elapsed_ms,
 };
+use crate::token::Token;
 
 /// Where seeds go after each step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -299,13 +300,13 @@ impl Cvt {
     ///
     /// # Errors
     /// `Cancelled`, or what the device says. The seeds are then as before.
-    pub fn lloyd(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
-        self.metered(|cvt| cvt.take_lloyd(cancel))
+    pub fn lloyd(&mut self, token: &Token) -> Result<Iteration, RvdError> {
+        self.metered(|cvt| cvt.take_lloyd(token))
     }
 
-    fn take_lloyd(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
+    fn take_lloyd(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         let begin = Instant::now();
-        let (look, evaluations) = self.look(cancel)?;
+        let (look, evaluations) = self.look(token)?;
         self.lloyd_from(look, Iteration { evaluations, ..self.figures(StepKind::Lloyd, look) }, begin)
     }
 
@@ -314,13 +315,13 @@ impl Cvt {
     ///
     /// # Errors
     /// `Cancelled`, or what the device says. The seeds are then as before.
-    pub fn lbfgs(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
-        self.metered(|cvt| cvt.take_lbfgs(cancel))
+    pub fn lbfgs(&mut self, token: &Token) -> Result<Iteration, RvdError> {
+        self.metered(|cvt| cvt.take_lbfgs(token))
     }
 
-    fn take_lbfgs(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
+    fn take_lbfgs(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         let begin = Instant::now();
-        let (look, evaluations) = self.look(cancel)?;
+        let (look, evaluations) = self.look(token)?;
         let mut report = Iteration { evaluations, ..self.figures(StepKind::Lbfgs, look) };
         if look.empty_cells > 0 || look.gradient_squared == 0.0 {
             report.kind = StepKind::Lloyd;
@@ -335,7 +336,7 @@ impl Cvt {
             slope = vectors.direct()?;
             first = FIRST_STEP;
         }
-        let found = line_search::search(vectors, (look.energy, slope), first, cancel)?;
+        let found = line_search::search(vectors, (look.energy, slope), first, token)?;
         report.evaluations += found.probes;
         report.stats.add(&found.stats);
         let Some(next) = found.look else {
@@ -365,8 +366,8 @@ impl Cvt {
     ///
     /// # Errors
     /// `Cancelled`, or what the device says.
-    pub fn present(&mut self, cancel: &CancelFlag) -> Result<Iteration, RvdError> {
-        let (look, evaluations) = self.look(cancel)?;
+    pub fn present(&mut self, token: &Token) -> Result<Iteration, RvdError> {
+        let (look, evaluations) = self.look(token)?;
         Ok(Iteration { evaluations, ..self.figures(StepKind::Lloyd, look) })
     }
 
@@ -517,13 +518,13 @@ impl Cvt {
     }
 
     /// What a pass says of the present seeds, and how many passes that took: one, or none if it is known.
-    fn look(&mut self, cancel: &CancelFlag) -> Result<(Look, usize), RvdError> {
+    fn look(&mut self, token: &Token) -> Result<(Look, usize), RvdError> {
         if let Some(known) = self.present {
             // The pass was another step's; so are its times.
             return Ok((Look { stats: PassStats::default(), ..known }, 0));
         }
         self.push()?;
-        let look = resident(&mut *self.session)?.evaluate(cancel)?;
+        let look = resident(&mut *self.session)?.evaluate(token)?;
         self.convergence.begin(look.gradient_squared.sqrt());
         self.present = Some(look);
         Ok((look, 1))

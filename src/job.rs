@@ -1,7 +1,7 @@
 //! Jobs: the queue, and the one thread that owns the device.
 //!
 //! Purpose: [`Engine`] takes work from many callers and does it one piece at a time on the device
-//! thread, which alone touches the backends. A piece is short or checks its [`CancelFlag`], and never
+//! thread, which alone touches the backends. A piece is short or checks its [`Token`], and never
 //! waits for a client: state that outlives a piece (a session) moves out and in again.
 //! Invariant: every submitted piece is answered exactly once or its caller has gone; a panic ends
 //! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
@@ -18,7 +18,8 @@ use std::time::Duration;
 
 use crate::mesh::MeshError;
 use crate::remesh::RemeshError;
-use crate::rvd::{Backend, BackendKind, CancelFlag, RvdError};
+use crate::rvd::{Backend, BackendKind, RvdError};
+use crate::token::{Stopped, Token};
 
 pub use queue::Place;
 pub use worker::{Device, Engine, EngineOptions, Pending, Retry, Timed, Turn};
@@ -137,13 +138,19 @@ impl JobError {
 
     /// Whether somebody asked to stop.
     pub fn is_cancelled(&self) -> bool {
-        matches!(self.as_rvd(), Some(RvdError::Cancelled))
+        matches!(self.as_rvd(), Some(RvdError::Stopped(Stopped::Cancelled)))
+    }
+}
+
+impl From<Stopped> for JobError {
+    fn from(reason: Stopped) -> Self {
+        Self::Rvd(reason.into())
     }
 }
 
 /// Cancels when dropped: whoever waits for work holds one, so that going away stops the work.
 #[derive(Debug, Default)]
-pub struct CancelOnDrop(pub CancelFlag);
+pub struct CancelOnDrop(pub Token);
 
 impl Drop for CancelOnDrop {
     fn drop(&mut self) {

@@ -8,6 +8,7 @@
 //!
 //! | module | what lives there | may use |
 //! | --- | --- | --- |
+//! | [`token`] | cancellation and limits, heard by every stage | nothing here |
 //! | [`mesh`] | triangle surfaces: validated, read, written, sampled, measured | nothing here |
 //! | [`picture`] | pictures of surfaces, drawn in software | `mesh` |
 //! | [`knn`] | neighbour tables of the seeds | `mesh` |
@@ -19,7 +20,7 @@
 //! | [`service`] | gRPC: handlers, conversion, status codes | `job` and below |
 //! | [`cli`] | one file per subcommand | everything |
 //!
-//! Nothing runs back up. `tests/architecture.rs` holds these rules.
+//! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules.
 
 pub mod cli;
 pub mod config;
@@ -33,3 +34,4 @@ pub mod remesh;
 pub mod rvd;
 pub mod service;
 pub mod telemetry;
+pub mod token;

@@ -43,7 +43,8 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{Topology, quality_unless, topology};
 use crate::mesh::sample::spread;
-use crate::rvd::{Backend, CancelFlag, RvdError, Surface, dual};
+use crate::rvd::{Backend, RvdError, Surface, dual};
+use crate::token::{Stopped, Token};
 
 pub use attributes::Provenance;
 pub use report::Report;
@@ -243,10 +244,16 @@ pub enum RemeshError {
     Attributes(#[from] AttributeError),
 }
 
+impl From<Stopped> for RemeshError {
+    fn from(reason: Stopped) -> Self {
+        Self::Rvd(reason.into())
+    }
+}
+
 impl From<DensityError> for RemeshError {
     fn from(error: DensityError) -> Self {
         match error {
-            DensityError::Cancelled => Self::Rvd(RvdError::Cancelled),
+            DensityError::Stopped(reason) => Self::Rvd(RvdError::Stopped(reason)),
             error => Self::Density(error),
         }
     }
@@ -266,13 +273,13 @@ impl Observer for () {}
 /// Remeshes `mesh` on `backend`.
 ///
 /// # Errors
-/// [`RemeshError`]; `Rvd(Cancelled)` soon after `cancel` is set.
+/// [`RemeshError`]; `Rvd(Cancelled)` soon after `token` is set.
 pub fn remesh(
     mesh: &TriMesh,
     options: &RemeshOptions,
     backend: &dyn Backend,
     observer: &mut dyn Observer,
-    cancel: &CancelFlag,
+    token: &Token,
 ) -> Result<Remesh, RemeshError> {
     options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(mesh))?;
     if options.refine.is_some() && options.placement != Placement::Fitted {
@@ -280,7 +287,7 @@ pub fn remesh(
     }
     let laps = Laps { clock: Clock::start(), timings: Timings::default() };
     observer.stage("prepare");
-    let ((input, whole), mut prepared) = rayon::join(|| without_tears(mesh), || prepare(mesh, options, cancel));
+    let ((input, whole), mut prepared) = rayon::join(|| without_tears(mesh), || prepare(mesh, options, token));
     // Attributes are of the facets as given, and so are the places where vertices lie.
     let given = mesh;
     let mesh = whole.as_ref().unwrap_or(mesh);
@@ -289,7 +296,7 @@ pub fn remesh(
     let apart = (parts > 1).then(|| between(mesh, parts, options)).flatten().and_then(|gap| Apart::of(mesh, gap));
     let ground = apart.as_ref().map_or(mesh, |apart| &apart.mesh);
     if whole.is_some() || apart.is_some() {
-        prepared = prepare(ground, options, cancel);
+        prepared = prepare(ground, options, token);
     }
     if let (Some(Refine { max_points: most, .. }), Ok(Prepared { plan: Plan { points, .. }, .. })) =
         (options.refine, &prepared)
@@ -300,7 +307,7 @@ pub fn remesh(
     // Who says how long edges are is not contradicted.
     let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
     let keep_thin = options.keep_thin && free && options.placement == Placement::Fitted;
-    let mut job = Job { mesh: ground, backend, cancel, observer, laps, keep_thin, topology: input.topology };
+    let mut job = Job { mesh: ground, backend, token, observer, laps, keep_thin, topology: input.topology };
     let attempt = match (options.refine, &options.seeds) {
         (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
             closer::find(&mut job, prepared?, options, refine, seed)?
@@ -315,7 +322,7 @@ pub fn remesh(
     let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
     let beside = apart.as_ref().map(|apart| TriMesh::new(apart.mesh.positions().to_vec(), given.facets().to_vec()));
     let beside = beside.transpose().map_err(broken)?;
-    let (attributes, provenance) = carried(beside.as_ref().unwrap_or(given), options, &built.mesh, observer, cancel)?;
+    let (attributes, provenance) = carried(beside.as_ref().unwrap_or(given), options, &built.mesh, observer, token)?;
     if let Some(apart) = &apart {
         built.mesh = apart.mesh_back(&built.mesh).map_err(broken)?;
         seeds.iter_mut().for_each(|p| *p = apart.back(*p));
@@ -325,11 +332,11 @@ pub fn remesh(
     timings.attributes = clock.lap();
 
     observer.stage("measure");
-    cancel.check()?;
+    token.check()?;
     let result = &built.mesh;
-    let quality = || options.measure.then(|| quality_unless(mesh, closest, result, &|| cancel.is_cancelled()));
+    let quality = || options.measure.then(|| quality_unless(mesh, closest, result, &|| token.is_stopped()));
     let (topology, quality) = rayon::join(|| topology(result), quality);
-    let quality = quality.map(|q| q.ok_or(RvdError::Cancelled)).transpose()?;
+    let quality = quality.map(|q| q.ok_or(RvdError::Stopped(Stopped::Cancelled))).transpose()?;
     let (vertices, facets) = (result.positions().len(), result.facets().len());
     let repair = built.repair;
     let figures = ResultFigures { vertices, facets, topology, quality, repair };
@@ -381,7 +388,7 @@ fn between(mesh: &TriMesh, parts: usize, options: &RemeshOptions) -> Option<f64>
 struct Job<'a, 'b> {
     mesh: &'a TriMesh,
     backend: &'b dyn Backend,
-    cancel: &'b CancelFlag,
+    token: &'b Token,
     observer: &'b mut dyn Observer,
     /// Of all attempts.
     laps: Laps,
@@ -432,7 +439,7 @@ impl<'a> Job<'a, '_> {
         let settled = self.settled(prepared, options)?;
         let Settled { plan, surface, kept, mut cvt, mut session, dual, seed, converged, last, .. } = settled;
         let Settled { rvd, iterations, refine, .. } = settled;
-        let mut steps = Steps { options, observer: &mut *self.observer, cancel: self.cancel, rvd, iterations, refine };
+        let mut steps = Steps { options, observer: &mut *self.observer, token: self.token, rvd, iterations, refine };
         let exact = Exact { surface: &surface, session: &mut *session };
         let (built, seeds) = build(&plan.mesh, &kept, &mut cvt, (exact, dual), &mut steps, tolerance, &mut self.laps)?;
         let Steps { rvd, iterations, refine, .. } = steps;
@@ -457,8 +464,8 @@ struct Prepared<'a> {
 }
 
 /// All that depends on the mesh and the options alone.
-fn prepare<'a>(mesh: &'a TriMesh, options: &RemeshOptions, cancel: &CancelFlag) -> Result<Prepared<'a>, RemeshError> {
-    let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| cancel.is_cancelled())?.divided();
+fn prepare<'a>(mesh: &'a TriMesh, options: &RemeshOptions, token: &Token) -> Result<Prepared<'a>, RemeshError> {
+    let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| token.is_stopped())?.divided();
     let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
     let find = || curves::Kept::find(mesh, &plan, &surface, options);
     let (kept, closest) = rayon::join(find, || surface.closest_points());
@@ -501,7 +508,7 @@ fn build(
     let source = build::Source { mesh, surface, kept, placement, first_added, tolerance, adds };
     let mut round = 0;
     loop {
-        steps.cancel.check()?;
+        steps.token.check()?;
         steps.observer.stage("repair");
         // On the pool's threads as a whole, so that nobody waits for them to wake up at each part.
         let seeds = cvt.unit_seeds()?;
@@ -556,14 +563,14 @@ fn carried(
     options: &RemeshOptions,
     result: &TriMesh,
     observer: &mut dyn Observer,
-    cancel: &CancelFlag,
+    token: &Token,
 ) -> Result<(Option<Attributes>, Vec<Provenance>), RemeshError> {
     let Some(attributes) = &options.attributes else { return Ok((None, Vec::new())) };
     observer.stage("attributes");
-    cancel.check()?;
+    token.check()?;
     let closest = ClosestPoint::new(mesh);
     let provenance = attributes::provenance(&closest, result.positions());
-    cancel.check()?;
+    token.check()?;
     let carried = attributes::carry(mesh, attributes, &closest, result, &provenance)?;
     Ok((Some(carried), provenance))
 }

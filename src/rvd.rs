@@ -24,8 +24,8 @@ pub mod work;
 
 use std::ops::Range;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::token::{Stopped, Token};
 use glam::DVec3;
 
 pub use cells::PieceBatch;
@@ -343,9 +343,9 @@ pub enum RvdError {
         /// How many vertices there are.
         vertices: usize,
     },
-    /// The caller asked to stop.
-    #[error("cancelled")]
-    Cancelled,
+    /// The caller asked to stop, or a limit was reached.
+    #[error(transparent)]
+    Stopped(#[from] Stopped),
     /// The plan will never fit this device.
     #[error(
         "the job needs a buffer of {needed_bytes} bytes and this device allows {limit_bytes}; use fewer seeds or facets, or the parallel backend"
@@ -416,27 +416,6 @@ pub(crate) fn elapsed_ms(since: std::time::Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-/// A flag that stops work between dispatches or batches. Clones share it.
-#[derive(Clone, Debug, Default)]
-pub struct CancelFlag(Arc<AtomicBool>);
-
-impl CancelFlag {
-    /// Asks everyone who holds a clone to stop.
-    pub fn cancel(&self) {
-        self.0.store(true, Ordering::Release);
-    }
-
-    /// Whether somebody asked.
-    pub fn is_cancelled(&self) -> bool {
-        self.0.load(Ordering::Acquire)
-    }
-
-    /// [`RvdError::Cancelled`] if somebody asked.
-    pub fn check(&self) -> Result<(), RvdError> {
-        if self.is_cancelled() { Err(RvdError::Cancelled) } else { Ok(()) }
-    }
-}
-
 /// Which implementation does the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum BackendKind {
@@ -491,10 +470,10 @@ pub trait Session: Send {
 
     /// The sums over every cell for the present seeds. `out` is reset to their number.
     /// The statistics include the neighbour table, if these seeds are new.
-    fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError>;
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError>;
 
     /// The pieces in `facets`, ordered by facet and then by seed. `out` is cleared first.
-    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError>;
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError>;
 
     /// Bytes of device memory that the session holds (0 on a CPU).
     fn device_bytes(&self) -> u64 {

@@ -7,6 +7,7 @@ use crate::mesh::io::FileError;
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
 use crate::telemetry::TelemetryError;
+use crate::token::Stopped;
 
 const USAGE: u8 = 2;
 const DATA: u8 = 65;
@@ -88,7 +89,8 @@ fn of_remesh(error: &RemeshError) -> u8 {
 
 fn of_rvd(error: &RvdError) -> u8 {
     match error {
-        RvdError::Cancelled => INTERRUPTED,
+        RvdError::Stopped(Stopped::Cancelled) => INTERRUPTED,
+        RvdError::Stopped(_) => UNAVAILABLE,
         RvdError::OutOfMemory { .. } | RvdError::NeverFits { .. } | RvdError::DeviceLost(_) | RvdError::Device(_) => {
             UNAVAILABLE
         }

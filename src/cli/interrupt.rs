@@ -2,7 +2,7 @@
 //!
 //! The first signal asks for a clean end, the second ends the process at once.
 
-use crate::rvd::CancelFlag;
+use crate::token::Token;
 
 /// What a process that a second signal ended says.
 const AT_ONCE: i32 = 130;
@@ -23,12 +23,12 @@ pub(crate) fn signals() -> std::io::Result<tokio::sync::oneshot::Receiver<()>> {
     Ok(receiver)
 }
 
-/// Sets `cancel` at the first signal, for work that is not async.
+/// Sets `token` at the first signal, for work that is not async.
 ///
 /// # Errors
 /// The operating system refused.
-pub(crate) fn cancel_on_signal(cancel: &CancelFlag) -> std::io::Result<()> {
-    let cancel = cancel.clone();
+pub(crate) fn cancel_on_signal(token: &Token) -> std::io::Result<()> {
+    let token = token.clone();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let mut both = {
         let _inside = runtime.enter();
@@ -37,7 +37,7 @@ pub(crate) fn cancel_on_signal(cancel: &CancelFlag) -> std::io::Result<()> {
     std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
         runtime.block_on(async {
             both.next().await;
-            cancel.cancel();
+            token.cancel();
             both.next().await;
             std::process::exit(AT_ONCE);
         });

@@ -17,8 +17,8 @@ use crate::mesh::TriMesh;
 use crate::mesh::features::Features;
 use crate::remesh::report::RepairFigures;
 use crate::remesh::{Placement, Refine, RemeshOptions, Report, Seeds, remesh};
-use crate::rvd::CancelFlag;
 use crate::telemetry;
+use crate::token::Token;
 
 /// `tessera remesh`'s options.
 #[derive(Args, Debug)]
@@ -288,11 +288,11 @@ fn options(args: &RemeshArgs, mesh: &TriMesh) -> Result<RemeshOptions> {
 }
 
 fn here(args: &RemeshArgs, mesh: &TriMesh, options: &RemeshOptions, start: Instant, read_ms: f64) -> Result<()> {
-    let cancel = CancelFlag::default();
-    interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
+    let token = Token::default();
+    interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
     let backend = backends::one(&args.backend)?;
     let mut progress = Progress::new();
-    let done = remesh(mesh, options, backend.as_ref(), &mut progress, &cancel);
+    let done = remesh(mesh, options, backend.as_ref(), &mut progress, &token);
     drop(progress);
     let mut done = done?;
     let writing = Instant::now();

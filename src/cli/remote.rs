@@ -26,6 +26,7 @@ use crate::service::limits::MeshCounts;
 use crate::service::proto::remesh_service_client::RemeshServiceClient;
 use crate::service::proto::{self, ArrayKind, CellsChunk, Chunk, seed_source};
 use crate::service::{attributes, convert};
+use crate::token::Stopped;
 
 /// A remesh to ask for.
 pub(crate) struct RemeshJob<'a> {
@@ -194,7 +195,7 @@ fn block_on<R>(work: impl Future<Output = Result<R>>) -> Result<R> {
         // Dropping the stream cancels the work at the server.
         tokio::select! {
             result = work => result,
-            Ok(()) = signals => Err(RvdError::Cancelled.into()),
+            Ok(()) = signals => Err(RvdError::Stopped(Stopped::Cancelled).into()),
         }
     })
 }

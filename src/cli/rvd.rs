@@ -20,8 +20,9 @@ use crate::job::diagram::Diagram;
 use crate::job::spec::{Input, Prepared};
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
-use crate::rvd::{CancelFlag, PieceBatch};
+use crate::rvd::PieceBatch;
 use crate::telemetry;
+use crate::token::Token;
 
 /// `tessera rvd`'s options.
 #[derive(Args, Debug)]
@@ -161,8 +162,8 @@ fn here(
     wants: Wants,
     sink: Sink<'_>,
 ) -> Result<(RvdResult, Arc<Vec<DVec3>>)> {
-    let cancel = CancelFlag::default();
-    interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
+    let token = Token::default();
+    interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
     let backend = backends::one(&args.backend)?;
     let progress = Progress::new();
     progress.stage("prepare", 0, 0);
@@ -173,12 +174,12 @@ fn here(
         creases: Vec::new(),
         attributes: None,
     })?;
-    cancel.check()?;
+    token.check()?;
     progress.stage("diagram", 0, 0);
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;
-    let centroids = if wants.centroids { diagram.sums(&cancel)?.centroids } else { Vec::new() };
+    let centroids = if wants.centroids { diagram.sums(&token)?.centroids } else { Vec::new() };
     if wants.cells {
-        while let Some(batch) = diagram.batch(&cancel)? {
+        while let Some(batch) = diagram.batch(&token)? {
             sink(&batch)?;
             let (done, total) = diagram.progress();
             progress.stage("diagram", done, total);

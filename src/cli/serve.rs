@@ -16,8 +16,8 @@ use crate::cvt::Projection;
 use crate::job::{Backends, Engine, EngineOptions, JobError, Wish};
 use crate::mesh::TriMesh;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
-use crate::rvd::CancelFlag;
 use crate::service::{self, Parts};
+use crate::token::Token;
 
 /// How long connections get to close after the last stream.
 const LEAVE: Duration = Duration::from_secs(2);
@@ -80,7 +80,7 @@ fn warm_up(backends: &Backends) -> Result<(), JobError> {
     let plain = RemeshOptions::plain(Seeds::Given(axes.to_vec()), 1);
     let options = RemeshOptions { projection: Projection::OnSurface, ..plain };
     let backend = backends.choose(Wish::Auto)?;
-    let done = remesh(&octahedron, &options, backend.as_ref(), &mut (), &CancelFlag::default())?;
+    let done = remesh(&octahedron, &options, backend.as_ref(), &mut (), &Token::default())?;
     let (facets, area) = (done.report.result.facets, done.report.rvd.area);
     tracing::info!(backend = backend.kind().name(), facets, area, "warmed up");
     Ok(())

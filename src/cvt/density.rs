@@ -20,6 +20,7 @@ use std::borrow::Cow;
 use serde::Serialize;
 
 use crate::mesh::TriMesh;
+use crate::token::Stopped;
 
 pub use net::Net;
 pub use outline::Outline;
@@ -189,9 +190,9 @@ pub enum DensityError {
         /// How many there may be.
         limit: usize,
     },
-    /// The caller asked to stop.
-    #[error("cancelled")]
-    Cancelled,
+    /// The caller asked to stop, or a limit was reached.
+    #[error(transparent)]
+    Stopped(#[from] Stopped),
 }
 
 /// What came of a density, for a report. Lengths are in the caller's units.
@@ -340,7 +341,7 @@ fn varying<'a>(
     count: Count,
     stop: &dyn Fn() -> bool,
 ) -> Result<Plan<'a>, DensityError> {
-    let go_on = || if stop() { Err(DensityError::Cancelled) } else { Ok(()) };
+    let go_on = || if stop() { Err(DensityError::Stopped(Stopped::Cancelled)) } else { Ok(()) };
     let net = Net::new(mesh);
     let target = match (count, options.edge_length, &options.source) {
         (Count::Points(points), ..) => Some(points as f64),

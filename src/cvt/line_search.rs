@@ -5,7 +5,8 @@
 //! Invariant: an accepted step lowers the energy; the last probe is the accepted one.
 //! Must not know: where vectors live, what the function is.
 
-use crate::rvd::{CancelFlag, Look, PassStats, Resident, RvdError};
+use crate::rvd::{Look, PassStats, Resident, RvdError};
+use crate::token::Token;
 
 /// Sufficient decrease, as a share of what the slope promises.
 const DECREASE: f64 = 1e-4;
@@ -37,7 +38,7 @@ struct Point {
 
 struct Search<'a> {
     vectors: &'a mut dyn Resident,
-    cancel: &'a CancelFlag,
+    token: &'a Token,
     /// Energy and slope at step 0.
     energy: f64,
     slope: f64,
@@ -49,10 +50,10 @@ pub(super) fn search(
     vectors: &mut dyn Resident,
     (energy, slope): (f64, f64),
     first: f64,
-    cancel: &CancelFlag,
+    token: &Token,
 ) -> Result<Found, RvdError> {
     let found = Found { look: None, probes: 0, stats: PassStats::default() };
-    let mut search = Search { vectors, cancel, energy, slope, found };
+    let mut search = Search { vectors, token, energy, slope, found };
     let mut before = Point { step: 0.0, look: Look { energy, slope, ..Look::default() } };
     let mut step = first;
     while search.found.probes < MAX_PROBES {
@@ -76,7 +77,7 @@ pub(super) fn search(
 
 impl Search<'_> {
     fn probe(&mut self, step: f64) -> Result<Point, RvdError> {
-        let look = self.vectors.probe(step, self.cancel)?;
+        let look = self.vectors.probe(step, self.token)?;
         self.found.probes += 1;
         self.found.stats.add(&look.stats);
         Ok(Point { step, look })
@@ -150,7 +151,7 @@ mod tests {
         fn hold(&mut self, _: &[bool]) -> Result<(), RvdError> {
             Ok(())
         }
-        fn evaluate(&mut self, _: &CancelFlag) -> Result<Look, RvdError> {
+        fn evaluate(&mut self, _: &Token) -> Result<Look, RvdError> {
             Ok(Look::default())
         }
         fn to_centroids(&mut self) -> Result<(), RvdError> {
@@ -159,7 +160,7 @@ mod tests {
         fn direct(&mut self) -> Result<f64, RvdError> {
             Ok(self.0(0.0).1)
         }
-        fn probe(&mut self, step: f64, _: &CancelFlag) -> Result<Look, RvdError> {
+        fn probe(&mut self, step: f64, _: &Token) -> Result<Look, RvdError> {
             self.1.push(step);
             let (energy, slope) = self.0(step);
             Ok(Look { energy, slope, ..Look::default() })
@@ -178,7 +179,7 @@ mod tests {
 
     fn find(f: impl Fn(f64) -> (f64, f64), first: f64) -> (Found, f64) {
         let mut line = Line(&f, Vec::new());
-        let found = search(&mut line, f(0.0), first, &CancelFlag::default()).unwrap();
+        let found = search(&mut line, f(0.0), first, &Token::default()).unwrap();
         let last = *line.1.last().unwrap();
         (found, last)
     }

@@ -8,7 +8,8 @@
 use std::time::Instant;
 
 use super::{Cvt, Iteration, Projection, StepKind, resident};
-use crate::rvd::{CancelFlag, DeviceWork, Look, RvdError, elapsed_ms};
+use crate::rvd::{DeviceWork, Look, RvdError, elapsed_ms};
+use crate::token::Token;
 
 impl Cvt {
     /// One Lloyd step at least and `steps` at most, as many as the backend takes at once. The time and the work of those
@@ -16,16 +17,16 @@ impl Cvt {
     ///
     /// # Errors
     /// `Cancelled`, or what the device says. The seeds are then as after some of the steps.
-    pub fn relax(&mut self, steps: usize, cancel: &CancelFlag) -> Result<Vec<Iteration>, RvdError> {
+    pub fn relax(&mut self, steps: usize, token: &Token) -> Result<Vec<Iteration>, RvdError> {
         let between = !self.curves.is_empty() || self.options.projection != Projection::Free;
         if between || self.present.is_some() {
-            return Ok(vec![self.lloyd(cancel)?]);
+            return Ok(vec![self.lloyd(token)?]);
         }
         let begin = Instant::now();
         let (work, phases) = (self.session.device_work(), self.session.device_phases());
         self.push()?;
         let mut looks: Vec<Look> = Vec::new();
-        let ended = resident(&mut *self.session)?.relax(steps.max(1), &mut looks, cancel);
+        let ended = resident(&mut *self.session)?.relax(steps.max(1), &mut looks, token);
         if let Some(first) = looks.first() {
             self.convergence.begin(first.gradient_squared.sqrt());
             (self.read, self.fresh) = (false, true);

@@ -13,7 +13,8 @@ use serde::Serialize;
 use super::spec::Prepared;
 use super::{BackendInfo, JobError};
 use crate::remesh::report::{DeviceFigures, InputFigures, IterationFigures, MemoryFigures, RvdFigures, Timings};
-use crate::rvd::{Backend, CancelFlag, CellSums, PassStats, PieceBatch, Session, SessionOptions, Surface};
+use crate::rvd::{Backend, CellSums, PassStats, PieceBatch, Session, SessionOptions, Surface};
+use crate::token::Token;
 
 /// Pieces that a batch aims at: a few MiB.
 const BATCH_PIECES: usize = 32_768;
@@ -106,10 +107,10 @@ impl Diagram {
     ///
     /// # Errors
     /// `Cancelled`, or what the backend says.
-    pub fn sums(&mut self, cancel: &CancelFlag) -> Result<WorldSums, JobError> {
+    pub fn sums(&mut self, token: &Token) -> Result<WorldSums, JobError> {
         let start = Instant::now();
         let mut unit = CellSums::default();
-        let stats = self.session.sums(&mut unit, cancel)?;
+        let stats = self.session.sums(&mut unit, token)?;
         let frame = self.surface.frame();
         let square = frame.scale * frame.scale;
         let centroid = |i: usize| match unit.mass[i] > 0.0 {
@@ -134,7 +135,7 @@ impl Diagram {
     ///
     /// # Errors
     /// `Cancelled`, or what the backend says.
-    pub fn batch(&mut self, cancel: &CancelFlag) -> Result<Option<PieceBatch>, JobError> {
+    pub fn batch(&mut self, token: &Token) -> Result<Option<PieceBatch>, JobError> {
         let facets = self.surface.facets().len() as u32;
         if self.next >= facets {
             return Ok(None);
@@ -142,7 +143,7 @@ impl Diagram {
         let start = Instant::now();
         let end = facets.min(self.next.saturating_add(self.step));
         let mut batch = PieceBatch::default();
-        let stats = self.session.pieces(self.next..end, &mut batch, cancel)?;
+        let stats = self.session.pieces(self.next..end, &mut batch, token)?;
         self.next = end;
         self.pass.add(&stats);
         self.figures.add_pass(&stats);

@@ -10,7 +10,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::JobError;
-use crate::rvd::CancelFlag;
+use crate::token::Token;
 
 /// Where a piece of work gets in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,7 +28,7 @@ pub(crate) trait Item: Send {
     /// Whether somebody still waits for the answer.
     fn is_wanted(&self) -> bool;
     /// The flag that stops it while it runs.
-    fn cancel_flag(&self) -> &CancelFlag;
+    fn token(&self) -> &Token;
 }
 
 /// What [`Queue::pop`] found.
@@ -50,7 +50,7 @@ pub(crate) struct Queue<T> {
 
 struct State<T> {
     waiting: VecDeque<(Place, T)>,
-    running: Option<CancelFlag>,
+    running: Option<Token>,
     closed: bool,
     /// The worker has gone: nothing that gets in now would ever be answered.
     ended: bool,
@@ -105,7 +105,7 @@ impl<T: Item> Queue<T> {
             state.running = None;
             while let Some((_, item)) = state.waiting.pop_front() {
                 if item.is_wanted() {
-                    state.running = Some(item.cancel_flag().clone());
+                    state.running = Some(item.token().clone());
                     return Popped::Item(item);
                 }
                 // Its destructor may free much; not under the lock.
@@ -162,8 +162,8 @@ impl<T: Item> Queue<T> {
     /// Cancels what waits and what runs.
     pub(crate) fn cancel_all(&self) {
         let state = self.lock();
-        state.running.iter().for_each(CancelFlag::cancel);
-        state.waiting.iter().for_each(|(_, item)| item.cancel_flag().cancel());
+        state.running.iter().for_each(Token::cancel);
+        state.waiting.iter().for_each(|(_, item)| item.token().cancel());
     }
 
     fn lock(&self) -> MutexGuard<'_, State<T>> {
@@ -175,39 +175,39 @@ impl<T: Item> Queue<T> {
 mod tests {
     use super::*;
 
-    struct Token(u32, bool, CancelFlag);
+    struct Ticket(u32, bool, Token);
 
-    impl Item for Token {
+    impl Item for Ticket {
         fn is_wanted(&self) -> bool {
             self.1
         }
-        fn cancel_flag(&self) -> &CancelFlag {
+        fn token(&self) -> &Token {
             &self.2
         }
     }
 
-    fn pop(queue: &Queue<Token>) -> Option<Token> {
+    fn pop(queue: &Queue<Ticket>) -> Option<Ticket> {
         match queue.pop(Some(Duration::from_millis(1))) {
-            Popped::Item(token) => Some(token),
+            Popped::Item(ticket) => Some(ticket),
             Popped::Nothing | Popped::Closed => None,
         }
     }
 
-    fn token(id: u32, wanted: bool) -> Token {
-        Token(id, wanted, CancelFlag::default())
+    fn ticket(id: u32, wanted: bool) -> Ticket {
+        Ticket(id, wanted, Token::default())
     }
 
     #[test]
     fn full_refuses_what_is_new_only_and_forgets_who_has_gone() {
         let queue = Queue::new(2);
-        assert_eq!(queue.push(Place::New, token(0, true)).unwrap(), 0);
-        assert_eq!(queue.push(Place::New, token(1, false)).unwrap(), 1);
-        assert_eq!(queue.push(Place::New, token(2, true)).unwrap(), 1, "the one who has gone makes room");
-        assert!(matches!(queue.push(Place::New, token(3, true)), Err(JobError::QueueFull { waiting: 2, .. })));
-        queue.push(Place::Session, token(4, true)).unwrap();
-        queue.push(Place::Continuation, token(5, true)).unwrap();
+        assert_eq!(queue.push(Place::New, ticket(0, true)).unwrap(), 0);
+        assert_eq!(queue.push(Place::New, ticket(1, false)).unwrap(), 1);
+        assert_eq!(queue.push(Place::New, ticket(2, true)).unwrap(), 1, "the one who has gone makes room");
+        assert!(matches!(queue.push(Place::New, ticket(3, true)), Err(JobError::QueueFull { waiting: 2, .. })));
+        queue.push(Place::Session, ticket(4, true)).unwrap();
+        queue.push(Place::Continuation, ticket(5, true)).unwrap();
         queue.close();
-        assert!(matches!(queue.push(Place::New, token(6, true)), Err(JobError::Draining)));
+        assert!(matches!(queue.push(Place::New, ticket(6, true)), Err(JobError::Draining)));
         let order: Vec<u32> = std::iter::from_fn(|| pop(&queue)).map(|t| t.0).collect();
         assert_eq!(order, [5, 0, 2, 4], "closing keeps what waits");
     }
@@ -216,12 +216,12 @@ mod tests {
     fn cancel_all_reaches_the_running_and_the_waiting() {
         let queue = Queue::new(4);
         for id in 0..3 {
-            queue.push(Place::New, token(id, true)).unwrap();
+            queue.push(Place::New, ticket(id, true)).unwrap();
         }
         let running = pop(&queue).unwrap();
         queue.cancel_all();
-        assert!(running.2.is_cancelled());
+        assert!(running.2.is_stopped());
         queue.close();
-        assert!(std::iter::from_fn(|| pop(&queue)).all(|t| t.2.is_cancelled()));
+        assert!(std::iter::from_fn(|| pop(&queue)).all(|t| t.2.is_stopped()));
     }
 }

@@ -13,6 +13,7 @@ use glam::DVec3;
 use super::spec::Prepared;
 use super::{BackendInfo, Engine, JobError, Pending, Place, Retry, Timed, Wish};
 use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};
+use crate::token::Token;
 
 /// How long a step command keeps the device before others get a turn.
 const SLICE: Duration = Duration::from_millis(100);
@@ -59,7 +60,7 @@ impl CvtSession {
         options: CvtOptions,
     ) -> Result<Pending<(Cvt, BackendInfo)>, JobError> {
         engine.submit(Place::New, Retry::Anew, move |backends, turn| {
-            turn.cancel.check()?;
+            turn.token.check()?;
             let backend = backends.choose(wish)?;
             let cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;
             Ok((cvt, BackendInfo::of(backend.as_ref())))
@@ -100,14 +101,14 @@ impl CvtSession {
     /// # Errors
     /// What the backend says; the session is then over.
     pub async fn step(&mut self, steps: usize, kind: StepKind, seeds: SeedsWanted) -> Result<Timed<Steps>, JobError> {
-        self.call(move |cvt, cancel| {
+        self.call(move |cvt, token| {
             let start = Instant::now();
             let mut taken = Vec::new();
             let most = if seeds == SeedsWanted::Each { 1 } else { steps.min(SLICE_STEPS) };
             while taken.len() < most.max(1) {
                 let iterations = match kind {
-                    StepKind::Lloyd => cvt.relax(most.max(1) - taken.len(), cancel)?,
-                    StepKind::Lbfgs => vec![cvt.lbfgs(cancel)?],
+                    StepKind::Lloyd => cvt.relax(most.max(1) - taken.len(), token)?,
+                    StepKind::Lbfgs => vec![cvt.lbfgs(token)?],
                 };
                 taken.extend(iterations.into_iter().map(|iteration| (iteration, None)));
                 let last = taken.len() == steps;
@@ -136,12 +137,12 @@ impl CvtSession {
 
     async fn call<R: Send + 'static>(
         &mut self,
-        mut work: impl FnMut(&mut Cvt, &crate::rvd::CancelFlag) -> Result<R, JobError> + Send + 'static,
+        mut work: impl FnMut(&mut Cvt, &Token) -> Result<R, JobError> + Send + 'static,
     ) -> Result<Timed<R>, JobError> {
         let mut state = self.cvt.take();
         let mut pending = self.engine.submit(Place::Session, Retry::Never, move |_, turn| {
             let mut cvt = state.take().ok_or(JobError::WorkerGone)?;
-            let answer = work(&mut cvt, &turn.cancel)?;
+            let answer = work(&mut cvt, &turn.token)?;
             Ok((cvt, answer))
         })?;
         let Timed { value: (cvt, value), queue_ms, compute_ms } = pending.wait().await?;

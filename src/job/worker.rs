@@ -15,7 +15,7 @@ use tokio::sync::{oneshot, watch};
 
 use super::queue::{Item, Place, Popped, Queue};
 use super::{BackendInfo, Backends, CancelOnDrop, JobError, Wish};
-use crate::rvd::CancelFlag;
+use crate::token::Token;
 
 /// How the engine is set up.
 #[derive(Clone, Copy, Debug)]
@@ -56,7 +56,7 @@ pub enum Retry {
 #[derive(Clone, Debug)]
 pub struct Turn {
     /// Set when the caller has gone or the process must end.
-    pub cancel: CancelFlag,
+    pub token: Token,
     /// Milliseconds the piece waited.
     pub queue_ms: f64,
 }
@@ -78,7 +78,7 @@ pub struct Pending<R> {
     /// How many were ahead of it.
     pub position: usize,
     reply: oneshot::Receiver<Result<Timed<R>, JobError>>,
-    cancel: CancelOnDrop,
+    token: CancelOnDrop,
 }
 
 impl<R> Pending<R> {
@@ -91,8 +91,8 @@ impl<R> Pending<R> {
     }
 
     /// The flag that stops it.
-    pub fn cancel_flag(&self) -> &CancelFlag {
-        &self.cancel.0
+    pub fn token(&self) -> &Token {
+        &self.token.0
     }
 }
 
@@ -155,11 +155,10 @@ impl Engine {
         work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
     ) -> Result<Pending<R>, JobError> {
         let (sender, reply) = oneshot::channel();
-        let cancel = CancelFlag::default();
-        let call =
-            Call { work: Some(work), reply: Some(sender), cancel: cancel.clone(), queued: Instant::now(), retry };
+        let token = Token::default();
+        let call = Call { work: Some(work), reply: Some(sender), token: token.clone(), queued: Instant::now(), retry };
         let position = self.shared.queue.push(place, Box::new(call))?;
-        Ok(Pending { position, reply, cancel: CancelOnDrop(cancel) })
+        Ok(Pending { position, reply, token: CancelOnDrop(token) })
     }
 
     /// Drops `value` on the device thread, where its buffers live.
@@ -173,7 +172,7 @@ impl Engine {
         let call = Call {
             work: Some(work),
             reply: Some(sender),
-            cancel: CancelFlag::default(),
+            token: Token::default(),
             queued: Instant::now(),
             retry: Retry::Never,
         };
@@ -253,7 +252,7 @@ impl<F: FnMut() -> Result<Backends, JobError>> Worker<F> {
         while task.run(backends, attempts) == Outcome::DeviceLost {
             attempts += 1;
             self.replace(backends, shared);
-            if !task.is_wanted() || task.cancel_flag().is_cancelled() {
+            if !task.is_wanted() || task.token().is_stopped() {
                 break;
             }
         }
@@ -310,15 +309,15 @@ impl Item for Box<dyn Task> {
         (**self).is_wanted()
     }
 
-    fn cancel_flag(&self) -> &CancelFlag {
-        (**self).cancel_flag()
+    fn token(&self) -> &Token {
+        (**self).token()
     }
 }
 
 struct Call<R, F> {
     work: Option<F>,
     reply: Option<oneshot::Sender<Result<Timed<R>, JobError>>>,
-    cancel: CancelFlag,
+    token: Token,
     queued: Instant,
     retry: Retry,
 }
@@ -328,8 +327,8 @@ impl<R: Send, F: Send> Item for Call<R, F> {
         self.reply.as_ref().is_some_and(|reply| !reply.is_closed())
     }
 
-    fn cancel_flag(&self) -> &CancelFlag {
-        &self.cancel
+    fn token(&self) -> &Token {
+        &self.token
     }
 }
 
@@ -340,7 +339,7 @@ impl<R: Send, F: FnMut(&Backends, &Turn) -> Result<R, JobError> + Send> Task for
     fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome {
         let queue_ms = ms(self.queued.elapsed());
         let start = Instant::now();
-        let turn = Turn { cancel: self.cancel.clone(), queue_ms };
+        let turn = Turn { token: self.token.clone(), queue_ms };
         let Some(work) = self.work.as_mut() else { return Outcome::Answered };
         let result = catch_unwind(AssertUnwindSafe(|| work(backends, &turn)))
             .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))));

@@ -12,6 +12,7 @@ use super::{Attempt, Job, Prepared, Refine, RemeshError, RemeshOptions, Seeds, p
 use crate::cvt::density::{DensityError, DensityOptions, DensitySource};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::rvd::RvdError;
+use crate::token::Stopped;
 
 /// Remeshes with shorter edges, at most.
 const ROUNDS: usize = 5;
@@ -35,9 +36,9 @@ struct Far {
 
 impl Far {
     fn of(job: &mut Job<'_, '_>, attempt: &Attempt<'_>, tolerance: f64) -> Result<Self, RemeshError> {
-        let stop = || job.cancel.is_cancelled();
+        let stop = || job.token.is_stopped();
         let tree = ClosestPoint::new(&attempt.built.mesh);
-        let mut distances = tree.distances(job.mesh.positions(), &stop).ok_or(RvdError::Cancelled)?;
+        let mut distances = tree.distances(job.mesh.positions(), &stop).ok_or(RvdError::Stopped(Stopped::Cancelled))?;
         let mut used = vec![false; distances.len()];
         let live = (0..job.mesh.facets().len()).filter(|&f| !job.mesh.is_degenerate(f));
         live.flat_map(|f| job.mesh.facets()[f]).for_each(|v| used[v as usize] = true);
@@ -109,11 +110,11 @@ pub(super) fn find<'a>(
         options.density = DensityOptions { source, edge_length: None, adaptivity: 1.0, max_points, ..options.density };
         options.seeds = Seeds::Implied { seed };
         job.observer.stage("prepare");
-        let prepared = match prepare(job.mesh, &options, job.cancel) {
+        let prepared = match prepare(job.mesh, &options, job.token) {
             Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => {
                 full = true;
                 options.seeds = Seeds::Sample { points: max_points, seed };
-                prepare(job.mesh, &options, job.cancel)?
+                prepare(job.mesh, &options, job.token)?
             }
             prepared => prepared?,
         };
@@ -128,7 +129,7 @@ pub(super) fn find<'a>(
         rounds += 1;
         let options = RemeshOptions { refine: Some(refine), ..best.options.clone() };
         job.observer.stage("prepare");
-        let next = job.attempt(prepare(job.mesh, &options, job.cancel)?, &options, Some(tolerance))?;
+        let next = job.attempt(prepare(job.mesh, &options, job.token)?, &options, Some(tolerance))?;
         let far = Far::of(job, &next, tolerance)?;
         best.offer(next, far, &options);
     }

@@ -50,12 +50,12 @@ impl<'a> Job<'a, '_> {
     fn settle(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Settled<'a>, RemeshError> {
         let Prepared { plan, surface, mut kept, closest } = prepared;
         self.laps.timings.prepare += self.laps.clock.lap();
-        self.cancel.check()?;
+        self.token.check()?;
 
         self.observer.stage("sample");
         let (first, seed) = first_seeds(&plan, &surface, &kept, &options.seeds);
         self.laps.timings.sample += self.laps.clock.lap();
-        self.cancel.check()?;
+        self.token.check()?;
 
         self.observer.stage("iterations");
         let max_seeds = options.refine.map_or(0, |r| r.max_points);
@@ -66,8 +66,8 @@ impl<'a> Job<'a, '_> {
             cvt.keep_curves(kept.seeds.clone())?;
         }
         let (rvd, refine) = (RvdFigures::default(), RefineFigures::default());
-        let cancel = self.cancel;
-        let mut steps = Steps { options, observer: &mut *self.observer, cancel, rvd, iterations: Vec::new(), refine };
+        let token = self.token;
+        let mut steps = Steps { options, observer: &mut *self.observer, token, rvd, iterations: Vec::new(), refine };
         let last = steps.main(&mut cvt)?;
         // Of the steps that were asked for; those that come after have their own end.
         let converged = cvt.converged();
@@ -107,7 +107,7 @@ impl<'a> Job<'a, '_> {
             let density = DensityOptions { source, edge_length: None, adaptivity: 1.0, ..options.density.clone() };
             let options = RemeshOptions { density, ..options.clone() };
             self.observer.stage("prepare");
-            let prepared = match prepare(self.mesh, &options, self.cancel) {
+            let prepared = match prepare(self.mesh, &options, self.token) {
                 Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => break,
                 prepared => prepared?,
             };
@@ -162,7 +162,7 @@ impl Exact<'_> {
     pub(super) fn dual(&mut self, cvt: &mut Cvt, steps: &mut Steps<'_>) -> Result<dual::Dual, RemeshError> {
         cvt.put_on_surface()?;
         self.session.set_seeds(cvt.unit_seeds()?)?;
-        let dual = dual::extract(self.session, self.surface, cvt.len(), steps.cancel)?;
+        let dual = dual::extract(self.session, self.surface, cvt.len(), steps.token)?;
         steps.rvd.add_pass(&dual.stats);
         Ok(dual)
     }

@@ -11,7 +11,7 @@ use super::build::Missed;
 use super::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
 use super::{Observer, RemeshError, RemeshOptions};
 use crate::cvt::{Cvt, Iteration};
-use crate::rvd::CancelFlag;
+use crate::token::Token;
 
 /// Times that seeds are pushed off curves after the last step, the last time taken up by them, and
 /// steps after each.
@@ -24,7 +24,7 @@ const REFINING_STEPS: usize = 6;
 pub(super) struct Steps<'a> {
     pub(super) options: &'a RemeshOptions,
     pub(super) observer: &'a mut dyn Observer,
-    pub(super) cancel: &'a CancelFlag,
+    pub(super) token: &'a Token,
     pub(super) rvd: RvdFigures,
     pub(super) iterations: Vec<IterationFigures>,
     pub(super) refine: RefineFigures,
@@ -36,18 +36,18 @@ impl Steps<'_> {
         let planned = self.options.lloyd + self.options.newton;
         while self.iterations.len() < planned && !cvt.converged() {
             let lloyd = self.options.lloyd.saturating_sub(self.iterations.len());
-            let steps = if lloyd > 0 { cvt.relax(lloyd, self.cancel)? } else { vec![cvt.lbfgs(self.cancel)?] };
+            let steps = if lloyd > 0 { cvt.relax(lloyd, self.token)? } else { vec![cvt.lbfgs(self.token)?] };
             for step in steps {
                 self.count(&step);
                 self.observer.iteration(&step, planned);
                 self.iterations.push(IterationFigures::of(&step));
             }
         }
-        Ok(FinalFigures::of(&cvt.present(self.cancel)?))
+        Ok(FinalFigures::of(&cvt.present(self.token)?))
     }
 
     fn take(&mut self, cvt: &mut Cvt, newton: bool) -> Result<Iteration, RemeshError> {
-        let step = if newton { cvt.lbfgs(self.cancel)? } else { cvt.lloyd(self.cancel)? };
+        let step = if newton { cvt.lbfgs(self.token)? } else { cvt.lloyd(self.token)? };
         self.count(&step);
         Ok(step)
     }

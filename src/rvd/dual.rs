@@ -13,7 +13,8 @@ use glam::DVec3;
 
 use pieces::Pieces;
 
-use super::{CancelFlag, PassStats, PieceBatch, RvdError, Session, Surface};
+use super::{PassStats, PieceBatch, RvdError, Session, Surface};
+use crate::token::Token;
 
 /// A triangulation whose vertices are components of restricted cells.
 #[derive(Clone, Debug, Default)]
@@ -75,12 +76,7 @@ pub struct Component {
 const BATCH: u32 = 1 << 14;
 
 /// Reads the dual of the session's present seeds (there are `seeds` of them).
-pub fn extract(
-    session: &mut dyn Session,
-    surface: &Surface,
-    seeds: usize,
-    cancel: &CancelFlag,
-) -> Result<Dual, RvdError> {
+pub fn extract(session: &mut dyn Session, surface: &Surface, seeds: usize, token: &Token) -> Result<Dual, RvdError> {
     let mut pieces = Pieces::default();
     let mut stats = PassStats::default();
     let facets = surface.facets().len() as u32;
@@ -88,7 +84,7 @@ pub fn extract(
     let (mut made, mut next) = (PieceBatch::default(), PieceBatch::default());
     for first in (0..facets).step_by(BATCH as usize) {
         let range = first..facets.min(first + BATCH);
-        let (done, ()) = rayon::join(|| session.pieces(range, &mut next, cancel), || pieces.take(&made));
+        let (done, ()) = rayon::join(|| session.pieces(range, &mut next, token), || pieces.take(&made));
         stats.add(&done?);
         std::mem::swap(&mut made, &mut next);
     }
@@ -98,7 +94,7 @@ pub fn extract(
         pieces.close(facets);
         pieces.join(surface, seeds)
     });
-    cancel.check()?;
+    token.check()?;
     dual.stats = stats;
     Ok(dual)
 }

@@ -44,14 +44,15 @@ use glam::{DVec3, dvec3};
 use super::incident::{Diagram, FacetWalker};
 use super::parallel::Parallel;
 use super::{
-    Accumulate, Backend, BackendKind, CancelFlag, Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch,
-    Resident, RvdError, Session, SessionOptions, Surface, Together, elapsed_ms, take_seeds,
+    Accumulate, Backend, BackendKind, Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch, Resident,
+    RvdError, Session, SessionOptions, Surface, Together, elapsed_ms, take_seeds,
 };
 use crate::gpu::buffers::Buffers;
 use crate::gpu::layout::{self, LONGER, MOST_RETAKEN, NONE, Params, ROW, STRIDE, SUM_WORDS, State};
 use crate::gpu::plan::{self, BATCH, Counts, EXTRA_PROPOSALS, Limits};
 use crate::gpu::{Device, GpuError, Traffic};
 use crate::mesh::TriMesh;
+use crate::token::Token;
 pub use measure::AccumulationMs;
 use moving::Moving;
 use pipelines::{Bindings, Pipelines};
@@ -126,20 +127,20 @@ impl Gpu {
         }
         let mut session = self.session(surface, SessionOptions::new(seeds.len()))?;
         session.set_seeds(&seeds)?;
-        let (mut sums, cancel) = (CellSums::default(), CancelFlag::default());
-        session.sums(&mut sums, &cancel)?;
+        let (mut sums, token) = (CellSums::default(), Token::default());
+        session.sums(&mut sums, &token)?;
         let mut batch = PieceBatch::default();
-        session.pieces(0..2, &mut batch, &cancel)?;
+        session.pieces(0..2, &mut batch, &token)?;
         if let Some(seeds) = session.resident() {
-            seeds.evaluate(&cancel)?;
+            seeds.evaluate(&token)?;
             seeds.direct()?;
-            seeds.probe(1e-3, &cancel)?;
+            seeds.probe(1e-3, &token)?;
             seeds.accept()?;
             seeds.to_centroids()?;
             // The first one of them alone, then two at once.
             let mut looks = Vec::new();
             while looks.len() < 3 {
-                seeds.relax(3, &mut looks, &cancel)?;
+                seeds.relax(3, &mut looks, &token)?;
             }
         }
         // The middle cell is a regular 24-gon of inradius 0.05.
@@ -382,7 +383,7 @@ impl GpuSession {
 
     /// Statistics of a pass that begins: rows and first cells, in submissions of their own, so that
     /// they can be timed.
-    fn begin_pass(&mut self, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+    fn begin_pass(&mut self, token: &Token) -> Result<PassStats, RvdError> {
         let mut stats = PassStats::default();
         if self.count == 0 {
             return Err(RvdError::NoSeeds);
@@ -394,12 +395,12 @@ impl GpuSession {
         if let Some(moving) = &mut self.moving {
             moving.sums_lost();
         }
-        cancel.check()?;
+        token.check()?;
         let begin = Instant::now();
-        self.search_now(cancel)?;
+        self.search_now(token)?;
         stats.neighbours_ms = elapsed_ms(begin);
         let begin = Instant::now();
-        self.start_now(cancel)?;
+        self.start_now(token)?;
         stats.start_ms = elapsed_ms(begin);
         stats.duplicate_seeds = self.twins;
         Ok(stats)
@@ -434,17 +435,17 @@ impl GpuSession {
         stats.set_device_work(stats.device_work().with(&done, |a, b| a + b));
     }
 
-    fn compute_sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+    fn compute_sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
         let before = self.work();
-        let mut stats = self.begin_pass(cancel)?;
+        let mut stats = self.begin_pass(token)?;
         let begin = Instant::now();
-        self.run_sums(cancel, &mut stats)?;
+        self.run_sums(token, &mut stats)?;
         stats.clip_ms = elapsed_ms(begin);
         let begin = Instant::now();
         self.download_sums(out)?;
         stats.update_ms += elapsed_ms(begin);
         if self.merged || !self.covers(out.area.iter().sum(), 0..self.facets.len() as u32) {
-            stats = self.sums_in_f64(out, stats, cancel)?;
+            stats = self.sums_in_f64(out, stats, token)?;
         }
         self.meter(&before, &mut stats);
         Ok(stats)
@@ -487,14 +488,14 @@ impl Session for GpuSession {
         Ok(())
     }
 
-    fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
         let pool = Arc::clone(&self.pool);
-        pool.install(|| self.compute_sums(out, cancel))
+        pool.install(|| self.compute_sums(out, token))
     }
 
-    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
         let pool = Arc::clone(&self.pool);
-        pool.install(|| self.compute_pieces(facets, out, cancel))
+        pool.install(|| self.compute_pieces(facets, out, token))
     }
 
     fn device_bytes(&self) -> u64 {

@@ -15,8 +15,9 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::resident::HISTORY;
-use super::{CancelFlag, CellSums, DeviceWork, Look, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session};
+use super::{CellSums, DeviceWork, Look, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session};
 use crate::knn::Threads;
+use crate::token::Token;
 
 /// A session and the vectors of its seeds.
 pub(super) struct OnHost<S> {
@@ -94,12 +95,12 @@ impl<S: Session> Session for OnHost<S> {
         Ok(())
     }
 
-    fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        self.session.sums(out, cancel)
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+        self.session.sums(out, token)
     }
 
-    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        self.session.pieces(facets, out, cancel)
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
+        self.session.pieces(facets, out, token)
     }
 
     fn device_bytes(&self) -> u64 {
@@ -130,9 +131,9 @@ impl<S: Session> Resident for OnHost<S> {
         Ok(())
     }
 
-    fn evaluate(&mut self, cancel: &CancelFlag) -> Result<Look, RvdError> {
+    fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError> {
         self.session.set_seeds(&self.x)?;
-        let stats = self.session.sums(&mut self.sums, cancel)?;
+        let stats = self.session.sums(&mut self.sums, token)?;
         let Self { pool, g, sums, held, d, .. } = self;
         let look = on(pool.as_deref(), held.len(), |threads| vectors::look(threads, sums, held, d, g));
         Ok(Look { slope: 0.0, stats, ..look })
@@ -176,11 +177,11 @@ impl<S: Session> Resident for OnHost<S> {
         }))
     }
 
-    fn probe(&mut self, step: f64, cancel: &CancelFlag) -> Result<Look, RvdError> {
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError> {
         self.trial.clear();
         self.trial.extend(self.x.iter().zip(&self.d).map(|(&x, &d)| x + step * d));
         self.session.set_seeds(&self.trial)?;
-        let stats = self.session.sums(&mut self.trial_sums, cancel)?;
+        let stats = self.session.sums(&mut self.trial_sums, token)?;
         let Self { pool, trial_g: g, trial_sums: sums, held, d, .. } = self;
         let look = on(pool.as_deref(), held.len(), |threads| vectors::look(threads, sums, held, d, g));
         Ok(Look { stats, ..look })

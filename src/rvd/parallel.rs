@@ -37,10 +37,11 @@ use super::incident::Diagram;
 use super::on_host::OnHost;
 use super::start::Starts;
 use super::{
-    Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
-    Surface, elapsed_ms, take_seeds,
+    Backend, BackendKind, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface,
+    elapsed_ms, take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
+use crate::token::{Stopped, Token};
 
 /// f64, on all threads of its own rayon pool.
 #[derive(Clone, Debug)]
@@ -196,21 +197,21 @@ impl ParallelSession {
     }
 
     /// The same and the table.
-    fn refresh_rows(&mut self, cancel: &CancelFlag) -> Result<f64, RvdError> {
+    fn refresh_rows(&mut self, token: &Token) -> Result<f64, RvdError> {
         let index_ms = self.refresh()?;
         if !self.no_rows {
             return Ok(index_ms);
         }
         let begin = Instant::now();
-        if !self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool, &|| cancel.is_cancelled()) {
-            return Err(RvdError::Cancelled);
+        if !self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool, &|| token.is_stopped()) {
+            return Err(RvdError::Stopped(Stopped::Cancelled));
         }
         self.no_rows = false;
         Ok(index_ms + elapsed_ms(begin))
     }
 
     /// Sums of all facets, from the lists if they still hold, or else from new ones.
-    fn sum_up(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+    fn sum_up(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
         self.order.begin(&self.surface);
         let blocks = self.blocks(self.order.len());
         // Where facets have many cells, the walk does most of the work, and it needs rows.
@@ -218,7 +219,7 @@ impl ParallelSession {
         let listed = self.stale && !self.seeds.is_empty() && !coarse;
         if listed
             && self.lists.hold(&self.seeds, blocks.facets * blocks.a_chunk)
-            && let Some(stats) = self.pass(out, (blocks, From::Kept), cancel)?
+            && let Some(stats) = self.pass(out, (blocks, From::Kept), token)?
         {
             return Ok(stats);
         }
@@ -229,7 +230,7 @@ impl ParallelSession {
             let ahead = self.look_ahead(area);
             stats.neighbours_ms += elapsed_ms(begin);
             if ahead {
-                if let Some(pass) = self.pass(out, (blocks, From::Ahead), cancel)? {
+                if let Some(pass) = self.pass(out, (blocks, From::Ahead), token)? {
                     stats.add(&pass);
                     return Ok(stats);
                 }
@@ -242,19 +243,19 @@ impl ParallelSession {
             let begin = Instant::now();
             self.lists.choose_evenly(&self.seeds, &self.index, area);
             stats.neighbours_ms += elapsed_ms(begin);
-            if let Some(pass) = self.pass(out, (blocks, From::Index), cancel)? {
+            if let Some(pass) = self.pass(out, (blocks, From::Index), token)? {
                 stats.add(&pass);
                 return Ok(stats);
             }
             self.by_rows = LATER;
         }
         self.by_rows = self.by_rows.saturating_sub(1);
-        stats.neighbours_ms += self.refresh_rows(cancel)?;
+        stats.neighbours_ms += self.refresh_rows(token)?;
         match coarse {
             true => self.lists.leave(),
             false => self.lists.choose(&self.seeds, &self.table),
         }
-        stats.add(&self.pass(out, (blocks, From::Rows { coarse }), cancel)?.unwrap_or_default());
+        stats.add(&self.pass(out, (blocks, From::Rows { coarse }), token)?.unwrap_or_default());
         Ok(stats)
     }
 
@@ -263,7 +264,7 @@ impl ParallelSession {
         &mut self,
         out: &mut CellSums,
         (blocks, from): (Blocks, From),
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<Option<PassStats>, RvdError> {
         out.reset(self.seeds.len());
         self.reset_walkers();
@@ -293,13 +294,13 @@ impl ParallelSession {
         let void = AtomicBool::new(false);
         let waves = lists.chunks_mut(WAVE).zip(facets.chunks(size * WAVE)).zip(starts.chunks_mut(size * WAVE));
         for ((lists, facets), starts) in waves {
-            cancel.check()?;
+            token.check()?;
             let begin = Instant::now();
             let chunks = &mut self.chunks[..lists.len()];
             let each = chunks.par_iter_mut().zip(lists).zip(facets.par_chunks(size)).zip(starts.par_chunks_mut(size));
             // Tasks differ; one by one, so that no thread waits while another has several left.
             each.with_max_len(1).for_each(|(((chunk, lists), facets), starts)| {
-                if cancel.is_cancelled() || void.load(Relaxed) {
+                if token.is_stopped() || void.load(Relaxed) {
                     return;
                 }
                 let walkers = &mut *of_this_thread(&self.walkers);
@@ -311,7 +312,7 @@ impl ParallelSession {
                     void.store(true, Relaxed);
                 }
             });
-            cancel.check()?;
+            token.check()?;
             if void.load(Relaxed) {
                 return Ok(None);
             }
@@ -329,8 +330,8 @@ impl ParallelSession {
     }
 
     /// Pieces of `facets`, of flat ones too if they are asked for.
-    fn cut(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        let mut stats = PassStats { neighbours_ms: self.refresh_rows(cancel)?, ..PassStats::default() };
+    fn cut(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
+        let mut stats = PassStats { neighbours_ms: self.refresh_rows(token)?, ..PassStats::default() };
         self.reset_walkers();
         stats.duplicate_seeds = self.index.duplicates() as u64;
         let begin = Instant::now();
@@ -342,18 +343,18 @@ impl ParallelSession {
         let (capacities, flat) = (self.capacities, self.flat_pieces);
         self.chunks.resize_with(WAVE.min(facets.len().div_ceil(size)), Chunk::default);
         for (w, starts) in starts.chunks(size * WAVE).enumerate() {
-            cancel.check()?;
+            token.check()?;
             let begin = Instant::now();
             let chunks = &mut self.chunks[..starts.len().div_ceil(size)];
             let each = chunks.par_iter_mut().zip(starts.par_chunks(size)).enumerate();
             each.with_max_len(1).for_each(|(c, (chunk, starts))| {
-                if !cancel.is_cancelled() {
+                if !token.is_stopped() {
                     let walkers = &mut *of_this_thread(&self.walkers);
                     let first = facets.start + ((w * WAVE + c) * size) as u32;
                     chunk.cut(walkers, diagram, first, starts, capacities, flat);
                 }
             });
-            cancel.check()?;
+            token.check()?;
             stats.clip_ms += elapsed_ms(begin);
             let begin = Instant::now();
             for chunk in &*chunks {
@@ -393,14 +394,14 @@ impl Session for ParallelSession {
         Ok(())
     }
 
-    fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
         let pool = Arc::clone(&self.pool);
-        pool.install(|| self.sum_up(out, cancel))
+        pool.install(|| self.sum_up(out, token))
     }
 
-    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
         out.clear();
         let pool = Arc::clone(&self.pool);
-        pool.install(|| self.cut(facets, out, cancel))
+        pool.install(|| self.cut(facets, out, token))
     }
 }

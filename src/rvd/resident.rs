@@ -8,7 +8,8 @@
 
 use glam::DVec3;
 
-use super::{CancelFlag, CellSums, PassStats, RvdError};
+use super::{CellSums, PassStats, RvdError};
+use crate::token::Token;
 
 /// Pairs (s, y) that a quasi-Newton history holds (design, section 3, "Optimiser").
 pub const HISTORY: usize = 7;
@@ -42,7 +43,7 @@ pub trait Resident {
     ///
     /// # Errors
     /// `Cancelled`, or what the device says. x is as before.
-    fn evaluate(&mut self, cancel: &CancelFlag) -> Result<Look, RvdError>;
+    fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError>;
 
     /// After [`Resident::evaluate`]: every seed that is not held goes to its cell's centroid; the seed
     /// of an empty cell stays. Forgets the history.
@@ -57,9 +58,9 @@ pub trait Resident {
     ///
     /// # Errors
     /// `Cancelled`, or what the device says. x is as after the looks that were put.
-    fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, cancel: &CancelFlag) -> Result<(), RvdError> {
+    fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, token: &Token) -> Result<(), RvdError> {
         let _one_by_one = steps;
-        let look = self.evaluate(cancel)?;
+        let look = self.evaluate(token)?;
         if look.empty_cells == 0 {
             self.to_centroids()?;
         }
@@ -79,7 +80,7 @@ pub trait Resident {
     ///
     /// # Errors
     /// `Cancelled`, or what the device says. x is as before.
-    fn probe(&mut self, step: f64, cancel: &CancelFlag) -> Result<Look, RvdError>;
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError>;
 
     /// The point of the last probe becomes x, its gradient g; the pair (s, y) joins the history, the
     /// oldest going where there are [`HISTORY`], unless sᵀy <= 1e-10 ‖s‖ ‖y‖.

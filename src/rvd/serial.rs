@@ -15,10 +15,11 @@ use super::clip::Clipper;
 use super::incident::{Diagram, FacetWalker};
 use super::on_host::OnHost;
 use super::{
-    Backend, BackendKind, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions,
-    Surface, elapsed_ms, take_seeds,
+    Backend, BackendKind, Capacities, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface,
+    elapsed_ms, take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
+use crate::token::{Stopped, Token};
 
 /// The f64 reference, one thread.
 #[derive(Clone, Copy, Debug, Default)]
@@ -62,19 +63,19 @@ struct SerialSession {
     stale: bool,
 }
 
-/// Facets between two looks at the cancel flag.
+/// Facets between two looks at the token.
 const BATCH: usize = 1024;
 
 impl SerialSession {
     /// Builds the index and the table of new seeds. Returns the milliseconds spent.
-    fn refresh(&mut self, cancel: &CancelFlag) -> Result<f64, RvdError> {
+    fn refresh(&mut self, token: &Token) -> Result<f64, RvdError> {
         if !self.stale {
             return if self.seeds.is_empty() { Err(RvdError::NoSeeds) } else { Ok(0.0) };
         }
         let begin = Instant::now();
         self.index = SeedIndex::with_threads(&self.seeds, Threads::One);
-        if !self.table.fill(&self.index, self.capacities.neighbours, Threads::One, &|| cancel.is_cancelled()) {
-            return Err(RvdError::Cancelled);
+        if !self.table.fill(&self.index, self.capacities.neighbours, Threads::One, &|| token.is_stopped()) {
+            return Err(RvdError::Stopped(Stopped::Cancelled));
         }
         self.walker.reset();
         self.stale = false;
@@ -86,15 +87,15 @@ impl SerialSession {
         &mut self,
         range: Range<u32>,
         wanted: impl Fn(&Surface, usize) -> bool,
-        cancel: &CancelFlag,
+        token: &Token,
         mut visit: impl FnMut(u32, u32, DVec3, &Clipper),
     ) -> Result<PassStats, RvdError> {
-        let mut stats = PassStats { neighbours_ms: self.refresh(cancel)?, ..PassStats::default() };
+        let mut stats = PassStats { neighbours_ms: self.refresh(token)?, ..PassStats::default() };
         stats.duplicate_seeds = self.index.duplicates() as u64;
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
         let mut starts = Vec::with_capacity(BATCH);
         for first in range.clone().step_by(BATCH) {
-            cancel.check()?;
+            token.check()?;
             let batch = first..range.end.min(first + BATCH as u32);
             let begin = Instant::now();
             starts.clear();
@@ -120,17 +121,17 @@ impl Session for SerialSession {
         Ok(())
     }
 
-    fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
         out.reset(self.seeds.len());
         let facets = 0..self.surface.facets().len() as u32;
-        self.walk(facets, |s, f| !s.skips(f), cancel, |_, i, _, clipper| out.add(i as usize, &clipper.integrals()))
+        self.walk(facets, |s, f| !s.skips(f), token, |_, i, _, clipper| out.add(i as usize, &clipper.integrals()))
     }
 
-    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
         out.clear();
         let flat = self.flat_pieces;
         let wanted = |s: &Surface, f: usize| if flat { s.joins(f) } else { !s.skips(f) };
-        let stats = self.walk(facets, wanted, cancel, |facet, i, origin, clipper| {
+        let stats = self.walk(facets, wanted, token, |facet, i, origin, clipper| {
             out.push(facet, i, clipper.polygon().iter().map(|v| (origin + v.p, v.w, v.edge)));
         })?;
         out.sort();

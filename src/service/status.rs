@@ -16,6 +16,7 @@ use crate::mesh::MeshError;
 use crate::mesh::features::FeatureError;
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
+use crate::token::Stopped;
 
 impl From<RequestError> for Status {
     fn from(error: RequestError) -> Self {
@@ -91,9 +92,22 @@ fn of_density(error: &DensityError) -> Status {
         DensityError::BadOption { name, .. } => format!("header.density.{}", name.replace(' ', "_")),
         DensityError::NoCount | DensityError::PointLimit { .. } => "header.seeds.sampled.points".to_owned(),
         DensityError::TooManyPoints { .. } => "header.density".to_owned(),
-        DensityError::Cancelled => return Status::cancelled("the work was cancelled"),
+        DensityError::Stopped(reason) => return of_stopped(*reason),
     };
     invalid(error.to_string(), path, error.to_string())
+}
+
+/// A job that was cancelled, or reached one of its ceilings. The same job would reach it again, so nothing says when to
+/// try again.
+fn of_stopped(reason: Stopped) -> Status {
+    let text = reason.to_string();
+    let subject = match reason {
+        Stopped::Cancelled => return Status::cancelled("the work was cancelled"),
+        Stopped::Time { .. } => "job-seconds",
+        Stopped::Memory { .. } => "job-memory-mib",
+    };
+    let details = ErrorDetails::with_quota_failure_violation(subject, text.clone());
+    Status::with_error_details(Code::ResourceExhausted, text, details)
 }
 
 fn of_rvd(error: &RvdError) -> Status {
@@ -105,7 +119,7 @@ fn of_rvd(error: &RvdError) -> Status {
         RvdError::NoSuchSeed { .. } => "edit.edits".to_owned(),
         RvdError::BadWeight { vertex, .. } => format!("mesh.weights[{vertex}]"),
         RvdError::WeightCount { .. } => "mesh.weights".to_owned(),
-        RvdError::Cancelled => return Status::cancelled("the work was cancelled"),
+        RvdError::Stopped(reason) => return of_stopped(*reason),
         RvdError::NeverFits { .. } => "header".to_owned(),
         RvdError::OutOfMemory { .. } => return retry(Code::ResourceExhausted, text, Duration::from_secs(5)),
         RvdError::DeviceLost(_) => return retry(Code::Unavailable, text, Duration::from_secs(5)),

@@ -22,7 +22,8 @@ use tessera::remesh::{RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::cells::facet_edge;
 use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
-use tessera::rvd::{Backend, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, SessionOptions, Surface};
+use tessera::rvd::{Backend, Capacities, CellSums, PassStats, PieceBatch, SessionOptions, Surface};
+use tessera::token::Token;
 
 /// A surface, seeds in its unit frame, and capacities that make pairs run out of everything.
 #[derive(Clone, Debug)]
@@ -222,7 +223,7 @@ pub fn everything(
 ) -> Result<(CellSums, PieceBatch, PassStats), String> {
     let options = SessionOptions { capacities, ..SessionOptions::new(seeds.len()) };
     let (mut sums, mut pieces) = (CellSums::default(), PieceBatch::default());
-    let flag = CancelFlag::default();
+    let flag = Token::default();
     let mut work = || {
         let mut session = backend.session(Arc::clone(surface), options)?;
         session.set_seeds(seeds)?;
@@ -242,7 +243,7 @@ fn reused(case: &Case, surface: &Arc<Surface>, parallel: &Parallel) -> Result<Ce
     let other: Vec<DVec3> = case.seeds.iter().rev().take(case.seeds.len().max(2) - 1).copied().collect();
     for seeds in [&other, &case.seeds] {
         session.set_seeds(seeds).map_err(text)?;
-        session.sums(&mut sums, &CancelFlag::default()).map_err(text)?;
+        session.sums(&mut sums, &Token::default()).map_err(text)?;
     }
     Ok(sums)
 }
@@ -262,7 +263,7 @@ fn moved(case: &Case, surface: &Arc<Surface>, parallel: &Parallel, by: f64) -> R
         let seeds: Vec<DVec3> = seeds.map(|p| p.clamp(DVec3::splat(-1e6), DVec3::splat(1e6))).collect();
         let count = if left > 0.0 { (n - 1).max(1) } else { n };
         session.set_seeds(&seeds[..count]).map_err(text)?;
-        session.sums(&mut sums, &CancelFlag::default()).map_err(text)?;
+        session.sums(&mut sums, &Token::default()).map_err(text)?;
     }
     Ok(sums)
 }
@@ -412,7 +413,7 @@ fn remeshes(case: &Case, parallel: &Parallel) -> Result<(), String> {
             case.tiny.cells,
         )
     };
-    let out = match remesh(&case.mesh, &options, parallel, &mut (), &CancelFlag::default()) {
+    let out = match remesh(&case.mesh, &options, parallel, &mut (), &Token::default()) {
         Ok(out) => out,
         Err(RemeshError::TooFewSeeds { .. } | RemeshError::NoThickness) => return Ok(()),
         // Rounding to the caller's coordinates moved a seed from the limit over it.

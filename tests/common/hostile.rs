@@ -10,9 +10,10 @@ use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::gpu::Gpu;
 use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
-use tessera::rvd::{Backend, BackendKind, CancelFlag, CellSums, PassStats, RvdError, SessionOptions, Surface};
+use tessera::rvd::{Backend, BackendKind, CellSums, PassStats, RvdError, SessionOptions, Surface};
 
 use super::{cases, gpu};
+use tessera::token::Token;
 
 /// Serial, parallel, and the GPU where there is one; with the relative error of a sum that its arithmetic allows.
 /// The GPU's is what its own cover check allows.
@@ -37,7 +38,7 @@ pub fn sums(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> R
     let mut session = backend.session(Arc::clone(surface), SessionOptions::new(seeds.len().max(1)))?;
     session.set_seeds(seeds)?;
     let mut out = CellSums::default();
-    let stats = session.sums(&mut out, &CancelFlag::default())?;
+    let stats = session.sums(&mut out, &Token::default())?;
     Ok((out, stats))
 }
 
@@ -77,7 +78,7 @@ pub fn options(seeds: Seeds, lloyd: usize) -> RemeshOptions {
 
 pub fn run(mesh: &TriMesh, options: &RemeshOptions, backend: &dyn Backend) -> Result<Remesh, RemeshError> {
     let _turn = turn(backend);
-    remesh(mesh, options, backend, &mut (), &CancelFlag::default())
+    remesh(mesh, options, backend, &mut (), &Token::default())
 }
 
 /// An oriented 2-manifold comes out on every backend, for whoever reads indices and for whoever welds positions.

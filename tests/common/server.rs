@@ -11,12 +11,11 @@ use tessera::config::Limits;
 use tessera::job::{Backends, Engine, EngineOptions, JobError, Wish};
 use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
-use tessera::rvd::{
-    Backend, BackendKind, CancelFlag, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface,
-};
+use tessera::rvd::{Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface};
 use tessera::service::proto::remesh_service_client::RemeshServiceClient;
 use tessera::service::proto::*;
 use tessera::service::{self, Parts, ServeError};
+use tessera::token::Token;
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, oneshot};
 use tokio_stream::wrappers::ReceiverStream;
@@ -25,7 +24,7 @@ use tonic::transport::Channel;
 /// How a [`Fake`] session behaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mood {
-    /// Never ends by itself, but looks at its cancel flag.
+    /// Never ends by itself, but looks at its token.
     Busy,
     /// Panics.
     Panics,
@@ -78,7 +77,7 @@ impl Drop for Running {
 }
 
 impl FakeSession {
-    fn act(&self, cancel: &CancelFlag) -> Result<(), RvdError> {
+    fn act(&self, token: &Token) -> Result<(), RvdError> {
         let before = self.begun.fetch_add(1, Ordering::SeqCst);
         self.running.fetch_add(1, Ordering::SeqCst);
         let _running = Running(self.running.clone());
@@ -87,7 +86,7 @@ impl FakeSession {
             Mood::Loses(times) if before < times => Err(RvdError::DeviceLost("on purpose".into())),
             Mood::Loses(_) => Ok(()),
             Mood::Busy => loop {
-                cancel.check()?;
+                token.check()?;
                 std::thread::sleep(Duration::from_millis(5));
             },
         }
@@ -98,13 +97,13 @@ impl Session for FakeSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
         self.real.set_seeds(seeds)
     }
-    fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        self.act(cancel)?;
-        self.real.sums(out, cancel)
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+        self.act(token)?;
+        self.real.sums(out, token)
     }
-    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        self.act(cancel)?;
-        self.real.pieces(facets, out, cancel)
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
+        self.act(token)?;
+        self.real.pieces(facets, out, token)
     }
 }
 

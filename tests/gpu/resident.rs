@@ -13,9 +13,10 @@ use tessera::mesh::shapes::Shape;
 use tessera::rvd::gpu::{Found, Gpu};
 use tessera::rvd::serial::Serial;
 use tessera::rvd::{
-    Backend, CancelFlag, Capacities, CellSums, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface,
-    Together, Tuning,
+    Backend, Capacities, CellSums, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface, Together,
+    Tuning,
 };
+use tessera::token::{Stopped, Token};
 
 fn surface(shape: Shape, facets: usize, weighted: bool) -> Arc<Surface> {
     let mesh = shape.build(facets);
@@ -76,14 +77,14 @@ fn sets(surface: &Surface, n: usize) -> Vec<(&'static str, Vec<DVec3>)> {
 fn search(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], neighbours: usize) -> Found {
     let capacities = Capacities { neighbours, ..Capacities::default() };
     let options = SessionOptions { capacities, ..SessionOptions::new(seeds.len()) };
-    gpu.search(Arc::clone(surface), &[seeds], options, &CancelFlag::default()).unwrap().remove(0)
+    gpu.search(Arc::clone(surface), &[seeds], options, &Token::default()).unwrap().remove(0)
 }
 
 #[test]
 fn rows_from_kept_lists_are_those_of_a_search() {
     let gpu = require_gpu!();
     let surface = surface(Shape::Torus, 600, false);
-    let never = CancelFlag::default();
+    let never = Token::default();
     let options = || SessionOptions::new(1001);
     let h = (surface.area() / 1000.0).sqrt();
     for (name, seeds) in sets(&surface, 1000) {
@@ -194,7 +195,7 @@ fn open_together(gpu: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], mos
 
 fn sums_of(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> CellSums {
     let mut out = CellSums::default();
-    open(backend, surface, seeds).sums(&mut out, &CancelFlag::default()).unwrap();
+    open(backend, surface, seeds).sums(&mut out, &Token::default()).unwrap();
     out
 }
 
@@ -205,11 +206,11 @@ fn read(seeds: &mut dyn Resident) -> Vec<DVec3> {
 }
 
 fn evaluate(seeds: &mut dyn Resident) -> Look {
-    seeds.evaluate(&CancelFlag::default()).unwrap()
+    seeds.evaluate(&Token::default()).unwrap()
 }
 
 fn probe(seeds: &mut dyn Resident, step: f64) -> Look {
-    seeds.probe(step, &CancelFlag::default()).unwrap()
+    seeds.probe(step, &Token::default()).unwrap()
 }
 
 fn gradient_squared(sums: &CellSums) -> f64 {
@@ -336,7 +337,7 @@ fn quasi_newton_steps_go_down_to_what_the_host_finds_there() {
     close("energy", *last, sums_of(&Serial, &surface, &moved).energy.iter().sum(), 1e-6);
     // The session goes on from there.
     let mut sums = CellSums::default();
-    session.sums(&mut sums, &CancelFlag::default()).unwrap();
+    session.sums(&mut sums, &Token::default()).unwrap();
     close("session", sums.energy.iter().sum(), *last, 1e-9);
     session.set_seeds(&seeds[..400]).unwrap();
     let moving = session.resident().unwrap();
@@ -420,7 +421,7 @@ fn a_seed_that_leaves_the_range_is_named_and_x_stays() {
     moving.hold(&held).unwrap();
     let here = evaluate(moving);
     moving.direct().unwrap();
-    let never = CancelFlag::default();
+    let never = Token::default();
     // Seed 0 is held, so seed 1 is the first that leaves.
     let far = moving.probe(1e12, &never).unwrap_err();
     assert!(matches!(far, RvdError::SeedTooFar { seed: 1, boxes } if boxes > 1e6), "{far}");
@@ -430,9 +431,9 @@ fn a_seed_that_leaves_the_range_is_named_and_x_stays() {
     let look = moving.probe(100.0 / here.gradient_squared.sqrt(), &never).unwrap();
     assert!(look.energy > here.energy && look.stats.host_searches > 0);
     assert!(moving.probe(-0.0, &never).unwrap().energy == here.energy);
-    let cancelled = CancelFlag::default();
+    let cancelled = Token::default();
     cancelled.cancel();
-    assert!(matches!(moving.evaluate(&cancelled), Err(RvdError::Cancelled)));
+    assert!(matches!(moving.evaluate(&cancelled), Err(RvdError::Stopped(Stopped::Cancelled))));
     assert_eq!(evaluate(moving).energy, here.energy);
 }
 
@@ -469,10 +470,10 @@ fn seeds_that_crowd_where_weights_are_large_are_searched_on_the_device() {
     let mut session = open(gpu, &surface, &seeds);
     let mut reference = Serial.session(Arc::clone(&surface), SessionOptions::new(6000)).unwrap();
     let (mut sums, mut want) = (CellSums::default(), CellSums::default());
-    let stats = session.sums(&mut sums, &CancelFlag::default()).unwrap();
+    let stats = session.sums(&mut sums, &Token::default()).unwrap();
     assert_eq!(stats.host_searches, 0);
     reference.set_seeds(&seeds).unwrap();
-    reference.sums(&mut want, &CancelFlag::default()).unwrap();
+    reference.sums(&mut want, &Token::default()).unwrap();
     let energy = |sums: &CellSums| sums.energy.iter().sum::<f64>();
     // Pieces are floats, good to some 1e-7 of themselves, and their errors have either sign: 3e-8 of the sum was measured.
     assert!((energy(&sums) / energy(&want) - 1.0).abs() < 1e-6, "{} for {}", energy(&sums), energy(&want));
@@ -517,9 +518,9 @@ fn cells_beside_a_crowd_and_within_a_ring_are_ended_on_the_device() {
     let mut want = CellSums::default();
     let mut reference = Serial.session(Arc::clone(&surface), SessionOptions::new(seeds.len())).unwrap();
     reference.set_seeds(&seeds).unwrap();
-    reference.sums(&mut want, &CancelFlag::default()).unwrap();
+    reference.sums(&mut want, &Token::default()).unwrap();
     let mut got = CellSums::default();
-    session.sums(&mut got, &CancelFlag::default()).unwrap();
+    session.sums(&mut got, &Token::default()).unwrap();
     for i in 0..seeds.len() {
         // What a cell's area may be off by is a rounding of its facets' corners, as seen from its seed.
         assert!((got.area[i] - want.area[i]).abs() < 1e-6, "{i}: {} for {}", got.area[i], want.area[i]);
@@ -533,7 +534,7 @@ fn relaxed(session: &mut dyn Session, steps: usize, together: bool) -> (Vec<[f64
     while looks.len() < steps {
         if together {
             let before = looks.len();
-            moving.relax(steps - before, &mut looks, &CancelFlag::default()).unwrap();
+            moving.relax(steps - before, &mut looks, &Token::default()).unwrap();
             assert!(looks.len() > before && looks.len() <= steps);
             if looks.last().unwrap().empty_cells == 0 {
                 continue;
@@ -583,10 +584,10 @@ fn steps_taken_together_have_the_bits_of_steps_taken_one_by_one() {
     let (_, _, stats) = relaxed(&mut **many, 30, true);
     eprintln!("{stats:?}");
     assert!(stats.device_submissions <= 12 && stats.device_allocations == 0, "{stats:?}");
-    let cancelled = CancelFlag::default();
+    let cancelled = Token::default();
     cancelled.cancel();
     let moving = many.resident().unwrap();
     let before = read(moving);
-    assert!(matches!(moving.relax(5, &mut Vec::new(), &cancelled), Err(RvdError::Cancelled)));
+    assert!(matches!(moving.relax(5, &mut Vec::new(), &cancelled), Err(RvdError::Stopped(Stopped::Cancelled))));
     assert!(before == read(moving));
 }

@@ -9,9 +9,10 @@ use tessera::mesh::TriMesh;
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::serial::Serial;
 use tessera::rvd::{
-    Accumulate, Backend, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, RvdError, SessionOptions, Strategy,
-    Surface, Tuning,
+    Accumulate, Backend, Capacities, CellSums, PassStats, PieceBatch, RvdError, SessionOptions, Strategy, Surface,
+    Tuning,
 };
+use tessera::token::{Stopped, Token};
 
 fn rng(seed: u64) -> rand_chacha::ChaCha8Rng {
     rand_chacha::ChaCha8Rng::seed_from_u64(seed)
@@ -106,7 +107,7 @@ fn sums(
     let mut session = backend.session(Arc::clone(surface), options).unwrap();
     session.set_seeds(seeds).unwrap();
     let mut out = CellSums::default();
-    let stats = session.sums(&mut out, &CancelFlag::default()).unwrap();
+    let stats = session.sums(&mut out, &Token::default()).unwrap();
     (out, stats)
 }
 
@@ -114,7 +115,7 @@ fn pieces(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> Pie
     let mut session = backend.session(Arc::clone(surface), SessionOptions::new(seeds.len())).unwrap();
     session.set_seeds(seeds).unwrap();
     let mut out = PieceBatch::default();
-    session.pieces(0..surface.facets().len() as u32, &mut out, &CancelFlag::default()).unwrap();
+    session.pieces(0..surface.facets().len() as u32, &mut out, &Token::default()).unwrap();
     out
 }
 
@@ -128,8 +129,8 @@ fn both(
     let mut session = backend.session(Arc::clone(surface), options).unwrap();
     session.set_seeds(seeds).unwrap();
     let (mut sums, mut pieces) = (CellSums::default(), PieceBatch::default());
-    let stats = session.sums(&mut sums, &CancelFlag::default()).unwrap();
-    session.pieces(0..surface.facets().len() as u32, &mut pieces, &CancelFlag::default()).unwrap();
+    let stats = session.sums(&mut sums, &Token::default()).unwrap();
+    session.pieces(0..surface.facets().len() as u32, &mut pieces, &Token::default()).unwrap();
     (sums, pieces, stats)
 }
 
@@ -230,19 +231,19 @@ fn a_session_takes_other_seeds_and_keeps_its_answers() {
     let surface = Arc::new(Surface::new(&bumpy(3), None).unwrap());
     let mut session = gpu.session(Arc::clone(&surface), SessionOptions::new(2000)).unwrap();
     assert!(session.device_bytes() > 0);
-    let cancel = CancelFlag::default();
+    let token = Token::default();
     let mut out = CellSums::default();
     for (n, seed) in [(500, 1), (2000, 2), (17, 3), (500, 1)] {
         let seeds = seeds_on(&surface, n, 0.0, seed);
         session.set_seeds(&seeds).unwrap();
-        session.sums(&mut out, &cancel).unwrap();
+        session.sums(&mut out, &token).unwrap();
         same_bits(&format!("{n} seeds"), &out, &sums(gpu, &surface, &seeds, Capacities::default()).0);
     }
     let many = vec![DVec3::ZERO; 2001];
     assert!(matches!(session.set_seeds(&many), Err(RvdError::TooManySeeds { given: 2001, limit: 2000 })));
-    cancel.cancel();
-    assert!(matches!(session.sums(&mut out, &cancel), Err(RvdError::Cancelled)));
-    session.sums(&mut out, &CancelFlag::default()).unwrap();
+    token.cancel();
+    assert!(matches!(session.sums(&mut out, &token), Err(RvdError::Stopped(Stopped::Cancelled))));
+    session.sums(&mut out, &Token::default()).unwrap();
 }
 
 #[test]
@@ -277,7 +278,7 @@ fn pieces_are_those_of_the_reference() {
         let mut part = PieceBatch::default();
         let facets = surface.facets().len() as u32;
         for first in (0..facets).step_by(37) {
-            session.pieces(first..(first + 37).min(facets), &mut part, &CancelFlag::default()).unwrap();
+            session.pieces(first..(first + 37).min(facets), &mut part, &Token::default()).unwrap();
             parts.extend(&part);
         }
         assert_eq!(got, parts, "{name}: by ranges");

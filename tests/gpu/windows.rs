@@ -10,9 +10,9 @@ use tessera::gpu::{Device, DeviceOptions};
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::gpu::Gpu;
 use tessera::rvd::{
-    Backend, CancelFlag, Capacities, CellSums, Look, PassStats, PieceBatch, RvdError, SessionOptions, Strategy,
-    Surface, Tuning,
+    Backend, Capacities, CellSums, Look, PassStats, PieceBatch, RvdError, SessionOptions, Strategy, Surface, Tuning,
 };
+use tessera::token::Token;
 
 fn limited(most_buffer_bytes: Option<u64>) -> Gpu {
     let options = DeviceOptions { software: true, most_buffer_bytes, ..DeviceOptions::default() };
@@ -57,25 +57,25 @@ struct Outcome {
 
 /// Sums, pieces by parts, and some steps of the seeds.
 fn run(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], options: SessionOptions) -> Outcome {
-    let cancel = CancelFlag::default();
+    let token = Token::default();
     let mut session = gpu.session(Arc::clone(surface), options).unwrap();
     session.set_seeds(seeds).unwrap();
     let mut sums = CellSums::default();
-    let stats = session.sums(&mut sums, &cancel).unwrap();
+    let stats = session.sums(&mut sums, &token).unwrap();
     let (mut pieces, mut part) = (PieceBatch::default(), PieceBatch::default());
     let facets = surface.facets().len() as u32;
     for first in (0..facets).step_by(facets as usize / 2 + 1) {
-        session.pieces(first..(first + facets / 2 + 1).min(facets), &mut part, &cancel).unwrap();
+        session.pieces(first..(first + facets / 2 + 1).min(facets), &mut part, &token).unwrap();
         pieces.extend(&part);
     }
     let moving = session.resident().unwrap();
-    let mut looks = vec![moving.evaluate(&cancel).unwrap()];
+    let mut looks = vec![moving.evaluate(&token).unwrap()];
     for _ in 0..2 {
         moving.to_centroids().unwrap();
-        looks.push(moving.evaluate(&cancel).unwrap());
+        looks.push(moving.evaluate(&token).unwrap());
     }
     moving.direct().unwrap();
-    looks.push(moving.probe(0.1 / looks[2].gradient_squared.sqrt(), &cancel).unwrap());
+    looks.push(moving.probe(0.1 / looks[2].gradient_squared.sqrt(), &token).unwrap());
     moving.accept().unwrap();
     let mut moved = Vec::new();
     moving.read(&mut moved).unwrap();
@@ -143,7 +143,7 @@ fn rows_beyond_the_limit_are_finished_in_double() {
         let mut session = gpu.session(Arc::clone(&surface), options).unwrap();
         session.set_seeds(&crowd).unwrap();
         let mut sums = CellSums::default();
-        let stats = session.sums(&mut sums, &CancelFlag::default()).unwrap();
+        let stats = session.sums(&mut sums, &Token::default()).unwrap();
         (sums, stats)
     };
     let ((a, by_small), (b, by_whole)) = (sums(small), sums(whole));

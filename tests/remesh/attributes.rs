@@ -13,13 +13,13 @@ use tessera::mesh::io::{
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::attributes::{carry, provenance};
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
-use tessera::rvd::CancelFlag;
 use tessera::rvd::serial::Serial;
+use tessera::token::Token;
 
 fn run(mesh: &TriMesh, attributes: Attributes, points: usize) -> Remesh {
     let options =
         RemeshOptions { attributes: Some(attributes), ..RemeshOptions::plain(Seeds::Sample { points, seed: 4 }, 3) };
-    remesh(mesh, &options, &Serial, &mut (), &CancelFlag::default()).unwrap()
+    remesh(mesh, &options, &Serial, &mut (), &Token::default()).unwrap()
 }
 
 fn texture(values: Vec<DVec2>, corners: Vec<[u32; 3]>) -> PerCorner<DVec2> {
@@ -276,7 +276,7 @@ fn split_normals_stay_on_their_sides() {
     attributes.set_normals(Normals::PerVertex(normals)).unwrap();
     let options = RemeshOptions::new(Seeds::Sample { points: 500, seed: 4 });
     let options = RemeshOptions { attributes: Some(attributes), ..options };
-    let done = remesh(&mesh, &options, &Serial, &mut (), &CancelFlag::default()).unwrap();
+    let done = remesh(&mesh, &options, &Serial, &mut (), &Token::default()).unwrap();
     let carried = done.attributes.unwrap();
     let Some(Normals::PerCorner(normals)) = carried.normals() else { panic!("not by corners") };
     for (f, corners) in normals.corners.iter().enumerate() {
@@ -410,7 +410,7 @@ fn shells_beside_each_other_keep_their_own() {
     attributes.add_scalar("shell".to_owned(), shell).unwrap();
     let wish =
         RemeshOptions { attributes: Some(attributes), ..RemeshOptions::new(Seeds::Sample { points: 600, seed: 4 }) };
-    let out = remesh(&mesh, &wish, &Serial, &mut (), &CancelFlag::default()).unwrap();
+    let out = remesh(&mesh, &wish, &Serial, &mut (), &Token::default()).unwrap();
     let result = &out.report.result;
     assert_eq!((result.vertices, result.repair.split_cells, result.topology.components), (600, 0, 2));
     assert!(out.report.topology_changes.is_empty());
@@ -518,7 +518,7 @@ fn wrong_attributes_are_refused_and_bits_do_not_depend_on_threads() {
         attributes: Some(Attributes::new(&other)),
         ..RemeshOptions::plain(Seeds::Sample { points: 50, seed: 1 }, 0)
     };
-    let refused = remesh(&mesh, &options, &Serial, &mut (), &CancelFlag::default()).unwrap_err();
+    let refused = remesh(&mesh, &options, &Serial, &mut (), &Token::default()).unwrap_err();
     assert!(matches!(refused, RemeshError::Attributes(AttributeError::OtherMesh { .. })), "{refused}");
 
     let done = run(&mesh, all.clone(), 120);

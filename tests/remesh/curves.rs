@@ -9,12 +9,13 @@ use tessera::mesh::adjacency::{Adjacency, EdgeKind};
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Placement, Remesh, RemeshError, RemeshOptions, Seeds, remesh};
+use tessera::rvd::Backend;
 use tessera::rvd::gpu::Gpu;
 use tessera::rvd::parallel::Parallel;
-use tessera::rvd::{Backend, CancelFlag};
 
 use crate::gpu;
 use crate::parts::{counts, disk, find, l_shape, length, prism, slit, tube, wish};
+use tessera::token::Token;
 
 pub(crate) fn options(points: usize) -> RemeshOptions {
     RemeshOptions {
@@ -26,7 +27,7 @@ pub(crate) fn options(points: usize) -> RemeshOptions {
 }
 
 fn run_on(backend: &dyn Backend, mesh: &TriMesh, options: &RemeshOptions) -> Result<Remesh, RemeshError> {
-    remesh(mesh, options, backend, &mut (), &CancelFlag::default())
+    remesh(mesh, options, backend, &mut (), &Token::default())
 }
 
 pub(crate) fn run(mesh: &TriMesh, options: &RemeshOptions) -> Result<Remesh, RemeshError> {

@@ -11,7 +11,8 @@ use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
-use tessera::rvd::{CancelFlag, RvdError, Surface};
+use tessera::rvd::{RvdError, Surface};
+use tessera::token::{Stopped, Token};
 
 fn drawn(mesh: &TriMesh, n: usize) -> Vec<DVec3> {
     sample(mesh, None, n, 1).into_iter().map(|p| p.position).collect()
@@ -29,7 +30,7 @@ fn the_energy_falls_in_every_step() {
             let mut cvt = open(&mesh, &drawn(&mesh, 100), options);
             let mut before = f64::INFINITY;
             for _ in 0..15 {
-                let step = cvt.lloyd(&CancelFlag::default()).unwrap();
+                let step = cvt.lloyd(&Token::default()).unwrap();
                 // Converged, the energy stands still to within the rounding of its sum.
                 assert!(step.energy <= before * (1.0 + 1e-13), "{name}: {} after {before}", step.energy);
                 assert_eq!(step.empty_cells, 0, "{name}");
@@ -45,7 +46,7 @@ fn random_seeds_have_the_energy_of_random_seeds() {
     let mut cvt = open(&mesh, &drawn(&mesh, 4000), CvtOptions::default());
     let mut ratios = Vec::new();
     for _ in 0..41 {
-        ratios.push(cvt.lloyd(&CancelFlag::default()).unwrap().energy_ratio);
+        ratios.push(cvt.lloyd(&Token::default()).unwrap().energy_ratio);
     }
     println!("E/E_hex: random {}, after 40 steps {}", ratios[0], ratios[40]);
     // A Poisson process has 1.985; 4000 cells scatter by about 1.5 %.
@@ -58,7 +59,7 @@ fn projected_seeds_lie_on_the_surface() {
     let mesh = Shape::Sphere.build(800);
     let mut cvt = open(&mesh, &drawn(&mesh, 50), CvtOptions { projection: Projection::OnSurface, max_seeds: 0 });
     for _ in 0..3 {
-        cvt.lloyd(&CancelFlag::default()).unwrap();
+        cvt.lloyd(&Token::default()).unwrap();
     }
     let tree = ClosestPoint::new(&mesh);
     for seed in cvt.seeds().unwrap() {
@@ -73,11 +74,11 @@ fn seeds_without_a_cell_are_placed_anew() {
     seeds.extend(vec![seeds[0]; 30]);
     seeds.extend(vec![DVec3::splat(500.0); 30]);
     let mut cvt = open(&mesh, &seeds, CvtOptions::default());
-    let first = cvt.lloyd(&CancelFlag::default()).unwrap();
+    let first = cvt.lloyd(&Token::default()).unwrap();
     assert_eq!(first.empty_cells, 60);
     let mut last = first;
     for _ in 0..20 {
-        last = cvt.lloyd(&CancelFlag::default()).unwrap();
+        last = cvt.lloyd(&Token::default()).unwrap();
     }
     assert_eq!(last.empty_cells, 0);
     assert!(last.energy_ratio < 1.15, "{}", last.energy_ratio);
@@ -106,7 +107,7 @@ fn edits_are_all_or_nothing_and_stay_within_the_room() {
     assert!(matches!(cvt.edit(&[SeedEdit::Add { at: DVec3::NAN }]), Err(RvdError::NonFiniteSeed { seed: 10 })));
     assert!(matches!(cvt.edit(&vec![SeedEdit::Remove { index: 0 }; 10]), Err(RvdError::NoSeeds)));
     assert_eq!(cvt.seeds().unwrap(), now);
-    cvt.lloyd(&CancelFlag::default()).unwrap();
+    cvt.lloyd(&Token::default()).unwrap();
 }
 
 #[test]
@@ -116,9 +117,9 @@ fn cancelling_leaves_the_seeds_as_they_were() {
     let surface = Arc::new(Surface::new(&mesh, None).unwrap());
     let mut cvt = Cvt::new(&backend, surface, &drawn(&mesh, 100), CvtOptions::default()).unwrap();
     let before = cvt.seeds().unwrap();
-    let cancel = CancelFlag::default();
-    cancel.cancel();
-    assert!(matches!(cvt.lloyd(&cancel), Err(RvdError::Cancelled)));
+    let token = Token::default();
+    token.cancel();
+    assert!(matches!(cvt.lloyd(&token), Err(RvdError::Stopped(Stopped::Cancelled))));
     assert_eq!(cvt.seeds().unwrap(), before);
 }
 

@@ -8,12 +8,13 @@ use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
+use tessera::rvd::RvdError;
 use tessera::rvd::parallel::Parallel;
-use tessera::rvd::{CancelFlag, RvdError};
+use tessera::token::{Stopped, Token};
 
 fn run(mesh: &TriMesh, density: DensityOptions, seeds: Seeds, lloyd: usize) -> Result<Remesh, RemeshError> {
     let options = RemeshOptions { density, ..RemeshOptions::plain(seeds, lloyd) };
-    remesh(mesh, &options, &Parallel::new(None).unwrap(), &mut (), &CancelFlag::default())
+    remesh(mesh, &options, &Parallel::new(None).unwrap(), &mut (), &Token::default())
 }
 
 fn planned<'a>(mesh: &'a TriMesh, density: &DensityOptions, count: Count) -> Result<Plan<'a>, DensityError> {
@@ -346,8 +347,8 @@ fn bad_values_are_refused_by_name() {
         assert_eq!(error, DensityError::PointLimit { points: 1001, limit: 1000 });
     }
     let stopped = plan(&mesh, &DensityOptions::from_source(DensitySource::Curvature), Count::Points(10), &|| true);
-    assert_eq!(stopped.unwrap_err(), DensityError::Cancelled);
-    let cancelled = RemeshError::from(DensityError::Cancelled);
-    assert!(matches!(cancelled, RemeshError::Rvd(RvdError::Cancelled)));
+    assert_eq!(stopped.unwrap_err(), DensityError::Stopped(Stopped::Cancelled));
+    let cancelled = RemeshError::from(DensityError::Stopped(Stopped::Cancelled));
+    assert!(matches!(cancelled, RemeshError::Rvd(RvdError::Stopped(Stopped::Cancelled))));
     assert_eq!(Net::new(&mesh).outline(), &Outline::new(&mesh));
 }

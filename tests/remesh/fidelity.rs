@@ -8,17 +8,18 @@ use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::{Topology, topology};
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Placement, Refine, Remesh, RemeshOptions, Seeds, remesh};
+use tessera::rvd::Backend;
 use tessera::rvd::parallel::Parallel;
-use tessera::rvd::{Backend, CancelFlag};
 
 use crate::parts::tube;
+use tessera::token::Token;
 
 fn options(points: usize) -> RemeshOptions {
     RemeshOptions { newton: 15, measure: false, ..RemeshOptions::new(Seeds::Sample { points, seed: 2 }) }
 }
 
 fn run_on(backend: &dyn Backend, mesh: &TriMesh, options: &RemeshOptions) -> Remesh {
-    remesh(mesh, options, backend, &mut (), &CancelFlag::default()).unwrap()
+    remesh(mesh, options, backend, &mut (), &Token::default()).unwrap()
 }
 
 fn run(mesh: &TriMesh, options: &RemeshOptions) -> Remesh {

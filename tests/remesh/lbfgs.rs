@@ -16,9 +16,9 @@ use tessera::rvd::gpu::Gpu;
 use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
 use tessera::rvd::{
-    Backend, BackendKind, CancelFlag, CellSums, Look, PassStats, PieceBatch, Resident, RvdError, Session,
-    SessionOptions, Surface,
+    Backend, BackendKind, CellSums, Look, PassStats, PieceBatch, Resident, RvdError, Session, SessionOptions, Surface,
 };
+use tessera::token::{Stopped, Token};
 
 /// Every backend there is.
 fn backends() -> Vec<Box<dyn Backend>> {
@@ -41,22 +41,22 @@ fn open(backend: &dyn Backend, mesh: &TriMesh, seeds: &[DVec3]) -> Cvt {
 
 fn lloyd(cvt: &mut Cvt, steps: usize) {
     (0..steps).for_each(|_| {
-        cvt.lloyd(&CancelFlag::default()).unwrap();
+        cvt.lloyd(&Token::default()).unwrap();
     });
 }
 
 fn lbfgs(cvt: &mut Cvt) -> Iteration {
-    cvt.lbfgs(&CancelFlag::default()).unwrap()
+    cvt.lbfgs(&Token::default()).unwrap()
 }
 
 fn energy(cvt: &mut Cvt) -> f64 {
-    cvt.present(&CancelFlag::default()).unwrap().energy
+    cvt.present(&Token::default()).unwrap().energy
 }
 
 /// Along the way to the centroids of all seeds, and of every third one alone.
 #[test]
 fn the_gradient_is_that_of_the_energy() {
-    let never = CancelFlag::default();
+    let never = Token::default();
     for backend in backends() {
         let single = backend.kind() == BackendKind::Gpu;
         for (shape, n) in [(Shape::Torus, 60), (Shape::Block, 80), (Shape::Hills, 50)] {
@@ -107,7 +107,7 @@ fn the_gradient_is_that_of_the_energy() {
 /// Component by component, against the moments of the sums.
 #[test]
 fn every_component_of_the_gradient_is_right() {
-    let never = CancelFlag::default();
+    let never = Token::default();
     let mesh = Shape::Torus.build(400);
     let given = weights(&mesh);
     for weighted in [None, Some(&given[..])] {
@@ -199,7 +199,7 @@ fn the_steps_converge_and_stop() {
             steps += 1;
             assert!(steps < 300, "{}", backend.kind().name());
         }
-        let last = cvt.present(&CancelFlag::default()).unwrap();
+        let last = cvt.present(&Token::default()).unwrap();
         println!(
             "{}: {steps} steps, ‖∇E‖ {:e} of {:e}",
             backend.kind().name(),
@@ -211,7 +211,7 @@ fn the_steps_converge_and_stop() {
 
         // A pipeline takes no more of them.
         let options = RemeshOptions { newton: 300, ..RemeshOptions::plain(Seeds::Sample { points: 20, seed: 1 }, 2) };
-        let out = remesh(&mesh, &options, backend.as_ref(), &mut (), &CancelFlag::default()).unwrap();
+        let out = remesh(&mesh, &options, backend.as_ref(), &mut (), &Token::default()).unwrap();
         assert!(out.report.converged);
         let taken = out.report.iterations.len();
         assert!((3..302).contains(&taken), "{taken}");
@@ -313,9 +313,9 @@ fn cancelling_leaves_the_seeds_as_they_were() {
         lloyd(&mut cvt, 1);
         lbfgs(&mut cvt);
         let before = cvt.seeds().unwrap();
-        let cancel = CancelFlag::default();
-        cancel.cancel();
-        assert!(matches!(cvt.lbfgs(&cancel), Err(RvdError::Cancelled)), "{}", backend.kind().name());
+        let token = Token::default();
+        token.cancel();
+        assert!(matches!(cvt.lbfgs(&token), Err(RvdError::Stopped(Stopped::Cancelled))), "{}", backend.kind().name());
         assert_eq!(cvt.seeds().unwrap(), before);
         assert!(!cvt.converged());
     }
@@ -326,8 +326,8 @@ fn cancelling_leaves_the_seeds_as_they_were() {
 fn a_cancelled_search_can_be_repeated() {
     let mesh = Shape::Torus.build(800);
     let seeds = drawn(&mesh, 60);
-    let cancel = CancelFlag::default();
-    let stopping = Stopping { after: Arc::new(AtomicUsize::new(usize::MAX)), cancel: cancel.clone() };
+    let token = Token::default();
+    let stopping = Stopping { after: Arc::new(AtomicUsize::new(usize::MAX)), token: token.clone() };
     let mut plain = open(&Serial, &mesh, &seeds);
     let mut cvt = open(&stopping, &mesh, &seeds);
     for cvt in [&mut plain, &mut cvt] {
@@ -339,8 +339,8 @@ fn a_cancelled_search_can_be_repeated() {
     let before = cvt.seeds().unwrap();
     assert_eq!(before, plain.seeds().unwrap());
     stopping.after.store(0, Ordering::SeqCst);
-    assert!(matches!(cvt.lbfgs(&cancel), Err(RvdError::Cancelled)));
-    assert!(cancel.is_cancelled(), "in the middle of a search");
+    assert!(matches!(cvt.lbfgs(&token), Err(RvdError::Stopped(Stopped::Cancelled))));
+    assert!(token.is_stopped(), "in the middle of a search");
     assert_eq!(cvt.seeds().unwrap(), before);
     stopping.after.store(usize::MAX, Ordering::SeqCst);
     for cvt in [&mut plain, &mut cvt] {
@@ -354,7 +354,7 @@ fn a_cancelled_search_can_be_repeated() {
 /// The serial backend; sets a flag when so many more probes were taken.
 struct Stopping {
     after: Arc<AtomicUsize>,
-    cancel: CancelFlag,
+    token: Token,
 }
 
 impl Backend for Stopping {
@@ -366,13 +366,13 @@ impl Backend for Stopping {
     }
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
         let real = Serial.session(surface, options)?;
-        Ok(Box::new(StoppingSession { after: Arc::clone(&self.after), cancel: self.cancel.clone(), real }))
+        Ok(Box::new(StoppingSession { after: Arc::clone(&self.after), token: self.token.clone(), real }))
     }
 }
 
 struct StoppingSession {
     after: Arc<AtomicUsize>,
-    cancel: CancelFlag,
+    token: Token,
     real: Box<dyn Session>,
 }
 
@@ -386,11 +386,11 @@ impl Session for StoppingSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
         self.real.set_seeds(seeds)
     }
-    fn sums(&mut self, out: &mut CellSums, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        self.real.sums(out, cancel)
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+        self.real.sums(out, token)
     }
-    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<PassStats, RvdError> {
-        self.real.pieces(facets, out, cancel)
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
+        self.real.pieces(facets, out, token)
     }
     fn resident(&mut self) -> Option<&mut dyn Resident> {
         Some(self)
@@ -401,8 +401,8 @@ impl Resident for StoppingSession {
     fn hold(&mut self, held: &[bool]) -> Result<(), RvdError> {
         self.inner().hold(held)
     }
-    fn evaluate(&mut self, cancel: &CancelFlag) -> Result<Look, RvdError> {
-        self.inner().evaluate(cancel)
+    fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError> {
+        self.inner().evaluate(token)
     }
     fn to_centroids(&mut self) -> Result<(), RvdError> {
         self.inner().to_centroids()
@@ -410,14 +410,14 @@ impl Resident for StoppingSession {
     fn direct(&mut self) -> Result<f64, RvdError> {
         self.inner().direct()
     }
-    fn probe(&mut self, step: f64, cancel: &CancelFlag) -> Result<Look, RvdError> {
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError> {
         let left = self.after.load(Ordering::SeqCst);
         if left == 0 {
-            self.cancel.cancel();
+            self.token.cancel();
         } else if left < usize::MAX {
             self.after.store(left - 1, Ordering::SeqCst);
         }
-        self.inner().probe(step, cancel)
+        self.inner().probe(step, token)
     }
     fn accept(&mut self) -> Result<(), RvdError> {
         self.inner().accept()

@@ -5,8 +5,8 @@ use glam::DVec3;
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::remesh::{Remesh, RemeshOptions, Seeds, remesh};
-use tessera::rvd::CancelFlag;
 use tessera::rvd::parallel::Parallel;
+use tessera::token::Token;
 
 /// Points, and about how long edges are: √(2/√3 · area / points) on an area of 2.4.
 const POINTS: usize = 600;
@@ -14,7 +14,7 @@ const EDGE: f64 = 0.068;
 
 fn run(mesh: &TriMesh) -> Remesh {
     let options = RemeshOptions::new(Seeds::Sample { points: POINTS, seed: 5 });
-    remesh(mesh, &options, &Parallel::new(Some(2)).unwrap(), &mut (), &CancelFlag::default()).unwrap()
+    remesh(mesh, &options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()).unwrap()
 }
 
 /// A sheet with two folds that come together: at its lower rim they are `gap` apart.

@@ -10,14 +10,15 @@ use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
-use tessera::rvd::{Backend, CancelFlag, RvdError};
+use tessera::rvd::{Backend, RvdError};
+use tessera::token::Token;
 
 fn options(points: usize, lloyd: usize) -> RemeshOptions {
     RemeshOptions::plain(Seeds::Sample { points, seed: 3 }, lloyd)
 }
 
 fn run(mesh: &TriMesh, options: &RemeshOptions, backend: &dyn Backend) -> Result<Remesh, RemeshError> {
-    remesh(mesh, options, backend, &mut (), &CancelFlag::default())
+    remesh(mesh, options, backend, &mut (), &Token::default())
 }
 
 /// Six times the volume inside a closed surface: positive if it is oriented outward.

@@ -7,15 +7,15 @@ use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Remesh, RemeshOptions, Seeds, remesh};
-use tessera::rvd::CancelFlag;
 use tessera::rvd::parallel::Parallel;
+use tessera::token::Token;
 
 fn options(points: usize) -> RemeshOptions {
     RemeshOptions { newton: 10, crease_angle_deg: 0.0, ..RemeshOptions::new(Seeds::Sample { points, seed: 5 }) }
 }
 
 fn run(mesh: &TriMesh, options: &RemeshOptions) -> Remesh {
-    remesh(mesh, options, &Parallel::new(Some(2)).unwrap(), &mut (), &CancelFlag::default()).unwrap()
+    remesh(mesh, options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()).unwrap()
 }
 
 /// A closed surface around the z axis, from heights and radii; the first and the last are on the axis.
@@ -146,7 +146,7 @@ fn the_same_bits_on_any_number_of_threads() {
     let mesh = horned();
     let on = |threads| {
         let backend = Parallel::new(Some(threads)).unwrap();
-        remesh(&mesh, &options(200), &backend, &mut (), &CancelFlag::default()).unwrap()
+        remesh(&mesh, &options(200), &backend, &mut (), &Token::default()).unwrap()
     };
     let (one, three) = (on(1), on(3));
     assert!(one.report.refine.thin_rounds > 0);

@@ -11,9 +11,8 @@ use rand::RngExt;
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
-use tessera::rvd::{
-    Backend, CancelFlag, Capacities, CellSums, PassStats, PieceBatch, Session, SessionOptions, Surface,
-};
+use tessera::rvd::{Backend, Capacities, CellSums, PassStats, PieceBatch, Session, SessionOptions, Surface};
+use tessera::token::Token;
 
 /// Seed sets that a surface is tried with, unit frame.
 fn seed_sets(surface: &Surface) -> Vec<(&'static str, Vec<DVec3>)> {
@@ -52,8 +51,8 @@ fn open(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], capaciti
 
 fn everything(session: &mut dyn Session, surface: &Surface) -> (CellSums, PieceBatch, PassStats) {
     let (mut sums, mut pieces) = (CellSums::default(), PieceBatch::default());
-    let stats = session.sums(&mut sums, &CancelFlag::default()).unwrap();
-    session.pieces(0..surface.facets().len() as u32, &mut pieces, &CancelFlag::default()).unwrap();
+    let stats = session.sums(&mut sums, &Token::default()).unwrap();
+    session.pieces(0..surface.facets().len() as u32, &mut pieces, &Token::default()).unwrap();
     (sums, pieces, stats)
 }
 
@@ -165,7 +164,7 @@ fn a_session_takes_one_seed_set_after_another() {
 #[test]
 fn lists_that_are_kept_change_nothing() {
     let backend = Parallel::new(Some(2)).unwrap();
-    let flag = CancelFlag::default();
+    let flag = Token::default();
     let (mut kept, mut strays) = (0, 0);
     for (name, mesh) in surfaces::all() {
         let weights: Vec<f64> = (0..mesh.positions().len()).map(|v| 0.1 + (v % 7) as f64).collect();
@@ -208,7 +207,7 @@ fn lists_that_are_kept_change_nothing() {
 #[test]
 fn seeds_that_go_astray_change_nothing_elsewhere() {
     let backend = Parallel::new(Some(2)).unwrap();
-    let flag = CancelFlag::default();
+    let flag = Token::default();
     let mut rng = rng(11);
     // Facets deep in cells, about as many facets as seeds, and facets with several cells; and most seeds in one place.
     let cases = [
@@ -251,7 +250,7 @@ fn seeds_that_go_astray_change_nothing_elsewhere() {
 #[test]
 fn lists_made_ahead_of_seeds_change_nothing() {
     let backend = Parallel::new(Some(2)).unwrap();
-    let flag = CancelFlag::default();
+    let flag = Token::default();
     // Facets that are smaller and larger than cells, with weights and without.
     for (facets, count, weighted) in [(6000, 600, false), (6000, 600, true), (1500, 1500, false)] {
         let mesh = Shape::Torus.build(facets);
@@ -315,7 +314,7 @@ fn the_gradient_is_that_of_the_energy() {
         let mut sums = CellSums::default();
         let mut energy = |seeds: &[DVec3]| -> (f64, Vec<DVec3>) {
             session.set_seeds(seeds).unwrap();
-            session.sums(&mut sums, &CancelFlag::default()).unwrap();
+            session.sums(&mut sums, &Token::default()).unwrap();
             (sums.energy.iter().sum(), sums.moment.iter().map(|m| -2.0 * m).collect())
         };
         let (_, gradient) = energy(&seeds);

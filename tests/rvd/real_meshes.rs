@@ -15,7 +15,8 @@ use tessera::remesh::{RemeshOptions, Seeds, remesh};
 use tessera::rvd::gpu::Gpu;
 use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
-use tessera::rvd::{Backend, CancelFlag, CellSums, PieceBatch, SessionOptions, Surface};
+use tessera::rvd::{Backend, CellSums, PieceBatch, SessionOptions, Surface};
+use tessera::token::Token;
 
 /// Centroids of white-noise cells against those of two independent exact programs, and the same
 /// (facet, cell) incidences on all backends.
@@ -45,13 +46,13 @@ fn centroids_and_incidences_agree_with_the_oracle() {
         for (backend, tolerance) in &backends {
             let name = backend.kind().name();
             let mut session = backend.session(Arc::clone(&surface), SessionOptions::new(unit.len())).unwrap();
-            let (mut sums, mut pieces, cancel) = (CellSums::default(), PieceBatch::default(), CancelFlag::default());
+            let (mut sums, mut pieces, token) = (CellSums::default(), PieceBatch::default(), Token::default());
             session.set_seeds(&unit).unwrap();
-            session.sums(&mut sums, &cancel).unwrap();
+            session.sums(&mut sums, &token).unwrap();
             let worst = (0..unit.len())
                 .map(|i| sums.centroid(i, unit[i]).distance(frame.to_unit(want[i])) / spacing)
                 .fold(0.0, f64::max);
-            session.pieces(0..surface.facets().len() as u32, &mut pieces, &cancel).unwrap();
+            session.pieces(0..surface.facets().len() as u32, &mut pieces, &token).unwrap();
             let reference = reference.get_or_insert_with(|| pieces.clone());
             let (missing, added) = (differences(reference, &pieces), differences(&pieces, reference));
             println!(
@@ -94,7 +95,7 @@ fn a_hundred_thousand_points_lie_in_their_nearest_cells() {
             let mut session = backend.session(Arc::clone(&surface), SessionOptions::new(count)).unwrap();
             session.set_seeds(&seeds).unwrap();
             let mut pieces = PieceBatch::default();
-            session.pieces(0..surface.facets().len() as u32, &mut pieces, &CancelFlag::default()).unwrap();
+            session.pieces(0..surface.facets().len() as u32, &mut pieces, &Token::default()).unwrap();
             let spacing = (surface.area() / count as f64).sqrt();
             let unresolved = points::outside_by(&pieces, &seeds, &probes, margin * spacing);
             let name = backend.kind().name();
@@ -108,7 +109,7 @@ fn remesh_real(file: &str, points: usize, lloyd: usize) -> Option<(TriMesh, tess
     let mesh = surfaces::real(file)?;
     let options = RemeshOptions::plain(Seeds::Sample { points, seed: 0 }, lloyd);
     let backend = Parallel::new(None).unwrap();
-    let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+    let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
     Some((mesh, result))
 }
 
@@ -176,7 +177,7 @@ fn remeshes_come_up_to_the_bars() {
         let Some(mesh) = surfaces::real(file) else { return };
         let options = RemeshOptions::new(Seeds::Sample { points, seed: 0 });
         let backend = Parallel::new(None).unwrap();
-        let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+        let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
         bars.check(&mesh, &result);
     }
 }
@@ -193,7 +194,7 @@ fn graded_remeshes_are_of_round_triangles_too() {
         let density = DensityOptions::from_source(source);
         let options = RemeshOptions { density, ..RemeshOptions::new(Seeds::Sample { points, seed: 0 }) };
         let backend = Parallel::new(None).unwrap();
-        let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+        let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
         let quality = result.report.result.quality.unwrap();
         println!("{file}: {quality:?}");
         assert!(quality.q_avg > q && quality.under_30_percent <= 0.03 && quality.v567_percent > 99.9, "{quality:?}");
@@ -209,7 +210,7 @@ fn results_are_near_whatever_the_seed() {
         let backend = Parallel::new(None).unwrap();
         let distance = |seed: u64| {
             let options = RemeshOptions::new(Seeds::Sample { points, seed });
-            let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+            let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
             result.report.result.quality.unwrap().hausdorff_percent
         };
         let all: Vec<f64> = (0..20).map(distance).collect();
@@ -227,7 +228,7 @@ fn a_place_that_was_mended_after_all_holds_no_other_back() {
     let backend = Parallel::new(None).unwrap();
     for seed in [1, 9, 23] {
         let options = RemeshOptions::new(Seeds::Sample { points: 20_000, seed });
-        let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+        let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
         let distance = result.report.result.quality.unwrap().hausdorff_percent;
         assert!(distance <= 0.17, "seed {seed}: {distance}");
     }
@@ -240,7 +241,7 @@ fn boundaries_are_whole_whatever_the_seed() {
     let backend = Parallel::new(None).unwrap();
     for seed in 1..7 {
         let options = RemeshOptions { measure: false, ..RemeshOptions::new(Seeds::Sample { points: 3000, seed }) };
-        let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+        let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
         let features = &result.report.features;
         assert_eq!((features.missing_segments, features.broken_curves), (0, 0), "seed {seed}: {features:?}");
     }
@@ -329,7 +330,7 @@ fn the_energy_comes_down_as_published() {
             ..RemeshOptions::new(Seeds::Sample { points: 2000, seed: 0 })
         };
         let backend = Parallel::new(None).unwrap();
-        let result = remesh(&mesh, &options, &backend, &mut (), &CancelFlag::default()).unwrap();
+        let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
         let ratio = result.report.last.energy_ratio;
         println!("5 + {newton} steps: E/E_hex {ratio}");
         assert!(ratio <= most, "5 + {newton} steps: {ratio}");

@@ -11,7 +11,7 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::measure::{Load, Timed, Worker, cancel_flag, mesh};
+use super::measure::{Load, Timed, Worker, mesh, token};
 use super::output::{OutputArgs, Spread, head, ratio, report};
 use crate::cli::files;
 use crate::cli::remesh::DensityArg;
@@ -87,12 +87,12 @@ pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
         Some(path) => Seeds::Given(files::read_points(path)?),
         None => Seeds::Sample { points: args.points as usize, seed: args.seed },
     };
-    let cancel = cancel_flag()?;
+    let token = token()?;
     let mut worker = Worker::one(&args.backend)?;
     worker.keep_time()?;
     let load = |name: &str, mesh: (String, TriMesh), density: DensityArg| -> Result<(String, Load)> {
         let mut load = Load::new(mesh, seeds.clone(), DensityOptions::from_source(density.source()))?;
-        load.relax(&worker, args.relax as usize, UNLIMITED, &cancel)?;
+        load.relax(&worker, args.relax as usize, UNLIMITED, &token)?;
         Ok((name.to_owned(), load))
     };
     let mut loads = vec![load("uniform", mesh.clone(), DensityArg::Uniform)?];
@@ -107,7 +107,7 @@ pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
             loads.push(load("uniform on these facets", (mesh.0, divided), DensityArg::Uniform)?);
         }
     }
-    let time = |load: &Load, kind| load.time(&worker, kind, args.iterations as usize, UNLIMITED, &cancel);
+    let time = |load: &Load, kind| load.time(&worker, kind, args.iterations as usize, UNLIMITED, &token);
     let mut rounds: Vec<Vec<[Timed; 2]>> = loads.iter().map(|_| Vec::new()).collect();
     for _ in 0..args.rounds {
         for ((_, load), rounds) in loads.iter().zip(&mut rounds) {

@@ -11,7 +11,7 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::measure::{Load, Worker, cancel_flag, mesh};
+use super::measure::{Load, Worker, mesh, token};
 use super::output::{OutputArgs, report, slopes};
 use crate::config::BackendArgs;
 use crate::cvt::StepKind;
@@ -20,7 +20,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::shapes::{MAX_FACETS, Shape};
 use crate::picture::chart::{Axis, Figure, Panel, Series};
 use crate::remesh::Seeds;
-use crate::rvd::CancelFlag;
+use crate::token::Token;
 
 /// `tessera bench fig3`'s options.
 #[derive(Args, Debug)]
@@ -86,11 +86,11 @@ pub(super) fn run(args: &Fig3Args) -> Result<()> {
     args.backend.check()?;
     args.output.check()?;
     let fixed = mesh(args.mesh.as_deref(), Shape::Torus, args.facets as usize)?;
-    let cancel = cancel_flag()?;
+    let token = token()?;
     let mut workers = Worker::all(&args.backend)?;
     workers.iter_mut().try_for_each(Worker::keep_time)?;
     workers.iter().for_each(|worker| println!("{}", worker.describe()));
-    let runner = Runner { args, workers: &workers, cancel: &cancel };
+    let runner = Runner { args, workers: &workers, token: &token };
     let title = format!("{}, {} facets", fixed.0, fixed.1.facets().len());
     let points = counts(&[20, 50, 100, 200, 500], 10, args.max_points);
     let by_points = runner.sweep("points", title, &points, |n| (fixed.clone(), n))?;
@@ -123,7 +123,7 @@ fn counts(first: &[u32], factor: u32, most: u32) -> Vec<u32> {
 struct Runner<'a> {
     args: &'a Fig3Args,
     workers: &'a [Worker],
-    cancel: &'a CancelFlag,
+    token: &'a Token,
 }
 
 impl Runner<'_> {
@@ -150,7 +150,7 @@ impl Runner<'_> {
             let (mesh, points) = case(n);
             let seeds = Seeds::Sample { points: points as usize, seed: args.seed };
             let mut load = Load::new(mesh, seeds, DensityOptions::default())?;
-            load.relax(&workers[first], args.relax as usize, limit, self.cancel)?;
+            load.relax(&workers[first], args.relax as usize, limit, self.token)?;
             let count = if over == "points" { load.seeds.len() } else { load.facets };
             let mut line = format!("{count:<12}");
             for (k, worker) in workers.iter().enumerate() {
@@ -159,7 +159,7 @@ impl Runner<'_> {
                     left_out.push(json!({ "backend": worker.name(), "over": over, over: count }));
                     continue;
                 }
-                let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, limit, self.cancel)?;
+                let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, limit, self.token)?;
                 able[k] = !timed.cut;
                 let ms = timed.step_ms().mean;
                 line += &format!("{ms:>14.3}");

@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::Result;
 use clap::Args;
 
-use super::measure::{Load, Worker, cancel_flag, mesh};
+use super::measure::{Load, Worker, mesh, token};
 use super::output::{OutputArgs, report};
 use crate::config::BackendArgs;
 use crate::cvt::StepKind;
@@ -55,7 +55,7 @@ pub(super) fn run(args: &Fig4Args) -> Result<()> {
     args.output.check()?;
     let mesh = mesh(args.mesh.as_deref(), Shape::Torus, args.facets as usize)?;
     let title = format!("{}, {} facets: {} Lloyd steps", mesh.0, mesh.1.facets().len(), args.iterations);
-    let cancel = cancel_flag()?;
+    let token = token()?;
     let mut workers = Worker::all(&args.backend)?;
     workers.iter_mut().try_for_each(Worker::keep_time)?;
     workers.iter().for_each(|worker| println!("{}", worker.describe()));
@@ -70,9 +70,9 @@ pub(super) fn run(args: &Fig4Args) -> Result<()> {
         let mut line = format!("{points:<10}");
         for (k, worker) in workers.iter().enumerate() {
             if k == 0 {
-                load.relax(worker, args.relax as usize, Duration::MAX, &cancel)?;
+                load.relax(worker, args.relax as usize, Duration::MAX, &token)?;
             }
-            let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, Duration::MAX, &cancel)?;
+            let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, Duration::MAX, &token)?;
             line += &format!("{:>14.3}{:>12.3}", timed.total_ms / 1e3, timed.step_ms().mean);
             lines[k].push((f64::from(points), timed.total_ms / 1e3));
             cases.push(timed.json(&load, worker));

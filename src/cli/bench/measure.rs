@@ -23,7 +23,8 @@ use crate::mesh::TriMesh;
 use crate::mesh::shapes::Shape;
 use crate::remesh::Seeds;
 use crate::rvd::gpu::Gpu;
-use crate::rvd::{Backend, BackendKind, CancelFlag, DeviceWork, Surface};
+use crate::rvd::{Backend, BackendKind, DeviceWork, Surface};
+use crate::token::Token;
 
 /// Steps of a kind before the first that is timed: buffers and rows of neighbours get their sizes.
 const WARM_UP: usize = 2;
@@ -34,10 +35,10 @@ const FEWEST: usize = 3;
 ///
 /// # Errors
 /// The operating system refused.
-pub(super) fn cancel_flag() -> Result<CancelFlag> {
-    let cancel = CancelFlag::default();
-    interrupt::cancel_on_signal(&cancel).context("cannot listen for signals")?;
-    Ok(cancel)
+pub(super) fn token() -> Result<Token> {
+    let token = Token::default();
+    interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
+    Ok(token)
 }
 
 /// A backend that is measured.
@@ -173,12 +174,12 @@ impl Load {
     }
 
     /// Moves the seeds by so many Lloyd steps, fewer if `limit` is over.
-    pub(super) fn relax(&mut self, by: &Worker, steps: usize, limit: Duration, cancel: &CancelFlag) -> Result<()> {
+    pub(super) fn relax(&mut self, by: &Worker, steps: usize, limit: Duration, token: &Token) -> Result<()> {
         let begin = Instant::now();
         let mut cvt = self.cvt(by)?;
         let mut taken = 0;
         while taken < steps && begin.elapsed() < limit {
-            taken += cvt.relax(steps - taken, cancel)?.len();
+            taken += cvt.relax(steps - taken, token)?.len();
         }
         if taken > 0 {
             self.seeds = cvt.seeds()?;
@@ -199,12 +200,12 @@ impl Load {
         kind: StepKind,
         steps: usize,
         limit: Duration,
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<Timed> {
         let mut cvt = self.cvt(by)?;
         let mut take = |most| match kind {
-            StepKind::Lloyd => cvt.relax(most, cancel),
-            StepKind::Lbfgs => cvt.lbfgs(cancel).map(|step| vec![step]),
+            StepKind::Lloyd => cvt.relax(most, token),
+            StepKind::Lbfgs => cvt.lbfgs(token).map(|step| vec![step]),
         };
         let begin = Instant::now();
         let mut warmed = 0;
@@ -217,7 +218,7 @@ impl Load {
         }
         let total_ms = first.elapsed().as_secs_f64() * 1e3;
         let cut = taken.len() < steps && taken.len() <= FEWEST;
-        let last = cvt.present(cancel)?;
+        let last = cvt.present(token)?;
         Ok(Timed { kind, steps: taken, total_ms, cut, energy_ratio: last.energy_ratio })
     }
 }

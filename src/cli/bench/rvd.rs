@@ -12,7 +12,7 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::measure::{Load, Worker, cancel_flag, mesh};
+use super::measure::{Load, Worker, mesh, token};
 use super::output::{OutputArgs, Spread, head, report};
 use crate::cli::files;
 use crate::config::BackendArgs;
@@ -20,9 +20,8 @@ use crate::mesh::shapes::Shape;
 use crate::picture::chart::{Axis, Figure, Panel, Series};
 use crate::remesh::Seeds;
 use crate::rvd::gpu::AccumulationMs;
-use crate::rvd::{
-    Accumulate, CancelFlag, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning,
-};
+use crate::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
+use crate::token::Token;
 
 /// `tessera bench rvd`'s options.
 #[derive(Args, Debug)]
@@ -94,23 +93,23 @@ pub(super) fn run(args: &RvdBenchArgs) -> Result<()> {
         Some(path) => Seeds::Given(files::read_points(path)?),
         None => Seeds::Sample { points: args.points as usize, seed: args.seed },
     };
-    let cancel = cancel_flag()?;
+    let token = token()?;
     let worker = Worker::one(&args.backend)?;
     let Load { name, surface, seeds, .. } = Load::undivided(mesh, seeds)?;
     let mut seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
     let options = SessionOptions { tuning: tuning(args), ..SessionOptions::new(seeds.len()) };
     let mut session = worker.backend.session(Arc::clone(&surface), options)?;
     for _ in 0..args.relax {
-        step(session.as_mut(), &mut seeds, &cancel)?;
+        step(session.as_mut(), &mut seeds, &token)?;
     }
     let mut steps = Vec::new();
     for _ in 0..args.iterations {
-        steps.push(step(session.as_mut(), &mut seeds, &cancel)?);
+        steps.push(step(session.as_mut(), &mut seeds, &token)?);
     }
     drop(session);
     let adding = match &worker.gpu {
         Some(gpu) => {
-            Some(gpu.measure_accumulation(Arc::clone(&surface), &seeds, options, args.iterations as usize, &cancel)?)
+            Some(gpu.measure_accumulation(Arc::clone(&surface), &seeds, options, args.iterations as usize, &token)?)
         }
         None => None,
     };
@@ -141,11 +140,11 @@ struct Step {
     stats: PassStats,
 }
 
-fn step(session: &mut dyn Session, seeds: &mut [DVec3], cancel: &CancelFlag) -> Result<Step> {
+fn step(session: &mut dyn Session, seeds: &mut [DVec3], token: &Token) -> Result<Step> {
     let mut sums = CellSums::default();
     let begin = Instant::now();
     session.set_seeds(seeds)?;
-    let mut stats = session.sums(&mut sums, cancel)?;
+    let mut stats = session.sums(&mut sums, token)?;
     let update = Instant::now();
     for (i, seed) in seeds.iter_mut().enumerate() {
         *seed = sums.centroid(i, *seed);

@@ -10,7 +10,7 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::measure::{Load, Timed, Worker, cancel_flag, mesh};
+use super::measure::{Load, Timed, Worker, mesh, token};
 use super::output::{OutputArgs, ratio, report};
 use super::published::Published;
 use crate::cli::exit::Usage;
@@ -92,7 +92,7 @@ pub(super) fn run(args: &Table1Args) -> Result<()> {
     let models = models(args)?;
     let published = args.published.as_deref().map(Published::read).transpose()?.unwrap_or_default();
     let given = args.seeds.as_deref().map(files::read_points).transpose()?;
-    let cancel = cancel_flag()?;
+    let token = token()?;
     let mut workers = Worker::all(&args.backend)?;
     workers.iter_mut().try_for_each(Worker::keep_time)?;
     workers.iter().for_each(|worker| println!("{}", worker.describe()));
@@ -109,9 +109,9 @@ pub(super) fn run(args: &Table1Args) -> Result<()> {
         let mut times = Vec::new();
         for (k, worker) in workers.iter().enumerate() {
             if k == 0 {
-                load.relax(worker, args.relax as usize, UNLIMITED, &cancel)?;
+                load.relax(worker, args.relax as usize, UNLIMITED, &token)?;
             }
-            let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, UNLIMITED, &cancel)?;
+            let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, UNLIMITED, &token)?;
             times.push((worker.name(), timed));
         }
         let row = Row { load, times };

@@ -12,7 +12,8 @@ use std::sync::Arc;
 use super::GpuSession;
 use super::search::Place;
 use crate::rvd::parallel::Parallel;
-use crate::rvd::{Backend, CancelFlag, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions};
+use crate::rvd::{Backend, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions};
+use crate::token::Token;
 
 /// Relative error of the area that single precision may have. Where nothing is lost it is below 10⁻⁷.
 const COVER: f64 = 1e-6;
@@ -42,9 +43,9 @@ impl GpuSession {
         &mut self,
         out: &mut CellSums,
         lost: PassStats,
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<PassStats, RvdError> {
-        Ok(finished(lost, self.in_f64()?.sums(out, cancel)?))
+        Ok(finished(lost, self.in_f64()?.sums(out, token)?))
     }
 
     /// The pieces again, in f64.
@@ -53,9 +54,9 @@ impl GpuSession {
         facets: Range<u32>,
         out: &mut PieceBatch,
         lost: PassStats,
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<PassStats, RvdError> {
-        Ok(finished(lost, self.in_f64()?.pieces(facets, out, cancel)?))
+        Ok(finished(lost, self.in_f64()?.pieces(facets, out, token)?))
     }
 
     fn in_f64(&mut self) -> Result<Box<dyn Session>, RvdError> {

@@ -12,7 +12,8 @@ use glam::DVec3;
 
 use super::{Gpu, GpuSession};
 use crate::gpu::layout::accumulate::{DIRECT, NOWHERE, TWO_PHASE};
-use crate::rvd::{CancelFlag, RvdError, Session, SessionOptions, Surface, elapsed_ms};
+use crate::rvd::{RvdError, Session, SessionOptions, Surface, elapsed_ms};
+use crate::token::Token;
 
 /// Milliseconds of each clip pass, by how its pieces were added.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -37,21 +38,21 @@ impl Gpu {
         seeds: &[DVec3],
         options: SessionOptions,
         passes: usize,
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<AccumulationMs, RvdError> {
         self.pool.install(|| {
             let mut session = GpuSession::new(self, surface, options);
             session.set_seeds(seeds)?;
             // Facets that are done as a whole are added directly only.
             session.divides = false;
-            let mut stats = session.begin_pass(cancel)?;
+            let mut stats = session.begin_pass(token)?;
             let mut out = AccumulationMs::default();
             for pass in 0..=passes {
                 let kinds = [(DIRECT, &mut out.direct), (TWO_PHASE, &mut out.two_phase), (NOWHERE, &mut out.without)];
                 for (code, times) in kinds {
                     session.accumulate = code;
                     let begin = Instant::now();
-                    session.run_sums(cancel, &mut stats)?;
+                    session.run_sums(token, &mut stats)?;
                     if pass > 0 {
                         times.push(elapsed_ms(begin));
                     }

@@ -23,7 +23,8 @@ use crate::gpu::layout::{self, DOTS, Figures, Motion, PAIRS, SUM_WORDS, State};
 use crate::gpu::plan::{Limits, MotionPlan, reduction};
 use crate::rvd::clip::Integrals;
 use crate::rvd::resident::{Look, Resident};
-use crate::rvd::{CancelFlag, CellSums, PassStats, RvdError, elapsed_ms};
+use crate::rvd::{CellSums, PassStats, RvdError, elapsed_ms};
+use crate::token::Token;
 
 /// What a session has once somebody moves its seeds.
 pub(super) struct Moving {
@@ -207,8 +208,8 @@ impl GpuSession {
     }
 
     /// A pass at `place`, its gradient and its figures.
-    pub(super) fn look(&mut self, place: Place, cancel: &CancelFlag) -> Result<Look, RvdError> {
-        cancel.check()?;
+    pub(super) fn look(&mut self, place: Place, token: &Token) -> Result<Look, RvdError> {
+        token.check()?;
         let before = self.work();
         let begin = Instant::now();
         if self.place != place {
@@ -224,9 +225,9 @@ impl GpuSession {
         moving.ahead_known = false;
         moving.wanted = Some(place);
         let mut stats = PassStats::default();
-        let ran = self.run_sums(cancel, &mut stats);
+        let ran = self.run_sums(token, &mut stats);
         stats.clip_ms = elapsed_ms(begin);
-        let settled = ran.and_then(|()| self.complete_figures(&mut stats, cancel));
+        let settled = ran.and_then(|()| self.complete_figures(&mut stats, token));
         let moving = self.moving.as_mut().ok_or_else(missing)?;
         moving.wanted = None;
         settled?;
@@ -240,7 +241,7 @@ impl GpuSession {
 
     /// Puts what the host did of the pass into the device's sums, or all sums where pieces do not cover
     /// the surface, and makes the figures anew.
-    fn complete_figures(&mut self, stats: &mut PassStats, cancel: &CancelFlag) -> Result<(), RvdError> {
+    fn complete_figures(&mut self, stats: &mut PassStats, token: &Token) -> Result<(), RvdError> {
         let mut words = None;
         if !self.pass.finished.is_empty() {
             words = Some(self.sum_words()?);
@@ -251,7 +252,7 @@ impl GpuSession {
         }
         if !self.covers(area, 0..self.facets.len() as u32) {
             let mut sums = CellSums::default();
-            *stats = self.sums_in_f64(&mut sums, *stats, cancel)?;
+            *stats = self.sums_in_f64(&mut sums, *stats, token)?;
             let mut exact = vec![0; self.count * SUM_WORDS];
             for (i, cell) in exact.chunks_exact_mut(SUM_WORDS).enumerate() {
                 let (mass, moment, energy) = (sums.mass[i], sums.moment[i], sums.energy[i]);
@@ -320,7 +321,7 @@ impl GpuSession {
         // The masses are those of the last pass, which may have been of another point.
         let moving = self.moving()?;
         if !moving.gradient_known || moving.sums_of != Some(Place::Point) {
-            self.look(Place::Point, &CancelFlag::default())?;
+            self.look(Place::Point, &Token::default())?;
         }
         if let Place::Trial(_) = self.place {
             // The same step along another direction is another point.
@@ -398,7 +399,7 @@ impl GpuSession {
 
     pub(super) fn centre(&mut self) -> Result<(), RvdError> {
         if self.moving()?.sums_of != Some(Place::Point) {
-            self.look(Place::Point, &CancelFlag::default())?;
+            self.look(Place::Point, &Token::default())?;
         }
         self.write_motion(self.motion())?;
         self.bind_motion()?;
@@ -438,11 +439,11 @@ impl Resident for GpuSession {
         Ok(())
     }
 
-    fn evaluate(&mut self, cancel: &CancelFlag) -> Result<Look, RvdError> {
+    fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError> {
         let pool = Arc::clone(&self.pool);
         pool.install(|| {
             self.moving()?;
-            self.look(Place::Point, cancel)
+            self.look(Place::Point, token)
         })
     }
 
@@ -451,9 +452,9 @@ impl Resident for GpuSession {
         pool.install(|| self.centre())
     }
 
-    fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, cancel: &CancelFlag) -> Result<(), RvdError> {
+    fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, token: &Token) -> Result<(), RvdError> {
         let pool = Arc::clone(&self.pool);
-        pool.install(|| self.take_steps(steps.max(1), looks, cancel))
+        pool.install(|| self.take_steps(steps.max(1), looks, token))
     }
 
     fn direct(&mut self) -> Result<f64, RvdError> {
@@ -461,13 +462,13 @@ impl Resident for GpuSession {
         pool.install(|| self.combine())
     }
 
-    fn probe(&mut self, step: f64, cancel: &CancelFlag) -> Result<Look, RvdError> {
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError> {
         let pool = Arc::clone(&self.pool);
         pool.install(|| {
             if !self.moving()?.directed {
                 return Err(RvdError::Internal("no direction to try".to_owned()));
             }
-            self.look(Place::Trial(step as f32), cancel)
+            self.look(Place::Trial(step as f32), token)
         })
     }
 
@@ -498,7 +499,7 @@ impl Resident for GpuSession {
         let pool = Arc::clone(&self.pool);
         pool.install(|| {
             if self.moving()?.sums_of != Some(Place::Point) {
-                self.look(Place::Point, &CancelFlag::default())?;
+                self.look(Place::Point, &Token::default())?;
             }
             self.download_sums(out)
         })

@@ -12,7 +12,8 @@ use crate::gpu::Device;
 use crate::gpu::buffers::Buffers;
 use crate::gpu::layout::Params;
 use crate::gpu::plan::{ARGUMENTS_BYTES, Limits, PART, PARTS, parts};
-use crate::rvd::{CancelFlag, RvdError};
+use crate::rvd::RvdError;
+use crate::token::Token;
 
 /// [`PART`]s that one dispatch of a stage may have, by what an item costs: on a software adapter with two cores 20 to
 /// 40 ms.
@@ -66,7 +67,7 @@ pub(super) fn encode(
     lane: usize,
     stages: &[Stage<'_>],
     buffers: &Buffers,
-    cancel: &CancelFlag,
+    token: &Token,
 ) -> Result<(), RvdError> {
     let limits = Limits::of(&device.limits());
     let mut rest = stages;
@@ -79,7 +80,7 @@ pub(super) fn encode(
         rest = others;
         if let Some((long, others)) = rest.split_first() {
             rest = others;
-            in_parts(device, encoder, lane, long, buffers, cancel)?;
+            in_parts(device, encoder, lane, long, buffers, token)?;
         }
     }
     Ok(())
@@ -91,7 +92,7 @@ fn in_parts(
     lane: usize,
     stage: &Stage<'_>,
     buffers: &Buffers,
-    cancel: &CancelFlag,
+    token: &Token,
 ) -> Result<(), RvdError> {
     let limits = Limits::of(&device.limits());
     let part_first = offset_of!(Params, part_first) as u64;
@@ -101,7 +102,7 @@ fn in_parts(
     for (k, part) in parts(stage.items, stage.size).enumerate() {
         if k > 0 && (k as u64).is_multiple_of(PARTS) {
             device.run(std::mem::replace(encoder, device.encoder()))?;
-            cancel.check()?;
+            token.check()?;
         }
         begin_at(encoder, part.start);
         let mut compute = device.pass(encoder, lane);

@@ -16,7 +16,8 @@ use super::{GpuSession, fixed, lane, pack};
 use crate::gpu::buffers;
 use crate::gpu::layout::{MEMBERS, NONE, Params, ROOT, SUM_WORDS, State, accumulate, code, failure};
 use crate::gpu::plan::{ARGUMENTS_BYTES, Limits, dispatch};
-use crate::rvd::{CancelFlag, PassStats, RvdError, elapsed_ms};
+use crate::rvd::{PassStats, RvdError, elapsed_ms};
+use crate::token::Token;
 
 /// What a pass leaves beside the sums on the device.
 #[derive(Default)]
@@ -88,10 +89,10 @@ const SUBMISSION_MS: f64 = 50.0;
 
 impl GpuSession {
     /// Brings the pairs of all facets to their end, and adds them up.
-    pub(super) fn run_sums(&mut self, cancel: &CancelFlag, stats: &mut PassStats) -> Result<(), RvdError> {
+    pub(super) fn run_sums(&mut self, token: &Token, stats: &mut PassStats) -> Result<(), RvdError> {
         loop {
             let mut done = PassStats::default();
-            let ended = self.attempt_sums(cancel, &mut done);
+            let ended = self.attempt_sums(token, &mut done);
             stats.add(&done);
             if ended? {
                 return Ok(());
@@ -100,12 +101,12 @@ impl GpuSession {
     }
 
     /// All windows from zero. `false` if a capacity had to grow.
-    fn attempt_sums(&mut self, cancel: &CancelFlag, stats: &mut PassStats) -> Result<bool, RvdError> {
-        self.search_apart(cancel)?;
+    fn attempt_sums(&mut self, token: &Token, stats: &mut PassStats) -> Result<bool, RvdError> {
+        self.search_apart(token)?;
         let (mut finished, mut pairs) = (Vec::new(), 0);
         for k in 0..self.layout.windows().len() {
             self.layout.turn_to(k);
-            if !self.attempt(self.layout.facets(), Wants::Sums, cancel, stats)? {
+            if !self.attempt(self.layout.facets(), Wants::Sums, token, stats)? {
                 return Ok(false);
             }
             finished.append(&mut self.pass.finished);
@@ -118,11 +119,11 @@ impl GpuSession {
 
     /// Where there are windows, rows and first cells come in submissions of their own: what a window lacks is
     /// then known before any is added up.
-    fn search_apart(&mut self, cancel: &CancelFlag) -> Result<(), RvdError> {
+    fn search_apart(&mut self, token: &Token) -> Result<(), RvdError> {
         self.on_device()?;
         if self.layout.windows().len() > 1 {
-            self.search_now(cancel)?;
-            self.start_now(cancel)?;
+            self.search_now(token)?;
+            self.start_now(token)?;
             self.on_device()?;
         }
         Ok(())
@@ -133,15 +134,15 @@ impl GpuSession {
     pub(super) fn run_pairs(
         &mut self,
         facets: Range<u32>,
-        cancel: &CancelFlag,
+        token: &Token,
         stats: &mut PassStats,
     ) -> Result<u32, RvdError> {
         loop {
             // Where a capacity has grown, windows may be smaller.
-            self.search_apart(cancel)?;
+            self.search_apart(token)?;
             self.layout.turn_to(self.layout.window_of(facets.start));
             let part = facets.start..facets.end.min(self.layout.facets().end);
-            if self.attempt(part.clone(), Wants::Pairs, cancel, stats)? {
+            if self.attempt(part.clone(), Wants::Pairs, token, stats)? {
                 stats.pairs += self.pass.pairs;
                 return Ok(part.end);
             }
@@ -153,7 +154,7 @@ impl GpuSession {
         &mut self,
         facets: Range<u32>,
         wants: Wants,
-        cancel: &CancelFlag,
+        token: &Token,
         stats: &mut PassStats,
     ) -> Result<bool, RvdError> {
         // Of a part of the surface most cells are elsewhere.
@@ -162,7 +163,7 @@ impl GpuSession {
             self.promote()?;
         }
         self.pass = PassResult { polygon: self.first_polygon, by_cell, ..PassResult::default() };
-        let Some(mut state) = self.launch_roots(facets, wants, cancel)? else { return Ok(false) };
+        let Some(mut state) = self.launch_roots(facets, wants, token)? else { return Ok(false) };
         let mut variants = HashMap::new();
         count_retaken(&state, stats);
         loop {
@@ -174,12 +175,12 @@ impl GpuSession {
             if state.failures == state.retaken {
                 break;
             }
-            match self.relaunch(state, &mut variants, cancel, stats)? {
+            match self.relaunch(state, &mut variants, token, stats)? {
                 Some(next) => state = next,
                 None => return Ok(false),
             }
         }
-        if self.pass.by_cell && !self.verify(state, stats, cancel)? {
+        if self.pass.by_cell && !self.verify(state, stats, token)? {
             return Ok(false);
         }
         self.pass.pairs = u64::from(state.pieces) + self.pass.finished.len() as u64;
@@ -188,12 +189,7 @@ impl GpuSession {
 
     /// Clears what the pass uses, enters the facets' first cells and drains the list.
     /// `None` if the host took something over, so that the pass must begin anew.
-    fn launch_roots(
-        &mut self,
-        facets: Range<u32>,
-        wants: Wants,
-        cancel: &CancelFlag,
-    ) -> Result<Option<State>, RvdError> {
+    fn launch_roots(&mut self, facets: Range<u32>, wants: Wants, token: &Token) -> Result<Option<State>, RvdError> {
         self.on_device()?;
         // The rows of the host are in an order of its own.
         self.pass.divided = self.divides && wants == Wants::Sums && self.rows != Rows::Host;
@@ -209,7 +205,7 @@ impl GpuSession {
         if roots.propose_count == 0 {
             return self.read_summary(encoder).map(Some);
         }
-        let state = self.drain(encoder, Some(roots), Variant::Registers, cancel)?;
+        let state = self.drain(encoder, Some(roots), Variant::Registers, token)?;
         if let Some(state) = &state {
             self.steps = (state.rounds + 2).clamp(FEWEST_STEPS, STEPS.1);
             if wants == Wants::Sums {
@@ -263,14 +259,14 @@ impl GpuSession {
         mut encoder: wgpu::CommandEncoder,
         proposals: Option<Params>,
         mut variant: Variant,
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<Option<State>, RvdError> {
         let mut params = proposals;
         let mut steps = if variant == Variant::Large { 1 } else { self.steps };
         loop {
-            cancel.check()?;
+            token.check()?;
             let begin = Instant::now();
-            let Some(state) = self.submit(encoder, params.take(), variant, steps, cancel)? else { return Ok(None) };
+            let Some(state) = self.submit(encoder, params.take(), variant, steps, token)? else { return Ok(None) };
             if state.list_overflow + state.cells_overflow > 0 || state.head >= state.length {
                 return Ok(Some(state));
             }
@@ -293,22 +289,22 @@ impl GpuSession {
         proposals: Option<Params>,
         variant: Variant,
         steps: u32,
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<Option<State>, RvdError> {
         let params = proposals.unwrap_or_else(|| self.params());
         let device = Arc::clone(&self.device);
         buffers::write(&device, &self.on_device()?.buffers.params, 0, &[params])?;
         let (search, start) = (self.rows == Rows::Missing, !self.started);
         if search {
-            self.encode_search(&mut encoder, cancel)?;
+            self.encode_search(&mut encoder, token)?;
         }
         if start {
-            self.encode_start(&mut encoder, cancel)?;
+            self.encode_start(&mut encoder, token)?;
         }
         self.on_device()?;
-        self.encode_clip(&mut encoder, proposals.as_ref(), variant, steps, cancel)?;
+        self.encode_clip(&mut encoder, proposals.as_ref(), variant, steps, token)?;
         let state = self.read_summary(encoder)?;
-        let settled = (!search || self.settle_search(&state, cancel)?) && (!start || self.settle_start(&state)?);
+        let settled = (!search || self.settle_search(&state, token)?) && (!start || self.settle_start(&state)?);
         Ok(settled.then_some(state))
     }
 
@@ -319,7 +315,7 @@ impl GpuSession {
         proposals: Option<&Params>,
         variant: Variant,
         steps: u32,
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<(), RvdError> {
         let (device, pipelines) = (&self.device, &self.pipelines);
         let limits = Limits::of(&device.limits());
@@ -345,7 +341,7 @@ impl GpuSession {
         }
         let long = entries.iter().any(Stage::is_long);
         if long {
-            encode(device, encoder, lane::CLIP, &entries, &there.buffers, cancel)?;
+            encode(device, encoder, lane::CLIP, &entries, &there.buffers, token)?;
         }
         {
             let mut compute = device.pass(encoder, lane::CLIP);
@@ -398,7 +394,7 @@ impl GpuSession {
 
     /// Whether all pieces that cells entered are proved; if not, their facets are left to
     /// propagation and the pass begins anew.
-    fn verify(&mut self, state: State, stats: &mut PassStats, cancel: &CancelFlag) -> Result<bool, RvdError> {
+    fn verify(&mut self, state: State, stats: &mut PassStats, token: &Token) -> Result<bool, RvdError> {
         let params = Params { emit_count: state.length, ..self.params() };
         let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
         let window = self.layout.present();
@@ -409,7 +405,7 @@ impl GpuSession {
         let mut encoder = device.encoder();
         let (pipeline, bindings) = (&pipelines.verify, &there.bindings.windows[window].verify);
         let stage = Stage { pipeline, bindings, items: state.length.into(), size: size::ITEM, arguments: None };
-        encode(&device, &mut encoder, lane::CLIP, &[stage], buffers, cancel)?;
+        encode(&device, &mut encoder, lane::CLIP, &[stage], buffers, token)?;
         let mut unproved = 0;
         buffers.read_with(&device, encoder, &buffers.state, 0..1, |s: &[State]| unproved = s[0].failures)?;
         if unproved == 0 {

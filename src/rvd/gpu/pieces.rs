@@ -18,7 +18,8 @@ use crate::gpu::buffers;
 use crate::gpu::layout::Params;
 use crate::gpu::plan::{Limits, dispatch};
 use crate::rvd::cells::PieceBatch;
-use crate::rvd::{CancelFlag, PassStats, RvdError, elapsed_ms};
+use crate::rvd::{PassStats, RvdError, elapsed_ms};
+use crate::token::Token;
 
 /// Status of a pair that ended, in the heads that the device writes.
 const DONE: u32 = 0;
@@ -35,20 +36,20 @@ impl GpuSession {
         &mut self,
         facets: Range<u32>,
         out: &mut PieceBatch,
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<PassStats, RvdError> {
         out.clear();
         let end = facets.end.min(self.facets.len() as u32);
         let facets = facets.start.min(end)..end;
         let before = self.work();
-        let mut stats = self.begin_pass(cancel)?;
+        let mut stats = self.begin_pass(token)?;
         let mut next = facets.start;
         while next < facets.end {
             let begin = Instant::now();
-            next = self.run_pairs(next..facets.end, cancel, &mut stats)?;
+            next = self.run_pairs(next..facets.end, token, &mut stats)?;
             stats.clip_ms += elapsed_ms(begin);
             let begin = Instant::now();
-            self.emit_all(out, cancel)?;
+            self.emit_all(out, token)?;
             stats.update_ms += elapsed_ms(begin);
         }
         let begin = Instant::now();
@@ -56,19 +57,19 @@ impl GpuSession {
         stats.pairs = out.len() as u64;
         stats.update_ms += elapsed_ms(begin);
         if self.merged || !self.covers((0..out.len()).map(|i| out.area(i)).sum(), facets.clone()) {
-            stats = self.pieces_in_f64(facets, out, stats, cancel)?;
+            stats = self.pieces_in_f64(facets, out, stats, token)?;
         }
         self.meter(&before, &mut stats);
         Ok(stats)
     }
 
     /// All pieces of the list.
-    fn emit_all(&mut self, out: &mut PieceBatch, cancel: &CancelFlag) -> Result<(), RvdError> {
+    fn emit_all(&mut self, out: &mut PieceBatch, token: &Token) -> Result<(), RvdError> {
         let length = self.pass.length;
         let batch = self.counts.emitted as u32;
         let mut first = 0;
         while first < length {
-            cancel.check()?;
+            token.check()?;
             let count = batch.min(length - first);
             let emitted = self.emit(first, count)?;
             self.collect(first, &emitted, out)?;

@@ -21,7 +21,8 @@ use crate::gpu::plan::{LARGE_BATCH, Limits};
 use crate::knn::NeighbourRow;
 use crate::rvd::cells::facet_edge;
 use crate::rvd::incident::FacetWalker;
-use crate::rvd::{CancelFlag, PassStats, RvdError};
+use crate::rvd::{PassStats, RvdError};
+use crate::token::Token;
 
 /// The longest row that is sent to the device.
 const LONGEST_ROW: u32 = 4096;
@@ -56,7 +57,7 @@ impl GpuSession {
         &mut self,
         state: State,
         variants: &mut HashMap<Pair, Variant>,
-        cancel: &CancelFlag,
+        token: &Token,
         stats: &mut PassStats,
     ) -> Result<Option<State>, RvdError> {
         let device = Arc::clone(&self.device);
@@ -80,7 +81,7 @@ impl GpuSession {
             return Ok(None);
         }
         let pieces = self.pass.finished.len();
-        let proposals = self.finish(&plans.finish, cancel)?;
+        let proposals = self.finish(&plans.finish, token)?;
         stats.f64_finished += (self.pass.finished.len() - pieces) as u64;
 
         let mut state = State { failures: 0, retaken: 0, crowded: 0, ..state };
@@ -89,7 +90,7 @@ impl GpuSession {
         let again = plans.again.chunks(usize::MAX).map(|p| (p, Variant::Registers));
         let large = plans.large.chunks(LARGE_BATCH).map(|p| (p, Variant::Large));
         for (pairs, variant) in again.chain(large) {
-            match self.launch_again(state, pairs, variant, cancel)? {
+            match self.launch_again(state, pairs, variant, token)? {
                 Some(next) => state = next,
                 None => return Ok(None),
             }
@@ -98,7 +99,7 @@ impl GpuSession {
             }
         }
         for part in proposals.chunks(EXTRA_PROPOSALS as usize) {
-            match self.launch_proposals(part, state, cancel)? {
+            match self.launch_proposals(part, state, token)? {
                 Some(next) => state = next,
                 None => return Ok(None),
             }
@@ -218,9 +219,9 @@ impl GpuSession {
 
     /// Clips pairs in f64 and notes their sums. Returns the cells across their bisectors. A pair
     /// that began its facet is finished with the whole facet: the device found nothing there.
-    fn finish(&mut self, pairs: &[Pair], cancel: &CancelFlag) -> Result<Vec<[u32; 2]>, RvdError> {
+    fn finish(&mut self, pairs: &[Pair], token: &Token) -> Result<Vec<[u32; 2]>, RvdError> {
         let end = |walker: &mut FacetWalker, &pair: &Pair| {
-            cancel.check()?;
+            token.check()?;
             Ok(self.end_pair(walker, pair))
         };
         let ended: Result<Vec<Ended>, RvdError> = pairs.par_iter().map_init(FacetWalker::default, end).collect();
@@ -261,7 +262,7 @@ impl GpuSession {
         state: State,
         pairs: &[Pair],
         variant: Variant,
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<Option<State>, RvdError> {
         let end = u64::from(state.length) + pairs.len() as u64;
         if end > self.counts.pairs {
@@ -278,14 +279,14 @@ impl GpuSession {
         buffers::write(&device, &buffers.state, 0, &[next])?;
         self.pass.repeats.push(state.length..end as u32);
         let encoder = device.encoder();
-        self.drain(encoder, None, variant, cancel)
+        self.drain(encoder, None, variant, token)
     }
 
     fn launch_proposals(
         &mut self,
         proposals: &[[u32; 2]],
         state: State,
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<Option<State>, RvdError> {
         // Behind the first cells.
         let first = self.layout.facets().len();
@@ -302,6 +303,6 @@ impl GpuSession {
         // The failures were read; the device's count of them was not reset if nothing ran since.
         buffers::write(&device, &buffers.state, 0, &[State { head: state.length, ..state }])?;
         let encoder = device.encoder();
-        self.drain(encoder, Some(params), Variant::Registers, cancel)
+        self.drain(encoder, Some(params), Variant::Registers, token)
     }
 }

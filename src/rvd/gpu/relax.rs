@@ -18,7 +18,8 @@ use super::{GpuSession, OnDevice, lane};
 use crate::gpu::buffers;
 use crate::gpu::layout::{ENTRY_BYTES, Figures, State};
 use crate::gpu::plan::{Limits, PASSES, reduction};
-use crate::rvd::{CancelFlag, Look, PassStats, RvdError, Together, elapsed_ms};
+use crate::rvd::{Look, PassStats, RvdError, Together, elapsed_ms};
+use crate::token::Token;
 
 /// A submission of several passes is not to take longer, by what the last ones took.
 const SUBMISSION_MS: f64 = 100.0;
@@ -47,13 +48,8 @@ impl Next {
 impl GpuSession {
     /// At least one step, and at most `steps`, in one submission where nothing has to be done again. None from a
     /// point with empty cells, whose look is then the last.
-    pub(super) fn take_steps(
-        &mut self,
-        steps: usize,
-        looks: &mut Vec<Look>,
-        cancel: &CancelFlag,
-    ) -> Result<(), RvdError> {
-        cancel.check()?;
+    pub(super) fn take_steps(&mut self, steps: usize, looks: &mut Vec<Look>, token: &Token) -> Result<(), RvdError> {
+        token.check()?;
         self.moving()?;
         self.on_device()?;
         // Windows come one after another, and facets that are found by cell have to be proved first.
@@ -68,7 +64,7 @@ impl GpuSession {
                 return Ok(());
             }
         }
-        let mut look = self.look_and_step(alone, cancel)?;
+        let mut look = self.look_and_step(alone, token)?;
         let moved = std::mem::take(&mut self.moving()?.moved);
         if look.empty_cells == 0 && !moved {
             self.centre()?;
@@ -79,10 +75,10 @@ impl GpuSession {
         Ok(())
     }
 
-    fn look_and_step(&mut self, alone: bool, cancel: &CancelFlag) -> Result<Look, RvdError> {
+    fn look_and_step(&mut self, alone: bool, token: &Token) -> Result<Look, RvdError> {
         let moving = self.moving()?;
         (moving.steps, moving.moved) = (alone, false);
-        let look = self.look(Place::Point, cancel);
+        let look = self.look(Place::Point, token);
         let moving = self.moving()?;
         moving.steps = false;
         if moving.moved {
@@ -94,7 +90,7 @@ impl GpuSession {
     /// `count` passes and steps in one submission. How many of them were clean, and so were taken.
     fn take_together(&mut self, count: usize, looks: &mut Vec<Look>) -> Result<usize, RvdError> {
         // Where long stages are submitted on the way, steps are taken that no look would tell of.
-        let to_the_end = CancelFlag::default();
+        let to_the_end = Token::default();
         let before = self.work();
         let begin = Instant::now();
         let device = Arc::clone(&self.device);

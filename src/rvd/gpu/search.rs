@@ -25,7 +25,8 @@ use crate::gpu::plan::{Limits, grid_cells, search_arguments};
 use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, Threads};
 use crate::mesh::coincident;
 use crate::rvd::start::Starts;
-use crate::rvd::{CancelFlag, RvdError, Session, SessionOptions, Surface, check_seed};
+use crate::rvd::{RvdError, Session, SessionOptions, Surface, check_seed};
+use crate::token::{Stopped, Token};
 
 /// The device's fixed-point scales hold where a seed is within this of all of the surface's box
 /// (`NEAR` in `shaders/count.wgsl`): twice the box's half diagonal and some. Without such a seed
@@ -134,14 +135,14 @@ impl Gpu {
         surface: Arc<Surface>,
         sets: &[&[DVec3]],
         options: SessionOptions,
-        cancel: &CancelFlag,
+        token: &Token,
     ) -> Result<Vec<Found>, RvdError> {
         self.pool.install(|| {
             let mut session = GpuSession::new(self, surface, options);
             let find = |seeds: &&[DVec3]| {
                 session.set_seeds(seeds)?;
-                session.search_now(cancel)?;
-                session.start_now(cancel)?;
+                session.search_now(token)?;
+                session.start_now(token)?;
                 session.found()
             };
             sets.iter().map(find).collect()
@@ -185,11 +186,7 @@ impl GpuSession {
     }
 
     /// Encodes the seeds' arrival and the search for their rows.
-    pub(super) fn encode_search(
-        &mut self,
-        encoder: &mut wgpu::CommandEncoder,
-        cancel: &CancelFlag,
-    ) -> Result<(), RvdError> {
+    pub(super) fn encode_search(&mut self, encoder: &mut wgpu::CommandEncoder, token: &Token) -> Result<(), RvdError> {
         let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
         let (n, place, params) = (self.count as u64, self.place, self.params());
         if place == Place::Set {
@@ -233,17 +230,13 @@ impl GpuSession {
             chosen(&pipelines.search, &bindings.search, &b.keep, anew),
             chosen(&pipelines.search_lists, &bindings.search_lists, &b.keep, with_lists),
         ];
-        encode(&device, encoder, lane::NEIGHBOURS, &stages, b, cancel)?;
+        encode(&device, encoder, lane::NEIGHBOURS, &stages, b, token)?;
         self.kept_for = self.count;
         Ok(())
     }
 
     /// Encodes the search for the facets' first cells.
-    pub(super) fn encode_start(
-        &mut self,
-        encoder: &mut wgpu::CommandEncoder,
-        cancel: &CancelFlag,
-    ) -> Result<(), RvdError> {
+    pub(super) fn encode_start(&mut self, encoder: &mut wgpu::CommandEncoder, token: &Token) -> Result<(), RvdError> {
         let (device, pipelines) = (Arc::clone(&self.device), Arc::clone(&self.pipelines));
         let (roots, window) = (self.roots_of(&self.layout.facets()).len() as u64, self.layout.present());
         self.on_device()?;
@@ -251,7 +244,7 @@ impl GpuSession {
         let there = self.on_device()?;
         let bindings = &there.bindings.windows[window].start;
         let stage = Stage { pipeline: &pipelines.start, bindings, items: roots, size, arguments: None };
-        encode(&device, encoder, lane::START, &[stage], &there.buffers, cancel)
+        encode(&device, encoder, lane::START, &[stage], &there.buffers, token)
     }
 
     /// Ends `encoder` with the figures, if they are wanted and all windows are done, and reads the summary.
@@ -283,7 +276,7 @@ impl GpuSession {
     }
 
     /// The rows, if they are not there, in a submission of their own.
-    pub(super) fn search_now(&mut self, cancel: &CancelFlag) -> Result<(), RvdError> {
+    pub(super) fn search_now(&mut self, token: &Token) -> Result<(), RvdError> {
         if self.rows != Rows::Missing {
             return Ok(());
         }
@@ -293,15 +286,15 @@ impl GpuSession {
         buffers::write(&device, &b.params, 0, &[params])?;
         buffers::write(&device, &b.state, 0, &[State::default()])?;
         let mut encoder = device.encoder();
-        self.encode_search(&mut encoder, cancel)?;
+        self.encode_search(&mut encoder, token)?;
         let state = self.read_summary(encoder)?;
-        self.settle_search(&state, cancel)?;
+        self.settle_search(&state, token)?;
         Ok(())
     }
 
     /// The first cells likewise.
-    pub(super) fn start_now(&mut self, cancel: &CancelFlag) -> Result<(), RvdError> {
-        cancel.check()?;
+    pub(super) fn start_now(&mut self, token: &Token) -> Result<(), RvdError> {
+        token.check()?;
         if self.started {
             return Ok(());
         }
@@ -315,7 +308,7 @@ impl GpuSession {
             buffers::write(&device, &b.params, 0, &[params])?;
             buffers::write(&device, &b.state, 0, &[State::default()])?;
             let mut encoder = device.encoder();
-            self.encode_start(&mut encoder, cancel)?;
+            self.encode_start(&mut encoder, token)?;
             all.unproved += self.read_summary(encoder)?.unproved;
         }
         self.settle_start(&all)?;
@@ -323,7 +316,7 @@ impl GpuSession {
     }
 
     /// What came of the search. `false` if the host searched instead.
-    pub(super) fn settle_search(&mut self, state: &State, cancel: &CancelFlag) -> Result<bool, RvdError> {
+    pub(super) fn settle_search(&mut self, state: &State, token: &Token) -> Result<bool, RvdError> {
         if state.halt & halt::BAD != 0 {
             let i = (u32::MAX - state.bad) as usize;
             let device = Arc::clone(&self.device);
@@ -336,7 +329,7 @@ impl GpuSession {
         }
         let far = state.halt & halt::FAR != 0 || state.near == 0;
         if far || state.halt != 0 {
-            self.search_on_host(far, cancel)?;
+            self.search_on_host(far, token)?;
             return Ok(false);
         }
         self.rows = Rows::Device;
@@ -370,7 +363,7 @@ impl GpuSession {
     }
 
     /// Rows and first cells by the host's tree, and onto the device with them.
-    fn search_on_host(&mut self, far: bool, cancel: &CancelFlag) -> Result<(), RvdError> {
+    fn search_on_host(&mut self, far: bool, token: &Token) -> Result<(), RvdError> {
         self.host_searches += 1;
         self.fetch_records()?;
         let seeds = &self.seeds;
@@ -383,8 +376,8 @@ impl GpuSession {
             _ => host.seen.extend(host.records.iter().map(|r| DVec3::from_array(r.position()))),
         }
         host.index = SeedIndex::new(&host.seen);
-        if !host.table.fill(&host.index, self.capacities.neighbours, Threads::Pool, &|| cancel.is_cancelled()) {
-            return Err(RvdError::Cancelled);
+        if !host.table.fill(&host.index, self.capacities.neighbours, Threads::Pool, &|| token.is_stopped()) {
+            return Err(RvdError::Stopped(Stopped::Cancelled));
         }
         self.twins = host.index.duplicates() as u64;
         self.merged =

@@ -50,10 +50,10 @@ pub(super) async fn handle(
     let (prepared, _share) = prepare(&shared, seeds, uploaded, None, Prepared::new).await?;
     let for_device = Arc::clone(&prepared);
     let mut pending = shared.engine.submit(Place::New, Retry::Anew, move |backends, turn| {
-        turn.cancel.check()?;
+        turn.token.check()?;
         let mut diagram = Diagram::open(&for_device, backends.choose(wish)?.as_ref())?;
         let sums = match outputs.centroids || outputs.sums {
-            true => diagram.sums(&turn.cancel)?,
+            true => diagram.sums(&turn.token)?,
             false => WorldSums::default(),
         };
         Ok((diagram, sums))
@@ -91,7 +91,7 @@ fn next(shared: &Shared, diagram: Diagram) -> Result<Pending<Batch>, JobError> {
     let mut state = Some(diagram);
     shared.engine.submit(Place::Continuation, Retry::Never, move |_, turn: &Turn| {
         let mut diagram = state.take().ok_or(JobError::WorkerGone)?;
-        let batch = diagram.batch(&turn.cancel)?;
+        let batch = diagram.batch(&turn.token)?;
         Ok((diagram, batch))
     })
 }

@@ -114,11 +114,11 @@ pub(super) async fn handle(
     };
     let (events, mut heard) = mpsc::channel(EVENTS);
     let mut pending = shared.engine.submit(Place::New, Retry::Anew, move |backends, turn| {
-        turn.cancel.check()?;
+        turn.token.check()?;
         let backend = backends.choose(wish)?;
         let _ = events.try_send(Event::Started(turn.queue_ms));
         let mut reporter = Reporter(events.clone());
-        Ok(crate::remesh::remesh(&mesh, &options, backend.as_ref(), &mut reporter, &turn.cancel)?)
+        Ok(crate::remesh::remesh(&mesh, &options, backend.as_ref(), &mut reporter, &turn.token)?)
     })?;
     outbox.send(wrap(response::Message::Accepted(convert::accepted(pending.position, &by)))).await?;
     let mut teller = Teller { clock: Clock::default(), start: None };
