@@ -210,10 +210,10 @@ impl Cvt {
     ///
     /// # Errors
     /// `Internal` if there are fewer seeds.
-    pub fn keep_curves(&mut self, curves: CurveSeeds) -> Result<(), RvdError> {
+    pub fn keep_curves(&mut self, curves: CurveSeeds, token: &Token) -> Result<(), RvdError> {
         self.hold((0..self.seeds.len()).map(|i| i < curves.len()).collect())?;
         self.curves = curves;
-        self.clear_curves()?;
+        self.clear_curves(token)?;
         Ok(())
     }
 
@@ -221,13 +221,13 @@ impl Cvt {
     ///
     /// # Errors
     /// What the device says.
-    pub fn clear_curves(&mut self) -> Result<usize, RvdError> {
+    pub fn clear_curves(&mut self, token: &Token) -> Result<usize, RvdError> {
         if self.curves.is_empty() {
             return Ok(0);
         }
         self.pull()?;
         let mut seeds = self.seeds.clone();
-        let pushed = self.curves.push_out(&mut seeds);
+        let pushed = self.curves.push_out(&mut seeds, token)?;
         if pushed > 0 {
             self.seeds = seeds;
             self.moved();
@@ -240,14 +240,14 @@ impl Cvt {
     ///
     /// # Errors
     /// What the device says.
-    pub fn adopt_intruders(&mut self) -> Result<usize, RvdError> {
+    pub fn adopt_intruders(&mut self, token: &Token) -> Result<usize, RvdError> {
         self.pull()?;
         let mut adopted = 0;
         while adopted < MOST_ADOPTED {
             // One a segment: who comes between the same two may not, when these have another between them. Seeds ascend, so
             // that none of those to come changes its number.
             let mut split = HashSet::new();
-            let mut intruders = self.curves.intruders(&self.seeds);
+            let mut intruders = self.curves.intruders(&self.seeds, token)?;
             intruders.retain(|&(_, segment)| split.insert(segment));
             intruders.truncate(MOST_ADOPTED - adopted);
             if intruders.is_empty() {
@@ -299,7 +299,8 @@ impl Cvt {
     /// A seed whose cell is empty is placed anew beside the cell of highest energy.
     ///
     /// # Errors
-    /// `Cancelled`, or what the device says. The seeds are then as before.
+    /// `Stopped`, or what the device says. The seeds are then as before, or, where the step was stopped while they were put on
+    /// the surface, as after it.
     pub fn lloyd(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         self.metered(|cvt| cvt.take_lloyd(token))
     }
@@ -307,14 +308,15 @@ impl Cvt {
     fn take_lloyd(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         let begin = Instant::now();
         let (look, evaluations) = self.look(token)?;
-        self.lloyd_from(look, Iteration { evaluations, ..self.figures(StepKind::Lloyd, look) }, begin)
+        self.lloyd_from(look, Iteration { evaluations, ..self.figures(StepKind::Lloyd, look) }, begin, token)
     }
 
     /// One quasi-Newton step (L-BFGS; \[YLL*09\], \[FWW14\]): along -H∇E as far as the strong Wolfe
     /// conditions ask. Where the search fails, and where cells are empty, it is a Lloyd step instead.
     ///
     /// # Errors
-    /// `Cancelled`, or what the device says. The seeds are then as before.
+    /// `Stopped`, or what the device says. The seeds are then as before, or, where the step was stopped while they were put on
+    /// the surface, as after it.
     pub fn lbfgs(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         self.metered(|cvt| cvt.take_lbfgs(token))
     }
@@ -326,7 +328,7 @@ impl Cvt {
         if look.empty_cells > 0 || look.gradient_squared == 0.0 {
             report.kind = StepKind::Lloyd;
             self.converged |= look.empty_cells == 0;
-            return self.lloyd_from(look, report, begin);
+            return self.lloyd_from(look, report, begin, token);
         }
         let vectors = resident(&mut *self.session)?;
         let mut slope = vectors.direct()?;
@@ -341,14 +343,14 @@ impl Cvt {
         report.stats.add(&found.stats);
         let Some(next) = found.look else {
             report.kind = StepKind::Lloyd;
-            return self.lloyd_from(look, report, begin);
+            return self.lloyd_from(look, report, begin, token);
         };
         vectors.accept()?;
         (self.read, self.fresh) = (false, false);
         self.present = Some(next);
         self.converged = self.convergence.judge(look.energy, next.energy, next.gradient_squared.sqrt());
         if self.options.projection == Projection::OnSurface {
-            self.project_seeds()?;
+            self.project_seeds(token)?;
         }
         self.steps += 1;
         report.ms = elapsed_ms(begin);
@@ -365,7 +367,7 @@ impl Cvt {
     /// quasi-Newton step, otherwise one more pass.
     ///
     /// # Errors
-    /// `Cancelled`, or what the device says.
+    /// `Stopped`, or what the device says.
     pub fn present(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         let (look, evaluations) = self.look(token)?;
         Ok(Iteration { evaluations, ..self.figures(StepKind::Lloyd, look) })
@@ -374,11 +376,11 @@ impl Cvt {
     /// Moves every seed that is not held to the closest point of the surface.
     ///
     /// # Errors
-    /// Only `Internal`.
-    pub fn project_seeds(&mut self) -> Result<(), RvdError> {
+    /// `Stopped`, with the seeds where they were; or `Internal`.
+    pub fn project_seeds(&mut self, token: &Token) -> Result<(), RvdError> {
         self.pull()?;
         let mut seeds = std::mem::take(&mut self.seeds);
-        let done = self.project(&mut seeds);
+        let done = self.project(&mut seeds, token);
         self.seeds = seeds;
         self.moved();
         done
@@ -388,16 +390,16 @@ impl Cvt {
     /// seeds lie inside, between its two sides, and the point that is closest to one may be between two seeds of the curve.
     ///
     /// # Errors
-    /// Only `Internal`.
-    pub fn put_on_surface(&mut self) -> Result<(), RvdError> {
-        self.project_seeds()?;
+    /// `Stopped`, with the seeds somewhere between; or `Internal`.
+    pub fn put_on_surface(&mut self, token: &Token) -> Result<(), RvdError> {
+        self.project_seeds(token)?;
         for _ in 0..PUSHES {
             let held = &self.held;
             let stays = |i: u32| held.get(i as usize).is_some_and(|&held| held);
-            if self.curves.is_empty() || self.curves.push_out_unless(&mut self.seeds, stays) == 0 {
+            if self.curves.is_empty() || self.curves.push_out_unless(&mut self.seeds, stays, token)? == 0 {
                 break;
             }
-            self.project_seeds()?;
+            self.project_seeds(token)?;
         }
         Ok(())
     }
@@ -531,7 +533,13 @@ impl Cvt {
     }
 
     /// The step to the centroids from seeds that were looked at.
-    fn lloyd_from(&mut self, look: Look, mut report: Iteration, begin: Instant) -> Result<Iteration, RvdError> {
+    fn lloyd_from(
+        &mut self,
+        look: Look,
+        mut report: Iteration,
+        begin: Instant,
+        token: &Token,
+    ) -> Result<Iteration, RvdError> {
         let update = Instant::now();
         let vectors = resident(&mut *self.session)?;
         if look.empty_cells > 0 {
@@ -546,9 +554,9 @@ impl Cvt {
             places.into_iter().for_each(|(seed, place)| self.seeds[seed as usize] = place);
             self.moved();
         }
-        self.clear_curves()?;
+        self.clear_curves(token)?;
         if self.options.projection == Projection::OnSurface {
-            self.project_seeds()?;
+            self.project_seeds(token)?;
         }
         self.steps += 1;
         report.stats.update_ms += elapsed_ms(update);
@@ -578,11 +586,11 @@ impl Cvt {
         self.held.get(seed as usize).is_some_and(|&held| held)
     }
 
-    fn project(&mut self, seeds: &mut [DVec3]) -> Result<(), RvdError> {
+    fn project(&mut self, seeds: &mut [DVec3], token: &Token) -> Result<(), RvdError> {
         let closest = closest(&mut self.closest, &self.surface)?;
         let held = &self.held;
         let free = |i: usize| !held.get(i).is_some_and(|&held| held);
-        let placed = closest.project_all(seeds, &|| false).unwrap_or_default();
+        let placed = closest.project_all(seeds, token)?;
         let moved = seeds.iter_mut().zip(placed).enumerate().filter(|(i, _)| free(*i));
         moved.for_each(|(_, (seed, place))| *seed = place.position);
         Ok(())

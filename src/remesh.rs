@@ -43,7 +43,7 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{Topology, quality_unless, topology};
 use crate::mesh::sample::spread;
-use crate::rvd::{Backend, RvdError, Surface, dual};
+use crate::rvd::{Backend, RvdError, Surface, dual, on_threads_of};
 use crate::token::{Stopped, Token};
 
 pub use attributes::Provenance;
@@ -211,7 +211,7 @@ pub enum RemeshError {
     Rvd(#[from] RvdError),
     /// Creases that cannot be.
     #[error(transparent)]
-    Feature(#[from] FeatureError),
+    Feature(FeatureError),
     /// The wished density cannot be had.
     #[error(transparent)]
     Density(DensityError),
@@ -250,6 +250,15 @@ impl From<Stopped> for RemeshError {
     }
 }
 
+impl From<FeatureError> for RemeshError {
+    fn from(error: FeatureError) -> Self {
+        match error {
+            FeatureError::Stopped(reason) => reason.into(),
+            error => Self::Feature(error),
+        }
+    }
+}
+
 impl From<DensityError> for RemeshError {
     fn from(error: DensityError) -> Self {
         match error {
@@ -260,7 +269,7 @@ impl From<DensityError> for RemeshError {
 }
 
 /// What the caller hears while it waits. All methods have empty defaults.
-pub trait Observer {
+pub trait Observer: Send {
     /// A stage began: "prepare", "sample", "iterations", "dual", "repair", "attributes" (if
     /// any were given), "measure".
     fn stage(&mut self, _name: &'static str) {}
@@ -270,11 +279,28 @@ pub trait Observer {
 
 impl Observer for () {}
 
+/// A stage begins.
+fn enter(observer: &mut dyn Observer, token: &Token, stage: &'static str) {
+    token.enter(stage);
+    observer.stage(stage);
+}
+
 /// Remeshes `mesh` on `backend`.
 ///
 /// # Errors
-/// [`RemeshError`]; `Rvd(Cancelled)` soon after `token` is set.
+/// [`RemeshError`]; `Rvd(Stopped)` soon after `token` says so.
 pub fn remesh(
+    mesh: &TriMesh,
+    options: &RemeshOptions,
+    backend: &dyn Backend,
+    observer: &mut dyn Observer,
+    token: &Token,
+) -> Result<Remesh, RemeshError> {
+    on_threads_of(backend, || remesh_here(mesh, options, backend, observer, token))
+}
+
+/// On the present threads.
+fn remesh_here(
     mesh: &TriMesh,
     options: &RemeshOptions,
     backend: &dyn Backend,
@@ -286,14 +312,16 @@ pub fn remesh(
         return Err(RemeshError::RefineUnfitted);
     }
     let laps = Laps { clock: Clock::start(), timings: Timings::default() };
-    observer.stage("prepare");
-    let ((input, whole), mut prepared) = rayon::join(|| without_tears(mesh), || prepare(mesh, options, token));
+    enter(observer, token, "prepare");
+    let (preprocessed, mut prepared) = rayon::join(|| without_tears(mesh, token), || prepare(mesh, options, token));
+    let (input, whole) = preprocessed?;
     // Attributes are of the facets as given, and so are the places where vertices lie.
     let given = mesh;
     let mesh = whole.as_ref().unwrap_or(mesh);
     // A cell does not reach through to a part beside its own where none is beside another.
     let parts = input.topology.components;
     let apart = (parts > 1).then(|| between(mesh, parts, options)).flatten().and_then(|gap| Apart::of(mesh, gap));
+    token.check()?;
     let ground = apart.as_ref().map_or(mesh, |apart| &apart.mesh);
     if whole.is_some() || apart.is_some() {
         prepared = prepare(ground, options, token);
@@ -319,6 +347,7 @@ pub fn remesh(
     let Figures { converged, rvd, iterations, last, refine } = steps;
     let memory = MemoryFigures { host_peak_bytes: None, device_bytes };
 
+    token.check()?;
     let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
     let beside = apart.as_ref().map(|apart| TriMesh::new(apart.mesh.positions().to_vec(), given.facets().to_vec()));
     let beside = beside.transpose().map_err(broken)?;
@@ -331,12 +360,12 @@ pub fn remesh(
     let closest = closest.filter(|_| apart.is_none());
     timings.attributes = clock.lap();
 
-    observer.stage("measure");
+    enter(observer, token, "measure");
     token.check()?;
     let result = &built.mesh;
-    let quality = || options.measure.then(|| quality_unless(mesh, closest, result, &|| token.is_stopped()));
+    let quality = || options.measure.then(|| quality_unless(mesh, closest, result, token));
     let (topology, quality) = rayon::join(|| topology(result), quality);
-    let quality = quality.map(|q| q.ok_or(RvdError::Stopped(Stopped::Cancelled))).transpose()?;
+    let quality = quality.transpose()?;
     let (vertices, facets) = (result.positions().len(), result.facets().len());
     let repair = built.repair;
     let figures = ResultFigures { vertices, facets, topology, quality, repair };
@@ -465,9 +494,11 @@ struct Prepared<'a> {
 
 /// All that depends on the mesh and the options alone.
 fn prepare<'a>(mesh: &'a TriMesh, options: &RemeshOptions, token: &Token) -> Result<Prepared<'a>, RemeshError> {
-    let plan = density::plan(mesh, &options.density, options.seeds.count(), &|| token.is_stopped())?.divided();
+    let plan = density::plan(mesh, &options.density, options.seeds.count(), token)?.divided(token)?;
+    token.check()?;
     let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
-    let find = || curves::Kept::find(mesh, &plan, &surface, options);
+    token.check()?;
+    let find = || curves::Kept::find(mesh, &plan, &surface, options, token);
     let (kept, closest) = rayon::join(find, || surface.closest_points());
     Ok(Prepared { kept: kept?, closest: closest?, plan, surface })
 }
@@ -505,11 +536,12 @@ fn build(
     let mut best: Option<(build::Draft, build::Missed, Vec<DVec3>)> = None;
     let placement = options.placement;
     let adds = options.refine.is_some();
-    let source = build::Source { mesh, surface, kept, placement, first_added, tolerance, adds };
+    let token = steps.token;
+    let source = build::Source { mesh, surface, kept, placement, first_added, tolerance, adds, token };
     let mut round = 0;
     loop {
         steps.token.check()?;
-        steps.observer.stage("repair");
+        enter(steps.observer, steps.token, "repair");
         // On the pool's threads as a whole, so that nobody waits for them to wake up at each part.
         let seeds = cvt.unit_seeds()?;
         let draft = rayon::scope(|_| source.draft(&dual, seeds))?;
@@ -533,7 +565,7 @@ fn build(
         }
         laps.timings.refine += laps.clock.lap();
         round += 1;
-        steps.observer.stage("dual");
+        enter(steps.observer, steps.token, "dual");
         dual = exact.dual(cvt, steps)?;
         laps.timings.dual += laps.clock.lap();
     }
@@ -566,10 +598,10 @@ fn carried(
     token: &Token,
 ) -> Result<(Option<Attributes>, Vec<Provenance>), RemeshError> {
     let Some(attributes) = &options.attributes else { return Ok((None, Vec::new())) };
-    observer.stage("attributes");
+    enter(observer, token, "attributes");
     token.check()?;
     let closest = ClosestPoint::new(mesh);
-    let provenance = attributes::provenance(&closest, result.positions());
+    let provenance = attributes::provenance(&closest, result.positions(), token)?;
     token.check()?;
     let carried = attributes::carry(mesh, attributes, &closest, result, &provenance)?;
     Ok((Some(carried), provenance))

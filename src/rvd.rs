@@ -438,8 +438,21 @@ impl BackendKind {
     }
 }
 
+/// Does work on the threads of a backend, so that their number bounds all that is done for it.
+pub fn on_threads_of<R: Send>(backend: &dyn Backend, work: impl FnOnce() -> R + Send) -> R {
+    match backend.pool() {
+        Some(pool) => pool.install(work),
+        None => work(),
+    }
+}
+
 /// Makes sessions. One per process is enough; it is the caller's to share.
 pub trait Backend: Send + Sync {
+    /// The threads that work for this backend, in its passes and between them; `None` for those of rayon's common pool.
+    fn pool(&self) -> Option<Arc<rayon::ThreadPool>> {
+        None
+    }
+
     /// Which one this is.
     fn kind(&self) -> BackendKind;
     /// The adapter's name, for a GPU.

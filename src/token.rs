@@ -2,14 +2,16 @@
 //!
 //! Purpose: [`Token`] carries a cancellation and a limit on time from a caller to every loop that can take long, on any
 //! thread, and tells the caller which stage is at work.
-//! Invariant: once stopped it stays stopped, and the first reason stays the reason. Asking is an atomic load, and reads
-//! the clock only where there is a limit on time.
+//! Invariant: once stopped it stays stopped, and the first reason stays the reason. Asking takes some ten nanoseconds.
+//! How long nobody asked is known, so that a stage that does not listen can be found.
 //! Must not know: meshes, seeds, jobs, or what the work is.
 //!
 //! How to listen: a function that may take longer than [a few milliseconds](Token#how-often-to-ask) takes a token and
 //! returns [`Stopped`]. A loop that runs on many threads may instead return early with whatever it has, if its caller
 //! asks [`Token::check`] before it uses the result.
 
+use std::panic::Location;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -55,12 +57,43 @@ pub enum Stopped {
 #[derive(Clone, Debug, Default)]
 pub struct Token(Arc<State>);
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct State {
     reason: OnceLock<Stopped>,
     /// When time is up, and the limit that it follows from.
     end: Option<(Instant, Duration)>,
     stage: Mutex<&'static str>,
+    begin: Instant,
+    /// Microseconds after `begin` at which somebody asked last.
+    asked: AtomicU64,
+    /// The longest time between two questions so far.
+    silence: Mutex<Silence>,
+    longest: AtomicU64,
+}
+
+impl Default for State {
+    fn default() -> Self {
+        Self {
+            reason: OnceLock::new(),
+            end: None,
+            stage: Mutex::new(""),
+            begin: Instant::now(),
+            asked: AtomicU64::new(0),
+            silence: Mutex::default(),
+            longest: AtomicU64::new(0),
+        }
+    }
+}
+
+/// How long nobody asked a token, and where.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Silence {
+    /// How long.
+    pub time: Duration,
+    /// See [`Token::enter`].
+    pub stage: &'static str,
+    /// Where somebody asked again.
+    pub until: Option<&'static Location<'static>>,
 }
 
 impl Token {
@@ -84,7 +117,9 @@ impl Token {
     }
 
     /// Why the work is to stop, if it is.
+    #[track_caller]
     pub fn stopped(&self) -> Option<Stopped> {
+        self.note();
         if let Some(&reason) = self.0.reason.get() {
             return Some(reason);
         }
@@ -97,6 +132,7 @@ impl Token {
     }
 
     /// Whether the work is to stop.
+    #[track_caller]
     pub fn is_stopped(&self) -> bool {
         self.stopped().is_some()
     }
@@ -105,20 +141,55 @@ impl Token {
     ///
     /// # Errors
     /// [`Stopped`].
+    #[track_caller]
     pub fn check(&self) -> Result<(), Stopped> {
-        self.stopped().map_or(Ok(()), Err)
+        match self.stopped() {
+            Some(reason) => Err(reason),
+            None => Ok(()),
+        }
     }
 
     /// [`Token::check`] at every [`Token::STRIDE`]-th item of a plain loop.
     ///
     /// # Errors
     /// [`Stopped`].
+    #[track_caller]
     pub fn check_at(&self, item: usize) -> Result<(), Stopped> {
         if item.is_multiple_of(Self::STRIDE) { self.check() } else { Ok(()) }
     }
 
+    /// Notes that somebody asked.
+    #[track_caller]
+    fn note(&self) {
+        let state = &*self.0;
+        let now = state.begin.elapsed().as_micros() as u64;
+        let before = state.asked.fetch_max(now, Ordering::Relaxed);
+        let silent = now.saturating_sub(before);
+        if silent > state.longest.load(Ordering::Relaxed) {
+            state.longest.fetch_max(silent, Ordering::Relaxed);
+            let mut longest = state.silence.lock().unwrap_or_else(PoisonError::into_inner);
+            let time = Duration::from_micros(silent);
+            if time > longest.time {
+                *longest = Silence { time, stage: self.stage(), until: Some(Location::caller()) };
+            }
+        }
+    }
+
+    /// How long nobody has asked until now.
+    pub fn silent_for(&self) -> Duration {
+        let asked = Duration::from_micros(self.0.asked.load(Ordering::Relaxed));
+        self.0.begin.elapsed().saturating_sub(asked)
+    }
+
+    /// The longest time between two questions so far. A stage that does not listen shows here.
+    pub fn longest_silence(&self) -> Silence {
+        *self.0.silence.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Says what is being done now, for whoever watches.
+    #[track_caller]
     pub fn enter(&self, stage: &'static str) {
+        self.note();
         *self.0.stage.lock().unwrap_or_else(PoisonError::into_inner) = stage;
     }
 
@@ -148,6 +219,17 @@ mod tests {
         std::thread::sleep(Duration::from_millis(6));
         assert_eq!(token.check(), Err(Stopped::Time { limit: Duration::from_millis(5) }));
         assert!(!Token::with_time_limit(Duration::MAX).is_stopped(), "no such time");
+    }
+
+    #[test]
+    fn silence_is_noticed() {
+        let token = Token::default();
+        token.enter("dual");
+        std::thread::sleep(Duration::from_millis(5));
+        assert!(token.silent_for() >= Duration::from_millis(5));
+        token.enter("repair");
+        let silence = token.longest_silence();
+        assert!(silence.stage == "dual" && silence.time >= Duration::from_millis(5), "{silence:?}");
     }
 
     #[test]

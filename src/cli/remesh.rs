@@ -262,7 +262,7 @@ fn options(args: &RemeshArgs, mesh: &TriMesh) -> Result<RemeshOptions> {
     let creases = args.creases.as_ref().map(|path| {
         let edges = sizes::read_edges(path, &args.input, mesh)?;
         // Before a server is asked.
-        Features::check(mesh, args.crease_angle, &edges)
+        Features::check(mesh, args.crease_angle, &edges, &Token::default())
             .map_err(|e| BadInput(format!("{}: {e} (numbers of the surface as it was read)", path.display())))?;
         Ok::<_, anyhow::Error>(edges)
     });

@@ -167,13 +167,10 @@ fn here(
     let backend = backends::one(&args.backend)?;
     let progress = Progress::new();
     progress.stage("prepare", 0, 0);
-    let prepared = Prepared::new(Input {
-        mesh,
-        density: DensityOptions::default(),
-        seeds,
-        creases: Vec::new(),
-        attributes: None,
-    })?;
+    let prepared = Prepared::new(
+        Input { mesh, density: DensityOptions::default(), seeds, creases: Vec::new(), attributes: None },
+        &token,
+    )?;
     token.check()?;
     progress.stage("diagram", 0, 0);
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;

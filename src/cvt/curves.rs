@@ -22,6 +22,7 @@ use rayon::prelude::*;
 use crate::knn::{NeighbourRow, SeedIndex};
 use crate::mesh::features::{Curve, Features};
 use crate::rvd::Surface;
+use crate::token::{Stopped, Token};
 
 /// Seeds of curves, the first of all seeds.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -59,6 +60,8 @@ impl Segment {
     }
 }
 
+/// Segments between two looks at the token.
+const ASKED: usize = 8;
 /// Segments that are not worth a task of their own.
 const SHARE: usize = 256;
 /// Two curves are too close where seeds of them are nearer than this share of their spacing.
@@ -97,8 +100,17 @@ pub fn edge_length(surface: &Surface, features: &Features, seeds: usize) -> f64 
 }
 
 impl CurveSeeds {
-    /// Seeds for all curves, about `edge` (where the weight is 1) apart.
-    pub fn place(surface: &Surface, features: &Features, edge: f64) -> Self {
+    /// Seeds for all curves, about `edge` (where the weight is 1) apart; `None` if these are more than `most`.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn place(
+        surface: &Surface,
+        features: &Features,
+        edge: f64,
+        most: usize,
+        token: &Token,
+    ) -> Result<Option<Self>, Stopped> {
         let at = |v: u32| surface.positions()[v as usize];
         let mut all = Self { corners: features.corners.len(), ..Self::default() };
         all.seeds.extend(features.corners.iter().map(|&v| at(v)));
@@ -110,6 +122,7 @@ impl CurveSeeds {
         let mut pairs: Vec<(u32, u32)> = features.curves.iter().filter(|c| !c.closed).map(ends).collect();
         pairs.sort_unstable();
         for (number, curve) in features.curves.iter().enumerate() {
+            token.check()?;
             let path = Path::new(surface, curve, edge);
             if !curve.closed && path.total() < SHORT {
                 all.short.push(number as u32);
@@ -118,12 +131,16 @@ impl CurveSeeds {
             let least = match curve.closed {
                 true => 3,
                 false if ends(curve).0 == ends(curve).1 => 3,
-                false if pairs.iter().filter(|&&p| p == ends(curve)).count() > 1 => 2,
+                false if pairs.get(pairs.partition_point(|&p| p < ends(curve)) + 1) == Some(&ends(curve)) => 2,
                 false => 1,
             };
             let total = path.total();
             let count = (total.round() as usize).max((total / LONGEST).ceil() as usize).max(least);
-            let places = path.tessellate(count, least);
+            // Before anything of that size is made.
+            if count > most.saturating_sub(all.seeds.len()) {
+                return Ok(None);
+            }
+            let places = path.tessellate(count, least, token)?;
             let first = all.seeds.len() as u32;
             all.seeds.extend(places.iter().map(|&s| path.at(s)));
             let inner = (0..places.len() as u32).map(|k| first + k);
@@ -142,7 +159,7 @@ impl CurveSeeds {
                 edge: path.edge_at(0.5 * (w[0].1 + w[1].1)),
             }));
         }
-        all
+        Ok(Some(all))
     }
 
     /// For each seed, whether it is next to a corner that another segment leaves at an acute angle with its own.
@@ -199,9 +216,10 @@ impl CurveSeeds {
 
     /// Splits segments whose chord leaves the curve by more than a seventh of an edge, where it is
     /// farthest away and both parts are long enough.
-    pub fn follow_bends(&mut self) {
+    pub fn follow_bends(&mut self, token: &Token) -> Result<(), Stopped> {
         let mut next = 0;
         while let Some(&segment) = self.segments.get(next) {
+            token.check_at(self.segments.len() + next)?;
             let [a, b] = segment.ends.map(|e| self.seeds[e as usize]);
             let way = (b - a).normalize_or_zero();
             let off = |p: DVec3| (p - a - way * way.dot(p - a)).length();
@@ -216,15 +234,18 @@ impl CurveSeeds {
                 None => next += 1,
             }
         }
+        Ok(())
     }
 
     /// Splits segments of the curves for which `may` says so where a seed of another curve comes between their ends, as
     /// one from the other side of a slit does: until seeds lie opposite each other, or parts would be too short.
-    pub fn face_others(&mut self, may: impl Fn(u32) -> bool) {
+    pub fn face_others(&mut self, may: impl Fn(u32) -> bool, token: &Token) -> Result<(), Stopped> {
         for _ in 0..FACINGS {
+            token.check()?;
             let index = SeedIndex::new(&self.seeds);
             let mut found: Vec<(u32, usize)> = Vec::new();
             for (number, segment) in (0..).zip(&self.segments).filter(|(_, s)| may(s.curve)) {
+                token.check_at(64 * number as usize)?;
                 let ends = segment.ends.map(|e| self.seeds[e as usize]);
                 let between = |&k: &usize| {
                     let p = segment.between[k];
@@ -237,12 +258,13 @@ impl CurveSeeds {
                 found.extend(places.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| (number, k)));
             }
             if found.is_empty() {
-                return;
+                break;
             }
             for (segment, at) in found {
                 self.split(segment, at);
             }
         }
+        Ok(())
     }
 
     /// Whether there are none.
@@ -253,9 +275,15 @@ impl CurveSeeds {
     /// Seeds that come between two neighbours on a curve: (seed, segment), each seed once. Their cells hold a part
     /// of the curve, and the dual may have the curve no more. On a straight curve such a seed is nearer to
     /// the middle of the segment than its ends are.
-    pub fn intruders(&self, seeds: &[DVec3]) -> Vec<(u32, u32)> {
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn intruders(&self, seeds: &[DVec3], token: &Token) -> Result<Vec<(u32, u32)>, Stopped> {
         let index = SeedIndex::new(seeds);
         let of = |(k, segment): (usize, &Segment)| {
+            if k.is_multiple_of(ASKED) && token.is_stopped() {
+                return Vec::new();
+            }
             let ends = segment.ends.map(|e| seeds[e as usize]);
             let intruder = |p: DVec3| {
                 let nearest = index.nearest(p);
@@ -269,15 +297,16 @@ impl CurveSeeds {
         };
         let segments = self.segments.par_iter().enumerate().with_min_len(SHARE);
         let mut found: Vec<(u32, u32)> = segments.flat_map_iter(of).collect();
+        token.check()?;
         found.sort_unstable();
         found.dedup_by_key(|f| f.0);
-        found
+        Ok(found)
     }
 
     /// Creases to leave out because they run so close to another curve that a triangulation has no room
     /// between them: of two that come within half of their spacing and do not meet there, the less
     /// bent one; one that was given, or a boundary, never.
-    pub fn crowded(&self, features: &Features) -> BTreeSet<u32> {
+    pub fn crowded(&self, features: &Features, token: &Token) -> Result<BTreeSet<u32>, Stopped> {
         let mut on = vec![Vec::new(); self.seeds.len()];
         let mut reach = vec![0.0f64; self.seeds.len()];
         for s in &self.segments {
@@ -289,27 +318,34 @@ impl CurveSeeds {
         }
         let meet: BTreeSet<(u32, u32)> =
             self.segments.iter().map(|s| (s.ends[0].min(s.ends[1]), s.ends[0].max(s.ends[1]))).collect();
-        // Seeds next to a common corner are close because their curves meet there.
-        let mut beside = vec![Vec::new(); self.corners];
+        // Seeds next to a common corner are close because their curves meet there: of each seed the corners beside it,
+        // ascending.
+        let mut beside = vec![Vec::new(); self.seeds.len()];
         for s in &self.segments {
             for (a, b) in [(s.ends[0], s.ends[1]), (s.ends[1], s.ends[0])] {
                 if (a as usize) < self.corners {
-                    beside[a as usize].push(b);
+                    beside[b as usize].push(a);
                 }
             }
         }
+        beside.iter_mut().for_each(|corners| corners.sort_unstable());
+        let share_a_corner = |i: u32, j: u32| {
+            let (few, many) = (&beside[i as usize], &beside[j as usize]);
+            let (few, many) = if few.len() <= many.len() { (few, many) } else { (many, few) };
+            few.iter().any(|corner| many.binary_search(corner).is_ok())
+        };
         let index = SeedIndex::new(&self.seeds);
         let mut row = NeighbourRow::default();
-        let mut out = self.acute(features);
-        out.extend(self.crossed(features, &index, &on));
+        let mut out = self.acute(features, token)?;
+        out.extend(self.crossed(features, &index, &on, token)?);
         let may_go = |c: u32| features.curves[c as usize].angle_deg < 180.0;
         out.extend(self.short.iter().copied().filter(|&c| may_go(c)));
         for i in 0..self.seeds.len() as u32 {
+            token.check_at(16 * i as usize)?;
             index.row(i, 16, &mut row);
             let near = |&&j: &&u32| self.seeds[j as usize].distance(self.seeds[i as usize]) < reach[i as usize];
             for &j in row.seeds.iter().take_while(near) {
-                let joined =
-                    meet.contains(&(i.min(j), i.max(j))) || beside.iter().any(|b| b.contains(&i) && b.contains(&j));
+                let joined = meet.contains(&(i.min(j), i.max(j))) || share_a_corner(i, j);
                 let apart = self.seeds[j as usize].distance(self.seeds[i as usize]);
                 if joined && apart > ACUTE / CROWDED * reach[i as usize] {
                     continue;
@@ -322,14 +358,21 @@ impl CurveSeeds {
                 out.extend(weakest.map(|(_, c)| c));
             }
         }
-        out
+        Ok(out)
     }
 
     /// Folds of a scan that come between two neighbours on another curve, of which the triangulation would have no
     /// edge then.
-    fn crossed(&self, features: &Features, index: &SeedIndex, on: &[Vec<u32>]) -> BTreeSet<u32> {
+    fn crossed(
+        &self,
+        features: &Features,
+        index: &SeedIndex,
+        on: &[Vec<u32>],
+        token: &Token,
+    ) -> Result<BTreeSet<u32>, Stopped> {
         let mut out = BTreeSet::new();
-        for segment in &self.segments {
+        for (k, segment) in self.segments.iter().enumerate() {
+            token.check_at(64 * k)?;
             for p in segment.between {
                 let nearest = index.nearest(p);
                 let own = segment.ends.map(|e| self.seeds[e as usize].distance(p));
@@ -342,12 +385,12 @@ impl CurveSeeds {
                 }
             }
         }
-        out
+        Ok(out)
     }
 
     /// Of two creases that leave a corner at an acute angle the less bent one, where that is a fold of a scan
     /// rather than an edge of a part: the triangle between them could not be better than the angle.
-    fn acute(&self, features: &Features) -> BTreeSet<u32> {
+    fn acute(&self, features: &Features, token: &Token) -> Result<BTreeSet<u32>, Stopped> {
         let mut leaving = vec![Vec::new(); self.corners];
         for s in &self.segments {
             let bend = features.curves[s.curve as usize].ends_deg;
@@ -361,6 +404,7 @@ impl CurveSeeds {
         let mut out = BTreeSet::new();
         for list in leaving {
             for (k, &(way, bend, c)) in list.iter().enumerate() {
+                token.check_at(64 * k)?;
                 for &(other, other_bend, d) in &list[..k] {
                     let (weaker, bend) = if bend < other_bend { (c, bend) } else { (d, other_bend) };
                     if way.dot(other) > LEAST_CORNER.to_radians().cos() && bend < MEANT {
@@ -369,18 +413,29 @@ impl CurveSeeds {
                 }
             }
         }
-        out
+        Ok(out)
     }
 
     /// Moves intruders away from their segments, to the distance that the next row of a regular
     /// triangulation has. Returns how many there were. One pass: who was pushed may intrude elsewhere.
-    pub fn push_out(&self, seeds: &mut [DVec3]) -> usize {
-        self.push_out_unless(seeds, |_| false)
+    ///
+    /// # Errors
+    /// [`Stopped`]; nothing was moved.
+    pub fn push_out(&self, seeds: &mut [DVec3], token: &Token) -> Result<usize, Stopped> {
+        self.push_out_unless(seeds, |_| false, token)
     }
 
     /// The same but for seeds that `stays` says so of.
-    pub fn push_out_unless(&self, seeds: &mut [DVec3], stays: impl Fn(u32) -> bool) -> usize {
-        let mut intruders = self.intruders(seeds);
+    ///
+    /// # Errors
+    /// [`Stopped`]; nothing was moved.
+    pub fn push_out_unless(
+        &self,
+        seeds: &mut [DVec3],
+        stays: impl Fn(u32) -> bool,
+        token: &Token,
+    ) -> Result<usize, Stopped> {
+        let mut intruders = self.intruders(seeds, token)?;
         intruders.retain(|&(seed, _)| !stays(seed));
         for &(seed, segment) in &intruders {
             let segment = &self.segments[segment as usize];
@@ -392,7 +447,7 @@ impl CurveSeeds {
             let way = across.try_normalize().or_else(|| away.try_normalize()).unwrap_or(DVec3::X);
             seeds[seed as usize] = middle + 0.75 * along.length() * way;
         }
-        intruders.len()
+        Ok(intruders.len())
     }
 
     /// What is farther from every curve seed and every middle of a segment than this share of the spacing there.

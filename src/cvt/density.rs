@@ -20,7 +20,7 @@ use std::borrow::Cow;
 use serde::Serialize;
 
 use crate::mesh::TriMesh;
-use crate::token::Stopped;
+use crate::token::{Stopped, Token};
 
 pub use net::Net;
 pub use outline::Outline;
@@ -237,55 +237,60 @@ pub struct Plan<'a> {
 impl<'a> Plan<'a> {
     /// The same with facets divided that are long beside the cells, if most of the surface is of these, as they are already where
     /// lengths vary: a facet costs by the pairs of cells that meet at it. For who does not ask which facet a piece is of.
-    #[must_use]
-    pub fn divided(self) -> Self {
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn divided(self, token: &Token) -> Result<Self, Stopped> {
         let vertices = self.mesh.positions().len();
         // Weights that are too many or too few are refused by whoever makes a surface of them.
         let wrong = self.weights.as_ref().is_some_and(|weights| weights.len() != vertices);
         if self.sizes.is_some() || self.points == 0 || wrong {
-            return self;
+            return Ok(self);
         }
         let most = most_facets(&self.mesh, self.points);
         let lengths = match (&self.weights, self.figures.edge_median) {
             (None, Some(edge)) => vec![edge; vertices],
-            _ => self.lengths(&self.mesh),
+            _ => self.lengths(&self.mesh, token)?,
         };
-        let Some((fine, values)) = refine::shorten(&self.mesh, &lengths, self.weights.as_deref().unwrap_or(&[]), most)
-        else {
-            return self;
+        let values = self.weights.as_deref().unwrap_or(&[]);
+        let Some((fine, values)) = refine::shorten(&self.mesh, &lengths, values, most, token)? else {
+            return Ok(self);
         };
         let figures = DensityFigures { facets: fine.facets().len(), ..self.figures };
         let weights = self.weights.map(|_| values);
-        Plan { mesh: Cow::Owned(fine), weights, figures, ..self }
+        Ok(Plan { mesh: Cow::Owned(fine), weights, figures, ..self })
     }
 
     /// Target edge length per vertex of `mesh`, the caller's: those of the plan, or those that so many points have by
     /// its weights.
-    pub fn lengths(&self, mesh: &TriMesh) -> Vec<f64> {
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn lengths(&self, mesh: &TriMesh, token: &Token) -> Result<Vec<f64>, Stopped> {
         if let Some(sizes) = &self.sizes {
-            return sizes.clone();
+            return Ok(sizes.clone());
         }
         let vertices = mesh.positions().len();
         let Some(weights) = self.weights.as_ref() else {
-            return vec![Outline::new(mesh).edge_length(self.points as f64); vertices];
+            return Ok(vec![Outline::new(mesh).edge_length(self.points as f64); vertices]);
         };
         let top = weights.iter().copied().fold(0.0, f64::max);
         let by_weight = |w: &f64| (w / top).max(LEAST_WEIGHT).powf(-0.25);
         let lengths: Vec<f64> = weights[..vertices].iter().map(by_weight).collect();
         // No length is refused: weights were checked when the surface was made, and none is too small here.
-        let net = Net::new(mesh);
+        let net = Net::new(mesh, token)?;
         let scaled = SizeField::new(&net, lengths.clone()).map(|field| {
             let factor = (field.points(&net) / self.points.max(1) as f64).sqrt();
             field.scaled(factor).into_sizes()
         });
-        scaled.unwrap_or(lengths)
+        Ok(scaled.unwrap_or(lengths))
     }
 }
 
 /// Weights below this share of the largest stand for edges a hundred times as long.
 const LEAST_WEIGHT: f64 = 1e-8;
 
-/// Makes the wished density of `mesh`. `stop` is asked now and then.
+/// Makes the wished density of `mesh`.
 ///
 /// # Errors
 /// [`DensityError`]. Weights are checked where they are used, by `Surface::new`.
@@ -293,13 +298,13 @@ pub fn plan<'a>(
     mesh: &'a TriMesh,
     options: &DensityOptions,
     count: Count,
-    stop: &dyn Fn() -> bool,
+    token: &Token,
 ) -> Result<Plan<'a>, DensityError> {
     options.check()?;
     match &options.source {
         DensitySource::Uniform | DensitySource::Weights(_) => level(mesh, options, count),
         DensitySource::Sizes(_) | DensitySource::Curvature | DensitySource::FeatureSize => {
-            varying(mesh, options, count, stop)
+            varying(mesh, options, count, token)
         }
     }
 }
@@ -339,10 +344,9 @@ fn varying<'a>(
     mesh: &'a TriMesh,
     options: &DensityOptions,
     count: Count,
-    stop: &dyn Fn() -> bool,
+    token: &Token,
 ) -> Result<Plan<'a>, DensityError> {
-    let go_on = || if stop() { Err(DensityError::Stopped(Stopped::Cancelled)) } else { Ok(()) };
-    let net = Net::new(mesh);
+    let net = Net::new(mesh, token)?;
     let target = match (count, options.edge_length, &options.source) {
         (Count::Points(points), ..) => Some(points as f64),
         (Count::Implied, _, DensitySource::Sizes(_)) => None,
@@ -354,19 +358,19 @@ fn varying<'a>(
         (_, Some(target)) => _ = rounded(target, options.max_points)?,
         _ => {}
     }
-    go_on()?;
+    token.check()?;
     let (raw, sheets) = match &options.source {
         DensitySource::Sizes(sizes) => (sizes.clone(), None),
         DensitySource::FeatureSize => {
-            let size = feature_size::local(&net);
+            let size = feature_size::local(&net, token)?;
             (size.all, Some(size.between_sheets))
         }
-        _ => (of_curvature(&net, target.unwrap_or(1.0)), None),
+        _ => (of_curvature(&net, target.unwrap_or(1.0), token)?, None),
     };
     let given = matches!(options.source, DensitySource::Sizes(_));
     let mut field = SizeField::new(&net, if given { raw } else { whole(&net, raw) })?;
     let mut sheets = sheets.map(|sheets| SizeField::new(&net, whole(&net, sheets))).transpose()?;
-    go_on()?;
+    token.check()?;
     let median = field.median(&net);
     let clamped = adapt(&mut field, median, options);
     sheets.iter_mut().for_each(|sheets| _ = adapt(sheets, median, options));
@@ -374,14 +378,14 @@ fn varying<'a>(
         Some(target) if !given => Some(Least { edge: resolved(&net, target), sheets }),
         _ => None,
     };
-    let Bounded { field, graded, outside, points } = bounded(field, least.as_ref(), &net, options, target, &go_on)?;
-    go_on()?;
+    let Bounded { field, graded, outside, points } = bounded(field, least.as_ref(), &net, options, target, token)?;
+    token.check()?;
     let points_implied = points;
     let points = match count {
         Count::Points(points) => points,
         Count::Implied => rounded(target.unwrap_or(points_implied), options.max_points)?,
     };
-    let divided = refine::refine(mesh, &net, field.sizes(), most_facets(mesh, points));
+    let divided = refine::refine(mesh, &net, field.sizes(), most_facets(mesh, points), token)?;
     let figures = DensityFigures {
         source: options.source.name(),
         points_implied: Some(points_implied),
@@ -422,13 +426,13 @@ const LEAST_CURVATURE: f64 = 1.0;
 
 /// Lengths up to a factor. Normals are smoothed over half of the edge length that `points` even points have: what is
 /// smaller cannot be kept anyway. At least one round, so that a scan's noise is not its curvature, at most 40.
-fn of_curvature(net: &Net, points: f64) -> Vec<f64> {
+fn of_curvature(net: &Net, points: f64, token: &Token) -> Result<Vec<f64>, Stopped> {
     let radius = 0.5 * net.outline.edge_length(points) / net.outline.extent / net.mean_edge();
     // A round moves by 6/7 of an edge's square in the mean: six neighbours and the vertex itself.
     let rounds = (radius * radius * 7.0 / 6.0).ceil().clamp(1.0, 40.0);
-    let curvature = curvature::largest(net, rounds as usize);
+    let curvature = curvature::largest(net, rounds as usize, token)?;
     let length = |k: f64| if k.is_nan() { f64::NAN } else { k.max(LEAST_CURVATURE).powf(-0.5) };
-    curvature.into_iter().map(length).collect()
+    Ok(curvature.into_iter().map(length).collect())
 }
 
 /// Lengths that a source could not tell (NaN) become the median; all in caller's units.
@@ -487,23 +491,23 @@ fn bounded(
     net: &Net,
     options: &DensityOptions,
     target: Option<f64>,
-    go_on: &dyn Fn() -> Result<(), DensityError>,
+    token: &Token,
 ) -> Result<Bounded, DensityError> {
-    let once = |factor: f64| {
+    let once = |factor: f64| -> Result<Bounded, Stopped> {
         let mut field = if factor == 1.0 { base.clone() } else { base.scaled(factor) };
         let raised = least.map_or(0, |least| field.raise(|v| least.at(v, factor)));
-        let graded = field.grade(net, options.gradation);
+        let graded = field.grade(net, options.gradation, token)?;
         let lowered = field.clamp(0.0, field.least() * options.ratio);
         let points = field.points(net);
-        Bounded { field, graded, outside: raised + lowered, points }
+        Ok(Bounded { field, graded, outside: raised + lowered, points })
     };
-    let Some(target) = target else { return Ok(once(1.0)) };
+    let Some(target) = target else { return Ok(once(1.0)?) };
     let mut factor = (base.points(net) / target).sqrt();
-    let mut found = once(factor);
+    let mut found = once(factor)?;
     // How many points a factor takes away: its square, less where lengths cannot be shorter. In logarithms.
     let mut slope = 2.0;
     for _ in 0..20 {
-        go_on()?;
+        token.check()?;
         let off = (found.points / target).ln();
         if off.abs() < 0.005 {
             break;
@@ -511,7 +515,7 @@ fn bounded(
         let step = off / slope;
         factor *= step.exp();
         let before = found.points;
-        found = once(factor);
+        found = once(factor)?;
         slope = ((before / found.points).ln() / step).clamp(0.25, 4.0);
     }
     Ok(found)

@@ -16,7 +16,7 @@ impl Cvt {
     /// that were taken together is told of their first or evenly of all.
     ///
     /// # Errors
-    /// `Cancelled`, or what the device says. The seeds are then as after some of the steps.
+    /// `Stopped`, or what the device says. The seeds are then as after some of the steps.
     pub fn relax(&mut self, steps: usize, token: &Token) -> Result<Vec<Iteration>, RvdError> {
         let between = !self.curves.is_empty() || self.options.projection != Projection::Free;
         if between || self.present.is_some() {
@@ -35,7 +35,7 @@ impl Cvt {
         for look in looks {
             let report = Iteration { evaluations: 1, ..self.figures(StepKind::Lloyd, look) };
             taken.push(if look.empty_cells > 0 {
-                self.lloyd_from(look, report, Instant::now())?
+                self.lloyd_from(look, report, Instant::now(), token)?
             } else {
                 self.steps += 1;
                 report

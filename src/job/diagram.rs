@@ -106,7 +106,7 @@ impl Diagram {
     /// Sums over all cells.
     ///
     /// # Errors
-    /// `Cancelled`, or what the backend says.
+    /// `Stopped`, or what the backend says.
     pub fn sums(&mut self, token: &Token) -> Result<WorldSums, JobError> {
         let start = Instant::now();
         let mut unit = CellSums::default();
@@ -134,7 +134,7 @@ impl Diagram {
     /// The next batch of pieces, positions in the caller's coordinates; `None` after the last.
     ///
     /// # Errors
-    /// `Cancelled`, or what the backend says.
+    /// `Stopped`, or what the backend says.
     pub fn batch(&mut self, token: &Token) -> Result<Option<PieceBatch>, JobError> {
         let facets = self.surface.facets().len() as u32;
         if self.next >= facets {

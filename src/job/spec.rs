@@ -17,6 +17,7 @@ use crate::mesh::sample::sample;
 use crate::remesh::report::{InputFigures, Timings};
 use crate::remesh::{RemeshError, Seeds};
 use crate::rvd::{RvdError, Surface};
+use crate::token::{Stopped, Token};
 
 /// A surface and seeds, as given.
 #[derive(Clone, Debug)]
@@ -55,9 +56,9 @@ impl Prepared {
     /// size may divide facets; with weights and uniform the surface's facets are the mesh's.
     ///
     /// # Errors
-    /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`, `Density`.
-    pub fn new(input: Input) -> Result<Self, JobError> {
-        Self::with(input, |plan| plan)
+    /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`, `Density`, `Stopped`.
+    pub fn new(input: Input, token: &Token) -> Result<Self, JobError> {
+        Self::with(input, token, |plan| Ok(plan))
     }
 
     /// The same for steps alone, as a remesh takes them: facets that are long beside the cells are divided, so that steps
@@ -65,16 +66,23 @@ impl Prepared {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn for_steps(input: Input) -> Result<Self, JobError> {
-        Self::with(input, |plan| plan.divided())
+    pub fn for_steps(input: Input, token: &Token) -> Result<Self, JobError> {
+        Self::with(input, token, |plan| plan.divided(token))
     }
 
-    fn with(input: Input, change: impl FnOnce(Plan<'_>) -> Plan<'_>) -> Result<Self, JobError> {
+    fn with(
+        input: Input,
+        token: &Token,
+        change: impl for<'a> FnOnce(Plan<'a>) -> Result<Plan<'a>, Stopped>,
+    ) -> Result<Self, JobError> {
+        token.enter("prepare");
         let start = Instant::now();
         let Input { mesh, density, seeds, .. } = input;
-        let plan = density::plan(&mesh, &density, seeds.count(), &|| false).map_err(RemeshError::from)?;
+        let plan = density::plan(&mesh, &density, seeds.count(), token).map_err(RemeshError::from)?;
         let mut surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+        token.check()?;
         let figures = InputFigures::of(&mesh);
+        token.check()?;
         let mut prepare = start.elapsed();
         let start = Instant::now();
         // Before facets are divided: the same number draws the same seeds for every kind of job.
@@ -88,7 +96,7 @@ impl Prepared {
         let sampled = start.elapsed();
         let start = Instant::now();
         let facets = plan.mesh.facets().len();
-        let plan = change(plan);
+        let plan = change(plan)?;
         if plan.mesh.facets().len() != facets {
             surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
         }

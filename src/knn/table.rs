@@ -41,10 +41,11 @@ impl NeighbourTable {
         }
         let fill = |chunk: usize, (seeds, (len, complete)): (&mut [u32], (&mut [u32], &mut [bool]))| {
             let (mut row, mut scratch) = (NeighbourRow::default(), Scratch::default());
-            if stop() {
-                return;
-            }
             for (s, (l, c)) in len.iter_mut().zip(complete).enumerate() {
+                // A row may look at all seeds.
+                if s.is_multiple_of(16) && stop() {
+                    return;
+                }
                 let r = chunk * CHUNK + s;
                 index.row_with(order.map_or(r as u32, |o| o[r]), (least, k), &mut scratch, &mut row);
                 seeds[s * k..s * k + row.seeds.len()].copy_from_slice(&row.seeds);

@@ -15,6 +15,7 @@ use super::TriMesh;
 use super::adjacency::weld;
 use super::boxes::{self, BoxTree};
 use super::curve;
+use crate::token::{Stopped, Token};
 
 /// A point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,8 +47,10 @@ struct Nearest {
     barycentric: [f64; 3],
 }
 
-/// So many points are one task.
+/// So many points are one task,
 const RUN: usize = 256;
+/// and so many lie between two looks at the token.
+const ASKED: usize = 16;
 
 /// Farther away than this many unit boxes, only the direction of a point counts.
 const FAR: f64 = 1e100;
@@ -81,40 +84,53 @@ impl ClosestPoint {
     }
 
     /// As [`ClosestPoint::project`], all points at once: they are taken along a curve that fills space, and each
-    /// search begins with the facet that the last one found. Nothing soon after `stop` says so.
-    pub fn project_all(&self, points: &[DVec3], stop: &(dyn Fn() -> bool + Sync)) -> Option<Vec<SurfacePoint>> {
-        self.all(points, stop, |nearest| self.on_surface(nearest))
+    /// search begins with the facet that the last one found.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn project_all(&self, points: &[DVec3], token: &Token) -> Result<Vec<SurfacePoint>, Stopped> {
+        self.all(points, token, |nearest| self.on_surface(nearest))
     }
 
     /// As [`ClosestPoint::distance`], all points at once; see [`ClosestPoint::project_all`].
-    pub fn distances(&self, points: &[DVec3], stop: &(dyn Fn() -> bool + Sync)) -> Option<Vec<f64>> {
-        self.all(points, stop, |nearest| nearest.squared.sqrt() / self.scale)
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn distances(&self, points: &[DVec3], token: &Token) -> Result<Vec<f64>, Stopped> {
+        self.all(points, token, |nearest| nearest.squared.sqrt() / self.scale)
     }
 
     fn all<T: Send + Clone>(
         &self,
         points: &[DVec3],
-        stop: &(dyn Fn() -> bool + Sync),
+        token: &Token,
         answer: impl Fn(Nearest) -> T + Sync,
-    ) -> Option<Vec<T>> {
+    ) -> Result<Vec<T>, Stopped> {
         let place = |(i, &p): (usize, &DVec3)| (curve::along(self.to_unit(p)), i);
         let mut order: Vec<(u64, usize)> = points.par_iter().enumerate().map(place).collect();
         order.par_sort_unstable();
         let run = |run: &[(u64, usize)]| {
             let mut last = None;
-            let next = |&(_, i): &(u64, usize)| {
-                let nearest = self.nearest(points[i], last);
-                last = Some(nearest.leaf);
-                (i, answer(nearest))
-            };
+            let mut found = Vec::with_capacity(run.len());
             // Boxes are compared as many at once as the processor can.
-            let all = || run.iter().map(next).collect();
-            if stop() { Vec::new() } else { Arch::new().dispatch(all) }
+            Arch::new().dispatch(|| {
+                for &(_, i) in run {
+                    // Where facets lie on one another a search may look at all of them.
+                    if found.len().is_multiple_of(ASKED) && token.is_stopped() {
+                        return;
+                    }
+                    let nearest = self.nearest(points[i], last);
+                    last = Some(nearest.leaf);
+                    found.push((i, answer(nearest)));
+                }
+            });
+            found
         };
         let runs: Vec<Vec<(usize, T)>> = order.par_chunks(RUN).with_max_len(1).map(run).collect();
         let mut answers: Vec<Option<T>> = vec![None; points.len()];
         runs.into_iter().flatten().for_each(|(i, found)| answers[i] = Some(found));
-        answers.into_iter().collect()
+        token.check()?;
+        Ok(answers.into_iter().flatten().collect())
     }
 
     fn on_surface(&self, nearest: Nearest) -> SurfacePoint {

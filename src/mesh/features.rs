@@ -16,6 +16,7 @@ use glam::DVec3;
 
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
+use crate::token::{Stopped, Token};
 use near::Near;
 use ridges::Bends;
 
@@ -113,6 +114,9 @@ pub enum FeatureError {
     /// The angle makes no sense.
     #[error("the crease angle is {0}°; give 0 (no creases) to 180")]
     BadAngle(f64),
+    /// The caller asked to stop, or a limit was reached.
+    #[error(transparent)]
+    Stopped(#[from] Stopped),
 }
 
 type Edge = [u32; 2];
@@ -153,18 +157,29 @@ impl Features {
     ///
     /// # Errors
     /// [`FeatureError`].
-    pub fn find(mesh: &TriMesh, positions: &[DVec3], options: &FeatureOptions) -> Result<Self, FeatureError> {
+    pub fn find(
+        mesh: &TriMesh,
+        positions: &[DVec3],
+        options: &FeatureOptions,
+        token: &Token,
+    ) -> Result<Self, FeatureError> {
         if !(0.0..=180.0).contains(&options.crease_angle_deg) {
             return Err(FeatureError::BadAngle(options.crease_angle_deg));
         }
         let adjacency = Adjacency::new(mesh);
+        token.check()?;
         let class = adjacency.representative();
         let ruler = Ruler { positions, fineness: &options.fineness };
         let bends = Bends::new(mesh, ruler, &adjacency);
+        token.check()?;
         let (bent, boundary) = classify(mesh, &bends, &adjacency, options.crease_angle_deg);
+        token.check()?;
         let mut graph = Graph::default();
         let must = |kind| What { kind, kept: true, angle: 180.0 };
-        boundary.iter().for_each(|&e| graph.insert(e, must(CurveKind::Boundary)));
+        for (k, &e) in boundary.iter().enumerate() {
+            token.check_at(k)?;
+            graph.insert(e, must(CurveKind::Boundary));
+        }
         let edges = (!options.given.is_empty()).then(|| all_edges(mesh, &adjacency)).into_iter().flatten();
         let known: std::collections::HashSet<Edge> = edges.collect();
         for (crease, &[a, b]) in options.given.iter().enumerate() {
@@ -174,15 +189,16 @@ impl Features {
                 _ => return Err(FeatureError::NoSuchEdge { crease, a, b }),
             }
         }
-        for &(e, angle) in &bent {
+        for (k, &(e, angle)) in bent.iter().enumerate() {
+            token.check_at(k)?;
             graph.insert(e, What { kind: CurveKind::Crease, kept: false, angle });
         }
-        let left_out = graph.prune(ruler, options.shortest);
+        let left_out = graph.prune(ruler, options.shortest, token)?;
         if options.alone > 0.0 && options.crease_angle_deg > 0.0 {
-            bends.add_ridges(&mut graph, options.crease_angle_deg, options.alone, options.shortest);
+            bends.add_ridges(&mut graph, options.crease_angle_deg, (options.alone, options.shortest), token)?;
         }
         let near = Near { length: options.near, reach: options.reach, off: HARDLY * options.reach };
-        let (curves, corners, joined) = graph.curves(ruler, near);
+        let (curves, corners, joined) = graph.curves(ruler, near, token)?;
         Ok(Self { curves, corners, left_out, joined })
     }
 
@@ -190,7 +206,7 @@ impl Features {
     ///
     /// # Errors
     /// [`FeatureError::NoSuchEdge`].
-    pub fn check(mesh: &TriMesh, crease_angle_deg: f64, given: &[[u32; 2]]) -> Result<(), FeatureError> {
+    pub fn check(mesh: &TriMesh, crease_angle_deg: f64, given: &[[u32; 2]], token: &Token) -> Result<(), FeatureError> {
         if !(0.0..=180.0).contains(&crease_angle_deg) {
             return Err(FeatureError::BadAngle(crease_angle_deg));
         }
@@ -198,7 +214,7 @@ impl Features {
             return Ok(());
         }
         let options = FeatureOptions { given: given.to_vec(), ..FeatureOptions::default() };
-        Self::find(mesh, mesh.positions(), &options).map(|_| ())
+        Self::find(mesh, mesh.positions(), &options, token).map(|_| ())
     }
 
     /// Keeps the curves for which `keep` says so, and the corners that these have.
@@ -308,30 +324,34 @@ impl Graph {
 
     /// Takes creases out that end freely within `shortest`, again and again, and then whole
     /// networks of them that are shorter. Returns how many edges went.
-    fn prune(&mut self, ruler: Ruler<'_>, shortest: f64) -> usize {
+    fn prune(&mut self, ruler: Ruler<'_>, shortest: f64, token: &Token) -> Result<usize, Stopped> {
         let before = self.edges.len();
         loop {
-            self.drop_loose_ends(ruler, shortest);
-            if !self.drop_short_networks(ruler, shortest) {
-                return before - self.edges.len();
+            self.drop_loose_ends(ruler, shortest, token)?;
+            if !self.drop_short_networks(ruler, shortest, token)? {
+                return Ok(before - self.edges.len());
             }
         }
     }
 
-    fn drop_loose_ends(&mut self, ruler: Ruler<'_>, shortest: f64) {
+    fn drop_loose_ends(&mut self, ruler: Ruler<'_>, shortest: f64, token: &Token) -> Result<(), Stopped> {
         loop {
             let ends: Vec<u32> = self.around.iter().filter(|(_, l)| l.len() == 1).map(|(&v, _)| v).collect();
-            let mut loose: Vec<(f64, Vec<u32>)> = ends
-                .into_iter()
-                .map(|v| self.chain(v, self.around[&v][0]))
-                .map(|chain| (ruler.chain(&chain), chain))
-                .filter(|(length, chain)| *length < shortest && self.may_go(chain))
-                .collect();
+            let mut loose: Vec<(f64, Vec<u32>)> = Vec::new();
+            for v in ends {
+                token.check()?;
+                let chain = self.chain(v, self.around[&v][0]);
+                let length = ruler.chain(&chain);
+                if length < shortest && self.may_go(&chain) {
+                    loose.push((length, chain));
+                }
+            }
             // The shortest first, one at a time where they meet: what is left of a junction may be one long curve.
             loose.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)));
             let mut touched = std::collections::BTreeSet::new();
             let mut gone = 0;
             for (_, chain) in loose {
+                token.check()?;
                 let ends = [chain[0], chain[chain.len() - 1]];
                 if ends.iter().any(|v| touched.contains(v)) {
                     continue;
@@ -341,7 +361,7 @@ impl Graph {
                 gone += 1;
             }
             if gone == 0 {
-                break;
+                return Ok(());
             }
         }
     }
@@ -352,7 +372,7 @@ impl Graph {
 
     /// Takes networks out that are short or tangled; of such that are tangled since edges count that are bent but little,
     /// these edges alone. Returns whether there were any of those, so that what is left is to be looked at again.
-    fn drop_short_networks(&mut self, ruler: Ruler<'_>, shortest: f64) -> bool {
+    fn drop_short_networks(&mut self, ruler: Ruler<'_>, shortest: f64, token: &Token) -> Result<bool, Stopped> {
         let mut thinned = false;
         let mut seen = std::collections::BTreeSet::new();
         let starts: Vec<u32> = self.around.keys().copied().collect();
@@ -362,7 +382,9 @@ impl Graph {
             }
             let (mut stack, mut edges) = (vec![start], std::collections::BTreeSet::new());
             let mut ends = 0;
+            token.check()?;
             while let Some(v) = stack.pop() {
+                token.check_at(edges.len())?;
                 ends += if self.degree(v) == 2 { 0 } else { self.degree(v) };
                 for &u in self.around.get(&v).into_iter().flatten() {
                     edges.insert(edge(v, u));
@@ -393,13 +415,16 @@ impl Graph {
             };
             let bent = |e: &Edge| self.edges[e].angle;
             let gone: Vec<Edge> = edges.into_iter().filter(|e| bent(e) < gone || bent(e) == weakest).collect();
-            gone.into_iter().for_each(|e| self.remove(e));
+            for (k, e) in gone.into_iter().enumerate() {
+                token.check_at(64 * k)?;
+                self.remove(e);
+            }
         }
-        thinned
+        Ok(thinned)
     }
 
     /// The curves between corners, the corners, and how many of them have become part of others.
-    fn curves(&self, ruler: Ruler<'_>, near: Near) -> (Vec<Curve>, Vec<u32>, usize) {
+    fn curves(&self, ruler: Ruler<'_>, near: Near, token: &Token) -> Result<(Vec<Curve>, Vec<u32>, usize), Stopped> {
         let kind = |a: u32, b: u32| self.edges[&edge(a, b)].kind;
         let bend =
             |c: &[u32]| c.windows(2).map(|p| self.edges[&edge(p[0], p[1])].angle).sum::<f64>() / (c.len() - 1) as f64;
@@ -413,6 +438,7 @@ impl Graph {
         let mut done = std::collections::BTreeSet::new();
         let ends: Vec<u32> = corners.iter().copied().chain(self.around.keys().copied()).collect();
         for v in ends {
+            token.check()?;
             for &next in &self.around[&v] {
                 if done.contains(&edge(v, next)) {
                     continue;
@@ -422,7 +448,7 @@ impl Graph {
                     done.insert(edge(p[0], p[1]));
                 });
                 let closed = chain[0] == chain[chain.len() - 1] && !corners.contains(&v);
-                split(&chain, closed, kind(v, next), (ruler, near.reach), &mut corners, &mut curves);
+                split(&chain, closed, kind(v, next), (ruler, near.reach), (&mut corners, &mut curves), token)?;
             }
         }
         for curve in &mut curves {
@@ -431,9 +457,9 @@ impl Graph {
             let few = chain.len().min(END_EDGES + 1);
             curve.ends_deg = [bend(&chain[..few]), bend(&chain[chain.len() - few..])];
         }
-        let joined = near::join(&mut curves, &mut corners, ruler, near);
+        let joined = near::join(&mut curves, &mut corners, ruler, near, token)?;
         curves.sort_by(|a: &Curve, b| a.vertices.cmp(&b.vertices));
-        (curves, corners.into_iter().collect(), joined)
+        Ok((curves, corners.into_iter().collect(), joined))
     }
 
     fn chain_to(&self, v: u32, next: u32, corners: &std::collections::BTreeSet<u32>) -> Vec<u32> {
@@ -455,15 +481,15 @@ fn split(
     closed: bool,
     kind: CurveKind,
     (ruler, reach): (Ruler<'_>, f64),
-    corners: &mut std::collections::BTreeSet<u32>,
-    curves: &mut Vec<Curve>,
-) {
-    let turns = sharp_turns(chain, closed, ruler, reach);
+    (corners, curves): (&mut std::collections::BTreeSet<u32>, &mut Vec<Curve>),
+    token: &Token,
+) -> Result<(), Stopped> {
+    let turns = sharp_turns(chain, closed, (ruler, reach), token)?;
     let last = chain.len() - 1;
     if turns.is_empty() {
         let vertices = if closed { chain[..last].to_vec() } else { chain.to_vec() };
         curves.push(Curve { kind, vertices, closed, angle_deg: 0.0, ends_deg: [0.0; 2] });
-        return;
+        return Ok(());
     }
     corners.extend(turns.iter().map(|&k| chain[k]));
     let mut pieces: Vec<Vec<u32>> = Vec::new();
@@ -483,11 +509,17 @@ fn split(
         angle_deg: 0.0,
         ends_deg: [0.0; 2],
     }));
+    Ok(())
 }
 
 /// Places in a chain where it turns by more than [`CORNER_ANGLE`] between the points `reach` behind and
 /// ahead: the sharpest within each stretch of that length.
-fn sharp_turns(chain: &[u32], closed: bool, ruler: Ruler<'_>, reach: f64) -> Vec<usize> {
+fn sharp_turns(
+    chain: &[u32],
+    closed: bool,
+    (ruler, reach): (Ruler<'_>, f64),
+    token: &Token,
+) -> Result<Vec<usize>, Stopped> {
     let p: Vec<DVec3> = chain.iter().map(|&v| ruler.at(v)).collect();
     let last = p.len() - 1;
     let mut along = vec![0.0];
@@ -509,16 +541,19 @@ fn sharp_turns(chain: &[u32], closed: bool, ruler: Ruler<'_>, reach: f64) -> Vec
     };
     let mut found: Vec<(f64, usize)> = inner.map(|k| (cosine(k), k)).filter(|&(c, _)| c < limit).collect();
     found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let mut taken: Vec<usize> = Vec::new();
-    for (_, k) in found {
-        let apart = |j: usize| {
-            let d = (along[k] - along[j]).abs();
-            if closed { d.min(total - d) } else { d }
-        };
-        if taken.iter().all(|&j| apart(j) > reach) {
-            taken.push(k);
+    let apart = |j: usize, k: usize| {
+        let d = (along[k] - along[j]).abs();
+        if closed { d.min(total - d) } else { d }
+    };
+    // Arc length ascends with the place, so that of those taken only the next ones count, and round the end of a closed
+    // chain the first and the last.
+    let mut taken = std::collections::BTreeSet::new();
+    for (n, (_, k)) in found.into_iter().enumerate() {
+        token.check_at(n)?;
+        let beside = [taken.range(..=k).next_back(), taken.range(k..).next(), taken.first(), taken.last()];
+        if beside.into_iter().flatten().all(|&j| apart(j, k) > reach) {
+            taken.insert(k);
         }
     }
-    taken.sort_unstable();
-    taken
+    Ok(taken.into_iter().collect())
 }

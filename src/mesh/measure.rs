@@ -12,6 +12,7 @@ use super::adjacency::{Adjacency, EdgeKind};
 use super::closest_point::ClosestPoint;
 use super::disjoint::DisjointSets;
 use super::sample::sample;
+use crate::token::{Stopped, Token};
 use glam::DVec3;
 
 /// Topology of a surface.
@@ -100,23 +101,26 @@ pub fn topology_of(mesh: &TriMesh, adjacency: &Adjacency) -> Topology {
 /// Quality of `result` against `original`. Distances are taken from about 100,000 random points and all
 /// vertices of each side to the other surface.
 pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
-    quality_unless(original, None, result, &|| false).unwrap_or_default()
+    quality_unless(original, None, result, &Token::default()).unwrap_or_default()
 }
 
-/// As [`quality`], but `None` soon after `stop` says so. Who has something that answers for `original`, or for the same
+/// As [`quality`]. Who has something that answers for `original`, or for the same
 /// surface with its facets divided, saves the time to make it.
+///
+/// # Errors
+/// [`Stopped`].
 pub fn quality_unless(
     original: &TriMesh,
     closest: Option<ClosestPoint>,
     result: &TriMesh,
-    stop: &(dyn Fn() -> bool + Sync),
-) -> Option<Quality> {
+    token: &Token,
+) -> Result<Quality, Stopped> {
     let shapes = || {
         let adjacency = Adjacency::new(result);
         Quality { v567_percent: v567_percent(result, &adjacency), ..shape_quality(result, &adjacency) }
     };
-    let back = || rayon::join(shapes, || distances(result, original, closest, stop));
-    let (there, (mut quality, back)) = rayon::join(|| distances(original, result, None, stop), back);
+    let back = || rayon::join(shapes, || distances(result, original, closest, token));
+    let (there, (mut quality, back)) = rayon::join(|| distances(original, result, None, token), back);
     let (there, back) = (there?, back?);
     let (low, high) = original.bounds();
     // Scaled, so that the squares of a tiny or huge box stay within range.
@@ -124,7 +128,7 @@ pub fn quality_unless(
     let diagonal = ((high - low) / extent).length() * extent;
     quality.hausdorff_percent = 100.0 * there.0.max(back.0) / diagonal;
     quality.rms_percent = 100.0 * there.1.max(back.1) / diagonal;
-    Some(quality)
+    Ok(quality)
 }
 
 /// Q = (6/√3) S/(p h) of one triangle about one unit in size: 1 is equilateral, 0 has no area.
@@ -278,8 +282,8 @@ fn distances(
     from: &TriMesh,
     to: &TriMesh,
     closest: Option<ClosestPoint>,
-    stop: &(dyn Fn() -> bool + Sync),
-) -> Option<(f64, f64)> {
+    token: &Token,
+) -> Result<(f64, f64), Stopped> {
     let mut points: Vec<DVec3> = sample(from, None, SAMPLES, SAMPLE_SEED).iter().map(|s| s.position).collect();
     let drawn = points.len();
     let mut used = vec![false; from.positions().len()];
@@ -287,10 +291,12 @@ fn distances(
     let solid = from.facets().iter().enumerate().filter(|&(f, _)| !from.is_degenerate(f));
     solid.flat_map(|(_, corners)| corners).for_each(|&v| used[v as usize] = true);
     points.extend(from.positions().iter().zip(used).filter(|&(_, used)| used).map(|(&p, _)| p));
+    token.check()?;
     let target = closest.unwrap_or_else(|| ClosestPoint::new(to));
+    token.check()?;
     let (low, high) = to.bounds();
     let unit = (high - low).max_element();
-    let distances = target.distances(&points, stop)?;
+    let distances = target.distances(&points, token)?;
     let of_chunk = |(c, chunk): (usize, &[f64])| {
         let random = drawn.saturating_sub(c * CHUNK);
         let squares = chunk.iter().take(random).map(|d| (d / unit) * (d / unit));
@@ -298,7 +304,7 @@ fn distances(
     };
     let chunks = distances.chunks(CHUNK).enumerate().map(of_chunk);
     let (max, sum) = chunks.fold((0.0f64, 0.0), |(max, sum), (m, s)| (m.max(max), sum + s));
-    Some((max * unit, (sum / drawn as f64).sqrt() * unit))
+    Ok((max * unit, (sum / drawn as f64).sqrt() * unit))
 }
 
 #[cfg(test)]

@@ -14,8 +14,9 @@ use rayon::prelude::*;
 
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, unit};
-use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::coincident;
+use crate::token::{Stopped, Token};
 use sides::{Place, Sides};
 
 /// Where on the input surface a vertex of the result lies.
@@ -28,12 +29,12 @@ pub struct Provenance {
 }
 
 /// The closest point of the input to each of `positions`.
-pub fn provenance(closest: &ClosestPoint, positions: &[DVec3]) -> Vec<Provenance> {
-    let place = |p: &DVec3| {
-        let point = closest.project(*p);
-        Provenance { facet: point.facet, barycentric: point.barycentric }
-    };
-    positions.par_iter().map(place).collect()
+///
+/// # Errors
+/// [`Stopped`].
+pub fn provenance(closest: &ClosestPoint, positions: &[DVec3], token: &Token) -> Result<Vec<Provenance>, Stopped> {
+    let place = |p: SurfacePoint| Provenance { facet: p.facet, barycentric: p.barycentric };
+    Ok(closest.project_all(positions, token)?.into_iter().map(place).collect())
 }
 
 /// The attributes of `result`, whose vertices lie on `mesh` where `provenance` says. `closest` answers for
@@ -162,7 +163,7 @@ mod tests {
     fn attributes_of_another_mesh_are_refused() {
         let (mesh, other) = (Shape::Plane.build(500), Shape::Square.build(2));
         let closest = ClosestPoint::new(&mesh);
-        let places = provenance(&closest, other.positions());
+        let places = provenance(&closest, other.positions(), &Token::default()).unwrap();
         let wrong = carry(&mesh, &Attributes::new(&other), &closest, &other, &places);
         assert!(matches!(wrong, Err(AttributeError::OtherMesh { .. })));
         let short = carry(&mesh, &Attributes::new(&mesh), &closest, &other, &places[1..]);

@@ -20,6 +20,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::CurveKind;
 use crate::rvd::{Surface, dual};
+use crate::token::Token;
 
 /// What a result is made from.
 pub(super) struct Source<'a> {
@@ -33,6 +34,8 @@ pub(super) struct Source<'a> {
     pub(super) tolerance: Option<f64>,
     /// Whether seeds are added until nothing is missed.
     pub(super) adds: bool,
+    /// What works on a draft ends early where it is stopped, and leaves a triangulation that nobody may use.
+    pub(super) token: &'a Token,
 }
 
 /// The dual made a triangulation that may still change.
@@ -102,7 +105,8 @@ impl Source<'_> {
     /// The dual made a triangulation: repaired, its vertices placed, with the seed of each vertex.
     pub(super) fn draft(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Result<Draft, RemeshError> {
         let positions = self.vertex_positions(dual, seeds);
-        let repaired = repair::repair(&positions, &dual.triangles);
+        self.token.check()?;
+        let repaired = repair::repair(&positions, &dual.triangles, self.token)?;
         if repaired.facets.is_empty() {
             let too_few = RemeshError::TooFewSeeds { seeds: seeds.len() };
             return Err(if repair::all_cancel(self.surface.welded()) { RemeshError::NoThickness } else { too_few });
@@ -134,6 +138,7 @@ impl Source<'_> {
         if self.placement == Placement::Fitted {
             self.fit(&mut draft, &repaired.source, dual);
         }
+        self.token.check()?;
         Ok(draft)
     }
 
@@ -142,6 +147,7 @@ impl Source<'_> {
         let mut missed = 0;
         if let Some(mut fitted) = draft.fitted.take() {
             missed = self.mend(&mut draft, &mut fitted);
+            self.token.check()?;
             let frame = self.surface.frame();
             let moved = draft.positions.iter_mut().zip(fitted.positions).zip(&fitted.target.fixed);
             moved.filter(|(_, fixed)| !**fixed).for_each(|((p, u), _)| *p = frame.to_world(u));
@@ -160,16 +166,17 @@ impl Source<'_> {
         let absent = self.kept.missing(&draft.curve_edges, &draft.vertex_seed, |_| true);
         if !absent.is_empty() {
             let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
-            let mut bench = Bench::new(positions, &mut draft.facets, &rails, curves, &ground);
-            let there = absent.into_iter().filter(|&ends| regular::insert(&mut bench, ends)).count();
+            let mut bench = Bench::new(positions, &mut draft.facets, &rails, (curves, &ground), self.token);
+            let insert = |&ends: &[u32; 2]| !self.token.is_stopped() && regular::insert(&mut bench, ends);
+            let there = absent.into_iter().filter(insert).count();
             if there > 0 {
                 self.find_curves(draft);
                 self.polish(positions, draft, target, fences);
-                *far = fit::Far::of(positions, &draft.facets, target, self.tolerance).by_vertex;
+                *far = fit::Far::of(positions, &draft.facets, target, self.tolerance, self.token).by_vertex;
             }
         }
         let (rails, curves) = (rails(positions, &draft.curve_edges, &target.fixed), draft.curves());
-        let mut bench = Bench::new(positions, &mut draft.facets, &rails, curves, &ground);
+        let mut bench = Bench::new(positions, &mut draft.facets, &rails, (curves, &ground), self.token);
         // What is irregular has more room before its places are mended; some that has not then, has it after.
         let mut vain = Vain::default();
         let mut changed = regular::valences(&mut bench, &mut vain);
@@ -180,7 +187,7 @@ impl Source<'_> {
         }
         self.find_curves(draft);
         // Nothing gets farther by being mended, but what is nearest to a place may not be looked at any more.
-        fit::missed(positions, &draft.facets, target, self.tolerance).len().min(before)
+        fit::missed(positions, &draft.facets, target, self.tolerance, self.token).len().min(before)
     }
 
     /// Looks again which edges of curves there are, in facets' order.
@@ -193,7 +200,7 @@ impl Source<'_> {
         // Half of what the result may be off: chords between such places are off too.
         let off_curve = self.tolerance.map_or(f64::INFINITY, |tolerance| 0.5 * tolerance);
         let bounds = polish::Bounds { rails: &rails, fences, off_curve };
-        polish::polish(positions, &mut draft.facets, bounds, &curves);
+        polish::polish(positions, &mut draft.facets, bounds, &curves, self.token);
     }
 
     /// Where the dual's vertices go, caller's coordinates: a cell in one piece at its seed, which is
@@ -204,7 +211,7 @@ impl Source<'_> {
         let place = |c: &dual::Component| match &closest {
             _ if (c.seed as usize) < self.kept.seeds.len() && c.whole => self.kept.position(self.mesh, frame, c.seed),
             _ if self.placement == Placement::Centroids => frame.to_world(c.centroid),
-            Some(tree) if !c.whole => tree.project(frame.to_world(c.centroid)).position,
+            Some(tree) if !c.whole && !self.token.is_stopped() => tree.project(frame.to_world(c.centroid)).position,
             _ => frame.to_world(seeds[c.seed as usize]),
         };
         dual.components.iter().map(place).collect()
@@ -224,13 +231,14 @@ impl Source<'_> {
         let mut unit: Vec<DVec3> = draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect();
         // Seeds that are added bring edges to the curves; to hold these there as well would fold facets between them.
         let fences = Fences::new(&unit, &target.fixed, if self.adds { &[] } else { &target.curves });
-        fit::fit(&mut unit, &mut draft.facets, &target);
-        fences.restore(&mut unit, &draft.facets);
+        fit::fit(&mut unit, &mut draft.facets, &target, self.token);
+        fences.restore(&mut unit, &draft.facets, self.token);
         self.polish(&mut unit, draft, &target, &fences);
-        for v in fences.tighten(&mut unit, &draft.facets, &target.fixed) {
+        for v in fences.tighten(&mut unit, &draft.facets, &target.fixed, self.token) {
             target.fixed[v as usize] = false;
         }
-        let fit::Far { missed, deviation, by_vertex } = fit::Far::of(&unit, &draft.facets, &target, self.tolerance);
+        let fit::Far { missed, deviation, by_vertex } =
+            fit::Far::of(&unit, &draft.facets, &target, self.tolerance, self.token);
         let places = missed.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
         let lost = self.lost(draft);
         let room = roomy(&unit, &draft.facets, &target.fixed, lost.len());

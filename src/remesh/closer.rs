@@ -8,11 +8,9 @@
 //! Invariant: never more points than allowed; the result is the best of all rounds.
 //! Must not know: how a surface is made.
 
-use super::{Attempt, Job, Prepared, Refine, RemeshError, RemeshOptions, Seeds, prepare};
+use super::{Attempt, Job, Prepared, Refine, RemeshError, RemeshOptions, Seeds, enter, prepare};
 use crate::cvt::density::{DensityError, DensityOptions, DensitySource};
 use crate::mesh::closest_point::ClosestPoint;
-use crate::rvd::RvdError;
-use crate::token::Stopped;
 
 /// Remeshes with shorter edges, at most.
 const ROUNDS: usize = 5;
@@ -36,9 +34,8 @@ struct Far {
 
 impl Far {
     fn of(job: &mut Job<'_, '_>, attempt: &Attempt<'_>, tolerance: f64) -> Result<Self, RemeshError> {
-        let stop = || job.token.is_stopped();
         let tree = ClosestPoint::new(&attempt.built.mesh);
-        let mut distances = tree.distances(job.mesh.positions(), &stop).ok_or(RvdError::Stopped(Stopped::Cancelled))?;
+        let mut distances = tree.distances(job.mesh.positions(), job.token)?;
         let mut used = vec![false; distances.len()];
         let live = (0..job.mesh.facets().len()).filter(|&f| !job.mesh.is_degenerate(f));
         live.flat_map(|f| job.mesh.facets()[f]).for_each(|v| used[v as usize] = true);
@@ -91,7 +88,7 @@ pub(super) fn find<'a>(
     let mut options = RemeshOptions { refine: None, ..options.clone() };
     let attempt = job.attempt(prepared, &options, Some(tolerance))?;
     let begin = attempt.seeds.len();
-    let mut lengths = attempt.plan.lengths(job.mesh);
+    let mut lengths = attempt.plan.lengths(job.mesh, job.token)?;
     let far = Far::of(job, &attempt, tolerance)?;
     let mut best = Best { attempt, far, options: options.clone(), spent: 0 };
     // What the last result was like if it was not the best.
@@ -109,7 +106,7 @@ pub(super) fn find<'a>(
         let source = DensitySource::Sizes(lengths);
         options.density = DensityOptions { source, edge_length: None, adaptivity: 1.0, max_points, ..options.density };
         options.seeds = Seeds::Implied { seed };
-        job.observer.stage("prepare");
+        enter(job.observer, job.token, "prepare");
         let prepared = match prepare(job.mesh, &options, job.token) {
             Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => {
                 full = true;
@@ -119,7 +116,7 @@ pub(super) fn find<'a>(
             prepared => prepared?,
         };
         let next = job.attempt(prepared, &options, Some(tolerance))?;
-        lengths = next.plan.lengths(job.mesh);
+        lengths = next.plan.lengths(job.mesh, job.token)?;
         let far = Far::of(job, &next, tolerance)?;
         worse = best.offer(next, far, &options);
     }
@@ -128,7 +125,7 @@ pub(super) fn find<'a>(
         // The same again, and a few more.
         rounds += 1;
         let options = RemeshOptions { refine: Some(refine), ..best.options.clone() };
-        job.observer.stage("prepare");
+        enter(job.observer, job.token, "prepare");
         let next = job.attempt(prepare(job.mesh, &options, job.token)?, &options, Some(tolerance))?;
         let far = Far::of(job, &next, tolerance)?;
         best.offer(next, far, &options);

@@ -22,6 +22,7 @@ use crate::mesh::edges::{EdgeGroups, Half};
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
 use crate::mesh::sample::spread;
 use crate::rvd::{Frame, Surface};
+use crate::token::{Stopped, Token};
 
 /// A crease by angle that ends freely within so many edge lengths is noise of a scan, or a fold that fades out.
 const SHORTEST: f64 = 8.0;
@@ -41,6 +42,9 @@ const ACUTE_LIMIT: f64 = 0.3;
 /// than an edge has no others, and would lose its width without them.
 const LARGEST_SHARE: f64 = 0.6;
 
+/// Curves that would need so many times the seeds are given up before any is placed.
+const MOST_SEEDS: usize = 16;
+
 /// The cells of a curve's seeds reach this share of their spacing to either side, about: what lies beyond is the others'. With
 /// more, seeds would be too few between two curves that are close, and no step takes a seed across a curve.
 const OWN: f64 = 0.5;
@@ -56,9 +60,9 @@ fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
 }
 
 /// Edges of a mesh as those of another one, which has the same vertices first and some edges in halves.
-fn subdivided(mesh: &TriMesh, edges: &[[u32; 2]]) -> Vec<[u32; 2]> {
+fn subdivided(mesh: &TriMesh, edges: &[[u32; 2]], token: &Token) -> Result<Vec<[u32; 2]>, Stopped> {
     if edges.is_empty() {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let class = weld(mesh);
     let sorted = |a: u32, b: u32| [a.min(b), a.max(b)];
@@ -73,13 +77,14 @@ fn subdivided(mesh: &TriMesh, edges: &[[u32; 2]]) -> Vec<[u32; 2]> {
     let mut stack: Vec<[u32; 2]> = edges.iter().rev().map(|e| e.map(|v| class[v as usize])).collect();
     let mut found = Vec::new();
     while let Some([a, b]) = stack.pop() {
+        token.check_at(found.len())?;
         let middle = mesh.positions()[a as usize] * 0.5 + mesh.positions()[b as usize] * 0.5;
         match at.get(&key(middle)) {
             Some(&m) if !there.contains(&sorted(a, b)) && m != a && m != b => stack.extend([[m, b], [a, m]]),
             _ => found.push([a, b]),
         }
     }
-    found
+    Ok(found)
 }
 
 /// Curves and their seeds.
@@ -98,8 +103,9 @@ impl Kept {
         plan: &Plan<'_>,
         surface: &Surface,
         options: &RemeshOptions,
+        token: &Token,
     ) -> Result<Self, RemeshError> {
-        Features::check(mesh, options.crease_angle_deg, &options.creases)?;
+        Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
         if matches!(options.seeds, Seeds::Given(_)) {
             return Ok(Self::default());
         }
@@ -114,7 +120,7 @@ impl Kept {
         let softer = options.crease_angle_deg <= RemeshOptions::CREASE_ANGLE_DEG;
         let mut wish = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
-            given: subdivided(&plan.mesh, &options.creases),
+            given: subdivided(&plan.mesh, &options.creases, token)?,
             shortest: SHORTEST * scale,
             reach: REACH * scale,
             alone: if softer { ALONE * scale } else { 0.0 },
@@ -123,28 +129,33 @@ impl Kept {
         };
         let mut given_up = 0;
         loop {
-            let mut features = Features::find(&plan.mesh, surface.positions(), &wish)?;
+            let mut features = Features::find(&plan.mesh, surface.positions(), &wish, token)?;
             if !options.keep_boundaries {
                 features.retain(|_, c| c.kind != CurveKind::Boundary);
             }
             let edge = edge_length(surface, &features, points);
-            let mut seeds = CurveSeeds::place(surface, &features, edge);
-            loop {
-                let crowded = seeds.crowded(&features);
+            let creases = |features: &Features| features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
+            let share = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
+            // What is given up as crowded makes room, but not as much as that.
+            let most = points.saturating_mul(MOST_SEEDS).saturating_add(1000);
+            let mut placed = CurveSeeds::place(surface, &features, edge, most, token)?;
+            while let Some(seeds) = &placed {
+                let crowded = seeds.crowded(&features, token)?;
                 if crowded.is_empty() {
                     break;
                 }
                 given_up += crowded.len();
                 features.retain(|k, _| !crowded.contains(&(k as u32)));
-                seeds = CurveSeeds::place(surface, &features, edge);
+                placed = CurveSeeds::place(surface, &features, edge, most, token)?;
             }
-            seeds.follow_bends();
-            seeds.face_others(|c| features.curves[c as usize].kind == CurveKind::Boundary);
-            let creases = features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
-            let share = if creases == 0 { 1.0 } else { LARGEST_SHARE };
-            if seeds.len() as f64 <= share * points as f64 {
-                return Ok(Self { features, seeds, given_up });
+            if let Some(mut seeds) = placed {
+                seeds.follow_bends(token)?;
+                seeds.face_others(|c| features.curves[c as usize].kind == CurveKind::Boundary, token)?;
+                if seeds.len() as f64 <= share(creases(&features)) * points as f64 {
+                    return Ok(Self { features, seeds, given_up });
+                }
             }
+            let creases = creases(&features);
             if wish.alone > 0.0 {
                 wish.alone = 0.0;
                 continue;

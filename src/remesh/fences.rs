@@ -13,6 +13,7 @@ use glam::DVec3;
 use super::around::Around;
 use super::fit::CurveSample;
 use super::polish::score;
+use crate::token::Token;
 
 /// A vertex that went too far goes back by these shares of its way.
 const BACK: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
@@ -205,7 +206,13 @@ impl Fences {
     /// Moves vertices whose edges are farther from their curves than they should be a little, to where they are nearer;
     /// corners less, and only those of boundaries, whose teeth may be narrower than an edge is long. Returns the corners
     /// that moved.
-    pub(super) fn tighten(&self, positions: &mut [DVec3], facets: &[[u32; 3]], fixed: &[bool]) -> Vec<u32> {
+    pub(super) fn tighten(
+        &self,
+        positions: &mut [DVec3],
+        facets: &[[u32; 3]],
+        fixed: &[bool],
+        token: &Token,
+    ) -> Vec<u32> {
         let vertices: Vec<u32> = (0..self.start.len() as u32).filter(|&v| !self.sides(v).is_empty()).collect();
         let far = |positions: &[DVec3], v: u32| self.excess(positions, v, positions[v as usize]);
         if vertices.iter().all(|&v| far(positions, v) <= 1.0) {
@@ -225,6 +232,9 @@ impl Fences {
         for _ in 0..TIGHTENINGS {
             let mut any = false;
             for &v in &vertices {
+                if token.is_stopped() {
+                    return moved;
+                }
                 let here = positions[v as usize];
                 let mut best = (self.excess(positions, v, here), here);
                 if best.0 <= 1.0 || fixed[v as usize] && !on_boundary(around.of(v), facets, v) {
@@ -265,7 +275,7 @@ impl Fences {
     }
 
     /// Brings vertices that went too far back on their way, as far as no facet turns by it.
-    pub(super) fn restore(&self, positions: &mut [DVec3], facets: &[[u32; 3]]) {
+    pub(super) fn restore(&self, positions: &mut [DVec3], facets: &[[u32; 3]], token: &Token) {
         let around = Around::new(positions.len(), facets);
         let turns = |positions: &[DVec3], v: u32, p: DVec3| {
             around.of(v).iter().map(|&f| &facets[f as usize]).any(|t| {
@@ -279,6 +289,9 @@ impl Fences {
             for v in 0..self.start.len() as u32 {
                 if self.sides(v).is_empty() {
                     continue;
+                }
+                if token.is_stopped() {
+                    return;
                 }
                 let here = positions[v as usize];
                 let mut best = (self.share(positions, v, here), here);
@@ -318,7 +331,7 @@ mod tests {
         moved[3] *= 5.0;
         assert!(fences.allow(&start, 3, 9.0 * DVec3::Y), "who is on no curve may go anywhere");
         assert!(!fences.allow(&start, 1, moved[1]) && fences.allow(&start, 1, DVec3::new(1.05, 0.05, 0.0)));
-        fences.restore(&mut moved, &[]);
+        fences.restore(&mut moved, &[], &Token::default());
         // Back by three quarters of its way, one of the steps.
         assert!(moved[1].distance(DVec3::new(1.025, 0.075, 0.0)) < 1e-12, "{}", moved[1]);
         assert_eq!(moved[3], 5.0 * DVec3::Y);
@@ -368,15 +381,15 @@ mod tests {
         let tooth = |at: &[DVec3; 5]| off(DVec3::new(0.6, -0.06, 0.0), [at[0], at[1]]);
         let (open, closed) = ([[0, 1, 3], [1, 2, 3]], [[0, 1, 3], [1, 2, 3], [1, 0, 4], [2, 1, 4]]);
         let mut free = start;
-        assert!(fences.tighten(&mut free, &open, &[false; 5]).is_empty());
+        assert!(fences.tighten(&mut free, &open, &[false; 5], &Token::default()).is_empty());
         assert!(tooth(&free) < 0.7 * tooth(&start), "{free:?}");
         let mut corners = start;
-        let moved = fences.tighten(&mut corners, &open, &[true; 5]);
+        let moved = fences.tighten(&mut corners, &open, &[true; 5], &Token::default());
         assert!(!moved.is_empty() && tooth(&corners) < 0.9 * tooth(&start), "{corners:?}");
         // Of the edge as it is by then, a little longer.
         assert!((0..5).all(|v| corners[v].distance(start[v]) <= CORNER_REACH * 1.1), "{corners:?}");
         let mut inside = start;
-        assert!(!fences.tighten(&mut inside, &closed, &[true; 5]).contains(&1));
+        assert!(!fences.tighten(&mut inside, &closed, &[true; 5], &Token::default()).contains(&1));
         assert_eq!(inside[1], start[1]);
     }
 }

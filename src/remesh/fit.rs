@@ -22,6 +22,7 @@ use super::around::Around;
 use super::flips;
 use super::grouped::Grouped;
 use super::tips::{Offset, Offsets, Tip};
+use crate::token::Token;
 use equations::Equations;
 pub(super) use far::{Far, missed};
 use region::Region;
@@ -73,19 +74,22 @@ pub(super) const TIP: f64 = 0.08;
 /// and pulls a vertex that is not farther away than this share of it.
 const TIP_REACH: f64 = 0.75;
 
-/// Moves `positions`, and turns edges that lie across a ridge.
-pub(super) fn fit(positions: &mut [DVec3], facets: &mut [[u32; 3]], target: &Target) {
+/// Moves `positions`, and turns edges that lie across a ridge. Ends early where `token` is stopped.
+pub(super) fn fit(positions: &mut [DVec3], facets: &mut [[u32; 3]], target: &Target, token: &Token) {
     let mut around = Around::new(positions.len(), facets);
     let first: Vec<Facet> = facets.par_iter().map(|&t| Facet::of(positions, t)).collect();
     let mut state = State { start: positions.to_vec(), first, pulls: Vec::new() };
     let everywhere = Region::everywhere(positions.len(), facets.len());
     for _ in 0..ROUNDS {
-        state.round(positions, facets, &around, target, &everywhere);
+        state.round(positions, facets, &around, (target, &everywhere), token);
     }
-    let mut offsets = Offsets::new(positions, facets, &around, &target.tips);
+    let mut offsets = Offsets::new(positions, facets, &around, &target.tips, token);
     let curves: HashSet<[u32; 2]> = target.curves.iter().map(|s| flips::sorted(s.edge)).collect();
     for _ in 0..TIP_ROUNDS {
-        let flipped = flips::along_ridges(positions, facets, &around, &offsets, &curves);
+        if token.is_stopped() {
+            return;
+        }
+        let flipped = flips::along_ridges(positions, facets, &around, &offsets, &curves, token);
         if !flipped.is_empty() {
             around = Around::new(positions.len(), facets);
             flipped.iter().for_each(|&f| state.first[f as usize] = Facet::of(positions, facets[f as usize]));
@@ -97,8 +101,8 @@ pub(super) fn fit(positions: &mut [DVec3], facets: &mut [[u32; 3]], target: &Tar
             break;
         }
         let region = Region::around_of(front, positions.len(), facets, &around);
-        state.round(positions, facets, &around, target, &region);
-        offsets.look(positions, facets, &around, |v| region.reaches(v));
+        state.round(positions, facets, &around, (target, &region), token);
+        offsets.look(positions, facets, &around, |v| region.reaches(v), token);
     }
 }
 
@@ -112,9 +116,19 @@ struct State {
 
 impl State {
     /// Moves the vertices of a region once.
-    fn round(&self, positions: &mut [DVec3], facets: &[[u32; 3]], around: &Around, target: &Target, region: &Region) {
+    fn round(
+        &self,
+        positions: &mut [DVec3],
+        facets: &[[u32; 3]],
+        around: &Around,
+        (target, region): (&Target, &Region),
+        token: &Token,
+    ) {
         let draft = Draft { positions, facets, around };
-        let mut moves = Equations::new(&draft, target, region, &self.start, &self.pulls).solve();
+        let mut moves = Equations::new(&draft, target, region, (&self.start, &self.pulls), token).solve(token);
+        if token.is_stopped() {
+            return;
+        }
         restrain(&draft, &self.first, region, &mut moves);
         region.inside().for_each(|v| positions[v as usize] += moves[v as usize]);
     }

@@ -18,6 +18,7 @@ use super::polish::score;
 use super::tips::{Offset, Offsets};
 use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::measure::{facet_quality, least_angle};
+use crate::token::Token;
 
 /// A tip comes nearer by at least this factor.
 const GAIN: f64 = 0.8;
@@ -26,6 +27,9 @@ const LEAST_SHAPE: f64 = 0.63;
 const LEAST_ANGLE: f64 = 35.0;
 const LEAST_COSINE: f64 = 0.3;
 
+/// A vertex of more facets than these is looked at by a set, not by comparing each with each.
+const MANY: usize = 64;
+
 /// Turns edges that are not in `curves` (lower end first); returns the facets that changed.
 pub(super) fn along_ridges(
     positions: &[DVec3],
@@ -33,15 +37,22 @@ pub(super) fn along_ridges(
     around: &Around,
     offsets: &Offsets<'_>,
     curves: &HashSet<[u32; 2]>,
+    token: &Token,
 ) -> Vec<u32> {
     let far = offsets.far(|o| o.share > TIP);
     let mut touched = vec![false; facets.len()];
     let patch = Patch { positions, facets, around };
     // What would be best for each if nothing else changed.
-    let wish = |(k, o): &(usize, Offset)| patch.best(offsets.place(*k), o.facet, curves, &touched);
+    let wish = |(k, o): &(usize, Offset)| match token.is_stopped() {
+        true => None,
+        false => patch.best(offsets.place(*k), o.facet, curves, &touched),
+    };
     let wishes: Vec<Option<Turn>> = far.par_iter().map(wish).collect();
     let mut changed = Vec::new();
     for ((k, o), wish) in far.into_iter().zip(wishes) {
+        if token.is_stopped() {
+            break;
+        }
         let stands =
             !touched[o.facet as usize] && wish.is_none_or(|t| !touched[t.0 as usize] && !touched[t.1 as usize]);
         let patch = Patch { positions, facets, around };
@@ -64,6 +75,7 @@ pub(super) fn for_angles(
     around: &Around,
     curves: &HashSet<[u32; 2]>,
     goal: f64,
+    token: &Token,
 ) -> bool {
     let angle = |t: &[u32; 3]| score(t.map(|v| positions[v as usize]));
     let angles = facets.par_iter().enumerate().map(|(f, t)| (angle(t), f as u32));
@@ -72,6 +84,9 @@ pub(super) fn for_angles(
     let mut touched = vec![false; facets.len()];
     let mut changed = false;
     for (_, f) in poor {
+        if token.is_stopped() {
+            break;
+        }
         let patch = Patch { positions, facets, around };
         let turns = (0..3).filter_map(|e| patch.turn(f, e, curves, &touched));
         let gain = |t: &Turn| {
@@ -138,7 +153,9 @@ impl Patch<'_> {
         let (a, b, c) = (t[e], t[(e + 1) % 3], t[(e + 2) % 3]);
         let other =
             |&&g: &&u32| (0..3).any(|k| self.facets[g as usize][k] == b && self.facets[g as usize][(k + 1) % 3] == a);
-        let &g = self.around.of(a).iter().find(other)?;
+        // Both ends have it; one of them may have very many.
+        let end = if self.around.of(a).len() <= self.around.of(b).len() { a } else { b };
+        let &g = self.around.of(end).iter().find(other)?;
         let d = *self.facets[g as usize].iter().find(|&&v| v != a && v != b)?;
         // Those of a boundary have no valence to keep.
         let lose = |v: u32| self.around.of(v).len() > 5 || self.is_on_rim(v);
@@ -146,7 +163,8 @@ impl Patch<'_> {
         if touched[f as usize] || touched[g as usize] || !(lose(a) && lose(b) && win(c) && win(d)) {
             return None;
         }
-        let joined = self.around.of(c).iter().any(|&h| self.facets[h as usize].contains(&d));
+        let (few, other) = if self.around.of(c).len() <= self.around.of(d).len() { (c, d) } else { (d, c) };
+        let joined = self.around.of(few).iter().any(|&h| self.facets[h as usize].contains(&other));
         if joined || curves.contains(&sorted([a, b])) {
             return None;
         }
@@ -167,7 +185,11 @@ impl Patch<'_> {
             let t = self.facets[*f as usize];
             (0..3).find(|&k| t[k] == v).map(|k| t[(k + by) % 3])
         };
-        around.iter().any(|f| !around.iter().any(|g| after(g, 2) == after(f, 1)))
+        if around.len() <= MANY {
+            return around.iter().any(|f| !around.iter().any(|g| after(g, 2) == after(f, 1)));
+        }
+        let before: HashSet<Option<u32>> = around.iter().map(|g| after(g, 2)).collect();
+        around.iter().any(|f| !before.contains(&after(f, 1)))
     }
 
     fn is_fine(&self, turn: &Turn) -> bool {

@@ -17,6 +17,7 @@ use super::ground::Ground;
 use super::patch::{LEAST, Patch, Scene, distance_at};
 use super::polish::Rail;
 use super::stars::Stars;
+use crate::token::Token;
 
 /// Places nearer than this share of an edge are left alone,
 const FAR: f64 = 0.06;
@@ -90,6 +91,7 @@ pub(super) struct Bench<'a> {
     /// Patches that were put back so far, and by vertex the last of them that it was in; 0 if it was in none.
     edits: u32,
     edited: Vec<u32>,
+    token: &'a Token,
 }
 
 impl<'a> Bench<'a> {
@@ -98,19 +100,19 @@ impl<'a> Bench<'a> {
         positions: &'a mut [DVec3],
         facets: &'a mut [[u32; 3]],
         rails: &[Rail],
-        curves: HashSet<[u32; 2]>,
-        ground: &'a Ground<'a>,
+        (curves, ground): (HashSet<[u32; 2]>, &'a Ground<'a>),
+        token: &'a Token,
     ) -> Self {
         let around = Around::new(positions.len(), facets);
         let on_rim = on_rim(facets, &around, positions.len());
         let free = rails.iter().zip(&on_rim).map(|(r, rim)| *r == Rail::Free && !rim).collect();
         let edited = vec![0; positions.len()];
-        Self { positions, facets, stars: Stars::new(around), ground, free, on_rim, curves, edits: 0, edited }
+        Self { positions, facets, stars: Stars::new(around), ground, free, on_rim, curves, edits: 0, edited, token }
     }
 
     pub(super) fn scene(&self) -> Scene<'_> {
-        let Self { positions, facets, stars, ground, free, on_rim, curves, .. } = self;
-        Scene { positions, facets, stars, ground, free, on_rim, curves }
+        let Self { positions, facets, stars, ground, free, on_rim, curves, token, .. } = self;
+        Scene { positions, facets, stars, ground, free, on_rim, curves, token }
     }
 
     pub(super) fn put_back(&mut self, patch: &Patch) {
@@ -136,7 +138,7 @@ impl<'a> Bench<'a> {
     ) -> usize {
         let mut done = 0;
         let mut waiting = middles.to_vec();
-        while !waiting.is_empty() {
+        while !waiting.is_empty() && !self.token.is_stopped() {
             let next = self.take_apart(&mut waiting, vain);
             let scene = self.scene();
             let made: Vec<Option<Patch>> = next.par_iter().with_max_len(1).map(|&v| better(&scene, v)).collect();
@@ -196,14 +198,14 @@ impl<'a> Bench<'a> {
         let (mut left, mut failures, mut mended) = (PLACES + (SHARE * far.len() as f64) as usize, 0, 0);
         while let Some(place) = heap.pop() {
             let floor = failed.iter().map(|failed| ENOUGH * failed.far).fold(0.0, f64::max);
-            if place.far < floor || left == 0 || failures == FAILURES {
+            if place.far < floor || left == 0 || failures == FAILURES || self.token.is_stopped() {
                 break;
             }
             let v = place.vertex;
             if self.is_vain(v, &vain) {
                 continue;
             }
-            let patch = Patch::around(&self.scene(), v);
+            let Some(patch) = Patch::around(&self.scene(), v) else { continue };
             let now = patch.distance();
             if now.middle < FAR * patch.edge() {
                 continue;
@@ -269,6 +271,9 @@ fn first_places(scene: &Scene<'_>, far: &[f64]) -> BinaryHeap<Place> {
 /// Those of some vertices around which the result is far from the input.
 fn places(scene: &Scene<'_>, vertices: Vec<u32>) -> impl Iterator<Item = Place> + use<> {
     let of = |vertex: u32| {
+        if scene.token.is_stopped() {
+            return None;
+        }
         let (far, edge) = distance_at(scene, vertex);
         (far > FAR * edge).then_some(Place { far, vertex })
     };
@@ -340,7 +345,9 @@ fn on_rim(facets: &[[u32; 3]], around: &Around, vertices: usize) -> Vec<bool> {
                 let t = facets[*f as usize];
                 (0..3).any(|k| t[k] == b && t[(k + 1) % 3] == a)
             };
-            if !around.of(a).iter().any(runs_back) {
+            // Both ends have it; one of them may have very many.
+            let end = if around.of(a).len() <= around.of(b).len() { a } else { b };
+            if !around.of(end).iter().any(runs_back) {
                 rim[a as usize] = true;
                 rim[b as usize] = true;
             }

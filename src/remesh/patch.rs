@@ -20,6 +20,7 @@ use view::View;
 use super::ground::Ground;
 use super::stars::Stars;
 use crate::mesh::measure::{facet_quality, least_angle};
+use crate::token::Token;
 
 /// What facets of a patch are to have: the smallest angle, degrees, and [`SHAPE`] times Q if that is less.
 pub(super) const LEAST: f64 = 34.3;
@@ -41,6 +42,10 @@ const LONG: f64 = 0.3;
 const BESIDE: f64 = 0.65;
 /// Directions of a step beside up and down.
 const DIRECTIONS: usize = 8;
+
+/// A patch is no larger: it knows the distance of each of its facets from each vertex of the input there, and is copied for each
+/// change that is tried. Vertices with seven neighbours have patches of sixty facets.
+const MOST_FACETS: usize = 512;
 
 /// See the module's head. Vertices and facets have numbers of the patch's own; the middle vertex is `middle`.
 #[derive(Clone)]
@@ -73,6 +78,7 @@ pub(super) struct Patch {
     apart: Vec<f64>,
     /// The input, which clones have together.
     rocks: Arc<Rocks>,
+    token: Token,
 }
 
 /// How far a patch is from the input.
@@ -97,6 +103,8 @@ pub(super) struct Scene<'a> {
     pub(super) on_rim: &'a [bool],
     /// Edges of curves, lower end first.
     pub(super) curves: &'a std::collections::HashSet<[u32; 2]>,
+    /// Patches change no more where it is stopped, and are then of no use.
+    pub(super) token: &'a Token,
 }
 
 impl Scene<'_> {
@@ -116,7 +124,8 @@ fn score(corners: [DVec3; 3]) -> f64 {
 }
 
 impl Patch {
-    pub(super) fn around(scene: &Scene<'_>, middle: u32) -> Self {
+    /// The patch around `middle`; `None` if that has more than [`MOST_FACETS`], as around the middle of a fan of thousands.
+    pub(super) fn around(scene: &Scene<'_>, middle: u32) -> Option<Self> {
         let stars = scene.stars;
         let star = |v: u32| stars.of(v).iter().copied();
         let mut inner: Vec<u32> = star(middle).flat_map(|f| scene.facets[f as usize]).collect();
@@ -125,6 +134,9 @@ impl Patch {
         let mut facet_ids: Vec<u32> = inner.iter().flat_map(|&v| star(v)).collect();
         facet_ids.sort_unstable();
         facet_ids.dedup();
+        if facet_ids.len() > MOST_FACETS {
+            return None;
+        }
         let mut vertices: Vec<u32> = facet_ids.iter().flat_map(|&f| scene.facets[f as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();
@@ -164,10 +176,11 @@ impl Patch {
             tips: Vec::new(),
             apart: Vec::new(),
             rocks: Arc::new(Rocks::new(std::iter::empty())),
+            token: scene.token.clone(),
             vertices,
         };
         patch.look_at(scene);
-        patch
+        Some(patch)
     }
 
     /// Takes in the input.
@@ -413,6 +426,9 @@ impl Patch {
         for _ in 0..sweeps {
             let mut tried = false;
             for &v in &order {
+                if self.token.is_stopped() {
+                    return;
+                }
                 if self.halved[v] < HALVINGS {
                     tried = true;
                     let step = STEP * self.edge * 0.5f64.powi(self.halved[v]);

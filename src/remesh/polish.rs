@@ -16,6 +16,7 @@ use super::around::Around;
 use super::fences::Fences;
 use super::flips;
 use crate::mesh::measure::{facet_quality, is_wide, least_angle};
+use crate::token::Token;
 
 /// How a vertex may move.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,21 +67,34 @@ pub(super) struct Bounds<'a> {
     pub(super) off_curve: f64,
 }
 
-/// Improves the worst facets; edges in `curves` (lower end first) stay.
-pub(super) fn polish(positions: &mut [DVec3], facets: &mut [[u32; 3]], bounds: Bounds<'_>, curves: &HashSet<[u32; 2]>) {
+/// Improves the worst facets; edges in `curves` (lower end first) stay. Ends early where `token` is stopped.
+pub(super) fn polish(
+    positions: &mut [DVec3],
+    facets: &mut [[u32; 3]],
+    bounds: Bounds<'_>,
+    curves: &HashSet<[u32; 2]>,
+    token: &Token,
+) {
     let start = positions.to_vec();
     for _ in 0..TURNS {
         let around = Around::new(positions.len(), facets);
-        move_vertices(positions, &start, facets, &around, bounds);
-        if !flips::for_angles(positions, facets, &around, curves, GOAL) {
+        move_vertices(positions, &start, facets, &around, bounds, token);
+        if token.is_stopped() || !flips::for_angles(positions, facets, &around, curves, GOAL, token) {
             return;
         }
     }
     let around = Around::new(positions.len(), facets);
-    move_vertices(positions, &start, facets, &around, bounds);
+    move_vertices(positions, &start, facets, &around, bounds, token);
 }
 
-fn move_vertices(positions: &mut [DVec3], start: &[DVec3], facets: &[[u32; 3]], around: &Around, bounds: Bounds<'_>) {
+fn move_vertices(
+    positions: &mut [DVec3],
+    start: &[DVec3],
+    facets: &[[u32; 3]],
+    around: &Around,
+    bounds: Bounds<'_>,
+    token: &Token,
+) {
     let normals: Vec<DVec3> = facets.par_iter().map(|t| normal(t.map(|v| positions[v as usize]))).collect();
     let poor = |positions: &[DVec3], t: &[u32; 3]| score(t.map(|v| positions[v as usize])) < GOAL;
     let mut vertices: Vec<u32> = facets.par_iter().filter(|t| poor(positions, t)).flat_map_iter(|t| *t).collect();
@@ -98,6 +112,9 @@ fn move_vertices(positions: &mut [DVec3], start: &[DVec3], facets: &[[u32; 3]], 
         for &v in &vertices {
             if !std::mem::replace(&mut is_due[v as usize], false) {
                 continue;
+            }
+            if token.is_stopped() {
+                return;
             }
             let star = Star { around: around.of(v), facets, normals: &normals, v };
             if star.improve(positions, start, bounds) {
@@ -236,13 +253,13 @@ mod tests {
         fn within<'a>(rails: &'a [Rail], fences: &'a Fences, off_curve: f64) -> Bounds<'a> {
             Bounds { rails, fences, off_curve }
         }
-        polish(&mut still, &mut facets, within(&rails, &fences, f64::INFINITY), &none);
+        polish(&mut still, &mut facets, within(&rails, &fences, f64::INFINITY), &none, &Token::default());
         assert!(still.iter().zip(&positions).all(|(p, q)| p.distance(*q) < 0.1), "corners have a tolerance");
         let mut stiller = positions.clone();
-        polish(&mut stiller, &mut facets, within(&rails, &fences, 0.01), &none);
+        polish(&mut stiller, &mut facets, within(&rails, &fences, 0.01), &none, &Token::default());
         assert!(stiller.iter().zip(&positions).all(|(p, q)| p.distance(*q) <= 0.01), "and no more than that");
         rails[0] = Rail::Free;
-        polish(&mut positions, &mut facets, within(&rails, &fences, f64::INFINITY), &none);
+        polish(&mut positions, &mut facets, within(&rails, &fences, f64::INFINITY), &none, &Token::default());
         assert!(worst(&positions) > before + 5.0, "{} after {before}", worst(&positions));
         assert!(positions[0].distance(first) < 0.35);
         assert_eq!(positions[0].z, 0.0);

@@ -26,7 +26,7 @@ const MOST: usize = 500;
 
 /// Puts the edge between two vertices in, if turning two edges does it, and keeps it. Returns whether it is there.
 pub(super) fn insert(bench: &mut Bench<'_>, ends: [u32; 2]) -> bool {
-    let patch = Patch::around(&bench.scene(), ends[0]);
+    let Some(patch) = Patch::around(&bench.scene(), ends[0]) else { return false };
     let (least, sharpest) = (patch.worst().min(LEAST_AT_CURVES), patch.sharpest());
     let mut joined = Vec::new();
     let mut join = |patch: &Patch| {
@@ -76,7 +76,7 @@ pub(super) fn valences(bench: &mut Bench<'_>, vain: &mut Vain) -> usize {
 
 /// The patch around a vertex after an edge was turned for its valence.
 fn more_regular(scene: &Scene<'_>, v: u32) -> Option<Patch> {
-    let patch = Patch::around(scene, v);
+    let patch = Patch::around(scene, v)?;
     if patch.is_regular() {
         return None;
     }

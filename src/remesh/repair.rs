@@ -17,6 +17,7 @@ use super::report::RepairFigures;
 use crate::mesh::coincident;
 use crate::mesh::disjoint::DisjointSets;
 use crate::mesh::edges::{EdgeGroups, Half};
+use crate::token::{Stopped, Token};
 
 /// A repaired triangulation.
 #[derive(Clone, Debug, Default)]
@@ -37,7 +38,10 @@ pub struct Repaired {
 }
 
 /// Repairs `triangles` over `positions`.
-pub fn repair(positions: &[DVec3], triangles: &[[u32; 3]]) -> Repaired {
+///
+/// # Errors
+/// [`Stopped`].
+pub fn repair(positions: &[DVec3], triangles: &[[u32; 3]], token: &Token) -> Result<Repaired, Stopped> {
     let mut figures = RepairFigures::default();
     let mut facets = simple_facets(triangles, &mut figures);
     let mut places = positions.to_vec();
@@ -47,10 +51,13 @@ pub fn repair(positions: &[DVec3], triangles: &[[u32; 3]]) -> Repaired {
         if quarrels.is_empty() || !part_sheets(&mut places, &mut source, &mut facets) {
             break;
         }
+        token.check()?;
         quarrels = quarrelling(places.len(), &facets);
     }
+    token.check()?;
     let facets = oriented(&places, facets, quarrels, &mut figures);
-    split_fans(&places, &source, facets, figures)
+    token.check()?;
+    Ok(split_fans(&places, &source, facets, figures))
 }
 
 /// Whether each of these triangles lies back to back with another.
@@ -284,21 +291,21 @@ mod tests {
     #[test]
     fn a_tetrahedron_is_left_alone() {
         let facets = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]];
-        let out = repair(&points(4), &facets);
+        let out = repair(&points(4), &facets, &Token::default()).unwrap();
         assert_eq!((out.facets.as_slice(), out.source), (&facets[..], vec![0, 1, 2, 3]));
         assert_eq!(out.figures, RepairFigures::default());
     }
 
     #[test]
     fn duplicates_and_degenerates_go() {
-        let out = repair(&points(4), &[[0, 1, 2], [1, 2, 0], [3, 3, 1]]);
+        let out = repair(&points(4), &[[0, 1, 2], [1, 2, 0], [3, 3, 1]], &Token::default()).unwrap();
         assert_eq!(out.facets, [[0, 1, 2]]);
         assert_eq!((out.figures.duplicate_facets, out.figures.degenerate_facets), (1, 1));
     }
 
     #[test]
     fn of_a_fold_one_facet_is_left() {
-        let out = repair(&points(4), &[[0, 1, 2], [0, 2, 1], [1, 2, 0]]);
+        let out = repair(&points(4), &[[0, 1, 2], [0, 2, 1], [1, 2, 0]], &Token::default()).unwrap();
         assert_eq!(out.facets, [[0, 1, 2]]);
         assert_eq!((out.figures.closed_pockets, out.figures.duplicate_facets), (1, 0));
     }
@@ -307,14 +314,14 @@ mod tests {
     fn a_pocket_closes() {
         // A tetrahedron whose edge 0-1 was opened around vertex 4.
         let facets = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3], [0, 1, 4], [1, 0, 4]];
-        let out = repair(&points(5), &facets);
+        let out = repair(&points(5), &facets, &Token::default()).unwrap();
         assert_eq!((out.facets.as_slice(), out.source.len()), (&facets[..4], 4));
         assert_eq!(out.figures, RepairFigures { closed_pockets: 1, ..RepairFigures::default() });
     }
 
     #[test]
     fn a_third_facet_at_an_edge_goes() {
-        let out = repair(&points(5), &[[0, 1, 2], [1, 0, 3], [0, 1, 4]]);
+        let out = repair(&points(5), &[[0, 1, 2], [1, 0, 3], [0, 1, 4]], &Token::default()).unwrap();
         assert_eq!((out.facets.len(), out.figures.non_manifold_facets), (2, 1));
     }
 
@@ -326,7 +333,7 @@ mod tests {
         let places = [&places[..], &[at(0.0, -1.0, -1.0)]].concat();
         let above = [[0, 1, 2], [1, 0, 3], [0, 2, 3], [1, 3, 2]];
         let below = [[1, 0, 4], [0, 1, 5], [1, 4, 5], [0, 5, 4]];
-        let out = repair(&places, &[above, below].concat());
+        let out = repair(&places, &[above, below].concat(), &Token::default()).unwrap();
         assert_eq!(out.facets.len(), 10);
         assert_eq!(out.figures.non_manifold_facets, 0);
         let mut halves: Vec<(u32, u32)> = out.facets.iter().flat_map(|&t| half_edges(t)).collect();
@@ -339,7 +346,7 @@ mod tests {
 
     #[test]
     fn two_fans_at_a_vertex_get_two_vertices() {
-        let out = repair(&points(5), &[[0, 1, 2], [0, 3, 4]]);
+        let out = repair(&points(5), &[[0, 1, 2], [0, 3, 4]], &Token::default()).unwrap();
         assert_eq!((out.source, out.figures.split_vertices), (vec![0, 0, 1, 2, 3, 4], 1));
         assert_ne!(out.facets[0][0], out.facets[1][0]);
         assert_ne!(out.positions[0], out.positions[1]);

@@ -9,11 +9,12 @@ use std::sync::Arc;
 
 use super::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
 use super::steps::Steps;
-use super::{Job, Prepared, RemeshError, RemeshOptions, Seeds, curves, first_seeds, prepare, thin};
+use super::{Job, Prepared, RemeshError, RemeshOptions, Seeds, curves, enter, first_seeds, prepare, thin};
 use crate::cvt::density::{DensityError, DensityOptions, DensitySource, Plan};
 use crate::cvt::{Cvt, CvtOptions};
 use crate::mesh::TriMesh;
 use crate::rvd::{RvdError, Session, SessionOptions, Surface, dual};
+use crate::token::{Stopped, Token};
 
 /// Seeds after their steps.
 pub(super) struct Settled<'a> {
@@ -52,18 +53,18 @@ impl<'a> Job<'a, '_> {
         self.laps.timings.prepare += self.laps.clock.lap();
         self.token.check()?;
 
-        self.observer.stage("sample");
+        enter(self.observer, self.token, "sample");
         let (first, seed) = first_seeds(&plan, &surface, &kept, &options.seeds);
         self.laps.timings.sample += self.laps.clock.lap();
         self.token.check()?;
 
-        self.observer.stage("iterations");
+        enter(self.observer, self.token, "iterations");
         let max_seeds = options.refine.map_or(0, |r| r.max_points);
         let cvt_options = CvtOptions { projection: options.projection, max_seeds };
         let mut cvt = Cvt::new(self.backend, Arc::clone(&surface), &first, cvt_options)?;
         cvt.bring_closest(closest);
         if !kept.seeds.is_empty() {
-            cvt.keep_curves(kept.seeds.clone())?;
+            cvt.keep_curves(kept.seeds.clone(), self.token)?;
         }
         let (rvd, refine) = (RvdFigures::default(), RefineFigures::default());
         let token = self.token;
@@ -76,12 +77,13 @@ impl<'a> Job<'a, '_> {
         kept.seeds = cvt.curves().clone();
         self.laps.timings.refine += self.laps.clock.lap();
 
-        steps.observer.stage("dual");
+        enter(steps.observer, steps.token, "dual");
         let room = max_seeds.max(cvt.len());
         let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(room) };
         let mut session = self.backend.exact_session(Arc::clone(&surface), exact)?;
         let dual = Exact { surface: &surface, session: &mut *session }.dual(&mut cvt, &mut steps)?;
-        let failing = thin::failing(&dual, &plan.mesh, &surface, &self.topology);
+        self.token.check()?;
+        let failing = thin::failing(&dual, &plan.mesh, &surface, &self.topology, token)?;
         self.laps.timings.dual += self.laps.clock.lap();
         let Steps { rvd, iterations, refine, .. } = steps;
         Ok(Settled { plan, surface, kept, cvt, session, dual, failing, seed, converged, last, rvd, iterations, refine })
@@ -97,7 +99,7 @@ impl<'a> Job<'a, '_> {
         let median = best.plan.figures.edge_median;
         let most = thin::MORE * best.plan.points;
         let mut failing = !best.failing.is_empty();
-        let mut lengths = if failing { best.shorter(self.mesh) } else { Vec::new() };
+        let mut lengths = if failing { best.shorter(self.mesh, self.token)? } else { Vec::new() };
         let mut vain = 0;
         for round in 1..=thin::ROUNDS {
             if !failing || vain == thin::VAIN {
@@ -106,7 +108,7 @@ impl<'a> Job<'a, '_> {
             let source = DensitySource::Sizes(lengths);
             let density = DensityOptions { source, edge_length: None, adaptivity: 1.0, ..options.density.clone() };
             let options = RemeshOptions { density, ..options.clone() };
-            self.observer.stage("prepare");
+            enter(self.observer, self.token, "prepare");
             let prepared = match prepare(self.mesh, &options, self.token) {
                 Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => break,
                 prepared => prepared?,
@@ -121,7 +123,7 @@ impl<'a> Job<'a, '_> {
                 Err(RemeshError::Rvd(RvdError::NeverFits { .. } | RvdError::OutOfMemory { .. })) => break,
                 next => next?,
             };
-            (lengths, failing) = (next.shorter(self.mesh), !next.failing.is_empty());
+            (lengths, failing) = (next.shorter(self.mesh, self.token)?, !next.failing.is_empty());
             if next.failing.is_better(&best.failing) {
                 next.refine.evaluations += best.passes();
                 next.refine.thin_rounds = round;
@@ -139,10 +141,10 @@ impl<'a> Job<'a, '_> {
 
 impl Settled<'_> {
     /// Target edge length per vertex of the caller's `mesh`, shorter where cells fail.
-    fn shorter(&self, mesh: &TriMesh) -> Vec<f64> {
-        let mut lengths = self.plan.lengths(mesh);
-        thin::shorten(&mut lengths, mesh, &self.failing, &self.dual, &self.surface);
-        lengths
+    fn shorter(&self, mesh: &TriMesh, token: &Token) -> Result<Vec<f64>, Stopped> {
+        let mut lengths = self.plan.lengths(mesh, token)?;
+        thin::shorten(&mut lengths, mesh, &self.failing, &self.dual, &self.surface, token)?;
+        Ok(lengths)
     }
 
     /// Passes over the diagram that it took.
@@ -160,7 +162,7 @@ pub(super) struct Exact<'a> {
 impl Exact<'_> {
     /// Puts the seeds on the surface and reads their dual.
     pub(super) fn dual(&mut self, cvt: &mut Cvt, steps: &mut Steps<'_>) -> Result<dual::Dual, RemeshError> {
-        cvt.put_on_surface()?;
+        cvt.put_on_surface(steps.token)?;
         self.session.set_seeds(cvt.unit_seeds()?)?;
         let dual = dual::extract(self.session, self.surface, cvt.len(), steps.token)?;
         steps.rvd.add_pass(&dual.stats);

@@ -69,7 +69,10 @@ impl Steps<'_> {
     /// Clears the curves of seeds that are not theirs.
     pub(super) fn clear_curves(&mut self, cvt: &mut Cvt) -> Result<(), RemeshError> {
         for round in 1..=CLEARINGS {
-            let in_the_way = if round < CLEARINGS { cvt.clear_curves()? } else { cvt.adopt_intruders()? };
+            let in_the_way = match round < CLEARINGS {
+                true => cvt.clear_curves(self.token)?,
+                false => cvt.adopt_intruders(self.token)?,
+            };
             if in_the_way == 0 {
                 break;
             }

@@ -18,6 +18,7 @@ use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::measure::{self, Topology};
 use crate::rvd::Surface;
 use crate::rvd::dual::Dual;
+use crate::token::{Stopped, Token};
 
 /// Times that seeds are drawn anew.
 pub(super) const ROUNDS: usize = 6;
@@ -54,16 +55,23 @@ impl Failing {
 }
 
 /// The failing cells of a dual of `mesh`, which `surface` was made of and which is to be as `wanted`.
-pub(super) fn failing(dual: &Dual, mesh: &TriMesh, surface: &Surface, wanted: &Topology) -> Failing {
+pub(super) fn failing(
+    dual: &Dual,
+    mesh: &TriMesh,
+    surface: &Surface,
+    wanted: &Topology,
+    token: &Token,
+) -> Result<Failing, Stopped> {
     let count = dual.components.len();
     let mut there = vec![false; count];
     dual.triangles.iter().flatten().for_each(|&c| there[c as usize] = true);
     let holds = dual.not_disks.is_empty() && dual.multiple_rims.is_empty() && dual.multiple_edges.is_empty();
     if holds && !there.contains(&false) {
-        return Failing::default();
+        return Ok(Failing::default());
     }
     let places: Vec<DVec3> = dual.components.iter().map(|c| c.centroid).collect();
-    let Repaired { source, positions, facets, .. } = repair::repair(&places, &dual.triangles);
+    let Repaired { source, positions, facets, .. } = repair::repair(&places, &dual.triangles, token)?;
+    token.check()?;
     there.fill(false);
     source.iter().for_each(|&c| there[c as usize] = true);
     let key = |t: &Topology| (t.euler, t.components, t.boundary_loops);
@@ -72,7 +80,7 @@ pub(super) fn failing(dual: &Dual, mesh: &TriMesh, surface: &Surface, wanted: &T
     let lost = (0..count as u32).any(|c| whole(c) && !there[c as usize]);
     // Folds of the surface that are smaller than cells close without a trace.
     if same && !lost {
-        return Failing::default();
+        return Ok(Failing::default());
     }
     let pairs = dual.multiple_edges.iter().flatten();
     let mut fails = vec![false; count];
@@ -91,7 +99,7 @@ pub(super) fn failing(dual: &Dual, mesh: &TriMesh, surface: &Surface, wanted: &T
     if components.is_empty() {
         components = all;
     }
-    Failing { components, area }
+    Ok(Failing { components, area })
 }
 
 /// The vertices around which a surface is no manifold.
@@ -111,7 +119,14 @@ fn odd_vertices(mesh: &TriMesh, adjacency: &Adjacency) -> Vec<bool> {
 
 /// Makes the lengths, one a vertex of the caller's `mesh`, shorter at vertices that failing cells hold; where one holds none,
 /// at the nearest corner of the facet that it is on. The first vertices of `surface` are those of `mesh`.
-pub(super) fn shorten(lengths: &mut [f64], mesh: &TriMesh, failing: &Failing, dual: &Dual, surface: &Surface) {
+pub(super) fn shorten(
+    lengths: &mut [f64],
+    mesh: &TriMesh,
+    failing: &Failing,
+    dual: &Dual,
+    surface: &Surface,
+    token: &Token,
+) -> Result<(), Stopped> {
     let mut fails = vec![false; dual.components.len()];
     failing.components.iter().for_each(|&c| fails[c as usize] = true);
     let mut empty = fails.clone();
@@ -128,6 +143,7 @@ pub(super) fn shorten(lengths: &mut [f64], mesh: &TriMesh, failing: &Failing, du
     let mut shorter = vec![false; lengths.len()];
     let mut closest = None;
     for (component, _) in dual.components.iter().zip(&empty).filter(|(_, empty)| **empty) {
+        token.check()?;
         let tree = closest.get_or_insert_with(|| ClosestPoint::new(mesh));
         let SurfacePoint { facet, barycentric, .. } = tree.project(surface.frame().to_world(component.centroid));
         let corner = (0..3).max_by(|&a, &b| barycentric[a].total_cmp(&barycentric[b])).unwrap_or_default();
@@ -139,4 +155,5 @@ pub(super) fn shorten(lengths: &mut [f64], mesh: &TriMesh, failing: &Failing, du
     twins.clone().for_each(|(own, first)| held[first] |= shorter[own]);
     twins.for_each(|(own, first)| shorter[own] |= held[first]);
     lengths.iter_mut().zip(&shorter).filter(|(_, shorter)| **shorter).for_each(|(length, _)| *length *= SHORTER);
+    Ok(())
 }

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::around::Around;
 use super::fan::Fan;
 use super::grouped::Grouped;
+use crate::token::Token;
 
 /// A vertex of the input.
 #[derive(Clone, Copy, Debug)]
@@ -37,6 +38,8 @@ const NOWHERE: Offset = Offset { distance: 0.0, share: 0.0, facet: 0, corner: 0 
 
 /// Vertices that are one task.
 const RUN: usize = 256;
+/// Tips between two looks at the token.
+const ASKED: usize = 64;
 
 /// See the module's head.
 pub(super) struct Offsets<'a> {
@@ -63,9 +66,15 @@ fn offset(positions: &[DVec3], facets: &[[u32; 3]], fan: &mut Fan, tip: &Tip) ->
 
 impl<'a> Offsets<'a> {
     /// Looks at all of them.
-    pub(super) fn new(positions: &[DVec3], facets: &[[u32; 3]], around: &Around, tips: &'a Grouped<Tip>) -> Self {
+    pub(super) fn new(
+        positions: &[DVec3],
+        facets: &[[u32; 3]],
+        around: &Around,
+        tips: &'a Grouped<Tip>,
+        token: &Token,
+    ) -> Self {
         let mut offsets = Self { tips, list: vec![NOWHERE; tips.all().len()] };
-        offsets.look(positions, facets, around, |_| true);
+        offsets.look(positions, facets, around, |_| true, token);
         offsets
     }
 
@@ -77,6 +86,7 @@ impl<'a> Offsets<'a> {
         facets: &[[u32; 3]],
         around: &Around,
         changed: impl Fn(u32) -> bool + Sync,
+        token: &Token,
     ) {
         let tips = self.tips;
         // Runs of vertices, each with its part of the list.
@@ -96,7 +106,13 @@ impl<'a> Offsets<'a> {
                 here = after;
                 if !own.is_empty() && changed(v) {
                     fan.turn_to(positions, facets, around, v);
-                    list.iter_mut().zip(own).for_each(|(o, tip)| *o = offset(positions, facets, fan, tip));
+                    for (k, (o, tip)) in list.iter_mut().zip(own).enumerate() {
+                        // A vertex may have many facets, and many tips.
+                        if k.is_multiple_of(ASKED) && token.is_stopped() {
+                            return;
+                        }
+                        *o = offset(positions, facets, fan, tip);
+                    }
                 }
             }
         });

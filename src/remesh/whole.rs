@@ -7,17 +7,20 @@
 use super::report::InputFigures;
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::{TriMesh, layers, orient, stitch};
+use crate::token::{Stopped, Token};
 
 /// What came in, and the same without what would tear a result, if there is any of it: corners that are nearly in one place,
 /// facets that are there twice, and facets that are oriented unlike their neighbours.
-pub(super) fn without_tears(mesh: &TriMesh) -> (InputFigures, Option<TriMesh>) {
+pub(super) fn without_tears(mesh: &TriMesh, token: &Token) -> Result<(InputFigures, Option<TriMesh>), Stopped> {
     let adjacency = Adjacency::new(mesh);
+    token.check()?;
     let (mut figures, mut whole) = match stitch::rims(mesh, &adjacency) {
         Some((stitched, moved)) => {
             (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched) }, Some(stitched))
         }
         None => (InputFigures::with(mesh, &adjacency), None),
     };
+    token.check()?;
     if figures.inconsistent_edges + figures.topology.non_manifold_edges > 0
         && let Some((single, spare)) = layers::single(whole.as_ref().unwrap_or(mesh))
     {
@@ -25,11 +28,12 @@ pub(super) fn without_tears(mesh: &TriMesh) -> (InputFigures, Option<TriMesh>) {
         figures = InputFigures { stitched_vertices, spare_facets: spare, ..InputFigures::of(&single) };
         whole = Some(single);
     }
+    token.check()?;
     if figures.inconsistent_edges > 0
         && let Some((alike, turned)) = orient::alike(whole.as_ref().unwrap_or(mesh))
     {
         figures.turned_facets = turned;
         whole = Some(alike);
     }
-    (figures, whole)
+    Ok((figures, whole))
 }

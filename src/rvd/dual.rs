@@ -83,6 +83,7 @@ pub fn extract(session: &mut dyn Session, surface: &Surface, seeds: usize, token
     // While one batch is taken in the next is made.
     let (mut made, mut next) = (PieceBatch::default(), PieceBatch::default());
     for first in (0..facets).step_by(BATCH as usize) {
+        token.check()?;
         let range = first..facets.min(first + BATCH);
         let (done, ()) = rayon::join(|| session.pieces(range, &mut next, token), || pieces.take(&made));
         stats.add(&done?);
@@ -92,8 +93,8 @@ pub fn extract(session: &mut dyn Session, surface: &Surface, seeds: usize, token
     let mut dual = rayon::scope(|_| {
         pieces.take(&made);
         pieces.close(facets);
-        pieces.join(surface, seeds)
-    });
+        pieces.join(surface, seeds, token)
+    })?;
     token.check()?;
     dual.stats = stats;
     Ok(dual)

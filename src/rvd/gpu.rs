@@ -184,6 +184,10 @@ impl Backend for Gpu {
         self.pool.current_num_threads()
     }
 
+    fn pool(&self) -> Option<Arc<rayon::ThreadPool>> {
+        Some(Arc::clone(&self.pool))
+    }
+
     fn exact_session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
         Parallel::on(Arc::clone(&self.pool)).session(surface, options)
     }

@@ -13,6 +13,7 @@ use glam::DVec3;
 use super::clip::Clipper;
 use super::{Capacities, PairStatus, PassStats, Surface};
 use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, squared_distance};
+use crate::token::Token;
 
 /// What every walk over one seed set reads.
 #[derive(Clone, Copy)]
@@ -30,11 +31,15 @@ pub struct Diagram<'a> {
 /// One thread's scratch memory for walking facets.
 #[derive(Default)]
 pub struct FacetWalker {
+    token: Token,
     clipper: Clipper,
     cells: CellList,
     long_rows: LongRows,
     listed: Listed,
 }
+
+/// Cells of one facet between two looks at the token.
+const ASKED: usize = 64;
 
 /// Where rows come from.
 #[derive(Clone, Copy)]
@@ -121,11 +126,17 @@ impl FacetWalker {
                 if found || others == all || diagram.surface.facet_area(facet) == 0.0 {
                     break;
                 }
+                if others.is_multiple_of(ASKED) && self.token.is_stopped() {
+                    break;
+                }
                 self.cells.insert(row.get(others).copied().unwrap_or((others.max(row.len()) - row.len()) as u32));
                 others += 1;
                 continue;
             };
             next += 1;
+            if next.is_multiple_of(ASKED) && self.token.is_stopped() {
+                break;
+            }
             self.clip_by(rows, diagram, facet, i, capacities, stats);
             let polygon = self.clipper.polygon();
             if polygon.is_empty() {
@@ -198,6 +209,11 @@ impl FacetWalker {
                 status => return status,
             }
         }
+    }
+
+    /// Whether walks are to end.
+    pub fn is_stopped(&self) -> bool {
+        self.token.is_stopped()
     }
 
     /// The clipper with the polygon of the last pair.
@@ -315,8 +331,10 @@ impl LongRows {
 }
 
 impl FacetWalker {
-    /// Forgets rows of an earlier seed set.
-    pub fn reset(&mut self) {
+    /// Forgets rows of an earlier seed set. From now on walks end early where `token` is stopped; who walks asks it before
+    /// what they found is used.
+    pub fn reset(&mut self, token: &Token) {
         self.long_rows = LongRows::default();
+        self.token = token.clone();
     }
 }

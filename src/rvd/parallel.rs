@@ -41,7 +41,7 @@ use super::{
     elapsed_ms, take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
-use crate::token::{Stopped, Token};
+use crate::token::Token;
 
 /// f64, on all threads of its own rayon pool.
 #[derive(Clone, Debug)]
@@ -76,6 +76,10 @@ impl Backend for Parallel {
 
     fn threads(&self) -> usize {
         self.pool.current_num_threads()
+    }
+
+    fn pool(&self) -> Option<Arc<rayon::ThreadPool>> {
+        Some(Arc::clone(&self.pool))
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
@@ -204,7 +208,7 @@ impl ParallelSession {
         }
         let begin = Instant::now();
         if !self.table.fill(&self.index, self.capacities.neighbours, Threads::Pool, &|| token.is_stopped()) {
-            return Err(RvdError::Stopped(Stopped::Cancelled));
+            token.check()?;
         }
         self.no_rows = false;
         Ok(index_ms + elapsed_ms(begin))
@@ -267,7 +271,7 @@ impl ParallelSession {
         token: &Token,
     ) -> Result<Option<PassStats>, RvdError> {
         out.reset(self.seeds.len());
-        self.reset_walkers();
+        self.reset_walkers(token);
         let mut stats = PassStats::default();
         let Blocks { facets: block, a_chunk } = blocks;
         let size = block * a_chunk;
@@ -276,7 +280,8 @@ impl ParallelSession {
         let table = if matches!(from, From::Rows { .. }) { &self.table } else { &self.no_table };
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table };
         let begin = Instant::now();
-        let (facets, starts) = self.order.guesses(diagram, from != From::Kept);
+        let (facets, starts) = self.order.guesses(diagram, from != From::Kept, token);
+        token.check()?;
         stats.start_ms = elapsed_ms(begin);
         let (kept, lists) = self.lists.split(tasks, size);
         let rows = if kept.even { &self.no_table } else { &self.table };
@@ -332,13 +337,14 @@ impl ParallelSession {
     /// Pieces of `facets`, of flat ones too if they are asked for.
     fn cut(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
         let mut stats = PassStats { neighbours_ms: self.refresh_rows(token)?, ..PassStats::default() };
-        self.reset_walkers();
+        self.reset_walkers(token);
         stats.duplicate_seeds = self.index.duplicates() as u64;
         let begin = Instant::now();
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table: &self.table };
         let Blocks { facets: block, a_chunk } = self.blocks(facets.len());
         let size = block * a_chunk;
-        let starts = self.starts.find(diagram, facets.clone());
+        let starts = self.starts.find(diagram, facets.clone(), token);
+        token.check()?;
         stats.start_ms = elapsed_ms(begin);
         let (capacities, flat) = (self.capacities, self.flat_pieces);
         self.chunks.resize_with(WAVE.min(facets.len().div_ceil(size)), Chunk::default);
@@ -367,12 +373,15 @@ impl ParallelSession {
     }
 
     /// Forgets what scratch memory has of other seeds.
-    fn reset_walkers(&mut self) {
+    fn reset_walkers(&mut self, token: &Token) {
         for walkers in &mut self.walkers {
             match walkers.get_mut() {
-                Ok(walkers) => walkers.reset(),
+                Ok(walkers) => walkers.reset(token),
                 // A panic left it as it was.
-                Err(_) => *walkers = Mutex::default(),
+                Err(_) => {
+                    *walkers = Mutex::default();
+                    walkers.get_mut().unwrap_or_else(PoisonError::into_inner).reset(token);
+                }
             }
         }
     }

@@ -42,7 +42,7 @@ pub trait Resident {
     /// One pass at the present point x; its gradient g is kept. The slope is 0.
     ///
     /// # Errors
-    /// `Cancelled`, or what the device says. x is as before.
+    /// `Stopped`, or what the device says. x is as before.
     fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError>;
 
     /// After [`Resident::evaluate`]: every seed that is not held goes to its cell's centroid; the seed
@@ -57,7 +57,7 @@ pub trait Resident {
     /// point with empty cells: its look is then the last, and [`Resident::read_sums`] has its sums.
     ///
     /// # Errors
-    /// `Cancelled`, or what the device says. x is as after the looks that were put.
+    /// `Stopped`, or what the device says. x is as after the looks that were put.
     fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, token: &Token) -> Result<(), RvdError> {
         let _one_by_one = steps;
         let look = self.evaluate(token)?;
@@ -79,7 +79,7 @@ pub trait Resident {
     /// One pass at x + step·d; its gradient is kept beside g. The slope is that gradient along d.
     ///
     /// # Errors
-    /// `Cancelled`, or what the device says. x is as before.
+    /// `Stopped`, or what the device says. x is as before.
     fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError>;
 
     /// The point of the last probe becomes x, its gradient g; the pair (s, y) joins the history, the

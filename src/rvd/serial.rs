@@ -19,7 +19,7 @@ use super::{
     elapsed_ms, take_seeds,
 };
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
-use crate::token::{Stopped, Token};
+use crate::token::Token;
 
 /// The f64 reference, one thread.
 #[derive(Clone, Copy, Debug, Default)]
@@ -32,6 +32,13 @@ impl Backend for Serial {
 
     fn threads(&self) -> usize {
         1
+    }
+
+    fn pool(&self) -> Option<Arc<rayon::ThreadPool>> {
+        // One for each caller: two that share a thread would wait for each other. Without a thread there is nothing to do but
+        // to work on the caller's.
+        let name = |_| "tessera-serial".to_owned();
+        rayon::ThreadPoolBuilder::new().num_threads(1).thread_name(name).build().ok().map(Arc::new)
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
@@ -64,7 +71,7 @@ struct SerialSession {
 }
 
 /// Facets between two looks at the token.
-const BATCH: usize = 1024;
+const BATCH: usize = 128;
 
 impl SerialSession {
     /// Builds the index and the table of new seeds. Returns the milliseconds spent.
@@ -75,9 +82,9 @@ impl SerialSession {
         let begin = Instant::now();
         self.index = SeedIndex::with_threads(&self.seeds, Threads::One);
         if !self.table.fill(&self.index, self.capacities.neighbours, Threads::One, &|| token.is_stopped()) {
-            return Err(RvdError::Stopped(Stopped::Cancelled));
+            token.check()?;
         }
-        self.walker.reset();
+        self.walker.reset(token);
         self.stale = false;
         Ok(elapsed_ms(begin))
     }

@@ -13,9 +13,12 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::incident::Diagram;
+use crate::token::Token;
 
 /// Facets per task. Part of no result.
 const CHUNK: usize = 512;
+/// Facets between two looks at the token.
+const ASKED: usize = 32;
 
 /// The first cells of a range of facets, kept as guesses for when the seeds have moved.
 #[derive(Debug, Default)]
@@ -27,13 +30,16 @@ pub(super) struct Starts {
 impl Starts {
     /// Finds those of `facets` on all threads of the present pool. The guess is the last answer for
     /// the same facets, or the one before where that is near; without one the index answers, which is faster than a
-    /// walk from afar.
-    pub(super) fn find(&mut self, diagram: Diagram<'_>, facets: Range<u32>) -> &mut [u32] {
+    /// walk from afar. Ends early where `token` is stopped; the answers are then of no use.
+    pub(super) fn find(&mut self, diagram: Diagram<'_>, facets: Range<u32>, token: &Token) -> &mut [u32] {
         let guessed = self.facets == facets;
         self.seeds.resize(facets.len(), 0);
         self.seeds.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
             let mut last = None;
             for (k, start) in part.iter_mut().enumerate() {
+                if k.is_multiple_of(ASKED) && token.is_stopped() {
+                    return;
+                }
                 let q = diagram.surface.centroid(facets.start + (c * CHUNK + k) as u32);
                 let old = Some(*start).filter(|&s| guessed && (s as usize) < diagram.seeds.len());
                 // Facets in a row are often beside each other.

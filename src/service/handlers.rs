@@ -18,9 +18,10 @@ use super::upload::{Header, Incoming, Upload};
 use super::{Phase, RequestError, convert};
 use crate::config::Limits;
 use crate::job::spec::{Input, Prepared};
-use crate::job::{BackendInfo, Engine, JobError};
+use crate::job::{BackendInfo, CancelOnDrop, Engine, JobError};
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
+use crate::token::Token;
 
 mod cvt;
 mod diagram;
@@ -39,7 +40,7 @@ struct Shared {
     budget: Budget,
     gate: Gate,
     /// Surfaces prepared at once: as many as there are cores.
-    preparing: Semaphore,
+    preparing: Arc<Semaphore>,
 }
 
 impl Handlers {
@@ -51,7 +52,7 @@ impl Handlers {
             limits,
             budget: Budget::new(limits.memory_bytes),
             gate: gate.clone(),
-            preparing: Semaphore::new(cores),
+            preparing: Arc::new(Semaphore::new(cores)),
         };
         Self { shared: Arc::new(shared), gate }
     }
@@ -119,7 +120,7 @@ pub(crate) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, Re
             })?),
         };
         if let Some((header, seeds, uploaded)) = upload.take(message.map(remesh::split))? {
-            return Ok(input(seeds, uploaded, header.density.as_ref(), limits)?.0);
+            return Ok(input(seeds, uploaded, header.density.as_ref(), limits, &Token::default())?.0);
         }
     }
 }
@@ -130,10 +131,13 @@ fn input(
     uploaded: Uploaded,
     density: Option<&proto::DensityOptions>,
     limits: &Limits,
+    token: &Token,
 ) -> Result<(Input, Share), RequestError> {
+    token.enter("read");
     let Uploaded { positions, facets, weights, seeds: points, edge_lengths, creases, attributes, share } = uploaded;
     let density = convert::density(density, weights, edge_lengths, limits.max_seeds)?;
     let mesh = TriMesh::new(positions, facets).map_err(JobError::from)?;
+    token.check().map_err(JobError::from)?;
     let attributes = match attributes.is_empty() {
         true => None,
         false => Some(super::attributes::collect(&mesh, attributes)?),
@@ -146,12 +150,19 @@ fn input(
     Ok((Input { mesh, density, seeds, creases, attributes }, share))
 }
 
-/// Does long work that needs no backend, on a thread that may block.
+/// Does long work that needs no backend, on a thread that may block. When the caller goes the work is told to stop, and
+/// its place is free once it has: work that went on without a place would be as many threads as there are such callers.
 async fn apart<R: Send + 'static>(
     shared: &Shared,
-    work: impl FnOnce() -> Result<R, RequestError> + Send + 'static,
+    work: impl FnOnce(&Token) -> Result<R, RequestError> + Send + 'static,
 ) -> Result<R, RequestError> {
-    let Ok(_permit) = shared.preparing.acquire().await else { return Err(RequestError::Draining) };
+    let Ok(permit) = Arc::clone(&shared.preparing).acquire_owned().await else { return Err(RequestError::Draining) };
+    let cancel = CancelOnDrop(Token::default());
+    let token = cancel.0.clone();
+    let work = move || {
+        let _permit = permit;
+        work(&token)
+    };
     match tokio::task::spawn_blocking(work).await {
         Ok(result) => result,
         Err(panic) => Err(JobError::Panicked(panic.to_string()).into()),
@@ -164,12 +175,12 @@ async fn prepare(
     seeds: SeedCounts,
     uploaded: Uploaded,
     density: Option<proto::DensityOptions>,
-    by: fn(Input) -> Result<Prepared, JobError>,
+    by: fn(Input, &Token) -> Result<Prepared, JobError>,
 ) -> Result<(Arc<Prepared>, Share), RequestError> {
     let limits = shared.limits;
-    apart(shared, move || {
-        let (input, share) = input(seeds, uploaded, density.as_ref(), &limits)?;
-        Ok((Arc::new(by(input)?), share))
+    apart(shared, move |token| {
+        let (input, share) = input(seeds, uploaded, density.as_ref(), &limits, token)?;
+        Ok((Arc::new(by(input, token)?), share))
     })
     .await
 }

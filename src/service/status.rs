@@ -59,6 +59,7 @@ fn of_job(error: &JobError) -> Status {
             let path = match error {
                 FeatureError::NoSuchEdge { crease, .. } => format!("mesh.creases[{crease}]"),
                 FeatureError::BadAngle(_) => "header.crease_angle_deg".to_owned(),
+                FeatureError::Stopped(reason) => return of_stopped(*reason),
             };
             invalid(text.clone(), path, text)
         }

@@ -12,6 +12,7 @@ use tessera::mesh::io::read;
 use tessera::mesh::measure::{quality, topology};
 use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
+use tessera::token::{Stopped, Token};
 
 fn real(name: &str) -> Option<TriMesh> {
     let Some(folder) = std::env::var_os("TESSERA_MESHES") else {
@@ -95,11 +96,15 @@ fn all_points_at_once() {
         let mut points = queries(&mesh, 2000);
         points.extend_from_slice(mesh.positions());
         points.extend([DVec3::splat(-1e30), DVec3::splat(f64::MAX), DVec3::ZERO]);
-        let (one, all) = (points.iter().map(|&p| closest.project(p)), closest.project_all(&points, &|| false).unwrap());
+        let (one, all) =
+            (points.iter().map(|&p| closest.project(p)), closest.project_all(&points, &Token::default()).unwrap());
         assert!(one.eq(all), "{shape}");
-        let (one, all) = (points.iter().map(|&p| closest.distance(p)), closest.distances(&points, &|| false).unwrap());
+        let (one, all) =
+            (points.iter().map(|&p| closest.distance(p)), closest.distances(&points, &Token::default()).unwrap());
         assert!(one.eq(all), "{shape}");
-        assert!(closest.distances(&points, &|| true).is_none());
+        let stopped = Token::default();
+        stopped.cancel();
+        assert_eq!(closest.distances(&points, &stopped), Err(Stopped::Cancelled));
     }
 }
 

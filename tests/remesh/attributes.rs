@@ -526,7 +526,7 @@ fn wrong_attributes_are_refused_and_bits_do_not_depend_on_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let closest = ClosestPoint::new(&mesh);
-            let places = provenance(&closest, done.mesh.positions());
+            let places = provenance(&closest, done.mesh.positions(), &Token::default()).unwrap();
             carry(&mesh, &all, &closest, &done.mesh, &places).unwrap()
         })
     };

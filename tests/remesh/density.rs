@@ -18,7 +18,7 @@ fn run(mesh: &TriMesh, density: DensityOptions, seeds: Seeds, lloyd: usize) -> R
 }
 
 fn planned<'a>(mesh: &'a TriMesh, density: &DensityOptions, count: Count) -> Result<Plan<'a>, DensityError> {
-    plan(mesh, density, count, &|| false)
+    plan(mesh, density, count, &Token::default())
 }
 
 fn sizes(mesh: &TriMesh, size: impl Fn(DVec3) -> f64) -> DensityOptions {
@@ -343,12 +343,15 @@ fn bad_values_are_refused_by_name() {
     }
     for source in [DensitySource::Uniform, DensitySource::Curvature] {
         let density = DensityOptions { max_points: 1000, ..DensityOptions::from_source(source) };
-        let error = plan(&mesh, &density, Count::Points(1001), &|| false).unwrap_err();
+        let error = plan(&mesh, &density, Count::Points(1001), &Token::default()).unwrap_err();
         assert_eq!(error, DensityError::PointLimit { points: 1001, limit: 1000 });
     }
-    let stopped = plan(&mesh, &DensityOptions::from_source(DensitySource::Curvature), Count::Points(10), &|| true);
+    let stopped_token = Token::default();
+    stopped_token.cancel();
+    let stopped =
+        plan(&mesh, &DensityOptions::from_source(DensitySource::Curvature), Count::Points(10), &stopped_token);
     assert_eq!(stopped.unwrap_err(), DensityError::Stopped(Stopped::Cancelled));
     let cancelled = RemeshError::from(DensityError::Stopped(Stopped::Cancelled));
     assert!(matches!(cancelled, RemeshError::Rvd(RvdError::Stopped(Stopped::Cancelled))));
-    assert_eq!(Net::new(&mesh).outline(), &Outline::new(&mesh));
+    assert_eq!(Net::new(&mesh, &Token::default()).unwrap().outline(), &Outline::new(&mesh));
 }

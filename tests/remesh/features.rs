@@ -5,6 +5,7 @@ use tessera::mesh::TriMesh;
 use tessera::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{RemeshError, RemeshOptions, Seeds};
+use tessera::token::Token;
 
 use crate::curves::{options, run};
 use crate::parts::{counts, find, fold, l_shape, length, prism, tube, wish};
@@ -122,7 +123,7 @@ fn wrong_wishes_are_refused() {
     for wrong in [[a, others.unwrap()], [a, a], [b, u32::MAX]] {
         let given = vec![[a, b], [c, b], wrong, [a, c]];
         let refused = FeatureError::NoSuchEdge { crease: 2, a: wrong[0], b: wrong[1] };
-        assert_eq!(Features::check(&mesh, 30.0, &given), Err(refused.clone()));
+        assert_eq!(Features::check(&mesh, 30.0, &given, &Token::default()), Err(refused.clone()));
         assert_eq!(find(&mesh, &FeatureOptions { given: given.clone(), ..wish(30.0) }), Err(refused));
         let options = RemeshOptions { creases: given, ..RemeshOptions::new(Seeds::Sample { points: 50, seed: 1 }) };
         let error = run(&mesh, &options).unwrap_err();

@@ -3,13 +3,14 @@
 use glam::{DVec3, dvec3};
 use tessera::mesh::TriMesh;
 use tessera::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
+use tessera::token::Token;
 
 pub(crate) fn wish(crease_angle_deg: f64) -> FeatureOptions {
     FeatureOptions { crease_angle_deg, reach: 0.05, ..FeatureOptions::default() }
 }
 
 pub(crate) fn find(mesh: &TriMesh, options: &FeatureOptions) -> Result<Features, FeatureError> {
-    Features::find(mesh, mesh.positions(), options)
+    Features::find(mesh, mesh.positions(), options, &Token::default())
 }
 
 /// (boundaries, creases, corners).

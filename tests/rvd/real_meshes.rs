@@ -287,7 +287,7 @@ impl Bars {
 fn farthest(from: &TriMesh, to: &TriMesh) -> f64 {
     let mut points: Vec<DVec3> = sample(from, None, 1_000_000, 7).iter().map(|s| s.position).collect();
     points.extend(from.positions());
-    let all = ClosestPoint::new(to).distances(&points, &|| false).unwrap();
+    let all = ClosestPoint::new(to).distances(&points, &Token::default()).unwrap();
     all.into_iter().fold(0.0, f64::max)
 }
 

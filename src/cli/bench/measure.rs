@@ -147,12 +147,12 @@ pub(super) fn mesh(file: Option<&Path>, shape: Shape, facets: usize) -> Result<(
 impl Load {
     /// Prepares the surface as a remesh does, and draws the seeds, if they are to be drawn.
     pub(super) fn new(mesh: (String, TriMesh), seeds: Seeds, density: DensityOptions) -> Result<Self> {
-        Self::of(mesh, seeds, density, Prepared::for_steps)
+        Self::of(mesh, seeds, density, |input| Prepared::for_steps(input, &Token::default()))
     }
 
     /// The same of the mesh's own facets.
     pub(super) fn undivided(mesh: (String, TriMesh), seeds: Seeds) -> Result<Self> {
-        Self::of(mesh, seeds, DensityOptions::default(), Prepared::new)
+        Self::of(mesh, seeds, DensityOptions::default(), |input| Prepared::new(input, &Token::default()))
     }
 
     fn of(

@@ -10,6 +10,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::token::{Stopped, Token};
+
 /// A chord that leaves the curve by this share of the wished length
 pub(super) const TOLERANCE: f64 = 0.095;
 /// costs as much as this; the cost of length is the square of the logarithm of its share.
@@ -57,7 +59,7 @@ impl Line<'_> {
     }
 
     /// Chords that end in each point: (first point, cost). Points of a second round follow those of a closed curve.
-    fn chords(&self) -> Vec<Vec<(usize, f64)>> {
+    fn chords(&self, token: &Token) -> Result<Vec<Vec<(usize, f64)>>, Stopped> {
         let n = self.points.len() - 1;
         let end = if self.closed { 2 * n } else { n };
         let mut along = vec![0.0];
@@ -69,22 +71,27 @@ impl Line<'_> {
         let of = |j: usize| {
             let reach = DETOUR * LONGEST * self.wish[if j > n { j - n } else { j }];
             let near = (j.saturating_sub(n)..j).rev().take_while(|&i| along[j] - along[i] <= reach);
-            near.filter_map(|i| Some((i, self.cost(i, j)?))).collect()
+            let cost = |(n, i)| match token.check_at(256 * n) {
+                Ok(()) => self.cost(i, j).map(|cost| Ok((i, cost))),
+                Err(stopped) => Some(Err(stopped)),
+            };
+            near.enumerate().filter_map(cost).collect()
         };
-        (0..=end).into_par_iter().map(|j| if j < first { Vec::new() } else { of(j) }).collect()
+        (0..=end).into_par_iter().map(|j| if j < first { Ok(Vec::new()) } else { of(j) }).collect()
     }
 }
 
 /// The points at which to cut, ascending, without the ends of an open line; of a closed one at least three. `None` if it
 /// cannot be cut so, or not into `least` parts.
-pub(super) fn cut(line: &Line<'_>, least: usize) -> Option<Vec<usize>> {
-    let n = line.points.len().checked_sub(1).filter(|&n| n > 1)?;
-    let chords = line.chords();
+pub(super) fn cut(line: &Line<'_>, least: usize, token: &Token) -> Result<Option<Vec<usize>>, Stopped> {
+    let Some(n) = line.points.len().checked_sub(1).filter(|&n| n > 1) else { return Ok(None) };
+    let chords = line.chords(token)?;
     let best = if line.closed {
         let mut best: Option<(f64, Vec<usize>)> = None;
         // Some cut is within the longest chord from the beginning.
         let mut gone = 0.0;
         for start in 0..n {
+            token.check()?;
             if start > 0 {
                 gone += line.points[start].distance(line.points[start - 1]);
             }
@@ -110,9 +117,9 @@ pub(super) fn cut(line: &Line<'_>, least: usize) -> Option<Vec<usize>> {
         })
     } else {
         shortest(0, n, |j| chords[j].iter().copied()).map(|(_, path)| path[1..path.len() - 1].to_vec())
-    }?;
-    let parts = if line.closed { best.len() } else { best.len() + 1 };
-    (parts >= least).then_some(best)
+    };
+    let parts = |best: &Vec<usize>| if line.closed { best.len() } else { best.len() + 1 };
+    Ok(best.filter(|best| parts(best) >= least))
 }
 
 /// The path from `start` to `end` that costs least, through ascending points.
@@ -169,7 +176,7 @@ mod tests {
             let points = zigzag(12.0, 0.2, closed);
             let wish = vec![1.0; points.len()];
             let line = Line { points: &points, wish: &wish, closed };
-            let cuts = cut(&line, 1).unwrap();
+            let cuts = cut(&line, 1, &Token::default()).unwrap().unwrap();
             let mut ends = cuts.clone();
             if closed {
                 ends.push(cuts[0] + points.len() - 1);
@@ -191,10 +198,10 @@ mod tests {
     fn what_is_smooth_is_cut_evenly_and_what_is_short_not_at_all() {
         let points = zigzag(10.0, 0.0, false);
         let wish = vec![1.0; points.len()];
-        let cuts = cut(&Line { points: &points, wish: &wish, closed: false }, 1).unwrap();
+        let cuts = cut(&Line { points: &points, wish: &wish, closed: false }, 1, &Token::default()).unwrap().unwrap();
         assert_eq!(cuts, (1..10).map(|k| 8 * k).collect::<Vec<_>>());
         let long = vec![30.0; points.len()];
-        assert_eq!(cut(&Line { points: &points, wish: &long, closed: false }, 1), None);
-        assert_eq!(cut(&Line { points: &points[..1], wish: &wish, closed: true }, 3), None);
+        assert_eq!(cut(&Line { points: &points, wish: &long, closed: false }, 1, &Token::default()).unwrap(), None);
+        assert_eq!(cut(&Line { points: &points[..1], wish: &wish, closed: true }, 3, &Token::default()).unwrap(), None);
     }
 }

@@ -10,6 +10,7 @@ use glam::DVec3;
 use super::{BETWEEN, chords};
 use crate::mesh::features::Curve;
 use crate::rvd::Surface;
+use crate::token::{Stopped, Token};
 
 /// Steps of Lloyd's iteration on a curve whose density varies. It starts at equal shares of ∫ ds/h,
 /// where the tessellation ends up as the seeds become many.
@@ -189,7 +190,7 @@ impl Path {
 
     /// Arc lengths of the seeds of `count` segments, ascending, without those at the ends; a closed curve has its first
     /// one near where it begins, on either side of it.
-    pub(super) fn tessellate(&self, count: usize, least: usize) -> Vec<f64> {
+    pub(super) fn tessellate(&self, count: usize, least: usize, token: &Token) -> Result<Vec<f64>, Stopped> {
         let share = self.total() / count as f64;
         let mut places: Vec<f64> = match share > 0.0 {
             true => (1..count).map(|k| interpolate(&self.edges, &self.smooth, share * k as f64)).collect(),
@@ -197,15 +198,15 @@ impl Path {
             false => (1..count).map(|k| self.smooth_total() * k as f64 / count as f64).collect(),
         };
         if !places.is_empty() {
-            self.relax(&mut places);
+            self.relax(&mut places, token)?;
         }
         places.iter_mut().for_each(|s| *s = interpolate(&self.smooth, &self.along, *s));
         if self.closed {
             // Before the others look for kinks: the first and the last one are its neighbours.
             places.insert(0, 0.0);
         }
-        self.follow_kinks(&mut places);
-        if self.leaves(&places) { self.cut(least).unwrap_or(places) } else { places }
+        self.follow_kinks(&mut places, token)?;
+        if self.leaves(&places) { Ok(self.cut(least, token)?.unwrap_or(places)) } else { Ok(places) }
     }
 
     /// Whether a chord between neighbours leaves the curve by more than it should.
@@ -222,7 +223,7 @@ impl Path {
     }
 
     /// Arc lengths at which the curve is cut into chords that stay close to it ([`chords`]).
-    fn cut(&self, least: usize) -> Option<Vec<f64>> {
+    fn cut(&self, least: usize, token: &Token) -> Result<Option<Vec<f64>>, Stopped> {
         // Where vertices are close to each other there need be no points between them, and not all of them.
         let edges = self.edges[self.edges.len() - 1];
         let (vertices, most) = ((self.points.len() - 1) / PARTS, (POINTS * edges).ceil() as usize);
@@ -239,14 +240,14 @@ impl Path {
         let points: Vec<DVec3> = at.iter().map(|&s| self.at(s)).collect();
         let wish: Vec<f64> = at.iter().map(|&s| self.edge_at(s)).collect();
         let line = chords::Line { points: &points, wish: &wish, closed: self.closed };
-        let cuts = chords::cut(&line, least)?;
-        Some(cuts.into_iter().map(|k| at[k]).collect())
+        let cuts = chords::cut(&line, least, token)?;
+        Ok(cuts.map(|cuts| cuts.into_iter().map(|k| at[k]).collect()))
     }
 
     /// Moves seeds to kinks of the curve near them, where the chords then follow it better: each in turn to
     /// the vertex between its neighbours for which Σ (ℓ/ℓ₀ - 1)² + KINKS (deviation/ℓ₀)² over its two
     /// chords ℓ is least.
-    fn follow_kinks(&self, places: &mut [f64]) {
+    fn follow_kinks(&self, places: &mut [f64], token: &Token) -> Result<(), Stopped> {
         let length = self.length();
         let neighbours = |places: &[f64], k: usize| {
             let before = if k > 0 {
@@ -265,6 +266,7 @@ impl Path {
         };
         for _ in 0..KINK_SWEEPS {
             for k in 0..places.len() {
+                token.check_at(64 * k)?;
                 let (before, after) = neighbours(places, k);
                 let goal = 0.5 * self.at(before).distance(self.at(after)).max(0.25 * (after - before));
                 let cost = |s: f64| self.chord(before, s, goal) + self.chord(s, after, goal);
@@ -283,6 +285,7 @@ impl Path {
                 places[k] = best.1;
             }
         }
+        Ok(())
     }
 
     /// What a chord from s to t costs that should be `goal` long.
@@ -301,8 +304,9 @@ impl Path {
     }
 
     /// Lloyd's iteration of inner seeds between two that stay at the ends.
-    fn relax(&self, places: &mut [f64]) {
+    fn relax(&self, places: &mut [f64], token: &Token) -> Result<(), Stopped> {
         for _ in 0..STEPS {
+            token.check()?;
             let mut bounds = vec![0.5 * places[0]];
             bounds.extend(places.windows(2).map(|p| 0.5 * (p[0] + p[1])));
             bounds.push(0.5 * (places[places.len() - 1] + self.smooth_total()));
@@ -314,6 +318,7 @@ impl Path {
                 }
             }
         }
+        Ok(())
     }
 }
 
@@ -345,7 +350,7 @@ mod tests {
         let mesh: TriMesh = Shape::Square.build(2);
         let surface = Surface::new(&mesh, weights).unwrap();
         let options = FeatureOptions { reach: 0.1, ..FeatureOptions::default() };
-        let curves = Features::find(&mesh, surface.positions(), &options).unwrap().curves;
+        let curves = Features::find(&mesh, surface.positions(), &options, &Token::default()).unwrap().curves;
         assert_eq!(curves.len(), 4);
         (surface, curves)
     }
@@ -357,7 +362,7 @@ mod tests {
             for count in [2, 3, 7, 15, 200] {
                 let side = Path::new(&surface, curve, 1.0);
                 let path = Path::new(&surface, curve, side.length() / count as f64);
-                let mut places = path.tessellate(count, 1);
+                let mut places = path.tessellate(count, 1, &Token::default()).unwrap();
                 places.insert(0, 0.0);
                 places.push(path.length());
                 assert_eq!(places.len(), count + 1);
@@ -377,7 +382,7 @@ mod tests {
             let ends = [curve.vertices[0], curve.vertices[1]].map(|v| surface.weights()[v as usize]);
             let one = Path::new(&surface, curve, 1.0).total();
             let path = Path::new(&surface, curve, one / 60.0);
-            let mut places = path.tessellate(60, 1);
+            let mut places = path.tessellate(60, 1, &Token::default()).unwrap();
             places.insert(0, 0.0);
             places.push(path.length());
             let lengths: Vec<f64> = places.windows(2).map(|w| w[1] - w[0]).collect();

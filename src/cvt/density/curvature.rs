@@ -11,14 +11,15 @@ use rayon::prelude::*;
 
 use super::net::Net;
 use super::normals;
+use crate::token::{Stopped, Token};
 
 /// Facets thinner than this (area over squared longest edges) say nothing of curvature.
 const THIN: f64 = 1e-6;
 
 /// The larger of |κ₁| and |κ₂| at each vertex, per extent of the mesh, from normals that were smoothed in
 /// `steps` rounds ([`normals::smoothed`]).
-pub(super) fn largest(net: &Net, steps: usize) -> Vec<f64> {
-    let normals = normals::smoothed(net, normals::of_vertices(net), steps);
+pub(super) fn largest(net: &Net, steps: usize, token: &Token) -> Result<Vec<f64>, Stopped> {
+    let normals = normals::smoothed(net, normals::of_vertices(net), steps, token)?;
     let tensors: Vec<Option<(DVec3, DMat3)>> = net
         .facets
         .par_iter()
@@ -33,9 +34,9 @@ pub(super) fn largest(net: &Net, steps: usize) -> Vec<f64> {
             sums[v].1 += area;
         }
     }
-    sums.into_par_iter()
-        .map(|(sum, area)| if area > 0.0 { largest_eigenvalue(sum * area.recip()) } else { f64::NAN })
-        .collect()
+    token.check()?;
+    let of = |(sum, area): (DMat3, f64)| if area > 0.0 { largest_eigenvalue(sum * area.recip()) } else { f64::NAN };
+    Ok(sums.into_par_iter().map(of).collect())
 }
 
 /// The facet's normal and its second fundamental form, as a tensor of space that is zero along the normal.
@@ -99,8 +100,8 @@ mod tests {
 
     /// Relative errors of `largest` against `want` per caller's unit: median and 99th percentile.
     fn errors(mesh: &TriMesh, steps: usize, want: impl Fn(DVec3) -> f64) -> [f64; 2] {
-        let net = Net::new(mesh);
-        let got = largest(&net, steps);
+        let net = Net::new(mesh, &Token::default()).unwrap();
+        let got = largest(&net, steps, &Token::default()).unwrap();
         let mut off: Vec<f64> =
             mesh.positions().iter().zip(&got).map(|(&p, k)| (k / net.outline.extent / want(p) - 1.0).abs()).collect();
         off.sort_by(f64::total_cmp);
@@ -166,7 +167,7 @@ mod tests {
     fn planes_and_rubbish_have_finite_curvatures() {
         for shape in Shape::ALL {
             let mesh = shape.build(500);
-            let got = largest(&Net::new(&mesh), 3);
+            let got = largest(&Net::new(&mesh, &Token::default()).unwrap(), 3, &Token::default()).unwrap();
             assert!(got.iter().all(|k| k.is_nan() || (*k >= 0.0 && k.is_finite())), "{shape}");
             if matches!(shape, Shape::Plane | Shape::Square) {
                 assert!(got.iter().all(|&k| k == 0.0), "{shape}");

@@ -16,6 +16,7 @@ use rayon::prelude::*;
 use super::net::Net;
 use super::normals;
 use crate::knn::{SeedIndex, Threads};
+use crate::token::{Stopped, Token};
 
 /// Radius of the first ball, and what a surface without medial axis has: the bounding box's longest side. A ball that
 /// touches two points of the box and is larger says nothing of features.
@@ -63,7 +64,7 @@ pub(super) struct FeatureSize {
 /// Finds it.
 ///
 /// Samples are the vertices, and points inside facets that are larger than the spacing of [`SAMPLES`] points.
-pub(super) fn local(net: &Net) -> FeatureSize {
+pub(super) fn local(net: &Net, token: &Token) -> Result<FeatureSize, Stopped> {
     let Samples { points, normals: sample_normals, spacing, first_inner } = samples(net);
     let index = SeedIndex::with_threads(&points, Threads::One);
     let every = |range: Range<usize>| range.clone().step_by(range.len().div_ceil(SOURCES).max(1));
@@ -71,27 +72,31 @@ pub(super) fn local(net: &Net) -> FeatureSize {
     let balls: Vec<[Option<Ball>; 2]> = sources
         .par_iter()
         .map(|&i| {
+            token.check()?;
             let resolved = |ball: &Ball| ball.radius >= 0.5 * spacing[i] || ball.angle >= OPPOSITE;
             let ball = |n| ball(&index, &points, &sample_normals, i, n);
-            [sample_normals[i], -sample_normals[i]].map(|n| ball(n).filter(resolved))
+            Ok([sample_normals[i], -sample_normals[i]].map(|n| ball(n).filter(resolved)))
         })
-        .collect();
+        .collect::<Result<_, Stopped>>()?;
     let balls: Vec<Ball> = balls.into_iter().flatten().flatten().collect();
     let (sheets, folds): (Vec<Ball>, Vec<Ball>) = balls.into_iter().partition(|ball| ball.angle >= OPPOSITE);
-    let between_sheets = distances(net, &thinned(sheets));
-    let within_folds = distances(net, &thinned(folds));
+    let between_sheets = distances(net, &thinned(sheets), token)?;
+    let within_folds = distances(net, &thinned(folds), token)?;
     let all = between_sheets.iter().zip(within_folds).map(|(&sheet, fold)| sheet.min(fold)).collect();
-    FeatureSize { all, between_sheets }
+    Ok(FeatureSize { all, between_sheets })
 }
 
 /// Of each vertex from the nearest of some centres.
-fn distances(net: &Net, centres: &[DVec3]) -> Vec<f64> {
+fn distances(net: &Net, centres: &[DVec3], token: &Token) -> Result<Vec<f64>, Stopped> {
     if centres.is_empty() {
-        return vec![FAR; net.vertices()];
+        return Ok(vec![FAR; net.vertices()]);
     }
     let axis = SeedIndex::with_threads(centres, Threads::One);
-    let distance = |p: &DVec3| centres[axis.nearest(*p) as usize].distance(*p).min(FAR);
-    net.points.par_iter().map(distance).collect()
+    let distance = |(v, p): (usize, &DVec3)| {
+        token.check_at(64 * v)?;
+        Ok(centres[axis.nearest(*p) as usize].distance(*p).min(FAR))
+    };
+    net.points.par_iter().enumerate().map(distance).collect()
 }
 
 struct Ball {
@@ -239,8 +244,8 @@ mod tests {
 
     /// Relative errors against `want` (caller's units): median and largest.
     fn errors(mesh: &TriMesh, want: impl Fn(DVec3) -> f64) -> [f64; 2] {
-        let net = Net::new(mesh);
-        let got = local(&net).all;
+        let net = Net::new(mesh, &Token::default()).unwrap();
+        let got = local(&net, &Token::default()).unwrap().all;
         let off = mesh.positions().iter().zip(&got).map(|(&p, d)| (d * net.outline.extent / want(p) - 1.0).abs());
         let mut off: Vec<f64> = off.collect();
         off.sort_by(f64::total_cmp);
@@ -286,8 +291,8 @@ mod tests {
         };
         let facets = (0..200).flat_map(ring).flat_map(quad).collect();
         let mesh = TriMesh::new((0..=200).flat_map(ring).map(at).collect(), facets).unwrap();
-        let net = Net::new(&mesh);
-        let size = local(&net).all;
+        let net = Net::new(&mesh, &Token::default()).unwrap();
+        let size = local(&net, &Token::default()).unwrap().all;
         for (p, size) in mesh.positions().iter().zip(&size).filter(|(p, _)| p.z > 0.5) {
             // The axis is as far as the ring is wide. A ball may end at another ring, so a ring and a half to spare; where none
             // was found, lengths were 0.2 off and more.
@@ -311,7 +316,14 @@ mod tests {
         println!("fine sheets: {got:?}");
         assert!(got[1] < 0.1, "{got:?}");
         for shape in [Shape::Plane, Shape::Square] {
-            assert!(local(&Net::new(&shape.build(1000))).all.iter().all(|&d| d == FAR), "{shape}");
+            assert!(
+                local(&Net::new(&shape.build(1000), &Token::default()).unwrap(), &Token::default())
+                    .unwrap()
+                    .all
+                    .iter()
+                    .all(|&d| d == FAR),
+                "{shape}"
+            );
         }
     }
 }

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::outline::Outline;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
+use crate::token::{Stopped, Token};
 
 /// See the module's head.
 #[derive(Clone, Debug)]
@@ -38,9 +39,14 @@ pub struct Net {
 
 impl Net {
     /// Reads `mesh`.
-    pub fn new(mesh: &TriMesh) -> Self {
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn new(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
         let adjacency = Adjacency::new(mesh);
+        token.check()?;
         let outline = Outline::of(mesh, &adjacency);
+        token.check()?;
         let class = adjacency.representative().to_vec();
         let (low, _) = mesh.bounds();
         let vertices = mesh.positions().len();
@@ -72,14 +78,16 @@ impl Net {
             v.iter().for_each(|&v| area[v as usize] += size / 3.0);
             facets.push((v, size));
         }
-        edges.sort_unstable();
+        token.check()?;
+        edges.par_sort_unstable();
         edges.dedup();
+        token.check()?;
         let mut starts = vec![0u32; vertices + 1];
         edges.iter().for_each(|&(from, _)| starts[from as usize + 1] += 1);
         (0..vertices).for_each(|v| starts[v + 1] += starts[v]);
         let length = |(from, to): (u32, u32)| (points[from as usize] - points[to as usize]).length();
         let ends = edges.iter().map(|&edge| (edge.1, length(edge))).collect();
-        Self { outline, low, class, points, facets, boundary, area, starts, ends }
+        Ok(Self { outline, low, class, points, facets, boundary, area, starts, ends })
     }
 
     /// Area, boundary and χ.
@@ -162,7 +170,7 @@ mod tests {
             TriMesh::new(points, facets).unwrap()
         };
         let of_first = |mesh: &TriMesh| {
-            let net = Net::new(mesh);
+            let net = Net::new(mesh, &Token::default()).unwrap();
             net.resolution()[0] * net.outline.extent
         };
         let even = [0.0, 60.0, 120.0, 180.0, 240.0];
@@ -175,6 +183,6 @@ mod tests {
         assert!(of_first(&seam) < 1.01, "{}", of_first(&seam));
         // A vertex that no facet uses.
         let mesh = TriMesh::new(vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z], vec![[0, 1, 2]]).unwrap();
-        assert_eq!(Net::new(&mesh).resolution()[3], f64::INFINITY);
+        assert_eq!(Net::new(&mesh, &Token::default()).unwrap().resolution()[3], f64::INFINITY);
     }
 }

@@ -8,6 +8,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::net::Net;
+use crate::token::{Stopped, Token};
 
 /// Normals weighted by the angle of each facet at the vertex (Thürmer, Wüthrich 1998).
 pub(super) fn of_vertices(net: &Net) -> Vec<DVec3> {
@@ -35,8 +36,9 @@ pub(super) fn of_facet([a, b, c]: [DVec3; 3]) -> DVec3 {
 ///
 /// Noise of a scan turns normals to and fro and averages out; on spheres, cylinders and planes the mean is the
 /// normal itself.
-pub(super) fn smoothed(net: &Net, mut normals: Vec<DVec3>, steps: usize) -> Vec<DVec3> {
+pub(super) fn smoothed(net: &Net, mut normals: Vec<DVec3>, steps: usize, token: &Token) -> Result<Vec<DVec3>, Stopped> {
     for _ in 0..steps {
+        token.check()?;
         normals = (0..normals.len())
             .into_par_iter()
             .map(|v| {
@@ -46,5 +48,5 @@ pub(super) fn smoothed(net: &Net, mut normals: Vec<DVec3>, steps: usize) -> Vec<
             })
             .collect();
     }
-    normals
+    Ok(normals)
 }

@@ -12,6 +12,7 @@ use glam::DVec3;
 
 use super::net::Net;
 use crate::mesh::{TriMesh, layers};
+use crate::token::{Stopped, Token};
 
 /// Lengths at the ends of an edge may differ by this factor: half-way, linear w is then 1.32 times that of
 /// linear h, 7 % in edge length, and less elsewhere. With 1.6 nefertiti by curvature has a twentieth more facets instead of
@@ -38,26 +39,38 @@ const DEPTH: usize = 60;
 
 /// Splits facets of `mesh` in which `sizes` (caller's units, one a vertex) change too fast for weights that are
 /// linear in a facet, or that are long beside them; nothing if there is none. Stops before there are more than `most` facets.
-pub(super) fn refine(mesh: &TriMesh, net: &Net, sizes: &[f64], most: usize) -> Option<(TriMesh, Vec<f64>)> {
+pub(super) fn refine(
+    mesh: &TriMesh,
+    net: &Net,
+    sizes: &[f64],
+    most: usize,
+    token: &Token,
+) -> Result<Option<(TriMesh, Vec<f64>)>, Stopped> {
     let mut draft = Draft::new(mesh, net.low, net.outline.extent, sizes);
     // What is wanted for the sake of time comes last, so that it takes nothing from what the density needs.
-    let steep = draft.split_all(Draft::is_steep, most);
-    let long = draft.split_long(most);
-    if steep || long { draft.mesh().map(|mesh| (mesh, draft.sizes)) } else { None }
+    let steep = draft.split_all(Draft::is_steep, most, token)?;
+    let long = draft.split_long(most, token)?;
+    Ok(if steep || long { draft.mesh().map(|mesh| (mesh, draft.sizes)) } else { None })
 }
 
 /// Splits facets of `mesh` that are long beside `sizes` and nothing else; `values`, one a vertex if there are any, stay
 /// linear. Nothing unless these are most of the area, or if facets lie on one another, and as [`refine`] otherwise.
-pub(super) fn shorten(mesh: &TriMesh, sizes: &[f64], values: &[f64], most: usize) -> Option<(TriMesh, Vec<f64>)> {
+pub(super) fn shorten(
+    mesh: &TriMesh,
+    sizes: &[f64],
+    values: &[f64],
+    most: usize,
+    token: &Token,
+) -> Result<Option<(TriMesh, Vec<f64>)>, Stopped> {
     let (low, high) = mesh.bounds();
     let mut draft = Draft::new(mesh, low, (high - low).max_element(), sizes);
     draft.values = values.to_vec();
     // Facets that lie on one another have their edges in common and no others, but would have the edges between their parts
     // too: two sides of a closed surface would become one.
-    if draft.is_mostly_long(mesh) && !layers::any(mesh) && draft.split_long(most) {
-        return draft.mesh().map(|mesh| (mesh, draft.values));
+    if draft.is_mostly_long(mesh) && !layers::any(mesh) && draft.split_long(most, token)? {
+        return Ok(draft.mesh().map(|mesh| (mesh, draft.values)));
     }
-    None
+    Ok(None)
 }
 
 struct Draft {
@@ -69,6 +82,8 @@ struct Draft {
     values: Vec<f64>,
     facets: Vec<[u32; 3]>,
     extent: f64,
+    /// More vertices than these are of no use.
+    most_vertices: usize,
 }
 
 impl Draft {
@@ -81,6 +96,7 @@ impl Draft {
             values: Vec::new(),
             facets: mesh.facets().to_vec(),
             extent,
+            most_vertices: usize::MAX,
         }
     }
 
@@ -90,15 +106,21 @@ impl Draft {
 
     /// Halves edges for which `is_wanted` says so until there is none or there would be more than `most` facets. Returns
     /// whether there were any.
-    fn split_all(&mut self, is_wanted: impl Fn(&Self, usize, usize) -> bool, most: usize) -> bool {
+    fn split_all(
+        &mut self,
+        is_wanted: impl Fn(&Self, usize, usize) -> bool,
+        most: usize,
+        token: &Token,
+    ) -> Result<bool, Stopped> {
         for round in 0..ROUNDS {
+            token.check()?;
             let halved = self.halved(&is_wanted);
             if halved.is_empty() || self.facets.len() + 3 * halved.len() > most {
-                return round > 0;
+                return Ok(round > 0);
             }
             self.split(&halved);
         }
-        true
+        Ok(true)
     }
 
     /// Edges for which `is_wanted` says so, in order, each once.
@@ -173,12 +195,16 @@ impl Draft {
 
     /// Halves edges until none is long. Returns whether there were any; nothing is changed if there would be more than `most`
     /// facets.
-    fn split_long(&mut self, most: usize) -> bool {
+    fn split_long(&mut self, most: usize, token: &Token) -> Result<bool, Stopped> {
         let vertices = self.positions.len();
+        // Each new vertex is a corner of a facet that is new too. With more vertices than facets are allowed the division
+        // fails, so that an edge of any length is done with by then.
+        self.most_vertices = vertices.saturating_add(most);
         let mut done = Vec::with_capacity(self.facets.len());
         let mut middles = HashMap::new();
         let mut open = Vec::new();
         for f in 0..self.facets.len() {
+            token.check_at(f)?;
             open.push(self.facets[f]);
             while let Some(facet) = open.pop() {
                 let turned = |k: usize| [0, 1, 2].map(|i| facet[(i + k) % 3]);
@@ -198,17 +224,17 @@ impl Draft {
                     [true, true, false] => self.cut(turned(1), &mut middles, &mut open),
                     [false, true, true] => self.cut(turned(2), &mut middles, &mut open),
                 }
-                if done.len() + open.len() > most {
+                if done.len() + open.len() > most || self.positions.len() > self.most_vertices {
                     self.positions.truncate(vertices);
                     self.units.truncate(vertices);
                     self.sizes.truncate(vertices);
                     self.values.truncate(vertices);
-                    return false;
+                    return Ok(false);
                 }
             }
         }
         self.facets = done;
-        self.positions.len() > vertices
+        Ok(self.positions.len() > vertices)
     }
 
     /// The vertex in the middle of an edge, made where there was none.
@@ -251,7 +277,8 @@ impl Draft {
         let mut from = a;
         while let Some(&to) = ends.last() {
             // What has no length any more is not halved.
-            if self.is_long(from as usize, to as usize) && ends.len() < DEPTH {
+            let has_room = ends.len() < DEPTH && self.positions.len() <= self.most_vertices;
+            if has_room && self.is_long(from as usize, to as usize) {
                 ends.push(self.middle([from, to], middles));
             } else {
                 out.push(to);
@@ -283,11 +310,11 @@ mod tests {
     fn the_surface_stays_and_steps_become_small() {
         for shape in [Shape::Square, Shape::Plane, Shape::Torus, Shape::Sheets, Shape::Slivers] {
             let mesh = shape.build(200);
-            let net = Net::new(&mesh);
+            let net = Net::new(&mesh, &Token::default()).unwrap();
             let (low, high) = mesh.bounds();
             let size = |p: DVec3| 0.01 * (1.0 + 19.0 * (p.x - low.x) / (high.x - low.x));
             let sizes: Vec<f64> = mesh.positions().iter().map(|&p| size(p)).collect();
-            let (fine, fine_sizes) = refine(&mesh, &net, &sizes, 1_000_000).unwrap();
+            let (fine, fine_sizes) = refine(&mesh, &net, &sizes, 1_000_000, &Token::default()).unwrap().unwrap();
             assert_eq!(fine.positions()[..mesh.positions().len()], mesh.positions()[..]);
             assert!((fine.area() / mesh.area() - 1.0).abs() < 1e-12, "{shape}");
             assert_eq!(topology(&fine).euler, topology(&mesh).euler, "{shape}");
@@ -309,14 +336,14 @@ mod tests {
     fn a_seam_stays_closed_and_a_budget_is_kept() {
         let points = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::X, DVec3::Y, DVec3::new(1.0, 1.0, 0.0)];
         let mesh = TriMesh::new(points.to_vec(), vec![[0, 1, 2], [3, 5, 4]]).unwrap();
-        let net = Net::new(&mesh);
+        let net = Net::new(&mesh, &Token::default()).unwrap();
         let sizes = vec![0.4, 0.01, 0.3, 0.01, 0.3, 0.4];
-        let (fine, _) = refine(&mesh, &net, &sizes, 100_000).unwrap();
+        let (fine, _) = refine(&mesh, &net, &sizes, 100_000, &Token::default()).unwrap().unwrap();
         let after = topology(&fine);
         assert_eq!((after.euler, after.boundary_loops, after.components), (1, 1, 1));
-        let (some, _) = refine(&mesh, &net, &sizes, 30).unwrap();
+        let (some, _) = refine(&mesh, &net, &sizes, 30, &Token::default()).unwrap().unwrap();
         assert!(some.facets().len() <= 30);
-        assert!(refine(&mesh, &net, &[1.0; 6], 100_000).is_none());
+        assert!(refine(&mesh, &net, &[1.0; 6], 100_000, &Token::default()).unwrap().is_none());
     }
 
     #[test]
@@ -326,7 +353,7 @@ mod tests {
             let value = |p: DVec3| 1.0 + p.x - 2.0 * p.y + 0.5 * p.z;
             let values: Vec<f64> = mesh.positions().iter().map(|&p| value(p)).collect();
             let sizes = vec![0.01; values.len()];
-            let (fine, fine_values) = shorten(&mesh, &sizes, &values, 1_000_000).unwrap();
+            let (fine, fine_values) = shorten(&mesh, &sizes, &values, 1_000_000, &Token::default()).unwrap().unwrap();
             assert_eq!(fine.positions()[..mesh.positions().len()], mesh.positions()[..]);
             assert!((fine.area() / mesh.area() - 1.0).abs() < 1e-12, "{shape}");
             assert_eq!(topology(&fine).euler, topology(&mesh).euler, "{shape}");
@@ -336,7 +363,9 @@ mod tests {
             let longest =
                 corners.flat_map(|[a, b, c]| [a.distance(b), b.distance(c), c.distance(a)]).fold(0.0, f64::max);
             assert!(longest <= LONG * 0.01 * (1.0 + 1e-12), "{shape}: {longest}");
-            assert!(shorten(&mesh, &vec![100.0; values.len()], &values, 1_000_000).is_none());
+            assert!(
+                shorten(&mesh, &vec![100.0; values.len()], &values, 1_000_000, &Token::default()).unwrap().is_none()
+            );
         }
     }
 
@@ -347,7 +376,7 @@ mod tests {
         let points =
             vec![at(0.0, 0.0, 0.0), at(100.0, 0.0, 0.0), at(100.0, 0.3, 0.0), at(0.0, 0.3, 0.0), at(50.0, -30.0, 0.0)];
         let mesh = TriMesh::new(points, vec![[0, 1, 2], [0, 2, 3], [1, 0, 4]]).unwrap();
-        let (fine, _) = shorten(&mesh, &[0.3; 5], &[], 1_000_000).unwrap();
+        let (fine, _) = shorten(&mesh, &[0.3; 5], &[], 1_000_000, &Token::default()).unwrap().unwrap();
         let (before, after) = (topology(&mesh), topology(&fine));
         assert_eq!((after.euler, after.boundary_loops), (before.euler, before.boundary_loops));
         assert!((fine.area() / mesh.area() - 1.0).abs() < 1e-12);
@@ -358,8 +387,10 @@ mod tests {
         let corners = (0..fine.facets().len()).map(|f| fine.corners(f));
         let longest = corners.flat_map(|[a, b, c]| [a.distance(b), b.distance(c), c.distance(a)]).fold(0.0, f64::max);
         assert!(longest <= LONG * 0.3, "{longest}");
-        let (whole, sizes) =
-            (shorten(&mesh, &[0.3; 5], &[], 300), shorten(&mesh, &[1e-300, 1.0, 1.0, 1.0, 1.0], &[], 10_000));
+        let (whole, sizes) = (
+            shorten(&mesh, &[0.3; 5], &[], 300, &Token::default()).unwrap(),
+            shorten(&mesh, &[1e-300, 1.0, 1.0, 1.0, 1.0], &[], 10_000, &Token::default()).unwrap(),
+        );
         assert!(whole.is_none() && sizes.is_none_or(|(mesh, _)| mesh.facets().len() <= 10_000));
     }
 
@@ -370,9 +401,9 @@ mod tests {
         // Back to back, of the same vertices or of others in their places.
         for back in [[0, 2, 1], [4, 6, 5]] {
             let mesh = TriMesh::new(points.clone(), vec![[0, 1, 2], back, [1, 3, 2]]).unwrap();
-            assert!(shorten(&mesh, &[0.1; 7], &[], 100_000).is_none());
+            assert!(shorten(&mesh, &[0.1; 7], &[], 100_000, &Token::default()).unwrap().is_none());
             let two = TriMesh::new(points.clone(), vec![[0, 1, 2], back]).unwrap();
-            assert!(layers::any(&two) && shorten(&two, &[0.1; 7], &[], 100_000).is_none());
+            assert!(layers::any(&two) && shorten(&two, &[0.1; 7], &[], 100_000, &Token::default()).unwrap().is_none());
         }
     }
 }

@@ -10,6 +10,7 @@ use std::collections::BinaryHeap;
 use super::DensityError;
 use super::net::Net;
 use super::outline::POINTS_PER_AREA;
+use crate::token::{Stopped, Token};
 
 /// Target edge length at each vertex of a mesh, caller's units.
 #[derive(Clone, Debug, PartialEq)]
@@ -124,16 +125,22 @@ impl SizeField {
     /// to the largest, each vertex settled once (Dijkstra's order). Says how many were lowered.
     ///
     /// The result is the largest field below this one that keeps the bound, whatever the order of equals.
-    pub fn grade(&mut self, net: &Net, slope: f64) -> usize {
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn grade(&mut self, net: &Net, slope: f64, token: &Token) -> Result<usize, Stopped> {
         if slope == f64::INFINITY {
-            return 0;
+            return Ok(0);
         }
         let before = self.sizes.clone();
         let slope = slope * net.outline.extent;
         // Positive floats are ordered as their bits are.
         let mut queue: BinaryHeap<Reverse<(u64, u32)>> =
             (0..net.vertices()).filter(|&v| net.class[v] == v as u32).map(|v| entry(self.sizes[v], v)).collect();
+        let mut looked_at = 0;
         while let Some(Reverse((bits, v))) = queue.pop() {
+            looked_at += 1;
+            token.check_at(looked_at)?;
             let (h, v) = (f64::from_bits(bits), v as usize);
             if h > self.sizes[v] {
                 continue;
@@ -149,7 +156,7 @@ impl SizeField {
         for v in 0..self.sizes.len() {
             self.sizes[v] = self.sizes[net.class[v] as usize].min(self.sizes[v]);
         }
-        before.iter().zip(&self.sizes).filter(|(before, after)| after < before).count()
+        Ok(before.iter().zip(&self.sizes).filter(|(before, after)| after < before).count())
     }
 }
 
@@ -215,7 +222,7 @@ mod tests {
     fn a_constant_field_counts_as_its_length() {
         for shape in [Shape::Sphere, Shape::Torus, Shape::Plane, Shape::Sheets, Shape::Genus(3)] {
             let mesh = shape.build(2000);
-            let (net, outline) = (Net::new(&mesh), Outline::new(&mesh));
+            let (net, outline) = (Net::new(&mesh, &Token::default()).unwrap(), Outline::new(&mesh));
             let h = 0.05;
             let field = SizeField::new(&net, vec![h; mesh.positions().len()]).unwrap();
             let points = field.points(&net);
@@ -229,11 +236,11 @@ mod tests {
     fn the_slope_is_bounded_on_every_edge_and_nothing_is_lowered_in_vain() {
         for shape in Shape::ALL {
             let mesh = shape.build(1500);
-            let net = Net::new(&mesh);
+            let net = Net::new(&mesh, &Token::default()).unwrap();
             let wild = |v: usize| 1e-3 * (1 + v * 7919 % 101) as f64;
             let given: Vec<f64> = (0..mesh.positions().len()).map(wild).collect();
             let mut field = SizeField::new(&net, given.clone()).unwrap();
-            let lowered = field.grade(&net, 0.3);
+            let lowered = field.grade(&net, 0.3, &Token::default()).unwrap();
             assert!(lowered > 0 || shape == Shape::Square, "{shape}");
             let h = field.sizes();
             for v in 0..h.len() {
@@ -253,7 +260,7 @@ mod tests {
     fn seams_have_one_length_and_bad_ones_are_named() {
         let square = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::X, DVec3::Y, DVec3::ONE, DVec3::splat(1e300)];
         let mesh = TriMesh::new(square.to_vec(), vec![[0, 1, 2], [3, 5, 4]]).unwrap();
-        let net = Net::new(&mesh);
+        let net = Net::new(&mesh, &Token::default()).unwrap();
         let field = SizeField::new(&net, vec![1.0, 2.0, 3.0, 4.0, 0.5, 6.0, 1e-9]).unwrap();
         assert_eq!(field.sizes()[..6], [1.0, 2.0, 0.5, 2.0, 0.5, 6.0]);
         assert_eq!(field.sizes()[6], field.median(&net), "no facet uses it");

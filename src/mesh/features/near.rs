@@ -13,6 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use glam::DVec3;
 
 use super::{Curve, CurveKind, Ruler};
+use crate::token::{Stopped, Token};
 
 /// What is near. Lengths as [`super::FeatureOptions::fineness`] makes them.
 #[derive(Clone, Copy)]
@@ -40,14 +41,20 @@ struct Joiner<'a> {
 }
 
 /// Leaves corners out of which others are near along a boundary; the shortest distance first. Returns how many.
-pub(super) fn join(curves: &mut Vec<Curve>, corners: &mut BTreeSet<u32>, ruler: Ruler<'_>, near: Near) -> usize {
+pub(super) fn join(
+    curves: &mut Vec<Curve>,
+    corners: &mut BTreeSet<u32>,
+    ruler: Ruler<'_>,
+    near: Near,
+    token: &Token,
+) -> Result<usize, Stopped> {
     let mut short: Vec<(f64, usize)> = (0..curves.len())
         .filter(|&c| !curves[c].closed && curves[c].kind == CurveKind::Boundary)
         .map(|c| (ruler.chain(&curves[c].vertices), c))
         .filter(|(length, _)| *length < near.length)
         .collect();
     if short.is_empty() {
-        return 0;
+        return Ok(0);
     }
     short.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let mut at: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
@@ -55,10 +62,14 @@ pub(super) fn join(curves: &mut Vec<Curve>, corners: &mut BTreeSet<u32>, ruler: 
         ends(curve).into_iter().for_each(|v| at.entry(v).or_default().push(c));
     }
     let mut joiner = Joiner { curves, at, ruler, near };
-    let gone: Vec<u32> = short.into_iter().filter_map(|(_, c)| joiner.join(c)).collect();
+    let mut gone: Vec<u32> = Vec::new();
+    for (_, c) in short {
+        token.check()?;
+        gone.extend(joiner.join(c));
+    }
     gone.iter().for_each(|corner| _ = corners.remove(corner));
     curves.retain(|curve| !curve.vertices.is_empty());
-    gone.len()
+    Ok(gone.len())
 }
 
 fn ends(curve: &Curve) -> [u32; 2] {
@@ -70,7 +81,7 @@ impl Joiner<'_> {
     fn join(&mut self, c: usize) -> Option<u32> {
         let curve = &self.curves[c];
         // It may have become longer since.
-        if self.ruler.chain(&curve.vertices) >= self.near.length {
+        if self.is_as_long_as(&curve.vertices, self.near.length) {
             return None;
         }
         let [a, b] = ends(curve);
@@ -110,7 +121,7 @@ impl Joiner<'_> {
         // A boundary does not divide.
         let goes_on = others.iter().filter(|o| o.kind == CurveKind::Boundary).count() == 1;
         // What comes back to where it began has room for a loop.
-        let loops = |o: &Curve| ends(o).contains(&stays) && self.ruler.chain(&o.vertices) >= LOOP * self.near.reach;
+        let loops = |o: &Curve| ends(o).contains(&stays) && self.is_as_long_as(&o.vertices, LOOP * self.near.reach);
         let returns = |o: &&Curve| ends(o) == [gone; 2] || ends(o).contains(&stays) && !loops(o);
         if !goes_on || others.iter().any(returns) {
             return None;
@@ -135,19 +146,32 @@ impl Joiner<'_> {
 
     /// The place on a curve where a chord from its end `v` ends.
     fn ahead(&self, curve: &Curve, v: u32) -> DVec3 {
-        let mut chain: Vec<u32> = curve.vertices.clone();
-        if chain[0] != v {
-            chain.reverse();
-        }
+        let chain = &curve.vertices;
+        let last = chain.len() - 1;
+        let forward = chain[0] == v;
+        // The k-th from that end: no copy, since a curve may be long and have many others beside it.
+        let vertex = |k: usize| if forward { chain[k] } else { chain[last - k] };
         let mut left = self.near.reach;
-        for w in chain.windows(2) {
-            let length = self.ruler.edge(w[0], w[1]);
+        for k in 0..last {
+            let (from, to) = (vertex(k), vertex(k + 1));
+            let length = self.ruler.edge(from, to);
             if length >= left && length > 0.0 {
-                return self.ruler.at(w[0]).lerp(self.ruler.at(w[1]), left / length);
+                return self.ruler.at(from).lerp(self.ruler.at(to), left / length);
             }
             left -= length;
         }
-        self.ruler.at(chain[chain.len() - 1])
+        self.ruler.at(vertex(last))
+    }
+
+    /// Whether a chain is at least so long, without a look at what comes after that.
+    fn is_as_long_as(&self, chain: &[u32], least: f64) -> bool {
+        let mut length = 0.0;
+        let mut parts = chain.windows(2).map(|p| self.ruler.edge(p[0], p[1]));
+        least <= 0.0
+            || parts.any(|part| {
+                length += part;
+                length >= least
+            })
     }
 }
 
@@ -170,7 +194,9 @@ mod tests {
         let mut corners: BTreeSet<u32> = curves.iter().flat_map(ends).collect();
         let ruler = Ruler { positions, fineness: &[] };
         let before = corners.len();
-        let joined = join(&mut curves, &mut corners, ruler, Near { length: 0.4, reach: 1.0, off: 0.1 });
+        let joined =
+            join(&mut curves, &mut corners, ruler, Near { length: 0.4, reach: 1.0, off: 0.1 }, &Token::default())
+                .unwrap();
         assert_eq!(corners.len() + joined, before);
         (curves, corners.into_iter().collect())
     }

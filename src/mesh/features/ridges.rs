@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use super::{Edge, Graph, Ruler, What, edge};
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
+use crate::token::{Stopped, Token};
 
 /// A ridge is bent by more than this share of the angle of creases,
 const FAINT: f64 = 0.5;
@@ -114,10 +115,11 @@ impl<'a> Bends<'a> {
     }
 
     /// Edges that are a ridge and no crease, with their bends, ascending.
-    fn ridges(&self, crease: f64, reach: f64) -> Vec<(Edge, f64)> {
+    fn ridges(&self, crease: f64, reach: f64, token: &Token) -> Result<Vec<(Edge, f64)>, Stopped> {
         let class = self.adjacency.representative();
         let mut found = Vec::new();
         for half in 0..3 * self.mesh.facets().len() {
+            token.check_at(8 * half)?;
             let Some(other) = self.adjacency.opposite(half).filter(|&other| half < other) else { continue };
             let Some(bend) = self.at(half).filter(|b| (FAINT * crease..=crease).contains(b)) else { continue };
             if [half, other].into_iter().all(|h| self.is_smooth_beside(h, BESIDE * bend, crease, reach)) {
@@ -127,14 +129,20 @@ impl<'a> Bends<'a> {
             }
         }
         found.sort_unstable_by_key(|r| r.0);
-        found
+        Ok(found)
     }
 
     /// Puts ridges into a graph of creases: chains between two places where there are creases, such as go on
     /// from the free end of one, and others that are at least `shortest` long.
-    pub(super) fn add_ridges(&self, graph: &mut Graph, crease: f64, reach: f64, shortest: f64) {
+    pub(super) fn add_ridges(
+        &self,
+        graph: &mut Graph,
+        crease: f64,
+        (reach, shortest): (f64, f64),
+        token: &Token,
+    ) -> Result<(), Stopped> {
         let mut faint = Graph::default();
-        for (e, angle) in self.ridges(crease, reach) {
+        for (e, angle) in self.ridges(crease, reach, token)? {
             if !graph.edges.contains_key(&e) {
                 faint.insert(e, What { kind: super::CurveKind::Crease, kept: false, angle });
             }
@@ -143,6 +151,7 @@ impl<'a> Bends<'a> {
             faint.around.iter().filter(|(v, l)| l.len() != 2 || graph.degree(**v) > 0).map(|(&v, _)| v).collect();
         let mut chosen = Vec::new();
         for &v in &nodes {
+            token.check()?;
             for &next in &faint.around[&v] {
                 let chain = faint.chain_to(v, next, &nodes);
                 let (first, last) = (chain[0], chain[chain.len() - 1]);
@@ -165,5 +174,6 @@ impl<'a> Bends<'a> {
                 graph.insert(e, faint.edges[&e]);
             }
         }
+        Ok(())
     }
 }

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::super::fan::Fan;
 use super::region::{NONE, Region};
 use super::{CurveSample, Draft, Sample, Target};
+use crate::token::Token;
 
 /// Steps of conjugate gradients a round: moves reach a few facets far.
 const STEPS: usize = 14;
@@ -30,6 +31,8 @@ const CURVES: f64 = 20.0;
 const TIP_PULL: f64 = 20.0;
 /// Vertices that are one task, and facets that are not worth one.
 const RUN: usize = 256;
+/// Samples between two looks at the token.
+const ASKED: usize = 64;
 
 /// Neighbours of a vertex in the mean, and some room.
 const BESIDE: usize = 7;
@@ -150,7 +153,7 @@ struct Found {
 }
 
 impl Found {
-    fn new(draft: &Draft<'_>, target: &Target, region: &Region) -> Self {
+    fn new(draft: &Draft<'_>, target: &Target, region: &Region, token: &Token) -> Self {
         let mut first = Vec::with_capacity(region.reached.len() + 1);
         let mut total = 0;
         first.push(0);
@@ -172,7 +175,11 @@ impl Found {
             let mut to = facet.iter_mut().zip(weights);
             for &v in vertices {
                 fan.turn_to(draft.positions, draft.facets, draft.around, v);
-                for (sample, (facet, weights)) in target.samples.of(v).iter().zip(&mut to) {
+                for (k, (sample, (facet, weights))) in target.samples.of(v).iter().zip(&mut to).enumerate() {
+                    // A vertex may have many facets, and many samples.
+                    if k.is_multiple_of(ASKED) && token.is_stopped() {
+                        return;
+                    }
                     let found = fan.nearest(sample.position);
                     (*facet, *weights) = (found.facet, found.weights);
                 }
@@ -309,10 +316,10 @@ impl Equations {
         draft: &Draft<'_>,
         target: &Target,
         region: &Region,
-        start: &[DVec3],
-        tips: &[(u32, DVec3)],
+        (start, tips): (&[DVec3], &[(u32, DVec3)]),
+        token: &Token,
     ) -> Self {
-        let found = Found::new(draft, target, region);
+        let found = Found::new(draft, target, region, token);
         let share = |&f: &u32| found.share(draft, target, region, f);
         let shares = region.facets.par_iter().with_min_len(RUN).map(share).collect();
         let in_region = target.curves.iter().filter(|s| s.edge.iter().all(|&v| region.reaches(v)));
@@ -329,14 +336,14 @@ impl Equations {
     }
 
     /// The moves, one a vertex.
-    pub(super) fn solve(&self) -> Vec<DVec3> {
+    pub(super) fn solve(&self, token: &Token) -> Vec<DVec3> {
         let mut moves = vec![DVec3::ZERO; self.vertices];
-        let x = self.conjugate_gradients();
+        let x = self.conjugate_gradients(token);
         self.unknowns.iter().zip(x).for_each(|(&v, x)| moves[v as usize] = x);
         moves
     }
 
-    fn conjugate_gradients(&self) -> Vec<DVec3> {
+    fn conjugate_gradients(&self, token: &Token) -> Vec<DVec3> {
         let n = self.unknowns.len();
         let (mut x, mut q) = (vec![DVec3::ZERO; n], vec![DVec3::ZERO; n]);
         let mut r: Vec<DVec3> = self.rows.iter().flat_map(|rows| rows.right.iter().copied()).collect();
@@ -345,7 +352,7 @@ impl Equations {
         let mut rz: f64 = r.iter().zip(&p).map(|(r, z)| r.dot(*z)).sum();
         let enough = 1e-8 * rz;
         for _ in 0..STEPS {
-            if rz <= enough || rz.is_nan() {
+            if rz <= enough || rz.is_nan() || token.is_stopped() {
                 break;
             }
             let curvature = self.apply(&p, &mut q);

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::super::around::Around;
 use super::super::tips::Offsets;
 use super::{Sample, Target};
+use crate::token::Token;
 
 /// What is farther from the facets than the second share of an edge was missed, if something is farther than the
 /// first.
@@ -34,11 +35,12 @@ impl Far {
         facets: &[[u32; 3]],
         target: &Target,
         tolerance: Option<f64>,
+        token: &Token,
     ) -> Self {
         let around = Around::new(positions.len(), facets);
-        let offsets = Offsets::new(positions, facets, &around, &target.tips);
+        let offsets = Offsets::new(positions, facets, &around, &target.tips, token);
         let missed = places(positions, facets, &around, &offsets, tolerance);
-        let strayed = strayed(positions, facets, target);
+        let strayed = strayed(positions, facets, target, token);
         let deviation = strayed.iter().copied().fold(offsets.deviation(), f64::max);
         let mut by_vertex = offsets.by_vertex(positions.len());
         let widen = |(v, far): (usize, &mut f64)| {
@@ -56,9 +58,10 @@ pub(in crate::remesh) fn missed(
     facets: &[[u32; 3]],
     target: &Target,
     tolerance: Option<f64>,
+    token: &Token,
 ) -> Vec<(u32, DVec3)> {
     let around = Around::new(positions.len(), facets);
-    let offsets = Offsets::new(positions, facets, &around, &target.tips);
+    let offsets = Offsets::new(positions, facets, &around, &target.tips, token);
     places(positions, facets, &around, &offsets, tolerance)
 }
 
@@ -86,8 +89,11 @@ fn places(
 
 /// How far a vertex or the middle of each facet is from the input at most: from the plane of the nearest sample around
 /// it, or from the sample where that is not below it.
-fn strayed(positions: &[DVec3], facets: &[[u32; 3]], target: &Target) -> Vec<f64> {
-    let own = |v: u32| distance(positions[v as usize], [target.samples.of(v)]);
+fn strayed(positions: &[DVec3], facets: &[[u32; 3]], target: &Target, token: &Token) -> Vec<f64> {
+    let own = |v: u32| match token.check_at(64 * v as usize) {
+        Err(_) => 0.0,
+        Ok(()) => distance(positions[v as usize], [target.samples.of(v)]),
+    };
     let own: Vec<f64> = (0..positions.len() as u32).into_par_iter().with_min_len(SHARE).map(own).collect();
     let of = |t: &[u32; 3]| {
         let [a, b, c] = t.map(|v| positions[v as usize]);

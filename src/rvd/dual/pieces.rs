@@ -13,6 +13,7 @@ use crate::mesh::disjoint::DisjointSets;
 use crate::mesh::edges::{EdgeGroups, Half};
 use crate::rvd::cells::facet_edge;
 use crate::rvd::{PieceBatch, Surface};
+use crate::token::{Stopped, Token};
 
 /// What the dual needs of each piece, in facet order.
 #[derive(Default)]
@@ -159,14 +160,17 @@ impl Pieces {
 
     /// Joins pieces of one cell across mesh edges, numbers the components, names the triangles, and
     /// finds what breaks the topology.
-    pub(super) fn join(&self, surface: &Surface, seeds: usize) -> Dual {
+    pub(super) fn join(&self, surface: &Surface, seeds: usize, token: &Token) -> Result<Dual, Stopped> {
+        token.check()?;
         let mut joined = self.across_edges(surface);
+        token.check()?;
         let (mut dual, component) = self.number(&mut joined.sets, seeds);
+        token.check()?;
         let count = dual.components.len();
         let failing = || self.failing(surface, &joined, count, &component);
         let (failing, pieces) = rayon::join(failing, || self.centres(&component));
         let Failing { not_disks, multiple_rims, multiple_edges } = failing;
-        Dual { not_disks, multiple_rims, multiple_edges, pieces, ..std::mem::take(&mut dual) }
+        Ok(Dual { not_disks, multiple_rims, multiple_edges, pieces, ..std::mem::take(&mut dual) })
     }
 
     /// What of so many components breaks the topology.

@@ -182,7 +182,7 @@ impl GpuSession {
         self.host.far = false;
         self.merged = false;
         self.scales = fixed::Scales::new(self.mass, self.surface.area(), COVERING_RADIUS);
-        self.walker.reset();
+        self.walker.reset(&Token::default());
     }
 
     /// Encodes the seeds' arrival and the search for their rows.
@@ -407,7 +407,7 @@ impl GpuSession {
         let facets = self.facets.len() as u32;
         let mut starts = std::mem::take(&mut self.host.starts);
         self.host.first.clear();
-        self.host.first.extend_from_slice(starts.find(self.diagram(), 0..facets));
+        self.host.first.extend_from_slice(starts.find(self.diagram(), 0..facets, token));
         self.host.starts = starts;
         for root in &mut self.roots {
             root[1] = self.host.first[root[0] as usize];

@@ -21,6 +21,7 @@ use crate::knn::NeighbourTable;
 use crate::rvd::clip::{Clipper, Integrals};
 use crate::rvd::incident::{Diagram, FacetWalker};
 use crate::rvd::{Capacities, CellSums, PassStats, PieceBatch, start};
+use crate::token::Token;
 
 /// What one task found. Reused from wave to wave.
 #[derive(Default)]
@@ -61,6 +62,9 @@ impl<'a> Task<'a> {
     }
 }
 
+/// Facets that are walked between two looks at the token.
+const ASKED: usize = 16;
+
 /// One thread's scratch memory.
 #[derive(Default)]
 pub(super) struct Walkers {
@@ -99,9 +103,9 @@ impl WithSimd for Divide<'_> {
 }
 
 impl Walkers {
-    /// Forgets what is known of other seeds.
-    pub(super) fn reset(&mut self) {
-        self.walker.reset();
+    /// Forgets what is known of other seeds, and listens to `token`.
+    pub(super) fn reset(&mut self, token: &Token) {
+        self.walker.reset(token);
     }
 
     /// Makes room for what is found.
@@ -165,7 +169,10 @@ impl Walkers {
     fn walk(&mut self, listed: Listed<'_>, stats: &mut PassStats) {
         let Self { chooser: Chooser { members, long, .. }, walker, to_walk, to_clip, written, .. } = self;
         let Listed { diagram, facets, starts, lists, capacities, by_rows } = listed;
-        for &(at, slot) in &*to_clip {
+        for (k, &(at, slot)) in to_clip.iter().enumerate() {
+            if k.is_multiple_of(ASKED) && walker.is_stopped() {
+                break;
+            }
             let among = long.among(listed, at as usize, members[at as usize]);
             let (seed, sum) = (&mut written.seeds[slot], &mut written.integrals[slot]);
             walker.clip_listed(&among.seeds, diagram, facets.facet(at as usize), *seed, capacities, stats);
@@ -177,7 +184,10 @@ impl Walkers {
             }
         }
         to_walk.sort_unstable();
-        for &at in &*to_walk {
+        for (k, &at) in to_walk.iter().enumerate() {
+            if k.is_multiple_of(ASKED) && walker.is_stopped() {
+                break;
+            }
             let at = at as usize;
             let (facet, centroid) = (facets.facet(at), facets.centroid(at));
             let visit = |i: u32, clipper: &Clipper| written.walked.push((i, clipper.integrals()));
@@ -289,7 +299,10 @@ impl Chunk {
         self.begin();
         let surface = diagram.surface;
         let Self { pieces, stats, .. } = self;
-        for (facet, &start) in (first..).zip(starts) {
+        for (k, (facet, &start)) in (first..).zip(starts).enumerate() {
+            if k.is_multiple_of(ASKED) && walkers.walker.is_stopped() {
+                break;
+            }
             if if flat { surface.joins(facet as usize) } else { !surface.skips(facet as usize) } {
                 walkers.walker.walk(diagram, facet, start, capacities, stats, |i, clipper| {
                     let origin = diagram.seeds[i as usize];

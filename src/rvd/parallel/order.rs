@@ -11,9 +11,12 @@ use rayon::prelude::*;
 use crate::mesh::curve;
 use crate::rvd::Surface;
 use crate::rvd::incident::Diagram;
+use crate::token::Token;
 
 /// Facets that are looked at together at least.
 const CHUNK: usize = 4096;
+/// Facets between two looks at the token.
+const ASKED: usize = 64;
 
 /// Facets, and a seed near each.
 #[derive(Default)]
@@ -125,12 +128,20 @@ impl Order {
 
     /// The facets, and a guess for each: the last answer, or else a seed not far away. With `better` the caller puts
     /// nearer seeds in their place.
-    pub(super) fn guesses(&mut self, diagram: Diagram<'_>, better: bool) -> (Stretch<'_>, &mut [u32]) {
+    pub(super) fn guesses(&mut self, diagram: Diagram<'_>, better: bool, token: &Token) -> (Stretch<'_>, &mut [u32]) {
         let mut starts = std::mem::take(&mut self.starts);
         if starts.is_empty() || self.seeds > diagram.seeds.len() {
             let all = self.all();
-            let near = |at: usize| diagram.index.near(all.centroid(at));
-            (0..all.len()).into_par_iter().with_min_len(CHUNK).map(near).collect_into_vec(&mut starts);
+            starts.resize(all.len(), 0);
+            starts.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
+                for (k, start) in part.iter_mut().enumerate() {
+                    // A query may look at all seeds.
+                    if k.is_multiple_of(ASKED) && token.is_stopped() {
+                        return;
+                    }
+                    *start = diagram.index.near(all.centroid(c * CHUNK + k));
+                }
+            });
             self.seeds = diagram.seeds.len();
         }
         if better {

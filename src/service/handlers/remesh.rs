@@ -94,7 +94,7 @@ pub(super) async fn handle(
     let wish = convert::wish(header.backend)?;
     let by = shared.engine.backend(wish)?;
     let (limits, density) = (shared.limits, header.density);
-    let work = move || input(seeds, uploaded, density.as_ref(), &limits);
+    let work = move |token: &Token| input(seeds, uploaded, density.as_ref(), &limits, token);
     let (Input { mesh, density, seeds, creases, attributes }, _share) = apart(&shared, work).await?;
     let announced = header.attributes.clone();
     let options = RemeshOptions {
