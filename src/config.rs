@@ -70,15 +70,30 @@ pub struct ServeArgs {
     /// Most iterations in one request.
     #[arg(long, value_name = "N", default_value_t = 10_000, env = "TESSERA_MAX_ITERATIONS")]
     pub max_iterations: u32,
-    /// Geometry of all streams together that is held in memory, MiB.
+    /// Uploaded geometry and waiting results of all streams together that are held in memory, MiB.
     #[arg(long, value_name = "MIB", default_value_t = 4096, env = "TESSERA_MEMORY_MIB")]
     pub memory_mib: u64,
     /// Seconds that running work gets to end after SIGTERM.
     #[arg(long, value_name = "S", default_value_t = 30.0, env = "TESSERA_GRACE_S")]
     pub grace_s: f64,
-    /// Seconds after which a client that reads nothing is cut.
-    #[arg(long, value_name = "S", default_value_t = 60.0, env = "TESSERA_STALL_S")]
+    /// Connections open at once; the process's limit on open files lowers it where it must.
+    #[arg(long, value_name = "N", default_value_t = 1024, env = "TESSERA_MAX_CONNECTIONS")]
+    pub max_connections: usize,
+    /// Connections open at once from one address (one /64 network with IPv6).
+    #[arg(long, value_name = "N", default_value_t = 256, env = "TESSERA_MAX_CONNECTIONS_PER_PEER")]
+    pub max_connections_per_peer: usize,
+    /// Seconds until a new connection must have sent its first request.
+    #[arg(long, value_name = "S", default_value_t = 20.0, env = "TESSERA_FIRST_REQUEST_S")]
+    pub first_request_s: f64,
+    /// Seconds until a connection without open streams is closed.
+    #[arg(long, value_name = "S", default_value_t = 300.0, env = "TESSERA_IDLE_CONNECTION_S")]
+    pub idle_connection_s: f64,
+    /// Seconds after which a stream is reset if its client takes none of the bytes that wait for it.
+    #[arg(long, value_name = "S", default_value_t = 120.0, env = "TESSERA_STALL_S")]
     pub stall_s: f64,
+    /// Seconds for a whole upload.
+    #[arg(long, value_name = "S", default_value_t = 1800.0, env = "TESSERA_UPLOAD_S")]
+    pub upload_s: f64,
     /// Seconds between two messages of an upload.
     #[arg(long, value_name = "S", default_value_t = 60.0, env = "TESSERA_UPLOAD_IDLE_S")]
     pub upload_idle_s: f64,
@@ -102,13 +117,23 @@ pub struct Limits {
     pub max_streams: usize,
     /// Interactive sessions at once.
     pub max_sessions: usize,
-    /// Uploaded geometry in memory, all streams together, bytes.
+    /// Uploaded geometry and waiting results in memory, all streams together, bytes.
     pub memory_bytes: u64,
+    /// Connections at once.
+    pub max_connections: usize,
+    /// Connections at once from one address.
+    pub max_connections_per_peer: usize,
+    /// For a new connection to send its first request.
+    pub first_request: Duration,
+    /// For a connection without open streams.
+    pub idle_connection: Duration,
+    /// For a whole upload.
+    pub upload: Duration,
     /// Between two messages of an upload.
     pub upload_idle: Duration,
     /// Between two commands of a session.
     pub session_idle: Duration,
-    /// For a client to read a message.
+    /// For a client to take any of the bytes that wait for it.
     pub stall: Duration,
     /// For work to end after the shutdown began.
     pub grace: Duration,
@@ -124,9 +149,14 @@ impl Default for Limits {
             max_streams: 256,
             max_sessions: 16,
             memory_bytes: 4 << 30,
+            max_connections: 1024,
+            max_connections_per_peer: 256,
+            first_request: Duration::from_secs(20),
+            idle_connection: Duration::from_secs(300),
+            upload: Duration::from_secs(1800),
             upload_idle: Duration::from_secs(60),
             session_idle: Duration::from_secs(600),
-            stall: Duration::from_secs(60),
+            stall: Duration::from_secs(120),
             grace: Duration::from_secs(30),
         }
     }
@@ -175,6 +205,18 @@ impl ServeArgs {
                 max_streams: count("--max-streams", self.max_streams as u64, 1, 100_000, "1 to 100000")? as usize,
                 max_sessions: count("--max-sessions", self.max_sessions as u64, 0, 10_000, "at most 10000")? as usize,
                 memory_bytes: count("--memory-mib", self.memory_mib, 1, 1 << 24, "1 to 16777216")? << 20,
+                max_connections: count("--max-connections", self.max_connections as u64, 1, 1_000_000, "1 to 1000000")?
+                    as usize,
+                max_connections_per_peer: count(
+                    "--max-connections-per-peer",
+                    self.max_connections_per_peer as u64,
+                    1,
+                    1_000_000,
+                    "1 to 1000000",
+                )? as usize,
+                first_request: seconds("--first-request-s", self.first_request_s)?,
+                idle_connection: seconds("--idle-connection-s", self.idle_connection_s)?,
+                upload: seconds("--upload-s", self.upload_s)?,
                 upload_idle: seconds("--upload-idle-s", self.upload_idle_s)?,
                 session_idle: seconds("--session-idle-s", self.session_idle_s)?,
                 stall: seconds("--stall-s", self.stall_s)?,

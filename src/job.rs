@@ -22,7 +22,7 @@ use crate::rvd::{Backend, BackendKind, RvdError};
 use crate::token::{Stopped, Token};
 
 pub use queue::Place;
-pub use worker::{Device, Engine, EngineOptions, Pending, Retry, Timed, Turn};
+pub use worker::{Device, Engine, EngineOptions, Pending, Retry, Ticket, Timed, Turn};
 
 /// Which backend a caller would like.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

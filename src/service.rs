@@ -7,6 +7,8 @@
 
 pub(crate) mod assemble;
 pub(crate) mod attributes;
+pub(crate) mod budget;
+mod connections;
 pub(crate) mod convert;
 mod handlers;
 pub(crate) mod limits;
@@ -20,7 +22,7 @@ use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
 use tokio::sync::watch;
-use tonic::transport::server::TcpIncoming;
+use tonic::service::Routes;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
@@ -60,9 +62,6 @@ pub enum ServeError {
     /// The descriptors are not readable; a fault of the build.
     #[error("the descriptors for reflection are broken: {0}")]
     Reflection(#[from] tonic_reflection::server::Error),
-    /// The transport failed.
-    #[error("serving failed: {0}")]
-    Transport(#[from] tonic::transport::Error),
     /// The device thread ended by itself.
     #[error("the device thread ended while it was needed; the log may say why")]
     WorkerDied,
@@ -84,7 +83,9 @@ pub(crate) enum RequestError {
     TooMany { what: &'static str, limit: usize },
     #[error("no message came for {} s", .0.as_secs_f64())]
     Idle(Duration),
-    #[error("the client read nothing for {} s", .0.as_secs_f64())]
+    #[error("the upload was not complete after {} s", .0.as_secs_f64())]
+    UploadTime(Duration),
+    #[error("the client took none of the bytes that wait for it for {} s", .0.as_secs_f64())]
     Stalled(Duration),
     #[error("the deadline has passed")]
     Deadline,
@@ -115,10 +116,9 @@ pub(crate) enum Phase {
     Draining,
     /// The grace period is over: what is left ends now.
     Cut,
+    /// Nothing is left: connections close.
+    Closing,
 }
-
-/// Between the last answer and the end of its connection.
-const LINGER: Duration = Duration::from_millis(300);
 
 /// Time for streams to end once they were cut, and for connections to close.
 const CUT_TIME: Duration = Duration::from_secs(2);
@@ -145,7 +145,8 @@ pub async fn run(
 ) -> Result<(), ServeError> {
     let Parts { engine, worker, limits } = parts;
     let phase = watch::Sender::new(Phase::Serving);
-    let handlers = handlers::Handlers::new(engine.clone(), limits, phase.subscribe());
+    let budget = budget::Budget::new(limits.memory_bytes);
+    let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), phase.subscribe());
     let gate = handlers.gate().clone();
     let (health, health_service) = tonic_health::server::health_reporter();
     tell(&health, ServingStatus::Serving).await;
@@ -155,58 +156,37 @@ pub async fn run(
         .accept_compressed(tonic::codec::CompressionEncoding::Zstd)
         .send_compressed(tonic::codec::CompressionEncoding::Gzip)
         .send_compressed(tonic::codec::CompressionEncoding::Zstd);
-    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-    let router = tonic::transport::Server::builder()
-        .http2_keepalive_interval(Some(Duration::from_secs(20)))
-        .http2_keepalive_timeout(Some(Duration::from_secs(10)))
-        .initial_stream_window_size(1 << 20)
-        .initial_connection_window_size(4 << 20)
-        .max_concurrent_streams(1024)
-        .add_service(service)
+    let routes = Routes::new(service)
         .add_service(health_service)
         .add_service(reflection()?.build_v1()?)
-        .add_service(reflection()?.build_v1alpha()?);
-    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
-    let serving = router.serve_with_incoming_shutdown(incoming, async {
-        let _ = stopped.await;
-    });
+        .add_service(reflection()?.build_v1alpha()?)
+        .prepare();
+    let closing = watch::Sender::new(CUT_TIME);
+    let serving = connections::serve(listener, routes, limits, budget, phase.subscribe(), closing.subscribe());
     tokio::pin!(serving);
 
-    let early = tokio::select! {
-        ended = &mut serving => Some(ended),
-        () = shutdown => None,
-        () = follow_device(&engine, &health) => None,
-    };
+    tokio::select! {
+        () = &mut serving => {}
+        () = shutdown => {}
+        () = follow_device(&engine, &health) => {}
+    }
     tracing::info!(grace_s = limits.grace.as_secs_f64(), "shutting down: no new streams, open ones may end");
-    phase.send_replace(Phase::Draining);
+    // Before the phase: whoever watches is told, and then his stream ends.
     tell(&health, ServingStatus::NotServing).await;
+    phase.send_replace(Phase::Draining);
     let begin = Instant::now();
-    let served = match early {
-        Some(ended) => ended,
-        None => {
-            let drained = async {
-                if tokio::time::timeout(limits.grace, gate.idle()).await.is_err() {
-                    tracing::warn!("the grace period is over: cutting what is left");
-                }
-                phase.send_replace(Phase::Cut);
-                engine.cancel_all();
-                let _ = tokio::time::timeout(CUT_TIME, gate.idle()).await;
-                // A connection that closes while its client still acknowledges data is reset, and what
-                // the client has not read yet is lost.
-                tokio::time::sleep(LINGER).await;
-                let _ = stop.send(());
-                // Answers that are written may still be on their way to a slow reader.
-                tokio::time::sleep(limits.grace.saturating_sub(begin.elapsed()).max(CUT_TIME)).await;
-            };
-            // Connections that clients keep open do not hold the process.
-            tokio::select! {
-                ended = &mut serving => ended,
-                () = drained => Ok(()),
-            }
+    let draining = async {
+        if tokio::time::timeout(limits.grace, gate.idle()).await.is_err() {
+            tracing::warn!("the grace period is over: cutting what is left");
         }
+        phase.send_replace(Phase::Cut);
+        engine.cancel_all();
+        let _ = tokio::time::timeout(CUT_TIME, gate.idle()).await;
+        // Answers that are written may still be on their way to a slow reader.
+        closing.send_replace(limits.grace.saturating_sub(begin.elapsed()).max(CUT_TIME));
+        phase.send_replace(Phase::Closing);
     };
-    phase.send_replace(Phase::Cut);
-    engine.cancel_all();
+    tokio::join!(draining, serving);
     let died = *engine.watch_device().borrow() == Device::Gone;
     engine.close();
     join(worker).await?;
@@ -214,7 +194,7 @@ pub async fn run(
         return Err(ServeError::WorkerDied);
     }
     tracing::info!("ended");
-    Ok(served?)
+    Ok(())
 }
 
 /// Waits for the device thread, but not for ever.

@@ -116,7 +116,7 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
                     let facets = arrays.facets(ArrayKind::Facets)?;
                     let mesh = TriMesh::new(positions, facets).context("the server's remesh is broken")?;
                     let curve_edges = arrays.pairs(ArrayKind::Creases);
-                    let report = serde_json::from_str(&done.report_json).context("the server's report is broken")?;
+                    let report = arrays.report(&done.report_json)?;
                     let attributes = arrays.attributes(&mesh, &done.attributes)?;
                     return Ok(RemeshDone { mesh, curve_edges, report, attributes });
                 }
@@ -178,7 +178,7 @@ pub(crate) fn rvd(
                 Some(Answer::Chunk(chunk)) => arrays.take(chunk)?,
                 Some(Answer::Done(done)) => {
                     let centroids = if wants.centroids { arrays.points(ArrayKind::Centroids)? } else { Vec::new() };
-                    let report = serde_json::from_str(&done.report_json).context("the server's report is broken")?;
+                    let report = arrays.report(&done.report_json)?;
                     return Ok(RvdResult { centroids, report });
                 }
                 _ => {}
@@ -301,6 +301,15 @@ impl Arrays {
 
     fn points(&self, kind: ArrayKind) -> Result<Vec<DVec3>> {
         Ok(points(self.bytes(kind)?))
+    }
+
+    /// The report: in the last message, or in chunks if it is long.
+    fn report(&self, in_done: &str) -> Result<serde_json::Value> {
+        let broken = "the server's report is broken";
+        match in_done.is_empty() {
+            false => serde_json::from_str(in_done).context(broken),
+            true => serde_json::from_slice(self.bytes(ArrayKind::Report)?).context(broken),
+        }
     }
 
     /// None if the server sent none: an empty array has no chunks.

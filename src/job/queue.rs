@@ -1,22 +1,28 @@
 //! A bounded queue between many callers and one worker.
 //!
 //! Purpose: order, a limit, and a clean end.
-//! Invariant: at most `limit` new jobs wait; continuations of admitted work (a session's next step,
-//! a diagram's next batch) always get in, since each admitted caller has at most one waiting.
+//! Invariant: at most `limit` new jobs wait or have a place kept for them; continuations of admitted work (a session's
+//! next step, a diagram's next batch) always get in, since each admitted caller has at most one waiting, and so do jobs
+//! that had a place kept. A place is kept for [`KEPT`]: a slow upload does not keep others out.
 //! Closing refuses what is new and keeps what waits. Must not know: what the work is.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::JobError;
 use crate::token::Token;
+
+/// How long a place is kept for a job that is still being uploaded. Later the job gets in as well, but others do too.
+const KEPT: Duration = Duration::from_secs(30);
 
 /// Where a piece of work gets in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
     /// A new job: at the back, if there is room.
     New,
+    /// A new job for which a place was kept: at the back, always.
+    Kept,
     /// The next command of an admitted session: at the back, always.
     Session,
     /// More of a job whose turn it was: at the front, always.
@@ -50,6 +56,9 @@ pub(crate) struct Queue<T> {
 
 struct State<T> {
     waiting: VecDeque<(Place, T)>,
+    /// Since when places are kept, by ticket.
+    kept: BTreeMap<u64, Instant>,
+    tickets: u64,
     running: Option<Token>,
     closed: bool,
     /// The worker has gone: nothing that gets in now would ever be answered.
@@ -61,8 +70,37 @@ struct State<T> {
 impl<T: Item> Queue<T> {
     /// Room for `limit` new jobs besides the one at work.
     pub(crate) fn new(limit: usize) -> Self {
-        let state = State { waiting: VecDeque::new(), running: None, closed: false, ended: false, mean_s: 0.5 };
+        let state = State {
+            waiting: VecDeque::new(),
+            kept: BTreeMap::new(),
+            tickets: 0,
+            running: None,
+            closed: false,
+            ended: false,
+            mean_s: 0.5,
+        };
         Self { state: Mutex::new(state), ready: Condvar::new(), limit }
+    }
+
+    /// Keeps a place for a new job; gives the ticket to give back.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`.
+    pub(crate) fn keep(&self) -> Result<u64, JobError> {
+        let mut state = self.lock();
+        if state.closed {
+            return Err(JobError::Draining);
+        }
+        state.make_room(self.limit)?;
+        let ticket = state.tickets;
+        state.tickets += 1;
+        state.kept.insert(ticket, Instant::now());
+        Ok(ticket)
+    }
+
+    /// The place is needed no more.
+    pub(crate) fn give_back(&self, ticket: u64) {
+        self.lock().kept.remove(&ticket);
     }
 
     /// Puts an item in and says how many are ahead of it, the one at work included.
@@ -71,18 +109,11 @@ impl<T: Item> Queue<T> {
     /// `QueueFull`, `Draining` (for what is new, and for all once the worker has gone).
     pub(crate) fn push(&self, place: Place, item: T) -> Result<usize, JobError> {
         let mut state = self.lock();
-        if state.ended || (state.closed && place == Place::New) {
+        if state.ended || (state.closed && matches!(place, Place::New | Place::Kept)) {
             return Err(JobError::Draining);
         }
-        let counts = |state: &State<T>| state.waiting.iter().filter(|(p, _)| *p == Place::New).count();
-        if place == Place::New && counts(&state) >= self.limit {
-            // Those whose callers have gone hold a place until somebody needs it.
-            state.waiting.retain(|(p, item)| *p != Place::New || item.is_wanted());
-            let waiting = counts(&state);
-            if waiting >= self.limit {
-                let seconds = (state.mean_s * waiting as f64 * 0.5).clamp(0.1, 30.0);
-                return Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs_f64(seconds) });
-            }
+        if place == Place::New {
+            state.make_room(self.limit)?;
         }
         let ahead = usize::from(state.running.is_some());
         let position = if place == Place::Continuation {
@@ -171,6 +202,29 @@ impl<T: Item> Queue<T> {
     }
 }
 
+impl<T: Item> State<T> {
+    /// New jobs that wait, and places that are kept for others.
+    fn new_jobs(&self) -> usize {
+        let waiting = self.waiting.iter().filter(|(place, _)| matches!(place, Place::New | Place::Kept)).count();
+        waiting + self.kept.values().filter(|since| since.elapsed() < KEPT).count()
+    }
+
+    /// Sees to it that fewer than `limit` new jobs wait, or says that there is no room.
+    fn make_room(&mut self, limit: usize) -> Result<(), JobError> {
+        if self.new_jobs() < limit {
+            return Ok(());
+        }
+        // Those whose callers have gone hold a place until somebody needs it.
+        self.waiting.retain(|(place, item)| !matches!(place, Place::New | Place::Kept) || item.is_wanted());
+        let waiting = self.new_jobs();
+        if waiting < limit {
+            return Ok(());
+        }
+        let seconds = (self.mean_s * waiting as f64 * 0.5).clamp(0.1, 30.0);
+        Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs_f64(seconds) })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -210,6 +264,26 @@ mod tests {
         assert!(matches!(queue.push(Place::New, ticket(6, true)), Err(JobError::Draining)));
         let order: Vec<u32> = std::iter::from_fn(|| pop(&queue)).map(|t| t.0).collect();
         assert_eq!(order, [5, 0, 2, 4], "closing keeps what waits");
+    }
+
+    #[test]
+    fn a_place_is_kept_and_always_let_in() {
+        let queue = Queue::new(2);
+        let first = queue.keep().unwrap();
+        queue.push(Place::New, ticket(0, true)).unwrap();
+        assert!(matches!(queue.keep(), Err(JobError::QueueFull { waiting: 2, .. })));
+        assert!(matches!(queue.push(Place::New, ticket(1, true)), Err(JobError::QueueFull { .. })));
+        queue.push(Place::Kept, ticket(2, true)).unwrap();
+        queue.give_back(first);
+        assert!(matches!(queue.keep(), Err(JobError::QueueFull { waiting: 2, .. })));
+        assert_eq!(pop(&queue).map(|t| t.0), Some(0));
+        let slow = queue.keep().unwrap();
+        // An upload that takes its time keeps nobody out, and gets in all the same.
+        queue.lock().kept.insert(slow, Instant::now().checked_sub(KEPT).unwrap());
+        queue.push(Place::New, ticket(3, true)).unwrap();
+        queue.push(Place::Kept, ticket(4, true)).unwrap();
+        queue.close();
+        assert!(matches!(queue.keep(), Err(JobError::Draining)));
     }
 
     #[test]

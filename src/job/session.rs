@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use super::spec::Prepared;
-use super::{BackendInfo, Engine, JobError, Pending, Place, Retry, Timed, Wish};
+use super::{BackendInfo, Engine, JobError, Pending, Place, Retry, Ticket, Timed, Wish};
 use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};
 use crate::token::Token;
 
@@ -49,7 +49,7 @@ pub struct CvtSession {
 }
 
 impl CvtSession {
-    /// Queues the opening of a session.
+    /// Queues the opening of a session, for which a place was kept.
     ///
     /// # Errors
     /// `QueueFull`, `Draining`, `BackendUnavailable`.
@@ -58,8 +58,9 @@ impl CvtSession {
         prepared: Arc<Prepared>,
         wish: Wish,
         options: CvtOptions,
+        _ticket: Ticket,
     ) -> Result<Pending<(Cvt, BackendInfo)>, JobError> {
-        engine.submit(Place::New, Retry::Anew, move |backends, turn| {
+        engine.submit(Place::Kept, Retry::Anew, move |backends, turn| {
             turn.token.check()?;
             let backend = backends.choose(wish)?;
             let cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;

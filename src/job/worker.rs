@@ -96,6 +96,20 @@ impl<R> Pending<R> {
     }
 }
 
+/// A place in the queue that is kept for a job while it is uploaded. Given back when dropped, which is after the job
+/// was submitted as [`Place::Kept`].
+#[derive(Debug)]
+pub struct Ticket {
+    shared: Arc<Shared>,
+    number: u64,
+}
+
+impl Drop for Ticket {
+    fn drop(&mut self) {
+        self.shared.queue.give_back(self.number);
+    }
+}
+
 struct Shared {
     queue: Queue<Box<dyn Task>>,
     infos: Infos,
@@ -141,6 +155,15 @@ impl Engine {
     pub fn backend(&self, wish: Wish) -> Result<BackendInfo, JobError> {
         let Infos { backends, .. } = &self.shared.infos;
         backends.iter().find(|(w, _)| *w == wish).map_or(Err(JobError::WorkerGone), |(_, info)| info.clone())
+    }
+
+    /// Keeps a place for a job that is yet to be uploaded, so that it is refused now or not at all.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`.
+    pub fn reserve(&self) -> Result<Ticket, JobError> {
+        let number = self.shared.queue.keep()?;
+        Ok(Ticket { shared: Arc::clone(&self.shared), number })
     }
 
     /// Queues `work`. It is called on the device thread once, or again after a lost device if

@@ -10,7 +10,8 @@ use glam::DVec3;
 
 use super::RequestError;
 use super::attributes::AttributeCounts;
-use super::limits::{MeshCounts, SeedCounts, Share};
+use super::budget::Share;
+use super::limits::{MeshCounts, SeedCounts};
 use super::proto::{ArrayKind, Chunk};
 
 /// What was uploaded, complete.
@@ -288,7 +289,7 @@ fn triples<const N: usize>(data: &[u8]) -> impl Iterator<Item = [[u8; N]; 3]> + 
 
 #[cfg(test)]
 mod tests {
-    use super::super::limits::Budget;
+    use super::super::budget::Budget;
     use super::*;
 
     fn assembly() -> Assembly {

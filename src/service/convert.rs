@@ -17,8 +17,11 @@ use crate::remesh::report::RvdFigures;
 use crate::remesh::{Placement, Refine};
 use crate::rvd::{BackendKind, PieceBatch};
 
-/// Bytes of data in a chunk that is sent.
-const CHUNK_BYTES: usize = 1 << 20;
+/// Bytes of data in a chunk that is sent. Small, so that little waits for a slow reader.
+const CHUNK_BYTES: usize = 64 << 10;
+
+/// The longest report that the last message holds, bytes; a longer one goes ahead of it in chunks.
+pub(crate) const REPORT_IN_DONE_BYTES: usize = 256 << 10;
 
 pub(crate) fn wish(value: i32) -> Result<Wish, RequestError> {
     match BackendChoice::try_from(value) {
@@ -268,6 +271,11 @@ pub(crate) fn index_chunks(kind: ArrayKind, indices: &[u32]) -> impl Iterator<It
     chunks(kind, indices, 4, |i, out| out.extend_from_slice(&i.to_le_bytes()))
 }
 
+/// Bytes as chunks.
+pub(crate) fn byte_chunks(kind: ArrayKind, bytes: &[u8]) -> impl Iterator<Item = Chunk> + '_ {
+    chunks(kind, bytes, 1, |byte, out| out.push(*byte))
+}
+
 pub(super) fn chunks<'a, T>(
     kind: ArrayKind,
     items: &'a [T],
@@ -285,10 +293,13 @@ pub(super) fn chunks<'a, T>(
     })
 }
 
-/// Polygon vertices in a cells message: 36 bytes each.
-const CELLS_VERTICES: usize = CHUNK_BYTES / 36;
+/// Bytes of a polygon vertex in a cells message.
+pub(crate) const CELLS_VERTEX_BYTES: usize = 36;
 
-/// A batch of pieces as messages of about a MiB, made one at a time. A piece is never split.
+/// Polygon vertices in a cells message.
+const CELLS_VERTICES: usize = CHUNK_BYTES / CELLS_VERTEX_BYTES;
+
+/// A batch of pieces as messages of about [`CHUNK_BYTES`], made one at a time. A piece is never split.
 pub(crate) fn cells_chunks(batch: &PieceBatch) -> impl Iterator<Item = CellsChunk> + '_ {
     let mut first = 0;
     std::iter::from_fn(move || {
@@ -327,7 +338,7 @@ mod tests {
     fn arrays_are_cut_at_elements_and_say_where_they_are() {
         let points = vec![DVec3::ONE; 100_000];
         let all: Vec<Chunk> = point_chunks(ArrayKind::Seeds, &points).collect();
-        assert_eq!(all.len(), 3);
+        assert_eq!(all.len(), 2_400_000_usize.div_ceil(CHUNK_BYTES / 24 * 24));
         assert!(all.iter().all(|c| c.data.len() % 24 == 0 && c.total_bytes == 2_400_000));
         assert_eq!(all[1].offset as usize, all[0].data.len());
         assert_eq!(all.iter().map(|c| c.data.len()).sum::<usize>(), 2_400_000);

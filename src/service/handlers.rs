@@ -11,14 +11,15 @@ use tokio::sync::{Semaphore, watch};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::assemble::Uploaded;
-use super::limits::{self, Budget, MeshCounts, SeedCounts, Share};
+use super::budget::{Budget, Share};
+use super::limits::{self, MeshCounts, SeedCounts};
 use super::proto::{self, ArrayKind, Chunk};
 use super::stream::{Answers, Gate, Inbox, Outbox, respond};
 use super::upload::{Header, Incoming, Upload};
 use super::{Phase, RequestError, convert};
 use crate::config::Limits;
 use crate::job::spec::{Input, Prepared};
-use crate::job::{BackendInfo, CancelOnDrop, Engine, JobError};
+use crate::job::{BackendInfo, CancelOnDrop, Engine, JobError, Ticket};
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
 use crate::token::Token;
@@ -44,16 +45,11 @@ struct Shared {
 }
 
 impl Handlers {
-    pub(crate) fn new(engine: Engine, limits: Limits, phase: watch::Receiver<Phase>) -> Self {
+    pub(crate) fn new(engine: Engine, limits: Limits, budget: Budget, phase: watch::Receiver<Phase>) -> Self {
         let gate = Gate::new(limits, phase);
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let shared = Shared {
-            engine,
-            limits,
-            budget: Budget::new(limits.memory_bytes),
-            gate: gate.clone(),
-            preparing: Arc::new(Semaphore::new(cores)),
-        };
+        let preparing = Arc::new(Semaphore::new(cores));
+        let shared = Shared { engine, limits, budget, gate: gate.clone(), preparing };
         Self { shared: Arc::new(shared), gate }
     }
 
@@ -72,39 +68,72 @@ impl proto::remesh_service_server::RemeshService for Handlers {
         &self,
         request: Request<Streaming<proto::ComputeRvdRequest>>,
     ) -> Result<Response<Self::ComputeRvdStream>, Status> {
-        let (metadata, _, stream) = request.into_parts();
+        let (metadata, extensions, stream) = request.into_parts();
         let shared = Arc::clone(&self.shared);
-        Ok(respond("ComputeRvd", &metadata, &self.gate, |out| diagram::handle(shared, Inbox::new(stream), out))?)
+        Ok(respond("ComputeRvd", &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
+            diagram::handle(shared, Inbox::new(stream), out)
+        })?)
     }
 
     async fn cvt(&self, request: Request<Streaming<proto::CvtRequest>>) -> Result<Response<Self::CvtStream>, Status> {
-        let (metadata, _, stream) = request.into_parts();
+        let (metadata, extensions, stream) = request.into_parts();
         let shared = Arc::clone(&self.shared);
-        Ok(respond("Cvt", &metadata, &self.gate, |out| cvt::handle(shared, Inbox::new(stream), out))?)
+        Ok(respond("Cvt", &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
+            cvt::handle(shared, Inbox::new(stream), out)
+        })?)
     }
 
     async fn remesh(
         &self,
         request: Request<Streaming<proto::RemeshRequest>>,
     ) -> Result<Response<Self::RemeshStream>, Status> {
-        let (metadata, _, stream) = request.into_parts();
+        let (metadata, extensions, stream) = request.into_parts();
         let shared = Arc::clone(&self.shared);
-        Ok(respond("Remesh", &metadata, &self.gate, |out| remesh::handle(shared, Inbox::new(stream), out))?)
+        Ok(respond("Remesh", &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
+            remesh::handle(shared, Inbox::new(stream), out)
+        })?)
     }
 }
 
-/// Reads header, chunks and the end mark.
+/// What was uploaded, and the place in the queue that was kept for it since its header.
+struct Admitted<H> {
+    header: H,
+    seeds: SeedCounts,
+    uploaded: Uploaded,
+    ticket: Ticket,
+}
+
+/// Reads header, chunks and the end mark. What cannot be done now, or not here, is refused at the header.
 async fn upload<M, H: Header>(
     shared: &Shared,
     inbox: &mut Inbox<M>,
     split: fn(M) -> Incoming<H>,
-) -> Result<(H, SeedCounts, Uploaded), RequestError> {
+) -> Result<Admitted<H>, RequestError> {
+    let Limits { upload_idle, upload: limit, .. } = shared.limits;
+    let deadline = tokio::time::Instant::now() + limit;
     let mut upload = Upload::new(shared.limits, shared.budget.clone());
+    let mut kept = None;
     loop {
-        let message = inbox.next(shared.limits.upload_idle).await?;
-        if let Some(complete) = upload.take(message.map(split))? {
-            return Ok(complete);
+        let message = tokio::select! {
+            message = inbox.next(upload_idle) => message?,
+            () = tokio::time::sleep_until(deadline) => return Err(RequestError::UploadTime(limit)),
+            // Nothing was admitted yet that a shutdown would wait for.
+            () = shared.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
+        };
+        let complete = upload.take(message.map(split))?;
+        let ticket = match kept.take() {
+            Some(ticket) => ticket,
+            None => {
+                if let Some(header) = upload.header() {
+                    shared.engine.backend(convert::wish(header.backend())?)?;
+                }
+                shared.engine.reserve()?
+            }
+        };
+        if let Some((header, seeds, uploaded)) = complete {
+            return Ok(Admitted { header, seeds, uploaded, ticket });
         }
+        kept = Some(ticket);
     }
 }
 
@@ -186,7 +215,7 @@ async fn prepare(
 }
 
 /// Sends an array.
-async fn send_all<T>(
+async fn send_all<T: prost::Message>(
     outbox: &Outbox<T>,
     chunks: impl Iterator<Item = Chunk>,
     wrap: fn(Chunk) -> T,
@@ -195,6 +224,21 @@ async fn send_all<T>(
         outbox.send(wrap(chunk)).await?;
     }
     Ok(())
+}
+
+/// Sends a report as chunks if it is long; otherwise gives it, for the last message.
+async fn send_report<T: prost::Message>(
+    outbox: &Outbox<T>,
+    report: &(impl serde::Serialize + Sync),
+    wrap: fn(Chunk) -> T,
+) -> Result<String, RequestError> {
+    let json = serde_json::to_string(report).unwrap_or_default();
+    if json.len() <= convert::REPORT_IN_DONE_BYTES {
+        return Ok(json);
+    }
+    let _held = outbox.holding(json.len());
+    send_all(outbox, convert::byte_chunks(ArrayKind::Report, json.as_bytes()), wrap).await?;
+    Ok(String::new())
 }
 
 /// Queue and compute time, added up.
@@ -226,7 +270,12 @@ impl Clock {
 }
 
 /// Sends points as an array; a name for what all streams do with seeds.
-async fn send_seeds<T>(outbox: &Outbox<T>, seeds: &[glam::DVec3], wrap: fn(Chunk) -> T) -> Result<(), RequestError> {
+async fn send_seeds<T: prost::Message>(
+    outbox: &Outbox<T>,
+    seeds: &[glam::DVec3],
+    wrap: fn(Chunk) -> T,
+) -> Result<(), RequestError> {
+    let _held = outbox.holding(size_of_val(seeds));
     send_all(outbox, convert::point_chunks(ArrayKind::Seeds, seeds), wrap).await
 }
 

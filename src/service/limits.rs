@@ -1,11 +1,7 @@
 //! What a request may ask for, checked on its header.
 //!
-//! Purpose: counts against [`Limits`] before anything is reserved, and the memory that all streams
-//! share. Invariant: memory is taken for what has arrived, never for what was announced.
-//! Must not know: queues, backends.
-
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+//! Purpose: counts against [`Limits`] before anything is reserved. Invariant: nothing is kept of a header that is
+//! refused. Must not know: queues, backends.
 
 use super::proto::{DensityOptions, MeshHeader, PositionType, SeedSource, seed_source};
 use super::{RequestError, convert};
@@ -123,63 +119,9 @@ pub(crate) fn within(path: &str, value: u64, least: u64, most: u64) -> Result<()
     Err(RequestError::field(path, format!("is {value}; this server takes {least} to {most}")))
 }
 
-/// Memory for uploads that all streams share.
-#[derive(Clone, Debug)]
-pub(crate) struct Budget {
-    left: Arc<AtomicU64>,
-}
-
-impl Budget {
-    pub(crate) fn new(bytes: u64) -> Self {
-        Self { left: Arc::new(AtomicU64::new(bytes)) }
-    }
-
-    /// An empty share, which grows.
-    pub(crate) fn share(&self) -> Share {
-        Share { budget: self.clone(), taken: 0 }
-    }
-}
-
-/// What one stream holds of the budget; given back when dropped.
-#[derive(Debug)]
-pub(crate) struct Share {
-    budget: Budget,
-    taken: u64,
-}
-
-impl Share {
-    /// Takes `bytes` more.
-    pub(crate) fn grow(&mut self, bytes: u64) -> Result<(), RequestError> {
-        let take = |left: u64| left.checked_sub(bytes);
-        self.budget
-            .left
-            .fetch_update(Ordering::AcqRel, Ordering::Acquire, take)
-            .map_err(|left| RequestError::Memory { needed_bytes: bytes, left_bytes: left })?;
-        self.taken += bytes;
-        Ok(())
-    }
-}
-
-impl Drop for Share {
-    fn drop(&mut self) {
-        self.budget.left.fetch_add(self.taken, Ordering::AcqRel);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_share_is_given_back() {
-        let budget = Budget::new(100);
-        let mut one = budget.share();
-        one.grow(60).unwrap();
-        let mut two = budget.share();
-        assert!(matches!(two.grow(50), Err(RequestError::Memory { left_bytes: 40, .. })));
-        drop(one);
-        two.grow(100).unwrap();
-    }
 
     #[test]
     fn counts_are_checked_before_anything_arrives() {

@@ -26,7 +26,9 @@ impl From<RequestError> for Status {
             RequestError::Protocol(_) => invalid(text.clone(), "message".into(), text),
             RequestError::Memory { .. } => retry(Code::ResourceExhausted, text, Duration::from_secs(2)),
             RequestError::TooMany { .. } => retry(Code::ResourceExhausted, text, Duration::from_secs(1)),
-            RequestError::Idle(_) | RequestError::Deadline => Status::deadline_exceeded(text),
+            RequestError::Idle(_) | RequestError::UploadTime(_) | RequestError::Deadline => {
+                Status::deadline_exceeded(text)
+            }
             RequestError::Stalled(_) => Status::aborted(text),
             RequestError::ClientGone => Status::cancelled(text),
             RequestError::Draining => draining(text),

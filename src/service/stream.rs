@@ -1,9 +1,10 @@
 //! Both directions of a stream, with limits on every wait.
 //!
-//! Purpose: [`Gate`] admits, [`Inbox`] reads with an idle limit, [`Outbox`] writes with a stall limit,
+//! Purpose: [`Gate`] admits, [`Inbox`] reads with an idle limit, [`Outbox`] writes as the client takes it,
 //! [`respond`] runs a handler until it ends or the client goes, the deadline passes, the server cuts.
-//! Invariant: a stream that ends without its last message ends with an error, never with OK.
-//! Must not know: what the messages say.
+//! Invariant: a stream that ends without its last message ends with an error, never with OK. A stream keeps its place
+//! until its answer has left or was thrown away; what waits in between is counted. The transport resets a stream whose
+//! client takes nothing. Must not know: what the messages say.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -11,17 +12,21 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
-use tokio::sync::mpsc::error::SendTimeoutError;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot, watch};
 use tokio_stream::Stream;
 use tonic::metadata::MetadataMap;
-use tonic::{Response, Status, Streaming};
+use tonic::{Extensions, Response, Status, Streaming};
 
+use super::budget::{Budget, Share};
+use super::connections::Exchange;
 use super::{Phase, RequestError};
 use crate::config::Limits;
 
-/// Messages that wait for the client: a few MiB at most.
+/// Messages of a stream that wait for the transport.
 const OUTBOX_MESSAGES: usize = 4;
+
+/// Between two looks whether memory for a message is free.
+const MEMORY_PAUSE: Duration = Duration::from_millis(20);
 
 /// Counts streams and sessions, and knows whether the server is on its way out.
 #[derive(Clone, Debug)]
@@ -88,25 +93,46 @@ impl<T> Inbox<T> {
 /// Messages to the client.
 #[derive(Debug)]
 pub(crate) struct Outbox<T> {
-    sender: mpsc::Sender<T>,
-    stall: Duration,
+    sender: mpsc::Sender<Waiting<T>>,
+    budget: Budget,
 }
 
-impl<T> Outbox<T> {
-    /// Sends when there is room.
+/// A message, and what it takes of the memory.
+#[derive(Debug)]
+struct Waiting<T> {
+    message: T,
+    _share: Share,
+}
+
+impl<T: prost::Message> Outbox<T> {
+    /// Counts what is being sent, while it is there as a whole.
+    pub(crate) fn holding(&self, bytes: usize) -> Share {
+        let mut share = self.budget.share();
+        share.hold(bytes as u64);
+        share
+    }
+
+    /// Sends when there is room. One message of a stream may always wait; more wait where memory is free.
     pub(crate) async fn send(&self, message: T) -> Result<(), RequestError> {
-        self.sender.send_timeout(message, self.stall).await.map_err(|e| match e {
-            SendTimeoutError::Timeout(_) => RequestError::Stalled(self.stall),
-            SendTimeoutError::Closed(_) => RequestError::ClientGone,
-        })
+        let bytes = message.encoded_len() as u64;
+        while self.sender.capacity() < self.sender.max_capacity() && !self.budget.has(bytes) {
+            tokio::time::sleep(MEMORY_PAUSE).await;
+        }
+        let place = self.sender.reserve().await.map_err(|_| RequestError::ClientGone)?;
+        let mut share = self.budget.share();
+        share.hold(bytes);
+        place.send(Waiting { message, _share: share });
+        Ok(())
     }
 }
 
 /// What tonic polls: the messages, and at their end the status.
 #[derive(Debug)]
 pub(crate) struct Answers<T> {
-    receiver: mpsc::Receiver<T>,
+    receiver: mpsc::Receiver<Waiting<T>>,
     end: Option<oneshot::Receiver<Option<Status>>>,
+    /// Given back when both the work and the answer are over.
+    permit: Option<Arc<OwnedSemaphorePermit>>,
 }
 
 impl<T> Stream for Answers<T> {
@@ -115,7 +141,7 @@ impl<T> Stream for Answers<T> {
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
         match self.receiver.poll_recv(context) {
             Poll::Pending => return Poll::Pending,
-            Poll::Ready(Some(message)) => return Poll::Ready(Some(Ok(message))),
+            Poll::Ready(Some(waiting)) => return Poll::Ready(Some(Ok(waiting.message))),
             Poll::Ready(None) => {}
         }
         let Some(end) = self.end.as_mut() else { return Poll::Ready(None) };
@@ -126,6 +152,8 @@ impl<T> Stream for Answers<T> {
             Poll::Ready(Err(_)) => Some(Status::internal("the request failed by a fault of the server")),
         };
         self.end = None;
+        // Before the client has the last message: it may begin anew at once.
+        self.permit = None;
         Poll::Ready(status.map(Err))
     }
 }
@@ -134,19 +162,25 @@ impl<T> Stream for Answers<T> {
 pub(crate) fn respond<T, F>(
     method: &'static str,
     metadata: &MetadataMap,
-    gate: &Gate,
+    extensions: &Extensions,
+    (gate, budget): (&Gate, &Budget),
     handle: impl FnOnce(Outbox<T>) -> F,
 ) -> Result<Response<Answers<T>>, RequestError>
 where
     T: Send + 'static,
     F: Future<Output = Result<(), RequestError>> + Send + 'static,
 {
-    let permit = gate.admit()?;
+    let permit = Arc::new(gate.admit()?);
+    let exchange = extensions.get::<Arc<Exchange>>().cloned();
+    if let Some(exchange) = &exchange {
+        exchange.admit();
+    }
     let deadline = timeout(metadata);
     let (sender, receiver) = mpsc::channel(OUTBOX_MESSAGES);
     let (end, ended) = oneshot::channel();
     let watcher = sender.clone();
-    let work = handle(Outbox { sender, stall: gate.limits.stall });
+    let work = handle(Outbox { sender, budget: budget.clone() });
+    let answers = Answers { receiver, end: Some(ended), permit: Some(Arc::clone(&permit)) };
     let gate = gate.clone();
     tokio::spawn(async move {
         let start = Instant::now();
@@ -159,17 +193,23 @@ where
             () = gate.reached(Phase::Cut) => Err(RequestError::Draining),
         };
         drop(work);
+        let result = result.map_err(|error| match error {
+            RequestError::ClientGone if exchange.is_some_and(|e| e.stalled()) => {
+                RequestError::Stalled(gate.limits.stall)
+            }
+            other => other,
+        });
         let ms = start.elapsed().as_secs_f64() * 1e3;
         let status = result.err().map(Status::from);
         match &status {
             None => tracing::info!(method, ms, "done"),
             Some(status) => tracing::info!(method, ms, code = ?status.code(), message = status.message(), "ended"),
         }
+        drop(permit);
         let _ = end.send(status);
         drop(watcher);
-        drop(permit);
     });
-    Ok(Response::new(Answers { receiver, end: Some(ended) }))
+    Ok(Response::new(answers))
 }
 
 async fn sleep(limit: Option<Duration>) {

@@ -7,7 +7,8 @@
 use super::RequestError;
 use super::assemble::{Assembly, Uploaded};
 use super::attributes::AttributeCounts;
-use super::limits::{Budget, MeshCounts, SeedCounts};
+use super::budget::Budget;
+use super::limits::{MeshCounts, SeedCounts};
 use super::proto::Chunk;
 use crate::config::Limits;
 
@@ -24,6 +25,9 @@ pub(crate) enum Incoming<H> {
 pub(crate) trait Header {
     /// Checks everything in it.
     fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError>;
+
+    /// Which backend it asks for.
+    fn backend(&self) -> i32;
 
     /// Checks what the mesh is said to carry.
     fn attributes(&self, _mesh: MeshCounts) -> Result<Vec<AttributeCounts>, RequestError> {
@@ -42,6 +46,11 @@ impl<H: Header> Upload<H> {
     /// Nothing has come yet.
     pub(crate) fn new(limits: Limits, budget: Budget) -> Self {
         Self { limits, budget, open: None }
+    }
+
+    /// The header, once it has come and is in order.
+    pub(crate) fn header(&self) -> Option<&H> {
+        self.open.as_ref().map(|(header, ..)| header)
     }
 
     /// Takes the next message, or `None` for the end of the stream. Gives what was uploaded once it

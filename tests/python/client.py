@@ -65,6 +65,10 @@ class Arrays:
     def indices(self, kind):
         return unpack("I", self.whole(kind))
 
+    def report(self, in_done):
+        """The report: in the last message, or in chunks if it is long."""
+        return json.loads(in_done or self.whole(pb.ARRAY_KIND_REPORT))
+
     def whole(self, kind):
         data = bytes(self.data[kind])
         if len(data) != self.total[kind]:
@@ -93,7 +97,7 @@ class Tessera:
             elif which == "chunk":
                 arrays.take(answer.chunk)
             elif which == "done":
-                report = json.loads(answer.done.report_json)
+                report = arrays.report(answer.done.report_json)
         return cells, arrays.points(pb.ARRAY_KIND_CENTROIDS), report
 
     def remesh(self, points, facets, count, lloyd_steps=5, random_seed=0, timeout=60):
@@ -108,7 +112,7 @@ class Tessera:
             elif which == "chunk":
                 arrays.take(answer.chunk)
             elif which == "done":
-                report = json.loads(answer.done.report_json)
+                report = arrays.report(answer.done.report_json)
         new_facets = rows(arrays.indices(pb.ARRAY_KIND_FACETS))
         return arrays.points(pb.ARRAY_KIND_POSITIONS), new_facets, iterations, report
 

@@ -8,9 +8,15 @@
 #[allow(dead_code)]
 mod server;
 
+mod raw;
+
+mod admission;
 mod attributes;
+mod connections;
 mod density;
 mod features;
 mod life;
 mod refusals;
+mod shutdown;
+mod slow_readers;
 mod streams;

@@ -14,6 +14,10 @@ use crate::job::session::{CvtSession, SeedsWanted};
 use crate::job::spec::Prepared;
 
 impl Header for CvtHeader {
+    fn backend(&self) -> i32 {
+        self.backend
+    }
+
     fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
         convert::wish(self.backend)?;
         convert::projection(self.projection)?;
@@ -55,13 +59,12 @@ pub(super) async fn handle(
     outbox: Outbox<CvtResponse>,
 ) -> Result<(), RequestError> {
     let _place = shared.gate.admit_session()?;
-    let (header, seeds, uploaded) = upload(&shared, &mut inbox, split).await?;
+    let Admitted { header, seeds, uploaded, ticket } = upload(&shared, &mut inbox, split).await?;
     let wish = convert::wish(header.backend)?;
-    shared.engine.backend(wish)?;
     let options =
         CvtOptions { projection: convert::projection(header.projection)?, max_seeds: header.max_seeds as usize };
     let (prepared, _share) = prepare(&shared, seeds, uploaded, header.density, Prepared::for_steps).await?;
-    let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options)?;
+    let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, ticket)?;
     let position = pending.position;
     let Timed { value, queue_ms, compute_ms } = pending.wait().await?;
     let mut talk = Talk {

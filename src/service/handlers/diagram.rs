@@ -7,13 +7,18 @@ use std::sync::Arc;
 
 use super::super::proto::{ArrayKind, ComputeRvdHeader, ComputeRvdRequest, ComputeRvdResponse, RvdDone};
 use super::super::proto::{compute_rvd_request as request, compute_rvd_response as response};
+use super::convert::CELLS_VERTEX_BYTES;
 use super::*;
-use crate::job::diagram::{Diagram, WorldSums};
+use crate::job::diagram::{Diagram, RvdReport, WorldSums};
 use crate::job::spec::Prepared;
 use crate::job::{Pending, Place, Retry, Timed, Turn};
 use crate::rvd::PieceBatch;
 
 impl Header for ComputeRvdHeader {
+    fn backend(&self) -> i32 {
+        self.backend
+    }
+
     fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
         convert::wish(self.backend)?;
         convert::outputs(&self.outputs)?;
@@ -44,12 +49,12 @@ pub(super) async fn handle(
     mut inbox: Inbox<ComputeRvdRequest>,
     outbox: Outbox<ComputeRvdResponse>,
 ) -> Result<(), RequestError> {
-    let (header, seeds, uploaded) = upload(&shared, &mut inbox, split).await?;
+    let Admitted { header, seeds, uploaded, ticket } = upload(&shared, &mut inbox, split).await?;
     let (wish, outputs) = (convert::wish(header.backend)?, convert::outputs(&header.outputs)?);
     let by = shared.engine.backend(wish)?;
     let (prepared, _share) = prepare(&shared, seeds, uploaded, None, Prepared::new).await?;
     let for_device = Arc::clone(&prepared);
-    let mut pending = shared.engine.submit(Place::New, Retry::Anew, move |backends, turn| {
+    let mut pending = shared.engine.submit(Place::Kept, Retry::Anew, move |backends, turn| {
         turn.token.check()?;
         let mut diagram = Diagram::open(&for_device, backends.choose(wish)?.as_ref())?;
         let sums = match outputs.centroids || outputs.sums {
@@ -58,9 +63,12 @@ pub(super) async fn handle(
         };
         Ok((diagram, sums))
     })?;
+    drop(ticket);
     outbox.send(wrap(response::Message::Accepted(convert::accepted(pending.position, &by)))).await?;
     let Timed { value: (mut diagram, sums), queue_ms, compute_ms } = pending.wait().await?;
     let mut clock = Clock { queue_ms, compute_ms };
+    let _held =
+        outbox.holding(24 * sums.centroids.len() + 8 * (sums.masses.len() + sums.areas.len() + sums.energies.len()));
     if outputs.cells {
         diagram = send_cells(&shared, &outbox, diagram, &mut clock).await?;
     }
@@ -80,7 +88,8 @@ pub(super) async fn handle(
         }
     }
     clock.note("ComputeRvd", &by);
-    let done = done(&report, &by, clock);
+    let report_json = send_report(&outbox, &report, wrap_chunk).await?;
+    let done = done(&report, report_json, &by, clock);
     outbox.send(wrap(response::Message::Done(done))).await
 }
 
@@ -109,6 +118,7 @@ async fn send_cells(
         let Some(batch) = batch else { return Ok(diagram) };
         let (done, total) = diagram.progress();
         pending = next(shared, diagram)?;
+        let _held = outbox.holding(12 * batch.facet.len() + CELLS_VERTEX_BYTES * batch.position.len());
         for cells in convert::cells_chunks(&batch) {
             outbox.send(wrap(response::Message::Cells(cells))).await?;
         }
@@ -116,13 +126,13 @@ async fn send_cells(
     }
 }
 
-fn done(report: &crate::job::diagram::RvdReport, by: &BackendInfo, clock: Clock) -> RvdDone {
+fn done(report: &RvdReport, report_json: String, by: &BackendInfo, clock: Clock) -> RvdDone {
     RvdDone {
         backend: by.kind.name().to_owned(),
         adapter: by.adapter.clone().unwrap_or_default(),
         timing: Some(clock.timing()),
         figures: Some(convert::figures(&report.rvd)),
         seeds: report.seeds as u64,
-        report_json: serde_json::to_string(report).unwrap_or_default(),
+        report_json,
     }
 }

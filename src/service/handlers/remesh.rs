@@ -20,6 +20,10 @@ use crate::remesh::{Observer, Placement, Remesh, RemeshError, RemeshOptions};
 const EVENTS: usize = 256;
 
 impl Header for RemeshHeader {
+    fn backend(&self) -> i32 {
+        self.backend
+    }
+
     fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
         convert::wish(self.backend)?;
         convert::projection(self.projection)?;
@@ -90,12 +94,12 @@ pub(super) async fn handle(
     mut inbox: Inbox<RemeshRequest>,
     outbox: Outbox<RemeshResponse>,
 ) -> Result<(), RequestError> {
-    let (header, seeds, uploaded) = upload(&shared, &mut inbox, split).await?;
+    let Admitted { header, seeds, uploaded, ticket } = upload(&shared, &mut inbox, split).await?;
     let wish = convert::wish(header.backend)?;
     let by = shared.engine.backend(wish)?;
     let (limits, density) = (shared.limits, header.density);
     let work = move |token: &Token| input(seeds, uploaded, density.as_ref(), &limits, token);
-    let (Input { mesh, density, seeds, creases, attributes }, _share) = apart(&shared, work).await?;
+    let (Input { mesh, density, seeds, creases, attributes }, mut share) = apart(&shared, work).await?;
     let announced = header.attributes.clone();
     let options = RemeshOptions {
         lloyd: header.lloyd_steps as usize,
@@ -113,13 +117,14 @@ pub(super) async fn handle(
         ..RemeshOptions::new(seeds)
     };
     let (events, mut heard) = mpsc::channel(EVENTS);
-    let mut pending = shared.engine.submit(Place::New, Retry::Anew, move |backends, turn| {
+    let mut pending = shared.engine.submit(Place::Kept, Retry::Anew, move |backends, turn| {
         turn.token.check()?;
         let backend = backends.choose(wish)?;
         let _ = events.try_send(Event::Started(turn.queue_ms));
         let mut reporter = Reporter(events.clone());
         Ok(crate::remesh::remesh(&mesh, &options, backend.as_ref(), &mut reporter, &turn.token)?)
     })?;
+    drop(ticket);
     outbox.send(wrap(response::Message::Accepted(convert::accepted(pending.position, &by)))).await?;
     let mut teller = Teller { clock: Clock::default(), start: None };
     let result = loop {
@@ -129,6 +134,8 @@ pub(super) async fn handle(
             result = pending.wait() => break result?,
         }
     };
+    // The surface went with the work; the result is there instead.
+    share.hold(bytes(&result.value));
     while let Some(event) = heard.recv().await {
         outbox.send(teller.tell(event)).await?;
     }
@@ -162,6 +169,13 @@ impl Teller {
     }
 }
 
+/// About what a result takes while it waits to be sent.
+fn bytes(result: &Remesh) -> u64 {
+    let points = result.mesh.positions().len() + result.seeds.len();
+    let indices = 3 * result.mesh.facets().len() + 2 * result.curve_edges.len() + result.vertex_seed.len();
+    (24 * points + 4 * indices) as u64
+}
+
 async fn send_result(
     outbox: &Outbox<RemeshResponse>,
     result: &Remesh,
@@ -184,6 +198,7 @@ async fn send_result(
             send_all(outbox, chunks, wrap_chunk).await?;
         }
     }
+    let report_json = send_report(outbox, &result.report, wrap_chunk).await?;
     let done = RemeshDone {
         backend: by.kind.name().to_owned(),
         adapter: by.adapter.clone().unwrap_or_default(),
@@ -193,7 +208,7 @@ async fn send_result(
         seeds: result.seeds.len() as u64,
         converged: result.report.converged,
         figures: Some(convert::figures(&result.report.rvd)),
-        report_json: serde_json::to_string(&result.report).unwrap_or_default(),
+        report_json,
         topology_changes: result.report.topology_changes.clone(),
         attributes: carried,
     };

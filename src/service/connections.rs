@@ -1,0 +1,163 @@
+//! The transport: who may connect, for how long, and what becomes of connections at the end.
+//!
+//! Purpose: [`serve`] accepts connections and runs each on a task of its own. Invariant: whatever strangers do, there is
+//! room for who asks for something: connections are limited in number, in all and from each peer, and silent ones go
+//! first; nothing that waits for a peer waits without a limit; where descriptors run out, accepting waits instead of
+//! spinning. Must not know: messages, jobs.
+
+mod connection;
+mod descriptors;
+mod exchange;
+mod places;
+mod seldom;
+mod socket;
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
+use tonic::service::Routes;
+
+pub(crate) use exchange::Exchange;
+
+use self::connection::State;
+use self::places::{Full, Places};
+use self::seldom::Seldom;
+use super::Phase;
+use super::budget::Budget;
+use crate::config::Limits;
+
+/// Between the last answer and the end of its connection. A connection that closes while its client still
+/// acknowledges data is reset, and what the client has not read yet is lost.
+const LINGER: Duration = Duration::from_millis(300);
+
+/// For a connection that was asked to go, before the newcomer is refused.
+const ROOM_TIME: Duration = Duration::from_millis(500);
+
+/// Pauses after accepting failed: the first, and the longest.
+const PAUSE: Duration = Duration::from_millis(10);
+const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+
+/// What all connections share.
+struct Common {
+    routes: Routes,
+    limits: Limits,
+    budget: Budget,
+    /// Connections that were closed for breaking a limit.
+    closed: Seldom,
+}
+
+/// Serves `routes` until `phase` says that connections close; they have `closing` to do so.
+pub(super) async fn serve(
+    listener: TcpListener,
+    routes: Routes,
+    limits: Limits,
+    budget: Budget,
+    phase: watch::Receiver<Phase>,
+    closing: watch::Receiver<Duration>,
+) {
+    let most = descriptors::connections(limits.max_connections);
+    if most < limits.max_connections {
+        tracing::warn!(
+            connections = most,
+            wanted = limits.max_connections,
+            "the limit on open files allows fewer connections; raise it (ulimit -n) for more"
+        );
+    }
+    let places = Places::new(most, limits.max_connections_per_peer);
+    let common = Arc::new(Common { routes, limits, budget, closed: Seldom::default() });
+    let accepting = Accepting {
+        listener,
+        places: Arc::clone(&places),
+        common,
+        phase: phase.clone(),
+        refused: Seldom::default(),
+        evicted: Seldom::default(),
+        failed: Seldom::default(),
+    };
+    let mut until = phase;
+    tokio::select! {
+        () = accepting.run() => {}
+        _ = until.wait_for(|now| *now >= Phase::Closing) => {}
+    }
+    let time = *closing.borrow();
+    if tokio::time::timeout(time, places.empty()).await.is_err() {
+        tracing::warn!("closing connections whose clients still have not read everything");
+        places.evict_all();
+        let _ = tokio::time::timeout(ROOM_TIME, places.empty()).await;
+    }
+}
+
+struct Accepting {
+    listener: TcpListener,
+    places: Arc<Places<State>>,
+    common: Arc<Common>,
+    phase: watch::Receiver<Phase>,
+    refused: Seldom,
+    evicted: Seldom,
+    failed: Seldom,
+}
+
+impl Accepting {
+    async fn run(self) {
+        let mut pause = PAUSE;
+        loop {
+            match self.listener.accept().await {
+                Ok((stream, peer)) => {
+                    pause = PAUSE;
+                    self.admit(stream, peer).await;
+                }
+                Err(error) if is_the_peer_s(&error) => {}
+                Err(error) => {
+                    if let Some(times) = self.failed.count() {
+                        tracing::error!(%error, times, "connections cannot be accepted; trying again");
+                    }
+                    if descriptors::exhausted(&error) {
+                        self.places.make_room(Full::All, None, ROOM_TIME).await;
+                    }
+                    tokio::time::sleep(pause).await;
+                    pause = (2 * pause).min(LONGEST_PAUSE);
+                }
+            }
+        }
+    }
+
+    /// Runs a new connection if there is a place for it.
+    async fn admit(&self, stream: TcpStream, peer: SocketAddr) {
+        let state = Arc::new(State::new());
+        let place = match self.places.claim(peer, &state) {
+            Ok(place) => Ok(place),
+            Err(full) => {
+                if self.places.make_room(full, Some(peer), ROOM_TIME).await
+                    && let Some(times) = self.evicted.count()
+                {
+                    tracing::warn!(%peer, times, ?full, "closed silent or idle connections to make room for new ones");
+                }
+                self.places.claim(peer, &state)
+            }
+        };
+        match place {
+            Ok(place) => {
+                let (common, phase) = (Arc::clone(&self.common), self.phase.clone());
+                tokio::spawn(async move {
+                    connection::serve(stream, state, common, phase).await;
+                    drop(place);
+                });
+            }
+            Err(full) => {
+                if let Some(times) = self.refused.count() {
+                    tracing::warn!(%peer, times, ?full, "refused connections: all that are open are in use");
+                }
+            }
+        }
+    }
+}
+
+/// Whether accepting failed for a fault of one peer, so that the next may be accepted at once.
+fn is_the_peer_s(error: &io::Error) -> bool {
+    use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset, Interrupted};
+    matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset | Interrupted)
+}

@@ -1,0 +1,331 @@
+//! One connection: HTTP/2 on a socket, with limits on what it may wait for.
+//!
+//! Purpose: [`serve`] runs a connection until it ends, has to go, or breaks a limit. Invariant: every stream is cut
+//! with its connection; a stream whose client takes nothing is reset, and if its bytes stay, the connection is closed.
+//! Must not know: other connections, messages.
+
+use std::convert::Infallible;
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use hyper::body::Incoming;
+use hyper::server::conn::http2;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::net::TcpStream;
+use tokio::sync::{Notify, watch};
+use tonic::Status;
+use tonic::body::Body;
+use tonic::codegen::Service as _;
+use tonic::codegen::http::{HeaderMap, Request, Response};
+use tonic::service::Routes;
+
+use super::super::{Phase, RequestError};
+use super::exchange::{Exchange, Farewell, Pieces};
+use super::places::{Guest, Standing};
+use super::socket::{Socket, Traffic};
+use super::{Common, LINGER};
+
+/// What an upload may have on its way, bytes: for a stream, for a connection.
+const STREAM_WINDOW: u32 = 1 << 20;
+const CONNECTION_WINDOW: u32 = 4 << 20;
+
+/// Bytes of a stream's answer that may wait for the socket.
+const SEND_BUFFER: usize = 128 << 10;
+
+/// All headers of a request, bytes.
+const HEADERS: u32 = 16 << 10;
+
+/// Streams that the client reset, and such as were reset for its faults, before the connection is at fault.
+const RESETS_PENDING: usize = 32;
+const RESETS_FOR_FAULTS: usize = 256;
+
+/// Streams of a connection besides those that do work: health, reflection.
+const EXTRA_STREAMS: usize = 16;
+
+/// Between two pings, which keep boxes between here and the client from forgetting the connection.
+const PING_EVERY: Duration = Duration::from_secs(20);
+
+/// The least time for the answer to a ping. It waits behind all that a slow reader has not read.
+const PING_TIME: Duration = Duration::from_secs(60);
+
+/// Time to say goodbye before the socket is closed.
+const FINISH_TIME: Duration = Duration::from_secs(1);
+
+/// Time for the bytes of a stream that was cut to go.
+const CUT_TIME: Duration = Duration::from_secs(1);
+
+/// Between two looks at a connection's limits.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+const LOOK_EVERY_AT_THE_END: Duration = Duration::from_millis(25);
+
+/// What is known of a connection.
+pub(super) struct State {
+    opened: Instant,
+    traffic: Arc<Traffic>,
+    streams: Mutex<Streams>,
+    evicted: Notify,
+}
+
+struct Streams {
+    /// Open, or ended with bytes that wait.
+    all: Vec<Arc<Exchange>>,
+    /// The request that was taken last, until something runs it.
+    taken: Option<Arc<Exchange>>,
+    requests: u64,
+    /// When the last request came or ended.
+    last: Instant,
+}
+
+impl State {
+    pub(super) fn new() -> Self {
+        let streams = Streams { all: Vec::new(), taken: None, requests: 0, last: Instant::now() };
+        Self { opened: Instant::now(), traffic: Arc::default(), streams: Mutex::new(streams), evicted: Notify::new() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Streams> {
+        self.streams.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Guest for State {
+    fn standing(&self) -> Standing {
+        let streams = self.lock();
+        match streams.requests {
+            0 if !self.traffic.received() => Standing::Silent,
+            0 => Standing::Greeted,
+            _ if streams.all.iter().all(|stream| stream.ended()) => Standing::Idle(streams.last.elapsed()),
+            _ => Standing::Busy,
+        }
+    }
+
+    fn evict(&self) {
+        self.evicted.notify_one();
+    }
+}
+
+/// What the limits say of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    Stays,
+    /// Say goodbye, then close.
+    Finish(&'static str),
+    /// Close at once.
+    Close(&'static str),
+}
+
+/// Runs the connection.
+pub(super) async fn serve(
+    stream: TcpStream,
+    state: Arc<State>,
+    common: Arc<Common>,
+    mut phase: watch::Receiver<Phase>,
+) {
+    let Ok(socket) = Socket::new(stream, Arc::clone(&state.traffic)) else { return };
+    let service = Answerer { state: Arc::clone(&state), common: Arc::clone(&common), phase: phase.clone() };
+    let limits = &common.limits;
+    let streams = u32::try_from(limits.max_streams.saturating_add(EXTRA_STREAMS)).unwrap_or(u32::MAX);
+    let connection = http2::Builder::new(Spawner(Arc::clone(&state)))
+        .timer(TokioTimer::new())
+        .initial_stream_window_size(STREAM_WINDOW)
+        .initial_connection_window_size(CONNECTION_WINDOW)
+        .max_concurrent_streams(streams)
+        .max_send_buf_size(SEND_BUFFER)
+        .max_header_list_size(HEADERS)
+        .max_pending_accept_reset_streams(RESETS_PENDING)
+        .max_local_error_reset_streams(RESETS_FOR_FAULTS)
+        .keep_alive_interval(PING_EVERY)
+        .keep_alive_timeout(limits.stall.max(PING_TIME))
+        .serve_connection(TokioIo::new(socket), service);
+    tokio::pin!(connection);
+    let look_every = [limits.stall, limits.first_request, limits.idle_connection]
+        .into_iter()
+        .map(|limit| limit / 8)
+        .fold(LOOK_EVERY, Duration::min)
+        .max(LOOK_EVERY_AT_THE_END);
+    let mut leaving = Leaving::default();
+    loop {
+        let now = *phase.borrow_and_update();
+        let pause = if now == Phase::Serving && leaving.finish.is_none() { look_every } else { LOOK_EVERY_AT_THE_END };
+        tokio::select! {
+            result = connection.as_mut() => {
+                if let Err(error) = result {
+                    tracing::debug!(%error, "a connection failed");
+                }
+                break;
+            }
+            () = state.evicted.notified() => break,
+            () = tokio::time::sleep(pause) => {}
+            Ok(()) = phase.changed() => {}
+        }
+        match leaving.look(&state, &common, *phase.borrow()) {
+            Verdict::Stays => {}
+            Verdict::Finish(why) => {
+                tracing::debug!(why, "a connection is told to go");
+                leaving.finish = Some(Instant::now());
+                connection.as_mut().graceful_shutdown();
+            }
+            Verdict::Close(why) => {
+                tracing::debug!(why, "a connection is closed");
+                if let Some(times) = common.closed.count() {
+                    tracing::info!(times, why, "closed connections that broke a limit");
+                }
+                break;
+            }
+        }
+    }
+    let mut streams = state.lock();
+    streams.all.drain(..).for_each(|stream| stream.cut());
+}
+
+/// How far a connection is on its way out.
+#[derive(Default)]
+struct Leaving {
+    /// Since when the server drains.
+    draining: Option<Instant>,
+    /// Since when nothing is open while the server closes.
+    quiet: Option<Instant>,
+    /// Since when it is told to go.
+    finish: Option<Instant>,
+}
+
+impl Leaving {
+    fn look(&mut self, state: &State, common: &Common, phase: Phase) -> Verdict {
+        let limits = &common.limits;
+        let mut streams = state.lock();
+        streams.all.retain(|stream| !stream.ended() || stream.waiting() > 0);
+        if state.traffic.blocked_for() >= limits.stall {
+            return Verdict::Close("the client reads nothing");
+        }
+        for stream in &streams.all {
+            if stream.unmoved_for() >= limits.stall {
+                if stream.ended() {
+                    return Verdict::Close("the client takes no end of an answer");
+                }
+                if !stream.cut_stalled() && stream.unmoved_for() >= limits.stall + CUT_TIME {
+                    return Verdict::Close("a stream could not be reset");
+                }
+            }
+            if !stream.admitted() && !stream.answered() && stream.age() >= limits.first_request {
+                stream.cut();
+            }
+        }
+        if phase >= Phase::Draining {
+            let since = *self.draining.get_or_insert_with(Instant::now);
+            if streams.requests == 0 && state.opened <= since {
+                return Verdict::Close("no request came before the shutdown");
+            }
+            if since.elapsed() >= LINGER {
+                // Whoever takes the end of such an answer has had it by now.
+                let idle = streams.all.iter().filter(|stream| !stream.admitted() && stream.age() >= LINGER);
+                idle.for_each(|stream| stream.cut());
+            }
+        }
+        if let Some(since) = self.finish {
+            return if since.elapsed() >= FINISH_TIME { Verdict::Close("it did not go") } else { Verdict::Stays };
+        }
+        let open = !streams.all.is_empty();
+        if phase >= Phase::Closing {
+            let since = *self.quiet.get_or_insert_with(Instant::now);
+            if open {
+                self.quiet = None;
+            } else if since.elapsed() >= LINGER {
+                return Verdict::Finish("the server ends");
+            }
+            return Verdict::Stays;
+        }
+        if streams.requests == 0 && state.opened.elapsed() >= limits.first_request {
+            return Verdict::Close("no request came");
+        }
+        if streams.requests > 0 && !open && streams.last.elapsed() >= limits.idle_connection {
+            return Verdict::Finish("idle for too long");
+        }
+        Verdict::Stays
+    }
+}
+
+/// Runs a connection's streams, each until it ends or is cut.
+#[derive(Clone)]
+struct Spawner(Arc<State>);
+
+impl<F> hyper::rt::Executor<F> for Spawner
+where
+    F: Future + Send + 'static,
+    F::Output: Send,
+{
+    fn execute(&self, work: F) {
+        // The connection takes a request and has it run before it takes the next.
+        let Some(exchange) = self.0.lock().taken.take() else {
+            tokio::spawn(work);
+            return;
+        };
+        let end = EndOnDrop { state: Arc::clone(&self.0), exchange };
+        tokio::spawn(async move {
+            tokio::select! {
+                biased;
+                () = end.exchange.until_cut() => {}
+                _ = work => {}
+            }
+        });
+    }
+}
+
+/// Whatever ends a stream's work, a panic too, its connection knows.
+struct EndOnDrop {
+    state: Arc<State>,
+    exchange: Arc<Exchange>,
+}
+
+impl Drop for EndOnDrop {
+    fn drop(&mut self) {
+        self.exchange.end();
+        self.state.lock().last = Instant::now();
+    }
+}
+
+/// Hands requests to the services.
+struct Answerer {
+    state: Arc<State>,
+    common: Arc<Common>,
+    phase: watch::Receiver<Phase>,
+}
+
+impl hyper::service::Service<Request<Incoming>> for Answerer {
+    type Response = Response<Pieces<Body>>;
+    type Error = Infallible;
+    type Future = Pin<Box<dyn Future<Output = Result<Self::Response, Infallible>> + Send>>;
+
+    fn call(&self, mut request: Request<Incoming>) -> Self::Future {
+        let exchange = Arc::new(Exchange::new(self.common.budget.clone()));
+        {
+            let mut streams = self.state.lock();
+            streams.requests += 1;
+            streams.last = Instant::now();
+            streams.all.push(Arc::clone(&exchange));
+            streams.taken = Some(Arc::clone(&exchange));
+        }
+        request.extensions_mut().insert(Arc::clone(&exchange));
+        let mut routes: Routes = self.common.routes.clone();
+        let mut phase = self.phase.clone();
+        Box::pin(async move {
+            let response = routes.call(request.map(Body::new)).await?;
+            exchange.answer();
+            let farewell = (!exchange.admitted()).then(|| Farewell {
+                time: Box::pin(async move {
+                    let _ = phase.wait_for(|now| *now >= Phase::Draining).await;
+                }),
+                trailers: farewell(),
+            });
+            Ok(response.map(|body| Pieces::new(body, exchange, farewell)))
+        })
+    }
+}
+
+/// How answers end that no work stands behind, when the server drains.
+fn farewell() -> HeaderMap {
+    let mut trailers = HeaderMap::new();
+    // A status that is no header cannot be: its text is plain.
+    let _ = Status::from(RequestError::Draining).add_header(&mut trailers);
+    trailers
+}

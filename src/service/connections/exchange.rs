@@ -1,0 +1,329 @@
+//! One request and its answer, as the transport sees them.
+//!
+//! Purpose: [`Exchange`] knows how many bytes wait for the client and when the last one moved; [`Pieces`] is the
+//! answer's body, handed on in small pieces, so that "moved" is fine enough for a slow reader. Invariant: every byte of
+//! an answer is counted from when the service gives it until the connection has written it or the stream is gone.
+//! Must not know: messages, what an answer says.
+
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
+
+use http_body::Frame;
+use tokio::sync::Notify;
+use tonic::Status;
+use tonic::codegen::{Body, Bytes, http::HeaderMap};
+
+use super::super::budget::Budget;
+
+/// The largest piece: a frame's payload, as most peers take it.
+const LARGEST_PIECE: usize = 16 << 10;
+
+/// The first piece after a pause, so that progress shows though little is taken.
+const SMALLEST_PIECE: usize = 1 << 10;
+
+/// Between two pieces, after which the client counts as slow.
+const SLOW: Duration = Duration::from_millis(50);
+
+/// See the module's head.
+#[derive(Debug)]
+pub(crate) struct Exchange {
+    began: Instant,
+    budget: Budget,
+    /// Milliseconds from `began` to the last byte that moved.
+    moved_ms: AtomicU64,
+    /// Bytes that wait for the client.
+    waiting: AtomicU64,
+    admitted: AtomicBool,
+    answered: AtomicBool,
+    ended: AtomicBool,
+    stalled: AtomicBool,
+    cut: Notify,
+}
+
+impl Exchange {
+    /// A request has come.
+    pub(super) fn new(budget: Budget) -> Self {
+        Self {
+            began: Instant::now(),
+            budget,
+            moved_ms: AtomicU64::new(0),
+            waiting: AtomicU64::new(0),
+            admitted: AtomicBool::new(false),
+            answered: AtomicBool::new(false),
+            ended: AtomicBool::new(false),
+            stalled: AtomicBool::new(false),
+            cut: Notify::new(),
+        }
+    }
+
+    /// The request is work that was admitted: a shutdown lets it end.
+    pub(crate) fn admit(&self) {
+        self.admitted.store(true, Ordering::Release);
+    }
+
+    /// Whether it was reset since its client took nothing.
+    pub(crate) fn stalled(&self) -> bool {
+        self.stalled.load(Ordering::Acquire)
+    }
+
+    pub(super) fn admitted(&self) -> bool {
+        self.admitted.load(Ordering::Acquire)
+    }
+
+    /// The service has begun its answer.
+    pub(super) fn answer(&self) {
+        self.answered.store(true, Ordering::Release);
+    }
+
+    pub(super) fn answered(&self) -> bool {
+        self.answered.load(Ordering::Acquire)
+    }
+
+    /// Nothing works on it any more. Bytes may still wait.
+    pub(super) fn end(&self) {
+        self.ended.store(true, Ordering::Release);
+    }
+
+    pub(super) fn ended(&self) -> bool {
+        self.ended.load(Ordering::Acquire)
+    }
+
+    pub(super) fn age(&self) -> Duration {
+        self.began.elapsed()
+    }
+
+    /// Bytes that wait for the client.
+    pub(super) fn waiting(&self) -> u64 {
+        self.waiting.load(Ordering::Acquire)
+    }
+
+    /// How long bytes have waited without one being taken.
+    pub(super) fn unmoved_for(&self) -> Duration {
+        if self.waiting() == 0 {
+            return Duration::ZERO;
+        }
+        self.began.elapsed().saturating_sub(Duration::from_millis(self.moved_ms.load(Ordering::Acquire)))
+    }
+
+    /// Ends the work on it, which resets the stream.
+    pub(super) fn cut(&self) {
+        self.cut.notify_one();
+    }
+
+    /// As [`Self::cut`], since the client takes nothing. Gives whether this is the first time.
+    pub(super) fn cut_stalled(&self) -> bool {
+        let first = !self.stalled.swap(true, Ordering::AcqRel);
+        self.cut();
+        first
+    }
+
+    /// Ready once it is cut.
+    pub(super) async fn until_cut(&self) {
+        self.cut.notified().await;
+    }
+
+    fn moved(&self) {
+        let ms = u64::try_from(self.began.elapsed().as_millis()).unwrap_or(u64::MAX);
+        self.moved_ms.store(ms, Ordering::Release);
+    }
+
+    /// The service gave bytes. They count as moved: the client has not had them before.
+    fn give(&self, bytes: u64) {
+        if self.waiting.fetch_add(bytes, Ordering::AcqRel) == 0 {
+            self.moved();
+        }
+        self.budget.charge(bytes);
+    }
+
+    /// Bytes have left, or were thrown away with their stream.
+    fn leave(&self, bytes: u64) {
+        self.moved();
+        self.waiting.fetch_sub(bytes, Ordering::AcqRel);
+        self.budget.release(bytes);
+    }
+}
+
+/// Bytes that are counted until they are dropped.
+struct Piece {
+    bytes: Bytes,
+    exchange: Arc<Exchange>,
+}
+
+impl AsRef<[u8]> for Piece {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+impl Drop for Piece {
+    fn drop(&mut self) {
+        self.exchange.leave(self.bytes.len() as u64);
+    }
+}
+
+/// What ends an answer that no work stands behind.
+pub(super) struct Farewell {
+    /// Ready when the server wants no such answer any more.
+    pub(super) time: Pin<Box<dyn Future<Output = ()> + Send>>,
+    /// How the answer ends then.
+    pub(super) trailers: HeaderMap,
+}
+
+/// See the module's head.
+pub(super) struct Pieces<B> {
+    inner: B,
+    exchange: Arc<Exchange>,
+    /// Given by the service, not yet handed on.
+    rest: Bytes,
+    piece: usize,
+    handed_on: Option<Instant>,
+    farewell: Option<Farewell>,
+    ended: bool,
+}
+
+impl<B> Pieces<B> {
+    pub(super) fn new(inner: B, exchange: Arc<Exchange>, farewell: Option<Farewell>) -> Self {
+        let (rest, piece) = (Bytes::new(), LARGEST_PIECE);
+        Self { inner, exchange, rest, piece, handed_on: None, farewell, ended: false }
+    }
+
+    /// The next piece of what is there.
+    fn next(&mut self) -> Bytes {
+        if self.handed_on.is_some_and(|last| last.elapsed() > SLOW) {
+            self.piece = SMALLEST_PIECE;
+        }
+        let bytes = self.rest.split_to(self.piece.min(self.rest.len()));
+        self.piece = (2 * self.piece).min(LARGEST_PIECE);
+        self.handed_on = Some(Instant::now());
+        Bytes::from_owner(Piece { bytes, exchange: Arc::clone(&self.exchange) })
+    }
+
+    /// Whether the answer is to end here, where the service has nothing to say.
+    fn is_over(&mut self, context: &mut Context<'_>) -> Option<HeaderMap> {
+        let farewell = self.farewell.as_mut()?;
+        farewell.time.as_mut().poll(context).is_ready().then(|| {
+            self.ended = true;
+            std::mem::take(&mut farewell.trailers)
+        })
+    }
+}
+
+impl<B: Body<Data = Bytes, Error = Status> + Unpin> Body for Pieces<B> {
+    type Data = Bytes;
+    type Error = Status;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Self::Data>, Self::Error>>> {
+        if !self.rest.is_empty() {
+            return Poll::Ready(Some(Ok(Frame::data(self.next()))));
+        }
+        if self.ended {
+            return Poll::Ready(None);
+        }
+        match Pin::new(&mut self.inner).poll_frame(context) {
+            Poll::Pending => {
+                self.handed_on = None;
+                self.is_over(context).map_or(Poll::Pending, |trailers| Poll::Ready(Some(Ok(Frame::trailers(trailers)))))
+            }
+            Poll::Ready(Some(Ok(frame))) => Poll::Ready(Some(Ok(match frame.into_data() {
+                Ok(data) if !data.is_empty() => {
+                    self.exchange.give(data.len() as u64);
+                    self.rest = data;
+                    Frame::data(self.next())
+                }
+                Ok(empty) => Frame::data(empty),
+                Err(frame) => frame,
+            }))),
+            last => last,
+        }
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.rest.is_empty() && (self.ended || self.inner.is_end_stream())
+    }
+}
+
+impl<B> Drop for Pieces<B> {
+    fn drop(&mut self) {
+        self.exchange.leave(self.rest.len() as u64);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A body of given frames.
+    struct Frames(Vec<Bytes>);
+
+    impl Body for Frames {
+        type Data = Bytes;
+        type Error = Status;
+        fn poll_frame(mut self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
+            if self.0.is_empty() {
+                return Poll::Pending;
+            }
+            Poll::Ready(Some(Ok(Frame::data(self.0.remove(0)))))
+        }
+    }
+
+    fn next(body: &mut Pieces<Frames>) -> Option<Frame<Bytes>> {
+        let mut context = Context::from_waker(std::task::Waker::noop());
+        match Pin::new(body).poll_frame(&mut context) {
+            Poll::Ready(frame) => frame.map(Result::unwrap),
+            Poll::Pending => None,
+        }
+    }
+
+    #[test]
+    fn bytes_are_counted_until_they_are_dropped() {
+        let budget = Budget::new(1 << 20);
+        let exchange = Arc::new(Exchange::new(budget.clone()));
+        let data: Vec<u8> = (0..50_000).map(|i| (i % 251) as u8).collect();
+        let mut body = Pieces::new(Frames(vec![data.clone().into()]), Arc::clone(&exchange), None);
+        let mut pieces = Vec::new();
+        while let Some(frame) = next(&mut body) {
+            pieces.push(frame.into_data().unwrap());
+        }
+        assert_eq!(pieces.concat(), data);
+        assert!(pieces.iter().all(|p| p.len() <= LARGEST_PIECE));
+        assert_eq!(exchange.waiting(), 50_000);
+        assert!(!budget.has((1 << 20) - 49_999));
+        pieces.pop();
+        drop(pieces);
+        drop(body);
+        assert_eq!(exchange.waiting(), 0);
+        assert_eq!(exchange.unmoved_for(), Duration::ZERO);
+        assert!(budget.has(1 << 20));
+    }
+
+    #[test]
+    fn a_body_that_goes_early_gives_back_what_it_held() {
+        let budget = Budget::new(1 << 20);
+        let exchange = Arc::new(Exchange::new(budget.clone()));
+        let mut body = Pieces::new(Frames(vec![vec![0; 50_000].into()]), Arc::clone(&exchange), None);
+        let first = next(&mut body);
+        assert!(!budget.has(1 << 20));
+        drop(body);
+        drop(first);
+        assert!(budget.has(1 << 20));
+    }
+
+    #[test]
+    fn an_answer_without_work_ends_when_it_is_time() {
+        let exchange = Arc::new(Exchange::new(Budget::new(1 << 20)));
+        let mut trailers = HeaderMap::new();
+        trailers.insert("grpc-status", "14".parse().unwrap());
+        let farewell = Farewell { time: Box::pin(std::future::ready(())), trailers };
+        let mut body = Pieces::new(Frames(vec![vec![1].into()]), exchange, Some(farewell));
+        assert!(next(&mut body).unwrap().is_data(), "what the service says goes first");
+        assert!(next(&mut body).unwrap().is_trailers());
+        assert!(next(&mut body).is_none() && body.is_end_stream());
+    }
+}

@@ -1,0 +1,148 @@
+//! Promise: strangers who connect and say nothing keep nobody out, and nothing of theirs stays for ever.
+
+use std::io::{BufRead, BufReader};
+use std::net::SocketAddr;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use crate::raw::{self, CHECK, Raw, WATCH, closes, silent};
+use crate::server::*;
+use tessera::config::Limits;
+use tessera::service::proto::*;
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_check_response::ServingStatus;
+use tonic_health::pb::health_client::HealthClient;
+
+const SECOND: Duration = Duration::from_secs(1);
+const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
+
+/// Sockets, and how many of them the server has left open.
+async fn open_of(sockets: &mut [tokio::net::TcpStream]) -> usize {
+    let mut open = 0;
+    for socket in sockets {
+        open += usize::from(!closes(socket, Duration::from_millis(20)).await);
+    }
+    open
+}
+
+async fn is_served(address: SocketAddr) -> bool {
+    let endpoint = tonic::transport::Endpoint::from_shared(format!("http://{address}")).unwrap();
+    let Ok(channel) = endpoint.connect_timeout(5 * SECOND).timeout(5 * SECOND).connect().await else { return false };
+    let answer = HealthClient::new(channel).check(HealthCheckRequest::default()).await;
+    answer.is_ok_and(|a| a.into_inner().status() == ServingStatus::Serving)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn silent_sockets_keep_nobody_out() {
+    let limits = Limits { max_connections: 40, max_connections_per_peer: 20, ..Limits::default() };
+    let server = Server::start(Setup { limits, ..Setup::default() }).await;
+    let mut sockets = Vec::new();
+    for i in 0..90 {
+        sockets.push(silent(server.address, if i % 2 == 0 { b"" } else { PREFACE }).await);
+        if i % 30 == 29 {
+            ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Parallel)).await.unwrap();
+        }
+    }
+    assert!(is_served(server.address).await);
+    let open = open_of(&mut sockets).await;
+    assert!(open <= 20, "{open} of them are still open");
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_asks_for_something_keeps_its_place_and_the_next_is_refused() {
+    let limits = Limits { max_connections: 4, max_connections_per_peer: 3, ..Limits::default() };
+    let server = Server::start(Setup { limits, ..Setup::default() }).await;
+    let mut watches = Vec::new();
+    for _ in 0..3 {
+        let mut raw = Raw::connect(server.address, 1 << 16).await;
+        let mut body = raw.ask(WATCH, &[HealthCheckRequest::default()]).await.unwrap();
+        assert!(body.data().await.unwrap().is_ok());
+        watches.push((raw, body));
+    }
+    let mut fourth = silent(server.address, PREFACE).await;
+    assert!(closes(&mut fourth, 5 * SECOND).await, "one address has three connections here");
+    // Another address has its own share.
+    let other = raw::from("127.0.0.2:0", server.address).await.unwrap();
+    let mut other = Raw::on(other, 1 << 16).await;
+    let mut body = other.ask(CHECK, &[HealthCheckRequest::default()]).await.unwrap();
+    assert!(body.data().await.unwrap().is_ok());
+    for (_, body) in &mut watches {
+        let more = tokio::time::timeout(Duration::from_millis(50), body.data()).await;
+        assert!(more.is_err(), "a watch that was open goes on");
+    }
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_connection_without_a_request_is_closed() {
+    let limits = Limits { first_request: Duration::from_millis(300), ..Limits::default() };
+    let server = Server::start(Setup { limits, ..Setup::default() }).await;
+    let mut watching = Raw::connect(server.address, 1 << 16).await;
+    let mut watch = watching.ask(WATCH, &[HealthCheckRequest::default()]).await.unwrap();
+    watch.data().await.unwrap().unwrap();
+    // The head of a request that never ends: HEADERS without END_HEADERS.
+    let endless = [PREFACE, b"\0\0\x01\x01\0\0\0\0\x01\x83"].concat();
+    for bytes in [&b""[..], b"PRI * HTTP", PREFACE, &endless] {
+        let mut socket = silent(server.address, bytes).await;
+        assert!(closes(&mut socket, 5 * SECOND).await, "after {} bytes", bytes.len());
+    }
+    // A request whose message never ends is cut too; its connection lives.
+    let (_response, mut body) = watching.begin(CHECK).await;
+    body.send_data(vec![0, 0, 0].into(), false).unwrap();
+    let reset = std::future::poll_fn(|context| body.poll_reset(context));
+    tokio::time::timeout(5 * SECOND, reset).await.expect("is reset").unwrap();
+    assert!(tokio::time::timeout(Duration::from_millis(50), watch.data()).await.is_err(), "the watch goes on");
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_idle_connection_is_closed_in_good_form() {
+    let limits = Limits { idle_connection: Duration::from_millis(300), ..Limits::default() };
+    let server = Server::start(Setup { limits, ..Setup::default() }).await;
+    let mut raw = Raw::connect(server.address, 1 << 16).await;
+    let mut body = raw.ask(CHECK, &[HealthCheckRequest::default()]).await.unwrap();
+    body.data().await.unwrap().unwrap();
+    body.trailers().await.unwrap();
+    drop(body);
+    let ended = tokio::time::timeout(5 * SECOND, raw.connection).await.expect("is closed").unwrap();
+    assert!(ended.is_ok(), "with a goodbye: {ended:?}");
+    // A client of the usual kind connects anew without a word.
+    let mut client = server.client().await;
+    for _ in 0..2 {
+        ask_rvd(&mut client, small_rvd(BackendChoice::Parallel)).await.unwrap();
+        tokio::time::sleep(Duration::from_millis(700)).await;
+    }
+    server.stop().await.unwrap();
+}
+
+/// The program itself, with few descriptors.
+#[cfg(target_os = "linux")]
+#[tokio::test(flavor = "multi_thread")]
+async fn descriptors_are_not_used_up() {
+    let program = env!("CARGO_BIN_EXE_tessera");
+    let mut child = Command::new("sh")
+        .args([
+            "-c",
+            "ulimit -n 160; exec \"$0\" serve --listen 127.0.0.1:0 --backend serial --first-request-s 60",
+            program,
+        ])
+        .args(Vec::<String>::new())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let address: SocketAddr = line.trim().strip_prefix("tessera listens on ").unwrap().parse().unwrap();
+    let mut sockets = Vec::new();
+    for _ in 0..200 {
+        sockets.push(silent(address, b"").await);
+    }
+    let served = is_served(address).await;
+    let open = std::fs::read_dir(format!("/proc/{}/fd", child.id())).map(Iterator::count);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(served);
+    assert!(open.unwrap() <= 160 - 32, "some descriptors are left");
+}

@@ -1,0 +1,85 @@
+//! Promise: at a shutdown only admitted work uses the grace period. Everything else ends at once, and whoever watches
+//! is told.
+
+use std::time::{Duration, Instant};
+
+use crate::raw::{COMPUTE_RVD, Raw, WATCH, framed, silent};
+use crate::server::*;
+use tessera::config::Limits;
+use tessera::service::SERVICE_NAME;
+use tessera::service::proto::*;
+use tonic::Code;
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_check_response::ServingStatus;
+use tonic_health::pb::health_client::HealthClient;
+use tonic_reflection::pb::v1::ServerReflectionRequest;
+use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
+use tonic_reflection::pb::v1::server_reflection_request::MessageRequest;
+
+const SECOND: Duration = Duration::from_secs(1);
+
+fn long_grace() -> Setup {
+    Setup { limits: Limits { grace: 60 * SECOND, ..Limits::default() }, ..Setup::default() }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn watches_are_told_and_end_at_once() {
+    let server = Server::start(long_grace()).await;
+    let mut watches = Vec::new();
+    for service in ["", SERVICE_NAME] {
+        let mut client = HealthClient::new(server.channel().await);
+        let request = HealthCheckRequest { service: service.to_owned() };
+        let mut watch = client.watch(request).await.unwrap().into_inner();
+        assert_eq!(watch.message().await.unwrap().unwrap().status(), ServingStatus::Serving);
+        watches.push((client, watch));
+    }
+    let start = Instant::now();
+    let stopping = tokio::spawn(server.stop());
+    for (_, watch) in &mut watches {
+        assert_eq!(watch.message().await.unwrap().unwrap().status(), ServingStatus::NotServing);
+        assert_eq!(watch.message().await.unwrap_err().code(), Code::Unavailable);
+    }
+    stopping.await.unwrap().unwrap();
+    assert!(start.elapsed() < 10 * SECOND, "took {:?} of a grace of 60 s", start.elapsed());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nothing_but_admitted_work_uses_the_grace() {
+    let server = Server::start(long_grace()).await;
+    // In the middle of a handshake, and before it.
+    let _sockets = [silent(server.address, b"").await, silent(server.address, b"PRI * HTTP/2").await];
+    // A connection that was used, and one whose client never reads.
+    let mut idle = server.client().await;
+    ask_rvd(&mut idle, small_rvd(BackendChoice::Parallel)).await.unwrap();
+    let mut shut = Raw::connect(server.address, 0).await;
+    let _shut_watch = shut.ask(WATCH, &[HealthCheckRequest::default()]).await.unwrap();
+    // A reflection stream that goes on.
+    let (ask, questions) = by_hand();
+    let list = ServerReflectionRequest {
+        host: String::new(),
+        message_request: Some(MessageRequest::ListServices(String::new())),
+    };
+    ask.send(list).await.unwrap();
+    let mut reflection = ServerReflectionClient::new(server.channel().await);
+    let mut listed = reflection.server_reflection_info(questions).await.unwrap().into_inner();
+    listed.message().await.unwrap().unwrap();
+    // Half an upload, and half a message of one.
+    let (send, stream) = by_hand();
+    let mut request = small_rvd(BackendChoice::Parallel);
+    request.truncate(2);
+    let half = framed(&request[0]);
+    for message in request {
+        send.send(message).await.unwrap();
+    }
+    let mut upload = server.client().await.compute_rvd(stream).await.unwrap().into_inner();
+    let mut broken = Raw::connect(server.address, 1 << 16).await;
+    let (_response, mut body) = broken.begin(COMPUTE_RVD).await;
+    body.send_data(half.slice(..half.len() / 2), false).unwrap();
+    tokio::time::sleep(SECOND / 2).await;
+
+    let start = Instant::now();
+    server.stop().await.unwrap();
+    assert!(start.elapsed() < 10 * SECOND, "took {:?} of a grace of 60 s", start.elapsed());
+    assert_eq!(upload.message().await.unwrap_err().code(), Code::Unavailable);
+    assert_eq!(listed.message().await.unwrap_err().code(), Code::Unavailable);
+}
