@@ -73,6 +73,19 @@ pub struct ServeArgs {
     /// Uploaded geometry and waiting results of all streams together that are held in memory, MiB.
     #[arg(long, value_name = "MIB", default_value_t = 4096, env = "TESSERA_MEMORY_MIB")]
     pub memory_mib: u64,
+    /// Seconds of work that a job may take; one that reaches this ends with RESOURCE_EXHAUSTED. Waiting does not count.
+    #[arg(long, value_name = "S", default_value_t = 3600.0, env = "TESSERA_JOB_SECONDS")]
+    pub job_seconds: f64,
+    /// MiB by which the process may grow while a job is at work; a job that reaches this ends with RESOURCE_EXHAUSTED. Three
+    /// quarters of the machine's or the container's memory if not given.
+    #[arg(long, value_name = "MIB", env = "TESSERA_JOB_MEMORY_MIB")]
+    pub job_memory_mib: Option<u64>,
+    /// Seconds that work may go on after it was told to stop; from then on health says NOT_SERVING.
+    #[arg(long, value_name = "S", default_value_t = 10.0, env = "TESSERA_STUCK_S")]
+    pub stuck_s: f64,
+    /// Seconds after that until the process ends with exit code 75, for its supervisor to start it anew.
+    #[arg(long, value_name = "S", default_value_t = 50.0, env = "TESSERA_STUCK_EXIT_S")]
+    pub stuck_exit_s: f64,
     /// Seconds that running work gets to end after SIGTERM.
     #[arg(long, value_name = "S", default_value_t = 30.0, env = "TESSERA_GRACE_S")]
     pub grace_s: f64,
@@ -171,6 +184,21 @@ pub struct ServeConfig {
     pub queue_jobs: usize,
     /// What one request may ask for.
     pub limits: Limits,
+    /// What one job may take.
+    pub ceilings: JobCeilings,
+}
+
+/// What one job may take, and how long it may take to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct JobCeilings {
+    /// Time at work.
+    pub time: Duration,
+    /// Bytes by which the process may grow; as the machine allows if not given.
+    pub memory_bytes: Option<u64>,
+    /// From being told to stop to being stuck.
+    pub stuck: Duration,
+    /// From there to the end of the process.
+    pub lost: Duration,
 }
 
 /// A value that makes no sense.
@@ -221,6 +249,15 @@ impl ServeArgs {
                 session_idle: seconds("--session-idle-s", self.session_idle_s)?,
                 stall: seconds("--stall-s", self.stall_s)?,
                 grace: seconds("--grace-s", self.grace_s)?,
+            },
+            ceilings: JobCeilings {
+                time: seconds("--job-seconds", self.job_seconds)?,
+                memory_bytes: match self.job_memory_mib {
+                    Some(mib) => Some(count("--job-memory-mib", mib, 1, 1 << 24, "1 to 16777216")? << 20),
+                    None => None,
+                },
+                stuck: seconds("--stuck-s", self.stuck_s)?,
+                lost: seconds("--stuck-exit-s", self.stuck_exit_s)?,
             },
         })
     }

@@ -11,6 +11,7 @@ pub mod diagram;
 pub mod queue;
 pub mod session;
 pub mod spec;
+pub mod watchdog;
 pub mod worker;
 
 use std::sync::Arc;
@@ -22,6 +23,7 @@ use crate::rvd::{Backend, BackendKind, RvdError};
 use crate::token::{Stopped, Token};
 
 pub use queue::Place;
+pub use watchdog::{Ceilings, Work};
 pub use worker::{Device, Engine, EngineOptions, Pending, Retry, Ticket, Timed, Turn};
 
 /// Which backend a caller would like.
@@ -149,11 +151,23 @@ impl From<Stopped> for JobError {
 }
 
 /// Cancels when dropped: whoever waits for work holds one, so that going away stops the work.
-#[derive(Debug, Default)]
-pub struct CancelOnDrop(pub Token);
+#[derive(Debug)]
+pub struct CancelOnDrop(Option<Token>);
+
+impl CancelOnDrop {
+    /// For work with this token.
+    pub fn new(token: &Token) -> Self {
+        Self(Some(token.clone()))
+    }
+
+    /// The work has ended; the token may be that of more to come.
+    pub fn disarm(mut self) {
+        self.0 = None;
+    }
+}
 
 impl Drop for CancelOnDrop {
     fn drop(&mut self) {
-        self.0.cancel();
+        self.0.iter().for_each(Token::cancel);
     }
 }

@@ -28,7 +28,7 @@ use tonic_health::server::HealthReporter;
 
 use crate::config::Limits;
 use crate::job::spec::Input;
-use crate::job::{Device, Engine, JobError};
+use crate::job::{Device, Engine, JobError, Work};
 
 /// The messages and services of `proto/tessera/v1`, generated.
 #[allow(missing_docs, clippy::all, clippy::pedantic)]
@@ -68,6 +68,12 @@ pub enum ServeError {
     /// The device thread did not end in time.
     #[error("the device thread did not end within {} s of the shutdown", .0.as_secs_f64())]
     WorkerStuck(Duration),
+    /// Work went on long after it was told to stop.
+    #[error("work in the stage {stage:?} went on long after it was told to stop; only a new process can go on")]
+    WorkStuck {
+        /// What it was at.
+        stage: &'static str,
+    },
 }
 
 /// Why a request is refused or ends badly. `status` makes a status code of it.
@@ -165,28 +171,33 @@ pub async fn run(
     let serving = connections::serve(listener, routes, limits, budget, phase.subscribe(), closing.subscribe());
     tokio::pin!(serving);
 
-    tokio::select! {
-        () = &mut serving => {}
-        () = shutdown => {}
-        () = follow_device(&engine, &health) => {}
-    }
-    tracing::info!(grace_s = limits.grace.as_secs_f64(), "shutting down: no new streams, open ones may end");
+    let lost = tokio::select! {
+        () = &mut serving => None,
+        () = shutdown => None,
+        lost = follow_engine(&engine, &health) => lost,
+    };
+    // Whoever waits for work that never ends would wait in vain.
+    let grace = if lost.is_some() { Duration::ZERO } else { limits.grace };
+    tracing::info!(grace_s = grace.as_secs_f64(), "shutting down: no new streams, open ones may end");
     // Before the phase: whoever watches is told, and then his stream ends.
     tell(&health, ServingStatus::NotServing).await;
     phase.send_replace(Phase::Draining);
     let begin = Instant::now();
     let draining = async {
-        if tokio::time::timeout(limits.grace, gate.idle()).await.is_err() {
+        if tokio::time::timeout(grace, gate.idle()).await.is_err() {
             tracing::warn!("the grace period is over: cutting what is left");
         }
         phase.send_replace(Phase::Cut);
         engine.cancel_all();
         let _ = tokio::time::timeout(CUT_TIME, gate.idle()).await;
         // Answers that are written may still be on their way to a slow reader.
-        closing.send_replace(limits.grace.saturating_sub(begin.elapsed()).max(CUT_TIME));
+        closing.send_replace(grace.saturating_sub(begin.elapsed()).max(CUT_TIME));
         phase.send_replace(Phase::Closing);
     };
     tokio::join!(draining, serving);
+    if let Some(stage) = lost {
+        return Err(ServeError::WorkStuck { stage });
+    }
     let died = *engine.watch_device().borrow() == Device::Gone;
     engine.close();
     join(worker).await?;
@@ -213,18 +224,28 @@ async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
     Ok(())
 }
 
-/// Tells health while the device is lost; returns when the device thread has ended.
-async fn follow_device(engine: &Engine, health: &HealthReporter) {
-    let mut device = engine.watch_device();
+/// Tells health while the device is lost or work is stuck. Returns when the device thread has ended, or with the stage of
+/// work that will not stop.
+async fn follow_engine(engine: &Engine, health: &HealthReporter) -> Option<&'static str> {
+    let (mut device, mut work) = (engine.watch_device(), engine.watch_work());
     loop {
-        let now = *device.borrow_and_update();
+        let (now, works) = (*device.borrow_and_update(), *work.borrow_and_update());
         if now == Device::Gone {
             tracing::error!("the device thread has ended");
-            return;
+            return None;
         }
-        tell(health, if now == Device::Ready { ServingStatus::Serving } else { ServingStatus::NotServing }).await;
-        if device.changed().await.is_err() {
-            return;
+        if let Work::Lost { stage } = works {
+            tracing::error!(stage, "work does not stop; the process ends, so that its supervisor can start it anew");
+            return Some(stage);
+        }
+        let is_well = now == Device::Ready && works == Work::Stops;
+        tell(health, if is_well { ServingStatus::Serving } else { ServingStatus::NotServing }).await;
+        let changed = tokio::select! {
+            changed = device.changed() => changed,
+            changed = work.changed() => changed,
+        };
+        if changed.is_err() {
+            return None;
         }
     }
 }

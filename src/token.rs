@@ -60,8 +60,12 @@ pub struct Token(Arc<State>);
 #[derive(Debug)]
 struct State {
     reason: OnceLock<Stopped>,
-    /// When time is up, and the limit that it follows from.
-    end: Option<(Instant, Duration)>,
+    /// The limit on time.
+    limit: OnceLock<Duration>,
+    /// Microseconds after `begin` when time is up; [`NEVER`] while the clock stands.
+    end: AtomicU64,
+    /// Microseconds of the limit that were left when the clock stopped last.
+    left: AtomicU64,
     stage: Mutex<&'static str>,
     begin: Instant,
     /// Microseconds after `begin` at which somebody asked last.
@@ -71,11 +75,19 @@ struct State {
     longest: AtomicU64,
 }
 
+const NEVER: u64 = u64::MAX;
+
+fn micros(time: Duration) -> u64 {
+    u64::try_from(time.as_micros()).unwrap_or(NEVER)
+}
+
 impl Default for State {
     fn default() -> Self {
         Self {
             reason: OnceLock::new(),
-            end: None,
+            limit: OnceLock::new(),
+            end: AtomicU64::new(NEVER),
+            left: AtomicU64::new(NEVER),
             stage: Mutex::new(""),
             begin: Instant::now(),
             asked: AtomicU64::new(0),
@@ -102,8 +114,33 @@ impl Token {
 
     /// A token that stops by itself after `limit`.
     pub fn with_time_limit(limit: Duration) -> Self {
-        let end = Instant::now().checked_add(limit).map(|end| (end, limit));
-        Self(Arc::new(State { end, ..State::default() }))
+        let token = Self::default();
+        token.limit_time(limit);
+        token.resume();
+        token
+    }
+
+    /// Limits the time that the clock runs; it stands until [`Token::resume`]. The first limit stays.
+    pub fn limit_time(&self, limit: Duration) {
+        if self.0.limit.set(limit).is_ok() {
+            self.0.left.store(micros(limit), Ordering::Release);
+        }
+    }
+
+    /// Work begins or goes on: the clock runs.
+    pub fn resume(&self) {
+        let left = self.0.left.swap(NEVER, Ordering::AcqRel);
+        if left != NEVER {
+            self.0.end.store(micros(self.0.begin.elapsed()).saturating_add(left), Ordering::Release);
+        }
+    }
+
+    /// Nobody works: the clock stands.
+    pub fn pause(&self) {
+        let end = self.0.end.swap(NEVER, Ordering::AcqRel);
+        if end != NEVER {
+            self.0.left.store(end.saturating_sub(micros(self.0.begin.elapsed())), Ordering::Release);
+        }
     }
 
     /// Asks everyone who holds a clone to stop.
@@ -123,12 +160,17 @@ impl Token {
         if let Some(&reason) = self.0.reason.get() {
             return Some(reason);
         }
-        let (end, limit) = self.0.end?;
-        if Instant::now() < end {
+        let limit = *self.0.limit.get()?;
+        if micros(self.0.begin.elapsed()) < self.0.end.load(Ordering::Acquire) {
             return None;
         }
         self.stop(Stopped::Time { limit });
         self.0.reason.get().copied()
+    }
+
+    /// Whether somebody has told the work to stop, for who watches it and does none: this is no question of the work's own.
+    pub fn is_told_to_stop(&self) -> bool {
+        self.0.reason.get().is_some()
     }
 
     /// Whether the work is to stop.

@@ -21,7 +21,7 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("remesh", &["cvt", "rvd", "mesh"]),
     ("config", &[]),
     ("telemetry", &["config"]),
-    ("job", &["remesh", "cvt", "rvd", "mesh", "config"]),
+    ("job", &["remesh", "cvt", "rvd", "mesh", "config", "telemetry"]),
     ("service", &["job", "remesh", "cvt", "rvd", "mesh", "config"]),
     ("cli", &["service", "job", "remesh", "cvt", "rvd", "knn", "mesh", "gpu", "picture", "config", "telemetry"]),
     ("main", &["cli", "config", "telemetry"]),

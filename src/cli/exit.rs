@@ -6,6 +6,7 @@ use crate::mesh::MeshError;
 use crate::mesh::io::FileError;
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
+use crate::service::ServeError;
 use crate::telemetry::TelemetryError;
 use crate::token::Stopped;
 
@@ -14,6 +15,8 @@ const DATA: u8 = 65;
 const UNAVAILABLE: u8 = 69;
 const INTERNAL: u8 = 70;
 const IO: u8 = 74;
+/// Work did not stop when it was told to; only a new process can go on.
+const STUCK: u8 = 75;
 const INTERRUPTED: u8 = 130;
 
 /// Options that do not go together, or ask for what is not there.
@@ -45,6 +48,9 @@ fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
         Some(FileError::Data { .. }) => return Some(DATA),
         Some(FileError::Io { .. }) => return Some(IO),
         None => {}
+    }
+    if let Some(ServeError::WorkStuck { .. }) = cause.downcast_ref::<ServeError>() {
+        return Some(STUCK);
     }
     if cause.is::<BadInput>() || cause.is::<MeshError>() {
         return Some(DATA);

@@ -11,12 +11,13 @@ use tokio::net::TcpListener;
 
 use super::exit::Unavailable;
 use super::{backends, interrupt};
-use crate::config::{ServeArgs, ServeConfig};
+use crate::config::{JobCeilings, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
-use crate::job::{Backends, Engine, EngineOptions, JobError, Wish};
+use crate::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
 use crate::mesh::TriMesh;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
 use crate::service::{self, Parts};
+use crate::telemetry;
 use crate::token::Token;
 
 /// How long connections get to close after the last stream.
@@ -44,7 +45,11 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
         warm_up(&backends)?;
         Ok(backends)
     };
-    let engine_options = EngineOptions { queue_jobs: config.queue_jobs, ..EngineOptions::default() };
+    let JobCeilings { time, memory_bytes, stuck, lost } = config.ceilings;
+    // What is left is for everything else, and for what the last look did not see.
+    let machine = || telemetry::machine_memory_bytes().map(|bytes| bytes / 4 * 3);
+    let ceilings = Ceilings { time: Some(time), memory_bytes: memory_bytes.or_else(machine), stuck, lost };
+    let engine_options = EngineOptions { queue_jobs: config.queue_jobs, ceilings, ..EngineOptions::default() };
     let starting = tokio::task::spawn_blocking(move || Engine::start(factory, engine_options));
     let (engine, worker) = tokio::select! {
         started = starting => started.context("starting the backends")?.context("starting the backends")?,

@@ -14,7 +14,8 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 
 use super::queue::{Item, Place, Popped, Queue};
-use super::{BackendInfo, Backends, CancelOnDrop, JobError, Wish};
+use super::watchdog::{Ceilings, Watchdog, Watched, Work};
+use super::{BackendInfo, Backends, JobError, Wish};
 use crate::token::Token;
 
 /// How the engine is set up.
@@ -24,11 +25,13 @@ pub struct EngineOptions {
     pub queue_jobs: usize,
     /// How long until a lost device is tried again when nobody asks for it.
     pub revive: Duration,
+    /// What a job may take.
+    pub ceilings: Ceilings,
 }
 
 impl Default for EngineOptions {
     fn default() -> Self {
-        Self { queue_jobs: 32, revive: Duration::from_secs(5) }
+        Self { queue_jobs: 32, revive: Duration::from_secs(5), ceilings: Ceilings::default() }
     }
 }
 
@@ -78,7 +81,17 @@ pub struct Pending<R> {
     /// How many were ahead of it.
     pub position: usize,
     reply: oneshot::Receiver<Result<Timed<R>, JobError>>,
-    token: CancelOnDrop,
+    token: Token,
+    answered: bool,
+}
+
+impl<R> Drop for Pending<R> {
+    fn drop(&mut self) {
+        // The token may be that of more work to come.
+        if !self.answered {
+            self.token.cancel();
+        }
+    }
 }
 
 impl<R> Pending<R> {
@@ -87,12 +100,14 @@ impl<R> Pending<R> {
     /// # Errors
     /// The work's own, `Panicked`, `WorkerGone`.
     pub async fn wait(&mut self) -> Result<Timed<R>, JobError> {
-        (&mut self.reply).await.unwrap_or(Err(JobError::WorkerGone))
+        let answer = (&mut self.reply).await.unwrap_or(Err(JobError::WorkerGone));
+        self.answered = true;
+        answer
     }
 
-    /// The flag that stops it.
+    /// What stops it.
     pub fn token(&self) -> &Token {
-        &self.token.0
+        &self.token
     }
 }
 
@@ -111,6 +126,7 @@ impl Drop for Ticket {
 }
 
 struct Shared {
+    watchdog: Watchdog,
     queue: Queue<Box<dyn Task>>,
     infos: Infos,
     device: watch::Sender<Device>,
@@ -166,7 +182,30 @@ impl Engine {
         Ok(Ticket { shared: Arc::clone(&self.shared), number })
     }
 
-    /// Queues `work`. It is called on the device thread once, or again after a lost device if
+    /// A token for a job, whose ceiling on time counts what is done for it here and under [`Self::watch`].
+    pub fn token(&self) -> Token {
+        self.shared.watchdog.token()
+    }
+
+    /// Watches work that is done for a job on another thread than the device's, until what it returns is dropped.
+    pub fn watch(&self, token: &Token) -> Watched {
+        self.shared.watchdog.watch(token)
+    }
+
+    /// How work is that was told to stop.
+    pub fn watch_work(&self) -> watch::Receiver<Work> {
+        self.shared.watchdog.work()
+    }
+
+    /// Does work on the engine's threads, so that their number bounds what is done beside the device thread too.
+    pub fn on_threads<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
+        match &self.shared.infos.pool {
+            Some(pool) => pool.install(work),
+            None => work(),
+        }
+    }
+
+    /// Queues `work` with a token of its own. It is called on the device thread once, or again after a lost device if
     /// `retry` allows it.
     ///
     /// # Errors
@@ -177,11 +216,24 @@ impl Engine {
         retry: Retry,
         work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
     ) -> Result<Pending<R>, JobError> {
+        self.submit_as(self.token(), place, retry, work)
+    }
+
+    /// The same for a piece of the job that has this token.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`.
+    pub fn submit_as<R: Send + 'static>(
+        &self,
+        token: Token,
+        place: Place,
+        retry: Retry,
+        work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
+    ) -> Result<Pending<R>, JobError> {
         let (sender, reply) = oneshot::channel();
-        let token = Token::default();
         let call = Call { work: Some(work), reply: Some(sender), token: token.clone(), queued: Instant::now(), retry };
         let position = self.shared.queue.push(place, Box::new(call))?;
-        Ok(Pending { position, reply, token: CancelOnDrop(token) })
+        Ok(Pending { position, reply, token, answered: false })
     }
 
     /// Drops `value` on the device thread, where its buffers live.
@@ -226,6 +278,8 @@ impl Engine {
 
 struct Infos {
     backends: Vec<(Wish, Result<BackendInfo, JobError>)>,
+    /// The threads of the CPU backend.
+    pool: Option<Arc<rayon::ThreadPool>>,
 }
 
 impl Infos {
@@ -233,7 +287,8 @@ impl Infos {
         use crate::rvd::BackendKind::{Gpu, Parallel, Serial};
         let wishes = [Wish::Auto, Wish::Only(Gpu), Wish::Only(Parallel), Wish::Only(Serial)];
         let info = |wish| backends.choose(wish).map(|b| BackendInfo::of(b.as_ref()));
-        Self { backends: wishes.into_iter().map(|wish| (wish, info(wish))).collect() }
+        let pool = backends.parallel.pool();
+        Self { backends: wishes.into_iter().map(|wish| (wish, info(wish))).collect(), pool }
     }
 }
 
@@ -250,7 +305,15 @@ impl<F: FnMut() -> Result<Backends, JobError>> Worker<F> {
                 return;
             }
         };
+        let watchdog = match Watchdog::start(options.ceilings) {
+            Ok(watchdog) => watchdog,
+            Err(error) => {
+                let _ = ready.send(Err(JobError::Panicked(format!("the watchdog could not be started: {error}"))));
+                return;
+            }
+        };
         let shared = Arc::new(Shared {
+            watchdog,
             queue: Queue::new(options.queue_jobs.max(1)),
             infos: Infos::of(&backends),
             device: watch::Sender::new(Device::Ready),
@@ -271,6 +334,7 @@ impl<F: FnMut() -> Result<Backends, JobError>> Worker<F> {
 
     fn work(&mut self, mut task: Box<dyn Task>, backends: &mut Backends, shared: &Shared) {
         let start = Instant::now();
+        let _watched = shared.watchdog.watch(task.token());
         let mut attempts = 0;
         while task.run(backends, attempts) == Outcome::DeviceLost {
             attempts += 1;

@@ -183,16 +183,19 @@ fn input(
 /// its place is free once it has: work that went on without a place would be as many threads as there are such callers.
 async fn apart<R: Send + 'static>(
     shared: &Shared,
+    token: &Token,
     work: impl FnOnce(&Token) -> Result<R, RequestError> + Send + 'static,
 ) -> Result<R, RequestError> {
     let Ok(permit) = Arc::clone(&shared.preparing).acquire_owned().await else { return Err(RequestError::Draining) };
-    let cancel = CancelOnDrop(Token::default());
-    let token = cancel.0.clone();
+    let cancel = CancelOnDrop::new(token);
+    let (engine, token) = (shared.engine.clone(), token.clone());
     let work = move || {
-        let _permit = permit;
-        work(&token)
+        let (_permit, _watched) = (permit, engine.watch(&token));
+        engine.on_threads(|| work(&token))
     };
-    match tokio::task::spawn_blocking(work).await {
+    let done = tokio::task::spawn_blocking(work).await;
+    cancel.disarm();
+    match done {
         Ok(result) => result,
         Err(panic) => Err(JobError::Panicked(panic.to_string()).into()),
     }
@@ -205,9 +208,10 @@ async fn prepare(
     uploaded: Uploaded,
     density: Option<proto::DensityOptions>,
     by: fn(Input, &Token) -> Result<Prepared, JobError>,
+    token: &Token,
 ) -> Result<(Arc<Prepared>, Share), RequestError> {
     let limits = shared.limits;
-    apart(shared, move |token| {
+    apart(shared, token, move |token| {
         let (input, share) = input(seeds, uploaded, density.as_ref(), &limits, token)?;
         Ok((Arc::new(by(input, token)?), share))
     })

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use glam::{DVec3, dvec3};
 use tessera::config::Limits;
-use tessera::job::{Backends, Engine, EngineOptions, JobError, Wish};
+use tessera::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
 use tessera::rvd::parallel::Parallel;
 use tessera::rvd::serial::Serial;
 use tessera::rvd::{Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface};
@@ -30,6 +30,8 @@ pub enum Mood {
     Panics,
     /// Loses its device so many times.
     Loses(usize),
+    /// Does not look at its token for so long.
+    Deaf(Duration),
 }
 
 /// A backend with a mood, and counters to look at.
@@ -85,6 +87,10 @@ impl FakeSession {
             Mood::Panics => panic!("a fault on purpose"),
             Mood::Loses(times) if before < times => Err(RvdError::DeviceLost("on purpose".into())),
             Mood::Loses(_) => Ok(()),
+            Mood::Deaf(time) => {
+                std::thread::sleep(time);
+                Ok(token.check()?)
+            }
             Mood::Busy => loop {
                 token.check()?;
                 std::thread::sleep(Duration::from_millis(5));
@@ -111,13 +117,14 @@ impl Session for FakeSession {
 pub struct Setup {
     pub limits: Limits,
     pub queue_jobs: usize,
+    pub ceilings: Ceilings,
     /// Stands in for the serial backend.
     pub serial: Arc<dyn Backend>,
 }
 
 impl Default for Setup {
     fn default() -> Self {
-        Self { limits: Limits::default(), queue_jobs: 8, serial: Arc::new(Serial) }
+        Self { limits: Limits::default(), queue_jobs: 8, ceilings: Ceilings::default(), serial: Arc::new(Serial) }
     }
 }
 
@@ -149,8 +156,9 @@ impl Server {
                 default: Wish::Auto,
             })
         };
-        let (engine, worker) =
-            Engine::start(factory, EngineOptions { queue_jobs: setup.queue_jobs, ..EngineOptions::default() }).unwrap();
+        let options =
+            EngineOptions { queue_jobs: setup.queue_jobs, ceilings: setup.ceilings, ..EngineOptions::default() };
+        let (engine, worker) = Engine::start(factory, options).unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel();
@@ -172,6 +180,11 @@ impl Server {
     /// Tells it to stop, and goes on.
     pub fn begin_stop(&mut self) {
         let _ = self.stop.take().unwrap().send(());
+    }
+
+    /// Waits until it ends by itself, at most 20 s.
+    pub async fn ended(self) -> Result<(), ServeError> {
+        tokio::time::timeout(Duration::from_secs(20), self.served).await.expect("the server ends").unwrap()
     }
 
     /// Tells it to stop and waits, at most 20 s.

@@ -12,6 +12,7 @@ mod raw;
 
 mod admission;
 mod attributes;
+mod ceilings;
 mod connections;
 mod density;
 mod features;

@@ -81,8 +81,9 @@ async fn the_end_of_an_answer_that_nobody_takes_goes() {
         (taken, raw)
     };
     let ((whole, true), _) = ask(1 << 16).await else { panic!("a window that is wide enough") };
-    // The last window leaves some bytes of the last message, which the server has handed on as a whole by then.
-    for window in [1, whole / 2, whole - 20] {
+    // The last window leaves some bytes of the last message, which the server has handed on as a whole by then; more than
+    // the times in a report can be shorter in another answer.
+    for window in [1, whole / 2, whole - 500] {
         let ((taken, ended), _raw) = ask(window as u32).await;
         assert!(taken <= window && !ended, "{taken} of {whole} bytes, window {window}");
     }

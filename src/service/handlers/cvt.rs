@@ -63,7 +63,8 @@ pub(super) async fn handle(
     let wish = convert::wish(header.backend)?;
     let options =
         CvtOptions { projection: convert::projection(header.projection)?, max_seeds: header.max_seeds as usize };
-    let (prepared, _share) = prepare(&shared, seeds, uploaded, header.density, Prepared::for_steps).await?;
+    let token = shared.engine.token();
+    let (prepared, _share) = prepare(&shared, seeds, uploaded, header.density, Prepared::for_steps, &token).await?;
     let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, ticket)?;
     let position = pending.position;
     let Timed { value, queue_ms, compute_ms } = pending.wait().await?;

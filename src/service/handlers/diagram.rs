@@ -52,9 +52,10 @@ pub(super) async fn handle(
     let Admitted { header, seeds, uploaded, ticket } = upload(&shared, &mut inbox, split).await?;
     let (wish, outputs) = (convert::wish(header.backend)?, convert::outputs(&header.outputs)?);
     let by = shared.engine.backend(wish)?;
-    let (prepared, _share) = prepare(&shared, seeds, uploaded, None, Prepared::new).await?;
+    let token = shared.engine.token();
+    let (prepared, _share) = prepare(&shared, seeds, uploaded, None, Prepared::new, &token).await?;
     let for_device = Arc::clone(&prepared);
-    let mut pending = shared.engine.submit(Place::Kept, Retry::Anew, move |backends, turn| {
+    let mut pending = shared.engine.submit_as(token.clone(), Place::Kept, Retry::Anew, move |backends, turn| {
         turn.token.check()?;
         let mut diagram = Diagram::open(&for_device, backends.choose(wish)?.as_ref())?;
         let sums = match outputs.centroids || outputs.sums {
@@ -70,7 +71,7 @@ pub(super) async fn handle(
     let _held =
         outbox.holding(24 * sums.centroids.len() + 8 * (sums.masses.len() + sums.areas.len() + sums.energies.len()));
     if outputs.cells {
-        diagram = send_cells(&shared, &outbox, diagram, &mut clock).await?;
+        diagram = send_cells(&shared, &outbox, (&token, diagram), &mut clock).await?;
     }
     let report = diagram.report(&prepared, &by);
     shared.engine.dispose(diagram);
@@ -96,9 +97,9 @@ pub(super) async fn handle(
 type Batch = (Diagram, Option<PieceBatch>);
 
 /// Queues the next batch; it goes before new jobs, since its own has had its turn.
-fn next(shared: &Shared, diagram: Diagram) -> Result<Pending<Batch>, JobError> {
+fn next(shared: &Shared, token: &Token, diagram: Diagram) -> Result<Pending<Batch>, JobError> {
     let mut state = Some(diagram);
-    shared.engine.submit(Place::Continuation, Retry::Never, move |_, turn: &Turn| {
+    shared.engine.submit_as(token.clone(), Place::Continuation, Retry::Never, move |_, turn: &Turn| {
         let mut diagram = state.take().ok_or(JobError::WorkerGone)?;
         let batch = diagram.batch(&turn.token)?;
         Ok((diagram, batch))
@@ -108,16 +109,16 @@ fn next(shared: &Shared, diagram: Diagram) -> Result<Pending<Batch>, JobError> {
 async fn send_cells(
     shared: &Shared,
     outbox: &Outbox<ComputeRvdResponse>,
-    diagram: Diagram,
+    (token, diagram): (&Token, Diagram),
     clock: &mut Clock,
 ) -> Result<Diagram, RequestError> {
-    let mut pending = next(shared, diagram)?;
+    let mut pending = next(shared, token, diagram)?;
     loop {
         let Timed { value: (diagram, batch), queue_ms, compute_ms } = pending.wait().await?;
         clock.add(queue_ms, compute_ms);
         let Some(batch) = batch else { return Ok(diagram) };
         let (done, total) = diagram.progress();
-        pending = next(shared, diagram)?;
+        pending = next(shared, token, diagram)?;
         let _held = outbox.holding(12 * batch.facet.len() + CELLS_VERTEX_BYTES * batch.position.len());
         for cells in convert::cells_chunks(&batch) {
             outbox.send(wrap(response::Message::Cells(cells))).await?;

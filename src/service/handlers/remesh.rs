@@ -98,8 +98,9 @@ pub(super) async fn handle(
     let wish = convert::wish(header.backend)?;
     let by = shared.engine.backend(wish)?;
     let (limits, density) = (shared.limits, header.density);
+    let token = shared.engine.token();
     let work = move |token: &Token| input(seeds, uploaded, density.as_ref(), &limits, token);
-    let (Input { mesh, density, seeds, creases, attributes }, mut share) = apart(&shared, work).await?;
+    let (Input { mesh, density, seeds, creases, attributes }, mut share) = apart(&shared, &token, work).await?;
     let announced = header.attributes.clone();
     let options = RemeshOptions {
         lloyd: header.lloyd_steps as usize,
@@ -117,7 +118,7 @@ pub(super) async fn handle(
         ..RemeshOptions::new(seeds)
     };
     let (events, mut heard) = mpsc::channel(EVENTS);
-    let mut pending = shared.engine.submit(Place::Kept, Retry::Anew, move |backends, turn| {
+    let mut pending = shared.engine.submit_as(token, Place::Kept, Retry::Anew, move |backends, turn| {
         turn.token.check()?;
         let backend = backends.choose(wish)?;
         let _ = events.try_send(Event::Started(turn.queue_ms));
