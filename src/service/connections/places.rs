@@ -186,7 +186,7 @@ mod tests {
         let long = Standing::Idle(9 * IDLE);
         let guests = [Standing::Busy, long, Standing::Greeted, Standing::Silent].map(guest);
         let held: Vec<_> = guests.iter().map(|g| places.claim(peer("10.0.0.1:1"), g).ok().unwrap()).collect();
-        assert_eq!(places.claim(peer("10.0.0.2:1"), &guests[0]).err(), Some(Full::Peer).map(|_| Full::All));
+        assert_eq!(places.claim(peer("10.0.0.2:1"), &guests[0]).err(), Some(Full::All));
         let mut held = held.into_iter().map(Some).collect::<Vec<_>>();
         for next in [3, 2, 1] {
             assert!(places.make_room(Full::All, None, Duration::ZERO).await);
