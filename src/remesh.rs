@@ -76,6 +76,9 @@ pub enum Seeds {
 }
 
 impl Seeds {
+    /// The random seed unless somebody says otherwise.
+    pub const RANDOM_SEED: u64 = 0;
+
     /// How many there are to be.
     pub fn count(&self) -> Count {
         match self {
@@ -113,7 +116,14 @@ pub struct Refine {
     pub max_points: usize,
 }
 
-/// What to do. Everything has a default but the seeds.
+impl Refine {
+    /// Up to twice as many points as there are at first, which is the default.
+    pub fn new(tolerance: f64, points: usize) -> Self {
+        Self { tolerance, max_points: points.saturating_mul(2) }
+    }
+}
+
+/// What to do. Everything has a default but the seeds. The command and the service have the same defaults, read from here.
 #[derive(Clone, Debug)]
 pub struct RemeshOptions {
     /// First seeds.
@@ -167,6 +177,11 @@ impl RemeshOptions {
             measure: true,
             attributes: None,
         }
+    }
+
+    /// The defaults, for who asks for them and has no seeds yet.
+    pub(crate) fn usual() -> Self {
+        Self::new(Seeds::Implied { seed: Seeds::RANDOM_SEED })
     }
 
     /// The seeds as they are, moved by so many Lloyd steps and nothing else, not measured.

@@ -10,6 +10,7 @@ pub(crate) mod attributes;
 pub(crate) mod convert;
 mod handlers;
 pub(crate) mod limits;
+pub(crate) mod options;
 mod status;
 mod stream;
 mod upload;
