@@ -10,6 +10,8 @@ mod say;
 pub mod backends;
 mod bench;
 mod cell_file;
+#[cfg(test)]
+mod defaults;
 pub mod doctor;
 mod endpoint;
 mod exit;

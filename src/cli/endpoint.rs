@@ -51,10 +51,17 @@ impl FromStr for ServerUrl {
         if place.contains('@') {
             return Err("names and passwords are not sent; leave out what stands before @".to_owned());
         }
+        if place.is_empty() || place.starts_with(':') && !place[1..].contains(':') {
+            return Err(format!("the host is missing; an example is {EXAMPLE}"));
+        }
+        if place.matches(':').count() > 1 && !place.starts_with('[') {
+            return Err(format!(
+                "an address of IPv6 stands in brackets, as http://[::1]:50051; {EXAMPLE} is one of IPv4"
+            ));
+        }
         let uri: Uri = format!("http://{place}").parse().map_err(|e| format!("{e}; an example is {EXAMPLE}"))?;
         match (uri.host(), uri.port_u16()) {
-            (None | Some(""), _) => Err(format!("the host is missing; an example is {EXAMPLE}")),
-            (Some(_), None | Some(0)) => {
+            (None | Some(""), _) | (Some(_), None | Some(0)) => {
                 Err(format!("the port is missing or no number from 1 to 65535; an example is {EXAMPLE}"))
             }
             (Some(_), Some(_)) => Ok(Self(format!("http://{place}"))),

@@ -89,16 +89,24 @@ pub(crate) struct RvdResult {
     pub(crate) report: Value,
 }
 
+impl RvdArgs {
+    /// The seeds that the arguments name.
+    pub(super) fn seeds(&self) -> Result<Seeds> {
+        let SeedArgs { seeds, points, seed } = &self.seeds;
+        Ok(match seeds {
+            Some(path) => Seeds::Given(files::read_points(path)?),
+            None => Seeds::Sample { points: points.unwrap_or(1) as usize, seed: *seed },
+        })
+    }
+}
+
 /// Runs it.
 pub(crate) fn run(args: &RvdArgs) -> Result<()> {
     check(args)?;
     let start = Instant::now();
     let mut progress = Progress::begin(&args.input, &args.say);
     let mesh = files::read_mesh(&args.input)?;
-    let seeds = match (&args.seeds.seeds, args.seeds.points) {
-        (Some(path), _) => Seeds::Given(files::read_points(path)?),
-        (None, points) => Seeds::Sample { points: points.unwrap_or(1) as usize, seed: args.seeds.seed },
-    };
+    let seeds = args.seeds()?;
     let read_ms = ms(start);
     let FileArgs { output, centroids, report } = &args.files;
     // Without any file the sums give the figures.

@@ -293,7 +293,7 @@ impl SizeArgs {
 
 impl RemeshArgs {
     /// What the arguments say of `mesh`, which carries `attributes`.
-    pub(super) fn options(&self, mesh: &TriMesh, attributes: Option<Attributes>) -> Result<RemeshOptions> {
+    pub(crate) fn options(&self, mesh: &TriMesh, attributes: Option<Attributes>) -> Result<RemeshOptions> {
         let Self { input, size, shape, steps, .. } = self;
         let ShapeArgs { crease_angle, ref creases, boundaries, thin, placement } = *shape;
         let StepArgs { lloyd, newton, projection, seed } = *steps;
