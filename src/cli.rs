@@ -25,6 +25,7 @@ mod rvd;
 mod serve;
 pub mod shape;
 mod sizes;
+mod surroundings;
 
 use std::process::ExitCode;
 
@@ -81,6 +82,10 @@ enum Command {
 
 /// Runs the program on its own command line.
 pub fn main() -> ExitCode {
+    surroundings::within(run)
+}
+
+fn run() -> u8 {
     let cli = Cli::parse();
     let (format, filter) = match (cli.log_format, &cli.command) {
         (LogFormatArg::Text, Command::Serve(_)) => (LogFormat::Text, "info"),
@@ -97,10 +102,10 @@ pub fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(args),
     });
     match result {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => 0,
         Err(error) => {
             errln!("tessera: {error:#}");
-            ExitCode::from(exit::code(&error))
+            exit::code(&error)
         }
     }
 }
