@@ -42,12 +42,13 @@ pub struct BackendArgs {
 
 /// `tessera serve`'s options.
 #[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Server and its limits")]
 pub struct ServeArgs {
     /// Address or name, and port to listen on; port 0 takes a free one and prints it.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:50051", env = "TESSERA_LISTEN")]
     pub listen: String,
     /// Who works.
-    #[command(flatten)]
+    #[command(flatten, next_help_heading = "Who works")]
     pub backend: BackendArgs,
     /// Jobs that may wait for the device; one more is refused with RESOURCE_EXHAUSTED.
     #[arg(long, value_name = "N", default_value_t = 32, value_parser = whole::<usize>, env = "TESSERA_QUEUE_JOBS")]

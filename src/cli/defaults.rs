@@ -2,7 +2,7 @@
 //!
 //! The Python client is compared by `tests/python`.
 
-use clap::{Args, CommandFactory, FromArgMatches};
+use clap::{Args, CommandFactory};
 
 use super::Cli;
 use super::remesh::RemeshArgs;
