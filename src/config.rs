@@ -47,9 +47,6 @@ pub struct ServeArgs {
     /// Address or name, and port to listen on; port 0 takes a free one and prints it.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:50051", env = "TESSERA_LISTEN")]
     pub listen: String,
-    /// Who works.
-    #[command(flatten, next_help_heading = "Who works")]
-    pub backend: BackendArgs,
     /// Jobs that may wait for the device; one more is refused with RESOURCE_EXHAUSTED.
     #[arg(long, value_name = "N", default_value_t = 32, value_parser = whole::<usize>, env = "TESSERA_QUEUE_JOBS")]
     pub queue_jobs: usize,
@@ -86,6 +83,9 @@ pub struct ServeArgs {
     /// Seconds between two commands of an interactive session.
     #[arg(long, value_name = "S", default_value_t = 600.0, env = "TESSERA_SESSION_IDLE_S")]
     pub session_idle_s: f64,
+    /// Who works. Last, since its heading holds for what comes after it.
+    #[command(flatten, next_help_heading = "Who works")]
+    pub backend: BackendArgs,
 }
 
 /// What one request may ask for.

@@ -187,6 +187,10 @@ fn help_is_in_groups() {
         ],
     );
     in_order(&help("rvd -h"), &["\nSeeds (", "\nFiles:", "\nPicture:", "\nWho works:", "\nGeneral:"]);
+    in_order(
+        &help("serve -h"),
+        &["\nServer and its limits:", "--listen", "--stall-s", "\nWho works:", "--threads", "\nGeneral:"],
+    );
     for command in ["remesh", "rvd", "serve", "bench rvd", "shape", "doctor"] {
         let text = help(&format!("{command} -h"));
         in_order(&text, &["Usage:", "\nGeneral:", "--log-format", "--help"]);
