@@ -1,14 +1,19 @@
 //! The command line: one file per subcommand.
 //!
-//! Purpose: options to calls, errors to exit codes (0 done, 2 usage, 65 bad input data, 69 service
-//! or device unavailable, 70 internal, 74 not written, 130 interrupted).
+//! Purpose: options to calls, errors to exit codes (`exit::HELP`).
 //! Invariant: results go to files and the standard output, everything else to the standard error
-//! stream. Must not know: how anything is computed.
+//! stream; both through `say`. Must not know: how anything is computed.
+
+#[macro_use]
+mod say;
 
 pub mod backends;
 mod bench;
 mod cell_file;
+#[cfg(test)]
+mod defaults;
 pub mod doctor;
+mod endpoint;
 mod exit;
 mod files;
 mod interrupt;
@@ -20,24 +25,35 @@ mod rvd;
 mod serve;
 pub mod shape;
 mod sizes;
+mod surroundings;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand, ValueEnum};
+use clap::{ArgAction, Parser, Subcommand, ValueEnum};
 
 use crate::config::ServeArgs;
 use crate::telemetry::{self, LogFormat};
 
 /// Exact restricted Voronoi diagrams and remeshing of triangle surfaces.
 #[derive(Debug, Parser)]
-#[command(name = "tessera", version, about, max_term_width = 100)]
+#[command(name = "tessera", version, about, max_term_width = 100, after_help = exit::HELP)]
+#[command(disable_help_flag = true, disable_version_flag = true)]
 struct Cli {
-    /// How log lines look. What is logged: the variable TESSERA_LOG, e.g. `debug`.
-    #[arg(long, global = true, value_enum, default_value_t, env = "TESSERA_LOG_FORMAT")]
-    log_format: LogFormatArg,
     #[command(subcommand)]
     command: Command,
+    /// How log lines look. What is logged: the variable TESSERA_LOG, e.g. `debug`.
+    #[arg(long, global = true, value_enum, default_value_t, env = "TESSERA_LOG_FORMAT", help_heading = GENERAL)]
+    log_format: LogFormatArg,
+    /// Print help; `--help` says more than `-h`.
+    #[arg(long, short, global = true, action = ArgAction::Help, help_heading = GENERAL)]
+    help: Option<bool>,
+    /// Print the version.
+    #[arg(long, short = 'V', action = ArgAction::Version, help_heading = GENERAL)]
+    version: Option<bool>,
 }
+
+/// What every subcommand has; it comes last.
+const GENERAL: &str = "General";
 
 #[derive(Clone, Copy, Debug, Default, ValueEnum)]
 enum LogFormatArg {
@@ -66,6 +82,10 @@ enum Command {
 
 /// Runs the program on its own command line.
 pub fn main() -> ExitCode {
+    surroundings::within(run)
+}
+
+fn run() -> u8 {
     let cli = Cli::parse();
     let (format, filter) = match (cli.log_format, &cli.command) {
         (LogFormatArg::Text, Command::Serve(_)) => (LogFormat::Text, "info"),
@@ -82,10 +102,10 @@ pub fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(args),
     });
     match result {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => 0,
         Err(error) => {
-            eprintln!("tessera: {error:#}");
-            ExitCode::from(exit::code(&error))
+            errln!("tessera: {error:#}");
+            exit::code(&error)
         }
     }
 }

@@ -4,7 +4,7 @@
 //! Invariant: a `ServeConfig` exists only if every value is usable; it is made before any port is
 //! bound. Must not know: how a value is used, any other room.
 
-use std::net::SocketAddr;
+use std::net::{SocketAddr, ToSocketAddrs};
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
@@ -36,49 +36,47 @@ pub struct BackendArgs {
     #[arg(long, env = "TESSERA_GPU_SOFTWARE")]
     pub gpu_software: bool,
     /// Threads of the CPU backend; all cores if not given.
-    #[arg(long, value_name = "T", env = "TESSERA_THREADS")]
+    #[arg(long, value_name = "T", value_parser = whole::<usize>, env = "TESSERA_THREADS")]
     pub threads: Option<usize>,
 }
 
 /// `tessera serve`'s options.
 #[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Server and its limits")]
 pub struct ServeArgs {
-    /// Address and port to listen on; port 0 takes a free one and prints it.
+    /// Address or name, and port to listen on; port 0 takes a free one and prints it.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:50051", env = "TESSERA_LISTEN")]
-    pub listen: SocketAddr,
-    /// Who works.
-    #[command(flatten)]
-    pub backend: BackendArgs,
+    pub listen: String,
     /// Jobs that may wait for the device; one more is refused with RESOURCE_EXHAUSTED.
-    #[arg(long, value_name = "N", default_value_t = 32, env = "TESSERA_QUEUE_JOBS")]
+    #[arg(long, value_name = "N", default_value_t = 32, value_parser = whole::<usize>, env = "TESSERA_QUEUE_JOBS")]
     pub queue_jobs: usize,
     /// Streams open at once, waiting, uploading and interactive ones included.
-    #[arg(long, value_name = "N", default_value_t = 256, env = "TESSERA_MAX_STREAMS")]
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = whole::<usize>, env = "TESSERA_MAX_STREAMS")]
     pub max_streams: usize,
     /// Interactive CVT sessions open at once.
-    #[arg(long, value_name = "N", default_value_t = 16, env = "TESSERA_MAX_SESSIONS")]
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = whole::<usize>, env = "TESSERA_MAX_SESSIONS")]
     pub max_sessions: usize,
     /// Largest number of mesh vertices.
-    #[arg(long, value_name = "N", default_value_t = 20_000_000, env = "TESSERA_MAX_VERTICES")]
+    #[arg(long, value_name = "N", default_value_t = 20_000_000, value_parser = whole::<u64>, env = "TESSERA_MAX_VERTICES")]
     pub max_vertices: u64,
     /// Largest number of mesh facets.
-    #[arg(long, value_name = "N", default_value_t = 40_000_000, env = "TESSERA_MAX_FACETS")]
+    #[arg(long, value_name = "N", default_value_t = 40_000_000, value_parser = whole::<u64>, env = "TESSERA_MAX_FACETS")]
     pub max_facets: u64,
     /// Largest number of seeds.
-    #[arg(long, value_name = "N", default_value_t = 4_000_000, env = "TESSERA_MAX_SEEDS")]
+    #[arg(long, value_name = "N", default_value_t = 4_000_000, value_parser = whole::<u64>, env = "TESSERA_MAX_SEEDS")]
     pub max_seeds: u64,
     /// Most iterations in one request.
-    #[arg(long, value_name = "N", default_value_t = 10_000, env = "TESSERA_MAX_ITERATIONS")]
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = whole::<u32>, env = "TESSERA_MAX_ITERATIONS")]
     pub max_iterations: u32,
     /// Uploaded geometry and waiting results of all streams together that are held in memory, MiB.
-    #[arg(long, value_name = "MIB", default_value_t = 4096, env = "TESSERA_MEMORY_MIB")]
+    #[arg(long, value_name = "MIB", default_value_t = 4096, value_parser = whole::<u64>, env = "TESSERA_MEMORY_MIB")]
     pub memory_mib: u64,
     /// Seconds of work that a job may take; one that reaches this ends with RESOURCE_EXHAUSTED. Waiting does not count.
     #[arg(long, value_name = "S", default_value_t = 3600.0, env = "TESSERA_JOB_SECONDS")]
     pub job_seconds: f64,
     /// MiB by which the process may grow while a job is at work; a job that reaches this ends with RESOURCE_EXHAUSTED. Three
     /// quarters of the machine's or the container's memory if not given.
-    #[arg(long, value_name = "MIB", env = "TESSERA_JOB_MEMORY_MIB")]
+    #[arg(long, value_name = "MIB", value_parser = whole::<u64>, env = "TESSERA_JOB_MEMORY_MIB")]
     pub job_memory_mib: Option<u64>,
     /// Seconds that work may go on after it was told to stop; from then on health says NOT_SERVING.
     #[arg(long, value_name = "S", default_value_t = 10.0, env = "TESSERA_STUCK_S")]
@@ -90,10 +88,10 @@ pub struct ServeArgs {
     #[arg(long, value_name = "S", default_value_t = 30.0, env = "TESSERA_GRACE_S")]
     pub grace_s: f64,
     /// Connections open at once; the process's limit on open files lowers it where it must.
-    #[arg(long, value_name = "N", default_value_t = 1024, env = "TESSERA_MAX_CONNECTIONS")]
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = whole::<usize>, env = "TESSERA_MAX_CONNECTIONS")]
     pub max_connections: usize,
     /// Connections open at once from one address (one /64 network with IPv6).
-    #[arg(long, value_name = "N", default_value_t = 256, env = "TESSERA_MAX_CONNECTIONS_PER_PEER")]
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = whole::<usize>, env = "TESSERA_MAX_CONNECTIONS_PER_PEER")]
     pub max_connections_per_peer: usize,
     /// Seconds until a new connection must have sent its first request.
     #[arg(long, value_name = "S", default_value_t = 20.0, env = "TESSERA_FIRST_REQUEST_S")]
@@ -113,6 +111,9 @@ pub struct ServeArgs {
     /// Seconds between two commands of an interactive session.
     #[arg(long, value_name = "S", default_value_t = 600.0, env = "TESSERA_SESSION_IDLE_S")]
     pub session_idle_s: f64,
+    /// Who works. Last, since its heading holds for what comes after it.
+    #[command(flatten, next_help_heading = "Who works")]
+    pub backend: BackendArgs,
 }
 
 /// What one request may ask for.
@@ -178,8 +179,8 @@ impl Default for Limits {
 /// A server's configuration, checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ServeConfig {
-    /// Where to listen.
-    pub listen: SocketAddr,
+    /// Where to listen: the first of these that can be had.
+    pub listen: Vec<SocketAddr>,
     /// Jobs that may wait.
     pub queue_jobs: usize,
     /// What one request may ask for.
@@ -222,20 +223,20 @@ impl ServeArgs {
         self.backend.check()?;
         let most = MAX_ELEMENTS;
         Ok(ServeConfig {
-            listen: self.listen,
-            queue_jobs: count("--queue-jobs", self.queue_jobs as u64, 1, 100_000, "1 to 100000")? as usize,
+            listen: addresses(&self.listen)?,
+            queue_jobs: within("--queue-jobs", self.queue_jobs as u64, 1, 100_000, "1 to 100000")? as usize,
             limits: Limits {
-                max_vertices: count("--max-vertices", self.max_vertices, 3, most, "3 to 2147483639")?,
-                max_facets: count("--max-facets", self.max_facets, 1, most, "1 to 2147483639")?,
-                max_seeds: count("--max-seeds", self.max_seeds, 1, most, "1 to 2147483639")?,
-                max_iterations: count("--max-iterations", self.max_iterations.into(), 0, 1_000_000, "at most 1000000")?
+                max_vertices: within("--max-vertices", self.max_vertices, 3, most, "3 to 2147483639")?,
+                max_facets: within("--max-facets", self.max_facets, 1, most, "1 to 2147483639")?,
+                max_seeds: within("--max-seeds", self.max_seeds, 1, most, "1 to 2147483639")?,
+                max_iterations: within("--max-iterations", self.max_iterations.into(), 0, 1_000_000, "at most 1000000")?
                     as u32,
-                max_streams: count("--max-streams", self.max_streams as u64, 1, 100_000, "1 to 100000")? as usize,
-                max_sessions: count("--max-sessions", self.max_sessions as u64, 0, 10_000, "at most 10000")? as usize,
-                memory_bytes: count("--memory-mib", self.memory_mib, 1, 1 << 24, "1 to 16777216")? << 20,
-                max_connections: count("--max-connections", self.max_connections as u64, 1, 1_000_000, "1 to 1000000")?
+                max_streams: within("--max-streams", self.max_streams as u64, 1, 100_000, "1 to 100000")? as usize,
+                max_sessions: within("--max-sessions", self.max_sessions as u64, 0, 10_000, "at most 10000")? as usize,
+                memory_bytes: within("--memory-mib", self.memory_mib, 1, 1 << 24, "1 to 16777216")? << 20,
+                max_connections: within("--max-connections", self.max_connections as u64, 1, 1_000_000, "1 to 1000000")?
                     as usize,
-                max_connections_per_peer: count(
+                max_connections_per_peer: within(
                     "--max-connections-per-peer",
                     self.max_connections_per_peer as u64,
                     1,
@@ -253,7 +254,7 @@ impl ServeArgs {
             ceilings: JobCeilings {
                 time: seconds("--job-seconds", self.job_seconds)?,
                 memory_bytes: match self.job_memory_mib {
-                    Some(mib) => Some(count("--job-memory-mib", mib, 1, 1 << 24, "1 to 16777216")? << 20),
+                    Some(mib) => Some(within("--job-memory-mib", mib, 1, 1 << 24, "1 to 16777216")? << 20),
                     None => None,
                 },
                 stuck: seconds("--stuck-s", self.stuck_s)?,
@@ -270,18 +271,68 @@ impl BackendArgs {
     /// [`ConfigError`].
     pub fn check(&self) -> Result<(), ConfigError> {
         match self.threads {
-            Some(threads) => count("--threads", threads as u64, 1, 4096, "1 to 4096").map(|_| ()),
+            Some(threads) => within("--threads", threads as u64, 1, 4096, "1 to 4096").map(|_| ()),
             None => Ok(()),
         }
     }
 }
 
-fn count(option: &'static str, value: u64, least: u64, most: u64, must: &'static str) -> Result<u64, ConfigError> {
+fn within(option: &'static str, value: u64, least: u64, most: u64, must: &'static str) -> Result<u64, ConfigError> {
     if (least..=most).contains(&value) {
         Ok(value)
     } else {
         Err(ConfigError { option, value: value.to_string(), must })
     }
+}
+
+/// What a name and a port stand for, addresses of IPv4 first: a client that asks for one by number asks for those.
+fn addresses(listen: &str) -> Result<Vec<SocketAddr>, ConfigError> {
+    let wrong = |must| ConfigError { option: "--listen", value: format!("{listen:?}"), must };
+    let (host, port) = listen
+        .rsplit_once(':')
+        .filter(|(host, _)| !host.contains("//"))
+        .ok_or_else(|| wrong("an address and a port, as 127.0.0.1:50051, localhost:50051 or [::]:50051"))?;
+    port.parse::<u16>().map_err(|_| wrong("an address and a port from 0 to 65535, as 127.0.0.1:50051"))?;
+    if host.is_empty() {
+        return Err(wrong("an address and a port; 0.0.0.0:50051 or [::]:50051 listens on all"));
+    }
+    let found =
+        listen.to_socket_addrs().map_err(|_| wrong("an address of this machine or a name that can be resolved"))?;
+    let mut found: Vec<SocketAddr> = found.collect();
+    found.sort_by_key(SocketAddr::is_ipv6);
+    match found.is_empty() {
+        true => Err(wrong("a name that has an address")),
+        false => Ok(found),
+    }
+}
+
+/// A whole number as people write it: `10000`, `1e4`.
+///
+/// # Errors
+/// A sentence for who wrote it.
+pub(crate) fn whole<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
+    number(text).and_then(|n| n.try_into().ok()).ok_or_else(|| {
+        let words = "a whole number is needed, as 10000 or 1e4";
+        if number(text).is_some() { format!("{words}, and a smaller one") } else { words.to_owned() }
+    })
+}
+
+/// The same, from 1 on.
+///
+/// # Errors
+/// A sentence for who wrote it.
+pub(crate) fn count(text: &str) -> Result<u32, String> {
+    match whole(text) {
+        Ok(number) if number > 0 => Ok(number),
+        _ => Err(format!("a whole number from 1 to {} is needed, as 10000 or 1e4", u32::MAX)),
+    }
+}
+
+fn number(text: &str) -> Option<u64> {
+    /// Up to here every whole number is one of double precision.
+    const EXACT: f64 = (1u64 << 53) as f64;
+    let real = || text.parse::<f64>().ok().filter(|x| (0.0..=EXACT).contains(x) && x.fract() == 0.0);
+    text.parse().ok().or_else(|| real().map(|x| x as u64))
 }
 
 fn seconds(option: &'static str, value: f64) -> Result<Duration, ConfigError> {
@@ -304,12 +355,48 @@ mod tests {
     }
 
     fn parse(line: &[&str]) -> Result<ServeConfig, ConfigError> {
-        Line::parse_from([&["tessera"], line].concat()).serve.check()
+        Line::try_parse_from([&["tessera"], line].concat()).unwrap().serve.check()
     }
 
     #[test]
     fn the_defaults_are_the_library_s() {
         assert_eq!(parse(&[]).unwrap().limits, Limits::default());
+    }
+
+    #[test]
+    fn numbers_are_taken_as_people_write_them() {
+        for (text, number) in
+            [("10000", 10_000), ("1e4", 10_000), ("1E4", 10_000), ("2.5e3", 2500), ("7.0", 7), ("+3", 3)]
+        {
+            assert_eq!((whole(text), count(text)), (Ok(number), Ok(number as u32)), "{text}");
+        }
+        assert_eq!(whole("18446744073709551615"), Ok(u64::MAX));
+        assert_eq!((whole("0"), count("0").is_err()), (Ok(0u32), true));
+        for text in ["", "1.5", "-1", "1e-3", "1e400", "inf", "nan", "10k", "10,000", "0x10", "5000000000", "1e20"] {
+            assert!(whole::<u32>(text).is_err() && count(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn names_are_resolved() {
+        let here: SocketAddr = "127.0.0.1:50051".parse().unwrap();
+        assert_eq!(parse(&[]).unwrap().listen, [here]);
+        assert!(parse(&["--listen", "localhost:50051"]).unwrap().listen[0].ip().is_loopback());
+        assert_eq!(parse(&["--listen", "[::1]:0"]).unwrap().listen, ["[::1]:0".parse().unwrap()]);
+        for bad in [
+            "",
+            "50051",
+            ":50051",
+            "localhost",
+            "localhost:",
+            "localhost:x",
+            "127.0.0.1:65536",
+            "http://localhost:1",
+            "::1",
+        ] {
+            assert_eq!(parse(&["--listen", bad]).unwrap_err().option, "--listen", "{bad}");
+        }
+        assert!(parse(&["--listen", "no such name:1"]).is_err());
     }
 
     #[test]

@@ -76,6 +76,9 @@ pub enum Seeds {
 }
 
 impl Seeds {
+    /// The random seed unless somebody says otherwise.
+    pub const RANDOM_SEED: u64 = 0;
+
     /// How many there are to be.
     pub fn count(&self) -> Count {
         match self {
@@ -113,7 +116,14 @@ pub struct Refine {
     pub max_points: usize,
 }
 
-/// What to do. Everything has a default but the seeds.
+impl Refine {
+    /// Up to twice as many points as there are at first, which is the default.
+    pub fn new(tolerance: f64, points: usize) -> Self {
+        Self { tolerance, max_points: points.saturating_mul(2) }
+    }
+}
+
+/// What to do. Everything has a default but the seeds. The command and the service have the same defaults, read from here.
 #[derive(Clone, Debug)]
 pub struct RemeshOptions {
     /// First seeds.
@@ -169,6 +179,11 @@ impl RemeshOptions {
         }
     }
 
+    /// The defaults, for who asks for them and has no seeds yet.
+    pub(crate) fn usual() -> Self {
+        Self::new(Seeds::Implied { seed: Seeds::RANDOM_SEED })
+    }
+
     /// The seeds as they are, moved by so many Lloyd steps and nothing else, not measured.
     pub fn plain(seeds: Seeds, lloyd: usize) -> Self {
         Self {
@@ -219,10 +234,15 @@ pub enum RemeshError {
     #[error("the surface lies back to back with itself and has no thickness; remesh one of its sides")]
     NoThickness,
     /// The dual has no triangle, or only such as lie back to back: too few seeds for this surface.
-    #[error("the dual of {seeds} seeds has no triangle but what lies back to back; give more points")]
+    #[error(
+        "the number of points, {seeds}, is too small for this surface: no triangulation of its topology has fewer than \
+         {least} vertices, and one that is near it has many more; give more points, for example {}", 10 * least
+    )]
     TooFewSeeds {
         /// How many there were.
         seeds: usize,
+        /// The fewest vertices that a surface of the input's topology can have.
+        least: usize,
     },
     /// Points are to be added where vertices are not [`Placement::Fitted`].
     #[error(
@@ -242,6 +262,32 @@ pub enum RemeshError {
     /// The attributes are not the surface's.
     #[error(transparent)]
     Attributes(#[from] AttributeError),
+}
+
+impl RemeshError {
+    /// So many seeds are too few for any surface.
+    fn too_few(seeds: usize) -> Self {
+        Self::TooFewSeeds { seeds, least: 3 }
+    }
+
+    /// The same error, for a surface of this topology.
+    fn for_surface(self, surface: &Topology) -> Self {
+        match self {
+            Self::TooFewSeeds { seeds, .. } => Self::TooFewSeeds { seeds, least: fewest_vertices(surface) },
+            error => error,
+        }
+    }
+}
+
+/// A bound from below on the vertices of a triangulation: three for a part with a boundary, four for one without, and
+/// Heawood's bound for a connected surface without boundary, as 7 for a torus.
+fn fewest_vertices(surface: &Topology) -> usize {
+    let parts = surface.components.max(1);
+    match (surface.boundary_edges, parts) {
+        (0, 1) => ((7.0 + (49.0 - 24.0 * surface.euler.min(2) as f64).sqrt()) / 2.0).ceil() as usize,
+        (0, _) => 4 * parts,
+        _ => 3 * parts,
+    }
 }
 
 impl From<Stopped> for RemeshError {
@@ -338,10 +384,11 @@ fn remesh_here(
     let mut job = Job { mesh: ground, backend, token, observer, laps, keep_thin, topology: input.topology };
     let attempt = match (options.refine, &options.seeds) {
         (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
-            closer::find(&mut job, prepared?, options, refine, seed)?
+            prepared.and_then(|prepared| closer::find(&mut job, prepared, options, refine, seed))
         }
-        _ => job.attempt(prepared?, options, options.refine.map(|r| r.tolerance))?,
+        _ => prepared.and_then(|prepared| job.attempt(prepared, options, options.refine.map(|r| r.tolerance))),
     };
+    let attempt = attempt.map_err(|error| error.for_surface(&input.topology))?;
     let Job { observer, laps: Laps { mut clock, mut timings }, .. } = job;
     let Attempt { plan, kept, closest, mut built, mut seeds, seed, steps, device, device_bytes } = attempt;
     let Figures { converged, rvd, iterations, last, refine } = steps;

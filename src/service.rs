@@ -12,6 +12,7 @@ mod connections;
 pub(crate) mod convert;
 mod handlers;
 pub(crate) mod limits;
+pub(crate) mod options;
 mod status;
 mod stream;
 mod upload;

@@ -51,6 +51,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("rustix", &["service/connections"]),
     ("tokio", &["job", "service", "cli", "telemetry"]),
     ("clap", &["config", "cli", "main"]),
+    ("temp_env", &["cli/surroundings"]),
     ("anyhow", &["cli", "main"]),
     ("kiddo", &["knn"]),
     ("tobj", &["mesh/io"]),
@@ -156,6 +157,21 @@ fn cvt_and_the_dual_cannot_name_a_backend() {
                 if names(&line, word) || line.contains(&format!("rvd::{word}")) {
                     wrong.push(format!("src/{name}.rs:{number}: {}", line.trim()));
                 }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
+}
+
+/// What prints by itself panics when nobody reads any more.
+#[test]
+fn one_place_prints() {
+    let mut wrong = Vec::new();
+    for (name, lines) in code() {
+        for (number, line) in lines {
+            let words = ["println!", "eprintln!", "print!", "eprint!", "dbg!"];
+            if words.iter().any(|word| line.trim_start().starts_with(word) || line.contains(&format!(" {word}"))) {
+                wrong.push(format!("src/{name}.rs:{number}: use outln! or errln!: {}", line.trim()));
             }
         }
     }

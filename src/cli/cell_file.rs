@@ -10,9 +10,11 @@ use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use tempfile::NamedTempFile;
 
+use super::exit::NotWritten;
+use super::files;
 use crate::rvd::PieceBatch;
 
 /// A file being written. Vertices go behind a header of fixed length, polygons to a second
@@ -35,18 +37,19 @@ impl CellFile {
     /// Begins a file that will be `path`.
     pub(crate) fn create(path: &Path) -> Result<Self> {
         let begin = || {
-            let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-            let mut vertices = BufWriter::new(NamedTempFile::new_in(folder)?);
+            let mut vertices = BufWriter::new(files::begin(path)?);
             vertices.write_all(&[0; HEADER_BYTES])?;
-            io::Result::Ok((vertices, BufWriter::new(tempfile::tempfile_in(folder)?)))
+            let folder = vertices.get_ref().path().parent().unwrap_or(Path::new("."));
+            let polygons = BufWriter::new(tempfile::tempfile_in(folder)?);
+            io::Result::Ok((vertices, polygons))
         };
-        let (vertices, polygons) = begin().with_context(|| format!("cannot write {}", path.display()))?;
+        let (vertices, polygons) = begin().map_err(|e| unwritten(path, &e))?;
         Ok(Self { path: path.to_owned(), vertices, polygons, vertex_count: 0, polygon_count: 0 })
     }
 
     /// Adds pieces.
     pub(crate) fn append(&mut self, cells: &PieceBatch) -> Result<()> {
-        self.write(cells).with_context(|| format!("cannot write {}", self.path.display()))
+        Ok(self.write(cells).map_err(|e| unwritten(&self.path, &e))?)
     }
 
     fn write(&mut self, cells: &PieceBatch) -> io::Result<()> {
@@ -89,7 +92,7 @@ impl CellFile {
     /// Joins the parts and gives the file its name.
     pub(crate) fn finish(self) -> Result<()> {
         let path = self.path.clone();
-        self.join().with_context(|| format!("cannot write {}", path.display()))
+        Ok(self.join().map_err(|e| unwritten(&path, &e))?)
     }
 
     fn join(self) -> io::Result<()> {
@@ -106,12 +109,12 @@ impl CellFile {
         }
         file.seek(SeekFrom::Start(0))?;
         file.write_all(header(self.vertex_count, self.polygon_count).as_bytes())?;
-        // A temporary file is its owner's alone; a result is whoever's the umask says.
-        let open = File::create(&self.path)?;
-        file.as_file().set_permissions(open.metadata()?.permissions())?;
-        file.persist(&self.path)?;
-        Ok(())
+        files::keep(file, &self.path)
     }
+}
+
+fn unwritten(path: &Path, error: &io::Error) -> NotWritten {
+    NotWritten(format!("cannot write {}: {error}", path.display()))
 }
 
 fn header(vertices: u64, polygons: u64) -> String {

@@ -21,31 +21,31 @@ pub struct DoctorArgs {
 /// The backend that the options ask for is not there.
 pub fn run(args: &DoctorArgs) -> Result<()> {
     args.backend.check()?;
-    println!("tessera     {}", env!("CARGO_PKG_VERSION"));
-    println!("cores       {}", std::thread::available_parallelism().map_or(1, usize::from));
+    outln!("tessera     {}", env!("CARGO_PKG_VERSION"))?;
+    outln!("cores       {}", std::thread::available_parallelism().map_or(1, usize::from))?;
     for adapter in adapters() {
-        println!("adapter     {} ({}, {}, {})", adapter.name, adapter.kind, adapter.backend, adapter.driver);
-        println!(
+        outln!("adapter     {} ({}, {}, {})", adapter.name, adapter.kind, adapter.backend, adapter.driver)?;
+        outln!(
             "            buffers to {} MiB, bindings to {} MiB, {} storage buffers a stage, {} workgroups a dimension",
             adapter.max_buffer_bytes >> 20,
             adapter.max_binding_bytes >> 20,
             adapter.max_storage_buffers,
             adapter.max_workgroups
-        );
+        )?;
         if let Some(reason) = &adapter.unusable {
-            println!("            cannot be used: {reason}");
+            outln!("            cannot be used: {reason}")?;
         } else if adapter.software {
-            println!("            used with --gpu-software only");
+            outln!("            used with --gpu-software only")?;
         }
     }
     match backends::gpu(&args.backend) {
-        Ok(gpu) => println!("gpu         {}", gpu.adapter().unwrap_or_default()),
-        Err(reason) => println!("gpu         none: {reason}"),
+        Ok(gpu) => outln!("gpu         {}", gpu.adapter().unwrap_or_default())?,
+        Err(reason) => outln!("gpu         none: {reason}")?,
     }
     let backends = backends::all(&args.backend)?;
-    println!("parallel    {} threads", backends.parallel.threads());
+    outln!("parallel    {} threads", backends.parallel.threads())?;
     let chosen = backends.choose(Wish::Auto)?;
     let adapter = chosen.adapter().map(|name| format!(" ({name})")).unwrap_or_default();
-    println!("would use   {}{adapter}, {} threads", chosen.kind().name(), chosen.threads());
+    outln!("would use   {}{adapter}, {} threads", chosen.kind().name(), chosen.threads())?;
     Ok(())
 }

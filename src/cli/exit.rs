@@ -1,9 +1,12 @@
 //! Errors to exit codes.
 
+use std::path::PathBuf;
+
 use crate::config::ConfigError;
 use crate::job::JobError;
 use crate::mesh::MeshError;
 use crate::mesh::io::FileError;
+use crate::picture::PictureError;
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
 use crate::service::ServeError;
@@ -12,12 +15,27 @@ use crate::token::Stopped;
 
 const USAGE: u8 = 2;
 const DATA: u8 = 65;
+const NO_INPUT: u8 = 66;
 const UNAVAILABLE: u8 = 69;
 const INTERNAL: u8 = 70;
+const NO_FOLDER: u8 = 73;
 const IO: u8 = 74;
 /// Work did not stop when it was told to; only a new process can go on.
 const STUCK: u8 = 75;
 const INTERRUPTED: u8 = 130;
+
+/// What `--help` says of them.
+pub(crate) const HELP: &str = "Exit codes:
+  0    done
+  2    wrong usage: an option is missing, unknown or out of its range
+  65   the input is no surface, or a file does not say what it should
+  66   an input file is missing or cannot be read
+  69   the server, the GPU or the memory is not to be had
+  70   an error in this program
+  73   the folder of an output file is missing
+  74   an output file or the standard output cannot be written
+  75   work did not stop when it was told to; a server is to be started anew
+  130  interrupted";
 
 /// Options that do not go together, or ask for what is not there.
 #[derive(Debug, thiserror::Error)]
@@ -28,6 +46,31 @@ pub(crate) struct Usage(pub(crate) String);
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct BadInput(pub(crate) String);
+
+/// A file that is not there, or may not be read.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot read {}: {cause}", path.display())]
+pub(crate) struct NoInput {
+    /// The file.
+    pub(crate) path: PathBuf,
+    /// What the system said.
+    pub(crate) cause: std::io::Error,
+}
+
+/// A file that is to be made in a folder that is not there.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write {}: there is no folder {}; make it first", path.display(), folder.display())]
+pub(crate) struct NoFolder {
+    /// The file.
+    pub(crate) path: PathBuf,
+    /// The folder.
+    pub(crate) folder: PathBuf,
+}
+
+/// A result that could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct NotWritten(pub(crate) String);
 
 /// Somebody else's service or device is not there.
 #[derive(Debug, thiserror::Error)]
@@ -46,11 +89,26 @@ fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
     match cause.downcast_ref::<FileError>() {
         Some(FileError::UnknownFormat { .. }) => return Some(USAGE),
         Some(FileError::Data { .. }) => return Some(DATA),
+        Some(FileError::Io { action: "read", .. }) => return Some(NO_INPUT),
         Some(FileError::Io { .. }) => return Some(IO),
         None => {}
     }
     if let Some(ServeError::WorkStuck { .. }) = cause.downcast_ref::<ServeError>() {
         return Some(STUCK);
+    }
+    if cause.is::<NoInput>() {
+        return Some(NO_INPUT);
+    }
+    if cause.is::<NoFolder>() {
+        return Some(NO_FOLDER);
+    }
+    if cause.is::<NotWritten>() {
+        return Some(IO);
+    }
+    match cause.downcast_ref::<PictureError>() {
+        Some(PictureError::Size { .. } | PictureError::Direction { .. }) => return Some(USAGE),
+        Some(PictureError::Write { .. }) => return Some(IO),
+        _ => {}
     }
     if cause.is::<BadInput>() || cause.is::<MeshError>() {
         return Some(DATA);

@@ -1,40 +1,64 @@
-//! Small files of the command line: points, cells, reports.
+//! Files of the command line: surfaces, points, reports.
 //!
-//! Invariant: numbers are written so that reading gives the same bits.
+//! Invariant: numbers are written so that reading gives the same bits. A file appears under its name only when it is
+//! whole, and replaces only then what was there.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader, BufWriter, Write};
-use std::path::Path;
+use std::fs::OpenOptions;
+use std::io::{BufWriter, ErrorKind, Write};
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use glam::DVec3;
+use tempfile::NamedTempFile;
 
-use super::exit::{BadInput, Usage};
+use super::exit::{BadInput, NoFolder, NoInput, NotWritten, Usage};
 use crate::mesh::attributes::Attributes;
+use crate::mesh::io::{FileError, Format};
 use crate::mesh::{TriMesh, io};
 
 /// Reads a surface.
 pub(crate) fn read_mesh(path: &Path) -> Result<TriMesh> {
-    io::read(path).map_err(|e| BadInput(e.to_string()).into())
+    io::read(path).map_err(unread)
 }
 
-/// Reads a surface and what it carries; says what of that cannot be used.
-pub(crate) fn read_loaded(path: &Path) -> Result<(TriMesh, Option<Attributes>)> {
-    let loaded = io::read_with_attributes(path).map_err(|e| BadInput(e.to_string()))?;
-    for reason in &loaded.left_aside {
-        eprintln!("tessera: {}: left aside: {reason}", path.display());
-    }
-    Ok((loaded.mesh, Some(loaded.attributes).filter(|attributes| !attributes.is_empty())))
+/// A surface, what it carries, and what of that cannot be used, a line each.
+pub(crate) struct Loaded {
+    pub(crate) mesh: TriMesh,
+    pub(crate) attributes: Option<Attributes>,
+    pub(crate) notes: Vec<String>,
 }
 
-/// Writes a surface and what it carries; says what of that the format cannot hold.
-pub(crate) fn write_loaded(path: &Path, mesh: &TriMesh, attributes: Option<&Attributes>) -> Result<()> {
-    let Some(attributes) = attributes else { return Ok(io::write(path, mesh)?) };
-    let left_out = io::write_with_attributes(path, mesh, attributes)?;
-    if !left_out.is_empty() {
-        eprintln!("tessera: {}: this format cannot hold: {}", path.display(), left_out.join(", "));
+/// Reads a surface and what it carries.
+pub(crate) fn read_loaded(path: &Path) -> Result<Loaded> {
+    let io::Loaded { mesh, attributes, left_aside } = io::read_with_attributes(path).map_err(unread)?;
+    let notes = left_aside.iter().map(|reason| format!("tessera: {}: left aside: {reason}", path.display())).collect();
+    Ok(Loaded { mesh, attributes: Some(attributes).filter(|attributes| !attributes.is_empty()), notes })
+}
+
+fn unread(error: FileError) -> anyhow::Error {
+    match error {
+        FileError::Io { path, cause, .. } => NoInput { path, cause }.into(),
+        error => BadInput(error.to_string()).into(),
     }
-    Ok(())
+}
+
+/// Reads a file of text.
+pub(crate) fn read_text(path: &Path) -> Result<String> {
+    let bytes = std::fs::read(path).map_err(|cause| NoInput { path: path.to_owned(), cause })?;
+    Ok(String::from_utf8(bytes).map_err(|_| BadInput(format!("{}: this is no text in UTF-8", path.display())))?)
+}
+
+/// Writes a surface and what it carries; returns a line if the format cannot hold all of that.
+pub(crate) fn write_loaded(path: &Path, mesh: &TriMesh, attributes: Option<&Attributes>) -> Result<Option<String>> {
+    let format = Format::of_path(path)?;
+    let encoded = match attributes {
+        Some(attributes) => io::encode_with_attributes(format, mesh, attributes),
+        None => io::encode(format, mesh).map(|bytes| (bytes, Vec::new())),
+    };
+    let (bytes, left_out) = encoded.map_err(|cause| FileError::Data { path: path.to_owned(), cause })?;
+    write(path, |out| out.write_all(&bytes))?;
+    let all = left_out.join(", ");
+    Ok((!all.is_empty()).then(|| format!("tessera: {}: this format cannot hold: {all}", path.display())))
 }
 
 /// Refuses an output whose folder is not there or whose name is wrong, before any work is done.
@@ -44,11 +68,32 @@ pub(crate) fn check_output(path: &Path, extensions: &[&str]) -> Result<()> {
         let text = format!("{}: the name must end in .{}", path.display(), extensions.join(", ."));
         return Err(Usage(text).into());
     }
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = folder_of(path);
     if !folder.is_dir() {
-        return Err(Usage(format!("{}: there is no folder {}", path.display(), folder.display())).into());
+        return Err(NoFolder { path: path.to_owned(), folder: folder.to_owned() }.into());
+    }
+    let cannot = |error: std::io::Error| NotWritten(format!("cannot write {}: {error}", path.display()));
+    match std::fs::metadata(path) {
+        Ok(meta) if meta.is_dir() => return Err(cannot(ErrorKind::IsADirectory.into()).into()),
+        // What is there stays as it is until the result is whole.
+        Ok(meta) if meta.is_file() => drop(OpenOptions::new().append(true).open(path).map_err(cannot)?),
+        _ => {}
+    }
+    if !is_stream(path) {
+        drop(begin(path).map_err(cannot)?);
     }
     Ok(())
+}
+
+/// Whether a name is of a device or a pipe, which takes what comes and cannot be replaced.
+fn is_stream(path: &Path) -> bool {
+    // Where the standard output is a file, the name of its device leads there.
+    path.starts_with("/dev") || path.starts_with("/proc") || std::fs::metadata(path).is_ok_and(|meta| !meta.is_file())
+}
+
+/// Where a file is.
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Refuses `outputs` that would replace a file in `kept`, or each other.
@@ -56,11 +101,6 @@ pub(crate) fn check_apart<'a>(
     kept: impl Iterator<Item = &'a Path>,
     outputs: impl Iterator<Item = &'a Path>,
 ) -> Result<()> {
-    // A file that is not there yet has no place of its own, but its folder has.
-    let place = |path: &Path| {
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        path.canonicalize().ok().or_else(|| Some(folder.canonicalize().ok()?.join(path.file_name()?)))
-    };
     let mut places: Vec<_> = kept.map(place).collect();
     for path in outputs {
         let own = place(path);
@@ -72,13 +112,22 @@ pub(crate) fn check_apart<'a>(
     Ok(())
 }
 
+/// Whether two names are of one file.
+pub(crate) fn same(a: &Path, b: &Path) -> bool {
+    place(a).is_some_and(|a| Some(a) == place(b))
+}
+
+/// Where a file is or will be. One that is not there yet has no place of its own, but its folder has.
+fn place(path: &Path) -> Option<PathBuf> {
+    path.canonicalize().ok().or_else(|| Some(folder_of(path).canonicalize().ok()?.join(path.file_name()?)))
+}
+
 /// Reads points, `x y z` a line. Empty lines and lines that begin with `#` are left out.
 pub(crate) fn read_points(path: &Path) -> Result<Vec<DVec3>> {
     let bad = |text: String| BadInput(format!("{}: {text}", path.display()));
-    let file = File::open(path).map_err(|e| bad(e.to_string()))?;
+    let text = read_text(path)?;
     let mut points = Vec::new();
-    for (i, line) in BufReader::new(file).lines().enumerate() {
-        let line = line.map_err(|e| bad(format!("line {}: {e}", i + 1)))?;
+    for (i, line) in text.lines().enumerate() {
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
             continue;
@@ -113,13 +162,40 @@ pub(crate) fn write_json(path: &Path, report: &impl serde::Serialize) -> Result<
     })
 }
 
-fn write(path: &Path, body: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>) -> Result<()> {
+/// Writes a file. What has its name is replaced once the new one is whole.
+fn write(path: &Path, body: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     let all = || {
-        let mut out = BufWriter::new(File::create(path)?);
+        if is_stream(path) {
+            let mut out = BufWriter::new(OpenOptions::new().write(true).open(path)?);
+            body(&mut out)?;
+            return out.flush();
+        }
+        let mut out = BufWriter::new(begin(path)?);
         body(&mut out)?;
-        out.flush()
+        keep(out.into_inner().map_err(std::io::IntoInnerError::into_error)?, path)
     };
-    all().with_context(|| format!("cannot write {}", path.display()))
+    Ok(all().map_err(|error: std::io::Error| NotWritten(format!("cannot write {}: {error}", path.display())))?)
+}
+
+/// A file beside `path`, with the rights that a file has there.
+pub(crate) fn begin(path: &Path) -> std::io::Result<NamedTempFile> {
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let mut builder = tempfile::Builder::new();
+    // By itself a temporary file is its owner's alone.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let file = builder.tempfile_in(folder_of(&path))?;
+    if let Ok(meta) = std::fs::metadata(&path) {
+        file.as_file().set_permissions(meta.permissions())?;
+    }
+    Ok(file)
+}
+
+/// Gives what was begun its name; a link goes on to point there.
+pub(crate) fn keep(file: NamedTempFile, path: &Path) -> std::io::Result<()> {
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    file.persist(path)?;
+    Ok(())
 }
 
 #[cfg(test)]

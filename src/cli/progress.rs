@@ -1,37 +1,140 @@
-//! A progress bar, on a terminal only.
+//! How far a run is: a bar on a terminal, a line every few seconds elsewhere.
+//!
+//! Invariant: one measure over all stages, which never goes back. On the standard error stream only. Must not know:
+//! what a stage does, where it is done.
 
-use std::time::Duration;
+mod track;
+
+use std::path::Path;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+pub(crate) use track::Plan;
+use track::Track;
+
+use super::say::SayArgs;
 use crate::cvt::Iteration;
 use crate::remesh::Observer;
 
+/// Parts of the bar.
+const PARTS: u64 = 1000;
+/// Time between two looks at the bar.
+const TICK: Duration = Duration::from_millis(200);
+/// Time between two lines where there is no terminal, unless `TESSERA_PROGRESS_S` says otherwise.
+const LINE: Duration = Duration::from_secs(5);
+
 /// See the module's head.
-pub(crate) struct Progress(ProgressBar);
+pub(crate) struct Progress {
+    shared: Arc<Mutex<State>>,
+    ticker: Option<(mpsc::Sender<()>, JoinHandle<()>)>,
+}
+
+struct State {
+    /// Whose progress it is.
+    name: String,
+    start: Instant,
+    track: Track,
+    /// Where there is a terminal.
+    bar: Option<ProgressBar>,
+    /// The stage, and how far it is.
+    stage: String,
+    /// Energy, or place in the queue.
+    detail: String,
+}
 
 impl Progress {
-    /// A bar that shows once something happens. indicatif hides it where there is no terminal.
-    pub(crate) fn new() -> Self {
-        let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
-        if let Ok(style) = ProgressStyle::with_template("{spinner} {prefix:10} {wide_bar} {pos}/{len} {msg}") {
+    /// Of the work on the file `of`, which begins now with reading it.
+    pub(crate) fn begin(of: &Path, say: &SayArgs) -> Self {
+        let bar = ProgressBar::with_draw_target(Some(PARTS), ProgressDrawTarget::stderr());
+        let bar = Some(bar).filter(|bar| !say.quiet && !bar.is_hidden());
+        let between = if bar.is_some() { TICK } else { line_every() };
+        if let Some((bar, style)) =
+            bar.as_ref().zip(ProgressStyle::with_template("{spinner} {wide_bar} {percent:>3} % {msg}").ok())
+        {
             bar.set_style(style);
         }
-        bar.enable_steady_tick(Duration::from_millis(200));
-        Self(bar)
+        let name = of.file_name().map_or_else(|| of.display().to_string(), |name| name.to_string_lossy().into_owned());
+        let (track, stage) = (Track::new(Instant::now()), "read".to_owned());
+        let shared = State { name, start: Instant::now(), track, bar, stage, detail: String::new() };
+        let shared = Arc::new(Mutex::new(shared));
+        let ticker = if say.quiet { None } else { ticker(Arc::clone(&shared), between) };
+        Self { shared, ticker }
     }
 
-    /// A stage of so many steps; 0 if not known.
+    /// What there is to do.
+    pub(crate) fn plan(&self, plan: Plan) {
+        self.lock().track.plan(plan, Instant::now());
+    }
+
+    /// A stage, or how far it is: `done` of `total`, which is 0 if not known.
     pub(crate) fn stage(&self, name: &str, done: u64, total: u64) {
-        self.0.set_prefix(name.to_owned());
-        self.0.set_length(total.max(1));
-        self.0.set_position(done);
+        self.lock().stage(name, done, total);
+    }
+
+    /// Steps of a stage that somebody else counts, `total` of them.
+    pub(crate) fn counter(&self, name: &'static str, total: u64) -> impl FnMut() + Send + 'static {
+        let shared = Arc::clone(&self.shared);
+        let mut done = 0;
+        move || {
+            done += 1;
+            let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
+            state.stage(name, done, total);
+        }
     }
 
     /// An iteration.
     pub(crate) fn iteration(&self, index: u64, total: u64, energy_ratio: f64) {
-        self.stage("iterations", index + 1, total.max(index + 1));
-        self.0.set_message(format!("E/E_hex {energy_ratio:.5}"));
+        let mut state = self.lock();
+        let (done, total) = (index + 1, total.max(index + 1));
+        state.track.enter("iterations", done, total, Instant::now());
+        state.stage = format!("iterations {done} of {total}");
+        state.detail = format!(", E/E_hex {energy_ratio:.5}");
+        state.draw();
+    }
+
+    /// A word on the stage that is at work.
+    pub(crate) fn detail(&self, text: &str) {
+        let mut state = self.lock();
+        text.clone_into(&mut state.detail);
+        state.draw();
+    }
+
+    /// A warning, above the bar.
+    pub(crate) fn note(&self, text: &str) {
+        match &self.lock().bar {
+            Some(bar) => bar.suspend(|| errln!("{text}")),
+            None => errln!("{text}"),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    fn stage(&mut self, name: &str, done: u64, total: u64) {
+        self.track.enter(name, done, total, Instant::now());
+        self.stage = if total > 1 { format!("{name} {done} of {total}") } else { name.to_owned() };
+        self.detail.clear();
+        self.draw();
+    }
+
+    fn draw(&mut self) {
+        let Some(bar) = &self.bar else { return };
+        bar.set_position((self.track.fraction(Instant::now()) * PARTS as f64) as u64);
+        bar.set_message(format!("{}: {}{}", self.name, self.stage, self.detail));
+    }
+
+    fn line(&mut self) {
+        let now = Instant::now();
+        let percent = 100.0 * self.track.fraction(now);
+        let seconds = now.duration_since(self.start).as_secs_f64();
+        errln!("tessera: {}: {percent:.0} %, {}{}, {seconds:.0} s", self.name, self.stage, self.detail);
     }
 }
 
@@ -47,6 +150,37 @@ impl Observer for Progress {
 
 impl Drop for Progress {
     fn drop(&mut self) {
-        self.0.finish_and_clear();
+        if let Some((stop, thread)) = self.ticker.take() {
+            drop(stop);
+            let _ = thread.join();
+        }
+        if let Some(bar) = self.lock().bar.take() {
+            bar.finish_and_clear();
+        }
     }
+}
+
+/// Draws again every so often until its sender goes. Without a thread there is a bar that moves with the stages alone.
+fn ticker(shared: Arc<Mutex<State>>, between: Duration) -> Option<(mpsc::Sender<()>, JoinHandle<()>)> {
+    let (stop, stopped) = mpsc::channel();
+    let tick = move || {
+        while stopped.recv_timeout(between) == Err(RecvTimeoutError::Timeout) {
+            let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
+            match &state.bar {
+                Some(bar) => {
+                    bar.tick();
+                    state.draw();
+                }
+                None => state.line(),
+            }
+        }
+    };
+    let thread = std::thread::Builder::new().name("progress".to_owned()).spawn(tick).ok()?;
+    Some((stop, thread))
+}
+
+fn line_every() -> Duration {
+    let seconds = std::env::var("TESSERA_PROGRESS_S").ok().and_then(|text| text.parse::<f64>().ok());
+    let seconds = seconds.filter(|s| (0.01..=86_400.0).contains(s));
+    seconds.map_or(LINE, Duration::from_secs_f64)
 }

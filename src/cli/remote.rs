@@ -10,29 +10,29 @@ use anyhow::{Context, Result, bail, ensure};
 use glam::DVec3;
 use tonic::transport::{Channel, Endpoint};
 
+use super::endpoint::ServerUrl;
 use super::exit::{BadInput, Unavailable, Usage};
 use super::interrupt;
 use super::progress::Progress;
 use super::rvd::{RvdResult, Sink, Wants};
 use crate::config::BackendArg;
-use crate::cvt::Projection;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Attributes;
-use crate::remesh::{Placement, RemeshOptions, Seeds};
+use crate::remesh::{RemeshOptions, Seeds};
 use crate::rvd::{PieceBatch, RvdError};
 use crate::service::assemble::UploadedAttribute;
 use crate::service::limits::MeshCounts;
 use crate::service::proto::remesh_service_client::RemeshServiceClient;
-use crate::service::proto::{self, ArrayKind, CellsChunk, Chunk, seed_source};
-use crate::service::{attributes, convert};
+use crate::service::proto::{self, ArrayKind, CellsChunk, Chunk};
+use crate::service::{attributes, convert, options};
 use crate::token::Stopped;
 
 /// A remesh to ask for.
 pub(crate) struct RemeshJob<'a> {
     /// The surface.
     pub(crate) mesh: &'a TriMesh,
-    /// What to do. Seeds are drawn by the server.
+    /// What to do.
     pub(crate) options: &'a RemeshOptions,
     /// Who should do it.
     pub(crate) backend: BackendArg,
@@ -51,48 +51,25 @@ pub(crate) struct RemeshDone {
 }
 
 /// Has `job` done at `endpoint`.
-pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> {
+pub(crate) fn remesh(endpoint: &ServerUrl, job: &RemeshJob<'_>, progress: &Progress) -> Result<RemeshDone> {
     use proto::remesh_request::Message as Ask;
     use proto::remesh_response::Message as Answer;
     let options = job.options;
-    let (points, random_seed) = match options.seeds {
-        Seeds::Sample { points, seed } => (points as u64, seed),
-        Seeds::Implied { seed } => (0, seed),
-        Seeds::Given(_) => bail!("seeds are drawn by the server"),
-    };
-    let announced = options.attributes.as_ref().map(attributes::headers).unwrap_or_default();
-    let header = proto::RemeshHeader {
-        mesh: Some(mesh_header(job.mesh)),
-        seeds: Some(sampled(points, random_seed)),
-        backend: choice(job.backend).into(),
-        lloyd_steps: options.lloyd as u32,
-        newton_steps: options.newton as u32,
-        crease_angle_deg: Some(options.crease_angle_deg),
-        creases: options.creases.len() as u64,
-        placement: placement(options.placement).into(),
-        projection: match options.projection {
-            Projection::Free => proto::Projection::Free.into(),
-            Projection::OnSurface => proto::Projection::OnSurface.into(),
-        },
-        boundaries: match options.keep_boundaries {
-            true => proto::BoundaryRule::Keep.into(),
-            false => proto::BoundaryRule::Free.into(),
-        },
-        thin: match options.keep_thin {
-            true => proto::ThinRule::Finer.into(),
-            false => proto::ThinRule::Even.into(),
-        },
-        refinement: options
-            .refine
-            .map(|r| proto::Refinement { tolerance: r.tolerance, max_points: r.max_points as u64 }),
-        density: Some(density(&options.density)),
-        attributes: announced.clone(),
-        ..proto::RemeshHeader::default()
-    };
+    let header = options::remesh_header(job.mesh, options, choice(job.backend));
+    let announced = header.attributes.clone();
     let mut messages = vec![Ask::Header(header)];
     messages.extend(mesh_chunks(job.mesh).map(Ask::Chunk));
-    if let DensitySource::Sizes(sizes) = &options.density.source {
-        messages.extend(convert::number_chunks(ArrayKind::EdgeLengths, sizes).map(Ask::Chunk));
+    match &options.density.source {
+        DensitySource::Sizes(sizes) => {
+            messages.extend(convert::number_chunks(ArrayKind::EdgeLengths, sizes).map(Ask::Chunk));
+        }
+        DensitySource::Weights(weights) => {
+            messages.extend(convert::number_chunks(ArrayKind::Weights, weights).map(Ask::Chunk));
+        }
+        DensitySource::Uniform | DensitySource::Curvature | DensitySource::FeatureSize => {}
+    }
+    if let Seeds::Given(seeds) = &options.seeds {
+        messages.extend(convert::point_chunks(ArrayKind::Seeds, seeds).map(Ask::Chunk));
     }
     if !options.creases.is_empty() {
         messages.extend(convert::index_chunks(ArrayKind::Creases, options.creases.as_flattened()).map(Ask::Chunk));
@@ -104,13 +81,18 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
     let requests = messages.into_iter().map(|m| proto::RemeshRequest { message: Some(m) }).collect::<Vec<_>>();
     block_on(async {
         let mut client = connect(endpoint).await?;
-        let mut answers = client.remesh(tokio_stream::iter(requests)).await.map_err(refused)?.into_inner();
-        let (mut arrays, progress) = (Arrays::default(), Progress::new());
+        let mut answers =
+            client.remesh(tokio_stream::iter(counted(requests, progress))).await.map_err(refused)?.into_inner();
+        let mut arrays = Arrays::default();
         while let Some(answer) = answers.message().await.map_err(refused)? {
             match answer.message {
+                Some(Answer::Accepted(accepted)) => waiting(progress, &accepted),
                 Some(Answer::Progress(p)) => progress.stage(&p.stage, p.done, p.total),
                 Some(Answer::Iteration(it)) => progress.iteration(it.index, it.total, it.energy_ratio),
-                Some(Answer::Chunk(chunk)) => arrays.take(chunk)?,
+                Some(Answer::Chunk(chunk)) => {
+                    progress.stage("download", 0, 0);
+                    arrays.take(chunk)?;
+                }
                 Some(Answer::Done(done)) => {
                     let positions = arrays.points(ArrayKind::Positions)?;
                     let facets = arrays.facets(ArrayKind::Facets)?;
@@ -127,28 +109,25 @@ pub(crate) fn remesh(endpoint: &str, job: &RemeshJob<'_>) -> Result<RemeshDone> 
     })
 }
 
+/// A diagram to ask for.
+pub(crate) struct RvdJob<'a> {
+    /// The surface.
+    pub(crate) mesh: &'a TriMesh,
+    /// The seeds.
+    pub(crate) seeds: Seeds,
+    /// What is to come back.
+    pub(crate) wants: Wants,
+    /// Who should do it.
+    pub(crate) backend: BackendArg,
+}
+
 /// Has a diagram computed at `endpoint`.
-pub(crate) fn rvd(
-    endpoint: &str,
-    mesh: &TriMesh,
-    seeds: Seeds,
-    wants: Wants,
-    backend: BackendArg,
-    sink: Sink<'_>,
-) -> Result<RvdResult> {
+pub(crate) fn rvd(endpoint: &ServerUrl, job: RvdJob<'_>, progress: &Progress, sink: Sink<'_>) -> Result<RvdResult> {
     use proto::compute_rvd_request::Message as Ask;
     use proto::compute_rvd_response::Message as Answer;
-    let (source, points) = match seeds {
-        Seeds::Given(points) => (seed_source::Source::Uploaded(points.len() as u64), points),
-        Seeds::Sample { points, seed } => {
-            let sampled = proto::SampledSeeds { points: points as u64, random_seed: seed };
-            (seed_source::Source::Sampled(sampled), Vec::new())
-        }
-        // Which the server refuses: a diagram has no edge lengths.
-        Seeds::Implied { seed } => {
-            (seed_source::Source::Sampled(proto::SampledSeeds { points: 0, random_seed: seed }), Vec::new())
-        }
-    };
+    let RvdJob { mesh, seeds, wants, backend } = job;
+    let source = options::seed_source(&seeds);
+    let points = if let Seeds::Given(points) = seeds { points } else { Vec::new() };
     let mut outputs = Vec::new();
     if wants.cells {
         outputs.push(proto::RvdOutput::Cells.into());
@@ -157,8 +136,8 @@ pub(crate) fn rvd(
         outputs.push(proto::RvdOutput::Centroids.into());
     }
     let header = proto::ComputeRvdHeader {
-        mesh: Some(mesh_header(mesh)),
-        seeds: Some(proto::SeedSource { source: Some(source) }),
+        mesh: Some(options::mesh_header(mesh, &DensityOptions::default())),
+        seeds: Some(source),
         backend: choice(backend).into(),
         outputs,
     };
@@ -169,10 +148,12 @@ pub(crate) fn rvd(
     let requests = messages.into_iter().map(|m| proto::ComputeRvdRequest { message: Some(m) }).collect::<Vec<_>>();
     block_on(async {
         let mut client = connect(endpoint).await?;
-        let mut answers = client.compute_rvd(tokio_stream::iter(requests)).await.map_err(refused)?.into_inner();
-        let (mut arrays, progress) = (Arrays::default(), Progress::new());
+        let mut answers =
+            client.compute_rvd(tokio_stream::iter(counted(requests, progress))).await.map_err(refused)?.into_inner();
+        let mut arrays = Arrays::default();
         while let Some(answer) = answers.message().await.map_err(refused)? {
             match answer.message {
+                Some(Answer::Accepted(accepted)) => waiting(progress, &accepted),
                 Some(Answer::Progress(p)) => progress.stage(&p.stage, p.done, p.total),
                 Some(Answer::Cells(chunk)) => sink(&batch(&chunk)?)?,
                 Some(Answer::Chunk(chunk)) => arrays.take(chunk)?,
@@ -200,10 +181,23 @@ fn block_on<R>(work: impl Future<Output = Result<R>>) -> Result<R> {
     })
 }
 
-async fn connect(endpoint: &str) -> Result<RemeshServiceClient<Channel>> {
-    let usage =
-        |e: &dyn std::fmt::Display| Usage(format!("--endpoint {endpoint}: {e}; an example is http://127.0.0.1:50051"));
-    let channel = Endpoint::from_shared(endpoint.to_owned()).map_err(|e| usage(&e))?;
+/// Messages, whose leaving is told.
+fn counted<T: Send + 'static>(messages: Vec<T>, progress: &Progress) -> impl Iterator<Item = T> + Send + 'static {
+    let mut sent = progress.counter("upload", messages.len() as u64);
+    messages.into_iter().inspect(move |_| sent())
+}
+
+/// The job was taken in.
+fn waiting(progress: &Progress, accepted: &proto::Accepted) {
+    progress.stage("queued", 0, 0);
+    if accepted.queue_position > 0 {
+        progress.detail(&format!(" behind {}", accepted.queue_position));
+    }
+}
+
+async fn connect(endpoint: &ServerUrl) -> Result<RemeshServiceClient<Channel>> {
+    let channel = Endpoint::from_shared(endpoint.to_string())
+        .map_err(|e| Usage(format!("--endpoint {endpoint}: {e}; an example is http://127.0.0.1:50051")))?;
     let channel = channel.connect_timeout(Duration::from_secs(10)).connect().await.map_err(|e| {
         let cause = std::error::Error::source(&e).map(|s| format!(": {s}")).unwrap_or_default();
         Unavailable(format!("cannot reach {endpoint}{cause}; is a server running there?"))
@@ -226,45 +220,6 @@ fn choice(backend: BackendArg) -> proto::BackendChoice {
         BackendArg::Gpu => proto::BackendChoice::Gpu,
         BackendArg::Parallel => proto::BackendChoice::Parallel,
         BackendArg::Serial => proto::BackendChoice::Serial,
-    }
-}
-
-fn placement(placement: Placement) -> proto::Placement {
-    match placement {
-        Placement::Fitted => proto::Placement::Fitted,
-        Placement::Surface => proto::Placement::Surface,
-        Placement::Centroids => proto::Placement::Centroids,
-    }
-}
-
-fn density(options: &DensityOptions) -> proto::DensityOptions {
-    let source = match options.source {
-        DensitySource::Uniform => proto::DensitySource::Uniform,
-        DensitySource::Weights(_) => proto::DensitySource::Weights,
-        DensitySource::Sizes(_) => proto::DensitySource::EdgeLengths,
-        DensitySource::Curvature => proto::DensitySource::Curvature,
-        DensitySource::FeatureSize => proto::DensitySource::FeatureSize,
-    };
-    let edge_lengths = if let DensitySource::Sizes(sizes) = &options.source { sizes.len() as u64 } else { 0 };
-    proto::DensityOptions {
-        source: source.into(),
-        edge_length: options.edge_length.unwrap_or(0.0),
-        edge_lengths,
-        adaptivity: Some(options.adaptivity),
-        gradation: Some(options.gradation),
-    }
-}
-
-fn sampled(points: u64, random_seed: u64) -> proto::SeedSource {
-    proto::SeedSource { source: Some(seed_source::Source::Sampled(proto::SampledSeeds { points, random_seed })) }
-}
-
-fn mesh_header(mesh: &TriMesh) -> proto::MeshHeader {
-    proto::MeshHeader {
-        vertices: mesh.positions().len() as u64,
-        facets: mesh.facets().len() as u64,
-        position_type: proto::PositionType::F64.into(),
-        weights: 0,
     }
 }
 

@@ -5,15 +5,18 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use clap::Args;
+use clap::{ArgGroup, Args};
 use glam::DVec3;
+use serde_json::Value;
 
 use super::cell_file::CellFile;
-use super::exit::Usage;
+use super::endpoint::ServerUrl;
+use super::exit::{NotWritten, Usage};
 use super::picture::PictureArgs;
-use super::progress::Progress;
+use super::progress::{Plan, Progress};
+use super::say::{self, SayArgs};
 use super::{backends, files, interrupt, remote};
-use crate::config::BackendArgs;
+use crate::config::{BackendArgs, count, whole};
 use crate::cvt::density::DensityOptions;
 use crate::job::BackendInfo;
 use crate::job::diagram::Diagram;
@@ -26,18 +29,47 @@ use crate::token::Token;
 
 /// `tessera rvd`'s options.
 #[derive(Args, Debug)]
+#[command(group(ArgGroup::new("of").required(true).args(["seeds", "points"])))]
 pub(crate) struct RvdArgs {
     /// The surface: .obj, .ply, .stl or .off.
     input: PathBuf,
+    #[command(flatten)]
+    seeds: SeedArgs,
+    #[command(flatten)]
+    files: FileArgs,
+    #[command(flatten, next_help_heading = "Picture")]
+    picture: PictureArgs,
+    /// Draw the seeds as dots in the picture, where the surface is next to them.
+    #[arg(long, requires = "picture", help_heading = "Picture")]
+    dots: bool,
+    #[command(flatten, next_help_heading = "Who works")]
+    backend: BackendArgs,
+    /// Let a server do the work, e.g. http://127.0.0.1:50051.
+    #[arg(long, value_name = "URL", help_heading = "Who works")]
+    endpoint: Option<ServerUrl>,
+    #[command(flatten, next_help_heading = "What is said")]
+    say: SayArgs,
+}
+
+/// Where the seeds come from.
+#[derive(Args, Debug)]
+#[command(next_help_heading = "Seeds (--seeds or --points is required)")]
+struct SeedArgs {
     /// The seeds, `x y z` a line.
-    #[arg(long, value_name = "FILE.xyz", required_unless_present = "points", conflicts_with = "points")]
+    #[arg(long, value_name = "FILE.xyz")]
     seeds: Option<PathBuf>,
     /// Draw so many seeds instead.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true)]
     points: Option<u32>,
     /// Random seed of the points.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
     seed: u64,
+}
+
+/// What is written.
+#[derive(Args, Debug)]
+#[command(next_help_heading = "Files")]
+struct FileArgs {
     /// Write the pieces there: polygons with their seed, their facet and a colour.
     #[arg(short, long, value_name = "CELLS.ply")]
     output: Option<PathBuf>,
@@ -47,18 +79,6 @@ pub(crate) struct RvdArgs {
     /// Write the report there, as JSON.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
-    /// Who works.
-    #[command(flatten)]
-    backend: BackendArgs,
-    /// Let a server do the work, e.g. http://127.0.0.1:50051.
-    #[arg(long, value_name = "URL")]
-    endpoint: Option<String>,
-    /// How it looks.
-    #[command(flatten)]
-    picture: PictureArgs,
-    /// Draw the seeds as dots in the picture, where the surface is next to them.
-    #[arg(long, requires = "picture")]
-    dots: bool,
 }
 
 /// What came out, wherever it was computed.
@@ -66,80 +86,114 @@ pub(crate) struct RvdResult {
     /// One a seed; empty if not wanted.
     pub(crate) centroids: Vec<DVec3>,
     /// The report.
-    pub(crate) report: serde_json::Value,
+    pub(crate) report: Value,
+}
+
+impl RvdArgs {
+    /// The seeds that the arguments name.
+    pub(super) fn seeds(&self) -> Result<Seeds> {
+        let SeedArgs { seeds, points, seed } = &self.seeds;
+        Ok(match seeds {
+            Some(path) => Seeds::Given(files::read_points(path)?),
+            None => Seeds::Sample { points: points.unwrap_or(1) as usize, seed: *seed },
+        })
+    }
 }
 
 /// Runs it.
 pub(crate) fn run(args: &RvdArgs) -> Result<()> {
-    args.backend.check()?;
-    args.output.iter().try_for_each(|path| files::check_output(path, &["ply"]))?;
-    args.centroids.iter().chain(&args.report).try_for_each(|path| files::check_output(path, &[]))?;
-    let outputs = [args.output.as_deref(), args.centroids.as_deref(), args.report.as_deref(), args.picture.path()];
-    let inputs = [Some(args.input.as_path()), args.seeds.as_deref()];
-    files::check_apart(inputs.into_iter().flatten(), outputs.into_iter().flatten())?;
-    args.picture.check_for_cells()?;
-    if args.dots && args.endpoint.is_some() && args.seeds.is_none() {
-        let text = "--dots with --endpoint: the server draws the points and keeps them; give them with --seeds";
-        return Err(Usage(text.to_owned()).into());
-    }
+    check(args)?;
     let start = Instant::now();
+    let mut progress = Progress::begin(&args.input, &args.say);
     let mesh = files::read_mesh(&args.input)?;
-    let seeds = match (&args.seeds, args.points) {
-        (Some(path), _) => Seeds::Given(files::read_points(path)?),
-        (None, points) => Seeds::Sample { points: points.unwrap_or(1) as usize, seed: args.seed },
-    };
-    let read_ms = start.elapsed().as_secs_f64() * 1e3;
+    let seeds = args.seeds()?;
+    let read_ms = ms(start);
+    let FileArgs { output, centroids, report } = &args.files;
     // Without any file the sums give the figures.
-    let pieces = args.output.is_some() || args.picture.wanted();
-    let wants = Wants { cells: pieces, centroids: args.centroids.is_some() || !pieces };
-    let mut cells = args.output.as_deref().map(CellFile::create).transpose()?;
+    let pieces = output.is_some() || args.picture.wanted();
+    let wants = Wants { cells: pieces, centroids: centroids.is_some() || !pieces };
+    let mut cells = output.as_deref().map(CellFile::create).transpose()?;
     let (count, given) = match &seeds {
         Seeds::Given(points) => (points.len(), Arc::new(points.clone())),
         Seeds::Sample { points, .. } => (*points, Arc::default()),
         Seeds::Implied { .. } => (0, Arc::default()),
     };
+    progress.plan(Plan::rvd(mesh.facets().len(), count, args.endpoint.is_some()));
     let mut picture = args.picture.begin(&mesh, count, args.dots)?;
     let mut sink = |batch: &PieceBatch| {
         picture.iter_mut().for_each(|picture| picture.append(batch));
         cells.as_mut().map_or(Ok(()), |file| file.append(batch))
     };
     let (mut result, seeds) = match &args.endpoint {
-        None => here(args, mesh, seeds, wants, &mut sink)?,
-        Some(endpoint) => (remote::rvd(endpoint, &mesh, seeds, wants, args.backend.backend, &mut sink)?, given),
+        None => here(args, mesh, seeds, wants, &mut progress, &mut sink)?,
+        Some(url) => {
+            let job = remote::RvdJob { mesh: &mesh, seeds, wants, backend: args.backend.backend };
+            (remote::rvd(url, job, &progress, &mut sink)?, given)
+        }
     };
     let writing = Instant::now();
+    progress.stage("write", 0, 0);
     if let Some(file) = cells {
         file.finish()?;
     }
     if let Some(picture) = picture {
         picture.finish(&seeds)?;
     }
-    if let Some(path) = &args.centroids {
+    if let Some(path) = centroids {
         files::write_points(path, &result.centroids)?;
     }
     if args.endpoint.is_none() {
         let timings = &mut result.report["timings_ms"];
-        timings["read"] = read_ms.into();
-        timings["write"] = (writing.elapsed().as_secs_f64() * 1e3).into();
-        timings["total"] = (start.elapsed().as_secs_f64() * 1e3).into();
-    }
-    if args.endpoint.is_none() {
+        (timings["read"], timings["write"], timings["total"]) = (read_ms.into(), ms(writing).into(), ms(start).into());
         result.report["memory"]["host_peak_bytes"] = telemetry::peak_memory_bytes().into();
     }
-    if let Some(path) = &args.report {
+    if let Some(path) = report {
         files::write_json(path, &result.report)?;
     }
-    let (rvd, report) = (&result.report["rvd"], &result.report);
-    println!(
-        "{} seeds, {} pieces, {} empty cells, area {}, by {}, {:.0} ms",
+    drop(progress);
+    if args.say.json {
+        say::json(&result.report)?;
+    }
+    if args.say.summary() {
+        summary(args, &result.report, ms(start))?;
+    }
+    Ok(())
+}
+
+/// Refuses what cannot be, before any work.
+fn check(args: &RvdArgs) -> Result<()> {
+    let FileArgs { output, centroids, report } = &args.files;
+    args.backend.check()?;
+    output.iter().try_for_each(|path| files::check_output(path, &["ply"]))?;
+    centroids.iter().chain(report).try_for_each(|path| files::check_output(path, &[]))?;
+    let outputs = [output.as_deref(), centroids.as_deref(), report.as_deref(), args.picture.path()];
+    let inputs = [Some(args.input.as_path()), args.seeds.seeds.as_deref()];
+    files::check_apart(inputs.into_iter().flatten(), outputs.into_iter().flatten())?;
+    args.picture.check_for_cells()?;
+    if args.dots && args.endpoint.is_some() && args.seeds.seeds.is_none() {
+        let text = "--dots with --endpoint: the server draws the points and keeps them; give them with --seeds";
+        return Err(Usage(text.to_owned()).into());
+    }
+    Ok(())
+}
+
+/// What a person wants to know at the end.
+fn summary(args: &RvdArgs, report: &Value, total_ms: f64) -> Result<(), NotWritten> {
+    let rvd = &report["rvd"];
+    let at = args.endpoint.as_ref().map(|url| format!(" at {url}")).unwrap_or_default();
+    outln!(
+        "{}: {} seeds, {} pieces, {} empty cells, area {}, by {}{at}, {total_ms:.0} ms",
+        args.files.output.as_ref().unwrap_or(&args.input).display(),
         report["seeds"],
         rvd["pairs"],
         rvd["empty_cells"],
         rvd["area"],
         report["backend"].as_str().unwrap_or("?"),
-        report["timings_ms"]["total"].as_f64().unwrap_or(0.0)
-    );
-    Ok(())
+    )
+}
+
+fn ms(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
 }
 
 /// Takes each batch of pieces as it comes, caller's coordinates.
@@ -160,12 +214,12 @@ fn here(
     mesh: TriMesh,
     seeds: Seeds,
     wants: Wants,
+    progress: &mut Progress,
     sink: Sink<'_>,
 ) -> Result<(RvdResult, Arc<Vec<DVec3>>)> {
     let token = Token::default();
     interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
     let backend = backends::one(&args.backend)?;
-    let progress = Progress::new();
     progress.stage("prepare", 0, 0);
     let prepared = Prepared::new(
         Input { mesh, density: DensityOptions::default(), seeds, creases: Vec::new(), attributes: None },

@@ -2,7 +2,6 @@
 //!
 //! Order: configuration checked, backends made and warmed up, then the port. A server that listens works.
 
-use std::io::Write;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -56,16 +55,15 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
         _ = &mut signals => return Ok(()),
     };
     let by = engine.backend(Wish::Auto)?;
-    let listener = TcpListener::bind(config.listen)
+    let listener = TcpListener::bind(config.listen.as_slice())
         .await
-        .map_err(|e| Unavailable(format!("cannot listen on {}: {e}; choose another --listen", config.listen)))?;
+        .map_err(|e| Unavailable(format!("cannot listen on {}: {e}; choose another --listen", args.listen)))?;
     let address = listener.local_addr().context("asking for the port")?;
     tracing::info!(
         %address, backend = by.kind.name(), adapter = by.adapter, threads = by.threads,
         queue_jobs = config.queue_jobs, "serving"
     );
-    println!("tessera listens on {address}");
-    std::io::stdout().flush().context("writing to the standard output")?;
+    outln!("tessera listens on {address}")?;
     let parts = Parts { engine, worker, limits: config.limits };
     let shutdown = async {
         // A sender that is gone means that nobody can signal; go on serving.

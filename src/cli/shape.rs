@@ -4,7 +4,8 @@
 
 use std::path::PathBuf;
 
-use crate::mesh::io;
+use super::files;
+use crate::config::whole;
 use crate::mesh::shapes::{MAX_FACETS, Shape};
 
 /// Writes a procedural surface to a file.
@@ -13,7 +14,7 @@ pub struct ShapeArgs {
     /// sphere, torus, genusN (0 to 99 holes), block, hills, sheets, slivers, square or plane
     pub name: Shape,
     /// Wished number of facets; the result is near it
-    #[arg(long, default_value_t = 10_000, value_parser = parse_facets)]
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = parse_facets)]
     pub facets: usize,
     /// File to write: .obj, .ply, .stl or .off
     #[arg(short, long, value_name = "FILE")]
@@ -23,19 +24,19 @@ pub struct ShapeArgs {
 /// Builds the surface and writes it.
 ///
 /// # Errors
-/// [`io::FileError`], as the file cannot be written.
+/// The file cannot be written.
 pub fn run(args: &ShapeArgs) -> anyhow::Result<()> {
-    // First, so that a wrong extension costs nothing.
-    io::Format::of_path(&args.output)?;
+    files::check_output(&args.output, &["obj", "ply", "stl", "off"])?;
     let mesh = args.name.build(args.facets);
-    io::write(&args.output, &mesh)?;
-    println!("{}: {} vertices, {} facets", args.output.display(), mesh.positions().len(), mesh.facets().len());
+    files::write_loaded(&args.output, &mesh, None)?;
+    outln!("{}: {} vertices, {} facets", args.output.display(), mesh.positions().len(), mesh.facets().len())?;
     Ok(())
 }
 
-fn parse_facets(text: &str) -> Result<usize, String> {
-    match text.parse() {
+/// A number of facets that can be built.
+pub(crate) fn parse_facets(text: &str) -> Result<usize, String> {
+    match whole(text) {
         Ok(facets) if (1..=MAX_FACETS).contains(&facets) => Ok(facets),
-        _ => Err(format!("give a whole number from 1 to {MAX_FACETS}")),
+        _ => Err(format!("a whole number from 1 to {MAX_FACETS} is needed, as 10000 or 1e4")),
     }
 }

@@ -10,7 +10,8 @@ use std::path::Path;
 use anyhow::Result;
 use glam::DVec3;
 
-use super::exit::{BadInput, Usage};
+use super::exit::{BadInput, NoInput, Usage};
+use super::files;
 use crate::mesh::TriMesh;
 use crate::mesh::io::Format;
 
@@ -30,7 +31,7 @@ pub(crate) fn check_format(input: &Path, option: &str) -> Result<()> {
 /// lines and lines that begin with `#` are left out.
 pub(crate) fn read(path: &Path, input: &Path, mesh: &TriMesh) -> Result<Vec<f64>> {
     let bad = |text: String| BadInput(format!("{}: {text}", path.display()));
-    let text = std::fs::read_to_string(path).map_err(|e| bad(e.to_string()))?;
+    let text = files::read_text(path)?;
     let mut sizes = Vec::new();
     for (i, line) in text.lines().enumerate().map(|(i, line)| (i, line.trim())) {
         if line.is_empty() || line.starts_with('#') {
@@ -58,7 +59,7 @@ pub(crate) fn read(path: &Path, input: &Path, mesh: &TriMesh) -> Result<Vec<f64>
 /// Empty lines and lines that begin with `#` are left out.
 pub(crate) fn read_edges(path: &Path, input: &Path, mesh: &TriMesh) -> Result<Vec<[u32; 2]>> {
     let bad = |text: String| BadInput(format!("{}: {text}", path.display()));
-    let text = std::fs::read_to_string(path).map_err(|e| bad(e.to_string()))?;
+    let text = files::read_text(path)?;
     let order = file_order(input, mesh)?;
     let vertices = order.as_ref().map_or(mesh.positions().len(), |o| o.file_vertices);
     // Where the file's vertices are in the surface.
@@ -100,7 +101,7 @@ fn file_order(input: &Path, mesh: &TriMesh) -> Result<Option<Order>> {
     if Format::of_path(input)? != Format::Obj {
         return Ok(None);
     }
-    let bytes = std::fs::read(input).map_err(|e| BadInput(format!("{}: {e}", input.display())))?;
+    let bytes = std::fs::read(input).map_err(|cause| NoInput { path: input.to_owned(), cause })?;
     let (positions, order) = obj_order(&String::from_utf8_lossy(&bytes));
     let found: Option<Vec<&DVec3>> = order.iter().map(|&v| positions.get(v)).collect();
     if found.is_none_or(|found| !found.into_iter().eq(mesh.positions())) {

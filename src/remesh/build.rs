@@ -108,7 +108,7 @@ impl Source<'_> {
         self.token.check()?;
         let repaired = repair::repair(&positions, &dual.triangles, self.token)?;
         if repaired.facets.is_empty() {
-            let too_few = RemeshError::TooFewSeeds { seeds: seeds.len() };
+            let too_few = RemeshError::too_few(seeds.len());
             return Err(if repair::all_cancel(self.surface.welded()) { RemeshError::NoThickness } else { too_few });
         }
         let repair = RepairFigures {
@@ -154,7 +154,7 @@ impl Source<'_> {
         }
         let Draft { positions, facets, vertex_seed, curve_edges, repair, seeds, .. } = draft;
         // All that can be wrong with it is that no facet has an area: seeds on a line.
-        let mesh = TriMesh::new(positions, facets).map_err(|_| RemeshError::TooFewSeeds { seeds })?;
+        let mesh = TriMesh::new(positions, facets).map_err(|_| RemeshError::too_few(seeds))?;
         Ok(Built { mesh, vertex_seed, curve_edges, repair, missed })
     }
 

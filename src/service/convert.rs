@@ -1,20 +1,19 @@
 //! Between messages and the types of the engine.
 //!
 //! Purpose: enums, figures, and arrays as chunks. Invariant: an unknown enum value is an error, never
-//! a default. Must not know: streams, queues.
+//! a default; `None` is what is not specified. Must not know: streams, queues, defaults (`options`).
 
 use glam::DVec3;
 use prost::bytes::Bytes;
 
 use super::RequestError;
 use super::proto::{self, ArrayKind, BackendChoice, CellsChunk, Chunk};
-use crate::config::Limits;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::cvt::{Iteration, Projection, SeedEdit, StepKind};
 use crate::job::session::SeedsWanted;
 use crate::job::{BackendInfo, Wish};
+use crate::remesh::Placement;
 use crate::remesh::report::RvdFigures;
-use crate::remesh::{Placement, Refine};
 use crate::rvd::{BackendKind, PieceBatch};
 
 /// Bytes of data in a chunk that is sent. Small, so that little waits for a slow reader.
@@ -33,18 +32,21 @@ pub(crate) fn wish(value: i32) -> Result<Wish, RequestError> {
     }
 }
 
-pub(crate) fn projection(value: i32) -> Result<Projection, RequestError> {
+pub(crate) fn projection(value: i32) -> Result<Option<Projection>, RequestError> {
     match proto::Projection::try_from(value) {
-        Ok(proto::Projection::Unspecified | proto::Projection::Free) => Ok(Projection::Free),
-        Ok(proto::Projection::OnSurface) => Ok(Projection::OnSurface),
+        Ok(proto::Projection::Unspecified) => Ok(None),
+        Ok(proto::Projection::Free) => Ok(Some(Projection::Free)),
+        Ok(proto::Projection::OnSurface) => Ok(Some(Projection::OnSurface)),
         Err(_) => Err(RequestError::unknown_enum("header.projection", value)),
     }
 }
 
-pub(crate) fn measure(value: i32) -> Result<bool, RequestError> {
+/// Whether shape and distance are measured.
+pub(crate) fn measure(value: i32) -> Result<Option<bool>, RequestError> {
     match proto::Measure::try_from(value) {
-        Ok(proto::Measure::Unspecified | proto::Measure::Full) => Ok(true),
-        Ok(proto::Measure::Topology) => Ok(false),
+        Ok(proto::Measure::Unspecified) => Ok(None),
+        Ok(proto::Measure::Full) => Ok(Some(true)),
+        Ok(proto::Measure::Topology) => Ok(Some(false)),
         Err(_) => Err(RequestError::unknown_enum("header.measure", value)),
     }
 }
@@ -58,41 +60,34 @@ pub(crate) fn seeds_wanted(value: i32, path: &str) -> Result<SeedsWanted, Reques
     }
 }
 
-pub(crate) fn placement(value: i32) -> Result<Placement, RequestError> {
+pub(crate) fn placement(value: i32) -> Result<Option<Placement>, RequestError> {
     match proto::Placement::try_from(value) {
-        Ok(proto::Placement::Unspecified | proto::Placement::Fitted) => Ok(Placement::Fitted),
-        Ok(proto::Placement::Surface) => Ok(Placement::Surface),
-        Ok(proto::Placement::Centroids) => Ok(Placement::Centroids),
+        Ok(proto::Placement::Unspecified) => Ok(None),
+        Ok(proto::Placement::Fitted) => Ok(Some(Placement::Fitted)),
+        Ok(proto::Placement::Surface) => Ok(Some(Placement::Surface)),
+        Ok(proto::Placement::Centroids) => Ok(Some(Placement::Centroids)),
         Err(_) => Err(RequestError::unknown_enum("header.placement", value)),
     }
 }
 
 /// Whether boundaries are kept.
-pub(crate) fn boundaries(value: i32) -> Result<bool, RequestError> {
+pub(crate) fn boundaries(value: i32) -> Result<Option<bool>, RequestError> {
     match proto::BoundaryRule::try_from(value) {
-        Ok(proto::BoundaryRule::Unspecified | proto::BoundaryRule::Keep) => Ok(true),
-        Ok(proto::BoundaryRule::Free) => Ok(false),
+        Ok(proto::BoundaryRule::Unspecified) => Ok(None),
+        Ok(proto::BoundaryRule::Keep) => Ok(Some(true)),
+        Ok(proto::BoundaryRule::Free) => Ok(Some(false)),
         Err(_) => Err(RequestError::unknown_enum("header.boundaries", value)),
     }
 }
 
 /// Whether edges become shorter where the surface is thin.
-pub(crate) fn thin(value: i32) -> Result<bool, RequestError> {
+pub(crate) fn thin(value: i32) -> Result<Option<bool>, RequestError> {
     match proto::ThinRule::try_from(value) {
-        Ok(proto::ThinRule::Unspecified | proto::ThinRule::Finer) => Ok(true),
-        Ok(proto::ThinRule::Even) => Ok(false),
+        Ok(proto::ThinRule::Unspecified) => Ok(None),
+        Ok(proto::ThinRule::Finer) => Ok(Some(true)),
+        Ok(proto::ThinRule::Even) => Ok(Some(false)),
         Err(_) => Err(RequestError::unknown_enum("header.thin", value)),
     }
-}
-
-pub(crate) fn refinement(given: Option<&proto::Refinement>, limits: &Limits) -> Result<Option<Refine>, RequestError> {
-    let Some(&proto::Refinement { tolerance, max_points }) = given else { return Ok(None) };
-    if !(tolerance.is_finite() && tolerance > 0.0) {
-        let text = format!("is {tolerance}; give a distance above 0");
-        return Err(RequestError::field("header.refinement.tolerance", text));
-    }
-    super::limits::within("header.refinement.max_points", max_points, 1, limits.max_seeds)?;
-    Ok(Some(Refine { tolerance, max_points: max_points as usize }))
 }
 
 pub(crate) fn step_kind(value: i32) -> Result<StepKind, RequestError> {
@@ -131,18 +126,6 @@ pub(crate) fn density_kind(
     Ok(source)
 }
 
-/// A density without what it reads per vertex.
-pub(crate) fn density_numbers(density: Option<&proto::DensityOptions>) -> DensityOptions {
-    let usual = DensityOptions::default();
-    let Some(given) = density else { return usual };
-    DensityOptions {
-        edge_length: (given.edge_length != 0.0).then_some(given.edge_length),
-        adaptivity: given.adaptivity.unwrap_or(usual.adaptivity),
-        gradation: given.gradation.unwrap_or(usual.gradation),
-        ..usual
-    }
-}
-
 /// A density whose header was checked, with what was uploaded for it.
 pub(crate) fn density(
     density: Option<&proto::DensityOptions>,
@@ -162,7 +145,7 @@ pub(crate) fn density(
         (_, None, None) => DensitySource::Uniform,
     };
     let max_points = usize::try_from(max_points).unwrap_or(usize::MAX);
-    Ok(DensityOptions { source, max_points, ..density_numbers(density) })
+    Ok(DensityOptions { source, max_points, ..super::options::of_density(density) })
 }
 
 /// What of a diagram is to be sent.

@@ -16,7 +16,7 @@ use super::limits::{self, MeshCounts, SeedCounts};
 use super::proto::{self, ArrayKind, Chunk};
 use super::stream::{Answers, Gate, Inbox, Outbox, respond};
 use super::upload::{Header, Incoming, Upload};
-use super::{Phase, RequestError, convert};
+use super::{Phase, RequestError, convert, options};
 use crate::config::Limits;
 use crate::job::spec::{Input, Prepared};
 use crate::job::{BackendInfo, CancelOnDrop, Engine, JobError, Ticket};

@@ -4,7 +4,7 @@
 //! refused. Must not know: queues, backends.
 
 use super::proto::{DensityOptions, MeshHeader, PositionType, SeedSource, seed_source};
-use super::{RequestError, convert};
+use super::{RequestError, convert, options};
 use crate::config::Limits;
 
 /// A mesh header whose counts are usable.
@@ -96,7 +96,7 @@ pub(crate) fn with_density(
     }
     mesh.edge_lengths = edge_lengths;
     convert::density_kind(density, mesh.weights != 0)?;
-    convert::density_numbers(Some(density)).check().map_err(crate::remesh::RemeshError::from)?;
+    options::of_density(Some(density)).check().map_err(crate::remesh::RemeshError::from)?;
     match source.and_then(|s| s.source) {
         Some(seed_source::Source::Sampled(sampled))
             if sampled.points == 0 && (edge_length != 0.0 || edge_lengths != 0) =>

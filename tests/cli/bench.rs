@@ -180,12 +180,12 @@ fn wrong_usage_is_refused_before_any_work() {
         ("bench cvt --rounds 0", 2),
         ("bench cvt --points 9 --seeds seeds.xyz", 2),
         ("bench cvt --plot out.jpg", 2),
-        ("bench fig3 --plot nowhere/out.png", 2),
+        ("bench fig3 --plot nowhere/out.png", 73),
         ("bench fig3 --time-limit 0", 2),
         ("bench fig3 --seeds seeds.xyz", 2),
         ("bench fig3 --threads 0", 2),
         ("bench fig4 --points 10,x", 2),
-        ("bench fig4 --json nowhere/out.json", 2),
+        ("bench fig4 --json nowhere/out.json", 73),
         ("bench table1 --points 10,20", 2),
         ("bench table1 --facets 10,20", 2),
         ("bench table1 --seeds seeds.xyz", 2),
@@ -193,8 +193,8 @@ fn wrong_usage_is_refused_before_any_work() {
         ("bench table1 --mesh a.ply --facets 10", 2),
         ("bench table1 --published bad.json", 65),
         ("bench table1 --published odd.json", 65),
-        ("bench table1 --published nowhere.json", 65),
-        ("bench cvt --mesh nowhere.ply", 65),
+        ("bench table1 --published nowhere.json", 66),
+        ("bench cvt --mesh nowhere.ply", 66),
     ];
     for (line, code) in lines {
         let out = tessera(folder, line);

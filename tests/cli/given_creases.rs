@@ -65,7 +65,7 @@ fn a_wrong_line_is_named() {
         assert!(said.contains(words) && !at("out.ply").exists(), "{text:?}: {said}");
     }
     let out = remesh(&at("sphere.obj"), &at("nowhere.txt"), &at("out.ply"));
-    assert_eq!(out.status.code(), Some(65), "{}", String::from_utf8_lossy(&out.stderr));
+    assert_eq!(out.status.code(), Some(66), "{}", String::from_utf8_lossy(&out.stderr));
     let out = remesh(&at("sphere.stl"), &at("creases.txt"), &at("out.ply"));
     assert_eq!(out.status.code(), Some(2), "{}", String::from_utf8_lossy(&out.stderr));
 }

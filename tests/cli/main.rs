@@ -9,5 +9,8 @@ mod gpu;
 
 mod bench;
 mod given_creases;
+mod newcomer;
 mod outputs;
 mod picture;
+mod remote;
+mod told;

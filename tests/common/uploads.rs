@@ -80,7 +80,7 @@ fn client(data: &[u8], carried: u8) -> (Vec<u8>, bool) {
         attributes: attributes.clone(),
         mesh: Some(mesh),
         seeds: Some(SeedSource { source: Some(source) }),
-        lloyd_steps: 1,
+        lloyd_steps: Some(1),
         ..RemeshHeader::default()
     };
     let mut out = Vec::new();

@@ -9,6 +9,7 @@ import array
 import json
 import queue
 import struct
+import typing
 
 import google_crc32c
 import grpc
@@ -76,7 +77,19 @@ class Arrays:
         return data
 
 
+class Remesh(typing.NamedTuple):
+    """What `Tessera.remesh` gives."""
+
+    points: list
+    facets: list
+    iterations: list
+    report: dict
+
+
 class Tessera:
+    """Every option is a keyword. One that is None is not sent, and then the server's default holds, which is the
+    command's: 0 is a value like any other."""
+
     def __init__(self, address):
         options = [("grpc.max_receive_message_length", 8 << 20)]
         self.channel = grpc.insecure_channel(address, options=options)
@@ -85,12 +98,18 @@ class Tessera:
     def close(self):
         self.channel.close()
 
-    def rvd(self, points, facets, seeds, timeout=60):
+    def rvd(self, points, facets, seeds=None, *, count=None, random_seed=None, backend=None, weights=None, timeout=60):
         """Cells as a list of (facet, seed, [(x, y, z), ...]), centroids, and the report."""
         outputs = [pb.RVD_OUTPUT_CELLS, pb.RVD_OUTPUT_CENTROIDS]
-        header = pb.ComputeRvdHeader(mesh=mesh(points, facets), seeds=given(seeds), outputs=outputs)
+        header = pb.ComputeRvdHeader(
+            mesh=mesh(points, facets, weights),
+            seeds=source(seeds, count, random_seed),
+            backend=choice("BACKEND_CHOICE", backend),
+            outputs=outputs,
+        )
+        arrays_sent = upload(points, facets, seeds, weights=weights)
         cells, arrays, report = [], Arrays(), None
-        for answer in self.stub.ComputeRvd(self._job(pb.ComputeRvdRequest, header, points, facets, seeds), timeout=timeout):
+        for answer in self.stub.ComputeRvd(self._job(pb.ComputeRvdRequest, header, arrays_sent), timeout=timeout):
             which = answer.WhichOneof("message")
             if which == "cells":
                 cells += list(pieces(answer.cells))
@@ -100,12 +119,68 @@ class Tessera:
                 report = arrays.report(answer.done.report_json)
         return cells, arrays.points(pb.ARRAY_KIND_CENTROIDS), report
 
-    def remesh(self, points, facets, count, lloyd_steps=5, random_seed=0, timeout=60):
-        """Points and facets of the remesh, the iterations, and the report."""
-        sampled = pb.SeedSource(sampled=pb.SampledSeeds(points=count, random_seed=random_seed))
-        header = pb.RemeshHeader(mesh=mesh(points, facets), seeds=sampled, lloyd_steps=lloyd_steps)
+    def remesh(
+        self,
+        points,
+        facets,
+        count=None,
+        *,
+        seeds=None,
+        random_seed=None,
+        backend=None,
+        lloyd_steps=None,
+        newton_steps=None,
+        projection=None,
+        measure=None,
+        crease_angle_deg=None,
+        creases=None,
+        placement=None,
+        boundaries=None,
+        thin=None,
+        tolerance=None,
+        max_points=None,
+        density=None,
+        edge_length=None,
+        edge_lengths=None,
+        weights=None,
+        adaptivity=None,
+        gradation=None,
+        timeout=60,
+    ):
+        """Points and facets of the remesh, the iterations, and the report.
+
+        count: how many points; or give seeds, edge_length or edge_lengths (one a vertex).
+        backend: "auto", "gpu", "parallel", "serial". projection: "free", "on_surface". measure: "topology", "full".
+        placement: "fitted", "surface", "centroids". boundaries: "keep", "free". thin: "finer", "even".
+        density: "uniform", "weights", "edge_lengths", "curvature", "feature_size".
+        creases: pairs of vertices. tolerance: adds points, up to max_points, where the result is farther than that.
+        """
+        header = pb.RemeshHeader(
+            mesh=mesh(points, facets, weights),
+            seeds=source(seeds, count, random_seed),
+            backend=choice("BACKEND_CHOICE", backend),
+            lloyd_steps=lloyd_steps,
+            newton_steps=newton_steps,
+            projection=choice("PROJECTION", projection),
+            measure=choice("MEASURE", measure),
+            crease_angle_deg=crease_angle_deg,
+            creases=counted(creases),
+            placement=choice("PLACEMENT", placement),
+            boundaries=choice("BOUNDARY_RULE", boundaries),
+            thin=choice("THIN_RULE", thin),
+            refinement=message(pb.Refinement, tolerance=tolerance, max_points=max_points),
+            density=message(
+                pb.DensityOptions,
+                source=choice("DENSITY_SOURCE", density),
+                edge_length=edge_length,
+                edge_lengths=counted(edge_lengths),
+                adaptivity=adaptivity,
+                gradation=gradation,
+            ),
+        )
+        arrays_sent = upload(points, facets, seeds, weights=weights, edge_lengths=edge_lengths, creases=creases)
         arrays, iterations, report = Arrays(), [], None
-        for answer in self.stub.Remesh(self._job(pb.RemeshRequest, header, points, facets, []), timeout=timeout):
+        for answer in self.stub.Remesh(self._job(pb.RemeshRequest, header, arrays_sent), timeout=timeout):
             which = answer.WhichOneof("message")
             if which == "iteration":
                 iterations.append(answer.iteration)
@@ -114,14 +189,15 @@ class Tessera:
             elif which == "done":
                 report = arrays.report(answer.done.report_json)
         new_facets = rows(arrays.indices(pb.ARRAY_KIND_FACETS))
-        return arrays.points(pb.ARRAY_KIND_POSITIONS), new_facets, iterations, report
+        return Remesh(arrays.points(pb.ARRAY_KIND_POSITIONS), new_facets, iterations, report)
 
-    def session(self, points, facets, seeds, max_seeds=0):
-        return Session(self, points, facets, seeds, max_seeds)
+    def session(self, points, facets, seeds=None, **options):
+        """An interactive session; the options are those of `Session`."""
+        return Session(self, points, facets, seeds, **options)
 
-    def _job(self, request, header, points, facets, seeds):
+    def _job(self, request, header, arrays):
         yield request(header=header)
-        for chunk in upload(points, facets, seeds):
+        for chunk in arrays:
             yield request(chunk=chunk)
         yield request(finish=pb.Finish())
 
@@ -129,19 +205,52 @@ class Tessera:
 class Session:
     """An interactive CVT session."""
 
-    def __init__(self, client, points, facets, seeds, max_seeds):
+    def __init__(
+        self,
+        client,
+        points,
+        facets,
+        seeds=None,
+        *,
+        count=None,
+        random_seed=None,
+        backend=None,
+        projection=None,
+        max_seeds=None,
+        density=None,
+        edge_length=None,
+        edge_lengths=None,
+        weights=None,
+        adaptivity=None,
+        gradation=None,
+    ):
         self.requests = queue.SimpleQueue()
-        header = pb.CvtHeader(mesh=mesh(points, facets), seeds=given(seeds), max_seeds=max_seeds)
+        header = pb.CvtHeader(
+            mesh=mesh(points, facets, weights),
+            seeds=source(seeds, count, random_seed),
+            backend=choice("BACKEND_CHOICE", backend),
+            projection=choice("PROJECTION", projection),
+            max_seeds=max_seeds,
+            density=message(
+                pb.DensityOptions,
+                source=choice("DENSITY_SOURCE", density),
+                edge_length=edge_length,
+                edge_lengths=counted(edge_lengths),
+                adaptivity=adaptivity,
+                gradation=gradation,
+            ),
+        )
         self.requests.put(pb.CvtRequest(header=header))
-        for chunk in upload(points, facets, seeds):
+        for chunk in upload(points, facets, seeds, weights=weights, edge_lengths=edge_lengths):
             self.requests.put(pb.CvtRequest(chunk=chunk))
         self.requests.put(pb.CvtRequest(start=pb.CvtStart()))
         self.answers = client.stub.Cvt(iter(self.requests.get, None))
         self.backend = next(self.answers).accepted.backend
 
-    def step(self, iterations=1):
-        """Takes steps; returns their figures and the seeds after the last."""
-        step = pb.CvtStep(iterations=iterations, seeds=pb.SEEDS_WANTED_LAST)
+    def step(self, iterations=1, *, kind=None):
+        """Takes steps, "lloyd" or "lbfgs"; returns their figures and the seeds after the last."""
+        kind = choice("STEP_KIND", kind)
+        step = pb.CvtStep(iterations=iterations, kind=kind, seeds=pb.SEEDS_WANTED_LAST)
         self.requests.put(pb.CvtRequest(step=step))
         taken = [next(self.answers).iteration for _ in range(iterations)]
         return taken, self._seeds()
@@ -171,18 +280,42 @@ class Session:
                 return arrays.points(kind)
 
 
-def mesh(points, facets):
-    return pb.MeshHeader(vertices=len(points), facets=len(facets), position_type=pb.POSITION_TYPE_F64)
+def mesh(points, facets, weights=None):
+    kind = pb.POSITION_TYPE_F64
+    return pb.MeshHeader(vertices=len(points), facets=len(facets), position_type=kind, weights=counted(weights))
 
 
-def given(seeds):
-    return pb.SeedSource(uploaded=len(seeds))
+def source(seeds, count, random_seed):
+    """Seeds that are uploaded, or so many that the server draws; None where edge lengths say how many."""
+    if seeds is not None:
+        return pb.SeedSource(uploaded=len(seeds))
+    return pb.SeedSource(sampled=pb.SampledSeeds(points=count, random_seed=random_seed))
 
 
-def upload(points, facets, seeds):
+def choice(enum, name):
+    """One of an enum's values by its name, in any case; None leaves it open."""
+    if name is None:
+        return None
+    return getattr(pb, f"{enum}_{name.upper()}")
+
+
+def counted(values):
+    return None if values is None else len(values)
+
+
+def message(kind, **fields):
+    """A message, or None if none of its fields is given."""
+    given = {name: value for name, value in fields.items() if value is not None}
+    return kind(**given) if given else None
+
+
+def upload(points, facets, seeds=None, *, weights=None, edge_lengths=None, creases=None):
     yield from chunks(pb.ARRAY_KIND_POSITIONS, pack("d", points))
     yield from chunks(pb.ARRAY_KIND_FACETS, pack("I", facets))
-    yield from chunks(pb.ARRAY_KIND_SEEDS, pack("d", seeds))
+    yield from chunks(pb.ARRAY_KIND_SEEDS, pack("d", seeds or []))
+    yield from chunks(pb.ARRAY_KIND_WEIGHTS, pack("d", [weights or []]))
+    yield from chunks(pb.ARRAY_KIND_EDGE_LENGTHS, pack("d", [edge_lengths or []]))
+    yield from chunks(pb.ARRAY_KIND_CREASES, pack("I", creases or []))
 
 
 def pieces(cells):

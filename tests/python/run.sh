@@ -4,7 +4,7 @@
 # Makes a virtual environment and the stubs below a temporary folder, and removes it.
 set -eu
 
-server=${1:?usage: run.sh path/to/tessera}
+server=$(realpath "${1:?usage: run.sh path/to/tessera}")
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
 work=$(mktemp -d)
@@ -31,7 +31,7 @@ until grep -q '^tessera listens on ' "$work/out"; do
 done
 address=$(sed -n 's/^tessera listens on //p' "$work/out")
 
-PYTHONPATH="$work/stubs:$here" "$work/venv/bin/python" "$here/test_client.py" "$address" || {
+PYTHONPATH="$work/stubs:$here" "$work/venv/bin/python" "$here/test_client.py" "$address" "$server" || {
     cat "$work/log" >&2
     exit 1
 }

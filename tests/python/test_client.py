@@ -1,10 +1,18 @@
 """Promise: a foreign client (grpcio) can do everything the service offers.
 
-Run by run.sh, which makes the stubs and starts a server: test_client.py ADDRESS
+Also: what it leaves open is what the command leaves open, and it has a keyword for every option.
+
+Run by run.sh, which makes the stubs and starts a server: test_client.py ADDRESS PROGRAM
 """
 
+import inspect
+import json
 import math
+import pathlib
+import re
+import subprocess
 import sys
+import tempfile
 
 import grpc
 from tessera.v1 import remesh_pb2 as pb
@@ -36,7 +44,90 @@ def polygon_area(polygon):
     return sum(0.5 * cross_norm(polygon[0], polygon[k - 1], polygon[k]) for k in range(2, len(polygon)))
 
 
-def main(address):
+# Each field of a header, the client's keyword for it, and the command's option. None: it has none.
+FIELDS = {
+    "mesh.vertices": ("points", None),
+    "mesh.facets": ("facets", None),
+    "mesh.position_type": (None, None),
+    "mesh.weights": ("weights", None),
+    "seeds.uploaded": ("seeds", None),
+    "seeds.sampled.points": ("count", "points"),
+    "seeds.sampled.random_seed": ("random_seed", "seed"),
+    "backend": ("backend", "backend"),
+    "lloyd_steps": ("lloyd_steps", "lloyd"),
+    "newton_steps": ("newton_steps", "newton"),
+    "projection": ("projection", "projection"),
+    "measure": ("measure", None),
+    "crease_angle_deg": ("crease_angle_deg", "crease-angle"),
+    "creases": ("creases", "creases"),
+    "placement": ("placement", "placement"),
+    "boundaries": ("boundaries", "boundaries"),
+    "thin": ("thin", "thin"),
+    "refinement.tolerance": ("tolerance", "max-deviation"),
+    "refinement.max_points": ("max_points", "max-points"),
+    "density.source": ("density", "density"),
+    "density.edge_length": ("edge_length", "edge-length"),
+    "density.edge_lengths": ("edge_lengths", "sizes"),
+    "density.adaptivity": ("adaptivity", "adaptivity"),
+    "density.gradation": ("gradation", "gradation"),
+    "max_seeds": ("max_seeds", None),
+    "outputs": (None, None),
+    # What a surface carries is left to clients that need it.
+    "attributes": (None, "no-attributes"),
+}
+# Options of the command that are no business of a server.
+LOCAL = "output overwrite report picture picture-size view up colour gpu-software threads endpoint quiet json log-format help"
+
+
+def fields(message, before=""):
+    """Paths of a message's fields, those of messages within it included."""
+    for field in message.fields:
+        path = before + field.name
+        if field.message_type and field.name not in ("attributes",):
+            yield from fields(field.message_type, path + ".")
+        else:
+            yield path
+
+
+def every_option_has_a_keyword(program):
+    for header, call in [
+        (pb.RemeshHeader, tessera.Tessera.remesh),
+        (pb.ComputeRvdHeader, tessera.Tessera.rvd),
+        (pb.CvtHeader, tessera.Session.__init__),
+    ]:
+        wanted = {FIELDS[path][0] for path in fields(header.DESCRIPTOR)} - {None}
+        keywords = inspect.signature(call).parameters
+        assert wanted == set(keywords) - {"self", "client", "timeout"}, header.DESCRIPTOR.name
+        options = wanted - {"points", "facets"}
+        assert all(keywords[name].default is None for name in options), "an option is not set unless somebody sets it"
+    text = subprocess.run([program, "remesh", "--help"], check=True, capture_output=True, text=True).stdout
+    found = set(re.findall(r"^ +(?:-\w, )?--([a-z-]+)", text, re.MULTILINE))
+    options = {FIELDS[path][1] for path in fields(pb.RemeshHeader.DESCRIPTOR)} - {None}
+    assert found == options | set(LOCAL.split()), found ^ (options | set(LOCAL.split()))
+
+
+def the_command_gives_the_same(program, points, facets, count, remeshed):
+    """Bit for bit, where neither sets an option."""
+    with tempfile.TemporaryDirectory() as folder:
+        folder = pathlib.Path(folder)
+        lines = [f"OFF {len(points)} {len(facets)} 0"]
+        lines += [" ".join(repr(x) for x in p) for p in points] + ["3 " + " ".join(map(str, f)) for f in facets]
+        (folder / "in.off").write_text("\n".join(lines) + "\n")
+        line = [program, "remesh", "in.off", "-o", "out.off", "--points", str(count), "--json"]
+        out = subprocess.run(line, cwd=folder, check=True, capture_output=True, text=True).stdout
+        words = (folder / "out.off").read_text().split()
+    vertices = int(words[1])
+    numbers = [float(x) for x in words[4 : 4 + 3 * vertices]]
+    assert [tuple(numbers[i : i + 3]) for i in range(0, len(numbers), 3)] == remeshed.points
+    mine, its = json.loads(out), remeshed.report
+    for block in ("result", "features", "density", "final", "converged", "seed"):
+        assert mine[block] == its[block], block
+    assert len(mine["iterations"]) == len(its["iterations"]) > 5
+
+
+def main(address, program):
+    every_option_has_a_keyword(program)
+    print("options: each has a keyword")
     client = tessera.Tessera(address)
     points, facets = torus()
     area = sum(0.5 * cross_norm(*(points[v] for v in f)) for f in facets)
@@ -49,12 +140,28 @@ def main(address):
     assert report["rvd"]["pairs"] == len(cells)
     print(f"rvd: {len(cells)} pieces by {report['backend']}")
 
-    new_points, new_facets, iterations, report = client.remesh(points, facets, 400)
+    remeshed = client.remesh(points, facets, 400)
+    new_points, new_facets, iterations, report = remeshed
     edges = {tuple(sorted((f[k], f[(k + 1) % 3]))) for f in new_facets for k in range(3)}
     assert len(new_points) - len(edges) + len(new_facets) == 0, "a torus stays a torus"
     assert iterations[-1].energy < iterations[0].energy
     assert report["result"]["non_manifold_edges"] == 0
+    assert report["result"]["q_avg"] > 0.88, "as good as the command's"
     print(f"remesh: {len(new_points)} vertices, E/E_hex {iterations[-1].energy_ratio:.4f}")
+    the_command_gives_the_same(program, points, facets, 400, remeshed)
+    print("defaults: the command's")
+
+    plain = client.remesh(points, facets, 200, lloyd_steps=0, newton_steps=0, measure="topology", crease_angle_deg=0)
+    assert not plain.iterations and "q_avg" not in plain.report["result"], "0 is not the default"
+    even = client.remesh(points, facets, 200, lloyd_steps=1, newton_steps=2, seeds=None, random_seed=7, backend="serial",
+                         projection="on_surface", placement="surface", boundaries="free", thin="even", adaptivity=0.5,
+                         gradation=0.2, density="curvature")
+    assert len(even.iterations) == 3 and even.report["seed"] == 7 and even.report["backend"] == "serial"
+    lengths = client.remesh(points, facets, edge_lengths=[0.15] * len(points), lloyd_steps=2, newton_steps=0)
+    assert lengths.report["density"]["source"] == "sizes" and len(lengths.points) > 200
+    close = client.remesh(points, facets, 100, lloyd_steps=2, newton_steps=0, tolerance=0.02)
+    assert 100 < len(close.points) <= 210, "twice as many unless somebody says otherwise"
+    print("options: heard")
 
     session = client.session(points, facets, seeds, max_seeds=len(seeds) + 1)
     taken, moved = session.step(3)
@@ -78,4 +185,4 @@ def main(address):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

@@ -182,7 +182,7 @@ fn given_seeds_are_the_vertices() {
     ));
     assert!(matches!(
         run(&mesh, &RemeshOptions { seeds: Seeds::Given(seeds[..2].to_vec()), ..options(0, 0) }, &Serial),
-        Err(RemeshError::TooFewSeeds { seeds: 2 })
+        Err(RemeshError::TooFewSeeds { seeds: 2, .. })
     ));
 }
 
@@ -322,7 +322,7 @@ fn surfaces_without_thickness() {
 #[test]
 fn too_few_seeds_for_the_topology_are_said_to_be() {
     let mesh = Shape::Genus(3).build(3000);
-    assert!(matches!(run(&mesh, &options(12, 5), &Serial), Err(RemeshError::TooFewSeeds { seeds: 12 })));
+    assert!(matches!(run(&mesh, &options(12, 5), &Serial), Err(RemeshError::TooFewSeeds { seeds: 12, .. })));
     for (points, euler) in [(16, None), (24, None), (40, Some(-4))] {
         let out = run(&mesh, &options(points, 5), &Serial).unwrap();
         let (repair, after) = (&out.report.result.repair, topology(&out.mesh));

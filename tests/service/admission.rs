@@ -99,7 +99,7 @@ async fn a_long_report_comes_in_chunks() {
         mesh: Some(mesh_header(&points, &facets)),
         seeds: uploaded(seeds.len()),
         backend: BackendChoice::Serial.into(),
-        lloyd_steps: STEPS,
+        lloyd_steps: Some(STEPS),
         measure: Measure::Topology.into(),
         ..RemeshHeader::default()
     };

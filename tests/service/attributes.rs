@@ -32,7 +32,8 @@ fn request(attributes: Vec<AttributeHeader>, arrays: Vec<Chunk>) -> Vec<RemeshRe
     let header = RemeshHeader {
         mesh: Some(mesh_header(&points, &facets)),
         seeds: uploaded(seeds.len()),
-        lloyd_steps: 2,
+        lloyd_steps: Some(2),
+        newton_steps: Some(0),
         measure: Measure::Topology.into(),
         // Off the surface a linear field is not that of the place.
         placement: Placement::Surface.into(),

@@ -17,7 +17,8 @@ fn header(points: u64, density: DensityOptions) -> RemeshHeader {
     RemeshHeader {
         mesh: Some(mesh_header(&vertices, &facets)),
         seeds: Some(SeedSource { source: Some(seed_source::Source::Sampled(sampled)) }),
-        lloyd_steps: 2,
+        lloyd_steps: Some(2),
+        newton_steps: Some(0),
         measure: Measure::Topology.into(),
         density: Some(density),
         ..RemeshHeader::default()

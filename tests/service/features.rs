@@ -26,8 +26,8 @@ fn header((points, facets): &Mesh, count: u64) -> RemeshHeader {
     RemeshHeader {
         mesh: Some(mesh_header(points, facets)),
         seeds: Some(SeedSource { source: Some(seed_source::Source::Sampled(sampled)) }),
-        lloyd_steps: 2,
-        newton_steps: 4,
+        lloyd_steps: Some(2),
+        newton_steps: Some(4),
         measure: Measure::Topology.into(),
         ..RemeshHeader::default()
     }
@@ -91,9 +91,9 @@ async fn quasi_newton_steps_are_taken_and_reported() {
     assert_eq!(all.kinds, ["lloyd", "lloyd", "lbfgs", "lbfgs", "lbfgs", "lbfgs"]);
     assert_eq!(all.report["iterations"].as_array().unwrap().len(), 6);
     assert!(all.creases.is_empty(), "a sphere has no curves");
-    let none = RemeshHeader { newton_steps: 0, ..header(&mesh, 60) };
+    let none = RemeshHeader { newton_steps: Some(0), ..header(&mesh, 60) };
     assert_eq!(remesh(&mut client, &mesh, none, &[]).await.unwrap().kinds, ["lloyd", "lloyd"]);
-    let many = RemeshHeader { newton_steps: 400, ..header(&mesh, 20) };
+    let many = RemeshHeader { newton_steps: Some(400), ..header(&mesh, 20) };
     let many = remesh(&mut client, &mesh, many, &[]).await.unwrap();
     assert!(many.done.converged && many.kinds.len() < 402, "{}", many.kinds.len());
     server.stop().await.unwrap();
@@ -236,7 +236,7 @@ async fn refinement_adds_seeds() {
     let mut client = server.client().await;
     let mesh = sphere(4);
     let wish = |tolerance, max_points| RemeshHeader {
-        refinement: Some(Refinement { tolerance, max_points }),
+        refinement: Some(Refinement { tolerance, max_points: Some(max_points) }),
         ..header(&mesh, 50)
     };
     let out = remesh(&mut client, &mesh, wish(0.02, 800), &[]).await.unwrap();
@@ -275,13 +275,13 @@ async fn unknown_choices_and_too_many_steps_are_refused_by_field() {
         (
             RemeshHeader {
                 placement: Placement::Surface.into(),
-                refinement: Some(Refinement { tolerance: 0.1, max_points: 100 }),
+                refinement: Some(Refinement { tolerance: 0.1, max_points: Some(100) }),
                 ..good.clone()
             },
             "header.refinement",
         ),
-        (RemeshHeader { newton_steps: 11, ..good.clone() }, "header.newton_steps"),
-        (RemeshHeader { newton_steps: u32::MAX, ..good.clone() }, "header.newton_steps"),
+        (RemeshHeader { newton_steps: Some(11), ..good.clone() }, "header.newton_steps"),
+        (RemeshHeader { newton_steps: Some(u32::MAX), ..good.clone() }, "header.newton_steps"),
     ] {
         let status = remesh(&mut client, &mesh, wish, &[]).await.err().unwrap();
         assert_eq!(field(&status), path, "{status:?}");

@@ -58,7 +58,8 @@ async fn remesh_gives_a_closed_surface_and_a_report() {
     let header = RemeshHeader {
         mesh: Some(mesh_header(&points, &facets)),
         seeds: uploaded(seeds.len()),
-        lloyd_steps: 3,
+        lloyd_steps: Some(3),
+        newton_steps: Some(0),
         measure: Measure::Topology.into(),
         ..RemeshHeader::default()
     };

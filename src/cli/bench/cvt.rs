@@ -15,7 +15,7 @@ use super::measure::{Load, Timed, Worker, mesh, token};
 use super::output::{OutputArgs, Spread, head, ratio, report};
 use crate::cli::files;
 use crate::cli::remesh::DensityArg;
-use crate::config::BackendArgs;
+use crate::config::{BackendArgs, count, whole};
 use crate::cvt::StepKind;
 use crate::cvt::density::DensityOptions;
 use crate::mesh::TriMesh;
@@ -32,25 +32,25 @@ pub(super) struct CvtBenchArgs {
     mesh: Option<PathBuf>,
     /// Facets of the torus.
     #[arg(long, value_name = "N", default_value_t = 20_000, conflicts_with = "mesh",
-          value_parser = clap::value_parser!(u32).range(1..))]
+          value_parser = count)]
     facets: u32,
     /// Seeds to draw.
-    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = count)]
     points: u32,
     /// Random seed of the points.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
     seed: u64,
     /// The seeds, `x y z` a line, instead.
     #[arg(long, value_name = "FILE.xyz", conflicts_with = "points")]
     seeds: Option<PathBuf>,
     /// Lloyd steps before anything is timed; two more steps of each kind warm up.
-    #[arg(long, value_name = "N", default_value_t = 20)]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = whole::<u32>)]
     relax: u32,
     /// Steps of each kind that are timed.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = count)]
     iterations: u32,
     /// Times that they are timed, in turn. Ratios are the middle ones of the rounds'.
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = count)]
     rounds: u32,
     /// Compare adaptive seeds of this density with uniform ones: on the surface as it is, and with those facets halved that
     /// are for this density, where it changes fast beside them or they are much longer than the edges it asks for.
@@ -120,7 +120,7 @@ pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
         Measured { name, load, rounds, all }
     };
     let measured: Vec<Measured> = loads.into_iter().zip(rounds).map(of).collect();
-    measured.iter().for_each(|m| m.print(&worker));
+    measured.iter().try_for_each(|m| m.print(&worker))?;
     let cases = measured.iter().flat_map(|m| m.all.each_ref().map(|timed| timed.json(&m.load, &worker)));
     let mut report = report(std::slice::from_ref(&worker), cases.collect());
     let evaluations = measured.iter().map(|m| (m.name.clone(), json!(m.evaluation_ratio())));
@@ -129,7 +129,7 @@ pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
     // Of these two or three, the second is adaptive.
     for (key, uniform) in [("adaptive_per_uniform", 0), ("adaptive_per_uniform_on_its_facets", 2)] {
         if let (Some(adaptive), Some(uniform)) = (measured.get(1), measured.get(uniform)) {
-            report[key] = adaptive.compared_with(uniform);
+            report[key] = adaptive.compared_with(uniform)?;
         }
     }
     args.output.write(&report, &figure(&measured, &worker))
@@ -143,22 +143,22 @@ impl Measured {
     }
 
     /// How much longer its steps take than those of another, as printed.
-    fn compared_with(&self, other: &Self) -> Value {
+    fn compared_with(&self, other: &Self) -> Result<Value> {
         let kinds = ["lloyd", "lbfgs"].into_iter().enumerate().map(|(k, kind)| {
             let of = |ms: fn(&Timed) -> Spread| {
                 middle(self.rounds.iter().zip(&other.rounds).map(|(a, b)| ratio(ms(&a[k]).mean, ms(&b[k]).mean)))
             };
             let (step, evaluation) = (of(Timed::step_ms), of(Timed::evaluation_ms));
             let text = |r: Option<f64>| r.map_or("-".to_owned(), |r| format!("{r:.2}"));
-            println!("{} : {}, {kind}: step {}, evaluation {}", self.name, other.name, text(step), text(evaluation));
-            (kind.to_owned(), json!({ "iteration": step, "evaluation": evaluation }))
+            outln!("{} : {}, {kind}: step {}, evaluation {}", self.name, other.name, text(step), text(evaluation))?;
+            Ok((kind.to_owned(), json!({ "iteration": step, "evaluation": evaluation })))
         });
-        kinds.collect::<serde_json::Map<_, _>>().into()
+        Ok(kinds.collect::<Result<serde_json::Map<_, _>>>()?.into())
     }
 
-    fn print(&self, worker: &Worker) {
+    fn print(&self, worker: &Worker) -> Result<()> {
         let Self { name, load, rounds, all: [lloyd, lbfgs] } = self;
-        println!(
+        outln!(
             "{}, {}: {} facets{}, {} points; {}; {} steps of each kind in {} rounds after {}; phases by {}",
             load.name,
             name,
@@ -173,14 +173,14 @@ impl Measured {
             rounds.len(),
             load.relaxed,
             worker.phases_by(),
-        );
-        println!("{}", head());
+        )?;
+        outln!("{}", head())?;
         for (timed, name) in [(lloyd, "Lloyd"), (lbfgs, "L-BFGS")] {
-            println!("{}", timed.step_ms().row(&format!("{name} step")));
-            println!("{}", timed.evaluation_ms().row(&format!("{name} evaluation")));
+            outln!("{}", timed.step_ms().row(&format!("{name} step")))?;
+            outln!("{}", timed.evaluation_ms().row(&format!("{name} evaluation")))?;
             if worker.phases_by() != "none" {
                 for (phase, spread) in &timed.phases() {
-                    println!("{}", spread.row(&format!("  {phase}")));
+                    outln!("{}", spread.row(&format!("  {phase}")))?;
                 }
             }
             let per_step = timed.evaluations() as f64 / timed.steps.len().max(1) as f64;
@@ -188,26 +188,30 @@ impl Measured {
                 0 => String::new(),
                 n => format!(", {n} steps failed and were Lloyd's"),
             };
-            println!("  {per_step:.2} evaluations a step{fallbacks}; E / E_hex ends at {:.4}", timed.energy_ratio);
+            outln!("  {per_step:.2} evaluations a step{fallbacks}; E / E_hex ends at {:.4}", timed.energy_ratio)?;
             if worker.gpu.is_some() {
                 let most = timed.device();
                 let all: u64 = timed.steps.iter().map(|s| s.stats.device_submissions).sum();
-                println!("  {:.2} submissions a step", all as f64 / timed.steps.len().max(1) as f64);
-                println!(
+                outln!("  {:.2} submissions a step", all as f64 / timed.steps.len().max(1) as f64)?;
+                outln!(
                     "  at most {} submissions, {} allocations, {} bytes up and {} bytes back a step",
-                    most.device_submissions, most.device_allocations, most.uploaded_bytes, most.read_back_bytes
-                );
+                    most.device_submissions,
+                    most.device_allocations,
+                    most.uploaded_bytes,
+                    most.read_back_bytes
+                )?;
             }
         }
         if let Some(longest) = worker.gpu.as_ref().and_then(|gpu| gpu.longest_passes()) {
             let PhasesMs { neighbours, start, clip, update } = longest;
-            println!(
+            outln!(
                 "longest passes of the device: neighbours {neighbours:.1} ms, start {start:.1}, clip {clip:.1}, update {update:.1}"
-            );
+            )?;
         }
         if let Some(ratio) = self.evaluation_ratio() {
-            println!("an evaluation, L-BFGS : Lloyd = {ratio:.3}");
+            outln!("an evaluation, L-BFGS : Lloyd = {ratio:.3}")?;
         }
+        Ok(())
     }
 }
 

@@ -13,11 +13,12 @@ use serde_json::{Value, json};
 
 use super::measure::{Load, Worker, mesh, token};
 use super::output::{OutputArgs, report, slopes};
-use crate::config::BackendArgs;
+use crate::cli::shape::parse_facets;
+use crate::config::{BackendArgs, count, whole};
 use crate::cvt::StepKind;
 use crate::cvt::density::DensityOptions;
 use crate::mesh::TriMesh;
-use crate::mesh::shapes::{MAX_FACETS, Shape};
+use crate::mesh::shapes::Shape;
 use crate::picture::chart::{Axis, Figure, Panel, Series};
 use crate::remesh::Seeds;
 use crate::token::Token;
@@ -30,30 +31,30 @@ pub(super) struct Fig3Args {
     mesh: Option<PathBuf>,
     /// Facets of the torus.
     #[arg(long, value_name = "N", default_value_t = 20_000, conflicts_with = "mesh",
-          value_parser = clap::value_parser!(u32).range(1..))]
+          value_parser = count)]
     facets: u32,
     /// Points of the times against facets.
-    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = count)]
     points: u32,
     /// The most points: 20, 50, 100, 200 and so on up to it.
-    #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = count)]
     max_points: u32,
     /// The most facets: 3000, 6000, 12000, 25000, 50000, 100000 and so on up to it, of a torus.
     #[arg(long, value_name = "N", default_value_t = 100_000,
-          value_parser = clap::value_parser!(u32).range(1..=MAX_FACETS as i64))]
+          value_parser = facet_count)]
     max_facets: u32,
     /// Seconds for one case of one backend. When they are over, three steps are enough, and the backend is left out
     /// of larger cases.
     #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = seconds)]
     time_limit: f64,
     /// Random seed of the points.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
     seed: u64,
     /// Lloyd steps before anything is timed; two more of each backend warm up.
-    #[arg(long, value_name = "N", default_value_t = 20)]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = whole::<u32>)]
     relax: u32,
     /// Lloyd steps that are timed.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = count)]
     iterations: u32,
     /// Who works: auto measures all that are there.
     #[command(flatten)]
@@ -89,7 +90,7 @@ pub(super) fn run(args: &Fig3Args) -> Result<()> {
     let token = token()?;
     let mut workers = Worker::all(&args.backend)?;
     workers.iter_mut().try_for_each(Worker::keep_time)?;
-    workers.iter().for_each(|worker| println!("{}", worker.describe()));
+    workers.iter().try_for_each(|worker| outln!("{}", worker.describe()))?;
     let runner = Runner { args, workers: &workers, token: &token };
     let title = format!("{}, {} facets", fixed.0, fixed.1.facets().len());
     let points = counts(&[20, 50, 100, 200, 500], 10, args.max_points);
@@ -108,6 +109,10 @@ pub(super) fn run(args: &Fig3Args) -> Result<()> {
 }
 
 /// These, and the last of them or the pattern of the first ones times `factor` and so on, up to `most`, which is the last.
+fn facet_count(text: &str) -> Result<u32, String> {
+    parse_facets(text).map(|facets| facets as u32)
+}
+
 fn counts(first: &[u32], factor: u32, most: u32) -> Vec<u32> {
     let mut all: Vec<u64> = first.iter().map(|&n| u64::from(n)).collect();
     // With a factor of 10 the pattern is that of one decade, with 2 only the last number goes on.
@@ -139,9 +144,9 @@ impl Runner<'_> {
         let mut lines = vec![Vec::new(); workers.len()];
         let (mut cases, mut left_out) = (Vec::new(), Vec::new());
         let mut able = vec![true; workers.len()];
-        println!("{title}: milliseconds per Lloyd step, means");
+        outln!("{title}: milliseconds per Lloyd step, means")?;
         let heads: String = workers.iter().map(|w| format!("{:>14}", w.name())).collect();
-        println!("{over:<12}{heads}");
+        outln!("{over:<12}{heads}")?;
         for &n in counts {
             let Some(first) = able.iter().position(|able| *able) else {
                 left_out.extend(workers.iter().map(|w| json!({ "backend": w.name(), "over": over, over: n })));
@@ -168,26 +173,27 @@ impl Runner<'_> {
                 case["over"] = over.into();
                 cases.push(case);
             }
-            println!("{line}");
+            outln!("{line}")?;
         }
         let sweep = Sweep { over, title, lines, cases, left_out };
-        sweep.print_slopes(workers);
+        sweep.print_slopes(workers)?;
         Ok(sweep)
     }
 }
 
 impl Sweep {
-    fn print_slopes(&self, workers: &[Worker]) {
+    fn print_slopes(&self, workers: &[Worker]) -> Result<()> {
         for (worker, line) in workers.iter().zip(&self.lines) {
             let slopes: Vec<String> =
                 slopes(line).iter().map(|(from, to, slope)| format!("{slope:.2} from {from} to {to}")).collect();
             if !slopes.is_empty() {
-                println!("slope of log time over log {}, {}: {}", self.over, worker.name(), slopes.join(", "));
+                outln!("slope of log time over log {}, {}: {}", self.over, worker.name(), slopes.join(", "))?;
             }
         }
         if !self.left_out.is_empty() {
-            println!("{} cases are left out: the one before took longer than --time-limit", self.left_out.len());
+            outln!("{} cases are left out: the one before took longer than --time-limit", self.left_out.len())?;
         }
+        Ok(())
     }
 
     fn slopes(&self, workers: &[Worker]) -> Vec<Value> {

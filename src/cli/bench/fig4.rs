@@ -11,7 +11,7 @@ use clap::Args;
 
 use super::measure::{Load, Worker, mesh, token};
 use super::output::{OutputArgs, report};
-use crate::config::BackendArgs;
+use crate::config::{BackendArgs, count, whole};
 use crate::cvt::StepKind;
 use crate::cvt::density::DensityOptions;
 use crate::mesh::shapes::Shape;
@@ -26,20 +26,20 @@ pub(super) struct Fig4Args {
     mesh: Option<PathBuf>,
     /// Facets of the torus.
     #[arg(long, value_name = "N", default_value_t = 20_000, conflicts_with = "mesh",
-          value_parser = clap::value_parser!(u32).range(1..))]
+          value_parser = count)]
     facets: u32,
     /// Numbers of seeds to draw.
-    #[arg(long, value_name = "N,N,...", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..),
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',', value_parser = count,
           default_value = "1000,2000,3000,4000,5000,6000,7000,8000,9000")]
     points: Vec<u32>,
     /// Random seed of the points.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
     seed: u64,
     /// Lloyd steps before anything is timed; two more of each backend warm up.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole::<u32>)]
     relax: u32,
     /// Lloyd steps that are timed.
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = count)]
     iterations: u32,
     /// Who works: auto measures all that are there.
     #[command(flatten)]
@@ -58,10 +58,10 @@ pub(super) fn run(args: &Fig4Args) -> Result<()> {
     let token = token()?;
     let mut workers = Worker::all(&args.backend)?;
     workers.iter_mut().try_for_each(Worker::keep_time)?;
-    workers.iter().for_each(|worker| println!("{}", worker.describe()));
-    println!("{title}, seconds; milliseconds per step, means");
+    workers.iter().try_for_each(|worker| outln!("{}", worker.describe()))?;
+    outln!("{title}, seconds; milliseconds per step, means")?;
     let heads: String = workers.iter().map(|w| format!("{:>12} s{:>9} ms", w.name(), "")).collect();
-    println!("{:<10}{heads}", "points");
+    outln!("{:<10}{heads}", "points")?;
     let mut lines = vec![Vec::new(); workers.len()];
     let mut cases = Vec::new();
     for &points in &args.points {
@@ -77,7 +77,7 @@ pub(super) fn run(args: &Fig4Args) -> Result<()> {
             lines[k].push((f64::from(points), timed.total_ms / 1e3));
             cases.push(timed.json(&load, worker));
         }
-        println!("{line}");
+        outln!("{line}")?;
     }
     let series = workers.iter().zip(lines).map(|(worker, points)| Series { name: worker.describe(), points }).collect();
     let panel = Panel {

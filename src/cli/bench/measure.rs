@@ -75,7 +75,7 @@ impl Worker {
         let mut workers = Vec::new();
         match backends::open_gpu(args) {
             Ok(gpu) => workers.push(Self::on_gpu(gpu)),
-            Err(reason) => eprintln!("tessera: no GPU is measured: {reason}"),
+            Err(reason) => errln!("tessera: no GPU is measured: {reason}"),
         }
         for backend in [BackendArg::Parallel, BackendArg::Serial] {
             workers.push(Self::one(&BackendArgs { backend, ..args.clone() })?);

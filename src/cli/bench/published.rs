@@ -9,6 +9,7 @@ use anyhow::Result;
 use serde::{Deserialize, Serialize};
 
 use crate::cli::exit::BadInput;
+use crate::cli::files;
 
 /// One row of the table, milliseconds.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -43,7 +44,7 @@ impl Published {
     /// Reads a file.
     pub(super) fn read(path: &Path) -> Result<Self> {
         let bad = |text: String| BadInput(format!("{}: {text}", path.display()));
-        let text = std::fs::read_to_string(path).map_err(|e| bad(e.to_string()))?;
+        let text = files::read_text(path)?;
         let published: Self = serde_json::from_str(&text).map_err(|e| {
             bad(format!(
                 "{e}; it should be {{\"source\": \"...\", \"rows\": [{{\"mesh\": \"bunny\", \"gpu_ms\": 1.5, ...}}]}}"

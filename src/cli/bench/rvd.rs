@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use super::measure::{Load, Worker, mesh, token};
 use super::output::{OutputArgs, Spread, head, report};
 use crate::cli::files;
-use crate::config::BackendArgs;
+use crate::config::{BackendArgs, count, whole};
 use crate::mesh::shapes::Shape;
 use crate::picture::chart::{Axis, Figure, Panel, Series};
 use crate::remesh::Seeds;
@@ -31,22 +31,22 @@ pub(super) struct RvdBenchArgs {
     mesh: Option<PathBuf>,
     /// Facets of the torus.
     #[arg(long, value_name = "N", default_value_t = 20_000, conflicts_with = "mesh",
-          value_parser = clap::value_parser!(u32).range(1..))]
+          value_parser = count)]
     facets: u32,
     /// Seeds to draw.
-    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = count)]
     points: u32,
     /// Random seed of the points.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
     seed: u64,
     /// The seeds, `x y z` a line, instead.
     #[arg(long, value_name = "FILE.xyz", conflicts_with = "points")]
     seeds: Option<PathBuf>,
     /// Lloyd steps before anything is timed.
-    #[arg(long, value_name = "N", default_value_t = 20)]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = whole::<u32>)]
     relax: u32,
     /// Lloyd steps that are timed, and passes of each way of adding.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = count)]
     iterations: u32,
     /// Who works.
     #[command(flatten)]
@@ -114,7 +114,7 @@ pub(super) fn run(args: &RvdBenchArgs) -> Result<()> {
         None => None,
     };
     let case = Case { name, surface, points: seeds.len(), steps, adding, tuning: options.tuning };
-    case.print(args, &worker);
+    case.print(args, &worker)?;
     args.output.write(&report(std::slice::from_ref(&worker), vec![case.json(args)]), &case.figure(&worker))
 }
 
@@ -196,8 +196,8 @@ impl Case {
         ])
     }
 
-    fn print(&self, args: &RvdBenchArgs, worker: &Worker) {
-        println!(
+    fn print(&self, args: &RvdBenchArgs, worker: &Worker) -> Result<()> {
+        outln!(
             "{}: {} facets, {} points; {}; {} iterations after {}",
             self.name,
             self.surface.facets().len(),
@@ -205,22 +205,23 @@ impl Case {
             worker.describe(),
             args.iterations,
             args.relax
-        );
+        )?;
         let total = self.total();
-        println!(
+        outln!(
             "{:.1} pairs an iteration, {} relaunched and {} finished in f64 in all",
             total.pairs as f64 / self.steps.len() as f64,
             total.relaunched(),
             total.f64_finished
-        );
-        println!("{}", head());
+        )?;
+        outln!("{}", head())?;
         for (name, spread) in &self.phases() {
-            println!("{}", spread.row(name));
+            outln!("{}", spread.row(name))?;
         }
-        println!("{}", Spread::of(self.steps.iter().map(|s| s.ms)).row("iteration"));
+        outln!("{}", Spread::of(self.steps.iter().map(|s| s.ms)).row("iteration"))?;
         for (name, spread, share) in self.adding().iter().flatten() {
-            println!("{}   {:>5.1} % of it is adding", spread.row(name), share * 100.0);
+            outln!("{}   {:>5.1} % of it is adding", spread.row(name), share * 100.0)?;
         }
+        Ok(())
     }
 
     fn figure(&self, worker: &Worker) -> Figure {

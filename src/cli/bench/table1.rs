@@ -15,7 +15,7 @@ use super::output::{OutputArgs, ratio, report};
 use super::published::Published;
 use crate::cli::exit::Usage;
 use crate::cli::files;
-use crate::config::BackendArgs;
+use crate::config::{BackendArgs, count, whole};
 use crate::cvt::StepKind;
 use crate::cvt::density::DensityOptions;
 use crate::mesh::shapes::Shape;
@@ -29,23 +29,23 @@ pub(super) struct Table1Args {
     #[arg(long, value_name = "FILE")]
     mesh: Vec<PathBuf>,
     /// Seeds to draw: one number for all models, or one for each; 10000 a file, 15000,20000,50000 otherwise.
-    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = count)]
     points: Vec<u32>,
     /// The seeds of the one --mesh, `x y z` a line, instead.
     #[arg(long, value_name = "FILE.xyz", conflicts_with = "points", requires = "mesh")]
     seeds: Option<PathBuf>,
     /// Facets of the models that are not files: one number for all, or one for each [default: 20000,69000,100000]
     #[arg(long, value_name = "N", value_delimiter = ',', conflicts_with = "mesh",
-          value_parser = clap::value_parser!(u32).range(1..))]
+          value_parser = count)]
     facets: Vec<u32>,
     /// Random seed of the points.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
     seed: u64,
     /// Lloyd steps before anything is timed; two more of each backend warm up.
-    #[arg(long, value_name = "N", default_value_t = 20)]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = whole::<u32>)]
     relax: u32,
     /// Lloyd steps that are timed.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = count)]
     iterations: u32,
     /// Figures to put beside: {"source": "...", "rows": [{"mesh", "facets", "points", "gpu_ms", "serial_ms",
     /// "parallel_ms"}]}. Rows go by the name of the model; a figure may be missing.
@@ -95,9 +95,9 @@ pub(super) fn run(args: &Table1Args) -> Result<()> {
     let token = token()?;
     let mut workers = Worker::all(&args.backend)?;
     workers.iter_mut().try_for_each(Worker::keep_time)?;
-    workers.iter().for_each(|worker| println!("{}", worker.describe()));
-    println!("milliseconds per Lloyd step, {} after {}; means", args.iterations, args.relax);
-    println!("{}", head_line());
+    workers.iter().try_for_each(|worker| outln!("{}", worker.describe()))?;
+    outln!("milliseconds per Lloyd step, {} after {}; means", args.iterations, args.relax)?;
+    outln!("{}", head_line())?;
     let mut rows: Vec<Row> = Vec::new();
     for model in &models {
         let seeds = match &given {
@@ -115,10 +115,10 @@ pub(super) fn run(args: &Table1Args) -> Result<()> {
             times.push((worker.name(), timed));
         }
         let row = Row { load, times };
-        println!("{}", row.line(&published));
+        outln!("{}", row.line(&published))?;
         rows.push(row);
     }
-    close(&published, &rows);
+    close(&published, &rows)?;
     let cases = rows.iter().flat_map(|row| row.times.iter().zip(&workers).map(|((_, t), w)| t.json(&row.load, w)));
     let mut report = report(&workers, cases.collect());
     report["rows"] = rows.iter().map(|row| row.json(&published)).collect::<Vec<_>>().into();
@@ -214,23 +214,24 @@ fn said(row: &super::published::Row) -> String {
 }
 
 /// What the publication has beside, and where its figures are from.
-fn close(published: &Published, rows: &[Row]) {
+fn close(published: &Published, rows: &[Row]) -> Result<()> {
     if published.rows.is_empty() {
-        println!("published figures: {NOT_AT_HAND}; --published FILE.json puts them beside");
-        return;
+        outln!("published figures: {NOT_AT_HAND}; --published FILE.json puts them beside")?;
+        return Ok(());
     }
     let measured = |mesh: &str| rows.iter().any(|row| row.load.name.eq_ignore_ascii_case(mesh));
     for row in published.rows.iter().filter(|row| !measured(&row.mesh)) {
         let count = |n: Option<u64>| n.map_or("-".to_owned(), |n| n.to_string());
-        println!(
+        outln!(
             "{:<16}{:>9}{:>9}   not measured; published: {}",
             row.mesh,
             count(row.facets),
             count(row.points),
             said(row)
-        );
+        )?;
     }
-    println!("published figures: {}", if published.source.is_empty() { "no source given" } else { &published.source });
+    outln!("published figures: {}", if published.source.is_empty() { "no source given" } else { &published.source })?;
+    Ok(())
 }
 
 fn figure(rows: &[Row], published: &Published) -> Figure {

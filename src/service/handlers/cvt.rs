@@ -8,7 +8,6 @@ use std::sync::Arc;
 use super::super::proto::{CvtDone, CvtEdit, CvtEdited, CvtHeader, CvtRequest, CvtResponse, CvtStep};
 use super::super::proto::{cvt_request as request, cvt_response as response};
 use super::*;
-use crate::cvt::CvtOptions;
 use crate::job::Timed;
 use crate::job::session::{CvtSession, SeedsWanted};
 use crate::job::spec::Prepared;
@@ -20,7 +19,7 @@ impl Header for CvtHeader {
 
     fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
         convert::wish(self.backend)?;
-        convert::projection(self.projection)?;
+        options::of_cvt(self)?;
         let (mesh, seeds) =
             limits::with_density(self.mesh.as_ref(), self.seeds.as_ref(), self.density.as_ref(), limits)?;
         if self.max_seeds != 0 {
@@ -61,8 +60,7 @@ pub(super) async fn handle(
     let _place = shared.gate.admit_session()?;
     let Admitted { header, seeds, uploaded, ticket } = upload(&shared, &mut inbox, split).await?;
     let wish = convert::wish(header.backend)?;
-    let options =
-        CvtOptions { projection: convert::projection(header.projection)?, max_seeds: header.max_seeds as usize };
+    let options = options::of_cvt(&header)?;
     let token = shared.engine.token();
     let (prepared, _share) = prepare(&shared, seeds, uploaded, header.density, Prepared::for_steps, &token).await?;
     let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, ticket)?;

@@ -13,8 +13,7 @@ use super::super::proto::{remesh_request as request, remesh_response as response
 use super::*;
 use crate::cvt::Iteration;
 use crate::job::{Place, Retry, Timed};
-use crate::mesh::features::FeatureError;
-use crate::remesh::{Observer, Placement, Remesh, RemeshError, RemeshOptions};
+use crate::remesh::{Observer, Remesh};
 
 /// Progress that waits for the client.
 const EVENTS: usize = 256;
@@ -26,23 +25,9 @@ impl Header for RemeshHeader {
 
     fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
         convert::wish(self.backend)?;
-        convert::projection(self.projection)?;
-        convert::measure(self.measure)?;
-        limits::within("header.lloyd_steps", self.lloyd_steps.into(), 0, limits.max_iterations.into())?;
-        limits::within("header.newton_steps", self.newton_steps.into(), 0, limits.max_iterations.into())?;
-        let placement = convert::placement(self.placement)?;
-        if self.refinement.is_some() && placement != Placement::Fitted {
-            return Err(JobError::from(RemeshError::RefineUnfitted).into());
-        }
-        convert::boundaries(self.boundaries)?;
-        convert::thin(self.thin)?;
-        convert::refinement(self.refinement.as_ref(), limits)?;
-        if !(0.0..=180.0).contains(&self.crease_angle_deg.unwrap_or_default()) {
-            let error = FeatureError::BadAngle(self.crease_angle_deg.unwrap_or_default());
-            return Err(JobError::from(RemeshError::from(error)).into());
-        }
         let density = self.density.as_ref();
         let (mut mesh, seeds) = limits::with_density(self.mesh.as_ref(), self.seeds.as_ref(), density, limits)?;
+        options::check_remesh(self, seeds, limits)?;
         limits::within("header.creases", self.creases, 0, 3 * mesh.facets)?;
         mesh.creases = self.creases;
         Ok((mesh, seeds))
@@ -100,23 +85,9 @@ pub(super) async fn handle(
     let (limits, density) = (shared.limits, header.density);
     let token = shared.engine.token();
     let work = move |token: &Token| input(seeds, uploaded, density.as_ref(), &limits, token);
-    let (Input { mesh, density, seeds, creases, attributes }, mut share) = apart(&shared, &token, work).await?;
-    let announced = header.attributes.clone();
-    let options = RemeshOptions {
-        lloyd: header.lloyd_steps as usize,
-        newton: header.newton_steps as usize,
-        crease_angle_deg: header.crease_angle_deg.unwrap_or(RemeshOptions::CREASE_ANGLE_DEG),
-        creases,
-        placement: convert::placement(header.placement)?,
-        keep_boundaries: convert::boundaries(header.boundaries)?,
-        keep_thin: convert::thin(header.thin)?,
-        refine: convert::refinement(header.refinement.as_ref(), &shared.limits)?,
-        density,
-        projection: convert::projection(header.projection)?,
-        measure: convert::measure(header.measure)?,
-        attributes,
-        ..RemeshOptions::new(seeds)
-    };
+    let (input, mut share) = apart(&shared, &token, work).await?;
+    let (mesh, options) = options::of_remesh(&header, input, &limits)?;
+    let announced = header.attributes;
     let (events, mut heard) = mpsc::channel(EVENTS);
     let mut pending = shared.engine.submit_as(token, Place::Kept, Retry::Anew, move |backends, turn| {
         turn.token.check()?;

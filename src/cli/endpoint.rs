@@ -1,0 +1,115 @@
+//! The address of a server, as `--endpoint` takes it.
+//!
+//! Invariant: a [`ServerUrl`] is `http://HOST:PORT` and nothing else. What is refused is refused before any work, with
+//! what to write instead; above all https, which would else be sent in clear text. Must not know: connections.
+
+use std::fmt;
+use std::str::FromStr;
+
+use tonic::transport::Uri;
+
+/// Where a server is: `http://HOST:PORT`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ServerUrl(String);
+
+impl ServerUrl {
+    /// As a URL.
+    pub(crate) fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for ServerUrl {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// An example, for who has to write it anew.
+const EXAMPLE: &str = "http://127.0.0.1:50051";
+
+impl FromStr for ServerUrl {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let Some((scheme, rest)) = text.split_once("://") else {
+            return Err(format!("the address begins with http://; write it as http://{text}, for example {EXAMPLE}"));
+        };
+        if scheme.eq_ignore_ascii_case("https") || scheme.eq_ignore_ascii_case("grpcs") {
+            return Err(format!(
+                "there is no TLS yet, and the surface would be sent in clear text; on a network that you trust write \
+                 http://{rest}, or else reach the server through a tunnel such as ssh -L"
+            ));
+        }
+        if !scheme.eq_ignore_ascii_case("http") {
+            return Err(format!("{scheme}:// is not known; the address begins with http://, for example {EXAMPLE}"));
+        }
+        let (place, path) = rest.split_at(rest.find(['/', '?', '#']).unwrap_or(rest.len()));
+        if !matches!(path, "" | "/") {
+            return Err(format!("the address ends with the port; write http://{place} without {path}"));
+        }
+        if place.contains('@') {
+            return Err("names and passwords are not sent; leave out what stands before @".to_owned());
+        }
+        if place.is_empty() || place.starts_with(':') && !place[1..].contains(':') {
+            return Err(format!("the host is missing; an example is {EXAMPLE}"));
+        }
+        if place.matches(':').count() > 1 && !place.starts_with('[') {
+            return Err(format!(
+                "an address of IPv6 stands in brackets, as http://[::1]:50051; {EXAMPLE} is one of IPv4"
+            ));
+        }
+        let uri: Uri = format!("http://{place}").parse().map_err(|e| format!("{e}; an example is {EXAMPLE}"))?;
+        match (uri.host(), uri.port_u16()) {
+            (None | Some(""), _) | (Some(_), None | Some(0)) => {
+                Err(format!("the port is missing or no number from 1 to 65535; an example is {EXAMPLE}"))
+            }
+            (Some(_), Some(_)) => Ok(Self(format!("http://{place}"))),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_host_and_a_port_are_taken() {
+        for text in ["http://127.0.0.1:50051", "HTTP://localhost:1", "http://[::1]:50051/", "http://a.example:65535"] {
+            let url: ServerUrl = text.parse().unwrap();
+            assert!(tonic::transport::Endpoint::from_shared(url.to_string()).is_ok(), "{url}");
+        }
+    }
+
+    #[test]
+    fn what_is_refused_says_what_to_write() {
+        for (text, words) in [
+            ("https://127.0.0.1:50051", "no TLS yet"),
+            ("HTTPS://host:1/x", "no TLS yet"),
+            ("grpcs://host:1", "no TLS yet"),
+            ("grpc://host:1", "begins with http://"),
+            ("unix:///run/socket", "begins with http://"),
+            ("127.0.0.1:50051", "http://127.0.0.1:50051"),
+            ("localhost:50051", "http://localhost:50051"),
+            ("[::1]:50051", "http://[::1]:50051"),
+            ("", "http://127.0.0.1:50051"),
+            ("http://", "host is missing"),
+            ("http://:50051", "http://127.0.0.1:50051"),
+            ("http://host", "port is missing"),
+            ("http://host:", "port is missing"),
+            ("http://host:0", "port is missing"),
+            ("http://host:65536", "http://127.0.0.1:50051"),
+            ("http://host:http", "http://127.0.0.1:50051"),
+            ("http://host:1/v1/remesh", "without /v1/remesh"),
+            ("http://host:1?a=b", "without ?a=b"),
+            ("http://host:1#top", "without #top"),
+            ("http://user:pass@host:1", "before @"),
+            ("http://user@host:1", "before @"),
+            ("http://ho st:1", "http://127.0.0.1:50051"),
+            ("http://::1:50051", "http://127.0.0.1:50051"),
+        ] {
+            let refused = ServerUrl::from_str(text).unwrap_err();
+            assert!(refused.contains(words), "{text:?}: {refused}");
+        }
+    }
+}

@@ -1,0 +1,329 @@
+//! `tessera remesh`'s options, and what they say to the library.
+//!
+//! Invariant: every default is read from [`RemeshOptions::usual`], so that the command, the library and the service
+//! cannot differ. Must not know: who does the work, files but those that options name.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use clap::{ArgGroup, Args, ValueEnum};
+
+use crate::cli::endpoint::ServerUrl;
+use crate::cli::exit::{BadInput, Usage};
+use crate::cli::picture::PictureArgs;
+use crate::cli::say::SayArgs;
+use crate::cli::sizes;
+use crate::config::{BackendArgs, count, whole};
+use crate::cvt::Projection;
+use crate::cvt::density::{DensityOptions, DensitySource};
+use crate::mesh::TriMesh;
+use crate::mesh::attributes::Attributes;
+use crate::mesh::features::Features;
+use crate::remesh::{Placement, Refine, RemeshOptions, Seeds};
+use crate::token::Token;
+
+/// `tessera remesh`'s options.
+#[derive(Args, Debug)]
+#[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "edge_length", "sizes"])))]
+pub(crate) struct RemeshArgs {
+    /// The surface: .obj, .ply, .stl or .off.
+    pub(super) input: PathBuf,
+    #[command(flatten)]
+    pub(super) files: FileArgs,
+    #[command(flatten)]
+    pub(super) size: SizeArgs,
+    #[command(flatten)]
+    pub(super) shape: ShapeArgs,
+    #[command(flatten)]
+    pub(super) steps: StepArgs,
+    #[command(flatten, next_help_heading = "Picture")]
+    pub(super) picture: PictureArgs,
+    #[command(flatten, next_help_heading = "Who works")]
+    pub(super) backend: BackendArgs,
+    /// Let a server do the work, e.g. http://127.0.0.1:50051.
+    #[arg(long, value_name = "URL", help_heading = "Who works")]
+    pub(super) endpoint: Option<ServerUrl>,
+    #[command(flatten, next_help_heading = "What is said")]
+    pub(super) say: SayArgs,
+}
+
+/// What is written.
+#[derive(Args, Debug)]
+#[command(next_help_heading = "Files")]
+pub(super) struct FileArgs {
+    /// Where the remesh goes; the extension is the format. A file that is there is replaced once the remesh is whole.
+    #[arg(short, long, value_name = "OUTPUT")]
+    pub(super) output: PathBuf,
+    /// Let the output replace the input.
+    #[arg(long)]
+    pub(super) overwrite: bool,
+    /// Write the report there, as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    pub(super) report: Option<PathBuf>,
+    /// Leave aside normals, texture coordinates, colours and scalars of the input.
+    #[arg(long)]
+    pub(super) no_attributes: bool,
+}
+
+/// How many points, and where edges are short and where long.
+#[derive(Args, Debug)]
+#[command(next_help_heading = "Size (--points, --edge-length or --sizes is required)")]
+pub(super) struct SizeArgs {
+    /// Number of seeds, about the number of vertices of the result.
+    #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true, conflicts_with = "edge_length")]
+    pub(super) points: Option<u32>,
+    /// Length of the edges, in the input's units, instead of --points. If --density is not uniform: as many points
+    /// as edges of this length everywhere would need.
+    #[arg(long, value_name = "H", value_parser = positive, conflicts_with = "sizes", allow_negative_numbers = true)]
+    pub(super) edge_length: Option<f64>,
+    /// File with the length of the edges at each vertex of the input, one number a line in the order of the
+    /// input's vertices. With --points only the ratios are kept.
+    #[arg(long, value_name = "FILE")]
+    pub(super) sizes: Option<PathBuf>,
+    /// Where short edges go.
+    #[arg(long, value_enum, default_value_t, conflicts_with = "sizes")]
+    density: DensityArg,
+    /// The most that edge lengths grow per distance.
+    #[arg(long, value_name = "G", default_value_t = DensityOptions::default().gradation, value_parser = positive)]
+    #[arg(allow_negative_numbers = true)]
+    gradation: f64,
+    /// 0 for edges of one length, 1 for lengths as --density or --sizes says.
+    #[arg(long, value_name = "A", default_value_t = DensityOptions::default().adaptivity)]
+    #[arg(allow_negative_numbers = true)]
+    adaptivity: f64,
+    /// Add points where a vertex of the input is farther than this from the remesh, in percent of the bounding
+    /// box's diagonal; for --placement fitted.
+    #[arg(long, value_name = "PERCENT", value_parser = positive, allow_negative_numbers = true)]
+    pub(super) max_deviation: Option<f64>,
+    /// The most points that --max-deviation may come to; twice --points if not given.
+    #[arg(long, value_name = "N", requires = "max_deviation", value_parser = count)]
+    max_points: Option<u32>,
+}
+
+/// What becomes of creases, boundaries and thin parts.
+#[derive(Args, Debug)]
+#[command(next_help_heading = "Shape of the result")]
+pub(super) struct ShapeArgs {
+    /// Edges bent by more than this are creases that the remesh keeps; 0 keeps none.
+    #[arg(long, value_name = "DEGREES", default_value_t = RemeshOptions::usual().crease_angle_deg)]
+    #[arg(value_parser = angle, allow_negative_numbers = true)]
+    crease_angle: f64,
+    /// File with edges that are creases whatever their angle: the numbers of two vertices of the input a line, from 0.
+    #[arg(long, value_name = "FILE")]
+    pub(super) creases: Option<PathBuf>,
+    /// What happens to the boundaries of an open surface.
+    #[arg(long, value_enum, default_value_t = BoundariesArg::of(RemeshOptions::usual().keep_boundaries))]
+    boundaries: BoundariesArg,
+    /// What happens where the surface is too thin for edges as long as elsewhere.
+    #[arg(long, value_enum, default_value_t = ThinArg::of(RemeshOptions::usual().keep_thin))]
+    thin: ThinArg,
+    /// Where the vertices of the remesh go.
+    #[arg(long, value_enum, default_value_t = PlacementArg::of(RemeshOptions::usual().placement))]
+    pub(super) placement: PlacementArg,
+}
+
+/// How seeds move.
+#[derive(Args, Debug)]
+#[command(next_help_heading = "Steps")]
+pub(super) struct StepArgs {
+    /// Lloyd steps.
+    #[arg(long, value_name = "N", default_value_t = RemeshOptions::usual().lloyd as u32, value_parser = whole::<u32>)]
+    lloyd: u32,
+    /// Quasi-Newton (L-BFGS) steps after them, at most; they end when converged.
+    #[arg(long, value_name = "N", default_value_t = RemeshOptions::usual().newton as u32, value_parser = whole::<u32>)]
+    newton: u32,
+    /// Where seeds go after each step. They end on the surface either way.
+    #[arg(long, value_enum, default_value_t = ProjectionArg::of(RemeshOptions::usual().projection))]
+    projection: ProjectionArg,
+    /// Random seed of the first points.
+    #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
+    seed: u64,
+}
+
+/// Where short edges go.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum DensityArg {
+    /// Edges of one length.
+    #[default]
+    Uniform,
+    /// Where the surface bends.
+    Curvature,
+    /// Where the surface is thin, hollow or sharp: local feature size.
+    Lfs,
+}
+
+impl DensityArg {
+    /// The same, for the library.
+    pub(crate) fn source(self) -> DensitySource {
+        match self {
+            Self::Uniform => DensitySource::Uniform,
+            Self::Curvature => DensitySource::Curvature,
+            Self::Lfs => DensitySource::FeatureSize,
+        }
+    }
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
+        _ => Err("a finite number above 0 is needed".to_owned()),
+    }
+}
+
+fn angle(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if (0.0..=180.0).contains(&number) => Ok(number),
+        _ => Err("an angle from 0 to 180 is needed".to_owned()),
+    }
+}
+
+/// What happens to boundaries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum BoundariesArg {
+    /// They get vertices of their own and stay where they are.
+    Keep,
+    /// The rim settles where the cells end, about half an edge inside.
+    Free,
+}
+
+impl BoundariesArg {
+    fn of(keep: bool) -> Self {
+        if keep { Self::Keep } else { Self::Free }
+    }
+}
+
+/// What happens where the surface is thin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ThinArg {
+    /// Edges become shorter there, so that horns, fingers, strips and bridges stay. Not if --sizes says how long they are.
+    Finer,
+    /// Edges are as long as elsewhere; what is too thin for them may be missing.
+    Even,
+}
+
+impl ThinArg {
+    fn of(keep: bool) -> Self {
+        if keep { Self::Finer } else { Self::Even }
+    }
+}
+
+/// Where seeds go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ProjectionArg {
+    /// Where the step takes them, near the surface.
+    Free,
+    /// To the closest point of the surface; a quasi-Newton step then begins without a history.
+    Surface,
+}
+
+impl ProjectionArg {
+    fn of(projection: Projection) -> Self {
+        match projection {
+            Projection::Free => Self::Free,
+            Projection::OnSurface => Self::Surface,
+        }
+    }
+
+    fn projection(self) -> Projection {
+        match self {
+            Self::Free => Projection::Free,
+            Self::Surface => Projection::OnSurface,
+        }
+    }
+}
+
+/// Where vertices go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum PlacementArg {
+    /// Where the facets between them are nearest to the input in the mean.
+    Fitted,
+    /// On the input surface.
+    Surface,
+    /// To the centroids of their cells.
+    Centroids,
+}
+
+impl PlacementArg {
+    fn of(placement: Placement) -> Self {
+        match placement {
+            Placement::Fitted => Self::Fitted,
+            Placement::Surface => Self::Surface,
+            Placement::Centroids => Self::Centroids,
+        }
+    }
+
+    pub(super) fn placement(self) -> Placement {
+        match self {
+            Self::Fitted => Placement::Fitted,
+            Self::Surface => Placement::Surface,
+            Self::Centroids => Placement::Centroids,
+        }
+    }
+}
+
+impl SizeArgs {
+    /// What the options say of `mesh`, which was read from `input`.
+    fn density(&self, input: &Path, mesh: &TriMesh) -> Result<DensityOptions> {
+        let source = match (&self.sizes, self.density) {
+            (Some(path), _) => DensitySource::Sizes(sizes::read(path, input, mesh)?),
+            (None, density) => density.source(),
+        };
+        let (edge_length, gradation, adaptivity) = (self.edge_length, self.gradation, self.adaptivity);
+        let density = DensityOptions { edge_length, gradation, adaptivity, ..DensityOptions::from_source(source) };
+        density.check().map_err(|error| Usage(error.to_string()))?;
+        Ok(density)
+    }
+
+    /// Whether points are added, and how many.
+    fn refine(&self, mesh: &TriMesh) -> Result<Option<Refine>> {
+        let Some(percent) = self.max_deviation else { return Ok(None) };
+        let (low, high) = mesh.bounds();
+        let extent = (high - low).max_element();
+        let diagonal = ((high - low) / extent).length() * extent;
+        let tolerance = percent / 100.0 * diagonal;
+        match (self.points, self.max_points) {
+            (Some(points), Some(most)) if most < points => {
+                Err(Usage(format!("--max-points {most} is less than --points {points}")).into())
+            }
+            (_, Some(most)) => Ok(Some(Refine { tolerance, max_points: most as usize })),
+            (Some(points), None) => Ok(Some(Refine::new(tolerance, points as usize))),
+            (None, None) => Err(Usage("--max-deviation without --points needs --max-points".to_owned()).into()),
+        }
+    }
+}
+
+impl RemeshArgs {
+    /// What the arguments say of `mesh`, which carries `attributes`.
+    pub(crate) fn options(&self, mesh: &TriMesh, attributes: Option<Attributes>) -> Result<RemeshOptions> {
+        let Self { input, size, shape, steps, .. } = self;
+        let ShapeArgs { crease_angle, ref creases, boundaries, thin, placement } = *shape;
+        let StepArgs { lloyd, newton, projection, seed } = *steps;
+        let density = size.density(input, mesh)?;
+        let refine = size.refine(mesh)?;
+        let creases = creases.as_ref().map(|path| {
+            let edges = sizes::read_edges(path, input, mesh)?;
+            // Before a server is asked.
+            Features::check(mesh, crease_angle, &edges, &Token::default())
+                .map_err(|e| BadInput(format!("{}: {e} (numbers of the surface as it was read)", path.display())))?;
+            Ok::<_, anyhow::Error>(edges)
+        });
+        Ok(RemeshOptions {
+            seeds: match size.points {
+                Some(points) => Seeds::Sample { points: points as usize, seed },
+                None => Seeds::Implied { seed },
+            },
+            lloyd: lloyd as usize,
+            newton: newton as usize,
+            density,
+            projection: projection.projection(),
+            placement: placement.placement(),
+            crease_angle_deg: crease_angle,
+            creases: creases.transpose()?.unwrap_or_default(),
+            refine,
+            keep_boundaries: boundaries == BoundariesArg::Keep,
+            keep_thin: thin == ThinArg::Finer,
+            measure: RemeshOptions::usual().measure,
+            attributes,
+        })
+    }
+}

@@ -1,0 +1,165 @@
+//! What a person wants to know at the end of a remesh.
+//!
+//! Invariant: read from the report's JSON, so that a remesh of a server is told as one that was made here. Must not
+//! know: how the figures came about.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::cli::exit::NotWritten;
+
+/// A remesh that is to be told of.
+pub(super) struct Told<'a> {
+    pub(super) report: &'a Value,
+    pub(super) input: &'a Path,
+    pub(super) output: &'a Path,
+    /// The server that made it.
+    pub(super) endpoint: Option<&'a str>,
+    /// Whether it was said how far the result may be.
+    pub(super) bounded: bool,
+    /// All that the command took.
+    pub(super) total_ms: f64,
+}
+
+impl Told<'_> {
+    /// Prints it.
+    pub(super) fn print(&self) -> Result<(), NotWritten> {
+        self.lines().iter().try_for_each(|text| outln!("{text}"))
+    }
+
+    fn lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        self.who(&mut lines);
+        self.surfaces(&mut lines);
+        self.steps(&mut lines);
+        self.quality(&mut lines);
+        self.costs(&mut lines);
+        lines
+    }
+
+    fn who(&self, lines: &mut Vec<String>) {
+        let by = text(self.at("/adapter"), "CPU");
+        let at = self.endpoint.map(|url| format!(", at {url}")).unwrap_or_default();
+        let (backend, threads) = (text(self.at("/backend"), "?"), self.count("/threads"));
+        lines.push(format!("backend     {backend} ({by}), {threads} threads{at}"));
+    }
+
+    fn surfaces(&self, lines: &mut Vec<String>) {
+        let surface = |at: &str| {
+            let [vertices, facets] = ["vertices", "facets"].map(|what| self.count(&format!("{at}/{what}")));
+            format!("{vertices} vertices, {facets} facets, χ {}", self.at(&format!("{at}/euler")))
+        };
+        lines.push(format!("input       {}: {}", self.input.display(), surface("/input")));
+        let mut note = |count: u64, what: &str| {
+            if count > 0 {
+                lines.push(format!("            {count} {what}"));
+            }
+        };
+        note(
+            self.count("/input/stitched_vertices"),
+            "vertices of its boundaries were nearly in the same place as others and moved there",
+        );
+        note(self.count("/input/spare_facets"), "facets lay on others, corner on corner, and were left out");
+        note(self.count("/input/turned_facets"), "facets were oriented unlike their neighbours and turned over");
+        lines.push(format!("result      {}: {}", self.output.display(), surface("/result")));
+        let given_up = self.count("/features/given_up");
+        if given_up > 0 && self.count("/features/creases") == 0 {
+            let what = if self.count("/features/boundaries") == 0 { " and boundaries" } else { "" };
+            lines.push(format!(
+                "            {given_up} creases{what} were given up: they are too close together for so few points"
+            ));
+        }
+        let [without, further] =
+            ["seeds_without_vertex", "further_vertices"].map(|what| self.count(&format!("/result/repair/{what}")));
+        if without + further > 0 {
+            lines.push(format!(
+                "            {without} points have no vertex, {further} vertices share one: the surface is thin there"
+            ));
+        }
+    }
+
+    fn steps(&self, lines: &mut Vec<String>) {
+        if let Some((steps, last)) = self.at("/iterations").as_array().and_then(|all| Some((all.len(), all.last()?))) {
+            let ratio = number(&last["energy_ratio"]);
+            lines.push(format!("iterations  {steps}, E/E_hex before the last {ratio:.5}"));
+        }
+        let edge = |which: &str| self.at(&format!("/density/edge_{which}")).as_f64();
+        if let (Some(least), Some(median), Some(largest)) = (edge("least"), edge("median"), edge("largest")) {
+            let source = text(self.at("/density/source"), "?");
+            lines.push(format!("lengths     {source}: target {least:.4e} to {largest:.4e}, median {median:.4e}"));
+        }
+        if self.count("/refine/thin_rounds") > 0 {
+            lines.push("            shorter where the surface is too thin for others".to_owned());
+        }
+        let [pairs, again, empty] =
+            ["pairs", "relaunched_pairs", "empty_cells"].map(|what| self.count(&format!("/rvd/{what}")));
+        lines.push(format!("pairs       {pairs}, launched again {again}, empty cells {empty}"));
+    }
+
+    fn quality(&self, lines: &mut Vec<String>) {
+        let q = |what: &str| number(self.at(&format!("/result/{what}")));
+        if self.at("/result/q_min").is_number() {
+            lines.push(format!(
+                "quality     Q min {:.4}, mean {:.4}; angle min {:.2}°, mean {:.2}°",
+                q("q_min"),
+                q("q_avg"),
+                q("theta_min_deg"),
+                q("theta_avg_deg")
+            ));
+            let (under, valence) = (q("under_30_percent"), q("v567_percent"));
+            lines.push(format!("            under 30° {under:.2} %; valence 5-7 {valence:.2} %"));
+            let (hausdorff, rms) = (q("hausdorff_percent"), q("rms_percent"));
+            lines.push(format!("distance    Hausdorff {hausdorff:.4} %, RMS {rms:.4} % of the diagonal"));
+        }
+        let [rim, edges, vertices] = ["boundary_edges", "non_manifold_edges", "non_manifold_vertices"]
+            .map(|what| self.count(&format!("/result/{what}")));
+        lines.push(format!(
+            "topology    {rim} boundary edges, {edges} non-manifold edges, {vertices} non-manifold vertices"
+        ));
+        let changes = self.at("/topology_changes").as_array().map(Vec::as_slice).unwrap_or_default();
+        if !changes.is_empty() {
+            let odd = self.count("/input/non_manifold_edges") + self.count("/input/non_manifold_vertices");
+            let why = if odd > 0 { "the input is no manifold, as the result is" } else { "more points keep more" };
+            let changes: Vec<&str> = changes.iter().filter_map(Value::as_str).collect();
+            lines.push(format!("changed     {}; {why}", changes.join(", ")));
+        }
+        let (added, missed) = (self.count("/refine/added_seeds"), self.count("/refine/missed"));
+        if added > 0 {
+            lines.push(format!("added       {added} points, where the result was too far from the input"));
+        }
+        if self.bounded && missed > 0 {
+            lines.push(format!(
+                "missed      {missed} places are still farther than asked; more --max-points bring more"
+            ));
+        }
+    }
+
+    fn costs(&self, lines: &mut Vec<String>) {
+        if let Some(bytes) = self.at("/memory/host_peak_bytes").as_u64() {
+            let device = self.count("/memory/device_bytes") >> 20;
+            lines.push(format!("memory      {} MiB, {device} MiB on the device", bytes >> 20));
+        }
+        let total = self.total_ms;
+        let there = number(self.at("/timings_ms/total"));
+        let of_it = self.endpoint.map(|_| format!(", {there:.0} ms of it at work on the server")).unwrap_or_default();
+        lines.push(format!("time        {total:.0} ms{of_it}"));
+    }
+
+    fn at(&self, pointer: &str) -> &Value {
+        self.report.pointer(pointer).unwrap_or(&Value::Null)
+    }
+
+    /// A count; 0 where an older server says nothing of it.
+    fn count(&self, pointer: &str) -> u64 {
+        self.at(pointer).as_u64().unwrap_or(0)
+    }
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or(f64::NAN)
+}
+
+fn text<'a>(value: &'a Value, none: &'a str) -> &'a str {
+    value.as_str().unwrap_or(none)
+}

@@ -1,0 +1,83 @@
+//! What is said at the shell: lines on the standard output and the standard error stream.
+//!
+//! Invariant: whoever stops listening ends nothing. A closed pipe is passed over in silence, so that work which
+//! writes files still ends and writes them; any other failure of the standard output is an error, since the
+//! output was the result. Nothing else in the program prints. Must not know: what is said.
+
+use std::fmt;
+use std::io::{self, ErrorKind, Write};
+
+use clap::Args;
+
+use super::exit::NotWritten;
+
+/// How much is said.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub(crate) struct SayArgs {
+    /// Say nothing but warnings and errors: no progress and no summary.
+    #[arg(long, short)]
+    pub(crate) quiet: bool,
+    /// Print the report on the standard output, as JSON, and nothing else there.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+impl SayArgs {
+    /// Whether a summary is printed for people.
+    pub(crate) fn summary(&self) -> bool {
+        !self.quiet && !self.json
+    }
+}
+
+/// A line on the standard output. See [`line`].
+macro_rules! outln {
+    ($($text:tt)*) => { $crate::cli::say::line(format_args!($($text)*)) };
+}
+
+/// A line on the standard error stream. See [`note`].
+macro_rules! errln {
+    ($($text:tt)*) => { $crate::cli::say::note(format_args!($($text)*)) };
+}
+
+/// Writes a line to the standard output.
+///
+/// # Errors
+/// [`NotWritten`], but for a pipe that nobody reads any more.
+pub(crate) fn line(text: fmt::Arguments<'_>) -> Result<(), NotWritten> {
+    let mut out = io::stdout().lock();
+    heard(out.write_fmt(text).and_then(|()| out.write_all(b"\n")).and_then(|()| out.flush()))
+}
+
+/// Writes a line to the standard error stream. There is nobody to tell if that fails.
+pub(crate) fn note(text: fmt::Arguments<'_>) {
+    // As one piece, so that lines of several writers do not mix.
+    let _ = io::stderr().write_all(format!("{text}\n").as_bytes());
+}
+
+fn heard(written: io::Result<()>) -> Result<(), NotWritten> {
+    match written {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(NotWritten(format!("cannot write to the standard output: {error}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Writes a report to the standard output.
+///
+/// # Errors
+/// As [`line`].
+pub(crate) fn json(report: &serde_json::Value) -> Result<(), NotWritten> {
+    line(format_args!("{report:#}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_closed_pipe_is_no_error() {
+        assert!(heard(Err(ErrorKind::BrokenPipe.into())).is_ok());
+        assert!(heard(Err(ErrorKind::StorageFull.into())).is_err());
+    }
+}

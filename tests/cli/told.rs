@@ -1,0 +1,137 @@
+//! Promise: progress and summaries are where they belong, and whoever stops listening ends nothing.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use tessera::mesh::io;
+use tessera::mesh::shapes::Shape;
+
+fn command(folder: &Path, line: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
+    command.env("RUST_BACKTRACE", "1").env("TESSERA_BACKEND", "parallel").current_dir(folder).args(line.split(' '));
+    command
+}
+
+fn run(command: &mut Command) -> (Output, String, String) {
+    let out = command.output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let (said, told) = (text(&out.stdout), text(&out.stderr));
+    (out, said, told)
+}
+
+fn sphere() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    io::write(&folder.path().join("in.ply"), &Shape::Sphere.build(2000)).unwrap();
+    folder
+}
+
+/// A pipe that nobody reads.
+fn closed() -> Stdio {
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    writer.into()
+}
+
+#[test]
+fn a_closed_pipe_ends_nothing() {
+    let folder = sphere();
+    for (line, file) in [
+        ("doctor", None),
+        ("--help", None),
+        ("remesh --help", None),
+        ("--version", None),
+        ("remesh in.ply -o out.ply --points 60 --newton 0", Some("out.ply")),
+        ("remesh in.ply -o out2.ply --points 60 --newton 0 --json --report out.json", Some("out.json")),
+        ("rvd in.ply --points 60 -o cells.ply", Some("cells.ply")),
+        ("shape sphere --facets 100 -o shape.ply", Some("shape.ply")),
+        ("bench rvd --facets 200 --points 20 --relax 1 --iterations 2 --json bench.json", Some("bench.json")),
+    ] {
+        let out = command(folder.path(), line).stdout(closed()).stderr(Stdio::piped()).output().unwrap();
+        let told = String::from_utf8_lossy(&out.stderr);
+        assert!(out.status.success() && !told.contains("panic") && !told.contains("ipe"), "{line}: {told}");
+        assert!(file.is_none_or(|file| folder.path().join(file).exists()), "{line}: the work is done all the same");
+    }
+    // What goes wrong has its code, though nobody hears why.
+    for (line, code) in [
+        ("remesh nowhere.ply -o out.ply --points 60", 66),
+        ("remesh in.ply", 2),
+        ("doctor --backend gpu --threads 0", 2),
+        ("serve --listen nowhere", 2),
+    ] {
+        let status = command(folder.path(), line).stdout(closed()).stderr(closed()).status().unwrap();
+        assert_eq!(status.code(), Some(code), "{line}");
+    }
+    // Lines of progress and of the log, to nobody.
+    let mut busy = command(folder.path(), "remesh in.ply -o all.ply --points 60 --newton 0");
+    busy.env("TESSERA_PROGRESS_S", "0.01").env("TESSERA_LOG", "trace");
+    assert_eq!(busy.stdout(closed()).stderr(closed()).status().unwrap().code(), Some(0));
+    assert!(folder.path().join("all.ply").exists());
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_disk_is_no_closed_pipe() {
+    let folder = sphere();
+    for line in ["doctor", "rvd in.ply --points 9 --json"] {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let out = command(folder.path(), line).stdout(full).stderr(Stdio::piped()).output().unwrap();
+        let told = String::from_utf8_lossy(&out.stderr);
+        assert!(out.status.code() == Some(74) && told.contains("standard output"), "{line}: {told}");
+    }
+}
+
+#[test]
+fn a_run_that_takes_long_says_how_far_it_is() {
+    let folder = sphere();
+    let line = "remesh in.ply -o out.ply --points 400 --lloyd 200 --newton 0";
+    let (out, said, told) = run(command(folder.path(), line).env("TESSERA_PROGRESS_S", "0.03"));
+    assert!(out.status.success(), "{told}");
+    assert!(said.contains("in.ply: ") && said.contains("out.ply: 400 vertices"), "{said}");
+    let lines: Vec<&str> = told.lines().filter(|line| line.starts_with("tessera: in.ply: ")).collect();
+    let percent = |line: &&str| line.split(": ").nth(2).unwrap().split(' ').next().unwrap().parse::<f64>().unwrap();
+    let all: Vec<f64> = lines.iter().map(percent).collect();
+    assert!(all.len() > 1 && all.is_sorted() && all.iter().all(|p| (0.0..100.0).contains(p)), "{told}");
+    assert!(lines.iter().any(|line| line.contains(" of 200")), "{told}");
+    // A short one does not.
+    let (_, _, told) = run(&mut command(folder.path(), "remesh in.ply -o out.ply --points 40 --newton 0"));
+    assert_eq!(told, "");
+}
+
+#[test]
+fn quiet_and_json_say_what_they_promise() {
+    let folder = sphere();
+    for line in ["remesh in.ply -o out.ply --points 40 --newton 0", "rvd in.ply --points 40 -o cells.ply"] {
+        let run = |more: &str| {
+            let (out, said, told) =
+                run(command(folder.path(), &format!("{line}{more}")).env("TESSERA_PROGRESS_S", "0.01"));
+            assert!(out.status.success(), "{told}");
+            (said, told)
+        };
+        assert_eq!(run(" --quiet"), (String::new(), String::new()), "{line}");
+        let (said, _) = run(" --json --report report.json");
+        let printed: serde_json::Value = serde_json::from_str(&said).unwrap();
+        let written = std::fs::read_to_string(folder.path().join("report.json")).unwrap();
+        assert_eq!(said, written, "{line}");
+        assert_eq!(printed["backend"], "parallel");
+        let (said, told) = run(" --json -q");
+        assert!(serde_json::from_str::<serde_json::Value>(&said).is_ok() && told.is_empty(), "{told}");
+        assert!(run("").0.contains("out.ply") || run("").0.contains("cells.ply"));
+    }
+}
+
+/// Mesa's device selection layer asks for a desktop, which a container has not.
+#[test]
+fn a_container_has_no_desktop_and_needs_none() {
+    for variable in [None, Some("")] {
+        let mut command = command(Path::new("."), "doctor --gpu-software");
+        command.env_remove("XDG_RUNTIME_DIR").env_remove("WAYLAND_DISPLAY").env_remove("DISPLAY");
+        if let Some(value) = variable {
+            command.env("XDG_RUNTIME_DIR", value);
+        }
+        let (out, said, told) = run(&mut command);
+        assert!(out.status.success() && !told.contains("XDG_RUNTIME_DIR"), "{told}");
+        if !said.contains("adapter") {
+            eprintln!("SKIPPED in part: there is no Vulkan driver here, so nothing could have been said");
+        }
+    }
+}
