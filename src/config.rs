@@ -4,14 +4,18 @@
 //! Invariant: a `ServeConfig` exists only if every value is usable; it is made before any port is
 //! bound. Must not know: how a value is used, any other room.
 
+#[cfg(feature = "cli")]
 use std::net::SocketAddr;
 use std::time::Duration;
 
+#[cfg(feature = "cli")]
 use clap::{Args, ValueEnum};
 
+#[cfg(feature = "cli")]
 /// Indices have 31 bits, less a few that are labels.
 const MAX_ELEMENTS: u64 = i32::MAX as u64 - 8;
 
+#[cfg(feature = "cli")]
 /// Which backend should do the work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum BackendArg {
@@ -26,6 +30,7 @@ pub enum BackendArg {
     Serial,
 }
 
+#[cfg(feature = "cli")]
 /// Who works and with how much: the options that every working subcommand has.
 #[derive(Args, Clone, Debug, Default)]
 pub struct BackendArgs {
@@ -40,6 +45,7 @@ pub struct BackendArgs {
     pub threads: Option<usize>,
 }
 
+#[cfg(feature = "cli")]
 /// `tessera serve`'s options.
 #[derive(Args, Clone, Debug)]
 pub struct ServeArgs {
@@ -132,6 +138,7 @@ impl Default for Limits {
     }
 }
 
+#[cfg(feature = "cli")]
 /// A server's configuration, checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ServeConfig {
@@ -143,6 +150,7 @@ pub struct ServeConfig {
     pub limits: Limits,
 }
 
+#[cfg(feature = "cli")]
 /// A value that makes no sense.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{option} is {value}; it must be {must}")]
@@ -155,6 +163,7 @@ pub struct ConfigError {
     pub must: &'static str,
 }
 
+#[cfg(feature = "cli")]
 impl ServeArgs {
     /// Checks every value.
     ///
@@ -184,6 +193,7 @@ impl ServeArgs {
     }
 }
 
+#[cfg(feature = "cli")]
 impl BackendArgs {
     /// Checks the number of threads.
     ///
@@ -197,6 +207,7 @@ impl BackendArgs {
     }
 }
 
+#[cfg(feature = "cli")]
 fn count(option: &'static str, value: u64, least: u64, most: u64, must: &'static str) -> Result<u64, ConfigError> {
     if (least..=most).contains(&value) {
         Ok(value)
@@ -205,6 +216,7 @@ fn count(option: &'static str, value: u64, least: u64, most: u64, must: &'static
     }
 }
 
+#[cfg(feature = "cli")]
 fn seconds(option: &'static str, value: f64) -> Result<Duration, ConfigError> {
     if (0.01..=86_400.0).contains(&value) {
         return Ok(Duration::from_secs_f64(value));
@@ -212,7 +224,7 @@ fn seconds(option: &'static str, value: f64) -> Result<Duration, ConfigError> {
     Err(ConfigError { option, value: value.to_string(), must: "0.01 to 86400 seconds" })
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "cli"))]
 mod tests {
     use clap::Parser;
 

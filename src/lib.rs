@@ -22,16 +22,23 @@
 //!
 //! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules.
 
+#[cfg(feature = "cli")]
 pub mod cli;
+#[cfg(feature = "service")]
 pub mod config;
 pub mod cvt;
+#[cfg(feature = "gpu")]
 pub mod gpu;
+#[cfg(feature = "service")]
 pub mod job;
 pub mod knn;
 pub mod mesh;
+#[cfg(feature = "pictures")]
 pub mod picture;
 pub mod remesh;
 pub mod rvd;
+#[cfg(feature = "service")]
 pub mod service;
+#[cfg(feature = "cli")]
 pub mod telemetry;
 pub mod token;

@@ -11,6 +11,7 @@
 //! vello_cpu); those with depth have had no release in years (euc) or are one person's beginning
 //! (retrofire), work in one thread and know no lines on surfaces. What is needed of one is 200 lines.
 
+#[cfg(feature = "cli")]
 pub mod chart;
 mod colour;
 mod image;

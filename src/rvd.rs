@@ -12,6 +12,7 @@ pub mod cells;
 pub mod clip;
 pub mod dual;
 mod exact;
+#[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod incident;
 mod on_host;
