@@ -32,6 +32,7 @@ use crate::token::Token;
 
 /// Where seeds go after each step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Projection {
     /// They stay where the step put them, near the surface.
     #[default]
@@ -42,6 +43,7 @@ pub enum Projection {
 
 /// How iterations are done.
 #[derive(Clone, Copy, Debug, Default)]
+#[non_exhaustive]
 pub struct CvtOptions {
     /// Where seeds go after each step.
     pub projection: Projection,
@@ -49,8 +51,21 @@ pub struct CvtOptions {
     pub max_seeds: usize,
 }
 
+impl CvtOptions {
+    /// The defaults.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    setters! {
+        with_projection(projection: Projection),
+        with_max_seeds(max_seeds: usize),
+    }
+}
+
 /// Which kind of step was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum StepKind {
     /// Every seed to its cell's centroid.
     Lloyd,
@@ -96,6 +111,7 @@ pub struct Iteration {
 
 /// A change of the seeds between two steps. Positions in the caller's coordinates.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum SeedEdit {
     /// Seed `index` goes to `to`.
     Move {

@@ -40,6 +40,7 @@ pub struct TriMesh {
 
 /// Why a surface was refused. Every variant names the element to look at.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum MeshError {
     /// A coordinate is NaN or infinite.
     #[error("vertex {vertex} has a coordinate that is not finite: ({x}, {y}, {z})")]

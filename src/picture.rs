@@ -73,6 +73,7 @@ impl Default for Size {
 
 /// Why there is no picture.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum PictureError {
     /// No such picture can be drawn.
     #[error(

@@ -8,6 +8,7 @@
 //! change a result.
 //! Must not know: iterations, jobs, files.
 
+mod backends;
 pub mod cells;
 pub mod clip;
 pub mod dual;
@@ -29,14 +30,18 @@ use std::sync::Arc;
 use crate::token::{Stopped, Token};
 use glam::DVec3;
 
-pub use cells::PieceBatch;
+pub use backends::{BackendChoice, BackendOptions, NoGpu, auto_backend};
+pub use cells::{PieceBatch, facet_edge};
+pub use parallel::Parallel;
 pub use resident::{Look, Resident};
+pub use serial::Serial;
 pub use surface::{Frame, Surface};
 pub use work::{DeviceWork, PhasesMs};
 
 /// How a (facet, cell) pair ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u32)]
+#[non_exhaustive]
 pub enum PairStatus {
     /// Clipped to the end: the security radius closed, or every other seed was tried.
     Done = 0,
@@ -53,6 +58,7 @@ pub enum PairStatus {
 /// Capacities with which a pass starts. They grow where a pair needs more, so they tune speed
 /// and memory and never the diagram (sums in floating point may add up in another order).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Capacities {
     /// Neighbours per seed in the first table (\[HYWZ17\] uses 20).
     pub neighbours: usize,
@@ -64,6 +70,20 @@ pub struct Capacities {
     pub pairs_percent: usize,
 }
 
+impl Capacities {
+    /// The defaults.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    setters! {
+        with_neighbours(neighbours: usize),
+        with_polygon(polygon: usize),
+        with_cells(cells: usize),
+        with_pairs_percent(pairs_percent: usize),
+    }
+}
+
 impl Default for Capacities {
     fn default() -> Self {
         Self { neighbours: 24, polygon: 10, cells: 16, pairs_percent: 100 }
@@ -72,6 +92,7 @@ impl Default for Capacities {
 
 /// How the GPU backend finds the pairs of a facet (\[HYWZ17\]). The diagram is the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Strategy {
     /// From the facet's first cell across bisectors. The default: on a software adapter looking by
     /// cell costs more than the rounds it saves, unless a facet meets thousands of cells.
@@ -89,6 +110,7 @@ pub const CELLS_PER_FACET: f64 = 20.0;
 
 /// How the GPU backend adds pieces to their cells' sums (\[HYWZ17\]). The sums are the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Accumulate {
     /// Atomics to global memory.
     Direct,
@@ -103,6 +125,7 @@ pub enum Accumulate {
 /// Choices that exist to be measured. They change the time of a pass on a GPU, never a bit of its
 /// result; the CPU backends walk facet by facet and add in a fixed order whatever is chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Tuning {
     /// How pairs are found.
     pub strategy: Strategy,
@@ -112,8 +135,22 @@ pub struct Tuning {
     pub together: Together,
 }
 
+impl Tuning {
+    /// The defaults.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    setters! {
+        with_strategy(strategy: Strategy),
+        with_accumulate(accumulate: Accumulate),
+        with_together(together: Together),
+    }
+}
+
 /// How many Lloyd steps [`Resident::relax`] hands to a GPU at once, where nothing has to be done again in between.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Together {
     /// Twice as many each time, as long as they end within a tenth of a second.
     #[default]
@@ -124,6 +161,7 @@ pub enum Together {
 
 /// What a session needs to know before it allocates.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct SessionOptions {
     /// The most seeds that will ever be set; seeds may be added up to it without a new plan.
     pub max_seeds: usize,
@@ -140,6 +178,12 @@ impl SessionOptions {
     /// Default capacities for at most `max_seeds` seeds.
     pub fn new(max_seeds: usize) -> Self {
         Self { max_seeds, capacities: Capacities::default(), tuning: Tuning::default(), flat_pieces: false }
+    }
+
+    setters! {
+        with_capacities(capacities: Capacities),
+        with_tuning(tuning: Tuning),
+        with_flat_pieces(flat_pieces: bool),
     }
 }
 
@@ -289,6 +333,7 @@ impl PassStats {
 
 /// Why a pass could not be done.
 #[derive(Debug, Clone, thiserror::Error)]
+#[non_exhaustive]
 pub enum RvdError {
     /// No seeds were given.
     #[error("no seeds; give at least one")]
@@ -324,6 +369,14 @@ pub enum RvdError {
         seed: usize,
         /// How many there are.
         seeds: usize,
+    },
+    /// The backend asked for is not there.
+    #[error("there is no {} backend here: {reason}", .wanted.name())]
+    BackendUnavailable {
+        /// Which one was asked for.
+        wanted: BackendKind,
+        /// Why it is not there.
+        reason: String,
     },
     /// In the unit box every facet is thinner than double precision resolves.
     #[error("every facet is thinner than 1e-15 of the bounding box; there is no surface to divide")]
@@ -419,6 +472,7 @@ pub(crate) fn elapsed_ms(since: std::time::Instant) -> f64 {
 
 /// Which implementation does the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum BackendKind {
     /// f64, one thread.
     Serial,

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use beside itself.
 const ROOMS: &[(&str, &[&str])] = &[
+    ("setters", &[]),
     ("token", &[]),
     ("mesh", &[]),
     ("gpu", &[]),
@@ -24,13 +25,16 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("job", &["remesh", "cvt", "rvd", "mesh", "config"]),
     ("service", &["job", "remesh", "cvt", "rvd", "mesh", "config"]),
     ("cli", &["service", "job", "remesh", "cvt", "rvd", "knn", "mesh", "gpu", "picture", "config", "telemetry"]),
-    ("main", &["cli", "config", "telemetry"]),
+    ("internals", &["cli", "config", "cvt", "gpu", "job", "knn", "mesh", "remesh", "rvd", "service"]),
+    ("main", &["internals"]),
     ("lib", &[]),
 ];
 
 /// Parts of rooms that may use more: (path prefix, more rooms).
 const DOORS: &[(&str, &[&str])] = &[
     ("rvd/gpu", &["gpu"]),
+    // Opens the device for the backend.
+    ("rvd/backends", &["gpu"]),
     ("knn/gpu", &["gpu"]),
     ("cvt/gpu", &["gpu"]),
     ("cvt/curves", &["knn"]),

@@ -61,6 +61,7 @@ pub const MAX_NAME_BYTES: usize = 128;
 
 /// Why an attribute was refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum AttributeError {
     /// An array is too short or too long.
     #[error("{attribute}: {count} are given for {expected} {of}; give one for each")]
