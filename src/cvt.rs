@@ -8,8 +8,8 @@
 //! Must not know: files, remeshing, jobs.
 
 mod convergence;
-pub mod curves;
-pub mod density;
+pub(crate) mod curves;
+pub(crate) mod density;
 mod line_search;
 mod relax;
 mod reseed;
@@ -19,6 +19,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec3;
+
+pub use density::{Count, DensityError, DensityFigures, DensityOptions, DensitySource};
 
 use convergence::Convergence;
 use curves::CurveSeeds;

@@ -17,7 +17,7 @@ pub mod config {
 
 /// Densities as the pipeline takes them.
 pub mod cvt {
-    pub use crate::cvt::density::{Count, Net, Outline, Plan, plan};
+    pub use crate::cvt::density::{Net, Outline, Plan, plan};
 }
 
 /// The device, and what is laid out on it.
@@ -40,7 +40,15 @@ pub mod knn {
 
 /// Adjacency and features of surfaces.
 pub mod mesh {
-    pub use crate::mesh::{adjacency, features};
+    /// Edges and their facets.
+    pub mod adjacency {
+        pub use crate::mesh::adjacency::{Adjacency, EdgeKind};
+    }
+
+    /// Curves that a remesh keeps.
+    pub mod features {
+        pub use crate::mesh::features::{Curve, CurveKind, FeatureError, FeatureOptions, Features};
+    }
 }
 
 /// Parts of the pipeline.

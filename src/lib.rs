@@ -86,8 +86,7 @@ mod service;
 mod telemetry;
 pub mod token;
 
-pub use cvt::density::{DensityOptions, DensitySource};
-pub use cvt::{Cvt, CvtOptions, Projection};
+pub use cvt::{Cvt, CvtOptions, DensityOptions, DensitySource, Projection};
 pub use mesh::{MeshError, TriMesh};
 pub use remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, remesh};
 pub use rvd::{Backend, BackendChoice, BackendKind, BackendOptions, RvdError, auto_backend};

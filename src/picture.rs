@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`Canvas`] takes coloured faces, in as many batches as the caller likes, lines that lie on
 //! them and dots, and becomes an [`Image`]; [`View`] is where it is seen from; [`draw_mesh`] draws a
-//! whole mesh with its edges. [`chart`] plots figures.
+//! whole mesh with its edges. `chart` plots figures.
 //! Invariant: what is hidden does not show, whatever the order of drawing, and the bytes are the same
 //! whatever the number of threads. No coordinates make it panic: a face that cannot be placed is left out.
 //! Must not know: seeds, cells, jobs, files other than the picture.
@@ -12,7 +12,7 @@
 //! (retrofire), work in one thread and know no lines on surfaces. What is needed of one is 200 lines.
 
 #[cfg(feature = "cli")]
-pub mod chart;
+pub(crate) mod chart;
 mod colour;
 mod image;
 mod raster;

@@ -5,7 +5,7 @@
 //! Must not know: files, jobs, the network.
 
 mod around;
-pub mod attributes;
+pub(crate) mod attributes;
 mod build;
 mod closer;
 mod curves;
@@ -20,7 +20,7 @@ mod notches;
 mod patch;
 mod polish;
 mod regular;
-pub mod repair;
+pub(crate) mod repair;
 pub mod report;
 mod settled;
 mod stars;

@@ -2,27 +2,27 @@
 //!
 //! Purpose: [`Backend`] makes a [`Session`] for one surface; a session takes seeds and answers
 //! with sums per cell or with the pieces themselves. Three backends stand behind the trait:
-//! [`serial`] (f64, the reference), [`parallel`] (f64, all cores) and [`gpu`] (f32, WGSL).
+//! [`Serial`] (f64, the reference), [`Parallel`] (f64, all cores) and `gpu` (f32, WGSL).
 //! Invariant: every (facet, cell) pair of the diagram is in the answer. A pair that runs out
 //! of a capacity gets a [`PairStatus`] and is done again with more; capacities tune, they never
 //! change a result.
 //! Must not know: iterations, jobs, files.
 
 mod backends;
-pub mod cells;
-pub mod clip;
-pub mod dual;
+pub(crate) mod cells;
+pub(crate) mod clip;
+pub(crate) mod dual;
 mod exact;
 #[cfg(feature = "gpu")]
-pub mod gpu;
-pub mod incident;
+pub(crate) mod gpu;
+pub(crate) mod incident;
 mod on_host;
-pub mod parallel;
-pub mod resident;
-pub mod serial;
+pub(crate) mod parallel;
+pub(crate) mod resident;
+pub(crate) mod serial;
 mod start;
-pub mod surface;
-pub mod work;
+pub(crate) mod surface;
+pub(crate) mod work;
 
 use std::ops::Range;
 use std::sync::Arc;

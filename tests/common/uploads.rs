@@ -4,7 +4,7 @@
 #![allow(dead_code)]
 
 use prost::Message;
-use tessera::cvt::density::DensitySource;
+use tessera::cvt::DensitySource;
 use tessera::internals::config::Limits;
 use tessera::internals::service::replay;
 use tessera::proto::*;

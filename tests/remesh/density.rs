@@ -2,7 +2,8 @@
 
 use crate::surfaces;
 use glam::DVec3;
-use tessera::cvt::density::{Count, DensityError, DensityOptions, DensitySource, Net, Outline, Plan, plan};
+use tessera::cvt::{Count, DensityError, DensityOptions, DensitySource};
+use tessera::internals::cvt::{Net, Outline, Plan, plan};
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;

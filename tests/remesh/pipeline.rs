@@ -2,7 +2,7 @@
 
 use crate::surfaces;
 use glam::DVec3;
-use tessera::cvt::density::{DensityOptions, DensitySource};
+use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::Attributes;
 use tessera::mesh::measure::topology;

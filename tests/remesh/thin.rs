@@ -1,7 +1,7 @@
 //! Promise: what is thinner than the edges of a remesh stays, as edges become shorter there and nowhere else.
 
 use glam::DVec3;
-use tessera::cvt::density::{DensityOptions, DensitySource};
+use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::{gpu, points, surfaces};
 use glam::DVec3;
-use tessera::cvt::density::{DensityOptions, DensitySource};
+use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::internals::mesh::adjacency::{Adjacency, EdgeKind};
 use tessera::internals::rvd::Gpu;
 use tessera::mesh::TriMesh;

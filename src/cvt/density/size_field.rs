@@ -56,12 +56,7 @@ impl SizeField {
         net.median(&self.sizes)
     }
 
-    /// Weights ∝ h⁻⁴, the largest 1.
-    pub fn weights(&self) -> Vec<f64> {
-        Self::weights_of(&self.sizes)
-    }
-
-    /// Weights for lengths that are known to be right.
+    /// Weights ∝ h⁻⁴, the largest 1, for lengths that are known to be right.
     pub(super) fn weights_of(sizes: &[f64]) -> Vec<f64> {
         let least = sizes.iter().copied().fold(f64::INFINITY, f64::min);
         sizes.iter().map(|&h| (least / h).powi(4)).collect()
