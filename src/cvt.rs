@@ -228,7 +228,7 @@ impl Cvt {
     ///
     /// # Errors
     /// `Internal` if there are fewer seeds.
-    pub fn keep_curves(&mut self, curves: CurveSeeds) -> Result<(), RvdError> {
+    pub(crate) fn keep_curves(&mut self, curves: CurveSeeds) -> Result<(), RvdError> {
         self.hold((0..self.seeds.len()).map(|i| i < curves.len()).collect())?;
         self.curves = curves;
         self.clear_curves()?;
@@ -239,7 +239,7 @@ impl Cvt {
     ///
     /// # Errors
     /// What the device says.
-    pub fn clear_curves(&mut self) -> Result<usize, RvdError> {
+    pub(crate) fn clear_curves(&mut self) -> Result<usize, RvdError> {
         if self.curves.is_empty() {
             return Ok(0);
         }
@@ -287,7 +287,7 @@ impl Cvt {
     }
 
     /// The curves' seeds, which are the first ones.
-    pub fn curves(&self) -> &CurveSeeds {
+    pub(crate) fn curves(&self) -> &CurveSeeds {
         &self.curves
     }
 
@@ -296,7 +296,7 @@ impl Cvt {
     ///
     /// # Errors
     /// `NoSuchSeed`, `NonFiniteSeed`, or what the device says.
-    pub fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
+    pub(crate) fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
         self.pull()?;
         self.held.resize(self.seeds.len(), false);
         for &(seed, to) in pins {
@@ -443,7 +443,7 @@ impl Cvt {
     ///
     /// # Errors
     /// What the device says.
-    pub fn unit_seeds(&mut self) -> Result<&[DVec3], RvdError> {
+    pub(crate) fn unit_seeds(&mut self) -> Result<&[DVec3], RvdError> {
         self.pull()?;
         Ok(&self.seeds)
     }
@@ -503,7 +503,7 @@ impl Cvt {
     }
 
     /// What answers for closest points of the surface, caller's coordinates, if it was needed; gives the rest back.
-    pub fn into_closest(self) -> Option<ClosestPoint> {
+    pub(crate) fn into_closest(self) -> Option<ClosestPoint> {
         let frame = self.surface.frame();
         self.closest.map(|tree| tree.moved(frame.centre, frame.scale))
     }
@@ -592,7 +592,7 @@ impl Cvt {
     }
 
     /// Whether a seed never moves.
-    pub fn is_held(&self, seed: u32) -> bool {
+    pub(crate) fn is_held(&self, seed: u32) -> bool {
         self.held.get(seed as usize).is_some_and(|&held| held)
     }
 

@@ -33,6 +33,7 @@ use glam::DVec3;
 pub use backends::{BackendChoice, BackendOptions, NoGpu, auto_backend};
 pub use cells::{PieceBatch, facet_edge};
 pub use parallel::Parallel;
+#[doc(hidden)]
 pub use resident::{Look, Resident};
 pub use serial::Serial;
 pub use surface::{Frame, Surface};
@@ -214,7 +215,7 @@ impl CellSums {
     }
 
     /// Adds one piece to cell `i`.
-    pub fn add(&mut self, i: usize, piece: &clip::Integrals) {
+    pub(crate) fn add(&mut self, i: usize, piece: &clip::Integrals) {
         self.mass[i] += piece.mass;
         self.moment[i] += piece.moment;
         self.energy[i] += piece.energy;
@@ -290,7 +291,7 @@ impl PassStats {
     }
 
     /// Takes `work` for what the device did.
-    pub fn set_device_work(&mut self, work: DeviceWork) {
+    pub(crate) fn set_device_work(&mut self, work: DeviceWork) {
         self.host_searches = work.host_searches;
         self.divided_facets = work.divided_facets;
         self.paired_facets = work.paired_facets;
@@ -301,7 +302,7 @@ impl PassStats {
     }
 
     /// Takes what the device says of the phases.
-    pub fn set_phases(&mut self, phases: PhasesMs) {
+    pub(crate) fn set_phases(&mut self, phases: PhasesMs) {
         self.neighbours_ms = phases.neighbours;
         self.start_ms = phases.start;
         self.clip_ms = phases.clip;
@@ -547,6 +548,7 @@ pub trait Session: Send {
 
     /// The seeds last set, to be moved where they are; `None` where they lie in the host's memory, whose
     /// vectors are the caller's own.
+    #[doc(hidden)]
     fn resident(&mut self) -> Option<&mut dyn Resident> {
         None
     }

@@ -312,7 +312,7 @@ pub(crate) fn unit(v: DVec3) -> DVec3 {
 ///
 /// # Errors
 /// `Name`.
-pub fn check_name(name: &str) -> Result<(), AttributeError> {
+pub(crate) fn check_name(name: &str) -> Result<(), AttributeError> {
     let reason = if name.is_empty() {
         "give it one"
     } else if name.len() > MAX_NAME_BYTES {

@@ -216,7 +216,7 @@ mod tests {
             let points = field.points(&net);
             assert!((points / outline.points(h) - 1.0).abs() < 1e-9, "{shape}: {points}");
             assert!((outline.edge_length(points) / h - 1.0).abs() < 1e-9, "{shape}");
-            assert!(field.weights().iter().all(|&w| w == 1.0));
+            assert!(SizeField::weights_of(&field.sizes).iter().all(|&w| w == 1.0));
         }
     }
 
