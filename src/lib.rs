@@ -89,7 +89,7 @@ pub mod token;
 pub use cvt::{Cvt, CvtOptions, DensityOptions, DensitySource, Projection};
 pub use mesh::{MeshError, TriMesh};
 pub use remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, remesh};
-pub use rvd::{Backend, BackendChoice, BackendKind, BackendOptions, RvdError, auto_backend};
+pub use rvd::{Backend, BackendChoice, BackendKind, BackendOptions, Cells, Diagram, RvdError, auto_backend};
 #[cfg(feature = "service")]
 pub use service::proto;
 pub use token::{Stopped, Token};

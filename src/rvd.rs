@@ -11,6 +11,7 @@
 mod backends;
 pub(crate) mod cells;
 pub(crate) mod clip;
+mod diagram;
 pub(crate) mod dual;
 mod exact;
 #[cfg(feature = "gpu")]
@@ -32,6 +33,7 @@ use glam::DVec3;
 
 pub use backends::{BackendChoice, BackendOptions, NoGpu, auto_backend};
 pub use cells::{PieceBatch, facet_edge};
+pub use diagram::{Cells, Diagram};
 pub use parallel::Parallel;
 #[doc(hidden)]
 pub use resident::{Look, Resident};
