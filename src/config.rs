@@ -4,14 +4,18 @@
 //! Invariant: a `ServeConfig` exists only if every value is usable; it is made before any port is
 //! bound. Must not know: how a value is used, any other room.
 
+#[cfg(feature = "cli")]
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::time::Duration;
 
+#[cfg(feature = "cli")]
 use clap::{Args, ValueEnum};
 
+#[cfg(feature = "cli")]
 /// Indices have 31 bits, less a few that are labels.
 const MAX_ELEMENTS: u64 = i32::MAX as u64 - 8;
 
+#[cfg(feature = "cli")]
 /// Which backend should do the work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum BackendArg {
@@ -26,6 +30,7 @@ pub enum BackendArg {
     Serial,
 }
 
+#[cfg(feature = "cli")]
 /// Who works and with how much: the options that every working subcommand has.
 #[derive(Args, Clone, Debug, Default)]
 pub struct BackendArgs {
@@ -40,6 +45,7 @@ pub struct BackendArgs {
     pub threads: Option<usize>,
 }
 
+#[cfg(feature = "cli")]
 /// `tessera serve`'s options.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Server and its limits")]
@@ -176,6 +182,7 @@ impl Default for Limits {
     }
 }
 
+#[cfg(feature = "cli")]
 /// A server's configuration, checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ServeConfig {
@@ -190,6 +197,7 @@ pub struct ServeConfig {
 }
 
 /// What one job may take, and how long it may take to stop.
+#[cfg(feature = "cli")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct JobCeilings {
     /// Time at work.
@@ -202,6 +210,7 @@ pub struct JobCeilings {
     pub lost: Duration,
 }
 
+#[cfg(feature = "cli")]
 /// A value that makes no sense.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{option} is {value}; it must be {must}")]
@@ -214,6 +223,7 @@ pub struct ConfigError {
     pub must: &'static str,
 }
 
+#[cfg(feature = "cli")]
 impl ServeArgs {
     /// Checks every value.
     ///
@@ -264,6 +274,7 @@ impl ServeArgs {
     }
 }
 
+#[cfg(feature = "cli")]
 impl BackendArgs {
     /// Checks the number of threads.
     ///
@@ -277,6 +288,7 @@ impl BackendArgs {
     }
 }
 
+#[cfg(feature = "cli")]
 fn within(option: &'static str, value: u64, least: u64, most: u64, must: &'static str) -> Result<u64, ConfigError> {
     if (least..=most).contains(&value) {
         Ok(value)
@@ -285,6 +297,7 @@ fn within(option: &'static str, value: u64, least: u64, most: u64, must: &'stati
     }
 }
 
+#[cfg(feature = "cli")]
 /// What a name and a port stand for, addresses of IPv4 first: a client that asks for one by number asks for those.
 fn addresses(listen: &str) -> Result<Vec<SocketAddr>, ConfigError> {
     let wrong = |must| ConfigError { option: "--listen", value: format!("{listen:?}"), must };
@@ -306,6 +319,7 @@ fn addresses(listen: &str) -> Result<Vec<SocketAddr>, ConfigError> {
     }
 }
 
+#[cfg(feature = "cli")]
 /// A whole number as people write it: `10000`, `1e4`.
 ///
 /// # Errors
@@ -317,6 +331,7 @@ pub(crate) fn whole<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
     })
 }
 
+#[cfg(feature = "cli")]
 /// The same, from 1 on.
 ///
 /// # Errors
@@ -328,6 +343,7 @@ pub(crate) fn count(text: &str) -> Result<u32, String> {
     }
 }
 
+#[cfg(feature = "cli")]
 fn number(text: &str) -> Option<u64> {
     /// Up to here every whole number is one of double precision.
     const EXACT: f64 = (1u64 << 53) as f64;
@@ -335,6 +351,7 @@ fn number(text: &str) -> Option<u64> {
     text.parse().ok().or_else(|| real().map(|x| x as u64))
 }
 
+#[cfg(feature = "cli")]
 fn seconds(option: &'static str, value: f64) -> Result<Duration, ConfigError> {
     if (0.01..=86_400.0).contains(&value) {
         return Ok(Duration::from_secs_f64(value));
@@ -342,6 +359,7 @@ fn seconds(option: &'static str, value: f64) -> Result<Duration, ConfigError> {
     Err(ConfigError { option, value: value.to_string(), must: "0.01 to 86400 seconds" })
 }
 
+#[cfg(feature = "cli")]
 #[cfg(test)]
 mod tests {
     use clap::Parser;

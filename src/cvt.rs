@@ -8,8 +8,8 @@
 //! Must not know: files, remeshing, jobs.
 
 mod convergence;
-pub mod curves;
-pub mod density;
+pub(crate) mod curves;
+pub(crate) mod density;
 mod line_search;
 mod relax;
 mod reseed;
@@ -19,6 +19,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec3;
+
+pub use density::{Count, DensityError, DensityFigures, DensityOptions, DensitySource};
 
 use convergence::Convergence;
 use curves::CurveSeeds;
@@ -32,6 +34,7 @@ use crate::token::Token;
 
 /// Where seeds go after each step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Projection {
     /// They stay where the step put them, near the surface.
     #[default]
@@ -42,6 +45,7 @@ pub enum Projection {
 
 /// How iterations are done.
 #[derive(Clone, Copy, Debug, Default)]
+#[non_exhaustive]
 pub struct CvtOptions {
     /// Where seeds go after each step.
     pub projection: Projection,
@@ -49,8 +53,21 @@ pub struct CvtOptions {
     pub max_seeds: usize,
 }
 
+impl CvtOptions {
+    /// The defaults.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    setters! {
+        with_projection(projection: Projection),
+        with_max_seeds(max_seeds: usize),
+    }
+}
+
 /// Which kind of step was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum StepKind {
     /// Every seed to its cell's centroid.
     Lloyd,
@@ -96,6 +113,7 @@ pub struct Iteration {
 
 /// A change of the seeds between two steps. Positions in the caller's coordinates.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum SeedEdit {
     /// Seed `index` goes to `to`.
     Move {
@@ -210,7 +228,7 @@ impl Cvt {
     ///
     /// # Errors
     /// `Internal` if there are fewer seeds.
-    pub fn keep_curves(&mut self, curves: CurveSeeds, token: &Token) -> Result<(), RvdError> {
+    pub(crate) fn keep_curves(&mut self, curves: CurveSeeds, token: &Token) -> Result<(), RvdError> {
         self.hold((0..self.seeds.len()).map(|i| i < curves.len()).collect())?;
         self.curves = curves;
         self.clear_curves(token)?;
@@ -221,7 +239,7 @@ impl Cvt {
     ///
     /// # Errors
     /// What the device says.
-    pub fn clear_curves(&mut self, token: &Token) -> Result<usize, RvdError> {
+    pub(crate) fn clear_curves(&mut self, token: &Token) -> Result<usize, RvdError> {
         if self.curves.is_empty() {
             return Ok(0);
         }
@@ -269,7 +287,7 @@ impl Cvt {
     }
 
     /// The curves' seeds, which are the first ones.
-    pub fn curves(&self) -> &CurveSeeds {
+    pub(crate) fn curves(&self) -> &CurveSeeds {
         &self.curves
     }
 
@@ -278,7 +296,7 @@ impl Cvt {
     ///
     /// # Errors
     /// `NoSuchSeed`, `NonFiniteSeed`, or what the device says.
-    pub fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
+    pub(crate) fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
         self.pull()?;
         self.held.resize(self.seeds.len(), false);
         for &(seed, to) in pins {
@@ -427,7 +445,7 @@ impl Cvt {
     ///
     /// # Errors
     /// What the device says.
-    pub fn unit_seeds(&mut self) -> Result<&[DVec3], RvdError> {
+    pub(crate) fn unit_seeds(&mut self) -> Result<&[DVec3], RvdError> {
         self.pull()?;
         Ok(&self.seeds)
     }
@@ -487,7 +505,7 @@ impl Cvt {
     }
 
     /// What answers for closest points of the surface, caller's coordinates, if it was needed; gives the rest back.
-    pub fn into_closest(self) -> Option<ClosestPoint> {
+    pub(crate) fn into_closest(self) -> Option<ClosestPoint> {
         let frame = self.surface.frame();
         self.closest.map(|tree| tree.moved(frame.centre, frame.scale))
     }
@@ -582,7 +600,7 @@ impl Cvt {
     }
 
     /// Whether a seed never moves.
-    pub fn is_held(&self, seed: u32) -> bool {
+    pub(crate) fn is_held(&self, seed: u32) -> bool {
         self.held.get(seed as usize).is_some_and(|&held| held)
     }
 

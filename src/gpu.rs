@@ -15,8 +15,7 @@ pub mod plan;
 pub mod shader;
 mod timing;
 
-pub use device::{AdapterSummary, Device, DeviceOptions, Traffic, adapters};
-pub use timing::LANES;
+pub use device::{Device, DeviceOptions, Traffic};
 
 /// What can go wrong on a device.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

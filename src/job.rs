@@ -22,19 +22,10 @@ use crate::remesh::RemeshError;
 use crate::rvd::{Backend, BackendKind, RvdError};
 use crate::token::{Stopped, Token};
 
+pub use crate::rvd::BackendChoice as Wish;
 pub use queue::Place;
 pub use watchdog::{Ceilings, Work};
 pub use worker::{Device, Engine, EngineOptions, Pending, Retry, Ticket, Timed, Turn};
-
-/// Which backend a caller would like.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Wish {
-    /// The GPU if there is one, else the parallel backend.
-    #[default]
-    Auto,
-    /// This one or an error.
-    Only(BackendKind),
-}
 
 /// The backends of this process. Lives on the device thread.
 #[derive(Clone)]
@@ -53,13 +44,13 @@ impl Backends {
     /// The backend for a wish.
     ///
     /// # Errors
-    /// [`JobError::BackendUnavailable`] if the GPU is asked for and there is none.
+    /// [`RvdError::BackendUnavailable`] if the GPU is asked for and there is none.
     pub fn choose(&self, wish: Wish) -> Result<&Arc<dyn Backend>, JobError> {
         let wish = if wish == Wish::Auto { self.default } else { wish };
         match (wish, &self.gpu) {
             (Wish::Auto | Wish::Only(BackendKind::Gpu), Ok(gpu)) => Ok(gpu),
             (Wish::Only(BackendKind::Gpu), Err(reason)) => {
-                Err(JobError::BackendUnavailable { wanted: BackendKind::Gpu, reason: reason.clone() })
+                Err(RvdError::BackendUnavailable { wanted: BackendKind::Gpu, reason: reason.clone() }.into())
             }
             (Wish::Auto | Wish::Only(BackendKind::Parallel), _) => Ok(&self.parallel),
             (Wish::Only(BackendKind::Serial), _) => Ok(&self.serial),
@@ -99,14 +90,6 @@ pub enum JobError {
     /// The process is shutting down and takes no more work.
     #[error("the server is shutting down; try again, or try another server")]
     Draining,
-    /// The backend asked for is not there.
-    #[error("there is no {} backend here: {reason}", .wanted.name())]
-    BackendUnavailable {
-        /// Which one was asked for.
-        wanted: BackendKind,
-        /// Why it is not there, and what to do.
-        reason: String,
-    },
     /// The work panicked. The message is for the log and for a report of the fault.
     #[error("internal error: the work panicked: {0}")]
     Panicked(String),

@@ -1,7 +1,44 @@
 //! **Tessera**: exact restricted Voronoi diagrams (RVD) and centroidal Voronoi remeshing of
 //! triangle surfaces, on a GPU or on all cores of a CPU, as a library, a program and a gRPC service.
 //!
-//! The method is that of Han, Yan, Wang, Zhao, *Computing Restricted Voronoi Diagram on Graphics
+//! [`remesh()`] makes a surface of well-shaped triangles from any triangle surface:
+//!
+//! ```
+//! use tessera::mesh::shapes::Shape;
+//! use tessera::{RemeshOptions, Seeds, Token, auto_backend, remesh};
+//!
+//! // `tessera::mesh::io::read` takes a surface from a file instead.
+//! let surface = Shape::Torus.build(2_000);
+//! let options = RemeshOptions::new(Seeds::Sample { points: 400, seed: 1 }).with_newton(10);
+//! // The GPU if there is one, else all cores of the CPU.
+//! let backend = auto_backend()?;
+//! let result = remesh(&surface, &options, backend.as_ref(), &mut (), &Token::default())?;
+//!
+//! assert_eq!(result.report.result.topology.euler, 0, "a torus it is still");
+//! println!("{} triangles, on {}", result.mesh.facets().len(), result.report.backend);
+//! # let file = std::env::temp_dir().join(format!("tessera-example-{}.ply", std::process::id()));
+//! tessera::mesh::io::write(&file, &result.mesh)?;
+//! # std::fs::remove_file(file)?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! What most callers need has its name at the top of the crate; the rest is in the modules below.
+//!
+//! # Features
+//!
+//! | feature | what it brings |
+//! | --- | --- |
+//! | none | surfaces, files, diagrams on the CPU, iterations, remeshes |
+//! | `gpu` | the GPU backend |
+//! | `pictures` | [`picture`](crate#modules): pictures of surfaces |
+//! | `service` | [`proto`](crate#modules): the messages of the gRPC service, generated |
+//! | `cli` (default) | the command `tessera`, with all of the above |
+//!
+//! A program that needs the library alone says `default-features = false`.
+//!
+//! # The method
+//!
+//! That of Han, Yan, Wang, Zhao, *Computing Restricted Voronoi Diagram on Graphics
 //! Hardware* (Pacific Graphics 2017), cited in these docs as \[HYWZ17\].
 //!
 //! # The map of the house
@@ -10,28 +47,51 @@
 //! | --- | --- | --- |
 //! | [`token`] | cancellation and limits, heard by every stage | nothing here |
 //! | [`mesh`] | triangle surfaces: validated, read, written, sampled, measured | nothing here |
-//! | [`picture`] | pictures of surfaces, drawn in software | `mesh` |
-//! | [`knn`] | neighbour tables of the seeds | `mesh` |
-//! | [`gpu`] | the device, buffer plans, shader sources; knows no mesh, seed or job | nothing here |
+//! | `picture` | pictures of surfaces, drawn in software | `mesh` |
+//! | `knn` | neighbour tables of the seeds | `mesh` |
+//! | `gpu` | the device, buffer plans, shader sources; knows no mesh, seed or job | nothing here |
 //! | [`rvd`] | the restricted Voronoi diagram: one trait, three backends, the dual | `knn`, `mesh`, `gpu` (only `rvd::gpu`) |
 //! | [`cvt`] | iterations that move the seeds | `rvd`'s trait |
-//! | [`remesh`] | sample, iterate, dual, repair, measure | `cvt`, `rvd::dual`, `mesh` |
-//! | [`job`] | the queue, and the one thread that owns the device | `remesh` and below |
-//! | [`service`] | gRPC: handlers, conversion, status codes | `job` and below |
-//! | [`cli`] | one file per subcommand | everything |
+//! | [`mod@remesh`] | sample, iterate, dual, repair, measure | `cvt`, `rvd::dual`, `mesh` |
+//! | `job` | the queue, and the one thread that owns the device | `remesh` and below |
+//! | `service` | gRPC: handlers, conversion, status codes | `job` and below |
+//! | `cli` | one file per subcommand | everything |
 //!
-//! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules.
+//! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules. Modules without a link
+//! are no part of the interface, nor is `internals`, which shows some of them to this crate's own tests.
 
-pub mod cli;
-pub mod config;
+#[macro_use]
+mod setters;
+
+#[cfg(feature = "cli")]
+mod cli;
+#[cfg(feature = "service")]
+mod config;
 pub mod cvt;
-pub mod gpu;
-pub mod job;
-pub mod knn;
+#[cfg(feature = "gpu")]
+mod gpu;
+#[doc(hidden)]
+pub mod internals;
+#[cfg(feature = "service")]
+mod job;
+mod knn;
+#[cfg(feature = "service")]
+mod memory;
 pub mod mesh;
+#[cfg(feature = "pictures")]
 pub mod picture;
 pub mod remesh;
 pub mod rvd;
-pub mod service;
-pub mod telemetry;
+#[cfg(feature = "service")]
+mod service;
+#[cfg(feature = "cli")]
+mod telemetry;
 pub mod token;
+
+pub use cvt::{Cvt, CvtOptions, DensityOptions, DensitySource, Projection};
+pub use mesh::{MeshError, TriMesh};
+pub use remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, remesh};
+pub use rvd::{Backend, BackendChoice, BackendKind, BackendOptions, Cells, Diagram, RvdError, auto_backend};
+#[cfg(feature = "service")]
+pub use service::proto;
+pub use token::{Stopped, Token};

@@ -7,8 +7,8 @@
 //! marked [`TriMesh::is_degenerate`]; integration leaves them out.
 //! Must not know: seeds, Voronoi cells, backends, jobs.
 
-pub mod adjacency;
-pub mod apart;
+pub(crate) mod adjacency;
+pub(crate) mod apart;
 pub mod attributes;
 pub(crate) mod boxes;
 pub mod closest_point;
@@ -16,15 +16,16 @@ pub(crate) mod coincident;
 pub(crate) mod curve;
 pub(crate) mod disjoint;
 pub(crate) mod edges;
-pub mod features;
+pub(crate) mod features;
 pub mod io;
 pub(crate) mod layers;
 pub mod measure;
-pub mod orient;
+pub(crate) mod orient;
 pub mod sample;
 pub mod shapes;
-pub mod stitch;
+pub(crate) mod stitch;
 
+pub use features::FeatureError;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -40,6 +41,7 @@ pub struct TriMesh {
 
 /// Why a surface was refused. Every variant names the element to look at.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum MeshError {
     /// A coordinate is NaN or infinite.
     #[error("vertex {vertex} has a coordinate that is not finite: ({x}, {y}, {z})")]

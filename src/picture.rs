@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`Canvas`] takes coloured faces, in as many batches as the caller likes, lines that lie on
 //! them and dots, and becomes an [`Image`]; [`View`] is where it is seen from; [`draw_mesh`] draws a
-//! whole mesh with its edges. [`chart`] plots figures.
+//! whole mesh with its edges. `chart` plots figures.
 //! Invariant: what is hidden does not show, whatever the order of drawing, and the bytes are the same
 //! whatever the number of threads. No coordinates make it panic: a face that cannot be placed is left out.
 //! Must not know: seeds, cells, jobs, files other than the picture.
@@ -11,7 +11,8 @@
 //! vello_cpu); those with depth have had no release in years (euc) or are one person's beginning
 //! (retrofire), work in one thread and know no lines on surfaces. What is needed of one is 200 lines.
 
-pub mod chart;
+#[cfg(feature = "cli")]
+pub(crate) mod chart;
 mod colour;
 mod image;
 mod raster;
@@ -72,6 +73,7 @@ impl Default for Size {
 
 /// Why there is no picture.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum PictureError {
     /// No such picture can be drawn.
     #[error(

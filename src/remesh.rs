@@ -5,7 +5,7 @@
 //! Must not know: files, jobs, the network.
 
 mod around;
-pub mod attributes;
+pub(crate) mod attributes;
 mod build;
 mod closer;
 mod curves;
@@ -20,7 +20,7 @@ mod notches;
 mod patch;
 mod polish;
 mod regular;
-pub mod repair;
+pub(crate) mod repair;
 pub mod report;
 mod settled;
 mod stars;
@@ -58,6 +58,7 @@ use whole::without_tears;
 
 /// Where the first seeds come from.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub enum Seeds {
     /// So many, drawn on the surface ∝ √w from this random seed, spread out ([`spread`]).
     Sample {
@@ -91,6 +92,7 @@ impl Seeds {
 
 /// Where the result's vertices go.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Placement {
     /// Where the facets between them are nearest to the input in the mean, a little off the surface.
     #[default]
@@ -107,6 +109,7 @@ pub enum Placement {
 /// Drawn seeds are drawn anew, for edges that are shorter where the last result was too far, up to five times. To given
 /// seeds some are added, up to eight times.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Refine {
     /// How far the vertices of the input should be from the result at most, caller's units. Rounds end
     /// when that is so or when there are `max_points`; the report's `refine.missed` says how
@@ -117,20 +120,35 @@ pub struct Refine {
 }
 
 impl Refine {
-    /// Up to twice as many points as there are at first, which is the default.
+    /// Adds points until nothing is farther than `tolerance` away, or until there are twice as many as the `points` at first.
     pub fn new(tolerance: f64, points: usize) -> Self {
         Self { tolerance, max_points: points.saturating_mul(2) }
+    }
+
+    /// With another [`Self::max_points`].
+    #[must_use]
+    pub fn with_max_points(mut self, max_points: usize) -> Self {
+        self.max_points = max_points;
+        self
     }
 }
 
 /// What to do. Everything has a default but the seeds. The command and the service have the same defaults, read from here.
+///
+/// ```
+/// use tessera::{DensityOptions, DensitySource, RemeshOptions, Seeds};
+/// let density = DensityOptions::from_source(DensitySource::Curvature).with_gradation(0.5);
+/// let options = RemeshOptions::new(Seeds::Sample { points: 5_000, seed: 1 }).with_density(density).with_newton(50);
+/// ```
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct RemeshOptions {
     /// First seeds.
     pub seeds: Seeds,
-    /// Lloyd steps.
+    /// Lloyd steps; 5 by default.
     pub lloyd: usize,
-    /// Quasi-Newton steps after them, at most; fewer where a test of convergence says so.
+    /// Quasi-Newton steps after them, at most; fewer where a test of convergence says so. 30 by
+    /// default.
     pub newton: usize,
     /// How long edges should be, and where.
     pub density: DensityOptions,
@@ -138,7 +156,7 @@ pub struct RemeshOptions {
     pub projection: Projection,
     /// Where the result's vertices go.
     pub placement: Placement,
-    /// Edges bent by more than this are creases, which the result keeps, degrees; 0 finds none. Creases and
+    /// Edges bent by more than this are creases, which the result keeps, degrees; 0 finds none, 30 by default. Creases and
     /// boundaries get seeds of their own where seeds are drawn; given seeds stay as they are.
     pub crease_angle_deg: f64,
     /// Edges that are creases whatever their angle, two vertices each.
@@ -180,8 +198,25 @@ impl RemeshOptions {
     }
 
     /// The defaults, for who asks for them and has no seeds yet.
+    #[cfg(feature = "service")]
     pub(crate) fn usual() -> Self {
         Self::new(Seeds::Implied { seed: Seeds::RANDOM_SEED })
+    }
+
+    setters! {
+        with_seeds(seeds: Seeds),
+        with_lloyd(lloyd: usize),
+        with_newton(newton: usize),
+        with_density(density: DensityOptions),
+        with_projection(projection: Projection),
+        with_placement(placement: Placement),
+        with_crease_angle_deg(crease_angle_deg: f64),
+        with_creases(creases: Vec<[u32; 2]>),
+        with_refine(refine: Refine => Some(refine)),
+        with_keep_boundaries(keep_boundaries: bool),
+        with_keep_thin(keep_thin: bool),
+        with_measure(measure: bool),
+        with_attributes(attributes: Attributes => Some(attributes)),
     }
 
     /// The seeds as they are, moved by so many Lloyd steps and nothing else, not measured.
@@ -220,6 +255,7 @@ pub struct Remesh {
 
 /// Why there is no remesh.
 #[derive(Debug, Clone, thiserror::Error)]
+#[non_exhaustive]
 pub enum RemeshError {
     /// The diagram could not be had.
     #[error(transparent)]

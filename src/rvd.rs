@@ -2,25 +2,28 @@
 //!
 //! Purpose: [`Backend`] makes a [`Session`] for one surface; a session takes seeds and answers
 //! with sums per cell or with the pieces themselves. Three backends stand behind the trait:
-//! [`serial`] (f64, the reference), [`parallel`] (f64, all cores) and [`gpu`] (f32, WGSL).
+//! [`Serial`] (f64, the reference), [`Parallel`] (f64, all cores) and `gpu` (f32, WGSL).
 //! Invariant: every (facet, cell) pair of the diagram is in the answer. A pair that runs out
 //! of a capacity gets a [`PairStatus`] and is done again with more; capacities tune, they never
 //! change a result.
 //! Must not know: iterations, jobs, files.
 
-pub mod cells;
-pub mod clip;
-pub mod dual;
+mod backends;
+pub(crate) mod cells;
+pub(crate) mod clip;
+mod diagram;
+pub(crate) mod dual;
 mod exact;
-pub mod gpu;
-pub mod incident;
+#[cfg(feature = "gpu")]
+pub(crate) mod gpu;
+pub(crate) mod incident;
 mod on_host;
-pub mod parallel;
-pub mod resident;
-pub mod serial;
+pub(crate) mod parallel;
+pub(crate) mod resident;
+pub(crate) mod serial;
 mod start;
-pub mod surface;
-pub mod work;
+pub(crate) mod surface;
+pub(crate) mod work;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -28,14 +31,20 @@ use std::sync::Arc;
 use crate::token::{Stopped, Token};
 use glam::DVec3;
 
-pub use cells::PieceBatch;
+pub use backends::{BackendChoice, BackendOptions, NoGpu, auto_backend};
+pub use cells::{PieceBatch, facet_edge};
+pub use diagram::{Cells, Diagram};
+pub use parallel::Parallel;
+#[doc(hidden)]
 pub use resident::{Look, Resident};
+pub use serial::Serial;
 pub use surface::{Frame, Surface};
 pub use work::{DeviceWork, PhasesMs};
 
 /// How a (facet, cell) pair ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u32)]
+#[non_exhaustive]
 pub enum PairStatus {
     /// Clipped to the end: the security radius closed, or every other seed was tried.
     Done = 0,
@@ -52,6 +61,7 @@ pub enum PairStatus {
 /// Capacities with which a pass starts. They grow where a pair needs more, so they tune speed
 /// and memory and never the diagram (sums in floating point may add up in another order).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Capacities {
     /// Neighbours per seed in the first table (\[HYWZ17\] uses 20).
     pub neighbours: usize,
@@ -63,6 +73,20 @@ pub struct Capacities {
     pub pairs_percent: usize,
 }
 
+impl Capacities {
+    /// The defaults.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    setters! {
+        with_neighbours(neighbours: usize),
+        with_polygon(polygon: usize),
+        with_cells(cells: usize),
+        with_pairs_percent(pairs_percent: usize),
+    }
+}
+
 impl Default for Capacities {
     fn default() -> Self {
         Self { neighbours: 24, polygon: 10, cells: 16, pairs_percent: 100 }
@@ -71,6 +95,7 @@ impl Default for Capacities {
 
 /// How the GPU backend finds the pairs of a facet (\[HYWZ17\]). The diagram is the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Strategy {
     /// From the facet's first cell across bisectors. The default: on a software adapter looking by
     /// cell costs more than the rounds it saves, unless a facet meets thousands of cells.
@@ -88,6 +113,7 @@ pub const CELLS_PER_FACET: f64 = 20.0;
 
 /// How the GPU backend adds pieces to their cells' sums (\[HYWZ17\]). The sums are the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Accumulate {
     /// Atomics to global memory.
     Direct,
@@ -102,6 +128,7 @@ pub enum Accumulate {
 /// Choices that exist to be measured. They change the time of a pass on a GPU, never a bit of its
 /// result; the CPU backends walk facet by facet and add in a fixed order whatever is chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Tuning {
     /// How pairs are found.
     pub strategy: Strategy,
@@ -111,8 +138,22 @@ pub struct Tuning {
     pub together: Together,
 }
 
+impl Tuning {
+    /// The defaults.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    setters! {
+        with_strategy(strategy: Strategy),
+        with_accumulate(accumulate: Accumulate),
+        with_together(together: Together),
+    }
+}
+
 /// How many Lloyd steps [`Resident::relax`] hands to a GPU at once, where nothing has to be done again in between.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Together {
     /// Twice as many each time, as long as they end within a tenth of a second.
     #[default]
@@ -123,6 +164,7 @@ pub enum Together {
 
 /// What a session needs to know before it allocates.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct SessionOptions {
     /// The most seeds that will ever be set; seeds may be added up to it without a new plan.
     pub max_seeds: usize,
@@ -139,6 +181,12 @@ impl SessionOptions {
     /// Default capacities for at most `max_seeds` seeds.
     pub fn new(max_seeds: usize) -> Self {
         Self { max_seeds, capacities: Capacities::default(), tuning: Tuning::default(), flat_pieces: false }
+    }
+
+    setters! {
+        with_capacities(capacities: Capacities),
+        with_tuning(tuning: Tuning),
+        with_flat_pieces(flat_pieces: bool),
     }
 }
 
@@ -169,7 +217,7 @@ impl CellSums {
     }
 
     /// Adds one piece to cell `i`.
-    pub fn add(&mut self, i: usize, piece: &clip::Integrals) {
+    pub(crate) fn add(&mut self, i: usize, piece: &clip::Integrals) {
         self.mass[i] += piece.mass;
         self.moment[i] += piece.moment;
         self.energy[i] += piece.energy;
@@ -245,7 +293,7 @@ impl PassStats {
     }
 
     /// Takes `work` for what the device did.
-    pub fn set_device_work(&mut self, work: DeviceWork) {
+    pub(crate) fn set_device_work(&mut self, work: DeviceWork) {
         self.host_searches = work.host_searches;
         self.divided_facets = work.divided_facets;
         self.paired_facets = work.paired_facets;
@@ -256,7 +304,7 @@ impl PassStats {
     }
 
     /// Takes what the device says of the phases.
-    pub fn set_phases(&mut self, phases: PhasesMs) {
+    pub(crate) fn set_phases(&mut self, phases: PhasesMs) {
         self.neighbours_ms = phases.neighbours;
         self.start_ms = phases.start;
         self.clip_ms = phases.clip;
@@ -288,6 +336,7 @@ impl PassStats {
 
 /// Why a pass could not be done.
 #[derive(Debug, Clone, thiserror::Error)]
+#[non_exhaustive]
 pub enum RvdError {
     /// No seeds were given.
     #[error("no seeds; give at least one")]
@@ -323,6 +372,14 @@ pub enum RvdError {
         seed: usize,
         /// How many there are.
         seeds: usize,
+    },
+    /// The backend asked for is not there.
+    #[error("there is no {} backend here: {reason}", .wanted.name())]
+    BackendUnavailable {
+        /// Which one was asked for.
+        wanted: BackendKind,
+        /// Why it is not there.
+        reason: String,
     },
     /// In the unit box every facet is thinner than double precision resolves.
     #[error("every facet is thinner than 1e-15 of the bounding box; there is no surface to divide")]
@@ -418,6 +475,7 @@ pub(crate) fn elapsed_ms(since: std::time::Instant) -> f64 {
 
 /// Which implementation does the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum BackendKind {
     /// f64, one thread.
     Serial,
@@ -505,6 +563,7 @@ pub trait Session: Send {
 
     /// The seeds last set, to be moved where they are; `None` where they lie in the host's memory, whose
     /// vectors are the caller's own.
+    #[doc(hidden)]
     fn resident(&mut self) -> Option<&mut dyn Resident> {
         None
     }

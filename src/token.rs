@@ -17,6 +17,7 @@ use std::time::{Duration, Instant};
 
 /// Why work was stopped before its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum Stopped {
     /// The caller asked, or has gone.
     #[error("cancelled")]

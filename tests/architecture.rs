@@ -11,7 +11,9 @@ use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may use beside itself.
 const ROOMS: &[(&str, &[&str])] = &[
+    ("setters", &[]),
     ("token", &[]),
+    ("memory", &[]),
     ("mesh", &[]),
     ("gpu", &[]),
     ("picture", &["mesh"]),
@@ -21,16 +23,22 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("remesh", &["cvt", "rvd", "mesh"]),
     ("config", &[]),
     ("telemetry", &["config"]),
-    ("job", &["remesh", "cvt", "rvd", "mesh", "config", "telemetry"]),
+    ("job", &["remesh", "cvt", "rvd", "mesh", "config", "memory"]),
     ("service", &["job", "remesh", "cvt", "rvd", "mesh", "config"]),
-    ("cli", &["service", "job", "remesh", "cvt", "rvd", "knn", "mesh", "gpu", "picture", "config", "telemetry"]),
-    ("main", &["cli", "config", "telemetry"]),
+    (
+        "cli",
+        &["service", "job", "remesh", "cvt", "rvd", "knn", "mesh", "gpu", "picture", "config", "telemetry", "memory"],
+    ),
+    ("internals", &["cli", "config", "cvt", "gpu", "job", "knn", "mesh", "remesh", "rvd", "service"]),
+    ("main", &["internals"]),
     ("lib", &[]),
 ];
 
 /// Parts of rooms that may use more: (path prefix, more rooms).
 const DOORS: &[(&str, &[&str])] = &[
     ("rvd/gpu", &["gpu"]),
+    // Opens the device for the backend.
+    ("rvd/backends", &["gpu"]),
     ("knn/gpu", &["gpu"]),
     ("cvt/gpu", &["gpu"]),
     ("cvt/curves", &["knn"]),

@@ -22,11 +22,11 @@ use std::time::Instant;
 
 use glam::dvec2;
 use rand::{Rng, RngExt, SeedableRng};
+use tessera::internals::rvd::Gpu;
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
 use tessera::mesh::io::{Format, encode, encode_with_attributes};
 use tessera::mesh::shapes::Shape;
-use tessera::rvd::gpu::Gpu;
-use tessera::rvd::parallel::Parallel;
+use tessera::rvd::Parallel;
 
 type Check<'a> = &'a (dyn Fn(&cases::Case) -> Result<(), String> + Sync);
 

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tessera::remesh::{Observer, remesh};
-use tessera::rvd::parallel::Parallel;
+use tessera::rvd::Parallel;
 use tessera::token::{Silence, Token};
 
 fn number(variable: &str, default: u64) -> u64 {

@@ -1,14 +1,13 @@
-//! The backends, made as the options say. The only place that names all three.
+//! The backends, made as the options say.
 
 use std::sync::Arc;
 
 use crate::config::{BackendArg, BackendArgs};
-use crate::gpu::device::{Device, DeviceOptions};
 use crate::job::{Backends, JobError, Wish};
 use crate::rvd::gpu::Gpu;
 use crate::rvd::parallel::Parallel;
 use crate::rvd::serial::Serial;
-use crate::rvd::{Backend, BackendKind};
+use crate::rvd::{Backend, BackendKind, BackendOptions, NoGpu};
 
 impl From<BackendArg> for Wish {
     fn from(arg: BackendArg) -> Self {
@@ -70,15 +69,14 @@ pub fn gpu(args: &BackendArgs) -> Result<Arc<dyn Backend>, String> {
 /// # Errors
 /// A sentence for the caller.
 pub fn open_gpu(args: &BackendArgs) -> Result<Arc<Gpu>, String> {
-    let options = DeviceOptions { software: args.gpu_software, ..DeviceOptions::default() };
-    let device = Device::open(&options).map_err(|e| {
-        let software = if args.gpu_software { "" } else { "--gpu-software takes a software adapter, " };
-        format!("{e}; {software}--backend parallel works without a GPU")
-    })?;
-    // An adapter that opens and then fails is a fault that should be seen, not passed over.
-    let gpu = Gpu::new(device, args.threads).map_err(|e| {
-        tracing::warn!(error = %e, "the GPU was found but does not work");
-        format!("the GPU was found but does not work: {e}; --backend parallel works without it")
-    })?;
-    Ok(Arc::new(gpu))
+    let options = BackendOptions { threads: args.threads, software_gpu: args.gpu_software, ..BackendOptions::new() };
+    options.open_gpu().map_err(|why| match &why {
+        // An adapter that opens and then fails is a fault that should be seen, not passed over.
+        NoGpu::Broken(error) => {
+            tracing::warn!(%error, "the GPU was found but does not work");
+            format!("{why}; --backend parallel works without it")
+        }
+        _ if args.gpu_software => format!("{why}; --backend parallel works without a GPU"),
+        _ => format!("{why}; --gpu-software takes a software adapter, --backend parallel works without a GPU"),
+    })
 }

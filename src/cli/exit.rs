@@ -130,7 +130,7 @@ fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
 
 fn of_job(error: &JobError) -> u8 {
     match error {
-        JobError::QueueFull { .. } | JobError::Draining | JobError::BackendUnavailable { .. } => UNAVAILABLE,
+        JobError::QueueFull { .. } | JobError::Draining => UNAVAILABLE,
         JobError::Panicked(_) | JobError::WorkerGone => INTERNAL,
         JobError::Mesh(_) => DATA,
         JobError::Rvd(error) => of_rvd(error),
@@ -158,6 +158,7 @@ fn of_rvd(error: &RvdError) -> u8 {
         RvdError::OutOfMemory { .. } | RvdError::NeverFits { .. } | RvdError::DeviceLost(_) | RvdError::Device(_) => {
             UNAVAILABLE
         }
+        RvdError::BackendUnavailable { .. } => UNAVAILABLE,
         RvdError::Internal(_) => INTERNAL,
         _ => DATA,
     }

@@ -14,10 +14,10 @@ use super::files::Loaded;
 use super::progress::{Plan, Progress};
 use super::{backends, files, interrupt, remote, say, sizes};
 use crate::cvt::density::{DensityOptions, DensitySource};
+use crate::memory;
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Attributes;
 use crate::remesh::{Placement, RemeshOptions, Seeds, remesh};
-use crate::telemetry;
 use crate::token::Token;
 use args::FileArgs;
 pub(crate) use args::{DensityArg, RemeshArgs};
@@ -53,7 +53,7 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     if args.endpoint.is_none() {
         let timings = &mut report["timings_ms"];
         (timings["read"], timings["write"], timings["total"]) = (read_ms.into(), ms(writing).into(), ms(start).into());
-        report["memory"]["host_peak_bytes"] = telemetry::peak_memory_bytes().into();
+        report["memory"]["host_peak_bytes"] = memory::peak_memory_bytes().into();
     }
     if let Some(path) = &args.files.report {
         files::write_json(path, &report)?;

@@ -21,10 +21,10 @@ use crate::cvt::density::DensityOptions;
 use crate::job::BackendInfo;
 use crate::job::diagram::Diagram;
 use crate::job::spec::{Input, Prepared};
+use crate::memory;
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
 use crate::rvd::PieceBatch;
-use crate::telemetry;
 use crate::token::Token;
 
 /// `tessera rvd`'s options.
@@ -145,7 +145,7 @@ pub(crate) fn run(args: &RvdArgs) -> Result<()> {
     if args.endpoint.is_none() {
         let timings = &mut result.report["timings_ms"];
         (timings["read"], timings["write"], timings["total"]) = (read_ms.into(), ms(writing).into(), ms(start).into());
-        result.report["memory"]["host_peak_bytes"] = telemetry::peak_memory_bytes().into();
+        result.report["memory"]["host_peak_bytes"] = memory::peak_memory_bytes().into();
     }
     if let Some(path) = report {
         files::write_json(path, &result.report)?;

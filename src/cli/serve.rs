@@ -13,10 +13,10 @@ use super::{backends, interrupt};
 use crate::config::{JobCeilings, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
 use crate::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
+use crate::memory;
 use crate::mesh::TriMesh;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
 use crate::service::{self, Parts};
-use crate::telemetry;
 use crate::token::Token;
 
 /// How long connections get to close after the last stream.
@@ -46,7 +46,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
     };
     let JobCeilings { time, memory_bytes, stuck, lost } = config.ceilings;
     // What is left is for everything else, and for what the last look did not see.
-    let machine = || telemetry::machine_memory_bytes().map(|bytes| bytes / 4 * 3);
+    let machine = || memory::machine_memory_bytes().map(|bytes| bytes / 4 * 3);
     let ceilings = Ceilings { time: Some(time), memory_bytes: memory_bytes.or_else(machine), stuck, lost };
     let engine_options = EngineOptions { queue_jobs: config.queue_jobs, ceilings, ..EngineOptions::default() };
     let starting = tokio::task::spawn_blocking(move || Engine::start(factory, engine_options));

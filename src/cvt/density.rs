@@ -28,6 +28,7 @@ pub use size_field::SizeField;
 
 /// Where the density comes from.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub enum DensitySource {
     /// The same everywhere.
     #[default]
@@ -61,6 +62,7 @@ impl DensitySource {
 
 /// What density is wished. [`Default`] is uniform.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct DensityOptions {
     /// Where it comes from.
     pub source: DensitySource,
@@ -81,7 +83,7 @@ pub struct DensityOptions {
     /// The largest length is at most this times the smallest; the large ones are lowered, which costs few
     /// points. At least 1, at most 1e4, so that weights stay within single precision. 100 by default.
     pub ratio: f64,
-    /// The most points that lengths may imply, or that may be asked for.
+    /// The most points that lengths may imply, or that may be asked for. 10⁸ by default.
     pub max_points: usize,
 }
 
@@ -100,6 +102,21 @@ impl Default for DensityOptions {
 }
 
 impl DensityOptions {
+    /// The defaults: uniform.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    setters! {
+        with_source(source: DensitySource),
+        with_edge_length(edge_length: f64 => Some(edge_length)),
+        with_adaptivity(adaptivity: f64),
+        with_gradation(gradation: f64),
+        with_clamp(clamp: f64),
+        with_ratio(ratio: f64),
+        with_max_points(max_points: usize),
+    }
+
     /// Everything else as by default.
     pub fn from_source(source: DensitySource) -> Self {
         Self { source, ..Self::default() }
@@ -144,6 +161,7 @@ pub enum Count {
 
 /// Why there is no density.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum DensityError {
     /// The list of edge lengths is not as long as the list of vertices.
     #[error("{given} edge lengths for {vertices} vertices; give one per vertex")]

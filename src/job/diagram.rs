@@ -16,21 +16,10 @@ use crate::remesh::report::{DeviceFigures, InputFigures, IterationFigures, Memor
 use crate::rvd::{Backend, CellSums, PassStats, PieceBatch, Session, SessionOptions, Surface};
 use crate::token::Token;
 
+pub use crate::rvd::Cells as WorldSums;
+
 /// Pieces that a batch aims at: a few MiB.
 const BATCH_PIECES: usize = 32_768;
-
-/// Sums over each cell in the caller's units, one entry a seed.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct WorldSums {
-    /// Centroids; an empty cell's is its seed as given.
-    pub centroids: Vec<DVec3>,
-    /// ∫ w, weights scaled so that the largest is in (1/2, 1].
-    pub masses: Vec<f64>,
-    /// ∫ 1.
-    pub areas: Vec<f64>,
-    /// ∫ w |p - x_i|².
-    pub energies: Vec<f64>,
-}
 
 /// The report of `tessera rvd`, and of the service's `ComputeRvd`.
 #[derive(Clone, Debug, Serialize)]
@@ -111,18 +100,7 @@ impl Diagram {
         let start = Instant::now();
         let mut unit = CellSums::default();
         let stats = self.session.sums(&mut unit, token)?;
-        let frame = self.surface.frame();
-        let square = frame.scale * frame.scale;
-        let centroid = |i: usize| match unit.mass[i] > 0.0 {
-            true => frame.to_world(frame.to_unit(self.seeds[i]) + unit.moment[i] / unit.mass[i]),
-            false => self.seeds[i],
-        };
-        let sums = WorldSums {
-            centroids: (0..self.seeds.len()).map(centroid).collect(),
-            masses: unit.mass.iter().map(|m| m / square).collect(),
-            areas: unit.area.iter().map(|a| a / square).collect(),
-            energies: unit.energy.iter().map(|e| e / square / square).collect(),
-        };
+        let sums = WorldSums::new(&unit, &self.seeds, self.surface.frame());
         self.figures.add_pass(&stats);
         self.figures.pairs = stats.pairs;
         self.figures.area = sums.areas.iter().sum();

@@ -83,11 +83,6 @@ impl CvtSession {
         self.cvt.as_ref().map_or(0, Cvt::len)
     }
 
-    /// Whether an error took the session's state.
-    pub fn is_empty(&self) -> bool {
-        self.cvt.is_none()
-    }
-
     /// The seeds now, caller's coordinates.
     ///
     /// # Errors

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use super::JobError;
-use crate::cvt::density::{self, DensityFigures, DensityOptions, Plan};
+use crate::cvt::density::{self, DensityOptions, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::sample::sample;
@@ -47,8 +47,6 @@ pub struct Prepared {
     pub figures: InputFigures,
     /// `prepare` and `sample` are set.
     pub timings: Timings,
-    /// Target edge lengths.
-    pub density: DensityFigures,
 }
 
 impl Prepared {
@@ -109,7 +107,6 @@ impl Prepared {
         if let Some(seed) = seeds.iter().position(|p: &DVec3| !p.is_finite()) {
             return Err(RvdError::NonFiniteSeed { seed }.into());
         }
-        let density = plan.figures;
-        Ok(Self { surface, seeds: Arc::new(seeds), random_seed, figures, timings, density })
+        Ok(Self { surface, seeds: Arc::new(seeds), random_seed, figures, timings })
     }
 }

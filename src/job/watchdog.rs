@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
-use crate::telemetry;
+use crate::memory;
 use crate::token::{Stopped, Token};
 
 /// What a job may take, and how long it may take to stop.
@@ -137,7 +137,7 @@ impl Watchdog {
 
     /// Watches work that begins now.
     pub fn watch(&self, token: &Token) -> Watched {
-        let base_bytes = telemetry::memory_bytes().unwrap_or(0);
+        let base_bytes = memory::memory_bytes().unwrap_or(0);
         let mut state = lock(&self.shared.state);
         let number = state.next;
         state.next += 1;
@@ -174,7 +174,7 @@ fn watch_all(shared: &Weak<Shared>) {
 /// One look at all work.
 fn look(entries: &mut [Entry], ceilings: &Ceilings) -> Work {
     if let Some(limit_bytes) = ceilings.memory_bytes.filter(|_| !entries.is_empty()) {
-        let held = telemetry::memory_bytes().unwrap_or(0);
+        let held = memory::memory_bytes().unwrap_or(0);
         let grown = |entry: &Entry| held.saturating_sub(entry.base_bytes);
         let running = entries.iter().filter(|entry| !entry.token.is_told_to_stop());
         let most = running.max_by_key(|entry| (grown(entry), entry.number));
@@ -232,7 +232,7 @@ mod tests {
 
     #[test]
     fn memory_is_bounded() {
-        let Some(held) = telemetry::memory_bytes() else { return };
+        let Some(held) = memory::memory_bytes() else { return };
         let limits = Ceilings { memory_bytes: Some(1000), ..Ceilings::default() };
         let entry =
             |number, base_bytes| Entry { number, token: Token::default(), base_bytes, stopped: None, reported: false };

@@ -71,6 +71,7 @@ impl NeighbourTable {
     }
 
     /// Takes all rows away.
+    #[cfg(feature = "gpu")]
     pub fn clear(&mut self) {
         self.place.clear();
         self.seeds.clear();

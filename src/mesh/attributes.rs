@@ -61,6 +61,7 @@ pub const MAX_NAME_BYTES: usize = 128;
 
 /// Why an attribute was refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum AttributeError {
     /// An array is too short or too long.
     #[error("{attribute}: {count} are given for {expected} {of}; give one for each")]
@@ -311,7 +312,7 @@ pub(crate) fn unit(v: DVec3) -> DVec3 {
 ///
 /// # Errors
 /// `Name`.
-pub fn check_name(name: &str) -> Result<(), AttributeError> {
+pub(crate) fn check_name(name: &str) -> Result<(), AttributeError> {
     let reason = if name.is_empty() {
         "give it one"
     } else if name.len() > MAX_NAME_BYTES {

@@ -100,6 +100,7 @@ pub struct Features {
 
 /// Why given creases were refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum FeatureError {
     /// A pair of vertices is no edge of the surface.
     #[error("crease {crease} names vertices {a} and {b}, which no facet joins; name the two ends of a mesh edge")]

@@ -29,6 +29,7 @@ pub use attributed::{
 
 /// A file format that can be read and written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Format {
     /// Wavefront OBJ, text. Groups and objects are one surface; materials are left aside.
     Obj,
@@ -72,6 +73,7 @@ impl Format {
 
 /// Why a file could not be read or written.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum FileError {
     /// The extension names no format that is known.
     #[error("{}: \"{extension}\" is no known mesh format; name the file .obj, .ply, .stl or .off", path.display())]
@@ -110,6 +112,7 @@ impl FileError {
 
 /// What is wrong with the content of a file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum DataError {
     /// Nothing is there.
     #[error("the file is empty")]

@@ -68,7 +68,7 @@ pub fn topology(mesh: &TriMesh) -> Topology {
 }
 
 /// Topology of `mesh`, whose edges are known already.
-pub fn topology_of(mesh: &TriMesh, adjacency: &Adjacency) -> Topology {
+pub(crate) fn topology_of(mesh: &TriMesh, adjacency: &Adjacency) -> Topology {
     let representative = adjacency.representative();
     let live: Vec<usize> = (0..mesh.facets().len()).filter(|&f| !adjacency.is_collapsed(f)).collect();
     let vertex = |half: usize| representative[mesh.facets()[half / 3][half % 3] as usize] as usize;
@@ -208,14 +208,14 @@ fn boundary_loops(adjacency: &Adjacency, fans: &mut DisjointSets, vertex: impl F
 }
 
 /// The smallest angle of one facet, degrees.
-pub fn least_angle([a, b, c]: [DVec3; 3]) -> f64 {
+pub(crate) fn least_angle([a, b, c]: [DVec3; 3]) -> f64 {
     let at = |p: DVec3, q: DVec3, r: DVec3| (q - p).cross(r - p).length().atan2((q - p).dot(r - p)).to_degrees();
     at(a, b, c).min(at(b, c, a)).min(at(c, a, b))
 }
 
 /// Whether all angles of a facet have a smaller cotangent than this: are wider than some angle. Without an arc tangent.
 #[inline]
-pub fn is_wide([a, b, c]: [DVec3; 3], cotangent: f64) -> bool {
+pub(crate) fn is_wide([a, b, c]: [DVec3; 3], cotangent: f64) -> bool {
     let (u, v, w) = (b - a, c - b, a - c);
     let most = cotangent * u.cross(w).length();
     -u.dot(v) < most && -v.dot(w) < most && -w.dot(u) < most

@@ -57,7 +57,7 @@ pub struct Report {
 
 /// What of the topology is not kept, one sentence each. Non-manifold elements are not counted as
 /// kept or lost: the result never has any.
-pub fn topology_changes(input: &Topology, result: &Topology) -> Vec<String> {
+pub(crate) fn topology_changes(input: &Topology, result: &Topology) -> Vec<String> {
     let pairs = [
         ("euler", input.euler, result.euler),
         ("components", input.components as i64, result.components as i64),
@@ -188,7 +188,7 @@ pub struct DeviceFigures {
 
 impl DeviceFigures {
     /// Of a run with these iterations.
-    pub fn new(total: DeviceWork, iterations: &[IterationFigures]) -> Self {
+    pub(crate) fn new(total: DeviceWork, iterations: &[IterationFigures]) -> Self {
         let sum = iterations.iter().fold(DeviceWork::default(), |sum, step| sum.with(&step.device, |a, b| a + b));
         let later: Vec<DeviceWork> = iterations.iter().skip(1).map(|step| step.device).collect();
         let at = |place: fn(usize) -> usize| {
@@ -255,7 +255,7 @@ pub struct FinalFigures {
 
 impl FinalFigures {
     /// Of the seeds that `present` was taken at.
-    pub fn of(present: &Iteration) -> Self {
+    pub(crate) fn of(present: &Iteration) -> Self {
         let Iteration { energy, energy_ratio, gradient_norm, .. } = *present;
         Self { energy, energy_ratio, gradient_norm }
     }
@@ -328,7 +328,7 @@ pub struct RepairFigures {
 
 impl InputFigures {
     /// Looks at the surface that came in.
-    pub fn of(mesh: &TriMesh) -> Self {
+    pub(crate) fn of(mesh: &TriMesh) -> Self {
         Self::with(mesh, &Adjacency::new(mesh))
     }
 
@@ -350,7 +350,7 @@ impl InputFigures {
 
 impl RvdFigures {
     /// Adds what one pass had to do again.
-    pub fn add_pass(&mut self, stats: &PassStats) {
+    pub(crate) fn add_pass(&mut self, stats: &PassStats) {
         self.relaunched_pairs += stats.relaunched();
         self.relaunched_neighbours += stats.relaunched_neighbours;
         self.relaunched_polygon += stats.relaunched_polygon;
@@ -360,7 +360,7 @@ impl RvdFigures {
     }
 
     /// Takes the last diagram's figures.
-    pub fn of_dual(&mut self, dual: &Dual, surface: &Surface) {
+    pub(crate) fn of_dual(&mut self, dual: &Dual, surface: &Surface) {
         let scale = surface.frame().scale;
         self.area = dual.area / scale / scale;
         self.pairs = dual.stats.pairs;
@@ -370,7 +370,7 @@ impl RvdFigures {
 
 impl IterationFigures {
     /// One step's figures.
-    pub fn of(step: &Iteration) -> Self {
+    pub(crate) fn of(step: &Iteration) -> Self {
         Self {
             kind: step.kind.name(),
             energy: step.energy,

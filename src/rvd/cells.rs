@@ -25,7 +25,8 @@ pub struct PieceBatch {
     pub seed: Vec<u32>,
     /// First vertex of each piece, and the total at the end.
     pub offset: Vec<u32>,
-    /// Vertex positions, unit frame.
+    /// Vertex positions: unit frame from a [`Session`](super::Session), caller's coordinates from a
+    /// [`Diagram`](super::Diagram).
     pub position: Vec<DVec3>,
     /// Density weight at each vertex.
     pub weight: Vec<f64>,
@@ -110,7 +111,7 @@ impl PieceBatch {
         *self = sorted;
     }
 
-    /// Area of piece `i`, unit frame.
+    /// Area of piece `i`, in the units of the positions squared.
     pub fn area(&self, i: usize) -> f64 {
         let range = self.vertices(i);
         let p = &self.position[range];

@@ -53,6 +53,7 @@ use crate::gpu::plan::{self, BATCH, Counts, EXTRA_PROPOSALS, Limits};
 use crate::gpu::{Device, GpuError, Traffic};
 use crate::mesh::TriMesh;
 use crate::token::Token;
+#[cfg(feature = "cli")]
 pub use measure::AccumulationMs;
 use moving::Moving;
 use pipelines::{Bindings, Pipelines};

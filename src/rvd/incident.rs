@@ -164,6 +164,7 @@ impl FacetWalker {
 
     /// Clips one pair with as many neighbours and polygon vertices as it takes. Returns the last
     /// status: `Done`, or `NonFinite` with an empty polygon.
+    #[cfg(feature = "gpu")]
     pub fn clip_to_end(
         &mut self,
         diagram: Diagram<'_>,

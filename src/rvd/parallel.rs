@@ -64,6 +64,7 @@ impl Parallel {
     }
 
     /// On a pool that is there already.
+    #[cfg(feature = "gpu")]
     pub(super) fn on(pool: Arc<rayon::ThreadPool>) -> Self {
         Self { pool }
     }

@@ -83,7 +83,7 @@ pub trait Resident {
     fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError>;
 
     /// The point of the last probe becomes x, its gradient g; the pair (s, y) joins the history, the
-    /// oldest going where there are [`HISTORY`], unless sᵀy <= 1e-10 ‖s‖ ‖y‖.
+    /// oldest going where there are `HISTORY`, unless sᵀy <= 1e-10 ‖s‖ ‖y‖.
     ///
     /// # Errors
     /// What the device says.

@@ -164,7 +164,7 @@ impl Surface {
 
     /// Facets with every vertex replaced by the lowest one at exactly the same place, so that
     /// the two sides of a texture seam share their edges.
-    pub fn welded(&self) -> &[[u32; 3]] {
+    pub(crate) fn welded(&self) -> &[[u32; 3]] {
         &self.welded
     }
 
@@ -209,7 +209,7 @@ impl Surface {
     }
 
     /// ∫√w, unit frame, √w taken as linear between the corners of a facet.
-    pub fn root_mass(&self) -> f64 {
+    pub(crate) fn root_mass(&self) -> f64 {
         self.root_mass
     }
 
@@ -237,7 +237,7 @@ impl Surface {
     /// Whether facet `f` joins its neighbours: it has an area, or at least three corners in three
     /// places. A facet without area between two others is part of no integral, but the surface
     /// goes on across it.
-    pub fn joins(&self, f: usize) -> bool {
+    pub(crate) fn joins(&self, f: usize) -> bool {
         let [a, b, c] = self.welded[f];
         !self.skip[f] || (a != b && b != c && c != a)
     }

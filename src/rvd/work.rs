@@ -28,7 +28,7 @@ pub struct DeviceWork {
 
 impl DeviceWork {
     /// What was done after `before`.
-    pub fn since(&self, before: &Self) -> Self {
+    pub(crate) fn since(&self, before: &Self) -> Self {
         Self {
             host_searches: self.host_searches - before.host_searches,
             divided_facets: self.divided_facets - before.divided_facets,
@@ -41,7 +41,7 @@ impl DeviceWork {
     }
 
     /// Figure by figure, what `by` makes of these and `other`.
-    pub fn with(&self, other: &Self, by: impl Fn(u64, u64) -> u64) -> Self {
+    pub(crate) fn with(&self, other: &Self, by: impl Fn(u64, u64) -> u64) -> Self {
         Self {
             host_searches: by(self.host_searches, other.host_searches),
             divided_facets: by(self.divided_facets, other.divided_facets),
@@ -69,13 +69,13 @@ pub struct PhasesMs {
 
 impl PhasesMs {
     /// Each of `count` that took them together.
-    pub fn over(&self, count: f64) -> Self {
+    pub(crate) fn over(&self, count: f64) -> Self {
         let Self { neighbours, start, clip, update } = *self;
         Self { neighbours: neighbours / count, start: start / count, clip: clip / count, update: update / count }
     }
 
     /// What they took after `before`.
-    pub fn since(&self, before: &Self) -> Self {
+    pub(crate) fn since(&self, before: &Self) -> Self {
         Self {
             neighbours: self.neighbours - before.neighbours,
             start: self.start - before.start,

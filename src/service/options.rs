@@ -5,11 +5,15 @@
 //! taken apart field by field, so that an option cannot be added to one of them alone.
 //! Must not know: streams, queues, what an option does.
 
+#[cfg(feature = "cli")]
+use super::attributes;
 use super::limits::SeedCounts;
 use super::proto::{self, CvtHeader, RemeshHeader};
-use super::{RequestError, attributes, convert};
+use super::{RequestError, convert};
 use crate::config::Limits;
-use crate::cvt::density::{DensityOptions, DensitySource};
+use crate::cvt::density::DensityOptions;
+#[cfg(feature = "cli")]
+use crate::cvt::density::DensitySource;
 use crate::cvt::{CvtOptions, Projection};
 use crate::job::spec::Input;
 use crate::mesh::TriMesh;
@@ -164,6 +168,7 @@ pub(crate) fn of_density(density: Option<&proto::DensityOptions>) -> DensityOpti
 }
 
 /// The header that asks for the same as `options`, of `mesh`; seeds that are given are to be uploaded.
+#[cfg(feature = "cli")]
 pub(crate) fn remesh_header(mesh: &TriMesh, options: &RemeshOptions, backend: proto::BackendChoice) -> RemeshHeader {
     let RemeshOptions {
         seeds,
@@ -217,6 +222,7 @@ pub(crate) fn remesh_header(mesh: &TriMesh, options: &RemeshOptions, backend: pr
 }
 
 /// The counts of `mesh`, and of the weights that `density` reads.
+#[cfg(feature = "cli")]
 pub(crate) fn mesh_header(mesh: &TriMesh, density: &DensityOptions) -> proto::MeshHeader {
     let weights = if let DensitySource::Weights(weights) = &density.source { weights.len() as u64 } else { 0 };
     proto::MeshHeader {
@@ -228,6 +234,7 @@ pub(crate) fn mesh_header(mesh: &TriMesh, density: &DensityOptions) -> proto::Me
 }
 
 /// Where seeds come from.
+#[cfg(feature = "cli")]
 pub(crate) fn seed_source(seeds: &Seeds) -> proto::SeedSource {
     use proto::seed_source::Source;
     let sampled = |points, random_seed| Source::Sampled(proto::SampledSeeds { points, random_seed });
@@ -239,6 +246,7 @@ pub(crate) fn seed_source(seeds: &Seeds) -> proto::SeedSource {
     proto::SeedSource { source: Some(source) }
 }
 
+#[cfg(feature = "cli")]
 fn density_options(options: &DensityOptions) -> proto::DensityOptions {
     // The last three are for users of the library: a server has bounds of its own.
     let DensityOptions { source, edge_length, adaptivity, gradation, clamp: _, ratio: _, max_points: _ } = options;

@@ -43,10 +43,6 @@ fn of_job(error: &JobError) -> Status {
     match error {
         JobError::QueueFull { retry_after, .. } => retry(Code::ResourceExhausted, text, *retry_after),
         JobError::Draining => draining(text),
-        JobError::BackendUnavailable { wanted, reason } => {
-            let details = ErrorDetails::with_precondition_failure_violation("BACKEND", wanted.name(), reason.clone());
-            Status::with_error_details(Code::FailedPrecondition, text, details)
-        }
         JobError::Panicked(what) => {
             tracing::error!(%what, "work panicked");
             Status::internal("the work failed by a fault of the server; its log says where")
@@ -123,6 +119,10 @@ fn of_rvd(error: &RvdError) -> Status {
         RvdError::BadWeight { vertex, .. } => format!("mesh.weights[{vertex}]"),
         RvdError::WeightCount { .. } => "mesh.weights".to_owned(),
         RvdError::Stopped(reason) => return of_stopped(*reason),
+        RvdError::BackendUnavailable { wanted, reason } => {
+            let details = ErrorDetails::with_precondition_failure_violation("BACKEND", wanted.name(), reason.clone());
+            return Status::with_error_details(Code::FailedPrecondition, text, details);
+        }
         RvdError::NeverFits { .. } => "header".to_owned(),
         RvdError::OutOfMemory { .. } => return retry(Code::ResourceExhausted, text, Duration::from_secs(5)),
         RvdError::DeviceLost(_) => return retry(Code::Unavailable, text, Duration::from_secs(5)),

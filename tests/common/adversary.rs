@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use glam::{DVec3, dvec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tessera::cvt::density::DensitySource;
+use tessera::DensitySource;
 use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::Attributes;
 use tessera::mesh::shapes::Shape;
@@ -307,7 +307,7 @@ fn ask(mesh: &TriMesh, points: usize, options: &mut RemeshOptions, rng: &mut Cha
     asked.push(options.density.source.name().to_owned());
     if rng.random_range(0..4) == 0 {
         let tolerance = extent * 10f64.powf(rng.random_range(-300.0..-1.0));
-        options.refine = Some(Refine { tolerance, max_points: 4 * points });
+        options.refine = Some(Refine::new(tolerance, 2 * points));
         asked.push(format!("tolerance {tolerance:.0e}"));
     }
     if rng.random_range(0..3) == 0 {

@@ -19,10 +19,9 @@ use glam::{DVec3, dvec3};
 use rand::{Rng, RngExt, SeedableRng};
 use tessera::mesh::TriMesh;
 use tessera::remesh::{RemeshError, RemeshOptions, Seeds, remesh};
-use tessera::rvd::cells::facet_edge;
-use tessera::rvd::parallel::Parallel;
-use tessera::rvd::serial::Serial;
+use tessera::rvd::facet_edge;
 use tessera::rvd::{Backend, Capacities, CellSums, PassStats, PieceBatch, SessionOptions, Surface};
+use tessera::rvd::{Parallel, Serial};
 use tessera::token::Token;
 
 /// A surface, seeds in its unit frame, and capacities that make pairs run out of everything.
@@ -94,12 +93,11 @@ impl Case {
             weights[mesh.facets()[0][0] as usize] = 1.0;
             weights
         });
-        let tiny = Capacities {
-            neighbours: bytes.below(5),
-            polygon: bytes.below(7),
-            cells: bytes.below(3),
-            pairs_percent: 1 + bytes.below(100),
-        };
+        let tiny = Capacities::default()
+            .with_neighbours(bytes.below(5))
+            .with_polygon(bytes.below(7))
+            .with_cells(bytes.below(3))
+            .with_pairs_percent(1 + bytes.below(100));
         let seeds = seeds(&mut bytes, &Surface::new(&mesh, weights.as_deref()).ok()?);
         Some(Self { mesh, weights, seeds, tiny })
     }
@@ -221,7 +219,7 @@ pub fn everything(
     seeds: &[DVec3],
     capacities: Capacities,
 ) -> Result<(CellSums, PieceBatch, PassStats), String> {
-    let options = SessionOptions { capacities, ..SessionOptions::new(seeds.len()) };
+    let options = SessionOptions::new(seeds.len()).with_capacities(capacities);
     let (mut sums, mut pieces) = (CellSums::default(), PieceBatch::default());
     let flag = Token::default();
     let mut work = || {
@@ -300,7 +298,7 @@ pub fn check(case: &Case, parallel: &Parallel) -> Result<(), String> {
     for by in [1e-2, 1e-4, 1e-9] {
         ensure!(moved(case, &surface, parallel, by)? == fresh.0, "sums after moves by {by:e} differ");
     }
-    let seeds: Vec<DVec3> = case.seeds.iter().map(|&p| tessera::rvd::surface::snap(p)).collect();
+    let seeds: Vec<DVec3> = case.seeds.iter().map(|&p| tessera::internals::rvd::snap(p)).collect();
     well_formed(&surface, &seeds, &want.1)?;
     tiles(&surface, &seeds, &want)?;
     nearest(&surface, &seeds, &want.1)?;
@@ -406,13 +404,11 @@ fn inside(polygon: &[DVec3], p: DVec3, normal: DVec3, margin: f64) -> bool {
 /// The whole pipeline on these seeds: an oriented 2-manifold, or too few seeds.
 fn remeshes(case: &Case, parallel: &Parallel) -> Result<(), String> {
     let surface = case.surface();
-    let options = RemeshOptions {
-        density: case.weights.clone().into(),
-        ..RemeshOptions::plain(
-            Seeds::Given(case.seeds.iter().map(|&p| surface.frame().to_world(p)).collect()),
-            case.tiny.cells,
-        )
-    };
+    let options = RemeshOptions::plain(
+        Seeds::Given(case.seeds.iter().map(|&p| surface.frame().to_world(p)).collect()),
+        case.tiny.cells,
+    )
+    .with_density(case.weights.clone().into());
     let out = match remesh(&case.mesh, &options, parallel, &mut (), &Token::default()) {
         Ok(out) => out,
         Err(RemeshError::TooFewSeeds { .. } | RemeshError::NoThickness) => return Ok(()),

@@ -7,7 +7,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use tessera::gpu::{Device, DeviceOptions};
+use tessera::internals::gpu::{Device, DeviceOptions};
 
 /// The device of this test binary, or `None` if the test is to be skipped.
 pub fn device() -> Option<Arc<Device>> {

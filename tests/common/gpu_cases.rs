@@ -2,8 +2,8 @@
 #![allow(dead_code)]
 
 use glam::DVec3;
-use tessera::rvd::gpu::Gpu;
-use tessera::rvd::serial::Serial;
+use tessera::internals::rvd::Gpu;
+use tessera::rvd::Serial;
 use tessera::rvd::{Capacities, CellSums, PieceBatch, Surface};
 
 use super::cases::{Case, everything};

@@ -4,13 +4,12 @@
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use glam::DVec3;
+use tessera::internals::rvd::Gpu;
 use tessera::mesh::TriMesh;
 use tessera::mesh::measure::topology;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
-use tessera::rvd::gpu::Gpu;
-use tessera::rvd::parallel::Parallel;
-use tessera::rvd::serial::Serial;
 use tessera::rvd::{Backend, BackendKind, CellSums, PassStats, RvdError, SessionOptions, Surface};
+use tessera::rvd::{Parallel, Serial};
 
 use super::{cases, gpu};
 use tessera::token::Token;

@@ -63,6 +63,7 @@ pub fn check(format: Format, bytes: &[u8]) -> Result<(), String> {
             Format::Ply | Format::Off => again == mesh,
             Format::Obj => corners(&again) == corners(&mesh),
             Format::Stl => again.facets().len() == mesh.facets().len(),
+            other => return Err(format!("{other:?} is not known here")),
         };
         if !same {
             return Err(format!("{format:?} as {other:?}: another surface comes back"));
@@ -85,7 +86,7 @@ pub fn detour(format: Format, bytes: &[u8]) -> Option<Vec<u8>> {
             let list = b"element nothing 0\nproperty list uchar int a\n";
             Some([&bytes[..at], list, &bytes[at..]].concat())
         }
-        Format::Stl | Format::Off => None,
+        _ => None,
     }
 }
 

@@ -4,11 +4,11 @@
 #![allow(dead_code)]
 
 use prost::Message;
-use tessera::config::Limits;
-use tessera::cvt::density::DensitySource;
+use tessera::cvt::DensitySource;
+use tessera::internals::config::Limits;
+use tessera::internals::service::replay;
+use tessera::proto::*;
 use tessera::remesh::Seeds;
-use tessera::service::proto::*;
-use tessera::service::replay;
 
 /// Small, so that every limit is met.
 fn limits() -> Limits {
@@ -34,7 +34,7 @@ pub fn check(data: &[u8]) -> Result<bool, String> {
                 Seeds::Given(seeds) => seeds.len(),
                 Seeds::Sample { points, .. } => *points,
                 // The density says it later.
-                Seeds::Implied { .. } => 1,
+                _ => 1,
             };
             let (vertices, facets) = (input.mesh.positions().len(), input.mesh.facets().len());
             let fits = vertices <= 200 && facets <= 400 && (1..=300).contains(&seeds);

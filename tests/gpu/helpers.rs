@@ -4,9 +4,9 @@
 use std::sync::Arc;
 
 use crate::gpu;
-use tessera::gpu::buffers::{Buffers, write};
-use tessera::gpu::plan::{Counts, Limits, Plan};
-use tessera::gpu::{Device, DeviceOptions, GpuError, adapters, shader};
+use tessera::internals::gpu::buffers::{Buffers, write};
+use tessera::internals::gpu::plan::{Counts, Limits, Plan};
+use tessera::internals::gpu::{Device, DeviceOptions, GpuError, adapters, shader};
 use wgpu::BufferUsages as Usage;
 
 /// Buffers whose readback is borrowed; the smallest plan there is.

@@ -6,7 +6,7 @@
 
 use std::sync::OnceLock;
 
-use tessera::rvd::gpu::Gpu;
+use tessera::internals::rvd::Gpu;
 
 #[path = "../common/gpu.rs"]
 mod gpu;

@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use glam::{DVec3, dvec3};
 use rand::{RngExt, SeedableRng};
-use tessera::gpu::layout::ROW;
-use tessera::gpu::{Device, DeviceOptions};
-use tessera::knn::{NeighbourRow, SeedIndex};
+use tessera::internals::gpu::layout::ROW;
+use tessera::internals::gpu::{Device, DeviceOptions};
+use tessera::internals::knn::{NeighbourRow, SeedIndex};
+use tessera::internals::rvd::{Found, Gpu};
 use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
-use tessera::rvd::gpu::{Found, Gpu};
-use tessera::rvd::serial::Serial;
+use tessera::rvd::Serial;
 use tessera::rvd::{
     Backend, Capacities, CellSums, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface, Together,
     Tuning,
@@ -75,8 +75,8 @@ fn sets(surface: &Surface, n: usize) -> Vec<(&'static str, Vec<DVec3>)> {
 }
 
 fn search(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], neighbours: usize) -> Found {
-    let capacities = Capacities { neighbours, ..Capacities::default() };
-    let options = SessionOptions { capacities, ..SessionOptions::new(seeds.len()) };
+    let capacities = Capacities::new().with_neighbours(neighbours);
+    let options = SessionOptions::new(seeds.len()).with_capacities(capacities);
     gpu.search(Arc::clone(surface), &[seeds], options, &Token::default()).unwrap().remove(0)
 }
 
@@ -186,8 +186,8 @@ fn open(gpu: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> Box<dyn S
 
 /// The same with so many steps a submission, however slow the device is.
 fn open_together(gpu: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], most: usize) -> Box<dyn Session> {
-    let tuning = Tuning { together: Together::AtMost(most), ..Tuning::default() };
-    let options = SessionOptions { tuning, ..SessionOptions::new(seeds.len()) };
+    let tuning = Tuning::new().with_together(Together::AtMost(most));
+    let options = SessionOptions::new(seeds.len()).with_tuning(tuning);
     let mut session = gpu.session(Arc::clone(surface), options).unwrap();
     session.set_seeds(seeds).unwrap();
     session
@@ -351,7 +351,7 @@ fn a_run_has_the_same_bits_twice() {
     let surface = surface(Shape::Torus, 800, true);
     for (name, seeds) in [("noise", noise(&surface, 400, 0.0, 5)), sets(&surface, 400).swap_remove(6)] {
         let run = |capacities| {
-            let options = SessionOptions { capacities, ..SessionOptions::new(400) };
+            let options = SessionOptions::new(400).with_capacities(capacities);
             let mut session = gpu.session(Arc::clone(&surface), options).unwrap();
             session.set_seeds(&seeds).unwrap();
             let moving = session.resident().unwrap();
@@ -360,7 +360,7 @@ fn a_run_has_the_same_bits_twice() {
         };
         let first = run(Capacities::default());
         assert!(first == run(Capacities::default()), "{name}: another run");
-        let tiny = Capacities { neighbours: 5, polygon: 5, cells: 2, pairs_percent: 10 };
+        let tiny = Capacities::new().with_neighbours(5).with_polygon(5).with_cells(2).with_pairs_percent(10);
         assert!(first == run(tiny), "{name}: other capacities");
     }
 }

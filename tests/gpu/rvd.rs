@@ -7,7 +7,7 @@ use glam::{DVec3, dvec3};
 use rand::{RngExt, SeedableRng};
 use tessera::mesh::TriMesh;
 use tessera::mesh::shapes::Shape;
-use tessera::rvd::serial::Serial;
+use tessera::rvd::Serial;
 use tessera::rvd::{
     Accumulate, Backend, Capacities, CellSums, PassStats, PieceBatch, RvdError, SessionOptions, Strategy, Surface,
     Tuning,
@@ -103,7 +103,7 @@ fn sums(
     seeds: &[DVec3],
     capacities: Capacities,
 ) -> (CellSums, PassStats) {
-    let options = SessionOptions { capacities, ..SessionOptions::new(seeds.len()) };
+    let options = SessionOptions::new(seeds.len()).with_capacities(capacities);
     let mut session = backend.session(Arc::clone(surface), options).unwrap();
     session.set_seeds(seeds).unwrap();
     let mut out = CellSums::default();
@@ -214,12 +214,12 @@ fn capacities_and_runs_do_not_change_a_bit() {
     let seeds = seeds_on(&surface, 3000, 0.0, 5);
     let (first, stats) = sums(gpu, &surface, &seeds, Capacities::default());
     same_bits("again", &first, &sums(gpu, &surface, &seeds, Capacities::default()).0);
-    let tiny = Capacities { neighbours: 4, cells: 2, pairs_percent: 10, ..Capacities::default() };
+    let tiny = Capacities::new().with_neighbours(4).with_cells(2).with_pairs_percent(10);
     let (small, relaunched) = sums(gpu, &surface, &seeds, tiny);
     eprintln!("default {stats:?}\ntiny {relaunched:?}");
     same_bits("tiny", &first, &small);
     assert!(relaunched.relaunched_neighbours > 0 && relaunched.relaunched_cells > 0);
-    let narrow = Capacities { neighbours: 4, polygon: 4, cells: 1, pairs_percent: 1 };
+    let narrow = Capacities::new().with_neighbours(4).with_polygon(4).with_cells(1).with_pairs_percent(1);
     let (narrow, relaunched) = sums(gpu, &surface, &seeds, narrow);
     assert!(relaunched.relaunched_polygon > 0);
     same_bits("narrow", &first, &narrow);
@@ -349,7 +349,7 @@ fn one_cell_with_a_hundred_sides() {
 #[test]
 fn capacities_change_no_sum_and_no_piece_of_any_shape() {
     let gpu = require_gpu!();
-    let tiny = Capacities { neighbours: 4, polygon: 5, cells: 2, pairs_percent: 10 };
+    let tiny = Capacities::new().with_neighbours(4).with_polygon(5).with_cells(2).with_pairs_percent(10);
     let mut total = PassStats::default();
     for shape in Shape::ALL {
         let surface = Arc::new(Surface::new(&shape.build(250), None).unwrap());
@@ -357,7 +357,7 @@ fn capacities_change_no_sum_and_no_piece_of_any_shape() {
             let name = format!("{shape}, {set}");
             let options = SessionOptions::new(seeds.len());
             let (sums, pieces, _) = both(gpu, &surface, &seeds, options);
-            let small = SessionOptions { capacities: tiny, ..options };
+            let small = options.with_capacities(tiny);
             let (small_sums, small_pieces, stats) = both(gpu, &surface, &seeds, small);
             same_bits(&name, &sums, &small_sums);
             assert!(pieces == small_pieces, "{name}: pieces differ");
@@ -381,8 +381,8 @@ fn strategies_and_accumulation_change_no_bit() {
         let surface = Arc::new(Surface::new(&mesh, (shape != Shape::Torus).then_some(&weights[..])).unwrap());
         for (set, seeds) in seed_sets(&surface, 1500) {
             let with = |strategy, accumulate| {
-                let tuning = Tuning { strategy, accumulate, ..Tuning::default() };
-                both(gpu, &surface, &seeds, SessionOptions { tuning, ..SessionOptions::new(seeds.len()) })
+                let tuning = Tuning::new().with_strategy(strategy).with_accumulate(accumulate);
+                both(gpu, &surface, &seeds, SessionOptions::new(seeds.len()).with_tuning(tuning))
             };
             let (sums, pieces, _) = with(Strategy::Facet, Accumulate::Direct);
             for (strategy, accumulate) in [
@@ -409,8 +409,8 @@ fn cells_find_the_facets_of_two_triangles() {
     for sample in 31..34 {
         let seeds = seeds_on(&surface, 5000, 0.0, sample);
         let with = |strategy| {
-            let tuning = Tuning { strategy, ..Tuning::default() };
-            both(gpu, &surface, &seeds, SessionOptions { tuning, ..SessionOptions::new(seeds.len()) })
+            let tuning = Tuning::new().with_strategy(strategy);
+            both(gpu, &surface, &seeds, SessionOptions::new(seeds.len()).with_tuning(tuning))
         };
         let (by_facet, by_cell, chosen) = (with(Strategy::Facet), with(Strategy::Cell), with(Strategy::Auto));
         same_bits("cell", &by_facet.0, &by_cell.0);
@@ -442,8 +442,8 @@ fn what_cells_cannot_prove_is_left_to_propagation() {
     }
     for (name, seeds) in [("ring", ring), ("far", far)] {
         let with = |strategy| {
-            let tuning = Tuning { strategy, ..Tuning::default() };
-            both(gpu, &surface, &seeds, SessionOptions { tuning, ..SessionOptions::new(seeds.len()) })
+            let tuning = Tuning::new().with_strategy(strategy);
+            both(gpu, &surface, &seeds, SessionOptions::new(seeds.len()).with_tuning(tuning))
         };
         let (by_facet, by_cell) = (with(Strategy::Facet), with(Strategy::Cell));
         assert!(by_cell.2.relaunched_facets > 0, "{name}: {:?}", by_cell.2);

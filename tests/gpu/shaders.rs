@@ -1,8 +1,8 @@
 //! Promise: every shader is valid WGSL and every record has one layout on both sides. No GPU.
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use tessera::gpu::layout;
-use tessera::gpu::shader::{SOURCES, compose};
+use tessera::internals::gpu::layout;
+use tessera::internals::gpu::shader::{SOURCES, compose};
 
 fn parse(stage: &str, slots: i64, array: i64) -> naga::Module {
     parse_with(stage, slots, array, 0)
@@ -21,7 +21,7 @@ fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module 
         ("ROW", i64::from(layout::ROW)),
         ("LIST", i64::from(layout::LIST)),
         ("WIDTH", i64::from(if shared == 0 { layout::ROW } else { layout::LIST })),
-        ("PART", tessera::gpu::plan::SEARCH_PART as i64),
+        ("PART", tessera::internals::gpu::plan::SEARCH_PART as i64),
         ("LONGER", i64::from(layout::LONGER)),
         ("MOST", i64::from(layout::MOST_RETAKEN)),
         ("MEMBERS", members(slots)),
@@ -60,7 +60,7 @@ fn no_stage_binds_more_storage_buffers_than_webgpu_guarantees() {
             .iter()
             .filter(|(_, v)| matches!(v.space, naga::AddressSpace::Storage { .. }))
             .count();
-        assert!(storage <= tessera::gpu::device::STORAGE_BUFFERS as usize, "{stage}: {storage}");
+        assert!(storage <= tessera::internals::gpu::device::STORAGE_BUFFERS as usize, "{stage}: {storage}");
     }
 }
 
@@ -198,7 +198,7 @@ fn constants_agree() {
         format!("const DIRECT: u32 = {}u;", layout::accumulate::DIRECT),
         format!("const TWO_PHASE: u32 = {}u;", layout::accumulate::TWO_PHASE),
         format!("const NOWHERE: u32 = {}u;", layout::accumulate::NOWHERE),
-        format!("const FACET_EDGE: u32 = {:#x}u;", tessera::rvd::cells::FACET_EDGE),
+        format!("const FACET_EDGE: u32 = {:#x}u;", tessera::internals::rvd::FACET_EDGE),
     ] {
         assert!(text.contains(&line), "{line}");
     }

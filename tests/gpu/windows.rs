@@ -6,9 +6,9 @@ use std::sync::{Arc, OnceLock};
 use crate::gpu;
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
-use tessera::gpu::{Device, DeviceOptions};
+use tessera::internals::gpu::{Device, DeviceOptions};
+use tessera::internals::rvd::Gpu;
 use tessera::mesh::shapes::Shape;
-use tessera::rvd::gpu::Gpu;
 use tessera::rvd::{
     Backend, Capacities, CellSums, Look, PassStats, PieceBatch, RvdError, SessionOptions, Strategy, Surface, Tuning,
 };
@@ -95,13 +95,13 @@ fn same(name: &str, a: &Outcome, b: &Outcome) {
 #[test]
 fn windows_change_no_bit() {
     let [small, whole] = require_gpu!();
-    let tiny = Capacities { neighbours: 5, polygon: 5, cells: 2, pairs_percent: 10 };
+    let tiny = Capacities::new().with_neighbours(5).with_polygon(5).with_cells(2).with_pairs_percent(10);
     // Records of 2.9 MB: three windows, at first.
     for weighted in [false, true] {
         let surface = surface(30_000, weighted);
         for (name, n, capacities) in [("usual", 3000, Capacities::default()), ("tiny", 3000, tiny), ("few", 7, tiny)] {
             let seeds = seeds(&surface, n, 1);
-            let options = SessionOptions { capacities, ..SessionOptions::new(n) };
+            let options = SessionOptions::new(n).with_capacities(capacities);
             let (a, b) = (run(small, &surface, &seeds, options), run(whole, &surface, &seeds, options));
             same(name, &a, &b);
             eprintln!("{name}: {:?}", a.stats);
@@ -122,9 +122,9 @@ fn facets_of_many_cells_and_seeds_that_the_host_searches() {
     let far: Vec<DVec3> = seeds(&surface, 50, 5).iter().map(|&p| p + DVec3::new(0.0, 100.0, 0.0)).collect();
     for (name, seeds) in [("crowd", crowd), ("twins", twins), ("heap", heap), ("far", far)] {
         for strategy in [Strategy::Auto, Strategy::Cell] {
-            let tuning = Tuning { strategy, ..Tuning::default() };
-            let capacities = Capacities { cells: 2048, ..Capacities::default() };
-            let options = SessionOptions { tuning, capacities, ..SessionOptions::new(seeds.len()) };
+            let tuning = Tuning::new().with_strategy(strategy);
+            let capacities = Capacities::new().with_cells(2048);
+            let options = SessionOptions::new(seeds.len()).with_tuning(tuning).with_capacities(capacities);
             same(name, &run(small, &surface, &seeds, options), &run(whole, &surface, &seeds, options));
         }
     }

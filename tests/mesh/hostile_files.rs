@@ -87,6 +87,7 @@ fn numbers_that_are_none() {
             "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 {number} 0\nvertex 0 1 0\nendloop\n\
              endfacet\nendsolid a\n"
         ),
+        other => panic!("{other:?} is not known here"),
     };
     for format in Format::ALL {
         assert!(decode(format, text_of(format, "0").as_bytes()).is_ok(), "{format:?}");

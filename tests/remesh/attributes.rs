@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 
 use crate::readers;
 use glam::{DVec2, DVec3, dvec2, dvec3};
+use tessera::internals::remesh::{carry, provenance};
 use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::{AttributeError, Attributes, ColourDepth, Colours, Normals, PerCorner};
 use tessera::mesh::closest_point::ClosestPoint;
@@ -11,14 +12,12 @@ use tessera::mesh::io::{
     Format, decode_with_attributes, encode, encode_with_attributes, read_with_attributes, write_with_attributes,
 };
 use tessera::mesh::shapes::Shape;
-use tessera::remesh::attributes::{carry, provenance};
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
-use tessera::rvd::serial::Serial;
+use tessera::rvd::Serial;
 use tessera::token::Token;
 
 fn run(mesh: &TriMesh, attributes: Attributes, points: usize) -> Remesh {
-    let options =
-        RemeshOptions { attributes: Some(attributes), ..RemeshOptions::plain(Seeds::Sample { points, seed: 4 }, 3) };
+    let options = RemeshOptions::plain(Seeds::Sample { points, seed: 4 }, 3).with_attributes(attributes);
     remesh(mesh, &options, &Serial, &mut (), &Token::default()).unwrap()
 }
 
@@ -275,7 +274,7 @@ fn split_normals_stay_on_their_sides() {
     let mut attributes = Attributes::new(&mesh);
     attributes.set_normals(Normals::PerVertex(normals)).unwrap();
     let options = RemeshOptions::new(Seeds::Sample { points: 500, seed: 4 });
-    let options = RemeshOptions { attributes: Some(attributes), ..options };
+    let options = options.with_attributes(attributes);
     let done = remesh(&mesh, &options, &Serial, &mut (), &Token::default()).unwrap();
     let carried = done.attributes.unwrap();
     let Some(Normals::PerCorner(normals)) = carried.normals() else { panic!("not by corners") };
@@ -408,8 +407,7 @@ fn shells_beside_each_other_keep_their_own() {
     let mut attributes = Attributes::new(&mesh);
     let shell: Vec<f64> = (0..2 * n).map(|v| if v < n { 0.0 } else { 1.0 }).collect();
     attributes.add_scalar("shell".to_owned(), shell).unwrap();
-    let wish =
-        RemeshOptions { attributes: Some(attributes), ..RemeshOptions::new(Seeds::Sample { points: 600, seed: 4 }) };
+    let wish = RemeshOptions::new(Seeds::Sample { points: 600, seed: 4 }).with_attributes(attributes);
     let out = remesh(&mesh, &wish, &Serial, &mut (), &Token::default()).unwrap();
     let result = &out.report.result;
     assert_eq!((result.vertices, result.repair.split_cells, result.topology.components), (600, 0, 2));
@@ -514,10 +512,8 @@ fn hostile_attributes_spoil_nothing_else() {
 fn wrong_attributes_are_refused_and_bits_do_not_depend_on_threads() {
     let (mesh, all) = everything();
     let other = Shape::Square.build(2);
-    let options = RemeshOptions {
-        attributes: Some(Attributes::new(&other)),
-        ..RemeshOptions::plain(Seeds::Sample { points: 50, seed: 1 }, 0)
-    };
+    let options =
+        RemeshOptions::plain(Seeds::Sample { points: 50, seed: 1 }, 0).with_attributes(Attributes::new(&other));
     let refused = remesh(&mesh, &options, &Serial, &mut (), &Token::default()).unwrap_err();
     assert!(matches!(refused, RemeshError::Attributes(AttributeError::OtherMesh { .. })), "{refused}");
 

@@ -3,27 +3,25 @@
 use std::collections::BTreeSet;
 
 use glam::DVec3;
-use tessera::cvt::density::{DensityOptions, DensitySource};
+use tessera::cvt::{DensityOptions, DensitySource};
+use tessera::internals::mesh::adjacency::{Adjacency, EdgeKind};
+use tessera::internals::rvd::Gpu;
 use tessera::mesh::TriMesh;
-use tessera::mesh::adjacency::{Adjacency, EdgeKind};
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Placement, Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Backend;
-use tessera::rvd::gpu::Gpu;
-use tessera::rvd::parallel::Parallel;
+use tessera::rvd::Parallel;
 
 use crate::gpu;
 use crate::parts::{counts, disk, find, l_shape, length, prism, slit, tube, wish};
 use tessera::token::Token;
 
 pub(crate) fn options(points: usize) -> RemeshOptions {
-    RemeshOptions {
-        newton: 15,
-        placement: Placement::Surface,
-        measure: false,
-        ..RemeshOptions::new(Seeds::Sample { points, seed: 5 })
-    }
+    RemeshOptions::new(Seeds::Sample { points, seed: 5 })
+        .with_newton(15)
+        .with_placement(Placement::Surface)
+        .with_measure(false)
 }
 
 fn run_on(backend: &dyn Backend, mesh: &TriMesh, options: &RemeshOptions) -> Result<Remesh, RemeshError> {
@@ -100,7 +98,7 @@ fn an_adaptive_remesh_takes_no_noise_for_creases() {
     for source in [DensitySource::Uniform, sizes, DensitySource::Curvature, DensitySource::FeatureSize] {
         let name = source.name();
         let density = DensityOptions::from_source(source);
-        let options = RemeshOptions { density, lloyd: 1, newton: 0, ..options(2000) };
+        let options = options(2000).with_density(density).with_lloyd(1).with_newton(0);
         let features = run(&mesh, &options).unwrap().report.features;
         println!("{name}: {features:?}");
         assert_eq!(features.creases, 0, "{name}");
@@ -131,10 +129,10 @@ fn creases_are_edges_and_corners_are_vertices() {
             keeps_straight_creases(&format!("{name}, {points}"), &mesh, &out);
         }
         // The fit weighs creases against faces: a vertex may leave a straight one by a thousandth of an edge; corners stay.
-        let fitted = run(&mesh, &RemeshOptions { placement: Placement::Fitted, ..options(500) }).unwrap();
+        let fitted = run(&mesh, &options(500).with_placement(Placement::Fitted)).unwrap();
         let longest = edges(&fitted.mesh).iter().map(|e| length(&fitted.mesh, e)).fold(0.0, f64::max);
         keeps_creases(&format!("{name}, fitted"), &mesh, &fitted, 1e-3 * longest);
-        let plain = run(&mesh, &RemeshOptions { crease_angle_deg: 0.0, ..options(300) }).unwrap();
+        let plain = run(&mesh, &options(300).with_crease_angle_deg(0.0)).unwrap();
         assert!(plain.curve_edges.is_empty());
         assert_eq!(plain.report.features.seeds, 0);
     }
@@ -156,7 +154,7 @@ fn the_gpu_keeps_creases_too() {
 fn given_creases_are_kept() {
     let mesh = tube(48, 12);
     let ring: Vec<[u32; 2]> = (0..48).map(|i| [6 * 48 + i, 6 * 48 + (i + 1) % 48]).collect();
-    let out = run(&mesh, &RemeshOptions { creases: ring, ..options(500) }).unwrap();
+    let out = run(&mesh, &options(500).with_creases(ring)).unwrap();
     let figures = &out.report.features;
     assert_eq!((figures.boundaries, figures.creases, figures.missing_segments), (2, 1, 0));
     let middle = |v: u32| (out.mesh.positions()[v as usize].z - 1.0).abs() < 1e-9;
@@ -189,7 +187,7 @@ fn an_open_plane_does_not_shrink() {
         assert!((rim(&out.mesh) - 4.0).abs() < 1e-9);
     }
     // Where boundaries are free the rim is about half an edge inside.
-    let free = run(&mesh, &RemeshOptions { keep_boundaries: false, ..options(400) }).unwrap();
+    let free = run(&mesh, &options(400).with_keep_boundaries(false)).unwrap();
     assert_eq!((topology(&free.mesh).boundary_loops, topology(&free.mesh).euler), (1, 1));
     assert!(free.curve_edges.is_empty());
     assert!(free.mesh.area() < 0.97 && free.mesh.area() > 0.85, "{}", free.mesh.area());
@@ -252,7 +250,7 @@ fn a_narrow_strip_keeps_its_boundary() {
 fn closed_boundaries_stay() {
     for (name, mesh, loops) in [("disk", disk(96, 16), 1), ("tube", tube(96, 24), 2)] {
         for placement in [Placement::Surface, Placement::Fitted] {
-            let out = run(&mesh, &RemeshOptions { placement, ..options(600) }).unwrap();
+            let out = run(&mesh, &options(600).with_placement(placement)).unwrap();
             let figures = &out.report.features;
             assert_eq!((figures.boundaries, figures.creases, figures.missing_segments), (loops, 0, 0), "{name}");
             assert_eq!(topology(&out.mesh), topology_of_open(loops), "{name}");
@@ -260,7 +258,7 @@ fn closed_boundaries_stay() {
             // Of a polygon of n corners in a circle π²/6n² is missing: 0.5 % of twenty.
             assert!((kept - 1.0).abs() < 0.01, "{name}: {kept}");
         }
-        let free = run(&mesh, &RemeshOptions { keep_boundaries: false, ..options(600) }).unwrap();
+        let free = run(&mesh, &options(600).with_keep_boundaries(false)).unwrap();
         assert!(free.mesh.area() < 0.97 * mesh.area(), "{name}");
     }
 }
@@ -301,13 +299,13 @@ fn too_few_points_give_curves_up() {
     let ring = |j: u32| (0..48).map(move |i| [j * 48 + i, j * 48 + (i + 1) % 48]);
     let creases: Vec<[u32; 2]> = (1..12).flat_map(ring).collect();
     for (points, given_up, boundaries) in [(60, 11, 2), (20, 11, 2)] {
-        let out = run(&mesh, &RemeshOptions { creases: creases.clone(), ..options(points) }).unwrap();
+        let out = run(&mesh, &options(points).with_creases(creases.clone())).unwrap();
         let figures = &out.report.features;
         assert_eq!((figures.given_up, figures.creases, figures.boundaries), (given_up, 0, boundaries), "{figures:?}");
         assert_eq!(topology(&out.mesh), topology_of_open(2), "{points} points");
         assert_eq!(out.seeds.len(), points);
     }
-    let out = run(&mesh, &RemeshOptions { creases, ..options(1200) }).unwrap();
+    let out = run(&mesh, &options(1200).with_creases(creases)).unwrap();
     let figures = &out.report.features;
     assert_eq!((figures.given_up, figures.creases, figures.missing_segments), (0, 11, 0), "{figures:?}");
 }
@@ -317,7 +315,7 @@ fn too_few_points_give_curves_up() {
 fn closed_curves_have_no_seed_twice() {
     let mesh = tube(24, 12);
     for points in [200, 500] {
-        let out = run(&mesh, &RemeshOptions { newton: 4, ..options(points) }).unwrap();
+        let out = run(&mesh, &options(points).with_newton(4)).unwrap();
         let figures = &out.report.features;
         assert_eq!((figures.boundaries, figures.missing_segments), (2, 0), "{points} points");
     }

@@ -9,8 +9,7 @@ use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
-use tessera::rvd::parallel::Parallel;
-use tessera::rvd::serial::Serial;
+use tessera::rvd::{Parallel, Serial};
 use tessera::rvd::{RvdError, Surface};
 use tessera::token::{Stopped, Token};
 
@@ -26,7 +25,7 @@ fn open(mesh: &TriMesh, seeds: &[DVec3], options: CvtOptions) -> Cvt {
 fn the_energy_falls_in_every_step() {
     for (name, mesh) in surfaces::all() {
         for projection in [Projection::Free, Projection::OnSurface] {
-            let options = CvtOptions { projection, max_seeds: 0 };
+            let options = CvtOptions::new().with_projection(projection);
             let mut cvt = open(&mesh, &drawn(&mesh, 100), options);
             let mut before = f64::INFINITY;
             for _ in 0..15 {
@@ -57,7 +56,7 @@ fn random_seeds_have_the_energy_of_random_seeds() {
 #[test]
 fn projected_seeds_lie_on_the_surface() {
     let mesh = Shape::Sphere.build(800);
-    let mut cvt = open(&mesh, &drawn(&mesh, 50), CvtOptions { projection: Projection::OnSurface, max_seeds: 0 });
+    let mut cvt = open(&mesh, &drawn(&mesh, 50), CvtOptions::new().with_projection(Projection::OnSurface));
     for _ in 0..3 {
         cvt.lloyd(&Token::default()).unwrap();
     }
@@ -88,7 +87,7 @@ fn seeds_without_a_cell_are_placed_anew() {
 fn edits_are_all_or_nothing_and_stay_within_the_room() {
     let mesh = Shape::Sphere.build(500);
     let seeds = drawn(&mesh, 10);
-    let mut cvt = open(&mesh, &seeds, CvtOptions { max_seeds: 12, ..CvtOptions::default() });
+    let mut cvt = open(&mesh, &seeds, CvtOptions::new().with_max_seeds(12));
     let near = |a: DVec3, b: DVec3| a.distance(b) < 1e-12;
     cvt.edit(&[
         SeedEdit::Move { index: 3, to: DVec3::X },

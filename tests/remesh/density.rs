@@ -2,18 +2,19 @@
 
 use crate::surfaces;
 use glam::DVec3;
-use tessera::cvt::density::{Count, DensityError, DensityOptions, DensitySource, Net, Outline, Plan, plan};
+use tessera::cvt::{Count, DensityError, DensityOptions, DensitySource};
+use tessera::internals::cvt::{Net, Outline, Plan, plan};
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
+use tessera::rvd::Parallel;
 use tessera::rvd::RvdError;
-use tessera::rvd::parallel::Parallel;
 use tessera::token::{Stopped, Token};
 
 fn run(mesh: &TriMesh, density: DensityOptions, seeds: Seeds, lloyd: usize) -> Result<Remesh, RemeshError> {
-    let options = RemeshOptions { density, ..RemeshOptions::plain(seeds, lloyd) };
+    let options = RemeshOptions::plain(seeds, lloyd).with_density(density);
     remesh(mesh, &options, &Parallel::new(None).unwrap(), &mut (), &Token::default())
 }
 
@@ -115,7 +116,7 @@ fn an_edge_length_comes_out_on_closed_and_open_surfaces() {
         let mesh = shape.build(4000);
         let (low, high) = mesh.bounds();
         let edge = edge * if matches!(shape, Shape::Genus(_)) { (high - low).max_element() } else { 1.0 };
-        let density = DensityOptions { edge_length: Some(edge), ..DensityOptions::default() };
+        let density = DensityOptions::new().with_edge_length(edge);
         let out = run(&mesh, density, Seeds::Implied { seed: 2 }, 60).unwrap();
         let mean = mean_edge(&out.mesh);
         println!("{shape}: {} vertices, mean edge {:.3} of the target", out.mesh.positions().len(), mean / edge);
@@ -154,7 +155,7 @@ fn curvature_and_feature_size_gather_points_where_they_should() {
         let name = source.name();
         let mut ends = Vec::new();
         for adaptivity in [0.0, 0.5, 1.0] {
-            let density = DensityOptions { adaptivity, ..DensityOptions::from_source(source.clone()) };
+            let density = DensityOptions::from_source(source.clone()).with_adaptivity(adaptivity);
             let out = run(&mesh, density, Seeds::Sample { points: 1500, seed: 1 }, 20).unwrap();
             let figures = &out.report.density;
             assert!((figures.points_implied.unwrap() / 1500.0 - 1.0).abs() < 0.01, "{figures:?}");
@@ -267,7 +268,7 @@ fn gradation_keeps_triangles_round() {
     let jump = |p: DVec3| if p.x < 0.3 { 0.01 } else { 0.1 };
     let mut thin = Vec::new();
     for gradation in [0.1, 0.3, 0.6, f64::INFINITY] {
-        let density = DensityOptions { gradation, ..sizes(&mesh, jump) };
+        let density = sizes(&mesh, jump).with_gradation(gradation);
         let out = run(&mesh, density, Seeds::Implied { seed: 1 }, 40).unwrap();
         let least: Vec<f64> = (0..out.mesh.facets().len())
             .map(|f| out.mesh.corners(f))
@@ -323,10 +324,10 @@ fn bad_values_are_refused_by_name() {
         assert!(matches!(error, DensityError::BadSize { vertex: 7, .. }), "{error}");
         assert!(error.to_string().contains("vertex 7"));
         for density in [
-            DensityOptions { edge_length: Some(bad), ..DensityOptions::default() },
-            DensityOptions { gradation: -bad.abs(), ..DensityOptions::default() },
-            DensityOptions { ratio: bad, ..DensityOptions::default() },
-            DensityOptions { adaptivity: -2.0 - bad, ..DensityOptions::default() },
+            DensityOptions::new().with_edge_length(bad),
+            DensityOptions::new().with_gradation(-bad.abs()),
+            DensityOptions::new().with_ratio(bad),
+            DensityOptions::new().with_adaptivity(-2.0 - bad),
         ] {
             assert!(matches!(implied(&density), DensityError::BadOption { .. }), "{density:?}");
         }
@@ -336,13 +337,13 @@ fn bad_values_are_refused_by_name() {
     assert_eq!(implied(&DensityOptions::default()), DensityError::NoCount);
     assert_eq!(implied(&DensityOptions::from_source(DensitySource::Curvature)), DensityError::NoCount);
     for tiny in [1e-9, 1e-200, 5e-324] {
-        let density = DensityOptions { edge_length: Some(tiny), max_points: 1000, ..DensityOptions::default() };
+        let density = DensityOptions::new().with_edge_length(tiny).with_max_points(1000);
         assert!(matches!(implied(&density), DensityError::TooManyPoints { limit: 1000, .. }));
-        let density = DensityOptions { max_points: 1000, ..sizes(&mesh, |_| tiny) };
+        let density = sizes(&mesh, |_| tiny).with_max_points(1000);
         assert!(matches!(implied(&density), DensityError::TooManyPoints { limit: 1000, .. }));
     }
     for source in [DensitySource::Uniform, DensitySource::Curvature] {
-        let density = DensityOptions { max_points: 1000, ..DensityOptions::from_source(source) };
+        let density = DensityOptions::from_source(source).with_max_points(1000);
         let error = plan(&mesh, &density, Count::Points(1001), &Token::default()).unwrap_err();
         assert_eq!(error, DensityError::PointLimit { points: 1001, limit: 1000 });
     }

@@ -1,8 +1,8 @@
 //! Promise: creases, corners and boundaries are found, by angle and at the scale of the result.
 
 use glam::{DVec3, dvec3};
+use tessera::internals::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
 use tessera::mesh::TriMesh;
-use tessera::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{RemeshError, RemeshOptions, Seeds};
 use tessera::token::Token;
@@ -125,11 +125,11 @@ fn wrong_wishes_are_refused() {
         let refused = FeatureError::NoSuchEdge { crease: 2, a: wrong[0], b: wrong[1] };
         assert_eq!(Features::check(&mesh, 30.0, &given, &Token::default()), Err(refused.clone()));
         assert_eq!(find(&mesh, &FeatureOptions { given: given.clone(), ..wish(30.0) }), Err(refused));
-        let options = RemeshOptions { creases: given, ..RemeshOptions::new(Seeds::Sample { points: 50, seed: 1 }) };
+        let options = RemeshOptions::new(Seeds::Sample { points: 50, seed: 1 }).with_creases(given);
         let error = run(&mesh, &options).unwrap_err();
         assert!(matches!(error, RemeshError::Feature(FeatureError::NoSuchEdge { crease: 2, .. })), "{error}");
     }
-    let options = RemeshOptions { crease_angle_deg: 200.0, ..options(50) };
+    let options = options(50).with_crease_angle_deg(200.0);
     assert!(matches!(run(&mesh, &options), Err(RemeshError::Feature(FeatureError::BadAngle(_)))));
 }
 
@@ -158,7 +158,7 @@ fn short_open_creases_are_left_out_unless_they_were_given() {
     let options = FeatureOptions { shortest: 0.5, given: given.to_vec(), ..wish(30.0) };
     let found = find(&mesh, &options).unwrap();
     for [a, b] in given {
-        let has = |c: &&tessera::mesh::features::Curve| {
+        let has = |c: &&tessera::internals::mesh::features::Curve| {
             let round: Vec<u32> = c.round().collect();
             round.windows(2).any(|w| w == [a, b] || w == [b, a])
         };

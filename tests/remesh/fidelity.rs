@@ -2,20 +2,20 @@
 //! neither folds the surface.
 
 use glam::DVec3;
+use tessera::internals::mesh::adjacency::Adjacency;
 use tessera::mesh::TriMesh;
-use tessera::mesh::adjacency::Adjacency;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::{Topology, topology};
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Placement, Refine, Remesh, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Backend;
-use tessera::rvd::parallel::Parallel;
+use tessera::rvd::Parallel;
 
 use crate::parts::tube;
 use tessera::token::Token;
 
 fn options(points: usize) -> RemeshOptions {
-    RemeshOptions { newton: 15, measure: false, ..RemeshOptions::new(Seeds::Sample { points, seed: 2 }) }
+    RemeshOptions::new(Seeds::Sample { points, seed: 2 }).with_newton(15).with_measure(false)
 }
 
 fn run_on(backend: &dyn Backend, mesh: &TriMesh, options: &RemeshOptions) -> Remesh {
@@ -71,7 +71,7 @@ fn fitted_beats_surface_beats_centroids() {
     for (shape, facets, points) in [(Shape::Sphere, 12_000, 400), (Shape::Torus, 12_000, 600)] {
         let mesh = shape.build(facets);
         let of = |placement| {
-            let out = run(&mesh, &RemeshOptions { placement, ..options(points) });
+            let out = run(&mesh, &options(points).with_placement(placement));
             // Regular triangles on a curved surface, about ten edges around its tightest bend.
             is_sound(&format!("{shape}, {placement:?}"), &mesh, &out.mesh, 0.3);
             rms(&mesh, &out.mesh)
@@ -90,7 +90,7 @@ fn vertices_are_where_the_placement_says() {
     let mesh = Shape::Torus.build(4000);
     let tree = ClosestPoint::new(&mesh);
     let farthest = |placement| {
-        let out = run(&mesh, &RemeshOptions { placement, ..options(300) });
+        let out = run(&mesh, &options(300).with_placement(placement));
         assert_eq!(out.mesh.positions().len(), 300);
         out.mesh.positions().iter().map(|&p| tree.distance(p)).fold(0.0, f64::max)
     };
@@ -107,8 +107,8 @@ fn a_tolerance_holds_beside_curves() {
         let tolerance = 0.004 * (high - low).length();
         let mut added = 0;
         for seed in 1..=24 {
-            let refine = Some(Refine { tolerance, max_points: 2500 });
-            let wish = RemeshOptions { refine, seeds: Seeds::Sample { points: 250, seed }, newton: 8, ..options(250) };
+            let refine = Refine::new(tolerance, 2500);
+            let wish = options(250).with_refine(refine).with_seeds(Seeds::Sample { points: 250, seed }).with_newton(8);
             let figures = run(&mesh, &wish).report.refine;
             assert!(figures.missed == 0 && figures.added_seeds <= 10, "{name}, seed {seed}: {figures:?}");
             added += figures.added_seeds;
@@ -130,12 +130,12 @@ fn points_for_a_tolerance_leave_triangles_round() {
     let bump = |p: DVec3| p * (1.0 + 0.25 * (-80.0 * p.distance_squared(DVec3::X)).exp());
     let mesh = TriMesh::new(ball.positions().iter().map(|&p| bump(p)).collect(), ball.facets().to_vec()).unwrap();
     let farthest = |out: &Remesh| distances(&mesh, &out.mesh).into_iter().fold(0.0, f64::max);
-    let measured = RemeshOptions { measure: true, ..options(400) };
+    let measured = options(400).with_measure(true);
     let coarse = run(&mesh, &measured);
     let tolerance = 0.4 * farthest(&coarse);
-    let refine = Some(Refine { tolerance, max_points: 1600 });
-    let fine = run(&mesh, &RemeshOptions { refine, ..measured.clone() });
-    let even = run(&mesh, &RemeshOptions { measure: true, ..options(fine.seeds.len()) });
+    let refine = Refine::new(tolerance, 1600);
+    let fine = run(&mesh, &measured.clone().with_refine(refine));
+    let even = run(&mesh, &options(fine.seeds.len()).with_measure(true));
     println!("{} points, {:?}", fine.seeds.len(), fine.report.refine);
     assert_eq!(fine.report.refine.missed, 0);
     assert!(farthest(&fine) <= tolerance && farthest(&fine) < farthest(&even));
@@ -152,8 +152,8 @@ fn refinement_keeps_its_tolerance_or_uses_its_points_up() {
         let extent = (mesh.bounds().1 - mesh.bounds().0).max_element();
         for (share, max_points) in [(0.02, 2500), (0.006, 2500), (0.0005, 450)] {
             let tolerance = share * extent;
-            let refine = Some(Refine { tolerance, max_points });
-            let out = run(&mesh, &RemeshOptions { refine, newton: 8, ..options(250) });
+            let refine = Refine::new(tolerance, max_points);
+            let out = run(&mesh, &options(250).with_refine(refine).with_newton(8));
             let name = format!("{shape}, {tolerance}, {max_points} points");
             let figures = &out.report.refine;
             let worst = distances(&mesh, &out.mesh).into_iter().fold(0.0, f64::max);
@@ -196,8 +196,8 @@ fn no_facet_turns_over() {
 #[test]
 fn the_same_bits_on_any_number_of_threads() {
     for mesh in [Shape::Torus.build(3000), Shape::Block.build(2000)] {
-        let refine = Some(Refine { tolerance: 0.004, max_points: 500 });
-        for options in [options(300), RemeshOptions { refine, newton: 4, ..options(300) }] {
+        let refine = Refine::new(0.004, 500);
+        for options in [options(300), options(300).with_refine(refine).with_newton(4)] {
             let want = run_on(&Parallel::new(Some(2)).unwrap(), &mesh, &options);
             for threads in [1, 3] {
                 let got = run_on(&Parallel::new(Some(threads)).unwrap(), &mesh, &options);

@@ -5,7 +5,7 @@ use glam::DVec3;
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::remesh::{Remesh, RemeshOptions, Seeds, remesh};
-use tessera::rvd::parallel::Parallel;
+use tessera::rvd::Parallel;
 use tessera::token::Token;
 
 /// Points, and about how long edges are: √(2/√3 · area / points) on an area of 2.4.

@@ -1,8 +1,8 @@
 //! Surfaces with curves, and what is found on them.
 
 use glam::{DVec3, dvec3};
+use tessera::internals::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
 use tessera::mesh::TriMesh;
-use tessera::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
 use tessera::token::Token;
 
 pub(crate) fn wish(crease_angle_deg: f64) -> FeatureOptions {

@@ -2,15 +2,14 @@
 
 use crate::surfaces;
 use glam::DVec3;
-use tessera::cvt::density::{DensityOptions, DensitySource};
+use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::Attributes;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
-use tessera::rvd::parallel::Parallel;
-use tessera::rvd::serial::Serial;
 use tessera::rvd::{Backend, RvdError};
+use tessera::rvd::{Parallel, Serial};
 use tessera::token::Token;
 
 fn options(points: usize, lloyd: usize) -> RemeshOptions {
@@ -57,9 +56,9 @@ fn a_block_of_few_facets_is_divided_for_the_steps_alone() {
     let given = mesh.facets().len();
     let weights = mesh.positions().iter().map(|p| 1.0 + p.x.abs()).collect();
     for source in [DensitySource::Uniform, DensitySource::Weights(weights)] {
-        let density = DensityOptions { source, ..DensityOptions::default() };
+        let density = DensityOptions::new().with_source(source);
         let sample = RemeshOptions::new(Seeds::Sample { points: 900, seed: 3 });
-        let options = RemeshOptions { density, attributes: Some(Attributes::new(&mesh)), ..sample };
+        let options = sample.with_density(density).with_attributes(Attributes::new(&mesh));
         let out = run(&mesh, &options, &Parallel::new(Some(2)).unwrap()).unwrap();
         let report = &out.report;
         assert_eq!(report.input.facets, given);
@@ -82,8 +81,8 @@ fn weights_that_are_none_are_refused() {
     let mesh = Shape::Block.build(12);
     let vertices = mesh.positions().len();
     let of = |weights: Vec<f64>| {
-        let density = DensityOptions { source: DensitySource::Weights(weights), ..DensityOptions::default() };
-        let options = RemeshOptions { density, ..RemeshOptions::new(Seeds::Sample { points: 500, seed: 3 }) };
+        let density = DensityOptions::new().with_source(DensitySource::Weights(weights));
+        let options = RemeshOptions::new(Seeds::Sample { points: 500, seed: 3 }).with_density(density);
         run(&mesh, &options, &Serial).map(|_| ())
     };
     for count in [0, vertices - 1, vertices + 1] {
@@ -171,17 +170,17 @@ fn units_and_offset_do_not_matter() {
 fn given_seeds_are_the_vertices() {
     let mesh = Shape::Sphere.build(3000);
     let seeds: Vec<DVec3> = tessera::mesh::sample::sample(&mesh, None, 200, 9).iter().map(|p| p.position).collect();
-    let out = run(&mesh, &RemeshOptions { seeds: Seeds::Given(seeds.clone()), ..options(0, 0) }, &Serial).unwrap();
+    let out = run(&mesh, &options(0, 0).with_seeds(Seeds::Given(seeds.clone())), &Serial).unwrap();
     assert_eq!(out.mesh.positions().len(), 200);
     for (p, &seed) in out.mesh.positions().iter().zip(&out.vertex_seed) {
         assert!(p.distance(seeds[seed as usize]) < 1e-12);
     }
     assert!(matches!(
-        run(&mesh, &RemeshOptions { seeds: Seeds::Given(vec![]), ..options(0, 0) }, &Serial),
+        run(&mesh, &options(0, 0).with_seeds(Seeds::Given(vec![])), &Serial),
         Err(RemeshError::Rvd(RvdError::NoSeeds))
     ));
     assert!(matches!(
-        run(&mesh, &RemeshOptions { seeds: Seeds::Given(seeds[..2].to_vec()), ..options(0, 0) }, &Serial),
+        run(&mesh, &options(0, 0).with_seeds(Seeds::Given(seeds[..2].to_vec())), &Serial),
         Err(RemeshError::TooFewSeeds { seeds: 2, .. })
     ));
 }
@@ -190,7 +189,7 @@ fn given_seeds_are_the_vertices() {
 fn weights_gather_seeds() {
     let mesh = Shape::Plane.build(4000);
     let weights: Vec<f64> = mesh.positions().iter().map(|p| if p.x > 0.5 { 1.0 } else { 1.0 / 256.0 }).collect();
-    let out = run(&mesh, &RemeshOptions { density: Some(weights).into(), ..options(1000, 20) }, &Serial).unwrap();
+    let out = run(&mesh, &options(1000, 20).with_density(Some(weights).into()), &Serial).unwrap();
     let right = out.mesh.positions().iter().filter(|p| p.x > 0.5).count() as f64;
     // Edge length ∝ w^(-1/4): four times as fine on the right, sixteen times as many seeds.
     let ratio = right / (1000.0 - right);
@@ -198,7 +197,7 @@ fn weights_gather_seeds() {
 }
 
 fn seeded(mesh: &TriMesh, seeds: Vec<DVec3>) -> Remesh {
-    run(mesh, &RemeshOptions { seeds: Seeds::Given(seeds), ..options(0, 0) }, &Serial).unwrap()
+    run(mesh, &options(0, 0).with_seeds(Seeds::Given(seeds)), &Serial).unwrap()
 }
 
 /// A square lattice: every RVD vertex is where four cells meet.

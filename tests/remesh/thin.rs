@@ -1,17 +1,17 @@
 //! Promise: what is thinner than the edges of a remesh stays, as edges become shorter there and nowhere else.
 
 use glam::DVec3;
-use tessera::cvt::density::{DensityOptions, DensitySource};
+use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{Remesh, RemeshOptions, Seeds, remesh};
-use tessera::rvd::parallel::Parallel;
+use tessera::rvd::Parallel;
 use tessera::token::Token;
 
 fn options(points: usize) -> RemeshOptions {
-    RemeshOptions { newton: 10, crease_angle_deg: 0.0, ..RemeshOptions::new(Seeds::Sample { points, seed: 5 }) }
+    RemeshOptions::new(Seeds::Sample { points, seed: 5 }).with_newton(10).with_crease_angle_deg(0.0)
 }
 
 fn run(mesh: &TriMesh, options: &RemeshOptions) -> Remesh {
@@ -88,7 +88,7 @@ fn edge(mesh: &TriMesh, points: usize) -> f64 {
 fn a_horn_stays() {
     let mesh = horned();
     let points = 300;
-    let even = run(&mesh, &RemeshOptions { keep_thin: false, ..options(points) });
+    let even = run(&mesh, &options(points).with_keep_thin(false));
     let finer = run(&mesh, &options(points));
     let edge = edge(&mesh, points);
     // Around the horn's tip are 0.31, less than two edges.
@@ -115,7 +115,7 @@ fn a_bridge_and_a_thin_ring_stay() {
         let finer = run(&mesh, &options(points));
         let after = topology(&finer.mesh);
         assert_eq!((after.euler, after.components, after.boundary_loops), (euler, 1, 0), "{name}");
-        let even = run(&mesh, &RemeshOptions { keep_thin: false, ..options(points) });
+        let even = run(&mesh, &options(points).with_keep_thin(false));
         let fails = !even.report.topology_changes.is_empty() || even.report.result.repair.seeds_without_vertex > 0;
         assert!(fails, "{name}: the test shows nothing");
         assert!(finer.report.topology_changes.is_empty(), "{name}: {:?}", finer.report.topology_changes);
@@ -127,7 +127,7 @@ fn a_bridge_and_a_thin_ring_stay() {
 fn nothing_changes_where_cells_hold_or_lengths_are_given() {
     let same = |a: &Remesh, b: &Remesh| a.mesh == b.mesh && a.seeds == b.seeds;
     for mesh in [Shape::Sphere.build(3000), Shape::Genus(2).build(3000)] {
-        let even = run(&mesh, &RemeshOptions { keep_thin: false, ..options(700) });
+        let even = run(&mesh, &options(700).with_keep_thin(false));
         let finer = run(&mesh, &options(700));
         assert!(same(&even, &finer));
         assert_eq!((finer.report.refine.thin_rounds, finer.report.refine.thin_cells), (0, 0));
@@ -135,10 +135,10 @@ fn nothing_changes_where_cells_hold_or_lengths_are_given() {
     let mesh = horned();
     let lengths = vec![1.0; mesh.positions().len()];
     let density = DensityOptions::from_source(DensitySource::Sizes(lengths));
-    let given = RemeshOptions { density, ..options(200) };
+    let given = options(200).with_density(density);
     let out = run(&mesh, &given);
     assert_eq!(out.report.refine.thin_rounds, 0);
-    assert!(same(&out, &run(&mesh, &RemeshOptions { keep_thin: false, ..given })));
+    assert!(same(&out, &run(&mesh, &given.with_keep_thin(false))));
 }
 
 #[test]

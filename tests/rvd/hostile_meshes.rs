@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::hostile::{covered, options, remeshed};
 use crate::{cases, hostile, points};
 use glam::{DVec3, dvec3};
-use tessera::mesh::adjacency::Adjacency;
+use tessera::internals::mesh::adjacency::Adjacency;
 use tessera::mesh::measure::{Topology, topology};
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::{MeshError, TriMesh};
@@ -284,9 +284,8 @@ fn figures_of_tiny_and_huge_surfaces() {
     let torus = Shape::Torus.build(600);
     let quality = |scale: f64| {
         let mesh = map(&torus, |p| p * scale);
-        let wish =
-            tessera::remesh::RemeshOptions { measure: true, ..options(Seeds::Sample { points: 150, seed: 2 }, 2) };
-        let out = hostile::run(&mesh, &wish, &tessera::rvd::serial::Serial).unwrap();
+        let wish = options(Seeds::Sample { points: 150, seed: 2 }, 2).with_measure(true);
+        let out = hostile::run(&mesh, &wish, &tessera::rvd::Serial).unwrap();
         let report = serde_json::to_string(&out.report).unwrap();
         let missing: Vec<_> = report.match_indices(":null").map(|(at, _)| &report[at - 20..at]).collect();
         assert_eq!(missing.len(), 2, "scale {scale}: {missing:?}");
@@ -360,7 +359,7 @@ fn weights_of_any_size() {
             points::on_surface(&surface, 100, &mut points::rng(4)).into_iter().map(|x| x.1).collect();
         covered(name, &surface, &seeds);
         let wish = options(Seeds::Sample { points: 100, seed: 2 }, 2);
-        remeshed(name, &mesh, &tessera::remesh::RemeshOptions { density: Some(weights).into(), ..wish });
+        remeshed(name, &mesh, &wish.with_density(Some(weights).into()));
     }
     let refused = |of: &dyn Fn(usize) -> f64| Surface::new(&mesh, Some(&like(of))).unwrap_err();
     let unused = refused(&|v| f64::from(v + 1 == count));

@@ -10,7 +10,7 @@ use tessera::mesh::TriMesh;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{RemeshError, Seeds};
-use tessera::rvd::serial::Serial;
+use tessera::rvd::Serial;
 use tessera::rvd::{BackendKind, MAX_SEED_DISTANCE, RvdError, Surface};
 
 fn surface(mesh: &TriMesh) -> Arc<Surface> {

@@ -9,9 +9,8 @@ use crate::{points, surfaces};
 use glam::DVec3;
 use rand::RngExt;
 use tessera::mesh::shapes::Shape;
-use tessera::rvd::parallel::Parallel;
-use tessera::rvd::serial::Serial;
 use tessera::rvd::{Backend, Capacities, CellSums, PassStats, PieceBatch, Session, SessionOptions, Surface};
+use tessera::rvd::{Parallel, Serial};
 use tessera::token::Token;
 
 /// Seed sets that a surface is tried with, unit frame.
@@ -43,7 +42,7 @@ fn seed_sets(surface: &Surface) -> Vec<(&'static str, Vec<DVec3>)> {
 }
 
 fn open(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], capacities: Capacities) -> Box<dyn Session> {
-    let options = SessionOptions { capacities, ..SessionOptions::new(seeds.len()) };
+    let options = SessionOptions::new(seeds.len()).with_capacities(capacities);
     let mut session = backend.session(Arc::clone(surface), options).unwrap();
     session.set_seeds(seeds).unwrap();
     session
@@ -104,7 +103,7 @@ fn every_point_lies_in_the_cell_of_its_nearest_seed() {
 
 #[test]
 fn backends_threads_and_capacities_give_the_same_diagram() {
-    let tiny = Capacities { neighbours: 4, polygon: 5, cells: 2, pairs_percent: 10 };
+    let tiny = Capacities::new().with_neighbours(4).with_polygon(5).with_cells(2).with_pairs_percent(10);
     let pools: Vec<Parallel> = [1, 2, 3].map(|t| Parallel::new(Some(t)).unwrap()).into();
     for (name, mesh) in surfaces::all() {
         let surface = Arc::new(Surface::new(&mesh, None).unwrap());

@@ -5,17 +5,16 @@ use std::sync::Arc;
 
 use crate::{gpu, points, surfaces};
 use glam::DVec3;
-use tessera::cvt::density::{DensityOptions, DensitySource};
+use tessera::cvt::{DensityOptions, DensitySource};
+use tessera::internals::mesh::adjacency::{Adjacency, EdgeKind};
+use tessera::internals::rvd::Gpu;
 use tessera::mesh::TriMesh;
-use tessera::mesh::adjacency::{Adjacency, EdgeKind};
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;
 use tessera::mesh::sample::sample;
 use tessera::remesh::{RemeshOptions, Seeds, remesh};
-use tessera::rvd::gpu::Gpu;
-use tessera::rvd::parallel::Parallel;
-use tessera::rvd::serial::Serial;
 use tessera::rvd::{Backend, CellSums, PieceBatch, SessionOptions, Surface};
+use tessera::rvd::{Parallel, Serial};
 use tessera::token::Token;
 
 /// Centroids of white-noise cells against those of two independent exact programs, and the same
@@ -192,7 +191,7 @@ fn graded_remeshes_are_of_round_triangles_too() {
     ] {
         let Some(mesh) = surfaces::real(file) else { return };
         let density = DensityOptions::from_source(source);
-        let options = RemeshOptions { density, ..RemeshOptions::new(Seeds::Sample { points, seed: 0 }) };
+        let options = RemeshOptions::new(Seeds::Sample { points, seed: 0 }).with_density(density);
         let backend = Parallel::new(None).unwrap();
         let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
         let quality = result.report.result.quality.unwrap();
@@ -240,7 +239,7 @@ fn boundaries_are_whole_whatever_the_seed() {
     let Some(mesh) = surfaces::real("stanford-bunny.obj") else { return };
     let backend = Parallel::new(None).unwrap();
     for seed in 1..7 {
-        let options = RemeshOptions { measure: false, ..RemeshOptions::new(Seeds::Sample { points: 3000, seed }) };
+        let options = RemeshOptions::new(Seeds::Sample { points: 3000, seed }).with_measure(false);
         let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
         let features = &result.report.features;
         assert_eq!((features.missing_segments, features.broken_curves), (0, 0), "seed {seed}: {features:?}");
@@ -323,12 +322,10 @@ fn from_rim(rim: &[[DVec3; 2]], other: &[[DVec3; 2]]) -> [f64; 2] {
 fn the_energy_comes_down_as_published() {
     let Some(mesh) = surfaces::real("rocker-arm.obj") else { return };
     for (newton, most) in [(30, 0.997), (100, 0.994)] {
-        let options = RemeshOptions {
-            newton,
-            crease_angle_deg: 0.0,
-            measure: false,
-            ..RemeshOptions::new(Seeds::Sample { points: 2000, seed: 0 })
-        };
+        let options = RemeshOptions::new(Seeds::Sample { points: 2000, seed: 0 })
+            .with_newton(newton)
+            .with_crease_angle_deg(0.0)
+            .with_measure(false);
         let backend = Parallel::new(None).unwrap();
         let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
         let ratio = result.report.last.energy_ratio;

@@ -6,9 +6,9 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use crate::server::*;
-use tessera::config::Limits;
-use tessera::service::proto::compute_rvd_request::Message as Ask;
-use tessera::service::proto::*;
+use tessera::internals::config::Limits;
+use tessera::proto::compute_rvd_request::Message as Ask;
+use tessera::proto::*;
 use tokio::sync::mpsc::Sender;
 use tonic::{Code, Streaming};
 use tonic_types::StatusExt;

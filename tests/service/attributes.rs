@@ -6,9 +6,9 @@ use glam::{DVec2, DVec3};
 use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
 use tessera::mesh::io::{read_with_attributes, write_with_attributes};
-use tessera::service::proto::remesh_request::Message as Ask;
-use tessera::service::proto::remesh_response::Message as Answer;
-use tessera::service::proto::*;
+use tessera::proto::remesh_request::Message as Ask;
+use tessera::proto::remesh_response::Message as Answer;
+use tessera::proto::*;
 use tonic::{Code, Status};
 use tonic_types::StatusExt;
 

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use tessera::job::Ceilings;
-use tessera::service::ServeError;
-use tessera::service::proto::BackendChoice;
+use tessera::internals::job::Ceilings;
+use tessera::internals::service::ServeError;
+use tessera::proto::BackendChoice;
 use tonic::Code;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use crate::raw::{self, CHECK, Raw, WATCH, closes, silent};
 use crate::server::*;
-use tessera::config::Limits;
-use tessera::service::proto::*;
+use tessera::internals::config::Limits;
+use tessera::proto::*;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;

@@ -1,8 +1,8 @@
 //! Promise: densities go over the wire, and what is wrong with one is refused with its field.
 
 use crate::server::*;
-use tessera::config::Limits;
-use tessera::service::proto::*;
+use tessera::internals::config::Limits;
+use tessera::proto::*;
 use tonic::{Code, Status};
 use tonic_types::StatusExt;
 

@@ -3,9 +3,9 @@
 
 use crate::server::*;
 use glam::DVec3;
-use tessera::config::Limits;
+use tessera::internals::config::Limits;
 use tessera::mesh::shapes::Shape;
-use tessera::service::proto::*;
+use tessera::proto::*;
 use tonic::{Code, Status};
 use tonic_types::StatusExt;
 

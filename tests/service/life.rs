@@ -6,9 +6,9 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use crate::server::*;
-use tessera::config::Limits;
-use tessera::service::SERVICE_NAME;
-use tessera::service::proto::*;
+use tessera::internals::config::Limits;
+use tessera::internals::service::SERVICE_NAME;
+use tessera::proto::*;
 use tonic::Code;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;

@@ -2,9 +2,9 @@
 
 use crate::server::*;
 use glam::DVec3;
-use tessera::config::Limits;
-use tessera::service::proto::compute_rvd_request::Message as Ask;
-use tessera::service::proto::*;
+use tessera::internals::config::Limits;
+use tessera::proto::compute_rvd_request::Message as Ask;
+use tessera::proto::*;
 use tonic::{Code, Status};
 use tonic_types::StatusExt;
 

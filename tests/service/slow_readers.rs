@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use crate::raw::{COMPUTE_RVD, Raw};
 use crate::server::*;
-use tessera::config::Limits;
-use tessera::service::proto::*;
+use tessera::internals::config::Limits;
+use tessera::proto::*;
 
 const SECOND: Duration = Duration::from_secs(1);
 

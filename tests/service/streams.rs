@@ -1,7 +1,7 @@
 //! Promise: every stream of the service does its work end to end, through a real client.
 
 use crate::server::*;
-use tessera::service::proto::*;
+use tessera::proto::*;
 use tokio_stream::StreamExt;
 
 #[tokio::test(flavor = "multi_thread")]

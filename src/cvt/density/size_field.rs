@@ -57,12 +57,7 @@ impl SizeField {
         net.median(&self.sizes)
     }
 
-    /// Weights ∝ h⁻⁴, the largest 1.
-    pub fn weights(&self) -> Vec<f64> {
-        Self::weights_of(&self.sizes)
-    }
-
-    /// Weights for lengths that are known to be right.
+    /// Weights ∝ h⁻⁴, the largest 1, for lengths that are known to be right.
     pub(super) fn weights_of(sizes: &[f64]) -> Vec<f64> {
         let least = sizes.iter().copied().fold(f64::INFINITY, f64::min);
         sizes.iter().map(|&h| (least / h).powi(4)).collect()
@@ -228,7 +223,7 @@ mod tests {
             let points = field.points(&net);
             assert!((points / outline.points(h) - 1.0).abs() < 1e-9, "{shape}: {points}");
             assert!((outline.edge_length(points) / h - 1.0).abs() < 1e-9, "{shape}");
-            assert!(field.weights().iter().all(|&w| w == 1.0));
+            assert!(SizeField::weights_of(&field.sizes).iter().all(|&w| w == 1.0));
         }
     }
 

@@ -6,7 +6,7 @@ mod cases;
 
 use std::sync::OnceLock;
 
-use tessera::rvd::parallel::Parallel;
+use tessera::rvd::Parallel;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     static PARALLEL: OnceLock<Parallel> = OnceLock::new();

@@ -12,7 +12,7 @@ mod gpu_cases;
 
 use std::sync::OnceLock;
 
-use tessera::rvd::gpu::Gpu;
+use tessera::internals::rvd::Gpu;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     static GPU: OnceLock<Option<Gpu>> = OnceLock::new();

@@ -1,0 +1,71 @@
+//! What this crate's own tests and fuzzers see of its inside.
+//!
+//! No part of the interface: anything here may change or go with any release, without a word.
+//! Invariant: nothing is made here. Must not know: who looks.
+
+/// The command line.
+#[cfg(feature = "cli")]
+pub mod cli {
+    pub use crate::cli::main;
+}
+
+/// What a server may be told.
+#[cfg(feature = "service")]
+pub mod config {
+    pub use crate::config::Limits;
+}
+
+/// Densities as the pipeline takes them.
+pub mod cvt {
+    pub use crate::cvt::density::{Net, Outline, Plan, plan};
+}
+
+/// The device, and what is laid out on it.
+#[cfg(feature = "gpu")]
+pub mod gpu {
+    pub use crate::gpu::device::adapters;
+    pub use crate::gpu::{Device, DeviceOptions, GpuError, buffers, device, layout, plan, shader};
+}
+
+/// The queue and the device thread.
+#[cfg(feature = "service")]
+pub mod job {
+    pub use crate::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
+}
+
+/// Neighbours of seeds.
+pub mod knn {
+    pub use crate::knn::{NeighbourRow, SeedIndex};
+}
+
+/// Adjacency and features of surfaces.
+pub mod mesh {
+    /// Edges and their facets.
+    pub mod adjacency {
+        pub use crate::mesh::adjacency::{Adjacency, EdgeKind};
+    }
+
+    /// Curves that a remesh keeps.
+    pub mod features {
+        pub use crate::mesh::features::{Curve, CurveKind, FeatureError, FeatureOptions, Features};
+    }
+}
+
+/// Parts of the pipeline.
+pub mod remesh {
+    pub use crate::remesh::attributes::{carry, provenance};
+}
+
+/// Parts of the diagram.
+pub mod rvd {
+    pub use crate::rvd::cells::FACET_EDGE;
+    #[cfg(feature = "gpu")]
+    pub use crate::rvd::gpu::{Found, Gpu};
+    pub use crate::rvd::surface::snap;
+}
+
+/// The server.
+#[cfg(feature = "service")]
+pub mod service {
+    pub use crate::service::{Parts, SERVICE_NAME, ServeError, replay, run};
+}
