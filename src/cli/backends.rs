@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use anyhow::Context;
+
 use crate::config::{BackendArg, BackendArgs};
 use crate::job::{Backends, JobError, Wish};
 use crate::rvd::gpu::Gpu;
@@ -25,7 +27,6 @@ impl From<BackendArg> for Wish {
 /// # Errors
 /// `BackendUnavailable` if the default one is the GPU and there is none.
 pub fn all(args: &BackendArgs) -> Result<Backends, JobError> {
-    bound_common_pool(args.threads);
     let backends = Backends {
         gpu: gpu(args).inspect_err(|reason| tracing::info!(%reason, "no GPU backend")),
         parallel: Arc::new(Parallel::new(args.threads)?),
@@ -41,7 +42,6 @@ pub fn all(args: &BackendArgs) -> Result<Backends, JobError> {
 /// # Errors
 /// `BackendUnavailable`.
 pub fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
-    bound_common_pool(if args.backend == BackendArg::Serial { Some(1) } else { args.threads });
     match args.backend {
         BackendArg::Serial => Ok(Arc::new(Serial)),
         BackendArg::Parallel => Ok(Arc::new(Parallel::new(args.threads)?)),
@@ -49,11 +49,15 @@ pub fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
     }
 }
 
-/// What no backend does (putting seeds back on the surface, measuring) runs in rayon's common pool,
-/// which `--threads` bounds as well.
-fn bound_common_pool(threads: Option<usize>) {
-    // It can be set once; a server that makes its backends anew has set it to the same number.
-    let _ = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build_global();
+/// Does a subcommand's work on as many threads as `--threads` says: what no backend does too, as reading and drawing.
+///
+/// # Errors
+/// There are no threads to be had, or what the work says.
+pub fn on_threads<R: Send>(args: &BackendArgs, work: impl FnOnce() -> anyhow::Result<R> + Send) -> anyhow::Result<R> {
+    let threads = if args.backend == BackendArg::Serial { Some(1) } else { args.threads };
+    let name = |i| format!("tessera-{i}");
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).thread_name(name).build();
+    pool.context("cannot start threads; ask for fewer with --threads")?.install(work)
 }
 
 /// The GPU backend, or why there is none and what to do.

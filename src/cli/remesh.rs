@@ -26,6 +26,10 @@ use summary::Told;
 /// Runs it.
 pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
     check(args)?;
+    backends::on_threads(&args.backend, || work(args))
+}
+
+fn work(args: &RemeshArgs) -> Result<()> {
     let start = Instant::now();
     let mut progress = Progress::begin(&args.input, &args.say);
     let Loaded { mesh, attributes, notes } = match args.files.no_attributes {

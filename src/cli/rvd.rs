@@ -103,6 +103,10 @@ impl RvdArgs {
 /// Runs it.
 pub(crate) fn run(args: &RvdArgs) -> Result<()> {
     check(args)?;
+    backends::on_threads(&args.backend, || work(args))
+}
+
+fn work(args: &RvdArgs) -> Result<()> {
     let start = Instant::now();
     let mut progress = Progress::begin(&args.input, &args.say);
     let mesh = files::read_mesh(&args.input)?;
