@@ -21,6 +21,7 @@ pub mod io;
 pub(crate) mod layers;
 pub mod measure;
 pub(crate) mod orient;
+pub(crate) mod outliers;
 pub mod sample;
 pub mod shapes;
 pub(crate) mod stitch;

@@ -97,3 +97,22 @@ fn long() {
         at(1.0)
     );
 }
+
+/// Work that asks too seldom goes on for seconds here; the bound is far above what a busy machine adds. The long run
+/// measures.
+const BOUND: Duration = Duration::from_secs(3);
+
+#[test]
+fn every_stage_hears() {
+    let backend = Parallel::new(Some(2)).unwrap();
+    let mut deaf = Vec::new();
+    for k in 0..2 * adversary::SURFACES.len() as u64 {
+        let mut rng = ChaCha8Rng::seed_from_u64(k);
+        let moment = Duration::from_secs_f64(1.5 * rng.random::<f64>());
+        let Outcome { name, late, silence, .. } = stop_after(k, 60_000, moment, &backend);
+        if late.is_some_and(|late| late > BOUND) || silence.time > BOUND {
+            deaf.push(format!("{name}: {late:?} late, {silence:?}"));
+        }
+    }
+    assert!(deaf.is_empty(), "\n{}", deaf.join("\n"));
+}

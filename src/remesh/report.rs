@@ -11,6 +11,7 @@ use crate::cvt::density::DensityFigures;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
 use crate::mesh::measure::{Quality, Topology, topology_of};
+use crate::mesh::outliers;
 use crate::rvd::dual::Dual;
 use crate::rvd::{DeviceWork, PassStats, Surface};
 
@@ -85,6 +86,9 @@ pub struct InputFigures {
     pub stitched_vertices: usize,
     /// and without so many facets that lay on others, corner on corner, where the surface goes on without them.
     pub spare_facets: usize,
+    /// Vertices a thousand times as far from the middle as half of all are: wrong coordinates, most often. The surface has a
+    /// spike there, which takes most of the points.
+    pub stray_vertices: usize,
     /// Caller's units squared.
     pub area: f64,
     /// χ, components, holes, non-manifold elements.
@@ -342,6 +346,7 @@ impl InputFigures {
             turned_facets: 0,
             stitched_vertices: 0,
             spare_facets: 0,
+            stray_vertices: outliers::count(mesh),
             area: mesh.area(),
             topology: topology_of(mesh, adjacency),
         }

@@ -21,4 +21,5 @@ mod lbfgs;
 mod near_corners;
 mod parts;
 mod pipeline;
+mod stray;
 mod thin;

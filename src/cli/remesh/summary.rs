@@ -60,6 +60,10 @@ impl Told<'_> {
             self.count("/input/stitched_vertices"),
             "vertices of its boundaries were nearly in the same place as others and moved there",
         );
+        note(
+            self.count("/input/stray_vertices"),
+            "vertices are far from all others: check their coordinates, most points go to the spikes there",
+        );
         note(self.count("/input/spare_facets"), "facets lay on others, corner on corner, and were left out");
         note(self.count("/input/turned_facets"), "facets were oriented unlike their neighbours and turned over");
         lines.push(format!("result      {}: {}", self.output.display(), surface("/result")));
