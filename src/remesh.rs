@@ -23,6 +23,7 @@ mod regular;
 pub(crate) mod repair;
 pub mod report;
 mod settled;
+mod spikes;
 mod stars;
 mod steps;
 mod thin;
@@ -42,6 +43,7 @@ use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::{Topology, quality_unless, topology};
+use crate::mesh::outliers;
 use crate::mesh::sample::spread;
 use crate::rvd::{Backend, RvdError, Surface, dual, on_threads_of};
 use crate::token::{Stopped, Token};
@@ -378,7 +380,17 @@ pub fn remesh(
     observer: &mut dyn Observer,
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
-    on_threads_of(backend, || remesh_here(mesh, options, backend, observer, token))
+    on_threads_of(backend, || match remesh_here(mesh, options, backend, observer, token) {
+        // As where all points lie along a spike. Given seeds are where they are.
+        Err(error @ (RemeshError::TooFewSeeds { .. } | RemeshError::Rvd(RvdError::NoArea))) => {
+            let near = outliers::draw_in(mesh).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
+            let Some(near) = near else { return Err(error) };
+            let mut done = remesh_here(&near, options, backend, observer, token)?;
+            spikes::put_back(&mut done, mesh, &near, token)?;
+            Ok(done)
+        }
+        done => done,
+    })
 }
 
 /// On the present threads.

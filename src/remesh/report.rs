@@ -346,7 +346,7 @@ impl InputFigures {
             turned_facets: 0,
             stitched_vertices: 0,
             spare_facets: 0,
-            stray_vertices: outliers::count(mesh),
+            stray_vertices: outliers::find(mesh).len(),
             area: mesh.area(),
             topology: topology_of(mesh, adjacency),
         }
