@@ -32,8 +32,10 @@ fn a_stray_vertex_gives_a_remesh_and_a_note() {
         let options = RemeshOptions::new(Seeds::Sample { points: 500, seed: 0 });
         let done = run(&mesh, &options, &parallel).unwrap_or_else(|e| panic!("{vertices:?} at {distance:e}: {e}"));
         assert!(begin.elapsed() < Duration::from_secs(50), "{distance:e}: {:?}", begin.elapsed());
-        let places = done.mesh.positions();
-        assert!(vertices.iter().all(|&v| places.contains(&mesh.positions()[v])), "the tips of the spikes are kept");
+        // Some of it is where the sphere is, and some along the spikes.
+        let near = |p: &&DVec3| p.length() < 2.0;
+        let (all, near) = (done.mesh.positions().len(), done.mesh.positions().iter().filter(near).count());
+        assert!(near < all, "{vertices:?} at {distance:e}: {near} of {all}");
         let report = done.report;
         assert_eq!(report.input.stray_vertices, vertices.len(), "at {distance:e}");
         assert!(report.density.facets <= mesh.facets().len() + 64 * 500 + 1000, "{} facets", report.density.facets);
