@@ -1,19 +1,35 @@
-#!/usr/bin/env bash
-# Prints the table of results in docs/quality.md. TESSERA names the program, TESSERA_MESHES the folder with the meshes.
-set -euo pipefail
-folder=$(mktemp -d)
-trap 'rm -rf "$folder"' EXIT
-for case in stanford-bunny:10000 rocker-arm:5000 fandisk:3000 nefertiti:50000; do
-    name=${case%:*}
-    "${TESSERA:-tessera}" remesh "$TESSERA_MESHES/$name.obj" --points "${case#*:}" --backend parallel --quiet \
-        -o "$folder/$name.ply" --report "$folder/$name.json"
-done
-python3 - "$folder" <<'PYTHON'
-import json, pathlib, sys
-print("| mesh, vertices | Q min | Q mean | smallest angle | under 30° | valence 5-7 | Hausdorff | RMS |")
+#!/bin/sh
+# Remeshes four surfaces with the defaults and prints their quality as a Markdown table.
+# Usage: TESSERA_MESHES=FOLDER tests/quality-table.sh [OPTION...]
+# Options go to `tessera remesh`, e.g. --density curvature. TESSERA names another program than `tessera`.
+set -eu
+
+meshes=${TESSERA_MESHES:?is the folder with stanford-bunny.obj, rocker-arm.obj, fandisk.obj and nefertiti.obj}
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+while read -r mesh points; do
+    "${TESSERA:-tessera}" remesh "$meshes/$mesh.obj" --points "$points" \
+        -o "$work/$mesh.ply" --report "$work/$mesh-$points.json" --quiet "$@" </dev/null
+done <<END
+stanford-bunny 10000
+rocker-arm 5000
+fandisk 3000
+nefertiti 50000
+END
+
+python3 - "$work" <<'END'
+import json
+import sys
+
+print("| mesh, points | Q min | Q mean | smallest angle | under 30° | valence 5-7 | Hausdorff | RMS |")
 print("| --- | --- | --- | --- | --- | --- | --- | --- |")
-for name in ["stanford-bunny", "rocker-arm", "fandisk", "nefertiti"]:
-    r = json.loads((pathlib.Path(sys.argv[1]) / f"{name}.json").read_text())["result"]
-    print(f"| {name}, {r['vertices']:,} | {r['q_min']:.2f} | {r['q_avg']:.3f} | {r['theta_min_deg']:.1f}° "
-          f"| {r['under_30_percent']:.2f} % | {r['v567_percent']:.1f} % | {r['hausdorff_percent']:.2f} % | {r['rms_percent']:.3f} % |")
-PYTHON
+for mesh, points in [("stanford-bunny", 10000), ("rocker-arm", 5000), ("fandisk", 3000), ("nefertiti", 50000)]:
+    with open(f"{sys.argv[1]}/{mesh}-{points}.json", encoding="utf-8") as file:
+        r = json.load(file)["result"]
+    print(
+        f"| {mesh}, {points:,} | {r['q_min']:.2f} | {r['q_avg']:.3f} | {r['theta_min_deg']:.1f}° "
+        f"| {r['under_30_percent']:.3f} % | {r['v567_percent']:.2f} % "
+        f"| {r['hausdorff_percent']:.3f} % | {r['rms_percent']:.3f} % |"
+    )
+END
