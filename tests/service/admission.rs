@@ -100,6 +100,7 @@ async fn a_long_report_comes_in_chunks() {
         seeds: uploaded(seeds.len()),
         backend: BackendChoice::Serial.into(),
         lloyd_steps: Some(STEPS),
+        newton_steps: Some(0),
         measure: Measure::Topology.into(),
         ..RemeshHeader::default()
     };
