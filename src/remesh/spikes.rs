@@ -41,8 +41,8 @@ pub(super) fn put_back(done: &mut Remesh, given: &TriMesh, near: &TriMesh, token
             *place = back(was, point);
         }
     }
-    let broken = |e| RvdError::Internal(format!("a surface was valid before its spikes were put back: {e}"));
-    done.mesh = TriMesh::new(places, done.mesh.facets().to_vec()).map_err(broken)?;
+    // All that can be wrong with it is that spikes are so long that no facet beside them has an area.
+    done.mesh = TriMesh::new(places, done.mesh.facets().to_vec()).map_err(|_| RvdError::NoArea)?;
     let near_seeds = closest.project_all(&done.seeds, token)?;
     done.seeds.iter_mut().zip(near_seeds).for_each(|(seed, point)| *seed = back(*seed, point));
     let report = &mut done.report;
