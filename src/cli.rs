@@ -7,12 +7,12 @@
 #[macro_use]
 mod say;
 
-pub mod backends;
+pub(crate) mod backends;
 mod bench;
 mod cell_file;
 #[cfg(test)]
 mod defaults;
-pub mod doctor;
+pub(crate) mod doctor;
 mod endpoint;
 mod exit;
 mod files;
@@ -23,7 +23,7 @@ mod remesh;
 mod remote;
 mod rvd;
 mod serve;
-pub mod shape;
+pub(crate) mod shape;
 mod sizes;
 mod surroundings;
 

@@ -33,7 +33,7 @@ pub enum BackendArg {
 #[cfg(feature = "cli")]
 /// Who works and with how much: the options that every working subcommand has.
 #[derive(Args, Clone, Debug, Default)]
-pub struct BackendArgs {
+pub(crate) struct BackendArgs {
     /// Which backend should do the work.
     #[arg(long, value_enum, default_value_t, env = "TESSERA_BACKEND")]
     pub backend: BackendArg,
@@ -49,7 +49,7 @@ pub struct BackendArgs {
 /// `tessera serve`'s options.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Server and its limits")]
-pub struct ServeArgs {
+pub(crate) struct ServeArgs {
     /// Address or name, and port to listen on; port 0 takes a free one and prints it.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:50051", env = "TESSERA_LISTEN")]
     pub listen: String,
@@ -185,7 +185,7 @@ impl Default for Limits {
 #[cfg(feature = "cli")]
 /// A server's configuration, checked.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ServeConfig {
+pub(crate) struct ServeConfig {
     /// Where to listen: the first of these that can be had.
     pub listen: Vec<SocketAddr>,
     /// Jobs that may wait.
@@ -199,7 +199,7 @@ pub struct ServeConfig {
 /// What one job may take, and how long it may take to stop.
 #[cfg(feature = "cli")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct JobCeilings {
+pub(crate) struct JobCeilings {
     /// Time at work.
     pub time: Duration,
     /// Bytes by which the process may grow; as the machine allows if not given.
@@ -214,7 +214,7 @@ pub struct JobCeilings {
 /// A value that makes no sense.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{option} is {value}; it must be {must}")]
-pub struct ConfigError {
+pub(crate) struct ConfigError {
     /// The option's name on the command line.
     pub option: &'static str,
     /// As given.
@@ -229,7 +229,7 @@ impl ServeArgs {
     ///
     /// # Errors
     /// [`ConfigError`] for the first one that is wrong.
-    pub fn check(&self) -> Result<ServeConfig, ConfigError> {
+    pub(crate) fn check(&self) -> Result<ServeConfig, ConfigError> {
         self.backend.check()?;
         let most = MAX_ELEMENTS;
         Ok(ServeConfig {
@@ -280,7 +280,7 @@ impl BackendArgs {
     ///
     /// # Errors
     /// [`ConfigError`].
-    pub fn check(&self) -> Result<(), ConfigError> {
+    pub(crate) fn check(&self) -> Result<(), ConfigError> {
         match self.threads {
             Some(threads) => within("--threads", threads as u64, 1, 4096, "1 to 4096").map(|_| ()),
             None => Ok(()),

@@ -568,7 +568,7 @@ impl Cvt {
         self.present = None;
         if look.empty_cells > 0 {
             self.pull()?;
-            let places = self.new_places()?;
+            let places = self.new_places(token)?;
             places.into_iter().for_each(|(seed, place)| self.seeds[seed as usize] = place);
             self.moved();
         }

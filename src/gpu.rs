@@ -15,7 +15,8 @@ pub mod plan;
 pub mod shader;
 mod timing;
 
-pub use device::{Device, DeviceOptions, Traffic};
+pub(crate) use device::Traffic;
+pub use device::{Device, DeviceOptions};
 
 /// What can go wrong on a device.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

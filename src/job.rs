@@ -7,12 +7,12 @@
 //! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
 //! Must not know: gRPC, messages, the command line.
 
-pub mod diagram;
-pub mod queue;
-pub mod session;
-pub mod spec;
-pub mod watchdog;
-pub mod worker;
+pub(crate) mod diagram;
+pub(crate) mod queue;
+pub(crate) mod session;
+pub(crate) mod spec;
+pub(crate) mod watchdog;
+pub(crate) mod worker;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -23,9 +23,11 @@ use crate::rvd::{Backend, BackendKind, RvdError};
 use crate::token::{Stopped, Token};
 
 pub use crate::rvd::BackendChoice as Wish;
-pub use queue::Place;
-pub use watchdog::{Ceilings, Work};
-pub use worker::{Device, Engine, EngineOptions, Pending, Retry, Ticket, Timed, Turn};
+pub(crate) use queue::Place;
+pub use watchdog::Ceilings;
+pub(crate) use watchdog::Work;
+pub(crate) use worker::{Device, Pending, Retry, Ticket, Timed, Turn};
+pub use worker::{Engine, EngineOptions};
 
 /// The backends of this process. Lives on the device thread.
 #[derive(Clone)]
@@ -135,16 +137,16 @@ impl From<Stopped> for JobError {
 
 /// Cancels when dropped: whoever waits for work holds one, so that going away stops the work.
 #[derive(Debug)]
-pub struct CancelOnDrop(Option<Token>);
+pub(crate) struct CancelOnDrop(Option<Token>);
 
 impl CancelOnDrop {
     /// For work with this token.
-    pub fn new(token: &Token) -> Self {
+    pub(crate) fn new(token: &Token) -> Self {
         Self(Some(token.clone()))
     }
 
     /// The work has ended; the token may be that of more to come.
-    pub fn disarm(mut self) {
+    pub(crate) fn disarm(mut self) {
         self.0 = None;
     }
 }

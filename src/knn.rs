@@ -14,8 +14,9 @@ mod table;
 #[cfg(test)]
 mod tests;
 
-pub use index::{NeighbourRow, SeedIndex, Threads};
-pub use table::NeighbourTable;
+pub(crate) use index::Threads;
+pub use index::{NeighbourRow, SeedIndex};
+pub(crate) use table::NeighbourTable;
 
 /// The squared distance that orders all rows: always the same roundings, whichever way a row was found.
 pub(crate) fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {

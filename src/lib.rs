@@ -60,8 +60,16 @@
 //! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules. Modules without a link
 //! are no part of the interface, nor is `internals`, which shows some of them to this crate's own tests.
 
+// What is `pub` is for callers; everything else says how far it reaches.
+#![warn(unreachable_pub)]
+
 #[macro_use]
 mod setters;
+
+/// The README's program, which the tests of the documents compile and run.
+#[cfg(all(doctest, feature = "cli"))]
+#[doc = include_str!("../README.md")]
+struct Readme;
 
 #[cfg(feature = "cli")]
 mod cli;

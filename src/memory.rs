@@ -5,12 +5,12 @@
 
 /// The most memory that this process ever held, bytes; `None` where the system does not say.
 #[cfg(feature = "cli")]
-pub fn peak_memory_bytes() -> Option<u64> {
+pub(crate) fn peak_memory_bytes() -> Option<u64> {
     status_bytes("VmHWM:")
 }
 
 /// The memory that this process holds, bytes; `None` where the system does not say.
-pub fn memory_bytes() -> Option<u64> {
+pub(crate) fn memory_bytes() -> Option<u64> {
     status_bytes("VmRSS:")
 }
 
@@ -29,7 +29,7 @@ fn kibibytes(text: &str, name: &str) -> Option<u64> {
 /// The memory that this process may come to: what the machine has, or its container if that has less. `None` where the
 /// system does not say.
 #[cfg(feature = "cli")]
-pub fn machine_memory_bytes() -> Option<u64> {
+pub(crate) fn machine_memory_bytes() -> Option<u64> {
     let machine = kibibytes(&std::fs::read_to_string("/proc/meminfo").ok()?, "MemTotal:")?;
     let limit = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();
     Some(limit.and_then(|text| text.trim().parse::<u64>().ok()).map_or(machine, |limit| limit.min(machine)))

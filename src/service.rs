@@ -41,7 +41,7 @@ pub mod proto {
 }
 
 /// The largest message that is taken, bytes.
-pub const MAX_MESSAGE_BYTES: usize = 4 << 20;
+pub(crate) const MAX_MESSAGE_BYTES: usize = 4 << 20;
 
 /// The name under which health is told, besides "".
 pub const SERVICE_NAME: &str = "tessera.v1.RemeshService";

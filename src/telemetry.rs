@@ -10,7 +10,7 @@ use tracing_subscriber::filter::ParseError;
 
 /// How a log line looks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum LogFormat {
+pub(crate) enum LogFormat {
     /// For people.
     #[default]
     Text,
@@ -20,7 +20,7 @@ pub enum LogFormat {
 
 /// Why there are no logs.
 #[derive(Debug, thiserror::Error)]
-pub enum TelemetryError {
+pub(crate) enum TelemetryError {
     /// The filter is not one.
     #[error("TESSERA_LOG is not a log filter: {0}; an example is `info,tessera=debug`")]
     Filter(#[from] ParseError),
@@ -33,7 +33,7 @@ pub enum TelemetryError {
 ///
 /// # Errors
 /// [`TelemetryError`].
-pub fn start(format: LogFormat, default: &str) -> Result<(), TelemetryError> {
+pub(crate) fn start(format: LogFormat, default: &str) -> Result<(), TelemetryError> {
     let filter = match std::env::var("TESSERA_LOG") {
         Ok(filter) if !filter.trim().is_empty() => EnvFilter::try_new(filter)?,
         _ => EnvFilter::try_new(default)?,

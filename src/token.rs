@@ -109,6 +109,10 @@ pub struct Silence {
     pub until: Option<&'static Location<'static>>,
 }
 
+/// Steps of work since a token was asked last; see [`Token::is_stopped_after`].
+#[derive(Clone, Debug, Default)]
+pub struct Pace(usize);
+
 impl Token {
     /// Items of a plain loop between two questions.
     pub const STRIDE: usize = 4096;
@@ -199,6 +203,27 @@ impl Token {
     #[track_caller]
     pub fn check_at(&self, item: usize) -> Result<(), Stopped> {
         if item.is_multiple_of(Self::STRIDE) { self.check() } else { Ok(()) }
+    }
+
+    /// Whether the work is to stop, where items differ much: asks once `pace` has come to [`Token::STRIDE`] steps, of which
+    /// this item took so many.
+    #[track_caller]
+    pub fn is_stopped_after(&self, steps: usize, pace: &mut Pace) -> bool {
+        pace.0 = pace.0.saturating_add(steps);
+        if pace.0 < Self::STRIDE {
+            return false;
+        }
+        pace.0 = 0;
+        self.is_stopped()
+    }
+
+    /// The same for work that can fail.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    #[track_caller]
+    pub fn check_after(&self, steps: usize, pace: &mut Pace) -> Result<(), Stopped> {
+        if self.is_stopped_after(steps, pace) { self.check() } else { Ok(()) }
     }
 
     /// Notes that somebody asked.

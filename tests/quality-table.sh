@@ -10,7 +10,7 @@ trap 'rm -rf "$work"' EXIT
 
 while read -r mesh points; do
     "${TESSERA:-tessera}" remesh "$meshes/$mesh.obj" --points "$points" \
-        -o "$work/$mesh.ply" --report "$work/$mesh-$points.json" --quiet "$@" </dev/null
+        --backend parallel -o "$work/$mesh.ply" --report "$work/$mesh-$points.json" --quiet "$@" </dev/null
 done <<END
 stanford-bunny 10000
 rocker-arm 5000

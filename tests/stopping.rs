@@ -1,78 +1,51 @@
-//! Promise: whatever is sent, work stops soon after it is told to.
+//! Promise: whatever is sent, work stops soon after it is told to, on every backend.
 //!
 //! The generator is `common/adversary.rs`. `TESSERA_STOP_CASES=1000 cargo test --release --test stopping -- --ignored --nocapture
 //! long` prints one line a case and, at the end, how long work went on after it was told to stop, as JSON;
-//! `TESSERA_STOP_FIRST` begins elsewhere, `TESSERA_STOP_SIZE` says how large surfaces are.
+//! `TESSERA_STOP_FIRST` begins elsewhere, `TESSERA_STOP_SIZE` says how large surfaces are, and `TESSERA_STOP_BACKEND` is
+//! `parallel`, `serial` or `gpu`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "common/adversary.rs"]
-mod adversary;
+#[path = "common/gpu.rs"]
+mod gpu;
+#[path = "common/stops.rs"]
+mod stops;
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tessera::remesh::{Observer, remesh};
-use tessera::rvd::Parallel;
-use tessera::token::{Silence, Token};
+use stops::{Outcome, adversary, stop_after};
+use tessera::internals::rvd::Gpu;
+use tessera::rvd::{Backend, Parallel, Serial};
 
 fn number(variable: &str, default: u64) -> u64 {
     std::env::var(variable).map_or(default, |text| text.parse().unwrap_or_else(|e| panic!("{variable}={text}: {e}")))
 }
 
-struct Quiet;
-impl Observer for Quiet {}
-
-/// What came of a case.
-struct Outcome {
-    name: String,
-    /// From being told to stop to the end; nothing if it had ended before.
-    late: Option<Duration>,
-    took: Duration,
-    silence: Silence,
-    result: String,
-}
-
-/// Does the job of this number, and tells it to stop after `moment`.
-fn stop_after(number: u64, size: usize, moment: Duration, backend: &Parallel) -> Outcome {
-    let job = adversary::job(number, size);
-    let token = Token::default();
-    let begin = Instant::now();
-    let watcher = token.clone();
-    let (ended, end) = std::sync::mpsc::channel::<()>();
-    let (result, late) = std::thread::scope(|scope| {
-        let stopper = scope.spawn(move || {
-            let timed_out = end.recv_timeout(moment) == Err(std::sync::mpsc::RecvTimeoutError::Timeout);
-            watcher.cancel();
-            timed_out.then(Instant::now)
-        });
-        let done = catch_unwind(AssertUnwindSafe(|| remesh(&job.mesh, &job.options, backend, &mut Quiet, &token)));
-        let at = Instant::now();
-        let _ = ended.send(());
-        let stopped = stopper.join().unwrap();
-        (done, stopped.map(|stopped| at.saturating_duration_since(stopped)))
-    });
-    let result = match result {
-        Ok(Ok(done)) => format!("{} facets", done.mesh.facets().len()),
-        Ok(Err(error)) => error.to_string(),
-        Err(_) => panic!("{}: the work panicked", job.name),
-    };
-    Outcome { name: job.name, late, took: begin.elapsed(), silence: token.longest_silence(), result }
+/// The backend that the environment names.
+fn backend() -> Box<dyn Backend> {
+    let name = std::env::var("TESSERA_STOP_BACKEND").unwrap_or_else(|_| "parallel".to_owned());
+    match name.as_str() {
+        "parallel" => Box::new(Parallel::new(Some(number("TESSERA_STOP_THREADS", 2) as usize)).unwrap()),
+        "serial" => Box::new(Serial),
+        "gpu" => Box::new(Gpu::new(gpu::device().expect("an adapter"), None).unwrap()),
+        other => panic!("TESSERA_STOP_BACKEND={other}: say parallel, serial or gpu"),
+    }
 }
 
 #[test]
 #[ignore = "the long run; see the head of the file"]
 fn long() {
-    let backend = Parallel::new(Some(number("TESSERA_STOP_THREADS", 2) as usize)).unwrap();
+    let backend = backend();
     let (first, cases) = (number("TESSERA_STOP_FIRST", 0), number("TESSERA_STOP_CASES", 100));
     let (size, longest) = (number("TESSERA_STOP_SIZE", 200_000) as usize, number("TESSERA_STOP_MS", 5_000));
     let mut late = Vec::new();
     for k in first..first + cases {
         let mut rng = ChaCha8Rng::seed_from_u64(k ^ 0x5109);
         let moment = Duration::from_secs_f64(longest as f64 / 1e3 * rng.random::<f64>().powi(2));
-        let outcome = stop_after(k, size, moment, &backend);
+        let outcome = stop_after(k, size, moment, backend.as_ref());
         let Outcome { name, took, silence, result, .. } = outcome;
         let after = outcome.late.map_or(0.0, |l| l.as_secs_f64() * 1e3);
         if outcome.late.is_some() {
@@ -102,17 +75,39 @@ fn long() {
 /// measures.
 const BOUND: Duration = Duration::from_secs(3);
 
-#[test]
-fn every_stage_hears() {
-    let backend = Parallel::new(Some(2)).unwrap();
+/// Asserts that jobs of every kind stop within the bound, `rounds` of each kind.
+fn all_hear(rounds: u64, size: usize, longest: Duration, backend: &dyn Backend) {
     let mut deaf = Vec::new();
-    for k in 0..2 * adversary::SURFACES.len() as u64 {
+    for k in 0..rounds * adversary::SURFACES.len() as u64 {
         let mut rng = ChaCha8Rng::seed_from_u64(k);
-        let moment = Duration::from_secs_f64(1.5 * rng.random::<f64>());
-        let Outcome { name, late, silence, .. } = stop_after(k, 60_000, moment, &backend);
-        if late.is_some_and(|late| late > BOUND) || silence.time > BOUND {
-            deaf.push(format!("{name}: {late:?} late, {silence:?}"));
-        }
+        let moment = longest.mul_f64(rng.random::<f64>());
+        deaf.extend(stop_after(k, size, moment, backend).over(BOUND));
     }
     assert!(deaf.is_empty(), "\n{}", deaf.join("\n"));
+}
+
+#[test]
+fn every_stage_hears() {
+    all_hear(2, 60_000, Duration::from_millis(1500), &Parallel::new(Some(2)).unwrap());
+}
+
+#[test]
+fn one_thread_hears() {
+    all_hear(1, 20_000, Duration::from_millis(500), &Serial);
+}
+
+#[test]
+fn the_gpu_hears() {
+    let Some(device) = gpu::device() else { return };
+    all_hear(1, 20_000, Duration::from_millis(1000), &Gpu::new(device, None).unwrap());
+}
+
+/// What the fuzz target `stop` looks for, with fixed bytes.
+#[test]
+fn small_jobs_hear() {
+    let backend = Parallel::new(Some(2)).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(26);
+    let slow: Vec<_> =
+        (0..100).filter_map(|_| stops::check(&rng.random::<[u8; 10]>(), 2_000, BOUND, &backend).err()).collect();
+    assert!(slow.is_empty(), "\n{}", slow.join("\n"));
 }

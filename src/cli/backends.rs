@@ -26,7 +26,7 @@ impl From<BackendArg> for Wish {
 ///
 /// # Errors
 /// `BackendUnavailable` if the default one is the GPU and there is none.
-pub fn all(args: &BackendArgs) -> Result<Backends, JobError> {
+pub(crate) fn all(args: &BackendArgs) -> Result<Backends, JobError> {
     let backends = Backends {
         gpu: gpu(args).inspect_err(|reason| tracing::info!(%reason, "no GPU backend")),
         parallel: Arc::new(Parallel::new(args.threads)?),
@@ -41,7 +41,7 @@ pub fn all(args: &BackendArgs) -> Result<Backends, JobError> {
 ///
 /// # Errors
 /// `BackendUnavailable`.
-pub fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
+pub(crate) fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
     match args.backend {
         BackendArg::Serial => Ok(Arc::new(Serial)),
         BackendArg::Parallel => Ok(Arc::new(Parallel::new(args.threads)?)),
@@ -53,7 +53,10 @@ pub fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
 ///
 /// # Errors
 /// There are no threads to be had, or what the work says.
-pub fn on_threads<R: Send>(args: &BackendArgs, work: impl FnOnce() -> anyhow::Result<R> + Send) -> anyhow::Result<R> {
+pub(crate) fn on_threads<R: Send>(
+    args: &BackendArgs,
+    work: impl FnOnce() -> anyhow::Result<R> + Send,
+) -> anyhow::Result<R> {
     let threads = if args.backend == BackendArg::Serial { Some(1) } else { args.threads };
     let name = |i| format!("tessera-{i}");
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).thread_name(name).build();
@@ -64,7 +67,7 @@ pub fn on_threads<R: Send>(args: &BackendArgs, work: impl FnOnce() -> anyhow::Re
 ///
 /// # Errors
 /// A sentence for the caller.
-pub fn gpu(args: &BackendArgs) -> Result<Arc<dyn Backend>, String> {
+pub(crate) fn gpu(args: &BackendArgs) -> Result<Arc<dyn Backend>, String> {
     Ok(open_gpu(args)?)
 }
 
@@ -72,7 +75,7 @@ pub fn gpu(args: &BackendArgs) -> Result<Arc<dyn Backend>, String> {
 ///
 /// # Errors
 /// A sentence for the caller.
-pub fn open_gpu(args: &BackendArgs) -> Result<Arc<Gpu>, String> {
+pub(crate) fn open_gpu(args: &BackendArgs) -> Result<Arc<Gpu>, String> {
     let options = BackendOptions { threads: args.threads, software_gpu: args.gpu_software, ..BackendOptions::new() };
     options.open_gpu().map_err(|why| match &why {
         // An adapter that opens and then fails is a fault that should be seen, not passed over.

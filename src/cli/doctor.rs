@@ -10,7 +10,7 @@ use crate::job::Wish;
 
 /// `tessera doctor`'s options: the same as where work is done, to see their effect.
 #[derive(Args, Debug)]
-pub struct DoctorArgs {
+pub(crate) struct DoctorArgs {
     #[command(flatten)]
     backend: BackendArgs,
 }
@@ -19,7 +19,7 @@ pub struct DoctorArgs {
 ///
 /// # Errors
 /// The backend that the options ask for is not there.
-pub fn run(args: &DoctorArgs) -> Result<()> {
+pub(crate) fn run(args: &DoctorArgs) -> Result<()> {
     args.backend.check()?;
     outln!("tessera     {}", env!("CARGO_PKG_VERSION"))?;
     outln!("cores       {}", std::thread::available_parallelism().map_or(1, usize::from))?;

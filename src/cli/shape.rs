@@ -10,7 +10,7 @@ use crate::mesh::shapes::{MAX_FACETS, Shape};
 
 /// Writes a procedural surface to a file.
 #[derive(Clone, Debug, clap::Args)]
-pub struct ShapeArgs {
+pub(crate) struct ShapeArgs {
     /// sphere, torus, genusN (0 to 99 holes), block, hills, sheets, slivers, square or plane
     pub name: Shape,
     /// Wished number of facets; the result is near it
@@ -25,7 +25,7 @@ pub struct ShapeArgs {
 ///
 /// # Errors
 /// The file cannot be written.
-pub fn run(args: &ShapeArgs) -> anyhow::Result<()> {
+pub(crate) fn run(args: &ShapeArgs) -> anyhow::Result<()> {
     files::check_output(&args.output, &["obj", "ply", "stl", "off"])?;
     let mesh = args.name.build(args.facets);
     files::write_loaded(&args.output, &mesh, None)?;

@@ -26,7 +26,7 @@ use crate::token::{Stopped, Token};
 
 /// Seeds of curves, the first of all seeds.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct CurveSeeds {
+pub(crate) struct CurveSeeds {
     /// Unit frame: corners first, then curve by curve.
     pub seeds: Vec<DVec3>,
     /// How many of them are corners.
@@ -39,7 +39,7 @@ pub struct CurveSeeds {
 
 /// Two neighbouring seeds of a curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Segment {
+pub(crate) struct Segment {
     /// The seeds.
     pub ends: [u32; 2],
     /// Points of the curve between them, in order and about evenly spaced, unit frame.
@@ -51,11 +51,11 @@ pub struct Segment {
 }
 
 /// Points between two neighbours on a curve; odd, so that one is in the middle.
-pub const BETWEEN: usize = 7;
+pub(crate) const BETWEEN: usize = 7;
 
 impl Segment {
     /// The point of the curve half-way between its seeds, unit frame.
-    pub fn middle(&self) -> DVec3 {
+    pub(crate) fn middle(&self) -> DVec3 {
         self.between[BETWEEN / 2]
     }
 }
@@ -90,13 +90,19 @@ const LONGEST: f64 = 1.2;
 /// The edge length in the unit frame that so many seeds will have where the weight is 1: 1/u of
 /// (4/√3) u² ∫√w + u ∫_boundary w^(1/4) = 2n, since a triangulation of n vertices, of which b lie on the
 /// boundary, has 2n - b - 2χ triangles of area √3/4 h².
-pub fn edge_length(surface: &Surface, features: &Features, seeds: usize) -> f64 {
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn edge_length(surface: &Surface, features: &Features, seeds: usize, token: &Token) -> Result<f64, Stopped> {
     use crate::mesh::features::CurveKind::Boundary;
-    let boundary = features.curves.iter().filter(|c| c.kind == Boundary);
-    let one: f64 = boundary.map(|c| Path::new(surface, c, 1.0).total()).sum();
+    let mut one = 0.0;
+    for curve in features.curves.iter().filter(|c| c.kind == Boundary) {
+        token.check()?;
+        one += Path::new(surface, curve, 1.0).total();
+    }
     let two = 4.0 / 3f64.sqrt() * surface.root_mass();
     let u = 0.5 * ((one * one + 8.0 * two * seeds as f64).sqrt() - one) / two;
-    1.0 / u
+    Ok(1.0 / u)
 }
 
 impl CurveSeeds {
@@ -104,7 +110,7 @@ impl CurveSeeds {
     ///
     /// # Errors
     /// [`Stopped`].
-    pub fn place(
+    pub(crate) fn place(
         surface: &Surface,
         features: &Features,
         edge: f64,
@@ -121,6 +127,7 @@ impl CurveSeeds {
         };
         let mut pairs: Vec<(u32, u32)> = features.curves.iter().filter(|c| !c.closed).map(ends).collect();
         pairs.sort_unstable();
+        token.check()?;
         for (number, curve) in features.curves.iter().enumerate() {
             token.check()?;
             let path = Path::new(surface, curve, edge);
@@ -163,7 +170,7 @@ impl CurveSeeds {
     }
 
     /// For each seed, whether it is next to a corner that another segment leaves at an acute angle with its own.
-    pub fn beside_acute(&self) -> Vec<bool> {
+    pub(crate) fn beside_acute(&self) -> Vec<bool> {
         let mut leaving = vec![Vec::new(); self.corners];
         for s in &self.segments {
             for (a, b) in [(s.ends[0], s.ends[1]), (s.ends[1], s.ends[0])] {
@@ -176,21 +183,23 @@ impl CurveSeeds {
         let mut beside = vec![false; self.seeds.len()];
         for list in leaving {
             for (k, &(way, seed)) in list.iter().enumerate() {
-                let is_acute = |(j, other): (usize, &(DVec3, u32))| j != k && other.0.dot(way) > limit;
-                beside[seed as usize] |= seed as usize >= self.corners && list.iter().enumerate().any(is_acute);
+                let is_acute = |other: &(DVec3, u32)| other.0.dot(way) > limit;
+                // Of many that leave a corner most have such a one among the next: the first of each bundle comes soon.
+                let others = || list[k + 1..].iter().chain(&list[..k]);
+                beside[seed as usize] |= seed as usize >= self.corners && others().any(is_acute);
             }
         }
         beside
     }
 
     /// How many there are.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.seeds.len()
     }
 
     /// Puts a seed at a point between the ends of a segment, after all others; the segment becomes two. Returns where
     /// it is.
-    pub fn split(&mut self, segment: u32, at: usize) -> DVec3 {
+    pub(crate) fn split(&mut self, segment: u32, at: usize) -> DVec3 {
         let new = self.seeds.len() as u32;
         let Segment { ends: [a, b], between, curve, edge } = self.segments[segment as usize];
         let middle = between[at];
@@ -216,7 +225,7 @@ impl CurveSeeds {
 
     /// Splits segments whose chord leaves the curve by more than a seventh of an edge, where it is
     /// farthest away and both parts are long enough.
-    pub fn follow_bends(&mut self, token: &Token) -> Result<(), Stopped> {
+    pub(crate) fn follow_bends(&mut self, token: &Token) -> Result<(), Stopped> {
         let mut next = 0;
         while let Some(&segment) = self.segments.get(next) {
             token.check_at(self.segments.len() + next)?;
@@ -239,7 +248,7 @@ impl CurveSeeds {
 
     /// Splits segments of the curves for which `may` says so where a seed of another curve comes between their ends, as
     /// one from the other side of a slit does: until seeds lie opposite each other, or parts would be too short.
-    pub fn face_others(&mut self, may: impl Fn(u32) -> bool, token: &Token) -> Result<(), Stopped> {
+    pub(crate) fn face_others(&mut self, may: impl Fn(u32) -> bool, token: &Token) -> Result<(), Stopped> {
         for _ in 0..FACINGS {
             token.check()?;
             let index = SeedIndex::new(&self.seeds);
@@ -268,7 +277,7 @@ impl CurveSeeds {
     }
 
     /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.seeds.is_empty()
     }
 
@@ -278,7 +287,7 @@ impl CurveSeeds {
     ///
     /// # Errors
     /// [`Stopped`].
-    pub fn intruders(&self, seeds: &[DVec3], token: &Token) -> Result<Vec<(u32, u32)>, Stopped> {
+    pub(crate) fn intruders(&self, seeds: &[DVec3], token: &Token) -> Result<Vec<(u32, u32)>, Stopped> {
         let index = SeedIndex::new(seeds);
         let of = |(k, segment): (usize, &Segment)| {
             if k.is_multiple_of(ASKED) && token.is_stopped() {
@@ -306,7 +315,7 @@ impl CurveSeeds {
     /// Creases to leave out because they run so close to another curve that a triangulation has no room
     /// between them: of two that come within half of their spacing and do not meet there, the less
     /// bent one; one that was given, or a boundary, never.
-    pub fn crowded(&self, features: &Features, token: &Token) -> Result<BTreeSet<u32>, Stopped> {
+    pub(crate) fn crowded(&self, features: &Features, token: &Token) -> Result<BTreeSet<u32>, Stopped> {
         let mut on = vec![Vec::new(); self.seeds.len()];
         let mut reach = vec![0.0f64; self.seeds.len()];
         for s in &self.segments {
@@ -421,7 +430,7 @@ impl CurveSeeds {
     ///
     /// # Errors
     /// [`Stopped`]; nothing was moved.
-    pub fn push_out(&self, seeds: &mut [DVec3], token: &Token) -> Result<usize, Stopped> {
+    pub(crate) fn push_out(&self, seeds: &mut [DVec3], token: &Token) -> Result<usize, Stopped> {
         self.push_out_unless(seeds, |_| false, token)
     }
 
@@ -429,7 +438,7 @@ impl CurveSeeds {
     ///
     /// # Errors
     /// [`Stopped`]; nothing was moved.
-    pub fn push_out_unless(
+    pub(crate) fn push_out_unless(
         &self,
         seeds: &mut [DVec3],
         stays: impl Fn(u32) -> bool,
@@ -451,7 +460,7 @@ impl CurveSeeds {
     }
 
     /// What is farther from every curve seed and every middle of a segment than this share of the spacing there.
-    pub fn clearance(&self, share: f64) -> Clearance {
+    pub(crate) fn clearance(&self, share: f64) -> Clearance {
         let mut reach = vec![0.0f64; self.seeds.len()];
         let mut places = self.seeds.clone();
         let mut middles = Vec::new();
@@ -467,7 +476,7 @@ impl CurveSeeds {
 }
 
 /// See [`CurveSeeds::clearance`].
-pub struct Clearance {
+pub(crate) struct Clearance {
     index: SeedIndex,
     places: Vec<DVec3>,
     reach: Vec<f64>,
@@ -475,7 +484,7 @@ pub struct Clearance {
 
 impl Clearance {
     /// Whether `p` is clear of the curves, unit frame.
-    pub fn holds(&self, p: DVec3) -> bool {
+    pub(crate) fn holds(&self, p: DVec3) -> bool {
         let k = self.index.nearest(p) as usize;
         p.distance(self.places[k]) >= self.reach[k]
     }

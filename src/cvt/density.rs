@@ -24,7 +24,7 @@ use crate::token::{Stopped, Token};
 
 pub use net::Net;
 pub use outline::Outline;
-pub use size_field::SizeField;
+pub(crate) use size_field::SizeField;
 
 /// Where the density comes from.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -290,7 +290,7 @@ impl<'a> Plan<'a> {
         }
         let vertices = mesh.positions().len();
         let Some(weights) = self.weights.as_ref() else {
-            return Ok(vec![Outline::new(mesh).edge_length(self.points as f64); vertices]);
+            return Ok(vec![Outline::new(mesh, token)?.edge_length(self.points as f64); vertices]);
         };
         let top = weights.iter().copied().fold(0.0, f64::max);
         let by_weight = |w: &f64| (w / top).max(LEAST_WEIGHT).powf(-0.25);
@@ -320,7 +320,7 @@ pub fn plan<'a>(
 ) -> Result<Plan<'a>, DensityError> {
     options.check()?;
     match &options.source {
-        DensitySource::Uniform | DensitySource::Weights(_) => level(mesh, options, count),
+        DensitySource::Uniform | DensitySource::Weights(_) => level(mesh, options, count, token),
         DensitySource::Sizes(_) | DensitySource::Curvature | DensitySource::FeatureSize => {
             varying(mesh, options, count, token)
         }
@@ -328,8 +328,13 @@ pub fn plan<'a>(
 }
 
 /// Uniform, and weights as they are.
-fn level<'a>(mesh: &'a TriMesh, options: &DensityOptions, count: Count) -> Result<Plan<'a>, DensityError> {
-    let outline = Outline::new(mesh);
+fn level<'a>(
+    mesh: &'a TriMesh,
+    options: &DensityOptions,
+    count: Count,
+    token: &Token,
+) -> Result<Plan<'a>, DensityError> {
+    let outline = Outline::new(mesh, token)?;
     let implied = match (count, options.edge_length) {
         (Count::Points(points), _) => points as f64,
         (Count::Implied, Some(edge)) => outline.points(edge),

@@ -12,7 +12,7 @@ use std::sync::mpsc::{self, Receiver};
 use super::GpuError;
 
 /// Kinds of passes that are timed apart.
-pub const LANES: usize = 4;
+pub(super) const LANES: usize = 4;
 
 /// Passes of one submission that are timed.
 const SPANS: usize = 256;

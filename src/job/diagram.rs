@@ -16,14 +16,14 @@ use crate::remesh::report::{DeviceFigures, InputFigures, IterationFigures, Memor
 use crate::rvd::{Backend, CellSums, PassStats, PieceBatch, Session, SessionOptions, Surface};
 use crate::token::Token;
 
-pub use crate::rvd::Cells as WorldSums;
+pub(crate) use crate::rvd::Cells as WorldSums;
 
 /// Pieces that a batch aims at: a few MiB.
 const BATCH_PIECES: usize = 32_768;
 
 /// The report of `tessera rvd`, and of the service's `ComputeRvd`.
 #[derive(Clone, Debug, Serialize)]
-pub struct RvdReport {
+pub(crate) struct RvdReport {
     /// "serial", "parallel" or "gpu".
     pub backend: &'static str,
     /// The GPU adapter's name.
@@ -51,7 +51,7 @@ pub struct RvdReport {
 }
 
 /// See the module's head.
-pub struct Diagram {
+pub(crate) struct Diagram {
     session: Box<dyn Session>,
     surface: Arc<Surface>,
     seeds: Arc<Vec<DVec3>>,
@@ -69,7 +69,7 @@ impl Diagram {
     ///
     /// # Errors
     /// What the backend says.
-    pub fn open(prepared: &Prepared, backend: &dyn Backend) -> Result<Self, JobError> {
+    pub(crate) fn open(prepared: &Prepared, backend: &dyn Backend) -> Result<Self, JobError> {
         let start = Instant::now();
         let surface = Arc::clone(&prepared.surface);
         let seeds = Arc::clone(&prepared.seeds);
@@ -96,7 +96,7 @@ impl Diagram {
     ///
     /// # Errors
     /// `Stopped`, or what the backend says.
-    pub fn sums(&mut self, token: &Token) -> Result<WorldSums, JobError> {
+    pub(crate) fn sums(&mut self, token: &Token) -> Result<WorldSums, JobError> {
         let start = Instant::now();
         let mut unit = CellSums::default();
         let stats = self.session.sums(&mut unit, token)?;
@@ -113,7 +113,7 @@ impl Diagram {
     ///
     /// # Errors
     /// `Stopped`, or what the backend says.
-    pub fn batch(&mut self, token: &Token) -> Result<Option<PieceBatch>, JobError> {
+    pub(crate) fn batch(&mut self, token: &Token) -> Result<Option<PieceBatch>, JobError> {
         let facets = self.surface.facets().len() as u32;
         if self.next >= facets {
             return Ok(None);
@@ -143,12 +143,12 @@ impl Diagram {
     }
 
     /// Facets visited, and all.
-    pub fn progress(&self) -> (u64, u64) {
+    pub(crate) fn progress(&self) -> (u64, u64) {
         (u64::from(self.next), self.surface.facets().len() as u64)
     }
 
     /// The report, once everything wanted was taken.
-    pub fn report(&self, prepared: &Prepared, by: &BackendInfo) -> RvdReport {
+    pub(crate) fn report(&self, prepared: &Prepared, by: &BackendInfo) -> RvdReport {
         let mut timings_ms = prepared.timings.clone();
         timings_ms.iterations = self.compute_ms;
         timings_ms.total = timings_ms.prepare + timings_ms.sample + timings_ms.iterations;

@@ -23,7 +23,7 @@ const SLICE_STEPS: usize = 64;
 
 /// When the seeds are wanted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SeedsWanted {
+pub(crate) enum SeedsWanted {
     /// Not at all.
     #[default]
     Never,
@@ -35,13 +35,13 @@ pub enum SeedsWanted {
 
 /// Steps that were taken in one turn.
 #[derive(Clone, Debug)]
-pub struct Steps {
+pub(crate) struct Steps {
     /// One entry a step, with the seeds after it if they were wanted.
     pub taken: Vec<(Iteration, Option<Vec<DVec3>>)>,
 }
 
 /// See the module's head.
-pub struct CvtSession {
+pub(crate) struct CvtSession {
     engine: Engine,
     by: BackendInfo,
     /// `None` while a piece has it, and after an error took it.
@@ -53,7 +53,7 @@ impl CvtSession {
     ///
     /// # Errors
     /// `QueueFull`, `Draining`, `BackendUnavailable`.
-    pub fn open(
+    pub(crate) fn open(
         engine: &Engine,
         prepared: Arc<Prepared>,
         wish: Wish,
@@ -69,17 +69,17 @@ impl CvtSession {
     }
 
     /// The session that was opened.
-    pub fn new(engine: Engine, (cvt, by): (Cvt, BackendInfo)) -> Self {
+    pub(crate) fn new(engine: Engine, (cvt, by): (Cvt, BackendInfo)) -> Self {
         Self { engine, by, cvt: Some(cvt) }
     }
 
     /// Who does the work.
-    pub fn by(&self) -> &BackendInfo {
+    pub(crate) fn by(&self) -> &BackendInfo {
         &self.by
     }
 
     /// How many seeds there are.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.cvt.as_ref().map_or(0, Cvt::len)
     }
 
@@ -87,7 +87,7 @@ impl CvtSession {
     ///
     /// # Errors
     /// What the backend says; the session is then over.
-    pub async fn seeds(&mut self) -> Result<Timed<Vec<DVec3>>, JobError> {
+    pub(crate) async fn seeds(&mut self) -> Result<Timed<Vec<DVec3>>, JobError> {
         self.call(|cvt, _| Ok(cvt.seeds()?)).await
     }
 
@@ -96,7 +96,12 @@ impl CvtSession {
     ///
     /// # Errors
     /// What the backend says; the session is then over.
-    pub async fn step(&mut self, steps: usize, kind: StepKind, seeds: SeedsWanted) -> Result<Timed<Steps>, JobError> {
+    pub(crate) async fn step(
+        &mut self,
+        steps: usize,
+        kind: StepKind,
+        seeds: SeedsWanted,
+    ) -> Result<Timed<Steps>, JobError> {
         self.call(move |cvt, token| {
             let start = Instant::now();
             let mut taken = Vec::new();
@@ -125,7 +130,7 @@ impl CvtSession {
     ///
     /// # Errors
     /// What is wrong with an edit; nothing is then changed.
-    pub async fn edit(&mut self, edits: Vec<SeedEdit>) -> Result<Timed<()>, JobError> {
+    pub(crate) async fn edit(&mut self, edits: Vec<SeedEdit>) -> Result<Timed<()>, JobError> {
         let mut edited = self.call(move |cvt, _| Ok(cvt.edit(&edits))).await?;
         std::mem::replace(&mut edited.value, Ok(()))?;
         Ok(Timed { value: (), queue_ms: edited.queue_ms, compute_ms: edited.compute_ms })

@@ -36,7 +36,7 @@ pub struct Input {
 
 /// A surface in the unit frame and seeds in the caller's.
 #[derive(Clone, Debug)]
-pub struct Prepared {
+pub(crate) struct Prepared {
     /// For the backends.
     pub surface: Arc<Surface>,
     /// At least one, finite, caller's coordinates.
@@ -55,7 +55,7 @@ impl Prepared {
     ///
     /// # Errors
     /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`, `Density`, `Stopped`.
-    pub fn new(input: Input, token: &Token) -> Result<Self, JobError> {
+    pub(crate) fn new(input: Input, token: &Token) -> Result<Self, JobError> {
         Self::with(input, token, |plan| Ok(plan))
     }
 
@@ -64,7 +64,7 @@ impl Prepared {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn for_steps(input: Input, token: &Token) -> Result<Self, JobError> {
+    pub(crate) fn for_steps(input: Input, token: &Token) -> Result<Self, JobError> {
         Self::with(input, token, |plan| plan.divided(token))
     }
 
@@ -79,7 +79,7 @@ impl Prepared {
         let plan = density::plan(&mesh, &density, seeds.count(), token).map_err(RemeshError::from)?;
         let mut surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
         token.check()?;
-        let figures = InputFigures::of(&mesh);
+        let figures = InputFigures::of(&mesh, token)?;
         token.check()?;
         let mut prepare = start.elapsed();
         let start = Instant::now();

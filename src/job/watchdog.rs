@@ -55,7 +55,7 @@ const LOOK: Duration = Duration::from_millis(50);
 
 /// See the module's head. Clones share one thread, which ends with the last of them.
 #[derive(Clone, Debug)]
-pub struct Watchdog {
+pub(crate) struct Watchdog {
     shared: Arc<Shared>,
 }
 
@@ -118,7 +118,7 @@ impl Watchdog {
     ///
     /// # Errors
     /// The operating system refused a thread.
-    pub fn start(ceilings: Ceilings) -> std::io::Result<Self> {
+    pub(crate) fn start(ceilings: Ceilings) -> std::io::Result<Self> {
         let work = watch::Sender::new(Work::Stops);
         let shared = Arc::new(Shared { ceilings, state: Mutex::default(), wake: Condvar::new(), work });
         let weak = Arc::downgrade(&shared);
@@ -127,7 +127,7 @@ impl Watchdog {
     }
 
     /// A token for a job, with the ceiling on its time. Its clock stands until the job is watched.
-    pub fn token(&self) -> Token {
+    pub(crate) fn token(&self) -> Token {
         let token = Token::default();
         if let Some(limit) = self.shared.ceilings.time {
             token.limit_time(limit);
@@ -136,7 +136,7 @@ impl Watchdog {
     }
 
     /// Watches work that begins now.
-    pub fn watch(&self, token: &Token) -> Watched {
+    pub(crate) fn watch(&self, token: &Token) -> Watched {
         let base_bytes = memory::memory_bytes().unwrap_or(0);
         let mut state = lock(&self.shared.state);
         let number = state.next;
@@ -149,7 +149,7 @@ impl Watchdog {
     }
 
     /// How work is that was told to stop.
-    pub fn work(&self) -> watch::Receiver<Work> {
+    pub(crate) fn work(&self) -> watch::Receiver<Work> {
         self.shared.work.subscribe()
     }
 }

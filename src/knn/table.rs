@@ -7,7 +7,7 @@ use super::{NeighbourRow, SeedIndex, Threads};
 
 /// Rows of about `k` neighbours for all seeds, in one array.
 #[derive(Clone, Debug, Default)]
-pub struct NeighbourTable {
+pub(crate) struct NeighbourTable {
     k: usize,
     /// Which row each seed has; empty where they are numbered alike.
     place: Vec<u32>,
@@ -22,7 +22,13 @@ const CHUNK: usize = 256;
 impl NeighbourTable {
     /// Fills the table with rows of at most `k` neighbours, most of at least two thirds of that, reusing its memory. Returns `false` soon
     /// after `stop` says so; the table is then of no use.
-    pub fn fill(&mut self, index: &SeedIndex, k: usize, threads: Threads, stop: &(dyn Fn() -> bool + Sync)) -> bool {
+    pub(crate) fn fill(
+        &mut self,
+        index: &SeedIndex,
+        k: usize,
+        threads: Threads,
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> bool {
         let (n, k) = (index.len(), k.min(index.len()).max(1));
         // Shorter, rather than that the grid reads cells farther away for a few.
         let least = k - k / 3;
@@ -72,7 +78,7 @@ impl NeighbourTable {
 
     /// Takes all rows away.
     #[cfg(feature = "gpu")]
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.place.clear();
         self.seeds.clear();
         self.len.clear();
@@ -80,12 +86,12 @@ impl NeighbourTable {
     }
 
     /// Whether it has no rows.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.len.is_empty()
     }
 
     /// The row of seed `i`, and whether it is complete; of a table without rows an empty one.
-    pub fn row(&self, i: u32) -> (&[u32], bool) {
+    pub(crate) fn row(&self, i: u32) -> (&[u32], bool) {
         let i = self.place.get(i as usize).map_or(i, |&row| row) as usize;
         let Some(&len) = self.len.get(i) else { return (&[], false) };
         let start = i * self.k;

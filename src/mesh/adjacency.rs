@@ -41,7 +41,7 @@ pub struct Adjacency {
 const NONE: usize = usize::MAX;
 
 /// For each vertex the lowest vertex at exactly the same position (0 and -0 are the same).
-pub fn weld(mesh: &TriMesh) -> Vec<u32> {
+pub(crate) fn weld(mesh: &TriMesh) -> Vec<u32> {
     let mut representative: Vec<u32> = (0..mesh.positions().len() as u32).collect();
     for (later, earliest) in coincident::find(mesh.positions()) {
         representative[later as usize] = earliest;

@@ -21,7 +21,7 @@ const LONGEST: f64 = 8.0;
 
 /// A surface whose parts are apart.
 #[derive(Clone, Debug)]
-pub struct Apart {
+pub(crate) struct Apart {
     /// The surface.
     pub mesh: TriMesh,
     /// Rows of parts, one above the other.
@@ -51,7 +51,7 @@ fn bits(p: DVec3) -> [u64; 3] {
 impl Apart {
     /// `mesh` with its parts apart by `gap` at least, if the boxes of any two are nearer than half of that. `None` if none
     /// are, or if there are too many parts.
-    pub fn of(mesh: &TriMesh, gap: f64) -> Option<Self> {
+    pub(crate) fn of(mesh: &TriMesh, gap: f64) -> Option<Self> {
         let (part, boxes) = parts(mesh)?;
         if !(gap.is_finite() && gap > 0.0 && any_near(&boxes, 0.5 * gap)) {
             return None;
@@ -97,7 +97,7 @@ impl Apart {
     }
 
     /// Where a place beside the surface was.
-    pub fn back(&self, p: DVec3) -> DVec3 {
+    pub(crate) fn back(&self, p: DVec3) -> DVec3 {
         if let Some(&place) = self.places.get(&bits(p)) {
             return place;
         }
@@ -111,7 +111,7 @@ impl Apart {
     ///
     /// # Errors
     /// None for a surface that is one there too.
-    pub fn mesh_back(&self, mesh: &TriMesh) -> Result<TriMesh, MeshError> {
+    pub(crate) fn mesh_back(&self, mesh: &TriMesh) -> Result<TriMesh, MeshError> {
         TriMesh::new(mesh.positions().iter().map(|&p| self.back(p)).collect(), mesh.facets().to_vec())
     }
 }

@@ -15,7 +15,7 @@ use super::TriMesh;
 use super::adjacency::weld;
 use super::boxes::{self, BoxTree};
 use super::curve;
-use crate::token::{Stopped, Token};
+use crate::token::{Pace, Stopped, Token};
 
 /// A point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,18 +39,19 @@ pub struct ClosestPoint {
     facets: Vec<([u32; 3], u32)>,
 }
 
-/// The nearest facet so far: squared distance, place in `ClosestPoint::facets`, barycentrics.
+/// The nearest facet so far: squared distance, place in `ClosestPoint::facets`, barycentrics; and how many were looked at.
 #[derive(Clone, Copy)]
 struct Nearest {
     squared: f64,
     leaf: u32,
     barycentric: [f64; 3],
+    visited: usize,
 }
 
-/// So many points are one task,
+/// So many points are one task.
 const RUN: usize = 256;
-/// and so many lie between two looks at the token.
-const ASKED: usize = 16;
+/// A search takes as many steps as it looks at facets, and these.
+const STEPS: usize = 16;
 
 /// Farther away than this many unit boxes, only the direction of a point counts.
 const FAR: f64 = 1e100;
@@ -111,17 +112,18 @@ impl ClosestPoint {
         order.par_sort_unstable();
         let run = |run: &[(u64, usize)]| {
             let mut last = None;
+            let mut pace = Pace::default();
             let mut found = Vec::with_capacity(run.len());
             // Boxes are compared as many at once as the processor can.
             Arch::new().dispatch(|| {
                 for &(_, i) in run {
-                    // Where facets lie on one another a search may look at all of them.
-                    if found.len().is_multiple_of(ASKED) && token.is_stopped() {
-                        return;
-                    }
                     let nearest = self.nearest(points[i], last);
                     last = Some(nearest.leaf);
                     found.push((i, answer(nearest)));
+                    // Where facets lie on one another a search may look at all of them.
+                    if token.is_stopped_after(nearest.visited + STEPS, &mut pace) {
+                        return;
+                    }
                 }
             });
             found
@@ -161,18 +163,20 @@ impl ClosestPoint {
         let of_facet = |leaf: u32| {
             let (ids, facet) = self.facets[leaf as usize];
             let (squared, barycentric) = closest_on_facet(p, ids.map(|v| self.unit[v as usize]), ids);
-            (Nearest { squared, leaf, barycentric }, facet)
+            (Nearest { squared, leaf, barycentric, visited: 0 }, facet)
         };
-        let none = (Nearest { squared: f64::INFINITY, leaf: 0, barycentric: [1.0, 0.0, 0.0] }, u32::MAX);
+        let none = (Nearest { squared: f64::INFINITY, leaf: 0, barycentric: [1.0, 0.0, 0.0], visited: 0 }, u32::MAX);
         let mut best = hint.map_or(none, of_facet);
+        let mut visited = 0;
         self.tree.nearest(p, slack, best.0.squared, |leaf| {
+            visited += 1;
             let here = of_facet(leaf as u32);
             if here.0.squared < best.0.squared || (here.0.squared == best.0.squared && here.1 < best.1) {
                 best = here;
             }
             best.0.squared
         });
-        best.0
+        Nearest { visited, ..best.0 }
     }
 
     fn to_unit(&self, p: DVec3) -> DVec3 {

@@ -173,7 +173,7 @@ impl Features {
         let ruler = Ruler { positions, fineness: &options.fineness };
         let bends = Bends::new(mesh, ruler, &adjacency);
         token.check()?;
-        let (bent, boundary) = classify(mesh, &bends, &adjacency, options.crease_angle_deg);
+        let (bent, boundary) = classify(mesh, &bends, &adjacency, options.crease_angle_deg, token)?;
         token.check()?;
         let mut graph = Graph::default();
         let must = |kind| What { kind, kept: true, angle: 180.0 };
@@ -251,9 +251,16 @@ fn all_edges<'a>(mesh: &'a TriMesh, adjacency: &'a Adjacency) -> impl Iterator<I
 }
 
 /// Edges that are bent by more than `angle` degrees, with their angles, and boundary edges; both ascending.
-fn classify(mesh: &TriMesh, bends: &Bends<'_>, adjacency: &Adjacency, angle: f64) -> (Vec<(Edge, f64)>, Vec<Edge>) {
+fn classify(
+    mesh: &TriMesh,
+    bends: &Bends<'_>,
+    adjacency: &Adjacency,
+    angle: f64,
+    token: &Token,
+) -> Result<(Vec<(Edge, f64)>, Vec<Edge>), Stopped> {
     let (mut bent, mut boundary) = (Vec::new(), Vec::new());
     for (half, e) in all_edges(mesh, adjacency).enumerate() {
+        token.check_at(half)?;
         match (adjacency.kind(half), adjacency.opposite(half)) {
             (EdgeKind::Boundary, _) => boundary.push(e),
             (_, Some(other)) if angle > 0.0 && half < other => {
@@ -264,7 +271,7 @@ fn classify(mesh: &TriMesh, bends: &Bends<'_>, adjacency: &Adjacency, angle: f64
     }
     bent.sort_unstable_by_key(|b| b.0);
     boundary.sort_unstable();
-    (bent, boundary)
+    Ok((bent, boundary))
 }
 
 /// Feature edges around each vertex.
@@ -452,13 +459,16 @@ impl Graph {
                 split(&chain, closed, kind(v, next), (ruler, near.reach), (&mut corners, &mut curves), token)?;
             }
         }
-        for curve in &mut curves {
+        for (k, curve) in curves.iter_mut().enumerate() {
+            token.check_at(k)?;
             let chain: Vec<u32> = curve.round().collect();
             curve.angle_deg = bend(&chain);
             let few = chain.len().min(END_EDGES + 1);
             curve.ends_deg = [bend(&chain[..few]), bend(&chain[chain.len() - few..])];
         }
+        token.check()?;
         let joined = near::join(&mut curves, &mut corners, ruler, near, token)?;
+        token.check()?;
         curves.sort_by(|a: &Curve, b| a.vertices.cmp(&b.vertices));
         Ok((curves, corners.into_iter().collect(), joined))
     }

@@ -68,7 +68,7 @@ pub(crate) fn any(mesh: &TriMesh) -> bool {
 /// is. Of what hangs together through
 /// sides of such facets, all places have one afterwards or none has: where no side has facets in more than two places, and one
 /// side goes on to a facet that was alone before, or all facets in each place run the same way.
-pub fn single(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
+pub(crate) fn single(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
     let layers = Layers::of(mesh);
     let places: Vec<&[Layer]> = layers.places().collect();
     if places.iter().all(|place| place.len() == 1) {

@@ -64,18 +64,22 @@ const CHUNK: usize = 4096;
 
 /// Topology of `mesh`, exactly coincident vertices counted as one.
 pub fn topology(mesh: &TriMesh) -> Topology {
-    topology_of(mesh, &Adjacency::new(mesh))
+    topology_unless(mesh, &Adjacency::new(mesh), &Token::default()).unwrap_or_default()
 }
 
 /// Topology of `mesh`, whose edges are known already.
-pub(crate) fn topology_of(mesh: &TriMesh, adjacency: &Adjacency) -> Topology {
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Result<Topology, Stopped> {
     let representative = adjacency.representative();
     let live: Vec<usize> = (0..mesh.facets().len()).filter(|&f| !adjacency.is_collapsed(f)).collect();
     let vertex = |half: usize| representative[mesh.facets()[half / 3][half % 3] as usize] as usize;
 
     let mut used = vec![false; representative.len()];
     let mut surfaces = DisjointSets::new(representative.len());
-    for &facet in &live {
+    for (k, &facet) in live.iter().enumerate() {
+        token.check_at(k)?;
         for e in 0..3 {
             used[vertex(3 * facet + e)] = true;
             surfaces.join(vertex(3 * facet + e), vertex(3 * facet + (e + 1) % 3));
@@ -84,18 +88,21 @@ pub(crate) fn topology_of(mesh: &TriMesh, adjacency: &Adjacency) -> Topology {
     let vertices = used.iter().filter(|&&used| used).count();
     let components = (0..used.len()).filter(|&v| used[v] && surfaces.root(v) == v).count();
 
+    token.check()?;
     let mut fans = fans(mesh, adjacency, &live);
+    token.check()?;
     let non_manifold_vertices =
         fans_at(&mut fans, &live, representative.len(), vertex).filter(|&fans| fans > 1).count();
+    token.check()?;
 
-    Topology {
+    Ok(Topology {
         euler: vertices as i64 - adjacency.edges() as i64 + live.len() as i64,
         components,
         boundary_loops: boundary_loops(adjacency, &mut fans, vertex),
         boundary_edges: adjacency.boundary_edges(),
         non_manifold_edges: adjacency.non_manifold_edges(),
         non_manifold_vertices,
-    }
+    })
 }
 
 /// Quality of `result` against `original`. Distances are taken from about 100,000 random points and all

@@ -10,7 +10,7 @@ use super::adjacency::{Adjacency, EdgeKind};
 
 /// `mesh` with its facets oriented alike, as most of the area of each part is, and how many were turned over; `None` if
 /// none had to be. Linear in the facets.
-pub fn alike(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
+pub(crate) fn alike(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
     let adjacency = Adjacency::new(mesh);
     if adjacency.inconsistent_edges() == 0 {
         return None;

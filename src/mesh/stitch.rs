@@ -21,7 +21,7 @@ const NEAR: f64 = 5e-7;
 const SHORT: f64 = 0.01;
 
 /// `mesh` with such vertices in one place, and how many were moved; `None` if there are none. Linear in the facets.
-pub fn rims(mesh: &TriMesh, adjacency: &Adjacency) -> Option<(TriMesh, usize)> {
+pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency) -> Option<(TriMesh, usize)> {
     if adjacency.boundary_edges() == 0 {
         return None;
     }

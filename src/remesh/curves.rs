@@ -111,7 +111,7 @@ impl Kept {
         }
         let points = plan.points;
         // The shortest edges, those where the weight is 1; what is short depends on the edges that are to be in its place.
-        let scale = edge_length(surface, &Features::default(), points);
+        let scale = edge_length(surface, &Features::default(), points, token)?;
         let fineness = match surface.is_uniform() {
             true => Vec::new(),
             false => surface.weights().iter().map(|w| w.powf(0.25)).collect(),
@@ -133,7 +133,7 @@ impl Kept {
             if !options.keep_boundaries {
                 features.retain(|_, c| c.kind != CurveKind::Boundary);
             }
-            let edge = edge_length(surface, &features, points);
+            let edge = edge_length(surface, &features, points, token)?;
             let creases = |features: &Features| features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
             let share = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
             // What is given up as crowded makes room, but not as much as that.

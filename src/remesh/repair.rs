@@ -21,7 +21,7 @@ use crate::token::{Stopped, Token};
 
 /// A repaired triangulation.
 #[derive(Clone, Debug, Default)]
-pub struct Repaired {
+pub(crate) struct Repaired {
     /// For each result vertex, the input vertex it stands for (several for a split vertex, and for one that was put into an
     /// edge along which two sheets touched).
     pub source: Vec<u32>,
@@ -41,7 +41,7 @@ pub struct Repaired {
 ///
 /// # Errors
 /// [`Stopped`].
-pub fn repair(positions: &[DVec3], triangles: &[[u32; 3]], token: &Token) -> Result<Repaired, Stopped> {
+pub(crate) fn repair(positions: &[DVec3], triangles: &[[u32; 3]], token: &Token) -> Result<Repaired, Stopped> {
     let mut figures = RepairFigures::default();
     let mut facets = simple_facets(triangles, &mut figures);
     let mut places = positions.to_vec();

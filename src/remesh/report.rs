@@ -10,10 +10,11 @@ use crate::cvt::Iteration;
 use crate::cvt::density::DensityFigures;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
-use crate::mesh::measure::{Quality, Topology, topology_of};
+use crate::mesh::measure::{Quality, Topology, topology_unless};
 use crate::mesh::outliers;
 use crate::rvd::dual::Dual;
 use crate::rvd::{DeviceWork, PassStats, Surface};
+use crate::token::{Stopped, Token};
 
 /// What `--report` writes.
 #[derive(Clone, Debug, Serialize)]
@@ -332,24 +333,36 @@ pub struct RepairFigures {
 
 impl InputFigures {
     /// Looks at the surface that came in.
-    pub(crate) fn of(mesh: &TriMesh) -> Self {
-        Self::with(mesh, &Adjacency::new(mesh))
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub(crate) fn of(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
+        let adjacency = Adjacency::new(mesh);
+        token.check()?;
+        Self::with(mesh, &adjacency, token)
     }
 
     /// The same of a surface whose edges are known.
-    pub(super) fn with(mesh: &TriMesh, adjacency: &Adjacency) -> Self {
-        Self {
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub(super) fn with(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Result<Self, Stopped> {
+        let stray_vertices = outliers::find(mesh).len();
+        token.check()?;
+        let (area, degenerate_facets) = (mesh.area(), mesh.degenerate_count());
+        token.check()?;
+        Ok(Self {
             vertices: mesh.positions().len(),
             facets: mesh.facets().len(),
-            degenerate_facets: mesh.degenerate_count(),
+            degenerate_facets,
             inconsistent_edges: adjacency.inconsistent_edges(),
             turned_facets: 0,
             stitched_vertices: 0,
             spare_facets: 0,
-            stray_vertices: outliers::find(mesh).len(),
-            area: mesh.area(),
-            topology: topology_of(mesh, adjacency),
-        }
+            stray_vertices,
+            area,
+            topology: topology_unless(mesh, adjacency, token)?,
+        })
     }
 }
 

@@ -16,16 +16,16 @@ pub(super) fn without_tears(mesh: &TriMesh, token: &Token) -> Result<(InputFigur
     token.check()?;
     let (mut figures, mut whole) = match stitch::rims(mesh, &adjacency) {
         Some((stitched, moved)) => {
-            (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched) }, Some(stitched))
+            (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched, token)? }, Some(stitched))
         }
-        None => (InputFigures::with(mesh, &adjacency), None),
+        None => (InputFigures::with(mesh, &adjacency, token)?, None),
     };
     token.check()?;
     if figures.inconsistent_edges + figures.topology.non_manifold_edges > 0
         && let Some((single, spare)) = layers::single(whole.as_ref().unwrap_or(mesh))
     {
         let stitched_vertices = figures.stitched_vertices;
-        figures = InputFigures { stitched_vertices, spare_facets: spare, ..InputFigures::of(&single) };
+        figures = InputFigures { stitched_vertices, spare_facets: spare, ..InputFigures::of(&single, token)? };
         whole = Some(single);
     }
     token.check()?;

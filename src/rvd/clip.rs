@@ -17,7 +17,7 @@ use super::{PairStatus, Surface};
 /// A polygon vertex: position relative to the seed, density weight, and the label of the edge
 /// from here to the next vertex (opposite seed, or a facet edge; see [`facet_edge`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Vertex {
+pub(crate) struct Vertex {
     /// p - x_i, unit frame.
     pub p: DVec3,
     /// Density weight at p.
@@ -28,7 +28,7 @@ pub struct Vertex {
 
 /// Integrals over one piece, about the seed, unit frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Integrals {
+pub(crate) struct Integrals {
     /// ∫ w.
     pub mass: f64,
     /// ∫ w (p - x_i).
@@ -56,7 +56,7 @@ struct Corners {
 
 /// Scratch memory for clipping, and the last polygon.
 #[derive(Debug, Default)]
-pub struct Clipper {
+pub(crate) struct Clipper {
     polygon: Vec<Vertex>,
     next: Vec<Vertex>,
     /// Value of the bisector at each vertex, and the exact side.
@@ -70,20 +70,25 @@ pub struct Clipper {
 
 impl Clipper {
     /// The last polygon; empty if the cell does not meet the facet.
-    pub fn polygon(&self) -> &[Vertex] {
+    pub(crate) fn polygon(&self) -> &[Vertex] {
         &self.polygon
+    }
+
+    /// Forgets the last polygon.
+    pub(crate) fn clear(&mut self) {
+        self.polygon.clear();
     }
 
     /// The seed whose bisector cut last. After an empty result it is nearer to the facet than
     /// the seed that was clipped.
-    pub fn cutter(&self) -> u32 {
+    pub(crate) fn cutter(&self) -> u32 {
         self.cutter
     }
 
     /// Clips `facet` to the cell of seed `i` by the bisectors with `row`, nearest first, until
     /// the security radius closes (\[LB12\]: no seed farther than twice the polygon's radius can
     /// cut it). `complete` says that no other seed can matter; `slots` bounds the polygon.
-    pub fn clip(
+    pub(crate) fn clip(
         &mut self,
         surface: &Surface,
         facet: u32,
@@ -188,7 +193,7 @@ impl Clipper {
     }
 
     /// Integrals of the last polygon, fanned from its first vertex (design, section 3, "Density").
-    pub fn integrals(&self) -> Integrals {
+    pub(crate) fn integrals(&self) -> Integrals {
         let mut sum = Integrals::default();
         let Some((a, rest)) = self.polygon.split_first() else { return sum };
         for pair in rest.windows(2) {

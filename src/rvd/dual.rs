@@ -18,7 +18,7 @@ use crate::token::Token;
 
 /// A triangulation whose vertices are components of restricted cells.
 #[derive(Clone, Debug, Default)]
-pub struct Dual {
+pub(crate) struct Dual {
     /// Three components a triangle.
     pub triangles: Vec<[u32; 3]>,
     /// The components, ordered by seed and then by first facet.
@@ -46,7 +46,7 @@ pub struct Dual {
 
 /// Where a cell meets a facet.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Piece {
+pub(crate) struct Piece {
     /// The part of a cell that it belongs to, in [`Dual::components`].
     pub component: u32,
     /// The facet.
@@ -61,7 +61,7 @@ pub struct Piece {
 
 /// One connected part of a restricted cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Component {
+pub(crate) struct Component {
     /// The cell's seed.
     pub seed: u32,
     /// Its area, unit frame.
@@ -76,7 +76,12 @@ pub struct Component {
 const BATCH: u32 = 1 << 14;
 
 /// Reads the dual of the session's present seeds (there are `seeds` of them).
-pub fn extract(session: &mut dyn Session, surface: &Surface, seeds: usize, token: &Token) -> Result<Dual, RvdError> {
+pub(crate) fn extract(
+    session: &mut dyn Session,
+    surface: &Surface,
+    seeds: usize,
+    token: &Token,
+) -> Result<Dual, RvdError> {
     let mut pieces = Pieces::default();
     let mut stats = PassStats::default();
     let facets = surface.facets().len() as u32;

@@ -54,7 +54,7 @@ use crate::gpu::{Device, GpuError, Traffic};
 use crate::mesh::TriMesh;
 use crate::token::Token;
 #[cfg(feature = "cli")]
-pub use measure::AccumulationMs;
+pub(crate) use measure::AccumulationMs;
 use moving::Moving;
 use pipelines::{Bindings, Pipelines};
 pub use search::Found;
@@ -162,10 +162,10 @@ const SLOTS: usize = 10;
 
 /// What a device's time is added up by, in the order of [`PhasesMs`].
 mod lane {
-    pub const NEIGHBOURS: usize = 0;
-    pub const START: usize = 1;
-    pub const CLIP: usize = 2;
-    pub const UPDATE: usize = 3;
+    pub(super) const NEIGHBOURS: usize = 0;
+    pub(super) const START: usize = 1;
+    pub(super) const CLIP: usize = 2;
+    pub(super) const UPDATE: usize = 3;
 }
 
 fn phases([neighbours, start, clip, update]: [f64; 4]) -> PhasesMs {

@@ -13,11 +13,11 @@ use glam::DVec3;
 use super::clip::Clipper;
 use super::{Capacities, PairStatus, PassStats, Surface};
 use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, squared_distance};
-use crate::token::Token;
+use crate::token::{Pace, Token};
 
 /// What every walk over one seed set reads.
 #[derive(Clone, Copy)]
-pub struct Diagram<'a> {
+pub(crate) struct Diagram<'a> {
     /// The surface.
     pub surface: &'a Surface,
     /// Seeds, unit frame.
@@ -30,16 +30,17 @@ pub struct Diagram<'a> {
 
 /// One thread's scratch memory for walking facets.
 #[derive(Default)]
-pub struct FacetWalker {
+pub(crate) struct FacetWalker {
     token: Token,
+    pace: Pace,
     clipper: Clipper,
     cells: CellList,
     long_rows: LongRows,
     listed: Listed,
 }
 
-/// Cells of one facet between two looks at the token.
-const ASKED: usize = 64;
+/// Steps of one clip, beside those of its row.
+const STEPS: usize = 64;
 
 /// Where rows come from.
 #[derive(Clone, Copy)]
@@ -53,7 +54,7 @@ enum Rows {
 impl FacetWalker {
     /// Visits every cell that meets `facet`, beginning at `start`, a seed whose cell holds a
     /// point of the facet. `visit` gets the seed and a non-empty polygon.
-    pub fn walk(
+    pub(crate) fn walk(
         &mut self,
         diagram: Diagram<'_>,
         facet: u32,
@@ -68,7 +69,7 @@ impl FacetWalker {
     /// The same where `list` holds all seeds that could be nearest to some point of the facet: the index
     /// and the table are not read.
     #[expect(clippy::too_many_arguments, reason = "those of a walk, and the list")]
-    pub fn walk_listed(
+    pub(crate) fn walk_listed(
         &mut self,
         list: &[u32],
         diagram: Diagram<'_>,
@@ -83,7 +84,7 @@ impl FacetWalker {
     }
 
     /// Clips one pair as [`Self::clip_to_end`] does, of a facet with such a list.
-    pub fn clip_listed(
+    pub(crate) fn clip_listed(
         &mut self,
         list: &[u32],
         diagram: Diagram<'_>,
@@ -126,7 +127,7 @@ impl FacetWalker {
                 if found || others == all || diagram.surface.facet_area(facet) == 0.0 {
                     break;
                 }
-                if others.is_multiple_of(ASKED) && self.token.is_stopped() {
+                if self.token.is_stopped_after(1, &mut self.pace) {
                     break;
                 }
                 self.cells.insert(row.get(others).copied().unwrap_or((others.max(row.len()) - row.len()) as u32));
@@ -134,10 +135,10 @@ impl FacetWalker {
                 continue;
             };
             next += 1;
-            if next.is_multiple_of(ASKED) && self.token.is_stopped() {
+            let status = self.clip_by(rows, diagram, facet, i, capacities, stats);
+            if status == PairStatus::NonFinite && self.token.is_told_to_stop() {
                 break;
             }
-            self.clip_by(rows, diagram, facet, i, capacities, stats);
             let polygon = self.clipper.polygon();
             if polygon.is_empty() {
                 if !found {
@@ -163,9 +164,9 @@ impl FacetWalker {
     }
 
     /// Clips one pair with as many neighbours and polygon vertices as it takes. Returns the last
-    /// status: `Done`, or `NonFinite` with an empty polygon.
+    /// status: `Done`, or `NonFinite` with an empty polygon, where the token is stopped too.
     #[cfg(feature = "gpu")]
-    pub fn clip_to_end(
+    pub(crate) fn clip_to_end(
         &mut self,
         diagram: Diagram<'_>,
         facet: u32,
@@ -196,6 +197,11 @@ impl FacetWalker {
                 Rows::Table if k == 0 => table.row(i),
                 Rows::Table => self.long_rows.row(index, i, k),
             };
+            // Where many seeds are in one place, a row has them all.
+            if self.token.is_stopped_after(row.0.len() + STEPS, &mut self.pace) {
+                self.clipper.clear();
+                return PairStatus::NonFinite;
+            }
             match self.clipper.clip(surface, facet, seeds, i, row, slots) {
                 PairStatus::NeighboursExhausted => {
                     // From what was asked for, not from what came: a row without its ties at the end may
@@ -213,12 +219,12 @@ impl FacetWalker {
     }
 
     /// Whether walks are to end.
-    pub fn is_stopped(&self) -> bool {
+    pub(crate) fn is_stopped(&self) -> bool {
         self.token.is_stopped()
     }
 
     /// The clipper with the polygon of the last pair.
-    pub fn clipper(&self) -> &Clipper {
+    pub(crate) fn clipper(&self) -> &Clipper {
         &self.clipper
     }
 }
@@ -334,7 +340,7 @@ impl LongRows {
 impl FacetWalker {
     /// Forgets rows of an earlier seed set. From now on walks end early where `token` is stopped; who walks asks it before
     /// what they found is used.
-    pub fn reset(&mut self, token: &Token) {
+    pub(crate) fn reset(&mut self, token: &Token) {
         self.long_rows = LongRows::default();
         self.token = token.clone();
     }

@@ -12,7 +12,7 @@ use super::{CellSums, PassStats, RvdError};
 use crate::token::Token;
 
 /// Pairs (s, y) that a quasi-Newton history holds (design, section 3, "Optimiser").
-pub const HISTORY: usize = 7;
+pub(crate) const HISTORY: usize = 7;
 
 /// What one pass over the diagram says of a point. Unit frame.
 #[derive(Clone, Copy, Debug, Default)]

@@ -75,7 +75,7 @@ fn soup_of(facets: usize, positions: Vec<DVec3>, rng: &mut ChaCha8Rng) -> TriMes
     mesh(positions, (0..facets).map(corners).collect())
 }
 
-fn soup(facets: usize, rng: &mut ChaCha8Rng) -> TriMesh {
+pub fn soup(facets: usize, rng: &mut ChaCha8Rng) -> TriMesh {
     let vertices = (facets / 2).max(4);
     soup_of(facets, (0..vertices).map(|_| point(rng)).collect(), rng)
 }

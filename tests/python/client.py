@@ -6,6 +6,7 @@ Points are sequences of (x, y, z), facets of (i, j, k).
 """
 
 import array
+import itertools
 import json
 import queue
 import struct
@@ -19,15 +20,15 @@ from tessera.v1 import remesh_pb2_grpc
 CHUNK_BYTES = 1 << 20
 
 
-def chunks(kind, data):
+def chunks(kind, data, attribute=None):
     """An array as messages of about a MiB."""
     for offset in range(0, len(data), CHUNK_BYTES):
         part = data[offset : offset + CHUNK_BYTES]
-        yield pb.Chunk(kind=kind, offset=offset, data=part, crc32c=google_crc32c.value(part))
+        yield pb.Chunk(kind=kind, offset=offset, data=part, crc32c=google_crc32c.value(part), attribute=attribute)
 
 
 def pack(code, rows):
-    """Rows of numbers as little-endian bytes; code 'd' for f64, 'I' for u32."""
+    """Rows of numbers as little-endian bytes; code 'd' for f64, 'I' for u32, 'B' for u8."""
     flat = [x for row in rows for x in row]
     return struct.pack(f"<{len(flat)}{code}", *flat)
 
@@ -49,13 +50,14 @@ class Arrays:
         self.total = {}
 
     def take(self, chunk):
-        data = self.data.setdefault(chunk.kind, bytearray())
+        key = (chunk.kind, chunk.attribute if chunk.kind == pb.ARRAY_KIND_SCALARS else 0)
+        data = self.data.setdefault(key, bytearray())
         if chunk.offset != len(data):
             raise ValueError("a part of an array is missing")
         if google_crc32c.value(chunk.data) != chunk.crc32c:
             raise ValueError("a chunk is damaged")
         data += chunk.data
-        self.total[chunk.kind] = chunk.total_bytes
+        self.total[key] = chunk.total_bytes
 
     def points(self, kind):
         return rows(unpack("d", self.whole(kind)))
@@ -70,11 +72,66 @@ class Arrays:
         """The report: in the last message, or in chunks if it is long."""
         return json.loads(in_done or self.whole(pb.ARRAY_KIND_REPORT))
 
-    def whole(self, kind):
-        data = bytes(self.data[kind])
-        if len(data) != self.total[kind]:
+    def has(self, kind):
+        """Whether all of an array is there."""
+        return (kind, 0) in self.data and len(self.data[kind, 0]) == self.total[kind, 0]
+
+    def whole(self, kind, attribute=0):
+        data = bytes(self.data[kind, attribute])
+        if len(data) != self.total[kind, attribute]:
             raise ValueError("an array is not whole")
         return data
+
+
+class Attribute(typing.NamedTuple):
+    """What a surface carries.
+
+    kind: "normals", "texture_coordinates", "colours", "scalar". values: rows of 3, 2, 4 numbers, or numbers.
+    corners: for each facet the indices of its corners' values; None where values are by vertex (texture coordinates
+    always have corners). name: a scalar's. type: "f64", and for colours also "u8".
+    """
+
+    kind: str
+    values: list
+    corners: list | None = None
+    name: str = ""
+    type: str = "f64"
+
+    # Numbers in a value, its array, and the array of its corners.
+    KINDS = {
+        "normals": (3, pb.ARRAY_KIND_NORMALS, pb.ARRAY_KIND_NORMAL_CORNERS),
+        "texture_coordinates": (2, pb.ARRAY_KIND_TEXTURE_COORDINATES, pb.ARRAY_KIND_TEXTURE_CORNERS),
+        "colours": (4, pb.ARRAY_KIND_COLOURS, None),
+        "scalar": (1, pb.ARRAY_KIND_SCALARS, None),
+    }
+    CODES = {"f64": "d", "u8": "B"}
+
+    def header(self):
+        return pb.AttributeHeader(
+            kind=choice("ATTRIBUTE_KIND", self.kind),
+            name=self.name,
+            type=choice("ATTRIBUTE_TYPE", self.type),
+            values=len(self.values),
+            by_corner=self.corners is not None,
+        )
+
+    def upload(self, index):
+        width, kind, corner_kind = self.KINDS[self.kind]
+        values = self.values if width > 1 else [self.values]
+        yield from chunks(kind, pack(self.CODES[self.type], values), index)
+        if self.corners is not None:
+            yield from chunks(corner_kind, pack("I", self.corners), index)
+
+    @classmethod
+    def take(cls, header, index, arrays):
+        """The attribute of a result."""
+        kind = pb.AttributeKind.Name(header.kind).removeprefix("ATTRIBUTE_KIND_").lower()
+        type = pb.AttributeType.Name(header.type).removeprefix("ATTRIBUTE_TYPE_").lower()
+        width, values_kind, corner_kind = cls.KINDS[kind]
+        data = arrays.whole(values_kind, index if kind == "scalar" else 0)
+        values = unpack(cls.CODES[type], data)
+        corners = rows(arrays.indices(corner_kind)) if corner_kind and arrays.has(corner_kind) else None
+        return cls(kind, rows(values, width) if width > 1 else values, corners, header.name, type)
 
 
 class Remesh(typing.NamedTuple):
@@ -84,6 +141,7 @@ class Remesh(typing.NamedTuple):
     facets: list
     iterations: list
     report: dict
+    attributes: list
 
 
 class Tessera:
@@ -145,16 +203,19 @@ class Tessera:
         weights=None,
         adaptivity=None,
         gradation=None,
+        attributes=None,
         timeout=60,
     ):
-        """Points and facets of the remesh, the iterations, and the report.
+        """Points and facets of the remesh, the iterations, the report, and the attributes.
 
         count: how many points; or give seeds, edge_length or edge_lengths (one a vertex).
         backend: "auto", "gpu", "parallel", "serial". projection: "free", "on_surface". measure: "topology", "full".
         placement: "fitted", "surface", "centroids". boundaries: "keep", "free". thin: "finer", "even".
         density: "uniform", "weights", "edge_lengths", "curvature", "feature_size".
         creases: pairs of vertices. tolerance: adds points, up to max_points, where the result is farther than that.
+        attributes: a list of `Attribute`, which the result carries too.
         """
+        attributes = attributes or []
         header = pb.RemeshHeader(
             mesh=mesh(points, facets, weights),
             seeds=source(seeds, count, random_seed),
@@ -177,9 +238,13 @@ class Tessera:
                 adaptivity=adaptivity,
                 gradation=gradation,
             ),
+            attributes=[attribute.header() for attribute in attributes],
         )
-        arrays_sent = upload(points, facets, seeds, weights=weights, edge_lengths=edge_lengths, creases=creases)
-        arrays, iterations, report = Arrays(), [], None
+        arrays_sent = itertools.chain(
+            upload(points, facets, seeds, weights=weights, edge_lengths=edge_lengths, creases=creases),
+            *(attribute.upload(index) for index, attribute in enumerate(attributes)),
+        )
+        arrays, iterations, done = Arrays(), [], None
         for answer in self.stub.Remesh(self._job(pb.RemeshRequest, header, arrays_sent), timeout=timeout):
             which = answer.WhichOneof("message")
             if which == "iteration":
@@ -187,9 +252,14 @@ class Tessera:
             elif which == "chunk":
                 arrays.take(answer.chunk)
             elif which == "done":
-                report = arrays.report(answer.done.report_json)
-        new_facets = rows(arrays.indices(pb.ARRAY_KIND_FACETS))
-        return Remesh(arrays.points(pb.ARRAY_KIND_POSITIONS), new_facets, iterations, report)
+                done = answer.done
+        return Remesh(
+            arrays.points(pb.ARRAY_KIND_POSITIONS),
+            rows(arrays.indices(pb.ARRAY_KIND_FACETS)),
+            iterations,
+            arrays.report(done.report_json),
+            [Attribute.take(header, index, arrays) for index, header in enumerate(done.attributes)],
+        )
 
     def session(self, points, facets, seeds=None, **options):
         """An interactive session; the options are those of `Session`."""
@@ -275,9 +345,8 @@ class Session:
         arrays = Arrays()
         while True:
             arrays.take(next(self.answers).chunk)
-            kind = pb.ARRAY_KIND_SEEDS
-            if len(arrays.data[kind]) == arrays.total[kind]:
-                return arrays.points(kind)
+            if arrays.has(pb.ARRAY_KIND_SEEDS):
+                return arrays.points(pb.ARRAY_KIND_SEEDS)
 
 
 def mesh(points, facets, weights=None):

@@ -72,8 +72,7 @@ FIELDS = {
     "density.gradation": ("gradation", "gradation"),
     "max_seeds": ("max_seeds", None),
     "outputs": (None, None),
-    # What a surface carries is left to clients that need it.
-    "attributes": (None, "no-attributes"),
+    "attributes": ("attributes", "no-attributes"),
 }
 # Options of the command that are no business of a server.
 LOCAL = "output overwrite report picture picture-size view up colour gpu-software threads endpoint quiet json log-format help"
@@ -125,6 +124,27 @@ def the_command_gives_the_same(program, points, facets, count, remeshed):
     assert len(mine["iterations"]) == len(its["iterations"]) > 5
 
 
+def attributes_come_back(client, points, facets):
+    """What says where a vertex is says so of the result too."""
+    sent = [
+        tessera.Attribute("scalar", [x for x, _, _ in points], name="x"),
+        tessera.Attribute("normals", [(0.0, 0.0, 1.0)], corners=[(0, 0, 0)] * len(facets)),
+        tessera.Attribute("texture_coordinates", [(x, y) for x, y, _ in points], corners=facets),
+        tessera.Attribute("colours", [(255, 0, 0, 255)] * len(points), type="u8"),
+        tessera.Attribute("scalar", [z for _, _, z in points], name="z"),
+    ]
+    done = client.remesh(points, facets, 400, attributes=sent)
+    assert [(a.kind, a.name) for a in done.attributes] == [(a.kind, a.name) for a in sent]
+    scalar, normals, texture, colours, last = done.attributes
+    assert all(abs(a - p[0]) < 0.05 for a, p in zip(scalar.values, done.points, strict=True))
+    assert all(abs(a - p[2]) < 0.05 for a, p in zip(last.values, done.points, strict=True))
+    assert set(colours.values) == {(255, 0, 0, 255)} and colours.type == "u8"
+    assert all(abs(n[2] - 1) < 1e-9 for n in normals.values)
+    for facet, corners in zip(done.facets, texture.corners, strict=True):
+        for vertex, corner in zip(facet, corners):
+            assert math.dist(done.points[vertex][:2], texture.values[corner]) < 0.05
+
+
 def main(address, program):
     every_option_has_a_keyword(program)
     print("options: each has a keyword")
@@ -141,7 +161,7 @@ def main(address, program):
     print(f"rvd: {len(cells)} pieces by {report['backend']}")
 
     remeshed = client.remesh(points, facets, 400)
-    new_points, new_facets, iterations, report = remeshed
+    new_points, new_facets, iterations, report, _ = remeshed
     edges = {tuple(sorted((f[k], f[(k + 1) % 3]))) for f in new_facets for k in range(3)}
     assert len(new_points) - len(edges) + len(new_facets) == 0, "a torus stays a torus"
     assert iterations[-1].energy < iterations[0].energy
@@ -162,6 +182,8 @@ def main(address, program):
     close = client.remesh(points, facets, 100, lloyd_steps=2, newton_steps=0, tolerance=0.02)
     assert 100 < len(close.points) <= 210, "twice as many unless somebody says otherwise"
     print("options: heard")
+    attributes_come_back(client, points, facets)
+    print("attributes: carried")
 
     session = client.session(points, facets, seeds, max_seeds=len(seeds) + 1)
     taken, moved = session.step(3)

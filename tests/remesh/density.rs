@@ -121,7 +121,7 @@ fn an_edge_length_comes_out_on_closed_and_open_surfaces() {
         let mean = mean_edge(&out.mesh);
         println!("{shape}: {} vertices, mean edge {:.3} of the target", out.mesh.positions().len(), mean / edge);
         assert!((mean / edge - 1.0).abs() < 0.05, "{shape}: {mean} for {edge}");
-        let outline = Outline::new(&mesh);
+        let outline = Outline::new(&mesh, &Token::default()).unwrap();
         assert!((outline.edge_length(outline.points(edge)) / edge - 1.0).abs() < 1e-9);
     }
 }
@@ -194,7 +194,7 @@ fn edges_are_no_shorter_than_the_meshs_own_but_between_sheets() {
         // Heights of facets differ by a few tenths.
         assert!(least(&noisy, source.clone(), 500) > 0.6 * own);
         // So many points are to show more than the mesh has: half of what even ones are apart.
-        let even = Outline::new(&noisy).edge_length(40_000.0);
+        let even = Outline::new(&noisy, &Token::default()).unwrap().edge_length(40_000.0);
         assert!(least(&noisy, source, 40_000) > 0.499 * even);
     }
     // Sheets 0.02 to 0.4 apart, edges of 0.1.
@@ -255,8 +255,10 @@ fn units_and_offset_do_not_matter() {
             // At an offset of 1e5 coordinates have 11 digits; a ball that stops a sample earlier moves a length
             // by about the square of the samples' distance.
             assert!(off < 1e-2, "{density:?}: scale {scale:e}, offset {offset:e}: {off}");
-            let edge = Outline::new(&moved).edge_length(1000.0);
-            assert!((edge / scale / Outline::new(&mesh).edge_length(1000.0) - 1.0).abs() < 1e-6);
+            let edge = Outline::new(&moved, &Token::default()).unwrap().edge_length(1000.0);
+            assert!(
+                (edge / scale / Outline::new(&mesh, &Token::default()).unwrap().edge_length(1000.0) - 1.0).abs() < 1e-6
+            );
         }
     }
 }
@@ -354,5 +356,5 @@ fn bad_values_are_refused_by_name() {
     assert_eq!(stopped.unwrap_err(), DensityError::Stopped(Stopped::Cancelled));
     let cancelled = RemeshError::from(DensityError::Stopped(Stopped::Cancelled));
     assert!(matches!(cancelled, RemeshError::Rvd(RvdError::Stopped(Stopped::Cancelled))));
-    assert_eq!(Net::new(&mesh, &Token::default()).unwrap().outline(), &Outline::new(&mesh));
+    assert_eq!(Net::new(&mesh, &Token::default()).unwrap().outline(), &Outline::new(&mesh, &Token::default()).unwrap());
 }

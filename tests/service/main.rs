@@ -8,6 +8,8 @@
 #[allow(dead_code)]
 mod server;
 
+#[path = "../common/adversary.rs"]
+mod adversary;
 mod raw;
 
 mod admission;
@@ -21,3 +23,4 @@ mod refusals;
 mod shutdown;
 mod slow_readers;
 mod streams;
+mod trial;

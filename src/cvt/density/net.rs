@@ -45,7 +45,7 @@ impl Net {
     pub fn new(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
         let adjacency = Adjacency::new(mesh);
         token.check()?;
-        let outline = Outline::of(mesh, &adjacency);
+        let outline = Outline::of(mesh, &adjacency, token)?;
         token.check()?;
         let class = adjacency.representative().to_vec();
         let (low, _) = mesh.bounds();

@@ -8,7 +8,8 @@ use glam::DVec3;
 
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
-use crate::mesh::measure::topology_of;
+use crate::mesh::measure::topology_unless;
+use crate::token::{Stopped, Token};
 
 /// 2/√3: points per area where edges have length 1, as each owns a hexagon of area √3/2.
 pub(super) const POINTS_PER_AREA: f64 = 1.154_700_538_379_251_6;
@@ -31,12 +32,20 @@ pub struct Outline {
 
 impl Outline {
     /// Measures `mesh`.
-    pub fn new(mesh: &TriMesh) -> Self {
-        Self::of(mesh, &Adjacency::new(mesh))
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn new(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
+        let adjacency = Adjacency::new(mesh);
+        token.check()?;
+        Self::of(mesh, &adjacency, token)
     }
 
     /// Measures `mesh`, whose edges are known already.
-    pub(super) fn of(mesh: &TriMesh, adjacency: &Adjacency) -> Self {
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub(super) fn of(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Result<Self, Stopped> {
         let (low, high) = mesh.bounds();
         let extent = (high - low).max_element();
         let boundary = boundary_edges(mesh, adjacency).map(|[a, b]| ((a - b) / extent).length()).sum();
@@ -46,7 +55,9 @@ impl Outline {
             .map(|f| mesh.corners(f).map(|p| (p - low) / extent))
             .map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length())
             .sum();
-        Self { extent, area, boundary, euler: topology_of(mesh, adjacency).euler as f64 }
+        token.check()?;
+        let euler = topology_unless(mesh, adjacency, token)?.euler as f64;
+        Ok(Self { extent, area, boundary, euler })
     }
 
     /// The number of points that edges of length `edge` (caller's units) need, not rounded.

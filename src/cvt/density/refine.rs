@@ -12,7 +12,7 @@ use glam::DVec3;
 
 use super::net::Net;
 use crate::mesh::{TriMesh, layers};
-use crate::token::{Stopped, Token};
+use crate::token::{Pace, Stopped, Token};
 
 /// Lengths at the ends of an edge may differ by this factor: half-way, linear w is then 1.32 times that of
 /// linear h, 7 % in edge length, and less elsewhere. With 1.6 nefertiti by curvature has a twentieth more facets instead of
@@ -46,10 +46,10 @@ pub(super) fn refine(
     most: usize,
     token: &Token,
 ) -> Result<Option<(TriMesh, Vec<f64>)>, Stopped> {
-    let mut draft = Draft::new(mesh, net.low, net.outline.extent, sizes);
+    let mut draft = Draft::new(mesh, net.low, net.outline.extent, sizes, token);
     // What is wanted for the sake of time comes last, so that it takes nothing from what the density needs.
-    let steep = draft.split_all(Draft::is_steep, most, token)?;
-    let long = draft.split_long(most, token)?;
+    let steep = draft.split_all(Draft::is_steep, most)?;
+    let long = draft.split_long(most)?;
     Ok(if steep || long { draft.mesh().map(|mesh| (mesh, draft.sizes)) } else { None })
 }
 
@@ -63,11 +63,11 @@ pub(super) fn shorten(
     token: &Token,
 ) -> Result<Option<(TriMesh, Vec<f64>)>, Stopped> {
     let (low, high) = mesh.bounds();
-    let mut draft = Draft::new(mesh, low, (high - low).max_element(), sizes);
+    let mut draft = Draft::new(mesh, low, (high - low).max_element(), sizes, token);
     draft.values = values.to_vec();
     // Facets that lie on one another have their edges in common and no others, but would have the edges between their parts
     // too: two sides of a closed surface would become one.
-    if draft.is_mostly_long(mesh) && !layers::any(mesh) && draft.split_long(most, token)? {
+    if draft.is_mostly_long(mesh) && !layers::any(mesh) && draft.split_long(most)? {
         return Ok(draft.mesh().map(|mesh| (mesh, draft.values)));
     }
     Ok(None)
@@ -84,11 +84,13 @@ struct Draft {
     extent: f64,
     /// More vertices than these are of no use.
     most_vertices: usize,
+    token: Token,
+    pace: Pace,
 }
 
 impl Draft {
     /// With the corner of the mesh's box, and the longest side of that.
-    fn new(mesh: &TriMesh, low: DVec3, extent: f64, sizes: &[f64]) -> Self {
+    fn new(mesh: &TriMesh, low: DVec3, extent: f64, sizes: &[f64], token: &Token) -> Self {
         Self {
             positions: mesh.positions().to_vec(),
             units: mesh.positions().iter().map(|&p| (p - low) / extent).collect(),
@@ -97,6 +99,8 @@ impl Draft {
             facets: mesh.facets().to_vec(),
             extent,
             most_vertices: usize::MAX,
+            token: token.clone(),
+            pace: Pace::default(),
         }
     }
 
@@ -106,27 +110,23 @@ impl Draft {
 
     /// Halves edges for which `is_wanted` says so until there is none or there would be more than `most` facets. Returns
     /// whether there were any.
-    fn split_all(
-        &mut self,
-        is_wanted: impl Fn(&Self, usize, usize) -> bool,
-        most: usize,
-        token: &Token,
-    ) -> Result<bool, Stopped> {
+    fn split_all(&mut self, is_wanted: impl Fn(&Self, usize, usize) -> bool, most: usize) -> Result<bool, Stopped> {
         for round in 0..ROUNDS {
-            token.check()?;
-            let halved = self.halved(&is_wanted);
+            self.token.check()?;
+            let halved = self.halved(&is_wanted)?;
             if halved.is_empty() || self.facets.len() + 3 * halved.len() > most {
                 return Ok(round > 0);
             }
-            self.split(&halved);
+            self.split(&halved)?;
         }
         Ok(true)
     }
 
     /// Edges for which `is_wanted` says so, in order, each once.
-    fn halved(&self, is_wanted: impl Fn(&Self, usize, usize) -> bool) -> Vec<[u32; 2]> {
+    fn halved(&self, is_wanted: impl Fn(&Self, usize, usize) -> bool) -> Result<Vec<[u32; 2]>, Stopped> {
         let mut found = Vec::new();
-        for v in &self.facets {
+        for (f, v) in self.facets.iter().enumerate() {
+            self.token.check_at(f)?;
             for e in 0..3 {
                 let (a, b) = (v[e].min(v[(e + 1) % 3]), v[e].max(v[(e + 1) % 3]));
                 if is_wanted(self, a as usize, b as usize) {
@@ -136,7 +136,7 @@ impl Draft {
         }
         found.sort_unstable();
         found.dedup();
-        found
+        Ok(found)
     }
 
     fn is_steep(&self, a: usize, b: usize) -> bool {
@@ -160,12 +160,13 @@ impl Draft {
         long > MOSTLY * all
     }
 
-    fn split(&mut self, halved: &[[u32; 2]]) {
+    fn split(&mut self, halved: &[[u32; 2]]) -> Result<(), Stopped> {
         let first = self.positions.len() as u32;
         halved.iter().for_each(|&ends| _ = self.add_middle(ends));
         let middle = |a: u32, b: u32| halved.binary_search(&[a.min(b), a.max(b)]).ok().map(|i| first + i as u32);
         let mut facets = Vec::with_capacity(self.facets.len() + 2 * halved.len());
-        for &[a, b, c] in &self.facets {
+        for (f, &[a, b, c]) in self.facets.iter().enumerate() {
+            self.token.check_at(f)?;
             match [middle(a, b), middle(b, c), middle(c, a)] {
                 [None, None, None] => facets.push([a, b, c]),
                 [Some(m), None, None] => facets.extend([[a, m, c], [m, b, c]]),
@@ -178,6 +179,7 @@ impl Draft {
             }
         }
         self.facets = facets;
+        Ok(())
     }
 
     /// Puts a vertex into the middle of an edge.
@@ -195,7 +197,7 @@ impl Draft {
 
     /// Halves edges until none is long. Returns whether there were any; nothing is changed if there would be more than `most`
     /// facets.
-    fn split_long(&mut self, most: usize, token: &Token) -> Result<bool, Stopped> {
+    fn split_long(&mut self, most: usize) -> Result<bool, Stopped> {
         let vertices = self.positions.len();
         // Each new vertex is a corner of a facet that is new too. With more vertices than facets are allowed the division
         // fails, so that an edge of any length is done with by then.
@@ -204,9 +206,9 @@ impl Draft {
         let mut middles = HashMap::new();
         let mut open = Vec::new();
         for f in 0..self.facets.len() {
-            token.check_at(f)?;
             open.push(self.facets[f]);
             while let Some(facet) = open.pop() {
+                self.token.check_after(1, &mut self.pace)?;
                 let turned = |k: usize| [0, 1, 2].map(|i| facet[(i + k) % 3]);
                 let is_long = [0, 1, 2].map(|e| self.is_long(facet[e] as usize, facet[(e + 1) % 3] as usize));
                 match is_long {
@@ -276,9 +278,10 @@ impl Draft {
         let mut ends = vec![b];
         let mut from = a;
         while let Some(&to) = ends.last() {
-            // What has no length any more is not halved.
+            // What has no length any more is not halved; nor is what nobody waits for.
+            let is_stopped = self.token.is_stopped_after(1, &mut self.pace) || self.token.is_told_to_stop();
             let has_room = ends.len() < DEPTH && self.positions.len() <= self.most_vertices;
-            if has_room && self.is_long(from as usize, to as usize) {
+            if !is_stopped && has_room && self.is_long(from as usize, to as usize) {
                 ends.push(self.middle([from, to], middles));
             } else {
                 out.push(to);

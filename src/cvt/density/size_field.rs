@@ -14,7 +14,7 @@ use crate::token::{Stopped, Token};
 
 /// Target edge length at each vertex of a mesh, caller's units.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SizeField {
+pub(crate) struct SizeField {
     sizes: Vec<f64>,
 }
 
@@ -24,7 +24,7 @@ impl SizeField {
     ///
     /// # Errors
     /// `SizeCount`, `BadSize` with the vertex.
-    pub fn new(net: &Net, sizes: Vec<f64>) -> Result<Self, DensityError> {
+    pub(crate) fn new(net: &Net, sizes: Vec<f64>) -> Result<Self, DensityError> {
         let vertices = net.vertices();
         if sizes.len() != vertices {
             return Err(DensityError::SizeCount { given: sizes.len(), vertices });
@@ -43,17 +43,17 @@ impl SizeField {
     }
 
     /// The lengths, one a vertex.
-    pub fn sizes(&self) -> &[f64] {
+    pub(crate) fn sizes(&self) -> &[f64] {
         &self.sizes
     }
 
     /// The lengths, for a caller that goes on with them.
-    pub fn into_sizes(self) -> Vec<f64> {
+    pub(crate) fn into_sizes(self) -> Vec<f64> {
         self.sizes
     }
 
     /// The length that half of the area has at most.
-    pub fn median(&self, net: &Net) -> f64 {
+    pub(crate) fn median(&self, net: &Net) -> f64 {
         net.median(&self.sizes)
     }
 
@@ -64,18 +64,18 @@ impl SizeField {
     }
 
     /// The smallest length.
-    pub fn least(&self) -> f64 {
+    pub(crate) fn least(&self) -> f64 {
         self.sizes.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
     /// The largest length.
-    pub fn largest(&self) -> f64 {
+    pub(crate) fn largest(&self) -> f64 {
         self.sizes.iter().copied().fold(0.0, f64::max)
     }
 
     /// How many points these lengths imply, not rounded: n = ∫ (2/√3)/h² + ½ ∫_boundary 1/h + χ, as a vertex
     /// owns a hexagon of area (√3/2) h², one on the boundary half of it. See [`super::Outline`].
-    pub fn points(&self, net: &Net) -> f64 {
+    pub(crate) fn points(&self, net: &Net) -> f64 {
         let h = |v: u32| self.sizes[v as usize] / net.outline.extent;
         let cells: f64 = net.facets.iter().map(|&(v, area)| area * mean_inverse_square(v.map(h))).sum();
         let rim = net.boundary.iter().map(|&[a, b]| {
@@ -123,7 +123,7 @@ impl SizeField {
     ///
     /// # Errors
     /// [`Stopped`].
-    pub fn grade(&mut self, net: &Net, slope: f64, token: &Token) -> Result<usize, Stopped> {
+    pub(crate) fn grade(&mut self, net: &Net, slope: f64, token: &Token) -> Result<usize, Stopped> {
         if slope == f64::INFINITY {
             return Ok(0);
         }
@@ -217,7 +217,8 @@ mod tests {
     fn a_constant_field_counts_as_its_length() {
         for shape in [Shape::Sphere, Shape::Torus, Shape::Plane, Shape::Sheets, Shape::Genus(3)] {
             let mesh = shape.build(2000);
-            let (net, outline) = (Net::new(&mesh, &Token::default()).unwrap(), Outline::new(&mesh));
+            let (net, outline) =
+                (Net::new(&mesh, &Token::default()).unwrap(), Outline::new(&mesh, &Token::default()).unwrap());
             let h = 0.05;
             let field = SizeField::new(&net, vec![h; mesh.positions().len()]).unwrap();
             let points = field.points(&net);

@@ -61,6 +61,7 @@ pub(super) fn join(
     for (c, curve) in curves.iter().enumerate().filter(|(_, curve)| !curve.closed) {
         ends(curve).into_iter().for_each(|v| at.entry(v).or_default().push(c));
     }
+    token.check()?;
     let mut joiner = Joiner { curves, at, ruler, near };
     let mut gone: Vec<u32> = Vec::new();
     for (_, c) in short {

@@ -16,7 +16,7 @@ use crate::rvd::{CellSums, Surface};
 
 /// Units per unit, powers of two.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Scales {
+pub(super) struct Scales {
     /// Of ∫ w.
     pub mass: f64,
     /// Of ∫ w (p - x).
@@ -34,7 +34,7 @@ fn scale(bound: f64) -> f64 {
 }
 
 /// Total mass of a surface, unit frame.
-pub fn total_mass(surface: &Surface) -> f64 {
+pub(super) fn total_mass(surface: &Surface) -> f64 {
     let mut mass = 0.0;
     for (f, corners) in surface.facets().iter().enumerate().filter(|(f, _)| !surface.skips(*f)) {
         let w: f64 = corners.iter().map(|&v| surface.weights()[v as usize]).sum();
@@ -45,7 +45,7 @@ pub fn total_mass(surface: &Surface) -> f64 {
 
 /// A bound on the distance from any point of the surface's box to its nearest seed: no seed can
 /// be nearer to all of the box than the one with the nearest farthest corner.
-pub fn covering_radius(seeds: &[DVec3]) -> f64 {
+pub(super) fn covering_radius(seeds: &[DVec3]) -> f64 {
     // The unit frame's box is within [-1/2, 1/2]³ up to rounding.
     let farthest = |x: &DVec3| (x.abs() + DVec3::splat(0.5)).length();
     seeds.iter().map(farthest).fold(f64::INFINITY, f64::min)
@@ -53,7 +53,7 @@ pub fn covering_radius(seeds: &[DVec3]) -> f64 {
 
 impl Scales {
     /// For a surface of this `mass` and `area`, every point within `radius` of a seed.
-    pub fn new(mass: f64, area: f64, radius: f64) -> Self {
+    pub(super) fn new(mass: f64, area: f64, radius: f64) -> Self {
         Self {
             mass: scale(mass),
             moment: scale(mass * radius),
@@ -64,10 +64,10 @@ impl Scales {
 }
 
 /// One cell's sums in units, added with wrap-around as on the device.
-pub type Units = [i64; SUM_WORDS / 2];
+pub(super) type Units = [i64; SUM_WORDS / 2];
 
 /// A piece that the host clipped, in units.
-pub fn encode(piece: &Integrals, s: &Scales) -> Units {
+pub(super) fn encode(piece: &Integrals, s: &Scales) -> Units {
     let unit = |v: f64| v.round() as i64;
     [
         unit(piece.mass * s.mass),
@@ -80,7 +80,7 @@ pub fn encode(piece: &Integrals, s: &Scales) -> Units {
 }
 
 /// Adds `units` to the words of one cell.
-pub fn add(words: &mut [u32], units: &Units) {
+pub(super) fn add(words: &mut [u32], units: &Units) {
     for (limbs, unit) in words.chunks_exact_mut(2).zip(units) {
         let sum = ((u64::from(limbs[1]) << 32) | u64::from(limbs[0])).wrapping_add(*unit as u64);
         limbs[0] = sum as u32;
@@ -89,7 +89,7 @@ pub fn add(words: &mut [u32], units: &Units) {
 }
 
 /// The sums of all cells from their words. With uniform weights mass is area.
-pub fn decode(words: &[u32], uniform: bool, s: &Scales, out: &mut CellSums) {
+pub(super) fn decode(words: &[u32], uniform: bool, s: &Scales, out: &mut CellSums) {
     let value = |cell: &[u32], k: usize| (((u64::from(cell[2 * k + 1]) << 32) | u64::from(cell[2 * k])) as i64) as f64;
     for (i, cell) in words.chunks_exact(SUM_WORDS).enumerate() {
         out.area[i] = value(cell, 5) / s.area;

@@ -26,12 +26,12 @@ pub(super) struct History {
 
 impl History {
     /// Empties it.
-    pub fn forget(&mut self) {
+    pub(super) fn forget(&mut self) {
         self.order.clear();
     }
 
     /// Empties it if it has no scale: where the last change has to do with cells alone that have lost their mass.
-    pub fn settle(&mut self) {
+    pub(super) fn settle(&mut self) {
         if self
             .order
             .last()
@@ -42,22 +42,22 @@ impl History {
     }
 
     /// Whether there is no pair.
-    pub fn is_empty(&self) -> bool {
+    pub(super) fn is_empty(&self) -> bool {
         self.order.is_empty()
     }
 
     /// A slot for the next pair. There is one slot more than pairs.
-    pub fn free_slot(&self) -> usize {
+    pub(super) fn free_slot(&self) -> usize {
         (0..PAIRS).find(|slot| !self.order.contains(slot)).unwrap_or(0)
     }
 
     /// The slots in use and one more, as bits.
-    pub fn used(&self, slot: usize) -> u32 {
+    pub(super) fn used(&self, slot: usize) -> u32 {
         self.order.iter().fold(1 << slot, |bits, &slot| bits | 1 << slot)
     }
 
     /// Takes what the `products` stage says of the pair in `slot` and of the gradient, and of all changes divided by masses.
-    pub fn learn(&mut self, slot: usize, dots: &[f32; DOTS]) {
+    pub(super) fn learn(&mut self, slot: usize, dots: &[f32; DOTS]) {
         for which in 0..VECTORS {
             for (k, other) in [slot, PAIRS + slot, GRADIENT].into_iter().enumerate() {
                 let dot = f64::from(dots[3 * which + k]);
@@ -75,7 +75,7 @@ impl History {
     }
 
     /// Takes the pair in `slot` into use, if it is any good.
-    pub fn take(&mut self, slot: usize) {
+    pub(super) fn take(&mut self, slot: usize) {
         let (s, y) = (slot, PAIRS + slot);
         let least = 1e-10 * (self.products[s][s] * self.products[y][y]).sqrt();
         // Written so that NaN fails.
@@ -88,7 +88,7 @@ impl History {
     }
 
     /// Coefficients of -H g: of the steps, and of the changes and the gradient, both divided by masses.
-    pub fn direction(&self) -> [f64; VECTORS] {
+    pub(super) fn direction(&self) -> [f64; VECTORS] {
         let mut c = [0.0; VECTORS];
         c[GRADIENT] = -1.0;
         let along =

@@ -53,22 +53,22 @@ pub(super) struct Moving {
 }
 
 impl Moving {
-    pub fn device_bytes(&self) -> u64 {
+    pub(super) fn device_bytes(&self) -> u64 {
         self.buffers.plan().total_bytes()
     }
 
     /// Whether the present pass ends with figures.
-    pub fn wants_figures(&self) -> bool {
+    pub(super) fn wants_figures(&self) -> bool {
         self.wanted.is_some()
     }
 
     /// The buffers that the stages were bound to are gone.
-    pub fn unbind(&mut self) {
+    pub(super) fn unbind(&mut self) {
         self.bindings = None;
     }
 
     /// Another pass took the sums' place.
-    pub fn sums_lost(&mut self) {
+    pub(super) fn sums_lost(&mut self) {
         self.sums_of = None;
     }
 
@@ -77,7 +77,7 @@ impl Moving {
     }
 
     /// The present point is another.
-    pub fn leave(&mut self) {
+    pub(super) fn leave(&mut self) {
         self.forget();
         self.gradient_known = false;
         self.products_known = false;

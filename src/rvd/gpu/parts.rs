@@ -19,13 +19,13 @@ use crate::token::Token;
 /// 40 ms.
 pub(super) mod size {
     /// A facet that looks for its first cell without a guess.
-    pub const LOOK: u64 = 1;
+    pub(crate) const LOOK: u64 = 1;
     /// A seed that looks for its neighbours, or for facets; a facet that is divided with room for many cells.
-    pub const SEARCH: u64 = 2;
+    pub(crate) const SEARCH: u64 = 2;
     /// A facet that is divided, or walks to its first cell.
-    pub const FACET: u64 = 4;
+    pub(crate) const FACET: u64 = 4;
     /// An item that is looked at and put somewhere.
-    pub const ITEM: u64 = 32;
+    pub(crate) const ITEM: u64 = 32;
 }
 
 /// A stage over so many items.
@@ -41,12 +41,12 @@ pub(super) struct Stage<'a> {
 
 impl Stage<'_> {
     /// Whether it takes more than one dispatch.
-    pub fn is_long(&self) -> bool {
+    pub(super) fn is_long(&self) -> bool {
         self.items > self.size * PART
     }
 
     /// Dispatches all of it; it is not long.
-    pub fn run(&self, compute: &mut wgpu::ComputePass<'_>, limits: Limits) {
+    pub(super) fn run(&self, compute: &mut wgpu::ComputePass<'_>, limits: Limits) {
         self.run_part(compute, 0, self.items, limits);
     }
 

@@ -11,11 +11,11 @@ use crate::gpu::plan::SEARCH_PART;
 use crate::gpu::{Device, GpuError, shader};
 
 /// Slots of the variant that pairs with large polygons are clipped by.
-pub const LARGE_POLYGON: usize = 64;
+pub(super) const LARGE_POLYGON: usize = 64;
 
 /// Pipelines for one number of polygon slots.
 #[derive(Debug)]
-pub struct Pipelines {
+pub(super) struct Pipelines {
     /// Enters proposals.
     pub propose: wgpu::ComputePipeline,
     /// Does most facets as a whole, and enters the others' first cells.
@@ -80,7 +80,7 @@ impl Pipelines {
     ///
     /// # Errors
     /// `Failed`, `Lost`; `Shader` only for a mistake in `shaders/`.
-    pub fn new(device: &Device, slots: usize) -> Result<Self, GpuError> {
+    pub(super) fn new(device: &Device, slots: usize) -> Result<Self, GpuError> {
         let wide = ("WIDE", i64::from(device.has_wide_atomics()));
         let registers = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 0), wide];
         let shared = [("SLOTS", slots as i64), ("ARRAY", 0), ("SHARED", 1), wide];
@@ -158,7 +158,7 @@ fn pipeline(
 
 /// One session's buffers bound to each stage.
 #[derive(Debug)]
-pub struct Bindings {
+pub(super) struct Bindings {
     /// Stages that see a window of the facets.
     pub windows: Vec<WindowBindings>,
     /// For [`Pipelines::prepare`].
@@ -185,7 +185,7 @@ pub struct Bindings {
 
 /// One window's.
 #[derive(Debug)]
-pub struct WindowBindings {
+pub(super) struct WindowBindings {
     /// For [`Pipelines::propose`].
     pub propose: wgpu::BindGroup,
     /// For each of [`Pipelines::divide`].
@@ -211,7 +211,7 @@ impl Bindings {
     ///
     /// # Errors
     /// `Failed`, `Lost`.
-    pub fn new(device: &Device, pipelines: &Pipelines, b: &Buffers) -> Result<Self, GpuError> {
+    pub(super) fn new(device: &Device, pipelines: &Pipelines, b: &Buffers) -> Result<Self, GpuError> {
         let window = |w| WindowBindings::new(device, pipelines, b, w);
         let search = [&b.params, &b.seeds, &b.cells, &b.sorted, &b.table, &b.state, &b.kept, &b.keep];
         let recall = [&b.params, &b.seeds, &b.sorted, &b.table, &b.kept, &b.lists, &b.keep, &b.state, &b.drifts];
@@ -274,7 +274,7 @@ impl WindowBindings {
 
 /// The stages that move seeds, bound. Made anew whenever one of the two sets of buffers is.
 #[derive(Debug)]
-pub struct MotionBindings {
+pub(super) struct MotionBindings {
     /// For [`Pipelines::trial`].
     pub trial: wgpu::BindGroup,
     /// For [`Pipelines::centroids`].
@@ -302,7 +302,12 @@ impl MotionBindings {
     ///
     /// # Errors
     /// `Failed`, `Lost`.
-    pub fn new(device: &Device, pipelines: &Pipelines, b: &Buffers, m: &MotionBuffers) -> Result<Self, GpuError> {
+    pub(super) fn new(
+        device: &Device,
+        pipelines: &Pipelines,
+        b: &Buffers,
+        m: &MotionBuffers,
+    ) -> Result<Self, GpuError> {
         let tally = |gradient| {
             let buffers = [&m.motion, &b.sums, &m.held, &m.direction, gradient, &m.tallies];
             bind(device, &pipelines.tally, &buffers)

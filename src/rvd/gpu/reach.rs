@@ -44,7 +44,7 @@ pub(super) struct Grid {
 impl Grid {
     /// Of `facets`, each made larger by two spacings of `seeds` seeds: few of its cells have their
     /// seed farther away, and those are found from their neighbours.
-    pub fn new(surface: &Surface, facets: &[u32], seeds: usize) -> Self {
+    pub(super) fn new(surface: &Surface, facets: &[u32], seeds: usize) -> Self {
         if facets.is_empty() {
             return Self { side: 0, near: Vec::new() };
         }

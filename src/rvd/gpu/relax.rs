@@ -31,7 +31,7 @@ pub(super) struct Next {
 }
 
 impl Next {
-    pub fn new(by: Together) -> Self {
+    pub(super) fn new(by: Together) -> Self {
         Self { count: 1, by }
     }
 

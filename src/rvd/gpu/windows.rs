@@ -36,7 +36,7 @@ pub(super) struct Layout {
 
 impl Layout {
     /// For facets that meet so many cells each, with room for `pairs_per_cell` pairs for each.
-    pub fn new(expected: &[f64], pairs_per_cell: f64) -> Self {
+    pub(super) fn new(expected: &[f64], pairs_per_cell: f64) -> Self {
         let all = Window { facets: 0..expected.len() as u32, slots: 0, pairs: 0 };
         Self {
             expected: expected.iter().map(|&e| e as f32).collect(),
@@ -48,32 +48,32 @@ impl Layout {
     }
 
     /// The windows, by facet.
-    pub fn windows(&self) -> &[Window] {
+    pub(super) fn windows(&self) -> &[Window] {
         &self.windows
     }
 
     /// Facets of the window at work.
-    pub fn facets(&self) -> Range<u32> {
+    pub(super) fn facets(&self) -> Range<u32> {
         self.windows.get(self.present).map_or(0..0, |w| w.facets.clone())
     }
 
     /// The window at work is the last one.
-    pub fn is_last(&self) -> bool {
+    pub(super) fn is_last(&self) -> bool {
         self.present + 1 >= self.windows.len()
     }
 
     /// Which window is at work.
-    pub fn present(&self) -> usize {
+    pub(super) fn present(&self) -> usize {
         self.present
     }
 
     /// Turns to window `k`.
-    pub fn turn_to(&mut self, k: usize) {
+    pub(super) fn turn_to(&mut self, k: usize) {
         self.present = k;
     }
 
     /// The window that `facet` is in.
-    pub fn window_of(&self, facet: u32) -> usize {
+    pub(super) fn window_of(&self, facet: u32) -> usize {
         self.windows.partition_point(|w| w.facets.end <= facet).min(self.windows.len() - 1)
     }
 

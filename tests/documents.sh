@@ -1,0 +1,53 @@
+#!/bin/bash
+# Does what README.md and docs/ say, as a newcomer would: pastes the README's blocks word for word into a shell, in a copy
+# of this folder, and makes the tables of docs/quality.md again where TESSERA_MESHES names the folder with their meshes.
+# Usage: tests/documents.sh
+# The README's test command and its Rust program are not run here; `cargo test` does that.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+root=$PWD
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+# A copy as it is now, without what git ignores.
+mkdir "$work/tessera"
+git ls-files -z --cached --others --exclude-standard | xargs -0 cp --parents -t "$work/tessera"
+
+# What was compiled here is used again, and what `cargo install` installs goes with the copy. The optimiser is told to do
+# little: this looks at words, not at speed.
+export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$root/target}
+export CARGO_INSTALL_ROOT=$work/installed
+export CARGO_PROFILE_RELEASE_OPT_LEVEL=${TESSERA_DOCUMENTS_OPT_LEVEL:-1}
+export PATH=$work/installed/bin:$PATH
+if (exec 3<>/dev/tcp/127.0.0.1/50051) 2>/dev/null; then
+    echo "something listens on port 50051, which the README's server uses" >&2
+    exit 1
+fi
+
+# All ```sh blocks but the test command's, one after the other in one shell.
+awk '
+    /<!-- test-command -->/ { skip = 1 }
+    /^```sh$/ { inside = !skip; if (inside) print "printf \"\\n-- README, line " NR "\\n\""; next }
+    /^```$/ { if (!inside) skip = 0; inside = 0 }
+    inside
+' README.md >"$work/blocks"
+(cd "$work/tessera" && timeout 1800 bash -e "$work/blocks")
+for file in genus3.obj remesh.ply report.json remote.ply; do
+    [ -s "$work/tessera/$file" ] || { echo "$file is not there after the README's blocks" >&2; exit 1; }
+done
+
+if [ -z "${TESSERA_MESHES:-}" ]; then
+    echo "TESSERA_MESHES is not set: THE TABLES OF docs/quality.md ARE NOT CHECKED"
+    exit 0
+fi
+printf '\n-- docs/quality.md\n'
+for density in uniform curvature lfs; do
+    tests/quality-table.sh --density "$density" >"$work/table"
+    # Every line of the table is a line of the document.
+    if missing=$(grep -vxFf docs/quality.md "$work/table"); then
+        printf 'docs/quality.md has other figures (%s):\n%s\n' "$density" "$missing" >&2
+        exit 1
+    fi
+done
+echo "as the commands give them"

@@ -1,0 +1,380 @@
+//! Promise: one server takes everything that the other files of this folder send, one after the other, stays alive and
+//! serving, and ends as it was: the same bits, and no more memory, descriptors and threads.
+//!
+//! Prints what it held before and after as JSON (`--nocapture`). `TESSERA_TRIAL_ROUNDS` sends everything so often.
+
+#![cfg(target_os = "linux")]
+
+use std::io::{BufRead, BufReader};
+use std::net::SocketAddr;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use glam::DVec3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tessera::DensitySource;
+use tessera::mesh::shapes::Shape;
+use tessera::proto::*;
+use tessera::remesh::Seeds;
+use tonic::{Code, Status};
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_check_response::ServingStatus;
+use tonic_health::pb::health_client::HealthClient;
+
+use crate::adversary;
+use crate::raw::{COMPUTE_RVD, Raw, silent};
+use crate::server::*;
+
+const SECOND: Duration = Duration::from_secs(1);
+
+/// The program itself, on one address.
+struct Program {
+    child: Child,
+    address: SocketAddr,
+}
+
+/// What a process holds.
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    mebibytes: u64,
+    descriptors: usize,
+    threads: usize,
+}
+
+impl Program {
+    fn start() -> Self {
+        let command =
+            "ulimit -n 1024; exec \"$0\" serve --listen 127.0.0.1:0 --backend parallel --threads 2 --stall-s 1";
+        let mut child = Command::new("sh")
+            .args(["-c", command, env!("CARGO_BIN_EXE_tessera")])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let address = line.trim().strip_prefix("tessera listens on ").unwrap().parse().unwrap();
+        Self { child, address }
+    }
+
+    fn held(&self) -> Held {
+        let count = |what: &str| std::fs::read_dir(format!("/proc/{}/{what}", self.child.id())).unwrap().count();
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
+        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+        let kibibytes: u64 = resident.split_whitespace().next().unwrap().parse().unwrap();
+        Held { mebibytes: kibibytes / 1024, descriptors: count("fd"), threads: count("task") }
+    }
+
+    async fn channel(&self) -> tonic::transport::Channel {
+        let endpoint = tonic::transport::Endpoint::from_shared(format!("http://{}", self.address)).unwrap();
+        endpoint.connect_timeout(10 * SECOND).connect().await.unwrap()
+    }
+
+    async fn client(&self) -> Client {
+        Client::new(self.channel().await).max_decoding_message_size(8 << 20)
+    }
+
+    /// It serves, says so, and gives the bits that it gave at first.
+    async fn is_well(&self, after: &str, bits: &[u8]) {
+        let answer = HealthClient::new(self.channel().await).check(HealthCheckRequest::default()).await;
+        assert_eq!(answer.unwrap().into_inner().status(), ServingStatus::Serving, "after {after}");
+        assert!(self.plain().await == bits, "other bits after {after}");
+    }
+
+    /// The positions of a plain remesh.
+    async fn plain(&self) -> Vec<u8> {
+        let (positions, facets) = Shape::Torus.build(2_000).into_parts();
+        let wish = header(&positions, &facets, 200);
+        let done = ask(&mut self.client().await, &positions, &facets, &[], wish, 120 * SECOND).await.unwrap();
+        done.positions
+    }
+
+    /// Tells it to stop; gives how long that took.
+    fn stop(mut self) -> Duration {
+        let begin = Instant::now();
+        let told = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status().unwrap();
+        assert!(told.success());
+        assert!(self.child.wait().unwrap().success());
+        begin.elapsed()
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+struct Done {
+    positions: Vec<u8>,
+    report: serde_json::Value,
+}
+
+fn header(positions: &[DVec3], facets: &[[u32; 3]], points: u64) -> RemeshHeader {
+    let sampled = SampledSeeds { points, random_seed: 1 };
+    RemeshHeader {
+        mesh: Some(mesh_header(positions, facets)),
+        seeds: Some(SeedSource { source: Some(seed_source::Source::Sampled(sampled)) }),
+        ..RemeshHeader::default()
+    }
+}
+
+fn upload(
+    positions: &[DVec3],
+    facets: &[[u32; 3]],
+    seeds: &[DVec3],
+    extra: Vec<Chunk>,
+    header: RemeshHeader,
+) -> Vec<RemeshRequest> {
+    use remesh_request::Message as Ask;
+    let mut all = vec![Ask::Header(header)];
+    all.extend(all_chunks(positions, facets, seeds).into_iter().chain(extra).map(Ask::Chunk));
+    all.push(Ask::Finish(Finish {}));
+    all.into_iter().map(|message| RemeshRequest { message: Some(message) }).collect()
+}
+
+/// A remesh with a deadline.
+async fn ask(
+    client: &mut Client,
+    positions: &[DVec3],
+    facets: &[[u32; 3]],
+    seeds: &[DVec3],
+    header: RemeshHeader,
+    deadline: Duration,
+) -> Result<Done, Status> {
+    send(client, upload(positions, facets, seeds, Vec::new(), header), deadline).await
+}
+
+async fn send(client: &mut Client, messages: Vec<RemeshRequest>, deadline: Duration) -> Result<Done, Status> {
+    let mut request = tonic::Request::new(tokio_stream::iter(messages));
+    request.set_timeout(deadline);
+    let mut answers = client.remesh(request).await?.into_inner();
+    let (mut chunks, mut done) = (Vec::new(), None);
+    while let Some(answer) = answers.message().await? {
+        match answer.message.unwrap() {
+            remesh_response::Message::Chunk(chunk) => chunks.push(chunk),
+            remesh_response::Message::Done(last) => done = Some(last),
+            _ => {}
+        }
+    }
+    let done = done.expect("done comes last");
+    let report = if done.report_json.is_empty() {
+        serde_json::from_slice(&gather(&chunks, ArrayKind::Report)).unwrap()
+    } else {
+        serde_json::from_str(&done.report_json).unwrap()
+    };
+    Ok(Done { positions: gather(&chunks, ArrayKind::Positions), report })
+}
+
+/// A sphere with one vertex far away gives a remesh, and the report says so.
+async fn stray_vertices(program: &Program) {
+    for distance in [1e7, 1e9, 1e12] {
+        let (mut positions, facets) = Shape::Sphere.build(320).into_parts();
+        positions[40].y = distance;
+        let wish = header(&positions, &facets, 500);
+        let done = ask(&mut program.client().await, &positions, &facets, &[], wish, 60 * SECOND).await.unwrap();
+        assert_eq!(done.report["input"]["stray_vertices"], 1, "{distance:e}");
+    }
+}
+
+/// An adversary's job as a client sends it.
+fn hostile(number: u64) -> (String, Vec<RemeshRequest>) {
+    let adversary::Job { name, mesh, options } = adversary::job(number, 40_000);
+    let (positions, facets) = mesh.into_parts();
+    let (seeds, points) = match options.seeds {
+        Seeds::Given(seeds) => (seeds, 0),
+        Seeds::Sample { points, .. } => (Vec::new(), points as u64),
+        _ => (Vec::new(), 100),
+    };
+    let numbers = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let mut wish = header(&positions, &facets, points);
+    if points == 0 {
+        wish.seeds = uploaded(seeds.len());
+    }
+    let mut density = DensityOptions::default();
+    let mut extra = Vec::new();
+    match options.density.source {
+        DensitySource::Curvature => density.source = tessera::proto::DensitySource::Curvature.into(),
+        DensitySource::FeatureSize => density.source = tessera::proto::DensitySource::FeatureSize.into(),
+        DensitySource::Sizes(sizes) => {
+            density.source = tessera::proto::DensitySource::EdgeLengths.into();
+            density.edge_lengths = sizes.len() as u64;
+            extra = chunks(ArrayKind::EdgeLengths, &numbers(&sizes));
+        }
+        DensitySource::Weights(weights) => {
+            density.source = tessera::proto::DensitySource::Weights.into();
+            wish.mesh.as_mut().unwrap().weights = weights.len() as u64;
+            extra = chunks(ArrayKind::Weights, &numbers(&weights));
+        }
+        _ => {}
+    }
+    wish.density = Some(density);
+    wish.crease_angle_deg = Some(options.crease_angle_deg);
+    wish.refinement = options.refine.map(|refine| Refinement { tolerance: refine.tolerance, max_points: None });
+    let messages = upload(&positions, &facets, &seeds, extra, wish);
+    (name, messages)
+}
+
+/// Jobs of every kind, each with a deadline that most of them do not keep. Nothing but a typed answer comes.
+async fn hostile_jobs(program: &Program, first: u64) {
+    for number in first..first + adversary::SURFACES.len() as u64 {
+        let (name, messages) = hostile(number);
+        let mut rng = ChaCha8Rng::seed_from_u64(number);
+        let deadline = Duration::from_secs_f64(0.2 + 1.5 * rng.random::<f64>());
+        let begin = Instant::now();
+        let answer = send(&mut program.client().await, messages, deadline).await;
+        let code = answer.map_or_else(|status| status.code(), |_| Code::Ok);
+        let typed = [
+            Code::Ok,
+            Code::DeadlineExceeded,
+            Code::Cancelled,
+            Code::InvalidArgument,
+            Code::FailedPrecondition,
+            Code::ResourceExhausted,
+        ];
+        assert!(typed.contains(&code), "{name}: {code:?}");
+        assert!(begin.elapsed() < deadline + 10 * SECOND, "{name}: {:?}", begin.elapsed());
+    }
+}
+
+/// Sessions on a soup whose clients go away while they are prepared.
+async fn sessions_that_nobody_waits_for(program: &Program) {
+    use cvt_request::Message as Ask;
+    let soup = adversary::soup(30_000, &mut ChaCha8Rng::seed_from_u64(1));
+    let (positions, facets) = soup.into_parts();
+    let wish = CvtHeader {
+        mesh: Some(mesh_header(&positions, &facets)),
+        seeds: Some(SeedSource {
+            source: Some(seed_source::Source::Sampled(SampledSeeds { points: 5_000, random_seed: 1 })),
+        }),
+        density: Some(DensityOptions {
+            source: tessera::proto::DensitySource::FeatureSize.into(),
+            ..DensityOptions::default()
+        }),
+        ..CvtHeader::default()
+    };
+    let mut all = vec![Ask::Header(wish)];
+    all.extend(all_chunks(&positions, &facets, &[]).into_iter().map(Ask::Chunk));
+    all.push(Ask::Start(CvtStart {}));
+    let all: Vec<_> = all.into_iter().map(|message| CvtRequest { message: Some(message) }).collect();
+    for _ in 0..40 {
+        let mut client = program.client().await;
+        let messages = all.clone();
+        let session = async move {
+            let answers = tokio_stream::StreamExt::chain(tokio_stream::iter(messages), tokio_stream::pending());
+            let mut answers = client.cvt(answers).await?.into_inner();
+            while answers.message().await?.is_some() {}
+            Ok::<_, Status>(())
+        };
+        // Its client goes.
+        let _ = tokio::time::timeout(Duration::from_millis(150), session).await;
+    }
+}
+
+/// More sockets than the server may have open, all of them silent.
+async fn silent_sockets(program: &Program) {
+    let mut sockets = Vec::new();
+    for _ in 0..1200 {
+        sockets.push(silent(program.address, b"").await);
+    }
+    for _ in 0..5 {
+        let begin = Instant::now();
+        HealthClient::new(program.channel().await).check(HealthCheckRequest::default()).await.unwrap();
+        assert!(begin.elapsed() < 5 * SECOND);
+    }
+}
+
+/// Answers that nobody takes.
+async fn shut_windows(program: &Program) {
+    let (vertices, facets) = octahedron();
+    let request = rvd_request(&vertices, &facets, &spiral(4000), BackendChoice::Parallel, &[RvdOutput::Cells]);
+    let mut held = Vec::new();
+    let mut connections = Vec::new();
+    for _ in 0..12 {
+        let mut raw = Raw::connect(program.address, 0).await;
+        for _ in 0..10 {
+            let asked = tokio::time::timeout(20 * SECOND, raw.ask(COMPUTE_RVD, &request)).await;
+            // Refused for a full queue, or cut before its head came: both end it.
+            held.extend(asked.expect("is answered"));
+        }
+        connections.push(raw);
+    }
+    for body in &mut held {
+        let end = async { while body.data().await.is_some_and(|data| data.is_ok()) {} };
+        tokio::time::timeout(30 * SECOND, end).await.expect("is cut");
+    }
+}
+
+/// Uploads that stop in the middle, and clients that go away at once.
+async fn half_uploads(program: &Program) {
+    for cut in 1..30 {
+        let mut request = small_rvd(BackendChoice::Parallel);
+        request.truncate(cut % request.len());
+        let mut client = program.client().await;
+        let asked = ask_rvd(&mut client, request);
+        assert!(asked.await.is_err(), "there is no finish");
+    }
+}
+
+/// A report of thousands of steps.
+async fn long_report(program: &Program) {
+    let (positions, facets) = octahedron();
+    let wish = RemeshHeader {
+        lloyd_steps: Some(3_000),
+        newton_steps: Some(0),
+        measure: Measure::Topology.into(),
+        ..header(&positions, &facets, 20)
+    };
+    let done = ask(&mut program.client().await, &positions, &facets, &[], wish, 120 * SECOND).await.unwrap();
+    assert!(!done.report["iterations"].as_array().unwrap().is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_server_takes_all_of_it_and_is_as_it_was() {
+    let program = Program::start();
+    let bits = program.plain().await;
+    // Pools and the allocator's own stock grow with the first jobs and stay.
+    stray_vertices(&program).await;
+    hostile_jobs(&program, 0).await;
+    tokio::time::sleep(SECOND).await;
+    let before = program.held();
+    let rounds = std::env::var("TESSERA_TRIAL_ROUNDS").map_or(1, |text| text.parse().unwrap());
+    for round in 1..=rounds {
+        stray_vertices(&program).await;
+        program.is_well("stray vertices", &bits).await;
+        hostile_jobs(&program, round * adversary::SURFACES.len() as u64).await;
+        program.is_well("hostile jobs", &bits).await;
+        sessions_that_nobody_waits_for(&program).await;
+        program.is_well("sessions that nobody waits for", &bits).await;
+        silent_sockets(&program).await;
+        program.is_well("silent sockets", &bits).await;
+        shut_windows(&program).await;
+        program.is_well("shut windows", &bits).await;
+        half_uploads(&program).await;
+        long_report(&program).await;
+        program.is_well("half uploads and a long report", &bits).await;
+        println!("{{\"round\": {round}, \"held\": \"{:?}\"}}", program.held());
+    }
+    let is_as_it_was = |now: Held| {
+        now.descriptors <= before.descriptors + 1
+            && now.threads <= before.threads + 1
+            && now.mebibytes <= before.mebibytes + 100
+    };
+    let begin = Instant::now();
+    while !is_as_it_was(program.held()) && begin.elapsed() < 30 * SECOND {
+        tokio::time::sleep(SECOND / 4).await;
+    }
+    let after = program.held();
+    // A watch is told, and keeps nothing up.
+    let mut watch =
+        HealthClient::new(program.channel().await).watch(HealthCheckRequest::default()).await.unwrap().into_inner();
+    assert_eq!(watch.message().await.unwrap().unwrap().status(), ServingStatus::Serving);
+    let stopping = tokio::task::spawn_blocking(|| program.stop());
+    assert_eq!(watch.message().await.unwrap().unwrap().status(), ServingStatus::NotServing);
+    let stop = stopping.await.unwrap();
+    println!("{{\"before\": \"{before:?}\", \"after\": \"{after:?}\", \"stop_s\": {:.2}}}", stop.as_secs_f64());
+    assert!(is_as_it_was(after), "{before:?} became {after:?}");
+    assert!(stop < 10 * SECOND, "{stop:?}");
+}
