@@ -56,7 +56,7 @@
 //! | `job` | the queue, and the one thread that owns the device | `remesh` and below |
 //! | `wire` | messages, and our types made of them and into them; server and client speak it | `remesh` and below |
 //! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job` and below |
-//! | `cli` | one file per subcommand | everything |
+//! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve`: the client speaks `wire` |
 //!
 //! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules. Modules without a link
 //! are no part of the interface, nor is `internals`, which shows some of them to this crate's own tests.
