@@ -54,8 +54,9 @@
 //! | [`cvt`] | iterations that move the seeds | `rvd`'s trait |
 //! | [`mod@remesh`] | sample, iterate, dual, repair, measure | `cvt`, `rvd::dual`, `mesh` |
 //! | `job` | the queue, and the one thread that owns the device | `remesh` and below |
-//! | `service` | gRPC: handlers, conversion, status codes | `job` and below |
-//! | `cli` | one file per subcommand | everything |
+//! | `wire` | messages, and our types made of them and into them; server and client speak it | `remesh` and below |
+//! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job` and below |
+//! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve`: the client speaks `wire` |
 //!
 //! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules. Modules without a link
 //! are no part of the interface, nor is `internals`, which shows some of them to this crate's own tests.
@@ -95,11 +96,13 @@ mod service;
 #[cfg(feature = "cli")]
 mod telemetry;
 pub mod token;
+#[cfg(feature = "service")]
+mod wire;
 
 pub use cvt::{Cvt, CvtOptions, DensityOptions, DensitySource, Projection};
 pub use mesh::{MeshError, TriMesh};
 pub use remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, remesh};
 pub use rvd::{Backend, BackendChoice, BackendKind, BackendOptions, Cells, Diagram, RvdError, auto_backend};
-#[cfg(feature = "service")]
-pub use service::proto;
 pub use token::{Stopped, Token};
+#[cfg(feature = "service")]
+pub use wire::proto;

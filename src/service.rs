@@ -3,19 +3,13 @@
 //! Purpose: [`run`] serves on a listener until it is told to end, then drains.
 //! Invariant: nothing waits without a limit; every error leaves through `status` and nowhere else;
 //! a stream that ends in any way gives back its memory and its place. Must not know: how a diagram
-//! is computed, the command line.
+//! is computed, how messages look (`wire`), the command line.
 
-pub(crate) mod assemble;
-pub(crate) mod attributes;
-pub(crate) mod budget;
+mod budget;
 mod connections;
-pub(crate) mod convert;
 mod handlers;
-pub(crate) mod limits;
-pub(crate) mod options;
 mod status;
 mod stream;
-mod upload;
 
 use std::future::Future;
 use std::thread::JoinHandle;
@@ -30,15 +24,7 @@ use tonic_health::server::HealthReporter;
 use crate::config::Limits;
 use crate::job::spec::Input;
 use crate::job::{Device, Engine, JobError, Work};
-
-/// The messages and services of `proto/tessera/v1`, generated.
-#[allow(missing_docs, clippy::all, clippy::pedantic)]
-pub mod proto {
-    tonic::include_proto!("tessera.v1");
-
-    /// Every descriptor, encoded, for reflection.
-    pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/tessera.bin"));
-}
+use crate::wire::{WireError, proto};
 
 /// The largest message that is taken, bytes.
 pub(crate) const MAX_MESSAGE_BYTES: usize = 4 << 20;
@@ -80,10 +66,8 @@ pub enum ServeError {
 /// Why a request is refused or ends badly. `status` makes a status code of it.
 #[derive(Clone, Debug, thiserror::Error)]
 pub(crate) enum RequestError {
-    #[error("{path} {description}")]
-    Field { path: String, description: String },
-    #[error("{0}")]
-    Protocol(String),
+    #[error(transparent)]
+    Wire(#[from] WireError),
     #[error("{needed_bytes} more bytes of geometry do not fit now: {left_bytes} are left for all streams")]
     Memory { needed_bytes: u64, left_bytes: u64 },
     #[error("a message of {length} bytes came, where none is longer than {most}")]
@@ -106,16 +90,6 @@ pub(crate) enum RequestError {
     Job(#[from] JobError),
     #[error("{}", .0.message())]
     Inbound(tonic::Status),
-}
-
-impl RequestError {
-    pub(crate) fn field(path: impl Into<String>, description: impl Into<String>) -> Self {
-        Self::Field { path: path.into(), description: description.into() }
-    }
-
-    pub(crate) fn unknown_enum(path: &str, value: i32) -> Self {
-        Self::field(path, format!("is {value}, which is no value of this enum"))
-    }
 }
 
 /// How far the server is on its way out.

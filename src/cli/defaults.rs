@@ -7,15 +7,14 @@ use clap::{Args, CommandFactory};
 use super::Cli;
 use super::remesh::RemeshArgs;
 use super::rvd::RvdArgs;
-use crate::config::Limits;
 use crate::cvt::CvtOptions;
 use crate::cvt::density::DensityOptions;
-use crate::job::spec::Input;
-use crate::mesh::TriMesh;
 use crate::mesh::shapes::Shape;
 use crate::remesh::{Refine, RemeshOptions, Seeds};
-use crate::service::proto::{self, CvtHeader, RemeshHeader, SampledSeeds, seed_source};
-use crate::service::{convert, options};
+use crate::wire::counts::Bounds;
+use crate::wire::options::RemeshArrays;
+use crate::wire::proto::{self, CvtHeader, RemeshHeader, SampledSeeds, seed_source};
+use crate::wire::{density, options};
 
 fn arguments<A: Args>(line: &[&str]) -> A {
     let command = A::augment_args(clap::Command::new("tessera"));
@@ -24,13 +23,14 @@ fn arguments<A: Args>(line: &[&str]) -> A {
 }
 
 /// Bounds that are no narrower than the library's.
-fn limits() -> Limits {
-    Limits { max_seeds: DensityOptions::default().max_points as u64, ..Limits::default() }
+fn bounds() -> Bounds {
+    let max_seeds = DensityOptions::default().max_points as u64;
+    Bounds { max_vertices: u64::MAX, max_facets: u64::MAX, max_seeds, max_iterations: u32::MAX }
 }
 
-fn input(mesh: &TriMesh, density: Option<&proto::DensityOptions>, seeds: &Seeds) -> Input {
-    let density = convert::density(density, None, None, limits().max_seeds).unwrap();
-    Input { mesh: mesh.clone(), density, seeds: seeds.clone(), creases: Vec::new(), attributes: None }
+fn arrays(density: Option<&proto::DensityOptions>, seeds: &Seeds) -> RemeshArrays {
+    let density = density::of(density, None, None, bounds().max_seeds).unwrap();
+    RemeshArrays { density, seeds: seeds.clone(), creases: Vec::new(), attributes: None }
 }
 
 /// Whatever there is of options is in what this prints.
@@ -48,9 +48,9 @@ fn a_remesh_has_the_same_defaults_at_every_door() {
     assert_eq!(all(&command.options(&mesh, None).unwrap()), library);
 
     for density in [None, Some(proto::DensityOptions::default())] {
-        let input = input(&mesh, density.as_ref(), &seeds);
+        let arrays = arrays(density.as_ref(), &seeds);
         let header = RemeshHeader { density, ..RemeshHeader::default() };
-        let (_, service) = options::of_remesh(&header, input, &limits()).unwrap();
+        let service = options::of_remesh(&header, arrays, &bounds()).unwrap();
         assert_eq!(all(&service), library);
     }
 }
@@ -64,18 +64,17 @@ fn points_are_added_up_to_the_same_count() {
     assert_eq!(command, Refine::new(command.tolerance, 50));
     let refinement = Some(proto::Refinement { tolerance: command.tolerance, max_points: None });
     let header = RemeshHeader { refinement, ..RemeshHeader::default() };
-    let (_, service) = options::of_remesh(&header, input(&mesh, None, &seeds), &limits()).unwrap();
+    let service = options::of_remesh(&header, arrays(None, &seeds), &bounds()).unwrap();
     assert_eq!(service.refine, Some(command));
     // A server that allows fewer gives as many as it has.
-    let few = Limits { max_seeds: 70, max_iterations: 8, ..limits() };
-    let (_, service) = options::of_remesh(&header, input(&mesh, None, &seeds), &few).unwrap();
+    let few = Bounds { max_seeds: 70, max_iterations: 8, ..bounds() };
+    let service = options::of_remesh(&header, arrays(None, &seeds), &few).unwrap();
     assert_eq!(service.refine.map(|r| r.max_points), Some(70));
     assert_eq!((service.lloyd, service.newton), (5, 8));
 }
 
 #[test]
 fn zero_is_not_the_default() {
-    let mesh = Shape::Sphere.build(100);
     let seeds = Seeds::Sample { points: 50, seed: 0 };
     let header = RemeshHeader {
         lloyd_steps: Some(0),
@@ -84,7 +83,7 @@ fn zero_is_not_the_default() {
         density: Some(proto::DensityOptions { adaptivity: Some(0.0), ..proto::DensityOptions::default() }),
         ..RemeshHeader::default()
     };
-    let (_, o) = options::of_remesh(&header, input(&mesh, header.density.as_ref(), &seeds), &limits()).unwrap();
+    let o = options::of_remesh(&header, arrays(header.density.as_ref(), &seeds), &bounds()).unwrap();
     assert_eq!((o.lloyd, o.newton, o.crease_angle_deg, o.density.adaptivity), (0, 0, 0.0, 0.0));
 }
 
@@ -106,8 +105,8 @@ fn options_come_through_the_protocol() {
             panic!("{line:?}")
         };
         let seeds = Seeds::Sample { points: sampled.points as usize, seed: sampled.random_seed };
-        let input = input(&mesh, header.density.as_ref(), &seeds);
-        let (_, taken) = options::of_remesh(&header, input, &limits()).unwrap();
+        let arrays = arrays(header.density.as_ref(), &seeds);
+        let taken = options::of_remesh(&header, arrays, &bounds()).unwrap();
         assert_eq!(all(&taken), all(&given), "{line:?}");
     }
 }

@@ -9,7 +9,6 @@ use crate::mesh::io::FileError;
 use crate::picture::PictureError;
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
-use crate::service::ServeError;
 use crate::telemetry::TelemetryError;
 use crate::token::Stopped;
 
@@ -77,6 +76,11 @@ pub(crate) struct NotWritten(pub(crate) String);
 #[error("{0}")]
 pub(crate) struct Unavailable(pub(crate) String);
 
+/// Work that goes on though it was told to stop.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct Stuck(pub(crate) String);
+
 /// The exit code for an error, by the first cause in its chain that has one.
 pub(crate) fn code(error: &anyhow::Error) -> u8 {
     error.chain().find_map(known).unwrap_or(INTERNAL)
@@ -93,7 +97,7 @@ fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
         Some(FileError::Io { .. }) => return Some(IO),
         None => {}
     }
-    if let Some(ServeError::WorkStuck { .. }) = cause.downcast_ref::<ServeError>() {
+    if cause.is::<Stuck>() {
         return Some(STUCK);
     }
     if cause.is::<NoInput>() {

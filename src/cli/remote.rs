@@ -1,13 +1,12 @@
 //! `--endpoint`: the same work on a server.
 //!
-//! Invariant: what is received is checked as the server checks what it receives: order, CRC, length.
+//! Purpose: the calls of a client, from connecting to the last message.
+//! Invariant: what is received is checked (`wire::arrays`) before it is used. Must not know: the server (`service`).
 
-use std::collections::HashMap;
 use std::future::Future;
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail, ensure};
-use glam::DVec3;
+use anyhow::{Context, Result, bail};
 use tonic::transport::{Channel, Endpoint};
 
 use super::endpoint::ServerUrl;
@@ -20,13 +19,15 @@ use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Attributes;
 use crate::remesh::{RemeshOptions, Seeds};
-use crate::rvd::{PieceBatch, RvdError};
-use crate::service::assemble::UploadedAttribute;
-use crate::service::limits::MeshCounts;
-use crate::service::proto::remesh_service_client::RemeshServiceClient;
-use crate::service::proto::{self, ArrayKind, CellsChunk, Chunk};
-use crate::service::{attributes, convert, options};
+use crate::rvd::RvdError;
 use crate::token::Stopped;
+use crate::wire::arrays::Arrays;
+use crate::wire::cells::batch;
+use crate::wire::chunks::{facet_chunks, index_chunks, number_chunks, point_chunks};
+use crate::wire::counts::MeshCounts;
+use crate::wire::proto::remesh_service_client::RemeshServiceClient;
+use crate::wire::proto::{self, ArrayKind, Chunk};
+use crate::wire::{attributes, options};
 
 /// A remesh to ask for.
 pub(crate) struct RemeshJob<'a> {
@@ -61,18 +62,18 @@ pub(crate) fn remesh(endpoint: &ServerUrl, job: &RemeshJob<'_>, progress: &Progr
     messages.extend(mesh_chunks(job.mesh).map(Ask::Chunk));
     match &options.density.source {
         DensitySource::Sizes(sizes) => {
-            messages.extend(convert::number_chunks(ArrayKind::EdgeLengths, sizes).map(Ask::Chunk));
+            messages.extend(number_chunks(ArrayKind::EdgeLengths, sizes).map(Ask::Chunk));
         }
         DensitySource::Weights(weights) => {
-            messages.extend(convert::number_chunks(ArrayKind::Weights, weights).map(Ask::Chunk));
+            messages.extend(number_chunks(ArrayKind::Weights, weights).map(Ask::Chunk));
         }
         DensitySource::Uniform | DensitySource::Curvature | DensitySource::FeatureSize => {}
     }
     if let Seeds::Given(seeds) = &options.seeds {
-        messages.extend(convert::point_chunks(ArrayKind::Seeds, seeds).map(Ask::Chunk));
+        messages.extend(point_chunks(ArrayKind::Seeds, seeds).map(Ask::Chunk));
     }
     if !options.creases.is_empty() {
-        messages.extend(convert::index_chunks(ArrayKind::Creases, options.creases.as_flattened()).map(Ask::Chunk));
+        messages.extend(index_chunks(ArrayKind::Creases, options.creases.as_flattened()).map(Ask::Chunk));
     }
     let carried =
         options.attributes.as_ref().map(|attributes| attributes::chunks(attributes, &announced)).unwrap_or_default();
@@ -91,15 +92,15 @@ pub(crate) fn remesh(endpoint: &ServerUrl, job: &RemeshJob<'_>, progress: &Progr
                 Some(Answer::Iteration(it)) => progress.iteration(it.index, it.total, it.energy_ratio),
                 Some(Answer::Chunk(chunk)) => {
                     progress.stage("download", 0, 0);
-                    arrays.take(chunk)?;
+                    arrays.take(&chunk)?;
                 }
                 Some(Answer::Done(done)) => {
                     let positions = arrays.points(ArrayKind::Positions)?;
                     let facets = arrays.facets(ArrayKind::Facets)?;
                     let mesh = TriMesh::new(positions, facets).context("the server's remesh is broken")?;
                     let curve_edges = arrays.pairs(ArrayKind::Creases);
-                    let report = arrays.report(&done.report_json)?;
-                    let attributes = arrays.attributes(&mesh, &done.attributes)?;
+                    let report = report(&arrays, &done.report_json)?;
+                    let attributes = attributes_of(&arrays, &mesh, &done.attributes)?;
                     return Ok(RemeshDone { mesh, curve_edges, report, attributes });
                 }
                 _ => {}
@@ -143,7 +144,7 @@ pub(crate) fn rvd(endpoint: &ServerUrl, job: RvdJob<'_>, progress: &Progress, si
     };
     let mut messages = vec![Ask::Header(header)];
     messages.extend(mesh_chunks(mesh).map(Ask::Chunk));
-    messages.extend(convert::point_chunks(ArrayKind::Seeds, &points).map(Ask::Chunk));
+    messages.extend(point_chunks(ArrayKind::Seeds, &points).map(Ask::Chunk));
     messages.push(Ask::Finish(proto::Finish {}));
     let requests = messages.into_iter().map(|m| proto::ComputeRvdRequest { message: Some(m) }).collect::<Vec<_>>();
     block_on(async {
@@ -156,10 +157,10 @@ pub(crate) fn rvd(endpoint: &ServerUrl, job: RvdJob<'_>, progress: &Progress, si
                 Some(Answer::Accepted(accepted)) => waiting(progress, &accepted),
                 Some(Answer::Progress(p)) => progress.stage(&p.stage, p.done, p.total),
                 Some(Answer::Cells(chunk)) => sink(&batch(&chunk)?)?,
-                Some(Answer::Chunk(chunk)) => arrays.take(chunk)?,
+                Some(Answer::Chunk(chunk)) => arrays.take(&chunk)?,
                 Some(Answer::Done(done)) => {
                     let centroids = if wants.centroids { arrays.points(ArrayKind::Centroids)? } else { Vec::new() };
-                    let report = arrays.report(&done.report_json)?;
+                    let report = report(&arrays, &done.report_json)?;
                     return Ok(RvdResult { centroids, report });
                 }
                 _ => {}
@@ -224,110 +225,29 @@ fn choice(backend: BackendArg) -> proto::BackendChoice {
 }
 
 fn mesh_chunks(mesh: &TriMesh) -> impl Iterator<Item = Chunk> + '_ {
-    let positions = convert::point_chunks(ArrayKind::Positions, mesh.positions());
-    positions.chain(convert::facet_chunks(ArrayKind::Facets, mesh.facets()))
+    let positions = point_chunks(ArrayKind::Positions, mesh.positions());
+    positions.chain(facet_chunks(ArrayKind::Facets, mesh.facets()))
 }
 
-/// Arrays that a server sends: kind and attribute, bytes so far, bytes in all.
-#[derive(Default)]
-struct Arrays(HashMap<(i32, u32), (Vec<u8>, u64)>);
-
-impl Arrays {
-    fn take(&mut self, chunk: Chunk) -> Result<()> {
-        let (data, total) = self.0.entry((chunk.kind, chunk.attribute)).or_default();
-        ensure!(chunk.offset == data.len() as u64, "the server left out or repeated a part of an array");
-        ensure!(crc32c::crc32c(&chunk.data) == chunk.crc32c, "a chunk was damaged on its way from the server");
-        data.extend_from_slice(&chunk.data);
-        *total = chunk.total_bytes;
-        Ok(())
-    }
-
-    fn bytes(&self, kind: ArrayKind) -> Result<&[u8]> {
-        self.bytes_of(kind, 0)
-    }
-
-    fn bytes_of(&self, kind: ArrayKind, attribute: u32) -> Result<&[u8]> {
-        let name = kind.as_str_name();
-        let (data, total) =
-            self.0.get(&(kind.into(), attribute)).with_context(|| format!("the server sent no {name}"))?;
-        ensure!(data.len() as u64 == *total, "the server sent a part of {name} only");
-        Ok(data)
-    }
-
-    fn points(&self, kind: ArrayKind) -> Result<Vec<DVec3>> {
-        Ok(points(self.bytes(kind)?))
-    }
-
-    /// The report: in the last message, or in chunks if it is long.
-    fn report(&self, in_done: &str) -> Result<serde_json::Value> {
-        let broken = "the server's report is broken";
-        match in_done.is_empty() {
-            false => serde_json::from_str(in_done).context(broken),
-            true => serde_json::from_slice(self.bytes(ArrayKind::Report)?).context(broken),
-        }
-    }
-
-    /// None if the server sent none: an empty array has no chunks.
-    fn pairs(&self, kind: ArrayKind) -> Vec<[u32; 2]> {
-        self.bytes(kind).map_or_else(|_| Vec::new(), |data| indices(data).as_chunks::<2>().0.to_vec())
-    }
-
-    /// What the mesh carries, as the last message announces it.
-    fn attributes(&self, mesh: &TriMesh, headers: &[proto::AttributeHeader]) -> Result<Option<Attributes>> {
-        if headers.is_empty() {
-            return Ok(None);
-        }
-        let broken = "the server's attributes are broken";
-        let (vertices, facets) = (mesh.positions().len() as u64, mesh.facets().len() as u64);
-        let counts = MeshCounts { vertices, facets, coordinate_bytes: 8, ..MeshCounts::default() };
-        let all = attributes::check(headers, counts).context(broken)?.into_iter().zip(0u32..).map(|(counts, i)| {
-            let (values, corners) = counts.array_kinds();
-            let place = if values == ArrayKind::Scalars { i } else { 0 };
-            let data = self.bytes_of(values, place)?;
-            let numbers = match counts.number_bytes {
-                1 => data.iter().map(|&b| f64::from(b) / 255.0).collect(),
-                4 => data.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
-                _ => numbers(data),
-            };
-            let corners = if counts.by_corner { self.facets(corners)? } else { Vec::new() };
-            Ok(UploadedAttribute { counts, numbers, corners })
-        });
-        let all = all.collect::<Result<Vec<_>>>()?;
-        Ok(Some(attributes::collect(mesh, all).context(broken)?))
-    }
-
-    fn facets(&self, kind: ArrayKind) -> Result<Vec<[u32; 3]>> {
-        Ok(indices(self.bytes(kind)?).as_chunks::<3>().0.to_vec())
+/// The report: in the last message, or in chunks if it is long.
+fn report(arrays: &Arrays, in_done: &str) -> Result<serde_json::Value> {
+    let broken = "the server's report is broken";
+    match in_done.is_empty() {
+        false => serde_json::from_str(in_done).context(broken),
+        true => serde_json::from_slice(arrays.bytes(ArrayKind::Report)?).context(broken),
     }
 }
 
-fn numbers(data: &[u8]) -> Vec<f64> {
-    data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
-}
-
-fn points(data: &[u8]) -> Vec<DVec3> {
-    numbers(data).as_chunks::<3>().0.iter().map(|p| DVec3::from_array(*p)).collect()
-}
-
-fn indices(data: &[u8]) -> Vec<u32> {
-    data.as_chunks::<4>().0.iter().map(|b| u32::from_le_bytes(*b)).collect()
-}
-
-/// Pieces from the wire.
-fn batch(chunk: &CellsChunk) -> Result<PieceBatch> {
-    let mut cells = PieceBatch::default();
-    let (facet, seed, count) = (indices(&chunk.facet), indices(&chunk.seed), indices(&chunk.vertex_count));
-    let (position, weight, opposite) = (points(&chunk.positions), numbers(&chunk.weights), indices(&chunk.opposite));
-    let vertices: u64 = count.iter().map(|c| u64::from(*c)).sum();
-    let whole = facet.len() == seed.len()
-        && facet.len() == count.len()
-        && [position.len(), weight.len(), opposite.len()].iter().all(|n| *n as u64 == vertices);
-    ensure!(whole, "the server sent cells whose arrays do not fit together");
-    let mut first = 0;
-    for ((facet, seed), count) in facet.into_iter().zip(seed).zip(count) {
-        let range = first..first + count as usize;
-        first = range.end;
-        cells.push(facet, seed, range.map(|v| (position[v], weight[v], opposite[v])));
+/// What the mesh carries, as the last message announces it.
+fn attributes_of(arrays: &Arrays, mesh: &TriMesh, headers: &[proto::AttributeHeader]) -> Result<Option<Attributes>> {
+    if headers.is_empty() {
+        return Ok(None);
     }
-    Ok(cells)
+    let broken = "the server's attributes are broken";
+    let (vertices, facets) = (mesh.positions().len() as u64, mesh.facets().len() as u64);
+    let counts = MeshCounts { vertices, facets, coordinate_bytes: 8, ..MeshCounts::default() };
+    let announced = attributes::check(headers, counts).context(broken)?;
+    let all = announced.into_iter().zip(0u32..).map(|(counts, place)| arrays.attribute(counts, place));
+    let all = all.collect::<Result<Vec<_>, _>>()?;
+    Ok(Some(attributes::collect(mesh, all).context(broken)?))
 }

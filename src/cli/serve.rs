@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use glam::DVec3;
 use tokio::net::TcpListener;
 
-use super::exit::Unavailable;
+use super::exit::{Stuck, Unavailable};
 use super::{backends, interrupt};
 use crate::config::{JobCeilings, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
@@ -16,7 +16,7 @@ use crate::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
 use crate::memory;
 use crate::mesh::TriMesh;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
-use crate::service::{self, Parts};
+use crate::service::{self, Parts, ServeError};
 use crate::token::Token;
 
 /// How long connections get to close after the last stream.
@@ -71,7 +71,11 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
             std::future::pending::<()>().await;
         }
     };
-    service::run(listener, parts, shutdown).await.context("serving")
+    let served = service::run(listener, parts, shutdown).await.map_err(|error| match error {
+        ServeError::WorkStuck { .. } => Stuck(error.to_string()).into(),
+        other => anyhow::Error::new(other),
+    });
+    served.context("serving")
 }
 
 /// One small remesh on the backend that will be used: pipelines are compiled, and one that gives

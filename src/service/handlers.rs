@@ -10,23 +10,28 @@ use prost::Message as _;
 use tokio::sync::{Semaphore, watch};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::assemble::Uploaded;
 use super::budget::{Budget, Share};
-use super::limits::{self, MeshCounts, SeedCounts};
-use super::proto::{self, ArrayKind, Chunk};
 use super::stream::{Answers, Gate, Inbox, Outbox, respond};
-use super::upload::{Header, Incoming, Upload};
-use super::{Phase, RequestError, convert, options};
+use super::{Phase, RequestError};
 use crate::config::Limits;
 use crate::job::spec::{Input, Prepared};
 use crate::job::{BackendInfo, CancelOnDrop, Engine, JobError, Ticket};
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
 use crate::token::Token;
+use crate::wire::assemble::Uploaded;
+use crate::wire::chunks::{byte_chunks, point_chunks};
+use crate::wire::counts::{Bounds, SeedCounts};
+use crate::wire::proto::{self, ArrayKind, Chunk};
+use crate::wire::upload::{Header, Incoming, Upload};
+use crate::wire::{attributes, codec, density};
 
 mod cvt;
 mod diagram;
 mod remesh;
+
+/// The longest report that the last message holds, bytes; a longer one goes ahead of it in chunks.
+const REPORT_IN_DONE_BYTES: usize = 256 << 10;
 
 /// The service.
 pub(crate) struct Handlers {
@@ -95,23 +100,36 @@ impl proto::remesh_service_server::RemeshService for Handlers {
     }
 }
 
+/// What was uploaded.
+struct Received {
+    seeds: SeedCounts,
+    arrays: Uploaded,
+    /// Its memory. Held until the job is done.
+    share: Share,
+}
+
 /// What was uploaded, and the place in the queue that was kept for it since its header.
 struct Admitted<H> {
     header: H,
-    seeds: SeedCounts,
-    uploaded: Uploaded,
+    received: Received,
     ticket: Ticket,
 }
 
+/// What a request may ask for, as the checks of messages take it.
+fn bounds(limits: &Limits) -> Bounds {
+    let &Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
+    Bounds { max_vertices, max_facets, max_seeds, max_iterations }
+}
+
 /// Reads header, chunks and the end mark. What cannot be done now, or not here, is refused at the header.
-async fn upload<M, H: Header>(
+async fn upload<M: Into<Incoming<H>>, H: Header>(
     shared: &Shared,
     inbox: &mut Inbox<M>,
-    split: fn(M) -> Incoming<H>,
 ) -> Result<Admitted<H>, RequestError> {
     let Limits { upload_idle, upload: limit, .. } = shared.limits;
     let deadline = tokio::time::Instant::now() + limit;
-    let mut upload = Upload::new(shared.limits, shared.budget.clone());
+    let mut upload = Upload::new(bounds(&shared.limits));
+    let mut share = shared.budget.share();
     let mut kept = None;
     loop {
         let message = tokio::select! {
@@ -120,18 +138,18 @@ async fn upload<M, H: Header>(
             // Nothing was admitted yet that a shutdown would wait for.
             () = shared.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
         };
-        let complete = upload.take(message.map(split))?;
+        let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes))?;
         let ticket = match kept.take() {
             Some(ticket) => ticket,
             None => {
                 if let Some(header) = upload.header() {
-                    shared.engine.backend(convert::wish(header.backend())?)?;
+                    shared.engine.backend(codec::backend(header.backend())?)?;
                 }
                 shared.engine.reserve()?
             }
         };
-        if let Some((header, seeds, uploaded)) = complete {
-            return Ok(Admitted { header, seeds, uploaded, ticket });
+        if let Some((header, seeds, arrays)) = complete {
+            return Ok(Admitted { header, received: Received { seeds, arrays, share }, ticket });
         }
         kept = Some(ticket);
     }
@@ -139,7 +157,8 @@ async fn upload<M, H: Header>(
 
 /// The upload of a recorded `Remesh` stream, as far as it needs no engine.
 pub(crate) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, RequestError> {
-    let mut upload = Upload::new(*limits, Budget::new(limits.memory_bytes));
+    let mut upload = Upload::<proto::RemeshHeader>::new(bounds(limits));
+    let mut share = Budget::new(limits.memory_bytes).share();
     loop {
         let message = match recording.is_empty() {
             true => None,
@@ -148,28 +167,30 @@ pub(crate) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, Re
                 RequestError::Inbound(Status::invalid_argument(error.to_string()))
             })?),
         };
-        if let Some((header, seeds, uploaded)) = upload.take(message.map(remesh::split))? {
-            return Ok(input(seeds, uploaded, header.density.as_ref(), limits, &Token::default())?.0);
+        let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes))?;
+        if let Some((header, seeds, arrays)) = complete {
+            let received = Received { seeds, arrays, share };
+            return Ok(input(received, header.density.as_ref(), limits, &Token::default())?.0);
         }
     }
 }
 
 /// Makes the engine's input of an upload.
 fn input(
-    seeds: SeedCounts,
-    uploaded: Uploaded,
+    received: Received,
     density: Option<&proto::DensityOptions>,
     limits: &Limits,
     token: &Token,
 ) -> Result<(Input, Share), RequestError> {
     token.enter("read");
-    let Uploaded { positions, facets, weights, seeds: points, edge_lengths, creases, attributes, share } = uploaded;
-    let density = convert::density(density, weights, edge_lengths, limits.max_seeds)?;
+    let Received { seeds, arrays, share } = received;
+    let Uploaded { positions, facets, weights, seeds: points, edge_lengths, creases, attributes } = arrays;
+    let density = density::of(density, weights, edge_lengths, limits.max_seeds)?;
     let mesh = TriMesh::new(positions, facets).map_err(JobError::from)?;
     token.check().map_err(JobError::from)?;
     let attributes = match attributes.is_empty() {
         true => None,
-        false => Some(super::attributes::collect(&mesh, attributes)?),
+        false => Some(attributes::collect(&mesh, attributes)?),
     };
     let seeds = match seeds {
         SeedCounts::Uploaded(_) => Seeds::Given(points),
@@ -204,15 +225,14 @@ async fn apart<R: Send + 'static>(
 /// Checks an upload, and prepares it `by` one of the ways there are.
 async fn prepare(
     shared: &Shared,
-    seeds: SeedCounts,
-    uploaded: Uploaded,
+    received: Received,
     density: Option<proto::DensityOptions>,
     by: fn(Input, &Token) -> Result<Prepared, JobError>,
     token: &Token,
 ) -> Result<(Arc<Prepared>, Share), RequestError> {
     let limits = shared.limits;
     apart(shared, token, move |token| {
-        let (input, share) = input(seeds, uploaded, density.as_ref(), &limits, token)?;
+        let (input, share) = input(received, density.as_ref(), &limits, token)?;
         Ok((Arc::new(by(input, token)?), share))
     })
     .await
@@ -237,11 +257,11 @@ async fn send_report<T: prost::Message>(
     wrap: fn(Chunk) -> T,
 ) -> Result<String, RequestError> {
     let json = serde_json::to_string(report).unwrap_or_default();
-    if json.len() <= convert::REPORT_IN_DONE_BYTES {
+    if json.len() <= REPORT_IN_DONE_BYTES {
         return Ok(json);
     }
     let _held = outbox.holding(json.len());
-    send_all(outbox, convert::byte_chunks(ArrayKind::Report, json.as_bytes()), wrap).await?;
+    send_all(outbox, byte_chunks(ArrayKind::Report, json.as_bytes()), wrap).await?;
     Ok(String::new())
 }
 
@@ -280,17 +300,15 @@ async fn send_seeds<T: prost::Message>(
     wrap: fn(Chunk) -> T,
 ) -> Result<(), RequestError> {
     let _held = outbox.holding(size_of_val(seeds));
-    send_all(outbox, convert::point_chunks(ArrayKind::Seeds, seeds), wrap).await
+    send_all(outbox, point_chunks(ArrayKind::Seeds, seeds), wrap).await
 }
 
-impl From<crate::remesh::RemeshError> for RequestError {
-    fn from(error: crate::remesh::RemeshError) -> Self {
-        Self::Job(error.into())
-    }
-}
-
-impl From<crate::mesh::MeshError> for RequestError {
-    fn from(error: crate::mesh::MeshError) -> Self {
-        Self::Job(error.into())
+/// A job was taken in.
+fn accepted(position: usize, by: &BackendInfo) -> proto::Accepted {
+    proto::Accepted {
+        queue_position: u32::try_from(position).unwrap_or(u32::MAX),
+        backend: by.kind.name().to_owned(),
+        adapter: by.adapter.clone().unwrap_or_default(),
+        threads: u32::try_from(by.threads).unwrap_or(u32::MAX),
     }
 }

@@ -17,13 +17,13 @@ use crate::mesh::features::FeatureError;
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
 use crate::token::Stopped;
+use crate::wire::WireError;
 
 impl From<RequestError> for Status {
     fn from(error: RequestError) -> Self {
         let text = error.to_string();
         match error {
-            RequestError::Field { path, description } => invalid(text, path, description),
-            RequestError::Protocol(_) => invalid(text.clone(), "message".into(), text),
+            RequestError::Wire(error) => of_wire(error),
             RequestError::Memory { .. } => retry(Code::ResourceExhausted, text, Duration::from_secs(2)),
             RequestError::MessageTooLong { .. } => Status::resource_exhausted(text),
             RequestError::TooMany { .. } => retry(Code::ResourceExhausted, text, Duration::from_secs(1)),
@@ -36,6 +36,18 @@ impl From<RequestError> for Status {
             RequestError::Job(error) => of_job(&error),
             RequestError::Inbound(status) => of_inbound(status),
         }
+    }
+}
+
+fn of_wire(error: WireError) -> Status {
+    let text = error.to_string();
+    match error {
+        WireError::Field { path, reason } => invalid(text, path, reason),
+        WireError::Order(_) => invalid(text.clone(), "message".into(), text),
+        WireError::Options(error) => of_remesh(&error),
+        // A server asks nobody.
+        #[cfg(feature = "cli")]
+        WireError::Answer(_) => Status::internal("the request failed by a fault of the server"),
     }
 }
 
@@ -53,25 +65,27 @@ fn of_job(error: &JobError) -> Status {
             Status::internal("the work was lost by a fault of the server; its log may say why")
         }
         JobError::Mesh(error) => of_mesh(error),
-        JobError::Remesh(RemeshError::NoThickness) => invalid(text.clone(), "mesh.facets".into(), text),
-        JobError::Remesh(RemeshError::Feature(error)) => {
-            let path = match error {
-                FeatureError::NoSuchEdge { crease, .. } => format!("mesh.creases[{crease}]"),
-                FeatureError::BadAngle(_) => "header.crease_angle_deg".to_owned(),
-                FeatureError::Stopped(reason) => return of_stopped(*reason),
-            };
-            invalid(text.clone(), path, text)
-        }
-        JobError::Remesh(RemeshError::TooFewSeeds { .. }) => invalid(text.clone(), "seeds".into(), text),
-        JobError::Remesh(RemeshError::Density(error)) => of_density(error),
-        JobError::Remesh(RemeshError::RefineUnfitted) => invalid(text.clone(), "header.refinement".into(), text),
-        JobError::Remesh(RemeshError::RefineLimit { .. }) => {
-            invalid(text.clone(), "header.refinement.max_points".into(), text)
-        }
-        // What an upload carries is checked when it is collected, where its index is known.
-        JobError::Remesh(RemeshError::Attributes(_)) => invalid(text.clone(), "mesh.attributes".into(), text),
-        JobError::Rvd(error) | JobError::Remesh(RemeshError::Rvd(error)) => of_rvd(error),
+        JobError::Remesh(error) => of_remesh(error),
+        JobError::Rvd(error) => of_rvd(error),
     }
+}
+
+fn of_remesh(error: &RemeshError) -> Status {
+    let text = error.to_string();
+    let path = match error {
+        RemeshError::NoThickness => "mesh.facets".to_owned(),
+        RemeshError::Feature(FeatureError::NoSuchEdge { crease, .. }) => format!("mesh.creases[{crease}]"),
+        RemeshError::Feature(FeatureError::BadAngle(_)) => "header.crease_angle_deg".to_owned(),
+        RemeshError::Feature(FeatureError::Stopped(reason)) => return of_stopped(*reason),
+        RemeshError::TooFewSeeds { .. } => "seeds".to_owned(),
+        RemeshError::Density(error) => return of_density(error),
+        RemeshError::RefineUnfitted => "header.refinement".to_owned(),
+        RemeshError::RefineLimit { .. } => "header.refinement.max_points".to_owned(),
+        // What an upload carries is checked when it is collected, where its index is known.
+        RemeshError::Attributes(_) => "mesh.attributes".to_owned(),
+        RemeshError::Rvd(error) => return of_rvd(error),
+    };
+    invalid(text.clone(), path, text)
 }
 
 fn of_mesh(error: &MeshError) -> Status {

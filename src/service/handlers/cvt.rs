@@ -5,43 +5,15 @@
 
 use std::sync::Arc;
 
-use super::super::proto::{CvtDone, CvtEdit, CvtEdited, CvtHeader, CvtRequest, CvtResponse, CvtStep};
-use super::super::proto::{cvt_request as request, cvt_response as response};
 use super::*;
 use crate::job::Timed;
 use crate::job::session::{CvtSession, SeedsWanted};
 use crate::job::spec::Prepared;
-
-impl Header for CvtHeader {
-    fn backend(&self) -> i32 {
-        self.backend
-    }
-
-    fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
-        convert::wish(self.backend)?;
-        options::of_cvt(self)?;
-        let (mesh, seeds) =
-            limits::with_density(self.mesh.as_ref(), self.seeds.as_ref(), self.density.as_ref(), limits)?;
-        if self.max_seeds != 0 {
-            let first = match seeds {
-                SeedCounts::Uploaded(count) | SeedCounts::Sampled { points: count, .. } => count,
-                // As many as there turn out to be have room.
-                SeedCounts::Implied { .. } => 1,
-            };
-            limits::within("header.max_seeds", self.max_seeds, first, limits.max_seeds)?;
-        }
-        Ok((mesh, seeds))
-    }
-}
-
-fn split(message: CvtRequest) -> Incoming<CvtHeader> {
-    match message.message {
-        Some(request::Message::Header(header)) => Incoming::Header(header),
-        Some(request::Message::Chunk(chunk)) => Incoming::Chunk(chunk),
-        Some(request::Message::Start(_)) => Incoming::End,
-        _ => Incoming::Other,
-    }
-}
+use crate::wire::WireError;
+use crate::wire::counts::within;
+use crate::wire::options::of_cvt;
+use crate::wire::proto::{CvtDone, CvtEdit, CvtEdited, CvtRequest, CvtResponse, CvtStep};
+use crate::wire::proto::{cvt_request as request, cvt_response as response};
 
 fn wrap(message: response::Message) -> CvtResponse {
     CvtResponse { message: Some(message) }
@@ -58,11 +30,11 @@ pub(super) async fn handle(
     outbox: Outbox<CvtResponse>,
 ) -> Result<(), RequestError> {
     let _place = shared.gate.admit_session()?;
-    let Admitted { header, seeds, uploaded, ticket } = upload(&shared, &mut inbox, split).await?;
-    let wish = convert::wish(header.backend)?;
-    let options = options::of_cvt(&header)?;
+    let Admitted { header, received, ticket } = upload(&shared, &mut inbox).await?;
+    let wish = codec::backend(header.backend)?;
+    let options = of_cvt(&header)?;
     let token = shared.engine.token();
-    let (prepared, _share) = prepare(&shared, seeds, uploaded, header.density, Prepared::for_steps, &token).await?;
+    let (prepared, _share) = prepare(&shared, received, header.density, Prepared::for_steps, &token).await?;
     let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, ticket)?;
     let position = pending.position;
     let Timed { value, queue_ms, compute_ms } = pending.wait().await?;
@@ -74,7 +46,7 @@ pub(super) async fn handle(
         iterations: 0,
     };
     drop(prepared);
-    let accepted = convert::accepted(position, talk.session.by());
+    let accepted = accepted(position, talk.session.by());
     talk.outbox.send(wrap(response::Message::Accepted(accepted))).await?;
     loop {
         let message = tokio::select! {
@@ -86,7 +58,7 @@ pub(super) async fn handle(
             Some(Some(request::Message::Edit(edit))) => talk.edit(edit).await?,
             Some(Some(request::Message::Finish(_))) | None => break,
             Some(_) => {
-                return Err(RequestError::Protocol("an open session takes step, edit and finish".to_owned()));
+                return Err(WireError::Order("an open session takes step, edit and finish").into());
             }
         }
     }
@@ -103,9 +75,9 @@ struct Talk {
 
 impl Talk {
     async fn step(&mut self, step: CvtStep) -> Result<(), RequestError> {
-        let wanted = convert::seeds_wanted(step.seeds, "step.seeds")?;
-        let kind = convert::step_kind(step.kind)?;
-        limits::within("step.iterations", step.iterations.into(), 1, self.limits.max_iterations.into())?;
+        let wanted = seeds_wanted(step.seeds, "step.seeds")?;
+        let kind = codec::step_kind(step.kind)?;
+        within("step.iterations", step.iterations.into(), 1, self.limits.max_iterations.into())?;
         let total = step.iterations as usize;
         let mut left = total;
         while left > 0 {
@@ -114,7 +86,7 @@ impl Talk {
             left = left.saturating_sub(steps.taken.len());
             for (iteration, seeds) in steps.taken {
                 self.iterations += 1;
-                let message = convert::iteration(&iteration, total, queue_ms);
+                let message = codec::iteration(&iteration, total, queue_ms);
                 self.outbox.send(wrap(response::Message::Iteration(message))).await?;
                 if let Some(seeds) = seeds {
                     send_seeds(&self.outbox, &seeds, wrap_chunk).await?;
@@ -125,8 +97,8 @@ impl Talk {
     }
 
     async fn edit(&mut self, edit: CvtEdit) -> Result<(), RequestError> {
-        let wanted = convert::seeds_wanted(edit.seeds, "edit.seeds")?;
-        let timed = self.session.edit(convert::edits(&edit.edits)?).await?;
+        let wanted = seeds_wanted(edit.seeds, "edit.seeds")?;
+        let timed = self.session.edit(codec::edits(&edit.edits)?).await?;
         self.clock.add(timed.queue_ms, timed.compute_ms);
         let edited = CvtEdited { seeds: self.session.len() as u64 };
         self.outbox.send(wrap(response::Message::Edited(edited))).await?;
@@ -152,5 +124,15 @@ impl Talk {
             seeds: self.session.len() as u64,
         };
         self.outbox.send(wrap(response::Message::Done(done))).await
+    }
+}
+
+/// When a command wants the seeds.
+fn seeds_wanted(value: i32, path: &str) -> Result<SeedsWanted, WireError> {
+    match proto::SeedsWanted::try_from(value) {
+        Ok(proto::SeedsWanted::Unspecified | proto::SeedsWanted::Never) => Ok(SeedsWanted::Never),
+        Ok(proto::SeedsWanted::Last) => Ok(SeedsWanted::Last),
+        Ok(proto::SeedsWanted::Each) => Ok(SeedsWanted::Each),
+        Err(_) => Err(WireError::unknown_enum(path, value)),
     }
 }

@@ -5,35 +5,15 @@
 
 use std::sync::Arc;
 
-use super::super::proto::{ArrayKind, ComputeRvdHeader, ComputeRvdRequest, ComputeRvdResponse, RvdDone};
-use super::super::proto::{compute_rvd_request as request, compute_rvd_response as response};
-use super::convert::CELLS_VERTEX_BYTES;
 use super::*;
 use crate::job::diagram::{Diagram, RvdReport, WorldSums};
 use crate::job::spec::Prepared;
 use crate::job::{Pending, Place, Retry, Timed, Turn};
 use crate::rvd::PieceBatch;
-
-impl Header for ComputeRvdHeader {
-    fn backend(&self) -> i32 {
-        self.backend
-    }
-
-    fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
-        convert::wish(self.backend)?;
-        convert::outputs(&self.outputs)?;
-        Ok((limits::mesh(self.mesh.as_ref(), limits)?, limits::seeds(self.seeds.as_ref(), limits)?))
-    }
-}
-
-fn split(message: ComputeRvdRequest) -> Incoming<ComputeRvdHeader> {
-    match message.message {
-        Some(request::Message::Header(header)) => Incoming::Header(header),
-        Some(request::Message::Chunk(chunk)) => Incoming::Chunk(chunk),
-        Some(request::Message::Finish(_)) => Incoming::End,
-        None => Incoming::Other,
-    }
-}
+use crate::wire::cells::{CELLS_VERTEX_BYTES, cells_chunks};
+use crate::wire::chunks::number_chunks;
+use crate::wire::proto::compute_rvd_response as response;
+use crate::wire::proto::{ArrayKind, ComputeRvdRequest, ComputeRvdResponse, RvdDone};
 
 fn wrap(message: response::Message) -> ComputeRvdResponse {
     ComputeRvdResponse { message: Some(message) }
@@ -49,11 +29,11 @@ pub(super) async fn handle(
     mut inbox: Inbox<ComputeRvdRequest>,
     outbox: Outbox<ComputeRvdResponse>,
 ) -> Result<(), RequestError> {
-    let Admitted { header, seeds, uploaded, ticket } = upload(&shared, &mut inbox, split).await?;
-    let (wish, outputs) = (convert::wish(header.backend)?, convert::outputs(&header.outputs)?);
+    let Admitted { header, received, ticket } = upload(&shared, &mut inbox).await?;
+    let (wish, outputs) = (codec::backend(header.backend)?, codec::outputs(&header.outputs)?);
     let by = shared.engine.backend(wish)?;
     let token = shared.engine.token();
-    let (prepared, _share) = prepare(&shared, seeds, uploaded, None, Prepared::new, &token).await?;
+    let (prepared, _share) = prepare(&shared, received, None, Prepared::new, &token).await?;
     let for_device = Arc::clone(&prepared);
     let mut pending = shared.engine.submit_as(token.clone(), Place::Kept, Retry::Anew, move |backends, turn| {
         turn.token.check()?;
@@ -65,7 +45,7 @@ pub(super) async fn handle(
         Ok((diagram, sums))
     })?;
     drop(ticket);
-    outbox.send(wrap(response::Message::Accepted(convert::accepted(pending.position, &by)))).await?;
+    outbox.send(wrap(response::Message::Accepted(accepted(pending.position, &by)))).await?;
     let Timed { value: (mut diagram, sums), queue_ms, compute_ms } = pending.wait().await?;
     let mut clock = Clock { queue_ms, compute_ms };
     let _held =
@@ -79,13 +59,13 @@ pub(super) async fn handle(
         send_seeds(&outbox, &prepared.seeds, wrap_chunk).await?;
     }
     if outputs.centroids {
-        send_all(&outbox, convert::point_chunks(ArrayKind::Centroids, &sums.centroids), wrap_chunk).await?;
+        send_all(&outbox, point_chunks(ArrayKind::Centroids, &sums.centroids), wrap_chunk).await?;
     }
     if outputs.sums {
         for (kind, numbers) in
             [(ArrayKind::Masses, &sums.masses), (ArrayKind::Areas, &sums.areas), (ArrayKind::Energies, &sums.energies)]
         {
-            send_all(&outbox, convert::number_chunks(kind, numbers), wrap_chunk).await?;
+            send_all(&outbox, number_chunks(kind, numbers), wrap_chunk).await?;
         }
     }
     clock.note("ComputeRvd", &by);
@@ -120,7 +100,7 @@ async fn send_cells(
         let (done, total) = diagram.progress();
         pending = next(shared, token, diagram)?;
         let _held = outbox.holding(12 * batch.facet.len() + CELLS_VERTEX_BYTES * batch.position.len());
-        for cells in convert::cells_chunks(&batch) {
+        for cells in cells_chunks(&batch) {
             outbox.send(wrap(response::Message::Cells(cells))).await?;
         }
         outbox.send(wrap(response::Message::Progress(clock.progress("diagram", done, total)))).await?;
@@ -132,7 +112,7 @@ fn done(report: &RvdReport, report_json: String, by: &BackendInfo, clock: Clock)
         backend: by.kind.name().to_owned(),
         adapter: by.adapter.clone().unwrap_or_default(),
         timing: Some(clock.timing()),
-        figures: Some(convert::figures(&report.rvd)),
+        figures: Some(codec::figures(&report.rvd)),
         seeds: report.seeds as u64,
         report_json,
     }

@@ -7,45 +7,17 @@ use std::sync::Arc;
 
 use tokio::sync::mpsc;
 
-use super::super::attributes::{self, AttributeCounts};
-use super::super::proto::{ArrayKind, AttributeHeader, RemeshDone, RemeshHeader, RemeshRequest, RemeshResponse};
-use super::super::proto::{remesh_request as request, remesh_response as response};
 use super::*;
 use crate::cvt::Iteration;
 use crate::job::{Place, Retry, Timed};
 use crate::remesh::{Observer, Remesh};
+use crate::wire::chunks::{facet_chunks, index_chunks};
+use crate::wire::options::{RemeshArrays, of_remesh};
+use crate::wire::proto::remesh_response as response;
+use crate::wire::proto::{ArrayKind, AttributeHeader, RemeshDone, RemeshRequest, RemeshResponse};
 
 /// Progress that waits for the client.
 const EVENTS: usize = 256;
-
-impl Header for RemeshHeader {
-    fn backend(&self) -> i32 {
-        self.backend
-    }
-
-    fn check(&self, limits: &Limits) -> Result<(MeshCounts, SeedCounts), RequestError> {
-        convert::wish(self.backend)?;
-        let density = self.density.as_ref();
-        let (mut mesh, seeds) = limits::with_density(self.mesh.as_ref(), self.seeds.as_ref(), density, limits)?;
-        options::check_remesh(self, seeds, limits)?;
-        limits::within("header.creases", self.creases, 0, 3 * mesh.facets)?;
-        mesh.creases = self.creases;
-        Ok((mesh, seeds))
-    }
-
-    fn attributes(&self, mesh: MeshCounts) -> Result<Vec<AttributeCounts>, RequestError> {
-        attributes::check(&self.attributes, mesh)
-    }
-}
-
-pub(super) fn split(message: RemeshRequest) -> Incoming<RemeshHeader> {
-    match message.message {
-        Some(request::Message::Header(header)) => Incoming::Header(header),
-        Some(request::Message::Chunk(chunk)) => Incoming::Chunk(chunk),
-        Some(request::Message::Finish(_)) => Incoming::End,
-        None => Incoming::Other,
-    }
-}
 
 fn wrap(message: response::Message) -> RemeshResponse {
     RemeshResponse { message: Some(message) }
@@ -79,14 +51,15 @@ pub(super) async fn handle(
     mut inbox: Inbox<RemeshRequest>,
     outbox: Outbox<RemeshResponse>,
 ) -> Result<(), RequestError> {
-    let Admitted { header, seeds, uploaded, ticket } = upload(&shared, &mut inbox, split).await?;
-    let wish = convert::wish(header.backend)?;
+    let Admitted { header, received, ticket } = upload(&shared, &mut inbox).await?;
+    let wish = codec::backend(header.backend)?;
     let by = shared.engine.backend(wish)?;
     let (limits, density) = (shared.limits, header.density);
     let token = shared.engine.token();
-    let work = move |token: &Token| input(seeds, uploaded, density.as_ref(), &limits, token);
+    let work = move |token: &Token| input(received, density.as_ref(), &limits, token);
     let (input, mut share) = apart(&shared, &token, work).await?;
-    let (mesh, options) = options::of_remesh(&header, input, &limits)?;
+    let Input { mesh, density, seeds, creases, attributes } = input;
+    let options = of_remesh(&header, RemeshArrays { density, seeds, creases, attributes }, &bounds(&limits))?;
     let announced = header.attributes;
     let (events, mut heard) = mpsc::channel(EVENTS);
     let mut pending = shared.engine.submit_as(token, Place::Kept, Retry::Anew, move |backends, turn| {
@@ -97,7 +70,7 @@ pub(super) async fn handle(
         Ok(crate::remesh::remesh(&mesh, &options, backend.as_ref(), &mut reporter, &turn.token)?)
     })?;
     drop(ticket);
-    outbox.send(wrap(response::Message::Accepted(convert::accepted(pending.position, &by)))).await?;
+    outbox.send(wrap(response::Message::Accepted(accepted(pending.position, &by)))).await?;
     let mut teller = Teller { clock: Clock::default(), start: None };
     let result = loop {
         tokio::select! {
@@ -134,7 +107,7 @@ impl Teller {
                 wrap(response::Message::Progress(self.clock.progress(name, 0, 0)))
             }
             Event::Iteration(iteration, total) => {
-                let message = convert::iteration(&iteration, total, self.clock.queue_ms);
+                let message = codec::iteration(&iteration, total, self.clock.queue_ms);
                 wrap(response::Message::Iteration(message))
             }
         }
@@ -157,11 +130,11 @@ async fn send_result(
 ) -> Result<(), RequestError> {
     clock.note("Remesh", by);
     let (positions, facets) = (result.mesh.positions(), result.mesh.facets());
-    send_all(outbox, convert::point_chunks(ArrayKind::Positions, positions), wrap_chunk).await?;
-    send_all(outbox, convert::facet_chunks(ArrayKind::Facets, facets), wrap_chunk).await?;
-    send_all(outbox, convert::index_chunks(ArrayKind::VertexSeeds, &result.vertex_seed), wrap_chunk).await?;
+    send_all(outbox, point_chunks(ArrayKind::Positions, positions), wrap_chunk).await?;
+    send_all(outbox, facet_chunks(ArrayKind::Facets, facets), wrap_chunk).await?;
+    send_all(outbox, index_chunks(ArrayKind::VertexSeeds, &result.vertex_seed), wrap_chunk).await?;
     let curve_edges = result.curve_edges.as_flattened();
-    send_all(outbox, convert::index_chunks(ArrayKind::Creases, curve_edges), wrap_chunk).await?;
+    send_all(outbox, index_chunks(ArrayKind::Creases, curve_edges), wrap_chunk).await?;
     send_seeds(outbox, &result.seeds, wrap_chunk).await?;
     let mut carried = Vec::new();
     if let Some(attributes) = &result.attributes {
@@ -179,7 +152,7 @@ async fn send_result(
         facets: facets.len() as u64,
         seeds: result.seeds.len() as u64,
         converged: result.report.converged,
-        figures: Some(convert::figures(&result.report.rvd)),
+        figures: Some(codec::figures(&result.report.rvd)),
         report_json,
         topology_changes: result.report.topology_changes.clone(),
         attributes: carried,

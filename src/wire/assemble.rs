@@ -1,17 +1,16 @@
 //! Arrays put together from chunks.
 //!
-//! Purpose: [`Assembly`] takes checked chunks in order and gives a mesh and seeds at the end.
-//! Invariant: memory grows with what has arrived; nothing is used before every announced byte is
-//! there. Must not know: streams, jobs.
+//! Purpose: [`Assembly`] checks chunks, takes them in order and gives a mesh and seeds at the end.
+//! Invariant: memory grows with what has arrived, and its owner is asked before it does; nothing is used before every
+//! announced byte is there. Must not know: who owns the memory, streams, jobs.
 
 use std::borrow::Cow;
 
 use glam::DVec3;
 
-use super::RequestError;
-use super::attributes::AttributeCounts;
-use super::budget::Share;
-use super::limits::{MeshCounts, SeedCounts};
+use super::WireError;
+use super::attributes::{AttributeCounts, UploadedAttribute};
+use super::counts::{MeshCounts, SeedCounts};
 use super::proto::{ArrayKind, Chunk};
 
 /// What was uploaded, complete.
@@ -25,18 +24,6 @@ pub(crate) struct Uploaded {
     pub(crate) creases: Vec<[u32; 2]>,
     /// What was announced beside the mesh, in this order.
     pub(crate) attributes: Vec<UploadedAttribute>,
-    /// Held until the job is done.
-    pub(crate) share: Share,
-}
-
-/// An attribute's arrays, complete.
-#[derive(Debug)]
-pub(crate) struct UploadedAttribute {
-    pub(crate) counts: AttributeCounts,
-    /// All numbers of all values.
-    pub(crate) numbers: Vec<f64>,
-    /// Empty if it is not given by corner.
-    pub(crate) corners: Vec<[u32; 3]>,
 }
 
 /// See the module's head.
@@ -44,7 +31,6 @@ pub(crate) struct UploadedAttribute {
 pub(crate) struct Assembly {
     arrays: [Array; 6],
     attributes: Vec<(AttributeCounts, Array, Array)>,
-    share: Share,
 }
 
 #[derive(Debug)]
@@ -72,7 +58,7 @@ enum Store {
 
 impl Assembly {
     /// Nothing has arrived yet.
-    pub(crate) fn new(mesh: MeshCounts, seeds: SeedCounts, share: Share) -> Self {
+    pub(crate) fn new(mesh: MeshCounts, seeds: SeedCounts) -> Self {
         let points = mesh.coordinate_bytes;
         let array = Array::new;
         Self {
@@ -85,7 +71,6 @@ impl Assembly {
                 array(ArrayKind::Creases, 4, 2, mesh.creases, Store::Pairs(Vec::new())),
             ],
             attributes: Vec::new(),
-            share,
         }
     }
 
@@ -115,9 +100,13 @@ impl Assembly {
         self.arrays.iter_mut().chain(attributes).find(|array| array.kind == kind)
     }
 
-    /// Takes the next chunk of an array.
-    pub(crate) fn take(&mut self, chunk: &Chunk) -> Result<(), RequestError> {
-        let kind = ArrayKind::try_from(chunk.kind).map_err(|_| RequestError::unknown_enum("chunk.kind", chunk.kind))?;
+    /// Takes the next chunk of an array. `grow` is asked for the bytes of memory that it needs, once the chunk is in order.
+    pub(crate) fn take<E: From<WireError>>(
+        &mut self,
+        chunk: &Chunk,
+        grow: impl FnOnce(u64) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let kind = ArrayKind::try_from(chunk.kind).map_err(|_| WireError::unknown_enum("chunk.kind", chunk.kind))?;
         let Some(array) = self.array(kind, chunk.attribute) else {
             let name = kind.as_str_name();
             let text = match kind {
@@ -126,26 +115,22 @@ impl Assembly {
                     "is {name}; upload POSITIONS, FACETS, WEIGHTS, SEEDS, EDGE_LENGTHS, CREASES or an array of an attribute in the header"
                 ),
             };
-            return Err(RequestError::field("chunk.kind", text));
+            return Err(WireError::field("chunk.kind", text).into());
         };
         array.check(chunk)?;
-        let memory = array.memory_bytes(chunk.data.len() as u64);
-        // The array's other borrow ends here.
-        self.share.grow(memory)?;
-        if let Some(array) = self.array(kind, chunk.attribute) {
-            array.append(&chunk.data);
-        }
+        grow(array.memory_bytes(chunk.data.len() as u64))?;
+        array.append(&chunk.data);
         Ok(())
     }
 
     /// Gives what was uploaded if it is complete.
-    pub(crate) fn finish(self) -> Result<Uploaded, RequestError> {
+    pub(crate) fn finish(self) -> Result<Uploaded, WireError> {
         let attributes = self.attributes.iter().flat_map(|(_, values, corners)| [values, corners]);
         for array in self.arrays.iter().chain(attributes) {
             let whole = array.whole_bytes();
             if array.received_bytes != whole {
                 let text = format!("{} of {whole} bytes arrived before finish", array.received_bytes);
-                return Err(RequestError::field(array.path(), text));
+                return Err(WireError::field(array.path(), text));
             }
         }
         let attributes = self.attributes.into_iter().map(|(counts, values, corners)| {
@@ -166,10 +151,9 @@ impl Assembly {
             ) => {
                 let weights = (!weights.is_empty()).then_some(weights);
                 let edge_lengths = (!edge_lengths.is_empty()).then_some(edge_lengths);
-                let share = self.share;
-                Ok(Uploaded { positions, facets, weights, seeds, edge_lengths, creases, attributes, share })
+                Ok(Uploaded { positions, facets, weights, seeds, edge_lengths, creases, attributes })
             }
-            _ => Err(RequestError::field("chunk", "internal: arrays changed places")),
+            _ => Err(WireError::field("chunk", "internal: arrays changed places")),
         }
     }
 }
@@ -205,28 +189,28 @@ impl Array {
         }
     }
 
-    fn check(&self, chunk: &Chunk) -> Result<(), RequestError> {
+    fn check(&self, chunk: &Chunk) -> Result<(), WireError> {
         let (name, at, length) = (self.path(), chunk.offset, chunk.data.len() as u64);
         let (received, whole) = (self.received_bytes, self.whole_bytes());
         if chunk.total_bytes != 0 && chunk.total_bytes != whole {
             let text = format!("is {} for {name}; the header's counts give {whole}", chunk.total_bytes);
-            return Err(RequestError::field("chunk.total_bytes", text));
+            return Err(WireError::field("chunk.total_bytes", text));
         }
         if length == 0 {
-            return Err(RequestError::field("chunk.data", format!("is empty, at byte {at} of {name}")));
+            return Err(WireError::field("chunk.data", format!("is empty, at byte {at} of {name}")));
         }
         if at > received {
             let text =
                 format!("is {at}, but {name} has arrived up to byte {received}: bytes {received}..{at} are missing");
-            return Err(RequestError::field("chunk.offset", text));
+            return Err(WireError::field("chunk.offset", text));
         }
         if at < received {
             let text = format!("is {at}, but {name} has arrived up to byte {received}: this chunk overlaps");
-            return Err(RequestError::field("chunk.offset", text));
+            return Err(WireError::field("chunk.offset", text));
         }
         if length > whole - received {
             let text = format!("ends at byte {} of {name}; the header announced {whole}", at.saturating_add(length));
-            return Err(RequestError::field("chunk.data", text));
+            return Err(WireError::field("chunk.data", text));
         }
         let computed = crc32c::crc32c(&chunk.data);
         if computed != chunk.crc32c {
@@ -234,7 +218,7 @@ impl Array {
                 "is {:#010x}, but the data at byte {at} of {name} has {computed:#010x} (CRC-32C, Castagnoli)",
                 chunk.crc32c
             );
-            return Err(RequestError::field("chunk.crc32c", text));
+            return Err(WireError::field("chunk.crc32c", text));
         }
         Ok(())
     }
@@ -289,12 +273,16 @@ fn triples<const N: usize>(data: &[u8]) -> impl Iterator<Item = [[u8; N]; 3]> + 
 
 #[cfg(test)]
 mod tests {
-    use super::super::budget::Budget;
     use super::*;
+
+    /// Takes a chunk where memory is no matter.
+    fn take(assembly: &mut Assembly, chunk: &Chunk) -> Result<(), WireError> {
+        assembly.take(chunk, |_| Ok(()))
+    }
 
     fn assembly() -> Assembly {
         let mesh = MeshCounts { vertices: 3, facets: 1, weights: 3, coordinate_bytes: 4, edge_lengths: 0, creases: 0 };
-        Assembly::new(mesh, SeedCounts::Uploaded(1), Budget::new(1 << 20).share())
+        Assembly::new(mesh, SeedCounts::Uploaded(1))
     }
 
     fn chunk(kind: ArrayKind, offset: u64, data: &[u8]) -> Chunk {
@@ -302,9 +290,9 @@ mod tests {
         Chunk { kind: kind.into(), offset, data: data.to_vec().into(), crc32c, ..Chunk::default() }
     }
 
-    fn path(error: RequestError) -> String {
+    fn path(error: WireError) -> String {
         match error {
-            RequestError::Field { path, .. } => path,
+            WireError::Field { path, .. } => path,
             other => panic!("{other}"),
         }
     }
@@ -314,12 +302,12 @@ mod tests {
         let mut assembly = assembly();
         let positions: Vec<u8> = (0..9).flat_map(|i| (i as f32).to_le_bytes()).collect();
         for (i, part) in positions.chunks(7).enumerate() {
-            assembly.take(&chunk(ArrayKind::Positions, 7 * i as u64, part)).unwrap();
+            take(&mut assembly, &chunk(ArrayKind::Positions, 7 * i as u64, part)).unwrap();
         }
         let facet: Vec<u8> = [0u32, 1, 2].iter().flat_map(|i| i.to_le_bytes()).collect();
-        assembly.take(&chunk(ArrayKind::Facets, 0, &facet)).unwrap();
-        assembly.take(&chunk(ArrayKind::Weights, 0, &[0u8; 24])).unwrap();
-        assembly.take(&chunk(ArrayKind::Seeds, 0, &[0u8; 12])).unwrap();
+        take(&mut assembly, &chunk(ArrayKind::Facets, 0, &facet)).unwrap();
+        take(&mut assembly, &chunk(ArrayKind::Weights, 0, &[0u8; 24])).unwrap();
+        take(&mut assembly, &chunk(ArrayKind::Seeds, 0, &[0u8; 12])).unwrap();
         let up = assembly.finish().unwrap();
         assert_eq!(up.positions[2].to_array(), [6.0, 7.0, 8.0]);
         assert_eq!(up.facets, [[0, 1, 2]]);
@@ -329,14 +317,14 @@ mod tests {
     #[test]
     fn holes_overlaps_bad_sums_and_excess_are_refused() {
         let mut a = assembly();
-        a.take(&chunk(ArrayKind::Positions, 0, &[0; 12])).unwrap();
-        assert_eq!(path(a.take(&chunk(ArrayKind::Positions, 13, &[0; 1])).unwrap_err()), "chunk.offset");
-        assert_eq!(path(a.take(&chunk(ArrayKind::Positions, 0, &[0; 12])).unwrap_err()), "chunk.offset");
-        assert_eq!(path(a.take(&chunk(ArrayKind::Positions, 12, &[0; 25])).unwrap_err()), "chunk.data");
-        assert_eq!(path(a.take(&chunk(ArrayKind::Positions, 12, &[])).unwrap_err()), "chunk.data");
+        take(&mut a, &chunk(ArrayKind::Positions, 0, &[0; 12])).unwrap();
+        assert_eq!(path(take(&mut a, &chunk(ArrayKind::Positions, 13, &[0; 1])).unwrap_err()), "chunk.offset");
+        assert_eq!(path(take(&mut a, &chunk(ArrayKind::Positions, 0, &[0; 12])).unwrap_err()), "chunk.offset");
+        assert_eq!(path(take(&mut a, &chunk(ArrayKind::Positions, 12, &[0; 25])).unwrap_err()), "chunk.data");
+        assert_eq!(path(take(&mut a, &chunk(ArrayKind::Positions, 12, &[])).unwrap_err()), "chunk.data");
         let wrong = Chunk { crc32c: 1, ..chunk(ArrayKind::Positions, 12, &[0; 24]) };
-        assert_eq!(path(a.take(&wrong).unwrap_err()), "chunk.crc32c");
-        assert_eq!(path(a.take(&chunk(ArrayKind::Centroids, 0, &[0; 24])).unwrap_err()), "chunk.kind");
+        assert_eq!(path(take(&mut a, &wrong).unwrap_err()), "chunk.crc32c");
+        assert_eq!(path(take(&mut a, &chunk(ArrayKind::Centroids, 0, &[0; 24])).unwrap_err()), "chunk.kind");
         assert_eq!(path(a.finish().unwrap_err()), "mesh.positions");
     }
 
@@ -344,9 +332,17 @@ mod tests {
     fn memory_is_taken_for_what_arrives() {
         let mesh =
             MeshCounts { vertices: 1 << 30, facets: 1, weights: 0, coordinate_bytes: 8, edge_lengths: 0, creases: 0 };
-        let mut a = Assembly::new(mesh, SeedCounts::Sampled { points: 1, seed: 0 }, Budget::new(30).share());
-        a.take(&chunk(ArrayKind::Positions, 0, &[0; 24])).unwrap();
-        let error = a.take(&chunk(ArrayKind::Positions, 24, &[0; 24])).unwrap_err();
-        assert!(matches!(error, RequestError::Memory { .. }));
+        let mut a = Assembly::new(mesh, SeedCounts::Sampled { points: 1, seed: 0 });
+        let mut left = 30;
+        let mut grow = |bytes: u64| {
+            left = u64::checked_sub(left, bytes).ok_or(WireError::Order("no memory"))?;
+            Ok::<_, WireError>(())
+        };
+        a.take(&chunk(ArrayKind::Positions, 0, &[0; 24]), &mut grow).unwrap();
+        let refused = a.take(&chunk(ArrayKind::Positions, 24, &[0; 24]), &mut grow);
+        assert!(matches!(refused, Err(WireError::Order("no memory"))));
+        // Nothing was kept of it, and a chunk that is not in order asks for nothing.
+        assert_eq!(path(a.take(&chunk(ArrayKind::Positions, 48, &[0; 24]), grow).unwrap_err()), "chunk.offset");
+        assert_eq!(left, 6);
     }
 }

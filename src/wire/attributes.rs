@@ -1,16 +1,15 @@
 //! What a surface carries, as messages.
 //!
-//! Purpose: [`check`] takes headers, [`collect`] uploaded arrays; [`headers`] and [`chunks`] make messages. The
-//! client of the command line uses them too, the other way round.
+//! Purpose: [`check`] takes headers, [`collect`] uploaded arrays; [`headers`] and [`chunks`] make messages. Server
+//! and client use all four: a remesh carries attributes both ways.
 //! Invariant: an attribute is known by its place in the list of headers, in errors and in chunks.
 //! Must not know: streams, jobs, how attributes get to a result.
 
 use glam::{DVec2, DVec3};
 
-use super::RequestError;
-use super::assemble::UploadedAttribute;
-use super::convert::{self, facet_chunks, number_chunks, point_chunks};
-use super::limits::{MeshCounts, within};
+use super::WireError;
+use super::chunks::{chunks as cut, facet_chunks, number_chunks, point_chunks};
+use super::counts::{MeshCounts, within};
 use super::proto::{ArrayKind, AttributeHeader, AttributeKind, AttributeType, Chunk};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{
@@ -44,26 +43,36 @@ impl AttributeCounts {
     }
 }
 
+/// An attribute's arrays, complete.
+#[derive(Debug)]
+pub(crate) struct UploadedAttribute {
+    pub(crate) counts: AttributeCounts,
+    /// All numbers of all values.
+    pub(crate) numbers: Vec<f64>,
+    /// Empty if it is not given by corner.
+    pub(crate) corners: Vec<[u32; 3]>,
+}
+
 /// Checks what is said of a mesh before anything of it arrives.
-pub(crate) fn check(headers: &[AttributeHeader], mesh: MeshCounts) -> Result<Vec<AttributeCounts>, RequestError> {
+pub(crate) fn check(headers: &[AttributeHeader], mesh: MeshCounts) -> Result<Vec<AttributeCounts>, WireError> {
     if headers.len() > MOST {
-        return Err(RequestError::field("header.attributes", format!("has {} entries; {MOST} may be", headers.len())));
+        return Err(WireError::field("header.attributes", format!("has {} entries; {MOST} may be", headers.len())));
     }
     let mut all: Vec<AttributeCounts> = Vec::with_capacity(headers.len());
     for (i, header) in headers.iter().enumerate() {
         let counts = check_one(i, header, mesh)?;
         if all.iter().any(|other| (other.kind, &other.name) == (counts.kind, &counts.name)) {
             let text = "is a second one of its kind and name";
-            return Err(RequestError::field(format!("header.attributes[{i}]"), text));
+            return Err(WireError::field(format!("header.attributes[{i}]"), text));
         }
         all.push(counts);
     }
     Ok(all)
 }
 
-fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<AttributeCounts, RequestError> {
+fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<AttributeCounts, WireError> {
     let path = |field: &str| format!("header.attributes[{i}].{field}");
-    let unknown = |field: &str, value: i32| RequestError::unknown_enum(&path(field), value);
+    let unknown = |field: &str, value: i32| WireError::unknown_enum(&path(field), value);
     let AttributeHeader { kind, name, r#type, values, by_corner } = header.clone();
     let kind = match AttributeKind::try_from(kind) {
         Ok(AttributeKind::Unspecified) | Err(_) => return Err(unknown("kind", kind)),
@@ -73,13 +82,13 @@ fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<Att
         Ok(AttributeType::F32) => 4,
         Ok(AttributeType::F64 | AttributeType::Unspecified) => 8,
         Ok(AttributeType::U8) if kind == AttributeKind::Colours => 1,
-        Ok(AttributeType::U8) => return Err(RequestError::field(path("type"), "is U8, which colours alone may be")),
+        Ok(AttributeType::U8) => return Err(WireError::field(path("type"), "is U8, which colours alone may be")),
         Err(_) => return Err(unknown("type", r#type)),
     };
     if kind == AttributeKind::Scalar {
-        check_name(&name).map_err(|error| RequestError::field(path("name"), error.to_string()))?;
+        check_name(&name).map_err(|error| WireError::field(path("name"), error.to_string()))?;
     } else if !name.is_empty() {
-        return Err(RequestError::field(path("name"), "is given; scalars alone have names"));
+        return Err(WireError::field(path("name"), "is given; scalars alone have names"));
     }
     let (numbers, by_corner) = match kind {
         AttributeKind::Normals => (3, by_corner),
@@ -92,7 +101,7 @@ fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<Att
         true => within(&path("values"), values, 1, 3 * mesh.facets)?,
         false if values != mesh.vertices => {
             let text = format!("is {values}; give one value for each of the {} vertices", mesh.vertices);
-            return Err(RequestError::field(path("values"), text));
+            return Err(WireError::field(path("values"), text));
         }
         false => {}
     }
@@ -100,7 +109,7 @@ fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<Att
 }
 
 /// Attributes of what was uploaded.
-pub(crate) fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Result<Attributes, RequestError> {
+pub(crate) fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Result<Attributes, WireError> {
     let mut attributes = Attributes::new(mesh);
     for (i, UploadedAttribute { counts, numbers, corners }) in uploaded.into_iter().enumerate() {
         let points = || numbers.as_chunks::<3>().0.iter().map(|&n| DVec3::from_array(n)).collect();
@@ -127,7 +136,7 @@ pub(crate) fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Resul
                 }
                 _ => format!("mesh.attributes[{i}]"),
             };
-            RequestError::field(path, error.to_string())
+            WireError::field(path, error.to_string())
         })?;
     }
     Ok(attributes)
@@ -183,14 +192,14 @@ pub(crate) fn chunks<'a>(attributes: &'a Attributes, headers: &[AttributeHeader]
         let put = |uv: &DVec2, out: &mut Vec<u8>| {
             uv.to_array().iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
         };
-        all.push(Box::new(convert::chunks(ArrayKind::TextureCoordinates, &texture.values, 16, put)));
+        all.push(Box::new(cut(ArrayKind::TextureCoordinates, &texture.values, 16, put)));
         all.push(Box::new(facet_chunks(ArrayKind::TextureCorners, &texture.corners)));
     }
     if let Some(Colours { values, depth }) = attributes.colours() {
         match depth {
             ColourDepth::Eight => {
                 let put = |colour: &[f64; 4], out: &mut Vec<u8>| out.extend(colour.map(|x| (x * 255.0).round() as u8));
-                all.push(Box::new(convert::chunks(ArrayKind::Colours, values, 4, put)));
+                all.push(Box::new(cut(ArrayKind::Colours, values, 4, put)));
             }
             ColourDepth::Float => all.push(Box::new(number_chunks(ArrayKind::Colours, values.as_flattened()))),
         }
@@ -217,7 +226,7 @@ mod tests {
     fn headers_are_checked_before_anything_arrives() {
         let mesh = MeshCounts { vertices: 4, facets: 2, coordinate_bytes: 8, ..MeshCounts::default() };
         let path = |headers: &[AttributeHeader]| match check(headers, mesh) {
-            Err(RequestError::Field { path, .. }) => path,
+            Err(WireError::Field { path, .. }) => path,
             other => panic!("{other:?}"),
         };
         let scalar = header(AttributeKind::Scalar, 4);
