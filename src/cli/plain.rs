@@ -50,7 +50,10 @@ mod tests {
 
     #[test]
     fn nothing_acts_on_a_terminal() {
-        assert_eq!(plain("\u{1b}[31mbad\u{7}\nline\t\u{202e}x\u{9b}"), "\u{fffd}[31mbad\u{fffd} line \u{fffd}x\u{fffd}");
+        assert_eq!(
+            plain("\u{1b}[31mbad\u{7}\nline\t\u{202e}x\u{9b}"),
+            "\u{fffd}[31mbad\u{fffd} line \u{fffd}x\u{fffd}"
+        );
         assert_eq!(plain(" Größe 3 µm, χ 2 \n"), "Größe 3 µm, χ 2");
         let long = plain(&"x".repeat(5000));
         assert!(long.chars().count() == MOST + 1 && long.ends_with('…'));

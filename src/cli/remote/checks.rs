@@ -272,7 +272,8 @@ mod tests {
     fn no_more_is_kept_than_was_asked_for() {
         let mesh = Shape::Sphere.build(100);
         let seeds = Seeds::Sample { points: 50, seed: 1 };
-        let new = || Expected::of_remesh(&mesh, &RemeshOptions { seeds: seeds.clone(), ..RemeshOptions::default() }, &[]);
+        let new =
+            || Expected::of_remesh(&mesh, &RemeshOptions { seeds: seeds.clone(), ..RemeshOptions::default() }, &[]);
         let mut expected = new();
         assert!(said(expected.check(chunk(ArrayKind::Positions, 24, 1 << 30))).contains("at most"));
         assert!(said(expected.check(chunk(ArrayKind::Positions, 24, 25))).contains("whole elements"));
@@ -299,9 +300,14 @@ mod tests {
         let mut pieces = Pieces::of(2, 4);
         assert!(pieces.check(&good).is_ok());
         assert!(said(pieces.check(&good)).contains("twice"));
-        for (facet, seed, n, label, x) in
-            [(2, 0, 3, 0, 0.0), (1, 4, 3, 0, 0.0), (1, 0, 2, 0, 0.0), (1, 0, 0, 0, 0.0), (1, 0, 3, 4, 0.0), (1, 0, 3, 0, f64::NAN)]
-        {
+        for (facet, seed, n, label, x) in [
+            (2, 0, 3, 0, 0.0),
+            (1, 4, 3, 0, 0.0),
+            (1, 0, 2, 0, 0.0),
+            (1, 0, 0, 0, 0.0),
+            (1, 0, 3, 4, 0.0),
+            (1, 0, 3, 0, f64::NAN),
+        ] {
             let mut batch = PieceBatch::default();
             batch.push(facet, seed, (0..n).map(|_| (DVec3::splat(x), 1.0, label)));
             said(Pieces::of(2, 4).check(&batch));

@@ -14,7 +14,8 @@ use crate::cli::exit::{BadInput, Unavailable};
 use crate::cli::plain::plain;
 
 /// How tonic begins what it says itself of an answer that it cannot read.
-const UNREADABLE: &[&str] = &["failed to decode", "Error, decoded message", "Error decompressing", "protocol error: received"];
+const UNREADABLE: &[&str] =
+    &["failed to decode", "Error, decoded message", "Error decompressing", "protocol error: received"];
 /// How tonic begins what it says itself of an answer that ends before its status.
 const CUT_SHORT: &[&str] = &["Unexpected EOF", "protocol error: missing grpc-status", "Missing response message"];
 /// What tonic says itself of an answer that is HTTP, and no gRPC.
