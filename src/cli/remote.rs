@@ -90,6 +90,7 @@ pub(crate) fn remesh(endpoint: &ServerUrl, job: &RemeshJob<'_>, progress: &Progr
     let points = if let Seeds::Given(seeds) = &options.seeds { seeds.len() } else { 0 };
     let patience = Patience::with(job.mesh.positions().len() + job.mesh.facets().len() + points);
     block_on(async {
+        progress.stage("connect", 0, 0);
         let link = Link::open(endpoint, patience).await?;
         let mut client = client(&link);
         let requests = tokio_stream::iter(counted(requests, progress, link.sent()));
@@ -174,6 +175,7 @@ pub(crate) fn rvd(endpoint: &ServerUrl, job: RvdJob<'_>, progress: &Progress, si
     let requests = messages.into_iter().map(|m| proto::ComputeRvdRequest { message: Some(m) }).collect::<Vec<_>>();
     let patience = Patience::with(mesh.positions().len() + mesh.facets().len() + count as usize);
     block_on(async {
+        progress.stage("connect", 0, 0);
         let link = Link::open(endpoint, patience).await?;
         let mut client = client(&link);
         let requests = tokio_stream::iter(counted(requests, progress, link.sent()));

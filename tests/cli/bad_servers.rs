@@ -95,7 +95,7 @@ fn told(fake: Fake, line: &str) -> (Option<i32>, String, String) {
     let (said, told) = (text(stdout), text(stderr));
     for text in [&said, &told] {
         assert!(!text.contains(['\u{1b}', '\u{7}', '\u{202e}']) && !text.contains("panicked"), "{line}: {text:?}");
-        assert!(!text.contains("NaN") && !text.contains("hyper") && !text.contains("Error {"), "{line}: {text:?}");
+        assert!(!text.contains("NaN ") && !text.contains("hyper") && !text.contains("Error {"), "{line}: {text:?}");
     }
     (status.code(), said, told)
 }

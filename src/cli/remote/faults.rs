@@ -64,13 +64,17 @@ pub(super) fn wrong(what: impl Display) -> anyhow::Error {
     Unavailable(format!("the server's answer is wrong: {}", plain(&format!("{what:#}")))).into()
 }
 
-/// The first cause of all: it says the most, those above it that something went wrong.
-pub(super) fn innermost<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
+/// The first cause of all, in words: it says the most, those above it that something went wrong.
+pub(super) fn innermost(error: &(dyn Error + 'static)) -> String {
     let mut cause = error;
     while let Some(deeper) = cause.source() {
         cause = deeper;
     }
-    cause
+    match cause.to_string() {
+        // HTTP/2's word for a connection that is closed on purpose.
+        text if text.ends_with("not a result of an error") => "the server closed it".to_owned(),
+        text => text,
+    }
 }
 
 #[cfg(test)]
