@@ -272,9 +272,7 @@ mod tests {
     fn no_more_is_kept_than_was_asked_for() {
         let mesh = Shape::Sphere.build(100);
         let seeds = Seeds::Sample { points: 50, seed: 1 };
-        let new =
-            || Expected::of_remesh(&mesh, &RemeshOptions { seeds: seeds.clone(), ..RemeshOptions::default() }, &[]);
-        let mut expected = new();
+        let mut expected = Expected::of_remesh(&mesh, &RemeshOptions::new(seeds), &[]);
         assert!(said(expected.check(chunk(ArrayKind::Positions, 24, 1 << 30))).contains("at most"));
         assert!(said(expected.check(chunk(ArrayKind::Positions, 24, 25))).contains("whole elements"));
         assert!(expected.check(chunk(ArrayKind::Positions, 24, 48)).unwrap().is_some());
