@@ -153,7 +153,7 @@ fn wrong_arrays_are_the_server_s_fault() {
         (vec![positions(), facets()], done("[1]"), "no report"),
         (vec![positions(), facets()], done(&"[".repeat(100_000)), "report"),
     ] {
-        for more in ["", " --picture p.png"] {
+        for more in ["", " --picture p.png --picture-size 64x48"] {
             let (code, _, told) = told(remesher(chunks.clone(), done.clone()), &format!("{REMESH}{more}"));
             assert!(code == Some(69) && told.contains("the server's answer is wrong: "), "{words}: {told}");
             assert!(told.contains(words) && told.lines().count() == 1, "{words}: {told}");
@@ -168,7 +168,7 @@ fn a_report_says_what_it_likes_and_is_shown_plain() {
     let good = || remesher(vec![positions(), facets()], done(report));
     let (code, said, _) = told(good(), REMESH);
     assert!(code == Some(0) && said.contains("\u{fffd}[31mGPU\u{fffd}") && !said.contains("quality"), "{said}");
-    for more in [" --json", " --picture p.png"] {
+    for more in [" --json", " --picture p.png --picture-size 64x48"] {
         assert_eq!(told(good(), &format!("{REMESH}{more}")).0, Some(0));
     }
 }
@@ -215,7 +215,7 @@ fn wrong_pieces_are_refused() {
         (vec![cells(0, 3), cells(0, 3)], "twice"),
     ] {
         let fake = Fake { rvd: messages, ..Fake::default() };
-        let (code, _, told) = told(fake, "rvd in.ply --points 40 -o cells.ply --picture p.png");
+        let (code, _, told) = told(fake, "rvd in.ply --points 40 -o cells.ply --picture p.png --picture-size 64x48");
         assert!(code == Some(69) && told.contains(words), "{words}: {told}");
     }
 }
