@@ -144,7 +144,7 @@ fn wrong_arrays_are_the_server_s_fault() {
         (vec![positions(), facets(), creases.clone()], done("{}"), "no edge from vertex 0 to 4000000000"),
         (vec![positions()], done("{}"), "no ARRAY_KIND_FACETS"),
         (vec![positions(), chunk(ArrayKind::Facets, &indices(&[0, 1, 99]))], done("{}"), "99"),
-        (vec![chunk(ArrayKind::Positions, &numbers(&[f64::NAN; 12])), facets()], done("{}"), "position"),
+        (vec![chunk(ArrayKind::Positions, &numbers(&[f64::NAN; 12])), facets()], done("{}"), "not finite"),
         (vec![chunk(ArrayKind::Positions, &[0; 25])], done("{}"), "no whole elements"),
         (vec![endless], done("{}"), "more were sent"),
         (vec![Chunk { total_bytes: 1 << 40, ..positions() }], done("{}"), "at most"),
