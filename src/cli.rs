@@ -18,6 +18,7 @@ mod exit;
 mod files;
 mod interrupt;
 mod picture;
+mod plain;
 mod progress;
 mod remesh;
 mod remote;

@@ -29,7 +29,7 @@ pub(crate) const HELP: &str = "Exit codes:
   2    wrong usage: an option is missing, unknown or out of its range
   65   the input is no surface, or a file does not say what it should
   66   an input file is missing or cannot be read
-  69   the server, the GPU or the memory is not to be had
+  69   the server, the GPU or the memory is not to be had, or the server's answer is wrong
   70   an error in this program
   73   the folder of an output file is missing
   74   an output file or the standard output cannot be written
@@ -126,10 +126,7 @@ fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
     if let Some(error) = cause.downcast_ref::<RemeshError>() {
         return Some(of_remesh(error));
     }
-    if let Some(error) = cause.downcast_ref::<RvdError>() {
-        return Some(of_rvd(error));
-    }
-    cause.downcast_ref::<tonic::Status>().map(|status| of_status(status.code()))
+    cause.downcast_ref::<RvdError>().map(of_rvd)
 }
 
 fn of_job(error: &JobError) -> u8 {
@@ -168,20 +165,6 @@ fn of_rvd(error: &RvdError) -> u8 {
     }
 }
 
-fn of_status(code: tonic::Code) -> u8 {
-    use tonic::Code;
-    match code {
-        Code::InvalidArgument => DATA,
-        Code::Unavailable
-        | Code::ResourceExhausted
-        | Code::FailedPrecondition
-        | Code::DeadlineExceeded
-        | Code::Unimplemented => UNAVAILABLE,
-        Code::Cancelled => INTERRUPTED,
-        _ => INTERNAL,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -190,7 +173,7 @@ mod tests {
     fn codes_are_found_under_context() {
         let error = anyhow::Error::new(RvdError::NoSeeds).context("computing");
         assert_eq!(code(&error), DATA);
-        let error = anyhow::Error::new(tonic::Status::unavailable("no")).context("asking");
+        let error = anyhow::Error::new(Unavailable("no".into())).context("asking");
         assert_eq!(code(&error), UNAVAILABLE);
         assert_eq!(code(&anyhow::Error::new(Usage("x".into()))), USAGE);
         assert_eq!(code(&anyhow::anyhow!("what?")), INTERNAL);

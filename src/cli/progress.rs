@@ -89,10 +89,11 @@ impl Progress {
     /// An iteration.
     pub(crate) fn iteration(&self, index: u64, total: u64, energy_ratio: f64) {
         let mut state = self.lock();
-        let (done, total) = (index + 1, total.max(index + 1));
+        let done = index.saturating_add(1);
+        let total = total.max(done);
         state.track.enter("iterations", done, total, Instant::now());
         state.stage = format!("iterations {done} of {total}");
-        state.detail = format!(", E/E_hex {energy_ratio:.5}");
+        state.detail = if energy_ratio.is_finite() { format!(", E/E_hex {energy_ratio:.5}") } else { String::new() };
         state.draw();
     }
 

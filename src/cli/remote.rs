@@ -1,17 +1,22 @@
 //! `--endpoint`: the same work on a server.
 //!
 //! Purpose: the calls of a client, from connecting to the last message.
-//! Invariant: what is received is checked (`wire::arrays`) before it is used. Must not know: the server (`service`).
+//! Invariant: what is received is checked (`wire::arrays`), then against the request and against itself (`checks`), before
+//! it is used. Must not know: the server (`service`).
+
+mod checks;
+mod faults;
+mod link;
 
 use std::future::Future;
-use std::time::Duration;
+use std::sync::atomic::Ordering;
 
-use anyhow::{Context, Result, bail};
-use tonic::transport::{Channel, Endpoint};
+use anyhow::{Context, Result};
+use tonic::transport::Channel;
 
 use super::endpoint::ServerUrl;
-use super::exit::{BadInput, Unavailable, Usage};
 use super::interrupt;
+use super::plain::plain;
 use super::progress::Progress;
 use super::rvd::{RvdResult, Sink, Wants};
 use crate::config::BackendArg;
@@ -28,6 +33,9 @@ use crate::wire::counts::MeshCounts;
 use crate::wire::proto::remesh_service_client::RemeshServiceClient;
 use crate::wire::proto::{self, ArrayKind, Chunk};
 use crate::wire::{attributes, options};
+use checks::{Expected, Pieces};
+use faults::wrong;
+use link::{Link, Patience, Sent};
 
 /// A remesh to ask for.
 pub(crate) struct RemeshJob<'a> {
@@ -80,34 +88,48 @@ pub(crate) fn remesh(endpoint: &ServerUrl, job: &RemeshJob<'_>, progress: &Progr
     messages.extend(carried.into_iter().flatten().map(Ask::Chunk));
     messages.push(Ask::Finish(proto::Finish {}));
     let requests = messages.into_iter().map(|m| proto::RemeshRequest { message: Some(m) }).collect::<Vec<_>>();
+    let points = if let Seeds::Given(seeds) = &options.seeds { seeds.len() } else { 0 };
+    let patience = Patience::with(job.mesh.positions().len() + job.mesh.facets().len() + points);
     block_on(async {
-        let mut client = connect(endpoint).await?;
-        let mut answers =
-            client.remesh(tokio_stream::iter(counted(requests, progress))).await.map_err(refused)?.into_inner();
+        progress.stage("connect", 0, 0);
+        let link = Link::open(endpoint, patience).await?;
+        let mut client = client(&link);
+        let requests = tokio_stream::iter(counted(requests, progress, link.sent()));
+        let mut answers = link.answers(client.remesh(requests)).await?;
+        let mut expected = Expected::of_remesh(job.mesh, options, &announced);
         let mut arrays = Arrays::default();
-        while let Some(answer) = answers.message().await.map_err(refused)? {
-            match answer.message {
+        loop {
+            match answers.next().await?.message {
                 Some(Answer::Accepted(accepted)) => waiting(progress, &accepted),
-                Some(Answer::Progress(p)) => progress.stage(&p.stage, p.done, p.total),
+                Some(Answer::Progress(p)) => progress.stage(&stage(&p.stage), p.done, p.total),
                 Some(Answer::Iteration(it)) => progress.iteration(it.index, it.total, it.energy_ratio),
                 Some(Answer::Chunk(chunk)) => {
                     progress.stage("download", 0, 0);
-                    arrays.take(&chunk)?;
+                    if let Some(chunk) = expected.check(chunk)? {
+                        arrays.take(&chunk).map_err(wrong)?;
+                    }
                 }
                 Some(Answer::Done(done)) => {
-                    let positions = arrays.points(ArrayKind::Positions)?;
-                    let facets = arrays.facets(ArrayKind::Facets)?;
-                    let mesh = TriMesh::new(positions, facets).context("the server's remesh is broken")?;
-                    let curve_edges = arrays.pairs(ArrayKind::Creases);
-                    let report = report(&arrays, &done.report_json)?;
-                    let attributes = attributes_of(&arrays, &mesh, &done.attributes)?;
-                    return Ok(RemeshDone { mesh, curve_edges, report, attributes });
+                    expected.whole()?;
+                    return result(&arrays, &expected, &done);
                 }
                 _ => {}
             }
         }
-        bail!("the server ended the stream before it was done")
     })
+}
+
+/// The remesh that was sent.
+fn result(arrays: &Arrays, expected: &Expected, done: &proto::RemeshDone) -> Result<RemeshDone> {
+    let positions = arrays.points(ArrayKind::Positions).map_err(wrong)?;
+    let facets = arrays.facets(ArrayKind::Facets).map_err(wrong)?;
+    let mesh = TriMesh::new(positions, facets).map_err(wrong)?;
+    let curve_edges = arrays.pairs(ArrayKind::Creases);
+    checks::remesh(&mesh, &curve_edges, done)?;
+    expected.attributes(&mesh, &done.attributes)?;
+    let report = checks::report(report(arrays, &done.report_json).map_err(wrong)?)?;
+    let attributes = attributes_of(arrays, &mesh, &done.attributes).map_err(wrong)?;
+    Ok(RemeshDone { mesh, curve_edges, report, attributes })
 }
 
 /// A diagram to ask for.
@@ -128,6 +150,11 @@ pub(crate) fn rvd(endpoint: &ServerUrl, job: RvdJob<'_>, progress: &Progress, si
     use proto::compute_rvd_response::Message as Answer;
     let RvdJob { mesh, seeds, wants, backend } = job;
     let source = options::seed_source(&seeds);
+    let count = match &seeds {
+        Seeds::Given(points) => points.len(),
+        Seeds::Sample { points, .. } => *points,
+        Seeds::Implied { .. } => 0,
+    } as u64;
     let points = if let Seeds::Given(points) = seeds { points } else { Vec::new() };
     let mut outputs = Vec::new();
     if wants.cells {
@@ -147,26 +174,46 @@ pub(crate) fn rvd(endpoint: &ServerUrl, job: RvdJob<'_>, progress: &Progress, si
     messages.extend(point_chunks(ArrayKind::Seeds, &points).map(Ask::Chunk));
     messages.push(Ask::Finish(proto::Finish {}));
     let requests = messages.into_iter().map(|m| proto::ComputeRvdRequest { message: Some(m) }).collect::<Vec<_>>();
+    let patience = Patience::with(mesh.positions().len() + mesh.facets().len() + count as usize);
     block_on(async {
-        let mut client = connect(endpoint).await?;
-        let mut answers =
-            client.compute_rvd(tokio_stream::iter(counted(requests, progress))).await.map_err(refused)?.into_inner();
+        progress.stage("connect", 0, 0);
+        let link = Link::open(endpoint, patience).await?;
+        let mut client = client(&link);
+        let requests = tokio_stream::iter(counted(requests, progress, link.sent()));
+        let mut answers = link.answers(client.compute_rvd(requests)).await?;
+        let mut expected = Expected::of_rvd(count, wants.centroids);
+        let mut pieces = Pieces::of(mesh.facets().len(), count);
         let mut arrays = Arrays::default();
-        while let Some(answer) = answers.message().await.map_err(refused)? {
-            match answer.message {
+        loop {
+            match answers.next().await?.message {
                 Some(Answer::Accepted(accepted)) => waiting(progress, &accepted),
-                Some(Answer::Progress(p)) => progress.stage(&p.stage, p.done, p.total),
-                Some(Answer::Cells(chunk)) => sink(&batch(&chunk)?)?,
-                Some(Answer::Chunk(chunk)) => arrays.take(&chunk)?,
+                Some(Answer::Progress(p)) => progress.stage(&stage(&p.stage), p.done, p.total),
+                Some(Answer::Cells(chunk)) => {
+                    Pieces::lengths(&chunk)?;
+                    let batch = batch(&chunk).map_err(wrong)?;
+                    pieces.check(&batch)?;
+                    sink(&batch)?;
+                }
+                Some(Answer::Chunk(chunk)) => {
+                    if let Some(chunk) = expected.check(chunk)? {
+                        arrays.take(&chunk).map_err(wrong)?;
+                    }
+                }
                 Some(Answer::Done(done)) => {
-                    let centroids = if wants.centroids { arrays.points(ArrayKind::Centroids)? } else { Vec::new() };
-                    let report = report(&arrays, &done.report_json)?;
+                    expected.whole()?;
+                    let centroids = match wants.centroids {
+                        true => arrays.points(ArrayKind::Centroids).map_err(wrong)?,
+                        false => Vec::new(),
+                    };
+                    if wants.centroids {
+                        checks::centroids(&centroids, count)?;
+                    }
+                    let report = checks::report(report(&arrays, &done.report_json).map_err(wrong)?)?;
                     return Ok(RvdResult { centroids, report });
                 }
                 _ => {}
             }
         }
-        bail!("the server ended the stream before it was done")
     })
 }
 
@@ -183,9 +230,21 @@ fn block_on<R>(work: impl Future<Output = Result<R>>) -> Result<R> {
 }
 
 /// Messages, whose leaving is told.
-fn counted<T: Send + 'static>(messages: Vec<T>, progress: &Progress) -> impl Iterator<Item = T> + Send + 'static {
-    let mut sent = progress.counter("upload", messages.len() as u64);
-    messages.into_iter().inspect(move |_| sent())
+fn counted<T: Send + 'static>(
+    messages: Vec<T>,
+    progress: &Progress,
+    sent: Sent,
+) -> impl Iterator<Item = T> + Send + 'static {
+    let mut told = progress.counter("upload", messages.len() as u64);
+    messages.into_iter().inspect(move |_| {
+        sent.fetch_add(1, Ordering::Relaxed);
+        told();
+    })
+}
+
+/// A stage's name, as it is shown.
+fn stage(name: &str) -> String {
+    plain(name).chars().take(32).collect()
 }
 
 /// The job was taken in.
@@ -196,23 +255,8 @@ fn waiting(progress: &Progress, accepted: &proto::Accepted) {
     }
 }
 
-async fn connect(endpoint: &ServerUrl) -> Result<RemeshServiceClient<Channel>> {
-    let channel = Endpoint::from_shared(endpoint.to_string())
-        .map_err(|e| Usage(format!("--endpoint {endpoint}: {e}; an example is http://127.0.0.1:50051")))?;
-    let channel = channel.connect_timeout(Duration::from_secs(10)).connect().await.map_err(|e| {
-        let cause = std::error::Error::source(&e).map(|s| format!(": {s}")).unwrap_or_default();
-        Unavailable(format!("cannot reach {endpoint}{cause}; is a server running there?"))
-    })?;
-    Ok(RemeshServiceClient::new(channel).max_decoding_message_size(16 << 20))
-}
-
-/// A refusal, with the server's words.
-fn refused(status: tonic::Status) -> anyhow::Error {
-    let text = format!("the server says: {}", status.message());
-    match status.code() {
-        tonic::Code::InvalidArgument => BadInput(text).into(),
-        _ => anyhow::Error::new(status).context(text),
-    }
+fn client(link: &Link<'_>) -> RemeshServiceClient<Channel> {
+    RemeshServiceClient::new(link.channel()).max_decoding_message_size(16 << 20)
 }
 
 fn choice(backend: BackendArg) -> proto::BackendChoice {

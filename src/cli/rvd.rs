@@ -185,13 +185,18 @@ fn check(args: &RvdArgs) -> Result<()> {
 fn summary(args: &RvdArgs, report: &Value, total_ms: f64) -> Result<(), NotWritten> {
     let rvd = &report["rvd"];
     let at = args.endpoint.as_ref().map(|url| format!(" at {url}")).unwrap_or_default();
+    // A figure that is no number is left out: a server may say anything.
+    let figure = |value: &Value, before: &str, after: &str| match value.is_number() {
+        true => format!("{before}{value}{after}"),
+        false => String::new(),
+    };
     outln!(
-        "{}: {} seeds, {} pieces, {} empty cells, area {}, by {}{at}, {total_ms:.0} ms",
+        "{}: {}{}{}{}by {}{at}, {total_ms:.0} ms",
         args.files.output.as_ref().unwrap_or(&args.input).display(),
-        report["seeds"],
-        rvd["pairs"],
-        rvd["empty_cells"],
-        rvd["area"],
+        figure(&report["seeds"], "", " seeds, "),
+        figure(&rvd["pairs"], "", " pieces, "),
+        figure(&rvd["empty_cells"], "", " empty cells, "),
+        figure(&rvd["area"], "area ", ", "),
         report["backend"].as_str().unwrap_or("?"),
     )
 }

@@ -7,6 +7,7 @@
 #[path = "../common/gpu.rs"]
 mod gpu;
 
+mod bad_servers;
 mod bench;
 mod given_creases;
 mod newcomer;

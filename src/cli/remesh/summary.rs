@@ -1,7 +1,7 @@
 //! What a person wants to know at the end of a remesh.
 //!
-//! Invariant: read from the report's JSON, so that a remesh of a server is told as one that was made here. Must not
-//! know: how the figures came about.
+//! Invariant: read from the report's JSON, so that a remesh of a server is told as one that was made here. A figure that
+//! is not there, or is no number, is left out. Must not know: how the figures came about.
 
 use std::path::Path;
 
@@ -48,7 +48,8 @@ impl Told<'_> {
     fn surfaces(&self, lines: &mut Vec<String>) {
         let surface = |at: &str| {
             let [vertices, facets] = ["vertices", "facets"].map(|what| self.count(&format!("{at}/{what}")));
-            format!("{vertices} vertices, {facets} facets, χ {}", self.at(&format!("{at}/euler")))
+            let euler = self.at(&format!("{at}/euler")).as_i64();
+            format!("{vertices} vertices, {facets} facets{}", euler.map(|n| format!(", χ {n}")).unwrap_or_default())
         };
         lines.push(format!("input       {}: {}", self.input.display(), surface("/input")));
         let mut note = |count: u64, what: &str| {
@@ -85,8 +86,8 @@ impl Told<'_> {
 
     fn steps(&self, lines: &mut Vec<String>) {
         if let Some((steps, last)) = self.at("/iterations").as_array().and_then(|all| Some((all.len(), all.last()?))) {
-            let ratio = number(&last["energy_ratio"]);
-            lines.push(format!("iterations  {steps}, E/E_hex before the last {ratio:.5}"));
+            let ratio = last["energy_ratio"].as_f64().map(|ratio| format!(", E/E_hex before the last {ratio:.5}"));
+            lines.push(format!("iterations  {steps}{}", ratio.unwrap_or_default()));
         }
         let edge = |which: &str| self.at(&format!("/density/edge_{which}")).as_f64();
         if let (Some(least), Some(median), Some(largest)) = (edge("least"), edge("median"), edge("largest")) {
@@ -102,18 +103,20 @@ impl Told<'_> {
     }
 
     fn quality(&self, lines: &mut Vec<String>) {
-        let q = |what: &str| number(self.at(&format!("/result/{what}")));
-        if self.at("/result/q_min").is_number() {
+        let all = |names: &[&str]| -> Option<Vec<f64>> {
+            names.iter().map(|what| self.at(&format!("/result/{what}")).as_f64()).collect()
+        };
+        if let Some([q_min, q_mean, least, mean]) =
+            all(&["q_min", "q_avg", "theta_min_deg", "theta_avg_deg"]).as_deref()
+        {
             lines.push(format!(
-                "quality     Q min {:.4}, mean {:.4}; angle min {:.2}°, mean {:.2}°",
-                q("q_min"),
-                q("q_avg"),
-                q("theta_min_deg"),
-                q("theta_avg_deg")
+                "quality     Q min {q_min:.4}, mean {q_mean:.4}; angle min {least:.2}°, mean {mean:.2}°"
             ));
-            let (under, valence) = (q("under_30_percent"), q("v567_percent"));
+        }
+        if let Some([under, valence]) = all(&["under_30_percent", "v567_percent"]).as_deref() {
             lines.push(format!("            under 30° {under:.2} %; valence 5-7 {valence:.2} %"));
-            let (hausdorff, rms) = (q("hausdorff_percent"), q("rms_percent"));
+        }
+        if let Some([hausdorff, rms]) = all(&["hausdorff_percent", "rms_percent"]).as_deref() {
             lines.push(format!("distance    Hausdorff {hausdorff:.4} %, RMS {rms:.4} % of the diagonal"));
         }
         let [rim, edges, vertices] = ["boundary_edges", "non_manifold_edges", "non_manifold_vertices"]
@@ -145,8 +148,8 @@ impl Told<'_> {
             lines.push(format!("memory      {} MiB, {device} MiB on the device", bytes >> 20));
         }
         let total = self.total_ms;
-        let there = number(self.at("/timings_ms/total"));
-        let of_it = self.endpoint.map(|_| format!(", {there:.0} ms of it at work on the server")).unwrap_or_default();
+        let there = self.at("/timings_ms/total").as_f64().filter(|_| self.endpoint.is_some());
+        let of_it = there.map(|there| format!(", {there:.0} ms of it at work on the server")).unwrap_or_default();
         lines.push(format!("time        {total:.0} ms{of_it}"));
     }
 
@@ -158,10 +161,6 @@ impl Told<'_> {
     fn count(&self, pointer: &str) -> u64 {
         self.at(pointer).as_u64().unwrap_or(0)
     }
-}
-
-fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap_or(f64::NAN)
 }
 
 fn text<'a>(value: &'a Value, none: &'a str) -> &'a str {

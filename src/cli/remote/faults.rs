@@ -1,0 +1,114 @@
+//! What can go wrong with a server, in one sentence each.
+//!
+//! Purpose: statuses and wrong answers become errors that say what to do. Invariant: only INVALID_ARGUMENT is the
+//! user's input (65); all else is the server or the way to it (69). Text of a server is shown plain, and once. Must not
+//! know: calls, arrays.
+
+use std::error::Error;
+use std::fmt::Display;
+
+use tonic::{Code, Status};
+
+use crate::cli::endpoint::ServerUrl;
+use crate::cli::exit::{BadInput, Unavailable};
+use crate::cli::plain::plain;
+
+/// How tonic begins what it says itself of an answer that it cannot read.
+const UNREADABLE: &[&str] =
+    &["failed to decode", "Error, decoded message", "Error decompressing", "protocol error: received"];
+/// How tonic begins what it says itself of an answer that ends before its status.
+const CUT_SHORT: &[&str] = &["Unexpected EOF", "protocol error: missing grpc-status", "Missing response message"];
+/// What tonic says itself of an answer that is HTTP, and no gRPC.
+const NO_GRPC: &str = "grpc-status header missing, mapped from HTTP status code ";
+
+/// The error for how a call ended.
+pub(super) fn of_status(url: &ServerUrl, status: &Status) -> anyhow::Error {
+    let text = status.message();
+    let begins = |all: &[&str]| all.iter().any(|begin| text.starts_with(begin));
+    if status.source().is_some() {
+        return lost(url, innermost(status));
+    }
+    if begins(CUT_SHORT) {
+        return lost(url, "the answer ended before it was whole");
+    }
+    if let Some(code) = text.strip_prefix(NO_GRPC) {
+        let code = plain(code);
+        return Unavailable(format!(
+            "{url} answers with HTTP status {code} and without gRPC; is a tessera server running behind it?"
+        ))
+        .into();
+    }
+    if begins(UNREADABLE) || (status.code() == Code::Internal && text.contains("flag")) {
+        return wrong(text);
+    }
+    let said = match (plain(text), status.code()) {
+        (said, code) if said.is_empty() => code.description().to_owned(),
+        (said, _) => said,
+    };
+    match status.code() {
+        Code::InvalidArgument => BadInput(format!("the server says: {said}")).into(),
+        // Nobody here cancelled it: that would not have waited for a status.
+        Code::Cancelled => Unavailable(format!("the server cancelled the job: {said}; try again")).into(),
+        _ => Unavailable(format!("the server says: {said}")).into(),
+    }
+}
+
+/// A connection that ended before the job did.
+pub(super) fn lost(url: &ServerUrl, cause: impl Display) -> anyhow::Error {
+    let cause = plain(&cause.to_string());
+    Unavailable(format!("the connection to {url} was lost: {cause}; the job was not finished; try again")).into()
+}
+
+/// An answer that cannot be: the server's fault, whatever the error that `what` was.
+pub(super) fn wrong(what: impl Display) -> anyhow::Error {
+    Unavailable(format!("the server's answer is wrong: {}", plain(&format!("{what:#}")))).into()
+}
+
+/// The first cause of all, in words: it says the most, those above it that something went wrong.
+pub(super) fn innermost(error: &(dyn Error + 'static)) -> String {
+    let mut cause = error;
+    while let Some(deeper) = cause.source() {
+        cause = deeper;
+    }
+    match cause.to_string() {
+        // HTTP/2's word for a connection that is closed on purpose.
+        text if text.ends_with("not a result of an error") => "the server closed it".to_owned(),
+        text => text,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::exit::code;
+
+    fn url() -> ServerUrl {
+        "http://127.0.0.1:1".parse().unwrap()
+    }
+
+    #[test]
+    fn only_a_bad_request_is_the_user_s() {
+        for (status, exit, words) in [
+            (Status::invalid_argument("mesh.facets: \u{1b}[31mno"), 65, "the server says: mesh.facets: \u{fffd}[31mno"),
+            (Status::internal("a fault"), 69, "the server says: a fault"),
+            (Status::cancelled("I stop"), 69, "the server cancelled the job: I stop"),
+            (Status::deadline_exceeded("late"), 69, "the server says: late"),
+            (Status::unimplemented(""), 69, "the server says: Operation is not implemented"),
+            (Status::out_of_range("Error, decoded message length too large: found 9"), 69, "answer is wrong"),
+            (Status::unavailable(format!("{NO_GRPC}502 Bad Gateway")), 69, "with HTTP status 502"),
+            (Status::unknown("protocol error: missing grpc-status trailer"), 69, "was lost"),
+            (Status::from_error(Box::new(std::io::Error::other("broken wire"))), 69, "was lost: broken wire"),
+        ] {
+            let error = of_status(&url(), &status);
+            let said = format!("{error:#}");
+            assert!(code(&error) == exit && said.contains(words), "{status:?}: {said}");
+            assert_eq!(said.matches(words).count(), 1, "{said}");
+        }
+    }
+
+    #[test]
+    fn a_wrong_answer_is_never_the_user_s_mesh() {
+        let broken = crate::mesh::TriMesh::new(Vec::new(), Vec::new()).unwrap_err();
+        assert_eq!(code(&wrong(broken)), 69);
+    }
+}

@@ -1,0 +1,214 @@
+//! The connection to a server, and how long each of its signs of life may take.
+//!
+//! Purpose: a server that is gone, stuck or no server of ours ends a call with a sentence. Invariant: no wait is without
+//! an end; work that was admitted may take any time, as long as the connection lives. Must not know: what is asked.
+
+use std::future::Future;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use anyhow::Result;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Response, Status, Streaming};
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_client::HealthClient;
+
+use super::faults;
+use crate::cli::endpoint::ServerUrl;
+use crate::cli::exit::{Unavailable, Usage};
+
+/// How long things may take.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Patience {
+    /// To connect; then, to answer anything at all.
+    pub(super) connect: Duration,
+    /// Between two HTTP/2 pings, and for the answer to one.
+    pub(super) ping: Duration,
+    /// For the first answer, from when the last message of the request left.
+    pub(super) first: Duration,
+}
+
+impl Patience {
+    /// For a request of so many vertices, facets and points: a server reads them before it answers.
+    pub(super) fn with(elements: usize) -> Self {
+        let reading = Duration::from_millis(elements as u64 / 10);
+        Self {
+            connect: Duration::from_secs(10),
+            ping: Duration::from_secs(20),
+            first: Duration::from_secs(60) + reading,
+        }
+    }
+}
+
+/// How many messages of a request have left.
+pub(super) type Sent = Arc<AtomicU64>;
+
+/// See the module's head.
+pub(super) struct Link<'a> {
+    url: &'a ServerUrl,
+    patience: Patience,
+    channel: Channel,
+    sent: Sent,
+}
+
+impl<'a> Link<'a> {
+    /// Connects.
+    pub(super) async fn open(url: &'a ServerUrl, patience: Patience) -> Result<Self> {
+        let endpoint = Endpoint::from_shared(url.to_string())
+            .map_err(|e| Usage(format!("--endpoint {url}: {e}; an example is http://127.0.0.1:50051")))?;
+        let endpoint = endpoint.connect_timeout(patience.connect);
+        let endpoint = endpoint.http2_keep_alive_interval(patience.ping).keep_alive_timeout(patience.ping);
+        let channel = endpoint.connect().await.map_err(|e| {
+            Unavailable(format!("cannot reach {url}: {}; is a server running there?", faults::innermost(&e)))
+        })?;
+        let link = Self { url, patience, channel, sent: Sent::default() };
+        link.greet().await?;
+        Ok(link)
+    }
+
+    /// Asks for anything. A socket that takes connections need not be a server, nor one that works. What the answer
+    /// says does not matter: a server that is about to stop says so itself, and a proxy may not know the service.
+    async fn greet(&self) -> Result<()> {
+        let mut health = HealthClient::new(self.channel.clone());
+        let asked = health.check(HealthCheckRequest { service: String::new() });
+        let (url, limit) = (self.url, self.patience.connect);
+        let cause = match tokio::time::timeout(limit, asked).await {
+            Err(_) => format!("takes the connection, but said nothing for {} s", limit.as_secs_f32()),
+            Ok(Err(status)) => match std::error::Error::source(&status) {
+                Some(_) => format!("does not answer as a server of tessera ({})", faults::innermost(&status)),
+                None => return Ok(()),
+            },
+            Ok(Ok(_)) => return Ok(()),
+        };
+        Err(Unavailable(format!("{url} {cause}; is one running there, and has it room for another connection?")).into())
+    }
+
+    /// What calls are made on.
+    pub(super) fn channel(&self) -> Channel {
+        self.channel.clone()
+    }
+
+    /// To be counted up with each message that leaves.
+    pub(super) fn sent(&self) -> Sent {
+        Arc::clone(&self.sent)
+    }
+
+    /// Waits for the head of what `call` answers.
+    pub(super) async fn answers<T>(
+        &'a self,
+        call: impl Future<Output = Result<Response<Streaming<T>>, Status>>,
+    ) -> Result<Answers<'a, T>> {
+        let stream = self.first(call).await?.map_err(|status| faults::of_status(self.url, &status))?;
+        Ok(Answers { link: self, stream: stream.into_inner(), begun: false })
+    }
+
+    /// Waits for `answer`. An upload may take long on a slow line, as long as something leaves.
+    async fn first<R>(&self, answer: impl Future<Output = R>) -> Result<R> {
+        let mut answer = std::pin::pin!(answer);
+        let limit = self.patience.first;
+        loop {
+            let before = self.sent.load(Ordering::Relaxed);
+            tokio::select! {
+                answer = &mut answer => return Ok(answer),
+                () = tokio::time::sleep(limit) => {}
+            }
+            if self.sent.load(Ordering::Relaxed) == before {
+                let (url, seconds) = (self.url, limit.as_secs_f32());
+                let text = format!("{url} took the request, but did not answer it for {seconds:.0} s; try again");
+                return Err(Unavailable(text).into());
+            }
+        }
+    }
+}
+
+/// The messages of an answer.
+pub(super) struct Answers<'a, T> {
+    link: &'a Link<'a>,
+    stream: Streaming<T>,
+    begun: bool,
+}
+
+impl<T> Answers<'_, T> {
+    /// The next one. The caller asks for no more after the last, so that an end is an error.
+    pub(super) async fn next(&mut self) -> Result<T> {
+        let message = match self.begun {
+            true => self.stream.message().await,
+            false => self.link.first(self.stream.message()).await?,
+        };
+        self.begun = true;
+        match message {
+            Ok(Some(message)) => Ok(message),
+            Ok(None) => Err(faults::wrong("it ended before the job was done")),
+            Err(status) => Err(faults::of_status(self.link.url, &status)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::io::AsyncWriteExt;
+    use tokio::net::TcpListener;
+
+    use super::*;
+    use crate::cli::exit::code;
+
+    const SHORT: Duration = Duration::from_millis(300);
+    const LONG: Duration = Duration::from_secs(10);
+
+    /// What opening a connection to a socket says that sends `bytes` and no more.
+    async fn open(bytes: &'static [u8], close: bool, connect: Duration) -> String {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let url: ServerUrl = format!("http://{}", listener.local_addr().unwrap()).parse().unwrap();
+        tokio::spawn(async move {
+            let mut open = Vec::new();
+            loop {
+                let (mut socket, _) = listener.accept().await.unwrap();
+                socket.write_all(bytes).await.unwrap();
+                if !close {
+                    open.push(socket);
+                }
+            }
+        });
+        let patience = Patience { connect, ping: LONG, first: LONG };
+        let error = Link::open(&url, patience).await.err().expect("it is no server");
+        assert_eq!(code(&error), 69);
+        let said = format!("{error:#}");
+        assert!(said.contains(&url.to_string()) && !said.contains("Error {") && !said.contains('\n'), "{said}");
+        said
+    }
+
+    #[tokio::test]
+    async fn what_is_no_server_is_said() {
+        const SETTINGS: &[u8] = &[0, 0, 0, 4, 0, 0, 0, 0, 0];
+        for silent in [&b""[..], SETTINGS] {
+            let said = open(silent, false, SHORT).await;
+            assert!(said.contains("said nothing"), "{said}");
+        }
+        let said = open(b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n", false, LONG).await;
+        assert!(said.contains("does not answer as a server"), "{said}");
+        let said = open(b"", true, LONG).await;
+        assert!(said.contains("room for another connection"), "{said}");
+    }
+
+    #[tokio::test]
+    async fn nobody_waits_for_ever_for_a_first_answer() {
+        let url: ServerUrl = "http://127.0.0.1:1".parse().unwrap();
+        let channel = Endpoint::from_static("http://127.0.0.1:1").connect_lazy();
+        let patience = Patience { connect: SHORT, ping: SHORT, first: SHORT };
+        let link = Link { url: &url, patience, channel, sent: Sent::default() };
+        let error = link.first(std::future::pending::<()>()).await.unwrap_err();
+        assert!(code(&error) == 69 && error.to_string().contains("did not answer"), "{error}");
+
+        // An upload that goes on is no silence.
+        let sent = link.sent();
+        tokio::spawn(async move {
+            loop {
+                sent.fetch_add(1, Ordering::Relaxed);
+                tokio::time::sleep(SHORT / 100).await;
+            }
+        });
+        let slow = tokio::time::sleep(3 * SHORT);
+        assert!(link.first(slow).await.is_ok());
+    }
+}
