@@ -70,6 +70,8 @@ pub(crate) enum RequestError {
     Wire(#[from] WireError),
     #[error("{needed_bytes} more bytes of geometry do not fit now: {left_bytes} are left for all streams")]
     Memory { needed_bytes: u64, left_bytes: u64 },
+    #[error("a message of {length} bytes came, where none is longer than {most}")]
+    MessageTooLong { length: u64, most: u64 },
     #[error("{limit} {what} are open already, as many as may")]
     TooMany { what: &'static str, limit: usize },
     #[error("no message came for {} s", .0.as_secs_f64())]
@@ -126,7 +128,7 @@ pub async fn run(
 ) -> Result<(), ServeError> {
     let Parts { engine, worker, limits } = parts;
     let phase = watch::Sender::new(Phase::Serving);
-    let budget = budget::Budget::new(limits.memory_bytes);
+    let budget = budget::Budget::told(limits.memory_bytes, engine.held_besides());
     let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), phase.subscribe());
     let gate = handlers.gate().clone();
     let (health, health_service) = tonic_health::server::health_reporter();

@@ -68,6 +68,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("anyhow", &["cli", "main"]),
     ("kiddo", &["knn"]),
     ("tobj", &["mesh/io"]),
+    ("mimalloc", &["main"]),
     ("png", &["picture"]),
     ("plotters", &["picture/chart"]),
     ("noto_sans_mono_bitmap", &["picture/chart"]),

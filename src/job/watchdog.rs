@@ -5,6 +5,7 @@
 //! Invariant: it never waits for work, and holds nothing of it but the token. Without work it sleeps.
 //! Must not know: what the work is, how health is told, how the process ends.
 
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
@@ -62,6 +63,8 @@ pub(crate) struct Watchdog {
 #[derive(Debug)]
 struct Shared {
     ceilings: Ceilings,
+    /// Bytes that the process holds for others: uploads, and answers that wait.
+    besides: Arc<AtomicI64>,
     state: Mutex<State>,
     wake: Condvar,
     work: watch::Sender<Work>,
@@ -120,7 +123,8 @@ impl Watchdog {
     /// The operating system refused a thread.
     pub(crate) fn start(ceilings: Ceilings) -> std::io::Result<Self> {
         let work = watch::Sender::new(Work::Stops);
-        let shared = Arc::new(Shared { ceilings, state: Mutex::default(), wake: Condvar::new(), work });
+        let shared =
+            Arc::new(Shared { ceilings, besides: Arc::default(), state: Mutex::default(), wake: Condvar::new(), work });
         let weak = Arc::downgrade(&shared);
         std::thread::Builder::new().name("watchdog".to_owned()).spawn(move || watch_all(&weak))?;
         Ok(Self { shared })
@@ -137,7 +141,7 @@ impl Watchdog {
 
     /// Watches work that begins now.
     pub(crate) fn watch(&self, token: &Token) -> Watched {
-        let base_bytes = memory::memory_bytes().unwrap_or(0);
+        let base_bytes = held_for_work(&self.shared.besides);
         let mut state = lock(&self.shared.state);
         let number = state.next;
         state.next += 1;
@@ -148,10 +152,21 @@ impl Watchdog {
         Watched { shared: Arc::clone(&self.shared), number, token: token.clone() }
     }
 
+    /// See [`super::Engine::held_besides`].
+    pub(crate) fn held_besides(&self) -> Arc<AtomicI64> {
+        Arc::clone(&self.shared.besides)
+    }
+
     /// How work is that was told to stop.
     pub(crate) fn work(&self) -> watch::Receiver<Work> {
         self.shared.work.subscribe()
     }
+}
+
+/// Bytes that the process holds, less those for others.
+fn held_for_work(besides: &AtomicI64) -> u64 {
+    let besides = u64::try_from(besides.load(Ordering::Acquire)).unwrap_or(0);
+    memory::memory_bytes().unwrap_or(0).saturating_sub(besides)
 }
 
 /// Looks again and again until the last handle has gone.
@@ -165,16 +180,16 @@ fn watch_all(shared: &Weak<Shared>) {
         // Never for ever: this handle keeps the others' end from being seen.
         let patience = if idle { 10 * LOOK } else { LOOK };
         let (mut state, _) = shared.wake.wait_timeout(state, patience).unwrap_or_else(PoisonError::into_inner);
-        let work = look(&mut state.entries, &shared.ceilings);
+        let work = look(&mut state.entries, &shared.ceilings, &shared.besides);
         drop(state);
         shared.work.send_if_modified(|before| std::mem::replace(before, work) != work);
     }
 }
 
 /// One look at all work.
-fn look(entries: &mut [Entry], ceilings: &Ceilings) -> Work {
+fn look(entries: &mut [Entry], ceilings: &Ceilings, besides: &AtomicI64) -> Work {
     if let Some(limit_bytes) = ceilings.memory_bytes.filter(|_| !entries.is_empty()) {
-        let held = memory::memory_bytes().unwrap_or(0);
+        let held = held_for_work(besides);
         let grown = |entry: &Entry| held.saturating_sub(entry.base_bytes);
         let running = entries.iter().filter(|entry| !entry.token.is_told_to_stop());
         let most = running.max_by_key(|entry| (grown(entry), entry.number));
@@ -237,13 +252,18 @@ mod tests {
         let entry =
             |number, base_bytes| Entry { number, token: Token::default(), base_bytes, stopped: None, reported: false };
         let mut entries = vec![entry(0, held + (1 << 40)), entry(1, 0), entry(2, 1)];
-        look(&mut entries, &limits);
+        // What is held for others is nobody's growth.
+        let others = AtomicI64::new(held as i64 + (1 << 40));
+        look(&mut entries, &limits, &others);
+        assert!(entries.iter().all(|entry| !entry.token.is_stopped()));
+        let besides = AtomicI64::new(0);
+        look(&mut entries, &limits, &besides);
         assert!(
             matches!(entries[1].token.check(), Err(Stopped::Memory { limit_bytes: 1000, .. })),
             "it has grown most"
         );
         assert_eq!(entries[2].token.check(), Ok(()), "one at a time");
-        look(&mut entries, &limits);
+        look(&mut entries, &limits, &besides);
         assert!(entries[2].token.is_stopped() && !entries[0].token.is_stopped());
     }
 

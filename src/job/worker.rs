@@ -8,6 +8,7 @@
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::sync::atomic::AtomicI64;
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -190,6 +191,12 @@ impl Engine {
     /// Watches work that is done for a job on another thread than the device's, until what it returns is dropped.
     pub fn watch(&self, token: &Token) -> Watched {
         self.shared.watchdog.watch(token)
+    }
+
+    /// What the process holds that is no job's own work, bytes: whoever holds it keeps this at that. A job's ceiling on memory
+    /// does not count it.
+    pub(crate) fn held_besides(&self) -> Arc<AtomicI64> {
+        self.shared.watchdog.held_besides()
     }
 
     /// How work is that was told to stop.

@@ -121,6 +121,8 @@ pub enum FeatureError {
 }
 
 type Edge = [u32; 2];
+/// An edge and how much it is bent, degrees.
+type Bent = (Edge, f64);
 
 /// Lengths as [`FeatureOptions::fineness`] makes them.
 #[derive(Clone, Copy)]
@@ -257,7 +259,7 @@ fn classify(
     adjacency: &Adjacency,
     angle: f64,
     token: &Token,
-) -> Result<(Vec<(Edge, f64)>, Vec<Edge>), Stopped> {
+) -> Result<(Vec<Bent>, Vec<Edge>), Stopped> {
     let (mut bent, mut boundary) = (Vec::new(), Vec::new());
     for (half, e) in all_edges(mesh, adjacency).enumerate() {
         token.check_at(half)?;

@@ -13,6 +13,7 @@ use super::TriMesh;
 use super::adjacency::weld;
 use super::disjoint::DisjointSets;
 use super::edges::EdgeGroups;
+use crate::token::{Stopped, Token};
 
 /// A facet's corners, the lowest first and the highest last, its number, and whether it runs from the lowest to the middle one.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -68,11 +69,15 @@ pub(crate) fn any(mesh: &TriMesh) -> bool {
 /// is. Of what hangs together through
 /// sides of such facets, all places have one afterwards or none has: where no side has facets in more than two places, and one
 /// side goes on to a facet that was alone before, or all facets in each place run the same way.
-pub(crate) fn single(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn single(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
     let layers = Layers::of(mesh);
+    token.check()?;
     let places: Vec<&[Layer]> = layers.places().collect();
     if places.iter().all(|place| place.len() == 1) {
-        return None;
+        return Ok(None);
     }
     let mut parts = DisjointSets::new(places.len());
     // Of each side of several facets, in how many places it has facets, and one of those with several.
@@ -98,6 +103,7 @@ pub(crate) fn single(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
             }
         }
     });
+    token.check()?;
     let crowded: HashSet<usize> = sides.iter().filter(|side| side.0 > 2).map(|side| parts.root(side.1)).collect();
     let goes_on: HashSet<usize> = ends.into_iter().map(|place| parts.root(place)).collect();
     let several = || places.iter().enumerate().filter(|(_, place)| place.len() > 1);
@@ -113,10 +119,10 @@ pub(crate) fn single(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
         }
     }
     if left_out.is_empty() {
-        return None;
+        return Ok(None);
     }
     let facets = mesh.facets().iter().enumerate().filter(|(f, _)| !left_out.contains(f)).map(|(_, &t)| t).collect();
-    TriMesh::new(mesh.positions().to_vec(), facets).ok().map(|single| (single, left_out.len()))
+    Ok(TriMesh::new(mesh.positions().to_vec(), facets).ok().map(|single| (single, left_out.len())))
 }
 
 #[cfg(test)]
@@ -138,31 +144,34 @@ mod tests {
     fn facets_that_are_there_twice() {
         for shape in [Shape::Sphere, Shape::Torus] {
             let mesh = shape.build(500);
-            assert!(single(&mesh).is_none() && !any(&mesh));
+            assert!(single(&mesh, &Token::default()).unwrap().is_none() && !any(&mesh));
             let some = || mesh.facets().iter().copied().enumerate().filter(|(f, _)| f % 50 < 7).map(|(_, t)| t);
             for twice in
                 [with(&mesh, some()), with(&mesh, some().map(back)), with(&mesh, some().chain(some().map(back)))]
             {
-                let (once, left_out) = single(&twice).unwrap();
+                let (once, left_out) = single(&twice, &Token::default()).unwrap().unwrap();
                 assert_eq!((once.facets(), left_out), (mesh.facets(), twice.facets().len() - mesh.facets().len()));
                 assert!(any(&twice));
             }
             // All of it, the same way round.
             let whole = with(&mesh, mesh.facets().iter().map(|&[a, b, c]| [b, c, a]));
-            assert_eq!(single(&whole).unwrap().0.facets(), mesh.facets());
+            assert_eq!(single(&whole, &Token::default()).unwrap().unwrap().0.facets(), mesh.facets());
         }
         // The one is taken that goes with those beside it.
         let mesh = Shape::Sphere.build(500);
         let reversed = mesh.facets().iter().enumerate().map(|(f, &t)| if f % 50 == 0 { back(t) } else { t });
         let more = mesh.facets().iter().copied().step_by(50);
         let twice = TriMesh::new(mesh.positions().to_vec(), reversed.chain(more).collect()).unwrap();
-        assert_eq!(Adjacency::new(&single(&twice).unwrap().0).inconsistent_edges(), 0);
+        assert_eq!(Adjacency::new(&single(&twice, &Token::default()).unwrap().unwrap().0).inconsistent_edges(), 0);
         // Also where it has boundaries, and where the second one has vertices of its own.
         let sheet = Shape::Plane.build(200);
         let n = sheet.positions().len() as u32;
         let positions = [sheet.positions(), sheet.positions()].concat();
         let facets = sheet.facets().iter().copied().chain(sheet.facets().iter().map(|t| t.map(|v| v + n))).collect();
-        assert_eq!(single(&TriMesh::new(positions, facets).unwrap()).unwrap().0.facets(), sheet.facets());
+        assert_eq!(
+            single(&TriMesh::new(positions, facets).unwrap(), &Token::default()).unwrap().unwrap().0.facets(),
+            sheet.facets()
+        );
     }
 
     #[test]
@@ -170,7 +179,9 @@ mod tests {
         // Two sides of a sheet, of some of it, and of a closed surface.
         for shape in [Shape::Plane, Shape::Sphere] {
             let mesh = shape.build(200);
-            assert!(single(&with(&mesh, mesh.facets().iter().copied().map(back))).is_none());
+            assert!(
+                single(&with(&mesh, mesh.facets().iter().copied().map(back)), &Token::default()).unwrap().is_none()
+            );
         }
         // A flap on a solid, of two layers, and a fin of one.
         let solid = Shape::Sphere.build(200);
@@ -180,7 +191,7 @@ mod tests {
         let flap = [a, b, solid.positions().len() as u32];
         for flaps in [vec![flap, back(flap)], vec![flap]] {
             let facets = solid.facets().iter().copied().chain(flaps).collect();
-            assert!(single(&TriMesh::new(positions.clone(), facets).unwrap()).is_none());
+            assert!(single(&TriMesh::new(positions.clone(), facets).unwrap(), &Token::default()).unwrap().is_none());
         }
         // A pillow that is flat in its middle.
         let sheet = Shape::Plane.build(200);
@@ -192,6 +203,6 @@ mod tests {
         let facets =
             sheet.facets().iter().copied().chain(sheet.facets().iter().map(|t| back(t.map(|v| v + n)))).collect();
         let pillow = TriMesh::new(positions, facets).unwrap();
-        assert!(any(&pillow) && single(&pillow).is_none());
+        assert!(any(&pillow) && single(&pillow, &Token::default()).unwrap().is_none());
     }
 }

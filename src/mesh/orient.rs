@@ -7,13 +7,18 @@
 
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
+use crate::token::{Stopped, Token};
 
 /// `mesh` with its facets oriented alike, as most of the area of each part is, and how many were turned over; `None` if
 /// none had to be. Linear in the facets.
-pub(crate) fn alike(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn alike(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
     let adjacency = Adjacency::new(mesh);
+    token.check()?;
     if adjacency.inconsistent_edges() == 0 {
-        return None;
+        return Ok(None);
     }
     let area = |f: usize| {
         let [a, b, c] = mesh.corners(f);
@@ -31,6 +36,7 @@ pub(crate) fn alike(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
         let mut orientable = true;
         let mut next = 0;
         while let Some(&f) = part.get(next) {
+            token.check_at(next)?;
             next += 1;
             for half in 3 * f..3 * f + 3 {
                 let Some(other) = adjacency.opposite(half) else { continue };
@@ -55,8 +61,8 @@ pub(crate) fn alike(mesh: &TriMesh) -> Option<(TriMesh, usize)> {
             count += 1;
         }
     }
-    let turned = (count > 0).then(|| TriMesh::new(mesh.positions().to_vec(), facets).ok())??;
-    Some((turned, count))
+    let turned = (count > 0).then(|| TriMesh::new(mesh.positions().to_vec(), facets).ok()).flatten();
+    Ok(turned.map(|turned| (turned, count)))
 }
 
 #[cfg(test)]
@@ -74,9 +80,13 @@ mod tests {
     fn the_lesser_part_is_turned() {
         for shape in [Shape::Sphere, Shape::Plane, Shape::Torus, Shape::Sheets] {
             let mesh = shape.build(2000);
-            assert!(alike(&mesh).is_none() && alike(&turn(&mesh, |_| true)).is_none(), "{shape}");
+            assert!(
+                alike(&mesh, &Token::default()).unwrap().is_none()
+                    && alike(&turn(&mesh, |_| true), &Token::default()).unwrap().is_none(),
+                "{shape}"
+            );
             for every in [3, 7, 1000] {
-                let (back, count) = alike(&turn(&mesh, |f| f % every == 0)).unwrap();
+                let (back, count) = alike(&turn(&mesh, |f| f % every == 0), &Token::default()).unwrap().unwrap();
                 assert_eq!((back.facets(), count), (mesh.facets(), mesh.facets().len().div_ceil(every)), "{shape}");
             }
         }
@@ -96,6 +106,6 @@ mod tests {
         let quad = |k: u32| [[at(2 * k), at(2 * k + 1), at(2 * k + 2)], [at(2 * k + 1), at(2 * k + 3), at(2 * k + 2)]];
         let mesh = TriMesh::new((0..2 * n).map(point).collect(), (0..n).flat_map(quad).collect()).unwrap();
         assert!(Adjacency::new(&mesh).inconsistent_edges() > 0);
-        assert!(alike(&mesh).is_none());
+        assert!(alike(&mesh, &Token::default()).unwrap().is_none());
     }
 }

@@ -13,6 +13,7 @@ use glam::DVec3;
 
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
+use crate::token::{Stopped, Token};
 
 /// Vertices as near as this are one, as a share of the surface's diagonal: coordinates that were rounded to single
 /// precision twice differ by two of its steps of 1.2e-7, in three directions.
@@ -21,14 +22,17 @@ const NEAR: f64 = 5e-7;
 const SHORT: f64 = 0.01;
 
 /// `mesh` with such vertices in one place, and how many were moved; `None` if there are none. Linear in the facets.
-pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency) -> Option<(TriMesh, usize)> {
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
     if adjacency.boundary_edges() == 0 {
-        return None;
+        return Ok(None);
     }
     let (origin, high) = mesh.bounds();
     let near = NEAR * (high - origin).length();
     if !(near.is_finite() && near > 0.0) {
-        return None;
+        return Ok(None);
     }
     let ends = |half: usize| {
         let facet = mesh.facets()[half / 3];
@@ -44,7 +48,9 @@ pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency) -> Option<(TriMesh, us
     let cell = |p: DVec3| ((p - origin) / (4.0 * near)).floor().to_array().map(|x| x as i64);
     let mut first_in: HashMap<[i64; 3], Vec<u32>> = HashMap::with_capacity(rim.len());
     let mut near_others: Vec<(u32, u32, f64)> = Vec::new();
-    for &v in &rim {
+    for (k, &v) in rim.iter().enumerate() {
+        // Each looks at up to eight cells.
+        token.check_at(8 * k)?;
         let (low, high) = (cell(place(v) - near), cell(place(v) + near));
         let along = |axis: usize| low[axis]..=high[axis];
         let around = along(0).flat_map(|x| along(1).flat_map(move |y| along(2).map(move |z| [x, y, z])));
@@ -56,10 +62,11 @@ pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency) -> Option<(TriMesh, us
         }
     }
     if near_others.is_empty() {
-        return None;
+        return Ok(None);
     }
     let mut shortest = vec![f64::INFINITY; mesh.positions().len()];
     for half in (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) != EdgeKind::Collapsed) {
+        token.check_at(half)?;
         let [a, b] = ends(half);
         let length = place(a).distance(place(b));
         for v in [a, b] {
@@ -75,13 +82,13 @@ pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency) -> Option<(TriMesh, us
         }
     }
     if moved == 0 {
-        return None;
+        return Ok(None);
     }
     let all = adjacency.representative().iter().enumerate().map(|(v, &first)| match target[first as usize] {
         to if to != first => place(to),
         _ => mesh.positions()[v],
     });
-    Some((TriMesh::new(all.collect(), mesh.facets().to_vec()).ok()?, moved))
+    Ok(TriMesh::new(all.collect(), mesh.facets().to_vec()).ok().map(|stitched| (stitched, moved)))
 }
 
 #[cfg(test)]
@@ -107,7 +114,7 @@ mod tests {
             let mesh = shape.build(2000);
             for noise in [1e-15, 1e-12, 1e-7] {
                 let soup = soup(&mesh, noise);
-                let (stitched, moved) = rims(&soup, &Adjacency::new(&soup)).unwrap();
+                let (stitched, moved) = rims(&soup, &Adjacency::new(&soup), &Token::default()).unwrap().unwrap();
                 assert_eq!(topology(&stitched), topology(&mesh), "{shape:?} {noise}");
                 assert!(moved > 0);
                 let farthest = soup.positions().iter().zip(stitched.positions()).map(|(a, b)| a.distance(*b));
@@ -121,7 +128,7 @@ mod tests {
     fn what_is_apart_or_one_already_stays() {
         let mesh = Shape::Plane.build(2000);
         for mesh in [Shape::Torus.build(2000), mesh.clone(), soup(&mesh, 0.0), soup(&mesh, 1e-3)] {
-            assert!(rims(&mesh, &Adjacency::new(&mesh)).is_none());
+            assert!(rims(&mesh, &Adjacency::new(&mesh), &Token::default()).unwrap().is_none());
         }
         // Facets as small as what is near elsewhere.
         let mut tiny = mesh.positions().iter().map(|p| *p * 1e-8).collect::<Vec<_>>();
@@ -130,6 +137,6 @@ mod tests {
         tiny.extend([DVec3::new(1.0, 0.0, 1.0), DVec3::new(0.0, 1.0, 1.0)]);
         facets.push([n - 1, n, n + 1]);
         let tiny = TriMesh::new(tiny, facets).unwrap();
-        assert!(rims(&tiny, &Adjacency::new(&tiny)).is_none());
+        assert!(rims(&tiny, &Adjacency::new(&tiny), &Token::default()).unwrap().is_none());
     }
 }

@@ -14,7 +14,7 @@ use crate::token::{Stopped, Token};
 pub(super) fn without_tears(mesh: &TriMesh, token: &Token) -> Result<(InputFigures, Option<TriMesh>), Stopped> {
     let adjacency = Adjacency::new(mesh);
     token.check()?;
-    let (mut figures, mut whole) = match stitch::rims(mesh, &adjacency) {
+    let (mut figures, mut whole) = match stitch::rims(mesh, &adjacency, token)? {
         Some((stitched, moved)) => {
             (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched, token)? }, Some(stitched))
         }
@@ -22,7 +22,7 @@ pub(super) fn without_tears(mesh: &TriMesh, token: &Token) -> Result<(InputFigur
     };
     token.check()?;
     if figures.inconsistent_edges + figures.topology.non_manifold_edges > 0
-        && let Some((single, spare)) = layers::single(whole.as_ref().unwrap_or(mesh))
+        && let Some((single, spare)) = layers::single(whole.as_ref().unwrap_or(mesh), token)?
     {
         let stitched_vertices = figures.stitched_vertices;
         figures = InputFigures { stitched_vertices, spare_facets: spare, ..InputFigures::of(&single, token)? };
@@ -30,7 +30,7 @@ pub(super) fn without_tears(mesh: &TriMesh, token: &Token) -> Result<(InputFigur
     }
     token.check()?;
     if figures.inconsistent_edges > 0
-        && let Some((alike, turned)) = orient::alike(whole.as_ref().unwrap_or(mesh))
+        && let Some((alike, turned)) = orient::alike(whole.as_ref().unwrap_or(mesh), token)?
     {
         figures.turned_facets = turned;
         whole = Some(alike);

@@ -13,6 +13,7 @@ use glam::DVec3;
 use super::cells::{FACET_EDGE, facet_edge};
 use super::exact::Sides;
 use super::{PairStatus, Surface};
+use crate::token::{Pace, Token};
 
 /// A polygon vertex: position relative to the seed, density weight, and the label of the edge
 /// from here to the next vertex (opposite seed, or a facet edge; see [`facet_edge`]).
@@ -66,9 +67,31 @@ pub(crate) struct Clipper {
     radius: f64,
     /// nor farther from where it should be than this.
     error: f64,
+    /// Work of the last cut.
+    steps: usize,
+    token: Token,
+    pace: Pace,
 }
 
+/// An exact side takes as long as so many in floating point.
+const EXACT: usize = 64;
+
 impl Clipper {
+    /// From now on clips end early where `token` is stopped, without a polygon.
+    pub(crate) fn listen(&mut self, token: &Token) {
+        self.token = token.clone();
+    }
+
+    /// Whether work is to end, after so many steps of it.
+    pub(crate) fn is_stopped_after(&mut self, steps: usize) -> bool {
+        self.token.is_stopped_after(steps, &mut self.pace)
+    }
+
+    /// Whether work was found to end.
+    pub(crate) fn is_stopped(&self) -> bool {
+        self.token.is_told_to_stop()
+    }
+
     /// The last polygon; empty if the cell does not meet the facet.
     pub(crate) fn polygon(&self) -> &[Vertex] {
         &self.polygon
@@ -118,7 +141,13 @@ impl Clipper {
             if b2 > SECURITY * radius2 {
                 return PairStatus::Done;
             }
-            if !self.cut(Bisector { j, b, half: 0.5 * b2, length: b2.sqrt() }, &corners, sides) {
+            let changed = self.cut(Bisector { j, b, half: 0.5 * b2, length: b2.sqrt() }, &corners, sides);
+            // A cell among thousands has as many sides, and each bisector is compared with each.
+            if self.is_stopped_after(self.steps) {
+                self.polygon.clear();
+                return PairStatus::NonFinite;
+            }
+            if !changed {
                 continue;
             }
             self.cutter = j;
@@ -146,12 +175,14 @@ impl Clipper {
         // product and one of |b|²/2, and the vertex's own error along b.
         let unsure = bisector.length * (self.error + 4.0 * f64::EPSILON * (bisector.length + self.radius));
         self.side.clear();
+        self.steps = n;
         let mut kept = 0;
         for k in 0..n {
             let v = &self.polygon[k];
             let mut d = bisector.half - v.p.dot(bisector.b);
             let mut inside = d > 0.0;
             if d.abs() <= unsure {
+                self.steps += EXACT;
                 let before = self.polygon[if k == 0 { n - 1 } else { k - 1 }].edge;
                 inside = sides.inside(before, v.edge, bisector.j);
                 if inside != (d > 0.0) {

@@ -13,7 +13,7 @@ use glam::DVec3;
 use super::clip::Clipper;
 use super::{Capacities, PairStatus, PassStats, Surface};
 use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, squared_distance};
-use crate::token::{Pace, Token};
+use crate::token::Token;
 
 /// What every walk over one seed set reads.
 #[derive(Clone, Copy)]
@@ -31,8 +31,6 @@ pub(crate) struct Diagram<'a> {
 /// One thread's scratch memory for walking facets.
 #[derive(Default)]
 pub(crate) struct FacetWalker {
-    token: Token,
-    pace: Pace,
     clipper: Clipper,
     cells: CellList,
     long_rows: LongRows,
@@ -127,7 +125,7 @@ impl FacetWalker {
                 if found || others == all || diagram.surface.facet_area(facet) == 0.0 {
                     break;
                 }
-                if self.token.is_stopped_after(1, &mut self.pace) {
+                if self.clipper.is_stopped_after(1) {
                     break;
                 }
                 self.cells.insert(row.get(others).copied().unwrap_or((others.max(row.len()) - row.len()) as u32));
@@ -136,7 +134,7 @@ impl FacetWalker {
             };
             next += 1;
             let status = self.clip_by(rows, diagram, facet, i, capacities, stats);
-            if status == PairStatus::NonFinite && self.token.is_told_to_stop() {
+            if status == PairStatus::NonFinite && self.clipper.is_stopped() {
                 break;
             }
             let polygon = self.clipper.polygon();
@@ -197,8 +195,8 @@ impl FacetWalker {
                 Rows::Table if k == 0 => table.row(i),
                 Rows::Table => self.long_rows.row(index, i, k),
             };
-            // Where many seeds are in one place, a row has them all.
-            if self.token.is_stopped_after(row.0.len() + STEPS, &mut self.pace) {
+            // Where many seeds are near one another, rows are long.
+            if self.clipper.is_stopped_after(row.0.len() + STEPS) {
                 self.clipper.clear();
                 return PairStatus::NonFinite;
             }
@@ -219,8 +217,8 @@ impl FacetWalker {
     }
 
     /// Whether walks are to end.
-    pub(crate) fn is_stopped(&self) -> bool {
-        self.token.is_stopped()
+    pub(crate) fn is_stopped(&mut self) -> bool {
+        self.clipper.is_stopped_after(Token::STRIDE)
     }
 
     /// The clipper with the polygon of the last pair.
@@ -342,6 +340,6 @@ impl FacetWalker {
     /// what they found is used.
     pub(crate) fn reset(&mut self, token: &Token) {
         self.long_rows = LongRows::default();
-        self.token = token.clone();
+        self.clipper.listen(token);
     }
 }

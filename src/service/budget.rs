@@ -15,11 +15,18 @@ use super::RequestError;
 pub(crate) struct Budget {
     /// Below 0 where results took more than was left.
     left: Arc<AtomicI64>,
+    /// Told how much is taken, for who looks at what else the process holds.
+    held: Arc<AtomicI64>,
 }
 
 impl Budget {
     pub(crate) fn new(bytes: u64) -> Self {
-        Self { left: Arc::new(AtomicI64::new(signed(bytes))) }
+        Self::told(bytes, Arc::default())
+    }
+
+    /// As [`Self::new`]; `held` is kept at the bytes that are taken.
+    pub(crate) fn told(bytes: u64, held: Arc<AtomicI64>) -> Self {
+        Self { left: Arc::new(AtomicI64::new(signed(bytes))), held }
     }
 
     /// An empty share, which grows.
@@ -32,14 +39,21 @@ impl Budget {
         self.left.load(Ordering::Acquire) >= signed(bytes)
     }
 
+    /// Whether no more than `slack` bytes too many are taken.
+    pub(crate) fn has_within(&self, slack: u64) -> bool {
+        self.left.load(Ordering::Acquire) >= -signed(slack)
+    }
+
     /// Counts bytes that are there already.
     pub(crate) fn charge(&self, bytes: u64) {
         self.left.fetch_sub(signed(bytes), Ordering::AcqRel);
+        self.held.fetch_add(signed(bytes), Ordering::AcqRel);
     }
 
     /// Gives back what was charged.
     pub(crate) fn release(&self, bytes: u64) {
         self.left.fetch_add(signed(bytes), Ordering::AcqRel);
+        self.held.fetch_sub(signed(bytes), Ordering::AcqRel);
     }
 }
 
@@ -58,6 +72,7 @@ impl Share {
             let left_bytes = u64::try_from(left).unwrap_or(0);
             RequestError::Memory { needed_bytes: bytes, left_bytes }
         })?;
+        self.budget.held.fetch_add(signed(bytes), Ordering::AcqRel);
         self.taken += bytes;
         Ok(())
     }
@@ -105,5 +120,6 @@ mod tests {
         assert!(matches!(budget.share().grow(1), Err(RequestError::Memory { left_bytes: 0, .. })));
         drop(result);
         assert!(budget.has(100) && !budget.has(101));
+        assert_eq!(budget.held.load(Ordering::Acquire), 0);
     }
 }

@@ -5,6 +5,7 @@
 //! first; nothing that waits for a peer waits without a limit; where descriptors run out, accepting waits instead of
 //! spinning. Must not know: messages, jobs.
 
+mod arriving;
 mod connection;
 mod descriptors;
 mod exchange;

@@ -25,6 +25,7 @@ impl From<RequestError> for Status {
         match error {
             RequestError::Wire(error) => of_wire(error),
             RequestError::Memory { .. } => retry(Code::ResourceExhausted, text, Duration::from_secs(2)),
+            RequestError::MessageTooLong { .. } => Status::resource_exhausted(text),
             RequestError::TooMany { .. } => retry(Code::ResourceExhausted, text, Duration::from_secs(1)),
             RequestError::Idle(_) | RequestError::UploadTime(_) | RequestError::Deadline => {
                 Status::deadline_exceeded(text)
@@ -153,7 +154,8 @@ fn of_inbound(status: Status) -> Status {
     match status.code() {
         // tonic's word for a message over the cap.
         Code::OutOfRange => Status::resource_exhausted(status.message()),
-        Code::Internal if status.message().contains("decode") => Status::invalid_argument(status.message()),
+        // Whatever is wrong with what a client sends is no fault of the server.
+        Code::Internal => Status::invalid_argument(status.message()),
         _ => status,
     }
 }

@@ -23,10 +23,13 @@ use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
 
 use crate::adversary;
-use crate::raw::{COMPUTE_RVD, Raw, silent};
+use crate::raw::{CHECK, COMPUTE_RVD, Raw, silent};
 use crate::server::*;
 
 const SECOND: Duration = Duration::from_secs(1);
+
+/// What the server may hold of uploads and of answers that wait.
+const MEMORY_MIB: u64 = 128;
 
 /// The program itself, on one address.
 struct Program {
@@ -44,10 +47,10 @@ struct Held {
 
 impl Program {
     fn start() -> Self {
-        let command =
-            "ulimit -n 1024; exec \"$0\" serve --listen 127.0.0.1:0 --backend parallel --threads 2 --stall-s 1";
+        let serve = "serve --listen 127.0.0.1:0 --backend parallel --threads 2 --stall-s 1";
+        let command = format!("ulimit -n 1024; exec \"$0\" {serve} --memory-mib {MEMORY_MIB}");
         let mut child = Command::new("sh")
-            .args(["-c", command, env!("CARGO_BIN_EXE_tessera")])
+            .args(["-c", &command, env!("CARGO_BIN_EXE_tessera")])
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()
@@ -305,6 +308,38 @@ async fn shut_windows(program: &Program) {
         let end = async { while body.data().await.is_some_and(|data| data.is_ok()) {} };
         tokio::time::timeout(30 * SECOND, end).await.expect("is cut");
     }
+    connections.into_iter().for_each(|raw| raw.connection.abort());
+}
+
+/// Messages of 4 MiB of which the last bytes never come, on every service.
+async fn messages_that_never_end(program: &Program) {
+    let held = program.held().mebibytes;
+    let mut most = held;
+    for path in [CHECK, COMPUTE_RVD] {
+        let mut connections = Vec::new();
+        for _ in 0..2 {
+            let mut raw = Raw::connect(program.address, 1 << 16).await;
+            let mut bodies = Vec::new();
+            for _ in 0..100 {
+                let (response, mut body) = raw.begin(path).await;
+                let mut message = vec![0];
+                message.extend((4u32 << 20).to_be_bytes());
+                message.resize(4 << 20, 0);
+                // What the connection's window does not take yet waits here; what was refused says so.
+                let _ = body.send_data(message.into(), false);
+                bodies.push((response, body));
+            }
+            connections.push((raw, bodies));
+        }
+        let begin = Instant::now();
+        while begin.elapsed() < 3 * SECOND {
+            most = most.max(program.held().mebibytes);
+            tokio::time::sleep(SECOND / 20).await;
+        }
+        connections.into_iter().for_each(|(raw, _)| raw.connection.abort());
+    }
+    // The server's memory for uploads, and as much for what is on its way or not yet given back; 800 MiB were sent.
+    assert!(most < held + 2 * MEMORY_MIB + 64, "{held} MiB became {most}");
 }
 
 /// Uploads that stop in the middle, and clients that go away at once.
@@ -352,6 +387,8 @@ async fn one_server_takes_all_of_it_and_is_as_it_was() {
         program.is_well("silent sockets", &bits).await;
         shut_windows(&program).await;
         program.is_well("shut windows", &bits).await;
+        messages_that_never_end(&program).await;
+        program.is_well("messages that never end", &bits).await;
         half_uploads(&program).await;
         long_report(&program).await;
         program.is_well("half uploads and a long report", &bits).await;

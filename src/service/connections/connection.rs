@@ -21,7 +21,8 @@ use tonic::codegen::Service as _;
 use tonic::codegen::http::{HeaderMap, Request, Response};
 use tonic::service::Routes;
 
-use super::super::{Phase, RequestError};
+use super::super::{MAX_MESSAGE_BYTES, Phase, RequestError, SERVICE_NAME};
+use super::arriving::Arriving;
 use super::exchange::{Exchange, Farewell, Pieces};
 use super::places::{Guest, Standing};
 use super::socket::{Socket, Traffic};
@@ -36,6 +37,9 @@ const SEND_BUFFER: usize = 128 << 10;
 
 /// All headers of a request, bytes.
 const HEADERS: u32 = 16 << 10;
+
+/// The longest message to health and reflection, bytes.
+const QUESTION: u64 = 64 << 10;
 
 /// Streams that the client reset, and such as were reset for its faults, before the connection is at fault.
 const RESETS_PENDING: usize = 32;
@@ -306,10 +310,13 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
             streams.taken = Some(Arc::clone(&exchange));
         }
         request.extensions_mut().insert(Arc::clone(&exchange));
+        let uploads = request.uri().path().strip_prefix('/').is_some_and(|path| path.starts_with(SERVICE_NAME));
+        let most = if uploads { MAX_MESSAGE_BYTES as u64 } else { QUESTION };
+        let budget = self.common.budget.clone();
         let mut routes: Routes = self.common.routes.clone();
         let mut phase = self.phase.clone();
         Box::pin(async move {
-            let response = routes.call(request.map(Body::new)).await?;
+            let response = routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most)))).await?;
             exchange.answer();
             let farewell = (!exchange.admitted()).then(|| Farewell {
                 time: Box::pin(async move {
