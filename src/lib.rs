@@ -53,6 +53,7 @@
 //! | [`rvd`] | the restricted Voronoi diagram: one trait, three backends, the dual | `knn`, `mesh`, `gpu` (only `rvd::gpu`) |
 //! | [`cvt`] | iterations that move the seeds | `rvd`'s trait |
 //! | [`mod@remesh`] | sample, iterate, dual, repair, measure | `cvt`, `rvd::dual`, `mesh` |
+//! | `blob` | content-addressed storage: uploads, quota, local disk and S3 | nothing here |
 //! | `job` | the queue, and the one thread that owns the device | `remesh` and below |
 //! | `service` | gRPC: handlers, conversion, status codes | `job` and below |
 //! | `cli` | one file per subcommand | everything |
@@ -71,6 +72,8 @@ mod setters;
 #[doc = include_str!("../README.md")]
 struct Readme;
 
+#[cfg(feature = "service")]
+mod blob;
 #[cfg(feature = "cli")]
 mod cli;
 #[cfg(feature = "service")]
