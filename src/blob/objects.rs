@@ -123,7 +123,10 @@ impl ObjectBlobs {
     ///
     /// # Errors
     /// `Unavailable`.
-    pub async fn shared<S: ObjectStore + MultipartStore>(store: Arc<S>, options: BlobOptions) -> Result<Self, BlobError> {
+    pub async fn shared<S: ObjectStore + MultipartStore>(
+        store: Arc<S>,
+        options: BlobOptions,
+    ) -> Result<Self, BlobError> {
         let staging = Multipart::new(Arc::clone(&store) as _, Arc::clone(&store) as _, UPLOADS);
         Self::open(store, Box::new(staging), Kind::Shared, options).await
     }

@@ -92,8 +92,7 @@ impl Staging for Multipart {
     }
 
     async fn create(&self, id: UploadId) -> Result<Box<dyn Part>, BlobError> {
-        let multipart =
-            self.parts.create_multipart(&path_of(&id.digest())).await.map_err(object("begin an upload"))?;
+        let multipart = self.parts.create_multipart(&path_of(&id.digest())).await.map_err(object("begin an upload"))?;
         let tally = Tally::default();
         let note = Note { multipart, parts: Vec::new(), bytes: 0, hash: tally.save() };
         let part = self.part(id, note, tally);
