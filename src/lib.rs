@@ -32,6 +32,7 @@
 //! | `gpu` | the GPU backend |
 //! | `pictures` | [`picture`](crate#modules): pictures of surfaces |
 //! | `service` | [`proto`](crate#modules): the messages of the gRPC service, generated |
+//! | `s3` | blobs of the service on an S3-compatible store |
 //! | `cli` (default) | the command `tessera`, with all of the above |
 //!
 //! A program that needs the library alone says `default-features = false`.

@@ -59,6 +59,8 @@ const CRATES: &[(&str, &[&str])] = &[
     ("socket2", &["service/connections"]),
     ("rustix", &["service/connections"]),
     ("object_store", &["blob"]),
+    ("reqwest", &["blob/s3"]),
+    ("rustls", &["blob/s3"]),
     ("sha2", &["blob"]),
     ("tokio", &["blob", "job", "service", "cli", "telemetry"]),
     ("clap", &["config", "cli", "main"]),

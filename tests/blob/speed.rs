@@ -22,6 +22,13 @@ fn resident() -> u64 {
     line.and_then(|line| line.split_whitespace().nth(1)?.parse::<u64>().ok()).unwrap_or(0) * 1024
 }
 
+/// Processor time of all threads, seconds, from ticks of 10 ms; 0 where the system does not say.
+fn cpu_s() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let fields = stat.rsplit_once(')').map_or("", |(_, rest)| rest).split_whitespace().skip(11).take(2);
+    fields.filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
+}
+
 /// The most memory from `new` on.
 struct Watch(Arc<(AtomicBool, AtomicU64)>, u64);
 
@@ -69,15 +76,16 @@ fn speed() {
     for fsync in [true, false] {
         runtime.block_on(async {
             let store = local(folder.path(), BlobOptions::default().with_fsync(fsync)).await;
-            let (watch, start) = (Watch::new(), Instant::now());
+            let (watch, start, cpu) = (Watch::new(), Instant::now(), cpu_s());
             store.begin(id).await.unwrap();
             for k in 0..SIZE_MIB {
                 store.write(id, Chunk::new(k * MIB, chunk(k))).await.unwrap();
             }
             let chunks_s = start.elapsed().as_secs_f64();
             store.finish(id, None).await.unwrap();
+            let write_cpu_s = cpu_s() - cpu;
             let (write_s, write_moved) = (start.elapsed().as_secs_f64(), watch.moved_mib());
-            let (watch, start) = (Watch::new(), Instant::now());
+            let (watch, start, cpu) = (Watch::new(), Instant::now(), cpu_s());
             let mut pieces = store.read(digest, 0..u64::MAX).await.unwrap().bytes;
             let mut read = 0;
             while let Some(piece) = pieces.try_next().await.unwrap() {
@@ -86,10 +94,11 @@ fn speed() {
             }
             assert_eq!(read, id.size_bytes());
             let (read_s, read_moved) = (start.elapsed().as_secs_f64(), watch.moved_mib());
+            let read_cpu_s = cpu_s() - cpu;
             store.delete(digest).await.unwrap();
             println!(
                 "{{\"blob_mib\": {SIZE_MIB}, \"fsync\": {fsync}, \"sha256_mb_s\": {:.0}, \"write_mb_s\": {:.0}, \
-                 \"chunks_s\": {chunks_s:.3}, \"finish_s\": {:.3}, \"write_memory_moved_mib\": {write_moved:.1}, \
+                 \"write_cpu_s\": {write_cpu_s:.2}, \"read_cpu_s\": {read_cpu_s:.2}, \"chunks_s\": {chunks_s:.3}, \"finish_s\": {:.3}, \"write_memory_moved_mib\": {write_moved:.1}, \
                  \"read_mb_s\": {:.0}, \"read_memory_moved_mib\": {read_moved:.1}}}",
                 rate(hash_s),
                 rate(write_s),

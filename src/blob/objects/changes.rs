@@ -277,13 +277,19 @@ impl Inner {
     }
 
     pub(super) async fn status(&self, id: UploadId) -> Result<UploadStatus, BlobError> {
+        // Another owner's upload may have become the blob: then there is nothing more to send.
+        let complete = |info: BlobInfo| UploadStatus { kept_bytes: info.size_bytes, complete: true };
+        match self.whole(id).await {
+            Err(BlobError::UploadNotFound { .. }) => {}
+            known => return known.map(complete),
+        }
         if let Some((_, slot)) = self.turn(id).await?
             && let Slot::Open(part) = &*slot
         {
             return Ok(UploadStatus { kept_bytes: part.kept_bytes(), complete: false });
         }
-        let info = self.whole(id).await?;
-        Ok(UploadStatus { kept_bytes: info.size_bytes, complete: true })
+        // It ended just now.
+        self.whole(id).await.map(complete)
     }
 
     pub(super) async fn write(&self, id: UploadId, chunk: Chunk) -> Result<UploadStatus, BlobError> {
@@ -313,19 +319,20 @@ impl Inner {
             return Ok(info);
         };
         let Slot::Open(part) = &mut *slot else { return Err(gone) };
-        if part.kept_bytes() != id.size_bytes() {
-            return Err(BlobError::Incomplete { kept_bytes: part.kept_bytes(), size_bytes: id.size_bytes() });
-        }
+        let missing = (part.kept_bytes() != id.size_bytes())
+            .then_some(BlobError::Incomplete { kept_bytes: part.kept_bytes(), size_bytes: id.size_bytes() });
         let actual = part.digest();
-        if actual != digest {
+        if missing.is_none() && actual != digest {
             self.discard(id).await;
             self.drop_upload(id, &mut slot);
             return Err(BlobError::DigestMismatch { expected: digest, actual });
         }
         let turn = self.lock_bytes(&digest).await;
-        if lock(&self.ledger).get(&digest).is_some() {
-            // Another owner's upload was faster.
+        if self.stored(digest).await?.is_some_and(|info| info.size_bytes == id.size_bytes()) {
+            // Another owner's upload was faster, and the caller may have been told so.
             self.discard(id).await;
+        } else if let Some(error) = missing {
+            return Err(error);
         } else if let Err(error) = part.publish(&path_of(&digest)).await {
             *slot = Slot::Kept;
             return Err(error);
