@@ -53,7 +53,7 @@
 //! | [`rvd`] | the restricted Voronoi diagram: one trait, three backends, the dual | `knn`, `mesh`, `gpu` (only `rvd::gpu`) |
 //! | [`cvt`] | iterations that move the seeds | `rvd`'s trait |
 //! | [`mod@remesh`] | sample, iterate, dual, repair, measure | `cvt`, `rvd::dual`, `mesh` |
-//! | `job` | the queue, and the one thread that owns the device | `remesh` and below |
+//! | `job` | the queue, the one thread that owns the device, and jobs as data: records, states, the journal | `remesh` and below |
 //! | `service` | gRPC: handlers, conversion, status codes | `job` and below |
 //! | `cli` | one file per subcommand | everything |
 //!

@@ -57,6 +57,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("http_body", &["service/connections"]),
     ("socket2", &["service/connections"]),
     ("rustix", &["service/connections"]),
+    ("redb", &["job/store"]),
     ("tokio", &["job", "service", "cli", "telemetry"]),
     ("clap", &["config", "cli", "main"]),
     ("temp_env", &["cli/surroundings"]),
