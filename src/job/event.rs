@@ -89,10 +89,6 @@ impl Progress {
 pub(crate) struct Log(Vec<Event>);
 
 impl Log {
-    pub(crate) fn events(&self) -> &[Event] {
-        &self.0
-    }
-
     /// The last number that is kept, or 0.
     pub(crate) fn last(&self) -> u64 {
         self.0.last().map_or(0, |event| event.number)

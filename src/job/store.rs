@@ -99,10 +99,11 @@ pub trait JobStore: Send + Sync {
     fn delete(&self, id: JobId) -> Answer<'_, ()>;
 
     /// Lets go of what is over, at most `most` jobs: those whose deadline has passed expire, results that were kept long
-    /// enough expire, and jobs without a result that were kept long enough are deleted.
+    /// enough expire, and jobs without a result that were kept long enough are deleted. An error may leave a part of it done.
     fn expire(&self, now: Time, keep: Keep, most: usize) -> Answer<'_, Swept>;
 
-    /// Puts orphaned jobs back into the queue, each with its crash counted; one with `max_crashes` of them fails.
+    /// Puts orphaned jobs back into the queue, each with its crash counted; one with `max_crashes` of them fails. An error may
+    /// leave a part of it done; doing it again is harmless.
     fn recover(&self, now: Time, orphans: Orphans, max_crashes: u32) -> Answer<'_, Recovered>;
 }
 

@@ -8,6 +8,7 @@
 
 mod directory;
 
+use std::cell::Cell;
 use std::collections::HashMap;
 use std::ops::{Bound, ControlFlow};
 use std::path::{Path, PathBuf};
@@ -227,6 +228,8 @@ struct Writing<'t> {
     tables: Vec<::redb::Table<'t, Bytes, Bytes>>,
     /// Whether there is something to commit.
     is_changed: bool,
+    /// Whether something could not be read: an operation may have stopped half-way.
+    unread: Cell<bool>,
     /// Why nothing of this group may be committed.
     broken: Option<String>,
 }
@@ -234,7 +237,22 @@ struct Writing<'t> {
 impl<'t> Writing<'t> {
     fn begin(shared: &'t Shared, transaction: &'t WriteTransaction) -> Result<Self, ::redb::TableError> {
         let tables = Table::ALL.into_iter().map(|table| transaction.open_table(definition(table)));
-        Ok(Self { shared, tables: tables.collect::<Result<_, _>>()?, is_changed: false, broken: None })
+        Ok(Self {
+            shared,
+            tables: tables.collect::<Result<_, _>>()?,
+            is_changed: false,
+            unread: Cell::new(false),
+            broken: None,
+        })
+    }
+
+    /// Whether there is something to commit, or why it must not be.
+    fn outcome(mut self) -> Result<bool, String> {
+        match self.broken.take() {
+            Some(cause) => Err(cause),
+            None if self.is_changed && self.unread.get() => Err("a page could not be read".to_owned()),
+            None => Ok(self.is_changed),
+        }
     }
 
     fn broke(&mut self, error: &StorageError) -> StoreError {
@@ -246,11 +264,16 @@ impl<'t> Writing<'t> {
 
 impl Tables for Writing<'_> {
     fn get(&self, table: Table, key: &[u8]) -> Result<Option<Vec<u8>>, StoreError> {
-        get(&self.tables[table as usize], key).map_err(|e| self.shared.told(e))
+        get(&self.tables[table as usize], key).map_err(|e| {
+            self.unread.set(true);
+            self.shared.told(e)
+        })
     }
 
     fn visit(&self, table: Table, range: (&[u8], &[u8]), order: Order, each: &mut Visit<'_>) -> Result<(), StoreError> {
-        visit(self.shared, &self.tables[table as usize], range, order, each)
+        let visited = visit(self.shared, &self.tables[table as usize], range, order, each);
+        self.unread.set(self.unread.get() || visited.is_err());
+        visited
     }
 }
 
@@ -302,16 +325,16 @@ impl Writer {
         let mut transaction = self.shared.database.begin_write().map_err(|e| e.to_string())?;
         transaction.set_durability(Durability::Immediate).map_err(|e| e.to_string())?;
         let shared = Arc::clone(&self.shared);
-        let mut writing = Writing::begin(&shared, &transaction).map_err(|e| e.to_string())?;
-        for command in group {
-            tell.push(command(&mut writing, &mut self.live));
-        }
-        let Writing { tables, is_changed, broken, .. } = writing;
-        drop(tables);
-        match (broken, is_changed) {
-            (Some(cause), _) => Err(cause),
-            (None, true) => transaction.commit().map_err(|e| e.to_string()),
-            (None, false) => transaction.abort().map_err(|e| e.to_string()),
+        let is_changed = {
+            let mut writing = Writing::begin(&shared, &transaction).map_err(|e| e.to_string())?;
+            for command in group {
+                tell.push(command(&mut writing, &mut self.live));
+            }
+            writing.outcome()?
+        };
+        match is_changed {
+            true => transaction.commit().map_err(|e| e.to_string()),
+            false => transaction.abort().map_err(|e| e.to_string()),
         }
     }
 
