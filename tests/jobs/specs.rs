@@ -1,7 +1,7 @@
 //! Promise: a specification is checked field by field, survives being written and read with the same bits, and what it leaves
 //! open has the library's defaults. A record of the first layout can still be read.
 
-use tessera::cvt::density::DensitySource;
+use tessera::DensitySource;
 use tessera::internals::job::digest::Digest;
 use tessera::internals::job::record::*;
 use tessera::{RemeshOptions, Seeds};
