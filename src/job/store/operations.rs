@@ -1,7 +1,7 @@
 //! What can be done with jobs, on tables.
 //!
 //! Purpose: one implementation for the stores of one process. Invariant: an operation reads and decides before it writes, so
-//! that one that is refused has written nothing; the indexes (`states`, `due`, `ended`, `requests`) say the same as the heads.
+//! that one that is refused has written nothing; the indexes (`states`, `due`, `ended`, `terms`, `requests`) say the same as the heads.
 //! Must not know: files, threads, clocks.
 
 use std::ops::ControlFlow;
@@ -19,9 +19,12 @@ const RESERVED: u64 = 1024;
 
 type Done<T> = Result<T, StoreError>;
 
+fn state_term(state: State) -> [u8; 1] {
+    [State::ALL.iter().position(|s| *s == state).unwrap_or_default() as u8]
+}
+
 fn state_key(state: State, id: JobId) -> Vec<u8> {
-    let order = State::ALL.iter().position(|s| *s == state).unwrap_or_default();
-    [&[order as u8], &id.0[..]].concat()
+    [&state_term(state)[..], &id.0].concat()
 }
 
 fn time_key(time: Time, id: JobId) -> Vec<u8> {
@@ -30,6 +33,21 @@ fn time_key(time: Time, id: JobId) -> Vec<u8> {
 
 fn request_key(tenant: &str, request_id: &str) -> Vec<u8> {
     [tenant.as_bytes(), &[0], request_id.as_bytes()].concat()
+}
+
+/// What a list looks for: neither labels nor tenants hold a 0.
+fn label_term(key: &str, value: &str) -> Vec<u8> {
+    [b"l", key.as_bytes(), &[0], value.as_bytes(), &[0]].concat()
+}
+
+fn tenant_term(tenant: &str) -> Vec<u8> {
+    [b"t", tenant.as_bytes(), &[0]].concat()
+}
+
+/// The terms under which a job is found.
+fn terms(head: &Head, id: JobId) -> impl Iterator<Item = Vec<u8>> {
+    let labels = head.labels.iter().map(|(key, value)| label_term(key, value));
+    labels.chain([tenant_term(&head.tenant)]).map(move |term| [&term[..], &id.0].concat())
 }
 
 /// The job at the end of a key.
@@ -119,6 +137,9 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -
     if let Some(key) = &request {
         tables.put(Table::Requests, key, &id.0)?;
     }
+    for term in terms(&head, id) {
+        tables.put(Table::Terms, &term, &[])?;
+    }
     index(tables, id, &head.status)?;
     live.touched.push(id);
     Ok(Created { job: Job { id, spec: wanted, status: head.status }, existed: false })
@@ -148,19 +169,22 @@ pub(crate) fn list(tables: &impl Tables, query: &Query) -> Done<Page> {
         if found.len() > limit { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     if low.0 < high {
-        match query.states[..] {
-            [state] => {
-                let (from, to) = (state_key(state, low), state_key(state, JobId(high)));
-                tables.visit(Table::States, (&from, &to), Order::Down, &mut |key, _| {
-                    let id = id_of(Table::States, key)?;
-                    Ok(look(id, self::head(tables, id)?))
-                })?;
-            }
-            _ => tables.visit(Table::Heads, (&low.0, &high), Order::Down, &mut |key, value| {
-                let id = id_of(Table::Heads, key)?;
-                Ok(look(id, decode(&format!("heads/{id}"), value)?))
-            })?,
-        }
+        // The index that is likely to be the shortest.
+        let (table, term) = match (query.labels.iter().next(), &query.states[..], &query.tenant) {
+            (Some((key, value)), ..) => (Table::Terms, label_term(key, value)),
+            (None, &[state], _) => (Table::States, state_term(state).to_vec()),
+            (None, _, Some(tenant)) => (Table::Terms, tenant_term(tenant)),
+            (None, _, None) => (Table::Heads, Vec::new()),
+        };
+        let (from, to) = ([&term[..], &low.0].concat(), [&term[..], &high].concat());
+        tables.visit(table, (&from, &to), Order::Down, &mut |key, value| {
+            let id = id_of(table, key)?;
+            let head = match table {
+                Table::Heads => decode(&format!("heads/{id}"), value)?,
+                _ => self::head(tables, id)?,
+            };
+            Ok(look(id, head))
+        })?;
     }
     let more = found.len() > limit;
     found.truncate(limit);
@@ -292,6 +316,9 @@ pub(crate) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> 
     unindex(tables, id, &head.status)?;
     if !head.request_id.is_empty() {
         tables.remove(Table::Requests, &request_key(&head.tenant, &head.request_id))?;
+    }
+    for term in terms(&head, id) {
+        tables.remove(Table::Terms, &term)?;
     }
     for table in [Table::Heads, Table::Specs, Table::Logs] {
         tables.remove(table, &id.0)?;

@@ -14,6 +14,7 @@ use std::ops::{Bound, ControlFlow};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use ::redb::{
     Database, Durability, ReadTransaction, ReadableDatabase, ReadableTable, StorageBackend, StorageError,
@@ -34,6 +35,9 @@ use directory::Directory;
 const WAITING: usize = 1024;
 /// The most operations of one commit, so that the first of them does not wait long.
 const GROUP: usize = 512;
+
+/// The longest that a group gathers.
+const PATIENCE: Duration = Duration::from_millis(2);
 
 type Bytes = &'static [u8];
 
@@ -291,6 +295,26 @@ impl TablesMut for Writing<'_> {
     }
 }
 
+/// How many operations are likely to come, and how long they are worth waiting for: without this the first caller that
+/// comes back after a commit has the next one for itself, and the others wait for two.
+struct Expected {
+    count: usize,
+    patience: Duration,
+}
+
+impl Expected {
+    fn gather(&self, waiting: &mut mpsc::Receiver<Command>, group: &mut Vec<Command>) {
+        let end = Instant::now() + self.patience.min(PATIENCE);
+        while group.len() < self.count.min(GROUP) && Instant::now() < end {
+            match waiting.try_recv() {
+                Ok(command) => group.push(command),
+                Err(mpsc::error::TryRecvError::Empty) => std::thread::sleep(Duration::from_micros(50)),
+                Err(mpsc::error::TryRecvError::Disconnected) => break,
+            }
+        }
+    }
+}
+
 /// The one thread that writes.
 struct Writer {
     shared: Arc<Shared>,
@@ -302,7 +326,10 @@ struct Writer {
 impl Writer {
     fn run(mut self, mut waiting: mpsc::Receiver<Command>) {
         let mut group = Vec::new();
+        let mut expected = Expected { count: 0, patience: Duration::ZERO };
         while waiting.blocking_recv_many(&mut group, GROUP) > 0 {
+            expected.gather(&mut waiting, &mut group);
+            let start = Instant::now();
             let mut tell = Vec::with_capacity(group.len());
             if self.broken.is_none() {
                 self.broken = self.write(group.drain(..), &mut tell).err();
@@ -313,6 +340,8 @@ impl Writer {
             };
             let touched = std::mem::take(&mut self.live.touched);
             self.publish(&touched);
+            // Who is answered now is likely to come back with more.
+            expected = Expected { count: waiting.len() + tell.len(), patience: start.elapsed() / 8 };
             tell.into_iter().for_each(|tell| tell(outcome.clone()));
             // Those that were not begun hear that the store is closed.
             group.clear();

@@ -8,7 +8,8 @@
 //! | requests | tenant, 0, request | job |
 //! | states | state, job | nothing |
 //! | due | time, job | nothing: jobs with a deadline that runs |
-//! | ended | time, job | state: jobs that have ended |
+//! | ended | time, job | 1 if there is a result: jobs that have ended |
+//! | terms | label or tenant, job | nothing: for lists |
 //!
 //! Purpose: [`Tables`], so that the stores of one process share their operations. Invariant: keys are in the order of their
 //! bytes. Must not know: what the bytes mean.
@@ -27,11 +28,12 @@ pub(crate) enum Table {
     States,
     Due,
     Ended,
+    Terms,
 }
 
 impl Table {
-    pub(crate) const ALL: [Self; 7] =
-        [Self::Heads, Self::Specs, Self::Logs, Self::Requests, Self::States, Self::Due, Self::Ended];
+    pub(crate) const ALL: [Self; 8] =
+        [Self::Heads, Self::Specs, Self::Logs, Self::Requests, Self::States, Self::Due, Self::Ended, Self::Terms];
 
     pub(crate) fn name(self) -> &'static str {
         match self {
@@ -42,6 +44,7 @@ impl Table {
             Self::States => "states",
             Self::Due => "due",
             Self::Ended => "ended",
+            Self::Terms => "terms",
         }
     }
 }
