@@ -113,7 +113,7 @@ pub const MAX_CRASHES: u32 = 2;
 /// A job that is to be created.
 #[derive(Clone, Debug)]
 pub struct NewJob {
-    /// Its name, if the request did not come before.
+    /// Its name, if the request did not come before. Lists go by the time in it, which is to be `now`.
     pub id: JobId,
     /// What is asked for.
     pub spec: ValidSpec,
