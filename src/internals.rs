@@ -36,10 +36,11 @@ pub mod gpu {
     pub use crate::gpu::{Device, DeviceOptions, GpuError, buffers, device, layout, plan, shader};
 }
 
-/// The queue and the device thread.
+/// The queue, the device thread, and jobs as data.
 #[cfg(feature = "service")]
 pub mod job {
     pub use crate::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
+    pub use crate::job::{digest, event, record, state, store};
 }
 
 /// Neighbours of seeds.

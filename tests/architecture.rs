@@ -31,7 +31,7 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("config", &[]),
     ("blob", &[]),
     ("telemetry", &["config"]),
-    ("job", &["remesh", "cvt", "rvd", "mesh", "config", "memory"]),
+    ("job", &["blob", "remesh", "cvt", "rvd", "mesh", "config", "memory"]),
     ("wire", &["remesh", "cvt", "rvd", "mesh"]),
     ("service", &["wire", "job", "remesh", "cvt", "rvd", "mesh", "config"]),
     // Its client speaks to a server through the wire, and imports nothing of it.
@@ -68,6 +68,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("rustls", &["blob/s3"]),
     ("sha2", &["blob"]),
     ("tokio", &["blob", "job", "service", "cli", "telemetry"]),
+    ("redb", &["job/store"]),
     ("clap", &["config", "cli", "main"]),
     ("temp_env", &["cli/surroundings"]),
     ("anyhow", &["cli", "main"]),
