@@ -40,7 +40,7 @@ pub mod gpu {
 #[cfg(feature = "service")]
 pub mod job {
     pub use crate::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
-    pub use crate::job::{digest, event, record, state, store};
+    pub use crate::job::{event, record, state, store};
 }
 
 /// Neighbours of seeds.

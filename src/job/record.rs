@@ -14,8 +14,8 @@ use std::time::Duration;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use crate::blob::Digest;
 use super::state::{State, Transition};
+use crate::blob::Digest;
 
 pub use check::{SpecError, ValidSpec};
 pub use spec::{

@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::blob::Digest;
+use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::remesh::{Placement, RemeshOptions, Seeds};
 
 /// What a job is asked to do. [`check`](Self::check) makes a [`ValidSpec`](super::ValidSpec) of it.
