@@ -3,6 +3,15 @@
 //! No part of the interface: anything here may change or go with any release, without a word.
 //! Invariant: nothing is made here. Must not know: who looks.
 
+/// Content-addressed storage.
+#[cfg(feature = "service")]
+pub mod blob {
+    pub use crate::blob::{
+        BlobError, BlobInfo, BlobOptions, BlobRead, BlobStore, ByteStream, Chunk, Digest, DigestError, MAX_CHUNK_BYTES,
+        ObjectBlobs, READ_BYTES, UploadId, UploadStatus, Usage, put,
+    };
+}
+
 /// The command line.
 #[cfg(feature = "cli")]
 pub mod cli {
@@ -27,10 +36,11 @@ pub mod gpu {
     pub use crate::gpu::{Device, DeviceOptions, GpuError, buffers, device, layout, plan, shader};
 }
 
-/// The queue and the device thread.
+/// The queue, the device thread, and jobs as data.
 #[cfg(feature = "service")]
 pub mod job {
     pub use crate::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
+    pub use crate::job::{event, record, state, store};
 }
 
 /// Neighbours of seeds.

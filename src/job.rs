@@ -1,4 +1,7 @@
-//! Jobs: the queue, and the one thread that owns the device.
+//! Jobs: the queue, the one thread that owns the device, and jobs as data.
+//!
+//! A job as data is a [`record`], moves along the machine of [`state`], says what happens by [`event`], and is kept in a
+//! [`store`].
 //!
 //! Purpose: [`Engine`] takes work from many callers and does it one piece at a time on the device
 //! thread, which alone touches the backends. A piece is short or checks its [`Token`], and never
@@ -8,9 +11,13 @@
 //! Must not know: gRPC, messages, the command line.
 
 pub(crate) mod diagram;
+pub mod event;
 pub(crate) mod queue;
+pub mod record;
 pub(crate) mod session;
 pub(crate) mod spec;
+pub mod state;
+pub mod store;
 pub(crate) mod watchdog;
 pub(crate) mod worker;
 

@@ -32,6 +32,7 @@
 //! | `gpu` | the GPU backend |
 //! | `pictures` | [`picture`](crate#modules): pictures of surfaces |
 //! | `service` | [`proto`](crate#modules): the messages of the gRPC service, generated |
+//! | `s3` | blobs of the service on an S3-compatible store |
 //! | `cli` (default) | the command `tessera`, with all of the above |
 //!
 //! A program that needs the library alone says `default-features = false`.
@@ -53,7 +54,8 @@
 //! | [`rvd`] | the restricted Voronoi diagram: one trait, three backends, the dual | `knn`, `mesh`, `gpu` (only `rvd::gpu`) |
 //! | [`cvt`] | iterations that move the seeds | `rvd`'s trait |
 //! | [`mod@remesh`] | sample, iterate, dual, repair, measure | `cvt`, `rvd::dual`, `mesh` |
-//! | `job` | the queue, and the one thread that owns the device | `remesh` and below |
+//! | `blob` | content-addressed storage: uploads, quota, local disk and S3 | nothing here |
+//! | `job` | the queue, the one thread that owns the device, and jobs as data: records, states, the journal | `blob`, `remesh` and below |
 //! | `wire` | messages, and our types made of them and into them; server and client speak it | `remesh` and below |
 //! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job` and below |
 //! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve`: the client speaks `wire` |
@@ -72,6 +74,8 @@ mod setters;
 #[doc = include_str!("../README.md")]
 struct Readme;
 
+#[cfg(feature = "service")]
+mod blob;
 #[cfg(feature = "cli")]
 mod cli;
 #[cfg(feature = "service")]

@@ -1,0 +1,25 @@
+//! Content-addressed storage: meshes, arrays and results, named by the SHA-256 of their bytes.
+//!
+//! Purpose: [`BlobStore`] keeps blobs between requests. [`ObjectBlobs`] implements it on a folder, in memory, or on
+//! any store that speaks S3.
+//! Invariant: a blob is visible only when all of its bytes are stored and their digest is right. The bytes of blobs
+//! and uploads together stay within the quota. A pinned blob is never evicted. Refused work leaves no byte behind.
+//! Must not know: what the bytes mean, jobs, or the wire.
+
+mod digest;
+mod error;
+mod objects;
+mod quota;
+mod reader;
+#[cfg(feature = "s3")]
+mod s3;
+mod staging;
+mod store;
+mod upload;
+
+pub use digest::{Digest, DigestError};
+pub use error::BlobError;
+pub use objects::{BlobOptions, ObjectBlobs};
+pub use quota::Usage;
+pub use store::{BlobInfo, BlobRead, BlobStore, ByteStream, READ_BYTES, put};
+pub use upload::{Chunk, MAX_CHUNK_BYTES, UploadId, UploadStatus};

@@ -1,0 +1,278 @@
+//! Blobs on a folder, in memory, or on S3.
+//!
+//! Purpose: [`ObjectBlobs`] opens a store through the crate `object_store` and answers for it; the changes are in
+//! [`changes`].
+//! Invariant: a change that has begun runs to its end, even if its caller goes away.
+//! Must not know: the wire, jobs.
+
+mod changes;
+
+use std::fmt;
+use std::fs::{self, File, TryLockError};
+use std::ops::Range;
+use std::path::{Path as FilePath, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use async_trait::async_trait;
+use futures_util::{StreamExt, TryStreamExt, stream};
+use object_store::local::LocalFileSystem;
+use object_store::memory::InMemory;
+use object_store::multipart::MultipartStore;
+use object_store::path::Path;
+use object_store::{GetOptions, ObjectStore};
+use tokio::task::spawn_blocking;
+
+use super::error::{io, join, object};
+use super::quota::{Ledger, Usage};
+use super::reader::bytes_of;
+use super::staging::{Folder, Memory, Multipart, Staging};
+use super::store::{BlobInfo, BlobRead, BlobStore};
+use super::upload::{Chunk, UploadId, UploadStatus, Uploads, lock};
+use super::{BlobError, Digest};
+use changes::{Inner, Kind};
+
+/// Folder of the blobs.
+const BLOBS: &str = "blobs";
+/// Folder of the uploads.
+const UPLOADS: &str = "uploads";
+/// A file that one process holds locked.
+const LOCK: &str = "lock";
+/// Blobs that are published or removed at the same time, at most; those of one digest never are.
+const LOCKS: usize = 64;
+
+/// How much is kept, and how long.
+#[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
+pub struct BlobOptions {
+    /// Blobs and uploads together, bytes.
+    pub quota_bytes: u64,
+    /// One blob, bytes.
+    pub blob_bytes: u64,
+    /// Uploads under way.
+    pub uploads: usize,
+    /// How long an upload is kept that nobody continues.
+    pub keep_uploads: Duration,
+    /// Whether the disk must have a blob before it is said to be stored. Without, a loss of power may lose blobs.
+    pub fsync: bool,
+}
+
+impl Default for BlobOptions {
+    fn default() -> Self {
+        Self {
+            quota_bytes: 64 << 30,
+            blob_bytes: 16 << 30,
+            uploads: 256,
+            keep_uploads: Duration::from_secs(24 * 3600),
+            fsync: true,
+        }
+    }
+}
+
+impl BlobOptions {
+    setters! {
+        with_quota_bytes(quota_bytes: u64),
+        with_blob_bytes(blob_bytes: u64),
+        with_uploads(uploads: usize),
+        with_keep_uploads(keep_uploads: Duration),
+        with_fsync(fsync: bool),
+    }
+}
+
+/// See the module's head. Clones share one state.
+#[derive(Clone)]
+pub struct ObjectBlobs(Arc<Inner>);
+
+impl fmt::Debug for ObjectBlobs {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ObjectBlobs({})", self.0.objects)
+    }
+}
+
+/// Where a blob lies.
+pub(super) fn path_of(digest: &Digest) -> Path {
+    let name = digest.to_string();
+    Path::from_iter([BLOBS, &name[..2], &name])
+}
+
+impl ObjectBlobs {
+    /// Blobs in a folder, which is made if need be. Uploads outlive the process.
+    ///
+    /// # Errors
+    /// `InUse`, `StorageFull`, `Unavailable`.
+    pub async fn local(folder: impl Into<PathBuf>, options: BlobOptions) -> Result<Self, BlobError> {
+        let root = folder.into();
+        let opened = spawn_blocking(move || open_folder(&root, options.fsync));
+        let (files, staging, lock) = opened.await.map_err(join)??;
+        let kind = Kind::Folder { files: Arc::clone(&files), _lock: lock };
+        Self::open(files, Box::new(staging), kind, options).await
+    }
+
+    /// Blobs that are gone with the process.
+    pub fn in_memory(options: BlobOptions) -> Self {
+        let objects: Arc<dyn ObjectStore> = Arc::new(InMemory::new());
+        let staging = Box::new(Memory(Arc::clone(&objects)));
+        let ledger = Ledger::new(options.quota_bytes);
+        Self(Arc::new(Inner::new(objects, staging, Kind::Memory, options, ledger, Uploads::default())))
+    }
+
+    /// Blobs in a store that other processes may use at the same time.
+    ///
+    /// The quota counts the blobs that this process has seen, and its pins hold against this process alone: give a
+    /// quota to one process, and no limit to the others.
+    ///
+    /// # Errors
+    /// `Unavailable`.
+    pub async fn shared<S: ObjectStore + MultipartStore>(
+        store: Arc<S>,
+        options: BlobOptions,
+    ) -> Result<Self, BlobError> {
+        let staging = Multipart::new(Arc::clone(&store) as _, Arc::clone(&store) as _, UPLOADS);
+        Self::open(store, Box::new(staging), Kind::Shared, options).await
+    }
+
+    /// Blobs in a bucket: `s3://bucket/prefix`. `settings` are those of `object_store` (`aws_endpoint`, `aws_region`,
+    /// `aws_access_key_id`, ...) and count before the variables of the same names, in capitals.
+    ///
+    /// # Errors
+    /// `Unavailable`.
+    #[cfg(feature = "s3")]
+    pub async fn s3(
+        url: &str,
+        settings: impl IntoIterator<Item = (String, String)>,
+        options: BlobOptions,
+    ) -> Result<Self, BlobError> {
+        Self::shared(Arc::new(super::s3::open(url, settings)?), options).await
+    }
+
+    async fn open(
+        objects: Arc<dyn ObjectStore>,
+        staging: Box<dyn Staging>,
+        kind: Kind,
+        options: BlobOptions,
+    ) -> Result<Self, BlobError> {
+        let mut ledger = Ledger::new(options.quota_bytes);
+        let mut blobs = objects.list(Some(&Path::from(BLOBS)));
+        while let Some(blob) = blobs.try_next().await.map_err(object("look for blobs"))? {
+            match blob.location.filename().and_then(|name| name.parse::<Digest>().ok()) {
+                Some(digest) if path_of(&digest) == blob.location => {
+                    ledger.found(digest, blob.size, changes::stamp_of(&blob));
+                }
+                _ => tracing::warn!(path = %blob.location, "not a blob; left alone"),
+            }
+        }
+        drop(blobs);
+        let uploads = Uploads::default();
+        for (id, touched) in staging.scan().await? {
+            ledger.found_upload(id.size_bytes());
+            uploads.found(id, touched);
+        }
+        Ok(Self(Arc::new(Inner::new(objects, staging, kind, options, ledger, uploads))))
+    }
+
+    /// Runs a change to its end, whoever still waits for it.
+    async fn change<T, F>(&self, work: impl FnOnce(Arc<Inner>) -> F) -> Result<T, BlobError>
+    where
+        T: Send + 'static,
+        F: Future<Output = Result<T, BlobError>> + Send + 'static,
+    {
+        tokio::spawn(work(Arc::clone(&self.0))).await.map_err(join)?
+    }
+}
+
+/// Makes and locks the folder.
+fn open_folder(root: &FilePath, fsync: bool) -> Result<(Arc<LocalFileSystem>, Folder, File), BlobError> {
+    fs::create_dir_all(root.join(BLOBS)).map_err(io("make the folder of blobs"))?;
+    let lock = File::options().write(true).create(true).truncate(false).open(root.join(LOCK));
+    let lock = lock.map_err(io("make the lock of the blobs"))?;
+    match lock.try_lock() {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => return Err(BlobError::InUse { folder: root.to_owned() }),
+        Err(TryLockError::Error(error)) => return Err(BlobError::storage("lock the folder of blobs", &error)),
+    }
+    let files = LocalFileSystem::new_with_prefix(root).map_err(object("open the folder of blobs"))?;
+    let files = Arc::new(files.with_fsync(fsync));
+    let staging = Folder::new(Arc::clone(&files), root, UPLOADS, fsync)?;
+    // So that a loss of power does not take the folders themselves. Elsewhere folders cannot be opened.
+    #[cfg(unix)]
+    if fsync {
+        let folder = File::open(root).and_then(|folder| folder.sync_all());
+        folder.map_err(io("write the folder of blobs to the disk"))?;
+    }
+    Ok((files, staging, lock))
+}
+
+#[async_trait]
+impl BlobStore for ObjectBlobs {
+    async fn begin(&self, upload: UploadId) -> Result<UploadStatus, BlobError> {
+        self.change(|inner| async move { inner.begin(upload).await }).await
+    }
+
+    async fn write(&self, upload: UploadId, chunk: Chunk) -> Result<UploadStatus, BlobError> {
+        self.change(|inner| async move { inner.write(upload, chunk).await }).await
+    }
+
+    async fn upload_status(&self, upload: UploadId) -> Result<UploadStatus, BlobError> {
+        self.change(|inner| async move { inner.status(upload).await }).await
+    }
+
+    async fn finish(&self, upload: UploadId, pin: Option<&str>) -> Result<BlobInfo, BlobError> {
+        let pin = pin.map(str::to_owned);
+        self.change(|inner| async move { inner.finish(upload, pin.as_deref()).await }).await
+    }
+
+    async fn abandon(&self, upload: UploadId) -> Result<(), BlobError> {
+        self.change(|inner| async move { inner.abandon(upload, Duration::ZERO).await.map(drop) }).await
+    }
+
+    async fn read(&self, digest: Digest, range: Range<u64>) -> Result<BlobRead, BlobError> {
+        let info = self.0.used(digest).await?.ok_or(BlobError::NotFound { digest })?;
+        if range.start > info.size_bytes {
+            return Err(BlobError::OutOfRange { offset: range.start, size_bytes: info.size_bytes });
+        }
+        let range = range.start..range.end.min(info.size_bytes).max(range.start);
+        if range.is_empty() {
+            return Ok(BlobRead { info, range, bytes: stream::empty().boxed() });
+        }
+        let wanted = GetOptions { range: Some(range.clone().into()), ..GetOptions::default() };
+        match self.0.objects.get_opts(&path_of(&digest), wanted).await {
+            Ok(opened) => Ok(BlobRead { info, range, bytes: bytes_of(opened) }),
+            Err(object_store::Error::NotFound { .. }) => {
+                // Another program removed it.
+                lock(&self.0.ledger).forget(&digest);
+                Err(BlobError::NotFound { digest })
+            }
+            Err(error) => Err(object("open a blob")(error)),
+        }
+    }
+
+    async fn stat(&self, digest: Digest) -> Result<BlobInfo, BlobError> {
+        self.0.stored(digest).await?.ok_or(BlobError::NotFound { digest })
+    }
+
+    async fn find_missing(&self, digests: &[Digest]) -> Result<Vec<Digest>, BlobError> {
+        self.0.find_missing(digests).await
+    }
+
+    async fn delete(&self, digest: Digest) -> Result<(), BlobError> {
+        self.change(|inner| async move { inner.delete(digest).await }).await
+    }
+
+    async fn pin(&self, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
+        self.0.pin(name, digests).await
+    }
+
+    async fn unpin(&self, name: &str) -> Result<(), BlobError> {
+        lock(&self.0.ledger).unpin(name);
+        Ok(())
+    }
+
+    async fn sweep(&self) -> Result<usize, BlobError> {
+        self.change(|inner| async move { inner.sweep().await }).await
+    }
+
+    async fn usage(&self) -> Result<Usage, BlobError> {
+        let usage = lock(&self.0.ledger).usage();
+        Ok(Usage { uploads: self.0.uploads.len(), ..usage })
+    }
+}

@@ -1,0 +1,389 @@
+//! The changes of a store: uploads, evictions, removals.
+//!
+//! Purpose: keeps the books of the quota, the uploads under way, the staged bytes and the objects in step.
+//! Invariant: a slot of an upload is locked before a digest, never the other way. The bytes of a blob are shown and
+//! removed under the lock of its digest, so that a late removal never takes a blob that has come back. A blob is in the
+//! books only while its bytes are stored.
+//! Must not know: which store it is.
+
+use std::fs::File;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, SystemTime};
+
+use futures_util::{StreamExt, TryStreamExt, stream};
+use object_store::local::LocalFileSystem;
+use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
+use tokio::sync::{MutexGuard, OwnedMutexGuard};
+use tokio::task::spawn_blocking;
+
+use super::{BlobOptions, LOCKS, path_of};
+use crate::blob::error::object;
+use crate::blob::quota::Ledger;
+use crate::blob::staging::{Part, Staging};
+use crate::blob::store::BlobInfo;
+use crate::blob::upload::{Chunk, Slot, Upload, UploadId, UploadStatus, Uploads, lock};
+use crate::blob::{BlobError, Digest};
+
+/// Removals and questions to the store that run at once.
+const AT_ONCE: usize = 16;
+
+/// What sets stores apart.
+#[derive(Debug)]
+pub(super) enum Kind {
+    /// The files remember when they were used last. The lock keeps other processes out.
+    Folder { files: Arc<LocalFileSystem>, _lock: File },
+    /// Nobody else sees it.
+    Memory,
+    /// Other processes may add and remove blobs and continue uploads.
+    Shared,
+}
+
+/// See the module's head.
+pub(super) struct Inner {
+    pub(super) objects: Arc<dyn ObjectStore>,
+    pub(super) staging: Box<dyn Staging>,
+    pub(super) ledger: Mutex<Ledger>,
+    pub(super) uploads: Uploads,
+    locks: Vec<tokio::sync::Mutex<()>>,
+    options: BlobOptions,
+    kind: Kind,
+}
+
+/// When an object was written or used last, in nanoseconds since 1970.
+pub(super) fn stamp_of(object: &ObjectMeta) -> u64 {
+    object.last_modified.timestamp_nanos_opt().and_then(|nanos| u64::try_from(nanos).ok()).unwrap_or(0)
+}
+
+impl Inner {
+    pub(super) fn new(
+        objects: Arc<dyn ObjectStore>,
+        staging: Box<dyn Staging>,
+        kind: Kind,
+        options: BlobOptions,
+        ledger: Ledger,
+        uploads: Uploads,
+    ) -> Self {
+        let locks = (0..LOCKS).map(|_| tokio::sync::Mutex::new(())).collect();
+        Self { objects, staging, ledger: Mutex::new(ledger), uploads, locks, options, kind }
+    }
+
+    /// Waits until nobody else shows or removes the bytes of a blob.
+    async fn lock_bytes(&self, digest: &Digest) -> MutexGuard<'_, ()> {
+        self.locks[usize::from(digest.as_bytes()[0]) % LOCKS].lock().await
+    }
+
+    /// A blob, if it is stored.
+    pub(super) async fn stored(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
+        let known = lock(&self.ledger).get(&digest);
+        if known.is_some() || !matches!(self.kind, Kind::Shared) {
+            return Ok(known);
+        }
+        match self.objects.head(&path_of(&digest)).await {
+            Ok(found) => {
+                lock(&self.ledger).found(digest, found.size, stamp_of(&found));
+                Ok(Some(BlobInfo { digest, size_bytes: found.size }))
+            }
+            Err(object_store::Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(object("look for a blob")(error)),
+        }
+    }
+
+    /// A blob that is used now, if it is stored.
+    pub(super) async fn used(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
+        if self.stored(digest).await?.is_none() {
+            return Ok(None);
+        }
+        let Some((info, stamp)) = lock(&self.ledger).touch(&digest) else { return Ok(None) };
+        self.stamp(vec![(digest, stamp)]).await;
+        Ok(Some(info))
+    }
+
+    /// Has the files remember when they were used last.
+    async fn stamp(&self, stamps: Vec<(Digest, u64)>) {
+        let Kind::Folder { files, .. } = &self.kind else { return };
+        let files = Arc::clone(files);
+        let work = spawn_blocking(move || {
+            for (digest, stamp) in stamps {
+                let Ok(path) = files.path_to_filesystem(&path_of(&digest)) else { continue };
+                let time = SystemTime::UNIX_EPOCH + Duration::from_nanos(stamp);
+                // A blob may have been evicted since. Without the stamp, only the order of eviction after a restart
+                // is worse.
+                if let Err(error) = File::open(path).and_then(|file| file.set_modified(time)) {
+                    tracing::debug!(%digest, %error, "time of last use not stored");
+                }
+            }
+        });
+        drop(work.await);
+    }
+
+    pub(super) async fn find_missing(&self, digests: &[Digest]) -> Result<Vec<Digest>, BlobError> {
+        let unknown: Vec<Digest> = {
+            let ledger = lock(&self.ledger);
+            digests.iter().copied().filter(|digest| ledger.get(digest).is_none()).collect()
+        };
+        if matches!(self.kind, Kind::Shared) {
+            let asked = stream::iter(unknown).map(|digest| self.stored(digest)).buffer_unordered(AT_ONCE);
+            asked.try_collect::<Vec<_>>().await?;
+        }
+        let mut missing = Vec::new();
+        let mut stamps = Vec::new();
+        {
+            let mut ledger = lock(&self.ledger);
+            for digest in digests {
+                match ledger.touch(digest) {
+                    Some((_, stamp)) => stamps.push((*digest, stamp)),
+                    None => missing.push(*digest),
+                }
+            }
+        }
+        self.stamp(stamps).await;
+        Ok(missing)
+    }
+
+    pub(super) async fn pin(&self, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
+        for digest in digests {
+            if self.stored(*digest).await?.is_none() {
+                return Err(BlobError::NotFound { digest: *digest });
+            }
+        }
+        let stamps = {
+            let mut ledger = lock(&self.ledger);
+            ledger.pin(name, digests)?;
+            digests.iter().filter_map(|digest| Some((*digest, ledger.touch(digest)?.1))).collect()
+        };
+        self.stamp(stamps).await;
+        Ok(())
+    }
+
+    /// Waits for the turn to change an upload, and reads it if nobody has. `None` if there is none.
+    async fn turn(&self, id: UploadId) -> Result<Option<(Arc<Upload>, OwnedMutexGuard<Slot>)>, BlobError> {
+        loop {
+            let Some(upload) = self.uploads.get(&id) else {
+                if !matches!(self.kind, Kind::Shared) || !self.adopt(id).await? {
+                    return Ok(None);
+                }
+                continue;
+            };
+            let mut slot = upload.lock().await;
+            match &*slot {
+                Slot::Gone => continue,
+                Slot::Open(_) => {}
+                Slot::Kept => match self.staging.load(id).await? {
+                    Some(part) => *slot = Slot::Open(part),
+                    None => {
+                        self.drop_upload(id, &mut slot);
+                        return Ok(None);
+                    }
+                },
+            }
+            return Ok(Some((upload, slot)));
+        }
+    }
+
+    /// Takes over an upload that another process began. Whether there is one.
+    async fn adopt(&self, id: UploadId) -> Result<bool, BlobError> {
+        let admit = || {
+            lock(&self.ledger).found_upload(id.size_bytes());
+            Ok(())
+        };
+        let Some((mut slot, ())) = self.uploads.add(id, self.options.uploads, admit)? else { return Ok(true) };
+        match self.staging.load(id).await {
+            Ok(Some(part)) => {
+                *slot = Slot::Open(part);
+                Ok(true)
+            }
+            found => {
+                self.drop_upload(id, &mut slot);
+                found.map(|_| false)
+            }
+        }
+    }
+
+    /// The upload is no more, and its room is free.
+    fn drop_upload(&self, id: UploadId, slot: &mut Slot) {
+        self.uploads.remove(&id, slot);
+        lock(&self.ledger).release(id.size_bytes());
+    }
+
+    /// What to say of an upload that is not under way: complete, if the blob is there.
+    async fn whole(&self, id: UploadId) -> Result<BlobInfo, BlobError> {
+        match self.used(id.digest()).await? {
+            Some(info) if info.size_bytes == id.size_bytes() => Ok(info),
+            _ => Err(BlobError::UploadNotFound { digest: id.digest() }),
+        }
+    }
+
+    pub(super) async fn begin(&self, id: UploadId) -> Result<UploadStatus, BlobError> {
+        let (digest, size_bytes) = (id.digest(), id.size_bytes());
+        loop {
+            if let Some(BlobInfo { size_bytes: actual_bytes, .. }) = self.used(digest).await? {
+                return if actual_bytes == size_bytes {
+                    Ok(UploadStatus { kept_bytes: size_bytes, complete: true })
+                } else {
+                    Err(BlobError::WrongSize { digest, promised_bytes: size_bytes, actual_bytes })
+                };
+            }
+            if size_bytes > self.options.blob_bytes {
+                return Err(BlobError::TooLarge { size_bytes, limit_bytes: self.options.blob_bytes });
+            }
+            let reserve = || lock(&self.ledger).reserve(size_bytes);
+            let Some((mut slot, victims)) = self.uploads.add(id, self.options.uploads, reserve)? else {
+                match self.status(id).await {
+                    // It ended just now.
+                    Err(BlobError::UploadNotFound { .. }) => continue,
+                    status => return status,
+                }
+            };
+            match self.new_part(id, victims).await {
+                Ok(part) => {
+                    let kept_bytes = part.kept_bytes();
+                    *slot = Slot::Open(part);
+                    return Ok(UploadStatus { kept_bytes, complete: false });
+                }
+                Err(error) => {
+                    self.drop_upload(id, &mut slot);
+                    return Err(error);
+                }
+            }
+        }
+    }
+
+    /// Makes room, then a part. Another process may have begun it.
+    async fn new_part(&self, id: UploadId, victims: Vec<BlobInfo>) -> Result<Box<dyn Part>, BlobError> {
+        // All of them, even if one fails: they are out of the books.
+        let removals = stream::iter(victims).map(|victim| self.remove(victim)).buffer_unordered(AT_ONCE);
+        removals.collect::<Vec<_>>().await.into_iter().collect::<Result<(), _>>()?;
+        if let Some(part) = self.staging.load(id).await? {
+            return Ok(part);
+        }
+        self.staging.create(id).await
+    }
+
+    /// Removes the bytes of a blob that is out of the books. If that fails it is back in them, as the first to go.
+    async fn remove(&self, blob: BlobInfo) -> Result<(), BlobError> {
+        let digest = blob.digest;
+        let _turn = self.lock_bytes(&digest).await;
+        if lock(&self.ledger).get(&digest).is_some() {
+            // It has come back.
+            return Ok(());
+        }
+        match self.objects.delete(&path_of(&digest)).await {
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(error) => {
+                lock(&self.ledger).found(digest, blob.size_bytes, 0);
+                Err(object("remove a blob")(error))
+            }
+        }
+    }
+
+    pub(super) async fn status(&self, id: UploadId) -> Result<UploadStatus, BlobError> {
+        // Another owner's upload may have become the blob: then there is nothing more to send.
+        let complete = |info: BlobInfo| UploadStatus { kept_bytes: info.size_bytes, complete: true };
+        match self.whole(id).await {
+            Err(BlobError::UploadNotFound { .. }) => {}
+            known => return known.map(complete),
+        }
+        if let Some((_, slot)) = self.turn(id).await?
+            && let Slot::Open(part) = &*slot
+        {
+            return Ok(UploadStatus { kept_bytes: part.kept_bytes(), complete: false });
+        }
+        // It ended just now.
+        self.whole(id).await.map(complete)
+    }
+
+    pub(super) async fn write(&self, id: UploadId, chunk: Chunk) -> Result<UploadStatus, BlobError> {
+        let Some((upload, mut slot)) = self.turn(id).await? else {
+            // Another owner's upload has become the blob in the meantime.
+            let info = self.whole(id).await?;
+            return Ok(UploadStatus { kept_bytes: info.size_bytes, complete: true });
+        };
+        let Slot::Open(part) = &mut *slot else { return Err(BlobError::UploadNotFound { digest: id.digest() }) };
+        chunk.check(part.kept_bytes(), id.size_bytes())?;
+        if let Err(error) = part.append(chunk.bytes, chunk.crc32c).await {
+            *slot = Slot::Kept;
+            return Err(error);
+        }
+        upload.touch();
+        Ok(UploadStatus { kept_bytes: part.kept_bytes(), complete: false })
+    }
+
+    pub(super) async fn finish(&self, id: UploadId, pin: Option<&str>) -> Result<BlobInfo, BlobError> {
+        let digest = id.digest();
+        let gone = BlobError::UploadNotFound { digest };
+        let Some((_upload, mut slot)) = self.turn(id).await? else {
+            let info = self.whole(id).await?;
+            if let Some(name) = pin {
+                lock(&self.ledger).pin(name, &[digest]).map_err(|_| gone)?;
+            }
+            return Ok(info);
+        };
+        let Slot::Open(part) = &mut *slot else { return Err(gone) };
+        let missing = (part.kept_bytes() != id.size_bytes())
+            .then_some(BlobError::Incomplete { kept_bytes: part.kept_bytes(), size_bytes: id.size_bytes() });
+        let actual = part.digest();
+        if missing.is_none() && actual != digest {
+            self.discard(id).await;
+            self.drop_upload(id, &mut slot);
+            return Err(BlobError::DigestMismatch { expected: digest, actual });
+        }
+        let turn = self.lock_bytes(&digest).await;
+        if self.stored(digest).await?.is_some_and(|info| info.size_bytes == id.size_bytes()) {
+            // Another owner's upload was faster, and the caller may have been told so.
+            self.discard(id).await;
+        } else if let Some(error) = missing {
+            return Err(error);
+        } else if let Err(error) = part.publish(&path_of(&digest)).await {
+            *slot = Slot::Kept;
+            return Err(error);
+        }
+        let stamp = lock(&self.ledger).publish(digest, id.size_bytes(), pin);
+        drop(turn);
+        self.uploads.remove(&id, &mut slot);
+        self.stamp(vec![(digest, stamp)]).await;
+        Ok(BlobInfo { digest, size_bytes: id.size_bytes() })
+    }
+
+    /// Removes what is staged of an upload that has ended. What stays after a fault is an idle upload to the next
+    /// process, and goes with those.
+    async fn discard(&self, id: UploadId) {
+        if let Err(error) = self.staging.discard(id).await {
+            tracing::warn!(%id, %error, "the bytes of an upload were not removed");
+        }
+    }
+
+    /// Removes an upload, unless somebody continued it less than `idle` ago; says whether.
+    pub(super) async fn abandon(&self, id: UploadId, idle: Duration) -> Result<bool, BlobError> {
+        let gone = BlobError::UploadNotFound { digest: id.digest() };
+        let upload = self.uploads.get(&id).ok_or_else(|| gone.clone())?;
+        let mut slot = upload.lock().await;
+        if matches!(*slot, Slot::Gone) {
+            return Err(gone);
+        }
+        if upload.idle() < idle {
+            return Ok(false);
+        }
+        *slot = Slot::Kept;
+        self.staging.discard(id).await?;
+        self.drop_upload(id, &mut slot);
+        Ok(true)
+    }
+
+    pub(super) async fn sweep(&self) -> Result<usize, BlobError> {
+        let mut swept = 0;
+        for id in self.uploads.idle(self.options.keep_uploads) {
+            match self.abandon(id, self.options.keep_uploads).await {
+                Ok(gone) => swept += usize::from(gone),
+                Err(BlobError::UploadNotFound { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(swept)
+    }
+
+    pub(super) async fn delete(&self, digest: Digest) -> Result<(), BlobError> {
+        self.stored(digest).await?;
+        let blob = lock(&self.ledger).delete(&digest)?;
+        self.remove(blob).await
+    }
+}

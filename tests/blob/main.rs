@@ -1,0 +1,123 @@
+//! Promise: a blob is there whole or not at all, whatever happens to uploads, processes and quotas, on a folder, in
+//! memory, and on a store that processes share.
+//!
+//! `model` drives random operations against a simple model; `TESSERA_BLOB_CASES=10000 cargo test --test blob model` runs
+//! more of them, `TESSERA_BLOB_SEED=7` others. `cargo test --release --test blob -- --ignored --nocapture speed` measures
+//! a blob of 500 MB, as JSON; `TESSERA_BLOB_FOLDER` says on which disk.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod crash;
+mod model;
+mod quota;
+mod shared;
+mod speed;
+mod uploads;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use futures_util::TryStreamExt;
+use object_store::memory::InMemory;
+use tempfile::TempDir;
+use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs, UploadId};
+
+/// Small chunks, so that a small blob has many.
+const CHUNK: usize = 1000;
+
+/// Bytes that differ from each other and with `seed`.
+fn content(seed: u64, length: usize) -> Bytes {
+    let mut state = seed.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state.to_le_bytes()[3]
+    };
+    (0..length).map(|_| next()).collect()
+}
+
+fn upload_of(bytes: &Bytes) -> UploadId {
+    UploadId::new(Digest::of(bytes), bytes.len() as u64)
+}
+
+fn chunk_at(bytes: &Bytes, offset: u64, length: usize) -> Chunk {
+    let start = usize::try_from(offset).unwrap();
+    Chunk::new(offset, bytes.slice(start..bytes.len().min(start + length)))
+}
+
+/// Sends all from where the upload stands; says how many bytes that were.
+async fn send(store: &dyn BlobStore, id: UploadId, bytes: &Bytes) -> Result<u64, BlobError> {
+    let mut status = store.begin(id).await?;
+    let mut sent = 0;
+    while !status.complete && status.kept_bytes < id.size_bytes() {
+        let chunk = chunk_at(bytes, status.kept_bytes, CHUNK);
+        sent += chunk.bytes.len() as u64;
+        status = store.write(id, chunk).await?;
+    }
+    Ok(sent)
+}
+
+async fn put(store: &dyn BlobStore, bytes: &Bytes) -> Result<Digest, BlobError> {
+    send(store, upload_of(bytes), bytes).await?;
+    Ok(store.finish(upload_of(bytes), None).await?.digest)
+}
+
+async fn read(store: &dyn BlobStore, digest: Digest, range: std::ops::Range<u64>) -> Result<Bytes, BlobError> {
+    let pieces: Vec<Bytes> = store.read(digest, range).await?.bytes.try_collect().await?;
+    Ok(pieces.concat().into())
+}
+
+/// Waits for `work` while the task is polled `polls` times, then lets go of it in the middle.
+async fn cut<T>(polls: u64, work: impl Future<Output = T>) -> Option<T> {
+    let patience = async {
+        for _ in 0..polls {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::select! {
+        biased;
+        done = work => Some(done),
+        () = patience => None,
+    }
+}
+
+async fn read_all(store: &dyn BlobStore, digest: Digest) -> Result<Bytes, BlobError> {
+    read(store, digest, 0..u64::MAX).await
+}
+
+async fn local(folder: &Path, options: BlobOptions) -> ObjectBlobs {
+    ObjectBlobs::local(folder, options).await.unwrap()
+}
+
+/// One of each kind. The folder goes with its guard.
+async fn each(options: BlobOptions) -> Vec<(&'static str, ObjectBlobs, Option<TempDir>)> {
+    let folder = tempfile::tempdir().unwrap();
+    let shared = ObjectBlobs::shared(Arc::new(InMemory::new()), options).await.unwrap();
+    vec![
+        ("folder", local(folder.path(), options).await, Some(folder)),
+        ("memory", ObjectBlobs::in_memory(options), None),
+        ("shared", shared, None),
+    ]
+}
+
+/// All files below, as (path below `folder`, length).
+fn files(folder: &Path) -> Vec<(String, u64)> {
+    fn walk(root: &Path, at: &Path, out: &mut Vec<(String, u64)>) {
+        for entry in std::fs::read_dir(at).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                walk(root, &path, out);
+            } else {
+                let length = path.metadata().unwrap().len();
+                out.push((path.strip_prefix(root).unwrap().to_string_lossy().into_owned(), length));
+            }
+        }
+    }
+    let mut out = Vec::new();
+    walk(folder, folder, &mut out);
+    out.retain(|(path, _)| path != "lock");
+    out.sort();
+    out
+}

@@ -1,0 +1,279 @@
+//! A model of a store: what should be there, in the plainest words.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use tessera::internals::job::record::*;
+use tessera::internals::job::state::{State, apply};
+use tessera::internals::job::store::*;
+
+use super::{KEEP, spec};
+
+/// A job, as the model sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Known {
+    pub request: String,
+    pub body: u64,
+    pub state: State,
+    pub version: u64,
+    pub created: Time,
+    pub changed: Time,
+    pub attempts: u32,
+    pub crashes: u32,
+    pub due: Option<Time>,
+    pub until: Time,
+    pub cause: Option<Cause>,
+    /// The states that its events tell of.
+    pub states: Vec<State>,
+}
+
+/// What should be in a store.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Model {
+    pub jobs: BTreeMap<JobId, Known>,
+}
+
+/// An operation, all its arguments known.
+#[derive(Clone, Debug)]
+pub enum Step {
+    Create { id: JobId, request: String, body: u64 },
+    Claim { id: JobId, until: Time },
+    Renew { id: JobId, at: u64, until: Time },
+    Progress { id: JobId, at: u64 },
+    Change { id: JobId, at: u64, change: Change },
+    Cancel(JobId),
+    Delete(JobId),
+    Expire { most: usize },
+    Recover(Orphans),
+}
+
+/// What an operation gives, as far as the model knows.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Gives {
+    Done,
+    Created(JobId, bool),
+    Swept(Vec<JobId>, Vec<JobId>, bool),
+    Recovered(Vec<JobId>, Vec<JobId>, Vec<JobId>),
+    NotFound,
+    AlreadyExists,
+    NameTaken,
+    Stale,
+    Transition,
+    NotEnded,
+    /// The store could not even read: nothing was done.
+    Unread,
+}
+
+/// The specification of a job of the model. Some have deadlines, by body.
+pub fn body(request: &str, body: u64) -> JobSpec {
+    let deadlines = match body {
+        1 => Deadlines { queue_ms: Some(300), run_ms: None },
+        2 => Deadlines { queue_ms: None, run_ms: Some(200) },
+        _ => Deadlines::default(),
+    };
+    JobSpec { deadlines, ..spec(request, body) }
+}
+
+impl Model {
+    /// Does a step at a time.
+    pub fn step(&mut self, step: &Step, now: Time) -> Gives {
+        match step {
+            Step::Create { id, request, body } => self.create(*id, request, *body, now),
+            Step::Claim { id, until } => self.change(*id, None, &Change::Claim(holder(*until)), now),
+            Step::Renew { id, at, until } => match self.jobs.get_mut(id) {
+                None => Gives::NotFound,
+                Some(job) if job.version != *at || job.state != State::Running => Gives::Stale,
+                Some(job) => {
+                    job.until = *until;
+                    Gives::Done
+                }
+            },
+            Step::Progress { id, at } => match self.jobs.get(id) {
+                None => Gives::NotFound,
+                Some(job) if job.version != *at || job.state != State::Running => Gives::Stale,
+                Some(_) => Gives::Done,
+            },
+            Step::Change { id, at, change } => self.change(*id, Some(*at), change, now),
+            Step::Cancel(id) => match self.jobs.get(id) {
+                Some(job) if job.state == State::Cancelled => Gives::Done,
+                _ => self.change(*id, None, &Change::Cancel, now),
+            },
+            Step::Delete(id) => match self.jobs.get(id) {
+                None => Gives::NotFound,
+                Some(job) if !job.state.is_ended() => Gives::NotEnded,
+                Some(_) => {
+                    self.jobs.remove(id);
+                    Gives::Done
+                }
+            },
+            Step::Expire { most } => self.expire(now, *most),
+            Step::Recover(orphans) => self.recover(now, *orphans),
+        }
+    }
+
+    fn create(&mut self, id: JobId, request: &str, body: u64, now: Time) -> Gives {
+        let earlier = self.jobs.iter().find(|(_, job)| !request.is_empty() && job.request == request);
+        match earlier {
+            Some((id, job)) if job.body == body => return Gives::Created(*id, true),
+            Some(_) => return Gives::AlreadyExists,
+            None if self.jobs.contains_key(&id) => return Gives::NameTaken,
+            None => {}
+        }
+        let job = Known {
+            request: request.to_owned(),
+            body,
+            state: State::Queued,
+            version: 1,
+            created: now,
+            changed: now,
+            attempts: 0,
+            crashes: 0,
+            due: (body == 1).then(|| Time(now.0 + 300)),
+            until: Time(0),
+            cause: None,
+            states: vec![State::Queued],
+        };
+        self.jobs.insert(id, job);
+        Gives::Created(id, false)
+    }
+
+    fn change(&mut self, id: JobId, at: Option<u64>, change: &Change, now: Time) -> Gives {
+        let Some(job) = self.jobs.get_mut(&id) else { return Gives::NotFound };
+        if at.is_some_and(|at| at != job.version) {
+            return Gives::Stale;
+        }
+        let Ok(state) = apply(job.state, change.transition()) else { return Gives::Transition };
+        job.due = match (state, job.body) {
+            (State::Queued, 1) => Some(Time(now.0 + 300)),
+            (State::Running, 2) => Some(Time(now.0 + 200)),
+            _ => None,
+        };
+        match change {
+            Change::Claim(holder) => {
+                job.attempts += 1;
+                job.until = holder.until;
+            }
+            Change::Orphan => job.crashes += 1,
+            Change::Fail(failure) if failure.kind == FailureKind::Crashed => job.crashes += 1,
+            Change::Expire(cause) => job.cause = Some(*cause),
+            _ => {}
+        }
+        if state != State::Running {
+            job.until = Time(0);
+        }
+        job.state = state;
+        job.version += 1;
+        job.changed = now;
+        job.states.push(state);
+        Gives::Done
+    }
+
+    fn expire(&mut self, now: Time, most: usize) -> Gives {
+        let mut due: Vec<(Time, JobId)> =
+            self.jobs.iter().filter_map(|(id, job)| Some((job.due.filter(|due| *due <= now)?, *id))).collect();
+        due.sort();
+        let mut more = due.len() > most;
+        due.truncate(most);
+        let passed = |job: &Known, kept: Duration| job.changed.after(kept) <= now;
+        let mut over: Vec<(Time, JobId, bool)> = Vec::new();
+        for (id, job) in self.jobs.iter().filter(|(_, job)| job.state.is_ended()) {
+            let is_result = job.state == State::Succeeded;
+            if passed(job, if is_result { KEEP.results } else { KEEP.records }) {
+                over.push((job.changed, *id, is_result));
+            }
+        }
+        over.sort();
+        let room = most - due.len();
+        more |= over.len() > room;
+        over.truncate(room);
+        let (mut expired, mut deleted) = (Vec::new(), Vec::new());
+        for (_, id) in due {
+            let cause = match self.jobs[&id].state {
+                State::Queued => Cause::QueueDeadline,
+                _ => Cause::RunDeadline,
+            };
+            self.change(id, None, &Change::Expire(cause), now);
+            expired.push(id);
+        }
+        for (_, id, is_result) in over {
+            if is_result {
+                self.change(id, None, &Change::Expire(Cause::Kept), now);
+                expired.push(id);
+            } else {
+                self.jobs.remove(&id);
+                deleted.push(id);
+            }
+        }
+        Gives::Swept(expired, deleted, more)
+    }
+
+    fn recover(&mut self, now: Time, orphans: Orphans) -> Gives {
+        let (mut requeued, mut failed) = (Vec::new(), Vec::new());
+        let ids: Vec<JobId> = self.jobs.keys().copied().collect();
+        for id in &ids {
+            let job = &self.jobs[id];
+            if job.state != State::Running || (orphans == Orphans::LeaseOver && job.until > now) {
+                continue;
+            }
+            if job.crashes == 0 {
+                self.change(*id, None, &Change::Orphan, now);
+                requeued.push(*id);
+            } else {
+                let failure = Failure { kind: FailureKind::Crashed, message: String::new() };
+                self.change(*id, None, &Change::Fail(failure), now);
+                failed.push(*id);
+            }
+        }
+        let queued = ids.into_iter().filter(|id| self.jobs[id].state == State::Queued).collect();
+        Gives::Recovered(requeued, failed, queued)
+    }
+}
+
+pub fn holder(until: Time) -> Holder {
+    Holder { name: "one".to_owned(), until }
+}
+
+/// Does a step with a store. `None` where nobody knows what became of it.
+pub async fn on_store(store: &dyn JobStore, step: Step, now: Time) -> Option<(Gives, Option<u64>)> {
+    let mut number = None;
+    let done = |result: Result<Job, StoreError>| result.map(|_| Gives::Done);
+    let result = match step {
+        Step::Create { id, request, body: number } => {
+            let spec = body(&request, number).check().unwrap();
+            let created = store.create(NewJob { id, spec, now }).await;
+            created.map(|created| Gives::Created(created.job.id, created.existed))
+        }
+        Step::Claim { id, until } => done(store.claim(id, holder(until), now).await),
+        Step::Renew { id, at, until } => store.renew(id, at, until).await.map(|()| Gives::Done),
+        Step::Progress { id, at } => {
+            let progress = tessera::internals::job::event::Progress::Stage { name: "s".to_owned(), done: 0, total: 0 };
+            let given = store.progress(id, at, progress, now).await;
+            number = given.as_ref().ok().copied();
+            given.map(|_| Gives::Done)
+        }
+        Step::Change { id, at, change } => done(store.change(id, at, change, now).await),
+        Step::Cancel(id) => done(store.cancel(id, now).await),
+        Step::Delete(id) => store.delete(id).await.map(|()| Gives::Done),
+        Step::Expire { most } => {
+            let swept = store.expire(now, KEEP, most).await;
+            swept.map(|swept| Gives::Swept(swept.expired, swept.deleted, swept.more))
+        }
+        Step::Recover(orphans) => {
+            let recovered = store.recover(now, orphans, MAX_CRASHES).await;
+            recovered.map(|r| Gives::Recovered(r.requeued, r.failed, r.queued))
+        }
+    };
+    let gives = match result {
+        Ok(gives) => gives,
+        Err(StoreError::NotFound { .. }) => Gives::NotFound,
+        Err(StoreError::AlreadyExists { .. }) => Gives::AlreadyExists,
+        Err(StoreError::NameTaken { .. }) => Gives::NameTaken,
+        Err(StoreError::Stale { .. }) => Gives::Stale,
+        Err(StoreError::Transition { .. }) => Gives::Transition,
+        Err(StoreError::NotEnded { .. }) => Gives::NotEnded,
+        Err(StoreError::Io { .. }) => Gives::Unread,
+        Err(StoreError::Broken { .. } | StoreError::Closed) => return None,
+        Err(error) => panic!("{error}"),
+    };
+    Some((gives, number))
+}
