@@ -266,10 +266,23 @@ async fn sessions_that_nobody_waits_for(program: &Program) {
         let mut client = program.client().await;
         let messages = all.clone();
         let session = async move {
-            let answers = tokio_stream::StreamExt::chain(tokio_stream::iter(messages), tokio_stream::pending());
-            let mut answers = client.cvt(answers).await?.into_inner();
-            while answers.message().await?.is_some() {}
-            Ok::<_, Status>(())
+            // Open until this goes: hyper keeps a connection whose request's body has no end.
+            let (ask, questions) = by_hand();
+            let send = async {
+                for message in messages {
+                    let _ = ask.send(message).await;
+                }
+                std::future::pending::<()>().await;
+            };
+            let answers = async {
+                let mut answers = client.cvt(questions).await?.into_inner();
+                while answers.message().await?.is_some() {}
+                Ok::<_, Status>(())
+            };
+            tokio::select! {
+                () = send => {}
+                _ = answers => {}
+            }
         };
         // Its client goes.
         let _ = tokio::time::timeout(Duration::from_millis(150), session).await;
