@@ -59,7 +59,7 @@ async fn only_whole_and_right_chunks_count_after_a_crash() {
         let file = OpenOptions::new().write(true).open(path).unwrap();
         file.set_len(file.metadata().unwrap().len() - by).unwrap();
     };
-    let damages: [(&str, &dyn Fn(&Path), u64); 9] = [
+    let damages: [Damage<'_>; 9] = [
         ("half a chunk without its sum", &|f| append(only(f, ".part"), &bytes[4 * CHUNK..4 * CHUNK + 300]), 4),
         ("zeros, and a sum of zeros", &|f| append(only(f, ".sums"), &[0; 24]), 4),
         ("a sum before its chunk", &|f| append(only(f, ".sums"), &(5 * chunk).to_le_bytes().repeat(3)[..12]), 4),
@@ -113,6 +113,9 @@ async fn what_is_no_blob_and_no_upload_is_left_alone_or_removed() {
     assert_eq!((usage.blobs, usage.uploads), (0, 0));
     assert_eq!(files(folder.path()).len(), 3);
 }
+
+/// What it is, what does it to the folder, and what is left, bytes.
+type Damage<'a> = (&'a str, &'a dyn Fn(&Path), u64);
 
 /// The runtime ends between two awaits of a call; the next one goes on.
 #[test]
