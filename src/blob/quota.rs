@@ -47,6 +47,8 @@ pub(super) struct Ledger {
     /// Blobs that no pin holds, the least recently used first.
     unpinned: BTreeSet<(u64, Digest)>,
     pins: HashMap<String, HashSet<Digest>>,
+    /// Blobs that are out of the books while their bytes are still being removed.
+    leaving: HashSet<Digest>,
     last_stamp: u64,
 }
 
@@ -61,6 +63,7 @@ impl Ledger {
             entries: HashMap::new(),
             unpinned: BTreeSet::new(),
             pins: HashMap::new(),
+            leaving: HashSet::new(),
             last_stamp: 0,
         }
     }
@@ -74,6 +77,20 @@ impl Ledger {
         self.entries.insert(digest, Entry { size_bytes, stamp, pins: 0 });
         self.unpinned.insert((stamp, digest));
         self.blob_bytes += size_bytes;
+    }
+
+    /// A blob whose bytes were seen. Says whether it is in the books now: one that is being removed is not.
+    pub(super) fn seen(&mut self, digest: Digest, size_bytes: u64, stamp: u64) -> bool {
+        if self.leaving.contains(&digest) {
+            return false;
+        }
+        self.found(digest, size_bytes, stamp);
+        true
+    }
+
+    /// The bytes of a blob that was to be removed are gone, or will stay.
+    pub(super) fn left(&mut self, digest: &Digest) {
+        self.leaving.remove(digest);
     }
 
     /// An upload that was kept from before. The quota is not asked.
@@ -119,6 +136,7 @@ impl Ledger {
         let mut victims = Vec::new();
         while self.blob_bytes.saturating_add(self.uploading_bytes).saturating_add(size_bytes) > self.limit_bytes {
             let Some(&(_, digest)) = self.unpinned.first() else { break };
+            self.leaving.insert(digest);
             victims.extend(self.forget(&digest));
         }
         self.uploading_bytes += size_bytes;
@@ -133,6 +151,7 @@ impl Ledger {
     /// An upload became a blob, or joined the one that is there. Gives the stamp of this use.
     pub(super) fn publish(&mut self, digest: Digest, size_bytes: u64, pin: Option<&str>) -> u64 {
         self.release(size_bytes);
+        self.left(&digest);
         self.found(digest, size_bytes, 0);
         if let Some(name) = pin {
             self.pin_one(name, digest);

@@ -80,8 +80,8 @@ impl Inner {
         }
         match self.objects.head(&path_of(&digest)).await {
             Ok(found) => {
-                lock(&self.ledger).found(digest, found.size, stamp_of(&found));
-                Ok(Some(BlobInfo { digest, size_bytes: found.size }))
+                let kept = lock(&self.ledger).seen(digest, found.size, stamp_of(&found));
+                Ok(kept.then_some(BlobInfo { digest, size_bytes: found.size }))
             }
             Err(object_store::Error::NotFound { .. }) => Ok(None),
             Err(error) => Err(object("look for a blob")(error)),
@@ -267,7 +267,9 @@ impl Inner {
             // It has come back.
             return Ok(());
         }
-        match self.objects.delete(&path_of(&digest)).await {
+        let removed = self.objects.delete(&path_of(&digest)).await;
+        lock(&self.ledger).left(&digest);
+        match removed {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
             Err(error) => {
                 lock(&self.ledger).found(digest, blob.size_bytes, 0);
