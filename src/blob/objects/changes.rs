@@ -78,6 +78,17 @@ impl Inner {
         if known.is_some() || !matches!(self.kind, Kind::Shared) {
             return Ok(known);
         }
+        // What is being shown or removed here is in the books, or out of them, afterwards.
+        let _turn = self.lock_bytes(&digest).await;
+        self.stored_in_turn(digest).await
+    }
+
+    /// The same for who holds the lock of its bytes.
+    async fn stored_in_turn(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
+        let known = lock(&self.ledger).get(&digest);
+        if known.is_some() || !matches!(self.kind, Kind::Shared) {
+            return Ok(known);
+        }
         match self.objects.head(&path_of(&digest)).await {
             Ok(found) => {
                 let kept = lock(&self.ledger).seen(digest, found.size, stamp_of(&found));
@@ -182,21 +193,19 @@ impl Inner {
 
     /// Takes over an upload that another process began. Whether there is one.
     async fn adopt(&self, id: UploadId) -> Result<bool, BlobError> {
+        // Looked for first: what nobody began counts for nothing, whatever size is named.
+        if self.staging.load(id).await?.is_none() {
+            return Ok(false);
+        }
         let admit = || {
             lock(&self.ledger).found_upload(id.size_bytes());
             Ok(())
         };
-        let Some((mut slot, ())) = self.uploads.add(id, self.options.uploads, admit)? else { return Ok(true) };
-        match self.staging.load(id).await {
-            Ok(Some(part)) => {
-                *slot = Slot::Open(part);
-                Ok(true)
-            }
-            found => {
-                self.drop_upload(id, &mut slot);
-                found.map(|_| false)
-            }
+        if let Some((mut slot, ())) = self.uploads.add(id, self.options.uploads, admit)? {
+            // Whoever has the turn reads it again.
+            *slot = Slot::Kept;
         }
+        Ok(true)
     }
 
     /// The upload is no more, and its room is free.
@@ -330,7 +339,7 @@ impl Inner {
             return Err(BlobError::DigestMismatch { expected: digest, actual });
         }
         let turn = self.lock_bytes(&digest).await;
-        if self.stored(digest).await?.is_some_and(|info| info.size_bytes == id.size_bytes()) {
+        if self.stored_in_turn(digest).await?.is_some_and(|info| info.size_bytes == id.size_bytes()) {
             // Another owner's upload was faster, and the caller may have been told so.
             self.discard(id).await;
         } else if let Some(error) = missing {
