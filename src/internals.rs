@@ -39,7 +39,7 @@ pub mod gpu {
 /// The queue, the device thread, and jobs as data.
 #[cfg(feature = "service")]
 pub mod job {
-    pub use crate::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
+    pub use crate::job::{Ask, Backends, Ceilings, Engine, EngineOptions, JobError, MakePool, Wish};
     pub use crate::job::{event, record, state, store};
 }
 

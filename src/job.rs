@@ -1,19 +1,22 @@
-//! Jobs: the queue, the one thread that owns the device, and jobs as data.
+//! Jobs: the queue, the threads that do the work, and jobs as data.
 //!
 //! A job as data is a [`record`], moves along the machine of [`state`], says what happens by [`event`], and is kept in a
 //! [`store`].
 //!
-//! Purpose: [`Engine`] takes work from many callers and does it one piece at a time on the device
-//! thread, which alone touches the backends. A piece is short or checks its [`Token`], and never
-//! waits for a client: state that outlives a piece (a session) moves out and in again.
+//! Purpose: [`Engine`] takes work from many callers and does it on a bounded number of host threads, which share the device.
+//! A piece is short or checks its [`Token`], and never waits for a client: state that outlives a piece (a session) moves out
+//! and in again.
 //! Invariant: every submitted piece is answered exactly once or its caller has gone; a panic ends
 //! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
 //! Must not know: gRPC, messages, the command line.
 
 pub(crate) mod diagram;
 pub mod event;
+mod gate;
+mod pools;
 pub(crate) mod queue;
 pub mod record;
+mod schedule;
 pub(crate) mod session;
 pub(crate) mod spec;
 pub mod state;
@@ -31,12 +34,16 @@ use crate::token::{Stopped, Token};
 
 pub use crate::rvd::BackendChoice as Wish;
 pub(crate) use queue::Place;
+pub use schedule::Ask;
 pub use watchdog::Ceilings;
 pub(crate) use watchdog::Work;
 pub(crate) use worker::{Device, Pending, Retry, Ticket, Timed, Turn};
 pub use worker::{Engine, EngineOptions};
 
-/// The backends of this process. Lives on the device thread.
+/// Makes a CPU backend with so many threads of its own.
+pub type MakePool = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;
+
+/// The backends of this process.
 #[derive(Clone)]
 pub struct Backends {
     /// f32 on a device, or why there is none.
@@ -47,9 +54,20 @@ pub struct Backends {
     pub serial: Arc<dyn Backend>,
     /// What [`Wish::Auto`] means here; `Auto` again means the GPU if there is one.
     pub default: Wish,
+    /// Makes more of `parallel`, so that each job at work has threads of its own; without, all jobs share `parallel`.
+    pub pools: Option<MakePool>,
 }
 
 impl Backends {
+    /// What a job sees: `host` in place of `parallel`, and the GPU through the gate.
+    fn for_job(&self, gate: &Arc<gate::Gate>, host: Option<&Arc<dyn Backend>>) -> Self {
+        let host = Arc::clone(host.unwrap_or(&self.parallel));
+        let shared = |device: &Arc<dyn Backend>| -> Arc<dyn Backend> {
+            Arc::new(gate::Gated { device: Arc::clone(device), gate: Arc::clone(gate), host: Arc::clone(&host) })
+        };
+        Self { gpu: self.gpu.as_ref().map(shared).map_err(Clone::clone), parallel: host, ..self.clone() }
+    }
+
     /// The backend for a wish.
     ///
     /// # Errors
@@ -102,8 +120,8 @@ pub enum JobError {
     /// The work panicked. The message is for the log and for a report of the fault.
     #[error("internal error: the work panicked: {0}")]
     Panicked(String),
-    /// The device thread has ended.
-    #[error("internal error: the device thread has ended")]
+    /// The engine has ended.
+    #[error("internal error: the engine has ended")]
     WorkerGone,
     /// The surface is wrong.
     #[error(transparent)]

@@ -9,6 +9,8 @@
 //! Must not know: iterations, jobs, files.
 
 mod backends;
+#[cfg(feature = "service")]
+pub(crate) mod cell_file;
 pub(crate) mod cells;
 pub(crate) mod clip;
 mod diagram;

@@ -32,6 +32,7 @@ pub(crate) fn all(args: &BackendArgs) -> Result<Backends, JobError> {
         parallel: Arc::new(Parallel::new(args.threads)?),
         serial: Arc::new(Serial),
         default: args.backend.into(),
+        pools: Some(|threads| Ok(Arc::new(Parallel::new(Some(threads))?))),
     };
     backends.choose(Wish::Auto)?;
     Ok(backends)

@@ -124,24 +124,8 @@ fn place(path: &Path) -> Option<PathBuf> {
 
 /// Reads points, `x y z` a line. Empty lines and lines that begin with `#` are left out.
 pub(crate) fn read_points(path: &Path) -> Result<Vec<DVec3>> {
-    let bad = |text: String| BadInput(format!("{}: {text}", path.display()));
     let text = read_text(path)?;
-    let mut points = Vec::new();
-    for (i, line) in text.lines().enumerate() {
-        let line = line.trim();
-        if line.is_empty() || line.starts_with('#') {
-            continue;
-        }
-        let numbers: Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
-        match numbers.as_deref() {
-            Ok([x, y, z]) if x.is_finite() && y.is_finite() && z.is_finite() => points.push(DVec3::new(*x, *y, *z)),
-            _ => return Err(bad(format!("line {} is not three finite numbers: {line:?}", i + 1)).into()),
-        }
-    }
-    if points.is_empty() {
-        return Err(bad("there are no points".to_owned()).into());
-    }
-    Ok(points)
+    Ok(io::lists::points(&text).map_err(|error| BadInput(format!("{}: {error}", path.display())))?)
 }
 
 /// Writes points, `x y z` a line, 17 significant digits.

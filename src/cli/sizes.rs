@@ -1,28 +1,22 @@
-//! `--sizes` and `--creases`: an edge length for each vertex of a file, and pairs of its vertices.
+//! `--sizes` and `--creases`: files of numbers that go by the vertices of the input file.
 //!
-//! Purpose: numbers that go by the file's own vertices, brought to those of the surface that was read.
-//! Invariant: PLY and OFF vertices keep their numbers. OBJ vertices are numbered by first use in a face, and the
-//! ones that no face uses are left out; the order is read from the file once more and compared with the surface, so
-//! that a length never lands on another vertex. STL has no vertices to speak of. Must not know: what lengths and pairs are for.
+//! Purpose: reads them; what the numbers mean is `mesh::io::lists`. Invariant: errors name the file and the line.
+//! Must not know: what lengths and pairs are for.
 
 use std::path::Path;
 
 use anyhow::Result;
-use glam::DVec3;
 
 use super::exit::{BadInput, NoInput, Usage};
 use super::files;
 use crate::mesh::TriMesh;
-use crate::mesh::io::Format;
+use crate::mesh::io::lists::{FileVertices, NO_NUMBERS};
+use crate::mesh::io::{DataError, Format};
 
 /// Refuses a file whose vertices have no numbers, for which `option` has a list.
 pub(crate) fn check_format(input: &Path, option: &str) -> Result<()> {
     match Format::of_path(input)? {
-        Format::Stl => {
-            let text =
-                format!("{option}: {} has no numbered vertices; convert it to .ply, .obj or .off", input.display());
-            Err(Usage(text).into())
-        }
+        Format::Stl => Err(Usage(format!("{option}: {}: {NO_NUMBERS}", input.display())).into()),
         Format::Obj | Format::Ply | Format::Off => Ok(()),
     }
 }
@@ -30,113 +24,36 @@ pub(crate) fn check_format(input: &Path, option: &str) -> Result<()> {
 /// Reads one number a line from `path`, for the vertices of the file `input`, which was read as `mesh`. Empty
 /// lines and lines that begin with `#` are left out.
 pub(crate) fn read(path: &Path, input: &Path, mesh: &TriMesh) -> Result<Vec<f64>> {
-    let bad = |text: String| BadInput(format!("{}: {text}", path.display()));
-    let text = files::read_text(path)?;
-    let mut sizes = Vec::new();
-    for (i, line) in text.lines().enumerate().map(|(i, line)| (i, line.trim())) {
-        if line.is_empty() || line.starts_with('#') {
-            continue;
-        }
-        match line.parse::<f64>() {
-            Ok(size) if size.is_finite() && size > 0.0 => sizes.push(size),
-            _ => return Err(bad(format!("line {} is not a finite number above 0: {line:?}", i + 1)).into()),
-        }
-    }
-    let count = |vertices: usize| {
-        let text =
-            format!("{} lengths, but {} has {vertices} vertices; give one for each", sizes.len(), input.display());
-        if sizes.len() == vertices { Ok(()) } else { Err(bad(text)) }
-    };
-    let Some(order) = file_order(input, mesh)? else {
-        count(mesh.positions().len())?;
-        return Ok(sizes);
-    };
-    count(order.file_vertices)?;
-    Ok(order.of_vertex.iter().map(|&v| sizes[v]).collect())
+    list(path, input, mesh, FileVertices::lengths)
 }
 
 /// Reads two vertices of the file `input` a line from `path`, numbered from 0: edges of `mesh`, which was read from it.
 /// Empty lines and lines that begin with `#` are left out.
 pub(crate) fn read_edges(path: &Path, input: &Path, mesh: &TriMesh) -> Result<Vec<[u32; 2]>> {
-    let bad = |text: String| BadInput(format!("{}: {text}", path.display()));
+    list(path, input, mesh, FileVertices::edges)
+}
+
+fn list<T>(
+    path: &Path,
+    input: &Path,
+    mesh: &TriMesh,
+    read: impl FnOnce(&FileVertices, &str) -> Result<T, DataError>,
+) -> Result<T> {
     let text = files::read_text(path)?;
-    let order = file_order(input, mesh)?;
-    let vertices = order.as_ref().map_or(mesh.positions().len(), |o| o.file_vertices);
-    // Where the file's vertices are in the surface.
-    let place: Option<Vec<Option<u32>>> = order.map(|order| {
-        let mut place = vec![None; order.file_vertices];
-        order.of_vertex.iter().zip(0..).for_each(|(&v, k)| place[v] = Some(k));
-        place
-    });
-    let mut edges = Vec::new();
-    for (i, line) in text.lines().enumerate().map(|(i, line)| (i, line.trim())) {
-        if line.is_empty() || line.starts_with('#') {
-            continue;
-        }
-        let at = |text: String| bad(format!("line {}: {text}", i + 1));
-        let numbers: Result<Vec<usize>, _> = line.split_whitespace().map(str::parse).collect();
-        let Ok(&[a, b]) = numbers.as_deref() else {
-            return Err(at(format!("not two numbers of vertices, which begin at 0: {line:?}")).into());
-        };
-        let vertex = |v: usize| match &place {
-            _ if v >= vertices => {
-                Err(at(format!("there is no vertex {v}; {} has {vertices}, numbered from 0", input.display())))
-            }
-            Some(place) => place[v].ok_or_else(|| at(format!("no facet has vertex {v}"))),
-            None => Ok(v as u32),
-        };
-        edges.push([vertex(a)?, vertex(b)?]);
-    }
-    Ok(edges)
-}
-
-/// Which vertex of its file each vertex of a surface is.
-struct Order {
-    of_vertex: Vec<usize>,
-    file_vertices: usize,
-}
-
-/// The order of the vertices of `mesh`, which was read from `input`; `None` if it is the file's.
-fn file_order(input: &Path, mesh: &TriMesh) -> Result<Option<Order>> {
-    if Format::of_path(input)? != Format::Obj {
-        return Ok(None);
-    }
-    let bytes = std::fs::read(input).map_err(|cause| NoInput { path: input.to_owned(), cause })?;
-    let (positions, order) = obj_order(&String::from_utf8_lossy(&bytes));
-    let found: Option<Vec<&DVec3>> = order.iter().map(|&v| positions.get(v)).collect();
-    if found.is_none_or(|found| !found.into_iter().eq(mesh.positions())) {
-        let text = format!("cannot tell which vertex of {} is which; convert it to .ply", input.display());
-        return Err(BadInput(text).into());
-    }
-    Ok(Some(Order { of_vertex: order, file_vertices: positions.len() }))
-}
-
-/// Vertices of an OBJ file, and those that faces use, by first use. NaN for what is no number.
-fn obj_order(text: &str) -> (Vec<DVec3>, Vec<usize>) {
-    let text = text.trim_start_matches('\u{feff}').replace("\\\r\n", " ").replace("\\\n", " ");
-    let (mut positions, mut corners) = (Vec::new(), Vec::new());
-    for line in text.lines() {
-        let mut words = line.split('#').next().unwrap_or_default().split_ascii_whitespace();
-        match words.next() {
-            Some("v") => {
-                let mut number = || words.next().and_then(|word| word.parse().ok()).unwrap_or(f64::NAN);
-                positions.push(DVec3::new(number(), number(), number()));
-            }
-            Some("f") => corners.extend(words.filter_map(|word| {
-                let index: i64 = word.split('/').next()?.parse().ok()?;
-                // From 1, or from the last one back.
-                usize::try_from(if index < 0 { positions.len() as i64 + index } else { index - 1 }).ok()
-            })),
-            _ => {}
-        }
-    }
-    let mut seen = vec![false; positions.len()];
-    corners.retain(|&v| seen.get_mut(v).is_none_or(|seen| !std::mem::replace(seen, true)));
-    (positions, corners)
+    let format = Format::of_path(input)?;
+    let bytes = match format {
+        Format::Obj => std::fs::read(input).map_err(|cause| NoInput { path: input.to_owned(), cause })?,
+        Format::Ply | Format::Stl | Format::Off => Vec::new(),
+    };
+    let vertices = FileVertices::of(format, &bytes, mesh);
+    let vertices = vertices.map_err(|error| BadInput(format!("{}: {error}", input.display())))?;
+    Ok(read(&vertices, &text).map_err(|error| BadInput(format!("{}: {error}", path.display())))?)
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
     use crate::mesh::io;
 

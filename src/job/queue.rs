@@ -1,32 +1,43 @@
-//! A bounded queue between many callers and one worker.
+//! What waits for a host thread, and who is next.
 //!
-//! Purpose: order, a limit, and a clean end.
-//! Invariant: at most `limit` new jobs wait or have a place kept for them; continuations of admitted work (a session's
-//! next step, a diagram's next batch) always get in, since each admitted caller has at most one waiting, and so do jobs
-//! that had a place kept. A place is kept for [`KEPT`]: a slow upload does not keep others out.
-//! Closing refuses what is new and keeps what waits. Must not know: what the work is.
+//! Purpose: a bounded queue between many callers and several workers, in two lanes. Jobs are taken by fair shares of their
+//! tenants ([`schedule`](super::schedule)); short pieces of admitted work (a session's next step, a diagram's next batch)
+//! have workers of their own and never wait for a whole job.
+//! Invariant: at most `limit` new jobs wait or have a place kept for them; what was admitted always gets in. A place is kept
+//! for [`KEPT`]: a slow upload does not keep others out. Closing refuses what is new and keeps what waits; nothing gets in
+//! once all workers have gone. Must not know: what the work is.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::JobError;
+use super::schedule::{Ask, Schedule, Slots};
 use crate::token::Token;
 
 /// How long a place is kept for a job that is still being uploaded. Later the job gets in as well, but others do too.
 const KEPT: Duration = Duration::from_secs(30);
 
 /// Where a piece of work gets in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub enum Place {
-    /// A new job: at the back, if there is room.
-    New,
-    /// A new job for which a place was kept: at the back, always.
-    Kept,
-    /// The next command of an admitted session: at the back, always.
+    /// A new job: if there is room.
+    New(Ask),
+    /// A new job for which a place was kept, or that is kept elsewhere while it waits: always.
+    Kept(Ask),
+    /// The next command of an admitted session: at the back of the short lane, always.
     Session,
-    /// More of a job whose turn it was: at the front, always.
+    /// More of a job whose turn it was: at the front of the short lane, always.
     Continuation,
+}
+
+/// The two kinds of workers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Lane {
+    /// Whole jobs.
+    Jobs,
+    /// Pieces of admitted work.
+    Short,
 }
 
 /// What waits. Dropping an item must be harmless.
@@ -37,10 +48,18 @@ pub(crate) trait Item: Send {
     fn token(&self) -> &Token;
 }
 
+/// An item whose turn it is. Its number is to be given back to [`Queue::done`].
+pub(crate) struct Taken<T> {
+    pub(crate) item: T,
+    pub(crate) number: u64,
+    /// Whether its tenant has nothing else at work or waiting: it may have all threads.
+    pub(crate) is_alone: bool,
+}
+
 /// What [`Queue::pop`] found.
 pub(crate) enum Popped<T> {
     /// Work.
-    Item(T),
+    Item(Taken<T>),
     /// No work within the time given.
     Nothing,
     /// No work, and none will come.
@@ -55,26 +74,34 @@ pub(crate) struct Queue<T> {
 }
 
 struct State<T> {
-    waiting: VecDeque<(Place, T)>,
+    jobs: Schedule<Waiting<T>>,
+    short: VecDeque<T>,
     /// Since when places are kept, by ticket.
     kept: BTreeMap<u64, Instant>,
     tickets: u64,
-    running: Option<Token>,
+    running: HashMap<u64, Token>,
     closed: bool,
-    /// The worker has gone: nothing that gets in now would ever be answered.
+    /// The workers have gone: nothing that gets in now would ever be answered.
     ended: bool,
-    /// Moving mean of how long an item takes, for the advice to a refused caller.
+    /// Moving mean of how long a job takes, for the advice to a refused caller.
     mean_s: f64,
 }
 
+struct Waiting<T> {
+    item: T,
+    /// Whether it counts against the limit.
+    counts: bool,
+}
+
 impl<T: Item> Queue<T> {
-    /// Room for `limit` new jobs besides the one at work.
-    pub(crate) fn new(limit: usize) -> Self {
+    /// Room for `limit` new jobs besides those at work.
+    pub(crate) fn new(limit: usize, slots: Slots) -> Self {
         let state = State {
-            waiting: VecDeque::new(),
+            jobs: Schedule::new(slots),
+            short: VecDeque::new(),
             kept: BTreeMap::new(),
             tickets: 0,
-            running: None,
+            running: HashMap::new(),
             closed: false,
             ended: false,
             mean_s: 0.5,
@@ -92,8 +119,7 @@ impl<T: Item> Queue<T> {
             return Err(JobError::Draining);
         }
         state.make_room(self.limit)?;
-        let ticket = state.tickets;
-        state.tickets += 1;
+        let ticket = state.number();
         state.kept.insert(ticket, Instant::now());
         Ok(ticket)
     }
@@ -103,74 +129,94 @@ impl<T: Item> Queue<T> {
         self.lock().kept.remove(&ticket);
     }
 
-    /// Puts an item in and says how many are ahead of it, the one at work included.
+    /// Puts an item in and says how many are ahead of it, those at work included.
     ///
     /// # Errors
-    /// `QueueFull`, `Draining` (for what is new, and for all once the worker has gone).
+    /// `QueueFull`, `Draining` (for what is new, and for all once the workers have gone).
     pub(crate) fn push(&self, place: Place, item: T) -> Result<usize, JobError> {
         let mut state = self.lock();
-        if state.ended || (state.closed && matches!(place, Place::New | Place::Kept)) {
+        let is_new = matches!(place, Place::New(_) | Place::Kept(_));
+        if state.ended || (state.closed && is_new) {
             return Err(JobError::Draining);
         }
-        if place == Place::New {
+        if matches!(place, Place::New(_)) {
             state.make_room(self.limit)?;
         }
-        let ahead = usize::from(state.running.is_some());
-        let position = if place == Place::Continuation {
-            state.waiting.push_front((place, item));
-            ahead
-        } else {
-            state.waiting.push_back((place, item));
-            ahead + state.waiting.len() - 1
+        let position = match place {
+            Place::New(ask) | Place::Kept(ask) => {
+                let ahead = state.jobs.running() + state.jobs.waiting();
+                let waiting = Waiting { item, counts: !ask.is_kept_elsewhere };
+                state.jobs.push(ask, waiting);
+                ahead
+            }
+            Place::Session => {
+                state.short.push_back(item);
+                state.short.len() - 1
+            }
+            Place::Continuation => {
+                state.short.push_front(item);
+                0
+            }
         };
         drop(state);
-        self.ready.notify_one();
+        self.ready.notify_all();
         Ok(position)
     }
 
-    /// Waits for the next item that is still wanted, for ever or so long.
-    pub(crate) fn pop(&self, patience: Option<Duration>) -> Popped<T> {
+    /// Waits for the next item of a lane that is still wanted, for ever or so long.
+    pub(crate) fn pop(&self, lane: Lane, patience: Option<Duration>) -> Popped<T> {
         let mut state = self.lock();
         let mut waited = false;
         loop {
-            state.running = None;
-            while let Some((_, item)) = state.waiting.pop_front() {
-                if item.is_wanted() {
-                    state.running = Some(item.token().clone());
-                    return Popped::Item(item);
-                }
-                // Its destructor may free much; not under the lock.
+            let mut unwanted = Vec::new();
+            let taken = state.take(lane, &mut unwanted);
+            if !unwanted.is_empty() {
+                // Their destructors may free much; not under the lock.
                 drop(state);
-                drop(item);
+                drop(unwanted);
                 state = self.lock();
             }
-            if state.closed {
-                state.ended = true;
+            if let Some(taken) = taken {
+                return Popped::Item(taken);
+            }
+            if state.is_over(lane) {
+                state.ended = state.ended || state.is_over(Lane::Short);
+                drop(state);
+                self.ready.notify_all();
                 return Popped::Closed;
             }
-            let Some(patience) = patience else {
-                state = self.ready.wait(state).unwrap_or_else(PoisonError::into_inner);
-                continue;
-            };
-            if waited {
+            if waited && patience.is_some() {
                 return Popped::Nothing;
             }
-            // A wake-up for nothing only shortens the wait.
-            state = self.ready.wait_timeout(state, patience).unwrap_or_else(PoisonError::into_inner).0;
+            // What does not fit now may be let past others later: somebody has to look again.
+            let pause = match lane {
+                Lane::Jobs => [patience, state.jobs.look_again()].into_iter().flatten().min(),
+                Lane::Short => patience,
+            };
+            state = match pause {
+                // A wake-up for nothing only shortens the wait.
+                Some(pause) => self.ready.wait_timeout(state, pause).unwrap_or_else(PoisonError::into_inner).0,
+                None => self.ready.wait(state).unwrap_or_else(PoisonError::into_inner),
+            };
             waited = true;
         }
     }
 
-    /// Tells how long an item took.
-    pub(crate) fn learn(&self, took: Duration) {
+    /// An item that was taken is done, and took so long.
+    pub(crate) fn done(&self, number: u64, took: Duration) {
         let mut state = self.lock();
-        state.mean_s = 0.8 * state.mean_s + 0.2 * took.as_secs_f64();
+        state.running.remove(&number);
+        if state.jobs.done(number, took.as_secs_f64()) {
+            state.mean_s = 0.8 * state.mean_s + 0.2 * took.as_secs_f64();
+        }
+        drop(state);
+        self.ready.notify_all();
     }
 
     /// Items that wait, and whether one is at work.
     pub(crate) fn load(&self) -> (usize, bool) {
         let state = self.lock();
-        (state.waiting.len(), state.running.is_some())
+        (state.jobs.waiting() + state.short.len(), !state.running.is_empty())
     }
 
     /// Refuses what is new from now on.
@@ -179,22 +225,22 @@ impl<T: Item> Queue<T> {
         self.ready.notify_all();
     }
 
-    /// The worker has gone: drops what waits, so that its callers hear of it, and refuses all.
+    /// The workers have gone: drops what waits, so that its callers hear of it, and refuses all.
     pub(crate) fn end(&self) {
         let mut state = self.lock();
         state.closed = true;
         state.ended = true;
-        state.running = None;
-        let left = std::mem::take(&mut state.waiting);
+        let left = (state.jobs.drain(), std::mem::take(&mut state.short));
         drop(state);
         drop(left);
+        self.ready.notify_all();
     }
 
     /// Cancels what waits and what runs.
     pub(crate) fn cancel_all(&self) {
         let state = self.lock();
-        state.running.iter().for_each(Token::cancel);
-        state.waiting.iter().for_each(|(_, item)| item.token().cancel());
+        state.running.values().for_each(Token::cancel);
+        state.jobs.iter().map(|waiting| &waiting.item).chain(&state.short).for_each(|item| item.token().cancel());
     }
 
     fn lock(&self) -> MutexGuard<'_, State<T>> {
@@ -203,9 +249,47 @@ impl<T: Item> Queue<T> {
 }
 
 impl<T: Item> State<T> {
+    fn number(&mut self) -> u64 {
+        self.tickets += 1;
+        self.tickets
+    }
+
+    /// Takes the next item of a lane. Those that nobody waits for any more go to `unwanted`.
+    fn take(&mut self, lane: Lane, unwanted: &mut Vec<T>) -> Option<Taken<T>> {
+        let number = self.number();
+        let (item, is_alone) = match lane {
+            Lane::Short => loop {
+                let item = self.short.pop_front()?;
+                if item.is_wanted() {
+                    break (item, false);
+                }
+                unwanted.push(item);
+            },
+            Lane::Jobs => {
+                let mut gone = Vec::new();
+                let next = self.jobs.next(number, |waiting| waiting.item.is_wanted(), &mut gone);
+                unwanted.extend(gone.into_iter().map(|waiting| waiting.item));
+                let next = next?;
+                (next.item.item, next.is_alone)
+            }
+        };
+        self.running.insert(number, item.token().clone());
+        Some(Taken { item, number, is_alone })
+    }
+
+    /// Whether a worker of this lane has nothing more to do.
+    fn is_over(&self, lane: Lane) -> bool {
+        let no_jobs = self.jobs.waiting() == 0;
+        match lane {
+            Lane::Jobs => self.ended || (self.closed && no_jobs),
+            // What runs may have more to do.
+            Lane::Short => self.ended || (self.closed && no_jobs && self.short.is_empty() && self.running.is_empty()),
+        }
+    }
+
     /// New jobs that wait, and places that are kept for others.
     fn new_jobs(&self) -> usize {
-        let waiting = self.waiting.iter().filter(|(place, _)| matches!(place, Place::New | Place::Kept)).count();
+        let waiting = self.jobs.iter().filter(|waiting| waiting.counts).count();
         waiting + self.kept.values().filter(|since| since.elapsed() < KEPT).count()
     }
 
@@ -215,7 +299,7 @@ impl<T: Item> State<T> {
             return Ok(());
         }
         // Those whose callers have gone hold a place until somebody needs it.
-        self.waiting.retain(|(place, item)| !matches!(place, Place::New | Place::Kept) || item.is_wanted());
+        self.jobs.retain(|waiting| waiting.item.is_wanted());
         let waiting = self.new_jobs();
         if waiting < limit {
             return Ok(());
@@ -240,9 +324,24 @@ mod tests {
         }
     }
 
-    fn pop(queue: &Queue<Ticket>) -> Option<Ticket> {
-        match queue.pop(Some(Duration::from_millis(1))) {
-            Popped::Item(ticket) => Some(ticket),
+    fn queue(limit: usize) -> Queue<Ticket> {
+        Queue::new(limit, Slots { regular: 1, memory_bytes: u64::MAX })
+    }
+
+    fn new() -> Place {
+        Place::New(Ask::default())
+    }
+
+    fn kept() -> Place {
+        Place::Kept(Ask::default())
+    }
+
+    fn pop(queue: &Queue<Ticket>, lane: Lane) -> Option<Ticket> {
+        match queue.pop(lane, Some(Duration::from_millis(1))) {
+            Popped::Item(taken) => {
+                queue.done(taken.number, Duration::ZERO);
+                Some(taken.item)
+            }
             Popped::Nothing | Popped::Closed => None,
         }
     }
@@ -253,49 +352,70 @@ mod tests {
 
     #[test]
     fn full_refuses_what_is_new_only_and_forgets_who_has_gone() {
-        let queue = Queue::new(2);
-        assert_eq!(queue.push(Place::New, ticket(0, true)).unwrap(), 0);
-        assert_eq!(queue.push(Place::New, ticket(1, false)).unwrap(), 1);
-        assert_eq!(queue.push(Place::New, ticket(2, true)).unwrap(), 1, "the one who has gone makes room");
-        assert!(matches!(queue.push(Place::New, ticket(3, true)), Err(JobError::QueueFull { waiting: 2, .. })));
+        let queue = queue(2);
+        assert_eq!(queue.push(new(), ticket(0, true)).unwrap(), 0);
+        assert_eq!(queue.push(new(), ticket(1, false)).unwrap(), 1);
+        assert_eq!(queue.push(new(), ticket(2, true)).unwrap(), 1, "the one who has gone makes room");
+        assert!(matches!(queue.push(new(), ticket(3, true)), Err(JobError::QueueFull { waiting: 2, .. })));
         queue.push(Place::Session, ticket(4, true)).unwrap();
         queue.push(Place::Continuation, ticket(5, true)).unwrap();
         queue.close();
-        assert!(matches!(queue.push(Place::New, ticket(6, true)), Err(JobError::Draining)));
-        let order: Vec<u32> = std::iter::from_fn(|| pop(&queue)).map(|t| t.0).collect();
-        assert_eq!(order, [5, 0, 2, 4], "closing keeps what waits");
+        assert!(matches!(queue.push(new(), ticket(6, true)), Err(JobError::Draining)));
+        let order = |lane| -> Vec<u32> { std::iter::from_fn(|| pop(&queue, lane)).map(|t| t.0).collect() };
+        assert_eq!(order(Lane::Jobs), [0, 2], "closing keeps what waits");
+        assert_eq!(order(Lane::Short), [5, 4], "and what was admitted");
+        assert!(matches!(queue.push(Place::Session, ticket(7, true)), Err(JobError::Draining)), "nobody is left");
     }
 
     #[test]
     fn a_place_is_kept_and_always_let_in() {
-        let queue = Queue::new(2);
+        let queue = queue(2);
         let first = queue.keep().unwrap();
-        queue.push(Place::New, ticket(0, true)).unwrap();
+        queue.push(new(), ticket(0, true)).unwrap();
         assert!(matches!(queue.keep(), Err(JobError::QueueFull { waiting: 2, .. })));
-        assert!(matches!(queue.push(Place::New, ticket(1, true)), Err(JobError::QueueFull { .. })));
-        queue.push(Place::Kept, ticket(2, true)).unwrap();
+        assert!(matches!(queue.push(new(), ticket(1, true)), Err(JobError::QueueFull { .. })));
+        queue.push(kept(), ticket(2, true)).unwrap();
         queue.give_back(first);
         assert!(matches!(queue.keep(), Err(JobError::QueueFull { waiting: 2, .. })));
-        assert_eq!(pop(&queue).map(|t| t.0), Some(0));
+        assert_eq!(pop(&queue, Lane::Jobs).map(|t| t.0), Some(0));
         let slow = queue.keep().unwrap();
         // An upload that takes its time keeps nobody out, and gets in all the same.
         queue.lock().kept.insert(slow, Instant::now().checked_sub(KEPT).unwrap());
-        queue.push(Place::New, ticket(3, true)).unwrap();
-        queue.push(Place::Kept, ticket(4, true)).unwrap();
+        queue.push(new(), ticket(3, true)).unwrap();
+        queue.push(kept(), ticket(4, true)).unwrap();
+        // So does what is kept elsewhere while it waits, and it takes nobody's place.
+        queue.push(Place::Kept(Ask { is_kept_elsewhere: true, ..Ask::default() }), ticket(5, true)).unwrap();
         queue.close();
         assert!(matches!(queue.keep(), Err(JobError::Draining)));
     }
 
     #[test]
-    fn cancel_all_reaches_the_running_and_the_waiting() {
-        let queue = Queue::new(4);
-        for id in 0..3 {
-            queue.push(Place::New, ticket(id, true)).unwrap();
-        }
-        let running = pop(&queue).unwrap();
-        queue.cancel_all();
-        assert!(running.2.is_stopped());
+    fn a_session_does_not_wait_for_a_job() {
+        let queue = queue(2);
+        queue.push(new(), ticket(0, true)).unwrap();
+        let Popped::Item(job) = queue.pop(Lane::Jobs, None) else { panic!("a job waits") };
+        queue.push(new(), ticket(1, true)).unwrap();
+        queue.push(Place::Session, ticket(2, true)).unwrap();
+        assert!(pop(&queue, Lane::Jobs).is_none(), "there is one slot");
+        assert_eq!(pop(&queue, Lane::Short).map(|t| t.0), Some(2));
         queue.close();
-        assert!(std::iter::from_fn(|| pop(&queue)).all(|t| t.2.is_stopped()));
+        assert!(matches!(queue.pop(Lane::Short, Some(Duration::ZERO)), Popped::Nothing), "what runs may have more");
+        queue.done(job.number, Duration::from_secs(1));
+        assert_eq!(pop(&queue, Lane::Jobs).map(|t| t.0), Some(1));
+        assert!(matches!(queue.pop(Lane::Short, None), Popped::Closed));
+    }
+
+    #[test]
+    fn cancel_all_reaches_the_running_and_the_waiting() {
+        let queue = queue(4);
+        for id in 0..3 {
+            queue.push(new(), ticket(id, true)).unwrap();
+        }
+        let Popped::Item(running) = queue.pop(Lane::Jobs, None) else { panic!("three wait") };
+        queue.cancel_all();
+        assert!(running.item.2.is_stopped());
+        queue.done(running.number, Duration::ZERO);
+        queue.close();
+        assert!(std::iter::from_fn(|| pop(&queue, Lane::Jobs)).all(|t| t.2.is_stopped()));
     }
 }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use super::spec::Prepared;
-use super::{BackendInfo, Engine, JobError, Pending, Place, Retry, Ticket, Timed, Wish};
+use super::{Ask, BackendInfo, Engine, JobError, Pending, Place, Retry, Ticket, Timed, Wish};
 use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};
 use crate::token::Token;
 
@@ -60,7 +60,7 @@ impl CvtSession {
         options: CvtOptions,
         _ticket: Ticket,
     ) -> Result<Pending<(Cvt, BackendInfo)>, JobError> {
-        engine.submit(Place::Kept, Retry::Anew, move |backends, turn| {
+        engine.submit(Place::Kept(Ask { goes_on: true, ..Ask::default() }), Retry::Anew, move |backends, turn| {
             turn.token.check()?;
             let backend = backends.choose(wish)?;
             let cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;

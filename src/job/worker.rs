@@ -1,20 +1,24 @@
-//! The device thread and the handle to it.
+//! The host threads that do the work, and the handle to them.
 //!
-//! Purpose: [`Engine::submit`] from any task, work on one OS thread, an answer with times.
-//! Invariant: backends are made, used and dropped on the device thread. A lost device is replaced
-//! before the next piece; a piece that can be begun anew is tried up to three times.
-//! Must not know: what a piece computes.
+//! Purpose: [`Engine::submit`] from any task, work on a bounded number of OS threads, an answer with times. A job stays on
+//! one of them; the device is shared by the pass ([`gate`](super::gate)).
+//! Invariant: a lost device is replaced once, by whoever finds it lost, before the next piece; a piece that can be begun
+//! anew is tried up to three times. Must not know: what a piece computes.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
 use std::sync::atomic::AtomicI64;
+use std::sync::mpsc::SyncSender;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
 
-use super::queue::{Item, Place, Popped, Queue};
+use super::gate::Gate;
+use super::pools::Pools;
+use super::queue::{Item, Lane, Place, Popped, Queue, Taken};
+use super::schedule::Slots;
 use super::watchdog::{Ceilings, Watchdog, Watched, Work};
 use super::{BackendInfo, Backends, JobError, Wish};
 use crate::token::Token;
@@ -26,15 +30,31 @@ pub struct EngineOptions {
     pub queue_jobs: usize,
     /// How long until a lost device is tried again when nobody asks for it.
     pub revive: Duration,
-    /// What a job may take.
+    /// What a job may take. The ceiling on memory is also what jobs at work together may need.
     pub ceilings: Ceilings,
+    /// Jobs at work at once, at least 1; one more of a tenant that has none at work.
+    pub jobs_at_once: usize,
 }
 
 impl Default for EngineOptions {
     fn default() -> Self {
-        Self { queue_jobs: 32, revive: Duration::from_secs(5), ceilings: Ceilings::default() }
+        Self {
+            queue_jobs: 32,
+            revive: Duration::from_secs(5),
+            ceilings: Ceilings::default(),
+            jobs_at_once: jobs_at_once(),
+        }
     }
 }
+
+/// As many jobs at once as there are quarters of the processor's cores, but 2 to 8: a job keeps about four cores busy in all
+/// of its stages, and two let the host's stages of one pass while the device works for the other.
+pub(crate) fn jobs_at_once() -> usize {
+    std::thread::available_parallelism().map_or(2, |cores| (cores.get() / 4).clamp(2, 8))
+}
+
+/// Workers for short pieces.
+const SHORT_WORKERS: usize = 2;
 
 /// How the device is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,7 +63,7 @@ pub enum Device {
     Ready,
     /// Lost; being made anew.
     Lost,
-    /// The device thread has ended.
+    /// The engine has ended.
     Gone,
 }
 
@@ -131,6 +151,26 @@ struct Shared {
     queue: Queue<Box<dyn Task>>,
     infos: Infos,
     device: watch::Sender<Device>,
+    gate: Arc<Gate>,
+    pools: Pools,
+    /// Rises with every replacement of what it stands beside.
+    current: RwLock<(u64, Backends)>,
+    maker: Mutex<Maker>,
+    revive: Duration,
+}
+
+/// Makes backends, now and after a loss.
+struct Maker {
+    factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
+    tried: Instant,
+}
+
+impl Maker {
+    fn make(&mut self) -> Result<Backends, JobError> {
+        self.tried = Instant::now();
+        catch_unwind(AssertUnwindSafe(&mut self.factory))
+            .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))))
+    }
 }
 
 impl std::fmt::Debug for Shared {
@@ -140,15 +180,15 @@ impl std::fmt::Debug for Shared {
     }
 }
 
-/// The handle. Clones share one device thread.
+/// The handle. Clones share the threads.
 #[derive(Clone, Debug)]
 pub struct Engine {
     shared: Arc<Shared>,
 }
 
 impl Engine {
-    /// Starts the device thread, which calls `factory` for its backends, now and after a loss.
-    /// Returns once they are there.
+    /// Starts the host threads. `factory` makes their backends, now and after a loss. Returns once they are there; what is
+    /// returned beside the handle ends when all threads have.
     ///
     /// # Errors
     /// The factory's, or `Panicked`.
@@ -158,9 +198,9 @@ impl Engine {
     ) -> Result<(Self, JoinHandle<()>), JobError> {
         let (ready, answer) = std::sync::mpsc::sync_channel(1);
         let thread = Builder::new()
-            .name("device".to_owned())
-            .spawn(move || Worker { factory }.run(options, &ready))
-            .map_err(|e| JobError::Panicked(format!("the device thread could not be started: {e}")))?;
+            .name("engine".to_owned())
+            .spawn(move || run(Box::new(factory), options, &ready))
+            .map_err(|e| JobError::Panicked(format!("the engine's thread could not be started: {e}")))?;
         let shared = answer.recv().unwrap_or(Err(JobError::WorkerGone))?;
         Ok((Self { shared }, thread))
     }
@@ -188,7 +228,7 @@ impl Engine {
         self.shared.watchdog.token()
     }
 
-    /// Watches work that is done for a job on another thread than the device's, until what it returns is dropped.
+    /// Watches work that is done for a job on another thread than a worker's, until what it returns is dropped.
     pub fn watch(&self, token: &Token) -> Watched {
         self.shared.watchdog.watch(token)
     }
@@ -204,7 +244,7 @@ impl Engine {
         self.shared.watchdog.work()
     }
 
-    /// Does work on the engine's threads, so that their number bounds what is done beside the device thread too.
+    /// Does work on the engine's threads, so that their number bounds what is done beside the jobs too.
     pub fn on_threads<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
         match &self.shared.infos.pool {
             Some(pool) => pool.install(work),
@@ -212,7 +252,7 @@ impl Engine {
         }
     }
 
-    /// Queues `work` with a token of its own. It is called on the device thread once, or again after a lost device if
+    /// Queues `work` with a token of its own. It is called on a host thread once, or again after a lost device if
     /// `retry` allows it.
     ///
     /// # Errors
@@ -238,12 +278,17 @@ impl Engine {
         work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
     ) -> Result<Pending<R>, JobError> {
         let (sender, reply) = oneshot::channel();
-        let call = Call { work: Some(work), reply: Some(sender), token: token.clone(), queued: Instant::now(), retry };
+        let goes_on = match &place {
+            Place::New(ask) | Place::Kept(ask) => ask.goes_on,
+            Place::Session | Place::Continuation => true,
+        };
+        let (work, reply_to, queued) = (Some(work), Some(sender), Instant::now());
+        let call = Call { work, goes_on, reply: reply_to, token: token.clone(), queued, retry };
         let position = self.shared.queue.push(place, Box::new(call))?;
         Ok(Pending { position, reply, token, answered: false })
     }
 
-    /// Drops `value` on the device thread, where its buffers live.
+    /// Drops `value` on a host thread: freeing much takes time.
     pub fn dispose(&self, value: impl Send + 'static) {
         let mut value = Some(value);
         let (sender, _) = oneshot::channel();
@@ -253,12 +298,13 @@ impl Engine {
         };
         let call = Call {
             work: Some(work),
+            goes_on: true,
             reply: Some(sender),
             token: Token::default(),
             queued: Instant::now(),
             retry: Retry::Never,
         };
-        // Nobody waits for it; popping drops it on the device thread, and so does its end.
+        // Nobody waits for it; popping drops it on a host thread, and so does its end.
         let _ = self.shared.queue.push(Place::Continuation, Box::new(call));
     }
 
@@ -272,7 +318,7 @@ impl Engine {
         self.shared.device.subscribe()
     }
 
-    /// Refuses new jobs; the thread ends once the queue is empty.
+    /// Refuses new jobs; the threads end once the queue is empty.
     pub fn close(&self) {
         self.shared.queue.close();
     }
@@ -287,104 +333,162 @@ struct Infos {
     backends: Vec<(Wish, Result<BackendInfo, JobError>)>,
     /// The threads of the CPU backend.
     pool: Option<Arc<rayon::ThreadPool>>,
+    slots: Slots,
 }
 
 impl Infos {
-    fn of(backends: &Backends) -> Self {
+    fn of(backends: &Backends, slots: Slots) -> Self {
         use crate::rvd::BackendKind::{Gpu, Parallel, Serial};
         let wishes = [Wish::Auto, Wish::Only(Gpu), Wish::Only(Parallel), Wish::Only(Serial)];
         let info = |wish| backends.choose(wish).map(|b| BackendInfo::of(b.as_ref()));
         let pool = backends.parallel.pool();
-        Self { backends: wishes.into_iter().map(|wish| (wish, info(wish))).collect(), pool }
+        Self { backends: wishes.into_iter().map(|wish| (wish, info(wish))).collect(), pool, slots }
     }
 }
 
-struct Worker<F> {
-    factory: F,
-}
-
-impl<F: FnMut() -> Result<Backends, JobError>> Worker<F> {
-    fn run(mut self, options: EngineOptions, ready: &std::sync::mpsc::SyncSender<Result<Arc<Shared>, JobError>>) {
-        let mut backends = match self.make() {
-            Ok(backends) => backends,
-            Err(error) => {
-                let _ = ready.send(Err(error));
-                return;
-            }
-        };
-        let watchdog = match Watchdog::start(options.ceilings) {
-            Ok(watchdog) => watchdog,
-            Err(error) => {
-                let _ = ready.send(Err(JobError::Panicked(format!("the watchdog could not be started: {error}"))));
-                return;
-            }
-        };
-        let shared = Arc::new(Shared {
-            watchdog,
-            queue: Queue::new(options.queue_jobs.max(1)),
-            infos: Infos::of(&backends),
-            device: watch::Sender::new(Device::Ready),
-        });
-        if ready.send(Ok(shared.clone())).is_err() {
+/// The engine's own thread: starts the others, and waits for their end.
+fn run(
+    factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
+    options: EngineOptions,
+    ready: &SyncSender<Result<Arc<Shared>, JobError>>,
+) {
+    let shared = match Shared::new(factory, options) {
+        Ok(shared) => Arc::new(shared),
+        Err(error) => {
+            let _ = ready.send(Err(error));
             return;
         }
-        let _end = EndOnDrop(&shared);
-        loop {
-            let lost = *shared.device.borrow() == Device::Lost;
-            match shared.queue.pop(lost.then_some(options.revive)) {
-                Popped::Item(task) => self.work(task, &mut backends, &shared),
-                Popped::Nothing => self.replace(&mut backends, &shared),
-                Popped::Closed => return,
+    };
+    let _end = EndOnDrop(&shared);
+    std::thread::scope(|scope| {
+        let jobs = (0..=shared.infos.slots.regular).map(|i| (Lane::Jobs, format!("job-{i}")));
+        let short = (0..SHORT_WORKERS).map(|i| (Lane::Short, format!("short-{i}")));
+        for (lane, name) in jobs.chain(short) {
+            let shared = &*shared;
+            let started = Builder::new().name(name).spawn_scoped(scope, move || shared.work_in(lane));
+            if let Err(error) = started {
+                // Those that were started end.
+                shared.queue.end();
+                let _ = ready.send(Err(JobError::Panicked(format!("a host thread could not be started: {error}"))));
+                return;
             }
         }
+        if ready.send(Ok(Arc::clone(&shared))).is_err() {
+            shared.queue.end();
+        }
+    });
+}
+
+impl Shared {
+    fn new(
+        factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
+        options: EngineOptions,
+    ) -> Result<Self, JobError> {
+        let mut maker = Maker { factory, tried: Instant::now() };
+        let backends = maker.make()?;
+        let watchdog = Watchdog::start(options.ceilings)
+            .map_err(|error| JobError::Panicked(format!("the watchdog could not be started: {error}")))?;
+        let slots = Slots {
+            regular: options.jobs_at_once.max(1),
+            memory_bytes: options.ceilings.memory_bytes.unwrap_or(u64::MAX),
+        };
+        Ok(Self {
+            watchdog,
+            queue: Queue::new(options.queue_jobs.max(1), slots),
+            infos: Infos::of(&backends, slots),
+            device: watch::Sender::new(Device::Ready),
+            gate: Arc::default(),
+            pools: Pools::new(&backends, slots.regular),
+            current: RwLock::new((0, backends)),
+            maker: Mutex::new(maker),
+            revive: options.revive,
+        })
     }
 
-    fn work(&mut self, mut task: Box<dyn Task>, backends: &mut Backends, shared: &Shared) {
+    /// The backends now, and how often they were replaced before.
+    fn current(&self) -> (u64, Backends) {
+        self.current.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn work_in(&self, lane: Lane) {
+        let end = EndOnPanic(self);
+        loop {
+            let lost = *self.device.borrow() == Device::Lost;
+            match self.queue.pop(lane, lost.then_some(self.revive)) {
+                Popped::Item(taken) => self.work(taken),
+                Popped::Nothing => self.replace(self.current().0, self.revive),
+                Popped::Closed => break,
+            }
+        }
+        drop(end);
+    }
+
+    fn work(&self, taken: Taken<Box<dyn Task>>) {
+        let Taken { item: mut task, number, is_alone } = taken;
         let start = Instant::now();
-        let _watched = shared.watchdog.watch(task.token());
+        let watched = self.watchdog.watch(task.token());
+        let threads = if task.goes_on() { None } else { Some(self.pools.take(is_alone)) };
         let mut attempts = 0;
-        while task.run(backends, attempts) == Outcome::DeviceLost {
+        loop {
+            let (generation, backends) = self.current();
+            let backends = backends.for_job(&self.gate, threads.as_deref());
+            if task.run(&backends, attempts) == Outcome::Answered {
+                break;
+            }
             attempts += 1;
-            self.replace(backends, shared);
+            self.replace(generation, Duration::ZERO);
             if !task.is_wanted() || task.token().is_stopped() {
                 break;
             }
         }
-        // State that the answer did not take along is dropped here, on its own thread.
-        drop(task);
-        shared.queue.learn(start.elapsed());
+        // State that the answer did not take along is dropped here.
+        drop((task, threads, watched));
+        self.queue.done(number, start.elapsed());
     }
 
-    fn make(&mut self) -> Result<Backends, JobError> {
-        catch_unwind(AssertUnwindSafe(&mut self.factory))
-            .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))))
-    }
-
-    /// New backends after a loss. While there are none the old ones stay, and answer with errors:
-    /// work that was promised to a GPU does not go to a CPU unsaid.
-    fn replace(&mut self, backends: &mut Backends, shared: &Shared) {
-        shared.device.send_replace(Device::Lost);
+    /// New backends after a loss, unless somebody was faster, or tried less than `pause` ago. While there are none the old
+    /// ones stay, and answer with errors: work that was promised to a GPU does not go to a CPU unsaid.
+    fn replace(&self, generation: u64, pause: Duration) {
+        let mut maker = self.maker.lock().unwrap_or_else(PoisonError::into_inner);
+        let (now, old) = self.current();
+        if now != generation || (!pause.is_zero() && maker.tried.elapsed() < pause) {
+            return;
+        }
+        self.device.send_replace(Device::Lost);
         tracing::warn!("the device was lost; making it anew");
-        match self.make() {
-            Ok(new) if new.gpu.is_err() && backends.gpu.is_ok() => {
+        match maker.make() {
+            Ok(new) if new.gpu.is_err() && old.gpu.is_ok() => {
                 tracing::error!(reason = new.gpu.err(), "the GPU did not come back");
             }
             Ok(new) => {
-                *backends = new;
-                shared.device.send_replace(Device::Ready);
+                *self.current.write().unwrap_or_else(PoisonError::into_inner) = (generation + 1, new);
+                self.device.send_replace(Device::Ready);
             }
             Err(error) => tracing::error!(%error, "the device could not be made anew"),
         }
     }
 }
 
-/// Whatever ends the device thread, a panic in a destructor too, nobody waits for it in vain.
+/// Whatever ends the engine, nobody waits for it in vain.
 struct EndOnDrop<'a>(&'a Shared);
 
 impl Drop for EndOnDrop<'_> {
     fn drop(&mut self) {
         self.0.queue.end();
         self.0.device.send_replace(Device::Gone);
+    }
+}
+
+/// A host thread that panics, in a destructor, takes the engine along: whoever waits for its work is told.
+struct EndOnPanic<'a>(&'a Shared);
+
+impl Drop for EndOnPanic<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.queue.end();
+            self.0.queue.cancel_all();
+            self.0.device.send_replace(Device::Gone);
+        }
     }
 }
 
@@ -396,6 +500,7 @@ enum Outcome {
 
 trait Task: Item {
     fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome;
+    fn goes_on(&self) -> bool;
 }
 
 impl Item for Box<dyn Task> {
@@ -410,6 +515,8 @@ impl Item for Box<dyn Task> {
 
 struct Call<R, F> {
     work: Option<F>,
+    /// Whether what it makes goes on in later pieces, and so must not hold threads that are another job's then.
+    goes_on: bool,
     reply: Option<oneshot::Sender<Result<Timed<R>, JobError>>>,
     token: Token,
     queued: Instant,
@@ -430,6 +537,10 @@ impl<R: Send, F: Send> Item for Call<R, F> {
 const ATTEMPTS: usize = 3;
 
 impl<R: Send, F: FnMut(&Backends, &Turn) -> Result<R, JobError> + Send> Task for Call<R, F> {
+    fn goes_on(&self) -> bool {
+        self.goes_on
+    }
+
     fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome {
         let queue_ms = ms(self.queued.elapsed());
         let start = Instant::now();
@@ -465,13 +576,19 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use super::*;
+    use crate::job::Ask;
     use crate::rvd::RvdError;
     use crate::rvd::parallel::Parallel;
     use crate::rvd::serial::Serial;
 
     fn backends() -> Result<Backends, JobError> {
         let parallel = Arc::new(Parallel::new(Some(1))?);
-        Ok(Backends { gpu: Err("none".into()), parallel, serial: Arc::new(Serial), default: Wish::Auto })
+        let serial = Arc::new(Serial);
+        Ok(Backends { gpu: Err("none".into()), parallel, serial, default: Wish::Auto, pools: None })
+    }
+
+    fn new() -> Place {
+        Place::New(Ask::default())
     }
 
     #[tokio::test]
@@ -487,7 +604,7 @@ mod tests {
         let (engine, thread) = Engine::start(factory, options).unwrap();
         let mut health = engine.watch_device();
         let lose = |_: &Backends, _: &Turn| -> Result<(), JobError> { Err(RvdError::DeviceLost("x".into()).into()) };
-        let error = engine.submit(Place::New, Retry::Never, lose).unwrap().wait().await.unwrap_err();
+        let error = engine.submit(new(), Retry::Never, lose).unwrap().wait().await.unwrap_err();
         assert!(error.is_device_lost());
         health.wait_for(|d| *d == Device::Lost).await.unwrap();
         tokio::time::timeout(Duration::from_secs(5), health.wait_for(|d| *d == Device::Ready)).await.unwrap().unwrap();
@@ -502,8 +619,7 @@ mod tests {
     #[tokio::test]
     async fn what_waits_is_answered_when_the_queue_closes() {
         let (engine, thread) = Engine::start(backends, EngineOptions::default()).unwrap();
-        let mut all: Vec<_> =
-            (0..10).map(|i| engine.submit(Place::New, Retry::Never, move |_, _| Ok(i)).unwrap()).collect();
+        let mut all: Vec<_> = (0..10).map(|i| engine.submit(new(), Retry::Never, move |_, _| Ok(i)).unwrap()).collect();
         engine.close();
         for (i, pending) in all.iter_mut().enumerate() {
             assert_eq!(pending.wait().await.unwrap().value, i);

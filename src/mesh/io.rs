@@ -9,6 +9,8 @@
 //! Must not know: what is done with a surface.
 
 mod attributed;
+#[cfg(feature = "service")]
+pub(crate) mod lists;
 mod obj;
 mod off;
 mod ply;
@@ -165,6 +167,9 @@ pub enum DataError {
     /// The attributes are not this surface's.
     #[error(transparent)]
     Attributes(#[from] AttributeError),
+    /// A list beside the surface does not fit it.
+    #[error("{0}")]
+    List(String),
 }
 
 /// Reads a surface; the format is the extension's.

@@ -117,13 +117,21 @@ pub struct Setup {
     pub limits: Limits,
     pub queue_jobs: usize,
     pub ceilings: Ceilings,
+    /// One, unless several are looked at: so that a test knows which job is at work.
+    pub jobs_at_once: usize,
     /// Stands in for the serial backend.
     pub serial: Arc<dyn Backend>,
 }
 
 impl Default for Setup {
     fn default() -> Self {
-        Self { limits: Limits::default(), queue_jobs: 8, ceilings: Ceilings::default(), serial: Arc::new(Serial) }
+        Self {
+            limits: Limits::default(),
+            queue_jobs: 8,
+            ceilings: Ceilings::default(),
+            jobs_at_once: 1,
+            serial: Arc::new(Serial),
+        }
     }
 }
 
@@ -153,10 +161,11 @@ impl Server {
                 parallel: Arc::new(Parallel::new(Some(2))?),
                 serial: serial.clone(),
                 default: Wish::Auto,
+                pools: Some(|threads| Ok(Arc::new(Parallel::new(Some(threads))?))),
             })
         };
-        let options =
-            EngineOptions { queue_jobs: setup.queue_jobs, ceilings: setup.ceilings, ..EngineOptions::default() };
+        let Setup { queue_jobs, ceilings, jobs_at_once, .. } = setup;
+        let options = EngineOptions { queue_jobs, ceilings, jobs_at_once, ..EngineOptions::default() };
         let (engine, worker) = Engine::start(factory, options).unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::*;
 use crate::job::diagram::{Diagram, RvdReport, WorldSums};
 use crate::job::spec::Prepared;
-use crate::job::{Pending, Place, Retry, Timed, Turn};
+use crate::job::{Ask, Pending, Place, Retry, Timed, Turn};
 use crate::rvd::PieceBatch;
 use crate::wire::cells::{CELLS_VERTEX_BYTES, cells_chunks};
 use crate::wire::chunks::number_chunks;
@@ -35,15 +35,20 @@ pub(super) async fn handle(
     let token = shared.engine.token();
     let (prepared, _share) = prepare(&shared, received, None, Prepared::new, &token).await?;
     let for_device = Arc::clone(&prepared);
-    let mut pending = shared.engine.submit_as(token.clone(), Place::Kept, Retry::Anew, move |backends, turn| {
-        turn.token.check()?;
-        let mut diagram = Diagram::open(&for_device, backends.choose(wish)?.as_ref())?;
-        let sums = match outputs.centroids || outputs.sums {
-            true => diagram.sums(&turn.token)?,
-            false => WorldSums::default(),
-        };
-        Ok((diagram, sums))
-    })?;
+    let mut pending = shared.engine.submit_as(
+        token.clone(),
+        Place::Kept(Ask { goes_on: true, ..Ask::default() }),
+        Retry::Anew,
+        move |backends, turn| {
+            turn.token.check()?;
+            let mut diagram = Diagram::open(&for_device, backends.choose(wish)?.as_ref())?;
+            let sums = match outputs.centroids || outputs.sums {
+                true => diagram.sums(&turn.token)?,
+                false => WorldSums::default(),
+            };
+            Ok((diagram, sums))
+        },
+    )?;
     drop(ticket);
     outbox.send(wrap(response::Message::Accepted(accepted(pending.position, &by)))).await?;
     let Timed { value: (mut diagram, sums), queue_ms, compute_ms } = pending.wait().await?;

@@ -1,0 +1,311 @@
+//! One device for several jobs.
+//!
+//! Purpose: [`Gate`] lets one pass at a time on the device, in the order in which they came; [`Gated`] is a backend whose
+//! sessions go through it. So a job's passes run while another fits or measures on the host, and a tiny job waits for one
+//! pass of a huge one and not for its end.
+//! Invariant: what is gated does what its inner session does, with the same bits; only when it does so differs. Who waits
+//! hears its token. A panic inside gives the gate back.
+//! Must not know: which backend it is, what a job does.
+
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use glam::DVec3;
+
+use crate::rvd::{
+    Backend, BackendKind, CellSums, DeviceWork, Look, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session,
+    SessionOptions, Surface,
+};
+use crate::token::Token;
+
+/// Between two looks at the token of who waits.
+const LISTEN: Duration = Duration::from_millis(20);
+
+/// See the module's head.
+#[derive(Debug, Default)]
+pub(crate) struct Gate {
+    line: Mutex<Line>,
+    moved: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct Line {
+    busy: bool,
+    waiting: VecDeque<u64>,
+    last: u64,
+}
+
+/// The right to use the device, until it is dropped.
+struct Pass<'a>(&'a Gate);
+
+impl Drop for Pass<'_> {
+    fn drop(&mut self) {
+        let mut line = self.0.lock();
+        line.busy = false;
+        let any = !line.waiting.is_empty();
+        drop(line);
+        if any {
+            self.0.moved.notify_all();
+        }
+    }
+}
+
+/// A place in the line, given up when dropped: by a cancel, or by who was let in.
+struct Place<'a> {
+    gate: &'a Gate,
+    number: u64,
+}
+
+impl Drop for Place<'_> {
+    fn drop(&mut self) {
+        self.gate.lock().waiting.retain(|number| *number != self.number);
+        self.gate.moved.notify_all();
+    }
+}
+
+impl Gate {
+    fn lock(&self) -> MutexGuard<'_, Line> {
+        self.line.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits for the turn.
+    fn enter(&self, token: Option<&Token>) -> Result<Pass<'_>, RvdError> {
+        let mut line = self.lock();
+        if !line.busy && line.waiting.is_empty() {
+            line.busy = true;
+            return Ok(Pass(self));
+        }
+        line.last += 1;
+        let number = line.last;
+        line.waiting.push_back(number);
+        drop(line);
+        let place = Place { gate: self, number };
+        let mut line = self.lock();
+        while line.busy || line.waiting.front() != Some(&number) {
+            if let Some(token) = token {
+                drop(line);
+                token.check()?;
+                line = self.lock();
+                if !line.busy && line.waiting.front() == Some(&number) {
+                    break;
+                }
+            }
+            line = self.moved.wait_timeout(line, LISTEN).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        line.busy = true;
+        drop(line);
+        drop(place);
+        Ok(Pass(self))
+    }
+}
+
+/// A device that several jobs share. See the module's head.
+pub(crate) struct Gated {
+    /// The device.
+    pub(crate) device: Arc<dyn Backend>,
+    /// Who is let in.
+    pub(crate) gate: Arc<Gate>,
+    /// The job's own threads, for all that is no pass.
+    pub(crate) host: Arc<dyn Backend>,
+}
+
+impl Backend for Gated {
+    fn pool(&self) -> Option<Arc<rayon::ThreadPool>> {
+        self.host.pool()
+    }
+
+    fn kind(&self) -> BackendKind {
+        self.device.kind()
+    }
+
+    fn adapter(&self) -> Option<String> {
+        self.device.adapter()
+    }
+
+    fn threads(&self) -> usize {
+        self.device.threads()
+    }
+
+    fn exact_session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        self.host.session(surface, options)
+    }
+
+    fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        let session = {
+            // Planning and allocating are the device's too: two at once could both find that they fit.
+            let _pass = self.gate.enter(None)?;
+            self.device.session(surface, options)?
+        };
+        Ok(Box::new(GatedSession { session, gate: Arc::clone(&self.gate) }))
+    }
+}
+
+struct GatedSession {
+    session: Box<dyn Session>,
+    gate: Arc<Gate>,
+}
+
+impl Session for GatedSession {
+    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+        let _pass = self.gate.enter(None)?;
+        self.session.set_seeds(seeds)
+    }
+
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+        let _pass = self.gate.enter(Some(token))?;
+        self.session.sums(out, token)
+    }
+
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
+        let _pass = self.gate.enter(Some(token))?;
+        self.session.pieces(facets, out, token)
+    }
+
+    fn device_bytes(&self) -> u64 {
+        self.session.device_bytes()
+    }
+
+    fn device_work(&self) -> DeviceWork {
+        self.session.device_work()
+    }
+
+    fn device_phases(&self) -> Option<PhasesMs> {
+        self.session.device_phases()
+    }
+
+    fn resident(&mut self) -> Option<&mut dyn Resident> {
+        match self.session.resident() {
+            Some(_) => Some(self),
+            None => None,
+        }
+    }
+}
+
+impl GatedSession {
+    /// The seeds where they are; there are such, or nobody was given this session as [`Resident`].
+    fn resident_in(&mut self) -> Result<(Pass<'_>, &mut dyn Resident), RvdError> {
+        let pass = self.gate.enter(None)?;
+        Ok((pass, inner(&mut self.session)?))
+    }
+
+    fn resident_by(&mut self, token: &Token) -> Result<(Pass<'_>, &mut dyn Resident), RvdError> {
+        let pass = self.gate.enter(Some(token))?;
+        Ok((pass, inner(&mut self.session)?))
+    }
+}
+
+fn inner(session: &mut Box<dyn Session>) -> Result<&mut dyn Resident, RvdError> {
+    session.resident().ok_or_else(|| RvdError::Internal("a session took back its seeds".to_owned()))
+}
+
+impl Resident for GatedSession {
+    fn hold(&mut self, held: &[bool]) -> Result<(), RvdError> {
+        let (_pass, resident) = self.resident_in()?;
+        resident.hold(held)
+    }
+
+    fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError> {
+        let (_pass, resident) = self.resident_by(token)?;
+        resident.evaluate(token)
+    }
+
+    fn to_centroids(&mut self) -> Result<(), RvdError> {
+        let (_pass, resident) = self.resident_in()?;
+        resident.to_centroids()
+    }
+
+    fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, token: &Token) -> Result<(), RvdError> {
+        let (_pass, resident) = self.resident_by(token)?;
+        resident.relax(steps, looks, token)
+    }
+
+    fn direct(&mut self) -> Result<f64, RvdError> {
+        let (_pass, resident) = self.resident_in()?;
+        resident.direct()
+    }
+
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError> {
+        let (_pass, resident) = self.resident_by(token)?;
+        resident.probe(step, token)
+    }
+
+    fn accept(&mut self) -> Result<(), RvdError> {
+        let (_pass, resident) = self.resident_in()?;
+        resident.accept()
+    }
+
+    fn forget(&mut self) {
+        if let Some(resident) = self.session.resident() {
+            resident.forget();
+        }
+    }
+
+    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError> {
+        let (_pass, resident) = self.resident_in()?;
+        resident.read(out)
+    }
+
+    fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
+        let (_pass, resident) = self.resident_in()?;
+        resident.read_sums(out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+    use crate::token::Stopped;
+
+    #[test]
+    fn one_at_a_time_and_in_order() {
+        let gate = Arc::new(Gate::default());
+        let inside = AtomicUsize::new(0);
+        let order = Mutex::new(Vec::new());
+        let first = gate.enter(None).unwrap();
+        std::thread::scope(|scope| {
+            for number in 0..8 {
+                let (gate, inside, order) = (&gate, &inside, &order);
+                scope.spawn(move || {
+                    let _pass = gate.enter(Some(&Token::default())).unwrap();
+                    assert_eq!(inside.fetch_add(1, Ordering::SeqCst), 0);
+                    order.lock().unwrap().push(number);
+                    std::thread::sleep(Duration::from_millis(2));
+                    inside.fetch_sub(1, Ordering::SeqCst);
+                });
+                while gate.lock().waiting.len() <= number {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+            }
+            drop(first);
+        });
+        assert_eq!(*order.lock().unwrap(), (0..8).collect::<Vec<_>>());
+        assert!(!gate.lock().busy && gate.lock().waiting.is_empty());
+    }
+
+    #[test]
+    fn who_waits_hears_its_token_and_leaves_the_line() {
+        let gate = Gate::default();
+        let first = gate.enter(None).unwrap();
+        let token = Token::default();
+        token.cancel();
+        assert!(matches!(gate.enter(Some(&token)).err(), Some(RvdError::Stopped(Stopped::Cancelled))));
+        assert!(gate.lock().waiting.is_empty());
+        drop(first);
+        drop(gate.enter(None).unwrap());
+    }
+
+    #[test]
+    fn a_panic_gives_the_gate_back() {
+        let gate = Gate::default();
+        let panicked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            let _pass = gate.enter(None).unwrap();
+            panic!("on purpose");
+        }));
+        assert!(panicked.is_err());
+        drop(gate.enter(None).unwrap());
+    }
+}

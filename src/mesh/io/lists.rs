@@ -1,0 +1,155 @@
+//! Lists beside a surface, as text: points, an edge length for each vertex, edges that are creases.
+//!
+//! Purpose: one element a line; empty lines and lines that begin with `#` are left out. What goes by the file's own vertices
+//! is brought to those of the surface that was read.
+//! Invariant: PLY and OFF vertices keep their numbers. OBJ vertices are numbered by first use in a face, and the
+//! ones that no face uses are left out; the order is read from the file once more and compared with the surface, so
+//! that a length never lands on another vertex. STL has no vertices to speak of. Must not know: what lists are for.
+
+use glam::DVec3;
+
+use super::{DataError, Format};
+use crate::mesh::TriMesh;
+
+/// The lines that say something, numbered from 1.
+fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    let all = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
+    all.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
+}
+
+/// Points, `x y z` a line.
+///
+/// # Errors
+/// `Syntax` with the line; `List` if there is none.
+pub(crate) fn points(text: &str) -> Result<Vec<DVec3>, DataError> {
+    let mut points = Vec::new();
+    for (number, line) in lines(text) {
+        let numbers: Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
+        match numbers.as_deref() {
+            Ok([x, y, z]) if x.is_finite() && y.is_finite() && z.is_finite() => points.push(DVec3::new(*x, *y, *z)),
+            _ => return Err(syntax(number, format!("not three finite numbers: {line:?}"))),
+        }
+    }
+    if points.is_empty() {
+        return Err(DataError::List("there are no points".to_owned()));
+    }
+    Ok(points)
+}
+
+fn syntax(line: usize, message: String) -> DataError {
+    DataError::Syntax { line, message }
+}
+
+/// How the vertices of a file are numbered in the surface that was read from it.
+pub(crate) struct FileVertices {
+    /// How many the file has.
+    count: usize,
+    /// For each of the surface's vertices its number in the file; `None` if the numbers are the same.
+    order: Option<Vec<usize>>,
+}
+
+impl FileVertices {
+    /// Those of `mesh`, which was read from these bytes.
+    ///
+    /// # Errors
+    /// `List` if they cannot be told.
+    pub(crate) fn of(format: Format, bytes: &[u8], mesh: &TriMesh) -> Result<Self, DataError> {
+        match format {
+            Format::Ply | Format::Off => return Ok(Self::of_arrays(mesh)),
+            Format::Stl => return Err(DataError::List(NO_NUMBERS.to_owned())),
+            Format::Obj => {}
+        }
+        let (positions, order) = obj_order(&String::from_utf8_lossy(bytes));
+        let found: Option<Vec<&DVec3>> = order.iter().map(|&v| positions.get(v)).collect();
+        if found.is_none_or(|found| !found.into_iter().eq(mesh.positions())) {
+            let text = "cannot tell which vertex of the surface is which of the file; convert it to .ply";
+            return Err(DataError::List(text.to_owned()));
+        }
+        Ok(Self { count: positions.len(), order: Some(order) })
+    }
+
+    /// Those of a surface that did not come in a file.
+    pub(crate) fn of_arrays(mesh: &TriMesh) -> Self {
+        Self { count: mesh.positions().len(), order: None }
+    }
+
+    /// One number above 0 a line for each of the file's vertices; gives one for each of the surface's.
+    ///
+    /// # Errors
+    /// `Syntax` with the line; `List` if there are too few or too many.
+    pub(crate) fn lengths(&self, text: &str) -> Result<Vec<f64>, DataError> {
+        let mut lengths = Vec::new();
+        for (number, line) in lines(text) {
+            match line.parse::<f64>() {
+                Ok(length) if length.is_finite() && length > 0.0 => lengths.push(length),
+                _ => return Err(syntax(number, format!("not a finite number above 0: {line:?}"))),
+            }
+        }
+        if lengths.len() != self.count {
+            let text =
+                format!("{} lengths, but the surface has {} vertices; give one for each", lengths.len(), self.count);
+            return Err(DataError::List(text));
+        }
+        Ok(match &self.order {
+            Some(order) => order.iter().map(|&v| lengths[v]).collect(),
+            None => lengths,
+        })
+    }
+
+    /// Two of the file's vertices a line, numbered from 0; gives those of the surface.
+    ///
+    /// # Errors
+    /// `Syntax` with the line.
+    pub(crate) fn edges(&self, text: &str) -> Result<Vec<[u32; 2]>, DataError> {
+        // Where the file's vertices are in the surface.
+        let place: Option<Vec<Option<u32>>> = self.order.as_ref().map(|order| {
+            let mut place = vec![None; self.count];
+            order.iter().zip(0..).for_each(|(&v, k)| place[v] = Some(k));
+            place
+        });
+        let mut edges = Vec::new();
+        for (number, line) in lines(text) {
+            let at = |text: String| syntax(number, text);
+            let numbers: Result<Vec<usize>, _> = line.split_whitespace().map(str::parse).collect();
+            let Ok(&[a, b]) = numbers.as_deref() else {
+                return Err(at(format!("not two numbers of vertices, which begin at 0: {line:?}")));
+            };
+            let vertex = |v: usize| match &place {
+                _ if v >= self.count => {
+                    Err(at(format!("there is no vertex {v}; the surface has {}, numbered from 0", self.count)))
+                }
+                Some(place) => place[v].ok_or_else(|| at(format!("no facet has vertex {v}"))),
+                None => Ok(v as u32),
+            };
+            edges.push([vertex(a)?, vertex(b)?]);
+        }
+        Ok(edges)
+    }
+}
+
+/// Why an STL file has no lists beside it.
+pub(crate) const NO_NUMBERS: &str = "an STL file has no numbered vertices; convert it to .ply, .obj or .off";
+
+/// Vertices of an OBJ file, and those that faces use, by first use. NaN for what is no number.
+fn obj_order(text: &str) -> (Vec<DVec3>, Vec<usize>) {
+    let text = text.trim_start_matches('\u{feff}').replace("\\\r\n", " ").replace("\\\n", " ");
+    let (mut positions, mut corners) = (Vec::new(), Vec::new());
+    for line in text.lines() {
+        let mut words = line.split('#').next().unwrap_or_default().split_ascii_whitespace();
+        match words.next() {
+            Some("v") => {
+                let mut number = || words.next().and_then(|word| word.parse().ok()).unwrap_or(f64::NAN);
+                positions.push(DVec3::new(number(), number(), number()));
+            }
+            Some("f") => corners.extend(words.filter_map(|word| {
+                let index: i64 = word.split('/').next()?.parse().ok()?;
+                // From 1, or from the last one back.
+                usize::try_from(if index < 0 { positions.len() as i64 + index } else { index - 1 }).ok()
+            })),
+            _ => {}
+        }
+    }
+    let mut seen = vec![false; positions.len()];
+    corners.retain(|&v| seen.get_mut(v).is_none_or(|seen| !std::mem::replace(seen, true)));
+    (positions, corners)
+}
