@@ -11,6 +11,7 @@
 //! Must not know: gRPC, messages, the command line.
 
 pub(crate) mod diagram;
+pub(crate) mod estimate;
 pub mod event;
 mod gate;
 mod pools;

@@ -498,6 +498,32 @@ impl BackendKind {
     }
 }
 
+/// A session that may be opened.
+#[cfg(feature = "service")]
+#[cfg_attr(not(feature = "gpu"), allow(dead_code))]
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SessionForecast {
+    /// Facets of its surface.
+    pub(crate) facets: u64,
+    /// Seeds at most.
+    pub(crate) seeds: u64,
+    /// Whether the surface has weights.
+    pub(crate) graded: bool,
+    /// Whether seeds are moved.
+    pub(crate) moved: bool,
+}
+
+#[cfg(feature = "service")]
+impl SessionForecast {
+    /// Bytes that it takes on a device: those of the plan that allocates. 0 if this build has no GPU backend.
+    pub(crate) fn device_bytes(&self) -> u64 {
+        #[cfg(feature = "gpu")]
+        return gpu::forecast::session_bytes(self);
+        #[cfg(not(feature = "gpu"))]
+        return 0;
+    }
+}
+
 /// Does work on the threads of a backend, so that their number bounds all that is done for it.
 pub fn on_threads_of<R: Send>(backend: &dyn Backend, work: impl FnOnce() -> R + Send) -> R {
     match backend.pool() {

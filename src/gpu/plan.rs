@@ -191,11 +191,32 @@ impl Plan {
     /// # Errors
     /// `NeverFits` with the bytes of the first buffer that passes a limit.
     pub fn new(counts: Counts, limits: Limits) -> Result<Self, GpuError> {
+        let plan = Self::of(counts);
+        // Of the facets' buffers there is one a window.
+        let seen = plan.buffers().map(|(what, bytes)| match what {
+            "facets" => (what, window_bytes(counts.window).0),
+            "proposals" => (what, window_bytes(counts.window).1),
+            _ => (what, bytes),
+        });
+        fits(&seen, limits)?;
+        if counts.facets > MOST_FACETS {
+            let limit_bytes = MOST_FACETS * size_of::<Facet>() as u64;
+            return Err(GpuError::NeverFits {
+                what: "facets".to_owned(),
+                needed_bytes: plan.facets_bytes,
+                limit_bytes,
+            });
+        }
+        Ok(plan)
+    }
+
+    /// The same, whether it fits a device or not.
+    pub fn of(counts: Counts) -> Self {
         let seed = size_of::<Seed>() as u64;
         let vertices = counts.emitted.saturating_mul(counts.polygon);
         let sums_bytes = counts.seeds.saturating_mul(4 * SUM_WORDS as u64);
         let vertices_bytes = vertices.saturating_mul(16);
-        let plan = Self {
+        Self {
             counts,
             seeds_bytes: counts.seeds.saturating_mul(seed),
             facets_bytes: counts.facets.saturating_mul(size_of::<Facet>() as u64),
@@ -223,23 +244,7 @@ impl Plan {
             lists_bytes: counts.kept.max(1).saturating_mul(LIST_BYTES),
             keep_bytes: (4 * KEEP_WORDS + 2 * search_bytes(counts.seeds)).saturating_add(counts.kept.saturating_mul(4)),
             staging_bytes: sums_bytes.max(vertices_bytes).clamp(1 << 16, STAGING_BYTES),
-        };
-        // Of the facets' buffers there is one a window.
-        let seen = plan.buffers().map(|(what, bytes)| match what {
-            "facets" => (what, window_bytes(counts.window).0),
-            "proposals" => (what, window_bytes(counts.window).1),
-            _ => (what, bytes),
-        });
-        fits(&seen, limits)?;
-        if counts.facets > MOST_FACETS {
-            let limit_bytes = MOST_FACETS * size_of::<Facet>() as u64;
-            return Err(GpuError::NeverFits {
-                what: "facets".to_owned(),
-                needed_bytes: plan.facets_bytes,
-                limit_bytes,
-            });
         }
-        Ok(plan)
     }
 
     /// Name and bytes of every buffer; those of all windows together.
@@ -371,9 +376,16 @@ impl MotionPlan {
     /// # Errors
     /// `NeverFits` with the bytes of the first buffer that passes a limit.
     pub fn new(seeds: u64, limits: Limits) -> Result<Self, GpuError> {
+        let plan = Self::of(seeds);
+        fits(&plan.buffers(), limits)?;
+        Ok(plan)
+    }
+
+    /// The same, whether it fits a device or not.
+    pub fn of(seeds: u64) -> Self {
         let vector_bytes = seeds.saturating_mul(12);
         let groups = u64::from(REDUCTION_GROUPS);
-        let plan = Self {
+        Self {
             points_bytes: seeds.saturating_mul(size_of::<Seed>() as u64),
             held_bytes: seeds.saturating_mul(4),
             vector_bytes,
@@ -384,9 +396,7 @@ impl MotionPlan {
             dots_bytes: DOTS as u64 * 4,
             motion_bytes: size_of::<Motion>() as u64,
             journal_bytes: PASSES as u64 * ENTRY_BYTES,
-        };
-        fits(&plan.buffers(), limits)?;
-        Ok(plan)
+        }
     }
 
     /// Name and bytes of every buffer.

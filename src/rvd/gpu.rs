@@ -21,6 +21,8 @@
 mod crowding;
 mod fallback;
 mod fixed;
+#[cfg(feature = "service")]
+pub(crate) mod forecast;
 mod history;
 mod measure;
 mod moving;

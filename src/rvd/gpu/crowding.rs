@@ -27,6 +27,14 @@ const NEIGHBOURHOOD: f64 = 3.6;
 /// No more than this share of the seeds may be farther apart than rows are found.
 const FAR_APART: f64 = 0.01;
 
+/// The most that [`grid_side_for`] gives for so many seeds with weights, whatever the surface.
+#[cfg(feature = "service")]
+pub(super) fn finest_side(seeds: u64) -> u32 {
+    // Few seeds crowd no cell, so that the grid stays as it was.
+    let even = grid_side(0.0, seeds);
+    if (seeds as f64) <= FULL { even } else { even.saturating_mul(2).min(FINEST) }
+}
+
 /// Grid cells along each side of the unit box for so many seeds.
 pub(super) fn grid_side_for(surface: &Surface, seeds: usize) -> u32 {
     let mut side = grid_side(surface.area(), seeds as u64);
