@@ -6,6 +6,8 @@
 
 #[cfg(feature = "cli")]
 use std::net::{SocketAddr, ToSocketAddrs};
+#[cfg(feature = "cli")]
+use std::path::PathBuf;
 use std::time::Duration;
 
 #[cfg(feature = "cli")]
@@ -53,7 +55,33 @@ pub(crate) struct ServeArgs {
     /// Address or name, and port to listen on; port 0 takes a free one and prints it.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:50051", env = "TESSERA_LISTEN")]
     pub listen: String,
-    /// Jobs that may wait for the device; one more is refused with RESOURCE_EXHAUSTED.
+    /// Folder where jobs, results and uploads are kept; one server at a time may use it. The user's state directory if not
+    /// given: $XDG_STATE_HOME/tessera, or ~/.local/state/tessera.
+    #[arg(long, value_name = "DIR", env = "TESSERA_DATA_DIR", conflicts_with = "ephemeral")]
+    pub data_dir: Option<PathBuf>,
+    /// Keep jobs, results and uploads in memory: they are gone with the server.
+    #[arg(long, env = "TESSERA_EPHEMERAL")]
+    pub ephemeral: bool,
+    /// How long results are kept after a job has ended, e.g. 90s, 30m, 24h or 7d.
+    #[arg(long, value_name = "TIME", default_value = "24h", value_parser = period, env = "TESSERA_KEEP_RESULTS")]
+    pub keep_results: Duration,
+    /// How long jobs are listed after they have ended and their results are gone.
+    #[arg(long, value_name = "TIME", default_value = "7d", value_parser = period, env = "TESSERA_KEEP_JOBS")]
+    pub keep_jobs: Duration,
+    /// MiB of blobs that are kept: uploads and results. The least recently used that nothing needs go first.
+    #[arg(long, value_name = "MIB", default_value_t = 65_536, value_parser = whole::<u64>, env = "TESSERA_BLOBS_MIB")]
+    pub blobs_mib: u64,
+    /// Jobs of JobService that may wait; one more is refused with RESOURCE_EXHAUSTED.
+    #[arg(long, value_name = "N", default_value_t = 100_000, value_parser = whole::<usize>, env = "TESSERA_WAITING_JOBS")]
+    pub waiting_jobs: usize,
+    /// Times that a job may be at work when the server goes down; then it fails and is not tried again.
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = whole::<u32>, env = "TESSERA_MAX_CRASHES")]
+    pub max_crashes: u32,
+    /// Jobs at work at once; one more may be of a tenant that has none at work. A quarter of the cores, but 2 to 8, if not
+    /// given.
+    #[arg(long, value_name = "N", value_parser = whole::<usize>, env = "TESSERA_JOBS_AT_ONCE")]
+    pub jobs_at_once: Option<usize>,
+    /// Jobs of streams that may wait for their turn; one more is refused with RESOURCE_EXHAUSTED.
     #[arg(long, value_name = "N", default_value_t = 32, value_parser = whole::<usize>, env = "TESSERA_QUEUE_JOBS")]
     pub queue_jobs: usize,
     /// Streams open at once, waiting, uploading and interactive ones included.
@@ -194,6 +222,18 @@ pub(crate) struct ServeConfig {
     pub limits: Limits,
     /// What one job may take.
     pub ceilings: JobCeilings,
+    /// Where jobs are kept; in memory if none.
+    pub data_dir: Option<PathBuf>,
+    /// How long results and jobs are kept.
+    pub keep: (Duration, Duration),
+    /// Bytes of blobs.
+    pub blob_bytes: u64,
+    /// Jobs of JobService that may wait.
+    pub waiting_jobs: usize,
+    /// Crashes of a job.
+    pub max_crashes: u32,
+    /// Jobs at work at once, if it is said.
+    pub jobs_at_once: Option<usize>,
 }
 
 /// What one job may take, and how long it may take to stop.
@@ -234,6 +274,15 @@ impl ServeArgs {
         let most = MAX_ELEMENTS;
         Ok(ServeConfig {
             listen: addresses(&self.listen)?,
+            data_dir: if self.ephemeral { None } else { Some(self.data_dir()?) },
+            keep: (self.keep_results, self.keep_jobs),
+            blob_bytes: within("--blobs-mib", self.blobs_mib, 1, 1 << 30, "1 to 1073741824")? << 20,
+            waiting_jobs: within("--waiting-jobs", self.waiting_jobs as u64, 1, 10_000_000, "1 to 10000000")? as usize,
+            max_crashes: within("--max-crashes", self.max_crashes.into(), 1, 1000, "1 to 1000")? as u32,
+            jobs_at_once: match self.jobs_at_once {
+                Some(jobs) => Some(within("--jobs-at-once", jobs as u64, 1, 256, "1 to 256")? as usize),
+                None => None,
+            },
             queue_jobs: within("--queue-jobs", self.queue_jobs as u64, 1, 100_000, "1 to 100000")? as usize,
             limits: Limits {
                 max_vertices: within("--max-vertices", self.max_vertices, 3, most, "3 to 2147483639")?,
@@ -272,6 +321,40 @@ impl ServeArgs {
             },
         })
     }
+}
+
+#[cfg(feature = "cli")]
+impl ServeArgs {
+    /// Where jobs are kept.
+    fn data_dir(&self) -> Result<PathBuf, ConfigError> {
+        let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path: &PathBuf| path.is_absolute());
+        let state = || variable("XDG_STATE_HOME").or_else(|| Some(variable("HOME")?.join(".local/state")));
+        self.data_dir.clone().or_else(|| Some(state()?.join("tessera"))).ok_or_else(|| ConfigError {
+            option: "--data-dir",
+            value: "not given, and the user has no home".to_owned(),
+            must: "a folder; or give --ephemeral",
+        })
+    }
+}
+
+#[cfg(feature = "cli")]
+/// A time as people write it: a number and s, m, h or d.
+///
+/// # Errors
+/// A sentence for who wrote it.
+pub(crate) fn period(text: &str) -> Result<Duration, String> {
+    let unit = |letter| match letter {
+        's' => Some(1.0),
+        'm' => Some(60.0),
+        'h' => Some(3600.0),
+        'd' => Some(86_400.0),
+        _ => None,
+    };
+    let parsed = text.char_indices().next_back().and_then(|(at, letter)| {
+        let seconds = text[..at].parse::<f64>().ok()? * unit(letter)?;
+        (0.0..=1e9).contains(&seconds).then(|| Duration::from_secs_f64(seconds))
+    });
+    parsed.ok_or_else(|| "a time is needed, as 90s, 30m, 24h or 7d".to_owned())
 }
 
 #[cfg(feature = "cli")]
@@ -415,6 +498,16 @@ mod tests {
             assert_eq!(parse(&["--listen", bad]).unwrap_err().option, "--listen", "{bad}");
         }
         assert!(parse(&["--listen", "no such name:1"]).is_err());
+    }
+
+    #[test]
+    fn times_are_taken_with_their_unit() {
+        for (text, seconds) in [("90s", 90.0), ("1.5m", 90.0), ("24h", 86_400.0), ("7d", 604_800.0), ("0s", 0.0)] {
+            assert_eq!(period(text), Ok(Duration::from_secs_f64(seconds)), "{text}");
+        }
+        for text in ["", "7", "d", "-1s", "1w", "1 h", "nans", "infd", "1e20d", "5µ"] {
+            assert!(period(text).is_err(), "{text}");
+        }
     }
 
     #[test]

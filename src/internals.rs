@@ -39,7 +39,9 @@ pub mod gpu {
 /// The queue, the device thread, and jobs as data.
 #[cfg(feature = "service")]
 pub mod job {
+    pub use crate::job::desk::{DeskError, Estimate, JobDesk};
     pub use crate::job::{Ask, Backends, Ceilings, Engine, EngineOptions, JobError, MakePool, Wish};
+    pub use crate::job::{Executor, ExecutorOptions, JobBounds, Stores};
     pub use crate::job::{event, record, state, store};
 }
 

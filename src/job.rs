@@ -10,10 +10,15 @@
 //! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
 //! Must not know: gRPC, messages, the command line.
 
+pub(crate) mod desk;
 pub(crate) mod diagram;
 pub(crate) mod estimate;
 pub mod event;
+mod executor;
+mod forecast;
 mod gate;
+mod input;
+mod perform;
 mod pools;
 pub(crate) mod queue;
 pub mod record;
@@ -34,6 +39,8 @@ use crate::rvd::{Backend, BackendKind, RvdError};
 use crate::token::{Stopped, Token};
 
 pub use crate::rvd::BackendChoice as Wish;
+pub use executor::{Executor, ExecutorOptions, Stores};
+pub use input::JobBounds;
 pub(crate) use queue::Place;
 pub use schedule::Ask;
 pub use watchdog::Ceilings;

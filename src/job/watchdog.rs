@@ -130,10 +130,11 @@ impl Watchdog {
         Ok(Self { shared })
     }
 
-    /// A token for a job, with the ceiling on its time. Its clock stands until the job is watched.
-    pub(crate) fn token(&self) -> Token {
+    /// A token for a job, with the ceiling on its time, or `limit` if that is less. Its clock stands until the job is
+    /// watched.
+    pub(crate) fn token(&self, limit: Option<Duration>) -> Token {
         let token = Token::default();
-        if let Some(limit) = self.shared.ceilings.time {
+        if let Some(limit) = [self.shared.ceilings.time, limit].into_iter().flatten().min() {
             token.limit_time(limit);
         }
         token
@@ -231,7 +232,7 @@ mod tests {
     async fn work_that_does_not_stop_is_told_and_what_recovers_is_fine_again() {
         let watchdog = Watchdog::start(ceilings(100)).unwrap();
         let mut work = watchdog.work();
-        let token = watchdog.token();
+        let token = watchdog.token(None);
         token.enter("a stage");
         let watched = watchdog.watch(&token);
         tokio::time::sleep(Duration::from_millis(300)).await;
@@ -271,7 +272,7 @@ mod tests {
     fn clocks_stand_while_nobody_works() {
         let limits = Ceilings { time: Some(Duration::from_millis(200)), ..Ceilings::default() };
         let watchdog = Watchdog::start(limits).unwrap();
-        let token = watchdog.token();
+        let token = watchdog.token(None);
         std::thread::sleep(Duration::from_millis(300));
         drop(watchdog.watch(&token));
         assert!(!token.is_stopped(), "it waited");

@@ -225,7 +225,12 @@ impl Engine {
 
     /// A token for a job, whose ceiling on time counts what is done for it here and under [`Self::watch`].
     pub fn token(&self) -> Token {
-        self.shared.watchdog.token()
+        self.shared.watchdog.token(None)
+    }
+
+    /// The same for a job that is to take no longer than `limit`.
+    pub(crate) fn token_within(&self, limit: Option<Duration>) -> Token {
+        self.shared.watchdog.token(limit)
     }
 
     /// Watches work that is done for a job on another thread than a worker's, until what it returns is dropped.
@@ -534,7 +539,7 @@ impl<R: Send, F: Send> Item for Call<R, F> {
 }
 
 /// Attempts after a lost device, the first included.
-const ATTEMPTS: usize = 3;
+pub(super) const ATTEMPTS: usize = 3;
 
 impl<R: Send, F: FnMut(&Backends, &Turn) -> Result<R, JobError> + Send> Task for Call<R, F> {
     fn goes_on(&self) -> bool {

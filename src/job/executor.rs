@@ -1,0 +1,481 @@
+//! Jobs that are kept, done by this process.
+//!
+//! Purpose: [`Executor`] is the [`JobDesk`] of one server: it keeps jobs in a [`JobStore`], queues them for the engine, does
+//! them and stores their results; and it takes them up again after a restart.
+//! Invariant: an acknowledged job is in the store. A job's input is pinned from before it is acknowledged until it has
+//! ended, and its result from before it is visible until it expires or is deleted. A job is done by whoever claimed it: what
+//! becomes of one that was cancelled or expired meanwhile is thrown away. Must not know: messages, streams, which store.
+
+mod running;
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use async_trait::async_trait;
+use tokio::runtime::Handle;
+use tokio::sync::mpsc;
+
+use super::JobError;
+use super::desk::{DeskError, Estimate, JobDesk};
+use super::event::{Events, Progress};
+use super::forecast::Forecast;
+use super::input::JobBounds;
+use super::queue::Place;
+use super::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
+use super::schedule::Ask;
+use super::state::State;
+use super::store::{
+    Created, JobStore, Keep, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, StoreError,
+};
+use super::worker::{Engine, Pending, Retry};
+use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs};
+
+/// Between two looks for what is over.
+const SWEEP: Duration = Duration::from_secs(1);
+/// Between two looks for uploads that nobody continues, in looks for what is over.
+const SWEEP_UPLOADS: u32 = 600;
+/// What one look lets go of.
+const SWEPT: usize = 1000;
+/// How long a claim is good without another word.
+const LEASE: Duration = Duration::from_secs(60);
+/// Progress that waits to be kept.
+const PROGRESS: usize = 4096;
+
+/// How jobs are kept.
+#[derive(Clone, Debug)]
+pub struct ExecutorOptions {
+    /// Jobs that may wait.
+    pub waiting_jobs: usize,
+    /// How long results are kept after a job has ended.
+    pub keep_results: Duration,
+    /// How long jobs without a result are kept.
+    pub keep_records: Duration,
+    /// Times that a job may be at work when the process goes down; then it fails.
+    pub max_crashes: u32,
+    /// What a job may ask for.
+    pub bounds: JobBounds,
+    /// Memory that a job may need, bytes.
+    pub host_limit_bytes: u64,
+}
+
+impl ExecutorOptions {
+    /// The defaults, with these bounds.
+    pub fn new(bounds: JobBounds) -> Self {
+        Self {
+            waiting_jobs: 100_000,
+            keep_results: Duration::from_secs(24 * 3600),
+            keep_records: Duration::from_secs(7 * 24 * 3600),
+            max_crashes: MAX_CRASHES,
+            bounds,
+            host_limit_bytes: u64::MAX,
+        }
+    }
+}
+
+/// Where jobs and blobs are kept.
+#[derive(Clone)]
+pub struct Stores {
+    /// Jobs.
+    pub jobs: Arc<dyn JobStore>,
+    /// Blobs.
+    pub blobs: Arc<dyn BlobStore>,
+}
+
+impl Stores {
+    /// In a folder, which is made if need be.
+    ///
+    /// # Errors
+    /// `InUse` if another process has it, or why it cannot be used.
+    pub async fn in_folder(folder: PathBuf, blobs: BlobOptions) -> Result<Self, DeskError> {
+        let journal = folder.clone();
+        let opened = tokio::task::spawn_blocking(move || RedbStore::open(&journal, RedbOptions::default())).await;
+        let jobs = opened.map_err(|error| DeskError::Job(JobError::Panicked(error.to_string())))??;
+        let blobs = ObjectBlobs::local(folder.join("blobs"), blobs).await?;
+        Ok(Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) })
+    }
+
+    /// In memory, gone with the process.
+    pub fn ephemeral(blobs: BlobOptions) -> Self {
+        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(blobs)) }
+    }
+}
+
+/// See the module's head. Clones share one state.
+#[derive(Clone)]
+pub struct Executor {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    stores: Stores,
+    engine: Engine,
+    options: ExecutorOptions,
+    forecast: Forecast,
+    /// How this process calls itself.
+    name: String,
+    runtime: Handle,
+    /// Jobs that wait or are at work here.
+    active: Mutex<HashMap<JobId, Active>>,
+    draining: AtomicBool,
+    progress: mpsc::Sender<Told>,
+}
+
+struct Active {
+    /// Dropping it cancels the work.
+    pending: Pending<()>,
+    running: bool,
+}
+
+/// What is told of a job's work, in order.
+enum Told {
+    Progress {
+        id: JobId,
+        at: u64,
+        what: Progress,
+        now: Time,
+    },
+    /// All before it are kept.
+    Flush(tokio::sync::oneshot::Sender<()>),
+}
+
+/// The time now.
+pub(crate) fn now() -> Time {
+    Time(SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| u64::try_from(since.as_millis()).unwrap_or(0)))
+}
+
+/// The name under which a job's input is pinned.
+fn input_pin(id: JobId) -> String {
+    format!("input:{id}")
+}
+
+/// The name under which a job's result is pinned.
+fn result_pin(id: JobId) -> String {
+    format!("result:{id}")
+}
+
+impl Executor {
+    /// Takes up the jobs of `stores`: those that were at work when the process went down wait again, or fail if that was
+    /// not the first time. To be called within a runtime.
+    ///
+    /// # Errors
+    /// What the stores say.
+    pub async fn start(engine: Engine, stores: Stores, options: ExecutorOptions) -> Result<Self, DeskError> {
+        let (progress, told) = mpsc::channel(PROGRESS);
+        let forecast = Forecast::new(Arc::clone(&stores.blobs), engine.clone());
+        let inner = Arc::new(Inner {
+            stores,
+            engine,
+            options,
+            forecast,
+            name: format!("process {}", std::process::id()),
+            runtime: Handle::current(),
+            active: Mutex::default(),
+            draining: AtomicBool::new(false),
+            progress,
+        });
+        inner.recover().await?;
+        tokio::spawn(keep_progress(Arc::clone(&inner.stores.jobs), told));
+        tokio::spawn(sweep(Arc::downgrade(&inner)));
+        Ok(Self { inner })
+    }
+
+    /// Takes nothing new and begins nothing more: what waits is done after the next start. Ends once nothing is at work.
+    pub async fn drain(&self) {
+        self.inner.draining.store(true, Ordering::Release);
+        lock(&self.inner.active).retain(|_, active| active.running);
+        while !lock(&self.inner.active).is_empty() {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Keeps what is told of jobs. What is no longer of interest is left out by the store.
+async fn keep_progress(jobs: Arc<dyn JobStore>, mut told: mpsc::Receiver<Told>) {
+    while let Some(told) = told.recv().await {
+        match told {
+            Told::Progress { id, at, what, now } => {
+                if let Err(error) = jobs.progress(id, at, what, now).await {
+                    tracing::debug!(%id, %error, "progress not kept");
+                }
+            }
+            Told::Flush(done) => drop(done.send(())),
+        }
+    }
+}
+
+/// Lets go of what is over, again and again.
+async fn sweep(inner: std::sync::Weak<Inner>) {
+    let mut looks = 0u32;
+    loop {
+        tokio::time::sleep(SWEEP).await;
+        let Some(inner) = inner.upgrade() else { return };
+        if let Err(error) = inner.expire().await {
+            tracing::error!(%error, "jobs that are over could not be let go of");
+        }
+        looks = looks.wrapping_add(1);
+        if looks.is_multiple_of(SWEEP_UPLOADS)
+            && let Err(error) = inner.stores.blobs.sweep().await
+        {
+            tracing::error!(%error, "uploads that nobody continues could not be let go of");
+        }
+    }
+}
+
+impl Inner {
+    /// Takes up what was kept.
+    async fn recover(self: &Arc<Self>) -> Result<(), DeskError> {
+        let jobs = &self.stores.jobs;
+        let recovered = jobs.recover(now(), Orphans::All, self.options.max_crashes).await?;
+        if !recovered.requeued.is_empty() || !recovered.failed.is_empty() {
+            let (again, failed) = (recovered.requeued.len(), recovered.failed.len());
+            tracing::warn!(again, failed, "the process went down with jobs at work");
+        }
+        let mut query = Query { states: vec![State::Succeeded], limit: Query::MAX_LIMIT, ..Query::default() };
+        loop {
+            let page = jobs.list(query.clone()).await?;
+            for job in &page.jobs {
+                let Some(Outcome::Succeeded(result)) = &job.status.outcome else { continue };
+                let digests: Vec<_> = result.blobs.values().copied().collect();
+                self.pin_again(&result_pin(job.id), &digests).await?;
+            }
+            query.token = page.next;
+            if query.token.is_none() {
+                break;
+            }
+        }
+        for id in &recovered.queued {
+            let job = jobs.get(*id).await?;
+            self.pin_again(&input_pin(*id), &job.spec.blobs()).await?;
+            self.enqueue(&job).await?;
+        }
+        if !recovered.queued.is_empty() {
+            tracing::info!(jobs = recovered.queued.len(), "taken up again");
+        }
+        Ok(())
+    }
+
+    /// Pins what is there of some blobs. Those that are missing are found missing when they are needed.
+    async fn pin_again(&self, name: &str, digests: &[crate::blob::Digest]) -> Result<(), DeskError> {
+        for digest in digests {
+            match self.stores.blobs.pin(name, &[*digest]).await {
+                Ok(()) => {}
+                Err(BlobError::NotFound { .. }) => tracing::warn!(name, %digest, "a blob that a job needs is gone"),
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(())
+    }
+
+    async fn unpin(&self, name: &str) {
+        if let Err(error) = self.stores.blobs.unpin(name).await {
+            tracing::error!(%error, name, "blobs stay pinned");
+        }
+    }
+
+    /// Queues a job for the engine.
+    async fn enqueue(self: &Arc<Self>, job: &Job) -> Result<(), DeskError> {
+        let need = self.forecast.need_or_none(&job.spec).await;
+        let ask = Ask {
+            tenant: job.spec.tenant.as_str().into(),
+            priority: job.spec.priority.unwrap_or(0),
+            seconds: need.map_or(1.0, |need| need.seconds),
+            host_bytes: need.map_or(0, |need| need.host_bytes),
+            is_kept_elsewhere: true,
+            goes_on: false,
+        };
+        let mut work = running::Work::new(Arc::clone(self), job.id);
+        let token = self.engine.token_within(job.spec.deadlines.run_ms.map(Duration::from_millis));
+        // The lock is held until it is in the table: it may begin at once, and end.
+        let mut active = lock(&self.active);
+        let pending = self
+            .engine
+            .submit_as(token, Place::Kept(ask), Retry::Anew, move |backends, turn| work.go(backends, turn))?;
+        active.insert(job.id, Active { pending, running: false });
+        Ok(())
+    }
+
+    /// Forgets a job that no longer waits or works here; its work stops.
+    fn let_go(&self, id: JobId) {
+        let gone = lock(&self.active).remove(&id);
+        if let Some(active) = gone {
+            active.pending.token().cancel();
+        }
+    }
+
+    /// A job of this tenant.
+    async fn of_tenant(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+        let job = self.stores.jobs.get(id).await?;
+        if job.spec.tenant != tenant {
+            return Err(StoreError::NotFound { id }.into());
+        }
+        Ok(job)
+    }
+
+    async fn expire(&self) -> Result<(), StoreError> {
+        let keep = Keep { results: self.options.keep_results, records: self.options.keep_records };
+        loop {
+            let swept = self.stores.jobs.expire(now(), keep, SWEPT).await?;
+            for id in swept.expired.iter().chain(&swept.deleted) {
+                self.let_go(*id);
+                self.unpin(&input_pin(*id)).await;
+                self.unpin(&result_pin(*id)).await;
+            }
+            if !swept.more {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Checks all that can be checked before a job is kept.
+    async fn admit(&self, spec: &ValidSpec) -> Result<(), DeskError> {
+        if self.draining.load(Ordering::Acquire) {
+            return Err(JobError::Draining.into());
+        }
+        self.engine.backend(spec.choice())?;
+        let waiting = lock(&self.active).len();
+        if waiting >= self.options.waiting_jobs {
+            return Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs(5) }.into());
+        }
+        let counts = self.forecast.counts(spec, None).await?;
+        let bounds = &self.options.bounds;
+        for (field, count, most) in [
+            ("mesh", counts.vertices, bounds.max_vertices.saturating_mul(3)),
+            ("mesh", counts.facets, bounds.max_facets),
+            ("work", counts.points, bounds.max_seeds),
+            ("work", counts.steps, bounds.max_iterations.into()),
+        ] {
+            if count > most {
+                let problem = format!("asks for {count}; this server takes at most {most}");
+                return Err(DeskError::Input { field: field.to_owned(), problem });
+            }
+        }
+        let needed_bytes = self.forecast.need(&counts).host_bytes;
+        let limit_bytes = self.options.host_limit_bytes;
+        if needed_bytes > limit_bytes {
+            return Err(DeskError::TooLarge { needed_bytes, limit_bytes });
+        }
+        Ok(())
+    }
+}
+
+#[async_trait]
+impl JobDesk for Executor {
+    async fn create(&self, spec: JobSpec) -> Result<Created, DeskError> {
+        let spec = spec.check()?;
+        let inner = Arc::clone(&self.inner);
+        // To its end, whoever still waits: what is pinned is unpinned, what is kept is queued.
+        let created = tokio::spawn(async move { inner.create(spec).await }).await;
+        created.map_err(|error| DeskError::Job(JobError::Panicked(error.to_string())))?
+    }
+
+    async fn get(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+        self.inner.of_tenant(tenant, id).await
+    }
+
+    async fn list(&self, query: Query) -> Result<Page, DeskError> {
+        Ok(self.inner.stores.jobs.list(query).await?)
+    }
+
+    async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, DeskError> {
+        self.inner.of_tenant(tenant, id).await?;
+        Ok(self.inner.stores.jobs.events(id, after, most).await?)
+    }
+
+    async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), DeskError> {
+        self.inner.of_tenant(tenant, id).await?;
+        Ok(self.inner.stores.jobs.wait(id, after).await?)
+    }
+
+    async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+        self.inner.of_tenant(tenant, id).await?;
+        let job = self.inner.stores.jobs.cancel(id, now()).await?;
+        self.inner.let_go(id);
+        self.inner.unpin(&input_pin(id)).await;
+        Ok(job)
+    }
+
+    async fn delete(&self, tenant: &str, id: JobId) -> Result<(), DeskError> {
+        self.inner.of_tenant(tenant, id).await?;
+        self.inner.stores.jobs.delete(id).await?;
+        self.inner.unpin(&result_pin(id)).await;
+        Ok(())
+    }
+
+    async fn estimate(&self, spec: JobSpec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, DeskError> {
+        let spec = spec.check()?;
+        self.inner.engine.backend(spec.choice())?;
+        let given = vertices.zip(facets);
+        let counts = self.inner.forecast.counts(&spec, given).await?;
+        let need = self.inner.forecast.need(&counts);
+        let host_limit_bytes = self.inner.options.host_limit_bytes;
+        let bounds = &self.inner.options.bounds;
+        let in_bounds = counts.facets <= bounds.max_facets && counts.points <= bounds.max_seeds;
+        Ok(Estimate {
+            host_bytes: need.host_bytes,
+            host_limit_bytes,
+            device_bytes: need.device_bytes,
+            device_limit_bytes: 0,
+            seconds: need.seconds,
+            fits: in_bounds && need.host_bytes <= host_limit_bytes,
+        })
+    }
+}
+
+impl Inner {
+    async fn create(self: Arc<Self>, spec: ValidSpec) -> Result<Created, DeskError> {
+        let random = getrandom_u128()?;
+        let time = now();
+        let id = JobId::new(time, random);
+        let pin = input_pin(id);
+        // Before anything is promised: from here on nothing evicts the input.
+        self.stores.blobs.pin(&pin, &spec.blobs()).await?;
+        let created = match self.admit(&spec).await {
+            Ok(()) => self.stores.jobs.create(NewJob { id, spec, now: time }).await.map_err(DeskError::from),
+            Err(error) => Err(error),
+        };
+        match created {
+            Ok(created) if !created.existed => {
+                // Kept is kept: if it cannot be queued now, the next start does.
+                if let Err(error) = self.enqueue(&created.job).await {
+                    tracing::warn!(%id, %error, "a job waits for the next start");
+                }
+                Ok(created)
+            }
+            other => {
+                self.unpin(&pin).await;
+                other
+            }
+        }
+    }
+}
+
+/// A number that nobody else has.
+fn getrandom_u128() -> Result<u128, DeskError> {
+    let mut bytes = [0; 16];
+    getrandom::fill(&mut bytes).map_err(|error| {
+        DeskError::Job(JobError::Panicked(format!("the operating system gives no random numbers: {error}")))
+    })?;
+    Ok(u128::from_le_bytes(bytes))
+}
+
+/// What the holder of a claim says of itself.
+fn holder(name: &str) -> Holder {
+    Holder { name: name.to_owned(), until: now().after(LEASE) }
+}
+
+/// Whether a change was refused because somebody else changed the job: it was cancelled, or its time was over.
+fn is_outdated(error: &StoreError) -> bool {
+    matches!(error, StoreError::Stale { .. } | StoreError::Transition { .. } | StoreError::NotFound { .. })
+}
+
+/// A failure as a change.
+fn failed(kind: FailureKind, message: impl Into<String>) -> Change {
+    Change::Fail(super::record::Failure { kind, message: message.into() })
+}

@@ -1,0 +1,219 @@
+//! One job at work.
+//!
+//! Purpose: [`Work`] claims a job, does it on a host thread, keeps its result and says how it ended.
+//! Invariant: a result is pinned before it is named by the job. Who finds the job changed by others stops and leaves no
+//! pin. A stop because of a shutdown puts the job back. Must not know: queues, messages.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use futures_util::TryStreamExt;
+
+use super::{Active, Inner, Told, failed, holder, input_pin, is_outdated, lock, now, result_pin};
+use crate::blob::{BlobError, Digest, put};
+use crate::job::event::Progress;
+use crate::job::input::{ReadBlob, Trouble};
+use crate::job::perform::{Parts, Surroundings, perform};
+use crate::job::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
+use crate::job::store::StoreError;
+use crate::job::worker::{ATTEMPTS, Turn};
+use crate::job::{Backends, JobError};
+use crate::remesh::RemeshError;
+use crate::rvd::RvdError;
+use crate::token::Stopped;
+
+/// How long the last words of a job may take to be kept.
+const LAST_WORDS: Duration = Duration::from_secs(2);
+
+/// See the module's head. Called again after a lost device.
+pub(super) struct Work {
+    inner: Arc<Inner>,
+    id: JobId,
+    claimed: Option<Job>,
+    attempts: usize,
+}
+
+/// Reads blobs on a thread that may wait.
+struct Blobs<'a>(&'a Inner);
+
+impl ReadBlob for Blobs<'_> {
+    fn read(&self, digest: Digest) -> Result<Vec<u8>, BlobError> {
+        self.0.runtime.block_on(async {
+            let read = self.0.stores.blobs.read(digest, 0..u64::MAX).await?;
+            let mut all = Vec::with_capacity(usize::try_from(read.info.size_bytes).unwrap_or(0));
+            let mut bytes = read.bytes;
+            while let Some(piece) = bytes.try_next().await? {
+                all.extend_from_slice(&piece);
+            }
+            Ok(all)
+        })
+    }
+}
+
+impl Work {
+    pub(super) fn new(inner: Arc<Inner>, id: JobId) -> Self {
+        Self { inner, id, claimed: None, attempts: 0 }
+    }
+
+    /// Does it, once or again.
+    pub(super) fn go(&mut self, backends: &Backends, turn: &Turn) -> Result<(), JobError> {
+        self.attempts += 1;
+        let Some(job) = self.claim() else {
+            self.end();
+            return Ok(());
+        };
+        let outcome = self.perform(&job, backends, turn);
+        if let Err(Trouble::Job(error)) = &outcome
+            && error.is_device_lost()
+            && self.attempts < ATTEMPTS
+        {
+            return Err(error.clone());
+        }
+        let lost = matches!(&outcome, Err(Trouble::Job(error)) if error.is_device_lost());
+        self.tell_outcome(&job, outcome, turn);
+        self.end();
+        match lost {
+            true => Err(RvdError::DeviceLost("a job was given up".to_owned()).into()),
+            false => Ok(()),
+        }
+    }
+
+    /// The job, if it still is to be done.
+    fn claim(&mut self) -> Option<Job> {
+        if self.claimed.is_none() {
+            let inner = &self.inner;
+            if inner.draining.load(Ordering::Acquire) {
+                return None;
+            }
+            if let Some(active) = lock(&inner.active).get_mut(&self.id) {
+                active.running = true;
+            }
+            match inner.runtime.block_on(inner.stores.jobs.claim(self.id, holder(&inner.name), now())) {
+                Ok(job) => self.claimed = Some(job),
+                Err(error) if is_outdated(&error) => return None,
+                Err(error) => {
+                    tracing::error!(id = %self.id, %error, "a job could not be claimed; it waits for the next start");
+                    return None;
+                }
+            }
+        }
+        self.claimed.clone()
+    }
+
+    fn perform(&self, job: &Job, backends: &Backends, turn: &Turn) -> Result<ResultSet, Trouble> {
+        let inner = &*self.inner;
+        let (id, at) = (job.id, job.status.version);
+        let mut tell = |what: Progress| {
+            // What the journal is too slow for is left out: the report has all.
+            let _ = inner.progress.try_send(Told::Progress { id, at, what, now: now() });
+        };
+        let blobs = Blobs(inner);
+        let bounds = &inner.options.bounds;
+        let mut around = Surroundings { backends, blobs: &blobs, bounds, token: &turn.token, tell: &mut tell };
+        let parts = perform(&job.spec, &mut around)?;
+        self.keep(parts)
+    }
+
+    /// Stores the parts of a result.
+    fn keep(&self, parts: Parts) -> Result<ResultSet, Trouble> {
+        let (inner, pin) = (&*self.inner, result_pin(self.id));
+        let mut result = ResultSet::default();
+        for (name, bytes) in parts {
+            let stored = inner.runtime.block_on(put(inner.stores.blobs.as_ref(), bytes, Some(&pin)));
+            let info = stored.map_err(|error| {
+                let kind = match error {
+                    BlobError::TooLarge { .. } => FailureKind::TooLarge,
+                    _ => FailureKind::Unavailable,
+                };
+                crate::job::input::failure(kind, format!("the result cannot be kept: {error}"))
+            })?;
+            result.blobs.insert(name, info.digest);
+        }
+        Ok(result)
+    }
+
+    /// Says how the job ended.
+    fn tell_outcome(&self, job: &Job, outcome: Result<ResultSet, Trouble>, turn: &Turn) {
+        let inner = &*self.inner;
+        let change = match outcome {
+            Ok(result) => Change::Succeed(result),
+            Err(Trouble::Failure(failure)) => Change::Fail(failure),
+            Err(Trouble::Job(error)) => match self.change_of(job, &error, turn) {
+                Some(change) => change,
+                // Whoever cancelled it has said so.
+                None => {
+                    inner.runtime.block_on(inner.unpin(&result_pin(job.id)));
+                    return;
+                }
+            },
+        };
+        let keeps = matches!(change, Change::Succeed(_));
+        let name = change.transition();
+        inner.runtime.block_on(async {
+            let (done, kept) = tokio::sync::oneshot::channel();
+            if inner.progress.send(Told::Flush(done)).await.is_ok() {
+                let _ = tokio::time::timeout(LAST_WORDS, kept).await;
+            }
+            let changed = inner.stores.jobs.change(job.id, job.status.version, change, now()).await;
+            match &changed {
+                Ok(_) => tracing::info!(id = %job.id, outcome = ?name, "a job ended"),
+                Err(error) if is_outdated(error) => {}
+                Err(error) => tracing::error!(id = %job.id, %error, "the end of a job could not be kept"),
+            }
+            if changed.is_err() || !keeps {
+                inner.unpin(&result_pin(job.id)).await;
+            }
+            let released = matches!(name, crate::job::state::Transition::Release);
+            if !released && !matches!(changed, Err(StoreError::Broken { .. } | StoreError::Closed)) {
+                inner.unpin(&input_pin(job.id)).await;
+            }
+        });
+    }
+
+    /// What becomes of a job that was stopped or failed; nothing if somebody else has said so.
+    fn change_of(&self, job: &Job, error: &JobError, turn: &Turn) -> Option<Change> {
+        let text = error.to_string();
+        let stopped = turn.token.stopped().or(match error.as_rvd() {
+            Some(RvdError::Stopped(reason)) => Some(*reason),
+            _ => None,
+        });
+        match stopped {
+            Some(Stopped::Cancelled) if self.inner.draining.load(Ordering::Acquire) => return Some(Change::Release),
+            Some(Stopped::Cancelled) => return None,
+            Some(Stopped::Time { limit })
+                if job.spec.deadlines.run_ms.is_some_and(|ms| Duration::from_millis(ms) <= limit) =>
+            {
+                return Some(Change::Expire(Cause::RunDeadline));
+            }
+            Some(Stopped::Time { .. } | Stopped::Memory { .. }) => return Some(failed(FailureKind::TooLarge, text)),
+            None => {}
+        }
+        Some(match error {
+            JobError::Draining => Change::Release,
+            JobError::QueueFull { .. } => failed(FailureKind::Unavailable, text),
+            JobError::Panicked(what) => {
+                tracing::error!(id = %job.id, %what, "work panicked");
+                failed(FailureKind::Internal, "the work failed by a fault of the server; its log says where")
+            }
+            JobError::WorkerGone => failed(FailureKind::Internal, "the work was lost by a fault of the server"),
+            JobError::Mesh(_) => failed(FailureKind::BadInput, text),
+            JobError::Rvd(error) | JobError::Remesh(RemeshError::Rvd(error)) => match error {
+                RvdError::OutOfMemory { .. } | RvdError::NeverFits { .. } => failed(FailureKind::TooLarge, text),
+                RvdError::DeviceLost(_) | RvdError::BackendUnavailable { .. } => failed(FailureKind::Unavailable, text),
+                RvdError::Device(_) | RvdError::Internal(_) => {
+                    tracing::error!(id = %job.id, %text, "work failed");
+                    failed(FailureKind::Internal, "the work failed by a fault of the server; its log says why")
+                }
+                _ => failed(FailureKind::BadInput, text),
+            },
+            JobError::Remesh(_) => failed(FailureKind::BadInput, text),
+        })
+    }
+
+    /// The job no longer waits or works here.
+    fn end(&self) {
+        let gone: Option<Active> = lock(&self.inner.active).remove(&self.id);
+        drop(gone);
+    }
+}

@@ -1,0 +1,152 @@
+//! What a job of the store will need.
+//!
+//! Purpose: [`Forecast`] finds the counts of a specification, from what it says and from its blobs, for
+//! [`estimate`](super::estimate). Invariant: a blob is looked at once: its counts are remembered. One that is large is not
+//! read for this; its size bounds what it can hold. Must not know: queues, stores of jobs.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use futures_util::TryStreamExt;
+
+use super::desk::DeskError;
+use super::estimate::{Counts, Kind, Need, need};
+use super::record::{DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput, SeedSource, WorkSpec};
+use super::worker::Engine;
+use crate::blob::{BlobStore, Digest};
+use crate::mesh::io;
+use crate::remesh::RemeshOptions;
+use crate::rvd::BackendKind;
+
+/// Larger blobs are not read for their counts.
+const READ_BYTES: u64 = 64 << 20;
+/// Blobs whose counts are remembered.
+const REMEMBERED: usize = 4096;
+
+/// See the module's head.
+pub(crate) struct Forecast {
+    blobs: Arc<dyn BlobStore>,
+    engine: Engine,
+    known: Mutex<HashMap<Digest, (u64, u64)>>,
+}
+
+impl Forecast {
+    pub(crate) fn new(blobs: Arc<dyn BlobStore>, engine: Engine) -> Self {
+        Self { blobs, engine, known: Mutex::default() }
+    }
+
+    /// What a job with these counts needs here.
+    pub(crate) fn need(&self, counts: &Counts) -> Need {
+        let threads = self.engine.backend(super::Wish::Auto).map_or(1, |by| by.threads);
+        need(counts, threads)
+    }
+
+    /// The same of a specification whose blobs may be gone.
+    pub(crate) async fn need_or_none(&self, spec: &JobSpec) -> Option<Need> {
+        Some(self.need(&self.counts(spec, None).await.ok()?))
+    }
+
+    /// The counts of a job; `given` are the surface's vertices and facets, if they are known.
+    ///
+    /// # Errors
+    /// `Blob`; `Input` if a blob holds no surface.
+    pub(crate) async fn counts(&self, spec: &JobSpec, given: Option<(u64, u64)>) -> Result<Counts, DeskError> {
+        let ((vertices, facets), input_bytes) = match (&spec.mesh, given) {
+            (MeshSource::Arrays { positions, facets, .. }, _) => {
+                ((positions.count, facets.count), positions.count * 24 + facets.count * 12)
+            }
+            (MeshSource::File { .. }, Some(given)) => (given, given.0 * 12 + given.1 * 13),
+            (MeshSource::File { blob, format, .. }, None) => self.of_file(*blob, *format).await?,
+        };
+        let kind = match &spec.work {
+            WorkSpec::Remesh(_) => Kind::Remesh,
+            WorkSpec::Rvd(_) => Kind::Rvd,
+            WorkSpec::Cvt(_) => Kind::Cvt,
+        };
+        let backend = self.engine.backend(spec.choice()).map_or(BackendKind::Parallel, |by| by.kind);
+        let mut counts = Counts { input_bytes, ..Counts::new(kind, backend, vertices, facets, 0) };
+        match &spec.work {
+            WorkSpec::Remesh(work) => {
+                let usual = RemeshOptions::usual();
+                let steps = |given: Option<u32>, usual: usize| given.map_or(usual as u64, u64::from);
+                counts.steps = steps(work.lloyd_steps, usual.lloyd) + steps(work.newton_steps, usual.newton);
+                counts.density = work.density.kind();
+                counts.placement = work.placement.unwrap_or(PlacementRule::Fitted);
+                counts.refines = work.refinement.is_some();
+                let first = points(&work.seeds, facets);
+                counts.points = match work.refinement {
+                    Some(refinement) => refinement.max_points.unwrap_or(first.saturating_mul(2)).max(first),
+                    None => first,
+                };
+            }
+            WorkSpec::Rvd(work) => {
+                counts.points = points(&work.seeds, facets);
+                counts.steps = 0;
+                counts.cells = work.outputs.is_empty() || work.outputs.contains(&RvdOutput::Cells);
+                counts.density = if work.weights.is_some() { DensityKind::Weights } else { DensityKind::Uniform };
+            }
+            WorkSpec::Cvt(work) => {
+                counts.points = work.max_seeds.unwrap_or(0).max(points(&work.seeds, facets));
+                counts.steps = work.commands.iter().map(super::perform::steps_of).sum();
+                counts.density = work.density.kind();
+            }
+        }
+        Ok(counts)
+    }
+
+    /// Vertices, facets and bytes of a surface's file.
+    async fn of_file(&self, blob: Digest, format: MeshFormat) -> Result<((u64, u64), u64), DeskError> {
+        let size_bytes = self.blobs.stat(blob).await?.size_bytes;
+        let known = |forecast: &Self| forecast.known.lock().unwrap_or_else(PoisonError::into_inner).get(&blob).copied();
+        if let Some(counts) = known(self) {
+            return Ok((counts, size_bytes));
+        }
+        let counts = if size_bytes > READ_BYTES {
+            most(format, size_bytes)
+        } else {
+            let mut bytes = self.blobs.read(blob, 0..u64::MAX).await?.bytes;
+            let mut all = Vec::with_capacity(usize::try_from(size_bytes).unwrap_or(0));
+            while let Some(piece) = bytes.try_next().await? {
+                all.extend_from_slice(&piece);
+            }
+            let counted = tokio::task::spawn_blocking(move || counts(format, &all)).await.ok().flatten();
+            counted.ok_or_else(|| DeskError::Input {
+                field: "mesh.file".to_owned(),
+                problem: "the blob is no surface in this format; see that the format is right".to_owned(),
+            })?
+        };
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.len() >= REMEMBERED {
+            known.clear();
+        }
+        known.insert(blob, counts);
+        Ok((counts, size_bytes))
+    }
+}
+
+fn counts(format: MeshFormat, bytes: &[u8]) -> Option<(u64, u64)> {
+    let mesh = io::decode(format.into(), bytes).ok()?;
+    Some((mesh.positions().len() as u64, mesh.facets().len() as u64))
+}
+
+/// The most vertices and facets that a file of so many bytes is likely to hold: the shortest that writers make.
+fn most(format: MeshFormat, bytes: u64) -> (u64, u64) {
+    let facets = match format {
+        // Half a vertex of three floats, and a face of a byte and three indices.
+        MeshFormat::Ply => bytes / 19,
+        MeshFormat::Stl => bytes / 50,
+        // Half a vertex of three short numbers, and a face of three indices.
+        MeshFormat::Obj | MeshFormat::Off => bytes / 30,
+    };
+    (facets / 2, facets)
+}
+
+/// How many seeds there are at first. Those that a density implies are bounded by nothing that is known here: as many as
+/// facets are likely.
+fn points(seeds: &SeedSource, facets: u64) -> u64 {
+    match seeds {
+        SeedSource::Sampled { points: Some(points), .. } => *points,
+        SeedSource::Given(array) if array.count > 0 => array.count,
+        SeedSource::Sampled { points: None, .. } | SeedSource::Given(_) => facets,
+    }
+}
