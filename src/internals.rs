@@ -40,7 +40,7 @@ pub mod gpu {
 #[cfg(feature = "service")]
 pub mod job {
     pub use crate::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
-    pub use crate::job::{event, record, state, store};
+    pub use crate::job::{desk, event, record, state, store};
 }
 
 /// Neighbours of seeds.
@@ -77,5 +77,5 @@ pub mod rvd {
 /// The server.
 #[cfg(feature = "service")]
 pub mod service {
-    pub use crate::service::{Parts, SERVICE_NAME, ServeError, replay, run};
+    pub use crate::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, replay, run};
 }

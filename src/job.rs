@@ -10,6 +10,7 @@
 //! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
 //! Must not know: gRPC, messages, the command line.
 
+pub mod desk;
 pub(crate) mod diagram;
 pub mod event;
 pub(crate) mod queue;

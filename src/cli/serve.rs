@@ -64,7 +64,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
         queue_jobs = config.queue_jobs, "serving"
     );
     outln!("tessera listens on {address}")?;
-    let parts = Parts { engine, worker, limits: config.limits };
+    let parts = Parts { engine, worker, limits: config.limits, jobs: None };
     let shutdown = async {
         // A sender that is gone means that nobody can signal; go on serving.
         if signals.await.is_err() {

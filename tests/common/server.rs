@@ -161,7 +161,7 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel();
-        let parts = Parts { engine: engine.clone(), worker, limits: setup.limits };
+        let parts = Parts { engine: engine.clone(), worker, limits: setup.limits, jobs: None };
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;
         }));

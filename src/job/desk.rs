@@ -1,0 +1,116 @@
+//! What callers can do with jobs.
+//!
+//! Purpose: [`JobDesk`], what the doors of the server see of jobs.
+//! Invariant: a job of another tenant does not exist for a caller. An answer that is not an error says what is kept.
+//! Must not know: messages, streams, who does the work, where jobs are kept.
+
+use async_trait::async_trait;
+
+use super::JobError;
+use super::event::Events;
+use super::record::{Job, JobId, JobSpec, SpecError};
+use super::store::{Created, Page, Query, StoreError};
+use crate::blob::BlobError;
+
+/// See the module's head. An operation whose future is dropped may still happen.
+#[async_trait]
+pub trait JobDesk: Send + Sync {
+    /// Checks a job, keeps it and queues it. The specification has its tenant and its request's number.
+    ///
+    /// # Errors
+    /// `Spec`, `Input`, `TooLarge`; `Blob` if its input is not stored; `Store` if the request came before with another
+    /// body; `Job` if the queue is full or the server drains.
+    async fn create(&self, spec: JobSpec) -> Result<Created, DeskError>;
+
+    /// A job.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn get(&self, tenant: &str, id: JobId) -> Result<Job, DeskError>;
+
+    /// Jobs, the newest first. The query names its tenant.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn list(&self, query: Query) -> Result<Page, DeskError>;
+
+    /// At most `most` events after number `after`; none if none came.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, DeskError>;
+
+    /// Ends once the job has an event after number `after`.
+    ///
+    /// # Errors
+    /// `Store`; `NotFound` in it also if the job is deleted meanwhile.
+    async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), DeskError>;
+
+    /// Cancels a job; one that is cancelled already stays so.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, DeskError>;
+
+    /// Forgets a job that has ended, and lets its result go.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn delete(&self, tenant: &str, id: JobId) -> Result<(), DeskError>;
+
+    /// What a job would need. Counts that are not given are read from the job's input.
+    ///
+    /// # Errors
+    /// `Spec`, `Input`; `Blob` if counts are not given and the input is not stored.
+    async fn estimate(&self, spec: JobSpec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, DeskError>;
+}
+
+/// What a job would need.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Estimate {
+    /// Memory of the process at the peak, bytes,
+    pub host_bytes: u64,
+    /// of which jobs may have so much.
+    pub host_limit_bytes: u64,
+    /// Memory of the device, bytes; 0 on a CPU.
+    pub device_bytes: u64,
+    /// The device's memory for jobs; 0 if it is not known.
+    pub device_limit_bytes: u64,
+    /// Seconds of work, if nothing else is at work.
+    pub seconds: f64,
+    /// Whether it could run here.
+    pub fits: bool,
+}
+
+/// Why something that a caller wants of jobs was refused or failed.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum DeskError {
+    /// The specification makes no sense.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// The specification does not fit what its blobs hold, or what this server takes.
+    #[error("{field} {problem}")]
+    Input {
+        /// Where, as in [`SpecError::field`].
+        field: String,
+        /// What is wrong, and what to give instead.
+        problem: String,
+    },
+    /// The job could never run here.
+    #[error("the job needs {needed_bytes} bytes of memory, and this server has {limit_bytes} for a job; ask for less")]
+    TooLarge {
+        /// What it needs.
+        needed_bytes: u64,
+        /// What there is.
+        limit_bytes: u64,
+    },
+    /// The store of jobs refused or failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The store of blobs refused or failed.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// The queue refused or failed.
+    #[error(transparent)]
+    Job(#[from] JobError),
+}
