@@ -12,7 +12,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use crate::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, UploadId, UploadStatus};
 use crate::config::Limits;
-use crate::service::budget::Budget;
+use crate::service::budget::{Budget, Share};
 use crate::service::convert::{At, digest};
 use crate::service::stream::{Answers, Gate, Inbox, Kind, Outbox, answer, respond};
 use crate::service::{Phase, RequestError, tenant};
@@ -130,15 +130,13 @@ impl Blobs {
         tenant: &str,
     ) -> Result<proto::WriteResponse, RequestError> {
         let deadline = tokio::time::Instant::now() + self.limits.upload;
-        let Some(mut message) = self.next(&mut inbox, deadline).await? else {
+        let Some((mut message, mut share)) = self.next(&mut inbox, deadline).await? else {
             return Err(WireError::Order("the stream ended before its first message, which names the blob").into());
         };
         let upload = UploadId::new(digest(&At::Top("digest"), &message.digest)?, message.size_bytes).of(tenant);
         let mut status = timely(self.store.begin(upload)).await?;
-        let mut share = self.budget.share();
         while !status.complete {
             let proto::WriteRequest { digest: _, size_bytes: _, offset, data, crc32c, finish } = message;
-            share.grow(data.len() as u64)?;
             let chunk = Chunk { offset, bytes: data, crc32c };
             let storing = store(&*self.store, upload, chunk, status);
             if finish {
@@ -152,10 +150,10 @@ impl Blobs {
             // The next piece comes while this one is stored; a fault of either ends both.
             let next;
             (status, next) = tokio::try_join!(storing, self.next(&mut inbox, deadline))?;
-            share.hold(0);
+            drop(share);
             let Some(next) = next else { break };
-            check_same(upload, &next)?;
-            message = next;
+            check_same(upload, &next.0)?;
+            (message, share) = next;
         }
         let UploadStatus { kept_bytes, complete } = status;
         Ok(proto::WriteResponse {
@@ -166,18 +164,22 @@ impl Blobs {
         })
     }
 
-    /// The next message, which must come before the time for the upload is over.
+    /// The next message with its memory. It must come before the time for the upload is over.
     async fn next(
         &self,
         inbox: &mut Inbox<proto::WriteRequest>,
         deadline: tokio::time::Instant,
-    ) -> Result<Option<proto::WriteRequest>, RequestError> {
-        tokio::select! {
-            message = inbox.next(self.limits.upload_idle) => message,
-            () = tokio::time::sleep_until(deadline) => Err(RequestError::UploadTime(self.limits.upload)),
+    ) -> Result<Option<(proto::WriteRequest, Share)>, RequestError> {
+        let message = tokio::select! {
+            message = inbox.next(self.limits.upload_idle) => message?,
+            () = tokio::time::sleep_until(deadline) => return Err(RequestError::UploadTime(self.limits.upload)),
             // The upload goes on elsewhere, or when the server is back.
-            () = self.gate.reached(Phase::Draining) => Err(RequestError::Draining),
-        }
+            () = self.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
+        };
+        let Some(message) = message else { return Ok(None) };
+        let mut share = self.budget.share();
+        share.grow(message.data.len() as u64)?;
+        Ok(Some((message, share)))
     }
 }
 
