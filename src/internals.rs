@@ -39,10 +39,9 @@ pub mod gpu {
 /// The queue, the device thread, and jobs as data.
 #[cfg(feature = "service")]
 pub mod job {
-    pub use crate::job::desk::{DeskError, Estimate, JobDesk};
     pub use crate::job::{Ask, Backends, Ceilings, Engine, EngineOptions, JobError, MakePool, Wish};
     pub use crate::job::{Executor, ExecutorOptions, JobBounds, Stores};
-    pub use crate::job::{event, record, state, store};
+    pub use crate::job::{desk, event, record, state, store};
 }
 
 /// Neighbours of seeds.
@@ -79,5 +78,5 @@ pub mod rvd {
 /// The server.
 #[cfg(feature = "service")]
 pub mod service {
-    pub use crate::service::{Parts, SERVICE_NAME, ServeError, replay, run};
+    pub use crate::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, replay, run};
 }

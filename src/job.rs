@@ -10,7 +10,7 @@
 //! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
 //! Must not know: gRPC, messages, the command line.
 
-pub(crate) mod desk;
+pub mod desk;
 pub(crate) mod diagram;
 pub(crate) mod estimate;
 pub mod event;

@@ -57,7 +57,7 @@
 //! | `blob` | content-addressed storage: uploads, quota, local disk and S3 | nothing here |
 //! | `job` | the queue, the one thread that owns the device, and jobs as data: records, states, the journal | `blob`, `remesh` and below |
 //! | `wire` | messages, and our types made of them and into them; server and client speak it | `remesh` and below |
-//! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job` and below |
+//! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job`, `blob` and below |
 //! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve`: the client speaks `wire` |
 //!
 //! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules. Modules without a link

@@ -1,4 +1,4 @@
-//! The service: three streams over gRPC, health and reflection.
+//! The service: three streams over gRPC, blobs and jobs, health and reflection.
 //!
 //! Purpose: [`run`] serves on a listener until it is told to end, then drains.
 //! Invariant: nothing waits without a limit; every error leaves through `status` and nowhere else;
@@ -7,21 +7,28 @@
 
 mod budget;
 mod connections;
+mod convert;
 mod handlers;
 mod status;
 mod stream;
+mod tenant;
 
+use std::fmt;
 use std::future::Future;
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
 use tokio::sync::watch;
+use tonic::codec::CompressionEncoding::{Gzip, Zstd};
 use tonic::service::Routes;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
+use crate::blob::{BlobError, BlobStore};
 use crate::config::Limits;
+use crate::job::desk::{DeskError, JobDesk};
 use crate::job::spec::Input;
 use crate::job::{Device, Engine, JobError, Work};
 use crate::wire::{WireError, proto};
@@ -32,6 +39,12 @@ pub(crate) const MAX_MESSAGE_BYTES: usize = 4 << 20;
 /// The name under which health is told, besides "".
 pub const SERVICE_NAME: &str = "tessera.v1.RemeshService";
 
+/// The same for blobs, where they are served,
+pub const BLOB_SERVICE_NAME: &str = "tessera.v1.BlobService";
+
+/// and for jobs.
+pub const JOB_SERVICE_NAME: &str = "tessera.v1.JobService";
+
 /// What a server is made of.
 #[derive(Debug)]
 pub struct Parts {
@@ -41,6 +54,23 @@ pub struct Parts {
     pub worker: JoinHandle<()>,
     /// What a request may ask for, and how long things may take.
     pub limits: Limits,
+    /// Jobs that outlive their stream; without, neither they nor blobs are served.
+    pub jobs: Option<Jobs>,
+}
+
+/// What the services of blobs and jobs are made of.
+#[derive(Clone)]
+pub struct Jobs {
+    /// Keeps blobs.
+    pub blobs: Arc<dyn BlobStore>,
+    /// Keeps jobs and has them done.
+    pub desk: Arc<dyn JobDesk>,
+}
+
+impl fmt::Debug for Jobs {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Jobs").field("blobs", &self.blobs).finish_non_exhaustive()
+    }
 }
 
 /// Why a server ended badly.
@@ -86,8 +116,14 @@ pub(crate) enum RequestError {
     ClientGone,
     #[error("the server is shutting down; try again, or try another server")]
     Draining,
+    #[error("the server's storage did not answer within {} s", .0.as_secs_f64())]
+    Slow(Duration),
     #[error(transparent)]
     Job(#[from] JobError),
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    #[error(transparent)]
+    Desk(#[from] DeskError),
     #[error("{}", .0.message())]
     Inbound(tonic::Status),
 }
@@ -126,24 +162,47 @@ pub async fn run(
     parts: Parts,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), ServeError> {
-    let Parts { engine, worker, limits } = parts;
+    let Parts { engine, worker, limits, jobs } = parts;
     let phase = watch::Sender::new(Phase::Serving);
     let budget = budget::Budget::told(limits.memory_bytes, engine.held_besides());
     let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), phase.subscribe());
     let gate = handlers.gate().clone();
     let (health, health_service) = tonic_health::server::health_reporter();
-    tell(&health, ServingStatus::Serving).await;
-    let service = proto::remesh_service_server::RemeshServiceServer::new(handlers)
-        .max_decoding_message_size(MAX_MESSAGE_BYTES)
-        .accept_compressed(tonic::codec::CompressionEncoding::Gzip)
-        .accept_compressed(tonic::codec::CompressionEncoding::Zstd)
-        .send_compressed(tonic::codec::CompressionEncoding::Gzip)
-        .send_compressed(tonic::codec::CompressionEncoding::Zstd);
-    let routes = Routes::new(service)
-        .add_service(health_service)
-        .add_service(reflection()?.build_v1()?)
-        .add_service(reflection()?.build_v1alpha()?)
-        .prepare();
+    let health = Told { health, names: names(jobs.is_some()) };
+    health.tell(ServingStatus::Serving).await;
+    let mut routes = Routes::new(health_service)
+        .add_service(reflection(health.names)?.build_v1()?)
+        .add_service(reflection(health.names)?.build_v1alpha()?)
+        .add_service(
+            proto::remesh_service_server::RemeshServiceServer::new(handlers)
+                .max_decoding_message_size(MAX_MESSAGE_BYTES)
+                .accept_compressed(Gzip)
+                .accept_compressed(Zstd)
+                .send_compressed(Gzip)
+                .send_compressed(Zstd),
+        );
+    let desk = jobs.as_ref().map(|jobs| Arc::clone(&jobs.desk));
+    if let Some(Jobs { blobs, desk }) = jobs {
+        let blobs = handlers::blobs::Blobs::new(blobs, limits, budget.clone(), gate.clone());
+        let jobs = handlers::jobs::Jobs::new(desk, budget.clone(), gate.clone());
+        routes = routes
+            .add_service(
+                // What is read is not compressed: results seldom shrink, and their clients wait for them.
+                proto::blob_service_server::BlobServiceServer::new(blobs)
+                    .max_decoding_message_size(MAX_MESSAGE_BYTES)
+                    .accept_compressed(Gzip)
+                    .accept_compressed(Zstd),
+            )
+            .add_service(
+                proto::job_service_server::JobServiceServer::new(jobs)
+                    .max_decoding_message_size(MAX_MESSAGE_BYTES)
+                    .accept_compressed(Gzip)
+                    .accept_compressed(Zstd)
+                    .send_compressed(Gzip)
+                    .send_compressed(Zstd),
+            );
+    }
+    let routes = routes.prepare();
     let closing = watch::Sender::new(CUT_TIME);
     let serving = connections::serve(listener, routes, limits, budget, phase.subscribe(), closing.subscribe());
     tokio::pin!(serving);
@@ -157,16 +216,24 @@ pub async fn run(
     let grace = if lost.is_some() { Duration::ZERO } else { limits.grace };
     tracing::info!(grace_s = grace.as_secs_f64(), "shutting down: no new streams, open ones may end");
     // Before the phase: whoever watches is told, and then his stream ends.
-    tell(&health, ServingStatus::NotServing).await;
+    health.tell(ServingStatus::NotServing).await;
     phase.send_replace(Phase::Draining);
     let begin = Instant::now();
+    let idle = || async {
+        let jobs = async {
+            if let Some(desk) = &desk {
+                desk.drain().await;
+            }
+        };
+        tokio::join!(gate.idle(), jobs);
+    };
     let draining = async {
-        if tokio::time::timeout(grace, gate.idle()).await.is_err() {
+        if tokio::time::timeout(grace, idle()).await.is_err() {
             tracing::warn!("the grace period is over: cutting what is left");
         }
         phase.send_replace(Phase::Cut);
         engine.cancel_all();
-        let _ = tokio::time::timeout(CUT_TIME, gate.idle()).await;
+        let _ = tokio::time::timeout(CUT_TIME, idle()).await;
         // Answers that are written may still be on their way to a slow reader.
         closing.send_replace(grace.saturating_sub(begin.elapsed()).max(CUT_TIME));
         phase.send_replace(Phase::Closing);
@@ -203,7 +270,7 @@ async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
 
 /// Tells health while the device is lost or work is stuck. Returns when the device thread has ended, or with the stage of
 /// work that will not stop.
-async fn follow_engine(engine: &Engine, health: &HealthReporter) -> Option<&'static str> {
+async fn follow_engine(engine: &Engine, health: &Told) -> Option<&'static str> {
     let (mut device, mut work) = (engine.watch_device(), engine.watch_work());
     loop {
         let (now, works) = (*device.borrow_and_update(), *work.borrow_and_update());
@@ -216,7 +283,7 @@ async fn follow_engine(engine: &Engine, health: &HealthReporter) -> Option<&'sta
             return Some(stage);
         }
         let is_well = now == Device::Ready && works == Work::Stops;
-        tell(health, if is_well { ServingStatus::Serving } else { ServingStatus::NotServing }).await;
+        health.tell(if is_well { ServingStatus::Serving } else { ServingStatus::NotServing }).await;
         let changed = tokio::select! {
             changed = device.changed() => changed,
             changed = work.changed() => changed,
@@ -227,13 +294,33 @@ async fn follow_engine(engine: &Engine, health: &HealthReporter) -> Option<&'sta
     }
 }
 
-async fn tell(health: &HealthReporter, status: ServingStatus) {
-    health.set_service_status(SERVICE_NAME, status).await;
-    health.set_service_status("", status).await;
+/// The services that are served.
+fn names(jobs: bool) -> &'static [&'static str] {
+    const NAMES: &[&str] = &[SERVICE_NAME, BLOB_SERVICE_NAME, JOB_SERVICE_NAME];
+    if jobs { NAMES } else { &[SERVICE_NAME] }
 }
 
-fn reflection() -> Result<tonic_reflection::server::Builder<'static>, ServeError> {
-    Ok(tonic_reflection::server::Builder::configure()
+/// Health, told for every service and for all of them.
+struct Told {
+    health: HealthReporter,
+    names: &'static [&'static str],
+}
+
+impl Told {
+    async fn tell(&self, status: ServingStatus) {
+        for name in self.names {
+            self.health.set_service_status(*name, status).await;
+        }
+        self.health.set_service_status("", status).await;
+    }
+}
+
+fn reflection(names: &[&str]) -> Result<tonic_reflection::server::Builder<'static>, ServeError> {
+    let builder = tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(proto::DESCRIPTORS)
-        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET))
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET);
+    // Named, since the descriptors tell of services that may not be served.
+    let others =
+        ["grpc.health.v1.Health", "grpc.reflection.v1.ServerReflection", "grpc.reflection.v1alpha.ServerReflection"];
+    Ok(names.iter().copied().chain(others).fold(builder, tonic_reflection::server::Builder::with_service_name))
 }

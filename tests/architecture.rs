@@ -33,7 +33,7 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("telemetry", &["config"]),
     ("job", &["blob", "remesh", "cvt", "rvd", "mesh", "config", "memory"]),
     ("wire", &["remesh", "cvt", "rvd", "mesh"]),
-    ("service", &["wire", "job", "remesh", "cvt", "rvd", "mesh", "config"]),
+    ("service", &["wire", "job", "blob", "remesh", "cvt", "rvd", "mesh", "config"]),
     // Its client speaks to a server through the wire, and imports nothing of it.
     ("cli", &["wire", "job", "remesh", "cvt", "rvd", "knn", "mesh", "gpu", "picture", "config", "telemetry", "memory"]),
     ("internals", &["blob", "cli", "config", "cvt", "gpu", "job", "knn", "mesh", "remesh", "rvd", "service"]),

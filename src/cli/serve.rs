@@ -2,6 +2,7 @@
 //!
 //! Order: configuration checked, backends made and warmed up, then the port. A server that listens works.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -10,14 +11,42 @@ use tokio::net::TcpListener;
 
 use super::exit::{Stuck, Unavailable};
 use super::{backends, interrupt};
-use crate::config::{JobCeilings, ServeArgs, ServeConfig};
+use crate::blob::BlobOptions;
+use crate::config::{JobCeilings, Limits, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
-use crate::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
+use crate::job::desk::DeskError;
+use crate::job::store::StoreError;
+use crate::job::{
+    Backends, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, Stores, Wish,
+};
 use crate::memory;
 use crate::mesh::TriMesh;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
-use crate::service::{self, Parts, ServeError};
+use crate::service::{self, Jobs, Parts, ServeError};
 use crate::token::Token;
+
+/// Opens what is kept, and says where that is.
+async fn stores(config: &ServeConfig) -> Result<Stores> {
+    let blobs = BlobOptions::default().with_quota_bytes(config.blob_bytes);
+    let Some(folder) = &config.data_dir else {
+        tracing::info!("jobs and blobs are kept in memory and gone with the server");
+        return Ok(Stores::ephemeral(blobs));
+    };
+    let cannot = |error| Unavailable(format!("cannot make {}: {error}; give another --data-dir", folder.display()));
+    std::fs::create_dir_all(folder).map_err(cannot)?;
+    let stores = Stores::in_folder(folder.clone(), blobs).await.map_err(|error| unusable(config, &error))?;
+    tracing::info!(folder = %folder.display(), "jobs and blobs are kept");
+    Ok(stores)
+}
+
+/// What is kept cannot be used.
+fn unusable(config: &ServeConfig, error: &DeskError) -> Unavailable {
+    match (&config.data_dir, error) {
+        // It names the folder, and what to do.
+        (_, DeskError::Store(StoreError::InUse { .. })) | (None, _) => Unavailable(error.to_string()),
+        (Some(folder), _) => Unavailable(format!("cannot use --data-dir {}: {error}", folder.display())),
+    }
+}
 
 /// How long connections get to close after the last stream.
 const LEAVE: Duration = Duration::from_secs(2);
@@ -48,13 +77,29 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
     // What is left is for everything else, and for what the last look did not see.
     let machine = || memory::machine_memory_bytes().map(|bytes| bytes / 4 * 3);
     let ceilings = Ceilings { time: Some(time), memory_bytes: memory_bytes.or_else(machine), stuck, lost };
-    let engine_options = EngineOptions { queue_jobs: config.queue_jobs, ceilings, ..EngineOptions::default() };
+    let usual = EngineOptions::default();
+    let jobs_at_once = config.jobs_at_once.unwrap_or(usual.jobs_at_once);
+    let engine_options = EngineOptions { queue_jobs: config.queue_jobs, ceilings, jobs_at_once, ..usual };
+    // Before the backends take their time: another server may have the folder.
+    let stores = stores(&config).await?;
     let starting = tokio::task::spawn_blocking(move || Engine::start(factory, engine_options));
     let (engine, worker) = tokio::select! {
         started = starting => started.context("starting the backends")?.context("starting the backends")?,
         _ = &mut signals => return Ok(()),
     };
     let by = engine.backend(Wish::Auto)?;
+    let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = config.limits;
+    let bounds = JobBounds { max_vertices, max_facets, max_seeds, max_iterations };
+    let options = ExecutorOptions {
+        waiting_jobs: config.waiting_jobs,
+        keep_results: config.keep.0,
+        keep_records: config.keep.1,
+        max_crashes: config.max_crashes,
+        host_limit_bytes: ceilings.memory_bytes.unwrap_or(u64::MAX),
+        ..ExecutorOptions::new(bounds)
+    };
+    let blobs = Arc::clone(&stores.blobs);
+    let desk = Executor::start(engine.clone(), stores, options).await.map_err(|error| unusable(&config, &error))?;
     let listener = TcpListener::bind(config.listen.as_slice())
         .await
         .map_err(|e| Unavailable(format!("cannot listen on {}: {e}; choose another --listen", args.listen)))?;
@@ -64,7 +109,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
         queue_jobs = config.queue_jobs, "serving"
     );
     outln!("tessera listens on {address}")?;
-    let parts = Parts { engine, worker, limits: config.limits };
+    let parts = Parts { engine, worker, limits: config.limits, jobs: Some(Jobs { blobs, desk: Arc::new(desk) }) };
     let shutdown = async {
         // A sender that is gone means that nobody can signal; go on serving.
         if signals.await.is_err() {

@@ -63,6 +63,9 @@ pub trait JobDesk: Send + Sync {
     /// # Errors
     /// `Spec`, `Input`; `Blob` if counts are not given and the input is not stored.
     async fn estimate(&self, spec: JobSpec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, DeskError>;
+
+    /// Takes nothing new and begins nothing more. Ends once nothing is at work; what waits is done after the next start.
+    async fn drain(&self);
 }
 
 /// What a job would need.

@@ -181,15 +181,6 @@ impl Executor {
         tokio::spawn(sweep(Arc::downgrade(&inner)));
         Ok(Self { inner })
     }
-
-    /// Takes nothing new and begins nothing more: what waits is done after the next start. Ends once nothing is at work.
-    pub async fn drain(&self) {
-        self.inner.draining.store(true, Ordering::Release);
-        lock(&self.inner.active).retain(|_, active| active.running);
-        while !lock(&self.inner.active).is_empty() {
-            tokio::time::sleep(Duration::from_millis(10)).await;
-        }
-    }
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -425,6 +416,14 @@ impl JobDesk for Executor {
             seconds: need.seconds,
             fits: in_bounds && need.host_bytes <= host_limit_bytes,
         })
+    }
+
+    async fn drain(&self) {
+        self.inner.draining.store(true, Ordering::Release);
+        lock(&self.inner.active).retain(|_, active| active.running);
+        while !lock(&self.inner.active).is_empty() {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
     }
 }
 

@@ -23,6 +23,7 @@ use tokio::sync::watch;
 use tonic::service::Routes;
 
 pub(crate) use exchange::Exchange;
+pub(crate) use places::Peer;
 
 use self::connection::State;
 use self::places::{Full, Places};
@@ -128,7 +129,7 @@ impl Accepting {
 
     /// Runs a new connection if there is a place for it.
     async fn admit(&self, stream: TcpStream, peer: SocketAddr) {
-        let state = Arc::new(State::new());
+        let state = Arc::new(State::new(Peer::of(peer)));
         let place = match self.places.claim(peer, &state) {
             Ok(place) => Ok(place),
             Err(full) => {

@@ -1,4 +1,4 @@
-//! The three streams.
+//! The three streams; [`blobs`] and [`jobs`] are services of their own.
 //!
 //! Purpose: read the upload, hand it to the engine, send what comes back. Invariant: thin: no
 //! geometry here, and no status codes. What a stream holds is dropped with its future.
@@ -11,7 +11,7 @@ use tokio::sync::{Semaphore, watch};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::budget::{Budget, Share};
-use super::stream::{Answers, Gate, Inbox, Outbox, respond};
+use super::stream::{Answers, Gate, Inbox, Kind, Outbox, respond};
 use super::{Phase, RequestError};
 use crate::config::Limits;
 use crate::job::spec::{Input, Prepared};
@@ -26,8 +26,10 @@ use crate::wire::proto::{self, ArrayKind, Chunk};
 use crate::wire::upload::{Header, Incoming, Upload};
 use crate::wire::{attributes, codec, density};
 
+pub(super) mod blobs;
 mod cvt;
 mod diagram;
+pub(super) mod jobs;
 mod remesh;
 
 /// The longest report that the last message holds, bytes; a longer one goes ahead of it in chunks.
@@ -75,7 +77,7 @@ impl proto::remesh_service_server::RemeshService for Handlers {
     ) -> Result<Response<Self::ComputeRvdStream>, Status> {
         let (metadata, extensions, stream) = request.into_parts();
         let shared = Arc::clone(&self.shared);
-        Ok(respond("ComputeRvd", &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
+        Ok(respond(("ComputeRvd", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
             diagram::handle(shared, Inbox::new(stream), out)
         })?)
     }
@@ -83,7 +85,7 @@ impl proto::remesh_service_server::RemeshService for Handlers {
     async fn cvt(&self, request: Request<Streaming<proto::CvtRequest>>) -> Result<Response<Self::CvtStream>, Status> {
         let (metadata, extensions, stream) = request.into_parts();
         let shared = Arc::clone(&self.shared);
-        Ok(respond("Cvt", &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
+        Ok(respond(("Cvt", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
             cvt::handle(shared, Inbox::new(stream), out)
         })?)
     }
@@ -94,7 +96,7 @@ impl proto::remesh_service_server::RemeshService for Handlers {
     ) -> Result<Response<Self::RemeshStream>, Status> {
         let (metadata, extensions, stream) = request.into_parts();
         let shared = Arc::clone(&self.shared);
-        Ok(respond("Remesh", &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
+        Ok(respond(("Remesh", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
             remesh::handle(shared, Inbox::new(stream), out)
         })?)
     }

@@ -10,8 +10,13 @@ use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
 use super::RequestError;
+use super::convert::spec::path_of;
+use crate::blob::BlobError;
 use crate::cvt::density::DensityError;
 use crate::job::JobError;
+use crate::job::desk::DeskError;
+use crate::job::record::SpecError;
+use crate::job::store::StoreError;
 use crate::mesh::MeshError;
 use crate::mesh::features::FeatureError;
 use crate::remesh::RemeshError;
@@ -33,7 +38,13 @@ impl From<RequestError> for Status {
             RequestError::Stalled(_) => Status::aborted(text),
             RequestError::ClientGone => Status::cancelled(text),
             RequestError::Draining => draining(text),
+            RequestError::Slow(_) => {
+                tracing::error!(error = %text, "the storage is slow");
+                retry(Code::Unavailable, text, Duration::from_secs(5))
+            }
             RequestError::Job(error) => of_job(&error),
+            RequestError::Blob(error) => of_blob(&error),
+            RequestError::Desk(error) => of_desk(error),
             RequestError::Inbound(status) => of_inbound(status),
         }
     }
@@ -149,6 +160,93 @@ fn of_rvd(error: &RvdError) -> Status {
     invalid(text.clone(), path, text)
 }
 
+fn of_blob(error: &BlobError) -> Status {
+    let text = error.to_string();
+    let path = match error {
+        BlobError::NotFound { digest } => return not_found("blob", digest.to_string(), text),
+        BlobError::UploadNotFound { digest } => return not_found("upload", digest.to_string(), text),
+        BlobError::WrongOffset { .. } | BlobError::OutOfRange { .. } => {
+            let details = ErrorDetails::with_bad_request_violation("offset", text.clone());
+            return Status::with_error_details(Code::OutOfRange, text, details);
+        }
+        BlobError::ChunkTooLarge { .. } | BlobError::PastEnd { .. } => "data",
+        BlobError::ChecksumMismatch { .. } => "crc32c",
+        BlobError::Incomplete { .. } => "finish",
+        BlobError::DigestMismatch { .. } => "digest",
+        BlobError::WrongSize { .. } | BlobError::TooLarge { .. } => "size_bytes",
+        BlobError::QuotaExceeded { .. } | BlobError::TooManyUploads { .. } => {
+            return retry(Code::ResourceExhausted, text, Duration::from_secs(5));
+        }
+        BlobError::StorageFull => {
+            tracing::error!("the disk of the blobs is full");
+            return retry(Code::ResourceExhausted, text, Duration::from_secs(30));
+        }
+        BlobError::Pinned { digest } => return precondition("PINNED", &digest.to_string(), text),
+        // The log has the rest: paths and addresses of the storage.
+        BlobError::InUse { .. } | BlobError::Unavailable(_) => {
+            tracing::error!(error = %text, "the blob storage failed");
+            let text = "the blob storage failed; try again, and look at the server's log if it stays so".to_owned();
+            return retry(Code::Unavailable, text, Duration::from_secs(5));
+        }
+    };
+    invalid(text.clone(), path.to_owned(), text)
+}
+
+fn of_desk(error: DeskError) -> Status {
+    let text = error.to_string();
+    match error {
+        DeskError::Spec(error) => of_spec(&error),
+        DeskError::Input { field, problem } => {
+            let path = path_of(&field);
+            invalid(format!("{path} {problem}"), path, problem)
+        }
+        DeskError::TooLarge { .. } => invalid(text.clone(), "spec".to_owned(), text),
+        DeskError::Store(error) => of_store(&error),
+        DeskError::Blob(error) => of_blob(&error),
+        DeskError::Job(error) => of_job(&error),
+    }
+}
+
+/// Says the field as messages call it.
+fn of_spec(error: &SpecError) -> Status {
+    let path = path_of(error.field());
+    let text = error.to_string();
+    let text = match text.strip_prefix(error.field()) {
+        Some(rest) if !error.field().is_empty() => format!("{path}{rest}"),
+        _ => text,
+    };
+    invalid(text.clone(), path, text)
+}
+
+fn of_store(error: &StoreError) -> Status {
+    let text = error.to_string();
+    match error {
+        StoreError::NotFound { id } => not_found("job", id.to_string(), text),
+        StoreError::AlreadyExists { .. } => {
+            let details = ErrorDetails::with_bad_request_violation("request_id", text.clone());
+            Status::with_error_details(Code::AlreadyExists, text, details)
+        }
+        StoreError::Transition { id, .. } | StoreError::NotEnded { id, .. } => {
+            precondition("JOB_STATE", &id.to_string(), text)
+        }
+        // Somebody else was faster; the same call may succeed.
+        StoreError::NameTaken { .. } | StoreError::Stale { .. } => retry(Code::Aborted, text, Duration::from_secs(1)),
+        StoreError::Closed => draining(text),
+        StoreError::Broken { .. } => {
+            tracing::error!(error = %text, "the store of jobs takes nothing any more");
+            let text = "the store of jobs cannot be written now; its server must be started again".to_owned();
+            retry(Code::Unavailable, text, Duration::from_secs(30))
+        }
+        StoreError::InUse { .. }
+        | StoreError::Damaged { .. }
+        | StoreError::UnknownVersion { .. }
+        | StoreError::Io { .. } => {
+            tracing::error!(error = %text, "the store of jobs failed");
+            Status::internal("the store of jobs failed; the server's log says why")
+        }
+    }
+}
+
 /// What the transport says of a message that it could not read.
 fn of_inbound(status: Status) -> Status {
     match status.code() {
@@ -163,6 +261,16 @@ fn of_inbound(status: Status) -> Status {
 fn invalid(text: String, path: String, description: String) -> Status {
     let details = ErrorDetails::with_bad_request_violation(path, description);
     Status::with_error_details(Code::InvalidArgument, text, details)
+}
+
+fn not_found(kind: &str, name: String, text: String) -> Status {
+    let details = ErrorDetails::with_resource_info(kind, name, "", text.clone());
+    Status::with_error_details(Code::NotFound, text, details)
+}
+
+fn precondition(kind: &str, subject: &str, text: String) -> Status {
+    let details = ErrorDetails::with_precondition_failure_violation(kind, subject, text.clone());
+    Status::with_error_details(Code::FailedPrecondition, text, details)
 }
 
 fn retry(code: Code, text: String, after: Duration) -> Status {

@@ -1,7 +1,8 @@
 //! Both directions of a stream, with limits on every wait.
 //!
 //! Purpose: [`Gate`] admits, [`Inbox`] reads with an idle limit, [`Outbox`] writes as the client takes it,
-//! [`respond`] runs a handler until it ends or the client goes, the deadline passes, the server cuts.
+//! [`respond`] runs a handler until it ends or the client goes, the deadline passes, the server cuts; [`answer`] does the
+//! same for a handler that gives one message.
 //! Invariant: a stream that ends without its last message ends with an error, never with OK. A stream keeps its place
 //! until its answer has left or was thrown away; what waits in between is counted. The transport resets a stream whose
 //! client takes nothing. Must not know: what the messages say.
@@ -28,10 +29,23 @@ const OUTBOX_MESSAGES: usize = 4;
 /// Between two looks whether memory for a message is free.
 const MEMORY_PAUSE: Duration = Duration::from_millis(20);
 
+/// What is admitted, each counted for itself: whoever watches jobs takes no place from who has work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// Uploads, downloads, work.
+    Stream,
+    /// A question with one answer.
+    Call,
+    /// Waits for what happens to a job.
+    Watch,
+}
+
 /// Counts streams and sessions, and knows whether the server is on its way out.
 #[derive(Clone, Debug)]
 pub(crate) struct Gate {
     streams: Arc<Semaphore>,
+    calls: Arc<Semaphore>,
+    watches: Arc<Semaphore>,
     sessions: Arc<Semaphore>,
     limits: Limits,
     phase: watch::Receiver<Phase>,
@@ -39,18 +53,23 @@ pub(crate) struct Gate {
 
 impl Gate {
     pub(crate) fn new(limits: Limits, phase: watch::Receiver<Phase>) -> Self {
-        let streams = Arc::new(Semaphore::new(limits.max_streams));
+        let [streams, calls, watches] = [(); 3].map(|()| Arc::new(Semaphore::new(limits.max_streams)));
         let sessions = Arc::new(Semaphore::new(limits.max_sessions));
-        Self { streams, sessions, limits, phase }
+        Self { streams, calls, watches, sessions, limits, phase }
     }
 
-    /// Admits a stream.
-    pub(crate) fn admit(&self) -> Result<OwnedSemaphorePermit, RequestError> {
+    /// Admits a stream or a call.
+    pub(crate) fn admit(&self, kind: Kind) -> Result<OwnedSemaphorePermit, RequestError> {
         if *self.phase.borrow() != Phase::Serving {
             return Err(RequestError::Draining);
         }
-        let full = |_| RequestError::TooMany { what: "streams", limit: self.limits.max_streams };
-        Arc::clone(&self.streams).try_acquire_owned().map_err(full)
+        let (places, what) = match kind {
+            Kind::Stream => (&self.streams, "streams"),
+            Kind::Call => (&self.calls, "calls"),
+            Kind::Watch => (&self.watches, "watches of jobs"),
+        };
+        let full = |_| RequestError::TooMany { what, limit: self.limits.max_streams };
+        Arc::clone(places).try_acquire_owned().map_err(full)
     }
 
     /// Admits an interactive session.
@@ -59,10 +78,12 @@ impl Gate {
         Arc::clone(&self.sessions).try_acquire_owned().map_err(full)
     }
 
-    /// Ready once no stream is open.
+    /// Ready once no stream and no call is open.
     pub(crate) async fn idle(&self) {
         let all = u32::try_from(self.limits.max_streams).unwrap_or(u32::MAX);
-        let _ = self.streams.acquire_many(all).await;
+        for places in [&self.streams, &self.calls, &self.watches] {
+            let _ = places.acquire_many(all).await;
+        }
     }
 
     /// Ready once the server is at least so far on its way out.
@@ -158,9 +179,43 @@ impl<T> Stream for Answers<T> {
     }
 }
 
+/// Runs `work`, which gives one message, until it ends or the deadline passes, the server cuts, or `most` is over. If the
+/// client goes, the transport drops all of it.
+pub(crate) async fn answer<T>(
+    (method, kind): (&'static str, Kind),
+    metadata: &MetadataMap,
+    extensions: &Extensions,
+    gate: &Gate,
+    most: Option<Duration>,
+    work: impl Future<Output = Result<T, RequestError>>,
+) -> Result<Response<T>, Status> {
+    let _permit = gate.admit(kind)?;
+    if let Some(exchange) = extensions.get::<Arc<Exchange>>() {
+        exchange.admit();
+    }
+    let start = Instant::now();
+    let result = tokio::select! {
+        result = work => result,
+        () = sleep(timeout(metadata)) => Err(RequestError::Deadline),
+        () = sleep(most) => Err(RequestError::Slow(most.unwrap_or_default())),
+        () = gate.reached(Phase::Cut) => Err(RequestError::Draining),
+    };
+    let ms = start.elapsed().as_secs_f64() * 1e3;
+    match result.map_err(Status::from) {
+        Ok(message) => {
+            tracing::debug!(method, ms, "done");
+            Ok(Response::new(message))
+        }
+        Err(status) => {
+            tracing::info!(method, ms, code = ?status.code(), message = status.message(), "ended");
+            Err(status)
+        }
+    }
+}
+
 /// Runs `handle` on a task of its own.
 pub(crate) fn respond<T, F>(
-    method: &'static str,
+    (method, kind): (&'static str, Kind),
     metadata: &MetadataMap,
     extensions: &Extensions,
     (gate, budget): (&Gate, &Budget),
@@ -170,7 +225,7 @@ where
     T: Send + 'static,
     F: Future<Output = Result<(), RequestError>> + Send + 'static,
 {
-    let permit = Arc::new(gate.admit()?);
+    let permit = Arc::new(gate.admit(kind)?);
     let exchange = extensions.get::<Arc<Exchange>>().cloned();
     if let Some(exchange) = &exchange {
         exchange.admit();

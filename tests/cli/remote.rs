@@ -13,7 +13,7 @@ struct Server(Child, String);
 impl Server {
     fn start(listen: &str) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
-        command.args(["serve", "--backend", "parallel", "--listen", listen]).env("TESSERA_LOG", "error");
+        command.args(["serve", "--ephemeral", "--backend", "parallel", "--listen", listen]).env("TESSERA_LOG", "error");
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();

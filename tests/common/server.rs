@@ -1,15 +1,20 @@
 //! A server on port 0, clients, uploads, and backends that misbehave on purpose.
 
+pub mod desk;
+
 use std::net::SocketAddr;
 use std::ops::Range;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use desk::Idle;
 use glam::{DVec3, dvec3};
+use tessera::internals::blob::{BlobOptions, ObjectBlobs};
 use tessera::internals::config::Limits;
 use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
-use tessera::internals::service::{self, Parts, ServeError};
+use tessera::internals::service::{self, Jobs, Parts, ServeError};
 use tessera::proto::remesh_service_client::RemeshServiceClient;
 use tessera::proto::*;
 use tessera::rvd::{Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface};
@@ -121,6 +126,9 @@ pub struct Setup {
     pub jobs_at_once: usize,
     /// Stands in for the serial backend.
     pub serial: Arc<dyn Backend>,
+    /// Of the blobs, which lie in memory unless `folder` is given.
+    pub blobs: BlobOptions,
+    pub folder: Option<PathBuf>,
 }
 
 impl Default for Setup {
@@ -131,6 +139,8 @@ impl Default for Setup {
             ceilings: Ceilings::default(),
             jobs_at_once: 1,
             serial: Arc::new(Serial),
+            blobs: BlobOptions::default(),
+            folder: None,
         }
     }
 }
@@ -148,6 +158,8 @@ pub type Client = RemeshServiceClient<Channel>;
 pub struct Server {
     pub address: SocketAddr,
     pub engine: Engine,
+    /// Its jobs and blobs.
+    pub desk: Arc<Idle>,
     stop: Option<oneshot::Sender<()>>,
     served: tokio::task::JoinHandle<Result<(), ServeError>>,
 }
@@ -170,11 +182,17 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel();
-        let parts = Parts { engine: engine.clone(), worker, limits: setup.limits };
+        let blobs = match setup.folder {
+            None => ObjectBlobs::in_memory(setup.blobs),
+            Some(folder) => ObjectBlobs::local(folder, setup.blobs).await.unwrap(),
+        };
+        let desk = Arc::new(Idle::new(Arc::new(blobs)));
+        let jobs = Some(Jobs { blobs: desk.blobs.clone(), desk: desk.clone() });
+        let parts = Parts { engine: engine.clone(), worker, limits: setup.limits, jobs };
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;
         }));
-        Self { address, engine, stop: Some(stop), served }
+        Self { address, engine, desk, stop: Some(stop), served }
     }
 
     pub async fn channel(&self) -> Channel {

@@ -17,7 +17,7 @@ mkdir "$work/stubs"
 "$work/venv/bin/python" -m grpc_tools.protoc -I "$root/proto" \
     --python_out="$work/stubs" --grpc_python_out="$work/stubs" "$root/proto/tessera/v1/remesh.proto"
 
-"$server" serve --listen 127.0.0.1:0 >"$work/out" 2>"$work/log" &
+"$server" serve --data-dir "$work/data" --listen 127.0.0.1:0 >"$work/out" 2>"$work/log" &
 pid=$!
 tries=0
 until grep -q '^tessera listens on ' "$work/out"; do

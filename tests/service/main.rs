@@ -14,10 +14,12 @@ mod raw;
 
 mod admission;
 mod attributes;
+mod blobs;
 mod ceilings;
 mod connections;
 mod density;
 mod features;
+mod jobs;
 mod life;
 mod refusals;
 mod shutdown;

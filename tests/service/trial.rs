@@ -47,7 +47,8 @@ struct Held {
 
 impl Program {
     fn start() -> Self {
-        let serve = "serve --listen 127.0.0.1:0 --backend parallel --threads 2 --stall-s 1 --idle-connection-s 2";
+        let serve =
+            "serve --ephemeral --listen 127.0.0.1:0 --backend parallel --threads 2 --stall-s 1 --idle-connection-s 2";
         let command = format!("ulimit -n 1024; exec \"$0\" {serve} --memory-mib {MEMORY_MIB}");
         let mut child = Command::new("sh")
             .args(["-c", &command, env!("CARGO_BIN_EXE_tessera")])

@@ -21,10 +21,10 @@ use tonic::codegen::Service as _;
 use tonic::codegen::http::{HeaderMap, Request, Response};
 use tonic::service::Routes;
 
-use super::super::{MAX_MESSAGE_BYTES, Phase, RequestError, SERVICE_NAME};
+use super::super::{MAX_MESSAGE_BYTES, Phase, RequestError};
 use super::arriving::Arriving;
 use super::exchange::{Exchange, Farewell, Pieces};
-use super::places::{Guest, Standing};
+use super::places::{Guest, Peer, Standing};
 use super::socket::{Socket, Traffic};
 use super::{Common, LINGER};
 
@@ -37,6 +37,9 @@ const SEND_BUFFER: usize = 128 << 10;
 
 /// All headers of a request, bytes.
 const HEADERS: u32 = 16 << 10;
+
+/// How the paths of the services begin that take uploads.
+const OURS: &str = "/tessera.v1.";
 
 /// The longest message to health and reflection, bytes.
 const QUESTION: u64 = 64 << 10;
@@ -66,6 +69,7 @@ const LOOK_EVERY_AT_THE_END: Duration = Duration::from_millis(25);
 
 /// What is known of a connection.
 pub(super) struct State {
+    peer: Peer,
     opened: Instant,
     traffic: Arc<Traffic>,
     streams: Mutex<Streams>,
@@ -83,9 +87,10 @@ struct Streams {
 }
 
 impl State {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(peer: Peer) -> Self {
         let streams = Streams { all: Vec::new(), taken: None, requests: 0, last: Instant::now() };
-        Self { opened: Instant::now(), traffic: Arc::default(), streams: Mutex::new(streams), evicted: Notify::new() }
+        let (opened, traffic) = (Instant::now(), Arc::default());
+        Self { peer, opened, traffic, streams: Mutex::new(streams), evicted: Notify::new() }
     }
 
     fn lock(&self) -> MutexGuard<'_, Streams> {
@@ -310,7 +315,8 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
             streams.taken = Some(Arc::clone(&exchange));
         }
         request.extensions_mut().insert(Arc::clone(&exchange));
-        let uploads = request.uri().path().strip_prefix('/').is_some_and(|path| path.starts_with(SERVICE_NAME));
+        request.extensions_mut().insert(self.state.peer);
+        let uploads = request.uri().path().starts_with(OURS);
         let most = if uploads { MAX_MESSAGE_BYTES as u64 } else { QUESTION };
         let budget = self.common.budget.clone();
         let mut routes: Routes = self.common.routes.clone();

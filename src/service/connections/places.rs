@@ -5,6 +5,7 @@
 //! been idle: who asks for something keeps its place. Must not know: sockets, HTTP.
 
 use std::collections::HashMap;
+use std::fmt;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -133,6 +134,23 @@ impl<G> Drop for Place<G> {
     fn drop(&mut self) {
         self.places.table.lock().unwrap_or_else(PoisonError::into_inner).guests.remove(&self.id);
         self.places.freed.notify_waiters();
+    }
+}
+
+/// The address that counts as one peer, for whoever answers its requests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Peer(IpAddr);
+
+impl Peer {
+    /// Whoever is at the other end.
+    pub(crate) fn of(address: SocketAddr) -> Self {
+        Self(network(address.ip()))
+    }
+}
+
+impl fmt::Display for Peer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
     }
 }
 

@@ -1,0 +1,170 @@
+//! `JobService`: questions about jobs, and watches of one.
+//!
+//! Invariant: every question is asked in the name of the caller's tenant. A watch holds the events that it sends now, and
+//! ends with the job, or with an error. Must not know: who does jobs, where they are kept, how statuses look.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tonic::{Request, Response, Status};
+
+use crate::job::desk::JobDesk;
+use crate::job::event::What;
+use crate::job::record::JobId;
+use crate::service::budget::Budget;
+use crate::service::convert::{job, job_id, spec};
+use crate::service::stream::{Answers, Gate, Kind, Outbox, answer, respond};
+use crate::service::{Phase, RequestError, tenant};
+use crate::wire::proto;
+
+/// For the desk to answer. An estimate may read a mesh.
+const DESK_TIME: Duration = Duration::from_secs(60);
+
+/// Between two looks whether a job that says nothing has ended: its watcher may wait for a number that never comes.
+const LOOK_EVERY: Duration = Duration::from_secs(10);
+
+/// Events of a watch that are looked up at once.
+const EVENTS: usize = 64;
+
+/// The service.
+pub(in crate::service) struct Jobs {
+    desk: Arc<dyn JobDesk>,
+    budget: Budget,
+    gate: Gate,
+}
+
+impl Jobs {
+    pub(in crate::service) fn new(desk: Arc<dyn JobDesk>, budget: Budget, gate: Gate) -> Self {
+        Self { desk, budget, gate }
+    }
+
+    /// A question with one answer, in the name of a tenant.
+    async fn ask<M, T, F: Future<Output = Result<T, RequestError>>>(
+        &self,
+        method: &'static str,
+        request: Request<M>,
+        work: impl FnOnce(M, String, Arc<dyn JobDesk>) -> F,
+    ) -> Result<Response<T>, Status> {
+        let (metadata, extensions, message) = request.into_parts();
+        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        let work = work(message, tenant, Arc::clone(&self.desk));
+        answer((method, Kind::Call), &metadata, &extensions, &self.gate, Some(DESK_TIME), work).await
+    }
+}
+
+#[tonic::async_trait]
+impl proto::job_service_server::JobService for Jobs {
+    type WatchJobStream = Answers<proto::WatchJobResponse>;
+
+    async fn create_job(
+        &self,
+        request: Request<proto::CreateJobRequest>,
+    ) -> Result<Response<proto::CreateJobResponse>, Status> {
+        self.ask("CreateJob", request, |message, tenant, desk| async move {
+            let created = desk.create(spec::of(message.spec, tenant, message.request_id)?).await?;
+            Ok(proto::CreateJobResponse { job: Some(job::message(&created.job)), existed: created.existed })
+        })
+        .await
+    }
+
+    async fn get_job(&self, request: Request<proto::GetJobRequest>) -> Result<Response<proto::GetJobResponse>, Status> {
+        self.ask("GetJob", request, |message, tenant, desk| async move {
+            let found = desk.get(&tenant, job_id(&message.id)?).await?;
+            Ok(proto::GetJobResponse { job: Some(job::message(&found)) })
+        })
+        .await
+    }
+
+    async fn list_jobs(
+        &self,
+        request: Request<proto::ListJobsRequest>,
+    ) -> Result<Response<proto::ListJobsResponse>, Status> {
+        self.ask("ListJobs", request, |message, tenant, desk| async move {
+            Ok(job::page(&desk.list(job::query(message, tenant)?).await?))
+        })
+        .await
+    }
+
+    async fn watch_job(
+        &self,
+        request: Request<proto::WatchJobRequest>,
+    ) -> Result<Response<Self::WatchJobStream>, Status> {
+        let (metadata, extensions, message) = request.into_parts();
+        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        let id = job_id(&message.id).map_err(RequestError::from)?;
+        let (desk, gate) = (Arc::clone(&self.desk), self.gate.clone());
+        Ok(respond(("WatchJob", Kind::Watch), &metadata, &extensions, (&self.gate, &self.budget), |out| async move {
+            tokio::select! {
+                biased;
+                result = watch(&*desk, &tenant, id, message.after, out) => result,
+                // The job goes on, and can be watched again from where this ends.
+                () = gate.reached(Phase::Draining) => Err(RequestError::Draining),
+            }
+        })?)
+    }
+
+    async fn cancel_job(
+        &self,
+        request: Request<proto::CancelJobRequest>,
+    ) -> Result<Response<proto::CancelJobResponse>, Status> {
+        self.ask("CancelJob", request, |message, tenant, desk| async move {
+            let cancelled = desk.cancel(&tenant, job_id(&message.id)?).await?;
+            Ok(proto::CancelJobResponse { job: Some(job::message(&cancelled)) })
+        })
+        .await
+    }
+
+    async fn delete_job(
+        &self,
+        request: Request<proto::DeleteJobRequest>,
+    ) -> Result<Response<proto::DeleteJobResponse>, Status> {
+        self.ask("DeleteJob", request, |message, tenant, desk| async move {
+            desk.delete(&tenant, job_id(&message.id)?).await?;
+            Ok(proto::DeleteJobResponse {})
+        })
+        .await
+    }
+
+    async fn estimate_job(
+        &self,
+        request: Request<proto::EstimateJobRequest>,
+    ) -> Result<Response<proto::EstimateJobResponse>, Status> {
+        self.ask("EstimateJob", request, |message, tenant, desk| async move {
+            let proto::EstimateJobRequest { spec: wanted, vertices, facets } = message;
+            let wanted = spec::of(wanted, tenant, String::new())?;
+            Ok(job::estimate(desk.estimate(wanted, vertices, facets).await?))
+        })
+        .await
+    }
+}
+
+/// Sends the events of a job after number `after`, until it has ended and all are sent.
+async fn watch(
+    desk: &dyn JobDesk,
+    tenant: &str,
+    id: JobId,
+    mut after: u64,
+    outbox: Outbox<proto::WatchJobResponse>,
+) -> Result<(), RequestError> {
+    let mut ended = false;
+    loop {
+        let found = desk.events(tenant, id, after, EVENTS).await?.events;
+        for event in found.iter() {
+            after = event.number;
+            ended |= matches!(event.what, What::State { state, .. } if state.is_ended());
+            outbox.send(proto::WatchJobResponse { event: Some(job::event(event.clone())) }).await?;
+        }
+        if !found.is_empty() {
+            continue;
+        }
+        if ended {
+            return Ok(());
+        }
+        // Who watches after the last event of an ended job would wait for ever. Its events are looked up once more, since
+        // it may have ended between the two looks.
+        ended = desk.get(tenant, id).await?.status.state.is_ended();
+        if !ended && let Ok(come) = tokio::time::timeout(LOOK_EVERY, desk.wait(tenant, id, after)).await {
+            come?;
+        }
+    }
+}

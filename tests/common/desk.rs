@@ -1,0 +1,98 @@
+//! A desk that keeps jobs and does none of them: the tests say what becomes of each.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::SystemTime;
+
+use tessera::internals::blob::{BlobStore, Digest};
+use tessera::internals::job::desk::{DeskError, Estimate, JobDesk};
+use tessera::internals::job::event::Events;
+use tessera::internals::job::record::*;
+use tessera::internals::job::store::*;
+
+/// See the module's head.
+pub struct Idle {
+    pub store: MemoryStore,
+    pub blobs: Arc<dyn BlobStore>,
+    names: AtomicU64,
+}
+
+pub fn now() -> Time {
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap();
+    Time(since.as_millis() as u64)
+}
+
+impl Idle {
+    pub fn new(blobs: Arc<dyn BlobStore>) -> Self {
+        Self { store: MemoryStore::new(), blobs, names: AtomicU64::new(0) }
+    }
+
+    async fn own(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+        match self.store.get(id).await? {
+            job if job.spec.tenant == tenant => Ok(job),
+            _ => Err(StoreError::NotFound { id }.into()),
+        }
+    }
+
+    fn input(spec: &JobSpec) -> Vec<Digest> {
+        match &spec.mesh {
+            MeshSource::File { blob, .. } => vec![*blob],
+            MeshSource::Arrays { positions, facets, .. } => vec![positions.blob, facets.blob],
+        }
+    }
+}
+
+#[tonic::async_trait]
+impl JobDesk for Idle {
+    async fn create(&self, spec: JobSpec) -> Result<Created, DeskError> {
+        let spec = spec.check()?;
+        for blob in Self::input(&spec) {
+            self.blobs.stat(blob).await?;
+        }
+        let now = now();
+        let id = JobId::new(now, self.names.fetch_add(1, Ordering::SeqCst).into());
+        Ok(self.store.create(NewJob { id, spec, now }).await?)
+    }
+
+    async fn get(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+        self.own(tenant, id).await
+    }
+
+    async fn list(&self, query: Query) -> Result<Page, DeskError> {
+        Ok(self.store.list(query).await?)
+    }
+
+    async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, DeskError> {
+        self.own(tenant, id).await?;
+        Ok(self.store.events(id, after, most).await?)
+    }
+
+    async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), DeskError> {
+        self.own(tenant, id).await?;
+        Ok(self.store.wait(id, after).await?)
+    }
+
+    async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+        self.own(tenant, id).await?;
+        Ok(self.store.cancel(id, now()).await?)
+    }
+
+    async fn delete(&self, tenant: &str, id: JobId) -> Result<(), DeskError> {
+        self.own(tenant, id).await?;
+        Ok(self.store.delete(id).await?)
+    }
+
+    async fn estimate(&self, spec: JobSpec, vertices: Option<u64>, _: Option<u64>) -> Result<Estimate, DeskError> {
+        spec.check()?;
+        let host_bytes = 100 * vertices.unwrap_or(1);
+        Ok(Estimate {
+            host_bytes,
+            host_limit_bytes: 1000,
+            seconds: 0.5,
+            fits: host_bytes <= 1000,
+            ..Estimate::default()
+        })
+    }
+
+    async fn drain(&self) {}
+}
