@@ -9,6 +9,7 @@ mod say;
 
 pub(crate) mod backends;
 mod bench;
+mod blobs;
 mod cell_file;
 #[cfg(test)]
 mod defaults;
@@ -17,6 +18,7 @@ mod endpoint;
 mod exit;
 mod files;
 mod interrupt;
+mod jobs;
 mod picture;
 mod plain;
 mod progress;
@@ -24,8 +26,10 @@ mod remesh;
 mod remote;
 mod rvd;
 mod serve;
+mod server;
 pub(crate) mod shape;
 mod sizes;
+mod source;
 mod surroundings;
 
 use std::process::ExitCode;
@@ -73,6 +77,10 @@ enum Command {
     Remesh(remesh::RemeshArgs),
     /// Compute the restricted Voronoi diagram of seeds on a surface.
     Rvd(rvd::RvdArgs),
+    /// Create, watch and end jobs of a server, and fetch their results.
+    Jobs(jobs::JobsArgs),
+    /// Store files at a server and fetch them.
+    Blobs(blobs::BlobsArgs),
     /// Measure.
     Bench(bench::BenchArgs),
     /// Write a procedural surface.
@@ -98,6 +106,8 @@ fn run() -> u8 {
         Command::Serve(args) => serve::run(args),
         Command::Remesh(args) => remesh::run(args),
         Command::Rvd(args) => rvd::run(args),
+        Command::Jobs(args) => jobs::run(args),
+        Command::Blobs(args) => blobs::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Shape(args) => shape::run(args),
         Command::Doctor(args) => doctor::run(args),

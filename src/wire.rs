@@ -2,7 +2,7 @@
 //!
 //! Purpose: `proto` holds the generated messages. `codec`, `density`, `options` and `attributes` translate values. `chunks`
 //! and `cells` cut arrays into messages; `assemble` (at the server) and `arrays` (at a client) put them together again.
-//! `counts`, `headers` and `upload` check what a request announces, and the order of its messages.
+//! `pieces` are those of blobs at a client. `counts`, `headers` and `upload` check what a request announces, and the order of its messages.
 //! Invariant: an unknown enum value is an error, never a default. What is refused is named by its path in the message.
 //! Must not know: handlers, streams, queues, status codes, the server's half of the transport, the command line.
 
@@ -17,6 +17,8 @@ pub(crate) mod counts;
 pub(crate) mod density;
 mod headers;
 pub(crate) mod options;
+#[cfg(feature = "cli")]
+pub(crate) mod pieces;
 pub mod proto;
 pub(crate) mod upload;
 

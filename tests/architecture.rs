@@ -66,7 +66,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("object_store", &["blob"]),
     ("reqwest", &["blob/s3"]),
     ("rustls", &["blob/s3"]),
-    ("sha2", &["blob"]),
+    ("sha2", &["blob", "wire/pieces"]),
     ("tokio", &["blob", "job", "service", "cli", "telemetry"]),
     ("redb", &["job/store"]),
     ("clap", &["config", "cli", "main"]),

@@ -157,6 +157,7 @@ fn every_option_of_the_command_is_at_the_service() {
         "gpu_software",
         "threads",
         "endpoint",
+        "tenant",
         "quiet",
         "json",
         "log_format",

@@ -21,16 +21,16 @@ const NO_FOLDER: u8 = 73;
 const IO: u8 = 74;
 /// Work did not stop when it was told to; only a new process can go on.
 const STUCK: u8 = 75;
-const INTERRUPTED: u8 = 130;
+const INTERRUPTED: u8 = super::interrupt::CODE;
 
 /// What `--help` says of them.
 pub(crate) const HELP: &str = "Exit codes:
   0    done
   2    wrong usage: an option is missing, unknown or out of its range
   65   the input is no surface, or a file does not say what it should
-  66   an input file is missing or cannot be read
+  66   an input file is missing or cannot be read, or the server has no such job or blob
   69   the server, the GPU or the memory is not to be had, or the server's answer is wrong
-  70   an error in this program
+  70   the job failed or ended otherwise without a result, or an error in this program
   73   the folder of an output file is missing
   74   an output file or the standard output cannot be written
   75   work did not stop when it was told to; a server is to be started anew
@@ -76,6 +76,16 @@ pub(crate) struct NotWritten(pub(crate) String);
 #[error("{0}")]
 pub(crate) struct Unavailable(pub(crate) String);
 
+/// A job, a blob or a result that the server does not have.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct Absent(pub(crate) String);
+
+/// A job that has no result, or is not where the command needs it to be.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct NoResult(pub(crate) String);
+
 /// Work that goes on though it was told to stop.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
@@ -100,8 +110,11 @@ fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
     if cause.is::<Stuck>() {
         return Some(STUCK);
     }
-    if cause.is::<NoInput>() {
+    if cause.is::<NoInput>() || cause.is::<Absent>() {
         return Some(NO_INPUT);
+    }
+    if cause.is::<NoResult>() {
+        return Some(INTERNAL);
     }
     if cause.is::<NoFolder>() {
         return Some(NO_FOLDER);

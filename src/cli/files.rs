@@ -3,7 +3,7 @@
 //! Invariant: numbers are written so that reading gives the same bits. A file appears under its name only when it is
 //! whole, and replaces only then what was there.
 
-use std::fs::OpenOptions;
+use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
@@ -19,6 +19,12 @@ use crate::mesh::{TriMesh, io};
 /// Reads a surface.
 pub(crate) fn read_mesh(path: &Path) -> Result<TriMesh> {
     io::read(path).map_err(unread)
+}
+
+/// Reads a surface of a format that its name need not say.
+pub(crate) fn read_mesh_as(path: &Path, format: Format) -> Result<TriMesh> {
+    let bytes = std::fs::read(path).map_err(|cause| NoInput { path: path.to_owned(), cause })?;
+    Ok(io::decode(format, &bytes).map_err(|cause| BadInput(format!("{}: {cause}", path.display())))?)
 }
 
 /// A surface, what it carries, and what of that cannot be used, a line each.
@@ -72,7 +78,7 @@ pub(crate) fn check_output(path: &Path, extensions: &[&str]) -> Result<()> {
     if !folder.is_dir() {
         return Err(NoFolder { path: path.to_owned(), folder: folder.to_owned() }.into());
     }
-    let cannot = |error: std::io::Error| NotWritten(format!("cannot write {}: {error}", path.display()));
+    let cannot = |error: std::io::Error| unwritten(path, &error);
     match std::fs::metadata(path) {
         Ok(meta) if meta.is_dir() => return Err(cannot(ErrorKind::IsADirectory.into()).into()),
         // What is there stays as it is until the result is whole.
@@ -148,17 +154,72 @@ pub(crate) fn write_json(path: &Path, report: &impl serde::Serialize) -> Result<
 
 /// Writes a file. What has its name is replaced once the new one is whole.
 fn write(path: &Path, body: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
-    let all = || {
-        if is_stream(path) {
-            let mut out = BufWriter::new(OpenOptions::new().write(true).open(path)?);
-            body(&mut out)?;
-            return out.flush();
+    let mut out = Output::begin(path)?;
+    body(&mut out.body).map_err(|error| out.unwritten(&error))?;
+    out.finish()
+}
+
+/// A file that is being written. It gets its name at the end; one that is dropped before leaves nothing behind.
+pub(crate) struct Output {
+    path: PathBuf,
+    body: Body,
+}
+
+enum Body {
+    File(BufWriter<NamedTempFile>),
+    /// A device or a pipe.
+    Stream(BufWriter<File>),
+}
+
+impl Write for Body {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        match self {
+            Self::File(out) => out.write(bytes),
+            Self::Stream(out) => out.write(bytes),
         }
-        let mut out = BufWriter::new(begin(path)?);
-        body(&mut out)?;
-        keep(out.into_inner().map_err(std::io::IntoInnerError::into_error)?, path)
-    };
-    Ok(all().map_err(|error: std::io::Error| NotWritten(format!("cannot write {}: {error}", path.display())))?)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        match self {
+            Self::File(out) => out.flush(),
+            Self::Stream(out) => out.flush(),
+        }
+    }
+}
+
+impl Output {
+    /// What will be `path`.
+    pub(crate) fn begin(path: &Path) -> Result<Self> {
+        let open = || match is_stream(path) {
+            true => Ok(Body::Stream(BufWriter::new(OpenOptions::new().write(true).open(path)?))),
+            false => Ok(Body::File(BufWriter::new(begin(path)?))),
+        };
+        let body = open().map_err(|error| unwritten(path, &error))?;
+        Ok(Self { path: path.to_owned(), body })
+    }
+
+    /// The next bytes.
+    pub(crate) fn add(&mut self, bytes: &[u8]) -> Result<()> {
+        Ok(self.body.write_all(bytes).map_err(|error| self.unwritten(&error))?)
+    }
+
+    /// It is whole.
+    pub(crate) fn finish(self) -> Result<()> {
+        let Self { path, body } = self;
+        let end = || match body {
+            Body::Stream(mut out) => out.flush(),
+            Body::File(out) => keep(out.into_inner().map_err(std::io::IntoInnerError::into_error)?, &path),
+        };
+        Ok(end().map_err(|error| unwritten(&path, &error))?)
+    }
+
+    fn unwritten(&self, error: &std::io::Error) -> NotWritten {
+        unwritten(&self.path, error)
+    }
+}
+
+fn unwritten(path: &Path, error: &std::io::Error) -> NotWritten {
+    NotWritten(format!("cannot write {}: {error}", path.display()))
 }
 
 /// A file beside `path`, with the rights that a file has there.

@@ -4,8 +4,10 @@
 
 use crate::token::Token;
 
-/// What a process that a second signal ended says.
-const AT_ONCE: i32 = 130;
+/// What a process says that a signal ended.
+pub(crate) const CODE: u8 = 130;
+/// The same, of a second signal.
+const AT_ONCE: i32 = CODE as i32;
 
 /// Ready at the first signal. The second ends the process, even if this was dropped.
 ///

@@ -1,6 +1,6 @@
 //! `tessera remesh`.
 
-mod args;
+pub(super) mod args;
 mod summary;
 
 use std::time::Instant;
@@ -12,12 +12,13 @@ use super::endpoint::ServerUrl;
 use super::exit::Usage;
 use super::files::Loaded;
 use super::progress::{Plan, Progress};
+use super::server::Server;
 use super::{backends, files, interrupt, remote, say, sizes};
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::memory;
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Attributes;
-use crate::remesh::{Placement, RemeshOptions, Seeds, remesh};
+use crate::remesh::{RemeshOptions, Seeds, remesh};
 use crate::token::Token;
 use args::FileArgs;
 pub(crate) use args::{DensityArg, RemeshArgs};
@@ -45,7 +46,8 @@ fn work(args: &RemeshArgs) -> Result<()> {
         None => here(args, &mesh, &options, &mut progress)?,
         Some(url) => {
             let job = remote::RemeshJob { mesh: &mesh, options: &options, backend: args.backend.backend };
-            let done = remote::remesh(url, &job, &progress)?;
+            let server = Server { url: url.clone(), tenant: args.tenant.clone() };
+            let done = remote::remesh(&server, &job, &progress)?;
             (Done { mesh: done.mesh, curve_edges: done.curve_edges, attributes: done.attributes }, done.report)
         }
     };
@@ -106,10 +108,7 @@ fn check(args: &RemeshArgs) -> Result<()> {
         sizes::check_format(input, "--creases")?;
     }
     args.picture.check()?;
-    if size.max_deviation.is_some() && shape.placement.placement() != Placement::Fitted {
-        return Err(Usage("--max-deviation is for --placement fitted; give one of them alone".to_owned()).into());
-    }
-    Ok(())
+    size.check(shape.placement)
 }
 
 /// About how many points there will be.

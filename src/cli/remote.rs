@@ -1,24 +1,28 @@
-//! `--endpoint`: the same work on a server.
+//! The client of a server: `--endpoint`, jobs and blobs.
 //!
-//! Purpose: the calls of a client, from connecting to the last message.
+//! Purpose: the calls of a client, from connecting to the last message. Streams of `--endpoint` are here; `jobs` and `blobs`
+//! hold the calls of a [`Session`].
 //! Invariant: what is received is checked (`wire::arrays`), then against the request and against itself (`checks`), before
 //! it is used. Must not know: the server (`service`).
 
+mod again;
+mod blobs;
 mod checks;
 mod faults;
+mod jobs;
 mod link;
+mod session;
 
 use std::future::Future;
 use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
-use tonic::transport::Channel;
 
-use super::endpoint::ServerUrl;
 use super::interrupt;
 use super::plain::plain;
 use super::progress::Progress;
 use super::rvd::{RvdResult, Sink, Wants};
+use super::server::Server;
 use crate::config::BackendArg;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::TriMesh;
@@ -35,7 +39,9 @@ use crate::wire::proto::{self, ArrayKind, Chunk};
 use crate::wire::{attributes, options};
 use checks::{Expected, Pieces};
 use faults::wrong;
-use link::{Link, Patience, Sent};
+pub(crate) use jobs::{has_ended, is_id};
+use link::{Door, Link, Patience, Sent};
+pub(crate) use session::{Session, session};
 
 /// A remesh to ask for.
 pub(crate) struct RemeshJob<'a> {
@@ -59,8 +65,8 @@ pub(crate) struct RemeshDone {
     pub(crate) attributes: Option<Attributes>,
 }
 
-/// Has `job` done at `endpoint`.
-pub(crate) fn remesh(endpoint: &ServerUrl, job: &RemeshJob<'_>, progress: &Progress) -> Result<RemeshDone> {
+/// Has `job` done at `server`.
+pub(crate) fn remesh(server: &Server, job: &RemeshJob<'_>, progress: &Progress) -> Result<RemeshDone> {
     use proto::remesh_request::Message as Ask;
     use proto::remesh_response::Message as Answer;
     let options = job.options;
@@ -92,7 +98,7 @@ pub(crate) fn remesh(endpoint: &ServerUrl, job: &RemeshJob<'_>, progress: &Progr
     let patience = Patience::with(job.mesh.positions().len() + job.mesh.facets().len() + points);
     block_on(async {
         progress.stage("connect", 0, 0);
-        let link = Link::open(endpoint, patience).await?;
+        let link = Link::open(server, patience).await?;
         let mut client = client(&link);
         let requests = tokio_stream::iter(counted(requests, progress, link.sent()));
         let mut answers = link.answers(client.remesh(requests)).await?;
@@ -145,7 +151,7 @@ pub(crate) struct RvdJob<'a> {
 }
 
 /// Has a diagram computed at `endpoint`.
-pub(crate) fn rvd(endpoint: &ServerUrl, job: RvdJob<'_>, progress: &Progress, sink: Sink<'_>) -> Result<RvdResult> {
+pub(crate) fn rvd(server: &Server, job: RvdJob<'_>, progress: &Progress, sink: Sink<'_>) -> Result<RvdResult> {
     use proto::compute_rvd_request::Message as Ask;
     use proto::compute_rvd_response::Message as Answer;
     let RvdJob { mesh, seeds, wants, backend } = job;
@@ -177,7 +183,7 @@ pub(crate) fn rvd(endpoint: &ServerUrl, job: RvdJob<'_>, progress: &Progress, si
     let patience = Patience::with(mesh.positions().len() + mesh.facets().len() + count as usize);
     block_on(async {
         progress.stage("connect", 0, 0);
-        let link = Link::open(endpoint, patience).await?;
+        let link = Link::open(server, patience).await?;
         let mut client = client(&link);
         let requests = tokio_stream::iter(counted(requests, progress, link.sent()));
         let mut answers = link.answers(client.compute_rvd(requests)).await?;
@@ -255,11 +261,11 @@ fn waiting(progress: &Progress, accepted: &proto::Accepted) {
     }
 }
 
-fn client(link: &Link<'_>) -> RemeshServiceClient<Channel> {
+fn client(link: &Link<'_>) -> RemeshServiceClient<Door> {
     RemeshServiceClient::new(link.channel()).max_decoding_message_size(16 << 20)
 }
 
-fn choice(backend: BackendArg) -> proto::BackendChoice {
+pub(crate) fn choice(backend: BackendArg) -> proto::BackendChoice {
     match backend {
         BackendArg::Auto => proto::BackendChoice::Auto,
         BackendArg::Gpu => proto::BackendChoice::Gpu,

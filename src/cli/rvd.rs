@@ -15,6 +15,7 @@ use super::exit::{NotWritten, Usage};
 use super::picture::PictureArgs;
 use super::progress::{Plan, Progress};
 use super::say::{self, SayArgs};
+use super::server::{Server, Tenant};
 use super::{backends, files, interrupt, remote};
 use crate::config::{BackendArgs, count, whole};
 use crate::cvt::density::DensityOptions;
@@ -47,6 +48,9 @@ pub(crate) struct RvdArgs {
     /// Let a server do the work, e.g. http://127.0.0.1:50051.
     #[arg(long, value_name = "URL", help_heading = "Who works")]
     endpoint: Option<ServerUrl>,
+    /// Whose work the server takes it for, where several share one.
+    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Who works")]
+    tenant: Option<Tenant>,
     #[command(flatten, next_help_heading = "What is said")]
     say: SayArgs,
 }
@@ -54,16 +58,16 @@ pub(crate) struct RvdArgs {
 /// Where the seeds come from.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Seeds (--seeds or --points is required)")]
-struct SeedArgs {
+pub(super) struct SeedArgs {
     /// The seeds, `x y z` a line.
     #[arg(long, value_name = "FILE.xyz")]
-    seeds: Option<PathBuf>,
+    pub(super) seeds: Option<PathBuf>,
     /// Draw so many seeds instead.
     #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true)]
-    points: Option<u32>,
+    pub(super) points: Option<u32>,
     /// Random seed of the points.
     #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
-    seed: u64,
+    pub(super) seed: u64,
 }
 
 /// What is written.
@@ -132,7 +136,8 @@ fn work(args: &RvdArgs) -> Result<()> {
         None => here(args, mesh, seeds, wants, &mut progress, &mut sink)?,
         Some(url) => {
             let job = remote::RvdJob { mesh: &mesh, seeds, wants, backend: args.backend.backend };
-            (remote::rvd(url, job, &progress, &mut sink)?, given)
+            let server = Server { url: url.clone(), tenant: args.tenant.clone() };
+            (remote::rvd(&server, job, &progress, &mut sink)?, given)
         }
     };
     let writing = Instant::now();

@@ -44,8 +44,18 @@ macro_rules! errln {
 /// # Errors
 /// [`NotWritten`], but for a pipe that nobody reads any more.
 pub(crate) fn line(text: fmt::Arguments<'_>) -> Result<(), NotWritten> {
+    try_line(text).map(|_| ())
+}
+
+/// Writes a line to the standard output; false if nobody reads any more.
+///
+/// # Errors
+/// As [`line`].
+pub(crate) fn try_line(text: fmt::Arguments<'_>) -> Result<bool, NotWritten> {
     let mut out = io::stdout().lock();
-    heard(out.write_fmt(text).and_then(|()| out.write_all(b"\n")).and_then(|()| out.flush()))
+    let written = out.write_fmt(text).and_then(|()| out.write_all(b"\n")).and_then(|()| out.flush());
+    let closed = written.as_ref().is_err_and(|error| error.kind() == ErrorKind::BrokenPipe);
+    heard(written).map(|()| !closed)
 }
 
 /// Writes a line to the standard error stream. There is nobody to tell if that fails.

@@ -41,6 +41,11 @@ impl Plan {
         Self(stages)
     }
 
+    /// Of bytes that are sent or fetched.
+    pub(crate) fn transfer(stage: &'static str) -> Self {
+        Self(vec![("read", 0.01), (stage, 1.0)])
+    }
+
     /// Of a diagram.
     pub(crate) fn rvd(facets: usize, points: usize, remote: bool) -> Self {
         let (f, n) = (facets as f64 * 1e-6, points as f64 * 1e-6);

@@ -12,6 +12,7 @@ use crate::cli::endpoint::ServerUrl;
 use crate::cli::exit::{BadInput, Usage};
 use crate::cli::picture::PictureArgs;
 use crate::cli::say::SayArgs;
+use crate::cli::server::Tenant;
 use crate::cli::sizes;
 use crate::config::{BackendArgs, count, whole};
 use crate::cvt::Projection;
@@ -43,6 +44,9 @@ pub(crate) struct RemeshArgs {
     /// Let a server do the work, e.g. http://127.0.0.1:50051.
     #[arg(long, value_name = "URL", help_heading = "Who works")]
     pub(super) endpoint: Option<ServerUrl>,
+    /// Whose work the server takes it for, where several share one.
+    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Who works")]
+    pub(super) tenant: Option<Tenant>,
     #[command(flatten, next_help_heading = "What is said")]
     pub(super) say: SayArgs,
 }
@@ -68,76 +72,76 @@ pub(super) struct FileArgs {
 /// How many points, and where edges are short and where long.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Size (--points, --edge-length or --sizes is required)")]
-pub(super) struct SizeArgs {
+pub(in crate::cli) struct SizeArgs {
     /// Number of seeds, about the number of vertices of the result.
     #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true, conflicts_with = "edge_length")]
-    pub(super) points: Option<u32>,
+    pub(in crate::cli) points: Option<u32>,
     /// Length of the edges, in the input's units, instead of --points. If --density is not uniform: as many points
     /// as edges of this length everywhere would need.
     #[arg(long, value_name = "H", value_parser = positive, conflicts_with = "sizes", allow_negative_numbers = true)]
-    pub(super) edge_length: Option<f64>,
+    pub(in crate::cli) edge_length: Option<f64>,
     /// File with the length of the edges at each vertex of the input, one number a line in the order of the
     /// input's vertices. With --points only the ratios are kept.
     #[arg(long, value_name = "FILE")]
-    pub(super) sizes: Option<PathBuf>,
+    pub(in crate::cli) sizes: Option<PathBuf>,
     /// Where short edges go.
     #[arg(long, value_enum, default_value_t, conflicts_with = "sizes")]
-    density: DensityArg,
+    pub(in crate::cli) density: DensityArg,
     /// The most that edge lengths grow per distance.
     #[arg(long, value_name = "G", default_value_t = DensityOptions::default().gradation, value_parser = positive)]
     #[arg(allow_negative_numbers = true)]
-    gradation: f64,
+    pub(in crate::cli) gradation: f64,
     /// 0 for edges of one length, 1 for lengths as --density or --sizes says.
     #[arg(long, value_name = "A", default_value_t = DensityOptions::default().adaptivity)]
     #[arg(allow_negative_numbers = true)]
-    adaptivity: f64,
+    pub(in crate::cli) adaptivity: f64,
     /// Add points where a vertex of the input is farther than this from the remesh, in percent of the bounding
     /// box's diagonal; for --placement fitted.
     #[arg(long, value_name = "PERCENT", value_parser = positive, allow_negative_numbers = true)]
-    pub(super) max_deviation: Option<f64>,
+    pub(in crate::cli) max_deviation: Option<f64>,
     /// The most points that --max-deviation may come to; twice --points if not given.
     #[arg(long, value_name = "N", requires = "max_deviation", value_parser = count)]
-    max_points: Option<u32>,
+    pub(in crate::cli) max_points: Option<u32>,
 }
 
 /// What becomes of creases, boundaries and thin parts.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Shape of the result")]
-pub(super) struct ShapeArgs {
+pub(in crate::cli) struct ShapeArgs {
     /// Edges bent by more than this are creases that the remesh keeps; 0 keeps none.
     #[arg(long, value_name = "DEGREES", default_value_t = RemeshOptions::usual().crease_angle_deg)]
     #[arg(value_parser = angle, allow_negative_numbers = true)]
-    crease_angle: f64,
+    pub(in crate::cli) crease_angle: f64,
     /// File with edges that are creases whatever their angle: the numbers of two vertices of the input a line, from 0.
     #[arg(long, value_name = "FILE")]
-    pub(super) creases: Option<PathBuf>,
+    pub(in crate::cli) creases: Option<PathBuf>,
     /// What happens to the boundaries of an open surface.
     #[arg(long, value_enum, default_value_t = BoundariesArg::of(RemeshOptions::usual().keep_boundaries))]
-    boundaries: BoundariesArg,
+    pub(in crate::cli) boundaries: BoundariesArg,
     /// What happens where the surface is too thin for edges as long as elsewhere.
     #[arg(long, value_enum, default_value_t = ThinArg::of(RemeshOptions::usual().keep_thin))]
-    thin: ThinArg,
+    pub(in crate::cli) thin: ThinArg,
     /// Where the vertices of the remesh go.
     #[arg(long, value_enum, default_value_t = PlacementArg::of(RemeshOptions::usual().placement))]
-    pub(super) placement: PlacementArg,
+    pub(in crate::cli) placement: PlacementArg,
 }
 
 /// How seeds move.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Steps")]
-pub(super) struct StepArgs {
+pub(in crate::cli) struct StepArgs {
     /// Lloyd steps.
     #[arg(long, value_name = "N", default_value_t = RemeshOptions::usual().lloyd as u32, value_parser = whole::<u32>)]
-    lloyd: u32,
+    pub(in crate::cli) lloyd: u32,
     /// Quasi-Newton (L-BFGS) steps after them, at most; they end when converged.
     #[arg(long, value_name = "N", default_value_t = RemeshOptions::usual().newton as u32, value_parser = whole::<u32>)]
-    newton: u32,
+    pub(in crate::cli) newton: u32,
     /// Where seeds go after each step. They end on the surface either way.
     #[arg(long, value_enum, default_value_t = ProjectionArg::of(RemeshOptions::usual().projection))]
-    projection: ProjectionArg,
+    pub(in crate::cli) projection: ProjectionArg,
     /// Random seed of the first points.
     #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
-    seed: u64,
+    pub(in crate::cli) seed: u64,
 }
 
 /// Where short edges go.
@@ -179,7 +183,7 @@ fn angle(text: &str) -> Result<f64, String> {
 
 /// What happens to boundaries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum BoundariesArg {
+pub(in crate::cli) enum BoundariesArg {
     /// They get vertices of their own and stay where they are.
     Keep,
     /// The rim settles where the cells end, about half an edge inside.
@@ -194,7 +198,7 @@ impl BoundariesArg {
 
 /// What happens where the surface is thin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum ThinArg {
+pub(in crate::cli) enum ThinArg {
     /// Edges become shorter there, so that horns, fingers, strips and bridges stay. Not if --sizes says how long they are.
     Finer,
     /// Edges are as long as elsewhere; what is too thin for them may be missing.
@@ -209,7 +213,7 @@ impl ThinArg {
 
 /// Where seeds go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum ProjectionArg {
+pub(in crate::cli) enum ProjectionArg {
     /// Where the step takes them, near the surface.
     Free,
     /// To the closest point of the surface; a quasi-Newton step then begins without a history.
@@ -234,7 +238,7 @@ impl ProjectionArg {
 
 /// Where vertices go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum PlacementArg {
+pub(in crate::cli) enum PlacementArg {
     /// Where the facets between them are nearest to the input in the mean.
     Fitted,
     /// On the input surface.
@@ -268,10 +272,31 @@ impl SizeArgs {
             (Some(path), _) => DensitySource::Sizes(sizes::read(path, input, mesh)?),
             (None, density) => density.source(),
         };
+        self.with_source(source)
+    }
+
+    fn with_source(&self, source: DensitySource) -> Result<DensityOptions> {
         let (edge_length, gradation, adaptivity) = (self.edge_length, self.gradation, self.adaptivity);
         let density = DensityOptions { edge_length, gradation, adaptivity, ..DensityOptions::from_source(source) };
         density.check().map_err(|error| Usage(error.to_string()))?;
         Ok(density)
+    }
+
+    /// Refuses what cannot be whatever the surface, for vertices that go to `placement`.
+    pub(in crate::cli) fn check(&self, placement: PlacementArg) -> Result<()> {
+        self.with_source(self.density.source())?;
+        let refused = match (self.max_deviation, self.points, self.max_points) {
+            (None, ..) => return Ok(()),
+            (Some(_), ..) if placement != PlacementArg::Fitted => {
+                "--max-deviation is for --placement fitted; give one of them alone".to_owned()
+            }
+            (_, Some(points), Some(most)) if most < points => {
+                format!("--max-points {most} is less than --points {points}")
+            }
+            (_, None, None) => "--max-deviation without --points needs --max-points".to_owned(),
+            _ => return Ok(()),
+        };
+        Err(Usage(refused).into())
     }
 
     /// Whether points are added, and how many.
@@ -281,14 +306,11 @@ impl SizeArgs {
         let extent = (high - low).max_element();
         let diagonal = ((high - low) / extent).length() * extent;
         let tolerance = percent / 100.0 * diagonal;
-        match (self.points, self.max_points) {
-            (Some(points), Some(most)) if most < points => {
-                Err(Usage(format!("--max-points {most} is less than --points {points}")).into())
-            }
-            (_, Some(most)) => Ok(Some(Refine { tolerance, max_points: most as usize })),
-            (Some(points), None) => Ok(Some(Refine::new(tolerance, points as usize))),
-            (None, None) => Err(Usage("--max-deviation without --points needs --max-points".to_owned()).into()),
-        }
+        Ok(Some(match (self.points, self.max_points) {
+            (_, Some(most)) => Refine { tolerance, max_points: most as usize },
+            // `check` wants one of them.
+            (points, None) => Refine::new(tolerance, points.unwrap_or_default() as usize),
+        }))
     }
 }
 

@@ -1,8 +1,8 @@
 //! What can go wrong with a server, in one sentence each.
 //!
-//! Purpose: statuses and wrong answers become errors that say what to do. Invariant: only INVALID_ARGUMENT is the
-//! user's input (65); all else is the server or the way to it (69). Text of a server is shown plain, and once. Must not
-//! know: calls, arrays.
+//! Purpose: statuses and wrong answers become errors that say what to do. Invariant: of a stream only INVALID_ARGUMENT is
+//! the user's input (65), of a call about a job or a blob also what names none (66) or one in another state (70); all else is
+//! the server or the way to it (69). Text of a server is shown plain, and once. Must not know: calls, arrays.
 
 use std::error::Error;
 use std::fmt::Display;
@@ -10,7 +10,7 @@ use std::fmt::Display;
 use tonic::{Code, Status};
 
 use crate::cli::endpoint::ServerUrl;
-use crate::cli::exit::{BadInput, Unavailable};
+use crate::cli::exit::{Absent, BadInput, NoResult, Unavailable};
 use crate::cli::plain::plain;
 
 /// How tonic begins what it says itself of an answer that it cannot read.
@@ -21,16 +21,78 @@ const CUT_SHORT: &[&str] = &["Unexpected EOF", "protocol error: missing grpc-sta
 /// What tonic says itself of an answer that is HTTP, and no gRPC.
 const NO_GRPC: &str = "grpc-status header missing, mapped from HTTP status code ";
 
-/// The error for how a call ended.
+/// The error for how the stream of a piece of work ended.
 pub(super) fn of_status(url: &ServerUrl, status: &Status) -> anyhow::Error {
+    match cut(status) {
+        Some(cause) => lost(url, cause),
+        None => said(url, status),
+    }
+}
+
+/// How a call about a job or a blob failed.
+#[derive(Debug)]
+pub(super) enum Fault {
+    /// The connection was lost, or the server is away: the same call may succeed soon.
+    Lost(anyhow::Error),
+    /// An answer that another try would not change.
+    Final(anyhow::Error),
+}
+
+impl From<anyhow::Error> for Fault {
+    fn from(error: anyhow::Error) -> Self {
+        Self::Final(error)
+    }
+}
+
+impl From<Fault> for anyhow::Error {
+    fn from(fault: Fault) -> Self {
+        match fault {
+            Fault::Lost(error) | Fault::Final(error) => error,
+        }
+    }
+}
+
+/// The fault for how a call about a job or a blob ended.
+pub(super) fn of_call(url: &ServerUrl, status: &Status) -> Fault {
+    if let Some(cause) = cut(status) {
+        let cause = plain(&cause);
+        return Fault::Lost(Unavailable(format!("the connection to {url} was lost: {cause}; try again")).into());
+    }
+    let words = format!("the server says: {}", words(status));
+    match status.code() {
+        Code::Unavailable => Fault::Lost(said(url, status)),
+        Code::NotFound => Fault::Final(Absent(words).into()),
+        Code::FailedPrecondition => Fault::Final(NoResult(words).into()),
+        Code::AlreadyExists => Fault::Final(BadInput(words).into()),
+        Code::Unimplemented => {
+            Fault::Final(Unavailable(format!("{words}; {url} may be of a version without jobs and blobs")).into())
+        }
+        Code::Cancelled => Fault::Final(Unavailable(words).into()),
+        _ => Fault::Final(said(url, status)),
+    }
+}
+
+/// What cut an answer short, if it has no end of its own.
+fn cut(status: &Status) -> Option<String> {
+    if status.source().is_some() {
+        return Some(innermost(status));
+    }
+    let cut = CUT_SHORT.iter().any(|begin| status.message().starts_with(begin));
+    cut.then(|| "the answer ended before it was whole".to_owned())
+}
+
+/// What a status says, fit to be shown.
+fn words(status: &Status) -> String {
+    match plain(status.message()) {
+        said if said.is_empty() => status.code().description().to_owned(),
+        said => said,
+    }
+}
+
+/// The error for a status that came whole.
+fn said(url: &ServerUrl, status: &Status) -> anyhow::Error {
     let text = status.message();
     let begins = |all: &[&str]| all.iter().any(|begin| text.starts_with(begin));
-    if status.source().is_some() {
-        return lost(url, innermost(status));
-    }
-    if begins(CUT_SHORT) {
-        return lost(url, "the answer ended before it was whole");
-    }
     if let Some(code) = text.strip_prefix(NO_GRPC) {
         let code = plain(code);
         return Unavailable(format!(
@@ -41,10 +103,7 @@ pub(super) fn of_status(url: &ServerUrl, status: &Status) -> anyhow::Error {
     if begins(UNREADABLE) || (status.code() == Code::Internal && text.contains("flag")) {
         return wrong(text);
     }
-    let said = match (plain(text), status.code()) {
-        (said, code) if said.is_empty() => code.description().to_owned(),
-        (said, _) => said,
-    };
+    let said = words(status);
     match status.code() {
         Code::InvalidArgument => BadInput(format!("the server says: {said}")).into(),
         // Nobody here cancelled it: that would not have waited for a status.
@@ -103,6 +162,24 @@ mod tests {
             let said = format!("{error:#}");
             assert!(code(&error) == exit && said.contains(words), "{status:?}: {said}");
             assert_eq!(said.matches(words).count(), 1, "{said}");
+        }
+    }
+
+    #[test]
+    fn a_call_says_whether_another_try_helps() {
+        for (status, exit, again) in [
+            (Status::not_found("no job x"), 66, false),
+            (Status::failed_precondition("it runs"), 70, false),
+            (Status::already_exists("another body"), 65, false),
+            (Status::invalid_argument("no"), 65, false),
+            (Status::resource_exhausted("full"), 69, false),
+            (Status::unimplemented(""), 69, false),
+            (Status::unavailable("I go"), 69, true),
+            (Status::from_error(Box::new(std::io::Error::other("broken wire"))), 69, true),
+        ] {
+            let fault = of_call(&url(), &status);
+            assert_eq!(matches!(fault, Fault::Lost(_)), again, "{status:?}");
+            assert_eq!(code(&fault.into()), exit, "{status:?}");
         }
     }
 

@@ -1,7 +1,8 @@
 //! The connection to a server, and how long each of its signs of life may take.
 //!
 //! Purpose: a server that is gone, stuck or no server of ours ends a call with a sentence. Invariant: no wait is without
-//! an end; work that was admitted may take any time, as long as the connection lives. Must not know: what is asked.
+//! an end; work that was admitted may take any time, as long as the connection lives. Each call says whose it is. Must not
+//! know: what is asked.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -9,14 +10,18 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::Result;
+use tonic::metadata::AsciiMetadataValue;
+use tonic::service::Interceptor;
+use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
-use tonic::{Response, Status, Streaming};
+use tonic::{Request, Response, Status, Streaming};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 
 use super::faults;
 use crate::cli::endpoint::ServerUrl;
 use crate::cli::exit::{Unavailable, Usage};
+use crate::cli::server::{Server, Tenant};
 
 /// How long things may take.
 #[derive(Clone, Copy, Debug)]
@@ -44,17 +49,40 @@ impl Patience {
 /// How many messages of a request have left.
 pub(super) type Sent = Arc<AtomicU64>;
 
+/// Where the server reads whose call it is.
+const TENANT: &str = "tessera-tenant";
+
+/// Says with each call whose it is.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Caller(Option<AsciiMetadataValue>);
+
+impl Interceptor for Caller {
+    fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
+        if let Some(tenant) = &self.0 {
+            request.metadata_mut().insert(TENANT, tenant.clone());
+        }
+        Ok(request)
+    }
+}
+
+/// What calls are made on.
+pub(super) type Door = InterceptedService<Channel, Caller>;
+
 /// See the module's head.
 pub(super) struct Link<'a> {
     url: &'a ServerUrl,
     patience: Patience,
     channel: Channel,
+    caller: Caller,
     sent: Sent,
 }
 
 impl<'a> Link<'a> {
     /// Connects.
-    pub(super) async fn open(url: &'a ServerUrl, patience: Patience) -> Result<Self> {
+    pub(super) async fn open(server: &'a Server, patience: Patience) -> Result<Self> {
+        let Server { url, tenant } = server;
+        let tenant = tenant.as_ref().map(Tenant::as_str).map(AsciiMetadataValue::try_from).transpose();
+        let caller = Caller(tenant.map_err(|e| Usage(format!("--tenant: {e}")))?);
         let endpoint = Endpoint::from_shared(url.to_string())
             .map_err(|e| Usage(format!("--endpoint {url}: {e}; an example is http://127.0.0.1:50051")))?;
         let endpoint = endpoint.connect_timeout(patience.connect);
@@ -62,7 +90,7 @@ impl<'a> Link<'a> {
         let channel = endpoint.connect().await.map_err(|e| {
             Unavailable(format!("cannot reach {url}: {}; is a server running there?", faults::innermost(&e)))
         })?;
-        let link = Self { url, patience, channel, sent: Sent::default() };
+        let link = Self { url, patience, channel, caller, sent: Sent::default() };
         link.greet().await?;
         Ok(link)
     }
@@ -85,8 +113,13 @@ impl<'a> Link<'a> {
     }
 
     /// What calls are made on.
-    pub(super) fn channel(&self) -> Channel {
-        self.channel.clone()
+    pub(super) fn channel(&self) -> Door {
+        InterceptedService::new(self.channel.clone(), self.caller.clone())
+    }
+
+    /// Where the server is.
+    pub(super) fn url(&self) -> &'a ServerUrl {
+        self.url
     }
 
     /// To be counted up with each message that leaves.
@@ -104,7 +137,7 @@ impl<'a> Link<'a> {
     }
 
     /// Waits for `answer`. An upload may take long on a slow line, as long as something leaves.
-    async fn first<R>(&self, answer: impl Future<Output = R>) -> Result<R> {
+    pub(super) async fn first<R>(&self, answer: impl Future<Output = R>) -> Result<R> {
         let mut answer = std::pin::pin!(answer);
         let limit = self.patience.first;
         loop {
@@ -171,7 +204,8 @@ mod tests {
             }
         });
         let patience = Patience { connect, ping: LONG, first: LONG };
-        let error = Link::open(&url, patience).await.err().expect("it is no server");
+        let server = Server { url: url.clone(), tenant: None };
+        let error = Link::open(&server, patience).await.err().expect("it is no server");
         assert_eq!(code(&error), 69);
         let said = format!("{error:#}");
         assert!(said.contains(&url.to_string()) && !said.contains("Error {") && !said.contains('\n'), "{said}");
@@ -196,7 +230,7 @@ mod tests {
         let url: ServerUrl = "http://127.0.0.1:1".parse().unwrap();
         let channel = Endpoint::from_static("http://127.0.0.1:1").connect_lazy();
         let patience = Patience { connect: SHORT, ping: SHORT, first: SHORT };
-        let link = Link { url: &url, patience, channel, sent: Sent::default() };
+        let link = Link { url: &url, patience, channel, caller: Caller::default(), sent: Sent::default() };
         let error = link.first(std::future::pending::<()>()).await.unwrap_err();
         assert!(code(&error) == 69 && error.to_string().contains("did not answer"), "{error}");
 

@@ -1,0 +1,147 @@
+//! `tessera jobs fetch`.
+//!
+//! Invariant: a file gets its name once its bytes are all there and have their digest.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::Args;
+use serde_json::json;
+
+use super::{id, show};
+use crate::cli::exit::{Absent, NoResult, Unavailable, Usage};
+use crate::cli::plain::{plain, plain_json};
+use crate::cli::progress::Progress;
+use crate::cli::remote::{Session, has_ended, session};
+use crate::cli::server::ServerArgs;
+use crate::cli::{files, say};
+use crate::mesh::io::Format;
+use crate::wire::proto::{Job, job_spec};
+
+/// The longest report: some hundred bytes an iteration.
+const REPORT_BYTES: usize = 256 << 20;
+
+/// What to fetch, and where it goes.
+#[derive(Args, Debug)]
+pub(super) struct FetchArgs {
+    /// The job.
+    #[arg(value_parser = id)]
+    id: String,
+    /// Where the result goes. A file that is there is replaced once the new one is whole.
+    #[arg(long, short, value_name = "FILE", required_unless_present = "report")]
+    output: Option<PathBuf>,
+    /// Which blob of the result [default: mesh, for a diagram cells, for a session seeds]
+    #[arg(long, value_name = "NAME", requires = "output")]
+    name: Option<String>,
+    /// Write the report there, as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    report: Option<PathBuf>,
+}
+
+/// Runs it.
+pub(super) fn run(args: &FetchArgs, server: &ServerArgs) -> Result<()> {
+    let FetchArgs { id, output, name, report } = args;
+    output.iter().chain(report).try_for_each(|path| files::check_output(path, &[]))?;
+    let outputs = [output.as_deref(), report.as_deref()];
+    files::check_apart(std::iter::empty(), outputs.into_iter().flatten())?;
+    let progress = super::transfer(output.as_deref().or(report.as_deref()), server, "download");
+    let fetched = session(&server.server()?, server.retry(), async |session| {
+        let job = session.job(id).await?;
+        check(&job)?;
+        let mut told = json!({ "id": id });
+        if let Some(path) = output {
+            let name = name.as_deref().unwrap_or(usual(&job));
+            let digest = digest(&job, name)?;
+            check_extension(&job, name, path)?;
+            let mut file = files::Output::begin(path)?;
+            let size = session.download(digest, &mut |bytes| file.add(bytes), &progress).await?;
+            file.finish()?;
+            (told["name"], told["digest"]) = (name.into(), digest.into());
+            (told["size_bytes"], told["file"]) = (size.into(), path.to_string_lossy().into());
+        }
+        if let Some(path) = report {
+            write_report(session, digest(&job, "report")?, path, &progress).await?;
+            told["report"] = path.to_string_lossy().into();
+        }
+        Ok(told)
+    });
+    drop(progress);
+    let told = fetched?;
+    if server.json {
+        say::json(&told)?;
+    }
+    Ok(())
+}
+
+/// Refuses a job that has no result.
+fn check(job: &Job) -> Result<()> {
+    let id = &job.id;
+    if let Some(why) = show::why(job) {
+        return Err(NoResult(format!("job {id} {why}")).into());
+    }
+    match has_ended(job) {
+        true => Ok(()),
+        false => {
+            let state = show::state(job.state);
+            Err(NoResult(format!("job {id} is {state}; wait for it with: tessera jobs wait {id}")).into())
+        }
+    }
+}
+
+/// What people mean by the result.
+fn usual(job: &Job) -> &'static str {
+    match job.spec.as_ref().and_then(|spec| spec.work.as_ref()) {
+        Some(job_spec::Work::Rvd(_)) => "cells",
+        Some(job_spec::Work::Cvt(_)) => "seeds",
+        Some(job_spec::Work::Remesh(_)) | None => "mesh",
+    }
+}
+
+/// The digest of a blob of the result.
+fn digest<'a>(job: &'a Job, name: &str) -> Result<&'a str> {
+    match job.results.iter().find(|blob| blob.name == name) {
+        Some(blob) => match super::spec::digest(&blob.digest) {
+            Ok(_) => Ok(&blob.digest),
+            Err(why) => Err(Unavailable(format!("the server's answer is wrong: {why}")).into()),
+        },
+        None if job.results.is_empty() => Err(Absent(format!("the result of job {} is no longer kept", job.id)).into()),
+        None => {
+            let all: Vec<String> = job.results.iter().map(|blob| plain(&blob.name)).collect();
+            let text = format!("the result of job {} has no {name}; --name takes one of: {}", job.id, all.join(", "));
+            Err(Absent(text).into())
+        }
+    }
+}
+
+/// Refuses a name that says another format than the surface has.
+fn check_extension(job: &Job, name: &str, path: &std::path::Path) -> Result<()> {
+    let (Some(has), Ok(named)) = (show::format(job), Format::of_path(path)) else { return Ok(()) };
+    if name == "mesh" && named.extension() != has {
+        let text =
+            format!("{}: the result of this job is .{has}; submit sets another format with --format", path.display());
+        return Err(Usage(text).into());
+    }
+    Ok(())
+}
+
+async fn write_report(
+    session: &mut Session<'_>,
+    digest: &str,
+    path: &std::path::Path,
+    progress: &Progress,
+) -> Result<()> {
+    let wrong = |text: &str| Unavailable(format!("the server's answer is wrong: {text}"));
+    let mut bytes = Vec::new();
+    let mut keep = |piece: &[u8]| match bytes.len() + piece.len() > REPORT_BYTES {
+        true => Err(wrong("its report does not end").into()),
+        false => {
+            bytes.extend_from_slice(piece);
+            Ok(())
+        }
+    };
+    session.download(digest, &mut keep, progress).await?;
+    match serde_json::from_slice::<serde_json::Value>(&bytes) {
+        Ok(report) if report.is_object() => files::write_json(path, &plain_json(report)),
+        _ => Err(wrong("its report is no report").into()),
+    }
+}

@@ -1,0 +1,321 @@
+//! What a job is asked to do, from the options of `tessera remesh` and `tessera rvd`.
+//!
+//! Purpose: [`RemeshWork`] and [`RvdWork`] as clap has them, and [`Asked`]: the message and the files that it names.
+//! Invariant: an option that nobody set is not in the message. Files go as they are: what is in them is the server's to
+//! judge. Must not know: calls.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use anyhow::Result;
+use clap::{ArgGroup, Args, ValueEnum};
+
+use super::given::Given;
+use crate::cli::exit::Usage;
+use crate::cli::remesh::args::{
+    BoundariesArg, DensityArg, PlacementArg, ProjectionArg, ShapeArgs, SizeArgs, StepArgs, ThinArg,
+};
+use crate::cli::rvd::SeedArgs;
+use crate::cli::source::Source;
+use crate::cli::{remote, sizes};
+use crate::config::BackendArg;
+use crate::mesh::io::Format;
+use crate::wire::proto::{
+    self, ArrayForm, ArrayRef, BoundaryRule, DensitySource, DrawnSeeds, JobDensity, JobMesh, JobRefinement, JobSeeds,
+    JobSpec, MeshFile, MeshFormat, Placement, Projection, RemeshJob, ResultFormat, RvdJob, RvdOutput, ThinRule,
+    job_mesh, job_refinement, job_seeds, job_spec, result_format,
+};
+
+/// A job that can be sent once its files are uploaded.
+#[derive(Debug)]
+pub(super) struct Asked {
+    /// The message.
+    pub(super) spec: JobSpec,
+    /// The files that it names by their digests.
+    pub(super) sources: Vec<Source>,
+    /// Where the surface is, and its format, if it is here.
+    pub(super) input: Option<(PathBuf, Format)>,
+}
+
+/// A surface here or at the server.
+#[derive(Clone, Debug)]
+pub(super) enum Input {
+    File(PathBuf),
+    Blob(String),
+}
+
+impl FromStr for Input {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.strip_prefix("blob:") {
+            Some(rest) => digest(rest).map(Self::Blob),
+            None => Ok(Self::File(text.into())),
+        }
+    }
+}
+
+/// A digest, as blobs are named.
+pub(crate) fn digest(text: &str) -> Result<String, String> {
+    match text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit()) {
+        true => Ok(text.to_ascii_lowercase()),
+        false => Err("a digest has 64 hexadecimal digits: the SHA-256 of the bytes".to_owned()),
+    }
+}
+
+/// A file's format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum FormatArg {
+    /// Stanford PLY.
+    Ply,
+    /// Wavefront OBJ.
+    Obj,
+    /// STL.
+    Stl,
+    /// Geomview OFF.
+    Off,
+}
+
+impl FormatArg {
+    fn of(format: Format) -> Self {
+        match format {
+            Format::Obj => Self::Obj,
+            Format::Ply => Self::Ply,
+            Format::Stl => Self::Stl,
+            Format::Off => Self::Off,
+        }
+    }
+
+    fn format(self) -> Format {
+        match self {
+            Self::Ply => Format::Ply,
+            Self::Obj => Format::Obj,
+            Self::Stl => Format::Stl,
+            Self::Off => Format::Off,
+        }
+    }
+
+    fn message(self) -> MeshFormat {
+        match self {
+            Self::Ply => MeshFormat::Ply,
+            Self::Obj => MeshFormat::Obj,
+            Self::Stl => MeshFormat::Stl,
+            Self::Off => MeshFormat::Off,
+        }
+    }
+}
+
+/// The surface, and who works.
+#[derive(Args, Debug)]
+pub(super) struct InputArgs {
+    /// The surface: a file (.obj, .ply, .stl or .off), or blob:DIGEST for one that the server has.
+    input: Input,
+    /// The format of the surface, where its name does not say it.
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    input_format: Option<FormatArg>,
+    /// Which backend of the server should do the work.
+    #[arg(long, value_enum, help_heading = "Who works")]
+    backend: Option<BackendArg>,
+}
+
+impl InputArgs {
+    fn format(&self) -> Result<FormatArg> {
+        match (self.input_format, &self.input) {
+            (Some(format), _) => Ok(format),
+            (None, Input::File(path)) => Ok(FormatArg::of(Format::of_path(path)?)),
+            (None, Input::Blob(_)) => {
+                Err(Usage("a blob has no name that says its format; add --input-format".to_owned()).into())
+            }
+        }
+    }
+
+    /// The job without its work.
+    fn begin(&self, attributes: Option<bool>) -> Result<Asked> {
+        let format = self.format()?;
+        let (digest, sources, input) = match &self.input {
+            Input::Blob(digest) => (digest.clone(), Vec::new(), None),
+            Input::File(path) => {
+                let source = Source::open(path)?;
+                (source.digest().to_owned(), vec![source], Some((path.clone(), format.format())))
+            }
+        };
+        let file = MeshFile { digest, format: format.message().into(), attributes };
+        let spec = JobSpec {
+            mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file)) }),
+            backend: self.backend.map(remote::choice).unwrap_or_default().into(),
+            ..JobSpec::default()
+        };
+        Ok(Asked { spec, sources, input })
+    }
+}
+
+/// A remesh to ask for.
+#[derive(Args, Debug)]
+#[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "edge_length", "sizes"])))]
+pub(super) struct RemeshWork {
+    #[command(flatten)]
+    input: InputArgs,
+    /// The format of the result [default: ply]
+    #[arg(long, value_enum)]
+    format: Option<FormatArg>,
+    /// Leave aside normals, texture coordinates, colours and scalars of the input.
+    #[arg(long)]
+    no_attributes: bool,
+    #[command(flatten)]
+    size: Given<SizeArgs>,
+    #[command(flatten)]
+    shape: Given<ShapeArgs>,
+    #[command(flatten)]
+    steps: Given<StepArgs>,
+}
+
+impl RemeshWork {
+    /// The job.
+    ///
+    /// # Errors
+    /// Options that do not go together, or a file that cannot be read.
+    pub(super) fn asked(&self) -> Result<Asked> {
+        let Self { input, size, shape, steps, .. } = self;
+        size.check(shape.placement)?;
+        if let Input::File(path) = &input.input
+            && input.format()? == FormatArg::Stl
+        {
+            let named = [(&size.sizes, "--sizes"), (&shape.creases, "--creases")];
+            named
+                .iter()
+                .filter(|(file, _)| file.is_some())
+                .try_for_each(|(_, option)| sizes::check_format(&path.with_extension("stl"), option))?;
+        }
+        let mut asked = input.begin(self.no_attributes.then_some(false))?;
+        let mut text = |path: &Option<PathBuf>| path.as_deref().map(|path| text(path, &mut asked.sources)).transpose();
+        let (edge_lengths, creases) = (text(&size.sizes)?, text(&shape.creases)?);
+        let density = JobDensity {
+            source: size.given("density", source(size.density)).unwrap_or_default().into(),
+            edge_length: size.edge_length,
+            edge_lengths,
+            weights: None,
+            adaptivity: size.given("adaptivity", size.adaptivity),
+            gradation: size.given("gradation", size.gradation),
+        };
+        let drawn = DrawnSeeds { points: size.points.map(u64::from), random_seed: steps.given("seed", steps.seed) };
+        let refinement = size.max_deviation.map(|percent| JobRefinement {
+            tolerance: Some(job_refinement::Tolerance::DiagonalPercent(percent)),
+            max_points: size.max_points.map(u64::from),
+        });
+        asked.spec.work = Some(job_spec::Work::Remesh(RemeshJob {
+            seeds: Some(JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) }),
+            density: Some(density).filter(|density| *density != JobDensity::default()),
+            lloyd_steps: steps.given("lloyd", steps.lloyd),
+            newton_steps: steps.given("newton", steps.newton),
+            projection: steps.given("projection", projection(steps.projection)).unwrap_or_default().into(),
+            placement: shape.given("placement", placement(shape.placement)).unwrap_or_default().into(),
+            crease_angle_deg: shape.given("crease_angle", shape.crease_angle),
+            creases,
+            boundaries: shape.given("boundaries", boundaries(shape.boundaries)).unwrap_or_default().into(),
+            thin: shape.given("thin", thin(shape.thin)).unwrap_or_default().into(),
+            refinement,
+            measure: proto::Measure::Unspecified.into(),
+        }));
+        asked.spec.result =
+            self.format.map(|format| ResultFormat { form: Some(result_format::Form::File(format.message().into())) });
+        Ok(asked)
+    }
+}
+
+/// What is wanted of a diagram.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum OutputArg {
+    /// The pieces, as a PLY file of polygons.
+    Cells,
+    /// The centroid of each cell.
+    Centroids,
+    /// Mass, area and energy of each cell.
+    Sums,
+}
+
+/// A diagram to ask for.
+#[derive(Args, Debug)]
+#[command(group(ArgGroup::new("of").required(true).args(["seeds", "points"])))]
+pub(super) struct RvdWork {
+    #[command(flatten)]
+    input: InputArgs,
+    /// What is wanted, with commas between [default: cells]
+    #[arg(long, value_enum, value_delimiter = ',')]
+    outputs: Vec<OutputArg>,
+    /// The format of the cells: a PLY file.
+    #[arg(long, value_parser = ["ply"])]
+    format: Option<String>,
+    #[command(flatten)]
+    seeds: Given<SeedArgs>,
+}
+
+impl RvdWork {
+    /// The job.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub(super) fn asked(&self) -> Result<Asked> {
+        let mut asked = self.input.begin(None)?;
+        let seeds = &self.seeds;
+        let source = match &seeds.seeds {
+            Some(path) => job_seeds::Source::Given(text(path, &mut asked.sources)?),
+            None => job_seeds::Source::Drawn(DrawnSeeds {
+                points: seeds.points.map(u64::from),
+                random_seed: seeds.given("seed", seeds.seed),
+            }),
+        };
+        let outputs = self.outputs.iter().map(|output| match output {
+            OutputArg::Cells => RvdOutput::Cells.into(),
+            OutputArg::Centroids => RvdOutput::Centroids.into(),
+            OutputArg::Sums => RvdOutput::Sums.into(),
+        });
+        let seeds = Some(JobSeeds { source: Some(source) });
+        asked.spec.work = Some(job_spec::Work::Rvd(RvdJob { seeds, weights: None, outputs: outputs.collect() }));
+        Ok(asked)
+    }
+}
+
+/// A file of text that an option names.
+fn text(path: &Path, sources: &mut Vec<Source>) -> Result<ArrayRef> {
+    let source = Source::open(path)?;
+    let array = ArrayRef { digest: source.digest().to_owned(), form: ArrayForm::Text.into(), count: 0 };
+    sources.push(source);
+    Ok(array)
+}
+
+fn source(density: DensityArg) -> DensitySource {
+    match density {
+        DensityArg::Uniform => DensitySource::Uniform,
+        DensityArg::Curvature => DensitySource::Curvature,
+        DensityArg::Lfs => DensitySource::FeatureSize,
+    }
+}
+
+fn projection(projection: ProjectionArg) -> Projection {
+    match projection {
+        ProjectionArg::Free => Projection::Free,
+        ProjectionArg::Surface => Projection::OnSurface,
+    }
+}
+
+fn placement(placement: PlacementArg) -> Placement {
+    match placement {
+        PlacementArg::Fitted => Placement::Fitted,
+        PlacementArg::Surface => Placement::Surface,
+        PlacementArg::Centroids => Placement::Centroids,
+    }
+}
+
+fn boundaries(boundaries: BoundariesArg) -> BoundaryRule {
+    match boundaries {
+        BoundariesArg::Keep => BoundaryRule::Keep,
+        BoundariesArg::Free => BoundaryRule::Free,
+    }
+}
+
+fn thin(thin: ThinArg) -> ThinRule {
+    match thin {
+        ThinArg::Finer => ThinRule::Finer,
+        ThinArg::Even => ThinRule::Even,
+    }
+}

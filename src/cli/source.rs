@@ -1,0 +1,139 @@
+//! A file that is sent as it is.
+//!
+//! Purpose: its digest and its pieces. Invariant: memory for a piece, whatever the size. A pipe, which can be read only once,
+//! is kept in a temporary file. Must not know: where it is sent.
+
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use tempfile::NamedTempFile;
+
+use super::exit::NoInput;
+use crate::wire::pieces::{Hash, PIECE_BYTES};
+
+/// See the module's head.
+#[derive(Debug)]
+pub(crate) struct Source {
+    /// As it was named.
+    path: PathBuf,
+    digest: String,
+    size: u64,
+    /// What a pipe brought.
+    kept: Option<NamedTempFile>,
+}
+
+impl Source {
+    /// Reads it once.
+    ///
+    /// # Errors
+    /// [`NoInput`]; or a pipe cannot be kept.
+    pub(crate) fn open(path: &Path) -> Result<Self> {
+        let unread = |cause| NoInput { path: path.to_owned(), cause };
+        let file = File::open(path).map_err(unread)?;
+        let meta = file.metadata().map_err(unread)?;
+        if meta.is_dir() {
+            return Err(unread(io::ErrorKind::IsADirectory.into()).into());
+        }
+        let mut kept = match meta.is_file() {
+            true => None,
+            false => Some(NamedTempFile::new().context("cannot keep what the pipe brings")?),
+        };
+        let (mut hash, mut file, mut buffer) = (Hash::default(), BufReader::new(file), vec![0; 1 << 16]);
+        loop {
+            match file.read(&mut buffer) {
+                Ok(0) => break,
+                Ok(bytes) => {
+                    hash.add(&buffer[..bytes]);
+                    let keep = kept.as_mut().map_or(Ok(()), |kept| kept.write_all(&buffer[..bytes]));
+                    keep.context("cannot keep what the pipe brings")?;
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(unread(error).into()),
+            }
+        }
+        Ok(Self { path: path.to_owned(), digest: hash.digest(), size: hash.bytes(), kept })
+    }
+
+    /// The SHA-256 of its bytes, as blobs are named.
+    pub(crate) fn digest(&self) -> &str {
+        &self.digest
+    }
+
+    /// How many bytes there are.
+    pub(crate) fn size(&self) -> u64 {
+        self.size
+    }
+
+    /// As it was named.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The pieces from byte `offset` on: where each begins, and its bytes. After an error there are no more.
+    pub(crate) fn pieces(&self, offset: u64) -> io::Result<Pieces> {
+        let mut file = File::open(self.kept.as_ref().map_or(self.path.as_path(), |kept| kept.path()))?;
+        file.seek(SeekFrom::Start(offset))?;
+        Ok(Pieces { file, at: offset, size: self.size })
+    }
+}
+
+/// What is left to be sent.
+#[derive(Debug)]
+pub(crate) struct Pieces {
+    file: File,
+    at: u64,
+    size: u64,
+}
+
+impl Iterator for Pieces {
+    type Item = io::Result<(u64, Vec<u8>)>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let (at, left) = (self.at, self.size - self.at.min(self.size));
+        if left == 0 {
+            return None;
+        }
+        let mut piece = vec![0; left.min(PIECE_BYTES as u64) as usize];
+        self.at += piece.len() as u64;
+        Some(match self.file.read_exact(&mut piece) {
+            Ok(()) => Ok((at, piece)),
+            Err(error) => {
+                self.at = self.size;
+                Err(match error.kind() {
+                    io::ErrorKind::UnexpectedEof => io::Error::other("it became shorter while it was read"),
+                    _ => error,
+                })
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pieces_are_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("x");
+        let bytes: Vec<u8> = (0..3 * PIECE_BYTES / 2).map(|i| (i % 251) as u8).collect();
+        std::fs::write(&path, &bytes).unwrap();
+        let source = Source::open(&path).unwrap();
+        assert_eq!(source.size(), bytes.len() as u64);
+        for offset in [0, 5, PIECE_BYTES, bytes.len()] {
+            let mut came = Vec::new();
+            for piece in source.pieces(offset as u64).unwrap() {
+                let (at, piece) = piece.unwrap();
+                assert_eq!(at as usize, offset + came.len());
+                came.extend(piece);
+            }
+            assert_eq!(came, bytes[offset..]);
+        }
+        std::fs::write(&path, "short").unwrap();
+        let all: Vec<_> = source.pieces(0).unwrap().collect();
+        assert!(all.len() == 1 && all[0].is_err());
+        assert!(Source::open(folder.path()).is_err());
+    }
+}
