@@ -58,9 +58,9 @@ impl CvtSession {
         prepared: Arc<Prepared>,
         wish: Wish,
         options: CvtOptions,
-        _ticket: Ticket,
+        (_ticket, ask): (Ticket, Ask),
     ) -> Result<Pending<(Cvt, BackendInfo)>, JobError> {
-        engine.submit(Place::Kept(Ask { goes_on: true, ..Ask::default() }), Retry::Anew, move |backends, turn| {
+        engine.submit(Place::Kept(ask), Retry::Anew, move |backends, turn| {
             turn.token.check()?;
             let backend = backends.choose(wish)?;
             let cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;

@@ -214,6 +214,11 @@ impl Engine {
         backends.iter().find(|(w, _)| *w == wish).map_or(Err(JobError::WorkerGone), |(_, info)| info.clone())
     }
 
+    /// Memory that jobs at work together may need, bytes.
+    pub fn memory_bytes(&self) -> u64 {
+        self.shared.infos.slots.memory_bytes
+    }
+
     /// Keeps a place for a job that is yet to be uploaded, so that it is refused now or not at all.
     ///
     /// # Errors

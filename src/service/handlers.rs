@@ -12,10 +12,10 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::budget::{Budget, Share};
 use super::stream::{Answers, Gate, Inbox, Kind, Outbox, respond};
-use super::{Phase, RequestError};
+use super::{Phase, RequestError, tenant};
 use crate::config::Limits;
 use crate::job::spec::{Input, Prepared};
-use crate::job::{BackendInfo, CancelOnDrop, Engine, JobError, Ticket};
+use crate::job::{Ask, BackendInfo, CancelOnDrop, Engine, JobError, Ticket};
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
 use crate::token::Token;
@@ -23,13 +23,15 @@ use crate::wire::assemble::Uploaded;
 use crate::wire::chunks::{byte_chunks, point_chunks};
 use crate::wire::counts::{Bounds, SeedCounts};
 use crate::wire::proto::{self, ArrayKind, Chunk};
-use crate::wire::upload::{Header, Incoming, Upload};
+use crate::wire::upload::{Incoming, Upload};
 use crate::wire::{attributes, codec, density};
+use need::Needs;
 
 pub(super) mod blobs;
 mod cvt;
 mod diagram;
 pub(super) mod jobs;
+mod need;
 mod remesh;
 
 /// The longest report that the last message holds, bytes; a longer one goes ahead of it in chunks.
@@ -77,16 +79,18 @@ impl proto::remesh_service_server::RemeshService for Handlers {
     ) -> Result<Response<Self::ComputeRvdStream>, Status> {
         let (metadata, extensions, stream) = request.into_parts();
         let shared = Arc::clone(&self.shared);
+        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
         Ok(respond(("ComputeRvd", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
-            diagram::handle(shared, Inbox::new(stream), out)
+            diagram::handle(shared, tenant, Inbox::new(stream), out)
         })?)
     }
 
     async fn cvt(&self, request: Request<Streaming<proto::CvtRequest>>) -> Result<Response<Self::CvtStream>, Status> {
         let (metadata, extensions, stream) = request.into_parts();
         let shared = Arc::clone(&self.shared);
+        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
         Ok(respond(("Cvt", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
-            cvt::handle(shared, Inbox::new(stream), out)
+            cvt::handle(shared, tenant, Inbox::new(stream), out)
         })?)
     }
 
@@ -96,8 +100,9 @@ impl proto::remesh_service_server::RemeshService for Handlers {
     ) -> Result<Response<Self::RemeshStream>, Status> {
         let (metadata, extensions, stream) = request.into_parts();
         let shared = Arc::clone(&self.shared);
+        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
         Ok(respond(("Remesh", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
-            remesh::handle(shared, Inbox::new(stream), out)
+            remesh::handle(shared, tenant, Inbox::new(stream), out)
         })?)
     }
 }
@@ -115,6 +120,7 @@ struct Admitted<H> {
     header: H,
     received: Received,
     ticket: Ticket,
+    ask: Ask,
 }
 
 /// What a request may ask for, as the checks of messages take it.
@@ -124,8 +130,9 @@ fn bounds(limits: &Limits) -> Bounds {
 }
 
 /// Reads header, chunks and the end mark. What cannot be done now, or not here, is refused at the header.
-async fn upload<M: Into<Incoming<H>>, H: Header>(
+async fn upload<M: Into<Incoming<H>>, H: Needs>(
     shared: &Shared,
+    tenant: &str,
     inbox: &mut Inbox<M>,
 ) -> Result<Admitted<H>, RequestError> {
     let Limits { upload_idle, upload: limit, .. } = shared.limits;
@@ -141,19 +148,16 @@ async fn upload<M: Into<Incoming<H>>, H: Header>(
             () = shared.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
         };
         let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes))?;
-        let ticket = match kept.take() {
-            Some(ticket) => ticket,
-            None => {
-                if let Some(header) = upload.header() {
-                    shared.engine.backend(codec::backend(header.backend())?)?;
-                }
-                shared.engine.reserve()?
-            }
+        let (ask, ticket) = match (kept.take(), upload.header()) {
+            (Some(kept), _) => kept,
+            (None, Some(header)) => (need::ask(shared, tenant, header)?, shared.engine.reserve()?),
+            // Nothing can come before the header.
+            (None, None) => (Ask::default(), shared.engine.reserve()?),
         };
         if let Some((header, seeds, arrays)) = complete {
-            return Ok(Admitted { header, received: Received { seeds, arrays, share }, ticket });
+            return Ok(Admitted { header, received: Received { seeds, arrays, share }, ticket, ask });
         }
-        kept = Some(ticket);
+        kept = Some((ask, ticket));
     }
 }
 

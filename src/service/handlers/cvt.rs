@@ -26,16 +26,17 @@ fn wrap_chunk(chunk: Chunk) -> CvtResponse {
 /// One stream.
 pub(super) async fn handle(
     shared: Arc<Shared>,
+    tenant: String,
     mut inbox: Inbox<CvtRequest>,
     outbox: Outbox<CvtResponse>,
 ) -> Result<(), RequestError> {
     let _place = shared.gate.admit_session()?;
-    let Admitted { header, received, ticket } = upload(&shared, &mut inbox).await?;
+    let Admitted { header, received, ticket, ask } = upload(&shared, &tenant, &mut inbox).await?;
     let wish = codec::backend(header.backend)?;
     let options = of_cvt(&header)?;
     let token = shared.engine.token();
     let (prepared, _share) = prepare(&shared, received, header.density, Prepared::for_steps, &token).await?;
-    let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, ticket)?;
+    let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, (ticket, ask))?;
     let position = pending.position;
     let Timed { value, queue_ms, compute_ms } = pending.wait().await?;
     let mut talk = Talk {

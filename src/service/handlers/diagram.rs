@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::*;
 use crate::job::diagram::{Diagram, RvdReport, WorldSums};
 use crate::job::spec::Prepared;
-use crate::job::{Ask, Pending, Place, Retry, Timed, Turn};
+use crate::job::{Pending, Place, Retry, Timed, Turn};
 use crate::rvd::PieceBatch;
 use crate::wire::cells::{CELLS_VERTEX_BYTES, cells_chunks};
 use crate::wire::chunks::number_chunks;
@@ -26,20 +26,18 @@ fn wrap_chunk(chunk: Chunk) -> ComputeRvdResponse {
 /// One stream.
 pub(super) async fn handle(
     shared: Arc<Shared>,
+    tenant: String,
     mut inbox: Inbox<ComputeRvdRequest>,
     outbox: Outbox<ComputeRvdResponse>,
 ) -> Result<(), RequestError> {
-    let Admitted { header, received, ticket } = upload(&shared, &mut inbox).await?;
+    let Admitted { header, received, ticket, ask } = upload(&shared, &tenant, &mut inbox).await?;
     let (wish, outputs) = (codec::backend(header.backend)?, codec::outputs(&header.outputs)?);
     let by = shared.engine.backend(wish)?;
     let token = shared.engine.token();
     let (prepared, _share) = prepare(&shared, received, None, Prepared::new, &token).await?;
     let for_device = Arc::clone(&prepared);
-    let mut pending = shared.engine.submit_as(
-        token.clone(),
-        Place::Kept(Ask { goes_on: true, ..Ask::default() }),
-        Retry::Anew,
-        move |backends, turn| {
+    let mut pending =
+        shared.engine.submit_as(token.clone(), Place::Kept(ask), Retry::Anew, move |backends, turn| {
             turn.token.check()?;
             let mut diagram = Diagram::open(&for_device, backends.choose(wish)?.as_ref())?;
             let sums = match outputs.centroids || outputs.sums {
@@ -47,8 +45,7 @@ pub(super) async fn handle(
                 false => WorldSums::default(),
             };
             Ok((diagram, sums))
-        },
-    )?;
+        })?;
     drop(ticket);
     outbox.send(wrap(response::Message::Accepted(accepted(pending.position, &by)))).await?;
     let Timed { value: (mut diagram, sums), queue_ms, compute_ms } = pending.wait().await?;

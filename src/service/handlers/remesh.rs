@@ -9,7 +9,7 @@ use tokio::sync::mpsc;
 
 use super::*;
 use crate::cvt::Iteration;
-use crate::job::{Ask, Place, Retry, Timed};
+use crate::job::{Place, Retry, Timed};
 use crate::remesh::{Observer, Remesh};
 use crate::wire::chunks::{facet_chunks, index_chunks};
 use crate::wire::options::{RemeshArrays, of_remesh};
@@ -48,10 +48,11 @@ impl Observer for Reporter {
 /// One stream.
 pub(super) async fn handle(
     shared: Arc<Shared>,
+    tenant: String,
     mut inbox: Inbox<RemeshRequest>,
     outbox: Outbox<RemeshResponse>,
 ) -> Result<(), RequestError> {
-    let Admitted { header, received, ticket } = upload(&shared, &mut inbox).await?;
+    let Admitted { header, received, ticket, ask } = upload(&shared, &tenant, &mut inbox).await?;
     let wish = codec::backend(header.backend)?;
     let by = shared.engine.backend(wish)?;
     let (limits, density) = (shared.limits, header.density);
@@ -62,14 +63,13 @@ pub(super) async fn handle(
     let options = of_remesh(&header, RemeshArrays { density, seeds, creases, attributes }, &bounds(&limits))?;
     let announced = header.attributes;
     let (events, mut heard) = mpsc::channel(EVENTS);
-    let mut pending =
-        shared.engine.submit_as(token, Place::Kept(Ask::default()), Retry::Anew, move |backends, turn| {
-            turn.token.check()?;
-            let backend = backends.choose(wish)?;
-            let _ = events.try_send(Event::Started(turn.queue_ms));
-            let mut reporter = Reporter(events.clone());
-            Ok(crate::remesh::remesh(&mesh, &options, backend.as_ref(), &mut reporter, &turn.token)?)
-        })?;
+    let mut pending = shared.engine.submit_as(token, Place::Kept(ask), Retry::Anew, move |backends, turn| {
+        turn.token.check()?;
+        let backend = backends.choose(wish)?;
+        let _ = events.try_send(Event::Started(turn.queue_ms));
+        let mut reporter = Reporter(events.clone());
+        Ok(crate::remesh::remesh(&mesh, &options, backend.as_ref(), &mut reporter, &turn.token)?)
+    })?;
     drop(ticket);
     outbox.send(wrap(response::Message::Accepted(accepted(pending.position, &by)))).await?;
     let mut teller = Teller { clock: Clock::default(), start: None };

@@ -1,0 +1,110 @@
+//! What the job of a stream will need, from its header.
+//!
+//! Invariant: a stream whose job never fits is refused before its arrays are sent. Must not know: how needs are computed
+//! (`job::estimate`), messages but for headers.
+
+use super::{Shared, bounds};
+use crate::job::Ask;
+use crate::job::desk::DeskError;
+use crate::job::estimate::{Counts, Kind, need};
+use crate::job::record::{DensityKind, PlacementRule};
+use crate::remesh::RemeshOptions;
+use crate::rvd::BackendKind;
+use crate::service::RequestError;
+use crate::wire::codec;
+use crate::wire::counts::{MeshCounts, SeedCounts};
+use crate::wire::proto::{self, ComputeRvdHeader, CvtHeader, RemeshHeader};
+use crate::wire::upload::Header;
+
+/// A header that says what its job needs.
+pub(super) trait Needs: Header {
+    /// Whether what the first piece makes goes on in others.
+    const GOES_ON: bool;
+
+    /// The counts, where the mesh and the seeds are of these.
+    fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts;
+}
+
+/// What a stream's job asks for, in the name of its tenant.
+///
+/// # Errors
+/// `Desk` with `TooLarge` if it could never run here.
+pub(super) fn ask<H: Needs>(shared: &Shared, tenant: &str, header: &H) -> Result<Ask, RequestError> {
+    let by = shared.engine.backend(codec::backend(header.backend())?)?;
+    let (mesh, seeds) = header.check(&bounds(&shared.limits))?;
+    let points = match seeds {
+        SeedCounts::Uploaded(points) | SeedCounts::Sampled { points, .. } => points,
+        // Nothing is known yet: likely as many as there are facets.
+        SeedCounts::Implied { .. } => mesh.facets,
+    };
+    let need = need(&header.counts(by.kind, mesh, points), by.threads);
+    let limit_bytes = shared.engine.memory_bytes();
+    if need.host_bytes > limit_bytes {
+        return Err(DeskError::TooLarge { needed_bytes: need.host_bytes, limit_bytes }.into());
+    }
+    Ok(Ask {
+        tenant: tenant.into(),
+        seconds: need.seconds,
+        host_bytes: need.host_bytes,
+        goes_on: H::GOES_ON,
+        ..Ask::default()
+    })
+}
+
+fn density(options: Option<&proto::DensityOptions>, mesh: MeshCounts) -> DensityKind {
+    use proto::DensitySource as Source;
+    match options.map_or(Source::Unspecified, proto::DensityOptions::source) {
+        Source::Curvature => DensityKind::Curvature,
+        Source::FeatureSize => DensityKind::FeatureSize,
+        _ if mesh.edge_lengths > 0 => DensityKind::EdgeLengths,
+        _ if mesh.weights > 0 => DensityKind::Weights,
+        _ => DensityKind::Uniform,
+    }
+}
+
+impl Needs for RemeshHeader {
+    const GOES_ON: bool = false;
+
+    fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts {
+        let usual = RemeshOptions::usual();
+        let steps = |given: Option<u32>, usual: usize| given.map_or(usual as u64, u64::from);
+        let most = self.refinement.map(|r| r.max_points.unwrap_or(points.saturating_mul(2)).max(points));
+        Counts {
+            steps: steps(self.lloyd_steps, usual.lloyd) + steps(self.newton_steps, usual.newton),
+            density: density(self.density.as_ref(), mesh),
+            placement: match self.placement() {
+                proto::Placement::Surface => PlacementRule::Surface,
+                proto::Placement::Centroids => PlacementRule::Centroids,
+                proto::Placement::Fitted | proto::Placement::Unspecified => PlacementRule::Fitted,
+            },
+            attributes: self.attributes.iter().fold(0, |sum, array| array.values.saturating_mul(3).saturating_add(sum)),
+            refines: self.refinement.is_some(),
+            measures: self.measure() != proto::Measure::Topology,
+            ..Counts::new(Kind::Remesh, by, mesh.vertices, mesh.facets, most.unwrap_or(points))
+        }
+    }
+}
+
+impl Needs for ComputeRvdHeader {
+    const GOES_ON: bool = true;
+
+    fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts {
+        // Pieces are sent as they come, and not kept.
+        Counts {
+            steps: 0,
+            density: density(None, mesh),
+            ..Counts::new(Kind::Rvd, by, mesh.vertices, mesh.facets, points)
+        }
+    }
+}
+
+impl Needs for CvtHeader {
+    const GOES_ON: bool = true;
+
+    fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts {
+        Counts {
+            density: density(self.density.as_ref(), mesh),
+            ..Counts::new(Kind::Cvt, by, mesh.vertices, mesh.facets, self.max_seeds.max(points))
+        }
+    }
+}
