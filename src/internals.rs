@@ -44,6 +44,12 @@ pub mod job {
     pub use crate::job::{desk, event, record, state, store};
 }
 
+/// How work gets into the queue.
+#[cfg(feature = "service")]
+pub mod job_queue {
+    pub use crate::job::{Place, Retry};
+}
+
 /// Neighbours of seeds.
 pub mod knn {
     pub use crate::knn::{NeighbourRow, SeedIndex};

@@ -41,12 +41,12 @@ use crate::token::{Stopped, Token};
 pub use crate::rvd::BackendChoice as Wish;
 pub use executor::{Executor, ExecutorOptions, Stores};
 pub use input::JobBounds;
-pub(crate) use queue::Place;
+pub use queue::Place;
 pub use schedule::Ask;
 pub use watchdog::Ceilings;
 pub(crate) use watchdog::Work;
-pub(crate) use worker::{Device, Pending, Retry, Ticket, Timed, Turn};
-pub use worker::{Engine, EngineOptions};
+pub(crate) use worker::{Device, Pending, Ticket, Timed, Turn};
+pub use worker::{Engine, EngineOptions, Retry};
 
 /// Makes a CPU backend with so many threads of its own.
 pub type MakePool = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;

@@ -1,0 +1,172 @@
+//! Promise: every kind of job is done as the streams and the command do it, with the same bits; what cannot be done says why;
+//! what is refused leaves nothing behind.
+
+use std::time::Duration;
+
+use tessera::mesh::io::{Format, decode, encode};
+use tessera::mesh::shapes::Shape;
+use tessera::proto::*;
+use tonic::Code;
+
+use super::program::*;
+
+const LIMIT: Duration = Duration::from_secs(300);
+
+fn bytes_of(numbers: &[f64]) -> Vec<u8> {
+    numbers.iter().flat_map(|x| x.to_le_bytes()).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_kind_of_job_is_done() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut program = Program::start(folder.path(), &[]);
+    let mut client = program.client().await;
+    let mesh = Shape::Torus.build(2_000);
+    let digest = client.put_mesh(&mesh).await;
+
+    // As the command does it.
+    let path = folder.path().join("torus.ply");
+    std::fs::write(&path, encode(Format::Ply, &mesh).unwrap()).unwrap();
+    let out = folder.path().join("out.ply");
+    let done = std::process::Command::new(env!("CARGO_BIN_EXE_tessera"))
+        .arg("remesh")
+        .arg(&path)
+        .args(["--points", "300", "--seed", "5", "--backend", "parallel", "--quiet", "-o"])
+        .arg(&out)
+        .status()
+        .unwrap();
+    assert!(done.success());
+    let id = client.submit(remesh(&digest, 300, 5)).await;
+    let job = client.end(&id, LIMIT).await;
+    let file = client.read(&part(&job, "mesh")).await;
+    assert!(file == std::fs::read(&out).unwrap(), "the same bytes as the command's");
+    let report: serde_json::Value = serde_json::from_slice(&client.read(&part(&job, "report")).await).unwrap();
+    assert_eq!(report["backend"], "parallel");
+
+    // In another format, and as arrays.
+    let mut spec = remesh(&digest, 300, 5);
+    spec.result = Some(ResultFormat { form: Some(result_format::Form::File(MeshFormat::Obj.into())) });
+    let id = client.submit(spec).await;
+    let job = client.end(&id, LIMIT).await;
+    let obj = decode(Format::Obj, &client.read(&part(&job, "mesh")).await).unwrap();
+    let ply = decode(Format::Ply, &file).unwrap();
+    assert_eq!(obj.facets().len(), ply.facets().len());
+    let mut spec = remesh(&digest, 300, 5);
+    spec.result = Some(ResultFormat { form: Some(result_format::Form::Arrays(true)) });
+    let id = client.submit(spec).await;
+    let job = client.end(&id, LIMIT).await;
+    let positions: Vec<f64> = ply.positions().iter().flat_map(|p| p.to_array()).collect();
+    assert!(client.read(&part(&job, "positions")).await == bytes_of(&positions));
+
+    // A diagram of given seeds, and a session's commands.
+    let seeds: Vec<f64> = mesh.positions().iter().take(50).flat_map(|p| p.to_array()).collect();
+    let seeds = client.put(&bytes_of(&seeds)).await;
+    let given = ArrayRef { digest: seeds, form: ArrayForm::F64.into(), count: 50 };
+    let given = Some(JobSeeds { source: Some(job_seeds::Source::Given(given)) });
+    let outputs = [RvdOutput::Cells, RvdOutput::Centroids, RvdOutput::Sums].map(i32::from).to_vec();
+    let mut spec = remesh(&digest, 1, 0);
+    spec.work = Some(job_spec::Work::Rvd(RvdJob { seeds: given.clone(), weights: None, outputs }));
+    let id = client.submit(spec).await;
+    let job = client.end(&id, LIMIT).await;
+    assert!(client.read(&part(&job, "cells")).await.starts_with(b"ply\n"));
+    assert_eq!(client.read(&part(&job, "centroids")).await.len(), 50 * 24);
+    let areas = client.read(&part(&job, "areas")).await;
+    let area: f64 = areas.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).sum();
+    assert!((area / mesh.area() - 1.0).abs() < 1e-9, "{area}");
+    let step = CvtStep { iterations: 5, seeds: SeedsWanted::Each.into(), kind: 0 };
+    let commands = vec![CvtJobCommand { command: Some(cvt_job_command::Command::Step(step)) }];
+    let mut spec = remesh(&digest, 1, 0);
+    spec.work = Some(job_spec::Work::Cvt(CvtJob { seeds: given, commands, ..CvtJob::default() }));
+    let id = client.submit(spec).await;
+    let job = client.end(&id, LIMIT).await;
+    assert_eq!(part(&job, "seeds.0005"), part(&job, "seeds"));
+    assert_eq!(job.results.len(), 7, "{job:?}");
+
+    // Events from a number on: those that came before, without those up to it.
+    let all = client.watch(&id, 0).await.unwrap();
+    assert_eq!(client.watch(&id, 5).await.unwrap(), all.iter().filter(|e| e.number > 5).cloned().collect::<Vec<_>>());
+    assert!(all.iter().any(|e| matches!(e.what, Some(job_event::What::Iteration(_)))));
+    assert_eq!(program.stop(), Some(0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_done_says_why_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = Program::start(folder.path(), &["--keep-results", "2s", "--keep-jobs", "4s"]);
+    let mut client = program.client().await;
+    let digest = client.put_mesh(&Shape::Torus.build(2_000)).await;
+
+    let code = |result: Result<CreateJobResponse, tonic::Status>| result.unwrap_err().code();
+    assert_eq!(code(client.create(JobSpec::default(), "").await), Code::InvalidArgument);
+    assert_eq!(code(client.create(remesh(&"0".repeat(64), 100, 0), "").await), Code::NotFound);
+    assert_eq!(code(client.create(remesh("x", 100, 0), "").await), Code::InvalidArgument);
+    assert_eq!(code(client.create(remesh(&digest, 5_000_000, 0), "").await), Code::InvalidArgument, "too many");
+    let mut gpu = remesh(&digest, 100, 0);
+    gpu.backend = BackendChoice::Gpu.into();
+    assert_eq!(code(client.create(gpu, "").await), Code::FailedPrecondition);
+    let no_mesh = client.put(b"this is no mesh").await;
+    assert_eq!(code(client.create(remesh(&no_mesh, 100, 0), "").await), Code::InvalidArgument);
+    assert!(client.all().await.is_empty(), "nothing is left of it");
+
+    // A request that comes again.
+    let first = client.create(remesh(&digest, 100, 0), "mine").await.unwrap();
+    let again = client.create(remesh(&digest, 100, 0), "mine").await.unwrap();
+    assert_eq!((again.existed, &again.job.unwrap().id), (true, &first.job.clone().unwrap().id));
+    assert_eq!(code(client.create(remesh(&digest, 101, 0), "mine").await), Code::AlreadyExists);
+
+    // Others see nothing of it.
+    let id = first.job.unwrap().id;
+    let mut other = client.of("somebody-else");
+    assert!(other.all().await.is_empty());
+    assert_eq!(other.cancel(&id).await.unwrap_err().code(), Code::NotFound);
+    assert_eq!(other.watch(&id, 0).await.unwrap_err().code(), Code::NotFound);
+
+    // Deadlines, and a cancel at work.
+    let large = client.put_mesh(&Shape::Genus(3).build(20_000)).await;
+    let mut late = remesh(&large, 20_000, 0);
+    late.run_deadline = Some(prost_types::Duration { seconds: 0, nanos: 300_000_000 });
+    let late = client.submit(late).await;
+    let job = client.end(&late, LIMIT).await;
+    assert_eq!((job.state(), job.expired_by.as_str()), (JobState::Expired, "run_deadline"), "{job:?}");
+    let long = client.submit(remesh(&large, 20_000, 1)).await;
+    while client.get(&long).await.state() == JobState::Queued {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    assert_eq!(client.cancel(&long).await.unwrap().state(), JobState::Cancelled);
+    assert_eq!(client.cancel(&long).await.unwrap().state(), JobState::Cancelled, "it stays so");
+
+    // Results go, then the jobs do; and what they needed may go.
+    assert_eq!(client.end(&id, LIMIT).await.state(), JobState::Succeeded);
+    let start = std::time::Instant::now();
+    while !client.all().await.is_empty() {
+        assert!(start.elapsed() < Duration::from_secs(60), "{:?}", client.all().await);
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    let deleted = client.blobs.delete(DeleteRequest { digest: digest.clone() }).await;
+    assert!(deleted.is_ok(), "no pin is left: {deleted:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_result_and_the_input_of_a_job_are_never_evicted() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = Program::start(folder.path(), &["--blobs-mib", "1", "--jobs-at-once", "1"]);
+    let mut client = program.client().await;
+    let mesh = Shape::Torus.build(2_000);
+    let digest = client.put_mesh(&mesh).await;
+    let id = client.submit(remesh(&digest, 200, 0)).await;
+    let job = client.end(&id, LIMIT).await;
+    let result = client.read(&part(&job, "mesh")).await;
+    // The input is needed no more; five times the quota goes through.
+    for i in 0..20u8 {
+        client.put(&vec![i; 256 << 10]).await;
+    }
+    assert!(client.read(&part(&job, "mesh")).await == result);
+    let missing = client.blobs.stat(StatRequest { digest: digest.clone() }).await;
+    assert_eq!(missing.unwrap_err().code(), Code::NotFound, "the input went");
+    assert_eq!(
+        client.blobs.delete(DeleteRequest { digest: part(&job, "mesh") }).await.unwrap_err().code(),
+        Code::FailedPrecondition
+    );
+    client.jobs.delete_job(DeleteJobRequest { id }).await.unwrap();
+    client.blobs.delete(DeleteRequest { digest: part(&job, "mesh") }).await.unwrap();
+}

@@ -1,0 +1,12 @@
+//! Promise: jobs outlive streams, crashes and restarts. The program itself, with a folder of its own, and real clients.
+//!
+//! `figures` are programs that print JSON (`cargo test --release --test kept -- --ignored --nocapture figures`).
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
+#![cfg(unix)]
+
+mod figures;
+mod jobs;
+mod kills;
+mod program;
+mod sharing;

@@ -1,0 +1,229 @@
+//! The program with a folder, and a client of it.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use sha2::{Digest as _, Sha256};
+use tessera::mesh::TriMesh;
+use tessera::mesh::io::{Format, encode};
+use tessera::proto::blob_service_client::BlobServiceClient;
+use tessera::proto::job_service_client::JobServiceClient;
+use tessera::proto::*;
+use tonic::transport::{Channel, Endpoint};
+
+/// A server. Killed when dropped.
+pub struct Program {
+    pub child: Child,
+    pub address: String,
+}
+
+impl Program {
+    /// Starts it, and waits until it listens.
+    pub fn start(folder: &Path, options: &[&str]) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_tessera"))
+            .args(["serve", "--listen", "127.0.0.1:0", "--backend", "parallel", "--data-dir"])
+            .arg(folder)
+            .args(options)
+            .env("TESSERA_LOG", "warn")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let address = line.trim().strip_prefix("tessera listens on ").expect("it listens").to_owned();
+        Self { child, address }
+    }
+
+    pub async fn client(&self) -> Client {
+        let endpoint = Endpoint::from_shared(format!("http://{}", self.address)).unwrap();
+        let channel = endpoint.connect_timeout(Duration::from_secs(10)).connect().await.unwrap();
+        Client {
+            jobs: JobServiceClient::new(channel.clone()),
+            blobs: BlobServiceClient::new(channel.clone()),
+            tenant: None,
+            channel,
+        }
+    }
+
+    /// No word to it, and no end of anything that it does.
+    pub fn kill(&mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    /// Tells it to stop; its exit code.
+    pub fn stop(&mut self) -> Option<i32> {
+        let told = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status().unwrap();
+        assert!(told.success());
+        self.child.wait().unwrap().code()
+    }
+
+    /// Resident memory in bytes, open descriptors, threads.
+    #[cfg(target_os = "linux")]
+    pub fn held(&self) -> (u64, usize, usize) {
+        let count = |what: &str| std::fs::read_dir(format!("/proc/{}/{what}", self.child.id())).unwrap().count();
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
+        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+        let kibibytes: u64 = resident.split_whitespace().next().unwrap().parse().unwrap();
+        (kibibytes * 1024, count("fd"), count("task"))
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Somebody who uploads meshes and asks for jobs.
+#[derive(Clone)]
+pub struct Client {
+    pub jobs: JobServiceClient<Channel>,
+    pub blobs: BlobServiceClient<Channel>,
+    pub tenant: Option<String>,
+    pub channel: Channel,
+}
+
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+/// The pieces of an upload, the last of which finishes it.
+pub fn pieces(bytes: &[u8], size: usize) -> Vec<WriteRequest> {
+    let digest = hex(&Sha256::digest(bytes));
+    let mut all: Vec<WriteRequest> = bytes
+        .chunks(size)
+        .enumerate()
+        .map(|(i, data)| WriteRequest {
+            digest: digest.clone(),
+            size_bytes: bytes.len() as u64,
+            offset: (i * size) as u64,
+            crc32c: crc32c::crc32c(data),
+            data: data.to_vec().into(),
+            finish: false,
+        })
+        .collect();
+    all.last_mut().unwrap().finish = true;
+    all
+}
+
+impl Client {
+    pub fn of(&self, tenant: &str) -> Self {
+        Self { tenant: Some(tenant.to_owned()), ..self.clone() }
+    }
+
+    fn request<T>(&self, message: T) -> tonic::Request<T> {
+        let mut request = tonic::Request::new(message);
+        if let Some(tenant) = &self.tenant {
+            request.metadata_mut().insert("tessera-tenant", tenant.parse().unwrap());
+        }
+        request
+    }
+
+    pub async fn put(&mut self, bytes: &[u8]) -> String {
+        let pieces = tokio_stream::iter(pieces(bytes, 1 << 20));
+        let request = self.request(pieces);
+        let stored = self.blobs.write(request).await.unwrap().into_inner();
+        assert!(stored.complete);
+        stored.digest
+    }
+
+    pub async fn put_mesh(&mut self, mesh: &TriMesh) -> String {
+        self.put(&encode(Format::Ply, mesh).unwrap()).await
+    }
+
+    pub async fn create(&mut self, spec: JobSpec, request_id: &str) -> Result<CreateJobResponse, tonic::Status> {
+        let request = self.request(CreateJobRequest { spec: Some(spec), request_id: request_id.to_owned() });
+        Ok(self.jobs.create_job(request).await?.into_inner())
+    }
+
+    /// A new job's name.
+    pub async fn submit(&mut self, spec: JobSpec) -> String {
+        self.create(spec, "").await.unwrap().job.unwrap().id
+    }
+
+    pub async fn get(&mut self, id: &str) -> Job {
+        let request = self.request(GetJobRequest { id: id.to_owned() });
+        self.jobs.get_job(request).await.unwrap().into_inner().job.unwrap()
+    }
+
+    pub async fn cancel(&mut self, id: &str) -> Result<Job, tonic::Status> {
+        let request = self.request(CancelJobRequest { id: id.to_owned() });
+        Ok(self.jobs.cancel_job(request).await?.into_inner().job.unwrap())
+    }
+
+    /// The events after a number, to the end.
+    pub async fn watch(&mut self, id: &str, after: u64) -> Result<Vec<JobEvent>, tonic::Status> {
+        let request = self.request(WatchJobRequest { id: id.to_owned(), after });
+        let mut stream = self.jobs.watch_job(request).await?.into_inner();
+        let mut events = Vec::new();
+        while let Some(message) = stream.message().await? {
+            events.push(message.event.unwrap());
+        }
+        Ok(events)
+    }
+
+    /// Waits until a job has ended, at most so long.
+    pub async fn end(&mut self, id: &str, limit: Duration) -> Job {
+        let start = Instant::now();
+        let watched = tokio::time::timeout(limit, self.watch(id, 0)).await;
+        watched.unwrap_or_else(|_| panic!("{id} has not ended after {:?}", start.elapsed())).unwrap();
+        self.get(id).await
+    }
+
+    pub async fn read(&mut self, digest: &str) -> Vec<u8> {
+        let request = self.request(ReadRequest { digest: digest.to_owned(), ..ReadRequest::default() });
+        let mut stream = self.blobs.read(request).await.unwrap().into_inner();
+        let mut all = Vec::new();
+        while let Some(piece) = stream.message().await.unwrap() {
+            assert_eq!(piece.offset, all.len() as u64);
+            assert_eq!(piece.crc32c, crc32c::crc32c(&piece.data));
+            all.extend_from_slice(&piece.data);
+        }
+        assert_eq!(hex(&Sha256::digest(&all)), digest);
+        all
+    }
+
+    /// All jobs of the tenant.
+    pub async fn all(&mut self) -> Vec<Job> {
+        let mut all = Vec::new();
+        let mut token = String::new();
+        loop {
+            let page = ListJobsRequest { page_size: 1000, page_token: token, ..ListJobsRequest::default() };
+            let request = self.request(page);
+            let page = self.jobs.list_jobs(request).await.unwrap().into_inner();
+            all.extend(page.jobs);
+            token = page.next_page_token;
+            if token.is_empty() {
+                return all;
+            }
+        }
+    }
+}
+
+/// A remesh of a PLY file.
+pub fn remesh(digest: &str, points: u64, random_seed: u64) -> JobSpec {
+    let drawn = DrawnSeeds { points: Some(points), random_seed: Some(random_seed) };
+    JobSpec {
+        mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file(digest))) }),
+        work: Some(job_spec::Work::Remesh(RemeshJob {
+            seeds: Some(JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) }),
+            ..RemeshJob::default()
+        })),
+        ..JobSpec::default()
+    }
+}
+
+pub fn file(digest: &str) -> MeshFile {
+    MeshFile { digest: digest.to_owned(), format: MeshFormat::Ply.into(), attributes: None }
+}
+
+/// A part of a job's result.
+pub fn part(job: &Job, name: &str) -> String {
+    let found = job.results.iter().find(|blob| blob.name == name);
+    found.unwrap_or_else(|| panic!("no {name}: {job:?}")).digest.clone()
+}
