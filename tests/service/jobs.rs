@@ -265,7 +265,7 @@ async fn lists_come_in_pages_that_fit_into_a_message() {
     let (server, mut client) = start().await;
     // Large ones: 40 of them are more than a message may be.
     let point = |x: f64| SeedEdit { edit: Some(seed_edit::Edit::Add(Point { x, y: x, z: x })) };
-    let edit = CvtEdit { edits: vec![point(0.1); 3000], seeds: 0 };
+    let edit = CvtEdit { edits: vec![point(0.1); 2900], seeds: 0 };
     let command = CvtJobCommand { command: Some(cvt_job_command::Command::Edit(edit)) };
     let drawn = DrawnSeeds { points: Some(5), random_seed: None };
     let seeds = Some(JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) });

@@ -299,7 +299,7 @@ fn an_end_is_told_with_its_reason() {
 
 #[test]
 fn a_page_is_no_longer_than_a_message() {
-    let edits = vec![SeedChange::Add([0.5; 3]); 3000];
+    let edits = vec![SeedChange::Add([0.5; 3]); 2900];
     let command = CvtCommand::Edit { edits, seeds: None };
     let seeds = SeedSource::Sampled { points: Some(5), random_seed: None };
     let (density, projection, max_seeds) = (DensitySpec::default(), None, None);
