@@ -26,6 +26,8 @@ use tonic::service::Routes;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
+use self::budget::Budget;
+use self::stream::Gate;
 use crate::blob::{BlobError, BlobStore};
 use crate::config::Limits;
 use crate::job::desk::{DeskError, JobDesk};
@@ -98,7 +100,7 @@ pub enum ServeError {
 pub(crate) enum RequestError {
     #[error(transparent)]
     Wire(#[from] WireError),
-    #[error("{needed_bytes} more bytes of geometry do not fit now: {left_bytes} are left for all streams")]
+    #[error("{needed_bytes} more bytes do not fit now: {left_bytes} are left for all streams")]
     Memory { needed_bytes: u64, left_bytes: u64 },
     #[error("a message of {length} bytes came, where none is longer than {most}")]
     MessageTooLong { length: u64, most: u64 },
@@ -164,7 +166,7 @@ pub async fn run(
 ) -> Result<(), ServeError> {
     let Parts { engine, worker, limits, jobs } = parts;
     let phase = watch::Sender::new(Phase::Serving);
-    let budget = budget::Budget::told(limits.memory_bytes, engine.held_besides());
+    let budget = Budget::told(limits.memory_bytes, engine.held_besides());
     let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), phase.subscribe());
     let gate = handlers.gate().clone();
     let (health, health_service) = tonic_health::server::health_reporter();
@@ -182,25 +184,8 @@ pub async fn run(
                 .send_compressed(Zstd),
         );
     let desk = jobs.as_ref().map(|jobs| Arc::clone(&jobs.desk));
-    if let Some(Jobs { blobs, desk }) = jobs {
-        let blobs = handlers::blobs::Blobs::new(blobs, limits, budget.clone(), gate.clone());
-        let jobs = handlers::jobs::Jobs::new(desk, budget.clone(), gate.clone());
-        routes = routes
-            .add_service(
-                // What is read is not compressed: results seldom shrink, and their clients wait for them.
-                proto::blob_service_server::BlobServiceServer::new(blobs)
-                    .max_decoding_message_size(MAX_MESSAGE_BYTES)
-                    .accept_compressed(Gzip)
-                    .accept_compressed(Zstd),
-            )
-            .add_service(
-                proto::job_service_server::JobServiceServer::new(jobs)
-                    .max_decoding_message_size(MAX_MESSAGE_BYTES)
-                    .accept_compressed(Gzip)
-                    .accept_compressed(Zstd)
-                    .send_compressed(Gzip)
-                    .send_compressed(Zstd),
-            );
+    if let Some(jobs) = jobs {
+        routes = with_jobs(routes, jobs, limits, &budget, &gate);
     }
     let routes = routes.prepare();
     let closing = watch::Sender::new(CUT_TIME);
@@ -292,6 +277,24 @@ async fn follow_engine(engine: &Engine, health: &Told) -> Option<&'static str> {
             return None;
         }
     }
+}
+
+/// Serves blobs and jobs too.
+fn with_jobs(routes: Routes, Jobs { blobs, desk }: Jobs, limits: Limits, budget: &Budget, gate: &Gate) -> Routes {
+    let blobs = handlers::blobs::Blobs::new(blobs, limits, budget.clone(), gate.clone());
+    let jobs = handlers::jobs::Jobs::new(desk, budget.clone(), gate.clone());
+    // What is read is not compressed: results seldom shrink, and their clients wait for them.
+    let blobs = proto::blob_service_server::BlobServiceServer::new(blobs)
+        .max_decoding_message_size(MAX_MESSAGE_BYTES)
+        .accept_compressed(Gzip)
+        .accept_compressed(Zstd);
+    let jobs = proto::job_service_server::JobServiceServer::new(jobs)
+        .max_decoding_message_size(MAX_MESSAGE_BYTES)
+        .accept_compressed(Gzip)
+        .accept_compressed(Zstd)
+        .send_compressed(Gzip)
+        .send_compressed(Zstd);
+    routes.add_service(blobs).add_service(jobs)
 }
 
 /// The services that are served.

@@ -5,9 +5,6 @@
 //! Invariant: pure, without clock or files. Monotone in every count, and nothing overflows.
 //! Must not know: queues, records of jobs, how counts were found.
 
-// Who admits jobs calls it.
-#![allow(dead_code)]
-
 use super::record::{DensityKind, PlacementRule};
 use crate::rvd::{BackendKind, SessionForecast};
 

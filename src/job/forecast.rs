@@ -109,7 +109,7 @@ impl Forecast {
             while let Some(piece) = bytes.try_next().await? {
                 all.extend_from_slice(&piece);
             }
-            let counted = tokio::task::spawn_blocking(move || counts(format, &all)).await.ok().flatten();
+            let counted = tokio::task::spawn_blocking(move || io::counts(format.into(), &all)).await.ok().flatten();
             counted.ok_or_else(|| DeskError::Input {
                 field: "mesh.file".to_owned(),
                 problem: "the blob is no surface in this format; see that the format is right".to_owned(),
@@ -122,11 +122,6 @@ impl Forecast {
         known.insert(blob, counts);
         Ok((counts, size_bytes))
     }
-}
-
-fn counts(format: MeshFormat, bytes: &[u8]) -> Option<(u64, u64)> {
-    let mesh = io::decode(format.into(), bytes).ok()?;
-    Some((mesh.positions().len() as u64, mesh.facets().len() as u64))
 }
 
 /// The most vertices and facets that a file of so many bytes is likely to hold: the shortest that writers make.

@@ -321,9 +321,9 @@ async fn what_does_not_fit_is_refused_before_its_bytes_come() {
     assert!(write(&mut client, upload(&two, 0, 1000)).await.unwrap().complete);
     assert_eq!(client.stat(StatRequest { digest: name }).await.unwrap_err().code(), Code::NotFound, "evicted");
     for k in 0..3 {
-        assert!(!write(&mut client, begun(&content(100 + k))).await.unwrap().complete);
+        assert!(!write(&mut client, begun(&content(2000 + k))).await.unwrap().complete);
     }
-    let status = write(&mut client, begun(&content(200))).await.unwrap_err();
+    let status = write(&mut client, begun(&content(2200))).await.unwrap_err();
     assert_eq!(status.code(), Code::ResourceExhausted);
     assert!(status.get_details_retry_info().is_some());
     server.stop().await.unwrap();

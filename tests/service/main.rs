@@ -14,6 +14,7 @@ mod raw;
 
 mod admission;
 mod attributes;
+mod blob_speed;
 mod blobs;
 mod ceilings;
 mod connections;
