@@ -79,14 +79,18 @@ pub(crate) struct Need {
     pub(crate) host_bytes: u64,
     /// Buffers on the device; 0 on a CPU.
     pub(crate) device_bytes: u64,
-    /// Time that it takes, within a factor of two, on a CPU.
+    /// Time that it takes on a CPU, most often within a factor of two. A job on a GPU is taken to be as long.
     pub(crate) seconds: f64,
 }
 
 /// What a job needs, with so many threads.
 pub(crate) fn need(counts: &Counts, threads: usize) -> Need {
     let counts = Counts { facets: divided(counts), ..*counts };
-    Need { host_bytes: host_bytes(&counts), device_bytes: device_bytes(&counts), seconds: seconds(&counts, threads) }
+    Need {
+        host_bytes: host_bytes(&counts, threads),
+        device_bytes: device_bytes(&counts),
+        seconds: seconds(&counts, threads),
+    }
 }
 
 /// Facets after long ones were divided, so that none is much larger than a cell.
@@ -107,55 +111,68 @@ fn device_bytes(counts: &Counts) -> u64 {
     SessionForecast { facets: counts.facets, seeds: counts.points, graded, moved }.device_bytes()
 }
 
-/// Bytes that everything of one kind takes.
-fn each(count: u64, bytes: u64) -> u64 {
-    count.saturating_mul(bytes)
-}
-
 const MIB: u64 = 1 << 20;
 
-fn host_bytes(counts: &Counts) -> u64 {
-    let &Counts { facets, points, .. } = counts;
-    let (least, sized) = match counts.kind {
-        Kind::Remesh => {
-            let fit = if counts.placement == PlacementRule::Fitted { 3500 } else { 2600 };
-            (28 * MIB, each(facets, 470).saturating_add(each(points, fit)))
-        }
-        Kind::Rvd => (4 * MIB, each(facets, 165).saturating_add(each(points, 400))),
-        Kind::Cvt => (4 * MIB, each(facets, 300).saturating_add(each(points, 800))),
-    };
-    let on_device = match counts.backend {
-        BackendKind::Gpu => each(facets, 160).saturating_add(each(points, 250)),
-        BackendKind::Parallel | BackendKind::Serial => 0,
-    };
-    let carried = each(counts.attributes, 16);
-    // The file is given back once it is read.
-    let mesh = each(counts.vertices, 24).saturating_add(each(facets, 12));
-    let sized = sized.max(counts.input_bytes.saturating_add(each(mesh, 2)));
-    // The allocator keeps some of what was freed, as much again where there is little.
-    let kept = sized.min(32 * MIB);
-    [least, kept, sized, on_device, carried].into_iter().fold(0, u64::saturating_add)
+/// Bytes that facets and points take, so many each.
+fn each(counts: &Counts, facet: u64, point: u64) -> u64 {
+    counts.facets.saturating_mul(facet).saturating_add(counts.points.saturating_mul(point))
 }
 
+/// The sum of five: what every job of its kind takes; what grows with its counts, at the stage that takes most; what the
+/// allocator keeps of memory that was freed, as much again where there is little; attributes; and readback from a device.
+fn host_bytes(counts: &Counts, threads: usize) -> u64 {
+    let (least, work) = match counts.kind {
+        Kind::Remesh => {
+            let fitted = counts.placement == PlacementRule::Fitted;
+            let (facet, point) = (530, if fitted { 4000 } else { 3100 });
+            // The best result is kept beside the next one.
+            let (facet, point) = if counts.refines { (facet * 3 / 2, point * 7 / 4) } else { (facet, point) };
+            (if counts.measures { 28 * MIB } else { 12 * MIB }, each(counts, facet, point))
+        }
+        // The surface while it is prepared, or the diagram.
+        Kind::Rvd => {
+            let batches = if counts.cells { 24 * MIB } else { 0 };
+            (3 * MIB + batches, each(counts, 165, 0).max(each(counts, 60, 500)))
+        }
+        Kind::Cvt => (6 * MIB, each(counts, CVT_BYTES.0, CVT_BYTES.1)),
+    };
+    let mesh = counts.vertices.saturating_mul(24).saturating_add(counts.facets.saturating_mul(12));
+    let read = counts.input_bytes.saturating_add(mesh.saturating_mul(2));
+    let grows = work.max(read);
+    let kept = grows.min((threads as u64).saturating_mul(7 * MIB).saturating_add(18 * MIB));
+    let carried = counts.attributes.saturating_mul(16);
+    let readback = if counts.backend == BackendKind::Gpu { 32 * MIB } else { 0 };
+    [least, grows, kept, carried, readback].into_iter().fold(0, u64::saturating_add)
+}
+
+/// Bytes of a session for each facet and each seed.
+const CVT_BYTES: (u64, u64) = (180, 650);
+
+/// By two threads of the machine in docs/speed.md, each microsecond; more threads take less.
 fn seconds(counts: &Counts, threads: usize) -> f64 {
     let (facets, points, steps) = (counts.facets as f64, counts.points as f64, counts.steps as f64);
-    let fitted = counts.placement == PlacementRule::Fitted;
-    // Microseconds of one thread.
-    let step = 0.04 * facets + 0.45 * points;
-    let surface = match counts.density {
-        DensityKind::Uniform | DensityKind::Weights => 1.0,
-        DensityKind::EdgeLengths => 2.0,
-        DensityKind::Curvature => 3.0,
-        DensityKind::FeatureSize => 7.0,
+    let threads = if counts.backend == BackendKind::Serial { 1.0 } else { threads.max(1) as f64 };
+    let density = match counts.density {
+        DensityKind::Uniform | DensityKind::Weights => 0.0,
+        DensityKind::EdgeLengths => 0.5,
+        DensityKind::Curvature => 1.4,
+        DensityKind::FeatureSize => 5.4,
     } * facets;
-    let finish = 1.2 * facets + if fitted { 18.0 } else { 8.0 } * points;
-    let measure = if counts.measures { 1e5 + 0.4 * facets + 2.0 * points } else { 0.0 };
-    let work = match counts.kind {
-        Kind::Remesh => surface + 1.3 * steps * step + finish + measure,
-        Kind::Rvd => surface + 2.0 * step,
-        Kind::Cvt => surface + 1.3 * steps * step,
+    let step = 0.025 * facets + 0.24 * points;
+    let fit = if counts.placement == PlacementRule::Fitted { 2.7 * facets + 4.5 * points } else { 0.0 };
+    let measure = if counts.measures { 0.07e6 + 0.2 * facets + 1.5 * points } else { 0.0 };
+    let cells = if counts.cells { 1.5 * (facets + points) } else { 0.0 };
+    let (steps, other) = match counts.kind {
+        Kind::Remesh => (steps * step, density + 1.2 * facets + 7.5 * points + fit + measure),
+        Kind::Rvd => (4.0 * step, density + 0.4 * facets + 0.5 * points + cells),
+        Kind::Cvt => (steps * step, density + 0.7 * facets + points),
     };
-    let attempts = if counts.refines { 3.0 } else { 1.0 };
-    let share = if counts.backend == BackendKind::Serial { 1.0 } else { 0.2 + 0.8 / threads.max(1) as f64 };
-    0.05 + 1e-6 * attempts * share * work
+    let attempts = if counts.refines { 4.0 } else { 1.0 };
+    // Steps are shared by all threads, the rest by some.
+    0.02 + 1e-6 * attempts * (steps * 2.0 / threads + other * (0.6 + 0.8 / threads))
 }
+
+#[cfg(test)]
+mod calibration;
+#[cfg(test)]
+mod tests;

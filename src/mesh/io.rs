@@ -214,6 +214,22 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
     Ok(TriMesh::new(positions, facets)?)
 }
 
+/// Vertices and facets that [`decode`] would find in a file, at most: a polygon of n corners counts as n - 2 facets, a facet
+/// of STL as three vertices. `None` if the bytes are no such file, or end before what its header declares; `decode` fails then.
+///
+/// Nothing is kept, and no number is read that is not a count: this is several times as fast as reading.
+#[allow(dead_code)] // Who admits jobs calls it.
+pub(crate) fn counts(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
+    let bytes = without_mark(bytes);
+    match format {
+        Format::Obj => Some(obj::counts(bytes)),
+        Format::Ply => ply::counts(bytes),
+        Format::Stl => stl::counts(bytes),
+        Format::Off => off::counts(bytes),
+    }
+    .filter(|&(vertices, facets)| vertices > 0 && facets > 0)
+}
+
 /// What the format's reader finds.
 fn decode_soup(format: Format, bytes: &[u8]) -> Result<Soup, DataError> {
     if bytes.iter().all(u8::is_ascii_whitespace) {
@@ -283,3 +299,6 @@ impl Soup {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -50,6 +50,20 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
     Ok(soup)
 }
 
+/// Vertices, used or not, and facets.
+pub(super) fn counts(bytes: &[u8]) -> (u64, u64) {
+    let (mut vertices, mut facets) = (0, 0);
+    for (_, statement) in statements(bytes) {
+        let mut words = Words(statement);
+        match words.next() {
+            Some(b"v") => vertices += 1,
+            Some(b"f") => facets += words.count().saturating_sub(2) as u64,
+            _ => {}
+        }
+    }
+    (vertices, facets)
+}
+
 pub(super) fn encode(mesh: &TriMesh) -> Vec<u8> {
     encode_with(mesh, &Held::default())
 }

@@ -56,6 +56,23 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
     Ok(soup)
 }
 
+/// Vertices and facets, of every line its first word at most.
+pub(super) fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
+    let mut lines = Lines { rest: bytes, line: 0 };
+    let (vertices, faces) = header(&mut lines).ok()?;
+    for _ in 0..vertices {
+        lines.next().ok()??;
+    }
+    let mut facets = 0u64;
+    for _ in 0..faces {
+        let (_, text) = lines.next().ok()??;
+        let corners: usize = text.split_ascii_whitespace().next()?.parse().ok()?;
+        // A corner has two bytes at least.
+        facets += corners.min(text.len() / 2).saturating_sub(2) as u64;
+    }
+    Some((vertices as u64, facets))
+}
+
 pub(super) fn encode(mesh: &TriMesh) -> Vec<u8> {
     encode_with(mesh, &Held::default())
 }

@@ -24,9 +24,11 @@ use crate::mesh::TriMesh;
 
 mod ascii;
 mod attributes;
+mod counts;
 mod header;
 mod records;
 pub(super) use attributes::{attributes, encode_with};
+pub(super) use counts::counts;
 use header::Parted;
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {

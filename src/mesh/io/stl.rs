@@ -45,6 +45,17 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
     Ok(welder.soup)
 }
 
+/// Vertices and facets: three vertices each, since it is not looked which are the same.
+pub(super) fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
+    let facets = if is_ascii(bytes) {
+        let begins = |line: &&[u8]| line.trim_ascii_start().get(..5).is_some_and(|w| w.eq_ignore_ascii_case(b"facet"));
+        bytes.split(|&b| b == b'\n').filter(begins).count()
+    } else {
+        declared_facets(bytes).filter(|&declared| declared <= bytes.len().saturating_sub(HEADER) / RECORD)?
+    } as u64;
+    Some((3 * facets, facets))
+}
+
 pub(super) fn encode(mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
     let limit = f64::from(f32::MAX);
     if let Some(vertex) = mesh.positions().iter().position(|p| p.abs().max_element() > limit) {

@@ -33,7 +33,10 @@ pub(crate) fn session_bytes(forecast: &SessionForecast) -> u64 {
         window: facets,
         windows: 1,
         seeds,
-        table: seeds.saturating_mul(row).saturating_add(seeds / 4 * row).saturating_add((MOST_RETAKEN * LONGER).into()),
+        table: seeds
+            .saturating_mul(row)
+            .saturating_add((seeds / 4).saturating_mul(row))
+            .saturating_add((MOST_RETAKEN * LONGER).into()),
         slots,
         pairs,
         emitted: pairs.min(EMITTED),
