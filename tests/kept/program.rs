@@ -42,9 +42,8 @@ impl Program {
         let channel = endpoint.connect_timeout(Duration::from_secs(10)).connect().await.unwrap();
         Client {
             jobs: JobServiceClient::new(channel.clone()),
-            blobs: BlobServiceClient::new(channel.clone()),
+            blobs: BlobServiceClient::new(channel),
             tenant: None,
-            channel,
         }
     }
 
@@ -85,7 +84,6 @@ pub struct Client {
     pub jobs: JobServiceClient<Channel>,
     pub blobs: BlobServiceClient<Channel>,
     pub tenant: Option<String>,
-    pub channel: Channel,
 }
 
 pub fn hex(bytes: &[u8]) -> String {
