@@ -13,6 +13,7 @@ pub mod device;
 pub mod layout;
 pub mod plan;
 pub mod shader;
+mod spare;
 mod timing;
 
 pub(crate) use device::Traffic;

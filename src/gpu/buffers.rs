@@ -6,12 +6,13 @@
 //! Must not know: what the bytes mean.
 
 use std::ops::Range;
-use std::sync::mpsc;
+use std::sync::{Arc, mpsc};
 
 use bytemuck::{NoUninit, Pod};
 use wgpu::BufferUsages as Usage;
 
 use super::plan::{self, MotionPlan, Plan};
+use super::spare::Spare;
 use super::{Device, GpuError};
 
 /// Bytes that are handed to the queue between two submissions.
@@ -64,6 +65,45 @@ pub struct Buffers {
     pub windows: Vec<WindowBuffers>,
     staging: wgpu::Buffer,
     plan: Plan,
+    spare: Arc<Spare>,
+}
+
+/// The next session may have them.
+impl Drop for Buffers {
+    fn drop(&mut self) {
+        let Self {
+            seeds,
+            table,
+            slots,
+            list,
+            sums,
+            failures,
+            state,
+            arguments,
+            params,
+            heads,
+            vertices,
+            labels,
+            near,
+            cells,
+            drifts,
+            sorted,
+            origins,
+            kept,
+            lists,
+            keep,
+            windows,
+            staging,
+            plan: _,
+            spare,
+        } = self;
+        let all = [
+            seeds, table, slots, list, sums, failures, state, arguments, params, heads, vertices, labels, near, cells,
+            drifts, sorted, origins, kept, lists, keep, staging,
+        ];
+        let windows = windows.iter().flat_map(|window| [&window.facets, &window.proposals]);
+        spare.keep(all.into_iter().map(|buffer| &*buffer).chain(windows).cloned());
+    }
 }
 
 /// Buffers of the facets of a window.
@@ -122,6 +162,7 @@ impl Buffers {
             keep: make("keep", plan.keep_bytes, storage | Usage::INDIRECT)?,
             staging: make("staging", plan.staging_bytes, Usage::MAP_READ | Usage::COPY_DST)?,
             plan,
+            spare: device.spare(),
         };
         write(device, &made.origins, 0, &plan::part_origins(&plan))?;
         Ok(made)
@@ -248,6 +289,34 @@ pub struct MotionBuffers {
     /// What is kept of each pass of a submission.
     pub journal: wgpu::Buffer,
     plan: MotionPlan,
+    spare: Arc<Spare>,
+}
+
+/// The next session may have them.
+impl Drop for MotionBuffers {
+    fn drop(&mut self) {
+        let Self {
+            points,
+            held,
+            gradient,
+            ahead,
+            direction,
+            steps,
+            changes,
+            tallies,
+            figures,
+            partials,
+            dots,
+            motion,
+            journal,
+            plan: _,
+            spare,
+        } = self;
+        let all = [
+            points, held, gradient, ahead, direction, steps, changes, tallies, figures, partials, dots, motion, journal,
+        ];
+        spare.keep(all.into_iter().map(|buffer| buffer.clone()));
+    }
 }
 
 impl MotionBuffers {
@@ -280,6 +349,7 @@ impl MotionBuffers {
             motion: make("motion", plan.motion_bytes, Usage::UNIFORM | Usage::COPY_DST)?,
             journal: make("journal", plan.journal_bytes, Usage::COPY_SRC | Usage::COPY_DST)?,
             plan,
+            spare: device.spare(),
         })
     }
 

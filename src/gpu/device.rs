@@ -12,6 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::GpuError;
+use super::spare::Spare;
 use super::timing::{LANES, Timer};
 
 /// Which adapters may be used.
@@ -185,6 +186,7 @@ pub struct Device {
     flags: Arc<Flags>,
     meters: Meters,
     timer: Mutex<Option<Timer>>,
+    spare: Arc<Spare>,
 }
 
 impl std::fmt::Debug for Device {
@@ -251,6 +253,7 @@ impl Device {
             flags,
             meters: Meters::default(),
             timer: Mutex::default(),
+            spare: Arc::default(),
         }))
     }
 
@@ -332,15 +335,26 @@ impl Device {
         }
     }
 
-    /// Allocates a buffer of at least 16 bytes, zeroed.
+    /// A buffer of at least 16 bytes, zeroed: one that a session before has left, or a new one.
     ///
     /// # Errors
     /// `OutOfMemory`, after which smaller buffers can still be had.
     pub fn buffer(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer, GpuError> {
         let size = bytes.max(16).next_multiple_of(4);
+        if let Some(buffer) = self.spare.take(size, usage) {
+            let mut encoder = self.encoder();
+            encoder.clear_buffer(&buffer, 0, None);
+            self.scoped(|| self.queue.submit([encoder.finish()]))?;
+            return Ok(buffer);
+        }
         let descriptor = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
         self.meters.allocations.fetch_add(1, Ordering::Relaxed);
-        self.scoped(|| self.device.create_buffer(&descriptor)).map_err(|e| match e {
+        let make = || self.scoped(|| self.device.create_buffer(&descriptor));
+        let made = match make() {
+            Err(GpuError::OutOfMemory { .. }) if self.spare.free() => make(),
+            made => made,
+        };
+        made.map_err(|e| match e {
             GpuError::OutOfMemory { .. } => GpuError::OutOfMemory {
                 what: label.to_owned(),
                 needed_bytes: size,
@@ -349,6 +363,11 @@ impl Device {
             },
             other => other,
         })
+    }
+
+    /// Where buffers go that nobody uses any more.
+    pub(super) fn spare(&self) -> Arc<Spare> {
+        Arc::clone(&self.spare)
     }
 
     /// An encoder for the next submission.

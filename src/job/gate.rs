@@ -133,34 +133,59 @@ impl Backend for Gated {
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        let session = {
-            // Planning and allocating are the device's too: two at once could both find that they fit.
-            let _pass = self.gate.enter(None)?;
-            self.device.session(surface, options)?
-        };
-        Ok(Box::new(GatedSession { session, gate: Arc::clone(&self.gate) }))
+        // Planning and allocating are the device's too: two at once could both find that they fit.
+        let _pass = self.gate.enter(None)?;
+        let session = self.device.session(surface, options)?;
+        let work = session.device_work();
+        Ok(Box::new(GatedSession { session, gate: Arc::clone(&self.gate), work }))
     }
 }
 
 struct GatedSession {
     session: Box<dyn Session>,
     gate: Arc<Gate>,
+    /// What the device did for it: a device counts what it does for all, and only within the gate is all for one.
+    work: DeviceWork,
+}
+
+impl GatedSession {
+    /// Does `work` when it is this session's turn.
+    fn pass<R>(
+        &mut self,
+        token: Option<&Token>,
+        work: impl FnOnce(&mut dyn Session) -> Result<R, RvdError>,
+    ) -> Result<R, RvdError> {
+        let _pass = self.gate.enter(token)?;
+        let before = self.session.device_work();
+        let done = work(self.session.as_mut());
+        self.work = self.work.with(&self.session.device_work().since(&before), |a, b| a + b);
+        done
+    }
+
+    /// The same with its seeds where they are; there are such, or nobody was given this session as [`Resident`].
+    fn move_seeds<R>(
+        &mut self,
+        token: Option<&Token>,
+        work: impl FnOnce(&mut dyn Resident) -> Result<R, RvdError>,
+    ) -> Result<R, RvdError> {
+        self.pass(token, |session| match session.resident() {
+            Some(resident) => work(resident),
+            None => Err(RvdError::Internal("a session took back its seeds".to_owned())),
+        })
+    }
 }
 
 impl Session for GatedSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        let _pass = self.gate.enter(None)?;
-        self.session.set_seeds(seeds)
+        self.pass(None, |session| session.set_seeds(seeds))
     }
 
     fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
-        let _pass = self.gate.enter(Some(token))?;
-        self.session.sums(out, token)
+        self.pass(Some(token), |session| session.sums(out, token))
     }
 
     fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
-        let _pass = self.gate.enter(Some(token))?;
-        self.session.pieces(facets, out, token)
+        self.pass(Some(token), |session| session.pieces(facets, out, token))
     }
 
     fn device_bytes(&self) -> u64 {
@@ -168,7 +193,7 @@ impl Session for GatedSession {
     }
 
     fn device_work(&self) -> DeviceWork {
-        self.session.device_work()
+        self.work
     }
 
     fn device_phases(&self) -> Option<PhasesMs> {
@@ -183,57 +208,33 @@ impl Session for GatedSession {
     }
 }
 
-impl GatedSession {
-    /// The seeds where they are; there are such, or nobody was given this session as [`Resident`].
-    fn resident_in(&mut self) -> Result<(Pass<'_>, &mut dyn Resident), RvdError> {
-        let pass = self.gate.enter(None)?;
-        Ok((pass, inner(&mut self.session)?))
-    }
-
-    fn resident_by(&mut self, token: &Token) -> Result<(Pass<'_>, &mut dyn Resident), RvdError> {
-        let pass = self.gate.enter(Some(token))?;
-        Ok((pass, inner(&mut self.session)?))
-    }
-}
-
-fn inner(session: &mut Box<dyn Session>) -> Result<&mut dyn Resident, RvdError> {
-    session.resident().ok_or_else(|| RvdError::Internal("a session took back its seeds".to_owned()))
-}
-
 impl Resident for GatedSession {
     fn hold(&mut self, held: &[bool]) -> Result<(), RvdError> {
-        let (_pass, resident) = self.resident_in()?;
-        resident.hold(held)
+        self.move_seeds(None, |seeds| seeds.hold(held))
     }
 
     fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError> {
-        let (_pass, resident) = self.resident_by(token)?;
-        resident.evaluate(token)
+        self.move_seeds(Some(token), |seeds| seeds.evaluate(token))
     }
 
     fn to_centroids(&mut self) -> Result<(), RvdError> {
-        let (_pass, resident) = self.resident_in()?;
-        resident.to_centroids()
+        self.move_seeds(None, |seeds| seeds.to_centroids())
     }
 
     fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, token: &Token) -> Result<(), RvdError> {
-        let (_pass, resident) = self.resident_by(token)?;
-        resident.relax(steps, looks, token)
+        self.move_seeds(Some(token), |seeds| seeds.relax(steps, looks, token))
     }
 
     fn direct(&mut self) -> Result<f64, RvdError> {
-        let (_pass, resident) = self.resident_in()?;
-        resident.direct()
+        self.move_seeds(None, |seeds| seeds.direct())
     }
 
     fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError> {
-        let (_pass, resident) = self.resident_by(token)?;
-        resident.probe(step, token)
+        self.move_seeds(Some(token), |seeds| seeds.probe(step, token))
     }
 
     fn accept(&mut self) -> Result<(), RvdError> {
-        let (_pass, resident) = self.resident_in()?;
-        resident.accept()
+        self.move_seeds(None, |seeds| seeds.accept())
     }
 
     fn forget(&mut self) {
@@ -243,13 +244,11 @@ impl Resident for GatedSession {
     }
 
     fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError> {
-        let (_pass, resident) = self.resident_in()?;
-        resident.read(out)
+        self.move_seeds(None, |seeds| seeds.read(out))
     }
 
     fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
-        let (_pass, resident) = self.resident_in()?;
-        resident.read_sums(out)
+        self.move_seeds(None, |seeds| seeds.read_sums(out))
     }
 }
 

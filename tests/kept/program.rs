@@ -40,11 +40,7 @@ impl Program {
     pub async fn client(&self) -> Client {
         let endpoint = Endpoint::from_shared(format!("http://{}", self.address)).unwrap();
         let channel = endpoint.connect_timeout(Duration::from_secs(10)).connect().await.unwrap();
-        Client {
-            jobs: JobServiceClient::new(channel.clone()),
-            blobs: BlobServiceClient::new(channel),
-            tenant: None,
-        }
+        Client { jobs: JobServiceClient::new(channel.clone()), blobs: BlobServiceClient::new(channel), tenant: None }
     }
 
     /// No word to it, and no end of anything that it does.
