@@ -591,3 +591,28 @@ fn steps_taken_together_have_the_bits_of_steps_taken_one_by_one() {
     assert!(matches!(moving.relax(5, &mut Vec::new(), &cancelled), Err(RvdError::Stopped(Stopped::Cancelled))));
     assert!(before == read(moving));
 }
+
+#[test]
+fn the_next_session_of_the_same_plan_allocates_nothing_and_gives_the_same_bits() {
+    require_gpu!();
+    // Other tests allocate on theirs at the same time.
+    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
+    let gpu = Gpu::new(device, None).unwrap();
+    let surface = surface(Shape::Torus, 2_000, false);
+    let seeds = noise(&surface, 300, 0.0, 11);
+    let token = Token::default();
+    let mut runs = Vec::new();
+    for _ in 0..3 {
+        let mut session = gpu.session(Arc::clone(&surface), SessionOptions::new(seeds.len())).unwrap();
+        session.set_seeds(&seeds).unwrap();
+        let mut looks = Vec::new();
+        let resident = session.resident().unwrap();
+        resident.relax(3, &mut looks, &token).unwrap();
+        let mut moved = Vec::new();
+        resident.read(&mut moved).unwrap();
+        runs.push((session.device_work().device_allocations, moved));
+    }
+    assert!(runs[0].0 > 0, "the first allocates");
+    assert_eq!((runs[1].0, runs[2].0), (0, 0));
+    assert!(runs.iter().all(|run| run.1 == runs[0].1));
+}
