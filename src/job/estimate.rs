@@ -127,7 +127,7 @@ fn host_bytes(counts: &Counts, threads: usize) -> u64 {
             let (facet, point) = (530, if fitted { 4000 } else { 3100 });
             // The best result is kept beside the next one.
             let (facet, point) = if counts.refines { (facet * 3 / 2, point * 7 / 4) } else { (facet, point) };
-            (if counts.measures { 28 * MIB } else { 12 * MIB }, each(counts, facet, point))
+            (28 * MIB, each(counts, facet, point))
         }
         // The surface while it is prepared, or the diagram.
         Kind::Rvd => {

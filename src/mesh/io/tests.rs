@@ -99,7 +99,7 @@ fn a_header_that_lies_is_nothing_and_not_believed() {
 
 #[test]
 fn whatever_is_cut_off_or_flipped_counts_no_more_than_its_bytes_can_hold() {
-    let torus = Shape::Torus.build(60);
+    let torus = Shape::Torus.build(16);
     let mut files: Vec<(Format, Vec<u8>)> =
         TEXTS.iter().map(|&(format, text)| (format, text.as_bytes().to_vec())).collect();
     files.extend(Format::ALL.iter().filter_map(|&format| Some((format, encode(format, &torus).ok()?))));
@@ -118,11 +118,9 @@ fn whatever_is_cut_off_or_flipped_counts_no_more_than_its_bytes_can_hold() {
             check(&file[..end]);
         }
         for at in 0..file.len() {
-            for flip in [1, 0x10, 0x80] {
-                let mut other = file.clone();
-                other[at] ^= flip;
-                check(&other);
-            }
+            let mut other = file.clone();
+            other[at] ^= [1, 0x10, 0x80][at % 3];
+            check(&other);
         }
     }
 }
