@@ -11,7 +11,6 @@ use tokio::net::TcpListener;
 
 use super::exit::{Stuck, Unavailable};
 use super::{backends, interrupt};
-use crate::blob::BlobOptions;
 use crate::config::{JobCeilings, Limits, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
 use crate::job::desk::DeskError;
@@ -27,14 +26,14 @@ use crate::token::Token;
 
 /// Opens what is kept, and says where that is.
 async fn stores(config: &ServeConfig) -> Result<Stores> {
-    let blobs = BlobOptions::default().with_quota_bytes(config.blob_bytes);
     let Some(folder) = &config.data_dir else {
         tracing::info!("jobs and blobs are kept in memory and gone with the server");
-        return Ok(Stores::ephemeral(blobs));
+        return Ok(Stores::ephemeral(config.blob_bytes));
     };
     let cannot = |error| Unavailable(format!("cannot make {}: {error}; give another --data-dir", folder.display()));
     std::fs::create_dir_all(folder).map_err(cannot)?;
-    let stores = Stores::in_folder(folder.clone(), blobs).await.map_err(|error| unusable(config, &error))?;
+    let stores =
+        Stores::in_folder(folder.clone(), config.blob_bytes).await.map_err(|error| unusable(config, &error))?;
     tracing::info!(folder = %folder.display(), "jobs and blobs are kept");
     Ok(stores)
 }

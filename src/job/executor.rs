@@ -85,11 +85,12 @@ pub struct Stores {
 }
 
 impl Stores {
-    /// In a folder, which is made if need be.
+    /// In a folder, which is made if need be; blobs of at most so many bytes.
     ///
     /// # Errors
     /// `InUse` if another process has it, or why it cannot be used.
-    pub async fn in_folder(folder: PathBuf, blobs: BlobOptions) -> Result<Self, DeskError> {
+    pub async fn in_folder(folder: PathBuf, blob_bytes: u64) -> Result<Self, DeskError> {
+        let blobs = BlobOptions::default().with_quota_bytes(blob_bytes);
         let journal = folder.clone();
         let opened = tokio::task::spawn_blocking(move || RedbStore::open(&journal, RedbOptions::default())).await;
         let jobs = opened.map_err(|error| DeskError::Job(JobError::Panicked(error.to_string())))??;
@@ -97,8 +98,9 @@ impl Stores {
         Ok(Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) })
     }
 
-    /// In memory, gone with the process.
-    pub fn ephemeral(blobs: BlobOptions) -> Self {
+    /// In memory, gone with the process; blobs of at most so many bytes.
+    pub fn ephemeral(blob_bytes: u64) -> Self {
+        let blobs = BlobOptions::default().with_quota_bytes(blob_bytes);
         Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(blobs)) }
     }
 }
