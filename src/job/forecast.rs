@@ -27,7 +27,7 @@ const REMEMBERED: usize = 4096;
 pub(crate) struct Forecast {
     blobs: Arc<dyn BlobStore>,
     engine: Engine,
-    known: Mutex<HashMap<Digest, (u64, u64)>>,
+    known: Mutex<HashMap<(Digest, MeshFormat), (u64, u64)>>,
 }
 
 impl Forecast {
@@ -97,7 +97,9 @@ impl Forecast {
     /// Vertices, facets and bytes of a surface's file.
     async fn of_file(&self, blob: Digest, format: MeshFormat) -> Result<((u64, u64), u64), DeskError> {
         let size_bytes = self.blobs.stat(blob).await?.size_bytes;
-        let known = |forecast: &Self| forecast.known.lock().unwrap_or_else(PoisonError::into_inner).get(&blob).copied();
+        let known = |forecast: &Self| {
+            forecast.known.lock().unwrap_or_else(PoisonError::into_inner).get(&(blob, format)).copied()
+        };
         if let Some(counts) = known(self) {
             return Ok((counts, size_bytes));
         }
@@ -119,7 +121,7 @@ impl Forecast {
         if known.len() >= REMEMBERED {
             known.clear();
         }
-        known.insert(blob, counts);
+        known.insert((blob, format), counts);
         Ok((counts, size_bytes))
     }
 }

@@ -15,7 +15,7 @@ python3 -m venv "$work/venv"
 "$work/venv/bin/pip" install --quiet --disable-pip-version-check -r "$here/requirements.txt"
 mkdir "$work/stubs"
 "$work/venv/bin/python" -m grpc_tools.protoc -I "$root/proto" \
-    --python_out="$work/stubs" --grpc_python_out="$work/stubs" "$root/proto/tessera/v1/remesh.proto"
+    --python_out="$work/stubs" --grpc_python_out="$work/stubs" "$root"/proto/tessera/v1/*.proto
 
 "$server" serve --data-dir "$work/data" --listen 127.0.0.1:0 >"$work/out" 2>"$work/log" &
 pid=$!
@@ -31,10 +31,12 @@ until grep -q '^tessera listens on ' "$work/out"; do
 done
 address=$(sed -n 's/^tessera listens on //p' "$work/out")
 
-PYTHONPATH="$work/stubs:$here" "$work/venv/bin/python" "$here/test_client.py" "$address" "$server" || {
-    cat "$work/log" >&2
-    exit 1
-}
+for test in test_client.py test_jobs.py; do
+    PYTHONPATH="$work/stubs:$here" "$work/venv/bin/python" "$here/$test" "$address" "$server" || {
+        cat "$work/log" >&2
+        exit 1
+    }
+done
 
 kill -TERM "$pid"
 code=0
