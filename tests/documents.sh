@@ -20,6 +20,8 @@ export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$root/target}
 export CARGO_INSTALL_ROOT=$work/installed
 export CARGO_PROFILE_RELEASE_OPT_LEVEL=${TESSERA_DOCUMENTS_OPT_LEVEL:-1}
 export PATH=$work/installed/bin:$PATH
+# Where the README's server keeps its jobs.
+export XDG_STATE_HOME=$work/state
 if (exec 3<>/dev/tcp/127.0.0.1/50051) 2>/dev/null; then
     echo "something listens on port 50051, which the README's server uses" >&2
     exit 1
