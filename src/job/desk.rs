@@ -12,7 +12,8 @@ use super::record::{Job, JobId, JobSpec, SpecError};
 use super::store::{Created, Page, Query, StoreError};
 use crate::blob::BlobError;
 
-/// See the module's head. An operation whose future is dropped may still happen.
+/// See the module's head. Whoever calls [`create`](Self::create), [`cancel`](Self::cancel) or [`delete`](Self::delete) runs
+/// it to its end, even if nobody waits for the answer any more.
 #[async_trait]
 pub trait JobDesk: Send + Sync {
     /// Checks a job, keeps it and queues it. The specification has its tenant and its request's number.

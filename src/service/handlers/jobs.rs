@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use tonic::{Request, Response, Status};
 
-use crate::job::desk::JobDesk;
+use crate::job::JobError;
+use crate::job::desk::{DeskError, JobDesk};
 use crate::job::event::What;
 use crate::job::record::JobId;
 use crate::service::budget::Budget;
@@ -61,7 +62,8 @@ impl proto::job_service_server::JobService for Jobs {
         request: Request<proto::CreateJobRequest>,
     ) -> Result<Response<proto::CreateJobResponse>, Status> {
         self.ask("CreateJob", request, |message, tenant, desk| async move {
-            let created = desk.create(spec::of(message.spec, tenant, message.request_id)?).await?;
+            let wanted = spec::of(message.spec, tenant, message.request_id)?;
+            let created = to_the_end(async move { desk.create(wanted).await }).await?;
             Ok(proto::CreateJobResponse { job: Some(job::message(&created.job)), existed: created.existed })
         })
         .await
@@ -108,7 +110,8 @@ impl proto::job_service_server::JobService for Jobs {
         request: Request<proto::CancelJobRequest>,
     ) -> Result<Response<proto::CancelJobResponse>, Status> {
         self.ask("CancelJob", request, |message, tenant, desk| async move {
-            let cancelled = desk.cancel(&tenant, job_id(&message.id)?).await?;
+            let id = job_id(&message.id)?;
+            let cancelled = to_the_end(async move { desk.cancel(&tenant, id).await }).await?;
             Ok(proto::CancelJobResponse { job: Some(job::message(&cancelled)) })
         })
         .await
@@ -119,7 +122,8 @@ impl proto::job_service_server::JobService for Jobs {
         request: Request<proto::DeleteJobRequest>,
     ) -> Result<Response<proto::DeleteJobResponse>, Status> {
         self.ask("DeleteJob", request, |message, tenant, desk| async move {
-            desk.delete(&tenant, job_id(&message.id)?).await?;
+            let id = job_id(&message.id)?;
+            to_the_end(async move { desk.delete(&tenant, id).await }).await?;
             Ok(proto::DeleteJobResponse {})
         })
         .await
@@ -135,6 +139,16 @@ impl proto::job_service_server::JobService for Jobs {
             Ok(job::estimate(desk.estimate(wanted, vertices, facets).await?))
         })
         .await
+    }
+}
+
+/// Runs a change to its end, even if the caller goes away: half of one would leave blobs pinned for no job.
+async fn to_the_end<T: Send + 'static>(
+    work: impl Future<Output = Result<T, DeskError>> + Send + 'static,
+) -> Result<T, RequestError> {
+    match tokio::spawn(work).await {
+        Ok(result) => result.map_err(RequestError::from),
+        Err(panic) => Err(JobError::Panicked(panic.to_string()).into()),
     }
 }
 
