@@ -431,6 +431,10 @@ impl JobDesk for Executor {
 
 impl Inner {
     async fn create(self: Arc<Self>, spec: ValidSpec) -> Result<Created, DeskError> {
+        // Its input may be gone by now, and is not needed.
+        if let Some(job) = self.stores.jobs.requested(spec.clone()).await? {
+            return Ok(Created { job, existed: true });
+        }
         let random = getrandom_u128()?;
         let time = now();
         let id = JobId::new(time, random);

@@ -39,6 +39,12 @@ pub trait JobStore: Send + Sync {
     /// `AlreadyExists` if that request had another body; `NameTaken`.
     fn create(&self, job: NewJob) -> Answer<'_, Created>;
 
+    /// The job that a request with the same tenant, number and body made before; none if it has no number or is new.
+    ///
+    /// # Errors
+    /// `AlreadyExists` if that request had another body.
+    fn requested(&self, spec: ValidSpec) -> Answer<'_, Option<Job>>;
+
     /// A job.
     ///
     /// # Errors

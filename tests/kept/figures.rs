@@ -105,10 +105,17 @@ async fn figures_of_ten_thousand_jobs() {
     let folder = tempfile::tempdir().unwrap();
     let mut program = Program::start(folder.path(), &["--jobs-at-once", "1"]);
     let mut client = program.client().await;
-    let digest = client.put_mesh(&Shape::Genus(3).build(20_000)).await;
-    // One that keeps the only slot.
-    let long = client.submit(remesh(&digest, 200_000, 0)).await;
+    let digest = client.put_mesh(&Shape::Genus(3).build(4_000)).await;
+    // One that keeps the only slot, and always the same memory.
+    let step = CvtStep { iterations: 9_900, ..CvtStep::default() };
+    let commands = vec![CvtJobCommand { command: Some(cvt_job_command::Command::Step(step)) }];
+    let drawn = DrawnSeeds { points: Some(2_000), random_seed: None };
+    let seeds = Some(JobSeeds { source: Some(job_seeds::Source::Drawn(drawn)) });
+    let mut spec = remesh(&digest, 1, 0);
+    spec.work = Some(job_spec::Work::Cvt(CvtJob { seeds, commands, ..CvtJob::default() }));
+    let long = client.submit(spec).await;
     let small = client.put_mesh(&Shape::Torus.build(200)).await;
+    tokio::time::sleep(Duration::from_secs(1)).await;
     let (before, ..) = program.held();
     let begin = Instant::now();
     let mut tasks = Vec::new();

@@ -153,7 +153,7 @@ async fn a_result_and_the_input_of_a_job_are_never_evicted() {
     let mut client = program.client().await;
     let mesh = Shape::Torus.build(2_000);
     let digest = client.put_mesh(&mesh).await;
-    let id = client.submit(remesh(&digest, 200, 0)).await;
+    let id = client.create(remesh(&digest, 200, 0), "one").await.unwrap().job.unwrap().id;
     let job = client.end(&id, LIMIT).await;
     let result = client.read(&part(&job, "mesh")).await;
     // The input is needed no more; five times the quota goes through.
@@ -163,6 +163,8 @@ async fn a_result_and_the_input_of_a_job_are_never_evicted() {
     assert!(client.read(&part(&job, "mesh")).await == result);
     let missing = client.blobs.stat(StatRequest { digest: digest.clone() }).await;
     assert_eq!(missing.unwrap_err().code(), Code::NotFound, "the input went");
+    let again = client.create(remesh(&digest, 200, 0), "one").await.unwrap();
+    assert_eq!((again.existed, again.job.unwrap().id), (true, id.clone()), "a call that is repeated needs no input");
     assert_eq!(
         client.blobs.delete(DeleteRequest { digest: part(&job, "mesh") }).await.unwrap_err().code(),
         Code::FailedPrecondition

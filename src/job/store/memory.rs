@@ -12,7 +12,7 @@ use super::{
     Answer, Created, JobStore, Keep, NewJob, Orphans, Page, Query, Recovered, StoreError, Swept, operations as ops,
 };
 use crate::job::event::{Events, Progress};
-use crate::job::record::{Change, Holder, Job, JobId, Time};
+use crate::job::record::{Change, Holder, Job, JobId, Time, ValidSpec};
 
 /// See the module's head.
 #[derive(Debug, Default)]
@@ -94,6 +94,11 @@ impl MemoryStore {
 impl JobStore for MemoryStore {
     fn create(&self, job: NewJob) -> Answer<'_, Created> {
         self.write(|tables, live| ops::create(tables, live, job))
+    }
+
+    fn requested(&self, spec: ValidSpec) -> Answer<'_, Option<Job>> {
+        let job = ops::requested(&self.lock().tables, &spec);
+        Box::pin(std::future::ready(job))
     }
 
     fn get(&self, id: JobId) -> Answer<'_, Job> {

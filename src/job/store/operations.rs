@@ -106,16 +106,10 @@ fn unindex(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> Done<()> {
 
 pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -> Done<Created> {
     let NewJob { id, spec: wanted, now } = new;
-    let request = (!wanted.request_id.is_empty()).then(|| request_key(&wanted.tenant, &wanted.request_id));
-    if let Some(key) = &request
-        && let Some(earlier) = tables.get(Table::Requests, key)?
-    {
-        let job = get(tables, id_of(Table::Requests, &earlier)?)?;
-        return match job.spec == wanted {
-            true => Ok(Created { job, existed: true }),
-            false => Err(StoreError::AlreadyExists { request_id: wanted.request_id.clone(), id: job.id }),
-        };
+    if let Some(job) = requested(tables, &wanted)? {
+        return Ok(Created { job, existed: true });
     }
+    let request = (!wanted.request_id.is_empty()).then(|| request_key(&wanted.tenant, &wanted.request_id));
     if tables.get(Table::Heads, &id.0)?.is_some() {
         return Err(StoreError::NameTaken { id });
     }
@@ -143,6 +137,21 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -
     index(tables, id, &head.status)?;
     live.touched.push(id);
     Ok(Created { job: Job { id, spec: wanted, status: head.status }, existed: false })
+}
+
+/// The job that the same request made before.
+pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &ValidSpec) -> Done<Option<Job>> {
+    if wanted.request_id.is_empty() {
+        return Ok(None);
+    }
+    let Some(earlier) = tables.get(Table::Requests, &request_key(&wanted.tenant, &wanted.request_id))? else {
+        return Ok(None);
+    };
+    let job = get(tables, id_of(Table::Requests, &earlier)?)?;
+    match job.spec == *wanted {
+        true => Ok(Some(job)),
+        false => Err(StoreError::AlreadyExists { request_id: wanted.request_id.clone(), id: job.id }),
+    }
 }
 
 pub(crate) fn get(tables: &(impl Tables + ?Sized), id: JobId) -> Done<Job> {

@@ -28,7 +28,7 @@ use super::{
     Answer, Created, JobStore, Keep, NewJob, Orphans, Page, Query, Recovered, StoreError, Swept, operations as ops,
 };
 use crate::job::event::{Events, Log, Progress};
-use crate::job::record::{Change, Holder, Job, JobId, Time};
+use crate::job::record::{Change, Holder, Job, JobId, Time, ValidSpec};
 use directory::Directory;
 
 /// Operations that wait for the writer; more wait for a place.
@@ -382,6 +382,10 @@ impl Writer {
 impl JobStore for RedbStore {
     fn create(&self, job: NewJob) -> Answer<'_, Created> {
         self.write(|tables, live| ops::create(tables, live, job))
+    }
+
+    fn requested(&self, spec: ValidSpec) -> Answer<'_, Option<Job>> {
+        self.read(move |shared| ops::requested(&shared.reading()?, &spec))
     }
 
     fn get(&self, id: JobId) -> Answer<'_, Job> {
