@@ -222,7 +222,9 @@ impl BlobService for Fake {
                 if digest(&bytes) != name || kept_bytes != size {
                     return Err(Status::invalid_argument("other bytes"));
                 }
-                state.blobs.insert(name.clone(), bytes);
+                if complete {
+                    state.blobs.insert(name.clone(), bytes);
+                }
                 return Ok(Response::new(proto::WriteResponse {
                     digest: name,
                     size_bytes: size,
