@@ -35,7 +35,7 @@ awk '
     inside
 ' README.md >"$work/blocks"
 (cd "$work/tessera" && timeout 1800 bash -e "$work/blocks")
-for file in genus3.obj remesh.ply report.json remote.ply; do
+for file in genus3.obj remesh.ply report.json remote.ply job.ply; do
     [ -s "$work/tessera/$file" ] || { echo "$file is not there after the README's blocks" >&2; exit 1; }
 done
 

@@ -171,4 +171,15 @@ fn every_option_of_the_command_is_at_the_service() {
     found.sort_unstable();
     known.sort_unstable();
     assert_eq!(found, known);
+
+    // And of a job.
+    let at = ["jobs", "submit", "remesh"];
+    let submit = at.iter().fold(&command, |command, name| command.find_subcommand(name).unwrap());
+    let of_job: Vec<&str> = submit.get_arguments().map(|a| a.get_id().as_str()).collect();
+    for option in AT_BOTH {
+        assert!(of_job.contains(option), "{option}");
+    }
+    for option in ["output", "overwrite", "threads", "gpu_software", "picture"] {
+        assert!(!of_job.contains(&option), "{option}");
+    }
 }

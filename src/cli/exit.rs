@@ -30,7 +30,7 @@ pub(crate) const HELP: &str = "Exit codes:
   65   the input is no surface, or a file does not say what it should
   66   an input file is missing or cannot be read, or the server has no such job or blob
   69   the server, the GPU or the memory is not to be had, or the server's answer is wrong
-  70   the job failed or ended otherwise without a result, or an error in this program
+  70   the job has no result or is in another state than the command needs, or an error in this program
   73   the folder of an output file is missing
   74   an output file or the standard output cannot be written
   75   work did not stop when it was told to; a server is to be started anew

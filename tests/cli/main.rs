@@ -10,6 +10,7 @@ mod gpu;
 mod bad_servers;
 mod bench;
 mod given_creases;
+mod jobs;
 mod newcomer;
 mod outputs;
 mod picture;

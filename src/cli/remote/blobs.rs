@@ -135,9 +135,8 @@ async fn go_on(link: &Link<'_>, source: &Source, kept: &mut u64, progress: &Prog
     }
     match answer.map(Response::into_inner) {
         Ok(WriteResponse { complete: true, digest: stored, .. }) if stored == digest => Ok(()),
-        Ok(WriteResponse { kept_bytes, .. }) => {
-            Err(wrong(format!("all {size_bytes} bytes were sent, but it says that {kept_bytes} are stored")).into())
-        }
+        Ok(WriteResponse { complete: true, .. }) => Err(wrong("it is about another blob").into()),
+        Ok(_) => Err(wrong(format!("all {size_bytes} bytes were sent, but the blob is not complete")).into()),
         // Another upload of the same bytes went on, or the bytes of a cut one are not what they were.
         Err(status) if status.code() == Code::OutOfRange => match faults::of_call(link.url(), &status) {
             Fault::Lost(error) | Fault::Final(error) => Err(Fault::Lost(error)),

@@ -62,13 +62,20 @@ pub(super) fn of_call(url: &ServerUrl, status: &Status) -> Fault {
     match status.code() {
         Code::Unavailable => Fault::Lost(said(url, status)),
         Code::NotFound => Fault::Final(Absent(words).into()),
-        Code::FailedPrecondition => Fault::Final(NoResult(words).into()),
         Code::AlreadyExists => Fault::Final(BadInput(words).into()),
         Code::Unimplemented => {
             Fault::Final(Unavailable(format!("{words}; {url} may be of a version without jobs and blobs")).into())
         }
         Code::Cancelled => Fault::Final(Unavailable(words).into()),
         _ => Fault::Final(said(url, status)),
+    }
+}
+
+/// The same, of a call that only a job in the right state allows.
+pub(super) fn of_state(url: &ServerUrl, status: &Status) -> Fault {
+    match status.code() {
+        Code::FailedPrecondition => Fault::Final(NoResult(format!("the server says: {}", words(status))).into()),
+        _ => of_call(url, status),
     }
 }
 
@@ -169,7 +176,7 @@ mod tests {
     fn a_call_says_whether_another_try_helps() {
         for (status, exit, again) in [
             (Status::not_found("no job x"), 66, false),
-            (Status::failed_precondition("it runs"), 70, false),
+            (Status::failed_precondition("no GPU"), 69, false),
             (Status::already_exists("another body"), 65, false),
             (Status::invalid_argument("no"), 65, false),
             (Status::resource_exhausted("full"), 69, false),
@@ -181,6 +188,7 @@ mod tests {
             assert_eq!(matches!(fault, Fault::Lost(_)), again, "{status:?}");
             assert_eq!(code(&fault.into()), exit, "{status:?}");
         }
+        assert_eq!(code(&of_state(&url(), &Status::failed_precondition("it runs")).into()), 70);
     }
 
     #[test]

@@ -3,9 +3,12 @@
 //! Invariant: a job that an answer holds is the one that was asked for. Events come in order, and after a lost connection go
 //! on after the last that came. A call that would make a second job is not repeated. Must not know: what is printed.
 
-use anyhow::Result;
+use std::future::Future;
 
-use super::faults::{Fault, wrong};
+use anyhow::Result;
+use tonic::{Response, Status};
+
+use super::faults::{self, Fault, wrong};
 use super::link::{Door, Link};
 use super::session::{Session, one};
 use crate::cli::progress::Progress;
@@ -104,13 +107,13 @@ impl Session<'_> {
     /// Cancels a job.
     pub(crate) async fn cancel(&mut self, id: &str) -> Result<Job> {
         let request = CancelJobRequest { id: id.to_owned() };
-        checked(self.once(async |link| one(link, client(link).cancel_job(request)).await).await?.job, Some(id))
+        checked(self.once(async |link| in_state(link, client(link).cancel_job(request)).await).await?.job, Some(id))
     }
 
     /// Forgets a job.
     pub(crate) async fn delete(&mut self, id: &str) -> Result<()> {
         let request = DeleteJobRequest { id: id.to_owned() };
-        self.once(async |link| one(link, client(link).delete_job(request)).await).await?;
+        self.once(async |link| in_state(link, client(link).delete_job(request)).await).await?;
         Ok(())
     }
 
@@ -163,6 +166,14 @@ impl Session<'_> {
     }
 }
 
+/// Waits for the answer of a call that only a job in the right state allows.
+async fn in_state<T>(link: &Link<'_>, call: impl Future<Output = Result<Response<T>, Status>>) -> Result<T, Fault> {
+    match link.first(call).await? {
+        Ok(answer) => Ok(answer.into_inner()),
+        Err(status) => Err(faults::of_state(link.url(), &status)),
+    }
+}
+
 async fn get(link: &Link<'_>, request: GetJobRequest, id: &str) -> Result<Job, Fault> {
     Ok(checked(one(link, client(link).get_job(request)).await?.job, Some(id))?)
 }
@@ -181,7 +192,7 @@ async fn watch_on(
         let event = match message {
             Ok(Some(message)) => message.event.ok_or_else(|| wrong("there is no event in it"))?,
             Ok(None) => return Ok(false),
-            Err(status) => return Err(super::faults::of_call(link.url(), &status)),
+            Err(status) => return Err(faults::of_call(link.url(), &status)),
         };
         if event.number <= *after {
             return Err(wrong(format!("event {} comes after event {after}", event.number)).into());
