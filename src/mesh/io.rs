@@ -218,8 +218,7 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
 /// of STL as three vertices. `None` if the bytes are no such file, or end before what its header declares; `decode` fails then.
 ///
 /// Nothing is kept, and no number is read that is not a count: this is several times as fast as reading.
-#[cfg(feature = "service")]
-pub(crate) fn counts(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
+pub fn counts(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
     let bytes = without_mark(bytes);
     match format {
         Format::Obj => Some(obj::counts(bytes)),

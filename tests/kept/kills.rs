@@ -67,7 +67,8 @@ async fn no_acknowledged_job_is_lost_by_kills() {
         let mut client = program.client().await;
         client.all().await;
         slowest = slowest.max(begin.elapsed());
-        for (id, i) in known.lock().unwrap().drain(..) {
+        let known = std::mem::take(&mut *known.lock().unwrap());
+        for (id, i) in known {
             let job = client.end(&id, Duration::from_secs(300)).await;
             assert_eq!(job.state(), JobState::Succeeded, "{job:?}");
             assert_eq!(part(&job, "mesh"), expected[i], "job {i} of round {round}");
