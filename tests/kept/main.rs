@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 #![cfg(unix)]
 
+mod commands;
 mod figures;
 mod jobs;
 mod kills;
