@@ -6,12 +6,11 @@
 //! ended, and its result from before it is visible until it expires or is deleted. A job is done by whoever claimed it: what
 //! becomes of one that was cancelled or expired meanwhile is thrown away. Must not know: messages, streams, which store.
 
+mod queue;
 mod running;
 
-use std::collections::HashMap;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Weak};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use async_trait::async_trait;
@@ -23,15 +22,15 @@ use super::desk::{DeskError, Estimate, JobDesk};
 use super::event::{Events, Progress};
 use super::forecast::Forecast;
 use super::input::JobBounds;
-use super::queue::Place;
 use super::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
 use super::schedule::Ask;
 use super::state::State;
 use super::store::{
     Created, JobStore, Keep, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, StoreError,
 };
-use super::worker::{Engine, Pending, Retry};
+use super::worker::Engine;
 use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs};
+use queue::{JobQueue, LocalQueue};
 
 /// Between two looks for what is over.
 const SWEEP: Duration = Duration::from_secs(1);
@@ -119,16 +118,8 @@ struct Inner {
     /// How this process calls itself.
     name: String,
     runtime: Handle,
-    /// Jobs that wait or are at work here.
-    active: Mutex<HashMap<JobId, Active>>,
-    draining: AtomicBool,
+    queue: Box<dyn JobQueue>,
     progress: mpsc::Sender<Told>,
-}
-
-struct Active {
-    /// Dropping it cancels the work.
-    pending: Pending<()>,
-    running: bool,
 }
 
 /// What is told of a job's work, in order.
@@ -167,26 +158,28 @@ impl Executor {
     pub async fn start(engine: Engine, stores: Stores, options: ExecutorOptions) -> Result<Self, DeskError> {
         let (progress, told) = mpsc::channel(PROGRESS);
         let forecast = Forecast::new(Arc::clone(&stores.blobs), engine.clone());
-        let inner = Arc::new(Inner {
-            stores,
-            engine,
-            options,
-            forecast,
-            name: format!("process {}", std::process::id()),
-            runtime: Handle::current(),
-            active: Mutex::default(),
-            draining: AtomicBool::new(false),
-            progress,
+        let inner = Arc::new_cyclic(|inner: &Weak<Inner>| {
+            let inner = Weak::clone(inner);
+            let begin = move |id| -> queue::Work {
+                let mut work = running::Work::new(Weak::clone(&inner), id);
+                Box::new(move |backends, turn| work.go(backends, turn))
+            };
+            Inner {
+                stores,
+                queue: Box::new(LocalQueue::new(engine.clone(), begin)),
+                engine,
+                options,
+                forecast,
+                name: format!("process {}", std::process::id()),
+                runtime: Handle::current(),
+                progress,
+            }
         });
         inner.recover().await?;
         tokio::spawn(keep_progress(Arc::clone(&inner.stores.jobs), told));
         tokio::spawn(sweep(Arc::downgrade(&inner)));
         Ok(Self { inner })
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Keeps what is told of jobs. What is no longer of interest is left out by the store.
@@ -204,7 +197,7 @@ async fn keep_progress(jobs: Arc<dyn JobStore>, mut told: mpsc::Receiver<Told>) 
 }
 
 /// Lets go of what is over, again and again.
-async fn sweep(inner: std::sync::Weak<Inner>) {
+async fn sweep(inner: Weak<Inner>) {
     let mut looks = 0u32;
     loop {
         tokio::time::sleep(SWEEP).await;
@@ -223,7 +216,7 @@ async fn sweep(inner: std::sync::Weak<Inner>) {
 
 impl Inner {
     /// Takes up what was kept.
-    async fn recover(self: &Arc<Self>) -> Result<(), DeskError> {
+    async fn recover(&self) -> Result<(), DeskError> {
         let jobs = &self.stores.jobs;
         let recovered = jobs.recover(now(), Orphans::All, self.options.max_crashes).await?;
         if !recovered.requeued.is_empty() || !recovered.failed.is_empty() {
@@ -273,7 +266,7 @@ impl Inner {
     }
 
     /// Queues a job for the engine.
-    async fn enqueue(self: &Arc<Self>, job: &Job) -> Result<(), DeskError> {
+    async fn enqueue(&self, job: &Job) -> Result<(), DeskError> {
         let need = self.forecast.need_or_none(&job.spec).await;
         let ask = Ask {
             tenant: job.spec.tenant.as_str().into(),
@@ -283,23 +276,8 @@ impl Inner {
             is_kept_elsewhere: true,
             goes_on: false,
         };
-        let mut work = running::Work::new(Arc::clone(self), job.id);
-        let token = self.engine.token_within(job.spec.deadlines.run_ms.map(Duration::from_millis));
-        // The lock is held until it is in the table: it may begin at once, and end.
-        let mut active = lock(&self.active);
-        let pending = self
-            .engine
-            .submit_as(token, Place::Kept(ask), Retry::Anew, move |backends, turn| work.go(backends, turn))?;
-        active.insert(job.id, Active { pending, running: false });
-        Ok(())
-    }
-
-    /// Forgets a job that no longer waits or works here; its work stops.
-    fn let_go(&self, id: JobId) {
-        let gone = lock(&self.active).remove(&id);
-        if let Some(active) = gone {
-            active.pending.token().cancel();
-        }
+        let limit = job.spec.deadlines.run_ms.map(Duration::from_millis);
+        Ok(self.queue.push(job.id, ask, limit)?)
     }
 
     /// A job of this tenant.
@@ -316,7 +294,7 @@ impl Inner {
         loop {
             let swept = self.stores.jobs.expire(now(), keep, SWEPT).await?;
             for id in swept.expired.iter().chain(&swept.deleted) {
-                self.let_go(*id);
+                self.queue.remove(*id);
                 self.unpin(&input_pin(*id)).await;
                 self.unpin(&result_pin(*id)).await;
             }
@@ -328,11 +306,11 @@ impl Inner {
 
     /// Checks all that can be checked before a job is kept.
     async fn admit(&self, spec: &ValidSpec) -> Result<(), DeskError> {
-        if self.draining.load(Ordering::Acquire) {
+        if self.queue.is_draining() {
             return Err(JobError::Draining.into());
         }
         self.engine.backend(spec.choice())?;
-        let waiting = lock(&self.active).len();
+        let waiting = self.queue.len();
         if waiting >= self.options.waiting_jobs {
             return Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs(5) }.into());
         }
@@ -389,7 +367,7 @@ impl JobDesk for Executor {
     async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
         self.inner.of_tenant(tenant, id).await?;
         let job = self.inner.stores.jobs.cancel(id, now()).await?;
-        self.inner.let_go(id);
+        self.inner.queue.remove(id);
         self.inner.unpin(&input_pin(id)).await;
         Ok(job)
     }
@@ -421,11 +399,7 @@ impl JobDesk for Executor {
     }
 
     async fn drain(&self) {
-        self.inner.draining.store(true, Ordering::Release);
-        lock(&self.inner.active).retain(|_, active| active.running);
-        while !lock(&self.inner.active).is_empty() {
-            tokio::time::sleep(Duration::from_millis(10)).await;
-        }
+        self.inner.queue.drain().await;
     }
 }
 

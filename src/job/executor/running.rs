@@ -4,13 +4,12 @@
 //! Invariant: a result is pinned before it is named by the job. Who finds the job changed by others stops and leaves no
 //! pin. A stop because of a shutdown puts the job back. Must not know: queues, messages.
 
-use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use futures_util::TryStreamExt;
 
-use super::{Active, Inner, Told, failed, holder, input_pin, is_outdated, lock, now, result_pin};
+use super::{Inner, Told, failed, holder, input_pin, is_outdated, now, result_pin};
 use crate::blob::{BlobError, Digest, put};
 use crate::job::event::Progress;
 use crate::job::input::{ReadBlob, Trouble};
@@ -21,14 +20,14 @@ use crate::job::worker::{ATTEMPTS, Turn};
 use crate::job::{Backends, JobError};
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
-use crate::token::Stopped;
+use crate::token::{Stopped, Token};
 
 /// How long the last words of a job may take to be kept.
 const LAST_WORDS: Duration = Duration::from_secs(2);
 
 /// See the module's head. Called again after a lost device.
 pub(super) struct Work {
-    inner: Arc<Inner>,
+    inner: Weak<Inner>,
     id: JobId,
     claimed: Option<Job>,
     attempts: usize,
@@ -52,57 +51,55 @@ impl ReadBlob for Blobs<'_> {
 }
 
 impl Work {
-    pub(super) fn new(inner: Arc<Inner>, id: JobId) -> Self {
+    pub(super) fn new(inner: Weak<Inner>, id: JobId) -> Self {
         Self { inner, id, claimed: None, attempts: 0 }
     }
 
     /// Does it, once or again.
     pub(super) fn go(&mut self, backends: &Backends, turn: &Turn) -> Result<(), JobError> {
         self.attempts += 1;
-        let Some(job) = self.claim() else {
-            self.end();
-            return Ok(());
+        let Some(inner) = self.inner.upgrade() else { return Ok(()) };
+        let Some(job) = self.claim(&inner) else { return Ok(()) };
+        let at_work = AtWork { inner, job, token: turn.token.clone() };
+        let outcome = at_work.perform(backends);
+        let lost = match &outcome {
+            Err(Trouble::Job(error)) if error.is_device_lost() => Some(error.clone()),
+            _ => None,
         };
-        let outcome = self.perform(&job, backends, turn);
-        if let Err(Trouble::Job(error)) = &outcome
-            && error.is_device_lost()
-            && self.attempts < ATTEMPTS
-        {
-            return Err(error.clone());
-        }
-        let lost = matches!(&outcome, Err(Trouble::Job(error)) if error.is_device_lost());
-        self.tell_outcome(&job, outcome, turn);
-        self.end();
         match lost {
-            true => Err(RvdError::DeviceLost("a job was given up".to_owned()).into()),
-            false => Ok(()),
+            Some(error) if self.attempts < ATTEMPTS => Err(error),
+            lost => {
+                at_work.tell_outcome(outcome);
+                lost.map_or(Ok(()), Err)
+            }
         }
     }
 
     /// The job, if it still is to be done.
-    fn claim(&mut self) -> Option<Job> {
+    fn claim(&mut self, inner: &Inner) -> Option<Job> {
         if self.claimed.is_none() {
-            let inner = &self.inner;
-            if inner.draining.load(Ordering::Acquire) {
-                return None;
-            }
-            if let Some(active) = lock(&inner.active).get_mut(&self.id) {
-                active.running = true;
-            }
             match inner.runtime.block_on(inner.stores.jobs.claim(self.id, holder(&inner.name), now())) {
                 Ok(job) => self.claimed = Some(job),
-                Err(error) if is_outdated(&error) => return None,
+                Err(error) if is_outdated(&error) => {}
                 Err(error) => {
                     tracing::error!(id = %self.id, %error, "a job could not be claimed; it waits for the next start");
-                    return None;
                 }
             }
         }
         self.claimed.clone()
     }
+}
 
-    fn perform(&self, job: &Job, backends: &Backends, turn: &Turn) -> Result<ResultSet, Trouble> {
-        let inner = &*self.inner;
+/// A job that was claimed.
+struct AtWork {
+    inner: Arc<Inner>,
+    job: Job,
+    token: Token,
+}
+
+impl AtWork {
+    fn perform(&self, backends: &Backends) -> Result<ResultSet, Trouble> {
+        let (inner, job) = (&*self.inner, &self.job);
         let (id, at) = (job.id, job.status.version);
         let mut tell = |what: Progress| {
             // What the journal is too slow for is left out: the report has all.
@@ -110,14 +107,14 @@ impl Work {
         };
         let blobs = Blobs(inner);
         let bounds = &inner.options.bounds;
-        let mut around = Surroundings { backends, blobs: &blobs, bounds, token: &turn.token, tell: &mut tell };
+        let mut around = Surroundings { backends, blobs: &blobs, bounds, token: &self.token, tell: &mut tell };
         let parts = perform(&job.spec, &mut around)?;
         self.keep(parts)
     }
 
     /// Stores the parts of a result.
     fn keep(&self, parts: Parts) -> Result<ResultSet, Trouble> {
-        let (inner, pin) = (&*self.inner, result_pin(self.id));
+        let (inner, pin) = (&*self.inner, result_pin(self.job.id));
         let mut result = ResultSet::default();
         for (name, bytes) in parts {
             let stored = inner.runtime.block_on(put(inner.stores.blobs.as_ref(), bytes, Some(&pin)));
@@ -134,12 +131,12 @@ impl Work {
     }
 
     /// Says how the job ended.
-    fn tell_outcome(&self, job: &Job, outcome: Result<ResultSet, Trouble>, turn: &Turn) {
-        let inner = &*self.inner;
+    fn tell_outcome(&self, outcome: Result<ResultSet, Trouble>) {
+        let (inner, job) = (&*self.inner, &self.job);
         let change = match outcome {
             Ok(result) => Change::Succeed(result),
             Err(Trouble::Failure(failure)) => Change::Fail(failure),
-            Err(Trouble::Job(error)) => match self.change_of(job, &error, turn) {
+            Err(Trouble::Job(error)) => match self.change_of(&error) {
                 Some(change) => change,
                 // Whoever cancelled it has said so.
                 None => {
@@ -172,14 +169,14 @@ impl Work {
     }
 
     /// What becomes of a job that was stopped or failed; nothing if somebody else has said so.
-    fn change_of(&self, job: &Job, error: &JobError, turn: &Turn) -> Option<Change> {
-        let text = error.to_string();
-        let stopped = turn.token.stopped().or(match error.as_rvd() {
+    fn change_of(&self, error: &JobError) -> Option<Change> {
+        let (job, text) = (&self.job, error.to_string());
+        let stopped = self.token.stopped().or(match error.as_rvd() {
             Some(RvdError::Stopped(reason)) => Some(*reason),
             _ => None,
         });
         match stopped {
-            Some(Stopped::Cancelled) if self.inner.draining.load(Ordering::Acquire) => return Some(Change::Release),
+            Some(Stopped::Cancelled) if self.inner.queue.is_draining() => return Some(Change::Release),
             Some(Stopped::Cancelled) => return None,
             Some(Stopped::Time { limit })
                 if job.spec.deadlines.run_ms.is_some_and(|ms| Duration::from_millis(ms) <= limit) =>
@@ -209,11 +206,5 @@ impl Work {
             },
             JobError::Remesh(_) => failed(FailureKind::BadInput, text),
         })
-    }
-
-    /// The job no longer waits or works here.
-    fn end(&self) {
-        let gone: Option<Active> = lock(&self.inner.active).remove(&self.id);
-        drop(gone);
     }
 }
