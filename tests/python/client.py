@@ -148,7 +148,9 @@ class Tessera:
     """Every option is a keyword. One that is None is not sent, and then the server's default holds, which is the
     command's: 0 is a value like any other."""
 
-    def __init__(self, address):
+    def __init__(self, address, tenant=None):
+        # Whose work it is; without a tenant, the caller's address says so.
+        self.metadata = [("tessera-tenant", tenant)] if tenant else []
         options = [("grpc.max_receive_message_length", 8 << 20)]
         self.channel = grpc.insecure_channel(address, options=options)
         self.stub = remesh_pb2_grpc.RemeshServiceStub(self.channel)
@@ -167,7 +169,7 @@ class Tessera:
         )
         arrays_sent = upload(points, facets, seeds, weights=weights)
         cells, arrays, report = [], Arrays(), None
-        for answer in self.stub.ComputeRvd(self._job(pb.ComputeRvdRequest, header, arrays_sent), timeout=timeout):
+        for answer in self.stub.ComputeRvd(self._job(pb.ComputeRvdRequest, header, arrays_sent), timeout=timeout, metadata=self.metadata):
             which = answer.WhichOneof("message")
             if which == "cells":
                 cells += list(pieces(answer.cells))
@@ -245,7 +247,7 @@ class Tessera:
             *(attribute.upload(index) for index, attribute in enumerate(attributes)),
         )
         arrays, iterations, done = Arrays(), [], None
-        for answer in self.stub.Remesh(self._job(pb.RemeshRequest, header, arrays_sent), timeout=timeout):
+        for answer in self.stub.Remesh(self._job(pb.RemeshRequest, header, arrays_sent), timeout=timeout, metadata=self.metadata):
             which = answer.WhichOneof("message")
             if which == "iteration":
                 iterations.append(answer.iteration)

@@ -75,7 +75,8 @@ FIELDS = {
     "attributes": ("attributes", "no-attributes"),
 }
 # Options of the command that are no business of a server.
-LOCAL = "output overwrite report picture picture-size view up colour gpu-software threads endpoint quiet json log-format help"
+# The tenant is not in a header: the client is made with it.
+LOCAL = "tenant output overwrite report picture picture-size view up colour gpu-software threads endpoint quiet json log-format help"
 
 
 def fields(message, before=""):

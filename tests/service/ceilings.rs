@@ -49,9 +49,9 @@ async fn a_job_ends_at_its_ceiling_on_time() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_ends_at_its_ceiling_on_memory() {
-    // No more than nothing: the first look at a job that grew by a page ends it.
+    // More than so small a job is expected to need, and less than what is held beside it below.
     let fake = Arc::new(Fake::new(Mood::Busy));
-    let ceilings = Ceilings { memory_bytes: Some(0), ..Ceilings::default() };
+    let ceilings = Ceilings { memory_bytes: Some(100 << 20), ..Ceilings::default() };
     let server = Server::start(Setup { ceilings, ..Setup::fake(&fake) }).await;
     let mut client = server.client().await;
     let asked = tokio::spawn(async move { ask_rvd(&mut client, small_rvd(BackendChoice::Serial)).await });
@@ -63,6 +63,22 @@ async fn a_job_ends_at_its_ceiling_on_memory() {
     let status = asked.await.unwrap().unwrap_err();
     assert_eq!(status.code(), Code::ResourceExhausted, "{status:?}");
     assert_eq!(status.get_details_quota_failure().unwrap().violations[0].subject, "job-memory-mib");
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_never_fits_is_refused_at_its_header() {
+    let ceilings = Ceilings { memory_bytes: Some(1 << 20), ..Ceilings::default() };
+    let server = Server::start(Setup { ceilings, ..Setup::default() }).await;
+    let header = small_rvd(BackendChoice::Parallel).into_iter().take(1);
+    // Nothing more comes: the refusal does not wait for it.
+    let requests = tokio_stream::StreamExt::chain(tokio_stream::iter(header), tokio_stream::pending());
+    let status = match server.client().await.compute_rvd(requests).await {
+        Ok(answers) => answers.into_inner().message().await.unwrap_err(),
+        Err(status) => status,
+    };
+    assert_eq!(status.code(), Code::InvalidArgument, "{status:?}");
+    assert!(status.message().contains("1048576"), "both figures are said: {status:?}");
     server.stop().await.unwrap();
 }
 
