@@ -316,7 +316,7 @@ class Session:
         for chunk in upload(points, facets, seeds, weights=weights, edge_lengths=edge_lengths):
             self.requests.put(pb.CvtRequest(chunk=chunk))
         self.requests.put(pb.CvtRequest(start=pb.CvtStart()))
-        self.answers = client.stub.Cvt(iter(self.requests.get, None))
+        self.answers = client.stub.Cvt(iter(self.requests.get, None), metadata=client.metadata)
         self.backend = next(self.answers).accepted.backend
 
     def step(self, iterations=1, *, kind=None):
