@@ -157,7 +157,7 @@ impl Executor {
     /// What the stores say.
     pub async fn start(engine: Engine, stores: Stores, options: ExecutorOptions) -> Result<Self, DeskError> {
         let (progress, told) = mpsc::channel(PROGRESS);
-        let forecast = Forecast::new(Arc::clone(&stores.blobs), engine.clone());
+        let forecast = Forecast::new(Arc::clone(&stores.blobs), engine.clone(), options.bounds.max_seeds);
         let inner = Arc::new_cyclic(|inner: &Weak<Inner>| {
             let inner = Weak::clone(inner);
             let begin = move |id| -> queue::Work {
@@ -239,7 +239,10 @@ impl Inner {
         for id in &recovered.queued {
             let job = jobs.get(*id).await?;
             self.pin_again(&input_pin(*id), &job.spec.blobs()).await?;
-            self.enqueue(&job).await?;
+        }
+        // Only now: a job that is done may evict what is not pinned.
+        for id in &recovered.queued {
+            self.enqueue(&jobs.get(*id).await?).await?;
         }
         if !recovered.queued.is_empty() {
             tracing::info!(jobs = recovered.queued.len(), "taken up again");

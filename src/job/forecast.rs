@@ -8,6 +8,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use futures_util::TryStreamExt;
+use tokio::sync::Semaphore;
 
 use super::desk::DeskError;
 use super::estimate::{Counts, Kind, Need, need};
@@ -20,6 +21,10 @@ use crate::rvd::BackendKind;
 
 /// Larger blobs are not read for their counts.
 const READ_BYTES: u64 = 64 << 20;
+/// Blobs that are read at once.
+const AT_ONCE: usize = 2;
+/// Bytes of a point in a text, at the least that is usual.
+const TEXT_BYTES: u64 = 24;
 /// Blobs whose counts are remembered.
 const REMEMBERED: usize = 4096;
 
@@ -27,12 +32,16 @@ const REMEMBERED: usize = 4096;
 pub(crate) struct Forecast {
     blobs: Arc<dyn BlobStore>,
     engine: Engine,
+    /// The most seeds that a job may have.
+    max_seeds: u64,
+    /// Who reads a blob for its counts: they lie in memory meanwhile.
+    reading: Semaphore,
     known: Mutex<HashMap<(Digest, MeshFormat), (u64, u64)>>,
 }
 
 impl Forecast {
-    pub(crate) fn new(blobs: Arc<dyn BlobStore>, engine: Engine) -> Self {
-        Self { blobs, engine, known: Mutex::default() }
+    pub(crate) fn new(blobs: Arc<dyn BlobStore>, engine: Engine, max_seeds: u64) -> Self {
+        Self { blobs, engine, max_seeds, reading: Semaphore::new(AT_ONCE), known: Mutex::default() }
     }
 
     /// What a job with these counts needs here.
@@ -73,25 +82,39 @@ impl Forecast {
                 counts.density = work.density.kind();
                 counts.placement = work.placement.unwrap_or(PlacementRule::Fitted);
                 counts.refines = work.refinement.is_some();
-                let first = points(&work.seeds, facets);
+                let first = self.points(&work.seeds, facets).await;
                 counts.points = match work.refinement {
                     Some(refinement) => refinement.max_points.unwrap_or(first.saturating_mul(2)).max(first),
                     None => first,
                 };
             }
             WorkSpec::Rvd(work) => {
-                counts.points = points(&work.seeds, facets);
+                counts.points = self.points(&work.seeds, facets).await;
                 counts.steps = 0;
                 counts.cells = work.outputs.is_empty() || work.outputs.contains(&RvdOutput::Cells);
                 counts.density = if work.weights.is_some() { DensityKind::Weights } else { DensityKind::Uniform };
             }
             WorkSpec::Cvt(work) => {
-                counts.points = work.max_seeds.unwrap_or(0).max(points(&work.seeds, facets));
+                counts.points = work.max_seeds.unwrap_or(0).max(self.points(&work.seeds, facets).await);
                 counts.steps = work.commands.iter().map(super::perform::steps_of).sum();
                 counts.density = work.density.kind();
             }
         }
         Ok(counts)
+    }
+
+    /// How many seeds there are at first. Of those that a density implies nothing is known here but that there are seldom
+    /// more than half as many as facets.
+    async fn points(&self, seeds: &SeedSource, facets: u64) -> u64 {
+        match seeds {
+            SeedSource::Sampled { points: Some(points), .. } => *points,
+            SeedSource::Sampled { points: None, .. } => (facets / 2).clamp(1, self.max_seeds),
+            SeedSource::Given(array) if array.count > 0 => array.count,
+            SeedSource::Given(array) => {
+                let text = self.blobs.stat(array.blob).await;
+                text.map_or(1, |info| (info.size_bytes / TEXT_BYTES).clamp(1, self.max_seeds))
+            }
+        }
     }
 
     /// Vertices, facets and bytes of a surface's file.
@@ -106,6 +129,7 @@ impl Forecast {
         let counts = if size_bytes > READ_BYTES {
             most(format, size_bytes)
         } else {
+            let _turn = self.reading.acquire().await;
             let mut bytes = self.blobs.read(blob, 0..u64::MAX).await?.bytes;
             let mut all = Vec::with_capacity(usize::try_from(size_bytes).unwrap_or(0));
             while let Some(piece) = bytes.try_next().await? {
@@ -136,14 +160,4 @@ fn most(format: MeshFormat, bytes: u64) -> (u64, u64) {
         MeshFormat::Obj | MeshFormat::Off => bytes / 30,
     };
     (facets / 2, facets)
-}
-
-/// How many seeds there are at first. Those that a density implies are bounded by nothing that is known here: as many as
-/// facets are likely.
-fn points(seeds: &SeedSource, facets: u64) -> u64 {
-    match seeds {
-        SeedSource::Sampled { points: Some(points), .. } => *points,
-        SeedSource::Given(array) if array.count > 0 => array.count,
-        SeedSource::Sampled { points: None, .. } | SeedSource::Given(_) => facets,
-    }
 }

@@ -34,8 +34,8 @@ pub(super) fn ask<H: Needs>(shared: &Shared, tenant: &str, header: &H) -> Result
     let (mesh, seeds) = header.check(&bounds(&shared.limits))?;
     let points = match seeds {
         SeedCounts::Uploaded(points) | SeedCounts::Sampled { points, .. } => points,
-        // Nothing is known yet: likely as many as there are facets.
-        SeedCounts::Implied { .. } => mesh.facets,
+        // Nothing is known yet: seldom more than half as many as facets.
+        SeedCounts::Implied { .. } => (mesh.facets / 2).clamp(1, shared.limits.max_seeds.max(1)),
     };
     let need = need(&header.counts(by.kind, mesh, points), by.threads);
     let limit_bytes = shared.engine.memory_bytes();
