@@ -36,7 +36,7 @@ pub mod gpu {
     pub use crate::gpu::{Device, DeviceOptions, GpuError, buffers, device, layout, plan, shader};
 }
 
-/// The queue, the device thread, and jobs as data.
+/// The queue, the threads that do the work, and jobs as data.
 #[cfg(feature = "service")]
 pub mod job {
     pub use crate::job::{Ask, Backends, Ceilings, Engine, EngineOptions, JobError, MakePool, Wish};

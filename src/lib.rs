@@ -55,7 +55,7 @@
 //! | [`cvt`] | iterations that move the seeds | `rvd`'s trait |
 //! | [`mod@remesh`] | sample, iterate, dual, repair, measure | `cvt`, `rvd::dual`, `mesh` |
 //! | `blob` | content-addressed storage: uploads, quota, local disk and S3 | nothing here |
-//! | `job` | the queue, the one thread that owns the device, and jobs as data: records, states, the journal | `blob`, `remesh` and below |
+//! | `job` | the queue and its fair shares, the host threads that share the device, and kept jobs: records, states, the journal | `blob`, `remesh` and below |
 //! | `wire` | messages, and our types made of them and into them; server and client speak it | `remesh` and below |
 //! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job`, `blob` and below |
 //! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve`: the client speaks `wire` |

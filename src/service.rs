@@ -81,11 +81,11 @@ pub enum ServeError {
     /// The descriptors are not readable; a fault of the build.
     #[error("the descriptors for reflection are broken: {0}")]
     Reflection(#[from] tonic_reflection::server::Error),
-    /// The device thread ended by itself.
-    #[error("the device thread ended while it was needed; the log may say why")]
+    /// The engine ended by itself.
+    #[error("the engine ended while it was needed; the log may say why")]
     WorkerDied,
-    /// The device thread did not end in time.
-    #[error("the device thread did not end within {} s of the shutdown", .0.as_secs_f64())]
+    /// The engine did not end in time.
+    #[error("the engine did not end within {} s of the shutdown", .0.as_secs_f64())]
     WorkerStuck(Duration),
     /// Work went on long after it was told to stop.
     #[error("work in the stage {stage:?} went on long after it was told to stop; only a new process can go on")]
@@ -155,7 +155,7 @@ pub fn replay(recording: &[u8], limits: &Limits) -> Result<Input, String> {
 }
 
 /// Serves on `listener` until `shutdown` is ready; then refuses new streams, lets open ones end
-/// within the grace period, cuts what is left, joins the device thread and returns.
+/// within the grace period, cuts what is left, joins the engine and returns.
 ///
 /// # Errors
 /// [`ServeError`].
@@ -237,7 +237,7 @@ pub async fn run(
     Ok(())
 }
 
-/// Waits for the device thread, but not for ever.
+/// Waits for the engine, but not for ever.
 async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
     let limit = Duration::from_secs(10);
     let start = Instant::now();
@@ -248,19 +248,19 @@ async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     if worker.join().is_err() {
-        tracing::error!("the device thread ended with a panic");
+        tracing::error!("the engine ended with a panic");
     }
     Ok(())
 }
 
-/// Tells health while the device is lost or work is stuck. Returns when the device thread has ended, or with the stage of
+/// Tells health while the device is lost or work is stuck. Returns when the engine has ended, or with the stage of
 /// work that will not stop.
 async fn follow_engine(engine: &Engine, health: &Told) -> Option<&'static str> {
     let (mut device, mut work) = (engine.watch_device(), engine.watch_work());
     loop {
         let (now, works) = (*device.borrow_and_update(), *work.borrow_and_update());
         if now == Device::Gone {
-            tracing::error!("the device thread has ended");
+            tracing::error!("the engine has ended");
             return None;
         }
         if let Work::Lost { stage } = works {

@@ -1,7 +1,7 @@
 //! One restricted Voronoi diagram, in pieces that a caller can take at its own pace.
 //!
 //! Purpose: [`Diagram`] opens a session and hands out sums and batches of pieces in the caller's
-//! coordinates; the command line and the device thread both drive it.
+//! coordinates; the command line and the engine both drive it.
 //! Invariant: facets are visited once and in order. Must not know: queues, messages, files.
 
 use std::sync::Arc;

@@ -1,9 +1,9 @@
-//! An interactive session of CVT iterations on the device thread.
+//! An interactive session of CVT iterations on the engine's threads.
 //!
 //! Purpose: [`CvtSession`] keeps a [`Cvt`] between the commands of its caller. Every command is a
 //! piece of work of its own, so that a caller who thinks blocks nobody.
 //! Invariant: the state is either here or in one submitted piece; what is dropped is dropped on the
-//! device thread. A long command gives way after a slice of time. Must not know: messages.
+//! engine's threads. A long command gives way after a slice of time. Must not know: messages.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

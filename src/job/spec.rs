@@ -1,4 +1,4 @@
-//! What a caller wants done, made ready off the device thread.
+//! What a caller wants done, made ready before its turn.
 //!
 //! Purpose: [`Input`] is what was given; [`Prepared`] is checked, scaled and seeded.
 //! Invariant: preparing touches no backend, so that it can run on any thread.

@@ -72,7 +72,7 @@ fn of_job(error: &JobError) -> Status {
             Status::internal("the work failed by a fault of the server; its log says where")
         }
         JobError::WorkerGone => {
-            tracing::error!("the device thread did not answer");
+            tracing::error!("the engine did not answer");
             Status::internal("the work was lost by a fault of the server; its log may say why")
         }
         JobError::Mesh(error) => of_mesh(error),
