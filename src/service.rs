@@ -87,6 +87,9 @@ pub enum ServeError {
     /// The engine did not end in time.
     #[error("the engine did not end within {} s of the shutdown", .0.as_secs_f64())]
     WorkerStuck(Duration),
+    /// The journal of jobs can no longer be written.
+    #[error("the journal of jobs can no longer be written; see that its disk has room and is sound, then start again")]
+    Journal,
     /// Work went on long after it was told to stop.
     #[error("work in the stage {stage:?} went on long after it was told to stop; only a new process can go on")]
     WorkStuck {
@@ -192,9 +195,20 @@ pub async fn run(
     let serving = connections::serve(listener, routes, limits, budget, phase.subscribe(), closing.subscribe());
     tokio::pin!(serving);
 
+    let unkept = async {
+        match &desk {
+            Some(desk) => desk.failed().await,
+            None => std::future::pending().await,
+        }
+    };
+    let mut is_kept = true;
     let lost = tokio::select! {
         () = &mut serving => None,
         () = shutdown => None,
+        () = unkept => {
+            is_kept = false;
+            None
+        }
         lost = follow_engine(&engine, &health) => lost,
     };
     // Whoever waits for work that never ends would wait in vain.
@@ -230,6 +244,9 @@ pub async fn run(
     let died = *engine.watch_device().borrow() == Device::Gone;
     engine.close();
     join(worker).await?;
+    if !is_kept {
+        return Err(ServeError::Journal);
+    }
     if died {
         return Err(ServeError::WorkerDied);
     }

@@ -258,6 +258,10 @@ impl BlobStore for ObjectBlobs {
         self.change(|inner| async move { inner.delete(digest).await }).await
     }
 
+    async fn reject(&self, digest: Digest) -> Result<(), BlobError> {
+        self.change(|inner| async move { inner.reject(digest).await }).await
+    }
+
     async fn pin(&self, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
         self.0.pin(name, digests).await
     }

@@ -105,6 +105,12 @@ pub trait BlobStore: Send + Sync + Debug {
     /// `NotFound`, `Pinned`, `Unavailable`.
     async fn delete(&self, digest: Digest) -> Result<(), BlobError>;
 
+    /// Removes a blob whose bytes were found to have another digest, whoever protects it. It can be uploaded again.
+    ///
+    /// # Errors
+    /// `Unavailable`.
+    async fn reject(&self, digest: Digest) -> Result<(), BlobError>;
+
     /// Protects blobs from eviction and deletion, in addition to those that `name` protects already. All or none.
     ///
     /// Pins do not outlive the process: whoever needs blobs pins them again at start, before new uploads are let in.

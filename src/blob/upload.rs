@@ -21,6 +21,9 @@ use super::{BlobError, Digest};
 /// The longest chunk that is taken, bytes.
 pub const MAX_CHUNK_BYTES: usize = 4 << 20;
 
+/// Of all places for uploads, one owner has at most one in so many.
+const SHARE: usize = 4;
+
 /// The length of the chunks that this crate sends, bytes.
 pub(super) const CHUNK_BYTES: usize = 1 << 20;
 
@@ -48,6 +51,11 @@ impl UploadId {
         let mut short = [0; 16];
         short.copy_from_slice(&digest.as_bytes()[..16]);
         Self { owner: short, ..self }
+    }
+
+    /// Whether it is somebody's. What the process stores for itself is nobody's, and is not kept out by others' uploads.
+    pub(super) fn is_owned(&self) -> bool {
+        self.owner != [0; 16]
     }
 
     /// What it becomes.
@@ -194,7 +202,7 @@ impl Uploads {
         lock(&self.0).get(id).cloned()
     }
 
-    /// Adds an upload, locked, unless there is one. `admit` says whether there is room; it is not asked otherwise.
+    /// Adds an upload, locked, unless there is one. One owner has at most a [`SHARE`]th of the places. `admit` says whether there is room; it is not asked otherwise.
     ///
     /// # Errors
     /// `TooManyUploads`; those of `admit`.
@@ -208,8 +216,13 @@ impl Uploads {
         if uploads.contains_key(&id) {
             return Ok(None);
         }
-        if uploads.len() >= limit {
-            return Err(BlobError::TooManyUploads { limit });
+        if id.is_owned() {
+            let own = uploads.keys().filter(|other| other.owner == id.owner).count();
+            let all = uploads.keys().filter(|other| other.is_owned()).count();
+            let share = (limit / SHARE).max(1);
+            if all >= limit || own >= share {
+                return Err(BlobError::TooManyUploads { limit: if all >= limit { limit } else { share } });
+            }
         }
         let upload = Arc::new(Upload::new(SystemTime::now()));
         // Nobody else has seen it.

@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use glam::DVec3;
 use tokio::net::TcpListener;
 
-use super::exit::{Stuck, Unavailable};
+use super::exit::{NotWritten, Stuck, Unavailable};
 use super::{backends, interrupt};
 use crate::config::{JobCeilings, Limits, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
@@ -55,6 +55,8 @@ pub(crate) fn run(args: &ServeArgs) -> Result<()> {
     let config = args.check()?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
+        // Files are read and written there: more at once than this are not faster, and hold a stack each.
+        .max_blocking_threads(64)
         .thread_name("tessera-io")
         .build()
         .context("cannot start the runtime")?;
@@ -117,6 +119,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
     };
     let served = service::run(listener, parts, shutdown).await.map_err(|error| match error {
         ServeError::WorkStuck { .. } => Stuck(error.to_string()).into(),
+        ServeError::Journal => NotWritten(error.to_string()).into(),
         other => anyhow::Error::new(other),
     });
     served.context("serving")

@@ -65,6 +65,9 @@ pub trait JobDesk: Send + Sync {
     /// `Spec`, `Input`; `Blob` if counts are not given and the input is not stored.
     async fn estimate(&self, spec: JobSpec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, DeskError>;
 
+    /// Ends if nothing can be kept any more: only a new process can go on.
+    async fn failed(&self);
+
     /// Takes nothing new and begins nothing more. Ends once nothing is at work; what waits is done after the next start.
     async fn drain(&self);
 }

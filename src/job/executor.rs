@@ -15,10 +15,11 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use async_trait::async_trait;
 use tokio::runtime::Handle;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 
 use super::JobError;
 use super::desk::{DeskError, Estimate, JobDesk};
+use super::estimate::Counts;
 use super::event::{Events, Progress};
 use super::forecast::Forecast;
 use super::input::JobBounds;
@@ -120,6 +121,8 @@ struct Inner {
     runtime: Handle,
     queue: Box<dyn JobQueue>,
     progress: mpsc::Sender<Told>,
+    /// Whether the store has failed for good.
+    broken: watch::Sender<bool>,
 }
 
 /// What is told of a job's work, in order.
@@ -173,6 +176,7 @@ impl Executor {
                 name: format!("process {}", std::process::id()),
                 runtime: Handle::current(),
                 progress,
+                broken: watch::Sender::new(false),
             }
         });
         inner.recover().await?;
@@ -202,8 +206,14 @@ async fn sweep(inner: Weak<Inner>) {
     loop {
         tokio::time::sleep(SWEEP).await;
         let Some(inner) = inner.upgrade() else { return };
-        if let Err(error) = inner.expire().await {
-            tracing::error!(%error, "jobs that are over could not be let go of");
+        match inner.expire().await {
+            Ok(()) => {}
+            Err(error @ (StoreError::Broken { .. } | StoreError::Closed)) => {
+                tracing::error!(%error, "nothing more can be kept");
+                inner.broken.send_replace(true);
+                return;
+            }
+            Err(error) => tracing::error!(%error, "jobs that are over could not be let go of"),
         }
         looks = looks.wrapping_add(1);
         if looks.is_multiple_of(SWEEP_UPLOADS)
@@ -307,6 +317,24 @@ impl Inner {
         }
     }
 
+    /// Whether this server takes a job with these counts.
+    fn within_bounds(&self, counts: &Counts) -> Result<(), DeskError> {
+        let bounds = &self.options.bounds;
+        for (field, what, count, most) in [
+            // An STL file is counted with three vertices a facet.
+            ("mesh", "vertices", counts.vertices, bounds.max_vertices.saturating_mul(3)),
+            ("mesh", "facets", counts.facets, bounds.max_facets),
+            ("work", "seeds", counts.points, bounds.max_seeds),
+            ("work", "steps", counts.steps, bounds.max_iterations.into()),
+        ] {
+            if count > most {
+                let problem = format!("asks for {count} {what}; this server takes at most {most}");
+                return Err(DeskError::Input { field: field.to_owned(), problem });
+            }
+        }
+        Ok(())
+    }
+
     /// Checks all that can be checked before a job is kept.
     async fn admit(&self, spec: &ValidSpec) -> Result<(), DeskError> {
         if self.queue.is_draining() {
@@ -317,19 +345,13 @@ impl Inner {
         if waiting >= self.options.waiting_jobs {
             return Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs(5) }.into());
         }
-        let counts = self.forecast.counts(spec, None).await?;
-        let bounds = &self.options.bounds;
-        for (field, count, most) in [
-            ("mesh", counts.vertices, bounds.max_vertices.saturating_mul(3)),
-            ("mesh", counts.facets, bounds.max_facets),
-            ("work", counts.points, bounds.max_seeds),
-            ("work", counts.steps, bounds.max_iterations.into()),
-        ] {
-            if count > most {
-                let problem = format!("asks for {count}; this server takes at most {most}");
-                return Err(DeskError::Input { field: field.to_owned(), problem });
-            }
+        let own = self.queue.len_of(&spec.tenant);
+        // One tenant leaves places to others.
+        if own >= self.options.waiting_jobs.div_ceil(2) {
+            return Err(JobError::QueueFull { waiting: own, retry_after: Duration::from_secs(5) }.into());
         }
+        let counts = self.forecast.counts(spec, None).await?;
+        self.within_bounds(&counts)?;
         let needed_bytes = self.forecast.need(&counts).host_bytes;
         let limit_bytes = self.options.host_limit_bytes;
         if needed_bytes > limit_bytes {
@@ -389,8 +411,7 @@ impl JobDesk for Executor {
         let counts = self.inner.forecast.counts(&spec, given).await?;
         let need = self.inner.forecast.need(&counts);
         let host_limit_bytes = self.inner.options.host_limit_bytes;
-        let bounds = &self.inner.options.bounds;
-        let in_bounds = counts.facets <= bounds.max_facets && counts.points <= bounds.max_seeds;
+        let in_bounds = self.inner.within_bounds(&counts).is_ok();
         Ok(Estimate {
             host_bytes: need.host_bytes,
             host_limit_bytes,
@@ -399,6 +420,13 @@ impl JobDesk for Executor {
             seconds: need.seconds,
             fits: in_bounds && need.host_bytes <= host_limit_bytes,
         })
+    }
+
+    async fn failed(&self) {
+        let mut broken = self.inner.broken.subscribe();
+        if broken.wait_for(|broken| *broken).await.is_err() {
+            std::future::pending::<()>().await;
+        }
     }
 
     async fn drain(&self) {
@@ -457,7 +485,15 @@ fn is_outdated(error: &StoreError) -> bool {
     matches!(error, StoreError::Stale { .. } | StoreError::Transition { .. } | StoreError::NotFound { .. })
 }
 
+/// The longest message of a failure, characters: every list of jobs holds it.
+const MOST_WORDS: usize = 1000;
+
 /// A failure as a change.
 fn failed(kind: FailureKind, message: impl Into<String>) -> Change {
-    Change::Fail(super::record::Failure { kind, message: message.into() })
+    let mut message: String = message.into();
+    if let Some((end, _)) = message.char_indices().nth(MOST_WORDS) {
+        message.truncate(end);
+        message.push_str("...");
+    }
+    Change::Fail(super::record::Failure { kind, message })
 }

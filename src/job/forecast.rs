@@ -23,8 +23,8 @@ use crate::rvd::BackendKind;
 const READ_BYTES: u64 = 64 << 20;
 /// Blobs that are read at once.
 const AT_ONCE: usize = 2;
-/// Bytes of a point in a text, at the least that is usual.
-const TEXT_BYTES: u64 = 24;
+/// Bytes of a point in a text, at the least.
+const TEXT_BYTES: u64 = 6;
 /// Blobs whose counts are remembered.
 const REMEMBERED: usize = 4096;
 

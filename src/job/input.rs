@@ -65,13 +65,24 @@ pub(crate) trait ReadBlob {
     /// # Errors
     /// What the store says.
     fn read(&self, digest: Digest) -> Result<Vec<u8>, BlobError>;
+
+    /// How many bytes it has.
+    ///
+    /// # Errors
+    /// What the store says.
+    fn size_bytes(&self, digest: Digest) -> Result<u64, BlobError>;
 }
 
 fn read(blobs: &dyn ReadBlob, field: &str, digest: Digest) -> Result<Vec<u8>, Trouble> {
-    blobs.read(digest).map_err(|error| match error {
-        BlobError::NotFound { .. } => failure(FailureKind::MissingInput, format!("{field}: {error}")),
-        error => failure(FailureKind::Unavailable, format!("{field}: {error}")),
-    })
+    blobs.read(digest).map_err(|error| unread(field, &error))
+}
+
+fn unread(field: &str, error: &BlobError) -> Trouble {
+    let kind = match error {
+        BlobError::NotFound { .. } | BlobError::DigestMismatch { .. } => FailureKind::MissingInput,
+        _ => FailureKind::Unavailable,
+    };
+    failure(kind, format!("{field}: {error}"))
 }
 
 /// Reads arrays of one job.
@@ -82,17 +93,18 @@ struct Reader<'a> {
 impl Reader<'_> {
     /// The bytes of an array, as many as its count says.
     fn bytes(&self, field: &str, array: &ArrayRef, numbers: u64) -> Result<Vec<u8>, Trouble> {
-        let bytes = read(self.blobs, field, array.blob)?;
         let each = match array.form {
             ArrayForm::F64 => 8,
             ArrayForm::F32 | ArrayForm::U32 => 4,
             ArrayForm::U8 => 1,
-            ArrayForm::Text => return Ok(bytes),
+            ArrayForm::Text => return read(self.blobs, field, array.blob),
         };
         let expected = array.count.saturating_mul(numbers * each);
-        match bytes.len() as u64 == expected {
-            true => Ok(bytes),
-            false => Err(bad(field, format!("the blob has {} bytes; its count and form give {expected}", bytes.len()))),
+        // Before it takes memory that nobody counted on.
+        let found = self.blobs.size_bytes(array.blob).map_err(|error| unread(field, &error))?;
+        match found == expected {
+            true => read(self.blobs, field, array.blob),
+            false => Err(bad(field, format!("the blob has {found} bytes; its count and form give {expected}"))),
         }
     }
 

@@ -94,5 +94,9 @@ impl JobDesk for Idle {
         })
     }
 
+    async fn failed(&self) {
+        std::future::pending().await
+    }
+
     async fn drain(&self) {}
 }

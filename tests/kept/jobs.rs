@@ -172,3 +172,97 @@ async fn a_result_and_the_input_of_a_job_are_never_evicted() {
     client.jobs.delete_job(DeleteJobRequest { id }).await.unwrap();
     client.blobs.delete(DeleteRequest { digest: part(&job, "mesh") }).await.unwrap();
 }
+
+/// Every file below a folder.
+fn files(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
+    let mut all = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() { all.extend(files(&path)) } else { all.push(path) }
+    }
+    all
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_damaged_blob_is_found_and_can_be_uploaded_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut program = Program::start(folder.path(), &[]);
+    let mut client = program.client().await;
+    let file = encode(Format::Ply, &Shape::Torus.build(2_000)).unwrap();
+    let digest = client.put(&file).await;
+    assert_eq!(program.stop(), Some(0));
+    let blob = files(folder.path()).into_iter().find(|path| path.ends_with(&digest)).unwrap();
+    for damage in [file.len() - 100, 100] {
+        // The same length with other bytes, and fewer bytes.
+        let mut bytes = file.clone();
+        bytes[damage] ^= 1;
+        bytes.truncate(if damage == 100 { 500 } else { bytes.len() });
+        std::fs::write(&blob, &bytes).unwrap();
+        let mut program = Program::start(folder.path(), &[]);
+        let mut client = program.client().await;
+        match client.create(remesh(&digest, 100, 0), "").await {
+            Ok(created) => {
+                let job = client.end(&created.job.unwrap().id, LIMIT).await;
+                assert_eq!(job.failure.clone().unwrap().kind(), JobFailureKind::MissingInput, "{job:?}");
+            }
+            // What is cut off is seen at once.
+            Err(status) => assert_eq!(status.code(), Code::InvalidArgument, "{status:?}"),
+        }
+        assert_eq!(client.put(&file).await, digest);
+        assert!(client.read(&digest).await == file);
+        let id = client.submit(remesh(&digest, 100, 0)).await;
+        assert_eq!(client.end(&id, LIMIT).await.state(), JobState::Succeeded);
+        assert_eq!(program.stop(), Some(0));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn promises_of_one_tenant_keep_nobody_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = Program::start(folder.path(), &["--waiting-jobs", "4", "--jobs-at-once", "1"]);
+    let client = program.client().await;
+    let (mut greedy, mut other) = (client.of("greedy"), client.of("other"));
+    // Uploads that are begun and left, with no bytes and with some.
+    for i in 0..300u32 {
+        let begun = WriteRequest { digest: format!("{i:064x}"), size_bytes: 1 << 30, ..WriteRequest::default() };
+        let data = i.to_le_bytes().to_vec();
+        let some = WriteRequest { crc32c: crc32c::crc32c(&data), data: data.into(), ..begun.clone() };
+        let _ = greedy.begin(if i % 2 == 0 { begun } else { some }).await;
+    }
+    let mesh = Shape::Genus(3).build(4_000);
+    let digest = other.put_mesh(&mesh).await;
+    // Jobs that fill the line, and a result that has to be kept.
+    let mut filled = 0;
+    while greedy.create(remesh(&digest, 3_000, filled), "").await.is_ok() {
+        filled += 1;
+        assert!(filled < 10);
+    }
+    let id = other.submit(remesh(&digest, 100, 0)).await;
+    assert_eq!(other.end(&id, LIMIT).await.state(), JobState::Succeeded);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_failure_is_told_in_few_words() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = Program::start(folder.path(), &[]);
+    let mut client = program.client().await;
+    let digest = client.put_mesh(&Shape::Torus.build(2_000)).await;
+    let line = client.put("1 ".repeat(3 << 20).as_bytes()).await;
+    let given = ArrayRef { digest: line, form: ArrayForm::Text.into(), count: 0 };
+    let mut spec = remesh(&digest, 1, 0);
+    let seeds = Some(JobSeeds { source: Some(job_seeds::Source::Given(given)) });
+    spec.work = Some(job_spec::Work::Rvd(RvdJob { seeds, ..RvdJob::default() }));
+    let id = client.submit(spec).await;
+    let job = client.end(&id, LIMIT).await;
+    let failure = job.failure.unwrap();
+    assert!(failure.kind() == JobFailureKind::BadInput && failure.message.len() < 2_000, "{}", failure.message.len());
+    // An array that is longer than it says is not read.
+    let mut spec = remesh(&digest, 1, 0);
+    let long = client.put(&vec![0u8; 24 << 20]).await;
+    let given = ArrayRef { digest: long, form: ArrayForm::F64.into(), count: 1 };
+    let seeds = Some(JobSeeds { source: Some(job_seeds::Source::Given(given)) });
+    spec.work = Some(job_spec::Work::Rvd(RvdJob { seeds, ..RvdJob::default() }));
+    let id = client.submit(spec).await;
+    let words = client.end(&id, LIMIT).await.failure.unwrap().message;
+    assert!(words.contains("25165824") && words.contains("24"), "{words}");
+}

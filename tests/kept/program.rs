@@ -126,6 +126,12 @@ impl Client {
         stored.digest
     }
 
+    /// Begins an upload with one message and ends the stream.
+    pub async fn begin(&mut self, message: WriteRequest) -> Result<WriteResponse, tonic::Status> {
+        let request = self.request(tokio_stream::iter([message]));
+        Ok(self.blobs.write(request).await?.into_inner())
+    }
+
     pub async fn put_mesh(&mut self, mesh: &TriMesh) -> String {
         self.put(&encode(Format::Ply, mesh).unwrap()).await
     }

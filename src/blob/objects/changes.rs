@@ -17,8 +17,10 @@ use tokio::sync::{MutexGuard, OwnedMutexGuard};
 use tokio::task::spawn_blocking;
 
 use super::{BlobOptions, LOCKS, path_of};
+use crate::blob::digest::Tally;
 use crate::blob::error::object;
 use crate::blob::quota::Ledger;
+use crate::blob::reader::bytes_of;
 use crate::blob::staging::{Part, Staging};
 use crate::blob::store::BlobInfo;
 use crate::blob::upload::{Chunk, Slot, Upload, UploadId, UploadStatus, Uploads, lock};
@@ -226,16 +228,19 @@ impl Inner {
         let (digest, size_bytes) = (id.digest(), id.size_bytes());
         loop {
             if let Some(BlobInfo { size_bytes: actual_bytes, .. }) = self.used(digest).await? {
-                return if actual_bytes == size_bytes {
-                    Ok(UploadStatus { kept_bytes: size_bytes, complete: true })
-                } else {
-                    Err(BlobError::WrongSize { digest, promised_bytes: size_bytes, actual_bytes })
-                };
+                if actual_bytes == size_bytes {
+                    return Ok(UploadStatus { kept_bytes: size_bytes, complete: true });
+                }
+                if self.is_sound(digest).await? {
+                    return Err(BlobError::WrongSize { digest, promised_bytes: size_bytes, actual_bytes });
+                }
+                // Another program changed what is stored: the right bytes take its place.
+                self.reject(digest).await?;
             }
             if size_bytes > self.options.blob_bytes {
                 return Err(BlobError::TooLarge { size_bytes, limit_bytes: self.options.blob_bytes });
             }
-            let reserve = || lock(&self.ledger).reserve(size_bytes);
+            let reserve = || lock(&self.ledger).reserve(size_bytes, id.is_owned());
             let Some((mut slot, victims)) = self.uploads.add(id, self.options.uploads, reserve)? else {
                 match self.status(id).await {
                     // It ended just now.
@@ -390,6 +395,26 @@ impl Inner {
             }
         }
         Ok(swept)
+    }
+
+    /// Whether the stored bytes have their digest.
+    async fn is_sound(&self, digest: Digest) -> Result<bool, BlobError> {
+        let opened = match self.objects.get(&path_of(&digest)).await {
+            Err(object_store::Error::NotFound { .. }) => return Ok(false),
+            opened => opened.map_err(object("open a blob"))?,
+        };
+        let (mut tally, mut bytes) = (Tally::default(), bytes_of(opened));
+        while let Some(piece) = bytes.try_next().await? {
+            tally.add(&piece);
+        }
+        Ok(tally.digest() == digest)
+    }
+
+    /// Removes a blob whose bytes are wrong, whoever needs it: nobody is served by them.
+    pub(super) async fn reject(&self, digest: Digest) -> Result<(), BlobError> {
+        tracing::error!(%digest, "a blob is damaged; it is removed, and can be uploaded again");
+        let Some(blob) = lock(&self.ledger).forget(&digest) else { return Ok(()) };
+        self.remove(blob).await
     }
 
     pub(super) async fn delete(&self, digest: Digest) -> Result<(), BlobError> {

@@ -30,6 +30,9 @@ pub(crate) trait JobQueue: Send + Sync {
     /// How many are in line or at work.
     fn len(&self) -> usize;
 
+    /// How many of them are this tenant's.
+    fn len_of(&self, tenant: &str) -> usize;
+
     /// Whether it begins nothing more.
     fn is_draining(&self) -> bool;
 
@@ -49,24 +52,50 @@ pub(super) struct LocalQueue {
 
 #[derive(Default)]
 struct State {
-    jobs: Mutex<HashMap<JobId, Entry>>,
+    jobs: Mutex<Jobs>,
     draining: AtomicBool,
 }
 
+#[derive(Default)]
+struct Jobs {
+    entries: HashMap<JobId, Entry>,
+    /// How many each tenant has.
+    tenants: HashMap<Arc<str>, usize>,
+}
+
+impl Jobs {
+    fn insert(&mut self, id: JobId, entry: Entry) {
+        *self.tenants.entry(Arc::clone(&entry.tenant)).or_default() += 1;
+        self.entries.insert(id, entry);
+    }
+
+    fn remove(&mut self, id: JobId) -> Option<Entry> {
+        let entry = self.entries.remove(&id)?;
+        if let Some(count) = self.tenants.get_mut(&entry.tenant) {
+            *count -= 1;
+            if *count == 0 {
+                self.tenants.remove(&entry.tenant);
+            }
+        }
+        Some(entry)
+    }
+}
+
 struct Entry {
+    tenant: Arc<str>,
     /// Dropping it cancels the work.
     pending: Pending<()>,
     running: bool,
 }
 
 impl State {
-    fn lock(&self) -> MutexGuard<'_, HashMap<JobId, Entry>> {
+    fn lock(&self) -> MutexGuard<'_, Jobs> {
         self.jobs.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Whether it is still this job's turn.
     fn begins(&self, id: JobId) -> bool {
-        match self.lock().get_mut(&id) {
+        match self.lock().entries.get_mut(&id) {
             Some(entry) if !self.draining.load(Ordering::Acquire) => {
                 entry.running = true;
                 true
@@ -76,7 +105,7 @@ impl State {
     }
 
     fn forget(&self, id: JobId) {
-        let gone = self.lock().remove(&id);
+        let gone = self.lock().remove(id);
         drop(gone);
     }
 }
@@ -107,20 +136,25 @@ impl JobQueue for LocalQueue {
         };
         // The lock is held until it is in the table: it may begin at once, and end.
         let mut jobs = self.state.lock();
+        let tenant = Arc::clone(&ask.tenant);
         let pending = self.engine.submit_as(self.engine.token_within(limit), Place::Kept(ask), Retry::Anew, go)?;
-        jobs.insert(id, Entry { pending, running: false });
+        jobs.insert(id, Entry { tenant, pending, running: false });
         Ok(())
     }
 
     fn remove(&self, id: JobId) {
-        let gone = self.state.lock().remove(&id);
+        let gone = self.state.lock().remove(id);
         if let Some(entry) = gone {
             entry.pending.token().cancel();
         }
     }
 
     fn len(&self) -> usize {
-        self.state.lock().len()
+        self.state.lock().entries.len()
+    }
+
+    fn len_of(&self, tenant: &str) -> usize {
+        self.state.lock().tenants.get(tenant).copied().unwrap_or(0)
     }
 
     fn is_draining(&self) -> bool {
@@ -129,7 +163,8 @@ impl JobQueue for LocalQueue {
 
     async fn drain(&self) {
         self.state.draining.store(true, Ordering::Release);
-        self.state.lock().retain(|_, entry| entry.running);
+        // Those that only wait are out of the line; nothing counts them any more.
+        self.state.lock().entries.retain(|_, entry| entry.running);
         while self.len() > 0 {
             tokio::time::sleep(Duration::from_millis(10)).await;
         }

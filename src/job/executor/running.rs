@@ -45,8 +45,18 @@ impl ReadBlob for Blobs<'_> {
             while let Some(piece) = bytes.try_next().await? {
                 all.extend_from_slice(&piece);
             }
+            // A file that another program changed would give another result, and nobody would know.
+            let actual = Digest::of(&all);
+            if actual != digest {
+                self.0.stores.blobs.reject(digest).await?;
+                return Err(BlobError::DigestMismatch { expected: digest, actual });
+            }
             Ok(all)
         })
+    }
+
+    fn size_bytes(&self, digest: Digest) -> Result<u64, BlobError> {
+        self.0.runtime.block_on(async { Ok(self.0.stores.blobs.stat(digest).await?.size_bytes) })
     }
 }
 
@@ -116,6 +126,14 @@ impl AtWork {
     fn keep(&self, parts: Parts) -> Result<ResultSet, Trouble> {
         let (inner, pin) = (&*self.inner, result_pin(self.job.id));
         let mut result = ResultSet::default();
+        let (bytes, usage) = (
+            parts.iter().map(|part| part.1.len() as u64).sum::<u64>(),
+            inner.runtime.block_on(inner.stores.blobs.usage()),
+        );
+        if let Some(limit) = usage.ok().map(|usage| usage.limit_bytes).filter(|limit| bytes > *limit) {
+            let text = format!("the result has {bytes} bytes, and this server keeps {limit} in all; ask for less");
+            return Err(crate::job::input::failure(FailureKind::TooLarge, text));
+        }
         for (name, bytes) in parts {
             let stored = inner.runtime.block_on(put(inner.stores.blobs.as_ref(), bytes, Some(&pin)));
             let info = stored.map_err(|error| {
@@ -135,7 +153,7 @@ impl AtWork {
         let (inner, job) = (&*self.inner, &self.job);
         let change = match outcome {
             Ok(result) => Change::Succeed(result),
-            Err(Trouble::Failure(failure)) => Change::Fail(failure),
+            Err(Trouble::Failure(failure)) => failed(failure.kind, failure.message),
             Err(Trouble::Job(error)) => match self.change_of(&error) {
                 Some(change) => change,
                 // Whoever cancelled it has said so.

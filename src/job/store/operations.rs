@@ -67,8 +67,13 @@ fn missing(table: Table, id: JobId) -> StoreError {
 }
 
 fn spec(tables: &(impl Tables + ?Sized), id: JobId) -> Done<ValidSpec> {
+    Ok(spec_and_length(tables, id)?.0)
+}
+
+/// A specification, and how many bytes it takes encoded.
+fn spec_and_length(tables: &(impl Tables + ?Sized), id: JobId) -> Done<(ValidSpec, usize)> {
     let bytes = tables.get(Table::Specs, &id.0)?.ok_or_else(|| missing(Table::Specs, id))?;
-    decode(&format!("specs/{id}"), &bytes)
+    Ok((decode(&format!("specs/{id}"), &bytes)?, bytes.len()))
 }
 
 fn log(tables: &(impl Tables + ?Sized), id: JobId) -> Done<Log> {
@@ -195,12 +200,25 @@ pub(crate) fn list(tables: &impl Tables, query: &Query) -> Done<Page> {
             Ok(look(id, head))
         })?;
     }
-    let more = found.len() > limit;
+    let mut more = found.len() > limit;
     found.truncate(limit);
-    let next = found.last().filter(|_| more).map(|(id, _)| PageToken(*id));
-    let jobs = found.into_iter().map(|(id, status)| Ok(Job { id, spec: spec(tables, id)?, status }));
-    Ok(Page { jobs: jobs.collect::<Done<_>>()?, next })
+    let (mut jobs, mut bytes) = (Vec::new(), 0);
+    for (id, status) in found {
+        // At least one, so that pages come to an end.
+        if bytes > PAGE_BYTES {
+            more = true;
+            break;
+        }
+        let (spec, length) = spec_and_length(tables, id)?;
+        bytes += length;
+        jobs.push(Job { id, spec, status });
+    }
+    let next = jobs.last().filter(|_| more).map(|job| PageToken(job.id));
+    Ok(Page { jobs, next })
 }
+
+/// Specifications of a page, encoded: a page is shorter than its limit where they are long.
+const PAGE_BYTES: usize = 2 << 20;
 
 /// Whether a list that may be empty allows something.
 trait EmptyOr<T> {

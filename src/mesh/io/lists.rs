@@ -17,6 +17,15 @@ fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     all.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
 }
 
+/// The beginning of a line, for who has to find it.
+fn shown(line: &str) -> String {
+    const SHOWN: usize = 60;
+    match line.char_indices().nth(SHOWN) {
+        Some((end, _)) => format!("{:?}...", &line[..end]),
+        None => format!("{line:?}"),
+    }
+}
+
 /// Points, `x y z` a line.
 ///
 /// # Errors
@@ -27,7 +36,7 @@ pub(crate) fn points(text: &str) -> Result<Vec<DVec3>, DataError> {
         let numbers: Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
         match numbers.as_deref() {
             Ok([x, y, z]) if x.is_finite() && y.is_finite() && z.is_finite() => points.push(DVec3::new(*x, *y, *z)),
-            _ => return Err(syntax(number, format!("not three finite numbers: {line:?}"))),
+            _ => return Err(syntax(number, format!("not three finite numbers: {}", shown(line)))),
         }
     }
     if points.is_empty() {
@@ -82,7 +91,7 @@ impl FileVertices {
         for (number, line) in lines(text) {
             match line.parse::<f64>() {
                 Ok(length) if length.is_finite() && length > 0.0 => lengths.push(length),
-                _ => return Err(syntax(number, format!("not a finite number above 0: {line:?}"))),
+                _ => return Err(syntax(number, format!("not a finite number above 0: {}", shown(line)))),
             }
         }
         if lengths.len() != self.count {
@@ -112,7 +121,7 @@ impl FileVertices {
             let at = |text: String| syntax(number, text);
             let numbers: Result<Vec<usize>, _> = line.split_whitespace().map(str::parse).collect();
             let Ok(&[a, b]) = numbers.as_deref() else {
-                return Err(at(format!("not two numbers of vertices, which begin at 0: {line:?}")));
+                return Err(at(format!("not two numbers of vertices, which begin at 0: {}", shown(line))));
             };
             let vertex = |v: usize| match &place {
                 _ if v >= self.count => {

@@ -135,6 +135,7 @@ impl Blobs {
         };
         let upload = UploadId::new(digest(&At::Top("digest"), &message.digest)?, message.size_bytes).of(tenant);
         let mut status = timely(self.store.begin(upload)).await?;
+        let _empty = EmptyUpload { store: Arc::clone(&self.store), upload };
         while !status.complete {
             let proto::WriteRequest { digest: _, size_bytes: _, offset, data, crc32c, finish } = message;
             let chunk = Chunk { offset, bytes: data, crc32c };
@@ -180,6 +181,24 @@ impl Blobs {
         let mut share = self.budget.share();
         share.grow(message.data.len() as u64)?;
         Ok(Some((message, share)))
+    }
+}
+
+/// Takes an upload away that has no bytes when its stream ends, however that ends: it would hold room for nothing.
+struct EmptyUpload {
+    store: Arc<dyn BlobStore>,
+    upload: UploadId,
+}
+
+impl Drop for EmptyUpload {
+    fn drop(&mut self) {
+        let (store, upload) = (Arc::clone(&self.store), self.upload);
+        tokio::spawn(async move {
+            if let Ok(UploadStatus { kept_bytes: 0, complete: false }) = store.upload_status(upload).await {
+                // Somebody else may have taken it away, or written on.
+                let _ = store.abandon(upload).await;
+            }
+        });
     }
 }
 
