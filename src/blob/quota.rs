@@ -114,19 +114,25 @@ impl Ledger {
         Some((BlobInfo { digest: *digest, size_bytes: entry.size_bytes }, stamp))
     }
 
-    /// Keeps room for `size_bytes`. The victims are forgotten here; the caller removes their bytes. What somebody owns, and
-    /// only promises, takes no more than half of the room beside other promises: results have the rest.
+    /// Keeps room for `size_bytes`. The victims are forgotten here; the caller removes their bytes. For somebody who
+    /// has promised other bytes already, `own_bytes`, all that is promised stays below a quarter of the room, and for all who
+    /// do so below three: the rest is for results.
     ///
     /// # Errors
     /// `TooLarge` if it could never fit, `QuotaExceeded` if it does not fit now.
-    pub(super) fn reserve(&mut self, size_bytes: u64, is_owned: bool) -> Result<Vec<BlobInfo>, BlobError> {
+    pub(super) fn reserve(&mut self, size_bytes: u64, own_bytes: Option<u64>) -> Result<Vec<BlobInfo>, BlobError> {
         if size_bytes > self.limit_bytes {
             return Err(BlobError::TooLarge { size_bytes, limit_bytes: self.limit_bytes });
         }
         let used_bytes = self.blob_bytes.saturating_add(self.uploading_bytes);
         let firm_bytes = self.pinned_bytes.saturating_add(self.uploading_bytes);
         let promised_bytes = self.uploading_bytes.saturating_add(size_bytes);
-        let crowds = is_owned && self.uploading_bytes > 0 && promised_bytes > self.limit_bytes / 2;
+        let quarter = self.limit_bytes / 4;
+        let crowds = size_bytes > 0
+            && own_bytes.is_some_and(|own| {
+                (own > 0 && own.saturating_add(size_bytes) > quarter)
+                    || (self.uploading_bytes > 0 && promised_bytes > 3 * quarter)
+            });
         if crowds || firm_bytes.saturating_add(size_bytes) > self.limit_bytes {
             return Err(BlobError::QuotaExceeded {
                 needed_bytes: size_bytes,

@@ -23,6 +23,8 @@ pub const MAX_CHUNK_BYTES: usize = 4 << 20;
 
 /// Of all places for uploads, one owner has at most one in so many.
 const SHARE: usize = 4;
+/// But so many at least, if there are that many.
+const FEW: usize = 8;
 
 /// The length of the chunks that this crate sends, bytes.
 pub(super) const CHUNK_BYTES: usize = 1 << 20;
@@ -202,7 +204,8 @@ impl Uploads {
         lock(&self.0).get(id).cloned()
     }
 
-    /// Adds an upload, locked, unless there is one. One owner has at most a [`SHARE`]th of the places. `admit` says whether there is room; it is not asked otherwise.
+    /// Adds an upload, locked, unless there is one. One owner has at most a [`SHARE`]th of the places. `admit` hears the bytes
+    /// that the owner has promised besides, if there is one. `admit` says whether there is room; it is not asked otherwise.
     ///
     /// # Errors
     /// `TooManyUploads`; those of `admit`.
@@ -210,7 +213,7 @@ impl Uploads {
         &self,
         id: UploadId,
         limit: usize,
-        admit: impl FnOnce() -> Result<T, BlobError>,
+        admit: impl FnOnce(Option<u64>) -> Result<T, BlobError>,
     ) -> Result<Option<(OwnedMutexGuard<Slot>, T)>, BlobError> {
         let mut uploads = lock(&self.0);
         if uploads.contains_key(&id) {
@@ -219,7 +222,7 @@ impl Uploads {
         if id.is_owned() {
             let own = uploads.keys().filter(|other| other.owner == id.owner).count();
             let all = uploads.keys().filter(|other| other.is_owned()).count();
-            let share = (limit / SHARE).max(1);
+            let share = (limit / SHARE).max(FEW).min(limit);
             if all >= limit || own >= share {
                 return Err(BlobError::TooManyUploads { limit: if all >= limit { limit } else { share } });
             }
@@ -227,7 +230,9 @@ impl Uploads {
         let upload = Arc::new(Upload::new(SystemTime::now()));
         // Nobody else has seen it.
         let Ok(slot) = Arc::clone(&upload.slot).try_lock_owned() else { return Ok(None) };
-        let admitted = admit()?;
+        let own = uploads.keys().filter(|other| other.owner == id.owner).map(|other| other.size_bytes);
+        let promised = id.is_owned().then(|| own.fold(0, u64::saturating_add));
+        let admitted = admit(promised)?;
         uploads.insert(id, upload);
         Ok(Some((slot, admitted)))
     }

@@ -88,7 +88,16 @@ async fn read_all(store: &dyn BlobStore, digest: Digest) -> Result<Bytes, BlobEr
 }
 
 async fn local(folder: &Path, options: BlobOptions) -> ObjectBlobs {
-    ObjectBlobs::local(folder, options).await.unwrap()
+    let start = std::time::Instant::now();
+    loop {
+        match ObjectBlobs::local(folder, options).await {
+            // A process that another test starts holds all files of this one until it is another program.
+            Err(BlobError::InUse { .. }) if start.elapsed() < std::time::Duration::from_secs(5) => {
+                tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+            }
+            opened => return opened.unwrap(),
+        }
+    }
 }
 
 /// One of each kind. The folder goes with its guard.

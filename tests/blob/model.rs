@@ -149,7 +149,13 @@ impl Model {
             return Err(BlobError::TooManyUploads { limit: UPLOADS });
         }
         let pinned_bytes = self.bytes_of(|k| self.is_pinned(k));
-        if pinned_bytes + self.uploading() + size > QUOTA {
+        // All of these are somebody's: they only promise.
+        let of = |key: &Key| LENGTHS[key.0] as u64;
+        let own: u64 = self.uploads.keys().filter(|other| other.1 == key.1).map(of).sum();
+        let crowds = size > 0
+            && ((own > 0 && own + size > QUOTA / 4)
+                || (self.uploading() > 0 && self.uploading() + size > 3 * (QUOTA / 4)));
+        if crowds || pinned_bytes + self.uploading() + size > QUOTA {
             return Err(BlobError::QuotaExceeded {
                 needed_bytes: size,
                 limit_bytes: QUOTA,

@@ -341,6 +341,9 @@ class Session:
         seeds = self._seeds()
         done = next(self.answers).done
         assert done.seeds == len(seeds)
+        # To the end of the stream: grpcio may hang at the end of a program that leaves a call half read.
+        for _ in self.answers:
+            pass
         return seeds
 
     def _seeds(self):

@@ -199,7 +199,7 @@ impl Inner {
         if self.staging.load(id).await?.is_none() {
             return Ok(false);
         }
-        let admit = || {
+        let admit = |_| {
             lock(&self.ledger).found_upload(id.size_bytes());
             Ok(())
         };
@@ -240,7 +240,7 @@ impl Inner {
             if size_bytes > self.options.blob_bytes {
                 return Err(BlobError::TooLarge { size_bytes, limit_bytes: self.options.blob_bytes });
             }
-            let reserve = || lock(&self.ledger).reserve(size_bytes, id.is_owned());
+            let reserve = |promised| lock(&self.ledger).reserve(size_bytes, promised);
             let Some((mut slot, victims)) = self.uploads.add(id, self.options.uploads, reserve)? else {
                 match self.status(id).await {
                     // It ended just now.
