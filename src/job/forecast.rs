@@ -60,11 +60,16 @@ impl Forecast {
     /// # Errors
     /// `Blob`; `Input` if a blob holds no surface.
     pub(crate) async fn counts(&self, spec: &JobSpec, given: Option<(u64, u64)>) -> Result<Counts, DeskError> {
+        // What a caller says of its file may be any number.
+        let bytes = |(vertices, facets): (u64, u64), each: (u64, u64)| {
+            vertices.saturating_mul(each.0).saturating_add(facets.saturating_mul(each.1))
+        };
         let ((vertices, facets), input_bytes) = match (&spec.mesh, given) {
             (MeshSource::Arrays { positions, facets, .. }, _) => {
-                ((positions.count, facets.count), positions.count * 24 + facets.count * 12)
+                let counts = (positions.count, facets.count);
+                (counts, bytes(counts, (24, 12)))
             }
-            (MeshSource::File { .. }, Some(given)) => (given, given.0 * 12 + given.1 * 13),
+            (MeshSource::File { .. }, Some(given)) => (given, bytes(given, (12, 13))),
             (MeshSource::File { blob, format, .. }, None) => self.of_file(*blob, *format).await?,
         };
         let kind = match &spec.work {

@@ -106,6 +106,9 @@ async fn what_cannot_be_done_says_why_and_leaves_nothing() {
     assert_eq!(code(client.create(gpu, "").await), Code::FailedPrecondition);
     let no_mesh = client.put(b"this is no mesh").await;
     assert_eq!(code(client.create(remesh(&no_mesh, 100, 0), "").await), Code::InvalidArgument);
+    let most =
+        EstimateJobRequest { spec: Some(remesh(&digest, 100, 0)), vertices: Some(u64::MAX), facets: Some(u64::MAX) };
+    assert!(!client.jobs.estimate_job(most).await.unwrap().into_inner().fits);
     assert!(client.all().await.is_empty(), "nothing is left of it");
 
     // A request that comes again.
