@@ -62,6 +62,10 @@ pub(crate) struct ServeArgs {
     /// Keep jobs, results and uploads in memory: they are gone with the server.
     #[arg(long, env = "TESSERA_EPHEMERAL")]
     pub ephemeral: bool,
+    /// Keep blobs in a bucket instead: s3://BUCKET or s3://BUCKET/PREFIX on any S3-compatible store. The variables
+    /// AWS_ENDPOINT, AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY and AWS_ALLOW_HTTP say where it is and who asks.
+    #[arg(long, value_name = "URL", env = "TESSERA_BLOBS", conflicts_with = "ephemeral")]
+    pub blobs: Option<String>,
     /// How long results are kept after a job has ended, e.g. 90s, 30m, 24h or 7d.
     #[arg(long, value_name = "TIME", default_value = "24h", value_parser = period, env = "TESSERA_KEEP_RESULTS")]
     pub keep_results: Duration,
@@ -112,6 +116,10 @@ pub(crate) struct ServeArgs {
     /// quarters of the machine's or the container's memory if not given.
     #[arg(long, value_name = "MIB", value_parser = whole::<u64>, env = "TESSERA_JOB_MEMORY_MIB")]
     pub job_memory_mib: Option<u64>,
+    /// MiB of the device's memory that jobs at work may need together; a job that needs more is refused. Not limited if not
+    /// given: a job for which the device has no room then ends with an error.
+    #[arg(long, value_name = "MIB", value_parser = whole::<u64>, env = "TESSERA_DEVICE_MEMORY_MIB")]
+    pub device_memory_mib: Option<u64>,
     /// Seconds that work may go on after it was told to stop; from then on health says NOT_SERVING.
     #[arg(long, value_name = "S", default_value_t = 10.0, env = "TESSERA_STUCK_S")]
     pub stuck_s: f64,
@@ -224,6 +232,8 @@ pub(crate) struct ServeConfig {
     pub ceilings: JobCeilings,
     /// Where jobs are kept; in memory if none.
     pub data_dir: Option<PathBuf>,
+    /// The bucket of the blobs; in the same folder if none.
+    pub bucket: Option<String>,
     /// How long results and jobs are kept.
     pub keep: (Duration, Duration),
     /// Bytes of blobs.
@@ -234,6 +244,8 @@ pub(crate) struct ServeConfig {
     pub max_crashes: u32,
     /// Jobs at work at once, if it is said.
     pub jobs_at_once: Option<usize>,
+    /// Memory of the device for jobs, if it is said, bytes.
+    pub device_memory_bytes: Option<u64>,
 }
 
 /// What one job may take, and how long it may take to stop.
@@ -275,12 +287,17 @@ impl ServeArgs {
         Ok(ServeConfig {
             listen: addresses(&self.listen)?,
             data_dir: if self.ephemeral { None } else { Some(self.data_dir()?) },
+            bucket: self.blobs.as_deref().map(bucket).transpose()?,
             keep: (self.keep_results, self.keep_jobs),
             blob_bytes: within("--blobs-mib", self.blobs_mib, 1, 1 << 30, "1 to 1073741824")? << 20,
             waiting_jobs: within("--waiting-jobs", self.waiting_jobs as u64, 1, 10_000_000, "1 to 10000000")? as usize,
             max_crashes: within("--max-crashes", self.max_crashes.into(), 1, 1000, "1 to 1000")? as u32,
             jobs_at_once: match self.jobs_at_once {
                 Some(jobs) => Some(within("--jobs-at-once", jobs as u64, 1, 256, "1 to 256")? as usize),
+                None => None,
+            },
+            device_memory_bytes: match self.device_memory_mib {
+                Some(mib) => Some(within("--device-memory-mib", mib, 1, 1 << 24, "1 to 16777216")? << 20),
                 None => None,
             },
             queue_jobs: within("--queue-jobs", self.queue_jobs as u64, 1, 100_000, "1 to 100000")? as usize,
@@ -368,6 +385,19 @@ impl BackendArgs {
             Some(threads) => within("--threads", threads as u64, 1, 4096, "1 to 4096").map(|_| ()),
             None => Ok(()),
         }
+    }
+}
+
+#[cfg(feature = "cli")]
+/// The URL of a bucket.
+fn bucket(url: &str) -> Result<String, ConfigError> {
+    let wrong = |must| ConfigError { option: "--blobs", value: format!("{url:?}"), must };
+    if !cfg!(feature = "s3") {
+        return Err(wrong("absent: this program was built without the feature s3"));
+    }
+    match url.strip_prefix("s3://").map(|rest| rest.split('/').next().unwrap_or_default()) {
+        Some(name) if !name.is_empty() => Ok(url.to_owned()),
+        _ => Err(wrong("s3://BUCKET or s3://BUCKET/PREFIX")),
     }
 }
 
@@ -498,6 +528,15 @@ mod tests {
             assert_eq!(parse(&["--listen", bad]).unwrap_err().option, "--listen", "{bad}");
         }
         assert!(parse(&["--listen", "no such name:1"]).is_err());
+    }
+
+    #[test]
+    fn a_bucket_has_a_name() {
+        for bad in ["", "bucket", "s3://", "s3:///prefix", "gs://bucket", "https://host/bucket"] {
+            assert_eq!(parse(&["--blobs", bad]).unwrap_err().option, "--blobs", "{bad}");
+        }
+        #[cfg(feature = "s3")]
+        assert_eq!(parse(&["--blobs", "s3://b/p"]).unwrap().bucket.as_deref(), Some("s3://b/p"));
     }
 
     #[test]

@@ -55,6 +55,8 @@ pub struct BlobOptions {
     pub keep_uploads: Duration,
     /// Whether the disk must have a blob before it is said to be stored. Without, a loss of power may lose blobs.
     pub fsync: bool,
+    /// Bytes of the disk that stay free: for the journal, which must never find it full.
+    pub reserve_bytes: u64,
 }
 
 impl Default for BlobOptions {
@@ -65,6 +67,7 @@ impl Default for BlobOptions {
             uploads: 256,
             keep_uploads: Duration::from_secs(24 * 3600),
             fsync: true,
+            reserve_bytes: 64 << 20,
         }
     }
 }
@@ -76,6 +79,7 @@ impl BlobOptions {
         with_uploads(uploads: usize),
         with_keep_uploads(keep_uploads: Duration),
         with_fsync(fsync: bool),
+        with_reserve_bytes(reserve_bytes: u64),
     }
 }
 
@@ -102,7 +106,7 @@ impl ObjectBlobs {
     /// `InUse`, `StorageFull`, `Unavailable`.
     pub async fn local(folder: impl Into<PathBuf>, options: BlobOptions) -> Result<Self, BlobError> {
         let root = folder.into();
-        let opened = spawn_blocking(move || open_folder(&root, options.fsync));
+        let opened = spawn_blocking(move || open_folder(&root, &options));
         let (files, staging, lock) = opened.await.map_err(join)??;
         let kind = Kind::Folder { files: Arc::clone(&files), _lock: lock };
         Self::open(files, Box::new(staging), kind, options).await
@@ -181,7 +185,7 @@ impl ObjectBlobs {
 }
 
 /// Makes and locks the folder.
-fn open_folder(root: &FilePath, fsync: bool) -> Result<(Arc<LocalFileSystem>, Folder, File), BlobError> {
+fn open_folder(root: &FilePath, options: &BlobOptions) -> Result<(Arc<LocalFileSystem>, Folder, File), BlobError> {
     fs::create_dir_all(root.join(BLOBS)).map_err(io("make the folder of blobs"))?;
     let lock = File::options().write(true).create(true).truncate(false).open(root.join(LOCK));
     let lock = lock.map_err(io("make the lock of the blobs"))?;
@@ -191,11 +195,11 @@ fn open_folder(root: &FilePath, fsync: bool) -> Result<(Arc<LocalFileSystem>, Fo
         Err(TryLockError::Error(error)) => return Err(BlobError::storage("lock the folder of blobs", &error)),
     }
     let files = LocalFileSystem::new_with_prefix(root).map_err(object("open the folder of blobs"))?;
-    let files = Arc::new(files.with_fsync(fsync));
-    let staging = Folder::new(Arc::clone(&files), root, UPLOADS, fsync)?;
+    let files = Arc::new(files.with_fsync(options.fsync));
+    let staging = Folder::new(Arc::clone(&files), root, UPLOADS, options)?;
     // So that a loss of power does not take the folders themselves. Elsewhere folders cannot be opened.
     #[cfg(unix)]
-    if fsync {
+    if options.fsync {
         let folder = File::open(root).and_then(|folder| folder.sync_all());
         folder.map_err(io("write the folder of blobs to the disk"))?;
     }
@@ -273,6 +277,10 @@ impl BlobStore for ObjectBlobs {
 
     async fn sweep(&self) -> Result<usize, BlobError> {
         self.change(|inner| async move { inner.sweep().await }).await
+    }
+
+    async fn check(&self) -> Result<(), BlobError> {
+        self.0.staging.check().await
     }
 
     async fn usage(&self) -> Result<Usage, BlobError> {

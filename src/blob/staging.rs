@@ -36,6 +36,12 @@ pub(super) trait Staging: Send + Sync + Debug {
     /// What is kept of an upload. `None` if there is nothing of it any more.
     async fn load(&self, id: UploadId) -> Result<Option<Box<dyn Part>>, BlobError>;
 
+    /// Whether something could be stored now.
+    ///
+    /// # Errors
+    /// `StorageFull`, `Unavailable`.
+    async fn check(&self) -> Result<(), BlobError>;
+
     /// Removes what is kept of an upload, if anything is.
     async fn discard(&self, id: UploadId) -> Result<(), BlobError>;
 }

@@ -131,6 +131,12 @@ pub trait BlobStore: Send + Sync + Debug {
     /// `Unavailable`.
     async fn sweep(&self) -> Result<usize, BlobError>;
 
+    /// Whether something could be stored now. It asks the storage each time.
+    ///
+    /// # Errors
+    /// `StorageFull`, `Unavailable`.
+    async fn check(&self) -> Result<(), BlobError>;
+
     /// What is in use.
     ///
     /// # Errors

@@ -11,6 +11,8 @@ use tokio::net::TcpListener;
 
 use super::exit::{NotWritten, Stuck, Unavailable};
 use super::{backends, interrupt};
+#[cfg(not(feature = "s3"))]
+use crate::blob::BlobError;
 use crate::config::{JobCeilings, Limits, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
 use crate::job::desk::DeskError;
@@ -32,9 +34,18 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
     };
     let cannot = |error| Unavailable(format!("cannot make {}: {error}; give another --data-dir", folder.display()));
     std::fs::create_dir_all(folder).map_err(cannot)?;
-    let stores =
-        Stores::in_folder(folder.clone(), config.blob_bytes).await.map_err(|error| unusable(config, &error))?;
-    tracing::info!(folder = %folder.display(), "jobs and blobs are kept");
+    let stores = match &config.bucket {
+        None => Stores::in_folder(folder.clone(), config.blob_bytes).await,
+        #[cfg(feature = "s3")]
+        Some(url) => Stores::in_bucket(folder.clone(), url, config.blob_bytes).await,
+        #[cfg(not(feature = "s3"))]
+        Some(_) => Err(BlobError::Unavailable("built without the feature s3".to_owned()).into()),
+    };
+    let stores = stores.map_err(|error| unusable(config, &error))?;
+    match &config.bucket {
+        None => tracing::info!(folder = %folder.display(), "jobs and blobs are kept"),
+        Some(bucket) => tracing::info!(folder = %folder.display(), bucket, "jobs and blobs are kept"),
+    }
     Ok(stores)
 }
 
@@ -43,6 +54,10 @@ fn unusable(config: &ServeConfig, error: &DeskError) -> Unavailable {
     match (&config.data_dir, error) {
         // It names the folder, and what to do.
         (_, DeskError::Store(StoreError::InUse { .. })) | (None, _) => Unavailable(error.to_string()),
+        (_, DeskError::Blob(error)) if config.bucket.is_some() => {
+            let bucket = config.bucket.as_deref().unwrap_or_default();
+            Unavailable(format!("cannot use --blobs {bucket}: {error}; see the variables AWS_ENDPOINT and AWS_REGION"))
+        }
         (Some(folder), _) => Unavailable(format!("cannot use --data-dir {}: {error}", folder.display())),
     }
 }
@@ -80,7 +95,9 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
     let ceilings = Ceilings { time: Some(time), memory_bytes: memory_bytes.or_else(machine), stuck, lost };
     let usual = EngineOptions::default();
     let jobs_at_once = config.jobs_at_once.unwrap_or(usual.jobs_at_once);
-    let engine_options = EngineOptions { queue_jobs: config.queue_jobs, ceilings, jobs_at_once, ..usual };
+    let queue_jobs = config.queue_jobs;
+    let device_memory_bytes = config.device_memory_bytes;
+    let engine_options = EngineOptions { queue_jobs, ceilings, jobs_at_once, device_memory_bytes, ..usual };
     // Before the backends take their time: another server may have the folder.
     let stores = stores(&config).await?;
     let starting = tokio::task::spawn_blocking(move || Engine::start(factory, engine_options));
@@ -96,7 +113,6 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
         keep_results: config.keep.0,
         keep_records: config.keep.1,
         max_crashes: config.max_crashes,
-        host_limit_bytes: ceilings.memory_bytes.unwrap_or(u64::MAX),
         ..ExecutorOptions::new(bounds)
     };
     let blobs = Arc::clone(&stores.blobs);

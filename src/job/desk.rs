@@ -4,7 +4,10 @@
 //! Invariant: a job of another tenant does not exist for a caller. An answer that is not an error says what is kept.
 //! Must not know: messages, streams, who does the work, where jobs are kept.
 
+use std::fmt;
+
 use async_trait::async_trait;
+use tokio::sync::watch;
 
 use super::JobError;
 use super::event::Events;
@@ -68,6 +71,9 @@ pub trait JobDesk: Send + Sync {
     /// Ends if nothing can be kept any more: only a new process can go on.
     async fn failed(&self);
 
+    /// Why blobs cannot be stored now; `None` if they can. Jobs wait meanwhile.
+    fn storage(&self) -> watch::Receiver<Option<String>>;
+
     /// Takes nothing new and begins nothing more. Ends once nothing is at work; what waits is done after the next start.
     async fn drain(&self);
 }
@@ -89,6 +95,24 @@ pub struct Estimate {
     pub fits: bool,
 }
 
+/// A memory that jobs share.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Memory {
+    /// The process's.
+    Host,
+    /// The device's.
+    Device,
+}
+
+impl fmt::Display for Memory {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Host => "of memory",
+            Self::Device => "of device memory",
+        })
+    }
+}
+
 /// Why something that a caller wants of jobs was refused or failed.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum DeskError {
@@ -104,8 +128,10 @@ pub enum DeskError {
         problem: String,
     },
     /// The job could never run here.
-    #[error("the job needs {needed_bytes} bytes of memory, and this server has {limit_bytes} for a job; ask for less")]
+    #[error("the job needs {needed_bytes} bytes {of}, and this server has {limit_bytes} for a job; ask for less")]
     TooLarge {
+        /// Of which memory.
+        of: Memory,
         /// What it needs.
         needed_bytes: u64,
         /// What there is.

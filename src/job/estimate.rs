@@ -6,6 +6,7 @@
 //! Must not know: queues, records of jobs, how counts were found.
 
 use super::record::{DensityKind, PlacementRule};
+use super::schedule::Bytes;
 use crate::rvd::{BackendKind, SessionForecast};
 
 /// The kind of a job.
@@ -75,10 +76,8 @@ impl Counts {
 /// What a job needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Need {
-    /// Growth of the process's memory over that of an idle one, at most.
-    pub(crate) host_bytes: u64,
-    /// Buffers on the device; 0 on a CPU.
-    pub(crate) device_bytes: u64,
+    /// Growth of the process's memory over that of an idle one, at most, and buffers on the device.
+    pub(crate) memory: Bytes,
     /// Time that it takes on a CPU, most often within a factor of two. A job on a GPU is taken to be as long.
     pub(crate) seconds: f64,
 }
@@ -87,8 +86,7 @@ pub(crate) struct Need {
 pub(crate) fn need(counts: &Counts, threads: usize) -> Need {
     let counts = Counts { facets: divided(counts), ..*counts };
     Need {
-        host_bytes: host_bytes(&counts, threads),
-        device_bytes: device_bytes(&counts),
+        memory: Bytes { host: host_bytes(&counts, threads), device: device_bytes(&counts) },
         seconds: seconds(&counts, threads),
     }
 }

@@ -8,6 +8,7 @@
 
 mod queue;
 mod running;
+mod storage;
 
 use std::path::PathBuf;
 use std::sync::{Arc, Weak};
@@ -21,10 +22,10 @@ use super::JobError;
 use super::desk::{DeskError, Estimate, JobDesk};
 use super::estimate::Counts;
 use super::event::{Events, Progress};
-use super::forecast::Forecast;
+use super::forecast::{Forecast, must_fit};
 use super::input::JobBounds;
 use super::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
-use super::schedule::Ask;
+use super::schedule::{Ask, Bytes};
 use super::state::State;
 use super::store::{
     Created, JobStore, Keep, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, StoreError,
@@ -32,9 +33,12 @@ use super::store::{
 use super::worker::Engine;
 use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs};
 use queue::{JobQueue, LocalQueue};
+use storage::Storage;
 
 /// Between two looks for what is over.
 const SWEEP: Duration = Duration::from_secs(1);
+/// Between two looks at a storage that is well, in looks for what is over.
+const LOOK_AT_STORAGE: u32 = 5;
 /// Between two looks for uploads that nobody continues, in looks for what is over.
 const SWEEP_UPLOADS: u32 = 600;
 /// What one look lets go of.
@@ -57,8 +61,6 @@ pub struct ExecutorOptions {
     pub max_crashes: u32,
     /// What a job may ask for.
     pub bounds: JobBounds,
-    /// Memory that a job may need, bytes.
-    pub host_limit_bytes: u64,
 }
 
 impl ExecutorOptions {
@@ -70,7 +72,6 @@ impl ExecutorOptions {
             keep_records: Duration::from_secs(7 * 24 * 3600),
             max_crashes: MAX_CRASHES,
             bounds,
-            host_limit_bytes: u64::MAX,
         }
     }
 }
@@ -90,19 +91,37 @@ impl Stores {
     /// # Errors
     /// `InUse` if another process has it, or why it cannot be used.
     pub async fn in_folder(folder: PathBuf, blob_bytes: u64) -> Result<Self, DeskError> {
-        let blobs = BlobOptions::default().with_quota_bytes(blob_bytes);
-        let journal = folder.clone();
-        let opened = tokio::task::spawn_blocking(move || RedbStore::open(&journal, RedbOptions::default())).await;
-        let jobs = opened.map_err(|error| DeskError::Job(JobError::Panicked(error.to_string())))??;
-        let blobs = ObjectBlobs::local(folder.join("blobs"), blobs).await?;
-        Ok(Self { jobs: Arc::new(jobs), blobs: Arc::new(blobs) })
+        let jobs = journal(folder.clone()).await?;
+        let blobs = ObjectBlobs::local(folder.join("blobs"), with_room(blob_bytes)).await?;
+        Ok(Self { jobs, blobs: Arc::new(blobs) })
+    }
+
+    /// Jobs in a folder, which is made if need be; blobs in a bucket, `s3://bucket/prefix`, whose address and keys are in the
+    /// variables `AWS_ENDPOINT`, `AWS_REGION`, `AWS_ACCESS_KEY_ID` and so on. At most so many bytes of blobs.
+    ///
+    /// # Errors
+    /// `InUse` if another process has the folder, or why folder or bucket cannot be used.
+    #[cfg(feature = "s3")]
+    pub async fn in_bucket(folder: PathBuf, url: &str, blob_bytes: u64) -> Result<Self, DeskError> {
+        let jobs = journal(folder).await?;
+        let blobs = ObjectBlobs::s3(url, [], with_room(blob_bytes)).await?;
+        Ok(Self { jobs, blobs: Arc::new(blobs) })
     }
 
     /// In memory, gone with the process; blobs of at most so many bytes.
     pub fn ephemeral(blob_bytes: u64) -> Self {
-        let blobs = BlobOptions::default().with_quota_bytes(blob_bytes);
-        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(blobs)) }
+        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(with_room(blob_bytes))) }
     }
+}
+
+fn with_room(blob_bytes: u64) -> BlobOptions {
+    BlobOptions::default().with_quota_bytes(blob_bytes)
+}
+
+/// Opens the journal of a folder.
+async fn journal(folder: PathBuf) -> Result<Arc<dyn JobStore>, DeskError> {
+    let opened = tokio::task::spawn_blocking(move || RedbStore::open(&folder, RedbOptions::default())).await;
+    Ok(Arc::new(opened.map_err(|error| DeskError::Job(JobError::Panicked(error.to_string())))??))
 }
 
 /// See the module's head. Clones share one state.
@@ -120,6 +139,7 @@ struct Inner {
     name: String,
     runtime: Handle,
     queue: Box<dyn JobQueue>,
+    storage: Storage,
     progress: mpsc::Sender<Told>,
     /// Whether the store has failed for good.
     broken: watch::Sender<bool>,
@@ -172,6 +192,7 @@ impl Executor {
                 queue: Box::new(LocalQueue::new(engine.clone(), begin)),
                 engine,
                 options,
+                storage: Storage::default(),
                 forecast,
                 name: format!("process {}", std::process::id()),
                 runtime: Handle::current(),
@@ -206,6 +227,10 @@ async fn sweep(inner: Weak<Inner>) {
     loop {
         tokio::time::sleep(SWEEP).await;
         let Some(inner) = inner.upgrade() else { return };
+        looks = looks.wrapping_add(1);
+        if looks.is_multiple_of(LOOK_AT_STORAGE) || inner.storage.is_away() {
+            inner.storage.look(inner.stores.blobs.as_ref()).await;
+        }
         match inner.expire().await {
             Ok(()) => {}
             Err(error @ (StoreError::Broken { .. } | StoreError::Closed)) => {
@@ -215,7 +240,6 @@ async fn sweep(inner: Weak<Inner>) {
             }
             Err(error) => tracing::error!(%error, "jobs that are over could not be let go of"),
         }
-        looks = looks.wrapping_add(1);
         if looks.is_multiple_of(SWEEP_UPLOADS)
             && let Err(error) = inner.stores.blobs.sweep().await
         {
@@ -285,7 +309,7 @@ impl Inner {
             tenant: job.spec.tenant.as_str().into(),
             priority: job.spec.priority.unwrap_or(0),
             seconds: need.map_or(1.0, |need| need.seconds),
-            host_bytes: need.map_or(0, |need| need.host_bytes),
+            memory: need.map_or(Bytes::default(), |need| need.memory),
             is_kept_elsewhere: true,
             goes_on: false,
         };
@@ -352,12 +376,7 @@ impl Inner {
         }
         let counts = self.forecast.counts(spec, None).await?;
         self.within_bounds(&counts)?;
-        let needed_bytes = self.forecast.need(&counts).host_bytes;
-        let limit_bytes = self.options.host_limit_bytes;
-        if needed_bytes > limit_bytes {
-            return Err(DeskError::TooLarge { needed_bytes, limit_bytes });
-        }
-        Ok(())
+        must_fit(&self.forecast.need(&counts), self.forecast.limits())
     }
 }
 
@@ -410,15 +429,15 @@ impl JobDesk for Executor {
         let given = vertices.zip(facets);
         let counts = self.inner.forecast.counts(&spec, given).await?;
         let need = self.inner.forecast.need(&counts);
-        let host_limit_bytes = self.inner.options.host_limit_bytes;
+        let limits = self.inner.forecast.limits();
         let in_bounds = self.inner.within_bounds(&counts).is_ok();
         Ok(Estimate {
-            host_bytes: need.host_bytes,
-            host_limit_bytes,
-            device_bytes: need.device_bytes,
-            device_limit_bytes: 0,
+            host_bytes: need.memory.host,
+            host_limit_bytes: limits.host,
+            device_bytes: need.memory.device,
+            device_limit_bytes: if limits.device == u64::MAX { 0 } else { limits.device },
             seconds: need.seconds,
-            fits: in_bounds && need.host_bytes <= host_limit_bytes,
+            fits: in_bounds && need.memory.fits(limits),
         })
     }
 
@@ -427,6 +446,10 @@ impl JobDesk for Executor {
         if broken.wait_for(|broken| *broken).await.is_err() {
             std::future::pending::<()>().await;
         }
+    }
+
+    fn storage(&self) -> watch::Receiver<Option<String>> {
+        self.inner.storage.watch()
     }
 
     async fn drain(&self) {

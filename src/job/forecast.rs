@@ -10,9 +10,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use futures_util::TryStreamExt;
 use tokio::sync::Semaphore;
 
-use super::desk::DeskError;
+use super::desk::{DeskError, Memory};
 use super::estimate::{Counts, Kind, Need, need};
 use super::record::{DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput, SeedSource, WorkSpec};
+use super::schedule::Bytes;
 use super::worker::Engine;
 use crate::blob::{BlobStore, Digest};
 use crate::mesh::io;
@@ -53,6 +54,11 @@ impl Forecast {
     /// The same of a specification whose blobs may be gone.
     pub(crate) async fn need_or_none(&self, spec: &JobSpec) -> Option<Need> {
         Some(self.need(&self.counts(spec, None).await.ok()?))
+    }
+
+    /// What jobs here may need.
+    pub(crate) fn limits(&self) -> Bytes {
+        self.engine.memory()
     }
 
     /// The counts of a job; `given` are the surface's vertices and facets, if they are known.
@@ -152,6 +158,19 @@ impl Forecast {
         }
         known.insert((blob, format), counts);
         Ok((counts, size_bytes))
+    }
+}
+
+/// Whether a job with this need could ever run where jobs may have `limits`.
+///
+/// # Errors
+/// `TooLarge`.
+pub(crate) fn must_fit(need: &Need, limits: Bytes) -> Result<(), DeskError> {
+    let both =
+        [(Memory::Host, need.memory.host, limits.host), (Memory::Device, need.memory.device, limits.device)];
+    match both.into_iter().find(|(_, needed, limit)| needed > limit) {
+        Some((of, needed_bytes, limit_bytes)) => Err(DeskError::TooLarge { of, needed_bytes, limit_bytes }),
+        None => Ok(()),
     }
 }
 

@@ -312,6 +312,7 @@ impl<T: Item> State<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::job::schedule::Bytes;
 
     struct Ticket(u32, bool, Token);
 
@@ -325,7 +326,7 @@ mod tests {
     }
 
     fn queue(limit: usize) -> Queue<Ticket> {
-        Queue::new(limit, Slots { regular: 1, memory_bytes: u64::MAX })
+        Queue::new(limit, Slots { regular: 1, memory: Bytes::MAX })
     }
 
     fn new() -> Place {

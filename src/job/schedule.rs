@@ -9,8 +9,8 @@
 //! - A job is charged what it is expected to take when it begins, and what it really took when it ends.
 //! - [`Slots::regular`] jobs are at work at once. One more may be, of a tenant that has none at work: a flood of one tenant's
 //!   jobs never has all slots.
-//! - Jobs at work together need no more memory than there is. A job that does not fit waits; others may pass it for
-//!   [`PASSED`], then nothing begins until it fits.
+//! - Jobs at work together need no more memory than there is, of the host and of the device. A job that does not fit waits;
+//!   others may pass it for [`PASSED`], then nothing begins until it fits.
 //!
 //! Invariant: pure bookkeeping; a job is waiting, running or gone. A job that needs more than there is begins once it is
 //! alone. Must not know: threads, clocks but for [`PASSED`], what a job does.
@@ -23,13 +23,40 @@ use std::time::{Duration, Instant};
 /// How long others may pass a job that does not fit.
 const PASSED: Duration = Duration::from_secs(10);
 
+/// Memory, bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Bytes {
+    /// Of the process.
+    pub host: u64,
+    /// Of the device; 0 for a job on a CPU.
+    pub device: u64,
+}
+
+impl Bytes {
+    /// More than there ever is.
+    pub const MAX: Self = Self { host: u64::MAX, device: u64::MAX };
+
+    /// Whether both are at most those of `room`.
+    pub fn fits(self, room: Self) -> bool {
+        self.host <= room.host && self.device <= room.device
+    }
+
+    fn plus(self, other: Self) -> Self {
+        Self { host: self.host.saturating_add(other.host), device: self.device.saturating_add(other.device) }
+    }
+
+    fn minus(self, other: Self) -> Self {
+        Self { host: self.host.saturating_sub(other.host), device: self.device.saturating_sub(other.device) }
+    }
+}
+
 /// How many jobs may be at work at once, and what they may need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Slots {
     /// At least 1; one more for a tenant that has none at work.
     pub(crate) regular: usize,
-    /// Memory that they may need together, bytes.
-    pub(crate) memory_bytes: u64,
+    /// Memory that they may need together.
+    pub(crate) memory: Bytes,
 }
 
 /// What a job asks for.
@@ -41,8 +68,8 @@ pub struct Ask {
     pub priority: i32,
     /// Seconds that it is expected to take.
     pub seconds: f64,
-    /// Memory that it is expected to need, bytes.
-    pub host_bytes: u64,
+    /// Memory that it is expected to need.
+    pub memory: Bytes,
     /// Whether it is kept elsewhere while it waits, and so takes no place of the queue.
     pub is_kept_elsewhere: bool,
     /// Whether its first piece makes what later pieces go on with, such as a session.
@@ -51,7 +78,8 @@ pub struct Ask {
 
 impl Default for Ask {
     fn default() -> Self {
-        Self { tenant: "".into(), priority: 0, seconds: 0.5, host_bytes: 0, is_kept_elsewhere: false, goes_on: false }
+        let memory = Bytes::default();
+        Self { tenant: "".into(), priority: 0, seconds: 0.5, memory, is_kept_elsewhere: false, goes_on: false }
     }
 }
 
@@ -82,7 +110,7 @@ struct Tenant<T> {
 struct Running {
     tenant: Arc<str>,
     seconds: f64,
-    host_bytes: u64,
+    memory: Bytes,
 }
 
 /// See the module's head.
@@ -92,7 +120,7 @@ pub(crate) struct Schedule<T> {
     running: HashMap<u64, Running>,
     /// Virtual time at which the last job began.
     time: f64,
-    planned_bytes: u64,
+    planned: Bytes,
     waiting: usize,
     came: u64,
 }
@@ -106,7 +134,7 @@ impl<T> Schedule<T> {
             tenants: HashMap::new(),
             running: HashMap::new(),
             time: 0.0,
-            planned_bytes: 0,
+            planned: Bytes::default(),
             waiting: 0,
             came: 0,
         }
@@ -181,11 +209,11 @@ impl<T> Schedule<T> {
             }
         }
         turns.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let left_bytes = self.slots.memory_bytes.saturating_sub(self.planned_bytes);
+        let left = self.slots.memory.minus(self.planned);
         for (time, _, name) in turns {
             let Some(tenant) = self.tenants.get_mut(&name) else { continue };
             let Some(mut first) = tenant.waiting.first_entry() else { continue };
-            if first.get().ask.host_bytes > left_bytes && at_work > 0 {
+            if !first.get().ask.memory.fits(left) && at_work > 0 {
                 let since = *first.get_mut().passed.get_or_insert_with(Instant::now);
                 if since.elapsed() >= PASSED {
                     return None;
@@ -198,8 +226,8 @@ impl<T> Schedule<T> {
             tenant.running += 1;
             tenant.time += ask.seconds;
             self.time = self.time.max(time);
-            self.planned_bytes = self.planned_bytes.saturating_add(ask.host_bytes);
-            self.running.insert(number, Running { tenant: name, seconds: ask.seconds, host_bytes: ask.host_bytes });
+            self.planned = self.planned.plus(ask.memory);
+            self.running.insert(number, Running { tenant: name, seconds: ask.seconds, memory: ask.memory });
             return Some(Next { item, is_alone });
         }
         None
@@ -208,7 +236,7 @@ impl<T> Schedule<T> {
     /// A job that was taken is done, and took so long. Whether there was such a job.
     pub(crate) fn done(&mut self, number: u64, seconds: f64) -> bool {
         let Some(job) = self.running.remove(&number) else { return false };
-        self.planned_bytes = self.planned_bytes.saturating_sub(job.host_bytes);
+        self.planned = self.planned.minus(job.memory);
         if let Some(tenant) = self.tenants.get_mut(&job.tenant) {
             tenant.running -= 1;
             tenant.time += seconds - job.seconds;
@@ -237,8 +265,8 @@ mod tests {
         Ask { tenant: tenant.into(), seconds, ..Ask::default() }
     }
 
-    fn schedule(regular: usize, memory_bytes: u64) -> Schedule<&'static str> {
-        Schedule::new(Slots { regular, memory_bytes })
+    fn schedule(regular: usize, host: u64) -> Schedule<&'static str> {
+        Schedule::new(Slots { regular, memory: Bytes { host, device: 50 } })
     }
 
     fn next(schedule: &mut Schedule<&'static str>, number: u64) -> Option<&'static str> {
@@ -323,7 +351,7 @@ mod tests {
     #[test]
     fn memory_is_shared_and_what_never_fits_with_others_runs_alone() {
         let mut schedule = schedule(4, 100);
-        let of = |tenant: &str, bytes: u64| Ask { host_bytes: bytes, ..ask(tenant, 1.0) };
+        let of = |tenant: &str, host: u64| Ask { memory: Bytes { host, device: 0 }, ..ask(tenant, 1.0) };
         schedule.push(of("a", 60), "first");
         schedule.push(of("b", 60), "large");
         schedule.push(of("c", 40), "small");
@@ -342,6 +370,19 @@ mod tests {
         schedule.done(3, 1.0);
         schedule.push(of("e", 1000), "monster");
         assert_eq!(next(&mut schedule, 4), Some("monster"), "it is alone");
+    }
+
+    #[test]
+    fn the_device_s_memory_is_shared_too() {
+        let mut schedule = schedule(4, 100);
+        let of = |tenant: &str, device: u64| Ask { memory: Bytes { host: 1, device }, ..ask(tenant, 1.0) };
+        schedule.push(of("a", 30), "first");
+        schedule.push(of("b", 30), "second");
+        schedule.push(of("c", 0), "on a cpu");
+        assert_eq!((next(&mut schedule, 0), next(&mut schedule, 1)), (Some("first"), Some("on a cpu")));
+        assert_eq!(next(&mut schedule, 2), None);
+        schedule.done(0, 1.0);
+        assert_eq!(next(&mut schedule, 2), Some("second"));
     }
 
     #[test]

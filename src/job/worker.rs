@@ -18,7 +18,7 @@ use tokio::sync::{oneshot, watch};
 use super::gate::Gate;
 use super::pools::Pools;
 use super::queue::{Item, Lane, Place, Popped, Queue, Taken};
-use super::schedule::Slots;
+use super::schedule::{Bytes, Slots};
 use super::watchdog::{Ceilings, Watchdog, Watched, Work};
 use super::{BackendInfo, Backends, JobError, Wish};
 use crate::token::Token;
@@ -32,6 +32,8 @@ pub struct EngineOptions {
     pub revive: Duration,
     /// What a job may take. The ceiling on memory is also what jobs at work together may need.
     pub ceilings: Ceilings,
+    /// Device memory that jobs at work together may need, bytes; without, as much as the device gives.
+    pub device_memory_bytes: Option<u64>,
     /// Jobs at work at once, at least 1; one more of a tenant that has none at work.
     pub jobs_at_once: usize,
 }
@@ -42,6 +44,7 @@ impl Default for EngineOptions {
             queue_jobs: 32,
             revive: Duration::from_secs(5),
             ceilings: Ceilings::default(),
+            device_memory_bytes: None,
             jobs_at_once: jobs_at_once(),
         }
     }
@@ -214,9 +217,9 @@ impl Engine {
         backends.iter().find(|(w, _)| *w == wish).map_or(Err(JobError::WorkerGone), |(_, info)| info.clone())
     }
 
-    /// Memory that jobs at work together may need, bytes.
-    pub fn memory_bytes(&self) -> u64 {
-        self.shared.infos.slots.memory_bytes
+    /// Memory that jobs at work together may need.
+    pub fn memory(&self) -> Bytes {
+        self.shared.infos.slots.memory
     }
 
     /// Keeps a place for a job that is yet to be uploaded, so that it is refused now or not at all.
@@ -398,10 +401,11 @@ impl Shared {
         let backends = maker.make()?;
         let watchdog = Watchdog::start(options.ceilings)
             .map_err(|error| JobError::Panicked(format!("the watchdog could not be started: {error}")))?;
-        let slots = Slots {
-            regular: options.jobs_at_once.max(1),
-            memory_bytes: options.ceilings.memory_bytes.unwrap_or(u64::MAX),
+        let memory = Bytes {
+            host: options.ceilings.memory_bytes.unwrap_or(u64::MAX),
+            device: options.device_memory_bytes.unwrap_or(u64::MAX),
         };
+        let slots = Slots { regular: options.jobs_at_once.max(1), memory };
         Ok(Self {
             watchdog,
             queue: Queue::new(options.queue_jobs.max(1), slots),

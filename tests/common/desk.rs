@@ -98,5 +98,9 @@ impl JobDesk for Idle {
         std::future::pending().await
     }
 
+    fn storage(&self) -> tokio::sync::watch::Receiver<Option<String>> {
+        tokio::sync::watch::channel(None).1
+    }
+
     async fn drain(&self) {}
 }

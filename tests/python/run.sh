@@ -38,6 +38,8 @@ for test in test_client.py test_jobs.py; do
     }
 done
 
+PYTHONPATH="$work/stubs:$here" "$work/venv/bin/python" "$here/test_s3.py" "$server"
+
 kill -TERM "$pid"
 code=0
 wait "$pid" || code=$?

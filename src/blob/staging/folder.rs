@@ -23,7 +23,7 @@ use super::{Part, Staging};
 use crate::blob::digest::Tally;
 use crate::blob::error::{io, join, object};
 use crate::blob::upload::{MAX_CHUNK_BYTES, UploadId};
-use crate::blob::{BlobError, Digest};
+use crate::blob::{BlobError, BlobOptions, Digest};
 
 /// The disk is told to write after so many bytes, so that the end of a large upload need not wait for all of them.
 const SYNC_BYTES: u64 = 32 << 20;
@@ -40,10 +40,11 @@ pub(in crate::blob) struct Folder {
     /// The same, as the object store says it.
     prefix: ObjectPath,
     fsync: bool,
+    reserve_bytes: u64,
 }
 
 impl Folder {
-    /// Parts under `prefix` of `root`, which `objects` serves.
+    /// Parts under `prefix` of `root`, which `objects` serves. `reserve_bytes` of the disk stay free.
     ///
     /// # Errors
     /// `StorageFull`, `Unavailable`.
@@ -51,11 +52,12 @@ impl Folder {
         objects: Arc<LocalFileSystem>,
         root: &Path,
         prefix: &str,
-        fsync: bool,
+        options: &BlobOptions,
     ) -> Result<Self, BlobError> {
         let uploads = root.join(prefix);
         fs::create_dir_all(&uploads).map_err(io("make the folder of uploads"))?;
-        Ok(Self { objects, uploads, prefix: ObjectPath::from(prefix), fsync })
+        let BlobOptions { fsync, reserve_bytes, .. } = *options;
+        Ok(Self { objects, uploads, prefix: ObjectPath::from(prefix), fsync, reserve_bytes })
     }
 
     fn files(&self, id: UploadId) -> Files {
@@ -71,7 +73,30 @@ impl Folder {
             unsynced_bytes: 0,
             sync: None,
             fsync: self.fsync,
+            reserve_bytes: self.reserve_bytes,
         })
+    }
+}
+
+/// Whether the disk of `folder` has room for so many bytes, and `reserve_bytes` stay free.
+fn room(folder: &Path, bytes: u64, reserve_bytes: u64) -> Result<(), BlobError> {
+    match free_bytes(folder) {
+        Some(free) if free < bytes.saturating_add(reserve_bytes) => Err(BlobError::StorageFull),
+        _ => Ok(()),
+    }
+}
+
+/// What the disk has left; nothing where the system does not say.
+fn free_bytes(folder: &Path) -> Option<u64> {
+    #[cfg(unix)]
+    {
+        let disk = rustix::fs::statvfs(folder).ok()?;
+        Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = folder;
+        None
     }
 }
 
@@ -82,7 +107,12 @@ impl Staging for Folder {
         spawn_blocking(move || scan(&uploads)).await.map_err(join)?.map_err(io("look for uploads"))
     }
 
+    async fn check(&self) -> Result<(), BlobError> {
+        room(&self.uploads, 0, self.reserve_bytes)
+    }
+
     async fn create(&self, id: UploadId) -> Result<Box<dyn Part>, BlobError> {
+        room(&self.uploads, id.size_bytes(), self.reserve_bytes)?;
         let files = self.files(id);
         let made = spawn_blocking(move || {
             // A part without sums counts as empty, sums without a part are removed: any order will do.
@@ -197,6 +227,7 @@ struct Growing {
     /// The disk is writing. Its result must be heard: the system tells a fault once only.
     sync: Option<JoinHandle<io::Result<()>>>,
     fsync: bool,
+    reserve_bytes: u64,
 }
 
 impl Growing {
@@ -222,6 +253,8 @@ impl Part for Growing {
     async fn append(&mut self, bytes: Bytes, crc32c: u32) -> Result<(), BlobError> {
         let (files, mut tally) = (self.files.clone(), self.tally.clone());
         let length = bytes.len() as u64;
+        // Another upload, or another program, may have taken what was free at the beginning.
+        room(&files.part, length, self.reserve_bytes)?;
         let work = spawn_blocking(move || {
             let part = files.append(tally.bytes(), &bytes, crc32c)?;
             tally.add(&bytes);

@@ -42,6 +42,10 @@ impl Staging for Memory {
         Ok(None)
     }
 
+    async fn check(&self) -> Result<(), BlobError> {
+        Ok(())
+    }
+
     async fn discard(&self, _: UploadId) -> Result<(), BlobError> {
         Ok(())
     }

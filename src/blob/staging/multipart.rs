@@ -107,6 +107,13 @@ impl Staging for Multipart {
         Ok(Some(Box::new(self.part(id, note, tally))))
     }
 
+    async fn check(&self) -> Result<(), BlobError> {
+        match self.objects.head(&self.prefix.clone().join("check")).await {
+            Ok(_) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(object("ask whether it is there")(error)),
+        }
+    }
+
     async fn discard(&self, id: UploadId) -> Result<(), BlobError> {
         if let Some(note) = self.note(id).await? {
             // Whether the store still has it or not: it is of no use.

@@ -161,9 +161,9 @@ impl Case {
             "vertices": vertices,
             "facets": facets,
             "points": self.points,
-            "predicted_bytes": need.host_bytes,
+            "predicted_bytes": need.memory.host,
             "measured_bytes": measured,
-            "ratio": need.host_bytes as f64 / measured as f64,
+            "ratio": need.memory.host as f64 / measured as f64,
             "predicted_seconds": need.seconds,
             "measured_seconds": measured_seconds,
         }))
@@ -219,7 +219,7 @@ fn measure() {
 #[test]
 fn predictions_are_near_what_runs_took() {
     for case in FITTED.iter().chain(HELD_OUT) {
-        let ratio = need(&case.counts(), THREADS).host_bytes as f64 / case.measured as f64;
+        let ratio = need(&case.counts(), THREADS).memory.host as f64 / case.measured as f64;
         assert!(RATIOS.contains(&ratio), "{}: {ratio:.2}", case.name());
     }
 }

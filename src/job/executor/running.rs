@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use futures_util::TryStreamExt;
 
+use super::storage::Unstored;
 use super::{Inner, Told, failed, holder, input_pin, is_outdated, now, result_pin};
 use crate::blob::{BlobError, Digest, put};
 use crate::job::event::Progress;
@@ -34,10 +35,18 @@ pub(super) struct Work {
 }
 
 /// Reads blobs on a thread that may wait.
-struct Blobs<'a>(&'a Inner);
+struct Blobs<'a>(&'a Inner, &'a Token);
 
-impl ReadBlob for Blobs<'_> {
-    fn read(&self, digest: Digest) -> Result<Vec<u8>, BlobError> {
+impl Blobs<'_> {
+    fn patiently<T>(&self, call: impl FnMut() -> Result<T, BlobError>) -> Result<T, BlobError> {
+        self.0.storage.patiently(self.1, call).map_err(|unstored| match unstored {
+            Unstored::Blob(error) => error,
+            // Whoever reads asks the token next.
+            Unstored::Stopped(reason) => BlobError::Unavailable(reason.to_string()),
+        })
+    }
+
+    fn read_once(&self, digest: Digest) -> Result<Vec<u8>, BlobError> {
         self.0.runtime.block_on(async {
             let read = self.0.stores.blobs.read(digest, 0..u64::MAX).await?;
             let mut all = Vec::with_capacity(usize::try_from(read.info.size_bytes).unwrap_or(0));
@@ -54,9 +63,15 @@ impl ReadBlob for Blobs<'_> {
             Ok(all)
         })
     }
+}
+
+impl ReadBlob for Blobs<'_> {
+    fn read(&self, digest: Digest) -> Result<Vec<u8>, BlobError> {
+        self.patiently(|| self.read_once(digest))
+    }
 
     fn size_bytes(&self, digest: Digest) -> Result<u64, BlobError> {
-        self.0.runtime.block_on(async { Ok(self.0.stores.blobs.stat(digest).await?.size_bytes) })
+        self.patiently(|| self.0.runtime.block_on(async { Ok(self.0.stores.blobs.stat(digest).await?.size_bytes) }))
     }
 }
 
@@ -115,10 +130,14 @@ impl AtWork {
             // What the journal is too slow for is left out: the report has all.
             let _ = inner.progress.try_send(Told::Progress { id, at, what, now: now() });
         };
-        let blobs = Blobs(inner);
+        let blobs = Blobs(inner, &self.token);
         let bounds = &inner.options.bounds;
         let mut around = Surroundings { backends, blobs: &blobs, bounds, token: &self.token, tell: &mut tell };
-        let parts = perform(&job.spec, &mut around)?;
+        let parts = perform(&job.spec, &mut around).map_err(|trouble| match (trouble, self.token.stopped()) {
+            // It was stopped while it waited for its input.
+            (Trouble::Failure(_), Some(reason)) => Trouble::from(reason),
+            (trouble, _) => trouble,
+        })?;
         self.keep(parts)
     }
 
@@ -135,13 +154,16 @@ impl AtWork {
             return Err(crate::job::input::failure(FailureKind::TooLarge, text));
         }
         for (name, bytes) in parts {
-            let stored = inner.runtime.block_on(put(inner.stores.blobs.as_ref(), bytes, Some(&pin)));
-            let info = stored.map_err(|error| {
-                let kind = match error {
-                    BlobError::TooLarge { .. } => FailureKind::TooLarge,
-                    _ => FailureKind::Unavailable,
-                };
-                crate::job::input::failure(kind, format!("the result cannot be kept: {error}"))
+            let store = || inner.runtime.block_on(put(inner.stores.blobs.as_ref(), bytes.clone(), Some(&pin)));
+            let info = inner.storage.patiently(&self.token, store).map_err(|unstored| match unstored {
+                Unstored::Stopped(reason) => Trouble::from(reason),
+                Unstored::Blob(error) => {
+                    let kind = match error {
+                        BlobError::TooLarge { .. } => FailureKind::TooLarge,
+                        _ => FailureKind::Unavailable,
+                    };
+                    crate::job::input::failure(kind, format!("the result cannot be kept: {error}"))
+                }
             })?;
             result.blobs.insert(name, info.digest);
         }

@@ -5,8 +5,8 @@
 
 use super::{Shared, bounds};
 use crate::job::Ask;
-use crate::job::desk::DeskError;
 use crate::job::estimate::{Counts, Kind, need};
+use crate::job::forecast::must_fit;
 use crate::job::record::{DensityKind, PlacementRule};
 use crate::remesh::RemeshOptions;
 use crate::rvd::BackendKind;
@@ -38,14 +38,11 @@ pub(super) fn ask<H: Needs>(shared: &Shared, tenant: &str, header: &H) -> Result
         SeedCounts::Implied { .. } => (mesh.facets / 2).clamp(1, shared.limits.max_seeds.max(1)),
     };
     let need = need(&header.counts(by.kind, mesh, points), by.threads);
-    let limit_bytes = shared.engine.memory_bytes();
-    if need.host_bytes > limit_bytes {
-        return Err(DeskError::TooLarge { needed_bytes: need.host_bytes, limit_bytes }.into());
-    }
+    must_fit(&need, shared.engine.memory())?;
     Ok(Ask {
         tenant: tenant.into(),
         seconds: need.seconds,
-        host_bytes: need.host_bytes,
+        memory: need.memory,
         goes_on: H::GOES_ON,
         ..Ask::default()
     })
