@@ -166,8 +166,7 @@ impl Forecast {
 /// # Errors
 /// `TooLarge`.
 pub(crate) fn must_fit(need: &Need, limits: Bytes) -> Result<(), DeskError> {
-    let both =
-        [(Memory::Host, need.memory.host, limits.host), (Memory::Device, need.memory.device, limits.device)];
+    let both = [(Memory::Host, need.memory.host, limits.host), (Memory::Device, need.memory.device, limits.device)];
     match both.into_iter().find(|(_, needed, limit)| needed > limit) {
         Some((of, needed_bytes, limit_bytes)) => Err(DeskError::TooLarge { of, needed_bytes, limit_bytes }),
         None => Ok(()),
