@@ -27,6 +27,7 @@ use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
 use self::budget::Budget;
+pub use self::connections::{Tls, TlsError};
 use self::stream::Gate;
 use crate::blob::{BlobError, BlobStore};
 use crate::config::Limits;
@@ -34,9 +35,6 @@ use crate::job::desk::{DeskError, JobDesk};
 use crate::job::spec::Input;
 use crate::job::{Device, Engine, JobError, Work};
 use crate::wire::{WireError, proto};
-
-/// The largest message that is taken, bytes.
-pub(crate) const MAX_MESSAGE_BYTES: usize = 4 << 20;
 
 /// The name under which health is told, besides "".
 pub const SERVICE_NAME: &str = "tessera.v1.RemeshService";
@@ -58,6 +56,8 @@ pub struct Parts {
     pub limits: Limits,
     /// Jobs that outlive their stream; without, neither they nor blobs are served.
     pub jobs: Option<Jobs>,
+    /// The certificates, if TLS is spoken.
+    pub tls: Option<Arc<Tls>>,
 }
 
 /// What the services of blobs and jobs are made of.
@@ -167,7 +167,8 @@ pub async fn run(
     parts: Parts,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), ServeError> {
-    let Parts { engine, worker, limits, jobs } = parts;
+    let Parts { engine, worker, limits, jobs, tls } = parts;
+    let message_bytes = limits.transport.message_bytes;
     let phase = watch::Sender::new(Phase::Serving);
     let budget = Budget::told(limits.memory_bytes, engine.held_besides());
     let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), phase.subscribe());
@@ -180,7 +181,7 @@ pub async fn run(
         .add_service(reflection(health.names)?.build_v1alpha()?)
         .add_service(
             proto::remesh_service_server::RemeshServiceServer::new(handlers)
-                .max_decoding_message_size(MAX_MESSAGE_BYTES)
+                .max_decoding_message_size(message_bytes)
                 .accept_compressed(Gzip)
                 .accept_compressed(Zstd)
                 .send_compressed(Gzip)
@@ -192,7 +193,8 @@ pub async fn run(
     }
     let routes = routes.prepare();
     let closing = watch::Sender::new(CUT_TIME);
-    let serving = connections::serve(listener, routes, limits, budget, phase.subscribe(), closing.subscribe());
+    let serving =
+        connections::serve(listener, routes, limits, budget, tls, phase.subscribe(), closing.subscribe());
     tokio::pin!(serving);
 
     let unkept = async {
@@ -300,13 +302,14 @@ async fn follow_engine(engine: &Engine, health: &Told) -> Option<&'static str> {
 fn with_jobs(routes: Routes, Jobs { blobs, desk }: Jobs, limits: Limits, budget: &Budget, gate: &Gate) -> Routes {
     let blobs = handlers::blobs::Blobs::new(blobs, limits, budget.clone(), gate.clone());
     let jobs = handlers::jobs::Jobs::new(desk, budget.clone(), gate.clone());
+    let message_bytes = limits.transport.message_bytes;
     // What is read is not compressed: results seldom shrink, and their clients wait for them.
     let blobs = proto::blob_service_server::BlobServiceServer::new(blobs)
-        .max_decoding_message_size(MAX_MESSAGE_BYTES)
+        .max_decoding_message_size(message_bytes)
         .accept_compressed(Gzip)
         .accept_compressed(Zstd);
     let jobs = proto::job_service_server::JobServiceServer::new(jobs)
-        .max_decoding_message_size(MAX_MESSAGE_BYTES)
+        .max_decoding_message_size(message_bytes)
         .accept_compressed(Gzip)
         .accept_compressed(Zstd)
         .send_compressed(Gzip)

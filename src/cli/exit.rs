@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::config::ConfigError;
+use crate::config::{self, ConfigError};
 use crate::job::JobError;
 use crate::mesh::MeshError;
 use crate::mesh::io::FileError;
@@ -40,6 +40,11 @@ pub(crate) const HELP: &str = "Exit codes:
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct Usage(pub(crate) String);
+
+/// Files of TLS that a server cannot use.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct BadTls(pub(crate) String);
 
 /// A file that cannot be read or does not say what it should.
 #[derive(Debug, thiserror::Error)]
@@ -97,7 +102,7 @@ pub(crate) fn code(error: &anyhow::Error) -> u8 {
 }
 
 fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
-    if cause.is::<Usage>() || cause.is::<ConfigError>() || cause.is::<TelemetryError>() {
+    if cause.is::<Usage>() || cause.is::<ConfigError>() || cause.is::<config::FileError>() || cause.is::<BadTls>() || cause.is::<TelemetryError>() {
         return Some(USAGE);
     }
     match cause.downcast_ref::<FileError>() {

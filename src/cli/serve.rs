@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use glam::DVec3;
 use tokio::net::TcpListener;
 
-use super::exit::{NotWritten, Stuck, Unavailable};
+use super::exit::{BadTls, NotWritten, Stuck, Unavailable};
 use super::{backends, interrupt};
 use crate::config::{JobCeilings, Limits, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
@@ -21,7 +21,7 @@ use crate::job::{
 use crate::memory;
 use crate::mesh::TriMesh;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
-use crate::service::{self, Jobs, Parts, ServeError};
+use crate::service::{self, Jobs, Parts, ServeError, Tls};
 use crate::token::Token;
 
 /// Opens what is kept, and says where that is.
@@ -50,9 +50,24 @@ fn unusable(config: &ServeConfig, error: &DeskError) -> Unavailable {
 /// How long connections get to close after the last stream.
 const LEAVE: Duration = Duration::from_secs(2);
 
+/// Says what is wrong with the options, and does nothing else.
+///
+/// # Errors
+/// As [`run`] before it begins.
+pub(crate) fn check(args: &ServeArgs) -> Result<()> {
+    prepare(args).map(|_| ())
+}
+
+/// Whatever can be refused before a port is bound or a folder is made.
+fn prepare(args: &ServeArgs) -> Result<(ServeConfig, Option<Arc<Tls>>)> {
+    let config = args.check()?;
+    let tls = config.tls.clone().map(Tls::load).transpose().map_err(|error| BadTls(error.to_string()))?;
+    Ok((config, tls.map(Arc::new)))
+}
+
 /// Runs it.
 pub(crate) fn run(args: &ServeArgs) -> Result<()> {
-    let config = args.check()?;
+    let (config, tls) = prepare(args)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         // Files are read and written there: more at once than this are not faster, and hold a stack each.
@@ -60,12 +75,12 @@ pub(crate) fn run(args: &ServeArgs) -> Result<()> {
         .thread_name("tessera-io")
         .build()
         .context("cannot start the runtime")?;
-    let result = runtime.block_on(serve(args, config));
+    let result = runtime.block_on(serve(args, config, tls));
     runtime.shutdown_timeout(LEAVE);
     result
 }
 
-async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
+async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> Result<()> {
     // Before the backends: a signal while they warm up ends the process cleanly too.
     let mut signals = interrupt::signals().context("cannot listen for signals")?;
     let options = args.backend.clone();
@@ -107,10 +122,15 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
     let address = listener.local_addr().context("asking for the port")?;
     tracing::info!(
         %address, backend = by.kind.name(), adapter = by.adapter, threads = by.threads,
-        queue_jobs = config.queue_jobs, "serving"
+        queue_jobs = config.queue_jobs, tls = tls.is_some(), keys = config.requires_keys, "serving"
     );
     outln!("tessera listens on {address}")?;
-    let parts = Parts { engine, worker, limits: config.limits, jobs: Some(Jobs { blobs, desk: Arc::new(desk) }) };
+    if let Some(tls) = &tls {
+        let tls = Arc::clone(tls);
+        interrupt::on_hangup(move || tls.look()).context("cannot listen for signals")?;
+    }
+    let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
+    let parts = Parts { engine, worker, limits: config.limits, jobs, tls };
     let shutdown = async {
         // A sender that is gone means that nobody can signal; go on serving.
         if signals.await.is_err() {
