@@ -33,6 +33,7 @@ pub(crate) mod shape;
 mod sizes;
 mod source;
 mod surroundings;
+mod trust;
 
 use std::process::ExitCode;
 

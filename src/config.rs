@@ -28,9 +28,7 @@ mod transport;
 mod values;
 
 #[cfg(feature = "cli")]
-pub use args::BackendArg;
-#[cfg(feature = "cli")]
-pub(crate) use args::{BackendArgs, ServeArgs};
+pub(crate) use args::{BackendArg, BackendArgs, ServeArgs};
 #[cfg(feature = "cli")]
 pub(crate) use check::{ConfigError, JobCeilings, ServeConfig};
 #[cfg(feature = "cli")]

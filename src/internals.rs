@@ -84,5 +84,7 @@ pub mod rvd {
 /// The server.
 #[cfg(feature = "service")]
 pub mod service {
-    pub use crate::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, Tls, TlsError, replay, run};
+    pub use crate::service::{
+        BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, Tls, TlsError, replay, run,
+    };
 }

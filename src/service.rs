@@ -193,8 +193,7 @@ pub async fn run(
     }
     let routes = routes.prepare();
     let closing = watch::Sender::new(CUT_TIME);
-    let serving =
-        connections::serve(listener, routes, limits, budget, tls, phase.subscribe(), closing.subscribe());
+    let serving = connections::serve(listener, routes, limits, budget, tls, phase.subscribe(), closing.subscribe());
     tokio::pin!(serving);
 
     let unkept = async {

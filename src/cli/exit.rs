@@ -102,7 +102,12 @@ pub(crate) fn code(error: &anyhow::Error) -> u8 {
 }
 
 fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
-    if cause.is::<Usage>() || cause.is::<ConfigError>() || cause.is::<config::FileError>() || cause.is::<BadTls>() || cause.is::<TelemetryError>() {
+    if cause.is::<Usage>()
+        || cause.is::<ConfigError>()
+        || cause.is::<config::FileError>()
+        || cause.is::<BadTls>()
+        || cause.is::<TelemetryError>()
+    {
         return Some(USAGE);
     }
     match cause.downcast_ref::<FileError>() {

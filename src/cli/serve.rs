@@ -83,6 +83,10 @@ pub(crate) fn run(args: &ServeArgs) -> Result<()> {
 async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> Result<()> {
     // Before the backends: a signal while they warm up ends the process cleanly too.
     let mut signals = interrupt::signals().context("cannot listen for signals")?;
+    if let Some(tls) = &tls {
+        let tls = Arc::clone(tls);
+        interrupt::on_hangup(move || tls.look()).context("cannot listen for signals")?;
+    }
     let options = args.backend.clone();
     let factory = move || {
         let backends = backends::all(&options)?;
@@ -125,10 +129,6 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> 
         queue_jobs = config.queue_jobs, tls = tls.is_some(), keys = config.requires_keys, "serving"
     );
     outln!("tessera listens on {address}")?;
-    if let Some(tls) = &tls {
-        let tls = Arc::clone(tls);
-        interrupt::on_hangup(move || tls.look()).context("cannot listen for signals")?;
-    }
     let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
     let parts = Parts { engine, worker, limits: config.limits, jobs, tls };
     let shutdown = async {

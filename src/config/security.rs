@@ -41,11 +41,8 @@ impl SecurityArgs {
     /// Checks what there is of TLS.
     pub(super) fn check(&self) -> Result<Option<TlsFiles>, ConfigError> {
         let reload = seconds("--tls-reload-s", self.tls_reload_s)?;
-        let without = |option, other: &str, must| ConfigError {
-            option,
-            value: format!("not given, though {other} is"),
-            must,
-        };
+        let without =
+            |option, other: &str, must| ConfigError { option, value: format!("not given, though {other} is"), must };
         match (&self.tls_cert, &self.tls_key) {
             (Some(cert), Some(key)) => {
                 Ok(Some(TlsFiles { cert: cert.clone(), key: key.clone(), client_ca: self.client_ca.clone(), reload }))

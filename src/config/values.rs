@@ -26,7 +26,13 @@ pub(crate) fn period(text: &str) -> Result<Duration, String> {
     parsed.ok_or_else(|| "a time is needed, as 90s, 30m, 24h or 7d".to_owned())
 }
 
-pub(super) fn within(option: &'static str, value: u64, least: u64, most: u64, must: &'static str) -> Result<u64, ConfigError> {
+pub(super) fn within(
+    option: &'static str,
+    value: u64,
+    least: u64,
+    most: u64,
+    must: &'static str,
+) -> Result<u64, ConfigError> {
     if (least..=most).contains(&value) {
         Ok(value)
     } else {

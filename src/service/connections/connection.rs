@@ -125,12 +125,7 @@ enum Verdict {
 }
 
 /// Runs the connection.
-pub(super) async fn serve(
-    line: Line,
-    state: Arc<State>,
-    common: Arc<Common>,
-    mut phase: watch::Receiver<Phase>,
-) {
+pub(super) async fn serve(line: Line, state: Arc<State>, common: Arc<Common>, mut phase: watch::Receiver<Phase>) {
     let service = Answerer { state: Arc::clone(&state), common: Arc::clone(&common), phase: phase.clone() };
     let limits = &common.limits;
     let transport = limits.transport;

@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 use rustls::ServerConfig;
 use tokio::sync::Notify;
 
-pub use self::material::TlsError;
 use self::material::Material;
+pub use self::material::TlsError;
 use self::validity::Validity;
 use crate::blob::Digest;
 use crate::config::TlsFiles;
@@ -52,13 +52,8 @@ impl Tls {
     pub fn load(files: TlsFiles) -> Result<Self, TlsError> {
         let material = Material::read(&files)?;
         let (config, validity) = material.config(&files)?;
-        let state = State {
-            config: Arc::new(config),
-            validity,
-            active: material.digest(),
-            complained: None,
-            warned: None,
-        };
+        let state =
+            State { config: Arc::new(config), validity, active: material.digest(), complained: None, warned: None };
         let tls = Self { files, state: Mutex::new(state), asked: Notify::new() };
         tls.warn();
         Ok(tls)
