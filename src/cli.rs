@@ -11,6 +11,7 @@ pub(crate) mod backends;
 mod bench;
 mod blobs;
 mod cell_file;
+mod config;
 #[cfg(test)]
 mod defaults;
 pub(crate) mod doctor;
@@ -27,15 +28,18 @@ mod remote;
 mod rvd;
 mod serve;
 mod server;
+mod settings;
 pub(crate) mod shape;
 mod sizes;
 mod source;
 mod surroundings;
+mod trust;
 
 use std::process::ExitCode;
 
 use clap::{ArgAction, Parser, Subcommand, ValueEnum};
 
+use self::settings::Given;
 use crate::config::ServeArgs;
 use crate::telemetry::{self, LogFormat};
 
@@ -73,6 +77,8 @@ enum LogFormatArg {
 enum Command {
     /// Serve over gRPC until SIGTERM or Ctrl-C.
     Serve(ServeArgs),
+    /// Check and print the configuration of `serve`.
+    Config(config::ConfigArgs),
     /// Remesh a surface: sample, iterate, triangulate, repair, measure.
     Remesh(remesh::RemeshArgs),
     /// Compute the restricted Voronoi diagram of seeds on a surface.
@@ -95,7 +101,14 @@ pub fn main() -> ExitCode {
 }
 
 fn run() -> u8 {
-    let cli = Cli::parse();
+    let line: Vec<_> = std::env::args_os().collect();
+    let Given { cli, options } = match settings::parse(&line) {
+        Ok(given) => given,
+        Err(error) => {
+            errln!("tessera: {error:#}");
+            return exit::code(&error);
+        }
+    };
     let (format, filter) = match (cli.log_format, &cli.command) {
         (LogFormatArg::Text, Command::Serve(_)) => (LogFormat::Text, "info"),
         (LogFormatArg::Text, _) => (LogFormat::Text, "warn"),
@@ -104,6 +117,7 @@ fn run() -> u8 {
     };
     let result = telemetry::start(format, filter).map_err(anyhow::Error::from).and_then(|()| match &cli.command {
         Command::Serve(args) => serve::run(args),
+        Command::Config(args) => config::run(args, options.as_ref()),
         Command::Remesh(args) => remesh::run(args),
         Command::Rvd(args) => rvd::run(args),
         Command::Jobs(args) => jobs::run(args),
@@ -123,10 +137,8 @@ fn run() -> u8 {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
-
     #[test]
     fn the_command_line_is_consistent() {
-        super::Cli::command().debug_assert();
+        super::settings::command().debug_assert();
     }
 }

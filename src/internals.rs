@@ -21,7 +21,7 @@ pub mod cli {
 /// What a server may be told.
 #[cfg(feature = "service")]
 pub mod config {
-    pub use crate::config::Limits;
+    pub use crate::config::{Limits, TlsFiles, Transport};
 }
 
 /// Densities as the pipeline takes them.
@@ -84,5 +84,7 @@ pub mod rvd {
 /// The server.
 #[cfg(feature = "service")]
 pub mod service {
-    pub use crate::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, replay, run};
+    pub use crate::service::{
+        BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, Tls, TlsError, replay, run,
+    };
 }

@@ -27,6 +27,7 @@ use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
 use self::budget::Budget;
+pub use self::connections::{Tls, TlsError};
 use self::stream::Gate;
 use crate::blob::{BlobError, BlobStore};
 use crate::config::Limits;
@@ -34,9 +35,6 @@ use crate::job::desk::{DeskError, JobDesk};
 use crate::job::spec::Input;
 use crate::job::{Device, Engine, JobError, Work};
 use crate::wire::{WireError, proto};
-
-/// The largest message that is taken, bytes.
-pub(crate) const MAX_MESSAGE_BYTES: usize = 4 << 20;
 
 /// The name under which health is told, besides "".
 pub const SERVICE_NAME: &str = "tessera.v1.RemeshService";
@@ -58,6 +56,8 @@ pub struct Parts {
     pub limits: Limits,
     /// Jobs that outlive their stream; without, neither they nor blobs are served.
     pub jobs: Option<Jobs>,
+    /// The certificates, if TLS is spoken.
+    pub tls: Option<Arc<Tls>>,
 }
 
 /// What the services of blobs and jobs are made of.
@@ -90,6 +90,9 @@ pub enum ServeError {
     /// The journal of jobs can no longer be written.
     #[error("the journal of jobs can no longer be written; see that its disk has room and is sound, then start again")]
     Journal,
+    /// The device was lost and could not be opened again.
+    #[error("the device was lost and could not be opened again; see to its driver, or give --on-device-loss cpu")]
+    DeviceMissing,
     /// Work went on long after it was told to stop.
     #[error("work in the stage {stage:?} went on long after it was told to stop; only a new process can go on")]
     WorkStuck {
@@ -167,7 +170,8 @@ pub async fn run(
     parts: Parts,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), ServeError> {
-    let Parts { engine, worker, limits, jobs } = parts;
+    let Parts { engine, worker, limits, jobs, tls } = parts;
+    let message_bytes = limits.transport.message_bytes;
     let phase = watch::Sender::new(Phase::Serving);
     let budget = Budget::told(limits.memory_bytes, engine.held_besides());
     let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), phase.subscribe());
@@ -180,7 +184,7 @@ pub async fn run(
         .add_service(reflection(health.names)?.build_v1alpha()?)
         .add_service(
             proto::remesh_service_server::RemeshServiceServer::new(handlers)
-                .max_decoding_message_size(MAX_MESSAGE_BYTES)
+                .max_decoding_message_size(message_bytes)
                 .accept_compressed(Gzip)
                 .accept_compressed(Zstd)
                 .send_compressed(Gzip)
@@ -192,7 +196,7 @@ pub async fn run(
     }
     let routes = routes.prepare();
     let closing = watch::Sender::new(CUT_TIME);
-    let serving = connections::serve(listener, routes, limits, budget, phase.subscribe(), closing.subscribe());
+    let serving = connections::serve(listener, routes, limits, budget, tls, phase.subscribe(), closing.subscribe());
     tokio::pin!(serving);
 
     let unkept = async {
@@ -241,14 +245,16 @@ pub async fn run(
     if let Some(stage) = lost {
         return Err(ServeError::WorkStuck { stage });
     }
-    let died = *engine.watch_device().borrow() == Device::Gone;
+    let device = *engine.watch_device().borrow();
     engine.close();
     join(worker).await?;
     if !is_kept {
         return Err(ServeError::Journal);
     }
-    if died {
-        return Err(ServeError::WorkerDied);
+    match device {
+        Device::Gone => return Err(ServeError::WorkerDied),
+        Device::Missing => return Err(ServeError::DeviceMissing),
+        Device::Ready | Device::Lost | Device::Replaced => {}
     }
     tracing::info!("ended");
     Ok(())
@@ -280,11 +286,15 @@ async fn follow_engine(engine: &Engine, health: &Told) -> Option<&'static str> {
             tracing::error!("the engine has ended");
             return None;
         }
+        if now == Device::Missing {
+            tracing::error!("the device did not come back; the process ends, so that its supervisor can start it anew");
+            return None;
+        }
         if let Work::Lost { stage } = works {
             tracing::error!(stage, "work does not stop; the process ends, so that its supervisor can start it anew");
             return Some(stage);
         }
-        let is_well = now == Device::Ready && works == Work::Stops;
+        let is_well = matches!(now, Device::Ready | Device::Replaced) && works == Work::Stops;
         health.tell(if is_well { ServingStatus::Serving } else { ServingStatus::NotServing }).await;
         let changed = tokio::select! {
             changed = device.changed() => changed,
@@ -300,13 +310,14 @@ async fn follow_engine(engine: &Engine, health: &Told) -> Option<&'static str> {
 fn with_jobs(routes: Routes, Jobs { blobs, desk }: Jobs, limits: Limits, budget: &Budget, gate: &Gate) -> Routes {
     let blobs = handlers::blobs::Blobs::new(blobs, limits, budget.clone(), gate.clone());
     let jobs = handlers::jobs::Jobs::new(desk, budget.clone(), gate.clone());
+    let message_bytes = limits.transport.message_bytes;
     // What is read is not compressed: results seldom shrink, and their clients wait for them.
     let blobs = proto::blob_service_server::BlobServiceServer::new(blobs)
-        .max_decoding_message_size(MAX_MESSAGE_BYTES)
+        .max_decoding_message_size(message_bytes)
         .accept_compressed(Gzip)
         .accept_compressed(Zstd);
     let jobs = proto::job_service_server::JobServiceServer::new(jobs)
-        .max_decoding_message_size(MAX_MESSAGE_BYTES)
+        .max_decoding_message_size(message_bytes)
         .accept_compressed(Gzip)
         .accept_compressed(Zstd)
         .send_compressed(Gzip)

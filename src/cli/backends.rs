@@ -77,7 +77,12 @@ pub(crate) fn gpu(args: &BackendArgs) -> Result<Arc<dyn Backend>, String> {
 /// # Errors
 /// A sentence for the caller.
 pub(crate) fn open_gpu(args: &BackendArgs) -> Result<Arc<Gpu>, String> {
-    let options = BackendOptions { threads: args.threads, software_gpu: args.gpu_software, ..BackendOptions::new() };
+    let options = BackendOptions {
+        threads: args.threads,
+        software_gpu: args.gpu_software,
+        gpu_timeout: args.gpu_timeout,
+        ..BackendOptions::new()
+    };
     options.open_gpu().map_err(|why| match &why {
         // An adapter that opens and then fails is a fault that should be seen, not passed over.
         NoGpu::Broken(error) => {

@@ -1,14 +1,14 @@
 //! The address of a server, as `--endpoint` takes it.
 //!
-//! Invariant: a [`ServerUrl`] is `http://HOST:PORT` and nothing else. What is refused is refused before any work, with
-//! what to write instead; above all https, which would else be sent in clear text. Must not know: connections.
+//! Invariant: a [`ServerUrl`] is `http://HOST:PORT` or `https://HOST:PORT` and nothing else. What is refused is refused
+//! before any work, with what to write instead. Must not know: connections.
 
 use std::fmt;
 use std::str::FromStr;
 
 use tonic::transport::Uri;
 
-/// Where a server is: `http://HOST:PORT`.
+/// Where a server is: `http://HOST:PORT`, or with TLS `https://HOST:PORT`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ServerUrl(String);
 
@@ -16,6 +16,16 @@ impl ServerUrl {
     /// As a URL.
     pub(crate) fn as_str(&self) -> &str {
         &self.0
+    }
+
+    /// Whether it is asked over TLS.
+    pub(crate) fn has_tls(&self) -> bool {
+        self.0.starts_with(TLS)
+    }
+
+    /// The same over TLS.
+    pub(crate) fn with_tls(&self) -> String {
+        self.0.replacen(CLEAR, TLS, 1)
     }
 }
 
@@ -25,6 +35,10 @@ impl fmt::Display for ServerUrl {
     }
 }
 
+/// How addresses begin.
+const CLEAR: &str = "http://";
+const TLS: &str = "https://";
+
 /// An example, for who has to write it anew.
 const EXAMPLE: &str = "http://127.0.0.1:50051";
 
@@ -33,20 +47,23 @@ impl FromStr for ServerUrl {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let Some((scheme, rest)) = text.split_once("://") else {
-            return Err(format!("the address begins with http://; write it as http://{text}, for example {EXAMPLE}"));
-        };
-        if scheme.eq_ignore_ascii_case("https") || scheme.eq_ignore_ascii_case("grpcs") {
             return Err(format!(
-                "there is no TLS yet, and the surface would be sent in clear text; on a network that you trust write \
-                 http://{rest}, or else reach the server through a tunnel such as ssh -L"
+                "the address begins with http://, or with https:// for TLS; write it as http://{text}, for example {EXAMPLE}"
             ));
-        }
-        if !scheme.eq_ignore_ascii_case("http") {
-            return Err(format!("{scheme}:// is not known; the address begins with http://, for example {EXAMPLE}"));
-        }
+        };
+        let scheme = match scheme.to_ascii_lowercase().as_str() {
+            "http" => CLEAR,
+            "https" => TLS,
+            "grpcs" => return Err(format!("the address begins with http:// or https://; write {TLS}{rest}")),
+            _ => {
+                return Err(format!(
+                    "{scheme}:// is not known; the address begins with http:// or https://, for example {EXAMPLE}"
+                ));
+            }
+        };
         let (place, path) = rest.split_at(rest.find(['/', '?', '#']).unwrap_or(rest.len()));
         if !matches!(path, "" | "/") {
-            return Err(format!("the address ends with the port; write http://{place} without {path}"));
+            return Err(format!("the address ends with the port; write {scheme}{place} without {path}"));
         }
         if place.contains('@') {
             return Err("names and passwords are not sent; leave out what stands before @".to_owned());
@@ -59,12 +76,12 @@ impl FromStr for ServerUrl {
                 "an address of IPv6 stands in brackets, as http://[::1]:50051; {EXAMPLE} is one of IPv4"
             ));
         }
-        let uri: Uri = format!("http://{place}").parse().map_err(|e| format!("{e}; an example is {EXAMPLE}"))?;
+        let uri: Uri = format!("{scheme}{place}").parse().map_err(|e| format!("{e}; an example is {EXAMPLE}"))?;
         match (uri.host(), uri.port_u16()) {
             (None | Some(""), _) | (Some(_), None | Some(0)) => {
                 Err(format!("the port is missing or no number from 1 to 65535; an example is {EXAMPLE}"))
             }
-            (Some(_), Some(_)) => Ok(Self(format!("http://{place}"))),
+            (Some(_), Some(_)) => Ok(Self(format!("{scheme}{place}"))),
         }
     }
 }
@@ -75,8 +92,16 @@ mod tests {
 
     #[test]
     fn a_host_and_a_port_are_taken() {
-        for text in ["http://127.0.0.1:50051", "HTTP://localhost:1", "http://[::1]:50051/", "http://a.example:65535"] {
+        for text in [
+            "http://127.0.0.1:50051",
+            "HTTP://localhost:1",
+            "http://[::1]:50051/",
+            "https://a.example:65535",
+            "HTTPS://[::1]:1",
+        ] {
             let url: ServerUrl = text.parse().unwrap();
+            assert_eq!(url.has_tls(), text.to_lowercase().starts_with("https"));
+            assert!(url.with_tls().starts_with("https://") && !url.with_tls()[8..].contains("//"));
             assert!(tonic::transport::Endpoint::from_shared(url.to_string()).is_ok(), "{url}");
         }
     }
@@ -84,10 +109,10 @@ mod tests {
     #[test]
     fn what_is_refused_says_what_to_write() {
         for (text, words) in [
-            ("https://127.0.0.1:50051", "no TLS yet"),
-            ("HTTPS://host:1/x", "no TLS yet"),
-            ("grpcs://host:1", "no TLS yet"),
-            ("grpc://host:1", "begins with http://"),
+            ("HTTPS://host:1/x", "write https://host:1 without /x"),
+            ("https://host", "port is missing"),
+            ("grpcs://host:1", "write https://host:1"),
+            ("grpc://host:1", "begins with http:// or https://"),
             ("unix:///run/socket", "begins with http://"),
             ("127.0.0.1:50051", "http://127.0.0.1:50051"),
             ("localhost:50051", "http://localhost:50051"),

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::config::ConfigError;
+use crate::config::{self, ConfigError};
 use crate::job::JobError;
 use crate::mesh::MeshError;
 use crate::mesh::io::FileError;
@@ -21,6 +21,8 @@ const NO_FOLDER: u8 = 73;
 const IO: u8 = 74;
 /// Work did not stop when it was told to; only a new process can go on.
 const STUCK: u8 = 75;
+/// The device was lost and did not come back; only a new process can go on.
+const NO_DEVICE: u8 = 76;
 const INTERRUPTED: u8 = super::interrupt::CODE;
 
 /// What `--help` says of them.
@@ -34,12 +36,18 @@ pub(crate) const HELP: &str = "Exit codes:
   73   the folder of an output file is missing
   74   an output file or the standard output cannot be written
   75   work did not stop when it was told to; a server is to be started anew
+  76   the device was lost and did not come back; a server is to be started anew
   130  interrupted";
 
 /// Options that do not go together, or ask for what is not there.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct Usage(pub(crate) String);
+
+/// Files of TLS that a server cannot use.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct BadTls(pub(crate) String);
 
 /// A file that cannot be read or does not say what it should.
 #[derive(Debug, thiserror::Error)]
@@ -86,6 +94,11 @@ pub(crate) struct Absent(pub(crate) String);
 #[error("{0}")]
 pub(crate) struct NoResult(pub(crate) String);
 
+/// A device that was lost and did not come back.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct NoDevice(pub(crate) String);
+
 /// Work that goes on though it was told to stop.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
@@ -97,7 +110,12 @@ pub(crate) fn code(error: &anyhow::Error) -> u8 {
 }
 
 fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
-    if cause.is::<Usage>() || cause.is::<ConfigError>() || cause.is::<TelemetryError>() {
+    if cause.is::<Usage>()
+        || cause.is::<ConfigError>()
+        || cause.is::<config::FileError>()
+        || cause.is::<BadTls>()
+        || cause.is::<TelemetryError>()
+    {
         return Some(USAGE);
     }
     match cause.downcast_ref::<FileError>() {
@@ -106,6 +124,9 @@ fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
         Some(FileError::Io { action: "read", .. }) => return Some(NO_INPUT),
         Some(FileError::Io { .. }) => return Some(IO),
         None => {}
+    }
+    if cause.is::<NoDevice>() {
+        return Some(NO_DEVICE);
     }
     if cause.is::<Stuck>() {
         return Some(STUCK);

@@ -1,4 +1,4 @@
-//! Ctrl-C and SIGTERM.
+//! Ctrl-C and SIGTERM, and SIGHUP where it has a meaning.
 //!
 //! The first signal asks for a clean end, the second ends the process at once.
 
@@ -44,6 +44,31 @@ pub(crate) fn cancel_on_signal(token: &Token) -> std::io::Result<()> {
             std::process::exit(AT_ONCE);
         });
     })?;
+    Ok(())
+}
+
+/// Calls `work` at each SIGHUP, which ends the process no more.
+///
+/// # Errors
+/// The operating system refused.
+#[cfg(unix)]
+pub(crate) fn on_hangup(work: impl Fn() + Send + 'static) -> std::io::Result<()> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let mut hangup = signal(SignalKind::hangup())?;
+    tokio::spawn(async move {
+        while hangup.recv().await.is_some() {
+            work();
+        }
+    });
+    Ok(())
+}
+
+/// There is no such signal here.
+///
+/// # Errors
+/// None.
+#[cfg(not(unix))]
+pub(crate) fn on_hangup(_: impl Fn() + Send + 'static) -> std::io::Result<()> {
     Ok(())
 }
 

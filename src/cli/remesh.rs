@@ -32,6 +32,7 @@ pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
 
 fn work(args: &RemeshArgs) -> Result<()> {
     let start = Instant::now();
+    let trust = args.endpoint.as_ref().map(|url| args.trust.read(url)).transpose()?.unwrap_or_default();
     let mut progress = Progress::begin(&args.input, &args.say);
     let Loaded { mesh, attributes, notes } = match args.files.no_attributes {
         true => Loaded { mesh: files::read_mesh(&args.input)?, attributes: None, notes: Vec::new() },
@@ -46,7 +47,7 @@ fn work(args: &RemeshArgs) -> Result<()> {
         None => here(args, &mesh, &options, &mut progress)?,
         Some(url) => {
             let job = remote::RemeshJob { mesh: &mesh, options: &options, backend: args.backend.backend };
-            let server = Server { url: url.clone(), tenant: args.tenant.clone() };
+            let server = Server { url: url.clone(), tenant: args.tenant.clone(), trust };
             let done = remote::remesh(&server, &job, &progress)?;
             (Done { mesh: done.mesh, curve_edges: done.curve_edges, attributes: done.attributes }, done.report)
         }

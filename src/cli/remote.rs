@@ -12,6 +12,7 @@ mod faults;
 mod jobs;
 mod link;
 mod session;
+mod tls;
 
 use std::future::Future;
 use std::sync::atomic::Ordering;

@@ -16,6 +16,7 @@ use super::picture::PictureArgs;
 use super::progress::{Plan, Progress};
 use super::say::{self, SayArgs};
 use super::server::{Server, Tenant};
+use super::trust::TrustArgs;
 use super::{backends, files, interrupt, remote};
 use crate::config::{BackendArgs, count, whole};
 use crate::cvt::density::DensityOptions;
@@ -51,6 +52,8 @@ pub(crate) struct RvdArgs {
     /// Whose work the server takes it for, where several share one.
     #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Who works")]
     tenant: Option<Tenant>,
+    #[command(flatten, next_help_heading = "Who works")]
+    trust: TrustArgs,
     #[command(flatten, next_help_heading = "What is said")]
     say: SayArgs,
 }
@@ -112,6 +115,7 @@ pub(crate) fn run(args: &RvdArgs) -> Result<()> {
 
 fn work(args: &RvdArgs) -> Result<()> {
     let start = Instant::now();
+    let trust = args.endpoint.as_ref().map(|url| args.trust.read(url)).transpose()?.unwrap_or_default();
     let mut progress = Progress::begin(&args.input, &args.say);
     let mesh = files::read_mesh(&args.input)?;
     let seeds = args.seeds()?;
@@ -136,7 +140,7 @@ fn work(args: &RvdArgs) -> Result<()> {
         None => here(args, mesh, seeds, wants, &mut progress, &mut sink)?,
         Some(url) => {
             let job = remote::RvdJob { mesh: &mesh, seeds, wants, backend: args.backend.backend };
-            let server = Server { url: url.clone(), tenant: args.tenant.clone() };
+            let server = Server { url: url.clone(), tenant: args.tenant.clone(), trust };
             (remote::rvd(&server, job, &progress, &mut sink)?, given)
         }
     };

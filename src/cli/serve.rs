@@ -9,35 +9,38 @@ use anyhow::{Context, Result};
 use glam::DVec3;
 use tokio::net::TcpListener;
 
-use super::exit::{NotWritten, Stuck, Unavailable};
+use super::exit::{BadTls, NoDevice, NotWritten, Stuck, Unavailable};
 use super::{backends, interrupt};
 #[cfg(not(feature = "s3"))]
 use crate::blob::BlobError;
-use crate::config::{JobCeilings, Limits, ServeArgs, ServeConfig};
+use crate::blob::BlobOptions;
+use crate::config::{JobCeilings, Limits, OnLoss, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
 use crate::job::desk::DeskError;
 use crate::job::store::StoreError;
 use crate::job::{
-    Backends, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, Stores, Wish,
+    Backends, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, LossPolicy, Stores, Wish,
 };
 use crate::memory;
 use crate::mesh::TriMesh;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
-use crate::service::{self, Jobs, Parts, ServeError};
+use crate::service::{self, Jobs, Parts, ServeError, Tls};
 use crate::token::Token;
 
 /// Opens what is kept, and says where that is.
 async fn stores(config: &ServeConfig) -> Result<Stores> {
+    let blobs =
+        BlobOptions::default().with_quota_bytes(config.blob_bytes).with_reserve_bytes(config.disk_reserve_bytes);
     let Some(folder) = &config.data_dir else {
         tracing::info!("jobs and blobs are kept in memory and gone with the server");
-        return Ok(Stores::ephemeral(config.blob_bytes));
+        return Ok(Stores::ephemeral(blobs));
     };
     let cannot = |error| Unavailable(format!("cannot make {}: {error}; give another --data-dir", folder.display()));
     std::fs::create_dir_all(folder).map_err(cannot)?;
     let stores = match &config.bucket {
-        None => Stores::in_folder(folder.clone(), config.blob_bytes).await,
+        None => Stores::in_folder(folder.clone(), blobs).await,
         #[cfg(feature = "s3")]
-        Some(url) => Stores::in_bucket(folder.clone(), url, config.blob_bytes).await,
+        Some(url) => Stores::in_bucket(folder.clone(), url, blobs).await,
         #[cfg(not(feature = "s3"))]
         Some(_) => Err(BlobError::Unavailable("built without the feature s3".to_owned()).into()),
     };
@@ -65,9 +68,24 @@ fn unusable(config: &ServeConfig, error: &DeskError) -> Unavailable {
 /// How long connections get to close after the last stream.
 const LEAVE: Duration = Duration::from_secs(2);
 
+/// Says what is wrong with the options, and does nothing else.
+///
+/// # Errors
+/// As [`run`] before it begins.
+pub(crate) fn check(args: &ServeArgs) -> Result<()> {
+    prepare(args).map(|_| ())
+}
+
+/// Whatever can be refused before a port is bound or a folder is made.
+fn prepare(args: &ServeArgs) -> Result<(ServeConfig, Option<Arc<Tls>>)> {
+    let config = args.check()?;
+    let tls = config.tls.clone().map(Tls::load).transpose().map_err(|error| BadTls(error.to_string()))?;
+    Ok((config, tls.map(Arc::new)))
+}
+
 /// Runs it.
 pub(crate) fn run(args: &ServeArgs) -> Result<()> {
-    let config = args.check()?;
+    let (config, tls) = prepare(args)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         // Files are read and written there: more at once than this are not faster, and hold a stack each.
@@ -75,15 +93,20 @@ pub(crate) fn run(args: &ServeArgs) -> Result<()> {
         .thread_name("tessera-io")
         .build()
         .context("cannot start the runtime")?;
-    let result = runtime.block_on(serve(args, config));
+    let result = runtime.block_on(serve(args, config, tls));
     runtime.shutdown_timeout(LEAVE);
     result
 }
 
-async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
+async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> Result<()> {
     // Before the backends: a signal while they warm up ends the process cleanly too.
     let mut signals = interrupt::signals().context("cannot listen for signals")?;
-    let options = args.backend.clone();
+    if let Some(tls) = &tls {
+        let tls = Arc::clone(tls);
+        interrupt::on_hangup(move || tls.look()).context("cannot listen for signals")?;
+    }
+    let mut options = args.backend.clone();
+    options.gpu_timeout = Some(config.device.timeout);
     let factory = move || {
         let backends = backends::all(&options)?;
         warm_up(&backends)?;
@@ -96,8 +119,14 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
     let usual = EngineOptions::default();
     let jobs_at_once = config.jobs_at_once.unwrap_or(usual.jobs_at_once);
     let queue_jobs = config.queue_jobs;
-    let device_memory_bytes = config.device_memory_bytes;
-    let engine_options = EngineOptions { queue_jobs, ceilings, jobs_at_once, device_memory_bytes, ..usual };
+    let device_memory_bytes = config.device.memory_bytes;
+    let loss = match config.device.on_loss {
+        OnLoss::Exit => LossPolicy::End,
+        OnLoss::Cpu => LossPolicy::Cpu,
+    };
+    let loss_patience = config.device.patience;
+    let engine_options =
+        EngineOptions { queue_jobs, ceilings, jobs_at_once, device_memory_bytes, loss, loss_patience, ..usual };
     // Before the backends take their time: another server may have the folder.
     let stores = stores(&config).await?;
     let starting = tokio::task::spawn_blocking(move || Engine::start(factory, engine_options));
@@ -123,10 +152,11 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
     let address = listener.local_addr().context("asking for the port")?;
     tracing::info!(
         %address, backend = by.kind.name(), adapter = by.adapter, threads = by.threads,
-        queue_jobs = config.queue_jobs, "serving"
+        queue_jobs = config.queue_jobs, tls = tls.is_some(), keys = config.requires_keys, "serving"
     );
     outln!("tessera listens on {address}")?;
-    let parts = Parts { engine, worker, limits: config.limits, jobs: Some(Jobs { blobs, desk: Arc::new(desk) }) };
+    let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
+    let parts = Parts { engine, worker, limits: config.limits, jobs, tls };
     let shutdown = async {
         // A sender that is gone means that nobody can signal; go on serving.
         if signals.await.is_err() {
@@ -136,6 +166,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
     let served = service::run(listener, parts, shutdown).await.map_err(|error| match error {
         ServeError::WorkStuck { .. } => Stuck(error.to_string()).into(),
         ServeError::Journal => NotWritten(error.to_string()).into(),
+        ServeError::DeviceMissing => NoDevice(error.to_string()).into(),
         other => anyhow::Error::new(other),
     });
     served.context("serving")

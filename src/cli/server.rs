@@ -11,6 +11,7 @@ use clap::Args;
 
 use super::endpoint::ServerUrl;
 use super::exit::Usage;
+use super::trust::{Trust, TrustArgs};
 
 /// A server, and what it is told of who asks.
 #[derive(Clone, Debug)]
@@ -19,6 +20,8 @@ pub(crate) struct Server {
     pub(crate) url: ServerUrl,
     /// Whose jobs are meant; whoever the server takes us for if not given.
     pub(crate) tenant: Option<Tenant>,
+    /// Whom a client trusts over TLS, and what it shows.
+    pub(crate) trust: Trust,
 }
 
 /// Whose jobs are meant: 1 to 128 printable ASCII characters without spaces.
@@ -54,6 +57,8 @@ pub(crate) struct ServerArgs {
     /// Whose jobs are meant, where several share a server.
     #[arg(long, value_name = "T", global = true, env = "TESSERA_TENANT")]
     tenant: Option<Tenant>,
+    #[command(flatten)]
+    trust: TrustArgs,
     /// Seconds to try again after a lost connection, from the last that came; 0 not to. For uploads, downloads, submit with a
     /// request id, watch and wait.
     #[arg(long, value_name = "S", global = true, default_value_t = 60.0, env = "TESSERA_RETRY_S", value_parser = pause)]
@@ -77,14 +82,14 @@ impl ServerArgs {
     /// The server that is meant.
     ///
     /// # Errors
-    /// [`Usage`] if none is named.
+    /// [`Usage`] if none is named; a file of TLS cannot be read.
     pub(crate) fn server(&self) -> Result<Server> {
         let Some(url) = &self.endpoint else {
             let text =
                 "which server? Give --endpoint URL or set TESSERA_ENDPOINT, for example to http://127.0.0.1:50051";
             return Err(Usage(text.to_owned()).into());
         };
-        Ok(Server { url: url.clone(), tenant: self.tenant.clone() })
+        Ok(Server { url: url.clone(), tenant: self.tenant.clone(), trust: self.trust.read(url)? })
     }
 
     /// How long to try again after a lost connection.

@@ -86,36 +86,32 @@ pub struct Stores {
 }
 
 impl Stores {
-    /// In a folder, which is made if need be; blobs of at most so many bytes.
+    /// In a folder, which is made if need be; blobs as the options say.
     ///
     /// # Errors
     /// `InUse` if another process has it, or why it cannot be used.
-    pub async fn in_folder(folder: PathBuf, blob_bytes: u64) -> Result<Self, DeskError> {
+    pub async fn in_folder(folder: PathBuf, blobs: BlobOptions) -> Result<Self, DeskError> {
         let jobs = journal(folder.clone()).await?;
-        let blobs = ObjectBlobs::local(folder.join("blobs"), with_room(blob_bytes)).await?;
+        let blobs = ObjectBlobs::local(folder.join("blobs"), blobs).await?;
         Ok(Self { jobs, blobs: Arc::new(blobs) })
     }
 
     /// Jobs in a folder, which is made if need be; blobs in a bucket, `s3://bucket/prefix`, whose address and keys are in the
-    /// variables `AWS_ENDPOINT`, `AWS_REGION`, `AWS_ACCESS_KEY_ID` and so on. At most so many bytes of blobs.
+    /// variables `AWS_ENDPOINT`, `AWS_REGION`, `AWS_ACCESS_KEY_ID` and so on.
     ///
     /// # Errors
     /// `InUse` if another process has the folder, or why folder or bucket cannot be used.
     #[cfg(feature = "s3")]
-    pub async fn in_bucket(folder: PathBuf, url: &str, blob_bytes: u64) -> Result<Self, DeskError> {
+    pub async fn in_bucket(folder: PathBuf, url: &str, blobs: BlobOptions) -> Result<Self, DeskError> {
         let jobs = journal(folder).await?;
-        let blobs = ObjectBlobs::s3(url, [], with_room(blob_bytes)).await?;
+        let blobs = ObjectBlobs::s3(url, [], blobs).await?;
         Ok(Self { jobs, blobs: Arc::new(blobs) })
     }
 
-    /// In memory, gone with the process; blobs of at most so many bytes.
-    pub fn ephemeral(blob_bytes: u64) -> Self {
-        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(with_room(blob_bytes))) }
+    /// In memory, gone with the process; blobs as the options say.
+    pub fn ephemeral(blobs: BlobOptions) -> Self {
+        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(blobs)) }
     }
-}
-
-fn with_room(blob_bytes: u64) -> BlobOptions {
-    BlobOptions::default().with_quota_bytes(blob_bytes)
 }
 
 /// Opens the journal of a folder.

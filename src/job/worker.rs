@@ -3,11 +3,11 @@
 //! Purpose: [`Engine::submit`] from any task, work on a bounded number of OS threads, an answer with times. A job stays on
 //! one of them; the device is shared by the pass ([`gate`](super::gate)).
 //! Invariant: a lost device is replaced once, by whoever finds it lost, before the next piece; a piece that can be begun
-//! anew is tried up to three times. Must not know: what a piece computes.
+//! anew waits for the new device and is tried up to three times. Must not know: what a piece computes.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::AtomicI64;
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::thread::{Builder, JoinHandle};
@@ -16,6 +16,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 
 use super::gate::Gate;
+use super::loss::{Absence, LossPolicy};
 use super::pools::Pools;
 use super::queue::{Item, Lane, Place, Popped, Queue, Taken};
 use super::schedule::{Bytes, Slots};
@@ -34,6 +35,10 @@ pub struct EngineOptions {
     pub ceilings: Ceilings,
     /// Device memory that jobs at work together may need, bytes; without, as much as the device gives.
     pub device_memory_bytes: Option<u64>,
+    /// What to do if a lost device does not come back
+    pub loss: LossPolicy,
+    /// in this time. Work that was at the device waits for it as long.
+    pub loss_patience: Duration,
     /// Jobs at work at once, at least 1; one more of a tenant that has none at work.
     pub jobs_at_once: usize,
 }
@@ -45,6 +50,8 @@ impl Default for EngineOptions {
             revive: Duration::from_secs(5),
             ceilings: Ceilings::default(),
             device_memory_bytes: None,
+            loss: LossPolicy::default(),
+            loss_patience: Duration::from_secs(30),
             jobs_at_once: jobs_at_once(),
         }
     }
@@ -56,6 +63,9 @@ pub(crate) fn jobs_at_once() -> usize {
     std::thread::available_parallelism().map_or(2, |cores| (cores.get() / 4).clamp(2, 8))
 }
 
+/// Between two looks at the token of work that waits for a device.
+const LISTEN: Duration = Duration::from_millis(20);
+
 /// Workers for short pieces.
 const SHORT_WORKERS: usize = 2;
 
@@ -66,6 +76,10 @@ pub enum Device {
     Ready,
     /// Lost; being made anew.
     Lost,
+    /// It did not come back, and the CPU does its work.
+    Replaced,
+    /// It did not come back, and the engine is to end.
+    Missing,
     /// The engine has ended.
     Gone,
 }
@@ -160,12 +174,17 @@ struct Shared {
     current: RwLock<(u64, Backends)>,
     maker: Mutex<Maker>,
     revive: Duration,
+    loss: LossPolicy,
+    loss_patience: Duration,
+    /// Devices that were lost so far.
+    losses: AtomicU64,
 }
 
 /// Makes backends, now and after a loss.
 struct Maker {
     factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
     tried: Instant,
+    absence: Absence,
 }
 
 impl Maker {
@@ -213,8 +232,12 @@ impl Engine {
     /// # Errors
     /// `BackendUnavailable`.
     pub fn backend(&self, wish: Wish) -> Result<BackendInfo, JobError> {
-        let Infos { backends, .. } = &self.shared.infos;
-        backends.iter().find(|(w, _)| *w == wish).map_or(Err(JobError::WorkerGone), |(_, info)| info.clone())
+        self.shared.current().1.choose(wish).map(|backend| BackendInfo::of(backend.as_ref()))
+    }
+
+    /// Devices that were lost so far.
+    pub fn losses(&self) -> u64 {
+        self.shared.losses.load(Ordering::Relaxed)
     }
 
     /// Memory that jobs at work together may need.
@@ -343,7 +366,6 @@ impl Engine {
 }
 
 struct Infos {
-    backends: Vec<(Wish, Result<BackendInfo, JobError>)>,
     /// The threads of the CPU backend.
     pool: Option<Arc<rayon::ThreadPool>>,
     slots: Slots,
@@ -351,11 +373,7 @@ struct Infos {
 
 impl Infos {
     fn of(backends: &Backends, slots: Slots) -> Self {
-        use crate::rvd::BackendKind::{Gpu, Parallel, Serial};
-        let wishes = [Wish::Auto, Wish::Only(Gpu), Wish::Only(Parallel), Wish::Only(Serial)];
-        let info = |wish| backends.choose(wish).map(|b| BackendInfo::of(b.as_ref()));
-        let pool = backends.parallel.pool();
-        Self { backends: wishes.into_iter().map(|wish| (wish, info(wish))).collect(), pool, slots }
+        Self { pool: backends.parallel.pool(), slots }
     }
 }
 
@@ -397,7 +415,7 @@ impl Shared {
         factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
         options: EngineOptions,
     ) -> Result<Self, JobError> {
-        let mut maker = Maker { factory, tried: Instant::now() };
+        let mut maker = Maker { factory, tried: Instant::now(), absence: Absence::default() };
         let backends = maker.make()?;
         let watchdog = Watchdog::start(options.ceilings)
             .map_err(|error| JobError::Panicked(format!("the watchdog could not be started: {error}")))?;
@@ -416,6 +434,9 @@ impl Shared {
             current: RwLock::new((0, backends)),
             maker: Mutex::new(maker),
             revive: options.revive,
+            loss: options.loss,
+            loss_patience: options.loss_patience,
+            losses: AtomicU64::new(0),
         })
     }
 
@@ -450,14 +471,30 @@ impl Shared {
                 break;
             }
             attempts += 1;
-            self.replace(generation, Duration::ZERO);
-            if !task.is_wanted() || task.token().is_stopped() {
+            self.restore(generation, &task);
+            // One that was stopped meanwhile begins once more, and says so itself.
+            if !task.is_wanted() {
                 break;
             }
         }
         // State that the answer did not take along is dropped here.
         drop((task, threads, watched));
         self.queue.done(number, start.elapsed());
+    }
+
+    /// Sees to it that there is a device again, and waits for it unless the work is stopped.
+    fn restore(&self, generation: u64, task: &dyn Item) {
+        let end = Instant::now() + self.loss_patience;
+        let mut pause = Duration::ZERO;
+        loop {
+            self.replace(generation, pause);
+            let is_lost = *self.device.borrow() == Device::Lost && self.current().0 == generation;
+            if !is_lost || !task.is_wanted() || task.token().is_stopped() || Instant::now() >= end {
+                return;
+            }
+            pause = self.revive;
+            std::thread::sleep(LISTEN);
+        }
     }
 
     /// New backends after a loss, unless somebody was faster, or tried less than `pause` ago. While there are none the old
@@ -468,17 +505,38 @@ impl Shared {
         if now != generation || (!pause.is_zero() && maker.tried.elapsed() < pause) {
             return;
         }
+        if *self.device.borrow() == Device::Ready {
+            self.losses.fetch_add(1, Ordering::Relaxed);
+        }
         self.device.send_replace(Device::Lost);
         tracing::warn!("the device was lost; making it anew");
+        let install = |new, state| {
+            *self.current.write().unwrap_or_else(PoisonError::into_inner) = (generation + 1, new);
+            self.device.send_replace(state);
+        };
         match maker.make() {
             Ok(new) if new.gpu.is_err() && old.gpu.is_ok() => {
                 tracing::error!(reason = new.gpu.err(), "the GPU did not come back");
             }
             Ok(new) => {
-                *self.current.write().unwrap_or_else(PoisonError::into_inner) = (generation + 1, new);
-                self.device.send_replace(Device::Ready);
+                maker.absence.end();
+                install(new, Device::Ready);
+                tracing::info!("the device is there again");
+                return;
             }
             Err(error) => tracing::error!(%error, "the device could not be made anew"),
+        }
+        maker.absence.begin();
+        if !maker.absence.has_lasted(self.loss_patience) {
+            return;
+        }
+        match self.loss {
+            LossPolicy::Wait => {}
+            LossPolicy::End => drop(self.device.send_replace(Device::Missing)),
+            LossPolicy::Cpu => {
+                tracing::error!("the device did not come back; the CPU does its work from now on");
+                install(old.without_gpu(), Device::Replaced);
+            }
         }
     }
 }

@@ -5,6 +5,7 @@
 //! Must not know: jobs, the command line.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 #[cfg(feature = "gpu")]
 use super::gpu::Gpu;
@@ -43,6 +44,8 @@ pub struct BackendOptions {
     /// Whether an adapter that runs on the CPU may stand in for a GPU. Off by default: it is slower than the parallel
     /// backend.
     pub software_gpu: bool,
+    /// How long the GPU may take for one submission until it counts as lost; a minute by default.
+    pub gpu_timeout: Option<Duration>,
 }
 
 /// Why there is no GPU backend.
@@ -70,6 +73,7 @@ impl BackendOptions {
         with_choice(choice: BackendChoice),
         with_threads(threads: usize => Some(threads)),
         with_software_gpu(software_gpu: bool),
+        with_gpu_timeout(gpu_timeout: Duration => Some(gpu_timeout)),
     }
 
     /// Makes the backend. One for each process is enough: it may be shared by threads and by calls.
@@ -107,7 +111,9 @@ impl BackendOptions {
     /// [`NoGpu`].
     #[cfg(feature = "gpu")]
     pub(crate) fn open_gpu(&self) -> Result<Arc<Gpu>, NoGpu> {
-        let options = DeviceOptions { software: self.software_gpu, ..DeviceOptions::default() };
+        let usual = DeviceOptions::default();
+        let timeout = self.gpu_timeout.unwrap_or(usual.timeout);
+        let options = DeviceOptions { software: self.software_gpu, timeout, ..usual };
         let device = Device::open(&options).map_err(|e| NoGpu::NoAdapter(e.to_string()))?;
         Ok(Arc::new(Gpu::new(device, self.threads).map_err(|e| NoGpu::Broken(e.to_string()))?))
     }

@@ -9,9 +9,12 @@ mod arriving;
 mod connection;
 mod descriptors;
 mod exchange;
+mod handshake;
+mod line;
 mod places;
 mod seldom;
 mod socket;
+mod tls;
 
 use std::io;
 use std::net::SocketAddr;
@@ -24,10 +27,14 @@ use tonic::service::Routes;
 
 pub(crate) use exchange::Exchange;
 pub(crate) use places::Peer;
+pub use tls::{Tls, TlsError};
 
 use self::connection::State;
+use self::handshake::Handshakes;
+use self::line::Line;
 use self::places::{Full, Places};
 use self::seldom::Seldom;
+use self::socket::Socket;
 use super::Phase;
 use super::budget::Budget;
 use crate::config::Limits;
@@ -48,6 +55,8 @@ struct Common {
     routes: Routes,
     limits: Limits,
     budget: Budget,
+    /// Where TLS is spoken.
+    handshakes: Option<Handshakes>,
     /// Connections that were closed for breaking a limit.
     closed: Seldom,
 }
@@ -58,6 +67,7 @@ pub(super) async fn serve(
     routes: Routes,
     limits: Limits,
     budget: Budget,
+    tls: Option<Arc<Tls>>,
     phase: watch::Receiver<Phase>,
     closing: watch::Receiver<Duration>,
 ) {
@@ -70,7 +80,17 @@ pub(super) async fn serve(
         );
     }
     let places = Places::new(most, limits.max_connections_per_peer);
-    let common = Arc::new(Common { routes, limits, budget, closed: Seldom::default() });
+    let handshakes = tls.map(|tls| Handshakes::new(tls, limits.transport));
+    let common = Arc::new(Common { routes, limits, budget, handshakes, closed: Seldom::default() });
+    let following = {
+        let common = Arc::clone(&common);
+        async move {
+            match &common.handshakes {
+                Some(handshakes) => Arc::clone(handshakes.tls()).follow().await,
+                None => std::future::pending().await,
+            }
+        }
+    };
     let accepting = Accepting {
         listener,
         places: Arc::clone(&places),
@@ -83,6 +103,7 @@ pub(super) async fn serve(
     let mut until = phase;
     tokio::select! {
         () = accepting.run() => {}
+        () = following => {}
         _ = until.wait_for(|now| *now >= Phase::Closing) => {}
     }
     let time = *closing.borrow();
@@ -145,7 +166,9 @@ impl Accepting {
             Ok(place) => {
                 let (common, phase) = (Arc::clone(&self.common), self.phase.clone());
                 tokio::spawn(async move {
-                    connection::serve(stream, state, common, phase).await;
+                    if let Some(line) = establish(stream, &state, &common, phase.clone()).await {
+                        connection::serve(line, state, common, phase).await;
+                    }
                     drop(place);
                 });
             }
@@ -155,6 +178,20 @@ impl Accepting {
                 }
             }
         }
+    }
+}
+
+/// Makes of a new socket what HTTP/2 is spoken on; nothing if it came to nothing.
+async fn establish(
+    stream: TcpStream,
+    state: &Arc<State>,
+    common: &Common,
+    phase: watch::Receiver<Phase>,
+) -> Option<Line> {
+    let socket = Socket::new(stream, state.traffic()).ok()?;
+    match &common.handshakes {
+        None => Some(Line::Clear(socket)),
+        Some(handshakes) => Some(Line::Tls(Box::new(handshakes.shake(socket, state, phase).await?))),
     }
 }
 

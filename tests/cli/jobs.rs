@@ -92,7 +92,7 @@ fn wrong_options_are_wrong_usage() {
         ("jobs list --state done", "possible values"),
         ("jobs list --limit 0", "whole number from 1"),
         (&format!("jobs fetch {ID}"), "--output"),
-        (&format!("jobs --endpoint https://h:1 get {ID}"), "no TLS yet"),
+        (&format!("jobs --endpoint http://h:1 --ca in.off get {ID}"), "write https://h:1"),
         (&format!("jobs --tenant= get {ID}"), "a tenant has"),
         ("blobs get abc -o x", "64 hexadecimal digits"),
         (&format!("blobs get {digest}"), "--output"),

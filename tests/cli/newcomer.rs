@@ -148,7 +148,7 @@ fn whole_numbers_may_have_an_exponent() {
 fn an_endpoint_that_cannot_be_is_refused_before_anything_is_read() {
     let folder = sphere();
     for (url, words) in [
-        ("https://127.0.0.1:50051", "no TLS yet"),
+        ("https://127.0.0.1", "port is missing"),
         ("127.0.0.1:50051", "http://127.0.0.1:50051"),
         ("http://127.0.0.1", "port is missing"),
         ("http://user:pass@127.0.0.1:50051", "before @"),

@@ -14,6 +14,7 @@ use crate::cli::picture::PictureArgs;
 use crate::cli::say::SayArgs;
 use crate::cli::server::Tenant;
 use crate::cli::sizes;
+use crate::cli::trust::TrustArgs;
 use crate::config::{BackendArgs, count, whole};
 use crate::cvt::Projection;
 use crate::cvt::density::{DensityOptions, DensitySource};
@@ -47,6 +48,8 @@ pub(crate) struct RemeshArgs {
     /// Whose work the server takes it for, where several share one.
     #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Who works")]
     pub(super) tenant: Option<Tenant>,
+    #[command(flatten, next_help_heading = "Who works")]
+    pub(super) trust: TrustArgs,
     #[command(flatten, next_help_heading = "What is said")]
     pub(super) say: SayArgs,
 }

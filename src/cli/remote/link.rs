@@ -18,9 +18,9 @@ use tonic::{Request, Response, Status, Streaming};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 
-use super::faults;
+use super::{faults, tls};
 use crate::cli::endpoint::ServerUrl;
-use crate::cli::exit::{Unavailable, Usage};
+use crate::cli::exit::{BadInput, Unavailable, Usage};
 use crate::cli::server::{Server, Tenant};
 
 /// How long things may take.
@@ -80,15 +80,28 @@ pub(super) struct Link<'a> {
 impl<'a> Link<'a> {
     /// Connects.
     pub(super) async fn open(server: &'a Server, patience: Patience) -> Result<Self> {
-        let Server { url, tenant } = server;
+        let Server { url, tenant, trust } = server;
         let tenant = tenant.as_ref().map(Tenant::as_str).map(AsciiMetadataValue::try_from).transpose();
         let caller = Caller(tenant.map_err(|e| Usage(format!("--tenant: {e}")))?);
         let endpoint = Endpoint::from_shared(url.to_string())
             .map_err(|e| Usage(format!("--endpoint {url}: {e}; an example is http://127.0.0.1:50051")))?;
-        let endpoint = endpoint.connect_timeout(patience.connect);
+        let mut endpoint = endpoint.connect_timeout(patience.connect);
+        if url.has_tls() {
+            endpoint = endpoint.tls_config(tls::settings(trust, patience.connect)).map_err(|e| {
+                let cause = faults::innermost(&e);
+                let text = tls::meaning(url, &cause).unwrap_or_else(|| {
+                    format!("--ca, --client-cert or --client-key cannot be used: {cause}; they are to be files in PEM")
+                });
+                BadInput(text)
+            })?;
+        }
         let endpoint = endpoint.http2_keep_alive_interval(patience.ping).keep_alive_timeout(patience.ping);
         let channel = endpoint.connect().await.map_err(|e| {
-            Unavailable(format!("cannot reach {url}: {}; is a server running there?", faults::innermost(&e)))
+            let cause = faults::innermost(&e);
+            Unavailable(
+                tls::meaning(url, &cause)
+                    .unwrap_or_else(|| format!("cannot reach {url}: {cause}; is a server running there?")),
+            )
         })?;
         let link = Self { url, patience, channel, caller, sent: Sent::default() };
         link.greet().await?;
@@ -104,7 +117,13 @@ impl<'a> Link<'a> {
         let cause = match tokio::time::timeout(limit, asked).await {
             Err(_) => format!("takes the connection, but said nothing for {} s", limit.as_secs_f32()),
             Ok(Err(status)) => match std::error::Error::source(&status) {
-                Some(_) => format!("does not answer as a server of tessera ({})", faults::innermost(&status)),
+                Some(_) => {
+                    let cause = faults::innermost(&status);
+                    if let Some(meaning) = tls::meaning(url, &cause) {
+                        return Err(Unavailable(meaning).into());
+                    }
+                    format!("does not answer as a server of tessera ({cause})")
+                }
                 None => return Ok(()),
             },
             Ok(Ok(_)) => return Ok(()),
@@ -185,6 +204,7 @@ mod tests {
 
     use super::*;
     use crate::cli::exit::code;
+    use crate::cli::trust::Trust;
 
     const SHORT: Duration = Duration::from_millis(300);
     const LONG: Duration = Duration::from_secs(10);
@@ -204,7 +224,7 @@ mod tests {
             }
         });
         let patience = Patience { connect, ping: LONG, first: LONG };
-        let server = Server { url: url.clone(), tenant: None };
+        let server = Server { url: url.clone(), tenant: None, trust: Trust::default() };
         let error = Link::open(&server, patience).await.err().expect("it is no server");
         assert_eq!(code(&error), 69);
         let said = format!("{error:#}");

@@ -13,7 +13,6 @@ use std::time::{Duration, Instant};
 use hyper::body::Incoming;
 use hyper::server::conn::http2;
 use hyper_util::rt::{TokioIo, TokioTimer};
-use tokio::net::TcpStream;
 use tokio::sync::{Notify, watch};
 use tonic::Status;
 use tonic::body::Body;
@@ -21,12 +20,14 @@ use tonic::codegen::Service as _;
 use tonic::codegen::http::{HeaderMap, Request, Response};
 use tonic::service::Routes;
 
-use super::super::{MAX_MESSAGE_BYTES, Phase, RequestError};
+use super::super::{Phase, RequestError};
 use super::arriving::Arriving;
 use super::exchange::{Exchange, Farewell, Pieces};
+use super::line::Line;
 use super::places::{Guest, Peer, Standing};
-use super::socket::{Socket, Traffic};
+use super::socket::Traffic;
 use super::{Common, LINGER};
+use crate::config::{Limits, Transport};
 
 /// What an upload may have on its way, bytes: for a stream, for a connection.
 const STREAM_WINDOW: u32 = 1 << 20;
@@ -35,27 +36,11 @@ const CONNECTION_WINDOW: u32 = 4 << 20;
 /// Bytes of a stream's answer that may wait for the socket.
 const SEND_BUFFER: usize = 128 << 10;
 
-/// All headers of a request, bytes.
-const HEADERS: u32 = 16 << 10;
-
 /// How the paths of the services begin that take uploads.
 const OURS: &str = "/tessera.v1.";
 
 /// The longest message to health and reflection, bytes.
 const QUESTION: u64 = 64 << 10;
-
-/// Streams that the client reset, and such as were reset for its faults, before the connection is at fault.
-const RESETS_PENDING: usize = 32;
-const RESETS_FOR_FAULTS: usize = 256;
-
-/// Streams of a connection besides those that do work: health, reflection.
-const EXTRA_STREAMS: usize = 16;
-
-/// Between two pings, which keep boxes between here and the client from forgetting the connection.
-const PING_EVERY: Duration = Duration::from_secs(20);
-
-/// The least time for the answer to a ping. It waits behind all that a slow reader has not read.
-const PING_TIME: Duration = Duration::from_secs(60);
 
 /// Time to say goodbye before the socket is closed.
 const FINISH_TIME: Duration = Duration::from_secs(1);
@@ -93,6 +78,21 @@ impl State {
         Self { peer, opened, traffic, streams: Mutex::new(streams), evicted: Notify::new() }
     }
 
+    /// Who is at the other end.
+    pub(super) fn peer(&self) -> Peer {
+        self.peer
+    }
+
+    /// What its socket tells.
+    pub(super) fn traffic(&self) -> Arc<Traffic> {
+        Arc::clone(&self.traffic)
+    }
+
+    /// Ready once it has to go.
+    pub(super) async fn until_evicted(&self) {
+        self.evicted.notified().await;
+    }
+
     fn lock(&self) -> MutexGuard<'_, Streams> {
         self.streams.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -125,30 +125,24 @@ enum Verdict {
 }
 
 /// Runs the connection.
-pub(super) async fn serve(
-    stream: TcpStream,
-    state: Arc<State>,
-    common: Arc<Common>,
-    mut phase: watch::Receiver<Phase>,
-) {
-    let Ok(socket) = Socket::new(stream, Arc::clone(&state.traffic)) else { return };
+pub(super) async fn serve(line: Line, state: Arc<State>, common: Arc<Common>, mut phase: watch::Receiver<Phase>) {
     let service = Answerer { state: Arc::clone(&state), common: Arc::clone(&common), phase: phase.clone() };
     let limits = &common.limits;
-    let streams = u32::try_from(limits.max_streams.saturating_add(EXTRA_STREAMS)).unwrap_or(u32::MAX);
+    let transport = limits.transport;
     let connection = http2::Builder::new(Spawner(Arc::clone(&state)))
         .timer(TokioTimer::new())
         .initial_stream_window_size(STREAM_WINDOW)
         .initial_connection_window_size(CONNECTION_WINDOW)
-        .max_concurrent_streams(streams)
+        .max_concurrent_streams(streams(limits))
         .max_send_buf_size(SEND_BUFFER)
-        .max_header_list_size(HEADERS)
-        .max_pending_accept_reset_streams(RESETS_PENDING)
-        .max_local_error_reset_streams(RESETS_FOR_FAULTS)
-        .keep_alive_interval(PING_EVERY)
-        .keep_alive_timeout(limits.stall.max(PING_TIME))
-        .serve_connection(TokioIo::new(socket), service);
+        .max_header_list_size(transport.header_bytes)
+        .max_pending_accept_reset_streams(transport.pending_resets)
+        .max_local_error_reset_streams(transport.fault_resets)
+        .keep_alive_interval(transport.ping_every)
+        .keep_alive_timeout(limits.stall.max(transport.ping_timeout))
+        .serve_connection(TokioIo::new(line), service);
     tokio::pin!(connection);
-    let look_every = [limits.stall, limits.first_request, limits.idle_connection]
+    let look_every = [limits.stall, limits.first_request, limits.idle_connection, transport.first_byte]
         .into_iter()
         .map(|limit| limit / 8)
         .fold(LOOK_EVERY, Duration::min)
@@ -164,7 +158,7 @@ pub(super) async fn serve(
                 }
                 break;
             }
-            () = state.evicted.notified() => break,
+            () = state.until_evicted() => break,
             () = tokio::time::sleep(pause) => {}
             Ok(()) = phase.changed() => {}
         }
@@ -186,6 +180,12 @@ pub(super) async fn serve(
     }
     let mut streams = state.lock();
     streams.all.drain(..).for_each(|stream| stream.cut());
+}
+
+/// Streams that a client may have open.
+fn streams(limits: &Limits) -> u32 {
+    let all = limits.max_streams.saturating_add(Transport::EXTRA_STREAMS);
+    limits.transport.streams.unwrap_or(u32::try_from(all).unwrap_or(u32::MAX))
 }
 
 /// How far a connection is on its way out.
@@ -243,6 +243,9 @@ impl Leaving {
                 return Verdict::Finish("the server ends");
             }
             return Verdict::Stays;
+        }
+        if !state.traffic.received() && state.opened.elapsed() >= limits.transport.first_byte {
+            return Verdict::Close("nothing came");
         }
         if streams.requests == 0 && state.opened.elapsed() >= limits.first_request {
             return Verdict::Close("no request came");
@@ -317,7 +320,7 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
         request.extensions_mut().insert(Arc::clone(&exchange));
         request.extensions_mut().insert(self.state.peer);
         let uploads = request.uri().path().starts_with(OURS);
-        let most = if uploads { MAX_MESSAGE_BYTES as u64 } else { QUESTION };
+        let most = if uploads { self.common.limits.transport.message_bytes as u64 } else { QUESTION };
         let budget = self.common.budget.clone();
         let mut routes: Routes = self.common.routes.clone();
         let mut phase = self.phase.clone();

@@ -75,6 +75,11 @@ impl Socket {
         socket.set_tcp_notsent_lowat(UNSENT_BYTES)?;
         Ok(Self { stream, traffic })
     }
+
+    /// Ready once the peer has sent something, or has gone.
+    pub(super) async fn readable(&self) -> io::Result<()> {
+        self.stream.readable().await
+    }
 }
 
 impl AsyncRead for Socket {

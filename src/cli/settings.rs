@@ -1,0 +1,84 @@
+//! From the command line to the options, through the configuration's file.
+//!
+//! Purpose: [`parse`] reads the line twice where a file is named: once to find the file, once with the file's values as
+//! defaults. Invariant: precedence is clap's: default, file, environment, line. Must not know: what is done with options.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::{ArgMatches, CommandFactory, FromArgMatches};
+
+use super::{Cli, Command};
+use crate::config::{ConfigFile, ServeArgs, Sources, with_switches};
+
+/// Subcommands that take a server's options.
+const SERVER: &[&[&str]] = &[&["serve"], &["config", "check"], &["config", "print"]];
+
+/// The options of `config` that are its own, and the one that says which file is meant.
+const SHOWN: &[&str] = &["config", "defaults"];
+
+/// The command line, understood.
+pub(super) struct Given {
+    pub(super) cli: Cli,
+    /// What clap found of a server's options, if the subcommand has them.
+    pub(super) options: Option<ArgMatches>,
+}
+
+/// The program's command line.
+pub(super) fn command() -> clap::Command {
+    with_server(Cli::command(), &|options| options)
+}
+
+/// Changes the options of a server wherever they are.
+fn with_server(command: clap::Command, change: &dyn Fn(clap::Command) -> clap::Command) -> clap::Command {
+    let hidden = |command: clap::Command| {
+        command.mut_args(|arg| {
+            let shown = SHOWN.contains(&arg.get_id().as_str());
+            arg.hide(!shown)
+        })
+    };
+    command.mut_subcommand("serve", |serve| change(with_switches(serve))).mut_subcommand("config", |config| {
+        config
+            .mut_subcommand("check", |check| hidden(change(with_switches(check))))
+            .mut_subcommand("print", |print| hidden(change(with_switches(print))))
+    })
+}
+
+/// Reads the command line, and the file that it names. What clap refuses ends the process, as does `--help`.
+///
+/// # Errors
+/// The file cannot be used.
+pub(super) fn parse(line: &[OsString]) -> Result<Given> {
+    let mut found = command().get_matches_from(line);
+    let path = options(&found).and_then(|options| options.get_one::<PathBuf>("config"));
+    let file = path.map(|path| ConfigFile::read(path)).transpose()?;
+    if let Some(file) = &file {
+        found = with_server(Cli::command(), &|options| file.apply(options)).get_matches_from(line);
+    }
+    let mut cli = Cli::from_arg_matches(&found).unwrap_or_else(|error| error.format(&mut command()).exit());
+    let options = options(&found).cloned();
+    if let (Some(args), Some(options)) = (server(&mut cli.command), &options) {
+        args.sources = Sources::new(options, file.as_ref());
+    }
+    Ok(Given { cli, options })
+}
+
+/// What clap found of a server's options.
+fn options(found: &ArgMatches) -> Option<&ArgMatches> {
+    SERVER.iter().find_map(|path| {
+        path.iter().try_fold(found, |found, name| match found.subcommand() {
+            Some((subcommand, found)) if subcommand == *name => Some(found),
+            _ => None,
+        })
+    })
+}
+
+/// A server's options, if the command has them.
+fn server(command: &mut Command) -> Option<&mut ServeArgs> {
+    match command {
+        Command::Serve(args) => Some(args),
+        Command::Config(args) => Some(args.options()),
+        _ => None,
+    }
+}

@@ -1,0 +1,140 @@
+//! TLS handshakes, so many at once.
+//!
+//! Purpose: [`Handshakes::shake`] makes TLS of a socket. Invariant: it ends within its time, is given up when its connection
+//! has to go or the server drains, and never keeps another from being accepted. Who has sent nothing takes no turn. Where
+//! all turns are taken, the oldest handshake that has had a second goes, so that stalled ones hold up nobody for longer.
+//! Must not know: what is spoken over TLS.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::server::TlsStream;
+
+use super::super::Phase;
+use super::connection::State;
+use super::places::Guest;
+use super::seldom::Seldom;
+use super::socket::Socket;
+use super::tls::Tls;
+use crate::config::Transport;
+
+/// A handshake that has had this long may be given up for a newcomer. An honest one takes a few round trips.
+const FAIR: Duration = Duration::from_secs(1);
+
+/// Between two looks for one that can be given up.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// See the module's head.
+pub(super) struct Handshakes {
+    tls: Arc<Tls>,
+    limits: Transport,
+    turns: Arc<Semaphore>,
+    open: Mutex<Open>,
+    failed: Seldom,
+    given_up: Seldom,
+}
+
+/// Handshakes under way, the oldest first.
+#[derive(Default)]
+struct Open {
+    next: u64,
+    all: BTreeMap<u64, (Instant, Arc<State>)>,
+}
+
+/// A turn; given back when dropped.
+struct Turn<'a> {
+    of: &'a Handshakes,
+    id: u64,
+    _permit: OwnedSemaphorePermit,
+}
+
+impl Handshakes {
+    pub(super) fn new(tls: Arc<Tls>, limits: Transport) -> Self {
+        let turns = Arc::new(Semaphore::new(limits.handshakes));
+        Self { tls, limits, turns, open: Mutex::default(), failed: Seldom::default(), given_up: Seldom::default() }
+    }
+
+    /// The certificates.
+    pub(super) fn tls(&self) -> &Arc<Tls> {
+        &self.tls
+    }
+
+    /// Makes TLS of `socket`; nothing if that came to nothing.
+    pub(super) async fn shake(
+        &self,
+        socket: Socket,
+        state: &Arc<State>,
+        mut phase: watch::Receiver<Phase>,
+    ) -> Option<TlsStream<Socket>> {
+        let shaking = async {
+            tokio::time::timeout(self.limits.first_byte, socket.readable())
+                .await
+                .map_err(|_| io::Error::new(io::ErrorKind::TimedOut, "nothing came"))??;
+            let _turn = self.turn(state).await?;
+            TlsAcceptor::from(self.tls.current()).accept(socket).await
+        };
+        let error = tokio::select! {
+            shaken = tokio::time::timeout(self.limits.handshake, shaking) => match shaken {
+                Ok(Ok(stream)) => return Some(stream),
+                Ok(Err(error)) => error,
+                Err(_) => io::Error::new(io::ErrorKind::TimedOut, "the handshake took too long"),
+            },
+            () = state.until_evicted() => return None,
+            _ = phase.wait_for(|now| *now >= Phase::Draining) => return None,
+        };
+        tracing::debug!(peer = %state.peer(), %error, "a TLS handshake failed");
+        if let Some(times) = self.failed.count() {
+            tracing::info!(times, peer = %state.peer(), %error, "TLS handshakes failed; this is the last of them");
+        }
+        None
+    }
+
+    /// Waits for a turn.
+    async fn turn(&self, state: &Arc<State>) -> io::Result<Turn<'_>> {
+        let acquiring = Arc::clone(&self.turns).acquire_owned();
+        tokio::pin!(acquiring);
+        let permit = loop {
+            tokio::select! {
+                biased;
+                permit = acquiring.as_mut() => break permit.map_err(io::Error::other)?,
+                () = tokio::time::sleep(self.give_up_oldest()) => {}
+            }
+        };
+        let mut open = self.lock();
+        let id = open.next;
+        open.next += 1;
+        open.all.insert(id, (Instant::now(), Arc::clone(state)));
+        Ok(Turn { of: self, id, _permit: permit })
+    }
+
+    /// Has the oldest handshake end, if it has had its time; gives when to look again.
+    fn give_up_oldest(&self) -> Duration {
+        if self.turns.available_permits() > 0 {
+            return LOOK_EVERY;
+        }
+        let mut open = self.lock();
+        if let Some(entry) = open.all.first_entry()
+            && entry.get().0.elapsed() >= FAIR
+        {
+            entry.remove().1.evict();
+            if let Some(times) = self.given_up.count() {
+                tracing::warn!(times, "gave up TLS handshakes that stalled, to make room for new ones");
+            }
+        }
+        LOOK_EVERY
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Open> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        self.of.lock().all.remove(&self.id);
+    }
+}
