@@ -34,7 +34,7 @@ pub(crate) use args::{BackendArg, BackendArgs, ServeArgs};
 #[cfg(feature = "cli")]
 pub(crate) use check::{ConfigError, JobCeilings, ServeConfig};
 #[cfg(feature = "cli")]
-pub(crate) use device::{DeviceRules, OnLoss};
+pub(crate) use device::OnLoss;
 #[cfg(feature = "cli")]
 pub(crate) use file::{ConfigFile, FileError};
 pub use limits::{Limits, Transport};

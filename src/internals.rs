@@ -39,7 +39,7 @@ pub mod gpu {
 /// The queue, the threads that do the work, and jobs as data.
 #[cfg(feature = "service")]
 pub mod job {
-    pub use crate::job::{Ask, Backends, Bytes, Ceilings, Engine, EngineOptions, JobError, MakePool, Wish};
+    pub use crate::job::{Ask, Backends, Bytes, Ceilings, Engine, EngineOptions, JobError, LossPolicy, MakePool, Wish};
     pub use crate::job::{Executor, ExecutorOptions, JobBounds, Stores};
     pub use crate::job::{desk, event, record, state, store};
 }

@@ -6,7 +6,9 @@
 #![cfg(unix)]
 
 mod commands;
+mod device;
 mod figures;
+mod full_disk;
 mod jobs;
 mod kills;
 mod program;

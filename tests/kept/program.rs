@@ -38,9 +38,7 @@ impl Program {
     }
 
     pub async fn client(&self) -> Client {
-        let endpoint = Endpoint::from_shared(format!("http://{}", self.address)).unwrap();
-        let channel = endpoint.connect_timeout(Duration::from_secs(10)).connect().await.unwrap();
-        Client { jobs: JobServiceClient::new(channel.clone()), blobs: BlobServiceClient::new(channel), tenant: None }
+        Client::to(&self.address).await
     }
 
     /// No word to it, and no end of anything that it does.
@@ -106,6 +104,12 @@ pub fn pieces(bytes: &[u8], size: usize) -> Vec<WriteRequest> {
 }
 
 impl Client {
+    pub async fn to(address: &str) -> Self {
+        let endpoint = Endpoint::from_shared(format!("http://{address}")).unwrap();
+        let channel = endpoint.connect_timeout(Duration::from_secs(10)).connect().await.unwrap();
+        Self { jobs: JobServiceClient::new(channel.clone()), blobs: BlobServiceClient::new(channel), tenant: None }
+    }
+
     pub fn of(&self, tenant: &str) -> Self {
         Self { tenant: Some(tenant.to_owned()), ..self.clone() }
     }

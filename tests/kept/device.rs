@@ -1,0 +1,251 @@
+//! Promise: a device that is lost or hangs costs time and no job: health says so within a second, the device is opened anew,
+//! and the job that was at work gives the same bits.
+//!
+//! A real device of wgpu, a software one too, in a server of this process: it is destroyed under the jobs, or given work
+//! that never seems to end. `TESSERA_LOSSES=20 TESSERA_HANGS=5` does so as often.
+
+#[path = "../common/gpu.rs"]
+mod gpu;
+
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+use tessera::internals::blob::BlobOptions;
+use tessera::internals::config::Limits;
+use tessera::internals::gpu::{Device, DeviceOptions};
+use tessera::internals::job::*;
+use tessera::internals::rvd::Gpu;
+use tessera::internals::service::{self, Jobs, Parts, SERVICE_NAME, ServeError};
+use tessera::mesh::shapes::Shape;
+use tessera::proto::*;
+use tessera::{BackendKind, RvdError};
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_check_response::ServingStatus;
+use tonic_health::pb::health_client::HealthClient;
+
+use super::program::{Client, part, remesh};
+
+const LIMIT: Duration = Duration::from_secs(120);
+/// What the device may take for one submission.
+const TIMEOUT: Duration = Duration::from_secs(2);
+
+fn times(name: &str, usual: usize) -> usize {
+    std::env::var(name).map_or(usual, |text| text.parse().unwrap())
+}
+
+/// A server whose device can be taken away.
+struct Server {
+    address: SocketAddr,
+    engine: Engine,
+    device: Arc<Mutex<Option<Arc<Device>>>>,
+    /// Whether the device can be opened.
+    is_there: Arc<Mutex<bool>>,
+    stop: oneshot::Sender<()>,
+    served: tokio::task::JoinHandle<Result<(), ServeError>>,
+}
+
+impl Server {
+    async fn start(loss: LossPolicy, loss_patience: Duration) -> Self {
+        let device = Arc::new(Mutex::new(None));
+        let is_there = Arc::new(Mutex::new(true));
+        let (kept, there) = (Arc::clone(&device), Arc::clone(&is_there));
+        let factory = move || -> Result<Backends, JobError> {
+            let away =
+                |reason: &str| RvdError::BackendUnavailable { wanted: BackendKind::Gpu, reason: reason.to_owned() };
+            if !*there.lock().unwrap() {
+                return Err(away("taken away on purpose").into());
+            }
+            let options = DeviceOptions { software: true, timeout: TIMEOUT, ..DeviceOptions::default() };
+            let opened = Device::open(&options).map_err(|error| away(&error.to_string()))?;
+            *kept.lock().unwrap() = Some(Arc::clone(&opened));
+            Ok(Backends {
+                gpu: Ok(Arc::new(Gpu::new(opened, Some(1))?)),
+                parallel: tessera::BackendOptions::new()
+                    .with_choice(tessera::BackendChoice::Only(BackendKind::Parallel))
+                    .with_threads(1)
+                    .open()?,
+                serial: tessera::BackendOptions::new()
+                    .with_choice(tessera::BackendChoice::Only(BackendKind::Serial))
+                    .open()?,
+                default: Wish::Only(BackendKind::Gpu),
+                pools: None,
+            })
+        };
+        let revive = Duration::from_millis(200);
+        let options = EngineOptions { jobs_at_once: 1, revive, loss, loss_patience, ..EngineOptions::default() };
+        let (engine, worker) = Engine::start(factory, options).unwrap();
+        let limits = Limits::default();
+        let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
+        let bounds = JobBounds { max_vertices, max_facets, max_seeds, max_iterations };
+        let stores = Stores::ephemeral(BlobOptions::default());
+        let blobs = Arc::clone(&stores.blobs);
+        let desk = Executor::start(engine.clone(), stores, ExecutorOptions::new(bounds)).await.unwrap();
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let (stop, stopped) = oneshot::channel();
+        let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
+        let parts = Parts { engine: engine.clone(), worker, limits, jobs, tls: None };
+        let served = tokio::spawn(service::run(listener, parts, async {
+            let _ = stopped.await;
+        }));
+        Self { address, engine, device, is_there, stop, served }
+    }
+
+    async fn client(&self) -> Client {
+        Client::to(&self.address.to_string()).await
+    }
+
+    /// Takes the device away for good.
+    fn lose(&self) {
+        self.device.lock().unwrap().as_ref().unwrap().raw().destroy();
+    }
+
+    /// Gives it work for some seconds.
+    fn hang(&self) {
+        let device = Arc::clone(self.device.lock().unwrap().as_ref().unwrap());
+        let source = "@group(0) @binding(0) var<storage, read_write> out: array<u32>;
+            @compute @workgroup_size(1) fn main() {
+                var x = out[0];
+                for (var i = 0u; i < 100u; i++) {
+                    for (var j = 0u; j < 100000000u; j++) { x = x * 1664525u + 1013904223u + (x >> 7u); }
+                }
+                out[0] = x;
+            }";
+        let raw = device.raw();
+        let module = raw.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: None,
+            source: wgpu::ShaderSource::Wgsl(source.into()),
+        });
+        let pipeline = raw.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: None,
+            layout: None,
+            module: &module,
+            entry_point: Some("main"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
+        });
+        let usage = wgpu::BufferUsages::STORAGE;
+        let buffer =
+            raw.create_buffer(&wgpu::BufferDescriptor { label: None, size: 16, usage, mapped_at_creation: false });
+        let group = raw.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: None,
+            layout: &pipeline.get_bind_group_layout(0),
+            entries: &[wgpu::BindGroupEntry { binding: 0, resource: buffer.as_entire_binding() }],
+        });
+        let mut encoder = device.encoder();
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            pass.set_pipeline(&pipeline);
+            pass.set_bind_group(0, &group, &[]);
+            pass.dispatch_workgroups(1, 1, 1);
+        }
+        device.queue().submit([encoder.finish()]);
+    }
+
+    /// What health says, from now on.
+    async fn health(&self) -> tonic::Streaming<tonic_health::pb::HealthCheckResponse> {
+        let channel = tonic::transport::Endpoint::from_shared(format!("http://{}", self.address)).unwrap();
+        let mut health = HealthClient::new(channel.connect().await.unwrap());
+        let request = HealthCheckRequest { service: SERVICE_NAME.to_owned() };
+        health.watch(request).await.unwrap().into_inner()
+    }
+
+    async fn stop(self) -> Result<(), ServeError> {
+        let _ = self.stop.send(());
+        self.served.await.unwrap()
+    }
+}
+
+/// Waits until a job is at its steps.
+async fn steps(client: &mut Client, id: &str) {
+    let request = WatchJobRequest { id: id.to_owned(), after: 0 };
+    let mut stream = client.jobs.watch_job(request).await.unwrap().into_inner();
+    while let Some(message) = stream.message().await.unwrap() {
+        if matches!(message.event.unwrap().what, Some(job_event::What::Iteration(_))) {
+            return;
+        }
+    }
+    panic!("a job without steps");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn no_job_is_lost_with_its_device() {
+    if gpu::device().is_none() {
+        return;
+    }
+    let (losses, hangs) = (times("TESSERA_LOSSES", 3), times("TESSERA_HANGS", 1));
+    let server = Server::start(LossPolicy::Wait, Duration::from_secs(30)).await;
+    let mut client = server.client().await;
+    let digest = client.put_mesh(&Shape::Genus(3).build(3_000)).await;
+    let calm = client.submit(remesh(&digest, 400, 1)).await;
+    let calm = client.end(&calm, LIMIT).await;
+    assert_eq!(calm.state(), JobState::Succeeded, "{calm:?}");
+    let expected = part(&calm, "mesh");
+    let (mut told, mut ended) = (Vec::new(), Vec::new());
+    for time in 0..losses + hangs {
+        let mut health = server.health().await;
+        assert_eq!(health.message().await.unwrap().unwrap().status(), ServingStatus::Serving);
+        let id = client.submit(remesh(&digest, 400, 1)).await;
+        steps(&mut client, &id).await;
+        let begin = Instant::now();
+        let hangs = time >= losses;
+        if hangs {
+            server.hang()
+        } else {
+            server.lose()
+        }
+        let heard = tokio::time::timeout(LIMIT, health.message()).await.expect("health changes").unwrap().unwrap();
+        let after = begin.elapsed().saturating_sub(if hangs { TIMEOUT } else { Duration::ZERO });
+        assert_eq!(heard.status(), ServingStatus::NotServing);
+        told.push(after.as_secs_f64());
+        let job = client.end(&id, LIMIT).await;
+        assert_eq!(job.state(), JobState::Succeeded, "{job:?}");
+        assert_eq!(part(&job, "mesh"), expected, "the same bits");
+        ended.push(begin.elapsed().as_secs_f64());
+    }
+    assert_eq!(server.engine.losses(), (losses + hangs) as u64);
+    assert!(told.iter().all(|seconds| *seconds < 1.0), "NOT_SERVING in time: {told:?}");
+    println!(
+        "{}",
+        json!({ "losses": losses, "hangs": hangs, "not_serving_after_s": told, "job_ended_after_s": ended })
+    );
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_that_does_not_come_back_ends_the_server_or_its_use() {
+    if gpu::device().is_none() {
+        return;
+    }
+    let mesh = Shape::Genus(3).build(3_000);
+    // Its work goes to the CPU, and says so.
+    let server = Server::start(LossPolicy::Cpu, Duration::from_millis(500)).await;
+    let mut client = server.client().await;
+    let digest = client.put_mesh(&mesh).await;
+    let id = client.submit(remesh(&digest, 400, 1)).await;
+    steps(&mut client, &id).await;
+    *server.is_there.lock().unwrap() = false;
+    server.lose();
+    let job = client.end(&id, LIMIT).await;
+    assert_eq!(job.state(), JobState::Succeeded, "{job:?}");
+    let report: serde_json::Value = serde_json::from_slice(&client.read(&part(&job, "report")).await).unwrap();
+    assert_eq!(report["backend"], "parallel");
+    let mut health = server.health().await;
+    assert_eq!(health.message().await.unwrap().unwrap().status(), ServingStatus::Serving);
+    server.stop().await.unwrap();
+
+    // The process is told to end; the job is put back, and not failed.
+    let server = Server::start(LossPolicy::End, Duration::from_millis(500)).await;
+    let mut client = server.client().await;
+    let digest = client.put_mesh(&mesh).await;
+    let id = client.submit(remesh(&digest, 400, 1)).await;
+    steps(&mut client, &id).await;
+    *server.is_there.lock().unwrap() = false;
+    server.lose();
+    let ended = tokio::time::timeout(LIMIT, server.served).await.expect("it ends").unwrap();
+    assert!(matches!(ended, Err(ServeError::DeviceMissing)), "{ended:?}");
+}
