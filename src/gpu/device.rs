@@ -309,10 +309,20 @@ impl Device {
         if let Some(why) = noted(&self.flags.lost) {
             return Err(GpuError::Lost(why));
         }
-        if let Some(why) = noted(&self.flags.error) {
-            return Err(GpuError::Failed(why));
+        match noted(&self.flags.error) {
+            Some(why) => Err(self.fault(why)),
+            None => Ok(()),
         }
-        Ok(())
+    }
+
+    /// What an error of the device means: that it is lost, if it is, whatever the error says. The driver tells of a loss
+    /// when it is asked for news, and what is asked of a lost device fails before that.
+    fn fault(&self, why: String) -> GpuError {
+        drop(std::panic::catch_unwind(AssertUnwindSafe(|| self.device.poll(wgpu::PollType::Poll))));
+        match noted(&self.flags.lost) {
+            Some(lost) => GpuError::Lost(lost),
+            None => GpuError::Failed(why),
+        }
     }
 
     /// Runs `make` and returns what it makes, or the error that the device has with it.
@@ -330,7 +340,7 @@ impl Device {
             return Err(GpuError::OutOfMemory { what: "a buffer".to_owned(), needed_bytes: 0, limit_bytes: 0 });
         }
         match internal.or(validation) {
-            Some(error) => Err(GpuError::Failed(error.to_string())),
+            Some(error) => Err(self.fault(error.to_string())),
             None => self.check().map(|()| made),
         }
     }
@@ -451,7 +461,7 @@ impl Device {
                 note(&self.flags.lost, format!("no answer within {} s", self.timeout.as_secs()));
                 Err(GpuError::Timeout { seconds: self.timeout.as_secs() })
             }
-            Ok(Err(other)) => Err(GpuError::Failed(other.to_string())),
+            Ok(Err(other)) => Err(self.fault(other.to_string())),
             Err(_) => {
                 note(&self.flags.lost, "polling failed".to_owned());
                 Err(GpuError::Lost("polling failed".to_owned()))
