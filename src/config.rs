@@ -47,6 +47,9 @@ pub(crate) use values::{count, whole};
 #[cfg(feature = "cli")]
 #[cfg(test)]
 mod tests {
+    use std::net::SocketAddr;
+    use std::time::Duration;
+
     use clap::Parser;
 
     use super::values::{count, period};

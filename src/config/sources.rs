@@ -64,10 +64,10 @@ impl Sources {
         Self(keys.filter_map(|arg| Some((arg.get_id().to_string(), of(arg)?))).collect())
     }
 
-    /// Where the value of an option came from, `--so`, unless it is the program's.
+    /// Where the value of an option came from, `--so`, if that is somewhere else than the command line.
     pub(super) fn of(&self, option: &str) -> Option<&Source> {
         let key = option.trim_start_matches("--").replace('-', "_");
-        self.get(&key).filter(|source| **source != Source::Default)
+        self.get(&key).filter(|source| matches!(source, Source::File { .. } | Source::Environment(_)))
     }
 
     /// The same by its key, the program's too.

@@ -10,6 +10,7 @@ use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
@@ -24,6 +25,10 @@ use crate::config::Transport;
 
 /// A handshake that has had this long may be given up for a newcomer. An honest one takes a few round trips.
 const FAIR: Duration = Duration::from_secs(1);
+
+/// What a client whose handshake failed may still say, and for how long.
+const PART_BYTES: usize = 64 << 10;
+const PART_TIME: Duration = Duration::from_secs(1);
 
 /// Between two looks for one that can be given up.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
@@ -74,8 +79,16 @@ impl Handshakes {
             tokio::time::timeout(self.limits.first_byte, socket.readable())
                 .await
                 .map_err(|_| io::Error::new(io::ErrorKind::TimedOut, "nothing came"))??;
-            let _turn = self.turn(state).await?;
-            TlsAcceptor::from(self.tls.current()).accept(socket).await
+            let turn = self.turn(state).await?;
+            let shaken = TlsAcceptor::from(self.tls.current()).accept(socket).into_fallible().await;
+            drop(turn);
+            match shaken {
+                Ok(stream) => Ok(stream),
+                Err((error, socket)) => {
+                    part(socket).await;
+                    Err(error)
+                }
+            }
         };
         let error = tokio::select! {
             shaken = tokio::time::timeout(self.limits.handshake, shaking) => match shaken {
@@ -131,6 +144,22 @@ impl Handshakes {
     fn lock(&self) -> MutexGuard<'_, Open> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Ends a socket so that its client can read why. To close it while bytes of the client are unread would reset it, and the
+/// reason would be lost on the way.
+async fn part(mut socket: Socket) {
+    let _ = socket.shutdown().await;
+    let reading = async {
+        let mut buffer = [0; 1024];
+        let mut left = PART_BYTES;
+        while let Ok(count @ 1..) = socket.read(&mut buffer).await
+            && left > count
+        {
+            left -= count;
+        }
+    };
+    let _ = tokio::time::timeout(PART_TIME, reading).await;
 }
 
 impl Drop for Turn<'_> {
