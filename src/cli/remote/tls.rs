@@ -13,7 +13,7 @@ use crate::cli::trust::Trust;
 /// What TLS says, in any of these words, and what that means.
 const MEANINGS: &[(&[&str], &str)] = &[
     (
-        &["UnknownIssuer", "CaUsedAsEndEntity", "BadSignature"],
+        &["UnknownIssuer", "CaUsedAsEndEntity", "BadSignature", "UnsupportedSignatureAlgorithm"],
         "its certificate is not by an authority that is trusted here; give the authority's file with --ca",
     ),
     (&["certificate expired", "Expired"], "its certificate has expired; the server needs a new one"),

@@ -99,9 +99,10 @@ impl Handshakes {
             () = state.until_evicted() => return None,
             _ = phase.wait_for(|now| *now >= Phase::Draining) => return None,
         };
-        tracing::debug!(peer = %state.peer(), %error, "a TLS handshake failed");
+        let (peer, why) = (state.peer(), reason(&error));
+        tracing::debug!(%peer, why, "a TLS handshake failed");
         if let Some(times) = self.failed.count() {
-            tracing::info!(times, peer = %state.peer(), %error, "TLS handshakes failed; this is the last of them");
+            tracing::info!(times, %peer, why, "TLS handshakes failed; this is the last of them");
         }
         None
     }
@@ -143,6 +144,18 @@ impl Handshakes {
 
     fn lock(&self) -> MutexGuard<'_, Open> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Why a handshake failed, for the log.
+fn reason(error: &io::Error) -> String {
+    match error.get_ref().and_then(|inner| inner.downcast_ref::<rustls::Error>()) {
+        Some(rustls::Error::InvalidMessage(_)) => "the client speaks no TLS".to_owned(),
+        Some(rustls::Error::NoCertificatesPresented) => "the client shows no certificate".to_owned(),
+        Some(rustls::Error::InvalidCertificate(why)) => format!("the client's certificate is refused: {why}"),
+        Some(rustls::Error::AlertReceived(alert)) => format!("the client refuses the server: {alert:?}"),
+        Some(rustls::Error::NoApplicationProtocol) => "the client does not speak HTTP/2".to_owned(),
+        _ => error.to_string(),
     }
 }
 
