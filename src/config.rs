@@ -13,10 +13,14 @@ mod check;
 #[cfg(feature = "cli")]
 mod device;
 #[cfg(feature = "cli")]
+mod error;
+#[cfg(feature = "cli")]
 mod file;
 mod limits;
 #[cfg(feature = "cli")]
 mod options;
+#[cfg(feature = "cli")]
+mod origin;
 #[cfg(feature = "cli")]
 mod security;
 #[cfg(feature = "cli")]
@@ -32,18 +36,20 @@ mod values;
 #[cfg(feature = "cli")]
 pub(crate) use args::{BackendArg, BackendArgs, ServeArgs};
 #[cfg(feature = "cli")]
-pub(crate) use check::{ConfigError, JobCeilings, ServeConfig};
+pub(crate) use check::{JobCeilings, ServeConfig};
 #[cfg(feature = "cli")]
 pub(crate) use device::OnLoss;
+#[cfg(feature = "cli")]
+pub(crate) use error::ConfigError;
 #[cfg(feature = "cli")]
 pub(crate) use file::{ConfigFile, FileError};
 pub use limits::{Limits, Transport};
 #[cfg(feature = "cli")]
 pub(crate) use options::{defaults, with_switches};
 #[cfg(feature = "cli")]
-pub(crate) use show::print;
+pub(crate) use origin::sources;
 #[cfg(feature = "cli")]
-pub(crate) use sources::Sources;
+pub(crate) use show::print;
 pub use tls::TlsFiles;
 #[cfg(feature = "cli")]
 pub(crate) use values::{count, whole};

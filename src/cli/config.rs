@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use clap::{ArgMatches, Args, Subcommand};
 
 use super::serve;
-use crate::config::{self, ServeArgs, Sources};
+use crate::config::{self, ServeArgs};
 
 /// `tessera config`'s options.
 #[derive(Args, Debug)]
@@ -56,7 +56,7 @@ pub(crate) fn run(args: &ConfigArgs, found: Option<&ArgMatches>) -> Result<()> {
         }
         ConfigCommand::Print(args) if args.defaults => {
             let found = config::defaults().context("reading the defaults")?;
-            outln!("{}", config::print(&found, &Sources::new(&found, None)).trim_end())?;
+            outln!("{}", config::print(&found, &config::sources(&found, None)).trim_end())?;
         }
         ConfigCommand::Print(args) => {
             let found = found.context("reading the options")?;

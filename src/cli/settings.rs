@@ -10,7 +10,7 @@ use anyhow::Result;
 use clap::{ArgMatches, CommandFactory, FromArgMatches};
 
 use super::{Cli, Command};
-use crate::config::{ConfigFile, ServeArgs, Sources, with_switches};
+use crate::config::{ConfigFile, ServeArgs, sources, with_switches};
 
 /// Subcommands that take a server's options.
 const SERVER: &[&[&str]] = &[&["serve"], &["config", "check"], &["config", "print"]];
@@ -59,7 +59,7 @@ pub(super) fn parse(line: &[OsString]) -> Result<Given> {
     let mut cli = Cli::from_arg_matches(&found).unwrap_or_else(|error| error.format(&mut command()).exit());
     let options = options(&found).cloned();
     if let (Some(args), Some(options)) = (server(&mut cli.command), &options) {
-        args.sources = Sources::new(options, file.as_ref());
+        args.sources = sources(options, file.as_ref());
     }
     Ok(Given { cli, options })
 }

@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use super::args::{BackendArgs, ServeArgs};
 use super::device::DeviceRules;
+use super::error::ConfigError;
 use super::limits::Limits;
 use super::tls::TlsFiles;
 use super::values::{addresses, seconds, within};
@@ -62,18 +63,6 @@ pub(crate) struct JobCeilings {
     pub stuck: Duration,
     /// From there to the end of the process.
     pub lost: Duration,
-}
-
-/// A value that makes no sense.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{option} is {value}; it must be {must}")]
-pub(crate) struct ConfigError {
-    /// The option's name on the command line.
-    pub option: &'static str,
-    /// As given.
-    pub value: String,
-    /// What it must be.
-    pub must: &'static str,
 }
 
 impl ServeArgs {

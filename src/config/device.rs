@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 
-use super::check::ConfigError;
+use super::error::ConfigError;
 use super::values::{seconds, whole, within};
 
 /// What a server does whose device does not come back.

@@ -42,9 +42,9 @@ pub(crate) fn defaults() -> Result<ArgMatches, clap::Error> {
     untouched().try_get_matches_from(["serve"])
 }
 
-/// Lets a switch be taken back: `--ephemeral=false` where the file or the environment says that it is on.
+/// Lets a switch be taken back that the file or the environment has turned on: `--ephemeral=false`.
 pub(crate) fn with_switches(command: Command) -> Command {
-    command.mut_args(|arg| match (arg.get_action(), arg.get_long()) {
+    command.mut_args(|arg| match (arg.get_action(), arg.get_env()) {
         (ArgAction::SetTrue, Some(_)) => arg
             .action(ArgAction::Set)
             .num_args(0..=1)

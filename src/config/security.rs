@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::check::ConfigError;
+use super::error::ConfigError;
 use super::tls::TlsFiles;
 use super::values::seconds;
 

@@ -60,6 +60,18 @@ fn number(raw: &str) -> Option<String> {
     whole.or_else(|| raw.parse::<f64>().ok().map(|number| Value::Float(number).to_string()))
 }
 
+/// A text in quotes, on one line.
 fn quoted(raw: &str) -> String {
-    Value::String(raw.to_owned()).to_string()
+    let mut out = String::from('"');
+    for letter in raw.chars() {
+        match letter {
+            '"' | '\\' => out.extend(['\\', letter]),
+            control if control.is_control() => {
+                let _ = write!(out, "\\u{:04X}", u32::from(control));
+            }
+            other => out.push(other),
+        }
+    }
+    out.push('"');
+    out
 }

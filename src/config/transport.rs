@@ -4,7 +4,7 @@
 
 use clap::Args;
 
-use super::check::ConfigError;
+use super::error::ConfigError;
 use super::limits::Transport;
 use super::values::{seconds, whole, within};
 

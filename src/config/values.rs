@@ -5,7 +5,7 @@
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::time::Duration;
 
-use super::check::ConfigError;
+use super::error::ConfigError;
 
 /// A time as people write it: a number and s, m, h or d.
 ///

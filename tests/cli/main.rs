@@ -4,15 +4,20 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
+#[path = "../common/certificates.rs"]
+#[allow(dead_code)]
+mod certificates;
 #[path = "../common/gpu.rs"]
 mod gpu;
 
 mod bad_servers;
 mod bench;
+mod config;
 mod given_creases;
 mod jobs;
 mod newcomer;
 mod outputs;
 mod picture;
 mod remote;
+mod tls;
 mod told;

@@ -10,6 +10,9 @@ mod server;
 
 #[path = "../common/adversary.rs"]
 mod adversary;
+#[path = "../common/certificates.rs"]
+#[allow(dead_code)]
+mod certificates;
 mod raw;
 
 mod admission;
@@ -20,10 +23,12 @@ mod ceilings;
 mod connections;
 mod density;
 mod features;
+mod floods;
 mod jobs;
 mod life;
 mod refusals;
 mod shutdown;
 mod slow_readers;
 mod streams;
+mod tls;
 mod trial;

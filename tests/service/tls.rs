@@ -93,7 +93,8 @@ async fn a_server_with_a_certificate_is_asked_over_tls_alone() {
     // Who speaks no TLS is not served, and learns it at once.
     let clear = Endpoint::from_shared(format!("http://{}", server.address)).unwrap().connect().await;
     if let Ok(channel) = clear {
-        let asked = HealthClient::new(channel).check(HealthCheckRequest::default());
+        let mut health = HealthClient::new(channel);
+        let asked = health.check(HealthCheckRequest::default());
         assert!(tokio::time::timeout(5 * SECOND, asked).await.expect("at once").is_err());
     }
     // Nobody is held up by them.

@@ -13,7 +13,7 @@ use crate::cli::trust::Trust;
 /// What TLS says, in any of these words, and what that means.
 const MEANINGS: &[(&[&str], &str)] = &[
     (
-        &["UnknownIssuer", "CaUsedAsEndEntity", "BadSignature"],
+        &["UnknownIssuer", "CaUsedAsEndEntity", "BadSignature", "UnsupportedSignatureAlgorithm"],
         "its certificate is not by an authority that is trusted here; give the authority's file with --ca",
     ),
     (&["certificate expired", "Expired"], "its certificate has expired; the server needs a new one"),
@@ -57,8 +57,10 @@ pub(super) fn meaning(url: &ServerUrl, cause: &str) -> Option<String> {
     if !url.has_tls() {
         // What a server says in TLS is no frame of HTTP/2.
         let garbled = cause.contains("frame with invalid size") || cause.contains("invalid HTTP");
-        return garbled
-            .then(|| format!("{url} does not speak plain HTTP/2; if it speaks TLS, write {}", url.with_tls()));
+        return garbled.then(|| {
+            let https = url.with_tls();
+            format!("{url} does not answer as a server of tessera ({cause}); if it speaks TLS, write {https}")
+        });
     }
     let known = MEANINGS.iter().find(|(words, _)| words.iter().any(|word| cause.contains(word)));
     known.map(|(_, meaning)| format!("{url} cannot be asked: {meaning} ({cause})"))

@@ -10,6 +10,7 @@ use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
@@ -24,6 +25,10 @@ use crate::config::Transport;
 
 /// A handshake that has had this long may be given up for a newcomer. An honest one takes a few round trips.
 const FAIR: Duration = Duration::from_secs(1);
+
+/// What a client whose handshake failed may still say, and for how long.
+const PART_BYTES: usize = 64 << 10;
+const PART_TIME: Duration = Duration::from_secs(1);
 
 /// Between two looks for one that can be given up.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
@@ -74,8 +79,16 @@ impl Handshakes {
             tokio::time::timeout(self.limits.first_byte, socket.readable())
                 .await
                 .map_err(|_| io::Error::new(io::ErrorKind::TimedOut, "nothing came"))??;
-            let _turn = self.turn(state).await?;
-            TlsAcceptor::from(self.tls.current()).accept(socket).await
+            let turn = self.turn(state).await?;
+            let shaken = TlsAcceptor::from(self.tls.current()).accept(socket).into_fallible().await;
+            drop(turn);
+            match shaken {
+                Ok(stream) => Ok(stream),
+                Err((error, socket)) => {
+                    part(socket).await;
+                    Err(error)
+                }
+            }
         };
         let error = tokio::select! {
             shaken = tokio::time::timeout(self.limits.handshake, shaking) => match shaken {
@@ -86,9 +99,10 @@ impl Handshakes {
             () = state.until_evicted() => return None,
             _ = phase.wait_for(|now| *now >= Phase::Draining) => return None,
         };
-        tracing::debug!(peer = %state.peer(), %error, "a TLS handshake failed");
+        let (peer, why) = (state.peer(), reason(&error));
+        tracing::debug!(%peer, why, "a TLS handshake failed");
         if let Some(times) = self.failed.count() {
-            tracing::info!(times, peer = %state.peer(), %error, "TLS handshakes failed; this is the last of them");
+            tracing::info!(times, %peer, why, "TLS handshakes failed; this is the last of them");
         }
         None
     }
@@ -131,6 +145,34 @@ impl Handshakes {
     fn lock(&self) -> MutexGuard<'_, Open> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Why a handshake failed, for the log.
+fn reason(error: &io::Error) -> String {
+    match error.get_ref().and_then(|inner| inner.downcast_ref::<rustls::Error>()) {
+        Some(rustls::Error::InvalidMessage(_)) => "the client speaks no TLS".to_owned(),
+        Some(rustls::Error::NoCertificatesPresented) => "the client shows no certificate".to_owned(),
+        Some(rustls::Error::InvalidCertificate(why)) => format!("the client's certificate is refused: {why}"),
+        Some(rustls::Error::AlertReceived(alert)) => format!("the client refuses the server: {alert:?}"),
+        Some(rustls::Error::NoApplicationProtocol) => "the client does not speak HTTP/2".to_owned(),
+        _ => error.to_string(),
+    }
+}
+
+/// Ends a socket so that its client can read why. To close it while bytes of the client are unread would reset it, and the
+/// reason would be lost on the way.
+async fn part(mut socket: Socket) {
+    let _ = socket.shutdown().await;
+    let reading = async {
+        let mut buffer = [0; 1024];
+        let mut left = PART_BYTES;
+        while let Ok(count @ 1..) = socket.read(&mut buffer).await
+            && left > count
+        {
+            left -= count;
+        }
+    };
+    let _ = tokio::time::timeout(PART_TIME, reading).await;
 }
 
 impl Drop for Turn<'_> {
