@@ -59,6 +59,15 @@ pub(crate) struct ServeArgs {
     /// given: $XDG_STATE_HOME/tessera, or ~/.local/state/tessera.
     #[arg(long, value_name = "DIR", env = "TESSERA_DATA_DIR", conflicts_with = "ephemeral")]
     pub data_dir: Option<PathBuf>,
+    /// Refuse calls without a key. Keys are made with `tessera keys add`, and lie in the data folder.
+    #[arg(long, env = "TESSERA_REQUIRE_KEYS", conflicts_with = "ephemeral")]
+    pub require_keys: bool,
+    /// Whether the server describes its interface (gRPC reflection). Where keys are required, this needs one too.
+    #[arg(long, value_name = "BOOL", default_value_t = true, action = clap::ArgAction::Set, env = "TESSERA_REFLECTION")]
+    pub reflection: bool,
+    /// Ask for a key for health too, where keys are required; without, probes need none.
+    #[arg(long, env = "TESSERA_HEALTH_NEEDS_KEY")]
+    pub health_needs_key: bool,
     /// Keep jobs, results and uploads in memory: they are gone with the server.
     #[arg(long, env = "TESSERA_EPHEMERAL")]
     pub ephemeral: bool,
@@ -274,7 +283,7 @@ impl ServeArgs {
         let most = MAX_ELEMENTS;
         Ok(ServeConfig {
             listen: addresses(&self.listen)?,
-            data_dir: if self.ephemeral { None } else { Some(self.data_dir()?) },
+            data_dir: if self.ephemeral { None } else { Some(data_dir(self.data_dir.as_ref())?) },
             keep: (self.keep_results, self.keep_jobs),
             blob_bytes: within("--blobs-mib", self.blobs_mib, 1, 1 << 30, "1 to 1073741824")? << 20,
             waiting_jobs: within("--waiting-jobs", self.waiting_jobs as u64, 1, 10_000_000, "1 to 10000000")? as usize,
@@ -324,17 +333,18 @@ impl ServeArgs {
 }
 
 #[cfg(feature = "cli")]
-impl ServeArgs {
-    /// Where jobs are kept.
-    fn data_dir(&self) -> Result<PathBuf, ConfigError> {
-        let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path: &PathBuf| path.is_absolute());
-        let state = || variable("XDG_STATE_HOME").or_else(|| Some(variable("HOME")?.join(".local/state")));
-        self.data_dir.clone().or_else(|| Some(state()?.join("tessera"))).ok_or_else(|| ConfigError {
-            option: "--data-dir",
-            value: "not given, and the user has no home".to_owned(),
-            must: "a folder; or give --ephemeral",
-        })
-    }
+/// Where a server keeps what it has: the folder that was given, or the user's.
+///
+/// # Errors
+/// [`ConfigError`] if there is neither.
+pub(crate) fn data_dir(given: Option<&PathBuf>) -> Result<PathBuf, ConfigError> {
+    let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path: &PathBuf| path.is_absolute());
+    let state = || variable("XDG_STATE_HOME").or_else(|| Some(variable("HOME")?.join(".local/state")));
+    given.cloned().or_else(|| Some(state()?.join("tessera"))).ok_or_else(|| ConfigError {
+        option: "--data-dir",
+        value: "not given, and the user has no home".to_owned(),
+        must: "a folder; or give --ephemeral",
+    })
 }
 
 #[cfg(feature = "cli")]

@@ -8,7 +8,7 @@
 pub mod blob {
     pub use crate::blob::{
         BlobError, BlobInfo, BlobOptions, BlobRead, BlobStore, ByteStream, Chunk, Digest, DigestError, MAX_CHUNK_BYTES,
-        ObjectBlobs, READ_BYTES, UploadId, UploadStatus, Usage, put,
+        ObjectBlobs, Owner, READ_BYTES, UploadId, UploadStatus, Usage, put,
     };
 }
 
@@ -40,6 +40,7 @@ pub mod gpu {
 #[cfg(feature = "service")]
 pub mod job {
     pub use crate::job::{Ask, Backends, Ceilings, Engine, EngineOptions, JobError, MakePool, Wish};
+    pub use crate::job::Weights;
     pub use crate::job::{Executor, ExecutorOptions, JobBounds, Stores};
     pub use crate::job::{desk, event, record, state, store};
 }
@@ -48,6 +49,12 @@ pub mod job {
 #[cfg(feature = "service")]
 pub mod job_queue {
     pub use crate::job::{Place, Retry};
+}
+
+/// Keys of callers.
+#[cfg(feature = "service")]
+pub mod keys {
+    pub use crate::keys::{Key, KeyFile, KeyLimits, KeySet, KeysError, NewKey, Role, Secret, is_name, now};
 }
 
 /// Neighbours of seeds.
@@ -84,5 +91,5 @@ pub mod rvd {
 /// The server.
 #[cfg(feature = "service")]
 pub mod service {
-    pub use crate::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, replay, run};
+    pub use crate::service::{Access, AccessOptions, BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, replay, run};
 }

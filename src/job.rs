@@ -28,6 +28,7 @@ pub(crate) mod spec;
 pub mod state;
 pub mod store;
 pub(crate) mod watchdog;
+mod weights;
 pub(crate) mod worker;
 
 use std::sync::Arc;
@@ -44,6 +45,7 @@ pub use input::JobBounds;
 pub use queue::Place;
 pub use schedule::Ask;
 pub use watchdog::Ceilings;
+pub use weights::Weights;
 pub(crate) use watchdog::Work;
 pub(crate) use worker::{Device, Pending, Ticket, Timed, Turn};
 pub use worker::{Engine, EngineOptions, Retry};

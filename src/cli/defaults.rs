@@ -158,6 +158,7 @@ fn every_option_of_the_command_is_at_the_service() {
         "threads",
         "endpoint",
         "tenant",
+        "key_file",
         "quiet",
         "json",
         "log_format",

@@ -21,7 +21,7 @@ use crate::job::{
 use crate::memory;
 use crate::mesh::TriMesh;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
-use crate::service::{self, Jobs, Parts, ServeError};
+use crate::service::{self, Access, AccessOptions, Jobs, Parts, ServeError};
 use crate::token::Token;
 
 /// Opens what is kept, and says where that is.
@@ -36,6 +36,16 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
         Stores::in_folder(folder.clone(), config.blob_bytes).await.map_err(|error| unusable(config, &error))?;
     tracing::info!(folder = %folder.display(), "jobs and blobs are kept");
     Ok(stores)
+}
+
+/// Who may call.
+fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
+    let &ServeArgs { require_keys, reflection, health_needs_key, .. } = args;
+    let options = AccessOptions { require_keys, reflection, health_needs_key };
+    match &config.data_dir {
+        Some(folder) => Ok(Access::in_folder(folder, options).map_err(|error| Unavailable(error.to_string()))?),
+        None => Ok(Access::open().with(options)),
+    }
 }
 
 /// What is kept cannot be used.
@@ -81,6 +91,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
     let usual = EngineOptions::default();
     let jobs_at_once = config.jobs_at_once.unwrap_or(usual.jobs_at_once);
     let engine_options = EngineOptions { queue_jobs: config.queue_jobs, ceilings, jobs_at_once, ..usual };
+    let access = access(args, &config)?;
     // Before the backends take their time: another server may have the folder.
     let stores = stores(&config).await?;
     let starting = tokio::task::spawn_blocking(move || Engine::start(factory, engine_options));
@@ -110,7 +121,8 @@ async fn serve(args: &ServeArgs, config: ServeConfig) -> Result<()> {
         queue_jobs = config.queue_jobs, "serving"
     );
     outln!("tessera listens on {address}")?;
-    let parts = Parts { engine, worker, limits: config.limits, jobs: Some(Jobs { blobs, desk: Arc::new(desk) }) };
+    let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
+    let parts = Parts { engine, worker, limits: config.limits, jobs, access };
     let shutdown = async {
         // A sender that is gone means that nobody can signal; go on serving.
         if signals.await.is_err() {

@@ -20,6 +20,7 @@ use super::pools::Pools;
 use super::queue::{Item, Lane, Place, Popped, Queue, Taken};
 use super::schedule::Slots;
 use super::watchdog::{Ceilings, Watchdog, Watched, Work};
+use super::weights::Weights;
 use super::{BackendInfo, Backends, JobError, Wish};
 use crate::token::Token;
 
@@ -153,6 +154,7 @@ struct Shared {
     device: watch::Sender<Device>,
     gate: Arc<Gate>,
     pools: Pools,
+    weights: Weights,
     /// Rises with every replacement of what it stands beside.
     current: RwLock<(u64, Backends)>,
     maker: Mutex<Maker>,
@@ -318,6 +320,11 @@ impl Engine {
         let _ = self.shared.queue.push(Place::Continuation, Box::new(call));
     }
 
+    /// How much each tenant counts beside others.
+    pub fn weights(&self) -> &Weights {
+        &self.shared.weights
+    }
+
     /// Waiting pieces, and whether one is at work.
     pub fn load(&self) -> (usize, bool) {
         self.shared.queue.load()
@@ -403,6 +410,7 @@ impl Shared {
             memory_bytes: options.ceilings.memory_bytes.unwrap_or(u64::MAX),
         };
         Ok(Self {
+            weights: Weights::default(),
             watchdog,
             queue: Queue::new(options.queue_jobs.max(1), slots),
             infos: Infos::of(&backends, slots),

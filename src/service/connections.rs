@@ -12,6 +12,7 @@ mod exchange;
 mod places;
 mod seldom;
 mod socket;
+mod unread;
 
 use std::io;
 use std::net::SocketAddr;
@@ -20,7 +21,6 @@ use std::time::Duration;
 
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
-use tonic::service::Routes;
 
 pub(crate) use exchange::Exchange;
 pub(crate) use places::Peer;
@@ -29,6 +29,7 @@ use self::connection::State;
 use self::places::{Full, Places};
 use self::seldom::Seldom;
 use super::Phase;
+use super::access::Guarded;
 use super::budget::Budget;
 use crate::config::Limits;
 
@@ -45,7 +46,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
 /// What all connections share.
 struct Common {
-    routes: Routes,
+    routes: Guarded,
     limits: Limits,
     budget: Budget,
     /// Connections that were closed for breaking a limit.
@@ -55,7 +56,7 @@ struct Common {
 /// Serves `routes` until `phase` says that connections close; they have `closing` to do so.
 pub(super) async fn serve(
     listener: TcpListener,
-    routes: Routes,
+    routes: Guarded,
     limits: Limits,
     budget: Budget,
     phase: watch::Receiver<Phase>,

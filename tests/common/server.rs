@@ -14,7 +14,7 @@ use glam::{DVec3, dvec3};
 use tessera::internals::blob::{BlobOptions, ObjectBlobs};
 use tessera::internals::config::Limits;
 use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
-use tessera::internals::service::{self, Jobs, Parts, ServeError};
+use tessera::internals::service::{self, Access, Jobs, Parts, ServeError};
 use tessera::proto::remesh_service_client::RemeshServiceClient;
 use tessera::proto::*;
 use tessera::rvd::{Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface};
@@ -129,6 +129,7 @@ pub struct Setup {
     /// Of the blobs, which lie in memory unless `folder` is given.
     pub blobs: BlobOptions,
     pub folder: Option<PathBuf>,
+    pub access: Access,
 }
 
 impl Default for Setup {
@@ -141,6 +142,7 @@ impl Default for Setup {
             serial: Arc::new(Serial),
             blobs: BlobOptions::default(),
             folder: None,
+            access: Access::open(),
         }
     }
 }
@@ -188,7 +190,7 @@ impl Server {
         };
         let desk = Arc::new(Idle::new(Arc::new(blobs)));
         let jobs = Some(Jobs { blobs: desk.blobs.clone(), desk: desk.clone() });
-        let parts = Parts { engine: engine.clone(), worker, limits: setup.limits, jobs };
+        let parts = Parts { engine: engine.clone(), worker, limits: setup.limits, jobs, access: setup.access };
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;
         }));

@@ -21,6 +21,8 @@ mod connections;
 mod density;
 mod features;
 mod jobs;
+mod keys;
+mod owners;
 mod life;
 mod refusals;
 mod shutdown;

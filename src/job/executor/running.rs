@@ -10,7 +10,7 @@ use std::time::Duration;
 use futures_util::TryStreamExt;
 
 use super::{Inner, Told, failed, holder, input_pin, is_outdated, now, result_pin};
-use crate::blob::{BlobError, Digest, put};
+use crate::blob::{BlobError, Digest, Owner, put};
 use crate::job::event::Progress;
 use crate::job::input::{ReadBlob, Trouble};
 use crate::job::perform::{Parts, Surroundings, perform};
@@ -145,6 +145,15 @@ impl AtWork {
             })?;
             result.blobs.insert(name, info.digest);
         }
+        // Before the job names it: what a tenant is told of is its own.
+        let (owner, digests): (_, Vec<_>) = (Owner::of(&self.job.spec.tenant), result.blobs.values().copied().collect());
+        let given = inner.runtime.block_on(async {
+            inner.stores.blobs.pin_for(owner, &pin, &digests).await?;
+            inner.stores.blobs.claim(owner, &digests).await
+        });
+        given.map_err(|error| {
+            crate::job::input::failure(FailureKind::Unavailable, format!("the result cannot be kept: {error}"))
+        })?;
         Ok(result)
     }
 

@@ -44,6 +44,7 @@ pub(super) fn ask<H: Needs>(shared: &Shared, tenant: &str, header: &H) -> Result
     }
     Ok(Ask {
         tenant: tenant.into(),
+        weight: shared.engine.weights().of(tenant),
         seconds: need.seconds,
         host_bytes: need.host_bytes,
         goes_on: H::GOES_ON,
