@@ -7,7 +7,12 @@
 
 mod commands;
 mod figures;
+mod frames;
 mod jobs;
+mod keys;
 mod kills;
 mod program;
+#[path = "../service/raw.rs"]
+#[allow(dead_code)]
+mod raw;
 mod sharing;

@@ -161,7 +161,7 @@ async fn who_has_what_outlives_the_server() {
     std::fs::write(&mark, b"").unwrap();
     let (server, mut client) = start(folder.path()).await;
     assert!(!mark.exists());
-    write(&mut client, "b", &mine).await.unwrap();
+    write(&mut client, "d", &mine).await.unwrap();
     assert_eq!(client.stat(by("a", stat)).await.unwrap_err().code(), Code::NotFound);
     server.stop().await.unwrap();
 }
