@@ -3,12 +3,15 @@
 //! Purpose: [`BlobStore`] keeps blobs between requests. [`ObjectBlobs`] implements it on a folder, in memory, or on
 //! any store that speaks S3.
 //! Invariant: a blob is visible only when all of its bytes are stored and their digest is right. The bytes of blobs
-//! and uploads together stay within the quota. A pinned blob is never evicted. Refused work leaves no byte behind.
+//! and uploads together stay within the quota. A pinned blob is never evicted. Refused work leaves no byte behind. Bytes are stored once,
+//! and a blob is there for those alone who uploaded it or got it as a result.
 //! Must not know: what the bytes mean, jobs, or the wire.
 
 mod digest;
 mod error;
 mod objects;
+mod owner;
+mod owners;
 mod quota;
 mod reader;
 #[cfg(feature = "s3")]
@@ -20,6 +23,7 @@ mod upload;
 pub use digest::{Digest, DigestError};
 pub use error::BlobError;
 pub use objects::{BlobOptions, ObjectBlobs};
+pub use owner::Owner;
 pub use quota::Usage;
 pub use store::{BlobInfo, BlobRead, BlobStore, ByteStream, READ_BYTES, put};
 pub use upload::{Chunk, MAX_CHUNK_BYTES, UploadId, UploadStatus};

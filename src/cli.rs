@@ -20,6 +20,7 @@ mod exit;
 mod files;
 mod interrupt;
 mod jobs;
+mod keys;
 mod picture;
 mod plain;
 mod progress;
@@ -87,6 +88,8 @@ enum Command {
     Jobs(jobs::JobsArgs),
     /// Store files at a server and fetch them.
     Blobs(blobs::BlobsArgs),
+    /// Make, list and revoke the keys of a server, in its folder.
+    Keys(keys::KeysArgs),
     /// Measure.
     Bench(bench::BenchArgs),
     /// Write a procedural surface.
@@ -122,6 +125,7 @@ fn run() -> u8 {
         Command::Rvd(args) => rvd::run(args),
         Command::Jobs(args) => jobs::run(args),
         Command::Blobs(args) => blobs::run(args),
+        Command::Keys(args) => keys::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Shape(args) => shape::run(args),
         Command::Doctor(args) => doctor::run(args),

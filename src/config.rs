@@ -36,7 +36,7 @@ mod values;
 #[cfg(feature = "cli")]
 pub(crate) use args::{BackendArg, BackendArgs, ServeArgs};
 #[cfg(feature = "cli")]
-pub(crate) use check::{JobCeilings, ServeConfig};
+pub(crate) use check::{JobCeilings, ServeConfig, data_dir};
 #[cfg(feature = "cli")]
 pub(crate) use device::OnLoss;
 #[cfg(feature = "cli")]
@@ -49,10 +49,12 @@ pub(crate) use options::{defaults, with_switches};
 #[cfg(feature = "cli")]
 pub(crate) use origin::sources;
 #[cfg(feature = "cli")]
+pub(crate) use security::SecurityArgs;
+#[cfg(feature = "cli")]
 pub(crate) use show::print;
 pub use tls::TlsFiles;
 #[cfg(feature = "cli")]
-pub(crate) use values::{count, whole};
+pub(crate) use values::{count, period, whole};
 
 #[cfg(feature = "cli")]
 #[cfg(test)]

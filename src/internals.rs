@@ -8,7 +8,7 @@
 pub mod blob {
     pub use crate::blob::{
         BlobError, BlobInfo, BlobOptions, BlobRead, BlobStore, ByteStream, Chunk, Digest, DigestError, MAX_CHUNK_BYTES,
-        ObjectBlobs, READ_BYTES, UploadId, UploadStatus, Usage, put,
+        ObjectBlobs, Owner, READ_BYTES, UploadId, UploadStatus, Usage, put,
     };
 }
 
@@ -39,7 +39,9 @@ pub mod gpu {
 /// The queue, the threads that do the work, and jobs as data.
 #[cfg(feature = "service")]
 pub mod job {
-    pub use crate::job::{Ask, Backends, Bytes, Ceilings, Engine, EngineOptions, JobError, LossPolicy, MakePool, Wish};
+    pub use crate::job::{
+        Ask, Backends, Bytes, Ceilings, Engine, EngineOptions, JobError, LossPolicy, MakePool, Weights, Wish,
+    };
     pub use crate::job::{Executor, ExecutorOptions, JobBounds, Stores};
     pub use crate::job::{desk, event, record, state, store};
 }
@@ -48,6 +50,12 @@ pub mod job {
 #[cfg(feature = "service")]
 pub mod job_queue {
     pub use crate::job::{Place, Retry};
+}
+
+/// Keys of callers.
+#[cfg(feature = "service")]
+pub mod keys {
+    pub use crate::keys::{Key, KeyFile, KeyLimits, KeySet, KeysError, NewKey, Role, Secret, is_name, now};
 }
 
 /// Neighbours of seeds.
@@ -85,6 +93,7 @@ pub mod rvd {
 #[cfg(feature = "service")]
 pub mod service {
     pub use crate::service::{
-        BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, Tls, TlsError, replay, run,
+        Access, AccessOptions, BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, Tls,
+        TlsError, replay, run,
     };
 }

@@ -29,6 +29,7 @@ pub(crate) mod spec;
 pub mod state;
 pub mod store;
 pub(crate) mod watchdog;
+mod weights;
 pub(crate) mod worker;
 
 use std::sync::Arc;
@@ -47,6 +48,7 @@ pub use queue::Place;
 pub use schedule::{Ask, Bytes};
 pub use watchdog::Ceilings;
 pub(crate) use watchdog::Work;
+pub use weights::Weights;
 pub(crate) use worker::{Device, Pending, Ticket, Timed, Turn};
 pub use worker::{Engine, EngineOptions, Retry};
 

@@ -55,9 +55,10 @@
 //! | [`cvt`] | iterations that move the seeds | `rvd`'s trait |
 //! | [`mod@remesh`] | sample, iterate, dual, repair, measure | `cvt`, `rvd::dual`, `mesh` |
 //! | `blob` | content-addressed storage: uploads, quota, local disk and S3 | nothing here |
+//! | `keys` | keys of callers: made, hashed, kept in a file | nothing here |
 //! | `job` | the queue and its fair shares, the host threads that share the device, and kept jobs: records, states, the journal | `blob`, `remesh` and below |
 //! | `wire` | messages, and our types made of them and into them; server and client speak it | `remesh` and below |
-//! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job`, `blob` and below |
+//! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job`, `blob`, `keys` and below |
 //! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve`: the client speaks `wire` |
 //!
 //! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules. Modules without a link
@@ -87,6 +88,8 @@ mod gpu;
 pub mod internals;
 #[cfg(feature = "service")]
 mod job;
+#[cfg(feature = "service")]
+mod keys;
 mod knn;
 #[cfg(feature = "service")]
 mod memory;

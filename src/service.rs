@@ -5,6 +5,7 @@
 //! a stream that ends in any way gives back its memory and its place. Must not know: how a diagram
 //! is computed, how messages look (`wire`), the command line.
 
+mod access;
 mod budget;
 mod connections;
 mod convert;
@@ -26,6 +27,7 @@ use tonic::service::Routes;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
+use self::access::Guarded;
 use self::budget::Budget;
 pub use self::connections::{Tls, TlsError};
 use self::stream::Gate;
@@ -35,6 +37,8 @@ use crate::job::desk::{DeskError, JobDesk};
 use crate::job::spec::Input;
 use crate::job::{Device, Engine, JobError, Work};
 use crate::wire::{WireError, proto};
+
+pub use self::access::{Access, AccessOptions};
 
 /// The name under which health is told, besides "".
 pub const SERVICE_NAME: &str = "tessera.v1.RemeshService";
@@ -58,6 +62,8 @@ pub struct Parts {
     pub jobs: Option<Jobs>,
     /// The certificates, if TLS is spoken.
     pub tls: Option<Arc<Tls>>,
+    /// Who may call.
+    pub access: Access,
 }
 
 /// What the services of blobs and jobs are made of.
@@ -132,6 +138,8 @@ pub(crate) enum RequestError {
     Blob(#[from] BlobError),
     #[error(transparent)]
     Desk(#[from] DeskError),
+    #[error(transparent)]
+    Access(#[from] access::Refusal),
     #[error("{}", .0.message())]
     Inbound(tonic::Status),
 }
@@ -170,8 +178,9 @@ pub async fn run(
     parts: Parts,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), ServeError> {
-    let Parts { engine, worker, limits, jobs, tls } = parts;
+    let Parts { engine, worker, limits, jobs, tls, access } = parts;
     let message_bytes = limits.transport.message_bytes;
+    let _following = access.follow(engine.weights().clone());
     let phase = watch::Sender::new(Phase::Serving);
     let budget = Budget::told(limits.memory_bytes, engine.held_besides());
     let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), phase.subscribe());
@@ -179,22 +188,24 @@ pub async fn run(
     let (health, health_service) = tonic_health::server::health_reporter();
     let health = Told { health, names: names(jobs.is_some()) };
     health.tell(ServingStatus::Serving).await;
-    let mut routes = Routes::new(health_service)
-        .add_service(reflection(health.names)?.build_v1()?)
-        .add_service(reflection(health.names)?.build_v1alpha()?)
-        .add_service(
-            proto::remesh_service_server::RemeshServiceServer::new(handlers)
-                .max_decoding_message_size(message_bytes)
-                .accept_compressed(Gzip)
-                .accept_compressed(Zstd)
-                .send_compressed(Gzip)
-                .send_compressed(Zstd),
-        );
+    let mut routes = Routes::new(health_service).add_service(
+        proto::remesh_service_server::RemeshServiceServer::new(handlers)
+            .max_decoding_message_size(message_bytes)
+            .accept_compressed(Gzip)
+            .accept_compressed(Zstd)
+            .send_compressed(Gzip)
+            .send_compressed(Zstd),
+    );
+    if access.options().reflection {
+        routes = routes
+            .add_service(reflection(health.names)?.build_v1()?)
+            .add_service(reflection(health.names)?.build_v1alpha()?);
+    }
     let desk = jobs.as_ref().map(|jobs| Arc::clone(&jobs.desk));
     if let Some(jobs) = jobs {
         routes = with_jobs(routes, jobs, limits, &budget, &gate);
     }
-    let routes = routes.prepare();
+    let routes = Guarded::new(access, routes.prepare());
     let closing = watch::Sender::new(CUT_TIME);
     let serving = connections::serve(listener, routes, limits, budget, tls, phase.subscribe(), closing.subscribe());
     tokio::pin!(serving);
@@ -308,8 +319,8 @@ async fn follow_engine(engine: &Engine, health: &Told) -> Option<&'static str> {
 
 /// Serves blobs and jobs too.
 fn with_jobs(routes: Routes, Jobs { blobs, desk }: Jobs, limits: Limits, budget: &Budget, gate: &Gate) -> Routes {
+    let jobs = handlers::jobs::Jobs::new(desk, Arc::clone(&blobs), budget.clone(), gate.clone());
     let blobs = handlers::blobs::Blobs::new(blobs, limits, budget.clone(), gate.clone());
-    let jobs = handlers::jobs::Jobs::new(desk, budget.clone(), gate.clone());
     let message_bytes = limits.transport.message_bytes;
     // What is read is not compressed: results seldom shrink, and their clients wait for them.
     let blobs = proto::blob_service_server::BlobServiceServer::new(blobs)

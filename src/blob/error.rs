@@ -111,6 +111,19 @@ pub enum BlobError {
         /// Promised sizes of uploads under way.
         uploading_bytes: u64,
     },
+    /// The owner has as much as it may have, and nothing of it could go.
+    #[error(
+        "no room for {needed_bytes} more bytes: {used_bytes} of the {limit_bytes} bytes that this key may have are in use; \
+         delete blobs or jobs, or try again later"
+    )]
+    OwnQuotaExceeded {
+        /// What was asked for.
+        needed_bytes: u64,
+        /// What the owner has.
+        used_bytes: u64,
+        /// What it may have.
+        limit_bytes: u64,
+    },
     /// As many uploads are under way as may be.
     #[error("{limit} uploads are under way, as many as may be; try again later")]
     TooManyUploads {
@@ -150,7 +163,11 @@ impl BlobError {
     pub const fn is_temporary(&self) -> bool {
         matches!(
             self,
-            Self::QuotaExceeded { .. } | Self::TooManyUploads { .. } | Self::StorageFull | Self::Unavailable(_)
+            Self::QuotaExceeded { .. }
+                | Self::OwnQuotaExceeded { .. }
+                | Self::TooManyUploads { .. }
+                | Self::StorageFull
+                | Self::Unavailable(_)
         )
     }
 

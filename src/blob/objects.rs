@@ -6,7 +6,9 @@
 //! Must not know: the wire, jobs.
 
 mod changes;
+mod marks;
 
+use std::collections::HashSet;
 use std::fmt;
 use std::fs::{self, File, TryLockError};
 use std::ops::Range;
@@ -29,7 +31,7 @@ use super::reader::bytes_of;
 use super::staging::{Folder, Memory, Multipart, Staging};
 use super::store::{BlobInfo, BlobRead, BlobStore};
 use super::upload::{Chunk, UploadId, UploadStatus, Uploads, lock};
-use super::{BlobError, Digest};
+use super::{BlobError, Digest, Owner};
 use changes::{Inner, Kind};
 
 /// Folder of the blobs.
@@ -166,6 +168,8 @@ impl ObjectBlobs {
             }
         }
         drop(blobs);
+        // Elsewhere another process may have written a mark whose blob this one has not seen.
+        marks::scan(&*objects, &mut ledger, matches!(kind, Kind::Folder { .. })).await?;
         let uploads = Uploads::default();
         for (id, touched) in staging.scan().await? {
             ledger.found_upload(id.size_bytes());
@@ -208,8 +212,8 @@ fn open_folder(root: &FilePath, options: &BlobOptions) -> Result<(Arc<LocalFileS
 
 #[async_trait]
 impl BlobStore for ObjectBlobs {
-    async fn begin(&self, upload: UploadId) -> Result<UploadStatus, BlobError> {
-        self.change(|inner| async move { inner.begin(upload).await }).await
+    async fn begin_within(&self, upload: UploadId, own_limit_bytes: Option<u64>) -> Result<UploadStatus, BlobError> {
+        self.change(|inner| async move { inner.begin(upload, own_limit_bytes).await }).await
     }
 
     async fn write(&self, upload: UploadId, chunk: Chunk) -> Result<UploadStatus, BlobError> {
@@ -268,6 +272,44 @@ impl BlobStore for ObjectBlobs {
 
     async fn pin(&self, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
         self.0.pin(name, digests).await
+    }
+
+    async fn pin_for(&self, owner: Owner, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
+        self.0.pin(name, digests).await?;
+        lock(&self.0.ledger).pin_for(owner, name, digests)
+    }
+
+    async fn is_owned(&self, owner: Owner, digest: Digest) -> Result<bool, BlobError> {
+        self.0.is_owned(owner, digest).await
+    }
+
+    async fn find_missing_of(&self, owner: Owner, digests: &[Digest]) -> Result<Vec<Digest>, BlobError> {
+        let mut owned = Vec::new();
+        for digest in digests {
+            if self.0.is_owned(owner, *digest).await? {
+                owned.push(*digest);
+            }
+        }
+        let gone: HashSet<Digest> = self.0.find_missing(&owned).await?.into_iter().collect();
+        let there: HashSet<Digest> = owned.into_iter().filter(|digest| !gone.contains(digest)).collect();
+        Ok(digests.iter().copied().filter(|digest| !there.contains(digest)).collect())
+    }
+
+    async fn claim(&self, owner: Owner, digests: &[Digest]) -> Result<(), BlobError> {
+        let digests = digests.to_vec();
+        self.change(|inner| async move { inner.claim(owner, &digests).await }).await
+    }
+
+    async fn disown(&self, owner: Owner, digest: Digest) -> Result<(), BlobError> {
+        let orphan = self.change(|inner| async move { inner.disown(owner, digest).await }).await?;
+        if let Some(orphan) = orphan {
+            Inner::remove_later(&self.0, orphan);
+        }
+        Ok(())
+    }
+
+    async fn owned_bytes(&self, owner: Owner) -> Result<u64, BlobError> {
+        Ok(lock(&self.0.ledger).owned_bytes(owner))
     }
 
     async fn unpin(&self, name: &str) -> Result<(), BlobError> {

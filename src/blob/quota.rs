@@ -1,14 +1,15 @@
 //! Which blobs there are, how much room they take, and which go first.
 //!
-//! Purpose: the bytes in use against the quota, the order of last use, and the pins. Pure bookkeeping, no storage.
-//! Invariant: after [`Ledger::reserve`] succeeded, blobs and reservations together are within the quota. A pinned
-//! blob is never among the victims. A refused reservation changes nothing.
-//! Must not know: where blobs lie, or who pins them.
+//! Purpose: the bytes in use against the quota, the order of last use, the pins, and whose blobs are. Pure bookkeeping, no
+//! storage. Invariant: after [`Ledger::reserve`] succeeded, blobs and reservations together are within the quota. A pinned
+//! blob is never among the victims. A refused reservation changes nothing. A blob that is forgotten is nobody's.
+//! Must not know: where blobs lie, who owners are.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::time::SystemTime;
 
-use super::{BlobError, BlobInfo, Digest};
+use super::owners::Owners;
+use super::{BlobError, BlobInfo, Digest, Owner};
 
 /// What is in use, and what may be.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -36,6 +37,13 @@ struct Entry {
     pins: usize,
 }
 
+/// What a name holds, and in whose name.
+#[derive(Debug, Default)]
+struct Pin {
+    owner: Option<Owner>,
+    held: HashSet<Digest>,
+}
+
 /// See the module's head.
 #[derive(Debug)]
 pub(super) struct Ledger {
@@ -46,7 +54,10 @@ pub(super) struct Ledger {
     entries: HashMap<Digest, Entry>,
     /// Blobs that no pin holds, the least recently used first.
     unpinned: BTreeSet<(u64, Digest)>,
-    pins: HashMap<String, HashSet<Digest>>,
+    pins: HashMap<String, Pin>,
+    /// How many pins in an owner's name hold a blob.
+    pinned_for: HashMap<(Owner, Digest), usize>,
+    owners: Owners,
     /// Blobs that are out of the books while their bytes are still being removed.
     leaving: HashSet<Digest>,
     last_stamp: u64,
@@ -63,6 +74,8 @@ impl Ledger {
             entries: HashMap::new(),
             unpinned: BTreeSet::new(),
             pins: HashMap::new(),
+            pinned_for: HashMap::new(),
+            owners: Owners::default(),
             leaving: HashSet::new(),
             last_stamp: 0,
         }
@@ -171,13 +184,15 @@ impl Ledger {
     /// Removes a blob from the books, pinned or not: its bytes are gone, or soon will be.
     pub(super) fn forget(&mut self, digest: &Digest) -> Option<BlobInfo> {
         let entry = self.entries.remove(digest)?;
+        self.owners.forget(digest);
         self.unpinned.remove(&(entry.stamp, *digest));
         self.blob_bytes -= entry.size_bytes;
         if entry.pins > 0 {
             self.pinned_bytes -= entry.size_bytes;
-            self.pins.retain(|_, held| {
-                held.remove(digest);
-                !held.is_empty()
+            self.pinned_for.retain(|(_, other), _| other != digest);
+            self.pins.retain(|_, pin| {
+                pin.held.remove(digest);
+                !pin.held.is_empty()
             });
         }
         Some(BlobInfo { digest: *digest, size_bytes: entry.size_bytes })
@@ -208,10 +223,29 @@ impl Ledger {
         Ok(())
     }
 
+    /// As [`Self::pin`]; what `name` holds, it holds in the owner's name.
+    ///
+    /// # Errors
+    /// `NotFound`.
+    pub(super) fn pin_for(&mut self, owner: Owner, name: &str, digests: &[Digest]) -> Result<(), BlobError> {
+        self.pin(name, digests)?;
+        if let Some(pin) = self.pins.get_mut(name).filter(|pin| pin.owner.is_none()) {
+            pin.owner = Some(owner);
+            for digest in &pin.held {
+                *self.pinned_for.entry((owner, *digest)).or_default() += 1;
+            }
+        }
+        Ok(())
+    }
+
     fn pin_one(&mut self, name: &str, digest: Digest) {
         let Some(entry) = self.entries.get_mut(&digest) else { return };
-        if !self.pins.entry(name.to_owned()).or_default().insert(digest) {
+        let pin = self.pins.entry(name.to_owned()).or_default();
+        if !pin.held.insert(digest) {
             return;
+        }
+        if let Some(owner) = pin.owner {
+            *self.pinned_for.entry((owner, digest)).or_default() += 1;
         }
         entry.pins += 1;
         if entry.pins == 1 {
@@ -222,13 +256,91 @@ impl Ledger {
 
     /// Takes back all pins of `name`. A blob that no other name pins is as old as its last use.
     pub(super) fn unpin(&mut self, name: &str) {
-        for digest in self.pins.remove(name).unwrap_or_default() {
+        let Pin { owner, held } = self.pins.remove(name).unwrap_or_default();
+        for digest in held {
+            if let Some(owner) = owner
+                && let Some(count) = self.pinned_for.get_mut(&(owner, digest))
+            {
+                *count -= 1;
+                if *count == 0 {
+                    self.pinned_for.remove(&(owner, digest));
+                }
+            }
             let Some(entry) = self.entries.get_mut(&digest) else { continue };
             entry.pins -= 1;
             if entry.pins == 0 {
                 self.unpinned.insert((entry.stamp, digest));
                 self.pinned_bytes -= entry.size_bytes;
             }
+        }
+    }
+
+    /// Whether a blob is stored and the owner has it.
+    pub(super) fn has(&self, digest: &Digest, owner: Owner) -> bool {
+        self.entries.contains_key(digest) && self.owners.has(digest, owner)
+    }
+
+    /// The owner has a blob from now on, if it is stored. Gives who has it no more, since it has too many owners.
+    pub(super) fn give(&mut self, digest: &Digest, owner: Owner) -> Option<Owner> {
+        let size_bytes = self.entries.get(digest)?.size_bytes;
+        self.owners.add(*digest, size_bytes, owner)
+    }
+
+    /// Takes a blob from its owner. Gives it if it is nobody's now and no pin holds it: it is out of the books then.
+    ///
+    /// # Errors
+    /// `NotFound`, `Pinned`.
+    pub(super) fn disown(&mut self, digest: &Digest, owner: Owner) -> Result<Option<BlobInfo>, BlobError> {
+        if !self.has(digest, owner) {
+            return Err(BlobError::NotFound { digest: *digest });
+        }
+        if self.pinned_for.contains_key(&(owner, *digest)) {
+            return Err(BlobError::Pinned { digest: *digest });
+        }
+        self.owners.take(digest, owner);
+        let is_needed = self.entries.get(digest).is_some_and(|entry| entry.pins > 0);
+        if is_needed || self.owners.is_anybodys(digest) {
+            return Ok(None);
+        }
+        self.leaving.insert(*digest);
+        Ok(self.forget(digest))
+    }
+
+    /// The bytes of all that an owner has.
+    pub(super) fn owned_bytes(&self, owner: Owner) -> u64 {
+        self.owners.bytes(owner)
+    }
+
+    /// What an owner gives up, the longest held first, to have room for `size_bytes` more beside what it has and has promised.
+    /// Nothing is changed.
+    ///
+    /// # Errors
+    /// `OwnQuotaExceeded`.
+    pub(super) fn own_room(
+        &self,
+        owner: Owner,
+        size_bytes: u64,
+        promised_bytes: u64,
+        limit_bytes: u64,
+    ) -> Result<Vec<Digest>, BlobError> {
+        let used_bytes = self.owned_bytes(owner).saturating_add(promised_bytes);
+        let mut over_bytes = used_bytes.saturating_add(size_bytes).saturating_sub(limit_bytes);
+        let mut given_up = Vec::new();
+        if over_bytes == 0 {
+            return Ok(given_up);
+        }
+        for (digest, size) in self.owners.oldest(owner) {
+            if over_bytes == 0 {
+                break;
+            }
+            if size > 0 && !self.pinned_for.contains_key(&(owner, digest)) {
+                given_up.push(digest);
+                over_bytes = over_bytes.saturating_sub(size);
+            }
+        }
+        match over_bytes {
+            0 => Ok(given_up),
+            _ => Err(BlobError::OwnQuotaExceeded { needed_bytes: size_bytes, used_bytes, limit_bytes }),
         }
     }
 

@@ -14,7 +14,7 @@ use futures_util::stream::BoxStream;
 
 use super::quota::Usage;
 use super::upload::{CHUNK_BYTES, Chunk, UploadId, UploadStatus};
-use super::{BlobError, Digest};
+use super::{BlobError, Digest, Owner};
 
 /// The longest piece that a read gives, bytes.
 pub const READ_BYTES: usize = 1 << 20;
@@ -49,11 +49,21 @@ pub struct BlobRead {
 pub trait BlobStore: Send + Sync + Debug {
     /// Begins an upload or goes on with one. Room for the whole size is kept from here on. Blobs may be evicted.
     ///
-    /// If the blob is stored already, the status says so, and there is nothing to do.
+    /// If the blob is stored already and the upload's owner has it, the status says so, and there is nothing to do. Who does
+    /// not have it sends all of it, and so shows that it may have it.
     ///
     /// # Errors
     /// `TooLarge`, `QuotaExceeded`, `TooManyUploads`, `WrongSize`, `StorageFull`, `Unavailable`.
-    async fn begin(&self, upload: UploadId) -> Result<UploadStatus, BlobError>;
+    async fn begin(&self, upload: UploadId) -> Result<UploadStatus, BlobError> {
+        self.begin_within(upload, None).await
+    }
+
+    /// The same, where all that the owner has and uploads stays within `own_limit_bytes`. The oldest of its blobs that none of
+    /// its jobs needs are given up for that.
+    ///
+    /// # Errors
+    /// Those of [`begin`](Self::begin), and `OwnQuotaExceeded`.
+    async fn begin_within(&self, upload: UploadId, own_limit_bytes: Option<u64>) -> Result<UploadStatus, BlobError>;
 
     /// Stores the next chunk.
     ///
@@ -118,6 +128,42 @@ pub trait BlobStore: Send + Sync + Debug {
     /// # Errors
     /// `NotFound`, `Unavailable`.
     async fn pin(&self, name: &str, digests: &[Digest]) -> Result<(), BlobError>;
+
+    /// The same in the name of an owner, who cannot delete them meanwhile.
+    ///
+    /// # Errors
+    /// As [`pin`](Self::pin).
+    async fn pin_for(&self, owner: Owner, name: &str, digests: &[Digest]) -> Result<(), BlobError>;
+
+    /// Whether a blob is stored and this owner has it: uploaded it, or was given it by [`claim`](Self::claim). Is no use.
+    ///
+    /// # Errors
+    /// `Unavailable`.
+    async fn is_owned(&self, owner: Owner, digest: Digest) -> Result<bool, BlobError>;
+
+    /// As [`find_missing`](Self::find_missing), where only what this owner has counts as stored.
+    ///
+    /// # Errors
+    /// `Unavailable`.
+    async fn find_missing_of(&self, owner: Owner, digests: &[Digest]) -> Result<Vec<Digest>, BlobError>;
+
+    /// Gives blobs to an owner too. What is not stored is left out.
+    ///
+    /// # Errors
+    /// `StorageFull`, `Unavailable`.
+    async fn claim(&self, owner: Owner, digests: &[Digest]) -> Result<(), BlobError>;
+
+    /// Takes a blob from its owner. Its bytes go with the last owner, unless they are pinned.
+    ///
+    /// # Errors
+    /// `NotFound` if the owner does not have it; `Pinned` if it is pinned in the owner's name; `Unavailable`.
+    async fn disown(&self, owner: Owner, digest: Digest) -> Result<(), BlobError>;
+
+    /// The bytes of all blobs that an owner has.
+    ///
+    /// # Errors
+    /// `Unavailable`.
+    async fn owned_bytes(&self, owner: Owner) -> Result<u64, BlobError>;
 
     /// Takes back all that `name` protects. A name without pins is no error.
     ///

@@ -16,7 +16,7 @@ use tokio::sync::OwnedMutexGuard;
 
 use super::digest::{from_hex, to_hex};
 use super::staging::Part;
-use super::{BlobError, Digest};
+use super::{BlobError, Digest, Owner};
 
 /// The longest chunk that is taken, bytes.
 pub const MAX_CHUNK_BYTES: usize = 4 << 20;
@@ -32,7 +32,7 @@ pub(super) const CHUNK_BYTES: usize = 1 << 20;
 /// The name of an upload: what it promises to become, and whose it is.
 ///
 /// Uploads of one owner with the same promise are the same upload: they continue each other. Uploads of different
-/// owners have nothing in common until one of them has become the blob, so that nobody can spoil another's upload.
+/// owners have nothing in common: nobody can spoil another's upload, or learn of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct UploadId {
     digest: Digest,
@@ -49,15 +49,17 @@ impl UploadId {
     /// The same upload by `owner`: a tenant, for example. Any text will do.
     #[must_use]
     pub fn of(self, owner: &str) -> Self {
-        let digest = Digest::of(owner.as_bytes());
-        let mut short = [0; 16];
-        short.copy_from_slice(&digest.as_bytes()[..16]);
-        Self { owner: short, ..self }
+        Self { owner: Owner::of(owner).bytes(), ..self }
     }
 
-    /// Whether it is somebody's. What the process stores for itself is nobody's, and is not kept out by others' uploads.
+    /// Whose it is. What the process stores for itself is nobody's, and is not kept out by others' uploads.
+    pub fn owner(&self) -> Option<Owner> {
+        Owner::from_bytes(self.owner)
+    }
+
+    /// Whether it is somebody's.
     pub(super) fn is_owned(&self) -> bool {
-        self.owner != [0; 16]
+        self.owner().is_some()
     }
 
     /// What it becomes.

@@ -161,6 +161,7 @@ fn every_option_of_the_command_is_at_the_service() {
         "ca",
         "client_cert",
         "client_key",
+        "key_file",
         "quiet",
         "json",
         "log_format",

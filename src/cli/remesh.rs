@@ -13,7 +13,7 @@ use super::exit::Usage;
 use super::files::Loaded;
 use super::progress::{Plan, Progress};
 use super::server::Server;
-use super::{backends, files, interrupt, remote, say, sizes};
+use super::{backends, files, interrupt, remote, say, server, sizes};
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::memory;
 use crate::mesh::TriMesh;
@@ -47,7 +47,8 @@ fn work(args: &RemeshArgs) -> Result<()> {
         None => here(args, &mesh, &options, &mut progress)?,
         Some(url) => {
             let job = remote::RemeshJob { mesh: &mesh, options: &options, backend: args.backend.backend };
-            let server = Server { url: url.clone(), tenant: args.tenant.clone(), trust };
+            let key = server::key(args.key_file.as_deref())?;
+            let server = Server { url: url.clone(), tenant: args.tenant.clone(), trust, key };
             let done = remote::remesh(&server, &job, &progress)?;
             (Done { mesh: done.mesh, curve_edges: done.curve_edges, attributes: done.attributes }, done.report)
         }

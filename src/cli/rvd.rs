@@ -17,7 +17,7 @@ use super::progress::{Plan, Progress};
 use super::say::{self, SayArgs};
 use super::server::{Server, Tenant};
 use super::trust::TrustArgs;
-use super::{backends, files, interrupt, remote};
+use super::{backends, files, interrupt, remote, server};
 use crate::config::{BackendArgs, count, whole};
 use crate::cvt::density::DensityOptions;
 use crate::job::BackendInfo;
@@ -52,6 +52,9 @@ pub(crate) struct RvdArgs {
     /// Whose work the server takes it for, where several share one.
     #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Who works")]
     tenant: Option<Tenant>,
+    /// File with the key that the server wants.
+    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Who works")]
+    key_file: Option<PathBuf>,
     #[command(flatten, next_help_heading = "Who works")]
     trust: TrustArgs,
     #[command(flatten, next_help_heading = "What is said")]
@@ -140,7 +143,8 @@ fn work(args: &RvdArgs) -> Result<()> {
         None => here(args, mesh, seeds, wants, &mut progress, &mut sink)?,
         Some(url) => {
             let job = remote::RvdJob { mesh: &mesh, seeds, wants, backend: args.backend.backend };
-            let server = Server { url: url.clone(), tenant: args.tenant.clone(), trust };
+            let key = server::key(args.key_file.as_deref())?;
+            let server = Server { url: url.clone(), tenant: args.tenant.clone(), trust, key };
             (remote::rvd(&server, job, &progress, &mut sink)?, given)
         }
     };

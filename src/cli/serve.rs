@@ -14,7 +14,7 @@ use super::{backends, interrupt};
 #[cfg(not(feature = "s3"))]
 use crate::blob::BlobError;
 use crate::blob::BlobOptions;
-use crate::config::{JobCeilings, Limits, OnLoss, ServeArgs, ServeConfig};
+use crate::config::{JobCeilings, Limits, OnLoss, SecurityArgs, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
 use crate::job::desk::DeskError;
 use crate::job::store::StoreError;
@@ -24,7 +24,7 @@ use crate::job::{
 use crate::memory;
 use crate::mesh::TriMesh;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
-use crate::service::{self, Jobs, Parts, ServeError, Tls};
+use crate::service::{self, Access, AccessOptions, Jobs, Parts, ServeError, Tls};
 use crate::token::Token;
 
 /// Opens what is kept, and says where that is.
@@ -50,6 +50,16 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
         Some(bucket) => tracing::info!(folder = %folder.display(), bucket, "jobs and blobs are kept"),
     }
     Ok(stores)
+}
+
+/// Who may call.
+fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
+    let &SecurityArgs { require_keys, reflection, health_needs_key, .. } = &args.security;
+    let options = AccessOptions { require_keys, reflection, health_needs_key };
+    match &config.data_dir {
+        Some(folder) => Ok(Access::in_folder(folder, options).map_err(|error| Unavailable(error.to_string()))?),
+        None => Ok(Access::open().with(options)),
+    }
 }
 
 /// What is kept cannot be used.
@@ -127,6 +137,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> 
     let loss_patience = config.device.patience;
     let engine_options =
         EngineOptions { queue_jobs, ceilings, jobs_at_once, device_memory_bytes, loss, loss_patience, ..usual };
+    let access = access(args, &config)?;
     // Before the backends take their time: another server may have the folder.
     let stores = stores(&config).await?;
     let starting = tokio::task::spawn_blocking(move || Engine::start(factory, engine_options));
@@ -156,7 +167,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> 
     );
     outln!("tessera listens on {address}")?;
     let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
-    let parts = Parts { engine, worker, limits: config.limits, jobs, tls };
+    let parts = Parts { engine, worker, limits: config.limits, jobs, tls, access };
     let shutdown = async {
         // A sender that is gone means that nobody can signal; go on serving.
         if signals.await.is_err() {

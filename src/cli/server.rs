@@ -3,6 +3,7 @@
 //! Purpose: the options that every command has which cannot do without a server. Invariant: a [`Tenant`] can be sent as it
 //! is. Must not know: connections, what is asked.
 
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -10,8 +11,9 @@ use anyhow::Result;
 use clap::Args;
 
 use super::endpoint::ServerUrl;
-use super::exit::Usage;
+use super::exit::{NoInput, Usage};
 use super::trust::{Trust, TrustArgs};
+use crate::keys::Secret;
 
 /// A server, and what it is told of who asks.
 #[derive(Clone, Debug)]
@@ -22,6 +24,8 @@ pub(crate) struct Server {
     pub(crate) tenant: Option<Tenant>,
     /// Whom a client trusts over TLS, and what it shows.
     pub(crate) trust: Trust,
+    /// With what it lets us in.
+    pub(crate) key: Option<Secret>,
 }
 
 /// Whose jobs are meant: 1 to 128 printable ASCII characters without spaces.
@@ -59,6 +63,9 @@ pub(crate) struct ServerArgs {
     tenant: Option<Tenant>,
     #[command(flatten)]
     trust: TrustArgs,
+    /// File with the key that the server wants. What is in it is sent with each call.
+    #[arg(long, value_name = "FILE", global = true, env = "TESSERA_KEY_FILE")]
+    key_file: Option<PathBuf>,
     /// Seconds to try again after a lost connection, from the last that came; 0 not to. For uploads, downloads, submit with a
     /// request id, watch and wait.
     #[arg(long, value_name = "S", global = true, default_value_t = 60.0, env = "TESSERA_RETRY_S", value_parser = pause)]
@@ -69,6 +76,30 @@ pub(crate) struct ServerArgs {
     /// Say nothing but answers, warnings and errors: no progress.
     #[arg(long, short, global = true, help_heading = "What is said")]
     pub(crate) quiet: bool,
+}
+
+/// Reads a key. What a file holds that is none is not repeated.
+///
+/// # Errors
+/// [`NoInput`], [`Usage`].
+pub(crate) fn key(file: Option<&Path>) -> Result<Option<Secret>> {
+    let Some(path) = file else { return Ok(None) };
+    let text = std::fs::read(path).map_err(|cause| NoInput { path: path.to_owned(), cause })?;
+    let secret = std::str::from_utf8(&text).ok().and_then(|text| Secret::parse(text.trim()));
+    let Some(secret) = secret else {
+        let text = format!("{} holds no key; a key is one line, as `tessera keys add` prints it", path.display());
+        return Err(Usage(text).into());
+    };
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        /// Bits of the group and of others.
+        const OTHERS: u32 = 0o077;
+        if std::fs::metadata(path).is_ok_and(|found| found.is_file() && found.permissions().mode() & OTHERS != 0) {
+            errln!("tessera: warning: others can read the key in {}; chmod 600 keeps them out", path.display());
+        }
+    }
+    Ok(Some(secret))
 }
 
 fn pause(text: &str) -> Result<f64, String> {
@@ -89,7 +120,8 @@ impl ServerArgs {
                 "which server? Give --endpoint URL or set TESSERA_ENDPOINT, for example to http://127.0.0.1:50051";
             return Err(Usage(text.to_owned()).into());
         };
-        Ok(Server { url: url.clone(), tenant: self.tenant.clone(), trust: self.trust.read(url)? })
+        let (trust, key) = (self.trust.read(url)?, key(self.key_file.as_deref())?);
+        Ok(Server { url: url.clone(), tenant: self.tenant.clone(), trust, key })
     }
 
     /// How long to try again after a lost connection.
@@ -101,6 +133,18 @@ impl ServerArgs {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_key_is_read_and_never_repeated() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let secret = Secret::random().unwrap();
+        std::fs::write(file.path(), format!("  {}\n", secret.reveal())).unwrap();
+        assert_eq!(key(Some(file.path())).unwrap(), Some(secret));
+        std::fs::write(file.path(), "hunter2").unwrap();
+        let refused = key(Some(file.path())).unwrap_err().to_string();
+        assert!(refused.contains("holds no key") && !refused.contains("hunter2"), "{refused}");
+        assert!(key(Some(Path::new("/no/such/file"))).is_err() && key(None).unwrap().is_none());
+    }
 
     #[test]
     fn a_tenant_can_be_sent() {

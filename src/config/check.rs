@@ -83,6 +83,10 @@ impl ServeArgs {
             let value = "given beside --data-dir".to_owned();
             return Err(ConfigError { option: "--ephemeral", value, must: "one of the two" });
         }
+        if self.ephemeral && self.security.require_keys {
+            let value = "given beside --require-keys".to_owned();
+            return Err(ConfigError { option: "--ephemeral", value, must: "absent: keys lie in the data folder" });
+        }
         let listen = addresses(&self.listen)?;
         let tls = self.security.check()?;
         self.security.check_reach(&self.listen, &listen, tls.is_some())?;
@@ -95,7 +99,7 @@ impl ServeArgs {
             disk_reserve_bytes: within("--disk-reserve-mib", self.disk_reserve_mib, 0, 1 << 24, "at most 16777216")?
                 << 20,
             requires_keys: self.security.require_keys,
-            data_dir: if self.ephemeral { None } else { Some(self.data_dir()?) },
+            data_dir: if self.ephemeral { None } else { Some(data_dir(self.data_dir.as_ref())?) },
             keep: (self.keep_results, self.keep_jobs),
             blob_bytes: within("--blobs-mib", self.blobs_mib, 1, 1 << 30, "1 to 1073741824")? << 20,
             waiting_jobs: within("--waiting-jobs", self.waiting_jobs as u64, 1, 10_000_000, "1 to 10000000")? as usize,
@@ -161,17 +165,20 @@ impl ServeArgs {
             _ => Err(wrong("s3://BUCKET or s3://BUCKET/PREFIX")),
         }
     }
+}
 
-    /// Where jobs are kept.
-    fn data_dir(&self) -> Result<PathBuf, ConfigError> {
-        let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path: &PathBuf| path.is_absolute());
-        let state = || variable("XDG_STATE_HOME").or_else(|| Some(variable("HOME")?.join(".local/state")));
-        self.data_dir.clone().or_else(|| Some(state()?.join("tessera"))).ok_or_else(|| ConfigError {
-            option: "--data-dir",
-            value: "not given, and the user has no home".to_owned(),
-            must: "a folder; or give --ephemeral",
-        })
-    }
+/// Where a server keeps what it has: the folder that was given, or the user's.
+///
+/// # Errors
+/// [`ConfigError`] if there is neither.
+pub(crate) fn data_dir(given: Option<&PathBuf>) -> Result<PathBuf, ConfigError> {
+    let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path: &PathBuf| path.is_absolute());
+    let state = || variable("XDG_STATE_HOME").or_else(|| Some(variable("HOME")?.join(".local/state")));
+    given.cloned().or_else(|| Some(state()?.join("tessera"))).ok_or_else(|| ConfigError {
+        option: "--data-dir",
+        value: "not given, and the user has no home".to_owned(),
+        must: "a folder; or give --ephemeral",
+    })
 }
 
 impl BackendArgs {

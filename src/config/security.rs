@@ -29,9 +29,15 @@ pub(crate) struct SecurityArgs {
     /// Seconds between two looks at these files; changed ones hold for new connections. SIGHUP has them looked at once.
     #[arg(long, value_name = "S", default_value_t = 30.0, env = "TESSERA_TLS_RELOAD_S")]
     pub tls_reload_s: f64,
-    /// Refuse calls without a key.
+    /// Refuse calls without a key. Keys are made with `tessera keys add`, and lie in the data folder.
     #[arg(long, env = "TESSERA_REQUIRE_KEYS")]
     pub require_keys: bool,
+    /// Whether the server describes its interface (gRPC reflection). Where keys are required, this needs one too.
+    #[arg(long, value_name = "BOOL", default_value_t = true, action = clap::ArgAction::Set, env = "TESSERA_REFLECTION")]
+    pub reflection: bool,
+    /// Ask for a key for health too, where keys are required; without, probes need none.
+    #[arg(long, env = "TESSERA_HEALTH_NEEDS_KEY")]
+    pub health_needs_key: bool,
     /// Let other machines reach the server without TLS or without keys. For a network that you trust.
     #[arg(long, env = "TESSERA_INSECURE")]
     pub insecure: bool,
@@ -90,6 +96,8 @@ mod tests {
             client_ca: file("ca"),
             tls_reload_s: 30.0,
             require_keys: given.contains(&"keys"),
+            reflection: true,
+            health_needs_key: false,
             insecure: given.contains(&"insecure"),
         }
     }

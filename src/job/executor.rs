@@ -31,7 +31,7 @@ use super::store::{
     Created, JobStore, Keep, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, StoreError,
 };
 use super::worker::Engine;
-use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs};
+use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
 use queue::{JobQueue, LocalQueue};
 use storage::Storage;
 
@@ -259,7 +259,10 @@ impl Inner {
             for job in &page.jobs {
                 let Some(Outcome::Succeeded(result)) = &job.status.outcome else { continue };
                 let digests: Vec<_> = result.blobs.values().copied().collect();
-                self.pin_again(&result_pin(job.id), &digests).await?;
+                let owner = Owner::of(&job.spec.tenant);
+                self.pin_again(owner, &result_pin(job.id), &digests).await?;
+                // Blobs that an earlier version stored are nobody's.
+                self.stores.blobs.claim(owner, &digests).await?;
             }
             query.token = page.next;
             if query.token.is_none() {
@@ -268,7 +271,9 @@ impl Inner {
         }
         for id in &recovered.queued {
             let job = jobs.get(*id).await?;
-            self.pin_again(&input_pin(*id), &job.spec.blobs()).await?;
+            let (owner, digests) = (Owner::of(&job.spec.tenant), job.spec.blobs());
+            self.pin_again(owner, &input_pin(*id), &digests).await?;
+            self.stores.blobs.claim(owner, &digests).await?;
         }
         // Only now: a job that is done may evict what is not pinned.
         for id in &recovered.queued {
@@ -281,9 +286,9 @@ impl Inner {
     }
 
     /// Pins what is there of some blobs. Those that are missing are found missing when they are needed.
-    async fn pin_again(&self, name: &str, digests: &[crate::blob::Digest]) -> Result<(), DeskError> {
+    async fn pin_again(&self, owner: Owner, name: &str, digests: &[crate::blob::Digest]) -> Result<(), DeskError> {
         for digest in digests {
-            match self.stores.blobs.pin(name, &[*digest]).await {
+            match self.stores.blobs.pin_for(owner, name, &[*digest]).await {
                 Ok(()) => {}
                 Err(BlobError::NotFound { .. }) => tracing::warn!(name, %digest, "a blob that a job needs is gone"),
                 Err(error) => return Err(error.into()),
@@ -303,6 +308,7 @@ impl Inner {
         let need = self.forecast.need_or_none(&job.spec).await;
         let ask = Ask {
             tenant: job.spec.tenant.as_str().into(),
+            weight: self.engine.weights().of(&job.spec.tenant),
             priority: job.spec.priority.unwrap_or(0),
             seconds: need.map_or(1.0, |need| need.seconds),
             memory: need.map_or(Bytes::default(), |need| need.memory),
@@ -353,6 +359,12 @@ impl Inner {
             }
         }
         Ok(())
+    }
+
+    /// The blobs that a job names must be its tenant's: those of others do not exist for it.
+    async fn check_input(&self, spec: &JobSpec) -> Result<(), DeskError> {
+        let missing = self.stores.blobs.find_missing_of(Owner::of(&spec.tenant), &spec.blobs()).await?;
+        missing.first().map_or(Ok(()), |digest| Err(BlobError::NotFound { digest: *digest }.into()))
     }
 
     /// Checks all that can be checked before a job is kept.
@@ -463,8 +475,9 @@ impl Inner {
         let time = now();
         let id = JobId::new(time, random);
         let pin = input_pin(id);
+        self.check_input(&spec).await?;
         // Before anything is promised: from here on nothing evicts the input.
-        self.stores.blobs.pin(&pin, &spec.blobs()).await?;
+        self.stores.blobs.pin_for(Owner::of(&spec.tenant), &pin, &spec.blobs()).await?;
         let created = match self.admit(&spec).await {
             Ok(()) => self.stores.jobs.create(NewJob { id, spec, now: time }).await.map_err(DeskError::from),
             Err(error) => Err(error),

@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`Forecast`] finds the counts of a specification, from what it says and from its blobs, for
 //! [`estimate`](super::estimate). Invariant: a blob is looked at once: its counts are remembered. One that is large is not
-//! read for this; its size bounds what it can hold. Must not know: queues, stores of jobs.
+//! read for this; its size bounds what it can hold. Blobs that are not the tenant's do not exist. Must not know: queues, stores of jobs.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -15,7 +15,7 @@ use super::estimate::{Counts, Kind, Need, need};
 use super::record::{DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput, SeedSource, WorkSpec};
 use super::schedule::Bytes;
 use super::worker::Engine;
-use crate::blob::{BlobStore, Digest};
+use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use crate::mesh::io;
 use crate::remesh::RemeshOptions;
 use crate::rvd::BackendKind;
@@ -66,6 +66,7 @@ impl Forecast {
     /// # Errors
     /// `Blob`; `Input` if a blob holds no surface.
     pub(crate) async fn counts(&self, spec: &JobSpec, given: Option<(u64, u64)>) -> Result<Counts, DeskError> {
+        let owner = Owner::of(&spec.tenant);
         // What a caller says of its file may be any number.
         let bytes = |(vertices, facets): (u64, u64), each: (u64, u64)| {
             vertices.saturating_mul(each.0).saturating_add(facets.saturating_mul(each.1))
@@ -76,7 +77,7 @@ impl Forecast {
                 (counts, bytes(counts, (24, 12)))
             }
             (MeshSource::File { .. }, Some(given)) => (given, bytes(given, (12, 13))),
-            (MeshSource::File { blob, format, .. }, None) => self.of_file(*blob, *format).await?,
+            (MeshSource::File { blob, format, .. }, None) => self.of_file(owner, *blob, *format).await?,
         };
         let kind = match &spec.work {
             WorkSpec::Remesh(_) => Kind::Remesh,
@@ -93,20 +94,20 @@ impl Forecast {
                 counts.density = work.density.kind();
                 counts.placement = work.placement.unwrap_or(PlacementRule::Fitted);
                 counts.refines = work.refinement.is_some();
-                let first = self.points(&work.seeds, facets).await;
+                let first = self.points(owner, &work.seeds, facets).await;
                 counts.points = match work.refinement {
                     Some(refinement) => refinement.max_points.unwrap_or(first.saturating_mul(2)).max(first),
                     None => first,
                 };
             }
             WorkSpec::Rvd(work) => {
-                counts.points = self.points(&work.seeds, facets).await;
+                counts.points = self.points(owner, &work.seeds, facets).await;
                 counts.steps = 0;
                 counts.cells = work.outputs.is_empty() || work.outputs.contains(&RvdOutput::Cells);
                 counts.density = if work.weights.is_some() { DensityKind::Weights } else { DensityKind::Uniform };
             }
             WorkSpec::Cvt(work) => {
-                counts.points = work.max_seeds.unwrap_or(0).max(self.points(&work.seeds, facets).await);
+                counts.points = work.max_seeds.unwrap_or(0).max(self.points(owner, &work.seeds, facets).await);
                 counts.steps = work.commands.iter().map(super::perform::steps_of).sum();
                 counts.density = work.density.kind();
             }
@@ -116,21 +117,29 @@ impl Forecast {
 
     /// How many seeds there are at first. Of those that a density implies nothing is known here but that there are seldom
     /// more than half as many as facets.
-    async fn points(&self, seeds: &SeedSource, facets: u64) -> u64 {
+    async fn points(&self, owner: Owner, seeds: &SeedSource, facets: u64) -> u64 {
         match seeds {
             SeedSource::Sampled { points: Some(points), .. } => *points,
             SeedSource::Sampled { points: None, .. } => (facets / 2).clamp(1, self.max_seeds),
             SeedSource::Given(array) if array.count > 0 => array.count,
             SeedSource::Given(array) => {
-                let text = self.blobs.stat(array.blob).await;
-                text.map_or(1, |info| (info.size_bytes / TEXT_BYTES).clamp(1, self.max_seeds))
+                let text = self.size_of(owner, array.blob).await;
+                text.map_or(1, |size_bytes| (size_bytes / TEXT_BYTES).clamp(1, self.max_seeds))
             }
         }
     }
 
+    /// The size of a tenant's blob. What others have tells it nothing.
+    async fn size_of(&self, owner: Owner, blob: Digest) -> Result<u64, BlobError> {
+        match self.blobs.is_owned(owner, blob).await? {
+            true => Ok(self.blobs.stat(blob).await?.size_bytes),
+            false => Err(BlobError::NotFound { digest: blob }),
+        }
+    }
+
     /// Vertices, facets and bytes of a surface's file.
-    async fn of_file(&self, blob: Digest, format: MeshFormat) -> Result<((u64, u64), u64), DeskError> {
-        let size_bytes = self.blobs.stat(blob).await?.size_bytes;
+    async fn of_file(&self, owner: Owner, blob: Digest, format: MeshFormat) -> Result<((u64, u64), u64), DeskError> {
+        let size_bytes = self.size_of(owner, blob).await?;
         let known = |forecast: &Self| {
             forecast.known.lock().unwrap_or_else(PoisonError::into_inner).get(&(blob, format)).copied()
         };

@@ -4,8 +4,8 @@
 //! of work (Goyal, Vin, Cheng, *Start-time Fair Queueing*, SIGCOMM 1996), priorities within a tenant, then the order in
 //! which they came.
 //!
-//! - Every tenant has a virtual time, which grows by the seconds that its jobs take. The tenant with the least is next. One
-//!   that comes new, or comes back, begins at the virtual time of the others, and so has no debt and no savings.
+//! - Every tenant has a virtual time, which grows by the seconds that its jobs take, divided by its weight. The tenant with
+//!   the least is next. One that comes new, or comes back, begins at the virtual time of the others, and so has no debt and no savings.
 //! - A job is charged what it is expected to take when it begins, and what it really took when it ends.
 //! - [`Slots::regular`] jobs are at work at once. One more may be, of a tenant that has none at work: a flood of one tenant's
 //!   jobs never has all slots.
@@ -64,6 +64,8 @@ pub(crate) struct Slots {
 pub struct Ask {
     /// Who asks.
     pub tenant: Arc<str>,
+    /// How much of the work the tenant gets beside others, each of which has 1 if nothing else is said. Above 0.
+    pub weight: f64,
     /// The higher goes first among those of its tenant.
     pub priority: i32,
     /// Seconds that it is expected to take.
@@ -78,8 +80,15 @@ pub struct Ask {
 
 impl Default for Ask {
     fn default() -> Self {
-        let memory = Bytes::default();
-        Self { tenant: "".into(), priority: 0, seconds: 0.5, memory, is_kept_elsewhere: false, goes_on: false }
+        Self {
+            tenant: "".into(),
+            weight: 1.0,
+            priority: 0,
+            seconds: 0.5,
+            memory: Bytes::default(),
+            is_kept_elsewhere: false,
+            goes_on: false,
+        }
     }
 }
 
@@ -109,6 +118,7 @@ struct Tenant<T> {
 
 struct Running {
     tenant: Arc<str>,
+    weight: f64,
     seconds: f64,
     memory: Bytes,
 }
@@ -224,10 +234,11 @@ impl<T> Schedule<T> {
             self.waiting -= 1;
             let is_alone = tenant.running == 0 && tenant.waiting.is_empty();
             tenant.running += 1;
-            tenant.time += ask.seconds;
+            tenant.time += ask.seconds / ask.weight;
             self.time = self.time.max(time);
             self.planned = self.planned.plus(ask.memory);
-            self.running.insert(number, Running { tenant: name, seconds: ask.seconds, memory: ask.memory });
+            let Ask { weight, seconds, memory, .. } = ask;
+            self.running.insert(number, Running { tenant: name, weight, seconds, memory });
             return Some(Next { item, is_alone });
         }
         None
@@ -239,7 +250,7 @@ impl<T> Schedule<T> {
         self.planned = self.planned.minus(job.memory);
         if let Some(tenant) = self.tenants.get_mut(&job.tenant) {
             tenant.running -= 1;
-            tenant.time += seconds - job.seconds;
+            tenant.time += (seconds - job.seconds) / job.weight;
         }
         self.forget();
         true
@@ -308,6 +319,22 @@ mod tests {
             schedule.done(number, took);
         }
         assert!((seconds["a"] / seconds["b"] - 1.0).abs() < 0.05, "{seconds:?}");
+    }
+
+    #[test]
+    fn weights_share_in_their_ratio() {
+        let mut schedule = schedule(1, u64::MAX);
+        for _ in 0..1000 {
+            schedule.push(Ask { weight: 4.0, ..ask("heavy", 1.0) }, "heavy");
+            schedule.push(ask("light", 1.0), "light");
+        }
+        let mut heavy = 0;
+        for number in 0..500 {
+            heavy += usize::from(next(&mut schedule, number) == Some("heavy"));
+            // Whatever was expected, both take as long.
+            schedule.done(number, 2.0);
+        }
+        assert!((398..=402).contains(&heavy), "{heavy} of 500");
     }
 
     #[test]

@@ -21,6 +21,7 @@ use super::pools::Pools;
 use super::queue::{Item, Lane, Place, Popped, Queue, Taken};
 use super::schedule::{Bytes, Slots};
 use super::watchdog::{Ceilings, Watchdog, Watched, Work};
+use super::weights::Weights;
 use super::{BackendInfo, Backends, JobError, Wish};
 use crate::token::Token;
 
@@ -170,6 +171,7 @@ struct Shared {
     device: watch::Sender<Device>,
     gate: Arc<Gate>,
     pools: Pools,
+    weights: Weights,
     /// Rises with every replacement of what it stands beside.
     current: RwLock<(u64, Backends)>,
     maker: Mutex<Maker>,
@@ -344,6 +346,11 @@ impl Engine {
         let _ = self.shared.queue.push(Place::Continuation, Box::new(call));
     }
 
+    /// How much each tenant counts beside others.
+    pub fn weights(&self) -> &Weights {
+        &self.shared.weights
+    }
+
     /// Waiting pieces, and whether one is at work.
     pub fn load(&self) -> (usize, bool) {
         self.shared.queue.load()
@@ -425,6 +432,7 @@ impl Shared {
         };
         let slots = Slots { regular: options.jobs_at_once.max(1), memory };
         Ok(Self {
+            weights: Weights::default(),
             watchdog,
             queue: Queue::new(options.queue_jobs.max(1), slots),
             infos: Infos::of(&backends, slots),

@@ -15,6 +15,7 @@ mod places;
 mod seldom;
 mod socket;
 mod tls;
+mod unread;
 
 use std::io;
 use std::net::SocketAddr;
@@ -23,7 +24,6 @@ use std::time::Duration;
 
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
-use tonic::service::Routes;
 
 pub(crate) use exchange::Exchange;
 pub(crate) use places::Peer;
@@ -36,6 +36,7 @@ use self::places::{Full, Places};
 use self::seldom::Seldom;
 use self::socket::Socket;
 use super::Phase;
+use super::access::Guarded;
 use super::budget::Budget;
 use crate::config::Limits;
 
@@ -52,7 +53,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
 /// What all connections share.
 struct Common {
-    routes: Routes,
+    routes: Guarded,
     limits: Limits,
     budget: Budget,
     /// Where TLS is spoken.
@@ -64,7 +65,7 @@ struct Common {
 /// Serves `routes` until `phase` says that connections close; they have `closing` to do so.
 pub(super) async fn serve(
     listener: TcpListener,
-    routes: Routes,
+    routes: Guarded,
     limits: Limits,
     budget: Budget,
     tls: Option<Arc<Tls>>,

@@ -10,6 +10,7 @@ use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
 use super::RequestError;
+use super::access::{Refusal, TENANT};
 use super::convert::spec::path_of;
 use crate::blob::BlobError;
 use crate::cvt::density::DensityError;
@@ -45,8 +46,28 @@ impl From<RequestError> for Status {
             RequestError::Job(error) => of_job(&error),
             RequestError::Blob(error) => of_blob(&error),
             RequestError::Desk(error) => of_desk(error),
+            RequestError::Access(refusal) => of_refusal(refusal),
             RequestError::Inbound(status) => of_inbound(status),
         }
+    }
+}
+
+fn of_refusal(refusal: Refusal) -> Status {
+    let text = refusal.to_string();
+    let quota = |subject: &str, after: Duration| {
+        let mut details = ErrorDetails::with_retry_info(Some(after));
+        details.add_quota_failure_violation(subject, text.clone());
+        Status::with_error_details(Code::ResourceExhausted, text.clone(), details)
+    };
+    match refusal {
+        // No details: nobody is told what of a key is wrong.
+        Refusal::Unauthenticated => Status::unauthenticated(text),
+        Refusal::Role(_) | Refusal::Tenant => Status::permission_denied(text),
+        Refusal::TenantName => invalid(text.clone(), TENANT.to_owned(), text),
+        Refusal::Unknown => Status::unimplemented(text),
+        Refusal::Rate { wait, .. } => quota("rate", wait),
+        Refusal::InFlight { .. } => quota("in-flight", Duration::from_secs(1)),
+        Refusal::Bytes { .. } => quota("bytes", Duration::from_secs(30)),
     }
 }
 
@@ -174,8 +195,14 @@ fn of_blob(error: &BlobError) -> Status {
         BlobError::Incomplete { .. } => "finish",
         BlobError::DigestMismatch { .. } => "digest",
         BlobError::WrongSize { .. } | BlobError::TooLarge { .. } => "size_bytes",
-        BlobError::QuotaExceeded { .. } | BlobError::TooManyUploads { .. } => {
+        // What others have in use is none of the caller's business.
+        BlobError::QuotaExceeded { needed_bytes, .. } => {
+            let text = format!("no room for {needed_bytes} more bytes now; delete results, or try again later");
             return retry(Code::ResourceExhausted, text, Duration::from_secs(5));
+        }
+        BlobError::TooManyUploads { .. } => return retry(Code::ResourceExhausted, text, Duration::from_secs(5)),
+        BlobError::OwnQuotaExceeded { used_bytes, limit_bytes, .. } => {
+            return of_refusal(Refusal::Bytes { used_bytes: *used_bytes, limit_bytes: *limit_bytes });
         }
         BlobError::StorageFull => {
             tracing::error!("the disk of the blobs is full");

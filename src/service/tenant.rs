@@ -1,23 +1,24 @@
 //! Whose a call is.
 //!
-//! Purpose: [`of`] reads the tenant of a call: what the caller says, else the address it comes from.
-//! Invariant: a tenant is 1 to 128 printable ASCII characters without spaces. Two callers from different networks that say
+//! Purpose: [`of`] reads the tenant of a call: that of its key, else what the caller says, else the address it comes from.
+//! Invariant: what a caller with a key says beside it counts for nothing here; `access` has looked at it. A tenant is 1 to 128 printable ASCII characters without spaces. Two callers from different networks that say
 //! nothing are never the same tenant. Must not know: what tenants have.
 
 use tonic::Extensions;
 use tonic::metadata::MetadataMap;
 
+use super::access::{Caller, TENANT};
 use super::connections::Peer;
 use crate::wire::WireError;
-
-/// The metadata that names the tenant.
-const TENANT: &str = "tessera-tenant";
 
 /// The longest name, bytes.
 const LONGEST: usize = 128;
 
 /// The tenant of a call.
 pub(super) fn of(metadata: &MetadataMap, extensions: &Extensions) -> Result<String, WireError> {
+    if let Some(caller) = extensions.get::<Caller>() {
+        return Ok(caller.tenant.clone());
+    }
     let wrong = |reason: &str| WireError::field(TENANT, reason);
     if let Some(value) = metadata.get(TENANT) {
         let name = value.to_str().unwrap_or_default();
@@ -48,6 +49,14 @@ mod tests {
         for wrong in ["", "a b", "a\tb", &"x".repeat(129)] {
             assert!(matches!(named(wrong), Err(WireError::Field { path, .. }) if path == TENANT), "{wrong:?}");
         }
+    }
+
+    #[test]
+    fn a_key_counts_more_than_words() {
+        let (mut metadata, mut extensions) = (MetadataMap::new(), Extensions::default());
+        metadata.insert(TENANT, "other".parse().unwrap());
+        extensions.insert(Caller { tenant: "ci".to_owned(), bytes: None });
+        assert_eq!(of(&metadata, &extensions).unwrap(), "ci");
     }
 
     #[test]

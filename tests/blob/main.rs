@@ -9,6 +9,7 @@
 
 mod crash;
 mod model;
+mod owners;
 mod quota;
 mod shared;
 mod speed;
@@ -113,6 +114,13 @@ async fn each(options: BlobOptions) -> Vec<(&'static str, ObjectBlobs, Option<Te
 
 /// All files below, as (path below `folder`, length).
 fn files(folder: &Path) -> Vec<(String, u64)> {
+    let mut all = everything(folder);
+    all.retain(|(path, _)| !path.starts_with("owners/"));
+    all
+}
+
+/// The same with the marks of owners.
+fn everything(folder: &Path) -> Vec<(String, u64)> {
     fn walk(root: &Path, at: &Path, out: &mut Vec<(String, u64)>) {
         for entry in std::fs::read_dir(at).unwrap() {
             let path = entry.unwrap().path();

@@ -7,10 +7,10 @@ use std::time::Duration;
 use bytes::Bytes;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
-use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs, UploadId};
+use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs, Owner, UploadId};
 use tokio::runtime::Runtime;
 
-use crate::{content, files, local, read};
+use crate::{content, everything, local, read};
 
 /// Blobs that there may be, and their lengths.
 const LENGTHS: [usize; 6] = [0, 10, 20, 30, 40, 90];
@@ -43,6 +43,10 @@ enum Operation {
     Stat(usize),
     FindMissing(Vec<usize>),
     Delete(usize),
+    /// Whether an owner has a blob.
+    Has(Key),
+    /// Takes a blob from an owner.
+    Disown(Key),
     Pin(u8, Vec<usize>),
     Unpin(u8),
     /// Removes all uploads: they are kept for no time.
@@ -72,6 +76,8 @@ fn operations() -> impl Strategy<Value = Vec<Operation>> {
         1 => blob.prop_map(Operation::Delete),
         2 => (0_u8..2, some()).prop_map(|(name, blobs)| Operation::Pin(name, blobs)),
         1 => (0_u8..2).prop_map(Operation::Unpin),
+        2 => key().prop_map(Operation::Has),
+        2 => key().prop_map(Operation::Disown),
         1 => Just(Operation::Sweep),
         3 => Just(Operation::Reopen),
     ];
@@ -85,6 +91,7 @@ struct Model {
     contents: Vec<Bytes>,
     /// The least recently used first.
     blobs: Vec<usize>,
+    owners: BTreeSet<Key>,
     uploads: BTreeMap<Key, Vec<u8>>,
     pins: BTreeMap<u8, BTreeSet<usize>>,
 }
@@ -92,7 +99,7 @@ struct Model {
 impl Model {
     fn new() -> Self {
         let contents = LENGTHS.iter().enumerate().map(|(k, length)| content(k as u64, *length)).collect();
-        Self { contents, blobs: Vec::new(), uploads: BTreeMap::new(), pins: BTreeMap::new() }
+        Self { contents, blobs: Vec::new(), owners: BTreeSet::new(), uploads: BTreeMap::new(), pins: BTreeMap::new() }
     }
 
     fn digest(&self, k: usize) -> Digest {
@@ -124,13 +131,21 @@ impl Model {
         })
     }
 
+    /// The blob goes, and nobody has it any more.
+    fn remove(&mut self, k: usize) -> bool {
+        self.owners.retain(|(other, _)| *other != k);
+        let place = self.blobs.iter().position(|other| *other == k);
+        place.map(|place| self.blobs.remove(place)).is_some()
+    }
+
     fn absent(&self, k: usize) -> BlobError {
         BlobError::NotFound { digest: self.digest(k) }
     }
 
     /// What a call says of an upload that is not under way.
-    fn ended(&mut self, (k, _): Key) -> Said {
-        if self.touch(k) {
+    fn ended(&mut self, key: Key) -> Said {
+        let k = key.0;
+        if self.owners.contains(&key) && self.touch(k) {
             Ok(vec![LENGTHS[k] as u64, 1])
         } else {
             Err(BlobError::UploadNotFound { digest: self.digest(k) })
@@ -139,7 +154,7 @@ impl Model {
 
     fn begin(&mut self, key: Key) -> Said {
         let size = LENGTHS[key.0] as u64;
-        if self.touch(key.0) {
+        if self.owners.contains(&key) && self.touch(key.0) {
             return Ok(vec![size, 1]);
         }
         if let Some(bytes) = self.uploads.get(&key) {
@@ -165,8 +180,8 @@ impl Model {
             });
         }
         while self.bytes_of(|_| true) + self.uploading() + size > QUOTA {
-            let oldest = self.blobs.iter().position(|k| !self.is_pinned(*k)).unwrap();
-            self.blobs.remove(oldest);
+            let oldest = *self.blobs.iter().find(|k| !self.is_pinned(**k)).unwrap();
+            self.remove(oldest);
         }
         self.uploads.insert(key, Vec::new());
         Ok(vec![0, 0])
@@ -195,19 +210,19 @@ impl Model {
         let (k, size_bytes) = (key.0, LENGTHS[key.0] as u64);
         if let Some(bytes) = self.uploads.get(&key) {
             let kept_bytes = bytes.len() as u64;
-            // Another owner's upload may have become the blob.
-            let there = self.blobs.contains(&k);
-            if kept_bytes != size_bytes && !there {
+            // Whoever else has the blob: it is sent whole.
+            if kept_bytes != size_bytes {
                 return Err(BlobError::Incomplete { kept_bytes, size_bytes });
             }
             let actual = Digest::of(bytes);
             self.uploads.remove(&key);
-            if kept_bytes == size_bytes && actual != self.digest(k) {
+            if actual != self.digest(k) {
                 return Err(BlobError::DigestMismatch { expected: self.digest(k), actual });
             }
             if !self.touch(k) {
                 self.blobs.push(k);
             }
+            self.owners.insert(key);
         } else {
             self.ended(key)?;
         }
@@ -246,8 +261,8 @@ impl Model {
             Operation::Write(key, ..) => self.write(*key, chunk.unwrap()),
             Operation::Finish(key, pin) => self.finish(*key, *pin),
             Operation::Status(key) => match self.uploads.get(key) {
-                Some(bytes) if !self.blobs.contains(&key.0) => Ok(vec![bytes.len() as u64, 0]),
-                _ => self.ended(*key),
+                Some(bytes) => Ok(vec![bytes.len() as u64, 0]),
+                None => self.ended(*key),
             },
             Operation::Abandon(key) => {
                 let gone = BlobError::UploadNotFound { digest: self.digest(key.0) };
@@ -258,13 +273,21 @@ impl Model {
             Operation::Stat(k) => Err(self.absent(*k)),
             Operation::FindMissing(blobs) => Ok(blobs.iter().filter(|k| !self.touch(**k)).map(|k| *k as u64).collect()),
             Operation::Delete(k) if self.is_pinned(*k) => Err(BlobError::Pinned { digest: self.digest(*k) }),
-            Operation::Delete(k) => match self.blobs.iter().position(|other| other == k) {
-                Some(place) => {
-                    self.blobs.remove(place);
-                    Ok(Vec::new())
-                }
-                None => Err(self.absent(*k)),
+            Operation::Delete(k) => match self.remove(*k) {
+                true => Ok(Vec::new()),
+                false => Err(self.absent(*k)),
             },
+            Operation::Has(key) => Ok(vec![u64::from(self.owners.contains(key))]),
+            Operation::Disown(key) => {
+                if !self.owners.remove(key) {
+                    return Err(self.absent(key.0));
+                }
+                let is_anybodys = self.owners.iter().any(|(k, _)| *k == key.0);
+                if !is_anybodys && !self.is_pinned(key.0) {
+                    self.remove(key.0);
+                }
+                Ok(Vec::new())
+            }
             Operation::Pin(name, blobs) => self.pin(*name, blobs),
             Operation::Unpin(name) => {
                 self.pins.remove(name);
@@ -326,6 +349,14 @@ async fn ask(store: &ObjectBlobs, model: &Model, operation: &Operation, chunk: O
             Ok(missing.iter().map(index).collect())
         }
         Operation::Delete(k) => store.delete(model.digest(*k)).await.map(|()| Vec::new()),
+        Operation::Has((k, owner)) => {
+            let owner = Owner::of(&owner.to_string());
+            store.is_owned(owner, model.digest(*k)).await.map(|has| vec![u64::from(has)])
+        }
+        Operation::Disown((k, owner)) => {
+            let owner = Owner::of(&owner.to_string());
+            store.disown(owner, model.digest(*k)).await.map(|()| Vec::new())
+        }
         Operation::Pin(name, blobs) => store.pin(&name.to_string(), &digests(blobs)).await.map(|()| Vec::new()),
         Operation::Unpin(name) => store.unpin(&name.to_string()).await.map(|()| Vec::new()),
         Operation::Sweep => store.sweep().await.map(|swept| vec![swept as u64]),
@@ -347,11 +378,24 @@ async fn compare(store: &ObjectBlobs, model: &Model, folder: Option<&Path>) -> R
     });
     let parts =
         model.uploads.iter().map(|(key, bytes)| (format!("uploads/{}.part", model.id(*key)), bytes.len() as u64));
-    let mut expected: Vec<_> = blobs.chain(parts).collect();
+    let marks = model.owners.iter().map(|(k, owner)| {
+        let (name, owner) = (model.digest(*k).to_string(), Owner::of(&owner.to_string()));
+        (format!("owners/{}/{name}-{owner}", &name[..2]), 0)
+    });
+    let mut expected: Vec<_> = blobs.chain(parts).chain(marks).collect();
     expected.sort();
-    let mut found = files(folder);
-    found.retain(|(path, _)| !path.ends_with(".sums"));
-    prop_assert_eq!(found, expected);
+    // The bytes of a blob that its last owner gave away go while nobody waits.
+    for last in (0..100).rev() {
+        let mut found = everything(folder);
+        found.retain(|(path, _)| !path.ends_with(".sums"));
+        if found == expected {
+            break;
+        }
+        if last == 0 {
+            prop_assert_eq!(&found, &expected);
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
     Ok(())
 }
 

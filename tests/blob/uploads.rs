@@ -155,13 +155,15 @@ async fn nobody_spoils_the_upload_of_another() {
         store.begin(late).await.unwrap();
         store.begin(early).await.unwrap();
         store.finish(good, None).await.unwrap();
-        // There is nothing left to do, but who goes on does no harm.
-        assert!(store.upload_status(late).await.unwrap().complete);
-        assert!(store.begin(late).await.unwrap().complete);
+        // Others do not learn of it: each sends all of it, and nobody has it for less.
+        assert!(!store.upload_status(late).await.unwrap().complete && !store.begin(late).await.unwrap().complete);
         store.write(late, chunk_at(&right, 0, 3 * CHUNK)).await.unwrap();
+        assert!(!store.is_owned(late.owner().unwrap(), late.digest()).await.unwrap());
         store.finish(late, None).await.unwrap();
-        // Nor does who stops early.
-        store.finish(early, None).await.unwrap();
+        assert!(store.begin(late).await.unwrap().complete);
+        let short = store.finish(early, None).await;
+        assert_eq!(short, Err(BlobError::Incomplete { kept_bytes: 0, size_bytes: right.len() as u64 }), "{kind}");
+        store.abandon(early).await.unwrap();
         assert_eq!(read_all(&store, good.digest()).await.unwrap(), right);
         let usage = store.usage().await.unwrap();
         assert_eq!((usage.uploads, usage.uploading_bytes, usage.blob_bytes), (0, 0, right.len() as u64));

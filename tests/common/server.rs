@@ -14,7 +14,7 @@ use glam::{DVec3, dvec3};
 use tessera::internals::blob::{BlobOptions, ObjectBlobs};
 use tessera::internals::config::Limits;
 use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
-use tessera::internals::service::{self, Jobs, Parts, ServeError, Tls};
+use tessera::internals::service::{self, Access, Jobs, Parts, ServeError, Tls};
 use tessera::proto::remesh_service_client::RemeshServiceClient;
 use tessera::proto::*;
 use tessera::rvd::{Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface};
@@ -130,6 +130,7 @@ pub struct Setup {
     pub blobs: BlobOptions,
     pub folder: Option<PathBuf>,
     pub tls: Option<Arc<Tls>>,
+    pub access: Access,
 }
 
 impl Default for Setup {
@@ -143,6 +144,7 @@ impl Default for Setup {
             blobs: BlobOptions::default(),
             folder: None,
             tls: None,
+            access: Access::open(),
         }
     }
 }
@@ -190,7 +192,8 @@ impl Server {
         };
         let desk = Arc::new(Idle::new(Arc::new(blobs)));
         let jobs = Some(Jobs { blobs: desk.blobs.clone(), desk: desk.clone() });
-        let parts = Parts { engine: engine.clone(), worker, limits: setup.limits, jobs, tls: setup.tls };
+        let Setup { limits, tls, access, .. } = setup;
+        let parts = Parts { engine: engine.clone(), worker, limits, jobs, tls, access };
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;
         }));

@@ -18,7 +18,7 @@ use tessera::internals::config::Limits;
 use tessera::internals::gpu::{Device, DeviceOptions};
 use tessera::internals::job::*;
 use tessera::internals::rvd::Gpu;
-use tessera::internals::service::{self, Jobs, Parts, SERVICE_NAME, ServeError};
+use tessera::internals::service::{self, Access, Jobs, Parts, SERVICE_NAME, ServeError};
 use tessera::mesh::shapes::Shape;
 use tessera::proto::*;
 use tessera::{BackendKind, RvdError};
@@ -89,7 +89,7 @@ impl Server {
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel();
         let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
-        let parts = Parts { engine: engine.clone(), worker, limits, jobs, tls: None };
+        let parts = Parts { engine: engine.clone(), worker, limits, jobs, tls: None, access: Access::open() };
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;
         }));

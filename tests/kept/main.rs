@@ -8,8 +8,13 @@
 mod commands;
 mod device;
 mod figures;
+mod frames;
 mod full_disk;
 mod jobs;
+mod keys;
 mod kills;
 mod program;
+#[path = "../service/raw.rs"]
+#[allow(dead_code)]
+mod raw;
 mod sharing;

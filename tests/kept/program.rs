@@ -22,13 +22,18 @@ pub struct Program {
 impl Program {
     /// Starts it, and waits until it listens.
     pub fn start(folder: &Path, options: &[&str]) -> Self {
+        Self::start_logging(folder, options, "warn", Stdio::null())
+    }
+
+    /// The same with a log.
+    pub fn start_logging(folder: &Path, options: &[&str], filter: &str, log: Stdio) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_tessera"))
             .args(["serve", "--listen", "127.0.0.1:0", "--backend", "parallel", "--data-dir"])
             .arg(folder)
             .args(options)
-            .env("TESSERA_LOG", "warn")
+            .env("TESSERA_LOG", filter)
             .stdout(Stdio::piped())
-            .stderr(Stdio::null())
+            .stderr(log)
             .spawn()
             .unwrap();
         let mut line = String::new();
@@ -78,6 +83,7 @@ pub struct Client {
     pub jobs: JobServiceClient<Channel>,
     pub blobs: BlobServiceClient<Channel>,
     pub tenant: Option<String>,
+    pub key: Option<String>,
 }
 
 pub fn hex(bytes: &[u8]) -> String {
@@ -107,15 +113,27 @@ impl Client {
     pub async fn to(address: &str) -> Self {
         let endpoint = Endpoint::from_shared(format!("http://{address}")).unwrap();
         let channel = endpoint.connect_timeout(Duration::from_secs(10)).connect().await.unwrap();
-        Self { jobs: JobServiceClient::new(channel.clone()), blobs: BlobServiceClient::new(channel), tenant: None }
+        Self {
+            jobs: JobServiceClient::new(channel.clone()),
+            blobs: BlobServiceClient::new(channel),
+            tenant: None,
+            key: None,
+        }
     }
 
     pub fn of(&self, tenant: &str) -> Self {
         Self { tenant: Some(tenant.to_owned()), ..self.clone() }
     }
 
-    fn request<T>(&self, message: T) -> tonic::Request<T> {
+    pub fn with_key(&self, key: &str) -> Self {
+        Self { key: Some(key.to_owned()), ..self.clone() }
+    }
+
+    pub fn request<T>(&self, message: T) -> tonic::Request<T> {
         let mut request = tonic::Request::new(message);
+        if let Some(key) = &self.key {
+            request.metadata_mut().insert("authorization", format!("Bearer {key}").parse().unwrap());
+        }
         if let Some(tenant) = &self.tenant {
             request.metadata_mut().insert("tessera-tenant", tenant.parse().unwrap());
         }

@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use prost::bytes::Bytes;
-use tessera::internals::blob::{BlobOptions, Digest};
+use tessera::internals::blob::{BlobOptions, Digest, Owner};
 use tessera::internals::config::Limits;
 use tessera::proto::blob_service_client::BlobServiceClient;
 use tessera::proto::*;
@@ -304,7 +304,7 @@ async fn what_does_not_fit_is_refused_before_its_bytes_come() {
     assert!(status.get_details_retry_info().unwrap().retry_delay.is_some());
     assert!(write(&mut client, upload(&one, 1000, 1000)).await.unwrap().complete);
     // Blobs that nobody needs make room; one that is needed does not.
-    server.desk.blobs.pin("a job", &[Digest::of(&one)]).await.unwrap();
+    server.desk.blobs.pin_for(Owner::of("127.0.0.1"), "a job", &[Digest::of(&one)]).await.unwrap();
     assert_eq!(write(&mut client, begun(&two)).await.unwrap_err().code(), Code::ResourceExhausted);
     let name = Digest::of(&one).to_string();
     let status = client.delete(DeleteRequest { digest: name.clone() }).await.unwrap_err();

@@ -1,5 +1,6 @@
 //! Clients that no library would be: sockets that say nothing, windows that stay shut, a few bytes at a time.
 
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::time::Duration;
 
@@ -34,12 +35,33 @@ impl Raw {
 
     /// Sends a request's head.
     pub async fn begin(&mut self, path: &str) -> (ResponseFuture, SendStream<Bytes>) {
-        let request = http::Request::post(format!("http://tessera{path}"))
+        self.begin_with(path, &[]).await
+    }
+
+    /// The same with more headers.
+    pub async fn begin_with(&mut self, path: &str, more: &[(&str, &str)]) -> (ResponseFuture, SendStream<Bytes>) {
+        let mut request = http::Request::post(format!("http://tessera{path}"))
             .header("content-type", "application/grpc")
-            .header("te", "trailers")
-            .body(())
-            .unwrap();
+            .header("te", "trailers");
+        for (name, value) in more {
+            request = request.header(*name, *value);
+        }
+        let request = request.body(()).unwrap();
         self.send.clone().ready().await.unwrap().send_request(request, false).unwrap()
+    }
+
+    /// Sends bytes as a whole request; gives all that is said of its end: status, message, details and other headers.
+    pub async fn end_of(&mut self, path: &str, more: &[(&str, &str)], bytes: Bytes) -> BTreeMap<String, String> {
+        let (response, mut body) = self.begin_with(path, more).await;
+        // A request that is refused may be reset before its bytes are taken.
+        let _ = body.send_data(bytes, true);
+        let (head, mut body) = response.await.unwrap().into_parts();
+        while let Some(Ok(data)) = body.data().await {
+            let _ = body.flow_control().release_capacity(data.len());
+        }
+        let trailers = body.trailers().await.unwrap().unwrap_or_default();
+        let all = head.headers.iter().chain(&trailers);
+        all.map(|(name, value)| (name.to_string(), String::from_utf8_lossy(value.as_bytes()).into_owned())).collect()
     }
 
     /// Sends a whole request; gives the answer's body.

@@ -48,7 +48,15 @@ pub(super) struct Inner {
     pub(super) uploads: Uploads,
     locks: Vec<tokio::sync::Mutex<()>>,
     options: BlobOptions,
-    kind: Kind,
+    pub(super) kind: Kind,
+}
+
+/// What goes, so that an upload has room.
+struct Reserved {
+    /// Blobs that are out of the books.
+    victims: Vec<BlobInfo>,
+    /// Blobs that the upload's owner gives up; others have them.
+    unmarked: Vec<Digest>,
 }
 
 /// When an object was written or used last, in nanoseconds since 1970.
@@ -70,7 +78,7 @@ impl Inner {
     }
 
     /// Waits until nobody else shows or removes the bytes of a blob.
-    async fn lock_bytes(&self, digest: &Digest) -> MutexGuard<'_, ()> {
+    pub(super) async fn lock_bytes(&self, digest: &Digest) -> MutexGuard<'_, ()> {
         self.locks[usize::from(digest.as_bytes()[0]) % LOCKS].lock().await
     }
 
@@ -86,7 +94,7 @@ impl Inner {
     }
 
     /// The same for who holds the lock of its bytes.
-    async fn stored_in_turn(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
+    pub(super) async fn stored_in_turn(&self, digest: Digest) -> Result<Option<BlobInfo>, BlobError> {
         let known = lock(&self.ledger).get(&digest);
         if known.is_some() || !matches!(self.kind, Kind::Shared) {
             return Ok(known);
@@ -216,18 +224,49 @@ impl Inner {
         lock(&self.ledger).release(id.size_bytes());
     }
 
+    /// The blob of an upload, if it is stored and the upload's owner has it; it is used now. For who does not have it, it is
+    /// not there.
+    async fn own(&self, id: UploadId) -> Result<Option<BlobInfo>, BlobError> {
+        match id.owner() {
+            Some(owner) if !self.is_owned(owner, id.digest()).await? => Ok(None),
+            _ => self.used(id.digest()).await,
+        }
+    }
+
     /// What to say of an upload that is not under way: complete, if the blob is there.
     async fn whole(&self, id: UploadId) -> Result<BlobInfo, BlobError> {
-        match self.used(id.digest()).await? {
+        match self.own(id).await? {
             Some(info) if info.size_bytes == id.size_bytes() => Ok(info),
             _ => Err(BlobError::UploadNotFound { digest: id.digest() }),
         }
     }
 
-    pub(super) async fn begin(&self, id: UploadId) -> Result<UploadStatus, BlobError> {
+    /// Keeps room for a new upload: its owner's own, and that of all. Gives the blobs that go, and those that their owner gives
+    /// up though others have them.
+    fn reserve(&self, id: UploadId, promised: Option<u64>, own_limit: Option<u64>) -> Result<Reserved, BlobError> {
+        let mut ledger = lock(&self.ledger);
+        let given_up = match (id.owner(), own_limit) {
+            (Some(owner), Some(limit)) => ledger.own_room(owner, id.size_bytes(), promised.unwrap_or(0), limit)?,
+            _ => Vec::new(),
+        };
+        let mut victims = ledger.reserve(id.size_bytes(), promised)?;
+        let mut unmarked = Vec::new();
+        for digest in given_up {
+            // It may be among the victims by now.
+            let Some(owner) = id.owner() else { break };
+            match ledger.disown(&digest, owner) {
+                Ok(Some(orphan)) => victims.push(orphan),
+                Ok(None) => unmarked.push(digest),
+                Err(_) => {}
+            }
+        }
+        Ok(Reserved { victims, unmarked })
+    }
+
+    pub(super) async fn begin(&self, id: UploadId, own_limit: Option<u64>) -> Result<UploadStatus, BlobError> {
         let (digest, size_bytes) = (id.digest(), id.size_bytes());
         loop {
-            if let Some(BlobInfo { size_bytes: actual_bytes, .. }) = self.used(digest).await? {
+            if let Some(BlobInfo { size_bytes: actual_bytes, .. }) = self.own(id).await? {
                 if actual_bytes == size_bytes {
                     return Ok(UploadStatus { kept_bytes: size_bytes, complete: true });
                 }
@@ -240,15 +279,15 @@ impl Inner {
             if size_bytes > self.options.blob_bytes {
                 return Err(BlobError::TooLarge { size_bytes, limit_bytes: self.options.blob_bytes });
             }
-            let reserve = |promised| lock(&self.ledger).reserve(size_bytes, promised);
-            let Some((mut slot, victims)) = self.uploads.add(id, self.options.uploads, reserve)? else {
+            let reserve = |promised| self.reserve(id, promised, own_limit);
+            let Some((mut slot, reserved)) = self.uploads.add(id, self.options.uploads, reserve)? else {
                 match self.status(id).await {
                     // It ended just now.
                     Err(BlobError::UploadNotFound { .. }) => continue,
                     status => return status,
                 }
             };
-            match self.new_part(id, victims).await {
+            match self.new_part(id, reserved).await {
                 Ok(part) => {
                     let kept_bytes = part.kept_bytes();
                     *slot = Slot::Open(part);
@@ -263,7 +302,12 @@ impl Inner {
     }
 
     /// Makes room, then a part. Another process may have begun it.
-    async fn new_part(&self, id: UploadId, victims: Vec<BlobInfo>) -> Result<Box<dyn Part>, BlobError> {
+    async fn new_part(&self, id: UploadId, reserved: Reserved) -> Result<Box<dyn Part>, BlobError> {
+        let Reserved { victims, unmarked } = reserved;
+        if let Some(owner) = id.owner() {
+            let unmarking = stream::iter(unmarked).map(|digest| self.unmark(digest, owner)).buffer_unordered(AT_ONCE);
+            unmarking.collect::<Vec<_>>().await.into_iter().collect::<Result<(), _>>()?;
+        }
         // All of them, even if one fails: they are out of the books.
         let removals = stream::iter(victims).map(|victim| self.remove(victim)).buffer_unordered(AT_ONCE);
         removals.collect::<Vec<_>>().await.into_iter().collect::<Result<(), _>>()?;
@@ -273,18 +317,28 @@ impl Inner {
         self.staging.create(id).await
     }
 
+    /// Removes the bytes of a blob that is out of the books, while nobody waits.
+    pub(super) fn remove_later(inner: &Arc<Self>, blob: BlobInfo) {
+        let inner = Arc::clone(inner);
+        tokio::spawn(async move {
+            if let Err(error) = inner.remove(blob).await {
+                tracing::warn!(digest = %blob.digest, %error, "a blob that nobody has was not removed; it is the next to go");
+            }
+        });
+    }
+
     /// Removes the bytes of a blob that is out of the books. If that fails it is back in them, as the first to go.
     async fn remove(&self, blob: BlobInfo) -> Result<(), BlobError> {
         let digest = blob.digest;
         let _turn = self.lock_bytes(&digest).await;
         if lock(&self.ledger).get(&digest).is_some() {
-            // It has come back.
-            return Ok(());
+            // It has come back, to others than had it.
+            return self.unmark_others(digest).await;
         }
         let removed = self.objects.delete(&path_of(&digest)).await;
         lock(&self.ledger).left(&digest);
         match removed {
-            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => self.unmark_others(digest).await,
             Err(error) => {
                 lock(&self.ledger).found(digest, blob.size_bytes, 0);
                 Err(object("remove a blob")(error))
@@ -293,7 +347,7 @@ impl Inner {
     }
 
     pub(super) async fn status(&self, id: UploadId) -> Result<UploadStatus, BlobError> {
-        // Another owner's upload may have become the blob: then there is nothing more to send.
+        // Another stream of the same upload may have ended it: then there is nothing more to send.
         let complete = |info: BlobInfo| UploadStatus { kept_bytes: info.size_bytes, complete: true };
         match self.whole(id).await {
             Err(BlobError::UploadNotFound { .. }) => {}
@@ -310,7 +364,7 @@ impl Inner {
 
     pub(super) async fn write(&self, id: UploadId, chunk: Chunk) -> Result<UploadStatus, BlobError> {
         let Some((upload, mut slot)) = self.turn(id).await? else {
-            // Another owner's upload has become the blob in the meantime.
+            // Another stream of the same upload has ended it in the meantime.
             let info = self.whole(id).await?;
             return Ok(UploadStatus { kept_bytes: info.size_bytes, complete: true });
         };
@@ -343,17 +397,36 @@ impl Inner {
             self.drop_upload(id, &mut slot);
             return Err(BlobError::DigestMismatch { expected: digest, actual });
         }
+        // Who has the blob need not send it again.
+        let has = match id.owner() {
+            Some(owner) => self.is_owned(owner, digest).await?,
+            None => true,
+        };
         let turn = self.lock_bytes(&digest).await;
-        if self.stored_in_turn(digest).await?.is_some_and(|info| info.size_bytes == id.size_bytes()) {
-            // Another owner's upload was faster, and the caller may have been told so.
+        if has && self.stored_in_turn(digest).await?.is_some_and(|info| info.size_bytes == id.size_bytes()) {
+            // Another stream was faster, and the caller may have been told so.
             self.discard(id).await;
         } else if let Some(error) = missing {
             return Err(error);
-        } else if let Err(error) = part.publish(&path_of(&digest)).await {
-            *slot = Slot::Kept;
-            return Err(error);
+        } else {
+            if let Some(owner) = id.owner() {
+                self.mark(&digest, owner).await?;
+            }
+            let wrong = lock(&self.ledger).get(&digest).is_some_and(|info| info.size_bytes != id.size_bytes());
+            if wrong {
+                // Another program changed what is stored: the right bytes take its place.
+                lock(&self.ledger).forget(&digest);
+            }
+            // Also where others have the blob: it takes as long as where they do not.
+            if let Err(error) = part.publish(&path_of(&digest)).await {
+                *slot = Slot::Kept;
+                return Err(error);
+            }
         }
         let stamp = lock(&self.ledger).publish(digest, id.size_bytes(), pin);
+        if let Some(owner) = id.owner() {
+            self.give(digest, owner).await?;
+        }
         drop(turn);
         self.uploads.remove(&id, &mut slot);
         self.stamp(vec![(digest, stamp)]).await;

@@ -48,6 +48,9 @@ pub(crate) struct RemeshArgs {
     /// Whose work the server takes it for, where several share one.
     #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Who works")]
     pub(super) tenant: Option<Tenant>,
+    /// File with the key that the server wants.
+    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Who works")]
+    pub(super) key_file: Option<PathBuf>,
     #[command(flatten, next_help_heading = "Who works")]
     pub(super) trust: TrustArgs,
     #[command(flatten, next_help_heading = "What is said")]

@@ -52,14 +52,35 @@ pub(super) type Sent = Arc<AtomicU64>;
 /// Where the server reads whose call it is.
 const TENANT: &str = "tessera-tenant";
 
+/// Where it reads the key.
+const KEY: &str = "authorization";
+
 /// Says with each call whose it is.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Caller(Option<AsciiMetadataValue>);
+pub(super) struct Caller {
+    tenant: Option<AsciiMetadataValue>,
+    /// Sensitive: nothing prints it.
+    key: Option<AsciiMetadataValue>,
+}
+
+impl Caller {
+    fn of(server: &Server) -> Result<Self> {
+        let tenant = server.tenant.as_ref().map(Tenant::as_str).map(AsciiMetadataValue::try_from).transpose();
+        let tenant = tenant.map_err(|e| Usage(format!("--tenant: {e}")))?;
+        let key = server.key.as_ref().map(|key| AsciiMetadataValue::try_from(format!("Bearer {}", key.reveal())));
+        let mut key = key.transpose().map_err(|_| Usage("--key-file: the key cannot be sent".to_owned()))?;
+        key.iter_mut().for_each(|key| key.set_sensitive(true));
+        Ok(Self { tenant, key })
+    }
+}
 
 impl Interceptor for Caller {
     fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
-        if let Some(tenant) = &self.0 {
+        if let Some(tenant) = &self.tenant {
             request.metadata_mut().insert(TENANT, tenant.clone());
+        }
+        if let Some(key) = &self.key {
+            request.metadata_mut().insert(KEY, key.clone());
         }
         Ok(request)
     }
@@ -80,9 +101,7 @@ pub(super) struct Link<'a> {
 impl<'a> Link<'a> {
     /// Connects.
     pub(super) async fn open(server: &'a Server, patience: Patience) -> Result<Self> {
-        let Server { url, tenant, trust } = server;
-        let tenant = tenant.as_ref().map(Tenant::as_str).map(AsciiMetadataValue::try_from).transpose();
-        let caller = Caller(tenant.map_err(|e| Usage(format!("--tenant: {e}")))?);
+        let (url, trust, caller) = (&server.url, &server.trust, Caller::of(server)?);
         let endpoint = Endpoint::from_shared(url.to_string())
             .map_err(|e| Usage(format!("--endpoint {url}: {e}; an example is http://127.0.0.1:50051")))?;
         let mut endpoint = endpoint.connect_timeout(patience.connect);
@@ -224,7 +243,7 @@ mod tests {
             }
         });
         let patience = Patience { connect, ping: LONG, first: LONG };
-        let server = Server { url: url.clone(), tenant: None, trust: Trust::default() };
+        let server = Server { url: url.clone(), tenant: None, trust: Trust::default(), key: None };
         let error = Link::open(&server, patience).await.err().expect("it is no server");
         assert_eq!(code(&error), 69);
         let said = format!("{error:#}");

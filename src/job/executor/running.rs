@@ -11,7 +11,7 @@ use futures_util::TryStreamExt;
 
 use super::storage::Unstored;
 use super::{Inner, Told, failed, holder, input_pin, is_outdated, now, result_pin};
-use crate::blob::{BlobError, Digest, put};
+use crate::blob::{BlobError, Digest, Owner, put};
 use crate::job::event::Progress;
 use crate::job::input::{ReadBlob, Trouble};
 use crate::job::perform::{Parts, Surroundings, perform};
@@ -167,6 +167,16 @@ impl AtWork {
             })?;
             result.blobs.insert(name, info.digest);
         }
+        // Before the job names it: what a tenant is told of is its own.
+        let (owner, digests): (_, Vec<_>) =
+            (Owner::of(&self.job.spec.tenant), result.blobs.values().copied().collect());
+        let given = inner.runtime.block_on(async {
+            inner.stores.blobs.pin_for(owner, &pin, &digests).await?;
+            inner.stores.blobs.claim(owner, &digests).await
+        });
+        given.map_err(|error| {
+            crate::job::input::failure(FailureKind::Unavailable, format!("the result cannot be kept: {error}"))
+        })?;
         Ok(result)
     }
 

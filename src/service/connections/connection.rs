@@ -16,9 +16,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::sync::{Notify, watch};
 use tonic::Status;
 use tonic::body::Body;
-use tonic::codegen::Service as _;
 use tonic::codegen::http::{HeaderMap, Request, Response};
-use tonic::service::Routes;
 
 use super::super::{Phase, RequestError};
 use super::arriving::Arriving;
@@ -26,7 +24,7 @@ use super::exchange::{Exchange, Farewell, Pieces};
 use super::line::Line;
 use super::places::{Guest, Peer, Standing};
 use super::socket::Traffic;
-use super::{Common, LINGER};
+use super::{Common, LINGER, unread};
 use crate::config::{Limits, Transport};
 
 /// What an upload may have on its way, bytes: for a stream, for a connection.
@@ -322,10 +320,11 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
         let uploads = request.uri().path().starts_with(OURS);
         let most = if uploads { self.common.limits.transport.message_bytes as u64 } else { QUESTION };
         let budget = self.common.budget.clone();
-        let mut routes: Routes = self.common.routes.clone();
+        let routes = self.common.routes.clone();
         let mut phase = self.phase.clone();
         Box::pin(async move {
-            let response = routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most)))).await?;
+            let response = routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most)))).await;
+            let response = if exchange.admitted() { response } else { unread::told(response) };
             exchange.answer();
             let farewell = (!exchange.admitted()).then(|| Farewell {
                 time: Box::pin(async move {

@@ -1,7 +1,8 @@
 //! `BlobService`: uploads that can go on after a cut, downloads of ranges, and questions about blobs.
 //!
 //! Invariant: while one piece of an upload is stored the next may arrive, and no more; of a download only what waits for
-//! the client is held. Bytes are handed on, never copied. An upload that is cut in any way stays as far as it is stored.
+//! the client is held. A blob is there for a tenant that has it, and for nobody else: whatever is asked of another's, the
+//! answer is that of a blob that is not stored. Bytes are handed on, never copied. An upload that is cut in any way stays as far as it is stored.
 //! Must not know: where blobs lie, how statuses look.
 
 use std::sync::Arc;
@@ -10,8 +11,9 @@ use std::time::Duration;
 use futures_util::TryStreamExt as _;
 use tonic::{Request, Response, Status, Streaming};
 
-use crate::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, UploadId, UploadStatus};
+use crate::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId, UploadStatus};
 use crate::config::Limits;
+use crate::service::access::Caller;
 use crate::service::budget::{Budget, Share};
 use crate::service::convert::{At, digest};
 use crate::service::stream::{Answers, Gate, Inbox, Kind, Outbox, answer, respond};
@@ -37,15 +39,16 @@ impl Blobs {
         Self { store, limits, budget, gate }
     }
 
-    /// A question with one answer.
+    /// A question with one answer, in the name of a tenant.
     async fn ask<M, T, F: Future<Output = Result<T, RequestError>>>(
         &self,
         method: &'static str,
         request: Request<M>,
-        work: impl FnOnce(M, Arc<dyn BlobStore>) -> F,
+        work: impl FnOnce(M, Owner, Arc<dyn BlobStore>) -> F,
     ) -> Result<Response<T>, Status> {
         let (metadata, extensions, message) = request.into_parts();
-        let work = work(message, Arc::clone(&self.store));
+        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        let work = work(message, Owner::of(&tenant), Arc::clone(&self.store));
         answer((method, Kind::Call), &metadata, &extensions, &self.gate, Some(STORE_TIME), work).await
     }
 }
@@ -60,7 +63,8 @@ impl proto::blob_service_server::BlobService for Blobs {
     ) -> Result<Response<proto::WriteResponse>, Status> {
         let (metadata, extensions, stream) = request.into_parts();
         let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
-        let work = self.receive(Inbox::new(stream), &tenant);
+        let most = extensions.get::<Caller>().and_then(|caller| caller.bytes);
+        let work = self.receive(Inbox::new(stream), &tenant, most);
         // No limit as a whole besides that of uploads.
         answer(("Write", Kind::Stream), &metadata, &extensions, &self.gate, None, work).await
     }
@@ -70,7 +74,7 @@ impl proto::blob_service_server::BlobService for Blobs {
         request: Request<proto::QueryWriteStatusRequest>,
     ) -> Result<Response<proto::QueryWriteStatusResponse>, Status> {
         let tenant = tenant::of(request.metadata(), request.extensions()).map_err(RequestError::from)?;
-        self.ask("QueryWriteStatus", request, |message, store| async move {
+        self.ask("QueryWriteStatus", request, |message, _, store| async move {
             let proto::QueryWriteStatusRequest { digest: named, size_bytes } = message;
             let upload = UploadId::new(digest(&At::Top("digest"), &named)?, size_bytes).of(&tenant);
             let UploadStatus { kept_bytes, complete } = store.upload_status(upload).await?;
@@ -81,9 +85,10 @@ impl proto::blob_service_server::BlobService for Blobs {
 
     async fn read(&self, request: Request<proto::ReadRequest>) -> Result<Response<Self::ReadStream>, Status> {
         let (metadata, extensions, message) = request.into_parts();
-        let store = Arc::clone(&self.store);
+        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        let (store, owner) = (Arc::clone(&self.store), Owner::of(&tenant));
         Ok(respond(("Read", Kind::Stream), &metadata, &extensions, (&self.gate, &self.budget), |out| {
-            send(store, message, out)
+            send(store, owner, message, out)
         })?)
     }
 
@@ -91,7 +96,7 @@ impl proto::blob_service_server::BlobService for Blobs {
         &self,
         request: Request<proto::FindMissingRequest>,
     ) -> Result<Response<proto::FindMissingResponse>, Status> {
-        self.ask("FindMissing", request, |message, store| async move {
+        self.ask("FindMissing", request, |message, owner, store| async move {
             let at = At::Top("digests");
             let named = message.digests;
             if named.len() > MOST_DIGESTS {
@@ -99,23 +104,25 @@ impl proto::blob_service_server::BlobService for Blobs {
                 return Err(WireError::field(at.to_string(), text).into());
             }
             let digests = named.iter().enumerate().map(|(i, text)| digest(&At::Item(&at, i), text));
-            let missing = store.find_missing(&digests.collect::<Result<Vec<_>, _>>()?).await?;
+            let missing = store.find_missing_of(owner, &digests.collect::<Result<Vec<_>, _>>()?).await?;
             Ok(proto::FindMissingResponse { digests: missing.iter().map(Digest::to_string).collect() })
         })
         .await
     }
 
     async fn stat(&self, request: Request<proto::StatRequest>) -> Result<Response<proto::StatResponse>, Status> {
-        self.ask("Stat", request, |message, store| async move {
-            let BlobInfo { digest, size_bytes } = store.stat(digest(&At::Top("digest"), &message.digest)?).await?;
+        self.ask("Stat", request, |message, owner, store| async move {
+            let named = digest(&At::Top("digest"), &message.digest)?;
+            check_owned(&*store, owner, named).await?;
+            let BlobInfo { digest, size_bytes } = store.stat(named).await?;
             Ok(proto::StatResponse { digest: digest.to_string(), size_bytes })
         })
         .await
     }
 
     async fn delete(&self, request: Request<proto::DeleteRequest>) -> Result<Response<proto::DeleteResponse>, Status> {
-        self.ask("Delete", request, |message, store| async move {
-            store.delete(digest(&At::Top("digest"), &message.digest)?).await?;
+        self.ask("Delete", request, |message, owner, store| async move {
+            store.disown(owner, digest(&At::Top("digest"), &message.digest)?).await?;
             Ok(proto::DeleteResponse {})
         })
         .await
@@ -123,18 +130,19 @@ impl proto::blob_service_server::BlobService for Blobs {
 }
 
 impl Blobs {
-    /// Reads an upload until it finishes, its client ends it, or the blob is there.
+    /// Reads an upload until it finishes, its client ends it, or the blob is there. `most` is what its tenant may have, bytes.
     async fn receive(
         &self,
         mut inbox: Inbox<proto::WriteRequest>,
         tenant: &str,
+        most: Option<u64>,
     ) -> Result<proto::WriteResponse, RequestError> {
         let deadline = tokio::time::Instant::now() + self.limits.upload;
         let Some((mut message, mut share)) = self.next(&mut inbox, deadline).await? else {
             return Err(WireError::Order("the stream ended before its first message, which names the blob").into());
         };
         let upload = UploadId::new(digest(&At::Top("digest"), &message.digest)?, message.size_bytes).of(tenant);
-        let mut status = timely(self.store.begin(upload)).await?;
+        let mut status = timely(self.store.begin_within(upload, most)).await?;
         let _empty = EmptyUpload { store: Arc::clone(&self.store), upload };
         while !status.complete {
             let proto::WriteRequest { digest: _, size_bytes: _, offset, data, crc32c, finish } = message;
@@ -240,15 +248,26 @@ async fn timely<T>(work: impl Future<Output = Result<T, BlobError>>) -> Result<T
     }
 }
 
+/// For who does not have a blob it is not stored.
+async fn check_owned(store: &dyn BlobStore, owner: Owner, digest: Digest) -> Result<(), RequestError> {
+    match timely(store.is_owned(owner, digest)).await? {
+        true => Ok(()),
+        false => Err(BlobError::NotFound { digest }.into()),
+    }
+}
+
 /// Sends a range of a blob.
 async fn send(
     store: Arc<dyn BlobStore>,
+    owner: Owner,
     message: proto::ReadRequest,
     outbox: Outbox<proto::ReadResponse>,
 ) -> Result<(), RequestError> {
     let proto::ReadRequest { digest: named, offset, limit_bytes } = message;
     let end = if limit_bytes == 0 { u64::MAX } else { offset.saturating_add(limit_bytes) };
-    let mut read = timely(store.read(digest(&At::Top("digest"), &named)?, offset..end)).await?;
+    let wanted = digest(&At::Top("digest"), &named)?;
+    check_owned(&*store, owner, wanted).await?;
+    let mut read = timely(store.read(wanted, offset..end)).await?;
     let size_bytes = read.info.size_bytes;
     let mut offset = read.range.start;
     if read.range.is_empty() {

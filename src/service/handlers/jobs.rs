@@ -8,10 +8,12 @@ use std::time::Duration;
 
 use tonic::{Request, Response, Status};
 
+use crate::blob::{BlobStore, Owner};
 use crate::job::JobError;
 use crate::job::desk::{DeskError, JobDesk};
 use crate::job::event::What;
 use crate::job::record::JobId;
+use crate::service::access::{Caller, Refusal};
 use crate::service::budget::Budget;
 use crate::service::convert::{job, job_id, spec};
 use crate::service::stream::{Answers, Gate, Kind, Outbox, answer, respond};
@@ -30,13 +32,20 @@ const EVENTS: usize = 64;
 /// The service.
 pub(in crate::service) struct Jobs {
     desk: Arc<dyn JobDesk>,
+    /// Asked how much a tenant has.
+    blobs: Arc<dyn BlobStore>,
     budget: Budget,
     gate: Gate,
 }
 
 impl Jobs {
-    pub(in crate::service) fn new(desk: Arc<dyn JobDesk>, budget: Budget, gate: Gate) -> Self {
-        Self { desk, budget, gate }
+    pub(in crate::service) fn new(
+        desk: Arc<dyn JobDesk>,
+        blobs: Arc<dyn BlobStore>,
+        budget: Budget,
+        gate: Gate,
+    ) -> Self {
+        Self { desk, blobs, budget, gate }
     }
 
     /// A question with one answer, in the name of a tenant.
@@ -61,7 +70,16 @@ impl proto::job_service_server::JobService for Jobs {
         &self,
         request: Request<proto::CreateJobRequest>,
     ) -> Result<Response<proto::CreateJobResponse>, Status> {
+        let most = request.extensions().get::<Caller>().and_then(|caller| caller.bytes);
+        let blobs = Arc::clone(&self.blobs);
         self.ask("CreateJob", request, |message, tenant, desk| async move {
+            if let Some(limit_bytes) = most {
+                // Results are kept whatever their size: who has all that it may have gets no more of them.
+                let used_bytes = blobs.owned_bytes(Owner::of(&tenant)).await?;
+                if used_bytes >= limit_bytes {
+                    return Err(Refusal::Bytes { used_bytes, limit_bytes }.into());
+                }
+            }
             let wanted = spec::of(message.spec, tenant, message.request_id)?;
             let created = to_the_end(async move { desk.create(wanted).await }).await?;
             Ok(proto::CreateJobResponse { job: Some(job::message(&created.job)), existed: created.existed })

@@ -39,7 +39,14 @@ pub(super) fn ask<H: Needs>(shared: &Shared, tenant: &str, header: &H) -> Result
     };
     let need = need(&header.counts(by.kind, mesh, points), by.threads);
     must_fit(&need, shared.engine.memory())?;
-    Ok(Ask { tenant: tenant.into(), seconds: need.seconds, memory: need.memory, goes_on: H::GOES_ON, ..Ask::default() })
+    Ok(Ask {
+        tenant: tenant.into(),
+        weight: shared.engine.weights().of(tenant),
+        seconds: need.seconds,
+        memory: need.memory,
+        goes_on: H::GOES_ON,
+        ..Ask::default()
+    })
 }
 
 fn density(options: Option<&proto::DensityOptions>, mesh: MeshCounts) -> DensityKind {

@@ -1,0 +1,155 @@
+//! Marks beside the blobs: who has which.
+//!
+//! Purpose: an empty object `owners/AB/DIGEST-OWNER` for each owner of a blob, so that the books outlive the process.
+//! Invariant: a mark is written before its owner is told that it has the blob, and removed before it is told that it does not
+//! have it any more. Marks of a blob go with its bytes; one that stayed after a crash is removed at the next start.
+//! Must not know: who owners are, pins.
+
+use futures_util::{StreamExt, TryStreamExt, future, stream};
+use object_store::path::Path;
+use object_store::{ObjectStore, ObjectStoreExt, PutPayload};
+
+use super::changes::{Inner, Kind};
+use crate::blob::error::object;
+use crate::blob::quota::Ledger;
+use crate::blob::upload::lock;
+use crate::blob::{BlobError, Digest, Owner};
+
+/// Folder of the marks.
+const OWNERS: &str = "owners";
+
+/// Marks that are written or removed at once.
+const AT_ONCE: usize = 16;
+
+/// The folder of a blob's marks, which others share.
+fn folder_of(digest: &Digest) -> Path {
+    Path::from_iter([OWNERS, &digest.to_string()[..2]])
+}
+
+fn path_of(digest: &Digest, owner: Owner) -> Path {
+    folder_of(digest).join(format!("{digest}-{owner}"))
+}
+
+fn read(path: &Path) -> Option<(Digest, Owner)> {
+    let (digest, owner) = path.filename()?.split_once('-')?;
+    let (digest, owner) = (digest.parse().ok()?, owner.parse().ok()?);
+    (path_of(&digest, owner) == *path).then_some((digest, owner))
+}
+
+/// Puts the marks that an earlier process left into the books, the oldest first. With `alone`, those without a blob are
+/// removed.
+pub(super) async fn scan(objects: &dyn ObjectStore, ledger: &mut Ledger, alone: bool) -> Result<(), BlobError> {
+    let mut found = Vec::new();
+    let mut marks = objects.list(Some(&Path::from(OWNERS)));
+    while let Some(mark) = marks.try_next().await.map_err(object("look for the owners of blobs"))? {
+        match read(&mark.location) {
+            Some((digest, owner)) => found.push((mark.last_modified, digest, owner)),
+            None => tracing::warn!(path = %mark.location, "no mark of an owner; left alone"),
+        }
+    }
+    drop(marks);
+    found.sort_unstable();
+    let mut lost = Vec::new();
+    for (_, digest, owner) in found {
+        if ledger.get(&digest).is_none() {
+            lost.push((digest, owner));
+        } else if let Some(other) = ledger.give(&digest, owner) {
+            lost.push((digest, other));
+        }
+    }
+    if alone {
+        remove(objects, lost).await?;
+    }
+    Ok(())
+}
+
+async fn remove(objects: &dyn ObjectStore, marks: Vec<(Digest, Owner)>) -> Result<(), BlobError> {
+    let removals = marks.into_iter().map(|(digest, owner)| async move {
+        match objects.delete(&path_of(&digest, owner)).await {
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(object("remove the mark of an owner")(error)),
+        }
+    });
+    stream::iter(removals).buffer_unordered(AT_ONCE).collect::<Vec<_>>().await.into_iter().collect()
+}
+
+impl Inner {
+    /// Writes a mark. The books are changed by who calls.
+    pub(super) async fn mark(&self, digest: &Digest, owner: Owner) -> Result<(), BlobError> {
+        let put = self.objects.put(&path_of(digest, owner), PutPayload::new()).await;
+        put.map(drop).map_err(object("mark the owner of a blob"))
+    }
+
+    /// Removes a mark.
+    pub(super) async fn unmark(&self, digest: Digest, owner: Owner) -> Result<(), BlobError> {
+        remove(&*self.objects, vec![(digest, owner)]).await
+    }
+
+    /// Removes the marks of those who do not have a blob any more. To be called in the turn of its bytes.
+    pub(super) async fn unmark_others(&self, digest: Digest) -> Result<(), BlobError> {
+        // Whatever comes before the first mark of this blob.
+        let before = folder_of(&digest).join(format!("{digest}-"));
+        let begin = format!("{digest}-");
+        let marks = self.objects.list_with_offset(Some(&folder_of(&digest)), &before);
+        let others = marks.try_filter_map(|mark| {
+            let is_other = mark.location.filename().is_some_and(|name| name.starts_with(&begin));
+            let mark = read(&mark.location).filter(|(_, owner)| is_other && !lock(&self.ledger).has(&digest, *owner));
+            future::ready(Ok(mark))
+        });
+        let others = others.try_collect().await.map_err(object("look for the owners of a blob"))?;
+        remove(&*self.objects, others).await
+    }
+
+    /// Whether a blob is stored and this owner has it. Another process may have given it to him.
+    pub(super) async fn is_owned(&self, owner: Owner, digest: Digest) -> Result<bool, BlobError> {
+        if lock(&self.ledger).has(&digest, owner) {
+            return Ok(true);
+        }
+        if !matches!(self.kind, Kind::Shared) {
+            return Ok(false);
+        }
+        // The mark first: nothing is told of a blob to who has none.
+        match self.objects.head(&path_of(&digest, owner)).await {
+            Ok(_) => {}
+            Err(object_store::Error::NotFound { .. }) => return Ok(false),
+            Err(error) => return Err(object("look for the owner of a blob")(error)),
+        }
+        if self.stored(digest).await?.is_none() {
+            return Ok(false);
+        }
+        self.give(digest, owner).await?;
+        Ok(true)
+    }
+
+    /// Puts an owner whose mark is written into the books.
+    pub(super) async fn give(&self, digest: Digest, owner: Owner) -> Result<(), BlobError> {
+        let other = lock(&self.ledger).give(&digest, owner);
+        match other {
+            Some(other) => self.unmark(digest, other).await,
+            None => Ok(()),
+        }
+    }
+
+    /// Gives blobs to an owner, those that are stored.
+    pub(super) async fn claim(&self, owner: Owner, digests: &[Digest]) -> Result<(), BlobError> {
+        for digest in digests {
+            if self.is_owned(owner, *digest).await? {
+                continue;
+            }
+            let _turn = self.lock_bytes(digest).await;
+            if self.stored_in_turn(*digest).await?.is_some() {
+                self.mark(digest, owner).await?;
+                self.give(*digest, owner).await?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes a blob from its owner. Gives it if its bytes are to go: whoever waited for that would learn whether others have it.
+    pub(super) async fn disown(&self, owner: Owner, digest: Digest) -> Result<Option<super::BlobInfo>, BlobError> {
+        self.is_owned(owner, digest).await?;
+        let orphan = lock(&self.ledger).disown(&digest, owner)?;
+        self.unmark(digest, owner).await?;
+        Ok(orphan)
+    }
+}

@@ -1,0 +1,133 @@
+//! Who has which blobs.
+//!
+//! Purpose: [`Owners`] are the books of ownership. Pure bookkeeping, no storage.
+//! Invariant: an owner's bytes are the sum of the sizes of its blobs. A blob has at most [`MOST`] owners. What is forgotten of
+//! a blob is forgotten of all its owners. Must not know: where blobs and marks lie, pins, quotas.
+
+use std::collections::{BTreeMap, HashMap};
+
+use super::{Digest, Owner};
+
+/// Owners of one blob. One more takes the place of the one that has had it longest, which can upload it again: whoever may
+/// invent names can fill no more than this.
+pub(super) const MOST: usize = 256;
+
+/// See the module's head.
+#[derive(Debug, Default)]
+pub(super) struct Owners {
+    /// Since when each owner has it: a number that rises.
+    of_blob: HashMap<Digest, BTreeMap<Owner, u64>>,
+    of_owner: HashMap<Owner, Held>,
+    last: u64,
+}
+
+/// What one owner has.
+#[derive(Debug, Default)]
+struct Held {
+    bytes: u64,
+    sizes: HashMap<Digest, u64>,
+}
+
+impl Owners {
+    /// The owner has this blob from now on. Gives who has it no more.
+    pub(super) fn add(&mut self, digest: Digest, size_bytes: u64, owner: Owner) -> Option<Owner> {
+        self.last += 1;
+        let owners = self.of_blob.entry(digest).or_default();
+        if owners.insert(owner, self.last).is_none() {
+            let held = self.of_owner.entry(owner).or_default();
+            held.sizes.insert(digest, size_bytes);
+            held.bytes = held.bytes.saturating_add(size_bytes);
+        }
+        if owners.len() <= MOST {
+            return None;
+        }
+        let longest = owners.iter().min_by_key(|(_, since)| **since).map(|(owner, _)| *owner)?;
+        self.take(&digest, longest);
+        Some(longest)
+    }
+
+    /// Whether the owner has it.
+    pub(super) fn has(&self, digest: &Digest, owner: Owner) -> bool {
+        self.of_blob.get(digest).is_some_and(|owners| owners.contains_key(&owner))
+    }
+
+    /// Whether anybody has it.
+    pub(super) fn is_anybodys(&self, digest: &Digest) -> bool {
+        self.of_blob.contains_key(digest)
+    }
+
+    /// The owner has it no more. Whether it had it.
+    pub(super) fn take(&mut self, digest: &Digest, owner: Owner) -> bool {
+        let Some(owners) = self.of_blob.get_mut(digest) else { return false };
+        let had = owners.remove(&owner).is_some();
+        if owners.is_empty() {
+            self.of_blob.remove(digest);
+        }
+        self.subtract(digest, owner);
+        had
+    }
+
+    /// Nobody has it any more.
+    pub(super) fn forget(&mut self, digest: &Digest) {
+        for owner in self.of_blob.remove(digest).unwrap_or_default().into_keys() {
+            self.subtract(digest, owner);
+        }
+    }
+
+    /// The bytes of all that the owner has.
+    pub(super) fn bytes(&self, owner: Owner) -> u64 {
+        self.of_owner.get(&owner).map_or(0, |held| held.bytes)
+    }
+
+    /// What the owner has, with sizes, the longest held first.
+    pub(super) fn oldest(&self, owner: Owner) -> Vec<(Digest, u64)> {
+        let Some(held) = self.of_owner.get(&owner) else { return Vec::new() };
+        let since = |digest: &Digest| self.of_blob.get(digest).and_then(|owners| owners.get(&owner)).copied();
+        let mut all: Vec<_> = held.sizes.iter().map(|(digest, size)| (since(digest), *digest, *size)).collect();
+        all.sort_unstable();
+        all.into_iter().map(|(_, digest, size)| (digest, size)).collect()
+    }
+
+    fn subtract(&mut self, digest: &Digest, owner: Owner) {
+        let Some(held) = self.of_owner.get_mut(&owner) else { return };
+        if let Some(size) = held.sizes.remove(digest) {
+            held.bytes = held.bytes.saturating_sub(size);
+        }
+        if held.sizes.is_empty() {
+            self.of_owner.remove(&owner);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_books_add_up_and_forget() {
+        let (mut owners, a, b) = (Owners::default(), Owner::of("a"), Owner::of("b"));
+        let [one, two] = [b"1", b"2"].map(|bytes| Digest::of(bytes));
+        assert!(
+            owners.add(one, 10, a).is_none() && owners.add(two, 5, a).is_none() && owners.add(one, 10, b).is_none()
+        );
+        assert!(owners.add(one, 10, b).is_none(), "twice is once");
+        assert_eq!((owners.bytes(a), owners.bytes(b)), (15, 10));
+        // What was taken anew is the youngest.
+        owners.add(one, 10, a);
+        assert_eq!(owners.oldest(a), [(two, 5), (one, 10)]);
+        assert!(owners.take(&one, a) && !owners.take(&one, a) && owners.is_anybodys(&one));
+        owners.forget(&one);
+        assert!(!owners.has(&one, b) && owners.bytes(b) == 0 && owners.of_owner.len() == 1);
+        owners.forget(&two);
+        assert!(owners.of_blob.is_empty() && owners.of_owner.is_empty());
+    }
+
+    #[test]
+    fn a_blob_has_so_many_owners_and_the_longest_goes() {
+        let (mut owners, digest) = (Owners::default(), Digest::of(b"1"));
+        let name = |i: usize| Owner::of(&i.to_string());
+        let gone: Vec<_> = (0..MOST + 3).filter_map(|i| owners.add(digest, 1, name(i))).collect();
+        assert_eq!(gone, [name(0), name(1), name(2)]);
+        assert_eq!((owners.of_blob[&digest].len(), owners.of_owner.len()), (MOST, MOST));
+    }
+}

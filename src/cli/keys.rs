@@ -1,0 +1,169 @@
+//! `tessera keys`.
+//!
+//! Purpose: makes, lists and revokes the keys of a server, in its folder. Invariant: a key is printed once, on the standard
+//! output, when it is made; nothing else prints it. It works while the server runs, which sees the change within a few seconds.
+//! Must not know: servers, how keys are kept.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::Result;
+use clap::{Args, Subcommand};
+use prost_types::Timestamp;
+use serde_json::{Value, json};
+
+use super::exit::{Absent, BadInput, NotWritten, Usage};
+use super::say;
+use crate::config::{data_dir, period, whole};
+use crate::keys::{Key, KeyFile, KeyLimits, KeysError, NewKey, Role, now};
+
+/// `tessera keys`' options.
+#[derive(Args, Debug)]
+pub(crate) struct KeysArgs {
+    #[command(subcommand)]
+    command: KeysCommand,
+    /// The server's folder, as `tessera serve` has it: the user's state directory if not given.
+    #[arg(long, value_name = "DIR", global = true, env = "TESSERA_DATA_DIR")]
+    data_dir: Option<PathBuf>,
+    /// Print the answer as JSON.
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum KeysCommand {
+    /// Make a key, and print it: it is shown this once.
+    Add(AddArgs),
+    /// List the keys: ids, names, roles and limits. No key can be shown again.
+    List,
+    /// Revoke the keys of a name, or one key by its id. Calls that are open with it end.
+    Revoke {
+        /// The name, or the id.
+        name: String,
+    },
+}
+
+#[derive(Args, Debug)]
+struct AddArgs {
+    /// Whose key it is. Jobs and blobs belong to this name.
+    name: String,
+    /// What it may do: `read` asks about its own jobs and blobs, `submit` also creates and ends them, `admin` does so in
+    /// anybody's name.
+    #[arg(long, value_name = "ROLE")]
+    role: Role,
+    /// When it ends, e.g. 12h or 90d; never if not given.
+    #[arg(long, value_name = "TIME", value_parser = period)]
+    expires: Option<Duration>,
+    /// Calls a second.
+    #[arg(long, value_name = "N", value_parser = whole::<u32>)]
+    rate: Option<u32>,
+    /// Calls that may be open at once: streams, uploads, downloads, watches and questions.
+    #[arg(long, value_name = "N", value_parser = whole::<u32>)]
+    in_flight: Option<u32>,
+    /// Bytes of blobs that its name may have, uploads included. Results count, and are kept all the same.
+    #[arg(long, value_name = "N", value_parser = whole::<u64>)]
+    bytes: Option<u64>,
+    /// Its share of the work beside others, 0.01 to 100; 1 if not given.
+    #[arg(long, value_name = "N", value_parser = weight)]
+    weight: Option<f64>,
+    /// Make a second key for a name that has one: use it, then revoke the old one by its id.
+    #[arg(long)]
+    rotate: bool,
+}
+
+fn weight(text: &str) -> Result<f64, String> {
+    let weight = text.parse::<f64>().ok().filter(|weight| (0.01..=100.0).contains(weight));
+    weight.ok_or_else(|| "a number from 0.01 to 100 is needed".to_owned())
+}
+
+/// Runs it.
+pub(crate) fn run(args: &KeysArgs) -> Result<()> {
+    let file = KeyFile::in_folder(data_dir(args.data_dir.as_ref())?);
+    match &args.command {
+        KeysCommand::Add(add) => {
+            let &AddArgs { role, expires: lasts, rate, in_flight, bytes, weight, rotate: is_second, .. } = add;
+            let limits = KeyLimits { rate, in_flight, bytes, weight };
+            let new = NewKey { name: add.name.clone(), role, lasts, limits, is_second };
+            let (key, secret) = file.change(|keys| keys.add(new)).map_err(told)?;
+            if args.json {
+                let mut told = json_of(&key);
+                told["key"] = secret.reveal().into();
+                return Ok(say::json(&told)?);
+            }
+            outln!("{}", secret.reveal())?;
+            errln!(
+                "tessera: this is the key of {}, shown this once; keep it where only its user can read it",
+                key.name
+            );
+        }
+        KeysCommand::List => {
+            let set = file.read().map_err(told)?;
+            if args.json {
+                return Ok(say::json(&Value::Array(set.keys().iter().map(json_of).collect()))?);
+            }
+            for key in set.keys() {
+                outln!("{}", line(key))?;
+            }
+        }
+        KeysCommand::Revoke { name } => {
+            let gone = file.change(|keys| keys.revoke(name)).map_err(told)?;
+            if args.json {
+                return Ok(say::json(&Value::Array(gone.iter().map(json_of).collect()))?);
+            }
+            for key in gone {
+                outln!("{}", line(&key))?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// With the exit code of its kind.
+fn told(error: KeysError) -> anyhow::Error {
+    let text = error.to_string();
+    match error {
+        KeysError::Damaged { .. } => BadInput(text).into(),
+        KeysError::Io { .. } | KeysError::Random(_) => NotWritten(text).into(),
+        KeysError::Absent { .. } => Absent(text).into(),
+        KeysError::Exists { .. } | KeysError::Name { .. } | KeysError::Limits | KeysError::TooMany => {
+            Usage(text).into()
+        }
+    }
+}
+
+fn moment(seconds: u64) -> String {
+    i64::try_from(seconds).map_or_else(|_| "never".to_owned(), |seconds| Timestamp { seconds, nanos: 0 }.to_string())
+}
+
+/// A key as a line: id, name, role, when it was made, and what is said of it besides.
+fn line(key: &Key) -> String {
+    let KeyLimits { rate, in_flight, bytes, weight } = key.limits;
+    let mut line = format!("{}  {:16} {:6}  made {}", key.id, key.name, key.role.name(), moment(key.created));
+    if let Some(end) = key.expires {
+        let word = if key.is_expired(now()) { "ended" } else { "ends" };
+        line += &format!("  {word} {}", moment(end));
+    }
+    let limits = [
+        rate.map(|n| format!("  rate {n}")),
+        in_flight.map(|n| format!("  in-flight {n}")),
+        bytes.map(|n| format!("  bytes {n}")),
+        weight.map(|n| format!("  weight {n}")),
+    ];
+    line + &limits.into_iter().flatten().collect::<String>()
+}
+
+fn json_of(key: &Key) -> Value {
+    let KeyLimits { rate, in_flight, bytes, weight } = key.limits;
+    json!({
+        "id": key.id,
+        "name": key.name,
+        "role": key.role.name(),
+        "created": moment(key.created),
+        "expires": key.expires.map(moment),
+        "expired": key.is_expired(now()),
+        "rate": rate,
+        "in_flight": in_flight,
+        "bytes": bytes,
+        "weight": weight,
+    })
+}
