@@ -17,6 +17,8 @@ pub(crate) mod doctor;
 mod endpoint;
 mod exit;
 mod files;
+mod health;
+mod info;
 mod interrupt;
 mod jobs;
 mod picture;
@@ -81,6 +83,10 @@ enum Command {
     Jobs(jobs::JobsArgs),
     /// Store files at a server and fetch them.
     Blobs(blobs::BlobsArgs),
+    /// Say whether a server takes calls; exit code 69 if it does not.
+    Health(health::HealthArgs),
+    /// Say what a server is and what it takes.
+    Info(info::InfoArgs),
     /// Measure.
     Bench(bench::BenchArgs),
     /// Write a procedural surface.
@@ -102,12 +108,19 @@ fn run() -> u8 {
         (LogFormatArg::Json, Command::Serve(_)) => (LogFormat::Json, "info"),
         (LogFormatArg::Json, _) => (LogFormat::Json, "warn"),
     };
-    let result = telemetry::start(format, filter).map_err(anyhow::Error::from).and_then(|()| match &cli.command {
+    let traces = match &cli.command {
+        Command::Serve(args) => args.traces().map_err(anyhow::Error::from),
+        _ => Ok(None),
+    };
+    let telemetry = traces.and_then(|traces| Ok(telemetry::start(format, filter, traces.as_ref())?));
+    let result = telemetry.and_then(|_telemetry| match &cli.command {
         Command::Serve(args) => serve::run(args),
         Command::Remesh(args) => remesh::run(args),
         Command::Rvd(args) => rvd::run(args),
         Command::Jobs(args) => jobs::run(args),
         Command::Blobs(args) => blobs::run(args),
+        Command::Health(args) => health::run(args),
+        Command::Info(args) => info::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Shape(args) => shape::run(args),
         Command::Doctor(args) => doctor::run(args),

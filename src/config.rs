@@ -121,6 +121,23 @@ pub(crate) struct ServeArgs {
     /// Seconds that running work gets to end after SIGTERM.
     #[arg(long, value_name = "S", default_value_t = 30.0, env = "TESSERA_GRACE_S")]
     pub grace_s: f64,
+    /// Seconds between two probes of an idle backend: a tiny diagram whose answer is known. While one fails health says
+    /// NOT_SERVING.
+    #[arg(long, value_name = "S", default_value_t = 60.0, env = "TESSERA_PROBE_S")]
+    pub probe_s: f64,
+    /// Address and port for operators: metrics, health and readiness over HTTP. None if not given; anything but loopback needs
+    /// --insecure.
+    #[arg(long, value_name = "ADDRESS:PORT", env = "TESSERA_ADMIN_LISTEN")]
+    pub admin_listen: Option<String>,
+    /// Listen without protection on addresses that others reach.
+    #[arg(long, env = "TESSERA_INSECURE")]
+    pub insecure: bool,
+    /// Collector of OpenTelemetry traces (OTLP over gRPC), e.g. http://127.0.0.1:4317. None if not given.
+    #[arg(long, value_name = "URL", env = "TESSERA_OTLP_ENDPOINT")]
+    pub otlp_endpoint: Option<String>,
+    /// Part of the traces that is exported, 0 to 1; those that a caller samples always are.
+    #[arg(long, value_name = "R", default_value_t = 1.0, env = "TESSERA_OTLP_RATIO")]
+    pub otlp_ratio: f64,
     /// Connections open at once; the process's limit on open files lowers it where it must.
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = whole::<usize>, env = "TESSERA_MAX_CONNECTIONS")]
     pub max_connections: usize,
@@ -185,6 +202,8 @@ pub struct Limits {
     pub stall: Duration,
     /// For work to end after the shutdown began.
     pub grace: Duration,
+    /// Between two probes of an idle backend.
+    pub probe: Duration,
 }
 
 impl Default for Limits {
@@ -206,6 +225,7 @@ impl Default for Limits {
             session_idle: Duration::from_secs(600),
             stall: Duration::from_secs(120),
             grace: Duration::from_secs(30),
+            probe: Duration::from_secs(60),
         }
     }
 }
@@ -216,6 +236,8 @@ impl Default for Limits {
 pub(crate) struct ServeConfig {
     /// Where to listen: the first of these that can be had.
     pub listen: Vec<SocketAddr>,
+    /// The same for operators; nowhere if empty.
+    pub admin: Vec<SocketAddr>,
     /// Jobs that may wait.
     pub queue_jobs: usize,
     /// What one request may ask for.
@@ -273,7 +295,8 @@ impl ServeArgs {
         self.backend.check()?;
         let most = MAX_ELEMENTS;
         Ok(ServeConfig {
-            listen: addresses(&self.listen)?,
+            listen: addresses("--listen", &self.listen)?,
+            admin: self.admin()?,
             data_dir: if self.ephemeral { None } else { Some(self.data_dir()?) },
             keep: (self.keep_results, self.keep_jobs),
             blob_bytes: within("--blobs-mib", self.blobs_mib, 1, 1 << 30, "1 to 1073741824")? << 20,
@@ -309,6 +332,7 @@ impl ServeArgs {
                 session_idle: seconds("--session-idle-s", self.session_idle_s)?,
                 stall: seconds("--stall-s", self.stall_s)?,
                 grace: seconds("--grace-s", self.grace_s)?,
+                probe: seconds("--probe-s", self.probe_s)?,
             },
             ceilings: JobCeilings {
                 time: seconds("--job-seconds", self.job_seconds)?,
@@ -335,6 +359,59 @@ impl ServeArgs {
             must: "a folder; or give --ephemeral",
         })
     }
+}
+
+#[cfg(feature = "cli")]
+impl ServeArgs {
+    /// Where operators are listened to.
+    fn admin(&self) -> Result<Vec<SocketAddr>, ConfigError> {
+        let Some(listen) = &self.admin_listen else { return Ok(Vec::new()) };
+        let found = addresses("--admin-listen", listen)?;
+        if !self.insecure && found.iter().any(|address| !address.ip().is_loopback()) {
+            return Err(ConfigError {
+                option: "--admin-listen",
+                value: format!("{listen:?}"),
+                must: "a loopback address, as 127.0.0.1:9090, since everybody who reaches it can read it; or give --insecure",
+            });
+        }
+        Ok(found)
+    }
+
+    /// Where traces go, and which part of them.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub(crate) fn traces(&self) -> Result<Option<Traces>, ConfigError> {
+        // The variable that programs with OpenTelemetry share.
+        let shared = || std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").ok().filter(|url| !url.is_empty());
+        let wrong = |option, value: String, must| Err(ConfigError { option, value, must });
+        if !(0.0..=1.0).contains(&self.otlp_ratio) {
+            return wrong("--otlp-ratio", self.otlp_ratio.to_string(), "a number from 0 to 1");
+        }
+        let Some(endpoint) = self.otlp_endpoint.clone().or_else(shared) else { return Ok(None) };
+        if !cfg!(feature = "otlp") {
+            return wrong("--otlp-endpoint", endpoint, "left out: this program was built without the feature otlp");
+        }
+        match endpoint.strip_prefix("http://").is_some_and(|host| !host.is_empty()) {
+            true => Ok(Some(Traces { endpoint, ratio: self.otlp_ratio })),
+            false => wrong(
+                "--otlp-endpoint",
+                endpoint,
+                "a URL as http://127.0.0.1:4317; https is not supported, use a collector on this host",
+            ),
+        }
+    }
+}
+
+/// Where traces go.
+#[cfg(feature = "cli")]
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(not(feature = "otlp"), allow(dead_code))]
+pub(crate) struct Traces {
+    /// A collector of OTLP over gRPC.
+    pub endpoint: String,
+    /// The part that is exported.
+    pub ratio: f64,
 }
 
 #[cfg(feature = "cli")]
@@ -382,8 +459,8 @@ fn within(option: &'static str, value: u64, least: u64, most: u64, must: &'stati
 
 #[cfg(feature = "cli")]
 /// What a name and a port stand for, addresses of IPv4 first: a client that asks for one by number asks for those.
-fn addresses(listen: &str) -> Result<Vec<SocketAddr>, ConfigError> {
-    let wrong = |must| ConfigError { option: "--listen", value: format!("{listen:?}"), must };
+fn addresses(option: &'static str, listen: &str) -> Result<Vec<SocketAddr>, ConfigError> {
+    let wrong = |must| ConfigError { option, value: format!("{listen:?}"), must };
     let (host, port) = listen
         .rsplit_once(':')
         .filter(|(host, _)| !host.contains("//"))

@@ -56,9 +56,14 @@
 //! | [`mod@remesh`] | sample, iterate, dual, repair, measure | `cvt`, `rvd::dual`, `mesh` |
 //! | `blob` | content-addressed storage: uploads, quota, local disk and S3 | nothing here |
 //! | `job` | the queue and its fair shares, the host threads that share the device, and kept jobs: records, states, the journal | `blob`, `remesh` and below |
+//! | `readiness` | why the server is not ready, if it is not; health and the admin port tell it | nothing here |
+//! | `trace` | which trace a call and its work belong to | nothing here |
+//! | `metrics` | what is counted, and its text for Prometheus | `job`, `readiness`, `rvd` |
+//! | `admin` | metrics and readiness over HTTP, for operators | `metrics`, `readiness` |
 //! | `wire` | messages, and our types made of them and into them; server and client speak it | `remesh` and below |
-//! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job`, `blob` and below |
+//! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job`, `blob`, `metrics`, `readiness`, `trace` and below |
 //! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve`: the client speaks `wire` |
+//! | `telemetry` | logs, and traces to a collector | `config`, `trace` |
 //!
 //! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules. Modules without a link
 //! are no part of the interface, nor is `internals`, which shows some of them to this crate's own tests.
@@ -74,6 +79,8 @@ mod setters;
 #[doc = include_str!("../README.md")]
 struct Readme;
 
+#[cfg(feature = "cli")]
+mod admin;
 #[cfg(feature = "service")]
 mod blob;
 #[cfg(feature = "cli")]
@@ -91,8 +98,12 @@ mod knn;
 #[cfg(feature = "service")]
 mod memory;
 pub mod mesh;
+#[cfg(feature = "service")]
+mod metrics;
 #[cfg(feature = "pictures")]
 pub mod picture;
+#[cfg(feature = "service")]
+mod readiness;
 pub mod remesh;
 pub mod rvd;
 #[cfg(feature = "service")]
@@ -100,6 +111,8 @@ mod service;
 #[cfg(feature = "cli")]
 mod telemetry;
 pub mod token;
+#[cfg(feature = "service")]
+mod trace;
 #[cfg(feature = "service")]
 mod wire;
 

@@ -23,6 +23,7 @@ use super::estimate::Counts;
 use super::event::{Events, Progress};
 use super::forecast::Forecast;
 use super::input::JobBounds;
+use super::observer::Origin;
 use super::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
 use super::schedule::Ask;
 use super::state::State;
@@ -31,6 +32,7 @@ use super::store::{
 };
 use super::worker::Engine;
 use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs};
+use crate::trace;
 use queue::{JobQueue, LocalQueue};
 
 /// Between two looks for what is over.
@@ -280,7 +282,10 @@ impl Inner {
 
     /// Queues a job for the engine.
     async fn enqueue(&self, job: &Job) -> Result<(), DeskError> {
-        let need = self.forecast.need_or_none(&job.spec).await;
+        // Its blobs may be gone.
+        let counts = self.forecast.counts(&job.spec, None).await.ok();
+        let need = counts.as_ref().map(|counts| self.forecast.need(counts));
+        let origin = counts.as_ref().map(|counts| Origin::of(counts, Some(job.id)));
         let ask = Ask {
             tenant: job.spec.tenant.as_str().into(),
             priority: job.spec.priority.unwrap_or(0),
@@ -288,6 +293,7 @@ impl Inner {
             host_bytes: need.map_or(0, |need| need.host_bytes),
             is_kept_elsewhere: true,
             goes_on: false,
+            origin,
         };
         let limit = job.spec.deadlines.run_ms.map(Duration::from_millis);
         Ok(self.queue.push(job.id, ask, limit)?)
@@ -367,7 +373,7 @@ impl JobDesk for Executor {
         let spec = spec.check()?;
         let inner = Arc::clone(&self.inner);
         // To its end, whoever still waits: what is pinned is unpinned, what is kept is queued.
-        let created = tokio::spawn(async move { inner.create(spec).await }).await;
+        let created = tokio::spawn(trace::carry(async move { inner.create(spec).await })).await;
         created.map_err(|error| DeskError::Job(JobError::Panicked(error.to_string())))?
     }
 

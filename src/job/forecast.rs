@@ -50,11 +50,6 @@ impl Forecast {
         need(counts, threads)
     }
 
-    /// The same of a specification whose blobs may be gone.
-    pub(crate) async fn need_or_none(&self, spec: &JobSpec) -> Option<Need> {
-        Some(self.need(&self.counts(spec, None).await.ok()?))
-    }
-
     /// The counts of a job; `given` are the surface's vertices and facets, if they are known.
     ///
     /// # Errors

@@ -5,6 +5,7 @@
 //! first; nothing that waits for a peer waits without a limit; where descriptors run out, accepting waits instead of
 //! spinning. Must not know: messages, jobs.
 
+mod account;
 mod arriving;
 mod connection;
 mod descriptors;
@@ -31,6 +32,7 @@ use self::seldom::Seldom;
 use super::Phase;
 use super::budget::Budget;
 use crate::config::Limits;
+use crate::metrics::{Calls, Refused};
 
 /// Between the last answer and the end of its connection. A connection that closes while its client still
 /// acknowledges data is reset, and what the client has not read yet is lost.
@@ -48,6 +50,8 @@ struct Common {
     routes: Routes,
     limits: Limits,
     budget: Budget,
+    /// Counts calls, and all else that is counted here.
+    calls: Calls,
     /// Connections that were closed for breaking a limit.
     closed: Seldom,
 }
@@ -57,7 +61,7 @@ pub(super) async fn serve(
     listener: TcpListener,
     routes: Routes,
     limits: Limits,
-    budget: Budget,
+    (budget, calls): (Budget, Calls),
     phase: watch::Receiver<Phase>,
     closing: watch::Receiver<Duration>,
 ) {
@@ -70,7 +74,7 @@ pub(super) async fn serve(
         );
     }
     let places = Places::new(most, limits.max_connections_per_peer);
-    let common = Arc::new(Common { routes, limits, budget, closed: Seldom::default() });
+    let common = Arc::new(Common { routes, limits, budget, calls, closed: Seldom::default() });
     let accepting = Accepting {
         listener,
         places: Arc::clone(&places),
@@ -144,12 +148,15 @@ impl Accepting {
         match place {
             Ok(place) => {
                 let (common, phase) = (Arc::clone(&self.common), self.phase.clone());
+                let open = self.common.calls.metrics().connection();
                 tokio::spawn(async move {
+                    let _open = open;
                     connection::serve(stream, state, common, phase).await;
                     drop(place);
                 });
             }
             Err(full) => {
+                self.common.calls.metrics().refused(Refused::Connections);
                 if let Some(times) = self.refused.count() {
                     tracing::warn!(%peer, times, ?full, "refused connections: all that are open are in use");
                 }

@@ -20,6 +20,7 @@ mod ceilings;
 mod connections;
 mod density;
 mod features;
+mod health;
 mod jobs;
 mod life;
 mod refusals;

@@ -22,11 +22,13 @@ use tonic::codegen::http::{HeaderMap, Request, Response};
 use tonic::service::Routes;
 
 use super::super::{MAX_MESSAGE_BYTES, Phase, RequestError};
+use super::account::Account;
 use super::arriving::Arriving;
 use super::exchange::{Exchange, Farewell, Pieces};
 use super::places::{Guest, Peer, Standing};
 use super::socket::{Socket, Traffic};
 use super::{Common, LINGER};
+use crate::trace;
 
 /// What an upload may have on its way, bytes: for a stream, for a connection.
 const STREAM_WINDOW: u32 = 1 << 20;
@@ -185,7 +187,7 @@ pub(super) async fn serve(
         }
     }
     let mut streams = state.lock();
-    streams.all.drain(..).for_each(|stream| stream.cut());
+    streams.all.drain(..).for_each(|stream| stream.lose());
 }
 
 /// How far a connection is on its way out.
@@ -307,6 +309,7 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
 
     fn call(&self, mut request: Request<Incoming>) -> Self::Future {
         let exchange = Arc::new(Exchange::new(self.common.budget.clone()));
+        let (account, trace) = Account::open(&self.common.calls, &request, &exchange);
         {
             let mut streams = self.state.lock();
             streams.requests += 1;
@@ -321,17 +324,20 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
         let budget = self.common.budget.clone();
         let mut routes: Routes = self.common.routes.clone();
         let mut phase = self.phase.clone();
-        Box::pin(async move {
+        let span = account.span();
+        let work = async move {
             let response = routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most)))).await?;
             exchange.answer();
+            account.begun(response.status(), response.headers());
             let farewell = (!exchange.admitted()).then(|| Farewell {
                 time: Box::pin(async move {
                     let _ = phase.wait_for(|now| *now >= Phase::Draining).await;
                 }),
                 trailers: farewell(),
             });
-            Ok(response.map(|body| Pieces::new(body, exchange, farewell)))
-        })
+            Ok(response.map(|body| Pieces::new(body, exchange, farewell).told(account)))
+        };
+        Box::pin(trace::within(trace, span, work))
     }
 }
 

@@ -18,6 +18,7 @@ use tonic::Status;
 use tonic::codegen::{Body, Bytes, http::HeaderMap};
 
 use super::super::budget::Budget;
+use super::account::Account;
 
 /// The largest piece: a frame's payload, as most peers take it.
 const LARGEST_PIECE: usize = 16 << 10;
@@ -41,6 +42,8 @@ pub(crate) struct Exchange {
     answered: AtomicBool,
     ended: AtomicBool,
     stalled: AtomicBool,
+    /// Reset by the server, for whatever reason.
+    is_cut: AtomicBool,
     cut: Notify,
 }
 
@@ -56,6 +59,7 @@ impl Exchange {
             answered: AtomicBool::new(false),
             ended: AtomicBool::new(false),
             stalled: AtomicBool::new(false),
+            is_cut: AtomicBool::new(false),
             cut: Notify::new(),
         }
     }
@@ -111,7 +115,18 @@ impl Exchange {
 
     /// Ends the work on it, which resets the stream.
     pub(super) fn cut(&self) {
+        self.is_cut.store(true, Ordering::Release);
         self.cut.notify_one();
+    }
+
+    /// The connection is gone.
+    pub(super) fn lose(&self) {
+        self.cut.notify_one();
+    }
+
+    /// Whether the server reset it.
+    pub(super) fn is_cut(&self) -> bool {
+        self.is_cut.load(Ordering::Acquire)
     }
 
     /// As [`Self::cut`], since the client takes nothing. Gives whether this is the first time.
@@ -183,12 +198,19 @@ pub(super) struct Pieces<B> {
     handed_on: Option<Instant>,
     farewell: Option<Farewell>,
     ended: bool,
+    account: Option<Account>,
 }
 
 impl<B> Pieces<B> {
     pub(super) fn new(inner: B, exchange: Arc<Exchange>, farewell: Option<Farewell>) -> Self {
         let (rest, piece) = (Bytes::new(), LARGEST_PIECE);
-        Self { inner, exchange, rest, piece, handed_on: None, farewell, ended: false }
+        Self { inner, exchange, rest, piece, handed_on: None, farewell, ended: false, account: None }
+    }
+
+    /// The call is over when this is dropped.
+    pub(super) fn told(mut self, account: Account) -> Self {
+        self.account = Some(account);
+        self
     }
 
     /// The next piece of what is there.
@@ -229,7 +251,9 @@ impl<B: Body<Data = Bytes, Error = Status> + Unpin> Body for Pieces<B> {
         match Pin::new(&mut self.inner).poll_frame(context) {
             Poll::Pending => {
                 self.handed_on = None;
-                self.is_over(context).map_or(Poll::Pending, |trailers| Poll::Ready(Some(Ok(Frame::trailers(trailers)))))
+                let Some(trailers) = self.is_over(context) else { return Poll::Pending };
+                self.account.iter().for_each(|account| account.end(&trailers));
+                Poll::Ready(Some(Ok(Frame::trailers(trailers))))
             }
             Poll::Ready(Some(Ok(frame))) => Poll::Ready(Some(Ok(match frame.into_data() {
                 Ok(data) if !data.is_empty() => {
@@ -238,7 +262,12 @@ impl<B: Body<Data = Bytes, Error = Status> + Unpin> Body for Pieces<B> {
                     Frame::data(self.next())
                 }
                 Ok(empty) => Frame::data(empty),
-                Err(frame) => frame,
+                Err(frame) => {
+                    if let (Some(account), Some(trailers)) = (&self.account, frame.trailers_ref()) {
+                        account.end(trailers);
+                    }
+                    frame
+                }
             }))),
             last => last,
         }
