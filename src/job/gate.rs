@@ -146,17 +146,14 @@ impl Backend for Gated {
         let opening = told.pass("open", self.device.kind());
         let session = self.device.session(surface, options)?;
         drop(opening);
-        let work = session.device_work();
-        let mut session =
-            GatedSession { session, gate: Arc::clone(&self.gate), kind: self.device.kind(), told, planned: 0, work };
-        session.tell_planned();
-        Ok(Box::new(session))
+        Ok(Box::new(GatedSession::new(session, Some(Arc::clone(&self.gate)), self.device.kind(), told)))
     }
 }
 
-struct GatedSession {
+/// A session whose passes are told, and wait for their turn if there is a gate.
+pub(super) struct GatedSession {
     session: Box<dyn Session>,
-    gate: Arc<Gate>,
+    gate: Option<Arc<Gate>>,
     kind: BackendKind,
     told: Arc<Told>,
     /// Bytes on the device that were told of.
@@ -166,6 +163,14 @@ struct GatedSession {
 }
 
 impl GatedSession {
+    /// A session that was just opened.
+    pub(super) fn new(session: Box<dyn Session>, gate: Option<Arc<Gate>>, kind: BackendKind, told: Arc<Told>) -> Self {
+        let work = session.device_work();
+        let mut session = Self { session, gate, kind, told, planned: 0, work };
+        session.tell_planned();
+        session
+    }
+
     /// Does `work` when it is this session's turn.
     fn pass<R>(
         &mut self,
@@ -173,8 +178,8 @@ impl GatedSession {
         token: Option<&Token>,
         work: impl FnOnce(&mut dyn Session) -> Result<R, RvdError>,
     ) -> Result<R, RvdError> {
-        let gate = Arc::clone(&self.gate);
-        let pass = gate.enter(token)?;
+        let gate = self.gate.clone();
+        let pass = gate.as_ref().map(|gate| gate.enter(token)).transpose()?;
         let told = Arc::clone(&self.told);
         let telling = told.pass(name, self.kind);
         let before = self.session.device_work();

@@ -1,19 +1,13 @@
 //! A CPU backend whose passes are told.
 //!
-//! Purpose: [`Observed`] hands everything on to the backend inside, and tells when a pass began and ended.
+//! Purpose: [`Observed`] hands everything on to the backend inside; its sessions tell when a pass began and ended.
 //! Invariant: what is observed does what the inner backend does, with the same bits. Must not know: who counts.
 
-use std::ops::Range;
 use std::sync::Arc;
 
-use glam::DVec3;
-
+use super::gate::GatedSession;
 use super::observer::Told;
-use crate::rvd::{
-    Backend, BackendKind, CellSums, DeviceFacts, DeviceWork, PassStats, PhasesMs, PieceBatch, Resident, RvdError,
-    Session, SessionOptions, Surface,
-};
-use crate::token::Token;
+use crate::rvd::{Backend, BackendKind, DeviceFacts, RvdError, Session, SessionOptions, Surface};
 
 /// See the module's head.
 pub(crate) struct Observed {
@@ -23,7 +17,7 @@ pub(crate) struct Observed {
 
 impl Observed {
     fn session_of(&self, session: Box<dyn Session>) -> Box<dyn Session> {
-        Box::new(ObservedSession { session, kind: self.inner.kind(), told: Arc::clone(&self.told) })
+        Box::new(GatedSession::new(session, None, self.inner.kind(), Arc::clone(&self.told)))
     }
 }
 
@@ -54,43 +48,5 @@ impl Backend for Observed {
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
         Ok(self.session_of(self.inner.session(surface, options)?))
-    }
-}
-
-struct ObservedSession {
-    session: Box<dyn Session>,
-    kind: BackendKind,
-    told: Arc<Told>,
-}
-
-impl Session for ObservedSession {
-    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        self.session.set_seeds(seeds)
-    }
-
-    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
-        let _pass = self.told.pass("sums", self.kind);
-        self.session.sums(out, token)
-    }
-
-    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
-        let _pass = self.told.pass("pieces", self.kind);
-        self.session.pieces(facets, out, token)
-    }
-
-    fn device_bytes(&self) -> u64 {
-        self.session.device_bytes()
-    }
-
-    fn device_work(&self) -> DeviceWork {
-        self.session.device_work()
-    }
-
-    fn device_phases(&self) -> Option<PhasesMs> {
-        self.session.device_phases()
-    }
-
-    fn resident(&mut self) -> Option<&mut dyn Resident> {
-        self.session.resident()
     }
 }

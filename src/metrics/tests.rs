@@ -1,3 +1,5 @@
+//! Tests of what is counted.
+
 use std::collections::BTreeSet;
 
 use super::*;

@@ -130,7 +130,8 @@ async fn counters_are_what_the_client_counted() {
     ] {
         assert_eq!(samples.get(name), expected as f64, "{name}");
     }
-    assert!(samples.get("tessera_passes_total{backend=\"parallel\"}") >= iterations as f64);
+    let passes = samples.get("tessera_passes_total{backend=\"parallel\"}");
+    assert!(passes >= iterations as f64, "{passes}");
     assert!(samples.get("tessera_probes_total{outcome=\"passed\"}") >= 1.0);
     assert!(samples.get("tessera_open_connections") >= 1.0);
     assert!(samples.get("process_resident_memory_bytes") > 1e6 && samples.get("process_cpu_seconds_total") > 0.0);
@@ -160,7 +161,7 @@ fn is_there(name: &str) -> bool {
 }
 
 /// A server after some work, and its metrics.
-async fn worked() -> Program {
+pub async fn worked() -> Program {
     let program = Program::start(&[], &[]);
     let channel = program.channel().await;
     let digest = put(&channel, &Shape::Torus.build(500)).await;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use tessera::internals::service::Reason;
 
-use crate::program::Program;
+use crate::counted::worked;
 
 fn document() -> String {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/observability.md")).unwrap()
@@ -19,7 +19,8 @@ fn listed(text: &str) -> BTreeSet<String> {
 
 #[tokio::test]
 async fn every_metric_is_in_the_document() {
-    let program = Program::start(&[], &[]);
+    // What has labels shows once it was counted.
+    let program = worked().await;
     let (_, text) = program.get("/metrics", "text/plain").await;
     let told: BTreeSet<String> =
         text.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next().map(str::to_owned)).collect();

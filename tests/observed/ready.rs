@@ -21,6 +21,13 @@ fn said(output: &Output) -> String {
 async fn a_server_that_is_well_says_so_everywhere() {
     let program = Program::start(&[], &[]);
     let url = format!("http://{}", program.address);
+    // It begins to serve once the first probe has passed.
+    let _served = program.channel().await;
+    let start = Instant::now();
+    while program.get("/readyz", "*/*").await.0 != 200 {
+        assert!(start.elapsed() < 10 * SECOND, "it is not ready");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
     assert_eq!(program.get("/readyz", "*/*").await, (200, "{\"ready\":true,\"reasons\":[]}\n".to_owned()));
     assert_eq!(program.get("/healthz", "*/*").await, (200, "ok\n".to_owned()));
     assert!(program.get("/version", "*/*").await.1.contains(env!("CARGO_PKG_VERSION")));

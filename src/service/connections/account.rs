@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tonic::codegen::http::{HeaderMap, Request, StatusCode};
 use tracing::{Span, field, info_span};
 
-use super::exchange::Exchange;
+use super::exchange::{Ending, Exchange};
 use crate::metrics::{Call, Calls};
 use crate::trace::{self, TraceContext};
 
@@ -82,9 +82,10 @@ impl Account {
             None => {}
         }
     }
+}
 
-    /// The answer ends.
-    pub(super) fn end(&self, trailers: &HeaderMap) {
+impl Ending for Account {
+    fn end(&self, trailers: &HeaderMap) {
         self.call.end(code(trailers).unwrap_or("UNKNOWN"));
     }
 }

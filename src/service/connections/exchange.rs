@@ -18,7 +18,6 @@ use tonic::Status;
 use tonic::codegen::{Body, Bytes, http::HeaderMap};
 
 use super::super::budget::Budget;
-use super::account::Account;
 
 /// The largest piece: a frame's payload, as most peers take it.
 const LARGEST_PIECE: usize = 16 << 10;
@@ -162,6 +161,12 @@ impl Exchange {
     }
 }
 
+/// Who is told how an answer ends. Dropped when all of it is over.
+pub(super) trait Ending: Send {
+    /// The answer ends with these trailers.
+    fn end(&self, trailers: &HeaderMap);
+}
+
 /// Bytes that are counted until they are dropped.
 struct Piece {
     bytes: Bytes,
@@ -198,18 +203,18 @@ pub(super) struct Pieces<B> {
     handed_on: Option<Instant>,
     farewell: Option<Farewell>,
     ended: bool,
-    account: Option<Account>,
+    ending: Option<Box<dyn Ending>>,
 }
 
 impl<B> Pieces<B> {
     pub(super) fn new(inner: B, exchange: Arc<Exchange>, farewell: Option<Farewell>) -> Self {
         let (rest, piece) = (Bytes::new(), LARGEST_PIECE);
-        Self { inner, exchange, rest, piece, handed_on: None, farewell, ended: false, account: None }
+        Self { inner, exchange, rest, piece, handed_on: None, farewell, ended: false, ending: None }
     }
 
     /// The call is over when this is dropped.
-    pub(super) fn told(mut self, account: Account) -> Self {
-        self.account = Some(account);
+    pub(super) fn told(mut self, ending: impl Ending + 'static) -> Self {
+        self.ending = Some(Box::new(ending));
         self
     }
 
@@ -252,7 +257,7 @@ impl<B: Body<Data = Bytes, Error = Status> + Unpin> Body for Pieces<B> {
             Poll::Pending => {
                 self.handed_on = None;
                 let Some(trailers) = self.is_over(context) else { return Poll::Pending };
-                self.account.iter().for_each(|account| account.end(&trailers));
+                self.ending.iter().for_each(|ending| ending.end(&trailers));
                 Poll::Ready(Some(Ok(Frame::trailers(trailers))))
             }
             Poll::Ready(Some(Ok(frame))) => Poll::Ready(Some(Ok(match frame.into_data() {
@@ -263,8 +268,8 @@ impl<B: Body<Data = Bytes, Error = Status> + Unpin> Body for Pieces<B> {
                 }
                 Ok(empty) => Frame::data(empty),
                 Err(frame) => {
-                    if let (Some(account), Some(trailers)) = (&self.account, frame.trailers_ref()) {
-                        account.end(trailers);
+                    if let (Some(ending), Some(trailers)) = (&self.ending, frame.trailers_ref()) {
+                        ending.end(trailers);
                     }
                     frame
                 }
