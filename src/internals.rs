@@ -84,7 +84,7 @@ pub mod rvd {
 /// The server.
 #[cfg(feature = "service")]
 pub mod service {
-    pub use crate::metrics::Metrics;
+    pub use crate::metrics::{Format, Metrics};
     pub use crate::readiness::{Readiness, Reason};
     pub use crate::service::{
         About, BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVER_SERVICE_NAME, SERVICE_NAME, ServeError, replay,

@@ -29,7 +29,7 @@ use crate::readiness::{Condition, Reason};
 use crate::rvd::BackendKind;
 
 pub(crate) use calls::{Call, Calls};
-pub(crate) use format::Format;
+pub use format::Format;
 
 /// Upper bounds for calls, seconds: those that OpenTelemetry advises, and more for work that takes minutes.
 const CALL_SECONDS: [f64; 18] =
@@ -290,7 +290,7 @@ impl Metrics {
     }
 
     /// Everything, as Prometheus reads it.
-    pub(crate) fn text(&self, format: Format) -> String {
+    pub fn text(&self, format: Format) -> String {
         let inner = &*self.0;
         if let Some(used) = inner.memory_used.get() {
             inner.memory.get_or_create(&KindLabel { kind: "used" }).set(used.load(Ordering::Acquire));

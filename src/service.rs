@@ -191,14 +191,15 @@ pub async fn run(
     let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), gate.clone());
     let info = handlers::info::Info { engine: engine.clone(), limits, readiness: readiness.clone(), about };
     let (health, health_service) = tonic_health::server::health_reporter();
-    let health = Arc::new(Told { health, names: names(jobs.is_some()), metrics: metrics.clone() });
+    let names = names(jobs.is_some());
+    let health = Arc::new(Told::new(health, names, metrics.clone()));
     readiness.set(Reason::Starting, true);
     health::check(&engine, &readiness, &metrics).await;
     readiness.set(Reason::Starting, false);
     health.tell(readiness.condition()).await;
     let mut routes = Routes::new(health_service)
-        .add_service(reflection(health.names)?.build_v1()?)
-        .add_service(reflection(health.names)?.build_v1alpha()?)
+        .add_service(reflection(names)?.build_v1()?)
+        .add_service(reflection(names)?.build_v1alpha()?)
         .add_service(proto::server_service_server::ServerServiceServer::new(info))
         .add_service(
             proto::remesh_service_server::RemeshServiceServer::new(handlers)

@@ -321,8 +321,8 @@ mod tests {
         let notes = Arc::new(Notes::default());
         let observer: Arc<dyn Observer> = notes.clone();
         work(&observer);
-        let told = notes.0.lock().unwrap().clone();
-        told
+        let mut told = notes.0.lock().unwrap();
+        std::mem::take(&mut *told)
     }
 
     #[test]

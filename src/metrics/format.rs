@@ -10,7 +10,7 @@ use prometheus_client::registry::Registry;
 
 /// How metrics are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Format {
+pub enum Format {
     /// OpenMetrics 1.0.
     OpenMetrics,
     /// The text format 0.0.4.
@@ -19,7 +19,7 @@ pub(crate) enum Format {
 
 impl Format {
     /// What a client that sends this header `Accept` reads.
-    pub(crate) fn of(accept: Option<&str>) -> Self {
+    pub fn of(accept: Option<&str>) -> Self {
         match accept {
             Some(accept) if accept.contains("application/openmetrics-text") => Self::OpenMetrics,
             _ => Self::Text,
@@ -27,7 +27,7 @@ impl Format {
     }
 
     /// The header `Content-Type`.
-    pub(crate) fn content_type(self) -> &'static str {
+    pub fn content_type(self) -> &'static str {
         match self {
             Self::OpenMetrics => "application/openmetrics-text; version=1.0.0; charset=utf-8",
             Self::Text => "text/plain; version=0.0.4; charset=utf-8",

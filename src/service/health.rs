@@ -8,6 +8,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use tokio::sync::Mutex;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
@@ -26,19 +27,31 @@ const LOOK_AT_BLOBS: Duration = Duration::from_secs(5);
 
 /// Health, told for every service and for all of them.
 pub(super) struct Told {
-    pub(super) health: HealthReporter,
-    pub(super) names: &'static [&'static str],
-    pub(super) metrics: Metrics,
+    health: HealthReporter,
+    names: &'static [&'static str],
+    metrics: Metrics,
+    /// What was told last.
+    last: Mutex<Option<Condition>>,
 }
 
 impl Told {
-    /// Tells a condition.
+    /// Nothing is told yet.
+    pub(super) fn new(health: HealthReporter, names: &'static [&'static str], metrics: Metrics) -> Self {
+        Self { health, names, metrics, last: Mutex::default() }
+    }
+
+    /// Tells a condition: to whoever watches a service, if it makes a difference for that service.
     pub(super) async fn tell(&self, condition: Condition) {
+        // Held until all is told: two who tell at once do not mix.
+        let mut last = self.last.lock().await;
         self.metrics.condition(condition);
-        for name in self.names {
-            self.health.set_service_status(*name, status(name, condition)).await;
+        for name in self.names.iter().chain([&""]) {
+            let now = status(name, condition);
+            if last.is_none_or(|last| status(name, last) != now) {
+                self.health.set_service_status(*name, now).await;
+            }
         }
-        self.health.set_service_status("", status("", condition)).await;
+        *last = Some(condition);
     }
 
     /// Tells every change.
