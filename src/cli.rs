@@ -18,6 +18,8 @@ pub(crate) mod doctor;
 mod endpoint;
 mod exit;
 mod files;
+mod health;
+mod info;
 mod interrupt;
 mod jobs;
 mod keys;
@@ -90,6 +92,10 @@ enum Command {
     Blobs(blobs::BlobsArgs),
     /// Make, list and revoke the keys of a server, in its folder.
     Keys(keys::KeysArgs),
+    /// Say whether a server takes calls; exit code 69 if it does not.
+    Health(health::HealthArgs),
+    /// Say what a server is and what it takes.
+    Info(info::InfoArgs),
     /// Measure.
     Bench(bench::BenchArgs),
     /// Write a procedural surface.
@@ -118,7 +124,12 @@ fn run() -> u8 {
         (LogFormatArg::Json, Command::Serve(_)) => (LogFormat::Json, "info"),
         (LogFormatArg::Json, _) => (LogFormat::Json, "warn"),
     };
-    let result = telemetry::start(format, filter).map_err(anyhow::Error::from).and_then(|()| match &cli.command {
+    let traces = match &cli.command {
+        Command::Serve(args) => args.watching.traces().map_err(anyhow::Error::from),
+        _ => Ok(None),
+    };
+    let telemetry = traces.and_then(|traces| Ok(telemetry::start(format, filter, traces.as_ref())?));
+    let result = telemetry.and_then(|_telemetry| match &cli.command {
         Command::Serve(args) => serve::run(args),
         Command::Config(args) => config::run(args, options.as_ref()),
         Command::Remesh(args) => remesh::run(args),
@@ -126,6 +137,8 @@ fn run() -> u8 {
         Command::Jobs(args) => jobs::run(args),
         Command::Blobs(args) => blobs::run(args),
         Command::Keys(args) => keys::run(args),
+        Command::Health(args) => health::run(args),
+        Command::Info(args) => info::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Shape(args) => shape::run(args),
         Command::Doctor(args) => doctor::run(args),

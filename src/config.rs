@@ -32,6 +32,8 @@ mod tls;
 mod transport;
 #[cfg(feature = "cli")]
 mod values;
+#[cfg(feature = "cli")]
+mod watching;
 
 #[cfg(feature = "cli")]
 pub(crate) use args::{BackendArg, BackendArgs, ServeArgs};
@@ -55,6 +57,8 @@ pub(crate) use show::print;
 pub use tls::TlsFiles;
 #[cfg(feature = "cli")]
 pub(crate) use values::{count, period, whole};
+#[cfg(feature = "cli")]
+pub(crate) use watching::Traces;
 
 #[cfg(feature = "cli")]
 #[cfg(test)]

@@ -92,8 +92,10 @@ pub mod rvd {
 /// The server.
 #[cfg(feature = "service")]
 pub mod service {
+    pub use crate::metrics::{Format, Metrics};
+    pub use crate::readiness::{Readiness, Reason};
     pub use crate::service::{
-        Access, AccessOptions, BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, Tls,
-        TlsError, replay, run,
+        About, Access, AccessOptions, BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVER_SERVICE_NAME,
+        SERVICE_NAME, ServeError, Tls, TlsError, replay, run,
     };
 }

@@ -19,8 +19,11 @@ pub(crate) mod forecast;
 mod gate;
 mod input;
 mod loss;
+mod observed;
+pub(crate) mod observer;
 mod perform;
 mod pools;
+pub(crate) mod probe;
 pub(crate) mod queue;
 pub mod record;
 mod schedule;
@@ -71,13 +74,17 @@ pub struct Backends {
 }
 
 impl Backends {
-    /// What a job sees: `host` in place of `parallel`, and the GPU through the gate.
-    fn for_job(&self, gate: &Arc<gate::Gate>, host: Option<&Arc<dyn Backend>>) -> Self {
-        let host = Arc::clone(host.unwrap_or(&self.parallel));
-        let shared = |device: &Arc<dyn Backend>| -> Arc<dyn Backend> {
-            Arc::new(gate::Gated { device: Arc::clone(device), gate: Arc::clone(gate), host: Arc::clone(&host) })
+    /// What a job sees: `host` in place of `parallel`, and the GPU through the gate. Passes are told of.
+    fn for_job(&self, gate: &Arc<gate::Gate>, host: Option<&Arc<dyn Backend>>, told: &Arc<observer::Told>) -> Self {
+        let observed = |inner: &Arc<dyn Backend>| -> Arc<dyn Backend> {
+            Arc::new(observed::Observed { inner: Arc::clone(inner), told: Arc::clone(told) })
         };
-        Self { gpu: self.gpu.as_ref().map(shared).map_err(Clone::clone), parallel: host, ..self.clone() }
+        let (host, serial) = (observed(host.unwrap_or(&self.parallel)), observed(&self.serial));
+        let shared = |device: &Arc<dyn Backend>| -> Arc<dyn Backend> {
+            let (device, gate, host, told) = (device.clone(), gate.clone(), host.clone(), told.clone());
+            Arc::new(gate::Gated { device, gate, host, told })
+        };
+        Self { gpu: self.gpu.as_ref().map(shared).map_err(Clone::clone), parallel: host, serial, ..self.clone() }
     }
 
     /// The backend for a wish.

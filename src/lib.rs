@@ -57,9 +57,14 @@
 //! | `blob` | content-addressed storage: uploads, quota, local disk and S3 | nothing here |
 //! | `keys` | keys of callers: made, hashed, kept in a file | nothing here |
 //! | `job` | the queue and its fair shares, the host threads that share the device, and kept jobs: records, states, the journal | `blob`, `remesh` and below |
+//! | `readiness` | why the server is not ready, if it is not; health and the admin port tell it | nothing here |
+//! | `trace` | which trace a call and its work belong to | nothing here |
+//! | `metrics` | what is counted, and its text for Prometheus | `job`, `readiness`, `rvd` |
+//! | `admin` | metrics and readiness over HTTP, for operators | `metrics`, `readiness` |
 //! | `wire` | messages, and our types made of them and into them; server and client speak it | `remesh` and below |
-//! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job`, `blob`, `keys` and below |
+//! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job`, `blob`, `keys`, `metrics`, `readiness`, `trace` and below |
 //! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve`: the client speaks `wire` |
+//! | `telemetry` | logs, and traces to a collector | `config`, `trace` |
 //!
 //! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules. Modules without a link
 //! are no part of the interface, nor is `internals`, which shows some of them to this crate's own tests.
@@ -75,6 +80,8 @@ mod setters;
 #[doc = include_str!("../README.md")]
 struct Readme;
 
+#[cfg(feature = "cli")]
+mod admin;
 #[cfg(feature = "service")]
 mod blob;
 #[cfg(feature = "cli")]
@@ -94,8 +101,12 @@ mod knn;
 #[cfg(feature = "service")]
 mod memory;
 pub mod mesh;
+#[cfg(feature = "service")]
+mod metrics;
 #[cfg(feature = "pictures")]
 pub mod picture;
+#[cfg(feature = "service")]
+mod readiness;
 pub mod remesh;
 pub mod rvd;
 #[cfg(feature = "service")]
@@ -103,6 +114,8 @@ mod service;
 #[cfg(feature = "cli")]
 mod telemetry;
 pub mod token;
+#[cfg(feature = "service")]
+mod trace;
 #[cfg(feature = "service")]
 mod wire;
 

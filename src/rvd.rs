@@ -532,6 +532,28 @@ pub fn on_threads_of<R: Send>(backend: &dyn Backend, work: impl FnOnce() -> R + 
     }
 }
 
+/// What a backend's device is and allows.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct DeviceFacts {
+    /// The adapter's name.
+    pub adapter: String,
+    /// Through what it is reached, such as "vulkan".
+    pub api: String,
+    /// Its driver, with the version.
+    pub driver: String,
+    /// Whether it is a program on the CPU.
+    pub is_software: bool,
+    /// The largest buffer, bytes.
+    pub max_buffer_bytes: u64,
+    /// The largest part of a buffer that a stage sees, bytes.
+    pub max_binding_bytes: u64,
+    /// Workgroups in each dimension of a dispatch.
+    pub max_workgroups: u32,
+    /// What is allocated on it now, bytes, if it is known.
+    pub allocated_bytes: Option<u64>,
+}
+
 /// Makes sessions. One per process is enough; it is the caller's to share.
 pub trait Backend: Send + Sync {
     /// The threads that work for this backend, in its passes and between them; `None` for those of rayon's common pool.
@@ -543,6 +565,10 @@ pub trait Backend: Send + Sync {
     fn kind(&self) -> BackendKind;
     /// The adapter's name, for a GPU.
     fn adapter(&self) -> Option<String> {
+        None
+    }
+    /// The device it works on; `None` for a CPU.
+    fn device_facts(&self) -> Option<DeviceFacts> {
         None
     }
     /// How many threads the pool has (1 for `serial`).

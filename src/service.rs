@@ -5,11 +5,15 @@
 //! a stream that ends in any way gives back its memory and its place. Must not know: how a diagram
 //! is computed, how messages look (`wire`), the command line.
 
+mod about;
 mod access;
 mod budget;
 mod connections;
 mod convert;
 mod handlers;
+mod health;
+mod methods;
+mod refusal;
 mod status;
 mod stream;
 mod tenant;
@@ -22,20 +26,23 @@ use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
 use tokio::sync::watch;
+use tokio::task::JoinSet;
 use tonic::codec::CompressionEncoding::{Gzip, Zstd};
 use tonic::service::Routes;
-use tonic_health::ServingStatus;
-use tonic_health::server::HealthReporter;
 
+pub use self::about::About;
 use self::access::Guarded;
 use self::budget::Budget;
 pub use self::connections::{Tls, TlsError};
+use self::health::Told;
 use self::stream::Gate;
 use crate::blob::{BlobError, BlobStore};
 use crate::config::Limits;
 use crate::job::desk::{DeskError, JobDesk};
 use crate::job::spec::Input;
-use crate::job::{Device, Engine, JobError, Work};
+use crate::job::{Device, Engine, JobError};
+use crate::metrics::Metrics;
+use crate::readiness::{Readiness, Reason};
 use crate::wire::{WireError, proto};
 
 pub use self::access::{Access, AccessOptions};
@@ -48,6 +55,9 @@ pub const BLOB_SERVICE_NAME: &str = "tessera.v1.BlobService";
 
 /// and for jobs.
 pub const JOB_SERVICE_NAME: &str = "tessera.v1.JobService";
+
+/// The same for what a server says of itself.
+pub const SERVER_SERVICE_NAME: &str = "tessera.v1.ServerService";
 
 /// What a server is made of.
 #[derive(Debug)]
@@ -64,6 +74,12 @@ pub struct Parts {
     pub tls: Option<Arc<Tls>>,
     /// Who may call.
     pub access: Access,
+    /// Counts. Give the engine the same.
+    pub metrics: Metrics,
+    /// Whether the server can do what it is asked.
+    pub readiness: Readiness,
+    /// What it knows of itself.
+    pub about: About,
 }
 
 /// What the services of blobs and jobs are made of.
@@ -178,28 +194,42 @@ pub async fn run(
     parts: Parts,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), ServeError> {
-    let Parts { engine, worker, limits, jobs, tls, access } = parts;
+    let Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about } = parts;
     let message_bytes = limits.transport.message_bytes;
     let _following = access.follow(engine.weights().clone());
     let phase = watch::Sender::new(Phase::Serving);
     let budget = Budget::told(limits.memory_bytes, engine.held_besides());
-    let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), phase.subscribe());
-    let gate = handlers.gate().clone();
+    metrics.memory(engine.held_besides(), limits.memory_bytes);
+    let gate = Gate::new(limits, phase.subscribe(), metrics.clone());
+    let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), gate.clone());
+    let info = handlers::info::Info { engine: engine.clone(), limits, readiness: readiness.clone(), about };
     let (health, health_service) = tonic_health::server::health_reporter();
-    let health = Told { health, names: names(jobs.is_some()) };
-    health.tell(ServingStatus::Serving).await;
-    let mut routes = Routes::new(health_service).add_service(
-        proto::remesh_service_server::RemeshServiceServer::new(handlers)
-            .max_decoding_message_size(message_bytes)
-            .accept_compressed(Gzip)
-            .accept_compressed(Zstd)
-            .send_compressed(Gzip)
-            .send_compressed(Zstd),
-    );
+    let names = names(jobs.is_some());
+    let health = Arc::new(Told::new(health, names, metrics.clone()));
+    readiness.set(Reason::Starting, true);
+    health::check(&engine, &readiness, &metrics).await;
+    readiness.set(Reason::Starting, false);
+    health.tell(readiness.condition()).await;
+    let mut routes = Routes::new(health_service)
+        .add_service(proto::server_service_server::ServerServiceServer::new(info))
+        .add_service(
+            proto::remesh_service_server::RemeshServiceServer::new(handlers)
+                .max_decoding_message_size(message_bytes)
+                .accept_compressed(Gzip)
+                .accept_compressed(Zstd)
+                .send_compressed(Gzip)
+                .send_compressed(Zstd),
+        );
     if access.options().reflection {
-        routes = routes
-            .add_service(reflection(health.names)?.build_v1()?)
-            .add_service(reflection(health.names)?.build_v1alpha()?);
+        routes = routes.add_service(reflection(names)?.build_v1()?).add_service(reflection(names)?.build_v1alpha()?);
+    }
+    // Ended with the server, wherever it is.
+    let mut beside = JoinSet::new();
+    beside.spawn(Arc::clone(&health).follow(readiness.clone()));
+    beside.spawn(health::probes(engine.clone(), readiness.clone(), metrics.clone(), limits.probe));
+    if let Some(jobs) = &jobs {
+        let storage = jobs.desk.storage();
+        beside.spawn(health::follow_blobs(Arc::clone(&jobs.blobs), storage, readiness.clone(), metrics.clone()));
     }
     let desk = jobs.as_ref().map(|jobs| Arc::clone(&jobs.desk));
     if let Some(jobs) = jobs {
@@ -207,7 +237,8 @@ pub async fn run(
     }
     let routes = Guarded::new(access, routes.prepare());
     let closing = watch::Sender::new(CUT_TIME);
-    let serving = connections::serve(listener, routes, limits, budget, tls, phase.subscribe(), closing.subscribe());
+    let counted = (budget, metrics.calls(methods::all()));
+    let serving = connections::serve(listener, routes, limits, counted, tls, phase.subscribe(), closing.subscribe());
     tokio::pin!(serving);
 
     let unkept = async {
@@ -222,15 +253,17 @@ pub async fn run(
         () = shutdown => None,
         () = unkept => {
             is_kept = false;
+            readiness.set(Reason::JournalBroken, true);
             None
         }
-        lost = follow_engine(&engine, &health) => lost,
+        lost = health::follow_engine(&engine, &readiness, &metrics) => lost,
     };
     // Whoever waits for work that never ends would wait in vain.
     let grace = if lost.is_some() { Duration::ZERO } else { limits.grace };
     tracing::info!(grace_s = grace.as_secs_f64(), "shutting down: no new streams, open ones may end");
     // Before the phase: whoever watches is told, and then his stream ends.
-    health.tell(ServingStatus::NotServing).await;
+    readiness.set(Reason::Draining, true);
+    health.tell(readiness.condition()).await;
     phase.send_replace(Phase::Draining);
     let begin = Instant::now();
     let idle = || async {
@@ -287,36 +320,6 @@ async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
     Ok(())
 }
 
-/// Tells health while the device is lost or work is stuck. Returns when the engine has ended, or with the stage of
-/// work that will not stop.
-async fn follow_engine(engine: &Engine, health: &Told) -> Option<&'static str> {
-    let (mut device, mut work) = (engine.watch_device(), engine.watch_work());
-    loop {
-        let (now, works) = (*device.borrow_and_update(), *work.borrow_and_update());
-        if now == Device::Gone {
-            tracing::error!("the engine has ended");
-            return None;
-        }
-        if now == Device::Missing {
-            tracing::error!("the device did not come back; the process ends, so that its supervisor can start it anew");
-            return None;
-        }
-        if let Work::Lost { stage } = works {
-            tracing::error!(stage, "work does not stop; the process ends, so that its supervisor can start it anew");
-            return Some(stage);
-        }
-        let is_well = matches!(now, Device::Ready | Device::Replaced) && works == Work::Stops;
-        health.tell(if is_well { ServingStatus::Serving } else { ServingStatus::NotServing }).await;
-        let changed = tokio::select! {
-            changed = device.changed() => changed,
-            changed = work.changed() => changed,
-        };
-        if changed.is_err() {
-            return None;
-        }
-    }
-}
-
 /// Serves blobs and jobs too.
 fn with_jobs(routes: Routes, Jobs { blobs, desk }: Jobs, limits: Limits, budget: &Budget, gate: &Gate) -> Routes {
     let jobs = handlers::jobs::Jobs::new(desk, Arc::clone(&blobs), budget.clone(), gate.clone());
@@ -338,23 +341,8 @@ fn with_jobs(routes: Routes, Jobs { blobs, desk }: Jobs, limits: Limits, budget:
 
 /// The services that are served.
 fn names(jobs: bool) -> &'static [&'static str] {
-    const NAMES: &[&str] = &[SERVICE_NAME, BLOB_SERVICE_NAME, JOB_SERVICE_NAME];
-    if jobs { NAMES } else { &[SERVICE_NAME] }
-}
-
-/// Health, told for every service and for all of them.
-struct Told {
-    health: HealthReporter,
-    names: &'static [&'static str],
-}
-
-impl Told {
-    async fn tell(&self, status: ServingStatus) {
-        for name in self.names {
-            self.health.set_service_status(*name, status).await;
-        }
-        self.health.set_service_status("", status).await;
-    }
+    const NAMES: &[&str] = &[SERVICE_NAME, SERVER_SERVICE_NAME, BLOB_SERVICE_NAME, JOB_SERVICE_NAME];
+    if jobs { NAMES } else { &[SERVICE_NAME, SERVER_SERVICE_NAME] }
 }
 
 fn reflection(names: &[&str]) -> Result<tonic_reflection::server::Builder<'static>, ServeError> {

@@ -68,6 +68,9 @@ struct State {
     /// Microseconds of the limit that were left when the clock stopped last.
     left: AtomicU64,
     stage: Mutex<&'static str>,
+    /// Hears of stages.
+    #[cfg(feature = "service")]
+    listener: Mutex<Option<Arc<dyn StageListener>>>,
     begin: Instant,
     /// Microseconds after `begin` at which somebody asked last.
     asked: AtomicU64,
@@ -90,6 +93,8 @@ impl Default for State {
             end: AtomicU64::new(NEVER),
             left: AtomicU64::new(NEVER),
             stage: Mutex::new(""),
+            #[cfg(feature = "service")]
+            listener: Mutex::default(),
             begin: Instant::now(),
             asked: AtomicU64::new(0),
             silence: Mutex::default(),
@@ -107,6 +112,13 @@ pub struct Silence {
     pub stage: &'static str,
     /// Where somebody asked again.
     pub until: Option<&'static Location<'static>>,
+}
+
+/// Who hears which stage of the work is entered.
+#[cfg(feature = "service")]
+pub(crate) trait StageListener: std::fmt::Debug + Send + Sync {
+    /// The last one is over, if there was one, and this one begins.
+    fn entered(&self, stage: &'static str);
 }
 
 /// Steps of work since a token was asked last; see [`Token::is_stopped_after`].
@@ -259,6 +271,19 @@ impl Token {
     pub fn enter(&self, stage: &'static str) {
         self.note();
         *self.0.stage.lock().unwrap_or_else(PoisonError::into_inner) = stage;
+        #[cfg(feature = "service")]
+        {
+            let listener = self.0.listener.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            if let Some(listener) = listener {
+                listener.entered(stage);
+            }
+        }
+    }
+
+    /// From now on `listener` hears of stages, or nobody does.
+    #[cfg(feature = "service")]
+    pub(crate) fn tell_stages(&self, listener: Option<Arc<dyn StageListener>>) {
+        *self.0.listener.lock().unwrap_or_else(PoisonError::into_inner) = listener;
     }
 
     /// The stage last entered; empty before the first.

@@ -12,6 +12,7 @@ mod faults;
 mod jobs;
 mod link;
 mod session;
+pub(crate) mod status;
 mod tls;
 
 use std::future::Future;

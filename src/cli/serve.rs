@@ -2,15 +2,18 @@
 //!
 //! Order: configuration checked, backends made and warmed up, then the port. A server that listens works.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 use glam::DVec3;
 use tokio::net::TcpListener;
+use tokio::task::JoinSet;
 
 use super::exit::{BadTls, NoDevice, NotWritten, Stuck, Unavailable};
 use super::{backends, interrupt};
+use crate::admin::{self, Admin};
 #[cfg(not(feature = "s3"))]
 use crate::blob::BlobError;
 use crate::blob::BlobOptions;
@@ -23,8 +26,10 @@ use crate::job::{
 };
 use crate::memory;
 use crate::mesh::TriMesh;
+use crate::metrics::Metrics;
+use crate::readiness::{Readiness, Reason};
 use crate::remesh::{RemeshOptions, Seeds, remesh};
-use crate::service::{self, Access, AccessOptions, Jobs, Parts, ServeError, Tls};
+use crate::service::{self, About, Access, AccessOptions, Jobs, Parts, ServeError, Tls};
 use crate::token::Token;
 
 /// Opens what is kept, and says where that is.
@@ -140,7 +145,9 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> 
     let access = access(args, &config)?;
     // Before the backends take their time: another server may have the folder.
     let stores = stores(&config).await?;
-    let starting = tokio::task::spawn_blocking(move || Engine::start(factory, engine_options));
+    let metrics = Metrics::new(env!("CARGO_PKG_VERSION"), About::REVISION);
+    let counts = Arc::new(metrics.clone());
+    let starting = tokio::task::spawn_blocking(move || Engine::start_observed(factory, engine_options, counts));
     let (engine, worker) = tokio::select! {
         started = starting => started.context("starting the backends")?.context("starting the backends")?,
         _ = &mut signals => return Ok(()),
@@ -166,8 +173,20 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> 
         queue_jobs = config.queue_jobs, tls = tls.is_some(), keys = config.requires_keys, "serving"
     );
     outln!("tessera listens on {address}")?;
+    let readiness = Readiness::new();
+    readiness.set(Reason::Starting, true);
+    // Ends with this, after the server: who looks while it drains sees that it does.
+    let _admin = open_admin(&config, &engine, &metrics, &readiness).await?;
+    let about = About {
+        machine_bytes: memory::machine_memory_bytes(),
+        job_limit_bytes: ceilings.memory_bytes,
+        job_time: ceilings.time,
+        jobs_at_once,
+        ..About::default()
+    };
     let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
-    let parts = Parts { engine, worker, limits: config.limits, jobs, tls, access };
+    let limits = config.limits;
+    let parts = Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about };
     let shutdown = async {
         // A sender that is gone means that nobody can signal; go on serving.
         if signals.await.is_err() {
@@ -181,6 +200,32 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> 
         other => anyhow::Error::new(other),
     });
     served.context("serving")
+}
+
+/// Listens to operators, if they are to be.
+async fn open_admin(
+    config: &ServeConfig,
+    engine: &Engine,
+    metrics: &Metrics,
+    readiness: &Readiness,
+) -> Result<JoinSet<Infallible>> {
+    let mut serving = JoinSet::new();
+    if config.admin.is_empty() {
+        return Ok(serving);
+    }
+    let listener = TcpListener::bind(config.admin.as_slice())
+        .await
+        .map_err(|e| Unavailable(format!("cannot listen for operators: {e}; choose another --admin-listen")))?;
+    let address = listener.local_addr().context("asking for the admin port")?;
+    tracing::info!(%address, "metrics, health and readiness");
+    outln!("tessera tells operators on {address}")?;
+    let (engine, counted) = (engine.clone(), metrics.clone());
+    let look = Arc::new(move || {
+        counted.device_used(engine.device_facts().and_then(|facts| facts.allocated_bytes));
+    });
+    let (metrics, readiness, revision) = (metrics.clone(), readiness.clone(), About::REVISION);
+    serving.spawn(admin::serve(listener, Admin { metrics, readiness, revision, look }));
+    Ok(serving)
 }
 
 /// One small remesh on the backend that will be used: pipelines are compiled, and one that gives

@@ -102,7 +102,7 @@ pub(crate) fn key(file: Option<&Path>) -> Result<Option<Secret>> {
     Ok(Some(secret))
 }
 
-fn pause(text: &str) -> Result<f64, String> {
+pub(crate) fn pause(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(seconds),
         _ => Err("a number of seconds from 0 to 86400 is needed".to_owned()),

@@ -14,6 +14,7 @@ use super::security::SecurityArgs;
 use super::sources::Sources;
 use super::transport::TransportArgs;
 use super::values::{period, whole};
+use super::watching::WatchingArgs;
 
 /// Which backend should do the work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -160,6 +161,8 @@ pub(crate) struct ServeArgs {
     pub security: SecurityArgs,
     #[command(flatten)]
     pub transport: TransportArgs,
+    #[command(flatten)]
+    pub watching: WatchingArgs,
     /// Who works. Last, since its heading holds for what comes after it.
     #[command(flatten, next_help_heading = "Who works")]
     pub backend: BackendArgs,

@@ -22,6 +22,8 @@ const MAX_ELEMENTS: u64 = i32::MAX as u64 - 8;
 pub(crate) struct ServeConfig {
     /// Where to listen: the first of these that can be had.
     pub listen: Vec<SocketAddr>,
+    /// The same for operators; nowhere if empty.
+    pub admin: Vec<SocketAddr>,
     /// Jobs that may wait.
     pub queue_jobs: usize,
     /// What one request may ask for.
@@ -87,7 +89,7 @@ impl ServeArgs {
             let value = "given beside --require-keys".to_owned();
             return Err(ConfigError { option: "--ephemeral", value, must: "absent: keys lie in the data folder" });
         }
-        let listen = addresses(&self.listen)?;
+        let listen = addresses("--listen", &self.listen)?;
         let tls = self.security.check()?;
         self.security.check_reach(&self.listen, &listen, tls.is_some())?;
         let most = MAX_ELEMENTS;
@@ -95,6 +97,7 @@ impl ServeArgs {
             listen,
             tls,
             device: self.device.check()?,
+            admin: self.watching.admin(self.security.insecure)?,
             bucket: self.bucket()?,
             disk_reserve_bytes: within("--disk-reserve-mib", self.disk_reserve_mib, 0, 1 << 24, "at most 16777216")?
                 << 20,
@@ -134,6 +137,7 @@ impl ServeArgs {
                 session_idle: seconds("--session-idle-s", self.session_idle_s)?,
                 stall: seconds("--stall-s", self.stall_s)?,
                 grace: seconds("--grace-s", self.grace_s)?,
+                probe: seconds("--probe-s", self.watching.probe_s)?,
                 transport: self.transport.check()?,
             },
             ceilings: JobCeilings {

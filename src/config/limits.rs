@@ -39,6 +39,8 @@ pub struct Limits {
     pub stall: Duration,
     /// For work to end after the shutdown began.
     pub grace: Duration,
+    /// Between two probes of an idle backend.
+    pub probe: Duration,
     /// What a connection may do.
     pub transport: Transport,
 }
@@ -62,6 +64,7 @@ impl Default for Limits {
             session_idle: Duration::from_secs(600),
             stall: Duration::from_secs(120),
             grace: Duration::from_secs(30),
+            probe: Duration::from_secs(60),
             transport: Transport::default(),
         }
     }

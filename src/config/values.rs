@@ -41,8 +41,8 @@ pub(super) fn within(
 }
 
 /// What a name and a port stand for, addresses of IPv4 first: a client that asks for one by number asks for those.
-pub(super) fn addresses(listen: &str) -> Result<Vec<SocketAddr>, ConfigError> {
-    let wrong = |must| ConfigError { option: "--listen", value: format!("{listen:?}"), must };
+pub(super) fn addresses(option: &'static str, listen: &str) -> Result<Vec<SocketAddr>, ConfigError> {
+    let wrong = |must| ConfigError { option, value: format!("{listen:?}"), must };
     let (host, port) = listen
         .rsplit_once(':')
         .filter(|(host, _)| !host.contains("//"))

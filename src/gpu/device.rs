@@ -262,6 +262,11 @@ impl Device {
         &self.adapter
     }
 
+    /// What is allocated on the device now, bytes, if its driver is asked through an allocator that knows.
+    pub fn allocated_bytes(&self) -> Option<u64> {
+        Some(self.device.generate_allocator_report()?.total_allocated_bytes)
+    }
+
     /// Limits of the device.
     pub fn limits(&self) -> wgpu::Limits {
         self.device.limits()

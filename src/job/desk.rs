@@ -72,7 +72,7 @@ pub trait JobDesk: Send + Sync {
     async fn failed(&self);
 
     /// Why blobs cannot be stored now; `None` if they can. Jobs wait meanwhile.
-    fn storage(&self) -> watch::Receiver<Option<String>>;
+    fn storage(&self) -> watch::Receiver<Option<BlobError>>;
 
     /// Takes nothing new and begins nothing more. Ends once nothing is at work; what waits is done after the next start.
     async fn drain(&self);

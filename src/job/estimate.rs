@@ -10,7 +10,7 @@ use super::schedule::Bytes;
 use crate::rvd::{BackendKind, SessionForecast};
 
 /// The kind of a job.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Kind {
     /// A whole remesh.
     Remesh,
@@ -18,6 +18,17 @@ pub(crate) enum Kind {
     Rvd,
     /// A session.
     Cvt,
+}
+
+impl Kind {
+    /// "remesh", "rvd" or "cvt".
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Remesh => "remesh",
+            Self::Rvd => "rvd",
+            Self::Cvt => "cvt",
+        }
+    }
 }
 
 /// What is known of a job before it runs.

@@ -24,6 +24,7 @@ use super::estimate::Counts;
 use super::event::{Events, Progress};
 use super::forecast::{Forecast, must_fit};
 use super::input::JobBounds;
+use super::observer::Origin;
 use super::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
 use super::schedule::{Ask, Bytes};
 use super::state::State;
@@ -32,6 +33,7 @@ use super::store::{
 };
 use super::worker::Engine;
 use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
+use crate::trace;
 use queue::{JobQueue, LocalQueue};
 use storage::Storage;
 
@@ -305,7 +307,10 @@ impl Inner {
 
     /// Queues a job for the engine.
     async fn enqueue(&self, job: &Job) -> Result<(), DeskError> {
-        let need = self.forecast.need_or_none(&job.spec).await;
+        // Its blobs may be gone.
+        let counts = self.forecast.counts(&job.spec, None).await.ok();
+        let need = counts.as_ref().map(|counts| self.forecast.need(counts));
+        let origin = counts.as_ref().map(|counts| Origin::of(counts, Some(job.id)));
         let ask = Ask {
             tenant: job.spec.tenant.as_str().into(),
             weight: self.engine.weights().of(&job.spec.tenant),
@@ -314,6 +319,7 @@ impl Inner {
             memory: need.map_or(Bytes::default(), |need| need.memory),
             is_kept_elsewhere: true,
             goes_on: false,
+            origin,
         };
         let limit = job.spec.deadlines.run_ms.map(Duration::from_millis);
         Ok(self.queue.push(job.id, ask, limit)?)
@@ -394,7 +400,7 @@ impl JobDesk for Executor {
         let spec = spec.check()?;
         let inner = Arc::clone(&self.inner);
         // To its end, whoever still waits: what is pinned is unpinned, what is kept is queued.
-        let created = tokio::spawn(async move { inner.create(spec).await }).await;
+        let created = tokio::spawn(trace::carry(async move { inner.create(spec).await })).await;
         created.map_err(|error| DeskError::Job(JobError::Panicked(error.to_string())))?
     }
 
@@ -456,7 +462,7 @@ impl JobDesk for Executor {
         }
     }
 
-    fn storage(&self) -> watch::Receiver<Option<String>> {
+    fn storage(&self) -> watch::Receiver<Option<BlobError>> {
         self.inner.storage.watch()
     }
 

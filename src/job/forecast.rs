@@ -51,11 +51,6 @@ impl Forecast {
         need(counts, threads)
     }
 
-    /// The same of a specification whose blobs may be gone.
-    pub(crate) async fn need_or_none(&self, spec: &JobSpec) -> Option<Need> {
-        Some(self.need(&self.counts(spec, None).await.ok()?))
-    }
-
     /// What jobs here may need.
     pub(crate) fn limits(&self) -> Bytes {
         self.engine.memory()

@@ -14,9 +14,10 @@ use std::time::Duration;
 
 use glam::DVec3;
 
+use super::observer::Told;
 use crate::rvd::{
-    Backend, BackendKind, CellSums, DeviceWork, Look, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session,
-    SessionOptions, Surface,
+    Backend, BackendKind, CellSums, DeviceFacts, DeviceWork, Look, PassStats, PhasesMs, PieceBatch, Resident, RvdError,
+    Session, SessionOptions, Surface,
 };
 use crate::token::Token;
 
@@ -109,6 +110,8 @@ pub(crate) struct Gated {
     pub(crate) gate: Arc<Gate>,
     /// The job's own threads, for all that is no pass.
     pub(crate) host: Arc<dyn Backend>,
+    /// Is told of passes.
+    pub(crate) told: Arc<Told>,
 }
 
 impl Backend for Gated {
@@ -124,6 +127,10 @@ impl Backend for Gated {
         self.device.adapter()
     }
 
+    fn device_facts(&self) -> Option<DeviceFacts> {
+        self.device.device_facts()
+    }
+
     fn threads(&self) -> usize {
         self.device.threads()
     }
@@ -135,57 +142,99 @@ impl Backend for Gated {
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
         // Planning and allocating are the device's too: two at once could both find that they fit.
         let _pass = self.gate.enter(None)?;
+        let told = Arc::clone(&self.told);
+        let opening = told.pass("open", self.device.kind());
         let session = self.device.session(surface, options)?;
-        let work = session.device_work();
-        Ok(Box::new(GatedSession { session, gate: Arc::clone(&self.gate), work }))
+        drop(opening);
+        Ok(Box::new(GatedSession::new(session, Some(Arc::clone(&self.gate)), self.device.kind(), told)))
     }
 }
 
-struct GatedSession {
+/// A session whose passes are told, and wait for their turn if there is a gate.
+pub(super) struct GatedSession {
     session: Box<dyn Session>,
-    gate: Arc<Gate>,
+    gate: Option<Arc<Gate>>,
+    kind: BackendKind,
+    told: Arc<Told>,
+    /// Bytes on the device that were told of.
+    planned: u64,
     /// What the device did for it: a device counts what it does for all, and only within the gate is all for one.
     work: DeviceWork,
 }
 
 impl GatedSession {
+    /// A session that was just opened.
+    pub(super) fn new(session: Box<dyn Session>, gate: Option<Arc<Gate>>, kind: BackendKind, told: Arc<Told>) -> Self {
+        let work = session.device_work();
+        let mut session = Self { session, gate, kind, told, planned: 0, work };
+        session.tell_planned();
+        session
+    }
+
     /// Does `work` when it is this session's turn.
     fn pass<R>(
         &mut self,
+        name: &'static str,
         token: Option<&Token>,
         work: impl FnOnce(&mut dyn Session) -> Result<R, RvdError>,
     ) -> Result<R, RvdError> {
-        let _pass = self.gate.enter(token)?;
+        let gate = self.gate.clone();
+        let pass = gate.as_ref().map(|gate| gate.enter(token)).transpose()?;
+        let told = Arc::clone(&self.told);
+        let telling = told.pass(name, self.kind);
         let before = self.session.device_work();
         let done = work(self.session.as_mut());
         self.work = self.work.with(&self.session.device_work().since(&before), |a, b| a + b);
+        drop(telling);
+        self.tell_planned();
+        drop(pass);
         done
+    }
+
+    /// What lies on the device grows with what is done there.
+    fn tell_planned(&mut self) {
+        let now = self.session.device_bytes();
+        let before = std::mem::replace(&mut self.planned, now);
+        if now != before {
+            self.told.planned(signed(now) - signed(before));
+        }
     }
 
     /// The same with its seeds where they are; there are such, or nobody was given this session as [`Resident`].
     fn move_seeds<R>(
         &mut self,
+        name: &'static str,
         token: Option<&Token>,
         work: impl FnOnce(&mut dyn Resident) -> Result<R, RvdError>,
     ) -> Result<R, RvdError> {
-        self.pass(token, |session| match session.resident() {
+        self.pass(name, token, |session| match session.resident() {
             Some(resident) => work(resident),
             None => Err(RvdError::Internal("a session took back its seeds".to_owned())),
         })
     }
 }
 
+impl Drop for GatedSession {
+    fn drop(&mut self) {
+        self.told.planned(-signed(self.planned));
+    }
+}
+
+fn signed(bytes: u64) -> i64 {
+    i64::try_from(bytes).unwrap_or(i64::MAX)
+}
+
 impl Session for GatedSession {
     fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
-        self.pass(None, |session| session.set_seeds(seeds))
+        self.pass("set_seeds", None, |session| session.set_seeds(seeds))
     }
 
     fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
-        self.pass(Some(token), |session| session.sums(out, token))
+        self.pass("sums", Some(token), |session| session.sums(out, token))
     }
 
     fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
-        self.pass(Some(token), |session| session.pieces(facets, out, token))
+        self.pass("pieces", Some(token), |session| session.pieces(facets, out, token))
     }
 
     fn device_bytes(&self) -> u64 {
@@ -210,31 +259,31 @@ impl Session for GatedSession {
 
 impl Resident for GatedSession {
     fn hold(&mut self, held: &[bool]) -> Result<(), RvdError> {
-        self.move_seeds(None, |seeds| seeds.hold(held))
+        self.move_seeds("hold", None, |seeds| seeds.hold(held))
     }
 
     fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError> {
-        self.move_seeds(Some(token), |seeds| seeds.evaluate(token))
+        self.move_seeds("evaluate", Some(token), |seeds| seeds.evaluate(token))
     }
 
     fn to_centroids(&mut self) -> Result<(), RvdError> {
-        self.move_seeds(None, |seeds| seeds.to_centroids())
+        self.move_seeds("to_centroids", None, |seeds| seeds.to_centroids())
     }
 
     fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, token: &Token) -> Result<(), RvdError> {
-        self.move_seeds(Some(token), |seeds| seeds.relax(steps, looks, token))
+        self.move_seeds("relax", Some(token), |seeds| seeds.relax(steps, looks, token))
     }
 
     fn direct(&mut self) -> Result<f64, RvdError> {
-        self.move_seeds(None, |seeds| seeds.direct())
+        self.move_seeds("direct", None, |seeds| seeds.direct())
     }
 
     fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError> {
-        self.move_seeds(Some(token), |seeds| seeds.probe(step, token))
+        self.move_seeds("probe", Some(token), |seeds| seeds.probe(step, token))
     }
 
     fn accept(&mut self) -> Result<(), RvdError> {
-        self.move_seeds(None, |seeds| seeds.accept())
+        self.move_seeds("accept", None, |seeds| seeds.accept())
     }
 
     fn forget(&mut self) {
@@ -244,11 +293,11 @@ impl Resident for GatedSession {
     }
 
     fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError> {
-        self.move_seeds(None, |seeds| seeds.read(out))
+        self.move_seeds("read", None, |seeds| seeds.read(out))
     }
 
     fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
-        self.move_seeds(None, |seeds| seeds.read_sums(out))
+        self.move_seeds("read_sums", None, |seeds| seeds.read_sums(out))
     }
 }
 

@@ -20,6 +20,8 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use super::observer::Origin;
+
 /// How long others may pass a job that does not fit.
 const PASSED: Duration = Duration::from_secs(10);
 
@@ -76,6 +78,8 @@ pub struct Ask {
     pub is_kept_elsewhere: bool,
     /// Whether its first piece makes what later pieces go on with, such as a session.
     pub goes_on: bool,
+    /// For who counts; what has none is not counted.
+    pub(crate) origin: Option<Origin>,
 }
 
 impl Default for Ask {
@@ -88,6 +92,7 @@ impl Default for Ask {
             memory: Bytes::default(),
             is_kept_elsewhere: false,
             goes_on: false,
+            origin: None,
         }
     }
 }

@@ -11,9 +11,8 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use super::spec::Prepared;
-use super::{Ask, BackendInfo, Engine, JobError, Pending, Place, Retry, Ticket, Timed, Wish};
+use super::{Ask, BackendInfo, Engine, JobError, Pending, Place, Retry, Ticket, Timed, Turn, Wish};
 use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};
-use crate::token::Token;
 
 /// How long a step command keeps the device before others get a turn.
 const SLICE: Duration = Duration::from_millis(100);
@@ -102,7 +101,8 @@ impl CvtSession {
         kind: StepKind,
         seeds: SeedsWanted,
     ) -> Result<Timed<Steps>, JobError> {
-        self.call(move |cvt, token| {
+        self.call(move |cvt, turn| {
+            let token = &turn.token;
             let start = Instant::now();
             let mut taken = Vec::new();
             let most = if seeds == SeedsWanted::Each { 1 } else { steps.min(SLICE_STEPS) };
@@ -111,6 +111,7 @@ impl CvtSession {
                     StepKind::Lloyd => cvt.relax(most.max(1) - taken.len(), token)?,
                     StepKind::Lbfgs => vec![cvt.lbfgs(token)?],
                 };
+                turn.told.iterated(iterations.len() as u64);
                 taken.extend(iterations.into_iter().map(|iteration| (iteration, None)));
                 let last = taken.len() == steps;
                 let wanted = seeds == SeedsWanted::Each || (seeds == SeedsWanted::Last && last);
@@ -138,12 +139,12 @@ impl CvtSession {
 
     async fn call<R: Send + 'static>(
         &mut self,
-        mut work: impl FnMut(&mut Cvt, &Token) -> Result<R, JobError> + Send + 'static,
+        mut work: impl FnMut(&mut Cvt, &Turn) -> Result<R, JobError> + Send + 'static,
     ) -> Result<Timed<R>, JobError> {
         let mut state = self.cvt.take();
         let mut pending = self.engine.submit(Place::Session, Retry::Never, move |_, turn| {
             let mut cvt = state.take().ok_or(JobError::WorkerGone)?;
-            let answer = work(&mut cvt, &turn.token)?;
+            let answer = work(&mut cvt, turn)?;
             Ok((cvt, answer))
         })?;
         let Timed { value: (cvt, value), queue_ms, compute_ms } = pending.wait().await?;

@@ -17,13 +17,15 @@ use tokio::sync::{oneshot, watch};
 
 use super::gate::Gate;
 use super::loss::{Absence, LossPolicy};
+use super::observer::{Observer, Told, Waiting};
 use super::pools::Pools;
 use super::queue::{Item, Lane, Place, Popped, Queue, Taken};
 use super::schedule::{Bytes, Slots};
 use super::watchdog::{Ceilings, Watchdog, Watched, Work};
 use super::weights::Weights;
 use super::{BackendInfo, Backends, JobError, Wish};
-use crate::token::Token;
+use crate::rvd::DeviceFacts;
+use crate::token::{StageListener, Token};
 
 /// How the engine is set up.
 #[derive(Clone, Copy, Debug)]
@@ -101,6 +103,8 @@ pub struct Turn {
     pub token: Token,
     /// Milliseconds the piece waited.
     pub queue_ms: f64,
+    /// Is told of what is done.
+    pub(crate) told: Arc<Told>,
 }
 
 /// An answer and what it took.
@@ -165,6 +169,7 @@ impl Drop for Ticket {
 }
 
 struct Shared {
+    observer: Arc<dyn Observer>,
     watchdog: Watchdog,
     queue: Queue<Box<dyn Task>>,
     infos: Infos,
@@ -220,10 +225,22 @@ impl Engine {
         factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
         options: EngineOptions,
     ) -> Result<(Self, JoinHandle<()>), JobError> {
+        Self::start_observed(factory, options, Arc::new(()))
+    }
+
+    /// The same, with somebody who counts what is done.
+    ///
+    /// # Errors
+    /// The factory's, or `Panicked`.
+    pub(crate) fn start_observed(
+        factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
+        options: EngineOptions,
+        observer: Arc<dyn Observer>,
+    ) -> Result<(Self, JoinHandle<()>), JobError> {
         let (ready, answer) = std::sync::mpsc::sync_channel(1);
         let thread = Builder::new()
             .name("engine".to_owned())
-            .spawn(move || run(Box::new(factory), options, &ready))
+            .spawn(move || run(Box::new(factory), options, observer, &ready))
             .map_err(|e| JobError::Panicked(format!("the engine's thread could not be started: {e}")))?;
         let shared = answer.recv().unwrap_or(Err(JobError::WorkerGone))?;
         Ok((Self { shared }, thread))
@@ -316,12 +333,13 @@ impl Engine {
         work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
     ) -> Result<Pending<R>, JobError> {
         let (sender, reply) = oneshot::channel();
-        let goes_on = match &place {
-            Place::New(ask) | Place::Kept(ask) => ask.goes_on,
-            Place::Session | Place::Continuation => true,
+        let (goes_on, origin) = match &place {
+            Place::New(ask) | Place::Kept(ask) => (ask.goes_on, ask.origin),
+            Place::Session | Place::Continuation => (true, None),
         };
+        let telling = Telling::Waits(Waiting::new(&self.shared.observer, origin));
         let (work, reply_to, queued) = (Some(work), Some(sender), Instant::now());
-        let call = Call { work, goes_on, reply: reply_to, token: token.clone(), queued, retry };
+        let call = Call { work, goes_on, reply: reply_to, token: token.clone(), queued, retry, telling };
         let position = self.shared.queue.push(place, Box::new(call))?;
         Ok(Pending { position, reply, token, answered: false })
     }
@@ -341,6 +359,7 @@ impl Engine {
             token: Token::default(),
             queued: Instant::now(),
             retry: Retry::Never,
+            telling: Telling::Waits(Waiting::new(&self.shared.observer, None)),
         };
         // Nobody waits for it; popping drops it on a host thread, and so does its end.
         let _ = self.shared.queue.push(Place::Continuation, Box::new(call));
@@ -349,6 +368,11 @@ impl Engine {
     /// How much each tenant counts beside others.
     pub fn weights(&self) -> &Weights {
         &self.shared.weights
+    }
+
+    /// The GPU backend's device as it is now; `None` if there is none.
+    pub(crate) fn device_facts(&self) -> Option<DeviceFacts> {
+        self.shared.current().1.gpu.ok()?.device_facts()
     }
 
     /// Waiting pieces, and whether one is at work.
@@ -388,9 +412,10 @@ impl Infos {
 fn run(
     factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
     options: EngineOptions,
+    observer: Arc<dyn Observer>,
     ready: &SyncSender<Result<Arc<Shared>, JobError>>,
 ) {
-    let shared = match Shared::new(factory, options) {
+    let shared = match Shared::new(factory, options, observer) {
         Ok(shared) => Arc::new(shared),
         Err(error) => {
             let _ = ready.send(Err(error));
@@ -421,6 +446,7 @@ impl Shared {
     fn new(
         factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
         options: EngineOptions,
+        observer: Arc<dyn Observer>,
     ) -> Result<Self, JobError> {
         let mut maker = Maker { factory, tried: Instant::now(), absence: Absence::default() };
         let backends = maker.make()?;
@@ -433,6 +459,7 @@ impl Shared {
         let slots = Slots { regular: options.jobs_at_once.max(1), memory };
         Ok(Self {
             weights: Weights::default(),
+            observer,
             watchdog,
             queue: Queue::new(options.queue_jobs.max(1), slots),
             infos: Infos::of(&backends, slots),
@@ -474,7 +501,7 @@ impl Shared {
         let mut attempts = 0;
         loop {
             let (generation, backends) = self.current();
-            let backends = backends.for_job(&self.gate, threads.as_deref());
+            let backends = backends.for_job(&self.gate, threads.as_deref(), &task.begin());
             if task.run(&backends, attempts) == Outcome::Answered {
                 break;
             }
@@ -517,6 +544,7 @@ impl Shared {
             self.losses.fetch_add(1, Ordering::Relaxed);
         }
         self.device.send_replace(Device::Lost);
+        self.observer.lost_device();
         tracing::warn!("the device was lost; making it anew");
         let install = |new, state| {
             *self.current.write().unwrap_or_else(PoisonError::into_inner) = (generation + 1, new);
@@ -579,6 +607,8 @@ enum Outcome {
 }
 
 trait Task: Item {
+    /// It is being done from now on.
+    fn begin(&mut self) -> Arc<Told>;
     fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome;
     fn goes_on(&self) -> bool;
 }
@@ -601,6 +631,15 @@ struct Call<R, F> {
     token: Token,
     queued: Instant,
     retry: Retry,
+    telling: Telling,
+}
+
+/// What is told of a call.
+enum Telling {
+    Waits(Waiting),
+    Runs(Arc<Told>),
+    /// Between the two.
+    Begins,
 }
 
 impl<R: Send, F: Send> Item for Call<R, F> {
@@ -621,13 +660,26 @@ impl<R: Send, F: FnMut(&Backends, &Turn) -> Result<R, JobError> + Send> Task for
         self.goes_on
     }
 
+    fn begin(&mut self) -> Arc<Told> {
+        let told = match std::mem::replace(&mut self.telling, Telling::Begins) {
+            Telling::Waits(waiting) => waiting.begin(),
+            Telling::Runs(told) => told,
+            Telling::Begins => Waiting::new(&(Arc::new(()) as Arc<dyn Observer>), None).begin(),
+        };
+        self.telling = Telling::Runs(Arc::clone(&told));
+        told
+    }
+
     fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome {
+        let told = self.begin();
         let queue_ms = ms(self.queued.elapsed());
         let start = Instant::now();
-        let turn = Turn { token: self.token.clone(), queue_ms };
+        let turn = Turn { token: self.token.clone(), queue_ms, told: Arc::clone(&told) };
         let Some(work) = self.work.as_mut() else { return Outcome::Answered };
-        let result = catch_unwind(AssertUnwindSafe(|| work(backends, &turn)))
+        self.token.tell_stages(Some(Arc::clone(&told) as Arc<dyn StageListener>));
+        let result = catch_unwind(AssertUnwindSafe(|| told.span().in_scope(|| work(backends, &turn))))
             .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))));
+        self.token.tell_stages(None);
         let lost = result.as_ref().is_err_and(JobError::is_device_lost);
         if lost && self.retry == Retry::Anew && attempt + 1 < ATTEMPTS {
             return Outcome::DeviceLost;
@@ -635,6 +687,8 @@ impl<R: Send, F: FnMut(&Backends, &Turn) -> Result<R, JobError> + Send> Task for
         let result = result.map(|value| Timed { value, queue_ms, compute_ms: ms(start.elapsed()) });
         // What the work still holds goes before the answer: the caller may ask for its memory at once.
         self.work = None;
+        // The count too: who has the answer may ask for it.
+        told.end(result.as_ref().err());
         if let Some(reply) = self.reply.take() {
             let _ = reply.send(result);
         }

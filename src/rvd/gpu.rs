@@ -46,8 +46,8 @@ use glam::{DVec3, dvec3};
 use super::incident::{Diagram, FacetWalker};
 use super::parallel::Parallel;
 use super::{
-    Accumulate, Backend, BackendKind, Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch, Resident,
-    RvdError, Session, SessionOptions, Surface, Together, elapsed_ms, take_seeds,
+    Accumulate, Backend, BackendKind, Capacities, CellSums, DeviceFacts, DeviceWork, PassStats, PhasesMs, PieceBatch,
+    Resident, RvdError, Session, SessionOptions, Surface, Together, elapsed_ms, take_seeds,
 };
 use crate::gpu::buffers::Buffers;
 use crate::gpu::layout::{self, LONGER, MOST_RETAKEN, NONE, Params, ROW, STRIDE, SUM_WORDS, State};
@@ -181,6 +181,20 @@ impl Backend for Gpu {
 
     fn adapter(&self) -> Option<String> {
         Some(self.device.adapter().name.clone())
+    }
+
+    fn device_facts(&self) -> Option<DeviceFacts> {
+        let adapter = self.device.adapter();
+        Some(DeviceFacts {
+            adapter: adapter.name.clone(),
+            api: adapter.backend.clone(),
+            driver: adapter.driver.clone(),
+            is_software: adapter.software,
+            max_buffer_bytes: adapter.max_buffer_bytes,
+            max_binding_bytes: adapter.max_binding_bytes,
+            max_workgroups: adapter.max_workgroups,
+            allocated_bytes: self.device.allocated_bytes(),
+        })
     }
 
     fn threads(&self) -> usize {

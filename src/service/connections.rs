@@ -5,6 +5,7 @@
 //! first; nothing that waits for a peer waits without a limit; where descriptors run out, accepting waits instead of
 //! spinning. Must not know: messages, jobs.
 
+mod account;
 mod arriving;
 mod connection;
 mod descriptors;
@@ -39,6 +40,7 @@ use super::Phase;
 use super::access::Guarded;
 use super::budget::Budget;
 use crate::config::Limits;
+use crate::metrics::{Calls, Refused};
 
 /// Between the last answer and the end of its connection. A connection that closes while its client still
 /// acknowledges data is reset, and what the client has not read yet is lost.
@@ -58,6 +60,8 @@ struct Common {
     budget: Budget,
     /// Where TLS is spoken.
     handshakes: Option<Handshakes>,
+    /// Counts calls, and all else that is counted here.
+    calls: Calls,
     /// Connections that were closed for breaking a limit.
     closed: Seldom,
 }
@@ -67,7 +71,7 @@ pub(super) async fn serve(
     listener: TcpListener,
     routes: Guarded,
     limits: Limits,
-    budget: Budget,
+    (budget, calls): (Budget, Calls),
     tls: Option<Arc<Tls>>,
     phase: watch::Receiver<Phase>,
     closing: watch::Receiver<Duration>,
@@ -82,7 +86,7 @@ pub(super) async fn serve(
     }
     let places = Places::new(most, limits.max_connections_per_peer);
     let handshakes = tls.map(|tls| Handshakes::new(tls, limits.transport));
-    let common = Arc::new(Common { routes, limits, budget, handshakes, closed: Seldom::default() });
+    let common = Arc::new(Common { routes, limits, budget, calls, handshakes, closed: Seldom::default() });
     let following = {
         let common = Arc::clone(&common);
         async move {
@@ -166,7 +170,9 @@ impl Accepting {
         match place {
             Ok(place) => {
                 let (common, phase) = (Arc::clone(&self.common), self.phase.clone());
+                let open = self.common.calls.metrics().connection();
                 tokio::spawn(async move {
+                    let _open = open;
                     if let Some(line) = establish(stream, &state, &common, phase.clone()).await {
                         connection::serve(line, state, common, phase).await;
                     }
@@ -174,6 +180,7 @@ impl Accepting {
                 });
             }
             Err(full) => {
+                self.common.calls.metrics().refused(Refused::Connections);
                 if let Some(times) = self.refused.count() {
                     tracing::warn!(%peer, times, ?full, "refused connections: all that are open are in use");
                 }

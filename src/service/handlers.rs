@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use prost::Message as _;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::Semaphore;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::budget::{Budget, Share};
@@ -30,6 +30,7 @@ use need::Needs;
 pub(super) mod blobs;
 mod cvt;
 mod diagram;
+pub(super) mod info;
 pub(super) mod jobs;
 mod need;
 mod remesh;
@@ -54,16 +55,11 @@ struct Shared {
 }
 
 impl Handlers {
-    pub(crate) fn new(engine: Engine, limits: Limits, budget: Budget, phase: watch::Receiver<Phase>) -> Self {
-        let gate = Gate::new(limits, phase);
+    pub(crate) fn new(engine: Engine, limits: Limits, budget: Budget, gate: Gate) -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let preparing = Arc::new(Semaphore::new(cores));
         let shared = Shared { engine, limits, budget, gate: gate.clone(), preparing };
         Self { shared: Arc::new(shared), gate }
-    }
-
-    pub(crate) fn gate(&self) -> &Gate {
-        &self.gate
     }
 }
 
@@ -220,7 +216,8 @@ async fn apart<R: Send + 'static>(
         let (_permit, _watched) = (permit, engine.watch(&token));
         engine.on_threads(|| work(&token))
     };
-    let done = tokio::task::spawn_blocking(work).await;
+    let span = tracing::Span::current();
+    let done = tokio::task::spawn_blocking(move || span.in_scope(work)).await;
     cancel.disarm();
     match done {
         Ok(result) => result,

@@ -20,8 +20,10 @@ use tonic::{Extensions, Response, Status, Streaming};
 
 use super::budget::{Budget, Share};
 use super::connections::Exchange;
-use super::{Phase, RequestError};
+use super::{Phase, RequestError, refusal};
 use crate::config::Limits;
+use crate::metrics::Metrics;
+use crate::trace;
 
 /// Messages of a stream that wait for the transport.
 const OUTBOX_MESSAGES: usize = 4;
@@ -49,13 +51,19 @@ pub(crate) struct Gate {
     sessions: Arc<Semaphore>,
     limits: Limits,
     phase: watch::Receiver<Phase>,
+    metrics: Metrics,
 }
 
 impl Gate {
-    pub(crate) fn new(limits: Limits, phase: watch::Receiver<Phase>) -> Self {
+    pub(crate) fn new(limits: Limits, phase: watch::Receiver<Phase>, metrics: Metrics) -> Self {
         let [streams, calls, watches] = [(); 3].map(|()| Arc::new(Semaphore::new(limits.max_streams)));
         let sessions = Arc::new(Semaphore::new(limits.max_sessions));
-        Self { streams, calls, watches, sessions, limits, phase }
+        Self { streams, calls, watches, sessions, limits, phase, metrics }
+    }
+
+    /// Counts a refusal, if this is one.
+    fn note(&self, error: &RequestError) {
+        refusal::of(error).into_iter().for_each(|reason| self.metrics.refused(reason));
     }
 
     /// Admits a stream or a call.
@@ -189,7 +197,7 @@ pub(crate) async fn answer<T>(
     most: Option<Duration>,
     work: impl Future<Output = Result<T, RequestError>>,
 ) -> Result<Response<T>, Status> {
-    let _permit = gate.admit(kind)?;
+    let _permit = gate.admit(kind).inspect_err(|error| gate.note(error))?;
     if let Some(exchange) = extensions.get::<Arc<Exchange>>() {
         exchange.admit();
     }
@@ -201,7 +209,7 @@ pub(crate) async fn answer<T>(
         () = gate.reached(Phase::Cut) => Err(RequestError::Draining),
     };
     let ms = start.elapsed().as_secs_f64() * 1e3;
-    match result.map_err(Status::from) {
+    match result.inspect_err(|error| gate.note(error)).map_err(Status::from) {
         Ok(message) => {
             tracing::debug!(method, ms, "done");
             Ok(Response::new(message))
@@ -225,7 +233,7 @@ where
     T: Send + 'static,
     F: Future<Output = Result<(), RequestError>> + Send + 'static,
 {
-    let permit = Arc::new(gate.admit(kind)?);
+    let permit = Arc::new(gate.admit(kind).inspect_err(|error| gate.note(error))?);
     let exchange = extensions.get::<Arc<Exchange>>().cloned();
     if let Some(exchange) = &exchange {
         exchange.admit();
@@ -237,7 +245,7 @@ where
     let work = handle(Outbox { sender, budget: budget.clone() });
     let answers = Answers { receiver, end: Some(ended), permit: Some(Arc::clone(&permit)) };
     let gate = gate.clone();
-    tokio::spawn(async move {
+    tokio::spawn(trace::carry(async move {
         let start = Instant::now();
         // Boxed, so that it can be dropped, and its work cancelled, before the status leaves.
         let mut work = Box::pin(work);
@@ -255,7 +263,7 @@ where
             other => other,
         });
         let ms = start.elapsed().as_secs_f64() * 1e3;
-        let status = result.err().map(Status::from);
+        let status = result.inspect_err(|error| gate.note(error)).err().map(Status::from);
         match &status {
             None => tracing::info!(method, ms, "done"),
             Some(status) => tracing::info!(method, ms, code = ?status.code(), message = status.message(), "ended"),
@@ -263,7 +271,7 @@ where
         drop(permit);
         let _ = end.send(status);
         drop(watcher);
-    });
+    }));
     Ok(Response::new(answers))
 }
 

@@ -98,7 +98,7 @@ impl JobDesk for Idle {
         std::future::pending().await
     }
 
-    fn storage(&self) -> tokio::sync::watch::Receiver<Option<String>> {
+    fn storage(&self) -> tokio::sync::watch::Receiver<Option<tessera::internals::blob::BlobError>> {
         tokio::sync::watch::channel(None).1
     }
 

@@ -14,7 +14,7 @@ use glam::{DVec3, dvec3};
 use tessera::internals::blob::{BlobOptions, ObjectBlobs};
 use tessera::internals::config::Limits;
 use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
-use tessera::internals::service::{self, Access, Jobs, Parts, ServeError, Tls};
+use tessera::internals::service::{self, About, Access, Jobs, Metrics, Parts, Readiness, ServeError, Tls};
 use tessera::proto::remesh_service_client::RemeshServiceClient;
 use tessera::proto::*;
 use tessera::rvd::{Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface};
@@ -126,6 +126,8 @@ pub struct Setup {
     pub jobs_at_once: usize,
     /// Stands in for the serial backend.
     pub serial: Arc<dyn Backend>,
+    /// Stands in for the parallel one, which is the default and so the one that is probed.
+    pub parallel: Option<Arc<dyn Backend>>,
     /// Of the blobs, which lie in memory unless `folder` is given.
     pub blobs: BlobOptions,
     pub folder: Option<PathBuf>,
@@ -141,6 +143,7 @@ impl Default for Setup {
             ceilings: Ceilings::default(),
             jobs_at_once: 1,
             serial: Arc::new(Serial),
+            parallel: None,
             blobs: BlobOptions::default(),
             folder: None,
             tls: None,
@@ -164,20 +167,29 @@ pub struct Server {
     pub engine: Engine,
     /// Its jobs and blobs.
     pub desk: Arc<Idle>,
+    /// Whether it is ready.
+    pub readiness: Readiness,
     stop: Option<oneshot::Sender<()>>,
     served: tokio::task::JoinHandle<Result<(), ServeError>>,
 }
 
 impl Server {
     pub async fn start(setup: Setup) -> Self {
-        let serial = setup.serial;
+        let (serial, parallel) = (setup.serial, setup.parallel);
         let factory = move || -> Result<Backends, JobError> {
             Ok(Backends {
                 gpu: Err("no GPU in this test; use another backend".to_owned()),
-                parallel: Arc::new(Parallel::new(Some(2))?),
+                parallel: match &parallel {
+                    Some(parallel) => parallel.clone(),
+                    None => Arc::new(Parallel::new(Some(2))?),
+                },
                 serial: serial.clone(),
                 default: Wish::Auto,
-                pools: Some(|threads| Ok(Arc::new(Parallel::new(Some(threads))?))),
+                pools: if parallel.is_some() {
+                    None
+                } else {
+                    Some(|threads| Ok(Arc::new(Parallel::new(Some(threads))?)))
+                },
             })
         };
         let Setup { queue_jobs, ceilings, jobs_at_once, .. } = setup;
@@ -192,12 +204,24 @@ impl Server {
         };
         let desk = Arc::new(Idle::new(Arc::new(blobs)));
         let jobs = Some(Jobs { blobs: desk.blobs.clone(), desk: desk.clone() });
+        let readiness = Readiness::new();
+        let (metrics, about) = (Metrics::default(), About::default());
         let Setup { limits, tls, access, .. } = setup;
-        let parts = Parts { engine: engine.clone(), worker, limits, jobs, tls, access };
+        let parts = Parts {
+            engine: engine.clone(),
+            worker,
+            limits,
+            jobs,
+            tls,
+            access,
+            metrics,
+            readiness: readiness.clone(),
+            about,
+        };
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;
         }));
-        Self { address, engine, desk, stop: Some(stop), served }
+        Self { address, engine, desk, readiness, stop: Some(stop), served }
     }
 
     pub async fn channel(&self) -> Channel {

@@ -18,7 +18,9 @@ use tessera::internals::config::Limits;
 use tessera::internals::gpu::{Device, DeviceOptions};
 use tessera::internals::job::*;
 use tessera::internals::rvd::Gpu;
-use tessera::internals::service::{self, Access, Jobs, Parts, SERVICE_NAME, ServeError};
+use tessera::internals::service::{
+    self, About, Access, Jobs, Metrics, Parts, Readiness, SERVICE_NAME, ServeError,
+};
 use tessera::mesh::shapes::Shape;
 use tessera::proto::*;
 use tessera::{BackendKind, RvdError};
@@ -89,7 +91,17 @@ impl Server {
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel();
         let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
-        let parts = Parts { engine: engine.clone(), worker, limits, jobs, tls: None, access: Access::open() };
+        let parts = Parts {
+            engine: engine.clone(),
+            worker,
+            limits,
+            jobs,
+            tls: None,
+            access: Access::open(),
+            metrics: Metrics::default(),
+            readiness: Readiness::new(),
+            about: About::default(),
+        };
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;
         }));

@@ -24,6 +24,7 @@ mod connections;
 mod density;
 mod features;
 mod floods;
+mod health;
 mod jobs;
 mod keys;
 mod life;

@@ -14,6 +14,7 @@ use super::{Inner, Told, failed, holder, input_pin, is_outdated, now, result_pin
 use crate::blob::{BlobError, Digest, Owner, put};
 use crate::job::event::Progress;
 use crate::job::input::{ReadBlob, Trouble};
+use crate::job::observer;
 use crate::job::perform::{Parts, Surroundings, perform};
 use crate::job::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
 use crate::job::store::StoreError;
@@ -85,7 +86,7 @@ impl Work {
         self.attempts += 1;
         let Some(inner) = self.inner.upgrade() else { return Ok(()) };
         let Some(job) = self.claim(&inner) else { return Ok(()) };
-        let at_work = AtWork { inner, job, token: turn.token.clone() };
+        let at_work = AtWork { inner, job, token: turn.token.clone(), told: Arc::clone(&turn.told) };
         let outcome = at_work.perform(backends);
         let lost = match &outcome {
             Err(Trouble::Job(error)) if error.is_device_lost() => Some(error.clone()),
@@ -120,6 +121,7 @@ struct AtWork {
     inner: Arc<Inner>,
     job: Job,
     token: Token,
+    told: Arc<observer::Told>,
 }
 
 impl AtWork {
@@ -127,6 +129,9 @@ impl AtWork {
         let (inner, job) = (&*self.inner, &self.job);
         let (id, at) = (job.id, job.status.version);
         let mut tell = |what: Progress| {
+            if matches!(what, Progress::Iteration { .. }) {
+                self.told.iterated(1);
+            }
             // What the journal is too slow for is left out: the report has all.
             let _ = inner.progress.try_send(Told::Progress { id, at, what, now: now() });
         };
@@ -190,12 +195,16 @@ impl AtWork {
                 Some(change) => change,
                 // Whoever cancelled it has said so.
                 None => {
+                    self.told.fail();
                     inner.runtime.block_on(inner.unpin(&result_pin(job.id)));
                     return;
                 }
             },
         };
         let keeps = matches!(change, Change::Succeed(_));
+        if !keeps {
+            self.told.fail();
+        }
         let name = change.transition();
         inner.runtime.block_on(async {
             let (done, kept) = tokio::sync::oneshot::channel();

@@ -22,7 +22,7 @@ const LISTEN: Duration = Duration::from_millis(20);
 #[derive(Debug, Default)]
 pub(super) struct Storage {
     /// Why nothing can be stored now.
-    away: watch::Sender<Option<String>>,
+    away: watch::Sender<Option<BlobError>>,
 }
 
 /// Why a call on the blobs did not succeed in the end.
@@ -35,7 +35,7 @@ pub(super) enum Unstored {
 }
 
 impl Storage {
-    pub(super) fn watch(&self) -> watch::Receiver<Option<String>> {
+    pub(super) fn watch(&self) -> watch::Receiver<Option<BlobError>> {
         self.away.subscribe()
     }
 
@@ -44,11 +44,11 @@ impl Storage {
     }
 
     /// Notes how it is, and says so in the log when that changes.
-    fn note(&self, trouble: Option<String>) {
+    fn note(&self, trouble: Option<BlobError>) {
         self.away.send_if_modified(|now| {
             let changed = now.is_some() != trouble.is_some();
             match &trouble {
-                Some(why) if changed => tracing::error!(why, "blobs cannot be stored; jobs wait until they can"),
+                Some(why) if changed => tracing::error!(%why, "blobs cannot be stored; jobs wait until they can"),
                 None if changed => tracing::info!("blobs can be stored again"),
                 _ => {}
             }
@@ -60,7 +60,7 @@ impl Storage {
 
     /// Asks the storage how it is.
     pub(super) async fn look(&self, blobs: &dyn BlobStore) {
-        self.note(blobs.check().await.err().map(|error| error.to_string()));
+        self.note(blobs.check().await.err());
     }
 
     /// Does `call` until it succeeds or fails for good, or `token` is stopped.
@@ -72,7 +72,7 @@ impl Storage {
         loop {
             match call() {
                 Err(error @ (BlobError::StorageFull | BlobError::Unavailable(_))) => {
-                    self.note(Some(error.to_string()));
+                    self.note(Some(error));
                     let next = Instant::now() + AGAIN;
                     while Instant::now() < next {
                         token.check().map_err(Unstored::Stopped)?;

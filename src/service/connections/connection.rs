@@ -19,6 +19,7 @@ use tonic::body::Body;
 use tonic::codegen::http::{HeaderMap, Request, Response};
 
 use super::super::{Phase, RequestError};
+use super::account::Account;
 use super::arriving::Arriving;
 use super::exchange::{Exchange, Farewell, Pieces};
 use super::line::Line;
@@ -26,6 +27,7 @@ use super::places::{Guest, Peer, Standing};
 use super::socket::Traffic;
 use super::{Common, LINGER, unread};
 use crate::config::{Limits, Transport};
+use crate::trace;
 
 /// What an upload may have on its way, bytes: for a stream, for a connection.
 const STREAM_WINDOW: u32 = 1 << 20;
@@ -177,7 +179,7 @@ pub(super) async fn serve(line: Line, state: Arc<State>, common: Arc<Common>, mu
         }
     }
     let mut streams = state.lock();
-    streams.all.drain(..).for_each(|stream| stream.cut());
+    streams.all.drain(..).for_each(|stream| stream.lose());
 }
 
 /// Streams that a client may have open.
@@ -308,6 +310,7 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
 
     fn call(&self, mut request: Request<Incoming>) -> Self::Future {
         let exchange = Arc::new(Exchange::new(self.common.budget.clone()));
+        let (account, trace) = Account::open(&self.common.calls, &request, &exchange);
         {
             let mut streams = self.state.lock();
             streams.requests += 1;
@@ -322,18 +325,21 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
         let budget = self.common.budget.clone();
         let routes = self.common.routes.clone();
         let mut phase = self.phase.clone();
-        Box::pin(async move {
+        let span = account.span();
+        let work = async move {
             let response = routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most)))).await;
             let response = if exchange.admitted() { response } else { unread::told(response) };
             exchange.answer();
+            account.begun(response.status(), response.headers());
             let farewell = (!exchange.admitted()).then(|| Farewell {
                 time: Box::pin(async move {
                     let _ = phase.wait_for(|now| *now >= Phase::Draining).await;
                 }),
                 trailers: farewell(),
             });
-            Ok(response.map(|body| Pieces::new(body, exchange, farewell)))
-        })
+            Ok(response.map(|body| Pieces::new(body, exchange, farewell).told(account)))
+        };
+        Box::pin(trace::within(trace, span, work))
     }
 }
 

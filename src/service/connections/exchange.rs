@@ -41,6 +41,8 @@ pub(crate) struct Exchange {
     answered: AtomicBool,
     ended: AtomicBool,
     stalled: AtomicBool,
+    /// Reset by the server, for whatever reason.
+    is_cut: AtomicBool,
     cut: Notify,
 }
 
@@ -56,6 +58,7 @@ impl Exchange {
             answered: AtomicBool::new(false),
             ended: AtomicBool::new(false),
             stalled: AtomicBool::new(false),
+            is_cut: AtomicBool::new(false),
             cut: Notify::new(),
         }
     }
@@ -111,7 +114,18 @@ impl Exchange {
 
     /// Ends the work on it, which resets the stream.
     pub(super) fn cut(&self) {
+        self.is_cut.store(true, Ordering::Release);
         self.cut.notify_one();
+    }
+
+    /// The connection is gone.
+    pub(super) fn lose(&self) {
+        self.cut.notify_one();
+    }
+
+    /// Whether the server reset it.
+    pub(super) fn is_cut(&self) -> bool {
+        self.is_cut.load(Ordering::Acquire)
     }
 
     /// As [`Self::cut`], since the client takes nothing. Gives whether this is the first time.
@@ -145,6 +159,12 @@ impl Exchange {
         self.waiting.fetch_sub(bytes, Ordering::AcqRel);
         self.budget.release(bytes);
     }
+}
+
+/// Who is told how an answer ends. Dropped when all of it is over.
+pub(super) trait Ending: Send {
+    /// The answer ends with these trailers.
+    fn end(&self, trailers: &HeaderMap);
 }
 
 /// Bytes that are counted until they are dropped.
@@ -183,12 +203,19 @@ pub(super) struct Pieces<B> {
     handed_on: Option<Instant>,
     farewell: Option<Farewell>,
     ended: bool,
+    ending: Option<Box<dyn Ending>>,
 }
 
 impl<B> Pieces<B> {
     pub(super) fn new(inner: B, exchange: Arc<Exchange>, farewell: Option<Farewell>) -> Self {
         let (rest, piece) = (Bytes::new(), LARGEST_PIECE);
-        Self { inner, exchange, rest, piece, handed_on: None, farewell, ended: false }
+        Self { inner, exchange, rest, piece, handed_on: None, farewell, ended: false, ending: None }
+    }
+
+    /// The call is over when this is dropped.
+    pub(super) fn told(mut self, ending: impl Ending + 'static) -> Self {
+        self.ending = Some(Box::new(ending));
+        self
     }
 
     /// The next piece of what is there.
@@ -229,7 +256,9 @@ impl<B: Body<Data = Bytes, Error = Status> + Unpin> Body for Pieces<B> {
         match Pin::new(&mut self.inner).poll_frame(context) {
             Poll::Pending => {
                 self.handed_on = None;
-                self.is_over(context).map_or(Poll::Pending, |trailers| Poll::Ready(Some(Ok(Frame::trailers(trailers)))))
+                let Some(trailers) = self.is_over(context) else { return Poll::Pending };
+                self.ending.iter().for_each(|ending| ending.end(&trailers));
+                Poll::Ready(Some(Ok(Frame::trailers(trailers))))
             }
             Poll::Ready(Some(Ok(frame))) => Poll::Ready(Some(Ok(match frame.into_data() {
                 Ok(data) if !data.is_empty() => {
@@ -238,7 +267,12 @@ impl<B: Body<Data = Bytes, Error = Status> + Unpin> Body for Pieces<B> {
                     Frame::data(self.next())
                 }
                 Ok(empty) => Frame::data(empty),
-                Err(frame) => frame,
+                Err(frame) => {
+                    if let (Some(ending), Some(trailers)) = (&self.ending, frame.trailers_ref()) {
+                        ending.end(trailers);
+                    }
+                    frame
+                }
             }))),
             last => last,
         }

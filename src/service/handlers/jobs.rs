@@ -18,6 +18,7 @@ use crate::service::budget::Budget;
 use crate::service::convert::{job, job_id, spec};
 use crate::service::stream::{Answers, Gate, Kind, Outbox, answer, respond};
 use crate::service::{Phase, RequestError, tenant};
+use crate::trace;
 use crate::wire::proto;
 
 /// For the desk to answer. An estimate may read a mesh.
@@ -164,7 +165,7 @@ impl proto::job_service_server::JobService for Jobs {
 async fn to_the_end<T: Send + 'static>(
     work: impl Future<Output = Result<T, DeskError>> + Send + 'static,
 ) -> Result<T, RequestError> {
-    match tokio::spawn(work).await {
+    match tokio::spawn(trace::carry(work)).await {
         Ok(result) => result.map_err(RequestError::from),
         Err(panic) => Err(JobError::Panicked(panic.to_string()).into()),
     }

@@ -7,6 +7,7 @@ use super::{Shared, bounds};
 use crate::job::Ask;
 use crate::job::estimate::{Counts, Kind, need};
 use crate::job::forecast::must_fit;
+use crate::job::observer::Origin;
 use crate::job::record::{DensityKind, PlacementRule};
 use crate::remesh::RemeshOptions;
 use crate::rvd::BackendKind;
@@ -37,7 +38,8 @@ pub(super) fn ask<H: Needs>(shared: &Shared, tenant: &str, header: &H) -> Result
         // Nothing is known yet: seldom more than half as many as facets.
         SeedCounts::Implied { .. } => (mesh.facets / 2).clamp(1, shared.limits.max_seeds.max(1)),
     };
-    let need = need(&header.counts(by.kind, mesh, points), by.threads);
+    let counts = header.counts(by.kind, mesh, points);
+    let need = need(&counts, by.threads);
     must_fit(&need, shared.engine.memory())?;
     Ok(Ask {
         tenant: tenant.into(),
@@ -45,6 +47,8 @@ pub(super) fn ask<H: Needs>(shared: &Shared, tenant: &str, header: &H) -> Result
         seconds: need.seconds,
         memory: need.memory,
         goes_on: H::GOES_ON,
+        // Of the points that are asked for, not of those that may be added.
+        origin: Some(Origin { seeds: points, ..Origin::of(&counts, None) }),
         ..Ask::default()
     })
 }

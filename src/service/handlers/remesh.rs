@@ -9,6 +9,7 @@ use tokio::sync::mpsc;
 
 use super::*;
 use crate::cvt::Iteration;
+use crate::job::observer::Told;
 use crate::job::{Place, Retry, Timed};
 use crate::remesh::{Observer, Remesh};
 use crate::wire::chunks::{facet_chunks, index_chunks};
@@ -33,7 +34,7 @@ enum Event {
     Iteration(Box<Iteration>, usize),
 }
 
-struct Reporter(mpsc::Sender<Event>);
+struct Reporter(mpsc::Sender<Event>, Arc<Told>);
 
 impl Observer for Reporter {
     fn stage(&mut self, name: &'static str) {
@@ -41,6 +42,7 @@ impl Observer for Reporter {
     }
 
     fn iteration(&mut self, iteration: &Iteration, total: usize) {
+        self.1.iterated(1);
         let _ = self.0.try_send(Event::Iteration(Box::new(*iteration), total));
     }
 }
@@ -67,7 +69,7 @@ pub(super) async fn handle(
         turn.token.check()?;
         let backend = backends.choose(wish)?;
         let _ = events.try_send(Event::Started(turn.queue_ms));
-        let mut reporter = Reporter(events.clone());
+        let mut reporter = Reporter(events.clone(), Arc::clone(&turn.told));
         Ok(crate::remesh::remesh(&mesh, &options, backend.as_ref(), &mut reporter, &turn.token)?)
     })?;
     drop(ticket);

@@ -1,0 +1,65 @@
+//! `tessera health`: whether a server takes calls, for people and for the probes of containers.
+//!
+//! Invariant: the exit code is 0 for SERVING and 69 for everything else. No backend is made. Must not know: connections.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use serde_json::json;
+
+use super::exit::Unavailable;
+use super::remote::status::{State, health, watch_health};
+use super::say;
+use super::server::ServerArgs;
+
+/// `tessera health`'s options.
+#[derive(Args, Debug)]
+pub(crate) struct HealthArgs {
+    /// Service to ask for, e.g. tessera.v1.JobService; all of the server if not given.
+    #[arg(long, value_name = "NAME", default_value = "", hide_default_value = true)]
+    service: String,
+    /// Print every change until the server ends.
+    #[arg(long)]
+    watch: bool,
+    /// Seconds for the server to answer.
+    #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = super::server::pause)]
+    timeout_s: f64,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+/// Runs it.
+///
+/// # Errors
+/// [`Unavailable`] if the server cannot be asked or does not serve.
+pub(crate) fn run(args: &HealthArgs) -> Result<()> {
+    let (server, limit) = (args.server.server()?, Duration::from_secs_f64(args.timeout_s));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().context("no runtime")?;
+    let last = runtime.block_on(async {
+        if !args.watch {
+            let state = health(&server, &args.service, limit).await?;
+            args.print(state)?;
+            return Ok(state);
+        }
+        let told = watch_health(&server, &args.service, limit, |state| args.print(state));
+        told.await.map(|()| State::NotServing)
+    });
+    match last? {
+        State::Serving => Ok(()),
+        State::Unknown => Err(Unavailable(format!("{} serves no {}", server.url, args.service)).into()),
+        State::NotServing => Err(Unavailable(format!("{} does not serve now", server.url)).into()),
+    }
+}
+
+impl HealthArgs {
+    /// Whether somebody still reads.
+    fn print(&self, state: State) -> Result<bool> {
+        let name = state.name();
+        let text = match self.server.json {
+            true => json!({ "service": self.service, "status": name }).to_string(),
+            false => name.to_owned(),
+        };
+        Ok(say::try_line(format_args!("{text}"))?)
+    }
+}

@@ -1,0 +1,380 @@
+//! What is told of work while it waits and runs.
+//!
+//! Purpose: [`Observer`] is who counts. [`Waiting`] and [`Told`] are a piece of work as it is told: they count it from the moment
+//! it is queued to its end, and open its spans (`queue`, `job`, `stage`, `pass`) in the trace of who asked for it.
+//! Invariant: every piece that is counted in is counted out, whatever ends it. What counts never waits and never fails.
+//! Must not know: how counts are kept, where spans go, what a job does.
+
+use std::fmt;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use tracing::{Span, debug_span, field, info_span};
+
+use super::JobError;
+use super::estimate::{Counts, Kind};
+use super::record::JobId;
+use crate::rvd::BackendKind;
+use crate::token::StageListener;
+use crate::trace::{self, TraceContext};
+
+/// Where counted work stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Standing {
+    /// In the queue.
+    Waiting,
+    /// At work.
+    Running,
+}
+
+/// How a job ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Ended {
+    /// It has a result.
+    Done,
+    /// It has none.
+    Failed,
+    /// Nobody wants the result any more.
+    Cancelled,
+}
+
+/// Where a job comes from and how large it is, for who counts.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Origin {
+    /// What is done.
+    pub(crate) kind: Kind,
+    /// By whom.
+    pub(crate) backend: BackendKind,
+    /// Its name, if it is kept.
+    pub(crate) job: Option<JobId>,
+    /// Facets of its surface.
+    pub(crate) facets: u64,
+    /// Seeds that are asked for.
+    pub(crate) seeds: u64,
+}
+
+impl Origin {
+    /// Of a job with these counts.
+    pub(crate) fn of(counts: &Counts, job: Option<JobId>) -> Self {
+        let &Counts { kind, backend, facets, points, .. } = counts;
+        Self { kind, backend, job, facets, seeds: points }
+    }
+}
+
+/// Who counts. Every method is called from whatever thread is at work, and returns at once.
+pub(crate) trait Observer: Send + Sync {
+    /// A job came, went on, or left.
+    fn moved(&self, _kind: Kind, _from: Option<Standing>, _to: Option<Standing>) {}
+    /// A job began after it waited for so long.
+    fn began(&self, _kind: Kind, _waited: Duration) {}
+    /// A job ended.
+    fn ended(&self, _origin: &Origin, _how: Ended) {}
+    /// A stage of a job ended.
+    fn stage(&self, _stage: &'static str, _backend: BackendKind, _took: Duration) {}
+    /// Steps of seeds were taken.
+    fn iterated(&self, _steps: u64) {}
+    /// A pass ended, for which a backend was busy so long.
+    fn passed(&self, _backend: BackendKind, _took: Duration) {}
+    /// Sessions plan so many bytes more on the device, or fewer.
+    fn planned(&self, _bytes: i64) {}
+    /// The device was lost.
+    fn lost_device(&self) {}
+}
+
+/// Nobody counts.
+impl Observer for () {}
+
+/// A job among those that are counted.
+struct Counted {
+    observer: Arc<dyn Observer>,
+    kind: Kind,
+    standing: Standing,
+}
+
+impl Counted {
+    fn go_on(&mut self, to: Standing) {
+        self.observer.moved(self.kind, Some(self.standing), Some(to));
+        self.standing = to;
+    }
+}
+
+impl Drop for Counted {
+    fn drop(&mut self) {
+        self.observer.moved(self.kind, Some(self.standing), None);
+    }
+}
+
+/// A piece of work that waits. One without an origin goes on with what another began, and is not counted.
+pub(crate) struct Waiting {
+    observer: Arc<dyn Observer>,
+    origin: Option<Origin>,
+    counted: Option<Counted>,
+    trace: Option<TraceContext>,
+    since: Instant,
+    _span: Span,
+}
+
+impl Waiting {
+    /// It is queued, for the trace of the current task.
+    pub(crate) fn new(observer: &Arc<dyn Observer>, origin: Option<Origin>) -> Self {
+        let counted = origin.map(|Origin { kind, .. }| {
+            let standing = Standing::Waiting;
+            observer.moved(kind, None, Some(standing));
+            Counted { observer: Arc::clone(observer), kind, standing }
+        });
+        let (trace, span) = match (trace::here(), &origin) {
+            // A session's next command, or the server's own work.
+            (trace, None) => (trace, Span::none()),
+            (trace, Some(Origin { job: Some(job), .. })) => {
+                let span = info_span!(parent: None, "queue", job = %job, trace_id = field::Empty);
+                // The job keeps its trace, which may be its own.
+                let context = trace::join(&span, trace);
+                (trace.or(Some(context)), span)
+            }
+            (trace, Some(_)) => {
+                let span = info_span!(parent: None, "queue", trace_id = field::Empty);
+                let context = trace::join(&span, trace);
+                (trace.or(Some(context)), span)
+            }
+        };
+        Self { observer: Arc::clone(observer), origin, counted, trace, since: Instant::now(), _span: span }
+    }
+
+    /// Its turn has come.
+    pub(crate) fn begin(self) -> Arc<Told> {
+        let Self { observer, origin, mut counted, trace, since, _span: queued } = self;
+        drop(queued);
+        if let Some(Origin { kind, .. }) = origin {
+            observer.began(kind, since.elapsed());
+        }
+        counted.iter_mut().for_each(|counted| counted.go_on(Standing::Running));
+        let span = match &origin {
+            Some(Origin { kind, backend, job: Some(job), .. }) => {
+                let (kind, backend) = (kind.name(), backend.name());
+                info_span!(parent: None, "job", kind, backend, job = %job, trace_id = field::Empty)
+            }
+            Some(Origin { kind, backend, job: None, .. }) => {
+                let (kind, backend) = (kind.name(), backend.name());
+                info_span!(parent: None, "job", kind, backend, trace_id = field::Empty)
+            }
+            None if trace.is_some() => info_span!(parent: None, "turn", trace_id = field::Empty),
+            None => Span::none(),
+        };
+        if !span.is_none() {
+            trace::join(&span, trace);
+        }
+        let now = Mutex::new(Now { span, stage: None, counted });
+        Arc::new(Told { observer, origin, now, has_failed: AtomicBool::new(false) })
+    }
+}
+
+/// A piece of work that is being done.
+pub(crate) struct Told {
+    observer: Arc<dyn Observer>,
+    origin: Option<Origin>,
+    now: Mutex<Now>,
+    has_failed: AtomicBool,
+}
+
+struct Now {
+    /// Of the whole piece; none once it has ended.
+    span: Span,
+    stage: Option<Stage>,
+    counted: Option<Counted>,
+}
+
+struct Stage {
+    name: &'static str,
+    since: Instant,
+    span: Span,
+}
+
+impl fmt::Debug for Told {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Told").field("origin", &self.origin).finish_non_exhaustive()
+    }
+}
+
+impl Told {
+    fn now(&self) -> MutexGuard<'_, Now> {
+        self.now.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The span of the piece, for what is logged meanwhile.
+    pub(crate) fn span(&self) -> Span {
+        self.now().span.clone()
+    }
+
+    /// Steps were taken.
+    pub(crate) fn iterated(&self, steps: u64) {
+        self.observer.iterated(steps);
+    }
+
+    /// Sessions of the device hold so many bytes more, or fewer.
+    pub(super) fn planned(&self, bytes: i64) {
+        self.observer.planned(bytes);
+    }
+
+    /// A backend begins a pass, which lasts until what this gives is dropped.
+    pub(super) fn pass(&self, pass: &'static str, backend: BackendKind) -> Pass<'_> {
+        let span = {
+            let now = self.now();
+            // A session outlives the piece that opened it; then whoever is at work is asked.
+            let parent = now.stage.as_ref().map(|stage| &stage.span).filter(|span| !span.is_none());
+            match parent.unwrap_or(&now.span) {
+                none if none.is_none() => debug_span!("pass", pass, backend = backend.name()),
+                parent => debug_span!(parent: parent, "pass", pass, backend = backend.name()),
+            }
+        };
+        Pass { told: self, backend, since: Instant::now(), _span: span }
+    }
+
+    /// The job has no result, though its work ends well.
+    pub(crate) fn fail(&self) {
+        self.has_failed.store(true, Ordering::Release);
+    }
+
+    /// The piece has ended, and is out of the count before anybody hears of its result.
+    pub(super) fn end(&self, error: Option<&JobError>) {
+        let mut now = self.now();
+        self.end_stage(&mut now);
+        now.span = Span::none();
+        let Some(counted) = now.counted.take() else { return };
+        drop(now);
+        let how = match error {
+            Some(error) if error.is_cancelled() => Ended::Cancelled,
+            None if !self.has_failed.load(Ordering::Acquire) => Ended::Done,
+            _ => Ended::Failed,
+        };
+        drop(counted);
+        self.origin.iter().for_each(|origin| self.observer.ended(origin, how));
+    }
+
+    fn end_stage(&self, now: &mut Now) {
+        if let (Some(stage), Some(origin)) = (now.stage.take(), &self.origin) {
+            self.observer.stage(stage.name, origin.backend, stage.since.elapsed());
+        }
+    }
+}
+
+impl StageListener for Told {
+    fn entered(&self, name: &'static str) {
+        let mut now = self.now();
+        if now.stage.as_ref().is_some_and(|stage| stage.name == name) {
+            return;
+        }
+        self.end_stage(&mut now);
+        let span = match now.span.is_none() {
+            true => Span::none(),
+            false => info_span!(parent: &now.span, "stage", stage = name, otel.name = name),
+        };
+        now.stage = Some(Stage { name, since: Instant::now(), span });
+    }
+}
+
+/// A pass under way.
+pub(super) struct Pass<'a> {
+    told: &'a Told,
+    backend: BackendKind,
+    since: Instant,
+    _span: Span,
+}
+
+impl Drop for Pass<'_> {
+    fn drop(&mut self) {
+        self.told.observer.passed(self.backend, self.since.elapsed());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Writes down what it is told.
+    #[derive(Default)]
+    struct Notes(Mutex<Vec<String>>);
+
+    impl Notes {
+        fn add(&self, text: String) {
+            self.0.lock().unwrap().push(text);
+        }
+    }
+
+    impl Observer for Notes {
+        fn moved(&self, kind: Kind, from: Option<Standing>, to: Option<Standing>) {
+            self.add(format!("{} {from:?} {to:?}", kind.name()));
+        }
+        fn ended(&self, origin: &Origin, how: Ended) {
+            self.add(format!("{how:?} {} facets", origin.facets));
+        }
+        fn stage(&self, stage: &'static str, backend: BackendKind, _: Duration) {
+            self.add(format!("{stage} {}", backend.name()));
+        }
+    }
+
+    fn origin() -> Origin {
+        Origin { kind: Kind::Remesh, backend: BackendKind::Serial, job: None, facets: 8, seeds: 6 }
+    }
+
+    fn told_of(work: impl FnOnce(&Arc<dyn Observer>)) -> Vec<String> {
+        let notes = Arc::new(Notes::default());
+        let observer: Arc<dyn Observer> = notes.clone();
+        work(&observer);
+        let mut told = notes.0.lock().unwrap();
+        std::mem::take(&mut *told)
+    }
+
+    #[test]
+    fn a_job_is_counted_in_and_out() {
+        let told = told_of(|observer| {
+            let told = Waiting::new(observer, Some(origin())).begin();
+            told.entered("prepare");
+            told.entered("prepare");
+            told.entered("iterations");
+            told.end(None);
+        });
+        let expected = [
+            "remesh None Some(Waiting)",
+            "remesh Some(Waiting) Some(Running)",
+            "prepare serial",
+            "iterations serial",
+            "remesh Some(Running) None",
+            "Done 8 facets",
+        ];
+        assert_eq!(told, expected);
+    }
+
+    #[test]
+    fn who_leaves_the_queue_is_counted_out() {
+        let told = told_of(|observer| drop(Waiting::new(observer, Some(origin()))));
+        assert_eq!(told, ["remesh None Some(Waiting)", "remesh Some(Waiting) None"]);
+        let told = told_of(|observer| drop(Waiting::new(observer, Some(origin())).begin()));
+        assert_eq!(told.last().unwrap(), "remesh Some(Running) None", "work that panics where nobody catches it");
+    }
+
+    #[test]
+    fn an_end_is_told_once_and_as_it_was() {
+        use crate::token::Stopped;
+        let told = told_of(|observer| {
+            let told = Waiting::new(observer, Some(origin())).begin();
+            told.fail();
+            told.end(None);
+            told.end(None);
+            Waiting::new(observer, Some(origin())).begin().end(Some(&Stopped::Cancelled.into()));
+            Waiting::new(observer, Some(origin())).begin().end(Some(&JobError::Draining));
+        });
+        let ends: Vec<_> = told.iter().filter(|line| line.ends_with("facets")).collect();
+        assert_eq!(ends, ["Failed 8 facets", "Cancelled 8 facets", "Failed 8 facets"]);
+    }
+
+    #[test]
+    fn what_goes_on_is_not_counted() {
+        let told = told_of(|observer| {
+            let told = Waiting::new(observer, None).begin();
+            told.entered("iterations");
+            told.end(None);
+        });
+        assert!(told.is_empty(), "{told:?}");
+    }
+}

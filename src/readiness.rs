@@ -1,0 +1,167 @@
+//! Whether the server can do what it is asked, and if not, why.
+//!
+//! Purpose: [`Readiness`] is the one value that health, `/readyz` and `GetServerInfo` are told from. Whoever finds a fault sets
+//! its [`Reason`], and takes it back once it is over.
+//! Invariant: the server is ready if no reason is set. Who watches sees every change at once.
+//! Must not know: who finds faults, how health is told.
+
+use std::fmt;
+use std::sync::Arc;
+
+use tokio::sync::watch;
+
+/// Why a server is not ready.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Reason {
+    /// The first probe has not passed yet.
+    Starting,
+    /// The server is shutting down.
+    Draining,
+    /// The device was lost and is not back.
+    DeviceLost,
+    /// A diagram whose answer is known came out wrong, or not at all.
+    ProbeFailed,
+    /// Work goes on although it was told to stop.
+    WorkStuck,
+    /// The journal of jobs can no longer be written.
+    JournalBroken,
+    /// There is no room for blobs or for the journal.
+    DiskFull,
+    /// The store of blobs does not answer.
+    StoreAway,
+}
+
+impl Reason {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Starting,
+        Self::Draining,
+        Self::DeviceLost,
+        Self::ProbeFailed,
+        Self::WorkStuck,
+        Self::JournalBroken,
+        Self::DiskFull,
+        Self::StoreAway,
+    ];
+
+    /// As it is told to machines.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Starting => "starting",
+            Self::Draining => "draining",
+            Self::DeviceLost => "device_lost",
+            Self::ProbeFailed => "probe_failed",
+            Self::WorkStuck => "work_stuck",
+            Self::JournalBroken => "journal_broken",
+            Self::DiskFull => "disk_full",
+            Self::StoreAway => "store_away",
+        }
+    }
+
+    /// Whether it is a fault of what keeps jobs and blobs. Streams, which keep nothing, work all the same.
+    pub fn is_of_storage(self) -> bool {
+        matches!(self, Self::JournalBroken | Self::DiskFull | Self::StoreAway)
+    }
+
+    fn bit(self) -> u16 {
+        1 << self as u16
+    }
+}
+
+/// The reasons that are set at one time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Condition(u16);
+
+impl Condition {
+    /// Whether no reason is set.
+    pub fn is_ready(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Whether this reason is set.
+    pub fn has(self, reason: Reason) -> bool {
+        self.0 & reason.bit() != 0
+    }
+
+    /// The reasons that are set.
+    pub fn reasons(self) -> impl Iterator<Item = Reason> {
+        Reason::ALL.into_iter().filter(move |reason| self.has(*reason))
+    }
+}
+
+impl fmt::Display for Condition {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.is_ready() {
+            return f.write_str("ready");
+        }
+        let names: Vec<&str> = self.reasons().map(Reason::name).collect();
+        write!(f, "not ready: {}", names.join(", "))
+    }
+}
+
+/// See the module's head. Clones share one value.
+#[derive(Clone, Debug, Default)]
+pub struct Readiness(Arc<watch::Sender<Condition>>);
+
+impl Readiness {
+    /// With no reason set.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Sets a reason, or takes it back.
+    pub fn set(&self, reason: Reason, is_set: bool) {
+        self.0.send_if_modified(|condition| {
+            let next = if is_set { condition.0 | reason.bit() } else { condition.0 & !reason.bit() };
+            std::mem::replace(&mut condition.0, next) != next
+        });
+    }
+
+    /// How it is now.
+    pub fn condition(&self) -> Condition {
+        *self.0.borrow()
+    }
+
+    /// Follows it.
+    pub fn watch(&self) -> watch::Receiver<Condition> {
+        self.0.subscribe()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reasons_come_and_go_by_themselves() {
+        let readiness = Readiness::new();
+        assert!(readiness.condition().is_ready());
+        readiness.set(Reason::DeviceLost, true);
+        readiness.clone().set(Reason::DiskFull, true);
+        assert_eq!(readiness.condition().to_string(), "not ready: device_lost, disk_full");
+        readiness.set(Reason::DeviceLost, false);
+        let left: Vec<_> = readiness.condition().reasons().collect();
+        assert_eq!(left, [Reason::DiskFull]);
+        readiness.set(Reason::DiskFull, false);
+        assert_eq!(readiness.condition().to_string(), "ready");
+    }
+
+    #[test]
+    fn who_watches_hears_of_changes_alone() {
+        let readiness = Readiness::new();
+        let mut watch = readiness.watch();
+        readiness.set(Reason::Draining, false);
+        assert!(!watch.has_changed().unwrap(), "it was so before");
+        readiness.set(Reason::Draining, true);
+        assert!(watch.has_changed().unwrap() && watch.borrow_and_update().has(Reason::Draining));
+        readiness.set(Reason::Draining, true);
+        assert!(!watch.has_changed().unwrap());
+    }
+
+    #[test]
+    fn every_reason_has_a_bit_and_a_name_of_its_own() {
+        let names: std::collections::BTreeSet<_> = Reason::ALL.iter().map(|reason| reason.name()).collect();
+        let bits = Reason::ALL.iter().fold(0, |all, reason| all | reason.bit());
+        assert_eq!((names.len(), bits.count_ones()), (Reason::ALL.len(), Reason::ALL.len() as u32));
+    }
+}
