@@ -39,8 +39,8 @@ pub mod gpu {
 /// The queue, the threads that do the work, and jobs as data.
 #[cfg(feature = "service")]
 pub mod job {
-    pub use crate::job::{Ask, Backends, Ceilings, Engine, EngineOptions, JobError, MakePool, Wish};
     pub use crate::job::Weights;
+    pub use crate::job::{Ask, Backends, Ceilings, Engine, EngineOptions, JobError, MakePool, Wish};
     pub use crate::job::{Executor, ExecutorOptions, JobBounds, Stores};
     pub use crate::job::{desk, event, record, state, store};
 }
@@ -91,5 +91,7 @@ pub mod rvd {
 /// The server.
 #[cfg(feature = "service")]
 pub mod service {
-    pub use crate::service::{Access, AccessOptions, BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, replay, run};
+    pub use crate::service::{
+        Access, AccessOptions, BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVICE_NAME, ServeError, replay, run,
+    };
 }

@@ -45,8 +45,8 @@ pub use input::JobBounds;
 pub use queue::Place;
 pub use schedule::Ask;
 pub use watchdog::Ceilings;
-pub use weights::Weights;
 pub(crate) use watchdog::Work;
+pub use weights::Weights;
 pub(crate) use worker::{Device, Pending, Ticket, Timed, Turn};
 pub use worker::{Engine, EngineOptions, Retry};
 

@@ -16,10 +16,10 @@ use serde::{Deserialize, Serialize};
 
 pub use file::KeyFile;
 pub(crate) use file::Stamp;
-#[cfg(test)]
-pub(crate) use secret::work;
 pub(crate) use secret::Hash;
 pub use secret::Secret;
+#[cfg(test)]
+pub(crate) use secret::work;
 
 /// Keys of one server.
 const MOST: usize = 10_000;
@@ -192,7 +192,9 @@ pub enum KeysError {
         name: String,
     },
     /// It cannot be a name.
-    #[error("{name:?} is no name for a key: take a letter and then at most 63 letters, digits, dots, hyphens and underscores")]
+    #[error(
+        "{name:?} is no name for a key: take a letter and then at most 63 letters, digits, dots, hyphens and underscores"
+    )]
     Name {
         /// As given.
         name: String,

@@ -107,7 +107,9 @@ mod tests {
     fn the_books_add_up_and_forget() {
         let (mut owners, a, b) = (Owners::default(), Owner::of("a"), Owner::of("b"));
         let [one, two] = [b"1", b"2"].map(|bytes| Digest::of(bytes));
-        assert!(owners.add(one, 10, a).is_none() && owners.add(two, 5, a).is_none() && owners.add(one, 10, b).is_none());
+        assert!(
+            owners.add(one, 10, a).is_none() && owners.add(two, 5, a).is_none() && owners.add(one, 10, b).is_none()
+        );
         assert!(owners.add(one, 10, b).is_none(), "twice is once");
         assert_eq!((owners.bytes(a), owners.bytes(b)), (15, 10));
         // What was taken anew is the youngest.

@@ -91,7 +91,10 @@ pub(crate) fn run(args: &KeysArgs) -> Result<()> {
                 return Ok(say::json(&told)?);
             }
             outln!("{}", secret.reveal())?;
-            errln!("tessera: this is the key of {}, shown this once; keep it where only its user can read it", key.name);
+            errln!(
+                "tessera: this is the key of {}, shown this once; keep it where only its user can read it",
+                key.name
+            );
         }
         KeysCommand::List => {
             let set = file.read().map_err(told)?;
@@ -122,7 +125,9 @@ fn told(error: KeysError) -> anyhow::Error {
         KeysError::Damaged { .. } => BadInput(text).into(),
         KeysError::Io { .. } | KeysError::Random(_) => NotWritten(text).into(),
         KeysError::Absent { .. } => Absent(text).into(),
-        KeysError::Exists { .. } | KeysError::Name { .. } | KeysError::Limits | KeysError::TooMany => Usage(text).into(),
+        KeysError::Exists { .. } | KeysError::Name { .. } | KeysError::Limits | KeysError::TooMany => {
+            Usage(text).into()
+        }
     }
 }
 

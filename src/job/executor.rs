@@ -266,12 +266,7 @@ impl Inner {
     }
 
     /// Pins what is there of some blobs. Those that are missing are found missing when they are needed.
-    async fn pin_again(
-        &self,
-        owner: Owner,
-        name: &str,
-        digests: &[crate::blob::Digest],
-    ) -> Result<(), DeskError> {
+    async fn pin_again(&self, owner: Owner, name: &str, digests: &[crate::blob::Digest]) -> Result<(), DeskError> {
         for digest in digests {
             match self.stores.blobs.pin_for(owner, name, &[*digest]).await {
                 Ok(()) => {}

@@ -132,12 +132,7 @@ impl Forecast {
     }
 
     /// Vertices, facets and bytes of a surface's file.
-    async fn of_file(
-        &self,
-        owner: Owner,
-        blob: Digest,
-        format: MeshFormat,
-    ) -> Result<((u64, u64), u64), DeskError> {
+    async fn of_file(&self, owner: Owner, blob: Digest, format: MeshFormat) -> Result<((u64, u64), u64), DeskError> {
         let size_bytes = self.size_of(owner, blob).await?;
         let known = |forecast: &Self| {
             forecast.known.lock().unwrap_or_else(PoisonError::into_inner).get(&(blob, format)).copied()

@@ -171,7 +171,16 @@ mod tests {
         let good = Secret::random().unwrap().reveal().to_owned();
         let mut upper = good.clone();
         upper.make_ascii_uppercase();
-        for wrong in ["", "tsr_", "tsr__", &good[1..], &good[..good.len() - 1], &format!("{good}0"), &upper, &good.replace('_', "-")] {
+        for wrong in [
+            "",
+            "tsr_",
+            "tsr__",
+            &good[1..],
+            &good[..good.len() - 1],
+            &format!("{good}0"),
+            &upper,
+            &good.replace('_', "-"),
+        ] {
             assert!(Secret::parse(wrong).is_none(), "{wrong}");
         }
         assert!(Secret::parse(&format!("{good} ")).is_none() && Secret::parse("tsr_ääääääääää_x").is_none());

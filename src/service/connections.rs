@@ -12,6 +12,7 @@ mod exchange;
 mod places;
 mod seldom;
 mod socket;
+mod unpacking;
 mod unread;
 
 use std::io;

@@ -1,6 +1,8 @@
 //! Who has a blob, on each kind of store.
 
-use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Digest, ObjectBlobs, Owner, UploadId, put as put_bytes};
+use tessera::internals::blob::{
+    BlobError, BlobOptions, BlobStore, Digest, ObjectBlobs, Owner, UploadId, put as put_bytes,
+};
 
 use crate::{content, each, everything, local, send, upload_of};
 
@@ -74,7 +76,9 @@ async fn owners_come_back_with_the_folder() {
     store.disown(Owner::of("b"), digest).await.unwrap();
     drop(store);
     let store: ObjectBlobs = local(folder.path(), BlobOptions::default()).await;
-    assert!(store.is_owned(Owner::of("a"), digest).await.unwrap() && !store.is_owned(Owner::of("b"), digest).await.unwrap());
+    assert!(
+        store.is_owned(Owner::of("a"), digest).await.unwrap() && !store.is_owned(Owner::of("b"), digest).await.unwrap()
+    );
     assert_eq!(store.owned_bytes(Owner::of("a")).await.unwrap(), 500);
 }
 

@@ -53,7 +53,10 @@ fn keys_are_made_listed_and_revoked_beside_the_server() {
         assert!(list.contains(word), "{word}: {list}");
     }
     let json: serde_json::Value = serde_json::from_str(&done(at, "keys list --json")).unwrap();
-    assert_eq!((json[0]["name"].as_str(), json[0]["role"].as_str(), json[0]["rate"].as_u64()), (Some("ci"), Some("submit"), Some(50)));
+    assert_eq!(
+        (json[0]["name"].as_str(), json[0]["role"].as_str(), json[0]["rate"].as_u64()),
+        (Some("ci"), Some("submit"), Some(50))
+    );
     let kept = std::fs::read_to_string(at.join("keys.json")).unwrap();
     for shown in [&list, &kept, &json.to_string()] {
         assert!(!shown.contains(&key[15..]), "a key is shown once");
@@ -112,10 +115,18 @@ async fn another_s_job_and_blob_are_none() {
             for name in [there, never] {
                 let name = name.clone();
                 let answer = match step {
-                    0 => bob.jobs.get_job(bob.request(GetJobRequest { id: name.clone() })).await.map(|_| "got".to_owned()),
+                    0 => bob
+                        .jobs
+                        .get_job(bob.request(GetJobRequest { id: name.clone() }))
+                        .await
+                        .map(|_| "got".to_owned()),
                     1 => bob.cancel(&name).await.map(|_| "cancelled".to_owned()),
                     2 => bob.watch(&name, 0).await.map(|_| "watched".to_owned()),
-                    _ => bob.jobs.delete_job(bob.request(DeleteJobRequest { id: name.clone() })).await.map(|_| "gone".to_owned()),
+                    _ => bob
+                        .jobs
+                        .delete_job(bob.request(DeleteJobRequest { id: name.clone() }))
+                        .await
+                        .map(|_| "gone".to_owned()),
                 };
                 said.push(without(&name, answer));
             }
@@ -129,11 +140,20 @@ async fn another_s_job_and_blob_are_none() {
             for name in [there, &strange_blob] {
                 let named = name.clone();
                 let answer = match step {
-                    0 => bob.blobs.stat(bob.request(StatRequest { digest: named })).await.map(|a| format!("{:?}", a.into_inner())),
-                    1 => bob.blobs.delete(bob.request(DeleteRequest { digest: named })).await.map(|_| "deleted".to_owned()),
+                    0 => bob
+                        .blobs
+                        .stat(bob.request(StatRequest { digest: named }))
+                        .await
+                        .map(|a| format!("{:?}", a.into_inner())),
+                    1 => bob
+                        .blobs
+                        .delete(bob.request(DeleteRequest { digest: named }))
+                        .await
+                        .map(|_| "deleted".to_owned()),
                     2 => bob.create(remesh(&named, 50, 0), "").await.map(|_| "created".to_owned()),
                     3 => {
-                        let question = EstimateJobRequest { spec: Some(remesh(&named, 50, 0)), ..EstimateJobRequest::default() };
+                        let question =
+                            EstimateJobRequest { spec: Some(remesh(&named, 50, 0)), ..EstimateJobRequest::default() };
                         bob.jobs.estimate_job(bob.request(question)).await.map(|a| format!("{:?}", a.into_inner()))
                     }
                     _ => {
@@ -187,14 +207,17 @@ async fn no_key_is_written_anywhere() {
     let other = add(&data, "gone --role admin");
     done(&data, "keys revoke gone");
     let log = at.join("log");
-    let program = Program::start_logging(&data, &["--require-keys"], "trace", Stdio::from(std::fs::File::create(&log).unwrap()));
+    let program =
+        Program::start_logging(&data, &["--require-keys"], "trace", Stdio::from(std::fs::File::create(&log).unwrap()));
     let client = program.client().await;
     let mesh = Shape::Torus.build(500);
     let mut ci = client.with_key(&key);
     let digest = ci.put_mesh(&mesh).await;
     let id = ci.submit(remesh(&digest, 50, 0)).await;
     ci.end(&id, LIMIT).await;
-    for wrong in [other.as_str(), &key[..key.len() - 1], &format!("{}0", &key[..key.len() - 1]), &key.replace("tsr", "xyz")] {
+    for wrong in
+        [other.as_str(), &key[..key.len() - 1], &format!("{}0", &key[..key.len() - 1]), &key.replace("tsr", "xyz")]
+    {
         let status = client.with_key(wrong).create(remesh(&digest, 50, 0), "").await.unwrap_err();
         assert_eq!(status.code(), Code::Unauthenticated);
         assert!(!status.message().contains(&wrong[20..40]));

@@ -45,7 +45,12 @@ impl Program {
     pub async fn client(&self) -> Client {
         let endpoint = Endpoint::from_shared(format!("http://{}", self.address)).unwrap();
         let channel = endpoint.connect_timeout(Duration::from_secs(10)).connect().await.unwrap();
-        Client { jobs: JobServiceClient::new(channel.clone()), blobs: BlobServiceClient::new(channel), tenant: None, key: None }
+        Client {
+            jobs: JobServiceClient::new(channel.clone()),
+            blobs: BlobServiceClient::new(channel),
+            tenant: None,
+            key: None,
+        }
     }
 
     /// No word to it, and no end of anything that it does.

@@ -170,7 +170,11 @@ async fn health_and_reflection_have_switches() {
     let health = tonic_health::pb::HealthCheckRequest::default();
     for (options, anybody, described) in [
         (required(), Code::Ok, Code::Ok),
-        (AccessOptions { health_needs_key: true, reflection: false, ..required() }, Code::Unauthenticated, Code::Unimplemented),
+        (
+            AccessOptions { health_needs_key: true, reflection: false, ..required() },
+            Code::Unauthenticated,
+            Code::Unimplemented,
+        ),
     ] {
         let server = house.start(options).await;
         let mut raw = Raw::connect(server.address, 1 << 20).await;

@@ -146,7 +146,8 @@ impl AtWork {
             result.blobs.insert(name, info.digest);
         }
         // Before the job names it: what a tenant is told of is its own.
-        let (owner, digests): (_, Vec<_>) = (Owner::of(&self.job.spec.tenant), result.blobs.values().copied().collect());
+        let (owner, digests): (_, Vec<_>) =
+            (Owner::of(&self.job.spec.tenant), result.blobs.values().copied().collect());
         let given = inner.runtime.block_on(async {
             inner.stores.blobs.pin_for(owner, &pin, &digests).await?;
             inner.stores.blobs.claim(owner, &digests).await

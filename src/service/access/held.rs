@@ -10,8 +10,8 @@ use std::task::{Context, Poll};
 use http_body::{Frame, SizeHint};
 use tonic::Status;
 use tonic::body::Body;
-use tonic::codegen::http::HeaderMap;
 use tonic::codegen::Bytes;
+use tonic::codegen::http::HeaderMap;
 
 use super::super::RequestError;
 use super::Refusal;

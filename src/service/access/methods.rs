@@ -87,7 +87,14 @@ mod tests {
         }
         assert_eq!(needs("/grpc.health.v1.Health/Check"), Some(Needs::Health));
         assert_eq!(needs("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo"), Some(Needs::Reflection));
-        for path in ["", "/", "tessera.v1.JobService/GetJob", "/tessera.v1.JobService/getjob", "/tessera.v1.JobService/GetJob/", "//"] {
+        for path in [
+            "",
+            "/",
+            "tessera.v1.JobService/GetJob",
+            "/tessera.v1.JobService/getjob",
+            "/tessera.v1.JobService/GetJob/",
+            "//",
+        ] {
             assert_eq!(needs(path), None, "{path}");
         }
     }

@@ -193,7 +193,8 @@ mod tests {
         assert!(pass().take_turn().is_ok() && pass().take_turn().is_ok());
         let Err(Refusal::Rate { limit: 2, wait }) = pass().take_turn() else { panic!("two a second") };
         assert!(wait > Duration::ZERO && wait <= Duration::from_millis(500), "{wait:?}");
-        let (other, _) = set.add(NewKey { name: "b".to_owned(), role: Role::Read, lasts: None, limits, is_second: false }).unwrap();
+        let (other, _) =
+            set.add(NewKey { name: "b".to_owned(), role: Role::Read, lasts: None, limits, is_second: false }).unwrap();
         assert!(table.differs(&set));
         let next = table.next(&set);
         assert!(!next.differs(&set) && next.has("b"));

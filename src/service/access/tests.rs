@@ -16,7 +16,8 @@ fn house(options: AccessOptions) -> House {
         let limits = KeyLimits { bytes: Some(7), ..KeyLimits::default() };
         set.add(NewKey { name: name.to_owned(), role, lasts: None, limits, is_second: false }).unwrap().1
     };
-    let [admin, submit, read] = [("root", Role::Admin), ("ci", Role::Submit), ("eye", Role::Read)].map(|(n, r)| add(n, r));
+    let [admin, submit, read] =
+        [("root", Role::Admin), ("ci", Role::Submit), ("eye", Role::Read)].map(|(n, r)| add(n, r));
     House { access: Access::new(None, options, Table::default().next(&set)), admin, submit, read }
 }
 
@@ -74,7 +75,8 @@ fn without_a_good_key_there_is_one_answer() {
     let good = bearer(&submit);
     let wrong = good.replace(submit.reveal().rsplit_once('_').unwrap().1, &"0".repeat(64));
     let unknown = bearer(&Secret::random().unwrap());
-    let (basic, bare, twice) = (format!("Basic {}", submit.reveal()), submit.reveal().to_owned(), format!("{good}, {good}"));
+    let (basic, bare, twice) =
+        (format!("Basic {}", submit.reveal()), submit.reveal().to_owned(), format!("{good}, {good}"));
     let spaced = good.replace(' ', "  ");
     for headers in [
         &[][..],

@@ -39,6 +39,9 @@ const HEADERS: u32 = 16 << 10;
 /// How the paths of the services begin that take uploads.
 const OURS: &str = "/tessera.v1.";
 
+/// The header that says how messages are compressed.
+const ENCODING: &str = "grpc-encoding";
+
 /// The longest message to health and reflection, bytes.
 const QUESTION: u64 = 64 << 10;
 
@@ -314,13 +317,15 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
         }
         request.extensions_mut().insert(Arc::clone(&exchange));
         request.extensions_mut().insert(self.state.peer);
+        let encoding = request.headers().get(ENCODING).map(|value| value.as_bytes().to_vec());
         let uploads = request.uri().path().starts_with(OURS);
         let most = if uploads { MAX_MESSAGE_BYTES as u64 } else { QUESTION };
         let budget = self.common.budget.clone();
         let routes = self.common.routes.clone();
         let mut phase = self.phase.clone();
         Box::pin(async move {
-            let response = routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most)))).await;
+            let response =
+                routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most, encoding)))).await;
             let response = if exchange.admitted() { response } else { unread::told(response) };
             exchange.answer();
             let farewell = (!exchange.admitted()).then(|| Farewell {
