@@ -132,6 +132,8 @@ pub(crate) enum RequestError {
     Memory { needed_bytes: u64, left_bytes: u64 },
     #[error("a message of {length} bytes came, where none is longer than {most}")]
     MessageTooLong { length: u64, most: u64 },
+    #[error("a compressed message would have more than {most} bytes")]
+    Unpacked { most: u64 },
     #[error("{limit} {what} are open already, as many as may")]
     TooMany { what: &'static str, limit: usize },
     #[error("no message came for {} s", .0.as_secs_f64())]

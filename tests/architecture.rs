@@ -129,6 +129,8 @@ const CRATES: &[(&str, &[&str])] = &[
     ("governor", &["service/access"]),
     ("subtle", &["keys"]),
     ("socket2", &["service/connections"]),
+    ("flate2", &["service/connections/unpacking"]),
+    ("zstd", &["service/connections/unpacking"]),
     ("rustix", &["service/connections"]),
     ("object_store", &["blob"]),
     ("reqwest", &["blob/s3"]),

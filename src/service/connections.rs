@@ -16,6 +16,7 @@ mod places;
 mod seldom;
 mod socket;
 mod tls;
+mod unpacking;
 mod unread;
 
 use std::io;

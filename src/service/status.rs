@@ -31,7 +31,7 @@ impl From<RequestError> for Status {
         match error {
             RequestError::Wire(error) => of_wire(error),
             RequestError::Memory { .. } => retry(Code::ResourceExhausted, text, Duration::from_secs(2)),
-            RequestError::MessageTooLong { .. } => Status::resource_exhausted(text),
+            RequestError::MessageTooLong { .. } | RequestError::Unpacked { .. } => Status::resource_exhausted(text),
             RequestError::TooMany { .. } => retry(Code::ResourceExhausted, text, Duration::from_secs(1)),
             RequestError::Idle(_) | RequestError::UploadTime(_) | RequestError::Deadline => {
                 Status::deadline_exceeded(text)

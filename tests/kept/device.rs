@@ -18,9 +18,7 @@ use tessera::internals::config::Limits;
 use tessera::internals::gpu::{Device, DeviceOptions};
 use tessera::internals::job::*;
 use tessera::internals::rvd::Gpu;
-use tessera::internals::service::{
-    self, About, Access, Jobs, Metrics, Parts, Readiness, SERVICE_NAME, ServeError,
-};
+use tessera::internals::service::{self, About, Access, Jobs, Metrics, Parts, Readiness, SERVICE_NAME, ServeError};
 use tessera::mesh::shapes::Shape;
 use tessera::proto::*;
 use tessera::{BackendKind, RvdError};

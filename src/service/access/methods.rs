@@ -34,6 +34,7 @@ const METHODS: &[(&str, &str, Role)] = &[
     ("tessera.v1.JobService", "CancelJob", Role::Submit),
     ("tessera.v1.JobService", "DeleteJob", Role::Submit),
     ("tessera.v1.JobService", "EstimateJob", Role::Read),
+    ("tessera.v1.ServerService", "GetServerInfo", Role::Read),
 ];
 
 /// Services that are not ours.

@@ -1,7 +1,7 @@
 //! A request's body, as the transport sees it.
 //!
 //! Purpose: [`Arriving`] counts what has come of a message that is not whole yet, which nobody else can see, and refuses it
-//! where the server's memory is used up, or where no message of that size is expected. Invariant: bytes are counted from
+//! where the server's memory is used up, or where no message of that size is expected, compressed or not. Invariant: bytes are counted from
 //! when they come until their message is whole or the stream is gone; the bytes themselves go through unchanged.
 //! Must not know: what messages say.
 
@@ -14,6 +14,7 @@ use tonic::codegen::{Body, Bytes, StdError};
 
 use super::super::RequestError;
 use super::super::budget::Budget;
+use super::unpacking::{Unpacking, Wrong};
 
 /// Before a message: whether it is compressed, and its length.
 const PREFIX: usize = 5;
@@ -36,11 +37,16 @@ pub(super) struct Arriving<B> {
     missing: u64,
     /// Counted in the budget.
     charged: u64,
+    /// How messages are compressed that say they are.
+    encoding: Option<Vec<u8>>,
+    /// A compressed message on its way.
+    unpacking: Option<Unpacking>,
 }
 
 impl<B> Arriving<B> {
-    pub(super) fn new(inner: B, budget: Budget, most: u64) -> Self {
-        Self { inner, budget, most, prefix: [0; PREFIX], known: 0, missing: 0, charged: 0 }
+    pub(super) fn new(inner: B, budget: Budget, most: u64, encoding: Option<Vec<u8>>) -> Self {
+        let unpacking = None;
+        Self { inner, budget, most, prefix: [0; PREFIX], known: 0, missing: 0, charged: 0, encoding, unpacking }
     }
 
     /// Takes note of bytes that have come.
@@ -54,19 +60,30 @@ impl<B> Arriving<B> {
                 if self.known < PREFIX {
                     break;
                 }
-                let [_, length @ ..] = self.prefix;
+                let [is_compressed, length @ ..] = self.prefix;
                 self.missing = u64::from(u32::from_be_bytes(length));
                 if self.missing > self.most {
                     let (length, most) = (self.missing, self.most);
                     return Err(RequestError::MessageTooLong { length, most }.into());
                 }
+                self.unpacking = (is_compressed == 1).then(|| Unpacking::new(self.encoding.as_deref(), self.most));
             }
             let here = (bytes.len() as u64).min(self.missing);
             self.missing -= here;
             self.charge(here);
-            bytes = &bytes[here as usize..];
+            let (here, rest) = bytes.split_at(here as usize);
+            bytes = rest;
+            if let Some(unpacking) = &mut self.unpacking {
+                unpacking.add(here).map_err(|wrong| match wrong {
+                    Wrong::TooLong => RequestError::Unpacked { most: self.most },
+                    Wrong::Damaged => RequestError::Inbound(Status::invalid_argument(
+                        "a message is not compressed as it says, or has a window above 8 MiB",
+                    )),
+                })?;
+            }
             if self.missing == 0 {
                 self.known = 0;
+                self.unpacking = None;
                 self.release();
             }
         }
@@ -143,7 +160,7 @@ mod tests {
         let all = [message(1000), message(0), message(3), message(70_000)].concat();
         for step in [1, 2, 5, 7, 999, 1006, 4096, all.len()] {
             let budget = Budget::new(1 << 20);
-            let mut body = Arriving::new((), budget.clone(), 1 << 20);
+            let mut body = Arriving::new((), budget.clone(), 1 << 20, None);
             let mut come = 0;
             for part in all.chunks(step) {
                 body.note(part).unwrap();
@@ -162,7 +179,7 @@ mod tests {
     #[test]
     fn a_message_that_never_ends_is_refused_once_memory_is_used_up() {
         let budget = Budget::new(1 << 20);
-        let mut bodies: Vec<_> = (0..4).map(|_| Arriving::new((), budget.clone(), 4 << 20)).collect();
+        let mut bodies: Vec<_> = (0..4).map(|_| Arriving::new((), budget.clone(), 4 << 20, None)).collect();
         let long = message(4 << 20);
         let mut refused = 0;
         for part in long[..1 << 19].chunks(1 << 14) {
@@ -181,7 +198,7 @@ mod tests {
 
     #[test]
     fn a_message_that_nobody_expects_is_refused_by_its_length() {
-        let mut body = Arriving::new((), Budget::new(1 << 20), 1000);
+        let mut body = Arriving::new((), Budget::new(1 << 20), 1000, None);
         body.note(&message(1000)).unwrap();
         assert_eq!(body.note(&message(1001)[..PREFIX]).unwrap_err().code(), Code::ResourceExhausted);
     }

@@ -39,6 +39,9 @@ const SEND_BUFFER: usize = 128 << 10;
 /// How the paths of the services begin that take uploads.
 const OURS: &str = "/tessera.v1.";
 
+/// The header that says how messages are compressed.
+const ENCODING: &str = "grpc-encoding";
+
 /// The longest message to health and reflection, bytes.
 const QUESTION: u64 = 64 << 10;
 
@@ -320,6 +323,7 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
         }
         request.extensions_mut().insert(Arc::clone(&exchange));
         request.extensions_mut().insert(self.state.peer);
+        let encoding = request.headers().get(ENCODING).map(|value| value.as_bytes().to_vec());
         let uploads = request.uri().path().starts_with(OURS);
         let most = if uploads { self.common.limits.transport.message_bytes as u64 } else { QUESTION };
         let budget = self.common.budget.clone();
@@ -327,7 +331,8 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
         let mut phase = self.phase.clone();
         let span = account.span();
         let work = async move {
-            let response = routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most)))).await;
+            let response =
+                routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most, encoding)))).await;
             let response = if exchange.admitted() { response } else { unread::told(response) };
             exchange.answer();
             account.begun(response.status(), response.headers());
