@@ -42,7 +42,7 @@ pub mod job {
     pub use crate::job::{
         Ask, Backends, Bytes, Ceilings, Engine, EngineOptions, JobError, LossPolicy, MakePool, Weights, Wish,
     };
-    pub use crate::job::{Executor, ExecutorOptions, JobBounds, Stores};
+    pub use crate::job::{BlobRoom, Executor, ExecutorOptions, JobBounds, Stores};
     pub use crate::job::{desk, event, record, state, store};
 }
 

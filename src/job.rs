@@ -10,6 +10,7 @@
 //! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
 //! Must not know: gRPC, messages, the command line.
 
+mod bytes;
 pub mod desk;
 pub(crate) mod diagram;
 pub(crate) mod estimate;
@@ -44,11 +45,12 @@ use crate::rvd::{Backend, BackendKind, RvdError};
 use crate::token::{Stopped, Token};
 
 pub use crate::rvd::BackendChoice as Wish;
-pub use executor::{Executor, ExecutorOptions, Stores};
+pub use bytes::Bytes;
+pub use executor::{BlobRoom, Executor, ExecutorOptions, Stores};
 pub use input::JobBounds;
 pub use loss::LossPolicy;
 pub use queue::Place;
-pub use schedule::{Ask, Bytes};
+pub use schedule::Ask;
 pub use watchdog::Ceilings;
 pub(crate) use watchdog::Work;
 pub use weights::Weights;

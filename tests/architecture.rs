@@ -131,7 +131,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("socket2", &["service/connections"]),
     ("flate2", &["service/connections/unpacking"]),
     ("zstd", &["service/connections/unpacking"]),
-    ("rustix", &["service/connections"]),
+    ("rustix", &["blob/staging", "service/connections"]),
     ("object_store", &["blob"]),
     ("reqwest", &["blob/s3"]),
     ("rustls", &["blob/s3", "service/connections"]),

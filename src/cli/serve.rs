@@ -14,15 +14,13 @@ use tokio::task::JoinSet;
 use super::exit::{BadTls, NoDevice, NotWritten, Stuck, Unavailable};
 use super::{backends, interrupt};
 use crate::admin::{self, Admin};
-#[cfg(not(feature = "s3"))]
-use crate::blob::BlobError;
-use crate::blob::BlobOptions;
 use crate::config::{JobCeilings, Limits, OnLoss, SecurityArgs, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
 use crate::job::desk::DeskError;
 use crate::job::store::StoreError;
 use crate::job::{
-    Backends, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, LossPolicy, Stores, Wish,
+    Backends, BlobRoom, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, LossPolicy,
+    Stores, Wish,
 };
 use crate::memory;
 use crate::mesh::TriMesh;
@@ -34,20 +32,16 @@ use crate::token::Token;
 
 /// Opens what is kept, and says where that is.
 async fn stores(config: &ServeConfig) -> Result<Stores> {
-    let blobs =
-        BlobOptions::default().with_quota_bytes(config.blob_bytes).with_reserve_bytes(config.disk_reserve_bytes);
+    let room = BlobRoom { quota_bytes: config.blob_bytes, reserve_bytes: config.disk_reserve_bytes };
     let Some(folder) = &config.data_dir else {
         tracing::info!("jobs and blobs are kept in memory and gone with the server");
-        return Ok(Stores::ephemeral(blobs));
+        return Ok(Stores::ephemeral(room));
     };
     let cannot = |error| Unavailable(format!("cannot make {}: {error}; give another --data-dir", folder.display()));
     std::fs::create_dir_all(folder).map_err(cannot)?;
     let stores = match &config.bucket {
-        None => Stores::in_folder(folder.clone(), blobs).await,
-        #[cfg(feature = "s3")]
-        Some(url) => Stores::in_bucket(folder.clone(), url, blobs).await,
-        #[cfg(not(feature = "s3"))]
-        Some(_) => Err(BlobError::Unavailable("built without the feature s3".to_owned()).into()),
+        None => Stores::in_folder(folder.clone(), room).await,
+        Some(url) => Stores::in_bucket(folder.clone(), url, room).await,
     };
     let stores = stores.map_err(|error| unusable(config, &error))?;
     match &config.bucket {

@@ -5,8 +5,8 @@
 //! Invariant: pure, without clock or files. Monotone in every count, and nothing overflows.
 //! Must not know: queues, records of jobs, how counts were found.
 
+use super::bytes::Bytes;
 use super::record::{DensityKind, PlacementRule};
-use super::schedule::Bytes;
 use crate::rvd::{BackendKind, SessionForecast};
 
 /// The kind of a job.

@@ -19,6 +19,7 @@ use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 
 use super::JobError;
+use super::bytes::Bytes;
 use super::desk::{DeskError, Estimate, JobDesk};
 use super::estimate::Counts;
 use super::event::{Events, Progress};
@@ -26,7 +27,7 @@ use super::forecast::{Forecast, must_fit};
 use super::input::JobBounds;
 use super::observer::Origin;
 use super::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
-use super::schedule::{Ask, Bytes};
+use super::schedule::Ask;
 use super::state::State;
 use super::store::{
     Created, JobStore, Keep, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, StoreError,
@@ -78,6 +79,28 @@ impl ExecutorOptions {
     }
 }
 
+/// What blobs may take.
+#[derive(Clone, Copy, Debug)]
+pub struct BlobRoom {
+    /// All together, bytes.
+    pub quota_bytes: u64,
+    /// Of the disk they leave so much free, bytes.
+    pub reserve_bytes: u64,
+}
+
+impl Default for BlobRoom {
+    fn default() -> Self {
+        let BlobOptions { quota_bytes, reserve_bytes, .. } = BlobOptions::default();
+        Self { quota_bytes, reserve_bytes }
+    }
+}
+
+impl BlobRoom {
+    fn options(self) -> BlobOptions {
+        BlobOptions::default().with_quota_bytes(self.quota_bytes).with_reserve_bytes(self.reserve_bytes)
+    }
+}
+
 /// Where jobs and blobs are kept.
 #[derive(Clone)]
 pub struct Stores {
@@ -88,13 +111,13 @@ pub struct Stores {
 }
 
 impl Stores {
-    /// In a folder, which is made if need be; blobs as the options say.
+    /// In a folder, which is made if need be; with so much room for blobs.
     ///
     /// # Errors
     /// `InUse` if another process has it, or why it cannot be used.
-    pub async fn in_folder(folder: PathBuf, blobs: BlobOptions) -> Result<Self, DeskError> {
+    pub async fn in_folder(folder: PathBuf, room: BlobRoom) -> Result<Self, DeskError> {
         let jobs = journal(folder.clone()).await?;
-        let blobs = ObjectBlobs::local(folder.join("blobs"), blobs).await?;
+        let blobs = ObjectBlobs::local(folder.join("blobs"), room.options()).await?;
         Ok(Self { jobs, blobs: Arc::new(blobs) })
     }
 
@@ -103,16 +126,23 @@ impl Stores {
     ///
     /// # Errors
     /// `InUse` if another process has the folder, or why folder or bucket cannot be used.
-    #[cfg(feature = "s3")]
-    pub async fn in_bucket(folder: PathBuf, url: &str, blobs: BlobOptions) -> Result<Self, DeskError> {
-        let jobs = journal(folder).await?;
-        let blobs = ObjectBlobs::s3(url, [], blobs).await?;
-        Ok(Self { jobs, blobs: Arc::new(blobs) })
+    pub async fn in_bucket(folder: PathBuf, url: &str, room: BlobRoom) -> Result<Self, DeskError> {
+        #[cfg(feature = "s3")]
+        {
+            let jobs = journal(folder).await?;
+            let blobs = ObjectBlobs::s3(url, [], room.options()).await?;
+            Ok(Self { jobs, blobs: Arc::new(blobs) })
+        }
+        #[cfg(not(feature = "s3"))]
+        {
+            let _ = (folder, room);
+            Err(BlobError::Unavailable(format!("{url}: this program was built without the feature s3")).into())
+        }
     }
 
-    /// In memory, gone with the process; blobs as the options say.
-    pub fn ephemeral(blobs: BlobOptions) -> Self {
-        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(blobs)) }
+    /// In memory, gone with the process; with so much room for blobs.
+    pub fn ephemeral(room: BlobRoom) -> Self {
+        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(room.options())) }
     }
 }
 

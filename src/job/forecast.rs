@@ -10,10 +10,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use futures_util::TryStreamExt;
 use tokio::sync::Semaphore;
 
+use super::bytes::Bytes;
 use super::desk::{DeskError, Memory};
 use super::estimate::{Counts, Kind, Need, need};
 use super::record::{DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput, SeedSource, WorkSpec};
-use super::schedule::Bytes;
 use super::worker::Engine;
 use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use crate::mesh::io;

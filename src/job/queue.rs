@@ -312,7 +312,7 @@ impl<T: Item> State<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::job::schedule::Bytes;
+    use crate::job::bytes::Bytes;
 
     struct Ticket(u32, bool, Token);
 

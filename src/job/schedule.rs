@@ -20,37 +20,12 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use super::bytes::Bytes;
+
 use super::observer::Origin;
 
 /// How long others may pass a job that does not fit.
 const PASSED: Duration = Duration::from_secs(10);
-
-/// Memory, bytes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Bytes {
-    /// Of the process.
-    pub host: u64,
-    /// Of the device; 0 for a job on a CPU.
-    pub device: u64,
-}
-
-impl Bytes {
-    /// More than there ever is.
-    pub const MAX: Self = Self { host: u64::MAX, device: u64::MAX };
-
-    /// Whether both are at most those of `room`.
-    pub fn fits(self, room: Self) -> bool {
-        self.host <= room.host && self.device <= room.device
-    }
-
-    fn plus(self, other: Self) -> Self {
-        Self { host: self.host.saturating_add(other.host), device: self.device.saturating_add(other.device) }
-    }
-
-    fn minus(self, other: Self) -> Self {
-        Self { host: self.host.saturating_sub(other.host), device: self.device.saturating_sub(other.device) }
-    }
-}
 
 /// How many jobs may be at work at once, and what they may need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -15,12 +15,13 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
 
+use super::bytes::Bytes;
 use super::gate::Gate;
 use super::loss::{Absence, LossPolicy};
 use super::observer::{Observer, Told, Waiting};
 use super::pools::Pools;
 use super::queue::{Item, Lane, Place, Popped, Queue, Taken};
-use super::schedule::{Bytes, Slots};
+use super::schedule::Slots;
 use super::watchdog::{Ceilings, Watchdog, Watched, Work};
 use super::weights::Weights;
 use super::{BackendInfo, Backends, JobError, Wish};

@@ -13,7 +13,6 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::json;
-use tessera::internals::blob::BlobOptions;
 use tessera::internals::config::Limits;
 use tessera::internals::gpu::{Device, DeviceOptions};
 use tessera::internals::job::*;
@@ -82,7 +81,7 @@ impl Server {
         let limits = Limits::default();
         let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
         let bounds = JobBounds { max_vertices, max_facets, max_seeds, max_iterations };
-        let stores = Stores::ephemeral(BlobOptions::default());
+        let stores = Stores::ephemeral(BlobRoom::default());
         let blobs = Arc::clone(&stores.blobs);
         let desk = Executor::start(engine.clone(), stores, ExecutorOptions::new(bounds)).await.unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
