@@ -113,6 +113,9 @@ fn said(url: &ServerUrl, status: &Status) -> anyhow::Error {
     let said = words(status);
     match status.code() {
         Code::InvalidArgument => BadInput(format!("the server says: {said}")).into(),
+        Code::Unauthenticated => {
+            Unavailable(format!("the server says: {said}; --key-file FILE names the file of the key")).into()
+        }
         // Nobody here cancelled it: that would not have waited for a status.
         Code::Cancelled => Unavailable(format!("the server cancelled the job: {said}; try again")).into(),
         _ => Unavailable(format!("the server says: {said}")).into(),
