@@ -58,6 +58,7 @@ fn variable(key: &str) -> String {
 /// Three values that an option takes, as the file has them.
 fn values(key: &str, default: Option<&str>) -> [String; 3] {
     let all = match default {
+        _ if key == "on_device_loss" => ["\"exit\"", "\"cpu\"", "\"exit\""],
         _ if key == "backend" => ["\"gpu\"", "\"serial\"", "\"parallel\""],
         Some("true" | "false") => ["true", "false", "true"],
         Some(text) if text.starts_with('"') && text.ends_with("h\"") || text.ends_with("d\"") => {
