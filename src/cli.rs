@@ -22,6 +22,7 @@ mod health;
 mod info;
 mod interrupt;
 mod jobs;
+mod journal;
 mod keys;
 mod picture;
 mod plain;
@@ -90,6 +91,8 @@ enum Command {
     Jobs(jobs::JobsArgs),
     /// Store files at a server and fetch them.
     Blobs(blobs::BlobsArgs),
+    /// Say what a server's journal of jobs holds, and mend a damaged one; the server does not run meanwhile.
+    Journal(journal::JournalArgs),
     /// Make, list and revoke the keys of a server, in its folder.
     Keys(keys::KeysArgs),
     /// Say whether a server takes calls; exit code 69 if it does not.
@@ -136,6 +139,7 @@ fn run() -> u8 {
         Command::Rvd(args) => rvd::run(args),
         Command::Jobs(args) => jobs::run(args),
         Command::Blobs(args) => blobs::run(args),
+        Command::Journal(args) => journal::run(args),
         Command::Keys(args) => keys::run(args),
         Command::Health(args) => health::run(args),
         Command::Info(args) => info::run(args),

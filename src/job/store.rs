@@ -25,6 +25,7 @@ use super::event::{Events, Progress};
 use super::record::{Change, Holder, Job, JobId, JobIdError, Time, ValidSpec};
 use super::state::{State, TransitionError};
 
+pub use self::redb::repair::{Findings, check, repair};
 pub use self::redb::{RedbOptions, RedbStore};
 pub use memory::MemoryStore;
 
@@ -293,7 +294,7 @@ pub enum StoreError {
         holder: Option<String>,
     },
     /// What is kept cannot be read.
-    #[error("the journal {} is damaged: {what}; restore it from a copy, or move it away to begin with none", path.display())]
+    #[error("the journal {} is damaged: {what}; `tessera journal repair` saves what can be read; or restore it from a copy, or move it away to begin with none", path.display())]
     Damaged {
         /// The file, or the record in it.
         path: PathBuf,

@@ -6,6 +6,7 @@
 #![cfg(unix)]
 
 mod commands;
+mod damage;
 mod device;
 mod figures;
 mod frames;

@@ -144,6 +144,20 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -
     Ok(Created { job: Job { id, spec: wanted, status: head.status }, existed: false })
 }
 
+/// Writes a job as another journal had it, with all its indexes.
+pub(crate) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[u8], log: &[u8]) -> Done<()> {
+    put_head(tables, id, head)?;
+    tables.put(Table::Specs, &id.0, spec)?;
+    tables.put(Table::Logs, &id.0, log)?;
+    if !head.request_id.is_empty() {
+        tables.put(Table::Requests, &request_key(&head.tenant, &head.request_id), &id.0)?;
+    }
+    for term in terms(head, id) {
+        tables.put(Table::Terms, &term, &[])?;
+    }
+    index(tables, id, &head.status)
+}
+
 /// The job that the same request made before.
 pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &ValidSpec) -> Done<Option<Job>> {
     if wanted.request_id.is_empty() {

@@ -7,6 +7,8 @@
 //! state. A failed commit ends the store, since nobody knows what of it the disk has. Must not know: what operations do.
 
 mod directory;
+pub(crate) mod repair;
+mod salvage;
 
 use std::cell::Cell;
 use std::collections::HashMap;

@@ -57,6 +57,15 @@ impl Directory {
         Ok((directory, database))
     }
 
+    /// A directory that is there, with nothing in it opened.
+    pub(super) fn locked(path: &Path) -> Result<Self, StoreError> {
+        let directory = Self { path: path.to_owned(), _lock: lock(path)? };
+        match length(&directory.journal())? {
+            Some(_) => Ok(directory),
+            None => Err(damaged(&directory.journal(), "it is not there")),
+        }
+    }
+
     pub(super) fn journal(&self) -> PathBuf {
         self.path.join("journal.redb")
     }
@@ -88,7 +97,7 @@ impl Directory {
         self.name(&new, &path)
     }
 
-    fn name(&self, new: &Path, path: &Path) -> Result<(), StoreError> {
+    pub(super) fn name(&self, new: &Path, path: &Path) -> Result<(), StoreError> {
         fs::rename(new, path).map_err(io("write", path))?;
         // Names are on the disk once their directory is. Only Unix opens directories as files.
         match cfg!(unix) {
