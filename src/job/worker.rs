@@ -541,11 +541,17 @@ impl Shared {
         if now != generation || (!pause.is_zero() && maker.tried.elapsed() < pause) {
             return;
         }
-        if *self.device.borrow() == Device::Ready {
-            self.losses.fetch_add(1, Ordering::Relaxed);
+        let before = *self.device.borrow();
+        match before {
+            Device::Ready | Device::Replaced => {
+                self.losses.fetch_add(1, Ordering::Relaxed);
+                self.observer.lost_device();
+                self.device.send_replace(Device::Lost);
+            }
+            Device::Lost => {}
+            // Nobody waits for it any more.
+            Device::Missing | Device::Gone => return,
         }
-        self.device.send_replace(Device::Lost);
-        self.observer.lost_device();
         tracing::warn!("the device was lost; making it anew");
         let install = |new, state| {
             *self.current.write().unwrap_or_else(PoisonError::into_inner) = (generation + 1, new);

@@ -44,6 +44,7 @@ struct Server {
     device: Arc<Mutex<Option<Arc<Device>>>>,
     /// Whether the device can be opened.
     is_there: Arc<Mutex<bool>>,
+    journal: Arc<dyn store::JobStore>,
     stop: oneshot::Sender<()>,
     served: tokio::task::JoinHandle<Result<(), ServeError>>,
 }
@@ -83,6 +84,7 @@ impl Server {
         let bounds = JobBounds { max_vertices, max_facets, max_seeds, max_iterations };
         let stores = Stores::ephemeral(BlobRoom::default());
         let blobs = Arc::clone(&stores.blobs);
+        let journal = Arc::clone(&stores.jobs);
         let desk = Executor::start(engine.clone(), stores, ExecutorOptions::new(bounds)).await.unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
@@ -102,7 +104,7 @@ impl Server {
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;
         }));
-        Self { address, engine, device, is_there, stop, served }
+        Self { address, engine, device, is_there, journal, stop, served }
     }
 
     async fn client(&self) -> Client {
@@ -191,10 +193,12 @@ async fn no_job_is_lost_with_its_device() {
     let server = Server::start(LossPolicy::Wait, Duration::from_secs(30)).await;
     let mut client = server.client().await;
     let digest = client.put_mesh(&Shape::Genus(3).build(1_200)).await;
+    let calm_began = Instant::now();
     let calm = client.submit(remesh(&digest, 150, 1)).await;
     let calm = client.end(&calm, LIMIT).await;
     assert_eq!(calm.state(), JobState::Succeeded, "{calm:?}");
     let expected = part(&calm, "mesh");
+    let calm_s = calm_began.elapsed().as_secs_f64();
     let (mut told, mut ended) = (Vec::new(), Vec::new());
     for time in 0..losses + hangs {
         let mut health = server.health().await;
@@ -221,7 +225,7 @@ async fn no_job_is_lost_with_its_device() {
     assert!(told.iter().all(|seconds| *seconds < 1.0), "NOT_SERVING in time: {told:?}");
     println!(
         "{}",
-        json!({ "losses": losses, "hangs": hangs, "not_serving_after_s": told, "job_ended_after_s": ended })
+        json!({ "losses": losses, "hangs": hangs, "calm_s": calm_s, "not_serving_after_s": told, "job_ended_after_s": ended })
     );
     server.stop().await.unwrap();
 }
@@ -256,6 +260,9 @@ async fn a_device_that_does_not_come_back_ends_the_server_or_its_use() {
     steps(&mut client, &id).await;
     *server.is_there.lock().unwrap() = false;
     server.lose();
+    let journal = Arc::clone(&server.journal);
     let ended = tokio::time::timeout(LIMIT, server.served).await.expect("it ends").unwrap();
     assert!(matches!(ended, Err(ServeError::DeviceMissing)), "{ended:?}");
+    let job = journal.get(id.parse().unwrap()).await.unwrap();
+    assert_eq!((job.status.state, job.status.crashes), (state::State::Queued, 0));
 }

@@ -18,7 +18,7 @@ use crate::job::observer;
 use crate::job::perform::{Parts, Surroundings, perform};
 use crate::job::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
 use crate::job::store::StoreError;
-use crate::job::worker::{ATTEMPTS, Turn};
+use crate::job::worker::{ATTEMPTS, Device, Turn};
 use crate::job::{Backends, JobError};
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
@@ -33,6 +33,11 @@ pub(super) struct Work {
     id: JobId,
     claimed: Option<Job>,
     attempts: usize,
+}
+
+/// Whether this process ends for want of its device.
+fn is_ending(inner: &Inner) -> bool {
+    *inner.engine.watch_device().borrow() == Device::Missing
 }
 
 /// Reads blobs on a thread that may wait.
@@ -256,6 +261,8 @@ impl AtWork {
             JobError::Mesh(_) => failed(FailureKind::BadInput, text),
             JobError::Rvd(error) | JobError::Remesh(RemeshError::Rvd(error)) => match error {
                 RvdError::OutOfMemory { .. } | RvdError::NeverFits { .. } => failed(FailureKind::TooLarge, text),
+                // The process ends; the next one, or another machine, has a device.
+                RvdError::DeviceLost(_) if is_ending(&self.inner) => Change::Release,
                 RvdError::DeviceLost(_) | RvdError::BackendUnavailable { .. } => failed(FailureKind::Unavailable, text),
                 RvdError::Device(_) | RvdError::Internal(_) => {
                     tracing::error!(id = %job.id, %text, "work failed");
