@@ -4,16 +4,19 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
-use tessera::internals::blob::{BlobStore, Digest};
+use tessera::internals::blob::{BlobError, BlobStore, Digest};
 use tessera::internals::job::desk::{DeskError, Estimate, JobDesk};
 use tessera::internals::job::event::Events;
 use tessera::internals::job::record::*;
 use tessera::internals::job::store::*;
+use tokio::sync::watch;
 
 /// See the module's head.
 pub struct Idle {
     pub store: MemoryStore,
     pub blobs: Arc<dyn BlobStore>,
+    /// Why nothing can be stored.
+    pub storage: watch::Sender<Option<BlobError>>,
     names: AtomicU64,
 }
 
@@ -24,7 +27,7 @@ pub fn now() -> Time {
 
 impl Idle {
     pub fn new(blobs: Arc<dyn BlobStore>) -> Self {
-        Self { store: MemoryStore::new(), blobs, names: AtomicU64::new(0) }
+        Self { store: MemoryStore::new(), blobs, storage: watch::Sender::new(None), names: AtomicU64::new(0) }
     }
 
     async fn own(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
@@ -98,8 +101,8 @@ impl JobDesk for Idle {
         std::future::pending().await
     }
 
-    fn storage(&self) -> tokio::sync::watch::Receiver<Option<tessera::internals::blob::BlobError>> {
-        tokio::sync::watch::channel(None).1
+    fn storage(&self) -> watch::Receiver<Option<BlobError>> {
+        self.storage.subscribe()
     }
 
     async fn drain(&self) {}

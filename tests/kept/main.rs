@@ -14,6 +14,7 @@ mod full_disk;
 mod jobs;
 mod keys;
 mod kills;
+mod load;
 mod program;
 #[path = "../service/raw.rs"]
 #[allow(dead_code)]

@@ -7,8 +7,9 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
+use tessera::internals::blob::BlobError;
 use tessera::internals::config::Limits;
-use tessera::internals::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Reason, SERVER_SERVICE_NAME, SERVICE_NAME};
+use tessera::internals::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME, SERVER_SERVICE_NAME, SERVICE_NAME};
 use tessera::proto::server_service_client::ServerServiceClient;
 use tessera::proto::*;
 use tessera::rvd::{
@@ -123,7 +124,7 @@ async fn a_backend_at_work_is_not_probed() {
 async fn each_service_says_how_it_is() {
     let server = Server::start(Setup::default()).await;
     let mut health = HealthClient::new(server.channel().await);
-    server.readiness.set(Reason::DiskFull, true);
+    server.desk.storage.send_replace(Some(BlobError::StorageFull));
     for (name, expected) in [
         ("", ServingStatus::NotServing),
         (SERVICE_NAME, ServingStatus::Serving),
