@@ -94,7 +94,7 @@ async fn crowd(clients: usize, facets: usize, points: u64, length: Duration) {
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread")]
 async fn many_clients_are_all_served() {
-    crowd(48, 600, 40, length(2.0)).await;
+    crowd(24, 600, 40, length(2.0)).await;
 }
 
 #[cfg(target_os = "linux")]
