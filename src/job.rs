@@ -11,8 +11,10 @@
 //! Must not know: gRPC, messages, the command line.
 
 mod bytes;
+mod call;
 pub mod desk;
 pub(crate) mod diagram;
+mod engine;
 pub(crate) mod estimate;
 pub mod event;
 mod executor;
@@ -46,6 +48,10 @@ use crate::token::{Stopped, Token};
 
 pub use crate::rvd::BackendChoice as Wish;
 pub use bytes::Bytes;
+pub use call::Retry;
+pub(crate) use call::{Timed, Turn};
+pub use engine::Engine;
+pub(crate) use engine::{Pending, Ticket};
 pub use executor::{BlobRoom, Executor, ExecutorOptions, Stores};
 pub use input::JobBounds;
 pub use loss::LossPolicy;
@@ -54,8 +60,8 @@ pub use schedule::Ask;
 pub use watchdog::Ceilings;
 pub(crate) use watchdog::Work;
 pub use weights::Weights;
-pub(crate) use worker::{Device, Pending, Ticket, Timed, Turn};
-pub use worker::{Engine, EngineOptions, Retry};
+pub(crate) use worker::Device;
+pub use worker::EngineOptions;
 
 /// Makes a CPU backend with so many threads of its own.
 pub type MakePool = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;

@@ -21,6 +21,7 @@ use tokio::sync::{mpsc, watch};
 use super::JobError;
 use super::bytes::Bytes;
 use super::desk::{DeskError, Estimate, JobDesk};
+use super::engine::Engine;
 use super::estimate::Counts;
 use super::event::{Events, Progress};
 use super::forecast::{Forecast, must_fit};
@@ -32,7 +33,6 @@ use super::state::State;
 use super::store::{
     Created, JobStore, Keep, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, StoreError,
 };
-use super::worker::Engine;
 use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
 use crate::trace;
 use queue::{JobQueue, LocalQueue};

@@ -12,9 +12,9 @@ use tokio::sync::Semaphore;
 
 use super::bytes::Bytes;
 use super::desk::{DeskError, Memory};
+use super::engine::Engine;
 use super::estimate::{Counts, Kind, Need, need};
 use super::record::{DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput, SeedSource, WorkSpec};
-use super::worker::Engine;
 use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use crate::mesh::io;
 use crate::remesh::RemeshOptions;

@@ -1,32 +1,30 @@
-//! The host threads that do the work, and the handle to them.
+//! The host threads that do the work.
 //!
-//! Purpose: [`Engine::submit`] from any task, work on a bounded number of OS threads, an answer with times. A job stays on
-//! one of them; the device is shared by the pass ([`gate`](super::gate)).
+//! Purpose: work on a bounded number of OS threads. A job stays on one of them; the device is shared by the pass
+//! ([`gate`](super::gate)).
 //! Invariant: a lost device is replaced once, by whoever finds it lost, before the next piece; a piece that can be begun
 //! anew waits for the new device and is tried up to three times. Must not know: what a piece computes.
 
-use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
-use std::thread::{Builder, JoinHandle};
+use std::thread::Builder;
 use std::time::{Duration, Instant};
 
-use tokio::sync::{oneshot, watch};
+use tokio::sync::watch;
 
 use super::bytes::Bytes;
+use super::call::{Outcome, Task, text};
 use super::gate::Gate;
 use super::loss::{Absence, LossPolicy};
-use super::observer::{Observer, Told, Waiting};
+use super::observer::Observer;
 use super::pools::Pools;
-use super::queue::{Item, Lane, Place, Popped, Queue, Taken};
+use super::queue::{Item, Lane, Popped, Queue, Taken};
 use super::schedule::Slots;
-use super::watchdog::{Ceilings, Watchdog, Watched, Work};
+use super::watchdog::{Ceilings, Watchdog};
 use super::weights::Weights;
-use super::{BackendInfo, Backends, JobError, Wish};
-use crate::rvd::DeviceFacts;
-use crate::token::{StageListener, Token};
+use super::{Backends, JobError};
 
 /// How the engine is set up.
 #[derive(Clone, Copy, Debug)]
@@ -88,96 +86,15 @@ pub enum Device {
     Gone,
 }
 
-/// Whether a piece may be begun anew after the device was lost.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Retry {
-    /// Its state is made inside, so it can.
-    Anew,
-    /// Its state was on the lost device.
-    Never,
-}
-
-/// What a piece of work sees besides the backends.
-#[derive(Clone, Debug)]
-pub struct Turn {
-    /// Set when the caller has gone or the process must end.
-    pub token: Token,
-    /// Milliseconds the piece waited.
-    pub queue_ms: f64,
-    /// Is told of what is done.
-    pub(crate) told: Arc<Told>,
-}
-
-/// An answer and what it took.
-#[derive(Clone, Debug)]
-pub struct Timed<R> {
-    /// The answer.
-    pub value: R,
-    /// Milliseconds in the queue.
-    pub queue_ms: f64,
-    /// Milliseconds of work.
-    pub compute_ms: f64,
-}
-
-/// Work that was submitted. Dropping it cancels the work.
-#[derive(Debug)]
-pub struct Pending<R> {
-    /// How many were ahead of it.
-    pub position: usize,
-    reply: oneshot::Receiver<Result<Timed<R>, JobError>>,
-    token: Token,
-    answered: bool,
-}
-
-impl<R> Drop for Pending<R> {
-    fn drop(&mut self) {
-        // The token may be that of more work to come.
-        if !self.answered {
-            self.token.cancel();
-        }
-    }
-}
-
-impl<R> Pending<R> {
-    /// The answer. Cancellation-safe: can be polled again after it lost a `select!`.
-    ///
-    /// # Errors
-    /// The work's own, `Panicked`, `WorkerGone`.
-    pub async fn wait(&mut self) -> Result<Timed<R>, JobError> {
-        let answer = (&mut self.reply).await.unwrap_or(Err(JobError::WorkerGone));
-        self.answered = true;
-        answer
-    }
-
-    /// What stops it.
-    pub fn token(&self) -> &Token {
-        &self.token
-    }
-}
-
-/// A place in the queue that is kept for a job while it is uploaded. Given back when dropped, which is after the job
-/// was submitted as [`Place::Kept`].
-#[derive(Debug)]
-pub struct Ticket {
-    shared: Arc<Shared>,
-    number: u64,
-}
-
-impl Drop for Ticket {
-    fn drop(&mut self) {
-        self.shared.queue.give_back(self.number);
-    }
-}
-
-struct Shared {
-    observer: Arc<dyn Observer>,
-    watchdog: Watchdog,
-    queue: Queue<Box<dyn Task>>,
-    infos: Infos,
-    device: watch::Sender<Device>,
+pub(super) struct Shared {
+    pub(super) observer: Arc<dyn Observer>,
+    pub(super) watchdog: Watchdog,
+    pub(super) queue: Queue<Box<dyn Task>>,
+    pub(super) infos: Infos,
+    pub(super) device: watch::Sender<Device>,
     gate: Arc<Gate>,
     pools: Pools,
-    weights: Weights,
+    pub(super) weights: Weights,
     /// Rises with every replacement of what it stands beside.
     current: RwLock<(u64, Backends)>,
     maker: Mutex<Maker>,
@@ -185,7 +102,7 @@ struct Shared {
     loss: LossPolicy,
     loss_patience: Duration,
     /// Devices that were lost so far.
-    losses: AtomicU64,
+    pub(super) losses: AtomicU64,
 }
 
 /// Makes backends, now and after a loss.
@@ -210,197 +127,10 @@ impl std::fmt::Debug for Shared {
     }
 }
 
-/// The handle. Clones share the threads.
-#[derive(Clone, Debug)]
-pub struct Engine {
-    shared: Arc<Shared>,
-}
-
-impl Engine {
-    /// Starts the host threads. `factory` makes their backends, now and after a loss. Returns once they are there; what is
-    /// returned beside the handle ends when all threads have.
-    ///
-    /// # Errors
-    /// The factory's, or `Panicked`.
-    pub fn start(
-        factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
-        options: EngineOptions,
-    ) -> Result<(Self, JoinHandle<()>), JobError> {
-        Self::start_observed(factory, options, Arc::new(()))
-    }
-
-    /// The same, with somebody who counts what is done.
-    ///
-    /// # Errors
-    /// The factory's, or `Panicked`.
-    pub(crate) fn start_observed(
-        factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
-        options: EngineOptions,
-        observer: Arc<dyn Observer>,
-    ) -> Result<(Self, JoinHandle<()>), JobError> {
-        let (ready, answer) = std::sync::mpsc::sync_channel(1);
-        let thread = Builder::new()
-            .name("engine".to_owned())
-            .spawn(move || run(Box::new(factory), options, observer, &ready))
-            .map_err(|e| JobError::Panicked(format!("the engine's thread could not be started: {e}")))?;
-        let shared = answer.recv().unwrap_or(Err(JobError::WorkerGone))?;
-        Ok((Self { shared }, thread))
-    }
-
-    /// Who will do the work for a wish.
-    ///
-    /// # Errors
-    /// `BackendUnavailable`.
-    pub fn backend(&self, wish: Wish) -> Result<BackendInfo, JobError> {
-        self.shared.current().1.choose(wish).map(|backend| BackendInfo::of(backend.as_ref()))
-    }
-
-    /// Devices that were lost so far.
-    pub fn losses(&self) -> u64 {
-        self.shared.losses.load(Ordering::Relaxed)
-    }
-
-    /// Memory that jobs at work together may need.
-    pub fn memory(&self) -> Bytes {
-        self.shared.infos.slots.memory
-    }
-
-    /// Keeps a place for a job that is yet to be uploaded, so that it is refused now or not at all.
-    ///
-    /// # Errors
-    /// `QueueFull`, `Draining`.
-    pub fn reserve(&self) -> Result<Ticket, JobError> {
-        let number = self.shared.queue.keep()?;
-        Ok(Ticket { shared: Arc::clone(&self.shared), number })
-    }
-
-    /// A token for a job, whose ceiling on time counts what is done for it here and under [`Self::watch`].
-    pub fn token(&self) -> Token {
-        self.shared.watchdog.token(None)
-    }
-
-    /// The same for a job that is to take no longer than `limit`.
-    pub(crate) fn token_within(&self, limit: Option<Duration>) -> Token {
-        self.shared.watchdog.token(limit)
-    }
-
-    /// Watches work that is done for a job on another thread than a worker's, until what it returns is dropped.
-    pub fn watch(&self, token: &Token) -> Watched {
-        self.shared.watchdog.watch(token)
-    }
-
-    /// What the process holds that is no job's own work, bytes: whoever holds it keeps this at that. A job's ceiling on memory
-    /// does not count it.
-    pub(crate) fn held_besides(&self) -> Arc<AtomicI64> {
-        self.shared.watchdog.held_besides()
-    }
-
-    /// How work is that was told to stop.
-    pub fn watch_work(&self) -> watch::Receiver<Work> {
-        self.shared.watchdog.work()
-    }
-
-    /// Does work on the engine's threads, so that their number bounds what is done beside the jobs too.
-    pub fn on_threads<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
-        match &self.shared.infos.pool {
-            Some(pool) => pool.install(work),
-            None => work(),
-        }
-    }
-
-    /// Queues `work` with a token of its own. It is called on a host thread once, or again after a lost device if
-    /// `retry` allows it.
-    ///
-    /// # Errors
-    /// `QueueFull`, `Draining`.
-    pub fn submit<R: Send + 'static>(
-        &self,
-        place: Place,
-        retry: Retry,
-        work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
-    ) -> Result<Pending<R>, JobError> {
-        self.submit_as(self.token(), place, retry, work)
-    }
-
-    /// The same for a piece of the job that has this token.
-    ///
-    /// # Errors
-    /// `QueueFull`, `Draining`.
-    pub fn submit_as<R: Send + 'static>(
-        &self,
-        token: Token,
-        place: Place,
-        retry: Retry,
-        work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
-    ) -> Result<Pending<R>, JobError> {
-        let (sender, reply) = oneshot::channel();
-        let (goes_on, origin) = match &place {
-            Place::New(ask) | Place::Kept(ask) => (ask.goes_on, ask.origin),
-            Place::Session | Place::Continuation => (true, None),
-        };
-        let telling = Telling::Waits(Waiting::new(&self.shared.observer, origin));
-        let (work, reply_to, queued) = (Some(work), Some(sender), Instant::now());
-        let call = Call { work, goes_on, reply: reply_to, token: token.clone(), queued, retry, telling };
-        let position = self.shared.queue.push(place, Box::new(call))?;
-        Ok(Pending { position, reply, token, answered: false })
-    }
-
-    /// Drops `value` on a host thread: freeing much takes time.
-    pub fn dispose(&self, value: impl Send + 'static) {
-        let mut value = Some(value);
-        let (sender, _) = oneshot::channel();
-        let work = move |_: &Backends, _: &Turn| {
-            drop(value.take());
-            Ok(())
-        };
-        let call = Call {
-            work: Some(work),
-            goes_on: true,
-            reply: Some(sender),
-            token: Token::default(),
-            queued: Instant::now(),
-            retry: Retry::Never,
-            telling: Telling::Waits(Waiting::new(&self.shared.observer, None)),
-        };
-        // Nobody waits for it; popping drops it on a host thread, and so does its end.
-        let _ = self.shared.queue.push(Place::Continuation, Box::new(call));
-    }
-
-    /// How much each tenant counts beside others.
-    pub fn weights(&self) -> &Weights {
-        &self.shared.weights
-    }
-
-    /// The GPU backend's device as it is now; `None` if there is none.
-    pub(crate) fn device_facts(&self) -> Option<DeviceFacts> {
-        self.shared.current().1.gpu.ok()?.device_facts()
-    }
-
-    /// Waiting pieces, and whether one is at work.
-    pub fn load(&self) -> (usize, bool) {
-        self.shared.queue.load()
-    }
-
-    /// Follows the device's health.
-    pub fn watch_device(&self) -> watch::Receiver<Device> {
-        self.shared.device.subscribe()
-    }
-
-    /// Refuses new jobs; the threads end once the queue is empty.
-    pub fn close(&self) {
-        self.shared.queue.close();
-    }
-
-    /// Cancels everything that waits or runs.
-    pub fn cancel_all(&self) {
-        self.shared.queue.cancel_all();
-    }
-}
-
-struct Infos {
+pub(super) struct Infos {
     /// The threads of the CPU backend.
-    pool: Option<Arc<rayon::ThreadPool>>,
-    slots: Slots,
+    pub(super) pool: Option<Arc<rayon::ThreadPool>>,
+    pub(super) slots: Slots,
 }
 
 impl Infos {
@@ -410,7 +140,7 @@ impl Infos {
 }
 
 /// The engine's own thread: starts the others, and waits for their end.
-fn run(
+pub(super) fn run(
     factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
     options: EngineOptions,
     observer: Arc<dyn Observer>,
@@ -477,7 +207,7 @@ impl Shared {
     }
 
     /// The backends now, and how often they were replaced before.
-    fn current(&self) -> (u64, Backends) {
+    pub(super) fn current(&self) -> (u64, Backends) {
         self.current.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
@@ -604,167 +334,5 @@ impl Drop for EndOnPanic<'_> {
             self.0.queue.cancel_all();
             self.0.device.send_replace(Device::Gone);
         }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Outcome {
-    Answered,
-    DeviceLost,
-}
-
-trait Task: Item {
-    /// It is being done from now on.
-    fn begin(&mut self) -> Arc<Told>;
-    fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome;
-    fn goes_on(&self) -> bool;
-}
-
-impl Item for Box<dyn Task> {
-    fn is_wanted(&self) -> bool {
-        (**self).is_wanted()
-    }
-
-    fn token(&self) -> &Token {
-        (**self).token()
-    }
-}
-
-struct Call<R, F> {
-    work: Option<F>,
-    /// Whether what it makes goes on in later pieces, and so must not hold threads that are another job's then.
-    goes_on: bool,
-    reply: Option<oneshot::Sender<Result<Timed<R>, JobError>>>,
-    token: Token,
-    queued: Instant,
-    retry: Retry,
-    telling: Telling,
-}
-
-/// What is told of a call.
-enum Telling {
-    Waits(Waiting),
-    Runs(Arc<Told>),
-    /// Between the two.
-    Begins,
-}
-
-impl<R: Send, F: Send> Item for Call<R, F> {
-    fn is_wanted(&self) -> bool {
-        self.reply.as_ref().is_some_and(|reply| !reply.is_closed())
-    }
-
-    fn token(&self) -> &Token {
-        &self.token
-    }
-}
-
-/// Attempts after a lost device, the first included.
-pub(super) const ATTEMPTS: usize = 3;
-
-impl<R: Send, F: FnMut(&Backends, &Turn) -> Result<R, JobError> + Send> Task for Call<R, F> {
-    fn goes_on(&self) -> bool {
-        self.goes_on
-    }
-
-    fn begin(&mut self) -> Arc<Told> {
-        let told = match std::mem::replace(&mut self.telling, Telling::Begins) {
-            Telling::Waits(waiting) => waiting.begin(),
-            Telling::Runs(told) => told,
-            Telling::Begins => Waiting::new(&(Arc::new(()) as Arc<dyn Observer>), None).begin(),
-        };
-        self.telling = Telling::Runs(Arc::clone(&told));
-        told
-    }
-
-    fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome {
-        let told = self.begin();
-        let queue_ms = ms(self.queued.elapsed());
-        let start = Instant::now();
-        let turn = Turn { token: self.token.clone(), queue_ms, told: Arc::clone(&told) };
-        let Some(work) = self.work.as_mut() else { return Outcome::Answered };
-        self.token.tell_stages(Some(Arc::clone(&told) as Arc<dyn StageListener>));
-        let result = catch_unwind(AssertUnwindSafe(|| told.span().in_scope(|| work(backends, &turn))))
-            .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))));
-        self.token.tell_stages(None);
-        let lost = result.as_ref().is_err_and(JobError::is_device_lost);
-        if lost && self.retry == Retry::Anew && attempt + 1 < ATTEMPTS {
-            return Outcome::DeviceLost;
-        }
-        let result = result.map(|value| Timed { value, queue_ms, compute_ms: ms(start.elapsed()) });
-        // What the work still holds goes before the answer: the caller may ask for its memory at once.
-        self.work = None;
-        // The count too: who has the answer may ask for it.
-        told.end(result.as_ref().err());
-        if let Some(reply) = self.reply.take() {
-            let _ = reply.send(result);
-        }
-        if lost { Outcome::DeviceLost } else { Outcome::Answered }
-    }
-}
-
-fn ms(duration: Duration) -> f64 {
-    duration.as_secs_f64() * 1e3
-}
-
-fn text(panic: &(dyn Any + Send)) -> String {
-    let message = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
-    message.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "(no message)".to_owned())
-}
-
-#[cfg(test)]
-mod tests {
-    use std::sync::atomic::{AtomicUsize, Ordering};
-
-    use super::*;
-    use crate::job::Ask;
-    use crate::rvd::RvdError;
-    use crate::rvd::parallel::Parallel;
-    use crate::rvd::serial::Serial;
-
-    fn backends() -> Result<Backends, JobError> {
-        let parallel = Arc::new(Parallel::new(Some(1))?);
-        let serial = Arc::new(Serial);
-        Ok(Backends { gpu: Err("none".into()), parallel, serial, default: Wish::Auto, pools: None })
-    }
-
-    fn new() -> Place {
-        Place::New(Ask::default())
-    }
-
-    #[tokio::test]
-    async fn a_lost_device_comes_back_though_nobody_asks() {
-        let made = Arc::new(AtomicUsize::new(0));
-        let counter = made.clone();
-        let factory = move || match counter.fetch_add(1, Ordering::SeqCst) {
-            0 => backends(),
-            1 | 2 => Err(RvdError::Device("still gone".into()).into()),
-            _ => backends(),
-        };
-        let options = EngineOptions { revive: Duration::from_millis(20), ..EngineOptions::default() };
-        let (engine, thread) = Engine::start(factory, options).unwrap();
-        let mut health = engine.watch_device();
-        let lose = |_: &Backends, _: &Turn| -> Result<(), JobError> { Err(RvdError::DeviceLost("x".into()).into()) };
-        let error = engine.submit(new(), Retry::Never, lose).unwrap().wait().await.unwrap_err();
-        assert!(error.is_device_lost());
-        health.wait_for(|d| *d == Device::Lost).await.unwrap();
-        tokio::time::timeout(Duration::from_secs(5), health.wait_for(|d| *d == Device::Ready)).await.unwrap().unwrap();
-        assert_eq!(made.load(Ordering::SeqCst), 4);
-        engine.close();
-        thread.join().unwrap();
-        assert_eq!(*health.borrow(), Device::Gone);
-        let late = engine.submit(Place::Session, Retry::Never, |_, _| Ok(()));
-        assert!(matches!(late, Err(JobError::Draining)), "nobody would answer");
-    }
-
-    #[tokio::test]
-    async fn what_waits_is_answered_when_the_queue_closes() {
-        let (engine, thread) = Engine::start(backends, EngineOptions::default()).unwrap();
-        let mut all: Vec<_> = (0..10).map(|i| engine.submit(new(), Retry::Never, move |_, _| Ok(i)).unwrap()).collect();
-        engine.close();
-        for (i, pending) in all.iter_mut().enumerate() {
-            assert_eq!(pending.wait().await.unwrap().value, i);
-        }
-        thread.join().unwrap();
     }
 }

@@ -11,8 +11,9 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 
+use crate::job::call::{ATTEMPTS, Retry, Turn};
+use crate::job::engine::{Engine, Pending};
 use crate::job::record::JobId;
-use crate::job::worker::{ATTEMPTS, Engine, Pending, Retry, Turn};
 use crate::job::{Ask, Backends, JobError, Place};
 
 /// See the module's head. Nothing here assumes that the jobs are done by the process that put them in line.

@@ -1,0 +1,316 @@
+//! The handle to the host threads.
+//!
+//! Purpose: [`Engine::submit`] from any task; an answer with times. Invariant: every submitted piece is answered exactly once
+//! or its caller has gone. Must not know: what a piece computes, how the threads share the device.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{oneshot, watch};
+
+use super::bytes::Bytes;
+use super::call::{Call, Retry, Telling, Timed, Turn};
+use super::observer::{Observer, Waiting};
+use super::queue::Place;
+use super::watchdog::{Watched, Work};
+use super::weights::Weights;
+use super::worker::{Device, EngineOptions, Shared, run};
+use super::{BackendInfo, Backends, JobError, Wish};
+use crate::rvd::DeviceFacts;
+use crate::token::Token;
+
+/// Work that was submitted. Dropping it cancels the work.
+#[derive(Debug)]
+pub struct Pending<R> {
+    /// How many were ahead of it.
+    pub position: usize,
+    reply: oneshot::Receiver<Result<Timed<R>, JobError>>,
+    token: Token,
+    answered: bool,
+}
+
+impl<R> Drop for Pending<R> {
+    fn drop(&mut self) {
+        // The token may be that of more work to come.
+        if !self.answered {
+            self.token.cancel();
+        }
+    }
+}
+
+impl<R> Pending<R> {
+    /// The answer. Cancellation-safe: can be polled again after it lost a `select!`.
+    ///
+    /// # Errors
+    /// The work's own, `Panicked`, `WorkerGone`.
+    pub async fn wait(&mut self) -> Result<Timed<R>, JobError> {
+        let answer = (&mut self.reply).await.unwrap_or(Err(JobError::WorkerGone));
+        self.answered = true;
+        answer
+    }
+
+    /// What stops it.
+    pub fn token(&self) -> &Token {
+        &self.token
+    }
+}
+
+/// A place in the queue that is kept for a job while it is uploaded. Given back when dropped, which is after the job
+/// was submitted as [`Place::Kept`].
+#[derive(Debug)]
+pub struct Ticket {
+    shared: Arc<Shared>,
+    number: u64,
+}
+
+impl Drop for Ticket {
+    fn drop(&mut self) {
+        self.shared.queue.give_back(self.number);
+    }
+}
+
+/// The handle. Clones share the threads.
+#[derive(Clone, Debug)]
+pub struct Engine {
+    shared: Arc<Shared>,
+}
+
+impl Engine {
+    /// Starts the host threads. `factory` makes their backends, now and after a loss. Returns once they are there; what is
+    /// returned beside the handle ends when all threads have.
+    ///
+    /// # Errors
+    /// The factory's, or `Panicked`.
+    pub fn start(
+        factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
+        options: EngineOptions,
+    ) -> Result<(Self, JoinHandle<()>), JobError> {
+        Self::start_observed(factory, options, Arc::new(()))
+    }
+
+    /// The same, with somebody who counts what is done.
+    ///
+    /// # Errors
+    /// The factory's, or `Panicked`.
+    pub(crate) fn start_observed(
+        factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
+        options: EngineOptions,
+        observer: Arc<dyn Observer>,
+    ) -> Result<(Self, JoinHandle<()>), JobError> {
+        let (ready, answer) = std::sync::mpsc::sync_channel(1);
+        let thread = Builder::new()
+            .name("engine".to_owned())
+            .spawn(move || run(Box::new(factory), options, observer, &ready))
+            .map_err(|e| JobError::Panicked(format!("the engine's thread could not be started: {e}")))?;
+        let shared = answer.recv().unwrap_or(Err(JobError::WorkerGone))?;
+        Ok((Self { shared }, thread))
+    }
+
+    /// Who will do the work for a wish.
+    ///
+    /// # Errors
+    /// `BackendUnavailable`.
+    pub fn backend(&self, wish: Wish) -> Result<BackendInfo, JobError> {
+        self.shared.current().1.choose(wish).map(|backend| BackendInfo::of(backend.as_ref()))
+    }
+
+    /// Devices that were lost so far.
+    pub fn losses(&self) -> u64 {
+        self.shared.losses.load(Ordering::Relaxed)
+    }
+
+    /// Memory that jobs at work together may need.
+    pub fn memory(&self) -> Bytes {
+        self.shared.infos.slots.memory
+    }
+
+    /// Keeps a place for a job that is yet to be uploaded, so that it is refused now or not at all.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`.
+    pub fn reserve(&self) -> Result<Ticket, JobError> {
+        let number = self.shared.queue.keep()?;
+        Ok(Ticket { shared: Arc::clone(&self.shared), number })
+    }
+
+    /// A token for a job, whose ceiling on time counts what is done for it here and under [`Self::watch`].
+    pub fn token(&self) -> Token {
+        self.shared.watchdog.token(None)
+    }
+
+    /// The same for a job that is to take no longer than `limit`.
+    pub(crate) fn token_within(&self, limit: Option<Duration>) -> Token {
+        self.shared.watchdog.token(limit)
+    }
+
+    /// Watches work that is done for a job on another thread than a worker's, until what it returns is dropped.
+    pub fn watch(&self, token: &Token) -> Watched {
+        self.shared.watchdog.watch(token)
+    }
+
+    /// What the process holds that is no job's own work, bytes: whoever holds it keeps this at that. A job's ceiling on memory
+    /// does not count it.
+    pub(crate) fn held_besides(&self) -> Arc<AtomicI64> {
+        self.shared.watchdog.held_besides()
+    }
+
+    /// How work is that was told to stop.
+    pub fn watch_work(&self) -> watch::Receiver<Work> {
+        self.shared.watchdog.work()
+    }
+
+    /// Does work on the engine's threads, so that their number bounds what is done beside the jobs too.
+    pub fn on_threads<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
+        match &self.shared.infos.pool {
+            Some(pool) => pool.install(work),
+            None => work(),
+        }
+    }
+
+    /// Queues `work` with a token of its own. It is called on a host thread once, or again after a lost device if
+    /// `retry` allows it.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`.
+    pub fn submit<R: Send + 'static>(
+        &self,
+        place: Place,
+        retry: Retry,
+        work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
+    ) -> Result<Pending<R>, JobError> {
+        self.submit_as(self.token(), place, retry, work)
+    }
+
+    /// The same for a piece of the job that has this token.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`.
+    pub fn submit_as<R: Send + 'static>(
+        &self,
+        token: Token,
+        place: Place,
+        retry: Retry,
+        work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
+    ) -> Result<Pending<R>, JobError> {
+        let (sender, reply) = oneshot::channel();
+        let (goes_on, origin) = match &place {
+            Place::New(ask) | Place::Kept(ask) => (ask.goes_on, ask.origin),
+            Place::Session | Place::Continuation => (true, None),
+        };
+        let telling = Telling::Waits(Waiting::new(&self.shared.observer, origin));
+        let (work, reply_to, queued) = (Some(work), Some(sender), Instant::now());
+        let call = Call { work, goes_on, reply: reply_to, token: token.clone(), queued, retry, telling };
+        let position = self.shared.queue.push(place, Box::new(call))?;
+        Ok(Pending { position, reply, token, answered: false })
+    }
+
+    /// Drops `value` on a host thread: freeing much takes time.
+    pub fn dispose(&self, value: impl Send + 'static) {
+        let mut value = Some(value);
+        let (sender, _) = oneshot::channel();
+        let work = move |_: &Backends, _: &Turn| {
+            drop(value.take());
+            Ok(())
+        };
+        let call = Call {
+            work: Some(work),
+            goes_on: true,
+            reply: Some(sender),
+            token: Token::default(),
+            queued: Instant::now(),
+            retry: Retry::Never,
+            telling: Telling::Waits(Waiting::new(&self.shared.observer, None)),
+        };
+        // Nobody waits for it; popping drops it on a host thread, and so does its end.
+        let _ = self.shared.queue.push(Place::Continuation, Box::new(call));
+    }
+
+    /// How much each tenant counts beside others.
+    pub fn weights(&self) -> &Weights {
+        &self.shared.weights
+    }
+
+    /// The GPU backend's device as it is now; `None` if there is none.
+    pub(crate) fn device_facts(&self) -> Option<DeviceFacts> {
+        self.shared.current().1.gpu.ok()?.device_facts()
+    }
+
+    /// Waiting pieces, and whether one is at work.
+    pub fn load(&self) -> (usize, bool) {
+        self.shared.queue.load()
+    }
+
+    /// Follows the device's health.
+    pub fn watch_device(&self) -> watch::Receiver<Device> {
+        self.shared.device.subscribe()
+    }
+
+    /// Refuses new jobs; the threads end once the queue is empty.
+    pub fn close(&self) {
+        self.shared.queue.close();
+    }
+
+    /// Cancels everything that waits or runs.
+    pub fn cancel_all(&self) {
+        self.shared.queue.cancel_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+    use crate::job::Ask;
+    use crate::rvd::RvdError;
+    use crate::rvd::parallel::Parallel;
+    use crate::rvd::serial::Serial;
+
+    fn backends() -> Result<Backends, JobError> {
+        let parallel = Arc::new(Parallel::new(Some(1))?);
+        let serial = Arc::new(Serial);
+        Ok(Backends { gpu: Err("none".into()), parallel, serial, default: Wish::Auto, pools: None })
+    }
+
+    fn new() -> Place {
+        Place::New(Ask::default())
+    }
+
+    #[tokio::test]
+    async fn a_lost_device_comes_back_though_nobody_asks() {
+        let made = Arc::new(AtomicUsize::new(0));
+        let counter = made.clone();
+        let factory = move || match counter.fetch_add(1, Ordering::SeqCst) {
+            0 => backends(),
+            1 | 2 => Err(RvdError::Device("still gone".into()).into()),
+            _ => backends(),
+        };
+        let options = EngineOptions { revive: Duration::from_millis(20), ..EngineOptions::default() };
+        let (engine, thread) = Engine::start(factory, options).unwrap();
+        let mut health = engine.watch_device();
+        let lose = |_: &Backends, _: &Turn| -> Result<(), JobError> { Err(RvdError::DeviceLost("x".into()).into()) };
+        let error = engine.submit(new(), Retry::Never, lose).unwrap().wait().await.unwrap_err();
+        assert!(error.is_device_lost());
+        health.wait_for(|d| *d == Device::Lost).await.unwrap();
+        tokio::time::timeout(Duration::from_secs(5), health.wait_for(|d| *d == Device::Ready)).await.unwrap().unwrap();
+        assert_eq!(made.load(Ordering::SeqCst), 4);
+        engine.close();
+        thread.join().unwrap();
+        assert_eq!(*health.borrow(), Device::Gone);
+        let late = engine.submit(Place::Session, Retry::Never, |_, _| Ok(()));
+        assert!(matches!(late, Err(JobError::Draining)), "nobody would answer");
+    }
+
+    #[tokio::test]
+    async fn what_waits_is_answered_when_the_queue_closes() {
+        let (engine, thread) = Engine::start(backends, EngineOptions::default()).unwrap();
+        let mut all: Vec<_> = (0..10).map(|i| engine.submit(new(), Retry::Never, move |_, _| Ok(i)).unwrap()).collect();
+        engine.close();
+        for (i, pending) in all.iter_mut().enumerate() {
+            assert_eq!(pending.wait().await.unwrap().value, i);
+        }
+        thread.join().unwrap();
+    }
+}
