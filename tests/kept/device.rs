@@ -122,8 +122,11 @@ impl Server {
         let source = "@group(0) @binding(0) var<storage, read_write> out: array<u32>;
             @compute @workgroup_size(1) fn main() {
                 var x = out[0];
-                for (var i = 0u; i < 400u; i++) {
-                    for (var j = 0u; j < 100000000u; j++) { x = x * 1664525u + 1013904223u + (x >> 7u); }
+                // No loop of llvmpipe goes round more than 65,535 times.
+                for (var i = 0u; i < 3u; i++) {
+                    for (var j = 0u; j < 60000u; j++) {
+                        for (var k = 0u; k < 60000u; k++) { x = x * 1664525u + 1013904223u + (x >> 7u); }
+                    }
                 }
                 out[0] = x;
             }";
