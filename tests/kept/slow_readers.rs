@@ -3,12 +3,14 @@
 //! Short here; `TESSERA_LOAD_S=60` is the length of each of the eight spells, with and without readers in turns. Figures are
 //! printed as JSON.
 
+use std::collections::HashSet;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
 use tessera::mesh::shapes::Shape;
 use tessera::proto::*;
+use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
 use super::load::{length, quantile};
@@ -21,27 +23,25 @@ const READ: &str = "/tessera.v1.BlobService/Read";
 /// Of each reader.
 const BYTES_A_SECOND: usize = 10_000;
 
-/// Takes a few bytes of an answer at a time; how many it got.
-async fn trickle(address: SocketAddr, digest: Option<String>) -> usize {
+/// Takes a few bytes of an answer at a time, and says when the first have come.
+async fn trickle(address: SocketAddr, digest: Option<String>, who: usize, begun: mpsc::Sender<usize>) {
     let mut client = Raw::connect(address, 65_535).await;
     let mut body = match digest {
         Some(digest) => client.ask(READ, &[ReadRequest { digest, ..ReadRequest::default() }]).await.unwrap(),
         // The cells of a diagram: some megabytes, sent while they are made.
         None => {
             let (vertices, facets) = octahedron();
-            let seeds = spiral(60_000);
+            let seeds = spiral(20_000);
             let request = rvd_request(&vertices, &facets, &seeds, BackendChoice::Parallel, &[RvdOutput::Cells]);
             client.ask(COMPUTE_RVD, &request).await.unwrap()
         }
     };
-    let mut taken = 0;
     while let Some(data) = body.data().await {
         let data = data.unwrap();
-        taken += data.len();
+        let _ = begun.try_send(who);
         let _ = body.flow_control().release_capacity(data.len());
         tokio::time::sleep(Duration::from_secs_f64(data.len() as f64 / BYTES_A_SECOND as f64)).await;
     }
-    taken
 }
 
 /// Seconds of each job of some clients, for so long.
@@ -84,10 +84,19 @@ async fn measure(readers: usize, spells: usize, length: Duration) {
     for _ in 0..spells {
         alone.extend(jobs(&program, &digest, length).await);
         let before = program.held().0;
+        let (begun, mut told) = mpsc::channel(10_000);
         let reading: Vec<_> = (0..readers)
-            .map(|reader| tokio::spawn(trickle(address, (reader % 2 == 0).then(|| large.clone()))))
+            .map(|reader| {
+                tokio::spawn(trickle(address, (reader % 2 == 0).then(|| large.clone()), reader, begun.clone()))
+            })
             .collect();
-        tokio::time::sleep(Duration::from_secs(3)).await;
+        // What they ask for is computed first; that is work like any other.
+        drop(begun);
+        let mut who = HashSet::new();
+        while who.len() < readers {
+            who.insert(told.recv().await.expect("all begin"));
+        }
+        tokio::time::sleep(Duration::from_secs(1)).await;
         each.push(program.held().0.saturating_sub(before) / readers as u64);
         beside.extend(jobs(&program, &digest, length).await);
         for reader in reading {

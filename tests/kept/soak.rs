@@ -65,7 +65,7 @@ async fn act(client: &mut Client, address: SocketAddr, rng: &mut ChaCha8Rng) -> 
             let digest = client.put(format!("ply\n{}", rng.random::<u64>()).as_bytes()).await;
             let id = client.submit(remesh(&digest, points, 0)).await;
             let job = client.end(&id, LIMIT).await;
-            assert_eq!(job.failure.unwrap().kind(), JobFailureKind::InvalidInput);
+            assert_eq!(job.failure.unwrap().kind(), JobFailureKind::BadInput);
         }
         // An answer that nobody reads to its end.
         5 => {
