@@ -113,8 +113,9 @@ fn answer(status: StatusCode, value: &serde_json::Value) -> Response {
 async fn readiness(State(admin): State<Admin>) -> Response {
     let condition = admin.readiness.condition();
     let reasons: Vec<&str> = condition.reasons().map(Reason::name).collect();
+    let degraded: Vec<&str> = condition.degraded().map(Reason::name).collect();
     let status = if condition.is_ready() { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    answer(status, &json!({ "ready": condition.is_ready(), "reasons": reasons }))
+    answer(status, &json!({ "ready": condition.is_ready(), "reasons": reasons, "degraded": degraded }))
 }
 
 async fn version(State(admin): State<Admin>) -> Response {
@@ -178,12 +179,18 @@ mod tests {
     #[tokio::test]
     async fn readiness_has_its_reasons() {
         let port = port().await;
-        assert!(get(&port, "/readyz", "").await.ends_with("{\"ready\":true,\"reasons\":[]}\n"));
+        assert!(get(&port, "/readyz", "").await.ends_with("{\"ready\":true,\"reasons\":[],\"degraded\":[]}\n"));
+        port.readiness.set(Reason::OnCpu, true);
+        assert!(get(&port, "/readyz", "").await.ends_with("\"reasons\":[],\"degraded\":[\"on_cpu\"]}\n"));
+        port.readiness.set(Reason::OnCpu, false);
         port.readiness.set(Reason::DeviceLost, true);
         port.readiness.set(Reason::Draining, true);
         let answer = get(&port, "/readyz", "").await;
         assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
-        assert!(answer.ends_with("{\"ready\":false,\"reasons\":[\"draining\",\"device_lost\"]}\n"), "{answer}");
+        assert!(
+            answer.ends_with("{\"ready\":false,\"reasons\":[\"draining\",\"device_lost\"],\"degraded\":[]}\n"),
+            "{answer}"
+        );
         assert!(get(&port, "/healthz", "").await.starts_with("HTTP/1.1 200"), "the process lives");
     }
 

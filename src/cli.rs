@@ -11,6 +11,7 @@ pub(crate) mod backends;
 mod bench;
 mod blobs;
 mod cell_file;
+mod completions;
 mod config;
 #[cfg(test)]
 mod defaults;
@@ -105,6 +106,10 @@ enum Command {
     Shape(shape::ShapeArgs),
     /// Say what this machine has and what would be used.
     Doctor(doctor::DoctorArgs),
+    /// Print a script that completes words of this program in a shell.
+    Completions(completions::CompletionsArgs),
+    /// Print the page of the manual, or write those of all commands.
+    Man(completions::ManArgs),
 }
 
 /// Runs the program on its own command line.
@@ -146,6 +151,8 @@ fn run() -> u8 {
         Command::Bench(args) => bench::run(args),
         Command::Shape(args) => shape::run(args),
         Command::Doctor(args) => doctor::run(args),
+        Command::Completions(args) => completions::completions(args, settings::command()),
+        Command::Man(args) => completions::man(args, settings::command()),
     });
     match result {
         Ok(()) => 0,

@@ -58,6 +58,7 @@
 //! | `keys` | keys of callers: made, hashed, kept in a file | nothing here |
 //! | `job` | the queue and its fair shares, the host threads that share the device, and kept jobs: records, states, the journal | `blob`, `remesh` and below |
 //! | `readiness` | why the server is not ready, if it is not; health and the admin port tell it | nothing here |
+//! | `lifecycle` | the steps of a server's start and end, each within its time | `metrics` |
 //! | `trace` | which trace a call and its work belong to | nothing here |
 //! | `metrics` | what is counted, and its text for Prometheus | `job`, `readiness`, `rvd` |
 //! | `admin` | metrics and readiness over HTTP, for operators | `metrics`, `readiness` |
@@ -98,6 +99,9 @@ mod job;
 #[cfg(feature = "service")]
 mod keys;
 mod knn;
+#[cfg(feature = "service")]
+#[cfg_attr(not(feature = "cli"), allow(dead_code))] // the start is the command's
+mod lifecycle;
 #[cfg(feature = "service")]
 mod memory;
 pub mod mesh;

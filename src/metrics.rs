@@ -40,6 +40,7 @@ const WORK_SECONDS: [f64; 13] = [0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 1
 
 /// A counter of seconds.
 type Seconds = Counter<f64, AtomicU64>;
+type SecondsGauge = Gauge<f64, AtomicU64>;
 type Labelled<L, M> = Family<L, M, fn() -> M>;
 
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
@@ -91,6 +92,11 @@ struct ReasonLabel {
     reason: &'static str,
 }
 
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct StepLabel {
+    step: &'static str,
+}
+
 /// Bytes of blobs.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct BlobBytes {
@@ -125,7 +131,9 @@ struct Inner {
     memory: Family<KindLabel, Gauge>,
     memory_used: OnceLock<Arc<AtomicI64>>,
     not_ready: Family<ReasonLabel, Gauge>,
+    degraded: Family<ReasonLabel, Gauge>,
     probes: Family<OutcomeLabel, Counter>,
+    steps: Family<StepLabel, SecondsGauge>,
     process: process::Process,
 }
 
@@ -174,7 +182,9 @@ impl Metrics {
             memory: Family::default(),
             memory_used: OnceLock::new(),
             not_ready: Family::default(),
+            degraded: Family::default(),
             probes: Family::default(),
+            steps: Family::default(),
             process: process::Process::register(&mut registry),
         };
         let build = vec![("version", version.to_owned()), ("revision", revision.unwrap_or("unknown").to_owned())];
@@ -205,7 +215,13 @@ impl Metrics {
         r.register_with_unit("tessera_blob", "Blobs that are kept, and what may be", b(), all.blob_bytes.clone());
         r.register_with_unit("tessera_memory", "Memory for uploads and answers that wait", b(), all.memory.clone());
         r.register("tessera_not_ready", "1 for each reason why the server is not ready", all.not_ready.clone());
+        r.register(
+            "tessera_degraded",
+            "1 for each reason why the server is slower than it should be",
+            all.degraded.clone(),
+        );
         r.register("tessera_probes", "Probes of the backend, by how they came out", all.probes.clone());
+        r.register_with_unit("tessera_step", "How long the steps of start and shutdown took", s(), all.steps.clone());
         all.registry = registry;
         let metrics = Self(Arc::new(all));
         metrics.begin();
@@ -219,7 +235,7 @@ impl Metrics {
             for state in [Standing::Waiting, Standing::Running].map(state_name) {
                 let _ = inner.jobs.get_or_create(&JobLabels { state, kind });
             }
-            for outcome in [Ended::Done, Ended::Failed, Ended::Cancelled].map(end_name) {
+            for outcome in [Ended::Done, Ended::Failed, Ended::Cancelled, Ended::PutBack].map(end_name) {
                 let _ = inner.jobs_ended.get_or_create(&EndLabels { outcome, kind });
             }
             let _ = inner.queue.get_or_create(&KindLabel { kind });
@@ -275,12 +291,18 @@ impl Metrics {
         self.0.device_bytes.get_or_create(&KindLabel { kind: "used" }).set(signed(bytes.unwrap_or(0)));
     }
 
-    /// Why the server is not ready.
+    /// Why the server is not ready, or not as good as it should be.
     pub(crate) fn condition(&self, condition: Condition) {
         for reason in Reason::ALL {
             let label = ReasonLabel { reason: reason.name() };
-            self.0.not_ready.get_or_create(&label).set(i64::from(condition.has(reason)));
+            let gauges = if reason.only_degrades() { &self.0.degraded } else { &self.0.not_ready };
+            gauges.get_or_create(&label).set(i64::from(condition.has(reason)));
         }
+    }
+
+    /// A step of the start or of the shutdown took so long.
+    pub(crate) fn step(&self, step: &'static str, took: Duration) {
+        self.0.steps.get_or_create(&StepLabel { step }).set(took.as_secs_f64());
     }
 
     /// Probes came out well, or not.
@@ -357,6 +379,7 @@ fn end_name(how: Ended) -> &'static str {
         Ended::Done => "done",
         Ended::Failed => "failed",
         Ended::Cancelled => "cancelled",
+        Ended::PutBack => "put_back",
     }
 }
 

@@ -1,8 +1,8 @@
-//! Whether the server can do what it is asked, and if not, why.
+//! Whether the server can do what it is asked, and if not, or not as well as it should, why.
 //!
 //! Purpose: [`Readiness`] is the one value that health, `/readyz` and `GetServerInfo` are told from. Whoever finds a fault sets
 //! its [`Reason`], and takes it back once it is over.
-//! Invariant: the server is ready if no reason is set. Who watches sees every change at once.
+//! Invariant: the server is ready if no reason is set, but for those that only [degrade](Reason::only_degrades) it. Who watches sees every change at once.
 //! Must not know: who finds faults, how health is told.
 
 use std::fmt;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use tokio::sync::watch;
 
-/// Why a server is not ready.
+/// Why a server is not ready, or slower than it should be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Reason {
     /// The first probe has not passed yet.
@@ -29,11 +29,13 @@ pub enum Reason {
     DiskFull,
     /// The store of blobs does not answer.
     StoreAway,
+    /// The GPU did not come back after a loss, and the CPU does its work.
+    OnCpu,
 }
 
 impl Reason {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Starting,
         Self::Draining,
         Self::DeviceLost,
@@ -42,6 +44,7 @@ impl Reason {
         Self::JournalBroken,
         Self::DiskFull,
         Self::StoreAway,
+        Self::OnCpu,
     ];
 
     /// As it is told to machines.
@@ -55,7 +58,13 @@ impl Reason {
             Self::JournalBroken => "journal_broken",
             Self::DiskFull => "disk_full",
             Self::StoreAway => "store_away",
+            Self::OnCpu => "on_cpu",
         }
+    }
+
+    /// Whether the server does all that it is asked, though not as well as it should.
+    pub fn only_degrades(self) -> bool {
+        self == Self::OnCpu
     }
 
     /// Whether it is a fault of what keeps jobs and blobs. Streams, which keep nothing, work all the same.
@@ -73,9 +82,9 @@ impl Reason {
 pub struct Condition(u16);
 
 impl Condition {
-    /// Whether no reason is set.
+    /// Whether no reason is set that keeps the server from its work.
     pub fn is_ready(self) -> bool {
-        self.0 == 0
+        self.reasons().next().is_none()
     }
 
     /// Whether this reason is set.
@@ -83,19 +92,33 @@ impl Condition {
         self.0 & reason.bit() != 0
     }
 
-    /// The reasons that are set.
+    /// Why the server is not ready.
     pub fn reasons(self) -> impl Iterator<Item = Reason> {
+        self.all().filter(|reason| !reason.only_degrades())
+    }
+
+    /// Why it is not as good as it should be, ready or not.
+    pub fn degraded(self) -> impl Iterator<Item = Reason> {
+        self.all().filter(|reason| reason.only_degrades())
+    }
+
+    fn all(self) -> impl Iterator<Item = Reason> {
         Reason::ALL.into_iter().filter(move |reason| self.has(*reason))
     }
 }
 
 impl fmt::Display for Condition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.is_ready() {
-            return f.write_str("ready");
+        let names = |reasons: Vec<Reason>| reasons.into_iter().map(Reason::name).collect::<Vec<_>>().join(", ");
+        let (reasons, degraded) = (names(self.reasons().collect()), names(self.degraded().collect()));
+        match reasons.as_str() {
+            "" => f.write_str("ready")?,
+            reasons => write!(f, "not ready: {reasons}")?,
         }
-        let names: Vec<&str> = self.reasons().map(Reason::name).collect();
-        write!(f, "not ready: {}", names.join(", "))
+        match degraded.as_str() {
+            "" => Ok(()),
+            degraded => write!(f, "; degraded: {degraded}"),
+        }
     }
 }
 
@@ -144,6 +167,18 @@ mod tests {
         assert_eq!(left, [Reason::DiskFull]);
         readiness.set(Reason::DiskFull, false);
         assert_eq!(readiness.condition().to_string(), "ready");
+    }
+
+    #[test]
+    fn what_only_degrades_leaves_the_server_ready() {
+        let readiness = Readiness::new();
+        readiness.set(Reason::OnCpu, true);
+        let condition = readiness.condition();
+        assert!(condition.is_ready() && condition.reasons().next().is_none());
+        assert_eq!(condition.degraded().collect::<Vec<_>>(), [Reason::OnCpu]);
+        assert_eq!(condition.to_string(), "ready; degraded: on_cpu");
+        readiness.set(Reason::Draining, true);
+        assert_eq!(readiness.condition().to_string(), "not ready: draining; degraded: on_cpu");
     }
 
     #[test]

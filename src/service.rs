@@ -41,6 +41,7 @@ use crate::config::Limits;
 use crate::job::desk::{DeskError, JobDesk};
 use crate::job::spec::Input;
 use crate::job::{Device, Engine, JobError};
+use crate::lifecycle::{self, Step};
 use crate::metrics::Metrics;
 use crate::readiness::{Readiness, Reason};
 use crate::wire::{WireError, proto};
@@ -209,7 +210,9 @@ pub async fn run(
     let names = names(jobs.is_some());
     let health = Arc::new(Told::new(health, names, metrics.clone()));
     readiness.set(Reason::Starting, true);
+    let begin = Instant::now();
     health::check(&engine, &readiness, &metrics).await;
+    lifecycle::ended(&metrics, Step::Probe, begin);
     readiness.set(Reason::Starting, false);
     health.tell(readiness.condition()).await;
     let mut routes = Routes::new(health_service)
@@ -280,20 +283,26 @@ pub async fn run(
         if tokio::time::timeout(grace, idle()).await.is_err() {
             tracing::warn!("the grace period is over: cutting what is left");
         }
+        lifecycle::ended(&metrics, Step::Drain, begin);
+        let drained = Instant::now();
         phase.send_replace(Phase::Cut);
         engine.cancel_all();
         let _ = tokio::time::timeout(CUT_TIME, idle()).await;
         // Answers that are written may still be on their way to a slow reader.
         closing.send_replace(grace.saturating_sub(begin.elapsed()).max(CUT_TIME));
         phase.send_replace(Phase::Closing);
+        drained
     };
-    tokio::join!(draining, serving);
+    let (drained, ()) = tokio::join!(draining, serving);
+    lifecycle::ended(&metrics, Step::Close, drained);
     if let Some(stage) = lost {
         return Err(ServeError::WorkStuck { stage });
     }
     let device = *engine.watch_device().borrow();
+    let begin = Instant::now();
     engine.close();
     join(worker).await?;
+    lifecycle::ended(&metrics, Step::Engine, begin);
     if !is_kept {
         return Err(ServeError::Journal);
     }

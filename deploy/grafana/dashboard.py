@@ -4,7 +4,7 @@
 Usage: dashboard.py          writes the file
        dashboard.py --check  fails if the file is not what would be written
 
-Grafana's own JSON has 50 lines a panel. Change the panels here, not there. `deploy/check_dashboard.py` runs every query against a
+Grafana's own JSON has 50 lines a panel. Change the panels here, not there. `deploy/check_queries.py` runs every query against a
 real Prometheus.
 """
 
@@ -132,7 +132,9 @@ ROWS = [
     ("Refusals and health", [
         lines("Refusals", 8, [("{{reason}}", f"sum by (reason) (rate(tessera_refusals_total{{{ON}}}[{RATE}]))")],
               unit="ops", stack=True, help="A second, by what was missing."),
-        lines("Servers that are not ready", 8, [("{{reason}}", f"sum by (reason) (tessera_not_ready{{{ON}}})")],
+        lines("Servers that are not ready or degraded", 8,
+              [("{{reason}}", f"sum by (reason) (tessera_not_ready{{{ON}}})"),
+               ("degraded: {{reason}}", f"sum by (reason) (tessera_degraded{{{ON}}})")],
               stack=True, help="By reason; a server may have several."),
         lines("Probes and lost devices", 8,
               [("probes {{outcome}}", f"sum by (outcome) (increase(tessera_probes_total{{{ON}}}[{RATE}]))"),
@@ -154,8 +156,10 @@ ROWS = [
               [("{{instance}}", f"sum by (instance) (process_open_fds{{{ON}}})"
                                 f" / sum by (instance) (process_max_fds{{{ON}}})")], unit="percentunit", most=1),
         lines("Threads", 8, [("{{instance}}", f"sum by (instance) (process_threads{{{ON}}})")]),
-        panel("Versions", "table", 24,
-              [("", f"max by (instance, version, revision) (tessera_build_info{{{ON}}})")], height=5,
+        lines("Steps of the start", 12, [("{{step}}", f"max by (step) (tessera_step_seconds{{{ON}}})")], unit="s",
+              help="Of the slowest server. Steps of the shutdown show while a server drains."),
+        panel("Versions", "table", 12,
+              [("", f"max by (instance, version, revision) (tessera_build_info{{{ON}}})")], height=8,
               target={"format": "table", "instant": True},
               options={"showHeader": True}),
     ]),

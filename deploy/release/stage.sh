@@ -1,7 +1,7 @@
 #!/bin/sh
 # Lays out what a release consists of: the program, its documents, its licences and its bill of materials.
 # Usage: deploy/release/stage.sh PROGRAM FOLDER
-# FOLDER gets bin/, share/doc/tessera/, share/man/man1/ and share/ of the shells, as below /usr.
+# FOLDER gets bin/, share/doc/tessera/, share/man/man1/ and the shells' completions, as below /usr/local.
 set -eu
 
 program=${1:?usage: stage.sh PROGRAM FOLDER}
@@ -17,17 +17,13 @@ install -m 0644 "$root/LICENSE" "$root/README.md" "$doc/"
 python3 "$here/notices.py" licences --target "$target" >"$doc/THIRD-PARTY.txt"
 python3 "$here/notices.py" sbom --target "$target" >"$doc/tessera.cdx.json"
 
-# Writes what `tessera ARGUMENTS` prints, unless this version has no such command.
-print_to() {
-    file=$1
-    shift
-    mkdir -p "$(dirname "$file")"
-    if ! "$out/bin/tessera" "$@" >"$file" 2>/dev/null; then
-        rm -f "$file"
-        rmdir -p --ignore-fail-on-non-empty "$(dirname "$file")"
-    fi
+complete() {
+    mkdir -p "$out/share/$(dirname "$2")"
+    "$out/bin/tessera" completions "$1" >"$out/share/$2"
 }
-print_to "$out/share/bash-completion/completions/tessera" completions bash
-print_to "$out/share/zsh/vendor-completions/_tessera" completions zsh
-print_to "$out/share/fish/vendor_completions.d/tessera.fish" completions fish
-print_to "$out/share/man/man1/tessera.1" man
+complete bash bash-completion/completions/tessera
+complete zsh zsh/site-functions/_tessera
+complete fish fish/vendor_completions.d/tessera.fish
+mkdir -p "$out/share/man/man1"
+"$out/bin/tessera" man --out-dir "$out/share/man/man1"
+find "$out/share/man/man1" -name '*.1' -exec gzip --best --no-name {} +

@@ -1,6 +1,10 @@
 //! `tessera health`: whether a server takes calls, for people and for the probes of containers.
 //!
+//! Asked over gRPC, or at the admin port, which needs neither a certificate nor a key.
+//!
 //! Invariant: the exit code is 0 for SERVING and 69 for everything else. No backend is made. Must not know: connections.
+
+mod readyz;
 
 use std::time::Duration;
 
@@ -22,6 +26,9 @@ pub(crate) struct HealthArgs {
     /// Print every change until the server ends.
     #[arg(long)]
     watch: bool,
+    /// Ask the admin port for readiness instead, e.g. 127.0.0.1:9090: without TLS and without a key.
+    #[arg(long, value_name = "ADDRESS:PORT", conflicts_with_all = ["service", "watch"], env = "TESSERA_ADMIN")]
+    admin: Option<String>,
     /// Seconds for the server to answer.
     #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = super::server::pause)]
     timeout_s: f64,
@@ -34,8 +41,17 @@ pub(crate) struct HealthArgs {
 /// # Errors
 /// [`Unavailable`] if the server cannot be asked or does not serve.
 pub(crate) fn run(args: &HealthArgs) -> Result<()> {
-    let (server, limit) = (args.server.server()?, Duration::from_secs_f64(args.timeout_s));
+    let limit = Duration::from_secs_f64(args.timeout_s);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().context("no runtime")?;
+    if let Some(address) = &args.admin {
+        let told = runtime.block_on(readyz::ask(address, limit))?;
+        say::try_line(format_args!("{}", if args.server.json { told.json() } else { told.to_string() }))?;
+        return match told.is_ready() {
+            true => Ok(()),
+            false => Err(Unavailable(format!("the server of {address} is {told}")).into()),
+        };
+    }
+    let server = args.server.server()?;
     let last = runtime.block_on(async {
         if !args.watch {
             let state = health(&server, &args.service, limit).await?;

@@ -47,6 +47,9 @@ fn print(told: &GetServerInfoResponse) -> Result<()> {
             true => outln!("ready       yes")?,
             false => outln!("ready       no: {}", readiness.reasons.join(", "))?,
         }
+        if !readiness.degraded.is_empty() {
+            outln!("degraded    {}", readiness.degraded.join(", "))?;
+        }
     }
     for BackendState { name, is_default, adapter, threads, unavailable } in &told.backends {
         let usual = if *is_default { ", the default" } else { "" };
@@ -95,7 +98,7 @@ fn as_json(told: &GetServerInfoResponse) -> Value {
         "revision": told.revision,
         "features": told.features,
         "uptime_s": seconds(told.uptime),
-        "readiness": told.readiness.as_ref().map(|r| json!({ "ready": r.ready, "reasons": r.reasons })),
+        "readiness": told.readiness.as_ref().map(|r| json!({ "ready": r.ready, "reasons": r.reasons, "degraded": r.degraded })),
         "backends": told.backends.iter().map(backend).collect::<Vec<_>>(),
         "device": told.device.as_ref().map(|d| json!({
             "adapter": d.adapter, "api": d.api, "driver": d.driver, "is_software": d.is_software,

@@ -1,10 +1,11 @@
 //! `tessera serve`.
 //!
-//! Order: configuration checked, backends made and warmed up, then the port. A server that listens works.
+//! Order: configuration checked, storage opened, backends made and warmed up, jobs queued, then the port. Each step has its
+//! time. A server that listens works.
 
 use std::convert::Infallible;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use glam::DVec3;
@@ -22,6 +23,7 @@ use crate::job::{
     Backends, BlobRoom, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, LossPolicy,
     Stores, Wish,
 };
+use crate::lifecycle::{self, LifeCycle, Step, TooLong};
 use crate::memory;
 use crate::mesh::TriMesh;
 use crate::metrics::Metrics;
@@ -94,7 +96,10 @@ fn prepare(args: &ServeArgs) -> Result<(ServeConfig, Option<Arc<Tls>>)> {
 
 /// Runs it.
 pub(crate) fn run(args: &ServeArgs) -> Result<()> {
+    let begin = Instant::now();
     let (config, tls) = prepare(args)?;
+    let metrics = Metrics::new(env!("CARGO_PKG_VERSION"), About::REVISION);
+    lifecycle::ended(&metrics, Step::Configuration, begin);
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         // Files are read and written there: more at once than this are not faster, and hold a stack each.
@@ -102,12 +107,14 @@ pub(crate) fn run(args: &ServeArgs) -> Result<()> {
         .thread_name("tessera-io")
         .build()
         .context("cannot start the runtime")?;
-    let result = runtime.block_on(serve(args, config, tls));
+    let result = runtime.block_on(serve(args, config, tls, metrics));
     runtime.shutdown_timeout(LEAVE);
     result
 }
 
-async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> Result<()> {
+async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, metrics: Metrics) -> Result<()> {
+    let life = LifeCycle::new(metrics.clone(), config.start);
+    let late = |error: TooLong| Unavailable(error.to_string());
     // Before the backends: a signal while they warm up ends the process cleanly too.
     let mut signals = interrupt::signals().context("cannot listen for signals")?;
     if let Some(tls) = &tls {
@@ -134,16 +141,16 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> 
         OnLoss::Cpu => LossPolicy::Cpu,
     };
     let loss_patience = config.device.patience;
+    let nice = config.nice;
     let engine_options =
-        EngineOptions { queue_jobs, ceilings, jobs_at_once, device_memory_bytes, loss, loss_patience, ..usual };
+        EngineOptions { queue_jobs, ceilings, jobs_at_once, device_memory_bytes, loss, loss_patience, nice, ..usual };
     let access = access(args, &config)?;
     // Before the backends take their time: another server may have the folder.
-    let stores = stores(&config).await?;
-    let metrics = Metrics::new(env!("CARGO_PKG_VERSION"), About::REVISION);
+    let stores = life.step(Step::Storage, stores(&config)).await.map_err(late)??;
     let counts = Arc::new(metrics.clone());
     let starting = tokio::task::spawn_blocking(move || Engine::start_observed(factory, engine_options, counts));
     let (engine, worker) = tokio::select! {
-        started = starting => started.context("starting the backends")?.context("starting the backends")?,
+        started = life.step(Step::Backends, starting) => started.map_err(late)?.context("starting the backends")?.context("starting the backends")?,
         _ = &mut signals => return Ok(()),
     };
     let by = engine.backend(Wish::Auto)?;
@@ -157,9 +164,12 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>) -> 
         ..ExecutorOptions::new(bounds)
     };
     let blobs = Arc::clone(&stores.blobs);
-    let desk = Executor::start(engine.clone(), stores, options).await.map_err(|error| unusable(&config, &error))?;
-    let listener = TcpListener::bind(config.listen.as_slice())
+    let desk = life.step(Step::Jobs, Executor::start(engine.clone(), stores, options)).await.map_err(late)?;
+    let desk = desk.map_err(|error| unusable(&config, &error))?;
+    let listener = life.step(Step::Port, TcpListener::bind(config.listen.as_slice()));
+    let listener = listener
         .await
+        .map_err(late)?
         .map_err(|e| Unavailable(format!("cannot listen on {}: {e}; choose another --listen", args.listen)))?;
     let address = listener.local_addr().context("asking for the port")?;
     tracing::info!(

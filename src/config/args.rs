@@ -128,6 +128,12 @@ pub(crate) struct ServeArgs {
     /// Seconds after that until the process ends with exit code 75, for its supervisor to start it anew.
     #[arg(long, value_name = "S", default_value_t = 50.0, env = "TESSERA_STUCK_EXIT_S")]
     pub stuck_exit_s: f64,
+    /// How far threads at work give way to all others, 0 to 19 (Unix): calls are answered at once though all cores are busy.
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = whole::<u8>, env = "TESSERA_NICE")]
+    pub nice: u8,
+    /// Seconds that each step of the start may take: opening the storage, opening the device, reading the journal.
+    #[arg(long, value_name = "S", default_value_t = 300.0, env = "TESSERA_START_S")]
+    pub start_s: f64,
     /// Seconds that running work gets to end after SIGTERM.
     #[arg(long, value_name = "S", default_value_t = 30.0, env = "TESSERA_GRACE_S")]
     pub grace_s: f64,

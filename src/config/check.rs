@@ -48,6 +48,10 @@ pub(crate) struct ServeConfig {
     pub jobs_at_once: Option<usize>,
     /// What is done about the device.
     pub device: DeviceRules,
+    /// How far threads at work give way.
+    pub nice: u8,
+    /// For each step of the start.
+    pub start: Duration,
     /// The files of TLS, if it is spoken.
     pub tls: Option<TlsFiles>,
     /// Whether calls without a key are refused.
@@ -97,6 +101,8 @@ impl ServeArgs {
             listen,
             tls,
             device: self.device.check()?,
+            nice: within("--nice", self.nice.into(), 0, 19, "0 to 19")? as u8,
+            start: seconds("--start-s", self.start_s)?,
             admin: self.watching.admin(self.security.insecure)?,
             bucket: self.bucket()?,
             disk_reserve_bytes: within("--disk-reserve-mib", self.disk_reserve_mib, 0, 1 << 24, "at most 16777216")?

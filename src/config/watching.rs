@@ -19,9 +19,12 @@ pub(crate) struct WatchingArgs {
     #[arg(long, value_name = "S", default_value_t = 60.0, env = "TESSERA_PROBE_S")]
     pub probe_s: f64,
     /// Address and port for operators: metrics, health and readiness over HTTP. None if not given; anything but loopback needs
-    /// --insecure.
+    /// --admin-public.
     #[arg(long, value_name = "ADDRESS:PORT", env = "TESSERA_ADMIN_LISTEN")]
     pub admin_listen: Option<String>,
+    /// Let other machines reach the admin port, which asks for no key. --insecure does so too.
+    #[arg(long, env = "TESSERA_ADMIN_PUBLIC")]
+    pub admin_public: bool,
     /// Collector of OpenTelemetry traces (OTLP over gRPC), e.g. http://127.0.0.1:4317. None if not given.
     #[arg(long, value_name = "URL", env = "TESSERA_OTLP_ENDPOINT")]
     pub otlp_endpoint: Option<String>,
@@ -35,11 +38,11 @@ impl WatchingArgs {
     pub(super) fn admin(&self, insecure: bool) -> Result<Vec<SocketAddr>, ConfigError> {
         let Some(listen) = &self.admin_listen else { return Ok(Vec::new()) };
         let found = addresses("--admin-listen", listen)?;
-        if !insecure && found.iter().any(|address| !address.ip().to_canonical().is_loopback()) {
+        if !insecure && !self.admin_public && found.iter().any(|address| !address.ip().to_canonical().is_loopback()) {
             return Err(ConfigError {
                 option: "--admin-listen",
                 value: format!("{listen:?}"),
-                must: "a loopback address, as 127.0.0.1:9090, since everybody who reaches it can read it; or give --insecure",
+                must: "a loopback address, as 127.0.0.1:9090, since everybody who reaches it can read it; or give --admin-public",
             });
         }
         Ok(found)

@@ -6,8 +6,7 @@
 //! Must not know: how counts are kept, where spans go, what a job does.
 
 use std::fmt;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use tracing::{Span, debug_span, field, info_span};
@@ -37,6 +36,8 @@ pub(crate) enum Ended {
     Failed,
     /// Nobody wants the result any more.
     Cancelled,
+    /// The server ends first, and the next one begins it anew.
+    PutBack,
 }
 
 /// Where a job comes from and how large it is, for who counts.
@@ -165,7 +166,7 @@ impl Waiting {
             trace::join(&span, trace);
         }
         let now = Mutex::new(Now { span, stage: None, counted });
-        Arc::new(Told { observer, origin, now, has_failed: AtomicBool::new(false) })
+        Arc::new(Told { observer, origin, now, said: OnceLock::new() })
     }
 }
 
@@ -174,7 +175,8 @@ pub(crate) struct Told {
     observer: Arc<dyn Observer>,
     origin: Option<Origin>,
     now: Mutex<Now>,
-    has_failed: AtomicBool,
+    /// What its work says of its end, where that is not told by an error.
+    said: OnceLock<Ended>,
 }
 
 struct Now {
@@ -230,9 +232,9 @@ impl Told {
         Pass { told: self, backend, since: Instant::now(), _span: span }
     }
 
-    /// The job has no result, though its work ends well.
-    pub(crate) fn fail(&self) {
-        self.has_failed.store(true, Ordering::Release);
+    /// How the job ended, though its work ends well.
+    pub(crate) fn ends(&self, how: Ended) {
+        let _ = self.said.set(how);
     }
 
     /// The piece has ended, and is out of the count before anybody hears of its result.
@@ -244,8 +246,8 @@ impl Told {
         drop(now);
         let how = match error {
             Some(error) if error.is_cancelled() => Ended::Cancelled,
-            None if !self.has_failed.load(Ordering::Acquire) => Ended::Done,
-            _ => Ended::Failed,
+            Some(_) => Ended::Failed,
+            None => self.said.get().copied().unwrap_or(Ended::Done),
         };
         drop(counted);
         self.origin.iter().for_each(|origin| self.observer.ended(origin, how));
@@ -358,7 +360,7 @@ mod tests {
         use crate::token::Stopped;
         let told = told_of(|observer| {
             let told = Waiting::new(observer, Some(origin())).begin();
-            told.fail();
+            told.ends(Ended::Failed);
             told.end(None);
             told.end(None);
             Waiting::new(observer, Some(origin())).begin().end(Some(&Stopped::Cancelled.into()));

@@ -43,6 +43,9 @@ pub struct EngineOptions {
     pub loss_patience: Duration,
     /// Jobs at work at once, at least 1; one more of a tenant that has none at work.
     pub jobs_at_once: usize,
+    /// How far threads at work give way to others, 0 to 19, where the system knows that: what answers calls then need not wait
+    /// for what computes.
+    pub nice: u8,
 }
 
 impl Default for EngineOptions {
@@ -55,6 +58,7 @@ impl Default for EngineOptions {
             loss: LossPolicy::default(),
             loss_patience: Duration::from_secs(30),
             jobs_at_once: jobs_at_once(),
+            nice: 0,
         }
     }
 }
@@ -139,6 +143,18 @@ impl Infos {
     }
 }
 
+/// Lets other threads go before this one, and before those that it starts.
+fn give_way(nice: u8) {
+    #[cfg(unix)]
+    if nice > 0
+        && let Err(error) = rustix::process::nice(nice.into())
+    {
+        tracing::warn!(%error, nice, "threads at work do not give way to others");
+    }
+    #[cfg(not(unix))]
+    let _ = nice;
+}
+
 /// The engine's own thread: starts the others, and waits for their end.
 pub(super) fn run(
     factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
@@ -146,6 +162,7 @@ pub(super) fn run(
     observer: Arc<dyn Observer>,
     ready: &SyncSender<Result<Arc<Shared>, JobError>>,
 ) {
+    give_way(options.nice);
     let shared = match Shared::new(factory, options, observer) {
         Ok(shared) => Arc::new(shared),
         Err(error) => {

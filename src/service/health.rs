@@ -95,6 +95,7 @@ pub(super) async fn follow_engine(engine: &Engine, readiness: &Readiness, metric
             return Some(stage);
         }
         readiness.set(Reason::WorkStuck, works != Work::Stops);
+        readiness.set(Reason::OnCpu, now == Device::Replaced);
         if now == Device::Lost {
             readiness.set(Reason::DeviceLost, true);
         } else if readiness.condition().has(Reason::DeviceLost) {

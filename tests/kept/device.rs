@@ -1,8 +1,9 @@
-//! Promise: a device that is lost costs time and no job: health says so within a second, the device is opened anew, and the job
-//! that was at work gives the same bits.
+//! Promise: a device that is lost or hangs costs time and no job: health says so within a second, the device is opened anew,
+//! and the job that was at work gives the same bits.
 //!
-//! A real device of wgpu, a software one too, in a server of this process: it is destroyed under the jobs.
-//! `TESSERA_LOSSES=20` does so as often.
+//! A real device of wgpu, a software one too, in a server of this process: it is destroyed under the jobs, or given work that
+//! takes longer than any submission may. `TESSERA_LOSSES=20 TESSERA_HANGS=5` does so as often. A software device that hangs
+//! keeps all cores busy, so no hang is the default.
 
 #[path = "../common/gpu.rs"]
 mod gpu;
@@ -29,8 +30,11 @@ use tonic_health::pb::health_client::HealthClient;
 use super::program::{Client, part, remesh};
 
 const LIMIT: Duration = Duration::from_secs(120);
-/// What the device may take for one submission.
-const TIMEOUT: Duration = Duration::from_secs(8);
+/// What the device may take for one submission. The first ones compile shaders, for a minute where nothing is cached; a hang is
+/// waited for to its end.
+fn timeout() -> Duration {
+    Duration::from_secs(if times("TESSERA_HANGS", 0) > 0 { 20 } else { 120 })
+}
 
 fn times(name: &str, usual: usize) -> usize {
     std::env::var(name).map_or(usual, |text| text.parse().unwrap())
@@ -44,6 +48,7 @@ struct Server {
     /// Whether the device can be opened.
     is_there: Arc<Mutex<bool>>,
     journal: Arc<dyn store::JobStore>,
+    readiness: Readiness,
     stop: oneshot::Sender<()>,
     served: tokio::task::JoinHandle<Result<(), ServeError>>,
 }
@@ -59,7 +64,7 @@ impl Server {
             if !*there.lock().unwrap() {
                 return Err(away("taken away on purpose").into());
             }
-            let options = DeviceOptions { software: true, timeout: TIMEOUT, ..DeviceOptions::default() };
+            let options = DeviceOptions { software: true, timeout: timeout(), ..DeviceOptions::default() };
             let opened = Device::open(&options).map_err(|error| away(&error.to_string()))?;
             *kept.lock().unwrap() = Some(Arc::clone(&opened));
             Ok(Backends {
@@ -89,6 +94,7 @@ impl Server {
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel();
         let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
+        let readiness = Readiness::new();
         let parts = Parts {
             engine: engine.clone(),
             worker,
@@ -97,13 +103,13 @@ impl Server {
             tls: None,
             access: Access::open(),
             metrics: Metrics::default(),
-            readiness: Readiness::new(),
+            readiness: readiness.clone(),
             about: About::default(),
         };
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;
         }));
-        Self { address, engine, device, is_there, journal, stop, served }
+        Self { address, engine, device, is_there, journal, readiness, stop, served }
     }
 
     async fn client(&self) -> Client {
@@ -113,6 +119,53 @@ impl Server {
     /// Takes the device away for good.
     fn lose(&self) {
         self.device.lock().unwrap().as_ref().unwrap().raw().destroy();
+    }
+
+    /// Gives the device work that takes about so long.
+    fn hang(&self, time: Duration) {
+        let device = Arc::clone(self.device.lock().unwrap().as_ref().unwrap());
+        // A loop of a software driver ends after 65,535 rounds, so many workgroups go through a shorter one.
+        let source = "@group(0) @binding(0) var<storage, read_write> out: array<u32>;
+            @compute @workgroup_size(8) fn main(@builtin(workgroup_id) group: vec3u) {
+                var x = group.x;
+                for (var i = 0u; i < 60000u; i++) { x = x * 1664525u + 1013904223u + (x >> 7u); }
+                if x == 7u { out[0] = x; }
+            }";
+        let raw = device.raw();
+        let module = raw.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: None,
+            source: wgpu::ShaderSource::Wgsl(source.into()),
+        });
+        let pipeline = raw.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: None,
+            layout: None,
+            module: &module,
+            entry_point: Some("main"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
+        });
+        let usage = wgpu::BufferUsages::STORAGE;
+        let buffer =
+            raw.create_buffer(&wgpu::BufferDescriptor { label: None, size: 16, usage, mapped_at_creation: false });
+        let group = raw.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: None,
+            layout: &pipeline.get_bind_group_layout(0),
+            entries: &[wgpu::BindGroupEntry { binding: 0, resource: buffer.as_entire_binding() }],
+        });
+        let work = |groups: u32| {
+            let mut encoder = device.encoder();
+            {
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+                pass.set_pipeline(&pipeline);
+                pass.set_bind_group(0, &group, &[]);
+                pass.dispatch_workgroups(1000, groups, 1);
+            }
+            device.queue().submit([encoder.finish()])
+        };
+        let begin = Instant::now();
+        let submission_index = Some(work(1));
+        raw.poll(wgpu::PollType::Wait { submission_index, timeout: Some(timeout()) }).unwrap();
+        work((time.as_secs_f64() / begin.elapsed().as_secs_f64()).ceil() as u32);
     }
 
     /// What health says, from now on.
@@ -146,7 +199,7 @@ async fn no_job_is_lost_with_its_device() {
     if gpu::device().is_none() {
         return;
     }
-    let losses = times("TESSERA_LOSSES", 3);
+    let (losses, hangs) = (times("TESSERA_LOSSES", 3), times("TESSERA_HANGS", 0));
     let server = Server::start(LossPolicy::Wait, Duration::from_secs(30)).await;
     let mut client = server.client().await;
     let digest = client.put_mesh(&Shape::Genus(3).build(1_200)).await;
@@ -157,15 +210,21 @@ async fn no_job_is_lost_with_its_device() {
     let expected = part(&calm, "mesh");
     let calm_s = calm_began.elapsed().as_secs_f64();
     let (mut told, mut ended) = (Vec::new(), Vec::new());
-    for _ in 0..losses {
+    for time in 0..losses + hangs {
         let mut health = server.health().await;
         assert_eq!(health.message().await.unwrap().unwrap().status(), ServingStatus::Serving);
         let id = client.submit(remesh(&digest, 150, 1)).await;
         steps(&mut client, &id).await;
         let begin = Instant::now();
-        server.lose();
+        let hangs = time >= losses;
+        if hangs {
+            server.hang(2 * timeout());
+        } else {
+            server.lose();
+        }
         let heard = tokio::time::timeout(LIMIT, health.message()).await.expect("health changes").unwrap().unwrap();
-        let after = begin.elapsed();
+        // A submission has its time.
+        let after = begin.elapsed().saturating_sub(if hangs { timeout() } else { Duration::ZERO });
         assert_eq!(heard.status(), ServingStatus::NotServing);
         told.push(after.as_secs_f64());
         let job = client.end(&id, LIMIT).await;
@@ -173,11 +232,11 @@ async fn no_job_is_lost_with_its_device() {
         assert_eq!(part(&job, "mesh"), expected, "the same bits");
         ended.push(begin.elapsed().as_secs_f64());
     }
-    assert_eq!(server.engine.losses(), losses as u64);
+    assert_eq!(server.engine.losses(), (losses + hangs) as u64);
     assert!(told.iter().all(|seconds| *seconds < 1.0), "NOT_SERVING in time: {told:?}");
     println!(
         "{}",
-        json!({ "losses": losses, "calm_s": calm_s, "not_serving_after_s": told, "job_ended_after_s": ended })
+        json!({ "losses": losses, "hangs": hangs, "calm_s": calm_s, "not_serving_after_s": told, "job_ended_after_s": ended })
     );
     server.stop().await.unwrap();
 }
@@ -202,6 +261,7 @@ async fn a_device_that_does_not_come_back_ends_the_server_or_its_use() {
     assert_eq!(report["backend"], "parallel");
     let mut health = server.health().await;
     assert_eq!(health.message().await.unwrap().unwrap().status(), ServingStatus::Serving);
+    assert_eq!(server.readiness.condition().to_string(), "ready; degraded: on_cpu");
     server.stop().await.unwrap();
 
     // The process is told to end; the job is put back, and not failed.

@@ -17,11 +17,11 @@ const LIMIT: Duration = Duration::from_secs(300);
 /// Connections that the clients share: a client of its own is a tenant, not a socket.
 const CONNECTIONS: usize = 16;
 
-fn length(usual: f64) -> Duration {
+pub fn length(usual: f64) -> Duration {
     Duration::from_secs_f64(std::env::var("TESSERA_LOAD_S").map_or(usual, |text| text.parse().unwrap()))
 }
 
-fn quantile(times: &mut [f64], part: f64) -> f64 {
+pub fn quantile(times: &mut [f64], part: f64) -> f64 {
     times.sort_unstable_by(f64::total_cmp);
     times.get(((times.len().max(1) - 1) as f64 * part).round() as usize).copied().unwrap_or(0.0)
 }
@@ -158,7 +158,9 @@ async fn what_is_too_much_is_refused_at_once() {
     let id = flood.submit(remesh(&small, 40, 1)).await;
     assert_eq!(flood.end(&id, LIMIT).await.state(), JobState::Succeeded);
     let after = asked.elapsed();
-    let grown = memory.last().unwrap_or(&0).saturating_sub(*memory.first().unwrap_or(&0));
+    // Once it is as full as it gets.
+    let warm = memory.len() / 4;
+    let grown = memory.last().unwrap_or(&0).saturating_sub(memory.get(warm).copied().unwrap_or(0));
     println!(
         "{}",
         json!({

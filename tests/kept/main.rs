@@ -19,4 +19,10 @@ mod program;
 #[path = "../service/raw.rs"]
 #[allow(dead_code)]
 mod raw;
+#[path = "../common/server.rs"]
+#[allow(dead_code)]
+mod server;
 mod sharing;
+mod shutdown;
+mod slow_readers;
+mod soak;

@@ -1,5 +1,6 @@
 //! The program with a folder, and a client of it.
 
+use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -11,12 +12,16 @@ use tessera::mesh::io::{Format, encode};
 use tessera::proto::blob_service_client::BlobServiceClient;
 use tessera::proto::job_service_client::JobServiceClient;
 use tessera::proto::*;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
 use tonic::transport::{Channel, Endpoint};
 
 /// A server. Killed when dropped.
 pub struct Program {
     pub child: Child,
     pub address: String,
+    /// The admin port, if the options open one.
+    pub admin: Option<String>,
 }
 
 impl Program {
@@ -36,10 +41,12 @@ impl Program {
             .stderr(log)
             .spawn()
             .unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.trim().strip_prefix("tessera listens on ").expect("it listens").to_owned();
-        Self { child, address }
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let mut after =
+            |words: &str| lines.next().unwrap().unwrap().strip_prefix(words).expect("it listens").to_owned();
+        let address = after("tessera listens on ");
+        let admin = options.contains(&"--admin-listen").then(|| after("tessera tells operators on "));
+        Self { child, address, admin }
     }
 
     pub async fn client(&self) -> Client {
@@ -57,6 +64,17 @@ impl Program {
         let told = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status().unwrap();
         assert!(told.success());
         self.child.wait().unwrap().code()
+    }
+
+    /// The metrics that the admin port tells, by name and labels.
+    pub async fn metrics(&self) -> BTreeMap<String, f64> {
+        let mut stream = TcpStream::connect(self.admin.as_ref().unwrap()).await.unwrap();
+        stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n").await.unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).await.unwrap();
+        let samples = answer.split_once("\r\n\r\n").unwrap().1.lines().filter(|line| !line.starts_with('#'));
+        let samples = samples.map(|line| line.rsplit_once(' ').unwrap());
+        samples.map(|(name, value)| (name.to_owned(), value.parse().unwrap())).collect()
     }
 
     /// Resident memory in bytes, open descriptors, threads.

@@ -125,5 +125,22 @@ fn an_admin_port_that_others_reach_needs_a_word() {
     let refused = tessera(&["serve", "--listen", "127.0.0.1:0", "--ephemeral", "--admin-listen", "0.0.0.0:0"]);
     let error = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert_eq!(refused.status.code(), Some(2), "{error}");
-    assert!(error.contains("--admin-listen") && error.contains("--insecure"), "{error}");
+    assert!(error.contains("--admin-listen") && error.contains("--admin-public"), "{error}");
+}
+
+#[tokio::test]
+async fn readiness_is_asked_at_the_admin_port_too() {
+    let program = Program::start(&[], &[]);
+    let told = tessera(&["health", "--admin", &program.admin]);
+    assert_eq!((told.status.code(), &*told.stdout), (Some(0), &b"ready\n"[..]), "{told:?}");
+    let json = tessera(&["health", "--admin", &program.admin, "--json"]);
+    assert_eq!(String::from_utf8_lossy(&json.stdout), "{\"ready\":true,\"reasons\":[],\"degraded\":[]}\n");
+    // The port of calls is no admin port; nor is one where nobody listens.
+    let (address, admin) = (program.address.clone(), program.admin.clone());
+    let wrong = tessera(&["health", "--admin", &address, "--timeout-s", "2"]);
+    assert_eq!(wrong.status.code(), Some(69), "{wrong:?}");
+    program.stop();
+    let nobody = tessera(&["health", "--admin", &admin]);
+    assert_eq!(nobody.status.code(), Some(69), "{nobody:?}");
+    assert!(String::from_utf8_lossy(&nobody.stderr).contains("--admin-listen"), "{nobody:?}");
 }

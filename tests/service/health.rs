@@ -83,7 +83,7 @@ async fn a_backend_that_computes_nonsense_is_found_and_comes_back() {
     let mut states = health.watch(ask).await.unwrap().into_inner();
     assert_eq!(next(&mut states).await, ServingStatus::Serving);
     let told = info.get_server_info(GetServerInfoRequest {}).await.unwrap().into_inner();
-    assert_eq!(told.readiness.unwrap(), Readiness { ready: true, reasons: vec![] });
+    assert_eq!(told.readiness.unwrap(), Readiness { ready: true, ..Readiness::default() });
 
     let start = Instant::now();
     moody.is_wrong.store(true, Ordering::SeqCst);

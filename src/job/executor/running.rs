@@ -15,7 +15,7 @@ use crate::blob::{BlobError, Digest, Owner, put};
 use crate::job::call::{ATTEMPTS, Turn};
 use crate::job::event::Progress;
 use crate::job::input::{ReadBlob, Trouble};
-use crate::job::observer;
+use crate::job::observer::{self, Ended};
 use crate::job::perform::{Parts, Surroundings, perform};
 use crate::job::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
 use crate::job::store::StoreError;
@@ -201,15 +201,17 @@ impl AtWork {
                 Some(change) => change,
                 // Whoever cancelled it has said so.
                 None => {
-                    self.told.fail();
+                    self.told.ends(Ended::Cancelled);
                     inner.runtime.block_on(inner.unpin(&result_pin(job.id)));
                     return;
                 }
             },
         };
         let keeps = matches!(change, Change::Succeed(_));
-        if !keeps {
-            self.told.fail();
+        match &change {
+            Change::Succeed(_) => {}
+            Change::Release => self.told.ends(Ended::PutBack),
+            _ => self.told.ends(Ended::Failed),
         }
         let name = change.transition();
         inner.runtime.block_on(async {

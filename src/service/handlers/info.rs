@@ -28,13 +28,17 @@ impl proto::server_service_server::ServerService for Info {
         _: Request<GetServerInfoRequest>,
     ) -> Result<Response<GetServerInfoResponse>, Status> {
         let condition = self.readiness.condition();
-        let reasons = condition.reasons().map(|reason| reason.name().to_owned()).collect();
+        let readiness = proto::Readiness {
+            ready: condition.is_ready(),
+            reasons: condition.reasons().map(|reason| reason.name().to_owned()).collect(),
+            degraded: condition.degraded().map(|reason| reason.name().to_owned()).collect(),
+        };
         Ok(Response::new(GetServerInfoResponse {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             revision: self.about.revision.unwrap_or_default().to_owned(),
             features: self.about.features.iter().map(|&name| name.to_owned()).collect(),
             uptime: duration(self.about.started.elapsed()),
-            readiness: Some(proto::Readiness { ready: condition.is_ready(), reasons }),
+            readiness: Some(readiness),
             backends: self.backends(),
             device: self.device(),
             memory: Some(proto::HostMemory {

@@ -1,0 +1,49 @@
+#!/usr/bin/env bash
+# Checks what lies in deploy/ with the tools that will read it: promtool, kustomize, Envoy, hadolint, yamllint and Kubernetes' schemas.
+# Usage: deploy/check.sh [PROGRAM]
+# With a program, the dashboard and the alerts are asked of a real Prometheus, and Envoy stands before two real servers.
+# Needs Debian's package prometheus, and Python 3.11 with venv; the other tools are installed below target/.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+program=${1:-}
+# Two runs at once do not install into one folder.
+mkdir -p target
+exec 9>target/deploy-venv.lock
+flock 9
+
+venv=target/deploy-venv
+if ! cmp -s deploy/requirements.txt "$venv/requirements.txt"; then
+    rm -rf "$venv"
+    python3 -m venv "$venv"
+    "$venv/bin/pip" install --quiet --disable-pip-version-check -r deploy/requirements.txt
+    cp deploy/requirements.txt "$venv/requirements.txt"
+fi
+
+echo "-- YAML"
+"$venv/bin/yamllint" --strict -c deploy/.yamllint.yaml deploy
+
+echo "-- Prometheus"
+promtool check config deploy/prometheus/prometheus.yml
+promtool check rules --lint=all --lint-fatal deploy/prometheus/alerts.yml
+promtool test rules deploy/prometheus/alerts.test.yml
+
+echo "-- Dockerfile"
+# DL3008 asks for versions of Debian's packages, which Debian takes away when there are newer ones.
+"$venv/bin/hadolint" --ignore DL3008 deploy/Dockerfile
+
+echo "-- Envoy"
+"$venv/bin/envoy" --mode validate --log-level error -c deploy/envoy/envoy.yaml
+
+echo "-- dashboard, compose and Kubernetes"
+python3 deploy/grafana/dashboard.py --check
+"$venv/bin/python" deploy/check_files.py "$venv/bin/kubectl"
+
+echo "-- packages"
+python3 deploy/release/notices.py check
+
+if [ -n "$program" ]; then
+    echo "-- a real Prometheus"
+    "$venv/bin/python" deploy/check_queries.py "$program"
+    echo "-- a real Envoy"
+    "$venv/bin/python" deploy/check_envoy.py "$program" "$venv/bin/envoy"
+fi

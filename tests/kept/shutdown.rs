@@ -1,0 +1,64 @@
+//! Promise: SIGTERM under load ends the server within its grace period and 2 s. Who watches a job hears `UNAVAILABLE` and
+//! nothing else, and the jobs go on when the server starts again.
+//!
+//! `TESSERA_LOAD_S=30` is how long the load lasts before.
+
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+use tessera::mesh::shapes::Shape;
+use tessera::proto::*;
+use tonic::Code;
+
+use super::load::length;
+use super::program::*;
+
+const LIMIT: Duration = Duration::from_secs(600);
+const GRACE: Duration = Duration::from_secs(1);
+const WATCHERS: usize = 24;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn open_watches_hear_unavailable_and_jobs_go_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = ["--grace-s", "1", "--max-streams", "256"];
+    let mut program = Program::start(folder.path(), &options);
+    let client = program.client().await;
+    let digest = client.of("a").put_mesh(&Shape::Genus(3).build(20_000)).await;
+    // Some at work, longer than the grace period; the others wait.
+    let mut ids = Vec::new();
+    for job in 0..WATCHERS as u64 {
+        let points = if job < 4 { 8_000 } else { 200 };
+        ids.push(client.of("a").submit(remesh(&digest, points, job)).await);
+    }
+    let watches: Vec<_> = ids
+        .iter()
+        .map(|id| {
+            let (mut client, id) = (client.of("a"), id.clone());
+            tokio::spawn(async move { client.watch(&id, 0).await })
+        })
+        .collect();
+    tokio::time::sleep(length(1.0)).await;
+    let asked = Instant::now();
+    let code = tokio::task::spawn_blocking(move || program.stop()).await.unwrap();
+    let took = asked.elapsed();
+    assert_eq!(code, Some(0));
+    let mut unavailable = 0;
+    for watch in watches {
+        match watch.await.unwrap() {
+            Ok(events) => assert!(!events.is_empty(), "an end without a word"),
+            Err(status) => {
+                assert_eq!(status.code(), Code::Unavailable, "{status:?}");
+                unavailable += 1;
+            }
+        }
+    }
+    assert!(unavailable > 0, "all jobs had ended");
+    assert!(took < GRACE + Duration::from_secs(2), "{took:?}");
+    let program = Program::start(folder.path(), &options);
+    let mut client = program.client().await.of("a");
+    for id in &ids {
+        let job = client.end(id, LIMIT).await;
+        assert_eq!(job.state(), JobState::Succeeded, "{job:?}");
+    }
+    println!("{}", json!({ "exit_s": took.as_secs_f64(), "watches": WATCHERS, "unavailable": unavailable }));
+}

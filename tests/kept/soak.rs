@@ -1,0 +1,186 @@
+//! Promise: a server that works for long does not grow. Jobs of all kinds, cancelled ones, bad ones, streams that are dropped
+//! and uploads that are left: what each took comes back.
+//!
+//! Short here; `TESSERA_SOAK_S=1800` is the length. Figures are printed as JSON.
+
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::json;
+use tessera::mesh::shapes::Shape;
+use tessera::proto::*;
+use tonic::Code;
+
+use super::program::*;
+use super::raw::{COMPUTE_RVD, Raw};
+use super::server::{octahedron, rvd_request, spiral};
+
+const LIMIT: Duration = Duration::from_secs(300);
+const CLIENTS: u64 = 6;
+
+fn seconds() -> Duration {
+    Duration::from_secs_f64(std::env::var("TESSERA_SOAK_S").map_or(4.0, |text| text.parse().unwrap()))
+}
+
+/// One thing that a client does; its kind.
+async fn act(client: &mut Client, address: SocketAddr, rng: &mut ChaCha8Rng) -> usize {
+    let kind = rng.random_range(0..8);
+    let facets = 300 + rng.random_range(0..1500);
+    let mesh = Shape::Genus(rng.random_range(1..4)).build(facets);
+    let points = rng.random_range(20..200);
+    match kind {
+        // A job to its end; its result is read, and it is deleted or left to expire.
+        0 | 1 => {
+            let digest = client.put_mesh(&mesh).await;
+            let id = client.submit(remesh(&digest, points, rng.random())).await;
+            let job = client.end(&id, LIMIT).await;
+            assert_eq!(job.state(), JobState::Succeeded, "{job:?}");
+            client.read(&part(&job, "mesh")).await;
+            if kind == 0 {
+                let request = client.request(DeleteJobRequest { id });
+                client.jobs.delete_job(request).await.unwrap();
+            }
+        }
+        // A diagram.
+        2 => {
+            let digest = client.put_mesh(&mesh).await;
+            let seeds = remesh(&digest, points, 1);
+            let Some(job_spec::Work::Remesh(RemeshJob { seeds, .. })) = seeds.work else { unreachable!() };
+            let work = Some(job_spec::Work::Rvd(RvdJob { seeds, ..RvdJob::default() }));
+            let id = client.submit(JobSpec { work, ..remesh(&digest, points, 1) }).await;
+            assert_eq!(client.end(&id, LIMIT).await.state(), JobState::Succeeded);
+        }
+        // Cancelled, at any moment.
+        3 => {
+            let digest = client.put_mesh(&mesh).await;
+            let id = client.submit(remesh(&digest, points, rng.random())).await;
+            tokio::time::sleep(Duration::from_millis(rng.random_range(0..200))).await;
+            client.cancel(&id).await.unwrap();
+            client.end(&id, LIMIT).await;
+        }
+        // A mesh that is none.
+        4 => {
+            let digest = client.put(format!("ply\n{}", rng.random::<u64>()).as_bytes()).await;
+            let id = client.submit(remesh(&digest, points, 0)).await;
+            let job = client.end(&id, LIMIT).await;
+            assert_eq!(job.failure.unwrap().kind(), JobFailureKind::BadInput);
+        }
+        // An answer that nobody reads to its end.
+        5 => {
+            let (vertices, facets) = octahedron();
+            let seeds = spiral(rng.random_range(100..3_000));
+            let request = rvd_request(&vertices, &facets, &seeds, BackendChoice::Parallel, &[RvdOutput::Cells]);
+            let mut raw = Raw::connect(address, 30_000).await;
+            let mut body = raw.ask(COMPUTE_RVD, &request).await.unwrap();
+            let _ = body.data().await;
+        }
+        // An upload that is left.
+        6 => {
+            let data = rng.random::<u64>().to_le_bytes().to_vec();
+            let digest = format!("{:016x}{:048x}", rng.random::<u64>(), 0);
+            let message = WriteRequest {
+                digest,
+                size_bytes: 1 << 16,
+                crc32c: crc32c::crc32c(&data),
+                data: data.into(),
+                ..WriteRequest::default()
+            };
+            let _ = client.begin(message).await;
+        }
+        // A watch that is dropped.
+        _ => {
+            let digest = client.put_mesh(&mesh).await;
+            let id = client.submit(remesh(&digest, points, rng.random())).await;
+            let watched = tokio::time::timeout(Duration::from_millis(20), client.watch(&id, 0)).await;
+            drop(watched);
+            let missing = client.jobs.get_job(client.request(GetJobRequest { id: format!("{id}x") })).await;
+            assert_eq!(missing.unwrap_err().code(), Code::InvalidArgument);
+            client.end(&id, LIMIT).await;
+        }
+    }
+    kind
+}
+
+/// The slope of a line through points, by least squares.
+fn slope(points: &[(f64, f64)]) -> f64 {
+    let n = points.len().max(1) as f64;
+    let (x, y) = points.iter().fold((0.0, 0.0), |(x, y), p| (x + p.0 / n, y + p.1 / n));
+    let (above, below) = points.iter().fold((0.0, 0.0), |(a, b), p| (a + (p.0 - x) * (p.1 - y), b + (p.0 - x).powi(2)));
+    if below > 0.0 { above / below } else { 0.0 }
+}
+
+#[cfg(target_os = "linux")]
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_server_took_comes_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = "--admin-listen 127.0.0.1:0 --keep-results 20s --keep-jobs 60s --blobs-mib 64 --upload-idle-s 5";
+    let program = Program::start(folder.path(), &options.split(' ').collect::<Vec<_>>());
+    let address: SocketAddr = program.address.parse().unwrap();
+    let begin = Instant::now();
+    let length = seconds();
+    // Every kind once, so that what is made at first need is there.
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut client = program.client().await;
+    for _ in 0..20 {
+        act(&mut client, address, &mut rng).await;
+    }
+    let start = program.held();
+    let clients: Vec<_> = (0..CLIENTS)
+        .map(|who| {
+            let to = program.address.clone();
+            tokio::spawn(async move {
+                let mut rng = ChaCha8Rng::seed_from_u64(1000 + who);
+                let mut client = Client::to(&to).await.of(&format!("client-{who}"));
+                let mut kinds = [0u64; 8];
+                while begin.elapsed() < length {
+                    kinds[act(&mut client, address, &mut rng).await] += 1;
+                }
+                kinds
+            })
+        })
+        .collect();
+    // The least of each minute: what no job at work holds.
+    let spell = Duration::from_secs(60).min(length / 8);
+    let (mut least, mut next, mut held) = (Vec::new(), begin.elapsed() + spell, u64::MAX);
+    while begin.elapsed() < length {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        held = held.min(program.held().0);
+        if begin.elapsed() > next {
+            least.push((next.as_secs_f64() / 3600.0, held as f64));
+            (next, held) = (next + spell, u64::MAX);
+        }
+    }
+    let mut kinds = [0; 8];
+    for client in clients {
+        for (sum, kind) in kinds.iter_mut().zip(client.await.unwrap()) {
+            *sum += kind;
+        }
+    }
+    // Threads that wait for work are given up after 10 s.
+    let mut end = program.held();
+    for _ in 0..150 {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        end = program.held();
+        if end.1 <= start.1 && end.2 <= start.2 {
+            break;
+        }
+    }
+    let metrics = program.metrics().await;
+    let used = metrics["tessera_memory_bytes{kind=\"used\"}"];
+    let planned = metrics["tessera_device_bytes{kind=\"planned\"}"];
+    let warm = &least[least.len() / 3..];
+    println!(
+        "{}",
+        json!({
+            "seconds": length.as_secs_f64(), "acts_by_kind": kinds, "mb_an_hour": slope(warm) / 1e6,
+            "least_bytes_of_each_spell": least.iter().map(|p| p.1).collect::<Vec<_>>(),
+            "memory_descriptors_threads": [start, end], "used_bytes": used, "planned_bytes": planned,
+        })
+    );
+    assert_eq!((used, planned), (0.0, 0.0));
+    assert!(end.1 <= start.1 + 1, "descriptors: {} at first, {} at the end", start.1, end.1);
+    assert!(end.2 <= start.2 + 1, "threads: {} at first, {} at the end", start.2, end.2);
+    assert!(kinds.iter().sum::<u64>() > 0);
+}
