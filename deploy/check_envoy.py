@@ -69,7 +69,7 @@ def main(program, envoy):
         if sum(spread) != 8 or min(spread) == 0:
             sys.exit(f"8 streams went {spread}")
 
-        # A hundred connections of a tenant go to one server: its job is always there.
+        # Each command opens a connection of its own, and finds the job of its tenant.
         before = spread
         for tenant in ("one", "two", "three", "four", "five", "six"):
             job = run("jobs", "submit", "remesh", mesh, "--points", "300", tenant=tenant)
