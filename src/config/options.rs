@@ -72,8 +72,14 @@ pub(super) fn is_list(arg: &Arg) -> bool {
 /// What kind of value it takes.
 pub(super) fn kind(arg: &Arg) -> Kind {
     let of = arg.get_value_parser().type_id();
-    let numbers =
-        [TypeId::of::<u16>(), TypeId::of::<u32>(), TypeId::of::<u64>(), TypeId::of::<usize>(), TypeId::of::<f64>()];
+    let numbers = [
+        TypeId::of::<u8>(),
+        TypeId::of::<u16>(),
+        TypeId::of::<u32>(),
+        TypeId::of::<u64>(),
+        TypeId::of::<usize>(),
+        TypeId::of::<f64>(),
+    ];
     match () {
         () if of == TypeId::of::<bool>() => Kind::Switch,
         () if numbers.iter().any(|number| of == *number) => Kind::Number,

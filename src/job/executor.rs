@@ -403,21 +403,24 @@ impl Inner {
         missing.first().map_or(Ok(()), |digest| Err(BlobError::NotFound { digest: *digest }.into()))
     }
 
+    /// Whether one more job of a tenant may wait. Asks no store, so that who comes in excess is refused at once.
+    fn has_place(&self, tenant: &str) -> Result<(), JobError> {
+        if self.queue.is_draining() {
+            return Err(JobError::Draining);
+        }
+        let full = |waiting| Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs(5) });
+        match (self.queue.len(), self.queue.len_of(tenant)) {
+            (waiting, _) if waiting >= self.options.waiting_jobs => full(waiting),
+            // One tenant leaves places to others.
+            (_, own) if own >= self.options.waiting_jobs.div_ceil(2) => full(own),
+            _ => Ok(()),
+        }
+    }
+
     /// Checks all that can be checked before a job is kept.
     async fn admit(&self, spec: &ValidSpec) -> Result<(), DeskError> {
-        if self.queue.is_draining() {
-            return Err(JobError::Draining.into());
-        }
+        self.has_place(&spec.tenant)?;
         self.engine.backend(spec.choice())?;
-        let waiting = self.queue.len();
-        if waiting >= self.options.waiting_jobs {
-            return Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs(5) }.into());
-        }
-        let own = self.queue.len_of(&spec.tenant);
-        // One tenant leaves places to others.
-        if own >= self.options.waiting_jobs.div_ceil(2) {
-            return Err(JobError::QueueFull { waiting: own, retry_after: Duration::from_secs(5) }.into());
-        }
         let counts = self.forecast.counts(spec, None).await?;
         self.within_bounds(&counts)?;
         must_fit(&self.forecast.need(&counts), self.forecast.limits())
@@ -504,9 +507,12 @@ impl JobDesk for Executor {
 impl Inner {
     async fn create(self: Arc<Self>, spec: ValidSpec) -> Result<Created, DeskError> {
         // Its input may be gone by now, and is not needed.
-        if let Some(job) = self.stores.jobs.requested(spec.clone()).await? {
+        if !spec.request_id.is_empty()
+            && let Some(job) = self.stores.jobs.requested(spec.clone()).await?
+        {
             return Ok(Created { job, existed: true });
         }
+        self.has_place(&spec.tenant)?;
         let random = getrandom_u128()?;
         let time = now();
         let id = JobId::new(time, random);

@@ -60,9 +60,17 @@ async fn act(client: &mut Client, address: SocketAddr, rng: &mut ChaCha8Rng) -> 
             client.cancel(&id).await.unwrap();
             client.end(&id, LIMIT).await;
         }
-        // A mesh that is none.
+        // A mesh that is none, which is seen at once, and one whose facets name vertices that are not there.
         4 => {
             let digest = client.put(format!("ply\n{}", rng.random::<u64>()).as_bytes()).await;
+            let refused = client.create(remesh(&digest, points, 0), "").await.unwrap_err();
+            assert_eq!(refused.code(), Code::InvalidArgument, "{refused}");
+            let file = format!(
+                "ply\nformat ascii 1.0\ncomment {}\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+                 element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n",
+                rng.random::<u64>()
+            );
+            let digest = client.put(file.as_bytes()).await;
             let id = client.submit(remesh(&digest, points, 0)).await;
             let job = client.end(&id, LIMIT).await;
             assert_eq!(job.failure.unwrap().kind(), JobFailureKind::BadInput);

@@ -28,7 +28,10 @@ async fn a_server_that_is_well_says_so_everywhere() {
         assert!(start.elapsed() < 10 * SECOND, "it is not ready");
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
-    assert_eq!(program.get("/readyz", "*/*").await, (200, "{\"ready\":true,\"reasons\":[]}\n".to_owned()));
+    assert_eq!(
+        program.get("/readyz", "*/*").await,
+        (200, "{\"ready\":true,\"reasons\":[],\"degraded\":[]}\n".to_owned())
+    );
     assert_eq!(program.get("/healthz", "*/*").await, (200, "ok\n".to_owned()));
     assert!(program.get("/version", "*/*").await.1.contains(env!("CARGO_PKG_VERSION")));
 
@@ -89,7 +92,7 @@ async fn a_server_that_drains_says_so_until_it_ends() {
     let told = tokio::time::timeout(2 * SECOND, states.message()).await.unwrap().unwrap().unwrap();
     assert_eq!(told.status, 2);
     let (status, body) = program.get("/readyz", "*/*").await;
-    assert_eq!((status, body.as_str()), (503, "{\"ready\":false,\"reasons\":[\"draining\"]}\n"));
+    assert_eq!((status, body.as_str()), (503, "{\"ready\":false,\"reasons\":[\"draining\"],\"degraded\":[]}\n"));
     assert_eq!(program.get("/healthz", "*/*").await.0, 200);
     assert_eq!(program.metrics().await.get("tessera_not_ready{reason=\"draining\"}"), 1.0);
     let start = Instant::now();
@@ -131,6 +134,10 @@ fn an_admin_port_that_others_reach_needs_a_word() {
 #[tokio::test]
 async fn readiness_is_asked_at_the_admin_port_too() {
     let program = Program::start(&[], &[]);
+    let start = Instant::now();
+    while !tessera(&["health", "--admin", &program.admin]).status.success() {
+        assert!(start.elapsed() < 10 * SECOND, "it is not ready");
+    }
     let told = tessera(&["health", "--admin", &program.admin]);
     assert_eq!((told.status.code(), &*told.stdout), (Some(0), &b"ready\n"[..]), "{told:?}");
     let json = tessera(&["health", "--admin", &program.admin, "--json"]);
