@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Checks what lies in deploy/ with the tools that will read it: promtool, kustomize, Envoy, hadolint, yamllint and Kubernetes' schemas.
+# Checks what lies in deploy/ with the tools that will read it: promtool, kustomize, Envoy, hadolint, yamllint, and the schemas of
+# Kubernetes and Compose.
 # Usage: deploy/check.sh [PROGRAM]
 # With a program, the dashboard and the alerts are asked of a real Prometheus, and Envoy stands before two real servers.
 # Needs Debian's package prometheus, and Python 3.11 with venv; the other tools are installed below target/.
@@ -34,7 +35,10 @@ echo "-- Dockerfile"
 echo "-- Envoy"
 "$venv/bin/envoy" --mode validate --log-level error -c deploy/envoy/envoy.yaml
 
-echo "-- dashboard, compose and Kubernetes"
+echo "-- Compose"
+"$venv/bin/check-jsonschema" --quiet --builtin-schema vendor.compose-spec deploy/compose*.yaml
+
+echo "-- dashboard, Kubernetes, and how the files fit together"
 python3 deploy/grafana/dashboard.py --check
 "$venv/bin/python" deploy/check_files.py "$venv/bin/kubectl"
 
