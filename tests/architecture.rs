@@ -126,6 +126,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("opentelemetry_otlp", &["telemetry/traces"]),
     ("opentelemetry_sdk", &["telemetry/traces"]),
     ("tracing_opentelemetry", &["telemetry/traces", "trace"]),
+    ("tracing_appender", &["telemetry"]),
     ("tracing_subscriber", &["telemetry"]),
     ("http_body", &["service/connections", "service/access"]),
     ("governor", &["service/access"]),
