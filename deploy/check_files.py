@@ -13,6 +13,8 @@ import sys
 
 import kubernetes_validate
 import yaml
+from cyclonedx.schema import SchemaVersion
+from cyclonedx.validation.json import JsonStrictValidator
 
 HERE = pathlib.Path(__file__).parent
 KUBERNETES = "1.33"
@@ -127,10 +129,21 @@ def check_versions():
     need(images[0]["newTag"] == version, "kubernetes/base: newTag is not Cargo.toml's version")
 
 
+def check_bill():
+    notices = [sys.executable, HERE / "release" / "notices.py"]
+    bill = subprocess.run([*notices, "sbom"], check=True, stdout=subprocess.PIPE, text=True).stdout
+    fault = JsonStrictValidator(SchemaVersion.V1_5).validate_str(bill)
+    need(fault is None, f"the bill of materials: {fault}")
+    licences = subprocess.run([*notices, "licences"], check=True, stdout=subprocess.PIPE, text=True).stdout
+    need("Permission is hereby granted" in licences, "the list of licences has no texts")
+    print(f"packages: {bill.count('bom-ref') - 1} in the bill of materials")
+
+
 if __name__ == "__main__":
     try:
         check_versions()
         check_kubernetes(sys.argv[1])
         check_compose()
+        check_bill()
     except Wrong as wrong:
         sys.exit(f"deploy: {wrong}")

@@ -35,6 +35,7 @@ inside=(env -i "${variables[@]}" chroot "$root"
     setpriv --reuid 10001 --regid 10001 --clear-groups --bounding-set=-all --inh-caps=-all --no-new-privs --)
 run() { "${inside[@]}" "$@"; }
 run tessera doctor
+: >"$work/out"
 "${inside[@]}" tessera serve --listen 127.0.0.1:0 --admin-listen 127.0.0.1:0 >"$work/out" 2>"$work/log" &
 server=$!
 for _ in $(seq 300); do
