@@ -143,6 +143,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("clap", &["config", "cli", "main"]),
     ("temp_env", &["cli/surroundings"]),
     ("anyhow", &["cli", "main"]),
+    ("hdrhistogram", &["cli/load"]),
     ("kiddo", &["knn"]),
     ("tobj", &["mesh/io"]),
     ("mimalloc", &["main"]),
