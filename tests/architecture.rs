@@ -148,6 +148,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("clap_mangen", &["cli/completions"]),
     ("temp_env", &["cli/surroundings"]),
     ("anyhow", &["cli", "main"]),
+    ("hdrhistogram", &["cli/load"]),
     ("kiddo", &["knn"]),
     ("tobj", &["mesh/io"]),
     ("mimalloc", &["main"]),
