@@ -1,0 +1,30 @@
+//! What README.md shows of other pages is what they say, and it stays short.
+
+use super::{pages, read};
+
+#[test]
+fn readme_is_short() {
+    let lines = read("README.md").lines().count();
+    assert!(lines <= 150, "README.md has {lines} lines");
+}
+
+/// Figures are measured for one page each. README.md may only repeat rows of these.
+#[test]
+fn figures_are_those_of_their_pages() {
+    let sources = read("docs/quality.md") + &read("docs/performance.md");
+    let readme = read("README.md");
+    let figures = readme.lines().filter(|line| line.starts_with("| ") && line.chars().any(|c| c.is_ascii_digit()));
+    let wrong: Vec<&str> = figures.filter(|line| !sources.lines().any(|other| other == *line)).collect();
+    assert!(wrong.is_empty(), "rows of README.md that no page has:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn the_index_has_every_page() {
+    let index = read("docs/README.md");
+    let missing: Vec<String> = pages()
+        .into_iter()
+        .filter_map(|page| page.strip_prefix("docs/").map(str::to_owned))
+        .filter(|page| page != "README.md" && !index.contains(&format!("]({page})")))
+        .collect();
+    assert!(missing.is_empty(), "docs/README.md has no link to {missing:?}");
+}
