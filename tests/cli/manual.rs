@@ -62,8 +62,10 @@ fn every_command_has_a_page() {
 fn the_page_of_commands_has_them_all() {
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/command-line.md");
     let page = std::fs::read_to_string(page).unwrap();
-    let missing: Vec<String> =
-        listed(&[]).into_iter().filter(|name| !page.lines().any(|line| line.starts_with(&format!("| `{name}` |")))).collect();
+    let missing: Vec<String> = listed(&[])
+        .into_iter()
+        .filter(|name| !page.lines().any(|line| line.starts_with(&format!("| `{name}` |"))))
+        .collect();
     assert!(missing.is_empty(), "docs/command-line.md has no row for {missing:?}");
 }
 

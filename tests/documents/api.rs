@@ -74,7 +74,8 @@ fn kind(field: &FieldDescriptorProto, message: &DescriptorProto) -> String {
         Type::Message | Type::Enum => "",
         other => panic!("{} is of type {other:?}, which this page does not know", field.name()),
     };
-    if let Some(entry) = message.nested_type.iter().find(|entry| field.type_name().ends_with(&format!(".{}", entry.name())))
+    if let Some(entry) =
+        message.nested_type.iter().find(|entry| field.type_name().ends_with(&format!(".{}", entry.name())))
     {
         let parts: Vec<String> = entry.field.iter().map(|part| kind(part, entry).replace('`', "")).collect();
         return format!("`map<{}>`", parts.join(", "));
@@ -115,7 +116,8 @@ fn message(out: &mut String, message: &DescriptorProto, path: &[i32], said: &Com
     out.push_str("\n| field | number | type | meaning |\n| --- | --- | --- | --- |\n");
     for (at, field) in message.field.iter().enumerate() {
         let about = said.line(&[path, &[PART, at as i32]].concat());
-        let choice = field.oneof_index.filter(|_| !field.proto3_optional()).map(|one| &message.oneof_decl[one as usize]);
+        let choice =
+            field.oneof_index.filter(|_| !field.proto3_optional()).map(|one| &message.oneof_decl[one as usize]);
         let choice = choice.map_or(String::new(), |one| format!(" (of `{}`)", one.name()));
         let kind = kind(field, message);
         writeln!(out, "| `{}` | {} | {kind}{choice} | {about} |", field.name(), field.number()).unwrap();
