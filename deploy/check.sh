@@ -1,19 +1,53 @@
 #!/usr/bin/env bash
-# Checks what lies in deploy/ with the tools that will read it. Needs promtool and Python with venv.
-#
-#   deploy/check.sh [PROGRAM]     with a program, the dashboard and the rules are asked of a real Prometheus that watches it
+# Checks what lies in deploy/ with the tools that will read it: promtool, kustomize, Envoy, hadolint, yamllint, cargo-deny, and
+# the schemas of Kubernetes, Compose and CycloneDX.
+# Usage: deploy/check.sh [PROGRAM]
+# With a program, the dashboard and the alerts are asked of a real Prometheus, and Envoy stands before two real servers.
+# Needs Debian's package prometheus, and Python 3.11 with venv; the other tools are installed below target/.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=${1:-}
+# Two runs at once do not install into one folder.
+mkdir -p target
+exec 9>target/deploy-venv.lock
+flock 9
 
+venv=target/deploy-venv
+if ! cmp -s deploy/requirements.txt "$venv/requirements.txt"; then
+    rm -rf "$venv"
+    python3 -m venv "$venv"
+    "$venv/bin/pip" install --quiet --disable-pip-version-check -r deploy/requirements.txt
+    cp deploy/requirements.txt "$venv/requirements.txt"
+fi
+
+echo "-- YAML"
+"$venv/bin/yamllint" --strict -c deploy/.yamllint.yaml deploy
+
+echo "-- Prometheus"
 promtool check config deploy/prometheus/prometheus.yml
+promtool check rules --lint=all --lint-fatal deploy/prometheus/alerts.yml
 promtool test rules deploy/prometheus/alerts.test.yml
 
-if [ ! -x target/deploy-venv/bin/kubernetes-validate ]; then
-    python3 -m venv target/deploy-venv
-    target/deploy-venv/bin/pip install --quiet --disable-pip-version-check -r deploy/requirements.txt
-fi
-target/deploy-venv/bin/python deploy/check_files.py
+echo "-- Dockerfile"
+# DL3008 asks for versions of Debian's packages, which Debian takes away when there are newer ones.
+"$venv/bin/hadolint" --ignore DL3008 deploy/Dockerfile
+
+echo "-- Envoy"
+"$venv/bin/envoy" --mode validate --log-level error -c deploy/envoy/envoy.yaml
+
+echo "-- Compose"
+"$venv/bin/check-jsonschema" --quiet --builtin-schema vendor.compose-spec deploy/compose*.yaml
+
+echo "-- dashboard, Kubernetes, and how the files fit together"
+python3 deploy/grafana/dashboard.py --check
+"$venv/bin/python" deploy/check_files.py "$venv/bin/kubectl"
+
+echo "-- packages"
+"$venv/bin/cargo-deny" --locked check licenses bans sources
+
 if [ -n "$program" ]; then
-    target/deploy-venv/bin/python deploy/check_queries.py "$program"
+    echo "-- a real Prometheus"
+    "$venv/bin/python" deploy/check_queries.py "$program"
+    echo "-- a real Envoy"
+    "$venv/bin/python" deploy/check_envoy.py "$program" "$venv/bin/envoy"
 fi

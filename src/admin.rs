@@ -4,6 +4,7 @@
 //! Invariant: whatever is sent to it, it holds few connections, each for a short time, and takes nothing but a request's
 //! head. It answers while the server drains. Must not know: gRPC, jobs, who finds faults.
 
+use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,20 +20,21 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use serde_json::json;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
+use tokio::task::AbortHandle;
 use tokio::task::JoinSet;
 
 use crate::metrics::{Format, Metrics};
 use crate::readiness::{Readiness, Reason};
 
-/// Connections at once: some scrapers and probes, each with one or two.
+/// Connections at once: some scrapers and probes, each with one or two. One more ends the oldest, so that nobody who holds
+/// connections keeps a probe out.
 const CONNECTIONS: usize = 32;
 
 /// For the head of a request, counted from the connection's beginning or the last answer.
 const HEAD_TIME: Duration = Duration::from_secs(10);
 
 /// For a connection as a whole. Scrapers connect again.
-const CONNECTION_TIME: Duration = Duration::from_secs(600);
+const CONNECTION_TIME: Duration = Duration::from_secs(120);
 
 /// The head of a request, bytes; hyper takes no smaller limit.
 const HEAD_BYTES: usize = 16 << 10;
@@ -56,18 +58,15 @@ pub(crate) struct Admin {
 /// Serves until this is dropped.
 pub(crate) async fn serve(listener: TcpListener, admin: Admin) -> Infallible {
     let routes = routes(admin);
-    let places = Arc::new(Semaphore::new(CONNECTIONS));
     let mut open = JoinSet::new();
+    let mut ends: VecDeque<AbortHandle> = VecDeque::new();
     loop {
-        // Whoever comes when all places are taken waits in the system's queue.
-        let place = Arc::clone(&places).acquire_owned().await;
         match listener.accept().await {
             Ok((stream, _)) => {
                 let routes = routes.clone();
-                open.spawn(async move {
-                    let _place = place;
+                ends.push_back(open.spawn(async move {
                     let _ = tokio::time::timeout(CONNECTION_TIME, connection(stream, routes)).await;
-                });
+                }));
             }
             Err(error) => {
                 tracing::debug!(%error, "the admin port could not accept a connection");
@@ -75,6 +74,12 @@ pub(crate) async fn serve(listener: TcpListener, admin: Admin) -> Infallible {
             }
         }
         while open.try_join_next().is_some() {}
+        ends.retain(|end| !end.is_finished());
+        while ends.len() > CONNECTIONS
+            && let Some(oldest) = ends.pop_front()
+        {
+            oldest.abort();
+        }
     }
 }
 

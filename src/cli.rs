@@ -25,6 +25,7 @@ mod interrupt;
 mod jobs;
 mod journal;
 mod keys;
+mod load;
 mod picture;
 mod plain;
 mod progress;
@@ -100,6 +101,8 @@ enum Command {
     Health(health::HealthArgs),
     /// Say what a server is and what it takes.
     Info(info::InfoArgs),
+    /// Put a server under load, and measure how it answers.
+    Load(Box<load::LoadArgs>),
     /// Measure.
     Bench(bench::BenchArgs),
     /// Write a procedural surface.
@@ -148,6 +151,7 @@ fn run() -> u8 {
         Command::Keys(args) => keys::run(args),
         Command::Health(args) => health::run(args),
         Command::Info(args) => info::run(args),
+        Command::Load(args) => load::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Shape(args) => shape::run(args),
         Command::Doctor(args) => doctor::run(args),

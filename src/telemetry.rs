@@ -44,11 +44,12 @@ pub(crate) enum TelemetryError {
     Traces(String),
 }
 
-/// To be kept until the program ends: then traces that wait are sent.
+/// To be kept until the program ends: then traces that wait are sent, and lines that wait are written.
 #[derive(Debug)]
 pub(crate) struct Telemetry {
     #[cfg(feature = "otlp")]
     _traces: Option<traces::Exporting>,
+    _writing: tracing_appender::non_blocking::WorkerGuard,
 }
 
 /// Starts logging, and exports traces if somebody takes them. What is logged: the variable `TESSERA_LOG`, or `default` (e.g.
@@ -61,11 +62,13 @@ pub(crate) fn start(format: LogFormat, default: &str, traces: Option<&Traces>) -
         Ok(filter) if !filter.trim().is_empty() => EnvFilter::try_new(filter)?,
         _ => EnvFilter::try_new(default)?,
     };
+    // A thread of its own writes: nobody at work waits for who reads the log. What it is too slow for is left out.
+    let (writer, writing) = tracing_appender::non_blocking(std::io::stderr());
     // Whatever is logged: a line has the names that its spans have.
     let spans = filter_fn(names_work).with_max_level_hint(LevelFilter::INFO);
     let lines = tracing_subscriber::fmt::layer()
         .event_format(lines::Lines { format })
-        .with_writer(std::io::stderr)
+        .with_writer(writer)
         // It would say so on the same stream, and panic there.
         .log_internal_errors(false)
         .with_ansi(format == LogFormat::Text && std::io::stderr().is_terminal());
@@ -76,14 +79,14 @@ pub(crate) fn start(format: LogFormat, default: &str, traces: Option<&Traces>) -
         let traces = traces.map(traces::Exporting::start).transpose()?;
         let layer = traces.as_ref().map(traces::Exporting::layer);
         registry.with(layer).try_init().map_err(|_| TelemetryError::Twice)?;
-        Ok(Telemetry { _traces: traces })
+        Ok(Telemetry { _traces: traces, _writing: writing })
     }
     #[cfg(not(feature = "otlp"))]
     {
         // Refused where options are checked.
         let _ = traces;
         registry.try_init().map_err(|_| TelemetryError::Twice)?;
-        Ok(Telemetry {})
+        Ok(Telemetry { _writing: writing })
     }
 }
 

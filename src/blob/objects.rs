@@ -55,6 +55,8 @@ pub struct BlobOptions {
     pub uploads: usize,
     /// How long an upload is kept that nobody continues.
     pub keep_uploads: Duration,
+    /// How long an upload that nobody continues keeps its place while others need one.
+    pub keep_crowded_uploads: Duration,
     /// Whether the disk must have a blob before it is said to be stored. Without, a loss of power may lose blobs.
     pub fsync: bool,
     /// Bytes of the disk that stay free: for the journal, which must never find it full.
@@ -68,6 +70,8 @@ impl Default for BlobOptions {
             blob_bytes: 16 << 30,
             uploads: 256,
             keep_uploads: Duration::from_secs(24 * 3600),
+            // Twice the pause that a client may make between two pieces.
+            keep_crowded_uploads: Duration::from_secs(120),
             fsync: true,
             reserve_bytes: 64 << 20,
         }
@@ -80,6 +84,7 @@ impl BlobOptions {
         with_blob_bytes(blob_bytes: u64),
         with_uploads(uploads: usize),
         with_keep_uploads(keep_uploads: Duration),
+        with_keep_crowded_uploads(keep_crowded_uploads: Duration),
         with_fsync(fsync: bool),
         with_reserve_bytes(reserve_bytes: u64),
     }

@@ -250,6 +250,17 @@ impl Uploads {
         lock(&self.0).iter().filter(|(_, upload)| upload.idle() >= time).map(|(id, _)| *id).collect()
     }
 
+    /// The upload that nobody continued for the longest, and for `time` at least: one of the owner of `id`, else of anybody.
+    pub(super) fn stalest(&self, id: &UploadId, time: Duration) -> Option<UploadId> {
+        let uploads = lock(&self.0);
+        let idle = uploads
+            .iter()
+            .map(|(other, upload)| (other, upload.idle()))
+            .filter(|(other, idle)| other.is_owned() && *idle >= time);
+        let found = idle.max_by_key(|(other, idle)| (other.owner == id.owner, *idle));
+        found.map(|(other, _)| *other)
+    }
+
     /// How many.
     pub(super) fn len(&self) -> usize {
         lock(&self.0).len()

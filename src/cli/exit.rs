@@ -23,6 +23,8 @@ const IO: u8 = 74;
 const STUCK: u8 = 75;
 /// The device was lost and did not come back; only a new process can go on.
 const NO_DEVICE: u8 = 76;
+/// A threshold of `tessera load` does not hold; a code of its own, so that a script can tell it from a failure.
+const THRESHOLD: u8 = 79;
 const INTERRUPTED: u8 = super::interrupt::CODE;
 
 /// What `--help` says of them.
@@ -37,6 +39,7 @@ pub(crate) const HELP: &str = "Exit codes:
   74   an output file or the standard output cannot be written
   75   work did not stop when it was told to; a server is to be started anew
   76   the device was lost and did not come back; a server is to be started anew
+  79   a threshold of `load --fail-if` was crossed; the report was written all the same
   130  interrupted";
 
 /// Options that do not go together, or ask for what is not there.
@@ -99,6 +102,11 @@ pub(crate) struct NoResult(pub(crate) String);
 #[error("{0}")]
 pub(crate) struct NoDevice(pub(crate) String);
 
+/// Thresholds that were crossed by a load that ran to its end.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct Crossed(pub(crate) String);
+
 /// Work that goes on though it was told to stop.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
@@ -127,6 +135,9 @@ fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
     }
     if cause.is::<NoDevice>() {
         return Some(NO_DEVICE);
+    }
+    if cause.is::<Crossed>() {
+        return Some(THRESHOLD);
     }
     if cause.is::<Stuck>() {
         return Some(STUCK);

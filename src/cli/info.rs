@@ -86,7 +86,8 @@ fn seconds(time: Option<prost_types::Duration>) -> Option<f64> {
     time.map(|time| time.seconds as f64 + f64::from(time.nanos) * 1e-9)
 }
 
-fn as_json(told: &GetServerInfoResponse) -> Value {
+/// All of it, under the names of the interface.
+pub(crate) fn as_json(told: &GetServerInfoResponse) -> Value {
     let backend = |state: &BackendState| {
         json!({
             "name": state.name, "is_default": state.is_default, "adapter": state.adapter, "threads": state.threads,

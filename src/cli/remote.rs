@@ -10,6 +10,7 @@ mod blobs;
 mod checks;
 mod faults;
 mod jobs;
+mod line;
 mod link;
 mod session;
 pub(crate) mod status;
@@ -40,9 +41,12 @@ use crate::wire::proto::remesh_service_client::RemeshServiceClient;
 use crate::wire::proto::{self, ArrayKind, Chunk};
 use crate::wire::{attributes, options};
 use checks::{Expected, Pieces};
+pub(crate) use faults::is_lost;
 use faults::wrong;
 pub(crate) use jobs::{has_ended, is_id};
-use link::{Door, Link, Patience, Sent};
+pub(crate) use line::Line;
+pub(crate) use link::{Door, Windows};
+use link::{Link, Patience, Sent};
 pub(crate) use session::{Session, session};
 
 /// A remesh to ask for.

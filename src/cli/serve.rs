@@ -117,10 +117,10 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     let late = |error: TooLong| Unavailable(error.to_string());
     // Before the backends: a signal while they warm up ends the process cleanly too.
     let mut signals = interrupt::signals().context("cannot listen for signals")?;
-    if let Some(tls) = &tls {
-        let tls = Arc::clone(tls);
-        interrupt::on_hangup(move || tls.look()).context("cannot listen for signals")?;
-    }
+    // Whatever there is to be read again: without this the signal would end the process. Keys listen for themselves.
+    let certificates = tls.clone();
+    let look = move || certificates.iter().for_each(|tls| tls.look());
+    interrupt::on_hangup(look).context("cannot listen for signals")?;
     let mut options = args.backend.clone();
     options.gpu_timeout = Some(config.device.timeout);
     let factory = move || {

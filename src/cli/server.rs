@@ -50,10 +50,10 @@ impl FromStr for Tenant {
     }
 }
 
-/// The options of a command that asks a server.
+/// Which server is meant, and who asks.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Server")]
-pub(crate) struct ServerArgs {
+pub(crate) struct CallArgs {
     /// The server, e.g. http://127.0.0.1:50051.
     // Needed, but clap does not let an option be both needed and allowed anywhere on the line.
     #[arg(long, value_name = "URL", global = true, env = "TESSERA_ENDPOINT")]
@@ -66,6 +66,14 @@ pub(crate) struct ServerArgs {
     /// File with the key that the server wants. What is in it is sent with each call.
     #[arg(long, value_name = "FILE", global = true, env = "TESSERA_KEY_FILE")]
     key_file: Option<PathBuf>,
+}
+
+/// The options of a command that asks a server.
+#[derive(Args, Debug)]
+#[command(next_help_heading = "Server")]
+pub(crate) struct ServerArgs {
+    #[command(flatten)]
+    at: CallArgs,
     /// Seconds to try again after a lost connection, from the last that came; 0 not to. For uploads, downloads, submit with a
     /// request id, watch and wait.
     #[arg(long, value_name = "S", global = true, default_value_t = 60.0, env = "TESSERA_RETRY_S", value_parser = pause)]
@@ -109,7 +117,7 @@ pub(crate) fn pause(text: &str) -> Result<f64, String> {
     }
 }
 
-impl ServerArgs {
+impl CallArgs {
     /// The server that is meant.
     ///
     /// # Errors
@@ -122,6 +130,16 @@ impl ServerArgs {
         };
         let (trust, key) = (self.trust.read(url)?, key(self.key_file.as_deref())?);
         Ok(Server { url: url.clone(), tenant: self.tenant.clone(), trust, key })
+    }
+}
+
+impl ServerArgs {
+    /// The server that is meant.
+    ///
+    /// # Errors
+    /// As [`CallArgs::server`].
+    pub(crate) fn server(&self) -> Result<Server> {
+        self.at.server()
     }
 
     /// How long to try again after a lost connection.

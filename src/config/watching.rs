@@ -63,6 +63,10 @@ impl WatchingArgs {
         if !cfg!(feature = "otlp") {
             return wrong("--otlp-endpoint", endpoint, "left out: this program was built without the feature otlp");
         }
+        if endpoint.contains('@') {
+            let must = "a URL without a name and a password, which logs would show";
+            return wrong("--otlp-endpoint", "a URL with an @".to_owned(), must);
+        }
         match endpoint.strip_prefix("http://").is_some_and(|host| !host.is_empty()) {
             true => Ok(Some(Traces { endpoint, ratio: self.otlp_ratio })),
             false => wrong(

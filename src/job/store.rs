@@ -301,6 +301,14 @@ pub enum StoreError {
         /// What is wrong.
         what: String,
     },
+    /// Nothing of a journal can be read, whatever is tried.
+    #[error("nothing of the journal {} can be read: {what}; restore it from a copy, or move it away to begin with none", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
     /// What is kept was written by another release.
     #[error(
         "{what} has version {found}, and this program reads up to {known}; use the release that wrote it, or a later one"

@@ -61,6 +61,14 @@ impl KeyFile {
     pub fn read(&self) -> Result<KeySet, KeysError> {
         let path = self.path();
         let fault = |source| KeysError::Io { action: "read", path: path.clone(), source };
+        // A pipe would be waited for.
+        let is_file = match fs::metadata(&path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(KeySet::default()),
+            found => found.map_err(fault)?.is_file(),
+        };
+        if !is_file {
+            return Err(fault(std::io::Error::other("it is no regular file")));
+        }
         let file = match File::open(&path) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(KeySet::default()),
             file => file.map_err(fault)?,

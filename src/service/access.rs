@@ -160,9 +160,9 @@ impl Access {
         Following(Some(tokio::spawn(async move {
             let mut hangups = Hangups::new();
             // Read once more: it may have changed since the start.
-            let mut seen = None;
+            let (mut seen, mut complaint) = (None, None);
             loop {
-                access.look(&file, &mut seen, &weights).await;
+                access.look(&file, &mut seen, &mut complaint, &weights).await;
                 tokio::select! {
                     () = tokio::time::sleep(LOOK_EVERY) => {}
                     () = hangups.next() => seen = None,
@@ -172,7 +172,7 @@ impl Access {
     }
 
     /// Reads the file if it has changed, and lets go of keys whose time is over.
-    async fn look(&self, file: &KeyFile, seen: &mut Option<Stamp>, weights: &Weights) {
+    async fn look(&self, file: &KeyFile, seen: &mut Option<Stamp>, complaint: &mut Option<String>, weights: &Weights) {
         let (file, before) = (file.clone(), *seen);
         let looked = tokio::task::spawn_blocking(move || {
             // The stamp first: what changes meanwhile is seen at the next look.
@@ -182,6 +182,7 @@ impl Access {
         match looked.await {
             Ok(Some((stamp, Ok(set)))) => {
                 *seen = Some(stamp);
+                *complaint = None;
                 let mut table = self.0.table.write().unwrap_or_else(PoisonError::into_inner);
                 if table.differs(&set) {
                     *table = table.next(&set);
@@ -190,8 +191,14 @@ impl Access {
                 weights.set(table.weights());
             }
             Ok(Some((stamp, Err(error)))) => {
-                *seen = Some(stamp);
-                tracing::error!(%error, "the keys cannot be read; those that were read last stay");
+                // A file that cannot be read now may be read soon, with the same stamp: it is looked at again.
+                let is_damaged = matches!(error, KeysError::Damaged { .. });
+                *seen = Some(stamp).filter(|_| is_damaged);
+                let text = error.to_string();
+                if complaint.as_ref() != Some(&text) {
+                    tracing::error!(%error, "the keys cannot be read; those that were read last stay");
+                    *complaint = Some(text);
+                }
             }
             Ok(None) => {}
             Err(error) => tracing::error!(%error, "the keys were not looked at"),

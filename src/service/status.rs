@@ -266,6 +266,7 @@ fn of_store(error: &StoreError) -> Status {
         }
         StoreError::InUse { .. }
         | StoreError::Damaged { .. }
+        | StoreError::Unreadable { .. }
         | StoreError::UnknownVersion { .. }
         | StoreError::Io { .. } => {
             tracing::error!(error = %text, "the store of jobs failed");

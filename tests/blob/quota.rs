@@ -112,6 +112,35 @@ async fn uploads_that_nobody_continues_are_removed() {
     }
 }
 
+#[tokio::test]
+async fn uploads_that_were_left_make_room_for_others() {
+    let promise = |k: u8, size, owner| UploadId::new(Digest::of(&[k]), size).of(owner);
+    for (kind, store, _folder) in each(three_blobs().with_uploads(4).with_keep_crowded_uploads(Duration::ZERO)).await {
+        for k in 0..4 {
+            store.begin(promise(k, 0, "left")).await.unwrap();
+        }
+        // Places: one's own go first, then those of others.
+        store.begin(promise(4, 0, "other")).await.unwrap();
+        store.begin(promise(5, 0, "other")).await.unwrap();
+        assert_eq!(store.usage().await.unwrap().uploads, 4, "{kind}");
+        assert!(store.upload_status(promise(4, 0, "other")).await.is_err(), "{kind}: its own oldest went");
+        for k in 1..4 {
+            store.upload_status(promise(k, 0, "left")).await.unwrap();
+        }
+    }
+    for (kind, store, _folder) in each(three_blobs().with_keep_crowded_uploads(Duration::ZERO)).await {
+        // Room: what was promised and never sent.
+        store.begin(promise(0, SIZE, "left")).await.unwrap();
+        store.begin(promise(1, 2 * SIZE, "other")).await.unwrap();
+        store.begin(promise(2, 2 * SIZE, "third")).await.unwrap();
+        assert!(store.upload_status(promise(0, SIZE, "left")).await.is_err(), "{kind}");
+        // What can never fit displaces nobody.
+        let never = store.begin(promise(3, 3 * SIZE + 1, "left")).await.unwrap_err();
+        assert!(matches!(never, BlobError::TooLarge { .. }), "{never}");
+        store.upload_status(promise(2, 2 * SIZE, "third")).await.unwrap();
+    }
+}
+
 /// Uploads, reads, pins and evictions from many tasks: a pinned blob is always there, and the room is never exceeded.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn many_at_once_stay_within_the_quota() {

@@ -15,6 +15,7 @@ mod bench;
 mod config;
 mod given_creases;
 mod jobs;
+mod load;
 mod manual;
 mod newcomer;
 mod outputs;

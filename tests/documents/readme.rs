@@ -1,4 +1,4 @@
-//! What README.md shows of other pages is what they say, and it stays short.
+//! What one page repeats of others is what they say, and README.md stays short.
 
 use super::{pages, read};
 
@@ -27,4 +27,18 @@ fn the_index_has_every_page() {
         .filter(|page| page != "README.md" && !index.contains(&format!("]({page})")))
         .collect();
     assert!(missing.is_empty(), "docs/README.md has no link to {missing:?}");
+}
+
+#[test]
+fn operations_explain_every_alert() {
+    let rules = read("deploy/prometheus/alerts.yml");
+    let page = read("docs/operations.md");
+    let alerts: Vec<&str> = rules.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")).collect();
+    assert!(!alerts.is_empty());
+    let listed: Vec<&str> = page
+        .lines()
+        .filter_map(|line| line.strip_prefix("| `Tessera")?.split_once('`').map(|(name, _)| name))
+        .collect();
+    let mut missing = alerts.iter().filter(|alert| !listed.iter().any(|name| format!("Tessera{name}") == **alert));
+    assert_eq!((missing.next(), listed.len()), (None, alerts.len()), "of {alerts:?} the page has {listed:?}");
 }

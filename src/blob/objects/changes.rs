@@ -280,7 +280,16 @@ impl Inner {
                 return Err(BlobError::TooLarge { size_bytes, limit_bytes: self.options.blob_bytes });
             }
             let reserve = |promised| self.reserve(id, promised, own_limit);
-            let Some((mut slot, reserved)) = self.uploads.add(id, self.options.uploads, reserve)? else {
+            let added = match self.uploads.add(id, self.options.uploads, reserve) {
+                Err(full @ (BlobError::TooManyUploads { .. } | BlobError::QuotaExceeded { .. })) => {
+                    match self.displace(id).await? {
+                        true => continue,
+                        false => return Err(full),
+                    }
+                }
+                added => added?,
+            };
+            let Some((mut slot, reserved)) = added else {
                 match self.status(id).await {
                     // It ended just now.
                     Err(BlobError::UploadNotFound { .. }) => continue,
@@ -298,6 +307,18 @@ impl Inner {
                     return Err(error);
                 }
             }
+        }
+    }
+
+    /// Gives the place of an upload that nobody continues to another; says whether there was one. Whoever was displaced begins
+    /// anew.
+    async fn displace(&self, id: UploadId) -> Result<bool, BlobError> {
+        let time = self.options.keep_crowded_uploads;
+        let Some(stalest) = id.is_owned().then(|| self.uploads.stalest(&id, time)).flatten() else { return Ok(false) };
+        match self.abandon(stalest, time).await {
+            // It ended just now.
+            Err(BlobError::UploadNotFound { .. }) => Ok(true),
+            done => done,
         }
     }
 

@@ -79,6 +79,11 @@ pub(super) fn of_state(url: &ServerUrl, status: &Status) -> Fault {
     }
 }
 
+/// Whether a status is of this side: the connection was lost before the server's own status came.
+pub(crate) fn is_lost(status: &Status) -> bool {
+    cut(status).is_some()
+}
+
 /// What cut an answer short, if it has no end of its own.
 fn cut(status: &Status) -> Option<String> {
     if status.source().is_some() {

@@ -46,6 +46,18 @@ impl Patience {
     }
 }
 
+/// How much a server may send that nobody has read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Windows {
+    /// As much as the transport likes.
+    Usual,
+    /// The least that HTTP/2 begins with: the server notices a slow reader.
+    Narrow,
+}
+
+/// Bytes of a narrow window.
+const NARROW_BYTES: u32 = 65_535;
+
 /// How many messages of a request have left.
 pub(super) type Sent = Arc<AtomicU64>;
 
@@ -57,14 +69,14 @@ const KEY: &str = "authorization";
 
 /// Says with each call whose it is.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Caller {
+pub(crate) struct Caller {
     tenant: Option<AsciiMetadataValue>,
     /// Sensitive: nothing prints it.
     key: Option<AsciiMetadataValue>,
 }
 
 impl Caller {
-    fn of(server: &Server) -> Result<Self> {
+    pub(super) fn of(server: &Server) -> Result<Self> {
         let tenant = server.tenant.as_ref().map(Tenant::as_str).map(AsciiMetadataValue::try_from).transpose();
         let tenant = tenant.map_err(|e| Usage(format!("--tenant: {e}")))?;
         let key = server.key.as_ref().map(|key| AsciiMetadataValue::try_from(format!("Bearer {}", key.reveal())));
@@ -87,7 +99,7 @@ impl Interceptor for Caller {
 }
 
 /// What calls are made on.
-pub(super) type Door = InterceptedService<Channel, Caller>;
+pub(crate) type Door = InterceptedService<Channel, Caller>;
 
 /// See the module's head.
 pub(super) struct Link<'a> {
@@ -101,6 +113,11 @@ pub(super) struct Link<'a> {
 impl<'a> Link<'a> {
     /// Connects.
     pub(super) async fn open(server: &'a Server, patience: Patience) -> Result<Self> {
+        Self::open_with(server, patience, Windows::Usual).await
+    }
+
+    /// Connects, and lets the server send no more than `windows` before somebody reads.
+    pub(super) async fn open_with(server: &'a Server, patience: Patience, windows: Windows) -> Result<Self> {
         let (url, trust, caller) = (&server.url, &server.trust, Caller::of(server)?);
         let endpoint = Endpoint::from_shared(url.to_string())
             .map_err(|e| Usage(format!("--endpoint {url}: {e}; an example is http://127.0.0.1:50051")))?;
@@ -113,6 +130,9 @@ impl<'a> Link<'a> {
                 });
                 BadInput(text)
             })?;
+        }
+        if windows == Windows::Narrow {
+            endpoint = endpoint.initial_stream_window_size(NARROW_BYTES).initial_connection_window_size(NARROW_BYTES);
         }
         let endpoint = endpoint.http2_keep_alive_interval(patience.ping).keep_alive_timeout(patience.ping);
         let channel = endpoint.connect().await.map_err(|e| {
@@ -153,6 +173,11 @@ impl<'a> Link<'a> {
     /// What calls are made on.
     pub(super) fn channel(&self) -> Door {
         InterceptedService::new(self.channel.clone(), self.caller.clone())
+    }
+
+    /// The connection without its owner, for who makes many calls on it.
+    pub(super) fn into_channel(self) -> Channel {
+        self.channel
     }
 
     /// Where the server is.

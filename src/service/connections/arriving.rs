@@ -35,8 +35,9 @@ pub(super) struct Arriving<B> {
     known: usize,
     /// of the message so many are to come.
     missing: u64,
-    /// Counted in the budget.
+    /// Counted in the budget; of this, what decompressing holds.
     charged: u64,
+    unpacked: u64,
     /// How messages are compressed that say they are.
     encoding: Option<Vec<u8>>,
     /// A compressed message on its way.
@@ -46,7 +47,18 @@ pub(super) struct Arriving<B> {
 impl<B> Arriving<B> {
     pub(super) fn new(inner: B, budget: Budget, most: u64, encoding: Option<Vec<u8>>) -> Self {
         let unpacking = None;
-        Self { inner, budget, most, prefix: [0; PREFIX], known: 0, missing: 0, charged: 0, encoding, unpacking }
+        Self {
+            inner,
+            budget,
+            most,
+            prefix: [0; PREFIX],
+            known: 0,
+            missing: 0,
+            charged: 0,
+            unpacked: 0,
+            encoding,
+            unpacking,
+        }
     }
 
     /// Takes note of bytes that have come.
@@ -80,6 +92,9 @@ impl<B> Arriving<B> {
                         "a message is not compressed as it says, or has a window above 8 MiB",
                     )),
                 })?;
+                let held = unpacking.held_bytes();
+                self.charge(held.saturating_sub(self.unpacked));
+                self.unpacked = self.unpacked.max(held);
             }
             if self.missing == 0 {
                 self.known = 0;
@@ -100,6 +115,7 @@ impl<B> Arriving<B> {
     }
 
     fn release(&mut self) {
+        self.unpacked = 0;
         self.budget.release(std::mem::take(&mut self.charged));
     }
 }

@@ -43,7 +43,7 @@ const OURS: &str = "/tessera.v1.";
 const ENCODING: &str = "grpc-encoding";
 
 /// The longest message to health and reflection, bytes.
-const QUESTION: u64 = 64 << 10;
+const QUESTION: u64 = 4 << 10;
 
 /// Time to say goodbye before the socket is closed.
 const FINISH_TIME: Duration = Duration::from_secs(1);
@@ -107,7 +107,10 @@ impl Guest for State {
         match streams.requests {
             0 if !self.traffic.received() => Standing::Silent,
             0 => Standing::Greeted,
-            _ if streams.all.iter().all(|stream| stream.ended()) => Standing::Idle(streams.last.elapsed()),
+            // A watch of health may last for ever, and needs no key: it keeps nobody out.
+            _ if streams.all.iter().all(|stream| stream.ended() || stream.is_question()) => {
+                Standing::Idle(streams.last.elapsed())
+            }
             _ => Standing::Busy,
         }
     }
@@ -312,7 +315,9 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
     type Future = Pin<Box<dyn Future<Output = Result<Self::Response, Infallible>> + Send>>;
 
     fn call(&self, mut request: Request<Incoming>) -> Self::Future {
-        let exchange = Arc::new(Exchange::new(self.common.budget.clone()));
+        let uploads = request.uri().path().starts_with(OURS);
+        let exchange = Exchange::new(self.common.budget.clone());
+        let exchange = Arc::new(if uploads { exchange } else { exchange.of_question() });
         let (account, trace) = Account::open(&self.common.calls, &request, &exchange);
         {
             let mut streams = self.state.lock();
@@ -324,7 +329,6 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
         request.extensions_mut().insert(Arc::clone(&exchange));
         request.extensions_mut().insert(self.state.peer);
         let encoding = request.headers().get(ENCODING).map(|value| value.as_bytes().to_vec());
-        let uploads = request.uri().path().starts_with(OURS);
         let most = if uploads { self.common.limits.transport.message_bytes as u64 } else { QUESTION };
         let budget = self.common.budget.clone();
         let routes = self.common.routes.clone();

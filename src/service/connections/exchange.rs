@@ -37,6 +37,7 @@ pub(crate) struct Exchange {
     moved_ms: AtomicU64,
     /// Bytes that wait for the client.
     waiting: AtomicU64,
+    is_question: bool,
     admitted: AtomicBool,
     answered: AtomicBool,
     ended: AtomicBool,
@@ -54,6 +55,7 @@ impl Exchange {
             budget,
             moved_ms: AtomicU64::new(0),
             waiting: AtomicU64::new(0),
+            is_question: false,
             admitted: AtomicBool::new(false),
             answered: AtomicBool::new(false),
             ended: AtomicBool::new(false),
@@ -61,6 +63,16 @@ impl Exchange {
             is_cut: AtomicBool::new(false),
             cut: Notify::new(),
         }
+    }
+
+    /// The request asks for health or for the interface, which is nobody's work.
+    pub(super) fn of_question(self) -> Self {
+        Self { is_question: true, ..self }
+    }
+
+    /// See [`Self::of_question`].
+    pub(super) fn is_question(&self) -> bool {
+        self.is_question
     }
 
     /// The request is work that was admitted: a shutdown lets it end.

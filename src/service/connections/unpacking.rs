@@ -12,6 +12,9 @@ use zstd::stream::write::Decoder as ZstdDecoder;
 /// The largest window of zstd, as a power of two: 8 MiB, which its decoders take by default.
 const WINDOW_LOG: u32 = 23;
 
+/// What a decoder holds beside its window, about.
+const DECODER_BYTES: u64 = 128 << 10;
+
 /// Why a message is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Wrong {
@@ -31,6 +34,7 @@ pub(super) enum Unpacking {
 
 /// Bytes that nobody keeps.
 pub(super) struct Counted {
+    most: u64,
     left: u64,
 }
 
@@ -53,7 +57,7 @@ impl Write for Counted {
 impl Unpacking {
     /// A message that is compressed in this way, and may have so many bytes.
     pub(super) fn new(encoding: Option<&[u8]>, most: u64) -> Self {
-        let counted = Counted { left: most };
+        let counted = Counted { most, left: most };
         match encoding {
             Some(b"gzip") => Self::Gzip(Box::new(GzDecoder::new(counted))),
             Some(b"zstd") => {
@@ -64,6 +68,18 @@ impl Unpacking {
                 made.map_or(Self::Unknown, |decoder| Self::Zstd(Box::new(decoder)))
             }
             _ => Self::Unknown,
+        }
+    }
+
+    /// What is held for it now, about: the decoder, and as much of its window as was filled.
+    pub(super) fn held_bytes(&self) -> u64 {
+        match self {
+            Self::Gzip(_) => DECODER_BYTES,
+            Self::Zstd(decoder) => {
+                let counted = decoder.get_ref();
+                DECODER_BYTES + (counted.most - counted.left).min(1 << WINDOW_LOG)
+            }
+            Self::Unknown => 0,
         }
     }
 
@@ -123,6 +139,15 @@ mod tests {
         }
         assert_eq!(Unpacking::new(Some(b"br"), 0).add(b"anything"), Ok(()));
         assert_eq!(Unpacking::new(None, 0).add(b"anything"), Ok(()));
+    }
+
+    #[test]
+    fn what_a_window_holds_is_told() {
+        let packed = zstd::encode_all(&vec![0; 3 << 20][..], 3).unwrap();
+        let mut unpacking = Unpacking::new(Some(b"zstd"), 4 << 20);
+        assert_eq!(unpacking.held_bytes(), DECODER_BYTES);
+        unpacking.add(&packed).unwrap();
+        assert!(packed.len() < 1000 && unpacking.held_bytes() == DECODER_BYTES + (3 << 20), "{}", packed.len());
     }
 
     #[test]

@@ -57,7 +57,7 @@ fn read(directory: &Directory, folder: &Path) -> Result<(Rows, Vec<String>), Sto
     }
     let rows = Rows::read(&copy);
     fs::remove_file(&copy).map_err(io("remove", &copy))?;
-    let mut rows = rows.map_err(|what| StoreError::Damaged { path: journal, what })?;
+    let mut rows = rows.map_err(|what| StoreError::Unreadable { path: journal, what })?;
     faults.append(&mut rows.faults);
     Ok((rows, faults))
 }
@@ -65,7 +65,7 @@ fn read(directory: &Directory, folder: &Path) -> Result<(Rows, Vec<String>), Sto
 /// Looks at the journal of a folder. Nothing is changed.
 ///
 /// # Errors
-/// `InUse` if a server uses it; `Damaged` if nothing of it can be read; `Io`.
+/// `InUse` if a server uses it; `Unreadable` if nothing of it can be read; `Io`.
 pub fn check(folder: &Path) -> Result<Findings, StoreError> {
     let directory = Directory::locked(folder)?;
     let (rows, faults) = read(&directory, folder)?;

@@ -23,6 +23,9 @@ const FLAGS_AT: u64 = 9;
 const SECOND_ROOT: u8 = 1;
 const TO_BE_RECOVERED: u8 = 2;
 
+/// A file may have been so many times as long.
+const LONGEST_CUT: u64 = 64;
+
 /// The rows of one table, by key.
 type Kept = BTreeMap<Vec<u8>, Vec<u8>>;
 
@@ -62,6 +65,11 @@ impl Rows {
     pub(super) fn read(copy: &Path) -> Result<Self, String> {
         let flags = fs::read(copy).ok().and_then(|bytes| bytes.get(FLAGS_AT as usize).copied());
         let flags = flags.ok_or("it has no header")? & !TO_BE_RECOVERED;
+        // A file that was cut off gets its length again: its last pages are then damaged, and the others can be read. What is
+        // not written takes no room on the disk.
+        let file = OpenOptions::new().write(true).open(copy).map_err(|error| error.to_string())?;
+        let bytes = file.metadata().map_err(|error| error.to_string())?.len();
+        drop(file.set_len(bytes.saturating_mul(LONGEST_CUT)));
         let mut found: Option<Self> = None;
         let mut fault = String::new();
         for flags in [flags, flags ^ SECOND_ROOT] {

@@ -133,7 +133,16 @@ impl Material {
 /// All of a file.
 fn bytes(file: &Path) -> Result<Vec<u8>, TlsError> {
     let mut bytes = Vec::new();
-    let read = File::open(file).and_then(|open| open.take(LONGEST_BYTES).read_to_end(&mut bytes));
+    // A pipe would be waited for.
+    let regular = std::fs::metadata(file).and_then(|found| match found.is_file() {
+        true => Ok(()),
+        false => Err(std::io::Error::other("it is no regular file")),
+    });
+    let read = regular.and_then(|()| File::open(file)?.take(LONGEST_BYTES + 1).read_to_end(&mut bytes));
+    let read = read.and_then(|_| match bytes.len() as u64 > LONGEST_BYTES {
+        true => Err(std::io::Error::other(format!("it has more than {LONGEST_BYTES} bytes"))),
+        false => Ok(()),
+    });
     read.map_err(|cause| TlsError::Read { file: file.to_owned(), cause })?;
     Ok(bytes)
 }

@@ -1,0 +1,397 @@
+//! One call of a load, from its first byte to its last.
+//!
+//! Purpose: [`Caller::ask`] does what an [`Item`] says and tells how it went; streams and jobs are done in parts of their own.
+//! Invariant: every RPC is counted, and answers are checked as they come. A call ends: by its answer, when it is cancelled,
+//! when its time is over, or when the run is stopped. Must not know: when calls are made, how figures are kept.
+
+mod job;
+mod stream;
+
+use std::future::Future;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::time::Instant;
+use tonic::{Response, Status, Streaming};
+use tonic_types::StatusExt;
+
+use super::amounts::Kind;
+use super::meshes::Surface;
+use super::plan::Item;
+use super::tally::{self, Call, Tally};
+use crate::cli::plain::plain;
+use crate::cli::remote::{Door, is_lost};
+use crate::wire::proto::server_service_client::ServerServiceClient;
+use crate::wire::proto::{BackendChoice, GetServerInfoRequest};
+
+pub(super) use job::{Rubbish, delete_blob, put, sweep};
+
+/// How a call went.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Outcome {
+    /// Its result is here.
+    Done,
+    /// It was cancelled, as the plan says.
+    Cancelled,
+    /// The server did not take it, and says when to come again.
+    Refused { reason: String, after: Duration },
+    /// It failed.
+    Failed { code: String, said: String },
+    /// The run was stopped meanwhile.
+    Stopped,
+}
+
+/// Where the time went, as far as it is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Stages {
+    /// Sending the surface.
+    pub(super) upload: Option<Duration>,
+    /// Waiting for a turn, as the server says.
+    pub(super) queue: Option<Duration>,
+    /// At work, as the server says.
+    pub(super) compute: Option<Duration>,
+    /// Taking the result.
+    pub(super) download: Option<Duration>,
+}
+
+impl Stages {
+    /// Their names.
+    pub(super) const NAMES: [&'static str; 4] = ["upload", "queue", "compute", "download"];
+
+    /// In the order of the names.
+    pub(super) fn all(&self) -> [Option<Duration>; 4] {
+        [self.upload, self.queue, self.compute, self.download]
+    }
+}
+
+/// What is known of a call that is over.
+#[derive(Clone, Debug)]
+pub(super) struct Asked {
+    /// How it went.
+    pub(super) outcome: Outcome,
+    /// Where its time went.
+    pub(super) stages: Stages,
+    /// Facets that were sent.
+    pub(super) facets: u64,
+    /// Points that were asked for.
+    pub(super) seeds: u64,
+    /// Bytes that were sent, without what the protocol adds.
+    pub(super) sent_bytes: u64,
+    /// Bytes that came.
+    pub(super) came_bytes: u64,
+    /// What it leaves at the server.
+    pub(super) rubbish: Option<Rubbish>,
+}
+
+/// Why a call ends before its answer does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Why {
+    Cancel,
+    TooLong,
+    Stop,
+}
+
+/// How a call ends without a result.
+#[derive(Debug)]
+enum End {
+    Status(Status),
+    /// The answer cannot be.
+    Wrong(String),
+    /// The job ended without a result.
+    Job(&'static str, String),
+    /// From this side.
+    Here(Why),
+}
+
+/// When a call ends from this side.
+struct Ends {
+    cancel: Option<Instant>,
+    limit: Instant,
+    stop: watch::Receiver<bool>,
+}
+
+impl Ends {
+    /// The first reason that comes.
+    async fn first(&self) -> Why {
+        let mut stop = self.stop.clone();
+        let stopped = async {
+            if stop.wait_for(|stop| *stop).await.is_err() {
+                std::future::pending::<()>().await;
+            }
+        };
+        let cancel = async {
+            match self.cancel {
+                Some(at) => tokio::time::sleep_until(at).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            biased;
+            () = stopped => Why::Stop,
+            () = cancel => Why::Cancel,
+            () = tokio::time::sleep_until(self.limit) => Why::TooLong,
+        }
+    }
+
+    /// Waits for `work`, unless one of them comes before.
+    async fn or<T>(&self, work: impl Future<Output = T>) -> Result<T, End> {
+        tokio::select! {
+            done = work => Ok(done),
+            why = self.first() => Err(End::Here(why)),
+        }
+    }
+}
+
+/// What all calls of a run have in common.
+pub(super) struct Caller {
+    /// Where RPCs are counted.
+    pub(super) tally: Tally,
+    /// What may be sent.
+    pub(super) surfaces: Arc<Vec<Surface>>,
+    /// Steps of a remesh; as the server likes if not given.
+    pub(super) lloyd: Option<u32>,
+    /// The same of quasi-Newton steps.
+    pub(super) newton: Option<u32>,
+    /// Who should do the work.
+    pub(super) backend: BackendChoice,
+    /// The name of the run, which its jobs have as a label.
+    pub(super) run: String,
+    /// The most that a call may take.
+    pub(super) limit: Duration,
+    /// Whether each job uploads a file of its own.
+    pub(super) uploads: bool,
+    /// True once the run is to end.
+    pub(super) stop: watch::Receiver<bool>,
+    /// How long calls of each kind take, in microseconds, for cancelling some at a likely time.
+    usual_us: [AtomicU64; Kind::ALL.len()],
+    /// Files that were uploaded.
+    uploaded: AtomicU64,
+}
+
+/// What a call is taken to last before one has ended.
+const USUAL: Duration = Duration::from_millis(200);
+
+/// The settings of a [`Caller`].
+pub(super) struct Settings {
+    /// See [`Caller`].
+    pub(super) lloyd: Option<u32>,
+    /// See [`Caller`].
+    pub(super) newton: Option<u32>,
+    /// See [`Caller`].
+    pub(super) backend: BackendChoice,
+    /// See [`Caller`].
+    pub(super) limit: Duration,
+    /// See [`Caller`].
+    pub(super) uploads: bool,
+}
+
+impl Caller {
+    /// Makes calls with `surfaces` until `stop` is true.
+    pub(super) fn new(settings: Settings, surfaces: Vec<Surface>, run: String, stop: watch::Receiver<bool>) -> Self {
+        let Settings { lloyd, newton, backend, limit, uploads } = settings;
+        let usual_us = std::array::from_fn(|_| AtomicU64::new(USUAL.as_micros() as u64));
+        let (tally, surfaces) = (Tally::default(), Arc::new(surfaces));
+        let uploaded = AtomicU64::new(0);
+        Self { tally, surfaces, lloyd, newton, backend, run, limit, uploads, stop, usual_us, uploaded }
+    }
+
+    /// Makes a call. With a `pace` the answer is read with so many bytes a second.
+    pub(super) async fn ask(&self, door: &Door, item: Item, pace: Option<u64>) -> Asked {
+        let begin = Instant::now();
+        let usual = &self.usual_us[item.kind.place()];
+        let cancel = item.cancel.map(|part| begin + Duration::from_micros(usual.load(Ordering::Relaxed)).mul_f64(part));
+        let ends = Ends { cancel, limit: begin + self.limit, stop: self.stop.clone() };
+        let mut asked = Asked {
+            outcome: Outcome::Done,
+            stages: Stages::default(),
+            facets: 0,
+            seeds: 0,
+            sent_bytes: 0,
+            came_bytes: 0,
+            rubbish: None,
+        };
+        let Some(surface) = self.surfaces.get(item.mesh) else { return asked };
+        let mut pace = Pace { bytes_a_second: pace, due: None };
+        let at = At { caller: self, door, surface, ends: &ends, random_seed: item.random_seed };
+        if item.kind.is_work() {
+            (asked.facets, asked.seeds) = (surface.facets, surface.points);
+        }
+        let ended = match item.kind {
+            Kind::Remesh => at.remesh(&mut asked, &mut pace).await,
+            Kind::Rvd => at.rvd(&mut asked, &mut pace).await,
+            Kind::Cvt => at.cvt(&mut asked, &mut pace).await,
+            Kind::RemeshJob | Kind::RvdJob => at.job(item.kind, &mut asked, &mut pace).await,
+            Kind::Info => at.info().await,
+        };
+        asked.outcome = match ended {
+            Ok(()) => Outcome::Done,
+            Err(end) => outcome(end),
+        };
+        if asked.outcome == Outcome::Done {
+            // A mean that forgets: an eighth of the last one.
+            let took = begin.elapsed().as_micros() as u64;
+            let _ = usual.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |us| Some(us - us / 8 + took / 8));
+        }
+        asked
+    }
+}
+
+fn outcome(end: End) -> Outcome {
+    match end {
+        End::Here(Why::Cancel) => Outcome::Cancelled,
+        End::Here(Why::Stop) => Outcome::Stopped,
+        End::Here(Why::TooLong) => {
+            Outcome::Failed { code: "TIMEOUT".to_owned(), said: "no answer within --timeout-s".to_owned() }
+        }
+        End::Wrong(said) => Outcome::Failed { code: "WRONG_ANSWER".to_owned(), said: plain(&said) },
+        End::Job(code, said) => Outcome::Failed { code: code.to_owned(), said: plain(&said) },
+        End::Status(status) if is_lost(&status) => {
+            Outcome::Failed { code: "CONNECTION_LOST".to_owned(), said: plain(status.message()) }
+        }
+        End::Status(status) => match status.get_details_retry_info().and_then(|info| info.retry_delay) {
+            Some(after) => Outcome::Refused { reason: reason(&status), after },
+            None => Outcome::Failed { code: tally::name(status.code()).to_owned(), said: plain(status.message()) },
+        },
+    }
+}
+
+/// Why a call is refused: the server's words without their numbers, which differ from call to call.
+fn reason(status: &Status) -> String {
+    /// Longer ones say no more.
+    const MOST: usize = 100;
+    let mut text = String::new();
+    for c in plain(status.message()).chars() {
+        match c.is_ascii_digit() {
+            true if text.ends_with('N') => {}
+            true => text.push('N'),
+            false => text.push(c),
+        }
+    }
+    format!("{}: {}", tally::name(status.code()), text.chars().take(MOST).collect::<String>())
+}
+
+/// How fast an answer is read.
+struct Pace {
+    bytes_a_second: Option<u64>,
+    /// When the next may be read.
+    due: Option<Instant>,
+}
+
+impl Pace {
+    /// So many bytes were read.
+    async fn read(&mut self, bytes: usize) {
+        let Some(rate) = self.bytes_a_second else { return };
+        let now = Instant::now();
+        let due = self.due.unwrap_or(now).max(now) + Duration::from_secs_f64(bytes as f64 / rate.max(1) as f64);
+        self.due = Some(due);
+        tokio::time::sleep_until(due).await;
+    }
+}
+
+/// A call at a place.
+struct At<'a> {
+    caller: &'a Caller,
+    door: &'a Door,
+    surface: &'a Surface,
+    ends: &'a Ends,
+    random_seed: u64,
+}
+
+impl At<'_> {
+    async fn info(&self) -> Result<(), End> {
+        let mut client = ServerServiceClient::new(self.door.clone());
+        let call = self.caller.tally.begin("tessera.v1.ServerService/GetServerInfo");
+        unary(call, self.ends, client.get_server_info(GetServerInfoRequest {})).await.map(|_| ())
+    }
+}
+
+/// Waits for the answer of a call that has only one.
+async fn unary<T>(
+    call: Call,
+    ends: &Ends,
+    answer: impl Future<Output = Result<Response<T>, Status>>,
+) -> Result<T, End> {
+    match ends.or(answer).await? {
+        Ok(answer) => {
+            call.ended();
+            Ok(answer.into_inner())
+        }
+        Err(status) => {
+            call.failed(&status);
+            Err(End::Status(status))
+        }
+    }
+}
+
+/// The messages of an answer.
+struct Answers<T> {
+    call: Option<Call>,
+    stream: Streaming<T>,
+}
+
+impl<T> Answers<T> {
+    async fn of(
+        call: Call,
+        ends: &Ends,
+        answer: impl Future<Output = Result<Response<Streaming<T>>, Status>>,
+    ) -> Result<Self, End> {
+        match ends.or(answer).await? {
+            Ok(answer) => Ok(Self { call: Some(call), stream: answer.into_inner() }),
+            Err(status) => {
+                call.failed(&status);
+                Err(End::Status(status))
+            }
+        }
+    }
+
+    /// The next one, or none after the last.
+    async fn next(&mut self, ends: &Ends) -> Result<Option<T>, End> {
+        match ends.or(self.stream.message()).await? {
+            Ok(Some(message)) => Ok(Some(message)),
+            Ok(None) => {
+                self.call.take().into_iter().for_each(Call::ended);
+                Ok(None)
+            }
+            Err(status) => {
+                self.call.take().into_iter().for_each(|call| call.failed(&status));
+                Err(End::Status(status))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tonic::Code;
+    use tonic_types::ErrorDetails;
+
+    use super::*;
+
+    #[test]
+    fn a_refusal_is_no_failure() {
+        let details = ErrorDetails::with_retry_info(Some(Duration::from_secs(2)));
+        let full = Status::with_error_details(Code::ResourceExhausted, "the queue is full: 32 of 32 wait", details);
+        assert_eq!(
+            outcome(End::Status(full)),
+            Outcome::Refused {
+                reason: "RESOURCE_EXHAUSTED: the queue is full: N of N wait".to_owned(),
+                after: Duration::from_secs(2)
+            }
+        );
+        let never = outcome(End::Status(Status::resource_exhausted("too long")));
+        assert!(matches!(never, Outcome::Failed { code, .. } if code == "RESOURCE_EXHAUSTED"));
+        let lost = Status::from_error(Box::new(std::io::Error::other("broken wire")));
+        assert!(matches!(outcome(End::Status(lost)), Outcome::Failed { code, .. } if code == "CONNECTION_LOST"));
+    }
+
+    #[tokio::test]
+    async fn a_slow_reader_takes_its_time() {
+        let (begin, mut pace) = (Instant::now(), Pace { bytes_a_second: Some(1000), due: None });
+        for _ in 0..4 {
+            pace.read(50).await;
+        }
+        assert!(begin.elapsed() >= Duration::from_millis(200));
+    }
+}

@@ -1,0 +1,200 @@
+//! The streams of `RemeshService`.
+//!
+//! Invariant: a result is taken to its last message, and its arrays are whole. Must not know: jobs.
+
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::{Answers, Asked, At, End, Pace};
+use crate::cli::remote::Door;
+use crate::wire::arrays::Arrays;
+use crate::wire::proto::remesh_service_client::RemeshServiceClient;
+use crate::wire::proto::{
+    self, ArrayKind, Chunk, ComputeRvdRequest, CvtRequest, RemeshRequest, RvdOutput, SampledSeeds, SeedSource, Timing,
+    seed_source,
+};
+
+/// Steps of a session.
+const CVT_STEPS: u32 = 5;
+
+fn client(door: &Door) -> RemeshServiceClient<Door> {
+    RemeshServiceClient::new(door.clone()).max_decoding_message_size(16 << 20)
+}
+
+/// When the last message of a request left.
+type Left = Arc<OnceLock<Instant>>;
+
+/// Messages; the moment at which the last leaves is kept.
+fn told<T: Send + 'static>(messages: Vec<T>, left: &Left) -> impl tokio_stream::Stream<Item = T> + Send + 'static {
+    let (left, last) = (Arc::clone(left), messages.len().saturating_sub(1));
+    tokio_stream::iter(messages.into_iter().enumerate().map(move |(k, message)| {
+        if k == last {
+            let _ = left.set(Instant::now());
+        }
+        message
+    }))
+}
+
+/// A stream under way.
+struct Flow {
+    begin: Instant,
+    left: Left,
+    /// When the first of the result came.
+    first: Option<Instant>,
+    arrays: Arrays,
+}
+
+impl Flow {
+    fn begin() -> Self {
+        Self { begin: Instant::now(), left: Left::default(), first: None, arrays: Arrays::default() }
+    }
+
+    /// So many bytes of the result came.
+    async fn came(&mut self, bytes: usize, asked: &mut Asked, pace: &mut Pace) {
+        self.first.get_or_insert_with(Instant::now);
+        asked.came_bytes += bytes as u64;
+        pace.read(bytes).await;
+    }
+
+    async fn chunk(&mut self, chunk: &Chunk, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
+        self.arrays.take(chunk).map_err(wrong)?;
+        self.came(chunk.data.len(), asked, pace).await;
+        Ok(())
+    }
+
+    /// Where the time went. `timing` is the server's.
+    fn end(&self, timing: Option<&Timing>, asked: &mut Asked) {
+        let ms = |ms: f64| Duration::try_from_secs_f64(ms / 1e3).ok();
+        asked.stages.upload = self.left.get().map(|left| left.saturating_duration_since(self.begin));
+        asked.stages.download = self.first.map(|first| first.elapsed());
+        asked.stages.queue = timing.and_then(|timing| ms(timing.queue_ms));
+        asked.stages.compute = timing.and_then(|timing| ms(timing.compute_ms));
+    }
+}
+
+fn wrong(what: impl std::fmt::Display) -> End {
+    End::Wrong(what.to_string())
+}
+
+fn unended<T>() -> Result<T, End> {
+    Err(End::Wrong("it ended before the work was done".to_owned()))
+}
+
+impl At<'_> {
+    fn seeds(&self) -> SeedSource {
+        let sampled = SampledSeeds { points: self.surface.points, random_seed: self.random_seed };
+        SeedSource { source: Some(seed_source::Source::Sampled(sampled)) }
+    }
+
+    pub(super) async fn remesh(&self, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
+        use proto::remesh_request::Message as Ask;
+        use proto::remesh_response::Message as Answer;
+        let header = proto::RemeshHeader {
+            mesh: Some(self.surface.header),
+            seeds: Some(self.seeds()),
+            backend: self.caller.backend.into(),
+            lloyd_steps: self.caller.lloyd,
+            newton_steps: self.caller.newton,
+            ..proto::RemeshHeader::default()
+        };
+        let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
+        let all = [Ask::Header(header)].into_iter().chain(chunks).chain([Ask::Finish(proto::Finish {})]);
+        let messages = all.map(|message| RemeshRequest { message: Some(message) }).collect();
+        asked.sent_bytes = self.surface.chunk_bytes();
+        let (mut flow, mut client) = (Flow::begin(), client(self.door));
+        let call = self.caller.tally.begin("tessera.v1.RemeshService/Remesh");
+        let mut answers = Answers::of(call, self.ends, client.remesh(told(messages, &flow.left))).await?;
+        let mut done = None;
+        while let Some(answer) = answers.next(self.ends).await? {
+            match answer.message {
+                Some(Answer::Chunk(chunk)) => flow.chunk(&chunk, asked, pace).await?,
+                Some(Answer::Done(end)) => done = Some(end),
+                _ => {}
+            }
+        }
+        let Some(done) = done else { return unended() };
+        flow.end(done.timing.as_ref(), asked);
+        let bytes = |kind| flow.arrays.bytes(kind).map(|bytes| bytes.len() as u64).map_err(wrong);
+        let (positions, facets) = (bytes(ArrayKind::Positions)?, bytes(ArrayKind::Facets)?);
+        match (positions, facets) == (24 * done.vertices, 12 * done.facets) && facets > 0 {
+            true => Ok(()),
+            false => Err(wrong("its arrays are not as long as it says")),
+        }
+    }
+
+    pub(super) async fn rvd(&self, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
+        use proto::compute_rvd_request::Message as Ask;
+        use proto::compute_rvd_response::Message as Answer;
+        let header = proto::ComputeRvdHeader {
+            mesh: Some(self.surface.header),
+            seeds: Some(self.seeds()),
+            backend: self.caller.backend.into(),
+            outputs: vec![RvdOutput::Cells.into(), RvdOutput::Centroids.into()],
+        };
+        let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
+        let all = [Ask::Header(header)].into_iter().chain(chunks).chain([Ask::Finish(proto::Finish {})]);
+        let messages = all.map(|message| ComputeRvdRequest { message: Some(message) }).collect();
+        asked.sent_bytes = self.surface.chunk_bytes();
+        let (mut flow, mut client) = (Flow::begin(), client(self.door));
+        let call = self.caller.tally.begin("tessera.v1.RemeshService/ComputeRvd");
+        let mut answers = Answers::of(call, self.ends, client.compute_rvd(told(messages, &flow.left))).await?;
+        let (mut done, mut pieces) = (None, 0);
+        while let Some(answer) = answers.next(self.ends).await? {
+            match answer.message {
+                Some(Answer::Cells(cells)) => {
+                    pieces += u64::from(cells.pieces);
+                    let indices =
+                        cells.facet.len() + cells.seed.len() + cells.vertex_count.len() + cells.opposite.len();
+                    flow.came(indices + cells.positions.len() + cells.weights.len(), asked, pace).await;
+                }
+                Some(Answer::Chunk(chunk)) => flow.chunk(&chunk, asked, pace).await?,
+                Some(Answer::Done(end)) => done = Some(end),
+                _ => {}
+            }
+        }
+        let Some(done) = done else { return unended() };
+        flow.end(done.timing.as_ref(), asked);
+        let centroids = flow.arrays.bytes(ArrayKind::Centroids).map_err(wrong)?.len() as u64;
+        match centroids == 24 * done.seeds && done.seeds == self.surface.points && pieces > 0 {
+            true => Ok(()),
+            false => Err(wrong("its cells are not those of the seeds")),
+        }
+    }
+
+    pub(super) async fn cvt(&self, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
+        use proto::cvt_request::Message as Ask;
+        use proto::cvt_response::Message as Answer;
+        let header = proto::CvtHeader {
+            mesh: Some(self.surface.header),
+            seeds: Some(self.seeds()),
+            backend: self.caller.backend.into(),
+            ..proto::CvtHeader::default()
+        };
+        let step = proto::CvtStep { iterations: CVT_STEPS, ..proto::CvtStep::default() };
+        let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
+        let end = [Ask::Start(proto::CvtStart {}), Ask::Step(step), Ask::Finish(proto::Finish {})];
+        let all = [Ask::Header(header)].into_iter().chain(chunks).chain(end);
+        let messages = all.map(|message| CvtRequest { message: Some(message) }).collect();
+        asked.sent_bytes = self.surface.chunk_bytes();
+        let (mut flow, mut client) = (Flow::begin(), client(self.door));
+        let call = self.caller.tally.begin("tessera.v1.RemeshService/Cvt");
+        let mut answers = Answers::of(call, self.ends, client.cvt(told(messages, &flow.left))).await?;
+        let (mut done, mut steps) = (None, 0);
+        while let Some(answer) = answers.next(self.ends).await? {
+            match answer.message {
+                Some(Answer::Iteration(_)) => steps += 1,
+                Some(Answer::Chunk(chunk)) => flow.chunk(&chunk, asked, pace).await?,
+                Some(Answer::Done(end)) => done = Some(end),
+                _ => {}
+            }
+        }
+        let Some(done) = done else { return unended() };
+        flow.end(done.timing.as_ref(), asked);
+        match steps == CVT_STEPS && done.iterations == u64::from(CVT_STEPS) {
+            true => Ok(()),
+            false => Err(wrong("it took other steps than were asked for")),
+        }
+    }
+}

@@ -1,0 +1,314 @@
+//! Who makes the calls of a load, and when.
+//!
+//! Purpose: a closed loop of clients that ask again after each answer, an open loop that sends by the plan whatever the
+//! server does, slow readers beside either; and what is left of calls is cleared away.
+//! Invariant: a call that cannot be sent is counted. The run ends within the time of a call after its last one began, and
+//! sooner if it is stopped. Must not know: what is in a call, how figures are shown.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::{Semaphore, mpsc, watch};
+use tokio::task::JoinSet;
+use tokio::time::Instant;
+
+use super::amounts::Mix;
+use super::calls::{Asked, Caller, Outcome, Rubbish, sweep};
+use super::measure::{Measure, When};
+use super::plan::{Arrivals, Item, Items};
+use super::view::View;
+use crate::cli::remote::Door;
+
+/// How calls follow each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Looping {
+    /// So many clients; each asks again once it has its answer.
+    Closed { clients: u32 },
+    /// So many calls a second, at most so many open.
+    Open { rate: f64, max_in_flight: u32 },
+}
+
+/// When what is sent.
+#[derive(Clone, Debug)]
+pub(super) struct Schedule {
+    pub(super) looping: Looping,
+    pub(super) mix: Mix,
+    /// The part of all calls that is cancelled.
+    pub(super) cancel: f64,
+    pub(super) ramp: Duration,
+    pub(super) warm_up: Duration,
+    pub(super) duration: Duration,
+    pub(super) seed: u64,
+    /// Clients beside the others, and how many bytes a second each reads.
+    pub(super) slow_readers: u32,
+    pub(super) slow_rate: u64,
+}
+
+impl Schedule {
+    /// When measuring begins and ends, since the run began.
+    pub(super) fn window(&self) -> std::ops::Range<Duration> {
+        let begin = self.ramp + self.warm_up;
+        begin..begin + self.duration
+    }
+}
+
+/// Where calls go.
+pub(super) struct Doors {
+    pub(super) usual: Vec<Door>,
+    /// Of slow readers, whose windows are narrow.
+    pub(super) slow: Vec<Door>,
+}
+
+/// The first pause after a failure, and the longest.
+const PAUSES: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
+/// The longest that a refused client waits.
+const REFUSED: Duration = Duration::from_secs(60);
+/// Sender of the open loop; clients come after it.
+const OPEN: u64 = 0;
+/// The first slow reader.
+const SLOW: u64 = 1 << 32;
+/// How many remove what is left at once, and how long they have at the end.
+const CLEANERS: usize = 8;
+const CLEANING: Duration = Duration::from_secs(60);
+
+/// A run.
+pub(super) struct Run {
+    caller: Arc<Caller>,
+    doors: Doors,
+    schedule: Schedule,
+    measure: Mutex<Measure>,
+    open: AtomicU64,
+    start: Instant,
+    stop: watch::Receiver<bool>,
+    rubbish: Option<mpsc::Sender<(Rubbish, Door, bool)>>,
+}
+
+/// What a run came to.
+pub(super) struct Ran {
+    pub(super) measure: Measure,
+    /// Jobs and blobs that could not be removed.
+    pub(super) left: u64,
+    /// Whether it was stopped before its end.
+    pub(super) stopped: bool,
+}
+
+/// Makes the calls; with `keep`, leaves their jobs and blobs at the server.
+pub(super) async fn run(caller: Arc<Caller>, doors: Doors, schedule: Schedule, keep: bool, view: View) -> Ran {
+    let stop = caller.stop.clone();
+    let (rubbish, cleaner) = match keep {
+        true => (None, None),
+        false => {
+            let (sender, receiver) = mpsc::channel(1024);
+            (Some(sender), Some(tokio::spawn(clean(Arc::clone(&caller), receiver))))
+        }
+    };
+    let sweeps: Vec<Door> = match !keep && schedule.mix.parts().any(|(kind, _)| kind.is_job()) {
+        true => doors.usual.clone(),
+        false => Vec::new(),
+    };
+    let measure = Mutex::new(Measure::new(schedule.window()));
+    let start = Instant::now();
+    let run = Arc::new(Run {
+        caller: Arc::clone(&caller),
+        doors,
+        schedule,
+        measure,
+        open: AtomicU64::new(0),
+        start,
+        stop,
+        rubbish,
+    });
+    let shown = tokio::spawn(show(Arc::clone(&run), view));
+    run.calls().await;
+    shown.abort();
+    let _ = shown.await;
+    let stopped = *run.stop.borrow();
+    let measure = {
+        let mut measure = run.lock();
+        measure.turn(run.start.elapsed());
+        measure.clone()
+    };
+    // Its sender goes with it, and so the cleaner ends.
+    drop(run);
+    let cleaned = tokio::time::timeout(CLEANING, async {
+        let mut left = match cleaner {
+            Some(cleaner) => cleaner.await.unwrap_or(1),
+            None => 0,
+        };
+        for door in &sweeps {
+            left += sweep(&caller.tally, door, &caller.run).await;
+        }
+        left
+    });
+    let left = cleaned.await.unwrap_or(1);
+    Ran { measure, left, stopped }
+}
+
+/// Removes what calls left; how many blobs could not be. Jobs that could not are found by the sweep.
+async fn clean(caller: Arc<Caller>, mut receiver: mpsc::Receiver<(Rubbish, Door, bool)>) -> u64 {
+    let (places, left) = (Arc::new(Semaphore::new(CLEANERS)), Arc::new(AtomicU64::new(0)));
+    while let Some((rubbish, door, ended)) = receiver.recv().await {
+        let Ok(place) = Arc::clone(&places).acquire_owned().await else { break };
+        let (caller, left) = (Arc::clone(&caller), Arc::clone(&left));
+        tokio::spawn(async move {
+            let (_, blobs) = rubbish.remove(&caller.tally, &door, ended).await;
+            left.fetch_add(blobs, Ordering::Relaxed);
+            drop(place);
+        });
+    }
+    let _ = places.acquire_many(CLEANERS as u32).await;
+    left.load(Ordering::Relaxed)
+}
+
+/// Draws the view until the run is over.
+async fn show(run: Arc<Run>, view: View) {
+    let mut tick = tokio::time::interval(View::EVERY);
+    loop {
+        tick.tick().await;
+        let elapsed = run.start.elapsed();
+        let mut measure = run.lock();
+        measure.turn(elapsed);
+        view.draw(&measure, elapsed, run.open.load(Ordering::Relaxed));
+    }
+}
+
+impl Run {
+    fn lock(&self) -> MutexGuard<'_, Measure> {
+        self.measure.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn is_stopped(&self) -> bool {
+        *self.stop.borrow()
+    }
+
+    /// When no more calls begin.
+    fn end(&self) -> Duration {
+        self.schedule.window().end
+    }
+
+    /// Makes all calls, and waits for them.
+    async fn calls(self: &Arc<Self>) {
+        let mut clients = JoinSet::new();
+        if let Looping::Closed { clients: count } = self.schedule.looping {
+            for k in 0..u64::from(count) {
+                let begin = self.schedule.ramp.mul_f64(k as f64 / f64::from(count));
+                clients.spawn(Arc::clone(self).client(1 + k, begin, None));
+            }
+        }
+        for k in 0..u64::from(self.schedule.slow_readers) {
+            clients.spawn(Arc::clone(self).client(SLOW + k, Duration::ZERO, Some(self.schedule.slow_rate)));
+        }
+        if let Looping::Open { rate, max_in_flight } = self.schedule.looping {
+            self.arrivals(rate, max_in_flight).await;
+        }
+        while clients.join_next().await.is_some() {}
+        if self.is_stopped() {
+            self.lock().cut(self.start.elapsed());
+        }
+    }
+
+    /// Sends by the plan.
+    async fn arrivals(self: &Arc<Self>, rate: f64, max_in_flight: u32) {
+        let Schedule { mix, cancel, ramp, seed, .. } = &self.schedule;
+        let arrivals = Arrivals::new(rate, *ramp, *seed);
+        let mut items = Items::new(mix.clone(), self.caller.surfaces.len(), *cancel, *seed, OPEN);
+        let places = Arc::new(Semaphore::new(max_in_flight as usize));
+        let end = self.end();
+        for (intended, number) in arrivals.take_while(|at| *at < end).zip(0..) {
+            let item = items.take();
+            if !self.wait_until(self.start + intended).await {
+                break;
+            }
+            let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+                self.lock().dropped(intended);
+                continue;
+            };
+            let Some(door) = door(&self.doors.usual, number) else { return };
+            let run = Arc::clone(self);
+            tokio::spawn(async move {
+                run.one(intended, item, &door, None).await;
+                drop(place);
+            });
+        }
+        // All that are open.
+        let _ = places.acquire_many(max_in_flight).await;
+    }
+
+    /// A client that asks, waits for the end and asks again.
+    async fn client(self: Arc<Self>, number: u64, begin: Duration, slow: Option<u64>) {
+        let Schedule { mix, cancel, seed, .. } = &self.schedule;
+        let (doors, mix, cancel) = match slow {
+            None => (&self.doors.usual, Some(mix.clone()), *cancel),
+            // There is nothing to read of what brings no result.
+            Some(_) => (&self.doors.slow, mix.only_those(super::amounts::Kind::is_work), 0.0),
+        };
+        let (Some(mix), Some(door)) = (mix, door(doors, number)) else { return };
+        let mut items = Items::new(mix, self.caller.surfaces.len(), cancel, *seed, number);
+        let mut pause = PAUSES.0;
+        if !self.wait_until(self.start + begin).await {
+            return;
+        }
+        loop {
+            let intended = self.start.elapsed();
+            if intended >= self.end() || self.is_stopped() {
+                return;
+            }
+            let wait = match self.one(intended, items.take(), &door, slow).await {
+                Outcome::Done | Outcome::Cancelled => {
+                    pause = PAUSES.0;
+                    continue;
+                }
+                Outcome::Refused { after, .. } => after.min(REFUSED),
+                Outcome::Failed { .. } => {
+                    let wait = pause;
+                    pause = PAUSES.1.min(2 * pause);
+                    wait
+                }
+                Outcome::Stopped => return,
+            };
+            if !self.wait_until((Instant::now() + wait).min(self.start + self.end())).await {
+                return;
+            }
+        }
+    }
+
+    /// One call.
+    async fn one(&self, intended: Duration, item: Item, door: &Door, pace: Option<u64>) -> Outcome {
+        let sent = self.start.elapsed();
+        self.open.fetch_add(1, Ordering::Relaxed);
+        let asked = self.caller.ask(door, item, pace).await;
+        self.open.fetch_sub(1, Ordering::Relaxed);
+        let when = When { kind: item.kind, slow: pace.is_some(), intended, sent, ended: self.start.elapsed() };
+        self.lock().over(&when, &asked);
+        let Asked { outcome, rubbish, .. } = asked;
+        if let Some((sender, rubbish)) = self.rubbish.as_ref().zip(rubbish) {
+            let _ = sender.send((rubbish, door.clone(), is_at_end(&outcome))).await;
+        }
+        outcome
+    }
+
+    /// Waits. False if the run is stopped meanwhile.
+    async fn wait_until(&self, at: Instant) -> bool {
+        let mut stop = self.stop.clone();
+        tokio::select! {
+            biased;
+            Ok(_) = stop.wait_for(|stop| *stop) => false,
+            () = tokio::time::sleep_until(at) => true,
+        }
+    }
+}
+
+/// Whether a call ended together with its job.
+fn is_at_end(outcome: &Outcome) -> bool {
+    match outcome {
+        Outcome::Done | Outcome::Cancelled => true,
+        Outcome::Failed { code, .. } => code.starts_with("JOB_"),
+        Outcome::Refused { .. } | Outcome::Stopped => false,
+    }
+}
+
+/// The door of a number.
+fn door(doors: &[Door], number: u64) -> Option<Door> {
+    doors.get((number % doors.len().max(1) as u64) as usize).cloned()
+}

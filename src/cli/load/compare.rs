@@ -1,0 +1,173 @@
+//! The server's counts beside this side's.
+//!
+//! Invariant: equal means equal: for each method and status as many calls as this side counted, and what the server counted
+//! more is no more than the calls whose status this side never heard. Must not know: how counts are had.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde_json::{Value, json};
+
+use super::scrape::Samples;
+use super::tally::{Calls, Methods};
+
+/// Calls of a method with a status.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Row {
+    /// Such as "OK".
+    pub(super) status: String,
+    /// As this side counted.
+    pub(super) here: u64,
+    /// As the server counted.
+    pub(super) there: i64,
+}
+
+/// Calls of a method.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Method {
+    /// As "tessera.v1.JobService/CreateJob".
+    pub(super) name: String,
+    /// By status.
+    pub(super) rows: Vec<Row>,
+    /// Calls whose status did not come.
+    pub(super) unheard: u64,
+    /// Seconds in the mean as this side measured, and as the server did.
+    pub(super) mean_s: (Option<f64>, Option<f64>),
+}
+
+impl Method {
+    fn of(name: &str, calls: &Calls, before: &Samples, after: &Samples) -> Self {
+        let of = |samples: &BTreeMap<(String, String), u64>, status: &str| {
+            samples.get(&(name.to_owned(), status.to_owned())).copied().unwrap_or(0) as i64
+        };
+        let theirs = after.calls.keys().filter(|(method, _)| method == name).map(|(_, status)| status.as_str());
+        let all: BTreeSet<&str> = theirs.chain(calls.heard.keys().copied()).collect();
+        let rows: Vec<Row> = all
+            .into_iter()
+            .map(|status| Row {
+                status: status.to_owned(),
+                here: calls.heard.get(status).copied().unwrap_or(0),
+                there: of(&after.calls, status) - of(&before.calls, status),
+            })
+            .filter(|row| row.here > 0 || row.there != 0)
+            .collect();
+        let sum = |samples: &Samples| {
+            samples.seconds.iter().filter(|((method, _), _)| method == name).map(|(_, seconds)| seconds).sum::<f64>()
+        };
+        let count: i64 = rows.iter().map(|row| row.there).sum();
+        let there = (count > 0).then(|| (sum(after) - sum(before)) / count as f64);
+        Self { name: name.to_owned(), rows, unheard: calls.unheard, mean_s: (calls.mean_s(), there) }
+    }
+
+    /// What the server counted more.
+    fn more(&self) -> i64 {
+        self.rows.iter().map(|row| row.there - row.here as i64).sum()
+    }
+
+    /// Rows that cannot be.
+    fn mismatches(&self) -> u64 {
+        let less = self.rows.iter().filter(|row| row.there < row.here as i64).count() as u64;
+        match less == 0 && self.more() > self.unheard as i64 {
+            true => self.rows.iter().filter(|row| row.there > row.here as i64).count() as u64,
+            false => less,
+        }
+    }
+}
+
+/// All methods that were called.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Comparison {
+    pub(super) methods: Vec<Method>,
+    /// Refusals that the server counted, by reason.
+    pub(super) refusals: BTreeMap<String, u64>,
+    /// Facets and seeds that the server counted.
+    pub(super) facets: u64,
+    pub(super) seeds: u64,
+}
+
+impl Comparison {
+    /// Of what was counted between two scrapes.
+    pub(super) fn of(methods: &Methods, before: &Samples, after: &Samples) -> Self {
+        let refusals = after.refusals.iter().map(|(reason, count)| {
+            (reason.clone(), count.saturating_sub(before.refusals.get(reason).copied().unwrap_or(0)))
+        });
+        Self {
+            methods: methods.iter().map(|(name, calls)| Method::of(name, calls, before, after)).collect(),
+            refusals: refusals.filter(|(_, count)| *count > 0).collect(),
+            facets: after.facets.saturating_sub(before.facets),
+            seeds: after.seeds.saturating_sub(before.seeds),
+        }
+    }
+
+    /// Rows in which the server counted what cannot be.
+    pub(super) fn mismatches(&self) -> u64 {
+        self.methods.iter().map(Method::mismatches).sum()
+    }
+
+    /// Whether the server has counted all that this side began.
+    pub(super) fn is_whole(&self) -> bool {
+        self.methods.iter().all(|method| method.more() == method.unheard as i64)
+    }
+
+    /// Calls as this side counted them.
+    pub(super) fn calls(&self) -> u64 {
+        self.methods.iter().map(|m| m.rows.iter().map(|row| row.here).sum::<u64>() + m.unheard).sum()
+    }
+
+    /// Calls whose status did not come.
+    pub(super) fn unheard(&self) -> u64 {
+        self.methods.iter().map(|method| method.unheard).sum()
+    }
+
+    /// As an object.
+    pub(super) fn json(&self) -> Value {
+        let row = |row: &Row| json!({ "status": row.status, "here": row.here, "server": row.there });
+        let method = |method: &Method| {
+            json!({
+                "method": method.name, "counts": method.rows.iter().map(row).collect::<Vec<_>>(),
+                "unheard": method.unheard, "equal": method.mismatches() == 0,
+                "mean_s": { "here": method.mean_s.0, "server": method.mean_s.1 },
+            })
+        };
+        json!({
+            "equal": self.mismatches() == 0, "mismatches": self.mismatches(), "calls": self.calls(),
+            "unheard": self.unheard(), "methods": self.methods.iter().map(method).collect::<Vec<_>>(),
+            "server_refusals": self.refusals, "server_facets": self.facets, "server_seeds": self.seeds,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn samples(counts: &[(&str, u64)]) -> Samples {
+        let calls = counts.iter().map(|(status, count)| (("m".to_owned(), (*status).to_owned()), *count)).collect();
+        Samples { calls, ..Samples::default() }
+    }
+
+    /// Mismatches of what this side counted, how many it did not hear of, and what the server counted.
+    fn mismatches(here: &[(&'static str, u64)], unheard: u64, before: &[(&str, u64)], after: &[(&str, u64)]) -> u64 {
+        let calls = Calls { heard: here.iter().copied().collect(), unheard, ..Calls::default() };
+        Comparison::of(&Methods::from([("m", calls)]), &samples(before), &samples(after)).mismatches()
+    }
+
+    #[test]
+    fn equal_is_equal() {
+        let before = [("OK", 5), ("CANCELLED", 1)];
+        assert_eq!(mismatches(&[("OK", 3)], 0, &before, &[("OK", 8), ("CANCELLED", 1)]), 0);
+        assert_eq!(mismatches(&[("OK", 3)], 0, &before, &[("OK", 9), ("CANCELLED", 1)]), 1);
+        assert_eq!(mismatches(&[("OK", 3)], 0, &before, &[("OK", 7), ("CANCELLED", 1)]), 1);
+        assert_eq!(mismatches(&[("OK", 3)], 0, &before, &[("OK", 7), ("CANCELLED", 2)]), 1);
+        // The server began anew.
+        assert_eq!(mismatches(&[("OK", 3)], 0, &before, &[("OK", 2)]), 2);
+    }
+
+    #[test]
+    fn a_call_that_was_given_up_may_have_ended_either_way() {
+        for after in [[("OK", 3), ("CANCELLED", 2)], [("OK", 5), ("CANCELLED", 0)], [("OK", 3), ("CANCELLED", 1)]] {
+            assert_eq!(mismatches(&[("OK", 3)], 2, &[], &after), 0, "{after:?}");
+        }
+        assert_eq!(mismatches(&[("OK", 3)], 2, &[], &[("OK", 3), ("CANCELLED", 3)]), 1);
+        assert_eq!(mismatches(&[("OK", 3)], 2, &[], &[("OK", 2), ("CANCELLED", 2)]), 1);
+    }
+}

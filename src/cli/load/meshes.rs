@@ -1,0 +1,130 @@
+//! The surfaces of a load, ready to be sent.
+//!
+//! Invariant: what a call sends is made before it is timed, but for the comment that makes a file one of a kind.
+//! Must not know: connections.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use bytes::Bytes;
+
+use super::amounts::{Points, Sizes};
+use crate::cli::exit::BadInput;
+use crate::cli::files;
+use crate::cvt::density::DensityOptions;
+use crate::mesh::TriMesh;
+use crate::mesh::io::{Format, encode};
+use crate::mesh::shapes::Shape;
+use crate::wire::chunks::{facet_chunks, point_chunks};
+use crate::wire::options::mesh_header;
+use crate::wire::pieces::Hash;
+use crate::wire::proto::{ArrayKind, Chunk, MeshHeader};
+
+/// How many surfaces a distribution of sizes becomes.
+const SURFACES: usize = 16;
+
+/// Where surfaces come from.
+#[derive(Debug)]
+pub(super) enum Source {
+    /// Files.
+    Files(Vec<PathBuf>),
+    /// A shape, in sizes.
+    Shape(Shape, Sizes),
+}
+
+impl Source {
+    /// The surfaces.
+    ///
+    /// # Errors
+    /// A file cannot be read.
+    pub(super) fn build(&self, points: Points) -> Result<Vec<Surface>> {
+        let of = |mesh: &TriMesh| Surface::of(mesh, points.of(mesh.facets().len()));
+        match self {
+            Self::Files(paths) => paths.iter().map(|path| of(&files::read_mesh(path)?)).collect(),
+            Self::Shape(shape, sizes) if sizes.is_one() => Ok(vec![of(&shape.build(sizes.at(0.0)))?]),
+            Self::Shape(shape, sizes) => {
+                // The middle of each sixteenth: all sizes are there whatever the seed is.
+                let at = |k: usize| (k as f64 + 0.5) / SURFACES as f64;
+                (0..SURFACES).map(|k| of(&shape.build(sizes.at(at(k))))).collect()
+            }
+        }
+    }
+}
+
+/// A surface as it is sent.
+#[derive(Debug)]
+pub(super) struct Surface {
+    /// Its facets.
+    pub(super) facets: u64,
+    /// How many points are asked for.
+    pub(super) points: u64,
+    /// Its counts, for a stream.
+    pub(super) header: MeshHeader,
+    /// Its arrays, for a stream.
+    pub(super) chunks: Vec<Chunk>,
+    /// Its file, for a job.
+    file: Bytes,
+    /// The file's digest.
+    pub(super) digest: String,
+}
+
+/// The first line of a PLY file; a comment may follow the second.
+const FORMAT: &[u8] = b"ply\n";
+
+impl Surface {
+    fn of(mesh: &TriMesh, points: u64) -> Result<Self> {
+        let positions = point_chunks(ArrayKind::Positions, mesh.positions());
+        let chunks = positions.chain(facet_chunks(ArrayKind::Facets, mesh.facets())).collect();
+        let file =
+            encode(Format::Ply, mesh).map_err(|cause| BadInput(format!("the surface cannot be sent: {cause}")))?;
+        let digest = digest(&file);
+        let header = mesh_header(mesh, &DensityOptions::default());
+        Ok(Self { facets: mesh.facets().len() as u64, points, header, chunks, file: file.into(), digest })
+    }
+
+    /// Its file as it is.
+    pub(super) fn file(&self) -> Bytes {
+        self.file.clone()
+    }
+
+    /// Its file with a comment, and the digest of that: no server has it yet.
+    pub(super) fn file_with(&self, comment: &str) -> (Bytes, String) {
+        let second = self.file[FORMAT.len()..].iter().position(|byte| *byte == b'\n').unwrap_or_default();
+        let (head, rest) = self.file.split_at(FORMAT.len() + second + 1);
+        let file = [head, b"comment ", comment.as_bytes(), b"\n", rest].concat();
+        let digest = digest(&file);
+        (file.into(), digest)
+    }
+
+    /// Bytes of its arrays.
+    pub(super) fn chunk_bytes(&self) -> u64 {
+        self.chunks.iter().map(|chunk| chunk.data.len() as u64).sum()
+    }
+}
+
+fn digest(bytes: &[u8]) -> String {
+    let mut hash = Hash::default();
+    hash.add(bytes);
+    hash.digest()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::io::decode;
+
+    #[test]
+    fn a_file_with_a_comment_is_the_same_surface() {
+        let surfaces = Source::Shape(Shape::Torus, "500..5000".parse().unwrap()).build("10%".parse().unwrap()).unwrap();
+        assert_eq!(surfaces.len(), SURFACES);
+        let facets: Vec<u64> = surfaces.iter().map(|surface| surface.facets).collect();
+        assert!(facets.is_sorted() && facets[0] < 700 && facets[15] > 4000, "{facets:?}");
+        let surface = &surfaces[3];
+        let (file, digest) = surface.file_with("load 7");
+        assert!(digest != surface.digest && file.len() == surface.file.len() + "comment load 7\n".len());
+        let (with, without) = (decode(Format::Ply, &file).unwrap(), decode(Format::Ply, &surface.file()).unwrap());
+        assert!(with.positions() == without.positions() && with.facets() == without.facets());
+        let bytes = 24 * with.positions().len() + 12 * with.facets().len();
+        assert_eq!(surface.chunk_bytes(), bytes as u64);
+    }
+}
