@@ -27,7 +27,7 @@ if (exec 3<>/dev/tcp/127.0.0.1/50051) 2>/dev/null; then
     exit 1
 fi
 
-# All ```sh blocks but the test command's, one after the other in one shell.
+# All ```sh blocks but the test command's, one after the other in one shell. What needs a container engine is in ```bash.
 awk '
     /<!-- test-command -->/ { skip = 1 }
     /^```sh$/ { inside = !skip; if (inside) print "printf \"\\n-- README, line " NR "\\n\""; next }

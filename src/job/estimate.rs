@@ -1,7 +1,7 @@
 //! What a job will need, from numbers that are known before it runs.
 //!
 //! Purpose: [`need`] says how much memory and time a job takes, for admission and for fair queueing. Host bytes are fitted
-//! to measured runs (`calibration`; docs/speed.md has the figures). Device bytes are those of the plan that allocates.
+//! to measured runs (`calibration`; docs/performance.md has the figures). Device bytes are those of the plan that allocates.
 //! Invariant: pure, without clock or files. Monotone in every count, and nothing overflows.
 //! Must not know: queues, records of jobs, how counts were found.
 
@@ -157,7 +157,7 @@ fn host_bytes(counts: &Counts, threads: usize) -> u64 {
 /// Bytes of a session for each facet and each seed.
 const CVT_BYTES: (u64, u64) = (180, 650);
 
-/// By two threads of the machine in docs/speed.md, each microsecond; more threads take less.
+/// By two threads of the machine in docs/performance.md, each microsecond; more threads take less.
 fn seconds(counts: &Counts, threads: usize) -> f64 {
     let (facets, points, steps) = (counts.facets as f64, counts.points as f64, counts.steps as f64);
     let threads = if counts.backend == BackendKind::Serial { 1.0 } else { threads.max(1) as f64 };

@@ -40,6 +40,8 @@ fn a_closed_pipe_ends_nothing() {
         ("--help", None),
         ("remesh --help", None),
         ("--version", None),
+        ("completions bash", None),
+        ("man", None),
         ("remesh in.ply -o out.ply --points 60 --newton 0", Some("out.ply")),
         ("remesh in.ply -o out2.ply --points 60 --newton 0 --json --report out.json", Some("out.json")),
         ("rvd in.ply --points 60 -o cells.ply", Some("cells.ply")),

@@ -1,4 +1,4 @@
-//! What sharing and keeping cost: programs that print JSON, for docs/speed.md. Nothing here is asserted about time.
+//! What sharing and keeping cost: programs that print JSON, for docs/performance.md. Nothing here is asserted about time.
 
 use std::ops::Range;
 use std::path::PathBuf;

@@ -186,7 +186,7 @@ fn peak(report: &Value) -> u64 {
 
 /// Measures the cases of `TESSERA_NEED` (`fitted` or `held-out`; both if not set) with the program `TESSERA_PROGRAM`.
 #[test]
-#[ignore = "minutes of work and 4 GB; docs/speed.md has the command"]
+#[ignore = "minutes of work and 4 GB; docs/performance.md has the command"]
 fn measure() {
     let tessera = PathBuf::from(std::env::var_os("TESSERA_PROGRAM").unwrap());
     let wanted = std::env::var("TESSERA_NEED").ok();

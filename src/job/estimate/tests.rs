@@ -115,7 +115,7 @@ fn device_bytes_are_those_of_sessions() {
     }
 }
 
-/// Seconds of whole remeshes and of steps, two threads (docs/speed.md).
+/// Seconds of whole remeshes and of steps, two threads (docs/performance.md).
 #[test]
 fn seconds_are_within_a_factor_of_two_of_those_in_the_documents() {
     let remesh = |facets, points, steps| {
