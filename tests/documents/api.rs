@@ -107,7 +107,7 @@ fn message(out: &mut String, message: &DescriptorProto, path: &[i32], said: &Com
         let about = said.text(&[path, &[ONEOF, at as i32]].concat());
         if !about.is_empty() {
             let about = about.split_whitespace().collect::<Vec<_>>().join(" ");
-            writeln!(out, "\nOne of `{}`: {}{}", one.name(), about[..1].to_lowercase(), &about[1..]).unwrap();
+            writeln!(out, "\nOf `{}`: {}{}", one.name(), about[..1].to_lowercase(), &about[1..]).unwrap();
         }
     }
     if message.field.is_empty() {
