@@ -147,12 +147,9 @@ fn counts_are_the_server_s_and_nothing_is_left() {
         }
     }
     assert!(methods >= 10, "{comparison}");
-    // Facets and seeds of what was done, as the server counts them.
     let [done, intended] = ["done", "intended"].map(|what| load.calls(what));
     assert!(done == intended && done > 0);
-    for (kind, parts) in [("remesh-job", 3), ("remesh", 1)] {
-        assert!(load.json["kinds_s"][kind]["count"].as_u64().unwrap() >= parts.min(1), "{}", load.json["kinds_s"]);
-    }
+    assert!(load.json["kinds_s"]["remesh-job"]["count"].as_u64() > Some(0), "{}", load.json["kinds_s"]);
     for stage in ["upload", "queue", "compute", "download"] {
         assert!(load.json["stages_s"][stage]["p50"].is_f64(), "{}", load.json["stages_s"]);
     }

@@ -18,6 +18,21 @@ const GRACE: Duration = Duration::from_secs(1);
 const WATCHERS: usize = 24;
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_hangup_ends_no_server() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut program = Program::start(folder.path(), &[]);
+    for _ in 0..20 {
+        let told = std::process::Command::new("kill").args(["-HUP", &program.child.id().to_string()]).status().unwrap();
+        assert!(told.success());
+    }
+    let mut client = program.client().await;
+    let digest = client.put_mesh(&Shape::Genus(3).build(600)).await;
+    let id = client.submit(remesh(&digest, 40, 1)).await;
+    assert_eq!(client.end(&id, LIMIT).await.state(), JobState::Succeeded);
+    assert_eq!(program.stop(), Some(0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn open_watches_hear_unavailable_and_jobs_go_on() {
     let folder = tempfile::tempdir().unwrap();
     let options = ["--grace-s", "1", "--max-streams", "256"];

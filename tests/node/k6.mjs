@@ -16,6 +16,16 @@ const script = new URL('../../deploy/load/k6.mjs', import.meta.url);
 const added = new Map();
 const add = (name, value) => added.set(name, [...(added.get(name) ?? []), value]);
 
+/** Times as JSON writes them. */
+function shown(value) {
+  if (Array.isArray(value)) return value.map(shown);
+  if (value === null || typeof value !== 'object') return value;
+  if (Object.keys(value).sort().join() === 'nanos,seconds') {
+    return new Date(Number(value.seconds) * 1000 + value.nanos / 1e6).toISOString();
+  }
+  return Object.fromEntries(Object.entries(value).map(([key, inner]) => [key, shown(inner)]));
+}
+
 class Metric {
   constructor(name) {
     this.name = name;
@@ -51,7 +61,7 @@ class Client {
   asyncInvoke(path, request, params) {
     const { call, sent } = this.method(path, params);
     return new Promise((resolve) => {
-      call(request, sent, (error, message) => resolve({ status: error ? error.code : 0, message, error }));
+      call(request, sent, (error, message) => resolve({ status: error ? error.code : 0, message: shown(message), error }));
     });
   }
 
@@ -63,26 +73,25 @@ class Client {
 /** A stream begins with its first message, whatever sides of it are streams. */
 class Stream {
   constructor(client, path, params) {
-    const { call, sent } = client.method(path, params);
-    const { requestStream, responseStream } = call;
+    const { client: service, sent } = client.method(path, params);
+    const method = service[path.split('/')[1]];
+    const call = method.bind(service);
     this.listeners = {};
     this.requests = [];
     setImmediate(() => {
       const emit = (event, value) => this.listeners[event]?.(value);
       const one = (error, message) => {
         if (error) emit('error', error);
-        else emit('data', message);
+        else emit('data', shown(message));
         emit('end');
       };
-      const method = client.method(path, params).client[path.split('/')[1]];
-      const flows = { up: method.requestStream ?? requestStream, down: method.responseStream ?? responseStream };
-      if (flows.up && !flows.down) {
+      if (method.requestStream && !method.responseStream) {
         const open = call(sent, one);
         this.requests.forEach((request) => open.write(request));
         open.end();
       } else {
         const open = call(this.requests[0], sent);
-        open.on('data', (message) => emit('data', message));
+        open.on('data', (message) => emit('data', shown(message)));
         open.on('error', (error) => emit('error', error));
         open.on('end', () => emit('end'));
       }
@@ -137,6 +146,6 @@ for (const name of ['tessera_job', 'tessera_upload', 'tessera_queue', 'tessera_c
 }
 // Nothing is left.
 const { message } = await opened[0].asyncInvoke('tessera.v1.JobService/ListJobs', {}, { metadata: { 'tessera-tenant': 'k6' } });
-assert.equal(message.jobs.length, 0);
+assert.equal((message.jobs ?? []).length, 0);
 opened.forEach((client) => client.close());
 console.log(`k6 script: ${added.get('tessera_job').map((ms) => `${ms} ms`).join(', ')}`);

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use crate::raw::{self, CHECK, Raw, WATCH, closes, silent};
+use crate::raw::{self, CHECK, COMPUTE_RVD, Raw, WATCH, closes, framed, silent};
 use crate::server::*;
 use tessera::internals::config::Limits;
 use tessera::proto::*;
@@ -53,13 +53,16 @@ async fn silent_sockets_keep_nobody_out() {
 async fn who_asks_for_something_keeps_its_place_and_the_next_is_refused() {
     let limits = Limits { max_connections: 4, max_connections_per_peer: 3, ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
-    let mut watches = Vec::new();
+    let mut uploads = Vec::new();
     for _ in 0..3 {
         let mut raw = Raw::connect(server.address, 1 << 16).await;
-        let mut body = raw.ask(WATCH, &[HealthCheckRequest::default()]).await.unwrap();
-        assert!(body.data().await.unwrap().is_ok());
-        watches.push((raw, body));
+        let (answer, mut body) = raw.begin(COMPUTE_RVD).await;
+        let Some(first) = small_rvd(BackendChoice::Parallel).into_iter().next() else { panic!("a header") };
+        body.send_data(framed(&first), false).unwrap();
+        uploads.push((raw, answer, body));
     }
+    // Longer than a connection has to be idle to go.
+    tokio::time::sleep(Duration::from_millis(1200)).await;
     let mut fourth = silent(server.address, PREFACE).await;
     assert!(closes(&mut fourth, 5 * SECOND).await, "one address has three connections here");
     // Another address has its own share.
@@ -67,10 +70,33 @@ async fn who_asks_for_something_keeps_its_place_and_the_next_is_refused() {
     let mut other = Raw::on(other, 1 << 16).await;
     let mut body = other.ask(CHECK, &[HealthCheckRequest::default()]).await.unwrap();
     assert!(body.data().await.unwrap().is_ok());
-    for (_, body) in &mut watches {
-        let more = tokio::time::timeout(Duration::from_millis(50), body.data()).await;
-        assert!(more.is_err(), "a watch that was open goes on");
+    for (_raw, answer, _open) in uploads {
+        let mut answers = answer.await.unwrap().into_body();
+        let more = tokio::time::timeout(Duration::from_millis(50), answers.data()).await;
+        assert!(more.is_err(), "an upload that was open goes on");
     }
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn watches_of_health_keep_nobody_out() {
+    let limits = Limits { max_connections: 4, max_connections_per_peer: 3, ..Limits::default() };
+    let server = Server::start(Setup { limits, ..Setup::default() }).await;
+    let mut watches = Vec::new();
+    for _ in 0..3 {
+        let mut raw = Raw::connect(server.address, 1 << 16).await;
+        let mut body = raw.ask(WATCH, &[HealthCheckRequest::default()]).await.unwrap();
+        assert!(body.data().await.unwrap().is_ok());
+        watches.push((raw, body));
+    }
+    tokio::time::sleep(Duration::from_millis(1200)).await;
+    ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Parallel)).await.unwrap();
+    let mut ended = 0;
+    for (_, body) in &mut watches {
+        let more = tokio::time::timeout(Duration::from_millis(200), body.data()).await;
+        ended += usize::from(more.is_ok());
+    }
+    assert_eq!(ended, 1, "the oldest of them made room");
     server.stop().await.unwrap();
 }
 

@@ -451,5 +451,22 @@ async fn health_and_reflection_know_both_services() {
         assert!(list.service.iter().any(|listed| listed.name == service), "{list:?}");
     }
     drop(answers);
+    // What is listed can be described, by each version.
+    use tonic_reflection::pb::v1alpha;
+    let mut older = v1alpha::server_reflection_client::ServerReflectionClient::new(server.channel().await);
+    for listed in list.service {
+        let question = Some(MessageRequest::FileContainingSymbol(listed.name.clone()));
+        let ask = ServerReflectionRequest { host: String::new(), message_request: question };
+        let mut answers = reflection.server_reflection_info(tokio_stream::iter([ask])).await.unwrap().into_inner();
+        let answer = answers.message().await.unwrap().unwrap().message_response.unwrap();
+        assert!(matches!(answer, MessageResponse::FileDescriptorResponse(_)), "{}: {answer:?}", listed.name);
+        use v1alpha::server_reflection_request::MessageRequest as Older;
+        let question = Some(Older::FileContainingSymbol(listed.name.clone()));
+        let ask = v1alpha::ServerReflectionRequest { host: String::new(), message_request: question };
+        let mut answers = older.server_reflection_info(tokio_stream::iter([ask])).await.unwrap().into_inner();
+        let answer = answers.message().await.unwrap().unwrap().message_response.unwrap();
+        use v1alpha::server_reflection_response::MessageResponse as Answer;
+        assert!(matches!(answer, Answer::FileDescriptorResponse(_)), "{}: {answer:?}", listed.name);
+    }
     server.stop().await.unwrap();
 }
