@@ -70,6 +70,18 @@ fn the_page_of_commands_has_them_all() {
 }
 
 #[test]
+fn the_page_of_commands_has_every_exit_code() {
+    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/command-line.md")).unwrap();
+    let section = page.split("## ").find(|part| part.starts_with("Exit codes")).expect("a section of exit codes");
+    let number = |text: &str| text.trim().split([' ', '|']).next().and_then(|word| word.parse::<u8>().ok());
+    let rows: Vec<u8> = section.lines().filter_map(|line| number(line.strip_prefix('|')?)).collect();
+    let help = said(&["--help"]);
+    let (_, codes) = help.split_once("Exit codes:\n").expect("exit codes");
+    let told: Vec<u8> = codes.lines().filter_map(number).collect();
+    assert!(told.len() > 5 && rows == told, "the page has {rows:?}, --help {told:?}");
+}
+
+#[test]
 fn shells_complete_every_command() {
     for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
         let text = said(&["completions", shell]);
