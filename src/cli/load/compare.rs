@@ -39,7 +39,8 @@ impl Method {
         let of = |samples: &BTreeMap<(String, String), u64>, status: &str| {
             samples.get(&(name.to_owned(), status.to_owned())).copied().unwrap_or(0) as i64
         };
-        let theirs = after.calls.keys().filter(|(method, _)| method == name).map(|(_, status)| status.as_str());
+        let counted = before.calls.keys().chain(after.calls.keys());
+        let theirs = counted.filter(|(method, _)| method == name).map(|(_, status)| status.as_str());
         let all: BTreeSet<&str> = theirs.chain(calls.heard.keys().copied()).collect();
         let rows: Vec<Row> = all
             .into_iter()
