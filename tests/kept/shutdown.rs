@@ -38,11 +38,11 @@ async fn open_watches_hear_unavailable_and_jobs_go_on() {
     let options = ["--grace-s", "1", "--max-streams", "256"];
     let mut program = Program::start(folder.path(), &options);
     let client = program.client().await;
-    let digest = client.of("a").put_mesh(&Shape::Genus(3).build(20_000)).await;
+    let digest = client.of("a").put_mesh(&Shape::Genus(3).build(8_000)).await;
     // Some at work, longer than the grace period; the others wait.
     let mut ids = Vec::new();
     for job in 0..WATCHERS as u64 {
-        let points = if job < 4 { 8_000 } else { 200 };
+        let points = if job < 4 { 4_000 } else { 100 };
         ids.push(client.of("a").submit(remesh(&digest, points, job)).await);
     }
     let watches: Vec<_> = ids
