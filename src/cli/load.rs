@@ -90,7 +90,7 @@ pub(crate) struct LoadArgs {
     /// The shape of made surfaces, as of `tessera shape`.
     #[arg(long, value_name = "SHAPE", default_value_t = Shape::Genus(3), help_heading = "What is asked")]
     shape: Shape,
-    /// Points to ask for: a number, or a part of the facets.
+    /// Points to ask for: a number, or a part of the facets and at least 100.
     #[arg(long, value_name = "N", default_value = "10%", help_heading = "What is asked")]
     points: Points,
     /// Lloyd steps of a remesh; not set: as the server does.

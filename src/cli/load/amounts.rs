@@ -172,8 +172,8 @@ pub(super) enum Points {
 impl Points {
     /// For a surface of `facets` facets.
     pub(super) fn of(self, facets: usize) -> u64 {
-        /// Fewer make no surface.
-        const LEAST: u64 = 4;
+        /// Fewer may be too few for the topology of a made surface.
+        const LEAST: u64 = 100;
         match self {
             Self::Count(points) => points,
             Self::Part(part) => ((facets as f64 * part).round() as u64).max(LEAST),
@@ -243,7 +243,7 @@ mod tests {
     fn points_are_a_count_or_a_part() {
         assert_eq!("500".parse::<Points>().unwrap().of(9), 500);
         assert_eq!("10%".parse::<Points>().unwrap().of(20_000), 2000);
-        assert_eq!("1%".parse::<Points>().unwrap().of(10), 4);
+        assert_eq!("1%".parse::<Points>().unwrap().of(10), 100);
         for bad in ["", "0", "%", "-5%", "0.1", "x%", "inf%"] {
             assert!(bad.parse::<Points>().is_err(), "{bad:?}");
         }
