@@ -125,7 +125,7 @@ fn run() -> u8 {
     let Given { cli, options } = match settings::parse(&line) {
         Ok(given) => given,
         Err(error) => {
-            errln!("tessera: {error:#}");
+            errln!("tessera: {}", plain::lines(&format!("{error:#}")));
             return exit::code(&error);
         }
     };
@@ -136,7 +136,7 @@ fn run() -> u8 {
         (LogFormatArg::Json, _) => (LogFormat::Json, "warn"),
     };
     let traces = match &cli.command {
-        Command::Serve(args) => args.watching.traces().map_err(anyhow::Error::from),
+        Command::Serve(args) => args.check().and_then(|_| args.watching.traces()).map_err(anyhow::Error::from),
         _ => Ok(None),
     };
     let telemetry = traces.and_then(|traces| Ok(telemetry::start(format, filter, traces.as_ref())?));
@@ -161,7 +161,7 @@ fn run() -> u8 {
     match result {
         Ok(()) => 0,
         Err(error) => {
-            errln!("tessera: {error:#}");
+            errln!("tessera: {}", plain::lines(&format!("{error:#}")));
             exit::code(&error)
         }
     }

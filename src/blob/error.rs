@@ -76,6 +76,14 @@ pub enum BlobError {
         /// What came.
         actual: Digest,
     },
+    /// What is stored is not what was uploaded: something else wrote to the storage. The blob was removed, whoever needs it.
+    #[error(
+        "blob {digest} was damaged where it was stored, and was removed; upload it again, or run again the job that made it"
+    )]
+    Damaged {
+        /// Which.
+        digest: Digest,
+    },
     /// The blob is stored, and has another size.
     #[error("blob {digest} has {actual_bytes} bytes, not {promised_bytes}")]
     WrongSize {

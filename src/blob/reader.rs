@@ -1,8 +1,9 @@
 //! Blobs as streams of bytes.
 //!
 //! Purpose: turns what the object store opened into pieces of at most [`READ_BYTES`].
-//! Invariant: the stream gives exactly the range that was opened, or ends with an error. It holds two pieces at most.
-//! Must not know: which blob it is, or who reads.
+//! Invariant: the stream gives exactly the range that was opened, or ends with an error. One of a whole blob ends with an
+//! error if its bytes have another digest. It holds two pieces at most.
+//! Must not know: who reads.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -12,20 +13,54 @@ use futures_util::{StreamExt, stream};
 use object_store::{GetResult, GetResultPayload};
 use tokio::task::{JoinHandle, spawn_blocking};
 
+use super::digest::Tally;
 use super::error::{io, join, object};
-use super::{BlobError, ByteStream, READ_BYTES};
+use super::{BlobError, ByteStream, Digest, READ_BYTES};
 
-/// The bytes that were opened.
-pub(super) fn bytes_of(opened: GetResult) -> ByteStream {
+/// The bytes that were opened; if they are to be those of `whole`, that is looked at.
+pub(super) fn bytes_of(opened: GetResult, whole: Option<Digest>) -> ByteStream {
     let range = opened.range.clone();
+    let check = whole.map(|digest| Check { tally: Tally::default(), digest });
     match opened.payload {
         // Far larger pieces than object_store's own stream of a file has.
-        GetResultPayload::File(file, _) => file_pieces(file, range.start, range.end - range.start),
+        GetResultPayload::File(file, _) => file_pieces(file, range.start, range.end - range.start, check),
         GetResultPayload::Stream(bytes) => {
             let pieces = bytes.map(|piece| piece.map_err(object("read a blob")));
-            pieces.flat_map(|piece| stream::iter(cut(piece))).boxed()
+            checked(pieces.flat_map(|piece| stream::iter(cut(piece))).boxed(), check)
         }
     }
+}
+
+/// Whether all bytes are those of a blob.
+struct Check {
+    tally: Tally,
+    digest: Digest,
+}
+
+impl Check {
+    fn end(&self) -> Result<(), BlobError> {
+        match self.tally.digest() == self.digest {
+            true => Ok(()),
+            false => Err(BlobError::Damaged { digest: self.digest }),
+        }
+    }
+}
+
+/// The same stream, with an error at its end if it was another blob.
+fn checked(pieces: ByteStream, check: Option<Check>) -> ByteStream {
+    let Some(check) = check else { return pieces };
+    let checked = stream::unfold(Some((pieces, check)), |state| async move {
+        let (mut pieces, mut check) = state?;
+        match pieces.next().await {
+            Some(Ok(piece)) => {
+                check.tally.add(&piece);
+                Some((Ok(piece), Some((pieces, check))))
+            }
+            Some(Err(error)) => Some((Err(error), None)),
+            None => check.end().err().map(|error| (Err(error), None)),
+        }
+    });
+    checked.boxed()
 }
 
 /// Cuts a piece that is too long.
@@ -43,12 +78,12 @@ fn cut(piece: Result<Bytes, BlobError>) -> impl Iterator<Item = Result<Bytes, Bl
 
 /// A file that is read while the reader is busy with the piece before.
 struct Ahead {
-    next: JoinHandle<std::io::Result<(File, Bytes)>>,
+    next: JoinHandle<std::io::Result<(File, Bytes, Option<Check>)>>,
     rest_bytes: u64,
 }
 
 impl Ahead {
-    fn new(mut file: File, seek: Option<u64>, rest_bytes: u64) -> Self {
+    fn new(mut file: File, seek: Option<u64>, rest_bytes: u64, mut check: Option<Check>) -> Self {
         let next = spawn_blocking(move || {
             if let Some(start) = seek {
                 file.seek(SeekFrom::Start(start))?;
@@ -56,20 +91,23 @@ impl Ahead {
             let length = rest_bytes.min(READ_BYTES as u64);
             let mut piece = Vec::with_capacity(READ_BYTES.min(usize::try_from(length).unwrap_or(READ_BYTES)));
             (&mut file).take(length).read_to_end(&mut piece)?;
-            Ok((file, piece.into()))
+            if let Some(check) = &mut check {
+                check.tally.add(&piece);
+            }
+            Ok((file, piece.into(), check))
         });
         Self { next, rest_bytes }
     }
 }
 
-fn file_pieces(file: File, start: u64, length: u64) -> ByteStream {
+fn file_pieces(file: File, start: u64, length: u64, check: Option<Check>) -> ByteStream {
     if length == 0 {
-        return stream::empty().boxed();
+        return stream::iter(check.and_then(|check| check.end().err()).map(Err)).boxed();
     }
-    let first = Ahead::new(file, Some(start), length);
+    let first = Ahead::new(file, Some(start), length, check);
     let pieces = stream::unfold(Some(first), |ahead| async move {
         let Ahead { next, rest_bytes } = ahead?;
-        let (file, piece) = match next.await.map_err(join).and_then(|read| read.map_err(io("read a blob"))) {
+        let (file, piece, check) = match next.await.map_err(join).and_then(|read| read.map_err(io("read a blob"))) {
             Ok(read) => read,
             Err(error) => return Some((Err(error), None)),
         };
@@ -78,8 +116,12 @@ fn file_pieces(file: File, start: u64, length: u64) -> ByteStream {
             let short = format!("a blob ends {rest_bytes} bytes early; its file was changed by another program");
             return Some((Err(BlobError::Unavailable(short)), None));
         }
-        let ahead = (rest_bytes > 0).then(|| Ahead::new(file, None, rest_bytes));
-        Some((Ok(piece), ahead))
+        match (rest_bytes, &check) {
+            // The last piece of a wrong blob is held back.
+            (0, Some(check)) => Some((check.end().map(|()| piece), None)),
+            (0, None) => Some((Ok(piece), None)),
+            _ => Some((Ok(piece), Some(Ahead::new(file, None, rest_bytes, check)))),
+        }
     });
     pieces.boxed()
 }

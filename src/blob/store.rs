@@ -90,7 +90,8 @@ pub trait BlobStore: Send + Sync + Debug {
     /// `UploadNotFound`, `Unavailable`.
     async fn abandon(&self, upload: UploadId) -> Result<(), BlobError>;
 
-    /// Reads `range` of a blob; an end after the blob's end means its end. Counts as a use.
+    /// Reads `range` of a blob; an end after the blob's end means its end. Counts as a use. The stream of a whole blob ends with
+    /// `Damaged` if the bytes that are stored have another digest; then the blob is gone, and can be uploaded again.
     ///
     /// # Errors
     /// `NotFound`, `OutOfRange`, `Unavailable`.
@@ -114,12 +115,6 @@ pub trait BlobStore: Send + Sync + Debug {
     /// # Errors
     /// `NotFound`, `Pinned`, `Unavailable`.
     async fn delete(&self, digest: Digest) -> Result<(), BlobError>;
-
-    /// Removes a blob whose bytes were found to have another digest, whoever protects it. It can be uploaded again.
-    ///
-    /// # Errors
-    /// `Unavailable`.
-    async fn reject(&self, digest: Digest) -> Result<(), BlobError>;
 
     /// Protects blobs from eviction and deletion, in addition to those that `name` protects already. All or none.
     ///

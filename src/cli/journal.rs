@@ -31,7 +31,8 @@ pub(crate) struct JournalArgs {
 enum JournalCommand {
     /// Say whether the journal is whole, and how many jobs can be read. Exit code 65 if it is damaged.
     Check,
-    /// Put a new journal with all jobs that can be read in the place of a damaged one, which is kept beside it.
+    /// Put a new journal with all jobs that can be read in the place of a damaged one, which is kept beside it. Exit code 65 if
+    /// there are none.
     Repair,
 }
 
@@ -68,6 +69,10 @@ pub(crate) fn run(args: &JournalArgs) -> Result<()> {
     match args.command {
         JournalCommand::Check if !is_whole => {
             Err(BadInput("the journal is damaged; `tessera journal repair` saves what can be read".to_owned()).into())
+        }
+        JournalCommand::Repair if jobs == 0 && damaged.is_some() => {
+            let text = "no job could be saved: the new journal is empty; the damaged one is kept beside it";
+            Err(BadInput(text.to_owned()).into())
         }
         _ => Ok(()),
     }

@@ -52,7 +52,7 @@ struct AddArgs {
     #[arg(long, value_name = "ROLE")]
     role: Role,
     /// When it ends, e.g. 12h or 90d; never if not given.
-    #[arg(long, value_name = "TIME", value_parser = period)]
+    #[arg(long, value_name = "TIME", value_parser = lasting)]
     expires: Option<Duration>,
     /// Calls a second.
     #[arg(long, value_name = "N", value_parser = whole::<u32>)]
@@ -71,6 +71,13 @@ struct AddArgs {
     rotate: bool,
 }
 
+fn lasting(text: &str) -> Result<Duration, String> {
+    period(text).and_then(|time| match time < Duration::from_secs(1) {
+        true => Err("a key lasts a second at least".to_owned()),
+        false => Ok(time),
+    })
+}
+
 fn weight(text: &str) -> Result<f64, String> {
     let weight = text.parse::<f64>().ok().filter(|weight| (0.01..=100.0).contains(weight));
     weight.ok_or_else(|| "a number from 0.01 to 100 is needed".to_owned())
@@ -85,16 +92,24 @@ pub(crate) fn run(args: &KeysArgs) -> Result<()> {
             let limits = KeyLimits { rate, in_flight, bytes, weight };
             let new = NewKey { name: add.name.clone(), role, lasts, limits, is_second };
             let (key, secret) = file.change(|keys| keys.add(new)).map_err(told)?;
-            if args.json {
-                let mut told = json_of(&key);
-                told["key"] = secret.reveal().into();
-                return Ok(say::json(&told)?);
+            let shown = match args.json {
+                true => {
+                    let mut told = json_of(&key);
+                    told["key"] = secret.reveal().into();
+                    say::try_line(format_args!("{told:#}"))
+                }
+                false => say::try_line(format_args!("{}", secret.reveal())),
+            };
+            // Nobody has it, and nobody can be shown it again.
+            if !matches!(shown, Ok(true)) {
+                file.change(|keys| keys.revoke(&key.id)).map_err(told)?;
+                shown?;
+                return Err(NotWritten("nobody read the key; it was not made".to_owned()).into());
             }
-            outln!("{}", secret.reveal())?;
-            errln!(
-                "tessera: this is the key of {}, shown this once; keep it where only its user can read it",
-                key.name
-            );
+            if !args.json {
+                let name = &key.name;
+                errln!("tessera: this is the key of {name}, shown this once; keep it where only its user can read it");
+            }
         }
         KeysCommand::List => {
             let set = file.read().map_err(told)?;

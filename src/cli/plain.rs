@@ -1,7 +1,7 @@
 //! Text from elsewhere, made fit to be shown.
 //!
 //! Purpose: a server's words cannot move the cursor, change colours, turn the writing round or hide what follows.
-//! Invariant: what comes out is one line of printable characters. Must not know: where the text came from.
+//! Invariant: what comes out are printable characters, on one line but for [`lines`]. Must not know: where the text came from.
 
 use serde_json::Value;
 
@@ -15,6 +15,11 @@ pub(crate) fn plain(text: &str) -> String {
         line.push('…');
     }
     line
+}
+
+/// `text` as it is, line by line, its control characters replaced.
+pub(crate) fn lines(text: &str) -> String {
+    text.chars().map(|c| if c == '\n' { c } else { shown(c) }).collect()
 }
 
 /// A report whose strings can be shown. Numbers, and the order of its keys, stay as they are.
@@ -57,6 +62,11 @@ mod tests {
         assert_eq!(plain(" Größe 3 µm, χ 2 \n"), "Größe 3 µm, χ 2");
         let long = plain(&"x".repeat(5000));
         assert!(long.chars().count() == MOST + 1 && long.ends_with('…'));
+    }
+
+    #[test]
+    fn lines_stay_lines() {
+        assert_eq!(lines("a\n\tb\u{1b}[2J\rc\n"), "a\n b\u{fffd}[2J c\n");
     }
 
     #[test]

@@ -104,6 +104,8 @@ pub(crate) fn run(args: &ServeArgs) -> Result<()> {
         .enable_all()
         // Files are read and written there: more at once than this are not faster, and hold a stack each.
         .max_blocking_threads(64)
+        // The pool wakes any of those that wait: what is done every second would keep as many for ever as it does in this time.
+        .thread_keep_alive(Duration::from_secs(2))
         .thread_name("tessera-io")
         .build()
         .context("cannot start the runtime")?;

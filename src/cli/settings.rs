@@ -3,10 +3,11 @@
 //! Purpose: [`parse`] reads the line twice where a file is named: once to find the file, once with the file's values as
 //! defaults. Invariant: precedence is clap's: default, file, environment, line. Must not know: what is done with options.
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::path::PathBuf;
 
 use anyhow::Result;
+use clap::builder::Resettable;
 use clap::{ArgMatches, CommandFactory, FromArgMatches};
 
 use super::{Cli, Command};
@@ -27,7 +28,17 @@ pub(super) struct Given {
 
 /// The program's command line.
 pub(super) fn command() -> clap::Command {
-    with_server(Cli::command(), &|options| options)
+    without_empty(with_server(Cli::command(), &|options| options))
+}
+
+/// A variable that is set to nothing says nothing, as it does where a file of Compose passes on what is not set.
+fn without_empty(command: clap::Command) -> clap::Command {
+    let is_empty = |name: &OsStr| std::env::var_os(name).is_some_and(|value| value.is_empty());
+    let command = command.mut_args(|arg| match arg.get_env().is_some_and(is_empty) {
+        true => arg.env(Resettable::Reset),
+        false => arg,
+    });
+    command.mut_subcommands(without_empty)
 }
 
 /// Changes the options of a server wherever they are.
@@ -54,7 +65,8 @@ pub(super) fn parse(line: &[OsString]) -> Result<Given> {
     let path = options(&found).and_then(|options| options.get_one::<PathBuf>("config"));
     let file = path.map(|path| ConfigFile::read(path)).transpose()?;
     if let Some(file) = &file {
-        found = with_server(Cli::command(), &|options| file.apply(options)).get_matches_from(line);
+        let command = with_server(Cli::command(), &|options| file.apply(options));
+        found = without_empty(command).get_matches_from(line);
     }
     let mut cli = Cli::from_arg_matches(&found).unwrap_or_else(|error| error.format(&mut command()).exit());
     let options = options(&found).cloned();

@@ -85,6 +85,7 @@ impl ServeArgs {
 
     fn check_all(&self) -> Result<ServeConfig, ConfigError> {
         self.backend.check()?;
+        self.watching.traces()?;
         if self.ephemeral && self.data_dir.is_some() {
             let value = "given beside --data-dir".to_owned();
             return Err(ConfigError { option: "--ephemeral", value, must: "one of the two" });

@@ -79,7 +79,7 @@ fn read(blobs: &dyn ReadBlob, field: &str, digest: Digest) -> Result<Vec<u8>, Tr
 
 fn unread(field: &str, error: &BlobError) -> Trouble {
     let kind = match error {
-        BlobError::NotFound { .. } | BlobError::DigestMismatch { .. } => FailureKind::MissingInput,
+        BlobError::NotFound { .. } | BlobError::Damaged { .. } => FailureKind::MissingInput,
         _ => FailureKind::Unavailable,
     };
     failure(kind, format!("{field}: {error}"))

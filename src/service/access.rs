@@ -19,7 +19,7 @@ use governor::{DefaultDirectRateLimiter, Quota};
 use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::Service as _;
-use tonic::codegen::http::{HeaderMap, HeaderName, Request, Response, header};
+use tonic::codegen::http::{HeaderMap, HeaderName, HeaderValue, Method, Request, Response, StatusCode, header};
 use tonic::service::Routes;
 
 use self::held::Held;
@@ -330,6 +330,9 @@ impl Guarded {
 
     /// Has a request answered, if it may be.
     pub(crate) async fn call(mut self, mut request: Request<Body>) -> Response<Body> {
+        if let Some(refused) = foreign(&request) {
+            return refused;
+        }
         let pass = match self.access.enter(&mut request) {
             Ok(pass) => pass,
             Err(refusal) => {
@@ -345,6 +348,26 @@ impl Guarded {
         };
         response.map(|body| Body::new(Held::new(body, pass)))
     }
+}
+
+/// The answer to what is no gRPC, in HTTP's words: its sender knows no others.
+fn foreign(request: &Request<Body>) -> Option<Response<Body>> {
+    let is_grpc = |kind: &str| {
+        let rest = kind.strip_prefix("application/grpc")?;
+        matches!(rest.chars().next(), None | Some('+' | ';')).then_some(())
+    };
+    let kind = request.headers().get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok());
+    let status = match (request.method(), kind.and_then(is_grpc)) {
+        (&Method::POST, Some(())) => return None,
+        (&Method::POST, None) => StatusCode::UNSUPPORTED_MEDIA_TYPE,
+        _ => StatusCode::METHOD_NOT_ALLOWED,
+    };
+    let mut response = Response::new(Body::default());
+    *response.status_mut() = status;
+    if status == StatusCode::METHOD_NOT_ALLOWED {
+        response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("POST"));
+    }
+    Some(response)
 }
 
 /// What cannot fail.

@@ -195,6 +195,7 @@ fn of_blob(error: &BlobError) -> Status {
         BlobError::Incomplete { .. } => "finish",
         BlobError::DigestMismatch { .. } => "digest",
         BlobError::WrongSize { .. } | BlobError::TooLarge { .. } => "size_bytes",
+        BlobError::Damaged { .. } => return Status::data_loss(text),
         // What others have in use is none of the caller's business.
         BlobError::QuotaExceeded { needed_bytes, .. } => {
             let text = format!("no room for {needed_bytes} more bytes now; delete results, or try again later");

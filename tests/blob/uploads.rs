@@ -55,6 +55,50 @@ async fn pieces_of_a_read_are_short() {
     }
 }
 
+/// A file below the store, as another program, a person or a failing disk would change it.
+#[tokio::test]
+async fn a_blob_that_was_changed_is_never_read_as_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = crate::local(folder.path(), BlobOptions::default()).await;
+    for length in [1, 100, READ_BYTES, READ_BYTES + 1, 3 * READ_BYTES] {
+        let bytes = content(length as u64, length);
+        let digest = put(&store, &bytes).await.unwrap();
+        let name = digest.to_string();
+        let path = folder.path().join("blobs").join(&name[..2]).join(&name);
+        let flipped = |at: usize| {
+            let mut changed = bytes.to_vec();
+            changed[at] ^= 1;
+            changed
+        };
+        let longer = [&bytes[..], b"x"].concat();
+        let damages =
+            [flipped(0), flipped(length / 2), flipped(length - 1), longer, bytes[..length / 2].to_vec(), vec![]];
+        for (i, damage) in damages.iter().enumerate() {
+            std::fs::write(&path, damage).unwrap();
+            assert_eq!(read_all(&store, digest).await, Err(BlobError::Damaged { digest }), "{length} {i}");
+            // Nobody is served by it: it can be uploaded again.
+            assert_eq!(read_all(&store, digest).await, Err(BlobError::NotFound { digest }));
+            put(&store, &bytes).await.unwrap();
+            assert_eq!(read_all(&store, digest).await.unwrap(), bytes);
+        }
+    }
+}
+
+/// What readiness asks.
+#[tokio::test]
+async fn a_store_says_that_its_folder_is_gone() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = crate::local(folder.path(), BlobOptions::default()).await;
+    store.check().await.unwrap();
+    let (there, away) = (folder.path().join("uploads"), folder.path().join("elsewhere"));
+    std::fs::rename(&there, &away).unwrap();
+    assert!(matches!(store.check().await, Err(BlobError::Unavailable(_))));
+    std::fs::rename(&away, &there).unwrap();
+    store.check().await.unwrap();
+    std::fs::remove_dir_all(folder.path()).unwrap();
+    assert!(matches!(store.check().await, Err(BlobError::Unavailable(_))));
+}
+
 /// The caller goes away at each boundary, and comes back.
 #[tokio::test]
 async fn a_cut_upload_goes_on_where_it_was_and_is_never_whole_early() {

@@ -134,6 +134,25 @@ fn every_option_can_be_set_in_three_ways() {
 }
 
 #[test]
+fn a_variable_set_to_nothing_says_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let plain = tessera(folder.path(), &words("config print"), &[]);
+    let mut keys: Vec<String> = printed(&plain).into_keys().chain(unset(&plain)).collect();
+    keys.push("config".to_owned());
+    let empty: Vec<_> = keys.iter().map(|key| (variable(key), String::new())).collect();
+    let out = tessera(folder.path(), &words("config print"), &empty);
+    assert_eq!((text(&out.stdout), text(&out.stderr)), (text(&plain.stdout), text(&plain.stderr)));
+    std::fs::write(folder.path().join("a.toml"), "max_streams = 7\n").unwrap();
+    let out = tessera(folder.path(), &words("config print --config a.toml"), &empty);
+    assert_eq!(printed(&out)["max_streams"], ("7".into(), "a.toml:1".into()));
+    // Those of other commands, too.
+    let out = tessera(folder.path(), &words("keys list"), &[("TESSERA_DATA_DIR".into(), String::new())]);
+    assert!(out.status.success(), "{}", text(&out.stderr));
+    let out = tessera(folder.path(), &words("health"), &[("TESSERA_ENDPOINT".into(), String::new())]);
+    assert!(!text(&out.stderr).contains("''"), "{}", text(&out.stderr));
+}
+
+#[test]
 fn what_is_printed_is_read_back() {
     let folder = tempfile::tempdir().unwrap();
     let line = words("config print --defaults");
@@ -190,6 +209,8 @@ fn what_makes_no_sense_is_refused_before_anything_is_done() {
         ("tls_cert = \"c\"", "", &["--tls-key is not given, though --tls-cert is"]),
         ("client_ca = \"c\"", "", &["--tls-cert is not given, though --client-ca is"]),
         ("tls_cert = \"c\"\ntls_key = \"k\"", "", &["cannot read c"]),
+        ("otlp_endpoint = \"https://a\"", "", &["--otlp-endpoint is https://a (c.toml:1)"]),
+        ("otlp_ratio = 2", "", &["--otlp-ratio is 2 (c.toml:1)"]),
         ("listen = \"0.0.0.0:0\"", "", &["other machines", "--insecure"]),
         ("ephemeral = true", "--data-dir d", &["--ephemeral is given beside --data-dir"]),
         ("max_streams = 8", "--max-streams=0", &["--max-streams is 0; it must be"]),

@@ -21,6 +21,16 @@ fn journal(what: &str, folder: &Path) -> (Output, serde_json::Value) {
     (out, told)
 }
 
+/// What a server says that does not start.
+fn refused(folder: &Path) -> String {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
+    command.args(["serve", "--listen", "127.0.0.1:0", "--backend", "serial", "--data-dir"]).arg(folder);
+    let out = command.env("TESSERA_LOG", "error").output().unwrap();
+    let said = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert_eq!(out.status.code(), Some(69), "{said}");
+    said
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_damaged_journal_is_told_from_an_empty_one_and_mended() {
     const JOBS: usize = 60;
@@ -97,6 +107,45 @@ async fn a_damaged_journal_is_told_from_an_empty_one_and_mended() {
                 std::fs::remove_file(left.path()).unwrap();
             }
         }
+    }
+    // What lies beside the journal.
+    std::fs::write(&file, &whole).unwrap();
+    let version = kept.path().join("version");
+    for noise in [&b""[..], b"x", b"1 2", b"\xff\xff", b"99999999999"] {
+        std::fs::write(&version, noise).unwrap();
+        let served = refused(kept.path());
+        assert!(served.contains("version") && served.contains("tessera journal repair"), "{served}");
+        let (out, told) = journal("check", kept.path());
+        assert_eq!((out.status.code(), told["jobs"].as_u64()), (Some(65), Some(JOBS as u64)), "{out:?}");
+        let (out, told) = journal("repair", kept.path());
+        assert!(out.status.success() && told["damaged_journal"].is_null(), "{out:?}");
+        let (out, told) = journal("check", kept.path());
+        assert_eq!((out.status.code(), told["faults"].as_array().map(Vec::len)), (Some(0), Some(0)), "{out:?}");
+    }
+    std::fs::write(&version, "7\n").unwrap();
+    for out in [journal("check", kept.path()).0, journal("repair", kept.path()).0] {
+        let said = String::from_utf8_lossy(&out.stderr);
+        assert!(out.status.code() == Some(65) && said.contains("has version 7"), "{said}");
+    }
+    std::fs::write(&version, "1\n").unwrap();
+    std::fs::remove_file(&file).unwrap();
+    let missing = refused(kept.path());
+    for what in ["check", "repair"] {
+        let said = String::from_utf8_lossy(&journal(what, kept.path()).0.stderr).into_owned();
+        assert!(said.contains("move it away") && !said.contains("journal repair"), "{said}");
+    }
+    assert!(missing.contains("move it away") && !missing.contains("journal repair"), "{missing}");
+    // Nobody waits for what is no file.
+    for name in ["journal.redb", "version"] {
+        let path = kept.path().join(name);
+        let _ = std::fs::remove_file(&path);
+        assert!(Command::new("mkfifo").arg(&path).status().unwrap().success());
+        for what in ["check", "repair"] {
+            assert_eq!(journal(what, kept.path()).0.status.code(), Some(74), "{what} {name}");
+        }
+        assert!(refused(kept.path()).contains("no regular file"));
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&file, &whole).unwrap();
     }
     println!("jobs saved of {JOBS}: {saved:?}");
     assert!(saved.iter().any(|jobs| *jobs > 0));

@@ -66,6 +66,8 @@ fn keys_are_made_listed_and_revoked_beside_the_server() {
         ("keys add ci --role read", 2),
         ("keys add 7 --role read", 2),
         ("keys add a --role root", 2),
+        ("keys add a --role read --expires 0s", 2),
+        ("keys add a --role read --expires 0.9s", 2),
         ("keys add a --role read --rate 0", 2),
         ("keys add a --role read --weight 0", 2),
         ("keys add a", 2),
@@ -80,6 +82,19 @@ fn keys_are_made_listed_and_revoked_beside_the_server() {
     assert!(!done(at, "keys list").contains(&key[4..14]));
     done(at, "keys revoke ci");
     assert_eq!(done(at, "keys list"), "");
+    // A key that nobody has seen is none.
+    for options in ["", " --json"] {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let (reader, closed) = std::io::pipe().unwrap();
+        drop(reader);
+        for out in [Stdio::from(full), closed.into()] {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
+            let line = format!("keys add unseen --role read{options}");
+            let made = command.args(line.split(' ')).env("TESSERA_DATA_DIR", at).stdout(out).status().unwrap();
+            assert_eq!(made.code(), Some(74), "{line}");
+            assert_eq!(done(at, "keys list"), "");
+        }
+    }
     std::fs::write(at.join("keys.json"), "{").unwrap();
     for line in ["keys list", "keys add a --role read"] {
         assert_eq!(tessera(at, line).status.code(), Some(65), "{line}");

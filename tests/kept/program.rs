@@ -86,6 +86,17 @@ impl Program {
         let kibibytes: u64 = resident.split_whitespace().next().unwrap().parse().unwrap();
         (kibibytes * 1024, count("fd"), count("task"))
     }
+
+    /// The names of its threads, sorted.
+    #[cfg(target_os = "linux")]
+    pub fn threads(&self) -> Vec<String> {
+        let tasks = std::fs::read_dir(format!("/proc/{}/task", self.child.id())).unwrap();
+        let name =
+            |task: std::io::Result<std::fs::DirEntry>| std::fs::read_to_string(task.ok()?.path().join("comm")).ok();
+        let mut names: Vec<String> = tasks.filter_map(name).map(|name| name.trim().to_owned()).collect();
+        names.sort();
+        names
+    }
 }
 
 impl Drop for Program {

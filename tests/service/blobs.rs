@@ -20,6 +20,38 @@ const SECOND: Duration = Duration::from_secs(1);
 
 type Blobs = BlobServiceClient<Channel>;
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_blob_that_was_changed_is_said_and_can_be_sent_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let setup = Setup { folder: Some(folder.path().to_owned()), ..Setup::default() };
+    let server = Server::start(setup).await;
+    let mut client = BlobServiceClient::new(server.channel().await);
+    let data = content(3_000_000);
+    let digest = Digest::of(&data).to_string();
+    write(&mut client, upload(&data, 0, 1 << 20)).await.unwrap();
+    let mut paths = vec![folder.path().to_owned()];
+    let file = loop {
+        let path = paths.pop().expect("the blob is a file");
+        match path.is_dir() {
+            true => paths.extend(std::fs::read_dir(&path).unwrap().map(|entry| entry.unwrap().path())),
+            false if path.file_name().is_some_and(|name| *name == *digest) && path.metadata().unwrap().len() > 1000 => {
+                break path;
+            }
+            false => {}
+        }
+    };
+    let mut changed = data.clone();
+    changed[2_999_999] ^= 1;
+    std::fs::write(file, changed).unwrap();
+    let status = read(&mut client, &digest, 0, 0).await.err().unwrap();
+    assert_eq!(status.code(), Code::DataLoss, "{status}");
+    assert!(status.message().contains("upload it again"), "{status}");
+    assert_eq!(read(&mut client, &digest, 0, 0).await.err().unwrap().code(), Code::NotFound);
+    write(&mut client, upload(&data, 0, 1 << 20)).await.unwrap();
+    assert_eq!(joined(&read(&mut client, &digest, 0, 0).await.unwrap(), 0, 3_000_000), data);
+    server.stop().await.unwrap();
+}
+
 async fn start(blobs: BlobOptions) -> (Server, Blobs) {
     let server = Server::start(Setup { blobs, ..Setup::default() }).await;
     let client = BlobServiceClient::new(server.channel().await);

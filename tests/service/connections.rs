@@ -33,6 +33,41 @@ async fn is_served(address: SocketAddr) -> bool {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_is_no_grpc_is_refused_in_http_s_words() {
+    let server = Server::start(Setup::default()).await;
+    let raw = Raw::connect(server.address, 1 << 16).await;
+    for (method, kind, status) in [
+        ("GET", "", 405),
+        ("HEAD", "", 405),
+        ("OPTIONS", "application/grpc", 405),
+        ("PUT", "application/grpc", 405),
+        ("POST", "", 415),
+        ("POST", "application/json", 415),
+        ("POST", "application/grpc-web", 415),
+        ("POST", "application/grpcx", 415),
+        ("POST", "application/grpc", 200),
+        ("POST", "application/grpc+proto", 200),
+        ("POST", "application/grpc; charset=utf-8", 200),
+    ] {
+        for path in [CHECK, "/", "/nothing/at.All"] {
+            let mut request = http::Request::builder().method(method).uri(format!("http://tessera{path}"));
+            if !kind.is_empty() {
+                request = request.header("content-type", kind);
+            }
+            let mut send = raw.send.clone().ready().await.unwrap();
+            let (answer, mut body) = send.send_request(request.body(()).unwrap(), false).unwrap();
+            // Who is refused may have been reset.
+            let _ = body.send_data(framed(&HealthCheckRequest::default()), true);
+            let head = answer.await.unwrap();
+            assert_eq!(head.status().as_u16(), status, "{method} {kind} {path}");
+            assert_eq!(head.headers().contains_key("allow"), status == 405);
+        }
+    }
+    assert!(is_served(server.address).await);
+    server.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn silent_sockets_keep_nobody_out() {
     let limits = Limits { max_connections: 40, max_connections_per_peer: 20, ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;

@@ -17,14 +17,13 @@ use tokio::sync::{MutexGuard, OwnedMutexGuard};
 use tokio::task::spawn_blocking;
 
 use super::{BlobOptions, LOCKS, path_of};
-use crate::blob::digest::Tally;
 use crate::blob::error::object;
 use crate::blob::quota::Ledger;
 use crate::blob::reader::bytes_of;
 use crate::blob::staging::{Part, Staging};
 use crate::blob::store::BlobInfo;
 use crate::blob::upload::{Chunk, Slot, Upload, UploadId, UploadStatus, Uploads, lock};
-use crate::blob::{BlobError, Digest};
+use crate::blob::{BlobError, ByteStream, Digest};
 
 /// Removals and questions to the store that run at once.
 const AT_ONCE: usize = 16;
@@ -497,11 +496,24 @@ impl Inner {
             Err(object_store::Error::NotFound { .. }) => return Ok(false),
             opened => opened.map_err(object("open a blob"))?,
         };
-        let (mut tally, mut bytes) = (Tally::default(), bytes_of(opened));
-        while let Some(piece) = bytes.try_next().await? {
-            tally.add(&piece);
+        match bytes_of(opened, Some(digest)).try_for_each(async |_| Ok(())).await {
+            Err(BlobError::Damaged { .. }) => Ok(false),
+            read => read.map(|()| true),
         }
-        Ok(tally.digest() == digest)
+    }
+
+    /// Removes a blob once its reader finds it damaged.
+    pub(super) fn guarded(self: Arc<Self>, bytes: ByteStream) -> ByteStream {
+        let guarded = bytes.then(move |piece| {
+            let inner = Arc::clone(&self);
+            async move {
+                if let Err(BlobError::Damaged { digest }) = piece {
+                    inner.reject(digest).await?;
+                }
+                piece
+            }
+        });
+        guarded.boxed()
     }
 
     /// Removes a blob whose bytes are wrong, whoever needs it: nobody is served by them.

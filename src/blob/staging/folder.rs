@@ -86,6 +86,16 @@ fn room(folder: &Path, bytes: u64, reserve_bytes: u64) -> Result<(), BlobError> 
     }
 }
 
+/// Whether files can be made there: the folder may be gone, or its disk read-only by now.
+fn writable(folder: &Path) -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        use rustix::fs::{Access, access};
+        access(folder, Access::WRITE_OK | Access::EXEC_OK)?;
+    }
+    fs::read_dir(folder).map(drop)
+}
+
 /// What the disk has left; nothing where the system does not say.
 fn free_bytes(folder: &Path) -> Option<u64> {
     #[cfg(unix)]
@@ -108,7 +118,12 @@ impl Staging for Folder {
     }
 
     async fn check(&self) -> Result<(), BlobError> {
-        room(&self.uploads, 0, self.reserve_bytes)
+        let (uploads, reserve_bytes) = (self.uploads.clone(), self.reserve_bytes);
+        let looked = spawn_blocking(move || {
+            writable(&uploads).map_err(io("look at the folder of uploads"))?;
+            room(&uploads, 0, reserve_bytes)
+        });
+        looked.await.map_err(join)?
     }
 
     async fn create(&self, id: UploadId) -> Result<Box<dyn Part>, BlobError> {

@@ -22,6 +22,19 @@ fn found(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
 }
 
 #[test]
+fn a_ply_header_has_an_end() {
+    let property = |n: usize| (0..n).map(|i| format!("property float p{i}\n")).collect::<String>();
+    let element = |n: usize| (0..n).map(|i| format!("element e{i} 0\n")).collect::<String>();
+    for names in
+        [element(5000), element(1) + &property(5000), "element x 0\nproperty int a\n".to_owned() + &element(4999)]
+    {
+        let text = format!("ply\nformat ascii 1.0\n{names}end_header\n");
+        let error = decode(Format::Ply, text.as_bytes()).unwrap_err();
+        assert!(error.to_string().contains("more than 4096 elements and properties"), "{error}");
+    }
+}
+
+#[test]
 fn surfaces_that_were_written_are_counted_exactly() {
     for shape in Shape::ALL {
         let mesh = shape.build(700);

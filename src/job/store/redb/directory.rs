@@ -37,33 +37,51 @@ fn damaged(path: &Path, what: impl Into<String>) -> StoreError {
     StoreError::Damaged { path: path.to_owned(), what: what.into() }
 }
 
+/// There was a journal, or there should be one.
+fn missing(folder: &Path) -> StoreError {
+    StoreError::Unreadable { path: folder.to_owned(), what: "it has no file journal.redb".to_owned() }
+}
+
+fn unknown(folder: &Path, found: u32) -> StoreError {
+    StoreError::UnknownVersion { what: format!("the data directory {}", folder.display()), found, known: LAYOUT }
+}
+
 impl Directory {
     pub(super) fn open(path: &Path, cache_bytes: usize) -> Result<(Self, Database), StoreError> {
         fs::create_dir_all(path).map_err(io("create", path))?;
         let directory = Self { path: path.to_owned(), _lock: lock(path)? };
         let (journal, version) = (directory.journal(), path.join("version"));
         match (read_version(&version)?, length(&journal)?) {
-            (Some(found), _) if found != LAYOUT => {
-                let what = format!("the data directory {}", path.display());
-                return Err(StoreError::UnknownVersion { what, found, known: LAYOUT });
-            }
-            (Some(_), None) => return Err(damaged(&journal, "it is not there, and it was")),
+            (Some(found), _) if found != LAYOUT => return Err(unknown(path, found)),
+            (Some(_), None) => return Err(missing(path)),
             (_, Some(0)) => return Err(damaged(&journal, "it is empty")),
             (_, Some(_)) => {}
             (None, None) => directory.make_journal(cache_bytes)?,
         }
         let database = database(&journal, cache_bytes, |builder| builder.open(&journal))?;
-        directory.put("version", &format!("{LAYOUT}\n"))?;
+        directory.put_version()?;
         Ok((directory, database))
     }
 
     /// A directory that is there, with nothing in it opened.
     pub(super) fn locked(path: &Path) -> Result<Self, StoreError> {
         let directory = Self { path: path.to_owned(), _lock: lock(path)? };
-        match length(&directory.journal())? {
-            Some(_) => Ok(directory),
-            None => Err(damaged(&directory.journal(), "it is not there")),
+        length(&directory.journal())?.map(|_| directory).ok_or_else(|| missing(path))
+    }
+
+    /// What is wrong with the file `version`, if it can be written anew.
+    pub(super) fn version_fault(&self) -> Result<Option<String>, StoreError> {
+        match read_version(&self.path.join("version")) {
+            Ok(Some(found)) if found != LAYOUT => Err(unknown(&self.path, found)),
+            Ok(_) => Ok(None),
+            Err(StoreError::Damaged { path, what }) => Ok(Some(format!("{}: {what}", path.display()))),
+            Err(error) => Err(error),
         }
+    }
+
+    /// Says that a journal is there.
+    pub(super) fn put_version(&self) -> Result<(), StoreError> {
+        self.put("version", &format!("{LAYOUT}\n"))
     }
 
     pub(super) fn journal(&self) -> PathBuf {
@@ -130,13 +148,18 @@ fn lock(folder: &Path) -> Result<File, StoreError> {
 
 fn length(path: &Path) -> Result<Option<u64>, StoreError> {
     match fs::metadata(path) {
-        Ok(metadata) => Ok(Some(metadata.len())),
+        Ok(metadata) if metadata.is_file() => Ok(Some(metadata.len())),
+        // A pipe would be waited for.
+        Ok(_) => Err(io("read", path)(std::io::Error::other("it is no regular file"))),
         Err(cause) if cause.kind() == ErrorKind::NotFound => Ok(None),
         Err(cause) => Err(io("read", path)(cause)),
     }
 }
 
 fn read_version(path: &Path) -> Result<Option<u32>, StoreError> {
+    if length(path)?.is_none() {
+        return Ok(None);
+    }
     match fs::read(path) {
         Ok(bytes) => {
             let number = std::str::from_utf8(&bytes).ok().and_then(|text| text.trim().parse().ok());

@@ -44,7 +44,7 @@ fn read(directory: &Directory, folder: &Path) -> Result<(Rows, Vec<String>), Sto
     make_copy()?;
     // Every page is checked, and the copy is recovered if it can be.
     let opened = database(&copy, RedbOptions::default().cache_bytes, |builder| builder.open(&copy));
-    let mut faults = Vec::new();
+    let mut faults = Vec::from_iter(directory.version_fault()?);
     match opened {
         Ok(recovered) => drop(recovered),
         Err(error) => {
@@ -82,7 +82,8 @@ pub async fn repair(folder: &Path) -> Result<Findings, StoreError> {
     let (rows, faults) = read(&directory, folder)?;
     let (whole, lost) = rows.jobs();
     let jobs = whole.len();
-    if faults.is_empty() && lost.is_empty() {
+    if faults.len() == usize::from(directory.version_fault()?.is_some()) && lost.is_empty() {
+        directory.put_version()?;
         return Ok(Findings { faults, jobs, lost, damaged: None });
     }
     let new = folder.join(NEW);
@@ -102,6 +103,7 @@ pub async fn repair(folder: &Path) -> Result<Findings, StoreError> {
     let made = new.join(journal.file_name().unwrap_or_default());
     fs::rename(&journal, &damaged).map_err(io("rename", &journal))?;
     directory.name(&made, &journal)?;
+    directory.put_version()?;
     fs::remove_dir_all(&new).map_err(io("remove", &new))?;
     Ok(Findings { faults, jobs, lost, damaged: Some(damaged) })
 }

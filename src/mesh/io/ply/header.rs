@@ -16,6 +16,9 @@ use super::{DataError, Vertex, header_error};
 /// A line that is longer is none of a header, and is shown so far.
 const LONGEST: usize = 4096;
 
+/// Elements and properties of one header, together. Files in use have dozens.
+const MOST_NAMES: usize = 4096;
+
 /// A header and what comes after it.
 pub(super) struct Parted<'a> {
     pub(super) header: Header,
@@ -82,6 +85,8 @@ struct Plain {
     elements: HashSet<String>,
     /// Properties of the element at hand.
     names: HashSet<String>,
+    /// Elements and properties so far.
+    declared: usize,
     lines: usize,
 }
 
@@ -90,6 +95,11 @@ impl Plain {
     fn push(&mut self, line: &str) -> Result<bool, DataError> {
         self.lines += 1;
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
+        self.declared += usize::from(matches!(words[..], ["element" | "property", ..]));
+        if self.declared > MOST_NAMES {
+            let message = format!("the header has more than {MOST_NAMES} elements and properties");
+            return Err(DataError::Syntax { line: self.lines, message });
+        }
         let mut goes_on = true;
         match words[..] {
             ["ply" | "PLY"] if self.lines == 1 => self.text.push_str("ply"),
