@@ -87,6 +87,16 @@ impl Program {
         (kibibytes * 1024, count("fd"), count("task"))
     }
 
+    /// Seconds that its threads have worked, all together.
+    #[cfg(target_os = "linux")]
+    pub fn worked_s(&self) -> f64 {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.child.id())).unwrap();
+        // The name is in brackets; user and system time are the 14th and 15th field, in hundredths.
+        let fields: Vec<f64> =
+            stat.rsplit(')').next().unwrap().split_whitespace().filter_map(|n| n.parse().ok()).collect();
+        (fields[10] + fields[11]) / 100.0
+    }
+
     /// The names of its threads, sorted.
     #[cfg(target_os = "linux")]
     pub fn threads(&self) -> Vec<String> {

@@ -118,3 +118,24 @@ async fn a_steady_slow_reader_is_served_to_the_end() {
     assert!(start.elapsed() > 3 * SECOND, "it was a slow reader: {:?}", start.elapsed());
     server.stop().await.unwrap();
 }
+
+/// What a client takes, it gives back: the window opens by one frame at a time. Frames that are split at each round end as dust,
+/// for which a client may close the connection.
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_of_a_slow_reader_stay_large() {
+    let server = Server::start(Setup::default()).await;
+    let mut raw = Raw::connect(server.address, 65_535).await;
+    let mut body = raw.ask(COMPUTE_RVD, &request(6_000)).await.unwrap();
+    let (mut bytes, mut frames, mut small) = (0, 0, 0);
+    while let Some(data) = body.data().await {
+        let data = data.unwrap();
+        (bytes, frames, small) = (bytes + data.len(), frames + 1, small + usize::from(data.len() < 256));
+        // Longer than the server needs to fill the window again.
+        tokio::time::sleep(Duration::from_millis(1)).await;
+        body.flow_control().release_capacity(data.len()).unwrap();
+    }
+    // A window has been filled many times.
+    assert!(bytes > 10 * 65_535, "{bytes}");
+    assert!(small * 20 < frames && bytes / frames > 2_000, "{small} of {frames} frames are small; {bytes} bytes");
+    server.stop().await.unwrap();
+}

@@ -21,7 +21,7 @@ use tonic::codegen::http::{HeaderMap, Request, Response};
 use super::super::{Phase, RequestError};
 use super::account::Account;
 use super::arriving::Arriving;
-use super::exchange::{Exchange, Farewell, Pieces};
+use super::exchange::{Answer, Exchange, Farewell};
 use super::line::Line;
 use super::places::{Guest, Peer, Standing};
 use super::socket::Traffic;
@@ -310,7 +310,7 @@ struct Answerer {
 }
 
 impl hyper::service::Service<Request<Incoming>> for Answerer {
-    type Response = Response<Pieces<Body>>;
+    type Response = Response<Answer<Body>>;
     type Error = Infallible;
     type Future = Pin<Box<dyn Future<Output = Result<Self::Response, Infallible>> + Send>>;
 
@@ -346,7 +346,7 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
                 }),
                 trailers: farewell(),
             });
-            Ok(response.map(|body| Pieces::new(body, exchange, farewell).told(account)))
+            Ok(response.map(|body| Answer::new(body, exchange, farewell).told(account)))
         };
         Box::pin(trace::within(trace, span, work))
     }

@@ -1,7 +1,7 @@
 //! One request and its answer, as the transport sees them.
 //!
-//! Purpose: [`Exchange`] knows how many bytes wait for the client and when the last one moved; [`Pieces`] is the
-//! answer's body, handed on in small pieces, so that "moved" is fine enough for a slow reader. Invariant: every byte of
+//! Purpose: [`Exchange`] knows how many bytes wait for the client and when the last one moved; [`Answer`] is the
+//! answer's body, whose bytes tell when they are written. Invariant: every byte of
 //! an answer is counted from when the service gives it until the connection has written it or the stream is gone.
 //! Must not know: messages, what an answer says.
 
@@ -12,21 +12,13 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
+use bytes::Buf;
 use http_body::Frame;
 use tokio::sync::Notify;
 use tonic::Status;
 use tonic::codegen::{Body, Bytes, http::HeaderMap};
 
 use super::super::budget::Budget;
-
-/// The largest piece: a frame's payload, as most peers take it.
-const LARGEST_PIECE: usize = 16 << 10;
-
-/// The first piece after a pause, so that progress shows though little is taken.
-const SMALLEST_PIECE: usize = 1 << 10;
-
-/// Between two pieces, after which the client counts as slow.
-const SLOW: Duration = Duration::from_millis(50);
 
 /// See the module's head.
 #[derive(Debug)]
@@ -179,21 +171,35 @@ pub(super) trait Ending: Send {
     fn end(&self, trailers: &HeaderMap);
 }
 
-/// Bytes that are counted until they are dropped.
-struct Piece {
+/// Bytes of an answer, each counted until the connection has written it or the rest is dropped.
+///
+/// Handed on as they come: cut into pieces, each end of a piece that lies within a client's window would make two frames of one,
+/// and of those two again, until a client that reads slowly had nothing but tiny frames, which clients refuse.
+pub(super) struct Counted {
     bytes: Bytes,
     exchange: Arc<Exchange>,
 }
 
-impl AsRef<[u8]> for Piece {
-    fn as_ref(&self) -> &[u8] {
+impl Buf for Counted {
+    fn remaining(&self) -> usize {
+        self.bytes.len()
+    }
+
+    fn chunk(&self) -> &[u8] {
         &self.bytes
+    }
+
+    fn advance(&mut self, count: usize) {
+        self.bytes.advance(count);
+        self.exchange.leave(count as u64);
     }
 }
 
-impl Drop for Piece {
+impl Drop for Counted {
     fn drop(&mut self) {
-        self.exchange.leave(self.bytes.len() as u64);
+        if !self.bytes.is_empty() {
+            self.exchange.leave(self.bytes.len() as u64);
+        }
     }
 }
 
@@ -206,39 +212,23 @@ pub(super) struct Farewell {
 }
 
 /// See the module's head.
-pub(super) struct Pieces<B> {
+pub(super) struct Answer<B> {
     inner: B,
     exchange: Arc<Exchange>,
-    /// Given by the service, not yet handed on.
-    rest: Bytes,
-    piece: usize,
-    handed_on: Option<Instant>,
     farewell: Option<Farewell>,
     ended: bool,
     ending: Option<Box<dyn Ending>>,
 }
 
-impl<B> Pieces<B> {
+impl<B> Answer<B> {
     pub(super) fn new(inner: B, exchange: Arc<Exchange>, farewell: Option<Farewell>) -> Self {
-        let (rest, piece) = (Bytes::new(), LARGEST_PIECE);
-        Self { inner, exchange, rest, piece, handed_on: None, farewell, ended: false, ending: None }
+        Self { inner, exchange, farewell, ended: false, ending: None }
     }
 
     /// The call is over when this is dropped.
     pub(super) fn told(mut self, ending: impl Ending + 'static) -> Self {
         self.ending = Some(Box::new(ending));
         self
-    }
-
-    /// The next piece of what is there.
-    fn next(&mut self) -> Bytes {
-        if self.handed_on.is_some_and(|last| last.elapsed() > SLOW) {
-            self.piece = SMALLEST_PIECE;
-        }
-        let bytes = self.rest.split_to(self.piece.min(self.rest.len()));
-        self.piece = (2 * self.piece).min(LARGEST_PIECE);
-        self.handed_on = Some(Instant::now());
-        Bytes::from_owner(Piece { bytes, exchange: Arc::clone(&self.exchange) })
     }
 
     /// Whether the answer is to end here, where the service has nothing to say.
@@ -249,55 +239,44 @@ impl<B> Pieces<B> {
             std::mem::take(&mut farewell.trailers)
         })
     }
+
+    fn end(&self, trailers: &HeaderMap) {
+        self.ending.iter().for_each(|ending| ending.end(trailers));
+    }
 }
 
-impl<B: Body<Data = Bytes, Error = Status> + Unpin> Body for Pieces<B> {
-    type Data = Bytes;
+impl<B: Body<Data = Bytes, Error = Status> + Unpin> Body for Answer<B> {
+    type Data = Counted;
     type Error = Status;
 
     fn poll_frame(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Self::Data>, Self::Error>>> {
-        if !self.rest.is_empty() {
-            return Poll::Ready(Some(Ok(Frame::data(self.next()))));
-        }
         if self.ended {
             return Poll::Ready(None);
         }
         match Pin::new(&mut self.inner).poll_frame(context) {
             Poll::Pending => {
-                self.handed_on = None;
                 let Some(trailers) = self.is_over(context) else { return Poll::Pending };
-                self.ending.iter().for_each(|ending| ending.end(&trailers));
+                self.end(&trailers);
                 Poll::Ready(Some(Ok(Frame::trailers(trailers))))
             }
-            Poll::Ready(Some(Ok(frame))) => Poll::Ready(Some(Ok(match frame.into_data() {
-                Ok(data) if !data.is_empty() => {
-                    self.exchange.give(data.len() as u64);
-                    self.rest = data;
-                    Frame::data(self.next())
+            Poll::Ready(frame) => Poll::Ready(frame.map(|frame| {
+                let frame = frame?.map_data(|bytes| {
+                    self.exchange.give(bytes.len() as u64);
+                    Counted { bytes, exchange: Arc::clone(&self.exchange) }
+                });
+                if let Some(trailers) = frame.trailers_ref() {
+                    self.end(trailers);
                 }
-                Ok(empty) => Frame::data(empty),
-                Err(frame) => {
-                    if let (Some(ending), Some(trailers)) = (&self.ending, frame.trailers_ref()) {
-                        ending.end(trailers);
-                    }
-                    frame
-                }
-            }))),
-            last => last,
+                Ok(frame)
+            })),
         }
     }
 
     fn is_end_stream(&self) -> bool {
-        self.rest.is_empty() && (self.ended || self.inner.is_end_stream())
-    }
-}
-
-impl<B> Drop for Pieces<B> {
-    fn drop(&mut self) {
-        self.exchange.leave(self.rest.len() as u64);
+        self.ended || self.inner.is_end_stream()
     }
 }
 
@@ -319,7 +298,7 @@ mod tests {
         }
     }
 
-    fn next(body: &mut Pieces<Frames>) -> Option<Frame<Bytes>> {
+    fn next(body: &mut Answer<Frames>) -> Option<Frame<Counted>> {
         let mut context = Context::from_waker(std::task::Waker::noop());
         match Pin::new(body).poll_frame(&mut context) {
             Poll::Ready(frame) => frame.map(Result::unwrap),
@@ -332,17 +311,17 @@ mod tests {
         let budget = Budget::new(1 << 20);
         let exchange = Arc::new(Exchange::new(budget.clone()));
         let data: Vec<u8> = (0..50_000).map(|i| (i % 251) as u8).collect();
-        let mut body = Pieces::new(Frames(vec![data.clone().into()]), Arc::clone(&exchange), None);
-        let mut pieces = Vec::new();
-        while let Some(frame) = next(&mut body) {
-            pieces.push(frame.into_data().unwrap());
-        }
-        assert_eq!(pieces.concat(), data);
-        assert!(pieces.iter().all(|p| p.len() <= LARGEST_PIECE));
-        assert_eq!(exchange.waiting(), 50_000);
+        let mut body = Answer::new(Frames(vec![data.clone().into()]), Arc::clone(&exchange), None);
+        let mut all = next(&mut body).and_then(|frame| frame.into_data().ok()).unwrap();
+        assert!(next(&mut body).is_none());
+        assert_eq!((exchange.waiting(), all.remaining()), (50_000, 50_000));
         assert!(!budget.has((1 << 20) - 49_999));
-        pieces.pop();
-        drop(pieces);
+        // A few bytes count, as they are written.
+        let mut written = vec![0; 17];
+        all.copy_to_slice(&mut written);
+        assert_eq!((exchange.waiting(), &written[..]), (49_983, &data[..17]));
+        assert_eq!(all.chunk(), &data[17..]);
+        drop(all);
         drop(body);
         assert_eq!(exchange.waiting(), 0);
         assert_eq!(exchange.unmoved_for(), Duration::ZERO);
@@ -353,7 +332,7 @@ mod tests {
     fn a_body_that_goes_early_gives_back_what_it_held() {
         let budget = Budget::new(1 << 20);
         let exchange = Arc::new(Exchange::new(budget.clone()));
-        let mut body = Pieces::new(Frames(vec![vec![0; 50_000].into()]), Arc::clone(&exchange), None);
+        let mut body = Answer::new(Frames(vec![vec![0; 50_000].into()]), Arc::clone(&exchange), None);
         let first = next(&mut body);
         assert!(!budget.has(1 << 20));
         drop(body);
@@ -367,7 +346,7 @@ mod tests {
         let mut trailers = HeaderMap::new();
         trailers.insert("grpc-status", "14".parse().unwrap());
         let farewell = Farewell { time: Box::pin(std::future::ready(())), trailers };
-        let mut body = Pieces::new(Frames(vec![vec![1].into()]), exchange, Some(farewell));
+        let mut body = Answer::new(Frames(vec![vec![1].into()]), exchange, Some(farewell));
         assert!(next(&mut body).unwrap().is_data(), "what the service says goes first");
         assert!(next(&mut body).unwrap().is_trailers());
         assert!(next(&mut body).is_none() && body.is_end_stream());
