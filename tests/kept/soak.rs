@@ -31,7 +31,8 @@ async fn act(client: &mut Client, address: SocketAddr, rng: &mut ChaCha8Rng) -> 
     let kind = rng.random_range(0..8);
     let facets = 300 + rng.random_range(0..1500);
     let mesh = Shape::Genus(rng.random_range(1..4)).build(facets);
-    let points = rng.random_range(20..200);
+    // Enough for three handles.
+    let points = rng.random_range(100..300);
     match kind {
         // A job to its end; its result is read, and it is deleted or left to expire.
         0 | 1 => {
