@@ -113,7 +113,7 @@ async fn measure(readers: usize, spells: usize, length: Duration) {
         while who.len() < readers {
             who.insert(told.recv().await.expect("all begin"));
         }
-        for _ in 0..120 {
+        for _ in 0..4 * length.as_secs() {
             let worked = program.worked_s();
             tokio::time::sleep(Duration::from_secs(1)).await;
             if program.worked_s() - worked < 0.1 {
