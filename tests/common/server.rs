@@ -4,14 +4,14 @@ pub mod desk;
 
 use std::net::SocketAddr;
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use desk::Idle;
 use glam::{DVec3, dvec3};
-use tessera::internals::blob::{BlobOptions, ObjectBlobs};
+use tessera::internals::blob::{BlobError, BlobOptions, ObjectBlobs};
 use tessera::internals::config::Limits;
 use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
 use tessera::internals::service::{self, About, Access, Jobs, Metrics, Parts, Readiness, ServeError, Tls};
@@ -173,6 +173,19 @@ pub struct Server {
     served: tokio::task::JoinHandle<Result<(), ServeError>>,
 }
 
+/// A process that another test starts holds all files of this one until it is another program.
+async fn opened(folder: &Path, options: BlobOptions) -> ObjectBlobs {
+    let begin = Instant::now();
+    loop {
+        match ObjectBlobs::local(folder, options).await {
+            Err(BlobError::InUse { .. }) if begin.elapsed() < Duration::from_secs(5) => {
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+            opened => return opened.unwrap(),
+        }
+    }
+}
+
 impl Server {
     pub async fn start(setup: Setup) -> Self {
         let (serial, parallel) = (setup.serial, setup.parallel);
@@ -200,7 +213,7 @@ impl Server {
         let (stop, stopped) = oneshot::channel();
         let blobs = match setup.folder {
             None => ObjectBlobs::in_memory(setup.blobs),
-            Some(folder) => ObjectBlobs::local(folder, setup.blobs).await.unwrap(),
+            Some(folder) => opened(&folder, setup.blobs).await,
         };
         let desk = Arc::new(Idle::new(Arc::new(blobs)));
         let jobs = Some(Jobs { blobs: desk.blobs.clone(), desk: desk.clone() });
