@@ -14,12 +14,21 @@ trap 'rm -rf "$work"' EXIT
 mkdir "$work/tessera"
 git ls-files -z --cached --others --exclude-standard | xargs -0 cp --parents -t "$work/tessera"
 
-# What was compiled here is used again, and what `cargo install` installs goes with the copy. The optimiser is told to do
-# little: this looks at words, not at speed.
+# What the tests compiled is used again, and what `cargo install` installs goes with the copy: it takes the tests' profile,
+# since this looks at words, not at speed.
 export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$root/target}
 export CARGO_INSTALL_ROOT=$work/installed
-export CARGO_PROFILE_RELEASE_OPT_LEVEL=${TESSERA_DOCUMENTS_OPT_LEVEL:-1}
-export PATH=$work/installed/bin:$PATH
+mkdir "$work/bin"
+cat >"$work/bin/cargo" <<EOF
+#!/bin/bash
+if [ "\$1" = install ]; then
+    shift
+    exec "$(command -v cargo)" install --debug "\$@"
+fi
+exec "$(command -v cargo)" "\$@"
+EOF
+chmod +x "$work/bin/cargo"
+export PATH=$work/bin:$work/installed/bin:$PATH
 # Where the README's server keeps its jobs.
 export XDG_STATE_HOME=$work/state
 if (exec 3<>/dev/tcp/127.0.0.1/50051) 2>/dev/null; then

@@ -121,7 +121,7 @@ fn counts_are_the_server_s_and_nothing_is_left() {
     let server = Server::start(&[]);
     let before = server.calls();
     let options = format!(
-        "--clients 4 --duration-s 2 --warm-up-s 0.3 --ramp-s 0.3 --tenants 2 --tenant crowd --metrics {} {SMALL} \
+        "--clients 4 --duration-s 5 --warm-up-s 0.3 --ramp-s 0.3 --tenants 2 --tenant crowd --metrics {} {SMALL} \
          --mix remesh-job=3,rvd-job,remesh,rvd,cvt,info --fail-if errors>0,mismatches>0,rate<0.1 --plot out.png",
         server.metrics()
     );

@@ -38,7 +38,7 @@ async fn a_server_that_is_well_says_so_everywhere() {
     let start = Instant::now();
     let health = tessera(&["health", "--endpoint", &url]);
     assert!(health.status.success() && said(&health) == "SERVING\n", "{health:?}");
-    assert!(start.elapsed() < 2 * SECOND, "{:?}", start.elapsed());
+    assert!(start.elapsed() < 10 * SECOND, "{:?}", start.elapsed());
     let health = tessera(&["health", "--endpoint", &url, "--service", "tessera.v1.JobService", "--json"]);
     let value: serde_json::Value = serde_json::from_slice(&health.stdout).unwrap();
     assert_eq!((value["service"].as_str(), value["status"].as_str()), (Some("tessera.v1.JobService"), Some("SERVING")));
@@ -89,7 +89,7 @@ async fn a_server_that_drains_says_so_until_it_ends() {
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
     program.term();
-    let told = tokio::time::timeout(2 * SECOND, states.message()).await.unwrap().unwrap().unwrap();
+    let told = tokio::time::timeout(10 * SECOND, states.message()).await.unwrap().unwrap().unwrap();
     assert_eq!(told.status, 2);
     let (status, body) = program.get("/readyz", "*/*").await;
     assert_eq!((status, body.as_str()), (503, "{\"ready\":false,\"reasons\":[\"draining\"],\"degraded\":[]}\n"));

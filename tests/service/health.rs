@@ -88,7 +88,7 @@ async fn a_backend_that_computes_nonsense_is_found_and_comes_back() {
     let start = Instant::now();
     moody.is_wrong.store(true, Ordering::SeqCst);
     assert_eq!(next(&mut states).await, ServingStatus::NotServing);
-    assert!(start.elapsed() < 2 * SECOND, "{:?}", start.elapsed());
+    assert!(start.elapsed() < 10 * SECOND, "{:?}", start.elapsed());
     let told = info.get_server_info(GetServerInfoRequest {}).await.unwrap().into_inner();
     assert_eq!(told.readiness.unwrap().reasons, ["probe_failed"]);
 
@@ -138,7 +138,7 @@ async fn each_service_says_how_it_is() {
             if asked.into_inner().status() == expected {
                 break;
             }
-            assert!(start.elapsed() < SECOND, "{name:?} is not {expected:?}");
+            assert!(start.elapsed() < 10 * SECOND, "{name:?} is not {expected:?}");
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     }

@@ -40,7 +40,7 @@ async fn shut_windows_give_back_their_places_and_their_memory() {
     }
     for (_, body) in &mut held {
         let end = async { while body.data().await.is_some_and(|data| data.is_ok()) {} };
-        tokio::time::timeout(20 * SECOND, end).await.expect("is cut");
+        tokio::time::timeout(60 * SECOND, end).await.expect("is cut");
     }
     // All places are free, and an upload that needs nearly all memory fits.
     let (vertices, facets) = sphere(5);

@@ -178,7 +178,7 @@ async fn stray_vertices(program: &Program) {
         let (mut positions, facets) = Shape::Sphere.build(320).into_parts();
         positions[40].y = distance;
         let wish = header(&positions, &facets, 500);
-        let done = ask(&mut program.client().await, &positions, &facets, &[], wish, 60 * SECOND).await.unwrap();
+        let done = ask(&mut program.client().await, &positions, &facets, &[], wish, 180 * SECOND).await.unwrap();
         assert_eq!(done.report["input"]["stray_vertices"], 1, "{distance:e}");
     }
 }
