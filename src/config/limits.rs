@@ -83,6 +83,8 @@ pub struct Transport {
     pub pending_resets: usize,
     /// Streams that were reset for faults of the client.
     pub fault_resets: usize,
+    /// Frames of a connection a second that carry neither a request nor its bytes.
+    pub control_frames: u32,
     /// Between two pings, which keep boxes between here and the client from forgetting the connection.
     pub ping_every: Duration,
     /// For the answer to a ping; at least as long as a stream may stall, since it waits behind what a slow reader has not read.
@@ -108,6 +110,7 @@ impl Default for Transport {
             message_bytes: 4 << 20,
             pending_resets: 32,
             fault_resets: 256,
+            control_frames: 1000,
             ping_every: Duration::from_secs(20),
             ping_timeout: Duration::from_secs(60),
             first_byte: Duration::from_secs(10),

@@ -27,6 +27,9 @@ pub(crate) struct TransportArgs {
     /// Streams of a connection that the server may reset for faults of the client; one more closes the connection.
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = whole::<u32>, env = "TESSERA_MAX_FAULT_RESETS")]
     pub max_fault_resets: u32,
+    /// Frames of a connection a second that carry neither a request nor its bytes (pings, settings, resets). Ten seconds' worth may come at once, and each 64 bytes of answers allow one more; with more the connection is closed.
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = whole::<u32>, env = "TESSERA_MAX_CONTROL_FRAMES")]
+    pub max_control_frames: u32,
     /// Seconds between two pings of a connection.
     #[arg(long, value_name = "S", default_value_t = 20.0, env = "TESSERA_PING_EVERY_S")]
     pub ping_every_s: f64,
@@ -61,6 +64,7 @@ impl TransportArgs {
                 << 20,
             pending_resets: count("--max-pending-resets", self.max_pending_resets)? as usize,
             fault_resets: count("--max-fault-resets", self.max_fault_resets)? as usize,
+            control_frames: count("--max-control-frames", self.max_control_frames)? as u32,
             ping_every: seconds("--ping-every-s", self.ping_every_s)?,
             ping_timeout: seconds("--ping-timeout-s", self.ping_timeout_s)?,
             first_byte: seconds("--first-byte-s", self.first_byte_s)?,

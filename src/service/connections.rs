@@ -10,6 +10,7 @@ mod arriving;
 mod connection;
 mod descriptors;
 mod exchange;
+mod frames;
 mod handshake;
 mod line;
 mod places;

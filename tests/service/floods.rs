@@ -15,11 +15,14 @@ const SECOND: Duration = Duration::from_secs(1);
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 
 /// Types of frames.
+const DATA: u8 = 0;
 const HEADERS: u8 = 1;
+const PRIORITY: u8 = 2;
 const RST_STREAM: u8 = 3;
 const SETTINGS: u8 = 4;
 const PING: u8 = 6;
 const GOAWAY: u8 = 7;
+const WINDOW_UPDATE: u8 = 8;
 const CONTINUATION: u8 = 9;
 const END_HEADERS: u8 = 4;
 
@@ -195,6 +198,44 @@ async fn pings_and_settings_are_no_requests() {
     }
     assert!(closes(&mut deaf, 20 * SECOND).await, "it is closed");
     is_served(&server).await;
+    server.stop().await.unwrap();
+}
+
+/// A stream that is open for long, as one that watches has, is no licence to flood.
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_that_carry_nothing_are_limited_beside_an_open_stream_too() {
+    let server = Server::start(Setup::default()).await;
+    let open = [frame(HEADERS, END_HEADERS, 1, &head(WATCH)), frame(DATA, 0, 1, &[0, 0, 0, 0, 0])].concat();
+    let floods = [
+        ("pings", frame(PING, 0, 0, &[7; 8])),
+        ("answers to pings", frame(PING, 1, 0, &[7; 8])),
+        ("settings", frame(SETTINGS, 0, 0, &[])),
+        ("priorities", frame(PRIORITY, 0, 1, &[0, 0, 0, 3, 9])),
+        ("windows", frame(WINDOW_UPDATE, 0, 1, &1u32.to_be_bytes())),
+        ("data of no bytes", frame(DATA, 0, 1, &[])),
+        ("an unknown type", frame(200, 0, 0, &[1; 30])),
+    ];
+    for (name, flooding) in &floods {
+        let many = flooding.repeat(400);
+        let closed = flood(server.address, 20 * SECOND, |turn| if turn == 0 { open.clone() } else { many.clone() });
+        assert!(closed.await, "{name}: it is closed");
+    }
+    is_served(&server).await;
+    server.stop().await.unwrap();
+}
+
+/// A client that pings after all it gets, as some do to learn how far away the server is, is none that floods.
+#[tokio::test(flavor = "multi_thread")]
+async fn pings_of_an_ordinary_client_are_no_flood() {
+    let server = Server::start(Setup::default()).await;
+    let mut socket = silent(server.address, PREFACE).await;
+    let open = [frame(HEADERS, END_HEADERS, 1, &head(WATCH)), frame(DATA, 0, 1, &[0, 0, 0, 0, 0])].concat();
+    socket.write_all(&open).await.unwrap();
+    for _ in 0..50 {
+        socket.write_all(&frame(PING, 0, 0, &[7; 8]).repeat(10)).await.unwrap();
+        tokio::time::sleep(SECOND / 50).await;
+    }
+    assert!(!closes(&mut socket, SECOND / 2).await, "500 pings in a second");
     server.stop().await.unwrap();
 }
 

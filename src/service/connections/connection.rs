@@ -22,6 +22,7 @@ use super::super::{Phase, RequestError};
 use super::account::Account;
 use super::arriving::Arriving;
 use super::exchange::{Answer, Exchange, Farewell};
+use super::frames::Metered;
 use super::line::Line;
 use super::places::{Guest, Peer, Standing};
 use super::socket::Traffic;
@@ -135,6 +136,7 @@ pub(super) async fn serve(line: Line, state: Arc<State>, common: Arc<Common>, mu
     let service = Answerer { state: Arc::clone(&state), common: Arc::clone(&common), phase: phase.clone() };
     let limits = &common.limits;
     let transport = limits.transport;
+    let line = Metered::new(line, transport.control_frames, state.traffic());
     let connection = http2::Builder::new(Spawner(Arc::clone(&state)))
         .timer(TokioTimer::new())
         .initial_stream_window_size(STREAM_WINDOW)
@@ -159,7 +161,9 @@ pub(super) async fn serve(line: Line, state: Arc<State>, common: Arc<Common>, mu
         let pause = if now == Phase::Serving && leaving.finish.is_none() { look_every } else { LOOK_EVERY_AT_THE_END };
         tokio::select! {
             result = connection.as_mut() => {
-                if let Err(error) = result {
+                if state.traffic.flooded() {
+                    common.closes("a flood of frames that carry nothing");
+                } else if let Err(error) = result {
                     tracing::debug!(%error, "a connection failed");
                 }
                 break;
@@ -176,16 +180,23 @@ pub(super) async fn serve(line: Line, state: Arc<State>, common: Arc<Common>, mu
                 connection.as_mut().graceful_shutdown();
             }
             Verdict::Close(why) => {
-                tracing::debug!(why, "a connection is closed");
-                if let Some(times) = common.closed.count() {
-                    tracing::info!(times, why, "closed connections that broke a limit");
-                }
+                common.closes(why);
                 break;
             }
         }
     }
     let mut streams = state.lock();
     streams.all.drain(..).for_each(|stream| stream.lose());
+}
+
+impl Common {
+    /// Says that a connection broke a limit, now and then aloud.
+    fn closes(&self, why: &'static str) {
+        tracing::debug!(why, "a connection is closed");
+        if let Some(times) = self.closed.count() {
+            tracing::info!(times, why, "closed connections that broke a limit");
+        }
+    }
 }
 
 /// Streams that a client may have open.

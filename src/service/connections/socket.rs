@@ -29,6 +29,7 @@ const PROBES: u32 = 3;
 #[derive(Debug, Default)]
 pub(super) struct Traffic {
     received: AtomicBool,
+    flooded: AtomicBool,
     blocked: Mutex<Option<Instant>>,
 }
 
@@ -36,6 +37,16 @@ impl Traffic {
     /// Whether the peer has sent anything.
     pub(super) fn received(&self) -> bool {
         self.received.load(Ordering::Relaxed)
+    }
+
+    /// Whether the peer has sent more than it may.
+    pub(super) fn flooded(&self) -> bool {
+        self.flooded.load(Ordering::Relaxed)
+    }
+
+    /// Notes that it has.
+    pub(super) fn flood(&self) {
+        self.flooded.store(true, Ordering::Relaxed);
     }
 
     /// How long bytes have waited without one being written.
