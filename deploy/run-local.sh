@@ -1,6 +1,7 @@
 #!/bin/bash
 # Runs the parts of compose.yaml as processes, where there is no container engine: a server and Prometheus with the same files.
 # Usage: deploy/run-local.sh [PROGRAM] [options of `tessera serve`]
+# Variables: TESSERA_PORT, TESSERA_ADMIN_PORT and PROMETHEUS_PORT are the ports, SCRAPE_INTERVAL is how often Prometheus looks (15s).
 # Needs Debian's package prometheus. Everything listens on this machine alone and ends with Ctrl-C.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
@@ -19,8 +20,9 @@ stop() {
 trap stop EXIT
 trap 'exit 0' INT TERM
 
-# Prometheus reads its files as they are; only the address of the server is another one.
-cp "$here/prometheus/prometheus.yml" "$here/prometheus/alerts.yml" "$work/"
+# Prometheus reads its files as they are, but for the address of the server and how often it looks.
+sed "s/_interval: 15s/_interval: ${SCRAPE_INTERVAL:-15s}/" "$here/prometheus/prometheus.yml" >"$work/prometheus.yml"
+cp "$here/prometheus/alerts.yml" "$work/"
 printf -- '- targets: ["127.0.0.1:%s"]\n' "$admin" >"$work/targets.yml"
 
 "$program" serve --listen "127.0.0.1:$calls" --admin-listen "127.0.0.1:$admin" "$@" &
