@@ -2,8 +2,8 @@
 
 Usage: check_queries.py PROGRAM
 
-Every query of the dashboard has to give figures. An alert gives none as long as all is well: its metrics, with their labels, have
-to be there.
+Every query of the dashboard has to give figures, and `grafana/preview.py` has to draw them. An alert gives none as long as all is
+well: its metrics, with their labels, have to be there.
 """
 
 import json
@@ -85,6 +85,9 @@ def main(program):
             figures = prometheus.ask(query)
             if not any(map(math.isfinite, figures)):
                 wrong.append(f"panel {title}: {figures or 'nothing'} for {query}")
+        drawn = [sys.executable, HERE / "grafana/preview.py", "--prometheus", prometheus.url, "--minutes", "1", "--check"]
+        if subprocess.run(drawn, check=False).returncode:
+            wrong.append("preview.py does not draw the dashboard")
         selectors = set()
         for group in yaml.safe_load((HERE / "prometheus/alerts.yml").read_text())["groups"]:
             for rule in group["rules"]:
