@@ -21,6 +21,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use glam::dvec2;
+use needs::needs;
 use rand::{Rng, RngExt, SeedableRng};
 use tessera::internals::rvd::Gpu;
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
@@ -64,6 +65,7 @@ fn many_small_diagrams_cpu() {
     run_long(&cpu(), std::thread::available_parallelism().map_or(1, usize::from));
 }
 
+#[needs(gpu)]
 #[test]
 fn small_diagrams_on_the_gpu() {
     let Some(device) = gpu::device() else { return };
@@ -71,6 +73,7 @@ fn small_diagrams_on_the_gpu() {
     run(0, 40, 1, &|case| gpu_cases::check(case, &gpu));
 }
 
+#[needs(gpu)]
 #[test]
 #[ignore = "the long run; TESSERA_FUZZ_CASES says how many"]
 fn many_small_diagrams_gpu() {

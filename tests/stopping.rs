@@ -14,6 +14,7 @@ mod stops;
 
 use std::time::Duration;
 
+use needs::needs;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use stops::{Outcome, adversary, stop_after};
@@ -96,6 +97,7 @@ fn one_thread_hears() {
     all_hear(1, 20_000, Duration::from_millis(500), &Serial);
 }
 
+#[needs(gpu)]
 #[test]
 fn the_gpu_hears() {
     let Some(device) = gpu::device() else { return };

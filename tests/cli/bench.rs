@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use crate::gpu;
+use needs::needs;
 use serde_json::Value;
 use tessera::mesh::io;
 use tessera::mesh::shapes::Shape;
@@ -242,6 +243,7 @@ fn reports_of_a_cpu_count_nothing() {
     assert_eq!(work(&json(folder, "report.json")["device"]), [0; 5]);
 }
 
+#[needs(gpu)]
 #[test]
 fn a_gpu_is_timed_by_its_clock_and_counted() {
     if gpu::device().is_none() {

@@ -1,7 +1,8 @@
 //! Which adapter the GPU tests run on.
 //!
-//! `TESSERA_TEST_GPU` is `required` (no adapter is a failure), `auto` (any adapter, software too;
-//! without one the test says so and is skipped) or `off`. What was decided is printed.
+//! `TESSERA_TEST_GPU` is `required` (no adapter is a failure), `auto` (any adapter, software too) or `off`. Tests that
+//! `#[needs(gpu)]` are ignored if it is `off`, and with `auto` where there is no driver. A driver that opens no adapter is
+//! seen too late for that: with `auto` the test says so and ends. What was decided is printed.
 
 #![allow(clippy::panic)]
 
@@ -9,7 +10,7 @@ use std::sync::{Arc, OnceLock};
 
 use tessera::internals::gpu::{Device, DeviceOptions};
 
-/// The device of this test binary, or `None` if the test is to be skipped.
+/// The device of this test binary, or `None` where there is none and none is required.
 pub fn device() -> Option<Arc<Device>> {
     static DEVICE: OnceLock<Option<Arc<Device>>> = OnceLock::new();
     DEVICE.get_or_init(open).clone()

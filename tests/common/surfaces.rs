@@ -17,27 +17,23 @@ pub fn closed(facets: usize) -> Vec<(Shape, TriMesh)> {
     Shape::ALL.into_iter().filter(|s| s.is_closed()).map(|s| (s, s.build(facets))).collect()
 }
 
-fn folder(variable: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os(variable).map(PathBuf::from);
-    if folder.is_none() {
-        eprintln!("SKIPPED: {variable} is not set, so real data is not looked at");
-    }
-    folder
+fn folder(variable: &str) -> PathBuf {
+    std::env::var_os(variable).map(PathBuf::from).unwrap_or_else(|| panic!("{variable} names no folder"))
 }
 
-/// A mesh from the folder that `TESSERA_MESHES` names, or `None` (said loudly) without it.
-pub fn real(file: &str) -> Option<TriMesh> {
-    let path = folder("TESSERA_MESHES")?.join(file);
-    Some(io::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display())))
+/// A mesh from the folder that `TESSERA_MESHES` names, for tests that `#[needs(meshes)]`.
+pub fn real(file: &str) -> TriMesh {
+    let path = folder("TESSERA_MESHES").join(file);
+    io::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// Points from the folder that `TESSERA_SEEDS` names: `x y z` a line.
-pub fn points(file: &str) -> Option<Vec<DVec3>> {
-    let path = folder("TESSERA_SEEDS")?.join(file);
+/// Points from the folder that `TESSERA_SEEDS` names, for tests that `#[needs(seeds)]`: `x y z` a line.
+pub fn points(file: &str) -> Vec<DVec3> {
+    let path = folder("TESSERA_SEEDS").join(file);
     let text = std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     let point = |line: &str| {
         let c: Vec<f64> = line.split_whitespace().map(|x| x.parse().unwrap()).collect();
         DVec3::new(c[0], c[1], c[2])
     };
-    Some(text.lines().map(point).collect())
+    text.lines().map(point).collect()
 }

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use crate::gpu;
+use needs::needs;
 use tessera::internals::gpu::buffers::{Buffers, write};
 use tessera::internals::gpu::plan::{Counts, Limits, Plan};
 use tessera::internals::gpu::{Device, DeviceOptions, GpuError, adapters, shader};
@@ -89,6 +90,7 @@ fn check(
     (read(1, 4), read(2, slots), read(3, inputs.len()))
 }
 
+#[needs(gpu)]
 #[test]
 fn fixed_point_sums_carry_and_go_negative() {
     let Some(device) = gpu::device() else { return };
@@ -128,6 +130,7 @@ fn fixed_point_sums_carry_and_go_negative() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn a_cell_set_takes_each_cell_once_and_says_when_it_is_full() {
     let Some(device) = gpu::device() else { return };
@@ -146,6 +149,7 @@ fn a_cell_set_takes_each_cell_once_and_says_when_it_is_full() {
     assert_eq!(outcomes.iter().filter(|o| **o == 2).count(), 44);
 }
 
+#[needs(gpu)]
 #[test]
 fn adapters_are_listed_and_software_is_not_taken_by_default() {
     let Some(device) = gpu::device() else { return };
@@ -161,6 +165,7 @@ fn adapters_are_listed_and_software_is_not_taken_by_default() {
     assert!(matches!(Device::open(&options), Err(GpuError::NoAdapter { .. })));
 }
 
+#[needs(gpu)]
 #[test]
 fn too_large_a_buffer_is_an_error_and_the_device_goes_on() {
     let Some(device) = gpu::device() else { return };
@@ -170,6 +175,7 @@ fn too_large_a_buffer_is_an_error_and_the_device_goes_on() {
     device.buffer("small", 64, Usage::STORAGE).unwrap();
 }
 
+#[needs(gpu)]
 #[test]
 fn reads_longer_than_the_staging_buffer_come_in_portions() {
     let Some(device) = gpu::device() else { return };

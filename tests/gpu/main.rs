@@ -11,7 +11,7 @@ use tessera::internals::rvd::Gpu;
 #[path = "../common/gpu.rs"]
 mod gpu;
 
-/// The backend of these tests, or `None` if they are to be skipped.
+/// The backend of these tests, or `None` where there is no adapter and none is required.
 fn backend() -> Option<&'static Gpu> {
     static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
     GPU.get_or_init(|| gpu::device().map(|device| Gpu::new(device, None).unwrap())).as_ref()

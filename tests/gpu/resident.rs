@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use glam::{DVec3, dvec3};
+use needs::needs;
 use rand::{RngExt, SeedableRng};
 use tessera::internals::gpu::layout::ROW;
 use tessera::internals::gpu::{Device, DeviceOptions};
@@ -80,6 +81,7 @@ fn search(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], neighbours: usize)
     gpu.search(Arc::clone(surface), &[seeds], options, &Token::default()).unwrap().remove(0)
 }
 
+#[needs(gpu)]
 #[test]
 fn rows_from_kept_lists_are_those_of_a_search() {
     let gpu = require_gpu!();
@@ -125,6 +127,7 @@ fn rows_from_kept_lists_are_those_of_a_search() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn rows_and_first_cells_are_the_hosts() {
     let gpu = require_gpu!();
@@ -165,6 +168,7 @@ fn rows_and_first_cells_are_the_hosts() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn the_device_searches_what_it_can() {
     let gpu = require_gpu!();
@@ -221,6 +225,7 @@ fn close(name: &str, got: f64, want: f64, relative: f64) {
     assert!((got - want).abs() <= relative * want.abs(), "{name}: {got:e} for {want:e}");
 }
 
+#[needs(gpu)]
 #[test]
 fn a_step_to_the_centroids_is_the_hosts() {
     let gpu = require_gpu!();
@@ -262,6 +267,7 @@ fn a_step_to_the_centroids_is_the_hosts() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn energies_along_the_direction_have_the_slope_of_the_gradient() {
     let gpu = require_gpu!();
@@ -320,6 +326,7 @@ fn minimise(seeds: &mut dyn Resident, lloyd: usize, newton: usize) -> (Vec<f64>,
     (energies, stats)
 }
 
+#[needs(gpu)]
 #[test]
 fn quasi_newton_steps_go_down_to_what_the_host_finds_there() {
     let gpu = require_gpu!();
@@ -345,6 +352,7 @@ fn quasi_newton_steps_go_down_to_what_the_host_finds_there() {
     assert_eq!(read(moving).len(), 400);
 }
 
+#[needs(gpu)]
 #[test]
 fn a_run_has_the_same_bits_twice() {
     let gpu = require_gpu!();
@@ -365,6 +373,7 @@ fn a_run_has_the_same_bits_twice() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn held_seeds_do_not_move() {
     let gpu = require_gpu!();
@@ -388,6 +397,7 @@ fn held_seeds_do_not_move() {
     assert!(moving.hold(&held[..100]).is_err());
 }
 
+#[needs(gpu)]
 #[test]
 fn twins_stay_and_clusters_spread() {
     let gpu = require_gpu!();
@@ -409,6 +419,7 @@ fn twins_stay_and_clusters_spread() {
     assert!(energies.windows(2).all(|e| e[1] < e[0]), "{energies:?}");
 }
 
+#[needs(gpu)]
 #[test]
 fn a_seed_that_leaves_the_range_is_named_and_x_stays() {
     let gpu = require_gpu!();
@@ -437,6 +448,7 @@ fn a_seed_that_leaves_the_range_is_named_and_x_stays() {
     assert_eq!(evaluate(moving).energy, here.energy);
 }
 
+#[needs(gpu)]
 #[test]
 fn iterations_allocate_nothing_and_move_few_bytes() {
     require_gpu!();
@@ -457,6 +469,7 @@ fn iterations_allocate_nothing_and_move_few_bytes() {
 }
 
 /// Edges a twentieth as long at one point: cells three mean spacings wide would hold hundreds of seeds there.
+#[needs(gpu)]
 #[test]
 fn seeds_that_crowd_where_weights_are_large_are_searched_on_the_device() {
     let gpu = require_gpu!();
@@ -481,6 +494,7 @@ fn seeds_that_crowd_where_weights_are_large_are_searched_on_the_device() {
 
 /// A crowd of seeds takes up the rows of those beside it, and an even ring around a seed makes more vertices than there
 /// are registers for. The host sees to it once; from then on the device does, with the same bits.
+#[needs(gpu)]
 #[test]
 fn cells_beside_a_crowd_and_within_a_ring_are_ended_on_the_device() {
     require_gpu!();
@@ -549,6 +563,7 @@ fn relaxed(session: &mut dyn Session, steps: usize, together: bool) -> (Vec<[f64
     (looks.iter().map(|l| [l.energy, l.gradient_squared, l.area]).collect(), read(moving), stats)
 }
 
+#[needs(gpu)]
 #[test]
 fn steps_taken_together_have_the_bits_of_steps_taken_one_by_one() {
     require_gpu!();
@@ -592,6 +607,7 @@ fn steps_taken_together_have_the_bits_of_steps_taken_one_by_one() {
     assert!(before == read(moving));
 }
 
+#[needs(gpu)]
 #[test]
 fn the_next_session_of_the_same_plan_allocates_nothing_and_gives_the_same_bits() {
     require_gpu!();

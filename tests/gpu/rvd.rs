@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use glam::{DVec3, dvec3};
+use needs::needs;
 use rand::{RngExt, SeedableRng};
 use tessera::mesh::TriMesh;
 use tessera::mesh::shapes::Shape;
@@ -182,6 +183,7 @@ fn weights(mesh: &TriMesh) -> Vec<f64> {
     mesh.positions().iter().map(|p| 1.5 + (3.0 * p.x).sin() * (2.0 * p.y).cos()).collect()
 }
 
+#[needs(gpu)]
 #[test]
 fn sums_are_those_of_the_reference() {
     let gpu = require_gpu!();
@@ -206,6 +208,7 @@ fn sums_are_those_of_the_reference() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn capacities_and_runs_do_not_change_a_bit() {
     let gpu = require_gpu!();
@@ -225,6 +228,7 @@ fn capacities_and_runs_do_not_change_a_bit() {
     same_bits("narrow", &first, &narrow);
 }
 
+#[needs(gpu)]
 #[test]
 fn a_session_takes_other_seeds_and_keeps_its_answers() {
     let gpu = require_gpu!();
@@ -246,6 +250,7 @@ fn a_session_takes_other_seeds_and_keeps_its_answers() {
     session.sums(&mut out, &Token::default()).unwrap();
 }
 
+#[needs(gpu)]
 #[test]
 fn pieces_are_those_of_the_reference() {
     let gpu = require_gpu!();
@@ -285,6 +290,7 @@ fn pieces_are_those_of_the_reference() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn two_triangles_with_many_seeds() {
     let gpu = require_gpu!();
@@ -298,6 +304,7 @@ fn two_triangles_with_many_seeds() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn a_lattice_has_no_gap() {
     // All vertices of the diagram are ties of four seeds, and facet edges run through them.
@@ -310,6 +317,7 @@ fn a_lattice_has_no_gap() {
     compare("lattice", &surface, &got, &want, 1e-5);
 }
 
+#[needs(gpu)]
 #[test]
 fn far_and_duplicate_seeds_are_finished_in_double() {
     let gpu = require_gpu!();
@@ -330,6 +338,7 @@ fn far_and_duplicate_seeds_are_finished_in_double() {
     assert!(got.mass[53..].iter().all(|m| *m == 0.0));
 }
 
+#[needs(gpu)]
 #[test]
 fn one_cell_with_a_hundred_sides() {
     let gpu = require_gpu!();
@@ -346,6 +355,7 @@ fn one_cell_with_a_hundred_sides() {
     compare("hundred sides", &surface, &got, &want, 1e-5);
 }
 
+#[needs(gpu)]
 #[test]
 fn capacities_change_no_sum_and_no_piece_of_any_shape() {
     let gpu = require_gpu!();
@@ -370,6 +380,7 @@ fn capacities_change_no_sum_and_no_piece_of_any_shape() {
     eprintln!("{total:?}");
 }
 
+#[needs(gpu)]
 #[test]
 fn strategies_and_accumulation_change_no_bit() {
     let gpu = require_gpu!();
@@ -401,6 +412,7 @@ fn strategies_and_accumulation_change_no_bit() {
     eprintln!("{total:?}");
 }
 
+#[needs(gpu)]
 #[test]
 fn cells_find_the_facets_of_two_triangles() {
     let gpu = require_gpu!();
@@ -422,6 +434,7 @@ fn cells_find_the_facets_of_two_triangles() {
     assert!(proved > 0);
 }
 
+#[needs(gpu)]
 #[test]
 fn what_cells_cannot_prove_is_left_to_propagation() {
     let gpu = require_gpu!();

@@ -5,6 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use crate::gpu;
 use glam::DVec3;
+use needs::needs;
 use rand::{RngExt, SeedableRng};
 use tessera::internals::gpu::{Device, DeviceOptions};
 use tessera::internals::rvd::Gpu;
@@ -92,6 +93,7 @@ fn same(name: &str, a: &Outcome, b: &Outcome) {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn windows_change_no_bit() {
     let [small, whole] = require_gpu!();
@@ -109,6 +111,7 @@ fn windows_change_no_bit() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn facets_of_many_cells_and_seeds_that_the_host_searches() {
     let [small, whole] = require_gpu!();
@@ -130,6 +133,7 @@ fn facets_of_many_cells_and_seeds_that_the_host_searches() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn rows_beyond_the_limit_are_finished_in_double() {
     let [small, whole] = require_gpu!();
@@ -156,6 +160,7 @@ fn rows_beyond_the_limit_are_finished_in_double() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn what_no_window_holds_is_refused() {
     let [small, _] = require_gpu!();

@@ -12,6 +12,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use needs::needs;
 use serde_json::json;
 use tessera::internals::config::Limits;
 use tessera::internals::gpu::{Device, DeviceOptions};
@@ -194,6 +195,7 @@ async fn steps(client: &mut Client, id: &str) {
     panic!("a job without steps");
 }
 
+#[needs(gpu)]
 #[tokio::test(flavor = "multi_thread")]
 async fn no_job_is_lost_with_its_device() {
     if gpu::device().is_none() {
@@ -241,6 +243,7 @@ async fn no_job_is_lost_with_its_device() {
     server.stop().await.unwrap();
 }
 
+#[needs(gpu)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_device_that_does_not_come_back_ends_the_server_or_its_use() {
     if gpu::device().is_none() {

@@ -1,11 +1,11 @@
 //! Promise: closest points, samples and measures are right on generated and on real surfaces.
 //!
-//! Real surfaces are read from the folder that `TESSERA_MESHES` names; without it those tests say
-//! that they did nothing.
+//! Real surfaces are read from the folder that `TESSERA_MESHES` names; without it those tests are ignored.
 
 use std::path::PathBuf;
 
 use glam::{DVec3, dvec3};
+use needs::needs;
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use tessera::mesh::io::read;
@@ -14,12 +14,10 @@ use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
 use tessera::token::{Stopped, Token};
 
-fn real(name: &str) -> Option<TriMesh> {
-    let Some(folder) = std::env::var_os("TESSERA_MESHES") else {
-        eprintln!("SKIPPED: set TESSERA_MESHES to the folder that holds {name}");
-        return None;
-    };
-    Some(read(&PathBuf::from(folder).join(name)).unwrap())
+/// For tests that `#[needs(meshes)]`.
+fn real(name: &str) -> TriMesh {
+    let folder = std::env::var_os("TESSERA_MESHES").expect("TESSERA_MESHES names a folder");
+    read(&PathBuf::from(folder).join(name)).unwrap()
 }
 
 /// Points on, near and far from a surface.
@@ -191,6 +189,7 @@ fn samples_are_the_same_everywhere() {
 
 /// Euler characteristic, components, boundary edges, non-manifold edges and vertices, as an
 /// independent program counts them, and the holes.
+#[needs(meshes)]
 #[test]
 fn topology_of_real_surfaces() {
     let expected = [
@@ -201,7 +200,7 @@ fn topology_of_real_surfaces() {
         ("dragon_vrip_res3.ply", (1267, 1, 0, 2094, 2765, 0)),
     ];
     for (name, expected) in expected {
-        let Some(mesh) = real(name) else { return };
+        let mesh = real(name);
         let t = topology(&mesh);
         let found =
             (t.euler, t.components, t.boundary_edges, t.non_manifold_edges, t.non_manifold_vertices, t.boundary_loops);

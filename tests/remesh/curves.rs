@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use glam::DVec3;
+use needs::needs;
 use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::internals::mesh::adjacency::{Adjacency, EdgeKind};
 use tessera::internals::rvd::Gpu;
@@ -138,6 +139,7 @@ fn creases_are_edges_and_corners_are_vertices() {
     }
 }
 
+#[needs(gpu)]
 #[test]
 fn the_gpu_keeps_creases_too() {
     let Some(device) = gpu::device() else { return };

@@ -2,6 +2,7 @@
 
 use crate::surfaces;
 use glam::DVec3;
+use needs::needs;
 use tessera::cvt::{Count, DensityError, DensityOptions, DensitySource};
 use tessera::internals::cvt::{Net, Outline, Plan, plan};
 use tessera::mesh::TriMesh;
@@ -92,9 +93,10 @@ fn lengths_of_one_to_twenty_are_reproduced() {
     }
 }
 
+#[needs(meshes)]
 #[test]
 fn the_bunny_too() {
-    let Some(mesh) = surfaces::real("stanford-bunny.obj") else { return };
+    let mesh = surfaces::real("stanford-bunny.obj");
     let (low, high) = mesh.bounds();
     let size = ramp(&mesh, 0.003 * (high.x - low.x));
     let tree = ClosestPoint::new(&mesh);
@@ -208,10 +210,11 @@ fn edges_are_no_shorter_than_the_meshs_own_but_between_sheets() {
     assert!(least(&wedge, DensitySource::FeatureSize, 2000) < 0.25 * mean_edge(&wedge));
 }
 
+#[needs(meshes)]
 #[test]
 fn real_scans_and_parts_have_a_density() {
     for name in ["stanford-bunny.obj", "fandisk.obj", "rocker-arm.obj"] {
-        let Some(mesh) = surfaces::real(name) else { return };
+        let mesh = surfaces::real(name);
         for source in [DensitySource::Curvature, DensitySource::FeatureSize] {
             let begin = std::time::Instant::now();
             let density = DensityOptions::from_source(source);

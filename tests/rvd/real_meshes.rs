@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use crate::{gpu, points, surfaces};
 use glam::DVec3;
+use needs::needs;
 use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::internals::mesh::adjacency::{Adjacency, EdgeKind};
 use tessera::internals::rvd::Gpu;
@@ -19,6 +20,7 @@ use tessera::token::Token;
 
 /// Centroids of white-noise cells against those of two independent exact programs, and the same
 /// (facet, cell) incidences on all backends.
+#[needs(meshes, seeds)]
 #[test]
 fn centroids_and_incidences_agree_with_the_oracle() {
     let mut backends: Vec<(Box<dyn Backend>, f64)> =
@@ -30,13 +32,8 @@ fn centroids_and_incidences_agree_with_the_oracle() {
     for (mesh, seeds) in
         [("stanford-bunny.obj", "bunny10k"), ("rocker-arm.obj", "rocker5k"), ("nefertiti.obj", "nefertiti50k")]
     {
-        let (Some(mesh), Some(given), Some(want)) = (
-            surfaces::real(mesh),
-            surfaces::points(&format!("{seeds}.xyz")),
-            surfaces::points(&format!("{seeds}.lloyd1.xyz")),
-        ) else {
-            return;
-        };
+        let mesh = surfaces::real(mesh);
+        let [given, want] = ["xyz", "lloyd1.xyz"].map(|kind| surfaces::points(&format!("{seeds}.{kind}")));
         let surface = Arc::new(Surface::new(&mesh, None).unwrap());
         let frame = surface.frame();
         let unit: Vec<DVec3> = given.iter().map(|&p| frame.to_unit(p)).collect();
@@ -77,9 +74,10 @@ fn differences(a: &PieceBatch, b: &PieceBatch) -> Vec<f64> {
 /// 100,000 random points of the bunny lie in the cells of their nearest seeds, for white-noise
 /// seeds and nothing iterated; the brute force is in f64. On every backend; the GPU's pieces have
 /// vertices in single precision relative to their seeds, so a point may be that far outside.
+#[needs(meshes)]
 #[test]
 fn a_hundred_thousand_points_lie_in_their_nearest_cells() {
-    let Some(mesh) = surfaces::real("stanford-bunny.obj") else { return };
+    let mesh = surfaces::real("stanford-bunny.obj");
     let surface = Arc::new(Surface::new(&mesh, None).unwrap());
     let probes = points::on_surface(&surface, 100_000, &mut points::rng(99));
     let mut backends: Vec<(Box<dyn Backend>, f64)> =
@@ -104,18 +102,19 @@ fn a_hundred_thousand_points_lie_in_their_nearest_cells() {
     }
 }
 
-fn remesh_real(file: &str, points: usize, lloyd: usize) -> Option<(TriMesh, tessera::remesh::Remesh)> {
-    let mesh = surfaces::real(file)?;
+fn remesh_real(file: &str, points: usize, lloyd: usize) -> (TriMesh, tessera::remesh::Remesh) {
+    let mesh = surfaces::real(file);
     let options = RemeshOptions::plain(Seeds::Sample { points, seed: 0 }, lloyd);
     let backend = Parallel::new(None).unwrap();
     let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
-    Some((mesh, result))
+    (mesh, result)
 }
 
+#[needs(meshes)]
 #[test]
 fn remeshes_keep_the_topology() {
     for (file, points) in [("stanford-bunny.obj", 10_000), ("rocker-arm.obj", 5000), ("nefertiti.obj", 50_000)] {
-        let Some((mesh, result)) = remesh_real(file, points, 10) else { return };
+        let (mesh, result) = remesh_real(file, points, 10);
         let (before, after) = (topology(&mesh), topology(&result.mesh));
         println!("{file}: {after:?}");
         assert_eq!((after.euler, after.components, after.boundary_loops), {
@@ -130,9 +129,10 @@ fn remeshes_keep_the_topology() {
 
 /// A raw scan with 2,094 non-manifold edges, some of them of facets that are there twice: said so, covered, and the result is a
 /// manifold.
+#[needs(meshes)]
 #[test]
 fn a_non_manifold_scan_is_remeshed_and_described() {
-    let Some((mesh, result)) = remesh_real("dragon_vrip_res3.ply", 20_000, 5) else { return };
+    let (mesh, result) = remesh_real("dragon_vrip_res3.ply", 20_000, 5);
     let report = &result.report;
     assert_eq!(topology(&mesh).non_manifold_edges, 2094);
     assert_eq!((report.input.spare_facets, report.input.topology.non_manifold_edges), (308, 1643));
@@ -162,6 +162,7 @@ struct Bars {
 /// is here for its rims; no angle is promised of it but that none is under 30°. The rocker-arm has
 /// a groove of 93° that is half an edge deep, and fandisk fillets that are no creases: their distance differs from seed to
 /// seed; see the next test.
+#[needs(meshes)]
 #[test]
 fn remeshes_come_up_to_the_bars() {
     let bars = [
@@ -173,7 +174,7 @@ fn remeshes_come_up_to_the_bars() {
     ];
     for (file, points, q, angle, under_30, v567, distance, rim) in bars {
         let bars = Bars { file, points, q, angle, under_30, v567, distance, rim };
-        let Some(mesh) = surfaces::real(file) else { return };
+        let mesh = surfaces::real(file);
         let options = RemeshOptions::new(Seeds::Sample { points, seed: 0 });
         let backend = Parallel::new(None).unwrap();
         let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
@@ -183,13 +184,14 @@ fn remeshes_come_up_to_the_bars() {
 
 /// Graded edges keep triangles nearly as round. When a scan's noise beside coarse edges counted as creases, as if all edges
 /// were as short as the shortest, 0.23 and 0.22 % of the facets had an angle under 30°.
+#[needs(meshes)]
 #[test]
 fn graded_remeshes_are_of_round_triangles_too() {
     for (file, points, source, q) in [
         ("stanford-bunny.obj", 10_000, DensitySource::FeatureSize, 0.89),
         ("rocker-arm.obj", 15_000, DensitySource::FeatureSize, 0.90),
     ] {
-        let Some(mesh) = surfaces::real(file) else { return };
+        let mesh = surfaces::real(file);
         let density = DensityOptions::from_source(source);
         let options = RemeshOptions::new(Seeds::Sample { points, seed: 0 }).with_density(density);
         let backend = Parallel::new(None).unwrap();
@@ -202,10 +204,11 @@ fn graded_remeshes_are_of_round_triangles_too() {
 
 /// In the mean over some seeds, since one alone may be lucky: 0.251 (40 of them) and 0.125 %. Those of rocker-arm differ by 0.03
 /// among themselves, so that the mean of five is off by 0.014, more than what is left to the bar; of twenty by half of that.
+#[needs(meshes)]
 #[test]
 fn results_are_near_whatever_the_seed() {
     for (file, points, most, mean) in [("rocker-arm.obj", 5000, 0.30, 0.26), ("fandisk.obj", 3000, 0.15, 0.135)] {
-        let Some(mesh) = surfaces::real(file) else { return };
+        let mesh = surfaces::real(file);
         let backend = Parallel::new(None).unwrap();
         let distance = |seed: u64| {
             let options = RemeshOptions::new(Seeds::Sample { points, seed });
@@ -221,9 +224,10 @@ fn results_are_near_whatever_the_seed() {
 
 /// What could not be mended is mended now and then from the vertex beside it. As long as it counted all the same, what was not
 /// much nearer was left as it was: these were off by .19 to .24 %.
+#[needs(meshes)]
 #[test]
 fn a_place_that_was_mended_after_all_holds_no_other_back() {
-    let Some(mesh) = surfaces::real("nefertiti.obj") else { return };
+    let mesh = surfaces::real("nefertiti.obj");
     let backend = Parallel::new(None).unwrap();
     for seed in [1, 9, 23] {
         let options = RemeshOptions::new(Seeds::Sample { points: 20_000, seed });
@@ -234,9 +238,10 @@ fn a_place_that_was_mended_after_all_holds_no_other_back() {
 }
 
 /// Where the cell of a seed beside a boundary reaches it, the boundary has its edge all the same.
+#[needs(meshes)]
 #[test]
 fn boundaries_are_whole_whatever_the_seed() {
-    let Some(mesh) = surfaces::real("stanford-bunny.obj") else { return };
+    let mesh = surfaces::real("stanford-bunny.obj");
     let backend = Parallel::new(None).unwrap();
     for seed in 1..7 {
         let options = RemeshOptions::new(Seeds::Sample { points: 3000, seed }).with_measure(false);
@@ -318,9 +323,10 @@ fn from_rim(rim: &[[DVec3; 2]], other: &[[DVec3; 2]]) -> [f64; 2] {
 
 /// The energy beside that of regular hexagons in the plane. Curvature lowers it, irregular vertices raise it; what
 /// the literature reports after so many steps.
+#[needs(meshes)]
 #[test]
 fn the_energy_comes_down_as_published() {
-    let Some(mesh) = surfaces::real("rocker-arm.obj") else { return };
+    let mesh = surfaces::real("rocker-arm.obj");
     for (newton, most) in [(30, 0.997), (100, 0.994)] {
         let options = RemeshOptions::new(Seeds::Sample { points: 2000, seed: 0 })
             .with_newton(newton)
