@@ -173,7 +173,6 @@ const CIRCLES: &[(&str, &str, &str)] = &[
     ("remesh/fences", "remesh/polish", "a facet's score is declared at the polish, which asks the fences"),
     ("remesh/flips", "remesh/fit", "what counts as a tip is declared at the fit, which calls the flips"),
     ("remesh/flips", "remesh/polish", "a facet's score is declared at the polish, which calls the flips"),
-    ("rvd/gpu/parts", "rvd/gpu/pass", "a part is run as a pass, and a pass has parts"),
 ];
 
 /// The rules, apart from the tables, so that the checks can be tried on a house of straw.

@@ -1,4 +1,4 @@
-// Records that the host writes and reads. Rust twins: src/gpu/layout.rs (a test compares them).
+// Records that the host writes and reads. Rust twins: src/rvd/gpu/layout.rs (a test compares them).
 
 // A seed as hi + lo, so that differences of nearby points keep their detail, and its row of the
 // neighbour table. The highest bit of row_length says that no other seed can matter.

@@ -18,19 +18,21 @@
 //! atomics, a fifth of it). The same text as loops that were to be jumped over took 29.
 //! Must not know: iterations, jobs, files.
 
+mod buffers;
 mod crowding;
 mod fallback;
 mod fixed;
 #[cfg(feature = "service")]
 pub(crate) mod forecast;
 mod history;
+pub mod layout;
 mod measure;
 mod moving;
 mod pack;
-mod parts;
 mod pass;
 mod pieces;
 mod pipelines;
+pub mod plan;
 mod reach;
 mod relaunch;
 mod relax;
@@ -49,16 +51,17 @@ use super::{
     Accumulate, Backend, BackendKind, Capacities, CellSums, DeviceFacts, DeviceWork, PassStats, PhasesMs, PieceBatch,
     Resident, RvdError, Session, SessionOptions, Surface, Together, elapsed_ms, take_seeds,
 };
-use crate::gpu::buffers::Buffers;
-use crate::gpu::layout::{self, LONGER, MOST_RETAKEN, NONE, Params, ROW, STRIDE, SUM_WORDS, State};
-use crate::gpu::plan::{self, BATCH, Counts, EXTRA_PROPOSALS, Limits};
-use crate::gpu::{Device, GpuError, Traffic};
+use crate::gpu::limits::Limits;
+use crate::gpu::{Device, GpuError, Traffic, dispatch};
 use crate::mesh::TriMesh;
 use crate::token::Token;
+use buffers::Buffers;
+use layout::{LONGER, MOST_RETAKEN, NONE, Params, ROW, STRIDE, SUM_WORDS, State};
 #[cfg(feature = "cli")]
 pub(crate) use measure::AccumulationMs;
 use moving::Moving;
 use pipelines::{Bindings, Pipelines};
+use plan::{BATCH, Counts};
 pub use search::Found;
 use search::{HostCopy, Place, Rows};
 use windows::Layout;
@@ -221,6 +224,20 @@ impl Backend for Gpu {
 struct OnDevice {
     buffers: Buffers,
     bindings: Bindings,
+}
+
+impl OnDevice {
+    /// Encodes `stages` in their order; see [`dispatch::encode`].
+    fn encode(
+        &self,
+        device: &Device,
+        encoder: &mut wgpu::CommandEncoder,
+        lane: usize,
+        stages: &[dispatch::Stage<'_>],
+        token: &Token,
+    ) -> Result<(), RvdError> {
+        dispatch::encode(device, encoder, lane, stages, self.buffers.origins(), token)
+    }
 }
 
 struct GpuSession {
@@ -484,7 +501,7 @@ impl GpuSession {
     fn sum_words(&mut self) -> Result<Vec<u32>, RvdError> {
         let (device, n) = (Arc::clone(&self.device), self.count);
         let buffers = &self.on_device()?.buffers;
-        let mut words: Vec<u32> = buffers.read(&device, &buffers.sums, 0..n * SUM_WORDS)?;
+        let mut words: Vec<u32> = buffers.staging.read(&device, &buffers.sums, 0..n * SUM_WORDS)?;
         for (seed, units) in &self.pass.finished {
             fixed::add(&mut words[*seed as usize * SUM_WORDS..][..SUM_WORDS], units);
         }

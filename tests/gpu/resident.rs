@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use glam::{DVec3, dvec3};
 use rand::{RngExt, SeedableRng};
-use tessera::internals::gpu::layout::ROW;
 use tessera::internals::gpu::{Device, DeviceOptions};
 use tessera::internals::knn::{NeighbourRow, SeedIndex};
+use tessera::internals::rvd::layout::ROW;
 use tessera::internals::rvd::{Found, Gpu};
 use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;

@@ -1,8 +1,8 @@
 //! Promise: every shader is valid WGSL and every record has one layout on both sides. No GPU.
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use tessera::internals::gpu::layout;
 use tessera::internals::gpu::shader::{SOURCES, compose};
+use tessera::internals::rvd::{layout, plan};
 
 fn parse(stage: &str, slots: i64, array: i64) -> naga::Module {
     parse_with(stage, slots, array, 0)
@@ -21,7 +21,7 @@ fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module 
         ("ROW", i64::from(layout::ROW)),
         ("LIST", i64::from(layout::LIST)),
         ("WIDTH", i64::from(if shared == 0 { layout::ROW } else { layout::LIST })),
-        ("PART", tessera::internals::gpu::plan::SEARCH_PART as i64),
+        ("PART", plan::SEARCH_PART as i64),
         ("LONGER", i64::from(layout::LONGER)),
         ("MOST", i64::from(layout::MOST_RETAKEN)),
         ("MEMBERS", members(slots)),

@@ -12,8 +12,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::gpu::layout::RINGS;
-use crate::gpu::plan::grid_side;
+use super::layout::RINGS;
+use super::plan::grid_side;
 use crate::rvd::Surface;
 
 /// Seeds that a cell may expect: fewer than crowd it, as they come to lie by chance.

@@ -10,7 +10,7 @@
 
 use glam::DVec3;
 
-use crate::gpu::layout::SUM_WORDS;
+use super::layout::SUM_WORDS;
 use crate::rvd::clip::Integrals;
 use crate::rvd::{CellSums, Surface};
 

@@ -6,9 +6,9 @@
 //! Invariant: monotone in both counts; never overflows. The layout of buffers is the plan's alone.
 //! Must not know: the device, the surface, jobs.
 
+use super::layout::{LONGER, MOST_RETAKEN, STRIDE};
+use super::plan::{Counts, MotionPlan, Plan, grid_cells, grid_side};
 use super::{SLOTS, crowding};
-use crate::gpu::layout::{LONGER, MOST_RETAKEN, STRIDE};
-use crate::gpu::plan::{Counts, MotionPlan, Plan, grid_cells, grid_side};
 use crate::rvd::{Capacities, SessionForecast};
 
 /// Pairs that a list of the session's first size has beside those that are expected.

@@ -7,7 +7,7 @@
 //! Invariant: a pair is in use only if sᵀy > 1e-10 ‖s‖ ‖y‖; the oldest goes where there are [`HISTORY`].
 //! Must not know: the device.
 
-use crate::gpu::layout::{DOTS, PAIRS, PLAIN_DOTS};
+use super::layout::{DOTS, PAIRS, PLAIN_DOTS};
 use crate::rvd::resident::HISTORY;
 
 /// Vectors there are: steps, changes, the gradient.

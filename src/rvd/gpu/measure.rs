@@ -10,8 +10,8 @@ use std::time::Instant;
 
 use glam::DVec3;
 
+use super::layout::accumulate::{DIRECT, NOWHERE, TWO_PHASE};
 use super::{Gpu, GpuSession};
-use crate::gpu::layout::accumulate::{DIRECT, NOWHERE, TWO_PHASE};
 use crate::rvd::{RvdError, Session, SessionOptions, Surface, elapsed_ms};
 use crate::token::Token;
 

@@ -13,14 +13,16 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use super::pass::run;
+use super::buffers::MotionBuffers;
+use super::layout::{self, DOTS, Figures, Motion, PAIRS, SUM_WORDS, State};
 use super::pipelines::MotionBindings;
+use super::plan::MotionPlan;
 use super::relax;
 use super::search::Place;
 use super::{GpuSession, OnDevice, fixed, history::History, lane, pack};
-use crate::gpu::buffers::{self, MotionBuffers};
-use crate::gpu::layout::{self, DOTS, Figures, Motion, PAIRS, SUM_WORDS, State};
-use crate::gpu::plan::{Limits, MotionPlan, reduction};
+use crate::gpu::buffers;
+use crate::gpu::dispatch::{reduction, run};
+use crate::gpu::limits::Limits;
 use crate::rvd::clip::Integrals;
 use crate::rvd::resident::{Look, Resident};
 use crate::rvd::{CellSums, PassStats, RvdError, elapsed_ms};
@@ -310,7 +312,7 @@ impl GpuSession {
     fn read_dots(&self, encoder: wgpu::CommandEncoder) -> Result<[f32; DOTS], RvdError> {
         let (moving, _, there) = self.bound()?;
         let mut dots = [0.0; DOTS];
-        there.buffers.read_with(&self.device, encoder, &moving.buffers.dots, 0..DOTS, |read: &[f32]| {
+        there.buffers.staging.read_with(&self.device, encoder, &moving.buffers.dots, 0..DOTS, |read: &[f32]| {
             dots.copy_from_slice(read);
         })?;
         Ok(dots)
@@ -489,7 +491,7 @@ impl Resident for GpuSession {
         self.on_device()?;
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         let there = self.on_device.as_ref().ok_or_else(missing)?;
-        let points: Vec<layout::Seed> = there.buffers.read(&device, &moving.buffers.points, 0..n)?;
+        let points: Vec<layout::Seed> = there.buffers.staging.read(&device, &moving.buffers.points, 0..n)?;
         out.clear();
         out.extend(points.iter().map(|p| DVec3::from_array(p.position())));
         Ok(())

@@ -7,7 +7,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::gpu::layout::{self, CELLED, split};
+use super::layout::{self, CELLED, split};
 use crate::rvd::Surface;
 
 /// What a facet is expected to meet: a triangle of area a and perimeter p meets about

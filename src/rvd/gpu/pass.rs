@@ -10,12 +10,13 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::parts::{Stage, encode, size};
+use super::layout::{MEMBERS, NONE, Params, ROOT, SUM_WORDS, State, accumulate, code, failure};
+use super::plan::size;
 use super::search::Rows;
 use super::{GpuSession, fixed, lane, pack};
 use crate::gpu::buffers;
-use crate::gpu::layout::{MEMBERS, NONE, Params, ROOT, SUM_WORDS, State, accumulate, code, failure};
-use crate::gpu::plan::{ARGUMENTS_BYTES, Limits, dispatch};
+use crate::gpu::dispatch::{ARGUMENTS_BYTES, Stage};
+use crate::gpu::limits::Limits;
 use crate::rvd::{PassStats, RvdError, elapsed_ms};
 use crate::token::Token;
 
@@ -341,7 +342,7 @@ impl GpuSession {
         }
         let long = entries.iter().any(Stage::is_long);
         if long {
-            encode(device, encoder, lane::CLIP, &entries, &there.buffers, token)?;
+            there.encode(device, encoder, lane::CLIP, &entries, token)?;
         }
         {
             let mut compute = device.pass(encoder, lane::CLIP);
@@ -405,13 +406,13 @@ impl GpuSession {
         let mut encoder = device.encoder();
         let (pipeline, bindings) = (&pipelines.verify, &there.bindings.windows[window].verify);
         let stage = Stage { pipeline, bindings, items: state.length.into(), size: size::ITEM, arguments: None };
-        encode(&device, &mut encoder, lane::CLIP, &[stage], buffers, token)?;
+        there.encode(&device, &mut encoder, lane::CLIP, &[stage], token)?;
         let mut unproved = 0;
-        buffers.read_with(&device, encoder, &buffers.state, 0..1, |s: &[State]| unproved = s[0].failures)?;
+        buffers.staging.read_with(&device, encoder, &buffers.state, 0..1, |s: &[State]| unproved = s[0].failures)?;
         if unproved == 0 {
             return Ok(true);
         }
-        let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..unproved as usize)?;
+        let failures: Vec<[u32; 2]> = buffers.staging.read(&device, &buffers.failures, 0..unproved as usize)?;
         self.leave_to_propagation(failures.iter().filter_map(|&e| failure(e)).map(|f| f.0).collect(), stats)?;
         Ok(false)
     }
@@ -424,7 +425,7 @@ impl GpuSession {
             let device = Arc::clone(&self.device);
             let stored = (state.failures as usize).min(self.counts.pairs as usize);
             let buffers = &self.on_device()?.buffers;
-            let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..stored)?;
+            let failures: Vec<[u32; 2]> = buffers.staging.read(&device, &buffers.failures, 0..stored)?;
             let full: HashSet<u32> =
                 failures.iter().filter_map(|&e| failure(e)).filter(|f| f.2 == code::CELLS).map(|f| f.0).collect();
             for facet in full {
@@ -439,18 +440,4 @@ impl GpuSession {
         }
         self.release()
     }
-}
-
-/// Dispatches a stage over `items`.
-pub(super) fn run(
-    compute: &mut wgpu::ComputePass<'_>,
-    pipeline: &wgpu::ComputePipeline,
-    bindings: &wgpu::BindGroup,
-    items: u64,
-    limits: Limits,
-) {
-    let [x, y] = dispatch(items, limits);
-    compute.set_pipeline(pipeline);
-    compute.set_bind_group(0, bindings, &[]);
-    compute.dispatch_workgroups(x, y, 1);
 }

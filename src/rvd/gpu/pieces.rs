@@ -12,11 +12,12 @@ use std::time::Instant;
 
 use glam::{DVec3, dvec3};
 
+use super::layout::Params;
 use super::search::Place;
 use super::{GpuSession, lane};
 use crate::gpu::buffers;
-use crate::gpu::layout::Params;
-use crate::gpu::plan::{Limits, dispatch};
+use crate::gpu::dispatch::run;
+use crate::gpu::limits::Limits;
 use crate::rvd::cells::PieceBatch;
 use crate::rvd::{PassStats, RvdError, elapsed_ms};
 use crate::token::Token;
@@ -88,17 +89,15 @@ impl GpuSession {
         let mut encoder = device.encoder();
         {
             let mut compute = device.pass(&mut encoder, lane::CLIP);
-            let [x, y] = dispatch(count.into(), limits);
-            compute.set_pipeline(&pipelines.emit);
-            compute.set_bind_group(0, &there.bindings.windows[window].emit, &[]);
-            compute.dispatch_workgroups(x, y, 1);
+            let bindings = &there.bindings.windows[window].emit;
+            run(&mut compute, &pipelines.emit, bindings, count.into(), limits);
         }
         device.run(encoder)?;
         let vertices = count as usize * slots;
         Ok(Emitted {
-            heads: buffers.read(&device, &buffers.heads, 0..count as usize)?,
-            vertices: buffers.read(&device, &buffers.vertices, 0..vertices)?,
-            labels: buffers.read(&device, &buffers.labels, 0..vertices)?,
+            heads: buffers.staging.read(&device, &buffers.heads, 0..count as usize)?,
+            vertices: buffers.staging.read(&device, &buffers.vertices, 0..vertices)?,
+            labels: buffers.staging.read(&device, &buffers.labels, 0..vertices)?,
         })
     }
 

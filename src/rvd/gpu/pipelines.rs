@@ -5,9 +5,9 @@
 //! them, so that a stage is described in one place only.
 //! Must not know: what is dispatched when.
 
-use crate::gpu::buffers::{Buffers, MotionBuffers, WindowBuffers};
-use crate::gpu::layout::{DOTS, LENGTHENERS, LIST, LONGER, MEMBERS, MOST_RETAKEN, PAIRS, ROW};
-use crate::gpu::plan::SEARCH_PART;
+use super::buffers::{Buffers, MotionBuffers, WindowBuffers};
+use super::layout::{DOTS, LENGTHENERS, LIST, LONGER, MEMBERS, MOST_RETAKEN, PAIRS, ROW};
+use super::plan::SEARCH_PART;
 use crate::gpu::{Device, GpuError, shader};
 
 /// Slots of the variant that pairs with large polygons are clipped by.

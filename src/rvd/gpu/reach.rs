@@ -16,7 +16,7 @@
 //! Must not know: launches.
 
 use super::GpuSession;
-use crate::gpu::layout::{self, CELLED};
+use super::layout::{self, CELLED};
 use crate::rvd::{CELLS_PER_FACET, PassStats, RvdError, Strategy, Surface};
 
 /// Grid cells along a side at most.

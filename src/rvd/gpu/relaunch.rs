@@ -12,12 +12,13 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::layout::{COMPLETE, INDEX, Params, ROOT, State, code, failure};
 use super::pass::Variant;
+use super::plan::{EXTRA_PROPOSALS, LARGE_BATCH};
 use super::search::{self, HostCopy, Rows};
-use super::{EXTRA_PROPOSALS, GpuSession, fixed};
+use super::{GpuSession, fixed};
 use crate::gpu::buffers;
-use crate::gpu::layout::{COMPLETE, INDEX, Params, ROOT, State, code, failure};
-use crate::gpu::plan::{LARGE_BATCH, Limits};
+use crate::gpu::limits::Limits;
 use crate::knn::NeighbourRow;
 use crate::rvd::cells::facet_edge;
 use crate::rvd::incident::FacetWalker;
@@ -63,7 +64,7 @@ impl GpuSession {
         let device = Arc::clone(&self.device);
         self.view()?;
         let buffers = &self.on_device()?.buffers;
-        let failures: Vec<[u32; 2]> = buffers.read(&device, &buffers.failures, 0..state.failures as usize)?;
+        let failures: Vec<[u32; 2]> = buffers.staging.read(&device, &buffers.failures, 0..state.failures as usize)?;
         let plans = self.sort_out(&failures, variants);
         // The device's proof covers only what the device clips.
         let unproved: Vec<u32> =

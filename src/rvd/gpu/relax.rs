@@ -12,12 +12,14 @@ use std::mem::offset_of;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::pass::{PassResult, Variant, count_retaken, run};
+use super::layout::{ENTRY_BYTES, Figures, State};
+use super::pass::{PassResult, Variant, count_retaken};
+use super::plan::PASSES;
 use super::search::Place;
 use super::{GpuSession, OnDevice, lane};
 use crate::gpu::buffers;
-use crate::gpu::layout::{ENTRY_BYTES, Figures, State};
-use crate::gpu::plan::{Limits, PASSES, reduction};
+use crate::gpu::dispatch::{reduction, run};
+use crate::gpu::limits::Limits;
 use crate::rvd::{Look, PassStats, RvdError, Together, elapsed_ms};
 use crate::token::Token;
 
@@ -125,7 +127,7 @@ impl GpuSession {
         let mut passes: Vec<(State, Figures)> = Vec::with_capacity(count);
         let (moving, _, there) = self.bound()?;
         let journal = (&moving.buffers.journal, 0, count as u64 * ENTRY_BYTES);
-        there.buffers.read_parts(&device, encoder, &[journal], |bytes| {
+        there.buffers.staging.read_parts(&device, encoder, &[journal], |bytes| {
             passes.extend(bytes.chunks_exact(ENTRY_BYTES as usize).map(|entry| {
                 let (state, figures) = entry.split_at(size_of::<State>());
                 (bytemuck::pod_read_unaligned(state), bytemuck::pod_read_unaligned(figures))

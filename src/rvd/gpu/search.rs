@@ -17,11 +17,12 @@ use std::sync::Arc;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::parts::{Stage, encode, size};
+use super::layout::{self, COMPLETE, Figures, INDEX, Keep, NONE, STRIDE, State, halt};
+use super::plan::{grid_cells, search_arguments, size};
 use super::{Gpu, GpuSession, OnDevice, fixed, lane, pack};
 use crate::gpu::buffers;
-use crate::gpu::layout::{self, COMPLETE, Figures, INDEX, Keep, NONE, STRIDE, State, halt};
-use crate::gpu::plan::{Limits, grid_cells, search_arguments};
+use crate::gpu::dispatch::Stage;
+use crate::gpu::limits::Limits;
 use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, Threads};
 use crate::mesh::coincident;
 use crate::rvd::start::Starts;
@@ -157,8 +158,8 @@ impl GpuSession {
         self.view()?;
         let device = Arc::clone(&self.device);
         let b = &self.on_device()?.buffers;
-        let table: Vec<u32> = b.read(&device, &b.table, 0..b.plan().counts.table as usize)?;
-        let keep: Vec<Keep> = b.read(&device, &b.keep, 0..1)?;
+        let table: Vec<u32> = b.staging.read(&device, &b.table, 0..b.plan().counts.table as usize)?;
+        let keep: Vec<Keep> = b.staging.read(&device, &b.keep, 0..1)?;
         let recalled = keep.first().filter(|k| k.mode == layout::search::RECALL && self.rows == Rows::Device);
         let row = |r: &layout::Seed| {
             let begin = r.row_begin as usize;
@@ -197,9 +198,8 @@ impl GpuSession {
         if let Place::Trial(_) = place {
             self.encode_trial(encoder)?;
         }
-        let Some(OnDevice { buffers: b, bindings }) = &self.on_device else {
-            return Err(RvdError::Internal("no buffers".to_owned()));
-        };
+        let there = self.on_device.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))?;
+        let OnDevice { buffers: b, bindings } = there;
         match (place, &self.moving) {
             (Place::Set, _) => buffers::write(&device, &b.seeds, 0, &self.host.records)?,
             (Place::Point, Some(moving)) => {
@@ -230,7 +230,7 @@ impl GpuSession {
             chosen(&pipelines.search, &bindings.search, &b.keep, anew),
             chosen(&pipelines.search_lists, &bindings.search_lists, &b.keep, with_lists),
         ];
-        encode(&device, encoder, lane::NEIGHBOURS, &stages, b, token)?;
+        there.encode(&device, encoder, lane::NEIGHBOURS, &stages, token)?;
         self.kept_for = self.count;
         Ok(())
     }
@@ -244,7 +244,7 @@ impl GpuSession {
         let there = self.on_device()?;
         let bindings = &there.bindings.windows[window].start;
         let stage = Stage { pipeline: &pipelines.start, bindings, items: roots, size, arguments: None };
-        encode(&device, encoder, lane::START, &[stage], &there.buffers, token)
+        there.encode(&device, encoder, lane::START, &[stage], token)
     }
 
     /// Ends `encoder` with the figures, if they are wanted and all windows are done, and reads the summary.
@@ -262,7 +262,7 @@ impl GpuSession {
         let wanted = self.moving.as_ref().filter(|m| m.wants_figures());
         parts.extend(wanted.map(|m| (&m.buffers.figures, 0, size_of::<Figures>() as u64)));
         let (mut state, mut figures) = (State::default(), None);
-        b.read_parts(&device, encoder, &parts, |bytes| {
+        b.staging.read_parts(&device, encoder, &parts, |bytes| {
             let (first, rest) = bytes.split_at(size_of::<State>());
             state = bytemuck::pod_read_unaligned(first);
             figures = (!rest.is_empty()).then(|| bytemuck::pod_read_unaligned(rest));
@@ -321,7 +321,7 @@ impl GpuSession {
             let i = (u32::MAX - state.bad) as usize;
             let device = Arc::clone(&self.device);
             let b = &self.on_device()?.buffers;
-            let record: Vec<layout::Seed> = b.read(&device, &b.seeds, i..i + 1)?;
+            let record: Vec<layout::Seed> = b.staging.read(&device, &b.seeds, i..i + 1)?;
             let place = record.first().map_or(DVec3::NAN, |r| DVec3::from_array(r.position()));
             check_seed(i, place)?;
             // Beyond the range by a rounding.
@@ -433,7 +433,7 @@ impl GpuSession {
     fn fetch_records(&mut self) -> Result<(), RvdError> {
         let (device, n) = (Arc::clone(&self.device), self.count);
         let b = &self.on_device()?.buffers;
-        self.host.records = b.read(&device, &b.seeds, 0..n)?;
+        self.host.records = b.staging.read(&device, &b.seeds, 0..n)?;
         Ok(())
     }
 

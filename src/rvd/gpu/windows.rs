@@ -10,11 +10,13 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::buffers::{Buffers, WindowBuffers};
 use super::pipelines::Bindings;
+use super::plan::{self, Counts, Need, Plan, Window};
 use super::search::Rows;
 use super::{GpuSession, OnDevice, pack, reach};
-use crate::gpu::buffers::{self, Buffers, WindowBuffers};
-use crate::gpu::plan::{self, Counts, Limits, Need, Plan, Window};
+use crate::gpu::buffers;
+use crate::gpu::limits::Limits;
 use crate::rvd::RvdError;
 
 /// Pairs that the list has room for beside those that are expected.
@@ -206,7 +208,7 @@ impl GpuSession {
         let mut roots = Vec::with_capacity(self.roots.len());
         for (window, from) in self.layout.windows().iter().zip(&there.buffers.windows) {
             let count = self.roots_of(&window.facets).len();
-            roots.append(&mut there.buffers.read(&device, &from.proposals, 0..count)?);
+            roots.append(&mut there.buffers.staging.read(&device, &from.proposals, 0..count)?);
         }
         self.roots = roots;
         Ok(())

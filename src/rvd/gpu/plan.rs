@@ -1,17 +1,18 @@
-//! All sizes, computed before anything is allocated.
+//! All sizes of a session, computed before anything is allocated.
 //!
-//! Purpose: numbers of things in, bytes of every buffer and shape of every dispatch out. The
-//! same [`Plan`] serves admission, allocation and the error message.
+//! Purpose: numbers of facets, seeds and pairs in, bytes of every buffer out. The same [`Plan`] serves admission, allocation
+//! and the error message.
 //! Invariant: pure. A plan that comes back fits the limits it was made for.
-//! Must not know: the device itself, what the things are.
+//! Must not know: the device itself, where facets and seeds are.
 
 use std::ops::Range;
 
-use super::GpuError;
-use super::device::WORKGROUP;
 use super::layout::{
     DOTS, ENTRY_BYTES, Facet, Figures, KEEP_WORDS, LIST, Motion, PAIRS, Params, SUM_WORDS, Seed, Sorted, State,
 };
+use crate::gpu::GpuError;
+use crate::gpu::dispatch::{ARGUMENTS_BYTES, PART, REDUCTION_GROUPS, part_count};
+use crate::gpu::limits::{Limits, STAGING_BYTES, fits};
 
 /// Numbers of things that a session holds room for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -40,34 +41,6 @@ pub struct Counts {
     pub cells: u64,
     /// Seeds whose lists are kept: all, or none where lists would be more than a shader can see.
     pub kept: u64,
-}
-
-/// What the device allows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
-    /// Largest buffer, bytes.
-    pub buffer_bytes: u64,
-    /// Largest storage binding, bytes.
-    pub binding_bytes: u64,
-    /// Workgroups in one dimension.
-    pub workgroups: u32,
-}
-
-impl Limits {
-    /// Those of an open device.
-    pub fn of(limits: &wgpu::Limits) -> Self {
-        Self {
-            buffer_bytes: limits.max_buffer_size,
-            binding_bytes: limits.max_storage_buffer_binding_size,
-            workgroups: limits.max_compute_workgroups_per_dimension,
-        }
-    }
-
-    /// Largest buffer that a shader can see all of, bytes.
-    pub fn seen_bytes(self) -> u64 {
-        // Offsets within a buffer are 32-bit words on the device.
-        self.buffer_bytes.min(self.binding_bytes).min(16 << 30)
-    }
 }
 
 /// What a facet needs of the buffers that the facets of a window share.
@@ -116,11 +89,18 @@ pub fn windows(needs: impl IntoIterator<Item = Need>, spare: u64, limits: Limits
     windows
 }
 
-/// Items that one dispatch of a heavy stage has at most. Each stage takes some such parts at once; none comes near
-/// 100 ms on a software adapter (`tessera bench cvt` says how long the longest took).
-pub const PART: u64 = 1 << 15;
-/// Parts that one submission has at most, so that a job can be cancelled between them.
-pub const PARTS: u64 = 16;
+/// [`PART`]s that one dispatch of a stage may have, by what an item costs: on a software adapter with two cores 20 to
+/// 40 ms.
+pub mod size {
+    /// A facet that looks for its first cell without a guess.
+    pub const LOOK: u64 = 1;
+    /// A seed that looks for its neighbours, or for facets; a facet that is divided with room for many cells.
+    pub const SEARCH: u64 = 2;
+    /// A facet that is divided, or walks to its first cell.
+    pub const FACET: u64 = 4;
+    /// An item that is looked at and put somewhere.
+    pub const ITEM: u64 = 32;
+}
 
 /// Pairs that one dispatch clips at most: tens of milliseconds on a software adapter, far below
 /// every watchdog, and few enough workgroups for one dimension.
@@ -129,9 +109,6 @@ pub const BATCH: u32 = 1 << 18;
 pub const LARGE_BATCH: usize = 1 << 14;
 /// Proposals that the host can add to the facets' first cells at once.
 pub const EXTRA_PROPOSALS: u64 = 4096;
-/// The part of a buffer that one readback copies at most.
-pub const STAGING_BYTES: u64 = 32 << 20;
-
 /// Bytes of every buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Plan {
@@ -239,7 +216,7 @@ impl Plan {
             cells_bytes: counts.cells.saturating_mul(4),
             drifts_bytes: counts.cells.saturating_mul(4),
             sorted_bytes: counts.seeds.saturating_mul(size_of::<Sorted>() as u64),
-            origins_bytes: 4 * origins(counts.window.max(counts.seeds)),
+            origins_bytes: 4 * part_count(counts.window.max(counts.seeds)),
             kept_bytes: counts.kept.max(1).saturating_mul(16),
             lists_bytes: counts.kept.max(1).saturating_mul(LIST_BYTES),
             keep_bytes: (4 * KEEP_WORDS + 2 * search_bytes(counts.seeds)).saturating_add(counts.kept.saturating_mul(4)),
@@ -288,9 +265,6 @@ const MOST_FACETS: u64 = 1 << 30;
 pub const LIST_BYTES: u64 = 4 * LIST as u64;
 /// Seeds that one dispatch of a search looks at.
 pub const SEARCH_PART: u64 = 2 * PART;
-/// Bytes of the arguments of an indirect dispatch.
-pub const ARGUMENTS_BYTES: u64 = 12;
-
 /// Bytes of the arguments of all parts of a search for so many seeds.
 fn search_bytes(seeds: u64) -> u64 {
     ARGUMENTS_BYTES * seeds.min(u64::from(u32::MAX)).div_ceil(SEARCH_PART)
@@ -313,37 +287,8 @@ pub fn window_bytes(facets: u64) -> (u64, u64) {
     (records, facets.saturating_add(EXTRA_PROPOSALS).saturating_mul(8))
 }
 
-/// Parts that a dispatch over `items` may be in.
-fn origins(items: u64) -> u64 {
-    items.min(u64::from(u32::MAX)).div_ceil(PART).max(1)
-}
-
-/// Where each of them begins.
-pub fn part_origins(plan: &Plan) -> Vec<u32> {
-    (0..plan.origins_bytes / 4).map(|k| (k * PART) as u32).collect()
-}
-
-/// The items of each dispatch over `items`, `parts` times [`PART`] in each but the last; one dispatch if there are none.
-pub fn parts(items: u64, parts: u64) -> impl Iterator<Item = Range<u64>> {
-    let most = parts * PART;
-    (0..items.div_ceil(most).max(1)).map(move |k| k * most..((k + 1) * most).min(items))
-}
-
-fn fits(buffers: &[(&str, u64)], limits: Limits) -> Result<(), GpuError> {
-    let limit_bytes = limits.seen_bytes();
-    for &(what, needed_bytes) in buffers {
-        if needed_bytes > limit_bytes {
-            return Err(GpuError::NeverFits { what: what.to_owned(), needed_bytes, limit_bytes });
-        }
-    }
-    Ok(())
-}
-
 /// Passes of one submission at most.
 pub const PASSES: usize = 32;
-
-/// Workgroups of a reduction at most; each leaves one partial sum.
-pub const REDUCTION_GROUPS: u32 = 256;
 
 /// Bytes of the buffers with which seeds are moved where they are: a session has them once somebody does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -424,14 +369,6 @@ impl MotionPlan {
     }
 }
 
-/// Items that a lane of a reduction adds up before lanes are added: a workgroup's barriers cost as much as many items.
-const LANE_ITEMS: u64 = 4;
-
-/// Workgroups of a reduction over `items`.
-pub fn reduction(items: u64) -> u32 {
-    items.div_ceil(LANE_ITEMS * u64::from(WORKGROUP)).clamp(1, u64::from(REDUCTION_GROUPS)) as u32
-}
-
 /// Cells along each side of the grid over the unit box in which `seeds` seeds on a surface of `area` are
 /// searched: three spacings wide, not many more than there are seeds, and at most 160 a side.
 pub fn grid_side(area: f64, seeds: u64) -> u32 {
@@ -447,14 +384,6 @@ const CELL_SPACINGS: f64 = 3.0;
 pub fn grid_cells(side: u32) -> u64 {
     let side = u64::from(side);
     side * side * (side + 1)
-}
-
-/// Workgroups in x and y for `items` invocations. The shaders number them row by row.
-pub fn dispatch(items: u64, limits: Limits) -> [u32; 2] {
-    let groups = items.div_ceil(u64::from(WORKGROUP)).max(1);
-    let x = groups.min(u64::from(limits.workgroups));
-    let y = groups.div_ceil(x);
-    [x as u32, y as u32]
 }
 
 #[cfg(test)]
@@ -525,19 +454,6 @@ mod tests {
     }
 
     #[test]
-    fn parts_cover_all_items_and_none_is_too_large() {
-        for items in [0, 1, PART, PART + 1, 10 * PART + 7] {
-            for most in [1, 4] {
-                let parts: Vec<_> = parts(items, most).collect();
-                assert_eq!((parts[0].start, parts[parts.len() - 1].end), (0, items));
-                assert!(parts.windows(2).all(|p| p[0].end == p[1].start));
-                assert!(parts.iter().all(|p| p.end - p.start <= most * PART && p.start % PART == 0));
-                assert!(parts.last().unwrap().start / PART < origins(items));
-            }
-        }
-    }
-
-    #[test]
     fn absurd_counts_do_not_overflow() {
         assert!(Plan::new(counts(u64::MAX / 32), LIMITS).is_err());
     }
@@ -550,6 +466,11 @@ mod tests {
     }
 
     #[test]
+    fn a_batch_of_pairs_fits_one_dimension() {
+        assert!(BATCH.div_ceil(crate::gpu::device::WORKGROUP) <= LIMITS.workgroups);
+    }
+
+    #[test]
     fn grids_follow_the_spacing_within_bounds() {
         assert_eq!(grid_side(2.0, 10_000), 23);
         assert_eq!(grid_side(2.0, 1), 1);
@@ -558,15 +479,5 @@ mod tests {
         // More seeds need no smaller grid, so that room for the most is room for all.
         let sides: Vec<u32> = (0..24).map(|k| grid_side(2.0, 1 << k)).collect();
         assert!(sides.is_sorted());
-    }
-
-    #[test]
-    fn dispatches_cover_their_items() {
-        for items in [0, 1, 64, 65, 65_535 * 64, 65_535 * 64 + 1, 100_000_000] {
-            let [x, y] = dispatch(items, LIMITS);
-            assert!(x <= 65_535 && y <= 65_535);
-            assert!(u64::from(x) * u64::from(y) * 64 >= items);
-        }
-        assert!(BATCH.div_ceil(WORKGROUP) <= LIMITS.workgroups);
     }
 }
