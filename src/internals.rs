@@ -85,7 +85,7 @@ pub mod remesh {
 pub mod rvd {
     pub use crate::rvd::cells::FACET_EDGE;
     #[cfg(feature = "gpu")]
-    pub use crate::rvd::gpu::{Found, Gpu, layout, plan};
+    pub use crate::rvd::gpu::{Found, Gpu, layout, plan, shaders};
     pub use crate::rvd::surface::snap;
 }
 

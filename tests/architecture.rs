@@ -430,6 +430,24 @@ fn cvt_and_the_dual_cannot_name_a_backend() {
     expect_none(&wrong);
 }
 
+/// What the device computes is the diagram's matter: layouts and plans that speak of it are in `rvd/gpu`.
+#[test]
+fn the_device_knows_no_seed_and_no_facet() {
+    let mut wrong = Vec::new();
+    for module in tree().modules.iter().filter(|module| within(&name(&module.path), "gpu")) {
+        let text = fs::read_to_string(root().join(&module.file).with_extension("rs")).unwrap();
+        let code = text.lines().enumerate().filter(|(_, line)| !line.starts_with("//!"));
+        for (k, line) in code {
+            let words = line.split(|c: char| !c.is_alphanumeric()).map(str::to_lowercase);
+            let of_diagrams = ["seed", "seeds", "facet", "facets", "cell", "cells", "corner", "mesh"];
+            for word in words.filter(|word| of_diagrams.contains(&word.as_str())) {
+                wrong.push(format!("src/{}.rs:{}: {word}", module.file, k + 1));
+            }
+        }
+    }
+    expect_none(&wrong);
+}
+
 /// The generated code has a half for the client and one for the server, in modules of their own.
 #[test]
 fn the_client_and_the_wire_know_no_server() {

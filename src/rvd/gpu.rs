@@ -19,11 +19,11 @@
 //! Must not know: iterations, jobs, files.
 
 mod buffers;
-mod crowding;
 mod fallback;
 mod fixed;
 #[cfg(feature = "service")]
 pub(crate) mod forecast;
+mod grid;
 mod history;
 pub mod layout;
 mod measure;
@@ -37,6 +37,7 @@ mod reach;
 mod relaunch;
 mod relax;
 mod search;
+pub mod shaders;
 mod windows;
 
 use std::ops::Range;
@@ -56,7 +57,7 @@ use crate::gpu::{Device, GpuError, Traffic, dispatch};
 use crate::mesh::TriMesh;
 use crate::token::Token;
 use buffers::Buffers;
-use layout::{LONGER, MOST_RETAKEN, NONE, Params, ROW, STRIDE, SUM_WORDS, State};
+use layout::{LONGER, MOST_REQUEUED, NONE, Params, ROW, STRIDE, SUM_WORDS, State};
 #[cfg(feature = "cli")]
 pub(crate) use measure::AccumulationMs;
 use moving::Moving;
@@ -285,9 +286,9 @@ struct GpuSession {
     /// The first cells that the device has are those of other seeds at least.
     guessed: bool,
     /// So many seeds were noted for lists when rows were last made.
-    kept_for: usize,
-    /// Later twins among them, and whether some of those are none in f64.
-    twins: u64,
+    listed_for: usize,
+    /// Later duplicates among them, and whether some of those are none in f64.
+    duplicates: u64,
     merged: bool,
     scales: fixed::Scales,
     /// (facet, first cell) of every facet that is not degenerate, by facet; cells as far as the host knows them.
@@ -317,23 +318,23 @@ impl GpuSession {
         let expected = pack::expected_cells(&surface, max_seeds);
         let slots_log2 = pack::first_slots(&expected, capacities.cells, Capacities::default().cells);
         let mut facets = pack::facets(&surface, &slots_log2);
-        let celled = reach::celled(&expected, tuning.strategy);
-        reach::mark(&mut facets, &celled);
-        let grid = reach::Grid::new(&surface, &celled, max_seeds);
+        let by_cell = reach::by_cell(&expected, tuning.strategy);
+        reach::mark(&mut facets, &by_cell);
+        let grid = reach::Grid::new(&surface, &by_cell, max_seeds);
         let k = capacities.neighbours.clamp(1, max_seeds.max(1)) as u64;
         // Rows by the device or by the host, and a quarter for longer ones where there is room for it; of these as many
         // as the device makes in a pass.
         let rows = max_seeds as u64 * k.max(u64::from(STRIDE));
         let most = Limits::of(&gpu.device.limits()).seen_bytes() / 4;
-        let side = crowding::grid_side_for(&surface, max_seeds);
+        let side = grid::grid_side_for(&surface, max_seeds);
         let counts = Counts {
             facets: facets.len() as u64,
             seeds: max_seeds as u64,
-            table: (rows + max_seeds as u64 * k / 4 + u64::from(MOST_RETAKEN * LONGER)).min(most.max(rows)),
+            table: (rows + max_seeds as u64 * k / 4 + u64::from(MOST_REQUEUED * LONGER)).min(most.max(rows)),
             polygon: SLOTS as u64,
             near: grid.near.len() as u64,
             cells: plan::grid_cells(side),
-            kept: plan::kept(max_seeds as u64, Limits::of(&gpu.device.limits())),
+            listed: plan::listed(max_seeds as u64, Limits::of(&gpu.device.limits())),
             ..Counts::default()
         };
         // Half as many again for pairs that turn out empty and for pairs done again.
@@ -372,8 +373,8 @@ impl GpuSession {
             rows: Rows::Missing,
             started: false,
             guessed: false,
-            kept_for: 0,
-            twins: 0,
+            listed_for: 0,
+            duplicates: 0,
             merged: false,
             scales: fixed::Scales::default(),
             roots,
@@ -408,7 +409,7 @@ impl GpuSession {
             roots: self.roots_of(&self.layout.facets()).len() as u32,
             divided: NONE,
             facet_first: self.layout.facets().start,
-            kept: u32::from(self.counts.kept > 0),
+            has_lists: u32::from(self.counts.listed > 0),
             ..Params::default()
         }
     }
@@ -440,7 +441,7 @@ impl GpuSession {
         let begin = Instant::now();
         self.start_now(token)?;
         stats.start_ms = elapsed_ms(begin);
-        stats.duplicate_seeds = self.twins;
+        stats.duplicate_seeds = self.duplicates;
         Ok(stats)
     }
 
@@ -518,7 +519,7 @@ impl Session for GpuSession {
             // There are buffers for the grid of the most seeds.
             self.side = match self.count == self.max_seeds {
                 true => self.finest,
-                false => crowding::grid_side_for(&self.surface, self.count).min(self.finest),
+                false => grid::grid_side_for(&self.surface, self.count).min(self.finest),
             };
         }
         self.place = Place::Set;

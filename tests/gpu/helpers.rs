@@ -5,13 +5,14 @@ use std::sync::Arc;
 
 use crate::gpu;
 use tessera::internals::gpu::buffers::{Allocation, Staging, write};
-use tessera::internals::gpu::{Device, DeviceOptions, GpuError, adapters, shader};
+use tessera::internals::gpu::{Device, DeviceOptions, GpuError, adapters};
+use tessera::internals::rvd::shaders;
 use wgpu::BufferUsages as Usage;
 
 /// What reads buffers back, a few bytes at a time.
-fn staging(device: &Device) -> Staging {
+fn staging(device: &Device) -> (Staging, Allocation) {
     let mut allocation = Allocation::new(device, STAGING_BYTES);
-    Staging::new(device, &mut allocation, STAGING_BYTES).unwrap()
+    (Staging::new(device, &mut allocation, STAGING_BYTES).unwrap(), allocation)
 }
 
 const STAGING_BYTES: u64 = 1 << 16;
@@ -24,7 +25,7 @@ fn check(
     inputs: &[u32],
     slots: usize,
 ) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
-    let source = shader::compose("checks", &[("WIDE", i64::from(wide))]).unwrap();
+    let source = shaders::compose("clip/checks", &[("WIDE", i64::from(wide))]).unwrap();
     let raw = device.raw();
     let module = raw.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: None,
@@ -72,7 +73,7 @@ fn check(
         pass.dispatch_workgroups(inputs.len().div_ceil(64) as u32, 1, 1);
     }
     device.run(encoder).unwrap();
-    let reader = staging(device);
+    let (reader, _allocation) = staging(device);
     let read = |k: usize, n: usize| reader.read::<u32>(device, &buffers[k], 0..n).unwrap();
     (read(1, 4), read(2, slots), read(3, inputs.len()))
 }
@@ -164,7 +165,7 @@ fn reads_longer_than_the_staging_buffer_come_in_portions() {
     let values: Vec<u32> = (0..100_000).collect();
     let buffer = device.buffer("long", 400_000, Usage::STORAGE | Usage::COPY_DST | Usage::COPY_SRC).unwrap();
     write(&device, &buffer, 0, &values).unwrap();
-    let reader = staging(&device);
+    let (reader, _allocation) = staging(&device);
     const { assert!(STAGING_BYTES < 400_000) };
     assert_eq!(reader.read::<u32>(&device, &buffer, 5..99_999).unwrap(), values[5..99_999]);
 }

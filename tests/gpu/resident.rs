@@ -111,16 +111,16 @@ fn rows_from_kept_lists_are_those_of_a_search() {
             let alone = gpu.search(Arc::clone(&surface), &[seeds], options(), &never).unwrap().remove(0);
             assert!(found.rows == alone.rows, "{name}, {k}: rows");
             assert_eq!(
-                (&found.first, found.twins, found.by_host),
-                (&alone.first, alone.twins, alone.by_host),
+                (&found.first, found.duplicates, found.by_host),
+                (&alone.first, alone.duplicates, alone.by_host),
                 "{name}"
             );
-            assert_eq!(alone.recalled, 0);
+            assert_eq!(alone.from_lists, 0);
         }
-        let recalled: Vec<u64> = found.iter().map(|f| f.recalled).collect();
-        eprintln!("{name}: {recalled:?} of {} recalled", seeds.len());
+        let from_lists: Vec<u64> = found.iter().map(|f| f.from_lists).collect();
+        eprintln!("{name}: {from_lists:?} of {} from lists", seeds.len());
         if name == "noise" {
-            assert!(recalled[3] > 900, "little moves: {recalled:?}");
+            assert!(from_lists[3] > 900, "little moves: {from_lists:?}");
         }
     }
 }
@@ -133,7 +133,7 @@ fn rows_and_first_cells_are_the_hosts() {
         for (name, seeds) in sets(&surface, 1000) {
             let found = search(gpu, &surface, &seeds, 24);
             let index = SeedIndex::new(&seeds);
-            assert_eq!(found.twins, index.duplicates() as u64, "{name}");
+            assert_eq!(found.duplicates, index.duplicates() as u64, "{name}");
             let mut longest = 0;
             for (i, row) in found.rows.iter().enumerate() {
                 let mut want = NeighbourRow::default();

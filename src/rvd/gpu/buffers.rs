@@ -6,7 +6,7 @@
 use wgpu::BufferUsages as Usage;
 
 use super::layout::Params;
-use super::plan::{self, MotionPlan, Plan};
+use super::plan::{self, OptimizerPlan, Plan};
 use crate::gpu::buffers::{Allocation, Staging, write};
 use crate::gpu::dispatch::{self, Origins};
 use crate::gpu::{Device, GpuError};
@@ -49,11 +49,11 @@ pub(crate) struct Buffers {
     /// Where the parts of a dispatch begin.
     pub origins: wgpu::Buffer,
     /// Where seeds were when lists were made, and how far these reach.
-    pub kept: wgpu::Buffer,
+    pub list_origins: wgpu::Buffer,
     /// Lists.
     pub lists: wgpu::Buffer,
     /// What is done with them.
-    pub keep: wgpu::Buffer,
+    pub list_state: wgpu::Buffer,
     /// What there is of each window of facets.
     pub windows: Vec<WindowBuffers>,
     /// Readback.
@@ -67,8 +67,8 @@ pub(crate) struct Buffers {
 pub(crate) struct WindowBuffers {
     /// Facet records.
     pub facets: wgpu::Buffer,
-    /// Proposals.
-    pub proposals: wgpu::Buffer,
+    /// Candidates.
+    pub candidates: wgpu::Buffer,
 }
 
 impl Buffers {
@@ -82,10 +82,10 @@ impl Buffers {
         let mut make = |label: &str, bytes: u64, usage: Usage| allocation.make(device, label, bytes, usage);
         let mut windows_of = Vec::with_capacity(windows.len());
         for &facets in windows {
-            let (records, proposals) = plan::window_bytes(facets);
+            let (records, candidates) = plan::window_bytes(facets);
             windows_of.push(WindowBuffers {
                 facets: make("facets", records, storage)?,
-                proposals: make("proposals", proposals, storage)?,
+                candidates: make("candidates", candidates, storage)?,
             });
         }
         let made = Self {
@@ -107,9 +107,9 @@ impl Buffers {
             drifts: make("drifts", plan.drifts_bytes, storage)?,
             sorted: make("sorted", plan.sorted_bytes, storage)?,
             origins: make("origins", plan.origins_bytes, Usage::COPY_SRC | Usage::COPY_DST)?,
-            kept: make("kept", plan.kept_bytes, storage)?,
+            list_origins: make("list origins", plan.list_origins_bytes, storage)?,
             lists: make("lists", plan.lists_bytes, storage)?,
-            keep: make("keep", plan.keep_bytes, storage | Usage::INDIRECT)?,
+            list_state: make("list state", plan.list_state_bytes, storage | Usage::INDIRECT)?,
             staging: Staging::new(device, &mut allocation, plan.staging_bytes)?,
             plan,
             _allocation: allocation,
@@ -129,9 +129,9 @@ impl Buffers {
     }
 }
 
-/// The buffers with which seeds are moved. Fields as in [`MotionPlan`] and in the shaders.
+/// The buffers with which seeds are moved. Fields as in [`OptimizerPlan`] and in the shaders.
 #[derive(Debug)]
-pub(crate) struct MotionBuffers {
+pub(crate) struct OptimizerBuffers {
     /// The present point.
     pub points: wgpu::Buffer,
     /// Which seeds are held.
@@ -147,27 +147,27 @@ pub(crate) struct MotionBuffers {
     /// Changes of the gradient.
     pub changes: wgpu::Buffer,
     /// Partial sums over cells.
-    pub tallies: wgpu::Buffer,
+    pub partial_totals: wgpu::Buffer,
     /// Their sum.
-    pub figures: wgpu::Buffer,
+    pub totals: wgpu::Buffer,
     /// Partial dot products.
     pub partials: wgpu::Buffer,
     /// Dot products.
     pub dots: wgpu::Buffer,
     /// Parameters.
-    pub motion: wgpu::Buffer,
-    /// What is kept of each pass of a submission.
+    pub params: wgpu::Buffer,
+    /// State and totals of each pass of a submission.
     pub journal: wgpu::Buffer,
-    plan: MotionPlan,
+    plan: OptimizerPlan,
     _allocation: Allocation,
 }
 
-impl MotionBuffers {
+impl OptimizerBuffers {
     /// Allocates everything, zeroed.
     ///
     /// # Errors
     /// `OutOfMemory` with the bytes of the whole plan.
-    pub(crate) fn new(device: &Device, plan: MotionPlan) -> Result<Self, GpuError> {
+    pub(crate) fn new(device: &Device, plan: OptimizerPlan) -> Result<Self, GpuError> {
         let storage = Usage::STORAGE | Usage::COPY_DST | Usage::COPY_SRC;
         let mut allocation = Allocation::new(device, plan.total_bytes());
         let mut make = |label: &str, bytes: u64, usage: Usage| allocation.make(device, label, bytes, usage);
@@ -179,11 +179,11 @@ impl MotionBuffers {
             direction: make("direction", plan.vector_bytes, storage)?,
             steps: make("steps", plan.history_bytes, storage)?,
             changes: make("changes", plan.history_bytes, storage)?,
-            tallies: make("tallies", plan.tallies_bytes, storage)?,
-            figures: make("figures", plan.figures_bytes, storage)?,
+            partial_totals: make("partial_totals", plan.partial_totals_bytes, storage)?,
+            totals: make("totals", plan.totals_bytes, storage)?,
             partials: make("partials", plan.partials_bytes, storage)?,
             dots: make("dots", plan.dots_bytes, storage)?,
-            motion: make("motion", plan.motion_bytes, Usage::UNIFORM | Usage::COPY_DST)?,
+            params: make("optimizer params", plan.params_bytes, Usage::UNIFORM | Usage::COPY_DST)?,
             journal: make("journal", plan.journal_bytes, Usage::COPY_SRC | Usage::COPY_DST)?,
             plan,
             _allocation: allocation,
@@ -191,7 +191,7 @@ impl MotionBuffers {
     }
 
     /// What they were made for.
-    pub(crate) fn plan(&self) -> &MotionPlan {
+    pub(crate) fn plan(&self) -> &OptimizerPlan {
         &self.plan
     }
 }

@@ -73,7 +73,7 @@ impl GpuSession {
     }
 }
 
-/// The figures of both passes; every pair was finished in f64.
+/// The totals of both passes; every pair was finished in f64.
 fn finished(lost: PassStats, done: PassStats) -> PassStats {
     let mut stats = lost;
     stats.add(&done);

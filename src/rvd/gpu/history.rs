@@ -21,7 +21,7 @@ pub(super) struct History {
     order: Vec<usize>,
     products: [[f64; VECTORS]; VECTORS],
     /// Of each change, divided by masses, with every change and the gradient.
-    eased: [[f64; PAIRS + 1]; PAIRS],
+    preconditioned: [[f64; PAIRS + 1]; PAIRS],
 }
 
 impl History {
@@ -35,7 +35,7 @@ impl History {
         if self
             .order
             .last()
-            .is_some_and(|&last| !(self.products[last][PAIRS + last] / self.eased[last][last]).is_finite())
+            .is_some_and(|&last| !(self.products[last][PAIRS + last] / self.preconditioned[last][last]).is_finite())
         {
             self.forget();
         }
@@ -67,9 +67,9 @@ impl History {
         }
         let pairs = (0..PAIRS).flat_map(|k| (k..=PAIRS).map(move |j| (k, j)));
         for ((k, j), &dot) in pairs.zip(&dots[PLAIN_DOTS..]) {
-            self.eased[k][j] = f64::from(dot);
+            self.preconditioned[k][j] = f64::from(dot);
             if j < PAIRS {
-                self.eased[j][k] = f64::from(dot);
+                self.preconditioned[j][k] = f64::from(dot);
             }
         }
     }
@@ -101,12 +101,12 @@ impl History {
         }
         if let Some(&last) = self.order.last() {
             // Steps have no part yet.
-            let scale = self.products[last][PAIRS + last] / self.eased[last][last];
+            let scale = self.products[last][PAIRS + last] / self.preconditioned[last][last];
             c.iter_mut().for_each(|x| *x *= scale);
         }
         for (&slot, alpha) in self.order.iter().zip(alphas.iter().rev()) {
             let steps: f64 = (0..PAIRS).map(|k| c[k] * self.product(PAIRS + slot, k, c[k])).sum();
-            let of = |k: usize| if c[PAIRS + k] == 0.0 { 0.0 } else { c[PAIRS + k] * self.eased[slot][k] };
+            let of = |k: usize| if c[PAIRS + k] == 0.0 { 0.0 } else { c[PAIRS + k] * self.preconditioned[slot][k] };
             let beta = (steps + (0..=PAIRS).map(of).sum::<f64>()) / self.products[slot][PAIRS + slot];
             c[slot] += alpha - beta;
         }
@@ -129,12 +129,12 @@ mod tests {
     }
 
     /// v over the masses.
-    fn eased(v: &[f64], ease: &[f64]) -> Vec<f64> {
-        v.iter().zip(ease).map(|(v, ease)| v * ease).collect()
+    fn preconditioned(v: &[f64], preconditioner: &[f64]) -> Vec<f64> {
+        v.iter().zip(preconditioner).map(|(v, preconditioner)| v * preconditioner).collect()
     }
 
     /// The recursion on the vectors themselves.
-    fn two_loops(pairs: &[(Vec<f64>, Vec<f64>)], g: &[f64], ease: &[f64]) -> Vec<f64> {
+    fn two_loops(pairs: &[(Vec<f64>, Vec<f64>)], g: &[f64], preconditioner: &[f64]) -> Vec<f64> {
         let mut q: Vec<f64> = g.iter().map(|x| -x).collect();
         let mut alphas = Vec::new();
         for (s, y) in pairs.iter().rev() {
@@ -143,8 +143,8 @@ mod tests {
             alphas.push(alpha);
         }
         if let Some((s, y)) = pairs.last() {
-            let scale = dot(s, y) / dot(y, &eased(y, ease));
-            q.iter_mut().zip(ease).for_each(|(q, ease)| *q *= scale * ease);
+            let scale = dot(s, y) / dot(y, &preconditioned(y, preconditioner));
+            q.iter_mut().zip(preconditioner).for_each(|(q, preconditioner)| *q *= scale * preconditioner);
         }
         for ((s, y), alpha) in pairs.iter().zip(alphas.iter().rev()) {
             let beta = dot(y, &q) / dot(s, y);
@@ -161,7 +161,7 @@ mod tests {
         let (mut slots, mut pairs) = (vec![(vec![f64::NAN; 20], vec![f64::NAN; 20]); PAIRS], Vec::new());
         for round in 0..12 {
             let (s, noise, g) = (vector(), vector(), vector());
-            let ease: Vec<f64> = vector().iter().map(|x| (2.0 * x).exp()).collect();
+            let preconditioner: Vec<f64> = vector().iter().map(|x| (2.0 * x).exp()).collect();
             // Positive curvature but for every fifth pair.
             let sign = if round % 5 == 4 { -1.0 } else { 1.0 };
             let y: Vec<f64> = s.iter().zip(&noise).map(|(s, n)| sign * (2.0 * s + 0.3 * n)).collect();
@@ -178,7 +178,9 @@ mod tests {
             let mut rest = dots[PLAIN_DOTS..].iter_mut();
             for (i, change) in slots.iter().enumerate() {
                 let others = slots.iter().map(|p| &p.1).skip(i).chain([&g]);
-                others.zip(&mut rest).for_each(|(other, to)| *to = dot(&eased(&change.1, &ease), other) as f32);
+                others
+                    .zip(&mut rest)
+                    .for_each(|(other, to)| *to = dot(&preconditioned(&change.1, &preconditioner), other) as f32);
             }
             history.learn(slot, &dots);
             history.take(slot);
@@ -188,10 +190,10 @@ mod tests {
                     pairs.remove(0);
                 }
             }
-            let want = two_loops(&pairs, &g, &ease);
+            let want = two_loops(&pairs, &g, &preconditioner);
             let c = history.direction();
             for (e, want) in want.iter().enumerate() {
-                let over = |k: usize| if k < PAIRS { 1.0 } else { ease[e] };
+                let over = |k: usize| if k < PAIRS { 1.0 } else { preconditioner[e] };
                 let got: f64 = (0..VECTORS).filter(|&k| c[k] != 0.0).map(|k| c[k] * all[k][e] * over(k)).sum();
                 // The products were rounded to single precision.
                 assert!((got - want).abs() < 1e-4, "round {round}: {got} for {want}");

@@ -1,4 +1,4 @@
-//! Rust twins of the records in `shaders/shared/types.wgsl` and `state.wgsl`.
+//! The records of `shaders/shared/` in Rust.
 //!
 //! Purpose: what the host writes and reads, byte for byte.
 //! Invariant: same fields, names, offsets and sizes as in WGSL; `tests/gpu/shaders.rs` compares
@@ -12,7 +12,7 @@ pub const COMPLETE: u32 = 1 << 31;
 /// Highest bit of a pair's second word: the first cell of its facet.
 pub const ROOT: u32 = 1 << 31;
 /// Highest bit of [`Facet::slot_mask`]: cells look for this facet themselves.
-pub const CELLED: u32 = 1 << 31;
+pub const BY_CELL: u32 = 1 << 31;
 /// The other 31 bits.
 pub const INDEX: u32 = ROOT - 1;
 /// Words of sums per seed: mass, moment x y z, energy, area; two limbs each.
@@ -73,7 +73,7 @@ pub struct Facet {
     pub slot_begin: u32,
     /// First corner less upper part.
     pub lo: [f32; 3],
-    /// Slots less one; a power of two less one. And [`CELLED`].
+    /// Slots less one; a power of two less one. And [`BY_CELL`].
     pub slot_mask: u32,
     /// Unit vector along the first edge.
     pub e1: [f32; 3],
@@ -115,12 +115,12 @@ pub struct Params {
     pub list_capacity: u32,
     /// Pairs per clip dispatch at most.
     pub batch: u32,
-    /// First proposal to enter.
-    pub propose_begin: u32,
+    /// First candidate to enter.
+    pub enqueue_begin: u32,
     /// How many.
-    pub propose_count: u32,
+    pub enqueue_count: u32,
     /// [`ROOT`] for first cells of facets, 0 for others.
-    pub propose_root: u32,
+    pub enqueue_root: u32,
     /// First pair to emit.
     pub emit_begin: u32,
     /// How many; also the pairs that `verify` looks at and the seeds of `reach`.
@@ -139,7 +139,7 @@ pub struct Params {
     pub row: u32,
     /// Cells along each side of the grid of seeds.
     pub side: u32,
-    /// Facets that have a first cell: entries of the proposals.
+    /// Facets that have a first cell: entries of the candidates.
     pub roots: u32,
     /// Where among the slots it says which facets `divide` has done; [`NONE`] if it need not.
     pub divided: u32,
@@ -147,8 +147,8 @@ pub struct Params {
     pub facet_first: u32,
     /// The item that the present part of a dispatch begins at.
     pub part_first: u32,
-    /// 1 if there is room for lists that are kept.
-    pub kept: u32,
+    /// 1 if there is room for Verlet lists.
+    pub has_lists: u32,
 }
 
 /// What the host reads between submissions.
@@ -176,7 +176,7 @@ pub struct State {
     /// 1 if a seed is near the surface's box.
     pub near: u32,
     /// Seeds that lie on an earlier one.
-    pub twins: u32,
+    pub duplicates: u32,
     /// Facets whose first cell could not be proved.
     pub unproved: u32,
     /// `u32::MAX` less the first seed that is not finite or beyond the range; 0 if there is none.
@@ -190,9 +190,9 @@ pub struct State {
     /// Entries of the rows that the device made longer.
     pub longer: u32,
     /// Failures that it put to the end of the list again.
-    pub retaken: u32,
+    pub requeued: u32,
     /// Those of them whose polygons had not fit.
-    pub crowded: u32,
+    pub overflowed: u32,
 }
 
 /// A seed in the order of the grid.
@@ -209,11 +209,11 @@ pub struct Sorted {
     pub first: u32,
 }
 
-/// What is done with lists that are kept. Behind it are the arguments of the dispatches that it decides of, and the
-/// seeds whose rows lists do not suffice for.
+/// State of the Verlet lists. Behind it are the arguments of the dispatches that depend on it, and the seeds whose lists do
+/// not prove their rows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-pub struct Keep {
+pub struct ListState {
     /// How far any seed is from where it was noted; the bits of a float.
     pub drift: u32,
     /// Seeds that are far from there, as far as it matters how many.
@@ -222,7 +222,7 @@ pub struct Keep {
     pub open: u32,
     /// 0 if nothing is noted, 1 if places are, from 2 on the passes that the lists have served, and two.
     pub made: u32,
-    /// What the last search did, see [`search`].
+    /// Where the last search took rows from, see [`search`].
     pub mode: u32,
     /// Zero.
     pub padding_0: u32,
@@ -232,16 +232,16 @@ pub struct Keep {
     pub padding_2: u32,
 }
 
-/// Values of [`Keep::mode`].
+/// Values of [`ListState::mode`].
 pub mod search {
     /// Rows from the lists, where they suffice.
-    pub const RECALL: u32 = 3;
+    pub const FROM_LISTS: u32 = 3;
 }
 
 /// What the stages that move seeds are told. A uniform.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-pub struct Motion {
+pub struct OptimizerParams {
     /// Seeds.
     pub seeds: u32,
     /// Workgroups of a reduction: partial sums.
@@ -275,7 +275,7 @@ pub struct Motion {
 /// What one reduction over the cells says.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-pub struct Figures {
+pub struct Totals {
     /// Σ energy in units, low limb.
     pub energy_low: u32,
     /// Its high limb.
@@ -301,13 +301,13 @@ pub mod halt {
     /// A seed is farther than single precision reaches.
     pub const FAR: u32 = 2;
     /// A cell of the grid has more seeds than are worth searching.
-    pub const CROWDED: u32 = 4;
+    pub const GRID_OVERFLOW: u32 = 4;
     /// Not of the search: the pass is not at its end.
-    pub const UNSETTLED: u32 = 8;
+    pub const INCOMPLETE: u32 = 8;
 }
 
-/// What is kept of each pass of a submission: its summary and its figures, as bytes.
-pub const ENTRY_BYTES: u64 = (size_of::<State>() + size_of::<Figures>()) as u64;
+/// An entry of the journal: state and totals of a pass, as bytes.
+pub const ENTRY_BYTES: u64 = (size_of::<State>() + size_of::<Totals>()) as u64;
 
 /// Neighbours that the search finds at most. Cells of relaxed seeds need a dozen, facets that meet many cells some more. The
 /// more of them, the sooner lists of [`LIST`] do not prove them any more: with 20 instead of 24, steps of the bunny with
@@ -316,20 +316,20 @@ pub const ROW: u32 = 20;
 /// Entries of a row at most that the device makes longer.
 pub const LONGER: u32 = 128;
 /// Pairs at most that the device puts to the end of its list again.
-pub const MOST_RETAKEN: u32 = 256;
+pub const MOST_REQUEUED: u32 = 256;
 /// Rings of cells around its own that a seed's search looks at, at most.
 pub const RINGS: u32 = 10;
-/// Seeds of a list that is kept.
+/// Seeds of a Verlet list.
 pub const LIST: u32 = 32;
-/// Words that say what becomes of the lists, see [`Keep`].
-pub const KEEP_WORDS: u64 = (size_of::<Keep>() / 4) as u64;
+/// Words that say what becomes of the lists, see [`ListState`].
+pub const LIST_STATE_WORDS: u64 = (size_of::<ListState>() / 4) as u64;
 /// Words of a row as the search writes it: its length, then the neighbours.
 pub const STRIDE: u32 = ROW + 1;
 /// Cells that the variants of `divide` can do at once.
 pub const MEMBERS: [u32; 4] = [4, 6, 8, 12];
 /// Workgroups that make rows longer.
 pub const LENGTHENERS: u32 = 16;
-/// A proposal that is not known.
+/// A candidate that is not known.
 pub const NONE: u32 = u32::MAX;
 /// Pairs of the history, and one that is not accepted yet.
 pub const PAIRS: usize = 8;

@@ -13,10 +13,10 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use super::buffers::MotionBuffers;
-use super::layout::{self, DOTS, Figures, Motion, PAIRS, SUM_WORDS, State};
-use super::pipelines::MotionBindings;
-use super::plan::MotionPlan;
+use super::buffers::OptimizerBuffers;
+use super::layout::{self, DOTS, OptimizerParams, PAIRS, SUM_WORDS, State, Totals};
+use super::pipelines::OptimizerBindings;
+use super::plan::OptimizerPlan;
 use super::relax;
 use super::search::Place;
 use super::{GpuSession, OnDevice, fixed, history::History, lane, pack};
@@ -30,8 +30,8 @@ use crate::token::Token;
 
 /// What a session has once somebody moves its seeds.
 pub(super) struct Moving {
-    pub buffers: MotionBuffers,
-    bindings: Option<MotionBindings>,
+    pub buffers: OptimizerBuffers,
+    bindings: Option<OptimizerBindings>,
     held: Vec<bool>,
     history: History,
     /// The products in `history` are those of the present gradient.
@@ -51,7 +51,7 @@ pub(super) struct Moving {
     /// How many passes a submission may have.
     pub together: relax::Next,
     /// As read last.
-    pub figures: Figures,
+    pub totals: Totals,
 }
 
 impl Moving {
@@ -59,8 +59,8 @@ impl Moving {
         self.buffers.plan().total_bytes()
     }
 
-    /// Whether the present pass ends with figures.
-    pub(super) fn wants_figures(&self) -> bool {
+    /// Whether the present pass ends with totals.
+    pub(super) fn wants_totals(&self) -> bool {
         self.wanted.is_some()
     }
 
@@ -97,9 +97,9 @@ impl GpuSession {
     pub(super) fn moving(&mut self) -> Result<&mut Moving, RvdError> {
         let device = Arc::clone(&self.device);
         if self.moving.is_none() {
-            let plan = MotionPlan::new(self.max_seeds as u64, Limits::of(&device.limits()))?;
+            let plan = OptimizerPlan::new(self.max_seeds as u64, Limits::of(&device.limits()))?;
             self.moving = Some(Moving {
-                buffers: MotionBuffers::new(&device, plan)?,
+                buffers: OptimizerBuffers::new(&device, plan)?,
                 bindings: None,
                 held: Vec::new(),
                 history: History::default(),
@@ -112,7 +112,7 @@ impl GpuSession {
                 steps: false,
                 moved: false,
                 together: relax::Next::new(self.together),
-                figures: Figures::default(),
+                totals: Totals::default(),
             });
         }
         let moving = self.moving.as_mut().ok_or_else(missing)?;
@@ -137,11 +137,11 @@ impl GpuSession {
     }
 
     /// Parameters of the stages that move seeds.
-    pub(super) fn motion(&self) -> Motion {
+    pub(super) fn optimizer_params(&self) -> OptimizerParams {
         let s = &self.scales;
         let mass = if self.surface.is_uniform() { s.area } else { s.mass };
         let (least_area, most_area) = self.area_bounds();
-        Motion {
+        OptimizerParams {
             seeds: self.count as u32,
             groups: reduction(self.count as u64),
             uniform_weights: u32::from(self.surface.is_uniform()),
@@ -152,7 +152,7 @@ impl GpuSession {
             least_area,
             most_area,
             mean_mass: (self.surface.mass() / self.count as f64 * mass) as f32,
-            ..Motion::default()
+            ..OptimizerParams::default()
         }
     }
 
@@ -164,25 +164,25 @@ impl GpuSession {
         (n / (self.mass * spacing)).log2().round().clamp(-90.0, 90.0).exp2()
     }
 
-    pub(super) fn write_motion(&self, motion: Motion) -> Result<(), RvdError> {
+    pub(super) fn write_optimizer_params(&self, params: OptimizerParams) -> Result<(), RvdError> {
         let moving = self.moving.as_ref().ok_or_else(missing)?;
-        Ok(buffers::write(&self.device, &moving.buffers.motion, 0, &[motion])?)
+        Ok(buffers::write(&self.device, &moving.buffers.params, 0, &[params])?)
     }
 
     /// Binds the stages, if they are not bound.
-    pub(super) fn bind_motion(&mut self) -> Result<(), RvdError> {
+    pub(super) fn bind_optimizer(&mut self) -> Result<(), RvdError> {
         self.on_device()?;
         if let (Some(there), Some(moving)) = (&self.on_device, &mut self.moving)
             && moving.bindings.is_none()
         {
             moving.bindings =
-                Some(MotionBindings::new(&self.device, &self.pipelines, &there.buffers, &moving.buffers)?);
+                Some(OptimizerBindings::new(&self.device, &self.pipelines, &there.buffers, &moving.buffers)?);
         }
         Ok(())
     }
 
-    /// What a stage is bound to. After [`Self::bind_motion`].
-    pub(super) fn bound(&self) -> Result<(&Moving, &MotionBindings, &OnDevice), RvdError> {
+    /// What a stage is bound to. After [`Self::bind_optimizer`].
+    pub(super) fn bound(&self) -> Result<(&Moving, &OptimizerBindings, &OnDevice), RvdError> {
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         let bindings = moving.bindings.as_ref().ok_or_else(missing)?;
         Ok((moving, bindings, self.on_device.as_ref().ok_or_else(missing)?))
@@ -190,8 +190,8 @@ impl GpuSession {
 
     /// Encodes the seeds of the trial point.
     pub(super) fn encode_trial(&mut self, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
-        self.write_motion(self.motion())?;
-        self.bind_motion()?;
+        self.write_optimizer_params(self.optimizer_params())?;
+        self.bind_optimizer()?;
         let (_, bindings, _) = self.bound()?;
         let limits = Limits::of(&self.device.limits());
         let mut compute = self.device.pass(encoder, lane::NEIGHBOURS);
@@ -199,17 +199,17 @@ impl GpuSession {
         Ok(())
     }
 
-    /// Encodes gradient and figures of the pass, if it is one of a point.
-    pub(super) fn encode_figures(&mut self, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
+    /// Encodes gradient and totals of the pass, if it is one of a point.
+    pub(super) fn encode_totals(&mut self, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
         let Some(place) = self.moving.as_ref().and_then(|m| m.wanted) else { return Ok(()) };
-        self.write_motion(self.motion())?;
-        self.bind_motion()?;
+        self.write_optimizer_params(self.optimizer_params())?;
+        self.bind_optimizer()?;
         // Later submissions of a pass may lack what the host has done of it.
         let steps = self.moving.as_mut().is_some_and(|m| std::mem::take(&mut m.steps));
-        self.encode_tally(encoder, place, steps)
+        self.encode_gradient(encoder, place, steps)
     }
 
-    /// A pass at `place`, its gradient and its figures.
+    /// A pass at `place`, its gradient and its totals.
     pub(super) fn look(&mut self, place: Place, token: &Token) -> Result<Look, RvdError> {
         token.check()?;
         let before = self.work();
@@ -229,21 +229,21 @@ impl GpuSession {
         let mut stats = PassStats::default();
         let ran = self.run_sums(token, &mut stats);
         stats.clip_ms = elapsed_ms(begin);
-        let settled = ran.and_then(|()| self.complete_figures(&mut stats, token));
+        let settled = ran.and_then(|()| self.complete_totals(&mut stats, token));
         let moving = self.moving.as_mut().ok_or_else(missing)?;
         moving.wanted = None;
         settled?;
         moving.sums_of = Some(place);
         moving.gradient_known |= place == Place::Point;
         moving.ahead_known = place != Place::Point;
-        stats.duplicate_seeds = self.twins;
+        stats.duplicate_seeds = self.duplicates;
         self.meter(&before, &mut stats);
         Ok(self.describe(place, stats))
     }
 
     /// Puts what the host did of the pass into the device's sums, or all sums where pieces do not cover
-    /// the surface, and makes the figures anew.
-    fn complete_figures(&mut self, stats: &mut PassStats, token: &Token) -> Result<(), RvdError> {
+    /// the surface, and makes the totals anew.
+    fn complete_totals(&mut self, stats: &mut PassStats, token: &Token) -> Result<(), RvdError> {
         let mut words = None;
         if !self.pass.finished.is_empty() {
             words = Some(self.sum_words()?);
@@ -271,40 +271,40 @@ impl GpuSession {
         Ok(())
     }
 
-    /// Area by the figures.
+    /// Area by the totals.
     fn area(&self) -> f64 {
-        let figures = self.moving.as_ref().map(|m| m.figures).unwrap_or_default();
-        limbs(figures.area_low, figures.area_high) as f64 / self.scales.area
+        let totals = self.moving.as_ref().map(|m| m.totals).unwrap_or_default();
+        limbs(totals.area_low, totals.area_high) as f64 / self.scales.area
     }
 
     pub(super) fn describe(&self, place: Place, stats: PassStats) -> Look {
-        let figures = self.moving.as_ref().map(|m| m.figures).unwrap_or_default();
+        let totals = self.moving.as_ref().map(|m| m.totals).unwrap_or_default();
         let grain = self.grain();
         Look {
-            energy: limbs(figures.energy_low, figures.energy_high) as f64 / self.scales.energy,
-            gradient_squared: f64::from(figures.gradient_squared) / grain / grain,
-            slope: if place == Place::Point { 0.0 } else { f64::from(figures.slope) / grain },
-            empty_cells: figures.empty as usize,
+            energy: limbs(totals.energy_low, totals.energy_high) as f64 / self.scales.energy,
+            gradient_squared: f64::from(totals.gradient_squared) / grain / grain,
+            slope: if place == Place::Point { 0.0 } else { f64::from(totals.slope) / grain },
+            empty_cells: totals.empty as usize,
             area: self.area(),
             stats,
         }
     }
 
     /// Submits what `encoder` has and `products`, and takes them in as those of the pair in `slot`.
-    fn learn(&mut self, mut encoder: wgpu::CommandEncoder, motion: Motion) -> Result<(), RvdError> {
+    fn learn(&mut self, mut encoder: wgpu::CommandEncoder, params: OptimizerParams) -> Result<(), RvdError> {
         let (_, bindings, _) = self.bound()?;
         {
             let mut compute = self.device.pass(&mut encoder, lane::UPDATE);
-            compute.set_pipeline(&self.pipelines.products);
-            compute.set_bind_group(0, &bindings.products, &[]);
-            compute.dispatch_workgroups(motion.groups, 1, 1);
+            compute.set_pipeline(&self.pipelines.partial_dots);
+            compute.set_bind_group(0, &bindings.partial_dots, &[]);
+            compute.dispatch_workgroups(params.groups, 1, 1);
             compute.set_pipeline(&self.pipelines.dots);
             compute.set_bind_group(0, &bindings.dots, &[]);
             compute.dispatch_workgroups(1, 1, 1);
         }
         let dots = self.read_dots(encoder)?;
         let moving = self.moving.as_mut().ok_or_else(missing)?;
-        moving.history.learn(motion.slot as usize, &dots);
+        moving.history.learn(params.slot as usize, &dots);
         moving.products_known = true;
         Ok(())
     }
@@ -330,13 +330,14 @@ impl GpuSession {
             self.place = Place::Point;
             self.moved();
         }
-        self.bind_motion()?;
+        self.bind_optimizer()?;
         let moving = self.moving.as_ref().ok_or_else(missing)?;
         if !moving.products_known && !moving.history.is_empty() {
             let slot = moving.history.free_slot();
-            let motion = Motion { slot: slot as u32, used: moving.history.used(slot), ..self.motion() };
-            self.write_motion(motion)?;
-            self.learn(self.device.encoder(), motion)?;
+            let params =
+                OptimizerParams { slot: slot as u32, used: moving.history.used(slot), ..self.optimizer_params() };
+            self.write_optimizer_params(params)?;
+            self.learn(self.device.encoder(), params)?;
         }
         let grain = self.grain();
         let moving = self.moving.as_mut().ok_or_else(missing)?;
@@ -351,15 +352,15 @@ impl GpuSession {
         for (k, c) in c.into_iter().enumerate() {
             coefficients[k / 4][k % 4] = c as f32;
         }
-        let motion = Motion { coefficients, ..self.motion() };
-        self.write_motion(motion)?;
+        let params = OptimizerParams { coefficients, ..self.optimizer_params() };
+        self.write_optimizer_params(params)?;
         let mut encoder = self.device.encoder();
         let (_, bindings, _) = self.bound()?;
         {
             let mut compute = self.device.pass(&mut encoder, lane::UPDATE);
-            compute.set_pipeline(&self.pipelines.combine);
-            compute.set_bind_group(0, &bindings.combine, &[]);
-            compute.dispatch_workgroups(motion.groups, 1, 1);
+            compute.set_pipeline(&self.pipelines.direction);
+            compute.set_bind_group(0, &bindings.direction, &[]);
+            compute.dispatch_workgroups(params.groups, 1, 1);
             compute.set_pipeline(&self.pipelines.dots);
             compute.set_bind_group(0, &bindings.dots, &[]);
             compute.dispatch_workgroups(1, 1, 1);
@@ -377,19 +378,19 @@ impl GpuSession {
         let moving = self.moving.as_ref().filter(|m| trial && m.ahead_known && m.gradient_known);
         let moving = moving.ok_or_else(|| RvdError::Internal("no trial point to accept".to_owned()))?;
         let slot = moving.history.free_slot();
-        let motion = Motion { slot: slot as u32, used: moving.history.used(slot), ..self.motion() };
-        self.write_motion(motion)?;
-        self.bind_motion()?;
+        let params = OptimizerParams { slot: slot as u32, used: moving.history.used(slot), ..self.optimizer_params() };
+        self.write_optimizer_params(params)?;
+        self.bind_optimizer()?;
         let (moving, bindings, there) = self.bound()?;
         let limits = Limits::of(&self.device.limits());
         let mut encoder = self.device.encoder();
         {
             let mut compute = self.device.pass(&mut encoder, lane::UPDATE);
-            run(&mut compute, &self.pipelines.keep, &bindings.keep, self.count as u64, limits);
+            run(&mut compute, &self.pipelines.accept, &bindings.accept, self.count as u64, limits);
         }
         let bytes = (self.count * size_of::<layout::Seed>()) as u64;
         encoder.copy_buffer_to_buffer(&there.buffers.seeds, 0, &moving.buffers.points, 0, bytes);
-        self.learn(encoder, motion)?;
+        self.learn(encoder, params)?;
         // The rows and sums are those of these very seeds.
         self.place = Place::Point;
         let moving = self.moving.as_mut().ok_or_else(missing)?;
@@ -403,8 +404,8 @@ impl GpuSession {
         if self.moving()?.sums_of != Some(Place::Point) {
             self.look(Place::Point, &Token::default())?;
         }
-        self.write_motion(self.motion())?;
-        self.bind_motion()?;
+        self.write_optimizer_params(self.optimizer_params())?;
+        self.bind_optimizer()?;
         let (_, bindings, there) = self.bound()?;
         // The pass is at its end, whatever its first submissions came to.
         buffers::write(&self.device, &there.buffers.state, 0, &[State::default()])?;

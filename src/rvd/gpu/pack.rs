@@ -7,7 +7,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::layout::{self, CELLED, split};
+use super::layout::{self, BY_CELL, split};
 use crate::rvd::Surface;
 
 /// What a facet is expected to meet: a triangle of area a and perimeter p meets about
@@ -68,12 +68,12 @@ pub(super) fn facets(surface: &Surface, slots_log2: &[u8]) -> Vec<layout::Facet>
     records
 }
 
-/// Lays the sets of cells one behind the other. What is [`CELLED`] stays so.
+/// Lays the sets of cells one behind the other. What is [`BY_CELL`] stays so.
 pub(super) fn assign_slots(records: &mut [layout::Facet], slots_log2: &[u8]) {
     let mut begin = 0u32;
     for (record, &log2) in records.iter_mut().zip(slots_log2) {
         record.slot_begin = begin;
-        record.slot_mask = (record.slot_mask & CELLED) | ((1u32 << log2) - 1);
+        record.slot_mask = (record.slot_mask & BY_CELL) | ((1u32 << log2) - 1);
         begin = begin.wrapping_add(1 << log2);
     }
 }

@@ -54,8 +54,8 @@ pub(super) struct Lacked {
 
 /// Counts the pairs that the device launched again.
 pub(super) fn count_retaken(state: &State, stats: &mut PassStats) {
-    stats.relaunched_neighbours += u64::from(state.retaken - state.crowded);
-    stats.relaunched_polygon += u64::from(state.crowded);
+    stats.relaunched_neighbours += u64::from(state.requeued - state.overflowed);
+    stats.relaunched_polygon += u64::from(state.overflowed);
 }
 
 /// What a pass is for.
@@ -173,7 +173,7 @@ impl GpuSession {
                 return Ok(false);
             }
             self.pass.length = state.length;
-            if state.failures == state.retaken {
+            if state.failures == state.requeued {
                 break;
             }
             match self.relaunch(state, &mut variants, token, stats)? {
@@ -203,14 +203,14 @@ impl GpuSession {
         let mut encoder = device.encoder();
         self.encode_clears(&mut encoder, &facets, wants == Wants::Sums && self.layout.present() == 0);
         buffers::write(&device, &self.on_device()?.buffers.state, 0, &[State::default()])?;
-        if roots.propose_count == 0 {
+        if roots.enqueue_count == 0 {
             return self.read_summary(encoder).map(Some);
         }
         let state = self.drain(encoder, Some(roots), Variant::Registers, token)?;
         if let Some(state) = &state {
             self.steps = (state.rounds + 2).clamp(FEWEST_STEPS, STEPS.1);
             if wants == Wants::Sums {
-                self.count_facets(state, roots.propose_count);
+                self.count_facets(state, roots.enqueue_count);
             }
         }
         Ok(state)
@@ -222,9 +222,9 @@ impl GpuSession {
         let first = present.start - self.roots_of(&self.layout.facets()).start;
         let by_both = self.pass.divided && self.pass.by_cell;
         Params {
-            propose_begin: first as u32,
-            propose_count: present.len() as u32,
-            propose_root: ROOT,
+            enqueue_begin: first as u32,
+            enqueue_count: present.len() as u32,
+            enqueue_root: ROOT,
             emit_count: if self.pass.by_cell { self.count as u32 } else { 0 },
             divided: if by_both { self.first_flag() as u32 } else { NONE },
             ..self.params()
@@ -253,16 +253,16 @@ impl GpuSession {
         }
     }
 
-    /// Runs clip steps until the list is drained or something is full. `proposals` are entered
+    /// Runs clip steps until the list is drained or something is full. `candidates` are entered
     /// first; the first step uses `variant`, the others registers.
     pub(super) fn drain(
         &mut self,
         mut encoder: wgpu::CommandEncoder,
-        proposals: Option<Params>,
+        candidates: Option<Params>,
         mut variant: Variant,
         token: &Token,
     ) -> Result<Option<State>, RvdError> {
-        let mut params = proposals;
+        let mut params = candidates;
         let mut steps = if variant == Variant::Large { 1 } else { self.steps };
         loop {
             token.check()?;
@@ -281,18 +281,18 @@ impl GpuSession {
         }
     }
 
-    /// One submission: rows and first cells if the device lacks them, proposals, by facet and by cell,
-    /// then `steps` times prepare and clip, then the figures if they are wanted. Returns the summary,
+    /// One submission: rows and first cells if the device lacks them, candidates, by facet and by cell,
+    /// then `steps` times indirect arguments and clip, then the totals if they are wanted. Returns the summary,
     /// or `None` if the host took something over.
     fn submit(
         &mut self,
         mut encoder: wgpu::CommandEncoder,
-        proposals: Option<Params>,
+        candidates: Option<Params>,
         variant: Variant,
         steps: u32,
         token: &Token,
     ) -> Result<Option<State>, RvdError> {
-        let params = proposals.unwrap_or_else(|| self.params());
+        let params = candidates.unwrap_or_else(|| self.params());
         let device = Arc::clone(&self.device);
         buffers::write(&device, &self.on_device()?.buffers.params, 0, &[params])?;
         let (search, start) = (self.rows == Rows::Missing, !self.started);
@@ -303,17 +303,18 @@ impl GpuSession {
             self.encode_start(&mut encoder, token)?;
         }
         self.on_device()?;
-        self.encode_clip(&mut encoder, proposals.as_ref(), variant, steps, token)?;
+        self.encode_clip(&mut encoder, candidates.as_ref(), variant, steps, token)?;
         let state = self.read_summary(encoder)?;
-        let settled = (!search || self.settle_search(&state, token)?) && (!start || self.settle_start(&state)?);
+        let settled =
+            (!search || self.take_search_result(&state, token)?) && (!start || self.take_first_cells(&state)?);
         Ok(settled.then_some(state))
     }
 
-    /// Encodes the proposals' arrival, by facet and by cell, then `steps` times prepare and clip.
+    /// Encodes the candidates' arrival, by facet and by cell, then `steps` times indirect arguments and clip.
     pub(super) fn encode_clip(
         &self,
         encoder: &mut wgpu::CommandEncoder,
-        proposals: Option<&Params>,
+        candidates: Option<&Params>,
         variant: Variant,
         steps: u32,
         token: &Token,
@@ -327,14 +328,14 @@ impl GpuSession {
         let mut enter = |pipeline, bindings, items: u32, size| {
             entries.push(Stage { pipeline, bindings, items: items.into(), size, arguments: None });
         };
-        if let Some(params) = proposals {
-            if params.propose_root != 0 && self.pass.divided {
+        if let Some(params) = candidates {
+            if params.enqueue_root != 0 && self.pass.divided {
                 let (room, weighted) = (self.divide_size(), usize::from(!self.surface.is_uniform()));
                 let (divide, bindings) = (&pipelines.divide[room][weighted], &window.divide[room][weighted]);
                 let size = if room < 2 && weighted == 0 { size::FACET } else { size::SEARCH };
-                enter(divide, bindings, params.propose_count, size);
+                enter(divide, bindings, params.enqueue_count, size);
             } else {
-                enter(&pipelines.propose, &window.propose, params.propose_count, size::ITEM);
+                enter(&pipelines.enqueue, &window.enqueue, params.enqueue_count, size::ITEM);
             }
             if params.emit_count > 0 {
                 enter(&pipelines.reach, &window.reach, params.emit_count, size::SEARCH);
@@ -363,9 +364,9 @@ impl GpuSession {
                 compute.dispatch_workgroups_indirect(&there.buffers.arguments, 0);
             };
             let mends =
-                if proposals.is_some_and(|p| p.propose_root != 0) { self.pass.mends } else { Lacked::default() };
+                if candidates.is_some_and(|p| p.enqueue_root != 0) { self.pass.mends } else { Lacked::default() };
             let step = |compute: &mut wgpu::ComputePass<'_>| {
-                taken(compute, &pipelines.prepare, &there.bindings.prepare, clip, bindings);
+                taken(compute, &pipelines.indirect_arguments, &there.bindings.indirect_arguments, clip, bindings);
                 if mends.neighbours {
                     compute.set_pipeline(&pipelines.lengthen);
                     compute.set_bind_group(0, &there.bindings.lengthen, &[]);
@@ -378,7 +379,7 @@ impl GpuSession {
             // With fewer slots allowed than there are, the host allows more first.
             if mends.slots && self.first_polygon as usize == self.slots {
                 let (large, bindings) = (&pipelines.clip_large, &window.clip_large);
-                taken(&mut compute, &pipelines.crowded, &there.bindings.crowded, large, bindings);
+                taken(&mut compute, &pipelines.overflow, &there.bindings.overflow, large, bindings);
                 (0..STEPS_AGAIN).for_each(|_| step(&mut compute));
             }
         }

@@ -8,7 +8,8 @@
 use std::ops::Range;
 
 use super::layout::{
-    DOTS, ENTRY_BYTES, Facet, Figures, KEEP_WORDS, LIST, Motion, PAIRS, Params, SUM_WORDS, Seed, Sorted, State,
+    DOTS, ENTRY_BYTES, Facet, LIST, LIST_STATE_WORDS, OptimizerParams, PAIRS, Params, SUM_WORDS, Seed, Sorted, State,
+    Totals,
 };
 use crate::gpu::GpuError;
 use crate::gpu::dispatch::{ARGUMENTS_BYTES, PART, REDUCTION_GROUPS, part_count};
@@ -39,8 +40,8 @@ pub struct Counts {
     pub near: u64,
     /// Entries of the grid of seeds.
     pub cells: u64,
-    /// Seeds whose lists are kept: all, or none where lists would be more than a shader can see.
-    pub kept: u64,
+    /// Seeds with a Verlet list: all, or none where lists would be more than a shader can see.
+    pub listed: u64,
 }
 
 /// What a facet needs of the buffers that the facets of a window share.
@@ -69,7 +70,7 @@ pub struct Window {
 /// each; if that is too much, [`Plan::new`] says so.
 pub fn windows(needs: impl IntoIterator<Item = Need>, spare: u64, limits: Limits) -> Vec<Window> {
     let most = limits.seen_bytes();
-    let records = (most / size_of::<Facet>() as u64).min((most / 8).saturating_sub(EXTRA_PROPOSALS));
+    let records = (most / size_of::<Facet>() as u64).min((most / 8).saturating_sub(EXTRA_CANDIDATES));
     let (slots, pairs) = (most / 4, (most / 8).saturating_sub(spare) as f64);
     let mut windows = Vec::new();
     let (mut first, mut end, mut have) = (0, 0, Need { slots: 0, pairs: 0.0 });
@@ -107,8 +108,8 @@ pub mod size {
 pub const BATCH: u32 = 1 << 18;
 /// The same of pairs whose polygons are in memory instead of registers, ten times slower.
 pub const LARGE_BATCH: usize = 1 << 14;
-/// Proposals that the host can add to the facets' first cells at once.
-pub const EXTRA_PROPOSALS: u64 = 4096;
+/// Candidates that the host can add to the facets' first cells at once.
+pub const EXTRA_CANDIDATES: u64 = 4096;
 /// Bytes of every buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Plan {
@@ -128,8 +129,8 @@ pub struct Plan {
     pub sums_bytes: u64,
     /// List of failures.
     pub failures_bytes: u64,
-    /// Proposals, of all windows.
-    pub proposals_bytes: u64,
+    /// Candidates, of all windows.
+    pub candidates_bytes: u64,
     /// Summary block.
     pub state_bytes: u64,
     /// Indirect arguments.
@@ -153,11 +154,11 @@ pub struct Plan {
     /// Where the parts of a dispatch begin.
     pub origins_bytes: u64,
     /// Where seeds were when lists were made, and how far these reach.
-    pub kept_bytes: u64,
+    pub list_origins_bytes: u64,
     /// Lists.
     pub lists_bytes: u64,
     /// What is done with them.
-    pub keep_bytes: u64,
+    pub list_state_bytes: u64,
     /// Readback.
     pub staging_bytes: u64,
 }
@@ -172,7 +173,7 @@ impl Plan {
         // Of the facets' buffers there is one a window.
         let seen = plan.buffers().map(|(what, bytes)| match what {
             "facets" => (what, window_bytes(counts.window).0),
-            "proposals" => (what, window_bytes(counts.window).1),
+            "candidates" => (what, window_bytes(counts.window).1),
             _ => (what, bytes),
         });
         fits(&seen, limits)?;
@@ -202,7 +203,7 @@ impl Plan {
             list_bytes: counts.pairs.saturating_mul(8),
             sums_bytes,
             failures_bytes: counts.pairs.saturating_mul(8),
-            proposals_bytes: EXTRA_PROPOSALS
+            candidates_bytes: EXTRA_CANDIDATES
                 .saturating_mul(counts.windows)
                 .saturating_add(counts.facets)
                 .saturating_mul(8),
@@ -217,9 +218,10 @@ impl Plan {
             drifts_bytes: counts.cells.saturating_mul(4),
             sorted_bytes: counts.seeds.saturating_mul(size_of::<Sorted>() as u64),
             origins_bytes: 4 * part_count(counts.window.max(counts.seeds)),
-            kept_bytes: counts.kept.max(1).saturating_mul(16),
-            lists_bytes: counts.kept.max(1).saturating_mul(LIST_BYTES),
-            keep_bytes: (4 * KEEP_WORDS + 2 * search_bytes(counts.seeds)).saturating_add(counts.kept.saturating_mul(4)),
+            list_origins_bytes: counts.listed.max(1).saturating_mul(16),
+            lists_bytes: counts.listed.max(1).saturating_mul(LIST_BYTES),
+            list_state_bytes: (4 * LIST_STATE_WORDS + 2 * search_bytes(counts.seeds))
+                .saturating_add(counts.listed.saturating_mul(4)),
             staging_bytes: sums_bytes.max(vertices_bytes).clamp(1 << 16, STAGING_BYTES),
         }
     }
@@ -234,7 +236,7 @@ impl Plan {
             ("list", self.list_bytes),
             ("sums", self.sums_bytes),
             ("failures", self.failures_bytes),
-            ("proposals", self.proposals_bytes),
+            ("candidates", self.candidates_bytes),
             ("state", self.state_bytes),
             ("arguments", self.arguments_bytes),
             ("params", self.params_bytes),
@@ -246,9 +248,9 @@ impl Plan {
             ("drifts", self.drifts_bytes),
             ("sorted", self.sorted_bytes),
             ("origins", self.origins_bytes),
-            ("kept", self.kept_bytes),
+            ("list origins", self.list_origins_bytes),
             ("lists", self.lists_bytes),
-            ("keep", self.keep_bytes),
+            ("list state", self.list_state_bytes),
             ("staging", self.staging_bytes),
         ]
     }
@@ -261,7 +263,7 @@ impl Plan {
 
 /// Facets that an entry of the list of failures can name. Seeds are fewer: their records are one binding.
 const MOST_FACETS: u64 = 1 << 30;
-/// Bytes of a list that is kept.
+/// Bytes of a Verlet list.
 pub const LIST_BYTES: u64 = 4 * LIST as u64;
 /// Seeds that one dispatch of a search looks at.
 pub const SEARCH_PART: u64 = 2 * PART;
@@ -270,21 +272,21 @@ fn search_bytes(seeds: u64) -> u64 {
     ARGUMENTS_BYTES * seeds.min(u64::from(u32::MAX)).div_ceil(SEARCH_PART)
 }
 
-/// The byte of the buffer of [`Plan::keep_bytes`] where the arguments of a search for `seeds` seeds begin, with lists or
+/// The byte of the buffer of [`Plan::list_state_bytes`] where the arguments of a search for `seeds` seeds begin, with lists or
 /// without.
 pub fn search_arguments(seeds: u64, lists: bool) -> u64 {
-    4 * KEEP_WORDS + u64::from(lists) * search_bytes(seeds)
+    4 * LIST_STATE_WORDS + u64::from(lists) * search_bytes(seeds)
 }
 
-/// Seeds whose lists are kept, of so many: all or none.
-pub fn kept(seeds: u64, limits: Limits) -> u64 {
+/// Seeds with a Verlet list, of so many: all or none.
+pub fn listed(seeds: u64, limits: Limits) -> u64 {
     if seeds.saturating_mul(LIST_BYTES) <= limits.seen_bytes() { seeds } else { 0 }
 }
 
-/// Bytes of the records and of the proposals of a window of so many facets.
+/// Bytes of the records and of the candidates of a window of so many facets.
 pub fn window_bytes(facets: u64) -> (u64, u64) {
     let records = facets.saturating_mul(size_of::<Facet>() as u64);
-    (records, facets.saturating_add(EXTRA_PROPOSALS).saturating_mul(8))
+    (records, facets.saturating_add(EXTRA_CANDIDATES).saturating_mul(8))
 }
 
 /// Passes of one submission at most.
@@ -292,7 +294,7 @@ pub const PASSES: usize = 32;
 
 /// Bytes of the buffers with which seeds are moved where they are: a session has them once somebody does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct MotionPlan {
+pub struct OptimizerPlan {
     /// The present point.
     pub points_bytes: u64,
     /// Which seeds are held.
@@ -302,20 +304,20 @@ pub struct MotionPlan {
     /// Steps of the history, and as many changes of the gradient.
     pub history_bytes: u64,
     /// Partial sums over cells.
-    pub tallies_bytes: u64,
+    pub partial_totals_bytes: u64,
     /// Their sum.
-    pub figures_bytes: u64,
+    pub totals_bytes: u64,
     /// Partial dot products.
     pub partials_bytes: u64,
     /// Dot products.
     pub dots_bytes: u64,
     /// Parameters.
-    pub motion_bytes: u64,
-    /// What is kept of each pass of a submission.
+    pub params_bytes: u64,
+    /// State and totals of each pass of a submission.
     pub journal_bytes: u64,
 }
 
-impl MotionPlan {
+impl OptimizerPlan {
     /// For at most `seeds` seeds.
     ///
     /// # Errors
@@ -335,11 +337,11 @@ impl MotionPlan {
             held_bytes: seeds.saturating_mul(4),
             vector_bytes,
             history_bytes: vector_bytes.saturating_mul(PAIRS as u64),
-            tallies_bytes: groups * size_of::<Figures>() as u64,
-            figures_bytes: size_of::<Figures>() as u64,
+            partial_totals_bytes: groups * size_of::<Totals>() as u64,
+            totals_bytes: size_of::<Totals>() as u64,
             partials_bytes: groups * DOTS as u64 * 4,
             dots_bytes: DOTS as u64 * 4,
-            motion_bytes: size_of::<Motion>() as u64,
+            params_bytes: size_of::<OptimizerParams>() as u64,
             journal_bytes: PASSES as u64 * ENTRY_BYTES,
         }
     }
@@ -354,11 +356,11 @@ impl MotionPlan {
             ("direction", self.vector_bytes),
             ("steps", self.history_bytes),
             ("changes", self.history_bytes),
-            ("tallies", self.tallies_bytes),
-            ("figures", self.figures_bytes),
+            ("partial_totals", self.partial_totals_bytes),
+            ("totals", self.totals_bytes),
             ("partials", self.partials_bytes),
             ("dots", self.dots_bytes),
-            ("motion", self.motion_bytes),
+            ("optimizer params", self.params_bytes),
             ("journal", self.journal_bytes),
         ]
     }
@@ -405,7 +407,7 @@ mod tests {
             polygon: 10,
             near: 9,
             cells: grid_cells(grid_side(2.0, n)),
-            kept: kept(n, LIMITS),
+            listed: listed(n, LIMITS),
         }
     }
 
@@ -442,9 +444,9 @@ mod tests {
             assert_eq!(many[0].facets, 0..most);
             assert!(many.windows(2).all(|w| w[0].facets.end == w[1].facets.start));
             assert_eq!(many.last().unwrap().facets.end, 5_000_000);
-            let (records, proposals) = window_bytes(most.into());
+            let (records, candidates) = window_bytes(most.into());
             let most = u64::from(most);
-            let all = [records, proposals, 4 * (slots + 1) * most, 8 * (pairs as u64 * most + 1024)];
+            let all = [records, candidates, 4 * (slots + 1) * most, 8 * (pairs as u64 * most + 1024)];
             assert!(all.iter().all(|bytes| *bytes <= 128 << 20), "{all:?}");
         }
         // What fits nowhere is alone, and refused by the plan.
@@ -460,9 +462,9 @@ mod tests {
 
     #[test]
     fn a_million_seeds_can_be_moved_within_128_mib_bindings() {
-        let plan = MotionPlan::new(1_000_000, LIMITS).unwrap();
+        let plan = OptimizerPlan::new(1_000_000, LIMITS).unwrap();
         assert_eq!(plan.history_bytes, 96_000_000);
-        assert!(MotionPlan::new(u64::MAX / 8, LIMITS).is_err());
+        assert!(OptimizerPlan::new(u64::MAX / 8, LIMITS).is_err());
     }
 
     #[test]

@@ -16,14 +16,14 @@
 //! Must not know: launches.
 
 use super::GpuSession;
-use super::layout::{self, CELLED};
+use super::layout::{self, BY_CELL};
 use crate::rvd::{CELLS_PER_FACET, PassStats, RvdError, Strategy, Surface};
 
 /// Grid cells along a side at most.
 const MOST_CELLS: f64 = 64.0;
 
 /// Which facets are found by cell.
-pub(super) fn celled(expected: &[f64], strategy: Strategy) -> Vec<u32> {
+pub(super) fn by_cell(expected: &[f64], strategy: Strategy) -> Vec<u32> {
     let least = match strategy {
         Strategy::Facet => return Vec::new(),
         Strategy::Cell => 0.0,
@@ -84,7 +84,7 @@ impl GpuSession {
         facets.dedup();
         stats.relaunched_facets += facets.len() as u64;
         for &f in &facets {
-            self.facets[f as usize].slot_mask &= !CELLED;
+            self.facets[f as usize].slot_mask &= !BY_CELL;
         }
         self.demoted.extend(facets);
         self.upload_facets()
@@ -96,28 +96,28 @@ impl GpuSession {
             return Ok(());
         }
         for f in std::mem::take(&mut self.demoted) {
-            self.facets[f as usize].slot_mask |= CELLED;
+            self.facets[f as usize].slot_mask |= BY_CELL;
         }
         self.upload_facets()
     }
 
     /// Whether `facet` is found by cell in the present pass.
-    pub(super) fn is_celled(&self, facet: u32) -> bool {
-        self.facets[facet as usize].slot_mask & CELLED != 0
+    pub(super) fn is_by_cell(&self, facet: u32) -> bool {
+        self.facets[facet as usize].slot_mask & BY_CELL != 0
     }
 }
 
 /// Leaves all facets to propagation.
 pub(super) fn unmark(records: &mut [layout::Facet]) {
     for record in records {
-        record.slot_mask &= !CELLED;
+        record.slot_mask &= !BY_CELL;
     }
 }
 
-/// Marks `celled` in the records.
-pub(super) fn mark(records: &mut [layout::Facet], celled: &[u32]) {
-    for &f in celled {
-        records[f as usize].slot_mask |= CELLED;
+/// Marks `by_cell` in the records.
+pub(super) fn mark(records: &mut [layout::Facet], by_cell: &[u32]) {
+    for &f in by_cell {
+        records[f as usize].slot_mask |= BY_CELL;
     }
 }
 
@@ -129,9 +129,9 @@ mod tests {
     #[test]
     fn strategies_choose_facets() {
         let expected = [0.0, 3.0, 20.0, 20.5];
-        assert!(celled(&expected, Strategy::Facet).is_empty());
-        assert_eq!(celled(&expected, Strategy::Cell), [1, 2, 3]);
-        assert_eq!(celled(&expected, Strategy::Auto), [3]);
+        assert!(by_cell(&expected, Strategy::Facet).is_empty());
+        assert_eq!(by_cell(&expected, Strategy::Cell), [1, 2, 3]);
+        assert_eq!(by_cell(&expected, Strategy::Auto), [3]);
     }
 
     #[test]

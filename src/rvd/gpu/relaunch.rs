@@ -2,7 +2,7 @@
 //!
 //! Purpose: longer rows for `NeighboursExhausted`, more slots for `PolygonOverflow`, f64 for the
 //! rest; then the pairs are put to the end of the list and launched again. What the device has seen
-//! to itself (`shaders/lengthen.wgsl`, `crowded.wgsl`) does not come here.
+//! to itself (the stages `lengthen` and `overflow`) does not come here.
 //! Invariant: nothing is dropped. A relaunched pair sees a longer prefix of the same row, so
 //! capacities cannot change its polygon.
 //! Must not know: how a launch works.
@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::layout::{COMPLETE, INDEX, Params, ROOT, State, code, failure};
 use super::pass::Variant;
-use super::plan::{EXTRA_PROPOSALS, LARGE_BATCH};
+use super::plan::{EXTRA_CANDIDATES, LARGE_BATCH};
 use super::search::{self, HostCopy, Rows};
 use super::{GpuSession, fixed};
 use crate::gpu::buffers;
@@ -39,14 +39,14 @@ struct Plans {
     rows: Vec<u32>,
     /// Pairs whose rows were too short, and whose polygons were too large.
     short: u64,
-    crowded: u64,
+    overflowed: u64,
 }
 
 /// What became of a pair in f64.
 #[derive(Default)]
 struct Ended {
     sums: Vec<(u32, fixed::Units)>,
-    proposals: Vec<[u32; 2]>,
+    candidates: Vec<[u32; 2]>,
     /// The whole facet was done.
     walked: bool,
 }
@@ -68,7 +68,7 @@ impl GpuSession {
         let plans = self.sort_out(&failures, variants);
         // The device's proof covers only what the device clips.
         let unproved: Vec<u32> =
-            plans.finish.iter().map(|p| p.0).filter(|&f| self.pass.by_cell && self.is_celled(f)).collect();
+            plans.finish.iter().map(|p| p.0).filter(|&f| self.pass.by_cell && self.is_by_cell(f)).collect();
         if !unproved.is_empty() {
             self.leave_to_propagation(unproved, stats)?;
             return Ok(None);
@@ -77,15 +77,15 @@ impl GpuSession {
         // From now on the device sees to it as far as it can.
         self.lacked.neighbours |= plans.short > 0;
         self.lacked.slots |= !plans.large.is_empty();
-        stats.relaunched_polygon += plans.crowded;
+        stats.relaunched_polygon += plans.overflowed;
         if !self.lengthen(&plans.rows)? {
             return Ok(None);
         }
         let pieces = self.pass.finished.len();
-        let proposals = self.finish(&plans.finish, token)?;
+        let candidates = self.finish(&plans.finish, token)?;
         stats.f64_finished += (self.pass.finished.len() - pieces) as u64;
 
-        let mut state = State { failures: 0, retaken: 0, crowded: 0, ..state };
+        let mut state = State { failures: 0, requeued: 0, overflowed: 0, ..state };
         // At most one dispatch of the large variant at a time, so that no pair found meanwhile
         // goes through it: its last bits may differ from those of the registers.
         let again = plans.again.chunks(usize::MAX).map(|p| (p, Variant::Registers));
@@ -99,8 +99,8 @@ impl GpuSession {
                 return Ok(Some(state));
             }
         }
-        for part in proposals.chunks(EXTRA_PROPOSALS as usize) {
-            match self.launch_proposals(part, state, token)? {
+        for part in candidates.chunks(EXTRA_CANDIDATES as usize) {
+            match self.launch_candidates(part, state, token)? {
                 Some(next) => state = next,
                 None => return Ok(None),
             }
@@ -130,7 +130,7 @@ impl GpuSession {
                     short.push(pair);
                 }
                 code::POLYGON if variants.get(&pair) != Some(&Variant::Large) => {
-                    plans.crowded += 1;
+                    plans.overflowed += 1;
                     self.pass.polygon = self.slots as u32;
                     let variant = if all_slots { Variant::Large } else { Variant::Registers };
                     variants.insert(pair, variant);
@@ -226,15 +226,15 @@ impl GpuSession {
             Ok(self.end_pair(walker, pair))
         };
         let ended: Result<Vec<Ended>, RvdError> = pairs.par_iter().map_init(FacetWalker::default, end).collect();
-        let mut proposals = Vec::new();
+        let mut candidates = Vec::new();
         for (&(facet, _), mut ended) in pairs.iter().zip(ended?) {
             self.pass.finished.append(&mut ended.sums);
-            proposals.append(&mut ended.proposals);
+            candidates.append(&mut ended.candidates);
             if ended.walked {
                 self.pass.walked.insert(facet);
             }
         }
-        Ok(proposals)
+        Ok(candidates)
     }
 
     fn end_pair(&self, walker: &mut FacetWalker, (facet, seed): Pair) -> Ended {
@@ -253,7 +253,7 @@ impl GpuSession {
         if !clipper.polygon().is_empty() {
             ended.sums.push((seed, fixed::encode(&clipper.integrals(), &self.scales)));
             let labels = clipper.polygon().iter().map(|v| v.edge).filter(|&j| facet_edge(j).is_none());
-            ended.proposals.extend(labels.map(|j| [facet, j]));
+            ended.candidates.extend(labels.map(|j| [facet, j]));
         }
         ended
     }
@@ -283,23 +283,23 @@ impl GpuSession {
         self.drain(encoder, None, variant, token)
     }
 
-    fn launch_proposals(
+    fn launch_candidates(
         &mut self,
-        proposals: &[[u32; 2]],
+        candidates: &[[u32; 2]],
         state: State,
         token: &Token,
     ) -> Result<Option<State>, RvdError> {
         // Behind the first cells.
         let first = self.layout.facets().len();
         let params = Params {
-            propose_begin: first as u32,
-            propose_count: proposals.len() as u32,
-            propose_root: 0,
+            enqueue_begin: first as u32,
+            enqueue_count: candidates.len() as u32,
+            enqueue_root: 0,
             ..self.params()
         };
         let device = Arc::clone(&self.device);
         self.on_device()?;
-        buffers::write(&device, &self.window()?.proposals, first, proposals)?;
+        buffers::write(&device, &self.window()?.candidates, first, candidates)?;
         let buffers = &self.on_device()?.buffers;
         // The failures were read; the device's count of them was not reset if nothing ran since.
         buffers::write(&device, &buffers.state, 0, &[State { head: state.length, ..state }])?;

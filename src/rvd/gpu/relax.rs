@@ -1,9 +1,9 @@
 //! Lloyd steps without the host.
 //!
 //! Purpose: a pass and the step that follows from it in one submission, and, where passes end cleanly, many of both
-//! in one: [`Resident::relax`](crate::rvd::Resident::relax). What each pass came to is kept in a journal, and read
+//! in one: [`Resident::relax`](crate::rvd::Resident::relax). The journal has what each pass came to, and is read
 //! with the last.
-//! Invariant: the same bits as one by one. The stage `settle` lets a step follow only where the host would have
+//! Invariant: the same bits as one by one. The stage `may_step` lets a step follow only where the host would have
 //! nothing to do; a pass that is not so leaves the seeds where they are, and all that comes after it in the submission
 //! does nothing. The host then does that pass as it always does.
 //! Must not know: how a pass is done again.
@@ -12,7 +12,7 @@ use std::mem::offset_of;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::layout::{ENTRY_BYTES, Figures, State};
+use super::layout::{ENTRY_BYTES, State, Totals};
 use super::pass::{PassResult, Variant, count_retaken};
 use super::plan::PASSES;
 use super::search::Place;
@@ -102,8 +102,8 @@ impl GpuSession {
         self.pass.mends = self.lacked;
         let facets = 0..self.facets.len() as u32;
         let params = self.roots_params(&facets);
-        self.write_motion(self.motion())?;
-        self.bind_motion()?;
+        self.write_optimizer_params(self.optimizer_params())?;
+        self.bind_optimizer()?;
         let b = &self.on_device()?.buffers;
         buffers::write(&device, &b.params, 0, &[params])?;
         buffers::write(&device, &b.state, 0, &[State::default()])?;
@@ -118,31 +118,31 @@ impl GpuSession {
             self.encode_search(&mut encoder, &to_the_end)?;
             self.encode_start(&mut encoder, &to_the_end)?;
             self.encode_clip(&mut encoder, Some(&params), Variant::Registers, self.steps, &to_the_end)?;
-            self.encode_tally(&mut encoder, Place::Point, true)?;
+            self.encode_gradient(&mut encoder, Place::Point, true)?;
             let (moving, _, there) = self.bound()?;
             let (at, journal) = (k * ENTRY_BYTES, &moving.buffers.journal);
             encoder.copy_buffer_to_buffer(&there.buffers.state, 0, journal, at, size);
-            encoder.copy_buffer_to_buffer(&moving.buffers.figures, 0, journal, at + size, ENTRY_BYTES - size);
+            encoder.copy_buffer_to_buffer(&moving.buffers.totals, 0, journal, at + size, ENTRY_BYTES - size);
         }
-        let mut passes: Vec<(State, Figures)> = Vec::with_capacity(count);
+        let mut passes: Vec<(State, Totals)> = Vec::with_capacity(count);
         let (moving, _, there) = self.bound()?;
         let journal = (&moving.buffers.journal, 0, count as u64 * ENTRY_BYTES);
         there.buffers.staging.read_parts(&device, encoder, &[journal], |bytes| {
             passes.extend(bytes.chunks_exact(ENTRY_BYTES as usize).map(|entry| {
-                let (state, figures) = entry.split_at(size_of::<State>());
-                (bytemuck::pod_read_unaligned(state), bytemuck::pod_read_unaligned(figures))
+                let (state, totals) = entry.split_at(size_of::<State>());
+                (bytemuck::pod_read_unaligned(state), bytemuck::pod_read_unaligned(totals))
             }));
         })?;
         let taken = passes.iter().take_while(|pass| pass.0.halt == 0).count();
         let clip_ms = elapsed_ms(begin) / taken.max(1) as f64;
         let first = looks.len();
-        for (state, figures) in passes.into_iter().take(taken) {
+        for (state, totals) in passes.into_iter().take(taken) {
             let mut stats = PassStats { clip_ms, pairs: state.pieces.into(), ..PassStats::default() };
-            stats.duplicate_seeds = state.twins.into();
+            stats.duplicate_seeds = state.duplicates.into();
             count_retaken(&state, &mut stats);
-            let work = self.count_facets(&state, params.propose_count);
+            let work = self.count_facets(&state, params.enqueue_count);
             stats.set_device_work(work);
-            self.moving()?.figures = figures;
+            self.moving()?.totals = totals;
             looks.push(self.describe(Place::Point, stats));
         }
         if let Some(look) = looks.get_mut(first) {
@@ -154,8 +154,8 @@ impl GpuSession {
         Ok(taken)
     }
 
-    /// Encodes gradient and figures, and a step if `steps` says so and the pass is at its end.
-    pub(super) fn encode_tally(
+    /// Encodes gradient and totals, and a step if `steps` says so and the pass is at its end.
+    pub(super) fn encode_gradient(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         place: Place,
@@ -163,17 +163,17 @@ impl GpuSession {
     ) -> Result<(), RvdError> {
         let limits = Limits::of(&self.device.limits());
         let (_, bindings, _) = self.bound()?;
-        let tally = if place == Place::Point { &bindings.tally } else { &bindings.tally_ahead };
+        let gradient = if place == Place::Point { &bindings.gradient } else { &bindings.gradient_ahead };
         let mut compute = self.device.pass(encoder, lane::UPDATE);
-        compute.set_pipeline(&self.pipelines.tally);
-        compute.set_bind_group(0, tally, &[]);
+        compute.set_pipeline(&self.pipelines.gradient);
+        compute.set_bind_group(0, gradient, &[]);
         compute.dispatch_workgroups(reduction(self.count as u64), 1, 1);
-        compute.set_pipeline(&self.pipelines.figures);
-        compute.set_bind_group(0, &bindings.figures, &[]);
+        compute.set_pipeline(&self.pipelines.totals);
+        compute.set_bind_group(0, &bindings.totals, &[]);
         compute.dispatch_workgroups(1, 1, 1);
         if steps {
-            compute.set_pipeline(&self.pipelines.settle);
-            compute.set_bind_group(0, &bindings.settle, &[]);
+            compute.set_pipeline(&self.pipelines.may_step);
+            compute.set_bind_group(0, &bindings.may_step, &[]);
             compute.dispatch_workgroups(1, 1, 1);
             run(&mut compute, &self.pipelines.centroids, &bindings.centroids, self.count as u64, limits);
         }

@@ -17,7 +17,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::layout::{self, COMPLETE, Figures, INDEX, Keep, NONE, STRIDE, State, halt};
+use super::layout::{self, COMPLETE, INDEX, ListState, NONE, STRIDE, State, Totals, halt};
 use super::plan::{grid_cells, search_arguments, size};
 use super::{Gpu, GpuSession, OnDevice, fixed, lane, pack};
 use crate::gpu::buffers;
@@ -118,11 +118,11 @@ pub struct Found {
     /// First cell of every facet that is not degenerate.
     pub first: Vec<(u32, u32)>,
     /// Seeds that lie on an earlier one.
-    pub twins: u64,
+    pub duplicates: u64,
     /// The host made the rows.
     pub by_host: bool,
     /// Rows that came from lists of an earlier search.
-    pub recalled: u64,
+    pub from_lists: u64,
 }
 
 impl Gpu {
@@ -159,8 +159,9 @@ impl GpuSession {
         let device = Arc::clone(&self.device);
         let b = &self.on_device()?.buffers;
         let table: Vec<u32> = b.staging.read(&device, &b.table, 0..b.plan().counts.table as usize)?;
-        let keep: Vec<Keep> = b.staging.read(&device, &b.keep, 0..1)?;
-        let recalled = keep.first().filter(|k| k.mode == layout::search::RECALL && self.rows == Rows::Device);
+        let list_state: Vec<ListState> = b.staging.read(&device, &b.list_state, 0..1)?;
+        let from_lists =
+            list_state.first().filter(|k| k.mode == layout::search::FROM_LISTS && self.rows == Rows::Device);
         let row = |r: &layout::Seed| {
             let begin = r.row_begin as usize;
             let seeds = table[begin..begin + (r.row_length & INDEX) as usize].to_vec();
@@ -169,9 +170,9 @@ impl GpuSession {
         Ok(Found {
             rows: self.host.records.iter().map(row).collect(),
             first: self.roots.iter().map(|r| (r[0], r[1])).collect(),
-            twins: self.twins,
+            duplicates: self.duplicates,
             by_host: self.rows == Rows::Host,
-            recalled: recalled.map_or(0, |k| self.count as u64 - u64::from(k.open)),
+            from_lists: from_lists.map_or(0, |k| self.count as u64 - u64::from(k.open)),
         })
     }
 
@@ -212,9 +213,9 @@ impl GpuSession {
             encoder.clear_buffer(of_cells, 0, Some(grid_cells(params.side) * 4));
         }
         // Lists of other seeds, or of a search that did not come to its end, are none.
-        let known = std::mem::take(&mut self.kept_for) == self.count;
-        let of_one_pass = offset_of!(Keep, open) as u64;
-        encoder.clear_buffer(&b.keep, 0, Some(if known { of_one_pass } else { size_of::<Keep>() as u64 }));
+        let known = std::mem::take(&mut self.listed_for) == self.count;
+        let of_one_pass = offset_of!(ListState, open) as u64;
+        encoder.clear_buffer(&b.list_state, 0, Some(if known { of_one_pass } else { size_of::<ListState>() as u64 }));
         let stage = |pipeline, bindings, items, size| Stage { pipeline, bindings, items, size, arguments: None };
         let chosen = |pipeline, bindings, buffer, first| {
             let arguments = Some((buffer, first));
@@ -223,15 +224,15 @@ impl GpuSession {
         let (anew, with_lists) = (search_arguments(n, false), search_arguments(n, true));
         let stages = [
             stage(&pipelines.count, &bindings.count, n, size::ITEM),
-            stage(&pipelines.rows, &bindings.rows, u64::from(params.side).pow(2), size::ITEM),
+            stage(&pipelines.offsets, &bindings.offsets, u64::from(params.side).pow(2), size::ITEM),
             stage(&pipelines.scatter, &bindings.scatter, n, size::ITEM),
-            stage(&pipelines.twins, &bindings.twins, n, size::ITEM),
-            chosen(&pipelines.recall, &bindings.recall, &b.arguments, 0),
-            chosen(&pipelines.search, &bindings.search, &b.keep, anew),
-            chosen(&pipelines.search_lists, &bindings.search_lists, &b.keep, with_lists),
+            stage(&pipelines.duplicates, &bindings.duplicates, n, size::ITEM),
+            chosen(&pipelines.from_lists, &bindings.from_lists, &b.arguments, 0),
+            chosen(&pipelines.search, &bindings.search, &b.list_state, anew),
+            chosen(&pipelines.search_lists, &bindings.search_lists, &b.list_state, with_lists),
         ];
         there.encode(&device, encoder, lane::NEIGHBOURS, &stages, token)?;
-        self.kept_for = self.count;
+        self.listed_for = self.count;
         Ok(())
     }
 
@@ -242,16 +243,16 @@ impl GpuSession {
         self.on_device()?;
         let size = if self.guessed { size::FACET } else { size::LOOK };
         let there = self.on_device()?;
-        let bindings = &there.bindings.windows[window].start;
-        let stage = Stage { pipeline: &pipelines.start, bindings, items: roots, size, arguments: None };
+        let bindings = &there.bindings.windows[window].first_cells;
+        let stage = Stage { pipeline: &pipelines.first_cells, bindings, items: roots, size, arguments: None };
         there.encode(&device, encoder, lane::START, &[stage], token)
     }
 
-    /// Ends `encoder` with the figures, if they are wanted and all windows are done, and reads the summary.
+    /// Ends `encoder` with the totals, if they are wanted and all windows are done, and reads the summary.
     pub(super) fn read_summary(&mut self, mut encoder: wgpu::CommandEncoder) -> Result<State, RvdError> {
         let steps = self.moving.as_ref().is_some_and(|m| m.steps);
         if self.layout.is_last() {
-            self.encode_figures(&mut encoder)?;
+            self.encode_totals(&mut encoder)?;
         }
         let device = Arc::clone(&self.device);
         self.on_device()?;
@@ -259,19 +260,19 @@ impl GpuSession {
             return Err(RvdError::Internal("no buffers".to_owned()));
         };
         let mut parts = vec![(&b.state, 0, size_of::<State>() as u64)];
-        let wanted = self.moving.as_ref().filter(|m| m.wants_figures());
-        parts.extend(wanted.map(|m| (&m.buffers.figures, 0, size_of::<Figures>() as u64)));
-        let (mut state, mut figures) = (State::default(), None);
+        let wanted = self.moving.as_ref().filter(|m| m.wants_totals());
+        parts.extend(wanted.map(|m| (&m.buffers.totals, 0, size_of::<Totals>() as u64)));
+        let (mut state, mut totals) = (State::default(), None);
         b.staging.read_parts(&device, encoder, &parts, |bytes| {
             let (first, rest) = bytes.split_at(size_of::<State>());
             state = bytemuck::pod_read_unaligned(first);
-            figures = (!rest.is_empty()).then(|| bytemuck::pod_read_unaligned(rest));
+            totals = (!rest.is_empty()).then(|| bytemuck::pod_read_unaligned(rest));
         })?;
-        if let (Some(moving), Some(figures)) = (&mut self.moving, figures) {
-            moving.figures = figures;
+        if let (Some(moving), Some(totals)) = (&mut self.moving, totals) {
+            moving.totals = totals;
             moving.moved |= steps && state.halt == 0;
         }
-        state.halt &= !halt::UNSETTLED;
+        state.halt &= !halt::INCOMPLETE;
         Ok(state)
     }
 
@@ -288,7 +289,7 @@ impl GpuSession {
         let mut encoder = device.encoder();
         self.encode_search(&mut encoder, token)?;
         let state = self.read_summary(encoder)?;
-        self.settle_search(&state, token)?;
+        self.take_search_result(&state, token)?;
         Ok(())
     }
 
@@ -311,12 +312,12 @@ impl GpuSession {
             self.encode_start(&mut encoder, token)?;
             all.unproved += self.read_summary(encoder)?.unproved;
         }
-        self.settle_start(&all)?;
+        self.take_first_cells(&all)?;
         Ok(())
     }
 
     /// What came of the search. `false` if the host searched instead.
-    pub(super) fn settle_search(&mut self, state: &State, token: &Token) -> Result<bool, RvdError> {
+    pub(super) fn take_search_result(&mut self, state: &State, token: &Token) -> Result<bool, RvdError> {
         if state.halt & halt::BAD != 0 {
             let i = (u32::MAX - state.bad) as usize;
             let device = Arc::clone(&self.device);
@@ -333,15 +334,16 @@ impl GpuSession {
             return Ok(false);
         }
         self.rows = Rows::Device;
-        self.twins = u64::from(state.twins);
+        self.duplicates = u64::from(state.duplicates);
         // Seeds that the device cannot tell apart and the host can are for the host.
-        self.merged =
-            self.twins > 0 && self.place == Place::Set && coincident::find(&self.seeds).len() as u64 != self.twins;
+        self.merged = self.duplicates > 0
+            && self.place == Place::Set
+            && coincident::find(&self.seeds).len() as u64 != self.duplicates;
         Ok(true)
     }
 
     /// What came of the facets' first cells. `false` if the host found some of them.
-    pub(super) fn settle_start(&mut self, state: &State) -> Result<bool, RvdError> {
+    pub(super) fn take_first_cells(&mut self, state: &State) -> Result<bool, RvdError> {
         self.started = true;
         self.guessed = true;
         if state.unproved == 0 {
@@ -379,9 +381,11 @@ impl GpuSession {
         if !host.table.fill(&host.index, self.capacities.neighbours, Threads::Pool, &|| token.is_stopped()) {
             return Err(RvdError::Stopped(Stopped::Cancelled));
         }
-        self.twins = host.index.duplicates() as u64;
-        self.merged =
-            !far && self.twins > 0 && self.place == Place::Set && coincident::find(seeds).len() as u64 != self.twins;
+        self.duplicates = host.index.duplicates() as u64;
+        self.merged = !far
+            && self.duplicates > 0
+            && self.place == Place::Set
+            && coincident::find(seeds).len() as u64 != self.duplicates;
         let rows: Vec<NeighbourRow> = (0..host.seen.len() as u32)
             .into_par_iter()
             .map(|i| {

@@ -121,7 +121,7 @@ impl GpuSession {
     /// Frees the buffers; [`Self::on_device`] makes larger ones. What the device found is found again.
     pub(super) fn release(&mut self) -> Result<(), RvdError> {
         self.on_device = None;
-        self.kept_for = 0;
+        self.listed_for = 0;
         if let Some(moving) = &mut self.moving {
             moving.unbind();
         }
@@ -195,7 +195,7 @@ impl GpuSession {
     pub(super) fn upload_roots(&self) -> Result<(), RvdError> {
         let Some(there) = &self.on_device else { return Ok(()) };
         for (window, to) in self.layout.windows().iter().zip(&there.buffers.windows) {
-            buffers::write(&self.device, &to.proposals, 0, &self.roots[self.roots_of(&window.facets)])?;
+            buffers::write(&self.device, &to.candidates, 0, &self.roots[self.roots_of(&window.facets)])?;
         }
         Ok(())
     }
@@ -208,7 +208,7 @@ impl GpuSession {
         let mut roots = Vec::with_capacity(self.roots.len());
         for (window, from) in self.layout.windows().iter().zip(&there.buffers.windows) {
             let count = self.roots_of(&window.facets).len();
-            roots.append(&mut there.buffers.staging.read(&device, &from.proposals, 0..count)?);
+            roots.append(&mut there.buffers.staging.read(&device, &from.candidates, 0..count)?);
         }
         self.roots = roots;
         Ok(())
