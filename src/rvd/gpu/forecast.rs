@@ -7,8 +7,9 @@
 //! Must not know: the device, the surface, jobs.
 
 use super::layout::{LONGER, MOST_REQUEUED, STRIDE};
+use super::neighbours::grid;
+use super::pipelines::SLOTS;
 use super::plan::{Counts, OptimizerPlan, Plan, grid_cells, grid_side};
-use super::{SLOTS, grid};
 use crate::rvd::{Capacities, SessionForecast};
 
 /// Pairs that a list of the session's first size has beside those that are expected.
@@ -49,7 +50,7 @@ pub(crate) fn session_bytes(forecast: &SessionForecast) -> u64 {
     Plan::of(counts).total_bytes().saturating_add(optimizer_bytes)
 }
 
-/// What `pack::expected_cells` adds up to over equilateral facets of one size: F + N + 4.1 √(F N).
+/// What `records::expected_cells` adds up to over equilateral facets of one size: F + N + 4.1 √(F N).
 fn expected_pairs(facets: u64, seeds: u64) -> u64 {
     let along_edges = 4.1 * (facets as f64).sqrt() * (seeds as f64).sqrt();
     facets.saturating_add(seeds).saturating_add(along_edges as u64)

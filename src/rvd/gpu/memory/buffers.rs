@@ -5,11 +5,11 @@
 
 use wgpu::BufferUsages as Usage;
 
-use super::layout::Params;
-use super::plan::{self, OptimizerPlan, Plan};
 use crate::gpu::buffers::{Allocation, Staging, write};
 use crate::gpu::dispatch::{self, Origins};
 use crate::gpu::{Device, GpuError};
+use crate::rvd::gpu::layout::Params;
+use crate::rvd::gpu::plan::{self, OptimizerPlan, Plan};
 
 /// All buffers of a session. Field names are those of [`Plan`] and of the shaders' bindings.
 #[derive(Debug)]

@@ -1,22 +1,22 @@
 //! How fine the grid is in which seeds are searched.
 //!
-//! Purpose: with weights seeds crowd together, and in cells three mean spacings wide there may come to be more of them than
-//! the device is to look at (`CROWD` in `shaders/count.wgsl`), so that the host would have to search, pass by pass. From
-//! how many seeds each cell is to expect, cells are made narrower until none is crowded, but not so narrow that the rows of
-//! many seeds that are far apart leave the rings that the device looks at; the host makes those rows longer.
+//! Purpose: with weights seeds lie densely in places. Cells three mean spacings wide may then have more of them than the device
+//! looks at (`CELL_CAPACITY` in the stage `count`), and the host would have to search in every pass. From the seeds that each
+//! cell is to expect, cells are made narrower until none is too full. They are not made so narrow that the rows of many
+//! seeds that are far apart leave the rings that the device looks at; the host makes those rows longer.
 //! Measured on a software adapter: with half as wide cells the search takes up to half as long again where seeds are spread
-//! evenly, so that they are no narrower than they need to be; 50,000 seeds by feature size, up to a hundred times as
-//! crowded as on average, took 178 to 189 ms a step with the host's search and 150 without.
+//! evenly, so cells are no narrower than needed. 50,000 seeds by feature size, up to a hundred times as dense as on
+//! average, took 178 to 189 ms a step with the host's search and 150 without.
 //! Invariant: by the surface and the number of seeds alone. Must not know: where seeds are.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::layout::RINGS;
-use super::plan::grid_side;
 use crate::rvd::Surface;
+use crate::rvd::gpu::layout::RINGS;
+use crate::rvd::gpu::plan::grid_side;
 
-/// Seeds that a cell may expect: fewer than crowd it, as they come to lie by chance.
+/// Seeds that a cell may expect: fewer than its capacity, as chance puts more into some.
 const FULL: f64 = 160.0;
 /// Each time cells are so much narrower.
 const NARROWER: f64 = 1.25;
@@ -29,14 +29,14 @@ const FAR_APART: f64 = 0.01;
 
 /// The most that [`grid_side_for`] gives for so many seeds with weights, whatever the surface.
 #[cfg(feature = "service")]
-pub(super) fn finest_side(seeds: u64) -> u32 {
-    // Few seeds crowd no cell, so that the grid stays as it was.
+pub(crate) fn finest_side(seeds: u64) -> u32 {
+    // Few seeds fill no cell, so the grid stays as it was.
     let even = grid_side(0.0, seeds);
     if (seeds as f64) <= FULL { even } else { even.saturating_mul(2).min(FINEST) }
 }
 
 /// Grid cells along each side of the unit box for so many seeds.
-pub(super) fn grid_side_for(surface: &Surface, seeds: usize) -> u32 {
+pub(crate) fn grid_side_for(surface: &Surface, seeds: usize) -> u32 {
     let mut side = grid_side(surface.area(), seeds as u64);
     if surface.is_uniform() {
         return side;
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_are_narrower_where_seeds_are_to_crowd_and_no_narrower_than_they_need_to_be() {
+    fn cells_are_narrower_where_seeds_are_dense_and_no_narrower_than_needed() {
         let seeds = 20_000;
         let (even, graded) = (graded(1.0), graded(20.0));
         let base = |surface: &Surface| grid_side(surface.area(), seeds as u64);

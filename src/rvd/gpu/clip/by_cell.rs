@@ -13,17 +13,25 @@
 //! cell against 12.7 by facet; 192 facets and 50,000 cells, 68 against 38, and as much again in each
 //! pass that has to begin anew; a mesh finer than its cells, several times more. Rounds, which are
 //! what is saved, cost little there.
-//! Must not know: launches.
+//! Must not know: how facets are clipped.
 
-use super::GpuSession;
-use super::layout::{self, BY_CELL};
+use super::Clip;
+use crate::gpu::buffers::write;
+use crate::gpu::dispatch::Stage;
+use crate::rvd::gpu::context::Context;
+use crate::rvd::gpu::lane;
+use crate::rvd::gpu::layout::{self, BY_CELL, Params, State, failure};
+use crate::rvd::gpu::memory::Memory;
+use crate::rvd::gpu::neighbours::Neighbours;
+use crate::rvd::gpu::plan::size;
 use crate::rvd::{CELLS_PER_FACET, PassStats, RvdError, Strategy, Surface};
+use crate::token::Token;
 
 /// Grid cells along a side at most.
 const MOST_CELLS: f64 = 64.0;
 
 /// Which facets are found by cell.
-pub(super) fn by_cell(expected: &[f64], strategy: Strategy) -> Vec<u32> {
+pub(crate) fn chosen(expected: &[f64], strategy: Strategy) -> Vec<u32> {
     let least = match strategy {
         Strategy::Facet => return Vec::new(),
         Strategy::Cell => 0.0,
@@ -34,7 +42,7 @@ pub(super) fn by_cell(expected: &[f64], strategy: Strategy) -> Vec<u32> {
 
 /// The facets near each place of the unit box.
 #[derive(Debug, Default)]
-pub(super) struct Grid {
+pub(crate) struct Grid {
     /// Grid cells along each side; 0 if no facet is in it.
     pub side: u32,
     /// Where each grid cell's facets begin in this list, one more for the end, and then the facets.
@@ -44,7 +52,7 @@ pub(super) struct Grid {
 impl Grid {
     /// Of `facets`, each made larger by two spacings of `seeds` seeds: few of its cells have their
     /// seed farther away, and those are found from their neighbours.
-    pub(super) fn new(surface: &Surface, facets: &[u32], seeds: usize) -> Self {
+    pub(crate) fn new(surface: &Surface, facets: &[u32], seeds: usize) -> Self {
         if facets.is_empty() {
             return Self { side: 0, near: Vec::new() };
         }
@@ -77,45 +85,86 @@ impl Grid {
     }
 }
 
-impl GpuSession {
+impl Clip {
     /// Leaves `facets` to propagation. For these seeds only: other seeds may be proved.
-    pub(super) fn leave_to_propagation(&mut self, mut facets: Vec<u32>, stats: &mut PassStats) -> Result<(), RvdError> {
+    pub(crate) fn leave_to_propagation(
+        &mut self,
+        cx: &Context,
+        memory: &mut Memory,
+        mut facets: Vec<u32>,
+        stats: &mut PassStats,
+    ) -> Result<(), RvdError> {
         facets.sort_unstable();
         facets.dedup();
         stats.relaunched_facets += facets.len() as u64;
         for &f in &facets {
-            self.facets[f as usize].slot_mask &= !BY_CELL;
+            memory.facets[f as usize].slot_mask &= !BY_CELL;
         }
         self.demoted.extend(facets);
-        self.upload_facets()
+        memory.upload_facets(cx)
     }
 
     /// Gives all that [`Self::leave_to_propagation`] took back to the cells.
-    pub(super) fn promote(&mut self) -> Result<(), RvdError> {
+    pub(crate) fn promote(&mut self, cx: &Context, memory: &mut Memory) -> Result<(), RvdError> {
         if self.demoted.is_empty() {
             return Ok(());
         }
         for f in std::mem::take(&mut self.demoted) {
-            self.facets[f as usize].slot_mask |= BY_CELL;
+            memory.facets[f as usize].slot_mask |= BY_CELL;
         }
-        self.upload_facets()
+        memory.upload_facets(cx)
     }
 
-    /// Whether `facet` is found by cell in the present pass.
-    pub(super) fn is_by_cell(&self, facet: u32) -> bool {
-        self.facets[facet as usize].slot_mask & BY_CELL != 0
+    /// Uploads the grid of facets.
+    pub(crate) fn upload_near(&self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+        Ok(write(&cx.device, &memory.there()?.buffers.near, 0, &self.near.near)?)
+    }
+
+    /// Facets with pieces that cells entered and that are not proved, after a pass that ended with `state`.
+    pub(crate) fn unproved(
+        &self,
+        cx: &Context,
+        memory: &Memory,
+        neighbours: &Neighbours,
+        state: State,
+        token: &Token,
+    ) -> Result<Vec<u32>, RvdError> {
+        let params = Params { emit_count: state.length, ..self.params(cx, memory, neighbours) };
+        let (device, there) = (&cx.device, memory.there()?);
+        let buffers = &there.buffers;
+        self.write_params(cx, memory, params)?;
+        self.write_state(cx, memory, State { failures: 0, ..state })?;
+        let mut encoder = device.encoder();
+        let bindings = &there.bindings.windows[memory.windows.present()].verify;
+        let (pipeline, items) = (&cx.pipelines.verify, state.length.into());
+        let stage = Stage { pipeline, bindings, items, size: size::ITEM, arguments: None };
+        there.encode(device, &mut encoder, lane::CLIP, &[stage], token)?;
+        let mut unproved = 0;
+        buffers.staging.read_with(device, encoder, &buffers.state, 0..1, |s: &[State]| unproved = s[0].failures)?;
+        if unproved == 0 {
+            return Ok(Vec::new());
+        }
+        let failures = self.read_failures(cx, memory, unproved)?;
+        Ok(failures.iter().filter_map(|&e| failure(e)).map(|f| f.0).collect())
+    }
+
+    /// Leaves all facets to propagation, for the rest of the session.
+    pub(crate) fn leave_all_to_propagation(&mut self, memory: &mut Memory) {
+        for record in &mut memory.facets {
+            record.slot_mask &= !BY_CELL;
+        }
+        self.demoted.clear();
+        self.near.side = 0;
     }
 }
 
-/// Leaves all facets to propagation.
-pub(super) fn unmark(records: &mut [layout::Facet]) {
-    for record in records {
-        record.slot_mask &= !BY_CELL;
-    }
+/// Whether `facet` is found by cell in the present pass.
+pub(crate) fn is_by_cell(memory: &Memory, facet: u32) -> bool {
+    memory.facets[facet as usize].slot_mask & BY_CELL != 0
 }
 
 /// Marks `by_cell` in the records.
-pub(super) fn mark(records: &mut [layout::Facet], by_cell: &[u32]) {
+pub(crate) fn mark(records: &mut [layout::Facet], by_cell: &[u32]) {
     for &f in by_cell {
         records[f as usize].slot_mask |= BY_CELL;
     }
@@ -129,9 +178,9 @@ mod tests {
     #[test]
     fn strategies_choose_facets() {
         let expected = [0.0, 3.0, 20.0, 20.5];
-        assert!(by_cell(&expected, Strategy::Facet).is_empty());
-        assert_eq!(by_cell(&expected, Strategy::Cell), [1, 2, 3]);
-        assert_eq!(by_cell(&expected, Strategy::Auto), [3]);
+        assert!(chosen(&expected, Strategy::Facet).is_empty());
+        assert_eq!(chosen(&expected, Strategy::Cell), [1, 2, 3]);
+        assert_eq!(chosen(&expected, Strategy::Auto), [3]);
     }
 
     #[test]

@@ -7,12 +7,12 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::layout::{self, BY_CELL, split};
 use crate::rvd::Surface;
+use crate::rvd::gpu::layout::{self, BY_CELL, split};
 
 /// What a facet is expected to meet: a triangle of area a and perimeter p meets about
 /// 1 + a / h² + 0.9 p / h cells of spacing h (measured within a few percent on relaxed seeds).
-pub(super) fn expected_cells(surface: &Surface, seeds: usize) -> Vec<f64> {
+pub(crate) fn expected_cells(surface: &Surface, seeds: usize) -> Vec<f64> {
     let h2 = surface.area() / seeds.max(1) as f64;
     let h = h2.sqrt();
     let estimate = |f: usize| {
@@ -29,7 +29,7 @@ pub(super) fn expected_cells(surface: &Surface, seeds: usize) -> Vec<f64> {
 }
 
 /// Mean area and mean perimeter of the facets that have an area.
-pub(super) fn mean_facet(surface: &Surface) -> (f64, f64) {
+pub(crate) fn mean_facet(surface: &Surface) -> (f64, f64) {
     let live: Vec<usize> = (0..surface.facets().len()).filter(|&f| !surface.skips(f)).collect();
     let perimeter = |&f: &usize| {
         let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
@@ -40,13 +40,13 @@ pub(super) fn mean_facet(surface: &Surface) -> (f64, f64) {
 }
 
 /// Cells of spacing `h2.sqrt()` that a facet of the mean area and perimeter meets.
-pub(super) fn mean_cells((area, perimeter): (f64, f64), h2: f64) -> f64 {
+pub(crate) fn mean_cells((area, perimeter): (f64, f64), h2: f64) -> f64 {
     1.0 + area / h2 + 0.9 * perimeter / h2.sqrt()
 }
 
 /// Log2 of every facet's slots: at least `cells`, and twice what is expected. `cells` below the
 /// default shrinks the expectation too, since it asks for a small start.
-pub(super) fn first_slots(expected: &[f64], cells: usize, default_cells: usize) -> Vec<u8> {
+pub(crate) fn first_slots(expected: &[f64], cells: usize, default_cells: usize) -> Vec<u8> {
     let share = (cells as f64 / default_cells as f64).min(1.0);
     let log2 = |cells_in_facet: f64| {
         if cells_in_facet == 0.0 {
@@ -59,7 +59,7 @@ pub(super) fn first_slots(expected: &[f64], cells: usize, default_cells: usize) 
 }
 
 /// The records of all facets. Degenerate ones are zero but for their slots.
-pub(super) fn facets(surface: &Surface, slots_log2: &[u8]) -> Vec<layout::Facet> {
+pub(crate) fn facets(surface: &Surface, slots_log2: &[u8]) -> Vec<layout::Facet> {
     let mut records: Vec<layout::Facet> = (0..surface.facets().len())
         .into_par_iter()
         .map(|f| if surface.skips(f) { layout::Facet::default() } else { facet(surface, f) })
@@ -69,7 +69,7 @@ pub(super) fn facets(surface: &Surface, slots_log2: &[u8]) -> Vec<layout::Facet>
 }
 
 /// Lays the sets of cells one behind the other. What is [`BY_CELL`] stays so.
-pub(super) fn assign_slots(records: &mut [layout::Facet], slots_log2: &[u8]) {
+pub(crate) fn assign_slots(records: &mut [layout::Facet], slots_log2: &[u8]) {
     let mut begin = 0u32;
     for (record, &log2) in records.iter_mut().zip(slots_log2) {
         record.slot_begin = begin;
@@ -108,7 +108,7 @@ fn facet(surface: &Surface, f: usize) -> layout::Facet {
 }
 
 /// One seed record, its row not known yet.
-pub(super) fn record(seed: DVec3) -> layout::Seed {
+pub(crate) fn record(seed: DVec3) -> layout::Seed {
     let (hi, lo) = split(seed.to_array());
     layout::Seed { hi, row_begin: 0, lo, row_length: 0 }
 }

@@ -10,13 +10,17 @@
 
 use glam::DVec3;
 
-use super::layout::SUM_WORDS;
 use crate::rvd::clip::Integrals;
+use crate::rvd::gpu::layout::SUM_WORDS;
 use crate::rvd::{CellSums, Surface};
+
+/// The device's scales hold where a seed is within this of all of the surface's box (`NEAR` in the stage `count`): twice the
+/// box's half diagonal and some. Without such a seed the host searches, and takes the radius from the seeds.
+pub(crate) const COVERING_RADIUS: f64 = 2.0;
 
 /// Units per unit, powers of two.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Scales {
+pub(crate) struct Scales {
     /// Of ∫ w.
     pub mass: f64,
     /// Of ∫ w (p - x).
@@ -34,7 +38,7 @@ fn scale(bound: f64) -> f64 {
 }
 
 /// Total mass of a surface, unit frame.
-pub(super) fn total_mass(surface: &Surface) -> f64 {
+pub(crate) fn total_mass(surface: &Surface) -> f64 {
     let mut mass = 0.0;
     for (f, corners) in surface.facets().iter().enumerate().filter(|(f, _)| !surface.skips(*f)) {
         let w: f64 = corners.iter().map(|&v| surface.weights()[v as usize]).sum();
@@ -45,7 +49,7 @@ pub(super) fn total_mass(surface: &Surface) -> f64 {
 
 /// A bound on the distance from any point of the surface's box to its nearest seed: no seed can
 /// be nearer to all of the box than the one with the nearest farthest corner.
-pub(super) fn covering_radius(seeds: &[DVec3]) -> f64 {
+pub(crate) fn covering_radius(seeds: &[DVec3]) -> f64 {
     // The unit frame's box is within [-1/2, 1/2]³ up to rounding.
     let farthest = |x: &DVec3| (x.abs() + DVec3::splat(0.5)).length();
     seeds.iter().map(farthest).fold(f64::INFINITY, f64::min)
@@ -53,7 +57,7 @@ pub(super) fn covering_radius(seeds: &[DVec3]) -> f64 {
 
 impl Scales {
     /// For a surface of this `mass` and `area`, every point within `radius` of a seed.
-    pub(super) fn new(mass: f64, area: f64, radius: f64) -> Self {
+    pub(crate) fn new(mass: f64, area: f64, radius: f64) -> Self {
         Self {
             mass: scale(mass),
             moment: scale(mass * radius),
@@ -64,10 +68,10 @@ impl Scales {
 }
 
 /// One cell's sums in units, added with wrap-around as on the device.
-pub(super) type Units = [i64; SUM_WORDS / 2];
+pub(crate) type Units = [i64; SUM_WORDS / 2];
 
 /// A piece that the host clipped, in units.
-pub(super) fn encode(piece: &Integrals, s: &Scales) -> Units {
+pub(crate) fn encode(piece: &Integrals, s: &Scales) -> Units {
     let unit = |v: f64| v.round() as i64;
     [
         unit(piece.mass * s.mass),
@@ -80,7 +84,7 @@ pub(super) fn encode(piece: &Integrals, s: &Scales) -> Units {
 }
 
 /// Adds `units` to the words of one cell.
-pub(super) fn add(words: &mut [u32], units: &Units) {
+pub(crate) fn add(words: &mut [u32], units: &Units) {
     for (limbs, unit) in words.chunks_exact_mut(2).zip(units) {
         let sum = ((u64::from(limbs[1]) << 32) | u64::from(limbs[0])).wrapping_add(*unit as u64);
         limbs[0] = sum as u32;
@@ -89,7 +93,7 @@ pub(super) fn add(words: &mut [u32], units: &Units) {
 }
 
 /// The sums of all cells from their words. With uniform weights mass is area.
-pub(super) fn decode(words: &[u32], uniform: bool, s: &Scales, out: &mut CellSums) {
+pub(crate) fn decode(words: &[u32], uniform: bool, s: &Scales, out: &mut CellSums) {
     let value = |cell: &[u32], k: usize| (((u64::from(cell[2 * k + 1]) << 32) | u64::from(cell[2 * k])) as i64) as f64;
     for (i, cell) in words.chunks_exact(SUM_WORDS).enumerate() {
         out.area[i] = value(cell, 5) / s.area;

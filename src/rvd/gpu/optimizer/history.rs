@@ -7,7 +7,7 @@
 //! Invariant: a pair is in use only if sᵀy > 1e-10 ‖s‖ ‖y‖; the oldest goes where there are [`HISTORY`].
 //! Must not know: the device.
 
-use super::layout::{DOTS, PAIRS, PLAIN_DOTS};
+use crate::rvd::gpu::layout::{DOTS, PAIRS, PLAIN_DOTS};
 use crate::rvd::resident::HISTORY;
 
 /// Vectors there are: steps, changes, the gradient.
@@ -16,7 +16,7 @@ const GRADIENT: usize = 2 * PAIRS;
 
 /// Which slots hold pairs, and all dot products among them and with the gradient.
 #[derive(Default)]
-pub(super) struct History {
+pub(crate) struct History {
     /// Slots in use, oldest first.
     order: Vec<usize>,
     products: [[f64; VECTORS]; VECTORS],
@@ -26,38 +26,38 @@ pub(super) struct History {
 
 impl History {
     /// Empties it.
-    pub(super) fn forget(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.order.clear();
     }
 
     /// Empties it if it has no scale: where the last change has to do with cells alone that have lost their mass.
-    pub(super) fn settle(&mut self) {
+    pub(crate) fn drop_without_scale(&mut self) {
         if self
             .order
             .last()
             .is_some_and(|&last| !(self.products[last][PAIRS + last] / self.preconditioned[last][last]).is_finite())
         {
-            self.forget();
+            self.clear();
         }
     }
 
     /// Whether there is no pair.
-    pub(super) fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.order.is_empty()
     }
 
     /// A slot for the next pair. There is one slot more than pairs.
-    pub(super) fn free_slot(&self) -> usize {
+    pub(crate) fn free_slot(&self) -> usize {
         (0..PAIRS).find(|slot| !self.order.contains(slot)).unwrap_or(0)
     }
 
     /// The slots in use and one more, as bits.
-    pub(super) fn used(&self, slot: usize) -> u32 {
+    pub(crate) fn used(&self, slot: usize) -> u32 {
         self.order.iter().fold(1 << slot, |bits, &slot| bits | 1 << slot)
     }
 
-    /// Takes what the `products` stage says of the pair in `slot` and of the gradient, and of all changes divided by masses.
-    pub(super) fn learn(&mut self, slot: usize, dots: &[f32; DOTS]) {
+    /// Takes what the `partial_dots` stage says of the pair in `slot` and of the gradient, and of all changes divided by masses.
+    pub(crate) fn learn(&mut self, slot: usize, dots: &[f32; DOTS]) {
         for which in 0..VECTORS {
             for (k, other) in [slot, PAIRS + slot, GRADIENT].into_iter().enumerate() {
                 let dot = f64::from(dots[3 * which + k]);
@@ -75,7 +75,7 @@ impl History {
     }
 
     /// Takes the pair in `slot` into use, if it is any good.
-    pub(super) fn take(&mut self, slot: usize) {
+    pub(crate) fn take(&mut self, slot: usize) {
         let (s, y) = (slot, PAIRS + slot);
         let least = 1e-10 * (self.products[s][s] * self.products[y][y]).sqrt();
         // Written so that NaN fails.
@@ -88,7 +88,7 @@ impl History {
     }
 
     /// Coefficients of -H g: of the steps, and of the changes and the gradient, both divided by masses.
-    pub(super) fn direction(&self) -> [f64; VECTORS] {
+    pub(crate) fn direction(&self) -> [f64; VECTORS] {
         let mut c = [0.0; VECTORS];
         c[GRADIENT] = -1.0;
         let along =
