@@ -164,8 +164,6 @@ const CIRCLES: &[(&str, &str, &str)] = &[
     ("blob/upload", "blob/staging", "an upload under way holds the part that is staged"),
     ("cli/remote", "cli/rvd", "what is asked of a diagram and comes back is declared at the command that prints it"),
     ("cli/bench/output", "cli/bench/measure", "the table names the worker that was measured"),
-    ("knn/grid", "knn/index", "rows are declared beside the index, which asks the grid for them"),
-    ("knn/kdtree", "knn/index", "as the grid"),
     ("mesh/io/obj", "mesh/io/attributed", "what a format holds is declared beside the choice of a format"),
     ("mesh/io/off", "mesh/io/attributed", "as obj"),
     ("mesh/io/ply", "mesh/io/attributed", "as obj"),

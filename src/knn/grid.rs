@@ -8,7 +8,8 @@
 
 use rayon::prelude::*;
 
-use super::{NeighbourRow, Threads, squared_distance};
+use super::row::{NeighbourRow, Threads};
+use super::squared_distance;
 
 /// Seeds sorted by their cell.
 pub(super) struct Grid {
@@ -173,7 +174,7 @@ impl Grid {
     }
 
     /// `(later, earliest)` for every seed that lies exactly on an earlier one, in order of `later`.
-    pub(super) fn twins(&self) -> Vec<(u32, u32)> {
+    pub(super) fn duplicates(&self) -> Vec<(u32, u32)> {
         let mut pairs = Vec::new();
         for cell in self.begin.windows(2) {
             let (begin, end) = (cell[0] as usize, cell[1] as usize);
@@ -187,7 +188,7 @@ impl Grid {
         pairs
     }
 
-    /// Takes the later twins out of their cells.
+    /// Takes the later duplicates out of their cells.
     pub(super) fn hide(&mut self, pairs: &[(u32, u32)]) {
         let mut hidden = vec![false; self.order.len()];
         for &(later, _) in pairs {

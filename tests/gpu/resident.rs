@@ -152,7 +152,7 @@ fn rows_and_first_cells_are_the_hosts() {
                 let q = surface.centroid(f);
                 let (d, w) = (q.distance(seeds[first as usize]), q.distance(seeds[index.nearest(q) as usize]));
                 assert!(d <= w + 2e-7 * (w + 1.0), "{name}: first cell of {f} is {d:e} away, not {w:e}");
-                assert!(!index.is_twin(first), "{name}: {first} is a later twin");
+                assert!(!index.is_duplicate(first), "{name}: {first} is a later duplicate");
             }
             eprintln!("{shape}, {name}: by host {}, rows up to {longest}", found.by_host);
             // A shorter row is the beginning of a longer one.
@@ -402,7 +402,7 @@ fn twins_stay_and_clusters_spread() {
     let before = read(moving);
     moving.to_centroids().unwrap();
     let after = read(moving);
-    assert!((200..401).all(|i| before[i] == after[i]), "a later twin has moved");
+    assert!((200..401).all(|i| before[i] == after[i]), "a later duplicate has moved");
     assert!((0..200).all(|i| before[i] != after[i]));
     let mut session = open(gpu, &surface, &by_name("cluster"));
     let (energies, _) = minimise(session.resident().unwrap(), 10, 10);
