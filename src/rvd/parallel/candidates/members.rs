@@ -8,17 +8,17 @@
 use glam::DVec3;
 use pulp::{Simd, WithSimd};
 
-use super::facets::{Facets, Given, InTurn, LISTED, MEMBERS, beats};
-use super::gather::Slack;
-use super::lanes::Number;
+use super::gather::Skin;
 use super::lists::Lists;
-use super::order::Stretch;
 use crate::rvd::Capacities;
 use crate::rvd::incident::Diagram;
+use crate::rvd::parallel::divide::facets::{Facets, Given, InTurn, LISTED, MEMBERS, beats};
+use crate::rvd::parallel::divide::lanes::Number;
+use crate::rvd::parallel::order::Stretch;
 
 /// The facets of a chunk, all with area, and their lists.
 #[derive(Clone, Copy)]
-pub(super) struct Listed<'a> {
+pub(crate) struct Listed<'a> {
     pub diagram: Diagram<'a>,
     /// The facets,
     pub facets: Stretch<'a>,
@@ -32,14 +32,14 @@ pub(super) struct Listed<'a> {
 
 /// Facets by a small number.
 #[derive(Default)]
-pub(super) struct Groups {
+pub(crate) struct ByLength {
     first: Vec<u32>,
     order: Vec<u32>,
 }
 
-impl Groups {
+impl ByLength {
     /// Sorts facets by their numbers, from 1 to `most`; others are left out.
-    pub(super) fn sort(&mut self, most: usize, numbers: impl Iterator<Item = usize> + Clone) {
+    pub(crate) fn sort(&mut self, most: usize, numbers: impl Iterator<Item = usize> + Clone) {
         self.first.clear();
         self.first.resize(most + 2, 0);
         for n in numbers.clone().filter(|&n| (1..=most).contains(&n)) {
@@ -58,17 +58,17 @@ impl Groups {
     }
 
     /// The facets with this number.
-    pub(super) fn of(&self, n: usize) -> &[u32] {
+    pub(crate) fn of(&self, n: usize) -> &[u32] {
         &self.order[self.first[n] as usize..self.first[n + 1] as usize]
     }
 }
 
 /// One thread's scratch memory for finding members.
 #[derive(Default)]
-pub(super) struct Chooser {
+pub(crate) struct Chooser {
     pub facets: Facets,
     pub in_turn: InTurn,
-    pub groups: Groups,
+    pub groups: ByLength,
     /// Of each facet the members among its list, as bits; 0 where there are too many for that.
     pub members: Vec<u32>,
     pub long: LongLists,
@@ -76,7 +76,7 @@ pub(super) struct Chooser {
 
 /// Lists that are too long for lanes, without those that others beat.
 #[derive(Default)]
-pub(super) struct LongLists {
+pub(crate) struct LongLists {
     lists: Lists,
     /// Which of them each facet has, from 1, or 0.
     of: Vec<u32>,
@@ -85,7 +85,7 @@ pub(super) struct LongLists {
 
 impl Chooser {
     /// Finds the members of every facet with a long list.
-    pub(super) fn begin(&mut self, listed: Listed<'_>) {
+    pub(crate) fn begin(&mut self, listed: Listed<'_>) {
         let Self { members, long: LongLists { lists, of, among }, .. } = self;
         members.clear();
         members.resize(listed.starts.len(), 0);
@@ -108,7 +108,7 @@ impl Chooser {
 impl LongLists {
     /// The list of which a facet's `members` say who is one.
     #[inline(always)]
-    pub(super) fn list<'a>(&'a self, listed: Listed<'a>, at: usize) -> &'a [u32] {
+    pub(crate) fn list<'a>(&'a self, listed: Listed<'a>, at: usize) -> &'a [u32] {
         match self.of[at] {
             0 => listed.lists.get(at),
             k => self.lists.get(k as usize - 1),
@@ -116,7 +116,7 @@ impl LongLists {
     }
 
     /// One facet's members in the order of their numbers; `members` says who is one, if its list is not long.
-    pub(super) fn among(&mut self, listed: Listed<'_>, at: usize, members: u32) -> &Among {
+    pub(crate) fn among(&mut self, listed: Listed<'_>, at: usize, members: u32) -> &Among {
         let mut among = std::mem::take(&mut self.among);
         let all = self.of[at] != 0;
         let chosen = self.list(listed, at).iter().enumerate().filter(|(k, _)| all || members >> k & 1 != 0);
@@ -130,7 +130,7 @@ impl LongLists {
 
 /// Finds the members of every other facet with a list.
 #[inline(always)]
-pub(super) fn choose_members<S: Simd>(simd: S, chooser: &mut Chooser, listed: Listed<'_>) {
+pub(crate) fn choose_members<S: Simd>(simd: S, chooser: &mut Chooser, listed: Listed<'_>) {
     let Chooser { facets, in_turn, groups, members, .. } = chooser;
     groups.sort(LISTED, (0..listed.starts.len()).map(|at| listed.lists.get(at).len()));
     for &at in groups.of(1) {
@@ -165,10 +165,10 @@ fn set_lists<S: Simd>(given: &mut Given, group: &[u32], listed: Listed<'_>, n: u
 }
 
 /// Lists without those that others beat whatever way they move.
-pub(super) struct Thin<'a> {
+pub(crate) struct Thin<'a> {
     pub chooser: &'a mut Chooser,
     pub listed: Listed<'a>,
-    pub slack: Slack<'a>,
+    pub skin: Skin<'a>,
     pub out: &'a mut Lists,
 }
 
@@ -177,7 +177,7 @@ impl WithSimd for Thin<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { chooser: Chooser { facets, in_turn, groups, members, .. }, listed, slack, out } = self;
+        let Self { chooser: Chooser { facets, in_turn, groups, members, .. }, listed, skin, out } = self;
         let Listed { starts, lists, .. } = listed;
         members.clear();
         members.resize(starts.len(), !0);
@@ -190,12 +190,12 @@ impl WithSimd for Thin<'_> {
                     for lane in 0..Number::<S>::LANES {
                         let at = group[lane.min(group.len() - 1)];
                         for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
-                            given.set_slack(lane, k, slack.of(seed));
+                            given.set_skin(lane, k, skin.of(seed));
                         }
                     }
                 }
                 if let Some(group) = turn.read {
-                    let chosen = facets.choose_with_slack(simd, n, in_turn.present(&turn));
+                    let chosen = facets.choose_with_skin(simd, n, in_turn.present(&turn));
                     for (&at, chosen) in group.iter().zip(chosen) {
                         members[at as usize] = chosen;
                     }
@@ -213,7 +213,7 @@ impl WithSimd for Thin<'_> {
 
 /// The members of one facet.
 #[derive(Default)]
-pub(super) struct Among {
+pub(crate) struct Among {
     /// In the order of their numbers.
     pub seeds: Vec<u32>,
     squared: Vec<[f64; 3]>,
@@ -233,7 +233,7 @@ impl Among {
     }
 
     /// The one that is nearest to a point, the lowest of several.
-    pub(super) fn nearest(&self, diagram: Diagram<'_>, p: DVec3) -> u32 {
+    pub(crate) fn nearest(&self, diagram: Diagram<'_>, p: DVec3) -> u32 {
         let key = |i: u32| p.distance_squared(diagram.seeds[i as usize]);
         self.seeds.iter().copied().min_by(|&a, &b| key(a).total_cmp(&key(b))).unwrap_or_default()
     }

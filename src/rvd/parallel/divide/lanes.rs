@@ -10,92 +10,92 @@ use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Not, Sub};
 use pulp::Simd;
 
 /// The most lanes that there may be.
-pub(super) const WIDEST: usize = 8;
+pub(crate) const WIDEST: usize = 8;
 
 /// Memory of one vector, however wide.
 #[derive(Clone, Copy, Default)]
 #[repr(align(64))]
-pub(super) struct Row(pub [f64; WIDEST]);
+pub(crate) struct Row(pub [f64; WIDEST]);
 
 /// A number for each lane.
 #[derive(Clone, Copy)]
-pub(super) struct Number<S: Simd> {
+pub(crate) struct Number<S: Simd> {
     simd: S,
     value: S::f64s,
 }
 
 /// Yes or no for each lane.
 #[derive(Clone, Copy)]
-pub(super) struct Mask<S: Simd> {
+pub(crate) struct Mask<S: Simd> {
     simd: S,
     value: S::m64s,
 }
 
 impl<S: Simd> Number<S> {
     /// How many lanes there are.
-    pub(super) const LANES: usize = if S::F64_LANES < WIDEST { S::F64_LANES } else { WIDEST };
+    pub(crate) const LANES: usize = if S::F64_LANES < WIDEST { S::F64_LANES } else { WIDEST };
 
     #[inline(always)]
-    pub(super) fn all(simd: S, value: f64) -> Self {
+    pub(crate) fn all(simd: S, value: f64) -> Self {
         Self { simd, value: simd.splat_f64s(value) }
     }
 
     #[inline(always)]
-    pub(super) fn load(simd: S, row: &Row) -> Self {
+    pub(crate) fn load(simd: S, row: &Row) -> Self {
         Self { simd, value: S::as_simd_f64s(&row.0).0[0] }
     }
 
     #[inline(always)]
-    pub(super) fn store(self, row: &mut Row) {
+    pub(crate) fn store(self, row: &mut Row) {
         S::as_mut_simd_f64s(&mut row.0).0[0] = self.value;
     }
 
     #[inline(always)]
-    pub(super) fn abs(self) -> Self {
+    pub(crate) fn abs(self) -> Self {
         Self { value: self.simd.abs_f64s(self.value), ..self }
     }
 
     #[inline(always)]
-    pub(super) fn sqrt(self) -> Self {
+    pub(crate) fn sqrt(self) -> Self {
         Self { value: self.simd.sqrt_f64s(self.value), ..self }
     }
 
     #[inline(always)]
-    pub(super) fn below(self, other: Self) -> Mask<S> {
+    pub(crate) fn below(self, other: Self) -> Mask<S> {
         Mask { simd: self.simd, value: self.simd.less_than_f64s(self.value, other.value) }
     }
 
     #[inline(always)]
-    pub(super) fn at_most(self, other: Self) -> Mask<S> {
+    pub(crate) fn at_most(self, other: Self) -> Mask<S> {
         Mask { simd: self.simd, value: self.simd.less_than_or_equal_f64s(self.value, other.value) }
     }
 
     #[inline(always)]
-    pub(super) fn larger(self, other: Self) -> Self {
+    pub(crate) fn larger(self, other: Self) -> Self {
         Self { value: self.simd.max_f64s(self.value, other.value), ..self }
     }
 
     #[inline(always)]
-    pub(super) fn smaller(self, other: Self) -> Self {
+    pub(crate) fn smaller(self, other: Self) -> Self {
         Self { value: self.simd.min_f64s(self.value, other.value), ..self }
     }
 }
 
 impl<S: Simd> Mask<S> {
     #[inline(always)]
-    pub(super) fn none(simd: S) -> Self {
+    pub(crate) fn none(simd: S) -> Self {
         let zero = Number::all(simd, 0.0);
         zero.below(zero)
     }
 
     /// `yes` where it is so, `no` elsewhere.
     #[inline(always)]
-    pub(super) fn choose(self, yes: Number<S>, no: Number<S>) -> Number<S> {
+    pub(crate) fn choose(self, yes: Number<S>, no: Number<S>) -> Number<S> {
         Number { simd: self.simd, value: self.simd.select_f64s(self.value, yes.value, no.value) }
     }
 
     #[inline(always)]
-    pub(super) fn any(self) -> bool {
+    pub(crate) fn any(self) -> bool {
         self.simd.first_true_m64s(self.value) < S::F64_LANES
     }
 }

@@ -3,15 +3,15 @@
 //! Purpose: from any seed to all that count on a facet, and on demand to those that still count when every
 //! seed has moved a little.
 //! Invariant: a seed that is left out is farther from all three corners than another one of the list, whatever
-//! way either moves within its [`Slack`], and so farther from the whole facet, as their bisector is linear
-//! on it. A comparison that rounding could get wrong keeps the seed. No later twin is listed.
+//! way either moves within its [`Skin`], and so farther from the whole facet, as their bisector is linear
+//! on it. A comparison that rounding could get wrong keeps the seed. No later duplicate is listed.
 //! Must not know: pieces; how long a list is kept.
 
 use glam::DVec3;
 
-use super::facets::LISTED;
 use crate::rvd::clip::SECURITY;
 use crate::rvd::incident::Diagram;
+use crate::rvd::parallel::divide::facets::LISTED;
 use crate::rvd::start;
 
 /// A list with more is made shorter here, not together with others.
@@ -21,7 +21,7 @@ const LOOKED_AT: usize = 2048;
 
 /// How long a list may be; a facet with a longer one is walked.
 #[derive(Clone, Copy)]
-pub(super) struct Few {
+pub(crate) struct Few {
     /// Before those are left out that any other one beats,
     seen: usize,
     /// and after.
@@ -30,40 +30,40 @@ pub(super) struct Few {
 
 impl Few {
     /// Where rows of neighbours are at hand for the walk.
-    pub(super) const TO_DIVIDE: Self = Self { seen: 2 * LISTED, kept: LISTED };
+    pub(crate) const TO_DIVIDE: Self = Self { seen: 2 * LISTED, kept: LISTED };
     /// Where the walk has the list alone.
-    pub(super) const TO_WALK: Self = Self { seen: 16 * LISTED, kept: 4 * LISTED };
+    pub(crate) const TO_WALK: Self = Self { seen: 16 * LISTED, kept: 4 * LISTED };
 }
 
 /// Squared distances are compared with so much room, far more than their roundings.
-pub(super) const ROOM: f64 = 1.0 + 1e-14;
+pub(crate) const ROOM: f64 = 1.0 + 1e-14;
 
 /// How far each seed may move before the lists are void: a share of a length, its width.
 #[derive(Clone, Copy)]
-pub(super) struct Slack<'a> {
+pub(crate) struct Skin<'a> {
     /// The share; 0 if no seed moves.
     pub share: f64,
     /// Of each seed; unused where the share is 0.
     pub width: &'a [f64],
-    /// The most slack that any has. Where that is infinite, widths of two seeds differ by no more than their distance.
+    /// The most skin that any has. Where that is infinite, widths of two seeds differ by no more than their distance.
     pub most: f64,
 }
 
-impl Slack<'_> {
+impl Skin<'_> {
     /// No seed moves.
-    pub(super) const NONE: Self = Self { share: 0.0, width: &[], most: 0.0 };
+    pub(crate) const NONE: Self = Self { share: 0.0, width: &[], most: 0.0 };
 
-    pub(super) fn of(&self, seed: u32) -> f64 {
+    pub(crate) fn of(&self, seed: u32) -> f64 {
         if self.share > 0.0 { self.share * self.width[seed as usize] } else { 0.0 }
     }
 
     /// Whether there is none.
-    pub(super) fn is_none(&self) -> bool {
+    pub(crate) fn is_none(&self) -> bool {
         self.share == 0.0
     }
 
-    /// How far a seed may be that can move to within `reach` of a place which is `away` from a seed with slack `own`.
-    pub(super) fn farthest(&self, reach: f64, away: f64, own: f64) -> f64 {
+    /// How far a seed may be that can move to within `reach` of a place which is `away` from a seed with skin `own`.
+    pub(crate) fn farthest(&self, reach: f64, away: f64, own: f64) -> f64 {
         match self.most.is_finite() {
             true => reach + self.most,
             false => (reach + own + self.share * away) / (1.0 - self.share),
@@ -73,7 +73,7 @@ impl Slack<'_> {
 
 /// One thread's scratch memory.
 #[derive(Default)]
-pub(super) struct Gatherer {
+pub(crate) struct Gatherer {
     looked_at: Vec<u32>,
     kept: Vec<Kept>,
     list: Vec<u32>,
@@ -93,47 +93,47 @@ struct View {
     corner: [DVec3; 3],
     /// From the seed to each corner.
     distance: [f64; 3],
-    slack: f64,
+    skin: f64,
 }
 
 impl Gatherer {
     /// Those that were gathered last; some may be beaten by others.
-    pub(super) fn list(&self) -> &[u32] {
+    pub(crate) fn list(&self) -> &[u32] {
         &self.list
     }
 
     /// Finds the seeds that count on the facet with these corners, beginning at any seed; the nearer, the
     /// sooner. Returns a seed of those that is nearer to the facet's centroid, if there is one, and whether there are few
     /// enough.
-    pub(super) fn gather(
+    pub(crate) fn gather(
         &mut self,
         diagram: Diagram<'_>,
-        (slack, few): (Slack<'_>, Few),
+        (skin, few): (Skin<'_>, Few),
         corner: &[DVec3; 3],
         centroid: DVec3,
         start: u32,
     ) -> (u32, bool) {
-        if let Some(nearest) = self.read_row(diagram, slack, corner, centroid, start) {
+        if let Some(nearest) = self.read_row(diagram, skin, corner, centroid, start) {
             return (nearest, true);
         }
         let nearest = start::nearest(diagram, centroid, start);
-        if nearest != start && self.read_row(diagram, slack, corner, centroid, nearest).is_some() {
+        if nearest != start && self.read_row(diagram, skin, corner, centroid, nearest).is_some() {
             return (nearest, true);
         }
-        let view = View::new(diagram, slack, corner, nearest);
-        (nearest, self.look_around(diagram, slack, few, &view))
+        let view = View::new(diagram, skin, corner, nearest);
+        (nearest, self.look_around(diagram, skin, few, &view))
     }
 
     /// The same as seen from seed `i`, whether there are nearer ones or not. Returns whether there are few enough.
-    pub(super) fn gather_from(
+    pub(crate) fn gather_from(
         &mut self,
         diagram: Diagram<'_>,
-        (slack, few): (Slack<'_>, Few),
+        (skin, few): (Skin<'_>, Few),
         corner: &[DVec3; 3],
         i: u32,
     ) -> bool {
-        self.read_row(diagram, slack, corner, corner[0], i).is_some()
-            || self.look_around(diagram, slack, few, &View::new(diagram, slack, corner, i))
+        self.read_row(diagram, skin, corner, corner[0], i).is_some()
+            || self.look_around(diagram, skin, few, &View::new(diagram, skin, corner, i))
     }
 
     /// Lists seed `i` and its row, as far as the facet needs it (\[LB12\]: no farther than twice its farthest corner).
@@ -141,7 +141,7 @@ impl Gatherer {
     fn read_row(
         &mut self,
         diagram: Diagram<'_>,
-        slack: Slack<'_>,
+        skin: Skin<'_>,
         corner: &[DVec3; 3],
         centroid: DVec3,
         i: u32,
@@ -150,15 +150,15 @@ impl Gatherer {
         let origin = diagram.seeds[i as usize];
         let squared = |a: DVec3| a.distance_squared(origin);
         let radius2 = squared(corner[0]).max(squared(corner[1])).max(squared(corner[2]));
-        let reach2 = if !slack.is_none() {
-            let own = slack.of(i);
-            let reach = 0.5 * slack.farthest(2.0 * radius2.sqrt() + own, 0.0, own);
+        let reach2 = if !skin.is_none() {
+            let own = skin.of(i);
+            let reach = 0.5 * skin.farthest(2.0 * radius2.sqrt() + own, 0.0, own);
             SECURITY * reach * reach
         } else {
             SECURITY * radius2
         };
         let last = diagram.seeds[*row.last()? as usize];
-        // A later twin has the earlier one alone.
+        // A later duplicate has the earlier one alone.
         if !complete && squared(last) <= reach2 || squared(diagram.seeds[row[0] as usize]) == 0.0 {
             return None;
         }
@@ -181,11 +181,11 @@ impl Gatherer {
 
     /// Lists all seeds around the facet that may be nearer at some corner than the view's. Returns whether there are
     /// few enough.
-    fn look_around(&mut self, diagram: Diagram<'_>, slack: Slack<'_>, few: Few, view: &View) -> bool {
+    fn look_around(&mut self, diagram: Diagram<'_>, skin: Skin<'_>, few: Few, view: &View) -> bool {
         let mut low = DVec3::INFINITY;
         let mut high = DVec3::NEG_INFINITY;
         for (corner, distance) in view.corner.iter().zip(view.distance) {
-            let reach = slack.farthest(distance + view.slack, distance, view.slack) * (1.0 + 1e-9);
+            let reach = skin.farthest(distance + view.skin, distance, view.skin) * (1.0 + 1e-9);
             (low, high) = (low.min(*corner - reach), high.max(*corner + reach));
         }
         self.list.clear();
@@ -197,7 +197,7 @@ impl Gatherer {
         for &seed in &self.looked_at {
             let p = diagram.seeds[seed as usize];
             let [a, b, c] = [0, 1, 2].map(|c| view.corner[c].distance_squared(p));
-            let own = view.slack + slack.of(seed);
+            let own = view.skin + skin.of(seed);
             let [x, y, z] = [0, 1, 2].map(|c| (view.distance[c] + own) * (view.distance[c] + own) * ROOM);
             if (a <= x) | (b <= y) | (c <= z) {
                 if self.kept.len() == few.seen {
@@ -207,7 +207,7 @@ impl Gatherer {
             }
         }
         if self.kept.len() > ENOUGH {
-            self.thin(slack);
+            self.thin(skin);
         }
         self.list.extend(self.kept.iter().map(|kept| kept.seed));
         // The view's own seed is among them, if rounding did not put it beyond the box.
@@ -215,9 +215,9 @@ impl Gatherer {
     }
 
     /// Leaves out the seeds that another one beats at all corners.
-    fn thin(&mut self, slack: Slack<'_>) {
+    fn thin(&mut self, skin: Skin<'_>) {
         for kept in &mut self.kept {
-            let own = slack.of(kept.seed);
+            let own = skin.of(kept.seed);
             kept.least = kept.least.map(|squared| squared.sqrt() - own);
             kept.most = kept.most.map(|squared| (squared.sqrt() + own) * ROOM);
         }
@@ -235,9 +235,9 @@ impl Gatherer {
 }
 
 impl View {
-    fn new(diagram: Diagram<'_>, slack: Slack<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
+    fn new(diagram: Diagram<'_>, skin: Skin<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
         let origin = diagram.seeds[seed as usize];
         let distance = corner.map(|p| p.distance(origin));
-        Self { corner: *corner, distance, slack: slack.of(seed) }
+        Self { corner: *corner, distance, skin: skin.of(seed) }
     }
 }

@@ -8,29 +8,30 @@ use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::facets::{Found, InTurn, MEMBERS};
-use super::gather::Slack;
-use super::groups::{Chooser, Listed, Thin, choose_members};
-use super::lanes::Number;
-use super::lister::Lister;
-use super::lists::{Kept, Lists};
-use super::moments::{UNIFORM, WEIGHTED};
-use super::order::Stretch;
 use super::written::{NONE, Written};
 use crate::knn::NeighbourTable;
 use crate::rvd::clip::{Clipper, Integrals};
 use crate::rvd::incident::{Diagram, FacetWalker};
+use crate::rvd::parallel::candidates::gather::Skin;
+use crate::rvd::parallel::candidates::list_builder::ListBuilder;
+use crate::rvd::parallel::candidates::lists::Lists;
+use crate::rvd::parallel::candidates::members::{Chooser, Listed, Thin, choose_members};
+use crate::rvd::parallel::candidates::verlet::Verlet;
+use crate::rvd::parallel::divide::facets::{Found, InTurn, MEMBERS};
+use crate::rvd::parallel::divide::lanes::Number;
+use crate::rvd::parallel::divide::moments::{UNIFORM, WEIGHTED};
+use crate::rvd::parallel::order::Stretch;
 use crate::rvd::{Capacities, CellSums, PassStats, PieceBatch, start};
 use crate::token::Token;
 
 /// What one task found. Reused from wave to wave.
 #[derive(Default)]
-pub(super) struct Chunk {
+pub(crate) struct Chunk {
     /// Block by block, the integrals over the pieces of each cell that meets it.
     cells: Vec<(u32, Integrals)>,
     pub pieces: PieceBatch,
     pub stats: PassStats,
-    /// Facets that have no list that could be kept.
+    /// Facets without a Verlet list.
     pub unlisted: u64,
 }
 
@@ -40,11 +41,11 @@ const SHORT: usize = 10;
 
 /// What is asked for of facets without lists.
 #[derive(Clone, Copy)]
-pub(super) struct Task<'a> {
+pub(crate) struct Task<'a> {
     pub diagram: Diagram<'a>,
-    /// The places about which seeds have their slack, if those are not where they are; then the index is of the places.
+    /// The places about which seeds have their skin, if those are not where they are; then the index is of the places.
     pub about: Option<&'a [DVec3]>,
-    pub slack: Slack<'a>,
+    pub skin: Skin<'a>,
     pub capacities: Capacities,
     /// Facets with many members are walked by rows.
     pub by_rows: bool,
@@ -56,7 +57,7 @@ pub(super) struct Task<'a> {
 
 impl<'a> Task<'a> {
     /// Of facets with lists.
-    pub(super) fn listed(&self, facets: Stretch<'a>, starts: &'a [u32], lists: &'a Lists) -> Listed<'a> {
+    pub(crate) fn listed(&self, facets: Stretch<'a>, starts: &'a [u32], lists: &'a Lists) -> Listed<'a> {
         let Self { diagram, capacities, by_rows, .. } = *self;
         Listed { diagram, facets, starts, lists, capacities, by_rows }
     }
@@ -67,9 +68,9 @@ const ASKED: usize = 16;
 
 /// One thread's scratch memory.
 #[derive(Default)]
-pub(super) struct Walkers {
-    lister: Lister,
-    /// Lists before those of them that are to be kept are made shorter.
+pub(crate) struct Walkers {
+    builder: ListBuilder,
+    /// Lists, before those that become Verlet lists are made shorter.
     lists: Lists,
     chooser: Chooser,
     found: Found,
@@ -104,7 +105,7 @@ impl WithSimd for Divide<'_> {
 
 impl Walkers {
     /// Forgets what is known of other seeds, and listens to `token`.
-    pub(super) fn reset(&mut self, token: &Token) {
+    pub(crate) fn reset(&mut self, token: &Token) {
         self.walker.reset(token);
     }
 
@@ -215,33 +216,33 @@ impl Chunk {
     }
 
     /// Integrals over the pieces of the facets, added up block by block; `starts` become the seeds nearest to them that are
-    /// listed. Their lists are kept where there is slack. Returns whether all could be listed, or walked by rows; nothing is
+    /// listed. Their lists become Verlet lists where there is a skin. Returns whether all could be listed, or walked by rows; nothing is
     /// summed otherwise.
-    pub(super) fn sum(
+    pub(crate) fn sum(
         &mut self,
         walkers: &mut Walkers,
         task: Task<'_>,
         (facets, starts): (Stretch<'_>, &mut [u32]),
         kept: &mut Lists,
     ) -> bool {
-        let Task { about, slack, by_rows, even, block, .. } = task;
+        let Task { about, skin, by_rows, even, block, .. } = task;
         let diagram = Diagram { seeds: about.unwrap_or(task.diagram.seeds), ..task.diagram };
         let mut lists = std::mem::take(&mut walkers.lists);
         lists.clear();
         let unlisted = match even {
-            true => walkers.lister.list_evenly(diagram, slack, (facets, starts), &mut lists),
-            false => Some(walkers.lister.list(diagram, slack, by_rows, (facets, starts), &mut lists)),
+            true => walkers.builder.list_evenly(diagram, skin, (facets, starts), &mut lists),
+            false => Some(walkers.builder.list(diagram, skin, by_rows, (facets, starts), &mut lists)),
         };
-        // A list without slack holds for seeds that are where they were when it was made.
+        // A list without skin holds for seeds that are where they were when it was made.
         let unlisted = unlisted.filter(|&n| n == 0 || about.is_none());
         if let Some(unlisted) = unlisted {
             let mut of_chunk = &lists;
-            if !slack.is_none() {
+            if !skin.is_none() {
                 if even && lists.mean_len() < SHORT {
                     std::mem::swap(kept, &mut lists);
                 } else {
                     let listed = Listed { diagram, ..task.listed(facets, starts, &lists) };
-                    Arch::new().dispatch(Thin { chooser: &mut walkers.chooser, listed, slack, out: kept });
+                    Arch::new().dispatch(Thin { chooser: &mut walkers.chooser, listed, skin, out: kept });
                     std::mem::swap(&mut kept.bounds, &mut lists.bounds);
                 }
                 of_chunk = kept;
@@ -253,22 +254,22 @@ impl Chunk {
         unlisted.is_some()
     }
 
-    /// The same from lists that hold but for strays. Returns whether all facets with strays got a list; nothing is summed
+    /// The same from lists that hold but for escaped seeds. Returns whether all facets with escaped seeds got a list; nothing is summed
     /// otherwise.
-    pub(super) fn sum_kept(
+    pub(crate) fn sum_from_lists(
         &mut self,
         walkers: &mut Walkers,
         listed: Listed<'_>,
-        (kept, table): (Kept<'_>, &NeighbourTable),
+        (verlet, table): (Verlet<'_>, &NeighbourTable),
         block: usize,
     ) -> bool {
-        if !walkers.lister.strayed(listed.lists, kept) {
+        if !walkers.builder.meets_escaped(listed.lists, verlet) {
             self.sum_listed(walkers, listed, block);
             return true;
         }
         let mut lists = std::mem::take(&mut walkers.lists);
-        let diagram = Diagram { seeds: kept.made_at, table, ..listed.diagram };
-        let done = walkers.lister.relist(listed, diagram, kept, &mut lists);
+        let diagram = Diagram { seeds: verlet.made_at, table, ..listed.diagram };
+        let done = walkers.builder.renew(listed, diagram, verlet, &mut lists);
         if done {
             self.sum_listed(walkers, Listed { lists: &lists, ..listed }, block);
         }
@@ -287,7 +288,7 @@ impl Chunk {
 
     /// Pieces of the facets from `first` on, as many as there are `starts`, their nearest seeds; of those without area
     /// too if they are wanted.
-    pub(super) fn cut(
+    pub(crate) fn cut(
         &mut self,
         walkers: &mut Walkers,
         diagram: Diagram<'_>,
@@ -343,7 +344,7 @@ fn sorted(list: &[u32], mut members: u32, out: &mut [u32]) {
 
 /// Adds the blocks' sums up. Every thread owns a range of seeds and reads everything, so that each cell is added up in
 /// the order of blocks without a lock.
-pub(super) fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
+pub(crate) fn add_up(out: &mut CellSums, chunks: &[Chunk]) {
     let share = out.mass.len().div_ceil(rayon::current_num_threads()).max(1);
     out.mass
         .par_chunks_mut(share)
@@ -373,12 +374,12 @@ mod tests {
 
     use glam::DVec3;
 
-    use super::super::gather::{Few, Gatherer};
-    use super::super::order::Order;
     use super::*;
     use crate::knn::{SeedIndex, Threads};
     use crate::mesh::shapes::Shape;
     use crate::rvd::Surface;
+    use crate::rvd::parallel::candidates::gather::{Few, Gatherer};
+    use crate::rvd::parallel::order::Order;
 
     /// What a chunk of all facets finds with registers of one kind.
     fn found<S: Simd>(simd: S, listed: Listed<'_>) -> Vec<(u32, Integrals)> {
@@ -414,7 +415,7 @@ mod tests {
             for at in 0..facets.len() {
                 let (corner, centroid) = (facets.corners(at), facets.centroid(at));
                 let (_, few) =
-                    gatherer.gather(diagram, (Slack::NONE, Few::TO_WALK), &corner, centroid, index.near(centroid));
+                    gatherer.gather(diagram, (Skin::NONE, Few::TO_WALK), &corner, centroid, index.near(centroid));
                 assert!(few);
                 lists.push(gatherer.list().iter().copied());
             }

@@ -1,32 +1,32 @@
-//! The seeds around facets that are beside one another.
+//! The seeds around facets that lie beside one another.
 //!
-//! Purpose: the lists of several facets from one look at the seeds around them all, without rows of neighbours. Every
+//! Purpose: the lists of several facets from one search of the seeds around them all, without rows of neighbours. Every
 //! facet has a lane.
 //! Invariant: a seed that is left out of a facet's list is farther from all three corners than the seed that the
-//! facet is seen from, whatever way either moves within its slack; a stray is where it is.
+//! facet is seen from, whatever way either moves within its skin. An escaped seed has no skin.
 //! Must not know: what becomes of lists.
 
 use glam::DVec3;
 use pulp::Simd;
 
-use super::gather::{ROOM, Slack};
-use super::lanes::{Mask, Number, Row, WIDEST};
-use super::strays::{Bounds, Reach, Strays};
+use super::escaped::{Bounds, Escaped, Reach};
+use super::gather::{ROOM, Skin};
 use crate::rvd::incident::Diagram;
+use crate::rvd::parallel::divide::lanes::{Mask, Number, Row, WIDEST};
 
 /// Facets that are looked around together.
-pub(super) const GROUP: usize = 16;
+pub(crate) const GROUP: usize = 16;
 /// They are taken by halves where the halves lie so far apart that two boxes around them are smaller than one; but not
 /// further than so many, which fill some lanes.
 const APART: usize = 4;
-/// Seeds that are looked at for them. They are far more where seeds are crowded somewhere near.
+/// Seeds that are looked at for them. They are far more where seeds are dense somewhere near.
 const LOOKED_AT: usize = 1024;
 /// Seeds in a word: as many as a number has bits.
 const WORD: usize = 52;
 
 /// One thread's scratch memory.
 #[derive(Default)]
-pub(super) struct Around {
+pub(crate) struct Neighbourhood {
     seeds: Vec<u32>,
     /// Of each seed its place, and how far it may move.
     places: Vec<(DVec3, f64)>,
@@ -40,7 +40,7 @@ pub(super) struct Around {
 }
 
 /// Cuts facets that lie apart from one another into parts that do not; appends how many each has.
-pub(super) fn parts(reaches: &[Reach], out: &mut Vec<usize>) -> Bounds {
+pub(crate) fn parts(reaches: &[Reach], out: &mut Vec<usize>) -> Bounds {
     let begin = out.len();
     if reaches.len() <= APART {
         out.push(reaches.len());
@@ -57,23 +57,23 @@ pub(super) fn parts(reaches: &[Reach], out: &mut Vec<usize>) -> Bounds {
     all
 }
 
-impl Around {
+impl Neighbourhood {
     /// Takes all seeds that could count on facets with these reaches, at most [`GROUP`]: those of the diagram, which move by
-    /// their slack, but for strays, and the strays. Returns whether it could, and whether there are not too many.
-    pub(super) fn look(
+    /// their skin, but for escaped seeds, and the escaped seeds. Returns whether it could, and whether there are not too many.
+    pub(crate) fn search(
         &mut self,
         diagram: Diagram<'_>,
-        slack: Slack<'_>,
+        skin: Skin<'_>,
         reaches: &[Reach],
-        strays: Option<&Strays>,
+        escaped: Option<&Escaped>,
     ) -> bool {
         let bounds = reaches.iter().fold(Bounds::NONE, |all, reach| all.with(reach.bounds()));
         self.seeds.clear();
         self.places.clear();
-        let others = bounds.wider(slack.most);
+        let others = bounds.wider(skin.most);
         let done = diagram.index.each_in_box(others.low, others.high, LOOKED_AT, |i, p| {
-            let own = slack.of(i);
-            if bounds.is_within(own, p) && !strays.is_some_and(|strays| strays.contains(i)) {
+            let own = skin.of(i);
+            if bounds.is_within(own, p) && !escaped.is_some_and(|escaped| escaped.contains(i)) {
                 self.seeds.push(i);
                 self.places.push((p, own));
             }
@@ -81,7 +81,7 @@ impl Around {
         if !done {
             return false;
         }
-        for (p, i) in strays.iter().flat_map(|strays| strays.within(bounds)) {
+        for (p, i) in escaped.iter().flat_map(|escaped| escaped.within(bounds)) {
             self.seeds.push(i);
             self.places.push((p, 0.0));
         }
@@ -90,7 +90,7 @@ impl Around {
 
     /// Calls `visit` with each facet's number among the `reaches` and its seeds.
     #[inline(always)]
-    pub(super) fn each<S: Simd>(&mut self, simd: S, reaches: &[Reach], mut visit: impl FnMut(usize, Seeds<'_>)) {
+    pub(crate) fn each<S: Simd>(&mut self, simd: S, reaches: &[Reach], mut visit: impl FnMut(usize, Seeds<'_>)) {
         let lanes = Number::<S>::LANES;
         for (first, facets) in (0..).step_by(lanes).zip(reaches.chunks(lanes)) {
             self.set(lanes, facets);
@@ -124,13 +124,13 @@ impl Around {
         let mut at = 0.0;
         for places in self.places.chunks(WORD) {
             let (mut bits, mut bit) = (zero, 1.0);
-            for &(p, slack) in places {
+            for &(p, skin) in places {
                 let [x, y, z] = p.to_array().map(|x| Number::all(simd, x));
-                let slack = Number::all(simd, slack);
+                let skin = Number::all(simd, skin);
                 let (mut sum, mut counts) = (zero, Mask::none(simd));
                 for c in 0..3 {
                     let [dx, dy, dz] = [corner[c][0] - x, corner[c][1] - y, corner[c][2] - z];
-                    let (squared, most) = (dx * dx + dy * dy + dz * dz, most[c] + slack);
+                    let (squared, most) = (dx * dx + dy * dy + dz * dz, most[c] + skin);
                     counts = counts | squared.at_most(most * most * room);
                     sum = sum + squared;
                 }
@@ -152,8 +152,8 @@ impl Around {
 
 /// The seeds that count on one facet.
 #[derive(Clone, Copy)]
-pub(super) struct Seeds<'a> {
-    around: &'a Around,
+pub(crate) struct Seeds<'a> {
+    around: &'a Neighbourhood,
     lane: usize,
 }
 
@@ -163,12 +163,12 @@ impl Seeds<'_> {
     }
 
     /// How many there are.
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.words().map(|word| word.count_ones() as usize).sum()
     }
 
     /// The one that is nearest to the facet's centroid, unless it does not count.
-    pub(super) fn nearest(&self) -> Option<u32> {
+    pub(crate) fn nearest(&self) -> Option<u32> {
         let at = self.around.nearest.0[self.lane] as usize;
         let word = self.around.words.get(at / WORD)?.0[self.lane] as u64;
         (word >> (at % WORD) & 1 != 0).then(|| self.around.seeds[at])
@@ -176,7 +176,7 @@ impl Seeds<'_> {
 
     /// Puts them into `out`, which has room for as many as there are.
     #[inline(always)]
-    pub(super) fn write(&self, out: &mut [u32]) {
+    pub(crate) fn write(&self, out: &mut [u32]) {
         let mut out = out.iter_mut();
         for (first, mut left) in (0..).step_by(WORD).zip(self.words()) {
             while left != 0 {

@@ -15,8 +15,8 @@ use pulp::Simd;
 
 use super::lanes::{Mask, Number, Row, WIDEST};
 use super::moments::{self, Moments, PieceIntegrals, Shape, WEIGHTED, Weight};
-use super::order::Vertex;
 use crate::rvd::clip::Integrals;
+use crate::rvd::parallel::order::Vertex;
 
 /// A segment's end may be off by this share of the farthest corner's distance, in the worst case, and the facet is
 /// left to the walk beyond: two bisectors are nearly parallel there, one facet in some thousand.
@@ -27,16 +27,16 @@ const MAX_SLIP: f64 = 1e-10;
 const LEAST_SHARE: f64 = 1e-6;
 
 /// Members that a facet may have; one with more is walked.
-pub(super) const MEMBERS: usize = 24;
+pub(crate) const MEMBERS: usize = 24;
 /// Seeds that a list may have; a facet with more is walked.
-pub(super) const LISTED: usize = 32;
+pub(crate) const LISTED: usize = 32;
 
 /// A squared distance is off by at most this share of it: three roundings of a coordinate's square, the first of which
 /// counts twice, and two of the sum.
 const ERROR: f64 = 2.5 * f64::EPSILON;
 
 /// Facets and seeds, one facet in each lane.
-pub(super) struct Given {
+pub(crate) struct Given {
     /// Corners, coordinate by coordinate.
     corner: [[Row; 3]; 3],
     /// The weights there.
@@ -44,11 +44,11 @@ pub(super) struct Given {
     /// Of each seed, coordinate by coordinate.
     seed: [[Row; 3]; LISTED],
     /// How far each seed may move.
-    slack: [Row; LISTED],
+    skin: [Row; LISTED],
 }
 
 /// Scratch memory.
-pub(super) struct Facets {
+pub(crate) struct Facets {
     /// Squared distances of each seed from the corners.
     squared: [[Row; 3]; LISTED],
     /// The least distances that each seed may have to the corners.
@@ -63,14 +63,14 @@ pub(super) struct Facets {
 
 /// Whether a seed with these squared distances from the corners is nearer to all of them than one with those, whatever
 /// way they are rounded: as [`Facets::choose`] says it.
-pub(super) fn beats(squared: [f64; 3], other: [f64; 3]) -> bool {
+pub(crate) fn beats(squared: [f64; 3], other: [f64; 3]) -> bool {
     (0..3).all(|c| squared[c] < other[c] * (1.0 - 4.0 * ERROR))
 }
 
 impl Default for Given {
     fn default() -> Self {
         let row = Row::default();
-        Self { corner: [[row; 3]; 3], weight: [row; 3], seed: [[row; 3]; LISTED], slack: [row; LISTED] }
+        Self { corner: [[row; 3]; 3], weight: [row; 3], seed: [[row; 3]; LISTED], skin: [row; LISTED] }
     }
 }
 
@@ -98,7 +98,7 @@ struct Bounds<S: Simd> {
 }
 
 /// Pieces of as many members as there are; one in each lane.
-pub(super) struct Found {
+pub(crate) struct Found {
     /// Where rounding could decide.
     pub unsure: Row,
     pub pieces: [PieceRows; MEMBERS],
@@ -109,7 +109,7 @@ const SMALL: f64 = 2.0;
 
 /// One member's pieces.
 #[derive(Clone, Copy, Default)]
-pub(super) struct PieceRows {
+pub(crate) struct PieceRows {
     /// 1 where it is there, and [`SMALL`].
     there: Row,
     /// Mass, moment, energy, area.
@@ -119,13 +119,13 @@ pub(super) struct PieceRows {
 impl PieceRows {
     /// Whether there is a piece in one lane that is too small for [`Self::get`].
     #[inline(always)]
-    pub(super) fn is_small(&self, lane: usize) -> bool {
+    pub(crate) fn is_small(&self, lane: usize) -> bool {
         self.there.0[lane] == SMALL
     }
 
     /// The integrals in one lane, if there is a piece.
     #[inline(always)]
-    pub(super) fn get(&self, lane: usize) -> Option<Integrals> {
+    pub(crate) fn get(&self, lane: usize) -> Option<Integrals> {
         let [mass, x, y, z, energy, area] = &self.values;
         (self.there.0[lane] != 0.0).then(|| Integrals {
             mass: mass.0[lane],
@@ -145,7 +145,7 @@ impl Default for Found {
 impl Given {
     /// Sets a lane's facet.
     #[inline(always)]
-    pub(super) fn set_facet(&mut self, lane: usize, vertices: &[Vertex; 3]) {
+    pub(crate) fn set_facet(&mut self, lane: usize, vertices: &[Vertex; 3]) {
         let lane = lane % WIDEST;
         for (corner, Vertex { p, .. }) in self.corner.iter_mut().zip(vertices) {
             (corner[0].0[lane], corner[1].0[lane], corner[2].0[lane]) = (p.x, p.y, p.z);
@@ -154,13 +154,13 @@ impl Given {
 
     /// Sets the weights at its corners.
     #[inline(always)]
-    pub(super) fn set_weights(&mut self, lane: usize, vertices: &[Vertex; 3]) {
+    pub(crate) fn set_weights(&mut self, lane: usize, vertices: &[Vertex; 3]) {
         self.weight.iter_mut().zip(vertices).for_each(|(row, vertex)| row.0[lane % WIDEST] = vertex.weight);
     }
 
     /// Sets a lane's k-th seed.
     #[inline(always)]
-    pub(super) fn set_seed(&mut self, lane: usize, k: usize, p: DVec3) {
+    pub(crate) fn set_seed(&mut self, lane: usize, k: usize, p: DVec3) {
         let seed = &mut self.seed[k];
         let lane = lane % WIDEST;
         (seed[0].0[lane], seed[1].0[lane], seed[2].0[lane]) = (p.x, p.y, p.z);
@@ -168,18 +168,18 @@ impl Given {
 
     /// Sets how far a lane's k-th seed may move.
     #[inline(always)]
-    pub(super) fn set_slack(&mut self, lane: usize, k: usize, slack: f64) {
-        self.slack[k].0[lane % WIDEST] = slack;
+    pub(crate) fn set_skin(&mut self, lane: usize, k: usize, skin: f64) {
+        self.skin[k].0[lane % WIDEST] = skin;
     }
 }
 
 /// Two groups' lanes. The next one's are set before those of the one at hand are read: what was written number by
 /// number could not be read as a whole at once.
 #[derive(Default)]
-pub(super) struct InTurn([Given; 2]);
+pub(crate) struct InTurn([Given; 2]);
 
 /// A group to set, and one to read that was set before.
-pub(super) struct Turn<'a> {
+pub(crate) struct Turn<'a> {
     pub set: Option<&'a [u32]>,
     pub read: Option<&'a [u32]>,
     into: usize,
@@ -187,19 +187,19 @@ pub(super) struct Turn<'a> {
 
 impl InTurn {
     /// The turns that it takes for facets, so many to a group.
-    pub(super) fn turns(facets: &[u32], lanes: usize) -> impl Iterator<Item = Turn<'_>> {
+    pub(crate) fn turns(facets: &[u32], lanes: usize) -> impl Iterator<Item = Turn<'_>> {
         let groups = facets.chunks(lanes).map(Some);
         let set = groups.clone().chain([None]);
         set.zip([None].into_iter().chain(groups)).enumerate().map(|(k, (set, read))| Turn { set, read, into: k % 2 })
     }
 
     #[inline(always)]
-    pub(super) fn next(&mut self, turn: &Turn<'_>) -> &mut Given {
+    pub(crate) fn next(&mut self, turn: &Turn<'_>) -> &mut Given {
         &mut self.0[turn.into]
     }
 
     #[inline(always)]
-    pub(super) fn present(&self, turn: &Turn<'_>) -> &Given {
+    pub(crate) fn present(&self, turn: &Turn<'_>) -> &Given {
         &self.0[1 - turn.into]
     }
 }
@@ -223,7 +223,7 @@ impl Facets {
 
     /// Of lists of `n` seeds those that are not farther than another one from all corners, as bits.
     #[inline(always)]
-    pub(super) fn choose<S: Simd>(&mut self, simd: S, n: usize, given: &Given) -> [u32; WIDEST] {
+    pub(crate) fn choose<S: Simd>(&mut self, simd: S, n: usize, given: &Given) -> [u32; WIDEST] {
         self.measure(simd, n, given);
         // A seed beats another one by more than roundings.
         let room = Number::all(simd, 1.0 - 4.0 * ERROR);
@@ -235,17 +235,17 @@ impl Facets {
         self.unbeaten(simd, n)
     }
 
-    /// The same, whatever way any two of them move within their slacks.
+    /// The same, whatever way any two of them move within their skins.
     #[inline(always)]
-    pub(super) fn choose_with_slack<S: Simd>(&mut self, simd: S, n: usize, given: &Given) -> [u32; WIDEST] {
+    pub(crate) fn choose_with_skin<S: Simd>(&mut self, simd: S, n: usize, given: &Given) -> [u32; WIDEST] {
         self.measure(simd, n, given);
         let room = Number::all(simd, 1.0 - 4.0 * ERROR);
         for k in 0..n {
-            let slack = Number::load(simd, &given.slack[k]);
+            let skin = Number::load(simd, &given.skin[k]);
             for c in 0..3 {
                 let distance = Number::load(simd, &self.squared[k][c]).sqrt();
-                ((distance - slack) * room).store(&mut self.least[k][c]);
-                (distance + slack).store(&mut self.squared[k][c]);
+                ((distance - skin) * room).store(&mut self.least[k][c]);
+                (distance + skin).store(&mut self.squared[k][c]);
             }
         }
         self.unbeaten(simd, n)
@@ -270,7 +270,7 @@ impl Facets {
 
     /// Divides facets of `n` members among them. Weights are read where they are not 1.
     #[inline(always)]
-    pub(super) fn divide<S: Simd, const N: usize>(&mut self, simd: S, n: usize, given: &Given, found: &mut Found) {
+    pub(crate) fn divide<S: Simd, const N: usize>(&mut self, simd: S, n: usize, given: &Given, found: &mut Found) {
         self.measure(simd, n, given);
         let (zero, one) = (Number::all(simd, 0.0), Number::all(simd, 1.0));
         let first = load(simd, &given.corner[0]);
@@ -406,7 +406,7 @@ impl Facets {
         let some = left & low.below(high);
         if some.any() {
             let (du, dv) = (to[1] - from[1], to[2] - from[2]);
-            // Around corner c, and so around its piece, the segment runs from a's side to b's.
+            // Neighbourhood corner c, and so around its piece, the segment runs from a's side to b's.
             let along = zero.below(c);
             let (begin, end) = (along.choose(low, high), along.choose(high, low));
             let begin = [some.choose(from[1] + begin * du, zero), some.choose(from[2] + begin * dv, zero)];

@@ -11,21 +11,21 @@ use super::lanes::{Number, Row};
 
 /// Integrals over a piece in barycentric coordinates, p = p₀ + u (p₁ - p₀) + v (p₂ - p₀): of 1, wu, wv, wu², wuv, wv²
 /// and w, where w is the weight; times the numbers that [`integrals`] divides by.
-pub(super) type Moments = [Row; WEIGHTED];
+pub(crate) type Moments = [Row; WEIGHTED];
 
 /// How many of them there are where the weight is 1, and the last one the first,
-pub(super) const UNIFORM: usize = 6;
+pub(crate) const UNIFORM: usize = 6;
 /// and where it is linear in the facet.
-pub(super) const WEIGHTED: usize = 7;
+pub(crate) const WEIGHTED: usize = 7;
 
 /// The weight at the first corner, and how much more it is at the others.
 #[derive(Clone, Copy)]
-pub(super) struct Weight<S: Simd>([Number<S>; 3]);
+pub(crate) struct Weight<S: Simd>([Number<S>; 3]);
 
 impl<S: Simd> Weight<S> {
     /// From the weights at the corners.
     #[inline(always)]
-    pub(super) fn new([first, second, third]: [Number<S>; 3]) -> Self {
+    pub(crate) fn new([first, second, third]: [Number<S>; 3]) -> Self {
         Self([first, second - first, third - first])
     }
 
@@ -37,12 +37,12 @@ impl<S: Simd> Weight<S> {
 }
 
 /// A place (u, v).
-pub(super) type Place<S> = [Number<S>; 2];
+pub(crate) type Place<S> = [Number<S>; 2];
 
 /// The moments of the triangle from the origin to a segment. The integral of a product of linear functions over a triangle
 /// is a sum of products of their values at its corners, where u and v are 0 at the origin.
 #[inline(always)]
-pub(super) fn of<S: Simd, const N: usize>(simd: S, weight: Weight<S>, [from, to]: [Place<S>; 2]) -> [Number<S>; N] {
+pub(crate) fn of<S: Simd, const N: usize>(simd: S, weight: Weight<S>, [from, to]: [Place<S>; 2]) -> [Number<S>; N] {
     let ([a, b], [c, d]) = (from, to);
     let cross = a * d - c * b;
     let mut m = [cross; N];
@@ -72,7 +72,7 @@ pub(super) fn of<S: Simd, const N: usize>(simd: S, weight: Weight<S>, [from, to]
 
 /// Adds to a piece's moments.
 #[inline(always)]
-pub(super) fn add<S: Simd, const N: usize>(simd: S, sum: &mut Moments, more: [Number<S>; N]) {
+pub(crate) fn add<S: Simd, const N: usize>(simd: S, sum: &mut Moments, more: [Number<S>; N]) {
     for m in 0..N {
         (Number::load(simd, &sum[m]) + more[m]).store(&mut sum[m]);
     }
@@ -80,21 +80,21 @@ pub(super) fn add<S: Simd, const N: usize>(simd: S, sum: &mut Moments, more: [Nu
 
 /// Takes from a piece's moments.
 #[inline(always)]
-pub(super) fn take<S: Simd, const N: usize>(simd: S, sum: &mut Moments, less: [Number<S>; N]) {
+pub(crate) fn take<S: Simd, const N: usize>(simd: S, sum: &mut Moments, less: [Number<S>; N]) {
     for m in 0..N {
         (Number::load(simd, &sum[m]) - less[m]).store(&mut sum[m]);
     }
 }
 
 /// Facets in space, as their pieces' integrals need them.
-pub(super) struct Shape<S: Simd> {
+pub(crate) struct Shape<S: Simd> {
     /// From the first corner to the others.
     pub side: [[Number<S>; 3]; 2],
     pub twice_area: Number<S>,
 }
 
 /// Integrals over pieces about their seeds.
-pub(super) struct PieceIntegrals<S: Simd> {
+pub(crate) struct PieceIntegrals<S: Simd> {
     pub mass: Number<S>,
     pub moment: [Number<S>; 3],
     pub energy: Number<S>,
@@ -108,7 +108,7 @@ fn dot<S: Simd>(a: [Number<S>; 3], b: [Number<S>; 3]) -> Number<S> {
 
 /// The integrals about a seed from which the first corner is at `origin`.
 #[inline(always)]
-pub(super) fn integrals<S: Simd, const N: usize>(
+pub(crate) fn integrals<S: Simd, const N: usize>(
     simd: S,
     moments: &Moments,
     shape: &Shape<S>,

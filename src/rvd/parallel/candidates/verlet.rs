@@ -1,23 +1,22 @@
-//! The seeds that count on each facet, kept while no seed moves far.
+//! Verlet lists: the seeds that count on each facet, while no seed moves far.
 //!
-//! Purpose: a pass after one that moved every seed a little finds all cells without looking for neighbours,
-//! as molecular dynamics keeps its neighbour lists (Verlet 1967). Seeds that converge move by a
-//! hundredth of their spacing, so that a list serves several passes; the few that move farther are strays. Moves go on as
-//! they went, so that lists are made about places ahead of the seeds, and serve until these have left them behind.
-//! Invariant: lists are used while every other seed is within its slack of the place about which they were made for it;
-//! none that counts is missing then. What comes of a facet is the same with a kept list and with a new one.
+//! Purpose: a pass after one that moved every seed a little finds all cells without a search for neighbours,
+//! as molecular dynamics does with its neighbour lists (Verlet 1967). Seeds that converge move by a hundredth of their spacing,
+//! so a list serves several passes. The few seeds that move farther have escaped. Moves continue as they went, so lists are made
+//! about places ahead of the seeds, and serve until the seeds have left them behind.
+//! Invariant: lists are used while every seed that has not escaped is within its skin of the place about which they were made.
+//! No seed that counts is missing then. What comes of a facet is the same with an old list and with a new one.
 //! Must not know: what becomes of a list; surfaces.
-
-use std::ops::Range;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::gather::Slack;
-use super::strays::{Bounds, Strays};
+use super::escaped::Escaped;
+use super::gather::Skin;
+use super::lists::Lists;
 use crate::knn::{NeighbourTable, SeedIndex};
 
-/// A seed's slack is a share of the distance to this neighbour of it, which relaxed cells touch,
+/// A seed's skin is a share of the distance to this neighbour of it, which relaxed cells touch,
 const NEIGHBOUR: usize = 6;
 /// or of about as much by the area of its cell: the squared distance between relaxed seeds is 2/√3 of that.
 const HEXAGON: f64 = 1.1547;
@@ -28,89 +27,29 @@ const WIDE: f64 = 1.5;
 /// Lists are made for so many moves like the last one of a seed that all but this share of them moved less than,
 const MOVES: f64 = 6.0;
 const FAR: f64 = 1.0 / 64.0;
-/// with a slack of at most this share, as lists get longer with it, and of at least that.
+/// with a skin of at most this share, as lists get longer with it, and of at least that.
 const MOST: f64 = 0.2;
 const LEAST: f64 = 0.03;
 /// They are not made after a move farther than that; the next one is often shorter, as a quasi-Newton step goes.
 const FAST: f64 = MOST;
 /// Seeds whose last two moves are alike, by the cosine between them, go on (.95 to .998 from one Lloyd step to the next, .4
-/// to .9 of quasi-Newton steps), and lists are made about places ahead of them, by at most this share of their slack, so
+/// to .9 of quasi-Newton steps), and lists are made about places ahead of them, by at most this share of their skin, so
 /// that they serve for nearly twice as long.
 const ALIKE: f64 = 0.5;
 const AHEAD: f64 = 0.8;
-/// Lists are made anew where more than this share of the seeds are strays, and more than so many.
-const ASTRAY: f64 = 1.0 / 32.0;
+/// Lists are made anew where more than this share of the seeds have escaped, and more than so many.
+const ESCAPED: f64 = 1.0 / 32.0;
 const A_FEW: usize = 2;
-/// Seeds around a seed that are looked at for one that it could meet; beside a crowd there are many.
+/// Seeds around a seed that are looked at for one that it could meet; where seeds are dense there are many.
 const MANY_AROUND: usize = 4096;
-/// Of its slack a seed may use so much, so that comparisons of distances are never near their roundings.
+/// Of its skin a seed may use so much, so that comparisons of distances are never near their roundings.
 const USED: f64 = 1.0 - 1e-6;
 /// Seeds per task.
 const CHUNK: usize = 2048;
 
-/// The lists of one chunk of facets, one after the other; an empty one where it would be too long.
-#[derive(Default)]
-pub(super) struct Lists {
-    ends: Vec<u32>,
-    seeds: Vec<u32>,
-    /// Of each group of [`super::around::GROUP`] facets, who may be nearer to a corner than the seed that the facet starts
-    /// with.
-    pub bounds: Vec<Bounds>,
-}
-
-impl Lists {
-    pub(super) fn clear(&mut self) {
-        self.ends.clear();
-        self.seeds.clear();
-        self.bounds.clear();
-    }
-
-    pub(super) fn push(&mut self, list: impl IntoIterator<Item = u32>) {
-        self.seeds.extend(list);
-        self.ends.push(self.seeds.len() as u32);
-    }
-
-    /// Appends a list of so many, which are to be written there.
-    #[inline(always)]
-    pub(super) fn end(&mut self, len: usize) -> &mut [u32] {
-        let begin = self.seeds.len();
-        self.seeds.resize(begin + len, 0);
-        self.ends.push(self.seeds.len() as u32);
-        &mut self.seeds[begin..]
-    }
-
-    /// How many seeds a list has.
-    pub(super) fn mean_len(&self) -> usize {
-        self.seeds.len() / self.ends.len().max(1)
-    }
-
-    /// Appends a range of another one's lists.
-    pub(super) fn copy(&mut self, other: &Self, range: Range<usize>) {
-        let (first, end) = (other.first(range.start), other.first(range.end));
-        let shift = (self.seeds.len() as u32).wrapping_sub(first);
-        self.seeds.extend_from_slice(&other.seeds[first as usize..end as usize]);
-        self.ends.extend(other.ends[range].iter().map(|end| end.wrapping_add(shift)));
-    }
-
-    /// Where the list at `at` begins.
-    fn first(&self, at: usize) -> u32 {
-        if at == 0 { 0 } else { self.ends[at - 1] }
-    }
-
-    /// How many lists there are.
-    pub(super) fn len(&self) -> usize {
-        self.ends.len()
-    }
-
-    /// The list of the facet at `at` of the chunk.
-    pub(super) fn get(&self, at: usize) -> &[u32] {
-        &self.seeds[self.first(at) as usize..self.ends[at] as usize]
-    }
-}
-
 /// All lists, and the seeds that they hold for.
 #[derive(Default)]
-pub(super) struct KeptLists {
+pub(crate) struct VerletLists {
     /// Of each chunk of so many facets.
     chunks: Vec<Lists>,
     facets: usize,
@@ -124,9 +63,9 @@ pub(super) struct KeptLists {
     width: Vec<f64>,
     /// Of each cell at the last pass.
     area: Vec<f64>,
-    /// The most slack that a seed can have where that is known.
+    /// The most skin that a seed can have where that is known.
     most: f64,
-    /// The places about which the seeds have their slack: where they were when the lists were made, or were expected to go,
+    /// The places about which the seeds have their skin: where they were when the lists were made, or were expected to go,
     made_at: Vec<DVec3>,
     /// where they were at the last pass,
     last: Vec<DVec3>,
@@ -134,61 +73,61 @@ pub(super) struct KeptLists {
     before: Vec<DVec3>,
     /// The next so many times that lists are made nothing is expected.
     blind: usize,
-    /// Seeds that could come to lie on each other within their slack.
+    /// Seeds that could come to lie on each other within their skin.
     close: Vec<[u32; 2]>,
     /// Whether the index, and the rows, of the seeds as they were then are still there.
     indexed: bool,
-    strays: Strays,
+    escaped: Escaped,
     moves: Vec<f64>,
 }
 
-/// What lists that are kept are about.
+/// What Verlet lists hold for.
 #[derive(Clone, Copy)]
-pub(super) struct Kept<'a> {
-    /// The places about which the seeds have their slack.
+pub(crate) struct Verlet<'a> {
+    /// The places about which the seeds have their skin.
     pub made_at: &'a [DVec3],
-    pub slack: Slack<'a>,
-    pub strays: &'a Strays,
+    pub skin: Skin<'a>,
+    pub escaped: &'a Escaped,
     /// Whether lists come without rows.
     pub even: bool,
 }
 
-impl KeptLists {
-    /// Whether the lists, so many facets to a chunk, hold for these seeds, but for a few strays. The index must
+impl VerletLists {
+    /// Whether the lists, so many facets to a chunk, hold for these seeds, but for a few escaped seeds. The index must
     /// be there for those.
-    pub(super) fn hold(&mut self, seeds: &[DVec3], facets: usize) -> bool {
+    pub(crate) fn hold(&mut self, seeds: &[DVec3], facets: usize) -> bool {
         if !self.there || self.facets != facets || self.made_at.len() > seeds.len() {
             return false;
         }
-        let few = if self.indexed { A_FEW.max((ASTRAY * seeds.len() as f64) as usize) } else { 0 };
+        let few = if self.indexed { A_FEW.max((ESCAPED * seeds.len() as f64) as usize) } else { 0 };
         self.hold_but_for(few, seeds)
     }
 
-    /// The same for so many strays at most.
-    fn hold_but_for(&mut self, strays: usize, seeds: &[DVec3]) -> bool {
-        let slack = slack(self.share, self.most, &self.width);
-        self.strays.find(seeds, &self.made_at, (slack, USED), strays)
+    /// The same for so many escaped seeds at most.
+    fn hold_but_for(&mut self, escaped: usize, seeds: &[DVec3]) -> bool {
+        let skin = skin(self.share, self.most, &self.width);
+        self.escaped.find(seeds, &self.made_at, (skin, USED), escaped)
             && self.close.iter().all(|&[i, j]| seeds[i as usize] != seeds[j as usize])
-            && !self.strays.meet(seeds)
+            && !self.escaped.meet(seeds)
     }
 
     /// The index and the rows are others now.
-    pub(super) fn lose_index(&mut self) {
+    pub(crate) fn lose_index(&mut self) {
         self.indexed = false;
     }
 
     /// None are made now.
-    pub(super) fn leave(&mut self) {
+    pub(crate) fn leave(&mut self) {
         self.there = false;
         self.share = 0.0;
     }
 
-    /// Chooses the slack of lists that are to be made now, from the new rows of these seeds.
-    pub(super) fn choose(&mut self, seeds: &[DVec3], table: &NeighbourTable) {
+    /// Chooses the skin of lists that are to be made now, from the new rows of these seeds.
+    pub(crate) fn choose(&mut self, seeds: &[DVec3], table: &NeighbourTable) {
         self.leave();
         self.even = false;
         self.width.resize(seeds.len(), 0.0);
-        // Rows that are too short for it leave no width, and a later twin has none; lists are not kept then.
+        // Rows that are too short for it leave no width, and a later duplicate has none; there are no Verlet lists then.
         self.width.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(i, width)| {
             let neighbour = table.row(i as u32).0.get(NEIGHBOUR - 1);
             *width = neighbour.map_or(0.0, |&j| seeds[i].distance(seeds[j as usize]));
@@ -203,8 +142,8 @@ impl KeptLists {
         }
     }
 
-    /// The same without rows, where no seeds are crowded; cells are as large as at the last pass, and `area` on average.
-    pub(super) fn choose_evenly(&mut self, seeds: &[DVec3], index: &SeedIndex, area: f64) {
+    /// The same without rows, where no seeds are dense; cells are as large as at the last pass, and `area` on average.
+    pub(crate) fn choose_evenly(&mut self, seeds: &[DVec3], index: &SeedIndex, area: f64) {
         self.leave();
         self.widths_of_cells(seeds.len(), area);
         let share = self.share_for(seeds);
@@ -216,7 +155,7 @@ impl KeptLists {
 
     /// The same for seeds that are about to move on as they moved last, if they are. Lists are to be made about places that
     /// lie ahead of them, which are returned; [`Self::check`] says whether they may.
-    pub(super) fn look_ahead(&mut self, seeds: &[DVec3], area: f64) -> Option<&[DVec3]> {
+    pub(crate) fn look_ahead(&mut self, seeds: &[DVec3], area: f64) -> Option<&[DVec3]> {
         self.leave();
         if self.blind > 0 {
             self.blind -= 1;
@@ -246,7 +185,7 @@ impl KeptLists {
     }
 
     /// Whether lists about places with this index hold for seeds there.
-    pub(super) fn check(&mut self, seeds: &[DVec3], index: &SeedIndex) -> bool {
+    pub(crate) fn check(&mut self, seeds: &[DVec3], index: &SeedIndex) -> bool {
         if index.is_even() && index.duplicates() == 0 {
             self.find_close_evenly(index);
             return self.share > 0.0 && self.hold_but_for(0, seeds);
@@ -255,7 +194,7 @@ impl KeptLists {
     }
 
     /// Looking ahead did not do.
-    pub(super) fn be_blind(&mut self, passes: usize) {
+    pub(crate) fn be_blind(&mut self, passes: usize) {
         self.leave();
         self.blind = passes;
     }
@@ -314,15 +253,15 @@ impl KeptLists {
     }
 
     /// What was chosen, and the lists of so many chunks of so many facets.
-    pub(super) fn split(&mut self, chunks: usize, facets: usize) -> (Kept<'_>, &mut [Lists]) {
+    pub(crate) fn split(&mut self, chunks: usize, facets: usize) -> (Verlet<'_>, &mut [Lists]) {
         self.facets = facets;
         self.chunks.resize_with(chunks, Lists::default);
-        let slack = slack(self.share, self.most, &self.width);
-        (Kept { made_at: &self.made_at, slack, strays: &self.strays, even: self.even }, &mut self.chunks)
+        let skin = skin(self.share, self.most, &self.width);
+        (Verlet { made_at: &self.made_at, skin, escaped: &self.escaped, even: self.even }, &mut self.chunks)
     }
 
     /// A pass over these seeds is done, with cells of such areas; whether it made a list for every facet.
-    pub(super) fn end_pass(&mut self, seeds: &[DVec3], area: &[f64], made: bool) {
+    pub(crate) fn end_pass(&mut self, seeds: &[DVec3], area: &[f64], made: bool) {
         std::mem::swap(&mut self.before, &mut self.last);
         self.last.clear();
         self.last.extend_from_slice(seeds);
@@ -342,23 +281,23 @@ impl KeptLists {
         });
     }
 
-    /// Finds pairs of seeds that could meet. Of two, the one with more slack has the other within twice that, among those
-    /// that `around` finds; with rows that is before the neighbour that gives its width, as slacks are a small part of
-    /// that. So seeds that are crowded beside wide cells are looked for from these few. There will be no lists where
+    /// Finds pairs of seeds that could meet. Of two, the one with more skin has the other within twice that, among those
+    /// that `around` finds; with rows that is before the neighbour that gives its width, as skins are a small part of
+    /// that. So dense seeds beside wide cells are looked for from the few seeds of these. There will be no lists where
     /// `around` cannot say.
     fn find_close(&mut self, around: impl Fn(u32, DVec3, f64, &mut Vec<u32>) -> bool + Sync) {
-        let slack = slack(self.share, self.most, &self.width);
+        let skin = skin(self.share, self.most, &self.width);
         let seeds = &self.made_at;
         let find = |chunk: usize| {
             let (mut near, mut pairs) = (Vec::new(), Vec::new());
             for i in chunk * CHUNK..seeds.len().min((chunk + 1) * CHUNK) {
-                let own = slack.of(i as u32);
+                let own = skin.of(i as u32);
                 near.clear();
                 if !around(i as u32, seeds[i], 2.0 * own, &mut near) {
                     return None;
                 }
                 let close = |&&j: &&u32| {
-                    let other = slack.of(j);
+                    let other = skin.of(j);
                     (other, j) < (own, i as u32) && seeds[i].distance(seeds[j as usize]) <= own + other
                 };
                 pairs.extend(near.iter().filter(close).map(|&j| [i as u32, j]));
@@ -383,9 +322,9 @@ fn goes_on_for(goes_on: f64, moves: f64) -> f64 {
     }
 }
 
-/// The slack of seeds.
-fn slack(share: f64, most: f64, width: &[f64]) -> Slack<'_> {
-    Slack { share, width, most }
+/// The skin of seeds.
+fn skin(share: f64, most: f64, width: &[f64]) -> Skin<'_> {
+    Skin { share, width, most }
 }
 
 #[cfg(test)]
@@ -393,27 +332,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn seeds_that_could_meet_are_found_beside_a_crowd() {
+    fn seeds_that_could_meet_are_found_beside_dense_ones() {
         // A wide grid, and between four of its seeds so many cells of a fiftieth the width that whoever looks as far as the
-        // widest slack goes sees too many.
+        // widest skin goes sees too many.
         let wide = (0..900).map(|k| DVec3::new((k % 30) as f64, (k / 30) as f64, 0.0));
-        let crowd = (0..900).map(|k| DVec3::new(14.2 + (k % 30) as f64 / 50.0, 14.2 + (k / 30) as f64 / 50.0, 0.0));
-        let last: Vec<DVec3> = wide.chain(crowd).collect();
+        let dense = (0..900).map(|k| DVec3::new(14.2 + (k % 30) as f64 / 50.0, 14.2 + (k / 30) as f64 / 50.0, 0.0));
+        let last: Vec<DVec3> = wide.chain(dense).collect();
         let area: Vec<f64> = (0..last.len()).map(|i| if i < 900 { 1.0 } else { 1.0 / 2500.0 }).collect();
-        let mut lists = KeptLists::default();
+        let mut lists = VerletLists::default();
         lists.end_pass(&last, &area, false);
         let moved = |i: usize| 0.02 * area[i].sqrt() * DVec3::new((i as f64).sin(), (i as f64).cos(), 0.0);
         let seeds: Vec<DVec3> = last.iter().enumerate().map(|(i, &p)| p + moved(i)).collect();
         let mean = area.iter().sum::<f64>() / area.len() as f64;
         lists.choose_evenly(&seeds, &SeedIndex::new(&seeds), mean);
         assert!((0.1..0.2).contains(&lists.share), "{}", lists.share);
-        // So wide that a crowded seed could meet a wide one.
+        // So wide that a dense seed could meet a wide one.
         lists.share = 0.4;
         lists.find_close_evenly(&SeedIndex::new(&seeds));
-        let slack = slack(lists.share, lists.most, &lists.width);
+        let skin = skin(lists.share, lists.most, &lists.width);
         let mut want = Vec::new();
         for i in 0..seeds.len() as u32 {
-            let meets = |&j: &u32| seeds[i as usize].distance(seeds[j as usize]) <= slack.of(i) + slack.of(j);
+            let meets = |&j: &u32| seeds[i as usize].distance(seeds[j as usize]) <= skin.of(i) + skin.of(j);
             want.extend((0..i).filter(meets).map(|j| [j, i]));
         }
         let mut found: Vec<[u32; 2]> = lists.close.iter().map(|&[i, j]| [i.min(j), i.max(j)]).collect();

@@ -4,15 +4,15 @@
 //! Invariant: a cell adds its pieces within a block up in the order of facets, and nothing else decides its bits.
 //! Must not know: how pieces are found.
 
-use super::facets::MEMBERS;
 use crate::rvd::clip::Integrals;
+use crate::rvd::parallel::divide::facets::MEMBERS;
 
 /// Stands where a member has no piece.
-pub(super) const NONE: u32 = u32::MAX;
+pub(crate) const NONE: u32 = u32::MAX;
 
 /// One thread's scratch memory.
 #[derive(Default)]
-pub(super) struct Written {
+pub(crate) struct Written {
     /// Of as many seeds as each facet has members; [`NONE`] where a member has no piece.
     pub seeds: Vec<u32>,
     pub integrals: Vec<Integrals>,
@@ -33,7 +33,7 @@ struct Insert {
 
 impl Written {
     /// Gives every facet with a usable number of members room for their integrals; the others are to be walked.
-    pub(super) fn begin(&mut self, members: &[u32], to_walk: &mut Vec<u32>) {
+    pub(crate) fn begin(&mut self, members: &[u32], to_walk: &mut Vec<u32>) {
         self.begin.clear();
         self.walked.clear();
         self.inserts.clear();
@@ -56,24 +56,24 @@ impl Written {
 
     /// Where the integrals of the facet at `at` begin.
     #[inline(always)]
-    pub(super) fn first(&self, at: u32) -> usize {
+    pub(crate) fn first(&self, at: u32) -> usize {
         self.begin[at as usize] as usize
     }
 
     /// Room for the seeds of the facet at `at`, which has `n` members.
     #[inline(always)]
-    pub(super) fn seeds_of(&mut self, at: u32, n: usize) -> &mut [u32] {
+    pub(crate) fn seeds_of(&mut self, at: u32, n: usize) -> &mut [u32] {
         let first = self.first(at);
         &mut self.seeds[first..][..n]
     }
 
     /// What was walked since belongs to the facet at `at`. Facets come in order.
-    pub(super) fn end_walk(&mut self, at: usize) {
+    pub(crate) fn end_walk(&mut self, at: usize) {
         self.inserts.push(Insert { at, end: self.walked.len() });
     }
 
     /// Appends the sums of all cells, block by block of so many facets. `seeds` is how many there are.
-    pub(super) fn add_blocks(&mut self, block: usize, seeds: usize, out: &mut Vec<(u32, Integrals)>) {
+    pub(crate) fn add_blocks(&mut self, block: usize, seeds: usize, out: &mut Vec<(u32, Integrals)>) {
         if self.place.len() != seeds {
             self.place.clear();
             self.place.resize(seeds, NONE);
