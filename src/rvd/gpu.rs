@@ -122,14 +122,14 @@ impl Gpu {
         session.pieces(0..2, &mut batch, &token)?;
         if let Some(seeds) = session.resident() {
             seeds.evaluate(&token)?;
-            seeds.direct()?;
+            seeds.search_direction()?;
             seeds.probe(1e-3, &token)?;
             seeds.accept()?;
             seeds.to_centroids()?;
             // The first one of them alone, then two at once.
-            let mut looks = Vec::new();
-            while looks.len() < 3 {
-                seeds.relax(3, &mut looks, &token)?;
+            let mut evaluations = Vec::new();
+            while evaluations.len() < 3 {
+                seeds.relax(3, &mut evaluations, &token)?;
             }
         }
         // The middle cell is a regular 24-gon of inradius 0.05.

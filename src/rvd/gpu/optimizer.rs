@@ -19,7 +19,7 @@ use super::neighbours::{Neighbours, Place};
 use super::plan::OptimizerPlan;
 use crate::gpu::buffers::write;
 use crate::gpu::dispatch::{reduction, run};
-use crate::rvd::resident::Look;
+use crate::rvd::resident::Evaluation;
 use crate::rvd::{PassStats, RvdError, Together};
 use batch::Batch;
 use history::History;
@@ -384,10 +384,10 @@ impl Optimizer {
     }
 
     /// What the totals say of the point at `place`.
-    pub(super) fn describe(&self, rooms: Rooms<'_>, place: Place, stats: PassStats) -> Look {
+    pub(super) fn describe(&self, rooms: Rooms<'_>, place: Place, stats: PassStats) -> Evaluation {
         let totals = self.moving.as_ref().map(|m| m.totals).unwrap_or_default();
         let grain = grain(rooms);
-        Look {
+        Evaluation {
             energy: limbs(totals.energy_low, totals.energy_high) as f64 / rooms.clip.scales.energy,
             gradient_squared: f64::from(totals.gradient_squared) / grain / grain,
             slope: if place == Place::Point { 0.0 } else { f64::from(totals.slope) / grain },

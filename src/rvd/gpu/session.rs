@@ -193,8 +193,7 @@ impl GpuSession {
 
     /// Adds what was done since `before`.
     fn meter(&self, before: &DeviceWork, stats: &mut PassStats) {
-        let done = self.work().since(before);
-        stats.set_device_work(stats.device_work().with(&done, |a, b| a + b));
+        stats.device += self.work().since(before);
     }
 
     fn compute_sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {

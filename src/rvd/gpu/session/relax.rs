@@ -16,13 +16,18 @@ use crate::rvd::gpu::clip::{Launch, Variant, Wants, count_requeued};
 use crate::rvd::gpu::layout::{ENTRY_BYTES, State, Totals};
 use crate::rvd::gpu::neighbours::{Place, Rows};
 use crate::rvd::gpu::optimizer::Step;
-use crate::rvd::{DeviceWork, Look, PassStats, RvdError, elapsed_ms};
+use crate::rvd::{DeviceWork, Evaluation, PassStats, RvdError, elapsed_ms};
 use crate::token::Token;
 
 impl GpuSession {
     /// At least one step, and at most `steps`, in one submission where nothing has to be done again. None from a
-    /// point with empty cells, whose look is then the last.
-    pub(super) fn take_steps(&mut self, steps: usize, looks: &mut Vec<Look>, token: &Token) -> Result<(), RvdError> {
+    /// point with empty cells, whose evaluation is then the last.
+    pub(super) fn take_steps(
+        &mut self,
+        steps: usize,
+        evaluations: &mut Vec<Evaluation>,
+        token: &Token,
+    ) -> Result<(), RvdError> {
         token.check()?;
         self.open_optimizer()?;
         self.ensure_memory()?;
@@ -32,61 +37,60 @@ impl GpuSession {
         let before = self.work();
         let begin = Instant::now();
         if alone && together > 1 {
-            let taken = self.take_together(together, looks)?;
+            let taken = self.take_together(together, evaluations)?;
             self.optimizer.there()?.batch.learn(together, taken, elapsed_ms(begin));
             if taken > 0 {
                 return Ok(());
             }
         }
-        let (mut look, taken) = self.look_and_step(alone, token)?;
-        if look.empty_cells == 0 && !taken {
+        let (mut evaluation, taken) = self.evaluate_and_step(alone, token)?;
+        if evaluation.empty_cells == 0 && !taken {
             self.step_to_centroids()?;
         }
         self.optimizer.there()?.batch.learn(1, usize::from(taken), elapsed_ms(begin));
-        look.stats.set_device_work(self.work().since(&before));
-        looks.push(look);
+        evaluation.stats.device = self.work().since(&before);
+        evaluations.push(evaluation);
         Ok(())
     }
 
     /// A pass, and a step with it if the pass is `alone` in its submission. Whether the step was taken.
-    fn look_and_step(&mut self, alone: bool, token: &Token) -> Result<(Look, bool), RvdError> {
+    fn evaluate_and_step(&mut self, alone: bool, token: &Token) -> Result<(Evaluation, bool), RvdError> {
         self.optimizer.there()?.step = if alone { Step::Wanted } else { Step::No };
-        let look = self.look_at(Place::Point, token);
+        let evaluation = self.evaluate_at(Place::Point, token);
         let taken = std::mem::replace(&mut self.optimizer.there()?.step, Step::No) == Step::Taken;
         if taken {
             self.point_changed();
         }
-        Ok((look?, taken))
+        Ok((evaluation?, taken))
     }
 
     /// `count` passes and steps in one submission. How many of them were clean, and so were taken.
-    fn take_together(&mut self, count: usize, looks: &mut Vec<Look>) -> Result<usize, RvdError> {
+    fn take_together(&mut self, count: usize, evaluations: &mut Vec<Evaluation>) -> Result<usize, RvdError> {
         let before = self.work();
         let begin = Instant::now();
         let (passes, roots) = self.submit_together(count)?;
         let taken = passes.iter().take_while(|pass| pass.0.halt == 0).count();
         let clip_ms = elapsed_ms(begin) / taken.max(1) as f64;
-        let first = looks.len();
+        let first = evaluations.len();
         for (state, totals) in passes.into_iter().take(taken) {
             let mut stats = PassStats { clip_ms, pairs: state.pieces.into(), ..PassStats::default() };
             stats.duplicate_seeds = state.duplicates.into();
             count_requeued(&state, &mut stats);
-            stats.set_device_work(self.clip.count_facets(&state, roots));
+            stats.device = self.clip.count_facets(&state, roots);
             self.optimizer.there()?.totals = totals;
-            looks.push(self.optimizer.describe(rooms!(self), Place::Point, stats));
+            evaluations.push(self.optimizer.describe(rooms!(self), Place::Point, stats));
         }
-        if let Some(look) = looks.get_mut(first) {
+        if let Some(evaluation) = evaluations.get_mut(first) {
             // What the submission took is put down to its first pass.
-            let (own, all) = (look.stats.device_work(), self.work().since(&before));
-            let (divided_facets, paired_facets) = (own.divided_facets, own.paired_facets);
-            look.stats.set_device_work(DeviceWork { divided_facets, paired_facets, ..all });
+            let DeviceWork { divided_facets, paired_facets, .. } = evaluation.stats.device;
+            evaluation.stats.device = DeviceWork { divided_facets, paired_facets, ..self.work().since(&before) };
         }
         Ok(taken)
     }
 
     /// State and totals of `count` passes and steps in one submission, and the first cells that each entered.
     fn submit_together(&mut self, count: usize) -> Result<(Vec<(State, Totals)>, u32), RvdError> {
-        // Where long stages are submitted on the way, steps are taken that no look would tell of.
+        // Where long stages are submitted on the way, steps are taken that no evaluation would tell of.
         let to_the_end = Token::default();
         self.point_changed();
         self.neighbours.place = Place::Point;

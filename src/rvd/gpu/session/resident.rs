@@ -16,7 +16,7 @@ use crate::rvd::clip::Integrals;
 use crate::rvd::gpu::clip::fixed;
 use crate::rvd::gpu::layout::SUM_WORDS;
 use crate::rvd::gpu::neighbours::Place;
-use crate::rvd::resident::{Look, Resident};
+use crate::rvd::resident::{Evaluation, Resident};
 use crate::rvd::{CellSums, PassStats, RvdError, elapsed_ms};
 use crate::token::Token;
 
@@ -41,7 +41,7 @@ impl GpuSession {
     }
 
     /// A pass at `place`, its gradient and its totals.
-    pub(super) fn look_at(&mut self, place: Place, token: &Token) -> Result<Look, RvdError> {
+    pub(super) fn evaluate_at(&mut self, place: Place, token: &Token) -> Result<Evaluation, RvdError> {
         token.check()?;
         let before = self.work();
         let begin = Instant::now();
@@ -99,7 +99,7 @@ impl GpuSession {
         self.open_optimizer()?;
         // The masses are those of the last pass, which may have been of another point.
         if !self.optimizer.there()?.has_gradient_and_sums() {
-            self.look_at(Place::Point, &Token::default())?;
+            self.evaluate_at(Place::Point, &Token::default())?;
         }
         if let Place::Trial(_) = self.neighbours.place {
             // The same step along another direction is another point.
@@ -126,7 +126,7 @@ impl GpuSession {
     pub(super) fn step_to_centroids(&mut self) -> Result<(), RvdError> {
         self.open_optimizer()?;
         if !self.optimizer.there()?.has_sums() {
-            self.look_at(Place::Point, &Token::default())?;
+            self.evaluate_at(Place::Point, &Token::default())?;
         }
         self.ensure_memory()?;
         self.optimizer.step_to_centroids(rooms!(self))?;
@@ -145,11 +145,11 @@ impl Resident for GpuSession {
         self.optimizer.there()?.hold(&self.cx, held)
     }
 
-    fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError> {
+    fn evaluate(&mut self, token: &Token) -> Result<Evaluation, RvdError> {
         let pool = Arc::clone(&self.cx.pool);
         pool.install(|| {
             self.open_optimizer()?;
-            self.look_at(Place::Point, token)
+            self.evaluate_at(Place::Point, token)
         })
     }
 
@@ -158,24 +158,24 @@ impl Resident for GpuSession {
         pool.install(|| self.step_to_centroids())
     }
 
-    fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, token: &Token) -> Result<(), RvdError> {
+    fn relax(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<(), RvdError> {
         let pool = Arc::clone(&self.cx.pool);
-        pool.install(|| self.take_steps(steps.max(1), looks, token))
+        pool.install(|| self.take_steps(steps.max(1), evaluations, token))
     }
 
-    fn direct(&mut self) -> Result<f64, RvdError> {
+    fn search_direction(&mut self) -> Result<f64, RvdError> {
         let pool = Arc::clone(&self.cx.pool);
         pool.install(|| self.find_direction())
     }
 
-    fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError> {
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation, RvdError> {
         let pool = Arc::clone(&self.cx.pool);
         pool.install(|| {
             self.open_optimizer()?;
             if !self.optimizer.there()?.directed {
                 return Err(RvdError::Internal("no direction to try".to_owned()));
             }
-            self.look_at(Place::Trial(step as f32), token)
+            self.evaluate_at(Place::Trial(step as f32), token)
         })
     }
 
@@ -184,7 +184,7 @@ impl Resident for GpuSession {
         pool.install(|| self.accept_trial())
     }
 
-    fn forget(&mut self) {
+    fn clear_history(&mut self) {
         self.optimizer.clear_history();
     }
 
@@ -202,7 +202,7 @@ impl Resident for GpuSession {
         pool.install(|| {
             self.open_optimizer()?;
             if !self.optimizer.there()?.has_sums() {
-                self.look_at(Place::Point, &Token::default())?;
+                self.evaluate_at(Place::Point, &Token::default())?;
             }
             self.download_sums(out)
         })
