@@ -62,21 +62,7 @@ const ROOMS: &[(&str, &[&str])] = &[
     // Its client speaks to a server through the wire, and imports nothing of it.
     (
         "cli",
-        &[
-            "wire",
-            "job",
-            "keys",
-            "remesh",
-            "cvt",
-            "rvd",
-            "knn",
-            "mesh",
-            "gpu",
-            "picture",
-            "config",
-            "telemetry",
-            "memory",
-        ],
+        &["wire", "job", "keys", "remesh", "cvt", "rvd", "knn", "mesh", "picture", "config", "telemetry", "memory"],
     ),
     (
         "internals",
@@ -108,6 +94,8 @@ const DOORS: &[(&str, &[&str])] = &[
     ("rvd/backends", &["gpu"]),
     ("cvt/curves", &["knn"]),
     ("cvt/density", &["knn"]),
+    // Lists the adapters.
+    ("cli/doctor", &["gpu"]),
     ("cli/serve", &["admin", "lifecycle", "metrics", "readiness", "service"]),
 ];
 
