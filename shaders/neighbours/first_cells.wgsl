@@ -74,7 +74,7 @@ fn walk(guess: u32) -> u32 {
 }
 
 // Through the grid.
-fn look() -> u32 {
+fn search_grid() -> u32 {
     let p = q_hi + q_lo;
     let place = place_of(p);
     let last = i32(params.side) - 1;
@@ -122,7 +122,7 @@ fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) group
         found = walk(guess);
     }
     if found == NONE {
-        found = look();
+        found = search_grid();
     }
     if found == NONE {
         atomicAdd(&state.unproved, 1u);

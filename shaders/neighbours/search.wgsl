@@ -12,7 +12,7 @@
 @group(0) @binding(4) var<storage, read_write> table: array<u32>;
 @group(0) @binding(5) var<storage, read_write> state: State;
 @group(0) @binding(6) var<storage, read_write> list_origins: array<vec4f>;
-@group(0) @binding(7) var<storage, read> plan: Plan;
+@group(0) @binding(7) var<storage, read> list_state: ListStateRead;
 #if ROW < WIDTH
 @group(0) @binding(8) var<storage, read_write> lists: array<u32>;
 #end
@@ -23,7 +23,7 @@
 #import shared/rings
 
 // As ListState, for a stage that only reads it.
-struct Plan {
+struct ListStateRead {
     drift: u32,
     fast: u32,
     open: u32,
@@ -67,12 +67,12 @@ fn offer(key: f32, seed: u32) {
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3u) {
     var index = params.part_first + id.x;
-    let some = plan.mode == FROM_LISTS;
-    if index >= select(params.seeds, plan.open, some) || atomicLoad(&state.halt) != 0u {
+    let some = list_state.mode == FROM_LISTS;
+    if index >= select(params.seeds, list_state.open, some) || atomicLoad(&state.halt) != 0u {
         return;
     }
     if some {
-        index = plan.words[6u * parts() + index];
+        index = list_state.words[6u * parts() + index];
     }
     let own = sorted[index];
     let row = own.seed * STRIDE + 1u;

@@ -1,21 +1,19 @@
-//! f32 on a wgpu device, exact as the others.
+//! f32 on a wgpu device, exact as the other backends.
 //!
-//! Purpose: the GPU backend. Most facets are done as a whole by `divide`, which makes no polygon. The
-//! others, and all of them where the pieces themselves are wanted, go to a list of (facet, cell) pairs
-//! (\[HYWZ17\], Algorithms 1 and 2): the nearest seed of each facet begins it, each clipped piece appends
-//! the cells across its bisectors, a hash set per facet keeps them apart. The sums are added in
-//! fixed point. The neighbours and the nearest seeds are found there too (`neighbours`), and seeds can
-//! be moved where they are (`optimizer`). Indirect dispatches follow the list; the host reads one small
-//! block between submissions and does again, with more of what they lacked, the pairs that did not end.
-//! Invariant: every pair ends `Done` here or in f64; a full set or list means growing and
-//! repeating the pass from zero. Integer sums have no order, so every run has the same bits. Which facets
-//! `divide` does, and its variant, depend on the surface and the seeds alone, never on capacities.
+//! Purpose: the GPU backend. The stage `divide` does most facets as a whole, without a polygon. The other facets, and all of them
+//! where the pieces themselves are wanted, go to a list of (facet, cell) pairs (\[HYWZ17\], Algorithms 1 and 2): the nearest
+//! seed of each facet begins it, each clipped piece appends the cells across its bisectors, and a hash set per facet
+//! keeps pairs apart. Sums are added in fixed point. Neighbours and nearest seeds are found on the device too (`neighbours`),
+//! and seeds can be moved there (`optimizer`). Indirect dispatches follow the list. The host reads one small block between
+//! submissions, and launches the pairs that did not end again, with more of what they lacked.
+//! Invariant: every pair ends `Done` here or in f64. A full set or list grows, and the pass begins from zero. Integer sums
+//! have no order, so every run has the same bits. Which facets `divide` does, and its variant, depend on the surface and
+//! the seeds alone, never on capacities.
 //!
-//! Measured on a software adapter, where a branch that no lane takes is walked through all the same, a loop
-//! that is left at its head runs its body once more for nobody, and each word that lanes load from
-//! places of their own costs about 20 cycles for eight of them: the pairs' clip took 30 ms for 69,000
-//! facets of 2.3 cells, each facet at once 20 with room for 8 cells, 17 for 6 and 10 for 4 (the last with 64-bit
-//! atomics, a fifth of it). The same text as loops that were to be jumped over took 29.
+//! What costs time on a software adapter: it executes a branch that no lane takes. A loop that is left at its head executes its
+//! body once more. A word that each of eight lanes loads from a place of its own costs about 20 cycles. Measured with 69,000
+//! facets of 2.3 cells each: clipping all pairs took 30 ms. Dividing the facets took 20 ms with room for 8 cells, 17 for 6 and
+//! 10 for 4, the last with 64-bit atomics (a fifth of it).
 //! Must not know: iterations, jobs, files.
 
 mod clip;

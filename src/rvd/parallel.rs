@@ -126,7 +126,7 @@ struct Blocks {
 enum From {
     /// In Verlet lists,
     Lists,
-    /// by looks around facets that are beside one another, where seeds are
+    /// by searches around facets that are beside one another, where seeds are
     Index,
     /// or about to be,
     Ahead,

@@ -81,7 +81,7 @@ fn search(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], neighbours: usize)
 }
 
 #[test]
-fn rows_from_kept_lists_are_those_of_a_search() {
+fn rows_from_verlet_lists_are_those_of_a_search() {
     let gpu = require_gpu!();
     let surface = surface(Shape::Torus, 600, false);
     let never = Token::default();

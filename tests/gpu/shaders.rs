@@ -184,6 +184,21 @@ fn records_have_one_layout() {
         }
     );
     same_layout!(&parse("neighbours/search", 10, 0), Sorted { hi, seed, lo, first });
+    // The words behind it are counted from its end.
+    for (stage, name) in [("neighbours/count", "ListState"), ("neighbours/search", "ListStateRead")] {
+        let (mut members, _) = reflected(&parse(stage, 10, 0), name);
+        assert_eq!(members.pop(), Some(("words".to_owned(), size_of::<layout::ListState>() as u32)));
+        let of = |offset: usize| offset as u32;
+        let fields = [
+            ("drift", of(std::mem::offset_of!(layout::ListState, drift))),
+            ("fast", of(std::mem::offset_of!(layout::ListState, fast))),
+            ("open", of(std::mem::offset_of!(layout::ListState, open))),
+            ("made", of(std::mem::offset_of!(layout::ListState, made))),
+            ("mode", of(std::mem::offset_of!(layout::ListState, mode))),
+        ];
+        let named: Vec<(&str, u32)> = members.iter().map(|(name, offset)| (name.as_str(), *offset)).collect();
+        assert_eq!(named[..fields.len()], fields);
+    }
     let gradient = parse("optimizer/gradient", 10, 0);
     same_layout!(
         &gradient,

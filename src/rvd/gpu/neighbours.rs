@@ -304,7 +304,7 @@ impl Neighbours {
     ) -> Result<(), RvdError> {
         let roots = self.roots_of(&memory.windows.facets()).len() as u64;
         let guessed = matches!(self.first_cells, FirstCells::Guessed | FirstCells::Found);
-        let size = if guessed { size::FACET } else { size::LOOK };
+        let size = if guessed { size::FACET } else { size::FIRST_CELL };
         let there = memory.there()?;
         let bindings = &there.bindings.windows[memory.windows.present()].first_cells;
         let stage = Stage { pipeline: &cx.pipelines.first_cells, bindings, items: roots, size, arguments: None };

@@ -94,7 +94,7 @@ pub fn windows(needs: impl IntoIterator<Item = Need>, spare: u64, limits: Limits
 /// 40 ms.
 pub mod size {
     /// A facet that looks for its first cell without a guess.
-    pub const LOOK: u64 = 1;
+    pub const FIRST_CELL: u64 = 1;
     /// A seed that looks for its neighbours, or for facets; a facet that is divided with room for many cells.
     pub const SEARCH: u64 = 2;
     /// A facet that is divided, or walks to its first cell.

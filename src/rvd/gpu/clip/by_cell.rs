@@ -1,18 +1,16 @@
 //! The per-cell side of the work.
 //!
-//! Purpose: \[HYWZ17\] gives a thread to each facet, and to each cell where a facet meets more than
-//! 20 cells: a facet of many cells is a long walk, and few facets are few threads. Here the list of
-//! pairs has taken the place of the walk, so both sides end in the same list: by facet, pairs are
-//! found across bisectors from the facet's first cell, a ring of cells a round; by cell, `reach`
-//! lets each seed enter the facets that it reaches, nearly all of them in one round. This module
-//! says which facets, and makes the grid in which seeds look for them.
-//! Invariant: what is listed by cell is still closed under propagation, so nothing is missed; and
-//! `verify` proves that nothing else has been added (see the shader). Facets without that proof, or
-//! with pairs that the device cannot end, are left to propagation: same pairs, same bits.
-//! Measured on a software adapter (clip phase, two cores): two triangles and 20,000 cells, 12.2 ms by
-//! cell against 12.7 by facet; 192 facets and 50,000 cells, 68 against 38, and as much again in each
-//! pass that has to begin anew; a mesh finer than its cells, several times more. Rounds, which are
-//! what is saved, cost little there.
+//! Purpose: \[HYWZ17\] gives a thread to each facet, and to each cell where a facet meets more than 20 cells: a facet of many
+//! cells is a long walk, and few facets are few threads. Here both sides end in the same list of pairs. By facet, pairs are
+//! found across bisectors from the facet's first cell, a ring of cells a round. By cell, the stage `reach` lets each seed enter
+//! the facets that it reaches, nearly all of them in one round. This module chooses those facets, and makes the grid in which
+//! seeds look for them.
+//! Invariant: what is listed by cell is still closed under propagation, so nothing is missed. The stage `verify` proves that
+//! nothing else was added. Facets without that proof, or with pairs that the device cannot end, are left to propagation: same
+//! pairs, same bits.
+//! Measured on a software adapter (clip phase, two cores): two triangles and 20,000 cells, 12.2 ms by cell against 12.7 by facet;
+//! 192 facets and 50,000 cells, 68 against 38, and as much again in each pass that has to begin anew. A mesh finer than its
+//! cells takes several times longer. The rounds that are saved cost little there.
 //! Must not know: how facets are clipped.
 
 use super::Clip;
