@@ -27,8 +27,8 @@ use curves::CurveSeeds;
 
 use crate::mesh::closest_point::ClosestPoint;
 use crate::rvd::{
-    Backend, CellSums, DeviceWork, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface, check_seeds,
-    elapsed_ms,
+    Backend, CellSums, DeviceWork, Evaluation, PassStats, Resident, RvdError, Session, SessionOptions, Surface,
+    check_seeds, elapsed_ms,
 };
 use crate::token::Token;
 
@@ -144,22 +144,31 @@ const PUSHES: usize = 4;
 /// five Lloyd steps on three models, and by 0.014 at 1.
 const FIRST_STEP: f64 = 3.5;
 
+/// Who has the present seeds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Newest {
+    /// The host alone.
+    OnHost,
+    /// The host and the session.
+    OnBoth,
+    /// The session alone, which has moved them.
+    InSession,
+}
+
 /// One surface, its seeds, and the session that computes their diagram.
 pub struct Cvt {
     surface: Arc<Surface>,
     session: Box<dyn Session>,
     options: CvtOptions,
-    /// Unit frame; behind the session's where `read` is false.
+    /// Unit frame; behind the session's where that has moved them.
     seeds: Vec<DVec3>,
-    read: bool,
-    /// The session has not seen `seeds` yet.
-    stale: bool,
+    newest: Newest,
     /// Seeds that never move; empty if all do.
     held: Vec<bool>,
     /// The first seeds lie on curves, of which the others are kept clear.
     curves: CurveSeeds,
     /// What the last pass found at the present seeds.
-    present: Option<Look>,
+    present: Option<Evaluation>,
     /// The present seeds' history is empty, so that a step's length has to be guessed.
     fresh: bool,
     convergence: Convergence,
@@ -190,8 +199,7 @@ impl Cvt {
             session,
             options,
             seeds,
-            read: true,
-            stale: true,
+            newest: Newest::OnHost,
             held: Vec::new(),
             curves: CurveSeeds::default(),
             present: None,
@@ -217,9 +225,9 @@ impl Cvt {
         if held.len() != self.seeds.len() {
             return Err(RvdError::Internal(format!("{} marks for {} seeds", held.len(), self.seeds.len())));
         }
-        self.pull()?;
+        self.download()?;
         self.held = held;
-        self.moved();
+        self.seeds_changed();
         Ok(())
     }
 
@@ -238,17 +246,17 @@ impl Cvt {
     /// Pushes seeds off the curves. Returns how many there were.
     ///
     /// # Errors
-    /// What the device says.
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     pub(crate) fn clear_curves(&mut self, token: &Token) -> Result<usize, RvdError> {
         if self.curves.is_empty() {
             return Ok(0);
         }
-        self.pull()?;
+        self.download()?;
         let mut seeds = self.seeds.clone();
         let pushed = self.curves.push_out(&mut seeds, token)?;
         if pushed > 0 {
             self.seeds = seeds;
-            self.moved();
+            self.seeds_changed();
         }
         Ok(pushed)
     }
@@ -257,9 +265,9 @@ impl Cvt {
     /// Returns how many there were.
     ///
     /// # Errors
-    /// What the device says.
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     pub fn adopt_intruders(&mut self, token: &Token) -> Result<usize, RvdError> {
-        self.pull()?;
+        self.download()?;
         let mut adopted = 0;
         while adopted < MOST_ADOPTED {
             // One a segment: who comes between the same two may not, when these have another between them. Seeds ascend, so
@@ -281,7 +289,7 @@ impl Cvt {
             adopted += intruders.len();
         }
         if adopted > 0 {
-            self.moved();
+            self.seeds_changed();
         }
         Ok(adopted)
     }
@@ -295,9 +303,9 @@ impl Cvt {
     /// Returns how many could be added.
     ///
     /// # Errors
-    /// `NoSuchSeed`, `NonFiniteSeed`, or what the device says.
+    /// `NoSuchSeed`, `NonFiniteSeed`, or an error of the device.
     pub(crate) fn pin(&mut self, pins: &[(u32, DVec3)], new: &[DVec3]) -> Result<usize, RvdError> {
-        self.pull()?;
+        self.download()?;
         self.held.resize(self.seeds.len(), false);
         for &(seed, to) in pins {
             let seeds = self.seeds.len();
@@ -308,7 +316,7 @@ impl Cvt {
         let added = new.len().min(room);
         self.seeds.extend(&new[..added]);
         self.held.resize(self.seeds.len(), true);
-        self.moved();
+        self.seeds_changed();
         Ok(added)
     }
 
@@ -317,7 +325,7 @@ impl Cvt {
     /// A seed whose cell is empty is placed anew beside the cell of highest energy.
     ///
     /// # Errors
-    /// `Stopped`, or what the device says. The seeds are then as before, or, where the step was stopped while they were put on
+    /// `Stopped`, or an error of the device. The seeds are then as before, or, where the step was stopped while they were put on
     /// the surface, as after it.
     pub fn lloyd(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         self.metered(|cvt| cvt.take_lloyd(token))
@@ -325,15 +333,20 @@ impl Cvt {
 
     fn take_lloyd(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         let begin = Instant::now();
-        let (look, evaluations) = self.look(token)?;
-        self.lloyd_from(look, Iteration { evaluations, ..self.figures(StepKind::Lloyd, look) }, begin, token)
+        let (evaluation, evaluations) = self.evaluate(token)?;
+        self.lloyd_from(
+            evaluation,
+            Iteration { evaluations, ..self.figures(StepKind::Lloyd, evaluation) },
+            begin,
+            token,
+        )
     }
 
     /// One quasi-Newton step (L-BFGS; \[YLL*09\], \[FWW14\]): along -H∇E as far as the strong Wolfe
     /// conditions ask. Where the search fails, and where cells are empty, it is a Lloyd step instead.
     ///
     /// # Errors
-    /// `Stopped`, or what the device says. The seeds are then as before, or, where the step was stopped while they were put on
+    /// `Stopped`, or an error of the device. The seeds are then as before, or, where the step was stopped while they were put on
     /// the surface, as after it.
     pub fn lbfgs(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         self.metered(|cvt| cvt.take_lbfgs(token))
@@ -341,32 +354,32 @@ impl Cvt {
 
     fn take_lbfgs(&mut self, token: &Token) -> Result<Iteration, RvdError> {
         let begin = Instant::now();
-        let (look, evaluations) = self.look(token)?;
-        let mut report = Iteration { evaluations, ..self.figures(StepKind::Lbfgs, look) };
-        if look.empty_cells > 0 || look.gradient_squared == 0.0 {
+        let (evaluation, evaluations) = self.evaluate(token)?;
+        let mut report = Iteration { evaluations, ..self.figures(StepKind::Lbfgs, evaluation) };
+        if evaluation.empty_cells > 0 || evaluation.gradient_squared == 0.0 {
             report.kind = StepKind::Lloyd;
-            self.converged |= look.empty_cells == 0;
-            return self.lloyd_from(look, report, begin, token);
+            self.converged |= evaluation.empty_cells == 0;
+            return self.lloyd_from(evaluation, report, begin, token);
         }
         let vectors = resident(&mut *self.session)?;
-        let mut slope = vectors.direct()?;
+        let mut slope = vectors.search_direction()?;
         let mut first = if self.fresh { FIRST_STEP } else { 1.0 };
         if slope >= 0.0 {
-            vectors.forget();
-            slope = vectors.direct()?;
+            vectors.clear_history();
+            slope = vectors.search_direction()?;
             first = FIRST_STEP;
         }
-        let found = line_search::search(vectors, (look.energy, slope), first, token)?;
+        let found = line_search::search(vectors, (evaluation.energy, slope), first, token)?;
         report.evaluations += found.probes;
         report.stats.add(&found.stats);
-        let Some(next) = found.look else {
+        let Some(next) = found.evaluation else {
             report.kind = StepKind::Lloyd;
-            return self.lloyd_from(look, report, begin, token);
+            return self.lloyd_from(evaluation, report, begin, token);
         };
         vectors.accept()?;
-        (self.read, self.fresh) = (false, false);
+        (self.newest, self.fresh) = (Newest::InSession, false);
         self.present = Some(next);
-        self.converged = self.convergence.judge(look.energy, next.energy, next.gradient_squared.sqrt());
+        self.converged = self.convergence.judge(evaluation.energy, next.energy, next.gradient_squared.sqrt());
         if self.options.projection == Projection::OnSurface {
             self.project_seeds(token)?;
         }
@@ -385,10 +398,10 @@ impl Cvt {
     /// quasi-Newton step, otherwise one more pass.
     ///
     /// # Errors
-    /// `Stopped`, or what the device says.
+    /// `Stopped`, or an error of the device.
     pub fn present(&mut self, token: &Token) -> Result<Iteration, RvdError> {
-        let (look, evaluations) = self.look(token)?;
-        Ok(Iteration { evaluations, ..self.figures(StepKind::Lloyd, look) })
+        let (evaluation, evaluations) = self.evaluate(token)?;
+        Ok(Iteration { evaluations, ..self.figures(StepKind::Lloyd, evaluation) })
     }
 
     /// Moves every seed that is not held to the closest point of the surface.
@@ -396,11 +409,11 @@ impl Cvt {
     /// # Errors
     /// `Stopped`, with the seeds where they were; or `Internal`.
     pub fn project_seeds(&mut self, token: &Token) -> Result<(), RvdError> {
-        self.pull()?;
+        self.download()?;
         let mut seeds = std::mem::take(&mut self.seeds);
         let done = self.project(&mut seeds, token);
         self.seeds = seeds;
-        self.moved();
+        self.seeds_changed();
         done
     }
 
@@ -425,9 +438,9 @@ impl Cvt {
     /// The seeds now, caller's coordinates.
     ///
     /// # Errors
-    /// What the device says.
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     pub fn seeds(&mut self) -> Result<Vec<DVec3>, RvdError> {
-        self.pull()?;
+        self.download()?;
         Ok(self.seeds.iter().map(|&p| self.surface.frame().to_world(p)).collect())
     }
 
@@ -444,9 +457,9 @@ impl Cvt {
     /// The seeds now, unit frame.
     ///
     /// # Errors
-    /// What the device says.
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     pub(crate) fn unit_seeds(&mut self) -> Result<&[DVec3], RvdError> {
-        self.pull()?;
+        self.download()?;
         Ok(&self.seeds)
     }
 
@@ -456,7 +469,7 @@ impl Cvt {
     /// `TooManySeeds` beyond the room reserved, `NonFiniteSeed`, `NoSeeds` if none would be
     /// left, `NoSuchSeed`.
     pub fn edit(&mut self, edits: &[SeedEdit]) -> Result<(), RvdError> {
-        self.pull()?;
+        self.download()?;
         let frame = self.surface.frame();
         let mut seeds = self.seeds.clone();
         let mut held = self.held.clone();
@@ -491,7 +504,7 @@ impl Cvt {
         if held.contains(&true) {
             self.held = held;
         }
-        self.moved();
+        self.seeds_changed();
         Ok(())
     }
 
@@ -500,7 +513,7 @@ impl Cvt {
     /// # Errors
     /// What the backend says of the seeds.
     pub fn session(&mut self) -> Result<&mut dyn Session, RvdError> {
-        self.push()?;
+        self.upload()?;
         Ok(&mut *self.session)
     }
 
@@ -530,7 +543,7 @@ impl Cvt {
     fn metered(&mut self, step: impl FnOnce(&mut Self) -> Result<Iteration, RvdError>) -> Result<Iteration, RvdError> {
         let (work, phases) = (self.session.device_work(), self.session.device_phases());
         let mut report = step(self)?;
-        report.stats.set_device_work(self.session.device_work().since(&work));
+        report.stats.device = self.session.device_work().since(&work);
         if let (Some(before), Some(now)) = (phases, self.session.device_phases()) {
             report.stats.set_phases(now.since(&before));
         }
@@ -538,39 +551,39 @@ impl Cvt {
     }
 
     /// What a pass says of the present seeds, and how many passes that took: one, or none if it is known.
-    fn look(&mut self, token: &Token) -> Result<(Look, usize), RvdError> {
+    fn evaluate(&mut self, token: &Token) -> Result<(Evaluation, usize), RvdError> {
         if let Some(known) = self.present {
             // The pass was another step's; so are its times.
-            return Ok((Look { stats: PassStats::default(), ..known }, 0));
+            return Ok((Evaluation { stats: PassStats::default(), ..known }, 0));
         }
-        self.push()?;
-        let look = resident(&mut *self.session)?.evaluate(token)?;
-        self.convergence.begin(look.gradient_squared.sqrt());
-        self.present = Some(look);
-        Ok((look, 1))
+        self.upload()?;
+        let evaluation = resident(&mut *self.session)?.evaluate(token)?;
+        self.convergence.begin(evaluation.gradient_squared.sqrt());
+        self.present = Some(evaluation);
+        Ok((evaluation, 1))
     }
 
-    /// The step to the centroids from seeds that were looked at.
+    /// The step to the centroids from seeds that were evaluated.
     fn lloyd_from(
         &mut self,
-        look: Look,
+        evaluation: Evaluation,
         mut report: Iteration,
         begin: Instant,
         token: &Token,
     ) -> Result<Iteration, RvdError> {
         let update = Instant::now();
         let vectors = resident(&mut *self.session)?;
-        if look.empty_cells > 0 {
+        if evaluation.empty_cells > 0 {
             vectors.read_sums(&mut self.sums)?;
         }
         vectors.to_centroids()?;
-        (self.read, self.fresh) = (false, true);
+        (self.newest, self.fresh) = (Newest::InSession, true);
         self.present = None;
-        if look.empty_cells > 0 {
-            self.pull()?;
+        if evaluation.empty_cells > 0 {
+            self.download()?;
             let places = self.new_places(token)?;
             places.into_iter().for_each(|(seed, place)| self.seeds[seed as usize] = place);
-            self.moved();
+            self.seeds_changed();
         }
         self.clear_curves(token)?;
         if self.options.projection == Projection::OnSurface {
@@ -583,19 +596,19 @@ impl Cvt {
     }
 
     /// Energy and gradient as a caller wants them.
-    fn figures(&self, kind: StepKind, look: Look) -> Iteration {
+    fn figures(&self, kind: StepKind, evaluation: Evaluation) -> Iteration {
         let scale = self.surface.frame().scale;
         Iteration {
             index: self.steps,
             kind,
-            energy: look.energy / scale / scale / scale / scale,
-            energy_ratio: look.energy / self.surface.hexagonal_energy(self.seeds.len()),
-            gradient_norm: look.gradient_squared.sqrt() / scale / scale / scale,
+            energy: evaluation.energy / scale / scale / scale / scale,
+            energy_ratio: evaluation.energy / self.surface.hexagonal_energy(self.seeds.len()),
+            gradient_norm: evaluation.gradient_squared.sqrt() / scale / scale / scale,
             evaluations: 0,
-            empty_cells: look.empty_cells,
-            area: look.area / scale / scale,
+            empty_cells: evaluation.empty_cells,
+            area: evaluation.area / scale / scale,
             ms: 0.0,
-            stats: look.stats,
+            stats: evaluation.stats,
         }
     }
 
@@ -615,29 +628,29 @@ impl Cvt {
     }
 
     /// Hands the seeds to the session if it has others.
-    fn push(&mut self) -> Result<(), RvdError> {
-        if self.stale {
+    fn upload(&mut self) -> Result<(), RvdError> {
+        if self.newest == Newest::OnHost {
             self.session.set_seeds(&self.seeds)?;
             if !self.held.is_empty() {
                 resident(&mut *self.session)?.hold(&self.held)?;
             }
-            self.stale = false;
+            self.newest = Newest::OnBoth;
         }
         Ok(())
     }
 
     /// Fetches the seeds if the session has moved them.
-    fn pull(&mut self) -> Result<(), RvdError> {
-        if !self.read {
+    fn download(&mut self) -> Result<(), RvdError> {
+        if self.newest == Newest::InSession {
             resident(&mut *self.session)?.read(&mut self.seeds)?;
-            self.read = true;
+            self.newest = Newest::OnBoth;
         }
         Ok(())
     }
 
     /// The host's seeds are others now.
-    fn moved(&mut self) {
-        (self.read, self.stale, self.fresh) = (true, true, true);
+    fn seeds_changed(&mut self) {
+        (self.newest, self.fresh) = (Newest::OnHost, true);
         self.present = None;
     }
 }

@@ -1,17 +1,16 @@
 //! The GPU: one device, its buffers, its shaders.
 //!
 //! Purpose: [`device`] opens one persistent wgpu device and turns everything that can go wrong
-//! with it into [`GpuError`]; [`plan`] computes all sizes and dispatch counts without touching
-//! it; [`buffers`] allocates them and moves bytes; `timing` reads the device's clock; [`shader`] composes the WGSL in `shaders/`;
-//! [`layout`] holds the Rust twins of the shaders' records.
+//! with it into [`GpuError`]; [`limits`] says what it allows; [`buffers`] allocates and moves bytes; [`dispatch`] turns numbers
+//! of items into workgroups and parts; `timing` reads the device's clock; [`shader`] composes WGSL.
 //! Invariant: no panic and no silent error leaves here; a lost device is reported as
 //! [`GpuError::Lost`] by the next call.
-//! Must not know: meshes, seeds, jobs. Numbers of things are numbers here.
+//! Must not know: meshes, facets, seeds, jobs. Numbers of things are numbers here.
 
 pub mod buffers;
 pub mod device;
-pub mod layout;
-pub mod plan;
+pub mod dispatch;
+pub mod limits;
 pub mod shader;
 mod spare;
 mod timing;

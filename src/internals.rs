@@ -29,11 +29,11 @@ pub mod cvt {
     pub use crate::cvt::density::{Net, Outline, Plan, plan};
 }
 
-/// The device, and what is laid out on it.
+/// The device.
 #[cfg(feature = "gpu")]
 pub mod gpu {
     pub use crate::gpu::device::adapters;
-    pub use crate::gpu::{Device, DeviceOptions, GpuError, buffers, device, layout, plan, shader};
+    pub use crate::gpu::{Device, DeviceOptions, GpuError, buffers, device, dispatch, limits, shader};
 }
 
 /// The queue, the threads that do the work, and jobs as data.
@@ -85,7 +85,7 @@ pub mod remesh {
 pub mod rvd {
     pub use crate::rvd::cells::FACET_EDGE;
     #[cfg(feature = "gpu")]
-    pub use crate::rvd::gpu::{Found, Gpu};
+    pub use crate::rvd::gpu::{Found, Gpu, layout, plan, shaders};
     pub use crate::rvd::surface::snap;
 }
 

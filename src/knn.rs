@@ -10,12 +10,14 @@
 mod grid;
 mod index;
 mod kdtree;
+mod row;
 mod table;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use index::Threads;
-pub use index::{NeighbourRow, SeedIndex};
+pub use index::SeedIndex;
+pub use row::NeighbourRow;
+pub(crate) use row::Threads;
 pub(crate) use table::NeighbourTable;
 
 /// The squared distance that orders all rows: always the same roundings, whichever way a row was found.

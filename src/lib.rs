@@ -50,7 +50,7 @@
 //! | [`mesh`] | triangle surfaces: validated, read, written, sampled, measured | nothing here |
 //! | `picture` | pictures of surfaces, drawn in software | `mesh` |
 //! | `knn` | neighbour tables of the seeds | `mesh` |
-//! | `gpu` | the device, buffer plans, shader sources; knows no mesh, seed or job | nothing here |
+//! | `gpu` | the device, allocation, dispatches, composition of shaders; knows no mesh, seed or job | nothing here |
 //! | [`rvd`] | the restricted Voronoi diagram: one trait, three backends, the dual | `knn`, `mesh`, `gpu` (only `rvd::gpu`) |
 //! | [`cvt`] | iterations that move the seeds | `rvd`'s trait |
 //! | [`mod@remesh`] | sample, iterate, dual, repair, measure | `cvt`, `rvd::dual`, `mesh` |
@@ -64,7 +64,7 @@
 //! | `admin` | metrics and readiness over HTTP, for operators | `metrics`, `readiness` |
 //! | `wire` | messages, and our types made of them and into them; server and client speak it | `remesh` and below |
 //! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job`, `blob`, `keys`, `metrics`, `readiness`, `trace` and below |
-//! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve`: the client speaks `wire` |
+//! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve` and `gpu` only in `cli::doctor`: the client speaks `wire` |
 //! | `telemetry` | logs, and traces to a collector | `config`, `trace` |
 //!
 //! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules. Modules without a link

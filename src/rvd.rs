@@ -38,7 +38,7 @@ pub use cells::{PieceBatch, facet_edge};
 pub use diagram::{Cells, Diagram};
 pub use parallel::Parallel;
 #[doc(hidden)]
-pub use resident::{Look, Resident};
+pub use resident::{Evaluation, Resident};
 pub use serial::Serial;
 pub use surface::{Frame, Surface};
 pub use work::{DeviceWork, PhasesMs};
@@ -258,21 +258,17 @@ pub struct PassStats {
     pub clip_ms: f64,
     /// Moving results to where the caller reads them.
     pub update_ms: f64,
-    /// Rows of neighbours and first cells that a GPU session's host made, because the device could not
-    /// prove its own: passes that did so.
-    pub host_searches: u64,
-    /// Facets that a device divided among their cells at once.
-    pub divided_facets: u64,
-    /// Facets that a GPU session went through pair by pair.
-    pub paired_facets: u64,
-    /// Command buffers handed to the device.
-    pub device_submissions: u64,
-    /// Buffers allocated on the device.
-    pub device_allocations: u64,
-    /// Bytes written to the device.
-    pub uploaded_bytes: u64,
-    /// Bytes read back from it.
-    pub read_back_bytes: u64,
+    /// What the device did; its counts can be read as if they were fields of this.
+    pub device: DeviceWork,
+}
+
+/// `stats.uploaded_bytes` is `stats.device.uploaded_bytes`.
+impl std::ops::Deref for PassStats {
+    type Target = DeviceWork;
+
+    fn deref(&self) -> &DeviceWork {
+        &self.device
+    }
 }
 
 impl PassStats {
@@ -283,26 +279,7 @@ impl PassStats {
 
     /// What of this the device did.
     pub fn device_work(&self) -> DeviceWork {
-        DeviceWork {
-            host_searches: self.host_searches,
-            divided_facets: self.divided_facets,
-            paired_facets: self.paired_facets,
-            device_submissions: self.device_submissions,
-            device_allocations: self.device_allocations,
-            uploaded_bytes: self.uploaded_bytes,
-            read_back_bytes: self.read_back_bytes,
-        }
-    }
-
-    /// Takes `work` for what the device did.
-    pub(crate) fn set_device_work(&mut self, work: DeviceWork) {
-        self.host_searches = work.host_searches;
-        self.divided_facets = work.divided_facets;
-        self.paired_facets = work.paired_facets;
-        self.device_submissions = work.device_submissions;
-        self.device_allocations = work.device_allocations;
-        self.uploaded_bytes = work.uploaded_bytes;
-        self.read_back_bytes = work.read_back_bytes;
+        self.device
     }
 
     /// Takes what the device says of the phases.
@@ -326,13 +303,7 @@ impl PassStats {
         self.start_ms += other.start_ms;
         self.clip_ms += other.clip_ms;
         self.update_ms += other.update_ms;
-        self.host_searches += other.host_searches;
-        self.divided_facets += other.divided_facets;
-        self.paired_facets += other.paired_facets;
-        self.device_submissions += other.device_submissions;
-        self.device_allocations += other.device_allocations;
-        self.uploaded_bytes += other.uploaded_bytes;
-        self.read_back_bytes += other.read_back_bytes;
+        self.device += other.device;
     }
 }
 

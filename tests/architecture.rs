@@ -62,21 +62,7 @@ const ROOMS: &[(&str, &[&str])] = &[
     // Its client speaks to a server through the wire, and imports nothing of it.
     (
         "cli",
-        &[
-            "wire",
-            "job",
-            "keys",
-            "remesh",
-            "cvt",
-            "rvd",
-            "knn",
-            "mesh",
-            "gpu",
-            "picture",
-            "config",
-            "telemetry",
-            "memory",
-        ],
+        &["wire", "job", "keys", "remesh", "cvt", "rvd", "knn", "mesh", "picture", "config", "telemetry", "memory"],
     ),
     (
         "internals",
@@ -108,6 +94,8 @@ const DOORS: &[(&str, &[&str])] = &[
     ("rvd/backends", &["gpu"]),
     ("cvt/curves", &["knn"]),
     ("cvt/density", &["knn"]),
+    // Lists the adapters.
+    ("cli/doctor", &["gpu"]),
     ("cli/serve", &["admin", "lifecycle", "metrics", "readiness", "service"]),
 ];
 
@@ -164,8 +152,6 @@ const CIRCLES: &[(&str, &str, &str)] = &[
     ("blob/upload", "blob/staging", "an upload under way holds the part that is staged"),
     ("cli/remote", "cli/rvd", "what is asked of a diagram and comes back is declared at the command that prints it"),
     ("cli/bench/output", "cli/bench/measure", "the table names the worker that was measured"),
-    ("knn/grid", "knn/index", "rows are declared beside the index, which asks the grid for them"),
-    ("knn/kdtree", "knn/index", "as the grid"),
     ("mesh/io/obj", "mesh/io/attributed", "what a format holds is declared beside the choice of a format"),
     ("mesh/io/off", "mesh/io/attributed", "as obj"),
     ("mesh/io/ply", "mesh/io/attributed", "as obj"),
@@ -173,7 +159,6 @@ const CIRCLES: &[(&str, &str, &str)] = &[
     ("remesh/fences", "remesh/polish", "a facet's score is declared at the polish, which asks the fences"),
     ("remesh/flips", "remesh/fit", "what counts as a tip is declared at the fit, which calls the flips"),
     ("remesh/flips", "remesh/polish", "a facet's score is declared at the polish, which calls the flips"),
-    ("rvd/gpu/parts", "rvd/gpu/pass", "a part is run as a pass, and a pass has parts"),
 ];
 
 /// The rules, apart from the tables, so that the checks can be tried on a house of straw.
@@ -425,6 +410,24 @@ fn cvt_and_the_dual_cannot_name_a_backend() {
             let home = tree.home(&path).map(|home| name(&tree.modules[home].path)).unwrap_or_default();
             if ["rvd/serial", "rvd/parallel", "rvd/gpu", "rvd/backends"].iter().any(|backend| within(&home, backend)) {
                 wrong.push(format!("src/{}.rs:{}: {}", module.file, used.line, used.path.join("::")));
+            }
+        }
+    }
+    expect_none(&wrong);
+}
+
+/// What the device computes is the diagram's matter: layouts and plans that speak of it are in `rvd/gpu`.
+#[test]
+fn the_device_knows_no_seed_and_no_facet() {
+    let mut wrong = Vec::new();
+    for module in tree().modules.iter().filter(|module| within(&name(&module.path), "gpu")) {
+        let text = fs::read_to_string(root().join(&module.file).with_extension("rs")).unwrap();
+        let code = text.lines().enumerate().filter(|(_, line)| !line.starts_with("//!"));
+        for (k, line) in code {
+            let words = line.split(|c: char| !c.is_alphanumeric()).map(str::to_lowercase);
+            let of_diagrams = ["seed", "seeds", "facet", "facets", "cell", "cells", "corner", "mesh"];
+            for word in words.filter(|word| of_diagrams.contains(&word.as_str())) {
+                wrong.push(format!("src/{}.rs:{}: {word}", module.file, k + 1));
             }
         }
     }

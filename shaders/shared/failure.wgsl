@@ -1,9 +1,9 @@
 // Entries of the list of failures: facet and seed, whether the pair begins its facet, and a code. Both indices are below
-// 2^30; the code 0 says that the facet's set is full, the others are statuses. An entry that was put to the end of the
-// list of pairs again has in its facet's place the rounds of clipping that there had been.
+// 2^30. The code 0 says that the facet's set is full, the others are statuses. An entry that was put to the end of the list
+// of pairs again has in its facet's place the number of clip rounds so far.
 
-// In the first word: it was put there.
-const RETAKEN: u32 = 0x40000000u;
+// In the first word: the pair was put to the end of the list again.
+const REQUEUED: u32 = 0x40000000u;
 // In the second word: the pair is the first of its facet.
 const FIRST: u32 = 0x40000000u;
 // The bits of the index in both.

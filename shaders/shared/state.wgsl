@@ -18,8 +18,8 @@ struct State {
     halt: atomic<u32>,
     // 1 if a seed is near the surface's box.
     near: atomic<u32>,
-    // Seeds that lie on an earlier one.
-    twins: atomic<u32>,
+    // Seeds at the place of an earlier one.
+    duplicates: atomic<u32>,
     // Facets whose first cell could not be proved.
     unproved: atomic<u32>,
     // 2^32 - 1 less the first seed that is not finite or beyond the range; 0 if there is none.
@@ -33,13 +33,13 @@ struct State {
     // Entries of the rows that were made longer.
     longer: atomic<u32>,
     // Failures that were put to the end of the list again.
-    retaken: atomic<u32>,
-    // Those of them whose polygons had not fit.
-    crowded: atomic<u32>,
+    requeued: atomic<u32>,
+    // Those of them whose polygons did not fit.
+    overflowed: atomic<u32>,
 }
 
 const BAD: u32 = 1u;
 const FAR: u32 = 2u;
-const CROWDED: u32 = 4u;
-// Not of the search: the pass is not at its end.
-const UNSETTLED: u32 = 8u;
+const GRID_OVERFLOW: u32 = 4u;
+// Of the pass, not of the search: it is not complete.
+const INCOMPLETE: u32 = 8u;

@@ -1,4 +1,4 @@
-// Records that the host writes and reads. Rust twins: src/gpu/layout.rs (a test compares them).
+// Records that the host writes and reads. In Rust: src/rvd/gpu/layout.rs (a test compares them).
 
 // A seed as hi + lo, so that differences of nearby points keep their detail, and its row of the
 // neighbour table. The highest bit of row_length says that no other seed can matter.
@@ -11,7 +11,7 @@ struct Seed {
 
 // A facet: its first corner as hi + lo, an orthonormal frame (e1 along the first edge, n its
 // normal), the other corners in that frame, the weight as a linear function, and its slots in
-// the hash sets of cells. The highest bit of slot_mask is CELLED.
+// the hash sets of cells. The highest bit of slot_mask is BY_CELL.
 struct Facet {
     hi: vec3f,
     slot_begin: u32,
@@ -39,10 +39,10 @@ struct Params {
     list_capacity: u32,
     // Pairs per clip dispatch at most.
     batch: u32,
-    // First proposal, and how many; root is ROOT for first cells of facets and 0 otherwise.
-    propose_begin: u32,
-    propose_count: u32,
-    propose_root: u32,
+    // First candidate to enter, and how many; root is ROOT for first cells of facets and 0 otherwise.
+    enqueue_begin: u32,
+    enqueue_count: u32,
+    enqueue_root: u32,
     // Pairs that one emit dispatch writes; pairs that `verify` looks at; seeds of `reach`.
     emit_begin: u32,
     emit_count: u32,
@@ -60,14 +60,14 @@ struct Params {
     row: u32,
     side: u32,
     roots: u32,
-    // Where in `slots` it says which CELLED facets `divide` has done; NONE if it does not.
+    // Where in `slots` it says which BY_CELL facets `divide` has done; NONE if it does not.
     divided: u32,
     // The facet whose record comes first in the present window of them.
     facet_first: u32,
     // The item that the present part of a dispatch begins at.
     part_first: u32,
-    // 1 if there is room for lists that are kept.
-    kept: u32,
+    // 1 if there is room for Verlet lists.
+    has_lists: u32,
 }
 
 const COMPLETE: u32 = 0x80000000u;
@@ -75,13 +75,13 @@ const ROOT: u32 = 0x80000000u;
 const INDEX: u32 = 0x7fffffffu;
 const FACET_EDGE: u32 = 0xffffffffu;
 // In a facet's slot_mask: cells look for this facet themselves, so its pieces are to be proved.
-const CELLED: u32 = 0x80000000u;
-// In a pair's first word: the pair is not empty and its facet is CELLED.
+const BY_CELL: u32 = 0x80000000u;
+// In a pair's first word: the pair is not empty and its facet is BY_CELL.
 const PIECE: u32 = 0x80000000u;
 // In a slot: a cell nearer to the facet's centroid has named this one as its neighbour.
 const NAMED: u32 = 0x80000000u;
 
-// A proposal that is not known.
+// A candidate that is not known.
 const NONE: u32 = 0xffffffffu;
 
 const DIRECT: u32 = 0u;

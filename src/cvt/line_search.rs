@@ -5,7 +5,7 @@
 //! Invariant: an accepted step lowers the energy; the last probe is the accepted one.
 //! Must not know: where vectors live, what the function is.
 
-use crate::rvd::{Look, PassStats, Resident, RvdError};
+use crate::rvd::{Evaluation, PassStats, Resident, RvdError};
 use crate::token::Token;
 
 /// Sufficient decrease, as a share of what the slope promises.
@@ -22,7 +22,7 @@ const MARGIN: f64 = 0.1;
 /// How a search ended.
 pub(super) struct Found {
     /// The last probe; `None` if no step lowered the energy enough.
-    pub(super) look: Option<Look>,
+    pub(super) evaluation: Option<Evaluation>,
     /// Passes over the diagram.
     pub(super) probes: usize,
     /// What they did.
@@ -33,7 +33,7 @@ pub(super) struct Found {
 #[derive(Clone, Copy)]
 struct Point {
     step: f64,
-    look: Look,
+    evaluation: Evaluation,
 }
 
 struct Search<'a> {
@@ -52,19 +52,19 @@ pub(super) fn search(
     first: f64,
     token: &Token,
 ) -> Result<Found, RvdError> {
-    let found = Found { look: None, probes: 0, stats: PassStats::default() };
+    let found = Found { evaluation: None, probes: 0, stats: PassStats::default() };
     let mut search = Search { vectors, token, energy, slope, found };
-    let mut before = Point { step: 0.0, look: Look { energy, slope, ..Look::default() } };
+    let mut before = Point { step: 0.0, evaluation: Evaluation { energy, slope, ..Evaluation::default() } };
     let mut step = first;
     while search.found.probes < MAX_PROBES {
         let here = search.probe(step)?;
-        if !search.decreases(here) || (before.step > 0.0 && here.look.energy >= before.look.energy) {
+        if !search.decreases(here) || (before.step > 0.0 && here.evaluation.energy >= before.evaluation.energy) {
             return search.zoom(before, here);
         }
         if search.is_flat(here) {
             return Ok(search.end(Some(here)));
         }
-        if here.look.slope >= 0.0 {
+        if here.evaluation.slope >= 0.0 {
             return search.zoom(here, before);
         }
         let wish = minimum(before, here);
@@ -77,18 +77,18 @@ pub(super) fn search(
 
 impl Search<'_> {
     fn probe(&mut self, step: f64) -> Result<Point, RvdError> {
-        let look = self.vectors.probe(step, self.token)?;
+        let evaluation = self.vectors.probe(step, self.token)?;
         self.found.probes += 1;
-        self.found.stats.add(&look.stats);
-        Ok(Point { step, look })
+        self.found.stats.add(&evaluation.stats);
+        Ok(Point { step, evaluation })
     }
 
     fn decreases(&self, here: Point) -> bool {
-        here.look.energy <= self.energy + DECREASE * here.step * self.slope
+        here.evaluation.energy <= self.energy + DECREASE * here.step * self.slope
     }
 
     fn is_flat(&self, here: Point) -> bool {
-        here.look.slope.abs() <= -CURVATURE * self.slope
+        here.evaluation.slope.abs() <= -CURVATURE * self.slope
     }
 
     /// Narrows the bracket between `low`, the best step so far, and `high`.
@@ -101,14 +101,14 @@ impl Search<'_> {
                 break;
             }
             let here = self.probe(step)?;
-            if !self.decreases(here) || here.look.energy >= low.look.energy {
+            if !self.decreases(here) || here.evaluation.energy >= low.evaluation.energy {
                 high = here;
                 continue;
             }
             if self.is_flat(here) {
                 return Ok(self.end(Some(here)));
             }
-            if here.look.slope * (high.step - low.step) >= 0.0 {
+            if here.evaluation.slope * (high.step - low.step) >= 0.0 {
                 high = low;
             }
             low = here;
@@ -122,7 +122,7 @@ impl Search<'_> {
     }
 
     fn end(mut self, at: Option<Point>) -> Found {
-        self.found.look = at.map(|p| p.look);
+        self.found.evaluation = at.map(|p| p.evaluation);
         self.found
     }
 }
@@ -130,10 +130,10 @@ impl Search<'_> {
 /// The minimum of the cubic through two points' values and slopes, or their middle.
 fn minimum(a: Point, b: Point) -> f64 {
     let width = b.step - a.step;
-    let d1 = a.look.slope + b.look.slope - 3.0 * (b.look.energy - a.look.energy) / width;
-    let root = d1 * d1 - a.look.slope * b.look.slope;
+    let d1 = a.evaluation.slope + b.evaluation.slope - 3.0 * (b.evaluation.energy - a.evaluation.energy) / width;
+    let root = d1 * d1 - a.evaluation.slope * b.evaluation.slope;
     let d2 = root.max(0.0).sqrt().copysign(width);
-    let step = b.step - width * (b.look.slope + d2 - d1) / (b.look.slope - a.look.slope + 2.0 * d2);
+    let step = b.step - width * (b.evaluation.slope + d2 - d1) / (b.evaluation.slope - a.evaluation.slope + 2.0 * d2);
     if step.is_finite() { step } else { 0.5 * (a.step + b.step) }
 }
 
@@ -151,24 +151,24 @@ mod tests {
         fn hold(&mut self, _: &[bool]) -> Result<(), RvdError> {
             Ok(())
         }
-        fn evaluate(&mut self, _: &Token) -> Result<Look, RvdError> {
-            Ok(Look::default())
+        fn evaluate(&mut self, _: &Token) -> Result<Evaluation, RvdError> {
+            Ok(Evaluation::default())
         }
         fn to_centroids(&mut self) -> Result<(), RvdError> {
             Ok(())
         }
-        fn direct(&mut self) -> Result<f64, RvdError> {
+        fn search_direction(&mut self) -> Result<f64, RvdError> {
             Ok(self.0(0.0).1)
         }
-        fn probe(&mut self, step: f64, _: &Token) -> Result<Look, RvdError> {
+        fn probe(&mut self, step: f64, _: &Token) -> Result<Evaluation, RvdError> {
             self.1.push(step);
             let (energy, slope) = self.0(step);
-            Ok(Look { energy, slope, ..Look::default() })
+            Ok(Evaluation { energy, slope, ..Evaluation::default() })
         }
         fn accept(&mut self) -> Result<(), RvdError> {
             Ok(())
         }
-        fn forget(&mut self) {}
+        fn clear_history(&mut self) {}
         fn read(&mut self, _: &mut Vec<DVec3>) -> Result<(), RvdError> {
             Ok(())
         }
@@ -189,9 +189,9 @@ mod tests {
         let parabola = |t: f64| ((t - 3.0) * (t - 3.0), 2.0 * (t - 3.0));
         for first in [1e-4, 0.1, 1.0, 3.0, 40.0, 1e5] {
             let (found, step) = find(parabola, first);
-            let look = found.look.unwrap();
-            assert!(look.energy < 9.0 && look.slope.abs() <= 0.9 * 6.0, "{first}: {step}");
-            assert_eq!(look.energy, parabola(step).0, "the accepted step is the last probe");
+            let evaluation = found.evaluation.unwrap();
+            assert!(evaluation.energy < 9.0 && evaluation.slope.abs() <= 0.9 * 6.0, "{first}: {step}");
+            assert_eq!(evaluation.energy, parabola(step).0, "the accepted step is the last probe");
         }
         assert_eq!(find(parabola, 2.9).0.probes, 1);
     }
@@ -201,15 +201,15 @@ mod tests {
         let wavy = |t: f64| (-t + 0.3 * (8.0 * t).sin() + 0.05 * t * t, -1.0 + 2.4 * (8.0 * t).cos() + 0.1 * t);
         let descent = |t: f64| wavy(t + 0.3);
         let (found, _) = find(descent, 2.0);
-        assert!(found.look.unwrap().energy < descent(0.0).0);
+        assert!(found.evaluation.unwrap().energy < descent(0.0).0);
         // Says that it falls and rises: no step is acceptable.
         let (found, _) = find(|t: f64| (t, if t == 0.0 { -1.0 } else { 1.0 }), 1.0);
-        assert!(found.look.is_none() && found.probes <= MAX_PROBES + 1);
+        assert!(found.evaluation.is_none() && found.probes <= MAX_PROBES + 1);
     }
 
     #[test]
     fn a_slope_without_end_stops() {
         let (found, _) = find(|t: f64| (-t, -1.0), 1.0);
-        assert!(found.look.is_some() && found.probes == MAX_PROBES);
+        assert!(found.evaluation.is_some() && found.probes == MAX_PROBES);
     }
 }

@@ -7,8 +7,8 @@
 
 use std::time::Instant;
 
-use super::{Cvt, Iteration, Projection, StepKind, resident};
-use crate::rvd::{DeviceWork, Look, RvdError, elapsed_ms};
+use super::{Cvt, Iteration, Newest, Projection, StepKind, resident};
+use crate::rvd::{DeviceWork, Evaluation, RvdError, elapsed_ms};
 use crate::token::Token;
 
 impl Cvt {
@@ -16,7 +16,7 @@ impl Cvt {
     /// that were taken together is told of their first or evenly of all.
     ///
     /// # Errors
-    /// `Stopped`, or what the device says. The seeds are then as after some of the steps.
+    /// `Stopped`, or an error of the device. The seeds are then as after some of the steps.
     pub fn relax(&mut self, steps: usize, token: &Token) -> Result<Vec<Iteration>, RvdError> {
         let between = !self.curves.is_empty() || self.options.projection != Projection::Free;
         if between || self.present.is_some() {
@@ -24,18 +24,18 @@ impl Cvt {
         }
         let begin = Instant::now();
         let (work, phases) = (self.session.device_work(), self.session.device_phases());
-        self.push()?;
-        let mut looks: Vec<Look> = Vec::new();
-        let ended = resident(&mut *self.session)?.relax(steps.max(1), &mut looks, token);
-        if let Some(first) = looks.first() {
+        self.upload()?;
+        let mut evaluations: Vec<Evaluation> = Vec::new();
+        let ended = resident(&mut *self.session)?.relax(steps.max(1), &mut evaluations, token);
+        if let Some(first) = evaluations.first() {
             self.convergence.begin(first.gradient_squared.sqrt());
-            (self.read, self.fresh) = (false, true);
+            (self.newest, self.fresh) = (Newest::InSession, true);
         }
-        let mut taken = Vec::with_capacity(looks.len());
-        for look in looks {
-            let report = Iteration { evaluations: 1, ..self.figures(StepKind::Lloyd, look) };
-            taken.push(if look.empty_cells > 0 {
-                self.lloyd_from(look, report, Instant::now(), token)?
+        let mut taken = Vec::with_capacity(evaluations.len());
+        for evaluation in evaluations {
+            let report = Iteration { evaluations: 1, ..self.figures(StepKind::Lloyd, evaluation) };
+            taken.push(if evaluation.empty_cells > 0 {
+                self.lloyd_from(evaluation, report, Instant::now(), token)?
             } else {
                 self.steps += 1;
                 report
@@ -43,8 +43,8 @@ impl Cvt {
         }
         ended?;
         let count = taken.len().max(1) as f64;
-        let known =
-            taken.iter().fold(DeviceWork::default(), |sum, step| sum.with(&step.stats.device_work(), |a, b| a + b));
+        let mut known = DeviceWork::default();
+        taken.iter().for_each(|step| known += step.stats.device);
         let now = self.session.device_phases();
         for step in &mut taken {
             step.ms = elapsed_ms(begin) / count;
@@ -53,9 +53,9 @@ impl Cvt {
             }
         }
         if let Some(last) = taken.last_mut() {
-            // What was done after the last look.
+            // What was done after the last pass.
             let rest = self.session.device_work().since(&work).with(&known, u64::saturating_sub);
-            last.stats.set_device_work(last.stats.device_work().with(&rest, |a, b| a + b));
+            last.stats.device += rest;
         }
         Ok(taken)
     }

@@ -74,8 +74,7 @@ const WIDE_ATOMICS: wgpu::Features = wgpu::Features::SHADER_INT64.union(wgpu::Fe
 fn instance() -> wgpu::Instance {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     descriptor.backends = wgpu::Backends::PRIMARY;
-    // The indirect arguments are written by our own `prepare` stage, within bounds; checking
-    // them costs one more dispatch each.
+    // Our own stages write the indirect arguments, within bounds. Checking them costs one more dispatch each.
     descriptor.flags = wgpu::InstanceFlags::from_build_config() - wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL;
     wgpu::Instance::new(descriptor)
 }

@@ -1,6 +1,6 @@
-//! WGSL sources and their composition.
+//! Composition of WGSL.
 //!
-//! Purpose: [`compose`] turns a stage of `shaders/` into plain WGSL. A line is a directive if
+//! Purpose: [`compose`] turns a file with directives into plain WGSL. A line is a directive if
 //! its first word is one of
 //!
 //! | directive | meaning |
@@ -29,77 +29,19 @@ pub struct ComposeError {
     pub what: String,
 }
 
-macro_rules! sources {
-    ($($name:literal),* $(,)?) => {
-        /// All files of `shaders/`: name and text.
-        pub const SOURCES: &[(&str, &str)] =
-            &[$(($name, include_str!(concat!("../../shaders/", $name, ".wgsl")))),*];
-    };
-}
-
-sources![
-    "centroids",
-    "checks",
-    "clip",
-    "combine",
-    "count",
-    "crowded",
-    "divide",
-    "dots",
-    "emit",
-    "figures",
-    "keep",
-    "lengthen",
-    "prepare",
-    "products",
-    "propose",
-    "reach",
-    "recall",
-    "rows",
-    "scatter",
-    "search",
-    "settle",
-    "shared/accumulate",
-    "shared/append",
-    "shared/append_pair",
-    "shared/cell_set",
-    "shared/clip_pair",
-    "shared/distance",
-    "shared/dot",
-    "shared/ease",
-    "shared/failure",
-    "shared/fixed",
-    "shared/grid",
-    "shared/keep",
-    "shared/motion",
-    "shared/moved",
-    "shared/place",
-    "shared/polygon_array",
-    "shared/polygon_registers",
-    "shared/retake",
-    "shared/rings",
-    "shared/sorted",
-    "shared/state",
-    "shared/take",
-    "shared/tally",
-    "shared/types",
-    "shared/unfixed",
-    "start",
-    "tally",
-    "trial",
-    "twins",
-    "verify",
-];
+/// Files that stages are composed of: name and text.
+pub type Sources = &'static [(&'static str, &'static str)];
 
 /// A name and its value.
 pub type Constant<'a> = (&'a str, i64);
 
-/// Composes stage `name` with `constants`.
+/// Composes stage `name` of `sources` with `constants`.
 ///
 /// # Errors
 /// [`ComposeError`], naming file and line.
-pub fn compose(name: &str, constants: &[Constant<'_>]) -> Result<String, ComposeError> {
+pub fn compose(sources: Sources, name: &str, constants: &[Constant<'_>]) -> Result<String, ComposeError> {
     let mut composer = Composer {
+        sources,
         out: String::new(),
         imported: BTreeSet::new(),
         scope: constants.iter().map(|(n, v)| ((*n).to_owned(), *v)).collect(),
@@ -109,6 +51,7 @@ pub fn compose(name: &str, constants: &[Constant<'_>]) -> Result<String, Compose
 }
 
 struct Composer {
+    sources: Sources,
     out: String,
     imported: BTreeSet<String>,
     scope: Vec<(String, i64)>,
@@ -143,7 +86,7 @@ impl Lines<'_> {
 
 impl Composer {
     fn file(&mut self, name: &str, from: &str, line: usize) -> Result<(), ComposeError> {
-        let Some((name, text)) = SOURCES.iter().find(|(n, _)| *n == name) else {
+        let Some((name, text)) = self.sources.iter().find(|(n, _)| *n == name) else {
             return Err(ComposeError { file: from.to_owned(), line, what: format!("no file {name:?}") });
         };
         if !self.imported.insert((*name).to_owned()) {
@@ -305,10 +248,12 @@ impl Expression<'_> {
 mod tests {
     use super::*;
 
+    const STRAW: Sources = &[("shared/state", "struct State {\n}")];
+
     fn text(lines: &str, constants: &[Constant<'_>]) -> Result<String, ComposeError> {
         let source = Lines { file: "test", lines: lines.lines().collect() };
         let scope = constants.iter().map(|(n, v)| ((*n).to_owned(), *v)).collect();
-        let mut composer = Composer { out: String::new(), imported: BTreeSet::new(), scope };
+        let mut composer = Composer { sources: STRAW, out: String::new(), imported: BTreeSet::new(), scope };
         composer.lines(&source, 0, source.lines.len())?;
         Ok(composer.out)
     }

@@ -16,8 +16,8 @@ use glam::DVec3;
 
 use super::observer::Told;
 use crate::rvd::{
-    Backend, BackendKind, CellSums, DeviceFacts, DeviceWork, Look, PassStats, PhasesMs, PieceBatch, Resident, RvdError,
-    Session, SessionOptions, Surface,
+    Backend, BackendKind, CellSums, DeviceFacts, DeviceWork, Evaluation, PassStats, PhasesMs, PieceBatch, Resident,
+    RvdError, Session, SessionOptions, Surface,
 };
 use crate::token::Token;
 
@@ -262,7 +262,7 @@ impl Resident for GatedSession {
         self.move_seeds("hold", None, |seeds| seeds.hold(held))
     }
 
-    fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError> {
+    fn evaluate(&mut self, token: &Token) -> Result<Evaluation, RvdError> {
         self.move_seeds("evaluate", Some(token), |seeds| seeds.evaluate(token))
     }
 
@@ -270,15 +270,15 @@ impl Resident for GatedSession {
         self.move_seeds("to_centroids", None, |seeds| seeds.to_centroids())
     }
 
-    fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, token: &Token) -> Result<(), RvdError> {
-        self.move_seeds("relax", Some(token), |seeds| seeds.relax(steps, looks, token))
+    fn relax(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<(), RvdError> {
+        self.move_seeds("relax", Some(token), |seeds| seeds.relax(steps, evaluations, token))
     }
 
-    fn direct(&mut self) -> Result<f64, RvdError> {
-        self.move_seeds("direct", None, |seeds| seeds.direct())
+    fn search_direction(&mut self) -> Result<f64, RvdError> {
+        self.move_seeds("search_direction", None, |seeds| seeds.search_direction())
     }
 
-    fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError> {
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation, RvdError> {
         self.move_seeds("probe", Some(token), |seeds| seeds.probe(step, token))
     }
 
@@ -286,9 +286,9 @@ impl Resident for GatedSession {
         self.move_seeds("accept", None, |seeds| seeds.accept())
     }
 
-    fn forget(&mut self) {
+    fn clear_history(&mut self) {
         if let Some(resident) = self.session.resident() {
-            resident.forget();
+            resident.clear_history();
         }
     }
 

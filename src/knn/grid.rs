@@ -8,7 +8,8 @@
 
 use rayon::prelude::*;
 
-use super::{NeighbourRow, Threads, squared_distance};
+use super::row::{NeighbourRow, Threads};
+use super::squared_distance;
 
 /// Seeds sorted by their cell.
 pub(super) struct Grid {
@@ -49,14 +50,14 @@ const OCCUPANCY: f64 = 6.0;
 /// So many on average, and rows of neighbours are found sooner than all seeds in a box.
 const EVEN: f64 = 30.0;
 /// So many on average, and a tree is faster.
-const CROWDED: f64 = 64.0;
+const DENSE: f64 = 64.0;
 /// Cells per seed, at most.
 const CELLS: usize = 8;
 /// Cells along an axis, at most, so that a place in the grid has 30 bits left for its fraction.
 const ALONG: f64 = (1 << 20) as f64;
 /// Distances that cells prove are taken so much shorter: far more than the roundings of a place in
 /// the grid.
-const SLACK: f64 = 1e-6;
+const ROUNDING: f64 = 1e-6;
 /// Blocks of so many cells around a seed's are tried one after the other.
 const RINGS: [usize; 8] = [1, 2, 3, 4, 6, 8, 11, 15];
 /// More seeds than this in a block, for each one wanted: a tree is faster.
@@ -93,7 +94,7 @@ impl Grid {
             grid.sort_into(points, &mut cell, threads);
             let occupancy = grid.begin.windows(2).map(|w| f64::from(w[1] - w[0]).powi(2)).sum::<f64>() / n as f64;
             if last || (OCCUPANCY / 1.25..OCCUPANCY * 1.25).contains(&occupancy) {
-                if occupancy > CROWDED {
+                if occupancy > DENSE {
                     return None;
                 }
                 grid.occupancy = occupancy;
@@ -173,7 +174,7 @@ impl Grid {
     }
 
     /// `(later, earliest)` for every seed that lies exactly on an earlier one, in order of `later`.
-    pub(super) fn twins(&self) -> Vec<(u32, u32)> {
+    pub(super) fn duplicates(&self) -> Vec<(u32, u32)> {
         let mut pairs = Vec::new();
         for cell in self.begin.windows(2) {
             let (begin, end) = (cell[0] as usize, cell[1] as usize);
@@ -187,7 +188,7 @@ impl Grid {
         pairs
     }
 
-    /// Takes the later twins out of their cells.
+    /// Takes the later duplicates out of their cells.
     pub(super) fn hide(&mut self, pairs: &[(u32, u32)]) {
         let mut hidden = vec![false; self.order.len()];
         for &(later, _) in pairs {
@@ -313,7 +314,7 @@ impl Grid {
             }
         }
         // No seed that is nearer lies outside these cells.
-        let reach = best.squared.sqrt() * self.inverse * (1.0 + SLACK) + SLACK;
+        let reach = best.squared.sqrt() * self.inverse * (1.0 + ROUNDING) + ROUNDING;
         let block = Block {
             low: [0, 1, 2].map(|c| self.clamped(at[c] - reach, c)),
             high: [0, 1, 2].map(|c| self.clamped(at[c] + reach, c)),
@@ -350,8 +351,8 @@ impl Grid {
     ) -> bool {
         // A place and an end of the box may be rounded apart by this.
         let block = Block {
-            low: [0, 1, 2].map(|c| self.clamped(self.at(low, c) - SLACK, c)),
-            high: [0, 1, 2].map(|c| self.clamped(self.at(high, c) + SLACK, c)),
+            low: [0, 1, 2].map(|c| self.clamped(self.at(low, c) - ROUNDING, c)),
+            high: [0, 1, 2].map(|c| self.clamped(self.at(high, c) + ROUNDING, c)),
         };
         let lines = (block.high[2] - block.low[2] + 1) * (block.high[1] - block.low[1] + 1);
         let mut left = most;
@@ -414,7 +415,7 @@ impl Grid {
                 reach = reach.min((block.high[c] + 1) as f64 - at);
             }
         }
-        let reach = (reach * (1.0 - SLACK) / self.inverse).max(0.0);
+        let reach = (reach * (1.0 - ROUNDING) / self.inverse).max(0.0);
         reach * reach
     }
 

@@ -11,31 +11,14 @@ use glam::DVec3;
 
 use super::grid::{Grid, Scratch};
 use super::kdtree::Tree;
+use super::row::{NeighbourRow, Threads};
 use crate::mesh::coincident;
-
-/// One seed's neighbours.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct NeighbourRow {
-    /// Other seeds, nearest first.
-    pub seeds: Vec<u32>,
-    /// Whether no other seed can matter, so that the row cannot be exhausted.
-    pub complete: bool,
-}
-
-/// Who builds an index or a table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Threads {
-    /// The calling thread alone.
-    One,
-    /// All threads of the present rayon pool.
-    Pool,
-}
 
 /// One set of seeds, ready to be searched.
 pub struct SeedIndex {
     seeds: Vec<[f64; 3]>,
-    /// Later twin -> earliest twin.
-    twin: HashMap<u32, u32>,
+    /// Later duplicate -> earliest.
+    earlier: HashMap<u32, u32>,
     grid: Option<Grid>,
     /// Built at once where there is no grid, or else when the grid first fails to prove an answer.
     tree: OnceLock<Tree>,
@@ -52,15 +35,15 @@ impl SeedIndex {
         let points: Vec<[f64; 3]> = seeds.iter().map(|p| p.to_array()).collect();
         let mut grid = Grid::new(&points, threads);
         let pairs = match &grid {
-            Some(grid) => grid.twins(),
+            Some(grid) => grid.duplicates(),
             None => coincident::find(seeds),
         };
         if let Some(grid) = grid.as_mut().filter(|_| !pairs.is_empty()) {
             grid.hide(&pairs);
         }
-        let index = Self { seeds: points, twin: pairs.into_iter().collect(), grid, tree: OnceLock::new() };
+        let index = Self { seeds: points, earlier: pairs.into_iter().collect(), grid, tree: OnceLock::new() };
         if index.grid.is_none() {
-            index.tree.get_or_init(|| Tree::new(&index.seeds, &index.twin, threads));
+            index.tree.get_or_init(|| Tree::new(&index.seeds, &index.earlier, threads));
         }
         index
     }
@@ -77,12 +60,12 @@ impl SeedIndex {
 
     /// How many seeds lie exactly on an earlier one.
     pub fn duplicates(&self) -> usize {
-        self.twin.len()
+        self.earlier.len()
     }
 
     /// Whether seed `i` lies exactly on an earlier one.
-    pub fn is_twin(&self, i: u32) -> bool {
-        self.twin.contains_key(&i)
+    pub fn is_duplicate(&self, i: u32) -> bool {
+        self.earlier.contains_key(&i)
     }
 
     /// Whether the seeds are spread so evenly that [`Self::in_box`] finds few that are not in the box.
@@ -90,7 +73,7 @@ impl SeedIndex {
         self.grid.as_ref().is_some_and(Grid::is_even)
     }
 
-    /// A nearest seed of a point, never a later twin. Among seeds at exactly the same distance
+    /// A nearest seed of a point, never a later duplicate. Among seeds at exactly the same distance
     /// it is any one of them, always the same one.
     pub fn nearest(&self, p: DVec3) -> u32 {
         let p = p.to_array();
@@ -104,7 +87,7 @@ impl SeedIndex {
         near.unwrap_or_else(|| self.nearest(p))
     }
 
-    /// Appends all seeds in a box, ends included, some around it, and no later twin. `false` where there
+    /// Appends all seeds in a box, ends included, some around it, and no later duplicate. `false` where there
     /// would be more than `most`, or where they cannot be told fast.
     pub fn in_box(&self, low: DVec3, high: DVec3, most: usize, out: &mut Vec<u32>) -> bool {
         self.each_in_box(low, high, most, |seed, _| out.push(seed))
@@ -127,7 +110,7 @@ impl SeedIndex {
     /// [`Self::row`] without an allocation of its own, and shorter where that saves work, but of about `least`
     /// neighbours at least.
     pub(super) fn row_with(&self, i: u32, (least, k): (usize, usize), scratch: &mut Scratch, out: &mut NeighbourRow) {
-        if let Some(&first) = self.twin.get(&i) {
+        if let Some(&first) = self.earlier.get(&i) {
             out.seeds.clear();
             out.seeds.push(first);
             out.complete = true;
@@ -144,6 +127,6 @@ impl SeedIndex {
     /// The tree. Who comes first builds it alone: a thread that waits for helpers may take up
     /// another search meanwhile, which would wait for this very tree.
     fn tree(&self) -> &Tree {
-        self.tree.get_or_init(|| Tree::new(&self.seeds, &self.twin, Threads::One))
+        self.tree.get_or_init(|| Tree::new(&self.seeds, &self.earlier, Threads::One))
     }
 }

@@ -9,7 +9,7 @@ use std::num::NonZero;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
-use super::{NeighbourRow, Threads};
+use super::row::{NeighbourRow, Threads};
 
 /// A kd-tree over the seeds that lie on no earlier one.
 pub(super) struct Tree {
@@ -22,12 +22,12 @@ pub(super) struct Tree {
 const PARALLEL_BUILD: usize = 8192;
 
 impl Tree {
-    /// Builds the tree; `twin` holds the seeds to leave out.
-    pub(super) fn new(seeds: &[[f64; 3]], twin: &HashMap<u32, u32>, threads: Threads) -> Self {
-        let (unique, item_seed) = if twin.is_empty() {
+    /// Builds the tree; `earlier` holds the seeds to leave out.
+    pub(super) fn new(seeds: &[[f64; 3]], earlier: &HashMap<u32, u32>, threads: Threads) -> Self {
+        let (unique, item_seed) = if earlier.is_empty() {
             (None, None)
         } else {
-            let kept: Vec<u32> = (0..seeds.len() as u32).filter(|i| !twin.contains_key(i)).collect();
+            let kept: Vec<u32> = (0..seeds.len() as u32).filter(|i| !earlier.contains_key(i)).collect();
             (Some(kept.iter().map(|&i| seeds[i as usize]).collect::<Vec<_>>()), Some(kept))
         };
         let slice = unique.as_deref().unwrap_or(seeds);

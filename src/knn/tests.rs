@@ -68,7 +68,7 @@ fn sets() -> Vec<(&'static str, Vec<DVec3>, bool)> {
     ]
 }
 
-/// The whole row of seed `i`: later twins are in no row, and own a row of one.
+/// The whole row of seed `i`: later duplicates are in no row, and own a row of one.
 fn brute(seeds: &[DVec3], i: usize) -> Vec<u32> {
     let first = |j: usize| seeds.iter().position(|s| *s == seeds[j]).unwrap_or(j);
     if first(i) != i {
@@ -100,7 +100,7 @@ fn rows_are_prefixes_of_the_whole_order() {
                 index.row(i as u32, k, &mut row);
                 assert_eq!(row.seeds[..], all[..row.seeds.len()], "{name}: seed {i}, k {k}");
                 assert_eq!(row.complete, row.seeds.len() == all.len(), "{name}: seed {i}, k {k}");
-                if !index.is_twin(i as u32) {
+                if !index.is_duplicate(i as u32) {
                     // All that are nearer than the k-th, and no others.
                     let whole = k + 1 >= unique;
                     let len = if whole {
@@ -140,7 +140,7 @@ fn a_grid_proves_nearly_all_rows_on_a_surface() {
 }
 
 #[test]
-fn the_nearest_seed_is_nearest_and_no_later_twin() {
+fn the_nearest_seed_is_nearest_and_no_later_duplicate() {
     for (name, seeds, _) in sets().into_iter().filter(|s| !s.1.is_empty()) {
         let (index, again) = (SeedIndex::new(&seeds), SeedIndex::with_threads(&seeds, Threads::One));
         let mut points = random(300);
@@ -153,14 +153,14 @@ fn the_nearest_seed_is_nearest_and_no_later_twin() {
             let found = index.nearest(p);
             let least = seeds.iter().map(squared).fold(f64::INFINITY, f64::min);
             assert_eq!(squared(&seeds[found as usize]), least, "{name}: {p}");
-            assert!(!index.is_twin(found), "{name}: {p}");
+            assert!(!index.is_duplicate(found), "{name}: {p}");
             assert_eq!(found, again.nearest(p), "{name}: {p}");
         }
     }
 }
 
 #[test]
-fn twins_are_hidden_and_own_a_row_of_one() {
+fn duplicates_are_hidden_and_own_a_row_of_one() {
     let mut seeds = random(100);
     for i in 50..100 {
         seeds[i] = seeds[i % 10];

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::resident::HISTORY;
-use super::{CellSums, DeviceWork, Look, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session};
+use super::{CellSums, DeviceWork, Evaluation, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session};
 use crate::knn::Threads;
 use crate::token::Token;
 
@@ -131,12 +131,12 @@ impl<S: Session> Resident for OnHost<S> {
         Ok(())
     }
 
-    fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError> {
+    fn evaluate(&mut self, token: &Token) -> Result<Evaluation, RvdError> {
         self.session.set_seeds(&self.x)?;
         let stats = self.session.sums(&mut self.sums, token)?;
         let Self { pool, g, sums, held, d, .. } = self;
-        let look = on(pool.as_deref(), held.len(), |threads| vectors::look(threads, sums, held, d, g));
-        Ok(Look { slope: 0.0, stats, ..look })
+        let evaluation = on(pool.as_deref(), held.len(), |threads| vectors::evaluate(threads, sums, held, d, g));
+        Ok(Evaluation { slope: 0.0, stats, ..evaluation })
     }
 
     fn to_centroids(&mut self) -> Result<(), RvdError> {
@@ -147,11 +147,11 @@ impl<S: Session> Resident for OnHost<S> {
         Ok(())
     }
 
-    fn direct(&mut self) -> Result<f64, RvdError> {
+    fn search_direction(&mut self) -> Result<f64, RvdError> {
         let Self { pool, g, d, history, sums, .. } = self;
         Ok(on(pool.as_deref(), g.len(), |threads| {
             let mass = &sums.mass[..];
-            let scale = |last: &Pair| 1.0 / (last.rho * vectors::eased(threads, &last.y, mass));
+            let scale = |last: &Pair| 1.0 / (last.rho * vectors::preconditioned(threads, &last.y, mass));
             // Where y has to do with cells alone that have lost their mass, there is no scale.
             let last = history.back().map(|last| (last, scale(last))).filter(|(_, scale)| scale.is_finite());
             let Some((last, scale)) = last else {
@@ -162,11 +162,11 @@ impl<S: Session> Resident for OnHost<S> {
             let mut alphas = [0.0; HISTORY];
             for (k, pair) in history.iter().enumerate().rev() {
                 alphas[k] = pair.rho * value;
-                let (ease, next) = match k.checked_sub(1) {
+                let (preconditioner, next) = match k.checked_sub(1) {
                     Some(k) => (None, &history[k].s),
                     None => (Some((scale, mass)), &pair.y),
                 };
-                value = vectors::add(threads, d, (-alphas[k], &pair.y), ease, next);
+                value = vectors::add(threads, d, (-alphas[k], &pair.y), preconditioner, next);
             }
             for (k, pair) in history.iter().enumerate() {
                 let beta = pair.rho * value;
@@ -177,14 +177,14 @@ impl<S: Session> Resident for OnHost<S> {
         }))
     }
 
-    fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError> {
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation, RvdError> {
         self.trial.clear();
         self.trial.extend(self.x.iter().zip(&self.d).map(|(&x, &d)| x + step * d));
         self.session.set_seeds(&self.trial)?;
         let stats = self.session.sums(&mut self.trial_sums, token)?;
         let Self { pool, trial_g: g, trial_sums: sums, held, d, .. } = self;
-        let look = on(pool.as_deref(), held.len(), |threads| vectors::look(threads, sums, held, d, g));
-        Ok(Look { stats, ..look })
+        let evaluation = on(pool.as_deref(), held.len(), |threads| vectors::evaluate(threads, sums, held, d, g));
+        Ok(Evaluation { stats, ..evaluation })
     }
 
     fn accept(&mut self) -> Result<(), RvdError> {
@@ -207,7 +207,7 @@ impl<S: Session> Resident for OnHost<S> {
         Ok(())
     }
 
-    fn forget(&mut self) {
+    fn clear_history(&mut self) {
         self.history.clear();
     }
 

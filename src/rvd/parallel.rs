@@ -1,7 +1,7 @@
 //! f64 on all cores.
 //!
-//! Purpose: the fast CPU backend. Sums are taken of all cells of a facet at once (`facets`), from lists (`lister`) that
-//! serve several passes (`lists`) but for a few seeds (`strays`), and by [`super::serial`]'s walk where that does not
+//! Purpose: the fast CPU backend. Sums are taken of all cells of a facet at once (`facets`), from lists (`builder`) that
+//! serve several passes (`lists`) but for a few seeds (`escaped seeds`), and by [`super::serial`]'s walk where that does not
 //! suffice; pieces by the walk alone.
 //! Invariant: the diagram of [`super::serial`], pieces to the bit and sums to rounding; and the same
 //! bits whatever the number of threads and whatever passes came before: facets are taken in one order (`order`), blocks
@@ -9,18 +9,10 @@
 //! those sums up in that order.
 //! Must not know: iterations.
 
-mod around;
-mod chunk;
-mod facets;
-mod gather;
-mod groups;
-mod lanes;
-mod lister;
-mod lists;
-mod moments;
+mod candidates;
+mod divide;
 mod order;
-mod strays;
-mod written;
+mod schedule;
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -30,9 +22,9 @@ use std::time::Instant;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use self::chunk::{Chunk, Task, Walkers};
-use self::lists::KeptLists;
+use self::candidates::verlet::VerletLists;
 use self::order::Order;
+use self::schedule::chunk::{self, Chunk, Task, Walkers};
 use super::incident::Diagram;
 use super::on_host::OnHost;
 use super::start::Starts;
@@ -98,7 +90,7 @@ impl Backend for Parallel {
             by_rows: 0,
             order: Order::default(),
             starts: Starts::default(),
-            lists: KeptLists::default(),
+            lists: VerletLists::default(),
             no_table: NeighbourTable::default(),
             chunks: Vec::new(),
             walkers: (0..self.threads()).map(|_| Mutex::default()).collect(),
@@ -115,7 +107,7 @@ const BLOCK_PAIRS: usize = 2048;
 const BLOCKS: usize = 8;
 /// and tasks that each thread should have, so that none waits long for the last.
 const SHARES: usize = 8;
-/// Seeds a facet, from which on facets are divided and walked by rows of neighbours instead of by lists that are kept.
+/// Seeds a facet, from which on facets are divided and walked by rows of neighbours instead of by Verlet lists.
 const MANY: usize = 8;
 /// Passes by rows, after lists without them did not do.
 const LATER: usize = 8;
@@ -132,9 +124,9 @@ struct Blocks {
 /// Where a pass finds the seeds that count on facets.
 #[derive(Clone, Copy, PartialEq)]
 enum From {
-    /// In lists that were kept,
-    Kept,
-    /// by looks around facets that are beside one another, where seeds are
+    /// In Verlet lists,
+    Lists,
+    /// by searches around facets that are beside one another, where seeds are
     Index,
     /// or about to be,
     Ahead,
@@ -160,7 +152,7 @@ struct ParallelSession {
     order: Order,
     /// First cells of the facets whose pieces were asked for.
     starts: Starts,
-    lists: KeptLists,
+    lists: VerletLists,
     /// Stands for the table where that is stale.
     no_table: NeighbourTable,
     chunks: Vec<Chunk>,
@@ -224,7 +216,7 @@ impl ParallelSession {
         let listed = self.stale && !self.seeds.is_empty() && !coarse;
         if listed
             && self.lists.hold(&self.seeds, blocks.facets * blocks.a_chunk)
-            && let Some(stats) = self.pass(out, (blocks, From::Kept), token)?
+            && let Some(stats) = self.pass(out, (blocks, From::Lists), token)?
         {
             return Ok(stats);
         }
@@ -281,16 +273,16 @@ impl ParallelSession {
         let table = if matches!(from, From::Rows { .. }) { &self.table } else { &self.no_table };
         let diagram = Diagram { surface: &self.surface, seeds: &self.seeds, index: &self.index, table };
         let begin = Instant::now();
-        let (facets, starts) = self.order.guesses(diagram, from != From::Kept, token);
+        let (facets, starts) = self.order.guesses(diagram, from != From::Lists, token);
         token.check()?;
         stats.start_ms = elapsed_ms(begin);
-        let (kept, lists) = self.lists.split(tasks, size);
-        let rows = if kept.even { &self.no_table } else { &self.table };
-        let about = (from == From::Ahead).then_some(kept.made_at);
+        let (verlet, lists) = self.lists.split(tasks, size);
+        let rows = if verlet.even { &self.no_table } else { &self.table };
+        let about = (from == From::Ahead).then_some(verlet.made_at);
         let task = Task {
             diagram,
             about,
-            slack: kept.slack,
+            skin: verlet.skin,
             capacities: self.capacities,
             by_rows: from == From::Rows { coarse: true },
             even: matches!(from, From::Index | From::Ahead),
@@ -311,7 +303,9 @@ impl ParallelSession {
                 }
                 let walkers = &mut *of_this_thread(&self.walkers);
                 let done = match from {
-                    From::Kept => chunk.sum_kept(walkers, task.listed(facets, starts, lists), (kept, rows), block),
+                    From::Lists => {
+                        chunk.sum_from_lists(walkers, task.listed(facets, starts, lists), (verlet, rows), block)
+                    }
                     _ => chunk.sum(walkers, task, (facets, starts), lists),
                 };
                 if !done {
@@ -331,7 +325,7 @@ impl ParallelSession {
             chunk::add_up(out, chunks);
             stats.update_ms += elapsed_ms(begin);
         }
-        self.lists.end_pass(&self.seeds, &out.area, from != From::Kept && unlisted == 0);
+        self.lists.end_pass(&self.seeds, &out.area, from != From::Lists && unlisted == 0);
         Ok(Some(stats))
     }
 

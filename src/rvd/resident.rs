@@ -16,7 +16,7 @@ pub(crate) const HISTORY: usize = 7;
 
 /// What one pass over the diagram says of a point. Unit frame.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Look {
+pub struct Evaluation {
     /// E = Σ ∫ w |p - x_i|².
     pub energy: f64,
     /// ‖∇E‖², ∇E_i = 2 m_i (x_i - c_i), 0 for held seeds.
@@ -33,38 +33,38 @@ pub struct Look {
 
 /// One session's seeds, moved in place. Vectors have three components a seed.
 pub trait Resident {
-    /// Which seeds stay where they are, one entry a seed. Forgets the history and the direction.
+    /// Which seeds stay where they are, one entry a seed. Clears the history and the direction.
     ///
     /// # Errors
-    /// What the device says.
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     fn hold(&mut self, held: &[bool]) -> Result<(), RvdError>;
 
     /// One pass at the present point x; its gradient g is kept. The slope is 0.
     ///
     /// # Errors
-    /// `Stopped`, or what the device says. x is as before.
-    fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError>;
+    /// `Stopped`, or an error of the device. x is as before.
+    fn evaluate(&mut self, token: &Token) -> Result<Evaluation, RvdError>;
 
     /// After [`Resident::evaluate`]: every seed that is not held goes to its cell's centroid; the seed
-    /// of an empty cell stays. Forgets the history.
+    /// of an empty cell stays. Clears the history.
     ///
     /// # Errors
-    /// What the device says.
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     fn to_centroids(&mut self) -> Result<(), RvdError>;
 
     /// One Lloyd step at least and `steps` at most, each as [`Resident::evaluate`] and then
-    /// [`Resident::to_centroids`], with the same bits; the look of each is put to `looks`. No step is taken from a
-    /// point with empty cells: its look is then the last, and [`Resident::read_sums`] has its sums.
+    /// [`Resident::to_centroids`], with the same bits; the evaluation of each is added to `evaluations`. No step is
+    /// taken from a point with empty cells: its evaluation is then the last, and [`Resident::read_sums`] has its sums.
     ///
     /// # Errors
-    /// `Stopped`, or what the device says. x is as after the looks that were put.
-    fn relax(&mut self, steps: usize, looks: &mut Vec<Look>, token: &Token) -> Result<(), RvdError> {
+    /// `Stopped`, or an error of the device. x is as after the evaluations that were added.
+    fn relax(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<(), RvdError> {
         let _one_by_one = steps;
-        let look = self.evaluate(token)?;
-        if look.empty_cells == 0 {
+        let evaluation = self.evaluate(token)?;
+        if evaluation.empty_cells == 0 {
             self.to_centroids()?;
         }
-        looks.push(look);
+        evaluations.push(evaluation);
         Ok(())
     }
 
@@ -73,34 +73,34 @@ pub trait Resident {
     /// method does: masses differ a hundredfold on a density, and one scale for all suits none. Returns gᵀd.
     ///
     /// # Errors
-    /// What the device says.
-    fn direct(&mut self) -> Result<f64, RvdError>;
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
+    fn search_direction(&mut self) -> Result<f64, RvdError>;
 
     /// One pass at x + step·d; its gradient is kept beside g. The slope is that gradient along d.
     ///
     /// # Errors
-    /// `Stopped`, or what the device says. x is as before.
-    fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError>;
+    /// `Stopped`, or an error of the device. x is as before.
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation, RvdError>;
 
     /// The point of the last probe becomes x, its gradient g; the pair (s, y) joins the history, the
     /// oldest going where there are `HISTORY`, unless sᵀy <= 1e-10 ‖s‖ ‖y‖.
     ///
     /// # Errors
-    /// What the device says.
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     fn accept(&mut self) -> Result<(), RvdError>;
 
     /// Empties the history.
-    fn forget(&mut self);
+    fn clear_history(&mut self);
 
     /// The present point, unit frame, into `out`.
     ///
     /// # Errors
-    /// What the device says.
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError>;
 
     /// The cells' sums of the last pass at x, into `out`.
     ///
     /// # Errors
-    /// What the device says.
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
     fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError>;
 }

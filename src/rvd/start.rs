@@ -3,7 +3,7 @@
 //! Purpose: a seed whose cell holds the facet's centroid, found by walking the neighbour table from
 //! a guess and proved by the same radius that ends a clip; the seeds' index answers where the table
 //! cannot.
-//! Invariant: the answer is a nearest seed, never a later twin. Which of several equal ones it is may depend on the
+//! Invariant: the answer is a nearest seed, never a later duplicate. Which of several equal ones it is may depend on the
 //! guess; the diagram does not. A guess that is to be made better promises nothing.
 //! Must not know: polygons.
 
@@ -66,7 +66,7 @@ fn is_beside(diagram: Diagram<'_>, q: DVec3, s: u32) -> bool {
 /// of x_i, so the row of i, nearest first, need not be read beyond that.
 pub(super) fn nearest(diagram: Diagram<'_>, q: DVec3, from: u32) -> u32 {
     let Diagram { seeds, index, table, .. } = diagram;
-    let mut i = first_twin(diagram, from);
+    let mut i = first_duplicate(diagram, from);
     let mut best = q.distance_squared(seeds[i as usize]);
     'walk: loop {
         let (row, complete) = table.row(i);
@@ -87,7 +87,7 @@ pub(super) fn nearest(diagram: Diagram<'_>, q: DVec3, from: u32) -> u32 {
 }
 
 /// The earliest seed at the place of seed `i`. A later one has no cell, and no neighbour but it.
-fn first_twin(diagram: Diagram<'_>, i: u32) -> u32 {
+fn first_duplicate(diagram: Diagram<'_>, i: u32) -> u32 {
     match diagram.table.row(i).0 {
         [first, ..] if diagram.seeds[*first as usize] == diagram.seeds[i as usize] => *first,
         _ => i,

@@ -4,6 +4,8 @@
 //! its stages took. Both grow from a session's opening on; a difference of two is what was done between.
 //! Invariant: a session on a CPU has neither. Must not know: what a submission is for.
 
+use std::ops::AddAssign;
+
 use serde::Serialize;
 
 /// Counts of what a session had its device do, since it was opened. A device counts for all its users together, so
@@ -29,15 +31,7 @@ pub struct DeviceWork {
 impl DeviceWork {
     /// What was done after `before`.
     pub(crate) fn since(&self, before: &Self) -> Self {
-        Self {
-            host_searches: self.host_searches - before.host_searches,
-            divided_facets: self.divided_facets - before.divided_facets,
-            paired_facets: self.paired_facets - before.paired_facets,
-            device_submissions: self.device_submissions - before.device_submissions,
-            device_allocations: self.device_allocations - before.device_allocations,
-            uploaded_bytes: self.uploaded_bytes - before.uploaded_bytes,
-            read_back_bytes: self.read_back_bytes - before.read_back_bytes,
-        }
+        self.with(before, |now, before| now - before)
     }
 
     /// Figure by figure, what `by` makes of these and `other`.
@@ -51,6 +45,12 @@ impl DeviceWork {
             uploaded_bytes: by(self.uploaded_bytes, other.uploaded_bytes),
             read_back_bytes: by(self.read_back_bytes, other.read_back_bytes),
         }
+    }
+}
+
+impl AddAssign for DeviceWork {
+    fn add_assign(&mut self, more: Self) {
+        *self = self.with(&more, |a, b| a + b);
     }
 }
 

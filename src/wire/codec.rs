@@ -121,6 +121,7 @@ pub(crate) fn edits(edits: &[proto::SeedEdit]) -> Result<Vec<SeedEdit>, WireErro
 }
 
 pub(crate) fn iteration(it: &Iteration, total: usize, queue_ms: f64) -> proto::Iteration {
+    let device = it.stats.device;
     proto::Iteration {
         index: it.index as u64,
         kind: it.kind.name().to_owned(),
@@ -135,13 +136,13 @@ pub(crate) fn iteration(it: &Iteration, total: usize, queue_ms: f64) -> proto::I
         relaunched_pairs: it.stats.relaunched(),
         total: total as u64,
         queue_ms,
-        host_searches: it.stats.host_searches,
-        divided_facets: it.stats.divided_facets,
-        paired_facets: it.stats.paired_facets,
-        device_submissions: it.stats.device_submissions,
-        device_allocations: it.stats.device_allocations,
-        uploaded_bytes: it.stats.uploaded_bytes,
-        read_back_bytes: it.stats.read_back_bytes,
+        host_searches: device.host_searches,
+        divided_facets: device.divided_facets,
+        paired_facets: device.paired_facets,
+        device_submissions: device.device_submissions,
+        device_allocations: device.device_allocations,
+        uploaded_bytes: device.uploaded_bytes,
+        read_back_bytes: device.read_back_bytes,
     }
 }
 

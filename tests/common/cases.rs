@@ -320,7 +320,7 @@ fn well_formed(surface: &Surface, seeds: &[DVec3], pieces: &PieceBatch) -> Resul
         ensure!(range.len() >= 3, "piece {i} has {} vertices", range.len());
         ensure!(!surface.skips(f as usize), "piece {i} lies in facet {f}, which has no area");
         let first = seeds.iter().position(|p| *p == seeds[s as usize]);
-        ensure!(first == Some(s as usize), "piece {i} belongs to seed {s}, a later twin");
+        ensure!(first == Some(s as usize), "piece {i} belongs to seed {s}, a later duplicate");
         for v in range {
             ensure!(pieces.position[v].is_finite(), "piece {i} has the vertex {}", pieces.position[v]);
             let label = pieces.opposite[v];

@@ -5,29 +5,18 @@ use std::sync::Arc;
 
 use crate::gpu;
 use needs::needs;
-use tessera::internals::gpu::buffers::{Buffers, write};
-use tessera::internals::gpu::plan::{Counts, Limits, Plan};
-use tessera::internals::gpu::{Device, DeviceOptions, GpuError, adapters, shader};
+use tessera::internals::gpu::buffers::{Allocation, Staging, write};
+use tessera::internals::gpu::{Device, DeviceOptions, GpuError, adapters};
+use tessera::internals::rvd::shaders;
 use wgpu::BufferUsages as Usage;
 
-/// Buffers whose readback is borrowed; the smallest plan there is.
-fn borrowed(device: &Device) -> Buffers {
-    let counts = Counts {
-        facets: 1,
-        window: 1,
-        windows: 1,
-        seeds: 1,
-        table: 1,
-        slots: 1,
-        pairs: 1,
-        emitted: 1,
-        polygon: 4,
-        near: 1,
-        cells: 2,
-        kept: 1,
-    };
-    Buffers::new(device, Plan::new(counts, Limits::of(&device.limits())).unwrap(), &[1]).unwrap()
+/// What reads buffers back, a few bytes at a time.
+fn staging(device: &Device) -> (Staging, Allocation) {
+    let mut allocation = Allocation::new(device, STAGING_BYTES);
+    (Staging::new(device, &mut allocation, STAGING_BYTES).unwrap(), allocation)
 }
+
+const STAGING_BYTES: u64 = 1 << 16;
 
 /// Runs one check and reads (sums, slots, outcomes).
 fn check(
@@ -37,7 +26,7 @@ fn check(
     inputs: &[u32],
     slots: usize,
 ) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
-    let source = shader::compose("checks", &[("WIDE", i64::from(wide))]).unwrap();
+    let source = shaders::compose("clip/checks", &[("WIDE", i64::from(wide))]).unwrap();
     let raw = device.raw();
     let module = raw.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: None,
@@ -85,7 +74,7 @@ fn check(
         pass.dispatch_workgroups(inputs.len().div_ceil(64) as u32, 1, 1);
     }
     device.run(encoder).unwrap();
-    let reader = borrowed(device);
+    let (reader, _allocation) = staging(device);
     let read = |k: usize, n: usize| reader.read::<u32>(device, &buffers[k], 0..n).unwrap();
     (read(1, 4), read(2, slots), read(3, inputs.len()))
 }
@@ -182,7 +171,7 @@ fn reads_longer_than_the_staging_buffer_come_in_portions() {
     let values: Vec<u32> = (0..100_000).collect();
     let buffer = device.buffer("long", 400_000, Usage::STORAGE | Usage::COPY_DST | Usage::COPY_SRC).unwrap();
     write(&device, &buffer, 0, &values).unwrap();
-    let reader = borrowed(&device);
-    assert!(reader.plan().staging_bytes < 400_000);
+    let (reader, _allocation) = staging(&device);
+    const { assert!(STAGING_BYTES < 400_000) };
     assert_eq!(reader.read::<u32>(&device, &buffer, 5..99_999).unwrap(), values[5..99_999]);
 }

@@ -6,16 +6,16 @@ use std::sync::Arc;
 use glam::{DVec3, dvec3};
 use needs::needs;
 use rand::{RngExt, SeedableRng};
-use tessera::internals::gpu::layout::ROW;
 use tessera::internals::gpu::{Device, DeviceOptions};
 use tessera::internals::knn::{NeighbourRow, SeedIndex};
+use tessera::internals::rvd::layout::ROW;
 use tessera::internals::rvd::{Found, Gpu};
 use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::Serial;
 use tessera::rvd::{
-    Backend, Capacities, CellSums, Look, PassStats, Resident, RvdError, Session, SessionOptions, Surface, Together,
-    Tuning,
+    Backend, Capacities, CellSums, Evaluation, PassStats, Resident, RvdError, Session, SessionOptions, Surface,
+    Together, Tuning,
 };
 use tessera::token::{Stopped, Token};
 
@@ -83,7 +83,7 @@ fn search(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], neighbours: usize)
 
 #[needs(gpu)]
 #[test]
-fn rows_from_kept_lists_are_those_of_a_search() {
+fn rows_from_verlet_lists_are_those_of_a_search() {
     let gpu = require_gpu!();
     let surface = surface(Shape::Torus, 600, false);
     let never = Token::default();
@@ -113,16 +113,16 @@ fn rows_from_kept_lists_are_those_of_a_search() {
             let alone = gpu.search(Arc::clone(&surface), &[seeds], options(), &never).unwrap().remove(0);
             assert!(found.rows == alone.rows, "{name}, {k}: rows");
             assert_eq!(
-                (&found.first, found.twins, found.by_host),
-                (&alone.first, alone.twins, alone.by_host),
+                (&found.first, found.duplicates, found.by_host),
+                (&alone.first, alone.duplicates, alone.by_host),
                 "{name}"
             );
-            assert_eq!(alone.recalled, 0);
+            assert_eq!(alone.from_lists, 0);
         }
-        let recalled: Vec<u64> = found.iter().map(|f| f.recalled).collect();
-        eprintln!("{name}: {recalled:?} of {} recalled", seeds.len());
+        let from_lists: Vec<u64> = found.iter().map(|f| f.from_lists).collect();
+        eprintln!("{name}: {from_lists:?} of {} from lists", seeds.len());
         if name == "noise" {
-            assert!(recalled[3] > 900, "little moves: {recalled:?}");
+            assert!(from_lists[3] > 900, "little moves: {from_lists:?}");
         }
     }
 }
@@ -136,7 +136,7 @@ fn rows_and_first_cells_are_the_hosts() {
         for (name, seeds) in sets(&surface, 1000) {
             let found = search(gpu, &surface, &seeds, 24);
             let index = SeedIndex::new(&seeds);
-            assert_eq!(found.twins, index.duplicates() as u64, "{name}");
+            assert_eq!(found.duplicates, index.duplicates() as u64, "{name}");
             let mut longest = 0;
             for (i, row) in found.rows.iter().enumerate() {
                 let mut want = NeighbourRow::default();
@@ -155,7 +155,7 @@ fn rows_and_first_cells_are_the_hosts() {
                 let q = surface.centroid(f);
                 let (d, w) = (q.distance(seeds[first as usize]), q.distance(seeds[index.nearest(q) as usize]));
                 assert!(d <= w + 2e-7 * (w + 1.0), "{name}: first cell of {f} is {d:e} away, not {w:e}");
-                assert!(!index.is_twin(first), "{name}: {first} is a later twin");
+                assert!(!index.is_duplicate(first), "{name}: {first} is a later duplicate");
             }
             eprintln!("{shape}, {name}: by host {}, rows up to {longest}", found.by_host);
             // A shorter row is the beginning of a longer one.
@@ -209,11 +209,11 @@ fn read(seeds: &mut dyn Resident) -> Vec<DVec3> {
     out
 }
 
-fn evaluate(seeds: &mut dyn Resident) -> Look {
+fn evaluate(seeds: &mut dyn Resident) -> Evaluation {
     seeds.evaluate(&Token::default()).unwrap()
 }
 
-fn probe(seeds: &mut dyn Resident, step: f64) -> Look {
+fn probe(seeds: &mut dyn Resident, step: f64) -> Evaluation {
     seeds.probe(step, &Token::default()).unwrap()
 }
 
@@ -234,18 +234,22 @@ fn a_step_to_the_centroids_is_the_hosts() {
         let want = sums_of(&Serial, &surface, &seeds);
         let mut session = open(gpu, &surface, &seeds);
         let moving = session.resident().unwrap();
-        let look = evaluate(moving);
+        let evaluation = evaluate(moving);
         // Energy and area are sums of f32 pieces, each good to about 1e-6 and without a common error; the
         // gradient of a cell is as good as its boundary.
-        close(&format!("{name}, energy"), look.energy, want.energy.iter().sum(), 2e-6);
-        close(&format!("{name}, area"), look.area, surface.area(), 1e-6);
-        close(&format!("{name}, gradient"), look.gradient_squared, gradient_squared(&want), 1e-4);
+        close(&format!("{name}, energy"), evaluation.energy, want.energy.iter().sum(), 2e-6);
+        close(&format!("{name}, area"), evaluation.area, surface.area(), 1e-6);
+        close(&format!("{name}, gradient"), evaluation.gradient_squared, gradient_squared(&want), 1e-4);
         // A cell that is nearly a point may be none in floats.
         let smallest = |least: f64| want.area.iter().filter(|a| **a <= least * surface.area()).count();
-        assert!((smallest(0.0)..=smallest(1e-8)).contains(&look.empty_cells), "{name}: {}", look.empty_cells);
+        assert!(
+            (smallest(0.0)..=smallest(1e-8)).contains(&evaluation.empty_cells),
+            "{name}: {}",
+            evaluation.empty_cells
+        );
         let mut own = CellSums::default();
         moving.read_sums(&mut own).unwrap();
-        close(&format!("{name}, sums"), own.energy.iter().sum(), look.energy, 1e-12);
+        close(&format!("{name}, sums"), own.energy.iter().sum(), evaluation.energy, 1e-12);
         moving.to_centroids().unwrap();
         let moved = read(moving);
         let h = (surface.area() / seeds.len() as f64).sqrt();
@@ -276,7 +280,7 @@ fn energies_along_the_direction_have_the_slope_of_the_gradient() {
     let mut session = open(gpu, &surface, &seeds);
     let moving = session.resident().unwrap();
     let here = evaluate(moving);
-    let slope = moving.direct().unwrap();
+    let slope = moving.search_direction().unwrap();
     // Without a history the direction is -g over twice the masses, the way to the centroids.
     let mut sums = CellSums::default();
     moving.read_sums(&mut sums).unwrap();
@@ -309,7 +313,7 @@ fn minimise(seeds: &mut dyn Resident, lloyd: usize, newton: usize) -> (Vec<f64>,
         energies.push(here.energy);
     }
     for _ in 0..newton {
-        let slope = seeds.direct().unwrap();
+        let slope = seeds.search_direction().unwrap();
         assert!(slope < 0.0);
         let mut step = 1.0;
         let mut next = probe(seeds, step);
@@ -384,11 +388,11 @@ fn held_seeds_do_not_move() {
     let moving = session.resident().unwrap();
     let before = read(moving);
     moving.hold(&held).unwrap();
-    let look = evaluate(moving);
+    let evaluation = evaluate(moving);
     let sums = sums_of(&Serial, &surface, &seeds);
     let free = |i: &usize| !held[*i];
     let want: f64 = (0..200).filter(free).map(|i| 4.0 * sums.moment[i].length_squared()).sum();
-    close("gradient", look.gradient_squared, want, 1e-4);
+    close("gradient", evaluation.gradient_squared, want, 1e-4);
     minimise(moving, 3, 6);
     let after = read(moving);
     for i in 0..200 {
@@ -407,12 +411,12 @@ fn twins_stay_and_clusters_spread() {
     let twins = by_name("twins");
     let mut session = open(gpu, &surface, &twins);
     let moving = session.resident().unwrap();
-    let look = evaluate(moving);
-    assert_eq!((look.empty_cells, look.stats.duplicate_seeds), (201, 201));
+    let evaluation = evaluate(moving);
+    assert_eq!((evaluation.empty_cells, evaluation.stats.duplicate_seeds), (201, 201));
     let before = read(moving);
     moving.to_centroids().unwrap();
     let after = read(moving);
-    assert!((200..401).all(|i| before[i] == after[i]), "a later twin has moved");
+    assert!((200..401).all(|i| before[i] == after[i]), "a later duplicate has moved");
     assert!((0..200).all(|i| before[i] != after[i]));
     let mut session = open(gpu, &surface, &by_name("cluster"));
     let (energies, _) = minimise(session.resident().unwrap(), 10, 10);
@@ -431,7 +435,7 @@ fn a_seed_that_leaves_the_range_is_named_and_x_stays() {
     let moving = session.resident().unwrap();
     moving.hold(&held).unwrap();
     let here = evaluate(moving);
-    moving.direct().unwrap();
+    moving.search_direction().unwrap();
     let never = Token::default();
     // Seed 0 is held, so seed 1 is the first that leaves.
     let far = moving.probe(1e12, &never).unwrap_err();
@@ -439,8 +443,8 @@ fn a_seed_that_leaves_the_range_is_named_and_x_stays() {
     let infinite = moving.probe(f64::INFINITY, &never).unwrap_err();
     assert!(matches!(infinite, RvdError::NonFiniteSeed { .. }), "{infinite}");
     // Far, but within the range: the host finishes it.
-    let look = moving.probe(100.0 / here.gradient_squared.sqrt(), &never).unwrap();
-    assert!(look.energy > here.energy && look.stats.host_searches > 0);
+    let evaluation = moving.probe(100.0 / here.gradient_squared.sqrt(), &never).unwrap();
+    assert!(evaluation.energy > here.energy && evaluation.stats.host_searches > 0);
     assert!(moving.probe(-0.0, &never).unwrap().energy == here.energy);
     let cancelled = Token::default();
     cancelled.cancel();
@@ -462,10 +466,10 @@ fn iterations_allocate_nothing_and_move_few_bytes() {
     minimise(moving, 20, 1);
     let (_, stats) = minimise(moving, 0, 4);
     eprintln!("{stats:?}");
-    let look = evaluate(moving);
+    let evaluation = evaluate(moving);
     assert_eq!((stats.device_allocations, stats.host_searches, stats.relaunched()), (0, 0, 0));
     assert!(stats.device_submissions == 4 && stats.read_back_bytes <= 4 * 128, "{stats:?}");
-    assert!(stats.uploaded_bytes <= 4 * 512 && look.stats.uploaded_bytes <= 512, "{stats:?}");
+    assert!(stats.uploaded_bytes <= 4 * 512 && evaluation.stats.uploaded_bytes <= 512, "{stats:?}");
 }
 
 /// Edges a twentieth as long at one point: cells three mean spacings wide would hold hundreds of seeds there.
@@ -520,11 +524,11 @@ fn cells_beside_a_crowd_and_within_a_ring_are_ended_on_the_device() {
     for _ in 0..3 {
         session.set_seeds(&seeds).unwrap();
         let moving = session.resident().unwrap();
-        let look = evaluate(moving);
-        let stats = look.stats;
+        let evaluation = evaluate(moving);
+        let stats = evaluation.stats;
         eprintln!("{stats:?}");
         assert!(stats.relaunched_neighbours > 0 && stats.relaunched_polygon > 0, "{stats:?}");
-        passes.push((look.energy.to_bits(), look.gradient_squared.to_bits(), stats.device_submissions));
+        passes.push((evaluation.energy.to_bits(), evaluation.gradient_squared.to_bits(), stats.device_submissions));
     }
     assert!(passes[0].2 > 1, "{passes:?}");
     assert_eq!(passes[1], (passes[0].0, passes[0].1, 1));
@@ -544,23 +548,23 @@ fn cells_beside_a_crowd_and_within_a_ring_are_ended_on_the_device() {
 /// Energies and gradients of `steps` Lloyd steps, one by one or as the device likes, and where they lead.
 fn relaxed(session: &mut dyn Session, steps: usize, together: bool) -> (Vec<[f64; 3]>, Vec<DVec3>, PassStats) {
     let moving = session.resident().unwrap();
-    let mut looks = Vec::new();
-    while looks.len() < steps {
+    let mut evaluations = Vec::new();
+    while evaluations.len() < steps {
         if together {
-            let before = looks.len();
-            moving.relax(steps - before, &mut looks, &Token::default()).unwrap();
-            assert!(looks.len() > before && looks.len() <= steps);
-            if looks.last().unwrap().empty_cells == 0 {
+            let before = evaluations.len();
+            moving.relax(steps - before, &mut evaluations, &Token::default()).unwrap();
+            assert!(evaluations.len() > before && evaluations.len() <= steps);
+            if evaluations.last().unwrap().empty_cells == 0 {
                 continue;
             }
         } else {
-            looks.push(evaluate(moving));
+            evaluations.push(evaluate(moving));
         }
         moving.to_centroids().unwrap();
     }
     let mut stats = PassStats::default();
-    looks.iter().for_each(|look| stats.add(&look.stats));
-    (looks.iter().map(|l| [l.energy, l.gradient_squared, l.area]).collect(), read(moving), stats)
+    evaluations.iter().for_each(|evaluation| stats.add(&evaluation.stats));
+    (evaluations.iter().map(|l| [l.energy, l.gradient_squared, l.area]).collect(), read(moving), stats)
 }
 
 #[needs(gpu)]
@@ -621,9 +625,9 @@ fn the_next_session_of_the_same_plan_allocates_nothing_and_gives_the_same_bits()
     for _ in 0..3 {
         let mut session = gpu.session(Arc::clone(&surface), SessionOptions::new(seeds.len())).unwrap();
         session.set_seeds(&seeds).unwrap();
-        let mut looks = Vec::new();
+        let mut evaluations = Vec::new();
         let resident = session.resident().unwrap();
-        resident.relax(3, &mut looks, &token).unwrap();
+        resident.relax(3, &mut evaluations, &token).unwrap();
         let mut moved = Vec::new();
         resident.read(&mut moved).unwrap();
         runs.push((session.device_work().device_allocations, moved));

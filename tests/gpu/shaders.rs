@@ -1,8 +1,10 @@
 //! Promise: every shader is valid WGSL and every record has one layout on both sides. No GPU.
 
+use std::path::Path;
+
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use tessera::internals::gpu::layout;
-use tessera::internals::gpu::shader::{SOURCES, compose};
+use tessera::internals::rvd::shaders::{SOURCES, compose};
+use tessera::internals::rvd::{layout, plan};
 
 fn parse(stage: &str, slots: i64, array: i64) -> naga::Module {
     parse_with(stage, slots, array, 0)
@@ -21,9 +23,9 @@ fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module 
         ("ROW", i64::from(layout::ROW)),
         ("LIST", i64::from(layout::LIST)),
         ("WIDTH", i64::from(if shared == 0 { layout::ROW } else { layout::LIST })),
-        ("PART", tessera::internals::gpu::plan::SEARCH_PART as i64),
+        ("PART", plan::SEARCH_PART as i64),
         ("LONGER", i64::from(layout::LONGER)),
-        ("MOST", i64::from(layout::MOST_RETAKEN)),
+        ("MOST", i64::from(layout::MOST_REQUEUED)),
         ("MEMBERS", members(slots)),
         ("WEIGHTED", shared),
         ("PAIRS", layout::PAIRS as i64),
@@ -38,6 +40,31 @@ fn parse_with(stage: &str, slots: i64, array: i64, shared: i64) -> naga::Module 
         .validate(&module)
         .unwrap_or_else(|e| panic!("{stage}, {slots} slots:\n{}", e.emit_to_string(&source)));
     module
+}
+
+/// Names below `shaders/`, as in `#import`.
+fn files(folder: &Path, below: &str, out: &mut Vec<String>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let entry = entry.unwrap();
+        let name = format!("{below}{}", entry.file_name().to_string_lossy());
+        if entry.path().is_dir() {
+            files(&entry.path(), &format!("{name}/"), out);
+        } else {
+            out.push(name.strip_suffix(".wgsl").unwrap().to_owned());
+        }
+    }
+}
+
+#[test]
+fn every_file_is_listed_and_no_two_have_one_name() {
+    let mut found = Vec::new();
+    files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders"), "", &mut found);
+    found.sort_unstable();
+    assert_eq!(found, SOURCES.iter().map(|(name, _)| *name).collect::<Vec<_>>());
+    let mut names: Vec<&str> = found.iter().map(|name| name.rsplit('/').next().unwrap()).collect();
+    names.sort_unstable();
+    let twice: Vec<_> = names.windows(2).filter(|two| two[0] == two[1]).collect();
+    assert!(twice.is_empty(), "{twice:?}");
 }
 
 #[test]
@@ -82,7 +109,7 @@ macro_rules! same_layout {
 
 #[test]
 fn records_have_one_layout() {
-    let clip = parse("clip", 10, 0);
+    let clip = parse("clip/clip", 10, 0);
     same_layout!(&clip, Seed { hi, row_begin, lo, row_length });
     same_layout!(
         &clip,
@@ -113,9 +140,9 @@ fn records_have_one_layout() {
             uniform_weights,
             list_capacity,
             batch,
-            propose_begin,
-            propose_count,
-            propose_root,
+            enqueue_begin,
+            enqueue_count,
+            enqueue_root,
             emit_begin,
             emit_count,
             polygon,
@@ -129,7 +156,7 @@ fn records_have_one_layout() {
             divided,
             facet_first,
             part_first,
-            kept
+            has_lists
         }
     );
     same_layout!(
@@ -145,22 +172,37 @@ fn records_have_one_layout() {
             cells_overflow,
             halt,
             near,
-            twins,
+            duplicates,
             unproved,
             bad,
             cursor,
             paired,
             rounds,
             longer,
-            retaken,
-            crowded
+            requeued,
+            overflowed
         }
     );
-    same_layout!(&parse("search", 10, 0), Sorted { hi, seed, lo, first });
-    let tally = parse("tally", 10, 0);
+    same_layout!(&parse("neighbours/search", 10, 0), Sorted { hi, seed, lo, first });
+    // The words behind it are counted from its end.
+    for (stage, name) in [("neighbours/count", "ListState"), ("neighbours/search", "ListStateRead")] {
+        let (mut members, _) = reflected(&parse(stage, 10, 0), name);
+        assert_eq!(members.pop(), Some(("words".to_owned(), size_of::<layout::ListState>() as u32)));
+        let of = |offset: usize| offset as u32;
+        let fields = [
+            ("drift", of(std::mem::offset_of!(layout::ListState, drift))),
+            ("fast", of(std::mem::offset_of!(layout::ListState, fast))),
+            ("open", of(std::mem::offset_of!(layout::ListState, open))),
+            ("made", of(std::mem::offset_of!(layout::ListState, made))),
+            ("mode", of(std::mem::offset_of!(layout::ListState, mode))),
+        ];
+        let named: Vec<(&str, u32)> = members.iter().map(|(name, offset)| (name.as_str(), *offset)).collect();
+        assert_eq!(named[..fields.len()], fields);
+    }
+    let gradient = parse("optimizer/gradient", 10, 0);
     same_layout!(
-        &tally,
-        Motion {
+        &gradient,
+        OptimizerParams {
             seeds,
             groups,
             step,
@@ -178,14 +220,14 @@ fn records_have_one_layout() {
         }
     );
     same_layout!(
-        &tally,
-        Figures { energy_low, energy_high, area_low, area_high, empty, gradient_squared, slope, padding }
+        &gradient,
+        Totals { energy_low, energy_high, area_low, area_high, empty, gradient_squared, slope, padding }
     );
 }
 
 #[test]
 fn constants_agree() {
-    let text = compose("clip", &[("SLOTS", 10), ("ARRAY", 0), ("SHARED", 0), ("WIDE", 0)]).unwrap();
+    let text = compose("clip/clip", &[("SLOTS", 10), ("ARRAY", 0), ("SHARED", 0), ("WIDE", 0)]).unwrap();
     for line in [
         format!("const COMPLETE: u32 = {:#x}u;", layout::COMPLETE),
         format!("const ROOT: u32 = {:#x}u;", layout::ROOT),
@@ -194,7 +236,7 @@ fn constants_agree() {
         format!("const POLYGON: u32 = {}u;", layout::code::POLYGON),
         format!("const FINISH: u32 = {}u;", layout::code::FINISH),
         format!("const SUM_WORDS: u32 = {}u;", layout::SUM_WORDS),
-        format!("const CELLED: u32 = {:#x}u;", layout::CELLED),
+        format!("const BY_CELL: u32 = {:#x}u;", layout::BY_CELL),
         format!("const DIRECT: u32 = {}u;", layout::accumulate::DIRECT),
         format!("const TWO_PHASE: u32 = {}u;", layout::accumulate::TWO_PHASE),
         format!("const NOWHERE: u32 = {}u;", layout::accumulate::NOWHERE),
@@ -204,14 +246,21 @@ fn constants_agree() {
     }
     let row = i64::from(layout::ROW);
     let constants = [("ROW", row), ("WIDTH", row), ("PART", 1), ("PAIRS", layout::PAIRS as i64)];
-    let all = ["count", "propose", "search", "products", "centroids", "settle"];
+    let all = [
+        "neighbours/count",
+        "clip/enqueue",
+        "neighbours/search",
+        "optimizer/partial_dots",
+        "optimizer/centroids",
+        "optimizer/may_step",
+    ];
     let text: String = all.iter().map(|stage| compose(stage, &constants).unwrap()).collect();
     for line in [
         format!("const NONE: u32 = {:#x}u;", layout::NONE),
         format!("const BAD: u32 = {}u;", layout::halt::BAD),
         format!("const FAR: u32 = {}u;", layout::halt::FAR),
-        format!("const CROWDED: u32 = {}u;", layout::halt::CROWDED),
-        format!("const UNSETTLED: u32 = {}u;", layout::halt::UNSETTLED),
+        format!("const GRID_OVERFLOW: u32 = {}u;", layout::halt::GRID_OVERFLOW),
+        format!("const INCOMPLETE: u32 = {}u;", layout::halt::INCOMPLETE),
         format!("const RINGS: i32 = {};", layout::RINGS),
         // Room for the most products that are added up together, and odd.
         format!("const TOGETHER: u32 = {}u;", (layout::DOTS - layout::PLAIN_DOTS) | 1),

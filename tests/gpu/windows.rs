@@ -11,7 +11,8 @@ use tessera::internals::gpu::{Device, DeviceOptions};
 use tessera::internals::rvd::Gpu;
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::{
-    Backend, Capacities, CellSums, Look, PassStats, PieceBatch, RvdError, SessionOptions, Strategy, Surface, Tuning,
+    Backend, Capacities, CellSums, Evaluation, PassStats, PieceBatch, RvdError, SessionOptions, Strategy, Surface,
+    Tuning,
 };
 use tessera::token::Token;
 
@@ -52,7 +53,7 @@ struct Outcome {
     sums: CellSums,
     pieces: PieceBatch,
     stats: PassStats,
-    looks: Vec<Look>,
+    evaluations: Vec<Evaluation>,
     moved: Vec<DVec3>,
 }
 
@@ -70,17 +71,17 @@ fn run(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], options: SessionOptio
         pieces.extend(&part);
     }
     let moving = session.resident().unwrap();
-    let mut looks = vec![moving.evaluate(&token).unwrap()];
+    let mut evaluations = vec![moving.evaluate(&token).unwrap()];
     for _ in 0..2 {
         moving.to_centroids().unwrap();
-        looks.push(moving.evaluate(&token).unwrap());
+        evaluations.push(moving.evaluate(&token).unwrap());
     }
-    moving.direct().unwrap();
-    looks.push(moving.probe(0.1 / looks[2].gradient_squared.sqrt(), &token).unwrap());
+    moving.search_direction().unwrap();
+    evaluations.push(moving.probe(0.1 / evaluations[2].gradient_squared.sqrt(), &token).unwrap());
     moving.accept().unwrap();
     let mut moved = Vec::new();
     moving.read(&mut moved).unwrap();
-    Outcome { sums, pieces, stats, looks, moved }
+    Outcome { sums, pieces, stats, evaluations, moved }
 }
 
 fn same(name: &str, a: &Outcome, b: &Outcome) {
@@ -88,7 +89,7 @@ fn same(name: &str, a: &Outcome, b: &Outcome) {
     assert!(a.pieces == b.pieces, "{name}: pieces");
     assert_eq!(a.stats.pairs, b.stats.pairs, "{name}");
     assert!(a.moved == b.moved, "{name}: seeds");
-    for (a, b) in a.looks.iter().zip(&b.looks) {
+    for (a, b) in a.evaluations.iter().zip(&b.evaluations) {
         assert_eq!((a.energy, a.gradient_squared, a.slope), (b.energy, b.gradient_squared, b.slope), "{name}");
     }
 }

@@ -14,7 +14,8 @@ use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::{RemeshOptions, Seeds, remesh};
 use tessera::rvd::{
-    Backend, BackendKind, CellSums, Look, PassStats, PieceBatch, Resident, RvdError, Session, SessionOptions, Surface,
+    Backend, BackendKind, CellSums, Evaluation, PassStats, PieceBatch, Resident, RvdError, Session, SessionOptions,
+    Surface,
 };
 use tessera::rvd::{Parallel, Serial};
 use tessera::token::{Stopped, Token};
@@ -71,7 +72,7 @@ fn the_gradient_is_that_of_the_energy() {
                     let held: Vec<bool> = (0..n).map(|i| i % every != 0).collect();
                     moving.hold(&held).unwrap();
                     let here = moving.evaluate(&never).unwrap();
-                    let slope = moving.direct().unwrap();
+                    let slope = moving.search_direction().unwrap();
                     // Seeds move by this share of a cell's width in the mean. Truncation is up to 17 times the square
                     // of it (beside sharp edges); in single precision the energies are known to 1e-6 or better,
                     // and the step has to be long against that.
@@ -400,16 +401,16 @@ impl Resident for StoppingSession {
     fn hold(&mut self, held: &[bool]) -> Result<(), RvdError> {
         self.inner().hold(held)
     }
-    fn evaluate(&mut self, token: &Token) -> Result<Look, RvdError> {
+    fn evaluate(&mut self, token: &Token) -> Result<Evaluation, RvdError> {
         self.inner().evaluate(token)
     }
     fn to_centroids(&mut self) -> Result<(), RvdError> {
         self.inner().to_centroids()
     }
-    fn direct(&mut self) -> Result<f64, RvdError> {
-        self.inner().direct()
+    fn search_direction(&mut self) -> Result<f64, RvdError> {
+        self.inner().search_direction()
     }
-    fn probe(&mut self, step: f64, token: &Token) -> Result<Look, RvdError> {
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation, RvdError> {
         let left = self.after.load(Ordering::SeqCst);
         if left == 0 {
             self.token.cancel();
@@ -421,8 +422,8 @@ impl Resident for StoppingSession {
     fn accept(&mut self) -> Result<(), RvdError> {
         self.inner().accept()
     }
-    fn forget(&mut self) {
-        self.inner().forget();
+    fn clear_history(&mut self) {
+        self.inner().clear_history();
     }
     fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError> {
         self.inner().read(out)

@@ -6,9 +6,10 @@
 //! Invariant: monotone in both counts; never overflows. The layout of buffers is the plan's alone.
 //! Must not know: the device, the surface, jobs.
 
-use super::{SLOTS, crowding};
-use crate::gpu::layout::{LONGER, MOST_RETAKEN, STRIDE};
-use crate::gpu::plan::{Counts, MotionPlan, Plan, grid_cells, grid_side};
+use super::layout::{LONGER, MOST_REQUEUED, STRIDE};
+use super::neighbours::grid;
+use super::pipelines::SLOTS;
+use super::plan::{Counts, OptimizerPlan, Plan, grid_cells, grid_side};
 use crate::rvd::{Capacities, SessionForecast};
 
 /// Pairs that a list of the session's first size has beside those that are expected.
@@ -23,7 +24,7 @@ pub(crate) fn session_bytes(forecast: &SessionForecast) -> u64 {
     let &SessionForecast { facets, seeds, graded, moved } = forecast;
     let capacities = Capacities::default();
     let row = (capacities.neighbours as u64).max(STRIDE.into());
-    let side = if graded { crowding::finest_side(seeds) } else { grid_side(AREA, seeds) };
+    let side = if graded { grid::finest_side(seeds) } else { grid_side(AREA, seeds) };
     let pairs = expected_pairs(facets, seeds);
     // A set of cells has room for twice the cells that are expected, made a power of two.
     let slots = pairs.saturating_mul(3).max(facets.saturating_mul(capacities.cells as u64));
@@ -36,20 +37,20 @@ pub(crate) fn session_bytes(forecast: &SessionForecast) -> u64 {
         table: seeds
             .saturating_mul(row)
             .saturating_add((seeds / 4).saturating_mul(row))
-            .saturating_add((MOST_RETAKEN * LONGER).into()),
+            .saturating_add((MOST_REQUEUED * LONGER).into()),
         slots,
         pairs,
         emitted: pairs.min(EMITTED),
         polygon: SLOTS as u64,
         near: 0,
         cells: grid_cells(side),
-        kept: seeds,
+        listed: seeds,
     };
-    let motion = if moved { MotionPlan::of(seeds).total_bytes() } else { 0 };
-    Plan::of(counts).total_bytes().saturating_add(motion)
+    let optimizer_bytes = if moved { OptimizerPlan::of(seeds).total_bytes() } else { 0 };
+    Plan::of(counts).total_bytes().saturating_add(optimizer_bytes)
 }
 
-/// What `pack::expected_cells` adds up to over equilateral facets of one size: F + N + 4.1 √(F N).
+/// What `records::expected_cells` adds up to over equilateral facets of one size: F + N + 4.1 √(F N).
 fn expected_pairs(facets: u64, seeds: u64) -> u64 {
     let along_edges = 4.1 * (facets as f64).sqrt() * (seeds as f64).sqrt();
     facets.saturating_add(seeds).saturating_add(along_edges as u64)

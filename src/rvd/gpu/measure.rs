@@ -10,8 +10,9 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use super::{Gpu, GpuSession};
-use crate::gpu::layout::accumulate::{DIRECT, NOWHERE, TWO_PHASE};
+use super::Gpu;
+use super::layout::accumulate::{DIRECT, NOWHERE, TWO_PHASE};
+use super::session::GpuSession;
 use crate::rvd::{RvdError, Session, SessionOptions, Surface, elapsed_ms};
 use crate::token::Token;
 
@@ -44,13 +45,13 @@ impl Gpu {
             let mut session = GpuSession::new(self, surface, options);
             session.set_seeds(seeds)?;
             // Facets that are done as a whole are added directly only.
-            session.divides = false;
+            session.clip.divides = false;
             let mut stats = session.begin_pass(token)?;
             let mut out = AccumulationMs::default();
             for pass in 0..=passes {
                 let kinds = [(DIRECT, &mut out.direct), (TWO_PHASE, &mut out.two_phase), (NOWHERE, &mut out.without)];
                 for (code, times) in kinds {
-                    session.accumulate = code;
+                    session.clip.accumulate = code;
                     let begin = Instant::now();
                     session.run_sums(token, &mut stats)?;
                     if pass > 0 {

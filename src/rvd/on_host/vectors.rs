@@ -9,7 +9,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::knn::Threads;
-use crate::rvd::{CellSums, Look};
+use crate::rvd::{CellSums, Evaluation};
 
 /// Seeds in a block: a few vectors of so many stay in the cache that a core has for itself.
 const BLOCK: usize = 1024;
@@ -28,25 +28,31 @@ fn each<A: Send, R: Send>(
 
 /// The gradient from what a pass found, ∇E_i = 2 m_i (x_i - c_i), 0 for seeds that are held, into `g`; and what the pass
 /// says as a whole, with the gradient along `d` for its slope.
-pub(super) fn look(threads: Threads, sums: &CellSums, held: &[bool], d: &[DVec3], g: &mut Vec<DVec3>) -> Look {
+pub(super) fn evaluate(
+    threads: Threads,
+    sums: &CellSums,
+    held: &[bool],
+    d: &[DVec3],
+    g: &mut Vec<DVec3>,
+) -> Evaluation {
     g.resize(held.len(), DVec3::ZERO);
     let of_cells = sums.moment.chunks(BLOCK).zip(sums.energy.chunks(BLOCK)).zip(sums.area.chunks(BLOCK));
     let of_seeds = g.chunks_mut(BLOCK).zip(held.chunks(BLOCK)).zip(d.chunks(BLOCK));
-    let looks = each(threads, of_cells.zip(of_seeds), |(((moment, energy), area), ((g, held), d))| {
+    let evaluations = each(threads, of_cells.zip(of_seeds), |(((moment, energy), area), ((g, held), d))| {
         for ((g, &moment), &held) in g.iter_mut().zip(moment).zip(held) {
             // Minus twice the moment about the seed, so that nothing cancels.
             *g = if held { DVec3::ZERO } else { -2.0 * moment };
         }
-        Look {
+        Evaluation {
             energy: energy.iter().sum(),
             gradient_squared: dot(g, g),
             slope: dot(g, d),
             empty_cells: area.iter().filter(|&&a| a <= 0.0).count(),
             area: area.iter().sum(),
-            ..Look::default()
+            ..Evaluation::default()
         }
     });
-    looks.iter().fold(Look::default(), |all, one| Look {
+    evaluations.iter().fold(Evaluation::default(), |all, one| Evaluation {
         energy: all.energy + one.energy,
         gradient_squared: all.gradient_squared + one.gradient_squared,
         slope: all.slope + one.slope,
@@ -58,16 +64,16 @@ pub(super) fn look(threads: Threads, sums: &CellSums, held: &[bool], d: &[DVec3]
 
 /// By what a seed's part of the gradient is divided so that it is the way from its centroid: twice its mass. 0 for a cell
 /// without mass, which has no part.
-fn ease(mass: f64) -> f64 {
-    let ease = 0.5 / mass;
-    if ease.is_finite() { ease } else { 0.0 }
+fn preconditioner(mass: f64) -> f64 {
+    let preconditioner = 0.5 / mass;
+    if preconditioner.is_finite() { preconditioner } else { 0.0 }
 }
 
 /// yᵀPy, where P divides by twice the masses.
-pub(super) fn eased(threads: Threads, y: &[DVec3], mass: &[f64]) -> f64 {
+pub(super) fn preconditioned(threads: Threads, y: &[DVec3], mass: &[f64]) -> f64 {
     let blocks = y.chunks(BLOCK).zip(mass.chunks(BLOCK));
     let products = each(threads, blocks, |(y, mass)| {
-        y.iter().zip(mass).map(|(y, &mass)| ease(mass) * y.length_squared()).sum::<f64>()
+        y.iter().zip(mass).map(|(y, &mass)| preconditioner(mass) * y.length_squared()).sum::<f64>()
     });
     products.iter().sum()
 }
@@ -105,7 +111,7 @@ pub(super) fn add(
 }
 
 fn divide(d: &mut [DVec3], scale: f64, mass: &[f64]) {
-    d.iter_mut().zip(mass).for_each(|(d, &mass)| *d *= scale * ease(mass));
+    d.iter_mut().zip(mass).for_each(|(d, &mass)| *d *= scale * preconditioner(mass));
 }
 
 /// s := x' - x and y := g' - g. Returns s·s, y·y and s·y.
@@ -159,7 +165,7 @@ mod tests {
             let first = negate(threads, &g, Some(&mass), &mut d, &v);
             let second = negate(threads, &g, None, &mut d, &v);
             let third = add(threads, &mut d, (0.3, &v), Some((1.7, &mass)), &w);
-            let fourth = eased(threads, &v, &mass);
+            let fourth = preconditioned(threads, &v, &mass);
             let (mut s, mut y) = (Vec::new(), Vec::new());
             let fifth = differences(threads, [&d, &g], [&v, &w], [&mut s, &mut y]);
             ([first, second, third, fourth], fifth, d, s, y)

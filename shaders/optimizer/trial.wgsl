@@ -1,0 +1,21 @@
+// The trial point: seeds at x + step d. x stays.
+
+#import shared/types
+#import shared/optimizer_params
+
+@group(0) @binding(0) var<uniform> params: OptimizerParams;
+@group(0) @binding(1) var<storage, read> points: array<Seed>;
+@group(0) @binding(2) var<storage, read> direction: array<f32>;
+@group(0) @binding(3) var<storage, read_write> seeds: array<Seed>;
+
+#import shared/moved
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
+    let i = id.x + id.y * groups.x * 64u;
+    if i >= params.seeds {
+        return;
+    }
+    let d = vec3f(direction[3u * i], direction[3u * i + 1u], direction[3u * i + 2u]);
+    seeds[i] = moved(points[i], params.step * d);
+}

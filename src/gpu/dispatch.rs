@@ -1,0 +1,197 @@
+//! Dispatches, long ones in parts.
+//!
+//! Purpose: how many workgroups and parts so many items take. A driver may take a dispatch of a tenth of a second for a hung
+//! device, so a stage of many items is dispatched part by part, and after some parts the host may stop.
+//! Invariant: numbers come from counts and limits alone. A stage that fits one part takes no pass, copy or submission more.
+//! Must not know: what a stage does.
+
+use std::ops::Range;
+
+use super::device::WORKGROUP;
+use super::limits::Limits;
+use super::{Device, GpuError};
+use crate::token::{Stopped, Token};
+
+/// Items that one dispatch of a heavy stage has at most. Each stage takes some such parts at once; none comes near
+/// 100 ms on a software adapter (`tessera bench cvt` says how long the longest took).
+pub const PART: u64 = 1 << 15;
+/// Parts that one submission has at most, so that a job can be cancelled between them.
+pub const PARTS: u64 = 16;
+/// Bytes of the arguments of an indirect dispatch.
+pub const ARGUMENTS_BYTES: u64 = 12;
+/// Workgroups of a reduction at most; each leaves one partial sum.
+pub const REDUCTION_GROUPS: u32 = 256;
+/// Items that a lane of a reduction adds up before lanes are added: a workgroup's barriers cost as much as many items.
+const LANE_ITEMS: u64 = 4;
+
+/// Parts that a dispatch over `items` may be in.
+pub fn part_count(items: u64) -> u64 {
+    items.min(u64::from(u32::MAX)).div_ceil(PART).max(1)
+}
+
+/// Where each of so many parts begins.
+pub fn origins(parts: u64) -> Vec<u32> {
+    (0..parts).map(|k| (k * PART) as u32).collect()
+}
+
+/// The items of each dispatch over `items`, `parts` times [`PART`] in each but the last; one dispatch if there are none.
+pub fn parts(items: u64, parts: u64) -> impl Iterator<Item = Range<u64>> {
+    let most = parts * PART;
+    (0..items.div_ceil(most).max(1)).map(move |k| k * most..((k + 1) * most).min(items))
+}
+
+/// Workgroups of a reduction over `items`.
+pub fn reduction(items: u64) -> u32 {
+    items.div_ceil(LANE_ITEMS * u64::from(WORKGROUP)).clamp(1, u64::from(REDUCTION_GROUPS)) as u32
+}
+
+/// Workgroups in x and y for `items` invocations. The shaders number them row by row.
+pub fn workgroups(items: u64, limits: Limits) -> [u32; 2] {
+    let groups = items.div_ceil(u64::from(WORKGROUP)).max(1);
+    let x = groups.min(u64::from(limits.workgroups));
+    let y = groups.div_ceil(x);
+    [x as u32, y as u32]
+}
+
+/// Dispatches a stage over `items`.
+pub fn run(
+    compute: &mut wgpu::ComputePass<'_>,
+    pipeline: &wgpu::ComputePipeline,
+    bindings: &wgpu::BindGroup,
+    items: u64,
+    limits: Limits,
+) {
+    let [x, y] = workgroups(items, limits);
+    compute.set_pipeline(pipeline);
+    compute.set_bind_group(0, bindings, &[]);
+    compute.dispatch_workgroups(x, y, 1);
+}
+
+/// How a stage is told at which item its part begins.
+#[derive(Clone, Copy, Debug)]
+pub struct Origins<'a> {
+    /// What [`origins`] says.
+    pub of_parts: &'a wgpu::Buffer,
+    /// Where the stage reads it.
+    pub to: &'a wgpu::Buffer,
+    /// At which byte.
+    pub offset: u64,
+}
+
+/// A stage over so many items.
+#[derive(Debug)]
+pub struct Stage<'a> {
+    /// What is computed,
+    pub pipeline: &'a wgpu::ComputePipeline,
+    /// on what,
+    pub bindings: &'a wgpu::BindGroup,
+    /// for how many items.
+    pub items: u64,
+    /// [`PART`]s that one dispatch may have.
+    pub size: u64,
+    /// Where the device says how many workgroups each part has, one part's arguments after another's, if it does.
+    pub arguments: Option<(&'a wgpu::Buffer, u64)>,
+}
+
+impl Stage<'_> {
+    /// Whether it takes more than one dispatch.
+    pub fn is_long(&self) -> bool {
+        self.items > self.size * PART
+    }
+
+    /// Dispatches all of it; it is not long.
+    pub fn run(&self, compute: &mut wgpu::ComputePass<'_>, limits: Limits) {
+        self.run_part(compute, 0, self.items, limits);
+    }
+
+    fn run_part(&self, compute: &mut wgpu::ComputePass<'_>, part: u64, items: u64, limits: Limits) {
+        let Some((arguments, first)) = self.arguments else {
+            return run(compute, self.pipeline, self.bindings, items, limits);
+        };
+        compute.set_pipeline(self.pipeline);
+        compute.set_bind_group(0, self.bindings, &[]);
+        compute.dispatch_workgroups_indirect(arguments, first + part * ARGUMENTS_BYTES);
+    }
+}
+
+/// Encodes `stages` in their order. Those that take many parts are submitted on the way.
+///
+/// # Errors
+/// Those of [`Device::run`]; that the token says so between submissions.
+pub fn encode<E: From<GpuError> + From<Stopped>>(
+    device: &Device,
+    encoder: &mut wgpu::CommandEncoder,
+    lane: usize,
+    stages: &[Stage<'_>],
+    origins: Origins<'_>,
+    token: &Token,
+) -> Result<(), E> {
+    let limits = Limits::of(&device.limits());
+    let mut rest = stages;
+    while !rest.is_empty() {
+        let (short, others) = rest.split_at(rest.iter().take_while(|s| !s.is_long()).count());
+        if !short.is_empty() {
+            let mut compute = device.pass(encoder, lane);
+            short.iter().for_each(|stage| stage.run(&mut compute, limits));
+        }
+        rest = others;
+        if let Some((long, others)) = rest.split_first() {
+            rest = others;
+            in_parts::<E>(device, encoder, lane, long, origins, token)?;
+        }
+    }
+    Ok(())
+}
+
+fn in_parts<E: From<GpuError> + From<Stopped>>(
+    device: &Device,
+    encoder: &mut wgpu::CommandEncoder,
+    lane: usize,
+    stage: &Stage<'_>,
+    origins: Origins<'_>,
+    token: &Token,
+) -> Result<(), E> {
+    let limits = Limits::of(&device.limits());
+    let begin_at = |encoder: &mut wgpu::CommandEncoder, item: u64| {
+        encoder.copy_buffer_to_buffer(origins.of_parts, item / PART * 4, origins.to, origins.offset, 4);
+    };
+    for (k, part) in parts(stage.items, stage.size).enumerate() {
+        if k > 0 && (k as u64).is_multiple_of(PARTS) {
+            device.run(std::mem::replace(encoder, device.encoder()))?;
+            token.check()?;
+        }
+        begin_at(encoder, part.start);
+        let mut compute = device.pass(encoder, lane);
+        stage.run_part(&mut compute, k as u64, part.end - part.start, limits);
+    }
+    begin_at(encoder, 0);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_cover_all_items_and_none_is_too_large() {
+        for items in [0, 1, PART, PART + 1, 10 * PART + 7] {
+            for most in [1, 4] {
+                let parts: Vec<_> = parts(items, most).collect();
+                assert_eq!((parts[0].start, parts[parts.len() - 1].end), (0, items));
+                assert!(parts.windows(2).all(|p| p[0].end == p[1].start));
+                assert!(parts.iter().all(|p| p.end - p.start <= most * PART && p.start % PART == 0));
+                assert!(parts.last().unwrap().start / PART < part_count(items));
+            }
+        }
+    }
+
+    #[test]
+    fn workgroups_cover_their_items() {
+        let limits = Limits { buffer_bytes: 256 << 20, binding_bytes: 128 << 20, workgroups: 65_535 };
+        for items in [0, 1, 64, 65, 65_535 * 64, 65_535 * 64 + 1, 100_000_000] {
+            let [x, y] = workgroups(items, limits);
+            assert!(x <= 65_535 && y <= 65_535);
+            assert!(u64::from(x) * u64::from(y) * 64 >= items);
+        }
+    }
+}

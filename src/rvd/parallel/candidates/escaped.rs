@@ -1,0 +1,169 @@
+//! Seeds that have left their skin.
+//!
+//! Purpose: a few seeds that move farther than the others need not void the lists of all facets. Facets that an escaped seed
+//! concerns are told apart, and get lists for one pass.
+//! Invariant: all other seeds are within their skin. So a list holds that has no escaped seed, on a facet that none reaches. An
+//! escaped seed reaches a facet where it may be nearer to some corner than a seed within its skin is. Beyond that, the latter
+//! beats it at all three corners.
+//! Must not know: what becomes of a list.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::gather::{ROOM, Skin};
+use crate::rvd::incident::Diagram;
+
+/// Seeds per task.
+const CHUNK: usize = 2048;
+
+/// The ends of a box around corners, whose coordinates are of the order of 1, may be rounded by less than this.
+const ROUNDING: f64 = 1e-15;
+
+/// Which seeds have escaped, and where they are.
+#[derive(Default)]
+pub(crate) struct Escaped {
+    /// From low to high x.
+    all: Vec<(DVec3, u32)>,
+    /// Where those were that were there when lists were made, from low to high x.
+    were: Vec<DVec3>,
+    /// The most skin that one of those has.
+    skin: f64,
+    /// Of each seed whether it is one.
+    has_escaped: Vec<bool>,
+}
+
+/// A facet as seen from a seed within its skin: to each corner, how far that may be at most.
+#[derive(Clone, Copy)]
+pub(crate) struct Reach {
+    pub corner: [DVec3; 3],
+    pub most: [f64; 3],
+}
+
+impl Reach {
+    /// Of a seed that has its skin about `origin`.
+    pub(crate) fn new(corner: &[DVec3; 3], origin: DVec3, skin: f64) -> Self {
+        Self { corner: *corner, most: corner.map(|c| (c.distance(origin) + skin) * ROOM) }
+    }
+
+    /// Of a facet with these corners from a seed of the diagram.
+    pub(crate) fn of(diagram: Diagram<'_>, skin: Skin<'_>, corner: &[DVec3; 3], seed: u32) -> Self {
+        Self::new(corner, diagram.seeds[seed as usize], skin.of(seed))
+    }
+
+    /// A box around all seeds that are nearer to some corner, roundings included.
+    pub(crate) fn bounds(&self) -> Bounds {
+        let mut bounds = Bounds::NONE;
+        for (&corner, most) in self.corner.iter().zip(self.most) {
+            let most = DVec3::splat(most * (1.0 + 1e-9) + ROUNDING);
+            bounds = bounds.with(Bounds { low: corner - most, high: corner + most });
+        }
+        bounds
+    }
+
+    /// Whether a seed there may be nearer to some corner.
+    pub(crate) fn holds(&self, p: DVec3) -> bool {
+        let near = |c: usize| self.corner[c].distance_squared(p) <= self.most[c] * self.most[c] * ROOM;
+        near(0) || near(1) || near(2)
+    }
+}
+
+/// A box.
+#[derive(Clone, Copy)]
+pub(crate) struct Bounds {
+    pub low: DVec3,
+    pub high: DVec3,
+}
+
+impl Bounds {
+    /// Nothing is in it.
+    pub(crate) const NONE: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
+
+    /// The least box around both.
+    pub(crate) fn with(self, other: Self) -> Self {
+        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
+    }
+
+    /// The square of its diagonal.
+    pub(crate) fn width_squared(&self) -> f64 {
+        self.low.distance_squared(self.high)
+    }
+
+    /// Larger on all sides.
+    pub(crate) fn wider(self, by: f64) -> Self {
+        let by = DVec3::splat(by * (1.0 + 1e-9) + ROUNDING);
+        Self { low: self.low - by, high: self.high + by }
+    }
+
+    /// Whether a point may come to lie in it that moves by so much.
+    pub(crate) fn is_within(&self, by: f64, p: DVec3) -> bool {
+        let away = (self.low - p).max(p - self.high);
+        away.x.max(away.y).max(away.z) <= by * (1.0 + 1e-9) + ROUNDING
+    }
+
+    /// Whether a point is in it, ends included.
+    pub(crate) fn contains(&self, p: DVec3) -> bool {
+        p.cmpge(self.low).all() && p.cmple(self.high).all()
+    }
+}
+
+impl Escaped {
+    /// Finds those that are not within `used` of their skin about where they were; seeds that were not there have escaped
+    /// too. Returns whether there are at most so many; nothing is known of them otherwise.
+    pub(crate) fn find(&mut self, seeds: &[DVec3], were: &[DVec3], (skin, used): (Skin<'_>, f64), most: usize) -> bool {
+        let has_left = |i: usize| {
+            let Some(was) = were.get(i) else { return true };
+            let most = used * skin.of(i as u32);
+            was.distance_squared(seeds[i]) > most * most
+        };
+        let indices = (0..seeds.len()).into_par_iter().with_min_len(CHUNK);
+        indices.clone().map(has_left).collect_into_vec(&mut self.has_escaped);
+        self.all.clear();
+        if self.has_escaped.iter().filter(|has_escaped| **has_escaped).count() > most {
+            return false;
+        }
+        let escaped = self.has_escaped.iter().enumerate().filter(|(_, has_escaped)| **has_escaped);
+        self.all.extend(escaped.map(|(i, _)| (seeds[i], i as u32)));
+        self.all.sort_unstable_by(|a, b| a.0.x.total_cmp(&b.0.x).then(a.1.cmp(&b.1)));
+        self.were.clear();
+        self.were.extend(self.all.iter().filter_map(|&(_, i)| were.get(i as usize)));
+        self.were.sort_unstable_by(|a, b| a.x.total_cmp(&b.x));
+        let old = self.all.iter().filter(|(_, i)| (*i as usize) < were.len());
+        self.skin = old.map(|(_, i)| skin.of(*i)).fold(0.0, f64::max);
+        true
+    }
+
+    /// Whether a seed is one.
+    pub(crate) fn contains(&self, seed: u32) -> bool {
+        self.has_escaped[seed as usize]
+    }
+
+    /// Those in a box, ends included.
+    pub(crate) fn within(&self, bounds: Bounds) -> impl Iterator<Item = (DVec3, u32)> {
+        let first = self.all.partition_point(|(p, _)| p.x < bounds.low.x);
+        let along = self.all[first..].iter().take_while(move |(p, _)| p.x <= bounds.high.x);
+        along.copied().filter(move |(p, _)| bounds.contains(*p))
+    }
+
+    /// Where those were that may have been nearer to a facet in these bounds than the seed that it starts with.
+    pub(crate) fn were_within(&self, bounds: Bounds) -> impl Iterator<Item = DVec3> {
+        let bounds = self.about(bounds);
+        let first = self.were.partition_point(|p| p.x < bounds.low.x);
+        let along = self.were[first..].iter().take_while(move |p| p.x <= bounds.high.x);
+        along.copied().filter(move |p| bounds.contains(*p))
+    }
+
+    /// Around bounds what escaped seeds had for skin.
+    pub(crate) fn about(&self, bounds: Bounds) -> Bounds {
+        bounds.wider(self.skin)
+    }
+
+    /// Whether one lies exactly on another seed.
+    pub(crate) fn meet(&self, seeds: &[DVec3]) -> bool {
+        let on_another = |(i, &p): (usize, &DVec3)| {
+            let first = self.all.partition_point(|(q, _)| q.x < p.x);
+            let along = self.all[first..].iter().take_while(|(q, _)| q.x == p.x);
+            along.clone().any(|&(q, j)| q == p && j as usize != i)
+        };
+        !self.all.is_empty() && seeds.par_iter().enumerate().with_min_len(CHUNK).any(on_another)
+    }
+}

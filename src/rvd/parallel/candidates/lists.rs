@@ -1,0 +1,68 @@
+//! Lists of seeds, one for each facet.
+//!
+//! Purpose: the lists of a chunk of facets as compressed sparse rows.
+//! Invariant: as many lists as facets. Must not know: who is listed.
+
+use std::ops::Range;
+
+use super::escaped::Bounds;
+
+/// The lists of one chunk of facets, one after the other; an empty one where it would be too long.
+#[derive(Default)]
+pub(crate) struct Lists {
+    ends: Vec<u32>,
+    seeds: Vec<u32>,
+    /// Of each group of [`super::neighbourhood::GROUP`] facets, who may be nearer to a corner than the seed that the facet starts
+    /// with.
+    pub bounds: Vec<Bounds>,
+}
+
+impl Lists {
+    pub(crate) fn clear(&mut self) {
+        self.ends.clear();
+        self.seeds.clear();
+        self.bounds.clear();
+    }
+
+    pub(crate) fn push(&mut self, list: impl IntoIterator<Item = u32>) {
+        self.seeds.extend(list);
+        self.ends.push(self.seeds.len() as u32);
+    }
+
+    /// Appends a list of so many, which are to be written there.
+    #[inline(always)]
+    pub(crate) fn end(&mut self, len: usize) -> &mut [u32] {
+        let begin = self.seeds.len();
+        self.seeds.resize(begin + len, 0);
+        self.ends.push(self.seeds.len() as u32);
+        &mut self.seeds[begin..]
+    }
+
+    /// How many seeds a list has.
+    pub(crate) fn mean_len(&self) -> usize {
+        self.seeds.len() / self.ends.len().max(1)
+    }
+
+    /// Appends a range of another one's lists.
+    pub(crate) fn copy(&mut self, other: &Self, range: Range<usize>) {
+        let (first, end) = (other.first(range.start), other.first(range.end));
+        let shift = (self.seeds.len() as u32).wrapping_sub(first);
+        self.seeds.extend_from_slice(&other.seeds[first as usize..end as usize]);
+        self.ends.extend(other.ends[range].iter().map(|end| end.wrapping_add(shift)));
+    }
+
+    /// Where the list at `at` begins.
+    fn first(&self, at: usize) -> u32 {
+        if at == 0 { 0 } else { self.ends[at - 1] }
+    }
+
+    /// How many lists there are.
+    pub(crate) fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// The list of the facet at `at` of the chunk.
+    pub(crate) fn get(&self, at: usize) -> &[u32] {
+        &self.seeds[self.first(at) as usize..self.ends[at] as usize]
+    }
+}

@@ -1,0 +1,464 @@
+//! All cells of several facets at once.
+//!
+//! Purpose: the integrals of the facets' pieces for a fraction of what a walk over their cells costs.
+//! Of a list those seeds are left that no other one beats at all corners, the facet's members. Between any two
+//! of them lies at most one segment, what the others leave of their bisector; and a piece's integrals are sums over
+//! the segments around it, so that no polygon is ever made, and a segment serves the pieces on both of its
+//! sides. Facets with as many members take the same steps, one in each lane.
+//! Invariant: the cells that meet a facet, exactly: what rounding could get wrong is not decided
+//! here, but left to the walk. The bits depend on the facet and the seeds alone: neither on what else a list holds
+//! nor on the facets in the other lanes. The pieces of a facet add up to it.
+//! Must not know: which facets share their lanes and why, threads, how integrals are added, where a list comes from.
+
+use glam::DVec3;
+use pulp::Simd;
+
+use super::lanes::{Mask, Number, Row, WIDEST};
+use super::moments::{self, Moments, PieceIntegrals, Shape, WEIGHTED, Weight};
+use crate::rvd::clip::Integrals;
+use crate::rvd::parallel::order::Vertex;
+
+/// A segment's end may be off by this share of the farthest corner's distance, in the worst case, and the facet is
+/// left to the walk beyond: two bisectors are nearly parallel there, one facet in some thousand.
+const MAX_SLIP: f64 = 1e-10;
+
+/// A piece of less than this share of its facet is left to the clip: its integrals, sums of terms as large as
+/// the facet's, would keep nine digits at most, and some cell may have nothing else.
+const LEAST_SHARE: f64 = 1e-6;
+
+/// Members that a facet may have; one with more is walked.
+pub(crate) const MEMBERS: usize = 24;
+/// Seeds that a list may have; a facet with more is walked.
+pub(crate) const LISTED: usize = 32;
+
+/// A squared distance is off by at most this share of it: three roundings of a coordinate's square, the first of which
+/// counts twice, and two of the sum.
+const ERROR: f64 = 2.5 * f64::EPSILON;
+
+/// Facets and seeds, one facet in each lane.
+pub(crate) struct Given {
+    /// Corners, coordinate by coordinate.
+    corner: [[Row; 3]; 3],
+    /// The weights there.
+    weight: [Row; 3],
+    /// Of each seed, coordinate by coordinate.
+    seed: [[Row; 3]; LISTED],
+    /// How far each seed may move.
+    skin: [Row; LISTED],
+}
+
+/// Scratch memory.
+pub(crate) struct Facets {
+    /// Squared distances of each seed from the corners.
+    squared: [[Row; 3]; LISTED],
+    /// The least distances that each seed may have to the corners.
+    least: [[Row; 3]; LISTED],
+    /// The parts of the edges from the second corner to the third that lie in the members' cells.
+    low: [Row; MEMBERS],
+    high: [Row; MEMBERS],
+    /// 1 where a member's piece is there.
+    there: [Row; MEMBERS],
+    moments: [Moments; MEMBERS],
+}
+
+/// Whether a seed with these squared distances from the corners is nearer to all of them than one with those, whatever
+/// way they are rounded: as [`Facets::choose`] says it.
+pub(crate) fn beats(squared: [f64; 3], other: [f64; 3]) -> bool {
+    (0..3).all(|c| squared[c] < other[c] * (1.0 - 4.0 * ERROR))
+}
+
+impl Default for Given {
+    fn default() -> Self {
+        let row = Row::default();
+        Self { corner: [[row; 3]; 3], weight: [row; 3], seed: [[row; 3]; LISTED], skin: [row; LISTED] }
+    }
+}
+
+impl Default for Facets {
+    fn default() -> Self {
+        let row = Row::default();
+        Self {
+            squared: [[row; 3]; LISTED],
+            least: [[row; 3]; LISTED],
+            low: [row; MEMBERS],
+            high: [row; MEMBERS],
+            there: [row; MEMBERS],
+            moments: [[row; WEIGHTED]; MEMBERS],
+        }
+    }
+}
+
+/// What rounding may do to the facets' numbers.
+#[derive(Clone, Copy)]
+struct Bounds<S: Simd> {
+    /// A bisector's value at a corner is off by at most this.
+    value: Number<S>,
+    /// What a cut may be off by, as a share of the edge that it cuts.
+    slip: Number<S>,
+}
+
+/// Pieces of as many members as there are; one in each lane.
+pub(crate) struct Found {
+    /// Where rounding could decide.
+    pub unsure: Row,
+    pub pieces: [PieceRows; MEMBERS],
+}
+
+/// What stands for a piece that is there, but of less than [`LEAST_SHARE`].
+const SMALL: f64 = 2.0;
+
+/// One member's pieces.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct PieceRows {
+    /// 1 where it is there, and [`SMALL`].
+    there: Row,
+    /// Mass, moment, energy, area.
+    values: [Row; 6],
+}
+
+impl PieceRows {
+    /// Whether there is a piece in one lane that is too small for [`Self::get`].
+    #[inline(always)]
+    pub(crate) fn is_small(&self, lane: usize) -> bool {
+        self.there.0[lane] == SMALL
+    }
+
+    /// The integrals in one lane, if there is a piece.
+    #[inline(always)]
+    pub(crate) fn get(&self, lane: usize) -> Option<Integrals> {
+        let [mass, x, y, z, energy, area] = &self.values;
+        (self.there.0[lane] != 0.0).then(|| Integrals {
+            mass: mass.0[lane],
+            moment: DVec3::new(x.0[lane], y.0[lane], z.0[lane]),
+            energy: energy.0[lane],
+            area: area.0[lane],
+        })
+    }
+}
+
+impl Default for Found {
+    fn default() -> Self {
+        Self { unsure: Row::default(), pieces: [PieceRows::default(); MEMBERS] }
+    }
+}
+
+impl Given {
+    /// Sets a lane's facet.
+    #[inline(always)]
+    pub(crate) fn set_facet(&mut self, lane: usize, vertices: &[Vertex; 3]) {
+        let lane = lane % WIDEST;
+        for (corner, Vertex { p, .. }) in self.corner.iter_mut().zip(vertices) {
+            (corner[0].0[lane], corner[1].0[lane], corner[2].0[lane]) = (p.x, p.y, p.z);
+        }
+    }
+
+    /// Sets the weights at its corners.
+    #[inline(always)]
+    pub(crate) fn set_weights(&mut self, lane: usize, vertices: &[Vertex; 3]) {
+        self.weight.iter_mut().zip(vertices).for_each(|(row, vertex)| row.0[lane % WIDEST] = vertex.weight);
+    }
+
+    /// Sets a lane's k-th seed.
+    #[inline(always)]
+    pub(crate) fn set_seed(&mut self, lane: usize, k: usize, p: DVec3) {
+        let seed = &mut self.seed[k];
+        let lane = lane % WIDEST;
+        (seed[0].0[lane], seed[1].0[lane], seed[2].0[lane]) = (p.x, p.y, p.z);
+    }
+
+    /// Sets how far a lane's k-th seed may move.
+    #[inline(always)]
+    pub(crate) fn set_skin(&mut self, lane: usize, k: usize, skin: f64) {
+        self.skin[k].0[lane % WIDEST] = skin;
+    }
+}
+
+/// Two groups' lanes. The next one's are set before those of the one at hand are read: what was written number by
+/// number could not be read as a whole at once.
+#[derive(Default)]
+pub(crate) struct InTurn([Given; 2]);
+
+/// A group to set, and one to read that was set before.
+pub(crate) struct Turn<'a> {
+    pub set: Option<&'a [u32]>,
+    pub read: Option<&'a [u32]>,
+    into: usize,
+}
+
+impl InTurn {
+    /// The turns that it takes for facets, so many to a group.
+    pub(crate) fn turns(facets: &[u32], lanes: usize) -> impl Iterator<Item = Turn<'_>> {
+        let groups = facets.chunks(lanes).map(Some);
+        let set = groups.clone().chain([None]);
+        set.zip([None].into_iter().chain(groups)).enumerate().map(|(k, (set, read))| Turn { set, read, into: k % 2 })
+    }
+
+    #[inline(always)]
+    pub(crate) fn next(&mut self, turn: &Turn<'_>) -> &mut Given {
+        &mut self.0[turn.into]
+    }
+
+    #[inline(always)]
+    pub(crate) fn present(&self, turn: &Turn<'_>) -> &Given {
+        &self.0[1 - turn.into]
+    }
+}
+
+impl Facets {
+    /// The squared distances of the first `n` seeds.
+    #[inline(always)]
+    fn measure<S: Simd>(&mut self, simd: S, n: usize, given: &Given) {
+        for c in 0..3 {
+            let [x, y, z] = load(simd, &given.corner[c]);
+            for k in 0..n {
+                let [dx, dy, dz] = [
+                    Number::load(simd, &given.seed[k][0]) - x,
+                    Number::load(simd, &given.seed[k][1]) - y,
+                    Number::load(simd, &given.seed[k][2]) - z,
+                ];
+                (dx * dx + dy * dy + dz * dz).store(&mut self.squared[k][c]);
+            }
+        }
+    }
+
+    /// Of lists of `n` seeds those that are not farther than another one from all corners, as bits.
+    #[inline(always)]
+    pub(crate) fn choose<S: Simd>(&mut self, simd: S, n: usize, given: &Given) -> [u32; WIDEST] {
+        self.measure(simd, n, given);
+        // A seed beats another one by more than roundings.
+        let room = Number::all(simd, 1.0 - 4.0 * ERROR);
+        for k in 0..n {
+            for c in 0..3 {
+                (Number::load(simd, &self.squared[k][c]) * room).store(&mut self.least[k][c]);
+            }
+        }
+        self.unbeaten(simd, n)
+    }
+
+    /// The same, whatever way any two of them move within their skins.
+    #[inline(always)]
+    pub(crate) fn choose_with_skin<S: Simd>(&mut self, simd: S, n: usize, given: &Given) -> [u32; WIDEST] {
+        self.measure(simd, n, given);
+        let room = Number::all(simd, 1.0 - 4.0 * ERROR);
+        for k in 0..n {
+            let skin = Number::load(simd, &given.skin[k]);
+            for c in 0..3 {
+                let distance = Number::load(simd, &self.squared[k][c]).sqrt();
+                ((distance - skin) * room).store(&mut self.least[k][c]);
+                (distance + skin).store(&mut self.squared[k][c]);
+            }
+        }
+        self.unbeaten(simd, n)
+    }
+
+    #[inline(always)]
+    fn unbeaten<S: Simd>(&mut self, simd: S, n: usize) -> [u32; WIDEST] {
+        let mut bits = Number::all(simd, 0.0);
+        for a in 0..n {
+            let [x, y, z] = load(simd, &self.least[a]);
+            let mut beaten = Mask::none(simd);
+            for b in 0..n {
+                let [by_x, by_y, by_z] = load(simd, &self.squared[b]);
+                beaten = beaten | (by_x.below(x) & by_y.below(y) & by_z.below(z));
+            }
+            bits = bits + beaten.choose(Number::all(simd, 0.0), Number::all(simd, f64::from(1u32 << a)));
+        }
+        let mut row = Row::default();
+        bits.store(&mut row);
+        row.0.map(|bits| bits as u32)
+    }
+
+    /// Divides facets of `n` members among them. Weights are read where they are not 1.
+    #[inline(always)]
+    pub(crate) fn divide<S: Simd, const N: usize>(&mut self, simd: S, n: usize, given: &Given, found: &mut Found) {
+        self.measure(simd, n, given);
+        let (zero, one) = (Number::all(simd, 0.0), Number::all(simd, 1.0));
+        let first = load(simd, &given.corner[0]);
+        let (e, f) = (minus(load(simd, &given.corner[1]), first), minus(load(simd, &given.corner[2]), first));
+        let cross = [e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]];
+        let twice_area = (cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]).sqrt();
+        let longest2 = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]).larger(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]);
+        let shape = Shape { side: [e, f], twice_area };
+        let weight = Weight::new(load(simd, &given.weight));
+        for k in 0..n {
+            zero.store(&mut self.low[k]);
+            one.store(&mut self.high[k]);
+            zero.store(&mut self.there[k]);
+            for m in 0..N {
+                zero.store(&mut self.moments[k][m]);
+            }
+        }
+        let bounds = self.bounds(simd, n, longest2);
+        let mut unsure = Mask::none(simd);
+        for i in 0..n {
+            for j in i + 1..n {
+                unsure = unsure | self.pair::<S, N>(simd, (i, j, n), bounds, weight);
+            }
+        }
+        let four_slips = Number::all(simd, 4.0) * bounds.slip;
+        for k in 0..n {
+            // The first corner is the origin, so that of a facet's own edges only the one across counts.
+            let (low, high) = (Number::load(simd, &self.low[k]), Number::load(simd, &self.high[k]));
+            let some = low.below(high);
+            unsure = unsure | (high - low).abs().at_most(four_slips);
+            let (low, high) = (some.choose(low, zero), some.choose(high, zero));
+            let segment = moments::of::<S, N>(simd, weight, [[one - low, low], [one - high, high]]);
+            let moments = &mut self.moments[k];
+            moments::add(simd, moments, segment);
+            let there = some | zero.below(Number::load(simd, &self.there[k]));
+            let small = Number::load(simd, &moments[0]).below(Number::all(simd, LEAST_SHARE));
+            let piece = &mut found.pieces[k];
+            there.choose(small.choose(Number::all(simd, SMALL), one), zero).store(&mut piece.there);
+            let origin = minus(first, load(simd, &given.seed[k]));
+            let PieceIntegrals { mass, moment: [x, y, z], energy, area } =
+                moments::integrals::<S, N>(simd, moments, &shape, origin);
+            let [m, mx, my, mz, e, a] = &mut piece.values;
+            mass.store(m);
+            x.store(mx);
+            y.store(my);
+            z.store(mz);
+            energy.store(e);
+            area.store(a);
+        }
+        unsure.choose(one, zero).store(&mut found.unsure);
+    }
+
+    #[inline(always)]
+    fn bounds<S: Simd>(&self, simd: S, n: usize, longest2: Number<S>) -> Bounds<S> {
+        let (mut most, mut nearest) = (Number::all(simd, 0.0), Number::all(simd, f64::MAX));
+        for k in 0..n {
+            let [x, y, z] = load(simd, &self.squared[k]);
+            let farthest = x.larger(y).larger(z);
+            most = most.larger(farthest);
+            nearest = nearest.smaller(farthest);
+        }
+        // A third side is at most the other two together.
+        let slip = (Number::all(simd, 0.25) * nearest / longest2).larger(Number::all(simd, 1.0)).sqrt();
+        Bounds {
+            // A difference of two, and what is computed from it.
+            value: Number::all(simd, 2.0 * ERROR + 8.0 * f64::EPSILON) * most,
+            slip: Number::all(simd, MAX_SLIP) * slip,
+        }
+    }
+
+    /// Adds the segment between two members to their pieces. Returns where rounding could decide.
+    #[inline(always)]
+    fn pair<S: Simd, const N: usize>(
+        &mut self,
+        simd: S,
+        (i, j, n): (usize, usize, usize),
+        bounds: Bounds<S>,
+        weight: Weight<S>,
+    ) -> Mask<S> {
+        let (zero, one) = (Number::all(simd, 0.0), Number::all(simd, 1.0));
+        let mine = load(simd, &self.squared[i]);
+        let other = load(simd, &self.squared[j]);
+        let d = minus(other, mine);
+        let inside = [zero.below(d[0]), zero.below(d[1]), zero.below(d[2])];
+        let mut unsure =
+            d[0].abs().at_most(bounds.value) | d[1].abs().at_most(bounds.value) | d[2].abs().at_most(bounds.value);
+        unsure = unsure | self.along_edge(simd, (i, j), d[1], d[2], bounds);
+        // The corner that is alone on its side.
+        let alone = [inside[1] ^ inside[2], inside[0] ^ inside[2], inside[0] ^ inside[1]];
+        let crossed = alone[0] | alone[1];
+        if !crossed.any() {
+            return unsure;
+        }
+        let at = [!alone[1], !alone[2]];
+        let (c, a, b) = (pick(at, d), pick(at, [d[1], d[2], d[0]]), pick(at, [d[2], d[0], d[1]]));
+        let (to_a, to_b) = (one / (c - a), one / (c - b));
+        let (xa, xb) = (c * to_a, c * to_b);
+        let twice = bounds.value + bounds.value;
+        let (slip_a, slip_b) = ((twice * to_a).abs(), (twice * to_b).abs());
+        // The barycentric coordinates of both ends, of which the one across is none.
+        let (rest_a, rest_b) = (one - xa, one - xb);
+        let from = [pick(at, [rest_a, zero, xa]), pick(at, [xa, rest_a, zero]), pick(at, [zero, xa, rest_a])];
+        let to = [pick(at, [rest_b, xb, zero]), pick(at, [zero, rest_b, xb]), pick(at, [xb, zero, rest_b])];
+        let (mut low, mut high) = (zero, one);
+        let mut taken = Mask::none(simd);
+        let mut near = bounds.slip.below(slip_a.larger(slip_b));
+        for k in 0..n {
+            if k == i || k == j {
+                continue;
+            }
+            let third = load(simd, &self.squared[k]);
+            let g = minus(third, mine);
+            let ga = from[0] * g[0] + from[1] * g[1] + from[2] * g[2];
+            let gb = to[0] * g[0] + to[1] * g[1] + to[2] * g[2];
+            // What a slip along an edge changes, at most.
+            let range = g[0].abs() + g[1].abs() + g[2].abs();
+            let (unsure_a, unsure_b) = (bounds.value + slip_a * range, bounds.value + slip_b * range);
+            let (out_a, out_b) = (ga.at_most(zero), gb.at_most(zero));
+            taken = taken | (out_a & out_b & unsure_a.below(ga.abs()) & unsure_b.below(gb.abs()));
+            if n > 4 && !(crossed & !taken).any() {
+                return unsure;
+            }
+            let run = ga - gb;
+            let cuts = out_a ^ out_b;
+            let slips = cuts & (bounds.slip * run.abs()).below(unsure_a + unsure_b);
+            near = near | ga.abs().at_most(unsure_a) | gb.abs().at_most(unsure_b) | slips;
+            let t = ga / run;
+            low = (cuts & out_a & low.below(t)).choose(t, low);
+            high = (cuts & out_b & t.below(high)).choose(t, high);
+        }
+        let left = crossed & !taken;
+        near = near | (high - low).abs().at_most(Number::all(simd, 4.0) * bounds.slip);
+        let some = left & low.below(high);
+        if some.any() {
+            let (du, dv) = (to[1] - from[1], to[2] - from[2]);
+            // Neighbourhood corner c, and so around its piece, the segment runs from a's side to b's.
+            let along = zero.below(c);
+            let (begin, end) = (along.choose(low, high), along.choose(high, low));
+            let begin = [some.choose(from[1] + begin * du, zero), some.choose(from[2] + begin * dv, zero)];
+            let end = [some.choose(from[1] + end * du, zero), some.choose(from[2] + end * dv, zero)];
+            let segment = moments::of::<S, N>(simd, weight, [begin, end]);
+            moments::add(simd, &mut self.moments[i], segment);
+            moments::take(simd, &mut self.moments[j], segment);
+            for k in [i, j] {
+                some.choose(one, Number::load(simd, &self.there[k])).store(&mut self.there[k]);
+            }
+        }
+        unsure | (left & near)
+    }
+
+    /// What a bisector leaves to either of its pieces of the edge from the second corner to the third, where
+    /// its values are `d` and `e`. Returns where rounding could decide.
+    #[inline(always)]
+    fn along_edge<S: Simd>(
+        &mut self,
+        simd: S,
+        (i, j): (usize, usize),
+        d: Number<S>,
+        e: Number<S>,
+        bounds: Bounds<S>,
+    ) -> Mask<S> {
+        let (zero, one, nothing) = (Number::all(simd, 0.0), Number::all(simd, 1.0), Number::all(simd, 2.0));
+        let (first, last) = (zero.below(d), zero.below(e));
+        let run = d - e;
+        let t = d / run;
+        for (k, first, last) in [(i, first, last), (j, !first, !last)] {
+            let begin = first.choose(zero, last.choose(t, nothing));
+            let end = last.choose(one, first.choose(t, one));
+            let (low, high) = (Number::load(simd, &self.low[k]), Number::load(simd, &self.high[k]));
+            low.below(begin).choose(begin, low).store(&mut self.low[k]);
+            end.below(high).choose(end, high).store(&mut self.high[k]);
+        }
+        (first ^ last) & (bounds.slip * run.abs()).below(bounds.value + bounds.value)
+    }
+}
+
+#[inline(always)]
+fn load<S: Simd>(simd: S, [x, y, z]: &[Row; 3]) -> [Number<S>; 3] {
+    [Number::load(simd, x), Number::load(simd, y), Number::load(simd, z)]
+}
+
+#[inline(always)]
+fn minus<S: Simd>(a: [Number<S>; 3], b: [Number<S>; 3]) -> [Number<S>; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// The second or the third value where `at` says so, or else the first.
+#[inline(always)]
+fn pick<S: Simd>(at: [Mask<S>; 2], values: [Number<S>; 3]) -> Number<S> {
+    at[1].choose(values[2], at[0].choose(values[1], values[0]))
+}
