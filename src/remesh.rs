@@ -4,7 +4,6 @@
 //! Invariant: the result is oriented as the input; what could not be kept is in the report.
 //! Must not know: files, jobs, the network.
 
-mod around;
 pub(crate) mod attributes;
 mod build;
 mod closer;
@@ -14,7 +13,6 @@ mod fences;
 mod fit;
 mod flips;
 mod ground;
-mod grouped;
 mod mend;
 mod notches;
 mod patch;
@@ -28,6 +26,7 @@ mod stars;
 mod steps;
 mod thin;
 mod tips;
+mod triangle;
 mod whole;
 
 use std::sync::Arc;

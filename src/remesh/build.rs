@@ -9,15 +9,16 @@ use std::collections::HashSet;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::fences::Fences;
+use super::fences::{CurveSample, Fences};
 use super::ground::Ground;
-use super::grouped::Grouped;
 use super::mend::{Bench, Vain};
 use super::report::RepairFigures;
 use super::tips::Tip;
-use super::{Placement, RemeshError, curves, fit, flips, notches, polish, regular, repair};
+use super::{Placement, RemeshError, curves, fit, notches, polish, regular, repair};
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::csr::Csr;
+use crate::mesh::edges::undirected;
 use crate::mesh::features::CurveKind;
 use crate::rvd::{Surface, dual};
 use crate::token::Token;
@@ -86,7 +87,7 @@ impl Draft {
 
     /// Edges of curves, lower end first.
     fn curves(&self) -> HashSet<[u32; 2]> {
-        self.curve_edges.iter().flatten().map(|&e| flips::sorted(e)).collect()
+        self.curve_edges.iter().flatten().map(|&e| undirected(e)).collect()
     }
 }
 
@@ -260,7 +261,7 @@ impl Source<'_> {
         vertex: &[u32],
         dual: &dual::Dual,
         vertices: usize,
-        curves: Vec<fit::CurveSample>,
+        curves: Vec<CurveSample>,
         fixed: Vec<bool>,
     ) -> fit::Target {
         let surface = self.surface;
@@ -280,8 +281,8 @@ impl Source<'_> {
             }
         }
         let tip = |v: usize| Tip { position: surface.positions()[v], vertex: holder[v] };
-        let tips = Grouped::new(vertices, &holder, tip);
-        fit::Target { samples: Grouped::new(vertices, &owners, sample), curves, tips, fixed }
+        let tips = Csr::group(vertices, &holder, tip);
+        fit::Target { samples: Csr::group(vertices, &owners, sample), curves, tips, fixed }
     }
 }
 

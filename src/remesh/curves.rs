@@ -9,8 +9,7 @@ use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
 
-use super::fit::CurveSample;
-use super::flips::sorted;
+use super::fences::CurveSample;
 use super::report::FeatureFigures;
 use super::{RemeshError, RemeshOptions, Seeds};
 use crate::cvt::curves::{BETWEEN, CurveSeeds, Segment, edge_length};
@@ -18,7 +17,7 @@ use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::weld;
 use crate::mesh::disjoint::DisjointSets;
-use crate::mesh::edges::{EdgeGroups, Half};
+use crate::mesh::edges::{EdgeGroups, Half, undirected};
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
 use crate::mesh::sample::spread;
 use crate::rvd::{Frame, Surface};
@@ -65,13 +64,12 @@ fn subdivided(mesh: &TriMesh, edges: &[[u32; 2]], token: &Token) -> Result<Vec<[
         return Ok(Vec::new());
     }
     let class = weld(mesh);
-    let sorted = |a: u32, b: u32| [a.min(b), a.max(b)];
     let key = |p: DVec3| p.to_array().map(|x| (x + 0.0).to_bits());
     let there: HashSet<[u32; 2]> = mesh
         .facets()
         .iter()
         .map(|t| t.map(|v| class[v as usize]))
-        .flat_map(|[a, b, c]| [sorted(a, b), sorted(b, c), sorted(c, a)])
+        .flat_map(|[a, b, c]| [[a, b], [b, c], [c, a]].map(undirected))
         .collect();
     let at: HashMap<[u64; 3], u32> = mesh.positions().iter().zip(&class).map(|(&p, &v)| (key(p), v)).collect();
     let mut stack: Vec<[u32; 2]> = edges.iter().rev().map(|e| e.map(|v| class[v as usize])).collect();
@@ -80,7 +78,7 @@ fn subdivided(mesh: &TriMesh, edges: &[[u32; 2]], token: &Token) -> Result<Vec<[
         token.check_at(found.len())?;
         let middle = mesh.positions()[a as usize] * 0.5 + mesh.positions()[b as usize] * 0.5;
         match at.get(&key(middle)) {
-            Some(&m) if !there.contains(&sorted(a, b)) && m != a && m != b => stack.extend([[m, b], [a, m]]),
+            Some(&m) if !there.contains(&undirected([a, b])) && m != a && m != b => stack.extend([[m, b], [a, m]]),
             _ => found.push([a, b]),
         }
     }
@@ -203,14 +201,14 @@ impl Kept {
         for c in &self.features.curves {
             let ends = c.vertices.windows(2).map(|w| [w[0], w[1]]);
             let last = if c.closed { c.vertices.last().map(|&v| [v, c.vertices[0]]) } else { None };
-            curves.extend(ends.chain(last).map(|e| sorted(e.map(|v| class[v as usize]))));
+            curves.extend(ends.chain(last).map(|e| undirected(e.map(|v| class[v as usize]))));
         }
         let mut regions = DisjointSets::new(mesh.facets().len());
         let facets = mesh.facets().iter().map(welded).enumerate();
         EdgeGroups::new(class.len(), facets).for_each(|_, halves| {
             let Some(&Half { facet, side }) = halves.first() else { return };
             let t = welded(&mesh.facets()[facet as usize]);
-            if !curves.contains(&sorted([t[side], t[(side + 1) % 3]])) {
+            if !curves.contains(&undirected([t[side], t[(side + 1) % 3]])) {
                 halves.windows(2).for_each(|pair| regions.join(pair[0].facet as usize, pair[1].facet as usize));
             }
         });
@@ -237,8 +235,8 @@ impl Kept {
             })
             .collect();
         by_seeds.sort_unstable();
-        let find = |[a, b]: [u32; 2]| {
-            let key = [a.min(b), a.max(b)];
+        let find = |ends: [u32; 2]| {
+            let key = undirected(ends);
             let at = by_seeds.partition_point(|(seeds, _)| *seeds < key);
             by_seeds.get(at).filter(|(seeds, _)| *seeds == key).map(|&(_, e)| e)
         };

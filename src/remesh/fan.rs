@@ -7,8 +7,8 @@
 
 use glam::DVec3;
 
-use super::around::Around;
 use crate::mesh::closest_point::closest_on_facet;
+use crate::mesh::csr::Csr;
 
 /// Bounds are trusted but for their rounding: this share, and this squared distance in a unit box.
 const TRUST: f64 = 1.0 - 1e-9;
@@ -54,7 +54,7 @@ pub(super) struct Nearest {
 
 impl Fan {
     /// Looks at the facets around vertex `v` from now on.
-    pub(super) fn turn_to(&mut self, positions: &[DVec3], facets: &[[u32; 3]], around: &Around, v: u32) {
+    pub(super) fn turn_to(&mut self, positions: &[DVec3], facets: &[[u32; 3]], around: &Csr<u32>, v: u32) {
         self.middle = positions[v as usize];
         self.wedges.clear();
         self.wedges.extend(around.of(v).iter().map(|&facet| {
@@ -127,7 +127,7 @@ mod tests {
                 positions[3] = positions[4];
             }
             let facets: Vec<[u32; 3]> = (0..7).map(|k| [1 + k, 1 + (k + 1) % 7, 0]).collect();
-            let around = Around::new(8, &facets);
+            let around = Csr::one_rings(8, &facets);
             fan.turn_to(&positions, &facets, &around, 0);
             for k in 0..50 {
                 let p = 2.0 * point(100_000 + 50 * round + k);
@@ -138,7 +138,7 @@ mod tests {
                 assert_eq!((found.facet as usize, found.squared), (facet, squared));
             }
         }
-        fan.turn_to(&[DVec3::ZERO], &[], &Around::new(1, &[]), 0);
+        fan.turn_to(&[DVec3::ZERO], &[], &Csr::one_rings(1, &[]), 0);
         assert_eq!(fan.nearest(DVec3::ONE).facet, u32::MAX);
     }
 }

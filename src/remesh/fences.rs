@@ -10,9 +10,8 @@
 
 use glam::DVec3;
 
-use super::around::Around;
-use super::fit::CurveSample;
-use super::polish::score;
+use super::triangle::{score, unit_normal};
+use crate::mesh::csr::Csr;
 use crate::token::Token;
 
 /// A vertex that went too far goes back by these shares of its way.
@@ -36,7 +35,21 @@ const ENOUGH: f64 = 34.0;
 const STRAIGHT: f64 = 1e-3;
 const BESIDE: usize = 3;
 
+/// A point of an input curve.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CurveSample {
+    /// Where it is.
+    pub(super) position: DVec3,
+    /// The result's edge for its stretch of the curve.
+    pub(super) edge: [u32; 2],
+    /// Area it stands for: its share of the curve's length times the length of the edge.
+    pub(super) area: f64,
+    /// How far the edge may be from the curve.
+    pub(super) limit: f64,
+}
+
 /// One end of an edge of a curve.
+#[derive(Clone, Copy)]
 struct Side {
     /// The other end.
     other: u32,
@@ -52,9 +65,8 @@ struct Side {
 /// See the module's head.
 pub(super) struct Fences {
     points: Vec<DVec3>,
-    /// By vertex, where its sides begin.
-    first: Vec<u32>,
-    sides: Vec<Side>,
+    /// By vertex.
+    sides: Csr<Side>,
     start: Vec<DVec3>,
 }
 
@@ -63,10 +75,6 @@ fn off(p: DVec3, [a, b]: [DVec3; 2]) -> f64 {
     let squared = way.length_squared();
     let t = if squared > 0.0 { ((p - a).dot(way) / squared).clamp(0.0, 1.0) } else { 0.0 };
     p.distance(a + t * way)
-}
-
-fn normal([a, b, c]: [DVec3; 3]) -> DVec3 {
-    (b - a).cross(c - a).normalize_or_zero()
 }
 
 /// Whether an edge of vertex `v` has one facet, of those `around` it.
@@ -99,11 +107,8 @@ impl Fences {
             edges.extend([([a, b], side(b)), ([b, a], side(a))]);
         }
         edges.sort_by_key(|e| e.0);
-        let mut first = vec![0u32; start.len() + 1];
-        edges.iter().for_each(|([v, _], _)| first[*v as usize + 1] += 1);
-        (0..start.len()).for_each(|v| first[v + 1] += first[v]);
-        let sides = edges.into_iter().map(|e| e.1).collect();
-        let mut fences = Self { points, first, sides, start: start.to_vec() };
+        let sides: Vec<(u32, Side)> = edges.into_iter().map(|([v, _], side)| (v, side)).collect();
+        let mut fences = Self { points, sides: Csr::from_pairs(start.len(), &sides), start: start.to_vec() };
         fences.hold_straight(fixed);
         fences
     }
@@ -113,7 +118,7 @@ impl Fences {
         let own = &*self;
         let of = |v: u32| own.sides(v).iter().map(move |side| (v, own.is_straight(v, side, fixed)));
         let straight: Vec<(u32, bool)> = (0..self.start.len() as u32).flat_map(of).collect();
-        for (side, (v, straight)) in self.sides.iter_mut().zip(straight) {
+        for (side, (v, straight)) in self.sides.all_mut().iter_mut().zip(straight) {
             side.straight = straight;
             if straight {
                 side.limit = STRAIGHT * self.start[v as usize].distance(self.start[side.other as usize]);
@@ -151,7 +156,7 @@ impl Fences {
     }
 
     fn sides(&self, v: u32) -> &[Side] {
-        &self.sides[self.first[v as usize] as usize..self.first[v as usize + 1] as usize]
+        self.sides.of(v)
     }
 
     /// By how much of their limits the edges of vertex `v` leave their curves if it is at `p`.
@@ -218,13 +223,13 @@ impl Fences {
         if vertices.iter().all(|&v| far(positions, v) <= 1.0) {
             return Vec::new();
         }
-        let around = Around::new(positions.len(), facets);
+        let around = Csr::one_rings(positions.len(), facets);
         let first = positions.to_vec();
         let spoils = |positions: &[DVec3], v: u32, p: DVec3| {
             around.of(v).iter().map(|&f| &facets[f as usize]).any(|t| {
                 let (before, now) = (t.map(|u| first[u as usize]), t.map(|u| positions[u as usize]));
                 let after = t.map(|u| if u == v { p } else { positions[u as usize] });
-                normal(before).dot(normal(after)) < LEAST_COSINE
+                unit_normal(before).dot(unit_normal(after)) < LEAST_COSINE
                     || score(after) < ENOUGH.min(score(now)).min(score(before))
             })
         };
@@ -276,11 +281,11 @@ impl Fences {
 
     /// Brings vertices that went too far back on their way, as far as no facet turns by it.
     pub(super) fn restore(&self, positions: &mut [DVec3], facets: &[[u32; 3]], token: &Token) {
-        let around = Around::new(positions.len(), facets);
+        let around = Csr::one_rings(positions.len(), facets);
         let turns = |positions: &[DVec3], v: u32, p: DVec3| {
             around.of(v).iter().map(|&f| &facets[f as usize]).any(|t| {
-                let before = normal(t.map(|u| positions[u as usize]));
-                let after = normal(t.map(|u| if u == v { p } else { positions[u as usize] }));
+                let before = unit_normal(t.map(|u| positions[u as usize]));
+                let after = unit_normal(t.map(|u| if u == v { p } else { positions[u as usize] }));
                 before.dot(after) < LEAST_COSINE
             })
         };

@@ -18,10 +18,11 @@ use std::collections::HashSet;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::around::Around;
+use super::fences::CurveSample;
 use super::flips;
-use super::grouped::Grouped;
-use super::tips::{Offset, Offsets, Tip};
+use super::tips::{Offset, Offsets, TIP, Tip};
+use crate::mesh::csr::Csr;
+use crate::mesh::edges::undirected;
 use crate::token::Token;
 use equations::Equations;
 pub(super) use far::{Far, missed};
@@ -39,26 +40,13 @@ pub(super) struct Sample {
     pub(super) area: f64,
 }
 
-/// A point of an input curve.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct CurveSample {
-    /// Where it is.
-    pub(super) position: DVec3,
-    /// The result's edge for its stretch of the curve.
-    pub(super) edge: [u32; 2],
-    /// Area it stands for: its share of the curve's length times the length of the edge.
-    pub(super) area: f64,
-    /// How far the edge may be from the curve.
-    pub(super) limit: f64,
-}
-
 /// What there is to fit to.
 #[derive(Debug)]
 pub(super) struct Target {
     /// By result vertex; the nearest facet is one of those around it.
-    pub(super) samples: Grouped<Sample>,
+    pub(super) samples: Csr<Sample>,
     pub(super) curves: Vec<CurveSample>,
-    pub(super) tips: Grouped<Tip>,
+    pub(super) tips: Csr<Tip>,
     /// Vertices that stay.
     pub(super) fixed: Vec<bool>,
 }
@@ -69,14 +57,12 @@ const ROUNDS: usize = 2;
 const TIP_ROUNDS: usize = 6;
 /// Tips that stick out at least this share as far as the worst one pull next.
 const FARTHEST: f64 = 0.6;
-/// A tip sticks out if it is farther from the facets than this share of an edge,
-pub(super) const TIP: f64 = 0.08;
-/// and pulls a vertex that is not farther away than this share of it.
+/// A tip that sticks out pulls a vertex that is not farther away than this share of an edge.
 const TIP_REACH: f64 = 0.75;
 
 /// Moves `positions`, and turns edges that lie across a ridge. Ends early where `token` is stopped.
 pub(super) fn fit(positions: &mut [DVec3], facets: &mut [[u32; 3]], target: &Target, token: &Token) {
-    let mut around = Around::new(positions.len(), facets);
+    let mut around = Csr::one_rings(positions.len(), facets);
     let first: Vec<Facet> = facets.par_iter().map(|&t| Facet::of(positions, t)).collect();
     let mut state = State { start: positions.to_vec(), first, pulls: Vec::new() };
     let everywhere = Region::everywhere(positions.len(), facets.len());
@@ -84,14 +70,14 @@ pub(super) fn fit(positions: &mut [DVec3], facets: &mut [[u32; 3]], target: &Tar
         state.round(positions, facets, &around, (target, &everywhere), token);
     }
     let mut offsets = Offsets::new(positions, facets, &around, &target.tips, token);
-    let curves: HashSet<[u32; 2]> = target.curves.iter().map(|s| flips::sorted(s.edge)).collect();
+    let curves: HashSet<[u32; 2]> = target.curves.iter().map(|s| undirected(s.edge)).collect();
     for _ in 0..TIP_ROUNDS {
         if token.is_stopped() {
             return;
         }
         let flipped = flips::along_ridges(positions, facets, &around, &offsets, &curves, token);
         if !flipped.is_empty() {
-            around = Around::new(positions.len(), facets);
+            around = Csr::one_rings(positions.len(), facets);
             flipped.iter().for_each(|&f| state.first[f as usize] = Facet::of(positions, facets[f as usize]));
         }
         state.find_pulls(positions, facets, &around, target, &offsets);
@@ -120,7 +106,7 @@ impl State {
         &self,
         positions: &mut [DVec3],
         facets: &[[u32; 3]],
-        around: &Around,
+        around: &Csr<u32>,
         (target, region): (&Target, &Region),
         token: &Token,
     ) {
@@ -138,7 +124,7 @@ impl State {
         &mut self,
         positions: &[DVec3],
         facets: &[[u32; 3]],
-        around: &Around,
+        around: &Csr<u32>,
         target: &Target,
         offsets: &Offsets<'_>,
     ) {
@@ -170,7 +156,7 @@ impl State {
 struct Draft<'a> {
     positions: &'a [DVec3],
     facets: &'a [[u32; 3]],
-    around: &'a Around,
+    around: &'a Csr<u32>,
 }
 
 impl Draft<'_> {

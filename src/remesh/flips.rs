@@ -12,11 +12,11 @@ use std::collections::HashSet;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::around::Around;
-use super::fit::TIP;
-use super::polish::score;
-use super::tips::{Offset, Offsets};
+use super::tips::{Offset, Offsets, TIP};
+use super::triangle::{score, unit_normal};
 use crate::mesh::closest_point::closest_on_facet;
+use crate::mesh::csr::Csr;
+use crate::mesh::edges::undirected;
 use crate::mesh::measure::{facet_quality, least_angle};
 use crate::token::Token;
 
@@ -34,7 +34,7 @@ const MANY: usize = 64;
 pub(super) fn along_ridges(
     positions: &[DVec3],
     facets: &mut [[u32; 3]],
-    around: &Around,
+    around: &Csr<u32>,
     offsets: &Offsets<'_>,
     curves: &HashSet<[u32; 2]>,
     token: &Token,
@@ -72,7 +72,7 @@ pub(super) fn along_ridges(
 pub(super) fn for_angles(
     positions: &[DVec3],
     facets: &mut [[u32; 3]],
-    around: &Around,
+    around: &Csr<u32>,
     curves: &HashSet<[u32; 2]>,
     goal: f64,
     token: &Token,
@@ -106,19 +106,15 @@ pub(super) fn for_angles(
 }
 
 /// Marks all facets around two.
-fn touch(touched: &mut [bool], around: &Around, two: [[u32; 3]; 2]) {
+fn touch(touched: &mut [bool], around: &Csr<u32>, two: [[u32; 3]; 2]) {
     two.into_iter().flatten().flat_map(|v| around.of(v)).for_each(|&f| touched[f as usize] = true);
-}
-
-pub(super) fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
-    [a.min(b), a.max(b)]
 }
 
 /// The triangulation as it is.
 struct Patch<'a> {
     positions: &'a [DVec3],
     facets: &'a [[u32; 3]],
-    around: &'a Around,
+    around: &'a Csr<u32>,
 }
 
 type Turn = (u32, u32, [[u32; 3]; 2]);
@@ -165,14 +161,11 @@ impl Patch<'_> {
         }
         let (few, other) = if self.around.of(c).len() <= self.around.of(d).len() { (c, d) } else { (d, c) };
         let joined = self.around.of(few).iter().any(|&h| self.facets[h as usize].contains(&other));
-        if joined || curves.contains(&sorted([a, b])) {
+        if joined || curves.contains(&undirected([a, b])) {
             return None;
         }
         let corners = |t: [u32; 3]| t.map(|v| self.positions[v as usize]);
-        let normal = |t: [u32; 3]| {
-            let [p, q, r] = corners(t);
-            (q - p).cross(r - p).normalize_or_zero()
-        };
+        let normal = |t: [u32; 3]| unit_normal(corners(t));
         let new = [[a, d, c], [d, b, c]];
         let mean = (normal(t) + normal(self.facets[g as usize])).normalize_or_zero();
         new.into_iter().all(|t| normal(t).dot(mean) >= LEAST_COSINE).then_some((f, g, new))

@@ -12,11 +12,12 @@ use std::collections::{BinaryHeap, HashMap, HashSet};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::around::Around;
 use super::ground::Ground;
 use super::patch::{LEAST, Patch, Scene, distance_at};
 use super::polish::Rail;
 use super::stars::Stars;
+use crate::mesh::csr::Csr;
+use crate::mesh::edges::undirected;
 use crate::token::Token;
 
 /// Places nearer than this share of an edge are left alone,
@@ -103,7 +104,7 @@ impl<'a> Bench<'a> {
         (curves, ground): (HashSet<[u32; 2]>, &'a Ground<'a>),
         token: &'a Token,
     ) -> Self {
-        let around = Around::new(positions.len(), facets);
+        let around = Csr::one_rings(positions.len(), facets);
         let on_rim = on_rim(facets, &around, positions.len());
         let free = rails.iter().zip(&on_rim).map(|(r, rim)| *r == Rail::Free && !rim).collect();
         let edited = vec![0; positions.len()];
@@ -123,7 +124,7 @@ impl<'a> Bench<'a> {
 
     /// From now on an edge stays.
     pub(super) fn keep(&mut self, ends: [u32; 2]) {
-        self.curves.insert(super::flips::sorted(ends));
+        self.curves.insert(undirected(ends));
     }
 
     /// Puts in what `better` makes of the patch around each of `middles`, one after the other, but for those that have
@@ -337,7 +338,7 @@ fn better(patch: &Patch) -> Option<Patch> {
 }
 
 /// Whether each vertex is on an edge with one facet.
-fn on_rim(facets: &[[u32; 3]], around: &Around, vertices: usize) -> Vec<bool> {
+fn on_rim(facets: &[[u32; 3]], around: &Csr<u32>, vertices: usize) -> Vec<bool> {
     let mut rim = vec![false; vertices];
     for t in facets {
         for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {

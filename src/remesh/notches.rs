@@ -9,7 +9,8 @@ use std::collections::HashSet;
 
 use glam::DVec3;
 
-use super::around::Around;
+use super::triangle::unit_normal;
+use crate::mesh::csr::Csr;
 use crate::mesh::measure::least_angle;
 
 /// A notch whose facet had a smaller angle than this, degrees, is so flat that its edges are near the boundary: a
@@ -31,7 +32,7 @@ pub(super) fn fill(
 ) -> usize {
     let before = facets.len();
     for _ in 0..PASSES {
-        let rim = Rim { around: &Around::new(positions.len(), facets), facets };
+        let rim = Rim { around: &Csr::one_rings(positions.len(), facets), facets };
         let way = |a: u32, b: u32| {
             let inside = rim.only_after(a).filter(|&x| x != b && rim.only_after(x) == Some(b));
             inside.map(|x| [a, b, x])
@@ -55,7 +56,7 @@ pub(super) fn fill(
 }
 
 struct Rim<'a> {
-    around: &'a Around,
+    around: &'a Csr<u32>,
     facets: &'a [[u32; 3]],
 }
 
@@ -82,10 +83,7 @@ impl Rim<'_> {
 
     fn is_fair(&self, positions: &[DVec3], facet: [u32; 3]) -> bool {
         let corners = |t: [u32; 3]| t.map(|v| positions[v as usize]);
-        let normal = |t: [u32; 3]| {
-            let [p, q, r] = corners(t);
-            (q - p).cross(r - p).normalize_or_zero()
-        };
+        let normal = |t: [u32; 3]| unit_normal(corners(t));
         let [a, b, x] = facet;
         let beside = [self.facet(a, x), self.facet(x, b)];
         least_angle(corners(facet)) >= LEAST_ANGLE

@@ -19,12 +19,11 @@ use view::View;
 
 use super::ground::Ground;
 use super::stars::Stars;
-use crate::mesh::measure::{facet_quality, least_angle};
+use super::triangle::{score, unit_normal};
 use crate::token::Token;
 
-/// What facets of a patch are to have: the smallest angle, degrees, and [`SHAPE`] times Q if that is less.
+/// The score that facets of a patch are to have, degrees.
 pub(super) const LEAST: f64 = 34.3;
-const SHAPE: f64 = 55.0;
 /// Facets' normals turn by at most this cosine from the first ones, and those of a turned edge differ by no less from
 /// the mean of the two before.
 const LEAST_COSINE: f64 = 0.5;
@@ -115,14 +114,6 @@ impl Scene<'_> {
     }
 }
 
-fn normal([a, b, c]: [DVec3; 3]) -> DVec3 {
-    (b - a).cross(c - a).normalize_or_zero()
-}
-
-fn score(corners: [DVec3; 3]) -> f64 {
-    least_angle(corners).min(SHAPE * facet_quality(corners))
-}
-
 impl Patch {
     /// The patch around `middle`; `None` if that has more than [`MOST_FACETS`], as around the middle of a fan of thousands.
     pub(super) fn around(scene: &Scene<'_>, middle: u32) -> Option<Self> {
@@ -161,7 +152,7 @@ impl Patch {
         let mut patch = Self {
             free: vertices.iter().enumerate().map(free).collect(),
             rim: vertices.iter().map(|&v| scene.on_rim[v as usize]).collect(),
-            normals: facets.iter().map(|t| normal(t.map(|v| at[v]))).collect(),
+            normals: facets.iter().map(|t| unit_normal(t.map(|v| at[v]))).collect(),
             middle: local(middle),
             edge: edge / (3 * facets.len()) as f64,
             start: at.clone(),
@@ -212,7 +203,7 @@ impl Patch {
     fn take_middles(&self, tips: &mut Vec<(DVec3, usize)>) {
         let mut middles = Vec::new();
         for [a, b, c] in self.rocks.corners() {
-            let normal = normal([a, b, c]);
+            let normal = unit_normal([a, b, c]);
             for (p, q) in [(a, b), (b, c), (c, a)] {
                 if p.distance(q) > LONG * self.edge {
                     middles.push(((p + q) / 2.0, normal));
@@ -262,8 +253,8 @@ impl Patch {
             for e in 0..3 {
                 let (a, b) = (t[e], t[(e + 1) % 3]);
                 let beside = self.star[a].iter().filter(|&&g| g < f && self.facets[g].contains(&b));
-                let n = normal(self.corners(f));
-                least = beside.map(|&g| n.dot(normal(self.corners(g)))).fold(least, f64::min);
+                let n = unit_normal(self.corners(f));
+                least = beside.map(|&g| n.dot(unit_normal(self.corners(g)))).fold(least, f64::min);
             }
         }
         least
@@ -340,8 +331,8 @@ impl Patch {
             return None;
         }
         let new = [[a, d, c], [d, b, c]];
-        let mean = (normal(self.corners(f)) + normal(self.corners(g))).normalize_or_zero();
-        let fine = new.iter().all(|t| normal(t.map(|v| self.at[v])).dot(mean) >= TURNED_COSINE);
+        let mean = (unit_normal(self.corners(f)) + unit_normal(self.corners(g))).normalize_or_zero();
+        let fine = new.iter().all(|t| unit_normal(t.map(|v| self.at[v])).dot(mean) >= TURNED_COSINE);
         fine.then_some((g, new))
     }
 
@@ -396,7 +387,7 @@ impl Patch {
                 self.star[v].push(h);
                 self.star[v].sort_unstable();
             }
-            self.normals[h] = normal(self.corners(h));
+            self.normals[h] = unit_normal(self.corners(h));
             self.update_apart(h);
         }
         true
@@ -408,7 +399,7 @@ impl Patch {
         let nearest = free.min_by(|&a, &b| self.at[a].distance_squared(p).total_cmp(&self.at[b].distance_squared(p)));
         let Some(v) = nearest.filter(|&v| self.at[v].distance(p) < FARTHEST * self.edge) else { return false };
         self.put(v, p);
-        self.star[v].iter().all(|&f| normal(self.corners(f)).dot(self.normals[f]) >= LEAST_COSINE)
+        self.star[v].iter().all(|&f| unit_normal(self.corners(f)).dot(self.normals[f]) >= LEAST_COSINE)
     }
 
     fn put(&mut self, v: usize, p: DVec3) {
@@ -449,7 +440,7 @@ impl Patch {
         if best.0 <= 0.0 {
             return false;
         }
-        let up = self.star[v].iter().map(|&f| normal(self.corners(f))).sum::<DVec3>().normalize_or(DVec3::Z);
+        let up = self.star[v].iter().map(|&f| unit_normal(self.corners(f))).sum::<DVec3>().normalize_or(DVec3::Z);
         let (x, y) = up.any_orthonormal_pair();
         let aside = (0..DIRECTIONS).map(|k| {
             let (sin, cos) = (k as f64 / DIRECTIONS as f64 * std::f64::consts::TAU).sin_cos();

@@ -12,10 +12,11 @@ use std::collections::HashSet;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::around::Around;
 use super::fences::Fences;
 use super::flips;
-use crate::mesh::measure::{facet_quality, is_wide, least_angle};
+use super::triangle::{DEGREES_PER_QUALITY, perimeter, score, unit_normal};
+use crate::mesh::csr::Csr;
+use crate::mesh::measure::{facet_quality, is_wide};
 use crate::token::Token;
 
 /// How a vertex may move.
@@ -31,9 +32,8 @@ pub(super) enum Rail {
     Fixed,
 }
 
-/// Facets with a smaller score are to be better: the smallest angle, degrees, or [`SHAPE`] times Q if that is less.
+/// Facets with a smaller score ([`score`]) are to be better, degrees.
 const GOAL: f64 = 33.5;
-const SHAPE: f64 = 55.0;
 /// The vertices around them, so many edges far, move as long as their own facets have less than this.
 const RINGS: usize = 1;
 const ENOUGH: f64 = 35.0;
@@ -77,13 +77,13 @@ pub(super) fn polish(
 ) {
     let start = positions.to_vec();
     for _ in 0..TURNS {
-        let around = Around::new(positions.len(), facets);
+        let around = Csr::one_rings(positions.len(), facets);
         move_vertices(positions, &start, facets, &around, bounds, token);
         if token.is_stopped() || !flips::for_angles(positions, facets, &around, curves, GOAL, token) {
             return;
         }
     }
-    let around = Around::new(positions.len(), facets);
+    let around = Csr::one_rings(positions.len(), facets);
     move_vertices(positions, &start, facets, &around, bounds, token);
 }
 
@@ -91,11 +91,11 @@ fn move_vertices(
     positions: &mut [DVec3],
     start: &[DVec3],
     facets: &[[u32; 3]],
-    around: &Around,
+    around: &Csr<u32>,
     bounds: Bounds<'_>,
     token: &Token,
 ) {
-    let normals: Vec<DVec3> = facets.par_iter().map(|t| normal(t.map(|v| positions[v as usize]))).collect();
+    let normals: Vec<DVec3> = facets.par_iter().map(|t| unit_normal(t.map(|v| positions[v as usize]))).collect();
     let poor = |positions: &[DVec3], t: &[u32; 3]| score(t.map(|v| positions[v as usize])) < GOAL;
     let mut vertices: Vec<u32> = facets.par_iter().filter(|t| poor(positions, t)).flat_map_iter(|t| *t).collect();
     // Those around make room.
@@ -126,15 +126,6 @@ fn move_vertices(
             return;
         }
     }
-}
-
-/// How good a facet is.
-pub(super) fn score(corners: [DVec3; 3]) -> f64 {
-    least_angle(corners).min(SHAPE * facet_quality(corners))
-}
-
-fn normal([a, b, c]: [DVec3; 3]) -> DVec3 {
-    (b - a).cross(c - a).normalize_or_zero()
 }
 
 /// A vertex and the facets around it.
@@ -203,11 +194,11 @@ impl Star<'_> {
         let mut sum = 0.0;
         for &f in self.around {
             let corners = self.facets[f as usize].map(at);
-            if normal(corners).dot(self.normals[f as usize]) < LEAST_COSINE {
+            if unit_normal(corners).dot(self.normals[f as usize]) < LEAST_COSINE {
                 return f64::INFINITY;
             }
             // Most facets lack nothing, and that is seen without an arc tangent.
-            if !(SHAPE * facet_quality(corners) >= ENOUGH && is_wide(corners, cotangent)) {
+            if !(DEGREES_PER_QUALITY * facet_quality(corners) >= ENOUGH && is_wide(corners, cotangent)) {
                 sum += (ENOUGH - score(corners)).max(0.0).powi(3);
             }
             if sum >= most {
@@ -221,8 +212,7 @@ impl Star<'_> {
     fn edge(&self, positions: &[DVec3]) -> f64 {
         let (mut sum, mut count) = (0.0, 0.0);
         for &f in self.around {
-            let [a, b, c] = self.facets[f as usize].map(|u| positions[u as usize]);
-            sum += a.distance(b) + b.distance(c) + c.distance(a);
+            sum += perimeter(self.facets[f as usize].map(|u| positions[u as usize]));
             count += 3.0;
         }
         sum / f64::max(count, 1.0)
@@ -232,6 +222,7 @@ impl Star<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::measure::least_angle;
 
     #[test]
     fn the_hub_of_a_wheel_goes_to_its_middle_and_no_farther_than_it_may() {

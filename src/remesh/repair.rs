@@ -14,6 +14,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::report::RepairFigures;
+use super::triangle::unit_normal;
 use crate::mesh::coincident;
 use crate::mesh::disjoint::DisjointSets;
 use crate::mesh::edges::{EdgeGroups, Half};
@@ -85,10 +86,7 @@ fn part_sheets(places: &mut Vec<DVec3>, source: &mut Vec<u32>, facets: &mut Vec<
             touching.push([a, b, c, d]);
         }
     });
-    let normal = |half: Half, facets: &[[u32; 3]]| {
-        let [a, b, c] = facets[half.facet as usize].map(|v| places[v as usize]);
-        (b - a).cross(c - a).normalize_or_zero()
-    };
+    let normal = |half: Half, facets: &[[u32; 3]]| unit_normal(facets[half.facet as usize].map(|v| places[v as usize]));
     let mut changed = HashSet::new();
     let mut parted = Vec::new();
     for [a, b, c, d] in touching {
@@ -270,7 +268,7 @@ fn part_sides(placed: &mut [DVec3], facets: &[[u32; 3]]) {
         let shortest = a.distance(b).min(b.distance(c)).min(c.distance(a));
         for v in t {
             if let Some((sum, edge)) = normal.get_mut(&(*v as usize)) {
-                *sum += (b - a).cross(c - a).normalize_or_zero();
+                *sum += unit_normal([a, b, c]);
                 *edge = edge.min(shortest);
             }
         }

@@ -1,16 +1,16 @@
 //! The facets around each vertex of a triangulation that changes in places.
 //!
-//! Purpose: as [`Around`], and keeps up with facets that are replaced.
+//! Purpose: as [`Csr::one_rings`], and keeps up with facets that are replaced.
 //! Invariant: facets of a vertex ascend. Must not know: why facets change.
 
-use super::around::Around;
+use crate::mesh::csr::Csr;
 
 /// A vertex whose facets are as they were.
 const AS_BEFORE: u32 = u32::MAX;
 
 /// See the module's head.
 pub(super) struct Stars {
-    base: Around,
+    base: Csr<u32>,
     /// By vertex, which of `changed` has its facets.
     place: Vec<u32>,
     changed: Vec<Vec<u32>>,
@@ -18,8 +18,8 @@ pub(super) struct Stars {
 
 impl Stars {
     /// Of a triangulation as it is.
-    pub(super) fn new(base: Around) -> Self {
-        Self { place: vec![AS_BEFORE; base.vertices()], base, changed: Vec::new() }
+    pub(super) fn new(base: Csr<u32>) -> Self {
+        Self { place: vec![AS_BEFORE; base.rows()], base, changed: Vec::new() }
     }
 
     /// Facets around vertex `v`, ascending.
@@ -55,7 +55,7 @@ mod tests {
 
     #[test]
     fn a_turned_edge_changes_four_stars() {
-        let mut stars = Stars::new(Around::new(4, &[[0, 1, 2], [1, 0, 3]]));
+        let mut stars = Stars::new(Csr::one_rings(4, &[[0, 1, 2], [1, 0, 3]]));
         stars.replace(0, [0, 1, 2], [0, 3, 2]);
         stars.replace(1, [1, 0, 3], [3, 1, 2]);
         assert_eq!([0, 1, 2, 3].map(|v| stars.of(v).to_vec()), [vec![0], vec![1], vec![0, 1], vec![0, 1]]);

@@ -7,9 +7,9 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::around::Around;
 use super::fan::Fan;
-use super::grouped::Grouped;
+use super::triangle::perimeter;
+use crate::mesh::csr::Csr;
 use crate::token::Token;
 
 /// A vertex of the input.
@@ -36,6 +36,9 @@ pub(super) struct Offset {
 /// A result vertex has no facets; nothing is known.
 const NOWHERE: Offset = Offset { distance: 0.0, share: 0.0, facet: 0, corner: 0 };
 
+/// A tip sticks out if it is farther from the facets than this share of an edge.
+pub(super) const TIP: f64 = 0.08;
+
 /// Vertices that are one task.
 const RUN: usize = 256;
 /// Tips between two looks at the token.
@@ -43,7 +46,7 @@ const ASKED: usize = 64;
 
 /// See the module's head.
 pub(super) struct Offsets<'a> {
-    pub(super) tips: &'a Grouped<Tip>,
+    pub(super) tips: &'a Csr<Tip>,
     list: Vec<Offset>,
 }
 
@@ -51,7 +54,7 @@ fn offset(positions: &[DVec3], facets: &[[u32; 3]], fan: &mut Fan, tip: &Tip) ->
     let found = fan.nearest(tip.position);
     let Some(&t) = facets.get(found.facet as usize) else { return NOWHERE };
     let p = t.map(|v| positions[v as usize]);
-    let edge = (p[0].distance(p[1]) + p[1].distance(p[2]) + p[2].distance(p[0])) / 3.0;
+    let edge = perimeter(p) / 3.0;
     let to = p.map(|q| q.distance_squared(tip.position));
     let corner = if to[0] <= to[1] && to[0] <= to[2] {
         t[0]
@@ -69,8 +72,8 @@ impl<'a> Offsets<'a> {
     pub(super) fn new(
         positions: &[DVec3],
         facets: &[[u32; 3]],
-        around: &Around,
-        tips: &'a Grouped<Tip>,
+        around: &Csr<u32>,
+        tips: &'a Csr<Tip>,
         token: &Token,
     ) -> Self {
         let mut offsets = Self { tips, list: vec![NOWHERE; tips.all().len()] };
@@ -84,7 +87,7 @@ impl<'a> Offsets<'a> {
         &mut self,
         positions: &[DVec3],
         facets: &[[u32; 3]],
-        around: &Around,
+        around: &Csr<u32>,
         changed: impl Fn(u32) -> bool + Sync,
         token: &Token,
     ) {

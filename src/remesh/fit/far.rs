@@ -7,9 +7,9 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::super::around::Around;
 use super::super::tips::Offsets;
 use super::{Sample, Target};
+use crate::mesh::csr::Csr;
 use crate::token::Token;
 
 /// What is farther from the facets than the second share of an edge was missed, if something is farther than the
@@ -37,7 +37,7 @@ impl Far {
         tolerance: Option<f64>,
         token: &Token,
     ) -> Self {
-        let around = Around::new(positions.len(), facets);
+        let around = Csr::one_rings(positions.len(), facets);
         let offsets = Offsets::new(positions, facets, &around, &target.tips, token);
         let missed = places(positions, facets, &around, &offsets, tolerance);
         let strayed = strayed(positions, facets, target, token);
@@ -60,7 +60,7 @@ pub(in crate::remesh) fn missed(
     tolerance: Option<f64>,
     token: &Token,
 ) -> Vec<(u32, DVec3)> {
-    let around = Around::new(positions.len(), facets);
+    let around = Csr::one_rings(positions.len(), facets);
     let offsets = Offsets::new(positions, facets, &around, &target.tips, token);
     places(positions, facets, &around, &offsets, tolerance)
 }
@@ -68,7 +68,7 @@ pub(in crate::remesh) fn missed(
 fn places(
     positions: &[DVec3],
     facets: &[[u32; 3]],
-    around: &Around,
+    around: &Csr<u32>,
     offsets: &Offsets<'_>,
     tolerance: Option<f64>,
 ) -> Vec<(u32, DVec3)> {

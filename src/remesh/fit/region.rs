@@ -4,7 +4,7 @@
 //! a round in a small part costs no more than the part.
 //! Invariant: vertices and facets ascend. Must not know: what is done there.
 
-use super::super::around::Around;
+use crate::mesh::csr::Csr;
 
 /// A tip moves vertices that are so many edges away from it, with it.
 const RINGS: usize = 3;
@@ -36,7 +36,7 @@ impl Region {
     }
 
     /// The vertices within a few edges of `front`.
-    pub(super) fn around_of(mut front: Vec<u32>, vertices: usize, facets: &[[u32; 3]], around: &Around) -> Self {
+    pub(super) fn around_of(mut front: Vec<u32>, vertices: usize, facets: &[[u32; 3]], around: &Csr<u32>) -> Self {
         let mut inside = vec![false; vertices];
         front.iter().for_each(|&v| inside[v as usize] = true);
         let mut within = front.clone();

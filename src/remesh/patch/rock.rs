@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
+use super::super::triangle::perimeter;
 use super::Scene;
 use crate::mesh::curve;
 
@@ -200,9 +201,8 @@ pub(in crate::remesh) fn distance_at(scene: &Scene<'_>, v: u32) -> (f64, f64) {
     let rocks = Rocks::new(rocks.into_iter().map(|f| scene.ground.corners(f)));
     let (groups, mut edge, mut hint) = (rocks.all(), 0.0, 0);
     for &f in star {
-        let [a, b, c] = corners(f);
-        edge += (a.distance(b) + b.distance(c) + c.distance(a)) / (3 * star.len()) as f64;
-        samples([a, b, c]).for_each(|p| far = far.max(rocks.distance(p, &groups, &mut hint, far)));
+        edge += perimeter(corners(f)) / (3 * star.len()) as f64;
+        samples(corners(f)).for_each(|p| far = far.max(rocks.distance(p, &groups, &mut hint, far)));
     }
     (far.sqrt(), edge)
 }

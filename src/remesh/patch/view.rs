@@ -7,8 +7,9 @@
 
 use glam::DVec3;
 
+use super::super::triangle::{DEGREES_PER_QUALITY, unit_normal};
 use super::rock::least_distance;
-use super::{LEAST, LEAST_COSINE, Patch, SHAPE, normal};
+use super::{LEAST, LEAST_COSINE, Patch};
 use crate::mesh::closest_point::closest_on_facet;
 use crate::mesh::measure::{facet_quality, is_wide, least_angle};
 
@@ -219,14 +220,14 @@ impl<'a> View<'a> {
     fn shapes(&self, most: f64) -> Option<f64> {
         let (mut cost, mut fine) = (0.0, true);
         for (&f, &corners) in self.patch.star[self.v].iter().zip(&self.corners) {
-            fine &= normal(corners).dot(self.patch.normals[f]) >= LEAST_COSINE;
+            fine &= unit_normal(corners).dot(self.patch.normals[f]) >= LEAST_COSINE;
             if !fine || cost >= most {
                 break;
             }
             let quality = facet_quality(corners);
             // Most angles are wider than what costs anything, and that is seen without an arc tangent.
             let angle = if is_wide(corners, self.wide) { f64::INFINITY } else { least_angle(corners) };
-            let lack = (LEAST + MARGIN - angle.min(SHAPE * quality)).max(0.0) / MARGIN;
+            let lack = (LEAST + MARGIN - angle.min(DEGREES_PER_QUALITY * quality)).max(0.0) / MARGIN;
             cost += lack * lack + ROUND * (1.0 - quality);
         }
         fine.then_some(cost)
