@@ -7,7 +7,7 @@
 //! result depends on the meshes alone, not on threads.
 //! Must not know: how the result came about, files, messages.
 
-mod sides;
+mod seams;
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -17,7 +17,7 @@ use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerC
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::coincident;
 use crate::token::{Stopped, Token};
-use sides::{Place, Sides};
+use seams::{Place, Seams};
 
 /// Where on the input surface a vertex of the result lies.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,22 +69,22 @@ pub fn carry(
         _ => None,
     };
     let normals = split.as_ref().or(attributes.normals());
-    let needs_sides = matches!(normals, Some(Normals::PerCorner(_))) || attributes.texture().is_some();
-    let sides = needs_sides.then(|| Sides::new(mesh, closest, result, provenance));
-    match (normals, &sides) {
+    let needs_seams = matches!(normals, Some(Normals::PerCorner(_))) || attributes.texture().is_some();
+    let seams = needs_seams.then(|| Seams::new(mesh, closest, result, provenance));
+    match (normals, &seams) {
         (Some(Normals::PerVertex(normals)), _) => {
             let at = |p: &Provenance| normal(mesh, p.facet, facets[p.facet as usize], normals, p.barycentric);
             carried.set_normals(Normals::PerVertex(provenance.par_iter().map(at).collect()))?;
         }
-        (Some(Normals::PerCorner(normals)), Some(sides)) => {
+        (Some(Normals::PerCorner(normals)), Some(seams)) => {
             let at =
                 |p: &Place| normal(mesh, p.facet, normals.corners[p.facet as usize], &normals.values, p.barycentric);
-            carried.set_normals(Normals::PerCorner(sides.split(normals, at)))?;
+            carried.set_normals(Normals::PerCorner(seams.split(normals, at)))?;
         }
         _ => {}
     }
-    if let (Some(texture), Some(sides)) = (attributes.texture(), &sides) {
-        carried.set_texture(sides.split(texture, |p| sides.texture_at(texture, p)))?;
+    if let (Some(texture), Some(seams)) = (attributes.texture(), &seams) {
+        carried.set_texture(seams.split(texture, |p| seams.texture_at(texture, p)))?;
     }
     if let Some(Colours { values, depth }) = attributes.colours() {
         let colour = |p: &Provenance| {
