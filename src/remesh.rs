@@ -35,14 +35,14 @@ pub use report::Report;
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Seeds {
-    /// So many, drawn on the surface ∝ √w from this random seed, spread out ([`crate::mesh::sample::spread`]).
+    /// Drawn on the surface ∝ √w and spread out ([`crate::mesh::sample::spread`]).
     Sample {
         /// How many.
         points: usize,
         /// Random seed: the same number gives the same points everywhere.
         seed: u64,
     },
-    /// These, caller's coordinates.
+    /// Given, in the caller's coordinates.
     Given(Vec<DVec3>),
     /// As many as the edge lengths of the density imply, drawn as `Sample`.
     Implied {
@@ -52,10 +52,10 @@ pub enum Seeds {
 }
 
 impl Seeds {
-    /// The random seed unless somebody says otherwise.
+    /// The default random seed.
     pub const RANDOM_SEED: u64 = 0;
 
-    /// How many there are to be.
+    /// How many seeds there will be.
     pub fn count(&self) -> Count {
         match self {
             Self::Sample { points, .. } => Count::Points(*points),
@@ -69,7 +69,7 @@ impl Seeds {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Placement {
-    /// Where the facets between them are nearest to the input in the mean, a little off the surface.
+    /// To where the mean distance of the facets from the input is least, a little off the surface.
     #[default]
     Fitted,
     /// To their seeds, on the surface.
@@ -78,19 +78,17 @@ pub enum Placement {
     Centroids,
 }
 
-/// More points where the result is far from the input. The vertices of the result are to be
-/// [`Placement::Fitted`].
+/// More points where the result is far from the input. Needs [`Placement::Fitted`].
 ///
-/// Drawn seeds are drawn anew, for edges that are shorter where the last result was too far, up to five times. To given
-/// seeds some are added, up to eight times.
+/// Drawn seeds are drawn again, up to five times, with shorter edges where the last result was too far. Given seeds stay, and
+/// seeds are added to them, up to eight times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Refine {
-    /// How far the vertices of the input should be from the result at most, caller's units. Rounds end
-    /// when that is so or when there are `max_points`; the report's `refine.missed` says how
-    /// many places are farther away.
+    /// The largest distance of a vertex of the input from the result, caller's units. Rounds end when no vertex is farther
+    /// away, or when there are `max_points`. The report's `refine.missed` counts the places that are farther away.
     pub tolerance: f64,
-    /// The most seeds that there may be in all, at least as many as there are at first.
+    /// The most seeds in all: at least as many as there are at first.
     pub max_points: usize,
 }
 
@@ -108,7 +106,7 @@ impl Refine {
     }
 }
 
-/// What to do. Everything has a default but the seeds. The command and the service have the same defaults, read from here.
+/// What to do. Everything but the seeds has a default. The command and the service read their defaults here.
 ///
 /// ```
 /// use tessera::{DensityOptions, DensitySource, RemeshOptions, Seeds};
@@ -122,8 +120,7 @@ pub struct RemeshOptions {
     pub seeds: Seeds,
     /// Lloyd steps; 5 by default.
     pub lloyd: usize,
-    /// Quasi-Newton steps after them, at most; fewer where a test of convergence says so. 30 by
-    /// default.
+    /// Quasi-Newton steps after them, at most. A test of convergence may end them earlier. 30 by default.
     pub newton: usize,
     /// How long edges should be, and where.
     pub density: DensityOptions,
@@ -150,7 +147,7 @@ pub struct RemeshOptions {
 }
 
 impl RemeshOptions {
-    /// Edges bent by more than this are creases unless somebody says otherwise, degrees.
+    /// The default of [`Self::crease_angle_deg`].
     pub const CREASE_ANGLE_DEG: f64 = 30.0;
 
     /// The defaults: 5 Lloyd steps and up to 30 quasi-Newton steps of a uniform density, measured.
@@ -172,7 +169,7 @@ impl RemeshOptions {
         }
     }
 
-    /// The defaults, for who asks for them and has no seeds yet.
+    /// The defaults, for a caller that has no seeds yet.
     #[cfg(feature = "service")]
     pub(crate) fn usual() -> Self {
         Self::new(Seeds::Implied { seed: Seeds::RANDOM_SEED })
@@ -194,7 +191,7 @@ impl RemeshOptions {
         with_attributes(attributes: Attributes => Some(attributes)),
     }
 
-    /// The seeds as they are, moved by so many Lloyd steps and nothing else, not measured.
+    /// Lloyd steps and nothing else: no curves, no fit, no measurement.
     pub fn plain(seeds: Seeds, lloyd: usize) -> Self {
         Self {
             lloyd,
@@ -232,13 +229,13 @@ pub struct Remesh {
 #[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
 pub enum RemeshError {
-    /// The diagram could not be had.
+    /// The diagram could not be computed.
     #[error(transparent)]
     Rvd(#[from] RvdError),
-    /// Creases that cannot be.
+    /// The options for creases cannot be met.
     #[error(transparent)]
     Feature(FeatureError),
-    /// The wished density cannot be had.
+    /// The density cannot be met.
     #[error(transparent)]
     Density(DensityError),
     /// Every facet of the surface lies back to back with another, and so does every triangle of the dual.
@@ -276,7 +273,7 @@ pub enum RemeshError {
 }
 
 impl RemeshError {
-    /// So many seeds are too few for any surface.
+    /// Too few seeds for a surface of any topology.
     fn too_few(seeds: usize) -> Self {
         Self::TooFewSeeds { seeds, least: 3 }
     }
@@ -325,7 +322,7 @@ impl From<DensityError> for RemeshError {
     }
 }
 
-/// What the caller hears while it waits. All methods have empty defaults.
+/// Hears of the progress of a remesh. All methods have empty defaults.
 pub trait Observer: Send {
     /// A stage began: "prepare", "sample", "iterations", "dual", "repair", "attributes" (if
     /// any were given), "measure".

@@ -101,8 +101,11 @@ pub fn carry(
     Ok(carried)
 }
 
-/// Normals of vertices in one place that differ by no more than this cosine are one, up to how a file rounds them.
+/// Normals of vertices in one place with at least this cosine are equal, up to the rounding of a file.
 const SAME_NORMAL: f64 = 0.999;
+
+/// Squared length below which the direction of an interpolated normal is all rounding.
+const LEAST_SQUARED: f64 = 1e-18;
 
 /// Whether vertices in one place have different normals.
 fn has_hard_edges(mesh: &TriMesh, normals: &[DVec3]) -> bool {
@@ -125,8 +128,7 @@ fn between(values: [f64; 3], weights: [f64; 3]) -> f64 {
 fn normal(mesh: &TriMesh, facet: u32, indices: [u32; 3], normals: &[DVec3], weights: [f64; 3]) -> DVec3 {
     let [a, b, c] = indices.map(|i| normals[i as usize]);
     let sum = a * weights[0] + b * weights[1] + c * weights[2];
-    // Shorter than this, rounding decides where it points.
-    if sum.length_squared() > 1e-18 { unit(sum) } else { facet_normal(mesh.corners(facet as usize)) }
+    if sum.length_squared() > LEAST_SQUARED { unit(sum) } else { facet_normal(mesh.corners(facet as usize)) }
 }
 
 /// Of unit length; zero for a facet without area.

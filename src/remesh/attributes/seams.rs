@@ -1,4 +1,4 @@
-//! On which side of a seam each corner of the result is.
+//! Seams: on which side of a seam each corner of the result lies.
 //!
 //! Purpose: [`Seams::split`] takes values that the input's facets name corner by corner to the result's corners.
 //! How: a seam is an edge whose two facets do not have the same values at its ends. Each result facet has a home,
@@ -52,15 +52,17 @@ pub(super) struct Seams<'a> {
     homes: Vec<(u32, DVec3)>,
 }
 
-/// The walk keeps to a ball around the middle between its ends; this times as wide as it must be. Over a right-angled
-/// crease, 1 is enough.
+/// Radius of the ball that a walk keeps to, as a multiple of half the distance between its ends. Over a right-angled crease, 1 is
+/// enough.
 const REACH: f64 = 1.3;
-/// Tried where no seam was met and the end not either, as around a thin rim.
+/// The same for a second walk, if the first met neither its end nor a seam, as around a thin edge of the surface.
 const LONG_REACH: f64 = 4.0;
-/// Facets looked at in one walk before it is given up.
-const MOST_STEPS: usize = 1 << 16;
-/// An end is met if it is so near, in lengths of the way.
-const MET: f64 = 1e-6;
+/// Facets of one walk, at most.
+const MAX_FACETS: usize = 1 << 16;
+/// An end is reached within this share of the distance between the ends.
+const END_REACH: f64 = 1e-6;
+/// A texture coordinate beyond a seam is extrapolated by no more than so many times the texture's stretch at home.
+const MOST_STRETCH: f64 = 4.0;
 
 impl<'a> Seams<'a> {
     pub(super) fn new(
@@ -163,7 +165,7 @@ impl<'a> Seams<'a> {
             if length > 0.0 { longest.max((home.0[j] - home.0[i]).length() / length) } else { longest }
         });
         let area = (here[1] - here[0]).perp_dot(here[2] - here[0]).abs() / whole.sqrt();
-        let most = 4.0 * place.squared.sqrt() * longest.max(area.sqrt());
+        let most = MOST_STRETCH * place.squared.sqrt() * longest.max(area.sqrt());
         let length = shift.length();
         if length > most {
             shift *= most / length;
@@ -293,7 +295,7 @@ impl Walk {
         let middle = way.start * 0.5 + way.to * 0.5;
         let off = way.goal_squared.sqrt();
         let ball = (0.5 * reach * length + off).powi(2);
-        let met = (off + MET * length).powi(2);
+        let met = (off + END_REACH * length).powi(2);
         self.seen.clear();
         self.next.clear();
         self.seen.insert(way.home);
@@ -303,7 +305,7 @@ impl Walk {
         self.next.push(Reverse((first.0.to_bits(), way.home)));
         while let Some(Reverse((bits, facet))) = self.next.pop() {
             let squared = f64::from_bits(bits);
-            if found.met && squared > met || self.seen.len() > MOST_STEPS {
+            if found.met && squared > met || self.seen.len() > MAX_FACETS {
                 break;
             }
             if squared < found.squared || facet == way.goal {

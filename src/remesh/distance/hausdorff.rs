@@ -17,6 +17,8 @@ use crate::token::Token;
 const MISSED_SHARES: [f64; 2] = [0.25, 0.17];
 /// Vertices or facets per parallel task, at least.
 const ITEMS_PER_TASK: usize = 256;
+/// A sample covers the surface around it within so many square roots of its area.
+const SAMPLE_REACH: f64 = 2.0;
 /// Work of one vertex, as the token counts it.
 const WORK_PER_VERTEX: usize = 64;
 
@@ -123,6 +125,6 @@ fn distance<const N: usize>(p: DVec3, samples: [&[SurfaceSample]; N]) -> f64 {
     nearest.map_or(0.0, |s| {
         let (height, reach) = (s.normal.dot(p - s.position).abs(), s.area.sqrt());
         let tangential = (least - height * height).max(0.0).sqrt();
-        height.max(tangential - 2.0 * reach)
+        height.max(tangential - SAMPLE_REACH * reach)
     })
 }

@@ -1,9 +1,9 @@
 //! The curves that a remesh keeps.
 //!
-//! Purpose: finds creases and boundaries at the scale of the result, places their seeds, and says
-//! afterwards whether the result has them.
-//! Invariant: where the curves would take too many of the seeds, creases go first and boundaries
-//! last, and the report says so. Must not know: backends, iterations.
+//! Purpose: [`KeptCurves`] finds creases and boundaries at the scale of the result, places their seeds, and finds their edges in
+//! the result.
+//! Invariant: if the curves would take too many of the seeds, creases are dropped first and boundaries last, and both are
+//! counted. Must not know: backends, iterations.
 
 use std::collections::{HashMap, HashSet};
 
@@ -23,42 +23,44 @@ use crate::remesh::{RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{Frame, Surface};
 use crate::token::{Stopped, Token};
 
-/// A crease by angle that ends freely within so many edge lengths is noise of a scan, or a fold that fades out.
-const SHORTEST: f64 = 8.0;
-/// Bends of a curve are measured over so many edge lengths.
-const REACH: f64 = 1.0;
-/// Ridges that are bent less than creases are curves if nothing beside them is bent within so many edge lengths.
-const ALONE: f64 = 2.5;
-/// Corners that a boundary of so many edge lengths joins are one, if that cuts little off: with both, a triangle between them would
-/// have an angle of as many radians, about.
-const NEAR: f64 = 0.4;
-/// Edges of boundaries and of creases may leave these by these shares of the edge length,
-const RIM_LIMIT: f64 = 0.08;
+/// Length of the shortest crease with a free end, edge lengths. Shorter ones are noise of a scan, or folds that fade out.
+const SHORTEST_CREASE: f64 = 8.0;
+/// Length over which bends of a curve are measured, edge lengths.
+const BEND_REACH: f64 = 1.0;
+/// A ridge that is bent less than a crease is a curve if nothing within this distance of it is bent, edge lengths.
+const SMOOTH_REACH: f64 = 2.5;
+/// Corners joined by less boundary than this are one if little is cut off, edge lengths. With both, a triangle between them
+/// would have an angle of about as many radians.
+const JOINED_CORNERS: f64 = 0.4;
+/// Distance from its boundary that an edge may have, as a share of the edge length;
+const BOUNDARY_LIMIT: f64 = 0.08;
+/// that from its crease;
 const CREASE_LIMIT: f64 = 0.06;
-/// and where two leave a corner at an acute angle, between which no facet could have a good one, by this share.
+/// and that of an edge at a corner that two curves leave at an acute angle: no facet between them has a good angle anyway.
 const ACUTE_LIMIT: f64 = 0.3;
-/// Curves get at most this share of the seeds, or all of them where there are boundaries alone: a strip that is narrower
-/// than an edge has no others, and would lose its width without them.
+/// Share of the seeds that curves may take if there are creases. Boundaries alone may take all: a strip that is narrower than an
+/// edge has no other seeds.
 const LARGEST_SHARE: f64 = 0.6;
 
-/// Curves that would need so many times the seeds are given up before any is placed.
+/// Curves that need more than so many times the seeds plus [`SPARE_SEEDS`] are dropped before any seed is placed.
 const MOST_SEEDS: usize = 16;
+const SPARE_SEEDS: usize = 1000;
 
-/// The cells of a curve's seeds reach this share of their spacing to either side, about: what lies beyond is the others'. With
-/// more, seeds would be too few between two curves that are close, and no step takes a seed across a curve.
-const OWN: f64 = 0.5;
-/// A fiftieth more points are drawn than there are to be, since some are too near to a curve.
+/// Other seeds are drawn at this distance from a curve's seeds, as a share of their spacing: about where the cells of the curve
+/// end. With more, too few seeds would lie between two close curves, and no step takes a seed across a curve.
+const CLEARANCE: f64 = 0.5;
+/// One in so many points is drawn in addition, since some are too near to a curve.
 const SPARE: usize = 50;
-/// If less than this share of them is clear of the curves, the others take some that are not.
+/// The share of points that is taken to be clear of the curves, at least.
 const LEAST_CLEAR: f64 = 0.2;
 
-/// So many of some points in an order, at most all of them, none far from where those that are left out are.
+/// `count` of some points in an order, evenly spaced in it; all if there are fewer.
 fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
     let count = count.min(points.len());
     (0..count).map(move |k| points[(k as u64 * points.len() as u64 / count as u64) as usize])
 }
 
-/// Edges of a mesh as those of another one, which has the same vertices first and some edges in halves.
+/// The edges of a mesh that make up `edges` of the mesh it was subdivided from. The vertices of that mesh come first.
 fn subdivided(mesh: &TriMesh, edges: &[[u32; 2]], token: &Token) -> Result<Vec<[u32; 2]>, Stopped> {
     if edges.is_empty() {
         return Ok(Vec::new());
@@ -90,7 +92,7 @@ fn subdivided(mesh: &TriMesh, edges: &[[u32; 2]], token: &Token) -> Result<Vec<[
 pub(in crate::remesh) struct KeptCurves {
     features: Features,
     pub(in crate::remesh) seeds: CurveSeeds,
-    /// Creases that there was no room for.
+    /// Curves that were dropped.
     given_up: usize,
 }
 
@@ -108,34 +110,34 @@ impl KeptCurves {
             return Ok(Self::default());
         }
         let points = plan.points;
-        // The shortest edges, those where the weight is 1; what is short depends on the edges that are to be in its place.
+        // The shortest target edge, where the weight is 1.
         let scale = edge_length(surface, &Features::default(), points, token)?;
         let fineness = match surface.is_uniform() {
             true => Vec::new(),
             false => surface.weights().iter().map(|w| w.powf(0.25)).collect(),
         };
-        // Who asks for a larger angle wants fewer creases.
-        let softer = options.crease_angle_deg <= RemeshOptions::CREASE_ANGLE_DEG;
-        let mut wish = FeatureOptions {
+        // A larger angle asks for fewer creases, so weaker ones are not sought.
+        let weaker = options.crease_angle_deg <= RemeshOptions::CREASE_ANGLE_DEG;
+        let mut criteria = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
             given: subdivided(&plan.mesh, &options.creases, token)?,
-            shortest: SHORTEST * scale,
-            reach: REACH * scale,
-            alone: if softer { ALONE * scale } else { 0.0 },
-            near: NEAR * scale,
+            shortest: SHORTEST_CREASE * scale,
+            reach: BEND_REACH * scale,
+            alone: if weaker { SMOOTH_REACH * scale } else { 0.0 },
+            near: JOINED_CORNERS * scale,
             fineness,
         };
         let mut given_up = 0;
         loop {
-            let mut features = Features::find(&plan.mesh, surface.positions(), &wish, token)?;
+            let mut features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
             if !options.keep_boundaries {
                 features.retain(|_, c| c.kind != CurveKind::Boundary);
             }
             let edge = edge_length(surface, &features, points, token)?;
             let creases = |features: &Features| features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
             let share = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
-            // What is given up as crowded makes room, but not as much as that.
-            let most = points.saturating_mul(MOST_SEEDS).saturating_add(1000);
+            // Crowded curves are dropped next, but do not make room for more than this.
+            let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
             let mut placed = CurveSeeds::place(surface, &features, edge, most, token)?;
             while let Some(seeds) = &placed {
                 let crowded = seeds.crowded(&features, token)?;
@@ -154,16 +156,16 @@ impl KeptCurves {
                 }
             }
             let creases = creases(&features);
-            if wish.alone > 0.0 {
-                wish.alone = 0.0;
+            if criteria.alone > 0.0 {
+                criteria.alone = 0.0;
                 continue;
             }
             given_up += creases;
             if creases == 0 {
                 return Ok(Self { given_up: given_up + features.curves.len(), ..Self::default() });
             }
-            wish.crease_angle_deg = 0.0;
-            wish.given.clear();
+            criteria.crease_angle_deg = 0.0;
+            criteria.given.clear();
         }
     }
 
@@ -173,9 +175,9 @@ impl KeptCurves {
         let frame = surface.frame();
         let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
         let others = points - all.len();
-        let clearance = self.seeds.clearance(OWN);
+        let clearance = self.seeds.clearance(CLEARANCE);
         let clear = |p: &DVec3| clearance.holds(frame.to_unit(*p));
-        // Seeds do not cross curves: what one side has too many it keeps.
+        // Seeds do not cross curves, so each region gets its own share.
         let regions = self.regions(mesh);
         let draw = |count: usize| -> (Vec<DVec3>, Vec<DVec3>) {
             let drawn = spread(mesh, plan.weights.as_deref(), Some(&regions), count, seed);
@@ -186,14 +188,14 @@ impl KeptCurves {
             let share = (kept.len() as f64 / (others + others / SPARE) as f64).max(LEAST_CLEAR);
             (kept, rest) = draw((others as f64 / share) as usize + others / SPARE + 1);
         }
-        // Curves cover a small part of most surfaces; on one that they cover all of, seeds begin where they can.
+        // If curves cover nearly all of the surface, seeds begin near them.
         let lacking = others.saturating_sub(kept.len());
         all.extend(evenly(&rest, lacking));
         all.extend(evenly(&kept, others - lacking));
         all
     }
 
-    /// For each facet of `mesh` the number of its region: facets that an edge of no curve joins are in one.
+    /// For each facet of `mesh` the number of its region: regions are separated by curves.
     fn regions(&self, mesh: &TriMesh) -> Vec<u32> {
         let class = weld(mesh);
         let welded = |t: &[u32; 3]| t.map(|v| class[v as usize]);
@@ -277,7 +279,7 @@ impl KeptCurves {
             let limit = segment.edge
                 * match self.features.curves[segment.curve as usize].kind {
                     _ if segment.ends.iter().any(|&e| beside_acute[e as usize]) => ACUTE_LIMIT,
-                    CurveKind::Boundary => RIM_LIMIT,
+                    CurveKind::Boundary => BOUNDARY_LIMIT,
                     CurveKind::Crease => CREASE_LIMIT,
                 };
             segment.between.map(|position| CurveSample { position, edge, area, limit })

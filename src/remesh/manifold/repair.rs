@@ -1,11 +1,10 @@
 //! From the dual's triangles to an oriented 2-manifold, with or without boundary.
 //!
-//! Purpose: whatever the dual is, the result has no degenerate or duplicate facet, no edge with
-//! more than two facets or two that disagree on its direction, no vertex with more than one fan.
-//! The order is: degenerate and duplicate facets go, and pairs of facets back to back; edges along which two sheets touch
-//! are made two; then, where facets quarrel over a directed edge, the better shaped one stays; then vertices with several
-//! fans are split, one copy a fan; vertices without a facet go.
-//! Invariant: deterministic; a dual that is a manifold already comes out as it went in.
+//! Purpose: [`repair`] removes degenerate and duplicate facets, and pairs of facets back to back. It doubles edges along which
+//! two sheets touch. Where facets share a directed edge, it keeps the better shaped one. It splits vertices with several fans,
+//! one copy a fan, and removes vertices without a facet.
+//! Invariant: whatever the dual is, no edge of the result has more than two facets or two of one direction, and no vertex more
+//! than one fan. A dual that is a manifold comes out as it went in. The same bits whatever the number of threads.
 //! Must not know: where the triangles came from.
 
 use std::collections::{BTreeMap, HashSet};
@@ -20,17 +19,21 @@ use crate::remesh::report::RepairFigures;
 use crate::remesh::triangle::unit_normal;
 use crate::token::{Stopped, Token};
 
+/// Share of the way to the centroids of its facets by which a copy of a split vertex moves.
+const STEP_BACK: f64 = 1.0 / 16.0;
+/// Share of its shortest edge by which a vertex moves along its normal to leave another one.
+const SIDE_STEP: f64 = 1e-3;
+
 /// A repaired triangulation.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Repaired {
     /// For each result vertex, the input vertex it stands for (several for a split vertex, and for one that was put into an
     /// edge along which two sheets touched).
     pub source: Vec<u32>,
-    /// Where each result vertex goes: where its source is, except that no two are in one place, so
-    /// that nobody who welds equal positions joins them. All fans of a split vertex but the largest
-    /// step back a sixteenth of the way to their own facets' middle; vertices that still coincide,
-    /// on the two sides of a surface without thickness, move a thousandth of an edge along their
-    /// normals.
+    /// The position of each result vertex: that of its source, except that no two coincide, so that welding equal positions
+    /// joins none. Copies of a split vertex except that with the largest fan move towards the centroids of their facets
+    /// ([`STEP_BACK`]). Vertices that still coincide, on the two sides of a surface without thickness, move along their normals
+    /// ([`SIDE_STEP`]).
     pub positions: Vec<DVec3>,
     /// Facets over the result's vertices.
     pub facets: Vec<[u32; 3]>,
@@ -47,16 +50,16 @@ pub(crate) fn repair(positions: &[DVec3], triangles: &[[u32; 3]], token: &Token)
     let mut facets = simple_facets(triangles, &mut figures);
     let mut places = positions.to_vec();
     let mut source: Vec<u32> = (0..positions.len() as u32).collect();
-    let mut quarrels = quarrelling(places.len(), &facets);
-    for _ in 0..PARTINGS {
-        if quarrels.is_empty() || !part_sheets(&mut places, &mut source, &mut facets) {
+    let mut conflicts = conflicting(places.len(), &facets);
+    for _ in 0..MAX_ROUNDS {
+        if conflicts.is_empty() || !part_sheets(&mut places, &mut source, &mut facets) {
             break;
         }
         token.check()?;
-        quarrels = quarrelling(places.len(), &facets);
+        conflicts = conflicting(places.len(), &facets);
     }
     token.check()?;
-    let facets = oriented(&places, facets, quarrels, &mut figures);
+    let facets = oriented(&places, facets, conflicts, &mut figures);
     token.check()?;
     Ok(split_fans(&places, &source, facets, figures))
 }
@@ -66,8 +69,8 @@ pub(in crate::remesh) fn all_cancel(triangles: &[[u32; 3]]) -> bool {
     simple_facets(triangles, &mut RepairFigures::default()).is_empty()
 }
 
-/// Times that edges are made two, at most: a facet may have three of them, and its parts the others' ends.
-const PARTINGS: usize = 4;
+/// Rounds that double edges, at most: a facet may have three such edges, and its parts may have new ones.
+const MAX_ROUNDS: usize = 4;
 
 /// Where an edge has two facets of either direction, two sheets touch along it: on a surface without thickness cells reach
 /// through to its other side. Of the sheet whose facets have later numbers the edge gets a new vertex in its middle, so
@@ -152,18 +155,18 @@ fn half_edges(t: [u32; 3]) -> [(u32, u32); 3] {
 }
 
 /// Facets that have a directed edge in common with another, ascending.
-fn quarrelling(vertices: usize, facets: &[[u32; 3]]) -> Vec<usize> {
-    let mut quarrels = vec![false; facets.len()];
+fn conflicting(vertices: usize, facets: &[[u32; 3]]) -> Vec<usize> {
+    let mut conflicts = vec![false; facets.len()];
     EdgeGroups::new(vertices, facets.iter().copied().enumerate()).for_each(|low, halves| {
         let forward = |half: &Half| facets[half.facet as usize][half.side] == low;
         for way in [true, false] {
             let same = || halves.iter().filter(|half| forward(half) == way);
             if same().count() > 1 {
-                same().for_each(|half| quarrels[half.facet as usize] = true);
+                same().for_each(|half| conflicts[half.facet as usize] = true);
             }
         }
     });
-    (0..facets.len()).filter(|&f| quarrels[f]).collect()
+    (0..facets.len()).filter(|&f| conflicts[f]).collect()
 }
 
 /// Keeps facets so that every directed edge is used once. Those that share none of theirs stay; the `disputed` ones
@@ -250,7 +253,7 @@ fn step_back(placed: &mut [DVec3], source: &[u32], facets: &[[u32; 3]]) {
         let largest = range.clone().max_by_key(|&v| (middle[v].1, std::cmp::Reverse(v)));
         for v in range.filter(|&v| Some(v) != largest) {
             let (sum, count) = middle[v];
-            placed[v] = placed[v].lerp(sum / f64::from(count), 1.0 / 16.0);
+            placed[v] = placed[v].lerp(sum / f64::from(count), STEP_BACK);
         }
     }
 }
@@ -274,7 +277,7 @@ fn part_sides(placed: &mut [DVec3], facets: &[[u32; 3]]) {
         }
     }
     for (v, (sum, edge)) in normal {
-        placed[v] += 1e-3 * edge * sum.normalize_or_zero();
+        placed[v] += SIDE_STEP * edge * sum.normalize_or_zero();
     }
 }
 

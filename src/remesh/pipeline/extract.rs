@@ -31,6 +31,9 @@ use crate::remesh::{Placement, RemeshError};
 use crate::rvd::{Surface, dual};
 use crate::token::Token;
 
+/// Share of the tolerance by which a vertex may leave its curve: the chords between such vertices are off as well.
+const OFF_CURVE_SHARE: f64 = 0.5;
+
 /// What a result is made from.
 pub(super) struct Extraction<'a> {
     pub(super) mesh: &'a TriMesh,
@@ -209,8 +212,7 @@ impl Extraction<'_> {
 
     fn improve_angles(&self, positions: &mut [DVec3], draft: &mut Draft, target: &Target, envelope: &CurveEnvelope) {
         let (mobility, curves) = (mobility(positions, &draft.curve_edges, &target.fixed), draft.curves());
-        // Half of the tolerance: chords between such vertices are off too.
-        let off_curve = self.tolerance.map_or(f64::INFINITY, |tolerance| 0.5 * tolerance);
+        let off_curve = self.tolerance.map_or(f64::INFINITY, |tolerance| OFF_CURVE_SHARE * tolerance);
         let bounds = MotionBounds { mobility: &mobility, envelope, off_curve };
         improve_angles(positions, &mut draft.facets, bounds, &curves, self.token);
     }

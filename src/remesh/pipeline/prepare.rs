@@ -14,6 +14,13 @@ use crate::remesh::{RemeshError, RemeshOptions, Seeds};
 use crate::rvd::Surface;
 use crate::token::Token;
 
+/// Distance between components: so many edge lengths,
+const SEPARATION_EDGES: f64 = 2.0;
+/// plus this share of the diagonal.
+const SEPARATION_DIAGONAL: f64 = 0.02;
+/// Points that a component needs: a tetrahedron has four vertices.
+const POINTS_PER_COMPONENT: usize = 4;
+
 /// See the module's head.
 pub(super) struct Prepared<'a> {
     pub(super) plan: Plan<'a>,
@@ -55,6 +62,6 @@ pub(super) fn separation(mesh: &TriMesh, components: usize, options: &RemeshOpti
         }
         (_, density) => density.edge_length?,
     };
-    // A tetrahedron has four vertices.
-    (edge <= uniform(4 * components)).then(|| 2.0 * edge + 0.02 * (high - low).length())
+    let gap = SEPARATION_EDGES * edge + SEPARATION_DIAGONAL * (high - low).length();
+    (edge <= uniform(POINTS_PER_COMPONENT * components)).then_some(gap)
 }
