@@ -13,6 +13,7 @@ pub mod attributes;
 pub(crate) mod boxes;
 pub mod closest_point;
 pub(crate) mod coincident;
+pub(crate) mod csr;
 pub(crate) mod curve;
 pub(crate) mod disjoint;
 pub(crate) mod edges;

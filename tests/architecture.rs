@@ -155,10 +155,6 @@ const CIRCLES: &[(&str, &str, &str)] = &[
     ("mesh/io/obj", "mesh/io/attributed", "what a format holds is declared beside the choice of a format"),
     ("mesh/io/off", "mesh/io/attributed", "as obj"),
     ("mesh/io/ply", "mesh/io/attributed", "as obj"),
-    ("remesh/fences", "remesh/fit", "samples of curves are declared at the fit, which asks the fences"),
-    ("remesh/fences", "remesh/polish", "a facet's score is declared at the polish, which asks the fences"),
-    ("remesh/flips", "remesh/fit", "what counts as a tip is declared at the fit, which calls the flips"),
-    ("remesh/flips", "remesh/polish", "a facet's score is declared at the polish, which calls the flips"),
 ];
 
 /// The rules, apart from the tables, so that the checks can be tried on a house of straw.

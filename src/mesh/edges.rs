@@ -11,6 +11,11 @@ use super::MAX_ELEMENTS;
 /// Vertices that are one task.
 const RUN: usize = 2048;
 
+/// The ends of an edge, the lower one first: the same for both of its directions.
+pub(crate) fn undirected([a, b]: [u32; 2]) -> [u32; 2] {
+    [a.min(b), a.max(b)]
+}
+
 /// All half-edges of some facets. One is a number: the edge's higher vertex in 31 bits, the facet in 31, the side in 2.
 pub(crate) struct EdgeGroups {
     /// For each vertex the first half-edge of which it is the lower end; and the total.

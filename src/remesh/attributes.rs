@@ -7,7 +7,7 @@
 //! result depends on the meshes alone, not on threads.
 //! Must not know: how the result came about, files, messages.
 
-mod sides;
+mod seams;
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -17,7 +17,7 @@ use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerC
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::coincident;
 use crate::token::{Stopped, Token};
-use sides::{Place, Sides};
+use seams::{Place, Seams};
 
 /// Where on the input surface a vertex of the result lies.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,22 +69,22 @@ pub fn carry(
         _ => None,
     };
     let normals = split.as_ref().or(attributes.normals());
-    let needs_sides = matches!(normals, Some(Normals::PerCorner(_))) || attributes.texture().is_some();
-    let sides = needs_sides.then(|| Sides::new(mesh, closest, result, provenance));
-    match (normals, &sides) {
+    let needs_seams = matches!(normals, Some(Normals::PerCorner(_))) || attributes.texture().is_some();
+    let seams = needs_seams.then(|| Seams::new(mesh, closest, result, provenance));
+    match (normals, &seams) {
         (Some(Normals::PerVertex(normals)), _) => {
             let at = |p: &Provenance| normal(mesh, p.facet, facets[p.facet as usize], normals, p.barycentric);
             carried.set_normals(Normals::PerVertex(provenance.par_iter().map(at).collect()))?;
         }
-        (Some(Normals::PerCorner(normals)), Some(sides)) => {
+        (Some(Normals::PerCorner(normals)), Some(seams)) => {
             let at =
                 |p: &Place| normal(mesh, p.facet, normals.corners[p.facet as usize], &normals.values, p.barycentric);
-            carried.set_normals(Normals::PerCorner(sides.split(normals, at)))?;
+            carried.set_normals(Normals::PerCorner(seams.split(normals, at)))?;
         }
         _ => {}
     }
-    if let (Some(texture), Some(sides)) = (attributes.texture(), &sides) {
-        carried.set_texture(sides.split(texture, |p| sides.texture_at(texture, p)))?;
+    if let (Some(texture), Some(seams)) = (attributes.texture(), &seams) {
+        carried.set_texture(seams.split(texture, |p| seams.texture_at(texture, p)))?;
     }
     if let Some(Colours { values, depth }) = attributes.colours() {
         let colour = |p: &Provenance| {
@@ -101,8 +101,11 @@ pub fn carry(
     Ok(carried)
 }
 
-/// Normals of vertices in one place that differ by no more than this cosine are one, up to how a file rounds them.
+/// Normals of vertices in one place with at least this cosine are equal, up to the rounding of a file.
 const SAME_NORMAL: f64 = 0.999;
+
+/// Squared length below which the direction of an interpolated normal is all rounding.
+const LEAST_SQUARED: f64 = 1e-18;
 
 /// Whether vertices in one place have different normals.
 fn has_hard_edges(mesh: &TriMesh, normals: &[DVec3]) -> bool {
@@ -125,8 +128,7 @@ fn between(values: [f64; 3], weights: [f64; 3]) -> f64 {
 fn normal(mesh: &TriMesh, facet: u32, indices: [u32; 3], normals: &[DVec3], weights: [f64; 3]) -> DVec3 {
     let [a, b, c] = indices.map(|i| normals[i as usize]);
     let sum = a * weights[0] + b * weights[1] + c * weights[2];
-    // Shorter than this, rounding decides where it points.
-    if sum.length_squared() > 1e-18 { unit(sum) } else { facet_normal(mesh.corners(facet as usize)) }
+    if sum.length_squared() > LEAST_SQUARED { unit(sum) } else { facet_normal(mesh.corners(facet as usize)) }
 }
 
 /// Of unit length; zero for a facet without area.

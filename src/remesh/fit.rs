@@ -1,116 +1,90 @@
-//! Vertices where the surface through them is nearest to the input.
+//! Fit of the result to the input.
 //!
-//! Purpose: a triangulation whose vertices lie on a curved surface lies on one side of it, off by a
-//! share of κh² everywhere. This moves the vertices so that the mean square distance from the input to the
-//! facets is least, tangent plane by tangent plane ([`equations`]): along the normals where the surface is smooth, and
-//! towards a ridge where samples of its two sides ask for it. Tips that still stick out pull the
-//! nearest vertex to them.
-//! Invariant: no facet turns over and none becomes a sliver ([`restrain`]); fixed vertices stay; deterministic.
+//! Purpose: a triangulation whose vertices lie on a curved surface lies on one side of it, off by a share of κh² everywhere.
+//! [`fit`] moves the vertices so that the mean square distance from the input to the facets is least, tangent plane by
+//! tangent plane ([`normal_equations`]): along the normals where the surface is smooth, and towards a ridge where samples of
+//! its two sides ask for it. Vertices of the input that still stick out pull the nearest vertex to them.
+//! Invariant: no facet turns over and none becomes a sliver ([`backtracking`]); fixed vertices stay. The same bits whatever the
+//! number of threads.
 //! Must not know: seeds, diagrams, files.
 
-mod equations;
-mod far;
+mod backtracking;
+mod normal_equations;
 mod region;
-mod restrain;
 
 use std::collections::HashSet;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::around::Around;
-use super::flips;
-use super::grouped::Grouped;
-use super::tips::{Offset, Offsets, Tip};
+use crate::mesh::csr::Csr;
+use crate::mesh::edges::undirected;
+use crate::remesh::distance::deviation::{Deviation, InputDeviation, STICKS_OUT};
+use crate::remesh::distance::reference::InputSamples;
+use crate::remesh::features::envelope::CurveSample;
+use crate::remesh::improve::flips::flip_along_ridges;
 use crate::token::Token;
-use equations::Equations;
-pub(super) use far::{Far, missed};
+use backtracking::{FacetShape, backtrack};
+use normal_equations::NormalEquations;
 use region::Region;
-use restrain::{Facet, restrain};
-
-/// A point of the input with its share of the area.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Sample {
-    /// Where it is.
-    pub(super) position: DVec3,
-    /// Unit normal of the input there.
-    pub(super) normal: DVec3,
-    /// Area it stands for.
-    pub(super) area: f64,
-}
-
-/// A point of an input curve.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct CurveSample {
-    /// Where it is.
-    pub(super) position: DVec3,
-    /// The result's edge for its stretch of the curve.
-    pub(super) edge: [u32; 2],
-    /// Area it stands for: its share of the curve's length times the length of the edge.
-    pub(super) area: f64,
-    /// How far the edge may be from the curve.
-    pub(super) limit: f64,
-}
 
 /// What there is to fit to.
 #[derive(Debug)]
 pub(super) struct Target {
-    /// By result vertex; the nearest facet is one of those around it.
-    pub(super) samples: Grouped<Sample>,
+    /// By result vertex: the nearest facet is in its one-ring.
+    pub(super) input: InputSamples,
     pub(super) curves: Vec<CurveSample>,
-    pub(super) tips: Grouped<Tip>,
     /// Vertices that stay.
     pub(super) fixed: Vec<bool>,
 }
 
-/// Times that nearest points are found anew,
+/// Rounds of the whole fit: each finds the nearest points anew.
 const ROUNDS: usize = 2;
-/// and after these around tips alone, which then pull.
-const TIP_ROUNDS: usize = 6;
-/// Tips that stick out at least this share as far as the worst one pull next.
-const FARTHEST: f64 = 0.6;
-/// A tip sticks out if it is farther from the facets than this share of an edge,
-pub(super) const TIP: f64 = 0.08;
-/// and pulls a vertex that is not farther away than this share of it.
-const TIP_REACH: f64 = 0.75;
+/// Rounds after these, around vertices of the input that stick out.
+const PULL_ROUNDS: usize = 6;
+/// In one round those pull that stick out at least this share as far as the worst one.
+const PULL_SHARE: f64 = 0.6;
+/// A vertex of the input pulls a vertex of the result that is nearer than this share of the mean edge.
+const PULL_REACH: f64 = 0.75;
 
-/// Moves `positions`, and turns edges that lie across a ridge. Ends early where `token` is stopped.
+/// Moves `positions`, and flips edges that lie across a ridge. Ends early where `token` is stopped.
 pub(super) fn fit(positions: &mut [DVec3], facets: &mut [[u32; 3]], target: &Target, token: &Token) {
-    let mut around = Around::new(positions.len(), facets);
-    let first: Vec<Facet> = facets.par_iter().map(|&t| Facet::of(positions, t)).collect();
-    let mut state = State { start: positions.to_vec(), first, pulls: Vec::new() };
+    let mut rings = Csr::one_rings(positions.len(), facets);
+    let shapes: Vec<FacetShape> = facets.par_iter().map(|&t| FacetShape::of(positions, t)).collect();
+    let mut state = State { start: positions.to_vec(), shapes, pulls: Vec::new() };
     let everywhere = Region::everywhere(positions.len(), facets.len());
     for _ in 0..ROUNDS {
-        state.round(positions, facets, &around, (target, &everywhere), token);
+        state.round(positions, facets, &rings, (target, &everywhere), token);
     }
-    let mut offsets = Offsets::new(positions, facets, &around, &target.tips, token);
-    let curves: HashSet<[u32; 2]> = target.curves.iter().map(|s| flips::sorted(s.edge)).collect();
-    for _ in 0..TIP_ROUNDS {
+    let mut deviations = InputDeviation::new(positions, facets, &rings, &target.input.vertices, token);
+    let curves: HashSet<[u32; 2]> = target.curves.iter().map(|s| undirected(s.edge)).collect();
+    for _ in 0..PULL_ROUNDS {
         if token.is_stopped() {
             return;
         }
-        let flipped = flips::along_ridges(positions, facets, &around, &offsets, &curves, token);
+        let flipped = flip_along_ridges(positions, facets, &rings, &deviations, &curves, token);
         if !flipped.is_empty() {
-            around = Around::new(positions.len(), facets);
-            flipped.iter().for_each(|&f| state.first[f as usize] = Facet::of(positions, facets[f as usize]));
+            rings = Csr::one_rings(positions.len(), facets);
+            flipped.iter().for_each(|&f| state.shapes[f as usize] = FacetShape::of(positions, facets[f as usize]));
         }
-        state.find_pulls(positions, facets, &around, target, &offsets);
+        state.find_pulls(positions, facets, &rings, target, &deviations);
         let mut front: Vec<u32> = flipped.iter().flat_map(|&f| facets[f as usize]).collect();
         front.extend(state.pulls.iter().map(|p| p.0));
         if front.is_empty() {
             break;
         }
-        let region = Region::around_of(front, positions.len(), facets, &around);
-        state.round(positions, facets, &around, (target, &region), token);
-        offsets.look(positions, facets, &around, |v| region.reaches(v), token);
+        let region = Region::around_of(front, positions.len(), facets, &rings);
+        state.round(positions, facets, &rings, (target, &region), token);
+        deviations.update(positions, facets, &rings, |v| region.reaches(v), token);
     }
 }
 
 /// What the rounds share.
 struct State {
     start: Vec<DVec3>,
-    first: Vec<Facet>,
-    /// Vertices that tips pull, and where to.
+    /// Of the facets at the beginning, or after their last flip.
+    shapes: Vec<FacetShape>,
+    /// Vertices that are pulled, and where to.
     pulls: Vec<(u32, DVec3)>,
 }
 
@@ -120,60 +94,61 @@ impl State {
         &self,
         positions: &mut [DVec3],
         facets: &[[u32; 3]],
-        around: &Around,
+        rings: &Csr<u32>,
         (target, region): (&Target, &Region),
         token: &Token,
     ) {
-        let draft = Draft { positions, facets, around };
-        let mut moves = Equations::new(&draft, target, region, (&self.start, &self.pulls), token).solve(token);
+        let mesh = Triangulation { positions, facets, rings };
+        let equations = NormalEquations::new(&mesh, target, region, (&self.start, &self.pulls), token);
+        let mut moves = equations.solve(token);
         if token.is_stopped() {
             return;
         }
-        restrain(&draft, &self.first, region, &mut moves);
+        backtrack(&mesh, &self.shapes, region, &mut moves);
         region.inside().for_each(|v| positions[v as usize] += moves[v as usize]);
     }
 
-    /// More vertices that tips pull: those that stick out most first, none beside another.
+    /// Adds pulls: of the vertices that stick out most, none beside another.
     fn find_pulls(
         &mut self,
         positions: &[DVec3],
         facets: &[[u32; 3]],
-        around: &Around,
+        rings: &Csr<u32>,
         target: &Target,
-        offsets: &Offsets<'_>,
+        deviations: &InputDeviation<'_>,
     ) {
-        let reaches = |k: usize, o: &Offset| {
-            let edge = o.distance / o.share;
-            positions[o.corner as usize].distance(offsets.place(k)) < TIP_REACH * edge
+        let reaches = |k: usize, d: &Deviation| {
+            let edge = d.distance / d.relative;
+            positions[d.corner as usize].distance(deviations.position(k)) < PULL_REACH * edge
         };
-        let out: Vec<(usize, Offset)> = offsets
-            .far(|o| o.share > TIP && !target.fixed[o.corner as usize])
+        let sticking_out: Vec<(usize, Deviation)> = deviations
+            .largest_first(|d| d.relative > STICKS_OUT && !target.fixed[d.corner as usize])
             .into_iter()
-            .filter(|(k, o)| reaches(*k, o))
+            .filter(|(k, d)| reaches(*k, d))
             .collect();
-        let enough = FARTHEST * out.first().map_or(0.0, |o| o.1.share);
+        let enough = PULL_SHARE * sticking_out.first().map_or(0.0, |d| d.1.relative);
         let mut taken = vec![false; positions.len()];
         let take = |v: u32, taken: &mut Vec<bool>| {
-            around.of(v).iter().flat_map(|&f| facets[f as usize]).for_each(|u| taken[u as usize] = true);
+            rings.of(v).iter().flat_map(|&f| facets[f as usize]).for_each(|u| taken[u as usize] = true);
         };
         self.pulls.iter().for_each(|&(v, _)| take(v, &mut taken));
-        for (k, o) in out.into_iter().take_while(|o| o.1.share >= enough) {
-            if !taken[o.corner as usize] {
-                take(o.corner, &mut taken);
-                self.pulls.push((o.corner, offsets.place(k)));
+        for (k, d) in sticking_out.into_iter().take_while(|d| d.1.relative >= enough) {
+            if !taken[d.corner as usize] {
+                take(d.corner, &mut taken);
+                self.pulls.push((d.corner, deviations.position(k)));
             }
         }
     }
 }
 
 /// The triangulation as it is.
-struct Draft<'a> {
+struct Triangulation<'a> {
     positions: &'a [DVec3],
     facets: &'a [[u32; 3]],
-    around: &'a Around,
+    rings: &'a Csr<u32>,
 }
 
-impl Draft<'_> {
+impl Triangulation<'_> {
     fn corners(&self, f: u32) -> [DVec3; 3] {
         self.facets[f as usize].map(|v| self.positions[v as usize])
     }

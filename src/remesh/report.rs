@@ -111,7 +111,7 @@ pub struct RefineFigures {
     pub evaluations: usize,
     /// Places that the result is still far from.
     pub missed: usize,
-    /// Rounds in which seeds were drawn anew for shorter edges, where the surface was too thin for its cells.
+    /// Rounds that drew seeds again with shorter edges, where the surface was too thin for its cells.
     pub thin_rounds: usize,
     /// Cells for which it still is.
     pub thin_cells: usize,
@@ -163,7 +163,7 @@ pub struct RvdFigures {
     pub empty_cells: usize,
     /// Seeds that lay exactly on an earlier one, in the pass that had most of them. Their cells are empty.
     pub duplicate_seeds: usize,
-    /// Seeds placed anew because their cell was empty, all passes.
+    /// Seeds placed again because their cell was empty, all passes.
     pub reseeded_cells: usize,
 }
 

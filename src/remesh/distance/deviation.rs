@@ -1,0 +1,149 @@
+//! The deviation of the input's vertices from the result.
+//!
+//! Purpose: [`InputDeviation`] knows for each vertex of the input the nearest facet in the one-ring of its own result
+//! vertex. It is updated in places while the result changes.
+//! Invariant: the same bits whatever the number of threads. Must not know: how the result is changed.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::nearest::RingQuery;
+use crate::mesh::csr::Csr;
+use crate::remesh::triangle::perimeter;
+use crate::token::Token;
+
+/// A vertex of the input.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::remesh) struct InputVertex {
+    /// Unit frame.
+    pub(in crate::remesh) position: DVec3,
+    /// The result vertex whose cell holds it. The nearest facet is sought in its one-ring.
+    pub(in crate::remesh) owner: u32,
+}
+
+/// Where a vertex of the input lies, seen from the result.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::remesh) struct Deviation {
+    /// Distance from the nearest facet.
+    pub(in crate::remesh) distance: f64,
+    /// The distance divided by the facet's mean edge.
+    pub(in crate::remesh) relative: f64,
+    /// The nearest facet.
+    pub(in crate::remesh) facet: u32,
+    /// The corner of that facet that is nearest to the input's vertex.
+    pub(in crate::remesh) corner: u32,
+}
+
+/// Of a vertex whose owner has no facets.
+const UNKNOWN: Deviation = Deviation { distance: 0.0, relative: 0.0, facet: 0, corner: 0 };
+
+/// Above this share of the mean edge a vertex of the input sticks out of the result: the fit then pulls a vertex of the result
+/// to it, and edges across a ridge are flipped for it.
+pub(in crate::remesh) const STICKS_OUT: f64 = 0.08;
+
+/// Result vertices per parallel task.
+const VERTICES_PER_TASK: usize = 256;
+/// Vertices of the input between two questions to the token.
+const VERTICES_PER_CHECK: usize = 64;
+
+/// See the module's head.
+pub(in crate::remesh) struct InputDeviation<'a> {
+    vertices: &'a Csr<InputVertex>,
+    /// In the order of `vertices`.
+    list: Vec<Deviation>,
+}
+
+fn deviation(positions: &[DVec3], facets: &[[u32; 3]], query: &mut RingQuery, vertex: &InputVertex) -> Deviation {
+    let found = query.nearest(vertex.position);
+    let Some(&t) = facets.get(found.facet as usize) else { return UNKNOWN };
+    let p = t.map(|v| positions[v as usize]);
+    let edge = perimeter(p) / 3.0;
+    let to = p.map(|q| q.distance_squared(vertex.position));
+    let corner = if to[0] <= to[1] && to[0] <= to[2] {
+        t[0]
+    } else if to[1] <= to[2] {
+        t[1]
+    } else {
+        t[2]
+    };
+    let distance = found.squared.sqrt();
+    Deviation { distance, relative: if edge > 0.0 { distance / edge } else { 0.0 }, facet: found.facet, corner }
+}
+
+impl<'a> InputDeviation<'a> {
+    /// Measures all of them. `rings` are the one-rings of the result.
+    pub(in crate::remesh) fn new(
+        positions: &[DVec3],
+        facets: &[[u32; 3]],
+        rings: &Csr<u32>,
+        vertices: &'a Csr<InputVertex>,
+        token: &Token,
+    ) -> Self {
+        let mut deviations = Self { vertices, list: vec![UNKNOWN; vertices.all().len()] };
+        deviations.update(positions, facets, rings, |_| true, token);
+        deviations
+    }
+
+    /// Measures those again whose owner has `changed`: the owner or a neighbour has moved, or its one-ring is another one.
+    pub(in crate::remesh) fn update(
+        &mut self,
+        positions: &[DVec3],
+        facets: &[[u32; 3]],
+        rings: &Csr<u32>,
+        changed: impl Fn(u32) -> bool + Sync,
+        token: &Token,
+    ) {
+        let vertices = self.vertices;
+        // Tasks: a range of result vertices with its part of the list.
+        let mut tasks = Vec::with_capacity(positions.len() / VERTICES_PER_TASK + 1);
+        let mut rest = self.list.as_mut_slice();
+        for begin in (0..positions.len()).step_by(VERTICES_PER_TASK) {
+            let owners = begin as u32..(begin + VERTICES_PER_TASK).min(positions.len()) as u32;
+            let count = vertices.range(owners.end - 1).end - vertices.range(owners.start).start;
+            let (here, after) = rest.split_at_mut(count);
+            rest = after;
+            tasks.push((owners, here));
+        }
+        tasks.into_par_iter().for_each_init(RingQuery::default, |query, (owners, mut here)| {
+            for owner in owners {
+                let own = vertices.of(owner);
+                let (list, after) = here.split_at_mut(own.len());
+                here = after;
+                if !own.is_empty() && changed(owner) {
+                    query.move_to(positions, facets, rings, owner);
+                    for (k, (to, vertex)) in list.iter_mut().zip(own).enumerate() {
+                        // A one-ring may have many facets, and a cell many vertices of the input.
+                        if k.is_multiple_of(VERTICES_PER_CHECK) && token.is_stopped() {
+                            return;
+                        }
+                        *to = deviation(positions, facets, query, vertex);
+                    }
+                }
+            }
+        });
+    }
+
+    /// Those that `counts`, with their numbers, by falling relative deviation.
+    pub(in crate::remesh) fn largest_first(&self, counts: impl Fn(&Deviation) -> bool) -> Vec<(usize, Deviation)> {
+        let mut found: Vec<(usize, Deviation)> =
+            self.list.iter().copied().enumerate().filter(|(_, d)| counts(d)).collect();
+        found.sort_by(|a, b| b.1.relative.total_cmp(&a.1.relative).then(a.0.cmp(&b.0)));
+        found
+    }
+
+    /// Where vertex `k` of the input is.
+    pub(in crate::remesh) fn position(&self, k: usize) -> DVec3 {
+        self.vertices.all()[k].position
+    }
+
+    /// The largest distance among the input's vertices of each of so many result vertices.
+    pub(in crate::remesh) fn by_owner(&self, owners: usize) -> Vec<f64> {
+        let largest = |v: u32| self.list[self.vertices.range(v)].iter().map(|d| d.distance).fold(0.0, f64::max);
+        (0..owners as u32).into_par_iter().map(largest).collect()
+    }
+
+    /// The largest distance of all.
+    pub(in crate::remesh) fn largest(&self) -> f64 {
+        self.list.iter().map(|d| d.distance).fold(0.0, f64::max)
+    }
+}

@@ -1,0 +1,130 @@
+//! An estimate of the Hausdorff distance between input and result.
+//!
+//! Purpose: both directions. From the input: its vertices against the one-ring of their result vertex. From the result:
+//! its vertices and the centroids of its facets against the nearest samples of the input.
+//! Invariant: the same bits whatever the number of threads. Must not know: what is done about it.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::deviation::InputDeviation;
+use super::reference::{InputSamples, SurfaceSample};
+use crate::mesh::csr::Csr;
+use crate::token::Token;
+
+/// Without a tolerance, vertices of the input were missed if one of them is farther away than the first share of a mean edge:
+/// then all beyond the second share.
+const MISSED_SHARES: [f64; 2] = [0.25, 0.17];
+/// Vertices or facets per parallel task, at least.
+const ITEMS_PER_TASK: usize = 256;
+/// A sample covers the surface around it within so many square roots of its area.
+const SAMPLE_REACH: f64 = 2.0;
+/// Work of one vertex, as the token counts it.
+const WORK_PER_VERTEX: usize = 64;
+
+/// Distance between input and result.
+pub(in crate::remesh) struct HausdorffEstimate {
+    /// Places of the input that were missed; see [`missed_places`].
+    pub(in crate::remesh) missed: Vec<(u32, DVec3)>,
+    /// The largest distance in either direction.
+    pub(in crate::remesh) largest: f64,
+    /// The largest distance around each vertex of the result.
+    pub(in crate::remesh) by_vertex: Vec<f64>,
+}
+
+impl HausdorffEstimate {
+    /// Measures the whole result. Places farther away than `tolerance` were missed.
+    pub(in crate::remesh) fn of(
+        positions: &[DVec3],
+        facets: &[[u32; 3]],
+        input: &InputSamples,
+        tolerance: Option<f64>,
+        token: &Token,
+    ) -> Self {
+        let rings = Csr::one_rings(positions.len(), facets);
+        let deviations = InputDeviation::new(positions, facets, &rings, &input.vertices, token);
+        let missed = select(positions, facets, &rings, &deviations, tolerance);
+        let by_facet = deviation_by_facet(positions, facets, &input.samples, token);
+        let largest = by_facet.iter().copied().fold(deviations.largest(), f64::max);
+        let mut by_vertex = deviations.by_owner(positions.len());
+        let widen = |(v, distance): (usize, &mut f64)| {
+            *distance = rings.of(v as u32).iter().map(|&f| by_facet[f as usize]).fold(*distance, f64::max);
+        };
+        by_vertex.par_iter_mut().enumerate().with_min_len(ITEMS_PER_TASK).for_each(widen);
+        Self { missed, largest, by_vertex }
+    }
+}
+
+/// Places of the input that are farther from the result than `tolerance`, or than a share of an edge where that is
+/// `None`: (nearest vertex of the result, place) by falling deviation. No two are in one one-ring.
+pub(in crate::remesh) fn missed_places(
+    positions: &[DVec3],
+    facets: &[[u32; 3]],
+    input: &InputSamples,
+    tolerance: Option<f64>,
+    token: &Token,
+) -> Vec<(u32, DVec3)> {
+    let rings = Csr::one_rings(positions.len(), facets);
+    let deviations = InputDeviation::new(positions, facets, &rings, &input.vertices, token);
+    select(positions, facets, &rings, &deviations, tolerance)
+}
+
+fn select(
+    positions: &[DVec3],
+    facets: &[[u32; 3]],
+    rings: &Csr<u32>,
+    deviations: &InputDeviation<'_>,
+    tolerance: Option<f64>,
+) -> Vec<(u32, DVec3)> {
+    let mut missed = deviations.largest_first(|d| tolerance.map_or(d.relative > MISSED_SHARES[1], |t| d.distance > t));
+    if tolerance.is_none() && missed.first().is_some_and(|(_, d)| d.relative <= MISSED_SHARES[0]) {
+        missed.clear();
+    }
+    let mut taken = vec![false; positions.len()];
+    let mut found = Vec::new();
+    for (k, d) in missed {
+        if !taken[d.corner as usize] {
+            rings.of(d.corner).iter().flat_map(|&f| facets[f as usize]).for_each(|u| taken[u as usize] = true);
+            found.push((d.corner, deviations.position(k)));
+        }
+    }
+    found
+}
+
+/// The largest distance of a corner or of the centroid of each facet from the input.
+fn deviation_by_facet(
+    positions: &[DVec3],
+    facets: &[[u32; 3]],
+    samples: &Csr<SurfaceSample>,
+    token: &Token,
+) -> Vec<f64> {
+    let own = |v: u32| match token.check_at(WORK_PER_VERTEX * v as usize) {
+        Err(_) => 0.0,
+        Ok(()) => distance(positions[v as usize], [samples.of(v)]),
+    };
+    let vertices = (0..positions.len() as u32).into_par_iter().with_min_len(ITEMS_PER_TASK);
+    let by_vertex: Vec<f64> = vertices.map(own).collect();
+    let of = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|v| positions[v as usize]);
+        let centroid = distance((a + b + c) / 3.0, t.map(|v| samples.of(v)));
+        t.iter().map(|&v| by_vertex[v as usize]).fold(centroid, f64::max)
+    };
+    facets.par_iter().with_min_len(ITEMS_PER_TASK).map(of).collect()
+}
+
+/// Distance of `p` from the tangent plane of the nearest sample, or from that sample where it is not below `p`. 0 if there are no
+/// samples.
+fn distance<const N: usize>(p: DVec3, samples: [&[SurfaceSample]; N]) -> f64 {
+    let (mut least, mut nearest) = (f64::INFINITY, None);
+    for s in samples.into_iter().flatten() {
+        let squared = s.position.distance_squared(p);
+        if squared < least {
+            (least, nearest) = (squared, Some(s));
+        }
+    }
+    nearest.map_or(0.0, |s| {
+        let (height, reach) = (s.normal.dot(p - s.position).abs(), s.area.sqrt());
+        let tangential = (least - height * height).max(0.0).sqrt();
+        height.max(tangential - SAMPLE_REACH * reach)
+    })
+}

@@ -1,0 +1,66 @@
+//! The input by result vertex.
+//!
+//! Purpose: [`InputSamples`] has the samples and the vertices of the input in the cell of each result vertex, for the fit and
+//! for distances of the whole result. [`Reference`] has the facets that the cell meets, for distances in one place. Neither
+//! needs a search over the whole surface.
+//! Invariant: depends on the diagram alone. Must not know: how the result is changed.
+
+use glam::DVec3;
+
+use super::deviation::InputVertex;
+use crate::mesh::csr::Csr;
+use crate::rvd::Surface;
+
+/// A point of the input with its share of the area.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::remesh) struct SurfaceSample {
+    /// Unit frame.
+    pub(in crate::remesh) position: DVec3,
+    /// Unit normal of the input there.
+    pub(in crate::remesh) normal: DVec3,
+    /// Area it stands for.
+    pub(in crate::remesh) area: f64,
+}
+
+/// The input as points, by result vertex.
+#[derive(Debug)]
+pub(in crate::remesh) struct InputSamples {
+    pub(in crate::remesh) samples: Csr<SurfaceSample>,
+    pub(in crate::remesh) vertices: Csr<InputVertex>,
+}
+
+/// The input as facets and vertices, by result vertex.
+pub(in crate::remesh) struct Reference<'a> {
+    surface: &'a Surface,
+    facets: Csr<u32>,
+    vertices: Csr<DVec3>,
+}
+
+impl<'a> Reference<'a> {
+    /// `cells` are pairs of a result vertex and an input facet that its cell meets.
+    pub(in crate::remesh) fn new(
+        surface: &'a Surface,
+        result_vertices: usize,
+        cells: &[(u32, u32)],
+        input_vertices: &[InputVertex],
+    ) -> Self {
+        let owned: Vec<(u32, DVec3)> = input_vertices.iter().map(|v| (v.owner, v.position)).collect();
+        let facets = Csr::from_pairs(result_vertices, cells);
+        Self { surface, facets, vertices: Csr::from_pairs(result_vertices, &owned) }
+    }
+
+    /// Input facets that the cell of result vertex `v` meets.
+    pub(in crate::remesh) fn facets(&self, v: u32) -> &[u32] {
+        self.facets.of(v)
+    }
+
+    /// Input vertices in the cell of result vertex `v`, unit frame.
+    pub(in crate::remesh) fn vertices(&self, v: u32) -> &[DVec3] {
+        self.vertices.of(v)
+    }
+
+    /// Corners of an input facet, unit frame.
+    pub(in crate::remesh) fn corners(&self, facet: u32) -> [DVec3; 3] {
+        self.surface.facets()[facet as usize].map(|v| self.surface.positions()[v as usize])
+    }
+}

@@ -1,0 +1,308 @@
+//! The curves that a remesh keeps.
+//!
+//! Purpose: [`KeptCurves`] finds creases and boundaries at the scale of the result, places their seeds, and finds their edges in
+//! the result.
+//! Invariant: if the curves would take too many of the seeds, creases are dropped first and boundaries last, and both are
+//! counted. Must not know: backends, iterations.
+
+use std::collections::{HashMap, HashSet};
+
+use glam::DVec3;
+
+use super::envelope::CurveSample;
+use crate::cvt::curves::{BETWEEN, CurveSeeds, Segment, edge_length};
+use crate::cvt::density::Plan;
+use crate::mesh::TriMesh;
+use crate::mesh::adjacency::weld;
+use crate::mesh::disjoint::DisjointSets;
+use crate::mesh::edges::{EdgeGroups, Half, undirected};
+use crate::mesh::features::{CurveKind, FeatureOptions, Features};
+use crate::mesh::sample::spread;
+use crate::remesh::report::FeatureFigures;
+use crate::remesh::{RemeshError, RemeshOptions, Seeds};
+use crate::rvd::{Frame, Surface};
+use crate::token::{Stopped, Token};
+
+/// Length of the shortest crease with a free end, edge lengths. Shorter ones are noise of a scan, or folds that fade out.
+const SHORTEST_CREASE: f64 = 8.0;
+/// Length over which bends of a curve are measured, edge lengths.
+const BEND_REACH: f64 = 1.0;
+/// A ridge that is bent less than a crease is a curve if nothing within this distance of it is bent, edge lengths.
+const SMOOTH_REACH: f64 = 2.5;
+/// Corners joined by less boundary than this are one if little is cut off, edge lengths. With both, a triangle between them
+/// would have an angle of about as many radians.
+const JOINED_CORNERS: f64 = 0.4;
+/// Distance from its boundary that an edge may have, as a share of the edge length;
+const BOUNDARY_LIMIT: f64 = 0.08;
+/// that from its crease;
+const CREASE_LIMIT: f64 = 0.06;
+/// and that of an edge at a corner that two curves leave at an acute angle: no facet between them has a good angle anyway.
+const ACUTE_LIMIT: f64 = 0.3;
+/// Share of the seeds that curves may take if there are creases. Boundaries alone may take all: a strip that is narrower than an
+/// edge has no other seeds.
+const LARGEST_SHARE: f64 = 0.6;
+
+/// Curves that need more than so many times the seeds plus [`SPARE_SEEDS`] are dropped before any seed is placed.
+const MOST_SEEDS: usize = 16;
+const SPARE_SEEDS: usize = 1000;
+
+/// Other seeds are drawn at this distance from a curve's seeds, as a share of their spacing: about where the cells of the curve
+/// end. With more, too few seeds would lie between two close curves, and no step takes a seed across a curve.
+const CLEARANCE: f64 = 0.5;
+/// One in so many points is drawn in addition, since some are too near to a curve.
+const SPARE: usize = 50;
+/// The share of points that is taken to be clear of the curves, at least.
+const LEAST_CLEAR: f64 = 0.2;
+
+/// `count` of some points in an order, evenly spaced in it; all if there are fewer.
+fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
+    let count = count.min(points.len());
+    (0..count).map(move |k| points[(k as u64 * points.len() as u64 / count as u64) as usize])
+}
+
+/// The edges of a mesh that make up `edges` of the mesh it was subdivided from. The vertices of that mesh come first.
+fn subdivided(mesh: &TriMesh, edges: &[[u32; 2]], token: &Token) -> Result<Vec<[u32; 2]>, Stopped> {
+    if edges.is_empty() {
+        return Ok(Vec::new());
+    }
+    let class = weld(mesh);
+    let key = |p: DVec3| p.to_array().map(|x| (x + 0.0).to_bits());
+    let there: HashSet<[u32; 2]> = mesh
+        .facets()
+        .iter()
+        .map(|t| t.map(|v| class[v as usize]))
+        .flat_map(|[a, b, c]| [[a, b], [b, c], [c, a]].map(undirected))
+        .collect();
+    let at: HashMap<[u64; 3], u32> = mesh.positions().iter().zip(&class).map(|(&p, &v)| (key(p), v)).collect();
+    let mut stack: Vec<[u32; 2]> = edges.iter().rev().map(|e| e.map(|v| class[v as usize])).collect();
+    let mut found = Vec::new();
+    while let Some([a, b]) = stack.pop() {
+        token.check_at(found.len())?;
+        let middle = mesh.positions()[a as usize] * 0.5 + mesh.positions()[b as usize] * 0.5;
+        match at.get(&key(middle)) {
+            Some(&m) if !there.contains(&undirected([a, b])) && m != a && m != b => stack.extend([[m, b], [a, m]]),
+            _ => found.push([a, b]),
+        }
+    }
+    Ok(found)
+}
+
+/// Curves and their seeds.
+#[derive(Clone, Debug, Default)]
+pub(in crate::remesh) struct KeptCurves {
+    features: Features,
+    pub(in crate::remesh) seeds: CurveSeeds,
+    /// Curves that were dropped.
+    given_up: usize,
+}
+
+impl KeptCurves {
+    /// Finds what `options` ask for; nothing where seeds are given.
+    pub(in crate::remesh) fn find(
+        mesh: &TriMesh,
+        plan: &Plan<'_>,
+        surface: &Surface,
+        options: &RemeshOptions,
+        token: &Token,
+    ) -> Result<Self, RemeshError> {
+        Features::check(mesh, options.crease_angle_deg, &options.creases, token)?;
+        if matches!(options.seeds, Seeds::Given(_)) {
+            return Ok(Self::default());
+        }
+        let points = plan.points;
+        // The shortest target edge, where the weight is 1.
+        let scale = edge_length(surface, &Features::default(), points, token)?;
+        let fineness = match surface.is_uniform() {
+            true => Vec::new(),
+            false => surface.weights().iter().map(|w| w.powf(0.25)).collect(),
+        };
+        // A larger angle asks for fewer creases, so weaker ones are not sought.
+        let weaker = options.crease_angle_deg <= RemeshOptions::CREASE_ANGLE_DEG;
+        let mut criteria = FeatureOptions {
+            crease_angle_deg: options.crease_angle_deg,
+            given: subdivided(&plan.mesh, &options.creases, token)?,
+            shortest: SHORTEST_CREASE * scale,
+            reach: BEND_REACH * scale,
+            alone: if weaker { SMOOTH_REACH * scale } else { 0.0 },
+            near: JOINED_CORNERS * scale,
+            fineness,
+        };
+        let mut given_up = 0;
+        loop {
+            let mut features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
+            if !options.keep_boundaries {
+                features.retain(|_, c| c.kind != CurveKind::Boundary);
+            }
+            let edge = edge_length(surface, &features, points, token)?;
+            let creases = |features: &Features| features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
+            let share = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
+            // Crowded curves are dropped next, but do not make room for more than this.
+            let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
+            let mut placed = CurveSeeds::place(surface, &features, edge, most, token)?;
+            while let Some(seeds) = &placed {
+                let crowded = seeds.crowded(&features, token)?;
+                if crowded.is_empty() {
+                    break;
+                }
+                given_up += crowded.len();
+                features.retain(|k, _| !crowded.contains(&(k as u32)));
+                placed = CurveSeeds::place(surface, &features, edge, most, token)?;
+            }
+            if let Some(mut seeds) = placed {
+                seeds.follow_bends(token)?;
+                seeds.face_others(|c| features.curves[c as usize].kind == CurveKind::Boundary, token)?;
+                if seeds.len() as f64 <= share(creases(&features)) * points as f64 {
+                    return Ok(Self { features, seeds, given_up });
+                }
+            }
+            let creases = creases(&features);
+            if criteria.alone > 0.0 {
+                criteria.alone = 0.0;
+                continue;
+            }
+            given_up += creases;
+            if creases == 0 {
+                return Ok(Self { given_up: given_up + features.curves.len(), ..Self::default() });
+            }
+            criteria.crease_angle_deg = 0.0;
+            criteria.given.clear();
+        }
+    }
+
+    /// The curves' seeds and as many drawn ones as make `points`, clear of the curves; caller's coordinates.
+    pub(in crate::remesh) fn with_others(&self, plan: &Plan<'_>, surface: &Surface, seed: u64) -> Vec<DVec3> {
+        let (mesh, points): (&TriMesh, usize) = (&plan.mesh, plan.points);
+        let frame = surface.frame();
+        let mut all: Vec<DVec3> = (0..self.seeds.len() as u32).map(|i| self.position(mesh, frame, i)).collect();
+        let others = points - all.len();
+        let clearance = self.seeds.clearance(CLEARANCE);
+        let clear = |p: &DVec3| clearance.holds(frame.to_unit(*p));
+        // Seeds do not cross curves, so each region gets its own share.
+        let regions = self.regions(mesh);
+        let draw = |count: usize| -> (Vec<DVec3>, Vec<DVec3>) {
+            let drawn = spread(mesh, plan.weights.as_deref(), Some(&regions), count, seed);
+            drawn.iter().map(|s| s.position).partition(clear)
+        };
+        let (mut kept, mut rest) = draw(others + others / SPARE);
+        if kept.len() < others {
+            let share = (kept.len() as f64 / (others + others / SPARE) as f64).max(LEAST_CLEAR);
+            (kept, rest) = draw((others as f64 / share) as usize + others / SPARE + 1);
+        }
+        // If curves cover nearly all of the surface, seeds begin near them.
+        let lacking = others.saturating_sub(kept.len());
+        all.extend(evenly(&rest, lacking));
+        all.extend(evenly(&kept, others - lacking));
+        all
+    }
+
+    /// For each facet of `mesh` the number of its region: regions are separated by curves.
+    fn regions(&self, mesh: &TriMesh) -> Vec<u32> {
+        let class = weld(mesh);
+        let welded = |t: &[u32; 3]| t.map(|v| class[v as usize]);
+        let mut curves = HashSet::new();
+        for c in &self.features.curves {
+            let ends = c.vertices.windows(2).map(|w| [w[0], w[1]]);
+            let last = if c.closed { c.vertices.last().map(|&v| [v, c.vertices[0]]) } else { None };
+            curves.extend(ends.chain(last).map(|e| undirected(e.map(|v| class[v as usize]))));
+        }
+        let mut regions = DisjointSets::new(mesh.facets().len());
+        let facets = mesh.facets().iter().map(welded).enumerate();
+        EdgeGroups::new(class.len(), facets).for_each(|_, halves| {
+            let Some(&Half { facet, side }) = halves.first() else { return };
+            let t = welded(&mesh.facets()[facet as usize]);
+            if !curves.contains(&undirected([t[side], t[(side + 1) % 3]])) {
+                halves.windows(2).for_each(|pair| regions.join(pair[0].facet as usize, pair[1].facet as usize));
+            }
+        });
+        (0..regions.len()).map(|f| regions.root(f) as u32).collect()
+    }
+
+    /// Where a curve's seed lies, caller's coordinates: a corner exactly at its vertex.
+    pub(in crate::remesh) fn position(&self, mesh: &TriMesh, frame: Frame, seed: u32) -> DVec3 {
+        match self.features.corners.get(seed as usize) {
+            Some(&vertex) => mesh.positions()[vertex as usize],
+            None => frame.to_world(self.seeds.seeds[seed as usize]),
+        }
+    }
+
+    /// For each segment of the curves the edge between its seeds, where the facets have it.
+    pub(in crate::remesh) fn edges_in(&self, facets: &[[u32; 3]], vertex_seed: &[u32]) -> Vec<Option<[u32; 2]>> {
+        let n = self.seeds.len() as u32;
+        let edges = facets.iter().flat_map(|t| [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]]);
+        let on_curves = edges.filter(|e| e.iter().all(|&v| vertex_seed[v as usize] < n));
+        let mut by_seeds: Vec<([u32; 2], [u32; 2])> = on_curves
+            .map(|e| {
+                let [a, b] = e.map(|v| vertex_seed[v as usize]);
+                if a < b { ([a, b], e) } else { ([b, a], [e[1], e[0]]) }
+            })
+            .collect();
+        by_seeds.sort_unstable();
+        let find = |ends: [u32; 2]| {
+            let key = undirected(ends);
+            let at = by_seeds.partition_point(|(seeds, _)| *seeds < key);
+            by_seeds.get(at).filter(|(seeds, _)| *seeds == key).map(|&(_, e)| e)
+        };
+        self.seeds.segments.iter().map(|s| find(s.ends)).collect()
+    }
+
+    /// Vertices between which the result has no edge although their seeds follow each other on a curve of a kind that
+    /// `counts`.
+    pub(in crate::remesh) fn missing(
+        &self,
+        edges: &[Option<[u32; 2]>],
+        vertex_seed: &[u32],
+        counts: impl Fn(CurveKind) -> bool,
+    ) -> Vec<[u32; 2]> {
+        // Seeds of curves are the first ones, and so are their vertices, unless a cell is in parts.
+        let vertex = |seed: u32| {
+            let first = vertex_seed.partition_point(|&s| s < seed);
+            let copies = vertex_seed[first..].iter().take_while(|&&s| s == seed).count();
+            (copies == 1).then_some(first as u32)
+        };
+        let kind = |s: &Segment| self.features.curves[s.curve as usize].kind;
+        let missing = self.seeds.segments.iter().zip(edges).filter(|(s, e)| e.is_none() && counts(kind(s)));
+        missing.filter_map(|(s, _)| Some([vertex(s.ends[0])?, vertex(s.ends[1])?])).collect()
+    }
+
+    /// Whether a seed is a corner.
+    pub(in crate::remesh) fn is_corner(&self, seed: u32) -> bool {
+        (seed as usize) < self.seeds.corners
+    }
+
+    /// Points of the curves that the result has edges for; `edges` are those of [`KeptCurves::edges_in`].
+    pub(in crate::remesh) fn samples(&self, edges: &[Option<[u32; 2]>]) -> Vec<CurveSample> {
+        let present = self.seeds.segments.iter().zip(edges).filter_map(|(s, &e)| Some((s, e?)));
+        let beside_acute = self.seeds.beside_acute();
+        let of = |(segment, edge): (&Segment, [u32; 2])| {
+            let [a, b] = segment.ends.map(|e| self.seeds.seeds[e as usize]);
+            let area = a.distance_squared(b) / BETWEEN as f64;
+            let limit = segment.edge
+                * match self.features.curves[segment.curve as usize].kind {
+                    _ if segment.ends.iter().any(|&e| beside_acute[e as usize]) => ACUTE_LIMIT,
+                    CurveKind::Boundary => BOUNDARY_LIMIT,
+                    CurveKind::Crease => CREASE_LIMIT,
+                };
+            segment.between.map(|position| CurveSample { position, edge, area, limit })
+        };
+        present.flat_map(of).collect()
+    }
+
+    /// What the report says; `edges` are those of [`KeptCurves::edges_in`].
+    pub(in crate::remesh) fn figures(&self, edges: &[Option<[u32; 2]>]) -> FeatureFigures {
+        let count = |kind| self.features.curves.iter().filter(|c| c.kind == kind).count();
+        let broken: HashSet<u32> =
+            self.seeds.segments.iter().zip(edges).filter(|(_, e)| e.is_none()).map(|(s, _)| s.curve).collect();
+        FeatureFigures {
+            boundaries: count(CurveKind::Boundary),
+            creases: count(CurveKind::Crease),
+            corners: self.features.corners.len(),
+            joined_corners: self.features.joined,
+            seeds: self.seeds.len(),
+            segments: self.seeds.segments.len(),
+            missing_segments: edges.iter().filter(|e| e.is_none()).count(),
+            broken_curves: broken.len(),
+            given_up: self.given_up,
+            short_crease_edges: self.features.left_out,
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! Ears of the boundary that the dual lacks.
+//!
+//! Purpose: where the cell of an inner seed reaches the boundary between two of the boundary's own seeds, the dual's boundary
+//! goes around it by way of that seed. [`fill`] adds the missing facet, an ear: the boundary has its edge again.
+//! Invariant: an ear is added only where the boundary goes by way of one free vertex, if the ear is well shaped and nearly in
+//! the plane of its neighbours. The surface stays a manifold. Must not know: why a cell reaches a boundary.
+
+use std::collections::HashSet;
+
+use glam::DVec3;
+
+use crate::mesh::csr::Csr;
+use crate::mesh::measure::least_angle;
+use crate::remesh::triangle::unit_normal;
+
+/// The smallest angle of an ear, degrees. With less, the boundary is near the missing edge as it is: within a tenth of its
+/// length.
+const LEAST_ANGLE: f64 = 12.0;
+/// The least cosine between the normals of an ear and of its neighbours.
+const LEAST_COSINE: f64 = 0.5;
+
+/// Passes, at most. Ears that have a vertex in common are added in different passes.
+const PASSES: usize = 3;
+
+/// Adds an ear for each pair of `wanted` boundary vertices between which the boundary goes by way of one other vertex that
+/// `may_be_inside`. Returns how many were added.
+pub(in crate::remesh) fn fill(
+    positions: &[DVec3],
+    facets: &mut Vec<[u32; 3]>,
+    wanted: &[[u32; 2]],
+    may_be_inside: impl Fn(u32) -> bool,
+) -> usize {
+    let before = facets.len();
+    for _ in 0..PASSES {
+        let boundary = Boundary { rings: &Csr::one_rings(positions.len(), facets), facets };
+        let ear = |a: u32, b: u32| {
+            let inside = boundary.only_after(a).filter(|&x| x != b && boundary.only_after(x) == Some(b));
+            inside.map(|x| [a, b, x])
+        };
+        let (mut touched, mut added) = (HashSet::new(), Vec::new());
+        for &[a, b] in wanted {
+            let found =
+                ear(a, b).or_else(|| ear(b, a)).filter(|&[a, b, x]| may_be_inside(x) && !boundary.is_edge(a, b));
+            if let Some(facet) = found.filter(|&facet| boundary.is_fair(positions, facet))
+                && !facet.iter().any(|v| touched.contains(v))
+            {
+                touched.extend(facet);
+                added.push(facet);
+            }
+        }
+        if added.is_empty() {
+            break;
+        }
+        facets.extend(added);
+    }
+    facets.len() - before
+}
+
+/// The edges with one facet.
+struct Boundary<'a> {
+    rings: &'a Csr<u32>,
+    facets: &'a [[u32; 3]],
+}
+
+impl Boundary<'_> {
+    /// The facet that goes from `a` to `b`.
+    fn facet(&self, a: u32, b: u32) -> Option<[u32; 3]> {
+        let goes = |t: &[u32; 3]| (0..3).any(|k| t[k] == a && t[(k + 1) % 3] == b);
+        self.rings.of(a).iter().map(|&f| self.facets[f as usize]).find(goes)
+    }
+
+    fn is_edge(&self, a: u32, b: u32) -> bool {
+        self.facet(a, b).is_some() || self.facet(b, a).is_some()
+    }
+
+    /// The vertex to which the boundary goes on from `a`, if there is exactly one.
+    fn only_after(&self, a: u32) -> Option<u32> {
+        let next = |&f: &u32| {
+            let t = self.facets[f as usize];
+            (0..3).find(|&k| t[k] == a).map(|k| t[(k + 1) % 3])
+        };
+        let mut nexts = self.rings.of(a).iter().filter_map(next).filter(|&x| self.facet(x, a).is_none());
+        nexts.next().filter(|_| nexts.next().is_none())
+    }
+
+    fn is_fair(&self, positions: &[DVec3], facet: [u32; 3]) -> bool {
+        let corners = |t: [u32; 3]| t.map(|v| positions[v as usize]);
+        let normal = |t: [u32; 3]| unit_normal(corners(t));
+        let [a, b, x] = facet;
+        let beside = [self.facet(a, x), self.facet(x, b)];
+        least_angle(corners(facet)) >= LEAST_ANGLE
+            && beside.into_iter().flatten().all(|t| normal(t).dot(normal(facet)) >= LEAST_COSINE)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A boundary 0, 2, 1 with 2 a little inside, and 3 and 4 behind.
+    fn without_ear(depth: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let at = |x: f64, y: f64| DVec3::new(x, y, 0.0);
+        let positions = vec![at(0.0, 0.0), at(1.0, 0.0), at(0.5, depth), at(0.0, 1.0), at(1.0, 1.0)];
+        (positions, vec![[0, 2, 3], [2, 1, 4], [2, 4, 3]])
+    }
+
+    #[test]
+    fn an_ear_is_added_whichever_end_is_named_first() {
+        for wanted in [[0, 1], [1, 0]] {
+            let (positions, mut facets) = without_ear(0.3);
+            assert_eq!(fill(&positions, &mut facets, &[wanted], |_| true), 1);
+            // Oriented as its neighbours.
+            assert_eq!(facets[3], [0, 1, 2]);
+            // It is there now.
+            assert_eq!(fill(&positions, &mut facets, &[wanted], |_| true), 0);
+        }
+    }
+
+    #[test]
+    fn other_boundaries_stay() {
+        let (positions, mut facets) = without_ear(0.3);
+        assert_eq!(fill(&positions, &mut facets, &[[0, 1]], |v| v != 2), 0, "a vertex of another curve");
+        assert_eq!(fill(&positions, &mut facets, &[[0, 4], [3, 2]], |_| true), 0, "these are edges or farther apart");
+        let (positions, mut facets) = without_ear(0.02);
+        assert_eq!(fill(&positions, &mut facets, &[[0, 1]], |_| true), 0, "too flat");
+        let (mut positions, mut facets) = without_ear(0.3);
+        positions[2].z = 2.0;
+        assert_eq!(fill(&positions, &mut facets, &[[0, 1]], |_| true), 0, "it would be a fold");
+        let (positions, mut facets) = without_ear(-0.3);
+        assert_eq!(
+            fill(&positions, &mut facets, &[[0, 1]], |_| true),
+            0,
+            "2 is outside: the facet would be turned over"
+        );
+    }
+}

@@ -1,0 +1,196 @@
+//! The stages of a remesh, in their order.
+//!
+//! Purpose: [`run`] takes a surface through all stages: preprocess, prepare, optimize the seeds, extract and improve the
+//! result, carry the attributes, measure.
+//! Invariant: the observer hears of the stages in this order; what could not be kept is in the report.
+//! Must not know: how a stage does its work, files, jobs, the network.
+
+mod attempt;
+mod extract;
+mod job;
+mod optimize;
+mod prepare;
+mod preprocess;
+mod schedule;
+mod spikes;
+mod thin_parts;
+mod tolerance;
+
+use crate::cvt::density::{DensitySource, Plan};
+use crate::mesh::TriMesh;
+use crate::mesh::adjacency::Adjacency;
+use crate::mesh::apart::Apart;
+use crate::mesh::attributes::Attributes;
+use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::measure::{quality_unless, topology_unless};
+use crate::mesh::outliers;
+use crate::remesh::attributes::{self, Provenance};
+use crate::remesh::report::{InputFigures, MemoryFigures, Report, ResultFigures, topology_changes};
+use crate::remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds};
+use crate::rvd::{Backend, RvdError, on_threads_of};
+use crate::token::Token;
+use attempt::{Attempt, Figures};
+use job::{Job, Laps, enter};
+use prepare::{Prepared, prepare, separation};
+use preprocess::preprocess;
+
+/// Remeshes `mesh`. If vertices far off the surface take all the points, it is remeshed without their spikes, which are put
+/// back afterwards.
+pub(super) fn run(
+    mesh: &TriMesh,
+    options: &RemeshOptions,
+    backend: &dyn Backend,
+    observer: &mut dyn Observer,
+    token: &Token,
+) -> Result<Remesh, RemeshError> {
+    on_threads_of(backend, || match run_stages(mesh, options, backend, observer, token) {
+        // Given seeds are where they are, whatever takes them.
+        Err(error @ (RemeshError::TooFewSeeds { .. } | RemeshError::Rvd(RvdError::NoArea))) => {
+            let near = outliers::draw_in(mesh).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
+            let Some(near) = near else { return Err(error) };
+            let mut done = run_stages(&near, options, backend, observer, token)?;
+            spikes::put_back(&mut done, mesh, &near, token)?;
+            Ok(done)
+        }
+        done => done,
+    })
+}
+
+/// All stages, on the present threads.
+fn run_stages(
+    given: &TriMesh,
+    options: &RemeshOptions,
+    backend: &dyn Backend,
+    observer: &mut dyn Observer,
+    token: &Token,
+) -> Result<Remesh, RemeshError> {
+    options.attributes.iter().try_for_each(|attributes| attributes.check_mesh(given))?;
+    if options.refine.is_some() && options.placement != Placement::Fitted {
+        return Err(RemeshError::RefineUnfitted);
+    }
+    let laps = Laps::start();
+    enter(observer, token, "prepare");
+    // Most inputs need no preprocessing: what is prepared meanwhile is then of use.
+    let (preprocessed, mut prepared) = rayon::join(|| preprocess(given, token), || prepare(given, options, token));
+    let (input, changed) = preprocessed?;
+    let mesh = changed.as_ref().unwrap_or(given);
+    // Components are moved apart, so that no cell reaches through to another one.
+    let components = input.topology.components;
+    let gap = (components > 1).then(|| separation(mesh, components, options)).flatten();
+    let apart = gap.and_then(|gap| Apart::of(mesh, gap));
+    token.check()?;
+    let surface = apart.as_ref().map_or(mesh, |apart| &apart.mesh);
+    if changed.is_some() || apart.is_some() {
+        prepared = prepare(surface, options, token);
+    }
+    if let (Some(Refine { max_points: most, .. }), Ok(Prepared { plan: Plan { points, .. }, .. })) =
+        (options.refine, &prepared)
+        && *points > most
+    {
+        return Err(RemeshError::RefineLimit { points: *points, most });
+    }
+    // Given edge lengths are not changed.
+    let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
+    let keep_thin = options.keep_thin && free && options.placement == Placement::Fitted;
+    let mut job = Job { mesh: surface, backend, token, observer, laps, keep_thin, topology: input.topology };
+    let attempt = match (options.refine, &options.seeds) {
+        (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
+            prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, refine, seed))
+        }
+        _ => prepared.and_then(|prepared| job.attempt(prepared, options, options.refine.map(|r| r.tolerance))),
+    };
+    let mut attempt = attempt.map_err(|error| error.for_surface(&input.topology))?;
+    let Job { observer, mut laps, .. } = job;
+
+    token.check()?;
+    let result = &mut attempt.built.mesh;
+    let (attributes, provenance) = match &apart {
+        // Attributes are those of the facets as given, and so is the provenance.
+        None => transfer(given, options, result, observer, token)?,
+        Some(apart) => {
+            let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
+            let given_apart = TriMesh::new(apart.mesh.positions().to_vec(), given.facets().to_vec()).map_err(broken)?;
+            let transferred = transfer(&given_apart, options, result, observer, token)?;
+            *result = apart.mesh_back(result).map_err(broken)?;
+            attempt.seeds.iter_mut().for_each(|p| *p = apart.back(*p));
+            // It answers for the components apart, not for the input.
+            attempt.closest = None;
+            transferred
+        }
+    };
+    laps.timings.attributes = laps.lap();
+
+    enter(observer, token, "measure");
+    let measured = measure(mesh, input, options, backend, attempt, laps, token)?;
+    Ok(Remesh { attributes, provenance, ..measured })
+}
+
+/// The input's attributes on the result, and where its vertices lie on the input, if asked for.
+fn transfer(
+    mesh: &TriMesh,
+    options: &RemeshOptions,
+    result: &TriMesh,
+    observer: &mut dyn Observer,
+    token: &Token,
+) -> Result<(Option<Attributes>, Vec<Provenance>), RemeshError> {
+    let Some(attributes) = &options.attributes else { return Ok((None, Vec::new())) };
+    enter(observer, token, "attributes");
+    token.check()?;
+    let closest = ClosestPoint::new(mesh);
+    let provenance = attributes::provenance(&closest, result.positions(), token)?;
+    token.check()?;
+    let carried = attributes::carry(mesh, attributes, &closest, result, &provenance)?;
+    Ok((Some(carried), provenance))
+}
+
+/// Measures the result against `mesh` and writes the report. Attributes and provenance are left empty.
+fn measure(
+    mesh: &TriMesh,
+    input: InputFigures,
+    options: &RemeshOptions,
+    backend: &dyn Backend,
+    attempt: Attempt<'_>,
+    mut laps: Laps,
+    token: &Token,
+) -> Result<Remesh, RemeshError> {
+    let Attempt { plan, curves, closest, built, seeds, seed, figures, device, device_bytes } = attempt;
+    let Figures { converged, rvd, iterations, last, refine } = figures;
+    token.check()?;
+    let result = &built.mesh;
+    let quality = || options.measure.then(|| quality_unless(mesh, closest, result, token));
+    let topology = || topology_unless(result, &Adjacency::new(result), token);
+    let (topology, quality) = rayon::join(topology, quality);
+    let (topology, quality) = (topology?, quality.transpose()?);
+    let (vertices, facets) = (result.positions().len(), result.facets().len());
+    let result = ResultFigures { vertices, facets, topology, quality, repair: built.repair };
+    laps.timings.measure = laps.lap();
+    laps.timings.total = laps.total();
+    let report = Report {
+        backend: backend.kind().name().into(),
+        adapter: backend.adapter(),
+        threads: backend.threads(),
+        seed,
+        converged,
+        topology_changes: topology_changes(&input.topology, &result.topology),
+        input,
+        features: curves.figures(&built.curve_edges),
+        rvd,
+        device,
+        iterations,
+        last,
+        refine,
+        timings_ms: laps.timings,
+        memory: MemoryFigures { host_peak_bytes: None, device_bytes },
+        result,
+        density: plan.figures,
+    };
+    Ok(Remesh {
+        mesh: built.mesh,
+        vertex_seed: built.vertex_seed,
+        curve_edges: built.curve_edges.into_iter().flatten().collect(),
+        seeds,
+        report,
+        attributes: None,
+        provenance: Vec::new(),
+    })
+}

@@ -1,0 +1,332 @@
+//! The result of a diagram.
+//!
+//! Purpose: makes a triangulation of the dual of the last seeds: repairs it, places its vertices, fits it to the input
+//! ([`Extraction::draft`]), and improves it locally ([`Extraction::finish`]).
+//! Invariant: the result is oriented as the input; vertices of corners are where the input has them.
+//! Must not know: iterations, options but those of its own.
+
+use std::collections::HashSet;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::mesh::TriMesh;
+use crate::mesh::closest_point::ClosestPoint;
+use crate::mesh::csr::Csr;
+use crate::mesh::edges::undirected;
+use crate::mesh::features::CurveKind;
+use crate::remesh::distance::deviation::InputVertex;
+use crate::remesh::distance::hausdorff::{HausdorffEstimate, missed_places};
+use crate::remesh::distance::reference::{InputSamples, Reference, SurfaceSample};
+use crate::remesh::features::curves::KeptCurves;
+use crate::remesh::features::envelope::CurveEnvelope;
+use crate::remesh::fit::{self, Target};
+use crate::remesh::improve::angles::{Mobility, MotionBounds, improve_angles};
+use crate::remesh::improve::editor::{Exhausted, MeshEditor};
+use crate::remesh::improve::queue::improve_farthest;
+use crate::remesh::improve::valence::{improve_valences, recover_edge};
+use crate::remesh::manifold::{boundary_ears, repair};
+use crate::remesh::report::RepairFigures;
+use crate::remesh::{Placement, RemeshError};
+use crate::rvd::{Surface, dual};
+use crate::token::Token;
+
+/// Share of the tolerance by which a vertex may leave its curve: the chords between such vertices are off as well.
+const OFF_CURVE_SHARE: f64 = 0.5;
+
+/// What a result is made from.
+pub(super) struct Extraction<'a> {
+    pub(super) mesh: &'a TriMesh,
+    pub(super) surface: &'a Surface,
+    pub(super) curves: &'a KeptCurves,
+    pub(super) placement: Placement,
+    /// Seeds from this one on were added where the result was far from the input. They stay there.
+    pub(super) first_added: u32,
+    /// Places of the input farther away than this were missed, unit frame; a share of an edge if `None`.
+    pub(super) tolerance: Option<f64>,
+    /// Whether seeds are added until nothing is missed.
+    pub(super) adds: bool,
+    /// Where it is stopped, a draft is left as it is and must not be used.
+    pub(super) token: &'a Token,
+}
+
+/// A triangulation that may still change.
+pub(super) struct Draft {
+    /// Caller's coordinates.
+    positions: Vec<DVec3>,
+    facets: Vec<[u32; 3]>,
+    vertex_seed: Vec<u32>,
+    curve_edges: Vec<Option<[u32; 2]>>,
+    repair: RepairFigures,
+    fitted: Option<Fitted>,
+    /// How many seeds there were.
+    seeds: usize,
+}
+
+/// Vertices that were fitted.
+struct Fitted {
+    /// Where they are, unit frame.
+    positions: Vec<DVec3>,
+    target: Target,
+    envelope: CurveEnvelope,
+    /// Pairs of a vertex and an input facet that its cell meets.
+    cells: Vec<(u32, u32)>,
+    missed: Missed,
+    /// Distance from the input around each vertex.
+    distances: Vec<f64>,
+}
+
+/// What a draft lacks of the input.
+#[derive(Clone, Default)]
+pub(super) struct Missed {
+    /// Places that it is far from, each with the nearest seed, by falling deviation; unit frame. Empty if the vertices were not
+    /// fitted.
+    pub(super) places: Vec<(u32, DVec3)>,
+    /// Hausdorff distance, unit frame; 0 if the vertices were not fitted.
+    pub(super) deviation: f64,
+    /// Seeds without a vertex, other than those of curves: the surface in their cells lies back to back.
+    pub(super) seeds_without_vertex: Vec<u32>,
+    /// Where as many seeds are of use: midpoints of long edges, unit frame.
+    pub(super) long_edge_midpoints: Vec<DVec3>,
+}
+
+impl Draft {
+    /// What it lacks of the input.
+    pub(super) fn missed(&self) -> Missed {
+        self.fitted.as_ref().map_or_else(Missed::default, |f| f.missed.clone())
+    }
+
+    /// Edges of curves, lower end first.
+    fn curves(&self) -> HashSet<[u32; 2]> {
+        self.curve_edges.iter().flatten().map(|&e| undirected(e)).collect()
+    }
+}
+
+/// A finished surface.
+pub(super) struct Built {
+    pub(super) mesh: TriMesh,
+    pub(super) vertex_seed: Vec<u32>,
+    /// For each segment of the curves the result's edge, if it is there.
+    pub(super) curve_edges: Vec<Option<[u32; 2]>>,
+    pub(super) repair: RepairFigures,
+    /// Places of the input that it is still far from.
+    pub(super) missed: usize,
+}
+
+impl Extraction<'_> {
+    /// The dual made a triangulation: repaired, its vertices placed, with the seed of each vertex.
+    pub(super) fn draft(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Result<Draft, RemeshError> {
+        let positions = self.vertex_positions(dual, seeds);
+        self.token.check()?;
+        let repaired = repair::repair(&positions, &dual.triangles, self.token)?;
+        if repaired.facets.is_empty() {
+            let too_few = RemeshError::too_few(seeds.len());
+            return Err(if repair::all_cancel(self.surface.welded()) { RemeshError::NoThickness } else { too_few });
+        }
+        let repair = RepairFigures {
+            split_cells: dual.split_cells,
+            not_disks: dual.not_disks.len(),
+            multiple_edges: dual.multiple_edges.len(),
+            multiple_rims: dual.multiple_rims.len(),
+            disputed_vertices: dual.disputed,
+            ..repaired.figures
+        };
+        let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
+        // Ascending, as the components are.
+        let present = vertex_seed.chunk_by(|a, b| a == b).count();
+        let repair = RepairFigures {
+            seeds_without_vertex: seeds.len() - present,
+            further_vertices: vertex_seed.len() - present,
+            ..repair
+        };
+        let (positions, mut facets) = (repaired.positions, repaired.facets);
+        let mut curve_edges = self.curves.edges_in(&facets, &vertex_seed);
+        let missing = self.curves.missing(&curve_edges, &vertex_seed, |kind| kind == CurveKind::Boundary);
+        let is_free = |v: u32| vertex_seed[v as usize] as usize >= self.curves.seeds.len();
+        if boundary_ears::fill(&positions, &mut facets, &missing, is_free) > 0 {
+            curve_edges = self.curves.edges_in(&facets, &vertex_seed);
+        }
+        let mut draft = Draft { positions, facets, vertex_seed, curve_edges, repair, fitted: None, seeds: seeds.len() };
+        if self.placement == Placement::Fitted {
+            self.fit(&mut draft, &repaired.source, dual);
+        }
+        self.token.check()?;
+        Ok(draft)
+    }
+
+    /// The draft improved locally, in the caller's coordinates.
+    pub(super) fn finish(&self, mut draft: Draft) -> Result<Built, RemeshError> {
+        let mut missed = 0;
+        if let Some(mut fitted) = draft.fitted.take() {
+            missed = self.improve(&mut draft, &mut fitted);
+            self.token.check()?;
+            let frame = self.surface.frame();
+            let moved = draft.positions.iter_mut().zip(fitted.positions).zip(&fitted.target.fixed);
+            moved.filter(|(_, fixed)| !**fixed).for_each(|((p, u), _)| *p = frame.to_world(u));
+        }
+        let Draft { positions, facets, vertex_seed, curve_edges, repair, seeds, .. } = draft;
+        // Only one thing can be wrong with it: seeds on a line leave no facet with an area.
+        let mesh = TriMesh::new(positions, facets).map_err(|_| RemeshError::too_few(seeds))?;
+        Ok(Built { mesh, vertex_seed, curve_edges, repair, missed })
+    }
+
+    /// Recovers edges of curves, improves valences and the places that are farthest from the input. Returns how many places
+    /// are still far.
+    fn improve(&self, draft: &mut Draft, fitted: &mut Fitted) -> usize {
+        let Fitted { positions, target, envelope, cells, missed, distances } = fitted;
+        let before = missed.places.len();
+        let reference = Reference::new(self.surface, positions.len(), cells, target.input.vertices.all());
+        let absent = self.curves.missing(&draft.curve_edges, &draft.vertex_seed, |_| true);
+        if !absent.is_empty() {
+            let (mobility, curves) = (mobility(positions, &draft.curve_edges, &target.fixed), draft.curves());
+            let mut editor = MeshEditor::new(positions, &mut draft.facets, &mobility, (curves, &reference), self.token);
+            let recover = |&ends: &[u32; 2]| !self.token.is_stopped() && recover_edge(&mut editor, ends);
+            let recovered = absent.into_iter().filter(recover).count();
+            if recovered > 0 {
+                self.find_curves(draft);
+                self.improve_angles(positions, draft, target, envelope);
+                let facets = &draft.facets;
+                let estimate = HausdorffEstimate::of(positions, facets, &target.input, self.tolerance, self.token);
+                *distances = estimate.by_vertex;
+            }
+        }
+        let (mobility, curves) = (mobility(positions, &draft.curve_edges, &target.fixed), draft.curves());
+        let mut editor = MeshEditor::new(positions, &mut draft.facets, &mobility, (curves, &reference), self.token);
+        // Twice: some vertices have room for a flip only before far places are improved, others only afterwards.
+        let mut exhausted = Exhausted::default();
+        let mut changed = improve_valences(&mut editor, &mut exhausted);
+        changed += improve_farthest(&mut editor, distances);
+        changed += improve_valences(&mut editor, &mut exhausted);
+        if changed == 0 && missed.places.is_empty() {
+            return 0;
+        }
+        self.find_curves(draft);
+        // Improvement takes nothing farther away, but a place's nearest facet may have left the one-ring that is searched.
+        missed_places(positions, &draft.facets, &target.input, self.tolerance, self.token).len().min(before)
+    }
+
+    /// Finds the edges of curves again, in the order of the facets.
+    fn find_curves(&self, draft: &mut Draft) {
+        draft.curve_edges = self.curves.edges_in(&draft.facets, &draft.vertex_seed);
+    }
+
+    fn improve_angles(&self, positions: &mut [DVec3], draft: &mut Draft, target: &Target, envelope: &CurveEnvelope) {
+        let (mobility, curves) = (mobility(positions, &draft.curve_edges, &target.fixed), draft.curves());
+        let off_curve = self.tolerance.map_or(f64::INFINITY, |tolerance| OFF_CURVE_SHARE * tolerance);
+        let bounds = MotionBounds { mobility: &mobility, envelope, off_curve };
+        improve_angles(positions, &mut draft.facets, bounds, &curves, self.token);
+    }
+
+    /// Where the dual's vertices go, caller's coordinates. A cell in one piece has its vertex at its seed, which is on the
+    /// surface, or at its centroid; a component of a split cell has it at the closest point to its own centroid.
+    fn vertex_positions(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Vec<DVec3> {
+        let frame = self.surface.frame();
+        let closest = dual.components.iter().any(|c| !c.whole).then(|| ClosestPoint::new(self.mesh));
+        let place = |c: &dual::Component| match &closest {
+            _ if (c.seed as usize) < self.curves.seeds.len() && c.whole => {
+                self.curves.position(self.mesh, frame, c.seed)
+            }
+            _ if self.placement == Placement::Centroids => frame.to_world(c.centroid),
+            Some(tree) if !c.whole && !self.token.is_stopped() => tree.project(frame.to_world(c.centroid)).position,
+            _ => frame.to_world(seeds[c.seed as usize]),
+        };
+        dual.components.iter().map(place).collect()
+    }
+
+    /// Moves the draft's vertices to where its facets are nearest to the input ([`fit`]). Corners of curves stay.
+    /// `component` is that of the dual for each vertex.
+    fn fit(&self, draft: &mut Draft, component: &[u32], dual: &dual::Dual) {
+        let mut vertex = vec![u32::MAX; dual.components.len()];
+        component.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
+        let fixed = draft.vertex_seed.iter().map(|&s| self.curves.is_corner(s) || s >= self.first_added).collect();
+        let input = self.input_samples(&vertex, dual, draft.positions.len());
+        let mut target = Target { input, curves: self.curves.samples(&draft.curve_edges), fixed };
+        let own = |p: &dual::Piece| (p.area > 0.0).then(|| (vertex[p.component as usize], p.facet));
+        let cells = dual.pieces.par_iter().filter_map(own).filter(|c| c.0 != u32::MAX).collect();
+        let frame = self.surface.frame();
+        let mut unit: Vec<DVec3> = draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect();
+        // Added seeds bring edges to the curves. An envelope as well would fold facets between them.
+        let envelope = CurveEnvelope::new(&unit, &target.fixed, if self.adds { &[] } else { &target.curves });
+        fit::fit(&mut unit, &mut draft.facets, &target, self.token);
+        envelope.restore(&mut unit, &draft.facets, self.token);
+        self.improve_angles(&mut unit, draft, &target, &envelope);
+        for v in envelope.tighten(&mut unit, &draft.facets, &target.fixed, self.token) {
+            target.fixed[v as usize] = false;
+        }
+        let HausdorffEstimate { missed, largest, by_vertex } =
+            HausdorffEstimate::of(&unit, &draft.facets, &target.input, self.tolerance, self.token);
+        let places = missed.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
+        let lost = self.seeds_without_vertex(draft);
+        let midpoints = long_edge_midpoints(&unit, &draft.facets, &target.fixed, lost.len());
+        let missed = Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints: midpoints };
+        draft.fitted = Some(Fitted { positions: unit, target, envelope, cells, missed, distances: by_vertex });
+    }
+
+    /// See [`Missed::seeds_without_vertex`].
+    fn seeds_without_vertex(&self, draft: &Draft) -> Vec<u32> {
+        let mut there = vec![false; draft.seeds];
+        draft.vertex_seed.iter().for_each(|&s| there[s as usize] = true);
+        (self.curves.seeds.len() as u32..draft.seeds as u32).filter(|&s| !there[s as usize]).collect()
+    }
+
+    /// The input by vertex of the draft: one sample for each piece, and the input's vertices. `vertex` is that of the draft for
+    /// each component of the dual.
+    fn input_samples(&self, vertex: &[u32], dual: &dual::Dual, vertices: usize) -> InputSamples {
+        let surface = self.surface;
+        let of = |p: &dual::Piece| if p.area > 0.0 { vertex[p.component as usize] } else { u32::MAX };
+        let owners: Vec<u32> = dual.pieces.par_iter().map(of).collect();
+        let sample = |k: usize| {
+            let p = &dual.pieces[k];
+            SurfaceSample { position: p.centroid, normal: surface.normal(p.facet), area: p.area }
+        };
+        // The owner of the first piece that has the vertex of the input as a corner.
+        let mut owner_of = vec![u32::MAX; surface.positions().len()];
+        for (p, &owner) in dual.pieces.iter().zip(&owners).filter(|(p, owner)| p.corners != 0 && **owner != u32::MAX) {
+            let facet = surface.welded()[p.facet as usize];
+            for corner in (0..3).filter(|c| p.corners & (1 << c) != 0) {
+                let known = &mut owner_of[facet[corner] as usize];
+                *known = if *known == u32::MAX { owner } else { *known };
+            }
+        }
+        let input_vertex = |v: usize| InputVertex { position: surface.positions()[v], owner: owner_of[v] };
+        let input_vertices = Csr::group(vertices, &owner_of, input_vertex);
+        InputSamples { samples: Csr::group(vertices, &owners, sample), vertices: input_vertices }
+    }
+}
+
+/// The midpoints of the longest edges with free ends, `count` of them. No two edges have an end in common.
+fn long_edge_midpoints(positions: &[DVec3], facets: &[[u32; 3]], fixed: &[bool], count: usize) -> Vec<DVec3> {
+    if count == 0 {
+        return Vec::new();
+    }
+    let at = |v: u32| positions[v as usize];
+    let edges = facets.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).filter(|[a, b]| a < b);
+    let mut edges: Vec<(f64, [u32; 2])> = edges.map(|e| (at(e[0]).distance_squared(at(e[1])), e)).collect();
+    edges.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut taken = fixed.to_vec();
+    let free = |e: &[u32; 2]| !e.iter().any(|&v| std::mem::replace(&mut taken[v as usize], true));
+    edges.into_iter().map(|(_, e)| e).filter(free).map(|[a, b]| at(a).midpoint(at(b))).take(count).collect()
+}
+
+/// How each vertex may move: vertices with two edges of curves along these, other ends of such edges hardly at all.
+fn mobility(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<Mobility> {
+    let mut ends: Vec<(u32, u32)> = curve_edges.iter().flatten().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
+    ends.sort_unstable();
+    let of = |v: usize| match fixed[v] {
+        true => Mobility::Fixed,
+        false => Mobility::Free,
+    };
+    let mut mobility: Vec<Mobility> = (0..positions.len()).map(of).collect();
+    for group in ends.chunk_by(|a, b| a.0 == b.0) {
+        let own = &mut mobility[group[0].0 as usize];
+        if *own == Mobility::Free {
+            *own = match group {
+                [(_, a), (_, b)] => (positions[*b as usize] - positions[*a as usize])
+                    .try_normalize()
+                    .map_or(Mobility::End, Mobility::Along),
+                _ => Mobility::End,
+            };
+        }
+    }
+    mobility
+}

@@ -1,0 +1,58 @@
+//! What all attempts at one remesh share.
+//!
+//! Purpose: [`Job`] has the surface, the backend, the listener and the clock; [`enter`] announces a stage.
+//! Invariant: the times of the stages add up over all attempts. Must not know: what a stage does.
+
+use std::time::Instant;
+
+use crate::mesh::TriMesh;
+use crate::mesh::measure::Topology;
+use crate::remesh::Observer;
+use crate::remesh::report::Timings;
+use crate::rvd::Backend;
+use crate::token::Token;
+
+/// See the module's head.
+pub(super) struct Job<'a, 'b> {
+    pub(super) mesh: &'a TriMesh,
+    pub(super) backend: &'b dyn Backend,
+    pub(super) token: &'b Token,
+    pub(super) observer: &'b mut dyn Observer,
+    pub(super) laps: Laps,
+    /// Whether edges become shorter where the surface is too thin for its cells.
+    pub(super) keep_thin: bool,
+    /// Topology of the input.
+    pub(super) topology: Topology,
+}
+
+/// A stage begins.
+pub(super) fn enter(observer: &mut dyn Observer, token: &Token, stage: &'static str) {
+    token.enter(stage);
+    observer.stage(stage);
+}
+
+/// A stopwatch, and the times of the stages. All in milliseconds.
+pub(super) struct Laps {
+    begin: Instant,
+    last: Instant,
+    pub(super) timings: Timings,
+}
+
+impl Laps {
+    pub(super) fn start() -> Self {
+        let now = Instant::now();
+        Self { begin: now, last: now, timings: Timings::default() }
+    }
+
+    /// Time since the last call.
+    pub(super) fn lap(&mut self) -> f64 {
+        let ms = self.last.elapsed().as_secs_f64() * 1e3;
+        self.last = Instant::now();
+        ms
+    }
+
+    /// Time since the start.
+    pub(super) fn total(&self) -> f64 {
+        self.begin.elapsed().as_secs_f64() * 1e3
+    }
+}

@@ -1,0 +1,210 @@
+//! Optimization of the seeds.
+//!
+//! Purpose: [`Job::optimize`] draws seeds, takes the steps that were asked for and reads the dual. Where the surface is too thin
+//! for its cells, it does so again with shorter edges there, as long as that helps.
+//! Invariant: the best of all rounds comes back; without failing cells there is one round.
+//! Must not know: how a surface is made of a dual.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+
+use super::job::{Job, enter};
+use super::prepare::{Prepared, prepare};
+use super::schedule::Schedule;
+use super::thin_parts::{self, FailingCells};
+use crate::cvt::density::{DensityError, DensityOptions, DensitySource, Plan};
+use crate::cvt::{Cvt, CvtOptions};
+use crate::mesh::TriMesh;
+use crate::mesh::sample::spread;
+use crate::remesh::features::curves::KeptCurves;
+use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
+use crate::remesh::{RemeshError, RemeshOptions, Seeds};
+use crate::rvd::{RvdError, Session, SessionOptions, Surface, dual};
+use crate::token::{Stopped, Token};
+
+/// Seeds after their steps.
+pub(super) struct Optimized<'a> {
+    pub(super) plan: Plan<'a>,
+    pub(super) surface: Arc<Surface>,
+    pub(super) curves: KeptCurves,
+    pub(super) cvt: Cvt,
+    /// In double precision, for duals.
+    pub(super) session: Box<dyn Session>,
+    pub(super) dual: dual::Dual,
+    failing: FailingCells,
+    /// The random seed they were drawn from.
+    pub(super) seed: Option<u64>,
+    /// Whether the steps that were asked for converged, and where they ended.
+    pub(super) converged: bool,
+    pub(super) last: FinalFigures,
+    pub(super) rvd: RvdFigures,
+    pub(super) iterations: Vec<IterationFigures>,
+    pub(super) refine: RefineFigures,
+}
+
+impl<'a> Job<'a, '_> {
+    /// Seeds optimized for `options`, or for shorter edges where cells fail.
+    pub(super) fn optimize(
+        &mut self,
+        prepared: Prepared<'a>,
+        options: &RemeshOptions,
+    ) -> Result<Optimized<'a>, RemeshError> {
+        let optimized = self.optimize_once(prepared, options)?;
+        self.resolve_thin_parts(optimized, options)
+    }
+
+    /// Draws seeds, takes their steps, and reads their dual.
+    fn optimize_once(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Optimized<'a>, RemeshError> {
+        let Prepared { plan, surface, mut curves, closest } = prepared;
+        self.laps.timings.prepare += self.laps.lap();
+        self.token.check()?;
+
+        enter(self.observer, self.token, "sample");
+        let (first, seed) = first_seeds(&plan, &surface, &curves, &options.seeds);
+        self.laps.timings.sample += self.laps.lap();
+        self.token.check()?;
+
+        enter(self.observer, self.token, "iterations");
+        let max_seeds = options.refine.map_or(0, |r| r.max_points);
+        let cvt_options = CvtOptions { projection: options.projection, max_seeds };
+        let mut cvt = Cvt::new(self.backend, Arc::clone(&surface), &first, cvt_options)?;
+        cvt.bring_closest(closest);
+        if !curves.seeds.is_empty() {
+            cvt.keep_curves(curves.seeds.clone(), self.token)?;
+        }
+        let (rvd, refine) = (RvdFigures::default(), RefineFigures::default());
+        let token = self.token;
+        let mut schedule =
+            Schedule { options, observer: &mut *self.observer, token, rvd, iterations: Vec::new(), refine };
+        let last = schedule.main(&mut cvt)?;
+        // Further steps may leave it converged or not.
+        let converged = cvt.converged();
+        self.laps.timings.iterations += self.laps.lap();
+        schedule.clear_curves(&mut cvt)?;
+        curves.seeds = cvt.curves().clone();
+        self.laps.timings.refine += self.laps.lap();
+
+        enter(schedule.observer, schedule.token, "dual");
+        let room = max_seeds.max(cvt.len());
+        let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(room) };
+        let mut session = self.backend.exact_session(Arc::clone(&surface), exact)?;
+        let dual = ExactDual { surface: &surface, session: &mut *session }.dual(&mut cvt, &mut schedule)?;
+        self.token.check()?;
+        let failing = thin_parts::failing(&dual, &plan.mesh, &surface, &self.topology, token)?;
+        self.laps.timings.dual += self.laps.lap();
+        let Schedule { rvd, iterations, refine, .. } = schedule;
+        Ok(Optimized {
+            plan,
+            surface,
+            curves,
+            cvt,
+            session,
+            dual,
+            failing,
+            seed,
+            converged,
+            last,
+            rvd,
+            iterations,
+            refine,
+        })
+    }
+
+    /// Optimizes again with shorter edges where cells fail, as long as that helps.
+    fn resolve_thin_parts(
+        &mut self,
+        optimized: Optimized<'a>,
+        options: &RemeshOptions,
+    ) -> Result<Optimized<'a>, RemeshError> {
+        let mut best = optimized;
+        best.refine.thin_cells = best.failing.len();
+        if !self.keep_thin || matches!(options.seeds, Seeds::Given(_)) {
+            return Ok(best);
+        }
+        let median = best.plan.figures.edge_median;
+        let most = thin_parts::MOST_POINTS * best.plan.points;
+        let mut failing = !best.failing.is_empty();
+        let mut lengths = if failing { best.shorter_lengths(self.mesh, self.token)? } else { Vec::new() };
+        let mut vain = 0;
+        for round in 1..=thin_parts::MAX_ROUNDS {
+            if !failing || vain == thin_parts::MAX_VAIN_ROUNDS {
+                break;
+            }
+            let source = DensitySource::Sizes(lengths);
+            let density = DensityOptions { source, edge_length: None, adaptivity: 1.0, ..options.density.clone() };
+            let options = RemeshOptions { density, ..options.clone() };
+            enter(self.observer, self.token, "prepare");
+            let prepared = match prepare(self.mesh, &options, self.token) {
+                Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => break,
+                prepared => prepared?,
+            };
+            let Plan { figures, points, .. } = &prepared.plan;
+            let longer =
+                median.zip(figures.edge_median).is_some_and(|(before, now)| now > thin_parts::LONGEST * before);
+            if longer || *points > most {
+                break;
+            }
+            let mut next = match self.optimize_once(prepared, &options) {
+                // The best so far stays on the device beside it.
+                Err(RemeshError::Rvd(RvdError::NeverFits { .. } | RvdError::OutOfMemory { .. })) => break,
+                next => next?,
+            };
+            (lengths, failing) = (next.shorter_lengths(self.mesh, self.token)?, !next.failing.is_empty());
+            if next.failing.is_better(&best.failing) {
+                next.refine.evaluations += best.passes();
+                next.refine.thin_rounds = round;
+                next.plan.figures.source = best.plan.figures.source;
+                (best, vain) = (next, 0);
+            } else {
+                best.refine.evaluations += next.passes();
+                vain += 1;
+            }
+        }
+        best.refine.thin_cells = best.failing.len();
+        Ok(best)
+    }
+}
+
+impl Optimized<'_> {
+    /// Target edge length per vertex of the caller's `mesh`, shorter where cells fail.
+    fn shorter_lengths(&self, mesh: &TriMesh, token: &Token) -> Result<Vec<f64>, Stopped> {
+        let mut lengths = self.plan.lengths(mesh, token)?;
+        thin_parts::shorten(&mut lengths, mesh, &self.failing, &self.dual, &self.surface, token)?;
+        Ok(lengths)
+    }
+
+    /// Passes over the diagram that it took.
+    fn passes(&self) -> usize {
+        self.refine.evaluations + self.iterations.iter().map(|step| step.evaluations).sum::<usize>()
+    }
+}
+
+/// What the duals are computed with.
+pub(super) struct ExactDual<'a> {
+    pub(super) surface: &'a Surface,
+    pub(super) session: &'a mut dyn Session,
+}
+
+impl ExactDual<'_> {
+    /// Puts the seeds on the surface and reads their dual.
+    pub(super) fn dual(&mut self, cvt: &mut Cvt, schedule: &mut Schedule<'_>) -> Result<dual::Dual, RemeshError> {
+        cvt.put_on_surface(schedule.token)?;
+        self.session.set_seeds(cvt.unit_seeds()?)?;
+        let dual = dual::extract(self.session, self.surface, cvt.len(), schedule.token)?;
+        schedule.rvd.add_pass(&dual.stats);
+        Ok(dual)
+    }
+}
+
+/// The seeds that the options name, those of curves first, caller's coordinates; and the random seed they were drawn from.
+fn first_seeds(plan: &Plan<'_>, surface: &Surface, curves: &KeptCurves, seeds: &Seeds) -> (Vec<DVec3>, Option<u64>) {
+    match *seeds {
+        Seeds::Given(ref seeds) => (seeds.clone(), None),
+        Seeds::Sample { seed, .. } | Seeds::Implied { seed } if curves.seeds.is_empty() => {
+            let drawn = spread(&plan.mesh, plan.weights.as_deref(), None, plan.points, seed);
+            (drawn.iter().map(|p| p.position).collect(), Some(seed))
+        }
+        Seeds::Sample { seed, .. } | Seeds::Implied { seed } => (curves.with_others(plan, surface, seed), Some(seed)),
+    }
+}

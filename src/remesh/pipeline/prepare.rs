@@ -1,0 +1,67 @@
+//! What the steps of the seeds begin with.
+//!
+//! Purpose: [`prepare`] plans the density, finds the curves to keep and builds the search tree of the surface;
+//! [`separation`] says how far components have to be apart.
+//! Invariant: depends on the surface and the options alone. Must not know: seeds, backends.
+
+use std::sync::Arc;
+
+use crate::cvt::density::{self, DensityOptions, DensitySource, Plan};
+use crate::mesh::TriMesh;
+use crate::mesh::closest_point::ClosestPoint;
+use crate::remesh::features::curves::KeptCurves;
+use crate::remesh::{RemeshError, RemeshOptions, Seeds};
+use crate::rvd::Surface;
+use crate::token::Token;
+
+/// Distance between components: so many edge lengths,
+const SEPARATION_EDGES: f64 = 2.0;
+/// plus this share of the diagonal.
+const SEPARATION_DIAGONAL: f64 = 0.02;
+/// Points that a component needs: a tetrahedron has four vertices.
+const POINTS_PER_COMPONENT: usize = 4;
+
+/// See the module's head.
+pub(super) struct Prepared<'a> {
+    pub(super) plan: Plan<'a>,
+    /// The surface that the plan is for.
+    pub(super) surface: Arc<Surface>,
+    /// The curves on it.
+    pub(super) curves: KeptCurves,
+    /// Finds its closest points, unit frame.
+    pub(super) closest: ClosestPoint,
+}
+
+/// Prepares `mesh` for `options`.
+pub(super) fn prepare<'a>(
+    mesh: &'a TriMesh,
+    options: &RemeshOptions,
+    token: &Token,
+) -> Result<Prepared<'a>, RemeshError> {
+    let plan = density::plan(mesh, &options.density, options.seeds.count(), token)?.divided(token)?;
+    token.check()?;
+    let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+    token.check()?;
+    let find = || KeptCurves::find(mesh, &plan, &surface, options, token);
+    let (curves, closest) = rayon::join(find, || surface.closest_points());
+    Ok(Prepared { curves: curves?, closest: closest?, plan, surface })
+}
+
+/// How far so many components should be apart: two edge lengths, and a share of the diagonal. `None` where seeds are given,
+/// since it is not known which component one is on, and where there are too few points for each component to become a
+/// surface.
+pub(super) fn separation(mesh: &TriMesh, components: usize, options: &RemeshOptions) -> Option<f64> {
+    let (low, high) = mesh.bounds();
+    // Edge length of a uniform triangulation: equilateral triangles, two for each vertex.
+    let uniform = |points: usize| (2.0 / 3f64.sqrt() * mesh.area() / points.max(1) as f64).sqrt();
+    let edge = match (&options.seeds, &options.density) {
+        (Seeds::Given(_), _) => return None,
+        (Seeds::Sample { points, .. }, _) => uniform(*points),
+        (_, DensityOptions { source: DensitySource::Sizes(sizes), .. }) => {
+            sizes.iter().copied().fold(0.0, f64::max).min((high - low).length())
+        }
+        (_, density) => density.edge_length?,
+    };
+    let gap = SEPARATION_EDGES * edge + SEPARATION_DIAGONAL * (high - low).length();
+    (edge <= uniform(POINTS_PER_COMPONENT * components)).then_some(gap)
+}

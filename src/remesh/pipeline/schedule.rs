@@ -1,0 +1,118 @@
+//! The steps of a remesh.
+//!
+//! Purpose: [`Schedule`] takes Lloyd and quasi-Newton steps until they converge or are used up. Further steps follow when seeds
+//! were pushed off curves, added where the result is far from the input, or moved because they produced no vertex.
+//! Invariant: the report's iterations are the steps that were asked for; further steps are counted apart.
+//! Must not know: how a surface is made of the seeds.
+
+use glam::DVec3;
+
+use super::extract::Missed;
+use crate::cvt::{Cvt, Iteration};
+use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
+use crate::remesh::{Observer, RemeshError, RemeshOptions};
+use crate::token::Token;
+
+/// Rounds that push seeds off curves after the last step. In the last one the curves adopt the seeds instead.
+const CLEARING_ROUNDS: usize = 2;
+/// Steps after such a round.
+const CLEARING_STEPS: usize = 3;
+/// Steps after seeds were moved or added.
+const REFINING_STEPS: usize = 6;
+
+/// Seeds nearer to each other than this, unit frame, are in one place.
+const SAME_PLACE: f64 = 1e-9;
+
+/// See the module's head.
+pub(super) struct Schedule<'a> {
+    pub(super) options: &'a RemeshOptions,
+    pub(super) observer: &'a mut dyn Observer,
+    pub(super) token: &'a Token,
+    pub(super) rvd: RvdFigures,
+    pub(super) iterations: Vec<IterationFigures>,
+    pub(super) refine: RefineFigures,
+}
+
+impl Schedule<'_> {
+    /// The steps that were asked for. Returns what they came to.
+    pub(super) fn main(&mut self, cvt: &mut Cvt) -> Result<FinalFigures, RemeshError> {
+        let planned = self.options.lloyd + self.options.newton;
+        while self.iterations.len() < planned && !cvt.converged() {
+            let lloyd = self.options.lloyd.saturating_sub(self.iterations.len());
+            let steps = if lloyd > 0 { cvt.relax(lloyd, self.token)? } else { vec![cvt.lbfgs(self.token)?] };
+            for step in steps {
+                self.count(&step);
+                self.observer.iteration(&step, planned);
+                self.iterations.push(IterationFigures::of(&step));
+            }
+        }
+        Ok(FinalFigures::of(&cvt.present(self.token)?))
+    }
+
+    fn take(&mut self, cvt: &mut Cvt, newton: bool) -> Result<Iteration, RemeshError> {
+        let step = if newton { cvt.lbfgs(self.token)? } else { cvt.lloyd(self.token)? };
+        self.count(&step);
+        Ok(step)
+    }
+
+    fn count(&mut self, step: &Iteration) {
+        self.rvd.add_pass(&step.stats);
+        self.rvd.reseeded_cells += step.empty_cells;
+    }
+
+    /// Further steps: one of Lloyd's, then quasi-Newton steps.
+    fn further(&mut self, cvt: &mut Cvt, steps: usize) -> Result<(), RemeshError> {
+        for k in 0..steps {
+            let step = self.take(cvt, k > 0)?;
+            self.refine.evaluations += step.evaluations;
+        }
+        Ok(())
+    }
+
+    /// Clears the curves of seeds that are not theirs.
+    pub(super) fn clear_curves(&mut self, cvt: &mut Cvt) -> Result<(), RemeshError> {
+        for round in 1..=CLEARING_ROUNDS {
+            let in_the_way = match round < CLEARING_ROUNDS {
+                true => cvt.clear_curves(self.token)?,
+                false => cvt.adopt_intruders(self.token)?,
+            };
+            if in_the_way == 0 {
+                break;
+            }
+            self.further(cvt, CLEARING_STEPS)?;
+        }
+        Ok(())
+    }
+
+    /// Adds seeds at places that were missed, each with the nearest seed, and takes further steps. Returns whether there was
+    /// anything to do.
+    pub(super) fn add_seeds(&mut self, cvt: &mut Cvt, places: &[(u32, DVec3)]) -> Result<bool, RemeshError> {
+        // A second seed in one place would be a duplicate.
+        let seeds = cvt.unit_seeds()?;
+        let apart = |p: &&(u32, DVec3)| seeds[p.0 as usize].distance(p.1) > SAME_PLACE;
+        let places: Vec<DVec3> = places.iter().filter(apart).map(|p| p.1).collect();
+        let added = cvt.pin(&[], &places)?;
+        self.refine.added_seeds += added;
+        self.refine(cvt, added)
+    }
+
+    /// Moves seeds without a vertex to where edges are long, and takes further steps. Returns whether there was anything to
+    /// do.
+    pub(super) fn move_seeds(&mut self, cvt: &mut Cvt, missed: &Missed) -> Result<bool, RemeshError> {
+        let pins: Vec<(u32, DVec3)> =
+            missed.seeds_without_vertex.iter().copied().zip(missed.long_edge_midpoints.iter().copied()).collect();
+        if !pins.is_empty() {
+            cvt.pin(&pins, &[])?;
+        }
+        self.refine.moved_seeds += pins.len();
+        self.refine(cvt, pins.len())
+    }
+
+    fn refine(&mut self, cvt: &mut Cvt, changed: usize) -> Result<bool, RemeshError> {
+        if changed > 0 {
+            self.refine.rounds += 1;
+            self.further(cvt, REFINING_STEPS)?;
+        }
+        Ok(changed > 0)
+    }
+}
