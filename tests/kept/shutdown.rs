@@ -16,6 +16,7 @@ use super::program::*;
 const LIMIT: Duration = Duration::from_secs(600);
 const GRACE: Duration = Duration::from_secs(1);
 const WATCHERS: usize = 24;
+const SECOND: Duration = Duration::from_secs(1);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hangup_ends_no_server() {
@@ -39,6 +40,13 @@ async fn open_watches_hear_unavailable_and_jobs_go_on() {
     let mut program = Program::start(folder.path(), &options);
     let client = program.client().await;
     let digest = client.of("a").put_mesh(&Shape::Genus(3).build(8_000)).await;
+    // The load before.
+    let (begin, mut other) = (Instant::now(), client.of("b"));
+    let small = other.put_mesh(&Shape::Genus(3).build(600)).await;
+    while begin.elapsed() + SECOND < length(1.0) {
+        let id = other.submit(remesh(&small, 40, 1)).await;
+        assert_eq!(other.end(&id, LIMIT).await.state(), JobState::Succeeded);
+    }
     // Some at work, longer than the grace period; the others wait.
     let mut ids = Vec::new();
     for job in 0..WATCHERS as u64 {
@@ -52,7 +60,7 @@ async fn open_watches_hear_unavailable_and_jobs_go_on() {
             tokio::spawn(async move { client.watch(&id, 0).await })
         })
         .collect();
-    tokio::time::sleep(length(1.0)).await;
+    tokio::time::sleep(SECOND).await;
     let asked = Instant::now();
     let code = tokio::task::spawn_blocking(move || program.stop()).await.unwrap();
     let took = asked.elapsed();
