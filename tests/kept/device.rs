@@ -122,9 +122,36 @@ impl Server {
         self.device.lock().unwrap().as_ref().unwrap().raw().destroy();
     }
 
-    /// Gives the device work that takes about so long.
-    fn hang(&self, time: Duration) {
-        let device = Arc::clone(self.device.lock().unwrap().as_ref().unwrap());
+    /// Work that the device of now takes this long for, compiled and measured. Nothing of it is at the device yet.
+    fn hang(&self, time: Duration) -> Hang {
+        Hang::new(Arc::clone(self.device.lock().unwrap().as_ref().unwrap()), time)
+    }
+
+    /// What health says, from now on.
+    async fn health(&self) -> tonic::Streaming<tonic_health::pb::HealthCheckResponse> {
+        let channel = tonic::transport::Endpoint::from_shared(format!("http://{}", self.address)).unwrap();
+        let mut health = HealthClient::new(channel.connect().await.unwrap());
+        let request = HealthCheckRequest { service: SERVICE_NAME.to_owned() };
+        health.watch(request).await.unwrap().into_inner()
+    }
+
+    async fn stop(self) -> Result<(), ServeError> {
+        let _ = self.stop.send(());
+        self.served.await.unwrap()
+    }
+}
+
+/// Work that takes longer than any submission may.
+struct Hang {
+    device: Arc<Device>,
+    pipeline: wgpu::ComputePipeline,
+    bindings: wgpu::BindGroup,
+    /// Thousands of workgroups.
+    thousands: u32,
+}
+
+impl Hang {
+    fn new(device: Arc<Device>, time: Duration) -> Self {
         // A loop of a software driver ends after 65,535 rounds, so many workgroups go through a shorter one.
         let source = "@group(0) @binding(0) var<storage, read_write> out: array<u32>;
             @compute @workgroup_size(8) fn main(@builtin(workgroup_id) group: vec3u) {
@@ -148,38 +175,34 @@ impl Server {
         let usage = wgpu::BufferUsages::STORAGE;
         let buffer =
             raw.create_buffer(&wgpu::BufferDescriptor { label: None, size: 16, usage, mapped_at_creation: false });
-        let group = raw.create_bind_group(&wgpu::BindGroupDescriptor {
+        let bindings = raw.create_bind_group(&wgpu::BindGroupDescriptor {
             label: None,
             layout: &pipeline.get_bind_group_layout(0),
             entries: &[wgpu::BindGroupEntry { binding: 0, resource: buffer.as_entire_binding() }],
         });
-        let work = |groups: u32| {
-            let mut encoder = device.encoder();
-            {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-                pass.set_pipeline(&pipeline);
-                pass.set_bind_group(0, &group, &[]);
-                pass.dispatch_workgroups(1000, groups, 1);
-            }
-            device.queue().submit([encoder.finish()])
-        };
+        let mut hang = Self { device, pipeline, bindings, thousands: 1 };
+        // The first one is compiled.
+        hang.wait();
         let begin = Instant::now();
-        let submission_index = Some(work(1));
-        raw.poll(wgpu::PollType::Wait { submission_index, timeout: Some(timeout()) }).unwrap();
-        work((time.as_secs_f64() / begin.elapsed().as_secs_f64()).ceil() as u32);
+        hang.wait();
+        hang.thousands = (time.as_secs_f64() / begin.elapsed().as_secs_f64()).ceil() as u32;
+        hang
     }
 
-    /// What health says, from now on.
-    async fn health(&self) -> tonic::Streaming<tonic_health::pb::HealthCheckResponse> {
-        let channel = tonic::transport::Endpoint::from_shared(format!("http://{}", self.address)).unwrap();
-        let mut health = HealthClient::new(channel.connect().await.unwrap());
-        let request = HealthCheckRequest { service: SERVICE_NAME.to_owned() };
-        health.watch(request).await.unwrap().into_inner()
+    fn submit(&self) -> wgpu::SubmissionIndex {
+        let mut encoder = self.device.encoder();
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            pass.set_pipeline(&self.pipeline);
+            pass.set_bind_group(0, &self.bindings, &[]);
+            pass.dispatch_workgroups(1000, self.thousands, 1);
+        }
+        self.device.queue().submit([encoder.finish()])
     }
 
-    async fn stop(self) -> Result<(), ServeError> {
-        let _ = self.stop.send(());
-        self.served.await.unwrap()
+    fn wait(&self) {
+        let submission_index = Some(self.submit());
+        self.device.raw().poll(wgpu::PollType::Wait { submission_index, timeout: Some(timeout()) }).unwrap();
     }
 }
 
@@ -204,35 +227,41 @@ async fn no_job_is_lost_with_its_device() {
     let (losses, hangs) = (times("TESSERA_LOSSES", 3), times("TESSERA_HANGS", 0));
     let server = Server::start(LossPolicy::Wait, Duration::from_secs(30)).await;
     let mut client = server.client().await;
-    let digest = client.put_mesh(&Shape::Genus(3).build(1_200)).await;
-    let calm_began = Instant::now();
-    let calm = client.submit(remesh(&digest, 150, 1)).await;
-    let calm = client.end(&calm, LIMIT).await;
-    assert_eq!(calm.state(), JobState::Succeeded, "{calm:?}");
-    let expected = part(&calm, "mesh");
-    let calm_s = calm_began.elapsed().as_secs_f64();
-    let (mut told, mut ended) = (Vec::new(), Vec::new());
-    for time in 0..losses + hangs {
-        let mut health = server.health().await;
-        assert_eq!(health.message().await.unwrap().unwrap().status(), ServingStatus::Serving);
-        let id = client.submit(remesh(&digest, 150, 1)).await;
-        steps(&mut client, &id).await;
-        let begin = Instant::now();
-        let hangs = time >= losses;
-        if hangs {
-            server.hang(2 * timeout());
-        } else {
-            server.lose();
+    // Two jobs: one for each way to lose the device. The long one is still at its steps when the device is given its work.
+    let (mut calm_s, mut told, mut ended) = (Vec::new(), Vec::new(), Vec::new());
+    for (rounds, hanging, facets, points) in [(losses, false, 1_200, 150), (hangs, true, 6_000, 1_500)] {
+        if rounds == 0 {
+            continue;
         }
-        let heard = tokio::time::timeout(LIMIT, health.message()).await.expect("health changes").unwrap().unwrap();
-        // A submission has its time.
-        let after = begin.elapsed().saturating_sub(if hangs { timeout() } else { Duration::ZERO });
-        assert_eq!(heard.status(), ServingStatus::NotServing);
-        told.push(after.as_secs_f64());
-        let job = client.end(&id, LIMIT).await;
-        assert_eq!(job.state(), JobState::Succeeded, "{job:?}");
-        assert_eq!(part(&job, "mesh"), expected, "the same bits");
-        ended.push(begin.elapsed().as_secs_f64());
+        let digest = client.put_mesh(&Shape::Genus(3).build(facets)).await;
+        let spec = remesh(&digest, points, 1);
+        let begin = Instant::now();
+        let calm = client.submit(spec.clone()).await;
+        let calm = client.end(&calm, LIMIT).await;
+        assert_eq!(calm.state(), JobState::Succeeded, "{calm:?}");
+        let expected = part(&calm, "mesh");
+        calm_s.push(begin.elapsed().as_secs_f64());
+        for _ in 0..rounds {
+            let mut health = server.health().await;
+            assert_eq!(health.message().await.unwrap().unwrap().status(), ServingStatus::Serving);
+            let hang = hanging.then(|| server.hang(2 * timeout()));
+            let id = client.submit(spec.clone()).await;
+            steps(&mut client, &id).await;
+            let begin = Instant::now();
+            match &hang {
+                Some(hang) => drop(hang.submit()),
+                None => server.lose(),
+            }
+            let heard = tokio::time::timeout(LIMIT, health.message()).await.expect("health changes").unwrap().unwrap();
+            // A submission has its time.
+            let after = begin.elapsed().saturating_sub(if hanging { timeout() } else { Duration::ZERO });
+            assert_eq!(heard.status(), ServingStatus::NotServing);
+            told.push(after.as_secs_f64());
+            let job = client.end(&id, LIMIT).await;
+            assert_eq!(job.state(), JobState::Succeeded, "{job:?}");
+            assert_eq!(part(&job, "mesh"), expected, "the same bits");
+            ended.push(begin.elapsed().as_secs_f64());
+        }
     }
     assert_eq!(server.engine.losses(), (losses + hangs) as u64);
     assert!(told.iter().all(|seconds| *seconds < 1.0), "NOT_SERVING in time: {told:?}");
