@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`device`] opens one persistent wgpu device and turns everything that can go wrong
 //! with it into [`GpuError`]; [`limits`] says what it allows; [`buffers`] allocates and moves bytes; [`dispatch`] turns numbers
-//! of items into workgroups and parts; `timing` reads the device's clock; [`shader`] composes WGSL.
+//! of items into workgroups and parts; `submitter` makes the calls that a driver may hold up; `timing` reads the device's clock; [`shader`] composes WGSL.
 //! Invariant: no panic and no silent error leaves here; a lost device is reported as
 //! [`GpuError::Lost`] by the next call.
 //! Must not know: meshes, facets, seeds, jobs. Numbers of things are numbers here.
@@ -13,6 +13,7 @@ pub mod dispatch;
 pub mod limits;
 pub mod shader;
 mod spare;
+mod submitter;
 mod timing;
 
 pub(crate) use device::Traffic;

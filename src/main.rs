@@ -2,9 +2,11 @@
 
 use std::process::ExitCode;
 
-/// A server's memory is to be what its jobs need now, not what they needed once.
+/// A server's memory is to be what its jobs need now, not what they needed once: what is free goes back to the system after ten
+/// seconds, also where the threads that used it are idle.
+#[cfg(target_os = "linux")]
 #[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
 
 fn main() -> ExitCode {
     tessera::internals::cli::main()

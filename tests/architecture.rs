@@ -139,7 +139,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("hdrhistogram", &["cli/load"]),
     ("kiddo", &["knn"]),
     ("tobj", &["mesh/io"]),
-    ("mimalloc", &["main"]),
+    ("tikv_jemallocator", &["main"]),
     ("png", &["picture"]),
     ("plotters", &["picture/chart"]),
     ("noto_sans_mono_bitmap", &["picture/chart"]),

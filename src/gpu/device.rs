@@ -3,7 +3,9 @@
 //! Purpose: choose an adapter, open it with all the limits it has, submit, wait, and report.
 //! Invariant: callbacks only set flags; [`Device::check`] reads them after each step. wgpu's
 //! `poll` panics on a lost device, so it is never called on one known to be lost, and a panic
-//! inside is turned into [`GpuError::Lost`].
+//! inside is turned into [`GpuError::Lost`]. No caller waits longer than the timeout for a driver
+//! that does not answer: not for the end of its work, not when it submits, not when it drops the
+//! device.
 //! Must not know: what is computed.
 
 use std::panic::AssertUnwindSafe;
@@ -13,6 +15,7 @@ use std::time::Duration;
 
 use super::GpuError;
 use super::spare::Spare;
+use super::submitter::Submitter;
 use super::timing::{LANES, Timer};
 
 /// Which adapters may be used.
@@ -186,6 +189,8 @@ pub struct Device {
     meters: Meters,
     timer: Mutex<Option<Timer>>,
     spare: Arc<Spare>,
+    /// The last: it closes the device when all else here has let go of it.
+    submitter: Submitter,
 }
 
 impl std::fmt::Debug for Device {
@@ -244,6 +249,7 @@ impl Device {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&seen.error, error.to_string())));
         let seen = Arc::clone(&flags);
         device.set_device_lost_callback(move |reason, message| note(&seen.lost, format!("{reason:?}: {message}")));
+        let submitter = Submitter::start(device.clone(), queue.clone(), options.timeout)?;
         Ok(Arc::new(Self {
             device,
             queue,
@@ -253,6 +259,7 @@ impl Device {
             meters: Meters::default(),
             timer: Mutex::default(),
             spare: Arc::default(),
+            submitter,
         }))
     }
 
@@ -358,7 +365,7 @@ impl Device {
         if let Some(buffer) = self.spare.take(size, usage) {
             let mut encoder = self.encoder();
             encoder.clear_buffer(&buffer, 0, None);
-            self.scoped(|| self.queue.submit([encoder.finish()]))?;
+            self.hand_over(encoder)?;
             return Ok(buffer);
         }
         let descriptor = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
@@ -446,11 +453,29 @@ impl Device {
         self.meters.submissions.fetch_add(1, Ordering::Relaxed);
         let mut timer = self.timer();
         let timed = timer.as_mut().map(|timer| timer.finish(&mut encoder));
-        let index = self.queue.submit([encoder.finish()]);
+        let index = self.hand_over(encoder)?;
         if let (Some(timer), Some(true)) = (timer.as_mut(), timed) {
             timer.submitted();
         }
         Ok(index)
+    }
+
+    /// Gives the driver what was recorded, and waits until it has taken it.
+    fn hand_over(&self, encoder: wgpu::CommandEncoder) -> Result<wgpu::SubmissionIndex, GpuError> {
+        self.check()?;
+        let answer = self.submitter.submit(encoder.finish());
+        match &answer {
+            Err(GpuError::Timeout { .. }) => self.hangs(),
+            Err(other) => note(&self.flags.lost, other.to_string()),
+            Ok(_) => self.check()?,
+        }
+        answer
+    }
+
+    /// The driver has not answered in time.
+    fn hangs(&self) {
+        note(&self.flags.lost, format!("no answer within {} s", self.timeout.as_secs()));
+        self.submitter.abandon();
     }
 
     /// Waits for a submission (or for the last one) and runs the callbacks that it made due.
@@ -462,7 +487,7 @@ impl Device {
         match answer {
             Ok(Ok(_)) => self.timer().as_mut().map_or(Ok(()), |timer| timer.collect(self.timeout)),
             Ok(Err(wgpu::PollError::Timeout)) => {
-                note(&self.flags.lost, format!("no answer within {} s", self.timeout.as_secs()));
+                self.hangs();
                 Err(GpuError::Timeout { seconds: self.timeout.as_secs() })
             }
             Ok(Err(other)) => Err(self.fault(other.to_string())),

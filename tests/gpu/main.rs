@@ -10,6 +10,8 @@ use tessera::internals::rvd::Gpu;
 
 #[path = "../common/gpu.rs"]
 mod gpu;
+#[path = "../common/hang.rs"]
+mod hang;
 
 /// The backend of these tests, or `None` where there is no adapter and none is required.
 fn backend() -> Option<&'static Gpu> {
@@ -26,6 +28,7 @@ macro_rules! require_gpu {
     };
 }
 
+mod hangs;
 mod helpers;
 mod resident;
 mod rvd;

@@ -1,0 +1,58 @@
+//! Promise: nobody waits for a driver that does not answer, wherever the driver holds the call up.
+
+use std::time::{Duration, Instant};
+
+use needs::needs;
+use tessera::internals::gpu::{Device, DeviceOptions, GpuError};
+
+use crate::gpu;
+use crate::hang::Hang;
+
+const TIMEOUT: Duration = Duration::from_secs(1);
+/// Of a machine that does other things too.
+const SLACK: Duration = Duration::from_secs(1);
+const HANG: Duration = Duration::from_secs(8);
+
+/// A device of its own, at work for long.
+fn hanging() -> std::sync::Arc<Device> {
+    let options = DeviceOptions { software: true, timeout: TIMEOUT, ..DeviceOptions::default() };
+    let device = Device::open(&options).unwrap();
+    let hang = Hang::new(std::sync::Arc::clone(&device), HANG);
+    hang.submit();
+    device
+}
+
+#[needs(gpu)]
+#[test]
+fn a_driver_that_does_not_answer_holds_nobody_up() {
+    if gpu::device().is_none() {
+        return;
+    }
+    let device = hanging();
+    let begin = Instant::now();
+    // A software driver keeps the call that submits, others the one that waits.
+    let answer = device.run(device.encoder());
+    assert!(matches!(answer, Err(GpuError::Timeout { seconds: 1 })), "{answer:?}");
+    assert!(begin.elapsed() < 2 * TIMEOUT + SLACK, "{:?}", begin.elapsed());
+    // It counts as lost from here on, at once.
+    let begin = Instant::now();
+    let usage = wgpu::BufferUsages::STORAGE;
+    let buffer = device.buffer("later", 64, usage);
+    assert!(matches!(&buffer, Err(GpuError::Lost(why)) if why.contains("no answer within 1 s")), "{buffer:?}");
+    assert!(matches!(device.run(device.encoder()), Err(GpuError::Lost(_))));
+    // Nor does it hold up who lets go of it.
+    drop(device);
+    assert!(begin.elapsed() < SLACK, "{:?}", begin.elapsed());
+}
+
+#[needs(gpu)]
+#[test]
+fn who_lets_go_of_a_device_at_work_waits_no_longer_than_for_its_work() {
+    if gpu::device().is_none() {
+        return;
+    }
+    let device = hanging();
+    let begin = Instant::now();
+    drop(device);
+    assert!(begin.elapsed() < TIMEOUT + SLACK, "{:?}", begin.elapsed());
+}
