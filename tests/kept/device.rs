@@ -167,7 +167,7 @@ async fn no_job_is_lost_with_its_device() {
     let mut client = server.client().await;
     // Two jobs: one for each way to lose the device. The long one is still at its steps when the device is given its work.
     let (mut calm_s, mut told, mut ended) = (Vec::new(), Vec::new(), Vec::new());
-    for (rounds, hanging, facets, points) in [(losses, false, 1_200, 150), (hangs, true, 6_000, 1_500)] {
+    for (rounds, hanging, facets, points) in [(losses, false, 1_200, 150), (hangs, true, 20_000, 5_000)] {
         if rounds == 0 {
             continue;
         }
