@@ -250,9 +250,9 @@ fn here(
     token.check()?;
     progress.stage("diagram", 0, 0);
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;
-    let centroids = if wants.centroids { diagram.sums(&token)?.centroids } else { Vec::new() };
+    let centroids = if wants.centroids { diagram.sums(backend.as_ref(), &token)?.centroids } else { Vec::new() };
     if wants.cells {
-        while let Some(batch) = diagram.batch(&token)? {
+        while let Some(batch) = diagram.batch(backend.as_ref(), &token)? {
             sink(&batch)?;
             let (done, total) = diagram.progress();
             progress.stage("diagram", done, total);

@@ -2,7 +2,8 @@
 //!
 //! Purpose: [`Diagram`] opens a session and hands out sums and batches of pieces in the caller's
 //! coordinates; the command line and the engine both drive it.
-//! Invariant: facets are visited once and in order. Must not know: queues, messages, files.
+//! Invariant: facets are visited once and in order. What comes out is the same whether or not it [rests](Diagram::rest) between
+//! two batches. Must not know: queues, messages, files.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -13,7 +14,7 @@ use serde::Serialize;
 use super::spec::Prepared;
 use super::{BackendInfo, JobError};
 use crate::remesh::report::{DeviceFigures, InputFigures, IterationFigures, MemoryFigures, RvdFigures, Timings};
-use crate::rvd::{Backend, CellSums, PassStats, PieceBatch, Session, SessionOptions, Surface};
+use crate::rvd::{Backend, CellSums, DeviceWork, PassStats, PieceBatch, Session, SessionOptions, Surface};
 use crate::token::Token;
 
 pub(crate) use crate::rvd::Cells as WorldSums;
@@ -52,7 +53,11 @@ pub(crate) struct RvdReport {
 
 /// See the module's head.
 pub(crate) struct Diagram {
-    session: Box<dyn Session>,
+    /// `None` while it rests.
+    session: Option<Box<dyn Session>>,
+    /// Of sessions that are over.
+    past: DeviceWork,
+    device_bytes: u64,
     surface: Arc<Surface>,
     seeds: Arc<Vec<DVec3>>,
     next: u32,
@@ -73,13 +78,13 @@ impl Diagram {
         let start = Instant::now();
         let surface = Arc::clone(&prepared.surface);
         let seeds = Arc::clone(&prepared.seeds);
-        let mut session = backend.session(Arc::clone(&surface), SessionOptions::new(seeds.len()))?;
-        let unit: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
-        session.set_seeds(&unit)?;
+        let session = open(&surface, &seeds, backend)?;
         let facets = surface.facets().len();
         let pieces_per_facet = 1 + 6 * seeds.len() / facets.max(1);
         Ok(Self {
-            session,
+            device_bytes: session.device_bytes(),
+            session: Some(session),
+            past: DeviceWork::default(),
             surface,
             next: 0,
             step: (BATCH_PIECES / pieces_per_facet).clamp(1, BATCH_PIECES) as u32,
@@ -92,14 +97,31 @@ impl Diagram {
         })
     }
 
+    /// The session, a new one if it rested.
+    fn session(&mut self, backend: &dyn Backend) -> Result<&mut dyn Session, JobError> {
+        let session = match self.session.take() {
+            Some(session) => session,
+            None => open(&self.surface, &self.seeds, backend)?,
+        };
+        self.device_bytes = self.device_bytes.max(session.device_bytes());
+        Ok(self.session.insert(session).as_mut())
+    }
+
+    /// Gives up what the backend holds for this: some hundred bytes for each seed. The next batch needs a moment more.
+    pub(crate) fn rest(&mut self) -> Option<Box<dyn Session>> {
+        let session = self.session.take()?;
+        self.past += session.device_work();
+        Some(session)
+    }
+
     /// Sums over all cells.
     ///
     /// # Errors
     /// `Stopped`, or what the backend says.
-    pub(crate) fn sums(&mut self, token: &Token) -> Result<WorldSums, JobError> {
+    pub(crate) fn sums(&mut self, backend: &dyn Backend, token: &Token) -> Result<WorldSums, JobError> {
         let start = Instant::now();
         let mut unit = CellSums::default();
-        let stats = self.session.sums(&mut unit, token)?;
+        let stats = self.session(backend)?.sums(&mut unit, token)?;
         let sums = WorldSums::new(&unit, &self.seeds, self.surface.frame());
         self.figures.add_pass(&stats);
         self.figures.pairs = stats.pairs;
@@ -113,7 +135,7 @@ impl Diagram {
     ///
     /// # Errors
     /// `Stopped`, or what the backend says.
-    pub(crate) fn batch(&mut self, token: &Token) -> Result<Option<PieceBatch>, JobError> {
+    pub(crate) fn batch(&mut self, backend: &dyn Backend, token: &Token) -> Result<Option<PieceBatch>, JobError> {
         let facets = self.surface.facets().len() as u32;
         if self.next >= facets {
             return Ok(None);
@@ -121,7 +143,8 @@ impl Diagram {
         let start = Instant::now();
         let end = facets.min(self.next.saturating_add(self.step));
         let mut batch = PieceBatch::default();
-        let stats = self.session.pieces(self.next..end, &mut batch, token)?;
+        let facets_of_batch = self.next..end;
+        let stats = self.session(backend)?.pieces(facets_of_batch, &mut batch, token)?;
         self.next = end;
         self.pass.add(&stats);
         self.figures.add_pass(&stats);
@@ -151,6 +174,10 @@ impl Diagram {
     pub(crate) fn report(&self, prepared: &Prepared, by: &BackendInfo) -> RvdReport {
         let mut timings_ms = prepared.timings.clone();
         timings_ms.iterations = self.compute_ms;
+        let mut work = self.past;
+        if let Some(session) = &self.session {
+            work += session.device_work();
+        }
         timings_ms.total = timings_ms.prepare + timings_ms.sample + timings_ms.iterations;
         RvdReport {
             backend: by.kind.name(),
@@ -163,8 +190,57 @@ impl Diagram {
             rvd: self.figures.clone(),
             iterations: Vec::new(),
             timings_ms,
-            memory: MemoryFigures { host_peak_bytes: None, device_bytes: self.session.device_bytes() },
-            device: DeviceFigures::new(self.session.device_work(), &[]),
+            memory: MemoryFigures { host_peak_bytes: None, device_bytes: self.device_bytes },
+            device: DeviceFigures::new(work, &[]),
+        }
+    }
+}
+
+/// A session of the surface that has the seeds.
+fn open(surface: &Arc<Surface>, seeds: &[DVec3], backend: &dyn Backend) -> Result<Box<dyn Session>, JobError> {
+    let mut session = backend.session(Arc::clone(surface), SessionOptions::new(seeds.len()))?;
+    let unit: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
+    session.set_seeds(&unit)?;
+    Ok(session)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cvt::density::DensityOptions;
+    use crate::job::spec::Input;
+    use crate::mesh::shapes::Shape;
+    use crate::remesh::Seeds;
+    use crate::rvd::{Parallel, Serial};
+
+    #[test]
+    fn a_diagram_that_rests_is_the_same() {
+        let input = Input {
+            mesh: Shape::Torus.build(3_000),
+            density: DensityOptions::default(),
+            seeds: Seeds::Sample { points: 700, seed: 1 },
+            creases: Vec::new(),
+            attributes: None,
+        };
+        let prepared = Prepared::new(input, &Token::default()).unwrap();
+        let backends: [Box<dyn Backend>; 2] = [Box::new(Serial), Box::new(Parallel::new(Some(2)).unwrap())];
+        for backend in backends {
+            let token = Token::default();
+            let take = |rests: bool| {
+                let mut diagram = Diagram::open(&prepared, backend.as_ref()).unwrap();
+                diagram.step = 500;
+                let sums = diagram.sums(backend.as_ref(), &token).unwrap();
+                let mut batches = Vec::new();
+                while let Some(batch) = diagram.batch(backend.as_ref(), &token).unwrap() {
+                    batches.push(batch);
+                    assert_eq!(rests, rests && diagram.rest().is_some());
+                }
+                let figures = diagram.figures;
+                (format!("{sums:?}"), batches, (figures.area, figures.pairs, figures.empty_cells))
+            };
+            let (one, other) = (take(false), take(true));
+            assert!(one.1.len() > 4 && one.2.1 > 0);
+            assert_eq!(one, other);
         }
     }
 }

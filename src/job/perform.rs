@@ -209,7 +209,7 @@ fn of_rvd(spec: &JobSpec, work: &RvdWork, around: &mut Surroundings<'_>) -> Resu
     let mut parts = Parts::new();
     if has(RvdOutput::Cells) || work.outputs.is_empty() {
         let mut cells = CellWriter::new(Cursor::new(Vec::new()), Cursor::new(Vec::new())).map_err(unwritten)?;
-        while let Some(batch) = diagram.batch(around.token)? {
+        while let Some(batch) = diagram.batch(backend.as_ref(), around.token)? {
             cells.append(&batch).map_err(unwritten)?;
             let (done, total) = diagram.progress();
             (around.tell)(Progress::Stage { name: "diagram".to_owned(), done, total });
@@ -217,7 +217,7 @@ fn of_rvd(spec: &JobSpec, work: &RvdWork, around: &mut Surroundings<'_>) -> Resu
         parts.push(("cells".to_owned(), cells.finish().map_err(unwritten)?.into_inner().into()));
     }
     if has(RvdOutput::Centroids) || has(RvdOutput::Sums) {
-        let sums = diagram.sums(around.token)?;
+        let sums = diagram.sums(backend.as_ref(), around.token)?;
         if has(RvdOutput::Centroids) {
             parts.push(("centroids".to_owned(), points(&sums.centroids)));
         }

@@ -1,14 +1,17 @@
 //! `ComputeRvd`: a diagram, batch by batch.
 //!
 //! Invariant: the device works at most one batch ahead of what the client has taken, and is free
-//! while the client does not read.
+//! while the client does not read. A client that reads slowly costs the batch that it reads: nothing is computed ahead for it, and
+//! the session is given up in between.
 
+use std::pin::pin;
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::*;
 use crate::job::diagram::{Diagram, RvdReport, WorldSums};
 use crate::job::spec::Prepared;
-use crate::job::{Pending, Place, Retry, Timed, Turn};
+use crate::job::{Pending, Place, Retry, Timed, Turn, Wish};
 use crate::rvd::PieceBatch;
 use crate::wire::cells::{CELLS_VERTEX_BYTES, cells_chunks};
 use crate::wire::chunks::number_chunks;
@@ -39,12 +42,13 @@ pub(super) async fn handle(
     let mut pending =
         shared.engine.submit_as(token.clone(), Place::Kept(ask), Retry::Anew, move |backends, turn| {
             turn.token.check()?;
-            let mut diagram = Diagram::open(&for_device, backends.choose(wish)?.as_ref())?;
+            let backend = backends.choose(wish)?;
+            let mut diagram = Diagram::open(&for_device, backend.as_ref())?;
             let sums = match outputs.centroids || outputs.sums {
-                true => diagram.sums(&turn.token)?,
+                true => diagram.sums(backend.as_ref(), &turn.token)?,
                 false => WorldSums::default(),
             };
-            Ok((diagram, sums))
+            Ok((Box::new(diagram), sums))
         })?;
     drop(ticket);
     outbox.send(wrap(response::Message::Accepted(accepted(pending.position, &by)))).await?;
@@ -53,7 +57,7 @@ pub(super) async fn handle(
     let _held =
         outbox.holding(24 * sums.centroids.len() + 8 * (sums.masses.len() + sums.areas.len() + sums.energies.len()));
     if outputs.cells {
-        diagram = send_cells(&shared, &outbox, (&token, diagram), &mut clock).await?;
+        diagram = send_cells(&shared, &outbox, (&token, wish), diagram, &mut clock).await?;
     }
     let report = diagram.report(&prepared, &by);
     shared.engine.dispose(diagram);
@@ -76,36 +80,81 @@ pub(super) async fn handle(
     outbox.send(wrap(response::Message::Done(done))).await
 }
 
-type Batch = (Diagram, Option<PieceBatch>);
+type Batch = (Box<Diagram>, Option<PieceBatch>);
+
+/// A client that takes longer than this for a batch reads slowly: 1.5 MB/s or less.
+const BRISK: Duration = Duration::from_secs(1);
 
 /// Queues the next batch; it goes before new jobs, since its own has had its turn.
-fn next(shared: &Shared, token: &Token, diagram: Diagram) -> Result<Pending<Batch>, JobError> {
+fn next(shared: &Shared, (token, wish): (&Token, Wish), diagram: Box<Diagram>) -> Result<Pending<Batch>, JobError> {
     let mut state = Some(diagram);
-    shared.engine.submit_as(token.clone(), Place::Continuation, Retry::Never, move |_, turn: &Turn| {
+    shared.engine.submit_as(token.clone(), Place::Continuation, Retry::Never, move |backends, turn: &Turn| {
         let mut diagram = state.take().ok_or(JobError::WorkerGone)?;
-        let batch = diagram.batch(&turn.token)?;
+        let batch = diagram.batch(backends.choose(wish)?.as_ref(), &turn.token)?;
         Ok((diagram, batch))
     })
+}
+
+/// What comes after the batch that is being sent.
+enum Ahead {
+    /// At work, or waiting for it.
+    Asked(Pending<Batch>),
+    /// Computed, for a client that has become slow since.
+    Ready(Timed<Batch>),
+    /// Not asked for yet.
+    Later(Box<Diagram>),
 }
 
 async fn send_cells(
     shared: &Shared,
     outbox: &Outbox<ComputeRvdResponse>,
-    (token, diagram): (&Token, Diagram),
+    asks: (&Token, Wish),
+    diagram: Box<Diagram>,
     clock: &mut Clock,
-) -> Result<Diagram, RequestError> {
-    let mut pending = next(shared, token, diagram)?;
+) -> Result<Box<Diagram>, RequestError> {
+    let rest = |diagram: &mut Diagram| diagram.rest().into_iter().for_each(|session| shared.engine.dispose(session));
+    // Nothing is computed ahead before the client has shown how it reads.
+    let (mut ahead, mut is_brisk) = (Ahead::Later(diagram), false);
     loop {
-        let Timed { value: (diagram, batch), queue_ms, compute_ms } = pending.wait().await?;
+        let Timed { value: (diagram, batch), queue_ms, compute_ms } = match ahead {
+            Ahead::Ready(timed) => timed,
+            Ahead::Asked(mut pending) => pending.wait().await?,
+            Ahead::Later(diagram) => next(shared, asks, diagram)?.wait().await?,
+        };
         clock.add(queue_ms, compute_ms);
         let Some(batch) = batch else { return Ok(diagram) };
         let (done, total) = diagram.progress();
-        pending = next(shared, token, diagram)?;
+        ahead = match is_brisk {
+            true => Ahead::Asked(next(shared, asks, diagram)?),
+            false => Ahead::Later(diagram),
+        };
         let _held = outbox.holding(12 * batch.facet.len() + CELLS_VERTEX_BYTES * batch.position.len());
-        for cells in cells_chunks(&batch) {
-            outbox.send(wrap(response::Message::Cells(cells))).await?;
-        }
-        outbox.send(wrap(response::Message::Progress(clock.progress("diagram", done, total)))).await?;
+        let progress = wrap(response::Message::Progress(clock.progress("diagram", done, total)));
+        let mut sending = pin!(async {
+            for cells in cells_chunks(&batch) {
+                outbox.send(wrap(response::Message::Cells(cells))).await?;
+            }
+            outbox.send(progress).await
+        });
+        is_brisk = match tokio::time::timeout(BRISK, &mut sending).await {
+            Ok(sent) => sent.map(|()| true)?,
+            Err(_) => {
+                ahead = match ahead {
+                    Ahead::Later(mut diagram) => {
+                        rest(&mut diagram);
+                        Ahead::Later(diagram)
+                    }
+                    Ahead::Asked(mut pending) => {
+                        let mut timed = pending.wait().await?;
+                        rest(&mut timed.value.0);
+                        Ahead::Ready(timed)
+                    }
+                    ready @ Ahead::Ready(_) => ready,
+                };
+                sending.await?;
+                false
+            }
+        };
     }
 }
 
