@@ -1,5 +1,6 @@
 //! Promise: nobody waits for a driver that does not answer, wherever the driver holds the call up.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use needs::needs;
@@ -10,14 +11,15 @@ use crate::hang::Hang;
 
 const TIMEOUT: Duration = Duration::from_secs(1);
 /// Of a machine that does other things too.
-const SLACK: Duration = Duration::from_secs(1);
-const HANG: Duration = Duration::from_secs(8);
+const SLACK: Duration = Duration::from_secs(3);
+/// Much longer than the two limits that are waited for: it is measured beside other tests, and may go faster later.
+const HANG: Duration = Duration::from_secs(12);
 
 /// A device of its own, at work for long.
-fn hanging() -> std::sync::Arc<Device> {
+fn hanging() -> Arc<Device> {
     let options = DeviceOptions { software: true, timeout: TIMEOUT, ..DeviceOptions::default() };
     let device = Device::open(&options).unwrap();
-    let hang = Hang::new(std::sync::Arc::clone(&device), HANG);
+    let hang = Hang::new(Arc::clone(&device), HANG);
     hang.submit();
     device
 }
