@@ -7,11 +7,15 @@
 //! and a blob is there for those alone who uploaded it or got it as a result.
 //! Must not know: what the bytes mean, jobs, or the wire.
 
+mod chunk;
 mod digest;
 mod error;
+mod facts;
 mod objects;
+mod options;
 mod owner;
 mod owners;
+mod place;
 mod quota;
 mod reader;
 #[cfg(feature = "s3")]
@@ -20,10 +24,11 @@ mod staging;
 mod store;
 mod upload;
 
+pub use chunk::{Chunk, MAX_CHUNK_BYTES, UploadId, UploadStatus};
 pub use digest::{Digest, DigestError};
 pub use error::BlobError;
-pub use objects::{BlobOptions, ObjectBlobs};
+pub use facts::{BlobInfo, Usage};
+pub use objects::ObjectBlobs;
+pub use options::BlobOptions;
 pub use owner::Owner;
-pub use quota::Usage;
-pub use store::{BlobInfo, BlobRead, BlobStore, ByteStream, READ_BYTES, put};
-pub use upload::{Chunk, MAX_CHUNK_BYTES, UploadId, UploadStatus};
+pub use store::{BlobRead, BlobStore, ByteStream, READ_BYTES, put};

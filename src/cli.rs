@@ -15,6 +15,7 @@ mod completions;
 mod config;
 #[cfg(test)]
 mod defaults;
+mod diagram;
 pub(crate) mod doctor;
 mod endpoint;
 mod exit;

@@ -86,7 +86,7 @@ pub enum Placement {
 #[non_exhaustive]
 pub struct Refine {
     /// The largest distance of a vertex of the input from the result, caller's units. Rounds end when no vertex is farther
-    /// away, or when there are `max_points`. The report's `refine.missed` counts the places that are farther away.
+    /// away, or when there are `max_points`. The report's `refine.out_of_tolerance` counts the places that are farther away.
     pub tolerance: f64,
     /// The most seeds in all: at least as many as there are at first.
     pub max_points: usize,

@@ -25,70 +25,25 @@ use object_store::path::Path;
 use object_store::{GetOptions, ObjectStore};
 use tokio::task::spawn_blocking;
 
+use super::chunk::{Chunk, UploadId, UploadStatus};
 use super::error::{io, join, object};
-use super::quota::{Ledger, Usage};
+use super::facts::{BlobInfo, Usage};
+use super::options::BlobOptions;
+use super::place::{BLOBS, path_of};
+use super::quota::Ledger;
 use super::reader::bytes_of;
 use super::staging::{Folder, Memory, Multipart, Staging};
-use super::store::{BlobInfo, BlobRead, BlobStore};
-use super::upload::{Chunk, UploadId, UploadStatus, Uploads, lock};
+use super::store::{BlobRead, BlobStore};
+use super::upload::{Uploads, lock};
 use super::{BlobError, Digest, Owner};
 use changes::{Inner, Kind};
 
-/// Folder of the blobs.
-const BLOBS: &str = "blobs";
 /// Folder of the uploads.
 const UPLOADS: &str = "uploads";
 /// A file that one process holds locked.
 const LOCK: &str = "lock";
 /// Blobs that are published or removed at the same time, at most; those of one digest never are.
 const LOCKS: usize = 64;
-
-/// How much is kept, and how long.
-#[derive(Clone, Copy, Debug)]
-#[non_exhaustive]
-pub struct BlobOptions {
-    /// Blobs and uploads together, bytes.
-    pub quota_bytes: u64,
-    /// One blob, bytes.
-    pub blob_bytes: u64,
-    /// Uploads under way.
-    pub uploads: usize,
-    /// How long an upload is kept that nobody continues.
-    pub keep_uploads: Duration,
-    /// How long an upload that nobody continues keeps its place while others need one.
-    pub keep_crowded_uploads: Duration,
-    /// Whether the disk must have a blob before it is said to be stored. Without, a loss of power may lose blobs.
-    pub fsync: bool,
-    /// Bytes of the disk that stay free: for the journal, which must never find it full.
-    pub reserve_bytes: u64,
-}
-
-impl Default for BlobOptions {
-    fn default() -> Self {
-        Self {
-            quota_bytes: 64 << 30,
-            blob_bytes: 16 << 30,
-            uploads: 256,
-            keep_uploads: Duration::from_secs(24 * 3600),
-            // Twice the pause that a client may make between two pieces.
-            keep_crowded_uploads: Duration::from_secs(120),
-            fsync: true,
-            reserve_bytes: 64 << 20,
-        }
-    }
-}
-
-impl BlobOptions {
-    setters! {
-        with_quota_bytes(quota_bytes: u64),
-        with_blob_bytes(blob_bytes: u64),
-        with_uploads(uploads: usize),
-        with_keep_uploads(keep_uploads: Duration),
-        with_keep_crowded_uploads(keep_crowded_uploads: Duration),
-        with_fsync(fsync: bool),
-        with_reserve_bytes(reserve_bytes: u64),
-    }
-}
 
 /// See the module's head. Clones share one state.
 #[derive(Clone)]
@@ -98,12 +53,6 @@ impl fmt::Debug for ObjectBlobs {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "ObjectBlobs({})", self.0.objects)
     }
-}
-
-/// Where a blob lies.
-pub(super) fn path_of(digest: &Digest) -> Path {
-    let name = digest.to_string();
-    Path::from_iter([BLOBS, &name[..2], &name])
 }
 
 impl ObjectBlobs {

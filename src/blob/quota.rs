@@ -8,25 +8,9 @@
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::time::SystemTime;
 
+use super::facts::{BlobInfo, Usage};
 use super::owners::Owners;
-use super::{BlobError, BlobInfo, Digest, Owner};
-
-/// What is in use, and what may be.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Usage {
-    /// Blobs that are stored.
-    pub blobs: usize,
-    /// Their bytes.
-    pub blob_bytes: u64,
-    /// The bytes of those that a pin holds.
-    pub pinned_bytes: u64,
-    /// Uploads under way.
-    pub uploads: usize,
-    /// Their promised bytes.
-    pub uploading_bytes: u64,
-    /// The quota.
-    pub limit_bytes: u64,
-}
+use super::{BlobError, Digest, Owner};
 
 #[derive(Clone, Copy, Debug)]
 struct Entry {

@@ -21,7 +21,7 @@ pub(super) use folder::Folder;
 pub(super) use memory::Memory;
 pub(super) use multipart::Multipart;
 
-use super::upload::UploadId;
+use super::chunk::UploadId;
 use super::{BlobError, Digest};
 
 /// See the module's head.

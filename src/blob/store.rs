@@ -12,21 +12,12 @@ use async_trait::async_trait;
 use bytes::Bytes;
 use futures_util::stream::BoxStream;
 
-use super::quota::Usage;
-use super::upload::{CHUNK_BYTES, Chunk, UploadId, UploadStatus};
+use super::chunk::{CHUNK_BYTES, Chunk, UploadId, UploadStatus};
+use super::facts::{BlobInfo, Usage};
 use super::{BlobError, Digest, Owner};
 
 /// The longest piece that a read gives, bytes.
 pub const READ_BYTES: usize = 1 << 20;
-
-/// A blob that is stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BlobInfo {
-    /// Its name.
-    pub digest: Digest,
-    /// Its size.
-    pub size_bytes: u64,
-}
 
 /// The bytes of a range, in order, in pieces of at most [`READ_BYTES`].
 pub type ByteStream = BoxStream<'static, Result<Bytes, BlobError>>;

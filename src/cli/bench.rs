@@ -12,6 +12,7 @@ mod measure;
 mod output;
 mod published;
 mod rvd;
+mod spread;
 mod table1;
 
 use anyhow::Result;

@@ -18,6 +18,7 @@ use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::memory;
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Attributes;
+use crate::remesh::report::to_json;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
 use crate::token::Token;
 use args::FileArgs;
@@ -138,7 +139,7 @@ fn here(args: &RemeshArgs, mesh: &TriMesh, options: &RemeshOptions, progress: &m
     interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
     let backend = backends::one(&args.backend)?;
     let done = remesh(mesh, options, backend.as_ref(), progress, &token)?;
-    let report = serde_json::to_value(&done.report)?;
+    let report = to_json(&done.report)?;
     Ok((Done { mesh: done.mesh, curve_edges: done.curve_edges, attributes: done.attributes }, report))
 }
 

@@ -21,10 +21,10 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
 
+use super::diagram::{RvdResult, Sink, Wants};
 use super::interrupt;
 use super::plain::plain;
 use super::progress::Progress;
-use super::rvd::{RvdResult, Sink, Wants};
 use super::server::Server;
 use crate::config::BackendArg;
 use crate::cvt::density::{DensityOptions, DensitySource};

@@ -10,6 +10,7 @@ use glam::DVec3;
 use serde_json::Value;
 
 use super::cell_file::CellFile;
+use super::diagram::{RvdResult, Sink, Wants};
 use super::endpoint::ServerUrl;
 use super::exit::{NotWritten, Usage};
 use super::picture::PictureArgs;
@@ -26,6 +27,7 @@ use crate::job::spec::{Input, Prepared};
 use crate::memory;
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
+use crate::remesh::report::to_json;
 use crate::rvd::PieceBatch;
 use crate::token::Token;
 
@@ -89,14 +91,6 @@ struct FileArgs {
     /// Write the report there, as JSON.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
-}
-
-/// What came out, wherever it was computed.
-pub(crate) struct RvdResult {
-    /// One a seed; empty if not wanted.
-    pub(crate) centroids: Vec<DVec3>,
-    /// The report.
-    pub(crate) report: Value,
 }
 
 impl RvdArgs {
@@ -218,18 +212,6 @@ fn ms(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-/// Takes each batch of pieces as it comes, caller's coordinates.
-pub(crate) type Sink<'a> = &'a mut dyn FnMut(&PieceBatch) -> Result<()>;
-
-/// What is to be computed.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Wants {
-    /// The pieces.
-    pub(crate) cells: bool,
-    /// The centroids.
-    pub(crate) centroids: bool,
-}
-
 /// The diagram, and its seeds.
 fn here(
     args: &RvdArgs,
@@ -258,6 +240,6 @@ fn here(
             progress.stage("diagram", done, total);
         }
     }
-    let report = serde_json::to_value(diagram.report(&prepared, &BackendInfo::of(backend.as_ref())))?;
+    let report = to_json(&diagram.report(&prepared, &BackendInfo::of(backend.as_ref())))?;
     Ok((RvdResult { centroids, report }, Arc::clone(&prepared.seeds)))
 }

@@ -22,7 +22,7 @@ use super::{BackendInfo, Backends};
 use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit};
 use crate::mesh::attributes::{Attributes, ColourDepth, Colours, Normals};
 use crate::mesh::io::{self, Format};
-use crate::remesh::report::IterationFigures;
+use crate::remesh::report::{IterationFigures, to_json};
 use crate::remesh::{Observer, Remesh, remesh};
 use crate::rvd::cell_file::CellWriter;
 use crate::rvd::{BackendChoice, BackendKind};
@@ -122,7 +122,7 @@ fn of_remesh(spec: &JobSpec, work: &RemeshWork, around: &mut Surroundings<'_>) -
 }
 
 fn json_bytes(report: &impl serde::Serialize) -> Bytes {
-    let mut bytes = serde_json::to_vec_pretty(report).unwrap_or_default();
+    let mut bytes = to_json(report).and_then(|json| serde_json::to_vec_pretty(&json)).unwrap_or_default();
     bytes.push(b'\n');
     bytes.into()
 }

@@ -9,6 +9,7 @@
 //! Must not know: what is done with a surface.
 
 mod attributed;
+mod held;
 #[cfg(feature = "service")]
 pub(crate) mod lists;
 mod obj;

@@ -1,6 +1,6 @@
 //! The report of a run, as `--report` writes it and the service sends it.
 //!
-//! Purpose: plain figures with fixed names.
+//! Purpose: plain figures with fixed names, and [`to_json`], which writes them.
 //! Invariant: a name that scripts read does not change.
 //! Must not know: how the figures came about.
 
@@ -57,6 +57,36 @@ pub struct Report {
     pub density: DensityFigures,
 }
 
+/// Old names of keys, for one release: where, now, before.
+#[cfg(feature = "service")]
+const OLD_KEYS: [(&str, &str, &str); 12] = [
+    ("/input", "reoriented_facets", "turned_facets"),
+    ("/input", "coincident_facets", "spare_facets"),
+    ("/input", "outlier_vertices", "stray_vertices"),
+    ("/features", "merged_corners", "joined_corners"),
+    ("/features", "dropped_curves", "given_up"),
+    ("/refine", "out_of_tolerance", "missed"),
+    ("/refine", "closed_ball_rounds", "thin_rounds"),
+    ("/refine", "closed_ball_failures", "thin_cells"),
+    ("/result/repair", "multiple_boundary_arcs", "multiple_rims"),
+    ("/result/repair", "inconsistent_vertices", "disputed_vertices"),
+    ("/result/repair", "closed_facet_pairs", "closed_pockets"),
+    ("/result/repair", "extra_vertices", "further_vertices"),
+];
+
+/// A report as JSON, also with the names that its keys had before.
+#[cfg(feature = "service")]
+pub(crate) fn to_json(report: &impl Serialize) -> serde_json::Result<serde_json::Value> {
+    let mut json = serde_json::to_value(report)?;
+    for (place, now, before) in OLD_KEYS {
+        let Some(serde_json::Value::Object(figures)) = json.pointer_mut(place) else { continue };
+        if let Some(value) = figures.get(now).cloned() {
+            figures.insert(before.to_owned(), value);
+        }
+    }
+    Ok(json)
+}
+
 /// What of the topology is not kept, one sentence each. Non-manifold elements are not counted as
 /// kept or lost: the result never has any.
 pub(crate) fn topology_changes(input: &Topology, result: &Topology) -> Vec<String> {
@@ -81,15 +111,15 @@ pub struct InputFigures {
     /// Edges of two facets that are oriented unlike each other.
     pub inconsistent_edges: usize,
     /// Facets that were turned over, to be oriented as their neighbours are.
-    pub turned_facets: usize,
+    pub reoriented_facets: usize,
     /// Vertices of boundaries that were moved to others which are nearly in the same place; the other figures are of the surface
     /// after that,
     pub stitched_vertices: usize,
     /// and without so many facets that lay on others, corner on corner, where the surface goes on without them.
-    pub spare_facets: usize,
+    pub coincident_facets: usize,
     /// Vertices a thousand times as far from the middle as half of all are: wrong coordinates, most often. The surface has a
     /// spike there, which takes most of the points.
-    pub stray_vertices: usize,
+    pub outlier_vertices: usize,
     /// Caller's units squared.
     pub area: f64,
     /// χ, components, holes, non-manifold elements.
@@ -110,11 +140,11 @@ pub struct RefineFigures {
     /// Passes over the diagram.
     pub evaluations: usize,
     /// Places that the result is still far from.
-    pub missed: usize,
+    pub out_of_tolerance: usize,
     /// Rounds that drew seeds again with shorter edges, where the surface was too thin for its cells.
-    pub thin_rounds: usize,
+    pub closed_ball_rounds: usize,
     /// Cells for which it still is.
-    pub thin_cells: usize,
+    pub closed_ball_failures: usize,
 }
 
 /// Creases and boundaries that got seeds of their own.
@@ -127,7 +157,7 @@ pub struct FeatureFigures {
     /// Places where curves end, meet or turn sharply.
     pub corners: usize,
     /// Such places that have no seed, since another one is much nearer than an edge and the curves hardly change by it.
-    pub joined_corners: usize,
+    pub merged_corners: usize,
     /// Seeds of corners and curves.
     pub seeds: usize,
     /// Pairs of seeds that follow each other on a curve.
@@ -137,7 +167,7 @@ pub struct FeatureFigures {
     /// Curves with such a pair.
     pub broken_curves: usize,
     /// Curves that there were too few points for.
-    pub given_up: usize,
+    pub dropped_curves: usize,
     /// Edges bent enough for a crease in stretches too short for one.
     pub short_crease_edges: usize,
 }
@@ -311,13 +341,13 @@ pub struct RepairFigures {
     /// Pairs of cell components that meet in more than one curve.
     pub multiple_edges: usize,
     /// Cell components that meet the boundary in more than one stretch.
-    pub multiple_rims: usize,
+    pub multiple_boundary_arcs: usize,
     /// RVD vertices whose three cells do not agree (see `rvd::dual`).
-    pub disputed_vertices: usize,
+    pub inconsistent_vertices: usize,
     /// Facets dropped because two of their corners are one vertex.
     pub degenerate_facets: usize,
     /// Pairs of facets back to back that were taken out: cell components that touch two cells only.
-    pub closed_pockets: usize,
+    pub closed_facet_pairs: usize,
     /// Facets dropped because another has the same corners and orientation.
     pub duplicate_facets: usize,
     /// Facets dropped at edges with more than two facets or with two of one direction.
@@ -328,7 +358,7 @@ pub struct RepairFigures {
     /// there are seeds, less the former, plus the latter.
     pub seeds_without_vertex: usize,
     /// See `seeds_without_vertex`.
-    pub further_vertices: usize,
+    pub extra_vertices: usize,
 }
 
 impl InputFigures {
@@ -347,7 +377,7 @@ impl InputFigures {
     /// # Errors
     /// [`Stopped`].
     pub(super) fn with(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Result<Self, Stopped> {
-        let stray_vertices = outliers::find(mesh).len();
+        let outlier_vertices = outliers::find(mesh).len();
         token.check()?;
         let (area, degenerate_facets) = (mesh.area(), mesh.degenerate_count());
         token.check()?;
@@ -356,10 +386,10 @@ impl InputFigures {
             facets: mesh.facets().len(),
             degenerate_facets,
             inconsistent_edges: adjacency.inconsistent_edges(),
-            turned_facets: 0,
+            reoriented_facets: 0,
             stitched_vertices: 0,
-            spare_facets: 0,
-            stray_vertices,
+            coincident_facets: 0,
+            outlier_vertices,
             area,
             topology: topology_unless(mesh, adjacency, token)?,
         })

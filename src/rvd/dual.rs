@@ -33,7 +33,7 @@ pub(crate) struct Dual {
     /// Pairs of components that meet in more than one curve, ascending.
     pub multiple_edges: Vec<[u32; 2]>,
     /// Components that meet the boundary in more than one stretch, ascending.
-    pub multiple_rims: Vec<u32>,
+    pub multiple_boundary_arcs: Vec<u32>,
     /// The pieces, in facet order.
     pub pieces: Vec<Piece>,
     /// Area of all pieces, unit frame.

@@ -18,6 +18,7 @@ use crate::job::spec::{Input, Prepared};
 use crate::job::{Ask, BackendInfo, CancelOnDrop, Engine, JobError, Ticket};
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
+use crate::remesh::report::to_json;
 use crate::token::Token;
 use crate::wire::assemble::Uploaded;
 use crate::wire::chunks::{byte_chunks, point_chunks};
@@ -259,7 +260,7 @@ async fn send_report<T: prost::Message>(
     report: &(impl serde::Serialize + Sync),
     wrap: fn(Chunk) -> T,
 ) -> Result<String, RequestError> {
-    let json = serde_json::to_string(report).unwrap_or_default();
+    let json = to_json(report).map(|json| json.to_string()).unwrap_or_default();
     if json.len() <= REPORT_IN_DONE_BYTES {
         return Ok(json);
     }

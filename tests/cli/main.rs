@@ -21,5 +21,6 @@ mod newcomer;
 mod outputs;
 mod picture;
 mod remote;
+mod snapshots;
 mod tls;
 mod told;

@@ -8,13 +8,13 @@ use glam::DVec3;
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::{TriMesh, io};
 
-fn tessera(folder: &Path, line: &str) -> Output {
+pub(super) fn tessera(folder: &Path, line: &str) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
     command.env_remove("RUST_BACKTRACE").env("TESSERA_BACKEND", "parallel").current_dir(folder);
-    command.args(line.split(' ')).output().unwrap()
+    command.args(line.split_whitespace()).output().unwrap()
 }
 
-fn said(out: &Output) -> String {
+pub(super) fn said(out: &Output) -> String {
     String::from_utf8_lossy(&out.stderr).into_owned()
 }
 
@@ -120,11 +120,11 @@ fn creases_that_are_given_up_are_said() {
     io::write(&folder.path().join("tube.ply"), &tube).unwrap();
     let rings = (1..along).flat_map(|j| (0..around).map(move |i| format!("{} {}\n", at(i, j), at(i + 1, j))));
     std::fs::write(folder.path().join("rings.txt"), rings.collect::<String>()).unwrap();
-    for (points, given_up) in [(60, true), (1200, false)] {
+    for (points, dropped_curves) in [(60, true), (1200, false)] {
         let line = format!("remesh tube.ply -o out.ply --points {points} --newton 0 --creases rings.txt");
         let out = tessera(folder.path(), &line);
         let text = String::from_utf8_lossy(&out.stdout).into_owned();
         assert!(out.status.success(), "{points}: {}", said(&out));
-        assert_eq!(text.contains("11 creases were given up"), given_up, "{points}: {text}");
+        assert_eq!(text.contains("11 creases were given up"), dropped_curves, "{points}: {text}");
     }
 }

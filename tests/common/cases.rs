@@ -421,7 +421,7 @@ fn remeshes(case: &Case, parallel: &Parallel) -> Result<(), String> {
     // Corners that are nearly in one place were put into one, and of facets that are there twice one was taken; the report's
     // figures are of that.
     let input = &out.report.input;
-    let whole = match input.stitched_vertices + input.spare_facets {
+    let whole = match input.stitched_vertices + input.coincident_facets {
         0 => surface.area(),
         _ => input.area * scale * scale,
     };
@@ -429,7 +429,7 @@ fn remeshes(case: &Case, parallel: &Parallel) -> Result<(), String> {
     ensure!(out.vertex_seed.len() == out.mesh.positions().len(), "remesh: vertices without a seed");
     manifold(out.mesh.facets(), out.mesh.positions().len())?;
     let repair = out.report.result.repair;
-    ensure!(repair.disputed_vertices == 0, "remesh: disputed vertices, {repair:?}");
+    ensure!(repair.inconsistent_vertices == 0, "remesh: disputed vertices, {repair:?}");
     Ok(())
 }
 

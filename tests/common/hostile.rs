@@ -91,7 +91,7 @@ pub fn remeshed(name: &str, mesh: &TriMesh, options: &RemeshOptions) -> Vec<Reme
         let area = out.report.rvd.area;
         // Of facets that are there twice one is taken.
         let input = &out.report.input;
-        let whole = if input.spare_facets > 0 { input.area } else { mesh.area() };
+        let whole = if input.coincident_facets > 0 { input.area } else { mesh.area() };
         // The dual's diagram is double precision on every backend; the caller's units may cost digits.
         assert!((area / whole - 1.0).abs() < 1e-6, "{who}: {area:e} of {whole:e}, {tolerance}");
         out

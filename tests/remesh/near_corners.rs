@@ -34,7 +34,7 @@ fn folds_that_come_together_make_no_sharp_triangle() {
         let out = run(&mesh);
         let (features, quality) = (&out.report.features, out.report.result.quality.as_ref().unwrap());
         assert_eq!(
-            (features.creases, features.corners, features.joined_corners, features.missing_segments),
+            (features.creases, features.corners, features.merged_corners, features.missing_segments),
             (2, 7, 1, 0),
             "{gap}"
         );

@@ -214,7 +214,7 @@ fn a_lattice_has_a_valid_dual() {
         let after = topology(&out.mesh);
         assert_eq!((after.euler, after.boundary_loops, after.non_manifold_edges), (1, 1, 0), "side {side}");
         let report = &out.report.result.repair;
-        assert_eq!((report.not_disks, report.multiple_edges, report.disputed_vertices), (0, 0, 0));
+        assert_eq!((report.not_disks, report.multiple_edges, report.inconsistent_vertices), (0, 0, 0));
     }
 }
 

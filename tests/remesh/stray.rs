@@ -39,7 +39,7 @@ fn a_stray_vertex_gives_a_remesh_and_a_note() {
         let sphere = places.iter().filter(|p| p.length() < 2.0).count() > 50;
         whole += usize::from(tips && sphere);
         let report = done.report;
-        assert_eq!(report.input.stray_vertices, vertices.len(), "at {distance:e}");
+        assert_eq!(report.input.outlier_vertices, vertices.len(), "at {distance:e}");
         assert!(report.density.facets <= mesh.facets().len() + 64 * 500 + 1000, "{} facets", report.density.facets);
     }
     assert!(whole > 0, "no case came to that");
@@ -47,7 +47,7 @@ fn a_stray_vertex_gives_a_remesh_and_a_note() {
     let lost = run(&stray(&[40], 1e20), &RemeshOptions::new(Seeds::Sample { points: 100, seed: 0 }), &parallel);
     assert!(matches!(lost, Ok(_) | Err(RemeshError::Rvd(RvdError::NoArea))), "{:?}", lost.map(|_| ()));
     let usual = run(&Shape::Torus.build(500), &RemeshOptions::new(Seeds::Sample { points: 100, seed: 0 }), &Serial);
-    assert_eq!(usual.unwrap().report.input.stray_vertices, 0);
+    assert_eq!(usual.unwrap().report.input.outlier_vertices, 0);
 }
 
 #[test]

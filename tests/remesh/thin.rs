@@ -98,7 +98,7 @@ fn a_horn_stays() {
     // The last cell, which holds the tip as a whole, is the smallest of a few that are graded.
     assert!(after < 0.5 * edge, "{after}, edges {edge}");
     let refine = &finer.report.refine;
-    assert!(refine.thin_rounds > 0 && refine.thin_cells == 0, "{refine:?}");
+    assert!(refine.closed_ball_rounds > 0 && refine.closed_ball_failures == 0, "{refine:?}");
     assert_eq!((topology(&finer.mesh).euler, topology(&finer.mesh).components), (2, 1));
     assert_eq!(finer.seeds.len(), points);
     assert_eq!(finer.report.density.source, "uniform");
@@ -130,14 +130,14 @@ fn nothing_changes_where_cells_hold_or_lengths_are_given() {
         let even = run(&mesh, &options(700).with_keep_thin(false));
         let finer = run(&mesh, &options(700));
         assert!(same(&even, &finer));
-        assert_eq!((finer.report.refine.thin_rounds, finer.report.refine.thin_cells), (0, 0));
+        assert_eq!((finer.report.refine.closed_ball_rounds, finer.report.refine.closed_ball_failures), (0, 0));
     }
     let mesh = horned();
     let lengths = vec![1.0; mesh.positions().len()];
     let density = DensityOptions::from_source(DensitySource::Sizes(lengths));
     let given = options(200).with_density(density);
     let out = run(&mesh, &given);
-    assert_eq!(out.report.refine.thin_rounds, 0);
+    assert_eq!(out.report.refine.closed_ball_rounds, 0);
     assert!(same(&out, &run(&mesh, &given.with_keep_thin(false))));
 }
 
@@ -149,7 +149,7 @@ fn the_same_bits_on_any_number_of_threads() {
         remesh(&mesh, &options(200), &backend, &mut (), &Token::default()).unwrap()
     };
     let (one, three) = (on(1), on(3));
-    assert!(one.report.refine.thin_rounds > 0);
+    assert!(one.report.refine.closed_ball_rounds > 0);
     assert!(one.mesh == three.mesh);
 }
 

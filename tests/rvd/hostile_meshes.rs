@@ -111,7 +111,7 @@ fn facets_turned_over() {
         for out in check(&format!("one in {every} turned over"), &flip(every), 200) {
             assert_eq!(topology(&out.mesh), Topology { euler: 2, components: 1, ..Topology::default() }, "{every}");
             assert_eq!(Adjacency::new(&out.mesh).inconsistent_edges(), 0);
-            let count = out.report.input.turned_facets;
+            let count = out.report.input.reoriented_facets;
             assert!(count == sphere.facets().len().div_ceil(every) || every == 2, "{every}: {count}");
         }
     }
@@ -139,7 +139,7 @@ fn facets_that_are_there_twice() {
             for out in check(&format!("{} twice, {points}", which.len()), &mesh, points) {
                 assert_eq!(topology(&out.mesh), Topology { euler: 2, components: 1, ..Topology::default() });
                 let input = &out.report.input;
-                assert_eq!((input.spare_facets, input.topology.non_manifold_edges), (which.len(), 0));
+                assert_eq!((input.coincident_facets, input.topology.non_manifold_edges), (which.len(), 0));
                 assert_eq!(out.report.topology_changes.len(), 0);
             }
         }

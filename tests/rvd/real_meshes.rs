@@ -135,7 +135,7 @@ fn a_non_manifold_scan_is_remeshed_and_described() {
     let (mesh, result) = remesh_real("dragon_vrip_res3.ply", 20_000, 5);
     let report = &result.report;
     assert_eq!(topology(&mesh).non_manifold_edges, 2094);
-    assert_eq!((report.input.spare_facets, report.input.topology.non_manifold_edges), (308, 1643));
+    assert_eq!((report.input.coincident_facets, report.input.topology.non_manifold_edges), (308, 1643));
     assert!((report.rvd.area / report.input.area - 1.0).abs() < 1e-10);
     let after = topology(&result.mesh);
     println!("dragon: {after:?} {:?}", report.result.repair);

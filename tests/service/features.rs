@@ -184,7 +184,7 @@ async fn thin_parts_stay_or_are_even() {
     for (rule, rounds) in [(ThinRule::Unspecified, true), (ThinRule::Finer, true), (ThinRule::Even, false)] {
         let wish = RemeshHeader { thin: rule.into(), ..header(&mesh, 600) };
         let out = remesh(&mut client, &mesh, wish, &[]).await.unwrap();
-        assert_eq!(out.report["refine"]["thin_rounds"].as_u64().unwrap() > 0, rounds, "{rule:?}");
+        assert_eq!(out.report["refine"]["closed_ball_rounds"].as_u64().unwrap() > 0, rounds, "{rule:?}");
     }
     server.stop().await.unwrap();
 }
@@ -242,7 +242,7 @@ async fn refinement_adds_seeds() {
     let out = remesh(&mut client, &mesh, wish(0.02, 800), &[]).await.unwrap();
     // Within the tolerance, or all eight rounds were taken.
     let figures = &out.report["refine"];
-    assert!(figures["missed"] == 0 || figures["rounds"] == 8, "{figures}");
+    assert!(figures["out_of_tolerance"] == 0 || figures["rounds"] == 8, "{figures}");
     assert!(out.done.seeds > 50 && out.done.seeds < 800, "{}", out.done.seeds);
     let full = remesh(&mut client, &mesh, wish(1e-4, 60), &[]).await.unwrap();
     assert_eq!(full.done.seeds, 60);

@@ -173,13 +173,13 @@ async fn send(client: &mut Client, messages: Vec<RemeshRequest>, deadline: Durat
 }
 
 /// A sphere with one vertex far away gives a remesh, and the report says so.
-async fn stray_vertices(program: &Program) {
+async fn outlier_vertices(program: &Program) {
     for distance in [1e7, 1e9, 1e12] {
         let (mut positions, facets) = Shape::Sphere.build(320).into_parts();
         positions[40].y = distance;
         let wish = header(&positions, &facets, 500);
         let done = ask(&mut program.client().await, &positions, &facets, &[], wish, 180 * SECOND).await.unwrap();
-        assert_eq!(done.report["input"]["stray_vertices"], 1, "{distance:e}");
+        assert_eq!(done.report["input"]["outlier_vertices"], 1, "{distance:e}");
     }
 }
 
@@ -389,13 +389,13 @@ async fn one_server_takes_all_of_it_and_is_as_it_was() {
     let program = Program::start();
     let bits = program.plain().await;
     // Pools and the allocator's own stock grow with the first jobs and stay.
-    stray_vertices(&program).await;
+    outlier_vertices(&program).await;
     hostile_jobs(&program, 0).await;
     tokio::time::sleep(SECOND).await;
     let before = program.held();
     let rounds = std::env::var("TESSERA_TRIAL_ROUNDS").map_or(1, |text| text.parse().unwrap());
     for round in 1..=rounds {
-        stray_vertices(&program).await;
+        outlier_vertices(&program).await;
         program.is_well("stray vertices", &bits).await;
         hostile_jobs(&program, round * adversary::SURFACES.len() as u64).await;
         program.is_well("hostile jobs", &bits).await;

@@ -16,13 +16,16 @@ use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 use tokio::sync::{MutexGuard, OwnedMutexGuard};
 use tokio::task::spawn_blocking;
 
-use super::{BlobOptions, LOCKS, path_of};
+use super::LOCKS;
+use crate::blob::chunk::{Chunk, UploadId, UploadStatus};
 use crate::blob::error::object;
+use crate::blob::facts::BlobInfo;
+use crate::blob::options::BlobOptions;
+use crate::blob::place::path_of;
 use crate::blob::quota::Ledger;
 use crate::blob::reader::bytes_of;
 use crate::blob::staging::{Part, Staging};
-use crate::blob::store::BlobInfo;
-use crate::blob::upload::{Chunk, Slot, Upload, UploadId, UploadStatus, Uploads, lock};
+use crate::blob::upload::{Slot, Upload, Uploads, lock};
 use crate::blob::{BlobError, ByteStream, Digest};
 
 /// Removals and questions to the store that run at once.

@@ -20,9 +20,9 @@ use object_store::path::Path as ObjectPath;
 use tokio::task::{JoinHandle, spawn_blocking};
 
 use super::{Part, Staging};
+use crate::blob::chunk::{MAX_CHUNK_BYTES, UploadId};
 use crate::blob::digest::Tally;
 use crate::blob::error::{io, join, object};
-use crate::blob::upload::{MAX_CHUNK_BYTES, UploadId};
 use crate::blob::{BlobError, BlobOptions, Digest};
 
 /// The disk is told to write after so many bytes, so that the end of a large upload need not wait for all of them.

@@ -12,9 +12,9 @@ use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt};
 
 use super::{Part, Staging};
+use crate::blob::chunk::UploadId;
 use crate::blob::digest::Tally;
 use crate::blob::error::{join, object};
-use crate::blob::upload::UploadId;
 use crate::blob::{BlobError, Digest};
 
 /// See the module's head.

@@ -23,10 +23,10 @@ use serde::{Deserialize, Serialize};
 use tokio::task::spawn_blocking;
 
 use super::{Part, Staging};
+use crate::blob::chunk::UploadId;
 use crate::blob::digest::Tally;
 use crate::blob::error::{join, object};
-use crate::blob::objects::path_of;
-use crate::blob::upload::UploadId;
+use crate::blob::place::path_of;
 use crate::blob::{BlobError, Digest};
 
 /// Bytes of a part. S3 takes 5 MiB to 5 GiB, and 10,000 parts.

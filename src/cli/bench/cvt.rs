@@ -12,7 +12,8 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::measure::{Load, Timed, Worker, mesh, token};
-use super::output::{OutputArgs, Spread, head, ratio, report};
+use super::output::{OutputArgs, head, ratio, report};
+use super::spread::Spread;
 use crate::cli::files;
 use crate::cli::remesh::DensityArg;
 use crate::config::{BackendArgs, count, whole};

@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::output::Spread;
+use super::spread::Spread;
 use crate::cli::{backends, files, interrupt};
 use crate::config::{BackendArg, BackendArgs};
 use crate::cvt::density::DensityOptions;

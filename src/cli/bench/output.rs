@@ -1,6 +1,6 @@
 //! Where a bench's figures go.
 //!
-//! Purpose: least, middle and most; JSON and plots of one shape. Invariant: a file that cannot be written is
+//! Purpose: JSON and plots of one shape. Invariant: a file that cannot be written is
 //! refused before anything is measured. Must not know: what is measured.
 
 use std::path::{Path, PathBuf};
@@ -56,37 +56,6 @@ pub(super) fn report(workers: &[Worker], cases: Vec<Value>) -> Value {
     report
 }
 
-/// Least, middle and most.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Spread {
-    pub(super) min: f64,
-    pub(super) median: f64,
-    pub(super) max: f64,
-    /// What a step costs, where some make what several use.
-    pub(super) mean: f64,
-}
-
-impl Spread {
-    /// Of these; 0 of none.
-    pub(super) fn of(values: impl Iterator<Item = f64>) -> Self {
-        let mut sorted: Vec<f64> = values.collect();
-        sorted.sort_unstable_by(f64::total_cmp);
-        let at = |k: usize| sorted.get(k).copied().unwrap_or(0.0);
-        let mean = sorted.iter().sum::<f64>() / sorted.len().max(1) as f64;
-        Self { min: at(0), median: at(sorted.len() / 2), max: at(sorted.len().saturating_sub(1)), mean }
-    }
-
-    /// As an object.
-    pub(super) fn json(&self) -> Value {
-        json!({ "min": self.min, "median": self.median, "max": self.max, "mean": self.mean })
-    }
-
-    /// A line of a table.
-    pub(super) fn row(&self, name: &str) -> String {
-        format!("{name:<22}{:>10.3}{:>10.3}{:>10.3}{:>10.3}", self.min, self.median, self.max, self.mean)
-    }
-}
-
 /// The head of a table of such lines.
 pub(super) fn head() -> String {
     format!("{:<22}{:>10}{:>10}{:>10}{:>10}", "ms", "min", "median", "max", "mean")
@@ -121,14 +90,6 @@ pub(super) fn slopes(points: &[(f64, f64)]) -> Vec<(f64, f64, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_spread_is_least_middle_and_most() {
-        let of = |values: &[f64]| Spread::of(values.iter().copied());
-        assert_eq!(of(&[3.0, 1.0, 2.0]), Spread { min: 1.0, median: 2.0, max: 3.0, mean: 2.0 });
-        assert_eq!(of(&[5.0]), Spread { min: 5.0, median: 5.0, max: 5.0, mean: 5.0 });
-        assert_eq!(of(&[]), Spread { min: 0.0, median: 0.0, max: 0.0, mean: 0.0 });
-    }
 
     #[test]
     fn slopes_are_those_of_powers() {

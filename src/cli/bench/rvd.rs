@@ -13,7 +13,8 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::measure::{Load, Worker, mesh, token};
-use super::output::{OutputArgs, Spread, head, report};
+use super::output::{OutputArgs, head, report};
+use super::spread::Spread;
 use crate::cli::files;
 use crate::config::{BackendArgs, count, whole};
 use crate::mesh::shapes::Shape;

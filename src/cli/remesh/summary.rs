@@ -62,21 +62,21 @@ impl Told<'_> {
             "vertices of its boundaries were nearly in the same place as others and moved there",
         );
         note(
-            self.count("/input/stray_vertices"),
+            self.count("/input/outlier_vertices"),
             "vertices are far from all others: check their coordinates, most points go to the spikes there",
         );
-        note(self.count("/input/spare_facets"), "facets lay on others, corner on corner, and were left out");
-        note(self.count("/input/turned_facets"), "facets were oriented unlike their neighbours and turned over");
+        note(self.count("/input/coincident_facets"), "facets lay on others, corner on corner, and were left out");
+        note(self.count("/input/reoriented_facets"), "facets were oriented unlike their neighbours and turned over");
         lines.push(format!("result      {}: {}", self.output.display(), surface("/result")));
-        let given_up = self.count("/features/given_up");
-        if given_up > 0 && self.count("/features/creases") == 0 {
+        let dropped_curves = self.count("/features/dropped_curves");
+        if dropped_curves > 0 && self.count("/features/creases") == 0 {
             let what = if self.count("/features/boundaries") == 0 { " and boundaries" } else { "" };
             lines.push(format!(
-                "            {given_up} creases{what} were given up: they are too close together for so few points"
+                "            {dropped_curves} creases{what} were given up: they are too close together for so few points"
             ));
         }
         let [without, further] =
-            ["seeds_without_vertex", "further_vertices"].map(|what| self.count(&format!("/result/repair/{what}")));
+            ["seeds_without_vertex", "extra_vertices"].map(|what| self.count(&format!("/result/repair/{what}")));
         if without + further > 0 {
             lines.push(format!(
                 "            {without} points have no vertex, {further} vertices share one: the surface is thin there"
@@ -94,7 +94,7 @@ impl Told<'_> {
             let source = text(self.at("/density/source"), "?");
             lines.push(format!("lengths     {source}: target {least:.4e} to {largest:.4e}, median {median:.4e}"));
         }
-        if self.count("/refine/thin_rounds") > 0 {
+        if self.count("/refine/closed_ball_rounds") > 0 {
             lines.push("            shorter where the surface is too thin for others".to_owned());
         }
         let [pairs, again, empty] =
@@ -131,7 +131,7 @@ impl Told<'_> {
             let changes: Vec<&str> = changes.iter().filter_map(Value::as_str).collect();
             lines.push(format!("changed     {}; {why}", changes.join(", ")));
         }
-        let (added, missed) = (self.count("/refine/added_seeds"), self.count("/refine/missed"));
+        let (added, missed) = (self.count("/refine/added_seeds"), self.count("/refine/out_of_tolerance"));
         if added > 0 {
             lines.push(format!("added       {added} points, where the result was too far from the input"));
         }

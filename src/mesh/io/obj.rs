@@ -10,7 +10,7 @@
 use glam::DVec3;
 use tobj::LoadOptions;
 
-use super::attributed::Held;
+use super::held::Held;
 use super::{DataError, Soup};
 use crate::mesh::{MeshError, TriMesh};
 

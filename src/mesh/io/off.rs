@@ -6,7 +6,7 @@
 
 use glam::DVec3;
 
-use super::attributed::Held;
+use super::held::Held;
 use super::{DataError, Soup};
 use crate::mesh::TriMesh;
 

@@ -18,7 +18,7 @@ use ply_rs_bw::ply::{
     BeginList, ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType, ScalarType,
 };
 
-use super::attributed::Held;
+use super::held::Held;
 use super::{DataError, Soup};
 use crate::mesh::TriMesh;
 

@@ -93,7 +93,7 @@ pub(in crate::remesh) struct KeptCurves {
     features: Features,
     pub(in crate::remesh) seeds: CurveSeeds,
     /// Curves that were dropped.
-    given_up: usize,
+    dropped_curves: usize,
 }
 
 impl KeptCurves {
@@ -127,7 +127,7 @@ impl KeptCurves {
             near: JOINED_CORNERS * scale,
             fineness,
         };
-        let mut given_up = 0;
+        let mut dropped_curves = 0;
         loop {
             let mut features = Features::find(&plan.mesh, surface.positions(), &criteria, token)?;
             if !options.keep_boundaries {
@@ -144,7 +144,7 @@ impl KeptCurves {
                 if crowded.is_empty() {
                     break;
                 }
-                given_up += crowded.len();
+                dropped_curves += crowded.len();
                 features.retain(|k, _| !crowded.contains(&(k as u32)));
                 placed = CurveSeeds::place(surface, &features, edge, most, token)?;
             }
@@ -152,7 +152,7 @@ impl KeptCurves {
                 seeds.follow_bends(token)?;
                 seeds.face_others(|c| features.curves[c as usize].kind == CurveKind::Boundary, token)?;
                 if seeds.len() as f64 <= share(creases(&features)) * points as f64 {
-                    return Ok(Self { features, seeds, given_up });
+                    return Ok(Self { features, seeds, dropped_curves });
                 }
             }
             let creases = creases(&features);
@@ -160,9 +160,9 @@ impl KeptCurves {
                 criteria.alone = 0.0;
                 continue;
             }
-            given_up += creases;
+            dropped_curves += creases;
             if creases == 0 {
-                return Ok(Self { given_up: given_up + features.curves.len(), ..Self::default() });
+                return Ok(Self { dropped_curves: dropped_curves + features.curves.len(), ..Self::default() });
             }
             criteria.crease_angle_deg = 0.0;
             criteria.given.clear();
@@ -296,12 +296,12 @@ impl KeptCurves {
             boundaries: count(CurveKind::Boundary),
             creases: count(CurveKind::Crease),
             corners: self.features.corners.len(),
-            joined_corners: self.features.joined,
+            merged_corners: self.features.joined,
             seeds: self.seeds.len(),
             segments: self.seeds.segments.len(),
             missing_segments: edges.iter().filter(|e| e.is_none()).count(),
             broken_curves: broken.len(),
-            given_up: self.given_up,
+            dropped_curves: self.dropped_curves,
             short_crease_edges: self.features.left_out,
         }
     }

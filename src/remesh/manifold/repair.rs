@@ -140,7 +140,7 @@ fn simple_facets(triangles: &[[u32; 3]], figures: &mut RepairFigures) -> Vec<[u3
     for same in sorted.chunk_by(|a, b| a.0 == b.0) {
         let even = same.iter().filter(|facet| facet.2).count();
         let odd = same.len() - even;
-        figures.closed_pockets += even.min(odd);
+        figures.closed_facet_pairs += even.min(odd);
         if even != odd {
             kept.extend(same.iter().find(|facet| facet.2 == (even > odd)).map(|facet| facet.1));
             figures.duplicate_facets += even.abs_diff(odd) - 1;
@@ -308,7 +308,7 @@ mod tests {
     fn of_a_fold_one_facet_is_left() {
         let out = repair(&points(4), &[[0, 1, 2], [0, 2, 1], [1, 2, 0]], &Token::default()).unwrap();
         assert_eq!(out.facets, [[0, 1, 2]]);
-        assert_eq!((out.figures.closed_pockets, out.figures.duplicate_facets), (1, 0));
+        assert_eq!((out.figures.closed_facet_pairs, out.figures.duplicate_facets), (1, 0));
     }
 
     #[test]
@@ -317,7 +317,7 @@ mod tests {
         let facets = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3], [0, 1, 4], [1, 0, 4]];
         let out = repair(&points(5), &facets, &Token::default()).unwrap();
         assert_eq!((out.facets.as_slice(), out.source.len()), (&facets[..4], 4));
-        assert_eq!(out.figures, RepairFigures { closed_pockets: 1, ..RepairFigures::default() });
+        assert_eq!(out.figures, RepairFigures { closed_facet_pairs: 1, ..RepairFigures::default() });
     }
 
     #[test]

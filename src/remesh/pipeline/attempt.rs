@@ -141,7 +141,7 @@ fn build(
     }
     let (draft, _, seeds) = best.ok_or_else(|| RvdError::Internal("no result was built".to_owned()))?;
     let built = rayon::scope(|_| extraction.finish(draft))?;
-    schedule.refine.missed = built.missed;
+    schedule.refine.out_of_tolerance = built.missed;
     laps.timings.repair += laps.lap();
     Ok((built, seeds))
 }

@@ -127,8 +127,8 @@ impl Extraction<'_> {
             split_cells: dual.split_cells,
             not_disks: dual.not_disks.len(),
             multiple_edges: dual.multiple_edges.len(),
-            multiple_rims: dual.multiple_rims.len(),
-            disputed_vertices: dual.disputed,
+            multiple_boundary_arcs: dual.multiple_boundary_arcs.len(),
+            inconsistent_vertices: dual.disputed,
             ..repaired.figures
         };
         let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
@@ -136,7 +136,7 @@ impl Extraction<'_> {
         let present = vertex_seed.chunk_by(|a, b| a == b).count();
         let repair = RepairFigures {
             seeds_without_vertex: seeds.len() - present,
-            further_vertices: vertex_seed.len() - present,
+            extra_vertices: vertex_seed.len() - present,
             ..repair
         };
         let (positions, mut facets) = (repaired.positions, repaired.facets);

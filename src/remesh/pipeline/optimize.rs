@@ -118,7 +118,7 @@ impl<'a> Job<'a, '_> {
         options: &RemeshOptions,
     ) -> Result<Optimized<'a>, RemeshError> {
         let mut best = optimized;
-        best.refine.thin_cells = best.failing.len();
+        best.refine.closed_ball_failures = best.failing.len();
         if !self.keep_thin || matches!(options.seeds, Seeds::Given(_)) {
             return Ok(best);
         }
@@ -153,7 +153,7 @@ impl<'a> Job<'a, '_> {
             (lengths, failing) = (next.shorter_lengths(self.mesh, self.token)?, !next.failing.is_empty());
             if next.failing.is_better(&best.failing) {
                 next.refine.evaluations += best.passes();
-                next.refine.thin_rounds = round;
+                next.refine.closed_ball_rounds = round;
                 next.plan.figures.source = best.plan.figures.source;
                 (best, vain) = (next, 0);
             } else {
@@ -161,7 +161,7 @@ impl<'a> Job<'a, '_> {
                 vain += 1;
             }
         }
-        best.refine.thin_cells = best.failing.len();
+        best.refine.closed_ball_failures = best.failing.len();
         Ok(best)
     }
 }

@@ -24,14 +24,14 @@ pub(super) fn preprocess(mesh: &TriMesh, token: &Token) -> Result<(InputFigures,
         && let Some((single, spare)) = layers::single(changed.as_ref().unwrap_or(mesh), token)?
     {
         let stitched_vertices = figures.stitched_vertices;
-        figures = InputFigures { stitched_vertices, spare_facets: spare, ..InputFigures::of(&single, token)? };
+        figures = InputFigures { stitched_vertices, coincident_facets: spare, ..InputFigures::of(&single, token)? };
         changed = Some(single);
     }
     token.check()?;
     if figures.inconsistent_edges > 0
         && let Some((consistent, turned)) = orient::alike(changed.as_ref().unwrap_or(mesh), token)?
     {
-        figures.turned_facets = turned;
+        figures.reoriented_facets = turned;
         changed = Some(consistent);
     }
     Ok((figures, changed))

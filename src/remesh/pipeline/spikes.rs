@@ -46,7 +46,7 @@ pub(super) fn put_back(done: &mut Remesh, given: &TriMesh, near: &TriMesh, token
     let near_seeds = closest.project_all(&done.seeds, token)?;
     done.seeds.iter_mut().zip(near_seeds).for_each(|(seed, point)| *seed = back(*seed, point));
     let report = &mut done.report;
-    (report.input.area, report.input.stray_vertices) = (given.area(), far.len());
+    (report.input.area, report.input.outlier_vertices) = (given.area(), far.len());
     if report.result.quality.is_some() {
         report.result.quality = Some(quality_unless(given, None, &done.mesh, token)?);
     }

@@ -64,7 +64,8 @@ pub(super) fn failing(
     let count = dual.components.len();
     let mut there = vec![false; count];
     dual.triangles.iter().flatten().for_each(|&c| there[c as usize] = true);
-    let closed_balls = dual.not_disks.is_empty() && dual.multiple_rims.is_empty() && dual.multiple_edges.is_empty();
+    let closed_balls =
+        dual.not_disks.is_empty() && dual.multiple_boundary_arcs.is_empty() && dual.multiple_edges.is_empty();
     if closed_balls && !there.contains(&false) {
         return Ok(FailingCells::default());
     }
@@ -83,7 +84,7 @@ pub(super) fn failing(
     }
     let pairs = dual.multiple_edges.iter().flatten();
     let mut fails = vec![false; count];
-    dual.not_disks.iter().chain(&dual.multiple_rims).chain(pairs).for_each(|&c| fails[c as usize] = true);
+    dual.not_disks.iter().chain(&dual.multiple_boundary_arcs).chain(pairs).for_each(|&c| fails[c as usize] = true);
     (0..count).filter(|&c| !there[c]).for_each(|c| fails[c] = true);
     let non_manifold = non_manifold_vertices(mesh, &Adjacency::new(mesh));
     for piece in &dual.pieces {

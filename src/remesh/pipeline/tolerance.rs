@@ -144,6 +144,6 @@ pub(super) fn refine<'a>(
     figures.rounds += rounds;
     figures.added_seeds = best.attempt.seeds.len().saturating_sub(begin);
     figures.evaluations += best.passes_of_others;
-    figures.missed = best.distances.missed;
+    figures.out_of_tolerance = best.distances.missed;
     Ok(best.attempt)
 }

@@ -31,7 +31,7 @@ pub(super) fn not_disks(components: usize, pieces: &[u32], joints: &[u32], inner
 
 /// Components that meet the boundary in more than one stretch, ascending. `ends` has the component of every
 /// end of a stretch.
-pub(super) fn multiple_rims(components: usize, ends: impl Iterator<Item = u32>) -> Vec<u32> {
+pub(super) fn multiple_boundary_arcs(components: usize, ends: impl Iterator<Item = u32>) -> Vec<u32> {
     let mut count = vec![0u32; components];
     ends.for_each(|c| count[c as usize] += 1);
     numbers(count, |&ends| ends > 2)

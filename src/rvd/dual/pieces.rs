@@ -65,7 +65,7 @@ struct Seams {
 /// See the [`Dual`]'s fields of these names.
 struct Failing {
     not_disks: Vec<u32>,
-    multiple_rims: Vec<u32>,
+    multiple_boundary_arcs: Vec<u32>,
     multiple_edges: Vec<[u32; 2]>,
 }
 
@@ -169,8 +169,8 @@ impl Pieces {
         let count = dual.components.len();
         let failing = || self.failing(surface, &joined, count, &component);
         let (failing, pieces) = rayon::join(failing, || self.centres(&component));
-        let Failing { not_disks, multiple_rims, multiple_edges } = failing;
-        Ok(Dual { not_disks, multiple_rims, multiple_edges, pieces, ..std::mem::take(&mut dual) })
+        let Failing { not_disks, multiple_boundary_arcs, multiple_edges } = failing;
+        Ok(Dual { not_disks, multiple_boundary_arcs, multiple_edges, pieces, ..std::mem::take(&mut dual) })
     }
 
     /// What of so many components breaks the topology.
@@ -187,7 +187,7 @@ impl Pieces {
             let at_rim =
                 self.crossings.iter().filter(|(half, _)| joined.rim_edge[joined.edge[*half as usize] as usize]);
             let ends = at_rim.flat_map(|&(_, s)| stretches[s as usize]).map(|p| component[p as usize]);
-            let rims = conditions::multiple_rims(count, ends);
+            let rims = conditions::multiple_boundary_arcs(count, ends);
             let crossing = |&(half, s): &(u32, u32)| -> Crossing {
                 let (piece, j) = self.stretches[s as usize];
                 ((joined.edge[half as usize], [self.seed[piece as usize], j]), s)
@@ -195,8 +195,8 @@ impl Pieces {
             let crossings: Vec<Crossing> = self.crossings.par_iter().with_min_len(RUN).map(crossing).collect();
             (rims, conditions::multiple_edges(&stretches, crossings, component))
         };
-        let (not_disks, (multiple_rims, multiple_edges)) = rayon::join(disks, edges);
-        Failing { not_disks, multiple_rims, multiple_edges }
+        let (not_disks, (multiple_boundary_arcs, multiple_edges)) = rayon::join(disks, edges);
+        Failing { not_disks, multiple_boundary_arcs, multiple_edges }
     }
 
     fn centres(&self, component: &[u32]) -> Vec<Piece> {

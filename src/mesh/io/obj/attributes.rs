@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 use glam::{DVec2, DVec3};
 
-use super::super::attributed::{Held, Raw};
+use super::super::held::{Held, Raw};
 use super::{Words, number, shown, statements};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, ColourDepth, Colours, Normals, PerCorner};

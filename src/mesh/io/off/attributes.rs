@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 use glam::{DVec2, DVec3};
 
-use super::super::attributed::{Held, Raw, eight_bit};
+use super::super::held::{Held, Raw, eight_bit};
 use super::{Lines, header};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};

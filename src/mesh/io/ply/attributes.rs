@@ -6,7 +6,7 @@
 use glam::{DVec2, DVec3};
 use ply_rs_bw::ply::{ElementDef, Encoding, Header, PropertyType, ScalarType};
 
-use super::super::attributed::{Held, Raw, eight_bit};
+use super::super::held::{Held, Raw, eight_bit};
 use super::header::{self, Parted};
 use super::{is_index_name, records};
 use crate::mesh::TriMesh;

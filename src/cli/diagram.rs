@@ -1,0 +1,30 @@
+//! What is asked of a diagram, and what comes back.
+//!
+//! Purpose: the same for one that is computed here and for a server's. Invariant: pieces are not collected; a [`Sink`] takes them.
+//! Must not know: who computes.
+
+use anyhow::Result;
+use glam::DVec3;
+use serde_json::Value;
+
+use crate::rvd::PieceBatch;
+
+/// Takes each batch of pieces as it comes, caller's coordinates.
+pub(crate) type Sink<'a> = &'a mut dyn FnMut(&PieceBatch) -> Result<()>;
+
+/// What is to be computed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Wants {
+    /// The pieces.
+    pub(crate) cells: bool,
+    /// The centroids.
+    pub(crate) centroids: bool,
+}
+
+/// What came out, wherever it was computed.
+pub(crate) struct RvdResult {
+    /// One a seed; empty if not wanted.
+    pub(crate) centroids: Vec<DVec3>,
+    /// The report.
+    pub(crate) report: Value,
+}

@@ -1,0 +1,140 @@
+//! What a file holds of attributes.
+//!
+//! Purpose: [`Raw`] is what a reader finds, [`Held`] what a writer is given.
+//! Invariant: what a format cannot hold, and what cannot be used, is named. Must not know: how a format spells anything.
+
+use glam::{DVec2, DVec3};
+
+use super::{Format, polygons};
+use crate::mesh::TriMesh;
+use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
+
+/// What a reader finds, not yet checked.
+#[derive(Debug, Default)]
+pub(super) struct Raw {
+    pub(super) normals: Option<Normals>,
+    pub(super) texture: Option<PerCorner<DVec2>>,
+    pub(super) colours: Option<Colours>,
+    pub(super) scalars: Vec<Scalar>,
+    /// What could not even be understood.
+    pub(super) unreadable: Vec<AttributeError>,
+}
+
+impl Raw {
+    pub(super) fn unreadable(&mut self, attribute: &str, message: String) {
+        self.unreadable.push(AttributeError::Unreadable { attribute: attribute.to_owned(), message });
+    }
+
+    /// Cuts what corners have as the surface's polygons are.
+    pub(super) fn recut(&mut self, cuts: &[polygons::Cut]) {
+        let corners = [
+            self.texture.as_mut().map(|texture| &mut texture.corners),
+            match &mut self.normals {
+                Some(Normals::PerCorner(normals)) => Some(&mut normals.corners),
+                _ => None,
+            },
+        ];
+        for corners in corners.into_iter().flatten() {
+            cuts.iter().for_each(|cut| cut.apply(corners));
+        }
+    }
+
+    /// Checks each attribute by itself.
+    pub(super) fn onto(self, mesh: &TriMesh) -> (Attributes, Vec<AttributeError>) {
+        let mut attributes = Attributes::new(mesh);
+        let mut left_aside = self.unreadable;
+        let results = [
+            self.normals.map(|normals| attributes.set_normals(normals)),
+            self.texture.map(|texture| attributes.set_texture(texture)),
+            self.colours.map(|colours| attributes.set_colours(colours)),
+        ];
+        left_aside.extend(results.into_iter().flatten().filter_map(Result::err));
+        for Scalar { name, values } in self.scalars {
+            left_aside.extend(attributes.add_scalar(name, values).err());
+        }
+        (attributes, left_aside)
+    }
+}
+
+/// What a format can hold of some attributes, in the shape in which it holds them.
+#[derive(Debug, Default)]
+pub(super) struct Held<'a> {
+    pub(super) normals: Option<Vec<DVec3>>,
+    /// OBJ alone has them.
+    pub(super) corner_normals: Option<&'a PerCorner<DVec3>>,
+    pub(super) uv: Option<Vec<DVec2>>,
+    pub(super) corner_uv: Option<&'a PerCorner<DVec2>>,
+    pub(super) colours: Option<&'a Colours>,
+    pub(super) scalars: &'a [Scalar],
+    pub(super) left_out: Vec<String>,
+}
+
+impl<'a> Held<'a> {
+    pub(super) fn of(format: Format, mesh: &TriMesh, attributes: &'a Attributes) -> Self {
+        let mut held = Self::default();
+        let (facets, vertices) = (mesh.facets(), mesh.positions().len());
+        match attributes.normals() {
+            Some(_) if format == Format::Stl => held.leave_out("normals"),
+            Some(Normals::PerVertex(values)) => held.normals = Some(values.clone()),
+            Some(Normals::PerCorner(normals)) if format == Format::Obj => held.corner_normals = Some(normals),
+            Some(Normals::PerCorner(normals)) => {
+                held.normals = normals.per_vertex(facets, vertices);
+                if held.normals.is_none() {
+                    held.leave_out("normals (they differ from facet to facet)");
+                }
+            }
+            None => {}
+        }
+        match (attributes.texture(), format) {
+            (Some(_), Format::Stl) => held.leave_out("texture coordinates"),
+            (Some(texture), Format::Obj) => held.corner_uv = Some(texture),
+            (Some(texture), Format::Ply | Format::Off) => {
+                held.uv = texture.per_vertex(facets, vertices);
+                match (&held.uv, format) {
+                    (None, Format::Ply) => held.corner_uv = Some(texture),
+                    (None, _) => held.leave_out("texture coordinates (they have seams)"),
+                    (Some(_), _) => {}
+                }
+            }
+            (None, _) => {}
+        }
+        match (attributes.colours(), format) {
+            (Some(_), Format::Stl) => held.leave_out("colours"),
+            (Some(colours), _) => {
+                held.colours = Some(colours);
+                if format == Format::Obj && colours.values.iter().any(|c| c[3] != 1.0) {
+                    held.leave_out("opacity");
+                }
+            }
+            (None, _) => {}
+        }
+        match format {
+            Format::Ply => held.scalars = attributes.scalars(),
+            _ => attributes.scalars().iter().for_each(|s| held.leave_out(&format!("scalar {}", s.name))),
+        }
+        held
+    }
+
+    fn leave_out(&mut self, what: &str) {
+        self.left_out.push(what.to_owned());
+    }
+}
+
+/// The whole number of 0 to 255 that stands for a colour's component.
+pub(super) fn eight_bit(component: f64) -> u8 {
+    // The cast saturates.
+    (component * 255.0).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn eight_bits_come_back() {
+        for k in 0..=255u8 {
+            assert_eq!(eight_bit(f64::from(k) / 255.0), k);
+        }
+        assert_eq!((eight_bit(-1.0), eight_bit(7.0)), (0, 255));
+    }
+}
