@@ -8,6 +8,7 @@
 //! Must not know: files, jobs, the network.
 
 pub(crate) mod attributes;
+mod constants;
 mod distance;
 mod features;
 mod fit;

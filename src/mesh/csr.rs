@@ -62,11 +62,6 @@ impl<T: Copy> Csr<T> {
 }
 
 impl<T> Csr<T> {
-    /// How many rows there are.
-    pub(crate) fn rows(&self) -> usize {
-        self.first.len().saturating_sub(1)
-    }
-
     /// The items of a row.
     pub(crate) fn of(&self, row: u32) -> &[T] {
         &self.items[self.range(row)]
@@ -104,7 +99,6 @@ mod tests {
     #[test]
     fn facets_of_a_one_ring_ascend() {
         let rings = Csr::one_rings(5, &[[0, 1, 2], [2, 1, 3], [0, 2, 3]]);
-        assert_eq!(rings.rows(), 5);
         assert_eq!(
             [0, 1, 2, 3, 4].map(|v| rings.of(v).to_vec()),
             [vec![0, 2], vec![0, 1], vec![0, 1, 2], vec![1, 2], vec![]]

@@ -220,14 +220,6 @@ pub(crate) fn least_angle([a, b, c]: [DVec3; 3]) -> f64 {
     at(a, b, c).min(at(b, c, a)).min(at(c, a, b))
 }
 
-/// Whether all angles of a facet have a smaller cotangent than this: are wider than some angle. Without an arc tangent.
-#[inline]
-pub(crate) fn is_wide([a, b, c]: [DVec3; 3], cotangent: f64) -> bool {
-    let (u, v, w) = (b - a, c - b, a - c);
-    let most = cotangent * u.cross(w).length();
-    -u.dot(v) < most && -v.dot(w) < most && -w.dot(u) < most
-}
-
 /// Q and angles over all facets but the collapsed ones.
 fn shape_quality(mesh: &TriMesh, adjacency: &Adjacency) -> Quality {
     let (low, high) = mesh.bounds();

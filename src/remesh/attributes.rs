@@ -16,6 +16,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, unit};
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::coincident;
+use crate::remesh::constants::{LEAST_NORMAL_SQUARED, SAME_NORMAL};
 use crate::token::{Stopped, Token};
 use seams::{Place, Seams};
 
@@ -101,12 +102,6 @@ pub fn carry(
     Ok(carried)
 }
 
-/// Normals of vertices in one place with at least this cosine are equal, up to the rounding of a file.
-const SAME_NORMAL: f64 = 0.999;
-
-/// Squared length below which the direction of an interpolated normal is all rounding.
-const LEAST_SQUARED: f64 = 1e-18;
-
 /// Whether vertices in one place have different normals.
 fn has_hard_edges(mesh: &TriMesh, normals: &[DVec3]) -> bool {
     let differ = |&(later, earliest): &(u32, u32)| {
@@ -128,7 +123,7 @@ fn between(values: [f64; 3], weights: [f64; 3]) -> f64 {
 fn normal(mesh: &TriMesh, facet: u32, indices: [u32; 3], normals: &[DVec3], weights: [f64; 3]) -> DVec3 {
     let [a, b, c] = indices.map(|i| normals[i as usize]);
     let sum = a * weights[0] + b * weights[1] + c * weights[2];
-    if sum.length_squared() > LEAST_SQUARED { unit(sum) } else { facet_normal(mesh.corners(facet as usize)) }
+    if sum.length_squared() > LEAST_NORMAL_SQUARED { unit(sum) } else { facet_normal(mesh.corners(facet as usize)) }
 }
 
 /// Of unit length; zero for a facet without area.

@@ -1,19 +1,20 @@
 //! Local improvement of a result.
 //!
-//! Purpose: three ways to a better result. [`queue`] improves places in the order of their distance from the input; [`valence`]
-//! recovers edges of curves, and valences; [`angles`] improves the worst triangles. The first two change one local mesh
-//! (`patch`) at a time, with its flips (`operators`) and relocations (`relocation`, `objective`), in turn with the
-//! [`editor`]. [`flips`] flips edges of the whole result.
+//! Purpose: one set of operators ([`LocalMesh`](super::manifold::local_mesh::LocalMesh)), one search for a better place of a
+//! vertex ([`relocation`]) and one objective ([`objective`]) for all of it. [`shapes`] improves the worst triangles of the whole
+//! result, where distances need not be measured; [`curves`] keeps edges near their curves; [`places`] improves what is left,
+//! in a queue: irregular vertices, and places far from the input. Each of these is a [`patch`] on which several
+//! ways are tried ([`trial`]), in turn with the [`editor`].
 //! Invariant: a manifold stays one, no facet turns over, edges of curves stay. The same bits whatever the number of threads.
 //! Must not know: seeds, diagrams, files.
 
-pub(super) mod angles;
 mod context;
+pub(super) mod curves;
 pub(super) mod editor;
-pub(super) mod flips;
 mod objective;
-mod operators;
 mod patch;
-pub(super) mod queue;
+pub(super) mod places;
+mod queue;
 mod relocation;
-pub(super) mod valence;
+pub(super) mod shapes;
+mod trial;

@@ -1,9 +1,10 @@
 //! The combinatorics of a triangulation.
 //!
 //! Purpose: [`repair`] makes an oriented 2-manifold of the dual's triangles, [`boundary_ears`] restores edges of
-//! boundaries, [`one_rings`] keeps the facets around each vertex up to date while facets change.
+//! boundaries. [`local_mesh`] is a triangulation under edits with its local operators, [`one_rings`] its facets by vertex.
 //! Invariant: what was a manifold stays one. Must not know: seeds, diagrams, distances.
 
 pub(super) mod boundary_ears;
+pub(super) mod local_mesh;
 pub(super) mod one_rings;
 pub(super) mod repair;

@@ -1,25 +1,62 @@
 //! Measures of one triangle.
 //!
-//! Purpose: the normal, the quality score and the size by which all rooms of the remesh judge a facet.
-//! Invariant: a triangle without area has the normal zero and the score zero; no measure is NaN.
+//! Purpose: the normal, the score and the size by which all rooms of the remesh judge a facet.
+//! Invariant: a triangle without area has the normal zero and no score above zero; no measure is NaN.
 //! Must not know: which triangle it is.
 
 use glam::DVec3;
 
-use crate::mesh::measure::{facet_quality, least_angle};
-
-/// Degrees that Q = 1 counts for in [`score`]. The smallest angle decides for slender triangles; obtuse ones, whose longest
-/// edge is too long, score less than their smallest angle.
-pub(super) const DEGREES_PER_QUALITY: f64 = 55.0;
+use super::constants::{BOUND_ROUNDING, DEGREES_PER_QUALITY};
+use crate::mesh::measure::facet_quality;
 
 /// Unit normal; zero for a triangle without area.
 pub(super) fn unit_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a).normalize_or_zero()
 }
 
+/// The smallest and the largest angle, degrees.
+fn angles([a, b, c]: [DVec3; 3]) -> [f64; 2] {
+    let at = |p: DVec3, q: DVec3, r: DVec3| (q - p).cross(r - p).length().atan2((q - p).dot(r - p)).to_degrees();
+    let (at_a, at_b, at_c) = (at(a, b, c), at(b, c, a), at(c, a, b));
+    [at_a.min(at_b).min(at_c), at_a.max(at_b).max(at_c)]
+}
+
 /// The smallest angle in degrees, or [`DEGREES_PER_QUALITY`] times Q if that is less. Higher is better.
 pub(super) fn score(corners: [DVec3; 3]) -> f64 {
-    least_angle(corners).min(DEGREES_PER_QUALITY * facet_quality(corners))
+    angles(corners)[0].min(DEGREES_PER_QUALITY * facet_quality(corners))
+}
+
+/// The shape that triangles are to have.
+#[derive(Clone, Copy)]
+pub(super) struct Wanted {
+    score: f64,
+    /// The largest angle, degrees.
+    largest: f64,
+    /// Cotangents of the smallest and the largest angle.
+    cotangents: [f64; 2],
+}
+
+impl Wanted {
+    /// At least this score, and no angle larger than this, degrees.
+    pub(super) fn new(score: f64, largest: f64) -> Self {
+        let cotangent = |degrees: f64| degrees.to_radians().tan().recip();
+        let rounding = 1.0 - BOUND_ROUNDING;
+        Self { score, largest, cotangents: [cotangent(score) - rounding, cotangent(largest) + rounding] }
+    }
+
+    /// What a triangle with this Q lacks of it, degrees; 0 if nothing. Most triangles lack nothing, and to see that needs no
+    /// arc tangent.
+    pub(super) fn lack(&self, corners: [DVec3; 3], quality: f64) -> f64 {
+        let [a, b, c] = corners;
+        let (u, v, w) = (b - a, c - b, a - c);
+        let [most, least] = self.cotangents.map(|cotangent| cotangent * u.cross(w).length());
+        let within = |dot: f64| -dot < most && -dot > least;
+        if DEGREES_PER_QUALITY * quality >= self.score && within(u.dot(v)) && within(v.dot(w)) && within(w.dot(u)) {
+            return 0.0;
+        }
+        let [smallest, largest] = angles(corners);
+        (self.score - smallest.min(DEGREES_PER_QUALITY * quality)).max(largest - self.largest).max(0.0)
+    }
 }
 
 /// The sum of its edges.
@@ -40,9 +77,20 @@ mod tests {
     }
 
     #[test]
-    fn a_triangle_without_area_has_the_score_zero() {
+    fn a_triangle_without_area_has_no_score() {
         for collapsed in [[DVec3::ONE; 3], [DVec3::ZERO, DVec3::X, 2.0 * DVec3::X]] {
-            assert_eq!((score(collapsed), unit_normal(collapsed)), (0.0, DVec3::ZERO));
+            assert!(score(collapsed) <= 0.0);
+            assert_eq!(unit_normal(collapsed), DVec3::ZERO);
+        }
+    }
+
+    #[test]
+    fn what_a_triangle_lacks_is_what_its_score_says() {
+        let wanted = Wanted::new(37.0, 93.0);
+        for (x, y) in (0..400).map(|k| (f64::from(k % 20) * 0.05, f64::from(k / 20) * 0.05 + 0.3)) {
+            let corners = [DVec3::ZERO, DVec3::X, DVec3::new(x, y, 0.0)];
+            let lack = (37.0 - score(corners)).max(angles(corners)[1] - 93.0).max(0.0);
+            assert!((wanted.lack(corners, facet_quality(corners)) - lack).abs() < 1e-6, "{corners:?}");
         }
     }
 }

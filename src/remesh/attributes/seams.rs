@@ -21,6 +21,7 @@ use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::attributes::PerCorner;
 use crate::mesh::closest_point::{ClosestPoint, closest_on_facet};
 use crate::mesh::disjoint::DisjointSets;
+use crate::remesh::constants::{LONG_SEAM_REACH, MAX_SEAM_FACETS, MOST_STRETCH, SEAM_END_REACH, SEAM_REACH};
 
 /// Where a corner of the result takes its value.
 #[derive(Clone, Copy, Debug)]
@@ -51,18 +52,6 @@ pub(super) struct Seams<'a> {
     /// For each facet of the result the input's facet nearest to its centroid, and where.
     homes: Vec<(u32, DVec3)>,
 }
-
-/// Radius of the ball that a walk keeps to, as a multiple of half the distance between its ends. Over a right-angled crease, 1 is
-/// enough.
-const REACH: f64 = 1.3;
-/// The same for a second walk, if the first met neither its end nor a seam, as around a thin edge of the surface.
-const LONG_REACH: f64 = 4.0;
-/// Facets of one walk, at most.
-const MAX_FACETS: usize = 1 << 16;
-/// An end is reached within this share of the distance between the ends.
-const END_REACH: f64 = 1e-6;
-/// A texture coordinate beyond a seam is extrapolated by no more than so many times the texture's stretch at home.
-const MOST_STRETCH: f64 = 4.0;
 
 impl<'a> Seams<'a> {
     pub(super) fn new(
@@ -286,8 +275,8 @@ struct Walk {
 
 impl Walk {
     fn go(&mut self, seams: &Seams<'_>, open: &[bool], way: &Way) -> Found {
-        let found = self.within(REACH, seams, open, way);
-        if found.met || found.barred { found } else { self.within(LONG_REACH, seams, open, way) }
+        let found = self.within(SEAM_REACH, seams, open, way);
+        if found.met || found.barred { found } else { self.within(LONG_SEAM_REACH, seams, open, way) }
     }
 
     fn within(&mut self, reach: f64, seams: &Seams<'_>, open: &[bool], way: &Way) -> Found {
@@ -295,7 +284,7 @@ impl Walk {
         let middle = way.start * 0.5 + way.to * 0.5;
         let off = way.goal_squared.sqrt();
         let ball = (0.5 * reach * length + off).powi(2);
-        let met = (off + END_REACH * length).powi(2);
+        let met = (off + SEAM_END_REACH * length).powi(2);
         self.seen.clear();
         self.next.clear();
         self.seen.insert(way.home);
@@ -305,7 +294,7 @@ impl Walk {
         self.next.push(Reverse((first.0.to_bits(), way.home)));
         while let Some(Reverse((bits, facet))) = self.next.pop() {
             let squared = f64::from_bits(bits);
-            if found.met && squared > met || self.seen.len() > MAX_FACETS {
+            if found.met && squared > met || self.seen.len() > MAX_SEAM_FACETS {
                 break;
             }
             if squared < found.squared || facet == way.goal {

@@ -1,7 +1,7 @@
 //! The deviation of the input's vertices from the result.
 //!
 //! Purpose: [`InputDeviation`] knows for each vertex of the input the nearest facet in the one-ring of its own result
-//! vertex. It is updated in places while the result changes.
+//! vertex.
 //! Invariant: the same bits whatever the number of threads. Must not know: how the result is changed.
 
 use glam::DVec3;
@@ -9,6 +9,8 @@ use rayon::prelude::*;
 
 use super::nearest::RingQuery;
 use crate::mesh::csr::Csr;
+use crate::remesh::constants::{VERTICES_PER_CHECK, VERTICES_PER_TASK};
+use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::remesh::triangle::perimeter;
 use crate::token::Token;
 
@@ -28,23 +30,12 @@ pub(in crate::remesh) struct Deviation {
     pub(in crate::remesh) distance: f64,
     /// The distance divided by the facet's mean edge.
     pub(in crate::remesh) relative: f64,
-    /// The nearest facet.
-    pub(in crate::remesh) facet: u32,
     /// The corner of that facet that is nearest to the input's vertex.
     pub(in crate::remesh) corner: u32,
 }
 
 /// Of a vertex whose owner has no facets.
-const UNKNOWN: Deviation = Deviation { distance: 0.0, relative: 0.0, facet: 0, corner: 0 };
-
-/// Above this share of the mean edge a vertex of the input sticks out of the result: the fit then pulls a vertex of the result
-/// to it, and edges across a ridge are flipped for it.
-pub(in crate::remesh) const STICKS_OUT: f64 = 0.08;
-
-/// Result vertices per parallel task.
-const VERTICES_PER_TASK: usize = 256;
-/// Vertices of the input between two questions to the token.
-const VERTICES_PER_CHECK: usize = 64;
+const UNKNOWN: Deviation = Deviation { distance: 0.0, relative: 0.0, corner: 0 };
 
 /// See the module's head.
 pub(in crate::remesh) struct InputDeviation<'a> {
@@ -53,10 +44,10 @@ pub(in crate::remesh) struct InputDeviation<'a> {
     list: Vec<Deviation>,
 }
 
-fn deviation(positions: &[DVec3], facets: &[[u32; 3]], query: &mut RingQuery, vertex: &InputVertex) -> Deviation {
+fn deviation(mesh: &LocalMesh, query: &mut RingQuery, vertex: &InputVertex) -> Deviation {
     let found = query.nearest(vertex.position);
-    let Some(&t) = facets.get(found.facet as usize) else { return UNKNOWN };
-    let p = t.map(|v| positions[v as usize]);
+    let Some(&t) = mesh.facets().get(found.facet as usize) else { return UNKNOWN };
+    let p = mesh.places(t);
     let edge = perimeter(p) / 3.0;
     let to = p.map(|q| q.distance_squared(vertex.position));
     let corner = if to[0] <= to[1] && to[0] <= to[2] {
@@ -67,38 +58,18 @@ fn deviation(positions: &[DVec3], facets: &[[u32; 3]], query: &mut RingQuery, ve
         t[2]
     };
     let distance = found.squared.sqrt();
-    Deviation { distance, relative: if edge > 0.0 { distance / edge } else { 0.0 }, facet: found.facet, corner }
+    Deviation { distance, relative: if edge > 0.0 { distance / edge } else { 0.0 }, corner }
 }
 
 impl<'a> InputDeviation<'a> {
-    /// Measures all of them. `rings` are the one-rings of the result.
-    pub(in crate::remesh) fn new(
-        positions: &[DVec3],
-        facets: &[[u32; 3]],
-        rings: &Csr<u32>,
-        vertices: &'a Csr<InputVertex>,
-        token: &Token,
-    ) -> Self {
-        let mut deviations = Self { vertices, list: vec![UNKNOWN; vertices.all().len()] };
-        deviations.update(positions, facets, rings, |_| true, token);
-        deviations
-    }
-
-    /// Measures those again whose owner has `changed`: the owner or a neighbour has moved, or its one-ring is another one.
-    pub(in crate::remesh) fn update(
-        &mut self,
-        positions: &[DVec3],
-        facets: &[[u32; 3]],
-        rings: &Csr<u32>,
-        changed: impl Fn(u32) -> bool + Sync,
-        token: &Token,
-    ) {
-        let vertices = self.vertices;
+    /// Measures all of them.
+    pub(in crate::remesh) fn new(mesh: &LocalMesh, vertices: &'a Csr<InputVertex>, token: &Token) -> Self {
+        let (mut list, count) = (vec![UNKNOWN; vertices.all().len()], mesh.positions.len());
         // Tasks: a range of result vertices with its part of the list.
-        let mut tasks = Vec::with_capacity(positions.len() / VERTICES_PER_TASK + 1);
-        let mut rest = self.list.as_mut_slice();
-        for begin in (0..positions.len()).step_by(VERTICES_PER_TASK) {
-            let owners = begin as u32..(begin + VERTICES_PER_TASK).min(positions.len()) as u32;
+        let mut tasks = Vec::with_capacity(count / VERTICES_PER_TASK + 1);
+        let mut rest = list.as_mut_slice();
+        for begin in (0..count).step_by(VERTICES_PER_TASK) {
+            let owners = begin as u32..(begin + VERTICES_PER_TASK).min(count) as u32;
             let count = vertices.range(owners.end - 1).end - vertices.range(owners.start).start;
             let (here, after) = rest.split_at_mut(count);
             rest = after;
@@ -109,18 +80,19 @@ impl<'a> InputDeviation<'a> {
                 let own = vertices.of(owner);
                 let (list, after) = here.split_at_mut(own.len());
                 here = after;
-                if !own.is_empty() && changed(owner) {
-                    query.move_to(positions, facets, rings, owner);
+                if !own.is_empty() {
+                    query.move_to(mesh, owner);
                     for (k, (to, vertex)) in list.iter_mut().zip(own).enumerate() {
                         // A one-ring may have many facets, and a cell many vertices of the input.
                         if k.is_multiple_of(VERTICES_PER_CHECK) && token.is_stopped() {
                             return;
                         }
-                        *to = deviation(positions, facets, query, vertex);
+                        *to = deviation(mesh, query, vertex);
                     }
                 }
             }
         });
+        Self { vertices, list }
     }
 
     /// Those that `counts`, with their numbers, by falling relative deviation.

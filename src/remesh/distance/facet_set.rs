@@ -10,11 +10,7 @@ use std::ops::Range;
 use glam::DVec3;
 
 use crate::mesh::curve;
-
-/// Facets of a group, at least. Large sets have as many groups as facets in a group.
-const FACETS_PER_GROUP: usize = 8;
-/// Factor by which radii grow, so that rounding leaves nothing outside.
-const RADIUS_ROUNDING: f64 = 1.0 + 1e-12;
+use crate::remesh::constants::{FACETS_PER_GROUP, GRID_INTERVALS, SPHERE_ROUNDING};
 
 /// See the module's head.
 pub(in crate::remesh) struct FacetSet {
@@ -43,7 +39,7 @@ impl BoundingSphere {
     fn around(points: &[DVec3]) -> Self {
         let centre = points.iter().sum::<DVec3>() / points.len() as f64;
         let squared = points.iter().map(|p| p.distance_squared(centre)).fold(0.0, f64::max);
-        Self { centre, radius: squared.sqrt() * RADIUS_ROUNDING }
+        Self { centre, radius: squared.sqrt() * SPHERE_ROUNDING }
     }
 
     /// Whether something inside may be nearer to `p` than `distance`.
@@ -180,10 +176,6 @@ pub(in crate::remesh) fn least_distance(
     }
     least
 }
-
-/// Intervals on an edge of the grid of points at which the distance of a facet is taken. With 4, ridges inside a facet stuck
-/// out a third farther than was measured.
-const GRID_INTERVALS: u32 = 6;
 
 /// A grid of points on a facet of the result.
 pub(in crate::remesh) fn sample_points([a, b, c]: [DVec3; 3]) -> impl Iterator<Item = DVec3> {

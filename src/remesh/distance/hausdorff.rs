@@ -10,17 +10,9 @@ use rayon::prelude::*;
 use super::deviation::InputDeviation;
 use super::reference::{InputSamples, SurfaceSample};
 use crate::mesh::csr::Csr;
+use crate::remesh::constants::{ITEMS_PER_TASK, MISSED_SHARES, SAMPLE_REACH, WORK_PER_VERTEX};
+use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::token::Token;
-
-/// Without a tolerance, vertices of the input were missed if one of them is farther away than the first share of a mean edge:
-/// then all beyond the second share.
-const MISSED_SHARES: [f64; 2] = [0.25, 0.17];
-/// Vertices or facets per parallel task, at least.
-const ITEMS_PER_TASK: usize = 256;
-/// A sample covers the surface around it within so many square roots of its area.
-const SAMPLE_REACH: f64 = 2.0;
-/// Work of one vertex, as the token counts it.
-const WORK_PER_VERTEX: usize = 64;
 
 /// Distance between input and result.
 pub(in crate::remesh) struct HausdorffEstimate {
@@ -34,21 +26,14 @@ pub(in crate::remesh) struct HausdorffEstimate {
 
 impl HausdorffEstimate {
     /// Measures the whole result. Places farther away than `tolerance` were missed.
-    pub(in crate::remesh) fn of(
-        positions: &[DVec3],
-        facets: &[[u32; 3]],
-        input: &InputSamples,
-        tolerance: Option<f64>,
-        token: &Token,
-    ) -> Self {
-        let rings = Csr::one_rings(positions.len(), facets);
-        let deviations = InputDeviation::new(positions, facets, &rings, &input.vertices, token);
-        let missed = select(positions, facets, &rings, &deviations, tolerance);
-        let by_facet = deviation_by_facet(positions, facets, &input.samples, token);
+    pub(in crate::remesh) fn of(mesh: &LocalMesh, input: &InputSamples, tolerance: Option<f64>, token: &Token) -> Self {
+        let deviations = InputDeviation::new(mesh, &input.vertices, token);
+        let missed = select(mesh, &deviations, tolerance);
+        let by_facet = deviation_by_facet(mesh, &input.samples, token);
         let largest = by_facet.iter().copied().fold(deviations.largest(), f64::max);
-        let mut by_vertex = deviations.by_owner(positions.len());
+        let mut by_vertex = deviations.by_owner(mesh.positions.len());
         let widen = |(v, distance): (usize, &mut f64)| {
-            *distance = rings.of(v as u32).iter().map(|&f| by_facet[f as usize]).fold(*distance, f64::max);
+            *distance = mesh.ring(v as u32).iter().map(|&f| by_facet[f as usize]).fold(*distance, f64::max);
         };
         by_vertex.par_iter_mut().enumerate().with_min_len(ITEMS_PER_TASK).for_each(widen);
         Self { missed, largest, by_vertex }
@@ -58,33 +43,24 @@ impl HausdorffEstimate {
 /// Places of the input that are farther from the result than `tolerance`, or than a share of an edge where that is
 /// `None`: (nearest vertex of the result, place) by falling deviation. No two are in one one-ring.
 pub(in crate::remesh) fn missed_places(
-    positions: &[DVec3],
-    facets: &[[u32; 3]],
+    mesh: &LocalMesh,
     input: &InputSamples,
     tolerance: Option<f64>,
     token: &Token,
 ) -> Vec<(u32, DVec3)> {
-    let rings = Csr::one_rings(positions.len(), facets);
-    let deviations = InputDeviation::new(positions, facets, &rings, &input.vertices, token);
-    select(positions, facets, &rings, &deviations, tolerance)
+    select(mesh, &InputDeviation::new(mesh, &input.vertices, token), tolerance)
 }
 
-fn select(
-    positions: &[DVec3],
-    facets: &[[u32; 3]],
-    rings: &Csr<u32>,
-    deviations: &InputDeviation<'_>,
-    tolerance: Option<f64>,
-) -> Vec<(u32, DVec3)> {
+fn select(mesh: &LocalMesh, deviations: &InputDeviation<'_>, tolerance: Option<f64>) -> Vec<(u32, DVec3)> {
     let mut missed = deviations.largest_first(|d| tolerance.map_or(d.relative > MISSED_SHARES[1], |t| d.distance > t));
     if tolerance.is_none() && missed.first().is_some_and(|(_, d)| d.relative <= MISSED_SHARES[0]) {
         missed.clear();
     }
-    let mut taken = vec![false; positions.len()];
+    let mut taken = vec![false; mesh.positions.len()];
     let mut found = Vec::new();
     for (k, d) in missed {
         if !taken[d.corner as usize] {
-            rings.of(d.corner).iter().flat_map(|&f| facets[f as usize]).for_each(|u| taken[u as usize] = true);
+            mesh.neighbours(d.corner).into_iter().for_each(|u| taken[u as usize] = true);
             found.push((d.corner, deviations.position(k)));
         }
     }
@@ -92,24 +68,19 @@ fn select(
 }
 
 /// The largest distance of a corner or of the centroid of each facet from the input.
-fn deviation_by_facet(
-    positions: &[DVec3],
-    facets: &[[u32; 3]],
-    samples: &Csr<SurfaceSample>,
-    token: &Token,
-) -> Vec<f64> {
+fn deviation_by_facet(mesh: &LocalMesh, samples: &Csr<SurfaceSample>, token: &Token) -> Vec<f64> {
     let own = |v: u32| match token.check_at(WORK_PER_VERTEX * v as usize) {
         Err(_) => 0.0,
-        Ok(()) => distance(positions[v as usize], [samples.of(v)]),
+        Ok(()) => distance(mesh.positions[v as usize], [samples.of(v)]),
     };
-    let vertices = (0..positions.len() as u32).into_par_iter().with_min_len(ITEMS_PER_TASK);
+    let vertices = (0..mesh.positions.len() as u32).into_par_iter().with_min_len(ITEMS_PER_TASK);
     let by_vertex: Vec<f64> = vertices.map(own).collect();
     let of = |t: &[u32; 3]| {
-        let [a, b, c] = t.map(|v| positions[v as usize]);
+        let [a, b, c] = mesh.places(*t);
         let centroid = distance((a + b + c) / 3.0, t.map(|v| samples.of(v)));
         t.iter().map(|&v| by_vertex[v as usize]).fold(centroid, f64::max)
     };
-    facets.par_iter().with_min_len(ITEMS_PER_TASK).map(of).collect()
+    mesh.facets().par_iter().with_min_len(ITEMS_PER_TASK).map(of).collect()
 }
 
 /// Distance of `p` from the tangent plane of the nearest sample, or from that sample where it is not below `p`. 0 if there are no

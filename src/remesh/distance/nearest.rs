@@ -7,15 +7,8 @@
 use glam::DVec3;
 
 use crate::mesh::closest_point::closest_on_facet;
-use crate::mesh::csr::Csr;
-
-/// Factor on a lower bound that makes up for its rounding,
-const BOUND_ROUNDING: f64 = 1.0 - 1e-9;
-/// and the squared distance that does so near zero, unit box.
-const ZERO_SQUARED: f64 = 1e-24;
-
-/// Squared lengths below this count as zero: their inverses would be all rounding.
-const LEAST_SQUARED: f64 = 1e-200;
+use crate::remesh::constants::{BOUND_ROUNDING, ZERO_LENGTH_SQUARED, ZERO_SQUARED};
+use crate::remesh::manifold::local_mesh::LocalMesh;
 
 /// The larger of two numbers that are not NaN; `f64::max` also asks for NaN.
 fn larger(a: f64, b: f64) -> f64 {
@@ -54,17 +47,17 @@ pub(in crate::remesh) struct Nearest {
 
 impl RingQuery {
     /// From now on, answers for the one-ring of vertex `v`.
-    pub(in crate::remesh) fn move_to(&mut self, positions: &[DVec3], facets: &[[u32; 3]], rings: &Csr<u32>, v: u32) {
-        self.centre = positions[v as usize];
+    pub(in crate::remesh) fn move_to(&mut self, mesh: &LocalMesh, v: u32) {
+        self.centre = mesh.positions[v as usize];
         self.wedges.clear();
-        self.wedges.extend(rings.of(v).iter().map(|&facet| {
-            let ids = facets[facet as usize];
-            let corners = ids.map(|u| positions[u as usize]);
+        self.wedges.extend(mesh.ring(v).iter().map(|&facet| {
+            let ids = mesh.facets()[facet as usize];
+            let corners = mesh.corners(facet);
             let k = ids.iter().position(|&u| u == v).unwrap_or(0);
             let (to, from) = (corners[(k + 1) % 3] - corners[k], corners[(k + 2) % 3] - corners[k]);
             let normal = to.cross(from);
             let normals = [normal, normal.cross(to), from.cross(normal)];
-            let over = |squared: f64| if squared > LEAST_SQUARED { 1.0 / squared } else { 0.0 };
+            let over = |squared: f64| if squared > ZERO_LENGTH_SQUARED { 1.0 / squared } else { 0.0 };
             let square = normal.length_squared();
             let inverse_squares = [square, square * to.length_squared(), square * from.length_squared()].map(over);
             Wedge { facet, ids, corners, normals, inverse_squares }
@@ -109,6 +102,8 @@ impl RingQuery {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::HashSet;
+
     use super::*;
 
     #[test]
@@ -127,8 +122,7 @@ mod tests {
                 positions[3] = positions[4];
             }
             let facets: Vec<[u32; 3]> = (0..7).map(|k| [1 + k, 1 + (k + 1) % 7, 0]).collect();
-            let rings = Csr::one_rings(8, &facets);
-            query.move_to(&positions, &facets, &rings, 0);
+            query.move_to(&LocalMesh::new(positions.clone(), facets.clone(), HashSet::new()), 0);
             for k in 0..50 {
                 let p = 2.0 * point(100_000 + 50 * round + k);
                 let all = facets.iter().map(|t| closest_on_facet(p, t.map(|v| positions[v as usize]), *t).0);
@@ -138,7 +132,7 @@ mod tests {
                 assert_eq!((found.facet as usize, found.squared), (facet, squared));
             }
         }
-        query.move_to(&[DVec3::ZERO], &[], &Csr::one_rings(1, &[]), 0);
+        query.move_to(&LocalMesh::new(vec![DVec3::ZERO], Vec::new(), HashSet::new()), 0);
         assert_eq!(query.nearest(DVec3::ONE).facet, u32::MAX);
     }
 }

@@ -18,41 +18,14 @@ use crate::mesh::disjoint::DisjointSets;
 use crate::mesh::edges::{EdgeGroups, Half, undirected};
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
 use crate::mesh::sample::spread;
+use crate::remesh::constants::{
+    ACUTE_LIMIT, BEND_REACH, BOUNDARY_LIMIT, CLEARANCE, CREASE_LIMIT, JOINED_CORNERS, LARGEST_SHARE, LEAST_CLEAR,
+    MOST_SEEDS, SHORTEST_CREASE, SMOOTH_REACH, SPARE_POINTS, SPARE_SEEDS,
+};
 use crate::remesh::report::FeatureFigures;
 use crate::remesh::{RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{Frame, Surface};
 use crate::token::{Stopped, Token};
-
-/// Length of the shortest crease with a free end, edge lengths. Shorter ones are noise of a scan, or folds that fade out.
-const SHORTEST_CREASE: f64 = 8.0;
-/// Length over which bends of a curve are measured, edge lengths.
-const BEND_REACH: f64 = 1.0;
-/// A ridge that is bent less than a crease is a curve if nothing within this distance of it is bent, edge lengths.
-const SMOOTH_REACH: f64 = 2.5;
-/// Corners joined by less boundary than this are one if little is cut off, edge lengths. With both, a triangle between them
-/// would have an angle of about as many radians.
-const JOINED_CORNERS: f64 = 0.4;
-/// Distance from its boundary that an edge may have, as a share of the edge length;
-const BOUNDARY_LIMIT: f64 = 0.08;
-/// that from its crease;
-const CREASE_LIMIT: f64 = 0.06;
-/// and that of an edge at a corner that two curves leave at an acute angle: no facet between them has a good angle anyway.
-const ACUTE_LIMIT: f64 = 0.3;
-/// Share of the seeds that curves may take if there are creases. Boundaries alone may take all: a strip that is narrower than an
-/// edge has no other seeds.
-const LARGEST_SHARE: f64 = 0.6;
-
-/// Curves that need more than so many times the seeds plus [`SPARE_SEEDS`] are dropped before any seed is placed.
-const MOST_SEEDS: usize = 16;
-const SPARE_SEEDS: usize = 1000;
-
-/// Other seeds are drawn at this distance from a curve's seeds, as a share of their spacing: about where the cells of the curve
-/// end. With more, too few seeds would lie between two close curves, and no step takes a seed across a curve.
-const CLEARANCE: f64 = 0.5;
-/// One in so many points is drawn in addition, since some are too near to a curve.
-const SPARE: usize = 50;
-/// The share of points that is taken to be clear of the curves, at least.
-const LEAST_CLEAR: f64 = 0.2;
 
 /// `count` of some points in an order, evenly spaced in it; all if there are fewer.
 fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
@@ -183,10 +156,10 @@ impl KeptCurves {
             let drawn = spread(mesh, plan.weights.as_deref(), Some(&regions), count, seed);
             drawn.iter().map(|s| s.position).partition(clear)
         };
-        let (mut kept, mut rest) = draw(others + others / SPARE);
+        let (mut kept, mut rest) = draw(others + others / SPARE_POINTS);
         if kept.len() < others {
-            let share = (kept.len() as f64 / (others + others / SPARE) as f64).max(LEAST_CLEAR);
-            (kept, rest) = draw((others as f64 / share) as usize + others / SPARE + 1);
+            let share = (kept.len() as f64 / (others + others / SPARE_POINTS) as f64).max(LEAST_CLEAR);
+            (kept, rest) = draw((others as f64 / share) as usize + others / SPARE_POINTS + 1);
         }
         // If curves cover nearly all of the surface, seeds begin near them.
         let lacking = others.saturating_sub(kept.len());

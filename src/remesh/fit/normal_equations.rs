@@ -10,35 +10,19 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::region::{NONE, Region};
-use super::{Target, Triangulation};
+use super::Target;
+use crate::remesh::constants::{
+    BLOCKS_PER_ROW, CURVE_WEIGHT, GRADIENT_STEPS, NORMAL_DAMPING, RESIDUAL_SHARE, SAMPLES_PER_CHECK, STIFFNESS,
+    TANGENT_DAMPING, VERTICES_PER_RUN,
+};
 use crate::remesh::distance::nearest::RingQuery;
 use crate::remesh::distance::reference::SurfaceSample;
 use crate::remesh::features::envelope::CurveSample;
+use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::token::Token;
 
-/// Steps of conjugate gradients in a round. A move spreads by one facet a step.
-const GRADIENT_STEPS: usize = 14;
-/// The steps end at this share of the first squared residual (r·z).
-const RESIDUAL_SHARE: f64 = 1e-8;
-/// Weight of a move in the tangent plane beside a residual of the same length, so that a vertex does not slide. On rocker-arm
-/// with 5,000 points 0.05 leaves 4 % more RMS distance; 0.01 costs 0.002 of mean quality.
-const TANGENT_DAMPING: f64 = 0.02;
-/// Weight of the difference between the moves of neighbours: a vertex that is pulled takes them along.
-const STIFFNESS: f64 = 0.02;
-/// Weight of a move along the normal. It keeps the system regular where samples are few.
-const NORMAL_DAMPING: f64 = 0.01;
-/// Weight of a residual of a curve beside one of the surface: the eye follows curves.
-const CURVE_WEIGHT: f64 = 20.0;
-/// Weight of a pull beside the area of the vertex's own samples.
-const PULL_WEIGHT: f64 = 20.0;
-/// Vertices per parallel task, and facets at least.
-const RUN: usize = 256;
-/// Samples between two questions to the token.
-const SAMPLES_PER_CHECK: usize = 64;
-
-/// Blocks of a row for which memory is reserved: six neighbours on average, and one more.
-const BLOCKS_PER_ROW: usize = 7;
+/// The number of what has none.
+const NONE: u32 = u32::MAX;
 
 /// A symmetric matrix: xx xy xz yy yz zz.
 #[derive(Clone, Copy, Debug, Default)]
@@ -147,38 +131,33 @@ impl CurveShare {
     }
 }
 
-/// Nearest facets of the samples of a region's vertices.
+/// Nearest facets of the samples of the vertices.
 struct NearestFacets {
-    /// For each vertex of the region the first of its samples; and their number.
-    first: Vec<u32>,
+    /// In the order of the samples.
     facet: Vec<u32>,
     weights: Vec<[f64; 3]>,
 }
 
 impl NearestFacets {
-    fn new(mesh: &Triangulation<'_>, target: &Target, region: &Region, token: &Token) -> Self {
-        let mut first = Vec::with_capacity(region.vertices.len() + 1);
-        let mut total = 0;
-        first.push(0);
-        first.extend(region.vertices.iter().map(|&v| {
-            total += target.input.samples.of(v).len() as u32;
-            total
-        }));
-        let (mut facet, mut weights) = (vec![NONE; total as usize], vec![[0.0; 3]; total as usize]);
+    fn new(mesh: &LocalMesh, target: &Target, token: &Token) -> Self {
+        let samples = &target.input.samples;
+        let (mut facet, mut weights) = (vec![NONE; samples.all().len()], vec![[0.0; 3]; samples.all().len()]);
         let (mut facets, mut rest) = (facet.as_mut_slice(), weights.as_mut_slice());
-        let mut runs = Vec::with_capacity(region.vertices.len() / RUN + 1);
-        for (k, vertices) in region.vertices.chunks(RUN).enumerate() {
-            let count = (first[k * RUN + vertices.len()] - first[k * RUN]) as usize;
+        let count = mesh.positions.len() as u32;
+        let mut runs = Vec::with_capacity(count as usize / VERTICES_PER_RUN + 1);
+        for begin in (0..count).step_by(VERTICES_PER_RUN) {
+            let vertices = begin..count.min(begin + VERTICES_PER_RUN as u32);
+            let own = samples.range(vertices.end - 1).end - samples.range(begin).start;
             let (f, w);
-            (f, facets) = facets.split_at_mut(count);
-            (w, rest) = rest.split_at_mut(count);
+            (f, facets) = facets.split_at_mut(own);
+            (w, rest) = rest.split_at_mut(own);
             runs.push((vertices, f, w));
         }
         runs.into_par_iter().for_each_init(RingQuery::default, |query, (vertices, facet, weights)| {
             let mut to = facet.iter_mut().zip(weights);
-            for &v in vertices {
-                query.move_to(mesh.positions, mesh.facets, mesh.rings, v);
-                for (k, (sample, (facet, weights))) in target.input.samples.of(v).iter().zip(&mut to).enumerate() {
+            for v in vertices {
+                query.move_to(mesh, v);
+                for (k, (sample, (facet, weights))) in samples.of(v).iter().zip(&mut to).enumerate() {
                     // A one-ring may have many facets, and a cell many samples.
                     if k.is_multiple_of(SAMPLES_PER_CHECK) && token.is_stopped() {
                         return;
@@ -188,16 +167,15 @@ impl NearestFacets {
                 }
             }
         });
-        Self { first, facet, weights }
+        Self { facet, weights }
     }
 
     /// The sum over the samples that are nearest to facet `f`.
-    fn share(&self, mesh: &Triangulation<'_>, target: &Target, region: &Region, f: u32) -> Share {
+    fn share(&self, mesh: &LocalMesh, target: &Target, f: u32) -> Share {
         let mut share = Share::default();
         let corners = mesh.corners(f);
-        for v in mesh.facets[f as usize] {
-            let number = region.vertex_number(v) as usize;
-            let range = self.first[number] as usize..self.first[number + 1] as usize;
+        for v in mesh.facets()[f as usize] {
+            let range = target.input.samples.range(v);
             let of = self.facet[range.clone()].iter().zip(&self.weights[range]).zip(target.input.samples.of(v));
             of.filter(|((facet, _), _)| **facet == f).for_each(|((_, &w), sample)| share.add(sample, corners, w));
         }
@@ -218,15 +196,13 @@ struct Rows {
 
 /// What the rows are made of.
 struct Parts<'a> {
-    mesh: &'a Triangulation<'a>,
-    region: &'a Region,
+    mesh: &'a LocalMesh,
     /// Where vertices were before the fit.
     start: &'a [DVec3],
     shares: Vec<Share>,
     /// By vertex.
     curves: Vec<CurveShare>,
-    pulls: Vec<(u32, DVec3)>,
-    /// For each vertex of the region the number of its unknown.
+    /// For each vertex the number of its unknown.
     unknown: Vec<u32>,
 }
 
@@ -236,7 +212,7 @@ impl Parts<'_> {
     }
 
     fn unknown(&self, v: u32) -> u32 {
-        self.unknown[self.region.vertex_number(v) as usize]
+        self.unknown[v as usize]
     }
 
     fn rows(&self, vertices: &[u32]) -> Rows {
@@ -265,9 +241,9 @@ impl Parts<'_> {
                 rows.blocks[at].1.widen(-stiffness);
             }
         };
-        for &f in mesh.rings.of(v) {
-            let t = mesh.facets[f as usize];
-            let share = &self.shares[self.region.facet_number(f) as usize];
+        for &f in mesh.ring(v) {
+            let t = mesh.facets()[f as usize];
+            let share = &self.shares[f as usize];
             let moved = t.map(|u| self.moved(u));
             let (sum, k) = (moved[0] + moved[1] + moved[2], share.stiffness());
             for (i, _) in t.iter().enumerate().filter(|(_, u)| **u == v) {
@@ -291,11 +267,6 @@ impl Parts<'_> {
         extra.add((NORMAL_DAMPING - TANGENT_DAMPING) * area, &Symmetric::outer(normal.normalize_or_zero()));
         // So does damping.
         right -= extra.times(self.moved(v));
-        let pulls = self.pulls.partition_point(|p| p.0 < v);
-        for &(_, to) in self.pulls[pulls..].iter().take_while(|p| p.0 == v) {
-            extra.widen(PULL_WEIGHT * area);
-            right += PULL_WEIGHT * area * (to - mesh.positions[v as usize]);
-        }
         own.add(1.0, &extra);
         let has_area = area > 0.0;
         rows.diagonal.push(own);
@@ -314,28 +285,19 @@ pub(super) struct NormalEquations {
 }
 
 impl NormalEquations {
-    /// For the vertices inside the region that are not fixed. They were at `start` before the fit. `pulls` are vertices and
-    /// where they are pulled to.
-    pub(super) fn new(
-        mesh: &Triangulation<'_>,
-        target: &Target,
-        region: &Region,
-        (start, pulls): (&[DVec3], &[(u32, DVec3)]),
-        token: &Token,
-    ) -> Self {
-        let found = NearestFacets::new(mesh, target, region, token);
-        let share = |&f: &u32| found.share(mesh, target, region, f);
-        let shares = region.facets.par_iter().with_min_len(RUN).map(share).collect();
-        let in_region = target.curves.iter().filter(|s| s.edge.iter().all(|&v| region.reaches(v)));
-        let mut curves: Vec<CurveShare> = in_region.flat_map(|s| CurveShare::both(mesh.positions, s)).collect();
+    /// For the vertices that are not fixed. They were at `start` before the fit.
+    pub(super) fn new(mesh: &LocalMesh, target: &Target, start: &[DVec3], token: &Token) -> Self {
+        let found = NearestFacets::new(mesh, target, token);
+        let facets = (0..mesh.facets().len() as u32).into_par_iter().with_min_len(VERTICES_PER_RUN);
+        let shares = facets.map(|f| found.share(mesh, target, f)).collect();
+        let mut curves: Vec<CurveShare> =
+            target.curves.iter().flat_map(|s| CurveShare::both(&mesh.positions, s)).collect();
         curves.sort_by_key(|c| c.vertex);
-        let mut pulls = pulls.to_vec();
-        pulls.sort_by_key(|p| p.0);
-        let unknowns: Vec<u32> = region.inside().filter(|&v| !target.fixed[v as usize]).collect();
-        let mut unknown = vec![NONE; region.vertices.len()];
-        unknowns.iter().zip(0..).for_each(|(&v, i)| unknown[region.vertex_number(v) as usize] = i);
-        let parts = Parts { mesh, region, start, shares, curves, pulls, unknown };
-        let rows = unknowns.par_chunks(RUN).map(|vertices| parts.rows(vertices)).collect();
+        let unknowns: Vec<u32> = (0..mesh.positions.len() as u32).filter(|&v| !target.fixed[v as usize]).collect();
+        let mut unknown = vec![NONE; mesh.positions.len()];
+        unknowns.iter().zip(0..).for_each(|(&v, i)| unknown[v as usize] = i);
+        let parts = Parts { mesh, start, shares, curves, unknown };
+        let rows = unknowns.par_chunks(VERTICES_PER_RUN).map(|vertices| parts.rows(vertices)).collect();
         Self { vertices: mesh.positions.len(), unknowns, rows }
     }
 
@@ -384,24 +346,26 @@ impl NormalEquations {
             }
             product
         };
-        let runs = self.rows.par_iter().zip(q.par_chunks_mut(RUN)).zip(p.par_chunks(RUN));
+        let runs = self.rows.par_iter().zip(q.par_chunks_mut(VERTICES_PER_RUN)).zip(p.par_chunks(VERTICES_PER_RUN));
         let products: Vec<f64> = runs.map(run).collect();
         products.iter().sum()
     }
 
     /// x and r one step along p; q comes with A p and leaves with z, the residual divided by the diagonal. Returns r·z.
     fn advance(&self, step: f64, p: &[DVec3], q: &mut [DVec3], x: &mut [DVec3], r: &mut [DVec3]) -> f64 {
-        let runs = self.rows.par_iter().zip(q.par_chunks_mut(RUN)).zip(x.par_chunks_mut(RUN));
-        let runs = runs.zip(r.par_chunks_mut(RUN)).zip(p.par_chunks(RUN)).map(|((((rows, q), x), r), p)| {
-            let mut product = 0.0;
-            for (i, inverse) in rows.inverse.iter().enumerate() {
-                x[i] += step * p[i];
-                r[i] -= step * q[i];
-                q[i] = inverse.times(r[i]);
-                product += r[i].dot(q[i]);
-            }
-            product
-        });
+        let runs = self.rows.par_iter().zip(q.par_chunks_mut(VERTICES_PER_RUN)).zip(x.par_chunks_mut(VERTICES_PER_RUN));
+        let runs = runs.zip(r.par_chunks_mut(VERTICES_PER_RUN)).zip(p.par_chunks(VERTICES_PER_RUN)).map(
+            |((((rows, q), x), r), p)| {
+                let mut product = 0.0;
+                for (i, inverse) in rows.inverse.iter().enumerate() {
+                    x[i] += step * p[i];
+                    r[i] -= step * q[i];
+                    q[i] = inverse.times(r[i]);
+                    product += r[i].dot(q[i]);
+                }
+                product
+            },
+        );
         let products: Vec<f64> = runs.collect();
         products.iter().sum()
     }

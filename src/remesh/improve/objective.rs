@@ -7,40 +7,74 @@
 
 use glam::DVec3;
 
-use super::patch::{LEAST_SCORE, Patch};
+use super::patch::Patch;
 use crate::mesh::closest_point::closest_on_facet;
-use crate::mesh::measure::{facet_quality, is_wide, least_angle};
+use crate::mesh::measure::facet_quality;
+use crate::remesh::constants::{
+    BOUND_ROUNDING, FREE_SHARE, KNOWN_SHARE, MEASURED_COSINE, MEASURED_SCORE, OWN_WEIGHT, QUALITY_WEIGHT,
+    RADIUS_ROUNDING, SCORE_SCALE, SQUARE_ROUNDING, UNMEASURED_ANGLE, UNMEASURED_SCORE,
+};
 use crate::remesh::distance::facet_set::least_distance;
-use crate::remesh::triangle::{DEGREES_PER_QUALITY, unit_normal};
+use crate::remesh::manifold::local_mesh::LocalMesh;
+use crate::remesh::triangle::Wanted;
 
-/// A facet's normal keeps this cosine to that at the beginning.
-pub(super) const LEAST_COSINE: f64 = 0.5;
-/// A facet whose score is this far below [`LEAST_SCORE`] + [`SCORE_MARGIN`], degrees, costs as much as the worst distance.
-const SCORE_MARGIN: f64 = 3.0;
-/// Cost of a facet with Q = 0 beside that of its score, as a share of the worst distance's.
-const QUALITY_WEIGHT: f64 = 0.3;
-/// Cost of the vertex's own squared distance, as a share of the worst distance's.
-const OWN_WEIGHT: f64 = 0.3;
-/// Distances below this share of the worst one cost nothing.
-const FREE_SHARE: f64 = 0.55;
-/// Share of the one-ring's radius within which the input has to be known around the vertex: the points whose distances are
-/// taken lie within it.
-const KNOWN_SHARE: f64 = 0.8;
+/// What the shapes of facets cost: little for Q below 1, much for what they lack of the wanted shape.
+#[derive(Clone, Copy)]
+pub(super) struct ShapeCost {
+    wanted: Wanted,
+    power: i32,
+}
 
-/// Factor on bounds of angles and distances: what is nearer to the bound is left to the exact computation.
-const BOUND_ROUNDING: f64 = 1.0 - 1e-9;
-/// Factor by which the radius of a search grows, so that rounding leaves nothing outside.
-const RADIUS_ROUNDING: f64 = 1.0 + 1e-9;
-/// Squares below this share of a squared bound have roots below the bound despite rounding.
-const SQUARE_ROUNDING: f64 = 1.0 - 1e-12;
+impl ShapeCost {
+    /// Where distances are measured as well. Squares: near a ridge distances have to count beside facets that lack much.
+    pub(super) fn measured() -> Self {
+        Self { wanted: Wanted::new(MEASURED_SCORE, 180.0), power: 2 }
+    }
 
-/// Points of an edge at the vertex whose distance is taken, as shares of the edge from the vertex.
-const ON_EDGE: [f64; 3] = [0.25, 0.5, 0.75];
+    /// Where they are not. Cubes, so that the worse of two facets gains at the other's cost.
+    pub(super) fn unmeasured() -> Self {
+        Self { wanted: Wanted::new(UNMEASURED_SCORE, UNMEASURED_ANGLE), power: 3 }
+    }
+
+    pub(super) fn of(&self, corners: [DVec3; 3]) -> f64 {
+        let quality = facet_quality(corners);
+        (self.wanted.lack(corners, quality) / SCORE_SCALE).powi(self.power) + QUALITY_WEIGHT * (1.0 - quality)
+    }
+
+    /// The cost of the facets around `v` with it at `p`, or of some of them as soon as that is not less than `most`. Infinite
+    /// if a facet turns by more than this cosine.
+    pub(super) fn around(&self, mesh: &LocalMesh, v: u32, p: DVec3, most: f64, least_cosine: f64) -> f64 {
+        let mut cost = 0.0;
+        for &f in mesh.ring(v) {
+            let corners = mesh.corners_with(f, v, p);
+            if mesh.is_turned(f, corners, least_cosine) {
+                return f64::INFINITY;
+            }
+            cost += self.of(corners);
+            if cost >= most {
+                break;
+            }
+        }
+        cost
+    }
+}
+
+/// Points of a facet whose distances are taken, by their weights of the vertex and the two corners after it: four inside, then
+/// three on the edge to the next corner, so that each edge at the vertex has its points once.
+const SAMPLES: [[f64; 3]; 7] = [
+    [2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0],
+    [1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0],
+    [1.0 / 6.0, 1.0 / 6.0, 2.0 / 3.0],
+    [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0],
+    [0.75, 0.25, 0.0],
+    [0.5, 0.5, 0.0],
+    [0.25, 0.75, 0.0],
+];
 
 /// See the module's head.
 pub(super) struct VertexObjective<'a> {
     patch: &'a Patch,
-    v: usize,
+    v: u32,
     /// The distance that costs 1.
     worst: f64,
     /// Where the vertex is, and the squared distance from the input there, once that is known.
@@ -56,8 +90,7 @@ pub(super) struct VertexObjective<'a> {
     hint: u32,
     /// By facet around the vertex.
     ring: Vec<RingFacet>,
-    /// An angle whose cotangent is less than this costs nothing.
-    wide: f64,
+    shape: ShapeCost,
     /// Corners of the facets with the vertex at the place that is measured.
     corners: Vec<[DVec3; 3]>,
 }
@@ -73,22 +106,21 @@ struct DependentPoint {
 
 /// What is known of a facet around the vertex.
 struct RingFacet {
-    /// The corner after the vertex.
-    next: usize,
-    /// The input's facets that were nearest last: to its inner points, and to its edge from the vertex to that corner.
+    /// Which corner the vertex is.
+    corner: usize,
+    /// The input's facets that were nearest last: to its inner points, and to those of the edge.
     hints: [u32; 2],
-    /// Distances of these points from the input, or more, with the vertex where it is.
-    inner: [f64; 4],
-    on_edge: [f64; 3],
+    /// Distances of [`SAMPLES`] from the input, or more, with the vertex where it is.
+    known: [f64; 7],
 }
 
 impl<'a> VertexObjective<'a> {
-    pub(super) fn new(patch: &'a Patch, v: usize, worst: f64, step: f64) -> Self {
-        let facets = &patch.rings[v];
+    pub(super) fn new(patch: &'a Patch, v: u32, worst: f64, step: f64) -> Self {
+        let mesh = &patch.mesh;
+        let facets = mesh.ring(v);
         let enough = (FREE_SHARE * worst).powi(2);
-        let p = patch.positions[v];
-        let neighbours = facets.iter().flat_map(|&f| patch.facets[f]);
-        let reach = neighbours.map(|u| patch.positions[u].distance(p)).fold(0.0, f64::max);
+        let p = mesh.positions[v as usize];
+        let reach = facets.iter().flat_map(|&f| mesh.corners(f)).map(|q| q.distance(p)).fold(0.0, f64::max);
         // A point nearer than this costs nothing; nearer by a step, it does so wherever the vertex goes.
         let free = FREE_SHARE * worst * BOUND_ROUNDING;
         let free_after_step = (free - step).max(0.0).powi(2);
@@ -97,21 +129,22 @@ impl<'a> VertexObjective<'a> {
             if point.position.distance_squared(p) > (reach + step + worst).powi(2) {
                 continue;
             }
-            let row = &patch.squared_distances[number * patch.facets.len()..(number + 1) * patch.facets.len()];
-            let Some(&nearest) = facets.iter().min_by(|&&f, &&g| row[f].total_cmp(&row[g])) else { continue };
-            if row[nearest] < free_after_step {
+            let row = patch.distances_of(number);
+            let of = |f: u32| row[f as usize];
+            let Some(&nearest) = facets.iter().min_by(|&&f, &&g| of(f).total_cmp(&of(g))) else { continue };
+            if of(nearest) < free_after_step {
                 continue;
             }
             // The closest point of the facet moves by the vertex's weight only.
-            if row[nearest] < enough {
-                let corner = patch.facets[nearest].iter().position(|&u| u == v).unwrap_or_default();
-                let (squared, weights) = closest_on_facet(point.position, patch.corners(nearest), [0, 1, 2]);
+            if of(nearest) < enough {
+                let corner = mesh.facets()[nearest as usize].iter().position(|&u| u == v).unwrap_or_default();
+                let (squared, weights) = closest_on_facet(point.position, mesh.corners(nearest), [0, 1, 2]);
                 if squared.sqrt() + weights[corner] * step < free {
                     continue;
                 }
             }
             let mut other_squared = point.outside_squared;
-            for (f, &squared) in row.iter().enumerate() {
+            for (&squared, f) in row.iter().zip(0..) {
                 if squared < other_squared && !facets.contains(&f) {
                     other_squared = squared;
                     if other_squared < enough {
@@ -124,12 +157,11 @@ impl<'a> VertexObjective<'a> {
             }
         }
         let near = patch.input_near(p, KNOWN_SHARE * reach + step);
-        let of = |&facet: &usize| {
-            let next = patch.facets[facet].iter().position(|&u| u == v).map_or(0, |i| (i + 1) % 3);
-            RingFacet { next, hints: [0; 2], inner: [f64::INFINITY; 4], on_edge: [f64::INFINITY; 3] }
+        let of = |&facet: &u32| {
+            let corner = mesh.facets()[facet as usize].iter().position(|&u| u == v).unwrap_or_default();
+            RingFacet { corner, hints: [0; 2], known: [f64::INFINITY; 7] }
         };
         let ring = facets.iter().map(of).collect();
-        let wide = BOUND_ROUNDING / (LEAST_SCORE + SCORE_MARGIN).to_radians().tan();
         let corners = Vec::with_capacity(facets.len());
         Self {
             patch,
@@ -142,7 +174,7 @@ impl<'a> VertexObjective<'a> {
             near,
             hint: 0,
             ring,
-            wide,
+            shape: ShapeCost::measured(),
             corners,
         }
     }
@@ -159,14 +191,13 @@ impl<'a> VertexObjective<'a> {
 
     /// The cost with the vertex at `p`, or any number not less than `most` if it is not less. Infinite if a facet turned over.
     pub(super) fn cost(&mut self, p: DVec3, most: f64) -> f64 {
-        let patch = self.patch;
-        let facets = patch.rings[self.v].iter().map(|&f| patch.facets[f]);
-        self.corners.clear();
-        self.corners.extend(facets.map(|t| t.map(|u| if u == self.v { p } else { patch.positions[u] })));
-        let Some(mut cost) = self.shape_cost(most) else { return f64::INFINITY };
+        let (patch, mesh) = (self.patch, &self.patch.mesh);
+        let mut cost = self.shape.around(mesh, self.v, p, most, MEASURED_COSINE);
         if cost >= most {
             return cost;
         }
+        self.corners.clear();
+        self.corners.extend(mesh.ring(self.v).iter().map(|&f| mesh.corners_with(f, self.v, p)));
         let Self { worst, here, .. } = *self;
         let enough = (FREE_SHARE * worst).powi(2);
         let of_distance = |squared: f64| ((squared.sqrt() / worst - FREE_SHARE).max(0.0) / (1.0 - FREE_SHARE)).powi(3);
@@ -186,60 +217,28 @@ impl<'a> VertexObjective<'a> {
             self.own_squared = own_squared;
         }
         cost += OWN_WEIGHT * own_squared / (worst * worst) + of_distance(own_squared);
-        for (facet, &corners) in self.ring.iter_mut().zip(&self.corners) {
-            let squared = |place: DVec3, weight: f64, hint: &mut u32, known: &mut f64| {
-                if *known + weight * moved < free {
-                    return 0.0;
-                }
-                let squared = patch.input_facets.distance(place, &self.near, hint, enough);
-                if is_here {
-                    *known = squared.sqrt();
-                }
-                if squared < enough { 0.0 } else { squared }
-            };
-            let [inner_hint, edge_hint] = &mut facet.hints;
-            let centroid = (corners[0] + corners[1] + corners[2]) / 3.0;
-            let mut largest = 0.0f64;
-            for (k, known) in facet.inner.iter_mut().enumerate() {
-                // The centroid, and halfway from there to the corners; the corner before `next` is the vertex.
-                let (place, weight) = match k {
-                    3 => (centroid, 1.0 / 3.0),
-                    _ => {
-                        let weight = if (k + 1) % 3 == facet.next { 2.0 / 3.0 } else { 1.0 / 6.0 };
-                        (corners[k].lerp(centroid, 0.5), weight)
+        for (facet, corners) in self.ring.iter_mut().zip(&self.corners) {
+            for (hint, samples) in facet.hints.iter_mut().zip([0..4, 4..7]) {
+                let mut largest = 0.0f64;
+                for k in samples {
+                    if facet.known[k] + SAMPLES[k][0] * moved < free {
+                        continue;
                     }
-                };
-                largest = largest.max(squared(place, weight, inner_hint, known));
+                    let place: DVec3 = (0..3).map(|c| SAMPLES[k][c] * corners[(facet.corner + c) % 3]).sum();
+                    let squared = patch.input_facets.distance(place, &self.near, hint, enough);
+                    if is_here {
+                        facet.known[k] = squared.sqrt();
+                    }
+                    if squared >= enough {
+                        largest = largest.max(squared);
+                    }
+                }
+                cost += of_distance(largest);
             }
-            cost += of_distance(largest);
-            // Each edge at the vertex once: that to the next corner.
-            let mut largest = 0.0f64;
-            for (&t, known) in ON_EDGE.iter().zip(&mut facet.on_edge) {
-                largest = largest.max(squared(p.lerp(corners[facet.next], t), 1.0 - t, edge_hint, known));
-            }
-            cost += of_distance(largest);
             if cost >= most {
                 return cost;
             }
         }
         cost
-    }
-
-    /// The cost of the shapes of the facets, or of some of them as soon as that is `most`. `None` if a facet turned over.
-    fn shape_cost(&self, most: f64) -> Option<f64> {
-        let (mut cost, mut fine) = (0.0, true);
-        for (&f, &corners) in self.patch.rings[self.v].iter().zip(&self.corners) {
-            fine &= unit_normal(corners).dot(self.patch.normals[f]) >= LEAST_COSINE;
-            if !fine || cost >= most {
-                break;
-            }
-            let quality = facet_quality(corners);
-            // Most angles are wide enough to cost nothing. That needs no arc tangent.
-            let angle = if is_wide(corners, self.wide) { f64::INFINITY } else { least_angle(corners) };
-            let score = angle.min(DEGREES_PER_QUALITY * quality);
-            let lack = (LEAST_SCORE + SCORE_MARGIN - score).max(0.0) / SCORE_MARGIN;
-            cost += lack * lack + QUALITY_WEIGHT * (1.0 - quality);
-        }
-        fine.then_some(cost)
     }
 }

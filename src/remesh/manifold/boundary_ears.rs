@@ -11,16 +11,8 @@ use glam::DVec3;
 
 use crate::mesh::csr::Csr;
 use crate::mesh::measure::least_angle;
+use crate::remesh::constants::{EAR_PASSES, LEAST_EAR_ANGLE, LEAST_EAR_COSINE};
 use crate::remesh::triangle::unit_normal;
-
-/// The smallest angle of an ear, degrees. With less, the boundary is near the missing edge as it is: within a tenth of its
-/// length.
-const LEAST_ANGLE: f64 = 12.0;
-/// The least cosine between the normals of an ear and of its neighbours.
-const LEAST_COSINE: f64 = 0.5;
-
-/// Passes, at most. Ears that have a vertex in common are added in different passes.
-const PASSES: usize = 3;
 
 /// Adds an ear for each pair of `wanted` boundary vertices between which the boundary goes by way of one other vertex that
 /// `may_be_inside`. Returns how many were added.
@@ -31,7 +23,7 @@ pub(in crate::remesh) fn fill(
     may_be_inside: impl Fn(u32) -> bool,
 ) -> usize {
     let before = facets.len();
-    for _ in 0..PASSES {
+    for _ in 0..EAR_PASSES {
         let boundary = Boundary { rings: &Csr::one_rings(positions.len(), facets), facets };
         let ear = |a: u32, b: u32| {
             let inside = boundary.only_after(a).filter(|&x| x != b && boundary.only_after(x) == Some(b));
@@ -88,8 +80,8 @@ impl Boundary<'_> {
         let normal = |t: [u32; 3]| unit_normal(corners(t));
         let [a, b, x] = facet;
         let beside = [self.facet(a, x), self.facet(x, b)];
-        least_angle(corners(facet)) >= LEAST_ANGLE
-            && beside.into_iter().flatten().all(|t| normal(t).dot(normal(facet)) >= LEAST_COSINE)
+        least_angle(corners(facet)) >= LEAST_EAR_ANGLE
+            && beside.into_iter().flatten().all(|t| normal(t).dot(normal(facet)) >= LEAST_EAR_COSINE)
     }
 }
 

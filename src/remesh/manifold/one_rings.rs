@@ -1,6 +1,6 @@
 //! One-rings of a triangulation that changes in places.
 //!
-//! Purpose: [`EditedRings`] has the facets around each vertex, as [`Csr::one_rings`], and follows edits.
+//! Purpose: [`OneRings`] has the facets around each vertex, as [`Csr::one_rings`], and follows edits.
 //! Invariant: the facets of a vertex ascend. Must not know: why facets change.
 
 use crate::mesh::csr::Csr;
@@ -9,17 +9,18 @@ use crate::mesh::csr::Csr;
 const UNCHANGED: u32 = u32::MAX;
 
 /// See the module's head.
-pub(in crate::remesh) struct EditedRings {
+#[derive(Clone, Debug)]
+pub(in crate::remesh) struct OneRings {
     base: Csr<u32>,
     /// By vertex, which list of `changed` has its facets.
     list: Vec<u32>,
     changed: Vec<Vec<u32>>,
 }
 
-impl EditedRings {
-    /// Of a triangulation with these one-rings.
-    pub(in crate::remesh) fn new(base: Csr<u32>) -> Self {
-        Self { list: vec![UNCHANGED; base.rows()], base, changed: Vec::new() }
+impl OneRings {
+    /// Of so many vertices.
+    pub(in crate::remesh) fn new(vertices: usize, facets: &[[u32; 3]]) -> Self {
+        Self { list: vec![UNCHANGED; vertices], base: Csr::one_rings(vertices, facets), changed: Vec::new() }
     }
 
     /// Facets around vertex `v`, ascending.
@@ -49,13 +50,21 @@ impl EditedRings {
     }
 }
 
+/// Numbers in ascending order, each once.
+pub(in crate::remesh) fn ascending(numbers: impl IntoIterator<Item = u32>) -> Vec<u32> {
+    let mut numbers: Vec<u32> = numbers.into_iter().collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    numbers
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn a_flip_changes_four_one_rings() {
-        let mut rings = EditedRings::new(Csr::one_rings(4, &[[0, 1, 2], [1, 0, 3]]));
+        let mut rings = OneRings::new(4, &[[0, 1, 2], [1, 0, 3]]);
         rings.replace(0, [0, 1, 2], [0, 3, 2]);
         rings.replace(1, [1, 0, 3], [3, 1, 2]);
         assert_eq!([0, 1, 2, 3].map(|v| rings.of(v).to_vec()), [vec![0], vec![1], vec![0, 1], vec![0, 1]]);

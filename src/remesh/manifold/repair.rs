@@ -15,14 +15,10 @@ use rayon::prelude::*;
 use crate::mesh::coincident;
 use crate::mesh::disjoint::DisjointSets;
 use crate::mesh::edges::{EdgeGroups, Half};
+use crate::remesh::constants::{MAX_PARTING_ROUNDS, SIDE_STEP, STEP_BACK};
 use crate::remesh::report::RepairFigures;
 use crate::remesh::triangle::unit_normal;
 use crate::token::{Stopped, Token};
-
-/// Share of the way to the centroids of its facets by which a copy of a split vertex moves.
-const STEP_BACK: f64 = 1.0 / 16.0;
-/// Share of its shortest edge by which a vertex moves along its normal to leave another one.
-const SIDE_STEP: f64 = 1e-3;
 
 /// A repaired triangulation.
 #[derive(Clone, Debug, Default)]
@@ -51,7 +47,7 @@ pub(crate) fn repair(positions: &[DVec3], triangles: &[[u32; 3]], token: &Token)
     let mut places = positions.to_vec();
     let mut source: Vec<u32> = (0..positions.len() as u32).collect();
     let mut conflicts = conflicting(places.len(), &facets);
-    for _ in 0..MAX_ROUNDS {
+    for _ in 0..MAX_PARTING_ROUNDS {
         if conflicts.is_empty() || !part_sheets(&mut places, &mut source, &mut facets) {
             break;
         }
@@ -68,9 +64,6 @@ pub(crate) fn repair(positions: &[DVec3], triangles: &[[u32; 3]], token: &Token)
 pub(in crate::remesh) fn all_cancel(triangles: &[[u32; 3]]) -> bool {
     simple_facets(triangles, &mut RepairFigures::default()).is_empty()
 }
-
-/// Rounds that double edges, at most: a facet may have three such edges, and its parts may have new ones.
-const MAX_ROUNDS: usize = 4;
 
 /// Where an edge has two facets of either direction, two sheets touch along it: on a surface without thickness cells reach
 /// through to its other side. Of the sheet whose facets have later numbers the edge gets a new vertex in its middle, so

@@ -15,6 +15,7 @@ use crate::cvt::Cvt;
 use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
+use crate::remesh::constants::{ADDING_ROUNDS, ADDING_SLACK, MOVING_ROUNDS, MOVING_SLACK};
 use crate::remesh::features::curves::KeptCurves;
 use crate::remesh::report::{DeviceFigures, FinalFigures, IterationFigures, RefineFigures, RvdFigures};
 use crate::remesh::{Placement, RemeshError, RemeshOptions};
@@ -43,16 +44,6 @@ pub(super) struct Figures {
     pub(super) last: FinalFigures,
     pub(super) refine: RefineFigures,
 }
-
-/// Rounds that add seeds, where a tolerance was given.
-const ADDING_ROUNDS: usize = 8;
-/// Rounds that move seeds which produced no vertex.
-const MOVING_ROUNDS: usize = 1;
-/// A round that adds seeds counts as better unless its deviation grows by this factor: more seeds are better although another
-/// place may come out a little worse than those that seeds were added to.
-const ADDING_SLACK: f64 = 2.0;
-/// The same for a round after which fewer seeds have no vertex.
-const MOVING_SLACK: f64 = 1.25;
 
 impl<'a> Job<'a, '_> {
     /// From what is prepared for `options` to a surface. Its creases may be off by half of `tolerance`.

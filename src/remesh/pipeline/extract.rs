@@ -15,24 +15,23 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::csr::Csr;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::CurveKind;
+use crate::remesh::constants::OFF_CURVE_SHARE;
 use crate::remesh::distance::deviation::InputVertex;
 use crate::remesh::distance::hausdorff::{HausdorffEstimate, missed_places};
 use crate::remesh::distance::reference::{InputSamples, Reference, SurfaceSample};
 use crate::remesh::features::curves::KeptCurves;
 use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::fit::{self, Target};
-use crate::remesh::improve::angles::{Mobility, MotionBounds, improve_angles};
-use crate::remesh::improve::editor::{Exhausted, MeshEditor};
-use crate::remesh::improve::queue::improve_farthest;
-use crate::remesh::improve::valence::{improve_valences, recover_edge};
+use crate::remesh::improve::curves::{restore, tighten};
+use crate::remesh::improve::editor::MeshEditor;
+use crate::remesh::improve::places::{improve, recover_edge};
+use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes};
+use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::remesh::manifold::{boundary_ears, repair};
 use crate::remesh::report::RepairFigures;
 use crate::remesh::{Placement, RemeshError};
 use crate::rvd::{Surface, dual};
 use crate::token::Token;
-
-/// Share of the tolerance by which a vertex may leave its curve: the chords between such vertices are off as well.
-const OFF_CURVE_SHARE: f64 = 0.5;
 
 /// What a result is made from.
 pub(super) struct Extraction<'a> {
@@ -65,8 +64,8 @@ pub(super) struct Draft {
 
 /// Vertices that were fitted.
 struct Fitted {
-    /// Where they are, unit frame.
-    positions: Vec<DVec3>,
+    /// Unit frame. Its facets are those of the draft.
+    mesh: LocalMesh,
     target: Target,
     envelope: CurveEnvelope,
     /// Pairs of a vertex and an input facet that its cell meets.
@@ -161,7 +160,9 @@ impl Extraction<'_> {
             missed = self.improve(&mut draft, &mut fitted);
             self.token.check()?;
             let frame = self.surface.frame();
-            let moved = draft.positions.iter_mut().zip(fitted.positions).zip(&fitted.target.fixed);
+            let (positions, facets) = fitted.mesh.into_parts();
+            draft.facets = facets;
+            let moved = draft.positions.iter_mut().zip(positions).zip(&fitted.target.fixed);
             moved.filter(|(_, fixed)| !**fixed).for_each(|((p, u), _)| *p = frame.to_world(u));
         }
         let Draft { positions, facets, vertex_seed, curve_edges, repair, seeds, .. } = draft;
@@ -170,51 +171,55 @@ impl Extraction<'_> {
         Ok(Built { mesh, vertex_seed, curve_edges, repair, missed })
     }
 
-    /// Recovers edges of curves, improves valences and the places that are farthest from the input. Returns how many places
-    /// are still far.
+    /// Recovers edges of curves and improves the places that need it. Returns how many places are still far.
     fn improve(&self, draft: &mut Draft, fitted: &mut Fitted) -> usize {
-        let Fitted { positions, target, envelope, cells, missed, distances } = fitted;
-        let before = missed.places.len();
-        let reference = Reference::new(self.surface, positions.len(), cells, target.input.vertices.all());
+        let before = fitted.missed.places.len();
+        let vertices = fitted.mesh.positions.len();
+        let reference = Reference::new(self.surface, vertices, &fitted.cells, fitted.target.input.vertices.all());
         let absent = self.curves.missing(&draft.curve_edges, &draft.vertex_seed, |_| true);
         if !absent.is_empty() {
-            let (mobility, curves) = (mobility(positions, &draft.curve_edges, &target.fixed), draft.curves());
-            let mut editor = MeshEditor::new(positions, &mut draft.facets, &mobility, (curves, &reference), self.token);
+            let mobility = mobility(&fitted.mesh.positions, &draft.curve_edges, &fitted.target.fixed);
+            let mut editor = MeshEditor::new(&mut fitted.mesh, &mobility, &reference, self.token);
             let recover = |&ends: &[u32; 2]| !self.token.is_stopped() && recover_edge(&mut editor, ends);
-            let recovered = absent.into_iter().filter(recover).count();
-            if recovered > 0 {
-                self.find_curves(draft);
-                self.improve_angles(positions, draft, target, envelope);
-                let facets = &draft.facets;
-                let estimate = HausdorffEstimate::of(positions, facets, &target.input, self.tolerance, self.token);
-                *distances = estimate.by_vertex;
+            if absent.into_iter().filter(recover).count() > 0 {
+                self.find_curves(draft, &mut fitted.mesh);
+                self.improve_shapes(&mut fitted.mesh, draft, &fitted.target, &fitted.envelope, false);
+                let input = &fitted.target.input;
+                let estimate = HausdorffEstimate::of(&fitted.mesh, input, self.tolerance, self.token);
+                fitted.distances = estimate.by_vertex;
             }
         }
-        let (mobility, curves) = (mobility(positions, &draft.curve_edges, &target.fixed), draft.curves());
-        let mut editor = MeshEditor::new(positions, &mut draft.facets, &mobility, (curves, &reference), self.token);
-        // Twice: some vertices have room for a flip only before far places are improved, others only afterwards.
-        let mut exhausted = Exhausted::default();
-        let mut changed = improve_valences(&mut editor, &mut exhausted);
-        changed += improve_farthest(&mut editor, distances);
-        changed += improve_valences(&mut editor, &mut exhausted);
-        if changed == 0 && missed.places.is_empty() {
+        let Fitted { mesh, target, missed, distances, .. } = fitted;
+        let mobility = mobility(&mesh.positions, &draft.curve_edges, &target.fixed);
+        let improved = improve(&mut MeshEditor::new(mesh, &mobility, &reference, self.token), distances);
+        if improved == 0 && missed.places.is_empty() {
             return 0;
         }
-        self.find_curves(draft);
+        self.find_curves(draft, mesh);
         // Improvement takes nothing farther away, but a place's nearest facet may have left the one-ring that is searched.
-        missed_places(positions, &draft.facets, &target.input, self.tolerance, self.token).len().min(before)
+        missed_places(mesh, &target.input, self.tolerance, self.token).len().min(before)
     }
 
-    /// Finds the edges of curves again, in the order of the facets.
-    fn find_curves(&self, draft: &mut Draft) {
-        draft.curve_edges = self.curves.edges_in(&draft.facets, &draft.vertex_seed);
+    /// Finds the edges of curves again, in the order of the facets. They stay from now on.
+    fn find_curves(&self, draft: &mut Draft, mesh: &mut LocalMesh) {
+        draft.curve_edges = self.curves.edges_in(mesh.facets(), &draft.vertex_seed);
+        draft.curve_edges.iter().flatten().for_each(|&edge| mesh.keep(edge));
     }
 
-    fn improve_angles(&self, positions: &mut [DVec3], draft: &mut Draft, target: &Target, envelope: &CurveEnvelope) {
-        let (mobility, curves) = (mobility(positions, &draft.curve_edges, &target.fixed), draft.curves());
+    /// Improves the worst facets; where `hold_curves`, without the vertices of curves.
+    fn improve_shapes(
+        &self,
+        mesh: &mut LocalMesh,
+        draft: &Draft,
+        target: &Target,
+        envelope: &CurveEnvelope,
+        hold_curves: bool,
+    ) {
+        let mut mobility = mobility(&mesh.positions, &draft.curve_edges, &target.fixed);
+        let held = mobility.iter_mut().filter(|m| hold_curves && **m != Mobility::Free);
+        held.for_each(|m| *m = Mobility::Fixed);
         let off_curve = self.tolerance.map_or(f64::INFINITY, |tolerance| OFF_CURVE_SHARE * tolerance);
-        let bounds = MotionBounds { mobility: &mobility, envelope, off_curve };
-        improve_angles(positions, &mut draft.facets, bounds, &curves, self.token);
+        improve_shapes(mesh, MotionBounds { mobility: &mobility, envelope, off_curve }, self.token);
     }
 
     /// Where the dual's vertices go, caller's coordinates. A cell in one piece has its vertex at its seed, which is on the
@@ -244,22 +249,25 @@ impl Extraction<'_> {
         let own = |p: &dual::Piece| (p.area > 0.0).then(|| (vertex[p.component as usize], p.facet));
         let cells = dual.pieces.par_iter().filter_map(own).filter(|c| c.0 != u32::MAX).collect();
         let frame = self.surface.frame();
-        let mut unit: Vec<DVec3> = draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect();
+        let unit: Vec<DVec3> = draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect();
         // Added seeds bring edges to the curves. An envelope as well would fold facets between them.
         let envelope = CurveEnvelope::new(&unit, &target.fixed, if self.adds { &[] } else { &target.curves });
-        fit::fit(&mut unit, &mut draft.facets, &target, self.token);
-        envelope.restore(&mut unit, &draft.facets, self.token);
-        self.improve_angles(&mut unit, draft, &target, &envelope);
-        for v in envelope.tighten(&mut unit, &draft.facets, &target.fixed, self.token) {
+        let mut mesh = LocalMesh::new(unit, std::mem::take(&mut draft.facets), draft.curves());
+        // Most poor facets are improved where the fit brings their vertices back to the surface. Curves have not settled yet.
+        self.improve_shapes(&mut mesh, draft, &target, &envelope, true);
+        fit::fit(&mut mesh, &target, self.token);
+        restore(&mut mesh, &envelope, self.token);
+        self.improve_shapes(&mut mesh, draft, &target, &envelope, false);
+        for v in tighten(&mut mesh, &envelope, &target.fixed, self.token) {
             target.fixed[v as usize] = false;
         }
         let HausdorffEstimate { missed, largest, by_vertex } =
-            HausdorffEstimate::of(&unit, &draft.facets, &target.input, self.tolerance, self.token);
+            HausdorffEstimate::of(&mesh, &target.input, self.tolerance, self.token);
         let places = missed.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
         let lost = self.seeds_without_vertex(draft);
-        let midpoints = long_edge_midpoints(&unit, &draft.facets, &target.fixed, lost.len());
+        let midpoints = long_edge_midpoints(&mesh.positions, mesh.facets(), &target.fixed, lost.len());
         let missed = Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints: midpoints };
-        draft.fitted = Some(Fitted { positions: unit, target, envelope, cells, missed, distances: by_vertex });
+        draft.fitted = Some(Fitted { mesh, target, envelope, cells, missed, distances: by_vertex });
     }
 
     /// See [`Missed::seeds_without_vertex`].

@@ -17,6 +17,7 @@ use crate::cvt::density::{DensityError, DensityOptions, DensitySource, Plan};
 use crate::cvt::{Cvt, CvtOptions};
 use crate::mesh::TriMesh;
 use crate::mesh::sample::spread;
+use crate::remesh::constants::{MAX_THIN_ROUNDS, MAX_VAIN_ROUNDS, THIN_LONGEST, THIN_MOST_POINTS};
 use crate::remesh::features::curves::KeptCurves;
 use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
 use crate::remesh::{RemeshError, RemeshOptions, Seeds};
@@ -123,12 +124,12 @@ impl<'a> Job<'a, '_> {
             return Ok(best);
         }
         let median = best.plan.figures.edge_median;
-        let most = thin_parts::MOST_POINTS * best.plan.points;
+        let most = THIN_MOST_POINTS * best.plan.points;
         let mut failing = !best.failing.is_empty();
         let mut lengths = if failing { best.shorter_lengths(self.mesh, self.token)? } else { Vec::new() };
         let mut vain = 0;
-        for round in 1..=thin_parts::MAX_ROUNDS {
-            if !failing || vain == thin_parts::MAX_VAIN_ROUNDS {
+        for round in 1..=MAX_THIN_ROUNDS {
+            if !failing || vain == MAX_VAIN_ROUNDS {
                 break;
             }
             let source = DensitySource::Sizes(lengths);
@@ -140,8 +141,7 @@ impl<'a> Job<'a, '_> {
                 prepared => prepared?,
             };
             let Plan { figures, points, .. } = &prepared.plan;
-            let longer =
-                median.zip(figures.edge_median).is_some_and(|(before, now)| now > thin_parts::LONGEST * before);
+            let longer = median.zip(figures.edge_median).is_some_and(|(before, now)| now > THIN_LONGEST * before);
             if longer || *points > most {
                 break;
             }

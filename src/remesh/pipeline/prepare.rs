@@ -9,17 +9,11 @@ use std::sync::Arc;
 use crate::cvt::density::{self, DensityOptions, DensitySource, Plan};
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
+use crate::remesh::constants::{POINTS_PER_COMPONENT, SEPARATION_DIAGONAL, SEPARATION_EDGES};
 use crate::remesh::features::curves::KeptCurves;
 use crate::remesh::{RemeshError, RemeshOptions, Seeds};
 use crate::rvd::Surface;
 use crate::token::Token;
-
-/// Distance between components: so many edge lengths,
-const SEPARATION_EDGES: f64 = 2.0;
-/// plus this share of the diagonal.
-const SEPARATION_DIAGONAL: f64 = 0.02;
-/// Points that a component needs: a tetrahedron has four vertices.
-const POINTS_PER_COMPONENT: usize = 4;
 
 /// See the module's head.
 pub(super) struct Prepared<'a> {

@@ -9,19 +9,10 @@ use glam::DVec3;
 
 use super::extract::Missed;
 use crate::cvt::{Cvt, Iteration};
+use crate::remesh::constants::{CLEARING_ROUNDS, CLEARING_STEPS, REFINING_STEPS, SAME_PLACE};
 use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
 use crate::remesh::{Observer, RemeshError, RemeshOptions};
 use crate::token::Token;
-
-/// Rounds that push seeds off curves after the last step. In the last one the curves adopt the seeds instead.
-const CLEARING_ROUNDS: usize = 2;
-/// Steps after such a round.
-const CLEARING_STEPS: usize = 3;
-/// Steps after seeds were moved or added.
-const REFINING_STEPS: usize = 6;
-
-/// Seeds nearer to each other than this, unit frame, are in one place.
-const SAME_PLACE: f64 = 1e-9;
 
 /// See the module's head.
 pub(super) struct Schedule<'a> {

@@ -14,21 +14,11 @@ use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::measure::{self, Topology};
+use crate::remesh::constants::THIN_SHORTER;
 use crate::remesh::manifold::repair::{self, Repaired};
 use crate::rvd::Surface;
 use crate::rvd::dual::Dual;
 use crate::token::{Stopped, Token};
-
-/// Rounds that draw seeds again, at most.
-pub(super) const MAX_ROUNDS: usize = 6;
-/// Rounds without a better result, at most: with other seeds, other cells may fail.
-pub(super) const MAX_VAIN_ROUNDS: usize = 3;
-/// Factor on edge lengths at failing cells in a round: twice as many cells around what one cell reached around.
-const SHORTER: f64 = 0.5;
-/// Factor by which the median edge may grow for it: half of the points may go to thin parts.
-pub(super) const LONGEST: f64 = 1.4;
-/// Factor by which the number of points may grow where edge lengths imply it.
-pub(super) const MOST_POINTS: usize = 2;
 
 /// Cells around which a dual has another topology than the surface.
 #[derive(Default)]
@@ -154,6 +144,6 @@ pub(super) fn shorten(
     let welded = welded.map(|(&own, &first)| (own as usize, first as usize)).filter(|(own, _)| *own < lengths.len());
     welded.clone().for_each(|(own, first)| held[first] |= shorter[own]);
     welded.for_each(|(own, first)| shorter[own] |= held[first]);
-    lengths.iter_mut().zip(&shorter).filter(|(_, shorter)| **shorter).for_each(|(length, _)| *length *= SHORTER);
+    lengths.iter_mut().zip(&shorter).filter(|(_, shorter)| **shorter).for_each(|(length, _)| *length *= THIN_SHORTER);
     Ok(())
 }

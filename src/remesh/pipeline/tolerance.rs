@@ -12,20 +12,8 @@ use super::job::{Job, enter};
 use super::prepare::{Prepared, prepare};
 use crate::cvt::density::{DensityError, DensityOptions, DensitySource};
 use crate::mesh::closest_point::ClosestPoint;
+use crate::remesh::constants::{FEW_MISSED, FEW_MISSED_SHARE, MAX_REFINING_ROUNDS, SHORTEST_SHARE, TOLERANCE_AIM};
 use crate::remesh::{Refine, RemeshError, RemeshOptions, Seeds};
-
-/// Rounds with shorter edges, at most.
-const MAX_ROUNDS: usize = 5;
-/// Edges become as short as brings a vertex to this share of the tolerance: the largest distances are half as large again as
-/// the mean.
-const AIM: f64 = 0.7;
-/// In one round edges do not become shorter than this share of what they were. At a crease that was not kept the distance is
-/// proportional to the length, and there may be other causes.
-const SHORTEST: f64 = 0.35;
-/// If no more places are missed after the last round than this share of the seeds,
-const FEW_SHARE: f64 = 0.01;
-/// or than this number, seeds are added at them.
-const FEW: usize = 4;
 
 /// How far the input's vertices are from a result.
 struct InputDistances {
@@ -106,12 +94,14 @@ pub(super) fn refine<'a>(
     let mut full = false;
     let mut rounds = 0;
     // Once the points are used up, rounds go on as long as they make better use of them.
-    while rounds < MAX_ROUNDS && best.distances.missed > 0 && !(full && worse.is_some()) {
+    while rounds < MAX_REFINING_ROUNDS && best.distances.missed > 0 && !(full && worse.is_some()) {
         rounds += 1;
         let distances = worse.as_ref().unwrap_or(&best.distances);
-        lengths.iter_mut().zip(&distances.by_vertex).filter(|(_, d)| **d > AIM * tolerance).for_each(|(length, d)| {
-            *length *= (AIM * tolerance / d).sqrt().max(SHORTEST);
-        });
+        lengths.iter_mut().zip(&distances.by_vertex).filter(|(_, d)| **d > TOLERANCE_AIM * tolerance).for_each(
+            |(length, d)| {
+                *length *= (TOLERANCE_AIM * tolerance / d).sqrt().max(SHORTEST_SHARE);
+            },
+        );
         let source = DensitySource::Sizes(lengths);
         options.density = DensityOptions { source, edge_length: None, adaptivity: 1.0, max_points, ..options.density };
         options.seeds = Seeds::Implied { seed };
@@ -129,7 +119,7 @@ pub(super) fn refine<'a>(
         let distances = InputDistances::of(job, &next, tolerance)?;
         worse = best.offer(next, distances, &options);
     }
-    let few = FEW.max((FEW_SHARE * best.attempt.seeds.len() as f64) as usize);
+    let few = FEW_MISSED.max((FEW_MISSED_SHARE * best.attempt.seeds.len() as f64) as usize);
     if (1..=few).contains(&best.distances.missed) && best.attempt.seeds.len() < max_points {
         // The best again, with a few seeds more.
         rounds += 1;

@@ -1,0 +1,294 @@
+//! The queue of places to improve.
+//!
+//! Purpose: [`improve`] takes irregular vertices, then places far from the input by falling distance, and tries flips and
+//! relocations around each. [`recover_edge`] restores an edge of a curve that the dual lacks.
+//! Invariant: nothing becomes farther from the input than it was, or than is allowed anywhere; no facet becomes worse than it
+//! should be, or than the worst one there was; inner valences stay between 5 and 7 where they were. Independent places are
+//! improved at the same time, with the same bits whatever the number of threads.
+//! Must not know: seeds, diagrams, files.
+
+use std::collections::{HashMap, HashSet};
+
+use rayon::prelude::*;
+
+use super::context::{Context, distance_at};
+use super::editor::MeshEditor;
+use super::patch::Patch;
+use super::queue::{Place, Queue};
+use super::trial::{Goal, Measure, Trial, best};
+use crate::remesh::constants::{
+    ESTIMATE_SHARE, FAILED_SHARE, FREE_DISTANCE, GAIN, LEAST_SCORE, LOOK_AHEAD, MAX_FAILURES, MAX_FLIPS, MAX_IMPROVED,
+    MAX_IMPROVED_SHARE, MAX_IRREGULAR, MAX_MEASURED, MEASURED_SCORE, NEAR_SHARE, PATCHES_AT_ONCE, QUEUE_ROUNDS,
+    RECOVERY_SCORE, RECOVERY_VALENCES, STALE_SHARE, VALENCES,
+};
+use crate::remesh::distance::facet_set::squared_distance;
+use crate::remesh::manifold::local_mesh::Flip;
+
+/// What is wrong at a place. The later ones come first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+enum Defect {
+    /// The result is far from the input; badness is the distance.
+    Far,
+    /// The valence is not from 5 to 7; badness is by how much.
+    Irregular,
+}
+
+/// What an attempt at a place came to.
+enum Outcome {
+    /// There is nothing to do.
+    Fine,
+    /// It is less bad than it was; so much.
+    Less(f64),
+    /// A better patch.
+    Better(Box<Patch>),
+    /// There is none. How bad the place is.
+    Failed(f64),
+}
+
+/// Improves places as long as that helps. `estimates` are the distances from the input around each vertex, about. Returns how
+/// many were improved.
+pub(in crate::remesh) fn improve(editor: &mut MeshEditor<'_>, estimates: &[f64]) -> usize {
+    let share = (MAX_IMPROVED_SHARE * estimates.len() as f64) as usize;
+    let mut run = Run {
+        queue: Queue::new(),
+        known: HashMap::new(),
+        exhausted: HashMap::new(),
+        failed: Vec::new(),
+        far_left: MAX_IMPROVED + share,
+        failures_left: MAX_FAILURES,
+        improved: 0,
+    };
+    run.push_far(first_far(&editor.context(), estimates), 0);
+    for _ in 0..QUEUE_ROUNDS {
+        let before = run.improved;
+        run.queue.extend(irregular(&editor.context()).take(MAX_IRREGULAR));
+        run.take_all(editor);
+        if run.improved == before {
+            break;
+        }
+    }
+    run.improved
+}
+
+/// Makes the edge between two vertices by one flip or two, and keeps it from then on. Returns whether it is there.
+pub(in crate::remesh) fn recover_edge(editor: &mut MeshEditor<'_>, ends: [u32; 2]) -> bool {
+    let Some(patch) = Patch::around(&editor.context(), ends[0]) else { return false };
+    let Ok(to) = patch.vertices.binary_search(&ends[1]) else { return false };
+    let joins = |patch: &Patch, before: &[_]| {
+        let join = patch.flips(RECOVERY_VALENCES).into_iter();
+        let join =
+            join.filter(|flip| flip.corners[0].contains(&patch.centre) && flip.corners[0].contains(&(to as u32)));
+        join.map(|flip| Trial::Flip([before, &[flip]].concat())).collect::<Vec<Trial>>()
+    };
+    let mut trials = joins(&patch, &[]);
+    for flip in patch.flips(RECOVERY_VALENCES) {
+        let mut first = patch.clone();
+        first.flip(&flip);
+        trials.extend(joins(&first, &[flip]));
+    }
+    let Some(better) = best_allowed(&patch, &trials, patch.worst_score().min(RECOVERY_SCORE)) else { return false };
+    editor.put_back(&better);
+    editor.keep(ends);
+    true
+}
+
+/// The best of trials that keeps within what is allowed anywhere, with this least score.
+fn best_allowed(patch: &Patch, trials: &[Trial], score: f64) -> Option<Patch> {
+    let allowed = patch.distance().largest().max(FREE_DISTANCE * patch.mean_edge);
+    let goal = Goal { centre: allowed, rest: allowed, score, cosine: patch.sharpest_cosine() };
+    best(patch, trials, &goal, Measure { distance: allowed, floor: 1.0, score: MEASURED_SCORE })
+}
+
+/// The queue, and what is left of the budgets.
+struct Run {
+    queue: Queue<Defect>,
+    /// What is known of far places: their distance, and how many edits there were when it was measured.
+    known: HashMap<u32, (f64, u32)>,
+    /// Where nothing better was found, with the number of edits by then.
+    exhausted: HashMap<(Defect, u32), u32>,
+    /// Far places that could not be improved and are as they were.
+    failed: Vec<Place<Defect>>,
+    far_left: usize,
+    failures_left: usize,
+    improved: usize,
+}
+
+impl Run {
+    fn push_far(&mut self, places: Vec<Place<Defect>>, edits: u32) {
+        self.known.extend(places.iter().map(|place| (place.vertex(), (place.badness(), edits))));
+        self.queue.extend(places);
+    }
+
+    /// Whether a place need not be looked at: nothing better was found there, or it is known to be another one by now.
+    fn is_idle(&self, editor: &MeshEditor<'_>, place: &Place<Defect>) -> bool {
+        let floor = self.failed.iter().map(|failed| FAILED_SHARE * failed.badness()).fold(0.0, f64::max);
+        let is_old = |known: &(f64, u32)| known.0 != place.badness();
+        let no_more = place.badness() < floor || self.far_left == 0 || self.failures_left == 0;
+        place.kind == Defect::Far && (no_more || self.known.get(&place.vertex()).is_some_and(is_old))
+            || is_exhausted(&self.exhausted, editor, place)
+    }
+
+    fn take_all(&mut self, editor: &mut MeshEditor<'_>) {
+        loop {
+            let batch = self.next_batch(editor);
+            if batch.is_empty() || editor.context().token.is_stopped() {
+                return;
+            }
+            let context = editor.context();
+            let attempt = |place: &Place<Defect>| {
+                let vertex = place.vertex();
+                let then = self.known.get(&vertex).map_or(0, |known| known.1);
+                if place.kind == Defect::Far && editor.has_changed(vertex, then) {
+                    let now = distance_at(&context, vertex).0;
+                    if now < STALE_SHARE * place.badness() {
+                        return Outcome::Less(now);
+                    }
+                }
+                let Some(patch) = Patch::around(&context, vertex) else { return Outcome::Fine };
+                match place.kind {
+                    Defect::Irregular => attempt_irregular(&patch, place.badness()),
+                    Defect::Far => attempt_far(&patch, place.badness()),
+                }
+            };
+            let made: Vec<Outcome> = batch.par_iter().with_max_len(1).map(attempt).collect();
+            for (place, outcome) in batch.into_iter().zip(made) {
+                self.take(editor, place, outcome);
+            }
+        }
+    }
+
+    /// The worst places of one kind whose patches are independent.
+    fn next_batch(&mut self, editor: &MeshEditor<'_>) -> Vec<Place<Defect>> {
+        let (mut claimed, mut batch, mut waiting) = (HashSet::new(), Vec::new(), Vec::new());
+        let mut kind = None;
+        while let Some(&place) = self.queue.peek() {
+            let first = *kind.get_or_insert(place.kind);
+            let most = if first == Defect::Far { 1 } else { PATCHES_AT_ONCE };
+            if place.kind != first || batch.len() == most || batch.len() + waiting.len() == LOOK_AHEAD {
+                break;
+            }
+            self.queue.pop();
+            if self.is_idle(editor, &place) {
+                kind = kind.filter(|_| !batch.is_empty());
+            } else if editor.claim(place.vertex(), &mut claimed) {
+                batch.push(place);
+            } else {
+                waiting.push(place);
+            }
+        }
+        self.queue.extend(waiting);
+        batch
+    }
+
+    fn take(&mut self, editor: &mut MeshEditor<'_>, place: Place<Defect>, outcome: Outcome) {
+        let is_far = place.kind == Defect::Far;
+        match outcome {
+            Outcome::Fine => {}
+            Outcome::Less(badness) => {
+                self.push_far(vec![Place::new(place.kind, place.vertex(), badness)], editor.edits())
+            }
+            Outcome::Better(patch) => {
+                editor.put_back(&patch);
+                self.improved += 1;
+                self.far_left = self.far_left.saturating_sub(usize::from(is_far));
+                // Often a place that failed is improved from a neighbouring vertex.
+                self.failed.retain(|failed| is_exhausted(&self.exhausted, editor, failed));
+                let places = far(&editor.context(), patch.inner().collect());
+                self.push_far(places, editor.edits());
+            }
+            Outcome::Failed(badness) => {
+                self.exhausted.insert((place.kind, place.vertex()), editor.edits());
+                if is_far {
+                    self.failures_left = self.failures_left.saturating_sub(1);
+                    self.failed.push(Place::new(place.kind, place.vertex(), badness));
+                }
+            }
+        }
+    }
+}
+
+/// Whether nothing better was found at a place, and nothing there has changed since.
+fn is_exhausted(exhausted: &HashMap<(Defect, u32), u32>, editor: &MeshEditor<'_>, place: &Place<Defect>) -> bool {
+    exhausted.get(&(place.kind, place.vertex())).is_some_and(|&then| !editor.has_changed(place.vertex(), then))
+}
+
+/// Tries to make a vertex more regular by a flip.
+fn attempt_irregular(patch: &Patch, before: f64) -> Outcome {
+    let irregularity = |patch: &Patch| patch.mesh.irregularity(patch.centre);
+    let trials = patch.flips(VALENCES).into_iter().filter(|flip| {
+        let mut flipped = patch.clone();
+        flipped.flip(flip);
+        irregularity(&flipped) < irregularity(patch)
+    });
+    let trials: Vec<Trial> = trials.map(|flip| Trial::Flip(vec![flip])).collect();
+    match best_allowed(patch, &trials, patch.worst_score().min(LEAST_SCORE)) {
+        _ if irregularity(patch) == 0 => Outcome::Fine,
+        Some(better) => Outcome::Better(Box::new(better)),
+        None => Outcome::Failed(before),
+    }
+}
+
+/// Tries to bring the result nearer to the input.
+fn attempt_far(patch: &Patch, before: f64) -> Outcome {
+    let now = patch.distance();
+    let distance = now.centre;
+    if distance < NEAR_SHARE * patch.mean_edge {
+        return Outcome::Fine;
+    }
+    if distance < STALE_SHARE * before {
+        // A neighbouring place was improved.
+        return Outcome::Less(distance);
+    }
+    let centre = GAIN * distance;
+    let score = patch.worst_score().min(LEAST_SCORE);
+    let goal = Goal { centre, rest: now.rest.max(centre), score, cosine: patch.sharpest_cosine() };
+    let measure = Measure { distance, floor: 0.0, score };
+    let mut trials = vec![Trial::Relocate];
+    trials.extend(now.farthest_point.map(Trial::Jump));
+    let mut flips = patch.flips(VALENCES);
+    if let Some(p) = now.farthest_point {
+        let nearness = |t: [u32; 3]| squared_distance(p, patch.mesh.places(t));
+        let nearness = |flip: &Flip| nearness(flip.corners[0]).min(nearness(flip.corners[1]));
+        flips.sort_by(|a, b| nearness(a).total_cmp(&nearness(b)));
+    }
+    flips.truncate(MAX_FLIPS);
+    trials.extend(flips.into_iter().map(|flip| Trial::Flip(vec![flip])));
+    match best(patch, &trials, &goal, measure) {
+        Some(better) => Outcome::Better(Box::new(better)),
+        None => Outcome::Failed(distance),
+    }
+}
+
+/// Inner vertices with less than 5 or more than 7 neighbours.
+fn irregular<'a>(context: &Context<'a>) -> impl Iterator<Item = Place<Defect>> + use<'a> {
+    let mesh = context.mesh;
+    let off = (0..mesh.positions.len() as u32).map(|v| (v, mesh.irregularity(v))).filter(|(_, off)| *off > 0);
+    off.map(|(vertex, off)| Place::new(Defect::Irregular, vertex, off as f64))
+}
+
+/// Vertices around which the result is far from the input, of those whose estimates are large.
+fn first_far(context: &Context<'_>, estimates: &[f64]) -> Vec<Place<Defect>> {
+    let mesh = context.mesh;
+    let may_be_far = |(&badness, vertex): (&f64, u32)| {
+        let p = mesh.positions[vertex as usize];
+        let ring = mesh.ring(vertex).iter().flat_map(|&f| mesh.corners(f));
+        let longest = ring.map(|q| q.distance(p)).fold(0.0, f64::max);
+        (badness > ESTIMATE_SHARE * NEAR_SHARE * longest).then_some(Place::new(Defect::Far, vertex, badness))
+    };
+    let mut candidates: Vec<Place<Defect>> = estimates.iter().zip(0..).filter_map(may_be_far).collect();
+    candidates.sort_unstable_by(|a, b| b.cmp(a));
+    candidates.truncate(MAX_MEASURED);
+    far(context, candidates.into_iter().map(|place| place.vertex()).collect())
+}
+
+/// Those of some vertices around which the result is far from the input.
+fn far(context: &Context<'_>, vertices: Vec<u32>) -> Vec<Place<Defect>> {
+    let measure = |vertex: u32| {
+        if context.token.is_stopped() {
+            return None;
+        }
+        let (badness, edge) = distance_at(context, vertex);
+        (badness > NEAR_SHARE * edge).then_some(Place::new(Defect::Far, vertex, badness))
+    };
+    vertices.into_par_iter().filter_map(measure).collect()
+}

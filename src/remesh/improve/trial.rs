@@ -1,0 +1,140 @@
+//! Trials on a patch.
+//!
+//! Purpose: a patch is changed in several ways ([`Trial`]), its vertices are relocated each time, and the best that reaches a
+//! [`Goal`] is taken ([`best`]). After a few passes the most promising go on alone.
+//! Invariant: a patch that does not reach the goal is never taken. The same bits whatever the number of threads.
+//! Must not know: why a patch is to be changed.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::objective::VertexObjective;
+use super::patch::{Patch, PatchDistance};
+use super::relocation::{cheapest, places_around};
+use crate::remesh::constants::{
+    FARTHEST_MOVE, FINALISTS, FIRST_PASSES, FIRST_STEP, HOPELESS_SHARE, LAST_PASSES, LEAST_GAIN, TRIAL_SCORE_SCALE,
+};
+use crate::remesh::manifold::local_mesh::Flip;
+
+/// What is done to a patch before its vertices are relocated.
+#[derive(Clone, Debug)]
+pub(super) enum Trial {
+    /// Nothing.
+    Relocate,
+    /// A vertex goes to the input point that is farthest off.
+    Jump(DVec3),
+    /// Edges are flipped, one after the other.
+    Flip(Vec<Flip>),
+}
+
+/// What a changed patch has to come to.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Goal {
+    /// Distances from the input, at most.
+    pub(super) centre: f64,
+    pub(super) rest: f64,
+    /// The least score, at least.
+    pub(super) score: f64,
+    /// The least cosine between two neighbours, at least.
+    pub(super) cosine: f64,
+}
+
+impl Goal {
+    fn is_reached(&self, patch: &Patch, distance: PatchDistance) -> bool {
+        distance.centre <= self.centre
+            && distance.rest <= self.rest
+            && patch.worst_score() >= self.score
+            && patch.sharpest_cosine() >= self.cosine
+    }
+}
+
+/// How trials are compared.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Measure {
+    /// The distance that counts as 1 beside what the worst facet lacks.
+    pub(super) distance: f64,
+    /// Distances below this share of it count as if they were as large.
+    pub(super) floor: f64,
+    /// What the worst facet lacks of this score counts.
+    pub(super) score: f64,
+}
+
+impl Measure {
+    fn of(&self, patch: &Patch, distance: PatchDistance) -> f64 {
+        let lack = (self.score - patch.worst_score()).max(0.0) / TRIAL_SCORE_SCALE;
+        lack + (distance.largest() / self.distance).max(self.floor)
+    }
+}
+
+/// A changed patch, and its measure. Lower is better.
+type Tried = (f64, Patch);
+
+/// Relocates the vertices of a patch, the centre first, in so many passes at most. `worst` is the distance that costs as much
+/// as a bad shape.
+fn relax(patch: &mut Patch, worst: f64, passes: usize) {
+    for _ in 0..passes {
+        let mut tried = false;
+        for k in 0..patch.movable.len() {
+            let v = patch.movable[k];
+            let Some(share) = patch.steps.next(v) else { continue };
+            if patch.token.is_stopped() {
+                return;
+            }
+            tried = true;
+            let to = better_place(patch, v, worst, share * FIRST_STEP * patch.mean_edge);
+            if to == patch.mesh.positions[v as usize] {
+                patch.steps.halve(v);
+            } else {
+                patch.put(v, to);
+            }
+        }
+        if !tried {
+            return;
+        }
+    }
+}
+
+/// Where a vertex costs least after one step.
+fn better_place(patch: &Patch, v: u32, worst: f64, step: f64) -> DVec3 {
+    let mut objective = VertexObjective::new(patch, v, worst, step);
+    let (here, start) = (patch.mesh.positions[v as usize], patch.start[v as usize]);
+    let (x, y) = patch.mesh.vertex_normal(v).any_orthonormal_pair();
+    let within = |p: &DVec3| p.distance(start) <= FARTHEST_MOVE * patch.mean_edge;
+    let places = places_around(here, step, [x, y]).filter(within);
+    cheapest((objective.cost_here(step), here), LEAST_GAIN, places, |p, most| objective.cost(p, most)).1
+}
+
+fn begin(patch: &Patch, trial: &Trial, measure: Measure) -> Option<Tried> {
+    let mut patch = patch.clone();
+    match trial {
+        Trial::Relocate => {}
+        Trial::Jump(to) => {
+            if !patch.jump(*to) {
+                return None;
+            }
+        }
+        Trial::Flip(flips) => flips.iter().for_each(|flip| patch.flip(flip)),
+    }
+    relax(&mut patch, measure.distance, FIRST_PASSES);
+    Some((measure.of(&patch, patch.distance()), patch))
+}
+
+fn finish((_, mut patch): Tried, goal: &Goal, measure: Measure) -> Option<Tried> {
+    relax(&mut patch, measure.distance, LAST_PASSES);
+    let distance = patch.distance();
+    goal.is_reached(&patch, distance).then(|| (measure.of(&patch, distance), patch))
+}
+
+/// The best of what trials make of a patch; the first of equal ones. `None` if none reaches the goal.
+pub(super) fn best(patch: &Patch, trials: &[Trial], goal: &Goal, measure: Measure) -> Option<Patch> {
+    let begun: Vec<Option<Tried>> =
+        trials.par_iter().with_max_len(1).map(|trial| begin(patch, trial, measure)).collect();
+    let mut begun: Vec<Tried> = begun.into_iter().flatten().collect();
+    let hopeless = HOPELESS_SHARE.max(goal.rest / measure.distance);
+    begun.retain(|(_, patch)| patch.distance().largest() <= hopeless * measure.distance);
+    begun.sort_by(|a, b| a.0.total_cmp(&b.0));
+    begun.truncate(FINALISTS);
+    let done: Vec<Option<Tried>> =
+        begun.into_par_iter().with_max_len(1).map(|tried| finish(tried, goal, measure)).collect();
+    done.into_iter().flatten().reduce(|a, b| if b.0 < a.0 { b } else { a }).map(|(_, patch)| patch)
+}
