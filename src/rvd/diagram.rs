@@ -87,7 +87,14 @@ impl Diagram {
         seeds: &[DVec3],
         backend: &dyn Backend,
     ) -> Result<Self, RvdError> {
-        let surface = Arc::new(Surface::new(mesh, weights)?);
+        Self::on(Arc::new(Surface::new(mesh, weights)?), seeds, backend)
+    }
+
+    /// The same on a surface that others use too.
+    ///
+    /// # Errors
+    /// What is wrong with a seed, or what the backend says of the memory it needs.
+    pub fn on(surface: Arc<Surface>, seeds: &[DVec3], backend: &dyn Backend) -> Result<Self, RvdError> {
         let mut session = backend.session(Arc::clone(&surface), SessionOptions::new(seeds.len()))?;
         let unit: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
         session.set_seeds(&unit)?;

@@ -1,0 +1,303 @@
+"""The functions, and where they go: to the engine in this process, or to a server."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import _engine, meshes
+from .meshes import Attributes, Surface
+from .progress import ProgressLike, listener
+from .results import CvtStep, Remesh, Report, Rvd
+
+Density = Literal["uniform", "curvature", "lfs"]
+
+
+def _density(given: Any) -> dict[str, Any]:
+    """A name, or a weight for each vertex."""
+    if given is None or isinstance(given, str):
+        return {"density": given}
+    return {"weights": meshes._floats(given)}
+
+
+def _carried(attributes: Any, surface: Surface) -> Attributes | None:
+    """True: what the object carries; False: nothing."""
+    if isinstance(attributes, Attributes):
+        return attributes
+    if isinstance(attributes, dict):
+        return Attributes(scalars={name: np.asarray(values) for name, values in attributes.items()})
+    if attributes is True:
+        return surface.attributes
+    if attributes is False or attributes is None:
+        return None
+    raise _engine.InputError("attributes is neither True, False, Attributes nor a dictionary of scalars")
+
+
+def _edges(given: ArrayLike | None) -> Any:
+    if given is None:
+        return None
+    array = np.asarray(given)
+    return array.reshape(0, 2).astype(np.int32) if array.size == 0 else array
+
+
+def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, Any], Attributes | None]:
+    """What the engine and the service take, and what the surface carries. `given` are the arguments of `remesh`."""
+    given = dict(given)
+    attributes = _carried(given.pop("attributes"), surface)
+    given.update(_density(given.pop("density")))
+    given["sizes"], given["seeds"] = meshes._floats(given["sizes"]), meshes._floats(given["seeds"])
+    given["creases"] = _edges(given["creases"])
+    return given, attributes
+
+
+def remesh(
+    mesh: Any,
+    faces: ArrayLike | None = None,
+    points: int | None = None,
+    *,
+    edge_length: float | None = None,
+    density: Density | ArrayLike = "uniform",
+    sizes: ArrayLike | None = None,
+    gradation: float | None = None,
+    adaptivity: float | None = None,
+    max_deviation: float | None = None,
+    max_points: int | None = None,
+    crease_angle: float | None = None,
+    creases: ArrayLike | None = None,
+    boundaries: Literal["keep", "free"] | None = None,
+    thin: Literal["finer", "even"] | None = None,
+    placement: Literal["fitted", "surface", "centroids"] | None = None,
+    lloyd: int | None = None,
+    newton: int | None = None,
+    projection: Literal["free", "surface"] | None = None,
+    seed: int | None = None,
+    seeds: ArrayLike | None = None,
+    attributes: bool | Attributes | dict[str, ArrayLike] = True,
+    measure: bool = True,
+    backend: Literal["auto", "gpu", "parallel", "serial"] | None = None,
+    threads: int | None = None,
+    progress: ProgressLike = None,
+    endpoint: str | None = None,
+    **server: Any,
+) -> Remesh:
+    """Remeshes a triangle surface: about `points` vertices and well-shaped triangles.
+
+    >>> import numpy as np, tessera_remesh
+    >>> vertices = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
+    >>> result = tessera_remesh.remesh(vertices, [(0, 1, 2), (0, 2, 3)], points=200)
+    >>> result.report.boundary_loops
+    1
+    >>> vertices, faces = result
+    >>> faces.shape[1]
+    3
+
+    What is None has the default of the command `tessera remesh`; the same arguments give the same bits there, here and from a
+    server on the same backend.
+
+    Args:
+        mesh: vertices, (n, 3) float; or an object of trimesh, pyvista or meshio.
+        faces: (m, 3) integer indices from 0, with vertices only.
+        points: number of seeds, about the number of vertices of the result. This, `edge_length`, `sizes` or `seeds` is needed.
+        edge_length: length of the edges in the mesh's units, instead of `points`.
+        density: where short edges go: "uniform", "curvature" (where the surface bends), "lfs" (where it is thin, hollow or
+            sharp); or (n,) float, a weight for each vertex, at least 0: an edge length h needs a weight proportional to h**-4.
+        sizes: (n,) float above 0: length of the edges at each vertex. With `points` only the ratios are kept.
+        gradation: the most that edge lengths grow per distance, above 0.
+        adaptivity: 0 for edges of one length, 1 for lengths as `density` or `sizes` says.
+        max_deviation: adds points where the result is farther than this from the mesh, percent of the diagonal of its box.
+        max_points: the most points that `max_deviation` may come to; twice `points` if None.
+        crease_angle: edges bent by more than this are creases that are kept, degrees from 0 (none) to 180.
+        creases: (k, 2) integer: edges that are creases whatever their angle.
+        boundaries: "keep", or "free": the rim settles about half an edge inside.
+        thin: "finer": shorter edges where the surface is too thin for its cells; or "even".
+        placement: where vertices go: "fitted" (nearest to the surface in the mean), "surface", "centroids".
+        lloyd: Lloyd steps.
+        newton: quasi-Newton steps after them, at most.
+        projection: where seeds go after each step: "free", or "surface".
+        seed: random seed of the first points.
+        seeds: (s, 3) float: first seeds, instead of `points`.
+        attributes: True: the result carries what the object carries; False: nothing; or `Attributes`, or a dictionary of (n,)
+            scalars, for vertices and faces.
+        measure: whether to measure quality and distance for the report.
+        backend: "auto" (the GPU if there is one, else all cores), "gpu", "parallel", "serial".
+        threads: threads of this call; all cores if None. Not for a server.
+        progress: called with each `Progress`; True shows a bar. An exception that it raises cancels the work and comes back.
+        endpoint: a server that does the work, such as "https://tessera.example.org:50051". Needs the extra `service`.
+        **server: `key`, `tenant`, `ca`, `timeout`, as `tessera_remesh.service.Client` takes them.
+
+    Raises:
+        InputError: the mesh, an array or an option is wrong.
+        BackendError: the backend is not here.
+        TooLargeError: there is not enough memory.
+        Cancelled: the work was cancelled.
+        service.ServerError: the server said no.
+        KeyboardInterrupt: Ctrl-C; the work has stopped.
+    """
+    names = (
+        "points edge_length density sizes gradation adaptivity max_deviation max_points crease_angle creases boundaries thin "
+        "placement lloyd newton projection seed seeds attributes measure backend threads"
+    )
+    values = locals()
+    surface = meshes.surface(mesh, faces)
+    options, carried = remesh_options(surface, {name: values[name] for name in names.split()})
+    with listener(progress) as listen:
+        if endpoint is not None:
+            from .service import Client
+
+            with Client(endpoint, **server) as client:
+                return client._remesh(surface, options, carried, listen)
+        _no_server(server)
+        options["attributes"] = None if carried is None else carried._to_engine()
+        return to_remesh(surface, _engine.remesh(surface.vertices, surface.faces, options, listen))
+
+
+def to_remesh(surface: Surface, done: dict[str, Any]) -> Remesh:
+    """What the engine or a server gave back."""
+    attributes = done.pop("attributes", None)
+    return Remesh(
+        report=Report.from_json(done.pop("report")),
+        attributes=None if attributes is None else Attributes._from_engine(attributes),
+        library=surface.library,
+        **done,
+    )
+
+
+def _no_server(server: dict[str, Any]) -> None:
+    for name in server:
+        if name in ("key", "tenant", "ca", "timeout"):
+            raise TypeError(f"{name} is for a server; give endpoint too")
+        raise TypeError(f"there is no argument {name}")
+
+
+def rvd(
+    mesh: Any,
+    faces: ArrayLike | None = None,
+    *,
+    seeds: ArrayLike | None = None,
+    points: int | None = None,
+    seed: int | None = None,
+    weights: ArrayLike | None = None,
+    pieces: bool = True,
+    backend: Literal["auto", "gpu", "parallel", "serial"] | None = None,
+    threads: int | None = None,
+    endpoint: str | None = None,
+    **server: Any,
+) -> Rvd:
+    """The restricted Voronoi diagram of seeds on a surface: exact cells, their centroids, areas and energies.
+
+    >>> import numpy as np, tessera_remesh
+    >>> square = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
+    >>> cells = tessera_remesh.rvd(square, [(0, 1, 2), (0, 2, 3)], seeds=[(0.25, 0.5, 0), (0.75, 0.5, 0)])
+    >>> cells.areas.round(6).tolist()
+    [0.5, 0.5]
+
+    Args:
+        mesh: vertices, (n, 3) float; or an object of trimesh, pyvista or meshio.
+        faces: (m, 3) integer indices from 0, with vertices only.
+        seeds: (s, 3) float, anywhere near the surface.
+        points: draws so many seeds instead.
+        seed: random seed of drawn ones.
+        weights: (n,) float at least 0, a weight for each vertex, linear in each face.
+        pieces: whether to give the polygons in which cells meet faces.
+        backend: "auto", "gpu", "parallel", "serial".
+        threads: threads of this call; all cores if None.
+        endpoint: a server that does the work.
+        **server: `key`, `tenant`, `ca`, `timeout`.
+
+    Raises:
+        As `remesh`.
+    """
+    surface = meshes.surface(mesh, faces)
+    if seeds is None and points is None:
+        raise _engine.InputError("seeds or points is needed")
+    options = {
+        "seeds": meshes._floats(seeds),
+        "points": points,
+        "seed": seed,
+        "weights": meshes._floats(weights),
+        "backend": backend,
+        "threads": threads,
+        "pieces": pieces,
+    }
+    if endpoint is not None:
+        from .service import Client
+
+        with Client(endpoint, **server) as client:
+            return client._rvd(surface, options)
+    _no_server(server)
+    return Rvd(**_engine.rvd(surface.vertices, surface.faces, options))
+
+
+def cvt(
+    mesh: Any,
+    faces: ArrayLike | None = None,
+    points: int | None = None,
+    *,
+    seeds: ArrayLike | None = None,
+    seed: int | None = None,
+    density: Density | ArrayLike = "uniform",
+    sizes: ArrayLike | None = None,
+    edge_length: float | None = None,
+    gradation: float | None = None,
+    adaptivity: float | None = None,
+    projection: Literal["free", "surface"] | None = None,
+    lloyd: int = 5,
+    newton: int = 30,
+    backend: Literal["auto", "gpu", "parallel", "serial"] | None = None,
+    threads: int | None = None,
+    endpoint: str | None = None,
+    **server: Any,
+) -> Iterator[CvtStep]:
+    """Centroidal Voronoi iterations, one `CvtStep` at a time. The next step is taken when it is asked for.
+
+    >>> import numpy as np, tessera_remesh
+    >>> square = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
+    >>> steps = list(tessera_remesh.cvt(square, [(0, 1, 2), (0, 2, 3)], points=50, lloyd=3, newton=0))
+    >>> steps[2].energy < steps[0].energy
+    True
+    >>> steps[2].seeds.shape
+    (50, 3)
+
+    Args:
+        mesh, faces, points, seeds, seed, density, sizes, edge_length, gradation, adaptivity, projection, backend, threads,
+            endpoint, **server: as of `remesh`.
+        lloyd: Lloyd steps.
+        newton: quasi-Newton steps after them, at most; they end when converged.
+
+    Raises:
+        As `remesh`, at the first step.
+    """
+    surface = meshes.surface(mesh, faces)
+    options = {
+        "points": points,
+        "seeds": meshes._floats(seeds),
+        "seed": seed,
+        **_density(density),
+        "sizes": meshes._floats(sizes),
+        "edge_length": edge_length,
+        "gradation": gradation,
+        "adaptivity": adaptivity,
+        "projection": projection,
+        "backend": backend,
+        "threads": threads,
+    }
+    if lloyd < 0 or newton < 0:
+        raise _engine.InputError("lloyd and newton are at least 0")
+    if endpoint is not None:
+        from .service import Client
+
+        return Client(endpoint, **server)._cvt(surface, options, lloyd, newton)
+    _no_server(server)
+    return _steps(surface, options, lloyd, newton)
+
+
+def _steps(surface: Surface, options: dict[str, Any], lloyd: int, newton: int) -> Iterator[CvtStep]:
+    session = _engine.Cvt(surface.vertices, surface.faces, options)
+    for kind in ["lloyd"] * lloyd + ["newton"] * newton:
+        step = CvtStep(**session.step(kind))
+        yield step
+        if kind == "newton" and step.converged:
+            return

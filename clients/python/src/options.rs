@@ -1,0 +1,212 @@
+//! Options out of a dictionary.
+//!
+//! Purpose: what the package's functions put into one dictionary becomes the engine's options. What is not there, or None, has
+//! the engine's default.
+//! Invariant: a name that nobody reads is an error, so that a misspelt option is not passed over. Must not know: what is done.
+
+use std::cell::RefCell;
+
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyString};
+use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
+use tessera::{DensityOptions, DensitySource, Placement, Projection, Refine, RemeshOptions, Seeds, TriMesh};
+
+use crate::arrays;
+use crate::errors::input;
+
+/// A dictionary whose entries are taken one by one.
+pub(crate) struct Options<'py> {
+    dict: &'py Bound<'py, PyDict>,
+    read: RefCell<Vec<&'static str>>,
+}
+
+impl<'py> Options<'py> {
+    pub(crate) fn new(dict: &'py Bound<'py, PyDict>) -> Self {
+        Self { dict, read: RefCell::default() }
+    }
+
+    /// An entry, unless it is None.
+    pub(crate) fn any(&self, name: &'static str) -> PyResult<Option<Bound<'py, PyAny>>> {
+        self.read.borrow_mut().push(name);
+        Ok(self.dict.get_item(name)?.filter(|value| !value.is_none()))
+    }
+
+    /// The same as some type.
+    pub(crate) fn get<T>(&self, name: &'static str, what: &str) -> PyResult<Option<T>>
+    where
+        T: for<'a> FromPyObject<'a, 'py>,
+    {
+        let Some(value) = self.any(name)? else { return Ok(None) };
+        let wrong = || input(format!("{name} is {value}; {what} is needed"));
+        value.extract::<T>().map(Some).map_err(|_| wrong())
+    }
+
+    /// One of some words.
+    fn word<T: Copy>(&self, name: &'static str, words: &[(&str, T)]) -> PyResult<Option<T>> {
+        let Some(word) = self.get::<String>(name, "a word")? else { return Ok(None) };
+        let found = words.iter().find(|(of, _)| *of == word).map(|(_, value)| *value);
+        let all = || words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(", ");
+        found.map(Some).ok_or_else(|| input(format!("{name} is {word:?}; it is one of {}", all())))
+    }
+
+    fn list<T>(
+        &self,
+        name: &'static str,
+        read: impl Fn(&Bound<'_, PyAny>, &str) -> PyResult<Vec<T>>,
+    ) -> PyResult<Option<Vec<T>>> {
+        self.any(name)?.map(|array| read(&array, name)).transpose()
+    }
+
+    /// After the last entry.
+    pub(crate) fn end(self) -> PyResult<()> {
+        for key in self.dict.keys() {
+            let key = key.cast_into::<PyString>()?.to_string();
+            if !self.read.borrow().contains(&key.as_str()) {
+                return Err(input(format!("there is no option {key}")));
+            }
+        }
+        Ok(())
+    }
+
+    /// Which backend, and its threads.
+    pub(crate) fn backend(&self) -> PyResult<(String, Option<usize>)> {
+        let name = self.get("backend", "a word")?.unwrap_or_else(|| "auto".to_owned());
+        Ok((name, self.get("threads", "a whole number, at least 1")?))
+    }
+
+    /// Seeds that are given, or drawn.
+    pub(crate) fn seeds(&self) -> PyResult<Seeds> {
+        let seed = self.get("seed", "a whole number from 0 to 2**64 - 1")?.unwrap_or(Seeds::RANDOM_SEED);
+        let points: Option<usize> = self.get("points", "a whole number, at least 1")?;
+        let given = self.list("seeds", arrays::points)?;
+        match (given, points) {
+            (Some(_), Some(_)) => Err(input("points and seeds are given; give one of them")),
+            (Some(seeds), None) => Ok(Seeds::Given(seeds)),
+            (None, Some(0)) => Err(input("points is 0; at least 1 is needed")),
+            (None, Some(points)) => Ok(Seeds::Sample { points, seed }),
+            (None, None) => Ok(Seeds::Implied { seed }),
+        }
+    }
+
+    /// Where edges are short and where long.
+    pub(crate) fn density(&self) -> PyResult<DensityOptions> {
+        let named = self.word("density", &[("uniform", 0), ("curvature", 1), ("lfs", 2)])?;
+        let (sizes, weights) = (self.list("sizes", arrays::numbers)?, self.list("weights", arrays::numbers)?);
+        let source = match (named, sizes, weights) {
+            (None | Some(0), None, None) => DensitySource::Uniform,
+            (Some(1), None, None) => DensitySource::Curvature,
+            (Some(_), None, None) => DensitySource::FeatureSize,
+            (None, Some(sizes), None) => DensitySource::Sizes(sizes),
+            (None, None, Some(weights)) => DensitySource::Weights(weights),
+            _ => return Err(input("density, sizes and weights exclude each other; give one of them")),
+        };
+        let mut density = DensityOptions::from_source(source);
+        density.edge_length = self.get("edge_length", "a number above 0")?;
+        if let Some(gradation) = self.get("gradation", "a number above 0")? {
+            density.gradation = gradation;
+        }
+        if let Some(adaptivity) = self.get("adaptivity", "a number from 0 to 1")? {
+            density.adaptivity = adaptivity;
+        }
+        density.check().map_err(input)?;
+        Ok(density)
+    }
+
+    /// Where seeds go after each step.
+    pub(crate) fn projection(&self) -> PyResult<Projection> {
+        let words = [("free", Projection::Free), ("surface", Projection::OnSurface)];
+        Ok(self.word("projection", &words)?.unwrap_or_default())
+    }
+
+    /// All of a remesh of `mesh`.
+    pub(crate) fn remesh(&self, mesh: &TriMesh) -> PyResult<RemeshOptions> {
+        let mut options = RemeshOptions::new(self.seeds()?);
+        options.density = self.density()?;
+        options.projection = self.projection()?;
+        let steps = "a whole number, at least 0";
+        options.lloyd = self.get("lloyd", steps)?.unwrap_or(options.lloyd);
+        options.newton = self.get("newton", steps)?.unwrap_or(options.newton);
+        let words =
+            [("fitted", Placement::Fitted), ("surface", Placement::Surface), ("centroids", Placement::Centroids)];
+        options.placement = self.word("placement", &words)?.unwrap_or(options.placement);
+        let angle = self.get("crease_angle", "an angle from 0 to 180 degrees")?.unwrap_or(options.crease_angle_deg);
+        if !(0.0..=180.0).contains(&angle) {
+            return Err(input(format!("crease_angle is {angle}; an angle from 0 to 180 degrees is needed")));
+        }
+        options.crease_angle_deg = angle;
+        options.creases = self.list("creases", arrays::edges)?.unwrap_or_default();
+        options.keep_boundaries =
+            self.word("boundaries", &[("keep", true), ("free", false)])?.unwrap_or(options.keep_boundaries);
+        options.keep_thin = self.word("thin", &[("finer", true), ("even", false)])?.unwrap_or(options.keep_thin);
+        options.measure = self.get("measure", "True or False")?.unwrap_or(options.measure);
+        options.refine = self.refine(&options.seeds, mesh)?;
+        options.attributes = self.any("attributes")?.map(|given| attributes(&given, mesh)).transpose()?;
+        Ok(options)
+    }
+
+    /// Points that are added, as the command adds them.
+    fn refine(&self, seeds: &Seeds, mesh: &TriMesh) -> PyResult<Option<Refine>> {
+        let percent: Option<f64> = self.get("max_deviation", "percent above 0")?;
+        let most: Option<usize> = self.get("max_points", "a whole number, at least 1")?;
+        let Some(percent) = percent else {
+            return most.map_or(Ok(None), |_| Err(input("max_points is for max_deviation, which is not given")));
+        };
+        if !(percent.is_finite() && percent > 0.0) {
+            return Err(input(format!("max_deviation is {percent}; percent above 0 are needed")));
+        }
+        let (low, high) = mesh.bounds();
+        let extent = (high - low).max_element();
+        let tolerance = percent / 100.0 * (((high - low) / extent).length() * extent);
+        let points = match seeds {
+            Seeds::Sample { points, .. } => Some(*points),
+            Seeds::Given(seeds) => Some(seeds.len()),
+            _ => None,
+        };
+        let refine = points.map(|points| Refine::new(tolerance, points));
+        match (refine, most) {
+            (Some(refine), None) => Ok(Some(refine)),
+            (refine, Some(most)) => {
+                Ok(Some(refine.unwrap_or_else(|| Refine::new(tolerance, most)).with_max_points(most)))
+            }
+            (None, None) => Err(input("max_deviation without points needs max_points")),
+        }
+    }
+}
+
+/// What `mesh` carries, of a dictionary of arrays.
+fn attributes(given: &Bound<'_, PyAny>, mesh: &TriMesh) -> PyResult<Attributes> {
+    let dict = given.cast::<PyDict>().map_err(|_| input("attributes is no dictionary"))?;
+    let options = Options::new(dict);
+    let mut attributes = Attributes::new(mesh);
+    let normals = options.list("normals", arrays::points)?;
+    let corners = options.list("normal_corners", arrays::triples)?;
+    if let Some(values) = normals {
+        let normals = match corners {
+            Some(corners) => Normals::PerCorner(PerCorner { values, corners }),
+            None => Normals::PerVertex(values),
+        };
+        attributes.set_normals(normals).map_err(input)?;
+    }
+    if let Some(values) = options.list("texture", arrays::pairs)? {
+        // Without corners there is one for each vertex.
+        let corners = options.list("texture_corners", arrays::triples)?.unwrap_or_else(|| mesh.facets().to_vec());
+        attributes.set_texture(PerCorner { values, corners }).map_err(input)?;
+    } else {
+        options.any("texture_corners")?;
+    }
+    let eight: bool = options.get("colours_of_eight_bits", "True or False")?.unwrap_or_default();
+    if let Some(values) = options.list("colours", arrays::fours)? {
+        let depth = if eight { ColourDepth::Eight } else { ColourDepth::Float };
+        attributes.set_colours(Colours { values, depth }).map_err(input)?;
+    }
+    if let Some(scalars) = options.any("scalars")? {
+        let scalars = scalars.cast::<PyDict>().map_err(|_| input("scalars is no dictionary"))?;
+        for (name, values) in scalars.iter() {
+            let name: String = name.extract().map_err(|_| input("a scalar's name is no text"))?;
+            let values = arrays::numbers(&values, &name)?;
+            attributes.add_scalar(name, values).map_err(input)?;
+        }
+    }
+    options.end()?;
+    Ok(attributes)
+}
