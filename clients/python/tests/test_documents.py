@@ -1,0 +1,28 @@
+"""Promise: examples in the docstrings run, and the types hold."""
+
+from __future__ import annotations
+
+import doctest
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import tessera_remesh
+import tessera_remesh.calls
+
+PACKAGE = Path(tessera_remesh.__file__).parent
+
+
+@pytest.mark.parametrize("module", [tessera_remesh, tessera_remesh.calls], ids=lambda m: m.__name__)
+def test_examples_run(module):
+    failed, tried = doctest.testmod(module)
+    assert tried > 0 and failed == 0
+
+
+def test_types_hold():
+    pytest.importorskip("mypy")
+    config = Path(__file__).parents[1] / "pyproject.toml"
+    command = [sys.executable, "-m", "mypy", "--config-file", str(config), str(PACKAGE)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout

@@ -1,0 +1,279 @@
+"""Promise: arrays come in as they are and go out as documented; wrong ones are told by name."""
+
+from __future__ import annotations
+
+import _thread
+import threading
+import time
+
+import numpy as np
+import pytest
+import tessera_remesh
+from tessera_remesh import Attributes, Cancelled, InputError, Progress
+
+from conftest import torus
+
+
+def test_a_remesh_is_what_its_report_says(surface):
+    result = tessera_remesh.remesh(*surface, points=500)
+    vertices, faces = result
+    assert vertices.dtype == np.float64 and faces.dtype == np.int32
+    assert (len(vertices), len(faces)) == (result.report.vertices, result.report.faces)
+    assert abs(len(vertices) - 500) <= 10
+    assert result.report.euler == 0 and result.report.boundary_loops == 0
+    assert faces.min() == 0 and faces.max() == len(vertices) - 1
+    assert result.vertex_seeds.shape == (len(vertices),)
+    assert result.seeds.shape == (500, 3)
+    assert result.report.smallest_angle > 25
+    # On the surface of the torus, up to its own edges.
+    x, y, z = vertices.T
+    assert np.abs(np.hypot(np.hypot(x, y) - 2, z) - 1).max() < 0.05
+
+
+@pytest.mark.parametrize("floats", [np.float64, np.float32])
+@pytest.mark.parametrize("whole", [np.int32, np.int64, np.uint32, np.uint64, np.int16])
+def test_types_of_arrays_make_no_difference(floats, whole):
+    vertices, faces = torus(24, 12)
+    vertices = np.round(vertices * 1024) / 1024  # the same in single precision
+    expected = tessera_remesh.remesh(vertices, faces, points=100)
+    got = tessera_remesh.remesh(vertices.astype(floats), faces.astype(whole), points=100)
+    assert np.array_equal(got.vertices, expected.vertices) and np.array_equal(got.faces, expected.faces)
+
+
+def test_strides_make_no_difference(surface):
+    vertices, faces = surface
+    expected = tessera_remesh.remesh(vertices, faces, points=100)
+    wide = np.zeros((len(vertices), 7))
+    wide[:, 1:6:2] = vertices
+    views = wide[:, 1:6:2], np.asfortranarray(faces)
+    got = tessera_remesh.remesh(*views, points=100)
+    assert np.array_equal(got.vertices, expected.vertices) and np.array_equal(got.faces, expected.faces)
+    # Lists are arrays too.
+    got = tessera_remesh.remesh(vertices.tolist(), faces.tolist(), points=100)
+    assert np.array_equal(got.vertices, expected.vertices)
+
+
+def test_input_is_left_as_it_is(surface):
+    vertices, faces = (array.copy() for array in surface)
+    vertices.flags.writeable = faces.flags.writeable = False
+    tessera_remesh.remesh(vertices, faces, points=100)
+    assert np.array_equal(vertices, surface[0]) and np.array_equal(faces, surface[1])
+
+
+def test_threads_make_no_difference(surface):
+    results = [tessera_remesh.remesh(*surface, points=300, threads=threads, backend="parallel") for threads in (1, 2, 3)]
+    for other in results[1:]:
+        assert np.array_equal(other.vertices, results[0].vertices) and np.array_equal(other.faces, results[0].faces)
+
+
+WRONG = [
+    ({"points": 0}, "points"),
+    ({"points": -1}, "points"),
+    ({"points": 2.5}, "points"),
+    ({}, "points"),
+    ({"points": 100, "edge_length": -1.0}, "edge length"),
+    ({"points": 100, "density": "thick"}, "density"),
+    ({"points": 100, "density": np.ones(3)}, "weights"),
+    ({"points": 100, "sizes": np.zeros(1800)}, "edge length"),
+    ({"points": 100, "placement": "here"}, "placement"),
+    ({"points": 100, "creases": [[0, 5000]]}, "5000"),
+    ({"points": 100, "creases": [[0, 1, 2]]}, "creases"),
+    ({"points": 100, "crease_angle": 200.0}, "crease_angle"),
+    ({"points": 100, "max_points": 200}, "max_points"),
+    ({"points": 100, "max_deviation": 0.0}, "max_deviation"),
+    ({"points": 100, "backend": "abacus"}, "backend"),
+    ({"points": 100, "threads": 0}, "threads"),
+    ({"points": 100, "seed": -1}, "seed"),
+    ({"points": 100, "seeds": np.zeros((3, 3))}, "seeds"),
+    ({"points": 100, "attributes": {"height": np.zeros(3)}}, "height"),
+    ({"points": 100, "attributes": {"0 height": np.zeros(1800)}}, "name"),
+    ({"points": 100, "attributes": 7}, "attributes"),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), WRONG, ids=[repr(sorted(o))[:40] + str(i) for i, (o, _) in enumerate(WRONG)])
+def test_wrong_options_are_told_by_name(surface, options, words):
+    with pytest.raises(InputError, match=words):
+        tessera_remesh.remesh(*surface, **options)
+
+
+WRONG_ARRAYS = [
+    (np.zeros((4, 2)), [[0, 1, 2]], "vertices"),
+    (np.zeros(12), [[0, 1, 2]], "vertices"),
+    ([["a", "b", "c"]], [[0, 0, 0]], "vertices"),
+    (np.zeros((4, 3)), [[0, 1, 2, 3]], "faces"),
+    (np.zeros((4, 3)), [[0, 1], [0, 1, 2]], "faces"),
+    (np.zeros((4, 3)), [[0.0, 1.0, 2.0]], "faces"),
+    (np.zeros((4, 3)), [[0, 1, -2]], "negative"),
+    (np.zeros((4, 3)), [[0, 1, 4]], "4"),
+    (np.zeros((4, 3)), np.zeros((0, 3), dtype=int), "."),
+    (np.full((4, 3), np.nan), [[0, 1, 2]], "finite"),
+    (np.zeros((4, 3)), [[0, 1, 2]], "."),
+]
+
+
+@pytest.mark.parametrize(("vertices", "faces", "words"), WRONG_ARRAYS)
+def test_wrong_arrays_are_told_by_name(vertices, faces, words):
+    with pytest.raises(InputError, match=words):
+        tessera_remesh.remesh(vertices, faces, points=10)
+
+
+def test_a_misspelt_argument_is_refused(surface):
+    with pytest.raises(TypeError, match="pionts"):
+        tessera_remesh.remesh(*surface, pionts=100)
+    with pytest.raises(TypeError, match="endpoint"):
+        tessera_remesh.remesh(*surface, points=100, key="tsr_x")
+    with pytest.raises(InputError, match="is no surface"):
+        tessera_remesh.remesh("bunny.obj", points=100)
+
+
+def test_attributes_are_carried(surface):
+    vertices, faces = surface
+    attributes = Attributes(
+        scalars={"height": vertices[:, 2].copy()},
+        colours=np.tile(np.array([[200, 100, 50]], dtype=np.uint8), (len(vertices), 1)),
+        normals=vertices.copy(),
+        texture=vertices[:, :2].copy(),
+    )
+    result = tessera_remesh.remesh(vertices, faces, points=800, attributes=attributes)
+    carried = result.attributes
+    assert np.abs(carried.scalars["height"] - result.vertices[:, 2]).max() < 0.1
+    assert carried.colours.dtype == np.uint8 and (carried.colours == [200, 100, 50, 255]).all()
+    assert np.allclose(np.linalg.norm(carried.normals, axis=1), 1)
+    assert carried.texture_corners.shape == result.faces.shape
+    assert result.source_faces.shape == (len(result.vertices),) and result.source_faces.max() < len(faces)
+    assert np.allclose(result.source_barycentric.sum(axis=1), 1)
+    assert tessera_remesh.remesh(vertices, faces, points=100).attributes is None
+
+
+def test_density_moves_points(surface):
+    vertices, faces = surface
+    weights = np.where(vertices[:, 0] > 0, 256.0, 1.0)
+    result = tessera_remesh.remesh(vertices, faces, points=500, density=weights)
+    assert (result.vertices[:, 0] > 0).mean() > 0.7
+    sizes = np.where(vertices[:, 0] > 0, 0.1, 0.4)
+    result = tessera_remesh.remesh(vertices, faces, sizes=sizes)
+    assert (result.vertices[:, 0] > 0).mean() > 0.7
+
+
+def test_progress_is_heard_and_may_cancel(surface):
+    heard: list[Progress] = []
+    tessera_remesh.remesh(*surface, points=100, progress=heard.append)
+    stages = [event.stage for event in heard if event.step is None]
+    assert stages[:3] == ["prepare", "sample", "iterations"]
+    steps = [event for event in heard if event.step is not None]
+    assert steps[0].step == 1 and steps[0].steps == 35 and steps[-1].energy < steps[0].energy
+
+    def stop(event: Progress) -> None:
+        if event.step == 2:
+            raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        tessera_remesh.remesh(*surface, points=100, progress=stop)
+    tessera_remesh.remesh(*surface, points=50, progress=True)
+
+
+def test_ctrl_c_ends_it_soon():
+    vertices, faces = torus(600, 300)
+    begun = threading.Event()
+    times = []
+
+    def press() -> None:
+        begun.wait()
+        time.sleep(0.3)
+        times.append(time.monotonic())
+        _thread.interrupt_main()
+
+    thread = threading.Thread(target=press)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        tessera_remesh.remesh(vertices, faces, points=200_000, progress=lambda event: begun.set())
+    took = time.monotonic() - times[0]
+    thread.join()
+    # The bar is 200 ms on a machine that does nothing else; this one may be busy.
+    assert took < 5, took
+
+
+def test_others_run_meanwhile():
+    vertices, faces = torus(200, 100)
+    counted = 0
+    over = threading.Event()
+
+    def count() -> None:
+        nonlocal counted
+        while not over.is_set():
+            counted += 1
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=count)
+    thread.start()
+    tessera_remesh.remesh(vertices, faces, points=20_000)
+    over.set()
+    thread.join()
+    assert counted > 10, "the interpreter's lock is free while the engine works"
+
+
+def test_calls_from_several_threads(surface):
+    expected = tessera_remesh.remesh(*surface, points=200)
+    results = []
+    threads = [
+        threading.Thread(target=lambda: results.append(tessera_remesh.remesh(*surface, points=200))) for _ in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(results) == 4
+    assert all(np.array_equal(result.vertices, expected.vertices) for result in results)
+
+
+def _in_child(queue, surface) -> None:
+    queue.put(tessera_remesh.remesh(*surface, points=200).vertices)
+
+
+def test_a_forked_process_has_threads_of_its_own(surface):
+    import multiprocessing
+
+    if "fork" not in multiprocessing.get_all_start_methods():
+        pytest.skip("no fork here")
+    expected = tessera_remesh.remesh(*surface, points=200)
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+    child = context.Process(target=_in_child, args=(queue, surface))
+    child.start()
+    assert np.array_equal(queue.get(timeout=120), expected.vertices)
+    child.join(timeout=60)
+    assert child.exitcode == 0
+
+
+def test_cells_cover_the_surface(surface):
+    vertices, faces = surface
+    seeds = tessera_remesh.remesh(vertices, faces, points=50).seeds
+    cells = tessera_remesh.rvd(vertices, faces, seeds=seeds)
+    corners = vertices[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    assert np.isclose(cells.areas.sum(), area, rtol=1e-5)
+    assert cells.piece_offsets[0] == 0 and cells.piece_offsets[-1] == len(cells.piece_vertices)
+    assert set(cells.piece_faces) == set(range(len(faces)))
+    assert tessera_remesh.rvd(vertices, faces, points=10, pieces=False).piece_faces is None
+    with pytest.raises(InputError, match="seeds or points"):
+        tessera_remesh.rvd(vertices, faces)
+
+
+def test_iterations_converge(surface):
+    steps = list(tessera_remesh.cvt(*surface, points=200, lloyd=3, newton=10))
+    assert [step.kind for step in steps[:4]] == ["lloyd"] * 3 + ["lbfgs"]
+    assert steps[-1].energy < steps[0].energy and steps[-1].energy_ratio < 1.2
+    assert all(step.seeds.shape == (200, 3) for step in steps)
+    with pytest.raises(InputError):
+        next(tessera_remesh.cvt(*surface))
+
+
+def test_seeds_may_be_given(surface):
+    seeds = surface[0][::20]
+    result = tessera_remesh.remesh(*surface, seeds=seeds, lloyd=0, newton=0, placement="surface")
+    assert len(result.seeds) == len(seeds)
+
+
+def test_cancelled_is_an_error_of_the_package():
+    assert issubclass(Cancelled, tessera_remesh.TesseraError)

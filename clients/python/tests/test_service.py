@@ -1,0 +1,213 @@
+"""Promise: a server gives the same bits as this process and the command; what it refuses is told; what is cut goes on."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tessera_remesh
+from tessera_remesh import Attributes
+
+pytest.importorskip("grpc")
+
+from tessera_remesh.service import AsyncClient, Client, ConnectionLost, JobFailed, ServerError  # noqa: E402
+
+from conftest import torus  # noqa: E402
+
+
+def same(a: tessera_remesh.Remesh, b: tessera_remesh.Remesh) -> bool:
+    return np.array_equal(a.vertices, b.vertices) and np.array_equal(a.faces, b.faces) and np.array_equal(a.seeds, b.seeds)
+
+
+OPTIONS = [
+    {"points": 300},
+    {"points": 300, "seed": 7, "lloyd": 2, "newton": 3, "placement": "surface", "projection": "surface"},
+    {"points": 200, "density": "curvature", "gradation": 0.5, "adaptivity": 0.5},
+    {"edge_length": 0.4, "density": "lfs", "boundaries": "free", "thin": "even", "measure": False},
+    {"points": 200, "density": np.linspace(1, 9, 1800)},
+    {"sizes": np.linspace(0.2, 0.6, 1800)},
+    {"points": 200, "max_deviation": 1.0, "max_points": 400},
+    {"points": 300, "creases": [[0, 30], [30, 60]], "crease_angle": 0.0},
+    {"seeds": torus(10, 20)[0], "lloyd": 1, "newton": 0},
+    {"points": 200, "attributes": {"height": np.arange(1800.0)}},
+]
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=[",".join(sorted(options)) for options in OPTIONS])
+def test_the_same_bits_here_and_there(surface, endpoint, options):
+    here = tessera_remesh.remesh(*surface, backend="parallel", **options)
+    there = tessera_remesh.remesh(*surface, endpoint=endpoint, **options)
+    assert same(here, there)
+    assert here.report.raw["result"] == there.report.raw["result"]
+    if here.attributes is not None:
+        assert np.array_equal(here.attributes.scalars["height"], there.attributes.scalars["height"])
+
+
+def test_the_same_bits_by_the_command(surface, program, tmp_path: Path):
+    meshio = pytest.importorskip("meshio")
+    vertices, faces = surface
+    text = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in vertices.tolist())
+    text += "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces.tolist())
+    (tmp_path / "in.obj").write_text(text)
+    command = [program, "remesh", "in.obj", "--points", "300", "--backend", "parallel", "-o", "out.ply", "--quiet"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    written = meshio.read(tmp_path / "out.ply")
+    here = tessera_remesh.remesh(vertices, faces, points=300, backend="parallel")
+    assert np.array_equal(written.points, here.vertices)
+    assert np.array_equal(written.cells_dict["triangle"], here.faces)
+
+
+def test_all_attributes_travel(surface, endpoint):
+    vertices, faces = surface
+    attributes = Attributes(
+        normals=vertices.copy(),
+        texture=vertices[:, :2].copy(),
+        colours=np.tile(np.array([[1, 2, 3, 4]], dtype=np.uint8), (len(vertices), 1)),
+        scalars={"a": vertices[:, 0].copy(), "b": vertices[:, 1].copy()},
+    )
+    here = tessera_remesh.remesh(vertices, faces, points=200, attributes=attributes, backend="parallel").attributes
+    there = tessera_remesh.remesh(vertices, faces, points=200, attributes=attributes, endpoint=endpoint).attributes
+    for name in ("normals", "texture", "texture_corners", "colours"):
+        assert np.array_equal(getattr(here, name), getattr(there, name)), name
+    assert here.colours.dtype == there.colours.dtype == np.uint8
+    assert set(there.scalars) == {"a", "b"}
+
+
+def test_diagrams_and_steps(surface, endpoint):
+    here = tessera_remesh.rvd(*surface, points=50, backend="parallel")
+    there = tessera_remesh.rvd(*surface, points=50, endpoint=endpoint)
+    for name in ("seeds", "centroids", "areas", "energies", "masses", "piece_faces", "piece_seeds", "piece_offsets"):
+        assert np.array_equal(getattr(here, name), getattr(there, name)), name
+    assert np.allclose(here.piece_vertices, there.piece_vertices, atol=1e-12)
+    options = {"points": 100, "lloyd": 2, "newton": 2}
+    pairs = zip(
+        tessera_remesh.cvt(*surface, backend="parallel", **options),
+        tessera_remesh.cvt(*surface, endpoint=endpoint, **options),
+        strict=True,
+    )
+    for a, b in pairs:
+        assert a.energy == b.energy and np.array_equal(a.seeds, b.seeds)
+
+
+def test_refusals_are_told(surface, endpoint):
+    with pytest.raises(ServerError) as refused:
+        tessera_remesh.remesh(*surface, points=100, crease_angle=500.0, endpoint=endpoint)
+    assert refused.value.code == "INVALID_ARGUMENT" and any("crease_angle" in field for field in refused.value.fields)
+    with pytest.raises(tessera_remesh.TesseraError):
+        tessera_remesh.remesh(*surface, points=100, creases=[[0, 1700]], endpoint=endpoint)
+    with pytest.raises(ConnectionLost):
+        with Client("http://127.0.0.1:9", patience=0.5) as client:
+            client.remesh(*surface, 100)
+    for wrong in ("127.0.0.1:50051", "ftp://x", "http://", "http://127.0.0.1:1/x"):
+        with pytest.raises(tessera_remesh.InputError, match="endpoint"):
+            Client(wrong)
+    with pytest.raises(tessera_remesh.InputError, match="https"):
+        Client("http://example.org:50051", key="tsr_x")
+
+
+def test_jobs_outlive_the_connection(surface, endpoint):
+    with Client(endpoint) as client:
+        job = client.submit(*surface, 300, request_id="a")
+        assert client.submit(*surface, 300, request_id="a") == job
+        with pytest.raises(ServerError, match="ALREADY_EXISTS"):
+            client.submit(*surface, 400, request_id="a")
+    with Client(endpoint) as client:
+        result = client.result(job)
+        assert client.state(job) == "succeeded"
+        client.delete(job)
+        with pytest.raises(ServerError, match="NOT_FOUND"):
+            client.state(job)
+    assert same(result, tessera_remesh.remesh(*surface, points=300, backend="parallel"))
+
+
+def test_a_cancelled_job_is_told(endpoint):
+    with Client(endpoint) as client:
+        job = client.submit(*torus(300, 150), 100_000)
+        client.cancel(job)
+        with pytest.raises(JobFailed) as failed:
+            client.result(job)
+    assert failed.value.state == "cancelled" and failed.value.job == job
+
+
+def test_an_interrupted_call_cancels_its_job(endpoint):
+    def stop(event: tessera_remesh.Progress) -> None:
+        if event.step is not None:
+            raise KeyboardInterrupt
+
+    before = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        tessera_remesh.remesh(*torus(300, 150), points=100_000, endpoint=endpoint, progress=stop)
+    assert time.monotonic() - before < 60
+
+
+def test_asyncio(surface, endpoint):
+    async def work() -> list[tessera_remesh.Remesh]:
+        async with AsyncClient(endpoint) as client:
+            assert await client.read(await client.put(b"bytes")) == b"bytes"
+            cells = await client.rvd(*surface, points=20)
+            assert len(cells.areas) == 20
+            return await asyncio.gather(*(client.remesh(*surface, 200, seed=seed) for seed in (0, 0, 1)))
+
+    first, second, third = asyncio.run(work())
+    assert same(first, second) and not same(first, third)
+
+    async def cancelled() -> None:
+        async with AsyncClient(endpoint) as client:
+            task = asyncio.create_task(client.remesh(*torus(300, 150), 100_000))
+            await asyncio.sleep(1)
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+
+    asyncio.run(cancelled())
+
+
+def test_blobs(endpoint):
+    data = np.random.default_rng(1).bytes(3 * (1 << 20) + 17)
+    with Client(endpoint) as client:
+        digest = client.put(data)
+        assert client.put(data) == digest and client.read(digest) == data
+        assert client.read(client.put(b"")) == b""
+        with pytest.raises(ServerError, match="NOT_FOUND"):
+            client.read("0" * 64)
+
+
+def test_a_server_that_comes_back_is_waited_for(surface, program, tmp_path: Path):
+    import socket
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    arguments = [program, "serve", "--data-dir", str(tmp_path / "data"), "--listen", f"127.0.0.1:{port}", "--backend", "parallel"]
+    servers = []
+
+    def start() -> None:
+        servers.append(subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
+
+    later = threading.Timer(2, start)
+    later.start()
+    try:
+        with Client(f"http://127.0.0.1:{port}", patience=60) as client:
+            killed = False
+
+            def kill(event: tessera_remesh.Progress) -> None:
+                nonlocal killed
+                if event.step == 2 and not killed:
+                    killed = True
+                    servers[0].kill()
+                    servers[0].wait()
+                    start()
+
+            result = client.remesh(*torus(200, 100), 20_000, progress=kill)
+        assert killed
+        assert same(result, tessera_remesh.remesh(*torus(200, 100), points=20_000, backend="parallel"))
+    finally:
+        later.join()
+        for server in servers:
+            server.terminate()
+            server.wait(timeout=60)
