@@ -8,14 +8,17 @@ use glam::{DVec2, DVec3};
 use numpy::ndarray::ArrayView2;
 use numpy::{Element, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
-use tessera::TriMesh;
+use tessera::rvd::on_threads_of;
+use tessera::{Backend, TriMesh};
 
 use crate::errors::input;
 
-/// A surface from `vertices` (n, 3) and `faces` (m, 3).
-pub(crate) fn mesh(vertices: &Bound<'_, PyAny>, faces: &Bound<'_, PyAny>) -> PyResult<TriMesh> {
+/// A surface from `vertices` (n, 3) and `faces` (m, 3), made on the threads of a backend: those of a forked process's parent
+/// are not there.
+pub(crate) fn mesh(vertices: &Bound<'_, PyAny>, faces: &Bound<'_, PyAny>, backend: &dyn Backend) -> PyResult<TriMesh> {
     let (positions, facets) = (points(vertices, "vertices")?, triples(faces, "faces")?);
-    faces.py().detach(|| TriMesh::new(positions, facets)).map_err(input)
+    let made = faces.py().detach(|| on_threads_of(backend, || TriMesh::new(positions, facets)));
+    made.map_err(input)
 }
 
 /// x y z of each: (n, 3), float64 or float32.

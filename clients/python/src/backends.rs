@@ -9,6 +9,7 @@ use pyo3::types::PyDict;
 use tessera::{Backend, BackendChoice, BackendKind, BackendOptions};
 
 use crate::errors::{engine, input};
+use crate::options::Options;
 
 /// Those that are open, with what was asked for.
 static OPEN: Mutex<Vec<(u32, BackendOptions, Arc<dyn Backend>)>> = Mutex::new(Vec::new());
@@ -40,6 +41,12 @@ pub(crate) fn open(name: &str, threads: Option<usize>) -> PyResult<Arc<dyn Backe
     let backend = options.open().map_err(|error| engine(error.into()))?;
     open.push((process, options, Arc::clone(&backend)));
     Ok(backend)
+}
+
+/// The one that options ask for.
+pub(crate) fn of(py: Python<'_>, options: &Options<'_>) -> PyResult<Arc<dyn Backend>> {
+    let (name, threads) = options.backend()?;
+    py.detach(|| open(&name, threads))
 }
 
 /// backend(name, threads) -> dict

@@ -1,14 +1,15 @@
 //! Centroidal iterations of arrays, step by step.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use tessera::{CvtOptions, RvdError};
+use tessera::rvd::on_threads_of;
+use tessera::{Backend, CvtOptions, RemeshError, RvdError, Token};
 
 use crate::errors::{engine, input};
 use crate::options::Options;
-use crate::start::start;
+use crate::start::{Start, start};
 use crate::{arrays, backends, running};
 
 /// Cvt(vertices, faces, options)
@@ -18,7 +19,7 @@ use crate::{arrays, backends, running};
 pub(crate) struct Cvt {
     session: Mutex<tessera::Cvt>,
     /// Threads of the backend do all of the work.
-    backend: std::sync::Arc<dyn tessera::Backend>,
+    backend: Arc<dyn Backend>,
 }
 
 #[pymethods]
@@ -30,21 +31,18 @@ impl Cvt {
         faces: &Bound<'_, PyAny>,
         options: &Bound<'_, PyDict>,
     ) -> PyResult<Self> {
-        let mesh = arrays::mesh(vertices, faces)?;
         let given = Options::new(options);
-        let (name, threads) = given.backend()?;
+        let backend = backends::of(py, &given)?;
+        let mesh = arrays::mesh(vertices, faces, backend.as_ref())?;
         let (seeds, density, projection) = (given.seeds()?, given.density()?, given.projection()?);
         given.end()?;
-        running::run(py, None, |_, token| {
-            let backend = backends::open(&name, threads)?;
-            let session = tessera::rvd::on_threads_of(backend.as_ref(), || {
-                let started = start(&mesh, &density, seeds, true, token)?;
-                let options = CvtOptions::new().with_projection(projection);
-                tessera::Cvt::new(backend.as_ref(), started.surface, &started.seeds, options)
-                    .map_err(|error| engine(error.into()))
-            })?;
-            Ok(Self { session: Mutex::new(session), backend })
-        })?
+        let open = |token: &Token| -> Result<tessera::Cvt, RemeshError> {
+            let Start { surface, seeds } = start(&mesh, &density, seeds, true, token)?;
+            let options = CvtOptions::new().with_projection(projection);
+            Ok(tessera::Cvt::new(backend.as_ref(), surface, &seeds, options)?)
+        };
+        let session = running::run(py, None, |_, token| on_threads_of(backend.as_ref(), || open(token)))?;
+        Ok(Self { session: Mutex::new(session.map_err(engine)?), backend })
     }
 
     /// step(kind) -> dict: takes a step, "lloyd" or "newton". Energies are those before it.
@@ -55,7 +53,7 @@ impl Cvt {
             other => return Err(input(format!("step {other:?} is neither lloyd nor newton"))),
         };
         let (step, seeds, converged) = running::run(py, None, |_, token| {
-            tessera::rvd::on_threads_of(self.backend.as_ref(), || {
+            on_threads_of(self.backend.as_ref(), || {
                 let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);
                 let mut of = || {
                     let step = if newton { session.lbfgs(token)? } else { session.lloyd(token)? };

@@ -96,8 +96,8 @@ impl<'py> Options<'py> {
             (None | Some(0), None, None) => DensitySource::Uniform,
             (Some(1), None, None) => DensitySource::Curvature,
             (Some(_), None, None) => DensitySource::FeatureSize,
-            (None, Some(sizes), None) => DensitySource::Sizes(sizes),
-            (None, None, Some(weights)) => DensitySource::Weights(weights),
+            (None | Some(0), Some(sizes), None) => DensitySource::Sizes(sizes),
+            (None | Some(0), None, Some(weights)) => DensitySource::Weights(weights),
             _ => return Err(input("density, sizes and weights exclude each other; give one of them")),
         };
         let mut density = DensityOptions::from_source(source);

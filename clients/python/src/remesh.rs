@@ -4,6 +4,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use tessera::Remesh;
 use tessera::mesh::attributes::{Attributes, ColourDepth, Normals};
+use tessera::rvd::on_threads_of;
 
 use crate::options::Options;
 use crate::{arrays, backends, errors, running};
@@ -20,17 +21,15 @@ pub(crate) fn remesh<'py>(
     options: &Bound<'py, PyDict>,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let mesh = arrays::mesh(vertices, faces)?;
     let given = Options::new(options);
-    let (name, threads) = given.backend()?;
+    let backend = backends::of(py, &given)?;
+    let mesh = arrays::mesh(vertices, faces, backend.as_ref())?;
     let options = given.remesh(&mesh)?;
     given.end()?;
     let done = running::run(py, progress, |events, token| {
-        let backend = backends::open(&name, threads)?;
-        tessera::rvd::on_threads_of(backend.as_ref(), || {
-            tessera::remesh(&mesh, &options, backend.as_ref(), events, token).map_err(errors::engine)
-        })
-    })??;
+        on_threads_of(backend.as_ref(), || tessera::remesh(&mesh, &options, backend.as_ref(), events, token))
+    })?;
+    let done = done.map_err(errors::engine)?;
     result(py, done)
 }
 

@@ -2,11 +2,12 @@
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use tessera::Diagram;
+use tessera::rvd::on_threads_of;
+use tessera::{Diagram, RemeshError, Token};
 
 use crate::errors::engine;
 use crate::options::Options;
-use crate::start::start;
+use crate::start::{Start, start};
 use crate::{arrays, backends, running};
 
 /// rvd(vertices, faces, options) -> dict
@@ -19,26 +20,22 @@ pub(crate) fn rvd<'py>(
     faces: &Bound<'py, PyAny>,
     options: &Bound<'py, PyDict>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let mesh = arrays::mesh(vertices, faces)?;
     let given = Options::new(options);
-    let (name, threads) = given.backend()?;
+    let backend = backends::of(py, &given)?;
+    let mesh = arrays::mesh(vertices, faces, backend.as_ref())?;
     let (seeds, density) = (given.seeds()?, given.density()?);
     let wants_pieces: bool = given.get("pieces", "True or False")?.unwrap_or(true);
     given.end()?;
-    let (seeds, cells, pieces) = running::run(py, None, |_, token| {
-        let backend = backends::open(&name, threads)?;
-        let started = start(&mesh, &density, seeds, false, token)?;
-        let facets = started.surface.facets().len() as u32;
-        tessera::rvd::on_threads_of(backend.as_ref(), || {
-            let of = || {
-                let mut diagram = Diagram::on(started.surface, &started.seeds, backend.as_ref())?;
-                let cells = diagram.cells(token)?;
-                let pieces = if wants_pieces { Some(diagram.pieces(0..facets, token)?) } else { None };
-                Ok::<_, tessera::RvdError>((cells, pieces))
-            };
-            of().map(|(cells, pieces)| (started.seeds.clone(), cells, pieces)).map_err(|error| engine(error.into()))
-        })
-    })??;
+    let work = |token: &Token| -> Result<_, RemeshError> {
+        let Start { surface, seeds } = start(&mesh, &density, seeds, false, token)?;
+        let facets = surface.facets().len() as u32;
+        let mut diagram = Diagram::on(surface, &seeds, backend.as_ref())?;
+        let cells = diagram.cells(token)?;
+        let pieces = if wants_pieces { Some(diagram.pieces(0..facets, token)?) } else { None };
+        Ok((seeds, cells, pieces))
+    };
+    let done = running::run(py, None, |_, token| on_threads_of(backend.as_ref(), || work(token)))?;
+    let (seeds, cells, pieces) = done.map_err(engine)?;
     let dict = PyDict::new(py);
     dict.set_item("seeds", arrays::of_points(py, seeds)?)?;
     dict.set_item("centroids", arrays::of_points(py, cells.centroids)?)?;

@@ -3,13 +3,10 @@
 use std::sync::Arc;
 
 use glam::DVec3;
-use pyo3::prelude::*;
 use tessera::internals::cvt::plan;
 use tessera::mesh::sample::sample;
 use tessera::rvd::Surface;
 use tessera::{DensityOptions, RemeshError, Seeds, Token, TriMesh};
-
-use crate::errors::engine;
 
 /// For a session.
 pub(crate) struct Start {
@@ -27,20 +24,17 @@ pub(crate) fn start(
     seeds: Seeds,
     steps: bool,
     token: &Token,
-) -> PyResult<Start> {
-    let of = || -> Result<Start, RemeshError> {
-        let plan = plan(mesh, density, seeds.count(), token)?;
-        let seeds = match seeds {
-            Seeds::Sample { seed, .. } | Seeds::Implied { seed } => {
-                let points = sample(&plan.mesh, plan.weights.as_deref(), plan.points, seed);
-                points.into_iter().map(|point| point.position).collect()
-            }
-            Seeds::Given(seeds) => seeds,
-            _ => Vec::new(),
-        };
-        let plan = if steps { plan.divided(token)? } else { plan };
-        let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
-        Ok(Start { surface, seeds })
+) -> Result<Start, RemeshError> {
+    let plan = plan(mesh, density, seeds.count(), token)?;
+    let seeds = match seeds {
+        Seeds::Sample { seed, .. } | Seeds::Implied { seed } => {
+            let points = sample(&plan.mesh, plan.weights.as_deref(), plan.points, seed);
+            points.into_iter().map(|point| point.position).collect()
+        }
+        Seeds::Given(seeds) => seeds,
+        _ => Vec::new(),
     };
-    of().map_err(engine)
+    let plan = if steps { plan.divided(token)? } else { plan };
+    let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+    Ok(Start { surface, seeds })
 }

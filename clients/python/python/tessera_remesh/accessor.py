@@ -18,11 +18,11 @@ class TesseraAccessor:
     def __init__(self, mesh: pyvista.DataSet) -> None:
         self._mesh = mesh
 
-    def remesh(self, points: int | None = None, **options: Any) -> pyvista.PolyData:
-        """A remesh; the options are those of `tessera_remesh.remesh`."""
+    def remesh(self, points: int | None = None, **options: Any) -> Any:
+        """A remesh, a `pyvista.PolyData`; the options are those of `tessera_remesh.remesh`."""
         return remesh(self._mesh, points=points, **options).to_pyvista()
 
-    def rvd(self, **options: Any) -> pyvista.PolyData:
+    def rvd(self, **options: Any) -> Any:
         """The pieces of a restricted Voronoi diagram, with the cell array `seed`; options as of `tessera_remesh.rvd`."""
         return rvd(self._mesh, **options).to_pyvista()
 

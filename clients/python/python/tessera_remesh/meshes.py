@@ -144,7 +144,7 @@ def _from_pyvista(mesh: Any, pyvista: Any) -> Surface | None:
     if not isinstance(mesh, pyvista.DataSet):
         return None
     if not isinstance(mesh, pyvista.PolyData):
-        mesh = mesh.extract_surface()
+        mesh = mesh.extract_surface(algorithm="dataset_surface")
     if not mesh.is_all_triangles:
         mesh = mesh.triangulate()
     attributes = Attributes()
@@ -164,8 +164,8 @@ def _from_pyvista(mesh: Any, pyvista: Any) -> Surface | None:
 def _from_meshio(mesh: Any, meshio: Any) -> Surface | None:
     if not isinstance(mesh, meshio.Mesh):
         return None
-    faces = [_split(block.type, np.asarray(block.data)) for block in mesh.cells]
-    faces = [block for block in faces if block is not None]
+    split = (_split(block.type, np.asarray(block.data)) for block in mesh.cells)
+    faces = [block for block in split if block is not None]
     if not faces:
         kinds = ", ".join(sorted({block.type for block in mesh.cells})) or "nothing"
         raise InputError(f"the meshio mesh has no triangles and no quadrilaterals, but {kinds}")

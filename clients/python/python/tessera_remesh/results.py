@@ -178,12 +178,13 @@ class Rvd:
         """The pieces as a `pyvista.PolyData` of polygons, with the cell arrays `seed` and `face`."""
         import pyvista
 
-        if self.piece_offsets is None or self.piece_vertices is None:
+        if self.piece_offsets is None or self.piece_vertices is None or self.piece_seeds is None:
             raise ValueError("the diagram was computed without its pieces; ask with pieces=True")
         sizes = np.diff(self.piece_offsets)
         faces = np.insert(np.arange(len(self.piece_vertices)), self.piece_offsets[:-1], sizes)
         mesh = pyvista.PolyData(self.piece_vertices, faces=faces)
-        mesh.cell_data["seed"], mesh.cell_data["face"] = self.piece_seeds, self.piece_faces
+        mesh.cell_data["seed"] = self.piece_seeds
+        mesh.cell_data["face"] = np.asarray(self.piece_faces)
         return mesh
 
 

@@ -21,7 +21,8 @@ from ..meshes import Attributes, Surface
 from ..progress import Engine, ProgressLike, listener
 from ..results import CvtStep, Remesh, Rvd
 from . import flows
-from .errors import ServerError, server_error
+from ._stubs import job_pb2
+from .errors import JobFailed, ServerError, server_error
 from .session import steps
 
 #: Bytes of a message; the server's own are 4 MiB at most.
@@ -167,7 +168,7 @@ class Client:
         """A flow that has a job; the job is cancelled if the flow is left."""
         try:
             return self._run(flow)
-        except flows.JobFailed:
+        except JobFailed:
             raise
         except BaseException:
             self._leave(started)
@@ -298,7 +299,7 @@ class AsyncClient:
     async def _job(self, flow: flows.Flow, started: list[str]) -> Any:
         try:
             return await self._run(flow)
-        except flows.JobFailed:
+        except JobFailed:
             raise
         except BaseException:
             for job in started:
@@ -373,7 +374,7 @@ def _remesh_arguments(
 
 
 def _state(job: Any) -> str:
-    return str(flows.job_pb2.JobState.Name(job.state)).removeprefix("JOB_STATE_").lower()
+    return str(job_pb2.JobState.Name(job.state)).removeprefix("JOB_STATE_").lower()
 
 
 def _fetch(job: str, listen: Engine | None, patience: float) -> flows.Flow:

@@ -255,7 +255,7 @@ def _mesh(surface: Surface, carried: Attributes | None, patience: float) -> Flow
     if carried is not None:
         given = carried._to_engine()
 
-        def add(kind: int, name: str, values: Any, corners: Any) -> None:
+        def add(kind: Any, name: str, values: Any, corners: Any) -> None:
             arrays.attributes.append(job_pb2.AttributeArrays(kind=kind, name=name, values=values, corners=corners))
 
         if given["normals"] is not None:
@@ -303,12 +303,12 @@ def _density(options: dict[str, Any], patience: float) -> Flow:
     return density
 
 
-def _word(enum: Any, prefix: str, name: str, word: str, words: dict[str, str]) -> int:
+def _word(enum: Any, prefix: str, name: str, word: str, words: dict[str, str]) -> Any:
     from .._engine import InputError
 
     if word not in words:
         raise InputError(f"{name} is {word!r}; it is one of {', '.join(words)}")
-    return int(enum.Value(prefix + words[word]))
+    return enum.Value(prefix + words[word])
 
 
 WORDS = {
@@ -440,7 +440,8 @@ def _cells(data: bytes) -> dict[str, Any]:
     header, _, body = data.partition(b"end_header\n")
     lines = [line.split() for line in header.decode("ascii").splitlines()]
     counts = {line[1]: int(line[2]) for line in lines if line and line[0] == "element"}
-    element, names = "", {}
+    element = ""
+    names: dict[str, list[list[str]]] = {}
     for line in lines:
         if line[0] == "element":
             element = line[1]

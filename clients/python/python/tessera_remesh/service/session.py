@@ -18,7 +18,7 @@ from .flows import PIECE_BYTES, _choose, _word
 _END = object()
 
 
-def _arrays(surface: Surface, options: dict[str, Any]) -> Iterator[tuple[int, Any]]:
+def _arrays(surface: Surface, options: dict[str, Any]) -> Iterator[tuple[Any, Any]]:
     yield remesh_pb2.ARRAY_KIND_POSITIONS, np.ascontiguousarray(surface.vertices, dtype="<f8")
     yield remesh_pb2.ARRAY_KIND_FACETS, np.ascontiguousarray(surface.faces, dtype="<u4")
     for name, kind in (
