@@ -283,7 +283,7 @@ impl Cvt {
                 let place = self.curves.len();
                 self.seeds.swap(place, seed as usize);
                 self.held.swap(place, seed as usize);
-                self.seeds[place] = self.curves.split(segment, curves::BETWEEN / 2);
+                self.seeds[place] = self.curves.split(segment, curves::INNER_POINTS / 2);
                 self.held[place] = true;
             }
             adopted += intruders.len();

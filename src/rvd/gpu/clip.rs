@@ -47,8 +47,8 @@ pub(super) struct PassResult {
     pub divided: bool,
     /// Whether cells entered facets of their own, so that the pieces are to be proved.
     pub by_cell: bool,
-    /// What the device itself gives pairs that lack it.
-    pub mends: Lacked,
+    /// What the device gives pairs that lack it, without the host.
+    pub device_retries: Lacked,
 }
 
 /// What pairs did not end for.
@@ -218,7 +218,7 @@ impl Clip {
         self.pass.divided = self.divides && wants == Wants::Sums && !rows.are_of_host();
         // Rows that are longer already may not be made again, and a list of which pieces are made has no pair twice.
         if wants == Wants::Sums && rows == Rows::Missing {
-            self.pass.mends = self.lacked;
+            self.pass.device_retries = self.lacked;
         }
     }
 
@@ -324,20 +324,20 @@ impl Clip {
             compute.dispatch_workgroups_indirect(&there.buffers.arguments, 0);
         };
         let begins = launch.candidates.is_some_and(|p| p.enqueue_root != 0);
-        let mends = if begins { self.pass.mends } else { Lacked::default() };
+        let device_retries = if begins { self.pass.device_retries } else { Lacked::default() };
         let step = |compute: &mut wgpu::ComputePass<'_>| {
             taken(compute, &pipelines.indirect_arguments, &there.bindings.indirect_arguments, clip, bindings);
-            if mends.neighbours {
+            if device_retries.neighbours {
                 compute.set_pipeline(&pipelines.lengthen);
                 compute.set_bind_group(0, &there.bindings.lengthen, &[]);
                 compute.dispatch_workgroups_indirect(&there.buffers.arguments, ARGUMENTS_BYTES);
             }
         };
         // What failed in one step is seen by the next, and comes again in the one after.
-        let steps = launch.steps + u32::from(mends.neighbours);
+        let steps = launch.steps + u32::from(device_retries.neighbours);
         (0..steps).for_each(|_| step(compute));
         // With fewer slots allowed than there are, the host allows more first.
-        if mends.slots && self.first_polygon as usize == SLOTS {
+        if device_retries.slots && self.first_polygon as usize == SLOTS {
             let (large, bindings) = (&pipelines.clip_large, &window.clip_large);
             taken(compute, &pipelines.overflow, &there.bindings.overflow, large, bindings);
             (0..STEPS_AGAIN).for_each(|_| step(compute));

@@ -165,14 +165,14 @@ fn set_lists<S: Simd>(given: &mut Given, group: &[u32], listed: Listed<'_>, n: u
 }
 
 /// Lists without those that others beat whatever way they move.
-pub(crate) struct Thin<'a> {
+pub(crate) struct Prune<'a> {
     pub chooser: &'a mut Chooser,
     pub listed: Listed<'a>,
     pub skin: Skin<'a>,
     pub out: &'a mut Lists,
 }
 
-impl WithSimd for Thin<'_> {
+impl WithSimd for Prune<'_> {
     type Output = ();
 
     #[inline(always)]
