@@ -24,6 +24,7 @@ use glam::DVec3;
 
 use super::attributes::AttributeError;
 use super::{MeshError, TriMesh};
+use held::{Held, Raw};
 use polygons::Fan;
 
 pub use attributed::{
@@ -210,8 +211,7 @@ pub fn write(path: &Path, mesh: &TriMesh) -> Result<(), FileError> {
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
-    let Soup { positions, mut facets, fans, .. } = decode_soup(format, without_mark(bytes))?;
-    polygons::recut(&positions, &facets, &fans).iter().for_each(|cut| cut.apply(&mut facets));
+    let Soup { positions, facets, .. } = decode_soup(format, bytes, false)?;
     Ok(TriMesh::new(positions, facets)?)
 }
 
@@ -230,17 +230,22 @@ pub fn counts(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
     .filter(|&(vertices, facets)| vertices > 0 && facets > 0)
 }
 
-/// What the format's reader finds.
-fn decode_soup(format: Format, bytes: &[u8]) -> Result<Soup, DataError> {
+/// What the format's reader finds, its polygons cut; what the surface carries only if it is `wanted`.
+fn decode_soup(format: Format, bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+    let bytes = without_mark(bytes);
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Err(DataError::Empty);
     }
-    match format {
-        Format::Obj => obj::decode(bytes),
-        Format::Ply => ply::decode(bytes),
+    let mut soup = match format {
+        Format::Obj => obj::decode(bytes, wanted),
+        Format::Ply => ply::decode(bytes, wanted),
         Format::Stl => stl::decode(bytes),
-        Format::Off => off::decode(bytes),
-    }
+        Format::Off => off::decode(bytes, wanted),
+    }?;
+    let cuts = polygons::recut(&soup.positions, &soup.facets, &soup.fans);
+    cuts.iter().for_each(|cut| cut.apply(&mut soup.facets));
+    soup.raw.recut(&cuts);
+    Ok(soup)
 }
 
 /// Without the byte order mark that some editors put before text. It would hide the first word.
@@ -253,11 +258,15 @@ fn without_mark(bytes: &[u8]) -> &[u8] {
 /// # Errors
 /// [`DataError::SinglePrecision`] and [`DataError::Collapsed`] for STL.
 pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
+    encode_held(format, mesh, &Held::default())
+}
+
+fn encode_held(format: Format, mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     match format {
-        Format::Obj => Ok(obj::encode(mesh)),
-        Format::Ply => Ok(ply::encode(mesh)),
+        Format::Obj => Ok(obj::encode(mesh, held)),
+        Format::Ply => Ok(ply::encode(mesh, held)),
         Format::Stl => stl::encode(mesh),
-        Format::Off => Ok(off::encode(mesh)),
+        Format::Off => Ok(off::encode(mesh, held)),
     }
 }
 
@@ -268,8 +277,8 @@ struct Soup {
     facets: Vec<[u32; 3]>,
     /// Which of them are polygons' with more than three corners, all of them fans.
     fans: Vec<Fan>,
-    /// Whether it was seen that the file has no attributes; false where nobody looked.
-    bare: bool,
+    /// What it carries, not yet checked.
+    raw: Raw,
 }
 
 impl Soup {

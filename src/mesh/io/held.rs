@@ -25,6 +25,12 @@ impl Raw {
         self.unreadable.push(AttributeError::Unreadable { attribute: attribute.to_owned(), message });
     }
 
+    pub(super) fn is_unreadable(&self, attribute: &str) -> bool {
+        let is_it =
+            |error: &AttributeError| matches!(error, AttributeError::Unreadable { attribute: a, .. } if a == attribute);
+        self.unreadable.iter().any(is_it)
+    }
+
     /// Cuts what corners have as the surface's polygons are.
     pub(super) fn recut(&mut self, cuts: &[polygons::Cut]) {
         let corners = [

@@ -1,0 +1,208 @@
+//! OBJ statements as nearly all files have them: one a line, vertices of three numbers with or without a colour, indices that
+//! count from 1.
+//!
+//! Purpose: reads a file of such statements in place, in pieces on all threads. The crate needs a cleaned copy of it, a string
+//! for each line, a list for each face and a hash map of the vertices, and takes twice as long on one thread.
+//! Invariant: gives what [`super::dialects`] gives, to the bit, or nothing; what is wrong with a file is said there.
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use super::{Corner, NONE, Statements, WHITE};
+
+/// About so many bytes are one task.
+const PIECE: usize = 1 << 19;
+
+/// The statements, if all that matter are as the head of this file says. What a surface carries is read if it is `wanted`.
+pub(super) fn read(bytes: &[u8], wanted: bool) -> Option<Statements> {
+    let parts = pieces(bytes).into_par_iter().map(|text| Part::read(text, wanted));
+    let parts: Vec<Statements> = parts.collect::<Option<_>>()?;
+    let mut all = Statements::default();
+    all.positions.reserve_exact(parts.iter().map(|part| part.positions.len()).sum());
+    all.facets.reserve_exact(parts.iter().map(|part| part.facets.len()).sum());
+    for part in parts {
+        let begin = u32::try_from(all.facets.len()).ok()?;
+        append(&mut all.colours, part.colours, all.vertices, WHITE);
+        append(&mut all.texture_corners, part.texture_corners, all.facets.len(), [NONE; 3]);
+        append(&mut all.normal_corners, part.normal_corners, all.facets.len(), [NONE; 3]);
+        all.fans.extend(part.fans.iter().map(|&(first, count)| (begin + first, count)));
+        all.positions.extend(part.positions);
+        all.facets.extend(part.facets);
+        all.texture.extend(part.texture);
+        all.normals.extend(part.normals);
+        all.vertices += part.vertices;
+    }
+    let named = u32::try_from(all.vertices).ok()?;
+    let is_whole = !all.facets.is_empty() && all.facets.par_iter().all(|facet| facet.iter().all(|&v| v < named));
+    is_whole.then_some(all)
+}
+
+/// Appends a part's list to one that has as many as there were before it, or stops earlier.
+fn append<T: Copy>(all: &mut Vec<T>, part: Vec<T>, before: usize, fill: T) {
+    if !part.is_empty() {
+        all.resize(before, fill);
+        all.extend(part);
+    }
+}
+
+/// Whole lines, about [`PIECE`] bytes of them at a time.
+fn pieces(bytes: &[u8]) -> Vec<&[u8]> {
+    let mut pieces = Vec::with_capacity(bytes.len() / PIECE + 1);
+    let mut rest = bytes;
+    while rest.len() > PIECE {
+        let end = rest[PIECE..].iter().position(|&b| b == b'\n').map_or(rest.len(), |n| PIECE + n + 1);
+        let (piece, after) = rest.split_at(end);
+        pieces.push(piece);
+        rest = after;
+    }
+    pieces.push(rest);
+    pieces
+}
+
+/// A reader of some lines. Every method gives nothing where a statement is another's to read.
+struct Part<'a> {
+    words: Words<'a>,
+    wanted: bool,
+    corners: Vec<Corner>,
+    found: Statements,
+}
+
+impl<'a> Part<'a> {
+    fn read(text: &'a [u8], wanted: bool) -> Option<Statements> {
+        let words = Words { rest: text, last: b' ' };
+        let mut part = Part { words, wanted, corners: Vec::new(), found: Statements::default() };
+        while !part.words.rest.is_empty() {
+            match part.words.next() {
+                Some(b"v") => part.vertex()?,
+                Some(b"f") => part.face()?,
+                Some(b"vt") if wanted => part.texture()?,
+                Some(b"vn") if wanted => part.normal()?,
+                _ => {}
+            }
+            part.words.end_line()?;
+        }
+        Some(part.found)
+    }
+
+    fn vertex(&mut self) -> Option<()> {
+        let position = DVec3::new(self.words.number()?, self.words.number()?, self.words.number()?);
+        if let Some(red) = self.words.value()? {
+            // A colour. Four numbers are a point over its last coordinate; other counts are unclear.
+            let colour = [red, self.words.value()??, self.words.value()??, 1.0];
+            if self.words.value()?.is_some() {
+                return None;
+            }
+            if self.wanted {
+                self.found.push_colour(colour);
+            }
+        }
+        self.found.positions.push(position);
+        self.found.vertices += 1;
+        position.is_finite().then_some(())
+    }
+
+    fn texture(&mut self) -> Option<()> {
+        let u = self.words.number()?;
+        let v = self.words.value()?.unwrap_or(0.0);
+        self.found.texture.push(DVec2::new(u, v));
+        Some(())
+    }
+
+    fn normal(&mut self) -> Option<()> {
+        let normal = DVec3::new(self.words.number()?, self.words.number()?, self.words.number()?);
+        self.found.normals.push(normal);
+        Some(())
+    }
+
+    fn face(&mut self) -> Option<()> {
+        self.corners.clear();
+        while let Some(word) = self.words.next().filter(|word| word[0] != b'#') {
+            self.corners.push(corner(word, self.wanted)?);
+        }
+        if self.corners.len() < 3 {
+            return None;
+        }
+        self.found.push_face(&self.corners);
+        Some(())
+    }
+}
+
+/// `v`, `v/vt`, `v//vn` or `v/vt/vn`.
+fn corner(word: &[u8], wanted: bool) -> Option<Corner> {
+    let (vertex, rest) = index(word)?;
+    let mut corner = Corner { vertex, texture: NONE, normal: NONE };
+    let Some((_, rest)) = rest.split_first() else { return Some(corner) };
+    if !wanted {
+        return (!rest.contains(&b'\\')).then_some(corner);
+    }
+    let mut parts = rest.split(|&b| b == b'/');
+    for slot in [&mut corner.texture, &mut corner.normal] {
+        if let Some(part) = parts.next().filter(|part| !part.is_empty()) {
+            let (index, rest) = index(part)?;
+            *slot = index;
+            if !rest.is_empty() {
+                return None;
+            }
+        }
+    }
+    parts.all(|part| !part.contains(&b'\\')).then_some(corner)
+}
+
+/// An index from 1, up to a slash, as one from 0.
+fn index(word: &[u8]) -> Option<(u32, &[u8])> {
+    let mut index = 0u32;
+    let mut end = word.len();
+    for (at, &byte) in word.iter().enumerate() {
+        match byte {
+            b'0'..=b'9' => index = index.checked_mul(10)?.checked_add(u32::from(byte - b'0'))?,
+            b'/' => {
+                end = at;
+                break;
+            }
+            _ => return None,
+        }
+    }
+    Some((index.checked_sub(1)?, &word[end..]))
+}
+
+/// Words of a line, then of the next.
+struct Words<'a> {
+    rest: &'a [u8],
+    /// The last byte of the line's last word so far.
+    last: u8,
+}
+
+impl<'a> Words<'a> {
+    /// Nothing at the line's end.
+    fn next(&mut self) -> Option<&'a [u8]> {
+        let start = self.rest.iter().position(|&b| b == b'\n' || !b.is_ascii_whitespace()).unwrap_or(self.rest.len());
+        let rest = &self.rest[start..];
+        let (word, after) = rest.split_at(rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len()));
+        self.rest = after;
+        self.last = *word.last()?;
+        Some(word)
+    }
+
+    /// A number that has to be there.
+    fn number(&mut self) -> Option<f64> {
+        super::dialects::number(self.next()?)
+    }
+
+    /// A number, or `None` at the end of the line or before a comment.
+    #[expect(clippy::option_option, reason = "nothing at all is a word that is no number")]
+    fn value(&mut self) -> Option<Option<f64>> {
+        match self.next().filter(|word| word[0] != b'#') {
+            Some(word) => super::dialects::number(word).map(Some),
+            None => Some(None),
+        }
+    }
+
+    /// Goes to the next line; nothing if this one is continued there.
+    fn end_line(&mut self) -> Option<()> {
+        let end = self.rest.iter().position(|&b| b == b'\n').unwrap_or(self.rest.len());
+        let (line, rest) = self.rest.split_at(end);
+        let last = *line.trim_ascii_end().last().unwrap_or(&self.last);
+        (self.rest, self.last) = (rest.get(1..).unwrap_or_default(), b' ');
+        (last != b'\\').then_some(())
+    }
+}
