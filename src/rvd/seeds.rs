@@ -19,7 +19,7 @@ pub(crate) fn check_seeds(seeds: &[DVec3], limit: usize) -> Result<(), RvdError>
 }
 
 /// What every session checks of one seed.
-fn check_seed(seed: usize, p: DVec3) -> Result<(), RvdError> {
+pub(super) fn check_seed(seed: usize, p: DVec3) -> Result<(), RvdError> {
     if !p.is_finite() {
         return Err(RvdError::NonFiniteSeed { seed });
     }

@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use super::held::Held;
-use super::{DataError, FileError, Format, Soup, decode_soup, encode_held};
+use super::{DataError, FileError, Format, Soup, decode_soup};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes};
 
@@ -86,7 +86,7 @@ pub fn encode_with_attributes(
     attributes: &Attributes,
 ) -> Result<(Vec<u8>, Vec<String>), DataError> {
     attributes.check_mesh(mesh)?;
-    let held = Held::of(format, mesh, attributes);
-    let bytes = encode_held(format, mesh, &held)?;
+    let held = Held::of(&format.codec().holds, mesh, attributes);
+    let bytes = (format.codec().encode)(mesh, &held)?;
     Ok((bytes, held.left_out))
 }

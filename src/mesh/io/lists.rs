@@ -7,7 +7,7 @@
 
 use glam::DVec3;
 
-use super::{DataError, Format, obj, without_mark};
+use super::{DataError, Format, VertexNumbers, without_mark};
 use crate::mesh::TriMesh;
 
 /// The lines that say something, numbered from 1.
@@ -57,17 +57,28 @@ pub(crate) struct FileVertices {
 }
 
 impl FileVertices {
+    /// Whether the vertices of such a file have numbers.
+    #[cfg(feature = "cli")]
+    pub(crate) fn are_numbered(format: Format) -> bool {
+        !matches!(format.codec().vertices, VertexNumbers::Absent)
+    }
+
+    /// Whether [`Self::of`] reads the bytes of such a file.
+    #[cfg(feature = "cli")]
+    pub(crate) fn needs_bytes(format: Format) -> bool {
+        matches!(format.codec().vertices, VertexNumbers::Reordered(_))
+    }
+
     /// Those of `mesh`, which was read from these bytes.
     ///
     /// # Errors
     /// `List` if they cannot be told.
     pub(crate) fn of(format: Format, bytes: &[u8], mesh: &TriMesh) -> Result<Self, DataError> {
-        match format {
-            Format::Ply | Format::Off => return Ok(Self::of_arrays(mesh)),
-            Format::Stl => return Err(DataError::List(NO_NUMBERS.to_owned())),
-            Format::Obj => {}
-        }
-        let (count, order) = obj::vertex_order(without_mark(bytes))?;
+        let (count, order) = match format.codec().vertices {
+            VertexNumbers::Kept => return Ok(Self::of_arrays(mesh)),
+            VertexNumbers::Absent => return Err(DataError::List(NO_NUMBERS.to_owned())),
+            VertexNumbers::Reordered(order) => order(without_mark(bytes))?,
+        };
         if order.len() != mesh.positions().len() {
             let text = "cannot tell which vertex of the surface is which of the file; convert it to .ply";
             return Err(DataError::List(text.to_owned()));

@@ -14,11 +14,21 @@ use std::fmt::Write as _;
 
 use glam::{DVec2, DVec3};
 
-use super::held::{Held, Raw};
+use super::held::{By, Held, Holds, Raw};
 use super::polygons::Fan;
-use super::{DataError, Soup};
+use super::{Codec, DataError, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
+
+/// See [`Codec`].
+pub(super) const CODEC: Codec = Codec {
+    extension: "obj",
+    decode,
+    encode,
+    counts,
+    holds: Holds { normals: By::Corner, texture: By::Corner, colours: true, opacity: false, scalars: false },
+    vertices: VertexNumbers::Reordered(vertex_order),
+};
 
 /// An index that names nothing.
 const NONE: u32 = u32::MAX;
@@ -28,7 +38,7 @@ const TEXTURE: &str = "texture coordinates";
 const COLOURS: &str = "colours";
 
 /// Reads a surface; what it carries only if it is `wanted`.
-pub(super) fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     match common::read(bytes, wanted) {
         Some(statements) => Ok(statements.surface()),
         None => dialects::decode(bytes, wanted),
@@ -36,8 +46,7 @@ pub(super) fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
 }
 
 /// How many vertices a file has, and which of them each vertex of its surface is.
-#[cfg(feature = "service")]
-pub(super) fn vertex_order(bytes: &[u8]) -> Result<(usize, Vec<u32>), DataError> {
+fn vertex_order(bytes: &[u8]) -> Result<(usize, Vec<u32>), DataError> {
     let mut statements = match common::read(bytes, false) {
         Some(statements) => statements,
         None => dialects::read(bytes, false)?.0,
@@ -46,7 +55,7 @@ pub(super) fn vertex_order(bytes: &[u8]) -> Result<(usize, Vec<u32>), DataError>
 }
 
 /// Vertices, used or not, and facets.
-pub(super) fn counts(bytes: &[u8]) -> (u64, u64) {
+fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
     let (mut vertices, mut facets) = (0, 0);
     for (_, statement) in dialects::statements(bytes) {
         let mut words = dialects::Words(statement);
@@ -56,7 +65,7 @@ pub(super) fn counts(bytes: &[u8]) -> (u64, u64) {
             _ => {}
         }
     }
-    (vertices, facets)
+    Some((vertices, facets))
 }
 
 /// What the statements of a file say. Indices are from 0 and count over the whole file.
@@ -189,7 +198,7 @@ fn depth(values: &[[f64; 4]]) -> ColourDepth {
     if between { ColourDepth::Eight } else { ColourDepth::Float }
 }
 
-pub(super) fn encode(mesh: &TriMesh, held: &Held<'_>) -> Vec<u8> {
+fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let mut text = String::with_capacity(128 * mesh.positions().len() + 32 * mesh.facets().len());
     for (vertex, p) in mesh.positions().iter().enumerate() {
         let _ = write!(text, "v {:?} {:?} {:?}", p.x, p.y, p.z);
@@ -223,5 +232,5 @@ pub(super) fn encode(mesh: &TriMesh, held: &Held<'_>) -> Vec<u8> {
         }
         text.push('\n');
     }
-    text.into_bytes()
+    Ok(text.into_bytes())
 }

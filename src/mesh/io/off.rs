@@ -9,13 +9,23 @@ use std::fmt::Write as _;
 
 use glam::{DVec2, DVec3};
 
-use super::held::{Held, Raw, eight_bit};
-use super::{DataError, Soup};
+use super::held::{By, Held, Holds, Raw, eight_bit};
+use super::{Codec, DataError, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
+/// See [`Codec`].
+pub(super) const CODEC: Codec = Codec {
+    extension: "off",
+    decode,
+    encode,
+    counts,
+    holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: false },
+    vertices: VertexNumbers::Kept,
+};
+
 /// Reads a surface; what it carries only if it is `wanted`.
-pub(super) fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let mut lines = Lines { rest: bytes, line: 0 };
     let Header { kinds, vertices, faces } = header(&mut lines)?;
     let mut carried = wanted.then(|| Carried::of(kinds));
@@ -125,7 +135,7 @@ impl Carried {
 }
 
 /// Vertices and facets, of every line its first word at most.
-pub(super) fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
+fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
     let mut lines = Lines { rest: bytes, line: 0 };
     let Header { vertices, faces, .. } = header(&mut lines).ok()?;
     for _ in 0..vertices {
@@ -141,7 +151,7 @@ pub(super) fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
     Some((vertices as u64, facets))
 }
 
-pub(super) fn encode(mesh: &TriMesh, held: &Held<'_>) -> Vec<u8> {
+fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
     let mut text = String::with_capacity(96 * vertices + 24 * facets);
     let mark = |there: bool, letters| if there { letters } else { "" };
@@ -175,7 +185,7 @@ pub(super) fn encode(mesh: &TriMesh, held: &Held<'_>) -> Vec<u8> {
     for [a, b, c] in mesh.facets() {
         let _ = writeln!(text, "3 {a} {b} {c}");
     }
-    text.into_bytes()
+    Ok(text.into_bytes())
 }
 
 struct Header<'a> {

@@ -13,15 +13,25 @@ mod header;
 mod records;
 mod rows;
 
-use super::held::{Held, eight_bit};
-use super::{DataError, Soup};
+use super::held::{By, Held, Holds, eight_bit};
+use super::{Codec, DataError, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::ColourDepth;
 use carried::{Carried, PREFIX, TAKEN};
 use header::{Encoding, Header, Parted};
 
+/// See [`Codec`].
+pub(super) const CODEC: Codec = Codec {
+    extension: "ply",
+    decode,
+    encode,
+    counts,
+    holds: Holds { normals: By::Vertex, texture: By::VertexOrCorner, colours: true, opacity: true, scalars: true },
+    vertices: VertexNumbers::Kept,
+};
+
 /// Reads a surface; what it carries only if it is `wanted`.
-pub(super) fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let Parted { header, data, line } = header::read(bytes)?;
     check_header(&header, data.len())?;
     let mut carried = if wanted { Carried::of(&header) } else { Carried::default() };
@@ -34,7 +44,7 @@ pub(super) fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
 }
 
 /// Vertices and facets; nothing where the data end before what is declared.
-pub(super) fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
+fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
     let Parted { header, data, line } = header::read(bytes).ok()?;
     check_header(&header, data.len()).ok()?;
     rows::counts(data, line, &header)
@@ -79,7 +89,7 @@ fn check_header(header: &Header, remaining: usize) -> Result<(), DataError> {
     Ok(())
 }
 
-pub(super) fn encode(mesh: &TriMesh, held: &Held<'_>) -> Vec<u8> {
+fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let (vertices, faces) = (mesh.positions().len(), mesh.facets().len());
     let opaque = held.colours.is_none_or(|c| c.values.iter().all(|c| c[3] == 1.0));
     let mut out = head(mesh, held, opaque).into_bytes();
@@ -112,7 +122,7 @@ pub(super) fn encode(mesh: &TriMesh, held: &Held<'_>) -> Vec<u8> {
             }
         }
     }
-    out
+    Ok(out)
 }
 
 fn head(mesh: &TriMesh, held: &Held<'_>, opaque: bool) -> String {
