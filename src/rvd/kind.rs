@@ -13,6 +13,9 @@ pub enum BackendKind {
 }
 
 impl BackendKind {
+    /// All backends, the fastest first.
+    pub const ALL: [Self; 3] = [Self::Gpu, Self::Parallel, Self::Serial];
+
     /// "serial", "parallel" or "gpu".
     pub fn name(self) -> &'static str {
         match self {

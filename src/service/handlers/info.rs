@@ -71,7 +71,7 @@ impl Info {
                 }
             }
         };
-        [BackendKind::Gpu, BackendKind::Parallel, BackendKind::Serial].map(state).to_vec()
+        BackendKind::ALL.map(state).to_vec()
     }
 
     fn device(&self) -> Option<proto::DeviceState> {
