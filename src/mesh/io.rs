@@ -100,9 +100,12 @@ enum VertexNumbers {
     Kept,
     /// The file has none.
     Absent,
-    /// In another order: how many the file has, and which of them each of the surface's is.
-    Reordered(fn(&[u8]) -> Result<(usize, Vec<u32>), DataError>),
+    /// In another order.
+    Reordered(fn(&[u8]) -> Result<VertexOrder, DataError>),
 }
+
+/// How many vertices a file has, and which of them each of the surface's is.
+type VertexOrder = (usize, Vec<u32>);
 
 /// Why a file could not be read or written.
 #[derive(Debug, thiserror::Error)]

@@ -16,7 +16,7 @@ use glam::{DVec2, DVec3};
 
 use super::held::{By, Held, Holds, Raw};
 use super::polygons::Fan;
-use super::{Codec, DataError, Soup, VertexNumbers};
+use super::{Codec, DataError, Soup, VertexNumbers, VertexOrder};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
@@ -45,8 +45,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     }
 }
 
-/// How many vertices a file has, and which of them each vertex of its surface is.
-fn vertex_order(bytes: &[u8]) -> Result<(usize, Vec<u32>), DataError> {
+fn vertex_order(bytes: &[u8]) -> Result<VertexOrder, DataError> {
     let mut statements = match common::read(bytes, false) {
         Some(statements) => statements,
         None => dialects::read(bytes, false)?.0,

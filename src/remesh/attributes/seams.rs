@@ -1,10 +1,10 @@
 //! Seams: on which side of a seam each corner of the result lies.
 //!
 //! Purpose: [`Seams::split`] takes values that the input's facets name corner by corner to the result's corners.
-//! How: a seam is an edge whose two facets do not have the same values at its ends. Each result facet has a start facet,
+//! How: a seam is an edge whose two facets do not have the same values at its ends. Each result facet has an origin,
 //! the input facet nearest to its centroid. From there we walk, best first and over no seam, towards each of
 //! the result facet's corners; where a seam blocks the walk, the corner takes its value from the nearest facet on this side.
-//! Result facets with a common edge, whose start facets no seam separates, share their values at it.
+//! Result facets with a common edge, whose origins no seam separates, share their values at it.
 //! Invariant: the walk keeps to the ball around its two ends, so that it cannot reach the other side of a seam by a
 //! detour; each walk is its own, so that threads change nothing.
 //! Must not know: what the values mean.
@@ -33,10 +33,10 @@ pub(super) struct Source {
     /// The result's vertex.
     vertex: u32,
     /// The input's facet where the walk began.
-    start_facet: u32,
+    origin: u32,
     /// Squared distance of that point from the corner, unit frame.
     squared: f64,
-    /// Whether a seam separates the start facet from the vertex.
+    /// Whether a seam separates the origin from the vertex.
     blocked: bool,
 }
 
@@ -50,7 +50,7 @@ pub(super) struct Seams<'a> {
     unit: Vec<DVec3>,
     points: Vec<DVec3>,
     /// For each facet of the result the input's facet nearest to its centroid, and where.
-    start_facets: Vec<(u32, DVec3)>,
+    starts: Vec<(u32, DVec3)>,
 }
 
 impl<'a> Seams<'a> {
@@ -63,7 +63,7 @@ impl<'a> Seams<'a> {
         let (low, high) = mesh.bounds();
         let (centre, scale) = (low * 0.5 + high * 0.5, 1.0 / (high - low).max_element());
         let to_unit = |p: DVec3| (p - centre) * scale;
-        let start_facet = |facet: usize| {
+        let origin = |facet: usize| {
             let [a, b, c] = result.corners(facet);
             let third = 1.0 / 3.0;
             let point = closest.project(a * third + b * third + c * third);
@@ -76,7 +76,7 @@ impl<'a> Seams<'a> {
             adjacency: Adjacency::new(mesh),
             unit: mesh.positions().iter().map(|&p| to_unit(p)).collect(),
             points: result.positions().iter().map(|&p| to_unit(p)).collect(),
-            start_facets: (0..result.facets().len()).into_par_iter().map(start_facet).collect(),
+            starts: (0..result.facets().len()).into_par_iter().map(origin).collect(),
         }
     }
 
@@ -93,7 +93,7 @@ impl<'a> Seams<'a> {
                 facet: p.facet,
                 barycentric: p.barycentric,
                 vertex,
-                start_facet: p.facet,
+                origin: p.facet,
                 squared: 0.0,
                 blocked: false,
             });
@@ -143,17 +143,17 @@ impl<'a> Seams<'a> {
         let corners = self.corners(place.facet);
         let [a, b, c] = corners;
         let normal = (b - a).cross(c - a);
-        let squared_area = normal.length_squared();
+        let norm = normal.length_squared();
         let ap = self.points[place.vertex as usize] - a;
-        let (v, w) = (ap.cross(c - a).dot(normal) / squared_area, (b - a).cross(ap).dot(normal) / squared_area);
+        let (v, w) = (ap.cross(c - a).dot(normal) / norm, (b - a).cross(ap).dot(normal) / norm);
         let mut shift = weighted(here, [1.0 - v - w, v, w]) - inside;
-        // A sliver's plane may run off in any direction: no farther than a few times the texture's own stretch in the start facet.
-        let start_facet = (uv(place.start_facet), self.corners(place.start_facet));
+        // A sliver's plane may run off in any direction: no farther than a few times the texture's own stretch there.
+        let origin = (uv(place.origin), self.corners(place.origin));
         let longest = (0..3).map(|i| (i, (i + 1) % 3)).fold(0.0, |longest: f64, (i, j)| {
-            let length = (start_facet.1[j] - start_facet.1[i]).length();
-            if length > 0.0 { longest.max((start_facet.0[j] - start_facet.0[i]).length() / length) } else { longest }
+            let length = (origin.1[j] - origin.1[i]).length();
+            if length > 0.0 { longest.max((origin.0[j] - origin.0[i]).length() / length) } else { longest }
         });
-        let area = (here[1] - here[0]).perp_dot(here[2] - here[0]).abs() / squared_area.sqrt();
+        let area = (here[1] - here[0]).perp_dot(here[2] - here[0]).abs() / norm.sqrt();
         let most = MOST_STRETCH * place.squared.sqrt() * longest.max(area.sqrt());
         let length = shift.length();
         if length > most {
@@ -190,12 +190,11 @@ impl<'a> Seams<'a> {
 
     /// Where the corners of a result facet take their values.
     fn places(&self, facet: usize, open: &[bool], walk: &mut Walk) -> [Source; 3] {
-        let (start_facet, start) = self.start_facets[facet];
+        let (origin, start) = self.starts[facet];
         self.result.facets()[facet].map(|vertex| {
             let goal = self.provenance[vertex as usize];
             let to = self.points[vertex as usize];
-            let query =
-                Query { start_facet, start, to, goal: goal.facet, goal_squared: self.nearest(to, goal.facet).0 };
+            let query = Query { origin, start, to, goal: goal.facet, goal_squared: self.nearest(to, goal.facet).0 };
             let found = walk.run(self, open, &query);
             // Neither reached nor blocked: the surface itself makes a detour.
             let (facet, barycentric, squared) = match found.reached || found.blocked {
@@ -203,7 +202,7 @@ impl<'a> Seams<'a> {
                 false => (goal.facet, goal.barycentric, query.goal_squared),
             };
             let barycentric = if facet == goal.facet { goal.barycentric } else { barycentric };
-            Source { facet, barycentric, vertex, start_facet, squared, blocked: found.blocked && !found.reached }
+            Source { facet, barycentric, vertex, origin, squared, blocked: found.blocked && !found.reached }
         })
     }
 
@@ -229,9 +228,9 @@ impl<'a> Seams<'a> {
             if ends.iter().all(agree) {
                 return Some(ends);
             }
-            let ((start_facet, start), (goal, to)) = (self.start_facets[here], self.start_facets[there]);
-            let query = Query { start_facet, start, to, goal, goal_squared: 0.0 };
-            let joined = start_facet == goal || walk.run(self, open, &query).reached;
+            let ((origin, start), (goal, to)) = (self.starts[here], self.starts[there]);
+            let query = Query { origin, start, to, goal, goal_squared: 0.0 };
+            let joined = origin == goal || walk.run(self, open, &query).reached;
             joined.then_some(ends)
         };
         let halves = 0..3 * facets.len();
@@ -246,7 +245,7 @@ impl<'a> Seams<'a> {
 
 /// From where to where.
 struct Query {
-    start_facet: u32,
+    origin: u32,
     start: DVec3,
     to: DVec3,
     /// The facet that is nearest to the end of all, and its squared distance.
@@ -288,16 +287,16 @@ impl Walk {
         let reached = (off + SEAM_END_REACH * length).powi(2);
         self.seen.clear();
         self.next.clear();
-        self.seen.insert(query.start_facet);
-        let first = seams.nearest(query.to, query.start_facet);
+        self.seen.insert(query.origin);
+        let first = seams.nearest(query.to, query.origin);
         let mut found = Reached {
-            facet: query.start_facet,
+            facet: query.origin,
             barycentric: first.1,
             squared: first.0,
             reached: first.0 <= reached,
             blocked: false,
         };
-        self.next.push(Reverse((first.0.to_bits(), query.start_facet)));
+        self.next.push(Reverse((first.0.to_bits(), query.origin)));
         while let Some(Reverse((bits, facet))) = self.next.pop() {
             let squared = f64::from_bits(bits);
             if found.reached && squared > reached || self.seen.len() > MAX_SEAM_FACETS {
