@@ -97,9 +97,8 @@ impl<'a> Seams<'a> {
                 squared: 0.0,
                 blocked: false,
             });
-            let places: Vec<Source> = places.collect();
             return PerCorner {
-                values: places.par_iter().map(value).collect(),
+                values: places.collect::<Vec<_>>().par_iter().map(value).collect(),
                 corners: self.result.facets().to_vec(),
             };
         }
@@ -108,7 +107,7 @@ impl<'a> Seams<'a> {
             facets.into_par_iter().map_init(Walk::default, |walk, facet| self.places(facet, &open, walk)).collect();
         let places = places.as_flattened();
         let mut same = self.shared_corners(places, &open);
-        // Of the corners that share a value, the one that no seam bars, the nearest, the first decides.
+        // Of the corners that share a value, the one that no seam blocks, the nearest, the first decides.
         let mut chosen: Vec<usize> = (0..places.len()).collect();
         let rank = |corner: usize| (places[corner].blocked, places[corner].squared);
         for corner in 0..places.len() {
@@ -140,8 +139,7 @@ impl<'a> Seams<'a> {
         if !place.blocked {
             return inside;
         }
-        let corners = self.corners(place.facet);
-        let [a, b, c] = corners;
+        let [a, b, c] = self.corners(place.facet);
         let normal = (b - a).cross(c - a);
         let norm = normal.length_squared();
         let ap = self.points[place.vertex as usize] - a;
@@ -284,27 +282,22 @@ impl Walk {
         let middle = query.start * 0.5 + query.to * 0.5;
         let off = query.goal_squared.sqrt();
         let ball = (0.5 * reach * length + off).powi(2);
-        let reached = (off + SEAM_END_REACH * length).powi(2);
+        let tolerance = (off + SEAM_END_REACH * length).powi(2);
         self.seen.clear();
         self.next.clear();
         self.seen.insert(query.origin);
-        let first = seams.nearest(query.to, query.origin);
-        let mut found = Reached {
-            facet: query.origin,
-            barycentric: first.1,
-            squared: first.0,
-            reached: first.0 <= reached,
-            blocked: false,
-        };
-        self.next.push(Reverse((first.0.to_bits(), query.origin)));
+        let (squared, barycentric) = seams.nearest(query.to, query.origin);
+        let mut found =
+            Reached { facet: query.origin, barycentric, squared, reached: squared <= tolerance, blocked: false };
+        self.next.push(Reverse((squared.to_bits(), query.origin)));
         while let Some(Reverse((bits, facet))) = self.next.pop() {
             let squared = f64::from_bits(bits);
-            if found.reached && squared > reached || self.seen.len() > MAX_SEAM_FACETS {
+            if found.reached && squared > tolerance || self.seen.len() > MAX_SEAM_FACETS {
                 break;
             }
             if squared < found.squared || facet == query.goal {
                 let barycentric = seams.nearest(query.to, facet).1;
-                found = Reached { facet, barycentric, squared, reached: squared <= reached, ..found };
+                found = Reached { facet, barycentric, squared, reached: squared <= tolerance, ..found };
             }
             if facet == query.goal {
                 found.reached = true;
