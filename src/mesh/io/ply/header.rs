@@ -4,6 +4,8 @@
 //! Purpose: [`read`] takes the header apart.
 //! Invariant: names within an element differ. A header is short, whatever its bytes. Must not know: data.
 
+use std::collections::HashMap;
+
 use super::DataError;
 
 /// A line that is longer is none of a header, and is read so far.
@@ -113,6 +115,8 @@ pub(super) struct Parted<'a> {
 pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
     let mut lines = Lines { rest: bytes, line_break: line_break(bytes) };
     let (mut encoding, mut elements) = (None, Vec::new());
+    // Of the element at hand, with how often each came.
+    let mut names = HashMap::new();
     let mut declared = 0;
     for line in 1.. {
         let Some(text) = lines.next() else {
@@ -146,6 +150,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
                 if elements.iter().any(|element: &Element| element.name == name) {
                     return Err(syntax(format!("element \"{}\" is declared a second time", shown(name))));
                 }
+                names.clear();
                 elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
             }
             ["property", ref rest @ ..] => {
@@ -161,12 +166,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
                 let Some(element) = elements.last_mut().filter(|_| !name.is_empty()) else {
                     return Err(syntax("a property has a name, and an element before it".to_owned()));
                 };
-                let mut name = name.join("_");
-                // Two with one name are two all the same.
-                while element.properties.iter().any(|p| p.name == name) {
-                    name.push_str("_again");
-                }
-                element.properties.push(Property { name, length, item });
+                element.properties.push(Property { name: unlike(&mut names, name.join("_")), length, item });
             }
             ["end_header"] => {
                 let Some(encoding) = encoding else {
@@ -178,6 +178,18 @@ pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
         }
     }
     Err(DataError::Truncated("it ends inside the header".to_owned()))
+}
+
+/// The name, or one after it: two properties with one name are two all the same.
+fn unlike(names: &mut HashMap<String, usize>, name: String) -> String {
+    let mut other = name.clone();
+    while names.contains_key(&other) {
+        let count = names.entry(name.clone()).or_insert(0);
+        *count += 1;
+        other = if *count == 1 { format!("{name}_again") } else { format!("{name}_again{count}") };
+    }
+    names.insert(other.clone(), 0);
+    other
 }
 
 /// The beginning of a line, for a message.
