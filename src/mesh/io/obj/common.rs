@@ -77,6 +77,8 @@ impl<'a> Part<'a> {
                 Some(b"f") => part.face()?,
                 Some(b"vt") if wanted => part.texture()?,
                 Some(b"vn") if wanted => part.normal()?,
+                // A backslash is a blank: there may be one of the above.
+                Some(word) if word[0] != b'#' && word.contains(&b'\\') => return None,
                 _ => {}
             }
             part.words.end_line()?;

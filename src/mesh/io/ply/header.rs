@@ -132,7 +132,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
             ["ply" | "PLY"] if line == 1 => {}
             _ if line == 1 => return Err(syntax("a PLY file begins with a line \"ply\"".to_owned())),
             [] | ["comment" | "obj_info", ..] => {}
-            ["format", name, _version] => {
+            ["format", name, version] if is_version(version) => {
                 let found = match name {
                     "ascii" => Encoding::Ascii,
                     "binary_little_endian" => Encoding::Little,
@@ -178,6 +178,12 @@ pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
         }
     }
     Err(DataError::Truncated("it ends inside the header".to_owned()))
+}
+
+/// Two integers with a dot between them.
+fn is_version(text: &str) -> bool {
+    let is_integer = |part: &str| !part.is_empty() && part.bytes().all(|b| b.is_ascii_digit());
+    text.split_once('.').is_some_and(|(major, minor)| is_integer(major) && is_integer(minor))
 }
 
 /// The name, or one after it: two properties with one name are two all the same.
