@@ -39,8 +39,8 @@ const COLOURS: &str = "colours";
 
 /// Reads a surface; what it carries only if it is `wanted`.
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    match common::read(bytes, wanted) {
-        Some(statements) => Ok(statements.surface()),
+    match common::read(bytes, wanted).and_then(Statements::surface) {
+        Some(soup) => Ok(soup),
         None => dialects::decode(bytes, wanted),
     }
 }
@@ -50,7 +50,7 @@ fn vertex_order(bytes: &[u8]) -> Result<VertexOrder, DataError> {
         Some(statements) => statements,
         None => dialects::read(bytes, false)?.0,
     };
-    Ok((statements.vertices, statements.number_by_use()))
+    Ok((statements.vertices, statements.number_by_use().unwrap_or_default()))
 }
 
 /// Vertices, used or not, and facets.
@@ -108,38 +108,44 @@ impl Statements {
             push_corners(&mut self.normal_corners, self.facets.len(), facet.map(|c| c.normal));
             self.facets.push(facet.map(|c| c.vertex));
         }
+        self.end_face(begin);
+    }
+
+    /// After the facets of a polygon, which begin there. Returns whether there are any.
+    fn end_face(&mut self, begin: usize) -> bool {
         let count = self.facets.len() - begin;
         if count > 1 {
             // As many facets as numbers can tell apart are refused later.
             let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
             self.fans.push((number(begin), number(count)));
         }
+        count > 0
     }
 
-    /// Numbers the vertices by first use. Returns which vertex of the file each is.
-    fn number_by_use(&mut self) -> Vec<u32> {
+    /// Numbers the vertices by first use. Returns which vertex of the file each is; nothing if a corner names none.
+    fn number_by_use(&mut self) -> Option<Vec<u32>> {
         let mut number = vec![NONE; self.vertices];
         let mut order = Vec::with_capacity(self.vertices);
         for corner in self.facets.iter_mut().flatten() {
-            let Some(slot) = number.get_mut(*corner as usize) else { continue };
+            let slot = number.get_mut(*corner as usize)?;
             if *slot == NONE {
-                *slot = order.len() as u32;
+                *slot = u32::try_from(order.len()).ok()?;
                 order.push(*corner);
             }
             *corner = *slot;
         }
-        order
+        Some(order)
     }
 
-    /// The surface, if the positions are here.
-    fn surface(mut self) -> Soup {
-        let order = self.number_by_use();
+    /// The surface, if the positions are here and no corner names another vertex.
+    fn surface(mut self) -> Option<Soup> {
+        let order = self.number_by_use()?;
         let positions = order.iter().map(|&v| self.positions[v as usize]).collect();
         let colour = |&v: &u32| self.colours.get(v as usize).copied().unwrap_or(WHITE);
         let colours = (!self.colours.is_empty()).then(|| order.iter().map(colour).collect());
         let (facets, fans) = (std::mem::take(&mut self.facets), std::mem::take(&mut self.fans));
         let raw = self.carried(&facets, order.len(), colours, Raw::default());
-        Soup { positions, facets, fans, raw }
+        Some(Soup { positions, facets, fans, raw })
     }
 
     /// What a surface of these facets and so many vertices carries. What `raw` has given up is left out.

@@ -28,7 +28,7 @@ pub(super) const CODEC: Codec = Codec {
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let mut lines = Lines { rest: bytes, line: 0 };
     let Header { kinds, vertices, faces } = header(&mut lines)?;
-    let mut carried = wanted.then(|| Carried::of(kinds));
+    let mut carried = (wanted && !kinds.is_empty()).then(|| Carried::of(kinds));
     let mut soup = Soup::default();
     // Counts are the file's word. A line of a vertex has at least 6 bytes, of a face 8.
     soup.positions.reserve(vertices.min(bytes.len() / 6));

@@ -32,9 +32,7 @@ pub(super) fn read(bytes: &[u8], wanted: bool) -> Option<Statements> {
         all.normals.extend(part.normals);
         all.vertices += part.vertices;
     }
-    let named = u32::try_from(all.vertices).ok()?;
-    let is_whole = !all.facets.is_empty() && all.facets.par_iter().all(|facet| facet.iter().all(|&v| v < named));
-    is_whole.then_some(all)
+    (!all.facets.is_empty()).then_some(all)
 }
 
 /// Appends a part's list to one that has as many as there were before it, or stops earlier.
@@ -88,15 +86,17 @@ impl<'a> Part<'a> {
 
     fn vertex(&mut self) -> Option<()> {
         let position = DVec3::new(self.words.number()?, self.words.number()?, self.words.number()?);
-        if let Some(red) = self.words.value()? {
-            // A colour. Four numbers are a point over its last coordinate; other counts are unclear.
+        // A colour may follow. Four numbers are a point over its last coordinate; other counts are unclear.
+        if !self.wanted {
+            if !matches!(self.words.count()?, 0 | 3) {
+                return None;
+            }
+        } else if let Some(red) = self.words.value()? {
             let colour = [red, self.words.value()??, self.words.value()??, 1.0];
             if self.words.value()?.is_some() {
                 return None;
             }
-            if self.wanted {
-                self.found.push_colour(colour);
-            }
+            self.found.push_colour(colour);
         }
         self.found.positions.push(position);
         self.found.vertices += 1;
@@ -117,9 +117,12 @@ impl<'a> Part<'a> {
     }
 
     fn face(&mut self) -> Option<()> {
+        if !self.wanted {
+            return self.plain_face();
+        }
         self.corners.clear();
         while let Some(word) = self.words.next().filter(|word| word[0] != b'#') {
-            self.corners.push(corner(word, self.wanted)?);
+            self.corners.push(corner(word)?);
         }
         if self.corners.len() < 3 {
             return None;
@@ -127,16 +130,33 @@ impl<'a> Part<'a> {
         self.found.push_face(&self.corners);
         Some(())
     }
+
+    /// The same without what corners carry.
+    fn plain_face(&mut self) -> Option<()> {
+        let (first, mut last) = (vertex(self.words.next()?)?, vertex(self.words.next()?)?);
+        let begin = self.found.facets.len();
+        let mut word = self.words.next();
+        while let Some(next) = word.filter(|word| word[0] != b'#') {
+            let next = vertex(next)?;
+            self.found.facets.push([first, last, next]);
+            last = next;
+            word = self.words.next();
+        }
+        self.found.end_face(begin).then_some(())
+    }
+}
+
+/// The vertex of a corner.
+fn vertex(word: &[u8]) -> Option<u32> {
+    let (vertex, rest) = index(word)?;
+    (!rest.contains(&b'\\')).then_some(vertex)
 }
 
 /// `v`, `v/vt`, `v//vn` or `v/vt/vn`.
-fn corner(word: &[u8], wanted: bool) -> Option<Corner> {
+fn corner(word: &[u8]) -> Option<Corner> {
     let (vertex, rest) = index(word)?;
     let mut corner = Corner { vertex, texture: NONE, normal: NONE };
     let Some((_, rest)) = rest.split_first() else { return Some(corner) };
-    if !wanted {
-        return (!rest.contains(&b'\\')).then_some(corner);
-    }
     let mut parts = rest.split(|&b| b == b'/');
     for slot in [&mut corner.texture, &mut corner.normal] {
         if let Some(part) = parts.next().filter(|part| !part.is_empty()) {
@@ -197,6 +217,18 @@ impl<'a> Words<'a> {
             Some(word) => super::dialects::number(word).map(Some),
             None => Some(None),
         }
+    }
+
+    /// How many words are left in the line before a comment; nothing if a backslash is in one.
+    fn count(&mut self) -> Option<usize> {
+        let mut count = 0;
+        while let Some(word) = self.next().filter(|word| word[0] != b'#') {
+            if word.contains(&b'\\') {
+                return None;
+            }
+            count += 1;
+        }
+        Some(count)
     }
 
     /// Goes to the next line; nothing if this one is continued there.
