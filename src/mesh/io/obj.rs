@@ -13,6 +13,7 @@ mod dialects;
 use std::fmt::Write as _;
 
 use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 
 use super::held::{By, Held, Holds, Raw};
 use super::polygons::Fan;
@@ -48,7 +49,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
 fn vertex_order(bytes: &[u8]) -> Result<VertexOrder, DataError> {
     let mut statements = match common::read(bytes, false) {
         Some(statements) => statements,
-        None => dialects::read(bytes, false)?.0,
+        None => dialects::read(bytes, true, false)?.0,
     };
     Ok((statements.vertices, statements.number_by_use().unwrap_or_default()))
 }
@@ -140,7 +141,7 @@ impl Statements {
     /// The surface, if the positions are here and no corner names another vertex.
     fn surface(mut self) -> Option<Soup> {
         let order = self.number_by_use()?;
-        let positions = order.iter().map(|&v| self.positions[v as usize]).collect();
+        let positions = order.par_iter().map(|&v| self.positions[v as usize]).collect();
         let colour = |&v: &u32| self.colours.get(v as usize).copied().unwrap_or(WHITE);
         let colours = (!self.colours.is_empty()).then(|| order.iter().map(colour).collect());
         let (facets, fans) = (std::mem::take(&mut self.facets), std::mem::take(&mut self.fans));

@@ -17,22 +17,28 @@ const PIECE: usize = 1 << 19;
 pub(super) fn read(bytes: &[u8], wanted: bool) -> Option<Statements> {
     let parts = pieces(bytes).into_par_iter().map(|text| Part::read(text, wanted));
     let parts: Vec<Statements> = parts.collect::<Option<_>>()?;
+    let (positions, facets) = rayon::join(|| joined(&parts, |p| &p.positions), || joined(&parts, |p| &p.facets));
     let mut all = Statements::default();
-    all.positions.reserve_exact(parts.iter().map(|part| part.positions.len()).sum());
-    all.facets.reserve_exact(parts.iter().map(|part| part.facets.len()).sum());
+    let mut begin = 0;
     for part in parts {
-        let begin = u32::try_from(all.facets.len()).ok()?;
+        let first = u32::try_from(begin).ok()?;
         append(&mut all.colours, part.colours, all.vertices, WHITE);
-        append(&mut all.texture_corners, part.texture_corners, all.facets.len(), [NONE; 3]);
-        append(&mut all.normal_corners, part.normal_corners, all.facets.len(), [NONE; 3]);
-        all.fans.extend(part.fans.iter().map(|&(first, count)| (begin + first, count)));
-        all.positions.extend(part.positions);
-        all.facets.extend(part.facets);
+        append(&mut all.texture_corners, part.texture_corners, begin, [NONE; 3]);
+        append(&mut all.normal_corners, part.normal_corners, begin, [NONE; 3]);
+        all.fans.extend(part.fans.iter().map(|&(fan, count)| (first + fan, count)));
         all.texture.extend(part.texture);
         all.normals.extend(part.normals);
         all.vertices += part.vertices;
+        begin += part.facets.len();
     }
+    (all.positions, all.facets) = (positions, facets);
     (!all.facets.is_empty()).then_some(all)
+}
+
+fn joined<T: Copy>(parts: &[Statements], list: impl Fn(&Statements) -> &Vec<T>) -> Vec<T> {
+    let mut all = Vec::with_capacity(parts.iter().map(|part| list(part).len()).sum());
+    parts.iter().for_each(|part| all.extend_from_slice(list(part)));
+    all
 }
 
 /// Appends a part's list to one that has as many as there were before it, or stops earlier.

@@ -15,7 +15,7 @@ use super::{COLOURS, Corner, NONE, NORMALS, Statements, TEXTURE, WHITE};
 use crate::mesh::MeshError;
 
 pub(super) fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let (statements, text, mut raw) = read(bytes, wanted)?;
+    let (statements, text, mut raw) = read(bytes, wanted, wanted)?;
     let options = LoadOptions { ignore_points: true, ignore_lines: true, ..LoadOptions::default() };
     let no_materials = |_: &std::path::Path| Ok((Vec::new(), Default::default()));
     let (models, _) = tobj::load_obj_buf(&mut text.as_slice(), &options, no_materials)
@@ -57,10 +57,16 @@ pub(super) fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     Ok(soup)
 }
 
-/// The statements without positions, a copy of what the crate is to read, and what could not be understood.
-pub(super) fn read(bytes: &[u8], wanted: bool) -> Result<(Statements, Vec<u8>, Raw), DataError> {
-    let mut reader =
-        Reader { wanted, found: Statements::default(), text: Vec::with_capacity(bytes.len()), raw: Raw::default() };
+/// The statements without positions, a copy of what the crate is to read, and what could not be understood. Facets are collected
+/// if they are `numbered`.
+pub(super) fn read(bytes: &[u8], numbered: bool, wanted: bool) -> Result<(Statements, Vec<u8>, Raw), DataError> {
+    let mut reader = Reader {
+        numbered,
+        wanted,
+        found: Statements::default(),
+        text: Vec::with_capacity(bytes.len()),
+        raw: Raw::default(),
+    };
     let mut corners = Vec::new();
     for (line, statement) in statements(bytes) {
         let mut words = Words(statement);
@@ -76,6 +82,7 @@ pub(super) fn read(bytes: &[u8], wanted: bool) -> Result<(Statements, Vec<u8>, R
 }
 
 struct Reader {
+    numbered: bool,
     wanted: bool,
     found: Statements,
     /// The `v` and `f` statements alone, a line each, with position indices alone.
@@ -126,6 +133,7 @@ impl Reader {
 
     fn face(&mut self, line: usize, words: Words<'_>, corners: &mut Vec<Corner>) -> Result<(), DataError> {
         corners.clear();
+        let mut count = 0;
         self.text.push(b'f');
         for word in words {
             let mut parts = word.split(|&b| b == b'/');
@@ -137,6 +145,10 @@ impl Reader {
             }
             self.text.push(b' ');
             self.text.extend_from_slice(position);
+            if !self.numbered {
+                count += 1;
+                continue;
+            }
             // The crate takes the position's index; this one is right, or no facet comes of it.
             let vertex = number(position).and_then(|i| from_zero(i, self.found.vertices)).unwrap_or(NONE);
             let mut corner = Corner { vertex, texture: NONE, normal: NONE };
@@ -148,8 +160,9 @@ impl Reader {
             corners.push(corner);
         }
         self.text.push(b'\n');
-        if corners.len() < 3 {
-            let message = format!("a face needs at least 3 corners and has {}", corners.len());
+        count += corners.len();
+        if count < 3 {
+            let message = format!("a face needs at least 3 corners and has {count}");
             return Err(DataError::Syntax { line, message });
         }
         self.found.push_face(corners);
