@@ -1,6 +1,6 @@
 //! Points that lie exactly on one another.
 //!
-//! Purpose: the earliest twin of every later one, in linear time.
+//! Purpose: the earliest duplicate of every later one, in linear time.
 //! Invariant: 0 and -0 are the same place. Must not know: whether points are vertices or seeds.
 
 use std::hash::{BuildHasher, RandomState};

@@ -166,13 +166,13 @@ pub(super) const LEAST_NORMAL_SQUARED: f64 = 1e-18;
 /// Radius of the ball that a walk keeps to, as a multiple of half the distance between its ends. Over a right-angled crease, 1 is
 /// enough.
 pub(super) const SEAM_REACH: f64 = 1.3;
-/// The same for a second walk, if the first met neither its end nor a seam, as around a thin edge of the surface.
+/// The same for a second walk, if the first reached neither its end nor a seam, as around a thin edge of the surface.
 pub(super) const LONG_SEAM_REACH: f64 = 4.0;
 /// Facets of one walk, at most.
 pub(super) const MAX_SEAM_FACETS: usize = 1 << 16;
 /// An end is reached within this share of the distance between the ends.
 pub(super) const SEAM_END_REACH: f64 = 1e-6;
-/// A texture coordinate beyond a seam is extrapolated by no more than so many times the texture's stretch at home.
+/// A texture coordinate beyond a seam is extrapolated by no more than so many times the texture's stretch in the start facet.
 pub(super) const MOST_STRETCH: f64 = 4.0;
 
 // Deviation of the input's vertices.
@@ -303,7 +303,7 @@ pub(super) const STEP_BACK: f64 = 1.0 / 16.0;
 /// Share of its shortest edge by which a vertex moves along its normal to leave another one.
 pub(super) const SIDE_STEP: f64 = 1e-3;
 /// Rounds that double edges, at most: a facet may have three such edges, and its parts may have new ones.
-pub(super) const MAX_PARTING_ROUNDS: usize = 4;
+pub(super) const MAX_SEPARATION_ROUNDS: usize = 4;
 
 // Rounds of an attempt.
 

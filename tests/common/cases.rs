@@ -429,7 +429,7 @@ fn remeshes(case: &Case, parallel: &Parallel) -> Result<(), String> {
     ensure!(out.vertex_seed.len() == out.mesh.positions().len(), "remesh: vertices without a seed");
     manifold(out.mesh.facets(), out.mesh.positions().len())?;
     let repair = out.report.result.repair;
-    ensure!(repair.inconsistent_vertices == 0, "remesh: disputed vertices, {repair:?}");
+    ensure!(repair.inconsistent_vertices == 0, "remesh: inconsistent vertices, {repair:?}");
     Ok(())
 }
 

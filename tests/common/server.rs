@@ -13,7 +13,7 @@ use desk::Idle;
 use glam::{DVec3, dvec3};
 use tessera::internals::blob::{BlobError, BlobOptions, ObjectBlobs};
 use tessera::internals::config::Limits;
-use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
+use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError};
 use tessera::internals::service::{self, About, Access, Jobs, Metrics, Parts, Readiness, ServeError, Tls};
 use tessera::proto::remesh_service_client::RemeshServiceClient;
 use tessera::proto::*;
@@ -197,7 +197,7 @@ impl Server {
                     None => Arc::new(Parallel::new(Some(2))?),
                 },
                 serial: serial.clone(),
-                default: Wish::Auto,
+                default: tessera::BackendChoice::Auto,
                 pools: if parallel.is_some() {
                     None
                 } else {

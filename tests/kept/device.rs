@@ -80,7 +80,7 @@ impl Server {
                 serial: tessera::BackendOptions::new()
                     .with_choice(tessera::BackendChoice::Only(BackendKind::Serial))
                     .open()?,
-                default: Wish::Only(BackendKind::Gpu),
+                default: tessera::BackendChoice::Only(BackendKind::Gpu),
                 pools: None,
             })
         };

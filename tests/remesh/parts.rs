@@ -5,8 +5,8 @@ use tessera::internals::mesh::features::{CurveKind, FeatureError, FeatureOptions
 use tessera::mesh::TriMesh;
 use tessera::token::Token;
 
-pub(crate) fn wish(crease_angle_deg: f64) -> FeatureOptions {
-    FeatureOptions { crease_angle_deg, reach: 0.05, ..FeatureOptions::default() }
+pub(crate) fn creases_above(crease_angle_deg: f64) -> FeatureOptions {
+    FeatureOptions { crease_angle_deg, turn_reach: 0.05, ..FeatureOptions::default() }
 }
 
 pub(crate) fn find(mesh: &TriMesh, options: &FeatureOptions) -> Result<Features, FeatureError> {

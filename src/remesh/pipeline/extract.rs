@@ -127,7 +127,7 @@ impl Extraction<'_> {
             not_disks: dual.not_disks.len(),
             multiple_edges: dual.multiple_edges.len(),
             multiple_boundary_arcs: dual.multiple_boundary_arcs.len(),
-            inconsistent_vertices: dual.disputed,
+            inconsistent_vertices: dual.inconsistent,
             ..repaired.figures
         };
         let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
