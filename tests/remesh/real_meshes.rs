@@ -3,6 +3,7 @@
 use crate::surfaces;
 use glam::DVec3;
 use needs::needs;
+use rayon::prelude::*;
 use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::internals::mesh::adjacency::{Adjacency, EdgeKind};
 use tessera::mesh::TriMesh;
@@ -12,6 +13,12 @@ use tessera::mesh::sample::sample;
 use tessera::remesh::{RemeshOptions, Seeds, remesh};
 use tessera::rvd::Parallel;
 use tessera::token::Token;
+
+/// One answer for each seed, in their order, as many at once as there are cores. A remesh has the same bits on any number of
+/// threads, and on one it keeps a core busy from its begin to its end.
+fn of_seeds<R: Send>(seeds: std::ops::Range<u64>, of: impl Fn(u64, &Parallel) -> R + Sync) -> Vec<R> {
+    seeds.into_par_iter().map(|seed| of(seed, &Parallel::new(Some(1)).unwrap())).collect()
+}
 
 fn remesh_real(file: &str, points: usize, lloyd: usize) -> (TriMesh, tessera::remesh::Remesh) {
     let mesh = surfaces::real(file);
@@ -120,13 +127,12 @@ fn graded_remeshes_are_of_round_triangles_too() {
 fn results_are_near_whatever_the_seed() {
     for (file, points, most, mean) in [("rocker-arm.obj", 5000, 0.30, 0.26), ("fandisk.obj", 3000, 0.15, 0.135)] {
         let mesh = surfaces::real(file);
-        let backend = Parallel::new(None).unwrap();
-        let distance = |seed: u64| {
+        let distance = |seed: u64, backend: &Parallel| {
             let options = RemeshOptions::new(Seeds::Sample { points, seed });
-            let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
+            let result = remesh(&mesh, &options, backend, &mut (), &Token::default()).unwrap();
             result.report.result.quality.unwrap().hausdorff_percent
         };
-        let all: Vec<f64> = (0..20).map(distance).collect();
+        let all = of_seeds(0..20, distance);
         println!("{file}: {all:?}");
         assert!(all.iter().take(5).all(|&d| d <= most), "{file}: {all:?}");
         assert!(all.iter().sum::<f64>() / all.len() as f64 <= mean, "{file}: {all:?}");
@@ -153,11 +159,11 @@ fn a_place_that_was_mended_after_all_holds_no_other_back() {
 #[test]
 fn boundaries_are_whole_whatever_the_seed() {
     let mesh = surfaces::real("stanford-bunny.obj");
-    let backend = Parallel::new(None).unwrap();
-    for seed in 1..7 {
+    let features = of_seeds(1..7, |seed, backend| {
         let options = RemeshOptions::new(Seeds::Sample { points: 3000, seed }).with_measure(false);
-        let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
-        let features = &result.report.features;
+        remesh(&mesh, &options, backend, &mut (), &Token::default()).unwrap().report.features
+    });
+    for (seed, features) in (1..7).zip(features) {
         assert_eq!((features.missing_segments, features.broken_curves), (0, 0), "seed {seed}: {features:?}");
     }
 }

@@ -71,7 +71,8 @@ pub fn capacities_and_threads_change_no_diagram(claims: &Claims) {
 }
 
 pub fn tuning_changes_no_bit(claims: &Claims) {
-    for shape in Shape::ALL {
+    // Every shape where pairs are found in several ways; a few where tuning has nothing to tune.
+    for shape in Shape::ALL.into_iter().step_by(if claims.relaunches { 1 } else { 4 }) {
         // From some cells per facet to hundreds.
         let mesh = shape.build(60);
         let given = weights(&mesh);
