@@ -97,7 +97,7 @@ fn the_grid_holds_every_seed_once_where_it_is() {
             .collect();
         let params = Params { seeds: n as u32, side, ..Params::default() };
         let cells = (side * side * (side + 1)) as usize;
-        let parts = (n as u64).div_ceil(plan::SEARCH_PART as u64) as usize;
+        let parts = (n as u64).div_ceil(plan::SEARCH_PART) as usize;
         let list_state = vec![0; size_of::<ListState>() / 4 + 6 * parts + n];
         let groups = (n as u32).div_ceil(64);
         let state = words(&[State::default()]);
