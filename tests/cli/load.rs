@@ -366,6 +366,7 @@ fn a_server_that_goes_away_and_a_closed_pipe_end_nothing_badly() {
     let child = command(folder.path(), &line).spawn().unwrap();
     // In the warm-up.
     server.until_called("GetServerInfo");
+    std::thread::sleep(Duration::from_secs(1));
     server.child.kill().unwrap();
     let load = Load::of(folder.path(), &child.wait_with_output().unwrap());
     assert_eq!(load.code, Some(69), "{}{}", load.said, load.told);
