@@ -9,6 +9,8 @@
 mod certificates;
 #[path = "../common/gpu.rs"]
 mod gpu;
+#[path = "../common/nobody.rs"]
+mod nobody;
 
 mod bad_servers;
 mod bench;

@@ -1,7 +1,7 @@
 //! Points for tests: random ones, and brute-force answers about them.
 #![allow(dead_code)]
 
-use glam::DVec3;
+use glam::{DVec3, dvec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -71,4 +71,37 @@ fn contains(pieces: &PieceBatch, i: usize, p: DVec3, margin: f64) -> bool {
         let (a, b) = (polygon[k], polygon[(k + 1) % polygon.len()]);
         (b - a).cross(p - a).dot(normal) >= -margin * (b - a).length() - 1e-6 * margin
     })
+}
+
+/// White noise on the surface, moved off it by up to `off`, unit frame.
+pub fn noise(surface: &Surface, n: usize, off: f64, seed: u64) -> Vec<DVec3> {
+    let mut rng = rng(seed);
+    let on = on_surface(surface, n, &mut rng);
+    let mut some = || rng.random::<f64>() - 0.5;
+    on.into_iter().map(|(_, p)| p + dvec3(some(), some(), some()) * (2.0 * off)).collect()
+}
+
+/// Seed sets that are hard in different ways.
+pub fn many_sets(surface: &Surface, n: usize) -> Vec<(&'static str, Vec<DVec3>)> {
+    let mut twins = noise(surface, n / 2, 0.0, 2);
+    twins.extend_from_within(..);
+    twins.extend_from_within(3..4);
+    // Half of them in a ball a hundredth of the surface wide.
+    let mut cluster = noise(surface, n / 2, 0.0, 3);
+    let middle = cluster[0];
+    cluster.extend(noise(surface, n - n / 2, 0.0, 4).iter().map(|&p| middle + (p - middle) * 0.01));
+    let lattice = (0..n).map(|i| dvec3((i % 10) as f64, (i / 10 % 10) as f64, (i / 100) as f64) * 0.1 - 0.45);
+    vec![
+        ("noise", noise(surface, n, 0.0, 1)),
+        ("few", noise(surface, 20, 0.0, 1)),
+        ("one", noise(surface, 1, 0.2, 1)),
+        ("off", noise(surface, n, 0.1, 5)),
+        ("beside", noise(surface, n, 0.0, 6).iter().map(|&p| p + dvec3(0.9, 0.0, 0.0)).collect()),
+        ("twins", twins),
+        ("cluster", cluster),
+        ("lattice", lattice.collect()),
+        ("all in one place", vec![dvec3(0.1, 0.2, 0.3); n]),
+        ("nearly in one place", noise(surface, n, 0.0, 7).iter().map(|&p| p * 1e-6).collect()),
+        ("far", noise(surface, n, 0.0, 8).iter().map(|&p| p + dvec3(0.0, 100.0, 0.0)).collect()),
+    ]
 }

@@ -6,6 +6,7 @@ use glam::DVec3;
 use needs::needs;
 use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::internals::mesh::adjacency::{Adjacency, EdgeKind};
+use tessera::internals::mesh::features::FeatureError;
 use tessera::internals::rvd::Gpu;
 use tessera::mesh::TriMesh;
 use tessera::mesh::measure::topology;
@@ -341,4 +342,17 @@ fn holes_smaller_than_an_edge_leave_a_valid_surface() {
     assert_eq!((after.non_manifold_edges, after.non_manifold_vertices, after.boundary_edges), (0, 0, 0));
     let many = run(&mesh, &options(2000)).unwrap();
     keeps_straight_creases("six holes", &mesh, &many);
+}
+
+#[test]
+fn wrong_creases_are_refused() {
+    let mesh = Shape::Sphere.build(500);
+    let [a, b, c] = mesh.facets()[0];
+    for wrong in [[a, a], [b, u32::MAX]] {
+        let options = RemeshOptions::new(Seeds::Sample { points: 50, seed: 1 });
+        let error = run(&mesh, &options.with_creases(vec![[a, b], [c, b], wrong, [a, c]])).unwrap_err();
+        assert!(matches!(error, RemeshError::Feature(FeatureError::NoSuchEdge { crease: 2, .. })), "{error}");
+    }
+    let options = options(50).with_crease_angle_deg(200.0);
+    assert!(matches!(run(&mesh, &options), Err(RemeshError::Feature(FeatureError::BadAngle(_)))));
 }

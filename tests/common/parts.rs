@@ -1,31 +1,32 @@
 //! Surfaces with curves, and what is found on them.
+#![allow(dead_code)]
 
 use glam::{DVec3, dvec3};
 use tessera::internals::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
 use tessera::mesh::TriMesh;
 use tessera::token::Token;
 
-pub(crate) fn creases_above(crease_angle_deg: f64) -> FeatureOptions {
+pub fn creases_above(crease_angle_deg: f64) -> FeatureOptions {
     FeatureOptions { crease_angle_deg, turn_reach: 0.05, ..FeatureOptions::default() }
 }
 
-pub(crate) fn find(mesh: &TriMesh, options: &FeatureOptions) -> Result<Features, FeatureError> {
+pub fn find(mesh: &TriMesh, options: &FeatureOptions) -> Result<Features, FeatureError> {
     Features::find(mesh, mesh.positions(), options, &Token::default())
 }
 
 /// (boundaries, creases, corners).
-pub(crate) fn counts(features: &Features) -> (usize, usize, usize) {
+pub fn counts(features: &Features) -> (usize, usize, usize) {
     let of = |kind| features.curves.iter().filter(|c| c.kind == kind).count();
     (of(CurveKind::Boundary), of(CurveKind::Crease), features.corners.len())
 }
 
-pub(crate) fn length(mesh: &TriMesh, vertices: &[u32]) -> f64 {
+pub fn length(mesh: &TriMesh, vertices: &[u32]) -> f64 {
     vertices.windows(2).map(|w| mesh.positions()[w[0] as usize].distance(mesh.positions()[w[1] as usize])).sum()
 }
 
 /// A prism over a polygon in the plane, counter-clockwise, in `layers` layers; each side is divided so that its
 /// parts are about `step` long. `lids` are the triangles of the polygon's corners that fill it.
-pub(crate) fn prism(polygon: &[(f64, f64)], lids: &[[usize; 3]], step: f64, height: f64) -> TriMesh {
+pub fn prism(polygon: &[(f64, f64)], lids: &[[usize; 3]], step: f64, height: f64) -> TriMesh {
     let mut soup: Vec<[DVec3; 3]> = Vec::new();
     let at = |k: usize, z: f64| dvec3(polygon[k % polygon.len()].0, polygon[k % polygon.len()].1, z);
     for &[a, b, c] in lids {
@@ -69,13 +70,13 @@ fn indexed(soup: &[[DVec3; 3]]) -> TriMesh {
 }
 
 /// 2 by 2 without a quarter, 1 high: 18 straight creases, 12 corners.
-pub(crate) fn l_shape() -> TriMesh {
+pub fn l_shape() -> TriMesh {
     let polygon = [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (1.0, 1.0), (1.0, 2.0), (0.0, 2.0)];
     prism(&polygon, &[[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]], 0.15, 1.0)
 }
 
 /// An open cylinder of radius 1 and height 2, `n` facets around.
-pub(crate) fn tube(n: u32, layers: u32) -> TriMesh {
+pub fn tube(n: u32, layers: u32) -> TriMesh {
     let mut positions = Vec::new();
     for j in 0..=layers {
         for i in 0..n {
@@ -95,7 +96,7 @@ pub(crate) fn tube(n: u32, layers: u32) -> TriMesh {
 }
 
 /// The unit disk in rings of `n` vertices.
-pub(crate) fn disk(n: u32, rings: u32) -> TriMesh {
+pub fn disk(n: u32, rings: u32) -> TriMesh {
     let mut positions = vec![DVec3::ZERO];
     for j in 1..=rings {
         for i in 0..n {
@@ -115,7 +116,7 @@ pub(crate) fn disk(n: u32, rings: u32) -> TriMesh {
 }
 
 /// Two squares that meet at the line x = 0 at an angle, each 1 wide; `n` cells a side.
-pub(crate) fn fold(degrees: f64, n: u32) -> TriMesh {
+pub fn fold(degrees: f64, n: u32) -> TriMesh {
     let slope = degrees.to_radians();
     let place = |i: u32, j: u32| {
         let (x, y) = (f64::from(i) / f64::from(n) - 1.0, f64::from(j) / f64::from(n));
@@ -135,7 +136,7 @@ pub(crate) fn fold(degrees: f64, n: u32) -> TriMesh {
 }
 
 /// A sheet, 2 by 1, with a slit through its middle, its rims in small teeth.
-pub(crate) fn slit(n: u32) -> TriMesh {
+pub fn slit(n: u32) -> TriMesh {
     let tooth = |i: u32, j: u32| {
         let rim = (n / 2..=n / 2 + 1).contains(&j) && (n / 2..=3 * n / 2).contains(&i);
         if rim { 0.3 * f64::from(i * 7 % 5) / 4.0 - 0.15 } else { 0.0 }

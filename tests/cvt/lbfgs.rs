@@ -1,5 +1,5 @@
-//! Promise: quasi-Newton steps. The gradient is that of the energy, the energy never rises, the steps end, and a run
-//! has the same bits every time.
+//! Promise: quasi-Newton steps. The energy never rises, the steps end, and a run has the same bits every time. That the gradient is
+//! that of the energy is a case of `common/conformance/moving.rs`.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -12,7 +12,6 @@ use tessera::internals::rvd::Gpu;
 use tessera::mesh::TriMesh;
 use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
-use tessera::remesh::{RemeshOptions, Seeds, remesh};
 use tessera::rvd::{
     Backend, BackendKind, CellSums, Evaluation, PassStats, PieceBatch, Resident, RvdError, Session, SessionOptions,
     Surface,
@@ -31,10 +30,6 @@ fn drawn(mesh: &TriMesh, n: usize) -> Vec<DVec3> {
     sample(mesh, None, n, 1).into_iter().map(|p| p.position).collect()
 }
 
-fn weights(mesh: &TriMesh) -> Vec<f64> {
-    mesh.positions().iter().map(|p| 1.5 + (3.0 * p.x).sin() * (2.0 * p.y).cos()).collect()
-}
-
 fn open(backend: &dyn Backend, mesh: &TriMesh, seeds: &[DVec3]) -> Cvt {
     Cvt::new(backend, Arc::new(Surface::new(mesh, None).unwrap()), seeds, CvtOptions::default()).unwrap()
 }
@@ -51,92 +46,6 @@ fn lbfgs(cvt: &mut Cvt) -> Iteration {
 
 fn energy(cvt: &mut Cvt) -> f64 {
     cvt.present(&Token::default()).unwrap().energy
-}
-
-/// Along the way to the centroids of all seeds, and of every third one alone.
-#[test]
-fn the_gradient_is_that_of_the_energy() {
-    let never = Token::default();
-    for backend in backends() {
-        let single = backend.kind() == BackendKind::Gpu;
-        for (shape, n) in [(Shape::Torus, 60), (Shape::Block, 80), (Shape::Hills, 50)] {
-            let mesh = shape.build(600);
-            for weighted in [false, true] {
-                let given = weights(&mesh);
-                let surface = Arc::new(Surface::new(&mesh, weighted.then_some(&given[..])).unwrap());
-                let seeds: Vec<DVec3> = drawn(&mesh, n).iter().map(|&p| surface.frame().to_unit(p)).collect();
-                let mut session = backend.session(Arc::clone(&surface), SessionOptions::new(n)).unwrap();
-                session.set_seeds(&seeds).unwrap();
-                let moving = session.resident().unwrap();
-                for every in [1, 3] {
-                    let held: Vec<bool> = (0..n).map(|i| i % every != 0).collect();
-                    moving.hold(&held).unwrap();
-                    let here = moving.evaluate(&never).unwrap();
-                    let slope = moving.search_direction().unwrap();
-                    // Seeds move by this share of a cell's width in the mean. Truncation is up to 17 times the square
-                    // of it (beside sharp edges); in single precision the energies are known to 1e-6 or better,
-                    // and the step has to be long against that.
-                    let share = if single { 1e-2 } else { 1e-4 };
-                    let width = (surface.area() / n as f64).sqrt();
-                    let mut sums = CellSums::default();
-                    moving.read_sums(&mut sums).unwrap();
-                    let free = || (0..n).filter(|i| i % every == 0);
-                    let way = |i: usize| sums.moment[i].length_squared() / sums.mass[i] / sums.mass[i];
-                    let step = share * width * ((n / every) as f64 / free().map(way).sum::<f64>()).sqrt();
-                    let ahead = moving.probe(step, &never).unwrap();
-                    let behind = moving.probe(-step, &never).unwrap();
-                    let found = (ahead.energy - behind.energy) / (2.0 * step);
-                    let tolerance = if single { 5e-3 } else { 1e-6 };
-                    let off = (found / slope - 1.0).abs();
-                    let name = format!("{}, {shape}, weighted {weighted}, one in {every}", backend.kind().name());
-                    println!("{name}: off by {off:e}");
-                    assert!(off < tolerance, "{name}: {found:e}, not {slope:e}");
-                    // Without a history the direction is -g over twice the masses; what is held has no part in it.
-                    let rounding = if single { 1e-5 } else { 1e-12 };
-                    let part = |i: usize| 2.0 * sums.moment[i].length_squared();
-                    let squared: f64 = free().map(|i| 2.0 * part(i)).sum();
-                    assert!((here.gradient_squared / squared - 1.0).abs() < rounding, "{name}");
-                    let want: f64 = free().map(|i| part(i) / sums.mass[i]).sum();
-                    assert!((slope / want + 1.0).abs() < rounding, "{name}: {slope:e}, not {want:e}");
-                }
-            }
-        }
-    }
-}
-
-/// Component by component, against the moments of the sums.
-#[test]
-fn every_component_of_the_gradient_is_right() {
-    let never = Token::default();
-    let mesh = Shape::Torus.build(400);
-    let given = weights(&mesh);
-    for weighted in [None, Some(&given[..])] {
-        let surface = Arc::new(Surface::new(&mesh, weighted).unwrap());
-        let seeds: Vec<DVec3> = drawn(&mesh, 12).iter().map(|&p| surface.frame().to_unit(p)).collect();
-        let mut session = Serial.session(Arc::clone(&surface), SessionOptions::new(12)).unwrap();
-        let mut sums = CellSums::default();
-        session.set_seeds(&seeds).unwrap();
-        session.sums(&mut sums, &never).unwrap();
-        let gradient: Vec<DVec3> = sums.moment.iter().map(|&m| -2.0 * m).collect();
-        let norm = gradient.iter().map(|g| g.length_squared()).sum::<f64>().sqrt();
-        let mut energy = |seeds: &[DVec3]| {
-            session.set_seeds(seeds).unwrap();
-            session.sums(&mut sums, &never).unwrap();
-            sums.energy.iter().sum::<f64>()
-        };
-        for i in 0..seeds.len() {
-            for axis in 0..3 {
-                let step = 1e-5;
-                let mut moved = seeds.clone();
-                moved[i][axis] = seeds[i][axis] + step;
-                let ahead = energy(&moved);
-                moved[i][axis] = seeds[i][axis] - step;
-                let found = (ahead - energy(&moved)) / (2.0 * step);
-                // Rounding of E over the step, and its square.
-                assert!((found - gradient[i][axis]).abs() < 1e-7 * norm, "seed {i}, axis {axis}: {found:e}");
-            }
-        }
-    }
 }
 
 #[test]
@@ -208,16 +117,6 @@ fn the_steps_converge_and_stop() {
         );
         // A standstill may come before the gradient has shrunk to a thousandth, but not long before.
         assert!(last.gradient_norm < 0.05 * first.gradient_norm);
-
-        // A pipeline takes no more of them.
-        let options = RemeshOptions::plain(Seeds::Sample { points: 20, seed: 1 }, 2).with_newton(300);
-        let out = remesh(&mesh, &options, backend.as_ref(), &mut (), &Token::default()).unwrap();
-        assert!(out.report.converged);
-        let taken = out.report.iterations.len();
-        assert!((3..302).contains(&taken), "{taken}");
-        let kinds = out.report.iterations.iter().map(|i| i.kind).collect::<Vec<_>>();
-        assert_eq!(kinds[..2], ["lloyd"; 2]);
-        assert_eq!(kinds[2], "lbfgs");
     }
 }
 

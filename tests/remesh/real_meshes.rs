@@ -1,105 +1,23 @@
-//! Real scans and CAD parts, where `TESSERA_MESHES` and `TESSERA_SEEDS` name folders with them.
+//! Remeshes of real scans and CAD parts, where `TESSERA_MESHES` and `TESSERA_SEEDS` name folders with them.
 
-use std::collections::HashSet;
-use std::sync::Arc;
-
-use crate::{gpu, points, surfaces};
+use crate::surfaces;
 use glam::DVec3;
 use needs::needs;
+use rayon::prelude::*;
 use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::internals::mesh::adjacency::{Adjacency, EdgeKind};
-use tessera::internals::rvd::Gpu;
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;
 use tessera::mesh::sample::sample;
 use tessera::remesh::{RemeshOptions, Seeds, remesh};
-use tessera::rvd::{Backend, CellSums, PieceBatch, SessionOptions, Surface};
-use tessera::rvd::{Parallel, Serial};
+use tessera::rvd::Parallel;
 use tessera::token::Token;
 
-/// Centroids of white-noise cells against those of two independent exact programs, and the same
-/// (facet, cell) incidences on all backends.
-#[needs(meshes, seeds)]
-#[test]
-fn centroids_and_incidences_agree_with_the_oracle() {
-    let mut backends: Vec<(Box<dyn Backend>, f64)> =
-        vec![(Box::new(Serial), 1e-10), (Box::new(Parallel::new(None).unwrap()), 1e-10)];
-    if let Some(device) = gpu::device() {
-        // Single precision relative to the seed, of a cell some spacings wide.
-        backends.push((Box::new(Gpu::new(device, None).unwrap()), 1e-5));
-    }
-    for (mesh, seeds) in
-        [("stanford-bunny.obj", "bunny10k"), ("rocker-arm.obj", "rocker5k"), ("nefertiti.obj", "nefertiti50k")]
-    {
-        let mesh = surfaces::real(mesh);
-        let [given, want] = ["xyz", "lloyd1.xyz"].map(|kind| surfaces::points(&format!("{seeds}.{kind}")));
-        let surface = Arc::new(Surface::new(&mesh, None).unwrap());
-        let frame = surface.frame();
-        let unit: Vec<DVec3> = given.iter().map(|&p| frame.to_unit(p)).collect();
-        let spacing = (surface.area() / unit.len() as f64).sqrt();
-        let mut reference: Option<PieceBatch> = None;
-        for (backend, tolerance) in &backends {
-            let name = backend.kind().name();
-            let mut session = backend.session(Arc::clone(&surface), SessionOptions::new(unit.len())).unwrap();
-            let (mut sums, mut pieces, token) = (CellSums::default(), PieceBatch::default(), Token::default());
-            session.set_seeds(&unit).unwrap();
-            session.sums(&mut sums, &token).unwrap();
-            let worst = (0..unit.len())
-                .map(|i| sums.centroid(i, unit[i]).distance(frame.to_unit(want[i])) / spacing)
-                .fold(0.0, f64::max);
-            session.pieces(0..surface.facets().len() as u32, &mut pieces, &token).unwrap();
-            let reference = reference.get_or_insert_with(|| pieces.clone());
-            let (missing, added) = (differences(reference, &pieces), differences(&pieces, reference));
-            println!(
-                "{seeds}, {name}: worst centroid {worst:e} of the spacing; {} pieces, {} missing, {} added",
-                pieces.len(),
-                missing.len(),
-                added.len()
-            );
-            assert!(worst < *tolerance, "{seeds}, {name}: {worst:e}");
-            for area in missing.into_iter().chain(added) {
-                assert!(area < 1e-10 * surface.area(), "{seeds}, {name}: a piece of area {area:e} is in one only");
-            }
-        }
-    }
-}
-
-/// Areas of the pieces of `a` whose (facet, seed) is not in `b`.
-fn differences(a: &PieceBatch, b: &PieceBatch) -> Vec<f64> {
-    let known: HashSet<(u32, u32)> = b.facet.iter().copied().zip(b.seed.iter().copied()).collect();
-    (0..a.len()).filter(|&i| !known.contains(&(a.facet[i], a.seed[i]))).map(|i| a.area(i)).collect()
-}
-
-/// 100,000 random points of the bunny lie in the cells of their nearest seeds, for white-noise
-/// seeds and nothing iterated; the brute force is in f64. On every backend; the GPU's pieces have
-/// vertices in single precision relative to their seeds, so a point may be that far outside.
-#[needs(meshes)]
-#[test]
-fn a_hundred_thousand_points_lie_in_their_nearest_cells() {
-    let mesh = surfaces::real("stanford-bunny.obj");
-    let surface = Arc::new(Surface::new(&mesh, None).unwrap());
-    let probes = points::on_surface(&surface, 100_000, &mut points::rng(99));
-    let mut backends: Vec<(Box<dyn Backend>, f64)> =
-        vec![(Box::new(Serial), 1e-9), (Box::new(Parallel::new(None).unwrap()), 1e-9)];
-    if let Some(device) = gpu::device() {
-        backends.push((Box::new(Gpu::new(device, None).unwrap()), 1e-6));
-    }
-    for (backend, margin) in backends {
-        for count in [20, 1000, 10_000] {
-            let seeds: Vec<DVec3> =
-                sample(&mesh, None, count, 5).iter().map(|p| surface.frame().to_unit(p.position)).collect();
-            let mut session = backend.session(Arc::clone(&surface), SessionOptions::new(count)).unwrap();
-            session.set_seeds(&seeds).unwrap();
-            let mut pieces = PieceBatch::default();
-            session.pieces(0..surface.facets().len() as u32, &mut pieces, &Token::default()).unwrap();
-            let spacing = (surface.area() / count as f64).sqrt();
-            let unresolved = points::outside_by(&pieces, &seeds, &probes, margin * spacing);
-            let name = backend.kind().name();
-            println!("{name}, {count} seeds: {} of {} points unresolved", unresolved.len(), probes.len());
-            assert!(unresolved.is_empty(), "{name}, {count} seeds: {:?}", unresolved.first());
-        }
-    }
+/// One answer for each seed, in their order, as many at once as there are cores. A remesh has the same bits on any number of
+/// threads, and on one it keeps a core busy from its begin to its end.
+fn of_seeds<R: Send>(seeds: std::ops::Range<u64>, of: impl Fn(u64, &Parallel) -> R + Sync) -> Vec<R> {
+    seeds.into_par_iter().map(|seed| of(seed, &Parallel::new(Some(1)).unwrap())).collect()
 }
 
 fn remesh_real(file: &str, points: usize, lloyd: usize) -> (TriMesh, tessera::remesh::Remesh) {
@@ -209,13 +127,12 @@ fn graded_remeshes_are_of_round_triangles_too() {
 fn results_are_near_whatever_the_seed() {
     for (file, points, most, mean) in [("rocker-arm.obj", 5000, 0.30, 0.26), ("fandisk.obj", 3000, 0.15, 0.135)] {
         let mesh = surfaces::real(file);
-        let backend = Parallel::new(None).unwrap();
-        let distance = |seed: u64| {
+        let distance = |seed: u64, backend: &Parallel| {
             let options = RemeshOptions::new(Seeds::Sample { points, seed });
-            let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
+            let result = remesh(&mesh, &options, backend, &mut (), &Token::default()).unwrap();
             result.report.result.quality.unwrap().hausdorff_percent
         };
-        let all: Vec<f64> = (0..20).map(distance).collect();
+        let all = of_seeds(0..20, distance);
         println!("{file}: {all:?}");
         assert!(all.iter().take(5).all(|&d| d <= most), "{file}: {all:?}");
         assert!(all.iter().sum::<f64>() / all.len() as f64 <= mean, "{file}: {all:?}");
@@ -242,11 +159,11 @@ fn a_place_that_was_mended_after_all_holds_no_other_back() {
 #[test]
 fn boundaries_are_whole_whatever_the_seed() {
     let mesh = surfaces::real("stanford-bunny.obj");
-    let backend = Parallel::new(None).unwrap();
-    for seed in 1..7 {
+    let features = of_seeds(1..7, |seed, backend| {
         let options = RemeshOptions::new(Seeds::Sample { points: 3000, seed }).with_measure(false);
-        let result = remesh(&mesh, &options, &backend, &mut (), &Token::default()).unwrap();
-        let features = &result.report.features;
+        remesh(&mesh, &options, backend, &mut (), &Token::default()).unwrap().report.features
+    });
+    for (seed, features) in (1..7).zip(features) {
         assert_eq!((features.missing_segments, features.broken_curves), (0, 0), "seed {seed}: {features:?}");
     }
 }
