@@ -92,12 +92,15 @@ fn run_stages(
     // Given edge lengths are not changed.
     let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
     let keep_thin = options.keep_thin && free && options.placement == Placement::Fitted;
-    let mut job = Job { mesh: surface, backend, token, observer, laps, keep_thin, topology: input.topology };
+    let (low, high) = mesh.bounds();
+    let diagonal = (high - low).length();
+    let mut job = Job { mesh: surface, backend, token, observer, laps, keep_thin, diagonal, topology: input.topology };
     let attempt = match (options.refine, &options.seeds) {
         (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
             prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, refine, seed))
         }
-        _ => prepared.and_then(|prepared| job.attempt(prepared, options, options.refine.map(|r| r.tolerance))),
+        (Some(refine), _) => prepared.and_then(|prepared| tolerance::add(&mut job, prepared, options, refine)),
+        (None, _) => prepared.and_then(|prepared| job.attempt(prepared, options, None)),
     };
     let mut attempt = attempt.map_err(|error| error.for_surface(&input.topology))?;
     let Job { observer, mut laps, .. } = job;

@@ -129,7 +129,7 @@ pub struct InputFigures {
 
 /// What was done after the iterations: curves cleared, seeds moved that had no vertex or added where the result was far from
 /// the input.
-#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq)]
 pub struct RefineFigures {
     /// Rounds in which seeds were moved or added.
     pub rounds: usize,
@@ -139,12 +139,30 @@ pub struct RefineFigures {
     pub added_seeds: usize,
     /// Passes over the diagram.
     pub evaluations: usize,
-    /// Places that the result is still far from.
+    /// Samples of the input and of the result that are farther from the other surface than the tolerance; without one, places
+    /// of the input that the result is far from.
     pub out_of_tolerance: usize,
+    /// The largest distance of a sample, both ways, % of the input's bounding-box diagonal; absent without a tolerance.
+    pub deviation_percent: Option<f64>,
+    /// What ended the rounds for a tolerance; absent without one.
+    pub ended: Option<RefineEnd>,
     /// Rounds that drew seeds again with shorter edges, where the surface was too thin for its cells.
     pub closed_ball_rounds: usize,
     /// Cells for which it still is.
     pub closed_ball_failures: usize,
+}
+
+/// What ended the rounds for a tolerance.
+#[derive(Clone, Copy, Debug, Serialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum RefineEnd {
+    /// No sample is farther away than asked for.
+    Reached,
+    /// All points that were allowed are used. More bring the result nearer.
+    Budget,
+    /// More points, or others, did not bring the result nearer.
+    NoProgress,
 }
 
 /// Creases and boundaries that got seeds of their own.

@@ -135,10 +135,26 @@ impl Told<'_> {
         if added > 0 {
             lines.push(format!("added       {added} points, where the result was too far from the input"));
         }
-        if self.bounded && missed > 0 {
-            lines.push(format!(
-                "missed      {missed} places are still farther than asked; more --max-points bring more"
-            ));
+        if self.bounded {
+            let deviation = self.at("/refine/deviation_percent").as_f64();
+            let deviation = deviation.map(|d| format!("{d:.4} % of the diagonal, ")).unwrap_or_default();
+            let far = format!("{deviation}{missed} samples are farther than asked");
+            match text(self.at("/refine/ended"), "") {
+                "reached" => lines.push(format!("deviation   reached: {deviation}both ways")),
+                "budget" => {
+                    lines.push(format!("deviation   {far}: all points are used"));
+                    lines.push("            a larger --max-points brings the result nearer".to_owned());
+                }
+                "no_progress" => {
+                    lines.push(format!("deviation   {far}: more points did not bring the result nearer"));
+                    lines.push(
+                        "            check the input for folds and for sheets that touch; a smaller --crease-angle keeps more edges"
+                            .to_owned(),
+                    );
+                }
+                _ if missed > 0 => lines.push(format!("deviation   {missed} places are farther than asked")),
+                _ => {}
+            }
         }
     }
 
