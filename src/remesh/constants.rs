@@ -355,6 +355,19 @@ pub(super) const THIN_LONGEST: f64 = 1.4;
 /// Factor by which the number of points may grow where edge lengths imply it.
 pub(super) const THIN_MOST_POINTS: usize = 2;
 
+// Number of vertices.
+
+/// A number of vertices is right within this share of what was asked for,
+pub(super) const COUNT_LIMIT: f64 = 0.015;
+/// or within so many.
+pub(super) const COUNT_SLACK: usize = 2;
+/// Rounds that draw fewer or more seeds, at most.
+pub(super) const MAX_COUNT_ROUNDS: usize = 4;
+/// Seeds are no fewer than this share of the vertices that were asked for,
+pub(super) const FEWEST_SEEDS_SHARE: f64 = 0.1;
+/// and no more than so many times as many.
+pub(super) const MOST_SEEDS_FACTOR: f64 = 2.0;
+
 // Refinement to a tolerance.
 
 /// Rounds with shorter edges, at most.

@@ -42,6 +42,8 @@ pub struct Report {
     pub last: FinalFigures,
     /// What was done after them.
     pub refine: RefineFigures,
+    /// How many vertices were asked for, and why there are not as many.
+    pub vertex_count: CountFigures,
     /// Wall-clock times.
     pub timings_ms: Timings,
     /// Memory.
@@ -150,6 +152,35 @@ pub struct RefineFigures {
     pub closed_ball_rounds: usize,
     /// Cells for which it still is.
     pub closed_ball_failures: usize,
+    /// Rounds that drew fewer or more seeds, for the number of vertices that was asked for.
+    pub count_rounds: usize,
+}
+
+/// The number of vertices.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+pub struct CountFigures {
+    /// How many vertices were asked for, or implied by edge lengths.
+    pub asked: usize,
+    /// How many seeds there are: fewer where cells have several components.
+    pub seeds: usize,
+    /// Why there are more or fewer vertices than that, by over 1.5 %; absent where there are not, and with a tolerance, which
+    /// adds points.
+    pub reason: Option<CountReason>,
+}
+
+/// Why a result has not as many vertices as were asked for.
+#[derive(Clone, Copy, Debug, Serialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum CountReason {
+    /// Seeds were given, so none was left out or added.
+    GivenSeeds,
+    /// The input has so many parts that they need more: three vertices each, or four if they are closed.
+    Parts,
+    /// Sheets or parts are nearer to each other than an edge is long: seeds have a vertex on each.
+    CloseSheets,
+    /// Parts of the input have no thickness: seeds there have no vertex.
+    NoThickness,
 }
 
 /// What ended the rounds for a tolerance.

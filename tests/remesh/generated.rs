@@ -41,13 +41,13 @@ fn limbs(limbs: &[Limb], cell: f64, floor: f64) -> TriMesh {
     let (low, high) = ends.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
     // Off the axes, so that no corner of the grid is on the surface.
     let low = low - cell * dvec3(1.13, 1.27, 1.39);
-    let count = ((high - low) / cell).ceil().as_i64vec3() + 2;
+    let [nx, ny, nz] = ((high - low) / cell).to_array().map(|x| x.ceil() as i64 + 2);
     let at = |c: [i64; 3]| low + cell * dvec3(c[0] as f64, c[1] as f64, c[2] as f64);
-    let number = |c: [i64; 3]| ((c[0] * count.y + c[1]) * count.z + c[2]) as usize;
+    let number = |c: [i64; 3]| ((c[0] * ny + c[1]) * nz + c[2]) as usize;
     let mut values = Vec::new();
-    for x in 0..count.x {
-        for y in 0..count.y {
-            values.extend((0..count.z).map(|z| field(at([x, y, z]))));
+    for x in 0..nx {
+        for y in 0..ny {
+            values.extend((0..nz).map(|z| field(at([x, y, z]))));
         }
     }
     let (mut positions, mut facets, mut cuts) = (Vec::new(), Vec::new(), HashMap::new());
@@ -60,9 +60,7 @@ fn limbs(limbs: &[Limb], cell: f64, floor: f64) -> TriMesh {
         })
     };
     let mut triangles: Vec<([u32; 3], DVec3)> = Vec::new();
-    let cubes = (0..count.x - 1).flat_map(|x| {
-        (0..count.y - 1).flat_map(move |y| (0..count.z - 1).map(move |z| [x, y, z]))
-    });
+    let cubes = (0..nx - 1).flat_map(|x| (0..ny - 1).flat_map(move |y| (0..nz - 1).map(move |z| [x, y, z])));
     for cube in cubes {
         // The six paths from one corner to the opposite one.
         for order in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
@@ -256,7 +254,8 @@ pub(crate) fn thin_plate(thickness: f64, around: u32, rings: u32) -> TriMesh {
 pub(crate) fn chessboard(n: u32) -> TriMesh {
     let part = |i: u32, j: u32| {
         let (positions, facets) = Shape::Genus(0).build(300).into_parts();
-        let (low, high) = positions.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), &p| (l.min(p), h.max(p)));
+        let (low, high) =
+            positions.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), &p| (l.min(p), h.max(p)));
         let place = |p: DVec3| (p - low) / (high - low) + dvec3(f64::from(i), f64::from(j), 0.0);
         TriMesh::new(positions.into_iter().map(place).collect(), facets).unwrap()
     };

@@ -25,3 +25,4 @@ mod parts;
 mod pipeline;
 mod stray;
 mod thin;
+mod vertex_count;

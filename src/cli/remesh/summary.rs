@@ -68,6 +68,16 @@ impl Told<'_> {
         note(self.count("/input/coincident_facets"), "facets lay on others, corner on corner, and were left out");
         note(self.count("/input/reoriented_facets"), "facets were oriented unlike their neighbours and turned over");
         lines.push(format!("result      {}: {}", self.output.display(), surface("/result")));
+        let why = match text(self.at("/vertex_count/reason"), "") {
+            "given_seeds" => "seeds are given, and none is left out or added",
+            "parts" => "the input has so many parts that they need more",
+            "close_sheets" => "sheets or parts are nearer to each other than an edge is long",
+            "no_thickness" => "parts of the input have no thickness",
+            _ => "",
+        };
+        if !why.is_empty() {
+            lines.push(format!("            {} vertices were asked for: {why}", self.count("/vertex_count/asked")));
+        }
         let dropped_curves = self.count("/features/dropped_curves");
         if dropped_curves > 0 && self.count("/features/creases") == 0 {
             let what = if self.count("/features/boundaries") == 0 { " and boundaries" } else { "" };

@@ -183,7 +183,8 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
                 *length *= nearer.min(even);
             }
             let source = DensitySource::Sizes(lengths);
-            options.density = DensityOptions { source, edge_length: None, adaptivity: 1.0, max_points, ..options.density };
+            options.density =
+                DensityOptions { source, edge_length: None, adaptivity: 1.0, max_points, ..options.density };
             options.seeds = Seeds::Implied { seed: random_seed };
             enter(self.job.observer, token, "prepare");
             let prepared = match prepare(mesh, &options, token) {
@@ -199,8 +200,8 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
             by_vertex.clone_from(&next.distances.by_vertex);
             points = next.points();
             let (before, now) = (&self.best.distances, &next.distances);
-            let progress = now.largest < PROGRESS_SHARE * before.largest
-                || now.missed_share < FEWER_MISSED * before.missed_share;
+            let progress =
+                now.largest < PROGRESS_SHARE * before.largest || now.missed_share < FEWER_MISSED * before.missed_share;
             vain = if progress { 0 } else { vain + 1 };
             self.offer(next);
             // Once the points are used up, rounds go on as long as they make better use of them.
