@@ -150,12 +150,12 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
         Ok(())
     }
 
-    /// Takes another result if it is nearer, and returns the other one.
-    fn offer(&mut self, next: Measured<'a>) -> Option<Measured<'a>> {
-        let is_nearer = next.distances.largest < self.best.distances.largest;
-        let other = if is_nearer { std::mem::replace(&mut self.best, next) } else { next };
-        self.passes_of_others += other.passes();
-        (!is_nearer).then_some(other)
+    /// Takes another result if it is nearer.
+    fn offer(&mut self, mut next: Measured<'a>) {
+        if next.distances.largest < self.best.distances.largest {
+            std::mem::swap(&mut self.best, &mut next);
+        }
+        self.passes_of_others += next.passes();
     }
 
     /// Rounds with shorter edges, from these lengths or from those of the best result.
@@ -166,7 +166,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
             Some(lengths) => lengths,
             None => self.best.attempt.plan.lengths(mesh, token)?,
         };
-        let mut options = self.best.options.clone();
+        let mut options = RemeshOptions { refine: None, ..self.best.options.clone() };
         let mut by_vertex = self.best.distances.by_vertex.clone();
         let (mut vain, mut points, mut full) = (0, self.best.points(), self.first.0 == max_points);
         while !self.is_done() && self.rounds < MAX_REFINING_ROUNDS && vain < MAX_VAIN_REFINING {
