@@ -361,12 +361,10 @@ pub(super) const THIN_MOST_POINTS: usize = 2;
 pub(super) const COUNT_LIMIT: f64 = 0.015;
 /// or within so many.
 pub(super) const COUNT_SLACK: usize = 2;
-/// Rounds that draw fewer or more seeds, at most.
+/// Rounds that draw fewer seeds, at most.
 pub(super) const MAX_COUNT_ROUNDS: usize = 4;
-/// Seeds are no fewer than this share of the vertices that were asked for,
+/// Seeds are no fewer than this share of the vertices that were asked for.
 pub(super) const FEWEST_SEEDS_SHARE: f64 = 0.1;
-/// and no more than so many times as many.
-pub(super) const MOST_SEEDS_FACTOR: f64 = 2.0;
 
 // Refinement to a tolerance.
 

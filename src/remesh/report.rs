@@ -152,7 +152,7 @@ pub struct RefineFigures {
     pub closed_ball_rounds: usize,
     /// Cells for which it still is.
     pub closed_ball_failures: usize,
-    /// Rounds that drew fewer or more seeds, for the number of vertices that was asked for.
+    /// Rounds that drew fewer seeds, for the number of vertices that was asked for.
     pub count_rounds: usize,
 }
 

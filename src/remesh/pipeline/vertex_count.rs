@@ -1,9 +1,11 @@
 //! The number of vertices.
 //!
-//! Purpose: [`Job::scale_seeds`] draws fewer or more seeds where the result would have another number of vertices than was
-//! asked for. A cell that reaches through to another sheet or part has a vertex for each of its components; a seed on a part
-//! without thickness has none. How many vertices a seed has changes little with the number of seeds, so a few rounds do.
-//! Invariant: the nearest count of all rounds comes back; a count within the limit takes no round.
+//! Purpose: [`Job::scale_seeds`] draws fewer seeds where the result would have more vertices than were asked for: a cell that
+//! reaches through to another sheet or part has a vertex for each of its components. How many vertices a seed has changes
+//! little with the number of seeds, so a few rounds do. Seeds on parts without thickness, which have no vertex, are moved
+//! later.
+//! Invariant: the nearest count of all rounds comes back; a count within the limit takes no round; never more seeds than
+//! vertices that were asked for, for which memory was planned.
 //! Must not know: how the vertices are placed.
 
 use super::job::{Job, enter};
@@ -11,7 +13,7 @@ use super::optimize::Optimized;
 use super::prepare::prepare;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::measure::Topology;
-use crate::remesh::constants::{COUNT_LIMIT, COUNT_SLACK, FEWEST_SEEDS_SHARE, MAX_COUNT_ROUNDS, MOST_SEEDS_FACTOR};
+use crate::remesh::constants::{COUNT_LIMIT, COUNT_SLACK, FEWEST_SEEDS_SHARE, MAX_COUNT_ROUNDS};
 use crate::remesh::report::CountReason;
 use crate::remesh::{RemeshError, RemeshOptions, Seeds, fewest_vertices};
 use crate::rvd::RvdError;
@@ -35,7 +37,7 @@ pub(super) fn reason(vertices: usize, asked: usize, seeds: &Seeds, surface: &Top
 }
 
 impl<'a> Job<'a, '_> {
-    /// Seeds that result in as many vertices as were asked for, or as near to that as a few rounds come.
+    /// Seeds that result in as many vertices as were asked for, or as near to that as fewer seeds and a few rounds come.
     pub(super) fn scale_seeds(
         &mut self,
         optimized: Optimized<'a>,
@@ -44,7 +46,7 @@ impl<'a> Job<'a, '_> {
         let mut best = optimized;
         let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
         let asked = best.asked;
-        let (least, most) = (FEWEST_SEEDS_SHARE * asked as f64, MOST_SEEDS_FACTOR * asked as f64);
+        let least = FEWEST_SEEDS_SHARE * asked as f64;
         let mut last = (asked as f64, best.vertices() as f64);
         // Vertices per seed.
         let mut slope = last.1 / last.0;
@@ -52,7 +54,7 @@ impl<'a> Job<'a, '_> {
             if !self.scales_seeds || is_near(best.vertices(), asked) {
                 break;
             }
-            let drawn = (last.0 + (asked as f64 - last.1) / slope).clamp(least, most).round();
+            let drawn = (last.0 + (asked as f64 - last.1) / slope).clamp(least, asked as f64).round();
             if drawn == last.0 {
                 break;
             }
