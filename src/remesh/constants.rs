@@ -371,7 +371,7 @@ pub(super) const FEWEST_SEEDS_SHARE: f64 = 0.1;
 /// Rounds with shorter edges, at most.
 pub(super) const MAX_REFINING_ROUNDS: usize = 9;
 /// Rounds that only make edges shorter where the result is too far. Later ones use up the points by the last round.
-pub(super) const LOCAL_ROUNDS: usize = 5;
+pub(super) const LOCAL_ROUNDS: usize = 6;
 /// Rounds in a row without progress, at most. In the second one, all edges are shorter.
 pub(super) const MAX_VAIN_REFINING: usize = 2;
 /// Factor on the number of points in a round after one without progress.
