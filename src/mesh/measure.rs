@@ -299,6 +299,8 @@ pub(crate) struct Probe {
 const NEAR_CORNER: f64 = 0.1;
 /// Points on one edge, at most.
 const MOST_ON_EDGE: f64 = 16.0;
+/// Points on all edges, at most.
+const MOST_ON_EDGES: f64 = 2.0 * SAMPLES as f64;
 
 impl Probe {
     /// A point of the surface `mesh`.
@@ -325,12 +327,15 @@ pub(crate) fn probes(mesh: &TriMesh, token: &Token) -> Result<Vec<Probe>, Stoppe
     let apart = (mesh.area() / SAMPLES as f64).sqrt();
     let solid = mesh.facets().iter().enumerate().filter(|&(f, _)| !mesh.is_degenerate(f));
     let edges = solid.flat_map(|(_, &[a, b, c])| [[a, b], [b, c], [c, a]]).map(undirected);
-    let mut edges: Vec<[u32; 2]> = edges.filter(|&[a, b]| at(a).distance(at(b)) > apart).collect();
+    let length = |&[a, b]: &[u32; 2]| at(a).distance(at(b));
+    let mut edges: Vec<[u32; 2]> = edges.filter(|edge| length(edge) > apart).collect();
     token.check()?;
     edges.sort_unstable();
     edges.dedup();
+    // Slivers may have any length of edges.
+    let apart = apart.max(edges.iter().map(length).sum::<f64>() / MOST_ON_EDGES);
     for [a, b] in edges {
-        let parts = (at(a).distance(at(b)) / apart).clamp(1.0, MOST_ON_EDGE).ceil();
+        let parts = (length(&[a, b]) / apart).clamp(1.0, MOST_ON_EDGE).ceil();
         for part in 1..parts as u32 {
             let share = f64::from(part) / parts;
             probes.push(Probe { position: at(a).lerp(at(b), share), vertices: [a, b, b] });
