@@ -9,8 +9,9 @@ use serde::Serialize;
 
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
-use super::closest_point::ClosestPoint;
+use super::closest_point::{ClosestPoint, SurfacePoint};
 use super::disjoint::DisjointSets;
+use super::edges::undirected;
 use super::sample::sample;
 use crate::token::{Stopped, Token};
 use glam::DVec3;
@@ -276,6 +277,73 @@ fn v567_percent(mesh: &TriMesh, adjacency: &Adjacency) -> f64 {
     if inner.is_empty() { 100.0 } else { 100.0 * regular as f64 / inner.len() as f64 }
 }
 
+/// Vertices of facets with an area, ascending. Facets without one are no part of the surface for samples and closest points,
+/// nor for distances.
+fn solid_vertices(mesh: &TriMesh) -> impl Iterator<Item = u32> {
+    let mut used = vec![false; mesh.positions().len()];
+    let solid = mesh.facets().iter().enumerate().filter(|&(f, _)| !mesh.is_degenerate(f));
+    solid.flat_map(|(_, corners)| corners).for_each(|&v| used[v as usize] = true);
+    (0..).zip(used).filter(|&(_, used)| used).map(|(v, _)| v)
+}
+
+/// A point at which a surface is compared with another one, and the vertices of the surface that are near it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Probe {
+    /// Caller's coordinates.
+    pub(crate) position: DVec3,
+    /// One to three vertices, the last one repeated.
+    pub(crate) vertices: [u32; 3],
+}
+
+/// A corner is near a point of its facet if the point's barycentric coordinate is at least this.
+const NEAR_CORNER: f64 = 0.1;
+/// Points on one edge, at most.
+const MOST_ON_EDGE: f64 = 16.0;
+/// Points on all edges, at most.
+const MOST_ON_EDGES: f64 = 2.0 * SAMPLES as f64;
+
+impl Probe {
+    /// A point of the surface `mesh`.
+    pub(crate) fn of(mesh: &TriMesh, point: &SurfacePoint) -> Self {
+        let corners = mesh.facets()[point.facet as usize];
+        let near = |c: &usize| point.barycentric[*c] >= NEAR_CORNER;
+        let mut vertices = [corners[(0..3).find(near).unwrap_or(0)]; 3];
+        (0..3).filter(near).enumerate().for_each(|(k, c)| vertices[k] = corners[c]);
+        Self { position: point.position, vertices }
+    }
+}
+
+/// All points at which [`quality`] takes distances from `mesh`: random ones, and the vertices; and points on edges that are
+/// longer than the random points are apart.
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn probes(mesh: &TriMesh, token: &Token) -> Result<Vec<Probe>, Stopped> {
+    let mut probes: Vec<Probe> =
+        sample(mesh, None, SAMPLES, SAMPLE_SEED).iter().map(|point| Probe::of(mesh, point)).collect();
+    token.check()?;
+    let at = |v: u32| mesh.positions()[v as usize];
+    probes.extend(solid_vertices(mesh).map(|v| Probe { position: at(v), vertices: [v; 3] }));
+    let apart = (mesh.area() / SAMPLES as f64).sqrt();
+    let solid = mesh.facets().iter().enumerate().filter(|&(f, _)| !mesh.is_degenerate(f));
+    let edges = solid.flat_map(|(_, &[a, b, c])| [[a, b], [b, c], [c, a]]).map(undirected);
+    let length = |&[a, b]: &[u32; 2]| at(a).distance(at(b));
+    let mut edges: Vec<[u32; 2]> = edges.filter(|edge| length(edge) > apart).collect();
+    token.check()?;
+    edges.sort_unstable();
+    edges.dedup();
+    // Slivers may have any length of edges.
+    let apart = apart.max(edges.iter().map(length).sum::<f64>() / MOST_ON_EDGES);
+    for [a, b] in edges {
+        let parts = (length(&[a, b]) / apart).clamp(1.0, MOST_ON_EDGE).ceil();
+        for part in 1..parts as u32 {
+            let share = f64::from(part) / parts;
+            probes.push(Probe { position: at(a).lerp(at(b), share), vertices: [a, b, b] });
+        }
+    }
+    Ok(probes)
+}
+
 /// Largest and root mean square distance of `from`'s points to `to`, caller's units.
 fn distances(
     from: &TriMesh,
@@ -283,13 +351,10 @@ fn distances(
     closest: Option<ClosestPoint>,
     token: &Token,
 ) -> Result<(f64, f64), Stopped> {
-    let mut points: Vec<DVec3> = sample(from, None, SAMPLES, SAMPLE_SEED).iter().map(|s| s.position).collect();
-    let drawn = points.len();
-    let mut used = vec![false; from.positions().len()];
-    // Facets without area are no part of the surface for samples and closest points; nor here.
-    let solid = from.facets().iter().enumerate().filter(|&(f, _)| !from.is_degenerate(f));
-    solid.flat_map(|(_, corners)| corners).for_each(|&v| used[v as usize] = true);
-    points.extend(from.positions().iter().zip(used).filter(|&(_, used)| used).map(|(&p, _)| p));
+    let random = sample(from, None, SAMPLES, SAMPLE_SEED);
+    let drawn = random.len();
+    let mut points: Vec<DVec3> = random.iter().map(|s| s.position).collect();
+    points.extend(solid_vertices(from).map(|v| from.positions()[v as usize]));
     token.check()?;
     let target = closest.unwrap_or_else(|| ClosestPoint::new(to));
     token.check()?;

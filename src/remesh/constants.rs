@@ -355,20 +355,43 @@ pub(super) const THIN_LONGEST: f64 = 1.4;
 /// Factor by which the number of points may grow where edge lengths imply it.
 pub(super) const THIN_MOST_POINTS: usize = 2;
 
+// Number of vertices.
+
+/// A number of vertices is right within this share of what was asked for,
+pub(super) const COUNT_LIMIT: f64 = 0.015;
+/// or within so many.
+pub(super) const COUNT_SLACK: usize = 2;
+/// Rounds that draw fewer seeds, at most.
+pub(super) const MAX_COUNT_ROUNDS: usize = 4;
+/// Seeds are no fewer than this share of the vertices that were asked for.
+pub(super) const FEWEST_SEEDS_SHARE: f64 = 0.1;
+
 // Refinement to a tolerance.
 
 /// Rounds with shorter edges, at most.
-pub(super) const MAX_REFINING_ROUNDS: usize = 5;
-/// Edges become as short as brings a vertex to this share of the tolerance: the largest distances are half as large again as
+pub(super) const MAX_REFINING_ROUNDS: usize = 9;
+/// Rounds that only make edges shorter where the result is too far. Later ones use up the points by the last round.
+pub(super) const LOCAL_ROUNDS: usize = 6;
+/// Rounds in a row without progress, at most. In the second one, all edges are shorter.
+pub(super) const MAX_VAIN_REFINING: usize = 2;
+/// Factor on the number of points in a round after one without progress.
+pub(super) const VAIN_GROWTH: f64 = 2.0;
+/// Progress is a largest distance below this share of the least one so far,
+pub(super) const PROGRESS_SHARE: f64 = 0.95;
+/// or a share of missed samples below this share of the least one so far.
+pub(super) const FEWER_MISSED: f64 = 0.8;
+/// Edges become as short as brings a sample to this share of the tolerance: the largest distances are half as large again as
 /// the mean.
 pub(super) const TOLERANCE_AIM: f64 = 0.7;
 /// In one round edges do not become shorter than this share of what they were. At a crease that was not kept the distance is
 /// proportional to the length, and there may be other causes.
 pub(super) const SHORTEST_SHARE: f64 = 0.35;
-/// If no more places are missed after the last round than this share of the seeds,
-pub(super) const FEW_MISSED_SHARE: f64 = 0.01;
-/// or than this number, seeds are added at them.
-pub(super) const FEW_MISSED: usize = 4;
+/// If no larger share of the samples is missed after the last round, seeds are added there.
+pub(super) const FEW_MISSED_SHARE: f64 = 0.002;
+/// A result with this share of the points that are allowed has used them up.
+pub(super) const SPENT_SHARE: f64 = 0.95;
+/// Times that seeds are added to given ones, each time to come nearer.
+pub(super) const MAX_ADDING_TIMES: usize = 3;
 
 // Rounding.
 

@@ -15,6 +15,7 @@ mod schedule;
 mod spikes;
 mod thin_parts;
 mod tolerance;
+mod vertex_count;
 
 use crate::cvt::density::{DensitySource, Plan};
 use crate::mesh::TriMesh;
@@ -25,7 +26,7 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::measure::{quality_unless, topology_unless};
 use crate::mesh::outliers;
 use crate::remesh::attributes::{self, Provenance};
-use crate::remesh::report::{InputFigures, MemoryFigures, Report, ResultFigures, topology_changes};
+use crate::remesh::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, topology_changes};
 use crate::remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{Backend, RvdError, on_threads_of};
 use crate::token::Token;
@@ -92,12 +93,18 @@ fn run_stages(
     // Given edge lengths are not changed.
     let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
     let keep_thin = options.keep_thin && free && options.placement == Placement::Fitted;
-    let mut job = Job { mesh: surface, backend, token, observer, laps, keep_thin, topology: input.topology };
+    let (low, high) = mesh.bounds();
+    let diagonal = (high - low).length();
+    // A tolerance decides itself how many points there are.
+    let scales_seeds = options.refine.is_none();
+    let topology = input.topology;
+    let mut job = Job { mesh: surface, backend, token, observer, laps, keep_thin, scales_seeds, diagonal, topology };
     let attempt = match (options.refine, &options.seeds) {
         (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
             prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, refine, seed))
         }
-        _ => prepared.and_then(|prepared| job.attempt(prepared, options, options.refine.map(|r| r.tolerance))),
+        (Some(refine), _) => prepared.and_then(|prepared| tolerance::add(&mut job, prepared, options, refine)),
+        (None, _) => prepared.and_then(|prepared| job.attempt(prepared, options, None)),
     };
     let mut attempt = attempt.map_err(|error| error.for_surface(&input.topology))?;
     let Job { observer, mut laps, .. } = job;
@@ -154,7 +161,7 @@ fn measure(
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
     let Attempt { plan, curves, closest, built, seeds, seed, figures, device, device_bytes } = attempt;
-    let Figures { converged, rvd, iterations, last, refine } = figures;
+    let Figures { converged, rvd, iterations, last, refine, asked } = figures;
     token.check()?;
     let result = &built.mesh;
     let quality = || options.measure.then(|| quality_unless(mesh, closest, result, token));
@@ -165,6 +172,11 @@ fn measure(
     let result = ResultFigures { vertices, facets, topology, quality, repair: built.repair };
     laps.timings.measure = laps.lap();
     laps.timings.total = laps.total();
+    let reason = match options.refine {
+        Some(_) => None,
+        None => vertex_count::reason(vertices, asked, &options.seeds, &input.topology),
+    };
+    let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };
     let report = Report {
         backend: backend.kind().name().into(),
         adapter: backend.adapter(),
@@ -179,6 +191,7 @@ fn measure(
         iterations,
         last,
         refine,
+        vertex_count,
         timings_ms: laps.timings,
         memory: MemoryFigures { host_peak_bytes: None, device_bytes },
         result,

@@ -42,6 +42,8 @@ pub struct Report {
     pub last: FinalFigures,
     /// What was done after them.
     pub refine: RefineFigures,
+    /// How many vertices were asked for, and why there are not as many.
+    pub vertex_count: CountFigures,
     /// Wall-clock times.
     pub timings_ms: Timings,
     /// Memory.
@@ -129,7 +131,7 @@ pub struct InputFigures {
 
 /// What was done after the iterations: curves cleared, seeds moved that had no vertex or added where the result was far from
 /// the input.
-#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq)]
 pub struct RefineFigures {
     /// Rounds in which seeds were moved or added.
     pub rounds: usize,
@@ -139,12 +141,59 @@ pub struct RefineFigures {
     pub added_seeds: usize,
     /// Passes over the diagram.
     pub evaluations: usize,
-    /// Places that the result is still far from.
+    /// Samples of the input and of the result that are farther from the other surface than the tolerance; without one, places
+    /// of the input that the result is far from.
     pub out_of_tolerance: usize,
+    /// The largest distance of a sample, both ways, % of the input's bounding-box diagonal; absent without a tolerance.
+    pub deviation_percent: Option<f64>,
+    /// What ended the rounds for a tolerance; absent without one.
+    pub ended: Option<RefineEnd>,
     /// Rounds that drew seeds again with shorter edges, where the surface was too thin for its cells.
     pub closed_ball_rounds: usize,
     /// Cells for which it still is.
     pub closed_ball_failures: usize,
+    /// Rounds that drew fewer seeds, for the number of vertices that was asked for.
+    pub count_rounds: usize,
+}
+
+/// The number of vertices.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+pub struct CountFigures {
+    /// How many vertices were asked for, or implied by edge lengths.
+    pub asked: usize,
+    /// How many seeds there are: fewer where cells have several components.
+    pub seeds: usize,
+    /// Why there are more or fewer vertices than that, by over 1.5 %; absent where there are not, and with a tolerance, which
+    /// adds points.
+    pub reason: Option<CountReason>,
+}
+
+/// Why a result has not as many vertices as were asked for.
+#[derive(Clone, Copy, Debug, Serialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum CountReason {
+    /// Seeds were given, so none was left out or added.
+    GivenSeeds,
+    /// The input has so many parts that they need more: three vertices each, or four if they are closed.
+    Parts,
+    /// Sheets or parts are nearer to each other than an edge is long: seeds have a vertex on each.
+    CloseSheets,
+    /// Parts of the input have no thickness: seeds there have no vertex.
+    NoThickness,
+}
+
+/// What ended the rounds for a tolerance.
+#[derive(Clone, Copy, Debug, Serialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum RefineEnd {
+    /// No sample is farther away than asked for.
+    Reached,
+    /// All points that were allowed are used. More bring the result nearer.
+    Budget,
+    /// More points, or others, did not bring the result nearer.
+    NoProgress,
 }
 
 /// Creases and boundaries that got seeds of their own.

@@ -68,6 +68,16 @@ impl Told<'_> {
         note(self.count("/input/coincident_facets"), "facets lay on others, corner on corner, and were left out");
         note(self.count("/input/reoriented_facets"), "facets were oriented unlike their neighbours and turned over");
         lines.push(format!("result      {}: {}", self.output.display(), surface("/result")));
+        let why = match text(self.at("/vertex_count/reason"), "") {
+            "given_seeds" => "seeds are given, and none is left out or added",
+            "parts" => "the input has so many parts that they need more",
+            "close_sheets" => "sheets or parts are nearer to each other than an edge is long",
+            "no_thickness" => "parts of the input have no thickness",
+            _ => "",
+        };
+        if !why.is_empty() {
+            lines.push(format!("            {} vertices were asked for: {why}", self.count("/vertex_count/asked")));
+        }
         let dropped_curves = self.count("/features/dropped_curves");
         if dropped_curves > 0 && self.count("/features/creases") == 0 {
             let what = if self.count("/features/boundaries") == 0 { " and boundaries" } else { "" };
@@ -135,10 +145,26 @@ impl Told<'_> {
         if added > 0 {
             lines.push(format!("added       {added} points, where the result was too far from the input"));
         }
-        if self.bounded && missed > 0 {
-            lines.push(format!(
-                "missed      {missed} places are still farther than asked; more --max-points bring more"
-            ));
+        if self.bounded {
+            let deviation = self.at("/refine/deviation_percent").as_f64();
+            let deviation = deviation.map(|d| format!("{d:.4} % of the diagonal, ")).unwrap_or_default();
+            let far = format!("{deviation}{missed} samples are farther than asked");
+            match text(self.at("/refine/ended"), "") {
+                "reached" => lines.push(format!("deviation   reached: {deviation}both ways")),
+                "budget" => {
+                    lines.push(format!("deviation   {far}: all points are used"));
+                    lines.push("            a larger --max-points brings the result nearer".to_owned());
+                }
+                "no_progress" => {
+                    lines.push(format!("deviation   {far}: more points did not bring the result nearer"));
+                    lines.push(
+                        "            check the input for folds and for sheets that touch; a smaller --crease-angle keeps more edges"
+                            .to_owned(),
+                    );
+                }
+                _ if missed > 0 => lines.push(format!("deviation   {missed} places are farther than asked")),
+                _ => {}
+            }
         }
     }
 
