@@ -1,7 +1,7 @@
 //! Facets that lie on one another.
 //!
 //! Purpose: [`single`] leaves one of the facets that have the same three corners where the surface goes on without the others:
-//! a file may have a facet twice, or one of its own for the back of some.
+//! a file may have a facet twice, or one of its own for the back of some. [`look`] says what is no surface.
 //! Invariant: what has two sides and no thickness stays: a sheet of two layers, a flap of two on a solid, a pillow that is flat in
 //! its middle. Vertices keep their numbers, and facets their order. Must not know: why it matters.
 
@@ -57,6 +57,35 @@ impl Layers {
 
     fn places(&self) -> impl Iterator<Item = &[Layer]> {
         self.all.chunk_by(|a, b| a.corners == b.corners)
+    }
+}
+
+/// What of a list of facets is no surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Oddities {
+    /// Facets that lie on another one that is oriented the other way: two sides without thickness.
+    pub(crate) back_to_back: usize,
+    /// Places of facets of which each edge has facets in more than two places, as those inside a mesh of tetrahedra,
+    pub(crate) enclosed: usize,
+    /// of so many places.
+    pub(crate) places: usize,
+}
+
+/// Looks for what is no surface. Linear in the facets but for sorting.
+pub(crate) fn look(mesh: &TriMesh) -> Oddities {
+    let layers = Layers::of(mesh);
+    let places: Vec<&[Layer]> = layers.places().collect();
+    let mut crowded_sides = vec![0u8; places.len()];
+    EdgeGroups::new(layers.vertices, places.iter().map(|place| place[0].corners).enumerate()).for_each(|_, halves| {
+        if halves.len() > 2 {
+            halves.iter().for_each(|half| crowded_sides[half.facet as usize] += 1);
+        }
+    });
+    let is_double = |place: &&&[Layer]| place.iter().any(|layer| layer.forward != place[0].forward);
+    Oddities {
+        back_to_back: places.iter().filter(is_double).map(|place| place.len()).sum(),
+        enclosed: crowded_sides.into_iter().filter(|&sides| sides == 3).count(),
+        places: places.len(),
     }
 }
 
@@ -172,6 +201,23 @@ mod tests {
             single(&TriMesh::new(positions, facets).unwrap(), &Token::default()).unwrap().unwrap().0.facets(),
             sheet.facets()
         );
+    }
+
+    #[test]
+    fn what_is_no_surface_is_counted() {
+        let mesh = Shape::Sphere.build(200);
+        let facets = mesh.facets().len();
+        assert_eq!(look(&mesh), Oddities { places: facets, ..Oddities::default() });
+        let both = with(&mesh, mesh.facets().iter().copied().map(back));
+        assert_eq!(look(&both), Oddities { back_to_back: 2 * facets, enclosed: 0, places: facets });
+        // Corners of a cube's tetrahedra around one of its diagonals, the facets between them once.
+        let points = (0..8u32).map(|k| glam::DVec3::new(f64::from(k & 1), f64::from(k >> 1 & 1), f64::from(k >> 2)));
+        let path = [1, 3, 2, 6, 4, 5, 1];
+        let facets = path.windows(2).flat_map(|w| [[0, 7, w[0]], [0, w[0], w[1]], [7, w[1], w[0]]]).collect();
+        let solid = TriMesh::new(points.collect(), facets).unwrap();
+        let seen = look(&solid);
+        assert_eq!((seen.back_to_back, seen.places), (0, 18));
+        assert!(seen.enclosed >= 6, "{seen:?}");
     }
 
     #[test]

@@ -6,13 +6,8 @@
 //! around it, so that no facet vanishes or turns over. Vertices and facets keep their numbers.
 //! Must not know: why it matters.
 
-use std::cmp::Ordering::Equal;
-use std::collections::HashMap;
-
-use glam::DVec3;
-
-use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
+use super::{TriMesh, coincident};
 use crate::token::{Stopped, Token};
 
 /// Vertices as near as this are one, as a share of the surface's diagonal: coordinates that were rounded to single
@@ -43,24 +38,7 @@ pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Resu
         (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) == EdgeKind::Boundary).flat_map(ends).collect();
     rim.sort_unstable();
     rim.dedup();
-    // The first in a place stands for those that are near it. Others are farther from it, so that few are in a cell.
-    // Counted from the surface's corner, so that numbers stay small however far it is from the origin.
-    let cell = |p: DVec3| ((p - origin) / (4.0 * near)).floor().to_array().map(|x| x as i64);
-    let mut first_in: HashMap<[i64; 3], Vec<u32>> = HashMap::with_capacity(rim.len());
-    let mut near_others: Vec<(u32, u32, f64)> = Vec::new();
-    for (k, &v) in rim.iter().enumerate() {
-        // Each looks at up to eight cells.
-        token.check_at(8 * k)?;
-        let (low, high) = (cell(place(v) - near), cell(place(v) + near));
-        let along = |axis: usize| low[axis]..=high[axis];
-        let around = along(0).flat_map(|x| along(1).flat_map(move |y| along(2).map(move |z| [x, y, z])));
-        let there = around.filter_map(|cell| first_in.get(&cell)).flatten();
-        let nearest = there.map(|&u| (place(u).distance(place(v)), u)).min_by(|a, b| a.partial_cmp(b).unwrap_or(Equal));
-        match nearest.filter(|(distance, _)| *distance <= near) {
-            Some((distance, u)) => near_others.push((v, u, distance)),
-            None => first_in.entry(cell(place(v))).or_default().push(v),
-        }
-    }
+    let near_others = coincident::near(mesh.positions(), rim, (origin, near), token)?;
     if near_others.is_empty() {
         return Ok(None);
     }
@@ -94,6 +72,8 @@ pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Resu
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+
+    use glam::DVec3;
 
     use super::*;
     use crate::mesh::measure::topology;

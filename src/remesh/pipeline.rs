@@ -25,10 +25,12 @@ use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::measure::{quality_unless, topology_unless};
 use crate::mesh::outliers;
 use crate::remesh::attributes::{self, Provenance};
-use crate::remesh::report::{InputFigures, MemoryFigures, Report, ResultFigures, topology_changes};
+use crate::remesh::report::{
+    InputFigures, MemoryFigures, Report, ResultFigures, coincident_vertices, topology_changes,
+};
 use crate::remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{Backend, RvdError, on_threads_of};
-use crate::token::Token;
+use crate::token::{Stopped, Token};
 use attempt::{Attempt, Figures};
 use job::{Job, Laps, enter};
 use prepare::{Prepared, prepare, separation};
@@ -158,11 +160,17 @@ fn measure(
     token.check()?;
     let result = &built.mesh;
     let quality = || options.measure.then(|| quality_unless(mesh, closest, result, token));
-    let topology = || topology_unless(result, &Adjacency::new(result), token);
+    // Only parts of one seed's cell, or of the surface, can be in one place.
+    let touches = built.repair.extra_vertices > 0 || input.topology.components > 1;
+    let topology = || -> Result<_, Stopped> {
+        let coincident_vertices = if touches { coincident_vertices(result, token)? } else { 0 };
+        Ok((topology_unless(result, &Adjacency::new(result), token)?, coincident_vertices))
+    };
     let (topology, quality) = rayon::join(topology, quality);
-    let (topology, quality) = (topology?, quality.transpose()?);
+    let ((topology, coincident_vertices), quality) = (topology?, quality.transpose()?);
     let (vertices, facets) = (result.positions().len(), result.facets().len());
-    let result = ResultFigures { vertices, facets, topology, quality, repair: built.repair };
+    let repair = built.repair;
+    let result = ResultFigures { vertices, facets, topology, coincident_vertices, quality, repair };
     laps.timings.measure = laps.lap();
     laps.timings.total = laps.total();
     let report = Report {

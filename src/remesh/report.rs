@@ -4,14 +4,17 @@
 //! Invariant: a name that scripts read does not change.
 //! Must not know: how the figures came about.
 
+use std::collections::HashSet;
+
 use serde::Serialize;
 
 use crate::cvt::Iteration;
 use crate::cvt::density::DensityFigures;
-use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
+use crate::mesh::edges::undirected;
+use crate::mesh::layers::{self, Oddities};
 use crate::mesh::measure::{Quality, Topology, topology_unless};
-use crate::mesh::outliers;
+use crate::mesh::{TriMesh, coincident, outliers};
 use crate::rvd::dual::Dual;
 use crate::rvd::{DeviceWork, PassStats, Surface};
 use crate::token::{Stopped, Token};
@@ -99,9 +102,27 @@ pub(crate) fn topology_changes(input: &Topology, result: &Topology) -> Vec<Strin
     changed.map(|(name, before, after)| format!("{name}: {before} becomes {after}")).collect()
 }
 
+/// What the facets that came in are together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InputKind {
+    /// No edge has more than two facets.
+    Surface,
+    /// Some edges have.
+    NonManifold,
+    /// Most facets lie between others, as those of a mesh of tetrahedra: the boundary of what they fill is a surface.
+    Volume,
+}
+
 /// The surface that came in.
 #[derive(Clone, Debug, Serialize)]
 pub struct InputFigures {
+    /// What it is.
+    pub kind: InputKind,
+    /// Facets whose edges all have more than two facets.
+    pub enclosed_facets: usize,
+    /// Facets that lie on others, corner on corner and back to back, and stay: they enclose nothing.
+    pub back_to_back_facets: usize,
     /// Vertices as given.
     pub vertices: usize,
     /// Facets, degenerate ones included.
@@ -323,6 +344,9 @@ pub struct ResultFigures {
     /// χ, components, holes, non-manifold elements.
     #[serde(flatten)]
     pub topology: Topology,
+    /// Vertices that share no edge with another one and are in its place, to within 10⁻⁵ of the diagonal: parts that touch.
+    /// Who joins vertices by their places joins the parts.
+    pub coincident_vertices: usize,
     /// Shape and distance figures; absent if not measured.
     #[serde(flatten)]
     pub quality: Option<Quality>,
@@ -381,7 +405,18 @@ impl InputFigures {
         token.check()?;
         let (area, degenerate_facets) = (mesh.area(), mesh.degenerate_count());
         token.check()?;
+        let crowded = adjacency.non_manifold_edges() > 0;
+        let Oddities { back_to_back, enclosed, places } =
+            if crowded { layers::look(mesh) } else { Oddities::default() };
+        token.check()?;
         Ok(Self {
+            kind: match crowded {
+                false => InputKind::Surface,
+                true if 2 * enclosed > places => InputKind::Volume,
+                true => InputKind::NonManifold,
+            },
+            enclosed_facets: enclosed,
+            back_to_back_facets: back_to_back,
             vertices: mesh.positions().len(),
             facets: mesh.facets().len(),
             degenerate_facets,
@@ -394,6 +429,25 @@ impl InputFigures {
             topology: topology_unless(mesh, adjacency, token)?,
         })
     }
+}
+
+/// See [`ResultFigures::coincident_vertices`].
+const SAME_PLACE: f64 = 1e-5;
+
+/// Counts [`ResultFigures::coincident_vertices`].
+///
+/// # Errors
+/// [`Stopped`].
+pub(super) fn coincident_vertices(result: &TriMesh, token: &Token) -> Result<usize, Stopped> {
+    let (low, high) = result.bounds();
+    let reach = SAME_PLACE * (high - low).length();
+    let found = coincident::near(result.positions(), 0..result.positions().len() as u32, (low, reach), token)?;
+    if found.is_empty() {
+        return Ok(0);
+    }
+    let edges = result.facets().iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).map(undirected);
+    let edges: HashSet<[u32; 2]> = edges.collect();
+    Ok(found.iter().filter(|&&(later, earlier, _)| !edges.contains(&undirected([later, earlier]))).count())
 }
 
 impl RvdFigures {

@@ -8,6 +8,8 @@
 mod gpu;
 #[path = "../common/readers.rs"]
 mod readers;
+#[path = "../common/rough.rs"]
+mod rough;
 #[path = "../common/surfaces.rs"]
 mod surfaces;
 
@@ -21,5 +23,6 @@ mod lbfgs;
 mod near_corners;
 mod parts;
 mod pipeline;
+mod reported;
 mod stray;
 mod thin;

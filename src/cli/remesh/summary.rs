@@ -52,22 +52,40 @@ impl Told<'_> {
             format!("{vertices} vertices, {facets} facets{}", euler.map(|n| format!(", χ {n}")).unwrap_or_default())
         };
         lines.push(format!("input       {}: {}", self.input.display(), surface("/input")));
+        let count = |what: &str| self.count(&format!("/input/{what}"));
         let mut note = |count: u64, what: &str| {
             if count > 0 {
                 lines.push(format!("            {count} {what}"));
             }
         };
         note(
-            self.count("/input/stitched_vertices"),
+            count("stitched_vertices"),
             "vertices of its boundaries were nearly in the same place as others and moved there",
         );
         note(
-            self.count("/input/outlier_vertices"),
+            count("outlier_vertices"),
             "vertices are far from all others: check their coordinates, most points go to the spikes there",
         );
-        note(self.count("/input/coincident_facets"), "facets lay on others, corner on corner, and were left out");
-        note(self.count("/input/reoriented_facets"), "facets were oriented unlike their neighbours and turned over");
+        note(count("degenerate_facets"), "facets have no area and do not count");
+        note(count("coincident_facets"), "facets lay on others, corner on corner, and were left out");
+        note(count("reoriented_facets"), "facets were oriented unlike their neighbours and turned over");
+        note(
+            count("back_to_back_facets"),
+            "facets lie on others, back to back, and enclose nothing: remesh one side of them",
+        );
+        if self.at("/input/kind") == "volume" {
+            note(
+                count("enclosed_facets"),
+                "facets lie between others: this is a mesh of a volume, no surface; remesh the boundary of it",
+            );
+        } else {
+            note(
+                count("non_manifold_edges"),
+                "edges have more than two facets; the result is cut there: to choose where, cut the input",
+            );
+        }
         lines.push(format!("result      {}: {}", self.output.display(), surface("/result")));
+        self.removed(lines);
         let dropped_curves = self.count("/features/dropped_curves");
         if dropped_curves > 0 && self.count("/features/creases") == 0 {
             let what = if self.count("/features/boundaries") == 0 { " and boundaries" } else { "" };
@@ -80,6 +98,33 @@ impl Told<'_> {
         if without + further > 0 {
             lines.push(format!(
                 "            {without} points have no vertex, {further} vertices share one: the surface is thin there"
+            ));
+        }
+    }
+
+    /// What the result lacks, or has twice in one place.
+    fn removed(&self, lines: &mut Vec<String>) {
+        let repair = |what: &str| self.count(&format!("/result/repair/{what}"));
+        let [pairs, crowded] = ["closed_facet_pairs", "non_manifold_facets"].map(repair);
+        let what = if self.at("/input/kind") == "surface" {
+            "the surface is thinner than an edge there; more points keep more"
+        } else {
+            "the input is no manifold there; cut it where its parts meet, or give more points"
+        };
+        let mut removed = Vec::new();
+        if pairs > 0 {
+            removed.push(format!("{pairs} pairs of facets lay back to back"));
+        }
+        if crowded > 0 {
+            removed.push(format!("{crowded} facets were too many at an edge"));
+        }
+        if !removed.is_empty() {
+            lines.push(format!("            {} and were removed: {what}", removed.join(", ")));
+        }
+        let coincident = self.count("/result/coincident_vertices");
+        if coincident > 0 {
+            lines.push(format!(
+                "            {coincident} vertices are in the place of others, where parts touch: join no vertices by their places"
             ));
         }
     }
