@@ -231,6 +231,11 @@ pub struct DensityFigures {
     pub clamped_vertices: usize,
     /// Vertices whose length was lowered for the sake of gradation.
     pub graded_vertices: usize,
+    /// Share of the area whose lengths go up and down from vertex to vertex faster than triangles can follow, percent; 0 if it
+    /// is no more than here and there.
+    pub noise_percent: f64,
+    /// Rounds that evened such lengths out between neighbours.
+    pub smoothing_rounds: usize,
     /// Facets that the surface was divided into where weights change fast or facets are long beside the cells; as before
     /// if it was not.
     pub facets: usize,
@@ -357,6 +362,8 @@ fn level<'a>(
         edge_largest: edge,
         clamped_vertices: 0,
         graded_vertices: 0,
+        noise_percent: 0.0,
+        smoothing_rounds: 0,
         facets: mesh.facets().len(),
     };
     Ok(Plan { mesh: Cow::Borrowed(mesh), weights, sizes: None, points, figures })
@@ -401,7 +408,8 @@ fn varying<'a>(
         Some(target) if !given => Some(Least { edge: resolved(&net, target), sheets }),
         _ => None,
     };
-    let Bounded { field, graded, outside, points } = bounded(field, least.as_ref(), &net, options, target, token)?;
+    let (Bounded { field, graded, outside, points }, noise, smoothing_rounds) =
+        without_noise(field, least.as_ref(), &net, options, target, token)?;
     token.check()?;
     let points_implied = points;
     let points = match count {
@@ -417,6 +425,8 @@ fn varying<'a>(
         edge_largest: Some(field.largest()),
         clamped_vertices: clamped + outside,
         graded_vertices: graded,
+        noise_percent: 100.0 * noise,
+        smoothing_rounds,
         facets: divided.as_ref().map_or(mesh, |(fine, _)| fine).facets().len(),
     };
     let (mesh, weights) = match divided {
@@ -497,6 +507,40 @@ const SHORTER: f64 = 0.5;
 fn resolved(net: &Net, points: f64) -> Vec<f64> {
     let most = SHORTER * net.outline.edge_length(points);
     net.resolution().into_iter().map(|edge| (edge * net.outline.extent).min(most)).collect()
+}
+
+/// From one edge to the next, triangles can follow lengths that grow as fast as the distance; where lengths of neighbours are
+/// farther apart than that, they are noise if they also go up and down. With a larger [`DensityOptions::gradation`] alone.
+const STEEPEST: f64 = 1.0;
+/// A surface has noise if more than this share of its area is: of lengths that are drawn by themselves at each vertex it is a
+/// fifth.
+const NOISE: f64 = 0.02;
+/// Rounds in which lengths are evened out, at most; each second one twice as many as the one before.
+const SMOOTHING_ROUNDS: usize = 64;
+
+/// [`bounded`], after lengths that are noise are evened out, as long as there is any; with the share of the area that was noise,
+/// and how many rounds it took. With such lengths a result has poor triangles all over, and takes minutes to improve.
+fn without_noise(
+    mut base: SizeField,
+    least: Option<&Least>,
+    net: &Net,
+    options: &DensityOptions,
+    target: Option<f64>,
+    token: &Token,
+) -> Result<(Bounded, f64, usize), DensityError> {
+    let mut found = bounded(base.clone(), least, net, options, target, token)?;
+    let noise = if options.gradation > STEEPEST { found.field.noise(net, STEEPEST) } else { 0.0 };
+    let (mut left, mut rounds) = (noise, 0);
+    while left > NOISE && rounds < SMOOTHING_ROUNDS {
+        for _ in 0..rounds.max(1) {
+            token.check()?;
+            base.smooth(net);
+            rounds += 1;
+        }
+        found = bounded(base.clone(), least, net, options, target, token)?;
+        left = found.field.noise(net, STEEPEST);
+    }
+    Ok((found, if rounds > 0 { noise } else { 0.0 }, rounds))
 }
 
 struct Bounded {

@@ -139,6 +139,12 @@ impl Told<'_> {
             let source = text(self.at("/density/source"), "?");
             lines.push(format!("lengths     {source}: target {least:.4e} to {largest:.4e}, median {median:.4e}"));
         }
+        if let Some(noise) = self.at("/density/noise_percent").as_f64().filter(|&share| share > 0.0) {
+            lines.push(format!(
+                "            {noise:.0} % of the surface had lengths that no triangles can follow: they were evened out \
+                 between neighbours; smooth them, or give a lower --gradation"
+            ));
+        }
         if self.count("/refine/closed_ball_rounds") > 0 {
             lines.push("            shorter where the surface is too thin for others".to_owned());
         }
