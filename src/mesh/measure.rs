@@ -108,10 +108,10 @@ pub(crate) fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Tok
 /// Quality of `result` against `original`. Distances are taken from about 100,000 random points and all
 /// vertices of each side to the other surface.
 pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
-    quality_unless(original, None, result, &Token::default()).unwrap_or_default()
+    quality_unless(original, None, result, &Token::default()).map_or_else(|_| Quality::default(), |of| of.0)
 }
 
-/// As [`quality`]. Who has something that answers for `original`, or for the same
+/// As [`quality`], with how far each vertex of `original` is from the result, 0 where no facet with area has it. Who has something that answers for `original`, or for the same
 /// surface with its facets divided, saves the time to make it.
 ///
 /// # Errors
@@ -121,21 +121,21 @@ pub fn quality_unless(
     closest: Option<ClosestPoint>,
     result: &TriMesh,
     token: &Token,
-) -> Result<Quality, Stopped> {
+) -> Result<(Quality, Vec<f64>), Stopped> {
     let shapes = || {
         let adjacency = Adjacency::new(result);
         Quality { v567_percent: v567_percent(result, &adjacency), ..shape_quality(result, &adjacency) }
     };
     let back = || rayon::join(shapes, || distances(result, original, closest, token));
     let (there, (mut quality, back)) = rayon::join(|| distances(original, result, None, token), back);
-    let (there, back) = (there?, back?);
+    let ((there, of_vertices), (back, _)) = (there?, back?);
     let (low, high) = original.bounds();
     // Scaled, so that the squares of a tiny or huge box stay within range.
     let extent = (high - low).max_element();
     let diagonal = ((high - low) / extent).length() * extent;
     quality.hausdorff_percent = 100.0 * there.0.max(back.0) / diagonal;
     quality.rms_percent = 100.0 * there.1.max(back.1) / diagonal;
-    Ok(quality)
+    Ok((quality, of_vertices))
 }
 
 /// Q = (6/√3) S/(p h) of one triangle about one unit in size: 1 is equilateral, 0 has no area.
@@ -276,20 +276,21 @@ fn v567_percent(mesh: &TriMesh, adjacency: &Adjacency) -> f64 {
     if inner.is_empty() { 100.0 } else { 100.0 * regular as f64 / inner.len() as f64 }
 }
 
-/// Largest and root mean square distance of `from`'s points to `to`, caller's units.
+/// Largest and root mean square distance of `from`'s points to `to`, and that of each of its vertices, 0 where no facet with area
+/// has it; caller's units.
 fn distances(
     from: &TriMesh,
     to: &TriMesh,
     closest: Option<ClosestPoint>,
     token: &Token,
-) -> Result<(f64, f64), Stopped> {
+) -> Result<((f64, f64), Vec<f64>), Stopped> {
     let mut points: Vec<DVec3> = sample(from, None, SAMPLES, SAMPLE_SEED).iter().map(|s| s.position).collect();
     let drawn = points.len();
     let mut used = vec![false; from.positions().len()];
     // Facets without area are no part of the surface for samples and closest points; nor here.
     let solid = from.facets().iter().enumerate().filter(|&(f, _)| !from.is_degenerate(f));
     solid.flat_map(|(_, corners)| corners).for_each(|&v| used[v as usize] = true);
-    points.extend(from.positions().iter().zip(used).filter(|&(_, used)| used).map(|(&p, _)| p));
+    points.extend(from.positions().iter().zip(&used).filter(|&(_, used)| *used).map(|(&p, _)| p));
     token.check()?;
     let target = closest.unwrap_or_else(|| ClosestPoint::new(to));
     token.check()?;
@@ -303,7 +304,10 @@ fn distances(
     };
     let chunks = distances.chunks(CHUNK).enumerate().map(of_chunk);
     let (max, sum) = chunks.fold((0.0f64, 0.0), |(max, sum), (m, s)| (m.max(max), sum + s));
-    Ok((max * unit, (sum / drawn as f64).sqrt() * unit))
+    let mut of_used = distances[drawn..].iter();
+    let of_vertices = used.into_iter().map(|used| if used { of_used.next().copied().unwrap_or(0.0) } else { 0.0 });
+    let of_vertices = of_vertices.collect();
+    Ok(((max * unit, (sum / drawn as f64).sqrt() * unit), of_vertices))
 }
 
 #[cfg(test)]

@@ -352,8 +352,19 @@ pub(super) const MAX_VAIN_ROUNDS: usize = 3;
 pub(super) const THIN_SHORTER: f64 = 0.5;
 /// Factor by which the median edge may grow for it: half of the points may go to thin parts.
 pub(super) const THIN_LONGEST: f64 = 1.4;
+/// Cells in several parts are many from so many on,
+pub(super) const MANY_SPLITS: usize = 16;
+/// and from this share of the cells on. Few cost little, and a round costs as much as all steps.
+pub(super) const MANY_SPLITS_SHARE: f64 = 0.02;
 /// Factor by which the number of points may grow where edge lengths imply it.
 pub(super) const THIN_MOST_POINTS: usize = 2;
+
+// Parts that the result lacks.
+
+/// What is farther from the result than so many mean edges of it is lost, and no mere deviation.
+pub(super) const LOST_EDGES: f64 = 1.0;
+/// Parts that are named, at most: a report of a bad scan stays one that can be read.
+pub(super) const MOST_LOST_PARTS: usize = 16;
 
 // Refinement to a tolerance.
 

@@ -22,11 +22,12 @@ use crate::mesh::adjacency::Adjacency;
 use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::measure::{quality_unless, topology_unless};
+use crate::mesh::measure::{Quality, quality_unless, topology_unless};
 use crate::mesh::outliers;
 use crate::remesh::attributes::{self, Provenance};
+use crate::remesh::distance::lost;
 use crate::remesh::report::{
-    InputFigures, MemoryFigures, Report, ResultFigures, coincident_vertices, topology_changes,
+    InputFigures, LostParts, MemoryFigures, Report, ResultFigures, coincident_vertices, topology_changes,
 };
 use crate::remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{Backend, RvdError, on_threads_of};
@@ -145,6 +146,17 @@ fn transfer(
     Ok((Some(carried), provenance))
 }
 
+/// The quality of a result, and what it lacks of `mesh`, for which `closest` may answer.
+fn compare(
+    mesh: &TriMesh,
+    closest: Option<ClosestPoint>,
+    result: &TriMesh,
+    token: &Token,
+) -> Result<(Quality, LostParts), Stopped> {
+    let (quality, distances) = quality_unless(mesh, closest, result, token)?;
+    Ok((quality, lost::find(mesh, result, &distances, token)?))
+}
+
 /// Measures the result against `mesh` and writes the report. Attributes and provenance are left empty.
 fn measure(
     mesh: &TriMesh,
@@ -159,7 +171,7 @@ fn measure(
     let Figures { converged, rvd, iterations, last, refine } = figures;
     token.check()?;
     let result = &built.mesh;
-    let quality = || options.measure.then(|| quality_unless(mesh, closest, result, token));
+    let quality = || options.measure.then(|| compare(mesh, closest, result, token)).transpose();
     // Only parts of one seed's cell, or of the surface, can be in one place.
     let touches = built.repair.extra_vertices > 0 || input.topology.components > 1;
     let topology = || -> Result<_, Stopped> {
@@ -167,10 +179,10 @@ fn measure(
         Ok((topology_unless(result, &Adjacency::new(result), token)?, coincident_vertices))
     };
     let (topology, quality) = rayon::join(topology, quality);
-    let ((topology, coincident_vertices), quality) = (topology?, quality.transpose()?);
+    let ((topology, coincident_vertices), (quality, lost)) = (topology?, quality?.unzip());
     let (vertices, facets) = (result.positions().len(), result.facets().len());
     let repair = built.repair;
-    let result = ResultFigures { vertices, facets, topology, coincident_vertices, quality, repair };
+    let result = ResultFigures { vertices, facets, topology, coincident_vertices, quality, lost, repair };
     laps.timings.measure = laps.lap();
     laps.timings.total = laps.total();
     let report = Report {

@@ -350,8 +350,50 @@ pub struct ResultFigures {
     /// Shape and distance figures; absent if not measured.
     #[serde(flatten)]
     pub quality: Option<Quality>,
+    /// What it lacks of the input; absent if not measured.
+    pub lost: Option<LostParts>,
     /// What the repair had to do.
     pub repair: RepairFigures,
+}
+
+/// Parts of the input that are farther from the result than an edge of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct LostParts {
+    /// How many hang together each.
+    pub count: usize,
+    /// Their area, percent of the input's.
+    pub area_percent: f64,
+    /// The largest of them.
+    pub parts: Vec<LostPart>,
+}
+
+/// One part of the input that the result lacks.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LostPart {
+    /// The vertex of it that is farthest from the result, caller's coordinates.
+    pub place: [f64; 3],
+    /// Facets.
+    pub facets: usize,
+    /// Percent of the input's area.
+    pub area_percent: f64,
+    /// Of that vertex, percent of the input's bounding-box diagonal.
+    pub distance_percent: f64,
+    /// What it is.
+    pub reason: LostReason,
+}
+
+/// Why a part is not in the result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LostReason {
+    /// It hangs together with nothing else, and is smaller than its share of points can show.
+    Component,
+    /// It hangs on an edge of more than two facets.
+    NonManifold,
+    /// It is at a boundary, and narrower than an edge.
+    Boundary,
+    /// It is thinner than an edge.
+    Thin,
 }
 
 /// What the repair had to do.

@@ -9,6 +9,9 @@ use serde_json::Value;
 
 use crate::cli::exit::NotWritten;
 
+/// Lost parts that are named, at most; the report has more.
+const NAMED_PARTS: usize = 3;
+
 /// A remesh that is to be told of.
 pub(super) struct Told<'a> {
     pub(super) report: &'a Value,
@@ -121,10 +124,47 @@ impl Told<'_> {
         if !removed.is_empty() {
             lines.push(format!("            {} and were removed: {what}", removed.join(", ")));
         }
+        self.lost(lines);
         let coincident = self.count("/result/coincident_vertices");
         if coincident > 0 {
             lines.push(format!(
                 "            {coincident} vertices are in the place of others, where parts touch: join no vertices by their places"
+            ));
+        }
+    }
+
+    /// Parts of the input that the result lacks: how many, and the largest ones.
+    fn lost(&self, lines: &mut Vec<String>) {
+        let count = self.count("/result/lost/count");
+        if count == 0 {
+            return;
+        }
+        let area = self.at("/result/lost/area_percent").as_f64().unwrap_or(0.0);
+        lines.push(format!(
+            "lost        {count} parts of the input, {area:.2} % of its area, are farther than an edge away:"
+        ));
+        let parts = self.at("/result/lost/parts").as_array().map(Vec::as_slice).unwrap_or_default();
+        for part in parts.iter().take(NAMED_PARTS) {
+            let number = |key: &str| part[key].as_f64().unwrap_or(0.0);
+            let place: Vec<String> = part["place"]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .map(|x| format!("{:.4}", x.as_f64().unwrap_or(0.0)))
+                .collect();
+            let why = match part["reason"].as_str() {
+                Some("component") => {
+                    "a component of its own, too small for its share of points; remove it, or give more points"
+                }
+                Some("non_manifold") => "it hangs on an edge of more than two facets; cut it off, or give more points",
+                Some("boundary") => "narrower than an edge, at a boundary; more points keep it, or close the hole",
+                _ => "thinner than an edge; more points keep it",
+            };
+            lines.push(format!(
+                "            at {}: {:.3} % of the area, {:.2} % of the diagonal away: {why}",
+                place.join(" "),
+                number("area_percent"),
+                number("distance_percent")
             ));
         }
     }

@@ -2,10 +2,11 @@
 //!
 //! Purpose: [`failing`] finds the cells around which the dual has another topology than the surface: those that reach around a
 //! horn or a finger, across a bridge or a strip, or hold the whole end of something slender, of which the dual would have
-//! nothing. [`shorten`] makes edges shorter there, for seeds to be drawn again. Where all cells are disks that meet each
+//! nothing. Where many cells reach through a thin wall to its other side, these fail too: their parts make vertices as they come,
+//! and poor triangles. [`shorten`] makes edges shorter there, for seeds to be drawn again. Where all cells are disks that meet each
 //! other and the boundary once, the dual is homeomorphic to the surface (closed ball property, Edelsbrunner and Shah 1997).
-//! Invariant: no cell fails if the repaired dual has all components, holes, handles and cells of the surface. Where the
-//! surface itself is no manifold, no cell fails either: no seeds could help.
+//! Invariant: no cell fails if the repaired dual has all components, holes, handles and cells of the surface, and few cells have
+//! several parts. Where the surface itself is no manifold, no cell fails either: no seeds could help.
 //! Must not know: how seeds are drawn, iterations.
 
 use glam::DVec3;
@@ -14,7 +15,7 @@ use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::measure::{self, Topology};
-use crate::remesh::constants::THIN_SHORTER;
+use crate::remesh::constants::{MANY_SPLITS, MANY_SPLITS_SHARE, THIN_LONGEST, THIN_SHORTER};
 use crate::remesh::manifold::repair::{self, Repaired};
 use crate::rvd::Surface;
 use crate::rvd::dual::Dual;
@@ -56,7 +57,8 @@ pub(super) fn failing(
     dual.triangles.iter().flatten().for_each(|&c| there[c as usize] = true);
     let closed_balls =
         dual.not_disks.is_empty() && dual.multiple_boundary_arcs.is_empty() && dual.multiple_edges.is_empty();
-    if closed_balls && !there.contains(&false) {
+    let is_split = helped_splits(dual);
+    if closed_balls && !there.contains(&false) && !is_split {
         return Ok(FailingCells::default());
     }
     let places: Vec<DVec3> = dual.components.iter().map(|c| c.centroid).collect();
@@ -69,13 +71,19 @@ pub(super) fn failing(
     let whole = |c: u32| dual.components[c as usize].whole;
     let lost = (0..count as u32).any(|c| whole(c) && !there[c as usize]);
     // Folds of the surface that are smaller than a cell close without a trace.
-    if same && !lost {
+    let holds = same && !lost;
+    if holds && !is_split {
         return Ok(FailingCells::default());
     }
-    let pairs = dual.multiple_edges.iter().flatten();
     let mut fails = vec![false; count];
-    dual.not_disks.iter().chain(&dual.multiple_boundary_arcs).chain(pairs).for_each(|&c| fails[c as usize] = true);
-    (0..count).filter(|&c| !there[c]).for_each(|c| fails[c] = true);
+    if !holds {
+        let pairs = dual.multiple_edges.iter().flatten();
+        dual.not_disks.iter().chain(&dual.multiple_boundary_arcs).chain(pairs).for_each(|&c| fails[c as usize] = true);
+        (0..count).filter(|&c| !there[c]).for_each(|c| fails[c] = true);
+    }
+    if is_split {
+        (0..count).filter(|&c| !whole(c as u32)).for_each(|c| fails[c] = true);
+    }
     let non_manifold = non_manifold_vertices(mesh, &Adjacency::new(mesh));
     for piece in &dual.pieces {
         if surface.welded()[piece.facet as usize].iter().any(|&v| non_manifold[v as usize]) {
@@ -83,13 +91,25 @@ pub(super) fn failing(
         }
     }
     let all: Vec<u32> = (0..).zip(&fails).filter(|(_, fails)| **fails).map(|(c, _)| c).collect();
-    // Most cells in several parts have them on two close sheets, which is no failure.
+    // Few cells in several parts have them on two close sheets, which is no failure.
     let area = all.iter().map(|&c| dual.components[c as usize].area).sum();
-    let mut components: Vec<u32> = all.iter().copied().filter(|&c| whole(c)).collect();
+    let mut components: Vec<u32> = all.iter().copied().filter(|&c| is_split || whole(c)).collect();
     if components.is_empty() {
         components = all;
     }
     Ok(FailingCells { components, area })
+}
+
+/// Whether cells in several parts are many, and shorter edges there leave enough points for the rest: the points of the parts grow
+/// with the square of what [`THIN_SHORTER`] says, and the other edges with the root of all points.
+fn helped_splits(dual: &Dual) -> bool {
+    let cells = dual.components.iter().map(|c| c.seed).max().map_or(0, |last| last as usize + 1);
+    if dual.split_cells < MANY_SPLITS.max((MANY_SPLITS_SHARE * cells as f64) as usize) {
+        return false;
+    }
+    let split: f64 = dual.components.iter().filter(|c| !c.whole).map(|c| c.area).sum();
+    let share = split / dual.area;
+    1.0 - share + share / (THIN_SHORTER * THIN_SHORTER) <= THIN_LONGEST * THIN_LONGEST
 }
 
 /// The vertices around which a surface is no manifold.
