@@ -9,6 +9,8 @@
 mod certificates;
 #[path = "../common/gpu.rs"]
 mod gpu;
+#[path = "../common/rough.rs"]
+mod rough;
 
 mod bad_servers;
 mod bench;

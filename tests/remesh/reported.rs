@@ -1,7 +1,10 @@
 //! Promise: what is no surface, or comes out other than it went in, is said in the report.
 
 use super::rough::{self, Scan};
+use glam::DVec3;
+use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::mesh::TriMesh;
+use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
 use tessera::remesh::report::InputKind;
@@ -97,4 +100,82 @@ fn write_them() {
         let lengths = rough::noise(&mesh, 100.0, 1).iter().map(|h| format!("{h}\n")).collect::<String>();
         std::fs::write(folder.join(format!("{name}.sizes")), lengths).unwrap();
     }
+}
+
+/// The edge of even triangles of a result.
+fn edge(result: &TriMesh) -> f64 {
+    (4.0 / 3f64.sqrt() * result.area() / result.facets().len() as f64).sqrt()
+}
+
+#[test]
+fn what_of_a_raw_scan_is_lost_is_named_with_its_place() {
+    let mut lost_parts = 0;
+    for (shape, seed) in [(Shape::Genus(2), 1), (Shape::Torus, 2), (Shape::Sphere, 3), (Shape::Hills, 4)] {
+        let mesh = Scan::RAW.of(shape, 20_000, seed);
+        let out = run(&mesh, &options(1_500));
+        let result = &out.report.result;
+        let lost = result.lost.as_ref().unwrap();
+        let tree = ClosestPoint::new(&out.mesh);
+        let distance = |p: DVec3| tree.project(p).position.distance(p);
+        let (low, high) = mesh.bounds();
+        let edge = edge(&out.mesh);
+        let far = |f: usize| !mesh.is_degenerate(f) && mesh.corners(f).into_iter().any(|p| distance(p) > edge);
+        let size = |f: usize| {
+            let [a, b, c] = mesh.corners(f);
+            (b - a).cross(c - a).length() / 2.0
+        };
+        let area: f64 = (0..mesh.facets().len()).filter(|&f| far(f)).map(size).sum();
+        assert!((lost.area_percent - 100.0 * area / mesh.area()).abs() < 1e-6, "{shape}: {lost:?}");
+        assert_eq!(lost.count > 0, area > 0.0, "{shape}");
+        for part in &lost.parts {
+            let away = 100.0 * distance(DVec3::from(part.place)) / (high - low).length();
+            assert!((away - part.distance_percent).abs() < 1e-9, "{shape}: {part:?}");
+        }
+        assert!(lost.parts.is_sorted_by(|a, b| a.area_percent >= b.area_percent), "{lost:?}");
+        // Nothing that is not named is farther off.
+        if lost.count == 0 {
+            let quality = result.quality.as_ref().unwrap();
+            assert!(quality.hausdorff_percent / 100.0 * (high - low).length() < 1.5 * edge, "{shape}: {quality:?}");
+        }
+        lost_parts += lost.count;
+        assert_eq!((result.topology.non_manifold_edges, result.topology.non_manifold_vertices), (0, 0));
+    }
+    assert!(lost_parts > 0, "the test shows nothing");
+}
+
+/// Lengths that are drawn for each vertex by itself, on one half of the surface twice as long as on the other.
+#[test]
+fn lengths_that_are_noise_are_evened_out_and_their_means_stay() {
+    for (shape, seed) in [(Shape::Torus, 1), (Shape::Sphere, 2)] {
+        let mesh = shape.build(6_000);
+        let (low, high) = mesh.bounds();
+        let middle = (low.x + high.x) / 2.0;
+        let longer = |p: &DVec3| if p.x > middle { 2.0 } else { 1.0 };
+        let lengths: Vec<f64> =
+            rough::noise(&mesh, 100.0, seed).iter().zip(mesh.positions()).map(|(h, p)| h * longer(p)).collect();
+        let density = DensityOptions::from_source(DensitySource::Sizes(lengths));
+        let out = run(&mesh, &options(1_000).with_density(density.clone().with_gradation(5.0)));
+        let (figures, result) = (&out.report.density, &out.report.result);
+        assert!(figures.noise_percent > 5.0 && figures.smoothing_rounds > 0, "{shape}: {figures:?}");
+        let right = out.mesh.positions().iter().filter(|p| p.x > middle).count();
+        let ratio = (out.mesh.positions().len() - right) as f64 / right as f64;
+        assert!((2.5..6.0).contains(&ratio), "{shape}: {ratio}");
+        let quality = result.quality.as_ref().unwrap();
+        assert!(quality.q_avg > 0.85 && quality.theta_min_deg > 20.0, "{shape}: {quality:?}");
+        // What gradation alone makes smooth is taken as before.
+        let graded = run(&mesh, &options(1_000).with_density(density));
+        assert_eq!((graded.report.density.noise_percent, graded.report.density.smoothing_rounds), (0.0, 0));
+    }
+}
+
+/// A crank with a thin web, where many cells reach through to the other side.
+#[test]
+fn cells_that_reach_through_a_thin_wall_are_a_reason_for_shorter_edges() {
+    let mesh = rough::crank(0.008, 0.015);
+    let run = |keep| run(&mesh, &options(900).with_keep_thin(keep)).report;
+    let (even, finer) = (run(false), run(true));
+    let splits = |report: &tessera::Report| report.result.repair.split_cells;
+    assert!(splits(&even) > 18 && even.topology_changes.is_empty(), "the test shows nothing: {}", splits(&even));
+    assert!(finer.refine.closed_ball_rounds > 0, "{:?}", finer.refine);
+    assert!(splits(&finer) < splits(&even), "{} of {}", splits(&finer), splits(&even));
 }
