@@ -509,17 +509,21 @@ fn resolved(net: &Net, points: f64) -> Vec<f64> {
     net.resolution().into_iter().map(|edge| (edge * net.outline.extent).min(most)).collect()
 }
 
-/// From one edge to the next, triangles can follow lengths that grow as fast as the distance; where lengths of neighbours are
-/// farther apart than that, they are noise if they also go up and down. With a larger [`DensityOptions::gradation`] alone.
-const STEEPEST: f64 = 1.0;
-/// A surface has noise if more than this share of its area is: of lengths that are drawn by themselves at each vertex it is a
-/// fifth.
+/// Lengths that go up and down from vertex to vertex are noise if they change by more than this per distance. Such may be left with
+/// a larger [`DensityOptions::gradation`] alone.
+const STEEPEST: f64 = 0.5;
+/// A surface has noise if it is more than this share of the area: of lengths that are drawn by themselves at each vertex it is a
+/// quarter.
 const NOISE: f64 = 0.02;
+/// Once there is noise, lengths are evened out until no more than this share of the area
+const NOISE_LEFT: f64 = 0.005;
+/// changes by more than this. On a torus of 6,000 facets with lengths of 100 : 1, 1,000 points take a tenth of the time then.
+const STEEPEST_LEFT: f64 = 0.3;
 /// Rounds in which lengths are evened out, at most; each second one twice as many as the one before.
 const SMOOTHING_ROUNDS: usize = 64;
 
 /// [`bounded`], after lengths that are noise are evened out, as long as there is any; with the share of the area that was noise,
-/// and how many rounds it took. With such lengths a result has poor triangles all over, and takes minutes to improve.
+/// and how many rounds it took. With such lengths a result has poor triangles all over, and takes long to improve.
 fn without_noise(
     mut base: SizeField,
     least: Option<&Least>,
@@ -530,15 +534,16 @@ fn without_noise(
 ) -> Result<(Bounded, f64, usize), DensityError> {
     let mut found = bounded(base.clone(), least, net, options, target, token)?;
     let noise = if options.gradation > STEEPEST { found.field.noise(net, STEEPEST) } else { 0.0 };
-    let (mut left, mut rounds) = (noise, 0);
-    while left > NOISE && rounds < SMOOTHING_ROUNDS {
+    let mut rounds = 0;
+    let mut has_noise = noise > NOISE;
+    while has_noise && rounds < SMOOTHING_ROUNDS {
         for _ in 0..rounds.max(1) {
             token.check()?;
             base.smooth(net);
             rounds += 1;
         }
         found = bounded(base.clone(), least, net, options, target, token)?;
-        left = found.field.noise(net, STEEPEST);
+        has_noise = found.field.noise(net, STEEPEST_LEFT) > NOISE_LEFT;
     }
     Ok((found, if rounds > 0 { noise } else { 0.0 }, rounds))
 }
