@@ -7,7 +7,7 @@ use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
-use tessera::remesh::report::InputKind;
+use tessera::remesh::report::{InputKind, LostReason};
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Parallel;
 use tessera::token::Token;
@@ -43,17 +43,51 @@ fn a_mesh_of_tetrahedra_is_called_a_volume() {
 
 #[test]
 fn pages_that_meet_in_an_edge_are_told_of() {
-    for (pages, backs) in [(3, false), (5, false), (3, true)] {
-        let mesh = rough::book(pages, 12, backs);
-        let out = run(&mesh, &options(500));
+    for (pages, points) in [(3, 500), (5, 500), (4, 1500)] {
+        let mesh = rough::book(pages, 12, false);
+        let out = run(&mesh, &options(points));
         let (input, result) = (&out.report.input, &out.report.result);
-        assert_eq!(input.kind, InputKind::NonManifold, "{input:?}");
-        assert_eq!(input.back_to_back_facets, if backs { mesh.facets().len() } else { 0 }, "{input:?}");
+        assert_eq!((input.kind, input.back_to_back_facets), (InputKind::NonManifold, 0), "{input:?}");
         assert_eq!(input.enclosed_facets, 0, "{input:?}");
-        // Pages that were joined lie beside each other now, and nobody is to join them again by accident.
-        assert!(result.repair.extra_vertices == 0 || result.coincident_vertices > 0, "{pages} {backs}: {result:?}");
+        assert!(result.repair.non_manifold_facets > 0, "{pages}: {:?}", result.repair);
         assert_eq!((result.topology.non_manifold_edges, result.topology.non_manifold_vertices), (0, 0));
     }
+    let both_sides = try_run(&rough::book(3, 12, true), &options(500));
+    assert!(matches!(both_sides, Err(RemeshError::NoThickness)), "{:?}", both_sides.map(|out| out.report.input));
+}
+
+/// Fins of two sides on a ball.
+#[test]
+fn sides_without_thickness_are_counted() {
+    let (mut positions, mut facets) = Shape::Sphere.build(2000).into_parts();
+    let fins = 20;
+    for k in 0..fins {
+        let [a, b, _] = facets[61 * k];
+        let tip = positions.len() as u32;
+        positions.push(1.3 * positions[a as usize]);
+        facets.extend([[a, b, tip], [a, tip, b]]);
+    }
+    let out = run(&TriMesh::new(positions, facets).unwrap(), &options(600));
+    let input = &out.report.input;
+    assert_eq!((input.kind, input.back_to_back_facets), (InputKind::NonManifold, 2 * fins), "{input:?}");
+    let lost = out.report.result.lost.as_ref().unwrap();
+    assert!(lost.parts.iter().all(|part| part.reason == LostReason::NonManifold), "{lost:?}");
+}
+
+#[test]
+fn vertices_in_one_place_are_counted() {
+    // Of a soup of tetrahedra, whose parts touch all over.
+    let volume = run(&rough::tetrahedra(4, true, 3), &options(400));
+    let counted = volume.report.result.coincident_vertices;
+    let edges =
+        |mesh: &TriMesh| mesh.facets().iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect::<Vec<_>>();
+    let joined =
+        |i: usize, j: usize| edges(&volume.mesh).iter().any(|e| e.contains(&(i as u32)) && e.contains(&(j as u32)));
+    let all = volume.mesh.positions();
+    let (low, high) = volume.mesh.bounds();
+    let reach = 1e-5 * (high - low).length();
+    let found = (0..all.len()).filter(|&i| (0..i).any(|j| all[i].distance(all[j]) <= reach && !joined(i, j))).count();
+    assert_eq!(counted, found);
 }
 
 #[test]

@@ -72,16 +72,16 @@ impl Told<'_> {
         note(count("degenerate_facets"), "facets have no area and do not count");
         note(count("coincident_facets"), "facets lay on others, corner on corner, and were left out");
         note(count("reoriented_facets"), "facets were oriented unlike their neighbours and turned over");
-        note(
-            count("back_to_back_facets"),
-            "facets lie on others, back to back, and enclose nothing: remesh one side of them",
-        );
         if self.at("/input/kind") == "volume" {
             note(
                 count("enclosed_facets"),
                 "facets lie between others: this is a mesh of a volume, no surface; remesh the boundary of it",
             );
         } else {
+            note(
+                count("back_to_back_facets"),
+                "facets lie on others, back to back, and enclose nothing: remesh one side of them",
+            );
             note(
                 count("non_manifold_edges"),
                 "edges have more than two facets; the result is cut there: to choose where, cut the input",
