@@ -8,6 +8,7 @@
 use std::collections::HashSet;
 
 use rayon::prelude::*;
+use serde::Serialize;
 
 use super::TriMesh;
 use super::adjacency::weld;
@@ -60,6 +61,18 @@ impl Layers {
     }
 }
 
+/// What the facets that came in are together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InputKind {
+    /// No edge has more than two facets.
+    Surface,
+    /// Some edges have.
+    NonManifold,
+    /// Most facets lie between others, as those of a mesh of tetrahedra: the boundary of what they fill is a surface.
+    Volume,
+}
+
 /// What of a list of facets is no surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Oddities {
@@ -69,6 +82,17 @@ pub(crate) struct Oddities {
     pub(crate) enclosed: usize,
     /// of so many places.
     pub(crate) places: usize,
+}
+
+impl Oddities {
+    /// What facets with an edge of more than two are, or, by default, without one.
+    pub(crate) fn kind(&self) -> InputKind {
+        match self.places {
+            0 => InputKind::Surface,
+            places if 2 * self.enclosed > places => InputKind::Volume,
+            _ => InputKind::NonManifold,
+        }
+    }
 }
 
 /// Looks for what is no surface. Linear in the facets but for sorting.

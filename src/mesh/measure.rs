@@ -5,13 +5,16 @@
 //! Both functions give the same figures whatever the number of threads.
 //! Must not know: how a surface came about.
 
+use std::collections::HashSet;
+
 use serde::Serialize;
 
-use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
 use super::closest_point::ClosestPoint;
 use super::disjoint::DisjointSets;
+use super::edges::undirected;
 use super::sample::sample;
+use super::{TriMesh, coincident};
 use crate::token::{Stopped, Token};
 use glam::DVec3;
 
@@ -103,6 +106,25 @@ pub(crate) fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Tok
         non_manifold_edges: adjacency.non_manifold_edges(),
         non_manifold_vertices,
     })
+}
+
+/// Vertices are in one place within this share of the diagonal.
+const SAME_PLACE: f64 = 1e-5;
+
+/// Counts vertices in the place of an earlier one with which they share no edge.
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn coincident_vertices(result: &TriMesh, token: &Token) -> Result<usize, Stopped> {
+    let (low, high) = result.bounds();
+    let reach = SAME_PLACE * (high - low).length();
+    let found = coincident::near(result.positions(), 0..result.positions().len() as u32, (low, reach), token)?;
+    if found.is_empty() {
+        return Ok(0);
+    }
+    let edges = result.facets().iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).map(undirected);
+    let edges: HashSet<[u32; 2]> = edges.collect();
+    Ok(found.iter().filter(|&&(later, earlier, _)| !edges.contains(&undirected([later, earlier]))).count())
 }
 
 /// Quality of `result` against `original`. Distances are taken from about 100,000 random points and all

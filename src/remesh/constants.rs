@@ -367,13 +367,6 @@ pub(super) const SPLIT_GAIN: f64 = 0.5;
 /// Factor by which the number of points may grow where edge lengths imply it.
 pub(super) const THIN_MOST_POINTS: usize = 2;
 
-// Parts that the result lacks.
-
-/// What is farther from the result than so many mean edges of it is lost, and no mere deviation.
-pub(super) const LOST_EDGES: f64 = 1.0;
-/// Parts that are named, at most: a report of a bad scan stays one that can be read.
-pub(super) const MOST_LOST_PARTS: usize = 16;
-
 // Refinement to a tolerance.
 
 /// Rounds with shorter edges, at most.

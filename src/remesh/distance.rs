@@ -2,13 +2,11 @@
 //!
 //! Purpose: [`reference`](mod@reference) holds the input by result vertex, so that a distance needs no search over the whole
 //! surface. [`nearest`] finds the closest point in a one-ring, [`deviation`] measures the input's vertices,
-//! [`hausdorff`] estimates the distance both ways, [`facet_set`] finds the closest point in a small part of the input,
-//! [`lost`] gathers what the result lacks.
+//! [`hausdorff`] estimates the distance both ways, [`facet_set`] finds the closest point in a small part of the input.
 //! Invariant: the same bits whatever the number of threads. Must not know: how the result is changed.
 
 pub(super) mod deviation;
 pub(super) mod facet_set;
 pub(super) mod hausdorff;
-pub(super) mod lost;
 pub(super) mod nearest;
 pub(super) mod reference;

@@ -22,13 +22,11 @@ use crate::mesh::adjacency::Adjacency;
 use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::measure::{Quality, quality_unless, topology_unless};
+use crate::mesh::lost::{self, LostParts};
+use crate::mesh::measure::{Quality, coincident_vertices, quality_unless, topology_unless};
 use crate::mesh::outliers;
 use crate::remesh::attributes::{self, Provenance};
-use crate::remesh::distance::lost;
-use crate::remesh::report::{
-    InputFigures, LostParts, MemoryFigures, Report, ResultFigures, coincident_vertices, topology_changes,
-};
+use crate::remesh::report::{InputFigures, MemoryFigures, Report, ResultFigures, topology_changes};
 use crate::remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{Backend, RvdError, on_threads_of};
 use crate::token::{Stopped, Token};

@@ -4,17 +4,16 @@
 //! Invariant: a name that scripts read does not change.
 //! Must not know: how the figures came about.
 
-use std::collections::HashSet;
-
 use serde::Serialize;
 
 use crate::cvt::Iteration;
 use crate::cvt::density::DensityFigures;
 use crate::mesh::adjacency::Adjacency;
-use crate::mesh::edges::undirected;
+pub use crate::mesh::layers::InputKind;
 use crate::mesh::layers::{self, Oddities};
+pub use crate::mesh::lost::{LostPart, LostParts, LostReason};
 use crate::mesh::measure::{Quality, Topology, topology_unless};
-use crate::mesh::{TriMesh, coincident, outliers};
+use crate::mesh::{TriMesh, outliers};
 use crate::rvd::dual::Dual;
 use crate::rvd::{DeviceWork, PassStats, Surface};
 use crate::token::{Stopped, Token};
@@ -100,18 +99,6 @@ pub(crate) fn topology_changes(input: &Topology, result: &Topology) -> Vec<Strin
     ];
     let changed = pairs.into_iter().filter(|(_, before, after)| before != after);
     changed.map(|(name, before, after)| format!("{name}: {before} becomes {after}")).collect()
-}
-
-/// What the facets that came in are together.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum InputKind {
-    /// No edge has more than two facets.
-    Surface,
-    /// Some edges have.
-    NonManifold,
-    /// Most facets lie between others, as those of a mesh of tetrahedra: the boundary of what they fill is a surface.
-    Volume,
 }
 
 /// The surface that came in.
@@ -356,46 +343,6 @@ pub struct ResultFigures {
     pub repair: RepairFigures,
 }
 
-/// Parts of the input that are farther from the result than an edge of it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct LostParts {
-    /// How many hang together each.
-    pub count: usize,
-    /// Their area, percent of the input's.
-    pub area_percent: f64,
-    /// The largest of them.
-    pub parts: Vec<LostPart>,
-}
-
-/// One part of the input that the result lacks.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct LostPart {
-    /// The vertex of it that is farthest from the result, caller's coordinates.
-    pub place: [f64; 3],
-    /// Facets.
-    pub facets: usize,
-    /// Percent of the input's area.
-    pub area_percent: f64,
-    /// Of that vertex, percent of the input's bounding-box diagonal.
-    pub distance_percent: f64,
-    /// What it is.
-    pub reason: LostReason,
-}
-
-/// Why a part is not in the result.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum LostReason {
-    /// It hangs together with nothing else, and is smaller than its share of points can show.
-    Component,
-    /// It hangs on an edge of more than two facets.
-    NonManifold,
-    /// It is at a boundary, and narrower than an edge.
-    Boundary,
-    /// It is thinner than an edge.
-    Thin,
-}
-
 /// What the repair had to do.
 #[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
 pub struct RepairFigures {
@@ -447,18 +394,12 @@ impl InputFigures {
         token.check()?;
         let (area, degenerate_facets) = (mesh.area(), mesh.degenerate_count());
         token.check()?;
-        let crowded = adjacency.non_manifold_edges() > 0;
-        let Oddities { back_to_back, enclosed, places } =
-            if crowded { layers::look(mesh) } else { Oddities::default() };
+        let oddities = if adjacency.non_manifold_edges() > 0 { layers::look(mesh) } else { Oddities::default() };
         token.check()?;
         Ok(Self {
-            kind: match crowded {
-                false => InputKind::Surface,
-                true if 2 * enclosed > places => InputKind::Volume,
-                true => InputKind::NonManifold,
-            },
-            enclosed_facets: enclosed,
-            back_to_back_facets: back_to_back,
+            kind: oddities.kind(),
+            enclosed_facets: oddities.enclosed,
+            back_to_back_facets: oddities.back_to_back,
             vertices: mesh.positions().len(),
             facets: mesh.facets().len(),
             degenerate_facets,
@@ -471,25 +412,6 @@ impl InputFigures {
             topology: topology_unless(mesh, adjacency, token)?,
         })
     }
-}
-
-/// See [`ResultFigures::coincident_vertices`].
-const SAME_PLACE: f64 = 1e-5;
-
-/// Counts [`ResultFigures::coincident_vertices`].
-///
-/// # Errors
-/// [`Stopped`].
-pub(super) fn coincident_vertices(result: &TriMesh, token: &Token) -> Result<usize, Stopped> {
-    let (low, high) = result.bounds();
-    let reach = SAME_PLACE * (high - low).length();
-    let found = coincident::near(result.positions(), 0..result.positions().len() as u32, (low, reach), token)?;
-    if found.is_empty() {
-        return Ok(0);
-    }
-    let edges = result.facets().iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).map(undirected);
-    let edges: HashSet<[u32; 2]> = edges.collect();
-    Ok(found.iter().filter(|&&(later, earlier, _)| !edges.contains(&undirected([later, earlier]))).count())
 }
 
 impl RvdFigures {

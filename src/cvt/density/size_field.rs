@@ -177,9 +177,10 @@ impl SizeField {
     /// Evens lengths out between neighbours, once. Points per area flow, so that there are as many as before: what an edge
     /// cannot follow is averaged, and nothing else is changed much.
     pub(super) fn smooth(&mut self, net: &Net) {
-        // Points per area beside those of the shortest length, which may be as short as a number can be.
+        // Points per area beside those of the shortest length, so that no units overflow.
         let least = self.least();
-        let density: Vec<f64> = self.sizes.iter().map(|h| (least / h).powi(2)).collect();
+        let of = |h: &f64| (least / h).powi(2).max(f64::MIN_POSITIVE);
+        let density: Vec<f64> = self.sizes.iter().map(of).collect();
         // Half of what a vertex has goes out at most, in equal parts.
         let share = |v: usize| 0.5 * net.area[v] / net.neighbours(v).len().max(1) as f64;
         for v in (0..net.vertices()).filter(|&v| net.area[v] > 0.0) {

@@ -1,26 +1,66 @@
-//! Parts of the input that the result lacks.
+//! Parts of a surface that its remesh lacks.
 //!
-//! Purpose: [`find`] gathers the facets of the input that are farther from the result than an edge of it, by what hangs
+//! Purpose: [`find`] gathers the facets of a surface that are farther from a result than an edge of it, by what hangs
 //! together, and says where each part is and what it was.
 //! Invariant: parts come by falling area; the same bits whatever the number of threads. Must not know: why it matters.
 
-use crate::mesh::TriMesh;
-use crate::mesh::adjacency::{Adjacency, EdgeKind};
-use crate::mesh::disjoint::DisjointSets;
-use crate::remesh::constants::{LOST_EDGES, MOST_LOST_PARTS};
-use crate::remesh::report::{LostPart, LostParts, LostReason};
+use serde::Serialize;
+
+use super::TriMesh;
+use super::adjacency::{Adjacency, EdgeKind};
+use super::disjoint::DisjointSets;
 use crate::token::{Stopped, Token};
+
+/// What is farther from the result than so many mean edges of it is lost, and no mere deviation.
+const LOST_EDGES: f64 = 1.0;
+/// Parts that are named, at most: a report of a bad scan stays one that can be read.
+const MOST_LOST_PARTS: usize = 16;
+
+/// Parts of the input that are farther from the result than an edge of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct LostParts {
+    /// How many hang together each.
+    pub count: usize,
+    /// Their area, percent of the input's.
+    pub area_percent: f64,
+    /// The largest of them.
+    pub parts: Vec<LostPart>,
+}
+
+/// One part of the input that the result lacks.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LostPart {
+    /// The vertex of it that is farthest from the result, caller's coordinates.
+    pub place: [f64; 3],
+    /// Facets.
+    pub facets: usize,
+    /// Percent of the input's area.
+    pub area_percent: f64,
+    /// Of that vertex, percent of the input's bounding-box diagonal.
+    pub distance_percent: f64,
+    /// What it is.
+    pub reason: LostReason,
+}
+
+/// Why a part is not in the result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LostReason {
+    /// It hangs together with nothing else, and is smaller than its share of points can show.
+    Component,
+    /// It hangs on an edge of more than two facets.
+    NonManifold,
+    /// It is at a boundary, and narrower than an edge.
+    Boundary,
+    /// It is thinner than an edge.
+    Thin,
+}
 
 /// What `result` lacks of `mesh`, whose vertices are so far from it.
 ///
 /// # Errors
 /// [`Stopped`].
-pub(in crate::remesh) fn find(
-    mesh: &TriMesh,
-    result: &TriMesh,
-    distances: &[f64],
-    token: &Token,
-) -> Result<LostParts, Stopped> {
+pub(crate) fn find(mesh: &TriMesh, result: &TriMesh, distances: &[f64], token: &Token) -> Result<LostParts, Stopped> {
     // Of even triangles of the result's area and number.
     let edge = (4.0 / 3f64.sqrt() * result.area() / result.facets().len().max(1) as f64).sqrt();
     let far = |v: u32| distances[v as usize] > LOST_EDGES * edge;
