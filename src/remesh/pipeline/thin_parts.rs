@@ -124,10 +124,13 @@ fn walls(dual: &Dual) -> Vec<bool> {
         return Vec::new();
     }
     let mut on_wall: Vec<bool> = dual.components.iter().map(|c| !c.whole).collect();
-    for _ in 0..WALL_RINGS {
-        let before = on_wall.clone();
-        for t in dual.triangles.iter().filter(|t| t.iter().any(|&c| before[c as usize])) {
-            t.iter().for_each(|&c| on_wall[c as usize] = true);
+    // Grown and shrunk again, so that what lies between is on the wall and what lies beside it is not.
+    for grows in [true, false] {
+        for _ in 0..WALL_RINGS {
+            let before = on_wall.clone();
+            for t in dual.triangles.iter().filter(|t| t.iter().any(|&c| before[c as usize] == grows)) {
+                t.iter().for_each(|&c| on_wall[c as usize] = grows);
+            }
         }
     }
     let area: f64 = dual.components.iter().zip(&on_wall).filter(|(_, on)| **on).map(|(c, _)| c.area).sum();
