@@ -20,6 +20,7 @@ pub(crate) mod duplicates;
 pub(crate) mod edges;
 pub(crate) mod features;
 pub mod io;
+pub(crate) mod lost;
 pub mod measure;
 pub(crate) mod orient;
 pub(crate) mod outliers;

@@ -31,7 +31,7 @@ pub use options::{Count, DensityOptions, DensitySource};
 pub use outline::Outline;
 pub(crate) use size_field::SizeField;
 
-use lengths::{Bounded, Least, adapt, bounded, fill_gaps, of_curvature, resolved};
+use lengths::{Bounded, Least, adapt, fill_gaps, of_curvature, resolved, without_noise};
 
 /// What came of a density, for a report. Lengths are in the caller's units.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -51,6 +51,11 @@ pub struct DensityFigures {
     pub clamped_vertices: usize,
     /// Vertices whose length was lowered for the sake of gradation.
     pub graded_vertices: usize,
+    /// Share of the area whose lengths go up and down from vertex to vertex faster than triangles can follow, percent; 0 if it
+    /// is no more than here and there.
+    pub noise_percent: f64,
+    /// Rounds that evened such lengths out between neighbours.
+    pub smoothing_rounds: usize,
     /// Facets that the surface was divided into where weights change fast or facets are long beside the cells; as before
     /// if it was not.
     pub facets: usize,
@@ -177,6 +182,8 @@ fn level<'a>(
         edge_largest: edge,
         clamped_vertices: 0,
         graded_vertices: 0,
+        noise_percent: 0.0,
+        smoothing_rounds: 0,
         facets: mesh.facets().len(),
     };
     Ok(Plan { mesh: Cow::Borrowed(mesh), weights, sizes: None, points, figures })
@@ -221,7 +228,8 @@ fn varying<'a>(
         Some(target) if !given => Some(Least { edge: resolved(&net, target), sheets }),
         _ => None,
     };
-    let Bounded { field, graded, outside, points } = bounded(field, least.as_ref(), &net, options, target, token)?;
+    let (Bounded { field, graded, outside, points }, noise, smoothing_rounds) =
+        without_noise(field, least.as_ref(), &net, options, target, token)?;
     token.check()?;
     let points_implied = points;
     let points = match count {
@@ -237,6 +245,8 @@ fn varying<'a>(
         edge_largest: Some(field.largest()),
         clamped_vertices: clamped + outside,
         graded_vertices: graded,
+        noise_percent: 100.0 * noise,
+        smoothing_rounds,
         facets: divided.as_ref().map_or(mesh, |(fine, _)| fine).facets().len(),
     };
     let (mesh, weights) = match divided {

@@ -1,13 +1,14 @@
 //! Duplicate facets: facets with the same three corners.
 //!
 //! Purpose: [`remove`] leaves one facet of each group where the surface continues without the others: a file may have a facet
-//! twice, or a second one for its back.
+//! twice, or a second one for its back. [`oddities`] says what is no surface.
 //! Invariant: a two-sided surface without thickness stays: a sheet of two sides, a flap on a solid, a pillow that is flat in
 //! its middle. Vertices keep their numbers, and facets their order. Must not know: what the surface is for.
 
 use std::collections::HashSet;
 
 use rayon::prelude::*;
+use serde::Serialize;
 
 use super::TriMesh;
 use super::adjacency::weld;
@@ -57,6 +58,59 @@ impl Groups {
 
     fn iter(&self) -> impl Iterator<Item = &[Sorted]> {
         self.all.chunk_by(|a, b| a.corners == b.corners)
+    }
+}
+
+/// What the facets that came in are together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InputKind {
+    /// No edge has more than two facets.
+    Surface,
+    /// Some edges have.
+    NonManifold,
+    /// Most facets lie between others, as those of a mesh of tetrahedra: the boundary of what they fill is a surface.
+    Volume,
+}
+
+/// What of a list of facets is no surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Oddities {
+    /// Facets that lie on another one that is oriented the other way: two sides without thickness.
+    pub(crate) back_to_back: usize,
+    /// Groups of duplicate facets, single ones too, of which each edge has more than two groups, as those inside a mesh of
+    /// tetrahedra,
+    pub(crate) enclosed: usize,
+    /// of so many groups.
+    pub(crate) groups: usize,
+}
+
+impl Oddities {
+    /// What facets with an edge of more than two are, or, by default, without one.
+    pub(crate) fn kind(&self) -> InputKind {
+        match self.groups {
+            0 => InputKind::Surface,
+            groups if 2 * self.enclosed > groups => InputKind::Volume,
+            _ => InputKind::NonManifold,
+        }
+    }
+}
+
+/// Looks for what is no surface. Linear in the facets but for sorting.
+pub(crate) fn oddities(mesh: &TriMesh) -> Oddities {
+    let all = Groups::of(mesh);
+    let groups: Vec<&[Sorted]> = all.iter().collect();
+    let mut crowded_sides = vec![0u8; groups.len()];
+    EdgeGroups::new(all.vertices, groups.iter().map(|group| group[0].corners).enumerate()).for_each(|_, halves| {
+        if halves.len() > 2 {
+            halves.iter().for_each(|half| crowded_sides[half.facet as usize] += 1);
+        }
+    });
+    let is_double = |group: &&&[Sorted]| group.iter().any(|facet| facet.forward != group[0].forward);
+    Oddities {
+        back_to_back: groups.iter().filter(is_double).map(|group| group.len()).sum(),
+        enclosed: crowded_sides.into_iter().filter(|&sides| sides == 3).count(),
+        groups: groups.len(),
     }
 }
 
@@ -173,6 +227,23 @@ mod tests {
             remove(&TriMesh::new(positions, facets).unwrap(), &Token::default()).unwrap().unwrap().0.facets(),
             sheet.facets()
         );
+    }
+
+    #[test]
+    fn what_is_no_surface_is_counted() {
+        let mesh = Shape::Sphere.build(200);
+        let facets = mesh.facets().len();
+        assert_eq!(oddities(&mesh), Oddities { groups: facets, ..Oddities::default() });
+        let both = with(&mesh, mesh.facets().iter().copied().map(back));
+        assert_eq!(oddities(&both), Oddities { back_to_back: 2 * facets, enclosed: 0, groups: facets });
+        // Corners of a cube's tetrahedra around one of its diagonals, the facets between them once.
+        let points = (0..8u32).map(|k| glam::DVec3::new(f64::from(k & 1), f64::from(k >> 1 & 1), f64::from(k >> 2)));
+        let path = [1, 3, 2, 6, 4, 5, 1];
+        let facets = path.windows(2).flat_map(|w| [[0, 7, w[0]], [0, w[0], w[1]], [7, w[1], w[0]]]).collect();
+        let solid = TriMesh::new(points.collect(), facets).unwrap();
+        let seen = oddities(&solid);
+        assert_eq!((seen.back_to_back, seen.groups), (0, 18));
+        assert!(seen.enclosed >= 6, "{seen:?}");
     }
 
     #[test]

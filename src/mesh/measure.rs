@@ -5,14 +5,16 @@
 //! Both functions give the same figures whatever the number of threads.
 //! Must not know: how a surface came about.
 
+use std::collections::HashSet;
+
 use serde::Serialize;
 
-use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
 use super::closest_point::{ClosestPoint, SurfacePoint};
 use super::disjoint::DisjointSets;
 use super::edges::undirected;
 use super::sample::sample;
+use super::{TriMesh, coincident};
 use crate::token::{Stopped, Token};
 use glam::DVec3;
 
@@ -106,13 +108,32 @@ pub(crate) fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Tok
     })
 }
 
+/// Vertices are in one place within this share of the diagonal.
+const SAME_PLACE: f64 = 1e-5;
+
+/// Counts vertices in the place of an earlier one with which they share no edge.
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn coincident_vertices(result: &TriMesh, token: &Token) -> Result<usize, Stopped> {
+    let (low, high) = result.bounds();
+    let reach = SAME_PLACE * (high - low).length();
+    let found = coincident::near(result.positions(), 0..result.positions().len() as u32, (low, reach), token)?;
+    if found.is_empty() {
+        return Ok(0);
+    }
+    let edges = result.facets().iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).map(undirected);
+    let edges: HashSet<[u32; 2]> = edges.collect();
+    Ok(found.iter().filter(|&&(later, earlier, _)| !edges.contains(&undirected([later, earlier]))).count())
+}
+
 /// Quality of `result` against `original`. Distances are taken from about 100,000 random points and all
 /// vertices of each side to the other surface.
 pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
-    quality_unless(original, None, result, &Token::default()).unwrap_or_default()
+    quality_unless(original, None, result, &Token::default()).map_or_else(|_| Quality::default(), |of| of.0)
 }
 
-/// As [`quality`]. Who has something that answers for `original`, or for the same
+/// As [`quality`], with how far each vertex of `original` is from the result, 0 where no facet with area has it. Who has something that answers for `original`, or for the same
 /// surface with its facets divided, saves the time to make it.
 ///
 /// # Errors
@@ -122,21 +143,21 @@ pub fn quality_unless(
     closest: Option<ClosestPoint>,
     result: &TriMesh,
     token: &Token,
-) -> Result<Quality, Stopped> {
+) -> Result<(Quality, Vec<f64>), Stopped> {
     let shapes = || {
         let adjacency = Adjacency::new(result);
         Quality { v567_percent: v567_percent(result, &adjacency), ..shape_quality(result, &adjacency) }
     };
     let back = || rayon::join(shapes, || distances(result, original, closest, token));
     let (there, (mut quality, back)) = rayon::join(|| distances(original, result, None, token), back);
-    let (there, back) = (there?, back?);
+    let ((there, of_vertices), (back, _)) = (there?, back?);
     let (low, high) = original.bounds();
     // Scaled, so that the squares of a tiny or huge box stay within range.
     let extent = (high - low).max_element();
     let diagonal = ((high - low) / extent).length() * extent;
     quality.hausdorff_percent = 100.0 * there.0.max(back.0) / diagonal;
     quality.rms_percent = 100.0 * there.1.max(back.1) / diagonal;
-    Ok(quality)
+    Ok((quality, of_vertices))
 }
 
 /// Q = (6/√3) S/(p h) of one triangle about one unit in size: 1 is equilateral, 0 has no area.
@@ -344,17 +365,19 @@ pub(crate) fn probes(mesh: &TriMesh, token: &Token) -> Result<Vec<Probe>, Stoppe
     Ok(probes)
 }
 
-/// Largest and root mean square distance of `from`'s points to `to`, caller's units.
+/// Largest and root mean square distance of `from`'s points to `to`, and that of each of its vertices, 0 where no facet with area
+/// has it; caller's units.
 fn distances(
     from: &TriMesh,
     to: &TriMesh,
     closest: Option<ClosestPoint>,
     token: &Token,
-) -> Result<(f64, f64), Stopped> {
+) -> Result<((f64, f64), Vec<f64>), Stopped> {
     let random = sample(from, None, SAMPLES, SAMPLE_SEED);
     let drawn = random.len();
     let mut points: Vec<DVec3> = random.iter().map(|s| s.position).collect();
-    points.extend(solid_vertices(from).map(|v| from.positions()[v as usize]));
+    let solid: Vec<u32> = solid_vertices(from).collect();
+    points.extend(solid.iter().map(|&v| from.positions()[v as usize]));
     token.check()?;
     let target = closest.unwrap_or_else(|| ClosestPoint::new(to));
     token.check()?;
@@ -368,7 +391,9 @@ fn distances(
     };
     let chunks = distances.chunks(CHUNK).enumerate().map(of_chunk);
     let (max, sum) = chunks.fold((0.0f64, 0.0), |(max, sum), (m, s)| (m.max(max), sum + s));
-    Ok((max * unit, (sum / drawn as f64).sqrt() * unit))
+    let mut of_vertices = vec![0.0; from.positions().len()];
+    solid.iter().zip(&distances[drawn..]).for_each(|(&v, &distance)| of_vertices[v as usize] = distance);
+    Ok(((max * unit, (sum / drawn as f64).sqrt() * unit), of_vertices))
 }
 
 #[cfg(test)]

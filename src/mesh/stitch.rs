@@ -6,13 +6,8 @@
 //! edges, so that no facet vanishes or flips. Vertices and facets keep their numbers.
 //! Must not know: what the surface is for.
 
-use std::cmp::Ordering::Equal;
-use std::collections::HashMap;
-
-use glam::DVec3;
-
-use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
+use super::{TriMesh, coincident};
 use crate::token::{Stopped, Token};
 
 /// Largest distance of vertices that coincide, as a share of the surface's diagonal: coordinates that were rounded to single
@@ -47,25 +42,7 @@ pub(crate) fn boundaries(
         (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) == EdgeKind::Boundary).flat_map(ends).collect();
     vertices.sort_unstable();
     vertices.dedup();
-    // The first vertex represents those within the tolerance. Representatives are farther apart, so that a cell has few.
-    // Counted from the surface's corner, so that numbers stay small however far it is from the origin.
-    let cell = |p: DVec3| ((p - origin) / (4.0 * tolerance)).floor().to_array().map(|x| x as i64);
-    let mut by_cell: HashMap<[i64; 3], Vec<u32>> = HashMap::with_capacity(vertices.len());
-    let mut pairs: Vec<(u32, u32, f64)> = Vec::new();
-    for (k, &v) in vertices.iter().enumerate() {
-        // Each looks at up to eight cells.
-        token.check_at(8 * k)?;
-        let (low, high) = (cell(place(v) - tolerance), cell(place(v) + tolerance));
-        let along = |axis: usize| low[axis]..=high[axis];
-        let cells = along(0).flat_map(|x| along(1).flat_map(move |y| along(2).map(move |z| [x, y, z])));
-        let candidates = cells.filter_map(|cell| by_cell.get(&cell)).flatten();
-        let nearest =
-            candidates.map(|&u| (place(u).distance(place(v)), u)).min_by(|a, b| a.partial_cmp(b).unwrap_or(Equal));
-        match nearest.filter(|(distance, _)| *distance <= tolerance) {
-            Some((distance, u)) => pairs.push((v, u, distance)),
-            None => by_cell.entry(cell(place(v))).or_default().push(v),
-        }
-    }
+    let pairs = coincident::near(mesh.positions(), vertices, (origin, tolerance), token)?;
     if pairs.is_empty() {
         return Ok(None);
     }
@@ -99,6 +76,8 @@ pub(crate) fn boundaries(
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+
+    use glam::DVec3;
 
     use super::*;
     use crate::mesh::measure::topology;

@@ -23,13 +23,14 @@ use crate::mesh::adjacency::Adjacency;
 use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::measure::{quality_unless, topology_unless};
+use crate::mesh::lost::{self, LostParts};
+use crate::mesh::measure::{Quality, coincident_vertices, quality_unless, topology_unless};
 use crate::mesh::outliers;
 use crate::remesh::attributes::{self, Provenance};
 use crate::remesh::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, topology_changes};
 use crate::remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{Backend, RvdError, on_threads_of};
-use crate::token::Token;
+use crate::token::{Stopped, Token};
 use attempt::{Attempt, Figures};
 use job::{Job, Laps, enter};
 use prepare::{Prepared, prepare, separation};
@@ -150,6 +151,17 @@ fn transfer(
     Ok((Some(carried), provenance))
 }
 
+/// The quality of a result, and what it lacks of `mesh`, for which `closest` may answer.
+fn compare(
+    mesh: &TriMesh,
+    closest: Option<ClosestPoint>,
+    result: &TriMesh,
+    token: &Token,
+) -> Result<(Quality, LostParts), Stopped> {
+    let (quality, distances) = quality_unless(mesh, closest, result, token)?;
+    Ok((quality, lost::find(mesh, result, &distances, token)?))
+}
+
 /// Measures the result against `mesh` and writes the report. Attributes and provenance are left empty.
 fn measure(
     mesh: &TriMesh,
@@ -164,12 +176,18 @@ fn measure(
     let Figures { converged, rvd, iterations, last, refine, asked } = figures;
     token.check()?;
     let result = &built.mesh;
-    let quality = || options.measure.then(|| quality_unless(mesh, closest, result, token));
-    let topology = || topology_unless(result, &Adjacency::new(result), token);
+    let quality = || options.measure.then(|| compare(mesh, closest, result, token)).transpose();
+    // Only parts of one seed's cell, or of the surface, can be in one place.
+    let touches = built.repair.extra_vertices > 0 || input.topology.components > 1;
+    let topology = || -> Result<_, Stopped> {
+        let coincident_vertices = if touches { coincident_vertices(result, token)? } else { 0 };
+        Ok((topology_unless(result, &Adjacency::new(result), token)?, coincident_vertices))
+    };
     let (topology, quality) = rayon::join(topology, quality);
-    let (topology, quality) = (topology?, quality.transpose()?);
+    let ((topology, coincident_vertices), (quality, lost)) = (topology?, quality?.unzip());
     let (vertices, facets) = (result.positions().len(), result.facets().len());
-    let result = ResultFigures { vertices, facets, topology, quality, repair: built.repair };
+    let repair = built.repair;
+    let result = ResultFigures { vertices, facets, topology, coincident_vertices, quality, lost, repair };
     laps.timings.measure = laps.lap();
     laps.timings.total = laps.total();
     let reason = match options.refine {

@@ -8,10 +8,12 @@ use serde::Serialize;
 
 use crate::cvt::Iteration;
 use crate::cvt::density::DensityFigures;
-use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
+pub use crate::mesh::duplicates::InputKind;
+use crate::mesh::duplicates::{self, Oddities};
+pub use crate::mesh::lost::{LostPart, LostParts, LostReason};
 use crate::mesh::measure::{Quality, Topology, topology_unless};
-use crate::mesh::outliers;
+use crate::mesh::{TriMesh, outliers};
 use crate::rvd::dual::Dual;
 use crate::rvd::{DeviceWork, PassStats, Surface};
 use crate::token::{Stopped, Token};
@@ -104,6 +106,12 @@ pub(crate) fn topology_changes(input: &Topology, result: &Topology) -> Vec<Strin
 /// The surface that came in.
 #[derive(Clone, Debug, Serialize)]
 pub struct InputFigures {
+    /// What it is.
+    pub kind: InputKind,
+    /// Facets whose edges all have more than two facets.
+    pub enclosed_facets: usize,
+    /// Facets that lie on others, corner on corner and back to back, and stay: they enclose nothing.
+    pub back_to_back_facets: usize,
     /// Vertices as given.
     pub vertices: usize,
     /// Facets, degenerate ones included.
@@ -372,9 +380,14 @@ pub struct ResultFigures {
     /// χ, components, holes, non-manifold elements.
     #[serde(flatten)]
     pub topology: Topology,
+    /// Vertices that share no edge with another one and are in its place, to within 10⁻⁵ of the diagonal: parts that touch.
+    /// Who joins vertices by their places joins the parts.
+    pub coincident_vertices: usize,
     /// Shape and distance figures; absent if not measured.
     #[serde(flatten)]
     pub quality: Option<Quality>,
+    /// What it lacks of the input; absent if not measured.
+    pub lost: Option<LostParts>,
     /// What the repair had to do.
     pub repair: RepairFigures,
 }
@@ -430,7 +443,13 @@ impl InputFigures {
         token.check()?;
         let (area, degenerate_facets) = (mesh.area(), mesh.degenerate_count());
         token.check()?;
+        let oddities =
+            if adjacency.non_manifold_edges() > 0 { duplicates::oddities(mesh) } else { Oddities::default() };
+        token.check()?;
         Ok(Self {
+            kind: oddities.kind(),
+            enclosed_facets: oddities.enclosed,
+            back_to_back_facets: oddities.back_to_back,
             vertices: mesh.positions().len(),
             facets: mesh.facets().len(),
             degenerate_facets,

@@ -11,6 +11,8 @@ mod certificates;
 mod gpu;
 #[path = "../common/nobody.rs"]
 mod nobody;
+#[path = "../common/rough.rs"]
+mod rough;
 
 mod bad_servers;
 mod bench;

@@ -18,6 +18,10 @@ mod hostile;
 mod parts;
 #[path = "../common/points.rs"]
 mod points;
+#[path = "../common/readers.rs"]
+mod readers;
+#[path = "../common/rough.rs"]
+mod rough;
 #[path = "../common/surfaces.rs"]
 mod surfaces;
 
@@ -32,6 +36,7 @@ mod hostile_seeds;
 mod near_corners;
 mod pipeline;
 mod real_meshes;
+mod reported;
 mod stray;
 mod thin;
 mod vertex_count;

@@ -66,6 +66,45 @@ pub(super) fn resolved(net: &Net, points: f64) -> Vec<f64> {
     net.resolution().into_iter().map(|edge| (edge * net.outline.extent).min(most)).collect()
 }
 
+/// Lengths that go up and down from vertex to vertex are noise if they change by more than this per distance. Such may be left with
+/// a larger [`DensityOptions::gradation`] alone.
+const STEEPEST: f64 = 0.5;
+/// A surface has noise if it is more than this share of the area: of lengths that are drawn by themselves at each vertex it is a
+/// quarter.
+const NOISE: f64 = 0.02;
+/// Once there is noise, lengths are evened out until no more than this share of the area
+const NOISE_LEFT: f64 = 0.005;
+/// changes by more than this. On a torus of 6,000 facets with lengths of 100 : 1, 1,000 points take a tenth of the time then.
+const STEEPEST_LEFT: f64 = 0.3;
+/// Rounds in which lengths are evened out, at most; each second one twice as many as the one before.
+const SMOOTHING_ROUNDS: usize = 64;
+
+/// [`bounded`], after lengths that are noise are evened out, as long as there is any; with the share of the area that was noise,
+/// and how many rounds it took. With such lengths a result has poor triangles all over, and takes long to improve.
+pub(super) fn without_noise(
+    mut base: SizeField,
+    least: Option<&Least>,
+    net: &Net,
+    options: &DensityOptions,
+    target: Option<f64>,
+    token: &Token,
+) -> Result<(Bounded, f64, usize), DensityError> {
+    let mut found = bounded(base.clone(), least, net, options, target, token)?;
+    let noise = if options.gradation > STEEPEST { found.field.noise(net, STEEPEST) } else { 0.0 };
+    let mut rounds = 0;
+    let mut has_noise = noise > NOISE;
+    while has_noise && rounds < SMOOTHING_ROUNDS {
+        for _ in 0..rounds.max(1) {
+            token.check()?;
+            base.smooth(net);
+            rounds += 1;
+        }
+        found = bounded(base.clone(), least, net, options, target, token)?;
+        has_noise = found.field.noise(net, STEEPEST_LEFT) > NOISE_LEFT;
+    }
+    Ok((found, if rounds > 0 { noise } else { 0.0 }, rounds))
+}
+
 pub(super) struct Bounded {
     pub(super) field: SizeField,
     pub(super) graded: usize,
@@ -75,7 +114,7 @@ pub(super) struct Bounded {
 
 /// Least lengths, gradation and ratio; with a target, the factor for which that many points come out (within half a
 /// percent: the rest is the same for all points). Lengths and distances are compared, so the factor has to be found.
-pub(super) fn bounded(
+fn bounded(
     base: SizeField,
     least: Option<&Least>,
     net: &Net,
