@@ -45,7 +45,7 @@ pub struct Iteration {
     pub kind: StepKind,
     /// E = Σ ∫ w |p - x_i|², with weights scaled so that the largest is in (1/2, 1].
     pub energy: f64,
-    /// E over [`Surface::hexagonal_energy`]: about 1.98 for random seeds, 1.0 when converged.
+    /// E over [`Surface::hexagonal_energy`](crate::rvd::Surface::hexagonal_energy): about 1.98 for random seeds, 1.0 when converged.
     pub energy_ratio: f64,
     /// ‖∇E‖, ∇E_i = 2 m_i (x_i - c_i).
     pub gradient_norm: f64,

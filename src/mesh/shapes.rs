@@ -1,6 +1,6 @@
 //! Procedural surfaces, for tests and for `tessera shape`.
 //!
-//! Purpose: [`Shape::build`] makes a surface of about a wished number of facets whose topology
+//! Purpose: [`Shape::build`] makes a surface of about a given number of facets whose topology
 //! is known ([`Shape::euler`]).
 //! Invariant: every facet has an area, neighbours run the same way through their edges, and the
 //! outside is where the normals point. All are about one unit in size.
@@ -34,7 +34,7 @@ pub enum Shape {
     Sheets,
     /// A torus whose rings are spaced 1000 : 1 in turn: closed, half of the facets slivers, χ = 0.
     Slivers,
-    /// The unit square as two triangles, whatever number is wished. χ = 1.
+    /// The unit square as two triangles, whatever number is asked for. χ = 1.
     Square,
     /// The unit square as a regular grid. χ = 1.
     Plane,

@@ -1,4 +1,6 @@
 //! Why a diagram could not be computed.
+//!
+//! Invariant: a variant names a cause that the caller can act on. Must not know: backends.
 
 use super::kind::BackendKind;
 use crate::token::Stopped;

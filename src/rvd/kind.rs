@@ -1,4 +1,6 @@
 //! Which implementation of the diagram does the work.
+//!
+//! Purpose: [`BackendKind`], a name for each. Must not know: how a backend is opened.
 
 /// Which implementation does the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -96,7 +96,7 @@ impl Tuning {
     }
 }
 
-/// How many Lloyd steps [`Resident::relax`] hands to a GPU at once, where nothing has to be done again in between.
+/// How many Lloyd steps [`Resident::relax`](super::Resident::relax) hands to a GPU at once, where nothing has to be done again in between.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Together {
@@ -117,7 +117,7 @@ pub struct SessionOptions {
     pub capacities: Capacities,
     /// How the work is done.
     pub tuning: Tuning,
-    /// Whether [`Session::pieces`] has pieces of facets without area, which the dual needs to go
+    /// Whether [`Session::pieces`](super::Session::pieces) has pieces of facets without area, which the dual needs to go
     /// across them. f64 sessions only; sums never have them.
     pub flat_pieces: bool,
 }

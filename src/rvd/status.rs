@@ -1,6 +1,6 @@
 //! How a (facet, cell) pair ended.
 //!
-//! Invariant: a pair is done, or has the reason why it is done again.
+//! Invariant: a pair is done, or has the reason why it is done again. Must not know: backends.
 
 /// How a (facet, cell) pair ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

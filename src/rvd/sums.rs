@@ -60,7 +60,7 @@ pub struct PassStats {
     /// Pairs done again, or inserted again, with more cell slots for their facet.
     pub relaunched_cells: u64,
     /// Facets whose cells had found them and that were left to propagation, so that the pass began
-    /// anew (GPU, [`Strategy::Cell`]).
+    /// anew (GPU, [`Strategy::Cell`](super::Strategy::Cell)).
     pub relaunched_facets: u64,
     /// Pairs that another precision finished (GPU: the f64 path).
     pub f64_finished: u64,

@@ -1,4 +1,6 @@
 //! Why there is no density.
+//!
+//! Invariant: a variant names what the caller gave, and what it may be. Must not know: surfaces.
 
 use crate::token::Stopped;
 

@@ -4,7 +4,7 @@
 //! Purpose: reads a file as one piece. The `tobj` crate reads the geometry, from a copy that has positions and faces alone: it
 //! splits vertices at groups, makes facets of polylines (`l 1 2 3`), refuses files for their texture or material lines, which
 //! do not matter here, and its errors name no line.
-//! Invariant: an attribute that cannot be understood is given up and named, and spoils nothing else.
+//! Invariant: an attribute that cannot be understood is given up and named, and spoils nothing else. Must not know: threads.
 
 use glam::{DVec2, DVec3};
 use tobj::LoadOptions;
