@@ -228,8 +228,10 @@ pub struct Scan {
     pub islands: usize,
     /// Pieces that are there twice, a fraction of an edge apart.
     pub doubles: usize,
-    /// Strips that hang on an inner edge of the surface.
+    /// Strips of two sides that hang on an inner edge of the surface,
     pub flaps: usize,
+    /// as high as so many edges.
+    pub flap_height: usize,
     /// Edges that are nearly without length.
     pub slivers: usize,
     /// Radius of the pieces.
@@ -237,7 +239,8 @@ pub struct Scan {
 }
 
 impl Scan {
-    pub const RAW: Self = Self { noise: 0.2, holes: 12, islands: 6, doubles: 6, flaps: 8, slivers: 60, radius: 8.0 };
+    pub const RAW: Self =
+        Self { noise: 0.2, holes: 12, islands: 6, doubles: 6, flaps: 8, flap_height: 10, slivers: 60, radius: 8.0 };
 
     /// The scan of a shape.
     pub fn of(self, shape: Shape, facets: usize, seed: u64) -> TriMesh {
@@ -284,21 +287,17 @@ impl Scan {
             }
         }
         for _ in 0..self.flaps {
-            // Four facets high, on a chain of edges: the first edges of the facets of a piece that follow each other.
             let [mut a, mut b, _] = triangles[random.below(triangles.len())];
-            if a as usize >= clean.len() || b as usize >= clean.len() {
+            if a.max(b) as usize >= clean.len() {
                 continue;
             }
-            for _ in 0..4 {
-                let first = positions.len() as u32;
-                positions.push(
-                    positions[a as usize] + edge * normals.get(a as usize).map_or(DVec3::Z, |n| n.normalize_or_zero()),
-                );
-                positions.push(
-                    positions[b as usize] + edge * normals.get(b as usize).map_or(DVec3::Z, |n| n.normalize_or_zero()),
-                );
-                triangles.extend([[a, b, first + 1], [a, first + 1, first]]);
-                (a, b) = (first, first + 1);
+            let up = [a, b].map(|v| edge * normal(v));
+            for _ in 0..self.flap_height {
+                let top = positions.len() as u32;
+                positions.extend([positions[a as usize] + up[0], positions[b as usize] + up[1]]);
+                let front = [[a, b, top + 1], [a, top + 1, top]];
+                triangles.extend(front.into_iter().chain(front.map(|[a, b, c]| [a, c, b])));
+                (a, b) = (top, top + 1);
             }
         }
         TriMesh::new(positions, triangles).unwrap()
