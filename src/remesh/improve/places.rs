@@ -57,6 +57,7 @@ pub(in crate::remesh) fn improve(editor: &mut MeshEditor<'_>, estimates: &[f64])
         far_left: MAX_IMPROVED + share,
         failures_left: MAX_FAILURES,
         improved: 0,
+        ahead: HashMap::new(),
     };
     run.push_far(first_far(&editor.context(), estimates), 0);
     for _ in 0..QUEUE_ROUNDS {
@@ -111,6 +112,8 @@ struct Run {
     far_left: usize,
     failures_left: usize,
     improved: usize,
+    /// Outcomes of far places that are not the next ones, each with the number of edits by then.
+    ahead: HashMap<Place<Defect>, (u32, Outcome)>,
 }
 
 impl Run {
@@ -130,46 +133,62 @@ impl Run {
 
     fn take_all(&mut self, editor: &mut MeshEditor<'_>) {
         loop {
-            let batch = self.next_batch(editor);
-            if batch.is_empty() || editor.context().token.is_stopped() {
+            let mut batch = self.next_batch(editor);
+            let Some(&first) = batch.first() else { return };
+            if editor.context().token.is_stopped() {
                 return;
             }
-            let context = editor.context();
-            let attempt = |place: &Place<Defect>| {
-                let vertex = place.vertex();
-                let then = self.known.get(&vertex).map_or(0, |known| known.1);
-                if place.kind == Defect::Far && editor.has_changed(vertex, then) {
-                    let now = distance_at(&context, vertex).0;
-                    if now < STALE_SHARE * place.badness() {
-                        return Outcome::Less(now);
-                    }
+            self.ahead.retain(|place, (then, _)| !editor.has_changed(place.vertex(), *then));
+            if !self.ahead.contains_key(&first) {
+                let new: Vec<Place<Defect>> = batch.iter().copied().filter(|p| !self.ahead.contains_key(p)).collect();
+                let made: Vec<Outcome> = new.par_iter().with_max_len(1).map(|p| self.attempt(editor, p)).collect();
+                self.ahead.extend(new.into_iter().zip(made.into_iter().map(|outcome| (editor.edits(), outcome))));
+            }
+            // What a far place comes to may change which is the next one.
+            self.queue.extend(batch.drain(if first.kind == Defect::Far { 1 } else { batch.len() }..));
+            for place in batch {
+                if let Some((_, outcome)) = self.ahead.remove(&place) {
+                    self.take(editor, place, outcome);
                 }
-                let Some(patch) = Patch::around(&context, vertex) else { return Outcome::Fine };
-                match place.kind {
-                    Defect::Irregular => attempt_irregular(&patch, place.badness()),
-                    Defect::Far => attempt_far(&patch, place.badness()),
-                }
-            };
-            let made: Vec<Outcome> = batch.par_iter().with_max_len(1).map(attempt).collect();
-            for (place, outcome) in batch.into_iter().zip(made) {
-                self.take(editor, place, outcome);
             }
         }
     }
 
-    /// The worst places of one kind whose patches are independent.
+    fn attempt(&self, editor: &MeshEditor<'_>, place: &Place<Defect>) -> Outcome {
+        let (context, vertex) = (editor.context(), place.vertex());
+        let then = self.known.get(&vertex).map_or(0, |known| known.1);
+        if place.kind == Defect::Far && editor.has_changed(vertex, then) {
+            let now = distance_at(&context, vertex).0;
+            if now < STALE_SHARE * place.badness() {
+                return Outcome::Less(now);
+            }
+        }
+        let Some(patch) = Patch::around(&context, vertex) else { return Outcome::Fine };
+        match place.kind {
+            Defect::Irregular => attempt_irregular(&patch, place.badness()),
+            Defect::Far => attempt_far(&patch, place.badness()),
+        }
+    }
+
+    /// The worst places of one kind whose patches are independent. Far places are taken one by one: those after the first are
+    /// for threads that would have nothing to do.
     fn next_batch(&mut self, editor: &MeshEditor<'_>) -> Vec<Place<Defect>> {
         let (mut claimed, mut batch, mut waiting) = (HashSet::new(), Vec::new(), Vec::new());
+        let threads = rayon::current_num_threads();
         let mut kind = None;
         while let Some(&place) = self.queue.peek() {
             let first = *kind.get_or_insert(place.kind);
-            let most = if first == Defect::Far { 1 } else { PATCHES_AT_ONCE };
-            if place.kind != first || batch.len() == most || batch.len() + waiting.len() == LOOK_AHEAD {
+            let [most, look_ahead] =
+                if first == Defect::Far { [threads, 4 * threads] } else { [PATCHES_AT_ONCE, LOOK_AHEAD] };
+            if place.kind != first || batch.len() == most || batch.len() + waiting.len() >= look_ahead {
                 break;
             }
             self.queue.pop();
+            let is_ahead = first == Defect::Far && !batch.is_empty();
             if self.is_idle(editor, &place) {
                 kind = kind.filter(|_| !batch.is_empty());
+                // It may not be idle any more when it is the first.
+                waiting.extend(is_ahead.then_some(place));
             } else if editor.claim(place.vertex(), &mut claimed) {
                 batch.push(place);
             } else {
