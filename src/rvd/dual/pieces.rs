@@ -214,22 +214,26 @@ impl Pieces {
         let joining = surface.welded().iter().copied().enumerate().filter(|&(f, _)| surface.joins(f));
         let groups = EdgeGroups::new(surface.positions().len(), joining);
         let seams = groups.gather(|seams: &mut Seams, _, group| self.across_edge(surface, group, seams));
-        let mut joined = Joined {
-            sets: DisjointSets::new(self.facet.len()),
-            joints: Vec::new(),
-            edge: vec![0; surface.facets().len() * 3],
-            rim_edge: Vec::new(),
-            rim: vec![false; surface.positions().len()],
+        let sets = || {
+            let mut sets = DisjointSets::new(self.facet.len());
+            let pairs = seams.iter().flat_map(|seams| &seams.pairs);
+            pairs.for_each(|&(a, b, _)| sets.join(a as usize, b as usize));
+            sets
         };
-        for seams in seams {
-            let number = joined.rim_edge.len() as u32;
-            seams.halves.iter().for_each(|&(half, edge)| joined.edge[half as usize] = number + edge);
-            joined.rim_edge.extend(seams.rim_edge);
-            seams.rim.iter().for_each(|&v| joined.rim[v as usize] = true);
-            seams.pairs.iter().for_each(|&(a, b, _)| joined.sets.join(a as usize, b as usize));
-            joined.joints.extend(seams.pairs.iter().filter(|p| p.2).map(|p| p.0));
-        }
-        joined
+        let rest = || {
+            let mut edge = vec![0; surface.facets().len() * 3];
+            let (mut rim_edge, mut rim) = (Vec::new(), vec![false; surface.positions().len()]);
+            for seams in &seams {
+                let number = rim_edge.len() as u32;
+                seams.halves.iter().for_each(|&(half, k)| edge[half as usize] = number + k);
+                rim_edge.extend_from_slice(&seams.rim_edge);
+                seams.rim.iter().for_each(|&v| rim[v as usize] = true);
+            }
+            let joints = seams.iter().flat_map(|seams| &seams.pairs).filter(|p| p.2).map(|p| p.0).collect();
+            (joints, edge, rim_edge, rim)
+        };
+        let (sets, (joints, edge, rim_edge, rim)) = rayon::join(sets, rest);
+        Joined { sets, joints, edge, rim_edge, rim }
     }
 
     fn across_edge(&self, surface: &Surface, group: &[Half], seams: &mut Seams) {
