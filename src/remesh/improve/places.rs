@@ -17,9 +17,9 @@ use super::patch::Patch;
 use super::queue::{Place, Queue};
 use super::trial::{Goal, Measure, Trial, best};
 use crate::remesh::constants::{
-    ESTIMATE_SHARE, FAILED_SHARE, FREE_DISTANCE, GAIN, LEAST_SCORE, LOOK_AHEAD, MAX_FAILURES, MAX_FLIPS, MAX_IMPROVED,
-    MAX_IMPROVED_SHARE, MAX_IRREGULAR, MAX_MEASURED, MEASURED_SCORE, NEAR_SHARE, PATCHES_AT_ONCE, QUEUE_ROUNDS,
-    RECOVERY_SCORE, RECOVERY_VALENCES, STALE_SHARE, VALENCES,
+    ESTIMATE_SHARE, FAILED_SHARE, FAR_LOOK_AHEAD, FREE_DISTANCE, GAIN, LEAST_SCORE, LOOK_AHEAD, MAX_FAILURES,
+    MAX_FLIPS, MAX_IMPROVED, MAX_IMPROVED_SHARE, MAX_IRREGULAR, MAX_MEASURED, MEASURED_SCORE, NEAR_SHARE,
+    PATCHES_AT_ONCE, QUEUE_ROUNDS, RECOVERY_SCORE, RECOVERY_VALENCES, STALE_SHARE, VALENCES,
 };
 use crate::remesh::distance::facet_set::squared_distance;
 use crate::remesh::manifold::local_mesh::Flip;
@@ -95,7 +95,7 @@ pub(in crate::remesh) fn recover_edge(editor: &mut MeshEditor<'_>, ends: [u32; 2
 
 /// The best of trials that keeps within what is allowed anywhere, with this least score.
 fn best_allowed(patch: &Patch, trials: &[Trial], score: f64) -> Option<Patch> {
-    let allowed = patch.distance().largest().max(FREE_DISTANCE * patch.mean_edge);
+    let allowed = patch.start_distance.largest().max(FREE_DISTANCE * patch.mean_edge);
     let goal = Goal { centre: allowed, rest: allowed, score, cosine: patch.sharpest_cosine() };
     best(patch, trials, &goal, Measure { distance: allowed, floor: 1.0, score: MEASURED_SCORE })
 }
@@ -179,7 +179,7 @@ impl Run {
         while let Some(&place) = self.queue.peek() {
             let first = *kind.get_or_insert(place.kind);
             let [most, look_ahead] =
-                if first == Defect::Far { [threads, 4 * threads] } else { [PATCHES_AT_ONCE, LOOK_AHEAD] };
+                if first == Defect::Far { [threads, FAR_LOOK_AHEAD * threads] } else { [PATCHES_AT_ONCE, LOOK_AHEAD] };
             if place.kind != first || batch.len() == most || batch.len() + waiting.len() >= look_ahead {
                 break;
             }
@@ -249,7 +249,7 @@ fn attempt_irregular(patch: &Patch, before: f64) -> Outcome {
 
 /// Tries to bring the result nearer to the input.
 fn attempt_far(patch: &Patch, before: f64) -> Outcome {
-    let now = patch.distance();
+    let now = patch.start_distance;
     let distance = now.centre;
     if distance < NEAR_SHARE * patch.mean_edge {
         return Outcome::Fine;
