@@ -302,4 +302,28 @@ mod tests {
         assert!(f64::from(below(0.1)) <= 0.1 && f64::from(above(0.1)) >= 0.1 && below(-1e-60) < 0.0);
         assert_eq!((below(0.5), above(-2.0)), (0.5, -2.0));
     }
+
+    #[test]
+    fn gathered_things_have_what_is_nearest_to_the_points_beside() {
+        let point = |i: usize| DVec3::new((i as f64).sin(), (i as f64 * 0.7).cos(), (i % 7) as f64 * 0.1);
+        let things: Vec<[DVec3; 1]> = (0..600).map(|i| [point(i)]).collect();
+        let tree = BoxTree::new(&things);
+        let nearest = |p: DVec3| things.iter().map(|t| t[0].distance_squared(p)).fold(f64::INFINITY, f64::min);
+        let mut gathered = Gathered::default();
+        for k in 0..50 {
+            let (p, radius) = (1.2 * point(1000 + 3 * k), 0.05);
+            assert!(gathered.take(&tree, p, nearest(p).sqrt() + 2.0 * radius, 600));
+            let beside = [DVec3::ZERO, radius * DVec3::X, -radius * DVec3::Z].map(|by| p + by);
+            for q in beside {
+                let mut best = f64::INFINITY;
+                gathered.nearest(q, f64::INFINITY, |i| {
+                    best = best.min(things[i][0].distance_squared(q));
+                    best
+                });
+                assert_eq!(best, nearest(q));
+            }
+        }
+        assert!(!gathered.take(&tree, DVec3::ZERO, 2.0, 599), "more than are wanted");
+        assert!(!gathered.take(&tree, DVec3::splat(1e3), 1.0, 600), "far from the unit box");
+    }
 }
