@@ -8,6 +8,7 @@
 use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::envelope::CurveSample;
 use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
@@ -154,7 +155,7 @@ impl KeptCurves {
         let regions = self.regions(mesh);
         let draw = |count: usize| -> (Vec<DVec3>, Vec<DVec3>) {
             let drawn = spread(mesh, plan.weights.as_deref(), Some(&regions), count, seed);
-            drawn.iter().map(|s| s.position).partition(clear)
+            drawn.par_iter().map(|s| s.position).partition(clear)
         };
         let (mut kept, mut rest) = draw(others + others / SPARE_POINTS);
         if kept.len() < others {

@@ -214,22 +214,26 @@ impl Pieces {
         let joining = surface.welded().iter().copied().enumerate().filter(|&(f, _)| surface.joins(f));
         let groups = EdgeGroups::new(surface.positions().len(), joining);
         let seams = groups.gather(|seams: &mut Seams, _, group| self.across_edge(surface, group, seams));
-        let mut joined = Joined {
-            sets: DisjointSets::new(self.facet.len()),
-            joints: Vec::new(),
-            edge: vec![0; surface.facets().len() * 3],
-            boundary_edge: Vec::new(),
-            boundary: vec![false; surface.positions().len()],
+        let sets = || {
+            let mut sets = DisjointSets::new(self.facet.len());
+            let pairs = seams.iter().flat_map(|seams| &seams.pairs);
+            pairs.for_each(|&(a, b, _)| sets.join(a as usize, b as usize));
+            sets
         };
-        for seams in seams {
-            let number = joined.boundary_edge.len() as u32;
-            seams.halves.iter().for_each(|&(half, edge)| joined.edge[half as usize] = number + edge);
-            joined.boundary_edge.extend(seams.boundary_edge);
-            seams.boundary.iter().for_each(|&v| joined.boundary[v as usize] = true);
-            seams.pairs.iter().for_each(|&(a, b, _)| joined.sets.join(a as usize, b as usize));
-            joined.joints.extend(seams.pairs.iter().filter(|p| p.2).map(|p| p.0));
-        }
-        joined
+        let rest = || {
+            let mut edge = vec![0; surface.facets().len() * 3];
+            let (mut boundary_edge, mut boundary) = (Vec::new(), vec![false; surface.positions().len()]);
+            for seams in &seams {
+                let number = boundary_edge.len() as u32;
+                seams.halves.iter().for_each(|&(half, k)| edge[half as usize] = number + k);
+                boundary_edge.extend_from_slice(&seams.boundary_edge);
+                seams.boundary.iter().for_each(|&v| boundary[v as usize] = true);
+            }
+            let joints = seams.iter().flat_map(|seams| &seams.pairs).filter(|p| p.2).map(|p| p.0).collect();
+            (joints, edge, boundary_edge, boundary)
+        };
+        let (sets, (joints, edge, boundary_edge, boundary)) = rayon::join(sets, rest);
+        Joined { sets, joints, edge, boundary_edge, boundary }
     }
 
     fn across_edge(&self, surface: &Surface, group: &[Half], seams: &mut Seams) {
