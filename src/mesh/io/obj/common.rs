@@ -156,7 +156,7 @@ impl<'a> Part<'a> {
 /// The vertex of a corner.
 fn vertex(word: &[u8]) -> Option<u32> {
     let (vertex, rest) = index(word)?;
-    (!rest.contains(&b'\\')).then_some(vertex)
+    (rest.is_empty() || !rest.contains(&b'\\')).then_some(vertex)
 }
 
 /// `v`, `v/vt`, `v//vn` or `v/vt/vn`.

@@ -1,4 +1,4 @@
-//! A curve that fills space (Morton 1966).
+//! Morton order, a space-filling curve (1966).
 //!
 //! Purpose: puts things that are near one another close to one another in memory.
 //! Invariant: the place depends on the point alone. Must not know: what is put in order.
@@ -7,7 +7,7 @@ use glam::DVec3;
 
 /// The place of a point with coordinates in [-1, 1], through cells of a 2²⁰th, in the order of their interleaved bits.
 /// What lies outside counts as on the box's side.
-pub(crate) fn along(unit: DVec3) -> u64 {
+pub(crate) fn code(unit: DVec3) -> u64 {
     let spread = |x: f64| {
         // The cast saturates.
         let mut bits = (((x + 1.0) * (1u64 << 20) as f64) as u64).min((1 << 21) - 1);

@@ -1,7 +1,7 @@
-//! A hierarchy of boxes around things that were brought into an order in which neighbours are side by side.
+//! A bounding volume hierarchy over items that were halved across their longest extent (`arrange`).
 //!
-//! Purpose: [`BoxTree`] finds what may be nearest to a point. Each node is the boxes of eight neighbours, and
-//! there is no tree to store beside them: 28 bytes a thing, built on all threads.
+//! Purpose: [`Bvh`] finds what may be nearest to a point. Each node is the boxes of eight neighbours, and
+//! there is no tree to store beside them: 28 bytes an item, built on all threads.
 //! Invariant: boxes are rounded outwards, so that nothing is missed. Must not know: what is in the boxes.
 
 use glam::DVec3;
@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 /// Boxes in a node: as many as a processor compares at once with little left over.
 const WIDTH: usize = 8;
-/// Nodes that wait at most: seven of each level and the first, and 11 levels hold 2³¹ things.
+/// Nodes that wait at most: seven of each level and the first, and 11 levels hold 2³¹ items.
 const WAITING: usize = (WIDTH - 1) * 12 + 1;
 
 /// Single precision tells boxes of a unit apart for points up to here.
@@ -17,7 +17,7 @@ const NEAR_BY: f64 = 4.0;
 /// Rounding of a point and of its difference from a box, of a unit: half an ulp and another, and as much again.
 const ROUNDING: f32 = 2.0 * f32::EPSILON;
 
-/// More things than these are shared out to threads.
+/// More items than these are shared out to threads.
 const SEVERAL: usize = 4096;
 
 /// Boxes side by side, axis by axis. Those that nothing is in are at infinity.
@@ -27,24 +27,24 @@ struct Node {
     high: [[f32; WIDTH]; 3],
 }
 
-/// Boxes of things, boxes of eight of them, and so on up to one node.
-pub(crate) struct BoxTree {
-    /// The lowest first: the boxes of the things themselves.
+/// Boxes of items, boxes of eight of them, and so on up to one node.
+pub(crate) struct Bvh {
+    /// The lowest first: the boxes of the items themselves.
     levels: Vec<Vec<Node>>,
 }
 
 type Box = ([f32; 3], [f32; 3]);
 
-impl BoxTree {
-    /// Around things with these corners, neighbours side by side.
-    pub(crate) fn new<const N: usize>(things: &[[DVec3; N]]) -> Self {
-        let around = |corners: &[DVec3; N]| -> Box {
+impl Bvh {
+    /// Around items with these corners, neighbours side by side.
+    pub(crate) fn new<const N: usize>(items: &[[DVec3; N]]) -> Self {
+        let bounds = |corners: &[DVec3; N]| -> Box {
             let low = corners.iter().fold(DVec3::INFINITY, |low, &p| low.min(p));
             let high = corners.iter().fold(DVec3::NEG_INFINITY, |high, &p| high.max(p));
             (low.to_array().map(below), high.to_array().map(above))
         };
-        let lowest = |eight: &[[DVec3; N]]| Node::of(eight.iter().map(around));
-        let mut level: Vec<Node> = things.par_chunks(WIDTH).map(lowest).collect();
+        let lowest = |eight: &[[DVec3; N]]| Node::of(eight.iter().map(bounds));
+        let mut level: Vec<Node> = items.par_chunks(WIDTH).map(lowest).collect();
         let mut levels = Vec::new();
         while level.len() > 1 {
             let next = level.par_chunks(WIDTH).map(|eight| Node::of(eight.iter().map(Node::bounds))).collect();
@@ -54,7 +54,7 @@ impl BoxTree {
         Self { levels }
     }
 
-    /// Calls `visit` with things, likely near ones first, until no box is within the bound that it returned last: the
+    /// Calls `visit` with items, likely near ones first, until no box is within the bound that it returned last: the
     /// squared distance from `p` of what was found, `first` before that. Boxes count as `slack` larger on each side.
     pub(crate) fn nearest(&self, p: DVec3, slack: f64, first: f64, mut visit: impl FnMut(usize) -> f64) {
         let mut bound = first;
@@ -115,7 +115,7 @@ pub(crate) struct Gathered {
 impl Gathered {
     /// Takes the things of `tree` whose boxes are within `reach` of `p` instead. Returns whether these are all: `false` for
     /// more than `most`, and far from the unit box.
-    pub(crate) fn take(&mut self, tree: &BoxTree, p: DVec3, reach: f64, most: usize) -> bool {
+    pub(crate) fn take(&mut self, tree: &Bvh, p: DVec3, reach: f64, most: usize) -> bool {
         self.nodes.clear();
         self.things.clear();
         self.waiting.clear();
@@ -155,7 +155,7 @@ impl Gathered {
         }
     }
 
-    /// As [`BoxTree::nearest`] among these. `p` is no farther from where they were gathered than the reach.
+    /// As [`Bvh::nearest`] among these. `p` is no farther from where they were gathered than the reach.
     pub(crate) fn nearest(&self, p: DVec3, first: f64, mut visit: impl FnMut(usize) -> f64) {
         let mut bound = first;
         for (node, things) in self.nodes.iter().zip(self.things.chunks(WIDTH)) {
@@ -181,13 +181,12 @@ fn within(costs: &[f64; WIDTH], most: f64) -> u32 {
 }
 
 /// Brings neighbours side by side: each eight that become a node, each eight such nodes, and so on, are one part of
-/// things that were halved across their longest extent. `place` says where a thing is. The order that things come
+/// items that were halved across their longest extent. `place` says where an item is. The order that items come
 /// in decides between those in one place.
-pub(crate) fn arrange<T: Copy + Send + Sync>(things: &mut Vec<T>, place: &(dyn Fn(&T) -> DVec3 + Sync)) {
-    let mut placed: Vec<(DVec3, u32)> =
-        things.par_iter().enumerate().map(|(i, thing)| (place(thing), i as u32)).collect();
+pub(crate) fn arrange<T: Copy + Send + Sync>(items: &mut Vec<T>, place: &(dyn Fn(&T) -> DVec3 + Sync)) {
+    let mut placed: Vec<(DVec3, u32)> = items.par_iter().enumerate().map(|(i, item)| (place(item), i as u32)).collect();
     halve(&mut placed);
-    *things = placed.par_iter().map(|&(_, i)| things[i as usize]).collect();
+    *items = placed.par_iter().map(|&(_, i)| items[i as usize]).collect();
 }
 
 fn halve(placed: &mut [(DVec3, u32)]) {
@@ -281,16 +280,16 @@ mod tests {
     fn finds_the_nearest_of_any_number() {
         let point = |i: usize| DVec3::new((i as f64).sin(), (i as f64 * 0.7).cos(), (i % 7) as f64 * 0.1);
         for n in [1, 2, 7, 8, 9, 63, 64, 65, 600] {
-            let things: Vec<[DVec3; 1]> = (0..n).map(|i| [point(i)]).collect();
-            let tree = BoxTree::new(&things);
+            let items: Vec<[DVec3; 1]> = (0..n).map(|i| [point(i)]).collect();
+            let tree = Bvh::new(&items);
             for p in (0..50).map(|i| 1.7 * point(1000 + 3 * i)).chain([point(n - 1), DVec3::splat(1e100)]) {
                 let (mut best, mut visited) = (f64::INFINITY, 0);
                 tree.nearest(p, 0.0, f64::INFINITY, |i| {
                     visited += 1;
-                    best = best.min(things[i][0].distance_squared(p));
+                    best = best.min(items[i][0].distance_squared(p));
                     best
                 });
-                let expected = things.iter().map(|t| t[0].distance_squared(p)).fold(f64::INFINITY, f64::min);
+                let expected = items.iter().map(|t| t[0].distance_squared(p)).fold(f64::INFINITY, f64::min);
                 assert_eq!(best, expected);
                 assert!(visited <= n);
                 // A box that was rounded outwards is hardly nearer than what is in it.
@@ -307,7 +306,7 @@ mod tests {
     fn gathered_things_have_what_is_nearest_to_the_points_beside() {
         let point = |i: usize| DVec3::new((i as f64).sin(), (i as f64 * 0.7).cos(), (i % 7) as f64 * 0.1);
         let things: Vec<[DVec3; 1]> = (0..600).map(|i| [point(i)]).collect();
-        let tree = BoxTree::new(&things);
+        let tree = Bvh::new(&things);
         let nearest = |p: DVec3| things.iter().map(|t| t[0].distance_squared(p)).fold(f64::INFINITY, f64::min);
         let mut gathered = Gathered::default();
         for k in 0..50 {
