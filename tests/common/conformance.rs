@@ -38,7 +38,7 @@ pub enum Precision {
 
 /// What a backend says of itself.
 pub struct Claims {
-    backend: Box<dyn Backend>,
+    backend: &'static dyn Backend,
     precision: Precision,
     twins: Vec<Box<dyn Backend>>,
     relaunches: bool,
@@ -48,19 +48,19 @@ pub struct Claims {
 }
 
 impl Claims {
-    /// A backend in double precision.
+    /// A backend in double precision, which these tests have for themselves.
     pub fn double(backend: impl Backend + 'static) -> Self {
-        Self::new(backend, Precision::Double)
+        Self::of(Box::leak(Box::new(backend)), Precision::Double)
     }
 
     /// A backend in single precision relative to the seed.
-    pub fn single(backend: impl Backend + 'static) -> Self {
-        Self::new(backend, Precision::Single)
+    pub fn single(backend: &'static dyn Backend) -> Self {
+        Self::of(backend, Precision::Single)
     }
 
-    fn new(backend: impl Backend + 'static, precision: Precision) -> Self {
+    fn of(backend: &'static dyn Backend, precision: Precision) -> Self {
         Self {
-            backend: Box::new(backend),
+            backend,
             precision,
             twins: Vec::new(),
             relaunches: false,
@@ -82,7 +82,7 @@ impl Claims {
     }
 
     pub fn backend(&self) -> &dyn Backend {
-        self.backend.as_ref()
+        self.backend
     }
 
     pub fn precision(&self) -> Precision {
