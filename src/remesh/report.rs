@@ -1,6 +1,6 @@
 //! The report of a run, as `--report` writes it and the service sends it.
 //!
-//! Purpose: plain figures with fixed names, and [`to_json`], which writes them.
+//! Purpose: plain figures with fixed names, and `to_json`, which writes them.
 //! Invariant: a name that scripts read does not change.
 //! Must not know: how the figures came about.
 
