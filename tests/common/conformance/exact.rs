@@ -173,8 +173,8 @@ pub fn mass_of(surface: &Surface) -> f64 {
 pub fn many_more_seeds_than_facets(claims: &Claims) {
     for (name, mesh, count, tolerance) in [
         ("square", square(), 10_000, 3e-5),
-        ("square, more", square(), claims.by_precision(30_000, 100_000), 1.5e-4),
-        ("sphere", Shape::Sphere.build(80), 20_000, 1.5e-4),
+        ("square, more", square(), claims.by_precision(20_000, 100_000), 1.5e-4),
+        ("sphere", Shape::Sphere.build(80), claims.by_precision(8_000, 20_000), 1.5e-4),
     ] {
         let surface = surface(&mesh, None);
         let seeds = noise(&surface, count, 0.0, 13);
