@@ -1,10 +1,10 @@
 //! What every backend of the diagram must do, as one list of tests.
 //!
-//! Purpose: a new backend joins with one line, `conformance!(mine, Claims::double(|| MyBackend::new()));`, and gets every case of the
-//! list below as a test of its own: `cargo test --test rvd conformance::mine`. The reference is [`Serial`], which is written to be
+//! Purpose: a new backend joins with one line, `conformance!(mine, Claims::double(MyBackend::new()));`, and gets every case of the
+//! list below as a test of its own: `cargo test --test rvd backends::mine`. The reference is [`Serial`], which is written to be
 //! read.
-//! Invariant: a case sees a backend through its trait and its [`Claims`] only; it is the same for all of them. What a claim
-//! changes is how far a figure may be off, never what is asked.
+//! Invariant: a case sees a backend through its trait and its [`Claims`] only; it is the same for all of them. A claim says how far
+//! a figure may be off. Seeds that single precision cannot tell apart are asked of double precision alone.
 //! Must not know: which backends there are, and what is inside of them.
 
 #[path = "conformance/bits.rs"]
