@@ -136,7 +136,7 @@ pub fn every_point_lies_in_the_cell_of_its_nearest_seed(claims: &Claims) {
         let probes: Vec<_> = by_area.into_iter().chain(by_facet).collect();
         let far = seeds.iter().map(|p| p.length()).fold(1.0, f64::max);
         let double = Slack { margin: 1e-9, rounding: 1e-15 };
-        let slack = claims.by_precision(double, Slack { margin: 1e-5 * far, rounding: 1e-7 * far });
+        let slack = claims.by_precision(double, Slack { margin: 1e-5 * far, rounding: 1e-6 * far });
         let outside = outside_their_cells(&answer.pieces, seeds, &probes, slack);
         let around = |&(f, p): &(u32, DVec3)| -> Vec<(u32, f64, f64)> {
             let of_facet = (0..answer.pieces.len()).filter(|&i| answer.pieces.facet[i] == f);
