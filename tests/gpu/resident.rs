@@ -368,6 +368,7 @@ fn the_next_session_of_the_same_plan_allocates_nothing_and_gives_the_same_bits()
     let mut runs = Vec::new();
     for _ in 0..3 {
         let mut session = gpu.session(Arc::clone(&surface), SessionOptions::new(seeds.len())).unwrap();
+        assert!(session.device_bytes() > 0);
         session.set_seeds(&seeds).unwrap();
         let mut evaluations = Vec::new();
         let resident = session.resident().unwrap();
