@@ -360,7 +360,7 @@ fn a_server_that_goes_away_and_a_closed_pipe_end_nothing_badly() {
     assert!(out.status.success() && told.is_empty() && folder.path().join("out.json").exists(), "{told}");
 
     let line = format!(
-        "load --clients 2 --duration-s 1 --warm-up-s 5 --mix info --json out.json --endpoint {}",
+        "load --clients 2 --duration-s 5 --warm-up-s 3 --mix info --json out.json --endpoint {}",
         server.endpoint
     );
     let child = command(folder.path(), &line).spawn().unwrap();

@@ -1,10 +1,10 @@
 //! What every backend of the diagram must do, as one list of tests.
 //!
-//! Purpose: a new backend joins with one line, `conformance!(mine, Claims::double(|| MyBackend::new()));`, and gets every case of the
-//! list below as a test of its own: `cargo test --test rvd conformance::mine`. The reference is [`Serial`], which is written to be
+//! Purpose: a new backend joins with one line, `conformance!(mine, Claims::double(MyBackend::new()));`, and gets every case of the
+//! list below as a test of its own: `cargo test --test rvd backends::mine`. The reference is [`Serial`], which is written to be
 //! read.
-//! Invariant: a case sees a backend through its trait and its [`Claims`] only; it is the same for all of them. What a claim
-//! changes is how far a figure may be off, never what is asked.
+//! Invariant: a case sees a backend through its trait and its [`Claims`] only; it is the same for all of them. A claim says how far
+//! a figure may be off. Seeds that single precision cannot tell apart are asked of double precision alone.
 //! Must not know: which backends there are, and what is inside of them.
 
 #[path = "conformance/bits.rs"]
@@ -38,7 +38,7 @@ pub enum Precision {
 
 /// What a backend says of itself.
 pub struct Claims {
-    backend: Box<dyn Backend>,
+    backend: &'static dyn Backend,
     precision: Precision,
     twins: Vec<Box<dyn Backend>>,
     relaunches: bool,
@@ -48,19 +48,19 @@ pub struct Claims {
 }
 
 impl Claims {
-    /// A backend in double precision.
+    /// A backend in double precision, which these tests have for themselves.
     pub fn double(backend: impl Backend + 'static) -> Self {
-        Self::new(backend, Precision::Double)
+        Self::of(Box::leak(Box::new(backend)), Precision::Double)
     }
 
     /// A backend in single precision relative to the seed.
-    pub fn single(backend: impl Backend + 'static) -> Self {
-        Self::new(backend, Precision::Single)
+    pub fn single(backend: &'static dyn Backend) -> Self {
+        Self::of(backend, Precision::Single)
     }
 
-    fn new(backend: impl Backend + 'static, precision: Precision) -> Self {
+    fn of(backend: &'static dyn Backend, precision: Precision) -> Self {
         Self {
-            backend: Box::new(backend),
+            backend,
             precision,
             twins: Vec::new(),
             relaunches: false,
@@ -82,7 +82,7 @@ impl Claims {
     }
 
     pub fn backend(&self) -> &dyn Backend {
-        self.backend.as_ref()
+        self.backend
     }
 
     pub fn precision(&self) -> Precision {

@@ -1,7 +1,7 @@
 //! Promise: seeds that are moved on the device go where the host would move them, by rows, first cells,
 //! energies and gradients that are the host's, with the same bits every time.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use crate::points::{many_sets, noise};
 use glam::{DVec3, dvec3};
@@ -24,6 +24,18 @@ fn surface(shape: Shape, facets: usize, weighted: bool) -> Arc<Surface> {
     let mesh = shape.build(facets);
     let weights: Vec<f64> = mesh.positions().iter().map(|p| 1.5 + (3.0 * p.x).sin() * (2.0 * p.y).cos()).collect();
     Arc::new(Surface::new(&mesh, weighted.then_some(&weights[..])).unwrap())
+}
+
+/// A device on which traffic is counted: other tests use theirs at the same time, and those that count take turns.
+fn counted() -> (&'static Gpu, MutexGuard<'static, ()>) {
+    static COUNTED: OnceLock<Gpu> = OnceLock::new();
+    static TURN: Mutex<()> = Mutex::new(());
+    let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let open = || {
+        let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
+        Gpu::new(device, None).unwrap()
+    };
+    (COUNTED.get_or_init(open), turn)
 }
 
 fn search(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], neighbours: usize) -> Found {
@@ -194,9 +206,7 @@ fn minimise(seeds: &mut dyn Resident, lloyd: usize, newton: usize) -> (Vec<f64>,
 #[test]
 fn iterations_allocate_nothing_and_move_few_bytes() {
     require_gpu!();
-    // Traffic is counted by device, and other tests use theirs at the same time.
-    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
-    let gpu = &Gpu::new(device, None).unwrap();
+    let (gpu, _turn) = counted();
     let surface = surface(Shape::Torus, 4000, false);
     let seeds = noise(&surface, 3000, 0.0, 8);
     let mut session = open(gpu, &surface, &seeds);
@@ -240,9 +250,7 @@ fn seeds_that_crowd_where_weights_are_large_are_searched_on_the_device() {
 #[test]
 fn cells_beside_a_crowd_and_within_a_ring_are_ended_on_the_device() {
     require_gpu!();
-    // Traffic is counted by device.
-    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
-    let gpu = &Gpu::new(device, None).unwrap();
+    let (gpu, _turn) = counted();
     let surface = surface(Shape::Sphere, 300, false);
     let mut seeds = noise(&surface, 300, 0.0, 9);
     let (crowded, ringed) = (seeds[0], surface.centroid(0));
@@ -309,9 +317,7 @@ fn relaxed(session: &mut dyn Session, steps: usize, together: bool) -> (Vec<[f64
 #[test]
 fn steps_taken_together_have_the_bits_of_steps_taken_one_by_one() {
     require_gpu!();
-    // Traffic is counted by device.
-    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
-    let gpu = &Gpu::new(device, None).unwrap();
+    let (gpu, _turn) = counted();
     // The third has facets of more cells than one goes through at once.
     for (facets, weighted, n) in [(3000, false, 500), (1500, true, 400), (200, false, 600)] {
         let surface = surface(Shape::Torus, facets, weighted);
@@ -362,6 +368,7 @@ fn the_next_session_of_the_same_plan_allocates_nothing_and_gives_the_same_bits()
     let mut runs = Vec::new();
     for _ in 0..3 {
         let mut session = gpu.session(Arc::clone(&surface), SessionOptions::new(seeds.len())).unwrap();
+        assert!(session.device_bytes() > 0);
         session.set_seeds(&seeds).unwrap();
         let mut evaluations = Vec::new();
         let resident = session.resident().unwrap();

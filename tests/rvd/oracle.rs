@@ -4,10 +4,11 @@
 use std::collections::HashSet;
 use std::sync::Arc;
 
-use crate::{gpu, points, surfaces};
+use crate::backends::on_device;
+use crate::points::Slack;
+use crate::{points, surfaces};
 use glam::DVec3;
 use needs::needs;
-use tessera::internals::rvd::Gpu;
 use tessera::mesh::sample::sample;
 use tessera::rvd::{Backend, CellSums, PieceBatch, SessionOptions, Surface};
 use tessera::rvd::{Parallel, Serial};
@@ -18,12 +19,10 @@ use tessera::token::Token;
 #[needs(meshes, seeds)]
 #[test]
 fn centroids_and_incidences_agree_with_the_oracle() {
-    let mut backends: Vec<(Box<dyn Backend>, f64)> =
-        vec![(Box::new(Serial), 1e-10), (Box::new(Parallel::new(None).unwrap()), 1e-10)];
-    if let Some(device) = gpu::device() {
-        // Single precision relative to the seed, of a cell some spacings wide.
-        backends.push((Box::new(Gpu::new(device, None).unwrap()), 1e-5));
-    }
+    let parallel = Parallel::new(None).unwrap();
+    let mut backends: Vec<(&dyn Backend, f64)> = vec![(&Serial, 1e-10), (&parallel, 1e-10)];
+    // Single precision relative to the seed, of a cell some spacings wide.
+    backends.extend(on_device().map(|gpu| (gpu as &dyn Backend, 1e-5)));
     for (mesh, seeds) in
         [("stanford-bunny.obj", "bunny10k"), ("rocker-arm.obj", "rocker5k"), ("nefertiti.obj", "nefertiti50k")]
     {
@@ -75,21 +74,21 @@ fn a_hundred_thousand_points_lie_in_their_nearest_cells() {
     let mesh = surfaces::real("stanford-bunny.obj");
     let surface = Arc::new(Surface::new(&mesh, None).unwrap());
     let probes = points::on_surface(&surface, 100_000, &mut points::rng(99));
-    let mut backends: Vec<(Box<dyn Backend>, f64)> =
-        vec![(Box::new(Serial), 1e-9), (Box::new(Parallel::new(None).unwrap()), 1e-9)];
-    if let Some(device) = gpu::device() {
-        backends.push((Box::new(Gpu::new(device, None).unwrap()), 1e-6));
-    }
-    for (backend, margin) in backends {
-        for count in [20, 1000, 10_000] {
-            let seeds: Vec<DVec3> =
-                sample(&mesh, None, count, 5).iter().map(|p| surface.frame().to_unit(p.position)).collect();
+    let parallel = Parallel::new(None).unwrap();
+    let mut backends: Vec<(&dyn Backend, f64)> = vec![(&Serial, 1e-9), (&parallel, 1e-9)];
+    backends.extend(on_device().map(|gpu| (gpu as &dyn Backend, 1e-6)));
+    for count in [20, 1000, 10_000] {
+        let seeds: Vec<DVec3> =
+            sample(&mesh, None, count, 5).iter().map(|p| surface.frame().to_unit(p.position)).collect();
+        let nearest = points::nearest(&seeds, &probes);
+        let spacing = (surface.area() / count as f64).sqrt();
+        for (backend, margin) in &backends {
             let mut session = backend.session(Arc::clone(&surface), SessionOptions::new(count)).unwrap();
             session.set_seeds(&seeds).unwrap();
             let mut pieces = PieceBatch::default();
             session.pieces(0..surface.facets().len() as u32, &mut pieces, &Token::default()).unwrap();
-            let spacing = (surface.area() / count as f64).sqrt();
-            let unresolved = points::outside_by(&pieces, &seeds, &probes, margin * spacing);
+            let slack = Slack { margin: margin * spacing, rounding: 1e-6 * margin * spacing };
+            let unresolved = points::outside_known(&pieces, &seeds, &probes, &nearest, slack);
             let name = backend.kind().name();
             println!("{name}, {count} seeds: {} of {} points unresolved", unresolved.len(), probes.len());
             assert!(unresolved.is_empty(), "{name}, {count} seeds: {:?}", unresolved.first());

@@ -258,6 +258,12 @@ pub fn surfaces_that_are_no_manifold(claims: &Claims) {
         sphere.facets().iter().enumerate().map(|(f, &[a, b, c])| if f % 3 == 0 { [a, c, b] } else { [a, b, c] });
     let turned = TriMesh::new(sphere.positions().to_vec(), turned.collect()).unwrap();
     all.push(("facets turned over".to_owned(), turned, 200));
+    // As from a list of triangles whose corners were rounded one by one.
+    let off = |k: usize| DVec3::new(k as f64, (k * k) as f64, (3 * k) as f64).map(f64::sin);
+    let corners = sphere.facets().iter().flatten().enumerate();
+    let places = corners.map(|(k, &v)| sphere.positions()[v as usize] + 1e-8 * off(k)).collect();
+    let alone = (0..sphere.facets().len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+    all.push(("corners that are nearly one".to_owned(), TriMesh::new(places, alone).unwrap(), 200));
     let mut facets = sphere.facets().to_vec();
     facets.extend_from_within(10..30);
     all.push(("facets twice".to_owned(), TriMesh::new(sphere.positions().to_vec(), facets).unwrap(), 200));

@@ -151,12 +151,12 @@ pub fn a_step_goes_to_the_centroids(claims: &Claims) {
         for (i, p) in moved.iter().enumerate() {
             let target = want.centroid(i, seeds[i]);
             let mean = want.mass.iter().sum::<f64>() / seeds.len() as f64;
-            // Of a cell that is nearly a point a float does not know the middle well. Moment and mass are good to 1e-5 of a
-            // cell's size; a long step rounds to 1e-7 of itself.
-            let slack = match want.mass[i] < 1e-4 * mean {
-                true => 0.1 * h,
-                false if double => 1e-7 * h + 1e-11 * target.distance(seeds[i]),
-                false => 1e-4 * h + 1e-6 * target.distance(seeds[i]),
+            // Moment and mass are good to 1e-5 of those of a mean cell, so that a float does not know well the middle of a cell
+            // that is nearly a point; a long step rounds to 1e-7 of itself.
+            let slack = match double {
+                true if want.mass[i] < 1e-4 * mean => 0.1 * h,
+                true => 1e-7 * h + 1e-11 * target.distance(seeds[i]),
+                false => h * (1e-5 * mean / want.mass[i]).clamp(1e-4, 0.1) + 1e-6 * target.distance(seeds[i]),
             };
             assert!(p.distance(target) < slack, "{name}: seed {i} is off by {:e}", p.distance(target));
         }
