@@ -365,6 +365,8 @@ pub(super) const COUNT_SLACK: usize = 2;
 pub(super) const MAX_COUNT_ROUNDS: usize = 4;
 /// Seeds are no fewer than this share of the vertices that were asked for.
 pub(super) const FEWEST_SEEDS_SHARE: f64 = 0.1;
+/// Nor than this, the vertices of a tetrahedron.
+pub(super) const FEWEST_SEEDS: f64 = 4.0;
 
 // Refinement to a tolerance.
 

@@ -13,7 +13,7 @@ use super::optimize::Optimized;
 use super::prepare::prepare;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::measure::Topology;
-use crate::remesh::constants::{COUNT_LIMIT, COUNT_SLACK, FEWEST_SEEDS_SHARE, MAX_COUNT_ROUNDS};
+use crate::remesh::constants::{COUNT_LIMIT, COUNT_SLACK, FEWEST_SEEDS, FEWEST_SEEDS_SHARE, MAX_COUNT_ROUNDS};
 use crate::remesh::report::CountReason;
 use crate::remesh::{RemeshError, RemeshOptions, Seeds, fewest_vertices};
 use crate::rvd::RvdError;
@@ -23,8 +23,13 @@ fn is_near(vertices: usize, asked: usize) -> bool {
     vertices.abs_diff(asked) <= COUNT_SLACK.max((COUNT_LIMIT * asked as f64) as usize)
 }
 
-/// Why a result does not have as many vertices as were asked for; `None` if it has.
-pub(super) fn reason(vertices: usize, asked: usize, seeds: &Seeds, surface: &Topology) -> Option<CountReason> {
+/// Why a result of some vertices, with so many parts, does not have as many as were asked for; `None` if it has.
+pub(super) fn reason(
+    (vertices, parts): (usize, usize),
+    asked: usize,
+    seeds: &Seeds,
+    surface: &Topology,
+) -> Option<CountReason> {
     if is_near(vertices, asked) {
         return None;
     }
@@ -32,6 +37,7 @@ pub(super) fn reason(vertices: usize, asked: usize, seeds: &Seeds, surface: &Top
         Seeds::Given(_) => CountReason::GivenSeeds,
         _ if vertices > asked && fewest_vertices(surface) > asked => CountReason::Parts,
         _ if vertices > asked => CountReason::CloseSheets,
+        _ if parts < surface.components => CountReason::SmallParts,
         _ => CountReason::NoThickness,
     })
 }
@@ -46,7 +52,7 @@ impl<'a> Job<'a, '_> {
         let mut best = optimized;
         let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
         let asked = best.asked;
-        let least = FEWEST_SEEDS_SHARE * asked as f64;
+        let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
         let mut last = (asked as f64, best.vertices() as f64);
         // Vertices per seed.
         let mut slope = last.1 / last.0;
