@@ -379,10 +379,16 @@ pub(super) const THIN_MOST_POINTS: usize = 2;
 pub(super) const COUNT_LIMIT: f64 = 0.015;
 /// or within so many.
 pub(super) const COUNT_SLACK: usize = 2;
+/// Vertices that a further seed brings, at least; what two rounds say may be chance.
+pub(super) const LEAST_SLOPE: f64 = 0.7;
+/// Factor on the change of the number of seeds after a round in vain.
+pub(super) const VAIN_STRETCH: f64 = 1.5;
 /// Rounds that draw fewer seeds, at most.
 pub(super) const MAX_COUNT_ROUNDS: usize = 4;
 /// Seeds are no fewer than this share of the vertices that were asked for.
 pub(super) const FEWEST_SEEDS_SHARE: f64 = 0.1;
+/// Nor than this, the vertices of a tetrahedron.
+pub(super) const FEWEST_SEEDS: f64 = 4.0;
 
 // Refinement to a tolerance.
 

@@ -192,7 +192,7 @@ fn measure(
     laps.timings.total = laps.total();
     let reason = match options.refine {
         Some(_) => None,
-        None => vertex_count::reason(vertices, asked, &options.seeds, &input.topology),
+        None => vertex_count::reason((vertices, result.topology.components), asked, &options.seeds, &input.topology),
     };
     let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };
     let report = Report {

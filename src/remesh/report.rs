@@ -187,6 +187,8 @@ pub enum CountReason {
     Parts,
     /// Sheets or parts are nearer to each other than an edge is long: seeds have a vertex on each.
     CloseSheets,
+    /// Parts of the input are so small that they got too few seeds for a facet, and were left out.
+    SmallParts,
     /// Parts of the input have no thickness: seeds there have no vertex.
     NoThickness,
 }

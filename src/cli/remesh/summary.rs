@@ -92,6 +92,7 @@ impl Told<'_> {
             "given_seeds" => "seeds are given, and none is left out or added",
             "parts" => "the input has so many parts that they need more",
             "close_sheets" => "sheets or parts are nearer to each other than an edge is long",
+            "small_parts" => "parts of the input are too small for a facet and were left out; more --points keep them",
             "no_thickness" => "parts of the input have no thickness",
             _ => "",
         };

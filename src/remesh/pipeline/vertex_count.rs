@@ -13,7 +13,9 @@ use super::optimize::Optimized;
 use super::prepare::prepare;
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::measure::Topology;
-use crate::remesh::constants::{COUNT_LIMIT, COUNT_SLACK, FEWEST_SEEDS_SHARE, MAX_COUNT_ROUNDS};
+use crate::remesh::constants::{
+    COUNT_LIMIT, COUNT_SLACK, FEWEST_SEEDS, FEWEST_SEEDS_SHARE, LEAST_SLOPE, MAX_COUNT_ROUNDS, VAIN_STRETCH,
+};
 use crate::remesh::report::CountReason;
 use crate::remesh::{RemeshError, RemeshOptions, Seeds, fewest_vertices};
 use crate::rvd::RvdError;
@@ -23,8 +25,13 @@ fn is_near(vertices: usize, asked: usize) -> bool {
     vertices.abs_diff(asked) <= COUNT_SLACK.max((COUNT_LIMIT * asked as f64) as usize)
 }
 
-/// Why a result does not have as many vertices as were asked for; `None` if it has.
-pub(super) fn reason(vertices: usize, asked: usize, seeds: &Seeds, surface: &Topology) -> Option<CountReason> {
+/// Why a result of some vertices, with so many parts, does not have as many as were asked for; `None` if it has.
+pub(super) fn reason(
+    (vertices, parts): (usize, usize),
+    asked: usize,
+    seeds: &Seeds,
+    surface: &Topology,
+) -> Option<CountReason> {
     if is_near(vertices, asked) {
         return None;
     }
@@ -32,6 +39,7 @@ pub(super) fn reason(vertices: usize, asked: usize, seeds: &Seeds, surface: &Top
         Seeds::Given(_) => CountReason::GivenSeeds,
         _ if vertices > asked && fewest_vertices(surface) > asked => CountReason::Parts,
         _ if vertices > asked => CountReason::CloseSheets,
+        _ if parts < surface.components => CountReason::SmallParts,
         _ => CountReason::NoThickness,
     })
 }
@@ -46,16 +54,17 @@ impl<'a> Job<'a, '_> {
         let mut best = optimized;
         let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
         let asked = best.asked;
-        let least = FEWEST_SEEDS_SHARE * asked as f64;
-        let mut last = (asked as f64, best.vertices() as f64);
-        // Vertices per seed.
-        let mut slope = last.1 / last.0;
+        let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
+        // Seeds and vertices of the best.
+        let mut from = (asked as f64, best.vertices() as f64);
+        // Vertices per further seed, and how much farther to go than that says.
+        let (mut slope, mut stretch) = (from.1 / from.0, 1.0);
         for round in 1..=MAX_COUNT_ROUNDS {
             if !self.scales_seeds || is_near(best.vertices(), asked) {
                 break;
             }
-            let drawn = (last.0 + (asked as f64 - last.1) / slope).clamp(least, asked as f64).round();
-            if drawn == last.0 {
+            let drawn = (from.0 + stretch * (asked as f64 - from.1) / slope).clamp(least, asked as f64).round();
+            if drawn == from.0 {
                 break;
             }
             // Shorter edges in thin parts stay.
@@ -79,14 +88,15 @@ impl<'a> Job<'a, '_> {
                 next => next?,
             };
             let here = (drawn, next.vertices() as f64);
-            let between = (here.1 - last.1) / (here.0 - last.0);
-            slope = if between > 0.0 { between } else { here.1 / here.0 };
-            last = here;
             if next.vertices().abs_diff(asked) < best.vertices().abs_diff(asked) {
                 next.take_over(&best);
                 next.refine.count_rounds = round;
                 best = next;
+                let between = (here.1 - from.1) / (here.0 - from.0);
+                slope = between.clamp(LEAST_SLOPE, (here.1 / here.0).max(LEAST_SLOPE));
+                (from, stretch) = (here, 1.0);
             } else {
+                stretch *= VAIN_STRETCH;
                 best.refine.evaluations += next.passes();
             }
         }
