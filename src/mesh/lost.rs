@@ -61,8 +61,16 @@ pub enum LostReason {
 /// # Errors
 /// [`Stopped`].
 pub(crate) fn find(mesh: &TriMesh, result: &TriMesh, distances: &[f64], token: &Token) -> Result<LostParts, Stopped> {
+    // Scaled, so that the squares of a tiny or huge box stay within range.
+    let (low, high) = mesh.bounds();
+    let (extent, diagonal) = ((high - low).max_element(), ((high - low) / (high - low).max_element()).length());
+    let size = |mesh: &TriMesh, f: usize| {
+        let [a, b, c] = mesh.corners(f).map(|p| (p - low) / extent);
+        (b - a).cross(c - a).length() / 2.0
+    };
+    let area = |mesh: &TriMesh| (0..mesh.facets().len()).map(|f| size(mesh, f)).sum::<f64>();
     // Of even triangles of the result's area and number.
-    let edge = (4.0 / 3f64.sqrt() * result.area() / result.facets().len().max(1) as f64).sqrt();
+    let edge = extent * (4.0 / 3f64.sqrt() * area(result) / result.facets().len().max(1) as f64).sqrt();
     let far = |v: u32| distances[v as usize] > LOST_EDGES * edge;
     let is_lost = |f: usize| mesh.facets()[f].into_iter().any(far) && !mesh.is_degenerate(f);
     if !(0..distances.len() as u32).any(far) {
@@ -89,7 +97,7 @@ pub(crate) fn find(mesh: &TriMesh, result: &TriMesh, distances: &[f64], token: &
     (0..mesh.facets().len()).filter(|&f| !is_lost(f) && !mesh.is_degenerate(f)).for_each(|f| {
         beside[all.root(vertex(mesh.facets()[f][0]))] = true;
     });
-    let (area, (low, high)) = (mesh.area(), mesh.bounds());
+    let area = area(mesh);
     let mut parts: Vec<LostPart> = facets
         .chunk_by(|a, b| a.0 == b.0)
         .map(|part| {
@@ -97,10 +105,6 @@ pub(crate) fn find(mesh: &TriMesh, result: &TriMesh, distances: &[f64], token: &
             let farthest =
                 corners().max_by(|&a, &b| distances[a as usize].total_cmp(&distances[b as usize]).then(b.cmp(&a)));
             let at = farthest.unwrap_or_default() as usize;
-            let size = |&(_, f): &(usize, usize)| {
-                let [a, b, c] = mesh.corners(f);
-                (b - a).cross(c - a).length() / 2.0
-            };
             let has = |kind| part.iter().any(|&(_, f)| (0..3).any(|e| adjacency.kind(3 * f + e) == kind));
             let reason = if !beside[all.root(part[0].0)] {
                 LostReason::Component
@@ -114,8 +118,8 @@ pub(crate) fn find(mesh: &TriMesh, result: &TriMesh, distances: &[f64], token: &
             LostPart {
                 place: mesh.positions()[at].to_array(),
                 facets: part.len(),
-                area_percent: 100.0 * part.iter().map(size).sum::<f64>() / area,
-                distance_percent: 100.0 * distances[at] / (high - low).length(),
+                area_percent: 100.0 * part.iter().map(|&(_, f)| size(mesh, f)).sum::<f64>() / area,
+                distance_percent: 100.0 * distances[at] / extent / diagonal,
                 reason,
             }
         })

@@ -118,6 +118,9 @@ const SAME_PLACE: f64 = 1e-5;
 pub(crate) fn coincident_vertices(result: &TriMesh, token: &Token) -> Result<usize, Stopped> {
     let (low, high) = result.bounds();
     let reach = SAME_PLACE * (high - low).length();
+    if !(reach.is_finite() && reach > 0.0) {
+        return Ok(0);
+    }
     let found = coincident::near(result.positions(), 0..result.positions().len() as u32, (low, reach), token)?;
     if found.is_empty() {
         return Ok(0);
@@ -130,15 +133,28 @@ pub(crate) fn coincident_vertices(result: &TriMesh, token: &Token) -> Result<usi
 /// Quality of `result` against `original`. Distances are taken from about 100,000 random points and all
 /// vertices of each side to the other surface.
 pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
-    quality_unless(original, None, result, &Token::default()).map_or_else(|_| Quality::default(), |of| of.0)
+    quality_unless(original, None, result, &Token::default()).unwrap_or_default()
 }
 
-/// As [`quality`], with how far each vertex of `original` is from the result, 0 where no facet with area has it. Who has something that answers for `original`, or for the same
+/// As [`quality`]. Who has something that answers for `original`, or for the same
 /// surface with its facets divided, saves the time to make it.
 ///
 /// # Errors
 /// [`Stopped`].
 pub fn quality_unless(
+    original: &TriMesh,
+    closest: Option<ClosestPoint>,
+    result: &TriMesh,
+    token: &Token,
+) -> Result<Quality, Stopped> {
+    quality_and_distances(original, closest, result, token).map(|(quality, _)| quality)
+}
+
+/// As [`quality_unless`], with how far each vertex of `original` is from the result, 0 where no facet with area has it.
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn quality_and_distances(
     original: &TriMesh,
     closest: Option<ClosestPoint>,
     result: &TriMesh,

@@ -368,6 +368,8 @@ pub(super) const WALL_RINGS: usize = 2;
 pub(super) const WALL_SHORTER: f64 = 0.7;
 /// Share of the area that walls may be: where all of a part is thin, lengths have the same ratios as before.
 pub(super) const MOST_WALLS: f64 = 0.75;
+/// Share of a wall's area that may be of cells that reach through it: it is much thinner than an edge where more do.
+pub(super) const MOST_SPLITS: f64 = 0.2;
 /// Share of the area in several parts that may be left for a round to be worth it.
 pub(super) const SPLIT_GAIN: f64 = 0.5;
 /// Factor by which the number of points may grow where edge lengths imply it.

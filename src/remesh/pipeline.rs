@@ -24,7 +24,7 @@ use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::ClosestPoint;
 use crate::mesh::lost::{self, LostParts};
-use crate::mesh::measure::{Quality, coincident_vertices, quality_unless, topology_unless};
+use crate::mesh::measure::{Quality, coincident_vertices, quality_and_distances, topology_unless};
 use crate::mesh::outliers;
 use crate::remesh::attributes::{self, Provenance};
 use crate::remesh::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, topology_changes};
@@ -158,7 +158,7 @@ fn compare(
     result: &TriMesh,
     token: &Token,
 ) -> Result<(Quality, LostParts), Stopped> {
-    let (quality, distances) = quality_unless(mesh, closest, result, token)?;
+    let (quality, distances) = quality_and_distances(mesh, closest, result, token)?;
     Ok((quality, lost::find(mesh, result, &distances, token)?))
 }
 

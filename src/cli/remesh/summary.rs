@@ -35,6 +35,7 @@ impl Told<'_> {
         let mut lines = Vec::new();
         self.who(&mut lines);
         self.surfaces(&mut lines);
+        self.lost(&mut lines);
         self.steps(&mut lines);
         self.quality(&mut lines);
         self.costs(&mut lines);
@@ -135,7 +136,6 @@ impl Told<'_> {
         if !removed.is_empty() {
             lines.push(format!("            {} and were removed: {what}", removed.join(", ")));
         }
-        self.lost(lines);
         let coincident = self.count("/result/coincident_vertices");
         if coincident > 0 {
             lines.push(format!(

@@ -76,7 +76,7 @@ const NOISE: f64 = 0.02;
 const NOISE_LEFT: f64 = 0.005;
 /// changes by more than this. On a torus of 6,000 facets with lengths of 100 : 1, 1,000 points take a tenth of the time then.
 const STEEPEST_LEFT: f64 = 0.3;
-/// Rounds in which lengths are evened out, at most; each second one twice as many as the one before.
+/// Rounds in which lengths are evened out, at most. What is left is looked at after 1, 2, 4, ... of them.
 const SMOOTHING_ROUNDS: usize = 64;
 
 /// [`bounded`], after lengths that are noise are evened out, as long as there is any; with the share of the area that was noise,

@@ -305,7 +305,8 @@ mod tests {
             let steep = field(&|_, p| 1.0 + 150.0 * (p.x - 0.3).abs());
             let spike = field(&|v, _| if v == 7 { 0.01 } else { 1.0 });
             for (name, field) in [("jump", jump), ("slope", steep), ("spike", spike)] {
-                assert!(field.noise(&net, 1.0) < 0.01, "{shape}, {name}: {}", field.noise(&net, 1.0));
+                // Up to a fiftieth is no noise (`NOISE`); the bottom of a slope is a line of such places.
+                assert!(field.noise(&net, 1.0) < 0.02, "{shape}, {name}: {}", field.noise(&net, 1.0));
             }
             let wild = |v: usize, _| 100f64.powf((v * 7919 % 101) as f64 / 101.0);
             let mut noise = field(&wild);

@@ -16,7 +16,8 @@ use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::measure::{self, Topology};
 use crate::remesh::constants::{
-    MANY_SPLITS, MANY_SPLITS_SHARE, MAX_VAIN_ROUNDS, MOST_WALLS, SPLIT_GAIN, THIN_SHORTER, WALL_RINGS, WALL_SHORTER,
+    MANY_SPLITS, MANY_SPLITS_SHARE, MAX_VAIN_ROUNDS, MOST_SPLITS, MOST_WALLS, SPLIT_GAIN, THIN_SHORTER, WALL_RINGS,
+    WALL_SHORTER,
 };
 use crate::remesh::manifold::repair::{self, Repaired};
 use crate::rvd::Surface;
@@ -119,8 +120,8 @@ pub(super) fn failing(
     Ok(FailingCells { components, area: area(&all), vertices, walls, split_area: area(&split) })
 }
 
-/// Of each component whether it is on a wall through which many cells reach; empty if there is none, or so much of it that shorter
-/// edges there would leave too few points for the rest.
+/// Of each component whether it is on a wall through which many cells reach; empty if there is none, or where somewhat shorter edges
+/// do not help: walls are all of the surface, or most cells of them reach through.
 fn walls(dual: &Dual) -> Vec<bool> {
     let cells = dual.components.last().map_or(0, |last| last.seed as usize + 1);
     if dual.split_cells < MANY_SPLITS.max((MANY_SPLITS_SHARE * cells as f64) as usize) {
@@ -136,8 +137,11 @@ fn walls(dual: &Dual) -> Vec<bool> {
             }
         }
     }
-    let area: f64 = dual.components.iter().zip(&on_wall).filter(|(_, on)| **on).map(|(c, _)| c.area).sum();
-    if area > MOST_WALLS * dual.area { Vec::new() } else { on_wall }
+    let area = |of: &dyn Fn(usize) -> bool| -> f64 {
+        dual.components.iter().enumerate().filter(|(c, _)| of(*c)).map(|(_, c)| c.area).sum()
+    };
+    let (split, wall) = (area(&|c| !dual.components[c].whole), area(&|c| on_wall[c]));
+    if wall > MOST_WALLS * dual.area || split > MOST_SPLITS * wall { Vec::new() } else { on_wall }
 }
 
 /// The vertices around which a surface is no manifold.
