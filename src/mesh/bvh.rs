@@ -73,7 +73,10 @@ impl Bvh {
             // Those within the bound, the nearest last.
             let mut near = [(0.0, 0); WIDTH];
             let mut found = 0;
-            let mut within = within(&costs, bound);
+            // Lanes that nothing is in cost infinity. All are compared before any is looked at: which of them are
+            // within cannot be foretold.
+            let most = bound.min(f64::MAX);
+            let mut within = costs.iter().rev().fold(0u32, |bits, &cost| bits << 1 | u32::from(cost <= most));
             while within != 0 {
                 let lane = within.trailing_zeros() as usize;
                 within &= within - 1;
@@ -101,83 +104,6 @@ impl Bvh {
             }
         }
     }
-}
-
-/// Things of a tree that may be near, their boxes side by side.
-#[derive(Default)]
-pub(crate) struct Gathered {
-    nodes: Vec<Node>,
-    things: Vec<u32>,
-    /// Level and index of nodes that were not looked at yet.
-    waiting: Vec<(usize, usize)>,
-}
-
-impl Gathered {
-    /// Takes the things of `tree` whose boxes are within `reach` of `p` instead. Returns whether these are all: `false` for
-    /// more than `most`, and far from the unit box.
-    pub(crate) fn take(&mut self, tree: &Bvh, p: DVec3, reach: f64, most: usize) -> bool {
-        self.nodes.clear();
-        self.things.clear();
-        self.waiting.clear();
-        if p.abs().max_element() + reach >= NEAR_BY {
-            return false;
-        }
-        self.waiting.push((tree.levels.len() - 1, 0));
-        while let Some((level, index)) = self.waiting.pop() {
-            let Some(node) = tree.levels[level].get(index) else { continue };
-            let mut within = within(&node.quick_costs(p), reach * reach);
-            while within != 0 {
-                let lane = within.trailing_zeros() as usize;
-                within &= within - 1;
-                if level > 0 {
-                    self.waiting.push((level - 1, index * WIDTH + lane));
-                } else if self.things.len() < most {
-                    self.push(node, lane, index * WIDTH + lane);
-                } else {
-                    return false;
-                }
-            }
-        }
-        true
-    }
-
-    fn push(&mut self, from: &Node, lane: usize, thing: usize) {
-        let to = self.things.len() % WIDTH;
-        if to == 0 {
-            self.nodes.push(Node::of(std::iter::empty()));
-        }
-        self.things.push(thing as u32);
-        if let Some(node) = self.nodes.last_mut() {
-            for axis in 0..3 {
-                node.low[axis][to] = from.low[axis][lane];
-                node.high[axis][to] = from.high[axis][lane];
-            }
-        }
-    }
-
-    /// As [`Bvh::nearest`] among these. `p` is no farther from where they were gathered than the reach.
-    pub(crate) fn nearest(&self, p: DVec3, first: f64, mut visit: impl FnMut(usize) -> f64) {
-        let mut bound = first;
-        for (node, things) in self.nodes.iter().zip(self.things.chunks(WIDTH)) {
-            let costs = node.quick_costs(p);
-            let mut within = within(&costs, bound);
-            while within != 0 {
-                let lane = within.trailing_zeros() as usize;
-                within &= within - 1;
-                if costs[lane] <= bound {
-                    bound = visit(things[lane] as usize);
-                }
-            }
-        }
-    }
-}
-
-/// Bit k: lane k costs no more than `most`. Lanes that nothing is in cost infinity. All are compared before any is looked at:
-/// which of them are within cannot be foretold.
-#[inline]
-fn within(costs: &[f64; WIDTH], most: f64) -> u32 {
-    let most = most.min(f64::MAX);
-    costs.iter().rev().fold(0u32, |bits, &cost| bits << 1 | u32::from(cost <= most))
 }
 
 /// Brings neighbours side by side: each eight that become a node, each eight such nodes, and so on, are one part of
@@ -300,29 +226,5 @@ mod tests {
         }
         assert!(f64::from(below(0.1)) <= 0.1 && f64::from(above(0.1)) >= 0.1 && below(-1e-60) < 0.0);
         assert_eq!((below(0.5), above(-2.0)), (0.5, -2.0));
-    }
-
-    #[test]
-    fn gathered_things_have_what_is_nearest_to_the_points_beside() {
-        let point = |i: usize| DVec3::new((i as f64).sin(), (i as f64 * 0.7).cos(), (i % 7) as f64 * 0.1);
-        let things: Vec<[DVec3; 1]> = (0..600).map(|i| [point(i)]).collect();
-        let tree = Bvh::new(&things);
-        let nearest = |p: DVec3| things.iter().map(|t| t[0].distance_squared(p)).fold(f64::INFINITY, f64::min);
-        let mut gathered = Gathered::default();
-        for k in 0..50 {
-            let (p, radius) = (1.2 * point(1000 + 3 * k), 0.05);
-            assert!(gathered.take(&tree, p, nearest(p).sqrt() + 2.0 * radius, 600));
-            let beside = [DVec3::ZERO, radius * DVec3::X, -radius * DVec3::Z].map(|by| p + by);
-            for q in beside {
-                let mut best = f64::INFINITY;
-                gathered.nearest(q, f64::INFINITY, |i| {
-                    best = best.min(things[i][0].distance_squared(q));
-                    best
-                });
-                assert_eq!(best, nearest(q));
-            }
-        }
-        assert!(!gathered.take(&tree, DVec3::ZERO, 2.0, 599), "more than are wanted");
-        assert!(!gathered.take(&tree, DVec3::splat(1e3), 1.0, 600), "far from the unit box");
     }
 }

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::TriMesh;
 use super::adjacency::weld;
-use super::bvh::{self, Bvh, Gathered};
+use super::bvh::{self, Bvh};
 use super::morton;
 use crate::token::{Pace, Stopped, Token};
 
@@ -48,10 +48,6 @@ struct Nearest {
     visited: usize,
 }
 
-/// Neighbours among the points for which facets are gathered at once,
-const GROUP: usize = 8;
-/// and how many facets at most. Of more, a search from the top looks at fewer.
-const MOST_GATHERED: usize = 64;
 /// So many points are one task.
 const RUN: usize = 256;
 /// A search takes as many steps as it looks at facets, and these.
@@ -85,7 +81,7 @@ impl ClosestPoint {
 
     /// The closest point of the surface to `p` (finite); the lowest facet among equals.
     pub fn project(&self, p: DVec3) -> SurfacePoint {
-        self.on_surface(self.nearest(self.to_unit(p), None, None))
+        self.on_surface(self.nearest(p, None))
     }
 
     /// As [`ClosestPoint::project`], all points at once: they are taken along a curve that fills space, and each
@@ -114,34 +110,18 @@ impl ClosestPoint {
         let place = |(i, &p): (usize, &DVec3)| (morton::code(self.to_unit(p)), i);
         let mut order: Vec<(u64, usize)> = points.par_iter().enumerate().map(place).collect();
         order.par_sort_unstable();
-        // Facets that are gathered pay where points are closer together than they.
-        let is_dense = points.len() > self.facets.len();
         let run = |run: &[(u64, usize)]| {
             let mut last = None;
             let mut pace = Pace::default();
             let mut found = Vec::with_capacity(run.len());
             // Boxes are compared as many at once as the processor can.
             Arch::new().dispatch(|| {
-                let mut gathered = Gathered::default();
-                for group in run.chunks(GROUP) {
-                    let mut visited = 0;
-                    let is_gathered = is_dense && {
-                        let unit = || group.iter().map(|&(_, i)| self.to_unit(points[i]));
-                        let centre = unit().sum::<DVec3>() / group.len() as f64;
-                        let radius = unit().map(|p| p.distance(centre)).fold(0.0, f64::max);
-                        let nearest = self.nearest(centre, last, None);
-                        (last, visited) = (Some(nearest.leaf), nearest.visited);
-                        // What is nearest to a point of the group is no farther from the centre than this.
-                        gathered.take(&self.tree, centre, nearest.squared.sqrt() + 2.0 * radius, MOST_GATHERED)
-                    };
-                    for &(_, i) in group {
-                        let nearest = self.nearest(self.to_unit(points[i]), last, is_gathered.then_some(&gathered));
-                        last = Some(nearest.leaf);
-                        visited += nearest.visited + STEPS;
-                        found.push((i, answer(nearest)));
-                    }
+                for &(_, i) in run {
+                    let nearest = self.nearest(points[i], last);
+                    last = Some(nearest.leaf);
+                    found.push((i, answer(nearest)));
                     // Where facets lie on one another a search may look at all of them.
-                    if token.is_stopped_after(visited, &mut pace) {
+                    if token.is_stopped_after(nearest.visited + STEPS, &mut pace) {
                         return;
                     }
                 }
@@ -172,12 +152,12 @@ impl ClosestPoint {
 
     /// Distance of `p` (finite) from the surface, caller's units.
     pub fn distance(&self, p: DVec3) -> f64 {
-        self.nearest(self.to_unit(p), None, None).squared.sqrt() / self.scale
+        self.nearest(p, None).squared.sqrt() / self.scale
     }
 
-    /// The nearest facet to `p`, unit frame. `hint` is a facet that may be near, as its place in `facets`; it does not change
-    /// the answer. Nor does `among`, which has the nearest facet if it is given.
-    fn nearest(&self, p: DVec3, hint: Option<u32>, among: Option<&Gathered>) -> Nearest {
+    /// `hint` is a facet that may be near, as its place in `facets`; it does not change the answer.
+    fn nearest(&self, p: DVec3, hint: Option<u32>) -> Nearest {
+        let p = self.to_unit(p);
         // Boxes and facets round differently; a box is opened although it is this much too far.
         let slack = 4.0 * f64::EPSILON * (1.0 + p.abs().max_element());
         let of_facet = |leaf: u32| {
@@ -188,19 +168,14 @@ impl ClosestPoint {
         let none = (Nearest { squared: f64::INFINITY, leaf: 0, barycentric: [1.0, 0.0, 0.0], visited: 0 }, u32::MAX);
         let mut best = hint.map_or(none, of_facet);
         let mut visited = 0;
-        let first = best.0.squared;
-        let visit = |leaf: usize| {
+        self.tree.nearest(p, slack, best.0.squared, |leaf| {
             visited += 1;
             let here = of_facet(leaf as u32);
             if here.0.squared < best.0.squared || (here.0.squared == best.0.squared && here.1 < best.1) {
                 best = here;
             }
             best.0.squared
-        };
-        match among {
-            Some(gathered) => gathered.nearest(p, first, visit),
-            None => self.tree.nearest(p, slack, first, visit),
-        }
+        });
         Nearest { visited, ..best.0 }
     }
 

@@ -67,6 +67,7 @@ struct Fitted<'a> {
     mesh: LocalMesh,
     target: Target,
     envelope: CurveEnvelope,
+    /// The input that improved places are compared with.
     reference: Reference<'a>,
     missed: Missed,
     /// Distance from the input around each vertex.
