@@ -356,8 +356,9 @@ pub(super) const THIN_LONGEST: f64 = 1.4;
 pub(super) const MANY_SPLITS: usize = 16;
 /// and from this share of the cells on. Few cost little, and a round costs as much as all steps.
 pub(super) const MANY_SPLITS_SHARE: f64 = 0.02;
-/// Gaps of so many rings of cells between them are on the same wall: which of its cells reach through it is chance.
-pub(super) const WALL_RINGS: usize = 2;
+/// Cells with so many rings to the next ones that reach through are on the same wall: which of its cells do is chance. With 2, a
+/// crank of 1,200 points is all wall.
+pub(super) const WALL_RINGS: usize = 1;
 /// Factor on edge lengths there. With 0.5 in its place, most of the points go to the walls, and results are farther from the input.
 pub(super) const WALL_SHORTER: f64 = 0.7;
 /// Share of the area that walls may be: where all of a part is thin, lengths have the same ratios as before.
