@@ -258,12 +258,12 @@ impl Scan {
             positions[a as usize] = positions[b as usize].lerp(positions[a as usize], 1e-3);
         }
         let piece = |triangles: &[[u32; 3]], radius: f64, random: &mut Random| -> Vec<usize> {
-            // Copies have vertices of their own, which lie elsewhere.
-            let middle = loop {
-                if let Some(&place) = clean.get(triangles[random.below(triangles.len())][0] as usize) {
-                    break place;
-                }
-            };
+            // Copies are not copied again.
+            let mut vertex = triangles[random.below(triangles.len())][0] as usize;
+            while vertex >= clean.len() {
+                vertex = triangles[random.below(triangles.len())][0] as usize;
+            }
+            let middle = clean[vertex];
             let reach = radius * edge * (0.5 + random.unit());
             let near =
                 |t: &[u32; 3]| t.iter().all(|&v| clean.get(v as usize).is_some_and(|p| p.distance(middle) < reach));
