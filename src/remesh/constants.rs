@@ -359,21 +359,6 @@ pub(super) const MAX_VAIN_ROUNDS: usize = 3;
 pub(super) const THIN_SHORTER: f64 = 0.5;
 /// Factor by which the median edge may grow for it: half of the points may go to thin parts.
 pub(super) const THIN_LONGEST: f64 = 1.4;
-/// Cells in several parts are many from so many on,
-pub(super) const MANY_SPLITS: usize = 16;
-/// and from this share of the cells on. Few cost little, and a round costs as much as all steps.
-pub(super) const MANY_SPLITS_SHARE: f64 = 0.02;
-/// Cells with so many rings to the next ones that reach through are on the same wall: which of its cells do is chance. With 2, a
-/// crank of 1,200 points is all wall.
-pub(super) const WALL_RINGS: usize = 1;
-/// Factor on edge lengths there. With 0.5 in its place, most of the points go to the walls, and results are farther from the input.
-pub(super) const WALL_SHORTER: f64 = 0.7;
-/// Share of the area that walls may be: where all of a part is thin, lengths have the same ratios as before.
-pub(super) const MOST_WALLS: f64 = 0.75;
-/// Share of a wall's area that may be of cells that reach through it: it is much thinner than an edge where more do.
-pub(super) const MOST_SPLITS: f64 = 0.2;
-/// Share of the area in several parts that may be left for a round to be worth it.
-pub(super) const SPLIT_GAIN: f64 = 0.5;
 /// Factor by which the number of points may grow where edge lengths imply it.
 pub(super) const THIN_MOST_POINTS: usize = 2;
 

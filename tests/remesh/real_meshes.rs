@@ -120,12 +120,13 @@ fn graded_remeshes_are_of_round_triangles_too() {
     }
 }
 
-/// In the mean over some seeds, since one alone may be lucky: 0.251 (40 of them) and 0.125 %. Those of rocker-arm differ by 0.03
+/// In the mean over some seeds, since one alone may be lucky: 0.272 and 0.131 %. Triangles keep a least score, whose price is .02 % of
+/// rocker-arm: with none, the mean is 0.251, and the smallest angle 35 degrees instead of 37. Those of rocker-arm differ by 0.03
 /// among themselves, so that the mean of five is off by 0.014, more than what is left to the bar; of twenty by half of that.
 #[needs(meshes)]
 #[test]
 fn results_are_near_whatever_the_seed() {
-    for (file, points, most, mean) in [("rocker-arm.obj", 5000, 0.30, 0.26), ("fandisk.obj", 3000, 0.15, 0.135)] {
+    for (file, points, most, mean) in [("rocker-arm.obj", 5000, 0.30, 0.28), ("fandisk.obj", 3000, 0.15, 0.135)] {
         let mesh = surfaces::real(file);
         let distance = |seed: u64, backend: &Parallel| {
             let options = RemeshOptions::new(Seeds::Sample { points, seed });

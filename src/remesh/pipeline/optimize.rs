@@ -17,7 +17,7 @@ use crate::cvt::density::{DensityError, DensityOptions, DensitySource, Plan};
 use crate::cvt::{Cvt, CvtOptions};
 use crate::mesh::TriMesh;
 use crate::mesh::sample::spread;
-use crate::remesh::constants::{MAX_THIN_ROUNDS, THIN_LONGEST, THIN_MOST_POINTS};
+use crate::remesh::constants::{MAX_THIN_ROUNDS, MAX_VAIN_ROUNDS, THIN_LONGEST, THIN_MOST_POINTS};
 use crate::remesh::features::curves::KeptCurves;
 use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
 use crate::remesh::{RemeshError, RemeshOptions, Seeds};
@@ -138,7 +138,7 @@ impl<'a> Job<'a, '_> {
         let mut lengths = if failing { best.shorter_lengths(self.mesh, self.token)? } else { Vec::new() };
         let mut vain = 0;
         for round in 1..=MAX_THIN_ROUNDS {
-            if !failing || vain >= best.failing.max_vain_rounds() {
+            if !failing || vain == MAX_VAIN_ROUNDS {
                 break;
             }
             let source = DensitySource::Sizes(lengths);
