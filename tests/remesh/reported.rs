@@ -161,7 +161,7 @@ fn what_of_a_raw_scan_is_lost_is_named_with_its_place() {
             (b - a).cross(c - a).length() / 2.0
         };
         let area: f64 = (0..mesh.facets().len()).filter(|&f| far(f)).map(size).sum();
-        let percent = 100.0 * area / mesh.area();
+        let percent = 100.0 * area / out.report.input.area;
         assert!((lost.area_percent - percent).abs() < 1e-6, "{shape}: {percent} % in {lost:?}");
         assert_eq!(lost.count > 0, area > 0.0, "{shape}");
         for part in &lost.parts {
