@@ -40,7 +40,7 @@ pub mod gpu {
 #[cfg(feature = "service")]
 pub mod job {
     pub use crate::job::{
-        Ask, Backends, Bytes, Ceilings, Engine, EngineOptions, JobError, LossPolicy, MakePool, Weights, Wish,
+        Ask, Backends, Bytes, Ceilings, Engine, EngineOptions, JobError, LossPolicy, MakePool, Weights,
     };
     pub use crate::job::{BlobRoom, Executor, ExecutorOptions, JobBounds, Stores};
     pub use crate::job::{desk, event, record, state, store};

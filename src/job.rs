@@ -43,10 +43,9 @@ use std::time::Duration;
 
 use crate::mesh::MeshError;
 use crate::remesh::RemeshError;
-use crate::rvd::{Backend, BackendKind, RvdError};
+use crate::rvd::{Backend, BackendChoice, BackendKind, RvdError};
 use crate::token::{Stopped, Token};
 
-pub use crate::rvd::BackendChoice as Wish;
 pub use bytes::Bytes;
 pub use call::Retry;
 pub(crate) use call::{Timed, Turn};
@@ -75,8 +74,8 @@ pub struct Backends {
     pub parallel: Arc<dyn Backend>,
     /// f64, one thread.
     pub serial: Arc<dyn Backend>,
-    /// What [`Wish::Auto`] means here; `Auto` again means the GPU if there is one.
-    pub default: Wish,
+    /// What [`BackendChoice::Auto`] means here; `Auto` again means the GPU if there is one.
+    pub default: BackendChoice,
     /// Makes more of `parallel`, so that each job at work has threads of its own; without, all jobs share `parallel`.
     pub pools: Option<MakePool>,
 }
@@ -95,19 +94,19 @@ impl Backends {
         Self { gpu: self.gpu.as_ref().map(shared).map_err(Clone::clone), parallel: host, serial, ..self.clone() }
     }
 
-    /// The backend for a wish.
+    /// The backend for a choice.
     ///
     /// # Errors
     /// [`RvdError::BackendUnavailable`] if the GPU is asked for and there is none.
-    pub fn choose(&self, wish: Wish) -> Result<&Arc<dyn Backend>, JobError> {
-        let wish = if wish == Wish::Auto { self.default } else { wish };
-        match (wish, &self.gpu) {
-            (Wish::Auto | Wish::Only(BackendKind::Gpu), Ok(gpu)) => Ok(gpu),
-            (Wish::Only(BackendKind::Gpu), Err(reason)) => {
+    pub fn choose(&self, choice: BackendChoice) -> Result<&Arc<dyn Backend>, JobError> {
+        let choice = if choice == BackendChoice::Auto { self.default } else { choice };
+        match (choice, &self.gpu) {
+            (BackendChoice::Auto | BackendChoice::Only(BackendKind::Gpu), Ok(gpu)) => Ok(gpu),
+            (BackendChoice::Only(BackendKind::Gpu), Err(reason)) => {
                 Err(RvdError::BackendUnavailable { wanted: BackendKind::Gpu, reason: reason.clone() }.into())
             }
-            (Wish::Auto | Wish::Only(BackendKind::Parallel), _) => Ok(&self.parallel),
-            (Wish::Only(BackendKind::Serial), _) => Ok(&self.serial),
+            (BackendChoice::Auto | BackendChoice::Only(BackendKind::Parallel), _) => Ok(&self.parallel),
+            (BackendChoice::Only(BackendKind::Serial), _) => Ok(&self.serial),
         }
     }
 }

@@ -28,7 +28,11 @@ use rayon::prelude::*;
 pub use colour::{PLAIN, Rgb, distinct, of_quality};
 pub use image::Image;
 pub use surface::{Paint, SOFT, draw_mesh, shading_normals, spacing};
-pub use view::{Look, View};
+pub use view::{View, ViewDirection};
+
+/// The earlier name of [`ViewDirection`]; goes with the next release.
+#[deprecated(note = "use `ViewDirection`")]
+pub type Look = ViewDirection;
 
 use raster::Triangle;
 use stroke::{Ink, Stroke};
@@ -161,9 +165,9 @@ impl Pens {
 ///
 /// ```
 /// use glam::dvec3;
-/// use tessera::picture::{Canvas, Face, Look, Pens, Size, View};
+/// use tessera::picture::{Canvas, Face, ViewDirection, Pens, Size, View};
 /// let corners = [dvec3(0., 0., 0.), dvec3(1., 0., 0.), dvec3(0., 1., 0.)];
-/// let view = View::framing(&Look::default(), Size::new(64, 48)?, corners)?;
+/// let view = View::framing(&ViewDirection::default(), Size::new(64, 48)?, corners)?;
 /// let mut canvas = Canvas::new(view);
 /// canvas.faces(&[Face { corners, colour: [200, 210, 230], normal: None }]);
 /// canvas.line(corners[0], corners[1]);

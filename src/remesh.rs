@@ -56,6 +56,14 @@ impl Seeds {
     /// The default random seed.
     pub const RANDOM_SEED: u64 = 0;
 
+    /// How many are given.
+    fn given(&self) -> Option<usize> {
+        match self {
+            Self::Given(seeds) => Some(seeds.len()),
+            _ => None,
+        }
+    }
+
     /// How many seeds there will be.
     pub fn count(&self) -> Count {
         match self {
@@ -81,13 +89,15 @@ pub enum Placement {
 
 /// More points where the result is far from the input. Needs [`Placement::Fitted`].
 ///
-/// Drawn seeds are drawn again, up to five times, with shorter edges where the last result was too far. Given seeds stay, and
-/// seeds are added to them, up to eight times.
+/// The distance is measured both ways, at samples of facets, edges and vertices. Drawn seeds are drawn again, up to nine times,
+/// with shorter edges where the last result was too far; rounds go on while points and progress remain. A result that is still
+/// too far is never farther than as many points with a uniform density or one by curvature. Given seeds stay, and seeds are
+/// added to them. [`report::RefineFigures::ended`] says what ended it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Refine {
-    /// The largest distance of a vertex of the input from the result, caller's units. Rounds end when no vertex is farther
-    /// away, or when there are `max_points`. The report's `refine.out_of_tolerance` counts the places that are farther away.
+    /// The largest distance between input and result, caller's units. The report's `refine.out_of_tolerance` counts the
+    /// samples that are farther away.
     pub tolerance: f64,
     /// The most seeds in all: at least as many as there are at first.
     pub max_points: usize,

@@ -5,13 +5,13 @@ use std::sync::Arc;
 use anyhow::Context;
 
 use crate::config::{BackendArg, BackendArgs};
-use crate::job::{Backends, JobError, Wish};
+use crate::job::{Backends, JobError};
 use crate::rvd::gpu::Gpu;
 use crate::rvd::parallel::Parallel;
 use crate::rvd::serial::Serial;
-use crate::rvd::{Backend, BackendKind, BackendOptions, NoGpu};
+use crate::rvd::{Backend, BackendChoice, BackendKind, BackendOptions, NoGpu};
 
-impl From<BackendArg> for Wish {
+impl From<BackendArg> for BackendChoice {
     fn from(arg: BackendArg) -> Self {
         match arg {
             BackendArg::Auto => Self::Auto,
@@ -34,7 +34,7 @@ pub(crate) fn all(args: &BackendArgs) -> Result<Backends, JobError> {
         default: args.backend.into(),
         pools: Some(|threads| Ok(Arc::new(Parallel::new(Some(threads))?))),
     };
-    backends.choose(Wish::Auto)?;
+    backends.choose(BackendChoice::Auto)?;
     Ok(backends)
 }
 
@@ -46,7 +46,7 @@ pub(crate) fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
     match args.backend {
         BackendArg::Serial => Ok(Arc::new(Serial)),
         BackendArg::Parallel => Ok(Arc::new(Parallel::new(args.threads)?)),
-        BackendArg::Gpu | BackendArg::Auto => all(args)?.choose(Wish::Auto).cloned(),
+        BackendArg::Gpu | BackendArg::Auto => all(args)?.choose(BackendChoice::Auto).cloned(),
     }
 }
 

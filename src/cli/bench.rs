@@ -5,6 +5,7 @@
 //! Invariant: what is timed is the exact diagram, every pass of it. Times are printed and never judged; what warms
 //! up is not counted. Must not know: how a phase is done.
 
+mod args;
 mod cvt;
 mod fig3;
 mod fig4;

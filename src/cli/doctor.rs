@@ -6,7 +6,7 @@ use clap::Args;
 use super::backends;
 use crate::config::BackendArgs;
 use crate::gpu::device::adapters;
-use crate::job::Wish;
+use crate::rvd::BackendChoice;
 
 /// `tessera doctor`'s options: the same as where work is done, to see their effect.
 #[derive(Args, Debug)]
@@ -44,7 +44,7 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<()> {
     }
     let backends = backends::all(&args.backend)?;
     outln!("parallel    {} threads", backends.parallel.threads())?;
-    let chosen = backends.choose(Wish::Auto)?;
+    let chosen = backends.choose(BackendChoice::Auto)?;
     let adapter = chosen.adapter().map(|name| format!(" ({name})")).unwrap_or_default();
     outln!("would use   {}{adapter}, {} threads", chosen.kind().name(), chosen.threads())?;
     Ok(())

@@ -13,7 +13,7 @@ use super::exit::Usage;
 use super::files;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::ClosestPoint;
-use crate::picture::{Canvas, Face, Image, Look, PLAIN, Paint, Pens, Size, View};
+use crate::picture::{Canvas, Face, Image, PLAIN, Paint, Pens, Size, View, ViewDirection};
 use crate::picture::{distinct, draw_mesh, shading_normals, spacing};
 use crate::rvd::PieceBatch;
 use crate::rvd::cells::facet_edge;
@@ -117,7 +117,7 @@ impl PictureArgs {
     }
 
     fn view_of(&self, mesh: &TriMesh) -> Result<View> {
-        let look = Look { toward: self.view, up: self.up };
+        let look = ViewDirection { toward: self.view, up: self.up };
         let used = mesh.facets().iter().flatten().map(|&v| mesh.positions()[v as usize]);
         View::framing(&look, self.picture_size, used).context("--view, --up")
     }

@@ -133,7 +133,8 @@ impl State {
 
     fn line(&mut self) {
         let now = Instant::now();
-        let percent = 100.0 * self.track.fraction(now);
+        // Rounded down: what is said to be all is done.
+        let percent = (100.0 * self.track.fraction(now)).floor();
         let seconds = now.duration_since(self.start).as_secs_f64();
         errln!("tessera: {}: {percent:.0} %, {}{}, {seconds:.0} s", self.name, self.stage, self.detail);
     }

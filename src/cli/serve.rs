@@ -21,7 +21,7 @@ use crate::job::desk::DeskError;
 use crate::job::store::StoreError;
 use crate::job::{
     Backends, BlobRoom, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, LossPolicy,
-    Stores, Wish,
+    Stores,
 };
 use crate::lifecycle::{self, LifeCycle, Step, TooLong};
 use crate::memory;
@@ -29,6 +29,7 @@ use crate::mesh::TriMesh;
 use crate::metrics::Metrics;
 use crate::readiness::{Readiness, Reason};
 use crate::remesh::{RemeshOptions, Seeds, remesh};
+use crate::rvd::BackendChoice;
 use crate::service::{self, About, Access, AccessOptions, Jobs, Parts, ServeError, Tls};
 use crate::token::Token;
 
@@ -155,7 +156,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
         started = life.step(Step::Backends, starting) => started.map_err(late)?.context("starting the backends")?.context("starting the backends")?,
         _ = &mut signals => return Ok(()),
     };
-    let by = engine.backend(Wish::Auto)?;
+    let by = engine.backend(BackendChoice::Auto)?;
     let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = config.limits;
     let bounds = JobBounds { max_vertices, max_facets, max_seeds, max_iterations };
     let options = ExecutorOptions {
@@ -242,7 +243,7 @@ fn warm_up(backends: &Backends) -> Result<(), JobError> {
     let octahedron = TriMesh::new(axes.to_vec(), facets)?;
     let plain = RemeshOptions::plain(Seeds::Given(axes.to_vec()), 1);
     let options = RemeshOptions { projection: Projection::OnSurface, ..plain };
-    let backend = backends.choose(Wish::Auto)?;
+    let backend = backends.choose(BackendChoice::Auto)?;
     let done = remesh(&octahedron, &options, backend.as_ref(), &mut (), &Token::default())?;
     let (facets, area) = (done.report.result.facets, done.report.rvd.area);
     tracing::info!(backend = backend.kind().name(), facets, area, "warmed up");

@@ -13,7 +13,7 @@ use crate::mesh::shapes::{MAX_FACETS, Shape};
 pub(crate) struct ShapeArgs {
     /// sphere, torus, genusN (0 to 99 holes), block, hills, sheets, slivers, square or plane
     pub name: Shape,
-    /// Wished number of facets; the result is near it
+    /// Number of facets to aim at; the result is near it
     #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = parse_facets)]
     pub facets: usize,
     /// File to write: .obj, .ply, .stl or .off

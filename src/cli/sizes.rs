@@ -15,9 +15,9 @@ use crate::mesh::io::{DataError, Format};
 
 /// Refuses a file whose vertices have no numbers, for which `option` has a list.
 pub(crate) fn check_format(input: &Path, option: &str) -> Result<()> {
-    match Format::of_path(input)? {
-        Format::Stl => Err(Usage(format!("{option}: {}: {NO_NUMBERS}", input.display())).into()),
-        Format::Obj | Format::Ply | Format::Off => Ok(()),
+    match FileVertices::are_numbered(Format::of_path(input)?) {
+        true => Ok(()),
+        false => Err(Usage(format!("{option}: {}: {NO_NUMBERS}", input.display())).into()),
     }
 }
 
@@ -41,9 +41,9 @@ fn list<T>(
 ) -> Result<T> {
     let text = files::read_text(path)?;
     let format = Format::of_path(input)?;
-    let bytes = match format {
-        Format::Obj => std::fs::read(input).map_err(|cause| NoInput { path: input.to_owned(), cause })?,
-        Format::Ply | Format::Stl | Format::Off => Vec::new(),
+    let bytes = match FileVertices::needs_bytes(format) {
+        true => std::fs::read(input).map_err(|cause| NoInput { path: input.to_owned(), cause })?,
+        false => Vec::new(),
     };
     let vertices = FileVertices::of(format, &bytes, mesh);
     let vertices = vertices.map_err(|error| BadInput(format!("{}: {error}", input.display())))?;
@@ -71,10 +71,11 @@ mod tests {
         for (p, h) in mesh.positions().iter().zip(&sizes) {
             assert!((h - want(p)).abs() < 1e-12, "{p}: {h}");
         }
-        // A homogeneous coordinate moves vertices; that is noticed.
+        // A homogeneous coordinate moves vertices, and changes no number.
         std::fs::write(&input, obj.replace("v 1 1 0", "v 2 2 0 2")).unwrap();
-        let mesh = io::read(&input).unwrap();
-        assert!(read(&path, &input, &mesh).unwrap_err().to_string().contains(".ply"));
+        let divided = io::read(&input).unwrap();
+        assert_eq!(divided.positions(), mesh.positions());
+        assert_eq!(read(&path, &input, &divided).unwrap(), sizes);
     }
 
     #[test]

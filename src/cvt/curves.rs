@@ -43,49 +43,49 @@ pub(crate) struct Segment {
     /// The seeds.
     pub ends: [u32; 2],
     /// Points of the curve between them, in order and about evenly spaced, unit frame.
-    pub between: [DVec3; BETWEEN],
+    pub between: [DVec3; INNER_POINTS],
     /// Which curve.
     pub curve: u32,
-    /// The edge length wished for there, unit frame.
+    /// The target edge length there, unit frame.
     pub edge: f64,
 }
 
 /// Points between two neighbours on a curve; odd, so that one is in the middle.
-pub(crate) const BETWEEN: usize = 7;
+pub(crate) const INNER_POINTS: usize = 7;
 
 impl Segment {
     /// The point of the curve half-way between its seeds, unit frame.
     pub(crate) fn middle(&self) -> DVec3 {
-        self.between[BETWEEN / 2]
+        self.between[INNER_POINTS / 2]
     }
 }
 
-/// Segments between two looks at the token.
-const ASKED: usize = 8;
-/// Segments that are not worth a task of their own.
-const SHARE: usize = 256;
-/// Two curves are too close where seeds of them are nearer than this share of their spacing.
-const CROWDED: f64 = 0.45;
-/// or, where they are beside a common corner, than this share.
-const ACUTE: f64 = 0.3;
-/// What is that much nearer to a point of a segment than its ends are comes between them.
+/// Segments between two checks of the token.
+const SEGMENTS_PER_CHECK: usize = 8;
+/// Fewer segments are not worth a task.
+const MIN_SEGMENTS_PER_TASK: usize = 256;
+/// Least distance of seeds of two curves, as a share of their spacing,
+const MIN_SEPARATION: f64 = 0.45;
+/// and beside a common corner.
+const MIN_CORNER_SEPARATION: f64 = 0.3;
+/// A seed comes between the ends of a segment if its distance to a point there is below this share of theirs.
 const BETWEEN_MARGIN: f64 = 0.98;
-/// Times that segments are split so that seeds face those of other curves, and the shortest part, a share of h.
-const FACINGS: usize = 4;
-const SHORTEST_FACING: f64 = 0.3;
-/// Curves that leave a corner at less than this, degrees, make it an acute one.
-const ACUTE_CORNER: f64 = 40.0;
-/// Creases that leave a corner at less than this, degrees, stay only if bent by more than that, degrees.
-const LEAST_CORNER: f64 = 32.0;
-const MEANT: f64 = 55.0;
-/// A curve between two corners is too short for its edge at this share of h.
-const SHORT: f64 = 0.65;
-/// A chord leaves its curve by at most this share of an edge,
-const DEVIATION: f64 = 0.15;
+/// Rounds of splitting segments that a seed of another curve comes between, at most, and the shortest part, a share of h.
+const MAX_SPLIT_ROUNDS: usize = 4;
+const MIN_SPLIT_PART: f64 = 0.3;
+/// A corner is acute if two of its curves enclose less than this, degrees.
+const ACUTE_CORNER_DEG: f64 = 40.0;
+/// Two creases that enclose less than this at a corner, degrees, both stay only if their dihedral angles exceed the second.
+const MIN_CORNER_DEG: f64 = 32.0;
+const DISTINCT_CREASE_DEG: f64 = 55.0;
+/// Shortest curve between two corners, a share of h.
+const MIN_CURVE: f64 = 0.65;
+/// Largest distance of a curve from its chord, a share of an edge,
+const MAX_DEVIATION: f64 = 0.15;
 /// unless one of its parts would be shorter than this share.
-const SHORTEST_PART: f64 = 0.5;
-/// No segment is longer than so many h: a seed beside its middle would take a part of the curve.
-const LONGEST: f64 = 1.2;
+const MIN_PART: f64 = 0.5;
+/// Longest segment, in h: on a longer one, a seed beside its middle would take a part of the curve.
+const MAX_SEGMENT: f64 = 1.2;
 
 /// The edge length in the unit frame that so many seeds will have where the weight is 1: 1/u of
 /// (4/√3) u² ∫√w + u ∫_boundary w^(1/4) = 2n, since a triangulation of n vertices, of which b lie on the
@@ -131,7 +131,7 @@ impl CurveSeeds {
         for (number, curve) in features.curves.iter().enumerate() {
             token.check()?;
             let path = Path::new(surface, curve, edge);
-            if !curve.closed && path.total() < SHORT {
+            if !curve.closed && path.total() < MIN_CURVE {
                 all.short.push(number as u32);
             }
             // Fewer would give two edges the same ends.
@@ -142,7 +142,7 @@ impl CurveSeeds {
                 false => 1,
             };
             let total = path.total();
-            let count = (total.round() as usize).max((total / LONGEST).ceil() as usize).max(least);
+            let count = (total.round() as usize).max((total / MAX_SEGMENT).ceil() as usize).max(least);
             // Before anything of that size is made.
             if count > most.saturating_sub(all.seeds.len()) {
                 return Ok(None);
@@ -179,11 +179,11 @@ impl CurveSeeds {
                 }
             }
         }
-        let limit = ACUTE_CORNER.to_radians().cos();
+        let limit = ACUTE_CORNER_DEG.to_radians().cos();
         let mut beside = vec![false; self.seeds.len()];
         for list in leaving {
-            for (k, &(way, seed)) in list.iter().enumerate() {
-                let is_acute = |other: &(DVec3, u32)| other.0.dot(way) > limit;
+            for (k, &(direction, seed)) in list.iter().enumerate() {
+                let is_acute = |other: &(DVec3, u32)| other.0.dot(direction) > limit;
                 // Of many that leave a corner most have such a one among the next: the first of each bundle comes soon.
                 let others = || list[k + 1..].iter().chain(&list[..k]);
                 beside[seed as usize] |= seed as usize >= self.corners && others().any(is_acute);
@@ -210,7 +210,7 @@ impl CurveSeeds {
             known.extend_from_slice(inner);
             known.push(to);
             std::array::from_fn(|k| {
-                let t = (k + 1) as f64 / (BETWEEN + 1) as f64 * (known.len() - 1) as f64;
+                let t = (k + 1) as f64 / (INNER_POINTS + 1) as f64 * (known.len() - 1) as f64;
                 let before = (t as usize).min(known.len() - 2);
                 known[before].lerp(known[before + 1], t - before as f64)
             })
@@ -225,16 +225,16 @@ impl CurveSeeds {
 
     /// Splits segments whose chord leaves the curve by more than a seventh of an edge, where it is
     /// farthest away and both parts are long enough.
-    pub(crate) fn follow_bends(&mut self, token: &Token) -> Result<(), Stopped> {
+    pub(crate) fn split_by_deviation(&mut self, token: &Token) -> Result<(), Stopped> {
         let mut next = 0;
         while let Some(&segment) = self.segments.get(next) {
             token.check_at(self.segments.len() + next)?;
             let [a, b] = segment.ends.map(|e| self.seeds[e as usize]);
-            let way = (b - a).normalize_or_zero();
-            let off = |p: DVec3| (p - a - way * way.dot(p - a)).length();
-            let long = |p: DVec3| p.distance(a).min(p.distance(b)) > SHORTEST_PART * segment.edge;
-            let far = (0..BETWEEN)
-                .filter(|&k| long(segment.between[k]) && off(segment.between[k]) > DEVIATION * segment.edge)
+            let direction = (b - a).normalize_or_zero();
+            let off = |p: DVec3| (p - a - direction * direction.dot(p - a)).length();
+            let long = |p: DVec3| p.distance(a).min(p.distance(b)) > MIN_PART * segment.edge;
+            let far = (0..INNER_POINTS)
+                .filter(|&k| long(segment.between[k]) && off(segment.between[k]) > MAX_DEVIATION * segment.edge)
                 .max_by(|&j, &k| off(segment.between[j]).total_cmp(&off(segment.between[k])));
             match far {
                 Some(at) => {
@@ -246,10 +246,10 @@ impl CurveSeeds {
         Ok(())
     }
 
-    /// Splits segments of the curves for which `may` says so where a seed of another curve comes between their ends, as
-    /// one from the other side of a slit does: until seeds lie opposite each other, or parts would be too short.
-    pub(crate) fn face_others(&mut self, may: impl Fn(u32) -> bool, token: &Token) -> Result<(), Stopped> {
-        for _ in 0..FACINGS {
+    /// Splits segments of the curves that `may` allows if a seed of another curve comes between their ends, as across a
+    /// slit: until seeds lie opposite each other, or parts would be too short.
+    pub(crate) fn split_between_others(&mut self, may: impl Fn(u32) -> bool, token: &Token) -> Result<(), Stopped> {
+        for _ in 0..MAX_SPLIT_ROUNDS {
             token.check()?;
             let index = SeedIndex::new(&self.seeds);
             let mut found: Vec<(u32, usize)> = Vec::new();
@@ -261,9 +261,9 @@ impl CurveSeeds {
                     let (nearest, own) = (index.nearest(p), ends[0].distance(p).min(ends[1].distance(p)));
                     let apart = self.seeds[nearest as usize].distance(p);
                     let comes_between = !segment.ends.contains(&nearest) && apart < BETWEEN_MARGIN * own;
-                    (comes_between && own > SHORTEST_FACING * segment.edge).then_some((apart, k))
+                    (comes_between && own > MIN_SPLIT_PART * segment.edge).then_some((apart, k))
                 };
-                let places = (0..BETWEEN).filter_map(|k| between(&k));
+                let places = (0..INNER_POINTS).filter_map(|k| between(&k));
                 found.extend(places.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| (number, k)));
             }
             if found.is_empty() {
@@ -290,7 +290,7 @@ impl CurveSeeds {
     pub(crate) fn intruders(&self, seeds: &[DVec3], token: &Token) -> Result<Vec<(u32, u32)>, Stopped> {
         let index = SeedIndex::new(seeds);
         let of = |(k, segment): (usize, &Segment)| {
-            if k.is_multiple_of(ASKED) && token.is_stopped() {
+            if k.is_multiple_of(SEGMENTS_PER_CHECK) && token.is_stopped() {
                 return Vec::new();
             }
             let ends = segment.ends.map(|e| seeds[e as usize]);
@@ -304,7 +304,7 @@ impl CurveSeeds {
             let middle = ends[0].midpoint(ends[1]);
             segment.between.into_iter().chain([middle]).filter_map(intruder).collect::<Vec<_>>()
         };
-        let segments = self.segments.par_iter().enumerate().with_min_len(SHARE);
+        let segments = self.segments.par_iter().enumerate().with_min_len(MIN_SEGMENTS_PER_TASK);
         let mut found: Vec<(u32, u32)> = segments.flat_map_iter(of).collect();
         token.check()?;
         found.sort_unstable();
@@ -312,17 +312,17 @@ impl CurveSeeds {
         Ok(found)
     }
 
-    /// Creases to leave out because they run so close to another curve that a triangulation has no room
-    /// between them: of two that come within half of their spacing and do not meet there, the less
-    /// bent one; one that was given, or a boundary, never.
-    pub(crate) fn crowded(&self, features: &Features, token: &Token) -> Result<BTreeSet<u32>, Stopped> {
+    /// Creases to leave out, as they run so close to another curve that a triangulation has no room between: of two
+    /// curves that come within half of their spacing and do not meet there, the flatter one; never a boundary or a crease
+    /// that the caller named.
+    pub(crate) fn too_close(&self, features: &Features, token: &Token) -> Result<BTreeSet<u32>, Stopped> {
         let mut on = vec![Vec::new(); self.seeds.len()];
         let mut reach = vec![0.0f64; self.seeds.len()];
         for s in &self.segments {
             let spacing = self.seeds[s.ends[0] as usize].distance(self.seeds[s.ends[1] as usize]);
             for e in s.ends {
                 on[e as usize].push(s.curve);
-                reach[e as usize] = reach[e as usize].max(CROWDED * spacing);
+                reach[e as usize] = reach[e as usize].max(MIN_SEPARATION * spacing);
             }
         }
         let meet: BTreeSet<(u32, u32)> =
@@ -345,10 +345,10 @@ impl CurveSeeds {
         };
         let index = SeedIndex::new(&self.seeds);
         let mut row = NeighbourRow::default();
-        let mut out = self.acute(features, token)?;
-        out.extend(self.crossed(features, &index, &on, token)?);
-        let may_go = |c: u32| features.curves[c as usize].angle_deg < 180.0;
-        out.extend(self.short.iter().copied().filter(|&c| may_go(c)));
+        let mut out = self.acute_creases(features, token)?;
+        out.extend(self.coming_between(features, &index, &on, token)?);
+        let is_removable = |c: u32| features.curves[c as usize].angle_deg < 180.0;
+        out.extend(self.short.iter().copied().filter(|&c| is_removable(c)));
         for i in 0..self.seeds.len() as u32 {
             token.check_at(16 * i as usize)?;
             index.row(i, 16, &mut row);
@@ -356,23 +356,23 @@ impl CurveSeeds {
             for &j in row.seeds.iter().take_while(near) {
                 let joined = meet.contains(&(i.min(j), i.max(j))) || share_a_corner(i, j);
                 let apart = self.seeds[j as usize].distance(self.seeds[i as usize]);
-                if joined && apart > ACUTE / CROWDED * reach[i as usize] {
+                if joined && apart > MIN_CORNER_SEPARATION / MIN_SEPARATION * reach[i as usize] {
                     continue;
                 }
                 let candidates = on[i as usize].iter().chain(&on[j as usize]);
-                let weakest = candidates
+                let flattest = candidates
                     .map(|&c| (features.curves[c as usize].angle_deg, c))
-                    .filter(|(_, c)| may_go(*c))
+                    .filter(|(_, c)| is_removable(*c))
                     .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-                out.extend(weakest.map(|(_, c)| c));
+                out.extend(flattest.map(|(_, c)| c));
             }
         }
         Ok(out)
     }
 
-    /// Folds of a scan that come between two neighbours on another curve, of which the triangulation would have no
-    /// edge then.
-    fn crossed(
+    /// Weak creases, as of a scan, with a seed between two neighbours of another curve: the triangulation would not have
+    /// that edge.
+    fn coming_between(
         &self,
         features: &Features,
         index: &SeedIndex,
@@ -389,35 +389,37 @@ impl CurveSeeds {
                 if between && !segment.ends.contains(&nearest) {
                     let both = on[nearest as usize].iter().chain([&segment.curve]);
                     let bend = both.map(|&c| (features.curves[c as usize].angle_deg, c));
-                    let weakest = bend.filter(|b| b.0 < MEANT).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-                    out.extend(weakest.map(|(_, c)| c));
+                    let flattest = bend
+                        .filter(|b| b.0 < DISTINCT_CREASE_DEG)
+                        .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+                    out.extend(flattest.map(|(_, c)| c));
                 }
             }
         }
         Ok(out)
     }
 
-    /// Of two creases that leave a corner at an acute angle the less bent one, where that is a fold of a scan
-    /// rather than an edge of a part: the triangle between them could not be better than the angle.
-    fn acute(&self, features: &Features, token: &Token) -> Result<BTreeSet<u32>, Stopped> {
+    /// Of two creases that enclose an acute angle at a corner, the flatter one, if it is weak: the triangle between them
+    /// could not have a larger angle.
+    fn acute_creases(&self, features: &Features, token: &Token) -> Result<BTreeSet<u32>, Stopped> {
         let mut leaving = vec![Vec::new(); self.corners];
         for s in &self.segments {
             let bend = features.curves[s.curve as usize].ends_deg;
             for (a, b, bend) in [(s.ends[0], s.ends[1], bend[0]), (s.ends[1], s.ends[0], bend[1])] {
                 if let Some(list) = leaving.get_mut(a as usize) {
-                    let way = (self.seeds[b as usize] - self.seeds[a as usize]).normalize_or_zero();
-                    list.push((way, bend, s.curve));
+                    let direction = (self.seeds[b as usize] - self.seeds[a as usize]).normalize_or_zero();
+                    list.push((direction, bend, s.curve));
                 }
             }
         }
         let mut out = BTreeSet::new();
         for list in leaving {
-            for (k, &(way, bend, c)) in list.iter().enumerate() {
+            for (k, &(direction, bend, c)) in list.iter().enumerate() {
                 token.check_at(64 * k)?;
                 for &(other, other_bend, d) in &list[..k] {
-                    let (weaker, bend) = if bend < other_bend { (c, bend) } else { (d, other_bend) };
-                    if way.dot(other) > LEAST_CORNER.to_radians().cos() && bend < MEANT {
-                        out.insert(weaker);
+                    let (flatter, bend) = if bend < other_bend { (c, bend) } else { (d, other_bend) };
+                    if direction.dot(other) > MIN_CORNER_DEG.to_radians().cos() && bend < DISTINCT_CREASE_DEG {
+                        out.insert(flatter);
                     }
                 }
             }
@@ -426,7 +428,7 @@ impl CurveSeeds {
     }
 
     /// Moves intruders away from their segments, to the distance that the next row of a regular
-    /// triangulation has. Returns how many there were. One pass: who was pushed may intrude elsewhere.
+    /// triangulation has. Returns how many there were. One pass: a moved seed may intrude elsewhere.
     ///
     /// # Errors
     /// [`Stopped`]; nothing was moved.
@@ -434,7 +436,7 @@ impl CurveSeeds {
         self.push_out_unless(seeds, |_| false, token)
     }
 
-    /// The same but for seeds that `stays` says so of.
+    /// The same, except for seeds that `stays` holds.
     ///
     /// # Errors
     /// [`Stopped`]; nothing was moved.
@@ -453,13 +455,13 @@ impl CurveSeeds {
             let away = seeds[seed as usize] - middle;
             // Across the curve, where there is such a direction.
             let across = away - along * (away.dot(along) / along.length_squared().max(f64::MIN_POSITIVE));
-            let way = across.try_normalize().or_else(|| away.try_normalize()).unwrap_or(DVec3::X);
-            seeds[seed as usize] = middle + 0.75 * along.length() * way;
+            let direction = across.try_normalize().or_else(|| away.try_normalize()).unwrap_or(DVec3::X);
+            seeds[seed as usize] = middle + 0.75 * along.length() * direction;
         }
         Ok(intruders.len())
     }
 
-    /// What is farther from every curve seed and every middle of a segment than this share of the spacing there.
+    /// The points farther from every curve seed and every middle of a segment than this share of the spacing there.
     pub(crate) fn clearance(&self, share: f64) -> Clearance {
         let mut reach = vec![0.0f64; self.seeds.len()];
         let mut places = self.seeds.clone();

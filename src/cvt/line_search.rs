@@ -67,8 +67,8 @@ pub(super) fn search(
         if here.evaluation.slope >= 0.0 {
             return search.zoom(here, before);
         }
-        let wish = minimum(before, here);
-        step = if wish > step { wish.min(GROWTH * step).max(1.1 * step) } else { GROWTH * step };
+        let target = minimum(before, here);
+        step = if target > step { target.min(GROWTH * step).max(1.1 * step) } else { GROWTH * step };
         before = here;
     }
     // The last probe lowered the energy; only its slope was still steep.

@@ -7,7 +7,8 @@
 
 use glam::DVec3;
 
-use super::{Cvt, closest};
+use super::Cvt;
+use super::placement::closest;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::rvd::{CellSums, RvdError, Surface};
 use crate::token::{Stopped, Token};

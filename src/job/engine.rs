@@ -17,8 +17,8 @@ use super::queue::Place;
 use super::watchdog::{Watched, Work};
 use super::weights::Weights;
 use super::worker::{Device, EngineOptions, Shared, run};
-use super::{BackendInfo, Backends, JobError, Wish};
-use crate::rvd::DeviceFacts;
+use super::{BackendInfo, Backends, JobError};
+use crate::rvd::{BackendChoice, DeviceFacts};
 use crate::token::Token;
 
 /// Work that was submitted. Dropping it cancels the work.
@@ -108,12 +108,12 @@ impl Engine {
         Ok((Self { shared }, thread))
     }
 
-    /// Who will do the work for a wish.
+    /// Who will do the work for a choice.
     ///
     /// # Errors
     /// `BackendUnavailable`.
-    pub fn backend(&self, wish: Wish) -> Result<BackendInfo, JobError> {
-        self.shared.current().1.choose(wish).map(|backend| BackendInfo::of(backend.as_ref()))
+    pub fn backend(&self, choice: BackendChoice) -> Result<BackendInfo, JobError> {
+        self.shared.current().1.choose(choice).map(|backend| BackendInfo::of(backend.as_ref()))
     }
 
     /// Devices that were lost so far.
@@ -271,7 +271,7 @@ mod tests {
     fn backends() -> Result<Backends, JobError> {
         let parallel = Arc::new(Parallel::new(Some(1))?);
         let serial = Arc::new(Serial);
-        Ok(Backends { gpu: Err("none".into()), parallel, serial, default: Wish::Auto, pools: None })
+        Ok(Backends { gpu: Err("none".into()), parallel, serial, default: BackendChoice::Auto, pools: None })
     }
 
     fn new() -> Place {

@@ -176,7 +176,7 @@ fn seconds(counts: &Counts, threads: usize) -> f64 {
         Kind::Rvd => (4.0 * step, density + 0.4 * facets + 0.5 * points + cells),
         Kind::Cvt => (steps * step, density + 0.7 * facets + points),
     };
-    let attempts = if counts.refines { 4.0 } else { 1.0 };
+    let attempts = if counts.refines { 6.0 } else { 1.0 };
     // Steps are shared by all threads, the rest by some.
     0.02 + 1e-6 * attempts * (steps * 2.0 / threads + other * (0.6 + 0.8 / threads))
 }

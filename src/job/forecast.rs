@@ -18,7 +18,7 @@ use super::record::{DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule,
 use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use crate::mesh::io;
 use crate::remesh::RemeshOptions;
-use crate::rvd::BackendKind;
+use crate::rvd::{BackendChoice, BackendKind};
 
 /// Larger blobs are not read for their counts.
 const READ_BYTES: u64 = 64 << 20;
@@ -47,7 +47,7 @@ impl Forecast {
 
     /// What a job with these counts needs here.
     pub(crate) fn need(&self, counts: &Counts) -> Need {
-        let threads = self.engine.backend(super::Wish::Auto).map_or(1, |by| by.threads);
+        let threads = self.engine.backend(BackendChoice::Auto).map_or(1, |by| by.threads);
         need(counts, threads)
     }
 

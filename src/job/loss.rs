@@ -6,7 +6,8 @@
 
 use std::time::{Duration, Instant};
 
-use super::{Backends, Wish};
+use super::Backends;
+use crate::rvd::{BackendChoice, BackendKind};
 
 /// What an engine does whose device does not come back in time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -47,7 +48,7 @@ impl Backends {
         let reason =
             "the device was lost and did not come back; the CPU does its work until the server is started anew";
         let default = match self.default {
-            Wish::Only(crate::rvd::BackendKind::Gpu) => Wish::Auto,
+            BackendChoice::Only(BackendKind::Gpu) => BackendChoice::Auto,
             other => other,
         };
         Self { gpu: Err(reason.to_owned()), default, ..self.clone() }

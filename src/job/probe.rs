@@ -9,9 +9,9 @@ use std::time::Duration;
 
 use glam::DVec3;
 
-use super::{Engine, JobError, Place, Retry, Wish};
+use super::{Engine, JobError, Place, Retry};
 use crate::mesh::TriMesh;
-use crate::rvd::{Backend, CellSums, RvdError, SessionOptions, Surface};
+use crate::rvd::{Backend, BackendChoice, CellSums, RvdError, SessionOptions, Surface};
 use crate::token::Token;
 
 /// For one probe, which takes some milliseconds on any backend.
@@ -38,7 +38,7 @@ pub(crate) enum ProbeError {
 /// [`ProbeError`].
 pub(crate) async fn probe(engine: &Engine) -> Result<(), ProbeError> {
     let mut pending = engine.submit(Place::Session, Retry::Never, |backends, turn| {
-        Ok(check(backends.choose(Wish::Auto)?.as_ref(), &turn.token)?)
+        Ok(check(backends.choose(BackendChoice::Auto)?.as_ref(), &turn.token)?)
     })?;
     match tokio::time::timeout(PROBE_TIME, pending.wait()).await {
         Ok(answer) => Ok(answer.map(drop)?),

@@ -11,8 +11,9 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use super::spec::Prepared;
-use super::{Ask, BackendInfo, Engine, JobError, Pending, Place, Retry, Ticket, Timed, Turn, Wish};
+use super::{Ask, BackendInfo, Engine, JobError, Pending, Place, Retry, Ticket, Timed, Turn};
 use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};
+use crate::rvd::BackendChoice;
 
 /// How long a step command keeps the device before others get a turn.
 const SLICE: Duration = Duration::from_millis(100);
@@ -55,13 +56,13 @@ impl CvtSession {
     pub(crate) fn open(
         engine: &Engine,
         prepared: Arc<Prepared>,
-        wish: Wish,
+        choice: BackendChoice,
         options: CvtOptions,
         (_ticket, ask): (Ticket, Ask),
     ) -> Result<Pending<(Cvt, BackendInfo)>, JobError> {
         engine.submit(Place::Kept(ask), Retry::Anew, move |backends, turn| {
             turn.token.check()?;
-            let backend = backends.choose(wish)?;
+            let backend = backends.choose(choice)?;
             let cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;
             Ok((cvt, BackendInfo::of(backend.as_ref())))
         })

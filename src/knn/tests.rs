@@ -25,11 +25,11 @@ fn sets() -> Vec<(&'static str, Vec<DVec3>, bool)> {
     let sheet = |n: usize| -> Vec<DVec3> { random(n).iter().map(|p| DVec3::new(p.x, p.y, 0.0)).collect() };
     let mut clustered = sphere(200);
     clustered.extend(sphere(1000).iter().map(|&p| DVec3::splat(0.25) + 1e-3 * p));
-    let mut twins = sphere(300);
-    twins.extend_from_within(50..200);
-    twins.extend_from_within(350..400);
-    twins.push(DVec3::ZERO);
-    twins.push(-DVec3::ZERO);
+    let mut duplicates = sphere(300);
+    duplicates.extend_from_within(50..200);
+    duplicates.extend_from_within(350..400);
+    duplicates.push(DVec3::ZERO);
+    duplicates.push(-DVec3::ZERO);
     let mut outliers = sphere(400);
     outliers.extend([DVec3::new(40.0, 0.0, 0.0), DVec3::new(0.0, -90.0, 7.0), DVec3::new(0.0, -90.0, 7.5)]);
     let mut farther = sphere(400);
@@ -57,14 +57,14 @@ fn sets() -> Vec<(&'static str, Vec<DVec3>, bool)> {
         ("outliers", outliers, false),
         ("farther", farther, false),
         ("two far", two_far, false),
-        ("twins", twins, true),
+        ("duplicates", duplicates, true),
         ("all coincident", vec![DVec3::ONE; 200], false),
         ("tiny", sphere(300).iter().map(|&p| 1e-120 * p).collect(), false),
         ("none", vec![], false),
         ("one", random(1), false),
         ("two", random(2), true),
         ("three", random(3), true),
-        ("two and twins", [random(2), random(2), random(2)].concat(), true),
+        ("two and duplicates", [random(2), random(2), random(2)].concat(), true),
     ]
 }
 

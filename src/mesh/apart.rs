@@ -15,7 +15,7 @@ use super::disjoint::DisjointSets;
 use super::{MeshError, TriMesh};
 
 /// Surfaces of more parts stay as they are: so many are a list of triangles, or dust.
-const MOST: usize = 1000;
+const MOST: usize = 10_000;
 /// The whole may become so much longer, for each doubling costs single precision a digit of two.
 const LONGEST: f64 = 8.0;
 
@@ -148,7 +148,11 @@ fn parts(mesh: &TriMesh) -> Option<(Vec<u32>, Vec<Box>)> {
 
 fn any_near(boxes: &[Box], near: f64) -> bool {
     let beside = |a: &Box, b: &Box| (a.0 - near).cmple(b.1).all() && (b.0 - near).cmple(a.1).all();
-    (0..boxes.len()).any(|i| boxes[i + 1..].iter().any(|b| beside(&boxes[i], b)))
+    let mut sorted: Vec<&Box> = boxes.iter().collect();
+    sorted.sort_by(|a, b| a.0.x.total_cmp(&b.0.x));
+    let reached = |a: &Box, b: &Box| b.0.x - near <= a.1.x;
+    (0..sorted.len())
+        .any(|i| sorted[i + 1..].iter().take_while(|b| reached(sorted[i], b)).any(|b| beside(sorted[i], b)))
 }
 
 #[cfg(test)]

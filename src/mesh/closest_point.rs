@@ -13,8 +13,8 @@ use rayon::prelude::*;
 
 use super::TriMesh;
 use super::adjacency::weld;
-use super::boxes::{self, BoxTree};
-use super::curve;
+use super::bvh::{self, Bvh};
+use super::morton;
 use crate::token::{Pace, Stopped, Token};
 
 /// A point of a surface.
@@ -30,7 +30,7 @@ pub struct SurfacePoint {
 
 /// Answers closest-point queries on one surface.
 pub struct ClosestPoint {
-    tree: BoxTree,
+    tree: Bvh,
     centre: DVec3,
     scale: f64,
     positions: Vec<DVec3>,
@@ -65,9 +65,9 @@ impl ClosestPoint {
         let unit: Vec<DVec3> = mesh.positions().iter().map(|&p| (p - centre) * scale).collect();
         let mut facets = distinct_facets(mesh);
         let corners = |facet: &([u32; 3], u32)| facet.0.map(|v| unit[v as usize]);
-        boxes::arrange(&mut facets, &|facet| corners(facet).iter().sum::<DVec3>() / 3.0);
+        bvh::arrange(&mut facets, &|facet| corners(facet).iter().sum::<DVec3>() / 3.0);
         let things: Vec<[DVec3; 3]> = facets.par_iter().map(corners).collect();
-        let tree = BoxTree::new(&things);
+        let tree = Bvh::new(&things);
         Self { tree, centre, scale, positions: mesh.positions().to_vec(), unit, facets }
     }
 
@@ -107,7 +107,7 @@ impl ClosestPoint {
         token: &Token,
         answer: impl Fn(Nearest) -> T + Sync,
     ) -> Result<Vec<T>, Stopped> {
-        let place = |(i, &p): (usize, &DVec3)| (curve::along(self.to_unit(p)), i);
+        let place = |(i, &p): (usize, &DVec3)| (morton::code(self.to_unit(p)), i);
         let mut order: Vec<(u64, usize)> = points.par_iter().enumerate().map(place).collect();
         order.par_sort_unstable();
         let run = |run: &[(u64, usize)]| {

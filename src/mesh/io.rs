@@ -24,6 +24,7 @@ use glam::DVec3;
 
 use super::attributes::AttributeError;
 use super::{MeshError, TriMesh};
+use held::{Held, Holds, Raw};
 use polygons::Fan;
 
 pub use attributed::{
@@ -48,14 +49,19 @@ impl Format {
     /// All formats.
     pub const ALL: [Self; 4] = [Self::Obj, Self::Ply, Self::Stl, Self::Off];
 
+    /// What knows the format.
+    fn codec(self) -> &'static Codec {
+        match self {
+            Self::Obj => &obj::CODEC,
+            Self::Ply => &ply::CODEC,
+            Self::Stl => &stl::CODEC,
+            Self::Off => &off::CODEC,
+        }
+    }
+
     /// The extension, lower case, without the dot.
     pub fn extension(self) -> &'static str {
-        match self {
-            Self::Obj => "obj",
-            Self::Ply => "ply",
-            Self::Stl => "stl",
-            Self::Off => "off",
-        }
+        self.codec().extension
     }
 
     /// The format of an extension, in any case, without the dot.
@@ -73,6 +79,33 @@ impl Format {
             .ok_or_else(|| FileError::UnknownFormat { path: path.to_path_buf(), extension: extension.to_owned() })
     }
 }
+
+/// All that is to be known of a format, in its own file.
+struct Codec {
+    extension: &'static str,
+    /// The surface, and what it carries if that is wanted.
+    decode: fn(bytes: &[u8], wanted: bool) -> Result<Soup, DataError>,
+    encode: fn(&TriMesh, &Held<'_>) -> Result<Vec<u8>, DataError>,
+    /// See [`counts`].
+    counts: fn(&[u8]) -> Option<(u64, u64)>,
+    holds: Holds,
+    #[cfg_attr(not(feature = "service"), expect(dead_code, reason = "lists are read by the command and by jobs"))]
+    vertices: VertexNumbers,
+}
+
+/// How vertices of a file are numbered in the surface that is read from it.
+#[cfg_attr(not(feature = "service"), expect(dead_code, reason = "lists are read by the command and by jobs"))]
+enum VertexNumbers {
+    /// As in the file.
+    Kept,
+    /// The file has none.
+    Absent,
+    /// In another order.
+    Reordered(fn(&[u8]) -> Result<VertexOrder, DataError>),
+}
+
+/// How many vertices a file has, and which of them each of the surface's is.
+type VertexOrder = (usize, Vec<u32>);
 
 /// Why a file could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -210,8 +243,7 @@ pub fn write(path: &Path, mesh: &TriMesh) -> Result<(), FileError> {
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
-    let Soup { positions, mut facets, fans, .. } = decode_soup(format, without_mark(bytes))?;
-    polygons::recut(&positions, &facets, &fans).iter().for_each(|cut| cut.apply(&mut facets));
+    let Soup { positions, facets, .. } = decode_soup(format, bytes, false)?;
     Ok(TriMesh::new(positions, facets)?)
 }
 
@@ -221,26 +253,20 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
 /// Nothing is kept, and no number is read that is not a count: this is several times as fast as reading.
 pub fn counts(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
     let bytes = without_mark(bytes);
-    match format {
-        Format::Obj => Some(obj::counts(bytes)),
-        Format::Ply => ply::counts(bytes),
-        Format::Stl => stl::counts(bytes),
-        Format::Off => off::counts(bytes),
-    }
-    .filter(|&(vertices, facets)| vertices > 0 && facets > 0)
+    (format.codec().counts)(bytes).filter(|&(vertices, facets)| vertices > 0 && facets > 0)
 }
 
-/// What the format's reader finds.
-fn decode_soup(format: Format, bytes: &[u8]) -> Result<Soup, DataError> {
+/// What the format's reader finds, its polygons cut; what the surface carries only if it is `wanted`.
+fn decode_soup(format: Format, bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+    let bytes = without_mark(bytes);
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Err(DataError::Empty);
     }
-    match format {
-        Format::Obj => obj::decode(bytes),
-        Format::Ply => ply::decode(bytes),
-        Format::Stl => stl::decode(bytes),
-        Format::Off => off::decode(bytes),
-    }
+    let mut soup = (format.codec().decode)(bytes, wanted)?;
+    let cuts = polygons::recut(&soup.positions, &soup.facets, &soup.fans);
+    cuts.iter().for_each(|cut| cut.apply(&mut soup.facets));
+    soup.raw.recut(&cuts);
+    Ok(soup)
 }
 
 /// Without the byte order mark that some editors put before text. It would hide the first word.
@@ -253,12 +279,7 @@ fn without_mark(bytes: &[u8]) -> &[u8] {
 /// # Errors
 /// [`DataError::SinglePrecision`] and [`DataError::Collapsed`] for STL.
 pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
-    match format {
-        Format::Obj => Ok(obj::encode(mesh)),
-        Format::Ply => Ok(ply::encode(mesh)),
-        Format::Stl => stl::encode(mesh),
-        Format::Off => Ok(off::encode(mesh)),
-    }
+    (format.codec().encode)(mesh, &Held::default())
 }
 
 /// What a reader collects: triangles, not yet validated.
@@ -268,8 +289,8 @@ struct Soup {
     facets: Vec<[u32; 3]>,
     /// Which of them are polygons' with more than three corners, all of them fans.
     fans: Vec<Fan>,
-    /// Whether it was seen that the file has no attributes; false where nobody looked.
-    bare: bool,
+    /// What it carries, not yet checked.
+    raw: Raw,
 }
 
 impl Soup {

@@ -5,13 +5,16 @@
 //! Both functions give the same figures whatever the number of threads.
 //! Must not know: how a surface came about.
 
+use std::collections::HashSet;
+
 use serde::Serialize;
 
-use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
-use super::closest_point::ClosestPoint;
+use super::closest_point::{ClosestPoint, SurfacePoint};
 use super::disjoint::DisjointSets;
+use super::edges::undirected;
 use super::sample::sample;
+use super::{TriMesh, coincident};
 use crate::token::{Stopped, Token};
 use glam::DVec3;
 
@@ -105,6 +108,28 @@ pub(crate) fn topology_unless(mesh: &TriMesh, adjacency: &Adjacency, token: &Tok
     })
 }
 
+/// Vertices are in one place within this share of the diagonal.
+const SAME_PLACE: f64 = 1e-5;
+
+/// Counts vertices in the place of an earlier one with which they share no edge.
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn coincident_vertices(result: &TriMesh, token: &Token) -> Result<usize, Stopped> {
+    let (low, high) = result.bounds();
+    let reach = SAME_PLACE * (high - low).length();
+    if !(reach.is_finite() && reach > 0.0) {
+        return Ok(0);
+    }
+    let found = coincident::near(result.positions(), 0..result.positions().len() as u32, (low, reach), token)?;
+    if found.is_empty() {
+        return Ok(0);
+    }
+    let edges = result.facets().iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).map(undirected);
+    let edges: HashSet<[u32; 2]> = edges.collect();
+    Ok(found.iter().filter(|&&(later, earlier, _)| !edges.contains(&undirected([later, earlier]))).count())
+}
+
 /// Quality of `result` against `original`. Distances are taken from about 100,000 random points and all
 /// vertices of each side to the other surface.
 pub fn quality(original: &TriMesh, result: &TriMesh) -> Quality {
@@ -122,20 +147,33 @@ pub fn quality_unless(
     result: &TriMesh,
     token: &Token,
 ) -> Result<Quality, Stopped> {
+    quality_and_distances(original, closest, result, token).map(|(quality, _)| quality)
+}
+
+/// As [`quality_unless`], with how far each vertex of `original` is from the result, 0 where no facet with area has it.
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn quality_and_distances(
+    original: &TriMesh,
+    closest: Option<ClosestPoint>,
+    result: &TriMesh,
+    token: &Token,
+) -> Result<(Quality, Vec<f64>), Stopped> {
     let shapes = || {
         let adjacency = Adjacency::new(result);
         Quality { v567_percent: v567_percent(result, &adjacency), ..shape_quality(result, &adjacency) }
     };
     let back = || rayon::join(shapes, || distances(result, original, closest, token));
     let (there, (mut quality, back)) = rayon::join(|| distances(original, result, None, token), back);
-    let (there, back) = (there?, back?);
+    let ((there, of_vertices), (back, _)) = (there?, back?);
     let (low, high) = original.bounds();
     // Scaled, so that the squares of a tiny or huge box stay within range.
     let extent = (high - low).max_element();
     let diagonal = ((high - low) / extent).length() * extent;
     quality.hausdorff_percent = 100.0 * there.0.max(back.0) / diagonal;
     quality.rms_percent = 100.0 * there.1.max(back.1) / diagonal;
-    Ok(quality)
+    Ok((quality, of_vertices))
 }
 
 /// Q = (6/√3) S/(p h) of one triangle about one unit in size: 1 is equilateral, 0 has no area.
@@ -276,20 +314,86 @@ fn v567_percent(mesh: &TriMesh, adjacency: &Adjacency) -> f64 {
     if inner.is_empty() { 100.0 } else { 100.0 * regular as f64 / inner.len() as f64 }
 }
 
-/// Largest and root mean square distance of `from`'s points to `to`, caller's units.
+/// Vertices of facets with an area, ascending. Facets without one are no part of the surface for samples and closest points,
+/// nor for distances.
+fn solid_vertices(mesh: &TriMesh) -> impl Iterator<Item = u32> {
+    let mut used = vec![false; mesh.positions().len()];
+    let solid = mesh.facets().iter().enumerate().filter(|&(f, _)| !mesh.is_degenerate(f));
+    solid.flat_map(|(_, corners)| corners).for_each(|&v| used[v as usize] = true);
+    (0..).zip(used).filter(|&(_, used)| used).map(|(v, _)| v)
+}
+
+/// A point at which a surface is compared with another one, and the vertices of the surface that are near it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Probe {
+    /// Caller's coordinates.
+    pub(crate) position: DVec3,
+    /// One to three vertices, the last one repeated.
+    pub(crate) vertices: [u32; 3],
+}
+
+/// A corner is near a point of its facet if the point's barycentric coordinate is at least this.
+const NEAR_CORNER: f64 = 0.1;
+/// Points on one edge, at most.
+const MOST_ON_EDGE: f64 = 16.0;
+/// Points on all edges, at most.
+const MOST_ON_EDGES: f64 = 2.0 * SAMPLES as f64;
+
+impl Probe {
+    /// A point of the surface `mesh`.
+    pub(crate) fn of(mesh: &TriMesh, point: &SurfacePoint) -> Self {
+        let corners = mesh.facets()[point.facet as usize];
+        let near = |c: &usize| point.barycentric[*c] >= NEAR_CORNER;
+        let mut vertices = [corners[(0..3).find(near).unwrap_or(0)]; 3];
+        (0..3).filter(near).enumerate().for_each(|(k, c)| vertices[k] = corners[c]);
+        Self { position: point.position, vertices }
+    }
+}
+
+/// All points at which [`quality`] takes distances from `mesh`: random ones, and the vertices; and points on edges that are
+/// longer than the random points are apart.
+///
+/// # Errors
+/// [`Stopped`].
+pub(crate) fn probes(mesh: &TriMesh, token: &Token) -> Result<Vec<Probe>, Stopped> {
+    let mut probes: Vec<Probe> =
+        sample(mesh, None, SAMPLES, SAMPLE_SEED).iter().map(|point| Probe::of(mesh, point)).collect();
+    token.check()?;
+    let at = |v: u32| mesh.positions()[v as usize];
+    probes.extend(solid_vertices(mesh).map(|v| Probe { position: at(v), vertices: [v; 3] }));
+    let apart = (mesh.area() / SAMPLES as f64).sqrt();
+    let solid = mesh.facets().iter().enumerate().filter(|&(f, _)| !mesh.is_degenerate(f));
+    let edges = solid.flat_map(|(_, &[a, b, c])| [[a, b], [b, c], [c, a]]).map(undirected);
+    let length = |&[a, b]: &[u32; 2]| at(a).distance(at(b));
+    let mut edges: Vec<[u32; 2]> = edges.filter(|edge| length(edge) > apart).collect();
+    token.check()?;
+    edges.sort_unstable();
+    edges.dedup();
+    // Slivers may have any length of edges.
+    let apart = apart.max(edges.iter().map(length).sum::<f64>() / MOST_ON_EDGES);
+    for [a, b] in edges {
+        let parts = (length(&[a, b]) / apart).clamp(1.0, MOST_ON_EDGE).ceil();
+        for part in 1..parts as u32 {
+            let share = f64::from(part) / parts;
+            probes.push(Probe { position: at(a).lerp(at(b), share), vertices: [a, b, b] });
+        }
+    }
+    Ok(probes)
+}
+
+/// Largest and root mean square distance of `from`'s points to `to`, and that of each of its vertices, 0 where no facet with area
+/// has it; caller's units.
 fn distances(
     from: &TriMesh,
     to: &TriMesh,
     closest: Option<ClosestPoint>,
     token: &Token,
-) -> Result<(f64, f64), Stopped> {
-    let mut points: Vec<DVec3> = sample(from, None, SAMPLES, SAMPLE_SEED).iter().map(|s| s.position).collect();
-    let drawn = points.len();
-    let mut used = vec![false; from.positions().len()];
-    // Facets without area are no part of the surface for samples and closest points; nor here.
-    let solid = from.facets().iter().enumerate().filter(|&(f, _)| !from.is_degenerate(f));
-    solid.flat_map(|(_, corners)| corners).for_each(|&v| used[v as usize] = true);
-    points.extend(from.positions().iter().zip(used).filter(|&(_, used)| used).map(|(&p, _)| p));
+) -> Result<((f64, f64), Vec<f64>), Stopped> {
+    let random = sample(from, None, SAMPLES, SAMPLE_SEED);
+    let drawn = random.len();
+    let mut points: Vec<DVec3> = random.iter().map(|s| s.position).collect();
+    let solid: Vec<u32> = solid_vertices(from).collect();
+    points.extend(solid.iter().map(|&v| from.positions()[v as usize]));
     token.check()?;
     let target = closest.unwrap_or_else(|| ClosestPoint::new(to));
     token.check()?;
@@ -303,7 +407,9 @@ fn distances(
     };
     let chunks = distances.chunks(CHUNK).enumerate().map(of_chunk);
     let (max, sum) = chunks.fold((0.0f64, 0.0), |(max, sum), (m, s)| (m.max(max), sum + s));
-    Ok((max * unit, (sum / drawn as f64).sqrt() * unit))
+    let mut of_vertices = vec![0.0; from.positions().len()];
+    solid.iter().zip(&distances[drawn..]).for_each(|(&v, &distance)| of_vertices[v as usize] = distance);
+    Ok(((max * unit, (sum / drawn as f64).sqrt() * unit), of_vertices))
 }
 
 #[cfg(test)]

@@ -1,20 +1,20 @@
-//! Facets that are oriented unlike their neighbours.
+//! Consistent orientation of facets.
 //!
-//! Purpose: [`alike`] turns over those that do not go with most of their part of the surface. A part is what hangs
-//! together through edges of two facets.
-//! Invariant: a part that has no orientation (a Möbius strip) and one that is oriented alike, inward or outward, stay
-//! as they are. Facets keep their numbers, and their first corners. Must not know: why it matters.
+//! Purpose: [`make_consistent`] flips the facets that are oriented unlike most of the area of their component. A component is
+//! connected through edges of two facets.
+//! Invariant: a component that is not orientable (a Möbius strip) and one that is consistent, inward or outward, stay
+//! as they are. Facets keep their numbers, and their first corners. Must not know: what the surface is for.
 
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
 use crate::token::{Stopped, Token};
 
-/// `mesh` with its facets oriented alike, as most of the area of each part is, and how many were turned over; `None` if
+/// `mesh` with each component oriented as most of its area is, and how many facets were flipped; `None` if
 /// none had to be. Linear in the facets.
 ///
 /// # Errors
 /// [`Stopped`].
-pub(crate) fn alike(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
+pub(crate) fn make_consistent(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
     let adjacency = Adjacency::new(mesh);
     token.check()?;
     if adjacency.inconsistent_edges() == 0 {
@@ -24,45 +24,45 @@ pub(crate) fn alike(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, us
         let [a, b, c] = mesh.corners(f);
         (b - a).cross(c - a).length()
     };
-    let mut turned: Vec<Option<bool>> = vec![None; mesh.facets().len()];
+    let mut flipped: Vec<Option<bool>> = vec![None; mesh.facets().len()];
     let mut facets = mesh.facets().to_vec();
     let mut count = 0;
     for start in 0..facets.len() {
-        if turned[start].is_some() {
+        if flipped[start].is_some() {
             continue;
         }
-        turned[start] = Some(false);
-        let mut part = vec![start];
+        flipped[start] = Some(false);
+        let mut component = vec![start];
         let mut orientable = true;
         let mut next = 0;
-        while let Some(&f) = part.get(next) {
+        while let Some(&f) = component.get(next) {
             token.check_at(next)?;
             next += 1;
             for half in 3 * f..3 * f + 3 {
                 let Some(other) = adjacency.opposite(half) else { continue };
-                let unlike = adjacency.kind(half) == EdgeKind::Inconsistent;
-                let wanted = turned[f].map(|t| t != unlike);
-                match turned[other / 3] {
+                let inconsistent = adjacency.kind(half) == EdgeKind::Inconsistent;
+                let expected = flipped[f].map(|t| t != inconsistent);
+                match flipped[other / 3] {
                     None => {
-                        turned[other / 3] = wanted;
-                        part.push(other / 3);
+                        flipped[other / 3] = expected;
+                        component.push(other / 3);
                     }
-                    known => orientable &= known == wanted,
+                    known => orientable &= known == expected,
                 }
             }
         }
         if !orientable {
             continue;
         }
-        let of = |side: bool| part.iter().filter(|&&f| turned[f] == Some(side)).map(|&f| area(f)).sum::<f64>();
+        let of = |side: bool| component.iter().filter(|&&f| flipped[f] == Some(side)).map(|&f| area(f)).sum::<f64>();
         let fewer = of(true) <= of(false);
-        for &f in part.iter().filter(|&&f| turned[f] == Some(fewer)) {
+        for &f in component.iter().filter(|&&f| flipped[f] == Some(fewer)) {
             facets[f].swap(1, 2);
             count += 1;
         }
     }
-    let turned = (count > 0).then(|| TriMesh::new(mesh.positions().to_vec(), facets).ok()).flatten();
-    Ok(turned.map(|turned| (turned, count)))
+    let flipped = (count > 0).then(|| TriMesh::new(mesh.positions().to_vec(), facets).ok()).flatten();
+    Ok(flipped.map(|flipped| (flipped, count)))
 }
 
 #[cfg(test)]
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
     use crate::mesh::shapes::Shape;
 
-    fn turn(mesh: &TriMesh, which: impl Fn(usize) -> bool) -> TriMesh {
+    fn flip(mesh: &TriMesh, which: impl Fn(usize) -> bool) -> TriMesh {
         let mut facets = mesh.facets().to_vec();
         facets.iter_mut().enumerate().filter(|(f, _)| which(*f)).for_each(|(_, t)| t.swap(1, 2));
         TriMesh::new(mesh.positions().to_vec(), facets).unwrap()
@@ -81,12 +81,13 @@ mod tests {
         for shape in [Shape::Sphere, Shape::Plane, Shape::Torus, Shape::Sheets] {
             let mesh = shape.build(2000);
             assert!(
-                alike(&mesh, &Token::default()).unwrap().is_none()
-                    && alike(&turn(&mesh, |_| true), &Token::default()).unwrap().is_none(),
+                make_consistent(&mesh, &Token::default()).unwrap().is_none()
+                    && make_consistent(&flip(&mesh, |_| true), &Token::default()).unwrap().is_none(),
                 "{shape}"
             );
             for every in [3, 7, 1000] {
-                let (back, count) = alike(&turn(&mesh, |f| f % every == 0), &Token::default()).unwrap().unwrap();
+                let (back, count) =
+                    make_consistent(&flip(&mesh, |f| f % every == 0), &Token::default()).unwrap().unwrap();
                 assert_eq!((back.facets(), count), (mesh.facets(), mesh.facets().len().div_ceil(every)), "{shape}");
             }
         }
@@ -106,6 +107,6 @@ mod tests {
         let quad = |k: u32| [[at(2 * k), at(2 * k + 1), at(2 * k + 2)], [at(2 * k + 1), at(2 * k + 3), at(2 * k + 2)]];
         let mesh = TriMesh::new((0..2 * n).map(point).collect(), (0..n).flat_map(quad).collect()).unwrap();
         assert!(Adjacency::new(&mesh).inconsistent_edges() > 0);
-        assert!(alike(&mesh, &Token::default()).unwrap().is_none());
+        assert!(make_consistent(&mesh, &Token::default()).unwrap().is_none());
     }
 }

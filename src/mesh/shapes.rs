@@ -1,6 +1,6 @@
 //! Procedural surfaces, for tests and for `tessera shape`.
 //!
-//! Purpose: [`Shape::build`] makes a surface of about a wished number of facets whose topology
+//! Purpose: [`Shape::build`] makes a surface of about a given number of facets whose topology
 //! is known ([`Shape::euler`]).
 //! Invariant: every facet has an area, neighbours run the same way through their edges, and the
 //! outside is where the normals point. All are about one unit in size.
@@ -34,7 +34,7 @@ pub enum Shape {
     Sheets,
     /// A torus whose rings are spaced 1000 : 1 in turn: closed, half of the facets slivers, χ = 0.
     Slivers,
-    /// The unit square as two triangles, whatever number is wished. χ = 1.
+    /// The unit square as two triangles, whatever number is asked for. χ = 1.
     Square,
     /// The unit square as a regular grid. χ = 1.
     Plane,
@@ -47,7 +47,7 @@ pub enum Shape {
 )]
 pub struct UnknownShape(pub String);
 
-/// The most facets that [`Shape::build`] makes; a larger wish is taken as this.
+/// The most facets that [`Shape::build`] makes; a larger target is taken as this.
 pub const MAX_FACETS: usize = 50_000_000;
 
 impl Shape {
@@ -67,17 +67,17 @@ impl Shape {
     /// Builds it with about `facets` facets: from 500 up within 20 % (for `genusN` from 500 (N + 1) up), below as
     /// near as the shape allows. `Square` always has 2.
     pub fn build(self, facets: usize) -> TriMesh {
-        let wish = facets.clamp(1, MAX_FACETS);
+        let target = facets.clamp(1, MAX_FACETS);
         match self {
-            Self::Sphere => round::sphere(wish),
-            Self::Torus => round::torus(wish, 1.0),
-            Self::Slivers => round::torus(wish, 1000.0),
-            Self::Genus(holes) => voxels::slab(holes.min(MAX_GENUS), wish),
-            Self::Block => voxels::block(wish),
-            Self::Hills => grid(side(wish), hill).finish(),
-            Self::Plane => grid(side(wish), |_, _| 0.0).finish(),
+            Self::Sphere => round::sphere(target),
+            Self::Torus => round::torus(target, 1.0),
+            Self::Slivers => round::torus(target, 1000.0),
+            Self::Genus(holes) => voxels::slab(holes.min(MAX_GENUS), target),
+            Self::Block => voxels::block(target),
+            Self::Hills => grid(side(target), hill).finish(),
+            Self::Plane => grid(side(target), |_, _| 0.0).finish(),
             Self::Square => grid(1, |_, _| 0.0).finish(),
-            Self::Sheets => sheets(side(wish / 2)),
+            Self::Sheets => sheets(side(target / 2)),
         }
     }
 
@@ -202,9 +202,9 @@ mod tests {
     fn every_shape_is_what_it_says() {
         let slabs = [0, 1, 2, 7, 20].map(Shape::Genus);
         for shape in Shape::ALL.into_iter().chain(slabs) {
-            for wish in [1, 40, 500, 777, 2_000, 12_345, 60_000] {
-                let built = shape.build(wish);
-                let name = format!("{shape} of {wish}");
+            for target in [1, 40, 500, 777, 2_000, 12_345, 60_000] {
+                let built = shape.build(target);
+                let name = format!("{shape} of {target}");
                 let (positions, facets) = built.clone().into_parts();
                 assert_eq!(TriMesh::new(positions, facets).as_ref(), Ok(&built), "{name}");
                 let (adjacency, topology) = (Adjacency::new(&built), topology(&built));
@@ -216,8 +216,8 @@ mod tests {
                 assert_eq!(topology.components, if shape == Shape::Sheets { 2 } else { 1 }, "{name}");
                 assert!(!shape.is_closed() || volume(&built) > 0.005, "{name}: {}", volume(&built));
                 let least = if let Shape::Genus(holes) = shape { 500 * (holes as usize + 1) } else { 500 };
-                if wish >= least && shape != Shape::Square {
-                    let ratio = built.facets().len() as f64 / wish as f64;
+                if target >= least && shape != Shape::Square {
+                    let ratio = built.facets().len() as f64 / target as f64;
                     assert!((0.8..=1.2).contains(&ratio), "{name}: {ratio}");
                 }
             }

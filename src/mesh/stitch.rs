@@ -1,37 +1,36 @@
-//! Corners that should be one.
+//! Stitching of boundary vertices that nearly coincide.
 //!
-//! Purpose: [`rims`] moves vertices of boundaries that are nearly in one place into one, so that a list of triangles whose
-//! corners were rounded one by one, or parts that were exported one by one, hang together.
-//! Invariant: nothing moves by more than `NEAR` of the surface's diagonal, nor by more than `SHORT` of the edges
-//! around it, so that no facet vanishes or turns over. Vertices and facets keep their numbers.
-//! Must not know: why it matters.
+//! Purpose: [`boundaries`] moves such vertices to one position, so that triangle soups with rounded corners, and parts that were
+//! exported one by one, are connected.
+//! Invariant: no vertex moves by more than `TOLERANCE` of the surface's diagonal, nor by more than `MAX_EDGE_SHARE` of its
+//! edges, so that no facet vanishes or flips. Vertices and facets keep their numbers.
+//! Must not know: what the surface is for.
 
-use std::cmp::Ordering::Equal;
-use std::collections::HashMap;
-
-use glam::DVec3;
-
-use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};
+use super::{TriMesh, coincident};
 use crate::token::{Stopped, Token};
 
-/// Vertices as near as this are one, as a share of the surface's diagonal: coordinates that were rounded to single
+/// Largest distance of vertices that coincide, as a share of the surface's diagonal: coordinates that were rounded to single
 /// precision twice differ by two of its steps of 1.2e-7, in three directions.
-const NEAR: f64 = 5e-7;
-/// And as a share of the shortest edge around them.
-const SHORT: f64 = 0.01;
+const TOLERANCE: f64 = 5e-7;
+/// The same, as a share of their shortest edge.
+const MAX_EDGE_SHARE: f64 = 0.01;
 
-/// `mesh` with such vertices in one place, and how many were moved; `None` if there are none. Linear in the facets.
+/// `mesh` with such vertices at one position, and how many were moved; `None` if there are none. Linear in the facets.
 ///
 /// # Errors
 /// [`Stopped`].
-pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Result<Option<(TriMesh, usize)>, Stopped> {
+pub(crate) fn boundaries(
+    mesh: &TriMesh,
+    adjacency: &Adjacency,
+    token: &Token,
+) -> Result<Option<(TriMesh, usize)>, Stopped> {
     if adjacency.boundary_edges() == 0 {
         return Ok(None);
     }
     let (origin, high) = mesh.bounds();
-    let near = NEAR * (high - origin).length();
-    if !(near.is_finite() && near > 0.0) {
+    let tolerance = TOLERANCE * (high - origin).length();
+    if !(tolerance.is_finite() && tolerance > 0.0) {
         return Ok(None);
     }
     let ends = |half: usize| {
@@ -39,29 +38,12 @@ pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Resu
         [facet[half % 3], facet[(half + 1) % 3]].map(|v| adjacency.representative()[v as usize])
     };
     let place = |v: u32| mesh.positions()[v as usize];
-    let mut rim: Vec<u32> =
+    let mut vertices: Vec<u32> =
         (0..3 * mesh.facets().len()).filter(|&h| adjacency.kind(h) == EdgeKind::Boundary).flat_map(ends).collect();
-    rim.sort_unstable();
-    rim.dedup();
-    // The first in a place stands for those that are near it. Others are farther from it, so that few are in a cell.
-    // Counted from the surface's corner, so that numbers stay small however far it is from the origin.
-    let cell = |p: DVec3| ((p - origin) / (4.0 * near)).floor().to_array().map(|x| x as i64);
-    let mut first_in: HashMap<[i64; 3], Vec<u32>> = HashMap::with_capacity(rim.len());
-    let mut near_others: Vec<(u32, u32, f64)> = Vec::new();
-    for (k, &v) in rim.iter().enumerate() {
-        // Each looks at up to eight cells.
-        token.check_at(8 * k)?;
-        let (low, high) = (cell(place(v) - near), cell(place(v) + near));
-        let along = |axis: usize| low[axis]..=high[axis];
-        let around = along(0).flat_map(|x| along(1).flat_map(move |y| along(2).map(move |z| [x, y, z])));
-        let there = around.filter_map(|cell| first_in.get(&cell)).flatten();
-        let nearest = there.map(|&u| (place(u).distance(place(v)), u)).min_by(|a, b| a.partial_cmp(b).unwrap_or(Equal));
-        match nearest.filter(|(distance, _)| *distance <= near) {
-            Some((distance, u)) => near_others.push((v, u, distance)),
-            None => first_in.entry(cell(place(v))).or_default().push(v),
-        }
-    }
-    if near_others.is_empty() {
+    vertices.sort_unstable();
+    vertices.dedup();
+    let pairs = coincident::near(mesh.positions(), vertices, (origin, tolerance), token)?;
+    if pairs.is_empty() {
         return Ok(None);
     }
     let mut shortest = vec![f64::INFINITY; mesh.positions().len()];
@@ -75,8 +57,8 @@ pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Resu
     }
     let mut target: Vec<u32> = adjacency.representative().to_vec();
     let mut moved = 0;
-    for (v, u, distance) in near_others {
-        if distance <= SHORT * shortest[u as usize].min(shortest[v as usize]) {
+    for (v, u, distance) in pairs {
+        if distance <= MAX_EDGE_SHARE * shortest[u as usize].min(shortest[v as usize]) {
             target[v as usize] = u;
             moved += 1;
         }
@@ -94,6 +76,8 @@ pub(crate) fn rims(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Resu
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+
+    use glam::DVec3;
 
     use super::*;
     use crate::mesh::measure::topology;
@@ -114,12 +98,12 @@ mod tests {
             let mesh = shape.build(2000);
             for noise in [1e-15, 1e-12, 1e-7] {
                 let soup = soup(&mesh, noise);
-                let (stitched, moved) = rims(&soup, &Adjacency::new(&soup), &Token::default()).unwrap().unwrap();
+                let (stitched, moved) = boundaries(&soup, &Adjacency::new(&soup), &Token::default()).unwrap().unwrap();
                 assert_eq!(topology(&stitched), topology(&mesh), "{shape:?} {noise}");
                 assert!(moved > 0);
                 let farthest = soup.positions().iter().zip(stitched.positions()).map(|(a, b)| a.distance(*b));
                 let (low, high) = mesh.bounds();
-                assert!(farthest.fold(0.0, f64::max) <= NEAR * (high - low).length());
+                assert!(farthest.fold(0.0, f64::max) <= TOLERANCE * (high - low).length());
             }
         }
     }
@@ -128,15 +112,15 @@ mod tests {
     fn what_is_apart_or_one_already_stays() {
         let mesh = Shape::Plane.build(2000);
         for mesh in [Shape::Torus.build(2000), mesh.clone(), soup(&mesh, 0.0), soup(&mesh, 1e-3)] {
-            assert!(rims(&mesh, &Adjacency::new(&mesh), &Token::default()).unwrap().is_none());
+            assert!(boundaries(&mesh, &Adjacency::new(&mesh), &Token::default()).unwrap().is_none());
         }
-        // Facets as small as what is near elsewhere.
+        // Facets as small as what is tolerance elsewhere.
         let mut tiny = mesh.positions().iter().map(|p| *p * 1e-8).collect::<Vec<_>>();
         tiny.push(DVec3::ONE);
         let (mut facets, n) = (mesh.facets().to_vec(), tiny.len() as u32);
         tiny.extend([DVec3::new(1.0, 0.0, 1.0), DVec3::new(0.0, 1.0, 1.0)]);
         facets.push([n - 1, n, n + 1]);
         let tiny = TriMesh::new(tiny, facets).unwrap();
-        assert!(rims(&tiny, &Adjacency::new(&tiny), &Token::default()).unwrap().is_none());
+        assert!(boundaries(&tiny, &Adjacency::new(&tiny), &Token::default()).unwrap().is_none());
     }
 }

@@ -9,7 +9,7 @@ use crate::mesh::shapes::Shape;
 
 const RED: Rgb = [220, 40, 40];
 const BLUE: Rgb = [40, 60, 220];
-const FRONT: Look = Look { toward: DVec3::Z, up: DVec3::Y };
+const FRONT: ViewDirection = ViewDirection { toward: DVec3::Z, up: DVec3::Y };
 
 /// Two triangles: the square from (x, y, z) with this side, facing +z.
 fn square([x, y, z]: [f64; 3], side: f64, colour: Rgb) -> Vec<Face> {
@@ -20,7 +20,7 @@ fn square([x, y, z]: [f64; 3], side: f64, colour: Rgb) -> Vec<Face> {
 /// A canvas of 100 by 100 pixels on which the unit square is seen face on, from pixel 3 to pixel 97.
 fn canvas(toward: DVec3) -> Canvas {
     let frame = [DVec3::ZERO, dvec3(1.0, 1.0, 0.0)];
-    Canvas::new(View::framing(&Look { toward, up: DVec3::Y }, Size::new(100, 100).unwrap(), frame).unwrap())
+    Canvas::new(View::framing(&ViewDirection { toward, up: DVec3::Y }, Size::new(100, 100).unwrap(), frame).unwrap())
 }
 
 fn pens() -> Pens {
@@ -173,7 +173,7 @@ fn the_same_bytes_with_any_number_of_threads() {
     let draw = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let view = View::framing(&Look::default(), Size::new(301, 203).unwrap(), corners.clone()).unwrap();
+            let view = View::framing(&ViewDirection::default(), Size::new(301, 203).unwrap(), corners.clone()).unwrap();
             draw_mesh(&mesh, view, Paint::Cell, &[[corners[0], corners[1]]]).to_png().unwrap()
         })
     };
@@ -222,7 +222,7 @@ fn size_and_place_do_not_matter() {
         let mesh = Shape::Torus.build(800);
         let moved = mesh.positions().iter().map(|&p| p * scale + DVec3::splat(shift)).collect();
         let mesh = TriMesh::new(moved, mesh.facets().to_vec()).unwrap();
-        let view = View::framing(&Look::default(), size, mesh.positions().to_vec()).unwrap();
+        let view = View::framing(&ViewDirection::default(), size, mesh.positions().to_vec()).unwrap();
         draw_mesh(&mesh, view, Paint::Quality, &[])
     };
     let one = draw(1.0, 0.0);
@@ -241,7 +241,7 @@ fn any_direction_frames_the_surface() {
     let mesh = Shape::Block.build(500);
     for toward in [DVec3::X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, dvec3(1e-300, 0.0, 0.0), dvec3(1e300, -1e300, 3e299)] {
         for up in [DVec3::Y, DVec3::Z, dvec3(-2.0, 1e-9, 0.0)] {
-            let look = Look { toward, up };
+            let look = ViewDirection { toward, up };
             let view = View::framing(&look, Size::new(90, 60).unwrap(), mesh.positions().iter().copied()).unwrap();
             let placed = mesh.positions().iter().map(|&p| view.place(p));
             assert!(placed.clone().all(|p| (2.0..=88.0).contains(&p.x) && (1.0..=59.0).contains(&p.y)), "{look:?}");
@@ -253,7 +253,7 @@ fn any_direction_frames_the_surface() {
         }
     }
     for bad in [DVec3::ZERO, DVec3::NAN, DVec3::INFINITY] {
-        let look = Look { toward: bad, up: DVec3::Y };
+        let look = ViewDirection { toward: bad, up: DVec3::Y };
         assert!(matches!(View::framing(&look, Size::default(), []), Err(PictureError::Direction { .. })));
     }
     for (width, height) in [(0, 10), (10, 0), (MAX_SIDE + 1, 1), (MAX_SIDE, MAX_SIDE)] {

@@ -13,21 +13,21 @@ const MARGIN: f64 = 0.03;
 
 /// A direction to look in.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
+pub struct ViewDirection {
     /// From the surface to the viewer, any length.
     pub toward: DVec3,
     /// What is up in the picture, any length. Where it runs along `toward`, another axis is.
     pub up: DVec3,
 }
 
-impl Default for Look {
+impl Default for ViewDirection {
     /// From the front, the right and a little above; y is up.
     fn default() -> Self {
         Self { toward: dvec3(0.7, 0.5, 1.0), up: DVec3::Y }
     }
 }
 
-impl Look {
+impl ViewDirection {
     /// Rows: right, up, toward the viewer.
     fn frame(&self) -> Result<DMat3, PictureError> {
         let (toward, up) = (direction(self.toward)?, direction(self.up)?);
@@ -68,7 +68,7 @@ impl View {
     /// # Errors
     /// [`PictureError::Direction`].
     pub fn framing(
-        look: &Look,
+        look: &ViewDirection,
         size: Size,
         points: impl IntoIterator<Item = DVec3, IntoIter: Clone>,
     ) -> Result<Self, PictureError> {

@@ -18,7 +18,7 @@ use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::coincident;
 use crate::remesh::constants::{LEAST_NORMAL_SQUARED, SAME_NORMAL};
 use crate::token::{Stopped, Token};
-use seams::{Place, Seams};
+use seams::{Seams, Source};
 
 /// Where on the input surface a vertex of the result lies.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,7 +79,7 @@ pub fn carry(
         }
         (Some(Normals::PerCorner(normals)), Some(seams)) => {
             let at =
-                |p: &Place| normal(mesh, p.facet, normals.corners[p.facet as usize], &normals.values, p.barycentric);
+                |p: &Source| normal(mesh, p.facet, normals.corners[p.facet as usize], &normals.values, p.barycentric);
             carried.set_normals(Normals::PerCorner(seams.split(normals, at)))?;
         }
         _ => {}

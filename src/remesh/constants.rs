@@ -75,6 +75,10 @@ pub(super) const FARTHEST_ACROSS: f64 = 0.095;
 pub(super) const FARTHEST_OF_END: f64 = 0.07;
 /// Moves for shapes, at most, for each vertex at or beside a poor facet.
 pub(super) const MOVES_PER_VERTEX: usize = 40;
+/// Vertices that are relocated at the same time, at most: few beside those that wait, so that the costliest come first.
+pub(super) const SHAPES_AT_ONCE: usize = 128;
+/// Of these, so many at least are one task.
+pub(super) const SHAPES_PER_TASK: usize = 8;
 
 // Edges of curves. Lengths are shares of the shortest edge of a curve at the vertex.
 
@@ -108,11 +112,11 @@ pub(super) const KNOWN_SHARE: f64 = 0.8;
 
 // Trials on a patch.
 
-/// Passes of relocation before the best trials are chosen,
+/// Passes of relocation before the best trials are chosen. With two, nefertiti with 50,000 points is up to a fifth farther off.
 pub(super) const FIRST_PASSES: usize = 3;
-/// how many are,
+/// So many go on, one after the other until one reaches its goal,
 pub(super) const FINALISTS: usize = 2;
-/// and passes after that: what ten do not reach, more do not.
+/// with so many passes: what ten do not reach, more do not.
 pub(super) const LAST_PASSES: usize = 12;
 /// Trials that the first passes left at more than this share of the distance are dropped: what these do not move, later ones
 /// do not move either.
@@ -126,7 +130,8 @@ pub(super) const TRIAL_SCORE_SCALE: f64 = 10.0;
 pub(super) const NEAR_SHARE: f64 = 0.06;
 /// A place is improved if its distance falls to this share of what it was.
 pub(super) const GAIN: f64 = 0.95;
-/// No more far places are tried after so many that could not be improved,
+/// No more far places are tried after so many that could not be improved. With four, nefertiti with 50,000 points is up to a
+/// quarter farther off;
 pub(super) const MAX_FAILURES: usize = 8;
 /// and after so many that were, plus this share of the vertices.
 pub(super) const MAX_IMPROVED: usize = 4;
@@ -135,7 +140,7 @@ pub(super) const MAX_IMPROVED_SHARE: f64 = 0.0015;
 pub(super) const FAILED_SHARE: f64 = 0.8;
 /// A vertex is measured if its estimated distance is at least this share of [`NEAR_SHARE`] of its longest edge,
 pub(super) const ESTIMATE_SHARE: f64 = 0.65;
-/// so many vertices at most.
+/// so many vertices at most. With 100, fandisk with 3,000 points is a fifth farther off.
 pub(super) const MAX_MEASURED: usize = 1000;
 /// A place enters the queue again if its distance has fallen below this share of what it was when it entered.
 pub(super) const STALE_SHARE: f64 = 0.98;
@@ -145,14 +150,16 @@ pub(super) const FREE_DISTANCE: f64 = 0.02;
 pub(super) const MAX_IRREGULAR: usize = 500;
 /// Rounds of the queue: some vertices have room for a flip only after far places were improved.
 pub(super) const QUEUE_ROUNDS: usize = 2;
-/// Flips that are tried at a far place, those first that bring a facet nearest to the point that is farthest off. With all of
-/// them, a third more time for the same distances.
+/// Flips that are tried at a far place, those first that bring a facet nearest to the point that is farthest off. With three,
+/// rocker-arm with 5,000 points is farther off at some seeds; with all of them, a third more time for the same distances.
 pub(super) const MAX_FLIPS: usize = 5;
-/// Independent patches that are made at the same time, at most. Far places are taken one by one, since the budget is for the
-/// farthest: with four at once, rocker-arm with 5,000 points is 6 % farther off.
+/// Independent patches around irregular vertices that are made at the same time, at most. Far places are taken one by one, since
+/// the budget is for the farthest: with four at once, rocker-arm with 5,000 points is 6 % farther off.
 pub(super) const PATCHES_AT_ONCE: usize = 64;
-/// Places among which they are sought.
+/// Places among which they are sought,
 pub(super) const LOOK_AHEAD: usize = 128;
+/// and far places for each thread among which those are sought that it may make ahead.
+pub(super) const FAR_LOOK_AHEAD: usize = 4;
 
 // Transfer of attributes.
 
@@ -166,13 +173,13 @@ pub(super) const LEAST_NORMAL_SQUARED: f64 = 1e-18;
 /// Radius of the ball that a walk keeps to, as a multiple of half the distance between its ends. Over a right-angled crease, 1 is
 /// enough.
 pub(super) const SEAM_REACH: f64 = 1.3;
-/// The same for a second walk, if the first met neither its end nor a seam, as around a thin edge of the surface.
+/// The same for a second walk, if the first reached neither its end nor a seam, as around a thin edge of the surface.
 pub(super) const LONG_SEAM_REACH: f64 = 4.0;
 /// Facets of one walk, at most.
 pub(super) const MAX_SEAM_FACETS: usize = 1 << 16;
 /// An end is reached within this share of the distance between the ends.
 pub(super) const SEAM_END_REACH: f64 = 1e-6;
-/// A texture coordinate beyond a seam is extrapolated by no more than so many times the texture's stretch at home.
+/// A texture coordinate beyond a seam is extrapolated by no more than so many times the texture's stretch in the start facet.
 pub(super) const MOST_STRETCH: f64 = 4.0;
 
 // Deviation of the input's vertices.
@@ -303,7 +310,7 @@ pub(super) const STEP_BACK: f64 = 1.0 / 16.0;
 /// Share of its shortest edge by which a vertex moves along its normal to leave another one.
 pub(super) const SIDE_STEP: f64 = 1e-3;
 /// Rounds that double edges, at most: a facet may have three such edges, and its parts may have new ones.
-pub(super) const MAX_PARTING_ROUNDS: usize = 4;
+pub(super) const MAX_SEPARATION_ROUNDS: usize = 4;
 
 // Rounds of an attempt.
 
@@ -355,20 +362,49 @@ pub(super) const THIN_LONGEST: f64 = 1.4;
 /// Factor by which the number of points may grow where edge lengths imply it.
 pub(super) const THIN_MOST_POINTS: usize = 2;
 
+// Number of vertices.
+
+/// A number of vertices is right within this share of what was asked for,
+pub(super) const COUNT_LIMIT: f64 = 0.015;
+/// or within so many.
+pub(super) const COUNT_SLACK: usize = 2;
+/// Vertices that a further seed brings, at least; what two rounds say may be chance.
+pub(super) const LEAST_SLOPE: f64 = 0.7;
+/// Factor on the change of the number of seeds after a round in vain.
+pub(super) const VAIN_STRETCH: f64 = 1.5;
+/// Rounds that draw fewer seeds, at most.
+pub(super) const MAX_COUNT_ROUNDS: usize = 4;
+/// Seeds are no fewer than this share of the vertices that were asked for.
+pub(super) const FEWEST_SEEDS_SHARE: f64 = 0.1;
+/// Nor than this, the vertices of a tetrahedron.
+pub(super) const FEWEST_SEEDS: f64 = 4.0;
+
 // Refinement to a tolerance.
 
 /// Rounds with shorter edges, at most.
-pub(super) const MAX_REFINING_ROUNDS: usize = 5;
-/// Edges become as short as brings a vertex to this share of the tolerance: the largest distances are half as large again as
+pub(super) const MAX_REFINING_ROUNDS: usize = 9;
+/// Rounds that only make edges shorter where the result is too far. Later ones use up the points by the last round.
+pub(super) const LOCAL_ROUNDS: usize = 6;
+/// Rounds in a row without progress, at most. In the second one, all edges are shorter.
+pub(super) const MAX_VAIN_REFINING: usize = 2;
+/// Factor on the number of points in a round after one without progress.
+pub(super) const VAIN_GROWTH: f64 = 2.0;
+/// Progress is a largest distance below this share of the least one so far,
+pub(super) const PROGRESS_SHARE: f64 = 0.95;
+/// or a share of missed samples below this share of the least one so far.
+pub(super) const FEWER_MISSED: f64 = 0.8;
+/// Edges become as short as brings a sample to this share of the tolerance: the largest distances are half as large again as
 /// the mean.
 pub(super) const TOLERANCE_AIM: f64 = 0.7;
 /// In one round edges do not become shorter than this share of what they were. At a crease that was not kept the distance is
 /// proportional to the length, and there may be other causes.
 pub(super) const SHORTEST_SHARE: f64 = 0.35;
-/// If no more places are missed after the last round than this share of the seeds,
-pub(super) const FEW_MISSED_SHARE: f64 = 0.01;
-/// or than this number, seeds are added at them.
-pub(super) const FEW_MISSED: usize = 4;
+/// If no larger share of the samples is missed after the last round, seeds are added there.
+pub(super) const FEW_MISSED_SHARE: f64 = 0.002;
+/// A result with this share of the points that are allowed has used them up.
+pub(super) const SPENT_SHARE: f64 = 0.95;
+/// Times that seeds are added to given ones, each time to come nearer.
+pub(super) const MAX_ADDING_TIMES: usize = 3;
 
 // Rounding.
 

@@ -15,6 +15,7 @@ mod schedule;
 mod spikes;
 mod thin_parts;
 mod tolerance;
+mod vertex_count;
 
 use crate::cvt::density::{DensitySource, Plan};
 use crate::mesh::TriMesh;
@@ -22,13 +23,14 @@ use crate::mesh::adjacency::Adjacency;
 use crate::mesh::apart::Apart;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::measure::{quality_unless, topology_unless};
+use crate::mesh::lost::{self, LostParts};
+use crate::mesh::measure::{Quality, coincident_vertices, quality_and_distances, topology_unless};
 use crate::mesh::outliers;
 use crate::remesh::attributes::{self, Provenance};
-use crate::remesh::report::{InputFigures, MemoryFigures, Report, ResultFigures, topology_changes};
+use crate::remesh::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, topology_changes};
 use crate::remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{Backend, RvdError, on_threads_of};
-use crate::token::Token;
+use crate::token::{Stopped, Token};
 use attempt::{Attempt, Figures};
 use job::{Job, Laps, enter};
 use prepare::{Prepared, prepare, separation};
@@ -92,12 +94,18 @@ fn run_stages(
     // Given edge lengths are not changed.
     let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
     let keep_thin = options.keep_thin && free && options.placement == Placement::Fitted;
-    let mut job = Job { mesh: surface, backend, token, observer, laps, keep_thin, topology: input.topology };
+    let (low, high) = mesh.bounds();
+    let diagonal = (high - low).length();
+    // A tolerance decides itself how many points there are.
+    let scales_seeds = options.refine.is_none();
+    let topology = input.topology;
+    let mut job = Job { mesh: surface, backend, token, observer, laps, keep_thin, scales_seeds, diagonal, topology };
     let attempt = match (options.refine, &options.seeds) {
         (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
             prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, refine, seed))
         }
-        _ => prepared.and_then(|prepared| job.attempt(prepared, options, options.refine.map(|r| r.tolerance))),
+        (Some(refine), _) => prepared.and_then(|prepared| tolerance::add(&mut job, prepared, options, refine)),
+        (None, _) => prepared.and_then(|prepared| job.attempt(prepared, options, None)),
     };
     let mut attempt = attempt.map_err(|error| error.for_surface(&input.topology))?;
     let Job { observer, mut laps, .. } = job;
@@ -143,6 +151,17 @@ fn transfer(
     Ok((Some(carried), provenance))
 }
 
+/// The quality of a result, and what it lacks of `mesh`, for which `closest` may answer.
+fn compare(
+    mesh: &TriMesh,
+    closest: Option<ClosestPoint>,
+    result: &TriMesh,
+    token: &Token,
+) -> Result<(Quality, LostParts), Stopped> {
+    let (quality, distances) = quality_and_distances(mesh, closest, result, token)?;
+    Ok((quality, lost::find(mesh, result, &distances, token)?))
+}
+
 /// Measures the result against `mesh` and writes the report. Attributes and provenance are left empty.
 fn measure(
     mesh: &TriMesh,
@@ -154,17 +173,28 @@ fn measure(
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
     let Attempt { plan, curves, closest, built, seeds, seed, figures, device, device_bytes } = attempt;
-    let Figures { converged, rvd, iterations, last, refine } = figures;
+    let Figures { converged, rvd, iterations, last, refine, asked } = figures;
     token.check()?;
     let result = &built.mesh;
-    let quality = || options.measure.then(|| quality_unless(mesh, closest, result, token));
-    let topology = || topology_unless(result, &Adjacency::new(result), token);
+    let quality = || options.measure.then(|| compare(mesh, closest, result, token)).transpose();
+    // Only parts of one seed's cell, or of the surface, can be in one place.
+    let touches = built.repair.extra_vertices > 0 || input.topology.components > 1;
+    let topology = || -> Result<_, Stopped> {
+        let coincident_vertices = if touches { coincident_vertices(result, token)? } else { 0 };
+        Ok((topology_unless(result, &Adjacency::new(result), token)?, coincident_vertices))
+    };
     let (topology, quality) = rayon::join(topology, quality);
-    let (topology, quality) = (topology?, quality.transpose()?);
+    let ((topology, coincident_vertices), (quality, lost)) = (topology?, quality?.unzip());
     let (vertices, facets) = (result.positions().len(), result.facets().len());
-    let result = ResultFigures { vertices, facets, topology, quality, repair: built.repair };
+    let repair = built.repair;
+    let result = ResultFigures { vertices, facets, topology, coincident_vertices, quality, lost, repair };
     laps.timings.measure = laps.lap();
     laps.timings.total = laps.total();
+    let reason = match options.refine {
+        Some(_) => None,
+        None => vertex_count::reason((vertices, result.topology.components), asked, &options.seeds, &input.topology),
+    };
+    let vertex_count = CountFigures { asked, seeds: seeds.len(), reason };
     let report = Report {
         backend: backend.kind().name().into(),
         adapter: backend.adapter(),
@@ -179,6 +209,7 @@ fn measure(
         iterations,
         last,
         refine,
+        vertex_count,
         timings_ms: laps.timings,
         memory: MemoryFigures { host_peak_bytes: None, device_bytes },
         result,

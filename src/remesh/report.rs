@@ -8,10 +8,12 @@ use serde::Serialize;
 
 use crate::cvt::Iteration;
 use crate::cvt::density::DensityFigures;
-use crate::mesh::TriMesh;
 use crate::mesh::adjacency::Adjacency;
+pub use crate::mesh::duplicates::InputKind;
+use crate::mesh::duplicates::{self, Oddities};
+pub use crate::mesh::lost::{LostPart, LostParts, LostReason};
 use crate::mesh::measure::{Quality, Topology, topology_unless};
-use crate::mesh::outliers;
+use crate::mesh::{TriMesh, outliers};
 use crate::rvd::dual::Dual;
 use crate::rvd::{DeviceWork, PassStats, Surface};
 use crate::token::{Stopped, Token};
@@ -42,6 +44,8 @@ pub struct Report {
     pub last: FinalFigures,
     /// What was done after them.
     pub refine: RefineFigures,
+    /// How many vertices were asked for, and why there are not as many.
+    pub vertex_count: CountFigures,
     /// Wall-clock times.
     pub timings_ms: Timings,
     /// Memory.
@@ -102,6 +106,12 @@ pub(crate) fn topology_changes(input: &Topology, result: &Topology) -> Vec<Strin
 /// The surface that came in.
 #[derive(Clone, Debug, Serialize)]
 pub struct InputFigures {
+    /// What it is.
+    pub kind: InputKind,
+    /// Facets whose edges all have more than two facets.
+    pub enclosed_facets: usize,
+    /// Facets that lie on others, corner on corner and back to back, and stay: they enclose nothing.
+    pub back_to_back_facets: usize,
     /// Vertices as given.
     pub vertices: usize,
     /// Facets, degenerate ones included.
@@ -129,7 +139,7 @@ pub struct InputFigures {
 
 /// What was done after the iterations: curves cleared, seeds moved that had no vertex or added where the result was far from
 /// the input.
-#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq)]
 pub struct RefineFigures {
     /// Rounds in which seeds were moved or added.
     pub rounds: usize,
@@ -139,12 +149,61 @@ pub struct RefineFigures {
     pub added_seeds: usize,
     /// Passes over the diagram.
     pub evaluations: usize,
-    /// Places that the result is still far from.
+    /// Samples of the input and of the result that are farther from the other surface than the tolerance; without one, places
+    /// of the input that the result is far from.
     pub out_of_tolerance: usize,
+    /// The largest distance of a sample, both ways, % of the input's bounding-box diagonal; absent without a tolerance.
+    pub deviation_percent: Option<f64>,
+    /// What ended the rounds for a tolerance; absent without one.
+    pub ended: Option<RefineEnd>,
     /// Rounds that drew seeds again with shorter edges, where the surface was too thin for its cells.
     pub closed_ball_rounds: usize,
     /// Cells for which it still is.
     pub closed_ball_failures: usize,
+    /// Rounds that drew fewer seeds, for the number of vertices that was asked for.
+    pub count_rounds: usize,
+}
+
+/// The number of vertices.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+pub struct CountFigures {
+    /// How many vertices were asked for, or implied by edge lengths.
+    pub asked: usize,
+    /// How many seeds there are: fewer where cells have several components.
+    pub seeds: usize,
+    /// Why there are more or fewer vertices than that, by over 1.5 %; absent where there are not, and with a tolerance, which
+    /// adds points.
+    pub reason: Option<CountReason>,
+}
+
+/// Why a result has not as many vertices as were asked for.
+#[derive(Clone, Copy, Debug, Serialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum CountReason {
+    /// Seeds were given, so none was left out or added.
+    GivenSeeds,
+    /// The input has so many parts that they need more: three vertices each, or four if they are closed.
+    Parts,
+    /// Sheets or parts are nearer to each other than an edge is long: seeds have a vertex on each.
+    CloseSheets,
+    /// Parts of the input are so small that they got too few seeds for a facet, and were left out.
+    SmallParts,
+    /// Parts of the input have no thickness: seeds there have no vertex.
+    NoThickness,
+}
+
+/// What ended the rounds for a tolerance.
+#[derive(Clone, Copy, Debug, Serialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum RefineEnd {
+    /// No sample is farther away than asked for.
+    Reached,
+    /// All points that were allowed are used. More bring the result nearer.
+    Budget,
+    /// More points, or others, did not bring the result nearer.
+    NoProgress,
 }
 
 /// Creases and boundaries that got seeds of their own.
@@ -323,9 +382,14 @@ pub struct ResultFigures {
     /// χ, components, holes, non-manifold elements.
     #[serde(flatten)]
     pub topology: Topology,
+    /// Vertices that share no edge with another one and are in its place, to within 10⁻⁵ of the diagonal: parts that touch.
+    /// Who joins vertices by their places joins the parts.
+    pub coincident_vertices: usize,
     /// Shape and distance figures; absent if not measured.
     #[serde(flatten)]
     pub quality: Option<Quality>,
+    /// What it lacks of the input; absent if not measured.
+    pub lost: Option<LostParts>,
     /// What the repair had to do.
     pub repair: RepairFigures,
 }
@@ -381,7 +445,13 @@ impl InputFigures {
         token.check()?;
         let (area, degenerate_facets) = (mesh.area(), mesh.degenerate_count());
         token.check()?;
+        let oddities =
+            if adjacency.non_manifold_edges() > 0 { duplicates::oddities(mesh) } else { Oddities::default() };
+        token.check()?;
         Ok(Self {
+            kind: oddities.kind(),
+            enclosed_facets: oddities.enclosed,
+            back_to_back_facets: oddities.back_to_back,
             vertices: mesh.positions().len(),
             facets: mesh.facets().len(),
             degenerate_facets,

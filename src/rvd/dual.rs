@@ -27,7 +27,7 @@ pub(crate) struct Dual {
     pub split_cells: usize,
     /// RVD vertices whose three cells do not agree that they meet there. Their triangles are
     /// attached to the largest component of the cell that does not know.
-    pub disputed: usize,
+    pub inconsistent: usize,
     /// Components that are not a disk: their surroundings may have another topology than the surface. Ascending.
     pub not_disks: Vec<u32>,
     /// Pairs of components that meet in more than one curve, ascending.

@@ -8,7 +8,7 @@ use glam::DVec3;
 use super::{WireError, proto};
 use crate::cvt::{Iteration, Projection, SeedEdit, StepKind};
 use crate::remesh::Placement;
-use crate::remesh::report::RvdFigures;
+use crate::remesh::report::{RefineEnd, RvdFigures};
 use crate::rvd::{BackendChoice, BackendKind};
 
 /// The backend that a header asks for.
@@ -143,6 +143,14 @@ pub(crate) fn iteration(it: &Iteration, total: usize, queue_ms: f64) -> proto::I
         device_allocations: device.device_allocations,
         uploaded_bytes: device.uploaded_bytes,
         read_back_bytes: device.read_back_bytes,
+    }
+}
+
+pub(crate) fn refinement_end(ended: RefineEnd) -> proto::RefinementEnd {
+    match ended {
+        RefineEnd::Reached => proto::RefinementEnd::Reached,
+        RefineEnd::Budget => proto::RefinementEnd::Budget,
+        RefineEnd::NoProgress => proto::RefinementEnd::NoProgress,
     }
 }
 

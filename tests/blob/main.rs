@@ -93,7 +93,7 @@ async fn local(folder: &Path, options: BlobOptions) -> ObjectBlobs {
     loop {
         match ObjectBlobs::local(folder, options).await {
             // A process that another test starts holds all files of this one until it is another program.
-            Err(BlobError::InUse { .. }) if start.elapsed() < std::time::Duration::from_secs(5) => {
+            Err(BlobError::InUse { .. }) if start.elapsed() < std::time::Duration::from_secs(60) => {
                 tokio::time::sleep(std::time::Duration::from_millis(10)).await;
             }
             opened => return opened.unwrap(),

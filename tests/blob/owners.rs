@@ -51,14 +51,14 @@ async fn what_is_evicted_is_nobody_s_when_it_comes_back() {
         store.disown(Owner::of("b"), Digest::of(&other)).await.unwrap();
         let start = std::time::Instant::now();
         while store.stat(Digest::of(&other)).await.is_ok() {
-            assert!(start.elapsed().as_secs() < 10);
+            assert!(start.elapsed().as_secs() < 60);
         }
         upload(&store, upload_of(&bytes).of("c"), &bytes).await;
         assert!(!store.is_owned(a, digest).await.unwrap(), "{kind}: a does not learn that c has it");
         if let Some(folder) = &folder {
             let marks = || everything(folder.path()).iter().filter(|(path, _)| path.starts_with("owners/")).count();
             while marks() > 1 {
-                assert!(start.elapsed().as_secs() < 10, "{kind}");
+                assert!(start.elapsed().as_secs() < 60, "{kind}");
             }
         }
     }

@@ -9,6 +9,11 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
+use crate::nobody::Nobody;
+
+/// How long a test waits for what has to come. A loaded machine is far from it; without an end nothing would come at all.
+const PATIENCE: Duration = Duration::from_secs(60);
+
 /// A server with an admin port. Killed when dropped.
 struct Server {
     child: Child,
@@ -48,6 +53,15 @@ impl Server {
             Some(((labels.next()?, labels.next()?), rest.rsplit(' ').next()?.parse().ok()?))
         };
         text.lines().filter_map(of).collect()
+    }
+
+    /// Waits until it has answered calls of this kind.
+    fn until_called(&self, method: &str) {
+        let begin = Instant::now();
+        while !self.calls().iter().any(|((name, _), count)| name.ends_with(method) && *count > 0) {
+            assert!(begin.elapsed() < PATIENCE, "nobody calls {method}");
+            std::thread::sleep(Duration::from_millis(10));
+        }
     }
 
     /// Whether any job is there.
@@ -241,12 +255,13 @@ fn a_refusal_is_no_error() {
 
 #[test]
 fn a_stall_is_found() {
-    let server = Server::start(&[]);
     let stall = |options: &str, stop: &dyn Fn(&Child) -> bool| {
+        let server = Server::start(&[]);
         let folder = tempfile::tempdir().unwrap();
         let line = format!("load --json out.json --duration-s 4 --mix info --endpoint {} {options}", server.endpoint);
         let child = command(folder.path(), &line).spawn().unwrap();
-        std::thread::sleep(Duration::from_millis(1500));
+        server.until_called("GetServerInfo");
+        std::thread::sleep(Duration::from_millis(1000));
         let stalled = if stop(&child) { &server.child } else { &child };
         signal(stalled, "STOP");
         std::thread::sleep(Duration::from_millis(1000));
@@ -282,11 +297,13 @@ fn an_interrupt_ends_it_with_a_report_and_without_jobs() {
     let folder = tempfile::tempdir().unwrap();
     let line = "load --json out.json --clients 3 --duration-s 600 --shape torus --facets 30000";
     let child = command(folder.path(), &format!("{line} --endpoint {}", server.endpoint)).spawn().unwrap();
-    std::thread::sleep(Duration::from_secs(2));
+    server.until_called("CreateJob");
+    std::thread::sleep(Duration::from_secs(1));
     let begin = Instant::now();
     signal(&child, "INT");
     let load = Load::of(folder.path(), &child.wait_with_output().unwrap());
-    assert!(begin.elapsed() < Duration::from_secs(20), "{:?}", begin.elapsed());
+    // Of the 600 s that it was to take.
+    assert!(begin.elapsed() < PATIENCE, "{:?}", begin.elapsed());
     assert_eq!(load.code, Some(130), "{}", load.told);
     assert!(load.said.contains("stopped") && load.calls("stopped") > 0, "{}", load.said);
     assert_eq!((server.jobs("load"), &load.json["left"]), (0, &0.into()), "{}", load.said);
@@ -298,8 +315,8 @@ fn an_interrupt_ends_it_with_a_report_and_without_jobs() {
 #[test]
 fn what_is_wrong_is_said_before_any_call() {
     let folder = tempfile::tempdir().unwrap();
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let away = format!("--endpoint http://{free}");
+    let nobody = Nobody::new();
+    let away = format!("--endpoint {}", nobody.url());
     for (line, code, words) in [
         ("--duration-s 1", 2, "--clients"),
         ("--clients 1 --rate 1 --duration-s 1", 2, "cannot be used with"),
@@ -343,11 +360,13 @@ fn a_server_that_goes_away_and_a_closed_pipe_end_nothing_badly() {
     assert!(out.status.success() && told.is_empty() && folder.path().join("out.json").exists(), "{told}");
 
     let line = format!(
-        "load --clients 2 --duration-s 2 --warm-up-s 1.5 --mix info --json out.json --endpoint {}",
+        "load --clients 2 --duration-s 5 --warm-up-s 3 --mix info --json out.json --endpoint {}",
         server.endpoint
     );
     let child = command(folder.path(), &line).spawn().unwrap();
-    std::thread::sleep(Duration::from_millis(1000));
+    // In the warm-up.
+    server.until_called("GetServerInfo");
+    std::thread::sleep(Duration::from_secs(1));
     server.child.kill().unwrap();
     let load = Load::of(folder.path(), &child.wait_with_output().unwrap());
     assert_eq!(load.code, Some(69), "{}{}", load.said, load.told);

@@ -9,6 +9,10 @@
 mod certificates;
 #[path = "../common/gpu.rs"]
 mod gpu;
+#[path = "../common/nobody.rs"]
+mod nobody;
+#[path = "../common/rough.rs"]
+mod rough;
 
 mod bad_servers;
 mod bench;

@@ -26,7 +26,7 @@ fn listed(words: &[&str]) -> Vec<String> {
 }
 
 /// Every command with all of its words.
-fn commands() -> Vec<Vec<String>> {
+pub(super) fn commands() -> Vec<Vec<String>> {
     let mut all = vec![Vec::new()];
     let mut at = 0;
     while let Some(words) = all.get(at).cloned() {

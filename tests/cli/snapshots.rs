@@ -8,6 +8,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use super::manual::commands;
 use super::outputs::{said, tessera};
 
 /// Compares with the list of this name.
@@ -52,6 +53,13 @@ fn no_option_comes_or_goes_unnoticed() {
     options("", &mut list);
     list.sort();
     assert!(list.len() > 100 && list.iter().any(|line| line.starts_with("remesh --points")), "{list:#?}");
+    // Every command's help is in it, found in another way.
+    let missing: Vec<String> = commands()
+        .iter()
+        .map(|words| words.join(" "))
+        .filter(|command| !list.contains(&format!("{command} -h, --help")))
+        .collect();
+    assert!(missing.is_empty(), "no help of {missing:?}");
     compare("options.txt", &(list.join("\n") + "\n"));
 }
 

@@ -88,7 +88,14 @@ fn what_is_wrong_with_tls_is_said_in_words() {
             "does not take this client's certificate",
         ),
     ] {
-        let (code, told) = list(folder, &endpoint, options);
+        // A reset of the connection may overtake the alert that says why: then it is asked again.
+        let (mut code, mut told) = list(folder, &endpoint, options);
+        for _ in 0..20 {
+            if code != Some(69) || told.contains(words) {
+                break;
+            }
+            (code, told) = list(folder, &endpoint, options);
+        }
         assert!(code == Some(69) && told.contains(words), "{} {options}: {code:?} {told}", server.1);
     }
     let (code, told) = list(folder, &here(&tls), "--ca server.key");
@@ -119,7 +126,7 @@ fn a_signal_has_the_certificate_read_again() {
     assert!(told.success());
     let start = Instant::now();
     while list(folder, &endpoint, "--ca new.pem").0 != Some(0) {
-        assert!(start.elapsed() < Duration::from_secs(20), "the new certificate is taken");
+        assert!(start.elapsed() < Duration::from_secs(60), "the new certificate is taken");
     }
     assert_eq!(list(folder, &endpoint, "--ca old.pem").0, Some(69));
 }

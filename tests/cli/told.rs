@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
+use super::rough::{self, Scan};
 use tessera::mesh::io;
 use tessera::mesh::shapes::Shape;
 
@@ -120,6 +121,32 @@ fn quiet_and_json_say_what_they_promise() {
         assert!(serde_json::from_str::<serde_json::Value>(&said).is_ok() && told.is_empty(), "{told}");
         assert!(run("").0.contains("out.ply") || run("").0.contains("cells.ply"));
     }
+}
+
+#[test]
+fn what_is_no_surface_is_told_with_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, mesh: &_| io::write(&folder.path().join(name), mesh).unwrap();
+    write("volume.ply", &rough::tetrahedra(4, false, 1));
+    write("book.ply", &rough::book(3, 10, false));
+    let torus = Shape::Torus.build(2000);
+    write("torus.ply", &torus);
+    let lengths: String = rough::noise(&torus, 100.0, 1).iter().map(|h| format!("{h}\n")).collect();
+    std::fs::write(folder.path().join("sizes.txt"), lengths).unwrap();
+    write("scan.ply", &Scan::RAW.of(Shape::Torus, 8000, 5));
+    for (file, more, words) in [
+        ("volume", "", ["facets lie between others", "remesh the boundary of it"]),
+        ("book", "", ["edges have more than two facets", "cut the input"]),
+        ("torus", " --sizes sizes.txt --gradation 5", ["lengths that no triangles can follow", "lower --gradation"]),
+        ("scan", "", ["parts of the input", "more points"]),
+    ] {
+        let line = format!("remesh {file}.ply -o {file}.off --points 300 --newton 0{more}");
+        let (out, said, told) = run(&mut command(folder.path(), &line));
+        assert!(out.status.success(), "{told}");
+        assert!(words.iter().all(|word| said.contains(word)), "{file}: {said}");
+    }
+    let (_, said, _) = run(&mut command(folder.path(), "remesh torus.ply -o even.ply --points 300 --newton 0"));
+    assert!(!["lost", "more than two", "in the place", "removed"].iter().any(|word| said.contains(word)), "{said}");
 }
 
 /// Mesa's device selection layer asks for a desktop, which a container has not.

@@ -1,8 +1,7 @@
 //! Small diagrams made of bytes, and what must hold of each.
 //!
 //! Purpose: [`Case::from_bytes`] makes a mesh and seeds of any bytes, and [`check`] computes their
-//! diagram in every way on the CPU and compares. libFuzzer, the short run of the tests and the long
-//! run ([`run`]) share both.
+//! diagram in every way on the CPU and compares (`properties` has it for libFuzzer and for the tests).
 //! Invariant: the same bytes give the same case everywhere; bytes that are missing read as 0. Most
 //! coordinates lie on a coarse lattice, so that ties, twins and parallel bisectors are the rule.
 //! Must not know: files, the service.
@@ -11,12 +10,9 @@
 pub mod alike;
 
 use std::collections::{HashMap, HashSet};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{DVec3, dvec3};
-use rand::{Rng, RngExt, SeedableRng};
 use tessera::mesh::TriMesh;
 use tessera::remesh::{RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::facet_edge;
@@ -429,7 +425,7 @@ fn remeshes(case: &Case, parallel: &Parallel) -> Result<(), String> {
     ensure!(out.vertex_seed.len() == out.mesh.positions().len(), "remesh: vertices without a seed");
     manifold(out.mesh.facets(), out.mesh.positions().len())?;
     let repair = out.report.result.repair;
-    ensure!(repair.inconsistent_vertices == 0, "remesh: disputed vertices, {repair:?}");
+    ensure!(repair.inconsistent_vertices == 0, "remesh: inconsistent vertices, {repair:?}");
     Ok(())
 }
 
@@ -472,49 +468,4 @@ pub fn manifold(facets: &[[u32; 3]], vertices: usize) -> Result<(), String> {
     }
     ensure!(corners.iter().all(|&n| n > 0), "a vertex has no facet");
     Ok(())
-}
-
-/// Random bytes that make case `number` of the deterministic runs.
-pub fn bytes_of(number: u64) -> Vec<u8> {
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(number);
-    let mut bytes = vec![0; rng.random_range(24..512)];
-    rng.fill_bytes(&mut bytes);
-    bytes
-}
-
-/// Checks cases `first..first + count` on `threads` threads and returns how many there were, or the
-/// failing ones, at most 20, with their numbers.
-///
-/// # Errors
-/// One line a failure.
-pub fn run(
-    first: u64,
-    count: u64,
-    threads: usize,
-    check: &(dyn Fn(&Case) -> Result<(), String> + Sync),
-) -> Result<u64, Vec<String>> {
-    let next = AtomicU64::new(first);
-    let made = AtomicU64::new(0);
-    let work = || {
-        let mut failures = Vec::new();
-        while failures.len() < 20 {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            if number >= first + count {
-                break;
-            }
-            let Some(case) = Case::from_bytes(&bytes_of(number)) else { continue };
-            made.fetch_add(1, Ordering::Relaxed);
-            let outcome = catch_unwind(AssertUnwindSafe(|| check(&case)));
-            if let Err(text) = outcome.unwrap_or_else(|_| Err("panicked".to_owned())) {
-                failures.push(format!("case {number}: {text}"));
-            }
-        }
-        failures
-    };
-    let mut failures: Vec<String> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
-        workers.into_iter().flat_map(|w| w.join().unwrap()).collect()
-    });
-    failures.truncate(20);
-    if failures.is_empty() { Ok(made.into_inner()) } else { Err(failures) }
 }

@@ -1,14 +1,13 @@
 //! What must come of bad input that is a surface all the same.
 #![allow(dead_code)]
 
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-use glam::DVec3;
 use tessera::internals::rvd::Gpu;
 use tessera::mesh::TriMesh;
 use tessera::mesh::measure::topology;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
-use tessera::rvd::{Backend, BackendKind, CellSums, PassStats, RvdError, SessionOptions, Surface};
+use tessera::rvd::{Backend, BackendKind};
 use tessera::rvd::{Parallel, Serial};
 
 use super::{cases, gpu};
@@ -30,45 +29,6 @@ pub fn backends() -> Vec<(&'static dyn Backend, f64)> {
 pub fn turn(backend: &dyn Backend) -> Option<MutexGuard<'static, ()>> {
     static DEVICE: Mutex<()> = Mutex::new(());
     (backend.kind() == BackendKind::Gpu).then(|| DEVICE.lock().unwrap_or_else(PoisonError::into_inner))
-}
-
-pub fn sums(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> Result<(CellSums, PassStats), RvdError> {
-    let _turn = turn(backend);
-    let mut session = backend.session(Arc::clone(surface), SessionOptions::new(seeds.len().max(1)))?;
-    session.set_seeds(seeds)?;
-    let mut out = CellSums::default();
-    let stats = session.sums(&mut out, &Token::default())?;
-    Ok((out, stats))
-}
-
-/// The cells cover the surface and carry its mass, on every backend, and backends agree cell by cell. Seeds in the
-/// unit frame.
-pub fn covered(name: &str, surface: &Arc<Surface>, seeds: &[DVec3]) {
-    let mass: f64 = (0..surface.facets().len())
-        .filter(|&f| !surface.skips(f))
-        .map(|f| {
-            let weights = surface.facets()[f].map(|v| surface.weights()[v as usize]);
-            surface.facet_area(f as u32) * weights.iter().sum::<f64>() / 3.0
-        })
-        .sum();
-    let mut first: Option<CellSums> = None;
-    for (backend, tolerance) in backends() {
-        let who = format!("{name}, {}", backend.kind().name());
-        let (got, _) = sums(backend, surface, seeds).unwrap_or_else(|e| panic!("{who}: {e}"));
-        let off = |x: f64, y: f64| (x - y).abs() > tolerance * y;
-        let (area, total): (f64, f64) = (got.area.iter().sum(), got.mass.iter().sum());
-        assert!(!off(area, surface.area()), "{who}: area {area:e} of {:e}", surface.area());
-        assert!(!off(total, mass), "{who}: mass {total:e} of {mass:e}");
-        let Some(want) = &first else {
-            first = Some(got);
-            continue;
-        };
-        for i in 0..seeds.len() {
-            let apart = (got.area[i] - want.area[i]).abs();
-            // A boundary that is off by a rounding, along the whole cell.
-            assert!(apart <= tolerance * surface.area().max(1.0), "{who}: cell {i} is off by {apart:e}");
-        }
-    }
 }
 
 pub fn options(seeds: Seeds, lloyd: usize) -> RemeshOptions {

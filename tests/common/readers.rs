@@ -32,7 +32,7 @@ pub fn check(format: Format, bytes: &[u8]) -> Result<(), String> {
             };
             let (here, there) = (result(bytes), result(&other));
             return Err(format!(
-                "{format:?}: read in place ({here}), another surface comes out than through the crate ({there})"
+                "{format:?}: read on all threads ({here}), another surface comes out than from beginning to end ({there})"
             ));
         }
     }

@@ -6,14 +6,14 @@ use std::net::SocketAddr;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use desk::Idle;
 use glam::{DVec3, dvec3};
 use tessera::internals::blob::{BlobError, BlobOptions, ObjectBlobs};
 use tessera::internals::config::Limits;
-use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError, Wish};
+use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError};
 use tessera::internals::service::{self, About, Access, Jobs, Metrics, Parts, Readiness, ServeError, Tls};
 use tessera::proto::remesh_service_client::RemeshServiceClient;
 use tessera::proto::*;
@@ -25,6 +25,9 @@ use tokio::sync::{mpsc, oneshot};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Channel;
 
+/// How long a test waits for what has to come. A loaded machine is far from it; without an end nothing would come at all.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
 /// How a [`Fake`] session behaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mood {
@@ -34,8 +37,8 @@ pub enum Mood {
     Panics,
     /// Loses its device so many times.
     Loses(usize),
-    /// Does not look at its token for so long.
-    Deaf(Duration),
+    /// Does not look at its token until it is released.
+    Deaf,
 }
 
 /// A backend with a mood, and counters to look at.
@@ -46,11 +49,13 @@ pub struct Fake {
     pub running: Arc<AtomicUsize>,
     /// Passes begun.
     pub begun: Arc<AtomicUsize>,
+    /// Set by the test when a deaf pass may look up.
+    pub released: Arc<AtomicBool>,
 }
 
 impl Fake {
     pub fn new(mood: Mood) -> Self {
-        Self { mood, running: Arc::default(), begun: Arc::default() }
+        Self { mood, running: Arc::default(), begun: Arc::default(), released: Arc::default() }
     }
 }
 
@@ -63,7 +68,8 @@ impl Backend for Fake {
     }
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
         let real = Serial.session(surface, options)?;
-        Ok(Box::new(FakeSession { mood: self.mood, running: self.running.clone(), begun: self.begun.clone(), real }))
+        let (running, begun, released) = (self.running.clone(), self.begun.clone(), self.released.clone());
+        Ok(Box::new(FakeSession { mood: self.mood, running, begun, released, real }))
     }
 }
 
@@ -71,6 +77,7 @@ struct FakeSession {
     mood: Mood,
     running: Arc<AtomicUsize>,
     begun: Arc<AtomicUsize>,
+    released: Arc<AtomicBool>,
     real: Box<dyn Session>,
 }
 
@@ -91,8 +98,10 @@ impl FakeSession {
             Mood::Panics => panic!("a fault on purpose"),
             Mood::Loses(times) if before < times => Err(RvdError::DeviceLost("on purpose".into())),
             Mood::Loses(_) => Ok(()),
-            Mood::Deaf(time) => {
-                std::thread::sleep(time);
+            Mood::Deaf => {
+                while !self.released.load(Ordering::SeqCst) {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
                 Ok(token.check()?)
             }
             Mood::Busy => loop {
@@ -178,7 +187,7 @@ async fn opened(folder: &Path, options: BlobOptions) -> ObjectBlobs {
     let begin = Instant::now();
     loop {
         match ObjectBlobs::local(folder, options).await {
-            Err(BlobError::InUse { .. }) if begin.elapsed() < Duration::from_secs(5) => {
+            Err(BlobError::InUse { .. }) if begin.elapsed() < PATIENCE => {
                 tokio::time::sleep(Duration::from_millis(10)).await;
             }
             opened => return opened.unwrap(),
@@ -197,7 +206,7 @@ impl Server {
                     None => Arc::new(Parallel::new(Some(2))?),
                 },
                 serial: serial.clone(),
-                default: Wish::Auto,
+                default: tessera::BackendChoice::Auto,
                 pools: if parallel.is_some() {
                     None
                 } else {
@@ -250,25 +259,25 @@ impl Server {
         let _ = self.stop.take().unwrap().send(());
     }
 
-    /// Waits until it ends by itself, at most 20 s.
+    /// Waits until it ends by itself.
     pub async fn ended(self) -> Result<(), ServeError> {
-        tokio::time::timeout(Duration::from_secs(20), self.served).await.expect("the server ends").unwrap()
+        tokio::time::timeout(PATIENCE, self.served).await.expect("the server ends").unwrap()
     }
 
-    /// Tells it to stop and waits, at most 20 s.
+    /// Tells it to stop and waits.
     pub async fn stop(mut self) -> Result<(), ServeError> {
         if let Some(stop) = self.stop.take() {
             let _ = stop.send(());
         }
-        tokio::time::timeout(Duration::from_secs(20), self.served).await.expect("the server stops").unwrap()
+        tokio::time::timeout(PATIENCE, self.served).await.expect("the server stops").unwrap()
     }
 }
 
-/// Waits until `condition` holds, at most `limit`; says how long it took.
-pub async fn until(limit: Duration, what: &str, condition: impl Fn() -> bool) -> Duration {
+/// Waits until `condition` holds; says how long it took.
+pub async fn until(what: &str, condition: impl Fn() -> bool) -> Duration {
     let start = Instant::now();
     while !condition() {
-        assert!(start.elapsed() < limit, "{what}: not within {limit:?}");
+        assert!(start.elapsed() < PATIENCE, "{what}: not within {PATIENCE:?}");
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     start.elapsed()

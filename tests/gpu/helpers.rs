@@ -4,19 +4,11 @@
 use std::sync::Arc;
 
 use crate::gpu;
+use crate::stage::{STAGING_BYTES, Stage, staging};
 use needs::needs;
-use tessera::internals::gpu::buffers::{Allocation, Staging, write};
+use tessera::internals::gpu::buffers::write;
 use tessera::internals::gpu::{Device, DeviceOptions, GpuError, adapters};
-use tessera::internals::rvd::shaders;
 use wgpu::BufferUsages as Usage;
-
-/// What reads buffers back, a few bytes at a time.
-fn staging(device: &Device) -> (Staging, Allocation) {
-    let mut allocation = Allocation::new(device, STAGING_BYTES);
-    (Staging::new(device, &mut allocation, STAGING_BYTES).unwrap(), allocation)
-}
-
-const STAGING_BYTES: u64 = 1 << 16;
 
 /// Runs one check and reads (sums, slots, outcomes).
 fn check(
@@ -26,57 +18,11 @@ fn check(
     inputs: &[u32],
     slots: usize,
 ) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
-    let source = shaders::compose("clip/checks", &[("WIDE", i64::from(wide))]).unwrap();
-    let raw = device.raw();
-    let module = raw.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: None,
-        source: wgpu::ShaderSource::Wgsl(source.into()),
-    });
-    let entries: Vec<_> = (0..4)
-        .map(|binding| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: wgpu::ShaderStages::COMPUTE,
-            ty: wgpu::BindingType::Buffer {
-                ty: wgpu::BufferBindingType::Storage { read_only: binding == 0 },
-                has_dynamic_offset: false,
-                min_binding_size: None,
-            },
-            count: None,
-        })
-        .collect();
-    let layout = raw.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries });
-    let pipeline = raw.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: None,
-        layout: Some(&raw.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: None,
-            bind_group_layouts: &[Some(&layout)],
-            immediate_size: 0,
-        })),
-        module: &module,
-        entry_point: Some(entry),
-        compilation_options: Default::default(),
-        cache: None,
-    });
-    let usage = Usage::STORAGE | Usage::COPY_DST | Usage::COPY_SRC;
-    let buffers = [inputs.len(), 4, slots, inputs.len()].map(|n| device.buffer("check", 4 * n as u64, usage).unwrap());
-    write(device, &buffers[0], 0, inputs).unwrap();
-    let bound: Vec<_> = buffers
-        .iter()
-        .enumerate()
-        .map(|(k, b)| wgpu::BindGroupEntry { binding: k as u32, resource: b.as_entire_binding() })
-        .collect();
-    let group = raw.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout: &layout, entries: &bound });
-    let mut encoder = device.encoder();
-    {
-        let mut pass = encoder.begin_compute_pass(&Default::default());
-        pass.set_pipeline(&pipeline);
-        pass.set_bind_group(0, &group, &[]);
-        pass.dispatch_workgroups(inputs.len().div_ceil(64) as u32, 1, 1);
-    }
-    device.run(encoder).unwrap();
-    let (reader, _allocation) = staging(device);
-    let read = |k: usize, n: usize| reader.read::<u32>(device, &buffers[k], 0..n).unwrap();
-    (read(1, 4), read(2, slots), read(3, inputs.len()))
+    let stage = Stage::new(device, "clip/checks", entry, &[("WIDE", i64::from(wide))]);
+    let groups = inputs.len().div_ceil(64) as u32;
+    let mut all = stage.run(groups, &[inputs.to_vec(), vec![0; 4], vec![0; slots], vec![0; inputs.len()]]);
+    let (outcomes, slots) = (all.remove(3), all.remove(2));
+    (all.remove(1), slots, outcomes)
 }
 
 #[needs(gpu)]

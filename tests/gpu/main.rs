@@ -1,4 +1,4 @@
-//! The GPU backend: shaders, helpers, diagram, resident steps.
+//! The GPU backend: shaders, stages and helpers one by one, how pairs are found, resident steps.
 //!
 //! One program for all of it, since every test program links the whole library.
 
@@ -12,6 +12,8 @@ use tessera::internals::rvd::Gpu;
 mod gpu;
 #[path = "../common/hang.rs"]
 mod hang;
+#[path = "../common/points.rs"]
+mod points;
 
 /// The backend of these tests, or `None` where there is no adapter and none is required.
 fn backend() -> Option<&'static Gpu> {
@@ -31,6 +33,8 @@ macro_rules! require_gpu {
 mod hangs;
 mod helpers;
 mod resident;
-mod rvd;
 mod shaders;
+mod stage;
+mod strategies;
+mod twins;
 mod windows;

@@ -1,8 +1,9 @@
 //! Promise: seeds that are moved on the device go where the host would move them, by rows, first cells,
 //! energies and gradients that are the host's, with the same bits every time.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
+use crate::points::{many_sets, noise};
 use glam::{DVec3, dvec3};
 use needs::needs;
 use rand::{RngExt, SeedableRng};
@@ -25,54 +26,16 @@ fn surface(shape: Shape, facets: usize, weighted: bool) -> Arc<Surface> {
     Arc::new(Surface::new(&mesh, weighted.then_some(&weights[..])).unwrap())
 }
 
-/// White noise on the surface, moved off it by up to `off`, in the unit frame.
-fn noise(surface: &Surface, n: usize, off: f64, seed: u64) -> Vec<DVec3> {
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-    let facets = surface.facets().len();
-    let areas: Vec<f64> = (0..facets).map(|f| surface.facet_area(f as u32)).collect();
-    let total: f64 = areas.iter().sum();
-    let sums: Vec<f64> = areas
-        .iter()
-        .scan(0.0, |sum, a| {
-            *sum += a;
-            Some(*sum)
-        })
-        .collect();
-    (0..n)
-        .map(|_| {
-            let at = rng.random::<f64>() * total;
-            let f = sums.partition_point(|s| *s <= at).min(facets - 1);
-            let [a, b, c] = surface.facets()[f].map(|v| surface.positions()[v as usize]);
-            let (s, t) = (rng.random::<f64>().sqrt(), rng.random::<f64>());
-            let away = dvec3(rng.random::<f64>() - 0.5, rng.random::<f64>() - 0.5, rng.random::<f64>() - 0.5);
-            a * (1.0 - s) + b * (s * (1.0 - t)) + c * (s * t) + away * (2.0 * off)
-        })
-        .collect()
-}
-
-/// Seed sets that are hard in different ways.
-fn sets(surface: &Surface, n: usize) -> Vec<(&'static str, Vec<DVec3>)> {
-    let mut twins = noise(surface, n / 2, 0.0, 2);
-    twins.extend_from_within(..);
-    twins.extend_from_within(3..4);
-    // Half of them in a ball a hundredth of the surface wide.
-    let mut cluster = noise(surface, n / 2, 0.0, 3);
-    let middle = cluster[0];
-    cluster.extend(noise(surface, n - n / 2, 0.0, 4).iter().map(|&p| middle + (p - middle) * 0.01));
-    let lattice = (0..n).map(|i| dvec3((i % 10) as f64, (i / 10 % 10) as f64, (i / 100) as f64) * 0.1 - 0.45);
-    vec![
-        ("noise", noise(surface, n, 0.0, 1)),
-        ("few", noise(surface, 20, 0.0, 1)),
-        ("one", noise(surface, 1, 0.2, 1)),
-        ("off", noise(surface, n, 0.1, 5)),
-        ("beside", noise(surface, n, 0.0, 6).iter().map(|&p| p + dvec3(0.9, 0.0, 0.0)).collect()),
-        ("twins", twins),
-        ("cluster", cluster),
-        ("lattice", lattice.collect()),
-        ("all in one place", vec![dvec3(0.1, 0.2, 0.3); n]),
-        ("nearly in one place", noise(surface, n, 0.0, 7).iter().map(|&p| p * 1e-6).collect()),
-        ("far", noise(surface, n, 0.0, 8).iter().map(|&p| p + dvec3(0.0, 100.0, 0.0)).collect()),
-    ]
+/// A device on which traffic is counted: other tests use theirs at the same time, and those that count take turns.
+fn counted() -> (&'static Gpu, MutexGuard<'static, ()>) {
+    static COUNTED: OnceLock<Gpu> = OnceLock::new();
+    static TURN: Mutex<()> = Mutex::new(());
+    let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let open = || {
+        let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
+        Gpu::new(device, None).unwrap()
+    };
+    (COUNTED.get_or_init(open), turn)
 }
 
 fn search(gpu: &Gpu, surface: &Arc<Surface>, seeds: &[DVec3], neighbours: usize) -> Found {
@@ -89,7 +52,7 @@ fn rows_from_verlet_lists_are_those_of_a_search() {
     let never = Token::default();
     let options = || SessionOptions::new(1001);
     let h = (surface.area() / 1000.0).sqrt();
-    for (name, seeds) in sets(&surface, 1000) {
+    for (name, seeds) in many_sets(&surface, 1000) {
         // Little moves, one seed that goes far, other seeds, a long way in small steps, twins that part.
         let moves =
             [0.0, 0.002, 0.0, 0.01, 0.01, 0.02, 1.0, 0.01, 0.03, 0.03, 0.03, 0.03, 0.03, 0.03, 1e-4, 1e-4, 1e-4];
@@ -133,7 +96,7 @@ fn rows_and_first_cells_are_the_hosts() {
     let gpu = require_gpu!();
     for (shape, facets) in [(Shape::Torus, 600), (Shape::Sphere, 2000)] {
         let surface = surface(shape, facets, false);
-        for (name, seeds) in sets(&surface, 1000) {
+        for (name, seeds) in many_sets(&surface, 1000) {
             let found = search(gpu, &surface, &seeds, 24);
             let index = SeedIndex::new(&seeds);
             assert_eq!(found.duplicates, index.duplicates() as u64, "{name}");
@@ -197,12 +160,6 @@ fn open_together(gpu: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], mos
     session
 }
 
-fn sums_of(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> CellSums {
-    let mut out = CellSums::default();
-    open(backend, surface, seeds).sums(&mut out, &Token::default()).unwrap();
-    out
-}
-
 fn read(seeds: &mut dyn Resident) -> Vec<DVec3> {
     let mut out = Vec::new();
     seeds.read(&mut out).unwrap();
@@ -215,91 +172,6 @@ fn evaluate(seeds: &mut dyn Resident) -> Evaluation {
 
 fn probe(seeds: &mut dyn Resident, step: f64) -> Evaluation {
     seeds.probe(step, &Token::default()).unwrap()
-}
-
-fn gradient_squared(sums: &CellSums) -> f64 {
-    sums.moment.iter().map(|m| 4.0 * m.length_squared()).sum()
-}
-
-fn close(name: &str, got: f64, want: f64, relative: f64) {
-    assert!((got - want).abs() <= relative * want.abs(), "{name}: {got:e} for {want:e}");
-}
-
-#[needs(gpu)]
-#[test]
-fn a_step_to_the_centroids_is_the_hosts() {
-    let gpu = require_gpu!();
-    let surface = surface(Shape::Torus, 1500, true);
-    for (name, seeds) in sets(&surface, 800) {
-        let want = sums_of(&Serial, &surface, &seeds);
-        let mut session = open(gpu, &surface, &seeds);
-        let moving = session.resident().unwrap();
-        let evaluation = evaluate(moving);
-        // Energy and area are sums of f32 pieces, each good to about 1e-6 and without a common error; the
-        // gradient of a cell is as good as its boundary.
-        close(&format!("{name}, energy"), evaluation.energy, want.energy.iter().sum(), 2e-6);
-        close(&format!("{name}, area"), evaluation.area, surface.area(), 1e-6);
-        close(&format!("{name}, gradient"), evaluation.gradient_squared, gradient_squared(&want), 1e-4);
-        // A cell that is nearly a point may be none in floats.
-        let smallest = |least: f64| want.area.iter().filter(|a| **a <= least * surface.area()).count();
-        assert!(
-            (smallest(0.0)..=smallest(1e-8)).contains(&evaluation.empty_cells),
-            "{name}: {}",
-            evaluation.empty_cells
-        );
-        let mut own = CellSums::default();
-        moving.read_sums(&mut own).unwrap();
-        close(&format!("{name}, sums"), own.energy.iter().sum(), evaluation.energy, 1e-12);
-        moving.to_centroids().unwrap();
-        let moved = read(moving);
-        let h = (surface.area() / seeds.len() as f64).sqrt();
-        if name == "nearly in one place" {
-            // The device knows where a seed is to 4e-12, so the boundary of two that are 1e-9 apart to a hundredth.
-            continue;
-        }
-        for (i, p) in moved.iter().enumerate() {
-            let target = want.centroid(i, seeds[i]);
-            if want.mass[i] < 1e-4 * want.mass.iter().sum::<f64>() / seeds.len() as f64 {
-                // Of a cell that is nearly a point a float does not know the middle well.
-                assert!(p.distance(target) < 0.1 * h, "{name}: seed {i} is off by {:e}", p.distance(target));
-                continue;
-            }
-            // Moment and mass are good to 1e-5 of a cell's size; a long step rounds to 1e-7 of itself.
-            let slack = 1e-4 * h + 1e-6 * target.distance(seeds[i]);
-            assert!(p.distance(target) < slack, "{name}: seed {i} is off by {:e}", p.distance(target));
-        }
-    }
-}
-
-#[needs(gpu)]
-#[test]
-fn energies_along_the_direction_have_the_slope_of_the_gradient() {
-    let gpu = require_gpu!();
-    let surface = surface(Shape::Sphere, 1200, true);
-    let seeds = noise(&surface, 300, 0.01, 3);
-    let mut session = open(gpu, &surface, &seeds);
-    let moving = session.resident().unwrap();
-    let here = evaluate(moving);
-    let slope = moving.search_direction().unwrap();
-    // Without a history the direction is -g over twice the masses, the way to the centroids.
-    let mut sums = CellSums::default();
-    moving.read_sums(&mut sums).unwrap();
-    let cells = || sums.moment.iter().zip(&sums.mass);
-    close("slope", slope, -cells().map(|(m, mass)| 2.0 * m.length_squared() / mass).sum::<f64>(), 1e-5);
-    // The steps are small against a cell, 0.1, and the energies' differences large against their rounding.
-    let longest = (surface.area() / 300.0).sqrt() * 0.01;
-    let step = longest * (300.0 / cells().map(|(m, mass)| m.length_squared() / mass / mass).sum::<f64>()).sqrt();
-    let (ahead, behind) = (probe(moving, step), probe(moving, -step));
-    close("difference", (ahead.energy - behind.energy) / (2.0 * step), slope, 2e-3);
-    // And the slopes at both ends are those of the energies beyond them, on average.
-    close("slopes", 0.5 * (ahead.slope + behind.slope), slope, 2e-2);
-    // x was never left.
-    let again = evaluate(moving);
-    assert_eq!((again.energy, again.gradient_squared), (here.energy, here.gradient_squared));
-    for (p, q) in read(moving).iter().zip(&seeds) {
-        // As the device splits them.
-        assert!(p.distance(*q) < 1e-10);
-    }
 }
 
 /// Lloyd steps, then quasi-Newton steps with a backtracking search. The energies of all points.
@@ -332,133 +204,9 @@ fn minimise(seeds: &mut dyn Resident, lloyd: usize, newton: usize) -> (Vec<f64>,
 
 #[needs(gpu)]
 #[test]
-fn quasi_newton_steps_go_down_to_what_the_host_finds_there() {
-    let gpu = require_gpu!();
-    let surface = surface(Shape::Torus, 2000, false);
-    let seeds = noise(&surface, 500, 0.0, 4);
-    let mut session = open(gpu, &surface, &seeds);
-    let moving = session.resident().unwrap();
-    let (energies, _) = minimise(moving, 5, 25);
-    assert!(energies.windows(2).all(|e| e[1] < e[0]), "{energies:?}");
-    let (last, moved) = (energies.last().unwrap(), read(moving));
-    let ratio = last / surface.hexagonal_energy(500);
-    eprintln!("energies {:?}, ratio {ratio}", &energies[..6]);
-    // Lloyd alone is at about 1.06 then.
-    assert!(ratio < 1.03, "{ratio}");
-    close("energy", *last, sums_of(&Serial, &surface, &moved).energy.iter().sum(), 1e-6);
-    // The session goes on from there.
-    let mut sums = CellSums::default();
-    session.sums(&mut sums, &Token::default()).unwrap();
-    close("session", sums.energy.iter().sum(), *last, 1e-9);
-    session.set_seeds(&seeds[..400]).unwrap();
-    let moving = session.resident().unwrap();
-    close("fewer", evaluate(moving).energy, sums_of(&Serial, &surface, &seeds[..400]).energy.iter().sum(), 1e-6);
-    assert_eq!(read(moving).len(), 400);
-}
-
-#[needs(gpu)]
-#[test]
-fn a_run_has_the_same_bits_twice() {
-    let gpu = require_gpu!();
-    let surface = surface(Shape::Torus, 800, true);
-    for (name, seeds) in [("noise", noise(&surface, 400, 0.0, 5)), sets(&surface, 400).swap_remove(6)] {
-        let run = |capacities| {
-            let options = SessionOptions::new(400).with_capacities(capacities);
-            let mut session = gpu.session(Arc::clone(&surface), options).unwrap();
-            session.set_seeds(&seeds).unwrap();
-            let moving = session.resident().unwrap();
-            let (energies, _) = minimise(moving, 3, 8);
-            (energies, read(moving))
-        };
-        let first = run(Capacities::default());
-        assert!(first == run(Capacities::default()), "{name}: another run");
-        let tiny = Capacities::new().with_neighbours(5).with_polygon(5).with_cells(2).with_pairs_percent(10);
-        assert!(first == run(tiny), "{name}: other capacities");
-    }
-}
-
-#[needs(gpu)]
-#[test]
-fn held_seeds_do_not_move() {
-    let gpu = require_gpu!();
-    let surface = surface(Shape::Sphere, 500, false);
-    let seeds = noise(&surface, 200, 0.0, 6);
-    let held: Vec<bool> = (0..200).map(|i| i % 3 == 0).collect();
-    let mut session = open(gpu, &surface, &seeds);
-    let moving = session.resident().unwrap();
-    let before = read(moving);
-    moving.hold(&held).unwrap();
-    let evaluation = evaluate(moving);
-    let sums = sums_of(&Serial, &surface, &seeds);
-    let free = |i: &usize| !held[*i];
-    let want: f64 = (0..200).filter(free).map(|i| 4.0 * sums.moment[i].length_squared()).sum();
-    close("gradient", evaluation.gradient_squared, want, 1e-4);
-    minimise(moving, 3, 6);
-    let after = read(moving);
-    for i in 0..200 {
-        assert_eq!(before[i] == after[i], held[i], "seed {i}");
-    }
-    assert!(moving.hold(&held[..100]).is_err());
-}
-
-#[needs(gpu)]
-#[test]
-fn twins_stay_and_clusters_spread() {
-    let gpu = require_gpu!();
-    let surface = surface(Shape::Torus, 800, false);
-    let sets = sets(&surface, 400);
-    let by_name = |name: &str| sets.iter().find(|s| s.0 == name).unwrap().1.clone();
-    let twins = by_name("twins");
-    let mut session = open(gpu, &surface, &twins);
-    let moving = session.resident().unwrap();
-    let evaluation = evaluate(moving);
-    assert_eq!((evaluation.empty_cells, evaluation.stats.duplicate_seeds), (201, 201));
-    let before = read(moving);
-    moving.to_centroids().unwrap();
-    let after = read(moving);
-    assert!((200..401).all(|i| before[i] == after[i]), "a later duplicate has moved");
-    assert!((0..200).all(|i| before[i] != after[i]));
-    let mut session = open(gpu, &surface, &by_name("cluster"));
-    let (energies, _) = minimise(session.resident().unwrap(), 10, 10);
-    assert!(energies.windows(2).all(|e| e[1] < e[0]), "{energies:?}");
-}
-
-#[needs(gpu)]
-#[test]
-fn a_seed_that_leaves_the_range_is_named_and_x_stays() {
-    let gpu = require_gpu!();
-    let surface = surface(Shape::Sphere, 300, false);
-    let seeds = noise(&surface, 50, 0.0, 7);
-    let mut held = vec![false; 50];
-    held[0] = true;
-    let mut session = open(gpu, &surface, &seeds);
-    let moving = session.resident().unwrap();
-    moving.hold(&held).unwrap();
-    let here = evaluate(moving);
-    moving.search_direction().unwrap();
-    let never = Token::default();
-    // Seed 0 is held, so seed 1 is the first that leaves.
-    let far = moving.probe(1e12, &never).unwrap_err();
-    assert!(matches!(far, RvdError::SeedTooFar { seed: 1, boxes } if boxes > 1e6), "{far}");
-    let infinite = moving.probe(f64::INFINITY, &never).unwrap_err();
-    assert!(matches!(infinite, RvdError::NonFiniteSeed { .. }), "{infinite}");
-    // Far, but within the range: the host finishes it.
-    let evaluation = moving.probe(100.0 / here.gradient_squared.sqrt(), &never).unwrap();
-    assert!(evaluation.energy > here.energy && evaluation.stats.host_searches > 0);
-    assert!(moving.probe(-0.0, &never).unwrap().energy == here.energy);
-    let cancelled = Token::default();
-    cancelled.cancel();
-    assert!(matches!(moving.evaluate(&cancelled), Err(RvdError::Stopped(Stopped::Cancelled))));
-    assert_eq!(evaluate(moving).energy, here.energy);
-}
-
-#[needs(gpu)]
-#[test]
 fn iterations_allocate_nothing_and_move_few_bytes() {
     require_gpu!();
-    // Traffic is counted by device, and other tests use theirs at the same time.
-    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
-    let gpu = &Gpu::new(device, None).unwrap();
+    let (gpu, _turn) = counted();
     let surface = surface(Shape::Torus, 4000, false);
     let seeds = noise(&surface, 3000, 0.0, 8);
     let mut session = open(gpu, &surface, &seeds);
@@ -502,9 +250,7 @@ fn seeds_that_crowd_where_weights_are_large_are_searched_on_the_device() {
 #[test]
 fn cells_beside_a_crowd_and_within_a_ring_are_ended_on_the_device() {
     require_gpu!();
-    // Traffic is counted by device.
-    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
-    let gpu = &Gpu::new(device, None).unwrap();
+    let (gpu, _turn) = counted();
     let surface = surface(Shape::Sphere, 300, false);
     let mut seeds = noise(&surface, 300, 0.0, 9);
     let (crowded, ringed) = (seeds[0], surface.centroid(0));
@@ -571,13 +317,11 @@ fn relaxed(session: &mut dyn Session, steps: usize, together: bool) -> (Vec<[f64
 #[test]
 fn steps_taken_together_have_the_bits_of_steps_taken_one_by_one() {
     require_gpu!();
-    // Traffic is counted by device.
-    let device = Device::open(&DeviceOptions { software: true, ..DeviceOptions::default() }).unwrap();
-    let gpu = &Gpu::new(device, None).unwrap();
+    let (gpu, _turn) = counted();
     // The third has facets of more cells than one goes through at once.
     for (facets, weighted, n) in [(3000, false, 500), (1500, true, 400), (200, false, 600)] {
         let surface = surface(Shape::Torus, facets, weighted);
-        for (name, seeds) in sets(&surface, n) {
+        for (name, seeds) in many_sets(&surface, n) {
             let (alone, alone_at, one) = relaxed(&mut *open(gpu, &surface, &seeds), 12, false);
             let (together, at, many) = relaxed(&mut *open_together(gpu, &surface, &seeds, 8), 12, true);
             assert_eq!(alone, together, "{name}");
@@ -624,6 +368,7 @@ fn the_next_session_of_the_same_plan_allocates_nothing_and_gives_the_same_bits()
     let mut runs = Vec::new();
     for _ in 0..3 {
         let mut session = gpu.session(Arc::clone(&surface), SessionOptions::new(seeds.len())).unwrap();
+        assert!(session.device_bytes() > 0);
         session.set_seeds(&seeds).unwrap();
         let mut evaluations = Vec::new();
         let resident = session.resident().unwrap();

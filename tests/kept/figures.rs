@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 use serde_json::json;
-use tessera::internals::job::{Ask, Backends, Engine, EngineOptions, JobError, Wish};
+use tessera::internals::job::{Ask, Backends, Engine, EngineOptions, JobError};
 use tessera::internals::job_queue::{Place, Retry};
 use tessera::mesh::io;
 use tessera::mesh::shapes::Shape;
@@ -290,7 +290,7 @@ async fn figures_of_a_shared_device() {
                 gpu: Ok(Arc::new(Slow(STAGE))),
                 parallel: Arc::new(Parallel::new(Some(2))?),
                 serial: proxy.clone(),
-                default: Wish::Auto,
+                default: tessera::BackendChoice::Auto,
                 pools: None,
             })
         };
@@ -301,7 +301,7 @@ async fn figures_of_a_shared_device() {
             .map(|_| {
                 let submitted = engine.submit(Place::New(Ask::default()), Retry::Never, move |backends, turn| {
                     let kind = if way == "gate" { BackendKind::Gpu } else { BackendKind::Serial };
-                    job(backends.choose(Wish::Only(kind))?.as_ref(), &turn.token)
+                    job(backends.choose(tessera::BackendChoice::Only(kind))?.as_ref(), &turn.token)
                 });
                 submitted.unwrap()
             })

@@ -270,7 +270,7 @@ async fn no_key_is_written_anywhere() {
     let status = loop {
         match ci.jobs.list_jobs(ci.request(ListJobsRequest::default())).await {
             Err(status) => break status,
-            Ok(_) => assert!(start.elapsed() < Duration::from_secs(10), "a revoked key is seen"),
+            Ok(_) => assert!(start.elapsed() < Duration::from_secs(60), "a revoked key is seen"),
         }
         tokio::time::sleep(Duration::from_millis(50)).await;
     };

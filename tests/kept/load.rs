@@ -139,7 +139,9 @@ async fn what_is_too_much_is_refused_at_once() {
                 memory.push(program.held().0);
             }
         }
-        if begin.elapsed() >= length {
+        // However slow this machine is, some are refused.
+        let enough = refused.len() > 20 || begin.elapsed() > Duration::from_secs(60);
+        if begin.elapsed() >= length && enough {
             break;
         }
     }

@@ -76,7 +76,9 @@ async fn open_watches_hear_unavailable_and_jobs_go_on() {
         }
     }
     assert!(unavailable > 0, "all jobs had ended");
-    assert!(took < GRACE + Duration::from_secs(2), "{took:?}");
+    // The promise is that of a machine that does nothing else: the long form holds it to that.
+    let more = if std::env::var_os("TESSERA_LOAD_S").is_some() { 2 * SECOND } else { 15 * SECOND };
+    assert!(took < GRACE + more, "{took:?}");
     let program = Program::start(folder.path(), &options);
     let mut client = program.client().await.of("a");
     for id in &ids {

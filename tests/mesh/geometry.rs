@@ -6,12 +6,12 @@ use std::path::PathBuf;
 
 use glam::{DVec3, dvec3};
 use needs::needs;
-use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use tessera::mesh::io::read;
 use tessera::mesh::measure::{quality, topology};
 use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
+use tessera::mesh::{MeshError, TriMesh};
 use tessera::token::{Stopped, Token};
 
 /// For tests that `#[needs(meshes)]`.
@@ -218,4 +218,25 @@ fn quality_does_not_depend_on_threads() {
     let one = with(1);
     assert_eq!(one, with(3));
     assert!(one.hausdorff_percent > 0.1 && one.hausdorff_percent < 5.0 && one.rms_percent < one.hausdorff_percent);
+}
+
+#[test]
+fn no_surface_at_all() {
+    let corners = || vec![DVec3::ZERO, DVec3::X, DVec3::Y];
+    let new = |positions: Vec<DVec3>, facets: &[[u32; 3]]| TriMesh::new(positions, facets.to_vec());
+    assert_eq!(new(vec![], &[]), Err(MeshError::NoFacets));
+    assert_eq!(new(corners(), &[]), Err(MeshError::NoFacets));
+    let range = new(corners(), &[[0, 1, 2], [0, 1, u32::MAX]]).unwrap_err();
+    assert!(matches!(range, MeshError::IndexOutOfRange { facet: 1, corner: 2, index: u32::MAX, vertices: 3 }));
+    assert_eq!(new(corners(), &[[0, 0, 1], [2, 2, 2]]), Err(MeshError::NoArea { facets: 2 }));
+    for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let error = new(vec![DVec3::ZERO, dvec3(1.0, bad, 0.0), DVec3::Y], &[[0, 1, 2]]).unwrap_err();
+        assert!(matches!(error, MeshError::NonFinitePosition { vertex: 1, .. }), "{error}");
+    }
+    for extent in [1e150, 1e300, f64::MAX] {
+        let huge = new(vec![DVec3::ZERO, DVec3::X * extent, DVec3::Y], &[[0, 1, 2]]).unwrap_err();
+        assert!(matches!(huge, MeshError::ExtentTooLarge { .. }), "{huge}");
+    }
+    let wide = new(vec![DVec3::splat(-f64::MAX), DVec3::splat(f64::MAX), DVec3::Y], &[[0, 1, 2]]).unwrap_err();
+    assert!(matches!(wide, MeshError::ExtentTooLarge { .. }), "{wide}");
 }

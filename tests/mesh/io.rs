@@ -3,10 +3,16 @@
 use std::path::Path;
 
 use crate::readers;
-use glam::{DVec3, dvec3};
+use glam::{DVec3, dvec2, dvec3};
+use ply_rs_bw::parser::Parser;
+use ply_rs_bw::ply::{DefaultElement, Encoding};
+use ply_rs_bw::writer::Writer;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tessera::mesh::io::{DataError, FileError, Format, decode, encode, read, write};
+use tessera::mesh::attributes::{Attributes, PerCorner};
+use tessera::mesh::io::{
+    DataError, FileError, Format, decode, decode_with_attributes, encode, encode_with_attributes, read, write,
+};
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::{MeshError, TriMesh};
 
@@ -129,6 +135,36 @@ fn ply_dialects() {
     assert!(matches!(text(Format::Ply, &empty), Err(DataError::Header(_))));
 }
 
+/// A PLY file as the crate `ply-rs-bw` writes it again in another encoding.
+fn rewritten(bytes: &[u8], encoding: Encoding) -> Vec<u8> {
+    let mut ply = Parser::<DefaultElement>::new().read_ply(&mut &bytes[..]).unwrap();
+    ply.header.encoding = encoding;
+    let mut out = Vec::new();
+    Writer::new().write_ply(&mut out, &mut ply).unwrap();
+    out
+}
+
+/// Another reader understands what we write, and we understand what it writes, in every encoding.
+#[test]
+fn ply_as_another_program_has_it() {
+    let mesh = Shape::Torus.build(300);
+    let mut carried = Attributes::new(&mesh);
+    let corners = (0..mesh.facets().len() as u32).map(|f| [f, f + 1, 0]).collect();
+    let values = (0..=mesh.facets().len()).map(|k| dvec2(k as f64, 0.25)).collect();
+    carried.set_texture(PerCorner { values, corners }).unwrap();
+    carried.add_scalar("height", (0..mesh.positions().len()).map(|k| 0.1 * k as f64).collect()).unwrap();
+    let plain = encode(Format::Ply, &mesh).unwrap();
+    let (carrying, _) = encode_with_attributes(Format::Ply, &mesh, &carried).unwrap();
+    for encoding in [Encoding::Ascii, Encoding::BinaryBigEndian, Encoding::BinaryLittleEndian] {
+        assert_eq!(decode(Format::Ply, &rewritten(&plain, encoding)).unwrap(), mesh, "{encoding:?}");
+        let there = decode_with_attributes(Format::Ply, &rewritten(&carrying, encoding)).unwrap();
+        let here = decode_with_attributes(Format::Ply, &carrying).unwrap();
+        assert_eq!(there, here, "{encoding:?}");
+        assert_eq!(there.attributes.scalars(), carried.scalars());
+        assert_eq!(readers::on_corners(&mesh, &there.attributes), readers::on_corners(&mesh, &carried));
+    }
+}
+
 /// Headers as files have them: other programs read these.
 #[test]
 fn ply_headers_off_the_beaten_track() {
@@ -215,7 +251,7 @@ fn off_dialects() {
     assert!(matches!(text(Format::Off, "OFF BINARY\n"), Err(DataError::Header(_))));
 }
 
-/// Common OBJ and PLY files are read in place, all others through the crates; both are to be the same.
+/// Common OBJ and PLY files are read on all threads, all others from beginning to end; both are to be the same.
 #[test]
 fn in_place_and_through_the_crates() {
     let words = [

@@ -3,6 +3,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
+#[path = "../common/nobody.rs"]
+mod nobody;
+
 mod counted;
 mod documents;
 mod program;

@@ -7,6 +7,7 @@ use tessera::mesh::shapes::Shape;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 
+use crate::nobody::Nobody;
 use crate::program::*;
 
 fn tessera(arguments: &[&str]) -> Output {
@@ -25,7 +26,7 @@ async fn a_server_that_is_well_says_so_everywhere() {
     let _served = program.channel().await;
     let start = Instant::now();
     while program.get("/readyz", "*/*").await.0 != 200 {
-        assert!(start.elapsed() < 10 * SECOND, "it is not ready");
+        assert!(start.elapsed() < PATIENCE, "it is not ready");
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
     assert_eq!(
@@ -35,10 +36,8 @@ async fn a_server_that_is_well_says_so_everywhere() {
     assert_eq!(program.get("/healthz", "*/*").await, (200, "ok\n".to_owned()));
     assert!(program.get("/version", "*/*").await.1.contains(env!("CARGO_PKG_VERSION")));
 
-    let start = Instant::now();
     let health = tessera(&["health", "--endpoint", &url]);
     assert!(health.status.success() && said(&health) == "SERVING\n", "{health:?}");
-    assert!(start.elapsed() < 10 * SECOND, "{:?}", start.elapsed());
     let health = tessera(&["health", "--endpoint", &url, "--service", "tessera.v1.JobService", "--json"]);
     let value: serde_json::Value = serde_json::from_slice(&health.stdout).unwrap();
     assert_eq!((value["service"].as_str(), value["status"].as_str()), (Some("tessera.v1.JobService"), Some("SERVING")));
@@ -57,9 +56,8 @@ async fn a_server_that_is_well_says_so_everywhere() {
 
 #[test]
 fn a_server_that_is_not_there_is_said_to_be_away() {
-    // Nobody listens on a port that was free a moment ago.
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let url = format!("http://{free}");
+    let nobody = Nobody::new();
+    let url = nobody.url();
     for command in ["health", "info"] {
         let away = tessera(&[command, "--endpoint", &url, "--timeout-s", "2"]);
         assert_eq!(away.status.code(), Some(69), "{away:?}");
@@ -67,15 +65,14 @@ fn a_server_that_is_not_there_is_said_to_be_away() {
     // One that takes connections and says nothing.
     let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}", silent.local_addr().unwrap());
-    let start = Instant::now();
     let away = tessera(&["health", "--endpoint", &url, "--timeout-s", "0.5"]);
     assert_eq!(away.status.code(), Some(69), "{away:?}");
-    assert!(start.elapsed() < 5 * SECOND);
+    assert!(String::from_utf8_lossy(&away.stderr).contains("0.5 s"), "{away:?}");
 }
 
 #[tokio::test]
 async fn a_server_that_drains_says_so_until_it_ends() {
-    let mut program = Program::start(&["--grace-s", "3"], &[]);
+    let mut program = Program::start(&["--grace-s", "10"], &[]);
     let channel = program.channel().await;
     let mut health = HealthClient::new(channel.clone());
     let mut states = health.watch(HealthCheckRequest::default()).await.unwrap().into_inner();
@@ -85,11 +82,11 @@ async fn a_server_that_drains_says_so_until_it_ends() {
     create(&channel, remesh(&digest, 60_000), &[]).await;
     let start = Instant::now();
     while program.metrics().await.get("tessera_jobs{state=\"running\",kind=\"remesh\"}") == 0.0 {
-        assert!(start.elapsed() < 10 * SECOND, "the job does not begin");
+        assert!(start.elapsed() < PATIENCE, "the job does not begin");
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
     program.term();
-    let told = tokio::time::timeout(10 * SECOND, states.message()).await.unwrap().unwrap().unwrap();
+    let told = tokio::time::timeout(PATIENCE, states.message()).await.unwrap().unwrap().unwrap();
     assert_eq!(told.status, 2);
     let (status, body) = program.get("/readyz", "*/*").await;
     assert_eq!((status, body.as_str()), (503, "{\"ready\":false,\"reasons\":[\"draining\"],\"degraded\":[]}\n"));
@@ -97,7 +94,7 @@ async fn a_server_that_drains_says_so_until_it_ends() {
     assert_eq!(program.metrics().await.get("tessera_not_ready{reason=\"draining\"}"), 1.0);
     let start = Instant::now();
     while program.child.try_wait().unwrap().is_none() {
-        assert!(start.elapsed() < 20 * SECOND, "it does not end");
+        assert!(start.elapsed() < PATIENCE, "it does not end");
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
     assert!(tokio::net::TcpStream::connect(&program.admin).await.is_err(), "the admin port ends with the server");
@@ -117,7 +114,7 @@ async fn clients_that_say_nothing_keep_no_operator_out() {
     for _ in 0..10 {
         silent.push(tokio::net::TcpStream::connect(&program.admin).await.unwrap());
     }
-    let answer = tokio::time::timeout(30 * SECOND, program.get("/healthz", "*/*"));
+    let answer = tokio::time::timeout(PATIENCE, program.get("/healthz", "*/*"));
     assert_eq!(answer.await.expect("silent ones go").0, 200);
     drop(silent);
     program.stop();
@@ -136,7 +133,7 @@ async fn readiness_is_asked_at_the_admin_port_too() {
     let program = Program::start(&[], &[]);
     let start = Instant::now();
     while !tessera(&["health", "--admin", &program.admin]).status.success() {
-        assert!(start.elapsed() < 10 * SECOND, "it is not ready");
+        assert!(start.elapsed() < PATIENCE, "it is not ready");
     }
     let told = tessera(&["health", "--admin", &program.admin]);
     assert_eq!((told.status.code(), &*told.stdout), (Some(0), &b"ready\n"[..]), "{told:?}");

@@ -6,6 +6,7 @@ use glam::DVec3;
 use needs::needs;
 use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::internals::mesh::adjacency::{Adjacency, EdgeKind};
+use tessera::internals::mesh::features::FeatureError;
 use tessera::internals::rvd::Gpu;
 use tessera::mesh::TriMesh;
 use tessera::mesh::measure::topology;
@@ -15,7 +16,7 @@ use tessera::rvd::Backend;
 use tessera::rvd::Parallel;
 
 use crate::gpu;
-use crate::parts::{counts, disk, find, l_shape, length, prism, slit, tube, wish};
+use crate::parts::{counts, creases_above, disk, find, l_shape, length, prism, slit, tube};
 use tessera::token::Token;
 
 pub(crate) fn options(points: usize) -> RemeshOptions {
@@ -48,7 +49,7 @@ fn keeps_creases(name: &str, mesh: &TriMesh, out: &Remesh, off: f64) {
         "{name}: {figures:?}"
     );
     assert_eq!(out.report.topology_changes, Vec::<String>::new(), "{name}");
-    let wanted = find(mesh, &wish(30.0)).unwrap();
+    let wanted = find(mesh, &creases_above(30.0)).unwrap();
     assert_eq!(figures.boundaries + figures.creases, wanted.curves.len(), "{name}");
     assert_eq!(figures.corners, wanted.corners.len(), "{name}");
     for &v in &wanted.corners {
@@ -97,7 +98,7 @@ fn an_adaptive_remesh_takes_no_noise_for_creases() {
     let bumps = |(v, &p): (usize, &DVec3)| if v % 11 == 0 && p.x < 0.5 { 1.03 * p } else { p };
     let positions = ball.positions().iter().enumerate().map(bumps).collect();
     let mesh = TriMesh::new(positions, ball.facets().to_vec()).unwrap();
-    assert!(counts(&find(&mesh, &wish(30.0)).unwrap()).1 > 100);
+    assert!(counts(&find(&mesh, &creases_above(30.0)).unwrap()).1 > 100);
     let size = |p: DVec3| if p.x > 0.9 { 0.1 } else { 1.0 };
     let sizes = DensitySource::Sizes(mesh.positions().iter().map(|&p| size(p)).collect());
     for source in [DensitySource::Uniform, sizes, DensitySource::Curvature, DensitySource::FeatureSize] {
@@ -341,4 +342,17 @@ fn holes_smaller_than_an_edge_leave_a_valid_surface() {
     assert_eq!((after.non_manifold_edges, after.non_manifold_vertices, after.boundary_edges), (0, 0, 0));
     let many = run(&mesh, &options(2000)).unwrap();
     keeps_straight_creases("six holes", &mesh, &many);
+}
+
+#[test]
+fn wrong_creases_are_refused() {
+    let mesh = Shape::Sphere.build(500);
+    let [a, b, c] = mesh.facets()[0];
+    for wrong in [[a, a], [b, u32::MAX]] {
+        let options = RemeshOptions::new(Seeds::Sample { points: 50, seed: 1 });
+        let error = run(&mesh, &options.with_creases(vec![[a, b], [c, b], wrong, [a, c]])).unwrap_err();
+        assert!(matches!(error, RemeshError::Feature(FeatureError::NoSuchEdge { crease: 2, .. })), "{error}");
+    }
+    let options = options(50).with_crease_angle_deg(200.0);
+    assert!(matches!(run(&mesh, &options), Err(RemeshError::Feature(FeatureError::BadAngle(_)))));
 }

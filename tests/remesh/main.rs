@@ -1,25 +1,42 @@
-//! From steps to a remesh: energies, densities, features, fidelity, attributes.
+//! From a surface to its remesh: features, fidelity, attributes, and input that is hardly a surface.
 //!
 //! One program for all of it, since every test program links the whole library.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
+#[path = "../common/broken.rs"]
+mod broken;
+#[path = "../common/carried.rs"]
+mod carried;
+#[path = "../common/cases.rs"]
+mod cases;
 #[path = "../common/gpu.rs"]
 mod gpu;
+#[path = "../common/hostile.rs"]
+mod hostile;
+#[path = "../common/parts.rs"]
+mod parts;
+#[path = "../common/points.rs"]
+mod points;
 #[path = "../common/readers.rs"]
 mod readers;
+#[path = "../common/rough.rs"]
+mod rough;
 #[path = "../common/surfaces.rs"]
 mod surfaces;
 
 mod attributes;
 mod curves;
-mod cvt;
 mod density;
-mod features;
+mod deviation;
 mod fidelity;
-mod lbfgs;
+mod generated;
+mod hostile_meshes;
+mod hostile_seeds;
 mod near_corners;
-mod parts;
 mod pipeline;
+mod real_meshes;
+mod reported;
 mod stray;
 mod thin;
+mod vertex_count;

@@ -1,6 +1,6 @@
 //! The whole pipeline on generated surfaces: topology kept, orientation kept, the same bits.
 
-use crate::surfaces;
+use crate::{hostile, surfaces};
 use glam::DVec3;
 use tessera::cvt::{DensityOptions, DensitySource};
 use tessera::mesh::TriMesh;
@@ -333,4 +333,20 @@ fn too_few_seeds_for_the_topology_are_said_to_be() {
     let enough = run(&mesh, &options(1500, 5), &Serial).unwrap();
     assert_eq!((enough.report.result.repair.not_disks, enough.report.result.repair.multiple_edges), (0, 0));
     assert!(enough.report.topology_changes.is_empty());
+}
+
+/// Quasi-Newton steps end when they have converged, however many were asked for.
+#[test]
+fn steps_end_when_they_have_converged() {
+    let mesh = Shape::Torus.build(1000);
+    let options = RemeshOptions::plain(Seeds::Sample { points: 20, seed: 1 }, 2).with_newton(300);
+    for (backend, _) in hostile::backends() {
+        let out = hostile::run(&mesh, &options, backend).unwrap();
+        assert!(out.report.converged);
+        let taken = out.report.iterations.len();
+        assert!((3..302).contains(&taken), "{taken}");
+        let kinds = out.report.iterations.iter().map(|i| i.kind).collect::<Vec<_>>();
+        assert_eq!(kinds[..2], ["lloyd"; 2]);
+        assert_eq!(kinds[2], "lbfgs");
+    }
 }

@@ -37,12 +37,13 @@ async fn a_full_queue_refuses_at_the_header_and_keeps_its_word() {
     let server = Server::start(Setup { queue_jobs: 1, ..Setup::fake(&fake) }).await;
     let mut client = server.client().await;
     let busy = tokio::spawn(async move { ask_rvd(&mut client, small_rvd(BackendChoice::Serial)).await });
-    until(10 * SECOND, "the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
+    until("the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
     // This one has the only place in the queue from its header on.
     let (send, rest, mut first) = begin(&server, BackendChoice::Parallel, 1).await;
     tokio::time::sleep(SECOND / 2).await;
+    until("its place is kept", || server.engine.reserve().is_err()).await;
     let (_send, _rest, mut second) = begin(&server, BackendChoice::Parallel, 1).await;
-    let status = tokio::time::timeout(10 * SECOND, second.message()).await.expect("without its mesh").unwrap_err();
+    let status = tokio::time::timeout(PATIENCE, second.message()).await.expect("without its mesh").unwrap_err();
     assert_eq!(status.code(), Code::ResourceExhausted);
     assert!(status.get_details_retry_info().unwrap().retry_delay.is_some());
     for message in rest {
@@ -52,7 +53,7 @@ async fn a_full_queue_refuses_at_the_header_and_keeps_its_word() {
     assert!(matches!(first.message().await.unwrap().unwrap().message, Some(Accepted(_))));
     // Whoever gives up an upload gives back its place.
     drop((send, first));
-    until(10 * SECOND, "nobody waits", || server.engine.load().0 == 0 || server.engine.reserve().is_ok()).await;
+    until("nobody waits", || server.engine.load().0 == 0 || server.engine.reserve().is_ok()).await;
     busy.abort();
     server.stop().await.unwrap();
 }
@@ -61,14 +62,14 @@ async fn a_full_queue_refuses_at_the_header_and_keeps_its_word() {
 async fn a_backend_that_is_not_there_is_refused_at_the_header() {
     let server = Server::start(Setup::default()).await;
     let (_send, _rest, mut answers) = begin(&server, BackendChoice::Gpu, 1).await;
-    let status = tokio::time::timeout(10 * SECOND, answers.message()).await.expect("at once").unwrap_err();
+    let status = tokio::time::timeout(PATIENCE, answers.message()).await.expect("at once").unwrap_err();
     assert_eq!(status.code(), Code::FailedPrecondition);
     server.stop().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_upload_has_a_limit_as_a_whole() {
-    let limits = Limits { upload: SECOND, upload_idle: 30 * SECOND, ..Limits::default() };
+    let limits = Limits { upload: SECOND, upload_idle: 10 * PATIENCE, ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let (send, mut rest, mut answers) = begin(&server, BackendChoice::Parallel, 1).await;
     let Some(Ask::Chunk(positions)) = rest.remove(0).message else { panic!("positions come first") };
@@ -82,7 +83,7 @@ async fn an_upload_has_a_limit_as_a_whole() {
             tokio::time::sleep(SECOND / 10).await;
         }
     });
-    let status = tokio::time::timeout(10 * SECOND, answers.message()).await.expect("it ends").unwrap_err();
+    let status = tokio::time::timeout(PATIENCE, answers.message()).await.expect("it ends").unwrap_err();
     assert_eq!(status.code(), Code::DeadlineExceeded, "{status:?}");
     assert!(start.elapsed() >= SECOND / 2);
     drip.abort();

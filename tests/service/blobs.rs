@@ -83,7 +83,7 @@ fn upload(data: &[u8], start: usize, step: usize) -> Vec<WriteRequest> {
 }
 
 async fn write(client: &mut Blobs, messages: Vec<WriteRequest>) -> Result<WriteResponse, Status> {
-    let answer = tokio::time::timeout(20 * SECOND, client.write(tokio_stream::iter(messages)));
+    let answer = tokio::time::timeout(PATIENCE, client.write(tokio_stream::iter(messages)));
     Ok(answer.await.expect("an answer comes").map_err(same)?.into_inner())
 }
 
@@ -155,7 +155,7 @@ async fn an_upload_is_cut_at_every_piece_and_goes_on() {
             // The client goes without a word once its pieces are there.
             let begin = Instant::now();
             while !matches!(kept(&mut client, &data).await, Ok(status) if status.kept_bytes as usize == cut * STEP) {
-                assert!(begin.elapsed() < 10 * SECOND);
+                assert!(begin.elapsed() < PATIENCE);
                 tokio::time::sleep(Duration::from_millis(2)).await;
             }
             answer.abort();
@@ -213,7 +213,7 @@ async fn a_blob_that_is_stored_needs_no_second_upload() {
     for _ in 0..5 {
         let mut request = Request::new(tokio_stream::iter(upload(&data, 0, 1 << 20)));
         request.metadata_mut().insert("tessera-tenant", "other".parse().unwrap());
-        let answer = tokio::time::timeout(10 * SECOND, client.write(request)).await.expect("at once").unwrap();
+        let answer = tokio::time::timeout(PATIENCE, client.write(request)).await.expect("at once").unwrap();
         assert!(answer.into_inner().complete);
     }
     let (send, answer) = by_hand_on(&client);
@@ -221,7 +221,7 @@ async fn a_blob_that_is_stored_needs_no_second_upload() {
     first.data = Bytes::new();
     first.crc32c = 0;
     send.send(first).await.unwrap();
-    let answer = tokio::time::timeout(10 * SECOND, answer).await.expect("without another message").unwrap().unwrap();
+    let answer = tokio::time::timeout(PATIENCE, answer).await.expect("without another message").unwrap().unwrap();
     assert!(answer.complete && answer.kept_bytes == 5 << 20);
     let empty = write(&mut client, upload(&[], 0, 1)).await.unwrap();
     assert!(empty.complete && empty.size_bytes == 0);
@@ -434,7 +434,7 @@ async fn nothing_waits_for_a_silent_uploader_for_ever() {
     let data = content(4000);
     let (send, answer) = by_hand_on(&client);
     send.send(upload(&data, 0, 1000).remove(0)).await.unwrap();
-    let status = tokio::time::timeout(10 * SECOND, answer).await.unwrap().unwrap().unwrap_err();
+    let status = tokio::time::timeout(PATIENCE, answer).await.unwrap().unwrap().unwrap_err();
     assert_eq!(status.code(), Code::DeadlineExceeded);
     assert_eq!(kept(&mut client, &data).await.unwrap().kept_bytes, 1000, "what came is kept");
     server.stop().await.unwrap();
@@ -443,7 +443,8 @@ async fn nothing_waits_for_a_silent_uploader_for_ever() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_shutdown_ends_uploads_and_says_when_to_come_back() {
     let folder = tempfile::tempdir().unwrap();
-    let setup = || Setup { folder: Some(folder.path().to_owned()), ..Setup::default() };
+    let limits = Limits { grace: 10 * PATIENCE, upload_idle: 10 * PATIENCE, ..Limits::default() };
+    let setup = || Setup { folder: Some(folder.path().to_owned()), limits, ..Setup::default() };
     let server = Server::start(setup()).await;
     let mut client = BlobServiceClient::new(server.channel().await);
     let data = content(4000);
@@ -451,16 +452,15 @@ async fn a_shutdown_ends_uploads_and_says_when_to_come_back() {
     send.send(upload(&data, 0, 1000).remove(0)).await.unwrap();
     let begin = Instant::now();
     while !matches!(kept(&mut client, &data).await, Ok(status) if status.kept_bytes == 1000) {
-        assert!(begin.elapsed() < 10 * SECOND);
+        assert!(begin.elapsed() < PATIENCE);
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
-    let begin = Instant::now();
     let stopping = tokio::spawn(server.stop());
     let status = answer.await.unwrap().unwrap_err();
     assert_eq!(status.code(), Code::Unavailable);
     assert!(status.get_details_retry_info().unwrap().retry_delay.is_some());
+    // The server's end would come too late if anybody waited for uploads.
     stopping.await.unwrap().unwrap();
-    assert!(begin.elapsed() < 5 * SECOND, "nobody waits for uploads");
     drop((send, client));
     let server = Server::start(setup()).await;
     let mut client = BlobServiceClient::new(server.channel().await);

@@ -1,6 +1,7 @@
 //! Promise: a job ends at its ceilings, and work that does not stop is seen, told and ended.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use tessera::internals::job::Ceilings;
@@ -14,8 +15,6 @@ use tonic_types::StatusExt;
 
 use super::server::*;
 
-const SECOND: Duration = Duration::from_secs(1);
-
 async fn health(server: &Server) -> ServingStatus {
     let request = HealthCheckRequest { service: String::new() };
     let answer = HealthClient::new(server.channel().await).check(request).await.unwrap();
@@ -28,7 +27,7 @@ async fn health_becomes(server: &Server, wanted: ServingStatus) {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    tokio::time::timeout(15 * SECOND, waiting).await.unwrap_or_else(|_| panic!("health never became {wanted:?}"));
+    tokio::time::timeout(PATIENCE, waiting).await.unwrap_or_else(|_| panic!("health never became {wanted:?}"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -56,7 +55,7 @@ async fn a_job_ends_at_its_ceiling_on_memory() {
     let mut client = server.client().await;
     let asked = tokio::spawn(async move { ask_rvd(&mut client, small_rvd(BackendChoice::Serial)).await });
     let mut held = Vec::new();
-    while !asked.is_finished() && held.len() < 200 {
+    while !asked.is_finished() && held.len() < 1000 {
         held.push(vec![1u8; 1 << 20]);
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
@@ -84,14 +83,15 @@ async fn a_job_that_never_fits_is_refused_at_its_header() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn stuck_work_is_told_by_health_until_it_recovers() {
-    let fake = Arc::new(Fake::new(Mood::Deaf(2 * SECOND)));
-    let ceilings = Ceilings { stuck: Duration::from_millis(300), lost: 60 * SECOND, ..Ceilings::default() };
+    let fake = Arc::new(Fake::new(Mood::Deaf));
+    let ceilings = Ceilings { stuck: Duration::from_millis(300), lost: 10 * PATIENCE, ..Ceilings::default() };
     let server = Server::start(Setup { ceilings, ..Setup::fake(&fake) }).await;
     let mut request = tonic::Request::new(tokio_stream::iter(small_rvd(BackendChoice::Serial)));
     request.set_timeout(Duration::from_millis(300));
     let mut answers = server.client().await.compute_rvd(request).await.unwrap().into_inner();
     while let Ok(Some(_)) = answers.message().await {}
     health_becomes(&server, ServingStatus::NotServing).await;
+    fake.released.store(true, Ordering::SeqCst);
     health_becomes(&server, ServingStatus::Serving).await;
     ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Parallel)).await.unwrap();
     server.stop().await.unwrap();
@@ -99,7 +99,7 @@ async fn stuck_work_is_told_by_health_until_it_recovers() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn work_that_never_stops_ends_the_server() {
-    let fake = Arc::new(Fake::new(Mood::Deaf(30 * SECOND)));
+    let fake = Arc::new(Fake::new(Mood::Deaf));
     let wait = Duration::from_millis(300);
     let server = Server::start(Setup {
         ceilings: Ceilings { stuck: wait, lost: wait, ..Ceilings::default() },
@@ -111,4 +111,5 @@ async fn work_that_never_stops_ends_the_server() {
     let mut answers = server.client().await.compute_rvd(request).await.unwrap().into_inner();
     while let Ok(Some(_)) = answers.message().await {}
     assert!(matches!(server.ended().await, Err(ServeError::WorkStuck { .. })));
+    fake.released.store(true, Ordering::SeqCst);
 }

@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
 use std::process::{Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::raw::{self, CHECK, COMPUTE_RVD, Raw, WATCH, closes, framed, silent};
 use crate::server::*;
@@ -27,7 +27,7 @@ async fn open_of(sockets: &mut [tokio::net::TcpStream]) -> usize {
 
 async fn is_served(address: SocketAddr) -> bool {
     let endpoint = tonic::transport::Endpoint::from_shared(format!("http://{address}")).unwrap();
-    let Ok(channel) = endpoint.connect_timeout(5 * SECOND).timeout(5 * SECOND).connect().await else { return false };
+    let Ok(channel) = endpoint.connect_timeout(PATIENCE).timeout(PATIENCE).connect().await else { return false };
     let answer = HealthClient::new(channel).check(HealthCheckRequest::default()).await;
     answer.is_ok_and(|a| a.into_inner().status() == ServingStatus::Serving)
 }
@@ -99,7 +99,7 @@ async fn who_asks_for_something_keeps_its_place_and_the_next_is_refused() {
     // Longer than a connection has to be idle to go.
     tokio::time::sleep(Duration::from_millis(1200)).await;
     let mut fourth = silent(server.address, PREFACE).await;
-    assert!(closes(&mut fourth, 5 * SECOND).await, "one address has three connections here");
+    assert!(closes(&mut fourth, PATIENCE).await, "one address has three connections here");
     // Another address has its own share.
     let other = raw::from("127.0.0.2:0", server.address).await.unwrap();
     let mut other = Raw::on(other, 1 << 16).await;
@@ -126,10 +126,13 @@ async fn watches_of_health_keep_nobody_out() {
     }
     tokio::time::sleep(Duration::from_millis(1200)).await;
     ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Parallel)).await.unwrap();
-    let mut ended = 0;
-    for (_, body) in &mut watches {
-        let more = tokio::time::timeout(Duration::from_millis(200), body.data()).await;
-        ended += usize::from(more.is_ok());
+    let (start, mut ended) = (Instant::now(), 0);
+    // Once more when one has ended: the others go on.
+    while ended == 0 && start.elapsed() < PATIENCE {
+        for (_, body) in &mut watches {
+            let more = tokio::time::timeout(Duration::from_millis(200), body.data()).await;
+            ended += usize::from(more.is_ok());
+        }
     }
     assert_eq!(ended, 1, "the oldest of them made room");
     server.stop().await.unwrap();
@@ -146,33 +149,33 @@ async fn a_connection_without_a_request_is_closed() {
     let endless = [PREFACE, b"\0\0\x01\x01\0\0\0\0\x01\x83"].concat();
     for bytes in [&b""[..], b"PRI * HTTP", PREFACE, &endless] {
         let mut socket = silent(server.address, bytes).await;
-        assert!(closes(&mut socket, 5 * SECOND).await, "after {} bytes", bytes.len());
+        assert!(closes(&mut socket, PATIENCE).await, "after {} bytes", bytes.len());
     }
     // A request whose message never ends is cut too; its connection lives.
     let (_response, mut body) = watching.begin(CHECK).await;
     body.send_data(vec![0, 0, 0].into(), false).unwrap();
     let reset = std::future::poll_fn(|context| body.poll_reset(context));
-    tokio::time::timeout(5 * SECOND, reset).await.expect("is reset").unwrap();
+    tokio::time::timeout(PATIENCE, reset).await.expect("is reset").unwrap();
     assert!(tokio::time::timeout(Duration::from_millis(50), watch.data()).await.is_err(), "the watch goes on");
     server.stop().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_idle_connection_is_closed_in_good_form() {
-    let limits = Limits { idle_connection: Duration::from_millis(300), ..Limits::default() };
+    let limits = Limits { idle_connection: Duration::from_millis(600), ..Limits::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut raw = Raw::connect(server.address, 1 << 16).await;
     let mut body = raw.ask(CHECK, &[HealthCheckRequest::default()]).await.unwrap();
     body.data().await.unwrap().unwrap();
     body.trailers().await.unwrap();
     drop(body);
-    let ended = tokio::time::timeout(5 * SECOND, raw.connection).await.expect("is closed").unwrap();
+    let ended = tokio::time::timeout(PATIENCE, raw.connection).await.expect("is closed").unwrap();
     assert!(ended.is_ok(), "with a goodbye: {ended:?}");
     // A client of the usual kind connects anew without a word.
     let mut client = server.client().await;
     for _ in 0..2 {
         ask_rvd(&mut client, small_rvd(BackendChoice::Parallel)).await.unwrap();
-        tokio::time::sleep(Duration::from_millis(700)).await;
+        tokio::time::sleep(2 * SECOND).await;
     }
     server.stop().await.unwrap();
 }

@@ -240,14 +240,17 @@ async fn refinement_adds_seeds() {
         ..header(&mesh, 50)
     };
     let out = remesh(&mut client, &mesh, wish(0.02, 800), &[]).await.unwrap();
-    // Within the tolerance, or all eight rounds were taken.
     let figures = &out.report["refine"];
-    assert!(figures["out_of_tolerance"] == 0 || figures["rounds"] == 8, "{figures}");
+    assert_eq!((&figures["ended"], &figures["out_of_tolerance"]), (&"reached".into(), &0.into()), "{figures}");
+    assert_eq!(out.done.refinement_end(), RefinementEnd::Reached);
     assert!(out.done.seeds > 50 && out.done.seeds < 800, "{}", out.done.seeds);
     let full = remesh(&mut client, &mesh, wish(1e-4, 60), &[]).await.unwrap();
-    assert_eq!(full.done.seeds, 60);
+    assert_ne!(full.report["refine"]["ended"], "reached");
+    assert!(full.done.seeds <= 60 && full.done.refinement_end() != RefinementEnd::Reached);
     let loose = remesh(&mut client, &mesh, wish(0.5, 60), &[]).await.unwrap();
-    assert_eq!(loose.done.seeds, 50);
+    assert_eq!((loose.done.seeds, loose.done.refinement_end()), (50, RefinementEnd::Reached));
+    let plain = remesh(&mut client, &mesh, header(&mesh, 50), &[]).await.unwrap();
+    assert_eq!(plain.done.refinement_end(), RefinementEnd::Unspecified);
     for tolerance in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         let status = remesh(&mut client, &mesh, wish(tolerance, 60), &[]).await.err().unwrap();
         assert_eq!(field(&status), "header.refinement.tolerance", "{tolerance}");

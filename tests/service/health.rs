@@ -22,8 +22,6 @@ use tonic_health::pb::health_client::HealthClient;
 
 use crate::server::*;
 
-const SECOND: Duration = Duration::from_secs(1);
-
 /// Computes right, or not.
 #[derive(Default)]
 struct Moody {
@@ -68,7 +66,7 @@ impl Session for MoodySession {
 }
 
 async fn next(states: &mut tonic::Streaming<tonic_health::pb::HealthCheckResponse>) -> ServingStatus {
-    let state = tokio::time::timeout(10 * SECOND, states.message()).await.expect("a change").unwrap().unwrap();
+    let state = tokio::time::timeout(PATIENCE, states.message()).await.expect("a change").unwrap().unwrap();
     state.status()
 }
 
@@ -85,10 +83,8 @@ async fn a_backend_that_computes_nonsense_is_found_and_comes_back() {
     let told = info.get_server_info(GetServerInfoRequest {}).await.unwrap().into_inner();
     assert_eq!(told.readiness.unwrap(), Readiness { ready: true, ..Readiness::default() });
 
-    let start = Instant::now();
     moody.is_wrong.store(true, Ordering::SeqCst);
     assert_eq!(next(&mut states).await, ServingStatus::NotServing);
-    assert!(start.elapsed() < 10 * SECOND, "{:?}", start.elapsed());
     let told = info.get_server_info(GetServerInfoRequest {}).await.unwrap().into_inner();
     assert_eq!(told.readiness.unwrap().reasons, ["probe_failed"]);
 
@@ -109,14 +105,15 @@ async fn a_backend_at_work_is_not_probed() {
         let mut client = client;
         ask_rvd(&mut client, small_rvd(BackendChoice::Serial)).await
     });
-    until(5 * SECOND, "the job is at work", || busy.running.load(Ordering::SeqCst) > 0).await;
-    // One may have begun before.
-    tokio::time::sleep(Duration::from_millis(100)).await;
+    until("the job is at work", || busy.running.load(Ordering::SeqCst) > 0).await;
     let before = moody.probes.load(Ordering::SeqCst);
-    tokio::time::sleep(Duration::from_millis(300)).await;
-    assert_eq!(moody.probes.load(Ordering::SeqCst), before);
+    tokio::time::sleep(Duration::from_millis(400)).await;
+    // Of the twenty that would be, one may have been decided on before the job was at work.
+    let probes = moody.probes.load(Ordering::SeqCst);
+    assert!(probes <= before + 1, "{probes} after {before}");
+    let before = probes;
     work.abort();
-    until(5 * SECOND, "the engine is probed again", || moody.probes.load(Ordering::SeqCst) > before).await;
+    until("the engine is probed again", || moody.probes.load(Ordering::SeqCst) > before).await;
     server.stop().await.unwrap();
 }
 
@@ -138,7 +135,7 @@ async fn each_service_says_how_it_is() {
             if asked.into_inner().status() == expected {
                 break;
             }
-            assert!(start.elapsed() < 10 * SECOND, "{name:?} is not {expected:?}");
+            assert!(start.elapsed() < PATIENCE, "{name:?} is not {expected:?}");
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     }

@@ -224,7 +224,7 @@ async fn keys_rotate_while_the_server_runs() {
     let begin = Instant::now();
     while let Err(status) = client.list_jobs(with(&new, ListJobsRequest::default())).await {
         assert_eq!(status.code(), Code::Unauthenticated);
-        assert!(begin.elapsed() < 10 * SECOND, "a new key is seen");
+        assert!(begin.elapsed() < PATIENCE, "a new key is seen");
         tokio::time::sleep(SECOND / 20).await;
     }
     client.list_jobs(with(&old, ListJobsRequest::default())).await.unwrap();
@@ -237,7 +237,7 @@ async fn keys_rotate_while_the_server_runs() {
     client.list_jobs(with(&old, ListJobsRequest::default())).await.unwrap();
     std::fs::write(&path, &good).unwrap();
     house.file.change(|keys| keys.revoke(old.id())).unwrap();
-    let status = tokio::time::timeout(10 * SECOND, open).await.expect("its calls end").unwrap().unwrap_err();
+    let status = tokio::time::timeout(PATIENCE, open).await.expect("its calls end").unwrap().unwrap_err();
     assert_eq!(status.code(), Code::Unauthenticated, "{status:?}");
     let status = client.list_jobs(with(&old, ListJobsRequest::default())).await.unwrap_err();
     assert_eq!(status.code(), Code::Unauthenticated);
@@ -249,13 +249,13 @@ async fn keys_rotate_while_the_server_runs() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_key_that_ends_while_the_server_runs_is_refused() {
     let house = House::new();
-    let key = house.lasting("ci", Role::Submit, KeyLimits::default(), Some(3 * SECOND));
+    let key = house.lasting("ci", Role::Submit, KeyLimits::default(), Some(5 * SECOND));
     let server = house.start(required()).await;
     let mut client = JobServiceClient::new(server.channel().await);
     client.list_jobs(with(&key, ListJobsRequest::default())).await.unwrap();
     let begin = Instant::now();
     while client.list_jobs(with(&key, ListJobsRequest::default())).await.is_ok() {
-        assert!(begin.elapsed() < 10 * SECOND);
+        assert!(begin.elapsed() < PATIENCE);
         tokio::time::sleep(SECOND / 20).await;
     }
     server.stop().await.unwrap();
@@ -264,7 +264,7 @@ async fn a_key_that_ends_while_the_server_runs_is_refused() {
 #[tokio::test(flavor = "multi_thread")]
 async fn limits_of_a_key_are_kept() {
     let house = House::new();
-    let slow = house.add("slow", Role::Read, KeyLimits { rate: Some(5), ..KeyLimits::default() });
+    let slow = house.add("slow", Role::Read, KeyLimits { rate: Some(1), ..KeyLimits::default() });
     let few = house.add("few", Role::Submit, KeyLimits { in_flight: Some(2), ..KeyLimits::default() });
     let free = house.add("free", Role::Read, KeyLimits::default());
     house.add("heavy", Role::Submit, KeyLimits { weight: Some(4.0), ..KeyLimits::default() });
@@ -281,11 +281,11 @@ async fn limits_of_a_key_are_kept() {
     }
     assert_eq!(["heavy", "slow"].map(|name| server.engine.weights().of(name)), [4.0, 1.0]);
     // As many at once as there are in a second, and those of the time that went by.
-    assert!(taken as f64 <= 6.0 + 5.0 * begin.elapsed().as_secs_f64(), "{taken}");
+    assert!(taken as f64 <= 2.0 + begin.elapsed().as_secs_f64(), "{taken}");
     for status in &refused {
         assert_eq!(status.code(), Code::ResourceExhausted);
         let wait = status.get_details_retry_info().unwrap().retry_delay.unwrap();
-        assert!(wait <= SECOND / 5, "{wait:?}");
+        assert!(wait <= SECOND, "{wait:?}");
         assert_eq!(status.get_details_quota_failure().unwrap().violations[0].subject, "rate");
     }
     tokio::time::sleep(refused[4].get_details_retry_info().unwrap().retry_delay.unwrap() + SECOND / 20).await;
@@ -312,7 +312,7 @@ async fn limits_of_a_key_are_kept() {
     let status = loop {
         match client.list_jobs(with(&few, ListJobsRequest::default())).await {
             Err(status) => break status,
-            Ok(_) => assert!(begin.elapsed() < 20 * SECOND),
+            Ok(_) => assert!(begin.elapsed() < PATIENCE),
         }
         tokio::time::sleep(SECOND / 50).await;
     };
@@ -324,7 +324,7 @@ async fn limits_of_a_key_are_kept() {
     open.shutdown().await;
     let begin = Instant::now();
     while client.list_jobs(with(&few, ListJobsRequest::default())).await.is_err() {
-        assert!(begin.elapsed() < 10 * SECOND);
+        assert!(begin.elapsed() < PATIENCE);
         tokio::time::sleep(SECOND / 50).await;
     }
     server.stop().await.unwrap();

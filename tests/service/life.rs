@@ -17,11 +17,10 @@ use tonic_types::StatusExt;
 
 const SECOND: Duration = Duration::from_secs(1);
 
+type Answer = Result<Vec<compute_rvd_response::Message>, tonic::Status>;
+
 /// Starts a request on a task of its own.
-fn begin(
-    mut client: Client,
-    backend: BackendChoice,
-) -> tokio::task::JoinHandle<Result<Vec<compute_rvd_response::Message>, tonic::Status>> {
+fn begin(mut client: Client, backend: BackendChoice) -> tokio::task::JoinHandle<Answer> {
     tokio::spawn(async move { ask_rvd(&mut client, small_rvd(backend)).await })
 }
 
@@ -30,12 +29,12 @@ async fn a_full_queue_refuses_with_advice_and_empties() {
     let fake = Arc::new(Fake::new(Mood::Busy));
     let server = Server::start(Setup { queue_jobs: 2, ..Setup::fake(&fake) }).await;
     let busy = begin(server.client().await, BackendChoice::Serial);
-    until(5 * SECOND, "the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
+    until("the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
     let waiting: Vec<_> = [server.client().await, server.client().await]
         .into_iter()
         .map(|client| begin(client, BackendChoice::Parallel))
         .collect();
-    until(5 * SECOND, "two wait", || server.engine.load().0 == 2).await;
+    until("two wait", || server.engine.load().0 == 2).await;
     let status = ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Parallel)).await.unwrap_err();
     assert_eq!(status.code(), Code::ResourceExhausted);
     assert!(status.get_details_retry_info().unwrap().retry_delay.is_some());
@@ -48,13 +47,13 @@ async fn a_full_queue_refuses_with_advice_and_empties() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_that_vanishes_frees_the_worker_within_a_second() {
+async fn a_client_that_vanishes_frees_the_worker() {
     let fake = Arc::new(Fake::new(Mood::Busy));
     let server = Server::start(Setup::fake(&fake)).await;
     let job = begin(server.client().await, BackendChoice::Serial);
-    until(5 * SECOND, "the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
+    until("the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
     job.abort();
-    let took = until(SECOND, "the worker is free", || fake.running.load(Ordering::SeqCst) == 0).await;
+    let took = until("the worker is free", || fake.running.load(Ordering::SeqCst) == 0).await;
     println!("free after {took:?}");
     ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Parallel)).await.unwrap();
     server.stop().await.unwrap();
@@ -66,7 +65,6 @@ async fn a_deadline_stops_the_work() {
     let server = Server::start(Setup::fake(&fake)).await;
     let mut request = tonic::Request::new(tokio_stream::iter(small_rvd(BackendChoice::Serial)));
     request.set_timeout(Duration::from_millis(300));
-    let start = Instant::now();
     let mut answers = server.client().await.compute_rvd(request).await.unwrap().into_inner();
     let status = loop {
         match answers.message().await {
@@ -76,8 +74,7 @@ async fn a_deadline_stops_the_work() {
         }
     };
     assert!(matches!(status.code(), Code::DeadlineExceeded | Code::Cancelled), "{status:?}");
-    assert!(start.elapsed() < 2 * SECOND);
-    until(SECOND, "the worker is free", || fake.running.load(Ordering::SeqCst) == 0).await;
+    until("the worker is free", || fake.running.load(Ordering::SeqCst) == 0).await;
     server.stop().await.unwrap();
 }
 
@@ -86,14 +83,15 @@ async fn who_left_the_queue_is_skipped() {
     let fake = Arc::new(Fake::new(Mood::Busy));
     let server = Server::start(Setup::fake(&fake)).await;
     let first = begin(server.client().await, BackendChoice::Serial);
-    until(5 * SECOND, "the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
+    until("the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
     let second = begin(server.client().await, BackendChoice::Serial);
-    until(5 * SECOND, "one waits", || server.engine.load().0 == 1).await;
+    until("one waits", || server.engine.load().0 == 1).await;
     second.abort();
     let _ = second.await;
-    tokio::time::sleep(Duration::from_millis(200)).await;
+    // The server hears of it while the first is still at work.
+    tokio::time::sleep(SECOND).await;
     first.abort();
-    until(5 * SECOND, "nothing is left", || server.engine.load() == (0, false)).await;
+    until("nothing is left", || server.engine.load() == (0, false)).await;
     assert_eq!(fake.begun.load(Ordering::SeqCst), 1, "the second never began");
     server.stop().await.unwrap();
 }
@@ -131,26 +129,35 @@ async fn a_lost_device_is_tried_again_twice() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_idle_session_blocks_nobody() {
     use cvt_request::Message as Ask;
-    let limits = Limits { max_sessions: 1, session_idle: Duration::from_millis(700), ..Limits::default() };
-    let server = Server::start(Setup { limits, ..Setup::default() }).await;
-    let (points, facets) = octahedron();
-    let (send, stream) = by_hand();
-    let header = CvtHeader { mesh: Some(mesh_header(&points, &facets)), seeds: uploaded(9), ..CvtHeader::default() };
-    let wrap = |message| CvtRequest { message: Some(message) };
-    send.send(wrap(Ask::Header(header))).await.unwrap();
-    for chunk in all_chunks(&points, &facets, &spiral(9)) {
-        send.send(wrap(Ask::Chunk(chunk))).await.unwrap();
+    // The first server has all the time for the others' questions, the second one loses patience.
+    for idle in [10 * PATIENCE, Duration::from_millis(300)] {
+        let limits = Limits { max_sessions: 1, session_idle: idle, ..Limits::default() };
+        let server = Server::start(Setup { limits, ..Setup::default() }).await;
+        let (points, facets) = octahedron();
+        let (send, stream) = by_hand();
+        let mesh = Some(mesh_header(&points, &facets));
+        let header = CvtHeader { mesh, seeds: uploaded(9), ..CvtHeader::default() };
+        let wrap = |message| CvtRequest { message: Some(message) };
+        send.send(wrap(Ask::Header(header))).await.unwrap();
+        for chunk in all_chunks(&points, &facets, &spiral(9)) {
+            send.send(wrap(Ask::Chunk(chunk))).await.unwrap();
+        }
+        send.send(wrap(Ask::Start(CvtStart {}))).await.unwrap();
+        let mut client = server.client().await;
+        let mut session = client.cvt(stream).await.unwrap().into_inner();
+        session.message().await.unwrap().unwrap();
+        if idle > PATIENCE {
+            ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Auto)).await.unwrap();
+            let (_send, second) = by_hand::<CvtRequest>();
+            let status = client.cvt(second).await.unwrap().into_inner().message().await.unwrap_err();
+            assert_eq!(status.code(), Code::ResourceExhausted, "one session at a time here");
+        } else {
+            let status = session.message().await.unwrap_err();
+            assert_eq!(status.code(), Code::DeadlineExceeded, "idle for too long");
+        }
+        drop((send, session));
+        server.stop().await.unwrap();
     }
-    send.send(wrap(Ask::Start(CvtStart {}))).await.unwrap();
-    let mut client = server.client().await;
-    let mut session = client.cvt(stream).await.unwrap().into_inner();
-    session.message().await.unwrap().unwrap();
-    ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Auto)).await.unwrap();
-    let (_send, second) = by_hand::<CvtRequest>();
-    let status = client.cvt(second).await.unwrap().into_inner().message().await.unwrap_err();
-    assert_eq!(status.code(), Code::ResourceExhausted, "one session at a time here");
-    assert_eq!(session.message().await.unwrap_err().code(), Code::DeadlineExceeded, "idle for too long");
-    server.stop().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -160,13 +167,15 @@ async fn a_client_that_does_not_read_is_cut_and_stalls_nobody() {
     let (points, facets) = sphere(6);
     let request = rvd_request(&points, &facets, &spiral(20_000), BackendChoice::Parallel, &[RvdOutput::Cells]);
     let mut answers = server.client().await.compute_rvd(tokio_stream::iter(request)).await.unwrap().into_inner();
-    // Reads nothing; another client is served meanwhile.
-    tokio::time::sleep(Duration::from_millis(200)).await;
-    tokio::time::timeout(20 * SECOND, ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Parallel)))
+    // Its turn has come. From here on it reads nothing; another client is served meanwhile.
+    answers.message().await.unwrap().unwrap();
+    tokio::time::timeout(PATIENCE, ask_rvd(&mut server.client().await, small_rvd(BackendChoice::Parallel)))
         .await
         .expect("not stalled")
         .unwrap();
-    tokio::time::sleep(2 * SECOND).await;
+    // Many times as long as a reader may stall, once there is nothing left to compute.
+    until("the work has ended", || server.engine.load() == (0, false)).await;
+    tokio::time::sleep(3 * SECOND).await;
     let end = loop {
         match answers.message().await {
             Ok(Some(_)) => {}
@@ -184,26 +193,41 @@ async fn health(server: &Server, service: &str) -> ServingStatus {
     answer.into_inner().status()
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn shutdown_drains_and_says_so() {
+/// A server that is told to stop with a job at work.
+async fn draining(grace: Duration) -> (Server, Client, tokio::task::JoinHandle<Answer>, Arc<Fake>) {
     let fake = Arc::new(Fake::new(Mood::Busy));
-    let limits = Limits { grace: Duration::from_millis(800), ..Limits::default() };
-    let mut server = Server::start(Setup { limits, ..Setup::fake(&fake) }).await;
+    let mut server = Server::start(Setup { limits: Limits { grace, ..Limits::default() }, ..Setup::fake(&fake) }).await;
     assert_eq!(health(&server, SERVICE_NAME).await, ServingStatus::Serving);
     assert_eq!(health(&server, "").await, ServingStatus::Serving);
-    let mut client = server.client().await;
+    let client = server.client().await;
     let job = begin(server.client().await, BackendChoice::Serial);
-    until(5 * SECOND, "the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
+    until("the job runs", || fake.running.load(Ordering::SeqCst) == 1).await;
     server.begin_stop();
-    tokio::time::sleep(Duration::from_millis(200)).await;
-    assert_eq!(health(&server, SERVICE_NAME).await, ServingStatus::NotServing);
+    (server, client, job, fake)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn shutdown_drains_and_says_so() {
+    let (server, mut client, job, fake) = draining(10 * PATIENCE).await;
+    let start = Instant::now();
+    while health(&server, SERVICE_NAME).await != ServingStatus::NotServing {
+        assert!(start.elapsed() < PATIENCE, "it says so");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
     let status = ask_rvd(&mut client, small_rvd(BackendChoice::Parallel)).await.unwrap_err();
     assert_eq!(status.code(), Code::Unavailable);
     assert!(status.get_details_retry_info().is_some());
     assert_eq!(fake.running.load(Ordering::SeqCst), 1, "work goes on through the grace period");
-    let start = Instant::now();
+    job.abort();
+    drop(client);
+    // It ends with the last job, long before the grace does.
     server.stop().await.unwrap();
-    assert!(start.elapsed() < 4 * SECOND, "took {:?}", start.elapsed());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_left_after_the_grace_is_cut() {
+    let (server, _client, job, fake) = draining(Duration::from_millis(300)).await;
+    server.stop().await.unwrap();
     assert_eq!(job.await.unwrap().unwrap_err().code(), Code::Unavailable, "what is left is cut");
     assert_eq!(fake.running.load(Ordering::SeqCst), 0);
 }

@@ -104,7 +104,7 @@ async fn another_s_blob_is_no_blob() {
     assert_eq!(client.stat(by("f", stat.clone())).await.unwrap_err().code(), Code::NotFound);
     let begin = std::time::Instant::now();
     while server.desk.blobs.usage().await.unwrap().blobs > 1 {
-        assert!(begin.elapsed().as_secs() < 10, "what is nobody's goes");
+        assert!(begin.elapsed().as_secs() < 60, "what is nobody's goes");
     }
     server.stop().await.unwrap();
 }

@@ -72,7 +72,7 @@ impl Program {
 
     async fn channel(&self) -> tonic::transport::Channel {
         let endpoint = tonic::transport::Endpoint::from_shared(format!("http://{}", self.address)).unwrap();
-        endpoint.connect_timeout(10 * SECOND).connect().await.unwrap()
+        endpoint.connect_timeout(PATIENCE).connect().await.unwrap()
     }
 
     async fn client(&self) -> Client {
@@ -226,7 +226,7 @@ async fn hostile_jobs(program: &Program, first: u64) {
     for number in first..first + adversary::SURFACES.len() as u64 {
         let (name, messages) = hostile(number);
         let mut rng = ChaCha8Rng::seed_from_u64(number);
-        let deadline = Duration::from_secs_f64(0.2 + 1.5 * rng.random::<f64>());
+        let deadline = Duration::from_secs_f64(0.2 + 0.8 * rng.random::<f64>());
         let begin = Instant::now();
         let answer = send(&mut program.client().await, messages, deadline).await;
         let code = answer.map_or_else(|status| status.code(), |_| Code::Ok);
@@ -239,7 +239,7 @@ async fn hostile_jobs(program: &Program, first: u64) {
             Code::ResourceExhausted,
         ];
         assert!(typed.contains(&code), "{name}: {code:?}");
-        assert!(begin.elapsed() < deadline + 10 * SECOND, "{name}: {:?}", begin.elapsed());
+        assert!(begin.elapsed() < deadline + 20 * SECOND, "{name}: {:?}", begin.elapsed());
     }
 }
 
@@ -299,7 +299,7 @@ async fn silent_sockets(program: &Program) {
     for _ in 0..5 {
         let begin = Instant::now();
         HealthClient::new(program.channel().await).check(HealthCheckRequest::default()).await.unwrap();
-        assert!(begin.elapsed() < 5 * SECOND);
+        assert!(begin.elapsed() < 20 * SECOND);
     }
 }
 
@@ -312,7 +312,7 @@ async fn shut_windows(program: &Program) {
     for _ in 0..12 {
         let mut raw = Raw::connect(program.address, 0).await;
         for _ in 0..10 {
-            let asked = tokio::time::timeout(20 * SECOND, raw.ask(COMPUTE_RVD, &request)).await;
+            let asked = tokio::time::timeout(PATIENCE, raw.ask(COMPUTE_RVD, &request)).await;
             // Refused for a full queue, or cut before its head came: both end it.
             held.extend(asked.expect("is answered"));
         }
@@ -320,7 +320,7 @@ async fn shut_windows(program: &Program) {
     }
     for body in &mut held {
         let end = async { while body.data().await.is_some_and(|data| data.is_ok()) {} };
-        tokio::time::timeout(30 * SECOND, end).await.expect("is cut");
+        tokio::time::timeout(PATIENCE, end).await.expect("is cut");
     }
     connections.into_iter().for_each(|raw| raw.connection.abort());
 }
@@ -418,7 +418,7 @@ async fn one_server_takes_all_of_it_and_is_as_it_was() {
             && now.mebibytes <= before.mebibytes + 100
     };
     let begin = Instant::now();
-    while !is_as_it_was(program.held()) && begin.elapsed() < 30 * SECOND {
+    while !is_as_it_was(program.held()) && begin.elapsed() < PATIENCE {
         tokio::time::sleep(SECOND / 4).await;
     }
     let after = program.held();
@@ -431,5 +431,5 @@ async fn one_server_takes_all_of_it_and_is_as_it_was() {
     let stop = stopping.await.unwrap();
     println!("{{\"before\": \"{before:?}\", \"after\": \"{after:?}\", \"stop_s\": {:.2}}}", stop.as_secs_f64());
     assert!(is_as_it_was(after), "{before:?} became {after:?}");
-    assert!(stop < 10 * SECOND, "{stop:?}");
+    assert!(stop < 20 * SECOND, "{stop:?}");
 }

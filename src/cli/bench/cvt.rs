@@ -4,52 +4,33 @@
 //! Invariant: both kinds begin at the same seeds, in every round; what is compared was timed in the same round, as machines
 //! change their speed from one minute to the next. Must not know: how a step is taken.
 
-use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::measure::{Load, Timed, Worker, mesh, token};
-use super::output::{OutputArgs, head, ratio, report};
+use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
+use super::measure::{Load, Timed, Worker};
+use super::output::{head, ratio, report};
 use super::spread::Spread;
-use crate::cli::files;
 use crate::cli::remesh::DensityArg;
-use crate::config::{BackendArgs, count, whole};
+use crate::config::count;
 use crate::cvt::StepKind;
 use crate::cvt::density::DensityOptions;
 use crate::mesh::TriMesh;
-use crate::mesh::shapes::Shape;
 use crate::picture::chart::{Axis, Figure, Panel, Series};
-use crate::remesh::Seeds;
 use crate::rvd::PhasesMs;
 
 /// `tessera bench cvt`'s options.
 #[derive(Args, Debug)]
 pub(super) struct CvtBenchArgs {
-    /// The surface: .obj, .ply, .stl or .off; a torus if not given.
-    #[arg(long, value_name = "FILE")]
-    mesh: Option<PathBuf>,
-    /// Facets of the torus.
-    #[arg(long, value_name = "N", default_value_t = 20_000, conflicts_with = "mesh",
-          value_parser = count)]
-    facets: u32,
-    /// Seeds to draw.
-    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = count)]
-    points: u32,
-    /// Random seed of the points.
-    #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
-    seed: u64,
-    /// The seeds, `x y z` a line, instead.
-    #[arg(long, value_name = "FILE.xyz", conflicts_with = "points")]
-    seeds: Option<PathBuf>,
-    /// Lloyd steps before anything is timed; two more steps of each kind warm up.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = whole::<u32>)]
-    relax: u32,
-    /// Steps of each kind that are timed.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = count)]
-    iterations: u32,
+    #[command(flatten)]
+    surface: SurfaceArgs,
+    #[command(flatten)]
+    seeds: SeedsArgs,
+    #[command(flatten)]
+    run: RunArgs,
     /// Times that they are timed, in turn. Ratios are the middle ones of the rounds'.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = count)]
     rounds: u32,
@@ -57,12 +38,6 @@ pub(super) struct CvtBenchArgs {
     /// are for this density, where it changes fast beside them or they are much longer than the edges it asks for.
     #[arg(long, value_enum, default_value_t)]
     density: DensityArg,
-    /// Who works.
-    #[command(flatten)]
-    backend: BackendArgs,
-    /// Files to write.
-    #[command(flatten)]
-    output: OutputArgs,
 }
 
 /// One density's figures.
@@ -81,19 +56,14 @@ const UNLIMITED: Duration = Duration::MAX;
 
 /// Runs it.
 pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
-    args.backend.check()?;
-    args.output.check()?;
-    let mesh = mesh(args.mesh.as_deref(), Shape::Torus, args.facets as usize)?;
-    let seeds = match &args.seeds {
-        Some(path) => Seeds::Given(files::read_points(path)?),
-        None => Seeds::Sample { points: args.points as usize, seed: args.seed },
-    };
-    let token = token()?;
-    let mut worker = Worker::one(&args.backend)?;
+    let token = args.run.begin()?;
+    let mesh = args.surface.mesh()?;
+    let seeds = args.seeds.seeds(&args.run)?;
+    let mut worker = args.run.worker()?;
     worker.keep_time()?;
     let load = |name: &str, mesh: (String, TriMesh), density: DensityArg| -> Result<(String, Load)> {
         let mut load = Load::new(mesh, seeds.clone(), DensityOptions::from_source(density.source()))?;
-        load.relax(&worker, args.relax as usize, UNLIMITED, &token)?;
+        load.relax(&worker, args.run.relax as usize, UNLIMITED, &token)?;
         Ok((name.to_owned(), load))
     };
     let mut loads = vec![load("uniform", mesh.clone(), DensityArg::Uniform)?];
@@ -108,7 +78,7 @@ pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
             loads.push(load("uniform on these facets", (mesh.0, divided), DensityArg::Uniform)?);
         }
     }
-    let time = |load: &Load, kind| load.time(&worker, kind, args.iterations as usize, UNLIMITED, &token);
+    let time = |load: &Load, kind| load.time(&worker, kind, args.run.iterations as usize, UNLIMITED, &token);
     let mut rounds: Vec<Vec<[Timed; 2]>> = loads.iter().map(|_| Vec::new()).collect();
     for _ in 0..args.rounds {
         for ((_, load), rounds) in loads.iter().zip(&mut rounds) {
@@ -133,7 +103,7 @@ pub(super) fn run(args: &CvtBenchArgs) -> Result<()> {
             report[key] = adaptive.compared_with(uniform)?;
         }
     }
-    args.output.write(&report, &figure(&measured, &worker))
+    args.run.output.write(&report, &figure(&measured, &worker))
 }
 
 impl Measured {

@@ -4,35 +4,29 @@
 //! with slopes by decade. Invariant: it ends: no case takes much longer than its limit, and a backend that a case
 //! was too much for is left out of larger ones. Must not know: how a step is taken.
 
-use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::measure::{Load, Worker, mesh, token};
-use super::output::{OutputArgs, report, slopes};
+use super::args::{RunArgs, SurfaceArgs};
+use super::measure::{Load, Worker};
+use super::output::{report, slopes};
 use crate::cli::shape::parse_facets;
-use crate::config::{BackendArgs, count, whole};
+use crate::config::count;
 use crate::cvt::StepKind;
 use crate::cvt::density::DensityOptions;
 use crate::mesh::TriMesh;
 use crate::mesh::shapes::Shape;
 use crate::picture::chart::{Axis, Figure, Panel, Series};
-use crate::remesh::Seeds;
 use crate::token::Token;
 
 /// `tessera bench fig3`'s options.
 #[derive(Args, Debug)]
 pub(super) struct Fig3Args {
-    /// The surface of the times against points: .obj, .ply, .stl or .off; a torus if not given.
-    #[arg(long, value_name = "FILE")]
-    mesh: Option<PathBuf>,
-    /// Facets of the torus.
-    #[arg(long, value_name = "N", default_value_t = 20_000, conflicts_with = "mesh",
-          value_parser = count)]
-    facets: u32,
+    #[command(flatten)]
+    surface: SurfaceArgs,
     /// Points of the times against facets.
     #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = count)]
     points: u32,
@@ -47,21 +41,8 @@ pub(super) struct Fig3Args {
     /// of larger cases.
     #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = seconds)]
     time_limit: f64,
-    /// Random seed of the points.
-    #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
-    seed: u64,
-    /// Lloyd steps before anything is timed; two more of each backend warm up.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = whole::<u32>)]
-    relax: u32,
-    /// Lloyd steps that are timed.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = count)]
-    iterations: u32,
-    /// Who works: auto measures all that are there.
     #[command(flatten)]
-    backend: BackendArgs,
-    /// Files to write.
-    #[command(flatten)]
-    output: OutputArgs,
+    run: RunArgs,
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -84,13 +65,9 @@ struct Sweep {
 
 /// Runs it.
 pub(super) fn run(args: &Fig3Args) -> Result<()> {
-    args.backend.check()?;
-    args.output.check()?;
-    let fixed = mesh(args.mesh.as_deref(), Shape::Torus, args.facets as usize)?;
-    let token = token()?;
-    let mut workers = Worker::all(&args.backend)?;
-    workers.iter_mut().try_for_each(Worker::keep_time)?;
-    workers.iter().try_for_each(|worker| outln!("{}", worker.describe()))?;
+    let token = args.run.begin()?;
+    let fixed = args.surface.mesh()?;
+    let workers = args.run.workers()?;
     let runner = Runner { args, workers: &workers, token: &token };
     let title = format!("{}, {} facets", fixed.0, fixed.1.facets().len());
     let points = counts(&[20, 50, 100, 200, 500], 10, args.max_points);
@@ -105,7 +82,7 @@ pub(super) fn run(args: &Fig3Args) -> Result<()> {
     let mut report = report(&workers, sweeps.iter().flat_map(|s| s.cases.clone()).collect());
     report["slopes"] = slopes.into();
     report["left_out"] = sweeps.iter().flat_map(|s| s.left_out.clone()).collect::<Vec<_>>().into();
-    args.output.write(&report, &figure(&sweeps, &workers))
+    args.run.output.write(&report, &figure(&sweeps, &workers))
 }
 
 /// These, and the last of them or the pattern of the first ones times `factor` and so on, up to `most`, which is the last.
@@ -153,9 +130,9 @@ impl Runner<'_> {
                 continue;
             };
             let (mesh, points) = case(n);
-            let seeds = Seeds::Sample { points: points as usize, seed: args.seed };
+            let seeds = args.run.drawn(points);
             let mut load = Load::new(mesh, seeds, DensityOptions::default())?;
-            load.relax(&workers[first], args.relax as usize, limit, self.token)?;
+            load.relax(&workers[first], args.run.relax as usize, limit, self.token)?;
             let count = if over == "points" { load.seeds.len() } else { load.facets };
             let mut line = format!("{count:<12}");
             for (k, worker) in workers.iter().enumerate() {
@@ -164,7 +141,7 @@ impl Runner<'_> {
                     left_out.push(json!({ "backend": worker.name(), "over": over, over: count }));
                     continue;
                 }
-                let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, limit, self.token)?;
+                let timed = load.time(worker, StepKind::Lloyd, args.run.iterations as usize, limit, self.token)?;
                 able[k] = !timed.cut;
                 let ms = timed.step_ms().mean;
                 line += &format!("{ms:>14.3}");

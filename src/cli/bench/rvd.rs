@@ -3,7 +3,6 @@
 //! Purpose: times of the passes by phase, seeds in and sums out, and for a GPU what each way of adding costs.
 //! Invariant: what is timed is the exact diagram, every pass of it. Must not know: how a phase is done.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -12,14 +11,11 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::measure::{Load, Worker, mesh, token};
-use super::output::{OutputArgs, head, report};
+use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
+use super::measure::{Load, Worker};
+use super::output::{head, report};
 use super::spread::Spread;
-use crate::cli::files;
-use crate::config::{BackendArgs, count, whole};
-use crate::mesh::shapes::Shape;
 use crate::picture::chart::{Axis, Figure, Panel, Series};
-use crate::remesh::Seeds;
 use crate::rvd::gpu::AccumulationMs;
 use crate::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
 use crate::token::Token;
@@ -27,40 +23,18 @@ use crate::token::Token;
 /// `tessera bench rvd`'s options.
 #[derive(Args, Debug)]
 pub(super) struct RvdBenchArgs {
-    /// The surface: .obj, .ply, .stl or .off; a torus if not given.
-    #[arg(long, value_name = "FILE")]
-    mesh: Option<PathBuf>,
-    /// Facets of the torus.
-    #[arg(long, value_name = "N", default_value_t = 20_000, conflicts_with = "mesh",
-          value_parser = count)]
-    facets: u32,
-    /// Seeds to draw.
-    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = count)]
-    points: u32,
-    /// Random seed of the points.
-    #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
-    seed: u64,
-    /// The seeds, `x y z` a line, instead.
-    #[arg(long, value_name = "FILE.xyz", conflicts_with = "points")]
-    seeds: Option<PathBuf>,
-    /// Lloyd steps before anything is timed.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = whole::<u32>)]
-    relax: u32,
-    /// Lloyd steps that are timed, and passes of each way of adding.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = count)]
-    iterations: u32,
-    /// Who works.
     #[command(flatten)]
-    backend: BackendArgs,
+    surface: SurfaceArgs,
+    #[command(flatten)]
+    seeds: SeedsArgs,
+    #[command(flatten)]
+    run: RunArgs,
     /// How a GPU finds the pairs of a facet.
     #[arg(long, value_enum, default_value_t)]
     strategy: StrategyArg,
     /// How a GPU adds pieces to their cells.
     #[arg(long, value_enum, default_value_t)]
     accumulate: AccumulateArg,
-    /// Files to write.
-    #[command(flatten)]
-    output: OutputArgs,
 }
 
 #[derive(Clone, Copy, Debug, Default, ValueEnum)]
@@ -87,36 +61,35 @@ enum AccumulateArg {
 
 /// Runs it.
 pub(super) fn run(args: &RvdBenchArgs) -> Result<()> {
-    args.backend.check()?;
-    args.output.check()?;
-    let mesh = mesh(args.mesh.as_deref(), Shape::Torus, args.facets as usize)?;
-    let seeds = match &args.seeds {
-        Some(path) => Seeds::Given(files::read_points(path)?),
-        None => Seeds::Sample { points: args.points as usize, seed: args.seed },
-    };
-    let token = token()?;
-    let worker = Worker::one(&args.backend)?;
+    let token = args.run.begin()?;
+    let mesh = args.surface.mesh()?;
+    let seeds = args.seeds.seeds(&args.run)?;
+    let worker = args.run.worker()?;
     let Load { name, surface, seeds, .. } = Load::undivided(mesh, seeds)?;
     let mut seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
     let options = SessionOptions { tuning: tuning(args), ..SessionOptions::new(seeds.len()) };
     let mut session = worker.backend.session(Arc::clone(&surface), options)?;
-    for _ in 0..args.relax {
+    for _ in 0..args.run.relax {
         step(session.as_mut(), &mut seeds, &token)?;
     }
     let mut steps = Vec::new();
-    for _ in 0..args.iterations {
+    for _ in 0..args.run.iterations {
         steps.push(step(session.as_mut(), &mut seeds, &token)?);
     }
     drop(session);
     let adding = match &worker.gpu {
-        Some(gpu) => {
-            Some(gpu.measure_accumulation(Arc::clone(&surface), &seeds, options, args.iterations as usize, &token)?)
-        }
+        Some(gpu) => Some(gpu.measure_accumulation(
+            Arc::clone(&surface),
+            &seeds,
+            options,
+            args.run.iterations as usize,
+            &token,
+        )?),
         None => None,
     };
     let case = Case { name, surface, points: seeds.len(), steps, adding, tuning: options.tuning };
     case.print(args, &worker)?;
-    args.output.write(&report(std::slice::from_ref(&worker), vec![case.json(args)]), &case.figure(&worker))
+    args.run.output.write(&report(std::slice::from_ref(&worker), vec![case.json(args)]), &case.figure(&worker))
 }
 
 fn tuning(args: &RvdBenchArgs) -> Tuning {
@@ -204,8 +177,8 @@ impl Case {
             self.surface.facets().len(),
             self.points,
             worker.describe(),
-            args.iterations,
-            args.relax
+            args.run.iterations,
+            args.run.relax
         )?;
         let total = self.total();
         outln!(
@@ -261,7 +234,7 @@ impl Case {
             "mesh": self.name,
             "facets": self.surface.facets().len(),
             "points": self.points,
-            "relax": args.relax,
+            "relax": args.run.relax,
             "iterations": self.steps.len(),
             "strategy": format!("{:?}", self.tuning.strategy).to_lowercase(),
             "accumulate": match self.tuning.accumulate {

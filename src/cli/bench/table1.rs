@@ -10,12 +10,13 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::measure::{Load, Timed, Worker, mesh, token};
-use super::output::{OutputArgs, ratio, report};
+use super::args::RunArgs;
+use super::measure::{Load, Timed, mesh};
+use super::output::{ratio, report};
 use super::published::Published;
 use crate::cli::exit::Usage;
 use crate::cli::files;
-use crate::config::{BackendArgs, count, whole};
+use crate::config::count;
 use crate::cvt::StepKind;
 use crate::cvt::density::DensityOptions;
 use crate::mesh::shapes::Shape;
@@ -38,25 +39,12 @@ pub(super) struct Table1Args {
     #[arg(long, value_name = "N", value_delimiter = ',', conflicts_with = "mesh",
           value_parser = count)]
     facets: Vec<u32>,
-    /// Random seed of the points.
-    #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
-    seed: u64,
-    /// Lloyd steps before anything is timed; two more of each backend warm up.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = whole::<u32>)]
-    relax: u32,
-    /// Lloyd steps that are timed.
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = count)]
-    iterations: u32,
+    #[command(flatten)]
+    run: RunArgs,
     /// Figures to put beside: {"source": "...", "rows": [{"mesh", "facets", "points", "gpu_ms", "serial_ms",
     /// "parallel_ms"}]}. Rows go by the name of the model; a figure may be missing.
     #[arg(long, value_name = "FILE.json")]
     published: Option<PathBuf>,
-    /// Who works: auto measures all that are there, any other that one column.
-    #[command(flatten)]
-    backend: BackendArgs,
-    /// Files to write.
-    #[command(flatten)]
-    output: OutputArgs,
 }
 
 /// Models that need no file: shape, facets, points.
@@ -87,31 +75,27 @@ struct Row {
 
 /// Runs it.
 pub(super) fn run(args: &Table1Args) -> Result<()> {
-    args.backend.check()?;
-    args.output.check()?;
+    let token = args.run.begin()?;
     let models = models(args)?;
     let published = args.published.as_deref().map(Published::read).transpose()?.unwrap_or_default();
     let given = args.seeds.as_deref().map(files::read_points).transpose()?;
-    let token = token()?;
-    let mut workers = Worker::all(&args.backend)?;
-    workers.iter_mut().try_for_each(Worker::keep_time)?;
-    workers.iter().try_for_each(|worker| outln!("{}", worker.describe()))?;
-    outln!("milliseconds per Lloyd step, {} after {}; means", args.iterations, args.relax)?;
+    let workers = args.run.workers()?;
+    outln!("milliseconds per Lloyd step, {} after {}; means", args.run.iterations, args.run.relax)?;
     outln!("{}", head_line())?;
     let mut rows: Vec<Row> = Vec::new();
     for model in &models {
         let seeds = match &given {
             Some(seeds) => Seeds::Given(seeds.clone()),
-            None => Seeds::Sample { points: model.points as usize, seed: args.seed },
+            None => args.run.drawn(model.points),
         };
         let mesh = mesh(model.file.map(PathBuf::as_path), model.shape, model.facets as usize)?;
         let mut load = Load::new(mesh, seeds, DensityOptions::default())?;
         let mut times = Vec::new();
         for (k, worker) in workers.iter().enumerate() {
             if k == 0 {
-                load.relax(worker, args.relax as usize, UNLIMITED, &token)?;
+                load.relax(worker, args.run.relax as usize, UNLIMITED, &token)?;
             }
-            let timed = load.time(worker, StepKind::Lloyd, args.iterations as usize, UNLIMITED, &token)?;
+            let timed = load.time(worker, StepKind::Lloyd, args.run.iterations as usize, UNLIMITED, &token)?;
             times.push((worker.name(), timed));
         }
         let row = Row { load, times };
@@ -123,7 +107,7 @@ pub(super) fn run(args: &Table1Args) -> Result<()> {
     let mut report = report(&workers, cases.collect());
     report["rows"] = rows.iter().map(|row| row.json(&published)).collect::<Vec<_>>().into();
     report["published_source"] = json!(Some(&published.source).filter(|_| args.published.is_some()));
-    args.output.write(&report, &figure(&rows, &published))
+    args.run.output.write(&report, &figure(&rows, &published))
 }
 
 /// What the options name.

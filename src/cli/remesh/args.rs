@@ -101,7 +101,7 @@ pub(in crate::cli) struct SizeArgs {
     #[arg(long, value_name = "A", default_value_t = DensityOptions::default().adaptivity)]
     #[arg(allow_negative_numbers = true)]
     pub(in crate::cli) adaptivity: f64,
-    /// Add points where a vertex of the input is farther than this from the remesh, in percent of the bounding
+    /// Add points where input and remesh are farther apart than this at a sample of either, in percent of the bounding
     /// box's diagonal; for --placement fitted.
     #[arg(long, value_name = "PERCENT", value_parser = positive, allow_negative_numbers = true)]
     pub(in crate::cli) max_deviation: Option<f64>,

@@ -9,6 +9,9 @@ use serde_json::Value;
 
 use crate::cli::exit::NotWritten;
 
+/// Lost parts that are named, at most; the report has more.
+const NAMED_PARTS: usize = 3;
+
 /// A remesh that is to be told of.
 pub(super) struct Told<'a> {
     pub(super) report: &'a Value,
@@ -32,6 +35,7 @@ impl Told<'_> {
         let mut lines = Vec::new();
         self.who(&mut lines);
         self.surfaces(&mut lines);
+        self.lost(&mut lines);
         self.steps(&mut lines);
         self.quality(&mut lines);
         self.costs(&mut lines);
@@ -52,22 +56,51 @@ impl Told<'_> {
             format!("{vertices} vertices, {facets} facets{}", euler.map(|n| format!(", χ {n}")).unwrap_or_default())
         };
         lines.push(format!("input       {}: {}", self.input.display(), surface("/input")));
+        let count = |what: &str| self.count(&format!("/input/{what}"));
         let mut note = |count: u64, what: &str| {
             if count > 0 {
                 lines.push(format!("            {count} {what}"));
             }
         };
         note(
-            self.count("/input/stitched_vertices"),
+            count("stitched_vertices"),
             "vertices of its boundaries were nearly in the same place as others and moved there",
         );
         note(
-            self.count("/input/outlier_vertices"),
+            count("outlier_vertices"),
             "vertices are far from all others: check their coordinates, most points go to the spikes there",
         );
-        note(self.count("/input/coincident_facets"), "facets lay on others, corner on corner, and were left out");
-        note(self.count("/input/reoriented_facets"), "facets were oriented unlike their neighbours and turned over");
+        note(count("degenerate_facets"), "facets have no area and do not count");
+        note(count("coincident_facets"), "facets lay on others, corner on corner, and were left out");
+        note(count("reoriented_facets"), "facets were oriented unlike their neighbours and turned over");
+        if self.at("/input/kind") == "volume" {
+            note(
+                count("enclosed_facets"),
+                "facets lie between others: this is a mesh of a volume, no surface; remesh the boundary of it",
+            );
+        } else {
+            note(
+                count("back_to_back_facets"),
+                "facets lie on others, back to back, and enclose nothing: remesh one side of them",
+            );
+            note(
+                count("non_manifold_edges"),
+                "edges have more than two facets; the result is cut there: to choose where, cut the input",
+            );
+        }
         lines.push(format!("result      {}: {}", self.output.display(), surface("/result")));
+        let why = match text(self.at("/vertex_count/reason"), "") {
+            "given_seeds" => "seeds are given, and none is left out or added",
+            "parts" => "the input has so many parts that they need more",
+            "close_sheets" => "sheets or parts are nearer to each other than an edge is long",
+            "small_parts" => "parts of the input are too small for a facet and were left out; more --points keep them",
+            "no_thickness" => "parts of the input have no thickness",
+            _ => "",
+        };
+        if !why.is_empty() {
+            lines.push(format!("            {} vertices were asked for: {why}", self.count("/vertex_count/asked")));
+        }
+        self.removed(lines);
         let dropped_curves = self.count("/features/dropped_curves");
         if dropped_curves > 0 && self.count("/features/creases") == 0 {
             let what = if self.count("/features/boundaries") == 0 { " and boundaries" } else { "" };
@@ -84,6 +117,69 @@ impl Told<'_> {
         }
     }
 
+    /// What the result lacks, or has twice in one place.
+    fn removed(&self, lines: &mut Vec<String>) {
+        let repair = |what: &str| self.count(&format!("/result/repair/{what}"));
+        let [pairs, crowded] = ["closed_facet_pairs", "non_manifold_facets"].map(repair);
+        let what = if self.at("/input/kind") == "surface" {
+            "the surface is thinner than an edge there; more points keep more"
+        } else {
+            "the input is no manifold there; cut it where its parts meet, or give more points"
+        };
+        let mut removed = Vec::new();
+        if pairs > 0 {
+            removed.push(format!("{pairs} pairs of facets lay back to back"));
+        }
+        if crowded > 0 {
+            removed.push(format!("{crowded} facets were too many at an edge"));
+        }
+        if !removed.is_empty() {
+            lines.push(format!("            {} and were removed: {what}", removed.join(", ")));
+        }
+        let coincident = self.count("/result/coincident_vertices");
+        if coincident > 0 {
+            lines.push(format!(
+                "            {coincident} vertices are in the place of others, where parts touch: join no vertices by their places"
+            ));
+        }
+    }
+
+    /// Parts of the input that the result lacks: how many, and the largest ones.
+    fn lost(&self, lines: &mut Vec<String>) {
+        let count = self.count("/result/lost/count");
+        if count == 0 {
+            return;
+        }
+        let area = self.at("/result/lost/area_percent").as_f64().unwrap_or(0.0);
+        lines.push(format!(
+            "lost        {count} parts of the input, {area:.2} % of its area, are farther than an edge away:"
+        ));
+        let parts = self.at("/result/lost/parts").as_array().map(Vec::as_slice).unwrap_or_default();
+        for part in parts.iter().take(NAMED_PARTS) {
+            let number = |key: &str| part[key].as_f64().unwrap_or(0.0);
+            let place: Vec<String> = part["place"]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .map(|x| format!("{:.4}", x.as_f64().unwrap_or(0.0)))
+                .collect();
+            let why = match part["reason"].as_str() {
+                Some("component") => {
+                    "a component of its own, too small for its share of points; remove it, or give more points"
+                }
+                Some("non_manifold") => "it hangs on an edge of more than two facets; cut it off, or give more points",
+                Some("boundary") => "narrower than an edge, at a boundary; more points keep it, or close the hole",
+                _ => "thinner than an edge; more points keep it",
+            };
+            lines.push(format!(
+                "            at {}: {:.3} % of the area, {:.2} % of the diagonal away: {why}",
+                place.join(" "),
+                number("area_percent"),
+                number("distance_percent")
+            ));
+        }
+    }
+
     fn steps(&self, lines: &mut Vec<String>) {
         if let Some((steps, last)) = self.at("/iterations").as_array().and_then(|all| Some((all.len(), all.last()?))) {
             let ratio = last["energy_ratio"].as_f64().map(|ratio| format!(", E/E_hex before the last {ratio:.5}"));
@@ -93,6 +189,12 @@ impl Told<'_> {
         if let (Some(least), Some(median), Some(largest)) = (edge("least"), edge("median"), edge("largest")) {
             let source = text(self.at("/density/source"), "?");
             lines.push(format!("lengths     {source}: target {least:.4e} to {largest:.4e}, median {median:.4e}"));
+        }
+        if let Some(noise) = self.at("/density/noise_percent").as_f64().filter(|&share| share > 0.0) {
+            lines.push(format!(
+                "            {noise:.0} % of the surface had lengths that no triangles can follow: they were evened out \
+                 between neighbours; smooth them, or give a lower --gradation"
+            ));
         }
         if self.count("/refine/closed_ball_rounds") > 0 {
             lines.push("            shorter where the surface is too thin for others".to_owned());
@@ -135,10 +237,26 @@ impl Told<'_> {
         if added > 0 {
             lines.push(format!("added       {added} points, where the result was too far from the input"));
         }
-        if self.bounded && missed > 0 {
-            lines.push(format!(
-                "missed      {missed} places are still farther than asked; more --max-points bring more"
-            ));
+        if self.bounded {
+            let deviation = self.at("/refine/deviation_percent").as_f64();
+            let deviation = deviation.map(|d| format!("{d:.4} % of the diagonal, ")).unwrap_or_default();
+            let far = format!("{deviation}{missed} samples are farther than asked");
+            match text(self.at("/refine/ended"), "") {
+                "reached" => lines.push(format!("deviation   reached: {deviation}both ways")),
+                "budget" => {
+                    lines.push(format!("deviation   {far}: all points are used"));
+                    lines.push("            a larger --max-points brings the result nearer".to_owned());
+                }
+                "no_progress" => {
+                    lines.push(format!("deviation   {far}: more points did not bring the result nearer"));
+                    lines.push(
+                        "            check the input for folds and for sheets that touch; a smaller --crease-angle keeps more edges"
+                            .to_owned(),
+                    );
+                }
+                _ if missed > 0 => lines.push(format!("deviation   {missed} places are farther than asked")),
+                _ => {}
+            }
         }
     }
 

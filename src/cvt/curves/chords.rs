@@ -1,10 +1,10 @@
 //! Where to cut a curve into chords that stay close to it.
 //!
-//! Purpose: the rim of a scan zigzags at the scale of its facets; chords of even length leave it by a fifth of
+//! Purpose: the boundary of a scan zigzags at the scale of its facets; chords of even length leave it by a fifth of
 //! theirs. Of all ways to choose some of a curve's points, [`cut`] finds the one whose chords are about as long as
-//! wished for and leave the curve least: dynamic programming over the curve, as for the polygons of
+//! the target and leave the curve least: dynamic programming over the curve, as for the polygons of
 //! Perez and Vidal (1994), with a cost of length beside that of deviation.
-//! Invariant: deterministic; chords are no shorter and no longer than stated shares of the wished length.
+//! Invariant: deterministic; chords are no shorter and no longer than stated shares of the target length.
 //! Must not know: surfaces, seeds.
 
 use glam::DVec3;
@@ -12,21 +12,21 @@ use rayon::prelude::*;
 
 use crate::token::{Stopped, Token};
 
-/// A chord that leaves the curve by this share of the wished length
+/// A chord that leaves the curve by this share of the target length
 pub(super) const TOLERANCE: f64 = 0.095;
 /// costs as much as this; the cost of length is the square of the logarithm of its share.
-const COST: f64 = 0.3;
-/// Chords are at least and at most so many wished lengths long.
-const SHORTEST: f64 = 0.5;
-const LONGEST: f64 = 1.5;
+const DEVIATION_COST: f64 = 0.3;
+/// Chords are at least and at most so many target lengths long.
+const MIN_CHORD: f64 = 0.5;
+const MAX_CHORD: f64 = 1.5;
 /// A curve is no longer than so many of its chords; what zigzags more is cut there anyway.
-const DETOUR: f64 = 2.5;
+const MAX_DETOUR: f64 = 2.5;
 
 /// A curve by points in order; a closed one repeats its first point at the end.
 pub(super) struct Line<'a> {
     pub(super) points: &'a [DVec3],
-    /// Wished length at each point.
-    pub(super) wish: &'a [f64],
+    /// Target length at each point.
+    pub(super) target: &'a [f64],
     pub(super) closed: bool,
 }
 
@@ -49,13 +49,13 @@ impl Line<'_> {
     fn cost(&self, i: usize, j: usize) -> Option<f64> {
         let n = self.points.len() - 1;
         let wrap = |k: usize| if k > n { k - n } else { k };
-        let wish = 0.5 * (self.wish[wrap(i)] + self.wish[wrap(j)]);
-        let share = self.points[wrap(i)].distance(self.points[wrap(j)]) / wish;
-        if !(SHORTEST..=LONGEST).contains(&share) {
+        let target = 0.5 * (self.target[wrap(i)] + self.target[wrap(j)]);
+        let share = self.points[wrap(i)].distance(self.points[wrap(j)]) / target;
+        if !(MIN_CHORD..=MAX_CHORD).contains(&share) {
             return None;
         }
-        let off = self.deviation(i, j) / (TOLERANCE * wish);
-        Some(share.ln().powi(2) + COST * off.powi(6))
+        let off = self.deviation(i, j) / (TOLERANCE * target);
+        Some(share.ln().powi(2) + DEVIATION_COST * off.powi(6))
     }
 
     /// Chords that end in each point: (first point, cost). Points of a second round follow those of a closed curve.
@@ -69,7 +69,7 @@ impl Line<'_> {
         }
         let first = if self.closed { n } else { 1 };
         let of = |j: usize| {
-            let reach = DETOUR * LONGEST * self.wish[if j > n { j - n } else { j }];
+            let reach = MAX_DETOUR * MAX_CHORD * self.target[if j > n { j - n } else { j }];
             let near = (j.saturating_sub(n)..j).rev().take_while(|&i| along[j] - along[i] <= reach);
             let cost = |(n, i)| match token.check_at(256 * n) {
                 Ok(()) => self.cost(i, j).map(|cost| Ok((i, cost))),
@@ -89,13 +89,13 @@ pub(super) fn cut(line: &Line<'_>, least: usize, token: &Token) -> Result<Option
     let best = if line.closed {
         let mut best: Option<(f64, Vec<usize>)> = None;
         // Some cut is within the longest chord from the beginning.
-        let mut gone = 0.0;
+        let mut passed = 0.0;
         for start in 0..n {
             token.check()?;
             if start > 0 {
-                gone += line.points[start].distance(line.points[start - 1]);
+                passed += line.points[start].distance(line.points[start - 1]);
             }
-            if gone > LONGEST * line.wish[0] {
+            if passed > MAX_CHORD * line.target[0] {
                 break;
             }
             // Chords of one round are those of the next, n points on.
@@ -133,15 +133,15 @@ fn shortest<I: Iterator<Item = (usize, f64)>>(
     for j in start + 1..=end {
         for (i, cost) in chords(j) {
             if i >= start && !(i == start && j == end) {
-                let whole = known[i - start].0 + cost;
-                if whole < known[j - start].0 {
-                    known[j - start] = (whole, i);
+                let total = known[i - start].0 + cost;
+                if total < known[j - start].0 {
+                    known[j - start] = (total, i);
                 }
             }
         }
     }
-    let whole = known[end - start].0;
-    if whole == f64::INFINITY {
+    let total = known[end - start].0;
+    if total == f64::INFINITY {
         return None;
     }
     let mut path = vec![end];
@@ -151,14 +151,14 @@ fn shortest<I: Iterator<Item = (usize, f64)>>(
         path.push(here);
     }
     path.reverse();
-    Some((whole, path))
+    Some((total, path))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A zigzag of teeth so high and half as wide as long, along a line or around a circle of so many wished lengths.
+    /// A zigzag of teeth so high and half as wide as long, along a line or around a circle of so many target lengths.
     fn zigzag(length: f64, height: f64, closed: bool) -> Vec<DVec3> {
         let n = (4.0 * length) as usize * 2;
         let point = |k: usize| {
@@ -174,8 +174,8 @@ mod tests {
     fn chords_of_a_zigzag_stay_close_to_it() {
         for closed in [false, true] {
             let points = zigzag(12.0, 0.2, closed);
-            let wish = vec![1.0; points.len()];
-            let line = Line { points: &points, wish: &wish, closed };
+            let target = vec![1.0; points.len()];
+            let line = Line { points: &points, target: &target, closed };
             let cuts = cut(&line, 1, &Token::default()).unwrap().unwrap();
             let mut ends = cuts.clone();
             if closed {
@@ -187,7 +187,7 @@ mod tests {
             let n = points.len() - 1;
             for w in ends.windows(2) {
                 let share = points[w[0] % n].distance(points[if w[1] == n { n } else { w[1] % n }]);
-                assert!((SHORTEST..=LONGEST).contains(&share), "{closed}: a chord of {share}");
+                assert!((MIN_CHORD..=MAX_CHORD).contains(&share), "{closed}: a chord of {share}");
                 // Teeth are 0.2 high, by which chords from foot to foot leave them; their sides are too short for chords.
                 assert!(line.deviation(w[0], w[1]) < 0.17, "{closed}: {w:?}");
             }
@@ -197,11 +197,15 @@ mod tests {
     #[test]
     fn what_is_smooth_is_cut_evenly_and_what_is_short_not_at_all() {
         let points = zigzag(10.0, 0.0, false);
-        let wish = vec![1.0; points.len()];
-        let cuts = cut(&Line { points: &points, wish: &wish, closed: false }, 1, &Token::default()).unwrap().unwrap();
+        let target = vec![1.0; points.len()];
+        let cuts =
+            cut(&Line { points: &points, target: &target, closed: false }, 1, &Token::default()).unwrap().unwrap();
         assert_eq!(cuts, (1..10).map(|k| 8 * k).collect::<Vec<_>>());
         let long = vec![30.0; points.len()];
-        assert_eq!(cut(&Line { points: &points, wish: &long, closed: false }, 1, &Token::default()).unwrap(), None);
-        assert_eq!(cut(&Line { points: &points[..1], wish: &wish, closed: true }, 3, &Token::default()).unwrap(), None);
+        assert_eq!(cut(&Line { points: &points, target: &long, closed: false }, 1, &Token::default()).unwrap(), None);
+        assert_eq!(
+            cut(&Line { points: &points[..1], target: &target, closed: true }, 3, &Token::default()).unwrap(),
+            None
+        );
     }
 }

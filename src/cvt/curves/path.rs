@@ -7,27 +7,27 @@
 
 use glam::DVec3;
 
-use super::{BETWEEN, chords};
+use super::{INNER_POINTS, chords};
 use crate::mesh::features::Curve;
 use crate::rvd::Surface;
 use crate::token::{Stopped, Token};
 
 /// Steps of Lloyd's iteration on a curve whose density varies. It starts at equal shares of ∫ ds/h,
 /// where the tessellation ends up as the seeds become many.
-const STEPS: usize = 20;
-/// Points at which the density is taken on each edge of a curve.
-const PARTS: usize = 4;
+const LLOYD_STEPS: usize = 20;
+/// Points at which the density is sampled on each edge of a curve.
+const SAMPLES_PER_EDGE: usize = 4;
 /// Where a curve bends, its seeds come closer together, until a chord leaves it by at most this share of h,
 const SAGITTA: f64 = 0.035;
 /// but not closer than this share of h.
-const LEAST_SHARE: f64 = 0.6;
+const MIN_SPACING: f64 = 0.6;
 /// A deviation of a chord counts for so much of a difference in length.
-const KINKS: f64 = 15.0;
-const KINK_SWEEPS: usize = 4;
+const DEVIATION_WEIGHT: f64 = 15.0;
+const KINK_PASSES: usize = 4;
 /// Points of a running mean on either side.
-const MEAN_OF: i32 = 4;
-/// A curve is cut at one of so many points a wished length, or at its vertices.
-const POINTS: f64 = 12.0;
+const MEAN_POINTS: i32 = 4;
+/// A curve is cut at one of so many points a target length, or at its vertices.
+const POINTS_PER_EDGE: f64 = 12.0;
 
 /// A curve by arc length, with ∫ ds/h, ∫ ds/h³ and ∫ s ds/h³ up to each of its points.
 pub(super) struct Path {
@@ -43,8 +43,8 @@ pub(super) struct Path {
     closed: bool,
     /// Length of the running mean.
     smooth: Vec<f64>,
-    /// 1/h as wished for.
-    wish: Vec<f64>,
+    /// The target 1/h.
+    target: Vec<f64>,
 }
 
 impl Path {
@@ -53,10 +53,10 @@ impl Path {
         let mut last: Option<(DVec3, f64)> = None;
         for v in curve.round() {
             let (p, w) = (surface.positions()[v as usize], surface.weights()[v as usize]);
-            let from = last.map_or(PARTS, |_| 1);
+            let from = last.map_or(SAMPLES_PER_EDGE, |_| 1);
             let (q, u) = last.unwrap_or((p, w));
-            for k in from..=PARTS {
-                let t = k as f64 / PARTS as f64;
+            for k in from..=SAMPLES_PER_EDGE {
+                let t = k as f64 / SAMPLES_PER_EDGE as f64;
                 if let Some(&before) = points.last() {
                     let next = q.lerp(p, t);
                     along.push(along[along.len() - 1] + next.distance(before));
@@ -75,12 +75,12 @@ impl Path {
             moment: Vec::new(),
             closed: curve.closed,
             smooth: vec![0.0],
-            wish: Vec::new(),
+            target: Vec::new(),
         };
         path.smooth_length(&per_length);
         let fine: Vec<f64> = (0..per_length.len()).map(|k| per_length[k] / path.shortening(k, per_length[k])).collect();
         path.accumulate(&fine);
-        path.wish = per_length;
+        path.target = per_length;
         path
     }
 
@@ -95,8 +95,8 @@ impl Path {
                     // The ends stay where they are.
                     reach = reach.min(self.along[k]).min(total - self.along[k]);
                 }
-                let part = |j: i32| self.at(self.along[k] + reach * f64::from(j) / MEAN_OF as f64);
-                (-MEAN_OF..=MEAN_OF).map(part).sum::<DVec3>() / f64::from(2 * MEAN_OF + 1)
+                let part = |j: i32| self.at(self.along[k] + reach * f64::from(j) / MEAN_POINTS as f64);
+                (-MEAN_POINTS..=MEAN_POINTS).map(part).sum::<DVec3>() / f64::from(2 * MEAN_POINTS + 1)
             })
             .collect();
         for k in 1..self.points.len() {
@@ -118,7 +118,7 @@ impl Path {
         let (back, ahead) = (here - self.at(ends.0), self.at(ends.1) - here);
         let turn = back.cross(ahead).length().atan2(back.dot(ahead));
         let bend = turn / (reach * per_length);
-        if bend > 8.0 * SAGITTA { (8.0 * SAGITTA / bend).sqrt().max(LEAST_SHARE) } else { 1.0 }
+        if bend > 8.0 * SAGITTA { (8.0 * SAGITTA / bend).sqrt().max(MIN_SPACING) } else { 1.0 }
     }
 
     fn accumulate(&mut self, per_length: &[f64]) {
@@ -157,11 +157,11 @@ impl Path {
         self.edges[self.edges.len() - 1]
     }
 
-    /// The edge length wished for at an arc length.
+    /// The target edge length at an arc length.
     pub(super) fn edge_at(&self, s: f64) -> f64 {
         let s = if self.closed { s.rem_euclid(self.length()) } else { s };
         let k = self.along.partition_point(|&a| a <= s).min(self.along.len() - 1);
-        1.0 / self.wish[k]
+        1.0 / self.target[k]
     }
 
     /// The point at an arc length, that of a closed curve going round.
@@ -174,14 +174,15 @@ impl Path {
     }
 
     /// Points between two arc lengths, evenly spaced but for those that a vertex of the curve is near: they are there, so
-    /// that none of a zigzag's tips goes unseen.
-    pub(super) fn between(&self, s: f64, t: f64) -> [DVec3; BETWEEN] {
-        let step = (t - s) / (BETWEEN + 1) as f64;
+    /// that no extremum of a zigzag is missed.
+    pub(super) fn between(&self, s: f64, t: f64) -> [DVec3; INNER_POINTS] {
+        let step = (t - s) / (INNER_POINTS + 1) as f64;
         std::array::from_fn(|k| {
             let even = s + (k + 1) as f64 * step;
             let round = if self.closed { even.div_euclid(self.length()) * self.length() } else { 0.0 };
             let after = self.along.partition_point(|&a| a <= even - round).min(self.along.len() - 1);
-            let vertices = [after / PARTS * PARTS, after.div_ceil(PARTS) * PARTS];
+            let vertices =
+                [after / SAMPLES_PER_EDGE * SAMPLES_PER_EDGE, after.div_ceil(SAMPLES_PER_EDGE) * SAMPLES_PER_EDGE];
             let apart = |v: usize| (self.along[v] + round - even).abs();
             let near = if apart(vertices[0]) < apart(vertices[1]) { vertices[0] } else { vertices[1] };
             if apart(near) < 0.5 * step { self.points[near] } else { self.at(even) }
@@ -205,7 +206,7 @@ impl Path {
             // Before the others look for kinks: the first and the last one are its neighbours.
             places.insert(0, 0.0);
         }
-        self.follow_kinks(&mut places, token)?;
+        self.snap_to_kinks(&mut places, token)?;
         if self.leaves(&places) { Ok(self.cut(least, token)?.unwrap_or(places)) } else { Ok(places) }
     }
 
@@ -226,11 +227,11 @@ impl Path {
     fn cut(&self, least: usize, token: &Token) -> Result<Option<Vec<f64>>, Stopped> {
         // Where vertices are close to each other there need be no points between them, and not all of them.
         let edges = self.edges[self.edges.len() - 1];
-        let (vertices, most) = ((self.points.len() - 1) / PARTS, (POINTS * edges).ceil() as usize);
+        let (vertices, most) = ((self.points.len() - 1) / SAMPLES_PER_EDGE, (POINTS_PER_EDGE * edges).ceil() as usize);
         let even = |n: usize| (0..=n).map(|k| self.length() * k as f64 / n as f64).collect();
         let mut at: Vec<f64> = match vertices {
             n if n > most => even(most),
-            n if PARTS * n > 2 * most => self.along.iter().step_by(PARTS).copied().collect(),
+            n if SAMPLES_PER_EDGE * n > 2 * most => self.along.iter().step_by(SAMPLES_PER_EDGE).copied().collect(),
             _ => self.along.clone(),
         };
         if 2 * at.len() < most {
@@ -238,16 +239,16 @@ impl Path {
             at.push(self.length());
         }
         let points: Vec<DVec3> = at.iter().map(|&s| self.at(s)).collect();
-        let wish: Vec<f64> = at.iter().map(|&s| self.edge_at(s)).collect();
-        let line = chords::Line { points: &points, wish: &wish, closed: self.closed };
+        let target: Vec<f64> = at.iter().map(|&s| self.edge_at(s)).collect();
+        let line = chords::Line { points: &points, target: &target, closed: self.closed };
         let cuts = chords::cut(&line, least, token)?;
         Ok(cuts.map(|cuts| cuts.into_iter().map(|k| at[k]).collect()))
     }
 
     /// Moves seeds to kinks of the curve near them, where the chords then follow it better: each in turn to
-    /// the vertex between its neighbours for which Σ (ℓ/ℓ₀ - 1)² + KINKS (deviation/ℓ₀)² over its two
+    /// the vertex between its neighbours for which Σ (ℓ/ℓ₀ - 1)² + DEVIATION_WEIGHT (deviation/ℓ₀)² over its two
     /// chords ℓ is least.
-    fn follow_kinks(&self, places: &mut [f64], token: &Token) -> Result<(), Stopped> {
+    fn snap_to_kinks(&self, places: &mut [f64], token: &Token) -> Result<(), Stopped> {
         let length = self.length();
         let neighbours = |places: &[f64], k: usize| {
             let before = if k > 0 {
@@ -264,7 +265,7 @@ impl Path {
             };
             (before, after)
         };
-        for _ in 0..KINK_SWEEPS {
+        for _ in 0..KINK_PASSES {
             for k in 0..places.len() {
                 token.check_at(64 * k)?;
                 let (before, after) = neighbours(places, k);
@@ -273,8 +274,9 @@ impl Path {
                 let (low, high) = (before + 0.2 * (after - before), after - 0.2 * (after - before));
                 let mut best = (cost(places[k]), places[k]);
                 for turn in [-length, 0.0, length].into_iter().filter(|t| self.closed || *t == 0.0) {
-                    let from = self.along.partition_point(|&s| s + turn <= low).div_ceil(PARTS) * PARTS;
-                    let vertices = (from..self.along.len()).step_by(PARTS).map(|v| self.along[v] + turn);
+                    let from =
+                        self.along.partition_point(|&s| s + turn <= low).div_ceil(SAMPLES_PER_EDGE) * SAMPLES_PER_EDGE;
+                    let vertices = (from..self.along.len()).step_by(SAMPLES_PER_EDGE).map(|v| self.along[v] + turn);
                     for s in vertices.take_while(|s| *s < high) {
                         let c = cost(s);
                         if c < best.0 {
@@ -291,7 +293,7 @@ impl Path {
     /// What a chord from s to t costs that should be `goal` long.
     fn chord(&self, s: f64, t: f64, goal: f64) -> f64 {
         let (a, b) = (self.at(s), self.at(t));
-        (a.distance(b) / goal - 1.0).powi(2) + KINKS * (self.deviation(s, t) / goal).powi(2)
+        (a.distance(b) / goal - 1.0).powi(2) + DEVIATION_WEIGHT * (self.deviation(s, t) / goal).powi(2)
     }
 
     /// How far the curve from s to t leaves the line through both.
@@ -299,13 +301,13 @@ impl Path {
         let (a, b) = (self.at(s), self.at(t));
         let way = (b - a).normalize_or_zero();
         let off = |p: DVec3| (p - a - way * way.dot(p - a)).length();
-        let inner = (1..=BETWEEN).map(|k| self.at(s + k as f64 / (BETWEEN + 1) as f64 * (t - s)));
+        let inner = (1..=INNER_POINTS).map(|k| self.at(s + k as f64 / (INNER_POINTS + 1) as f64 * (t - s)));
         inner.map(off).fold(0.0, f64::max)
     }
 
     /// Lloyd's iteration of inner seeds between two that stay at the ends.
     fn relax(&self, places: &mut [f64], token: &Token) -> Result<(), Stopped> {
-        for _ in 0..STEPS {
+        for _ in 0..LLOYD_STEPS {
             token.check()?;
             let mut bounds = vec![0.5 * places[0]];
             bounds.extend(places.windows(2).map(|p| 0.5 * (p[0] + p[1])));
@@ -349,7 +351,7 @@ mod tests {
     fn sides(weights: Option<&[f64]>) -> (Surface, Vec<Curve>) {
         let mesh: TriMesh = Shape::Square.build(2);
         let surface = Surface::new(&mesh, weights).unwrap();
-        let options = FeatureOptions { reach: 0.1, ..FeatureOptions::default() };
+        let options = FeatureOptions { turn_reach: 0.1, ..FeatureOptions::default() };
         let curves = Features::find(&mesh, surface.positions(), &options, &Token::default()).unwrap().curves;
         assert_eq!(curves.len(), 4);
         (surface, curves)
@@ -388,7 +390,7 @@ mod tests {
             let lengths: Vec<f64> = places.windows(2).map(|w| w[1] - w[0]).collect();
             let ratio = (lengths[0] / lengths[59]) / (ends[1] / ends[0]).powf(0.25);
             // Seeds begin at even distances within each quarter of an edge. At the coarse end the mean of 1/h over the first
-            // one is 0.62 where it is 0.5 at the end, 24 % more; the iteration mends a part of that (13 to 16 % are left).
+            // one is 0.62 where it is 0.5 at the end, 24 % more; the iteration reduces that (13 to 16 % are left).
             assert!((ratio - 1.0).abs() < 0.2, "{ratio}: {lengths:?}");
             let jump = lengths.windows(2).map(|w| (w[1] / w[0] - 1.0).abs()).fold(0.0, f64::max);
             assert!(jump < 0.1, "{jump}: {lengths:?}");

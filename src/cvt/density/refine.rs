@@ -11,7 +11,7 @@ use std::collections::HashMap;
 use glam::DVec3;
 
 use super::net::Net;
-use crate::mesh::{TriMesh, layers};
+use crate::mesh::{TriMesh, duplicates};
 use crate::token::{Pace, Stopped, Token};
 
 /// Lengths at the ends of an edge may differ by this factor: half-way, linear w is then 1.32 times that of
@@ -67,7 +67,7 @@ pub(super) fn shorten(
     draft.values = values.to_vec();
     // Facets that lie on one another have their edges in common and no others, but would have the edges between their parts
     // too: two sides of a closed surface would become one.
-    if draft.is_mostly_long(mesh) && !layers::any(mesh) && draft.split_long(most)? {
+    if draft.is_mostly_long(mesh) && !duplicates::any(mesh) && draft.split_long(most)? {
         return Ok(draft.mesh().map(|mesh| (mesh, draft.values)));
     }
     Ok(None)
@@ -406,7 +406,9 @@ mod tests {
             let mesh = TriMesh::new(points.clone(), vec![[0, 1, 2], back, [1, 3, 2]]).unwrap();
             assert!(shorten(&mesh, &[0.1; 7], &[], 100_000, &Token::default()).unwrap().is_none());
             let two = TriMesh::new(points.clone(), vec![[0, 1, 2], back]).unwrap();
-            assert!(layers::any(&two) && shorten(&two, &[0.1; 7], &[], 100_000, &Token::default()).unwrap().is_none());
+            assert!(
+                duplicates::any(&two) && shorten(&two, &[0.1; 7], &[], 100_000, &Token::default()).unwrap().is_none()
+            );
         }
     }
 }

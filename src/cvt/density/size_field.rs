@@ -155,6 +155,45 @@ impl SizeField {
     }
 }
 
+/// Noise.
+impl SizeField {
+    /// The share of the area whose lengths are noise: vertices of a length below or above those of all neighbours that
+    /// changes, in the mean of their edges, by more than `slope` per distance. No triangles have such edges.
+    pub(super) fn noise(&self, net: &Net, slope: f64) -> f64 {
+        let slope = slope * net.outline.extent;
+        let is_noise = |v: usize| {
+            let around = net.neighbours(v);
+            let higher = around.iter().filter(|end| self.sizes[end.0 as usize] > self.sizes[v]).count();
+            let lower = around.iter().filter(|end| self.sizes[end.0 as usize] < self.sizes[v]).count();
+            let change: f64 = around.iter().map(|end| (self.sizes[end.0 as usize] - self.sizes[v]).abs()).sum();
+            let distance: f64 = around.iter().map(|end| end.1).sum();
+            higher.max(lower) == around.len() && change > slope * distance
+        };
+        let all: f64 = net.area.iter().sum();
+        let noise: f64 = (0..net.vertices()).filter(|&v| net.area[v] > 0.0 && is_noise(v)).map(|v| net.area[v]).sum();
+        if all > 0.0 { noise / all } else { 0.0 }
+    }
+
+    /// Evens lengths out between neighbours, once. Points per area flow, so that there are as many as before: what an edge
+    /// cannot follow is averaged, and nothing else is changed much.
+    pub(super) fn smooth(&mut self, net: &Net) {
+        // Points per area beside those of the shortest length, so that no units overflow.
+        let least = self.least();
+        let of = |h: &f64| (least / h).powi(2).max(f64::MIN_POSITIVE);
+        let density: Vec<f64> = self.sizes.iter().map(of).collect();
+        // Half of what a vertex has goes out at most, in equal parts.
+        let share = |v: usize| 0.5 * net.area[v] / net.neighbours(v).len().max(1) as f64;
+        for v in (0..net.vertices()).filter(|&v| net.area[v] > 0.0) {
+            let flow = |&(to, _): &(u32, f64)| share(v).min(share(to as usize)) * (density[to as usize] - density[v]);
+            let flow: f64 = net.neighbours(v).iter().map(flow).sum();
+            self.sizes[v] = least / (density[v] + flow / net.area[v]).sqrt();
+        }
+        for v in 0..self.sizes.len() {
+            self.sizes[v] = self.sizes[net.class[v] as usize];
+        }
+    }
+}
+
 fn entry(size: f64, vertex: usize) -> Reverse<(u64, u32)> {
     Reverse((size.to_bits(), vertex as u32))
 }
@@ -249,6 +288,37 @@ mod tests {
                 }
                 assert!(reason, "{shape}: vertex {v} was lowered without a reason");
             }
+        }
+    }
+
+    #[test]
+    fn noise_is_evened_out_and_nothing_else() {
+        for shape in [Shape::Sphere, Shape::Torus, Shape::Plane] {
+            let mesh = shape.build(4000);
+            let net = Net::new(&mesh, &Token::default()).unwrap();
+            let field = |of: &dyn Fn(usize, DVec3) -> f64| {
+                let lengths = mesh.positions().iter().enumerate().map(|(v, &p)| 0.02 * of(v, p));
+                SizeField::new(&net, lengths.collect()).unwrap()
+            };
+            // A jump, a steep slope and a spike are what somebody may want.
+            let jump = field(&|_, p| if p.x > 0.45 { 100.0 } else { 1.0 });
+            let steep = field(&|_, p| 1.0 + 150.0 * (p.x - 0.3).abs());
+            let spike = field(&|v, _| if v == 7 { 0.01 } else { 1.0 });
+            for (name, field) in [("jump", jump), ("slope", steep), ("spike", spike)] {
+                // Up to a fiftieth is no noise (`NOISE`); the bottom of a slope is a line of such places.
+                assert!(field.noise(&net, 1.0) < 0.02, "{shape}, {name}: {}", field.noise(&net, 1.0));
+            }
+            let wild = |v: usize, _| 100f64.powf((v * 7919 % 101) as f64 / 101.0);
+            let mut noise = field(&wild);
+            assert!(noise.noise(&net, 1.0) > 0.1, "{shape}: {}", noise.noise(&net, 1.0));
+            let points = |f: &SizeField| (0..net.vertices()).map(|v| net.area[v] / f.sizes[v].powi(2)).sum::<f64>();
+            let before = points(&noise);
+            (0..4).for_each(|_| noise.smooth(&net));
+            assert!((points(&noise) / before - 1.0).abs() < 1e-9, "{shape}");
+            assert!(noise.noise(&net, 1.0) < 0.02, "{shape}: {}", noise.noise(&net, 1.0));
+            let mut even = field(&|_, _| 1.0);
+            even.smooth(&net);
+            assert!(even.sizes.iter().all(|h| (h / 0.02 - 1.0).abs() < 1e-12), "{shape}");
         }
     }
 

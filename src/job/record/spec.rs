@@ -444,7 +444,11 @@ impl RemeshWork {
             keep_boundaries: self.boundaries.map_or(usual.keep_boundaries, |rule| rule == BoundaryRule::Keep),
             keep_thin: self.thin.map_or(usual.keep_thin, |rule| rule == ThinRule::Finer),
             measure: self.measure.map_or(usual.measure, |rule| rule == MeasureRule::Full),
-            ..usual
+            // All are named, so that a new option is not forgotten here.
+            seeds: usual.seeds,
+            creases: usual.creases,
+            refine: usual.refine,
+            attributes: usual.attributes,
         }
     }
 }

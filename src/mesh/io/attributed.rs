@@ -1,14 +1,14 @@
 //! Surface files with what they carry beside the surface.
 //!
 //! Purpose: what [`super::read`] and its kin do, with [`Attributes`].
-//! Invariant: the surface is the one that the plain reader gives, and the bytes of a surface without attributes are
-//! those of the plain writer. An attribute that cannot be used is left aside and named; it never
+//! Invariant: the surface is the one that [`super::decode`] gives, and the bytes of a surface without attributes are
+//! those of [`super::encode`]. An attribute that cannot be used is left aside and named; it never
 //! spoils the surface or another attribute. Must not know: what is done with attributes.
 
 use std::path::Path;
 
-use super::held::{Held, Raw};
-use super::{DataError, FileError, Format, Soup, decode_soup, encode, obj, off, ply, polygons};
+use super::held::Held;
+use super::{DataError, FileError, Format, Soup, decode_soup};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes};
 
@@ -62,27 +62,8 @@ pub fn write_with_attributes(path: &Path, mesh: &TriMesh, attributes: &Attribute
 /// # Ok::<(), DataError>(())
 /// ```
 pub fn decode_with_attributes(format: Format, bytes: &[u8]) -> Result<Loaded, DataError> {
-    let bytes = super::without_mark(bytes);
-    let Soup { positions, mut facets, fans, bare } = decode_soup(format, bytes)?;
-    let cuts = polygons::recut(&positions, &facets, &fans);
-    if bare {
-        cuts.iter().for_each(|cut| cut.apply(&mut facets));
-    }
-    let mut mesh = TriMesh::new(positions, facets)?;
-    let mut raw = match format {
-        _ if bare => Raw::default(),
-        Format::Obj => obj::attributes(bytes, &mesh),
-        Format::Ply => ply::attributes(bytes, &mesh),
-        Format::Off => off::attributes(bytes, &mesh),
-        Format::Stl => Raw::default(),
-    };
-    if !bare && !cuts.is_empty() {
-        // Readers of attributes know fans alone.
-        let mut facets = mesh.facets().to_vec();
-        cuts.iter().for_each(|cut| cut.apply(&mut facets));
-        mesh = TriMesh::new(mesh.positions().to_vec(), facets)?;
-        raw.recut(&cuts);
-    }
+    let Soup { positions, facets, raw, .. } = decode_soup(format, bytes, true)?;
+    let mesh = TriMesh::new(positions, facets)?;
     let (attributes, left_aside) = raw.onto(&mesh);
     Ok(Loaded { mesh, attributes, left_aside })
 }
@@ -105,12 +86,7 @@ pub fn encode_with_attributes(
     attributes: &Attributes,
 ) -> Result<(Vec<u8>, Vec<String>), DataError> {
     attributes.check_mesh(mesh)?;
-    let held = Held::of(format, mesh, attributes);
-    let bytes = match format {
-        Format::Obj => obj::encode_with(mesh, &held),
-        Format::Ply => ply::encode_with(mesh, &held),
-        Format::Off => off::encode_with(mesh, &held),
-        Format::Stl => encode(format, mesh)?,
-    };
+    let held = Held::of(&format.codec().holds, mesh, attributes);
+    let bytes = (format.codec().encode)(mesh, &held)?;
     Ok((bytes, held.left_out))
 }

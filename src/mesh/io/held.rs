@@ -5,7 +5,7 @@
 
 use glam::{DVec2, DVec3};
 
-use super::{Format, polygons};
+use super::polygons;
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
 
@@ -23,6 +23,12 @@ pub(super) struct Raw {
 impl Raw {
     pub(super) fn unreadable(&mut self, attribute: &str, message: String) {
         self.unreadable.push(AttributeError::Unreadable { attribute: attribute.to_owned(), message });
+    }
+
+    pub(super) fn is_unreadable(&self, attribute: &str) -> bool {
+        let is_it =
+            |error: &AttributeError| matches!(error, AttributeError::Unreadable { attribute: a, .. } if a == attribute);
+        self.unreadable.iter().any(is_it)
     }
 
     /// Cuts what corners have as the surface's polygons are.
@@ -56,11 +62,28 @@ impl Raw {
     }
 }
 
+/// What a format can hold of attributes.
+pub(super) struct Holds {
+    pub(super) normals: By,
+    pub(super) texture: By,
+    pub(super) colours: bool,
+    pub(super) opacity: bool,
+    pub(super) scalars: bool,
+}
+
+/// What names values.
+pub(super) enum By {
+    None,
+    Vertex,
+    Corner,
+    /// Vertices, or corners where these differ around a vertex. Texture coordinates alone.
+    VertexOrCorner,
+}
+
 /// What a format can hold of some attributes, in the shape in which it holds them.
 #[derive(Debug, Default)]
 pub(super) struct Held<'a> {
     pub(super) normals: Option<Vec<DVec3>>,
-    /// OBJ alone has them.
     pub(super) corner_normals: Option<&'a PerCorner<DVec3>>,
     pub(super) uv: Option<Vec<DVec2>>,
     pub(super) corner_uv: Option<&'a PerCorner<DVec2>>,
@@ -70,47 +93,45 @@ pub(super) struct Held<'a> {
 }
 
 impl<'a> Held<'a> {
-    pub(super) fn of(format: Format, mesh: &TriMesh, attributes: &'a Attributes) -> Self {
+    pub(super) fn of(holds: &Holds, mesh: &TriMesh, attributes: &'a Attributes) -> Self {
         let mut held = Self::default();
         let (facets, vertices) = (mesh.facets(), mesh.positions().len());
-        match attributes.normals() {
-            Some(_) if format == Format::Stl => held.leave_out("normals"),
-            Some(Normals::PerVertex(values)) => held.normals = Some(values.clone()),
-            Some(Normals::PerCorner(normals)) if format == Format::Obj => held.corner_normals = Some(normals),
-            Some(Normals::PerCorner(normals)) => {
+        match (attributes.normals(), &holds.normals) {
+            (None, _) => {}
+            (Some(_), By::None) => held.leave_out("normals"),
+            (Some(Normals::PerVertex(values)), _) => held.normals = Some(values.clone()),
+            (Some(Normals::PerCorner(normals)), By::Corner) => held.corner_normals = Some(normals),
+            (Some(Normals::PerCorner(normals)), By::Vertex | By::VertexOrCorner) => {
                 held.normals = normals.per_vertex(facets, vertices);
                 if held.normals.is_none() {
                     held.leave_out("normals (they differ from facet to facet)");
                 }
             }
-            None => {}
         }
-        match (attributes.texture(), format) {
-            (Some(_), Format::Stl) => held.leave_out("texture coordinates"),
-            (Some(texture), Format::Obj) => held.corner_uv = Some(texture),
-            (Some(texture), Format::Ply | Format::Off) => {
+        match (attributes.texture(), &holds.texture) {
+            (None, _) => {}
+            (Some(_), By::None) => held.leave_out("texture coordinates"),
+            (Some(texture), By::Corner) => held.corner_uv = Some(texture),
+            (Some(texture), by) => {
                 held.uv = texture.per_vertex(facets, vertices);
-                match (&held.uv, format) {
-                    (None, Format::Ply) => held.corner_uv = Some(texture),
-                    (None, _) => held.leave_out("texture coordinates (they have seams)"),
+                match (&held.uv, by) {
                     (Some(_), _) => {}
+                    (None, By::VertexOrCorner) => held.corner_uv = Some(texture),
+                    (None, _) => held.leave_out("texture coordinates (they have seams)"),
                 }
             }
-            (None, _) => {}
         }
-        match (attributes.colours(), format) {
-            (Some(_), Format::Stl) => held.leave_out("colours"),
-            (Some(colours), _) => {
-                held.colours = Some(colours);
-                if format == Format::Obj && colours.values.iter().any(|c| c[3] != 1.0) {
-                    held.leave_out("opacity");
-                }
+        if let Some(colours) = attributes.colours() {
+            held.colours = holds.colours.then_some(colours);
+            if !holds.colours {
+                held.leave_out("colours");
+            } else if !holds.opacity && colours.values.iter().any(|c| c[3] != 1.0) {
+                held.leave_out("opacity");
             }
-            (None, _) => {}
         }
-        match format {
-            Format::Ply => held.scalars = attributes.scalars(),
-            _ => attributes.scalars().iter().for_each(|s| held.leave_out(&format!("scalar {}", s.name))),
+        match holds.scalars {
+            true => held.scalars = attributes.scalars(),
+            false => attributes.scalars().iter().for_each(|s| held.leave_out(&format!("scalar {}", s.name))),
         }
         held
     }

@@ -3,12 +3,11 @@
 //! Purpose: one element a line; empty lines and lines that begin with `#` are left out. What goes by the file's own vertices
 //! is brought to those of the surface that was read.
 //! Invariant: PLY and OFF vertices keep their numbers. OBJ vertices are numbered by first use in a face, and the
-//! ones that no face uses are left out; the order is read from the file once more and compared with the surface, so
-//! that a length never lands on another vertex. STL has no vertices to speak of. Must not know: what lists are for.
+//! ones that no face uses are left out; their order comes from the reader of the surface. STL has no vertices to speak of. Must not know: what lists are for.
 
 use glam::DVec3;
 
-use super::{DataError, Format};
+use super::{DataError, Format, VertexNumbers, without_mark};
 use crate::mesh::TriMesh;
 
 /// The lines that say something, numbered from 1.
@@ -54,27 +53,37 @@ pub(crate) struct FileVertices {
     /// How many the file has.
     count: usize,
     /// For each of the surface's vertices its number in the file; `None` if the numbers are the same.
-    order: Option<Vec<usize>>,
+    order: Option<Vec<u32>>,
 }
 
 impl FileVertices {
+    /// Whether the vertices of such a file have numbers.
+    #[cfg(feature = "cli")]
+    pub(crate) fn are_numbered(format: Format) -> bool {
+        !matches!(format.codec().vertices, VertexNumbers::Absent)
+    }
+
+    /// Whether [`Self::of`] reads the bytes of such a file.
+    #[cfg(feature = "cli")]
+    pub(crate) fn needs_bytes(format: Format) -> bool {
+        matches!(format.codec().vertices, VertexNumbers::Reordered(_))
+    }
+
     /// Those of `mesh`, which was read from these bytes.
     ///
     /// # Errors
     /// `List` if they cannot be told.
     pub(crate) fn of(format: Format, bytes: &[u8], mesh: &TriMesh) -> Result<Self, DataError> {
-        match format {
-            Format::Ply | Format::Off => return Ok(Self::of_arrays(mesh)),
-            Format::Stl => return Err(DataError::List(NO_NUMBERS.to_owned())),
-            Format::Obj => {}
-        }
-        let (positions, order) = obj_order(&String::from_utf8_lossy(bytes));
-        let found: Option<Vec<&DVec3>> = order.iter().map(|&v| positions.get(v)).collect();
-        if found.is_none_or(|found| !found.into_iter().eq(mesh.positions())) {
+        let (count, order) = match format.codec().vertices {
+            VertexNumbers::Kept => return Ok(Self::of_arrays(mesh)),
+            VertexNumbers::Absent => return Err(DataError::List(NO_NUMBERS.to_owned())),
+            VertexNumbers::Reordered(order) => order(without_mark(bytes))?,
+        };
+        if order.len() != mesh.positions().len() {
             let text = "cannot tell which vertex of the surface is which of the file; convert it to .ply";
             return Err(DataError::List(text.to_owned()));
         }
-        Ok(Self { count: positions.len(), order: Some(order) })
+        Ok(Self { count, order: Some(order) })
     }
 
     /// Those of a surface that did not come in a file.
@@ -100,7 +109,7 @@ impl FileVertices {
             return Err(DataError::List(text));
         }
         Ok(match &self.order {
-            Some(order) => order.iter().map(|&v| lengths[v]).collect(),
+            Some(order) => order.iter().map(|&v| lengths[v as usize]).collect(),
             None => lengths,
         })
     }
@@ -113,7 +122,7 @@ impl FileVertices {
         // Where the file's vertices are in the surface.
         let place: Option<Vec<Option<u32>>> = self.order.as_ref().map(|order| {
             let mut place = vec![None; self.count];
-            order.iter().zip(0..).for_each(|(&v, k)| place[v] = Some(k));
+            order.iter().zip(0..).for_each(|(&v, k)| place[v as usize] = Some(k));
             place
         });
         let mut edges = Vec::new();
@@ -138,27 +147,3 @@ impl FileVertices {
 
 /// Why an STL file has no lists beside it.
 pub(crate) const NO_NUMBERS: &str = "an STL file has no numbered vertices; convert it to .ply, .obj or .off";
-
-/// Vertices of an OBJ file, and those that faces use, by first use. NaN for what is no number.
-fn obj_order(text: &str) -> (Vec<DVec3>, Vec<usize>) {
-    let text = text.trim_start_matches('\u{feff}').replace("\\\r\n", " ").replace("\\\n", " ");
-    let (mut positions, mut corners) = (Vec::new(), Vec::new());
-    for line in text.lines() {
-        let mut words = line.split('#').next().unwrap_or_default().split_ascii_whitespace();
-        match words.next() {
-            Some("v") => {
-                let mut number = || words.next().and_then(|word| word.parse().ok()).unwrap_or(f64::NAN);
-                positions.push(DVec3::new(number(), number(), number()));
-            }
-            Some("f") => corners.extend(words.filter_map(|word| {
-                let index: i64 = word.split('/').next()?.parse().ok()?;
-                // From 1, or from the last one back.
-                usize::try_from(if index < 0 { positions.len() as i64 + index } else { index - 1 }).ok()
-            })),
-            _ => {}
-        }
-    }
-    let mut seen = vec![false; positions.len()];
-    corners.retain(|&v| seen.get_mut(v).is_none_or(|seen| !std::mem::replace(seen, true)));
-    (positions, corners)
-}

@@ -1,217 +1,242 @@
-//! Wavefront OBJ: common text read in place ([`plain`]), all other through the `tobj` crate.
+//! Wavefront OBJ.
 //!
-//! Purpose: bytes to triangles and back. Vertices are numbered by their first use in a facet;
-//! those that no facet uses are left out.
-//! Why `tobj` gets a copy of the positions and faces alone ([`geometry`]): it splits vertices at groups,
-//! makes facets of polylines (`l 1 2 3`), refuses files for their texture or material lines, which do not
-//! matter here, and its errors name no line.
+//! Purpose: bytes to triangles with what they carry, in one pass over the statements, and back. Vertices are numbered by their
+//! first use in a facet; those that no facet uses are left out.
+//! How: statements as nearly all files have them ([`common`]) are read in place, on all threads. A file with any other statement
+//! is read as one piece ([`dialects`]): the `tobj` crate reads its geometry.
+//! Invariant: both give the same to the bit, whatever the number of threads.
 //! Must not know: other formats.
 
-use glam::DVec3;
-use tobj::LoadOptions;
+mod common;
+mod dialects;
 
-use super::held::Held;
-use super::{DataError, Soup};
-use crate::mesh::{MeshError, TriMesh};
+use std::fmt::Write as _;
 
-mod attributes;
-mod plain;
-pub(super) use attributes::{attributes, encode_with};
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 
-pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
-    if let Some(soup) = plain::decode(bytes) {
-        return Ok(soup);
+use super::held::{By, Held, Holds, Raw};
+use super::polygons::Fan;
+use super::{Codec, DataError, Soup, VertexNumbers, VertexOrder};
+use crate::mesh::TriMesh;
+use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
+
+/// See [`Codec`].
+pub(super) const CODEC: Codec = Codec {
+    extension: "obj",
+    decode,
+    encode,
+    counts,
+    holds: Holds { normals: By::Corner, texture: By::Corner, colours: true, opacity: false, scalars: false },
+    vertices: VertexNumbers::Reordered(vertex_order),
+};
+
+/// An index that names nothing.
+const NONE: u32 = u32::MAX;
+const WHITE: [f64; 4] = [1.0; 4];
+const NORMALS: &str = "normals";
+const TEXTURE: &str = "texture coordinates";
+const COLOURS: &str = "colours";
+
+/// Reads a surface; what it carries only if it is `wanted`.
+fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+    match common::read(bytes, wanted).and_then(Statements::surface) {
+        Some(soup) => Ok(soup),
+        None => dialects::decode(bytes, wanted),
     }
-    let text = geometry(bytes)?;
-    let options = LoadOptions { ignore_points: true, ignore_lines: true, ..LoadOptions::default() };
-    let no_materials = |_: &std::path::Path| Ok((Vec::new(), Default::default()));
-    let (models, _) = tobj::load_obj_buf(&mut text.as_slice(), &options, no_materials)
-        .map_err(|error| locate(bytes).unwrap_or_else(|| DataError::Header(error.to_string())))?;
-    let Some(mesh) = models.into_iter().next().map(|model| model.mesh) else {
-        return Ok(Soup::default());
+}
+
+fn vertex_order(bytes: &[u8]) -> Result<VertexOrder, DataError> {
+    let mut statements = match common::read(bytes, false) {
+        Some(statements) => statements,
+        None => dialects::read(bytes, true, false)?.0,
     };
-    let (positions, _) = mesh.positions.as_chunks::<3>();
-    let positions: Vec<DVec3> = positions.iter().map(|&p| DVec3::from_array(p)).collect();
-    if positions.iter().any(|p| !p.is_finite()) {
-        return Err(locate(bytes).unwrap_or_else(|| DataError::Header("a coordinate is not finite".into())));
-    }
-    let mut soup = Soup { positions, ..Soup::default() };
-    if mesh.face_arities.is_empty() {
-        soup.facets = mesh.indices.as_chunks::<3>().0.to_vec();
-        return Ok(soup);
-    }
-    let mut rest = &mesh.indices[..];
-    for &corners in &mesh.face_arities {
-        let (face, after) = rest.split_at_checked(corners as usize).unwrap_or((rest, &[]));
-        let corners: Vec<i64> = face.iter().map(|&v| i64::from(v)).collect();
-        soup.push_polygon(&corners).map_err(DataError::Header)?;
-        rest = after;
-    }
-    Ok(soup)
+    Ok((statements.vertices, statements.number_by_use().unwrap_or_default()))
 }
 
 /// Vertices, used or not, and facets.
-pub(super) fn counts(bytes: &[u8]) -> (u64, u64) {
+fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
     let (mut vertices, mut facets) = (0, 0);
-    for (_, statement) in statements(bytes) {
-        let mut words = Words(statement);
+    for (_, statement) in dialects::statements(bytes) {
+        let mut words = dialects::Words(statement);
         match words.next() {
             Some(b"v") => vertices += 1,
             Some(b"f") => facets += words.count().saturating_sub(2) as u64,
             _ => {}
         }
     }
-    (vertices, facets)
+    Some((vertices, facets))
 }
 
-pub(super) fn encode(mesh: &TriMesh) -> Vec<u8> {
-    encode_with(mesh, &Held::default())
+/// What the statements of a file say. Indices are from 0 and count over the whole file.
+#[derive(Debug, Default)]
+struct Statements {
+    vertices: usize,
+    /// Empty where the crate reads them.
+    positions: Vec<DVec3>,
+    facets: Vec<[u32; 3]>,
+    fans: Vec<Fan>,
+    /// As many as vertices up to the last one with a colour; empty if there is none.
+    colours: Vec<[f64; 4]>,
+    texture: Vec<DVec2>,
+    normals: Vec<DVec3>,
+    /// As many as facets up to the last one with texture coordinates, or normals.
+    texture_corners: Vec<[u32; 3]>,
+    normal_corners: Vec<[u32; 3]>,
 }
 
-/// The `v` and `f` lines alone, with position indices alone, continued lines joined.
-fn geometry(bytes: &[u8]) -> Result<Vec<u8>, DataError> {
-    let mut out = Vec::with_capacity(bytes.len());
-    for (line, words) in statements(bytes) {
-        let mut words = Words(words);
-        match words.next() {
-            Some(b"v") => {
-                out.push(b'v');
-                let values: Vec<_> = words.take(8).collect();
-                // A fourth value alone is the homogeneous coordinate; more are colours.
-                let kept = if values.len() == 4 { 4 } else { values.len().min(3) };
-                for value in &values[..kept] {
-                    out.push(b' ');
-                    out.extend_from_slice(value);
-                }
-                out.push(b'\n');
+/// What a corner names.
+#[derive(Clone, Copy)]
+struct Corner {
+    vertex: u32,
+    texture: u32,
+    normal: u32,
+}
+
+impl Statements {
+    fn push_colour(&mut self, colour: [f64; 4]) {
+        self.colours.resize(self.vertices, WHITE);
+        self.colours.push(colour);
+    }
+
+    /// A polygon as a fan around its first corner. Fewer than three corners are none.
+    fn push_face(&mut self, corners: &[Corner]) {
+        let [first, rest @ ..] = corners else { return };
+        let begin = self.facets.len();
+        for pair in rest.windows(2) {
+            let facet = [*first, pair[0], pair[1]];
+            push_corners(&mut self.texture_corners, self.facets.len(), facet.map(|c| c.texture));
+            push_corners(&mut self.normal_corners, self.facets.len(), facet.map(|c| c.normal));
+            self.facets.push(facet.map(|c| c.vertex));
+        }
+        self.end_face(begin);
+    }
+
+    /// After the facets of a polygon, which begin there. Returns whether there are any.
+    fn end_face(&mut self, begin: usize) -> bool {
+        let count = self.facets.len() - begin;
+        if count > 1 {
+            // As many facets as numbers can tell apart are refused later.
+            let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+            self.fans.push((number(begin), number(count)));
+        }
+        count > 0
+    }
+
+    /// Numbers the vertices by first use. Returns which vertex of the file each is; nothing if a corner names none.
+    fn number_by_use(&mut self) -> Option<Vec<u32>> {
+        let mut number = vec![NONE; self.vertices];
+        let mut order = Vec::with_capacity(self.vertices);
+        for corner in self.facets.iter_mut().flatten() {
+            let slot = number.get_mut(*corner as usize)?;
+            if *slot == NONE {
+                *slot = u32::try_from(order.len()).ok()?;
+                order.push(*corner);
             }
-            Some(b"f") => {
-                out.push(b'f');
-                let mut corners = 0;
-                for word in words {
-                    let index = position_index(word);
-                    if index.is_empty() {
-                        // `//3`: the crate would not see the corner, and take a smaller face or none.
-                        return Err(DataError::Syntax {
-                            line,
-                            message: format!("\"{}\" names no vertex", shown(word)),
-                        });
-                    }
-                    out.push(b' ');
-                    out.extend_from_slice(index);
-                    corners += 1;
-                }
-                out.push(b'\n');
-                if corners < 3 {
-                    let message = format!("a face needs at least 3 corners and has {corners}");
-                    return Err(DataError::Syntax { line, message });
-                }
-            }
-            _ => {}
+            *corner = *slot;
+        }
+        Some(order)
+    }
+
+    /// The surface, if the positions are here and no corner names another vertex.
+    fn surface(mut self) -> Option<Soup> {
+        let order = self.number_by_use()?;
+        let positions = order.par_iter().map(|&v| self.positions[v as usize]).collect();
+        let colour = |&v: &u32| self.colours.get(v as usize).copied().unwrap_or(WHITE);
+        let colours = (!self.colours.is_empty()).then(|| order.iter().map(colour).collect());
+        let (facets, fans) = (std::mem::take(&mut self.facets), std::mem::take(&mut self.fans));
+        let raw = self.carried(&facets, order.len(), colours, Raw::default());
+        Some(Soup { positions, facets, fans, raw })
+    }
+
+    /// What a surface of these facets and so many vertices carries. What `raw` has given up is left out.
+    fn carried(self, facets: &[[u32; 3]], vertices: usize, colours: Option<Vec<[f64; 4]>>, mut raw: Raw) -> Raw {
+        if let Some(values) = colours.filter(|_| !raw.is_unreadable(COLOURS)) {
+            let depth = depth(&values);
+            raw.colours = Some(Colours { values, depth });
+        }
+        if !self.texture_corners.is_empty() && !raw.is_unreadable(TEXTURE) {
+            raw.texture = Some(per_corner(self.texture, self.texture_corners, facets.len()));
+        }
+        if !self.normal_corners.is_empty() && !raw.is_unreadable(NORMALS) {
+            let normals = per_corner(self.normals, self.normal_corners, facets.len());
+            // Checked before they are looked up: an index may still be too large.
+            let known = normals.corners.iter().flatten().all(|&i| (i as usize) < normals.values.len());
+            let per_vertex = known.then(|| normals.per_vertex(facets, vertices)).flatten();
+            raw.normals = Some(per_vertex.map_or(Normals::PerCorner(normals), Normals::PerVertex));
+        }
+        raw
+    }
+}
+
+/// Notes what the corners of the next facet name, if they name anything.
+fn push_corners(list: &mut Vec<[u32; 3]>, facets: usize, corners: [u32; 3]) {
+    if corners != [NONE; 3] {
+        list.resize(facets, [NONE; 3]);
+        list.push(corners);
+    }
+}
+
+/// Values by corner; corners that name nothing get a default value of their own. OBJ has (0, 0) for texture coordinates, as
+/// renderers take them, and no normal.
+fn per_corner<T: Default>(mut values: Vec<T>, mut corners: Vec<[u32; 3]>, facets: usize) -> PerCorner<T> {
+    corners.resize(facets, [NONE; 3]);
+    let missing = u32::try_from(values.len()).unwrap_or(NONE);
+    if corners.iter().flatten().any(|&i| i == NONE) {
+        // An index that is too large must stay so, and not become the default's.
+        corners.iter_mut().flatten().filter(|i| **i == missing).for_each(|i| *i = missing + 1);
+        values.push(T::default());
+        corners.iter_mut().flatten().filter(|i| **i == NONE).for_each(|i| *i = missing);
+    }
+    PerCorner { values, corners }
+}
+
+/// Eight bits if every component is a 255th, and one of them is between 0 and 1.
+fn depth(values: &[[f64; 4]]) -> ColourDepth {
+    let mut between = false;
+    for &x in values.iter().flatten() {
+        let k = (x * 255.0).round();
+        if !(0.0..=255.0).contains(&k) || k / 255.0 != x {
+            return ColourDepth::Float;
+        }
+        between |= k != 0.0 && k != 255.0;
+    }
+    if between { ColourDepth::Eight } else { ColourDepth::Float }
+}
+
+fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
+    let mut text = String::with_capacity(128 * mesh.positions().len() + 32 * mesh.facets().len());
+    for (vertex, p) in mesh.positions().iter().enumerate() {
+        let _ = write!(text, "v {:?} {:?} {:?}", p.x, p.y, p.z);
+        if let Some([r, g, b, _]) = held.colours.map(|c| c.values[vertex]) {
+            let _ = write!(text, " {r:?} {g:?} {b:?}");
+        }
+        text.push('\n');
+    }
+    if let Some(texture) = held.corner_uv {
+        for uv in &texture.values {
+            let _ = writeln!(text, "vt {:?} {:?}", uv.x, uv.y);
         }
     }
-    Ok(out)
-}
-
-/// After a failure: the first line that is to blame.
-fn locate(bytes: &[u8]) -> Option<DataError> {
-    let mut vertices = 0;
-    let mut faces = Vec::new();
-    for (line, statement) in statements(bytes) {
-        let mut words = Words(statement);
-        match words.next() {
-            Some(b"v") => {
-                let values: Vec<Option<f64>> = words.map(number).take(8).collect();
-                let divisor = if values.len() == 4 { values[3] } else { Some(1.0) };
-                let (Some([Some(x), Some(y), Some(z)]), Some(w)) = (values.first_chunk(), divisor) else {
-                    let message = "\"v\" needs three numbers, x y z".to_owned();
-                    return Some(DataError::Syntax { line, message });
-                };
-                if w == 0.0 {
-                    let message = "the fourth coordinate is 0, a point at infinity".to_owned();
-                    return Some(DataError::Syntax { line, message });
-                }
-                let p = DVec3::new(*x, *y, *z) / w;
-                if !p.is_finite() {
-                    return Some(MeshError::NonFinitePosition { vertex: vertices, x: p.x, y: p.y, z: p.z }.into());
-                }
-                vertices += 1;
-            }
-            Some(b"f") => {
-                for word in words {
-                    let Some(index) = number::<i64>(position_index(word)) else {
-                        let message = format!("\"{}\" is no vertex number", shown(word));
-                        return Some(DataError::Syntax { line, message });
-                    };
-                    let from_start =
-                        if index < 0 { i64::try_from(vertices).ok()?.wrapping_add(index) } else { index - 1 };
-                    faces.push((line, index, from_start));
-                }
-            }
-            _ => {}
-        }
+    let normals = held.corner_normals.map(|n| &n.values).or(held.normals.as_ref());
+    for n in normals.into_iter().flatten() {
+        let _ = writeln!(text, "vn {:?} {:?} {:?}", n.x, n.y, n.z);
     }
-    // Faces may come before their vertices, so only now is their number known.
-    let bad = faces.into_iter().find(|&(_, _, i)| usize::try_from(i).map_or(true, |i| i >= vertices));
-    bad.map(|(line, index, _)| {
-        let message = format!("vertex {index} is named, but there are {vertices} (1 to {vertices})");
-        DataError::Syntax { line, message }
-    })
-}
-
-fn number<T: std::str::FromStr>(word: &[u8]) -> Option<T> {
-    std::str::from_utf8(word).ok()?.parse().ok()
-}
-
-/// The beginning of a word, for a message: a file may hold one of any length.
-fn shown(word: &[u8]) -> String {
-    String::from_utf8_lossy(&word[..word.len().min(160)]).chars().take(40).collect()
-}
-
-fn position_index(word: &[u8]) -> &[u8] {
-    &word[..word.iter().position(|&b| b == b'/').unwrap_or(word.len())]
-}
-
-/// Statements with the number of their first line. A backslash at a line's end continues it.
-fn statements(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
-    let mut rest = bytes;
-    let mut line = 0;
-    std::iter::from_fn(move || {
-        if rest.is_empty() {
-            return None;
+    for (facet, vertices) in mesh.facets().iter().enumerate() {
+        text.push('f');
+        for (corner, &vertex) in vertices.iter().enumerate() {
+            let texture = held.corner_uv.map(|t| u64::from(t.corners[facet][corner]) + 1);
+            let normal = held.corner_normals.map(|n| n.corners[facet][corner]);
+            let normal = normal.or(held.normals.as_ref().map(|_| vertex)).map(|n| u64::from(n) + 1);
+            let vertex = u64::from(vertex) + 1;
+            let _ = match (texture, normal) {
+                (None, None) => write!(text, " {vertex}"),
+                (Some(t), None) => write!(text, " {vertex}/{t}"),
+                (None, Some(n)) => write!(text, " {vertex}//{n}"),
+                (Some(t), Some(n)) => write!(text, " {vertex}/{t}/{n}"),
+            };
         }
-        let first = line + 1;
-        let mut end = 0;
-        loop {
-            line += 1;
-            let length = rest[end..].iter().position(|&b| b == b'\n').unwrap_or(rest.len() - end);
-            let text = rest[end..end + length].trim_ascii_end();
-            end = (end + length + 1).min(rest.len());
-            if end == rest.len() || text.last() != Some(&b'\\') {
-                break;
-            }
-        }
-        let (statement, after) = rest.split_at(end);
-        rest = after;
-        Some((first, statement))
-    })
-}
-
-/// Words of a statement, up to a comment; a continuing backslash is a blank.
-struct Words<'a>(&'a [u8]);
-
-impl<'a> Iterator for Words<'a> {
-    type Item = &'a [u8];
-
-    fn next(&mut self) -> Option<&'a [u8]> {
-        let blank = |b: &u8| b.is_ascii_whitespace() || *b == b'\\';
-        let start = self.0.iter().position(|b| !blank(b))?;
-        let rest = &self.0[start..];
-        if rest[0] == b'#' {
-            return None;
-        }
-        let (word, rest) = rest.split_at(rest.iter().position(blank).unwrap_or(rest.len()));
-        self.0 = rest;
-        Some(word)
+        text.push('\n');
     }
+    Ok(text.into_bytes())
 }

@@ -1,21 +1,34 @@
 //! Geomview OFF, text. Our own reader: no well-kept crate reads it.
 //!
-//! Purpose: bytes to triangles and back. One vertex and one face a line; what follows the
-//! position (normals of NOFF, colours of COFF) or the corners (colours) is left aside.
+//! Purpose: bytes to triangles with what they carry, in one pass, and back. One vertex and one face a line. After the position
+//! come normals (N), colours (C) and texture coordinates (ST) of a vertex, in this order, as the keyword announces them; what
+//! follows the corners of a face (colours) is left aside.
 //! Must not know: other formats.
 
-use glam::DVec3;
+use std::fmt::Write as _;
 
-use super::held::Held;
-use super::{DataError, Soup};
+use glam::{DVec2, DVec3};
+
+use super::held::{By, Held, Holds, Raw, eight_bit};
+use super::{Codec, DataError, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
+use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
-mod attributes;
-pub(super) use attributes::{attributes, encode_with};
+/// See [`Codec`].
+pub(super) const CODEC: Codec = Codec {
+    extension: "off",
+    decode,
+    encode,
+    counts,
+    holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: false },
+    vertices: VertexNumbers::Kept,
+};
 
-pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
+/// Reads a surface; what it carries only if it is `wanted`.
+fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let mut lines = Lines { rest: bytes, line: 0 };
-    let (vertices, faces) = header(&mut lines)?;
+    let Header { kinds, vertices, faces } = header(&mut lines)?;
+    let mut carried = (wanted && !kinds.is_empty()).then(|| Carried::of(kinds));
     let mut soup = Soup::default();
     // Counts are the file's word. A line of a vertex has at least 6 bytes, of a face 8.
     soup.positions.reserve(vertices.min(bytes.len() / 6));
@@ -31,6 +44,9 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
             return Err(DataError::Syntax { line, message: "a vertex needs three numbers, x y z".to_owned() });
         };
         soup.positions.push(DVec3::new(x, y, z));
+        if let Some(carried) = &mut carried {
+            carried.push(text.split_ascii_whitespace().skip(3).take(9).collect());
+        }
     }
     let mut corners = Vec::new();
     for index in 0..faces {
@@ -53,13 +69,75 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
         }
         soup.push_polygon(&corners).map_err(syntax)?;
     }
+    soup.raw = carried.map(|carried| carried.finish(&soup.facets)).unwrap_or_default();
     Ok(soup)
 }
 
+/// What vertices carry, so far.
+#[derive(Default)]
+struct Carried {
+    normals: Option<Vec<DVec3>>,
+    texture: Option<Vec<DVec2>>,
+    /// An opacity that is not there is infinite.
+    colours: Option<Vec<[f64; 4]>>,
+    /// Eight bits: integers up to 255 throughout, one of them above 1.
+    has_fractions: bool,
+    above_one: bool,
+}
+
+impl Carried {
+    /// What the letters before the keyword announce.
+    fn of(kinds: &str) -> Self {
+        Self {
+            normals: kinds.contains('N').then(Vec::new),
+            texture: kinds.starts_with("ST").then(Vec::new),
+            colours: kinds.contains('C').then(Vec::new),
+            ..Self::default()
+        }
+    }
+
+    /// Takes the words of a vertex after its position. What is missing or no number is NaN, and refused with the others that
+    /// are not finite.
+    fn push(&mut self, mut words: Vec<&str>) {
+        let number = |word: Option<&&str>| word.and_then(|w| w.parse::<f64>().ok()).unwrap_or(f64::NAN);
+        if let Some(normals) = &mut self.normals {
+            normals.push(DVec3::new(number(words.first()), number(words.get(1)), number(words.get(2))));
+            words.drain(..words.len().min(3));
+        }
+        if let Some(texture) = &mut self.texture {
+            let uv = words.split_off(words.len().saturating_sub(2));
+            texture.push(DVec2::new(number(uv.first()), number(uv.get(1))));
+        }
+        if let Some(colours) = &mut self.colours {
+            let rgb = [words.first(), words.get(1), words.get(2)].map(number);
+            let alpha = words.get(3).map(|word| number(Some(word)));
+            let are_integers = words.iter().take(4).all(|w| w.bytes().all(|b| b.is_ascii_digit()));
+            self.has_fractions |= !(are_integers && rgb.iter().chain(&alpha).all(|x| *x <= 255.0));
+            self.above_one |= rgb.iter().chain(&alpha).any(|x| *x > 1.0);
+            colours.push([rgb[0], rgb[1], rgb[2], alpha.unwrap_or(f64::INFINITY)]);
+        }
+    }
+
+    fn finish(self, facets: &[[u32; 3]]) -> Raw {
+        let eight = !self.has_fractions && self.above_one;
+        let scale = if eight { 255.0 } else { 1.0 };
+        let component = |x: f64| if x == f64::INFINITY { 1.0 } else { x / scale };
+        Raw {
+            normals: self.normals.map(Normals::PerVertex),
+            texture: self.texture.map(|values| PerCorner { values, corners: facets.to_vec() }),
+            colours: self.colours.map(|colours| Colours {
+                values: colours.into_iter().map(|c| c.map(component)).collect(),
+                depth: if eight { ColourDepth::Eight } else { ColourDepth::Float },
+            }),
+            ..Raw::default()
+        }
+    }
+}
+
 /// Vertices and facets, of every line its first word at most.
-pub(super) fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
+fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
     let mut lines = Lines { rest: bytes, line: 0 };
-    let (vertices, faces) = header(&mut lines).ok()?;
+    let Header { vertices, faces, .. } = header(&mut lines).ok()?;
     for _ in 0..vertices {
         lines.next().ok()??;
     }
@@ -73,20 +151,62 @@ pub(super) fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
     Some((vertices as u64, facets))
 }
 
-pub(super) fn encode(mesh: &TriMesh) -> Vec<u8> {
-    encode_with(mesh, &Held::default())
+fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
+    let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
+    let mut text = String::with_capacity(96 * vertices + 24 * facets);
+    let mark = |there: bool, letters| if there { letters } else { "" };
+    let kinds = [mark(held.uv.is_some(), "ST"), mark(held.colours.is_some(), "C"), mark(held.normals.is_some(), "N")];
+    let _ = writeln!(text, "{}OFF\n{vertices} {facets} 0", kinds.concat());
+    // Whole numbers none of which is above 1 would be read as floating point.
+    let eight = held
+        .colours
+        .is_some_and(|c| c.depth == ColourDepth::Eight && c.values.iter().flatten().any(|&x| eight_bit(x) > 1));
+    // Debug formatting is the shortest text that reads back as the same bits.
+    for (vertex, p) in mesh.positions().iter().enumerate() {
+        let _ = write!(text, "{:?} {:?} {:?}", p.x, p.y, p.z);
+        if let Some(n) = held.normals.as_ref().map(|n| n[vertex]) {
+            let _ = write!(text, " {:?} {:?} {:?}", n.x, n.y, n.z);
+        }
+        if let Some(colours) = held.colours {
+            let colour = colours.values[vertex];
+            let _ = if eight {
+                let [r, g, b, a] = colour.map(eight_bit);
+                write!(text, " {r} {g} {b} {a}")
+            } else {
+                let [r, g, b, a] = colour;
+                write!(text, " {r:?} {g:?} {b:?} {a:?}")
+            };
+        }
+        if let Some(uv) = held.uv.as_ref().map(|uv| uv[vertex]) {
+            let _ = write!(text, " {:?} {:?}", uv.x, uv.y);
+        }
+        text.push('\n');
+    }
+    for [a, b, c] in mesh.facets() {
+        let _ = writeln!(text, "3 {a} {b} {c}");
+    }
+    Ok(text.into_bytes())
+}
+
+struct Header<'a> {
+    /// The letters before the keyword.
+    kinds: &'a str,
+    vertices: usize,
+    faces: usize,
 }
 
 /// Reads the keyword, which may be missing, and the counts, which may be on its line.
-fn header(lines: &mut Lines) -> Result<(usize, usize), DataError> {
+fn header<'a>(lines: &mut Lines<'a>) -> Result<Header<'a>, DataError> {
     let short = || DataError::Truncated("it ends inside the header".to_owned());
     let (mut line, mut text) = lines.next()?.ok_or_else(short)?;
+    let mut kinds = "";
     let first = text.split_ascii_whitespace().next().unwrap_or_default();
     if !first.starts_with(|c: char| c.is_ascii_digit()) || first.ends_with("OFF") {
         if !matches!(first, "OFF" | "COFF" | "NOFF" | "CNOFF" | "STOFF" | "STCOFF" | "STNOFF" | "STCNOFF") {
             let message = format!("\"{}\" is not one of OFF, COFF, NOFF", first.chars().take(16).collect::<String>());
             return Err(DataError::Syntax { line, message });
         }
+        kinds = first.strip_suffix("OFF").unwrap_or_default();
         text = text.trim_start()[first.len()..].trim();
         if text.starts_with("BINARY") {
             return Err(DataError::Header("binary OFF is not read; export it as text or as .ply".to_owned()));
@@ -105,7 +225,7 @@ fn header(lines: &mut Lines) -> Result<(usize, usize), DataError> {
             message: "expected the numbers of vertices, faces and edges".to_owned(),
         });
     };
-    Ok((vertices, faces))
+    Ok(Header { kinds, vertices, faces })
 }
 
 fn cut(what: &str, read: usize, declared: usize) -> DataError {

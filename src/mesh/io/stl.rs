@@ -14,15 +14,26 @@ use std::io::{Cursor, ErrorKind, Read, Seek};
 use glam::DVec3;
 use stl_io::{Normal, Triangle, Vertex};
 
-use super::{DataError, Soup};
+use super::held::{By, Held, Holds};
+use super::{Codec, DataError, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
+
+/// See [`Codec`].
+pub(super) const CODEC: Codec = Codec {
+    extension: "stl",
+    decode,
+    encode,
+    counts,
+    holds: Holds { normals: By::None, texture: By::None, colours: false, opacity: false, scalars: false },
+    vertices: VertexNumbers::Absent,
+};
 
 const HEADER: usize = 84;
 const RECORD: usize = 50;
 /// Facets that single precision makes lines or points of may have this share of the area.
 const LOSS: f64 = 1e-3;
 
-pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
+fn decode(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
     let mut welder = Welder::default();
     if is_ascii(bytes) {
         let text = bytes.to_ascii_lowercase();
@@ -46,7 +57,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Soup, DataError> {
 }
 
 /// Vertices and facets: three vertices each, since it is not looked which are the same.
-pub(super) fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
+fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
     let facets = if is_ascii(bytes) {
         let begins = |line: &&[u8]| line.trim_ascii_start().get(..5).is_some_and(|w| w.eq_ignore_ascii_case(b"facet"));
         bytes.split(|&b| b == b'\n').filter(begins).count()
@@ -56,7 +67,7 @@ pub(super) fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
     Some((3 * facets, facets))
 }
 
-pub(super) fn encode(mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
+fn encode(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError> {
     let limit = f64::from(f32::MAX);
     if let Some(vertex) = mesh.positions().iter().position(|p| p.abs().max_element() > limit) {
         let [x, y, z] = mesh.positions()[vertex].to_array();

@@ -9,7 +9,7 @@ use rand_chacha::rand_core::SeedableRng;
 use super::{Masses, in_triangle, uniform};
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::SurfacePoint;
-use crate::mesh::curve;
+use crate::mesh::morton;
 
 /// A facet with weights is quartered so often at least: within the parts they count as the same.
 const LEVELS: i32 = 3;
@@ -68,7 +68,7 @@ impl<'a> Curve<'a> {
         let (middle, half) = (low * 0.5 + high * 0.5, (high * 0.5 - low * 0.5).max_element());
         let place = |f: u32| {
             let [a, b, c] = mesh.corners(f as usize).map(|p| (p - middle) / half);
-            curve::along((a + b + c) / 3.0)
+            morton::code((a + b + c) / 3.0)
         };
         let with_mass = (0..mesh.facets().len() as u32).filter(|&f| masses.most(f as usize) > 0.0);
         let region = |f: u32| regions.and_then(|r| r.get(f as usize)).copied().unwrap_or(0);

@@ -9,7 +9,7 @@ use super::Draft;
 use crate::mesh::TriMesh;
 
 /// A regular solid, each face divided into n² triangles and blown up: 20 n² or, where that is
-/// much nearer to the wish, 8 n² or 4 n² facets.
+/// much nearer to the target, 8 n² or 4 n² facets.
 pub(super) fn sphere(facets: usize) -> TriMesh {
     let phi = (1.0 + 5f64.sqrt()) / 2.0;
     let solids: [(Vec<DVec3>, Vec<[u32; 3]>); 3] = [
@@ -58,12 +58,12 @@ pub(super) fn sphere(facets: usize) -> TriMesh {
             vec![[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]],
         ),
     ];
-    let wish = facets as f64;
+    let target = facets as f64;
     let mut best = (f64::INFINITY, 0, 1);
     for (solid, (_, faces)) in solids.iter().enumerate() {
-        let n = (wish / faces.len() as f64).sqrt().round().max(1.0);
+        let n = (target / faces.len() as f64).sqrt().round().max(1.0);
         // How far off; the rounder solid wins unless another is nearer by a tenth.
-        let off = (faces.len() as f64 * n * n / wish).ln().abs();
+        let off = (faces.len() as f64 * n * n / target).ln().abs();
         if off < best.0 - 0.1 || solid == 0 {
             best = (off, solid, n as u32);
         }

@@ -68,14 +68,14 @@ fn surface(size: [i32; 3], facets: usize, solid: impl Fn([i32; 3]) -> bool) -> T
 
 /// How often each axis is divided: equally often or once more, whichever comes nearest.
 fn divisions(facets: usize, squares: [usize; 3]) -> [i32; 3] {
-    let wish = facets as f64;
+    let target = facets as f64;
     let total: usize = squares.iter().sum();
-    let least = ((wish / (2 * total) as f64).sqrt().floor() as i32).max(1);
+    let least = ((target / (2 * total) as f64).sqrt().floor() as i32).max(1);
     let mut best = (f64::INFINITY, [least; 3]);
     for choice in 0..8 {
         let d = [0, 1, 2].map(|k| least + (choice >> k & 1));
         let count: f64 = (0..3).map(|k| squares[k] as f64 * f64::from(d[(k + 1) % 3] * d[(k + 2) % 3]) * 2.0).sum();
-        let off = (count / wish).ln().abs();
+        let off = (count / target).ln().abs();
         if off < best.0 {
             best = (off, d);
         }

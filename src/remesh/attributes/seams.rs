@@ -1,12 +1,12 @@
 //! Seams: on which side of a seam each corner of the result lies.
 //!
 //! Purpose: [`Seams::split`] takes values that the input's facets name corner by corner to the result's corners.
-//! How: a seam is an edge whose two facets do not have the same values at its ends. Each result facet has a home,
+//! How: a seam is an edge whose two facets do not have the same values at its ends. Each result facet has an origin,
 //! the input facet nearest to its centroid. From there we walk, best first and over no seam, towards each of
-//! the result facet's corners; where a seam bars the way, the corner takes its value from the nearest facet on this side.
-//! Result facets with a common edge and homes that are not parted by a seam share their values at it.
-//! Invariant: the walk keeps to the ball around its two ends, so that it cannot come to the other side of a seam the
-//! long way round; each walk is its own, so that threads change nothing.
+//! the result facet's corners; where a seam blocks the walk, the corner takes its value from the nearest facet on this side.
+//! Result facets with a common edge, whose origins no seam separates, share their values at it.
+//! Invariant: the walk keeps to the ball around its two ends, so that it cannot reach the other side of a seam by a
+//! detour; each walk is its own, so that threads change nothing.
 //! Must not know: what the values mean.
 
 use std::cmp::Reverse;
@@ -25,7 +25,7 @@ use crate::remesh::constants::{LONG_SEAM_REACH, MAX_SEAM_FACETS, MOST_STRETCH, S
 
 /// Where a corner of the result takes its value.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
+pub(super) struct Source {
     /// The input's facet.
     pub(super) facet: u32,
     /// Of its point that is nearest to the corner.
@@ -33,11 +33,11 @@ pub(super) struct Place {
     /// The result's vertex.
     vertex: u32,
     /// The input's facet where the walk began.
-    home: u32,
+    origin: u32,
     /// Squared distance of that point from the corner, unit frame.
     squared: f64,
-    /// Whether a seam parts the home from the vertex.
-    barred: bool,
+    /// Whether a seam separates the origin from the vertex.
+    blocked: bool,
 }
 
 /// Two meshes, one remeshed from the other.
@@ -50,7 +50,7 @@ pub(super) struct Seams<'a> {
     unit: Vec<DVec3>,
     points: Vec<DVec3>,
     /// For each facet of the result the input's facet nearest to its centroid, and where.
-    homes: Vec<(u32, DVec3)>,
+    starts: Vec<(u32, DVec3)>,
 }
 
 impl<'a> Seams<'a> {
@@ -63,7 +63,7 @@ impl<'a> Seams<'a> {
         let (low, high) = mesh.bounds();
         let (centre, scale) = (low * 0.5 + high * 0.5, 1.0 / (high - low).max_element());
         let to_unit = |p: DVec3| (p - centre) * scale;
-        let home = |facet: usize| {
+        let origin = |facet: usize| {
             let [a, b, c] = result.corners(facet);
             let third = 1.0 / 3.0;
             let point = closest.project(a * third + b * third + c * third);
@@ -76,7 +76,7 @@ impl<'a> Seams<'a> {
             adjacency: Adjacency::new(mesh),
             unit: mesh.positions().iter().map(|&p| to_unit(p)).collect(),
             points: result.positions().iter().map(|&p| to_unit(p)).collect(),
-            homes: (0..result.facets().len()).into_par_iter().map(home).collect(),
+            starts: (0..result.facets().len()).into_par_iter().map(origin).collect(),
         }
     }
 
@@ -84,33 +84,32 @@ impl<'a> Seams<'a> {
     pub(super) fn split<T, V>(&self, given: &PerCorner<T>, value: V) -> PerCorner<T>
     where
         T: Copy + PartialEq + Send + Sync,
-        V: Fn(&Place) -> T + Send + Sync,
+        V: Fn(&Source) -> T + Send + Sync,
     {
         let open = self.open(given);
-        let barred = |h: usize| !open[h] && self.is_shared(h);
-        if !(0..open.len()).into_par_iter().any(barred) {
-            let places = (0u32..).zip(self.provenance).map(|(vertex, p)| Place {
+        let blocked = |h: usize| !open[h] && self.is_shared(h);
+        if !(0..open.len()).into_par_iter().any(blocked) {
+            let places = (0u32..).zip(self.provenance).map(|(vertex, p)| Source {
                 facet: p.facet,
                 barycentric: p.barycentric,
                 vertex,
-                home: p.facet,
+                origin: p.facet,
                 squared: 0.0,
-                barred: false,
+                blocked: false,
             });
-            let places: Vec<Place> = places.collect();
             return PerCorner {
-                values: places.par_iter().map(value).collect(),
+                values: places.collect::<Vec<_>>().par_iter().map(value).collect(),
                 corners: self.result.facets().to_vec(),
             };
         }
         let facets = 0..self.result.facets().len();
-        let places: Vec<[Place; 3]> =
+        let places: Vec<[Source; 3]> =
             facets.into_par_iter().map_init(Walk::default, |walk, facet| self.places(facet, &open, walk)).collect();
         let places = places.as_flattened();
         let mut same = self.shared_corners(places, &open);
-        // Of the corners that share a value, the one that no seam bars, the nearest, the first decides.
+        // Of the corners that share a value, the one that no seam blocks, the nearest, the first decides.
         let mut chosen: Vec<usize> = (0..places.len()).collect();
-        let rank = |corner: usize| (places[corner].barred, places[corner].squared);
+        let rank = |corner: usize| (places[corner].blocked, places[corner].squared);
         for corner in 0..places.len() {
             let root = same.root(corner);
             if rank(corner) < rank(chosen[root]) {
@@ -132,28 +131,27 @@ impl<'a> Seams<'a> {
     }
 
     /// Texture coordinates at a place; beyond a seam, those of the facet's plane.
-    pub(super) fn texture_at(&self, texture: &PerCorner<DVec2>, place: &Place) -> DVec2 {
+    pub(super) fn texture_at(&self, texture: &PerCorner<DVec2>, place: &Source) -> DVec2 {
         let uv = |facet: u32| texture.corners[facet as usize].map(|i| texture.values[i as usize]);
         let weighted = |[a, b, c]: [DVec2; 3], w: [f64; 3]| a * w[0] + b * w[1] + c * w[2];
         let here = uv(place.facet);
         let inside = weighted(here, place.barycentric);
-        if !place.barred {
+        if !place.blocked {
             return inside;
         }
-        let corners = self.corners(place.facet);
-        let [a, b, c] = corners;
+        let [a, b, c] = self.corners(place.facet);
         let normal = (b - a).cross(c - a);
-        let whole = normal.length_squared();
+        let norm = normal.length_squared();
         let ap = self.points[place.vertex as usize] - a;
-        let (v, w) = (ap.cross(c - a).dot(normal) / whole, (b - a).cross(ap).dot(normal) / whole);
+        let (v, w) = (ap.cross(c - a).dot(normal) / norm, (b - a).cross(ap).dot(normal) / norm);
         let mut shift = weighted(here, [1.0 - v - w, v, w]) - inside;
-        // A sliver's plane may run off in any direction: no farther than a few times the texture's own stretch at home.
-        let home = (uv(place.home), self.corners(place.home));
+        // A sliver's plane may run off in any direction: no farther than a few times the texture's own stretch there.
+        let origin = (uv(place.origin), self.corners(place.origin));
         let longest = (0..3).map(|i| (i, (i + 1) % 3)).fold(0.0, |longest: f64, (i, j)| {
-            let length = (home.1[j] - home.1[i]).length();
-            if length > 0.0 { longest.max((home.0[j] - home.0[i]).length() / length) } else { longest }
+            let length = (origin.1[j] - origin.1[i]).length();
+            if length > 0.0 { longest.max((origin.0[j] - origin.0[i]).length() / length) } else { longest }
         });
-        let area = (here[1] - here[0]).perp_dot(here[2] - here[0]).abs() / whole.sqrt();
+        let area = (here[1] - here[0]).perp_dot(here[2] - here[0]).abs() / norm.sqrt();
         let most = MOST_STRETCH * place.squared.sqrt() * longest.max(area.sqrt());
         let length = shift.length();
         if length > most {
@@ -189,20 +187,20 @@ impl<'a> Seams<'a> {
     }
 
     /// Where the corners of a result facet take their values.
-    fn places(&self, facet: usize, open: &[bool], walk: &mut Walk) -> [Place; 3] {
-        let (home, start) = self.homes[facet];
+    fn places(&self, facet: usize, open: &[bool], walk: &mut Walk) -> [Source; 3] {
+        let (origin, start) = self.starts[facet];
         self.result.facets()[facet].map(|vertex| {
             let goal = self.provenance[vertex as usize];
             let to = self.points[vertex as usize];
-            let way = Way { home, start, to, goal: goal.facet, goal_squared: self.nearest(to, goal.facet).0 };
-            let found = walk.go(self, open, &way);
-            // Neither met nor barred: the surface itself leads another way.
-            let (facet, barycentric, squared) = match found.met || found.barred {
+            let query = Query { origin, start, to, goal: goal.facet, goal_squared: self.nearest(to, goal.facet).0 };
+            let found = walk.run(self, open, &query);
+            // Neither reached nor blocked: the surface itself makes a detour.
+            let (facet, barycentric, squared) = match found.reached || found.blocked {
                 true => (found.facet, found.barycentric, found.squared),
-                false => (goal.facet, goal.barycentric, way.goal_squared),
+                false => (goal.facet, goal.barycentric, query.goal_squared),
             };
             let barycentric = if facet == goal.facet { goal.barycentric } else { barycentric };
-            Place { facet, barycentric, vertex, home, squared, barred: found.barred && !found.met }
+            Source { facet, barycentric, vertex, origin, squared, blocked: found.blocked && !found.reached }
         })
     }
 
@@ -212,25 +210,25 @@ impl<'a> Seams<'a> {
     }
 
     /// Which corners of the result have one value.
-    fn shared_corners(&self, places: &[Place], open: &[bool]) -> DisjointSets {
-        let around = Adjacency::new(self.result);
+    fn shared_corners(&self, places: &[Source], open: &[bool]) -> DisjointSets {
+        let adjacency = Adjacency::new(self.result);
         let facets = self.result.facets();
         let pairs = |walk: &mut Walk, half: usize| {
-            let opposite = around.opposite(half).filter(|&o| o > half)?;
+            let opposite = adjacency.opposite(half).filter(|&o| o > half)?;
             let (here, there) = (half / 3, opposite / 3);
             let ends = [half % 3, (half + 1) % 3].map(|corner| {
                 let across = facets[there].iter().position(|&v| v == facets[here][corner])?;
                 Some((3 * here + corner, 3 * there + across))
             });
             let agree = |pair: &Option<(usize, usize)>| {
-                pair.is_none_or(|(a, b)| places[a].facet == places[b].facet && places[a].barred == places[b].barred)
+                pair.is_none_or(|(a, b)| places[a].facet == places[b].facet && places[a].blocked == places[b].blocked)
             };
             if ends.iter().all(agree) {
                 return Some(ends);
             }
-            let ((home, start), (goal, to)) = (self.homes[here], self.homes[there]);
-            let way = Way { home, start, to, goal, goal_squared: 0.0 };
-            let joined = home == goal || walk.go(self, open, &way).met;
+            let ((origin, start), (goal, to)) = (self.starts[here], self.starts[there]);
+            let query = Query { origin, start, to, goal, goal_squared: 0.0 };
+            let joined = origin == goal || walk.run(self, open, &query).reached;
             joined.then_some(ends)
         };
         let halves = 0..3 * facets.len();
@@ -244,8 +242,8 @@ impl<'a> Seams<'a> {
 }
 
 /// From where to where.
-struct Way {
-    home: u32,
+struct Query {
+    origin: u32,
     start: DVec3,
     to: DVec3,
     /// The facet that is nearest to the end of all, and its squared distance.
@@ -254,15 +252,15 @@ struct Way {
 }
 
 /// How a walk ended.
-struct Found {
-    /// The nearest facet on the way, and where.
+struct Reached {
+    /// The nearest facet of the walk, and where.
     facet: u32,
     barycentric: [f64; 3],
     squared: f64,
     /// Whether it is as near as any.
-    met: bool,
-    /// Whether a seam was met.
-    barred: bool,
+    reached: bool,
+    /// Whether a seam was in the way.
+    blocked: bool,
 }
 
 /// What a walk needs, kept for the next.
@@ -274,46 +272,46 @@ struct Walk {
 }
 
 impl Walk {
-    fn go(&mut self, seams: &Seams<'_>, open: &[bool], way: &Way) -> Found {
-        let found = self.within(SEAM_REACH, seams, open, way);
-        if found.met || found.barred { found } else { self.within(LONG_SEAM_REACH, seams, open, way) }
+    fn run(&mut self, seams: &Seams<'_>, open: &[bool], query: &Query) -> Reached {
+        let found = self.within(SEAM_REACH, seams, open, query);
+        if found.reached || found.blocked { found } else { self.within(LONG_SEAM_REACH, seams, open, query) }
     }
 
-    fn within(&mut self, reach: f64, seams: &Seams<'_>, open: &[bool], way: &Way) -> Found {
-        let length = (way.to - way.start).length();
-        let middle = way.start * 0.5 + way.to * 0.5;
-        let off = way.goal_squared.sqrt();
+    fn within(&mut self, reach: f64, seams: &Seams<'_>, open: &[bool], query: &Query) -> Reached {
+        let length = (query.to - query.start).length();
+        let middle = query.start * 0.5 + query.to * 0.5;
+        let off = query.goal_squared.sqrt();
         let ball = (0.5 * reach * length + off).powi(2);
-        let met = (off + SEAM_END_REACH * length).powi(2);
+        let tolerance = (off + SEAM_END_REACH * length).powi(2);
         self.seen.clear();
         self.next.clear();
-        self.seen.insert(way.home);
-        let first = seams.nearest(way.to, way.home);
+        self.seen.insert(query.origin);
+        let (squared, barycentric) = seams.nearest(query.to, query.origin);
         let mut found =
-            Found { facet: way.home, barycentric: first.1, squared: first.0, met: first.0 <= met, barred: false };
-        self.next.push(Reverse((first.0.to_bits(), way.home)));
+            Reached { facet: query.origin, barycentric, squared, reached: squared <= tolerance, blocked: false };
+        self.next.push(Reverse((squared.to_bits(), query.origin)));
         while let Some(Reverse((bits, facet))) = self.next.pop() {
             let squared = f64::from_bits(bits);
-            if found.met && squared > met || self.seen.len() > MAX_SEAM_FACETS {
+            if found.reached && squared > tolerance || self.seen.len() > MAX_SEAM_FACETS {
                 break;
             }
-            if squared < found.squared || facet == way.goal {
-                let barycentric = seams.nearest(way.to, facet).1;
-                found = Found { facet, barycentric, squared, met: squared <= met, ..found };
+            if squared < found.squared || facet == query.goal {
+                let barycentric = seams.nearest(query.to, facet).1;
+                found = Reached { facet, barycentric, squared, reached: squared <= tolerance, ..found };
             }
-            if facet == way.goal {
-                found.met = true;
+            if facet == query.goal {
+                found.reached = true;
                 break;
             }
             for half in [0, 1, 2].map(|edge| 3 * facet as usize + edge) {
                 if !open[half] {
-                    found.barred |= seams.is_shared(half);
+                    found.blocked |= seams.is_shared(half);
                     continue;
                 }
                 let Some(opposite) = seams.adjacency.opposite(half) else { continue };
                 let next = (opposite / 3) as u32;
                 if self.seen.insert(next) && seams.nearest(middle, next).0 <= ball {
-                    self.next.push(Reverse((seams.nearest(way.to, next).0.to_bits(), next)));
+                    self.next.push(Reverse((seams.nearest(query.to, next).0.to_bits(), next)));
                 }
             }
         }

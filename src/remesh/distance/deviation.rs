@@ -14,15 +14,6 @@ use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::remesh::triangle::perimeter;
 use crate::token::Token;
 
-/// A vertex of the input.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::remesh) struct InputVertex {
-    /// Unit frame.
-    pub(in crate::remesh) position: DVec3,
-    /// The result vertex whose cell holds it. The nearest facet is sought in its one-ring.
-    pub(in crate::remesh) owner: u32,
-}
-
 /// Where a vertex of the input lies, seen from the result.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::remesh) struct Deviation {
@@ -39,17 +30,17 @@ const UNKNOWN: Deviation = Deviation { distance: 0.0, relative: 0.0, corner: 0 }
 
 /// See the module's head.
 pub(in crate::remesh) struct InputDeviation<'a> {
-    vertices: &'a Csr<InputVertex>,
+    vertices: &'a Csr<DVec3>,
     /// In the order of `vertices`.
     list: Vec<Deviation>,
 }
 
-fn deviation(mesh: &LocalMesh, query: &mut RingQuery, vertex: &InputVertex) -> Deviation {
-    let found = query.nearest(vertex.position);
+fn deviation(mesh: &LocalMesh, query: &mut RingQuery, vertex: DVec3) -> Deviation {
+    let found = query.nearest(vertex);
     let Some(&t) = mesh.facets().get(found.facet as usize) else { return UNKNOWN };
     let p = mesh.places(t);
     let edge = perimeter(p) / 3.0;
-    let to = p.map(|q| q.distance_squared(vertex.position));
+    let to = p.map(|q| q.distance_squared(vertex));
     let corner = if to[0] <= to[1] && to[0] <= to[2] {
         t[0]
     } else if to[1] <= to[2] {
@@ -63,7 +54,7 @@ fn deviation(mesh: &LocalMesh, query: &mut RingQuery, vertex: &InputVertex) -> D
 
 impl<'a> InputDeviation<'a> {
     /// Measures all of them.
-    pub(in crate::remesh) fn new(mesh: &LocalMesh, vertices: &'a Csr<InputVertex>, token: &Token) -> Self {
+    pub(in crate::remesh) fn new(mesh: &LocalMesh, vertices: &'a Csr<DVec3>, token: &Token) -> Self {
         let (mut list, count) = (vec![UNKNOWN; vertices.all().len()], mesh.positions.len());
         // Tasks: a range of result vertices with its part of the list.
         let mut tasks = Vec::with_capacity(count / VERTICES_PER_TASK + 1);
@@ -87,7 +78,7 @@ impl<'a> InputDeviation<'a> {
                         if k.is_multiple_of(VERTICES_PER_CHECK) && token.is_stopped() {
                             return;
                         }
-                        *to = deviation(mesh, query, vertex);
+                        *to = deviation(mesh, query, *vertex);
                     }
                 }
             }
@@ -105,7 +96,7 @@ impl<'a> InputDeviation<'a> {
 
     /// Where vertex `k` of the input is.
     pub(in crate::remesh) fn position(&self, k: usize) -> DVec3 {
-        self.vertices.all()[k].position
+        self.vertices.all()[k]
     }
 
     /// The largest distance among the input's vertices of each of so many result vertices.

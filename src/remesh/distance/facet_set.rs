@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use crate::mesh::curve;
+use crate::mesh::morton;
 use crate::remesh::constants::{FACETS_PER_GROUP, GRID_INTERVALS, SPHERE_ROUNDING};
 
 /// See the module's head.
@@ -53,7 +53,7 @@ impl FacetSet {
     /// Of facets with these corners. Coordinates are of the order of 1.
     pub(in crate::remesh) fn new(facets: impl Iterator<Item = [DVec3; 3]>) -> Self {
         let bounded = |corners: [DVec3; 3]| BoundedFacet { corners, sphere: BoundingSphere::around(&corners) };
-        let along_curve = |facet: BoundedFacet| (curve::along(facet.sphere.centre), facet);
+        let along_curve = |facet: BoundedFacet| (morton::code(facet.sphere.centre), facet);
         let mut all: Vec<(u64, BoundedFacet)> = facets.map(bounded).map(along_curve).collect();
         // Stable: of two facets in one place the first stays first.
         all.sort_by_key(|r| r.0);

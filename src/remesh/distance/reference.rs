@@ -7,7 +7,6 @@
 
 use glam::DVec3;
 
-use super::deviation::InputVertex;
 use crate::mesh::csr::Csr;
 use crate::rvd::Surface;
 
@@ -26,7 +25,8 @@ pub(in crate::remesh) struct SurfaceSample {
 #[derive(Debug)]
 pub(in crate::remesh) struct InputSamples {
     pub(in crate::remesh) samples: Csr<SurfaceSample>,
-    pub(in crate::remesh) vertices: Csr<InputVertex>,
+    /// Unit frame. The nearest facet is sought in the one-ring of the result vertex.
+    pub(in crate::remesh) vertices: Csr<DVec3>,
 }
 
 /// The input as facets and vertices, by result vertex.
@@ -37,16 +37,9 @@ pub(in crate::remesh) struct Reference<'a> {
 }
 
 impl<'a> Reference<'a> {
-    /// `cells` are pairs of a result vertex and an input facet that its cell meets.
-    pub(in crate::remesh) fn new(
-        surface: &'a Surface,
-        result_vertices: usize,
-        cells: &[(u32, u32)],
-        input_vertices: &[InputVertex],
-    ) -> Self {
-        let owned: Vec<(u32, DVec3)> = input_vertices.iter().map(|v| (v.owner, v.position)).collect();
-        let facets = Csr::from_pairs(result_vertices, cells);
-        Self { surface, facets, vertices: Csr::from_pairs(result_vertices, &owned) }
+    /// `facets` and `vertices` are those of the input by result vertex.
+    pub(in crate::remesh) fn new(surface: &'a Surface, facets: Csr<u32>, vertices: Csr<DVec3>) -> Self {
+        Self { surface, facets, vertices }
     }
 
     /// Input facets that the cell of result vertex `v` meets.

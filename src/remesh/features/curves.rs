@@ -8,9 +8,10 @@
 use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::envelope::CurveSample;
-use crate::cvt::curves::{BETWEEN, CurveSeeds, Segment, edge_length};
+use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
 use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
 use crate::mesh::adjacency::weld;
@@ -85,7 +86,7 @@ impl KeptCurves {
         let points = plan.points;
         // The shortest target edge, where the weight is 1.
         let scale = edge_length(surface, &Features::default(), points, token)?;
-        let fineness = match surface.is_uniform() {
+        let resolution = match surface.is_uniform() {
             true => Vec::new(),
             false => surface.weights().iter().map(|w| w.powf(0.25)).collect(),
         };
@@ -93,12 +94,12 @@ impl KeptCurves {
         let weaker = options.crease_angle_deg <= RemeshOptions::CREASE_ANGLE_DEG;
         let mut criteria = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
-            given: subdivided(&plan.mesh, &options.creases, token)?,
-            shortest: SHORTEST_CREASE * scale,
-            reach: BEND_REACH * scale,
-            alone: if weaker { SMOOTH_REACH * scale } else { 0.0 },
-            near: JOINED_CORNERS * scale,
-            fineness,
+            given_creases: subdivided(&plan.mesh, &options.creases, token)?,
+            min_crease_length: SHORTEST_CREASE * scale,
+            turn_reach: BEND_REACH * scale,
+            ridge_clearance: if weaker { SMOOTH_REACH * scale } else { 0.0 },
+            merge_length: JOINED_CORNERS * scale,
+            resolution,
         };
         let mut dropped_curves = 0;
         loop {
@@ -109,28 +110,28 @@ impl KeptCurves {
             let edge = edge_length(surface, &features, points, token)?;
             let creases = |features: &Features| features.curves.iter().filter(|c| c.kind == CurveKind::Crease).count();
             let share = |creases| if creases == 0 { 1.0 } else { LARGEST_SHARE };
-            // Crowded curves are dropped next, but do not make room for more than this.
+            // Close curves are dropped next, but do not make room for more than this.
             let most = points.saturating_mul(MOST_SEEDS).saturating_add(SPARE_SEEDS);
             let mut placed = CurveSeeds::place(surface, &features, edge, most, token)?;
             while let Some(seeds) = &placed {
-                let crowded = seeds.crowded(&features, token)?;
-                if crowded.is_empty() {
+                let too_close = seeds.too_close(&features, token)?;
+                if too_close.is_empty() {
                     break;
                 }
-                dropped_curves += crowded.len();
-                features.retain(|k, _| !crowded.contains(&(k as u32)));
+                dropped_curves += too_close.len();
+                features.retain(|k, _| !too_close.contains(&(k as u32)));
                 placed = CurveSeeds::place(surface, &features, edge, most, token)?;
             }
             if let Some(mut seeds) = placed {
-                seeds.follow_bends(token)?;
-                seeds.face_others(|c| features.curves[c as usize].kind == CurveKind::Boundary, token)?;
+                seeds.split_by_deviation(token)?;
+                seeds.split_between_others(|c| features.curves[c as usize].kind == CurveKind::Boundary, token)?;
                 if seeds.len() as f64 <= share(creases(&features)) * points as f64 {
                     return Ok(Self { features, seeds, dropped_curves });
                 }
             }
             let creases = creases(&features);
-            if criteria.alone > 0.0 {
-                criteria.alone = 0.0;
+            if criteria.ridge_clearance > 0.0 {
+                criteria.ridge_clearance = 0.0;
                 continue;
             }
             dropped_curves += creases;
@@ -138,7 +139,7 @@ impl KeptCurves {
                 return Ok(Self { dropped_curves: dropped_curves + features.curves.len(), ..Self::default() });
             }
             criteria.crease_angle_deg = 0.0;
-            criteria.given.clear();
+            criteria.given_creases.clear();
         }
     }
 
@@ -154,7 +155,7 @@ impl KeptCurves {
         let regions = self.regions(mesh);
         let draw = |count: usize| -> (Vec<DVec3>, Vec<DVec3>) {
             let drawn = spread(mesh, plan.weights.as_deref(), Some(&regions), count, seed);
-            drawn.iter().map(|s| s.position).partition(clear)
+            drawn.par_iter().map(|s| s.position).partition(clear)
         };
         let (mut kept, mut rest) = draw(others + others / SPARE_POINTS);
         if kept.len() < others {
@@ -248,7 +249,7 @@ impl KeptCurves {
         let beside_acute = self.seeds.beside_acute();
         let of = |(segment, edge): (&Segment, [u32; 2])| {
             let [a, b] = segment.ends.map(|e| self.seeds.seeds[e as usize]);
-            let area = a.distance_squared(b) / BETWEEN as f64;
+            let area = a.distance_squared(b) / INNER_POINTS as f64;
             let limit = segment.edge
                 * match self.features.curves[segment.curve as usize].kind {
                     _ if segment.ends.iter().any(|&e| beside_acute[e as usize]) => ACUTE_LIMIT,

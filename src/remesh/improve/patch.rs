@@ -37,7 +37,7 @@ pub(super) struct Patch {
     pub(super) centre: u32,
     pub(super) mean_edge: f64,
     /// Distance of the two surfaces at the beginning.
-    start_distance: f64,
+    pub(super) start_distance: PatchDistance,
     /// Points of the input to compare with.
     pub(super) input_points: Vec<InputPoint>,
     /// Squared distance of input point `p` from facet `f` at `p * facets + f`.
@@ -98,7 +98,7 @@ impl Patch {
             centre,
             mean_edge: edges / (3 * facet_ids.len()) as f64,
             start: mesh.positions.clone(),
-            start_distance: f64::INFINITY,
+            start_distance: PatchDistance { centre: f64::INFINITY, rest: f64::INFINITY, farthest_point: None },
             mesh,
             facet_ids,
             input_points: Vec::new(),
@@ -130,7 +130,7 @@ impl Patch {
         }
         self.squared_distances = vec![0.0; self.input_points.len() * self.facet_ids.len()];
         (0..self.facet_ids.len() as u32).for_each(|f| self.update_distances(f));
-        self.start_distance = self.distance().largest();
+        self.start_distance = self.distance();
     }
 
     /// Adds midpoints of the input's longer edges, each with the nearest vertex that has a facet on the same side of the
@@ -161,7 +161,7 @@ impl Patch {
         let corners = self.mesh.corners(f);
         let centroid = (corners[0] + corners[1] + corners[2]) / 3.0;
         let radius = corners.iter().map(|c| c.distance_squared(centroid)).fold(0.0, f64::max).sqrt();
-        let reach = radius + 2.0 * self.start_distance;
+        let reach = radius + 2.0 * self.start_distance.largest();
         let facets = self.facet_ids.len();
         for (point, row) in self.input_points.iter().zip(self.squared_distances.chunks_mut(facets)) {
             let close = point.position.distance_squared(centroid) <= reach * reach;
@@ -197,7 +197,7 @@ impl Patch {
 
     /// Groups of the input's facets that may be nearest to something within `reach` of `p`.
     pub(super) fn input_near(&self, p: DVec3, reach: f64) -> Vec<u32> {
-        self.input_facets.groups_near(p, reach + 2.0 * self.start_distance)
+        self.input_facets.groups_near(p, reach + 2.0 * self.start_distance.largest())
     }
 
     /// How far it is from the input, in both directions.

@@ -17,9 +17,9 @@ use super::patch::Patch;
 use super::queue::{Place, Queue};
 use super::trial::{Goal, Measure, Trial, best};
 use crate::remesh::constants::{
-    ESTIMATE_SHARE, FAILED_SHARE, FREE_DISTANCE, GAIN, LEAST_SCORE, LOOK_AHEAD, MAX_FAILURES, MAX_FLIPS, MAX_IMPROVED,
-    MAX_IMPROVED_SHARE, MAX_IRREGULAR, MAX_MEASURED, MEASURED_SCORE, NEAR_SHARE, PATCHES_AT_ONCE, QUEUE_ROUNDS,
-    RECOVERY_SCORE, RECOVERY_VALENCES, STALE_SHARE, VALENCES,
+    ESTIMATE_SHARE, FAILED_SHARE, FAR_LOOK_AHEAD, FREE_DISTANCE, GAIN, LEAST_SCORE, LOOK_AHEAD, MAX_FAILURES,
+    MAX_FLIPS, MAX_IMPROVED, MAX_IMPROVED_SHARE, MAX_IRREGULAR, MAX_MEASURED, MEASURED_SCORE, NEAR_SHARE,
+    PATCHES_AT_ONCE, QUEUE_ROUNDS, RECOVERY_SCORE, RECOVERY_VALENCES, STALE_SHARE, VALENCES,
 };
 use crate::remesh::distance::facet_set::squared_distance;
 use crate::remesh::manifold::local_mesh::Flip;
@@ -57,6 +57,7 @@ pub(in crate::remesh) fn improve(editor: &mut MeshEditor<'_>, estimates: &[f64])
         far_left: MAX_IMPROVED + share,
         failures_left: MAX_FAILURES,
         improved: 0,
+        ahead: HashMap::new(),
     };
     run.push_far(first_far(&editor.context(), estimates), 0);
     for _ in 0..QUEUE_ROUNDS {
@@ -94,7 +95,7 @@ pub(in crate::remesh) fn recover_edge(editor: &mut MeshEditor<'_>, ends: [u32; 2
 
 /// The best of trials that keeps within what is allowed anywhere, with this least score.
 fn best_allowed(patch: &Patch, trials: &[Trial], score: f64) -> Option<Patch> {
-    let allowed = patch.distance().largest().max(FREE_DISTANCE * patch.mean_edge);
+    let allowed = patch.start_distance.largest().max(FREE_DISTANCE * patch.mean_edge);
     let goal = Goal { centre: allowed, rest: allowed, score, cosine: patch.sharpest_cosine() };
     best(patch, trials, &goal, Measure { distance: allowed, floor: 1.0, score: MEASURED_SCORE })
 }
@@ -111,6 +112,8 @@ struct Run {
     far_left: usize,
     failures_left: usize,
     improved: usize,
+    /// Outcomes of far places that are not the next ones, each with the number of edits by then.
+    ahead: HashMap<Place<Defect>, (u32, Outcome)>,
 }
 
 impl Run {
@@ -130,46 +133,62 @@ impl Run {
 
     fn take_all(&mut self, editor: &mut MeshEditor<'_>) {
         loop {
-            let batch = self.next_batch(editor);
-            if batch.is_empty() || editor.context().token.is_stopped() {
+            let mut batch = self.next_batch(editor);
+            let Some(&first) = batch.first() else { return };
+            if editor.context().token.is_stopped() {
                 return;
             }
-            let context = editor.context();
-            let attempt = |place: &Place<Defect>| {
-                let vertex = place.vertex();
-                let then = self.known.get(&vertex).map_or(0, |known| known.1);
-                if place.kind == Defect::Far && editor.has_changed(vertex, then) {
-                    let now = distance_at(&context, vertex).0;
-                    if now < STALE_SHARE * place.badness() {
-                        return Outcome::Less(now);
-                    }
+            self.ahead.retain(|place, (then, _)| !editor.has_changed(place.vertex(), *then));
+            if !self.ahead.contains_key(&first) {
+                let new: Vec<Place<Defect>> = batch.iter().copied().filter(|p| !self.ahead.contains_key(p)).collect();
+                let made: Vec<Outcome> = new.par_iter().with_max_len(1).map(|p| self.attempt(editor, p)).collect();
+                self.ahead.extend(new.into_iter().zip(made.into_iter().map(|outcome| (editor.edits(), outcome))));
+            }
+            // What a far place comes to may change which is the next one.
+            self.queue.extend(batch.drain(if first.kind == Defect::Far { 1 } else { batch.len() }..));
+            for place in batch {
+                if let Some((_, outcome)) = self.ahead.remove(&place) {
+                    self.take(editor, place, outcome);
                 }
-                let Some(patch) = Patch::around(&context, vertex) else { return Outcome::Fine };
-                match place.kind {
-                    Defect::Irregular => attempt_irregular(&patch, place.badness()),
-                    Defect::Far => attempt_far(&patch, place.badness()),
-                }
-            };
-            let made: Vec<Outcome> = batch.par_iter().with_max_len(1).map(attempt).collect();
-            for (place, outcome) in batch.into_iter().zip(made) {
-                self.take(editor, place, outcome);
             }
         }
     }
 
-    /// The worst places of one kind whose patches are independent.
+    fn attempt(&self, editor: &MeshEditor<'_>, place: &Place<Defect>) -> Outcome {
+        let (context, vertex) = (editor.context(), place.vertex());
+        let then = self.known.get(&vertex).map_or(0, |known| known.1);
+        if place.kind == Defect::Far && editor.has_changed(vertex, then) {
+            let now = distance_at(&context, vertex).0;
+            if now < STALE_SHARE * place.badness() {
+                return Outcome::Less(now);
+            }
+        }
+        let Some(patch) = Patch::around(&context, vertex) else { return Outcome::Fine };
+        match place.kind {
+            Defect::Irregular => attempt_irregular(&patch, place.badness()),
+            Defect::Far => attempt_far(&patch, place.badness()),
+        }
+    }
+
+    /// The worst places of one kind whose patches are independent. Far places are taken one by one: those after the first are
+    /// for threads that would have nothing to do.
     fn next_batch(&mut self, editor: &MeshEditor<'_>) -> Vec<Place<Defect>> {
         let (mut claimed, mut batch, mut waiting) = (HashSet::new(), Vec::new(), Vec::new());
+        let threads = rayon::current_num_threads();
         let mut kind = None;
         while let Some(&place) = self.queue.peek() {
             let first = *kind.get_or_insert(place.kind);
-            let most = if first == Defect::Far { 1 } else { PATCHES_AT_ONCE };
-            if place.kind != first || batch.len() == most || batch.len() + waiting.len() == LOOK_AHEAD {
+            let [most, look_ahead] =
+                if first == Defect::Far { [threads, FAR_LOOK_AHEAD * threads] } else { [PATCHES_AT_ONCE, LOOK_AHEAD] };
+            if place.kind != first || batch.len() == most || batch.len() + waiting.len() >= look_ahead {
                 break;
             }
             self.queue.pop();
+            let is_ahead = first == Defect::Far && !batch.is_empty();
             if self.is_idle(editor, &place) {
                 kind = kind.filter(|_| !batch.is_empty());
+                // It may not be idle any more when it is the first.
+                waiting.extend(is_ahead.then_some(place));
             } else if editor.claim(place.vertex(), &mut claimed) {
                 batch.push(place);
             } else {
@@ -230,7 +249,7 @@ fn attempt_irregular(patch: &Patch, before: f64) -> Outcome {
 
 /// Tries to bring the result nearer to the input.
 fn attempt_far(patch: &Patch, before: f64) -> Outcome {
-    let now = patch.distance();
+    let now = patch.start_distance;
     let distance = now.centre;
     if distance < NEAR_SHARE * patch.mean_edge {
         return Outcome::Fine;

@@ -2,7 +2,8 @@
 //!
 //! Purpose: after the iterations some triangles, most of them where curves come close to each other, have an angle far from the
 //! others'. The vertices at and beside them wait in a queue, that with the costliest facets first. A vertex is relocated to
-//! where its facets cost least; where no place is better, an edge of a poor facet is flipped.
+//! where its facets cost least; where no place is better, an edge of a poor facet is flipped. Independent vertices are looked at
+//! at the same time.
 //! Invariant: moves are short beside an edge. A vertex moves in the tangent plane; a vertex of a curve along the curve, within a
 //! small tolerance across it; the end of a curve within that tolerance; a corner not at all. No facet turns over. The same
 //! bits whatever the number of threads.
@@ -17,10 +18,11 @@ use super::relocation::{Steps, cheapest, places_around};
 use crate::mesh::measure::facet_quality;
 use crate::remesh::constants::{
     DIRECTIONS, FARTHEST_ACROSS, FARTHEST_OF_END, FARTHEST_TANGENTIAL, FIRST_STEP, LEAST_GAIN_OF_PASS,
-    MOVES_PER_VERTEX, POOR_ANGLE, POOR_SCORE, UNMEASURED_COSINE,
+    MOVES_PER_VERTEX, POOR_ANGLE, POOR_SCORE, SHAPES_AT_ONCE, SHAPES_PER_TASK, UNMEASURED_COSINE,
 };
 use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::manifold::local_mesh::{Flip, LocalMesh};
+use crate::remesh::manifold::one_rings::ascending;
 use crate::remesh::triangle::{Wanted, perimeter};
 use crate::token::Token;
 
@@ -60,23 +62,34 @@ pub(in crate::remesh) fn improve_shapes(mesh: &mut LocalMesh, bounds: MotionBoun
     let vertices = mesh.corners_around(&poor);
     let mut is_due = vec![false; mesh.positions.len()];
     vertices.iter().for_each(|&v| is_due[v as usize] = true);
-    let (start, steps) = (mesh.positions.clone(), Steps::new(mesh.positions.len()));
-    let mut shapes = Shapes { mesh, start, bounds, wanted, cost: ShapeCost::unmeasured(), steps, queue: Queue::new() };
-    vertices.iter().for_each(|&v| shapes.push(v));
-    let mut left = MOVES_PER_VERTEX * vertices.len();
-    while let Some(place) = shapes.queue.pop() {
-        if left == 0 || token.is_stopped() {
+    let vertices = || vertices.iter().copied();
+    let count = mesh.positions.len();
+    let mut shapes = Shapes {
+        start: mesh.positions.clone(),
+        mesh,
+        bounds,
+        wanted,
+        cost: ShapeCost::unmeasured(),
+        steps: Steps::new(count),
+        queue: Queue::new(),
+        latest: vec![f64::NAN; count],
+        claims: vec![0; count],
+        rounds: 0,
+    };
+    shapes.push(vertices().collect());
+    let mut left = MOVES_PER_VERTEX * vertices().len();
+    loop {
+        let batch = shapes.next_batch(left);
+        if batch.is_empty() || token.is_stopped() {
             return;
         }
-        let v = place.vertex();
-        // If it has changed since, it is in the queue again.
-        if shapes.cost_of(v) == place.badness() {
-            left -= 1;
-            for u in shapes.improve(v, place.badness()).into_iter().filter(|&u| is_due[u as usize]) {
-                shapes.steps.renew(u);
-                shapes.push(u);
-            }
-        }
+        left -= batch.len();
+        let of = |place: &Place<()>| shapes.better_place(place.vertex(), place.badness());
+        let places: Vec<Option<DVec3>> = batch.par_iter().with_min_len(SHAPES_PER_TASK).map(of).collect();
+        let made = batch.into_iter().zip(places).flat_map(|(place, to)| shapes.make(place, to));
+        let changed = ascending(made.filter(|&u| is_due[u as usize]).collect::<Vec<u32>>());
+        changed.iter().for_each(|&u| shapes.steps.renew(u));
+        shapes.push(changed);
     }
 }
 
@@ -88,37 +101,72 @@ struct Shapes<'a> {
     cost: ShapeCost,
     steps: Steps,
     queue: Queue<()>,
+    /// By vertex, the cost with which it is in the queue: other entries are old. NaN if it is not.
+    latest: Vec<f64>,
+    /// By vertex, the last round in which a vertex at or beside it was taken.
+    claims: Vec<u32>,
+    rounds: u32,
 }
 
 impl Shapes<'_> {
-    fn cost_of(&self, v: u32) -> f64 {
-        self.cost.around(self.mesh, v, self.mesh.positions[v as usize], f64::INFINITY, f64::NEG_INFINITY)
+    fn push(&mut self, mut vertices: Vec<u32>) {
+        vertices.retain(|&v| self.bounds.mobility[v as usize] != Mobility::Fixed);
+        let cost_of = |&v: &u32| {
+            self.cost.around(self.mesh, v, self.mesh.positions[v as usize], f64::INFINITY, f64::NEG_INFINITY)
+        };
+        let costs: Vec<f64> = vertices.par_iter().with_min_len(SHAPES_PER_TASK).map(cost_of).collect();
+        vertices.into_iter().zip(costs).for_each(|(v, cost)| self.push_one(v, cost));
     }
 
-    fn push(&mut self, v: u32) {
-        if self.bounds.mobility[v as usize] != Mobility::Fixed {
-            self.queue.push(Place::new((), v, self.cost_of(v)));
-        }
+    fn push_one(&mut self, v: u32, cost: f64) {
+        self.latest[v as usize] = cost;
+        self.queue.push(Place::new((), v, cost));
     }
 
-    /// Relocates a vertex whose facets cost so much, or flips an edge beside it. Returns the vertices around what changed.
-    fn improve(&mut self, v: u32, cost: f64) -> Vec<u32> {
-        if let Some(share) = self.steps.next(v) {
-            let to = self.better_place(v, cost, share);
-            if to != self.mesh.positions[v as usize] {
-                self.mesh.positions[v as usize] = to;
-                return self.mesh.neighbours(v);
+    /// The costliest vertices, so many at most, no two of them with a neighbour in common: what one does leaves the costs of the
+    /// others.
+    fn next_batch(&mut self, most: usize) -> Vec<Place<()>> {
+        self.rounds += 1;
+        let (mut batch, mut waiting) = (Vec::new(), Vec::new());
+        while batch.len() < most.min(SHAPES_AT_ONCE) && waiting.len() < SHAPES_AT_ONCE {
+            let Some(place) = self.queue.pop() else { break };
+            let v = place.vertex();
+            if self.latest[v as usize] != place.badness() {
+                continue;
             }
-            self.steps.halve(v);
-            self.queue.push(Place::new((), v, cost));
-            return Vec::new();
+            let near = self.mesh.ring(v).iter().flat_map(|&f| self.mesh.facets()[f as usize]);
+            if near.clone().any(|u| self.claims[u as usize] == self.rounds) {
+                waiting.push(place);
+            } else {
+                batch.push(place);
+                self.latest[v as usize] = f64::NAN;
+            }
+            near.for_each(|u| self.claims[u as usize] = self.rounds);
         }
-        let Some(flip) = self.better_flip(v) else { return Vec::new() };
-        self.mesh.apply(&flip);
-        self.mesh.corners_around(&flip.corners.concat())
+        self.queue.extend(waiting);
+        batch
     }
 
-    fn better_place(&self, v: u32, cost: f64, share: f64) -> DVec3 {
+    /// Relocates a vertex, or flips an edge beside it if it has tried all places. Returns the vertices around what changed.
+    fn make(&mut self, place: Place<()>, to: Option<DVec3>) -> Vec<u32> {
+        let v = place.vertex();
+        let Some(to) = to else {
+            let Some(flip) = self.better_flip(v) else { return Vec::new() };
+            self.mesh.apply(&flip);
+            return self.mesh.corners_around(&flip.corners.concat());
+        };
+        if to != self.mesh.positions[v as usize] {
+            self.mesh.positions[v as usize] = to;
+            return self.mesh.neighbours(v);
+        }
+        self.steps.halve(v);
+        self.push_one(v, place.badness());
+        Vec::new()
+    }
+
+    /// Where a vertex whose facets cost so much goes in its next step. `None` if it has tried all.
+    fn better_place(&self, v: u32, cost: f64) -> Option<DVec3> {
+        let share = self.steps.next(v)?;
         let (mesh, MotionBounds { mobility, envelope, off_curve }) = (&*self.mesh, self.bounds);
         let (here, start, mobility) = (mesh.positions[v as usize], self.start[v as usize], mobility[v as usize]);
         let ring = mesh.ring(v);
@@ -147,7 +195,7 @@ impl Shapes<'_> {
         };
         let places = places_around(here, share * FIRST_STEP * edge, [x, y]).take(DIRECTIONS);
         let cost_at = |p: DVec3, most: f64| self.cost.around(mesh, v, p, most, UNMEASURED_COSINE);
-        cheapest((cost, here), LEAST_GAIN_OF_PASS, places.filter(may_go), cost_at).1
+        Some(cheapest((cost, here), LEAST_GAIN_OF_PASS, places.filter(may_go), cost_at).1)
     }
 
     /// The flip of an edge of a poor facet around `v` that gains most.

@@ -1,7 +1,7 @@
 //! Trials on a patch.
 //!
 //! Purpose: a patch is changed in several ways ([`Trial`]), its vertices are relocated each time, and the best that reaches a
-//! [`Goal`] is taken ([`best`]). After a few passes the most promising go on alone.
+//! [`Goal`] is taken ([`best`]). After a few passes the most promising go on, until one is there.
 //! Invariant: a patch that does not reach the goal is never taken. The same bits whatever the number of threads.
 //! Must not know: why a patch is to be changed.
 
@@ -67,7 +67,18 @@ impl Measure {
 }
 
 /// A changed patch, and its measure. Lower is better.
-type Tried = (f64, Patch);
+struct Tried {
+    measure: f64,
+    distance: PatchDistance,
+    patch: Patch,
+}
+
+impl Tried {
+    fn new(patch: Patch, measure: Measure) -> Self {
+        let distance = patch.distance();
+        Self { measure: measure.of(&patch, distance), distance, patch }
+    }
+}
 
 /// Relocates the vertices of a patch, the centre first, in so many passes at most. `worst` is the distance that costs as much
 /// as a bad shape.
@@ -116,25 +127,22 @@ fn begin(patch: &Patch, trial: &Trial, measure: Measure) -> Option<Tried> {
         Trial::Flip(flips) => flips.iter().for_each(|flip| patch.flip(flip)),
     }
     relax(&mut patch, measure.distance, FIRST_PASSES);
-    Some((measure.of(&patch, patch.distance()), patch))
+    Some(Tried::new(patch, measure))
 }
 
-fn finish((_, mut patch): Tried, goal: &Goal, measure: Measure) -> Option<Tried> {
+fn finish(Tried { mut patch, .. }: Tried, goal: &Goal, measure: Measure) -> Option<Patch> {
     relax(&mut patch, measure.distance, LAST_PASSES);
-    let distance = patch.distance();
-    goal.is_reached(&patch, distance).then(|| (measure.of(&patch, distance), patch))
+    goal.is_reached(&patch, patch.distance()).then_some(patch)
 }
 
-/// The best of what trials make of a patch; the first of equal ones. `None` if none reaches the goal.
+/// What the most promising trial makes of a patch that reaches the goal. `None` if none does.
 pub(super) fn best(patch: &Patch, trials: &[Trial], goal: &Goal, measure: Measure) -> Option<Patch> {
     let begun: Vec<Option<Tried>> =
         trials.par_iter().with_max_len(1).map(|trial| begin(patch, trial, measure)).collect();
-    let mut begun: Vec<Tried> = begun.into_iter().flatten().collect();
     let hopeless = HOPELESS_SHARE.max(goal.rest / measure.distance);
-    begun.retain(|(_, patch)| patch.distance().largest() <= hopeless * measure.distance);
-    begun.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let is_hopeful = |tried: &Tried| tried.distance.largest() <= hopeless * measure.distance;
+    let mut begun: Vec<Tried> = begun.into_iter().flatten().filter(is_hopeful).collect();
+    begun.sort_by(|a, b| a.measure.total_cmp(&b.measure));
     begun.truncate(FINALISTS);
-    let done: Vec<Option<Tried>> =
-        begun.into_par_iter().with_max_len(1).map(|tried| finish(tried, goal, measure)).collect();
-    done.into_iter().flatten().reduce(|a, b| if b.0 < a.0 { b } else { a }).map(|(_, patch)| patch)
+    begun.into_iter().find_map(|tried| finish(tried, goal, measure))
 }

@@ -44,12 +44,11 @@ impl LocalMesh {
         let rings = OneRings::new(positions.len(), &facets);
         let outside = vec![0; positions.len()];
         let mut mesh = Self { on_boundary: Vec::new(), normals: Vec::new(), positions, facets, rings, outside, curves };
+        let is_open = |&[a, b]: &[u32; 2]| mesh.facet_along(b, a).is_none();
+        let sides = mesh.facets.par_iter().flat_map_iter(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+        let open: Vec<[u32; 2]> = sides.filter(is_open).collect();
         let mut on_boundary = vec![false; mesh.positions.len()];
-        for [a, b] in mesh.facets.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]) {
-            if mesh.facet_along(b, a).is_none() {
-                (on_boundary[a as usize], on_boundary[b as usize]) = (true, true);
-            }
-        }
+        open.into_iter().flatten().for_each(|v| on_boundary[v as usize] = true);
         mesh.on_boundary = on_boundary;
         mesh.mark();
         mesh

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::mesh::coincident;
 use crate::mesh::disjoint::DisjointSets;
 use crate::mesh::edges::{EdgeGroups, Half};
-use crate::remesh::constants::{MAX_PARTING_ROUNDS, SIDE_STEP, STEP_BACK};
+use crate::remesh::constants::{MAX_SEPARATION_ROUNDS, SIDE_STEP, STEP_BACK};
 use crate::remesh::report::RepairFigures;
 use crate::remesh::triangle::unit_normal;
 use crate::token::{Stopped, Token};
@@ -47,8 +47,8 @@ pub(crate) fn repair(positions: &[DVec3], triangles: &[[u32; 3]], token: &Token)
     let mut places = positions.to_vec();
     let mut source: Vec<u32> = (0..positions.len() as u32).collect();
     let mut conflicts = conflicting(places.len(), &facets);
-    for _ in 0..MAX_PARTING_ROUNDS {
-        if conflicts.is_empty() || !part_sheets(&mut places, &mut source, &mut facets) {
+    for _ in 0..MAX_SEPARATION_ROUNDS {
+        if conflicts.is_empty() || !separate_sheets(&mut places, &mut source, &mut facets) {
             break;
         }
         token.check()?;
@@ -68,8 +68,8 @@ pub(in crate::remesh) fn all_cancel(triangles: &[[u32; 3]]) -> bool {
 /// Where an edge has two facets of either direction, two sheets touch along it: on a surface without thickness cells reach
 /// through to its other side. Of the sheet whose facets have later numbers the edge gets a new vertex in its middle, so
 /// that the sheets have no edge in common. The facets whose normals differ least are one sheet. Returns whether any
-/// edge was parted; not those of facets that another edge's parting has changed.
-fn part_sheets(places: &mut Vec<DVec3>, source: &mut Vec<u32>, facets: &mut Vec<[u32; 3]>) -> bool {
+/// edge was separated; not those of facets that the separation at another edge has changed.
+fn separate_sheets(places: &mut Vec<DVec3>, source: &mut Vec<u32>, facets: &mut Vec<[u32; 3]>) -> bool {
     let mut touching: Vec<[Half; 4]> = Vec::new();
     EdgeGroups::new(places.len(), facets.iter().copied().enumerate()).for_each(|low, halves| {
         let mut four: Vec<Half> = halves.to_vec();
@@ -84,7 +84,7 @@ fn part_sheets(places: &mut Vec<DVec3>, source: &mut Vec<u32>, facets: &mut Vec<
     });
     let normal = |half: Half, facets: &[[u32; 3]]| unit_normal(facets[half.facet as usize].map(|v| places[v as usize]));
     let mut changed = HashSet::new();
-    let mut parted = Vec::new();
+    let mut separated = Vec::new();
     for [a, b, c, d] in touching {
         let [na, nb, nc, nd] = [a, b, c, d].map(|half| normal(half, facets));
         let sheets =
@@ -92,10 +92,10 @@ fn part_sheets(places: &mut Vec<DVec3>, source: &mut Vec<u32>, facets: &mut Vec<
         let later = sheets.into_iter().max_by_key(|sheet| sheet.map(|half| half.facet).into_iter().min());
         if let Some(sheet) = later.filter(|sheet| sheet.iter().all(|half| !changed.contains(&half.facet))) {
             changed.extend(sheet.map(|half| half.facet));
-            parted.push(sheet);
+            separated.push(sheet);
         }
     }
-    for sheet in &parted {
+    for sheet in &separated {
         let Half { facet, side } = sheet[0];
         let ends = [facets[facet as usize][side], facets[facet as usize][(side + 1) % 3]];
         let middle = places.len() as u32;
@@ -109,7 +109,7 @@ fn part_sheets(places: &mut Vec<DVec3>, source: &mut Vec<u32>, facets: &mut Vec<
             facets.push([middle, b, c]);
         }
     }
-    !parted.is_empty()
+    !separated.is_empty()
 }
 
 /// Facets with three different corners, each set of corners at most once. Two facets with the same
@@ -162,28 +162,28 @@ fn conflicting(vertices: usize, facets: &[[u32; 3]]) -> Vec<usize> {
     (0..facets.len()).filter(|&f| conflicts[f]).collect()
 }
 
-/// Keeps facets so that every directed edge is used once. Those that share none of theirs stay; the `disputed` ones
+/// Keeps facets so that every directed edge is used once. Those that share none of theirs stay; the `conflicting` ones
 /// are taken by falling quality as long as their edges are free.
 fn oriented(
     positions: &[DVec3],
     facets: Vec<[u32; 3]>,
-    mut disputed: Vec<usize>,
+    mut conflicting: Vec<usize>,
     figures: &mut RepairFigures,
 ) -> Vec<[u32; 3]> {
-    if disputed.is_empty() {
+    if conflicting.is_empty() {
         return facets;
     }
     let quality = |f: usize| shape(facets[f].map(|v| positions[v as usize]));
-    disputed.sort_by(|&a, &b| quality(b).total_cmp(&quality(a)).then(a.cmp(&b)));
+    conflicting.sort_by(|&a, &b| quality(b).total_cmp(&quality(a)).then(a.cmp(&b)));
     let mut keep = vec![true; facets.len()];
-    let mut taken = HashSet::new();
-    for f in disputed {
+    let mut used = HashSet::new();
+    for f in conflicting {
         let halves = half_edges(facets[f]);
-        if halves.iter().any(|h| taken.contains(h)) {
+        if halves.iter().any(|h| used.contains(h)) {
             keep[f] = false;
             figures.non_manifold_facets += 1;
         } else {
-            taken.extend(halves);
+            used.extend(halves);
         }
     }
     facets.into_iter().zip(keep).filter_map(|(t, k)| k.then_some(t)).collect()
@@ -225,7 +225,7 @@ fn split_fans(positions: &[DVec3], source: &[u32], facets: Vec<[u32; 3]>, mut fi
     if figures.split_vertices > 0 {
         step_back(&mut placed, &source, &facets);
     }
-    part_sides(&mut placed, &facets);
+    separate_sides(&mut placed, &facets);
     Repaired { source, positions: placed, facets, figures }
 }
 
@@ -252,7 +252,7 @@ fn step_back(placed: &mut [DVec3], source: &[u32], facets: &[[u32; 3]]) {
 }
 
 /// Moves vertices that are in one place along their normals.
-fn part_sides(placed: &mut [DVec3], facets: &[[u32; 3]]) {
+fn separate_sides(placed: &mut [DVec3], facets: &[[u32; 3]]) {
     let together = coincident::find(placed).into_iter().flat_map(|(later, earliest)| [later, earliest]);
     let mut normal: BTreeMap<usize, (DVec3, f64)> =
         together.map(|v| (v as usize, (DVec3::ZERO, f64::INFINITY))).collect();

@@ -43,6 +43,8 @@ pub(super) struct Figures {
     pub(super) iterations: Vec<IterationFigures>,
     pub(super) last: FinalFigures,
     pub(super) refine: RefineFigures,
+    /// How many vertices were asked for.
+    pub(super) asked: usize,
 }
 
 impl<'a> Job<'a, '_> {
@@ -55,7 +57,7 @@ impl<'a> Job<'a, '_> {
     ) -> Result<Attempt<'a>, RemeshError> {
         let optimized = self.optimize(prepared, options)?;
         let Optimized { plan, surface, curves, mut cvt, mut session, dual, seed, converged, last, .. } = optimized;
-        let Optimized { rvd, iterations, refine, .. } = optimized;
+        let Optimized { rvd, iterations, refine, asked, .. } = optimized;
         let mut schedule =
             Schedule { options, observer: &mut *self.observer, token: self.token, rvd, iterations, refine };
         let exact = ExactDual { surface: &surface, session: &mut *session };
@@ -66,7 +68,7 @@ impl<'a> Job<'a, '_> {
         let device_bytes = cvt.device_bytes();
         // Nothing else of it is needed: its memory is free for the measurements.
         let closest = cvt.into_closest();
-        let figures = Figures { converged, rvd, iterations, last, refine };
+        let figures = Figures { converged, rvd, iterations, last, refine, asked };
         Ok(Attempt { plan, curves, closest, built, seeds, seed, figures, device, device_bytes })
     }
 }

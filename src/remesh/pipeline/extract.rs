@@ -16,7 +16,6 @@ use crate::mesh::csr::Csr;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::CurveKind;
 use crate::remesh::constants::OFF_CURVE_SHARE;
-use crate::remesh::distance::deviation::InputVertex;
 use crate::remesh::distance::hausdorff::{HausdorffEstimate, missed_places};
 use crate::remesh::distance::reference::{InputSamples, Reference, SurfaceSample};
 use crate::remesh::features::curves::KeptCurves;
@@ -50,26 +49,26 @@ pub(super) struct Extraction<'a> {
 }
 
 /// A triangulation that may still change.
-pub(super) struct Draft {
+pub(super) struct Draft<'a> {
     /// Caller's coordinates.
     positions: Vec<DVec3>,
     facets: Vec<[u32; 3]>,
     vertex_seed: Vec<u32>,
     curve_edges: Vec<Option<[u32; 2]>>,
     repair: RepairFigures,
-    fitted: Option<Fitted>,
+    fitted: Option<Fitted<'a>>,
     /// How many seeds there were.
     seeds: usize,
 }
 
 /// Vertices that were fitted.
-struct Fitted {
+struct Fitted<'a> {
     /// Unit frame. Its facets are those of the draft.
     mesh: LocalMesh,
     target: Target,
     envelope: CurveEnvelope,
-    /// Pairs of a vertex and an input facet that its cell meets.
-    cells: Vec<(u32, u32)>,
+    /// The input that improved places are compared with.
+    reference: Reference<'a>,
     missed: Missed,
     /// Distance from the input around each vertex.
     distances: Vec<f64>,
@@ -89,7 +88,7 @@ pub(super) struct Missed {
     pub(super) long_edge_midpoints: Vec<DVec3>,
 }
 
-impl Draft {
+impl Draft<'_> {
     /// What it lacks of the input.
     pub(super) fn missed(&self) -> Missed {
         self.fitted.as_ref().map_or_else(Missed::default, |f| f.missed.clone())
@@ -112,9 +111,9 @@ pub(super) struct Built {
     pub(super) missed: usize,
 }
 
-impl Extraction<'_> {
+impl<'a> Extraction<'a> {
     /// The dual made a triangulation: repaired, its vertices placed, with the seed of each vertex.
-    pub(super) fn draft(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Result<Draft, RemeshError> {
+    pub(super) fn draft(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Result<Draft<'a>, RemeshError> {
         let positions = self.vertex_positions(dual, seeds);
         self.token.check()?;
         let repaired = repair::repair(&positions, &dual.triangles, self.token)?;
@@ -127,7 +126,7 @@ impl Extraction<'_> {
             not_disks: dual.not_disks.len(),
             multiple_edges: dual.multiple_edges.len(),
             multiple_boundary_arcs: dual.multiple_boundary_arcs.len(),
-            inconsistent_vertices: dual.disputed,
+            inconsistent_vertices: dual.inconsistent,
             ..repaired.figures
         };
         let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
@@ -154,7 +153,7 @@ impl Extraction<'_> {
     }
 
     /// The draft improved locally, in the caller's coordinates.
-    pub(super) fn finish(&self, mut draft: Draft) -> Result<Built, RemeshError> {
+    pub(super) fn finish(&self, mut draft: Draft<'a>) -> Result<Built, RemeshError> {
         let mut missed = 0;
         if let Some(mut fitted) = draft.fitted.take() {
             missed = self.improve(&mut draft, &mut fitted);
@@ -172,26 +171,24 @@ impl Extraction<'_> {
     }
 
     /// Recovers edges of curves and improves the places that need it. Returns how many places are still far.
-    fn improve(&self, draft: &mut Draft, fitted: &mut Fitted) -> usize {
+    fn improve(&self, draft: &mut Draft<'a>, fitted: &mut Fitted<'a>) -> usize {
         let before = fitted.missed.places.len();
-        let vertices = fitted.mesh.positions.len();
-        let reference = Reference::new(self.surface, vertices, &fitted.cells, fitted.target.input.vertices.all());
         let absent = self.curves.missing(&draft.curve_edges, &draft.vertex_seed, |_| true);
         if !absent.is_empty() {
             let mobility = mobility(&fitted.mesh.positions, &draft.curve_edges, &fitted.target.fixed);
-            let mut editor = MeshEditor::new(&mut fitted.mesh, &mobility, &reference, self.token);
+            let mut editor = MeshEditor::new(&mut fitted.mesh, &mobility, &fitted.reference, self.token);
             let recover = |&ends: &[u32; 2]| !self.token.is_stopped() && recover_edge(&mut editor, ends);
             if absent.into_iter().filter(recover).count() > 0 {
                 self.find_curves(draft, &mut fitted.mesh);
-                self.improve_shapes(&mut fitted.mesh, draft, &fitted.target, &fitted.envelope, false);
+                self.improve_shapes(&mut fitted.mesh, draft, &fitted.target.fixed, &fitted.envelope, false);
                 let input = &fitted.target.input;
                 let estimate = HausdorffEstimate::of(&fitted.mesh, input, self.tolerance, self.token);
                 fitted.distances = estimate.by_vertex;
             }
         }
-        let Fitted { mesh, target, missed, distances, .. } = fitted;
+        let Fitted { mesh, target, reference, missed, distances, .. } = fitted;
         let mobility = mobility(&mesh.positions, &draft.curve_edges, &target.fixed);
-        let improved = improve(&mut MeshEditor::new(mesh, &mobility, &reference, self.token), distances);
+        let improved = improve(&mut MeshEditor::new(mesh, &mobility, reference, self.token), distances);
         if improved == 0 && missed.places.is_empty() {
             return 0;
         }
@@ -201,7 +198,7 @@ impl Extraction<'_> {
     }
 
     /// Finds the edges of curves again, in the order of the facets. They stay from now on.
-    fn find_curves(&self, draft: &mut Draft, mesh: &mut LocalMesh) {
+    fn find_curves(&self, draft: &mut Draft<'_>, mesh: &mut LocalMesh) {
         draft.curve_edges = self.curves.edges_in(mesh.facets(), &draft.vertex_seed);
         draft.curve_edges.iter().flatten().for_each(|&edge| mesh.keep(edge));
     }
@@ -210,12 +207,12 @@ impl Extraction<'_> {
     fn improve_shapes(
         &self,
         mesh: &mut LocalMesh,
-        draft: &Draft,
-        target: &Target,
+        draft: &Draft<'_>,
+        fixed: &[bool],
         envelope: &CurveEnvelope,
         hold_curves: bool,
     ) {
-        let mut mobility = mobility(&mesh.positions, &draft.curve_edges, &target.fixed);
+        let mut mobility = mobility(&mesh.positions, &draft.curve_edges, fixed);
         let held = mobility.iter_mut().filter(|m| hold_curves && **m != Mobility::Free);
         held.for_each(|m| *m = Mobility::Fixed);
         let off_curve = self.tolerance.map_or(f64::INFINITY, |tolerance| OFF_CURVE_SHARE * tolerance);
@@ -240,24 +237,28 @@ impl Extraction<'_> {
 
     /// Moves the draft's vertices to where its facets are nearest to the input ([`fit`]). Corners of curves stay.
     /// `component` is that of the dual for each vertex.
-    fn fit(&self, draft: &mut Draft, component: &[u32], dual: &dual::Dual) {
+    fn fit(&self, draft: &mut Draft<'a>, component: &[u32], dual: &dual::Dual) {
         let mut vertex = vec![u32::MAX; dual.components.len()];
         component.iter().enumerate().rev().for_each(|(v, &c)| vertex[c as usize] = v as u32);
-        let fixed = draft.vertex_seed.iter().map(|&s| self.curves.is_corner(s) || s >= self.first_added).collect();
-        let input = self.input_samples(&vertex, dual, draft.positions.len());
-        let mut target = Target { input, curves: self.curves.samples(&draft.curve_edges), fixed };
-        let own = |p: &dual::Piece| (p.area > 0.0).then(|| (vertex[p.component as usize], p.facet));
-        let cells = dual.pieces.par_iter().filter_map(own).filter(|c| c.0 != u32::MAX).collect();
+        let is_fixed = |&s: &u32| self.curves.is_corner(s) || s >= self.first_added;
+        let fixed: Vec<bool> = draft.vertex_seed.iter().map(is_fixed).collect();
+        let curves = self.curves.samples(&draft.curve_edges);
         let frame = self.surface.frame();
         let unit: Vec<DVec3> = draft.positions.par_iter().map(|&p| frame.to_unit(p)).collect();
         // Added seeds bring edges to the curves. An envelope as well would fold facets between them.
-        let envelope = CurveEnvelope::new(&unit, &target.fixed, if self.adds { &[] } else { &target.curves });
-        let mut mesh = LocalMesh::new(unit, std::mem::take(&mut draft.facets), draft.curves());
+        let envelope = CurveEnvelope::new(&unit, &fixed, if self.adds { &[] } else { &curves });
+        let facets = std::mem::take(&mut draft.facets);
         // Most poor facets are improved where the fit brings their vertices back to the surface. Curves have not settled yet.
-        self.improve_shapes(&mut mesh, draft, &target, &envelope, true);
+        let improved = || {
+            let mut mesh = LocalMesh::new(unit, facets, draft.curves());
+            self.improve_shapes(&mut mesh, draft, &fixed, &envelope, true);
+            mesh
+        };
+        let (mut mesh, (input, reference)) = rayon::join(improved, || self.input(&vertex, dual, draft.positions.len()));
+        let mut target = Target { input, curves, fixed };
         fit::fit(&mut mesh, &target, self.token);
         restore(&mut mesh, &envelope, self.token);
-        self.improve_shapes(&mut mesh, draft, &target, &envelope, false);
+        self.improve_shapes(&mut mesh, draft, &target.fixed, &envelope, false);
         for v in tighten(&mut mesh, &envelope, &target.fixed, self.token) {
             target.fixed[v as usize] = false;
         }
@@ -267,19 +268,19 @@ impl Extraction<'_> {
         let lost = self.seeds_without_vertex(draft);
         let midpoints = long_edge_midpoints(&mesh.positions, mesh.facets(), &target.fixed, lost.len());
         let missed = Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints: midpoints };
-        draft.fitted = Some(Fitted { mesh, target, envelope, cells, missed, distances: by_vertex });
+        draft.fitted = Some(Fitted { mesh, target, envelope, reference, missed, distances: by_vertex });
     }
 
     /// See [`Missed::seeds_without_vertex`].
-    fn seeds_without_vertex(&self, draft: &Draft) -> Vec<u32> {
+    fn seeds_without_vertex(&self, draft: &Draft<'_>) -> Vec<u32> {
         let mut there = vec![false; draft.seeds];
         draft.vertex_seed.iter().for_each(|&s| there[s as usize] = true);
         (self.curves.seeds.len() as u32..draft.seeds as u32).filter(|&s| !there[s as usize]).collect()
     }
 
-    /// The input by vertex of the draft: one sample for each piece, and the input's vertices. `vertex` is that of the draft for
-    /// each component of the dual.
-    fn input_samples(&self, vertex: &[u32], dual: &dual::Dual, vertices: usize) -> InputSamples {
+    /// The input by vertex of the draft: one sample for each piece, and the input's vertices and facets. `vertex` is that of the
+    /// draft for each component of the dual.
+    fn input(&self, vertex: &[u32], dual: &dual::Dual, vertices: usize) -> (InputSamples, Reference<'a>) {
         let surface = self.surface;
         let of = |p: &dual::Piece| if p.area > 0.0 { vertex[p.component as usize] } else { u32::MAX };
         let owners: Vec<u32> = dual.pieces.par_iter().map(of).collect();
@@ -296,9 +297,10 @@ impl Extraction<'_> {
                 *known = if *known == u32::MAX { owner } else { *known };
             }
         }
-        let input_vertex = |v: usize| InputVertex { position: surface.positions()[v], owner: owner_of[v] };
-        let input_vertices = Csr::group(vertices, &owner_of, input_vertex);
-        InputSamples { samples: Csr::group(vertices, &owners, sample), vertices: input_vertices }
+        let input_vertices = Csr::group(vertices, &owner_of, |v| surface.positions()[v]);
+        let facets = Csr::group(vertices, &owners, |k| dual.pieces[k].facet);
+        let reference = Reference::new(surface, facets, input_vertices.clone());
+        (InputSamples { samples: Csr::group(vertices, &owners, sample), vertices: input_vertices }, reference)
     }
 }
 

@@ -21,6 +21,10 @@ pub(super) struct Job<'a, 'b> {
     pub(super) laps: Laps,
     /// Whether edges become shorter where the surface is too thin for its cells.
     pub(super) keep_thin: bool,
+    /// Whether seeds become fewer, for the number of vertices that was asked for.
+    pub(super) scales_seeds: bool,
+    /// Diagonal of the input's bounding box, caller's units.
+    pub(super) diagonal: f64,
     /// Topology of the input.
     pub(super) topology: Topology,
 }

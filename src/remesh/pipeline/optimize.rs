@@ -42,6 +42,8 @@ pub(super) struct Optimized<'a> {
     pub(super) rvd: RvdFigures,
     pub(super) iterations: Vec<IterationFigures>,
     pub(super) refine: RefineFigures,
+    /// How many vertices were asked for.
+    pub(super) asked: usize,
 }
 
 impl<'a> Job<'a, '_> {
@@ -52,12 +54,18 @@ impl<'a> Job<'a, '_> {
         options: &RemeshOptions,
     ) -> Result<Optimized<'a>, RemeshError> {
         let optimized = self.optimize_once(prepared, options)?;
-        self.resolve_thin_parts(optimized, options)
+        let optimized = self.resolve_thin_parts(optimized, options)?;
+        self.scale_seeds(optimized, options)
     }
 
     /// Draws seeds, takes their steps, and reads their dual.
-    fn optimize_once(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Optimized<'a>, RemeshError> {
+    pub(super) fn optimize_once(
+        &mut self,
+        prepared: Prepared<'a>,
+        options: &RemeshOptions,
+    ) -> Result<Optimized<'a>, RemeshError> {
         let Prepared { plan, surface, mut curves, closest } = prepared;
+        let asked = plan.points;
         self.laps.timings.prepare += self.laps.lap();
         self.token.check()?;
 
@@ -109,6 +117,7 @@ impl<'a> Job<'a, '_> {
             rvd,
             iterations,
             refine,
+            asked,
         })
     }
 
@@ -152,9 +161,8 @@ impl<'a> Job<'a, '_> {
             };
             (lengths, failing) = (next.shorter_lengths(self.mesh, self.token)?, !next.failing.is_empty());
             if next.failing.is_better(&best.failing) {
-                next.refine.evaluations += best.passes();
+                next.take_over(&best);
                 next.refine.closed_ball_rounds = round;
-                next.plan.figures.source = best.plan.figures.source;
                 (best, vain) = (next, 0);
             } else {
                 best.refine.evaluations += next.passes();
@@ -174,8 +182,22 @@ impl Optimized<'_> {
         Ok(lengths)
     }
 
+    /// Vertices that its dual has once it is repaired.
+    pub(super) fn vertices(&self) -> usize {
+        self.failing.vertices
+    }
+
+    /// Takes the place of another one that was made before.
+    pub(super) fn take_over(&mut self, before: &Self) {
+        self.refine.evaluations += before.passes();
+        self.refine.closed_ball_rounds = before.refine.closed_ball_rounds;
+        self.refine.closed_ball_failures = self.failing.len();
+        self.plan.figures.source = before.plan.figures.source;
+        self.asked = before.asked;
+    }
+
     /// Passes over the diagram that it took.
-    fn passes(&self) -> usize {
+    pub(super) fn passes(&self) -> usize {
         self.refine.evaluations + self.iterations.iter().map(|step| step.evaluations).sum::<usize>()
     }
 }

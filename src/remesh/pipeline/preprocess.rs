@@ -5,7 +5,7 @@
 //! Invariant: vertices keep their numbers; every change is counted. Must not know: density, seeds.
 
 use crate::mesh::adjacency::Adjacency;
-use crate::mesh::{TriMesh, layers, orient, stitch};
+use crate::mesh::{TriMesh, duplicates, orient, stitch};
 use crate::remesh::report::InputFigures;
 use crate::token::{Stopped, Token};
 
@@ -13,7 +13,7 @@ use crate::token::{Stopped, Token};
 pub(super) fn preprocess(mesh: &TriMesh, token: &Token) -> Result<(InputFigures, Option<TriMesh>), Stopped> {
     let adjacency = Adjacency::new(mesh);
     token.check()?;
-    let (mut figures, mut changed) = match stitch::rims(mesh, &adjacency, token)? {
+    let (mut figures, mut changed) = match stitch::boundaries(mesh, &adjacency, token)? {
         Some((stitched, moved)) => {
             (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched, token)? }, Some(stitched))
         }
@@ -21,7 +21,7 @@ pub(super) fn preprocess(mesh: &TriMesh, token: &Token) -> Result<(InputFigures,
     };
     token.check()?;
     if figures.inconsistent_edges + figures.topology.non_manifold_edges > 0
-        && let Some((single, spare)) = layers::single(changed.as_ref().unwrap_or(mesh), token)?
+        && let Some((single, spare)) = duplicates::remove(changed.as_ref().unwrap_or(mesh), token)?
     {
         let stitched_vertices = figures.stitched_vertices;
         figures = InputFigures { stitched_vertices, coincident_facets: spare, ..InputFigures::of(&single, token)? };
@@ -29,9 +29,9 @@ pub(super) fn preprocess(mesh: &TriMesh, token: &Token) -> Result<(InputFigures,
     }
     token.check()?;
     if figures.inconsistent_edges > 0
-        && let Some((consistent, turned)) = orient::alike(changed.as_ref().unwrap_or(mesh), token)?
+        && let Some((consistent, flipped)) = orient::make_consistent(changed.as_ref().unwrap_or(mesh), token)?
     {
-        figures.reoriented_facets = turned;
+        figures.reoriented_facets = flipped;
         changed = Some(consistent);
     }
     Ok((figures, changed))

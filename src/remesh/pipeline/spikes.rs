@@ -7,9 +7,9 @@
 
 use glam::DVec3;
 
+use super::compare;
 use crate::mesh::TriMesh;
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
-use crate::mesh::measure::quality_unless;
 use crate::mesh::outliers::find;
 use crate::remesh::{Remesh, RemeshError};
 use crate::rvd::RvdError;
@@ -48,7 +48,7 @@ pub(super) fn put_back(done: &mut Remesh, given: &TriMesh, near: &TriMesh, token
     let report = &mut done.report;
     (report.input.area, report.input.outlier_vertices) = (given.area(), far.len());
     if report.result.quality.is_some() {
-        report.result.quality = Some(quality_unless(given, None, &done.mesh, token)?);
+        (report.result.quality, report.result.lost) = Some(compare(given, None, &done.mesh, token)?).unzip();
     }
     Ok(())
 }

@@ -27,6 +27,8 @@ pub(super) struct FailingCells {
     components: Vec<u32>,
     /// Area of the cells, those in several parts included, unit frame.
     area: f64,
+    /// Vertices of the repaired dual.
+    pub(super) vertices: usize,
 }
 
 impl FailingCells {
@@ -57,11 +59,12 @@ pub(super) fn failing(
     let closed_balls =
         dual.not_disks.is_empty() && dual.multiple_boundary_arcs.is_empty() && dual.multiple_edges.is_empty();
     if closed_balls && !there.contains(&false) {
-        return Ok(FailingCells::default());
+        return Ok(FailingCells { vertices: count, ..FailingCells::default() });
     }
     let places: Vec<DVec3> = dual.components.iter().map(|c| c.centroid).collect();
     let Repaired { source, positions, facets, .. } = repair::repair(&places, &dual.triangles, token)?;
     token.check()?;
+    let vertices = source.len();
     there.fill(false);
     source.iter().for_each(|&c| there[c as usize] = true);
     let key = |t: &Topology| (t.euler, t.components, t.boundary_loops);
@@ -70,7 +73,7 @@ pub(super) fn failing(
     let lost = (0..count as u32).any(|c| whole(c) && !there[c as usize]);
     // Folds of the surface that are smaller than a cell close without a trace.
     if same && !lost {
-        return Ok(FailingCells::default());
+        return Ok(FailingCells { vertices, ..FailingCells::default() });
     }
     let pairs = dual.multiple_edges.iter().flatten();
     let mut fails = vec![false; count];
@@ -89,7 +92,7 @@ pub(super) fn failing(
     if components.is_empty() {
         components = all;
     }
-    Ok(FailingCells { components, area })
+    Ok(FailingCells { components, area, vertices })
 }
 
 /// The vertices around which a surface is no manifold.

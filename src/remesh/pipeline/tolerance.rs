@@ -3,74 +3,72 @@
 //! Purpose: [`refine`] remeshes again and again, each time with shorter edges where the last result was too far from the
 //! input. The distance of a facet from a smooth surface falls with the square of its edges, so a few rounds do. Shorter edges
 //! that grade into the others keep triangles round. Seeds that are only added do not: steps spread them out again, and with as
-//! many added as there were, 6 to 10 % of the triangles of the bunny and the rocker-arm had angles under 30 degrees.
-//! Invariant: never more points than allowed; the best result of all rounds comes back.
-//! Must not know: how a surface is made.
+//! many added as there were, 6 to 10 % of the triangles of the bunny and the rocker-arm had angles under 30 degrees. Given
+//! seeds stay, so [`add`] can only add to them.
+//! Invariant: never more points than allowed; the nearest result of all rounds comes back. If it is too far, as many points
+//! with a uniform density or one by curvature are no nearer, unless the lengths were given. At most
+//! [`MAX_REFINING_ROUNDS`] rounds, one that adds seeds, and two comparisons for each of two searches.
+//! Must not know: how a surface is made, how distances are measured.
 
 use super::attempt::Attempt;
 use super::job::{Job, enter};
 use super::prepare::{Prepared, prepare};
 use crate::cvt::density::{DensityError, DensityOptions, DensitySource};
-use crate::mesh::closest_point::ClosestPoint;
-use crate::remesh::constants::{FEW_MISSED, FEW_MISSED_SHARE, MAX_REFINING_ROUNDS, SHORTEST_SHARE, TOLERANCE_AIM};
+use crate::remesh::constants::{
+    FEW_MISSED_SHARE, FEWER_MISSED, LOCAL_ROUNDS, MAX_ADDING_TIMES, MAX_REFINING_ROUNDS, MAX_VAIN_REFINING,
+    PROGRESS_SHARE, SHORTEST_SHARE, SPENT_SHARE, TOLERANCE_AIM, VAIN_GROWTH,
+};
+use crate::remesh::distance::two_way::{Comparison, Distances};
+use crate::remesh::report::RefineEnd;
 use crate::remesh::{Refine, RemeshError, RemeshOptions, Seeds};
 
-/// How far the input's vertices are from a result.
-struct InputDistances {
-    /// By vertex, caller's units; 0 where no facet has the vertex.
-    by_vertex: Vec<f64>,
-    /// Those beyond the tolerance.
-    missed: usize,
-    largest: f64,
-}
-
-impl InputDistances {
-    fn of(job: &mut Job<'_, '_>, attempt: &Attempt<'_>, tolerance: f64) -> Result<Self, RemeshError> {
-        let tree = ClosestPoint::new(&attempt.built.mesh);
-        let mut distances = tree.distances(job.mesh.positions(), job.token)?;
-        let mut used = vec![false; distances.len()];
-        let live = (0..job.mesh.facets().len()).filter(|&f| !job.mesh.is_degenerate(f));
-        live.flat_map(|f| job.mesh.facets()[f]).for_each(|v| used[v as usize] = true);
-        distances.iter_mut().zip(&used).filter(|(_, used)| !**used).for_each(|(d, _)| *d = 0.0);
-        let missed = distances.iter().filter(|&&d| d > tolerance).count();
-        let largest = distances.iter().copied().fold(0.0, f64::max);
-        job.laps.timings.refine += job.laps.lap();
-        Ok(Self { by_vertex: distances, missed, largest })
-    }
-
-    fn is_better(&self, other: &Self) -> bool {
-        (self.missed, self.largest) < (other.missed, other.largest)
-    }
-}
-
-/// The best result so far.
-struct Best<'a> {
+/// A result and how far it is.
+struct Measured<'a> {
     attempt: Attempt<'a>,
-    distances: InputDistances,
+    distances: Distances,
     options: RemeshOptions,
+}
+
+impl Measured<'_> {
+    /// Passes over the diagram that it took.
+    fn passes(&self) -> usize {
+        let figures = &self.attempt.figures;
+        figures.refine.evaluations + figures.iterations.iter().map(|step| step.evaluations).sum::<usize>()
+    }
+
+    fn points(&self) -> usize {
+        self.attempt.seeds.len()
+    }
+}
+
+/// A search for a result within the tolerance.
+struct Search<'a, 'j, 'b> {
+    job: &'j mut Job<'a, 'b>,
+    comparison: Comparison<'a>,
+    limits: Refine,
+    /// The nearest result so far.
+    best: Measured<'a>,
+    /// Points and largest distance of the first one.
+    first: (usize, f64),
+    rounds: usize,
+    /// Points of the last comparison with other densities.
+    compared: usize,
     /// Passes over the diagram that the other results took.
     passes_of_others: usize,
 }
 
-impl<'a> Best<'a> {
-    /// Takes another result if it is better. Returns its distances if it is not.
-    fn offer(
-        &mut self,
-        attempt: Attempt<'a>,
-        distances: InputDistances,
-        options: &RemeshOptions,
-    ) -> Option<InputDistances> {
-        let passes = |a: &Attempt<'_>| {
-            a.figures.refine.evaluations + a.figures.iterations.iter().map(|step| step.evaluations).sum::<usize>()
-        };
-        if !distances.is_better(&self.distances) {
-            self.passes_of_others += passes(&attempt);
-            return Some(distances);
-        }
-        self.passes_of_others += passes(&self.attempt);
-        (self.attempt, self.distances, self.options) = (attempt, distances, options.clone());
-        None
-    }
+/// Makes one result and measures it.
+fn attempt<'a>(
+    job: &mut Job<'a, '_>,
+    comparison: &Comparison<'a>,
+    prepared: Prepared<'a>,
+    options: RemeshOptions,
+    tolerance: f64,
+) -> Result<Measured<'a>, RemeshError> {
+    let attempt = job.attempt(prepared, &options, Some(tolerance))?;
+    let distances = comparison.with(&attempt.built.mesh, job.token)?;
+    job.laps.timings.refine += job.laps.lap();
+    Ok(Measured { attempt, distances, options })
 }
 
 /// Remeshes from what is prepared for `options`, with more points where the result is too far from the input.
@@ -79,61 +77,192 @@ pub(super) fn refine<'a>(
     prepared: Prepared<'a>,
     options: &RemeshOptions,
     limits: Refine,
-    seed: u64,
+    random_seed: u64,
 ) -> Result<Attempt<'a>, RemeshError> {
-    let Refine { tolerance, max_points } = limits;
-    let mut options = RemeshOptions { refine: None, ..options.clone() };
-    let attempt = job.attempt(prepared, &options, Some(tolerance))?;
-    let begin = attempt.seeds.len();
-    let mut lengths = attempt.plan.lengths(job.mesh, job.token)?;
-    let distances = InputDistances::of(job, &attempt, tolerance)?;
-    let mut best = Best { attempt, distances, options: options.clone(), passes_of_others: 0 };
-    // Distances of the last result if it was not the best.
-    let mut worse: Option<InputDistances> = None;
-    let max_points = max_points.max(begin);
-    let mut full = false;
-    let mut rounds = 0;
-    // Once the points are used up, rounds go on as long as they make better use of them.
-    while rounds < MAX_REFINING_ROUNDS && best.distances.missed > 0 && !(full && worse.is_some()) {
-        rounds += 1;
-        let distances = worse.as_ref().unwrap_or(&best.distances);
-        lengths.iter_mut().zip(&distances.by_vertex).filter(|(_, d)| **d > TOLERANCE_AIM * tolerance).for_each(
-            |(length, d)| {
-                *length *= (TOLERANCE_AIM * tolerance / d).sqrt().max(SHORTEST_SHARE);
-            },
-        );
-        let source = DensitySource::Sizes(lengths);
-        options.density = DensityOptions { source, edge_length: None, adaptivity: 1.0, max_points, ..options.density };
-        options.seeds = Seeds::Implied { seed };
-        enter(job.observer, job.token, "prepare");
-        let prepared = match prepare(job.mesh, &options, job.token) {
-            Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => {
-                full = true;
-                options.seeds = Seeds::Sample { points: max_points, seed };
-                prepare(job.mesh, &options, job.token)?
-            }
-            prepared => prepared?,
+    let options = RemeshOptions { refine: None, ..options.clone() };
+    let mut search = Search::begin(job, prepared, options.clone(), limits, limits.tolerance)?;
+    let mut from = None;
+    // Where another density is nearer, one more search goes on from there.
+    for _ in 0..2 {
+        search.shorten(from.take(), random_seed)?;
+        search.add_few()?;
+        if !search.compare(&options, random_seed)? {
+            break;
+        }
+        from = Some(search.best.attempt.plan.lengths(search.job.mesh, search.job.token)?);
+    }
+    Ok(search.end())
+}
+
+/// Remeshes from what is prepared for given seeds, with more seeds where the result is too far from the input.
+pub(super) fn add<'a>(
+    job: &mut Job<'a, '_>,
+    prepared: Prepared<'a>,
+    options: &RemeshOptions,
+    limits: Refine,
+) -> Result<Attempt<'a>, RemeshError> {
+    let mut tolerance = limits.tolerance;
+    let mut search = Search::begin(job, prepared, options.clone(), limits, tolerance)?;
+    search.first = (options.seeds.given().unwrap_or(search.first.0), f64::INFINITY);
+    for _ in 1..MAX_ADDING_TIMES {
+        if search.is_done() || search.is_spent() {
+            break;
+        }
+        // Seeds are added by the distances of vertices, which are less than those of samples.
+        let short = limits.tolerance / search.best.distances.largest;
+        tolerance *= (PROGRESS_SHARE * short).max(SHORTEST_SHARE);
+        search.attempt(options.clone(), tolerance)?;
+    }
+    Ok(search.end())
+}
+
+impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
+    fn begin(
+        job: &'j mut Job<'a, 'b>,
+        prepared: Prepared<'a>,
+        options: RemeshOptions,
+        limits: Refine,
+        tolerance: f64,
+    ) -> Result<Self, RemeshError> {
+        let comparison = Comparison::new(job.mesh, limits.tolerance, job.token)?;
+        let best = attempt(job, &comparison, prepared, options, tolerance)?;
+        let first = (best.points(), best.distances.largest);
+        let limits = limits.with_max_points(limits.max_points.max(first.0));
+        Ok(Self { job, comparison, limits, best, first, rounds: 0, compared: 0, passes_of_others: 0 })
+    }
+
+    /// Whether nothing is too far.
+    fn is_done(&self) -> bool {
+        self.best.distances.missed == 0
+    }
+
+    /// Whether the points are used up.
+    fn is_spent(&self) -> bool {
+        self.best.points() as f64 >= SPENT_SHARE * self.limits.max_points as f64
+    }
+
+    /// Prepares and makes one more result.
+    fn attempt(&mut self, options: RemeshOptions, tolerance: f64) -> Result<(), RemeshError> {
+        enter(self.job.observer, self.job.token, "prepare");
+        let prepared = prepare(self.job.mesh, &options, self.job.token)?;
+        let next = attempt(self.job, &self.comparison, prepared, options, tolerance)?;
+        self.offer(next);
+        Ok(())
+    }
+
+    /// Takes another result if it is nearer.
+    fn offer(&mut self, mut next: Measured<'a>) {
+        if next.distances.largest < self.best.distances.largest {
+            std::mem::swap(&mut self.best, &mut next);
+        }
+        self.passes_of_others += next.passes();
+    }
+
+    /// Rounds with shorter edges, from these lengths or from those of the best result.
+    fn shorten(&mut self, from: Option<Vec<f64>>, random_seed: u64) -> Result<(), RemeshError> {
+        let (mesh, token) = (self.job.mesh, self.job.token);
+        let Refine { tolerance, max_points } = self.limits;
+        let mut lengths = match from {
+            Some(lengths) => lengths,
+            None => self.best.attempt.plan.lengths(mesh, token)?,
         };
-        let next = job.attempt(prepared, &options, Some(tolerance))?;
-        lengths = next.plan.lengths(job.mesh, job.token)?;
-        let distances = InputDistances::of(job, &next, tolerance)?;
-        worse = best.offer(next, distances, &options);
+        let mut options = RemeshOptions { refine: None, ..self.best.options.clone() };
+        let mut by_vertex = self.best.distances.by_vertex.clone();
+        let (mut vain, mut points, mut full) = (0, self.best.points(), self.first.0 == max_points);
+        while !self.is_done() && self.rounds < MAX_REFINING_ROUNDS && vain < MAX_VAIN_REFINING {
+            self.rounds += 1;
+            let mut growth: f64 = if vain > 0 { VAIN_GROWTH } else { 1.0 };
+            if self.rounds > LOCAL_ROUNDS {
+                let left = (MAX_REFINING_ROUNDS + 1 - self.rounds) as f64;
+                growth = growth.max((max_points as f64 / points as f64).powf(left.recip()));
+            }
+            let even = if full { 1.0 } else { growth.sqrt().recip() };
+            let aim = TOLERANCE_AIM * tolerance;
+            for (length, &d) in lengths.iter_mut().zip(&by_vertex) {
+                let nearer = if d > aim { (aim / d).sqrt().max(SHORTEST_SHARE) } else { 1.0 };
+                *length *= nearer.min(even);
+            }
+            let source = DensitySource::Sizes(lengths);
+            options.density =
+                DensityOptions { source, edge_length: None, adaptivity: 1.0, max_points, ..options.density };
+            options.seeds = Seeds::Implied { seed: random_seed };
+            enter(self.job.observer, token, "prepare");
+            let prepared = match prepare(mesh, &options, token) {
+                Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => {
+                    full = true;
+                    options.seeds = Seeds::Sample { points: max_points, seed: random_seed };
+                    prepare(mesh, &options, token)?
+                }
+                prepared => prepared?,
+            };
+            let next = attempt(self.job, &self.comparison, prepared, options.clone(), tolerance)?;
+            lengths = next.attempt.plan.lengths(mesh, token)?;
+            by_vertex.clone_from(&next.distances.by_vertex);
+            points = next.points();
+            let (before, now) = (&self.best.distances, &next.distances);
+            let progress =
+                now.largest < PROGRESS_SHARE * before.largest || now.missed_share < FEWER_MISSED * before.missed_share;
+            vain = if progress { 0 } else { vain + 1 };
+            self.offer(next);
+            // Once the points are used up, rounds go on as long as they make better use of them.
+            if full && vain > 0 {
+                break;
+            }
+        }
+        Ok(())
     }
-    let few = FEW_MISSED.max((FEW_MISSED_SHARE * best.attempt.seeds.len() as f64) as usize);
-    if (1..=few).contains(&best.distances.missed) && best.attempt.seeds.len() < max_points {
-        // The best again, with a few seeds more.
-        rounds += 1;
-        let options = RemeshOptions { refine: Some(limits), ..best.options.clone() };
-        enter(job.observer, job.token, "prepare");
-        let next = job.attempt(prepare(job.mesh, &options, job.token)?, &options, Some(tolerance))?;
-        let distances = InputDistances::of(job, &next, tolerance)?;
-        best.offer(next, distances, &options);
+
+    /// The best again, with a few seeds more, if it misses little.
+    fn add_few(&mut self) -> Result<(), RemeshError> {
+        if self.is_done() || self.is_spent() || self.best.distances.missed_share > FEW_MISSED_SHARE {
+            return Ok(());
+        }
+        self.rounds += 1;
+        let options = RemeshOptions { refine: Some(self.limits), ..self.best.options.clone() };
+        self.attempt(options, TOLERANCE_AIM * self.limits.tolerance)
     }
-    job.laps.timings.refine += job.laps.lap();
-    let figures = &mut best.attempt.figures.refine;
-    figures.rounds += rounds;
-    figures.added_seeds = best.attempt.seeds.len().saturating_sub(begin);
-    figures.evaluations += best.passes_of_others;
-    figures.out_of_tolerance = best.distances.missed;
-    Ok(best.attempt)
+
+    /// If the best is too far: as many points by other densities, none of which may be nearer. Returns whether one was, and by
+    /// so much that shorter edges may help from there.
+    fn compare(&mut self, first: &RemeshOptions, random_seed: u64) -> Result<bool, RemeshError> {
+        let given = matches!(first.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
+        let (points, before) = (self.best.points(), self.best.distances.largest);
+        if self.is_done() || given || points == self.compared {
+            return Ok(false);
+        }
+        self.compared = points;
+        for source in [DensitySource::Uniform, DensitySource::Curvature] {
+            if points == self.first.0 && source == first.density.source {
+                continue;
+            }
+            let density = DensityOptions { source, edge_length: None, adaptivity: 1.0, ..first.density.clone() };
+            let seeds = Seeds::Sample { points, seed: random_seed };
+            self.attempt(RemeshOptions { density, seeds, ..first.clone() }, self.limits.tolerance)?;
+        }
+        Ok(self.best.distances.largest < PROGRESS_SHARE * before && !self.is_done() && !self.is_spent())
+    }
+
+    /// The nearest result, and what ended the search.
+    fn end(self) -> Attempt<'a> {
+        let ended = match &self.best.distances {
+            _ if self.is_done() => RefineEnd::Reached,
+            // More points are of use if those that there were have been, or if there were none.
+            now if self.is_spent()
+                && (now.largest < PROGRESS_SHARE * self.first.1
+                    || self.first.0 as f64 >= SPENT_SHARE * self.limits.max_points as f64) =>
+            {
+                RefineEnd::Budget
+            }
+            _ => RefineEnd::NoProgress,
+        };
+        let Measured { mut attempt, distances, .. } = self.best;
+        let figures = &mut attempt.figures.refine;
+        figures.rounds += self.rounds;
+        figures.added_seeds = attempt.seeds.len().saturating_sub(self.first.0);
+        figures.evaluations += self.passes_of_others;
+        figures.out_of_tolerance = distances.missed;
+        figures.deviation_percent = Some(100.0 * distances.largest / self.job.diagonal);
+        figures.ended = Some(ended);
+        attempt
+    }
 }

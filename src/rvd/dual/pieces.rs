@@ -45,9 +45,9 @@ struct Joined {
     /// Number of the edge of each half-edge.
     edge: Vec<u32>,
     /// Whether an edge has one facet.
-    rim_edge: Vec<bool>,
+    boundary_edge: Vec<bool>,
     /// Whether a mesh vertex lies on a boundary.
-    rim: Vec<bool>,
+    boundary: Vec<bool>,
 }
 
 /// What some mesh edges join.
@@ -55,9 +55,9 @@ struct Joined {
 struct Seams {
     /// Half-edges with the number of their edge among these.
     halves: Vec<(u32, u32)>,
-    rim_edge: Vec<bool>,
+    boundary_edge: Vec<bool>,
     /// Mesh vertices on a boundary.
-    rim: Vec<u32>,
+    boundary: Vec<u32>,
     /// Pieces of one cell, and whether the first has no other partner before at this edge.
     pairs: Vec<(u32, u32, bool)>,
 }
@@ -177,7 +177,7 @@ impl Pieces {
     fn failing(&self, surface: &Surface, joined: &Joined, count: usize, component: &[u32]) -> Failing {
         let of = |pieces: &[u32]| pieces.iter().map(|&p| component[p as usize]).collect::<Vec<u32>>();
         let disks = || {
-            let inner = self.inner_vertices(surface, &joined.rim);
+            let inner = self.inner_vertices(surface, &joined.boundary);
             conditions::not_disks(count, component, &of(&joined.joints), &of(&inner))
         };
         let edges = || {
@@ -185,15 +185,15 @@ impl Pieces {
             let stretches: Vec<Stretch> = self.stretches.par_iter().with_min_len(RUN).map(other).collect();
             // A stretch of boundary ends where a bisector crosses it, for the cells on both sides.
             let at_rim =
-                self.crossings.iter().filter(|(half, _)| joined.rim_edge[joined.edge[*half as usize] as usize]);
+                self.crossings.iter().filter(|(half, _)| joined.boundary_edge[joined.edge[*half as usize] as usize]);
             let ends = at_rim.flat_map(|&(_, s)| stretches[s as usize]).map(|p| component[p as usize]);
-            let rims = conditions::multiple_boundary_arcs(count, ends);
+            let boundary_arcs = conditions::multiple_boundary_arcs(count, ends);
             let crossing = |&(half, s): &(u32, u32)| -> Crossing {
                 let (piece, j) = self.stretches[s as usize];
                 ((joined.edge[half as usize], [self.seed[piece as usize], j]), s)
             };
             let crossings: Vec<Crossing> = self.crossings.par_iter().with_min_len(RUN).map(crossing).collect();
-            (rims, conditions::multiple_edges(&stretches, crossings, component))
+            (boundary_arcs, conditions::multiple_edges(&stretches, crossings, component))
         };
         let (not_disks, (multiple_boundary_arcs, multiple_edges)) = rayon::join(disks, edges);
         Failing { not_disks, multiple_boundary_arcs, multiple_edges }
@@ -214,33 +214,37 @@ impl Pieces {
         let joining = surface.welded().iter().copied().enumerate().filter(|&(f, _)| surface.joins(f));
         let groups = EdgeGroups::new(surface.positions().len(), joining);
         let seams = groups.gather(|seams: &mut Seams, _, group| self.across_edge(surface, group, seams));
-        let mut joined = Joined {
-            sets: DisjointSets::new(self.facet.len()),
-            joints: Vec::new(),
-            edge: vec![0; surface.facets().len() * 3],
-            rim_edge: Vec::new(),
-            rim: vec![false; surface.positions().len()],
+        let sets = || {
+            let mut sets = DisjointSets::new(self.facet.len());
+            let pairs = seams.iter().flat_map(|seams| &seams.pairs);
+            pairs.for_each(|&(a, b, _)| sets.join(a as usize, b as usize));
+            sets
         };
-        for seams in seams {
-            let number = joined.rim_edge.len() as u32;
-            seams.halves.iter().for_each(|&(half, edge)| joined.edge[half as usize] = number + edge);
-            joined.rim_edge.extend(seams.rim_edge);
-            seams.rim.iter().for_each(|&v| joined.rim[v as usize] = true);
-            seams.pairs.iter().for_each(|&(a, b, _)| joined.sets.join(a as usize, b as usize));
-            joined.joints.extend(seams.pairs.iter().filter(|p| p.2).map(|p| p.0));
-        }
-        joined
+        let rest = || {
+            let mut edge = vec![0; surface.facets().len() * 3];
+            let (mut boundary_edge, mut boundary) = (Vec::new(), vec![false; surface.positions().len()]);
+            for seams in &seams {
+                let number = boundary_edge.len() as u32;
+                seams.halves.iter().for_each(|&(half, k)| edge[half as usize] = number + k);
+                boundary_edge.extend_from_slice(&seams.boundary_edge);
+                seams.boundary.iter().for_each(|&v| boundary[v as usize] = true);
+            }
+            let joints = seams.iter().flat_map(|seams| &seams.pairs).filter(|p| p.2).map(|p| p.0).collect();
+            (joints, edge, boundary_edge, boundary)
+        };
+        let (sets, (joints, edge, boundary_edge, boundary)) = rayon::join(sets, rest);
+        Joined { sets, joints, edge, boundary_edge, boundary }
     }
 
     fn across_edge(&self, surface: &Surface, group: &[Half], seams: &mut Seams) {
         let [first, rest @ ..] = group else { return };
-        let number = seams.rim_edge.len() as u32;
+        let number = seams.boundary_edge.len() as u32;
         seams.halves.extend(group.iter().map(|half| (half.facet * 3 + half.side as u32, number)));
-        seams.rim_edge.push(rest.is_empty());
+        seams.boundary_edge.push(rest.is_empty());
         let (f, e) = (first.facet, first.side);
         if rest.is_empty() {
             let corners = surface.welded()[f as usize];
-            seams.rim.extend([e, (e + 1) % 3].map(|c| corners[c]));
+            seams.boundary.extend([e, (e + 1) % 3].map(|c| corners[c]));
         }
         for piece in self.of_facet(f).filter(|&p| self.edges[p] & (1 << e) != 0) {
             let mut met = false;
@@ -256,12 +260,12 @@ impl Pieces {
     }
 
     /// For each mesh vertex that is on no boundary, a piece that holds it.
-    fn inner_vertices(&self, surface: &Surface, rim: &[bool]) -> Vec<u32> {
+    fn inner_vertices(&self, surface: &Surface, boundary: &[bool]) -> Vec<u32> {
         let mut holder = vec![u32::MAX; surface.positions().len()];
         for (piece, &corners) in self.corners.iter().enumerate().filter(|(_, c)| **c != 0) {
             let facet = surface.welded()[self.facet[piece] as usize];
             for vertex in (0..3).filter(|c| corners & (1 << c) != 0).map(|c| facet[c] as usize) {
-                if !rim[vertex] {
+                if !boundary[vertex] {
                     holder[vertex] = piece as u32;
                 }
             }
@@ -313,12 +317,12 @@ impl Pieces {
         let triangle = |&(piece, others): &(u32, [u32; 2])| {
             let facet = self.facet[piece as usize];
             let known = others.map(|seed| self.find(facet, seed).map(|p| component[p as usize]));
-            let disputed = known.iter().filter(|c| c.is_none()).count();
+            let inconsistent = known.iter().filter(|c| c.is_none()).count();
             let [a, b] = [0, 1].map(|k| known[k].unwrap_or(largest[others[k] as usize]));
-            ([component[piece as usize], a, b], disputed)
+            ([component[piece as usize], a, b], inconsistent)
         };
         let triangles: Vec<([u32; 3], usize)> = self.vertices.par_iter().with_min_len(RUN).map(triangle).collect();
-        dual.disputed = triangles.iter().map(|t| t.1).sum();
+        dual.inconsistent = triangles.iter().map(|t| t.1).sum();
         dual.triangles = triangles.into_iter().map(|t| t.0).filter(|t| !t.contains(&u32::MAX)).collect();
         (dual, component)
     }

@@ -47,13 +47,13 @@ pub(super) struct PassResult {
     pub divided: bool,
     /// Whether cells entered facets of their own, so that the pieces are to be proved.
     pub by_cell: bool,
-    /// What the device itself gives pairs that lack it.
-    pub mends: Lacked,
+    /// What the device gives pairs that lack it, without the host.
+    pub device_retries: Shortages,
 }
 
-/// What pairs did not end for.
+/// What pairs lacked.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Lacked {
+pub(super) struct Shortages {
     /// Longer rows.
     pub neighbours: bool,
     /// More slots for a polygon than there are in registers.
@@ -113,8 +113,8 @@ pub(super) struct Clip {
     pub scales: fixed::Scales,
     walker: FacetWalker,
     pub pass: PassResult,
-    /// What pairs have lacked so far.
-    pub lacked: Lacked,
+    /// What pairs lacked so far.
+    pub shortages: Shortages,
     /// Clip dispatches of a pass's first submission: some more than the last pass needed.
     pub steps: u32,
     /// Facets that were divided at once, and that went pair by pair.
@@ -138,7 +138,7 @@ impl Clip {
             scales: fixed::Scales::default(),
             walker: FacetWalker::default(),
             pass: PassResult::default(),
-            lacked: Lacked::default(),
+            shortages: Shortages::default(),
             steps: STEPS.0,
             divided: 0,
             paired: 0,
@@ -218,7 +218,7 @@ impl Clip {
         self.pass.divided = self.divides && wants == Wants::Sums && !rows.are_of_host();
         // Rows that are longer already may not be made again, and a list of which pieces are made has no pair twice.
         if wants == Wants::Sums && rows == Rows::Missing {
-            self.pass.mends = self.lacked;
+            self.pass.device_retries = self.shortages;
         }
     }
 
@@ -324,20 +324,20 @@ impl Clip {
             compute.dispatch_workgroups_indirect(&there.buffers.arguments, 0);
         };
         let begins = launch.candidates.is_some_and(|p| p.enqueue_root != 0);
-        let mends = if begins { self.pass.mends } else { Lacked::default() };
+        let device_retries = if begins { self.pass.device_retries } else { Shortages::default() };
         let step = |compute: &mut wgpu::ComputePass<'_>| {
             taken(compute, &pipelines.indirect_arguments, &there.bindings.indirect_arguments, clip, bindings);
-            if mends.neighbours {
+            if device_retries.neighbours {
                 compute.set_pipeline(&pipelines.lengthen);
                 compute.set_bind_group(0, &there.bindings.lengthen, &[]);
                 compute.dispatch_workgroups_indirect(&there.buffers.arguments, ARGUMENTS_BYTES);
             }
         };
         // What failed in one step is seen by the next, and comes again in the one after.
-        let steps = launch.steps + u32::from(mends.neighbours);
+        let steps = launch.steps + u32::from(device_retries.neighbours);
         (0..steps).for_each(|_| step(compute));
         // With fewer slots allowed than there are, the host allows more first.
-        if mends.slots && self.first_polygon as usize == SLOTS {
+        if device_retries.slots && self.first_polygon as usize == SLOTS {
             let (large, bindings) = (&pipelines.clip_large, &window.clip_large);
             taken(compute, &pipelines.overflow, &there.bindings.overflow, large, bindings);
             (0..STEPS_AGAIN).for_each(|_| step(compute));

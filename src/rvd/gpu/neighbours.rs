@@ -28,7 +28,8 @@ use crate::gpu::buffers::write;
 use crate::gpu::dispatch::Stage;
 use crate::knn::NeighbourRow;
 use crate::mesh::coincident;
-use crate::rvd::{RvdError, check_seed, take_seeds};
+use crate::rvd::RvdError;
+use crate::rvd::seeds::{check_seed, take_seeds};
 use crate::token::Token;
 pub(super) use host::{HostCopy, LONGEST_ROW};
 

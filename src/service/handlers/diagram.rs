@@ -11,8 +11,8 @@ use std::time::Duration;
 use super::*;
 use crate::job::diagram::{Diagram, RvdReport, WorldSums};
 use crate::job::spec::Prepared;
-use crate::job::{Pending, Place, Retry, Timed, Turn, Wish};
-use crate::rvd::PieceBatch;
+use crate::job::{Pending, Place, Retry, Timed, Turn};
+use crate::rvd::{BackendChoice, PieceBatch};
 use crate::wire::cells::{CELLS_VERTEX_BYTES, cells_chunks};
 use crate::wire::chunks::number_chunks;
 use crate::wire::proto::compute_rvd_response as response;
@@ -34,15 +34,15 @@ pub(super) async fn handle(
     outbox: Outbox<ComputeRvdResponse>,
 ) -> Result<(), RequestError> {
     let Admitted { header, received, ticket, ask } = upload(&shared, &tenant, &mut inbox).await?;
-    let (wish, outputs) = (codec::backend(header.backend)?, codec::outputs(&header.outputs)?);
-    let by = shared.engine.backend(wish)?;
+    let (choice, outputs) = (codec::backend(header.backend)?, codec::outputs(&header.outputs)?);
+    let by = shared.engine.backend(choice)?;
     let token = shared.engine.token();
     let (prepared, _share) = prepare(&shared, received, None, Prepared::new, &token).await?;
     let for_device = Arc::clone(&prepared);
     let mut pending =
         shared.engine.submit_as(token.clone(), Place::Kept(ask), Retry::Anew, move |backends, turn| {
             turn.token.check()?;
-            let backend = backends.choose(wish)?;
+            let backend = backends.choose(choice)?;
             let mut diagram = Diagram::open(&for_device, backend.as_ref())?;
             let sums = match outputs.centroids || outputs.sums {
                 true => diagram.sums(backend.as_ref(), &turn.token)?,
@@ -57,7 +57,7 @@ pub(super) async fn handle(
     let _held =
         outbox.holding(24 * sums.centroids.len() + 8 * (sums.masses.len() + sums.areas.len() + sums.energies.len()));
     if outputs.cells {
-        diagram = send_cells(&shared, &outbox, (&token, wish), diagram, &mut clock).await?;
+        diagram = send_cells(&shared, &outbox, (&token, choice), diagram, &mut clock).await?;
     }
     let report = diagram.report(&prepared, &by);
     shared.engine.dispose(diagram);
@@ -86,11 +86,15 @@ type Batch = (Box<Diagram>, Option<PieceBatch>);
 const BRISK: Duration = Duration::from_secs(1);
 
 /// Queues the next batch; it goes before new jobs, since its own has had its turn.
-fn next(shared: &Shared, (token, wish): (&Token, Wish), diagram: Box<Diagram>) -> Result<Pending<Batch>, JobError> {
+fn next(
+    shared: &Shared,
+    (token, choice): (&Token, BackendChoice),
+    diagram: Box<Diagram>,
+) -> Result<Pending<Batch>, JobError> {
     let mut state = Some(diagram);
     shared.engine.submit_as(token.clone(), Place::Continuation, Retry::Never, move |backends, turn: &Turn| {
         let mut diagram = state.take().ok_or(JobError::WorkerGone)?;
-        let batch = diagram.batch(backends.choose(wish)?.as_ref(), &turn.token)?;
+        let batch = diagram.batch(backends.choose(choice)?.as_ref(), &turn.token)?;
         Ok((diagram, batch))
     })
 }
@@ -108,7 +112,7 @@ enum Ahead {
 async fn send_cells(
     shared: &Shared,
     outbox: &Outbox<ComputeRvdResponse>,
-    asks: (&Token, Wish),
+    asks: (&Token, BackendChoice),
     diagram: Box<Diagram>,
     clock: &mut Clock,
 ) -> Result<Box<Diagram>, RequestError> {

@@ -6,10 +6,10 @@
 use tonic::{Request, Response, Status};
 
 use crate::config::Limits;
-use crate::job::{Engine, Wish};
+use crate::job::Engine;
 use crate::memory;
 use crate::readiness::Readiness;
-use crate::rvd::BackendKind;
+use crate::rvd::{BackendChoice, BackendKind};
 use crate::service::about::About;
 use crate::wire::proto::{self, GetServerInfoRequest, GetServerInfoResponse};
 
@@ -54,11 +54,11 @@ impl proto::server_service_server::ServerService for Info {
 
 impl Info {
     fn backends(&self) -> Vec<proto::BackendState> {
-        let usual = self.engine.backend(Wish::Auto).ok().map(|by| by.kind);
+        let usual = self.engine.backend(BackendChoice::Auto).ok().map(|by| by.kind);
         let state = |kind: BackendKind| {
             let name = kind.name().to_owned();
             let is_default = usual == Some(kind);
-            match self.engine.backend(Wish::Only(kind)) {
+            match self.engine.backend(BackendChoice::Only(kind)) {
                 Ok(by) => proto::BackendState {
                     name,
                     is_default,
@@ -71,7 +71,7 @@ impl Info {
                 }
             }
         };
-        [BackendKind::Gpu, BackendKind::Parallel, BackendKind::Serial].map(state).to_vec()
+        BackendKind::ALL.map(state).to_vec()
     }
 
     fn device(&self) -> Option<proto::DeviceState> {

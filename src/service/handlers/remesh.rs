@@ -158,6 +158,7 @@ async fn send_result(
         figures: Some(codec::figures(&result.report.rvd)),
         report_json,
         topology_changes: result.report.topology_changes.clone(),
+        refinement_end: result.report.refine.ended.map(codec::refinement_end).unwrap_or_default().into(),
         attributes: carried,
     };
     outbox.send(wrap(response::Message::Done(done))).await

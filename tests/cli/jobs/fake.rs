@@ -142,7 +142,7 @@ impl Fake {
             state.losses -= 1;
         }
         // What was said is to arrive.
-        tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+        tokio::time::sleep(std::time::Duration::from_millis(300)).await;
         self.cut.notify_waiters();
         std::future::pending::<()>().await;
     }

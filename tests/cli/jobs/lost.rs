@@ -79,7 +79,7 @@ fn tries_come_to_an_end() {
     stage.ok("blobs put large");
     stage.refused("jobs submit remesh in.off --points 9 --request-id r --retry-s 1", 69, "gave up after");
     stage.refused("jobs submit remesh in.off --points 8 --request-id s --retry-s 0", 69, "was lost: ");
-    assert!(start.elapsed() < Duration::from_secs(30));
+    assert!(start.elapsed() < Duration::from_secs(60));
 }
 
 #[cfg(unix)]
@@ -94,7 +94,8 @@ fn an_interrupt_ends_the_waiting_and_not_the_job() {
         let mut child =
             command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::piped()).spawn().unwrap();
         let start = Instant::now();
-        while stage.fake.state().watched.is_empty() && start.elapsed() < Duration::from_secs(20) {
+        while stage.fake.state().watched.is_empty() {
+            assert!(start.elapsed() < Duration::from_secs(60), "nobody watches");
             std::thread::sleep(Duration::from_millis(20));
         }
         std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();

@@ -1,13 +1,13 @@
 //! Any bytes as a .obj file.
 #![no_main]
 
-#[path = "../../common/readers.rs"]
-mod readers;
+#[path = "../../common/properties.rs"]
+mod properties;
 
 use tessera::mesh::io::Format;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
-    if let Err(text) = readers::check(Format::Obj, data) {
+    if let Err(text) = properties::file(Format::Obj, data) {
         panic!("{text}");
     }
 });

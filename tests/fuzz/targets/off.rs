@@ -1,13 +1,13 @@
 //! Any bytes as a .off file.
 #![no_main]
 
-#[path = "../../common/readers.rs"]
-mod readers;
+#[path = "../../common/properties.rs"]
+mod properties;
 
 use tessera::mesh::io::Format;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
-    if let Err(text) = readers::check(Format::Off, data) {
+    if let Err(text) = properties::file(Format::Off, data) {
         panic!("{text}");
     }
 });

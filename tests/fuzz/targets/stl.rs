@@ -1,13 +1,13 @@
 //! Any bytes as a .stl file.
 #![no_main]
 
-#[path = "../../common/readers.rs"]
-mod readers;
+#[path = "../../common/properties.rs"]
+mod properties;
 
 use tessera::mesh::io::Format;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
-    if let Err(text) = readers::check(Format::Stl, data) {
+    if let Err(text) = properties::file(Format::Stl, data) {
         panic!("{text}");
     }
 });

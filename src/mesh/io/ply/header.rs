@@ -1,23 +1,107 @@
-//! The header, as files in use have it.
+//! The header, as files in use have it: comments in Latin-1, blank and indented lines, a carriage return for each line break, and
+//! names like `scalar_distance[<10]`.
 //!
-//! Purpose: the crate's grammar knows UTF-8, line feeds, and names that begin with a letter and go on with letters, digits,
-//! `_` and `-`. Files have comments in Latin-1, blank and indented lines, a carriage return for each line break, and names like
-//! `scalar_distance[<10]`. Here such a header is written anew, line by line, so that the crate can read it.
-//! Invariant: lines keep their numbers, and properties the names that the file gives them. What is wrong otherwise is the crate's to say.
-//! Must not know: data.
+//! Purpose: [`read`] takes the header apart.
+//! Invariant: names within an element differ. A header is short, whatever its bytes. Must not know: data.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 
-use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::Header;
+use super::DataError;
 
-use super::{DataError, Vertex, header_error};
-
-/// A line that is longer is none of a header, and is shown so far.
+/// A line that is longer is none of a header, and is read so far.
 const LONGEST: usize = 4096;
-
 /// Elements and properties of one header, together. Files in use have dozens.
 const MOST_NAMES: usize = 4096;
+
+/// How numbers are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Encoding {
+    Ascii,
+    Little,
+    Big,
+}
+
+/// The type of a number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Number {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Number {
+    fn named(name: &str) -> Option<Self> {
+        Some(match name {
+            "char" | "int8" => Self::I8,
+            "uchar" | "uint8" => Self::U8,
+            "short" | "int16" => Self::I16,
+            "ushort" | "uint16" => Self::U16,
+            "int" | "int32" => Self::I32,
+            "uint" | "uint32" => Self::U32,
+            "float" | "float32" => Self::F32,
+            "double" | "float64" => Self::F64,
+            _ => return None,
+        })
+    }
+
+    /// How many bytes one has, unless it is text.
+    pub(super) fn bytes(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+
+    pub(super) fn is_float(self) -> bool {
+        matches!(self, Self::F32 | Self::F64)
+    }
+}
+
+/// A number of an element, or a list of them.
+#[derive(Debug)]
+pub(super) struct Property {
+    pub(super) name: String,
+    /// Of a list, the type of its length.
+    pub(super) length: Option<Number>,
+    pub(super) item: Number,
+}
+
+impl Property {
+    /// Whether this is a list of a face's corners.
+    pub(super) fn is_corners(&self) -> bool {
+        matches!(self.name.as_str(), "vertex_indices" | "vertex_index")
+            && self.length.is_some()
+            && !self.item.is_float()
+    }
+}
+
+/// Rows of the same properties.
+#[derive(Debug)]
+pub(super) struct Element {
+    pub(super) name: String,
+    pub(super) count: usize,
+    pub(super) properties: Vec<Property>,
+}
+
+/// What is declared.
+#[derive(Debug)]
+pub(super) struct Header {
+    pub(super) encoding: Encoding,
+    pub(super) elements: Vec<Element>,
+}
+
+impl Header {
+    pub(super) fn element(&self, name: &str) -> Option<&Element> {
+        self.elements.iter().find(|element| element.name == name)
+    }
+}
 
 /// A header and what comes after it.
 pub(super) struct Parted<'a> {
@@ -27,27 +111,96 @@ pub(super) struct Parted<'a> {
     pub(super) line: usize,
 }
 
-/// What a name begins with that stands for another one; the number of its line comes after it.
-const BY_LINE: &str = "line_";
-
 /// Reads the header.
 pub(super) fn read(bytes: &[u8]) -> Result<Parted<'_>, DataError> {
-    let mut plain = Plain::default();
     let mut lines = Lines { rest: bytes, line_break: line_break(bytes) };
-    let mut line = 1;
-    while let Some(text) = lines.next() {
-        line += 1;
-        if !plain.push(&text)? {
-            break;
+    let (mut encoding, mut elements) = (None, Vec::new());
+    // Of the element at hand, with how often each came.
+    let mut names = HashMap::new();
+    let mut declared = 0;
+    for line in 1.. {
+        let Some(text) = lines.next() else {
+            return Err(DataError::Truncated("it ends inside the header".to_owned()));
+        };
+        let syntax = |message: String| DataError::Syntax { line, message };
+        let words: Vec<&str> = text.split_ascii_whitespace().collect();
+        declared += usize::from(matches!(words[..], ["element" | "property", ..]));
+        if declared > MOST_NAMES {
+            return Err(syntax(format!("the header has more than {MOST_NAMES} elements and properties")));
+        }
+        match words[..] {
+            ["ply" | "PLY"] if line == 1 => {}
+            _ if line == 1 => return Err(syntax("a PLY file begins with a line \"ply\"".to_owned())),
+            [] | ["comment" | "obj_info", ..] => {}
+            ["format", name, version] if is_version(version) => {
+                let found = match name {
+                    "ascii" => Encoding::Ascii,
+                    "binary_little_endian" => Encoding::Little,
+                    "binary_big_endian" => Encoding::Big,
+                    _ => return Err(syntax(format!("\"{}\" is no format of PLY", shown(name)))),
+                };
+                if encoding.replace(found).is_some_and(|before| before != found) {
+                    return Err(syntax("the format is declared a second time, as another one".to_owned()));
+                }
+            }
+            ["element", name, count] => {
+                let Ok(count) = count.parse() else {
+                    return Err(syntax(format!("\"{}\" is not how many there are of an element", shown(count))));
+                };
+                if elements.iter().any(|element: &Element| element.name == name) {
+                    return Err(syntax(format!("element \"{}\" is declared a second time", shown(name))));
+                }
+                names.clear();
+                elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
+            }
+            ["property", ref rest @ ..] => {
+                let (length, item, name) = match *rest {
+                    ["list", length, item, ref name @ ..] => (Some(length), item, name),
+                    [item, ref name @ ..] => (None, item, name),
+                    [] => return Err(syntax("a property has a type and a name".to_owned())),
+                };
+                let known = |name: &str| {
+                    Number::named(name).ok_or_else(|| syntax(format!("\"{}\" is no type of a property", shown(name))))
+                };
+                let (length, item) = (length.map(known).transpose()?, known(item)?);
+                let Some(element) = elements.last_mut().filter(|_| !name.is_empty()) else {
+                    return Err(syntax("a property has a name, and an element before it".to_owned()));
+                };
+                element.properties.push(Property { name: unlike(&mut names, name.join("_")), length, item });
+            }
+            ["end_header"] => {
+                let Some(encoding) = encoding else {
+                    return Err(DataError::Header("there is no line \"format\"".to_owned()));
+                };
+                return Ok(Parted { header: Header { encoding, elements }, data: lines.rest, line: line + 1 });
+            }
+            _ => return Err(syntax(format!("\"{}\" is no line of a header", shown(&text)))),
         }
     }
-    let mut reader = Reader::new(plain.text.as_bytes());
-    let mut header = Parser::<Vertex>::new().read_header(&mut reader).map_err(header_error)?;
-    for element in header.elements.values_mut() {
-        let properties = std::mem::take(&mut element.properties).into_iter();
-        element.properties = properties.map(|(name, p)| (plain.given.remove(&name).unwrap_or(name), p)).collect();
+    Err(DataError::Truncated("it ends inside the header".to_owned()))
+}
+
+/// Two integers with a dot between them.
+fn is_version(text: &str) -> bool {
+    let is_integer = |part: &str| !part.is_empty() && part.bytes().all(|b| b.is_ascii_digit());
+    text.split_once('.').is_some_and(|(major, minor)| is_integer(major) && is_integer(minor))
+}
+
+/// The name, or one after it: two properties with one name are two all the same.
+fn unlike(names: &mut HashMap<String, usize>, name: String) -> String {
+    let mut other = name.clone();
+    while names.contains_key(&other) {
+        let count = names.entry(name.clone()).or_insert(0);
+        *count += 1;
+        other = if *count == 1 { format!("{name}_again") } else { format!("{name}_again{count}") };
     }
-    Ok(Parted { header, data: lines.rest, line })
+    names.insert(other.clone(), 0);
+    other
+}
+
+/// The beginning of a line, for a message.
+fn shown(text: &str) -> String {
+    text.trim().chars().map(|c| if c.is_control() { ' ' } else { c }).take(40).collect()
 }
 
 /// The first character that ends a line ends all of them; a line feed may have a carriage return before it.
@@ -73,84 +226,5 @@ impl Lines<'_> {
         let line = &self.rest[..end];
         self.rest = self.rest.get(end + 1..).unwrap_or_default();
         Some(String::from_utf8_lossy(&line[..line.len().min(LONGEST)]).into_owned())
-    }
-}
-
-/// A header as the crate can read it.
-#[derive(Default)]
-struct Plain {
-    text: String,
-    /// Names in the file of properties that are called otherwise here.
-    given: HashMap<String, String>,
-    elements: HashSet<String>,
-    /// Properties of the element at hand.
-    names: HashSet<String>,
-    /// Elements and properties so far.
-    declared: usize,
-    lines: usize,
-}
-
-impl Plain {
-    /// Takes one more line. Returns whether the header goes on.
-    fn push(&mut self, line: &str) -> Result<bool, DataError> {
-        self.lines += 1;
-        let words: Vec<&str> = line.split_ascii_whitespace().collect();
-        self.declared += usize::from(matches!(words[..], ["element" | "property", ..]));
-        if self.declared > MOST_NAMES {
-            let message = format!("the header has more than {MOST_NAMES} elements and properties");
-            return Err(DataError::Syntax { line: self.lines, message });
-        }
-        let mut goes_on = true;
-        match words[..] {
-            ["ply" | "PLY"] if self.lines == 1 => self.text.push_str("ply"),
-            // The crate says of any other first line that it is no PLY file, and what a line should be that it does not know.
-            _ if self.lines == 1 => {
-                self.text.push_str(line);
-                goes_on = false;
-            }
-            [] | ["comment" | "obj_info", ..] => self.text.push_str("comment"),
-            ["property", "list", length, item, ref name @ ..] if !name.is_empty() => {
-                let name = self.name(name);
-                self.text.push_str(&format!("property list {length} {item} {name}"));
-            }
-            ["property", kind, ref name @ ..] if kind != "list" && !name.is_empty() => {
-                let name = self.name(name);
-                self.text.push_str(&format!("property {kind} {name}"));
-            }
-            ["element", name, ..] => {
-                self.names.clear();
-                if !self.elements.insert(name.to_owned()) {
-                    return Err(DataError::Syntax {
-                        line: self.lines,
-                        message: format!("element \"{name}\" is declared a second time"),
-                    });
-                }
-                self.text.push_str(&words.join(" "));
-            }
-            ref words => {
-                self.text.push_str(&words.join(" "));
-                goes_on = matches!(words, ["format", ..]);
-            }
-        }
-        self.text.push('\n');
-        Ok(goes_on)
-    }
-
-    /// What a property of these words is called here: as it is, or by its line.
-    fn name(&mut self, words: &[&str]) -> String {
-        let name = words.join("_");
-        let mut given = name.clone();
-        // Of two with one name the crate would keep the second, in the place of the first.
-        while !self.names.insert(given.clone()) {
-            given.push_str("_again");
-        }
-        let fits = name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
-            && name.chars().all(|c| c.is_ascii_alphanumeric() || matches!(c, '_' | '-'));
-        if fits && given == name && !name.starts_with(BY_LINE) {
-            return name;
-        }
-        let by_line = format!("{BY_LINE}{}", self.lines);
-        self.given.insert(by_line.clone(), given);
-        by_line
     }
 }

@@ -38,8 +38,8 @@ impl GpuSession {
         }
         stats.relaunched_neighbours += retries.short;
         // From now on the device sees to it as far as it can.
-        self.clip.lacked.neighbours |= retries.short > 0;
-        self.clip.lacked.slots |= !retries.large.is_empty();
+        self.clip.shortages.neighbours |= retries.short > 0;
+        self.clip.shortages.slots |= !retries.large.is_empty();
         stats.relaunched_polygon += retries.overflowed;
         if !self.neighbours.lengthen(&self.cx, &mut self.memory, &retries.rows)? {
             self.release()?;

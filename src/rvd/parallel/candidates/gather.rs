@@ -207,7 +207,7 @@ impl Gatherer {
             }
         }
         if self.kept.len() > ENOUGH {
-            self.thin(skin);
+            self.prune(skin);
         }
         self.list.extend(self.kept.iter().map(|kept| kept.seed));
         // The view's own seed is among them, if rounding did not put it beyond the box.
@@ -215,7 +215,7 @@ impl Gatherer {
     }
 
     /// Leaves out the seeds that another one beats at all corners.
-    fn thin(&mut self, skin: Skin<'_>) {
+    fn prune(&mut self, skin: Skin<'_>) {
         for kept in &mut self.kept {
             let own = skin.of(kept.seed);
             kept.least = kept.least.map(|squared| squared.sqrt() - own);

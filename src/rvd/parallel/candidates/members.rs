@@ -80,7 +80,7 @@ pub(crate) struct LongLists {
     lists: Lists,
     /// Which of them each facet has, from 1, or 0.
     of: Vec<u32>,
-    among: Among,
+    among: FacetMembers,
 }
 
 impl Chooser {
@@ -116,7 +116,7 @@ impl LongLists {
     }
 
     /// One facet's members in the order of their numbers; `members` says who is one, if its list is not long.
-    pub(crate) fn among(&mut self, listed: Listed<'_>, at: usize, members: u32) -> &Among {
+    pub(crate) fn among(&mut self, listed: Listed<'_>, at: usize, members: u32) -> &FacetMembers {
         let mut among = std::mem::take(&mut self.among);
         let all = self.of[at] != 0;
         let chosen = self.list(listed, at).iter().enumerate().filter(|(k, _)| all || members >> k & 1 != 0);
@@ -165,14 +165,14 @@ fn set_lists<S: Simd>(given: &mut Given, group: &[u32], listed: Listed<'_>, n: u
 }
 
 /// Lists without those that others beat whatever way they move.
-pub(crate) struct Thin<'a> {
+pub(crate) struct Prune<'a> {
     pub chooser: &'a mut Chooser,
     pub listed: Listed<'a>,
     pub skin: Skin<'a>,
     pub out: &'a mut Lists,
 }
 
-impl WithSimd for Thin<'_> {
+impl WithSimd for Prune<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -213,13 +213,13 @@ impl WithSimd for Thin<'_> {
 
 /// The members of one facet.
 #[derive(Default)]
-pub(crate) struct Among {
+pub(crate) struct FacetMembers {
     /// In the order of their numbers.
     pub seeds: Vec<u32>,
     squared: Vec<[f64; 3]>,
 }
 
-impl Among {
+impl FacetMembers {
     /// Those of a long list.
     fn of_long(&mut self, seeds: &[DVec3], corner: &[DVec3; 3], list: &[u32]) {
         self.squared.clear();

@@ -15,7 +15,7 @@ use crate::rvd::incident::{Diagram, FacetWalker};
 use crate::rvd::parallel::candidates::gather::Skin;
 use crate::rvd::parallel::candidates::list_builder::ListBuilder;
 use crate::rvd::parallel::candidates::lists::Lists;
-use crate::rvd::parallel::candidates::members::{Chooser, Listed, Thin, choose_members};
+use crate::rvd::parallel::candidates::members::{Chooser, Listed, Prune, choose_members};
 use crate::rvd::parallel::candidates::verlet::Verlet;
 use crate::rvd::parallel::divide::facets::{Found, InTurn, MEMBERS};
 use crate::rvd::parallel::divide::lanes::Number;
@@ -242,7 +242,7 @@ impl Chunk {
                     std::mem::swap(kept, &mut lists);
                 } else {
                     let listed = Listed { diagram, ..task.listed(facets, starts, &lists) };
-                    Arch::new().dispatch(Thin { chooser: &mut walkers.chooser, listed, skin, out: kept });
+                    Arch::new().dispatch(Prune { chooser: &mut walkers.chooser, listed, skin, out: kept });
                     std::mem::swap(&mut kept.bounds, &mut lists.bounds);
                 }
                 of_chunk = kept;

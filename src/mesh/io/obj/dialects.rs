@@ -1,0 +1,299 @@
+//! OBJ statements of any kind: continued lines, indices from the end, points over their last coordinate, faces before their
+//! vertices.
+//!
+//! Purpose: reads a file as one piece. The `tobj` crate reads the geometry, from a copy that has positions and faces alone: it
+//! splits vertices at groups, makes facets of polylines (`l 1 2 3`), refuses files for their texture or material lines, which
+//! do not matter here, and its errors name no line.
+//! Invariant: an attribute that cannot be understood is given up and named, and spoils nothing else. Must not know: threads.
+
+use glam::{DVec2, DVec3};
+use tobj::LoadOptions;
+
+use super::super::held::Raw;
+use super::super::{DataError, Soup};
+use super::{COLOURS, Corner, NONE, NORMALS, Statements, TEXTURE, WHITE};
+use crate::mesh::MeshError;
+
+pub(super) fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+    let (statements, text, mut raw) = read(bytes, wanted, wanted)?;
+    let options = LoadOptions { ignore_points: true, ignore_lines: true, ..LoadOptions::default() };
+    let no_materials = |_: &std::path::Path| Ok((Vec::new(), Default::default()));
+    let (models, _) = tobj::load_obj_buf(&mut text.as_slice(), &options, no_materials)
+        .map_err(|error| locate(bytes).unwrap_or_else(|| DataError::Header(error.to_string())))?;
+    let Some(mesh) = models.into_iter().next().map(|model| model.mesh) else {
+        return Ok(Soup::default());
+    };
+    let (positions, _) = mesh.positions.as_chunks::<3>();
+    let positions: Vec<DVec3> = positions.iter().map(|&p| DVec3::from_array(p)).collect();
+    if positions.iter().any(|p| !p.is_finite()) {
+        return Err(locate(bytes).unwrap_or_else(|| DataError::Header("a coordinate is not finite".into())));
+    }
+    let mut soup = Soup { positions, ..Soup::default() };
+    if mesh.face_arities.is_empty() {
+        soup.facets = mesh.indices.as_chunks::<3>().0.to_vec();
+    } else {
+        let mut rest = &mesh.indices[..];
+        for &corners in &mesh.face_arities {
+            let (face, after) = rest.split_at_checked(corners as usize).unwrap_or((rest, &[]));
+            let corners: Vec<i64> = face.iter().map(|&v| i64::from(v)).collect();
+            soup.push_polygon(&corners).map_err(DataError::Header)?;
+            rest = after;
+        }
+    }
+    if wanted && statements.facets.len() != soup.facets.len() {
+        let message = format!("{} facets name them and the surface has {}", statements.facets.len(), soup.facets.len());
+        raw.unreadable("all attributes", message);
+    } else if wanted {
+        let colours = (!statements.colours.is_empty()).then(|| {
+            let mut values = vec![WHITE; soup.positions.len()];
+            for (&corner, &vertex) in statements.facets.iter().flatten().zip(soup.facets.iter().flatten()) {
+                values[vertex as usize] = statements.colours.get(corner as usize).copied().unwrap_or(WHITE);
+            }
+            values
+        });
+        raw = statements.carried(&soup.facets, soup.positions.len(), colours, raw);
+    }
+    soup.raw = raw;
+    Ok(soup)
+}
+
+/// The statements without positions, a copy of what the crate is to read, and what could not be understood. Facets are collected
+/// if they are `numbered`.
+pub(super) fn read(bytes: &[u8], numbered: bool, wanted: bool) -> Result<(Statements, Vec<u8>, Raw), DataError> {
+    let mut reader = Reader {
+        numbered,
+        wanted,
+        found: Statements::default(),
+        text: Vec::with_capacity(bytes.len()),
+        raw: Raw::default(),
+    };
+    let mut corners = Vec::new();
+    for (line, statement) in statements(bytes) {
+        let mut words = Words(statement);
+        match words.next() {
+            Some(b"v") => reader.vertex(line, words),
+            Some(b"f") => reader.face(line, words, &mut corners)?,
+            Some(b"vt") if wanted => reader.texture(line, words),
+            Some(b"vn") if wanted => reader.normal(line, words),
+            _ => {}
+        }
+    }
+    Ok((reader.found, reader.text, reader.raw))
+}
+
+struct Reader {
+    numbered: bool,
+    wanted: bool,
+    found: Statements,
+    /// The `v` and `f` statements alone, a line each, with position indices alone.
+    text: Vec<u8>,
+    raw: Raw,
+}
+
+impl Reader {
+    fn vertex(&mut self, line: usize, words: Words<'_>) {
+        let values: Vec<&[u8]> = words.take(8).collect();
+        let count = values.len();
+        self.text.push(b'v');
+        // A fourth value alone is the homogeneous coordinate; more are colours.
+        for value in &values[..if count == 4 { 4 } else { count.min(3) }] {
+            self.text.push(b' ');
+            self.text.extend_from_slice(value);
+        }
+        self.text.push(b'\n');
+        if self.wanted && count == 6 {
+            // What is no number is refused with the others that are not finite.
+            let [r, g, b] = [values[3], values[4], values[5]].map(|word| number(word).unwrap_or(f64::NAN));
+            self.found.push_colour([r, g, b, 1.0]);
+        } else if self.wanted && count > 6 && self.found.colours.is_empty() {
+            let message = format!("line {line}: {count} numbers, of which only 3, 4 or 6 can be understood");
+            self.give_up(COLOURS, message);
+        }
+        self.found.vertices += 1;
+    }
+
+    fn texture(&mut self, line: usize, mut words: Words<'_>) {
+        let u = words.next().and_then(number);
+        let v = words.next().map_or(Some(0.0), number);
+        let (Some(u), Some(v)) = (u, v) else {
+            self.give_up(TEXTURE, format!("line {line}: \"vt\" needs one or two numbers"));
+            return self.found.texture.push(DVec2::ZERO);
+        };
+        self.found.texture.push(DVec2::new(u, v));
+    }
+
+    fn normal(&mut self, line: usize, words: Words<'_>) {
+        let mut numbers = words.map(number);
+        let (Some(Some(x)), Some(Some(y)), Some(Some(z))) = (numbers.next(), numbers.next(), numbers.next()) else {
+            self.give_up(NORMALS, format!("line {line}: \"vn\" needs three numbers"));
+            return self.found.normals.push(DVec3::ZERO);
+        };
+        self.found.normals.push(DVec3::new(x, y, z));
+    }
+
+    fn face(&mut self, line: usize, words: Words<'_>, corners: &mut Vec<Corner>) -> Result<(), DataError> {
+        corners.clear();
+        let mut count = 0;
+        self.text.push(b'f');
+        for word in words {
+            let mut parts = word.split(|&b| b == b'/');
+            let position = parts.next().unwrap_or_default();
+            if position.is_empty() {
+                // `//3`: the crate would not see the corner, and take a smaller face or none.
+                let message = format!("\"{}\" names no vertex", shown(word));
+                return Err(DataError::Syntax { line, message });
+            }
+            self.text.push(b' ');
+            self.text.extend_from_slice(position);
+            if !self.numbered {
+                count += 1;
+                continue;
+            }
+            // The crate takes the position's index; this one is right, or no facet comes of it.
+            let vertex = number(position).and_then(|i| from_zero(i, self.found.vertices)).unwrap_or(NONE);
+            let mut corner = Corner { vertex, texture: NONE, normal: NONE };
+            if self.wanted {
+                let (texture, normal) = (self.found.texture.len(), self.found.normals.len());
+                corner.texture = self.index(line, word, parts.next(), texture, TEXTURE);
+                corner.normal = self.index(line, word, parts.next(), normal, NORMALS);
+            }
+            corners.push(corner);
+        }
+        self.text.push(b'\n');
+        count += corners.len();
+        if count < 3 {
+            let message = format!("a face needs at least 3 corners and has {count}");
+            return Err(DataError::Syntax { line, message });
+        }
+        self.found.push_face(corners);
+        Ok(())
+    }
+
+    /// The index in one part of a corner's word, if there is one.
+    fn index(&mut self, line: usize, word: &[u8], part: Option<&[u8]>, count: usize, what: &str) -> u32 {
+        let Some(part) = part.filter(|part| !part.is_empty()) else { return NONE };
+        number(part).and_then(|i| from_zero(i, count)).unwrap_or_else(|| {
+            self.give_up(what, format!("line {line}: \"{}\" names none", shown(word)));
+            NONE
+        })
+    }
+
+    fn give_up(&mut self, what: &str, message: String) {
+        if !self.raw.is_unreadable(what) {
+            self.raw.unreadable(what, message);
+        }
+    }
+}
+
+/// An index from 1, or from the end if negative, as one from 0. Later statements may still bring what it names.
+fn from_zero(index: i64, count: usize) -> Option<u32> {
+    let index = match index {
+        0 => return None,
+        1.. => index - 1,
+        _ => i64::try_from(count).ok()?.checked_add(index)?,
+    };
+    u32::try_from(index).ok().filter(|&i| i != NONE)
+}
+
+/// After a failure: the first line that is to blame.
+fn locate(bytes: &[u8]) -> Option<DataError> {
+    let mut vertices = 0;
+    let mut faces = Vec::new();
+    for (line, statement) in statements(bytes) {
+        let mut words = Words(statement);
+        match words.next() {
+            Some(b"v") => {
+                let values: Vec<Option<f64>> = words.map(number).take(8).collect();
+                let divisor = if values.len() == 4 { values[3] } else { Some(1.0) };
+                let (Some([Some(x), Some(y), Some(z)]), Some(w)) = (values.first_chunk(), divisor) else {
+                    let message = "\"v\" needs three numbers, x y z".to_owned();
+                    return Some(DataError::Syntax { line, message });
+                };
+                if w == 0.0 {
+                    let message = "the fourth coordinate is 0, a point at infinity".to_owned();
+                    return Some(DataError::Syntax { line, message });
+                }
+                let p = DVec3::new(*x, *y, *z) / w;
+                if !p.is_finite() {
+                    return Some(MeshError::NonFinitePosition { vertex: vertices, x: p.x, y: p.y, z: p.z }.into());
+                }
+                vertices += 1;
+            }
+            Some(b"f") => {
+                for word in words {
+                    let Some(index) = number::<i64>(position_index(word)) else {
+                        let message = format!("\"{}\" is no vertex number", shown(word));
+                        return Some(DataError::Syntax { line, message });
+                    };
+                    let from_start =
+                        if index < 0 { i64::try_from(vertices).ok()?.wrapping_add(index) } else { index - 1 };
+                    faces.push((line, index, from_start));
+                }
+            }
+            _ => {}
+        }
+    }
+    // Faces may come before their vertices, so only now is their number known.
+    let bad = faces.into_iter().find(|&(_, _, i)| usize::try_from(i).map_or(true, |i| i >= vertices));
+    bad.map(|(line, index, _)| {
+        let message = format!("vertex {index} is named, but there are {vertices} (1 to {vertices})");
+        DataError::Syntax { line, message }
+    })
+}
+
+pub(super) fn number<T: std::str::FromStr>(word: &[u8]) -> Option<T> {
+    std::str::from_utf8(word).ok()?.parse().ok()
+}
+
+/// The beginning of a word, for a message: a file may hold one of any length.
+fn shown(word: &[u8]) -> String {
+    String::from_utf8_lossy(&word[..word.len().min(160)]).chars().take(40).collect()
+}
+
+fn position_index(word: &[u8]) -> &[u8] {
+    &word[..word.iter().position(|&b| b == b'/').unwrap_or(word.len())]
+}
+
+/// Statements with the number of their first line. A backslash at a line's end continues it.
+pub(super) fn statements(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
+    let mut rest = bytes;
+    let mut line = 0;
+    std::iter::from_fn(move || {
+        if rest.is_empty() {
+            return None;
+        }
+        let first = line + 1;
+        let mut end = 0;
+        loop {
+            line += 1;
+            let length = rest[end..].iter().position(|&b| b == b'\n').unwrap_or(rest.len() - end);
+            let text = rest[end..end + length].trim_ascii_end();
+            end = (end + length + 1).min(rest.len());
+            if end == rest.len() || text.last() != Some(&b'\\') {
+                break;
+            }
+        }
+        let (statement, after) = rest.split_at(end);
+        rest = after;
+        Some((first, statement))
+    })
+}
+
+/// Words of a statement, up to a comment; a continuing backslash is a blank.
+pub(super) struct Words<'a>(pub(super) &'a [u8]);
+
+impl<'a> Iterator for Words<'a> {
+    type Item = &'a [u8];
+
+    fn next(&mut self) -> Option<&'a [u8]> {
+        let blank = |b: &u8| b.is_ascii_whitespace() || *b == b'\\';
+        let start = self.0.iter().position(|b| !blank(b))?;
+        let rest = &self.0[start..];
+        if rest[0] == b'#' {
+            return None;
+        }
+        let (word, rest) = rest.split_at(rest.iter().position(blank).unwrap_or(rest.len()));
+        self.0 = rest;
+        Some(word)
+    }
+}

@@ -1,0 +1,226 @@
+//! What a PLY file carries: normals, texture coordinates, colours and all other scalar properties of its vertices, and
+//! `texcoord` of its faces.
+//!
+//! Purpose: [`Carried`] takes numbers as they are read, and makes attributes of them at the end.
+//! Invariant: an attribute has all its properties or stays a number of scalars. Must not know: how numbers are written.
+
+use glam::{DVec2, DVec3};
+
+use super::header::{Element, Header, Number, Property};
+use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
+use crate::mesh::io::held::Raw;
+
+/// Names of what is no scalar; a scalar of such a name is written with [`PREFIX`].
+pub(super) const TAKEN: [&str; 16] =
+    ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha", "s", "t", "u", "v", "texture_u", "texture_v"];
+pub(super) const PREFIX: &str = "scalar_";
+
+/// What becomes of a property.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Role {
+    /// A coordinate of a vertex.
+    Axis(usize),
+    /// Corners of a face.
+    Corners,
+    /// See [`Carried::push`].
+    Carried(Carry),
+    Skipped,
+}
+
+/// Where a number goes.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Carry {
+    Column(usize),
+    Wedges,
+}
+
+/// One scalar property of the vertices.
+struct Column {
+    name: String,
+    number: Number,
+    values: Vec<f64>,
+}
+
+/// What is carried, so far. By default nothing is wanted.
+#[derive(Default)]
+pub(super) struct Carried {
+    /// All scalar properties but the position.
+    columns: Vec<Column>,
+    wedges: Option<Wedges>,
+}
+
+impl Carried {
+    /// All that a header declares.
+    pub(super) fn of(header: &Header) -> Self {
+        let column = |p: &Property| Column { name: p.name.clone(), number: p.item, values: Vec::new() };
+        let is_column = |p: &&Property| p.length.is_none() && !matches!(p.name.as_str(), "x" | "y" | "z");
+        let columns = header.element("vertex").map(|vertex| vertex.properties.iter().filter(is_column).map(column));
+        let has_wedges = header.element("face").is_some_and(|face| face.properties.iter().any(is_wedges));
+        Self { columns: columns.into_iter().flatten().collect(), wedges: has_wedges.then(Wedges::default) }
+    }
+
+    pub(super) fn role(&self, element: &Element, property: &Property) -> Role {
+        let name = property.name.as_str();
+        match (element.name.as_str(), property.length) {
+            ("vertex", None) => match ["x", "y", "z"].iter().position(|&axis| axis == name) {
+                Some(axis) => Role::Axis(axis),
+                None => self.find(name).map_or(Role::Skipped, |column| Role::Carried(Carry::Column(column))),
+            },
+            ("face", Some(_)) if property.is_corners() => Role::Corners,
+            ("face", Some(_)) if self.wedges.is_some() && is_wedges(property) => Role::Carried(Carry::Wedges),
+            _ => Role::Skipped,
+        }
+    }
+
+    pub(super) fn push(&mut self, to: Carry, value: f64) {
+        match (to, &mut self.wedges) {
+            (Carry::Column(column), _) => self.columns[column].values.push(value),
+            (Carry::Wedges, Some(wedges)) => wedges.face.push(value),
+            (Carry::Wedges, None) => {}
+        }
+    }
+
+    /// After all numbers of a face with so many corners.
+    pub(super) fn end_face(&mut self, corners: usize) {
+        if let Some(wedges) = &mut self.wedges {
+            wedges.push_face(corners);
+        }
+    }
+
+    /// The names of the columns.
+    pub(super) fn columns(&self) -> impl Iterator<Item = &str> {
+        self.columns.iter().map(|column| column.name.as_str())
+    }
+
+    /// All columns at once.
+    pub(super) fn take_columns(&mut self, values: Vec<Vec<f64>>) {
+        self.columns.iter_mut().zip(values).for_each(|(column, values)| column.values = values);
+    }
+
+    fn find(&self, name: &str) -> Option<usize> {
+        self.columns.iter().position(|column| column.name == name)
+    }
+
+    /// Takes columns out if they are all there.
+    fn take<const N: usize>(&mut self, names: [&str; N]) -> Option<[Column; N]> {
+        if !names.iter().all(|name| self.find(name).is_some()) {
+            return None;
+        }
+        let empty = || Column { name: String::new(), number: Number::F64, values: Vec::new() };
+        Some(names.map(|name| self.find(name).map_or_else(empty, |i| self.columns.remove(i))))
+    }
+
+    /// What each column is, for a surface of these facets.
+    pub(super) fn finish(mut self, facets: &[[u32; 3]]) -> Raw {
+        let mut raw = Raw::default();
+        if let Some([x, y, z]) = self.take(["nx", "ny", "nz"]) {
+            let triples = x.values.iter().zip(&y.values).zip(&z.values);
+            raw.normals = Some(Normals::PerVertex(triples.map(|((&x, &y), &z)| DVec3::new(x, y, z)).collect()));
+        }
+        if let Some(colour) = self.take(["red", "green", "blue"]) {
+            let alpha = self.take(["alpha"]).map(|[a]| a);
+            raw.colours = Some(colours(&colour, alpha.as_ref()));
+        }
+        let names = [["s", "t"], ["u", "v"], ["texture_u", "texture_v"]];
+        let per_vertex = names.into_iter().find_map(|names| self.take(names)).map(|[u, v]| {
+            let values = u.values.iter().zip(&v.values).map(|(&u, &v)| DVec2::new(u, v)).collect();
+            PerCorner { values, corners: facets.to_vec() }
+        });
+        raw.texture = self.wedges.and_then(|wedges| wedges.finish(facets)).or(per_vertex);
+        let plain = |name: String| match name.strip_prefix(PREFIX) {
+            Some(rest) if TAKEN.contains(&rest) => rest.to_owned(),
+            _ => name,
+        };
+        raw.scalars = self.columns.into_iter().map(|c| Scalar { name: plain(c.name), values: c.values }).collect();
+        raw
+    }
+}
+
+fn is_wedges(property: &Property) -> bool {
+    property.name == "texcoord" && property.length.is_some()
+}
+
+fn colours(rgb: &[Column; 3], alpha: Option<&Column>) -> Colours {
+    // Whole numbers are 255ths, two bytes of them 65535ths.
+    let most = |column: &Column| match column.number {
+        Number::F32 | Number::F64 => 1.0,
+        Number::U16 | Number::I16 => 65535.0,
+        _ => 255.0,
+    };
+    let [r, g, b] = rgb;
+    let value = |column: &Column, i: usize| column.values.get(i).copied().unwrap_or(f64::NAN) / most(column);
+    let values = (0..r.values.len()).map(|i| {
+        let opacity = alpha.map_or(1.0, |a| value(a, i));
+        [value(r, i), value(g, i), value(b, i), opacity]
+    });
+    let eight = rgb.iter().chain(alpha).all(|column| column.number == Number::U8);
+    Colours { values: values.collect(), depth: if eight { ColourDepth::Eight } else { ColourDepth::Float } }
+}
+
+/// Texture coordinates of the faces' corners.
+#[derive(Default)]
+struct Wedges {
+    /// Of the face at hand.
+    face: Vec<f64>,
+    values: Vec<DVec2>,
+    corners: Vec<[u32; 3]>,
+    any: bool,
+}
+
+impl Wedges {
+    /// A fan, as the surface has it. A face without texture has (0, 0) everywhere.
+    fn push_face(&mut self, corners: usize) {
+        let is_whole = corners > 0 && self.face.len() == 2 * corners;
+        self.any |= is_whole;
+        let first = u32::try_from(self.values.len()).unwrap_or(u32::MAX);
+        let pairs = self.face.as_chunks::<2>().0;
+        if is_whole {
+            self.values.extend(pairs.iter().map(|&[u, v]| DVec2::new(u, v)));
+        } else {
+            self.values.push(DVec2::ZERO);
+        }
+        for k in 1..corners.saturating_sub(1) {
+            // Corners beyond 32 bits are refused as too many values.
+            let k = if is_whole { u32::try_from(k).unwrap_or(u32::MAX) } else { 0 };
+            let next = if is_whole { k.saturating_add(1) } else { 0 };
+            self.corners.push([first, first.saturating_add(k), first.saturating_add(next)]);
+        }
+        self.face.clear();
+    }
+
+    fn finish(self, facets: &[[u32; 3]]) -> Option<PerCorner<DVec2>> {
+        self.any.then(|| shared(facets, PerCorner { values: self.values, corners: self.corners }))
+    }
+}
+
+/// Corners of one vertex with the same bits name the same value.
+fn shared(facets: &[[u32; 3]], given: PerCorner<DVec2>) -> PerCorner<DVec2> {
+    if given.corners.len() != facets.len() {
+        return given;
+    }
+    let bits = |i: u32| given.values.get(i as usize).map(|uv| uv.to_array().map(f64::to_bits));
+    let mut named: Vec<(u32, Option<[u64; 2]>, usize)> = facets
+        .iter()
+        .flatten()
+        .zip(given.corners.iter().flatten())
+        .zip(0usize..)
+        .map(|((&vertex, &i), corner)| (vertex, bits(i), corner))
+        .collect();
+    named.sort_unstable();
+    // Each group is known by its first corner; values are numbered in the order of those.
+    let mut group = vec![0usize; named.len()];
+    for same in named.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        same.iter().for_each(|corner| group[corner.2] = same[0].2);
+    }
+    let mut number = vec![0u32; group.len()];
+    let mut values = Vec::new();
+    for (corner, &first) in group.iter().enumerate() {
+        if corner == first {
+            number[corner] = values.len() as u32;
+            let index = given.corners[corner / 3][corner % 3];
+            values.push(given.values.get(index as usize).copied().unwrap_or(DVec2::NAN));
+        }
+    }
+    let corners = group.as_chunks::<3>().0.iter().map(|f| f.map(|first| number[first])).collect();
+    PerCorner { values, corners }
+}
