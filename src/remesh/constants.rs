@@ -41,6 +41,9 @@ pub(super) const UNMEASURED_ANGLE: f64 = POOR_ANGLE - 3.0;
 pub(super) const SCORE_SCALE: f64 = 3.0;
 /// The score that facets around a recovered edge are to have.
 pub(super) const RECOVERY_SCORE: f64 = 30.0;
+/// The score that facets around a vertex of a curve may fall to where the vertex becomes regular: sides of a curve that have
+/// no room for two facets become regular with acute ones. It is a Q of .55.
+pub(super) const CURVE_SCORE: f64 = 30.3;
 
 // Objective of one vertex. A cost of 1 is that of the largest distance allowed.
 
@@ -69,8 +72,8 @@ pub(super) const NORMAL_STEP: f64 = 0.5;
 pub(super) const FARTHEST_MOVE: f64 = 0.6;
 /// in the tangent plane or along its curve where it is not,
 pub(super) const FARTHEST_TANGENTIAL: f64 = 0.4;
-/// across its curve,
-pub(super) const FARTHEST_ACROSS: f64 = 0.095;
+/// across its curve: less, and the tip between two creases of fandisk stays at 28°; more, and fandisk is farther off,
+pub(super) const FARTHEST_ACROSS: f64 = 0.11;
 /// and at the end of its curve.
 pub(super) const FARTHEST_OF_END: f64 = 0.07;
 /// Moves for shapes, at most, for each vertex at or beside a poor facet.
@@ -112,13 +115,17 @@ pub(super) const KNOWN_SHARE: f64 = 0.8;
 
 // Trials on a patch.
 
-/// Passes of relocation before the best trials are chosen. With two, nefertiti with 50,000 points is up to a fifth farther off.
-pub(super) const FIRST_PASSES: usize = 3;
-/// So many go on, one after the other until one reaches its goal,
+/// Passes of relocation that every trial gets: most of the bad ones show after the first.
+pub(super) const FIRST_PASSES: usize = 1;
+/// So many trials go on. With three, rocker-arm with 5,000 points is up to a sixth farther off.
+pub(super) const PROMISING_TRIALS: usize = 4;
+/// Passes that these get.
+pub(super) const FURTHER_PASSES: usize = 2;
+/// So many go on to the end, one after the other until one reaches its goal,
 pub(super) const FINALISTS: usize = 2;
 /// with so many passes: what ten do not reach, more do not.
 pub(super) const LAST_PASSES: usize = 12;
-/// Trials that the first passes left at more than this share of the distance are dropped: what these do not move, later ones
+/// Trials that the further passes left at more than this share of the distance are dropped: what these do not move, later ones
 /// do not move either.
 pub(super) const HOPELESS_SHARE: f64 = 0.99;
 /// A facet that lacks so many degrees of score counts as much as the distance of the place, where trials are compared.

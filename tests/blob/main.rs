@@ -24,6 +24,9 @@ use object_store::memory::InMemory;
 use tempfile::TempDir;
 use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs, UploadId};
 
+/// What a busy machine may take for what a quiet one does at once.
+const PATIENCE: std::time::Duration = std::time::Duration::from_secs(60);
+
 /// Small chunks, so that a small blob has many.
 const CHUNK: usize = 1000;
 
@@ -93,7 +96,7 @@ async fn local(folder: &Path, options: BlobOptions) -> ObjectBlobs {
     loop {
         match ObjectBlobs::local(folder, options).await {
             // A process that another test starts holds all files of this one until it is another program.
-            Err(BlobError::InUse { .. }) if start.elapsed() < std::time::Duration::from_secs(60) => {
+            Err(BlobError::InUse { .. }) if start.elapsed() < PATIENCE => {
                 tokio::time::sleep(std::time::Duration::from_millis(10)).await;
             }
             opened => return opened.unwrap(),
@@ -119,16 +122,22 @@ fn files(folder: &Path) -> Vec<(String, u64)> {
     all
 }
 
-/// The same with the marks of owners.
+/// The same with the marks of owners. The store may remove some meanwhile: what is gone when it is looked at is left out.
 fn everything(folder: &Path) -> Vec<(String, u64)> {
+    fn unless_gone<T>(looked: std::io::Result<T>) -> Option<T> {
+        match looked {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
+            looked => Some(looked.unwrap()),
+        }
+    }
     fn walk(root: &Path, at: &Path, out: &mut Vec<(String, u64)>) {
-        for entry in std::fs::read_dir(at).unwrap() {
+        for entry in unless_gone(std::fs::read_dir(at)).into_iter().flatten() {
             let path = entry.unwrap().path();
-            if path.is_dir() {
+            let Some(found) = unless_gone(path.metadata()) else { continue };
+            if found.is_dir() {
                 walk(root, &path, out);
             } else {
-                let length = path.metadata().unwrap().len();
-                out.push((path.strip_prefix(root).unwrap().to_string_lossy().into_owned(), length));
+                out.push((path.strip_prefix(root).unwrap().to_string_lossy().into_owned(), found.len()));
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use proptest::prelude::*;
@@ -10,7 +10,7 @@ use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs, Owner, UploadId};
 use tokio::runtime::Runtime;
 
-use crate::{content, everything, local, read};
+use crate::{PATIENCE, content, everything, local, read};
 
 /// Blobs that there may be, and their lengths.
 const LENGTHS: [usize; 6] = [0, 10, 20, 30, 40, 90];
@@ -385,16 +385,17 @@ async fn compare(store: &ObjectBlobs, model: &Model, folder: Option<&Path>) -> R
     let mut expected: Vec<_> = blobs.chain(parts).chain(marks).collect();
     expected.sort();
     // The bytes of a blob that its last owner gave away go while nobody waits.
-    for last in (0..100).rev() {
+    let end = Instant::now() + PATIENCE;
+    loop {
         let mut found = everything(folder);
         found.retain(|(path, _)| !path.ends_with(".sums"));
         if found == expected {
             break;
         }
-        if last == 0 {
+        if Instant::now() > end {
             prop_assert_eq!(&found, &expected);
         }
-        tokio::time::sleep(Duration::from_millis(10)).await;
+        tokio::time::sleep(Duration::from_millis(1)).await;
     }
     Ok(())
 }

@@ -114,7 +114,11 @@ async fn measure(readers: usize, spells: usize, length: Duration) {
         drop(begun);
         let mut who = HashSet::new();
         while who.len() < readers {
-            who.insert(told.recv().await.expect("all begin"));
+            match tokio::time::timeout(LIMIT, told.recv()).await {
+                Ok(Some(reader)) => who.insert(reader),
+                _ => panic!("{} of {readers} readers begin", who.len()),
+            };
+            assert!(!reading.iter().any(JoinHandle::is_finished), "the server sends slow readers away");
         }
         for _ in 0..4 * length.as_secs() {
             let worked = program.worked_s();

@@ -10,34 +10,14 @@ use tessera::remesh::{Remesh, RemeshOptions, Seeds, remesh};
 use tessera::rvd::Parallel;
 use tessera::token::Token;
 
+use super::rough::turned;
+
 fn options(points: usize) -> RemeshOptions {
     RemeshOptions::new(Seeds::Sample { points, seed: 5 }).with_newton(10).with_crease_angle_deg(0.0)
 }
 
 fn run(mesh: &TriMesh, options: &RemeshOptions) -> Remesh {
     remesh(mesh, options, &Parallel::new(Some(2)).unwrap(), &mut (), &Token::default()).unwrap()
-}
-
-/// A closed surface around the z axis, from heights and radii; the first and the last are on the axis.
-fn turned(profile: &[(f64, f64)], around: u32) -> TriMesh {
-    let rings = profile.len() as u32 - 2;
-    let mut positions = vec![DVec3::Z * profile[0].0];
-    for &(z, r) in &profile[1..=rings as usize] {
-        let angle = |k: u32| f64::from(k) * std::f64::consts::TAU / f64::from(around);
-        positions.extend((0..around).map(|k| DVec3::new(r * angle(k).cos(), r * angle(k).sin(), z)));
-    }
-    positions.push(DVec3::Z * profile[profile.len() - 1].0);
-    let at = |ring: u32, k: u32| 1 + ring * around + k % around;
-    let last = positions.len() as u32 - 1;
-    let mut facets = Vec::new();
-    for k in 0..around {
-        facets.extend([[0, at(0, k + 1), at(0, k)], [last, at(rings - 1, k), at(rings - 1, k + 1)]]);
-        for ring in 1..rings {
-            let (low, high) = (|k| at(ring - 1, k), |k| at(ring, k));
-            facets.extend([[low(k), low(k + 1), high(k + 1)], [low(k), high(k + 1), high(k)]]);
-        }
-    }
-    TriMesh::new(positions, facets).unwrap()
 }
 
 /// A unit ball with a horn, 3 long, whose radius goes from 0.15 to 0.05 and ends round.

@@ -17,8 +17,8 @@ use super::patch::Patch;
 use super::queue::{Place, Queue};
 use super::trial::{Goal, Measure, Trial, best};
 use crate::remesh::constants::{
-    ESTIMATE_SHARE, FAILED_SHARE, FAR_LOOK_AHEAD, FREE_DISTANCE, GAIN, LEAST_SCORE, LOOK_AHEAD, MAX_FAILURES,
-    MAX_FLIPS, MAX_IMPROVED, MAX_IMPROVED_SHARE, MAX_IRREGULAR, MAX_MEASURED, MEASURED_SCORE, NEAR_SHARE,
+    CURVE_SCORE, ESTIMATE_SHARE, FAILED_SHARE, FAR_LOOK_AHEAD, FREE_DISTANCE, GAIN, LEAST_SCORE, LOOK_AHEAD,
+    MAX_FAILURES, MAX_FLIPS, MAX_IMPROVED, MAX_IMPROVED_SHARE, MAX_IRREGULAR, MAX_MEASURED, MEASURED_SCORE, NEAR_SHARE,
     PATCHES_AT_ONCE, QUEUE_ROUNDS, RECOVERY_SCORE, RECOVERY_VALENCES, STALE_SHARE, VALENCES,
 };
 use crate::remesh::distance::facet_set::squared_distance;
@@ -240,7 +240,8 @@ fn attempt_irregular(patch: &Patch, before: f64) -> Outcome {
         irregularity(&flipped) < irregularity(patch)
     });
     let trials: Vec<Trial> = trials.map(|flip| Trial::Flip(vec![flip])).collect();
-    match best_allowed(patch, &trials, patch.worst_score().min(LEAST_SCORE)) {
+    let score = if patch.mesh.is_on_curve(patch.centre) { CURVE_SCORE } else { LEAST_SCORE };
+    match best_allowed(patch, &trials, patch.worst_score().min(score)) {
         _ if irregularity(patch) == 0 => Outcome::Fine,
         Some(better) => Outcome::Better(Box::new(better)),
         None => Outcome::Failed(before),

@@ -12,7 +12,8 @@ use super::objective::VertexObjective;
 use super::patch::{Patch, PatchDistance};
 use super::relocation::{cheapest, places_around};
 use crate::remesh::constants::{
-    FARTHEST_MOVE, FINALISTS, FIRST_PASSES, FIRST_STEP, HOPELESS_SHARE, LAST_PASSES, LEAST_GAIN, TRIAL_SCORE_SCALE,
+    FARTHEST_MOVE, FINALISTS, FIRST_PASSES, FIRST_STEP, FURTHER_PASSES, HOPELESS_SHARE, LAST_PASSES, LEAST_GAIN,
+    PROMISING_TRIALS, TRIAL_SCORE_SCALE,
 };
 use crate::remesh::manifold::local_mesh::Flip;
 
@@ -115,7 +116,8 @@ fn better_place(patch: &Patch, v: u32, worst: f64, step: f64) -> DVec3 {
     cheapest((objective.cost_here(step), here), LEAST_GAIN, places, |p, most| objective.cost(p, most)).1
 }
 
-fn begin(patch: &Patch, trial: &Trial, measure: Measure) -> Option<Tried> {
+/// The patch as a trial begins with it. `None` if the trial is impossible.
+fn begin(patch: &Patch, trial: &Trial) -> Option<Patch> {
     let mut patch = patch.clone();
     match trial {
         Trial::Relocate => {}
@@ -126,8 +128,7 @@ fn begin(patch: &Patch, trial: &Trial, measure: Measure) -> Option<Tried> {
         }
         Trial::Flip(flips) => flips.iter().for_each(|flip| patch.flip(flip)),
     }
-    relax(&mut patch, measure.distance, FIRST_PASSES);
-    Some(Tried::new(patch, measure))
+    Some(patch)
 }
 
 fn finish(Tried { mut patch, .. }: Tried, goal: &Goal, measure: Measure) -> Option<Patch> {
@@ -137,12 +138,21 @@ fn finish(Tried { mut patch, .. }: Tried, goal: &Goal, measure: Measure) -> Opti
 
 /// What the most promising trial makes of a patch that reaches the goal. `None` if none does.
 pub(super) fn best(patch: &Patch, trials: &[Trial], goal: &Goal, measure: Measure) -> Option<Patch> {
-    let begun: Vec<Option<Tried>> =
-        trials.par_iter().with_max_len(1).map(|trial| begin(patch, trial, measure)).collect();
+    // The best first.
+    let relaxed = |patches: Vec<Patch>, passes: usize| {
+        let relaxed = |mut patch: Patch| {
+            relax(&mut patch, measure.distance, passes);
+            Tried::new(patch, measure)
+        };
+        let mut tried: Vec<Tried> = patches.into_par_iter().with_max_len(1).map(relaxed).collect();
+        tried.sort_by(|a, b| a.measure.total_cmp(&b.measure));
+        tried
+    };
+    let begun = trials.iter().filter_map(|trial| begin(patch, trial)).collect();
+    let promising = relaxed(begun, FIRST_PASSES).into_iter().take(PROMISING_TRIALS).map(|tried| tried.patch);
+    let tried = relaxed(promising.collect(), FURTHER_PASSES);
     let hopeless = HOPELESS_SHARE.max(goal.rest / measure.distance);
     let is_hopeful = |tried: &Tried| tried.distance.largest() <= hopeless * measure.distance;
-    let mut begun: Vec<Tried> = begun.into_iter().flatten().filter(is_hopeful).collect();
-    begun.sort_by(|a, b| a.measure.total_cmp(&b.measure));
-    begun.truncate(FINALISTS);
-    begun.into_iter().find_map(|tried| finish(tried, goal, measure))
+    let mut finalists = tried.into_iter().filter(is_hopeful).take(FINALISTS);
+    finalists.find_map(|tried| finish(tried, goal, measure))
 }

@@ -140,6 +140,11 @@ impl LocalMesh {
         self.on_boundary[v as usize]
     }
 
+    /// Whether one of its edges is kept.
+    pub(in crate::remesh) fn is_on_curve(&self, v: u32) -> bool {
+        self.neighbours(v).into_iter().any(|u| self.curves.contains(&undirected([u, v])))
+    }
+
     /// By how much the valence of an inner vertex is off the range that flips keep.
     pub(in crate::remesh) fn irregularity(&self, v: u32) -> usize {
         match self.valence(v).abs_diff(REGULAR_VALENCE) {
