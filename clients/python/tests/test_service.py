@@ -24,6 +24,13 @@ def same(a: tessera_remesh.Remesh, b: tessera_remesh.Remesh) -> bool:
     return np.array_equal(a.vertices, b.vertices) and np.array_equal(a.faces, b.faces) and np.array_equal(a.seeds, b.seeds)
 
 
+def says(report: object, wanted: object) -> bool:
+    """Whether a report has all of another. A server gives figures their names of before too."""
+    if isinstance(wanted, dict):
+        return isinstance(report, dict) and all(says(report.get(name), value) for name, value in wanted.items())
+    return report == wanted
+
+
 OPTIONS = [
     {"points": 300},
     {"points": 300, "seed": 7, "lloyd": 2, "newton": 3, "placement": "surface", "projection": "surface"},
@@ -43,7 +50,7 @@ def test_the_same_bits_here_and_there(surface, endpoint, options):
     here = tessera_remesh.remesh(*surface, backend="parallel", **options)
     there = tessera_remesh.remesh(*surface, endpoint=endpoint, **options)
     assert same(here, there)
-    assert here.report.raw["result"] == there.report.raw["result"]
+    assert says(there.report.raw["result"], here.report.raw["result"])
     if here.attributes is not None:
         assert np.array_equal(here.attributes.scalars["height"], there.attributes.scalars["height"])
 
@@ -51,10 +58,9 @@ def test_the_same_bits_here_and_there(surface, endpoint, options):
 def test_the_same_bits_by_the_command(surface, program, tmp_path: Path):
     meshio = pytest.importorskip("meshio")
     vertices, faces = surface
-    text = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in vertices.tolist())
-    text += "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces.tolist())
-    (tmp_path / "in.obj").write_text(text)
-    command = [program, "remesh", "in.obj", "--points", "300", "--backend", "parallel", "-o", "out.ply", "--quiet"]
+    # Not OBJ, whose vertices are numbered by their first use.
+    meshio.Mesh(vertices, [("triangle", faces.astype(np.int32))]).write(tmp_path / "in.ply")
+    command = [program, "remesh", "in.ply", "--points", "300", "--backend", "parallel", "-o", "out.ply", "--quiet"]
     subprocess.run(command, cwd=tmp_path, check=True)
     written = meshio.read(tmp_path / "out.ply")
     here = tessera_remesh.remesh(vertices, faces, points=300, backend="parallel")
