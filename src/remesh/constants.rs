@@ -189,16 +189,6 @@ pub(super) const VERTICES_PER_TASK: usize = 256;
 /// Vertices of the input between two questions to the token.
 pub(super) const VERTICES_PER_CHECK: usize = 64;
 
-// Closest point of a set of facets.
-
-/// Facets of a group, at least. Large sets have as many groups as facets in a group.
-pub(super) const FACETS_PER_GROUP: usize = 8;
-/// Factor by which radii grow, so that rounding leaves nothing outside.
-pub(super) const SPHERE_ROUNDING: f64 = 1.0 + 1e-12;
-/// Intervals on an edge of the grid of points at which the distance of a facet is taken. With 4, ridges inside a facet stuck
-/// out a third farther than was measured.
-pub(super) const GRID_INTERVALS: u32 = 6;
-
 // Hausdorff estimate.
 
 /// Without a tolerance, vertices of the input were missed if one of them is farther away than the first share of a mean edge:

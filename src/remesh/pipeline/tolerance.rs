@@ -14,11 +14,11 @@ use super::attempt::Attempt;
 use super::job::{Job, enter};
 use super::prepare::{Prepared, prepare};
 use crate::cvt::density::{DensityError, DensityOptions, DensitySource};
+use crate::mesh::comparison::{Comparison, Distances};
 use crate::remesh::constants::{
     FEW_MISSED_SHARE, FEWER_MISSED, LOCAL_ROUNDS, MAX_ADDING_TIMES, MAX_REFINING_ROUNDS, MAX_VAIN_REFINING,
     PROGRESS_SHARE, SHORTEST_SHARE, SPENT_SHARE, TOLERANCE_AIM, VAIN_GROWTH,
 };
-use crate::remesh::distance::two_way::{Comparison, Distances};
 use crate::remesh::report::RefineEnd;
 use crate::remesh::{Refine, RemeshError, RemeshOptions, Seeds};
 
