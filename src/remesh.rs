@@ -26,10 +26,11 @@ use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::Topology;
-use crate::rvd::{Backend, RvdError};
-use crate::token::{Stopped, Token};
+use crate::rvd::RvdError;
+use crate::token::Stopped;
 
 pub use attributes::Provenance;
+pub use pipeline::remesh;
 pub use report::Report;
 
 /// Where the first seeds come from.
@@ -343,17 +344,3 @@ pub trait Observer: Send {
 }
 
 impl Observer for () {}
-
-/// Remeshes `mesh` on `backend`.
-///
-/// # Errors
-/// [`RemeshError`]; `Rvd(Stopped)` soon after `token` says so.
-pub fn remesh(
-    mesh: &TriMesh,
-    options: &RemeshOptions,
-    backend: &dyn Backend,
-    observer: &mut dyn Observer,
-    token: &Token,
-) -> Result<Remesh, RemeshError> {
-    pipeline::run(mesh, options, backend, observer, token)
-}

@@ -80,7 +80,7 @@ pub struct IterationFigures {
 }
 
 /// The seeds after the last step, before they are put on the surface.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct FinalFigures {
     /// Caller's units.
     pub energy: f64,

@@ -182,14 +182,7 @@ pub(super) const SEAM_END_REACH: f64 = 1e-6;
 /// A texture coordinate beyond a seam is extrapolated by no more than so many times the texture's stretch in the start facet.
 pub(super) const MOST_STRETCH: f64 = 4.0;
 
-// Deviation of the input's vertices.
-
-/// Result vertices per parallel task.
-pub(super) const VERTICES_PER_TASK: usize = 256;
-/// Vertices of the input between two questions to the token.
-pub(super) const VERTICES_PER_CHECK: usize = 64;
-
-// Hausdorff estimate.
+// Deviation of the input and Hausdorff estimate.
 
 /// Without a tolerance, vertices of the input were missed if one of them is farther away than the first share of a mean edge:
 /// then all beyond the second share.

@@ -9,10 +9,10 @@ use rayon::prelude::*;
 
 use super::nearest::RingQuery;
 use crate::mesh::csr::Csr;
-use crate::remesh::constants::{VERTICES_PER_CHECK, VERTICES_PER_TASK};
+use crate::remesh::constants::{ITEMS_PER_TASK, WORK_PER_VERTEX};
 use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::remesh::triangle::perimeter;
-use crate::token::Token;
+use crate::token::{Pace, Stopped, Token};
 
 /// Where a vertex of the input lies, seen from the result.
 #[derive(Clone, Copy, Debug)]
@@ -55,35 +55,20 @@ fn deviation(mesh: &LocalMesh, query: &mut RingQuery, vertex: DVec3) -> Deviatio
 impl<'a> InputDeviation<'a> {
     /// Measures all of them.
     pub(in crate::remesh) fn new(mesh: &LocalMesh, vertices: &'a Csr<DVec3>, token: &Token) -> Self {
-        let (mut list, count) = (vec![UNKNOWN; vertices.all().len()], mesh.positions.len());
-        // Tasks: a range of result vertices with its part of the list.
-        let mut tasks = Vec::with_capacity(count / VERTICES_PER_TASK + 1);
-        let mut rest = list.as_mut_slice();
-        for begin in (0..count).step_by(VERTICES_PER_TASK) {
-            let owners = begin as u32..(begin + VERTICES_PER_TASK).min(count) as u32;
-            let count = vertices.range(owners.end - 1).end - vertices.range(owners.start).start;
-            let (here, after) = rest.split_at_mut(count);
-            rest = after;
-            tasks.push((owners, here));
-        }
-        tasks.into_par_iter().for_each_init(RingQuery::default, |query, (owners, mut here)| {
-            for owner in owners {
-                let own = vertices.of(owner);
-                let (list, after) = here.split_at_mut(own.len());
-                here = after;
-                if !own.is_empty() {
-                    query.move_to(mesh, owner);
-                    for (k, (to, vertex)) in list.iter_mut().zip(own).enumerate() {
-                        // A one-ring may have many facets, and a cell many vertices of the input.
-                        if k.is_multiple_of(VERTICES_PER_CHECK) && token.is_stopped() {
-                            return;
-                        }
-                        *to = deviation(mesh, query, *vertex);
-                    }
-                }
+        let owner = |v: u32| std::iter::repeat_n(v, vertices.of(v).len());
+        let owners: Vec<u32> = (0..mesh.positions.len() as u32).flat_map(owner).collect();
+        let begin = || (RingQuery::default(), u32::MAX, Pace::default());
+        let measure = |(query, at, pace): &mut (RingQuery, u32, Pace), (&owner, &vertex): (&u32, &DVec3)| {
+            token.check_after(WORK_PER_VERTEX, pace)?;
+            if *at != owner {
+                query.move_to(mesh, owner);
+                *at = owner;
             }
-        });
-        Self { vertices, list }
+            Ok(deviation(mesh, query, vertex))
+        };
+        let pairs = owners.par_iter().zip(vertices.all()).with_min_len(ITEMS_PER_TASK);
+        let list: Result<Vec<Deviation>, Stopped> = pairs.map_init(begin, measure).collect();
+        Self { vertices, list: list.unwrap_or_else(|_| vec![UNKNOWN; owners.len()]) }
     }
 
     /// Those that `counts`, with their numbers, by falling relative deviation.
