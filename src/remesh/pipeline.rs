@@ -27,7 +27,7 @@ use crate::mesh::lost::{self, LostParts};
 use crate::mesh::measure::{Quality, coincident_vertices, quality_and_distances, topology_unless};
 use crate::mesh::outliers;
 use crate::remesh::attributes::{self, Provenance};
-use crate::remesh::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, topology_changes};
+use crate::remesh::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures};
 use crate::remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{Backend, RvdError, on_threads_of};
 use crate::token::{Stopped, Token};
@@ -203,7 +203,7 @@ fn measure(
         threads: backend.threads(),
         seed,
         converged,
-        topology_changes: topology_changes(&input.topology, &result.topology),
+        topology_changes: input.topology.changes(&result.topology),
         input,
         features: curves.figures(&built.curve_edges),
         rvd,

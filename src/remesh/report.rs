@@ -87,18 +87,6 @@ pub(crate) fn to_json(report: &impl Serialize) -> serde_json::Result<serde_json:
     Ok(json)
 }
 
-/// What of the topology is not kept, one sentence each. Non-manifold elements are not counted as
-/// kept or lost: the result never has any.
-pub(crate) fn topology_changes(input: &Topology, result: &Topology) -> Vec<String> {
-    let pairs = [
-        ("euler", input.euler, result.euler),
-        ("components", input.components as i64, result.components as i64),
-        ("boundary_loops", input.boundary_loops as i64, result.boundary_loops as i64),
-    ];
-    let changed = pairs.into_iter().filter(|(_, before, after)| before != after);
-    changed.map(|(name, before, after)| format!("{name}: {before} becomes {after}")).collect()
-}
-
 /// What was done after the iterations: curves cleared, seeds moved that had no vertex or added where the result was far from
 /// the input.
 #[derive(Clone, Copy, Debug, Default, Serialize, PartialEq)]

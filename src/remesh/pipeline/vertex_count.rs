@@ -17,7 +17,7 @@ use crate::remesh::constants::{
     COUNT_LIMIT, COUNT_SLACK, FEWEST_SEEDS, FEWEST_SEEDS_SHARE, LEAST_SLOPE, MAX_COUNT_ROUNDS, VAIN_STRETCH,
 };
 use crate::remesh::report::CountReason;
-use crate::remesh::{RemeshError, RemeshOptions, Seeds, fewest_vertices};
+use crate::remesh::{RemeshError, RemeshOptions, Seeds};
 
 /// Whether a number of vertices is near enough to what was asked for.
 fn is_near(vertices: usize, asked: usize) -> bool {
@@ -36,7 +36,7 @@ pub(super) fn reason(
     }
     Some(match seeds {
         Seeds::Given(_) => CountReason::GivenSeeds,
-        _ if vertices > asked && fewest_vertices(surface) > asked => CountReason::Parts,
+        _ if vertices > asked && surface.fewest_vertices() > asked => CountReason::Parts,
         _ if vertices > asked => CountReason::CloseSheets,
         _ if parts < surface.components => CountReason::SmallParts,
         _ => CountReason::NoThickness,
