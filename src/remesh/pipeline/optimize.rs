@@ -115,13 +115,13 @@ impl<'a> Job<'a, '_> {
         options: &RemeshOptions,
     ) -> Result<Optimized<'a>, RemeshError> {
         let mut best = optimized;
-        best.figures.refine.closed_ball_failures = best.failing.len();
+        best.figures.refine.closed_ball_failures = best.failing.components.len();
         if !self.keep_thin || matches!(options.seeds, Seeds::Given(_)) {
             return Ok(best);
         }
         let median = best.plan.figures.edge_median;
         let most = THIN_MOST_POINTS * best.plan.points;
-        let mut failing = !best.failing.is_empty();
+        let mut failing = !best.failing.components.is_empty();
         let mut lengths = if failing { best.shorter_lengths(self.mesh, self.token)? } else { Vec::new() };
         let mut vain = 0;
         for round in 1..=MAX_THIN_ROUNDS {
@@ -136,8 +136,8 @@ impl<'a> Job<'a, '_> {
                 break;
             }
             let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
-            (lengths, failing) = (next.shorter_lengths(self.mesh, self.token)?, !next.failing.is_empty());
-            if next.failing.is_better(&best.failing) {
+            (lengths, failing) = (next.shorter_lengths(self.mesh, self.token)?, !next.failing.components.is_empty());
+            if next.failing.area < best.failing.area {
                 next.take_over(&best);
                 next.figures.refine.closed_ball_rounds = round;
                 (best, vain) = (next, 0);
@@ -146,7 +146,7 @@ impl<'a> Job<'a, '_> {
                 vain += 1;
             }
         }
-        best.figures.refine.closed_ball_failures = best.failing.len();
+        best.figures.refine.closed_ball_failures = best.failing.components.len();
         Ok(best)
     }
 }
@@ -168,7 +168,7 @@ impl Optimized<'_> {
     pub(super) fn take_over(&mut self, before: &Self) {
         self.figures.refine.evaluations += before.figures.passes();
         self.figures.refine.closed_ball_rounds = before.figures.refine.closed_ball_rounds;
-        self.figures.refine.closed_ball_failures = self.failing.len();
+        self.figures.refine.closed_ball_failures = self.failing.components.len();
         self.plan.figures.source = before.plan.figures.source;
         self.figures.asked = before.figures.asked;
     }

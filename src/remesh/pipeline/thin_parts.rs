@@ -23,25 +23,11 @@ use crate::token::{Stopped, Token};
 #[derive(Default)]
 pub(super) struct FailingCells {
     /// Their components of the dual, ascending.
-    components: Vec<u32>,
+    pub(super) components: Vec<u32>,
     /// Area of the cells, those in several parts included, unit frame.
-    area: f64,
+    pub(super) area: f64,
     /// Vertices of the repaired dual.
     pub(super) vertices: usize,
-}
-
-impl FailingCells {
-    pub(super) fn len(&self) -> usize {
-        self.components.len()
-    }
-
-    pub(super) fn is_empty(&self) -> bool {
-        self.components.is_empty()
-    }
-
-    pub(super) fn is_better(&self, other: &Self) -> bool {
-        self.area < other.area
-    }
 }
 
 /// The failing cells of a dual. `surface` was made of `mesh`, and the result is to have the topology `wanted`.

@@ -2,9 +2,8 @@
 //!
 //! Purpose: [`refine`] remeshes again and again, each time with shorter edges where the last result was too far from the
 //! input. The distance of a facet from a smooth surface falls with the square of its edges, so a few rounds do. Shorter edges
-//! that grade into the others keep triangles round. Seeds that are only added do not: steps spread them out again, and with as
-//! many added as there were, 6 to 10 % of the triangles of the bunny and the rocker-arm had angles under 30 degrees. Given
-//! seeds stay, so [`add`] can only add to them.
+//! that grade into the others keep triangles round. Seeds that are only added do not: steps spread them out again. Given seeds
+//! stay, so [`add`] can only add to them.
 //! Invariant: never more points than allowed; the nearest result of all rounds comes back. If it is too far, as many points
 //! with a uniform density or one by curvature are no nearer, unless the lengths were given. At most
 //! [`MAX_REFINING_ROUNDS`] rounds, one that adds seeds, and two comparisons for each of two searches.
