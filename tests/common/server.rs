@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use desk::Idle;
 use glam::{DVec3, dvec3};
+use desk::Idle;
 use tessera::internals::blob::{BlobError, BlobOptions, ObjectBlobs};
 use tessera::internals::config::Limits;
 use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError};
@@ -366,6 +366,21 @@ pub fn all_chunks(points: &[DVec3], facets: &[[u32; 3]], seeds: &[DVec3]) -> Vec
     all.extend(chunks(ArrayKind::Facets, &facet_bytes(facets)));
     all.extend(chunks(ArrayKind::Seeds, &point_bytes(seeds)));
     all
+}
+
+/// A whole Remesh request; `arrays` are what it has beside mesh and seeds.
+pub fn remesh_request(
+    header: RemeshHeader,
+    points: &[DVec3],
+    facets: &[[u32; 3]],
+    seeds: &[DVec3],
+    arrays: Vec<Chunk>,
+) -> Vec<RemeshRequest> {
+    use remesh_request::Message;
+    let mut all = vec![Message::Header(header)];
+    all.extend(all_chunks(points, facets, seeds).into_iter().chain(arrays).map(Message::Chunk));
+    all.push(Message::Finish(Finish {}));
+    all.into_iter().map(|message| RemeshRequest { message: Some(message) }).collect()
 }
 
 pub fn rvd_message(message: compute_rvd_request::Message) -> ComputeRvdRequest {

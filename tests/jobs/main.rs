@@ -5,6 +5,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
+#[path = "../common/process.rs"]
+mod process;
+
 mod disk;
 mod figures;
 mod journal;
