@@ -20,7 +20,7 @@ use std::future::Future;
 
 use tessera::internals::blob::Digest;
 use tessera::internals::job::record::*;
-use tessera::internals::job::store::Keep;
+use tessera::internals::job::store::Retention;
 
 /// A small job; `body` makes it differ from others.
 pub fn spec(request: &str, body: u64) -> JobSpec {
@@ -39,8 +39,8 @@ pub fn spec(request: &str, body: u64) -> JobSpec {
 }
 
 /// How long things are kept in these tests.
-pub const KEEP: Keep =
-    Keep { results: std::time::Duration::from_millis(500), records: std::time::Duration::from_millis(200) };
+pub const KEEP: Retention =
+    Retention { results: std::time::Duration::from_millis(500), records: std::time::Duration::from_millis(200) };
 
 thread_local! {
     static RUNTIME: tokio::runtime::Runtime =
