@@ -11,6 +11,7 @@ mod convergence;
 pub(crate) mod curves;
 pub(crate) mod density;
 mod edit;
+pub(crate) mod figures;
 mod line_search;
 mod options;
 mod placement;

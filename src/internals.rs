@@ -40,16 +40,16 @@ pub mod gpu {
 #[cfg(feature = "service")]
 pub mod job {
     pub use crate::job::{
-        Ask, Backends, Bytes, Ceilings, Engine, EngineOptions, JobError, LossPolicy, MakePool, Weights,
+        AdmissionRequest, Backends, Bytes, Ceilings, Engine, EngineOptions, JobError, LossPolicy, PoolFactory, Weights,
     };
     pub use crate::job::{BlobRoom, Executor, ExecutorOptions, JobBounds, Stores};
-    pub use crate::job::{desk, event, record, state, store};
+    pub use crate::job::{api, event, record, state, store};
 }
 
 /// How work gets into the queue.
 #[cfg(feature = "service")]
 pub mod job_queue {
-    pub use crate::job::{Place, Retry};
+    pub use crate::job::{Admission, Retry};
 }
 
 /// Keys of callers.

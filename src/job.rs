@@ -10,9 +10,9 @@
 //! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
 //! Must not know: gRPC, messages, the command line.
 
+pub mod api;
 mod bytes;
 mod call;
-pub mod desk;
 pub(crate) mod diagram;
 mod engine;
 pub(crate) mod estimate;
@@ -48,14 +48,14 @@ use crate::token::{Stopped, Token};
 
 pub use bytes::Bytes;
 pub use call::Retry;
-pub(crate) use call::{Timed, Turn};
+pub(crate) use call::{Timed, WorkContext};
 pub use engine::Engine;
-pub(crate) use engine::{Pending, Ticket};
+pub(crate) use engine::{Pending, Reservation};
 pub use executor::{BlobRoom, Executor, ExecutorOptions, Stores};
 pub use input::JobBounds;
 pub use loss::LossPolicy;
-pub use queue::Place;
-pub use schedule::Ask;
+pub use queue::Admission;
+pub use schedule::AdmissionRequest;
 pub use watchdog::Ceilings;
 pub(crate) use watchdog::Work;
 pub use weights::Weights;
@@ -63,7 +63,7 @@ pub(crate) use worker::Device;
 pub use worker::EngineOptions;
 
 /// Makes a CPU backend with so many threads of its own.
-pub type MakePool = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;
+pub type PoolFactory = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;
 
 /// The backends of this process.
 #[derive(Clone)]
@@ -77,19 +77,24 @@ pub struct Backends {
     /// What [`BackendChoice::Auto`] means here; `Auto` again means the GPU if there is one.
     pub default: BackendChoice,
     /// Makes more of `parallel`, so that each job at work has threads of its own; without, all jobs share `parallel`.
-    pub pools: Option<MakePool>,
+    pub pools: Option<PoolFactory>,
 }
 
 impl Backends {
     /// What a job sees: `host` in place of `parallel`, and the GPU through the gate. Passes are told of.
-    fn for_job(&self, gate: &Arc<gate::Gate>, host: Option<&Arc<dyn Backend>>, told: &Arc<observer::Told>) -> Self {
+    fn for_job(
+        &self,
+        gate: &Arc<gate::Gate>,
+        host: Option<&Arc<dyn Backend>>,
+        activity: &Arc<observer::Activity>,
+    ) -> Self {
         let observed = |inner: &Arc<dyn Backend>| -> Arc<dyn Backend> {
-            Arc::new(observed::Observed { inner: Arc::clone(inner), told: Arc::clone(told) })
+            Arc::new(observed::Observed { inner: Arc::clone(inner), activity: Arc::clone(activity) })
         };
         let (host, serial) = (observed(host.unwrap_or(&self.parallel)), observed(&self.serial));
         let shared = |device: &Arc<dyn Backend>| -> Arc<dyn Backend> {
-            let (device, gate, host, told) = (device.clone(), gate.clone(), host.clone(), told.clone());
-            Arc::new(gate::Gated { device, gate, host, told })
+            let (device, gate, host, activity) = (device.clone(), gate.clone(), host.clone(), activity.clone());
+            Arc::new(gate::Gated { device, gate, host, activity })
         };
         Self { gpu: self.gpu.as_ref().map(shared).map_err(Clone::clone), parallel: host, serial, ..self.clone() }
     }

@@ -24,7 +24,7 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::job::estimate::Kind;
-use crate::job::observer::{Ended, Observer, Origin, Standing};
+use crate::job::observer::{JobOutcome, Observer, Origin, Phase};
 use crate::readiness::{Condition, Reason};
 use crate::rvd::BackendKind;
 
@@ -232,10 +232,12 @@ impl Metrics {
     fn begin(&self) {
         let inner = &*self.0;
         for kind in [Kind::Remesh, Kind::Rvd, Kind::Cvt].map(Kind::name) {
-            for state in [Standing::Waiting, Standing::Running].map(state_name) {
+            for state in [Phase::Waiting, Phase::Running].map(state_name) {
                 let _ = inner.jobs.get_or_create(&JobLabels { state, kind });
             }
-            for outcome in [Ended::Done, Ended::Failed, Ended::Cancelled, Ended::PutBack].map(end_name) {
+            for outcome in
+                [JobOutcome::Succeeded, JobOutcome::Failed, JobOutcome::Cancelled, JobOutcome::Released].map(end_name)
+            {
                 let _ = inner.jobs_ended.get_or_create(&EndLabels { outcome, kind });
             }
             let _ = inner.queue.get_or_create(&KindLabel { kind });
@@ -367,19 +369,19 @@ impl Refused {
     }
 }
 
-fn state_name(standing: Standing) -> &'static str {
-    match standing {
-        Standing::Waiting => "waiting",
-        Standing::Running => "running",
+fn state_name(phase: Phase) -> &'static str {
+    match phase {
+        Phase::Waiting => "waiting",
+        Phase::Running => "running",
     }
 }
 
-fn end_name(how: Ended) -> &'static str {
-    match how {
-        Ended::Done => "done",
-        Ended::Failed => "failed",
-        Ended::Cancelled => "cancelled",
-        Ended::PutBack => "put_back",
+fn end_name(outcome: JobOutcome) -> &'static str {
+    match outcome {
+        JobOutcome::Succeeded => "done",
+        JobOutcome::Failed => "failed",
+        JobOutcome::Cancelled => "cancelled",
+        JobOutcome::Released => "put_back",
     }
 }
 
@@ -388,13 +390,13 @@ fn signed(bytes: u64) -> i64 {
 }
 
 impl Observer for Metrics {
-    fn moved(&self, kind: Kind, from: Option<Standing>, to: Option<Standing>) {
-        let labels = |standing| JobLabels { state: state_name(standing), kind: kind.name() };
-        from.iter().for_each(|standing| {
-            self.0.jobs.get_or_create(&labels(*standing)).dec();
+    fn moved(&self, kind: Kind, from: Option<Phase>, to: Option<Phase>) {
+        let labels = |phase| JobLabels { state: state_name(phase), kind: kind.name() };
+        from.iter().for_each(|phase| {
+            self.0.jobs.get_or_create(&labels(*phase)).dec();
         });
-        to.iter().for_each(|standing| {
-            self.0.jobs.get_or_create(&labels(*standing)).inc();
+        to.iter().for_each(|phase| {
+            self.0.jobs.get_or_create(&labels(*phase)).inc();
         });
     }
 
@@ -402,10 +404,10 @@ impl Observer for Metrics {
         self.0.queue.get_or_create(&KindLabel { kind: kind.name() }).observe(waited.as_secs_f64());
     }
 
-    fn ended(&self, origin: &Origin, how: Ended) {
-        let labels = EndLabels { outcome: end_name(how), kind: origin.kind.name() };
+    fn ended(&self, origin: &Origin, outcome: JobOutcome) {
+        let labels = EndLabels { outcome: end_name(outcome), kind: origin.kind.name() };
         self.0.jobs_ended.get_or_create(&labels).inc();
-        if how == Ended::Done {
+        if outcome == JobOutcome::Succeeded {
             self.0.facets.inc_by(origin.facets);
             self.0.seeds.inc_by(origin.seeds);
         }

@@ -26,10 +26,11 @@ use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes};
 use crate::mesh::features::FeatureError;
 use crate::mesh::measure::Topology;
-use crate::rvd::{Backend, RvdError};
-use crate::token::{Stopped, Token};
+use crate::rvd::RvdError;
+use crate::token::Stopped;
 
 pub use attributes::Provenance;
+pub use pipeline::remesh;
 pub use report::Report;
 
 /// Where the first seeds come from.
@@ -292,20 +293,9 @@ impl RemeshError {
     /// The same error, for a surface of this topology.
     fn for_surface(self, surface: &Topology) -> Self {
         match self {
-            Self::TooFewSeeds { seeds, .. } => Self::TooFewSeeds { seeds, least: fewest_vertices(surface) },
+            Self::TooFewSeeds { seeds, .. } => Self::TooFewSeeds { seeds, least: surface.fewest_vertices() },
             error => error,
         }
-    }
-}
-
-/// A bound from below on the vertices of a triangulation: three for a part with a boundary, four for one without, and
-/// Heawood's bound for a connected surface without boundary, as 7 for a torus.
-fn fewest_vertices(surface: &Topology) -> usize {
-    let parts = surface.components.max(1);
-    match (surface.boundary_edges, parts) {
-        (0, 1) => ((7.0 + (49.0 - 24.0 * surface.euler.min(2) as f64).sqrt()) / 2.0).ceil() as usize,
-        (0, _) => 4 * parts,
-        _ => 3 * parts,
     }
 }
 
@@ -343,17 +333,3 @@ pub trait Observer: Send {
 }
 
 impl Observer for () {}
-
-/// Remeshes `mesh` on `backend`.
-///
-/// # Errors
-/// [`RemeshError`]; `Rvd(Stopped)` soon after `token` says so.
-pub fn remesh(
-    mesh: &TriMesh,
-    options: &RemeshOptions,
-    backend: &dyn Backend,
-    observer: &mut dyn Observer,
-    token: &Token,
-) -> Result<Remesh, RemeshError> {
-    pipeline::run(mesh, options, backend, observer, token)
-}

@@ -17,6 +17,7 @@ mod diagram;
 pub(crate) mod dual;
 mod error;
 mod exact;
+pub(crate) mod figures;
 #[cfg(feature = "gpu")]
 pub(crate) mod gpu;
 pub(crate) mod incident;

@@ -38,7 +38,7 @@ use self::health::Told;
 use self::stream::Gate;
 use crate::blob::{BlobError, BlobStore};
 use crate::config::Limits;
-use crate::job::desk::{DeskError, JobDesk};
+use crate::job::api::{JobApi, JobApiError};
 use crate::job::spec::Input;
 use crate::job::{Device, Engine, JobError};
 use crate::lifecycle::{self, Step};
@@ -89,7 +89,7 @@ pub struct Jobs {
     /// Keeps blobs.
     pub blobs: Arc<dyn BlobStore>,
     /// Keeps jobs and has them done.
-    pub desk: Arc<dyn JobDesk>,
+    pub api: Arc<dyn JobApi>,
 }
 
 impl fmt::Debug for Jobs {
@@ -156,7 +156,7 @@ pub(crate) enum RequestError {
     #[error(transparent)]
     Blob(#[from] BlobError),
     #[error(transparent)]
-    Desk(#[from] DeskError),
+    JobApi(#[from] JobApiError),
     #[error(transparent)]
     Access(#[from] access::Refusal),
     #[error("{}", .0.message())]
@@ -201,8 +201,8 @@ pub async fn run(
     let message_bytes = limits.transport.message_bytes;
     let _following = access.follow(engine.weights().clone());
     let phase = watch::Sender::new(Phase::Serving);
-    let budget = Budget::told(limits.memory_bytes, engine.held_besides());
-    metrics.memory(engine.held_besides(), limits.memory_bytes);
+    let budget = Budget::told(limits.memory_bytes, engine.memory_outside_jobs());
+    metrics.memory(engine.memory_outside_jobs(), limits.memory_bytes);
     let gate = Gate::new(limits, phase.subscribe(), metrics.clone());
     let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), gate.clone());
     let info = handlers::info::Info { engine: engine.clone(), limits, readiness: readiness.clone(), about };
@@ -233,10 +233,10 @@ pub async fn run(
     beside.spawn(Arc::clone(&health).follow(readiness.clone()));
     beside.spawn(health::probes(engine.clone(), readiness.clone(), metrics.clone(), limits.probe));
     if let Some(jobs) = &jobs {
-        let storage = jobs.desk.storage();
+        let storage = jobs.api.storage();
         beside.spawn(health::follow_blobs(Arc::clone(&jobs.blobs), storage, readiness.clone(), metrics.clone()));
     }
-    let desk = jobs.as_ref().map(|jobs| Arc::clone(&jobs.desk));
+    let api = jobs.as_ref().map(|jobs| Arc::clone(&jobs.api));
     if let Some(jobs) = jobs {
         routes = with_jobs(routes, jobs, limits, &budget, &gate);
     }
@@ -247,8 +247,8 @@ pub async fn run(
     tokio::pin!(serving);
 
     let unkept = async {
-        match &desk {
-            Some(desk) => desk.failed().await,
+        match &api {
+            Some(api) => api.failed().await,
             None => std::future::pending().await,
         }
     };
@@ -273,8 +273,8 @@ pub async fn run(
     let begin = Instant::now();
     let idle = || async {
         let jobs = async {
-            if let Some(desk) = &desk {
-                desk.drain().await;
+            if let Some(api) = &api {
+                api.drain().await;
             }
         };
         tokio::join!(gate.idle(), jobs);
@@ -332,8 +332,8 @@ async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
 }
 
 /// Serves blobs and jobs too.
-fn with_jobs(routes: Routes, Jobs { blobs, desk }: Jobs, limits: Limits, budget: &Budget, gate: &Gate) -> Routes {
-    let jobs = handlers::jobs::Jobs::new(desk, Arc::clone(&blobs), budget.clone(), gate.clone());
+fn with_jobs(routes: Routes, Jobs { blobs, api }: Jobs, limits: Limits, budget: &Budget, gate: &Gate) -> Routes {
+    let jobs = handlers::jobs::Jobs::new(api, Arc::clone(&blobs), budget.clone(), gate.clone());
     let blobs = handlers::blobs::Blobs::new(blobs, limits, budget.clone(), gate.clone());
     let message_bytes = limits.transport.message_bytes;
     // What is read is not compressed: results seldom shrink, and their clients wait for them.

@@ -17,7 +17,7 @@ use super::{backends, interrupt};
 use crate::admin::{self, Admin};
 use crate::config::{JobCeilings, Limits, OnLoss, SecurityArgs, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
-use crate::job::desk::DeskError;
+use crate::job::api::JobApiError;
 use crate::job::store::StoreError;
 use crate::job::{
     Backends, BlobRoom, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, LossPolicy,
@@ -65,11 +65,11 @@ fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
 }
 
 /// What is kept cannot be used.
-fn unusable(config: &ServeConfig, error: &DeskError) -> Unavailable {
+fn unusable(config: &ServeConfig, error: &JobApiError) -> Unavailable {
     match (&config.data_dir, error) {
         // It names the folder, and what to do.
-        (_, DeskError::Store(StoreError::InUse { .. })) | (None, _) => Unavailable(error.to_string()),
-        (_, DeskError::Blob(error)) if config.bucket.is_some() => {
+        (_, JobApiError::Store(StoreError::InUse { .. })) | (None, _) => Unavailable(error.to_string()),
+        (_, JobApiError::Blob(error)) if config.bucket.is_some() => {
             let bucket = config.bucket.as_deref().unwrap_or_default();
             Unavailable(format!("cannot use --blobs {bucket}: {error}; see the variables AWS_ENDPOINT and AWS_REGION"))
         }
@@ -167,8 +167,8 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
         ..ExecutorOptions::new(bounds)
     };
     let blobs = Arc::clone(&stores.blobs);
-    let desk = life.step(Step::Jobs, Executor::start(engine.clone(), stores, options)).await.map_err(late)?;
-    let desk = desk.map_err(|error| unusable(&config, &error))?;
+    let executor = life.step(Step::Jobs, Executor::start(engine.clone(), stores, options)).await.map_err(late)?;
+    let executor = executor.map_err(|error| unusable(&config, &error))?;
     let listener = life.step(Step::Port, TcpListener::bind(config.listen.as_slice()));
     let listener = listener
         .await
@@ -191,7 +191,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
         jobs_at_once,
         ..About::default()
     };
-    let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
+    let jobs = Some(Jobs { blobs, api: Arc::new(executor) });
     let limits = config.limits;
     let parts = Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about };
     let shutdown = async {

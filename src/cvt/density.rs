@@ -104,6 +104,11 @@ impl<'a> Plan<'a> {
         Ok(Plan { mesh: Cow::Owned(fine), weights, figures, ..self })
     }
 
+    /// The edges of the plan's mesh that make up `edges` of the caller's.
+    pub(crate) fn edges(&self, edges: &[[u32; 2]], token: &Token) -> Result<Vec<[u32; 2]>, Stopped> {
+        refine::divided(&self.mesh, edges, token)
+    }
+
     /// Target edge length per vertex of `mesh`, the caller's: those of the plan, or those that so many points have by
     /// its weights.
     ///

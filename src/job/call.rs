@@ -1,6 +1,6 @@
 //! A piece of work, from its submission to its answer.
 //!
-//! Purpose: [`Call`] is what the queue holds: work, who waits for it, and what is told of it. Invariant: it is answered
+//! Purpose: [`Call`] is what the queue holds: work, who waits for it, and its metrics and trace. Invariant: it is answered
 //! exactly once or its caller has gone; a panic is an answer; what the work holds goes before the answer. Must not know:
 //! threads, backends but that it is handed some.
 
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 
-use super::observer::{Observer, Told, Waiting};
+use super::observer::{Activity, Observer, QueuedActivity};
 use super::queue::Item;
 use super::{Backends, JobError};
 use crate::token::{StageListener, Token};
@@ -22,21 +22,21 @@ pub(super) const ATTEMPTS: usize = 3;
 /// Whether a piece may be begun anew after the device was lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Retry {
-    /// Its state is made inside, so it can.
-    Anew,
+    /// From its beginning: its state is made inside.
+    Restart,
     /// Its state was on the lost device.
     Never,
 }
 
 /// What a piece of work sees besides the backends.
 #[derive(Clone, Debug)]
-pub struct Turn {
+pub struct WorkContext {
     /// Set when the caller has gone or the process must end.
     pub token: Token,
     /// Milliseconds the piece waited.
     pub queue_ms: f64,
-    /// Is told of what is done.
-    pub(crate) told: Arc<Told>,
+    /// Counts and traces what is done.
+    pub(crate) activity: Arc<Activity>,
 }
 
 /// An answer and what it took.
@@ -58,9 +58,9 @@ pub(super) enum Outcome {
 
 pub(super) trait Task: Item {
     /// It is being done from now on.
-    fn begin(&mut self) -> Arc<Told>;
+    fn begin(&mut self) -> Arc<Activity>;
     fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome;
-    fn goes_on(&self) -> bool;
+    fn has_continuations(&self) -> bool;
 }
 
 impl Item for Box<dyn Task> {
@@ -75,21 +75,21 @@ impl Item for Box<dyn Task> {
 
 pub(super) struct Call<R, F> {
     pub(super) work: Option<F>,
-    /// Whether what it makes goes on in later pieces, and so must not hold threads that are another job's then.
-    pub(super) goes_on: bool,
+    /// Whether later pieces continue what it makes, so that it must not hold threads that are another job's then.
+    pub(super) has_continuations: bool,
     pub(super) reply: Option<oneshot::Sender<Result<Timed<R>, JobError>>>,
     pub(super) token: Token,
     pub(super) queued: Instant,
     pub(super) retry: Retry,
-    pub(super) telling: Telling,
+    pub(super) activity: ActivityState,
 }
 
-/// What is told of a call.
-pub(super) enum Telling {
-    Waits(Waiting),
-    Runs(Arc<Told>),
+/// The metrics and the trace of a call.
+pub(super) enum ActivityState {
+    Queued(QueuedActivity),
+    Running(Arc<Activity>),
     /// Between the two.
-    Begins,
+    Starting,
 }
 
 impl<R: Send, F: Send> Item for Call<R, F> {
@@ -102,40 +102,40 @@ impl<R: Send, F: Send> Item for Call<R, F> {
     }
 }
 
-impl<R: Send, F: FnMut(&Backends, &Turn) -> Result<R, JobError> + Send> Task for Call<R, F> {
-    fn goes_on(&self) -> bool {
-        self.goes_on
+impl<R: Send, F: FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send> Task for Call<R, F> {
+    fn has_continuations(&self) -> bool {
+        self.has_continuations
     }
 
-    fn begin(&mut self) -> Arc<Told> {
-        let told = match std::mem::replace(&mut self.telling, Telling::Begins) {
-            Telling::Waits(waiting) => waiting.begin(),
-            Telling::Runs(told) => told,
-            Telling::Begins => Waiting::new(&(Arc::new(()) as Arc<dyn Observer>), None).begin(),
+    fn begin(&mut self) -> Arc<Activity> {
+        let activity = match std::mem::replace(&mut self.activity, ActivityState::Starting) {
+            ActivityState::Queued(waiting) => waiting.begin(),
+            ActivityState::Running(activity) => activity,
+            ActivityState::Starting => QueuedActivity::new(&(Arc::new(()) as Arc<dyn Observer>), None).begin(),
         };
-        self.telling = Telling::Runs(Arc::clone(&told));
-        told
+        self.activity = ActivityState::Running(Arc::clone(&activity));
+        activity
     }
 
     fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome {
-        let told = self.begin();
+        let activity = self.begin();
         let queue_ms = ms(self.queued.elapsed());
         let start = Instant::now();
-        let turn = Turn { token: self.token.clone(), queue_ms, told: Arc::clone(&told) };
+        let context = WorkContext { token: self.token.clone(), queue_ms, activity: Arc::clone(&activity) };
         let Some(work) = self.work.as_mut() else { return Outcome::Answered };
-        self.token.tell_stages(Some(Arc::clone(&told) as Arc<dyn StageListener>));
-        let result = catch_unwind(AssertUnwindSafe(|| told.span().in_scope(|| work(backends, &turn))))
+        self.token.tell_stages(Some(Arc::clone(&activity) as Arc<dyn StageListener>));
+        let result = catch_unwind(AssertUnwindSafe(|| activity.span().in_scope(|| work(backends, &context))))
             .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))));
         self.token.tell_stages(None);
         let lost = result.as_ref().is_err_and(JobError::is_device_lost);
-        if lost && self.retry == Retry::Anew && attempt + 1 < ATTEMPTS {
+        if lost && self.retry == Retry::Restart && attempt + 1 < ATTEMPTS {
             return Outcome::DeviceLost;
         }
         let result = result.map(|value| Timed { value, queue_ms, compute_ms: ms(start.elapsed()) });
         // What the work still holds goes before the answer: the caller may ask for its memory at once.
         self.work = None;
         // The count too: who has the answer may ask for it.
-        told.end(result.as_ref().err());
+        activity.end(result.as_ref().err());
         if let Some(reply) = self.reply.take() {
             let _ = reply.send(result);
         }

@@ -11,10 +11,10 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 
 use super::bytes::Bytes;
-use super::call::{Call, Retry, Telling, Timed, Turn};
-use super::observer::{Observer, Waiting};
-use super::queue::Place;
-use super::watchdog::{Watched, Work};
+use super::call::{ActivityState, Call, Retry, Timed, WorkContext};
+use super::observer::{Observer, QueuedActivity};
+use super::queue::Admission;
+use super::watchdog::{WatchGuard, Work};
 use super::weights::Weights;
 use super::worker::{Device, EngineOptions, Shared, run};
 use super::{BackendInfo, Backends, JobError};
@@ -57,17 +57,17 @@ impl<R> Pending<R> {
     }
 }
 
-/// A place in the queue that is kept for a job while it is uploaded. Given back when dropped, which is after the job
-/// was submitted as [`Place::Kept`].
+/// A place in the queue, reserved for a job while it is uploaded. Released when dropped, which is after the job was
+/// submitted as [`Admission::Reserved`].
 #[derive(Debug)]
-pub struct Ticket {
+pub struct Reservation {
     shared: Arc<Shared>,
     number: u64,
 }
 
-impl Drop for Ticket {
+impl Drop for Reservation {
     fn drop(&mut self) {
-        self.shared.queue.give_back(self.number);
+        self.shared.queue.release(self.number);
     }
 }
 
@@ -126,13 +126,13 @@ impl Engine {
         self.shared.infos.slots.memory
     }
 
-    /// Keeps a place for a job that is yet to be uploaded, so that it is refused now or not at all.
+    /// Reserves a place for a job that is yet to be uploaded, so that it is refused now or not at all.
     ///
     /// # Errors
     /// `QueueFull`, `Draining`.
-    pub fn reserve(&self) -> Result<Ticket, JobError> {
-        let number = self.shared.queue.keep()?;
-        Ok(Ticket { shared: Arc::clone(&self.shared), number })
+    pub fn reserve(&self) -> Result<Reservation, JobError> {
+        let number = self.shared.queue.reserve()?;
+        Ok(Reservation { shared: Arc::clone(&self.shared), number })
     }
 
     /// A token for a job, whose ceiling on time counts what is done for it here and under [`Self::watch`].
@@ -146,14 +146,14 @@ impl Engine {
     }
 
     /// Watches work that is done for a job on another thread than a worker's, until what it returns is dropped.
-    pub fn watch(&self, token: &Token) -> Watched {
+    pub fn watch(&self, token: &Token) -> WatchGuard {
         self.shared.watchdog.watch(token)
     }
 
-    /// What the process holds that is no job's own work, bytes: whoever holds it keeps this at that. A job's ceiling on memory
-    /// does not count it.
-    pub(crate) fn held_besides(&self) -> Arc<AtomicI64> {
-        self.shared.watchdog.held_besides()
+    /// Bytes that the process holds outside of jobs, such as uploads: whoever holds them keeps this up to date. A job's
+    /// ceiling on memory does not count them.
+    pub(crate) fn memory_outside_jobs(&self) -> Arc<AtomicI64> {
+        self.shared.watchdog.memory_outside_jobs()
     }
 
     /// How work is that was told to stop.
@@ -176,11 +176,11 @@ impl Engine {
     /// `QueueFull`, `Draining`.
     pub fn submit<R: Send + 'static>(
         &self,
-        place: Place,
+        admission: Admission,
         retry: Retry,
-        work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
+        work: impl FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send + 'static,
     ) -> Result<Pending<R>, JobError> {
-        self.submit_as(self.token(), place, retry, work)
+        self.submit_as(self.token(), admission, retry, work)
     }
 
     /// The same for a piece of the job that has this token.
@@ -190,19 +190,19 @@ impl Engine {
     pub fn submit_as<R: Send + 'static>(
         &self,
         token: Token,
-        place: Place,
+        admission: Admission,
         retry: Retry,
-        work: impl FnMut(&Backends, &Turn) -> Result<R, JobError> + Send + 'static,
+        work: impl FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send + 'static,
     ) -> Result<Pending<R>, JobError> {
         let (sender, reply) = oneshot::channel();
-        let (goes_on, origin) = match &place {
-            Place::New(ask) | Place::Kept(ask) => (ask.goes_on, ask.origin),
-            Place::Session | Place::Continuation => (true, None),
+        let (has_continuations, origin) = match &admission {
+            Admission::New(ask) | Admission::Reserved(ask) => (ask.has_continuations, ask.origin),
+            Admission::Session | Admission::Continuation => (true, None),
         };
-        let telling = Telling::Waits(Waiting::new(&self.shared.observer, origin));
+        let activity = ActivityState::Queued(QueuedActivity::new(&self.shared.observer, origin));
         let (work, reply_to, queued) = (Some(work), Some(sender), Instant::now());
-        let call = Call { work, goes_on, reply: reply_to, token: token.clone(), queued, retry, telling };
-        let position = self.shared.queue.push(place, Box::new(call))?;
+        let call = Call { work, has_continuations, reply: reply_to, token: token.clone(), queued, retry, activity };
+        let position = self.shared.queue.push(admission, Box::new(call))?;
         Ok(Pending { position, reply, token, answered: false })
     }
 
@@ -210,21 +210,21 @@ impl Engine {
     pub fn dispose(&self, value: impl Send + 'static) {
         let mut value = Some(value);
         let (sender, _) = oneshot::channel();
-        let work = move |_: &Backends, _: &Turn| {
+        let work = move |_: &Backends, _: &WorkContext| {
             drop(value.take());
             Ok(())
         };
         let call = Call {
             work: Some(work),
-            goes_on: true,
+            has_continuations: true,
             reply: Some(sender),
             token: Token::default(),
             queued: Instant::now(),
             retry: Retry::Never,
-            telling: Telling::Waits(Waiting::new(&self.shared.observer, None)),
+            activity: ActivityState::Queued(QueuedActivity::new(&self.shared.observer, None)),
         };
         // Nobody waits for it; popping drops it on a host thread, and so does its end.
-        let _ = self.shared.queue.push(Place::Continuation, Box::new(call));
+        let _ = self.shared.queue.push(Admission::Continuation, Box::new(call));
     }
 
     /// How much each tenant counts beside others.
@@ -263,7 +263,7 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use super::*;
-    use crate::job::Ask;
+    use crate::job::AdmissionRequest;
     use crate::rvd::RvdError;
     use crate::rvd::parallel::Parallel;
     use crate::rvd::serial::Serial;
@@ -274,8 +274,8 @@ mod tests {
         Ok(Backends { gpu: Err("none".into()), parallel, serial, default: BackendChoice::Auto, pools: None })
     }
 
-    fn new() -> Place {
-        Place::New(Ask::default())
+    fn new() -> Admission {
+        Admission::New(AdmissionRequest::default())
     }
 
     #[tokio::test]
@@ -290,7 +290,8 @@ mod tests {
         let options = EngineOptions { revive: Duration::from_millis(20), ..EngineOptions::default() };
         let (engine, thread) = Engine::start(factory, options).unwrap();
         let mut health = engine.watch_device();
-        let lose = |_: &Backends, _: &Turn| -> Result<(), JobError> { Err(RvdError::DeviceLost("x".into()).into()) };
+        let lose =
+            |_: &Backends, _: &WorkContext| -> Result<(), JobError> { Err(RvdError::DeviceLost("x".into()).into()) };
         let error = engine.submit(new(), Retry::Never, lose).unwrap().wait().await.unwrap_err();
         assert!(error.is_device_lost());
         health.wait_for(|d| *d == Device::Lost).await.unwrap();
@@ -299,7 +300,7 @@ mod tests {
         engine.close();
         thread.join().unwrap();
         assert_eq!(*health.borrow(), Device::Gone);
-        let late = engine.submit(Place::Session, Retry::Never, |_, _| Ok(()));
+        let late = engine.submit(Admission::Session, Retry::Never, |_, _| Ok(()));
         assert!(matches!(late, Err(JobError::Draining)), "nobody would answer");
     }
 

@@ -1,6 +1,6 @@
 //! Jobs that are kept, done by this process.
 //!
-//! Purpose: [`Executor`] is the [`JobDesk`] of one server: it keeps jobs in a [`JobStore`], queues them for the engine, does
+//! Purpose: [`Executor`] is the [`JobApi`] of one server: it keeps jobs in a [`JobStore`], queues them for the engine, does
 //! them and stores their results; and it takes them up again after a restart.
 //! Invariant: an acknowledged job is in the store. A job's input is pinned from before it is acknowledged until it has
 //! ended, and its result from before it is visible until it expires or is deleted. A job is done by whoever claimed it: what
@@ -19,8 +19,8 @@ use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 
 use super::JobError;
+use super::api::{Estimate, JobApi, JobApiError};
 use super::bytes::Bytes;
-use super::desk::{DeskError, Estimate, JobDesk};
 use super::engine::Engine;
 use super::estimate::Counts;
 use super::event::{Events, Progress};
@@ -28,27 +28,28 @@ use super::forecast::{Forecast, must_fit};
 use super::input::JobBounds;
 use super::observer::Origin;
 use super::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
-use super::schedule::Ask;
+use super::schedule::AdmissionRequest;
 use super::state::State;
 use super::store::{
-    Created, JobStore, Keep, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, StoreError,
+    Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
+    StoreError,
 };
 use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
 use crate::trace;
 use queue::{JobQueue, LocalQueue};
 use storage::Storage;
 
-/// Between two looks for what is over.
+/// How often jobs that are over are looked for.
 const SWEEP: Duration = Duration::from_secs(1);
-/// Between two looks at a storage that is well, in looks for what is over.
-const LOOK_AT_STORAGE: u32 = 5;
-/// Between two looks for uploads that nobody continues, in looks for what is over.
+/// How often a storage that is well is checked, in sweeps.
+const STORAGE_CHECK: u32 = 5;
+/// How often uploads that nobody continues are looked for, in sweeps.
 const SWEEP_UPLOADS: u32 = 600;
-/// What one look lets go of.
-const SWEPT: usize = 1000;
+/// Jobs that one sweep removes at most.
+const SWEEP_BATCH: usize = 1000;
 /// How long a claim is good without another word.
 const LEASE: Duration = Duration::from_secs(60);
-/// Progress that waits to be kept.
+/// Progress that waits to be recorded.
 const PROGRESS: usize = 4096;
 
 /// How jobs are kept.
@@ -115,7 +116,7 @@ impl Stores {
     ///
     /// # Errors
     /// `InUse` if another process has it, or why it cannot be used.
-    pub async fn in_folder(folder: PathBuf, room: BlobRoom) -> Result<Self, DeskError> {
+    pub async fn in_folder(folder: PathBuf, room: BlobRoom) -> Result<Self, JobApiError> {
         let jobs = journal(folder.clone()).await?;
         let blobs = ObjectBlobs::local(folder.join("blobs"), room.options()).await?;
         Ok(Self { jobs, blobs: Arc::new(blobs) })
@@ -126,7 +127,7 @@ impl Stores {
     ///
     /// # Errors
     /// `InUse` if another process has the folder, or why folder or bucket cannot be used.
-    pub async fn in_bucket(folder: PathBuf, url: &str, room: BlobRoom) -> Result<Self, DeskError> {
+    pub async fn in_bucket(folder: PathBuf, url: &str, room: BlobRoom) -> Result<Self, JobApiError> {
         #[cfg(feature = "s3")]
         {
             let jobs = journal(folder).await?;
@@ -147,9 +148,9 @@ impl Stores {
 }
 
 /// Opens the journal of a folder.
-async fn journal(folder: PathBuf) -> Result<Arc<dyn JobStore>, DeskError> {
+async fn journal(folder: PathBuf) -> Result<Arc<dyn JobStore>, JobApiError> {
     let opened = tokio::task::spawn_blocking(move || RedbStore::open(&folder, RedbOptions::default())).await;
-    Ok(Arc::new(opened.map_err(|error| DeskError::Job(JobError::Panicked(error.to_string())))??))
+    Ok(Arc::new(opened.map_err(|error| JobApiError::Job(JobError::Panicked(error.to_string())))??))
 }
 
 /// See the module's head. Clones share one state.
@@ -168,14 +169,14 @@ struct Inner {
     runtime: Handle,
     queue: Box<dyn JobQueue>,
     storage: Storage,
-    progress: mpsc::Sender<Told>,
+    progress: mpsc::Sender<ProgressCommand>,
     /// Whether the store has failed for good.
     broken: watch::Sender<bool>,
 }
 
-/// What is told of a job's work, in order.
-enum Told {
-    Progress {
+/// What the task that records progress is to do, in order.
+enum ProgressCommand {
+    Record {
         id: JobId,
         at: u64,
         what: Progress,
@@ -206,14 +207,14 @@ impl Executor {
     ///
     /// # Errors
     /// What the stores say.
-    pub async fn start(engine: Engine, stores: Stores, options: ExecutorOptions) -> Result<Self, DeskError> {
-        let (progress, told) = mpsc::channel(PROGRESS);
+    pub async fn start(engine: Engine, stores: Stores, options: ExecutorOptions) -> Result<Self, JobApiError> {
+        let (progress, commands) = mpsc::channel(PROGRESS);
         let forecast = Forecast::new(Arc::clone(&stores.blobs), engine.clone(), options.bounds.max_seeds);
         let inner = Arc::new_cyclic(|inner: &Weak<Inner>| {
             let inner = Weak::clone(inner);
             let begin = move |id| -> queue::Work {
                 let mut work = running::Work::new(Weak::clone(&inner), id);
-                Box::new(move |backends, turn| work.go(backends, turn))
+                Box::new(move |backends, context| work.run(backends, context))
             };
             Inner {
                 stores,
@@ -229,35 +230,35 @@ impl Executor {
             }
         });
         inner.recover().await?;
-        tokio::spawn(keep_progress(Arc::clone(&inner.stores.jobs), told));
+        tokio::spawn(record_progress(Arc::clone(&inner.stores.jobs), commands));
         tokio::spawn(sweep(Arc::downgrade(&inner)));
         Ok(Self { inner })
     }
 }
 
-/// Keeps what is told of jobs. What is no longer of interest is left out by the store.
-async fn keep_progress(jobs: Arc<dyn JobStore>, mut told: mpsc::Receiver<Told>) {
-    while let Some(told) = told.recv().await {
-        match told {
-            Told::Progress { id, at, what, now } => {
+/// Records the progress of jobs. What is no longer of interest is left out by the store.
+async fn record_progress(jobs: Arc<dyn JobStore>, mut commands: mpsc::Receiver<ProgressCommand>) {
+    while let Some(command) = commands.recv().await {
+        match command {
+            ProgressCommand::Record { id, at, what, now } => {
                 if let Err(error) = jobs.progress(id, at, what, now).await {
                     tracing::debug!(%id, %error, "progress not kept");
                 }
             }
-            Told::Flush(done) => drop(done.send(())),
+            ProgressCommand::Flush(done) => drop(done.send(())),
         }
     }
 }
 
 /// Lets go of what is over, again and again.
 async fn sweep(inner: Weak<Inner>) {
-    let mut looks = 0u32;
+    let mut sweeps = 0u32;
     loop {
         tokio::time::sleep(SWEEP).await;
         let Some(inner) = inner.upgrade() else { return };
-        looks = looks.wrapping_add(1);
-        if looks.is_multiple_of(LOOK_AT_STORAGE) || inner.storage.is_away() {
-            inner.storage.look(inner.stores.blobs.as_ref()).await;
+        sweeps = sweeps.wrapping_add(1);
+        if sweeps.is_multiple_of(STORAGE_CHECK) || inner.storage.is_down() {
+            inner.storage.check(inner.stores.blobs.as_ref()).await;
         }
         match inner.expire().await {
             Ok(()) => {}
@@ -268,7 +269,7 @@ async fn sweep(inner: Weak<Inner>) {
             }
             Err(error) => tracing::error!(%error, "jobs that are over could not be let go of"),
         }
-        if looks.is_multiple_of(SWEEP_UPLOADS)
+        if sweeps.is_multiple_of(SWEEP_UPLOADS)
             && let Err(error) = inner.stores.blobs.sweep().await
         {
             tracing::error!(%error, "uploads that nobody continues could not be let go of");
@@ -278,7 +279,7 @@ async fn sweep(inner: Weak<Inner>) {
 
 impl Inner {
     /// Takes up what was kept.
-    async fn recover(&self) -> Result<(), DeskError> {
+    async fn recover(&self) -> Result<(), JobApiError> {
         let jobs = &self.stores.jobs;
         let recovered = jobs.recover(now(), Orphans::All, self.options.max_crashes).await?;
         if !recovered.requeued.is_empty() || !recovered.failed.is_empty() {
@@ -318,7 +319,7 @@ impl Inner {
     }
 
     /// Pins what is there of some blobs. Those that are missing are found missing when they are needed.
-    async fn pin_again(&self, owner: Owner, name: &str, digests: &[crate::blob::Digest]) -> Result<(), DeskError> {
+    async fn pin_again(&self, owner: Owner, name: &str, digests: &[crate::blob::Digest]) -> Result<(), JobApiError> {
         for digest in digests {
             match self.stores.blobs.pin_for(owner, name, &[*digest]).await {
                 Ok(()) => {}
@@ -336,27 +337,27 @@ impl Inner {
     }
 
     /// Queues a job for the engine.
-    async fn enqueue(&self, job: &Job) -> Result<(), DeskError> {
+    async fn enqueue(&self, job: &Job) -> Result<(), JobApiError> {
         // Its blobs may be gone.
         let counts = self.forecast.counts(&job.spec, None).await.ok();
         let need = counts.as_ref().map(|counts| self.forecast.need(counts));
         let origin = counts.as_ref().map(|counts| Origin::of(counts, Some(job.id)));
-        let ask = Ask {
+        let request = AdmissionRequest {
             tenant: job.spec.tenant.as_str().into(),
             weight: self.engine.weights().of(&job.spec.tenant),
             priority: job.spec.priority.unwrap_or(0),
             seconds: need.map_or(1.0, |need| need.seconds),
             memory: need.map_or(Bytes::default(), |need| need.memory),
-            is_kept_elsewhere: true,
-            goes_on: false,
+            is_persistent: true,
+            has_continuations: false,
             origin,
         };
         let limit = job.spec.deadlines.run_ms.map(Duration::from_millis);
-        Ok(self.queue.push(job.id, ask, limit)?)
+        Ok(self.queue.push(job.id, request, limit)?)
     }
 
     /// A job of this tenant.
-    async fn of_tenant(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+    async fn of_tenant(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
         let job = self.stores.jobs.get(id).await?;
         if job.spec.tenant != tenant {
             return Err(StoreError::NotFound { id }.into());
@@ -365,9 +366,9 @@ impl Inner {
     }
 
     async fn expire(&self) -> Result<(), StoreError> {
-        let keep = Keep { results: self.options.keep_results, records: self.options.keep_records };
+        let keep = Retention { results: self.options.keep_results, records: self.options.keep_records };
         loop {
-            let swept = self.stores.jobs.expire(now(), keep, SWEPT).await?;
+            let swept = self.stores.jobs.expire(now(), keep, SWEEP_BATCH).await?;
             for id in swept.expired.iter().chain(&swept.deleted) {
                 self.queue.remove(*id);
                 self.unpin(&input_pin(*id)).await;
@@ -380,7 +381,7 @@ impl Inner {
     }
 
     /// Whether this server takes a job with these counts.
-    fn within_bounds(&self, counts: &Counts) -> Result<(), DeskError> {
+    fn within_bounds(&self, counts: &Counts) -> Result<(), JobApiError> {
         let bounds = &self.options.bounds;
         for (field, what, count, most) in [
             // An STL file is counted with three vertices a facet.
@@ -391,14 +392,14 @@ impl Inner {
         ] {
             if count > most {
                 let problem = format!("asks for {count} {what}; this server takes at most {most}");
-                return Err(DeskError::Input { field: field.to_owned(), problem });
+                return Err(JobApiError::Input { field: field.to_owned(), problem });
             }
         }
         Ok(())
     }
 
     /// The blobs that a job names must be its tenant's: those of others do not exist for it.
-    async fn check_input(&self, spec: &JobSpec) -> Result<(), DeskError> {
+    async fn check_input(&self, spec: &JobSpec) -> Result<(), JobApiError> {
         let missing = self.stores.blobs.find_missing_of(Owner::of(&spec.tenant), &spec.blobs()).await?;
         missing.first().map_or(Ok(()), |digest| Err(BlobError::NotFound { digest: *digest }.into()))
     }
@@ -418,7 +419,7 @@ impl Inner {
     }
 
     /// Checks all that can be checked before a job is kept.
-    async fn admit(&self, spec: &ValidSpec) -> Result<(), DeskError> {
+    async fn admit(&self, spec: &ValidSpec) -> Result<(), JobApiError> {
         self.has_place(&spec.tenant)?;
         self.engine.backend(spec.choice())?;
         let counts = self.forecast.counts(spec, None).await?;
@@ -428,34 +429,34 @@ impl Inner {
 }
 
 #[async_trait]
-impl JobDesk for Executor {
-    async fn create(&self, spec: JobSpec) -> Result<Created, DeskError> {
+impl JobApi for Executor {
+    async fn create(&self, spec: JobSpec) -> Result<Created, JobApiError> {
         let spec = spec.check()?;
         let inner = Arc::clone(&self.inner);
         // To its end, whoever still waits: what is pinned is unpinned, what is kept is queued.
         let created = tokio::spawn(trace::carry(async move { inner.create(spec).await })).await;
-        created.map_err(|error| DeskError::Job(JobError::Panicked(error.to_string())))?
+        created.map_err(|error| JobApiError::Job(JobError::Panicked(error.to_string())))?
     }
 
-    async fn get(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+    async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
         self.inner.of_tenant(tenant, id).await
     }
 
-    async fn list(&self, query: Query) -> Result<Page, DeskError> {
+    async fn list(&self, query: Query) -> Result<Page, JobApiError> {
         Ok(self.inner.stores.jobs.list(query).await?)
     }
 
-    async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, DeskError> {
+    async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, JobApiError> {
         self.inner.of_tenant(tenant, id).await?;
         Ok(self.inner.stores.jobs.events(id, after, most).await?)
     }
 
-    async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), DeskError> {
+    async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), JobApiError> {
         self.inner.of_tenant(tenant, id).await?;
         Ok(self.inner.stores.jobs.wait(id, after).await?)
     }
 
-    async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+    async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
         self.inner.of_tenant(tenant, id).await?;
         let job = self.inner.stores.jobs.cancel(id, now()).await?;
         self.inner.queue.remove(id);
@@ -463,14 +464,19 @@ impl JobDesk for Executor {
         Ok(job)
     }
 
-    async fn delete(&self, tenant: &str, id: JobId) -> Result<(), DeskError> {
+    async fn delete(&self, tenant: &str, id: JobId) -> Result<(), JobApiError> {
         self.inner.of_tenant(tenant, id).await?;
         self.inner.stores.jobs.delete(id).await?;
         self.inner.unpin(&result_pin(id)).await;
         Ok(())
     }
 
-    async fn estimate(&self, spec: JobSpec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, DeskError> {
+    async fn estimate(
+        &self,
+        spec: JobSpec,
+        vertices: Option<u64>,
+        facets: Option<u64>,
+    ) -> Result<Estimate, JobApiError> {
         let spec = spec.check()?;
         self.inner.engine.backend(spec.choice())?;
         let given = vertices.zip(facets);
@@ -505,7 +511,7 @@ impl JobDesk for Executor {
 }
 
 impl Inner {
-    async fn create(self: Arc<Self>, spec: ValidSpec) -> Result<Created, DeskError> {
+    async fn create(self: Arc<Self>, spec: ValidSpec) -> Result<Created, JobApiError> {
         // Its input may be gone by now, and is not needed.
         if !spec.request_id.is_empty()
             && let Some(job) = self.stores.jobs.requested(spec.clone()).await?
@@ -521,7 +527,7 @@ impl Inner {
         // Before anything is promised: from here on nothing evicts the input.
         self.stores.blobs.pin_for(Owner::of(&spec.tenant), &pin, &spec.blobs()).await?;
         let created = match self.admit(&spec).await {
-            Ok(()) => self.stores.jobs.create(NewJob { id, spec, now: time }).await.map_err(DeskError::from),
+            Ok(()) => self.stores.jobs.create(NewJob { id, spec, now: time }).await.map_err(JobApiError::from),
             Err(error) => Err(error),
         };
         match created {
@@ -541,10 +547,10 @@ impl Inner {
 }
 
 /// A number that nobody else has.
-fn getrandom_u128() -> Result<u128, DeskError> {
+fn getrandom_u128() -> Result<u128, JobApiError> {
     let mut bytes = [0; 16];
     getrandom::fill(&mut bytes).map_err(|error| {
-        DeskError::Job(JobError::Panicked(format!("the operating system gives no random numbers: {error}")))
+        JobApiError::Job(JobError::Panicked(format!("the operating system gives no random numbers: {error}")))
     })?;
     Ok(u128::from_le_bytes(bytes))
 }

@@ -10,8 +10,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use futures_util::TryStreamExt;
 use tokio::sync::Semaphore;
 
+use super::api::{JobApiError, Memory};
 use super::bytes::Bytes;
-use super::desk::{DeskError, Memory};
 use super::engine::Engine;
 use super::estimate::{Counts, Kind, Need, need};
 use super::record::{DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput, SeedSource, WorkSpec};
@@ -60,7 +60,7 @@ impl Forecast {
     ///
     /// # Errors
     /// `Blob`; `Input` if a blob holds no surface.
-    pub(crate) async fn counts(&self, spec: &JobSpec, given: Option<(u64, u64)>) -> Result<Counts, DeskError> {
+    pub(crate) async fn counts(&self, spec: &JobSpec, given: Option<(u64, u64)>) -> Result<Counts, JobApiError> {
         let owner = Owner::of(&spec.tenant);
         // What a caller says of its file may be any number.
         let bytes = |(vertices, facets): (u64, u64), each: (u64, u64)| {
@@ -133,7 +133,7 @@ impl Forecast {
     }
 
     /// Vertices, facets and bytes of a surface's file.
-    async fn of_file(&self, owner: Owner, blob: Digest, format: MeshFormat) -> Result<((u64, u64), u64), DeskError> {
+    async fn of_file(&self, owner: Owner, blob: Digest, format: MeshFormat) -> Result<((u64, u64), u64), JobApiError> {
         let size_bytes = self.size_of(owner, blob).await?;
         let known = |forecast: &Self| {
             forecast.known.lock().unwrap_or_else(PoisonError::into_inner).get(&(blob, format)).copied()
@@ -151,7 +151,7 @@ impl Forecast {
                 all.extend_from_slice(&piece);
             }
             let counted = tokio::task::spawn_blocking(move || io::counts(format.into(), &all)).await.ok().flatten();
-            counted.ok_or_else(|| DeskError::Input {
+            counted.ok_or_else(|| JobApiError::Input {
                 field: "mesh.file".to_owned(),
                 problem: "the blob is no surface in this format; see that the format is right".to_owned(),
             })?
@@ -169,10 +169,10 @@ impl Forecast {
 ///
 /// # Errors
 /// `TooLarge`.
-pub(crate) fn must_fit(need: &Need, limits: Bytes) -> Result<(), DeskError> {
+pub(crate) fn must_fit(need: &Need, limits: Bytes) -> Result<(), JobApiError> {
     let both = [(Memory::Host, need.memory.host, limits.host), (Memory::Device, need.memory.device, limits.device)];
     match both.into_iter().find(|(_, needed, limit)| needed > limit) {
-        Some((of, needed_bytes, limit_bytes)) => Err(DeskError::TooLarge { of, needed_bytes, limit_bytes }),
+        Some((of, needed_bytes, limit_bytes)) => Err(JobApiError::TooLarge { of, needed_bytes, limit_bytes }),
         None => Ok(()),
     }
 }

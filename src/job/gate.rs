@@ -14,52 +14,52 @@ use std::time::Duration;
 
 use glam::DVec3;
 
-use super::observer::Told;
+use super::observer::Activity;
 use crate::rvd::{
     Backend, BackendKind, CellSums, DeviceFacts, DeviceWork, Evaluation, PassStats, PhasesMs, PieceBatch, Resident,
     RvdError, Session, SessionOptions, Surface,
 };
 use crate::token::Token;
 
-/// Between two looks at the token of who waits.
-const LISTEN: Duration = Duration::from_millis(20);
+/// How often the token of a waiter is checked.
+const TOKEN_POLL: Duration = Duration::from_millis(20);
 
 /// See the module's head.
 #[derive(Debug, Default)]
 pub(crate) struct Gate {
-    line: Mutex<Line>,
+    queue: Mutex<WaitQueue>,
     moved: Condvar,
 }
 
 #[derive(Debug, Default)]
-struct Line {
+struct WaitQueue {
     busy: bool,
     waiting: VecDeque<u64>,
     last: u64,
 }
 
 /// The right to use the device, until it is dropped.
-struct Pass<'a>(&'a Gate);
+struct Permit<'a>(&'a Gate);
 
-impl Drop for Pass<'_> {
+impl Drop for Permit<'_> {
     fn drop(&mut self) {
-        let mut line = self.0.lock();
-        line.busy = false;
-        let any = !line.waiting.is_empty();
-        drop(line);
+        let mut queue = self.0.lock();
+        queue.busy = false;
+        let any = !queue.waiting.is_empty();
+        drop(queue);
         if any {
             self.0.moved.notify_all();
         }
     }
 }
 
-/// A place in the line, given up when dropped: by a cancel, or by who was let in.
-struct Place<'a> {
+/// An entry of the queue, removed when dropped: by a cancel, or by who was let in.
+struct Waiter<'a> {
     gate: &'a Gate,
     number: u64,
 }
 
-impl Drop for Place<'_> {
+impl Drop for Waiter<'_> {
     fn drop(&mut self) {
         self.gate.lock().waiting.retain(|number| *number != self.number);
         self.gate.moved.notify_all();
@@ -67,38 +67,38 @@ impl Drop for Place<'_> {
 }
 
 impl Gate {
-    fn lock(&self) -> MutexGuard<'_, Line> {
-        self.line.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, WaitQueue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Waits for the turn.
-    fn enter(&self, token: Option<&Token>) -> Result<Pass<'_>, RvdError> {
-        let mut line = self.lock();
-        if !line.busy && line.waiting.is_empty() {
-            line.busy = true;
-            return Ok(Pass(self));
+    fn enter(&self, token: Option<&Token>) -> Result<Permit<'_>, RvdError> {
+        let mut queue = self.lock();
+        if !queue.busy && queue.waiting.is_empty() {
+            queue.busy = true;
+            return Ok(Permit(self));
         }
-        line.last += 1;
-        let number = line.last;
-        line.waiting.push_back(number);
-        drop(line);
-        let place = Place { gate: self, number };
-        let mut line = self.lock();
-        while line.busy || line.waiting.front() != Some(&number) {
+        queue.last += 1;
+        let number = queue.last;
+        queue.waiting.push_back(number);
+        drop(queue);
+        let waiter = Waiter { gate: self, number };
+        let mut queue = self.lock();
+        while queue.busy || queue.waiting.front() != Some(&number) {
             if let Some(token) = token {
-                drop(line);
+                drop(queue);
                 token.check()?;
-                line = self.lock();
-                if !line.busy && line.waiting.front() == Some(&number) {
+                queue = self.lock();
+                if !queue.busy && queue.waiting.front() == Some(&number) {
                     break;
                 }
             }
-            line = self.moved.wait_timeout(line, LISTEN).unwrap_or_else(PoisonError::into_inner).0;
+            queue = self.moved.wait_timeout(queue, TOKEN_POLL).unwrap_or_else(PoisonError::into_inner).0;
         }
-        line.busy = true;
-        drop(line);
-        drop(place);
-        Ok(Pass(self))
+        queue.busy = true;
+        drop(queue);
+        drop(waiter);
+        Ok(Permit(self))
     }
 }
 
@@ -110,8 +110,8 @@ pub(crate) struct Gated {
     pub(crate) gate: Arc<Gate>,
     /// The job's own threads, for all that is no pass.
     pub(crate) host: Arc<dyn Backend>,
-    /// Is told of passes.
-    pub(crate) told: Arc<Told>,
+    /// Counts and traces passes.
+    pub(crate) activity: Arc<Activity>,
 }
 
 impl Backend for Gated {
@@ -142,21 +142,21 @@ impl Backend for Gated {
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
         // Planning and allocating are the device's too: two at once could both find that they fit.
         let _pass = self.gate.enter(None)?;
-        let told = Arc::clone(&self.told);
-        let opening = told.pass("open", self.device.kind());
+        let activity = Arc::clone(&self.activity);
+        let opening = activity.pass("open", self.device.kind());
         let session = self.device.session(surface, options)?;
         drop(opening);
-        Ok(Box::new(GatedSession::new(session, Some(Arc::clone(&self.gate)), self.device.kind(), told)))
+        Ok(Box::new(GatedSession::new(session, Some(Arc::clone(&self.gate)), self.device.kind(), activity)))
     }
 }
 
-/// A session whose passes are told, and wait for their turn if there is a gate.
+/// A session whose passes are counted and traced, and wait for their turn if there is a gate.
 pub(super) struct GatedSession {
     session: Box<dyn Session>,
     gate: Option<Arc<Gate>>,
     kind: BackendKind,
-    told: Arc<Told>,
-    /// Bytes on the device that were told of.
+    activity: Arc<Activity>,
+    /// Bytes on the device that were reported.
     planned: u64,
     /// What the device did for it: a device counts what it does for all, and only within the gate is all for one.
     work: DeviceWork,
@@ -164,10 +164,15 @@ pub(super) struct GatedSession {
 
 impl GatedSession {
     /// A session that was just opened.
-    pub(super) fn new(session: Box<dyn Session>, gate: Option<Arc<Gate>>, kind: BackendKind, told: Arc<Told>) -> Self {
+    pub(super) fn new(
+        session: Box<dyn Session>,
+        gate: Option<Arc<Gate>>,
+        kind: BackendKind,
+        activity: Arc<Activity>,
+    ) -> Self {
         let work = session.device_work();
-        let mut session = Self { session, gate, kind, told, planned: 0, work };
-        session.tell_planned();
+        let mut session = Self { session, gate, kind, activity, planned: 0, work };
+        session.report_planned();
         session
     }
 
@@ -180,23 +185,23 @@ impl GatedSession {
     ) -> Result<R, RvdError> {
         let gate = self.gate.clone();
         let pass = gate.as_ref().map(|gate| gate.enter(token)).transpose()?;
-        let told = Arc::clone(&self.told);
-        let telling = told.pass(name, self.kind);
+        let activity = Arc::clone(&self.activity);
+        let timed = activity.pass(name, self.kind);
         let before = self.session.device_work();
         let done = work(self.session.as_mut());
         self.work = self.work.with(&self.session.device_work().since(&before), |a, b| a + b);
-        drop(telling);
-        self.tell_planned();
+        drop(timed);
+        self.report_planned();
         drop(pass);
         done
     }
 
     /// What lies on the device grows with what is done there.
-    fn tell_planned(&mut self) {
+    fn report_planned(&mut self) {
         let now = self.session.device_bytes();
         let before = std::mem::replace(&mut self.planned, now);
         if now != before {
-            self.told.planned(signed(now) - signed(before));
+            self.activity.planned(signed(now) - signed(before));
         }
     }
 
@@ -216,7 +221,7 @@ impl GatedSession {
 
 impl Drop for GatedSession {
     fn drop(&mut self) {
-        self.told.planned(-signed(self.planned));
+        self.activity.planned(-signed(self.planned));
     }
 }
 

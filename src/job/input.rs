@@ -36,25 +36,25 @@ pub struct JobBounds {
 
 /// Why a job was not done.
 #[derive(Debug)]
-pub(crate) enum Trouble {
+pub(crate) enum WorkError {
     /// It cannot be done, for this reason.
     Failure(Failure),
     /// It was stopped, or the engine failed.
     Job(JobError),
 }
 
-impl<E: Into<JobError>> From<E> for Trouble {
+impl<E: Into<JobError>> From<E> for WorkError {
     fn from(error: E) -> Self {
         Self::Job(error.into())
     }
 }
 
 /// A failure of this kind.
-pub(crate) fn failure(kind: FailureKind, message: impl Into<String>) -> Trouble {
-    Trouble::Failure(Failure { kind, message: message.into() })
+pub(crate) fn failure(kind: FailureKind, message: impl Into<String>) -> WorkError {
+    WorkError::Failure(Failure { kind, message: message.into() })
 }
 
-fn bad(field: &str, problem: impl std::fmt::Display) -> Trouble {
+fn bad(field: &str, problem: impl std::fmt::Display) -> WorkError {
     failure(FailureKind::BadInput, format!("{field}: {problem}"))
 }
 
@@ -73,11 +73,11 @@ pub(crate) trait ReadBlob {
     fn size_bytes(&self, digest: Digest) -> Result<u64, BlobError>;
 }
 
-fn read(blobs: &dyn ReadBlob, field: &str, digest: Digest) -> Result<Vec<u8>, Trouble> {
+fn read(blobs: &dyn ReadBlob, field: &str, digest: Digest) -> Result<Vec<u8>, WorkError> {
     blobs.read(digest).map_err(|error| unread(field, &error))
 }
 
-fn unread(field: &str, error: &BlobError) -> Trouble {
+fn unread(field: &str, error: &BlobError) -> WorkError {
     let kind = match error {
         BlobError::NotFound { .. } | BlobError::Damaged { .. } => FailureKind::MissingInput,
         _ => FailureKind::Unavailable,
@@ -92,7 +92,7 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     /// The bytes of an array, as many as its count says.
-    fn bytes(&self, field: &str, array: &ArrayRef, numbers: u64) -> Result<Vec<u8>, Trouble> {
+    fn bytes(&self, field: &str, array: &ArrayRef, numbers: u64) -> Result<Vec<u8>, WorkError> {
         let each = match array.form {
             ArrayForm::F64 => 8,
             ArrayForm::F32 | ArrayForm::U32 => 4,
@@ -108,12 +108,12 @@ impl Reader<'_> {
         }
     }
 
-    fn text(&self, field: &str, array: &ArrayRef) -> Result<String, Trouble> {
+    fn text(&self, field: &str, array: &ArrayRef) -> Result<String, WorkError> {
         let bytes = self.bytes(field, array, 1)?;
         String::from_utf8(bytes).map_err(|_| bad(field, "is no text in UTF-8"))
     }
 
-    fn numbers(&self, field: &str, array: &ArrayRef, each: u64) -> Result<Vec<f64>, Trouble> {
+    fn numbers(&self, field: &str, array: &ArrayRef, each: u64) -> Result<Vec<f64>, WorkError> {
         let bytes = self.bytes(field, array, each)?;
         Ok(match array.form {
             ArrayForm::F32 => bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
@@ -122,7 +122,7 @@ impl Reader<'_> {
         })
     }
 
-    fn points(&self, field: &str, array: &ArrayRef) -> Result<Vec<DVec3>, Trouble> {
+    fn points(&self, field: &str, array: &ArrayRef) -> Result<Vec<DVec3>, WorkError> {
         if array.form == ArrayForm::Text {
             return points(&self.text(field, array)?).map_err(|error| bad(field, error));
         }
@@ -130,13 +130,13 @@ impl Reader<'_> {
         Ok(numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect())
     }
 
-    fn triples(&self, field: &str, array: &ArrayRef) -> Result<Vec<[u32; 3]>, Trouble> {
+    fn triples(&self, field: &str, array: &ArrayRef) -> Result<Vec<[u32; 3]>, WorkError> {
         let bytes = self.bytes(field, array, 3)?;
         let indices = bytes.as_chunks::<4>().0.as_chunks::<3>().0;
         Ok(indices.iter().map(|triple| triple.map(u32::from_le_bytes)).collect())
     }
 
-    fn edges(&self, field: &str, array: &ArrayRef, vertices: &FileVertices) -> Result<Vec<[u32; 2]>, Trouble> {
+    fn edges(&self, field: &str, array: &ArrayRef, vertices: &FileVertices) -> Result<Vec<[u32; 2]>, WorkError> {
         if array.form == ArrayForm::Text {
             return vertices.edges(&self.text(field, array)?).map_err(|error| bad(field, error));
         }
@@ -145,7 +145,7 @@ impl Reader<'_> {
         Ok(indices.iter().map(|pair| pair.map(u32::from_le_bytes)).collect())
     }
 
-    fn density(&self, field: &str, spec: &DensitySpec, vertices: &FileVertices) -> Result<DensitySource, Trouble> {
+    fn density(&self, field: &str, spec: &DensitySpec, vertices: &FileVertices) -> Result<DensitySource, WorkError> {
         let at = |name: &str| format!("{field}.{name}");
         Ok(match (spec.kind(), &spec.edge_lengths, &spec.weights) {
             (DensityKind::EdgeLengths, Some(array), _) => {
@@ -165,7 +165,7 @@ impl Reader<'_> {
         })
     }
 
-    fn seeds(&self, field: &str, source: &SeedSource, bounds: &JobBounds) -> Result<Seeds, Trouble> {
+    fn seeds(&self, field: &str, source: &SeedSource, bounds: &JobBounds) -> Result<Seeds, WorkError> {
         let seeds = match source {
             SeedSource::Given(array) => Seeds::Given(self.points(&format!("{field}.given"), array)?),
             &SeedSource::Sampled { points, random_seed } => {
@@ -184,7 +184,7 @@ impl Reader<'_> {
         }
     }
 
-    fn attributes(&self, mesh: &TriMesh, arrays: &[AttributeRef]) -> Result<Option<Attributes>, Trouble> {
+    fn attributes(&self, mesh: &TriMesh, arrays: &[AttributeRef]) -> Result<Option<Attributes>, WorkError> {
         if arrays.is_empty() {
             return Ok(None);
         }
@@ -225,7 +225,7 @@ struct Surface {
 }
 
 /// Reads the surface.
-fn surface(reader: &Reader<'_>, spec: &JobSpec, bounds: &JobBounds, token: &Token) -> Result<Surface, Trouble> {
+fn surface(reader: &Reader<'_>, spec: &JobSpec, bounds: &JobBounds, token: &Token) -> Result<Surface, WorkError> {
     let carries = matches!(spec.work, WorkSpec::Remesh(_));
     let surface = match &spec.mesh {
         MeshSource::File { blob, format, attributes } => {
@@ -279,7 +279,12 @@ fn names_vertices(work: &WorkSpec) -> bool {
 ///
 /// # Errors
 /// A failure that names the field, or why it was stopped.
-pub(crate) fn load(spec: &JobSpec, blobs: &dyn ReadBlob, bounds: &JobBounds, token: &Token) -> Result<Input, Trouble> {
+pub(crate) fn load(
+    spec: &JobSpec,
+    blobs: &dyn ReadBlob,
+    bounds: &JobBounds,
+    token: &Token,
+) -> Result<Input, WorkError> {
     token.enter("read");
     let reader = Reader { blobs };
     let Surface { mesh, vertices, .. } = surface(&reader, spec, bounds, token)?;
@@ -310,7 +315,7 @@ pub(crate) fn load_remesh(
     blobs: &dyn ReadBlob,
     bounds: &JobBounds,
     token: &Token,
-) -> Result<(TriMesh, RemeshOptions), Trouble> {
+) -> Result<(TriMesh, RemeshOptions), WorkError> {
     token.enter("read");
     let reader = Reader { blobs };
     let Surface { mesh, attributes, vertices } = surface(&reader, spec, bounds, token)?;

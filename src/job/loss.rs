@@ -1,6 +1,6 @@
 //! What becomes of a device that was lost.
 //!
-//! Purpose: [`LossPolicy`] says what an engine does whose device does not come back, and [`Absence`] for how long it has been
+//! Purpose: [`LossPolicy`] says what an engine does whose device does not come back, and [`Outage`] for how long it has been
 //! away. Invariant: work that was promised to a device never goes to the CPU unless the policy says so. Must not know:
 //! threads, what a device is.
 
@@ -23,9 +23,9 @@ pub enum LossPolicy {
 
 /// Since when there is no device.
 #[derive(Debug, Default)]
-pub(super) struct Absence(Option<Instant>);
+pub(super) struct Outage(Option<Instant>);
 
-impl Absence {
+impl Outage {
     /// It could not be had.
     pub(super) fn begin(&mut self) {
         self.0.get_or_insert_with(Instant::now);
@@ -60,13 +60,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_absence_is_counted_from_its_first_moment() {
-        let mut absence = Absence::default();
-        assert!(!absence.has_lasted(Duration::ZERO));
-        absence.begin();
-        absence.begin();
-        assert!(absence.has_lasted(Duration::ZERO) && !absence.has_lasted(Duration::from_secs(3600)));
-        absence.end();
-        assert!(!absence.has_lasted(Duration::ZERO));
+    fn an_outage_is_counted_from_its_first_moment() {
+        let mut outage = Outage::default();
+        assert!(!outage.has_lasted(Duration::ZERO));
+        outage.begin();
+        outage.begin();
+        assert!(outage.has_lasted(Duration::ZERO) && !outage.has_lasted(Duration::from_secs(3600)));
+        outage.end();
+        assert!(!outage.has_lasted(Duration::ZERO));
     }
 }

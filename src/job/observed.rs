@@ -1,23 +1,23 @@
-//! A CPU backend whose passes are told.
+//! A CPU backend whose passes are counted and traced.
 //!
-//! Purpose: [`Observed`] hands everything on to the backend inside; its sessions tell when a pass began and ended.
+//! Purpose: [`Observed`] hands everything on to the backend inside; its sessions report when a pass began and ended.
 //! Invariant: what is observed does what the inner backend does, with the same bits. Must not know: who counts.
 
 use std::sync::Arc;
 
 use super::gate::GatedSession;
-use super::observer::Told;
+use super::observer::Activity;
 use crate::rvd::{Backend, BackendKind, DeviceFacts, RvdError, Session, SessionOptions, Surface};
 
 /// See the module's head.
 pub(crate) struct Observed {
     pub(crate) inner: Arc<dyn Backend>,
-    pub(crate) told: Arc<Told>,
+    pub(crate) activity: Arc<Activity>,
 }
 
 impl Observed {
     fn session_of(&self, session: Box<dyn Session>) -> Box<dyn Session> {
-        Box::new(GatedSession::new(session, None, self.inner.kind(), Arc::clone(&self.told)))
+        Box::new(GatedSession::new(session, None, self.inner.kind(), Arc::clone(&self.activity)))
     }
 }
 

@@ -1,7 +1,7 @@
-//! What is told of work while it waits and runs.
+//! Metrics and traces of work while it waits and runs.
 //!
-//! Purpose: [`Observer`] is who counts. [`Waiting`] and [`Told`] are a piece of work as it is told: they count it from the moment
-//! it is queued to its end, and open its spans (`queue`, `job`, `stage`, `pass`) in the trace of who asked for it.
+//! Purpose: [`Observer`] receives what is counted. [`QueuedActivity`] and [`Activity`] accompany a piece of work: they count it
+//! from the moment it is queued to its end, and open its spans (`queue`, `job`, `stage`, `pass`) in the trace of its caller.
 //! Invariant: every piece that is counted in is counted out, whatever ends it. What counts never waits and never fails.
 //! Must not know: how counts are kept, where spans go, what a job does.
 
@@ -18,9 +18,9 @@ use crate::rvd::BackendKind;
 use crate::token::StageListener;
 use crate::trace::{self, TraceContext};
 
-/// Where counted work stands.
+/// The phase of work that is counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Standing {
+pub(crate) enum Phase {
     /// In the queue.
     Waiting,
     /// At work.
@@ -29,15 +29,15 @@ pub(crate) enum Standing {
 
 /// How a job ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Ended {
+pub(crate) enum JobOutcome {
     /// It has a result.
-    Done,
+    Succeeded,
     /// It has none.
     Failed,
     /// Nobody wants the result any more.
     Cancelled,
-    /// The server ends first, and the next one begins it anew.
-    PutBack,
+    /// The server ends first. The job is queued again, for the next start.
+    Released,
 }
 
 /// Where a job comes from and how large it is, for who counts.
@@ -66,11 +66,11 @@ impl Origin {
 /// Who counts. Every method is called from whatever thread is at work, and returns at once.
 pub(crate) trait Observer: Send + Sync {
     /// A job came, went on, or left.
-    fn moved(&self, _kind: Kind, _from: Option<Standing>, _to: Option<Standing>) {}
+    fn moved(&self, _kind: Kind, _from: Option<Phase>, _to: Option<Phase>) {}
     /// A job began after it waited for so long.
     fn began(&self, _kind: Kind, _waited: Duration) {}
     /// A job ended.
-    fn ended(&self, _origin: &Origin, _how: Ended) {}
+    fn ended(&self, _origin: &Origin, _how: JobOutcome) {}
     /// A stage of a job ended.
     fn stage(&self, _stage: &'static str, _backend: BackendKind, _took: Duration) {}
     /// Steps of seeds were taken.
@@ -90,24 +90,24 @@ impl Observer for () {}
 struct Counted {
     observer: Arc<dyn Observer>,
     kind: Kind,
-    standing: Standing,
+    phase: Phase,
 }
 
 impl Counted {
-    fn go_on(&mut self, to: Standing) {
-        self.observer.moved(self.kind, Some(self.standing), Some(to));
-        self.standing = to;
+    fn go_on(&mut self, to: Phase) {
+        self.observer.moved(self.kind, Some(self.phase), Some(to));
+        self.phase = to;
     }
 }
 
 impl Drop for Counted {
     fn drop(&mut self) {
-        self.observer.moved(self.kind, Some(self.standing), None);
+        self.observer.moved(self.kind, Some(self.phase), None);
     }
 }
 
 /// A piece of work that waits. One without an origin goes on with what another began, and is not counted.
-pub(crate) struct Waiting {
+pub(crate) struct QueuedActivity {
     observer: Arc<dyn Observer>,
     origin: Option<Origin>,
     counted: Option<Counted>,
@@ -116,13 +116,13 @@ pub(crate) struct Waiting {
     _span: Span,
 }
 
-impl Waiting {
+impl QueuedActivity {
     /// It is queued, for the trace of the current task.
     pub(crate) fn new(observer: &Arc<dyn Observer>, origin: Option<Origin>) -> Self {
         let counted = origin.map(|Origin { kind, .. }| {
-            let standing = Standing::Waiting;
-            observer.moved(kind, None, Some(standing));
-            Counted { observer: Arc::clone(observer), kind, standing }
+            let phase = Phase::Waiting;
+            observer.moved(kind, None, Some(phase));
+            Counted { observer: Arc::clone(observer), kind, phase }
         });
         let (trace, span) = match (trace::here(), &origin) {
             // A session's next command, or the server's own work.
@@ -143,13 +143,13 @@ impl Waiting {
     }
 
     /// Its turn has come.
-    pub(crate) fn begin(self) -> Arc<Told> {
+    pub(crate) fn begin(self) -> Arc<Activity> {
         let Self { observer, origin, mut counted, trace, since, _span: queued } = self;
         drop(queued);
         if let Some(Origin { kind, .. }) = origin {
             observer.began(kind, since.elapsed());
         }
-        counted.iter_mut().for_each(|counted| counted.go_on(Standing::Running));
+        counted.iter_mut().for_each(|counted| counted.go_on(Phase::Running));
         let span = match &origin {
             Some(Origin { kind, backend, job: Some(job), .. }) => {
                 let (kind, backend) = (kind.name(), backend.name());
@@ -166,17 +166,17 @@ impl Waiting {
             trace::join(&span, trace);
         }
         let now = Mutex::new(Now { span, stage: None, counted });
-        Arc::new(Told { observer, origin, now, said: OnceLock::new() })
+        Arc::new(Activity { observer, origin, now, outcome: OnceLock::new() })
     }
 }
 
 /// A piece of work that is being done.
-pub(crate) struct Told {
+pub(crate) struct Activity {
     observer: Arc<dyn Observer>,
     origin: Option<Origin>,
     now: Mutex<Now>,
-    /// What its work says of its end, where that is not told by an error.
-    said: OnceLock<Ended>,
+    /// How it ended, where its work says so and not an error.
+    outcome: OnceLock<JobOutcome>,
 }
 
 struct Now {
@@ -192,13 +192,13 @@ struct Stage {
     span: Span,
 }
 
-impl fmt::Debug for Told {
+impl fmt::Debug for Activity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Told").field("origin", &self.origin).finish_non_exhaustive()
+        f.debug_struct("Activity").field("origin", &self.origin).finish_non_exhaustive()
     }
 }
 
-impl Told {
+impl Activity {
     fn now(&self) -> MutexGuard<'_, Now> {
         self.now.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -229,12 +229,12 @@ impl Told {
                 parent => debug_span!(parent: parent, "pass", pass, backend = backend.name()),
             }
         };
-        Pass { told: self, backend, since: Instant::now(), _span: span }
+        Pass { activity: self, backend, since: Instant::now(), _span: span }
     }
 
     /// How the job ended, though its work ends well.
-    pub(crate) fn ends(&self, how: Ended) {
-        let _ = self.said.set(how);
+    pub(crate) fn set_outcome(&self, outcome: JobOutcome) {
+        let _ = self.outcome.set(outcome);
     }
 
     /// The piece has ended, and is out of the count before anybody hears of its result.
@@ -244,13 +244,13 @@ impl Told {
         now.span = Span::none();
         let Some(counted) = now.counted.take() else { return };
         drop(now);
-        let how = match error {
-            Some(error) if error.is_cancelled() => Ended::Cancelled,
-            Some(_) => Ended::Failed,
-            None => self.said.get().copied().unwrap_or(Ended::Done),
+        let outcome = match error {
+            Some(error) if error.is_cancelled() => JobOutcome::Cancelled,
+            Some(_) => JobOutcome::Failed,
+            None => self.outcome.get().copied().unwrap_or(JobOutcome::Succeeded),
         };
         drop(counted);
-        self.origin.iter().for_each(|origin| self.observer.ended(origin, how));
+        self.origin.iter().for_each(|origin| self.observer.ended(origin, outcome));
     }
 
     fn end_stage(&self, now: &mut Now) {
@@ -260,7 +260,7 @@ impl Told {
     }
 }
 
-impl StageListener for Told {
+impl StageListener for Activity {
     fn entered(&self, name: &'static str) {
         let mut now = self.now();
         if now.stage.as_ref().is_some_and(|stage| stage.name == name) {
@@ -277,7 +277,7 @@ impl StageListener for Told {
 
 /// A pass under way.
 pub(super) struct Pass<'a> {
-    told: &'a Told,
+    activity: &'a Activity,
     backend: BackendKind,
     since: Instant,
     _span: Span,
@@ -285,7 +285,7 @@ pub(super) struct Pass<'a> {
 
 impl Drop for Pass<'_> {
     fn drop(&mut self) {
-        self.told.observer.passed(self.backend, self.since.elapsed());
+        self.activity.observer.passed(self.backend, self.since.elapsed());
     }
 }
 
@@ -293,7 +293,7 @@ impl Drop for Pass<'_> {
 mod tests {
     use super::*;
 
-    /// Writes down what it is told.
+    /// Writes down what is counted.
     #[derive(Default)]
     struct Notes(Mutex<Vec<String>>);
 
@@ -304,11 +304,11 @@ mod tests {
     }
 
     impl Observer for Notes {
-        fn moved(&self, kind: Kind, from: Option<Standing>, to: Option<Standing>) {
+        fn moved(&self, kind: Kind, from: Option<Phase>, to: Option<Phase>) {
             self.add(format!("{} {from:?} {to:?}", kind.name()));
         }
-        fn ended(&self, origin: &Origin, how: Ended) {
-            self.add(format!("{how:?} {} facets", origin.facets));
+        fn ended(&self, origin: &Origin, outcome: JobOutcome) {
+            self.add(format!("{outcome:?} {} facets", origin.facets));
         }
         fn stage(&self, stage: &'static str, backend: BackendKind, _: Duration) {
             self.add(format!("{stage} {}", backend.name()));
@@ -319,22 +319,22 @@ mod tests {
         Origin { kind: Kind::Remesh, backend: BackendKind::Serial, job: None, facets: 8, seeds: 6 }
     }
 
-    fn told_of(work: impl FnOnce(&Arc<dyn Observer>)) -> Vec<String> {
+    fn notes_of(work: impl FnOnce(&Arc<dyn Observer>)) -> Vec<String> {
         let notes = Arc::new(Notes::default());
         let observer: Arc<dyn Observer> = notes.clone();
         work(&observer);
-        let mut told = notes.0.lock().unwrap();
-        std::mem::take(&mut *told)
+        let mut all = notes.0.lock().unwrap();
+        std::mem::take(&mut *all)
     }
 
     #[test]
     fn a_job_is_counted_in_and_out() {
-        let told = told_of(|observer| {
-            let told = Waiting::new(observer, Some(origin())).begin();
-            told.entered("prepare");
-            told.entered("prepare");
-            told.entered("iterations");
-            told.end(None);
+        let notes = notes_of(|observer| {
+            let activity = QueuedActivity::new(observer, Some(origin())).begin();
+            activity.entered("prepare");
+            activity.entered("prepare");
+            activity.entered("iterations");
+            activity.end(None);
         });
         let expected = [
             "remesh None Some(Waiting)",
@@ -342,41 +342,41 @@ mod tests {
             "prepare serial",
             "iterations serial",
             "remesh Some(Running) None",
-            "Done 8 facets",
+            "Succeeded 8 facets",
         ];
-        assert_eq!(told, expected);
+        assert_eq!(notes, expected);
     }
 
     #[test]
     fn who_leaves_the_queue_is_counted_out() {
-        let told = told_of(|observer| drop(Waiting::new(observer, Some(origin()))));
-        assert_eq!(told, ["remesh None Some(Waiting)", "remesh Some(Waiting) None"]);
-        let told = told_of(|observer| drop(Waiting::new(observer, Some(origin())).begin()));
-        assert_eq!(told.last().unwrap(), "remesh Some(Running) None", "work that panics where nobody catches it");
+        let notes = notes_of(|observer| drop(QueuedActivity::new(observer, Some(origin()))));
+        assert_eq!(notes, ["remesh None Some(Waiting)", "remesh Some(Waiting) None"]);
+        let notes = notes_of(|observer| drop(QueuedActivity::new(observer, Some(origin())).begin()));
+        assert_eq!(notes.last().unwrap(), "remesh Some(Running) None", "work that panics where nobody catches it");
     }
 
     #[test]
-    fn an_end_is_told_once_and_as_it_was() {
+    fn an_end_is_counted_once_and_as_it_was() {
         use crate::token::Stopped;
-        let told = told_of(|observer| {
-            let told = Waiting::new(observer, Some(origin())).begin();
-            told.ends(Ended::Failed);
-            told.end(None);
-            told.end(None);
-            Waiting::new(observer, Some(origin())).begin().end(Some(&Stopped::Cancelled.into()));
-            Waiting::new(observer, Some(origin())).begin().end(Some(&JobError::Draining));
+        let notes = notes_of(|observer| {
+            let activity = QueuedActivity::new(observer, Some(origin())).begin();
+            activity.set_outcome(JobOutcome::Failed);
+            activity.end(None);
+            activity.end(None);
+            QueuedActivity::new(observer, Some(origin())).begin().end(Some(&Stopped::Cancelled.into()));
+            QueuedActivity::new(observer, Some(origin())).begin().end(Some(&JobError::Draining));
         });
-        let ends: Vec<_> = told.iter().filter(|line| line.ends_with("facets")).collect();
+        let ends: Vec<_> = notes.iter().filter(|line| line.ends_with("facets")).collect();
         assert_eq!(ends, ["Failed 8 facets", "Cancelled 8 facets", "Failed 8 facets"]);
     }
 
     #[test]
     fn what_goes_on_is_not_counted() {
-        let told = told_of(|observer| {
-            let told = Waiting::new(observer, None).begin();
-            told.entered("iterations");
-            told.end(None);
+        let notes = notes_of(|observer| {
+            let activity = QueuedActivity::new(observer, None).begin();
+            activity.entered("iterations");
+            activity.end(None);
         });
-        assert!(told.is_empty(), "{told:?}");
+        assert!(notes.is_empty(), "{notes:?}");
     }
 }

@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use super::diagram::Diagram;
 use super::event::Progress;
-use super::input::{JobBounds, ReadBlob, Trouble, failure, load, load_remesh};
+use super::input::{JobBounds, ReadBlob, WorkError, failure, load, load_remesh};
 use super::record::{
     CvtCommand, CvtWork, FailureKind, JobSpec, MeshFormat, RemeshWork, ResultFormat, RvdOutput, RvdWork, SeedChange,
     SendSeeds, StepKindName, WorkSpec,
@@ -31,27 +31,27 @@ use crate::token::Token;
 /// What a job gives: bytes, each part under its name.
 pub(crate) type Parts = Vec<(String, Bytes)>;
 
-/// What a job sees of the world.
-pub(crate) struct Surroundings<'a> {
+/// What a job works with.
+pub(crate) struct JobContext<'a> {
     pub(crate) backends: &'a Backends,
     pub(crate) blobs: &'a dyn ReadBlob,
     pub(crate) bounds: &'a JobBounds,
     pub(crate) token: &'a Token,
-    /// Hears of stages and steps.
-    pub(crate) tell: &'a mut (dyn FnMut(Progress) + Send),
+    /// Receives stages and steps.
+    pub(crate) report: &'a mut (dyn FnMut(Progress) + Send),
 }
 
 /// Does the work.
 ///
 /// # Errors
 /// Why it cannot be done, or was stopped.
-pub(crate) fn perform(spec: &JobSpec, around: &mut Surroundings<'_>) -> Result<Parts, Trouble> {
-    around.token.check()?;
-    stage(around, "read");
+pub(crate) fn perform(spec: &JobSpec, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+    context.token.check()?;
+    stage(context, "read");
     match &spec.work {
-        WorkSpec::Remesh(work) => of_remesh(spec, work, around),
-        WorkSpec::Rvd(work) => of_rvd(spec, work, around),
-        WorkSpec::Cvt(work) => of_cvt(spec, work, around),
+        WorkSpec::Remesh(work) => of_remesh(spec, work, context),
+        WorkSpec::Rvd(work) => of_rvd(spec, work, context),
+        WorkSpec::Cvt(work) => of_cvt(spec, work, context),
     }
 }
 
@@ -79,8 +79,8 @@ impl From<MeshFormat> for Format {
     }
 }
 
-fn stage(around: &mut Surroundings<'_>, name: &str) {
-    (around.tell)(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
+fn stage(context: &mut JobContext<'_>, name: &str) {
+    (context.report)(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
 }
 
 fn iteration(it: &Iteration, total: usize) -> Progress {
@@ -94,9 +94,9 @@ fn iteration(it: &Iteration, total: usize) -> Progress {
     }
 }
 
-struct Teller<'a>(&'a mut (dyn FnMut(Progress) + Send));
+struct ProgressReporter<'a>(&'a mut (dyn FnMut(Progress) + Send));
 
-impl Observer for Teller<'_> {
+impl Observer for ProgressReporter<'_> {
     fn stage(&mut self, name: &'static str) {
         self.0(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
     }
@@ -106,13 +106,13 @@ impl Observer for Teller<'_> {
     }
 }
 
-fn of_remesh(spec: &JobSpec, work: &RemeshWork, around: &mut Surroundings<'_>) -> Result<Parts, Trouble> {
-    let (mesh, options) = load_remesh(spec, work, around.blobs, around.bounds, around.token)?;
-    let backend = Arc::clone(around.backends.choose(spec.choice())?);
-    let done = remesh(&mesh, &options, backend.as_ref(), &mut Teller(&mut *around.tell), around.token)?;
+fn of_remesh(spec: &JobSpec, work: &RemeshWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+    let (mesh, options) = load_remesh(spec, work, context.blobs, context.bounds, context.token)?;
+    let backend = Arc::clone(context.backends.choose(spec.choice())?);
+    let done = remesh(&mesh, &options, backend.as_ref(), &mut ProgressReporter(&mut *context.report), context.token)?;
     drop((mesh, options));
-    stage(around, "write");
-    around.token.enter("write");
+    stage(context, "write");
+    context.token.enter("write");
     let mut parts = match spec.result.unwrap_or(ResultFormat::File(MeshFormat::Ply)) {
         ResultFormat::File(format) => vec![("mesh".to_owned(), file(format.into(), &done)?)],
         ResultFormat::Arrays => arrays(&done),
@@ -127,7 +127,7 @@ fn json_bytes(report: &impl serde::Serialize) -> Bytes {
     bytes.into()
 }
 
-fn file(format: Format, done: &Remesh) -> Result<Bytes, Trouble> {
+fn file(format: Format, done: &Remesh) -> Result<Bytes, WorkError> {
     let encoded = match &done.attributes {
         Some(attributes) => io::encode_with_attributes(format, &done.mesh, attributes).map(|(bytes, _)| bytes),
         None => io::encode(format, &done.mesh),
@@ -194,30 +194,30 @@ fn carried(attributes: &Attributes, parts: &mut Parts) {
 }
 
 /// What cannot be written to memory; it always can.
-fn unwritten(error: std::io::Error) -> Trouble {
+fn unwritten(error: std::io::Error) -> WorkError {
     failure(FailureKind::BadInput, format!("the pieces cannot be written: {error}"))
 }
 
-fn of_rvd(spec: &JobSpec, work: &RvdWork, around: &mut Surroundings<'_>) -> Result<Parts, Trouble> {
-    let input = load(spec, around.blobs, around.bounds, around.token)?;
-    let backend = Arc::clone(around.backends.choose(spec.choice())?);
-    stage(around, "prepare");
-    let prepared = Prepared::new(input, around.token)?;
-    stage(around, "diagram");
+fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+    let input = load(spec, context.blobs, context.bounds, context.token)?;
+    let backend = Arc::clone(context.backends.choose(spec.choice())?);
+    stage(context, "prepare");
+    let prepared = Prepared::new(input, context.token)?;
+    stage(context, "diagram");
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;
     let has = |output| work.outputs.contains(&output);
     let mut parts = Parts::new();
     if has(RvdOutput::Cells) || work.outputs.is_empty() {
         let mut cells = CellWriter::new(Cursor::new(Vec::new()), Cursor::new(Vec::new())).map_err(unwritten)?;
-        while let Some(batch) = diagram.batch(backend.as_ref(), around.token)? {
+        while let Some(batch) = diagram.batch(backend.as_ref(), context.token)? {
             cells.append(&batch).map_err(unwritten)?;
             let (done, total) = diagram.progress();
-            (around.tell)(Progress::Stage { name: "diagram".to_owned(), done, total });
+            (context.report)(Progress::Stage { name: "diagram".to_owned(), done, total });
         }
         parts.push(("cells".to_owned(), cells.finish().map_err(unwritten)?.into_inner().into()));
     }
     if has(RvdOutput::Centroids) || has(RvdOutput::Sums) {
-        let sums = diagram.sums(backend.as_ref(), around.token)?;
+        let sums = diagram.sums(backend.as_ref(), context.token)?;
         if has(RvdOutput::Centroids) {
             parts.push(("centroids".to_owned(), points(&sums.centroids)));
         }
@@ -235,35 +235,35 @@ fn of_rvd(spec: &JobSpec, work: &RvdWork, around: &mut Surroundings<'_>) -> Resu
     Ok(parts)
 }
 
-fn of_cvt(spec: &JobSpec, work: &CvtWork, around: &mut Surroundings<'_>) -> Result<Parts, Trouble> {
-    let input = load(spec, around.blobs, around.bounds, around.token)?;
-    let backend = Arc::clone(around.backends.choose(spec.choice())?);
+fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+    let input = load(spec, context.blobs, context.bounds, context.token)?;
+    let backend = Arc::clone(context.backends.choose(spec.choice())?);
     let total: u64 = work.commands.iter().map(steps_of).sum();
-    if total > u64::from(around.bounds.max_iterations) {
-        let most = around.bounds.max_iterations;
+    if total > u64::from(context.bounds.max_iterations) {
+        let most = context.bounds.max_iterations;
         return Err(failure(
             FailureKind::BadInput,
             format!("work.cvt.commands: {total} steps; this server takes {most}"),
         ));
     }
-    stage(around, "prepare");
-    let prepared = Prepared::for_steps(input, around.token)?;
+    stage(context, "prepare");
+    let prepared = Prepared::for_steps(input, context.token)?;
     let mut options = CvtOptions::new();
     options.max_seeds = work.max_seeds.map_or(0, |most| usize::try_from(most).unwrap_or(usize::MAX));
     options.projection = work.projection.map_or(options.projection, super::record::ProjectionRule::projection);
     let mut cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;
-    stage(around, "iterations");
+    stage(context, "iterations");
     let (mut parts, mut iterations) = (Parts::new(), Vec::new());
     for command in &work.commands {
         match command {
             CvtCommand::Step { iterations: count, kind, seeds } => {
                 for step in 1..=*count {
-                    around.token.check()?;
+                    context.token.check()?;
                     let it = match kind.unwrap_or(StepKindName::Lloyd) {
-                        StepKindName::Lloyd => cvt.lloyd(around.token)?,
-                        StepKindName::Lbfgs => cvt.lbfgs(around.token)?,
+                        StepKindName::Lloyd => cvt.lloyd(context.token)?,
+                        StepKindName::Lbfgs => cvt.lbfgs(context.token)?,
                     };
-                    (around.tell)(iteration(&it, total as usize));
+                    (context.report)(iteration(&it, total as usize));
                     iterations.push(it);
                     let wanted = match seeds.unwrap_or(SendSeeds::Never) {
                         SendSeeds::Never => false,
@@ -316,7 +316,7 @@ fn edit(change: &SeedChange) -> SeedEdit {
 /// The most sets of seeds that a session's job keeps.
 const MOST_SEEDS: usize = 1000;
 
-fn keep(cvt: &mut Cvt, parts: &mut Parts) -> Result<(), Trouble> {
+fn keep(cvt: &mut Cvt, parts: &mut Parts) -> Result<(), WorkError> {
     if parts.len() >= MOST_SEEDS {
         let text = format!("work.cvt.commands: more than {MOST_SEEDS} sets of seeds are asked for; ask for fewer");
         return Err(failure(FailureKind::BadInput, text));

@@ -1,6 +1,6 @@
 //! Threads for jobs.
 //!
-//! Purpose: [`Pools`] lends a CPU backend with threads of its own to each job at work, and takes it back.
+//! Purpose: [`Pools`] leases a CPU backend with threads of its own to each job at work.
 //! Invariant: no two jobs share a pool. In a shared one a thread that waits within one job may begin another whole job, and
 //! the first then waits for the second. Results do not depend on the number of threads.
 //! Must not know: jobs, the queue.
@@ -8,12 +8,12 @@
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{Backends, MakePool};
+use super::{Backends, PoolFactory};
 use crate::rvd::Backend;
 
 /// See the module's head.
 pub(crate) struct Pools {
-    make: Option<MakePool>,
+    make: Option<PoolFactory>,
     /// Used where no other can be had.
     base: Arc<dyn Backend>,
     /// Threads of a job that is alone, and of one among others.
@@ -36,7 +36,7 @@ impl Pools {
     }
 
     /// Threads for a job: all that the processor has if it is alone, else its share.
-    pub(crate) fn take(&self, is_alone: bool) -> Lent<'_> {
+    pub(crate) fn take(&self, is_alone: bool) -> PoolLease<'_> {
         let threads = if is_alone { self.all } else { self.share };
         let mut free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
         let found = free.iter().position(|(count, _)| *count == threads).map(|at| free.swap_remove(at).1);
@@ -50,18 +50,18 @@ impl Pools {
         };
         let own = found.or_else(made);
         let backend = own.as_ref().unwrap_or(&self.base).clone();
-        Lent { pools: self, backend, own: own.map(|own| (threads, own)) }
+        PoolLease { pools: self, backend, own: own.map(|own| (threads, own)) }
     }
 }
 
 /// Threads of one job, until this is dropped.
-pub(crate) struct Lent<'a> {
+pub(crate) struct PoolLease<'a> {
     pools: &'a Pools,
     backend: Arc<dyn Backend>,
     own: Option<(usize, Arc<dyn Backend>)>,
 }
 
-impl Deref for Lent<'_> {
+impl Deref for PoolLease<'_> {
     type Target = Arc<dyn Backend>;
 
     fn deref(&self) -> &Arc<dyn Backend> {
@@ -69,7 +69,7 @@ impl Deref for Lent<'_> {
     }
 }
 
-impl Drop for Lent<'_> {
+impl Drop for PoolLease<'_> {
     fn drop(&mut self) {
         self.pools.free.lock().unwrap_or_else(PoisonError::into_inner).extend(self.own.take());
     }

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 
-use super::{Engine, JobError, Place, Retry};
+use super::{Admission, Engine, JobError, Retry};
 use crate::mesh::TriMesh;
 use crate::rvd::{Backend, BackendChoice, CellSums, RvdError, SessionOptions, Surface};
 use crate::token::Token;
@@ -37,8 +37,8 @@ pub(crate) enum ProbeError {
 /// # Errors
 /// [`ProbeError`].
 pub(crate) async fn probe(engine: &Engine) -> Result<(), ProbeError> {
-    let mut pending = engine.submit(Place::Session, Retry::Never, |backends, turn| {
-        Ok(check(backends.choose(BackendChoice::Auto)?.as_ref(), &turn.token)?)
+    let mut pending = engine.submit(Admission::Session, Retry::Never, |backends, context| {
+        Ok(check(backends.choose(BackendChoice::Auto)?.as_ref(), &context.token)?)
     })?;
     match tokio::time::timeout(PROBE_TIME, pending.wait()).await {
         Ok(answer) => Ok(answer.map(drop)?),

@@ -3,28 +3,28 @@
 //! Purpose: a bounded queue between many callers and several workers, in two lanes. Jobs are taken by fair shares of their
 //! tenants ([`schedule`](super::schedule)); short pieces of admitted work (a session's next step, a diagram's next batch)
 //! have workers of their own and never wait for a whole job.
-//! Invariant: at most `limit` new jobs wait or have a place kept for them; what was admitted always gets in. A place is kept
-//! for [`KEPT`]: a slow upload does not keep others out. Closing refuses what is new and keeps what waits; nothing gets in
-//! once all workers have gone. Must not know: what the work is.
+//! Invariant: at most `limit` new jobs wait or hold a reservation; what was admitted always gets in. A reservation counts
+//! for [`RESERVATION_TTL`], so a slow upload does not keep others out. Closing refuses what is new and keeps what waits; nothing
+//! gets in once all workers have gone. Must not know: what the work is.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::JobError;
-use super::schedule::{Ask, Schedule, Slots};
+use super::schedule::{AdmissionRequest, Schedule, Slots};
 use crate::token::Token;
 
-/// How long a place is kept for a job that is still being uploaded. Later the job gets in as well, but others do too.
-const KEPT: Duration = Duration::from_secs(30);
+/// How long a reservation counts against the limit. A job that is uploaded later still gets in, but others do too.
+const RESERVATION_TTL: Duration = Duration::from_secs(30);
 
-/// Where a piece of work gets in.
+/// How a piece of work is admitted to the queue.
 #[derive(Clone, Debug)]
-pub enum Place {
+pub enum Admission {
     /// A new job: if there is room.
-    New(Ask),
-    /// A new job for which a place was kept, or that is kept elsewhere while it waits: always.
-    Kept(Ask),
+    New(AdmissionRequest),
+    /// A new job with a reservation, or a persistent one: always.
+    Reserved(AdmissionRequest),
     /// The next command of an admitted session: at the back of the short lane, always.
     Session,
     /// More of a job whose turn it was: at the front of the short lane, always.
@@ -49,7 +49,7 @@ pub(crate) trait Item: Send {
 }
 
 /// An item whose turn it is. Its number is to be given back to [`Queue::done`].
-pub(crate) struct Taken<T> {
+pub(crate) struct Dequeued<T> {
     pub(crate) item: T,
     pub(crate) number: u64,
     /// Whether its tenant has nothing else at work or waiting: it may have all threads.
@@ -59,7 +59,7 @@ pub(crate) struct Taken<T> {
 /// What [`Queue::pop`] found.
 pub(crate) enum Popped<T> {
     /// Work.
-    Item(Taken<T>),
+    Item(Dequeued<T>),
     /// No work within the time given.
     Nothing,
     /// No work, and none will come.
@@ -76,8 +76,8 @@ pub(crate) struct Queue<T> {
 struct State<T> {
     jobs: Schedule<Waiting<T>>,
     short: VecDeque<T>,
-    /// Since when places are kept, by ticket.
-    kept: BTreeMap<u64, Instant>,
+    /// When each reservation was made, by number.
+    reservations: BTreeMap<u64, Instant>,
     tickets: u64,
     running: HashMap<u64, Token>,
     closed: bool,
@@ -99,7 +99,7 @@ impl<T: Item> Queue<T> {
         let state = State {
             jobs: Schedule::new(slots),
             short: VecDeque::new(),
-            kept: BTreeMap::new(),
+            reservations: BTreeMap::new(),
             tickets: 0,
             running: HashMap::new(),
             closed: false,
@@ -109,51 +109,51 @@ impl<T: Item> Queue<T> {
         Self { state: Mutex::new(state), ready: Condvar::new(), limit }
     }
 
-    /// Keeps a place for a new job; gives the ticket to give back.
+    /// Reserves a place for a new job. The number is for [`Self::release`].
     ///
     /// # Errors
     /// `QueueFull`, `Draining`.
-    pub(crate) fn keep(&self) -> Result<u64, JobError> {
+    pub(crate) fn reserve(&self) -> Result<u64, JobError> {
         let mut state = self.lock();
         if state.closed {
             return Err(JobError::Draining);
         }
         state.make_room(self.limit)?;
         let ticket = state.number();
-        state.kept.insert(ticket, Instant::now());
+        state.reservations.insert(ticket, Instant::now());
         Ok(ticket)
     }
 
-    /// The place is needed no more.
-    pub(crate) fn give_back(&self, ticket: u64) {
-        self.lock().kept.remove(&ticket);
+    /// Ends a reservation.
+    pub(crate) fn release(&self, ticket: u64) {
+        self.lock().reservations.remove(&ticket);
     }
 
     /// Puts an item in and says how many are ahead of it, those at work included.
     ///
     /// # Errors
     /// `QueueFull`, `Draining` (for what is new, and for all once the workers have gone).
-    pub(crate) fn push(&self, place: Place, item: T) -> Result<usize, JobError> {
+    pub(crate) fn push(&self, admission: Admission, item: T) -> Result<usize, JobError> {
         let mut state = self.lock();
-        let is_new = matches!(place, Place::New(_) | Place::Kept(_));
+        let is_new = matches!(admission, Admission::New(_) | Admission::Reserved(_));
         if state.ended || (state.closed && is_new) {
             return Err(JobError::Draining);
         }
-        if matches!(place, Place::New(_)) {
+        if matches!(admission, Admission::New(_)) {
             state.make_room(self.limit)?;
         }
-        let position = match place {
-            Place::New(ask) | Place::Kept(ask) => {
+        let position = match admission {
+            Admission::New(request) | Admission::Reserved(request) => {
                 let ahead = state.jobs.running() + state.jobs.waiting();
-                let waiting = Waiting { item, counts: !ask.is_kept_elsewhere };
-                state.jobs.push(ask, waiting);
+                let waiting = Waiting { item, counts: !request.is_persistent };
+                state.jobs.push(request, waiting);
                 ahead
             }
-            Place::Session => {
+            Admission::Session => {
                 state.short.push_back(item);
                 state.short.len() - 1
             }
-            Place::Continuation => {
+            Admission::Continuation => {
                 state.short.push_front(item);
                 0
             }
@@ -255,7 +255,7 @@ impl<T: Item> State<T> {
     }
 
     /// Takes the next item of a lane. Those that nobody waits for any more go to `unwanted`.
-    fn take(&mut self, lane: Lane, unwanted: &mut Vec<T>) -> Option<Taken<T>> {
+    fn take(&mut self, lane: Lane, unwanted: &mut Vec<T>) -> Option<Dequeued<T>> {
         let number = self.number();
         let (item, is_alone) = match lane {
             Lane::Short => loop {
@@ -274,7 +274,7 @@ impl<T: Item> State<T> {
             }
         };
         self.running.insert(number, item.token().clone());
-        Some(Taken { item, number, is_alone })
+        Some(Dequeued { item, number, is_alone })
     }
 
     /// Whether a worker of this lane has nothing more to do.
@@ -290,7 +290,7 @@ impl<T: Item> State<T> {
     /// New jobs that wait, and places that are kept for others.
     fn new_jobs(&self) -> usize {
         let waiting = self.jobs.iter().filter(|waiting| waiting.counts).count();
-        waiting + self.kept.values().filter(|since| since.elapsed() < KEPT).count()
+        waiting + self.reservations.values().filter(|since| since.elapsed() < RESERVATION_TTL).count()
     }
 
     /// Sees to it that fewer than `limit` new jobs wait, or says that there is no room.
@@ -329,12 +329,12 @@ mod tests {
         Queue::new(limit, Slots { regular: 1, memory: Bytes::MAX })
     }
 
-    fn new() -> Place {
-        Place::New(Ask::default())
+    fn new() -> Admission {
+        Admission::New(AdmissionRequest::default())
     }
 
-    fn kept() -> Place {
-        Place::Kept(Ask::default())
+    fn reservations() -> Admission {
+        Admission::Reserved(AdmissionRequest::default())
     }
 
     fn pop(queue: &Queue<Ticket>, lane: Lane) -> Option<Ticket> {
@@ -358,36 +358,41 @@ mod tests {
         assert_eq!(queue.push(new(), ticket(1, false)).unwrap(), 1);
         assert_eq!(queue.push(new(), ticket(2, true)).unwrap(), 1, "the one who has gone makes room");
         assert!(matches!(queue.push(new(), ticket(3, true)), Err(JobError::QueueFull { waiting: 2, .. })));
-        queue.push(Place::Session, ticket(4, true)).unwrap();
-        queue.push(Place::Continuation, ticket(5, true)).unwrap();
+        queue.push(Admission::Session, ticket(4, true)).unwrap();
+        queue.push(Admission::Continuation, ticket(5, true)).unwrap();
         queue.close();
         assert!(matches!(queue.push(new(), ticket(6, true)), Err(JobError::Draining)));
         let order = |lane| -> Vec<u32> { std::iter::from_fn(|| pop(&queue, lane)).map(|t| t.0).collect() };
         assert_eq!(order(Lane::Jobs), [0, 2], "closing keeps what waits");
         assert_eq!(order(Lane::Short), [5, 4], "and what was admitted");
-        assert!(matches!(queue.push(Place::Session, ticket(7, true)), Err(JobError::Draining)), "nobody is left");
+        assert!(matches!(queue.push(Admission::Session, ticket(7, true)), Err(JobError::Draining)), "nobody is left");
     }
 
     #[test]
     fn a_place_is_kept_and_always_let_in() {
         let queue = queue(2);
-        let first = queue.keep().unwrap();
+        let first = queue.reserve().unwrap();
         queue.push(new(), ticket(0, true)).unwrap();
-        assert!(matches!(queue.keep(), Err(JobError::QueueFull { waiting: 2, .. })));
+        assert!(matches!(queue.reserve(), Err(JobError::QueueFull { waiting: 2, .. })));
         assert!(matches!(queue.push(new(), ticket(1, true)), Err(JobError::QueueFull { .. })));
-        queue.push(kept(), ticket(2, true)).unwrap();
-        queue.give_back(first);
-        assert!(matches!(queue.keep(), Err(JobError::QueueFull { waiting: 2, .. })));
+        queue.push(reservations(), ticket(2, true)).unwrap();
+        queue.release(first);
+        assert!(matches!(queue.reserve(), Err(JobError::QueueFull { waiting: 2, .. })));
         assert_eq!(pop(&queue, Lane::Jobs).map(|t| t.0), Some(0));
-        let slow = queue.keep().unwrap();
+        let slow = queue.reserve().unwrap();
         // An upload that takes its time keeps nobody out, and gets in all the same.
-        queue.lock().kept.insert(slow, Instant::now().checked_sub(KEPT).unwrap());
+        queue.lock().reservations.insert(slow, Instant::now().checked_sub(RESERVATION_TTL).unwrap());
         queue.push(new(), ticket(3, true)).unwrap();
-        queue.push(kept(), ticket(4, true)).unwrap();
+        queue.push(reservations(), ticket(4, true)).unwrap();
         // So does what is kept elsewhere while it waits, and it takes nobody's place.
-        queue.push(Place::Kept(Ask { is_kept_elsewhere: true, ..Ask::default() }), ticket(5, true)).unwrap();
+        queue
+            .push(
+                Admission::Reserved(AdmissionRequest { is_persistent: true, ..AdmissionRequest::default() }),
+                ticket(5, true),
+            )
+            .unwrap();
         queue.close();
-        assert!(matches!(queue.keep(), Err(JobError::Draining)));
+        assert!(matches!(queue.reserve(), Err(JobError::Draining)));
     }
 
     #[test]
@@ -396,7 +401,7 @@ mod tests {
         queue.push(new(), ticket(0, true)).unwrap();
         let Popped::Item(job) = queue.pop(Lane::Jobs, None) else { panic!("a job waits") };
         queue.push(new(), ticket(1, true)).unwrap();
-        queue.push(Place::Session, ticket(2, true)).unwrap();
+        queue.push(Admission::Session, ticket(2, true)).unwrap();
         assert!(pop(&queue, Lane::Jobs).is_none(), "there is one slot");
         assert_eq!(pop(&queue, Lane::Short).map(|t| t.0), Some(2));
         queue.close();

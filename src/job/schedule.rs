@@ -10,10 +10,10 @@
 //! - [`Slots::regular`] jobs are at work at once. One more may be, of a tenant that has none at work: a flood of one tenant's
 //!   jobs never has all slots.
 //! - Jobs at work together need no more memory than there is, of the host and of the device. A job that does not fit waits;
-//!   others may pass it for [`PASSED`], then nothing begins until it fits.
+//!   others may bypass it for [`BYPASS_LIMIT`], then nothing begins until it fits.
 //!
 //! Invariant: pure bookkeeping; a job is waiting, running or gone. A job that needs more than there is begins once it is
-//! alone. Must not know: threads, clocks but for [`PASSED`], what a job does.
+//! alone. Must not know: threads, clocks but for [`BYPASS_LIMIT`], what a job does.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap};
@@ -24,8 +24,8 @@ use super::bytes::Bytes;
 
 use super::observer::Origin;
 
-/// How long others may pass a job that does not fit.
-const PASSED: Duration = Duration::from_secs(10);
+/// How long others may bypass a job that does not fit.
+const BYPASS_LIMIT: Duration = Duration::from_secs(10);
 
 /// How many jobs may be at work at once, and what they may need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,10 +36,10 @@ pub(crate) struct Slots {
     pub(crate) memory: Bytes,
 }
 
-/// What a job asks for.
+/// What the scheduler is told of a job: whose it is, its share and priority, and what it is expected to cost.
 #[derive(Clone, Debug)]
-pub struct Ask {
-    /// Who asks.
+pub struct AdmissionRequest {
+    /// Whose job it is.
     pub tenant: Arc<str>,
     /// How much of the work the tenant gets beside others, each of which has 1 if nothing else is said. Above 0.
     pub weight: f64,
@@ -49,15 +49,15 @@ pub struct Ask {
     pub seconds: f64,
     /// Memory that it is expected to need.
     pub memory: Bytes,
-    /// Whether it is kept elsewhere while it waits, and so takes no place of the queue.
-    pub is_kept_elsewhere: bool,
-    /// Whether its first piece makes what later pieces go on with, such as a session.
-    pub goes_on: bool,
-    /// For who counts; what has none is not counted.
+    /// Whether it is kept in a store while it waits, and so does not count against the queue's limit.
+    pub is_persistent: bool,
+    /// Whether later pieces of work continue what its first one makes, such as a session.
+    pub has_continuations: bool,
+    /// For metrics; what has none is not counted.
     pub(crate) origin: Option<Origin>,
 }
 
-impl Default for Ask {
+impl Default for AdmissionRequest {
     fn default() -> Self {
         Self {
             tenant: "".into(),
@@ -65,15 +65,15 @@ impl Default for Ask {
             priority: 0,
             seconds: 0.5,
             memory: Bytes::default(),
-            is_kept_elsewhere: false,
-            goes_on: false,
+            is_persistent: false,
+            has_continuations: false,
             origin: None,
         }
     }
 }
 
 /// A job whose turn it is.
-pub(crate) struct Next<T> {
+pub(crate) struct Scheduled<T> {
     pub(crate) item: T,
     /// Whether its tenant has nothing else at work or waiting.
     pub(crate) is_alone: bool,
@@ -81,9 +81,9 @@ pub(crate) struct Next<T> {
 
 struct Waiting<T> {
     item: T,
-    ask: Ask,
-    /// Since when others pass it.
-    passed: Option<Instant>,
+    request: AdmissionRequest,
+    /// Since when others bypass it.
+    bypassed: Option<Instant>,
 }
 
 /// The order within a tenant.
@@ -146,16 +146,16 @@ impl<T> Schedule<T> {
     }
 
     /// Adds a job.
-    pub(crate) fn push(&mut self, ask: Ask, item: T) {
+    pub(crate) fn push(&mut self, request: AdmissionRequest, item: T) {
         self.came += 1;
         self.waiting += 1;
         let time = self.time;
-        let tenant = self.tenants.entry(Arc::clone(&ask.tenant));
+        let tenant = self.tenants.entry(Arc::clone(&request.tenant));
         let tenant = tenant.or_insert_with(|| Tenant { time, running: 0, waiting: BTreeMap::new() });
         if tenant.running == 0 && tenant.waiting.is_empty() {
             tenant.time = tenant.time.max(time);
         }
-        tenant.waiting.insert((Reverse(ask.priority), self.came), Waiting { item, ask, passed: None });
+        tenant.waiting.insert((Reverse(request.priority), self.came), Waiting { item, request, bypassed: None });
     }
 
     /// Lets go of jobs.
@@ -176,13 +176,21 @@ impl<T> Schedule<T> {
 
     /// When to ask [`Self::next`] again though nothing has changed; `None`: there is no need.
     pub(crate) fn look_again(&self) -> Option<Duration> {
-        let passed = self.tenants.values().filter_map(|tenant| tenant.waiting.values().next()?.passed);
-        passed.map(|since| PASSED.saturating_sub(since.elapsed())).min().map(|left| left.max(Duration::from_millis(10)))
+        let bypassed = self.tenants.values().filter_map(|tenant| tenant.waiting.values().next()?.bypassed);
+        bypassed
+            .map(|since| BYPASS_LIMIT.saturating_sub(since.elapsed()))
+            .min()
+            .map(|left| left.max(Duration::from_millis(10)))
     }
 
     /// Takes the next job that is wanted and may begin; those that are not go to `gone`. `number` names it for
     /// [`Self::done`].
-    pub(crate) fn next(&mut self, number: u64, is_wanted: impl Fn(&T) -> bool, gone: &mut Vec<T>) -> Option<Next<T>> {
+    pub(crate) fn next(
+        &mut self,
+        number: u64,
+        is_wanted: impl Fn(&T) -> bool,
+        gone: &mut Vec<T>,
+    ) -> Option<Scheduled<T>> {
         let at_work = self.running.len();
         if at_work > self.slots.regular {
             return None;
@@ -203,23 +211,23 @@ impl<T> Schedule<T> {
         for (time, _, name) in turns {
             let Some(tenant) = self.tenants.get_mut(&name) else { continue };
             let Some(mut first) = tenant.waiting.first_entry() else { continue };
-            if !first.get().ask.memory.fits(left) && at_work > 0 {
-                let since = *first.get_mut().passed.get_or_insert_with(Instant::now);
-                if since.elapsed() >= PASSED {
+            if !first.get().request.memory.fits(left) && at_work > 0 {
+                let since = *first.get_mut().bypassed.get_or_insert_with(Instant::now);
+                if since.elapsed() >= BYPASS_LIMIT {
                     return None;
                 }
                 continue;
             }
-            let Waiting { item, ask, .. } = first.remove();
+            let Waiting { item, request, .. } = first.remove();
             self.waiting -= 1;
             let is_alone = tenant.running == 0 && tenant.waiting.is_empty();
             tenant.running += 1;
-            tenant.time += ask.seconds / ask.weight;
+            tenant.time += request.seconds / request.weight;
             self.time = self.time.max(time);
-            self.planned = self.planned.plus(ask.memory);
-            let Ask { weight, seconds, memory, .. } = ask;
+            self.planned = self.planned.plus(request.memory);
+            let AdmissionRequest { weight, seconds, memory, .. } = request;
             self.running.insert(number, Running { tenant: name, weight, seconds, memory });
-            return Some(Next { item, is_alone });
+            return Some(Scheduled { item, is_alone });
         }
         None
     }
@@ -252,8 +260,8 @@ impl<T> Schedule<T> {
 mod tests {
     use super::*;
 
-    fn ask(tenant: &str, seconds: f64) -> Ask {
-        Ask { tenant: tenant.into(), seconds, ..Ask::default() }
+    fn request(tenant: &str, seconds: f64) -> AdmissionRequest {
+        AdmissionRequest { tenant: tenant.into(), seconds, ..AdmissionRequest::default() }
     }
 
     fn schedule(regular: usize, host: u64) -> Schedule<&'static str> {
@@ -268,13 +276,13 @@ mod tests {
     fn a_flood_does_not_hold_up_another_tenant() {
         let mut schedule = schedule(2, u64::MAX);
         for _ in 0..30 {
-            schedule.push(ask("flood", 3.0), "huge");
+            schedule.push(request("flood", 3.0), "huge");
         }
         assert_eq!((next(&mut schedule, 0), next(&mut schedule, 1)), (Some("huge"), Some("huge")));
         assert_eq!(next(&mut schedule, 2), None, "the third slot is for another tenant");
-        schedule.push(ask("other", 0.1), "tiny");
+        schedule.push(request("other", 0.1), "tiny");
         assert_eq!(next(&mut schedule, 2), Some("tiny"), "which does not wait");
-        schedule.push(ask("other", 0.1), "tiny");
+        schedule.push(request("other", 0.1), "tiny");
         assert_eq!(next(&mut schedule, 3), None);
         assert!(schedule.done(0, 3.0));
         assert_eq!(next(&mut schedule, 3), None, "two are at work, one of each");
@@ -287,8 +295,8 @@ mod tests {
     fn tenants_share_by_seconds() {
         let mut schedule = schedule(1, u64::MAX);
         for _ in 0..1000 {
-            schedule.push(ask("a", 1.0), "a");
-            schedule.push(ask("b", 4.0), "b");
+            schedule.push(request("a", 1.0), "a");
+            schedule.push(request("b", 4.0), "b");
         }
         let mut seconds = HashMap::from([("a", 0.0), ("b", 0.0)]);
         for number in 0..500 {
@@ -305,8 +313,8 @@ mod tests {
     fn weights_share_in_their_ratio() {
         let mut schedule = schedule(1, u64::MAX);
         for _ in 0..1000 {
-            schedule.push(Ask { weight: 4.0, ..ask("heavy", 1.0) }, "heavy");
-            schedule.push(ask("light", 1.0), "light");
+            schedule.push(AdmissionRequest { weight: 4.0, ..request("heavy", 1.0) }, "heavy");
+            schedule.push(request("light", 1.0), "light");
         }
         let mut heavy = 0;
         for number in 0..500 {
@@ -320,18 +328,18 @@ mod tests {
     #[test]
     fn who_comes_back_has_no_savings() {
         let mut schedule = schedule(1, u64::MAX);
-        schedule.push(ask("late", 1.0), "late");
+        schedule.push(request("late", 1.0), "late");
         next(&mut schedule, 0).unwrap();
         schedule.done(0, 1.0);
         for _ in 0..100 {
-            schedule.push(ask("busy", 1.0), "busy");
+            schedule.push(request("busy", 1.0), "busy");
         }
         for number in 1..50 {
             assert_eq!(next(&mut schedule, number), Some("busy"));
             schedule.done(number, 1.0);
         }
         for _ in 0..10 {
-            schedule.push(ask("late", 1.0), "late");
+            schedule.push(request("late", 1.0), "late");
         }
         let turns: Vec<_> = (50..60)
             .map(|number| {
@@ -346,11 +354,11 @@ mod tests {
     #[test]
     fn priorities_go_first_within_a_tenant_only() {
         let mut schedule = schedule(8, u64::MAX);
-        schedule.push(Ask { priority: -1, ..ask("a", 1.0) }, "last");
-        schedule.push(ask("a", 1.0), "second");
-        schedule.push(ask("a", 1.0), "third");
-        schedule.push(Ask { priority: 5, ..ask("a", 1.0) }, "first");
-        schedule.push(ask("b", 1.0), "other");
+        schedule.push(AdmissionRequest { priority: -1, ..request("a", 1.0) }, "last");
+        schedule.push(request("a", 1.0), "second");
+        schedule.push(request("a", 1.0), "third");
+        schedule.push(AdmissionRequest { priority: 5, ..request("a", 1.0) }, "first");
+        schedule.push(request("b", 1.0), "other");
         let order: Vec<_> = (0..5).map(|number| next(&mut schedule, number).unwrap()).collect();
         assert_eq!(order, ["first", "other", "second", "third", "last"]);
     }
@@ -358,16 +366,17 @@ mod tests {
     #[test]
     fn memory_is_shared_and_what_never_fits_with_others_runs_alone() {
         let mut schedule = schedule(4, 100);
-        let of = |tenant: &str, host: u64| Ask { memory: Bytes { host, device: 0 }, ..ask(tenant, 1.0) };
+        let of =
+            |tenant: &str, host: u64| AdmissionRequest { memory: Bytes { host, device: 0 }, ..request(tenant, 1.0) };
         schedule.push(of("a", 60), "first");
         schedule.push(of("b", 60), "large");
         schedule.push(of("c", 40), "small");
         assert_eq!((next(&mut schedule, 0), next(&mut schedule, 1)), (Some("first"), Some("small")));
         assert_eq!(next(&mut schedule, 2), None);
-        assert!(schedule.look_again().is_some_and(|pause| pause <= PASSED));
+        assert!(schedule.look_again().is_some_and(|pause| pause <= BYPASS_LIMIT));
         // Nobody passes it for ever.
         let tenant = schedule.tenants.get_mut("b").unwrap();
-        tenant.waiting.values_mut().next().unwrap().passed = Instant::now().checked_sub(PASSED);
+        tenant.waiting.values_mut().next().unwrap().bypassed = Instant::now().checked_sub(BYPASS_LIMIT);
         schedule.push(of("d", 0), "tiny");
         assert_eq!(next(&mut schedule, 2), None);
         schedule.done(0, 1.0);
@@ -382,7 +391,8 @@ mod tests {
     #[test]
     fn the_device_s_memory_is_shared_too() {
         let mut schedule = schedule(4, 100);
-        let of = |tenant: &str, device: u64| Ask { memory: Bytes { host: 1, device }, ..ask(tenant, 1.0) };
+        let of =
+            |tenant: &str, device: u64| AdmissionRequest { memory: Bytes { host: 1, device }, ..request(tenant, 1.0) };
         schedule.push(of("a", 30), "first");
         schedule.push(of("b", 30), "second");
         schedule.push(of("c", 0), "on a cpu");
@@ -396,8 +406,8 @@ mod tests {
     fn nothing_is_remembered_of_who_is_gone() {
         let mut schedule = schedule(1, u64::MAX);
         for number in 0..1000u64 {
-            schedule.push(ask(&format!("tenant {number}"), 1.0), "job");
-            schedule.push(ask("nobody waits", 1.0), "gone");
+            schedule.push(request(&format!("tenant {number}"), 1.0), "job");
+            schedule.push(request("nobody waits", 1.0), "gone");
             let mut gone = Vec::new();
             while schedule.next(number, |item| *item != "gone", &mut gone).is_none() {}
             schedule.done(number, 0.5);
@@ -405,7 +415,7 @@ mod tests {
             schedule.retain(|_| false);
         }
         assert_eq!((schedule.waiting(), schedule.running(), schedule.tenants.len()), (0, 0, 0));
-        schedule.push(ask("a", 1.0), "job");
+        schedule.push(request("a", 1.0), "job");
         assert_eq!((schedule.drain().len(), schedule.waiting()), (1, 0));
     }
 }

@@ -11,7 +11,9 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use super::spec::Prepared;
-use super::{Ask, BackendInfo, Engine, JobError, Pending, Place, Retry, Ticket, Timed, Turn};
+use super::{
+    Admission, AdmissionRequest, BackendInfo, Engine, JobError, Pending, Reservation, Retry, Timed, WorkContext,
+};
 use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};
 use crate::rvd::BackendChoice;
 
@@ -58,10 +60,10 @@ impl CvtSession {
         prepared: Arc<Prepared>,
         choice: BackendChoice,
         options: CvtOptions,
-        (_ticket, ask): (Ticket, Ask),
+        (_reservation, request): (Reservation, AdmissionRequest),
     ) -> Result<Pending<(Cvt, BackendInfo)>, JobError> {
-        engine.submit(Place::Kept(ask), Retry::Anew, move |backends, turn| {
-            turn.token.check()?;
+        engine.submit(Admission::Reserved(request), Retry::Restart, move |backends, context| {
+            context.token.check()?;
             let backend = backends.choose(choice)?;
             let cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;
             Ok((cvt, BackendInfo::of(backend.as_ref())))
@@ -102,8 +104,8 @@ impl CvtSession {
         kind: StepKind,
         seeds: SeedsWanted,
     ) -> Result<Timed<Steps>, JobError> {
-        self.call(move |cvt, turn| {
-            let token = &turn.token;
+        self.call(move |cvt, context| {
+            let token = &context.token;
             let start = Instant::now();
             let mut taken = Vec::new();
             let most = if seeds == SeedsWanted::Each { 1 } else { steps.min(SLICE_STEPS) };
@@ -112,7 +114,7 @@ impl CvtSession {
                     StepKind::Lloyd => cvt.relax(most.max(1) - taken.len(), token)?,
                     StepKind::Lbfgs => vec![cvt.lbfgs(token)?],
                 };
-                turn.told.iterated(iterations.len() as u64);
+                context.activity.iterated(iterations.len() as u64);
                 taken.extend(iterations.into_iter().map(|iteration| (iteration, None)));
                 let last = taken.len() == steps;
                 let wanted = seeds == SeedsWanted::Each || (seeds == SeedsWanted::Last && last);
@@ -140,12 +142,12 @@ impl CvtSession {
 
     async fn call<R: Send + 'static>(
         &mut self,
-        mut work: impl FnMut(&mut Cvt, &Turn) -> Result<R, JobError> + Send + 'static,
+        mut work: impl FnMut(&mut Cvt, &WorkContext) -> Result<R, JobError> + Send + 'static,
     ) -> Result<Timed<R>, JobError> {
         let mut state = self.cvt.take();
-        let mut pending = self.engine.submit(Place::Session, Retry::Never, move |_, turn| {
+        let mut pending = self.engine.submit(Admission::Session, Retry::Never, move |_, context| {
             let mut cvt = state.take().ok_or(JobError::WorkerGone)?;
-            let answer = work(&mut cvt, turn)?;
+            let answer = work(&mut cvt, context)?;
             Ok((cvt, answer))
         })?;
         let Timed { value: (cvt, value), queue_ms, compute_ms } = pending.wait().await?;

@@ -107,7 +107,7 @@ pub trait JobStore: Send + Sync {
 
     /// Lets go of what is over, at most `most` jobs: those whose deadline has passed expire, results that were kept long
     /// enough expire, and jobs without a result that were kept long enough are deleted. An error may leave a part of it done.
-    fn expire(&self, now: Time, keep: Keep, most: usize) -> Answer<'_, Swept>;
+    fn expire(&self, now: Time, keep: Retention, most: usize) -> Answer<'_, Swept>;
 
     /// Puts orphaned jobs back into the queue, each with its crash counted; one with `max_crashes` of them fails. An error may
     /// leave a part of it done; doing it again is harmless.
@@ -194,7 +194,7 @@ pub struct Page {
 
 /// How long things are kept after a job has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Keep {
+pub struct Retention {
     /// Results.
     pub results: Duration,
     /// Jobs without a result, those whose result expired included, from then on.

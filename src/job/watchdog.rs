@@ -51,8 +51,8 @@ pub enum Work {
     },
 }
 
-/// Between two looks.
-const LOOK: Duration = Duration::from_millis(50);
+/// How often work is looked at.
+const CHECK_PERIOD: Duration = Duration::from_millis(50);
 
 /// See the module's head. Clones share one thread, which ends with the last of them.
 #[derive(Clone, Debug)]
@@ -90,13 +90,13 @@ struct Entry {
 
 /// Work that is being watched, until this is dropped. The token's clock runs as long.
 #[derive(Debug)]
-pub struct Watched {
+pub struct WatchGuard {
     shared: Arc<Shared>,
     number: u64,
     token: Token,
 }
 
-impl Drop for Watched {
+impl Drop for WatchGuard {
     fn drop(&mut self) {
         self.token.pause();
         let mut state = lock(&self.shared.state);
@@ -141,7 +141,7 @@ impl Watchdog {
     }
 
     /// Watches work that begins now.
-    pub(crate) fn watch(&self, token: &Token) -> Watched {
+    pub(crate) fn watch(&self, token: &Token) -> WatchGuard {
         let base_bytes = held_for_work(&self.shared.besides);
         let mut state = lock(&self.shared.state);
         let number = state.next;
@@ -150,11 +150,11 @@ impl Watchdog {
         drop(state);
         self.shared.wake.notify_all();
         token.resume();
-        Watched { shared: Arc::clone(&self.shared), number, token: token.clone() }
+        WatchGuard { shared: Arc::clone(&self.shared), number, token: token.clone() }
     }
 
-    /// See [`super::Engine::held_besides`].
-    pub(crate) fn held_besides(&self) -> Arc<AtomicI64> {
+    /// See [`super::Engine::memory_outside_jobs`].
+    pub(crate) fn memory_outside_jobs(&self) -> Arc<AtomicI64> {
         Arc::clone(&self.shared.besides)
     }
 
@@ -179,7 +179,7 @@ fn watch_all(shared: &Weak<Shared>) {
         }
         let idle = state.entries.is_empty();
         // Never for ever: this handle keeps the others' end from being seen.
-        let patience = if idle { 10 * LOOK } else { LOOK };
+        let patience = if idle { 10 * CHECK_PERIOD } else { CHECK_PERIOD };
         let (mut state, _) = shared.wake.wait_timeout(state, patience).unwrap_or_else(PoisonError::into_inner);
         let work = look(&mut state.entries, &shared.ceilings, &shared.besides);
         drop(state);

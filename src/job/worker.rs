@@ -17,10 +17,10 @@ use tokio::sync::watch;
 use super::bytes::Bytes;
 use super::call::{Outcome, Task, text};
 use super::gate::Gate;
-use super::loss::{Absence, LossPolicy};
+use super::loss::{LossPolicy, Outage};
 use super::observer::Observer;
 use super::pools::Pools;
-use super::queue::{Item, Lane, Popped, Queue, Taken};
+use super::queue::{Dequeued, Item, Lane, Popped, Queue};
 use super::schedule::Slots;
 use super::watchdog::{Ceilings, Watchdog};
 use super::weights::Weights;
@@ -69,8 +69,8 @@ pub(crate) fn jobs_at_once() -> usize {
     std::thread::available_parallelism().map_or(2, |cores| (cores.get() / 4).clamp(2, 8))
 }
 
-/// Between two looks at the token of work that waits for a device.
-const LISTEN: Duration = Duration::from_millis(20);
+/// How often the token of work that waits for a device is checked.
+const TOKEN_POLL: Duration = Duration::from_millis(20);
 
 /// Workers for short pieces.
 const SHORT_WORKERS: usize = 2;
@@ -94,14 +94,14 @@ pub(super) struct Shared {
     pub(super) observer: Arc<dyn Observer>,
     pub(super) watchdog: Watchdog,
     pub(super) queue: Queue<Box<dyn Task>>,
-    pub(super) infos: Infos,
+    pub(super) infos: EngineInfo,
     pub(super) device: watch::Sender<Device>,
     gate: Arc<Gate>,
     pools: Pools,
     pub(super) weights: Weights,
     /// Rises with every replacement of what it stands beside.
     current: RwLock<(u64, Backends)>,
-    maker: Mutex<Maker>,
+    factory: Mutex<BackendFactory>,
     revive: Duration,
     loss: LossPolicy,
     loss_patience: Duration,
@@ -110,16 +110,16 @@ pub(super) struct Shared {
 }
 
 /// Makes backends, now and after a loss.
-struct Maker {
-    factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
+struct BackendFactory {
+    make: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
     tried: Instant,
-    absence: Absence,
+    outage: Outage,
 }
 
-impl Maker {
+impl BackendFactory {
     fn make(&mut self) -> Result<Backends, JobError> {
         self.tried = Instant::now();
-        catch_unwind(AssertUnwindSafe(&mut self.factory))
+        catch_unwind(AssertUnwindSafe(&mut self.make))
             .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))))
     }
 }
@@ -131,20 +131,20 @@ impl std::fmt::Debug for Shared {
     }
 }
 
-pub(super) struct Infos {
+pub(super) struct EngineInfo {
     /// The threads of the CPU backend.
     pub(super) pool: Option<Arc<rayon::ThreadPool>>,
     pub(super) slots: Slots,
 }
 
-impl Infos {
+impl EngineInfo {
     fn of(backends: &Backends, slots: Slots) -> Self {
         Self { pool: backends.parallel.pool(), slots }
     }
 }
 
-/// Lets other threads go before this one, and before those that it starts.
-fn give_way(nice: u8) {
+/// Lowers the priority of this thread and of those that it starts.
+fn lower_priority(nice: u8) {
     #[cfg(unix)]
     if nice > 0
         && let Err(error) = rustix::process::nice(nice.into())
@@ -162,7 +162,7 @@ pub(super) fn run(
     observer: Arc<dyn Observer>,
     ready: &SyncSender<Result<Arc<Shared>, JobError>>,
 ) {
-    give_way(options.nice);
+    lower_priority(options.nice);
     let shared = match Shared::new(factory, options, observer) {
         Ok(shared) => Arc::new(shared),
         Err(error) => {
@@ -196,8 +196,8 @@ impl Shared {
         options: EngineOptions,
         observer: Arc<dyn Observer>,
     ) -> Result<Self, JobError> {
-        let mut maker = Maker { factory, tried: Instant::now(), absence: Absence::default() };
-        let backends = maker.make()?;
+        let mut factory = BackendFactory { make: factory, tried: Instant::now(), outage: Outage::default() };
+        let backends = factory.make()?;
         let watchdog = Watchdog::start(options.ceilings)
             .map_err(|error| JobError::Panicked(format!("the watchdog could not be started: {error}")))?;
         let memory = Bytes {
@@ -210,12 +210,12 @@ impl Shared {
             observer,
             watchdog,
             queue: Queue::new(options.queue_jobs.max(1), slots),
-            infos: Infos::of(&backends, slots),
+            infos: EngineInfo::of(&backends, slots),
             device: watch::Sender::new(Device::Ready),
             gate: Arc::default(),
             pools: Pools::new(&backends, slots.regular),
             current: RwLock::new((0, backends)),
-            maker: Mutex::new(maker),
+            factory: Mutex::new(factory),
             revive: options.revive,
             loss: options.loss,
             loss_patience: options.loss_patience,
@@ -241,11 +241,11 @@ impl Shared {
         drop(end);
     }
 
-    fn work(&self, taken: Taken<Box<dyn Task>>) {
-        let Taken { item: mut task, number, is_alone } = taken;
+    fn work(&self, taken: Dequeued<Box<dyn Task>>) {
+        let Dequeued { item: mut task, number, is_alone } = taken;
         let start = Instant::now();
         let watched = self.watchdog.watch(task.token());
-        let threads = if task.goes_on() { None } else { Some(self.pools.take(is_alone)) };
+        let threads = if task.has_continuations() { None } else { Some(self.pools.take(is_alone)) };
         let mut attempts = 0;
         loop {
             let (generation, backends) = self.current();
@@ -276,16 +276,16 @@ impl Shared {
                 return;
             }
             pause = self.revive;
-            std::thread::sleep(LISTEN);
+            std::thread::sleep(TOKEN_POLL);
         }
     }
 
     /// New backends after a loss, unless somebody was faster, or tried less than `pause` ago. While there are none the old
     /// ones stay, and answer with errors: work that was promised to a GPU does not go to a CPU unsaid.
     fn replace(&self, generation: u64, pause: Duration) {
-        let mut maker = self.maker.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut factory = self.factory.lock().unwrap_or_else(PoisonError::into_inner);
         let (now, old) = self.current();
-        if now != generation || (!pause.is_zero() && maker.tried.elapsed() < pause) {
+        if now != generation || (!pause.is_zero() && factory.tried.elapsed() < pause) {
             return;
         }
         let before = *self.device.borrow();
@@ -304,20 +304,20 @@ impl Shared {
             *self.current.write().unwrap_or_else(PoisonError::into_inner) = (generation + 1, new);
             self.device.send_replace(state);
         };
-        match maker.make() {
+        match factory.make() {
             Ok(new) if new.gpu.is_err() && old.gpu.is_ok() => {
                 tracing::error!(reason = new.gpu.err(), "the GPU did not come back");
             }
             Ok(new) => {
-                maker.absence.end();
+                factory.outage.end();
                 install(new, Device::Ready);
                 tracing::info!("the device is there again");
                 return;
             }
             Err(error) => tracing::error!(%error, "the device could not be made anew"),
         }
-        maker.absence.begin();
-        if !maker.absence.has_lasted(self.loss_patience) {
+        factory.outage.begin();
+        if !factory.outage.has_lasted(self.loss_patience) {
             return;
         }
         match self.loss {

@@ -275,6 +275,14 @@ pub(crate) fn closest_on_facet(p: DVec3, [a, b, c]: [DVec3; 3], ids: [u32; 3]) -
     best
 }
 
+/// Distance of a point from a segment.
+pub(crate) fn distance_to_segment(p: DVec3, [a, b]: [DVec3; 2]) -> f64 {
+    let along = b - a;
+    let squared = along.length_squared();
+    let t = if squared > 0.0 { ((p - a).dot(along) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    p.distance(a + t * along)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

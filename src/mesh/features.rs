@@ -12,10 +12,14 @@ mod close_corners;
 mod graph;
 mod ridges;
 
+use std::collections::HashSet;
+
 use glam::DVec3;
 
 use super::TriMesh;
-use super::adjacency::{Adjacency, EdgeKind};
+use super::adjacency::{Adjacency, EdgeKind, weld};
+use super::disjoint::DisjointSets;
+use super::edges::{EdgeGroups, Half, undirected};
 use crate::token::{Stopped, Token};
 use close_corners::CornerMerge;
 use graph::{EdgeInfo, Graph};
@@ -231,6 +235,28 @@ impl Features {
             .flat_map(|c| [c.vertices[0], c.vertices[c.vertices.len() - 1]])
             .collect();
         self.corners.retain(|v| ends.contains(v));
+    }
+
+    /// For each facet of `mesh` the number of its region: curves separate regions.
+    pub(crate) fn regions(&self, mesh: &TriMesh) -> Vec<u32> {
+        let class = weld(mesh);
+        let welded = |t: &[u32; 3]| t.map(|v| class[v as usize]);
+        let mut curves = HashSet::new();
+        for c in &self.curves {
+            let ends = c.vertices.windows(2).map(|w| [w[0], w[1]]);
+            let last = if c.closed { c.vertices.last().map(|&v| [v, c.vertices[0]]) } else { None };
+            curves.extend(ends.chain(last).map(|e| undirected(e.map(|v| class[v as usize]))));
+        }
+        let mut regions = DisjointSets::new(mesh.facets().len());
+        let facets = mesh.facets().iter().map(welded).enumerate();
+        EdgeGroups::new(class.len(), facets).for_each(|_, halves| {
+            let Some(&Half { facet, side }) = halves.first() else { return };
+            let t = welded(&mesh.facets()[facet as usize]);
+            if !curves.contains(&undirected([t[side], t[(side + 1) % 3]])) {
+                halves.windows(2).for_each(|pair| regions.join(pair[0].facet as usize, pair[1].facet as usize));
+            }
+        });
+        (0..regions.len()).map(|f| regions.root(f) as u32).collect()
     }
 }
 

@@ -36,6 +36,31 @@ pub struct Topology {
     pub non_manifold_vertices: usize,
 }
 
+impl Topology {
+    /// What a remesh did not keep, one sentence each. Non-manifold elements are not counted as kept or lost: a remesh never has
+    /// any.
+    pub(crate) fn changes(&self, result: &Self) -> Vec<String> {
+        let pairs = [
+            ("euler", self.euler, result.euler),
+            ("components", self.components as i64, result.components as i64),
+            ("boundary_loops", self.boundary_loops as i64, result.boundary_loops as i64),
+        ];
+        let changed = pairs.into_iter().filter(|(_, before, after)| before != after);
+        changed.map(|(name, before, after)| format!("{name}: {before} becomes {after}")).collect()
+    }
+
+    /// A bound from below on the vertices of a triangulation: three for a part with a boundary, four for one without, and
+    /// Heawood's bound for a connected surface without boundary, as 7 for a torus.
+    pub(crate) fn fewest_vertices(&self) -> usize {
+        let parts = self.components.max(1);
+        match (self.boundary_edges, parts) {
+            (0, 1) => ((7.0 + (49.0 - 24.0 * self.euler.min(2) as f64).sqrt()) / 2.0).ceil() as usize,
+            (0, _) => 4 * parts,
+            _ => 3 * parts,
+        }
+    }
+}
+
 /// Geometry of a remesh, as the CVT literature reports it. Angles in degrees.
 #[derive(Clone, Copy, Debug, Serialize, PartialEq, Default)]
 pub struct Quality {
@@ -217,13 +242,20 @@ fn fans_at(
     count.into_iter()
 }
 
-/// Where several fans of facets meet in a vertex; each is known by the lowest vertex in its place.
-pub(crate) fn split_vertices(mesh: &TriMesh, adjacency: &Adjacency) -> Vec<bool> {
+/// The vertices around which a surface is no manifold; each is known by the lowest vertex in its place.
+pub(crate) fn non_manifold_vertices(mesh: &TriMesh) -> Vec<bool> {
+    let adjacency = &Adjacency::new(mesh);
     let live: Vec<usize> = (0..mesh.facets().len()).filter(|&f| !adjacency.is_collapsed(f)).collect();
     let representative = adjacency.representative();
     let vertex = |half: usize| representative[mesh.facets()[half / 3][half % 3] as usize] as usize;
     let mut fans = fans(mesh, adjacency, &live);
-    fans_at(&mut fans, &live, representative.len(), vertex).map(|fans| fans > 1).collect()
+    let mut found: Vec<bool> = fans_at(&mut fans, &live, representative.len(), vertex).map(|fans| fans > 1).collect();
+    for half in 0..3 * mesh.facets().len() {
+        if matches!(adjacency.kind(half), EdgeKind::NonManifold | EdgeKind::Inconsistent) {
+            [half, half - half % 3 + (half + 1) % 3].into_iter().for_each(|half| found[vertex(half)] = true);
+        }
+    }
+    found
 }
 
 /// Chains of boundary edges: two that end in one fan are one chain.
@@ -252,10 +284,16 @@ fn boundary_loops(adjacency: &Adjacency, fans: &mut DisjointSets, vertex: impl F
     (0..halves.len()).filter(|&edge| chains.root(edge) == edge).count()
 }
 
-/// The smallest angle of one facet, degrees.
-pub(crate) fn least_angle([a, b, c]: [DVec3; 3]) -> f64 {
+/// The smallest and the largest angle of one facet, degrees.
+pub(crate) fn angles([a, b, c]: [DVec3; 3]) -> [f64; 2] {
     let at = |p: DVec3, q: DVec3, r: DVec3| (q - p).cross(r - p).length().atan2((q - p).dot(r - p)).to_degrees();
-    at(a, b, c).min(at(b, c, a)).min(at(c, a, b))
+    let (at_a, at_b, at_c) = (at(a, b, c), at(b, c, a), at(c, a, b));
+    [at_a.min(at_b).min(at_c), at_a.max(at_b).max(at_c)]
+}
+
+/// The smallest angle of one facet, degrees.
+pub(crate) fn least_angle(corners: [DVec3; 3]) -> f64 {
+    angles(corners)[0]
 }
 
 /// Q and angles over all facets but the collapsed ones.

@@ -16,15 +16,15 @@ fn has(metrics: &Metrics, sample: &str) -> bool {
 #[test]
 fn work_is_counted_as_it_is_told() {
     let metrics = Metrics::default();
-    metrics.moved(Kind::Remesh, None, Some(Standing::Waiting));
+    metrics.moved(Kind::Remesh, None, Some(Phase::Waiting));
     assert!(has(&metrics, r#"tessera_jobs{state="waiting",kind="remesh"} 1"#));
-    metrics.moved(Kind::Remesh, Some(Standing::Waiting), Some(Standing::Running));
+    metrics.moved(Kind::Remesh, Some(Phase::Waiting), Some(Phase::Running));
     metrics.began(Kind::Remesh, Duration::from_millis(20));
     metrics.stage("dual", BackendKind::Parallel, Duration::from_secs(2));
     metrics.iterated(35);
-    metrics.ended(&origin(), Ended::Done);
-    metrics.ended(&origin(), Ended::Failed);
-    metrics.moved(Kind::Remesh, Some(Standing::Running), None);
+    metrics.ended(&origin(), JobOutcome::Succeeded);
+    metrics.ended(&origin(), JobOutcome::Failed);
+    metrics.moved(Kind::Remesh, Some(Phase::Running), None);
     for sample in [
         r#"tessera_jobs{state="waiting",kind="remesh"} 0"#,
         r#"tessera_jobs{state="running",kind="remesh"} 0"#,

@@ -168,15 +168,12 @@ pub(super) const LOOK_AHEAD: usize = 128;
 /// and far places for each thread among which those are sought that it may make ahead.
 pub(super) const FAR_LOOK_AHEAD: usize = 4;
 
-// Transfer of attributes.
+// Attributes.
 
 /// Normals of vertices in one place with at least this cosine are equal, up to the rounding of a file.
 pub(super) const SAME_NORMAL: f64 = 0.999;
 /// Squared length below which the direction of an interpolated normal is all rounding.
 pub(super) const LEAST_NORMAL_SQUARED: f64 = 1e-18;
-
-// Seams of attributes.
-
 /// Radius of the ball that a walk keeps to, as a multiple of half the distance between its ends. Over a right-angled crease, 1 is
 /// enough.
 pub(super) const SEAM_REACH: f64 = 1.3;
@@ -189,24 +186,7 @@ pub(super) const SEAM_END_REACH: f64 = 1e-6;
 /// A texture coordinate beyond a seam is extrapolated by no more than so many times the texture's stretch in the start facet.
 pub(super) const MOST_STRETCH: f64 = 4.0;
 
-// Deviation of the input's vertices.
-
-/// Result vertices per parallel task.
-pub(super) const VERTICES_PER_TASK: usize = 256;
-/// Vertices of the input between two questions to the token.
-pub(super) const VERTICES_PER_CHECK: usize = 64;
-
-// Closest point of a set of facets.
-
-/// Facets of a group, at least. Large sets have as many groups as facets in a group.
-pub(super) const FACETS_PER_GROUP: usize = 8;
-/// Factor by which radii grow, so that rounding leaves nothing outside.
-pub(super) const SPHERE_ROUNDING: f64 = 1.0 + 1e-12;
-/// Intervals on an edge of the grid of points at which the distance of a facet is taken. With 4, ridges inside a facet stuck
-/// out a third farther than was measured.
-pub(super) const GRID_INTERVALS: u32 = 6;
-
-// Hausdorff estimate.
+// Deviation of the input and Hausdorff estimate.
 
 /// Without a tolerance, vertices of the input were missed if one of them is farther away than the first share of a mean edge:
 /// then all beyond the second share.
@@ -225,7 +205,7 @@ pub(super) const ZERO_SQUARED: f64 = 1e-24;
 /// Squared lengths below this count as zero: their inverses would be all rounding.
 pub(super) const ZERO_LENGTH_SQUARED: f64 = 1e-200;
 
-// Curves to keep. Lengths are edge lengths of the result unless said otherwise.
+// Curves to keep, and their envelope. Lengths are edge lengths of the result unless said otherwise.
 
 /// Length of the shortest crease with a free end, edge lengths. Shorter ones are noise of a scan, or folds that fade out.
 pub(super) const SHORTEST_CREASE: f64 = 8.0;
@@ -255,22 +235,16 @@ pub(super) const CLEARANCE: f64 = 0.5;
 pub(super) const SPARE_POINTS: usize = 50;
 /// The share of points that is taken to be clear of the curves, at least.
 pub(super) const LEAST_CLEAR: f64 = 0.2;
-
-// Envelope of the curves.
-
 /// A curve is straight at an edge if it leaves the edge's line by no more than this share of the edge. A curved one is off its
 /// chords anyway; a straight one, such as the edge of a plate, shows any dent.
 pub(super) const STRAIGHTNESS: f64 = 1e-3;
 /// So many edges to either side have to be straight as well.
 pub(super) const STRAIGHT_EDGES: usize = 3;
 
-// Fit.
+// Fit and its backtracking.
 
 /// Rounds of the whole fit: each finds the nearest points anew.
 pub(super) const FIT_ROUNDS: usize = 2;
-
-// Backtracking of the fit.
-
 /// Rounds that halve the moves of bad facets,
 pub(super) const BACKTRACKING_HALVINGS: usize = 4;
 /// and rounds after these that drop them.
@@ -319,7 +293,7 @@ pub(super) const SIDE_STEP: f64 = 1e-3;
 /// Rounds that double edges, at most: a facet may have three such edges, and its parts may have new ones.
 pub(super) const MAX_SEPARATION_ROUNDS: usize = 4;
 
-// Rounds of an attempt.
+// Rounds of an attempt, and extraction.
 
 /// Rounds that add seeds, where a tolerance was given.
 pub(super) const ADDING_ROUNDS: usize = 8;
@@ -330,9 +304,6 @@ pub(super) const MOVING_ROUNDS: usize = 1;
 pub(super) const ADDING_SLACK: f64 = 2.0;
 /// The same for a round after which fewer seeds have no vertex.
 pub(super) const MOVING_SLACK: f64 = 1.25;
-
-// Extraction.
-
 /// Share of the tolerance by which a vertex may leave its curve: the chords between such vertices are off as well.
 pub(super) const OFF_CURVE_SHARE: f64 = 0.5;
 

@@ -1,14 +1,11 @@
 //! Distances between the input and the result.
 //!
 //! Purpose: [`reference`](mod@reference) holds the input by result vertex, so that a distance needs no search over the whole
-//! surface. [`nearest`] finds the closest point in a one-ring, [`deviation`] measures the input's vertices,
-//! [`hausdorff`] estimates the distance both ways, [`facet_set`] finds the closest point in a small part of the input,
-//! [`two_way`] measures a whole result both ways, by a search over the whole surfaces.
+//! surface. [`nearest`] finds the closest point in a one-ring, [`hausdorff`] estimates the distance both ways.
 //! Invariant: the same bits whatever the number of threads. Must not know: how the result is changed.
 
-pub(super) mod deviation;
-pub(super) mod facet_set;
 pub(super) mod hausdorff;
 pub(super) mod nearest;
 pub(super) mod reference;
-pub(super) mod two_way;
+
+pub(super) use crate::mesh::facet_set;

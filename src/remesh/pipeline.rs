@@ -1,6 +1,6 @@
 //! The stages of a remesh, in their order.
 //!
-//! Purpose: [`run`] takes a surface through all stages: preprocess, prepare, optimize the seeds, extract and improve the
+//! Purpose: [`remesh`] takes a surface through all stages: preprocess, prepare, optimize the seeds, extract and improve the
 //! result, carry the attributes, measure.
 //! Invariant: the observer hears of the stages in this order; what could not be kept is in the report.
 //! Must not know: how a stage does its work, files, jobs, the network.
@@ -27,18 +27,21 @@ use crate::mesh::lost::{self, LostParts};
 use crate::mesh::measure::{Quality, coincident_vertices, quality_and_distances, topology_unless};
 use crate::mesh::outliers;
 use crate::remesh::attributes::{self, Provenance};
-use crate::remesh::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures, topology_changes};
+use crate::remesh::report::{CountFigures, InputFigures, MemoryFigures, Report, ResultFigures};
 use crate::remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{Backend, RvdError, on_threads_of};
 use crate::token::{Stopped, Token};
-use attempt::{Attempt, Figures};
-use job::{Job, Laps, enter};
+use attempt::Attempt;
+use job::{Job, Laps};
 use prepare::{Prepared, prepare, separation};
 use preprocess::preprocess;
+use schedule::Figures;
 
-/// Remeshes `mesh`. If vertices far off the surface take all the points, it is remeshed without their spikes, which are put
-/// back afterwards.
-pub(super) fn run(
+/// Remeshes `mesh` on `backend`.
+///
+/// # Errors
+/// [`RemeshError`]; `Rvd(Stopped)` soon after `token` says so.
+pub fn remesh(
     mesh: &TriMesh,
     options: &RemeshOptions,
     backend: &dyn Backend,
@@ -46,7 +49,8 @@ pub(super) fn run(
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
     on_threads_of(backend, || match run_stages(mesh, options, backend, observer, token) {
-        // Given seeds are where they are, whatever takes them.
+        // Vertices far off the surface take all the points: without their spikes, which are put back afterwards. Given seeds are
+        // where they are, whatever takes them.
         Err(error @ (RemeshError::TooFewSeeds { .. } | RemeshError::Rvd(RvdError::NoArea))) => {
             let near = outliers::draw_in(mesh).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
             let Some(near) = near else { return Err(error) };
@@ -71,7 +75,8 @@ fn run_stages(
         return Err(RemeshError::RefineUnfitted);
     }
     let laps = Laps::start();
-    enter(observer, token, "prepare");
+    token.enter("prepare");
+    observer.stage("prepare");
     // Most inputs need no preprocessing: what is prepared meanwhile is then of use.
     let (preprocessed, mut prepared) = rayon::join(|| preprocess(given, token), || prepare(given, options, token));
     let (input, changed) = preprocessed?;
@@ -108,17 +113,16 @@ fn run_stages(
         (None, _) => prepared.and_then(|prepared| job.attempt(prepared, options, None)),
     };
     let mut attempt = attempt.map_err(|error| error.for_surface(&input.topology))?;
-    let Job { observer, mut laps, .. } = job;
 
     token.check()?;
     let result = &mut attempt.built.mesh;
     let (attributes, provenance) = match &apart {
         // Attributes are those of the facets as given, and so is the provenance.
-        None => transfer(given, options, result, observer, token)?,
+        None => transfer(&mut job, given, options, result)?,
         Some(apart) => {
             let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
             let given_apart = TriMesh::new(apart.mesh.positions().to_vec(), given.facets().to_vec()).map_err(broken)?;
-            let transferred = transfer(&given_apart, options, result, observer, token)?;
+            let transferred = transfer(&mut job, &given_apart, options, result)?;
             *result = apart.mesh_back(result).map_err(broken)?;
             attempt.seeds.iter_mut().for_each(|p| *p = apart.back(*p));
             // It answers for the components apart, not for the input.
@@ -126,23 +130,23 @@ fn run_stages(
             transferred
         }
     };
-    laps.timings.attributes = laps.lap();
+    job.laps.end(|t| &mut t.attributes);
 
-    enter(observer, token, "measure");
-    let measured = measure(mesh, input, options, backend, attempt, laps, token)?;
+    job.enter("measure");
+    let measured = measure(mesh, input, options, attempt, job)?;
     Ok(Remesh { attributes, provenance, ..measured })
 }
 
 /// The input's attributes on the result, and where its vertices lie on the input, if asked for.
 fn transfer(
+    job: &mut Job<'_, '_>,
     mesh: &TriMesh,
     options: &RemeshOptions,
     result: &TriMesh,
-    observer: &mut dyn Observer,
-    token: &Token,
 ) -> Result<(Option<Attributes>, Vec<Provenance>), RemeshError> {
     let Some(attributes) = &options.attributes else { return Ok((None, Vec::new())) };
-    enter(observer, token, "attributes");
+    job.enter("attributes");
+    let token = job.token;
     token.check()?;
     let closest = ClosestPoint::new(mesh);
     let provenance = attributes::provenance(&closest, result.positions(), token)?;
@@ -167,13 +171,11 @@ fn measure(
     mesh: &TriMesh,
     input: InputFigures,
     options: &RemeshOptions,
-    backend: &dyn Backend,
     attempt: Attempt<'_>,
-    mut laps: Laps,
-    token: &Token,
+    Job { backend, token, mut laps, .. }: Job<'_, '_>,
 ) -> Result<Remesh, RemeshError> {
-    let Attempt { plan, curves, closest, built, seeds, seed, figures, device, device_bytes } = attempt;
-    let Figures { converged, rvd, iterations, last, refine, asked } = figures;
+    let Attempt { plan, curves, closest, built, seeds, figures, device, device_bytes } = attempt;
+    let Figures { seed, asked, converged, last, rvd, iterations, refine } = figures;
     token.check()?;
     let result = &built.mesh;
     let quality = || options.measure.then(|| compare(mesh, closest, result, token)).transpose();
@@ -188,7 +190,7 @@ fn measure(
     let (vertices, facets) = (result.positions().len(), result.facets().len());
     let repair = built.repair;
     let result = ResultFigures { vertices, facets, topology, coincident_vertices, quality, lost, repair };
-    laps.timings.measure = laps.lap();
+    laps.end(|t| &mut t.measure);
     laps.timings.total = laps.total();
     let reason = match options.refine {
         Some(_) => None,
@@ -201,7 +203,7 @@ fn measure(
         threads: backend.threads(),
         seed,
         converged,
-        topology_changes: topology_changes(&input.topology, &result.topology),
+        topology_changes: input.topology.changes(&result.topology),
         input,
         features: curves.figures(&built.curve_edges),
         rvd,

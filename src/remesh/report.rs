@@ -6,17 +6,13 @@
 
 use serde::Serialize;
 
-use crate::cvt::Iteration;
 use crate::cvt::density::DensityFigures;
-use crate::mesh::adjacency::Adjacency;
+pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
 pub use crate::mesh::duplicates::InputKind;
-use crate::mesh::duplicates::{self, Oddities};
+pub use crate::mesh::input::InputFigures;
 pub use crate::mesh::lost::{LostPart, LostParts, LostReason};
-use crate::mesh::measure::{Quality, Topology, topology_unless};
-use crate::mesh::{TriMesh, outliers};
-use crate::rvd::dual::Dual;
-use crate::rvd::{DeviceWork, PassStats, Surface};
-use crate::token::{Stopped, Token};
+use crate::mesh::measure::{Quality, Topology};
+pub use crate::rvd::figures::RvdFigures;
 
 /// What `--report` writes.
 #[derive(Clone, Debug, Serialize)]
@@ -89,52 +85,6 @@ pub(crate) fn to_json(report: &impl Serialize) -> serde_json::Result<serde_json:
         }
     }
     Ok(json)
-}
-
-/// What of the topology is not kept, one sentence each. Non-manifold elements are not counted as
-/// kept or lost: the result never has any.
-pub(crate) fn topology_changes(input: &Topology, result: &Topology) -> Vec<String> {
-    let pairs = [
-        ("euler", input.euler, result.euler),
-        ("components", input.components as i64, result.components as i64),
-        ("boundary_loops", input.boundary_loops as i64, result.boundary_loops as i64),
-    ];
-    let changed = pairs.into_iter().filter(|(_, before, after)| before != after);
-    changed.map(|(name, before, after)| format!("{name}: {before} becomes {after}")).collect()
-}
-
-/// The surface that came in.
-#[derive(Clone, Debug, Serialize)]
-pub struct InputFigures {
-    /// What it is.
-    pub kind: InputKind,
-    /// Facets whose edges all have more than two facets.
-    pub enclosed_facets: usize,
-    /// Facets that lie on others, corner on corner and back to back, and stay: they enclose nothing.
-    pub back_to_back_facets: usize,
-    /// Vertices as given.
-    pub vertices: usize,
-    /// Facets, degenerate ones included.
-    pub facets: usize,
-    /// Facets without area.
-    pub degenerate_facets: usize,
-    /// Edges of two facets that are oriented unlike each other.
-    pub inconsistent_edges: usize,
-    /// Facets that were turned over, to be oriented as their neighbours are.
-    pub reoriented_facets: usize,
-    /// Vertices of boundaries that were moved to others which are nearly in the same place; the other figures are of the surface
-    /// after that,
-    pub stitched_vertices: usize,
-    /// and without so many facets that lay on others, corner on corner, where the surface goes on without them.
-    pub coincident_facets: usize,
-    /// Vertices a thousand times as far from the middle as half of all are: wrong coordinates, most often. The surface has a
-    /// spike there, which takes most of the points.
-    pub outlier_vertices: usize,
-    /// Caller's units squared.
-    pub area: f64,
-    /// χ, components, holes, non-manifold elements.
-    #[serde(flatten)]
-    pub topology: Topology,
 }
 
 /// What was done after the iterations: curves cleared, seeds moved that had no vertex or added where the result was far from
@@ -231,31 +181,6 @@ pub struct FeatureFigures {
     pub short_crease_edges: usize,
 }
 
-/// The last diagram and what all of them took.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct RvdFigures {
-    /// Area covered by the pieces, caller's units squared.
-    pub area: f64,
-    /// (facet, cell) incidences.
-    pub pairs: u64,
-    /// Pairs launched more than once, all passes.
-    pub relaunched_pairs: u64,
-    /// Of these, because neighbours ran out.
-    pub relaunched_neighbours: u64,
-    /// Because polygon slots ran out.
-    pub relaunched_polygon: u64,
-    /// Because cell slots ran out.
-    pub relaunched_cells: u64,
-    /// Pairs that the f64 path finished for the GPU, all passes.
-    pub f64_finished_pairs: u64,
-    /// Cells without surface in the last diagram.
-    pub empty_cells: usize,
-    /// Seeds that lay exactly on an earlier one, in the pass that had most of them. Their cells are empty.
-    pub duplicate_seeds: usize,
-    /// Seeds placed again because their cell was empty, all passes.
-    pub reseeded_cells: usize,
-}
-
 /// Memory that the run took.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct MemoryFigures {
@@ -264,95 +189,6 @@ pub struct MemoryFigures {
     pub host_peak_bytes: Option<u64>,
     /// Device memory of the job's plan, bytes; 0 on a CPU.
     pub device_bytes: u64,
-}
-
-/// What a GPU was kept busy with: nothing on a CPU. A device counts for all its users together.
-#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
-pub struct DeviceFigures {
-    /// All of the run, from opening the session on.
-    #[serde(flatten)]
-    pub total: DeviceWork,
-    /// Of this, in the iterations.
-    pub iterations: DeviceWork,
-    /// Figure by figure, the middle of the iterations but the first, which allocates and uploads what the others use.
-    pub later_iteration_median: DeviceWork,
-    /// The most of them. Where pairs are done again or on the host, seeds and sums are read back.
-    pub later_iteration_most: DeviceWork,
-}
-
-impl DeviceFigures {
-    /// Of a run with these iterations.
-    pub(crate) fn new(total: DeviceWork, iterations: &[IterationFigures]) -> Self {
-        let sum = iterations.iter().fold(DeviceWork::default(), |sum, step| sum.with(&step.device, |a, b| a + b));
-        let later: Vec<DeviceWork> = iterations.iter().skip(1).map(|step| step.device).collect();
-        let at = |place: fn(usize) -> usize| {
-            let of = |figure: fn(&DeviceWork) -> u64| {
-                let mut all: Vec<u64> = later.iter().map(figure).collect();
-                all.sort_unstable();
-                all.get(place(all.len())).copied().unwrap_or(0)
-            };
-            DeviceWork {
-                host_searches: of(|w| w.host_searches),
-                divided_facets: of(|w| w.divided_facets),
-                paired_facets: of(|w| w.paired_facets),
-                device_submissions: of(|w| w.device_submissions),
-                device_allocations: of(|w| w.device_allocations),
-                uploaded_bytes: of(|w| w.uploaded_bytes),
-                read_back_bytes: of(|w| w.read_back_bytes),
-            }
-        };
-        let (later_iteration_median, later_iteration_most) = (at(|n| n / 2), at(|n| n.saturating_sub(1)));
-        Self { total, iterations: sum, later_iteration_median, later_iteration_most }
-    }
-}
-
-/// One step.
-#[derive(Clone, Debug, Serialize)]
-pub struct IterationFigures {
-    /// "lloyd" or "lbfgs".
-    pub kind: &'static str,
-    /// Before the step, caller's units.
-    pub energy: f64,
-    /// Over the hexagonal tiling's.
-    pub energy_ratio: f64,
-    /// ‖∇E‖.
-    pub gradient_norm: f64,
-    /// Area covered by the pieces that this step saw, caller's units squared.
-    pub area: f64,
-    /// Passes.
-    pub evaluations: usize,
-    /// Wall-clock.
-    pub ms: f64,
-    /// Of which neighbour tables.
-    pub neighbours_ms: f64,
-    /// Nearest seeds of the facets.
-    pub start_ms: f64,
-    /// Clipping and summing.
-    pub clip_ms: f64,
-    /// Results, seeds moved.
-    pub update_ms: f64,
-    /// What a GPU was kept busy with.
-    #[serde(flatten)]
-    pub device: DeviceWork,
-}
-
-/// The seeds after the last step, before they are put on the surface.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct FinalFigures {
-    /// Caller's units.
-    pub energy: f64,
-    /// Over the hexagonal tiling's.
-    pub energy_ratio: f64,
-    /// ‖∇E‖.
-    pub gradient_norm: f64,
-}
-
-impl FinalFigures {
-    /// Of the seeds that `present` was taken at.
-    pub(crate) fn of(present: &Iteration) -> Self {
-        let Iteration { energy, energy_ratio, gradient_norm, .. } = *present;
-        Self { energy, energy_ratio, gradient_norm }
-    }
 }
 
 /// Wall-clock milliseconds per stage.
@@ -423,85 +259,4 @@ pub struct RepairFigures {
     pub seeds_without_vertex: usize,
     /// See `seeds_without_vertex`.
     pub extra_vertices: usize,
-}
-
-impl InputFigures {
-    /// Looks at the surface that came in.
-    ///
-    /// # Errors
-    /// [`Stopped`].
-    pub(crate) fn of(mesh: &TriMesh, token: &Token) -> Result<Self, Stopped> {
-        let adjacency = Adjacency::new(mesh);
-        token.check()?;
-        Self::with(mesh, &adjacency, token)
-    }
-
-    /// The same of a surface whose edges are known.
-    ///
-    /// # Errors
-    /// [`Stopped`].
-    pub(super) fn with(mesh: &TriMesh, adjacency: &Adjacency, token: &Token) -> Result<Self, Stopped> {
-        let outlier_vertices = outliers::find(mesh).len();
-        token.check()?;
-        let (area, degenerate_facets) = (mesh.area(), mesh.degenerate_count());
-        token.check()?;
-        let oddities =
-            if adjacency.non_manifold_edges() > 0 { duplicates::oddities(mesh) } else { Oddities::default() };
-        token.check()?;
-        Ok(Self {
-            kind: oddities.kind(),
-            enclosed_facets: oddities.enclosed,
-            back_to_back_facets: oddities.back_to_back,
-            vertices: mesh.positions().len(),
-            facets: mesh.facets().len(),
-            degenerate_facets,
-            inconsistent_edges: adjacency.inconsistent_edges(),
-            reoriented_facets: 0,
-            stitched_vertices: 0,
-            coincident_facets: 0,
-            outlier_vertices,
-            area,
-            topology: topology_unless(mesh, adjacency, token)?,
-        })
-    }
-}
-
-impl RvdFigures {
-    /// Adds what one pass had to do again.
-    pub(crate) fn add_pass(&mut self, stats: &PassStats) {
-        self.relaunched_pairs += stats.relaunched();
-        self.relaunched_neighbours += stats.relaunched_neighbours;
-        self.relaunched_polygon += stats.relaunched_polygon;
-        self.relaunched_cells += stats.relaunched_cells;
-        self.f64_finished_pairs += stats.f64_finished;
-        self.duplicate_seeds = self.duplicate_seeds.max(stats.duplicate_seeds as usize);
-    }
-
-    /// Takes the last diagram's figures.
-    pub(crate) fn of_dual(&mut self, dual: &Dual, surface: &Surface) {
-        let scale = surface.frame().scale;
-        self.area = dual.area / scale / scale;
-        self.pairs = dual.stats.pairs;
-        self.empty_cells = dual.empty_cells;
-    }
-}
-
-impl IterationFigures {
-    /// One step's figures.
-    pub(crate) fn of(step: &Iteration) -> Self {
-        Self {
-            kind: step.kind.name(),
-            energy: step.energy,
-            energy_ratio: step.energy_ratio,
-            gradient_norm: step.gradient_norm,
-            area: step.area,
-            evaluations: step.evaluations,
-            ms: step.ms,
-            neighbours_ms: step.stats.neighbours_ms,
-            start_ms: step.stats.start_ms,
-            clip_ms: step.stats.clip_ms,
-            update_ms: step.stats.update_ms,
-            device: step.stats.device_work(),
-        }
-    }
 }

@@ -7,23 +7,16 @@
 use glam::DVec3;
 
 use super::constants::{BOUND_ROUNDING, DEGREES_PER_QUALITY};
-use crate::mesh::measure::facet_quality;
+use crate::mesh::measure::{angles, facet_quality, least_angle};
 
 /// Unit normal; zero for a triangle without area.
 pub(super) fn unit_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a).normalize_or_zero()
 }
 
-/// The smallest and the largest angle, degrees.
-fn angles([a, b, c]: [DVec3; 3]) -> [f64; 2] {
-    let at = |p: DVec3, q: DVec3, r: DVec3| (q - p).cross(r - p).length().atan2((q - p).dot(r - p)).to_degrees();
-    let (at_a, at_b, at_c) = (at(a, b, c), at(b, c, a), at(c, a, b));
-    [at_a.min(at_b).min(at_c), at_a.max(at_b).max(at_c)]
-}
-
 /// The smallest angle in degrees, or [`DEGREES_PER_QUALITY`] times Q if that is less. Higher is better.
 pub(super) fn score(corners: [DVec3; 3]) -> f64 {
-    angles(corners)[0].min(DEGREES_PER_QUALITY * facet_quality(corners))
+    least_angle(corners).min(DEGREES_PER_QUALITY * facet_quality(corners))
 }
 
 /// The shape that triangles are to have.

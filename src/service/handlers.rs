@@ -15,7 +15,7 @@ use super::stream::{Answers, Gate, Inbox, Kind, Outbox, respond};
 use super::{Phase, RequestError, tenant};
 use crate::config::Limits;
 use crate::job::spec::{Input, Prepared};
-use crate::job::{Ask, BackendInfo, CancelOnDrop, Engine, JobError, Ticket};
+use crate::job::{AdmissionRequest, BackendInfo, CancelOnDrop, Engine, JobError, Reservation};
 use crate::mesh::TriMesh;
 use crate::remesh::Seeds;
 use crate::remesh::report::to_json;
@@ -112,12 +112,12 @@ struct Received {
     share: Share,
 }
 
-/// What was uploaded, and the place in the queue that was kept for it since its header.
+/// What was uploaded, and its place in the queue, reserved since its header.
 struct Admitted<H> {
     header: H,
     received: Received,
-    ticket: Ticket,
-    ask: Ask,
+    reservation: Reservation,
+    request: AdmissionRequest,
 }
 
 /// What a request may ask for, as the checks of messages take it.
@@ -145,16 +145,16 @@ async fn upload<M: Into<Incoming<H>>, H: Needs>(
             () = shared.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
         };
         let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes))?;
-        let (ask, ticket) = match (kept.take(), upload.header()) {
+        let (request, reservation) = match (kept.take(), upload.header()) {
             (Some(kept), _) => kept,
-            (None, Some(header)) => (need::ask(shared, tenant, header)?, shared.engine.reserve()?),
+            (None, Some(header)) => (need::admission_request(shared, tenant, header)?, shared.engine.reserve()?),
             // Nothing can come before the header.
-            (None, None) => (Ask::default(), shared.engine.reserve()?),
+            (None, None) => (AdmissionRequest::default(), shared.engine.reserve()?),
         };
         if let Some((header, seeds, arrays)) = complete {
-            return Ok(Admitted { header, received: Received { seeds, arrays, share }, ticket, ask });
+            return Ok(Admitted { header, received: Received { seeds, arrays, share }, reservation, request });
         }
-        kept = Some((ask, ticket));
+        kept = Some((request, reservation));
     }
 }
 

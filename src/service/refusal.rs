@@ -8,7 +8,7 @@ use tonic::Code;
 use super::RequestError;
 use crate::blob::BlobError;
 use crate::job::JobError;
-use crate::job::desk::DeskError;
+use crate::job::api::JobApiError;
 use crate::metrics::Refused;
 use crate::rvd::RvdError;
 
@@ -19,9 +19,9 @@ pub(super) fn of(error: &RequestError) -> Option<Refused> {
         RequestError::MessageTooLong { .. } => Some(Refused::MessageSize),
         RequestError::TooMany { .. } => Some(Refused::Streams),
         RequestError::Draining => Some(Refused::Draining),
-        RequestError::Job(error) | RequestError::Desk(DeskError::Job(error)) => of_job(error),
-        RequestError::Blob(error) | RequestError::Desk(DeskError::Blob(error)) => of_blob(error),
-        RequestError::Desk(DeskError::TooLarge { .. }) => Some(Refused::TooLarge),
+        RequestError::Job(error) | RequestError::JobApi(JobApiError::Job(error)) => of_job(error),
+        RequestError::Blob(error) | RequestError::JobApi(JobApiError::Blob(error)) => of_blob(error),
+        RequestError::JobApi(JobApiError::TooLarge { .. }) => Some(Refused::TooLarge),
         // The transport's word for a message that is too long, and ours for memory that is used up.
         RequestError::Inbound(status) => match status.code() {
             Code::OutOfRange => Some(Refused::MessageSize),
@@ -57,7 +57,7 @@ fn of_blob(error: &BlobError) -> Option<Refused> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::job::desk::Memory;
+    use crate::job::api::Memory;
     use crate::token::Stopped;
     use crate::wire::WireError;
 
@@ -73,9 +73,9 @@ mod tests {
     fn what_may_succeed_elsewhere_is_one() {
         let full = JobError::QueueFull { waiting: 1, retry_after: std::time::Duration::ZERO };
         assert_eq!(of(&full.clone().into()), Some(Refused::Queue));
-        assert_eq!(of(&DeskError::Job(full).into()), Some(Refused::Queue));
+        assert_eq!(of(&JobApiError::Job(full).into()), Some(Refused::Queue));
         assert_eq!(
-            of(&DeskError::TooLarge { of: Memory::Host, needed_bytes: 2, limit_bytes: 1 }.into()),
+            of(&JobApiError::TooLarge { of: Memory::Host, needed_bytes: 2, limit_bytes: 1 }.into()),
             Some(Refused::TooLarge)
         );
         assert_eq!(of(&BlobError::StorageFull.into()), Some(Refused::Storage));

@@ -15,7 +15,7 @@ use super::convert::spec::path_of;
 use crate::blob::BlobError;
 use crate::cvt::density::DensityError;
 use crate::job::JobError;
-use crate::job::desk::DeskError;
+use crate::job::api::JobApiError;
 use crate::job::record::SpecError;
 use crate::job::store::StoreError;
 use crate::mesh::MeshError;
@@ -45,7 +45,7 @@ impl From<RequestError> for Status {
             }
             RequestError::Job(error) => of_job(&error),
             RequestError::Blob(error) => of_blob(&error),
-            RequestError::Desk(error) => of_desk(error),
+            RequestError::JobApi(error) => of_job_api(error),
             RequestError::Access(refusal) => of_refusal(refusal),
             RequestError::Inbound(status) => of_inbound(status),
         }
@@ -220,18 +220,18 @@ fn of_blob(error: &BlobError) -> Status {
     invalid(text.clone(), path.to_owned(), text)
 }
 
-fn of_desk(error: DeskError) -> Status {
+fn of_job_api(error: JobApiError) -> Status {
     let text = error.to_string();
     match error {
-        DeskError::Spec(error) => of_spec(&error),
-        DeskError::Input { field, problem } => {
+        JobApiError::Spec(error) => of_spec(&error),
+        JobApiError::Input { field, problem } => {
             let path = path_of(&field);
             invalid(format!("{path} {problem}"), path, problem)
         }
-        DeskError::TooLarge { .. } => invalid(text.clone(), "spec".to_owned(), text),
-        DeskError::Store(error) => of_store(&error),
-        DeskError::Blob(error) => of_blob(&error),
-        DeskError::Job(error) => of_job(&error),
+        JobApiError::TooLarge { .. } => invalid(text.clone(), "spec".to_owned(), text),
+        JobApiError::Store(error) => of_store(&error),
+        JobApiError::Blob(error) => of_blob(&error),
+        JobApiError::Job(error) => of_job(&error),
     }
 }
 

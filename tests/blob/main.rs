@@ -7,6 +7,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[path = "../common/process.rs"]
+mod process;
+
 mod crash;
 mod model;
 mod owners;

@@ -1,54 +1,24 @@
 //! How fast a large blob is written and read, and what memory that takes.
 
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use bytes::{Bytes, BytesMut};
 use futures_util::TryStreamExt;
 use sha2::Digest as _;
 use tessera::internals::blob::{BlobOptions, BlobStore, Chunk, Digest, UploadId};
 
+use crate::process::MemoryPeak;
 use crate::{content, local};
 
 const MIB: u64 = 1 << 20;
 const SIZE_MIB: u64 = 500;
-
-/// Memory that the process holds, bytes; 0 where the system does not say.
-fn resident() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find(|line| line.starts_with("VmRSS:"));
-    line.and_then(|line| line.split_whitespace().nth(1)?.parse::<u64>().ok()).unwrap_or(0) * 1024
-}
 
 /// Processor time of all threads, seconds, from ticks of 10 ms; 0 where the system does not say.
 fn cpu_s() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit_once(')').map_or("", |(_, rest)| rest).split_whitespace().skip(11).take(2);
     fields.filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
-}
-
-/// The most memory from `new` on.
-struct Watch(Arc<(AtomicBool, AtomicU64)>, u64);
-
-impl Watch {
-    fn new() -> Self {
-        let state = Arc::new((AtomicBool::new(true), AtomicU64::new(0)));
-        let seen = Arc::clone(&state);
-        std::thread::spawn(move || {
-            while seen.0.load(Ordering::Relaxed) {
-                seen.1.fetch_max(resident(), Ordering::Relaxed);
-                std::thread::sleep(Duration::from_millis(2));
-            }
-        });
-        Self(state, resident())
-    }
-
-    fn moved_mib(self) -> f64 {
-        self.0.0.store(false, Ordering::Relaxed);
-        self.0.1.load(Ordering::Relaxed).saturating_sub(self.1) as f64 / MIB as f64
-    }
 }
 
 #[test]
@@ -76,7 +46,7 @@ fn speed() {
     for fsync in [true, false] {
         runtime.block_on(async {
             let store = local(folder.path(), BlobOptions::default().with_fsync(fsync)).await;
-            let (watch, start, cpu) = (Watch::new(), Instant::now(), cpu_s());
+            let (watch, start, cpu) = (MemoryPeak::new(), Instant::now(), cpu_s());
             store.begin(id).await.unwrap();
             for k in 0..SIZE_MIB {
                 store.write(id, Chunk::new(k * MIB, chunk(k))).await.unwrap();
@@ -84,8 +54,8 @@ fn speed() {
             let chunks_s = start.elapsed().as_secs_f64();
             store.finish(id, None).await.unwrap();
             let write_cpu_s = cpu_s() - cpu;
-            let (write_s, write_moved) = (start.elapsed().as_secs_f64(), watch.moved_mib());
-            let (watch, start, cpu) = (Watch::new(), Instant::now(), cpu_s());
+            let (write_s, write_moved) = (start.elapsed().as_secs_f64(), watch.grown_mib());
+            let (watch, start, cpu) = (MemoryPeak::new(), Instant::now(), cpu_s());
             let mut pieces = store.read(digest, 0..u64::MAX).await.unwrap().bytes;
             let mut read = 0;
             while let Some(piece) = pieces.try_next().await.unwrap() {
@@ -93,7 +63,7 @@ fn speed() {
                 read += std::hint::black_box(piece).len() as u64;
             }
             assert_eq!(read, id.size_bytes());
-            let (read_s, read_moved) = (start.elapsed().as_secs_f64(), watch.moved_mib());
+            let (read_s, read_moved) = (start.elapsed().as_secs_f64(), watch.grown_mib());
             let read_cpu_s = cpu_s() - cpu;
             store.delete(digest).await.unwrap();
             println!(

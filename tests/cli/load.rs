@@ -1,7 +1,7 @@
 //! Promise: a load says what the server counts, keeps its plan whatever the server does, finds a stall, and leaves nothing behind.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use crate::nobody::Nobody;
+use crate::process::addresses_of;
 
 /// How long a test waits for what has to come. A loaded machine is far from it; without an end nothing would come at all.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -31,9 +32,7 @@ impl Server {
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
-        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        let mut after = |words: &str| lines.next().unwrap().unwrap().strip_prefix(words).unwrap().to_owned();
-        let (address, admin) = (after("tessera listens on "), after("tessera tells operators on "));
+        let (address, admin) = addresses_of(&mut child);
         Self { child, endpoint: format!("http://{address}"), admin }
     }
 

@@ -11,6 +11,8 @@ mod certificates;
 mod gpu;
 #[path = "../common/nobody.rs"]
 mod nobody;
+#[path = "../common/process.rs"]
+mod process;
 #[path = "../common/rough.rs"]
 mod rough;
 

@@ -1,11 +1,12 @@
 //! Promise: work on a server is told and written as work here is, and a server listens where it is told to by name.
 
-use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use tessera::mesh::io;
 use tessera::mesh::shapes::Shape;
+
+use crate::process::address_of;
 
 /// A server of its own, which ends with the test.
 struct Server(Child, String);
@@ -15,9 +16,7 @@ impl Server {
         let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
         command.args(["serve", "--ephemeral", "--backend", "parallel", "--listen", listen]).env("TESSERA_LOG", "error");
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.trim().strip_prefix("tessera listens on ").expect("it listens").to_owned();
+        let address = address_of(&mut child);
         Self(child, address)
     }
 }

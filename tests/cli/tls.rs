@@ -1,12 +1,12 @@
 //! Promise: a client asks over TLS, and says in words why it does not come to that; a signal has a server read its
 //! certificate again.
 
-use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::certificates::{Age, Authority, file};
+use crate::process::address_of;
 
 /// A server of its own, which ends with the test.
 struct Server(Child, String);
@@ -22,9 +22,7 @@ impl Server {
             .stderr(Stdio::null())
             .spawn()
             .unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.trim().strip_prefix("tessera listens on ").expect("it listens");
+        let address = address_of(&mut child);
         Self(child, address.rsplit(':').next().unwrap().to_owned())
     }
 }

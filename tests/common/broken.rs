@@ -92,3 +92,77 @@ pub fn spheres(one: &TriMesh) -> TriMesh {
     let parts: Vec<TriMesh> = (0..27).map(|k| map(one, |p| p + place(k))).collect();
     join(&parts.iter().collect::<Vec<_>>())
 }
+
+/// Two copies of a surface that touch in its top vertex.
+pub fn touching(mesh: &TriMesh) -> TriMesh {
+    let top = mesh.positions().iter().copied().fold(DVec3::splat(-2.0), |a, b| if b.z > a.z { b } else { a });
+    join(&[mesh, &map(mesh, |p| 2.0 * top - p)])
+}
+
+/// One facet in `every` turned over.
+pub fn turned_over(mesh: &TriMesh, every: usize) -> TriMesh {
+    let facets = mesh.facets().iter().enumerate();
+    let facets = facets.map(|(f, &[a, b, c])| if f % every == 0 { [a, c, b] } else { [a, b, c] });
+    TriMesh::new(mesh.positions().to_vec(), facets.collect()).unwrap()
+}
+
+/// [`soup`], whose corners were rounded one by one.
+pub fn nearly_one(mesh: &TriMesh) -> TriMesh {
+    let corners = mesh.facets().iter().flatten().enumerate();
+    let off = |k: usize| DVec3::new(k as f64, (k * k) as f64, (3 * k) as f64).map(f64::sin);
+    let places = corners.map(|(k, &v)| mesh.positions()[v as usize] + 1e-8 * off(k)).collect();
+    TriMesh::new(places, (0..mesh.facets().len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect()).unwrap()
+}
+
+/// The mesh with some facets twice.
+pub fn facets_twice(mesh: &TriMesh, which: std::ops::Range<usize>) -> TriMesh {
+    let (positions, mut facets) = mesh.clone().into_parts();
+    facets.extend_from_within(which);
+    TriMesh::new(positions, facets).unwrap()
+}
+
+/// A surface and one a millionth of its size.
+pub fn with_dust(mesh: &TriMesh) -> TriMesh {
+    join(&[mesh, &map(&Shape::Sphere.build(80), |p| p * 1e-6 + DVec3::X * 2.0)])
+}
+
+/// T-shaped: a sliver of this altitude between proper facets.
+pub fn sliver(altitude: f64) -> TriMesh {
+    let corners = vec![
+        dvec3(0.0, 0.0, 0.0),
+        dvec3(1.0, 0.0, 0.0),
+        dvec3(0.5, altitude, 0.0),
+        dvec3(0.5, 1.0, 0.0),
+        dvec3(0.5, -1.0, 0.0),
+    ];
+    TriMesh::new(corners, vec![[0, 1, 2], [2, 1, 3], [0, 2, 3], [1, 0, 4]]).unwrap()
+}
+
+/// Altitudes of slivers: some digits, a rounding, and next to nothing.
+pub const ALTITUDES: [f64; 4] = [1e-7, 1e-12, 3e-16, 1e-17];
+
+/// The surface in other units, next to the origin and a million boxes away.
+pub fn units(mesh: &TriMesh) -> impl Iterator<Item = (String, TriMesh)> {
+    let all = [1e-30, 1e-12, 1e12, 1e30].into_iter().flat_map(|scale| [0.0, 1e6].map(|boxes| (scale, boxes)));
+    all.map(move |(scale, boxes)| {
+        let moved = map(mesh, |p| (p + dvec3(1.0, -0.5, 0.25) * 3.0 * boxes) * scale);
+        (format!("scale {scale}, {boxes} boxes off"), moved)
+    })
+}
+
+/// A surface with a vertex that no facet uses, its last, and weights of any size.
+pub fn with_extreme_weights(mesh: &TriMesh) -> (TriMesh, [(&'static str, Vec<f64>); 5]) {
+    let (mut positions, facets) = mesh.clone().into_parts();
+    positions.push(DVec3::ONE);
+    let count = positions.len();
+    let like = |of: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..count).map(of).collect() };
+    let ramp = |v: usize| 1.0 + (v % 7) as f64;
+    let weights = [
+        ("tiny", like(&|v| 1e-300 * ramp(v))),
+        ("subnormal", like(&|v| f64::from_bits(1 << (v % 7)))),
+        ("huge", like(&|v| 1e307 * ramp(v))),
+        ("zero but for one", like(&|v| f64::from(v == 17))),
+        ("an unused vertex's is the largest", like(&|v| if v + 1 == count { 1e300 } else { ramp(v) })),
+    ];
+    (TriMesh::new(positions, facets).unwrap(), weights)
+}

@@ -20,12 +20,11 @@ pub mod moving;
 #[path = "conformance/refusals.rs"]
 pub mod refusals;
 
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-use glam::DVec3;
-use tessera::rvd::{Backend, BackendKind, Capacities, CellSums, PassStats, PieceBatch, Serial, Session};
-use tessera::rvd::{SessionOptions, Surface};
-use tessera::token::Token;
+use tessera::rvd::{Backend, BackendKind, Capacities, CellSums, Serial, Surface};
+
+pub use crate::sessions::{everything, open, same_bits, sums, sums_with};
 
 /// In what a backend computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,58 +114,9 @@ pub fn reference() -> &'static [input::Answer] {
     REFERENCE.get_or_init(|| input::answers(&Serial))
 }
 
-/// A session with these seeds.
-pub fn open(
-    backend: &dyn Backend,
-    surface: &Arc<Surface>,
-    seeds: &[DVec3],
-    options: SessionOptions,
-) -> Box<dyn Session> {
-    let mut session = backend.session(Arc::clone(surface), options).unwrap();
-    session.set_seeds(seeds).unwrap();
-    session
-}
-
-/// Sums and all pieces of a session.
-pub fn everything(session: &mut dyn Session, surface: &Surface) -> (CellSums, PieceBatch, PassStats) {
-    let (mut sums, mut pieces) = (CellSums::default(), PieceBatch::default());
-    let stats = session.sums(&mut sums, &Token::default()).unwrap();
-    session.pieces(0..surface.facets().len() as u32, &mut pieces, &Token::default()).unwrap();
-    (sums, pieces, stats)
-}
-
-/// The sums of these seeds in a session of their own.
-pub fn sums(backend: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> (CellSums, PassStats) {
-    sums_with(backend, surface, seeds, SessionOptions::new(seeds.len()))
-}
-
-/// The same, with these options.
-pub fn sums_with(
-    backend: &dyn Backend,
-    surface: &Arc<Surface>,
-    seeds: &[DVec3],
-    options: SessionOptions,
-) -> (CellSums, PassStats) {
-    let mut out = CellSums::default();
-    let stats = open(backend, surface, seeds, options).sums(&mut out, &Token::default()).unwrap();
-    (out, stats)
-}
-
 /// Capacities that make pairs run out of everything.
 pub fn tiny() -> Capacities {
     Capacities::new().with_neighbours(4).with_polygon(5).with_cells(2).with_pairs_percent(10)
-}
-
-/// Asserts the same bits, with a short message.
-pub fn same_bits(name: &str, a: &CellSums, b: &CellSums) {
-    let bits = |s: &CellSums, i: usize| {
-        let m = s.moment[i];
-        [s.mass[i], m.x, m.y, m.z, s.energy[i], s.area[i]].map(f64::to_bits)
-    };
-    assert_eq!(a.mass.len(), b.mass.len(), "{name}");
-    let other: Vec<usize> = (0..a.mass.len()).filter(|&i| bits(a, i) != bits(b, i)).collect();
-    let shown: Vec<_> = other.iter().take(5).map(|&i| (i, a.mass[i], b.mass[i] - a.mass[i])).collect();
-    assert!(other.is_empty(), "{name}: {} cells differ, e.g. (cell, mass, change) {shown:?}", other.len());
 }
 
 /// Every cell within `tolerance` of the reference, relative to the mean cell and to the cell.

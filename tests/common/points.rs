@@ -135,3 +135,63 @@ pub fn many_sets(surface: &Surface, n: usize) -> Vec<(&'static str, Vec<DVec3>)>
         ("far", noise(surface, n, 0.0, 8).iter().map(|&p| p + dvec3(0.0, 100.0, 0.0)).collect()),
     ]
 }
+
+/// Seeds of which later ones lie on earlier ones, and how many do.
+pub fn duplicate_sets(single: &[DVec3]) -> [(&'static str, Vec<DVec3>, usize); 4] {
+    [
+        ("all the same", vec![single[3]; 500], 499),
+        ("pairs", single.iter().flat_map(|&p| [p, p]).collect(), single.len()),
+        ("a hundred times two", [single[0], single[1]].repeat(100), 198),
+        // -0 is 0.
+        ("signs of zero", [&[dvec3(0.4, 0.0, 0.0), dvec3(0.4, -0.0, -0.0)], single].concat(), 1),
+    ]
+}
+
+/// The seeds and, beside each, one that is `gap` away.
+pub fn nearly_twice(single: &[DVec3], gap: f64) -> Vec<DVec3> {
+    single.iter().flat_map(|&p| [p, p + gap * dvec3(0.3, -0.5, 0.8)]).collect()
+}
+
+/// The corners of a unit square's grid, `side` cells a side, moved by so much of a cell: the facets' own corners, or their
+/// middles.
+pub fn square_lattice(side: usize, shift: f64) -> Vec<DVec3> {
+    (0..(side + 1) * (side + 1))
+        .map(|k| dvec3((k % (side + 1)) as f64, (k / (side + 1)) as f64, 0.0))
+        .map(|p| (p + dvec3(shift, shift, 0.0)) / side as f64 - dvec3(0.5, 0.5, 0.0))
+        .collect()
+}
+
+/// On a circle, all as far from its middle.
+pub fn on_circle(count: usize) -> Vec<DVec3> {
+    (0..count)
+        .map(|k| (k as f64 / count as f64 * std::f64::consts::TAU).sin_cos())
+        .map(|(sin, cos)| 0.25 * dvec3(cos, sin, 0.0))
+        .collect()
+}
+
+/// All corners of cubes, through the whole unit box.
+pub fn cube_lattice() -> Vec<DVec3> {
+    (0..343).map(|k| dvec3((k % 7) as f64, (k / 7 % 7) as f64, (k / 49) as f64) / 6.0 - DVec3::splat(0.5)).collect()
+}
+
+/// Seeds on the mesh itself, unit frame.
+pub fn on_the_mesh(surface: &Surface) -> [(&'static str, Vec<DVec3>); 4] {
+    let corners = |f: usize| surface.facets()[f].map(|v| surface.positions()[v as usize]);
+    let facets = 0..surface.facets().len();
+    [
+        ("vertices", surface.positions().to_vec()),
+        ("middles of edges", facets.clone().map(|f| 0.5 * (corners(f)[0] + corners(f)[1])).collect()),
+        ("middles of facets", facets.clone().map(|f| surface.centroid(f as u32)).collect()),
+        // More seeds than facets, on every corner of every facet.
+        ("corners", facets.flat_map(corners).collect()),
+    ]
+}
+
+/// Seeds `far` from the surface, all of them or half: cells that the surface meets at all angles, and cells that it does not
+/// meet.
+pub fn far_sets(near: &[DVec3], far: f64) -> [(&'static str, Vec<DVec3>); 2] {
+    let away = |p: &DVec3| (p.normalize() * far).clamp(DVec3::splat(-far), DVec3::splat(far));
+    let away: Vec<DVec3> = near.iter().map(away).collect();
+    let half = [&near[..near.len() / 2], &away[..near.len() / 2]].concat();
+    [("all", away), ("half", half)]
+}

@@ -30,6 +30,11 @@ impl Random {
         (self.unit() * n as f64) as usize
     }
 
+    /// In the unit cube.
+    pub fn point(&mut self) -> DVec3 {
+        dvec3(self.unit(), self.unit(), self.unit())
+    }
+
     /// From -1 to 1.
     pub fn signed(&mut self) -> f64 {
         2.0 * self.unit() - 1.0

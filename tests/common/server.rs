@@ -1,6 +1,6 @@
 //! A server on port 0, clients, uploads, and backends that misbehave on purpose.
 
-pub mod desk;
+pub mod idle_jobs;
 
 use std::net::SocketAddr;
 use std::ops::Range;
@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use desk::Idle;
 use glam::{DVec3, dvec3};
+use idle_jobs::Idle;
 use tessera::internals::blob::{BlobError, BlobOptions, ObjectBlobs};
 use tessera::internals::config::Limits;
 use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError};
@@ -175,7 +175,7 @@ pub struct Server {
     pub address: SocketAddr,
     pub engine: Engine,
     /// Its jobs and blobs.
-    pub desk: Arc<Idle>,
+    pub idle: Arc<Idle>,
     /// Whether it is ready.
     pub readiness: Readiness,
     stop: Option<oneshot::Sender<()>>,
@@ -224,8 +224,8 @@ impl Server {
             None => ObjectBlobs::in_memory(setup.blobs),
             Some(folder) => opened(&folder, setup.blobs).await,
         };
-        let desk = Arc::new(Idle::new(Arc::new(blobs)));
-        let jobs = Some(Jobs { blobs: desk.blobs.clone(), desk: desk.clone() });
+        let idle = Arc::new(Idle::new(Arc::new(blobs)));
+        let jobs = Some(Jobs { blobs: idle.blobs.clone(), api: idle.clone() });
         let readiness = Readiness::new();
         let (metrics, about) = (Metrics::default(), About::default());
         let Setup { limits, tls, access, .. } = setup;
@@ -243,7 +243,7 @@ impl Server {
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;
         }));
-        Self { address, engine, desk, readiness, stop: Some(stop), served }
+        Self { address, engine, idle, readiness, stop: Some(stop), served }
     }
 
     pub async fn channel(&self) -> Channel {
@@ -366,6 +366,21 @@ pub fn all_chunks(points: &[DVec3], facets: &[[u32; 3]], seeds: &[DVec3]) -> Vec
     all.extend(chunks(ArrayKind::Facets, &facet_bytes(facets)));
     all.extend(chunks(ArrayKind::Seeds, &point_bytes(seeds)));
     all
+}
+
+/// A whole Remesh request; `arrays` are what it has beside mesh and seeds.
+pub fn remesh_request(
+    header: RemeshHeader,
+    points: &[DVec3],
+    facets: &[[u32; 3]],
+    seeds: &[DVec3],
+    arrays: Vec<Chunk>,
+) -> Vec<RemeshRequest> {
+    use remesh_request::Message;
+    let mut all = vec![Message::Header(header)];
+    all.extend(all_chunks(points, facets, seeds).into_iter().chain(arrays).map(Message::Chunk));
+    all.push(Message::Finish(Finish {}));
+    all.into_iter().map(|message| RemeshRequest { message: Some(message) }).collect()
 }
 
 pub fn rvd_message(message: compute_rvd_request::Message) -> ComputeRvdRequest {

@@ -14,6 +14,8 @@ mod gpu;
 mod hang;
 #[path = "../common/points.rs"]
 mod points;
+#[path = "../common/sessions.rs"]
+mod sessions;
 
 /// The backend of these tests, or `None` where there is no adapter and none is required.
 fn backend() -> Option<&'static Gpu> {

@@ -4,6 +4,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use crate::points::{many_sets, noise};
+use crate::sessions::{self, evaluate, minimise, read};
 use glam::{DVec3, dvec3};
 use needs::needs;
 use rand::{RngExt, SeedableRng};
@@ -15,8 +16,7 @@ use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::Serial;
 use tessera::rvd::{
-    Backend, Capacities, CellSums, Evaluation, PassStats, Resident, RvdError, Session, SessionOptions, Surface,
-    Together, Tuning,
+    Backend, Capacities, CellSums, PassStats, RvdError, Session, SessionOptions, Surface, Together, Tuning,
 };
 use tessera::token::{Stopped, Token};
 
@@ -146,60 +146,13 @@ fn the_device_searches_what_it_can() {
 }
 
 fn open(gpu: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3]) -> Box<dyn Session> {
-    let mut session = gpu.session(Arc::clone(surface), SessionOptions::new(seeds.len())).unwrap();
-    session.set_seeds(seeds).unwrap();
-    session
+    sessions::open(gpu, surface, seeds, SessionOptions::new(seeds.len()))
 }
 
 /// The same with so many steps a submission, however slow the device is.
 fn open_together(gpu: &dyn Backend, surface: &Arc<Surface>, seeds: &[DVec3], most: usize) -> Box<dyn Session> {
     let tuning = Tuning::new().with_together(Together::AtMost(most));
-    let options = SessionOptions::new(seeds.len()).with_tuning(tuning);
-    let mut session = gpu.session(Arc::clone(surface), options).unwrap();
-    session.set_seeds(seeds).unwrap();
-    session
-}
-
-fn read(seeds: &mut dyn Resident) -> Vec<DVec3> {
-    let mut out = Vec::new();
-    seeds.read(&mut out).unwrap();
-    out
-}
-
-fn evaluate(seeds: &mut dyn Resident) -> Evaluation {
-    seeds.evaluate(&Token::default()).unwrap()
-}
-
-fn probe(seeds: &mut dyn Resident, step: f64) -> Evaluation {
-    seeds.probe(step, &Token::default()).unwrap()
-}
-
-/// Lloyd steps, then quasi-Newton steps with a backtracking search. The energies of all points.
-fn minimise(seeds: &mut dyn Resident, lloyd: usize, newton: usize) -> (Vec<f64>, PassStats) {
-    let mut here = evaluate(seeds);
-    let mut energies = vec![here.energy];
-    let mut stats = PassStats::default();
-    for _ in 0..lloyd {
-        seeds.to_centroids().unwrap();
-        here = evaluate(seeds);
-        energies.push(here.energy);
-    }
-    for _ in 0..newton {
-        let slope = seeds.search_direction().unwrap();
-        assert!(slope < 0.0);
-        let mut step = 1.0;
-        let mut next = probe(seeds, step);
-        while next.energy > here.energy + 1e-4 * step * slope {
-            assert!(step > 1e-9, "no step goes down");
-            step *= 0.5;
-            next = probe(seeds, step);
-        }
-        seeds.accept().unwrap();
-        stats.add(&next.stats);
-        here = next;
-        energies.push(here.energy);
-    }
-    (energies, stats)
+    sessions::open(gpu, surface, seeds, SessionOptions::new(seeds.len()).with_tuning(tuning))
 }
 
 #[needs(gpu)]

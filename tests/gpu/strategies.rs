@@ -4,11 +4,11 @@
 use std::sync::Arc;
 
 use crate::points::noise;
+use crate::sessions::{everything, open, same_bits};
 use glam::{DVec3, dvec3};
 use needs::needs;
 use tessera::mesh::TriMesh;
 use tessera::rvd::{Backend, CellSums, PassStats, PieceBatch, SessionOptions, Strategy, Surface, Tuning};
-use tessera::token::Token;
 
 fn square() -> TriMesh {
     let corners = vec![dvec3(0., 0., 0.), dvec3(1., 0., 0.), dvec3(1., 1., 0.), dvec3(0., 1., 0.)];
@@ -22,24 +22,7 @@ fn both(
     seeds: &[DVec3],
     options: SessionOptions,
 ) -> (CellSums, PieceBatch, PassStats) {
-    let mut session = backend.session(Arc::clone(surface), options).unwrap();
-    session.set_seeds(seeds).unwrap();
-    let (mut sums, mut pieces) = (CellSums::default(), PieceBatch::default());
-    let stats = session.sums(&mut sums, &Token::default()).unwrap();
-    session.pieces(0..surface.facets().len() as u32, &mut pieces, &Token::default()).unwrap();
-    (sums, pieces, stats)
-}
-
-/// Like `assert_eq`, but with a short message.
-fn same_bits(name: &str, a: &CellSums, b: &CellSums) {
-    let bits = |s: &CellSums, i: usize| {
-        let m = s.moment[i];
-        [s.mass[i], m.x, m.y, m.z, s.energy[i], s.area[i]].map(f64::to_bits)
-    };
-    assert_eq!(a.mass.len(), b.mass.len(), "{name}");
-    let other: Vec<usize> = (0..a.mass.len()).filter(|&i| bits(a, i) != bits(b, i)).collect();
-    let shown: Vec<_> = other.iter().take(5).map(|&i| (i, a.mass[i], b.mass[i] - a.mass[i])).collect();
-    assert!(other.is_empty(), "{name}: {} cells differ, e.g. (cell, mass, change) {shown:?}", other.len());
+    everything(&mut *open(backend, surface, seeds, options), surface)
 }
 
 #[needs(gpu)]

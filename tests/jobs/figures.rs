@@ -10,15 +10,10 @@ use tessera::internals::job::state::State;
 use tessera::internals::job::store::*;
 
 use super::{spec, wait};
+use crate::process::resident_bytes;
 
 const JOBS: u64 = 10_000;
 const THREADS: u64 = 8;
-
-fn resident_kib() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find(|line| line.starts_with("VmRSS"));
-    line.and_then(|line| line.split_whitespace().nth(1)?.parse().ok()).unwrap_or(0)
-}
 
 fn create_all(store: &Arc<dyn JobStore>) -> f64 {
     let start = Instant::now();
@@ -49,9 +44,9 @@ fn page_ms(store: &Arc<dyn JobStore>, query: &Query) -> f64 {
 }
 
 fn figures(name: &str, store: &Arc<dyn JobStore>) -> String {
-    let before = resident_kib();
+    let before = resident_bytes();
     let creates = create_all(store);
-    let memory = (resident_kib().saturating_sub(before)) as f64 / JOBS as f64;
+    let memory = (resident_bytes().saturating_sub(before)) as f64 / 1024.0 / JOBS as f64;
     let first = page_ms(store, &Query::default());
     let queued = page_ms(store, &Query { states: vec![State::Queued], ..Query::default() });
     let rare = page_ms(store, &Query { labels: [("body".to_owned(), "1".to_owned())].into(), ..Query::default() });

@@ -5,6 +5,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // a failure here is the test's failure
 
+#[path = "../common/process.rs"]
+mod process;
+
 mod disk;
 mod figures;
 mod journal;
@@ -17,7 +20,7 @@ use std::future::Future;
 
 use tessera::internals::blob::Digest;
 use tessera::internals::job::record::*;
-use tessera::internals::job::store::Keep;
+use tessera::internals::job::store::Retention;
 
 /// A small job; `body` makes it differ from others.
 pub fn spec(request: &str, body: u64) -> JobSpec {
@@ -36,8 +39,8 @@ pub fn spec(request: &str, body: u64) -> JobSpec {
 }
 
 /// How long things are kept in these tests.
-pub const KEEP: Keep =
-    Keep { results: std::time::Duration::from_millis(500), records: std::time::Duration::from_millis(200) };
+pub const KEEP: Retention =
+    Retention { results: std::time::Duration::from_millis(500), records: std::time::Duration::from_millis(200) };
 
 thread_local! {
     static RUNTIME: tokio::runtime::Runtime =

@@ -93,11 +93,11 @@ impl Server {
         let stores = Stores::ephemeral(BlobRoom::default());
         let blobs = Arc::clone(&stores.blobs);
         let journal = Arc::clone(&stores.jobs);
-        let desk = Executor::start(engine.clone(), stores, ExecutorOptions::new(bounds)).await.unwrap();
+        let executor = Executor::start(engine.clone(), stores, ExecutorOptions::new(bounds)).await.unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = oneshot::channel();
-        let jobs = Some(Jobs { blobs, desk: Arc::new(desk) });
+        let jobs = Some(Jobs { blobs, api: Arc::new(executor) });
         let readiness = Readiness::new();
         let parts = Parts {
             engine: engine.clone(),

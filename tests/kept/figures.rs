@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 use serde_json::json;
-use tessera::internals::job::{Ask, Backends, Engine, EngineOptions, JobError};
-use tessera::internals::job_queue::{Place, Retry};
+use tessera::internals::job::{AdmissionRequest, Backends, Engine, EngineOptions, JobError};
+use tessera::internals::job_queue::{Admission, Retry};
 use tessera::mesh::io;
 use tessera::mesh::shapes::Shape;
 use tessera::proto::*;
@@ -299,10 +299,11 @@ async fn figures_of_a_shared_device() {
         let begin = Instant::now();
         let mut all: Vec<_> = (0..8)
             .map(|_| {
-                let submitted = engine.submit(Place::New(Ask::default()), Retry::Never, move |backends, turn| {
-                    let kind = if way == "gate" { BackendKind::Gpu } else { BackendKind::Serial };
-                    job(backends.choose(tessera::BackendChoice::Only(kind))?.as_ref(), &turn.token)
-                });
+                let submitted =
+                    engine.submit(Admission::New(AdmissionRequest::default()), Retry::Never, move |backends, turn| {
+                        let kind = if way == "gate" { BackendKind::Gpu } else { BackendKind::Serial };
+                        job(backends.choose(tessera::BackendChoice::Only(kind))?.as_ref(), &turn.token)
+                    });
                 submitted.unwrap()
             })
             .collect();

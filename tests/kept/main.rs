@@ -15,6 +15,8 @@ mod jobs;
 mod keys;
 mod kills;
 mod load;
+#[path = "../common/process.rs"]
+mod process;
 mod program;
 #[path = "../service/raw.rs"]
 #[allow(dead_code)]

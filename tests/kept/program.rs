@@ -1,7 +1,6 @@
 //! The program with a folder, and a client of it.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -15,6 +14,8 @@ use tessera::proto::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tonic::transport::{Channel, Endpoint};
+
+use crate::process::{address_of, addresses_of};
 
 /// A server. Killed when dropped.
 pub struct Program {
@@ -41,11 +42,11 @@ impl Program {
             .stderr(log)
             .spawn()
             .unwrap();
-        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        let mut after =
-            |words: &str| lines.next().unwrap().unwrap().strip_prefix(words).expect("it listens").to_owned();
-        let address = after("tessera listens on ");
-        let admin = options.contains(&"--admin-listen").then(|| after("tessera tells operators on "));
+        let (address, admin) = match options.contains(&"--admin-listen") {
+            true => addresses_of(&mut child),
+            false => (address_of(&mut child), String::new()),
+        };
+        let admin = Some(admin).filter(|admin| !admin.is_empty());
         Self { child, address, admin }
     }
 
@@ -80,11 +81,7 @@ impl Program {
     /// Resident memory in bytes, open descriptors, threads.
     #[cfg(target_os = "linux")]
     pub fn held(&self) -> (u64, usize, usize) {
-        let count = |what: &str| std::fs::read_dir(format!("/proc/{}/{what}", self.child.id())).unwrap().count();
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
-        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-        let kibibytes: u64 = resident.split_whitespace().next().unwrap().parse().unwrap();
-        (kibibytes * 1024, count("fd"), count("task"))
+        crate::process::resources_of(&self.child)
     }
 
     /// Seconds that its threads have worked, all together.

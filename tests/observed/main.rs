@@ -5,6 +5,8 @@
 
 #[path = "../common/nobody.rs"]
 mod nobody;
+#[path = "../common/process.rs"]
+mod process;
 
 mod counted;
 mod documents;

@@ -1,7 +1,7 @@
 //! The program with its admin port, and what is read from there.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Read};
+use std::io::Read;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -13,6 +13,8 @@ use tessera::proto::job_service_client::JobServiceClient;
 use tessera::proto::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tonic::transport::{Channel, Endpoint};
+
+use crate::process::addresses_of;
 
 pub const SECOND: Duration = Duration::from_secs(1);
 
@@ -45,12 +47,7 @@ impl Program {
             let _ = error.read_to_string(&mut all);
             all
         });
-        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        let mut after = |words: &str| {
-            let line = lines.next().expect("it says where it listens").unwrap();
-            line.strip_prefix(words).unwrap_or_else(|| panic!("{line}")).to_owned()
-        };
-        let (address, admin) = (after("tessera listens on "), after("tessera tells operators on "));
+        let (address, admin) = addresses_of(&mut child);
         Self { child, address, admin, log: Some(log) }
     }
 

@@ -8,22 +8,7 @@ use glam::{DVec3, dvec3};
 use tessera::mesh::TriMesh;
 use tessera::mesh::shapes::Shape;
 
-/// Numbers in [0, 1), the same ones everywhere.
-pub(crate) struct Random(pub(crate) u64);
-
-impl Random {
-    pub(crate) fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn point(&mut self) -> DVec3 {
-        dvec3(self.next(), self.next(), self.next())
-    }
-}
+use crate::rough::Random;
 
 /// A line with a radius.
 type Limb = (DVec3, DVec3, f64);
@@ -169,9 +154,9 @@ fn ball(facets: usize, centre: DVec3, radius: f64) -> TriMesh {
 
 /// So many balls that go through each other.
 pub(crate) fn balls(count: usize, least: f64, largest: f64) -> TriMesh {
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     joined((0..count).map(|_| {
-        let radius = least + (largest - least) * random.next();
+        let radius = least + (largest - least) * random.unit();
         ball(500, random.point(), radius)
     }))
 }
@@ -191,7 +176,7 @@ pub(crate) fn shrunk_triangles(facets: usize) -> TriMesh {
 
 /// Triangles anywhere in a unit box, through each other.
 pub(crate) fn scattered_triangles(count: u32, size: f64) -> TriMesh {
-    let mut random = Random(11);
+    let mut random = Random::new(11);
     let mut positions = Vec::new();
     for _ in 0..count {
         let centre = random.point();

@@ -1,7 +1,7 @@
 //! Promise: a surface that is no manifold, or hardly a surface, is remeshed as an oriented 2-manifold, on every backend; what is no
 //! surface is refused by naming the element. The diagrams of such surfaces are in `common/conformance/degenerate.rs`.
 
-use crate::broken::{book, join, map, moebius, pillow, soup, spheres, with_facets_without_area};
+use crate::broken::*;
 use crate::hostile::{options, remeshed};
 use crate::{cases, hostile};
 use glam::{DVec3, dvec3};
@@ -24,8 +24,7 @@ fn edges_and_vertices_with_too_many_facets() {
         check(&format!("book of {pages}"), &mesh, 150);
     }
     let sphere = Shape::Sphere.build(300);
-    let top = sphere.positions().iter().copied().fold(DVec3::splat(-2.0), |a, b| if b.z > a.z { b } else { a });
-    let touching = join(&[&sphere, &map(&sphere, |p| 2.0 * top - p)]);
+    let touching = touching(&sphere);
     assert_eq!(topology(&touching).non_manifold_vertices, 1);
     check("two spheres that touch", &touching, 200);
 }
@@ -33,14 +32,9 @@ fn edges_and_vertices_with_too_many_facets() {
 #[test]
 fn facets_turned_over() {
     let sphere = Shape::Sphere.build(600);
-    let flip = |every: usize| {
-        let facets = sphere.facets().iter().enumerate();
-        let facets = facets.map(|(f, &[a, b, c])| if f % every == 0 { [a, c, b] } else { [a, b, c] });
-        TriMesh::new(sphere.positions().to_vec(), facets.collect()).unwrap()
-    };
-    check("all turned over", &flip(1), 200);
+    check("all turned over", &turned_over(&sphere, 1), 200);
     for every in [2, 3, 50] {
-        for out in check(&format!("one in {every} turned over"), &flip(every), 200) {
+        for out in check(&format!("one in {every} turned over"), &turned_over(&sphere, every), 200) {
             assert_eq!(topology(&out.mesh), Topology { euler: 2, components: 1, ..Topology::default() }, "{every}");
             assert_eq!(Adjacency::new(&out.mesh).inconsistent_edges(), 0);
             let count = out.report.input.reoriented_facets;
@@ -82,11 +76,7 @@ fn facets_that_are_there_twice() {
 #[test]
 fn corners_that_are_nearly_one() {
     let sphere = Shape::Sphere.build(600);
-    let corners = sphere.facets().iter().flatten().enumerate();
-    let off = |k: usize| DVec3::new(k as f64, (k * k) as f64, (3 * k) as f64).map(f64::sin);
-    let places = corners.map(|(k, &v)| sphere.positions()[v as usize] + 1e-8 * off(k)).collect();
-    let facets = (0..sphere.facets().len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
-    let soup = TriMesh::new(places, facets).unwrap();
+    let soup = nearly_one(&sphere);
     assert_eq!(topology(&soup).components, sphere.facets().len());
     for out in check("nearly one", &soup, 200) {
         assert_eq!(topology(&out.mesh), Topology { euler: 2, components: 1, ..Topology::default() });
@@ -103,9 +93,7 @@ fn many_components_and_surfaces_through_each_other() {
     assert_eq!(topology(&all).components, 27);
     check("27 spheres", &all, 600);
     check("27 spheres, too few points", &all, 40);
-    // One of them a millionth of the size.
-    let dust = map(&small, |p| p * 1e-6 + DVec3::X * 2.0);
-    check("a sphere and dust", &join(&[&Shape::Sphere.build(300), &dust]), 200);
+    check("a sphere and dust", &with_dust(&Shape::Sphere.build(300)), 200);
     let sphere = Shape::Sphere.build(500);
     check("through each other", &join(&[&sphere, &map(&sphere, |p| p + 0.7 * DVec3::X)]), 300);
     let torus = Shape::Torus.build(500);
@@ -132,21 +120,10 @@ fn facets_without_area_slivers_and_duplicates() {
         assert_eq!(out.report.input.degenerate_facets, 4);
     }
     check("slivers", &Shape::Slivers.build(1500), 300);
-    // T-shaped: slivers of an altitude of a rounding and of next to nothing between proper facets.
-    for altitude in [1e-7, 1e-12, 3e-16, 1e-17] {
-        let corners = vec![
-            dvec3(0.0, 0.0, 0.0),
-            dvec3(1.0, 0.0, 0.0),
-            dvec3(0.5, altitude, 0.0),
-            dvec3(0.5, 1.0, 0.0),
-            dvec3(0.5, -1.0, 0.0),
-        ];
-        let mesh = TriMesh::new(corners, vec![[0, 1, 2], [2, 1, 3], [0, 2, 3], [1, 0, 4]]).unwrap();
-        check(&format!("a sliver of {altitude}"), &mesh, 60);
+    for altitude in ALTITUDES {
+        check(&format!("a sliver of {altitude}"), &sliver(altitude), 60);
     }
-    let (positions, mut facets) = torus.into_parts();
-    facets.extend_from_within(10..30);
-    check("facets twice", &TriMesh::new(positions, facets).unwrap(), 200);
+    check("facets twice", &facets_twice(&torus, 10..30), 200);
 }
 
 #[test]
@@ -181,13 +158,10 @@ fn two_facets_back_to_back() {
 #[test]
 fn units_and_offset() {
     let torus = Shape::Torus.build(600);
-    for scale in [1e-30, 1e-12, 1e12, 1e30] {
-        for boxes in [0.0, 1e6] {
-            let mesh = map(&torus, |p| (p + dvec3(1.0, -0.5, 0.25) * 3.0 * boxes) * scale);
-            for out in check(&format!("scale {scale}, {boxes} boxes off"), &mesh, 150) {
-                assert_eq!(topology(&out.mesh).euler, 0);
-                assert!(out.mesh.positions().iter().all(|p| p.is_finite()));
-            }
+    for (name, mesh) in units(&torus) {
+        for out in check(&name, &mesh, 150) {
+            assert_eq!(topology(&out.mesh).euler, 0);
+            assert!(out.mesh.positions().iter().all(|p| p.is_finite()));
         }
     }
 }
@@ -232,27 +206,17 @@ fn so_small_that_numbers_end() {
 #[test]
 fn weights_of_any_size() {
     let torus = Shape::Torus.build(500);
-    let (mut positions, facets) = torus.into_parts();
-    positions.push(DVec3::ONE);
-    let mesh = TriMesh::new(positions, facets).unwrap();
+    let (mesh, all) = with_extreme_weights(&torus);
     let count = mesh.positions().len();
-    let like = |of: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..count).map(of).collect() };
-    let ramp = |v: usize| 1.0 + (v % 7) as f64;
-    let weights = [
-        ("tiny", like(&|v| 1e-300 * ramp(v))),
-        ("subnormal", like(&|v| f64::from_bits(1 << (v % 7)))),
-        ("huge", like(&|v| 1e307 * ramp(v))),
-        ("zero but for one", like(&|v| f64::from(v == 17))),
-        ("an unused vertex's is the largest", like(&|v| if v + 1 == count { 1e300 } else { ramp(v) })),
-    ];
-    for (name, weights) in weights {
+    for (name, weights) in all {
         let surface = Surface::new(&mesh, Some(&weights)).unwrap();
         let largest = surface.facets().iter().flatten().map(|&v| surface.weights()[v as usize]).fold(0.0, f64::max);
         assert!(largest > 0.5 && largest <= 1.0, "{name}: {largest}");
         let wish = options(Seeds::Sample { points: 100, seed: 2 }, 2);
         remeshed(name, &mesh, &wish.with_density(Some(weights).into()));
     }
-    let refused = |of: &dyn Fn(usize) -> f64| Surface::new(&mesh, Some(&like(of))).unwrap_err();
+    let refused =
+        |of: &dyn Fn(usize) -> f64| Surface::new(&mesh, Some(&(0..count).map(of).collect::<Vec<f64>>())).unwrap_err();
     let unused = refused(&|v| f64::from(v + 1 == count));
     assert!(matches!(unused, RvdError::BadWeight { value: 0.0, .. }), "{unused}");
     for bad in [-1.0, f64::NAN, f64::INFINITY] {

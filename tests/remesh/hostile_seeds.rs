@@ -44,17 +44,11 @@ fn on_each_other() {
     let mesh = Shape::Torus.build(600);
     let surface = surface(&mesh);
     let single = on(&surface, 80);
-    for (name, seeds, duplicates) in [
-        ("all the same", vec![single[3]; 500], 499),
-        ("pairs", single.iter().flat_map(|&p| [p, p]).collect(), 80),
-        ("a hundred times two", [single[0], single[1]].repeat(100), 198),
-        // -0 is 0.
-        ("signs of zero", [&[dvec3(0.4, 0.0, 0.0), dvec3(0.4, -0.0, -0.0)], &single[..]].concat(), 1),
-    ] {
+    for (name, seeds, duplicates) in points::duplicate_sets(&single) {
         // Lloyd places twins anew; without a step they are left out, and the report says so.
         let wish = options(world(&surface, &seeds), 0);
         match run(&mesh, &wish, &Serial) {
-            Ok(out) => assert_eq!(out.report.rvd.duplicate_seeds, duplicates as usize, "{name}"),
+            Ok(out) => assert_eq!(out.report.rvd.duplicate_seeds, duplicates, "{name}"),
             Err(error) => {
                 assert!(matches!(error, RemeshError::TooFewSeeds { .. } | RemeshError::NoThickness), "{name}: {error}")
             }
@@ -76,7 +70,7 @@ fn nearly_on_each_other() {
     let surface = surface(&mesh);
     let single = on(&surface, 60);
     for gap in [1e-7, 1e-9, 1e-12, 1e-15] {
-        let seeds: Vec<DVec3> = single.iter().flat_map(|&p| [p, p + gap * dvec3(0.3, -0.5, 0.8)]).collect();
+        let seeds = points::nearly_twice(&single, gap);
         let out = run(&mesh, &options(world(&surface, &seeds), 0), &Serial).unwrap();
         cases::manifold(out.mesh.facets(), out.mesh.positions().len()).unwrap_or_else(|e| panic!("{gap} apart: {e}"));
     }
@@ -89,10 +83,7 @@ fn in_lattices_and_on_circles() {
         let surface = surface(&plane);
         // In the corners and in the middles of the facets' own grid.
         for shift in [0.0, 0.5] {
-            let seeds: Vec<DVec3> = (0..(side + 1) * (side + 1))
-                .map(|k| dvec3((k % (side + 1)) as f64, (k / (side + 1)) as f64, 0.0))
-                .map(|p| (p + dvec3(shift, shift, 0.0)) / side as f64 - dvec3(0.5, 0.5, 0.0))
-                .collect();
+            let seeds = points::square_lattice(side, shift);
             let name = format!("{side} by {side} shifted {shift}");
             for out in remeshed(&name, &plane, &options(world(&surface, &seeds), 0)) {
                 let seen = topology(&out.mesh);
@@ -103,38 +94,22 @@ fn in_lattices_and_on_circles() {
     let square = Shape::Plane.build(200);
     let surface = surface(&square);
     for count in [4, 6, 12, 64] {
-        let seeds: Vec<DVec3> = (0..count)
-            .map(|k| (k as f64 / count as f64 * std::f64::consts::TAU).sin_cos())
-            .map(|(sin, cos)| 0.25 * dvec3(cos, sin, 0.0))
-            .collect();
+        let seeds = points::on_circle(count);
         let name = format!("{count} on a circle");
         for out in remeshed(&name, &square, &options(world(&surface, &seeds), 0)) {
             assert_eq!(out.mesh.facets().len(), count - 2, "{name}");
         }
     }
-    // In space: all corners of cubes.
     let sphere = Shape::Sphere.build(500);
     let surface = Arc::new(Surface::new(&sphere, None).unwrap());
-    let seeds: Vec<DVec3> = (0..343)
-        .map(|k| dvec3((k % 7) as f64, (k / 7 % 7) as f64, (k / 49) as f64) / 6.0 - DVec3::splat(0.5))
-        .collect();
-    remeshed("a lattice through a sphere", &sphere, &options(world(&surface, &seeds), 0));
+    remeshed("a lattice through a sphere", &sphere, &options(world(&surface, &points::cube_lattice()), 0));
 }
 
 #[test]
 fn on_the_mesh_itself() {
     for mesh in [Shape::Torus.build(500), Shape::Plane.build(300), Shape::Block.build(500)] {
         let surface = surface(&mesh);
-        let corners = |f: usize| surface.facets()[f].map(|v| surface.positions()[v as usize]);
-        let facets = 0..surface.facets().len();
-        let sets: [(&str, Vec<DVec3>); 4] = [
-            ("vertices", surface.positions().to_vec()),
-            ("middles of edges", facets.clone().map(|f| 0.5 * (corners(f)[0] + corners(f)[1])).collect()),
-            ("middles of facets", facets.clone().map(|f| surface.centroid(f as u32)).collect()),
-            // More seeds than facets, on every corner of every facet.
-            ("corners", facets.flat_map(corners).collect()),
-        ];
-        for (name, seeds) in sets {
+        for (name, seeds) in points::on_the_mesh(&surface) {
             remeshed(name, &mesh, &options(world(&surface, &seeds), 0));
         }
     }
@@ -158,10 +133,7 @@ fn far_from_the_surface() {
     let surface = surface(&mesh);
     let near = on(&surface, 50);
     for far in [1.0, 1e2, 1e4, MAX_SEED_DISTANCE] {
-        let away: Vec<DVec3> =
-            near.iter().map(|p| (p.normalize() * far).clamp(DVec3::splat(-far), DVec3::splat(far))).collect();
-        // Cells that the surface meets at all angles, and cells that it does not meet.
-        for (name, seeds) in [("all", away.clone()), ("half", [&near[..25], &away[..25]].concat())] {
+        for (name, seeds) in points::far_sets(&near, far) {
             let name = format!("{name} at {far}");
             match run(&mesh, &options(world(&surface, &seeds), 3), &Serial) {
                 Ok(out) => cases::manifold(out.mesh.facets(), out.mesh.positions().len()).unwrap(),

@@ -14,6 +14,8 @@ mod conformance;
 mod gpu;
 #[path = "../common/points.rs"]
 mod points;
+#[path = "../common/sessions.rs"]
+mod sessions;
 #[path = "../common/surfaces.rs"]
 mod surfaces;
 

@@ -105,11 +105,7 @@ async fn a_long_report_comes_in_chunks() {
         measure: Measure::Topology.into(),
         ..RemeshHeader::default()
     };
-    use remesh_request::Message as Ask;
-    let mut all = vec![Ask::Header(header)];
-    all.extend(all_chunks(&points, &facets, &seeds).into_iter().map(Ask::Chunk));
-    all.push(Ask::Finish(Finish {}));
-    let requests = all.into_iter().map(|m| RemeshRequest { message: Some(m) }).collect::<Vec<_>>();
+    let requests = remesh_request(header, &points, &facets, &seeds, Vec::new());
     let mut answers = server.client().await.remesh(tokio_stream::iter(requests)).await.unwrap().into_inner();
     let (mut chunks, mut last) = (Vec::new(), None);
     while let Some(answer) = answers.message().await.unwrap() {

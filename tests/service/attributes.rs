@@ -6,7 +6,6 @@ use glam::{DVec2, DVec3};
 use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
 use tessera::mesh::io::{read_with_attributes, write_with_attributes};
-use tessera::proto::remesh_request::Message as Ask;
 use tessera::proto::remesh_response::Message as Answer;
 use tessera::proto::*;
 use tonic::{Code, Status};
@@ -40,10 +39,7 @@ fn request(attributes: Vec<AttributeHeader>, arrays: Vec<Chunk>) -> Vec<RemeshRe
         attributes,
         ..RemeshHeader::default()
     };
-    let mut all = vec![Ask::Header(header)];
-    all.extend(all_chunks(&points, &facets, &seeds).into_iter().chain(arrays).map(Ask::Chunk));
-    all.push(Ask::Finish(Finish {}));
-    all.into_iter().map(|message| RemeshRequest { message: Some(message) }).collect()
+    remesh_request(header, &points, &facets, &seeds, arrays)
 }
 
 async fn ask(client: &mut Client, requests: Vec<RemeshRequest>) -> Result<(Vec<Chunk>, RemeshDone), Status> {

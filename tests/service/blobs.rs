@@ -336,13 +336,13 @@ async fn what_does_not_fit_is_refused_before_its_bytes_come() {
     assert!(status.get_details_retry_info().unwrap().retry_delay.is_some());
     assert!(write(&mut client, upload(&one, 1000, 1000)).await.unwrap().complete);
     // Blobs that nobody needs make room; one that is needed does not.
-    server.desk.blobs.pin_for(Owner::of("127.0.0.1"), "a job", &[Digest::of(&one)]).await.unwrap();
+    server.idle.blobs.pin_for(Owner::of("127.0.0.1"), "a job", &[Digest::of(&one)]).await.unwrap();
     assert_eq!(write(&mut client, begun(&two)).await.unwrap_err().code(), Code::ResourceExhausted);
     let name = Digest::of(&one).to_string();
     let status = client.delete(DeleteRequest { digest: name.clone() }).await.unwrap_err();
     assert_eq!(status.code(), Code::FailedPrecondition);
     assert_eq!(status.get_details_precondition_failure().unwrap().violations[0].subject, name);
-    server.desk.blobs.unpin("a job").await.unwrap();
+    server.idle.blobs.unpin("a job").await.unwrap();
     assert!(write(&mut client, upload(&two, 0, 1000)).await.unwrap().complete);
     assert_eq!(client.stat(StatRequest { digest: name }).await.unwrap_err().code(), Code::NotFound, "evicted");
     let few = |k: usize| upload(&content(600 + k), 0, 100).into_iter().take(1).collect::<Vec<_>>();

@@ -1,10 +1,10 @@
 //! Promise: strangers who connect and say nothing keep nobody out, and nothing of theirs stays for ever.
 
-use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::process::address_of;
 use crate::raw::{self, CHECK, COMPUTE_RVD, Raw, WATCH, closes, framed, silent};
 use crate::server::*;
 use tessera::internals::config::Limits;
@@ -196,9 +196,7 @@ async fn descriptors_are_not_used_up() {
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    let mut line = String::new();
-    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    let address: SocketAddr = line.trim().strip_prefix("tessera listens on ").unwrap().parse().unwrap();
+    let address: SocketAddr = address_of(&mut child).parse().unwrap();
     let mut sockets = Vec::new();
     for _ in 0..200 {
         sockets.push(silent(address, b"").await);

@@ -26,14 +26,9 @@ fn header(points: u64, density: DensityOptions) -> RemeshHeader {
 }
 
 async fn remesh(client: &mut Client, header: RemeshHeader, lengths: &[f64]) -> Result<RemeshDone, Status> {
-    use remesh_request::Message as Ask;
     let (vertices, facets) = surface();
-    let mut all = vec![Ask::Header(header)];
-    all.extend(all_chunks(&vertices, &facets, &[]).into_iter().map(Ask::Chunk));
     let bytes: Vec<u8> = lengths.iter().flat_map(|h| h.to_le_bytes()).collect();
-    all.extend(chunks(ArrayKind::EdgeLengths, &bytes).into_iter().map(Ask::Chunk));
-    all.push(Ask::Finish(Finish {}));
-    let requests: Vec<_> = all.into_iter().map(|m| RemeshRequest { message: Some(m) }).collect();
+    let requests = remesh_request(header, &vertices, &facets, &[], chunks(ArrayKind::EdgeLengths, &bytes));
     let mut answers = client.remesh(tokio_stream::iter(requests)).await?.into_inner();
     while let Some(answer) = answers.message().await? {
         if let Some(remesh_response::Message::Done(done)) = answer.message {

@@ -39,13 +39,8 @@ async fn remesh(
     header: RemeshHeader,
     creases: &[[u32; 2]],
 ) -> Result<Answer, Status> {
-    use remesh_request::Message as Ask;
-    let mut all = vec![Ask::Header(header)];
-    all.extend(all_chunks(&mesh.0, &mesh.1, &[]).into_iter().map(Ask::Chunk));
     let bytes: Vec<u8> = creases.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
-    all.extend(chunks(ArrayKind::Creases, &bytes).into_iter().map(Ask::Chunk));
-    all.push(Ask::Finish(Finish {}));
-    let requests: Vec<_> = all.into_iter().map(|m| RemeshRequest { message: Some(m) }).collect();
+    let requests = remesh_request(header, &mesh.0, &mesh.1, &[], chunks(ArrayKind::Creases, &bytes));
     let mut answers = client.remesh(tokio_stream::iter(requests)).await?.into_inner();
     let (mut chunks, mut kinds, mut done) = (Vec::new(), Vec::new(), None);
     while let Some(answer) = answers.message().await? {

@@ -121,7 +121,7 @@ async fn a_backend_at_work_is_not_probed() {
 async fn each_service_says_how_it_is() {
     let server = Server::start(Setup::default()).await;
     let mut health = HealthClient::new(server.channel().await);
-    server.desk.storage.send_replace(Some(BlobError::StorageFull));
+    server.idle.storage.send_replace(Some(BlobError::StorageFull));
     for (name, expected) in [
         ("", ServingStatus::NotServing),
         (SERVICE_NAME, ServingStatus::Serving),

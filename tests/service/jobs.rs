@@ -15,7 +15,7 @@ use tonic::transport::Channel;
 use tonic::{Code, Request, Status, Streaming};
 use tonic_types::StatusExt;
 
-use crate::server::desk::now;
+use crate::server::idle_jobs::now;
 use crate::server::*;
 
 const SECOND: Duration = Duration::from_secs(1);
@@ -27,7 +27,7 @@ async fn start() -> (Server, Jobs) {
     let limits = tessera::internals::config::Limits { grace: 10 * PATIENCE, ..Default::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let client = JobServiceClient::new(server.channel().await);
-    put(&*server.desk.blobs, b"a surface".to_vec().into(), None).await.unwrap();
+    put(&*server.idle.blobs, b"a surface".to_vec().into(), None).await.unwrap();
     (server, client)
 }
 
@@ -76,17 +76,17 @@ fn field(status: &Status) -> String {
 /// Somebody takes the job; gives the version of the claim.
 async fn claim(server: &Server, job: &Job) -> u64 {
     let holder = Holder { name: "test".to_owned(), until: Time(u64::MAX) };
-    server.desk.store.claim(id(job), holder, now()).await.unwrap().status.version
+    server.idle.store.claim(id(job), holder, now()).await.unwrap().status.version
 }
 
 async fn change(server: &Server, job: &Job, at: u64, change: Change) {
-    server.desk.store.change(id(job), at, change, now()).await.unwrap();
+    server.idle.store.change(id(job), at, change, now()).await.unwrap();
 }
 
 async fn step(server: &Server, job: &Job, at: u64, index: u64) {
     let kind = "lloyd".to_owned();
     let step = Progress::Iteration { index, total: 9, kind, energy: 0.5, gradient_norm: 0.25, ms: 1.5 };
-    server.desk.store.progress(id(job), at, step, now()).await.unwrap();
+    server.idle.store.progress(id(job), at, step, now()).await.unwrap();
 }
 
 async fn watch(client: &mut Jobs, job: &Job, after: u64) -> Streaming<WatchJobResponse> {
@@ -335,7 +335,7 @@ async fn a_watch_tells_everything_and_ends_with_the_job() {
     // Cut, and on from the last number that came.
     drop(events);
     let stage = Progress::Stage { name: "dual".to_owned(), done: 1, total: 2 };
-    server.desk.store.progress(id(&job), at, stage, now()).await.unwrap();
+    server.idle.store.progress(id(&job), at, stage, now()).await.unwrap();
     let mut events = watch(&mut client, &job, second.number + 3).await;
     let event = next(&mut events).await.unwrap().unwrap();
     assert!(matches!(&event.what, Some(What::Stage(stage)) if stage.name == "dual" && stage.total == 2), "{event:?}");
@@ -363,8 +363,8 @@ async fn a_watch_of_a_job_that_is_deleted_says_so() {
     // Its number never comes: it waits past the end.
     let mut events = watch(&mut client, &job, 1000).await;
     tokio::time::sleep(SECOND / 5).await;
-    server.desk.store.cancel(id(&job), now()).await.unwrap();
-    server.desk.store.delete(id(&job)).await.unwrap();
+    server.idle.store.cancel(id(&job), now()).await.unwrap();
+    server.idle.store.delete(id(&job)).await.unwrap();
     assert_eq!(next(&mut events).await.unwrap_err().code(), Code::NotFound);
     server.stop().await.unwrap();
 }
@@ -415,7 +415,7 @@ async fn watchers_take_no_place_from_who_has_work() {
     let limits = tessera::internals::config::Limits { max_streams: 2, ..Default::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut client = JobServiceClient::new(server.channel().await);
-    put(&*server.desk.blobs, b"a surface".to_vec().into(), None).await.unwrap();
+    put(&*server.idle.blobs, b"a surface".to_vec().into(), None).await.unwrap();
     let job = create(&mut client, 100).await;
     let mut watches = Vec::new();
     for _ in 0..2 {

@@ -13,6 +13,8 @@ mod adversary;
 #[path = "../common/certificates.rs"]
 #[allow(dead_code)]
 mod certificates;
+#[path = "../common/process.rs"]
+mod process;
 mod raw;
 
 mod admission;

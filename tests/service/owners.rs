@@ -90,20 +90,20 @@ async fn another_s_blob_is_no_blob() {
     assert!(write(&mut client, "a", &mine).await.unwrap().complete);
     assert_eq!(said(&mut client, "b", &mine).await, said(&mut client, "c", &never).await);
     // What the server stores for itself is nobody's.
-    put(&*server.desk.blobs, content(5000, 3).into(), None).await.unwrap();
+    put(&*server.idle.blobs, content(5000, 3).into(), None).await.unwrap();
     assert_eq!(said(&mut client, "d", &content(5000, 3)).await, said(&mut client, "e", &never).await);
     let stat = StatRequest { digest: Digest::of(&mine).to_string() };
     assert_eq!(client.stat(by("a", stat.clone())).await.unwrap().into_inner().size_bytes, 5000, "its own is there");
     // Who sends all of it has it too, and loses it alone.
     assert!(write(&mut client, "f", &mine).await.unwrap().complete);
-    assert_eq!(server.desk.blobs.usage().await.unwrap().blobs, 2, "the bytes are there once");
+    assert_eq!(server.idle.blobs.usage().await.unwrap().blobs, 2, "the bytes are there once");
     client.delete(by("a", DeleteRequest { digest: stat.digest.clone() })).await.unwrap();
     assert_eq!(client.stat(by("a", stat.clone())).await.unwrap_err().code(), Code::NotFound);
     assert_eq!(client.stat(by("f", stat.clone())).await.unwrap().into_inner().size_bytes, 5000);
     client.delete(by("f", DeleteRequest { digest: stat.digest.clone() })).await.unwrap();
     assert_eq!(client.stat(by("f", stat.clone())).await.unwrap_err().code(), Code::NotFound);
     let begin = std::time::Instant::now();
-    while server.desk.blobs.usage().await.unwrap().blobs > 1 {
+    while server.idle.blobs.usage().await.unwrap().blobs > 1 {
         assert!(begin.elapsed().as_secs() < 60, "what is nobody's goes");
     }
     server.stop().await.unwrap();
@@ -119,12 +119,12 @@ async fn a_pin_of_another_tenant_is_nobody_s_business() {
         write(&mut client, tenant, &data).await.unwrap();
     }
     let owner = tessera::internals::blob::Owner::of("a");
-    server.desk.blobs.pin_for(owner, "a job of a", &[digest]).await.unwrap();
+    server.idle.blobs.pin_for(owner, "a job of a", &[digest]).await.unwrap();
     let delete = DeleteRequest { digest: digest.to_string() };
     assert_eq!(client.delete(by("a", delete.clone())).await.unwrap_err().code(), Code::FailedPrecondition);
     client.delete(by("b", delete.clone())).await.expect("b has no job");
-    assert!(server.desk.blobs.stat(digest).await.is_ok(), "the job still has it");
-    server.desk.blobs.unpin("a job of a").await.unwrap();
+    assert!(server.idle.blobs.stat(digest).await.is_ok(), "the job still has it");
+    server.idle.blobs.unpin("a job of a").await.unwrap();
     client.delete(by("a", delete)).await.unwrap();
     server.stop().await.unwrap();
 }
@@ -201,7 +201,7 @@ async fn a_key_has_so_many_bytes_and_gives_up_its_oldest() {
     // What a job needs does not go.
     let owner = tessera::internals::blob::Owner::of("ci");
     let pinned: Vec<Digest> = all[1..].iter().map(|data| Digest::of(data)).collect();
-    server.desk.blobs.pin_for(owner, "jobs", &pinned).await.unwrap();
+    server.idle.blobs.pin_for(owner, "jobs", &pinned).await.unwrap();
     for data in [&all[0], &content(10_001, 9)] {
         let status = put(&mut client, data).await.unwrap_err();
         assert_eq!(status.code(), Code::ResourceExhausted, "{status:?}");

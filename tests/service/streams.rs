@@ -63,11 +63,7 @@ async fn remesh_gives_a_closed_surface_and_a_report() {
         measure: Measure::Topology.into(),
         ..RemeshHeader::default()
     };
-    use remesh_request::Message as Ask;
-    let mut all = vec![Ask::Header(header)];
-    all.extend(all_chunks(&points, &facets, &seeds).into_iter().map(Ask::Chunk));
-    all.push(Ask::Finish(Finish {}));
-    let requests = all.into_iter().map(|m| RemeshRequest { message: Some(m) }).collect::<Vec<_>>();
+    let requests = remesh_request(header, &points, &facets, &seeds, Vec::new());
     let mut answers = client.remesh(tokio_stream::iter(requests)).await.unwrap().into_inner();
     let (mut chunks, mut iterations, mut stages, mut done) = (Vec::new(), Vec::new(), Vec::new(), None);
     while let Some(answer) = answers.message().await.unwrap() {

@@ -5,7 +5,6 @@
 
 #![cfg(target_os = "linux")]
 
-use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -23,6 +22,7 @@ use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
 
 use crate::adversary;
+use crate::process::{address_of, resources_of};
 use crate::raw::{CHECK, COMPUTE_RVD, Raw, silent};
 use crate::server::*;
 
@@ -56,18 +56,13 @@ impl Program {
             .stderr(Stdio::null())
             .spawn()
             .unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.trim().strip_prefix("tessera listens on ").unwrap().parse().unwrap();
+        let address = address_of(&mut child).parse().unwrap();
         Self { child, address }
     }
 
     fn held(&self) -> Held {
-        let count = |what: &str| std::fs::read_dir(format!("/proc/{}/{what}", self.child.id())).unwrap().count();
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
-        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-        let kibibytes: u64 = resident.split_whitespace().next().unwrap().parse().unwrap();
-        Held { mebibytes: kibibytes / 1024, descriptors: count("fd"), threads: count("task") }
+        let (bytes, descriptors, threads) = resources_of(&self.child);
+        Held { mebibytes: bytes >> 20, descriptors, threads }
     }
 
     async fn channel(&self) -> tonic::transport::Channel {
@@ -125,20 +120,6 @@ fn header(positions: &[DVec3], facets: &[[u32; 3]], points: u64) -> RemeshHeader
     }
 }
 
-fn upload(
-    positions: &[DVec3],
-    facets: &[[u32; 3]],
-    seeds: &[DVec3],
-    extra: Vec<Chunk>,
-    header: RemeshHeader,
-) -> Vec<RemeshRequest> {
-    use remesh_request::Message as Ask;
-    let mut all = vec![Ask::Header(header)];
-    all.extend(all_chunks(positions, facets, seeds).into_iter().chain(extra).map(Ask::Chunk));
-    all.push(Ask::Finish(Finish {}));
-    all.into_iter().map(|message| RemeshRequest { message: Some(message) }).collect()
-}
-
 /// A remesh with a deadline.
 async fn ask(
     client: &mut Client,
@@ -148,7 +129,7 @@ async fn ask(
     header: RemeshHeader,
     deadline: Duration,
 ) -> Result<Done, Status> {
-    send(client, upload(positions, facets, seeds, Vec::new(), header), deadline).await
+    send(client, remesh_request(header, positions, facets, seeds, Vec::new()), deadline).await
 }
 
 async fn send(client: &mut Client, messages: Vec<RemeshRequest>, deadline: Duration) -> Result<Done, Status> {
@@ -217,7 +198,7 @@ fn hostile(number: u64) -> (String, Vec<RemeshRequest>) {
     wish.density = Some(density);
     wish.crease_angle_deg = Some(options.crease_angle_deg);
     wish.refinement = options.refine.map(|refine| Refinement { tolerance: refine.tolerance, max_points: None });
-    let messages = upload(&positions, &facets, &seeds, extra, wish);
+    let messages = remesh_request(wish, &positions, &facets, &seeds, extra);
     (name, messages)
 }
 

@@ -6,11 +6,13 @@
 //! Invariant: the same surface, without T-junctions: an edge is halved by what its two ends are, so all its
 //! facets, and coincident edges of a seam, agree. The first vertices are the mesh's. Must not know: weights.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
 
 use super::net::Net;
+use crate::mesh::adjacency::weld;
+use crate::mesh::edges::undirected;
 use crate::mesh::{TriMesh, duplicates};
 use crate::token::{Pace, Stopped, Token};
 
@@ -301,6 +303,33 @@ impl Draft {
             out.extend([[a, m, c], [m, n, c]]);
         }
     }
+}
+
+/// The edges of a finer mesh that make up `edges` of the mesh it was made of.
+pub(super) fn divided(mesh: &TriMesh, edges: &[[u32; 2]], token: &Token) -> Result<Vec<[u32; 2]>, Stopped> {
+    if edges.is_empty() {
+        return Ok(Vec::new());
+    }
+    let class = weld(mesh);
+    let key = |p: DVec3| p.to_array().map(|x| (x + 0.0).to_bits());
+    let there: HashSet<[u32; 2]> = mesh
+        .facets()
+        .iter()
+        .map(|t| t.map(|v| class[v as usize]))
+        .flat_map(|[a, b, c]| [[a, b], [b, c], [c, a]].map(undirected))
+        .collect();
+    let at: HashMap<[u64; 3], u32> = mesh.positions().iter().zip(&class).map(|(&p, &v)| (key(p), v)).collect();
+    let mut stack: Vec<[u32; 2]> = edges.iter().rev().map(|e| e.map(|v| class[v as usize])).collect();
+    let mut found = Vec::new();
+    while let Some([a, b]) = stack.pop() {
+        token.check_at(found.len())?;
+        let middle = mesh.positions()[a as usize] * 0.5 + mesh.positions()[b as usize] * 0.5;
+        match at.get(&key(middle)) {
+            Some(&m) if !there.contains(&undirected([a, b])) && m != a && m != b => stack.extend([[m, b], [a, m]]),
+            _ => found.push([a, b]),
+        }
+    }
+    Ok(found)
 }
 
 #[cfg(test)]

@@ -11,10 +11,10 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 
-use crate::job::call::{ATTEMPTS, Retry, Turn};
+use crate::job::call::{ATTEMPTS, Retry, WorkContext};
 use crate::job::engine::{Engine, Pending};
 use crate::job::record::JobId;
-use crate::job::{Ask, Backends, JobError, Place};
+use crate::job::{Admission, AdmissionRequest, Backends, JobError};
 
 /// See the module's head. Nothing here assumes that the jobs are done by the process that put them in line.
 #[async_trait]
@@ -23,7 +23,7 @@ pub(crate) trait JobQueue: Send + Sync {
     ///
     /// # Errors
     /// `Draining`.
-    fn push(&self, id: JobId, ask: Ask, limit: Option<Duration>) -> Result<(), JobError>;
+    fn push(&self, id: JobId, request: AdmissionRequest, limit: Option<Duration>) -> Result<(), JobError>;
 
     /// Takes a job out of the line, and stops its work. One that is not in line is none of its business.
     fn remove(&self, id: JobId);
@@ -42,7 +42,7 @@ pub(crate) trait JobQueue: Send + Sync {
 }
 
 /// Work on one job, called again after a lost device.
-pub(super) type Work = Box<dyn FnMut(&Backends, &Turn) -> Result<(), JobError> + Send>;
+pub(super) type Work = Box<dyn FnMut(&Backends, &WorkContext) -> Result<(), JobError> + Send>;
 
 /// The engine's queue.
 pub(super) struct LocalQueue {
@@ -120,15 +120,15 @@ impl LocalQueue {
 
 #[async_trait]
 impl JobQueue for LocalQueue {
-    fn push(&self, id: JobId, ask: Ask, limit: Option<Duration>) -> Result<(), JobError> {
+    fn push(&self, id: JobId, request: AdmissionRequest, limit: Option<Duration>) -> Result<(), JobError> {
         let (state, mut work, mut attempts) = (Arc::clone(&self.state), (self.begin)(id), 0);
-        let go = move |backends: &Backends, turn: &Turn| {
+        let go = move |backends: &Backends, context: &WorkContext| {
             attempts += 1;
             if attempts == 1 && !state.begins(id) {
                 state.forget(id);
                 return Ok(());
             }
-            let done = work(backends, turn);
+            let done = work(backends, context);
             let again = done.as_ref().is_err_and(JobError::is_device_lost) && attempts < ATTEMPTS;
             if !again {
                 state.forget(id);
@@ -137,8 +137,9 @@ impl JobQueue for LocalQueue {
         };
         // The lock is held until it is in the table: it may begin at once, and end.
         let mut jobs = self.state.lock();
-        let tenant = Arc::clone(&ask.tenant);
-        let pending = self.engine.submit_as(self.engine.token_within(limit), Place::Kept(ask), Retry::Anew, go)?;
+        let tenant = Arc::clone(&request.tenant);
+        let pending =
+            self.engine.submit_as(self.engine.token_within(limit), Admission::Reserved(request), Retry::Restart, go)?;
         jobs.insert(id, Entry { tenant, pending, running: false });
         Ok(())
     }

@@ -9,14 +9,14 @@ use std::time::Duration;
 
 use futures_util::TryStreamExt;
 
-use super::storage::Unstored;
-use super::{Inner, Told, failed, holder, input_pin, is_outdated, now, result_pin};
+use super::storage::StorageError;
+use super::{Inner, ProgressCommand, failed, holder, input_pin, is_outdated, now, result_pin};
 use crate::blob::{BlobError, Digest, Owner, put};
-use crate::job::call::{ATTEMPTS, Turn};
+use crate::job::call::{ATTEMPTS, WorkContext};
 use crate::job::event::Progress;
-use crate::job::input::{ReadBlob, Trouble};
-use crate::job::observer::{self, Ended};
-use crate::job::perform::{Parts, Surroundings, perform};
+use crate::job::input::{ReadBlob, WorkError};
+use crate::job::observer::{self, JobOutcome};
+use crate::job::perform::{JobContext, Parts, perform};
 use crate::job::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
 use crate::job::store::StoreError;
 use crate::job::worker::Device;
@@ -25,8 +25,8 @@ use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
 use crate::token::{Stopped, Token};
 
-/// How long the last words of a job may take to be kept.
-const LAST_WORDS: Duration = Duration::from_secs(2);
+/// How long the last progress of a job may take to be recorded.
+const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// See the module's head. Called again after a lost device.
 pub(super) struct Work {
@@ -47,9 +47,9 @@ struct Blobs<'a>(&'a Inner, &'a Token);
 impl Blobs<'_> {
     fn patiently<T>(&self, call: impl FnMut() -> Result<T, BlobError>) -> Result<T, BlobError> {
         self.0.storage.patiently(self.1, call).map_err(|unstored| match unstored {
-            Unstored::Blob(error) => error,
+            StorageError::Blob(error) => error,
             // Whoever reads asks the token next.
-            Unstored::Stopped(reason) => BlobError::Unavailable(reason.to_string()),
+            StorageError::Stopped(reason) => BlobError::Unavailable(reason.to_string()),
         })
     }
 
@@ -83,20 +83,20 @@ impl Work {
     }
 
     /// Does it, once or again.
-    pub(super) fn go(&mut self, backends: &Backends, turn: &Turn) -> Result<(), JobError> {
+    pub(super) fn run(&mut self, backends: &Backends, context: &WorkContext) -> Result<(), JobError> {
         self.attempts += 1;
         let Some(inner) = self.inner.upgrade() else { return Ok(()) };
         let Some(job) = self.claim(&inner) else { return Ok(()) };
-        let at_work = AtWork { inner, job, token: turn.token.clone(), told: Arc::clone(&turn.told) };
+        let at_work = AtWork { inner, job, token: context.token.clone(), activity: Arc::clone(&context.activity) };
         let outcome = at_work.perform(backends);
         let lost = match &outcome {
-            Err(Trouble::Job(error)) if error.is_device_lost() => Some(error.clone()),
+            Err(WorkError::Job(error)) if error.is_device_lost() => Some(error.clone()),
             _ => None,
         };
         match lost {
             Some(error) if self.attempts < ATTEMPTS => Err(error),
             lost => {
-                at_work.tell_outcome(outcome);
+                at_work.record_outcome(outcome);
                 lost.map_or(Ok(()), Err)
             }
         }
@@ -122,33 +122,33 @@ struct AtWork {
     inner: Arc<Inner>,
     job: Job,
     token: Token,
-    told: Arc<observer::Told>,
+    activity: Arc<observer::Activity>,
 }
 
 impl AtWork {
-    fn perform(&self, backends: &Backends) -> Result<ResultSet, Trouble> {
+    fn perform(&self, backends: &Backends) -> Result<ResultSet, WorkError> {
         let (inner, job) = (&*self.inner, &self.job);
         let (id, at) = (job.id, job.status.version);
-        let mut tell = |what: Progress| {
+        let mut report = |what: Progress| {
             if matches!(what, Progress::Iteration { .. }) {
-                self.told.iterated(1);
+                self.activity.iterated(1);
             }
             // What the journal is too slow for is left out: the report has all.
-            let _ = inner.progress.try_send(Told::Progress { id, at, what, now: now() });
+            let _ = inner.progress.try_send(ProgressCommand::Record { id, at, what, now: now() });
         };
         let blobs = Blobs(inner, &self.token);
         let bounds = &inner.options.bounds;
-        let mut around = Surroundings { backends, blobs: &blobs, bounds, token: &self.token, tell: &mut tell };
-        let parts = perform(&job.spec, &mut around).map_err(|trouble| match (trouble, self.token.stopped()) {
+        let mut context = JobContext { backends, blobs: &blobs, bounds, token: &self.token, report: &mut report };
+        let parts = perform(&job.spec, &mut context).map_err(|trouble| match (trouble, self.token.stopped()) {
             // It was stopped while it waited for its input.
-            (Trouble::Failure(_), Some(reason)) => Trouble::from(reason),
+            (WorkError::Failure(_), Some(reason)) => WorkError::from(reason),
             (trouble, _) => trouble,
         })?;
         self.keep(parts)
     }
 
     /// Stores the parts of a result.
-    fn keep(&self, parts: Parts) -> Result<ResultSet, Trouble> {
+    fn keep(&self, parts: Parts) -> Result<ResultSet, WorkError> {
         let (inner, pin) = (&*self.inner, result_pin(self.job.id));
         let mut result = ResultSet::default();
         let (bytes, usage) = (
@@ -162,8 +162,8 @@ impl AtWork {
         for (name, bytes) in parts {
             let store = || inner.runtime.block_on(put(inner.stores.blobs.as_ref(), bytes.clone(), Some(&pin)));
             let info = inner.storage.patiently(&self.token, store).map_err(|unstored| match unstored {
-                Unstored::Stopped(reason) => Trouble::from(reason),
-                Unstored::Blob(error) => {
+                StorageError::Stopped(reason) => WorkError::from(reason),
+                StorageError::Blob(error) => {
                     let kind = match error {
                         BlobError::TooLarge { .. } => FailureKind::TooLarge,
                         _ => FailureKind::Unavailable,
@@ -186,17 +186,17 @@ impl AtWork {
         Ok(result)
     }
 
-    /// Says how the job ended.
-    fn tell_outcome(&self, outcome: Result<ResultSet, Trouble>) {
+    /// Records how the job ended.
+    fn record_outcome(&self, outcome: Result<ResultSet, WorkError>) {
         let (inner, job) = (&*self.inner, &self.job);
         let change = match outcome {
             Ok(result) => Change::Succeed(result),
-            Err(Trouble::Failure(failure)) => failed(failure.kind, failure.message),
-            Err(Trouble::Job(error)) => match self.change_of(&error) {
+            Err(WorkError::Failure(failure)) => failed(failure.kind, failure.message),
+            Err(WorkError::Job(error)) => match self.change_of(&error) {
                 Some(change) => change,
                 // Whoever cancelled it has said so.
                 None => {
-                    self.told.ends(Ended::Cancelled);
+                    self.activity.set_outcome(JobOutcome::Cancelled);
                     inner.runtime.block_on(inner.unpin(&result_pin(job.id)));
                     return;
                 }
@@ -205,14 +205,14 @@ impl AtWork {
         let keeps = matches!(change, Change::Succeed(_));
         match &change {
             Change::Succeed(_) => {}
-            Change::Release => self.told.ends(Ended::PutBack),
-            _ => self.told.ends(Ended::Failed),
+            Change::Release => self.activity.set_outcome(JobOutcome::Released),
+            _ => self.activity.set_outcome(JobOutcome::Failed),
         }
         let name = change.transition();
         inner.runtime.block_on(async {
             let (done, kept) = tokio::sync::oneshot::channel();
-            if inner.progress.send(Told::Flush(done)).await.is_ok() {
-                let _ = tokio::time::timeout(LAST_WORDS, kept).await;
+            if inner.progress.send(ProgressCommand::Flush(done)).await.is_ok() {
+                let _ = tokio::time::timeout(FLUSH_TIMEOUT, kept).await;
             }
             let changed = inner.stores.jobs.change(job.id, job.status.version, change, now()).await;
             match &changed {

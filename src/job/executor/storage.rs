@@ -13,21 +13,21 @@ use tokio::sync::watch;
 use crate::blob::{BlobError, BlobStore};
 use crate::token::{Stopped, Token};
 
-/// Between two tries of a job that waits.
-const AGAIN: Duration = Duration::from_secs(1);
-/// Between two looks at the token of a job that waits.
-const LISTEN: Duration = Duration::from_millis(20);
+/// How often a job that waits tries again.
+const RETRY_PERIOD: Duration = Duration::from_secs(1);
+/// How often the token of a job that waits is checked.
+const TOKEN_POLL: Duration = Duration::from_millis(20);
 
 /// See the module's head.
 #[derive(Debug, Default)]
 pub(super) struct Storage {
     /// Why nothing can be stored now.
-    away: watch::Sender<Option<BlobError>>,
+    outage: watch::Sender<Option<BlobError>>,
 }
 
 /// Why a call on the blobs did not succeed in the end.
 #[derive(Debug)]
-pub(super) enum Unstored {
+pub(super) enum StorageError {
     /// No wait would help.
     Blob(BlobError),
     /// The job was stopped while it waited.
@@ -36,16 +36,16 @@ pub(super) enum Unstored {
 
 impl Storage {
     pub(super) fn watch(&self) -> watch::Receiver<Option<BlobError>> {
-        self.away.subscribe()
+        self.outage.subscribe()
     }
 
-    pub(super) fn is_away(&self) -> bool {
-        self.away.borrow().is_some()
+    pub(super) fn is_down(&self) -> bool {
+        self.outage.borrow().is_some()
     }
 
     /// Notes how it is, and says so in the log when that changes.
     fn note(&self, trouble: Option<BlobError>) {
-        self.away.send_if_modified(|now| {
+        self.outage.send_if_modified(|now| {
             let changed = now.is_some() != trouble.is_some();
             match &trouble {
                 Some(why) if changed => tracing::error!(%why, "blobs cannot be stored; jobs wait until they can"),
@@ -58,8 +58,8 @@ impl Storage {
         });
     }
 
-    /// Asks the storage how it is.
-    pub(super) async fn look(&self, blobs: &dyn BlobStore) {
+    /// Checks the storage.
+    pub(super) async fn check(&self, blobs: &dyn BlobStore) {
         self.note(blobs.check().await.err());
     }
 
@@ -68,18 +68,18 @@ impl Storage {
         &self,
         token: &Token,
         mut call: impl FnMut() -> Result<T, BlobError>,
-    ) -> Result<T, Unstored> {
+    ) -> Result<T, StorageError> {
         loop {
             match call() {
                 Err(error @ (BlobError::StorageFull | BlobError::Unavailable(_))) => {
                     self.note(Some(error));
-                    let next = Instant::now() + AGAIN;
+                    let next = Instant::now() + RETRY_PERIOD;
                     while Instant::now() < next {
-                        token.check().map_err(Unstored::Stopped)?;
-                        sleep(LISTEN);
+                        token.check().map_err(StorageError::Stopped)?;
+                        sleep(TOKEN_POLL);
                     }
                 }
-                done => return done.map_err(Unstored::Blob),
+                done => return done.map_err(StorageError::Blob),
             }
         }
     }
@@ -100,11 +100,11 @@ mod tests {
             if tries < 3 { Err(BlobError::StorageFull) } else { Ok(7) }
         });
         assert!(matches!(stored, Ok(7)));
-        assert!(storage.is_away(), "until somebody looks: the next may be larger");
+        assert!(storage.is_down(), "until somebody looks: the next may be larger");
         let blobs = crate::blob::ObjectBlobs::in_memory(crate::blob::BlobOptions::default());
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
-        runtime.block_on(storage.look(&blobs));
-        assert!(!storage.is_away());
+        runtime.block_on(storage.check(&blobs));
+        assert!(!storage.is_down());
     }
 
     #[test]
@@ -113,9 +113,9 @@ mod tests {
         token.cancel();
         let begin = Instant::now();
         let stored: Result<(), _> = storage.patiently(&token, || Err(BlobError::Unavailable("away".to_owned())));
-        assert!(matches!(stored, Err(Unstored::Stopped(Stopped::Cancelled))) && begin.elapsed() < AGAIN);
+        assert!(matches!(stored, Err(StorageError::Stopped(Stopped::Cancelled))) && begin.elapsed() < RETRY_PERIOD);
         let missing = BlobError::NotFound { digest: crate::blob::Digest::of(b"x") };
         let stored: Result<(), _> = storage.patiently(&token, || Err(missing.clone()));
-        assert!(matches!(stored, Err(Unstored::Blob(_))), "waiting would not help");
+        assert!(matches!(stored, Err(StorageError::Blob(_))), "waiting would not help");
     }
 }

@@ -9,7 +9,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use super::live::{Live, Waiters};
 use super::tables::{Order, Table, Tables, TablesMut, Visit};
 use super::{
-    Answer, Created, JobStore, Keep, NewJob, Orphans, Page, Query, Recovered, StoreError, Swept, operations as ops,
+    Answer, Created, JobStore, NewJob, Orphans, Page, Query, Recovered, Retention, StoreError, Swept, operations as ops,
 };
 use crate::job::event::{Events, Progress};
 use crate::job::record::{Change, Holder, Job, JobId, Time, ValidSpec};
@@ -17,12 +17,12 @@ use crate::job::record::{Change, Holder, Job, JobId, Time, ValidSpec};
 /// See the module's head.
 #[derive(Debug, Default)]
 pub struct MemoryStore {
-    held: Mutex<Held>,
+    contents: Mutex<Contents>,
     waiters: Waiters,
 }
 
 #[derive(Debug, Default)]
-struct Held {
+struct Contents {
     tables: Trees,
     live: Live,
 }
@@ -70,8 +70,8 @@ impl MemoryStore {
         Self::default()
     }
 
-    fn lock(&self) -> MutexGuard<'_, Held> {
-        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Contents> {
+        self.contents.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn write<T: Send + 'static>(
@@ -80,8 +80,8 @@ impl MemoryStore {
     ) -> Answer<'_, T> {
         let touched;
         let result = {
-            let mut held = self.lock();
-            let Held { tables, live } = &mut *held;
+            let mut contents = self.lock();
+            let Contents { tables, live } = &mut *contents;
             let result = operation(tables, live);
             touched = std::mem::take(&mut live.touched);
             result
@@ -132,9 +132,9 @@ impl JobStore for MemoryStore {
     }
 
     fn events(&self, id: JobId, after: u64, most: usize) -> Answer<'_, Events> {
-        let held = self.lock();
-        let progress = held.live.jobs.get(&id).map(|entry| &entry.log);
-        let events = ops::events(&held.tables, progress, id, after, most);
+        let contents = self.lock();
+        let progress = contents.live.jobs.get(&id).map(|entry| &entry.log);
+        let events = ops::events(&contents.tables, progress, id, after, most);
         Box::pin(std::future::ready(events))
     }
 
@@ -146,7 +146,7 @@ impl JobStore for MemoryStore {
         self.write(|tables, live| ops::delete(tables, live, id))
     }
 
-    fn expire(&self, now: Time, keep: Keep, most: usize) -> Answer<'_, Swept> {
+    fn expire(&self, now: Time, keep: Retention, most: usize) -> Answer<'_, Swept> {
         self.write(|tables, live| ops::expire(tables, live, now, keep, most))
     }
 

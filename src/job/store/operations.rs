@@ -9,7 +9,7 @@ use std::ops::ControlFlow;
 use super::codec::{Head, decode, encode};
 use super::live::{Entry, Live};
 use super::tables::{Order, Table, Tables, TablesMut};
-use super::{Created, Keep, NewJob, Orphans, Page, PageToken, Query, Recovered, StoreError, Swept};
+use super::{Created, NewJob, Orphans, Page, PageToken, Query, Recovered, Retention, StoreError, Swept};
 use crate::job::event::{Event, Events, Log, Progress, What};
 use crate::job::record::{Cause, Change, Failure, FailureKind, Holder, Job, JobId, Status, Time, ValidSpec};
 use crate::job::state::State;
@@ -17,7 +17,7 @@ use crate::job::state::State;
 /// Numbers of events that are reserved at once: so many are skipped at most if the process goes down.
 const RESERVED: u64 = 1024;
 
-type Done<T> = Result<T, StoreError>;
+type StoreResult<T> = Result<T, StoreError>;
 
 fn state_term(state: State) -> [u8; 1] {
     [State::ALL.iter().position(|s| *s == state).unwrap_or_default() as u8]
@@ -51,13 +51,13 @@ fn terms(head: &Head, id: JobId) -> impl Iterator<Item = Vec<u8>> {
 }
 
 /// The job at the end of a key.
-fn id_of(table: Table, key: &[u8]) -> Done<JobId> {
+fn id_of(table: Table, key: &[u8]) -> StoreResult<JobId> {
     key.last_chunk()
         .map(|bytes| JobId(*bytes))
         .ok_or_else(|| StoreError::Damaged { path: table.name().into(), what: "a key is too short".to_owned() })
 }
 
-fn head(tables: &(impl Tables + ?Sized), id: JobId) -> Done<Head> {
+fn head(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Head> {
     let bytes = tables.get(Table::Heads, &id.0)?.ok_or(StoreError::NotFound { id })?;
     decode(&format!("heads/{id}"), &bytes)
 }
@@ -66,27 +66,27 @@ fn missing(table: Table, id: JobId) -> StoreError {
     StoreError::Damaged { path: format!("{}/{id}", table.name()).into(), what: "it is missing".to_owned() }
 }
 
-fn spec(tables: &(impl Tables + ?Sized), id: JobId) -> Done<ValidSpec> {
+fn spec(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<ValidSpec> {
     Ok(spec_and_length(tables, id)?.0)
 }
 
 /// A specification, and how many bytes it takes encoded.
-fn spec_and_length(tables: &(impl Tables + ?Sized), id: JobId) -> Done<(ValidSpec, usize)> {
+fn spec_and_length(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<(ValidSpec, usize)> {
     let bytes = tables.get(Table::Specs, &id.0)?.ok_or_else(|| missing(Table::Specs, id))?;
     Ok((decode(&format!("specs/{id}"), &bytes)?, bytes.len()))
 }
 
-fn log(tables: &(impl Tables + ?Sized), id: JobId) -> Done<Log> {
+fn log(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Log> {
     let bytes = tables.get(Table::Logs, &id.0)?.ok_or_else(|| missing(Table::Logs, id))?;
     decode(&format!("logs/{id}"), &bytes)
 }
 
-fn put_head(tables: &mut dyn TablesMut, id: JobId, head: &Head) -> Done<()> {
+fn put_head(tables: &mut dyn TablesMut, id: JobId, head: &Head) -> StoreResult<()> {
     tables.put(Table::Heads, &id.0, &encode("head", head)?)
 }
 
 /// Writes where the indexes say that a job with this status is.
-fn index(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> Done<()> {
+fn index(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> StoreResult<()> {
     tables.put(Table::States, &state_key(status.state, id), &[])?;
     if let Some(due) = status.due {
         tables.put(Table::Due, &time_key(due, id), &[])?;
@@ -98,7 +98,7 @@ fn index(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> Done<()> {
     Ok(())
 }
 
-fn unindex(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> Done<()> {
+fn unindex(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> StoreResult<()> {
     tables.remove(Table::States, &state_key(status.state, id))?;
     if let Some(due) = status.due {
         tables.remove(Table::Due, &time_key(due, id))?;
@@ -109,7 +109,7 @@ fn unindex(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> Done<()> {
     Ok(())
 }
 
-pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -> Done<Created> {
+pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -> StoreResult<Created> {
     let NewJob { id, spec: wanted, now } = new;
     if let Some(job) = requested(tables, &wanted)? {
         return Ok(Created { job, existed: true });
@@ -145,7 +145,7 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -
 }
 
 /// Writes a job as another journal had it, with all its indexes.
-pub(crate) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[u8], log: &[u8]) -> Done<()> {
+pub(crate) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[u8], log: &[u8]) -> StoreResult<()> {
     put_head(tables, id, head)?;
     tables.put(Table::Specs, &id.0, spec)?;
     tables.put(Table::Logs, &id.0, log)?;
@@ -159,7 +159,7 @@ pub(crate) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[
 }
 
 /// The job that the same request made before.
-pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &ValidSpec) -> Done<Option<Job>> {
+pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &ValidSpec) -> StoreResult<Option<Job>> {
     if wanted.request_id.is_empty() {
         return Ok(None);
     }
@@ -173,12 +173,12 @@ pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &ValidSpec) -> 
     }
 }
 
-pub(crate) fn get(tables: &(impl Tables + ?Sized), id: JobId) -> Done<Job> {
+pub(crate) fn get(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Job> {
     let head = head(tables, id)?;
     Ok(Job { id, spec: spec(tables, id)?, status: head.status })
 }
 
-pub(crate) fn list(tables: &impl Tables, query: &Query) -> Done<Page> {
+pub(crate) fn list(tables: &impl Tables, query: &Query) -> StoreResult<Page> {
     let limit = query.limit();
     let low = JobId::first_of(query.since.unwrap_or_default());
     let mut high = query.before.map_or([0xff; 16], |before| JobId::first_of(before).0);
@@ -245,7 +245,7 @@ impl<T: PartialEq> EmptyOr<T> for Vec<T> {
     }
 }
 
-fn at_version(head: &Head, id: JobId, at: Option<u64>) -> Done<()> {
+fn at_version(head: &Head, id: JobId, at: Option<u64>) -> StoreResult<()> {
     let found = head.status.version;
     match at {
         Some(expected) if expected != found => Err(StoreError::Stale { id, expected, found }),
@@ -260,7 +260,7 @@ pub(crate) fn change(
     (id, at): (JobId, Option<u64>),
     change: Change,
     now: Time,
-) -> Done<Job> {
+) -> StoreResult<Job> {
     let before = head(tables, id)?;
     at_version(&before, id, at)?;
     let spec = spec(tables, id)?;
@@ -289,7 +289,7 @@ pub(crate) fn change(
     Ok(Job { id, spec, status: head.status })
 }
 
-pub(crate) fn cancel(tables: &mut dyn TablesMut, live: &mut Live, id: JobId, now: Time) -> Done<Job> {
+pub(crate) fn cancel(tables: &mut dyn TablesMut, live: &mut Live, id: JobId, now: Time) -> StoreResult<Job> {
     let job = get(tables, id)?;
     match job.status.state {
         State::Cancelled => Ok(job),
@@ -297,7 +297,7 @@ pub(crate) fn cancel(tables: &mut dyn TablesMut, live: &mut Live, id: JobId, now
     }
 }
 
-pub(crate) fn renew(tables: &mut dyn TablesMut, id: JobId, at: u64, until: Time) -> Done<()> {
+pub(crate) fn renew(tables: &mut dyn TablesMut, id: JobId, at: u64, until: Time) -> StoreResult<()> {
     let mut head = running(tables, id, at)?;
     if let Some(Holder { until: old, .. }) = &mut head.status.holder {
         *old = until;
@@ -306,7 +306,7 @@ pub(crate) fn renew(tables: &mut dyn TablesMut, id: JobId, at: u64, until: Time)
 }
 
 /// The head of a job that runs since version `at`.
-fn running(tables: &dyn TablesMut, id: JobId, at: u64) -> Done<Head> {
+fn running(tables: &dyn TablesMut, id: JobId, at: u64) -> StoreResult<Head> {
     let head = head(tables, id)?;
     at_version(&head, id, Some(at))?;
     match head.status.state {
@@ -322,7 +322,7 @@ pub(crate) fn progress(
     (id, at): (JobId, u64),
     progress: Progress,
     now: Time,
-) -> Done<u64> {
+) -> StoreResult<u64> {
     let mut head = running(tables, id, at)?;
     // Without an entry another process may have given away what is reserved.
     let entry = live.jobs.get(&id);
@@ -339,7 +339,13 @@ pub(crate) fn progress(
 }
 
 /// `progress` is that of the job, read before the tables.
-pub(crate) fn events(tables: &impl Tables, progress: Option<&Log>, id: JobId, after: u64, most: usize) -> Done<Events> {
+pub(crate) fn events(
+    tables: &impl Tables,
+    progress: Option<&Log>,
+    id: JobId,
+    after: u64,
+    most: usize,
+) -> StoreResult<Events> {
     let log = match (log(tables, id), progress) {
         (Err(_), _) if tables.get(Table::Heads, &id.0)?.is_none() => return Err(StoreError::NotFound { id }),
         (log, Some(progress)) => log?.extended(progress),
@@ -348,7 +354,7 @@ pub(crate) fn events(tables: &impl Tables, progress: Option<&Log>, id: JobId, af
     Ok(log.after(after, most))
 }
 
-pub(crate) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> Done<()> {
+pub(crate) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> StoreResult<()> {
     let head = head(tables, id)?;
     let state = head.status.state;
     if !state.is_ended() {
@@ -369,7 +375,13 @@ pub(crate) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> 
     Ok(())
 }
 
-pub(crate) fn expire(tables: &mut dyn TablesMut, live: &mut Live, now: Time, keep: Keep, most: usize) -> Done<Swept> {
+pub(crate) fn expire(
+    tables: &mut dyn TablesMut,
+    live: &mut Live,
+    now: Time,
+    keep: Retention,
+    most: usize,
+) -> StoreResult<Swept> {
     let mut swept = Swept::default();
     let end = time_key(Time(now.0.saturating_add(1)), JobId([0; 16]));
     let mut due = Vec::new();
@@ -418,7 +430,7 @@ pub(crate) fn expire(tables: &mut dyn TablesMut, live: &mut Live, now: Time, kee
     Ok(swept)
 }
 
-fn in_state(tables: &dyn TablesMut, state: State) -> Done<Vec<JobId>> {
+fn in_state(tables: &dyn TablesMut, state: State) -> StoreResult<Vec<JobId>> {
     let (from, to) = (state_key(state, JobId([0; 16])), state_key(state, JobId([0xff; 16])));
     let mut found = Vec::new();
     tables.visit(Table::States, (&from, &to), Order::Up, &mut |key, _| {
@@ -434,7 +446,7 @@ pub(crate) fn recover(
     now: Time,
     orphans: Orphans,
     max_crashes: u32,
-) -> Done<Recovered> {
+) -> StoreResult<Recovered> {
     let mut recovered = Recovered::default();
     for id in in_state(tables, State::Running)? {
         let status = head(tables, id)?.status;

@@ -27,7 +27,7 @@ use tokio::sync::{mpsc, oneshot};
 use super::live::{Live, Waiters};
 use super::tables::{Order, Table, Tables, TablesMut, Visit};
 use super::{
-    Answer, Created, JobStore, Keep, NewJob, Orphans, Page, Query, Recovered, StoreError, Swept, operations as ops,
+    Answer, Created, JobStore, NewJob, Orphans, Page, Query, Recovered, Retention, StoreError, Swept, operations as ops,
 };
 use crate::job::event::{Events, Log, Progress};
 use crate::job::record::{Change, Holder, Job, JobId, Time, ValidSpec};
@@ -79,9 +79,9 @@ struct Shared {
     _directory: Option<Directory>,
 }
 
-/// An operation; it gives what is to be told once the group is committed.
-type Command = Box<dyn FnOnce(&mut dyn TablesMut, &mut Live) -> Tell + Send>;
-type Tell = Box<dyn FnOnce(Result<(), StoreError>) + Send>;
+/// An operation. It gives the reply for its caller, which is sent once the group is committed.
+type Command = Box<dyn FnOnce(&mut dyn TablesMut, &mut Live) -> Reply + Send>;
+type Reply = Box<dyn FnOnce(Result<(), StoreError>) + Send>;
 
 impl RedbStore {
     /// Opens the journal of a directory; makes both if they are not there. Nothing is recovered yet:
@@ -159,13 +159,13 @@ impl Drop for RedbStore {
 
 impl Shared {
     fn make_tables(&self) -> Result<(), StoreError> {
-        let told =
+        let failed =
             |what: &dyn std::fmt::Display| StoreError::Damaged { path: self.path.clone(), what: what.to_string() };
-        let transaction = self.database.begin_write().map_err(|e| told(&e))?;
+        let transaction = self.database.begin_write().map_err(|e| failed(&e))?;
         for table in Table::ALL {
-            transaction.open_table(definition(table)).map_err(|e| told(&e))?;
+            transaction.open_table(definition(table)).map_err(|e| failed(&e))?;
         }
-        transaction.commit().map_err(|e| told(&e))
+        transaction.commit().map_err(|e| failed(&e))
     }
 
     fn io(&self, action: &'static str, cause: &dyn std::fmt::Display) -> StoreError {
@@ -173,7 +173,7 @@ impl Shared {
     }
 
     /// What reading said.
-    fn told(&self, error: impl Into<::redb::Error>) -> StoreError {
+    fn store_error(&self, error: impl Into<::redb::Error>) -> StoreError {
         match error.into() {
             ::redb::Error::Corrupted(what) => StoreError::Damaged { path: self.path.clone(), what },
             error => self.io("read", &error),
@@ -181,7 +181,7 @@ impl Shared {
     }
 
     fn reading(&self) -> Result<Reading<'_>, StoreError> {
-        let transaction = self.database.begin_read().map_err(|e| self.told(e))?;
+        let transaction = self.database.begin_read().map_err(|e| self.store_error(e))?;
         Ok(Reading { shared: self, transaction })
     }
 
@@ -207,9 +207,9 @@ fn visit(
     visit: &mut Visit<'_>,
 ) -> Result<(), StoreError> {
     let bounds = (Bound::Included(from), Bound::Excluded(to));
-    let mut range = table.range::<&[u8]>(bounds).map_err(|e| shared.told(e))?;
+    let mut range = table.range::<&[u8]>(bounds).map_err(|e| shared.store_error(e))?;
     while let Some(entry) = if order == Order::Up { range.next() } else { range.next_back() } {
-        let (key, value) = entry.map_err(|e| shared.told(e))?;
+        let (key, value) = entry.map_err(|e| shared.store_error(e))?;
         if let ControlFlow::Break(()) = visit(key.value(), value.value())? {
             break;
         }
@@ -219,12 +219,12 @@ fn visit(
 
 impl Tables for Reading<'_> {
     fn get(&self, table: Table, key: &[u8]) -> Result<Option<Vec<u8>>, StoreError> {
-        let table = self.transaction.open_table(definition(table)).map_err(|e| self.shared.told(e))?;
-        get(&table, key).map_err(|e| self.shared.told(e))
+        let table = self.transaction.open_table(definition(table)).map_err(|e| self.shared.store_error(e))?;
+        get(&table, key).map_err(|e| self.shared.store_error(e))
     }
 
     fn visit(&self, table: Table, range: (&[u8], &[u8]), order: Order, each: &mut Visit<'_>) -> Result<(), StoreError> {
-        let table = self.transaction.open_table(definition(table)).map_err(|e| self.shared.told(e))?;
+        let table = self.transaction.open_table(definition(table)).map_err(|e| self.shared.store_error(e))?;
         visit(self.shared, &table, range, order, each)
     }
 }
@@ -272,7 +272,7 @@ impl Tables for Writing<'_> {
     fn get(&self, table: Table, key: &[u8]) -> Result<Option<Vec<u8>>, StoreError> {
         get(&self.tables[table as usize], key).map_err(|e| {
             self.unread.set(true);
-            self.shared.told(e)
+            self.shared.store_error(e)
         })
     }
 
@@ -332,9 +332,9 @@ impl Writer {
         while waiting.blocking_recv_many(&mut group, GROUP) > 0 {
             expected.gather(&mut waiting, &mut group);
             let start = Instant::now();
-            let mut tell = Vec::with_capacity(group.len());
+            let mut replies = Vec::with_capacity(group.len());
             if self.broken.is_none() {
-                self.broken = self.write(group.drain(..), &mut tell).err();
+                self.broken = self.write(group.drain(..), &mut replies).err();
             }
             let outcome = match &self.broken {
                 Some(cause) => Err(StoreError::Broken { cause: cause.clone() }),
@@ -343,23 +343,23 @@ impl Writer {
             let touched = std::mem::take(&mut self.live.touched);
             self.publish(&touched);
             // Who is answered now is likely to come back with more.
-            expected = Expected { count: waiting.len() + tell.len(), patience: start.elapsed() / 8 };
-            tell.into_iter().for_each(|tell| tell(outcome.clone()));
+            expected = Expected { count: waiting.len() + replies.len(), patience: start.elapsed() / 8 };
+            replies.into_iter().for_each(|reply| reply(outcome.clone()));
             // Those that were not begun hear that the store is closed.
             group.clear();
             self.shared.waiters.wake(&touched);
         }
     }
 
-    /// Does a group and makes it durable. `tell` has those that were done, whatever becomes of them.
-    fn write(&mut self, group: impl Iterator<Item = Command>, tell: &mut Vec<Tell>) -> Result<(), String> {
+    /// Does a group and makes it durable. `replies` has those that were done, whatever becomes of them.
+    fn write(&mut self, group: impl Iterator<Item = Command>, replies: &mut Vec<Reply>) -> Result<(), String> {
         let mut transaction = self.shared.database.begin_write().map_err(|e| e.to_string())?;
         transaction.set_durability(Durability::Immediate).map_err(|e| e.to_string())?;
         let shared = Arc::clone(&self.shared);
         let is_changed = {
             let mut writing = Writing::begin(&shared, &transaction).map_err(|e| e.to_string())?;
             for command in group {
-                tell.push(command(&mut writing, &mut self.live));
+                replies.push(command(&mut writing, &mut self.live));
             }
             writing.outcome()?
         };
@@ -434,7 +434,7 @@ impl JobStore for RedbStore {
         self.write(move |tables, live| ops::delete(tables, live, id))
     }
 
-    fn expire(&self, now: Time, keep: Keep, most: usize) -> Answer<'_, Swept> {
+    fn expire(&self, now: Time, keep: Retention, most: usize) -> Answer<'_, Swept> {
         self.write(move |tables, live| ops::expire(tables, live, now, keep, most))
     }
 

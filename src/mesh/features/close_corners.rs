@@ -13,6 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use glam::DVec3;
 
 use super::{Curve, CurveKind, Metric};
+use crate::mesh::closest_point::distance_to_segment;
 use crate::token::{Stopped, Token};
 
 /// Which corners are merged. Lengths are multiplied by [`super::FeatureOptions::resolution`].
@@ -132,7 +133,7 @@ impl Merger<'_> {
         let resolution = self.metric.resolution(removed);
         let passed = |to: DVec3| {
             let way = self.curves[c].vertices.iter().map(|&v| self.metric.at(v));
-            way.map(|p| distance(p, from, to)).fold(0.0, f64::max) * resolution
+            way.map(|p| distance_to_segment(p, [from, to])).fold(0.0, f64::max) * resolution
         };
         let mut farthest = 0.0f64;
         for other in others {
@@ -175,13 +176,6 @@ impl Merger<'_> {
                 length >= least
             })
     }
-}
-
-/// Of a point from a segment.
-fn distance(p: DVec3, a: DVec3, b: DVec3) -> f64 {
-    let way = b - a;
-    let along = if way == DVec3::ZERO { 0.0 } else { ((p - a).dot(way) / way.length_squared()).clamp(0.0, 1.0) };
-    p.distance(a + along * way)
 }
 
 #[cfg(test)]

@@ -1,18 +1,19 @@
 //! An estimate of the Hausdorff distance between input and result.
 //!
-//! Purpose: both directions. From the input: its vertices against the one-ring of their result vertex. From the result:
+//! Purpose: both directions. From the input: its vertices against the one-ring of their own result vertex. From the result:
 //! its vertices and the centroids of its facets against the nearest samples of the input.
 //! Invariant: the same bits whatever the number of threads. Must not know: what is done about it.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::deviation::InputDeviation;
+use super::nearest::RingQuery;
 use super::reference::{InputSamples, SurfaceSample};
 use crate::mesh::csr::Csr;
 use crate::remesh::constants::{ITEMS_PER_TASK, MISSED_SHARES, SAMPLE_REACH, WORK_PER_VERTEX};
 use crate::remesh::manifold::local_mesh::LocalMesh;
-use crate::token::Token;
+use crate::remesh::triangle::perimeter;
+use crate::token::{Pace, Stopped, Token};
 
 /// Distance between input and result.
 pub(in crate::remesh) struct HausdorffEstimate {
@@ -27,17 +28,66 @@ pub(in crate::remesh) struct HausdorffEstimate {
 impl HausdorffEstimate {
     /// Measures the whole result. Places farther away than `tolerance` were missed.
     pub(in crate::remesh) fn of(mesh: &LocalMesh, input: &InputSamples, tolerance: Option<f64>, token: &Token) -> Self {
-        let deviations = InputDeviation::new(mesh, &input.vertices, token);
-        let missed = select(mesh, &deviations, tolerance);
+        let deviations = deviations(mesh, &input.vertices, token);
+        let missed = select(mesh, &input.vertices, &deviations, tolerance);
         let by_facet = deviation_by_facet(mesh, &input.samples, token);
-        let largest = by_facet.iter().copied().fold(deviations.largest(), f64::max);
-        let mut by_vertex = deviations.by_owner(mesh.positions.len());
-        let widen = |(v, distance): (usize, &mut f64)| {
-            *distance = mesh.ring(v as u32).iter().map(|&f| by_facet[f as usize]).fold(*distance, f64::max);
+        let largest = deviations.iter().map(|d| d.distance).chain(by_facet.iter().copied()).fold(0.0, f64::max);
+        let around = |v: u32| {
+            let own = deviations[input.vertices.range(v)].iter().map(|d| d.distance);
+            own.chain(mesh.ring(v).iter().map(|&f| by_facet[f as usize])).fold(0.0, f64::max)
         };
-        by_vertex.par_iter_mut().enumerate().with_min_len(ITEMS_PER_TASK).for_each(widen);
-        Self { missed, largest, by_vertex }
+        let vertices = (0..mesh.positions.len() as u32).into_par_iter().with_min_len(ITEMS_PER_TASK);
+        Self { missed, largest, by_vertex: vertices.map(around).collect() }
     }
+}
+
+/// Where a vertex of the input lies, seen from the result.
+#[derive(Clone, Copy)]
+struct Deviation {
+    /// Distance from the nearest facet.
+    distance: f64,
+    /// The distance divided by the facet's mean edge.
+    relative: f64,
+    /// The corner of that facet that is nearest to the input's vertex.
+    corner: u32,
+}
+
+/// Of a vertex whose owner has no facets.
+const UNKNOWN: Deviation = Deviation { distance: 0.0, relative: 0.0, corner: 0 };
+
+/// The deviation of all vertices of the input, in their order.
+fn deviations(mesh: &LocalMesh, vertices: &Csr<DVec3>, token: &Token) -> Vec<Deviation> {
+    let owner = |v: u32| std::iter::repeat_n(v, vertices.of(v).len());
+    let owners: Vec<u32> = (0..mesh.positions.len() as u32).flat_map(owner).collect();
+    let begin = || (RingQuery::default(), u32::MAX, Pace::default());
+    let measure = |(query, at, pace): &mut (RingQuery, u32, Pace), (&owner, &vertex): (&u32, &DVec3)| {
+        token.check_after(WORK_PER_VERTEX, pace)?;
+        if *at != owner {
+            query.move_to(mesh, owner);
+            *at = owner;
+        }
+        Ok(deviation(mesh, query, vertex))
+    };
+    let pairs = owners.par_iter().zip(vertices.all()).with_min_len(ITEMS_PER_TASK);
+    let all: Result<Vec<Deviation>, Stopped> = pairs.map_init(begin, measure).collect();
+    all.unwrap_or_else(|_| vec![UNKNOWN; owners.len()])
+}
+
+fn deviation(mesh: &LocalMesh, query: &mut RingQuery, vertex: DVec3) -> Deviation {
+    let found = query.nearest(vertex);
+    let Some(&t) = mesh.facets().get(found.facet as usize) else { return UNKNOWN };
+    let p = mesh.places(t);
+    let edge = perimeter(p) / 3.0;
+    let to = p.map(|q| q.distance_squared(vertex));
+    let corner = if to[0] <= to[1] && to[0] <= to[2] {
+        t[0]
+    } else if to[1] <= to[2] {
+        t[1]
+    } else {
+        t[2]
+    };
+    let distance = found.squared.sqrt();
+    Deviation { distance, relative: if edge > 0.0 { distance / edge } else { 0.0 }, corner }
 }
 
 /// Places of the input that are farther from the result than `tolerance`, or than a share of an edge where that is
@@ -48,20 +98,28 @@ pub(in crate::remesh) fn missed_places(
     tolerance: Option<f64>,
     token: &Token,
 ) -> Vec<(u32, DVec3)> {
-    select(mesh, &InputDeviation::new(mesh, &input.vertices, token), tolerance)
+    select(mesh, &input.vertices, &deviations(mesh, &input.vertices, token), tolerance)
 }
 
-fn select(mesh: &LocalMesh, deviations: &InputDeviation<'_>, tolerance: Option<f64>) -> Vec<(u32, DVec3)> {
-    let mut missed = deviations.largest_first(|d| tolerance.map_or(d.relative > MISSED_SHARES[1], |t| d.distance > t));
+fn select(
+    mesh: &LocalMesh,
+    vertices: &Csr<DVec3>,
+    deviations: &[Deviation],
+    tolerance: Option<f64>,
+) -> Vec<(u32, DVec3)> {
+    let is_far = |d: &Deviation| tolerance.map_or(d.relative > MISSED_SHARES[1], |t| d.distance > t);
+    let far = vertices.all().iter().zip(deviations).filter(|(_, d)| is_far(d));
+    let mut missed: Vec<(&DVec3, &Deviation)> = far.collect();
+    missed.sort_by(|a, b| b.1.relative.total_cmp(&a.1.relative));
     if tolerance.is_none() && missed.first().is_some_and(|(_, d)| d.relative <= MISSED_SHARES[0]) {
         missed.clear();
     }
     let mut taken = vec![false; mesh.positions.len()];
     let mut found = Vec::new();
-    for (k, d) in missed {
+    for (&place, d) in missed {
         if !taken[d.corner as usize] {
             mesh.neighbours(d.corner).into_iter().for_each(|u| taken[u as usize] = true);
-            found.push((d.corner, deviations.position(k)));
+            found.push((d.corner, place));
         }
     }
     found

@@ -5,7 +5,7 @@
 //! Invariant: if the curves would take too many of the seeds, creases are dropped first and boundaries last, and both are
 //! counted. Must not know: backends, iterations.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -14,9 +14,7 @@ use super::envelope::CurveSample;
 use crate::cvt::curves::{CurveSeeds, INNER_POINTS, Segment, edge_length};
 use crate::cvt::density::Plan;
 use crate::mesh::TriMesh;
-use crate::mesh::adjacency::weld;
-use crate::mesh::disjoint::DisjointSets;
-use crate::mesh::edges::{EdgeGroups, Half, undirected};
+use crate::mesh::edges::undirected;
 use crate::mesh::features::{CurveKind, FeatureOptions, Features};
 use crate::mesh::sample::spread;
 use crate::remesh::constants::{
@@ -26,39 +24,12 @@ use crate::remesh::constants::{
 use crate::remesh::report::FeatureFigures;
 use crate::remesh::{RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{Frame, Surface};
-use crate::token::{Stopped, Token};
+use crate::token::Token;
 
 /// `count` of some points in an order, evenly spaced in it; all if there are fewer.
 fn evenly(points: &[DVec3], count: usize) -> impl Iterator<Item = DVec3> + '_ {
     let count = count.min(points.len());
     (0..count).map(move |k| points[(k as u64 * points.len() as u64 / count as u64) as usize])
-}
-
-/// The edges of a mesh that make up `edges` of the mesh it was subdivided from. The vertices of that mesh come first.
-fn subdivided(mesh: &TriMesh, edges: &[[u32; 2]], token: &Token) -> Result<Vec<[u32; 2]>, Stopped> {
-    if edges.is_empty() {
-        return Ok(Vec::new());
-    }
-    let class = weld(mesh);
-    let key = |p: DVec3| p.to_array().map(|x| (x + 0.0).to_bits());
-    let there: HashSet<[u32; 2]> = mesh
-        .facets()
-        .iter()
-        .map(|t| t.map(|v| class[v as usize]))
-        .flat_map(|[a, b, c]| [[a, b], [b, c], [c, a]].map(undirected))
-        .collect();
-    let at: HashMap<[u64; 3], u32> = mesh.positions().iter().zip(&class).map(|(&p, &v)| (key(p), v)).collect();
-    let mut stack: Vec<[u32; 2]> = edges.iter().rev().map(|e| e.map(|v| class[v as usize])).collect();
-    let mut found = Vec::new();
-    while let Some([a, b]) = stack.pop() {
-        token.check_at(found.len())?;
-        let middle = mesh.positions()[a as usize] * 0.5 + mesh.positions()[b as usize] * 0.5;
-        match at.get(&key(middle)) {
-            Some(&m) if !there.contains(&undirected([a, b])) && m != a && m != b => stack.extend([[m, b], [a, m]]),
-            _ => found.push([a, b]),
-        }
-    }
-    Ok(found)
 }
 
 /// Curves and their seeds.
@@ -94,7 +65,7 @@ impl KeptCurves {
         let weaker = options.crease_angle_deg <= RemeshOptions::CREASE_ANGLE_DEG;
         let mut criteria = FeatureOptions {
             crease_angle_deg: options.crease_angle_deg,
-            given_creases: subdivided(&plan.mesh, &options.creases, token)?,
+            given_creases: plan.edges(&options.creases, token)?,
             min_crease_length: SHORTEST_CREASE * scale,
             turn_reach: BEND_REACH * scale,
             ridge_clearance: if weaker { SMOOTH_REACH * scale } else { 0.0 },
@@ -152,7 +123,7 @@ impl KeptCurves {
         let clearance = self.seeds.clearance(CLEARANCE);
         let clear = |p: &DVec3| clearance.holds(frame.to_unit(*p));
         // Seeds do not cross curves, so each region gets its own share.
-        let regions = self.regions(mesh);
+        let regions = self.features.regions(mesh);
         let draw = |count: usize| -> (Vec<DVec3>, Vec<DVec3>) {
             let drawn = spread(mesh, plan.weights.as_deref(), Some(&regions), count, seed);
             drawn.par_iter().map(|s| s.position).partition(clear)
@@ -167,28 +138,6 @@ impl KeptCurves {
         all.extend(evenly(&rest, lacking));
         all.extend(evenly(&kept, others - lacking));
         all
-    }
-
-    /// For each facet of `mesh` the number of its region: regions are separated by curves.
-    fn regions(&self, mesh: &TriMesh) -> Vec<u32> {
-        let class = weld(mesh);
-        let welded = |t: &[u32; 3]| t.map(|v| class[v as usize]);
-        let mut curves = HashSet::new();
-        for c in &self.features.curves {
-            let ends = c.vertices.windows(2).map(|w| [w[0], w[1]]);
-            let last = if c.closed { c.vertices.last().map(|&v| [v, c.vertices[0]]) } else { None };
-            curves.extend(ends.chain(last).map(|e| undirected(e.map(|v| class[v as usize]))));
-        }
-        let mut regions = DisjointSets::new(mesh.facets().len());
-        let facets = mesh.facets().iter().map(welded).enumerate();
-        EdgeGroups::new(class.len(), facets).for_each(|_, halves| {
-            let Some(&Half { facet, side }) = halves.first() else { return };
-            let t = welded(&mesh.facets()[facet as usize]);
-            if !curves.contains(&undirected([t[side], t[(side + 1) % 3]])) {
-                halves.windows(2).for_each(|pair| regions.join(pair[0].facet as usize, pair[1].facet as usize));
-            }
-        });
-        (0..regions.len()).map(|f| regions.root(f) as u32).collect()
     }
 
     /// Where a curve's seed lies, caller's coordinates: a corner exactly at its vertex.

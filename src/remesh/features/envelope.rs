@@ -9,6 +9,7 @@
 
 use glam::DVec3;
 
+use crate::mesh::closest_point::distance_to_segment as distance;
 use crate::mesh::csr::Csr;
 use crate::remesh::constants::{STRAIGHT_EDGES, STRAIGHTNESS};
 
@@ -47,14 +48,6 @@ pub(in crate::remesh) struct CurveEnvelope {
     chords: Csr<Chord>,
     /// Where the vertices were at first.
     start: Vec<DVec3>,
-}
-
-/// Distance of `p` from a segment.
-fn distance(p: DVec3, [a, b]: [DVec3; 2]) -> f64 {
-    let along = b - a;
-    let squared = along.length_squared();
-    let t = if squared > 0.0 { ((p - a).dot(along) / squared).clamp(0.0, 1.0) } else { 0.0 };
-    p.distance(a + t * along)
 }
 
 impl CurveEnvelope {
@@ -99,10 +92,8 @@ impl CurveEnvelope {
         let most = STRAIGHTNESS * way.length();
         let Some(way) = way.try_normalize() else { return false };
         let is_near = |p: DVec3| (p - origin).reject_from_normalized(way).length() <= most;
-        let holds = |v: u32, chord: &Chord| {
-            let between = &self.points[chord.points[0] as usize..chord.points[1] as usize];
-            is_near(self.start[v as usize]) && between.iter().all(|&p| is_near(p))
-        };
+        let holds =
+            |v: u32, chord: &Chord| is_near(self.start[v as usize]) && self.between(chord).iter().all(|&p| is_near(p));
         // As far as the curve goes on without a corner.
         let goes_on = |mut from: u32, mut to: u32| {
             for _ in 0..STRAIGHT_EDGES {
@@ -124,6 +115,11 @@ impl CurveEnvelope {
 
     fn chords(&self, v: u32) -> &[Chord] {
         self.chords.of(v)
+    }
+
+    /// The curve's points between the ends of a chord.
+    fn between(&self, chord: &Chord) -> &[DVec3] {
+        &self.points[chord.points[0] as usize..chord.points[1] as usize]
     }
 
     /// The vertices of curves.
@@ -152,8 +148,7 @@ impl CurveEnvelope {
                 return (p - origin).reject_from_normalized(way).length() / chord.limit;
             }
             let ends = [p, positions[chord.other as usize]];
-            let between = &self.points[chord.points[0] as usize..chord.points[1] as usize];
-            let farthest = between.iter().map(|&q| distance(q, ends)).fold(0.0, f64::max);
+            let farthest = self.between(chord).iter().map(|&q| distance(q, ends)).fold(0.0, f64::max);
             // The ends of the chord at first: they may slide along the curve no farther than the limit.
             let own = distance(self.start[v as usize], ends).min(p.distance(self.start[v as usize]));
             let other = distance(self.start[chord.other as usize], ends);
@@ -170,7 +165,7 @@ impl CurveEnvelope {
         // The vertex has to be near the curve, and its first place near one of the edges.
         let cut = |chord: &Chord| distance(start, [p, positions[chord.other as usize]]) / goal;
         let beside = |chord: &Chord| {
-            let between = &self.points[chord.points[0] as usize..chord.points[1] as usize];
+            let between = self.between(chord);
             let ends = [between[0], between[between.len() - 1]];
             let next = if start.distance(ends[0]) < start.distance(ends[1]) { ends[0] } else { ends[1] };
             between.windows(2).map(|w| distance(p, [w[0], w[1]])).fold(distance(p, [start, next]), f64::min) / goal
@@ -182,9 +177,8 @@ impl CurveEnvelope {
             chords(v).chain(chords(other)).fold(f64::INFINITY, f64::min)
         };
         let edges = chords.iter().map(|chord| {
-            let between = &self.points[chord.points[0] as usize..chord.points[1] as usize];
             let cut = near(self.start[chord.other as usize], chord.other);
-            between.iter().map(|&q| near(q, chord.other)).fold(cut, f64::max) / chord.goal
+            self.between(chord).iter().map(|&q| near(q, chord.other)).fold(cut, f64::max) / chord.goal
         });
         let own = chords.iter().map(cut).fold(f64::INFINITY, f64::min);
         let astray = chords.iter().map(beside).fold(f64::INFINITY, f64::min);

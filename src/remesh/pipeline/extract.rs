@@ -57,6 +57,8 @@ pub(super) struct Draft<'a> {
     curve_edges: Vec<Option<[u32; 2]>>,
     repair: RepairFigures,
     fitted: Option<Fitted<'a>>,
+    /// What it lacks of the input.
+    pub(super) missed: Missed,
     /// How many seeds there were.
     seeds: usize,
 }
@@ -69,7 +71,6 @@ struct Fitted<'a> {
     envelope: CurveEnvelope,
     /// The input that improved places are compared with.
     reference: Reference<'a>,
-    missed: Missed,
     /// Distance from the input around each vertex.
     distances: Vec<f64>,
 }
@@ -89,11 +90,6 @@ pub(super) struct Missed {
 }
 
 impl Draft<'_> {
-    /// What it lacks of the input.
-    pub(super) fn missed(&self) -> Missed {
-        self.fitted.as_ref().map_or_else(Missed::default, |f| f.missed.clone())
-    }
-
     /// Edges of curves, lower end first.
     fn curves(&self) -> HashSet<[u32; 2]> {
         self.curve_edges.iter().flatten().map(|&e| undirected(e)).collect()
@@ -121,21 +117,18 @@ impl<'a> Extraction<'a> {
             let too_few = RemeshError::too_few(seeds.len());
             return Err(if repair::all_cancel(self.surface.welded()) { RemeshError::NoThickness } else { too_few });
         }
+        let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
+        // Ascending, as the components are.
+        let present = vertex_seed.chunk_by(|a, b| a == b).count();
         let repair = RepairFigures {
             split_cells: dual.split_cells,
             not_disks: dual.not_disks.len(),
             multiple_edges: dual.multiple_edges.len(),
             multiple_boundary_arcs: dual.multiple_boundary_arcs.len(),
             inconsistent_vertices: dual.inconsistent,
-            ..repaired.figures
-        };
-        let vertex_seed: Vec<u32> = repaired.source.iter().map(|&c| dual.components[c as usize].seed).collect();
-        // Ascending, as the components are.
-        let present = vertex_seed.chunk_by(|a, b| a == b).count();
-        let repair = RepairFigures {
             seeds_without_vertex: seeds.len() - present,
             extra_vertices: vertex_seed.len() - present,
-            ..repair
+            ..repaired.figures
         };
         let (positions, mut facets) = (repaired.positions, repaired.facets);
         let mut curve_edges = self.curves.edges_in(&facets, &vertex_seed);
@@ -144,7 +137,8 @@ impl<'a> Extraction<'a> {
         if boundary_ears::fill(&positions, &mut facets, &missing, is_free) > 0 {
             curve_edges = self.curves.edges_in(&facets, &vertex_seed);
         }
-        let mut draft = Draft { positions, facets, vertex_seed, curve_edges, repair, fitted: None, seeds: seeds.len() };
+        let (fitted, missed, seeds) = (None, Missed::default(), seeds.len());
+        let mut draft = Draft { positions, facets, vertex_seed, curve_edges, repair, fitted, missed, seeds };
         if self.placement == Placement::Fitted {
             self.fit(&mut draft, &repaired.source, dual);
         }
@@ -172,7 +166,6 @@ impl<'a> Extraction<'a> {
 
     /// Recovers edges of curves and improves the places that need it. Returns how many places are still far.
     fn improve(&self, draft: &mut Draft<'a>, fitted: &mut Fitted<'a>) -> usize {
-        let before = fitted.missed.places.len();
         let absent = self.curves.missing(&draft.curve_edges, &draft.vertex_seed, |_| true);
         if !absent.is_empty() {
             let mobility = mobility(&fitted.mesh.positions, &draft.curve_edges, &fitted.target.fixed);
@@ -186,10 +179,11 @@ impl<'a> Extraction<'a> {
                 fitted.distances = estimate.by_vertex;
             }
         }
-        let Fitted { mesh, target, reference, missed, distances, .. } = fitted;
+        let Fitted { mesh, target, reference, distances, .. } = fitted;
         let mobility = mobility(&mesh.positions, &draft.curve_edges, &target.fixed);
         let improved = improve(&mut MeshEditor::new(mesh, &mobility, reference, self.token), distances);
-        if improved == 0 && missed.places.is_empty() {
+        let before = draft.missed.places.len();
+        if improved == 0 && before == 0 {
             return 0;
         }
         self.find_curves(draft, mesh);
@@ -267,8 +261,9 @@ impl<'a> Extraction<'a> {
         let places = missed.into_iter().map(|(v, place)| (draft.vertex_seed[v as usize], place)).collect();
         let lost = self.seeds_without_vertex(draft);
         let midpoints = long_edge_midpoints(&mesh.positions, mesh.facets(), &target.fixed, lost.len());
-        let missed = Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints: midpoints };
-        draft.fitted = Some(Fitted { mesh, target, envelope, reference, missed, distances: by_vertex });
+        draft.missed =
+            Missed { places, deviation: largest, seeds_without_vertex: lost, long_edge_midpoints: midpoints };
+        draft.fitted = Some(Fitted { mesh, target, envelope, reference, distances: by_vertex });
     }
 
     /// See [`Missed::seeds_without_vertex`].

@@ -1,6 +1,6 @@
 //! What all attempts at one remesh share.
 //!
-//! Purpose: [`Job`] has the surface, the backend, the listener and the clock; [`enter`] announces a stage.
+//! Purpose: [`Job`] has the surface, the backend, the listener and the clock.
 //! Invariant: the times of the stages add up over all attempts. Must not know: what a stage does.
 
 use std::time::Instant;
@@ -29,10 +29,12 @@ pub(super) struct Job<'a, 'b> {
     pub(super) topology: Topology,
 }
 
-/// A stage begins.
-pub(super) fn enter(observer: &mut dyn Observer, token: &Token, stage: &'static str) {
-    token.enter(stage);
-    observer.stage(stage);
+impl Job<'_, '_> {
+    /// A stage begins.
+    pub(super) fn enter(&mut self, stage: &'static str) {
+        self.token.enter(stage);
+        self.observer.stage(stage);
+    }
 }
 
 /// A stopwatch, and the times of the stages. All in milliseconds.
@@ -48,11 +50,10 @@ impl Laps {
         Self { begin: now, last: now, timings: Timings::default() }
     }
 
-    /// Time since the last call.
-    pub(super) fn lap(&mut self) -> f64 {
-        let ms = self.last.elapsed().as_secs_f64() * 1e3;
+    /// Adds the time since the last call to a stage.
+    pub(super) fn end(&mut self, stage: impl Fn(&mut Timings) -> &mut f64) {
+        *stage(&mut self.timings) += self.last.elapsed().as_secs_f64() * 1e3;
         self.last = Instant::now();
-        ms
     }
 
     /// Time since the start.

@@ -9,17 +9,16 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::job::{Job, enter};
-use super::prepare::{Prepared, prepare};
-use super::schedule::Schedule;
+use super::job::Job;
+use super::prepare::{Prepared, prepare, with_source};
+use super::schedule::{Figures, Schedule};
 use super::thin_parts::{self, FailingCells};
-use crate::cvt::density::{DensityError, DensityOptions, DensitySource, Plan};
+use crate::cvt::density::{DensitySource, Plan};
 use crate::cvt::{Cvt, CvtOptions};
 use crate::mesh::TriMesh;
 use crate::mesh::sample::spread;
 use crate::remesh::constants::{MAX_THIN_ROUNDS, MAX_VAIN_ROUNDS, THIN_LONGEST, THIN_MOST_POINTS};
 use crate::remesh::features::curves::KeptCurves;
-use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
 use crate::remesh::{RemeshError, RemeshOptions, Seeds};
 use crate::rvd::{RvdError, Session, SessionOptions, Surface, dual};
 use crate::token::{Stopped, Token};
@@ -34,16 +33,7 @@ pub(super) struct Optimized<'a> {
     pub(super) session: Box<dyn Session>,
     pub(super) dual: dual::Dual,
     failing: FailingCells,
-    /// The random seed they were drawn from.
-    pub(super) seed: Option<u64>,
-    /// Whether the steps that were asked for converged, and where they ended.
-    pub(super) converged: bool,
-    pub(super) last: FinalFigures,
-    pub(super) rvd: RvdFigures,
-    pub(super) iterations: Vec<IterationFigures>,
-    pub(super) refine: RefineFigures,
-    /// How many vertices were asked for.
-    pub(super) asked: usize,
+    pub(super) figures: Figures,
 }
 
 impl<'a> Job<'a, '_> {
@@ -58,23 +48,39 @@ impl<'a> Job<'a, '_> {
         self.scale_seeds(optimized, options)
     }
 
-    /// Draws seeds, takes their steps, and reads their dual.
-    pub(super) fn optimize_once(
+    /// Prepares other options; `None` if their density needs too many points.
+    pub(super) fn prepare_again(&mut self, options: &RemeshOptions) -> Result<Option<Prepared<'a>>, RemeshError> {
+        self.enter("prepare");
+        match prepare(self.mesh, options, self.token) {
+            Err(RemeshError::Density(_)) => Ok(None),
+            prepared => prepared.map(Some),
+        }
+    }
+
+    /// Optimizes other seeds; `None` if there is no memory for them beside the best so far, which stays on the device.
+    pub(super) fn optimize_again(
         &mut self,
         prepared: Prepared<'a>,
         options: &RemeshOptions,
-    ) -> Result<Optimized<'a>, RemeshError> {
+    ) -> Result<Option<Optimized<'a>>, RemeshError> {
+        match self.optimize_once(prepared, options) {
+            Err(RemeshError::Rvd(RvdError::NeverFits { .. } | RvdError::OutOfMemory { .. })) => Ok(None),
+            next => next.map(Some),
+        }
+    }
+
+    /// Draws seeds, takes their steps, and reads their dual.
+    fn optimize_once(&mut self, prepared: Prepared<'a>, options: &RemeshOptions) -> Result<Optimized<'a>, RemeshError> {
         let Prepared { plan, surface, mut curves, closest } = prepared;
-        let asked = plan.points;
-        self.laps.timings.prepare += self.laps.lap();
+        self.laps.end(|t| &mut t.prepare);
         self.token.check()?;
 
-        enter(self.observer, self.token, "sample");
+        self.enter("sample");
         let (first, seed) = first_seeds(&plan, &surface, &curves, &options.seeds);
-        self.laps.timings.sample += self.laps.lap();
+        self.laps.end(|t| &mut t.sample);
         self.token.check()?;
 
-        enter(self.observer, self.token, "iterations");
+        self.enter("iterations");
         let max_seeds = options.refine.map_or(0, |r| r.max_points);
         let cvt_options = CvtOptions { projection: options.projection, max_seeds };
         let mut cvt = Cvt::new(self.backend, Arc::clone(&surface), &first, cvt_options)?;
@@ -82,43 +88,24 @@ impl<'a> Job<'a, '_> {
         if !curves.seeds.is_empty() {
             cvt.keep_curves(curves.seeds.clone(), self.token)?;
         }
-        let (rvd, refine) = (RvdFigures::default(), RefineFigures::default());
-        let token = self.token;
-        let mut schedule =
-            Schedule { options, observer: &mut *self.observer, token, rvd, iterations: Vec::new(), refine };
-        let last = schedule.main(&mut cvt)?;
-        // Further steps may leave it converged or not.
-        let converged = cvt.converged();
-        self.laps.timings.iterations += self.laps.lap();
+        let figures = Figures { seed, asked: plan.points, ..Figures::default() };
+        let mut schedule = Schedule { job: self, options, figures };
+        schedule.main(&mut cvt)?;
+        schedule.job.laps.end(|t| &mut t.iterations);
         schedule.clear_curves(&mut cvt)?;
         curves.seeds = cvt.curves().clone();
-        self.laps.timings.refine += self.laps.lap();
+        schedule.job.laps.end(|t| &mut t.refine);
 
-        enter(schedule.observer, schedule.token, "dual");
+        schedule.job.enter("dual");
         let room = max_seeds.max(cvt.len());
         let exact = SessionOptions { flat_pieces: true, ..SessionOptions::new(room) };
-        let mut session = self.backend.exact_session(Arc::clone(&surface), exact)?;
+        let mut session = schedule.job.backend.exact_session(Arc::clone(&surface), exact)?;
         let dual = ExactDual { surface: &surface, session: &mut *session }.dual(&mut cvt, &mut schedule)?;
+        let figures = schedule.figures;
         self.token.check()?;
-        let failing = thin_parts::failing(&dual, &plan.mesh, &surface, &self.topology, token)?;
-        self.laps.timings.dual += self.laps.lap();
-        let Schedule { rvd, iterations, refine, .. } = schedule;
-        Ok(Optimized {
-            plan,
-            surface,
-            curves,
-            cvt,
-            session,
-            dual,
-            failing,
-            seed,
-            converged,
-            last,
-            rvd,
-            iterations,
-            refine,
-            asked,
-        })
+        let failing = thin_parts::failing(&dual, &plan.mesh, &surface, &self.topology, self.token)?;
+        self.laps.end(|t| &mut t.dual);
+        Ok(Optimized { plan, surface, curves, cvt, session, dual, failing, figures })
     }
 
     /// Optimizes again with shorter edges where cells fail, as long as that helps.
@@ -128,48 +115,38 @@ impl<'a> Job<'a, '_> {
         options: &RemeshOptions,
     ) -> Result<Optimized<'a>, RemeshError> {
         let mut best = optimized;
-        best.refine.closed_ball_failures = best.failing.len();
+        best.figures.refine.closed_ball_failures = best.failing.components.len();
         if !self.keep_thin || matches!(options.seeds, Seeds::Given(_)) {
             return Ok(best);
         }
         let median = best.plan.figures.edge_median;
         let most = THIN_MOST_POINTS * best.plan.points;
-        let mut failing = !best.failing.is_empty();
+        let mut failing = !best.failing.components.is_empty();
         let mut lengths = if failing { best.shorter_lengths(self.mesh, self.token)? } else { Vec::new() };
         let mut vain = 0;
         for round in 1..=MAX_THIN_ROUNDS {
             if !failing || vain == MAX_VAIN_ROUNDS {
                 break;
             }
-            let source = DensitySource::Sizes(lengths);
-            let density = DensityOptions { source, edge_length: None, adaptivity: 1.0, ..options.density.clone() };
-            let options = RemeshOptions { density, ..options.clone() };
-            enter(self.observer, self.token, "prepare");
-            let prepared = match prepare(self.mesh, &options, self.token) {
-                Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => break,
-                prepared => prepared?,
-            };
+            let options = with_source(options, DensitySource::Sizes(lengths));
+            let Some(prepared) = self.prepare_again(&options)? else { break };
             let Plan { figures, points, .. } = &prepared.plan;
             let longer = median.zip(figures.edge_median).is_some_and(|(before, now)| now > THIN_LONGEST * before);
             if longer || *points > most {
                 break;
             }
-            let mut next = match self.optimize_once(prepared, &options) {
-                // The best so far stays on the device beside it.
-                Err(RemeshError::Rvd(RvdError::NeverFits { .. } | RvdError::OutOfMemory { .. })) => break,
-                next => next?,
-            };
-            (lengths, failing) = (next.shorter_lengths(self.mesh, self.token)?, !next.failing.is_empty());
-            if next.failing.is_better(&best.failing) {
+            let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
+            (lengths, failing) = (next.shorter_lengths(self.mesh, self.token)?, !next.failing.components.is_empty());
+            if next.failing.area < best.failing.area {
                 next.take_over(&best);
-                next.refine.closed_ball_rounds = round;
+                next.figures.refine.closed_ball_rounds = round;
                 (best, vain) = (next, 0);
             } else {
-                best.refine.evaluations += next.passes();
+                best.figures.refine.evaluations += next.figures.passes();
                 vain += 1;
             }
         }
-        best.refine.closed_ball_failures = best.failing.len();
+        best.figures.refine.closed_ball_failures = best.failing.components.len();
         Ok(best)
     }
 }
@@ -189,16 +166,11 @@ impl Optimized<'_> {
 
     /// Takes the place of another one that was made before.
     pub(super) fn take_over(&mut self, before: &Self) {
-        self.refine.evaluations += before.passes();
-        self.refine.closed_ball_rounds = before.refine.closed_ball_rounds;
-        self.refine.closed_ball_failures = self.failing.len();
+        self.figures.refine.evaluations += before.figures.passes();
+        self.figures.refine.closed_ball_rounds = before.figures.refine.closed_ball_rounds;
+        self.figures.refine.closed_ball_failures = self.failing.components.len();
         self.plan.figures.source = before.plan.figures.source;
-        self.asked = before.asked;
-    }
-
-    /// Passes over the diagram that it took.
-    pub(super) fn passes(&self) -> usize {
-        self.refine.evaluations + self.iterations.iter().map(|step| step.evaluations).sum::<usize>()
+        self.figures.asked = before.figures.asked;
     }
 }
 
@@ -210,11 +182,15 @@ pub(super) struct ExactDual<'a> {
 
 impl ExactDual<'_> {
     /// Puts the seeds on the surface and reads their dual.
-    pub(super) fn dual(&mut self, cvt: &mut Cvt, schedule: &mut Schedule<'_>) -> Result<dual::Dual, RemeshError> {
-        cvt.put_on_surface(schedule.token)?;
+    pub(super) fn dual(
+        &mut self,
+        cvt: &mut Cvt,
+        schedule: &mut Schedule<'_, '_, '_>,
+    ) -> Result<dual::Dual, RemeshError> {
+        cvt.put_on_surface(schedule.job.token)?;
         self.session.set_seeds(cvt.unit_seeds()?)?;
-        let dual = dual::extract(self.session, self.surface, cvt.len(), schedule.token)?;
-        schedule.rvd.add_pass(&dual.stats);
+        let dual = dual::extract(self.session, self.surface, cvt.len(), schedule.job.token)?;
+        schedule.figures.rvd.add_pass(&dual.stats);
         Ok(dual)
     }
 }

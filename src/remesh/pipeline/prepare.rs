@@ -41,6 +41,12 @@ pub(super) fn prepare<'a>(
     Ok(Prepared { curves: curves?, closest: closest?, plan, surface })
 }
 
+/// The same options with a density of another source, as it is.
+pub(super) fn with_source(options: &RemeshOptions, source: DensitySource) -> RemeshOptions {
+    let density = DensityOptions { source, edge_length: None, adaptivity: 1.0, ..options.density.clone() };
+    RemeshOptions { density, ..options.clone() }
+}
+
 /// How far so many components should be apart: two edge lengths, and a share of the diagonal. `None` where seeds are given,
 /// since it is not known which component one is on, and where there are too few points for each component to become a
 /// surface.

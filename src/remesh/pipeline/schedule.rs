@@ -8,54 +8,71 @@
 use glam::DVec3;
 
 use super::extract::Missed;
+use super::job::Job;
 use crate::cvt::{Cvt, Iteration};
 use crate::remesh::constants::{CLEARING_ROUNDS, CLEARING_STEPS, REFINING_STEPS, SAME_PLACE};
 use crate::remesh::report::{FinalFigures, IterationFigures, RefineFigures, RvdFigures};
-use crate::remesh::{Observer, RemeshError, RemeshOptions};
-use crate::token::Token;
+use crate::remesh::{RemeshError, RemeshOptions};
 
-/// See the module's head.
-pub(super) struct Schedule<'a> {
-    pub(super) options: &'a RemeshOptions,
-    pub(super) observer: &'a mut dyn Observer,
-    pub(super) token: &'a Token,
+/// What the steps of the seeds came to.
+#[derive(Default)]
+pub(super) struct Figures {
+    /// The random seed that the seeds were drawn from.
+    pub(super) seed: Option<u64>,
+    /// How many vertices were asked for.
+    pub(super) asked: usize,
+    /// Whether the steps that were asked for converged, and where they ended.
+    pub(super) converged: bool,
+    pub(super) last: FinalFigures,
     pub(super) rvd: RvdFigures,
     pub(super) iterations: Vec<IterationFigures>,
     pub(super) refine: RefineFigures,
 }
 
-impl Schedule<'_> {
-    /// The steps that were asked for. Returns what they came to.
-    pub(super) fn main(&mut self, cvt: &mut Cvt) -> Result<FinalFigures, RemeshError> {
-        let planned = self.options.lloyd + self.options.newton;
-        while self.iterations.len() < planned && !cvt.converged() {
-            let lloyd = self.options.lloyd.saturating_sub(self.iterations.len());
-            let steps = if lloyd > 0 { cvt.relax(lloyd, self.token)? } else { vec![cvt.lbfgs(self.token)?] };
+impl Figures {
+    /// Passes over the diagram.
+    pub(super) fn passes(&self) -> usize {
+        self.refine.evaluations + self.iterations.iter().map(|step| step.evaluations).sum::<usize>()
+    }
+}
+
+/// See the module's head.
+pub(super) struct Schedule<'s, 'a, 'b> {
+    pub(super) job: &'s mut Job<'a, 'b>,
+    pub(super) options: &'s RemeshOptions,
+    pub(super) figures: Figures,
+}
+
+impl Schedule<'_, '_, '_> {
+    /// The steps that were asked for.
+    pub(super) fn main(&mut self, cvt: &mut Cvt) -> Result<(), RemeshError> {
+        let (planned, token) = (self.options.lloyd + self.options.newton, self.job.token);
+        while self.figures.iterations.len() < planned && !cvt.converged() {
+            let lloyd = self.options.lloyd.saturating_sub(self.figures.iterations.len());
+            let steps = if lloyd > 0 { cvt.relax(lloyd, token)? } else { vec![cvt.lbfgs(token)?] };
             for step in steps {
                 self.count(&step);
-                self.observer.iteration(&step, planned);
-                self.iterations.push(IterationFigures::of(&step));
+                self.job.observer.iteration(&step, planned);
+                self.figures.iterations.push(IterationFigures::of(&step));
             }
         }
-        Ok(FinalFigures::of(&cvt.present(self.token)?))
-    }
-
-    fn take(&mut self, cvt: &mut Cvt, newton: bool) -> Result<Iteration, RemeshError> {
-        let step = if newton { cvt.lbfgs(self.token)? } else { cvt.lloyd(self.token)? };
-        self.count(&step);
-        Ok(step)
+        self.figures.last = FinalFigures::of(&cvt.present(token)?);
+        // Further steps may leave it converged or not.
+        self.figures.converged = cvt.converged();
+        Ok(())
     }
 
     fn count(&mut self, step: &Iteration) {
-        self.rvd.add_pass(&step.stats);
-        self.rvd.reseeded_cells += step.empty_cells;
+        self.figures.rvd.add_pass(&step.stats);
+        self.figures.rvd.reseeded_cells += step.empty_cells;
     }
 
     /// Further steps: one of Lloyd's, then quasi-Newton steps.
     fn further(&mut self, cvt: &mut Cvt, steps: usize) -> Result<(), RemeshError> {
         for k in 0..steps {
-            let step = self.take(cvt, k > 0)?;
-            self.refine.evaluations += step.evaluations;
+            let step = if k > 0 { cvt.lbfgs(self.job.token)? } else { cvt.lloyd(self.job.token)? };
+            self.count(&step);
+            self.figures.refine.evaluations += step.evaluations;
         }
         Ok(())
     }
@@ -64,8 +81,8 @@ impl Schedule<'_> {
     pub(super) fn clear_curves(&mut self, cvt: &mut Cvt) -> Result<(), RemeshError> {
         for round in 1..=CLEARING_ROUNDS {
             let in_the_way = match round < CLEARING_ROUNDS {
-                true => cvt.clear_curves(self.token)?,
-                false => cvt.adopt_intruders(self.token)?,
+                true => cvt.clear_curves(self.job.token)?,
+                false => cvt.adopt_intruders(self.job.token)?,
             };
             if in_the_way == 0 {
                 break;
@@ -83,7 +100,7 @@ impl Schedule<'_> {
         let apart = |p: &&(u32, DVec3)| seeds[p.0 as usize].distance(p.1) > SAME_PLACE;
         let places: Vec<DVec3> = places.iter().filter(apart).map(|p| p.1).collect();
         let added = cvt.pin(&[], &places)?;
-        self.refine.added_seeds += added;
+        self.figures.refine.added_seeds += added;
         self.refine(cvt, added)
     }
 
@@ -95,13 +112,13 @@ impl Schedule<'_> {
         if !pins.is_empty() {
             cvt.pin(&pins, &[])?;
         }
-        self.refine.moved_seeds += pins.len();
+        self.figures.refine.moved_seeds += pins.len();
         self.refine(cvt, pins.len())
     }
 
     fn refine(&mut self, cvt: &mut Cvt, changed: usize) -> Result<bool, RemeshError> {
         if changed > 0 {
-            self.refine.rounds += 1;
+            self.figures.refine.rounds += 1;
             self.further(cvt, REFINING_STEPS)?;
         }
         Ok(changed > 0)

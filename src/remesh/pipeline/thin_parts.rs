@@ -11,7 +11,6 @@
 use glam::DVec3;
 
 use crate::mesh::TriMesh;
-use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::mesh::closest_point::{ClosestPoint, SurfacePoint};
 use crate::mesh::measure::{self, Topology};
 use crate::remesh::constants::THIN_SHORTER;
@@ -24,25 +23,11 @@ use crate::token::{Stopped, Token};
 #[derive(Default)]
 pub(super) struct FailingCells {
     /// Their components of the dual, ascending.
-    components: Vec<u32>,
+    pub(super) components: Vec<u32>,
     /// Area of the cells, those in several parts included, unit frame.
-    area: f64,
+    pub(super) area: f64,
     /// Vertices of the repaired dual.
     pub(super) vertices: usize,
-}
-
-impl FailingCells {
-    pub(super) fn len(&self) -> usize {
-        self.components.len()
-    }
-
-    pub(super) fn is_empty(&self) -> bool {
-        self.components.is_empty()
-    }
-
-    pub(super) fn is_better(&self, other: &Self) -> bool {
-        self.area < other.area
-    }
 }
 
 /// The failing cells of a dual. `surface` was made of `mesh`, and the result is to have the topology `wanted`.
@@ -79,7 +64,7 @@ pub(super) fn failing(
     let mut fails = vec![false; count];
     dual.not_disks.iter().chain(&dual.multiple_boundary_arcs).chain(pairs).for_each(|&c| fails[c as usize] = true);
     (0..count).filter(|&c| !there[c]).for_each(|c| fails[c] = true);
-    let non_manifold = non_manifold_vertices(mesh, &Adjacency::new(mesh));
+    let non_manifold = measure::non_manifold_vertices(mesh);
     for piece in &dual.pieces {
         if surface.welded()[piece.facet as usize].iter().any(|&v| non_manifold[v as usize]) {
             fails[piece.component as usize] = false;
@@ -93,21 +78,6 @@ pub(super) fn failing(
         components = all;
     }
     Ok(FailingCells { components, area, vertices })
-}
-
-/// The vertices around which a surface is no manifold.
-fn non_manifold_vertices(mesh: &TriMesh, adjacency: &Adjacency) -> Vec<bool> {
-    let representative = adjacency.representative();
-    let mut found = measure::split_vertices(mesh, adjacency);
-    for half in 0..3 * mesh.facets().len() {
-        if matches!(adjacency.kind(half), EdgeKind::NonManifold | EdgeKind::Inconsistent) {
-            let facet = mesh.facets()[half / 3];
-            for v in [facet[half % 3], facet[(half + 1) % 3]] {
-                found[representative[v as usize] as usize] = true;
-            }
-        }
-    }
-    found
 }
 
 /// Makes the lengths, one a vertex of the caller's `mesh`, shorter at the vertices in failing cells; for a cell without a

@@ -2,23 +2,22 @@
 //!
 //! Purpose: [`refine`] remeshes again and again, each time with shorter edges where the last result was too far from the
 //! input. The distance of a facet from a smooth surface falls with the square of its edges, so a few rounds do. Shorter edges
-//! that grade into the others keep triangles round. Seeds that are only added do not: steps spread them out again, and with as
-//! many added as there were, 6 to 10 % of the triangles of the bunny and the rocker-arm had angles under 30 degrees. Given
-//! seeds stay, so [`add`] can only add to them.
+//! that grade into the others keep triangles round. Seeds that are only added do not: steps spread them out again. Given seeds
+//! stay, so [`add`] can only add to them.
 //! Invariant: never more points than allowed; the nearest result of all rounds comes back. If it is too far, as many points
 //! with a uniform density or one by curvature are no nearer, unless the lengths were given. At most
 //! [`MAX_REFINING_ROUNDS`] rounds, one that adds seeds, and two comparisons for each of two searches.
 //! Must not know: how a surface is made, how distances are measured.
 
 use super::attempt::Attempt;
-use super::job::{Job, enter};
-use super::prepare::{Prepared, prepare};
-use crate::cvt::density::{DensityError, DensityOptions, DensitySource};
+use super::job::Job;
+use super::prepare::{Prepared, prepare, with_source};
+use crate::cvt::density::DensitySource;
+use crate::mesh::comparison::{Comparison, Distances};
 use crate::remesh::constants::{
     FEW_MISSED_SHARE, FEWER_MISSED, LOCAL_ROUNDS, MAX_ADDING_TIMES, MAX_REFINING_ROUNDS, MAX_VAIN_REFINING,
     PROGRESS_SHARE, SHORTEST_SHARE, SPENT_SHARE, TOLERANCE_AIM, VAIN_GROWTH,
 };
-use crate::remesh::distance::two_way::{Comparison, Distances};
 use crate::remesh::report::RefineEnd;
 use crate::remesh::{Refine, RemeshError, RemeshOptions, Seeds};
 
@@ -30,12 +29,6 @@ struct Measured<'a> {
 }
 
 impl Measured<'_> {
-    /// Passes over the diagram that it took.
-    fn passes(&self) -> usize {
-        let figures = &self.attempt.figures;
-        figures.refine.evaluations + figures.iterations.iter().map(|step| step.evaluations).sum::<usize>()
-    }
-
     fn points(&self) -> usize {
         self.attempt.seeds.len()
     }
@@ -67,7 +60,7 @@ fn attempt<'a>(
 ) -> Result<Measured<'a>, RemeshError> {
     let attempt = job.attempt(prepared, &options, Some(tolerance))?;
     let distances = comparison.with(&attempt.built.mesh, job.token)?;
-    job.laps.timings.refine += job.laps.lap();
+    job.laps.end(|t| &mut t.refine);
     Ok(Measured { attempt, distances, options })
 }
 
@@ -143,7 +136,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
 
     /// Prepares and makes one more result.
     fn attempt(&mut self, options: RemeshOptions, tolerance: f64) -> Result<(), RemeshError> {
-        enter(self.job.observer, self.job.token, "prepare");
+        self.job.enter("prepare");
         let prepared = prepare(self.job.mesh, &options, self.job.token)?;
         let next = attempt(self.job, &self.comparison, prepared, options, tolerance)?;
         self.offer(next);
@@ -155,7 +148,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
         if next.distances.largest < self.best.distances.largest {
             std::mem::swap(&mut self.best, &mut next);
         }
-        self.passes_of_others += next.passes();
+        self.passes_of_others += next.attempt.figures.passes();
     }
 
     /// Rounds with shorter edges, from these lengths or from those of the best result.
@@ -182,18 +175,16 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
                 let nearer = if d > aim { (aim / d).sqrt().max(SHORTEST_SHARE) } else { 1.0 };
                 *length *= nearer.min(even);
             }
-            let source = DensitySource::Sizes(lengths);
-            options.density =
-                DensityOptions { source, edge_length: None, adaptivity: 1.0, max_points, ..options.density };
+            options = with_source(&options, DensitySource::Sizes(lengths));
+            options.density.max_points = max_points;
             options.seeds = Seeds::Implied { seed: random_seed };
-            enter(self.job.observer, token, "prepare");
-            let prepared = match prepare(mesh, &options, token) {
-                Err(RemeshError::Density(DensityError::TooManyPoints { .. })) => {
+            let prepared = match self.job.prepare_again(&options)? {
+                Some(prepared) => prepared,
+                None => {
                     full = true;
                     options.seeds = Seeds::Sample { points: max_points, seed: random_seed };
                     prepare(mesh, &options, token)?
                 }
-                prepared => prepared?,
             };
             let next = attempt(self.job, &self.comparison, prepared, options.clone(), tolerance)?;
             lengths = next.attempt.plan.lengths(mesh, token)?;
@@ -235,9 +226,8 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
             if points == self.first.0 && source == first.density.source {
                 continue;
             }
-            let density = DensityOptions { source, edge_length: None, adaptivity: 1.0, ..first.density.clone() };
-            let seeds = Seeds::Sample { points, seed: random_seed };
-            self.attempt(RemeshOptions { density, seeds, ..first.clone() }, self.limits.tolerance)?;
+            let options = with_source(first, source).with_seeds(Seeds::Sample { points, seed: random_seed });
+            self.attempt(options, self.limits.tolerance)?;
         }
         Ok(self.best.distances.largest < PROGRESS_SHARE * before && !self.is_done() && !self.is_spent())
     }

@@ -8,17 +8,16 @@
 //! vertices that were asked for, for which memory was planned.
 //! Must not know: how the vertices are placed.
 
-use super::job::{Job, enter};
+use super::job::Job;
 use super::optimize::Optimized;
-use super::prepare::prepare;
-use crate::cvt::density::{DensityOptions, DensitySource};
+use super::prepare::with_source;
+use crate::cvt::density::DensitySource;
 use crate::mesh::measure::Topology;
 use crate::remesh::constants::{
     COUNT_LIMIT, COUNT_SLACK, FEWEST_SEEDS, FEWEST_SEEDS_SHARE, LEAST_SLOPE, MAX_COUNT_ROUNDS, VAIN_STRETCH,
 };
 use crate::remesh::report::CountReason;
-use crate::remesh::{RemeshError, RemeshOptions, Seeds, fewest_vertices};
-use crate::rvd::RvdError;
+use crate::remesh::{RemeshError, RemeshOptions, Seeds};
 
 /// Whether a number of vertices is near enough to what was asked for.
 fn is_near(vertices: usize, asked: usize) -> bool {
@@ -37,7 +36,7 @@ pub(super) fn reason(
     }
     Some(match seeds {
         Seeds::Given(_) => CountReason::GivenSeeds,
-        _ if vertices > asked && fewest_vertices(surface) > asked => CountReason::Parts,
+        _ if vertices > asked && surface.fewest_vertices() > asked => CountReason::Parts,
         _ if vertices > asked => CountReason::CloseSheets,
         _ if parts < surface.components => CountReason::SmallParts,
         _ => CountReason::NoThickness,
@@ -53,7 +52,7 @@ impl<'a> Job<'a, '_> {
     ) -> Result<Optimized<'a>, RemeshError> {
         let mut best = optimized;
         let (&Seeds::Sample { seed, .. } | &Seeds::Implied { seed }) = &options.seeds else { return Ok(best) };
-        let asked = best.asked;
+        let asked = best.figures.asked;
         let least = (FEWEST_SEEDS_SHARE * asked as f64).max(FEWEST_SEEDS).min(asked as f64);
         // Seeds and vertices of the best.
         let mut from = (asked as f64, best.vertices() as f64);
@@ -68,36 +67,24 @@ impl<'a> Job<'a, '_> {
                 break;
             }
             // Shorter edges in thin parts stay.
-            let density = match best.refine.closed_ball_rounds {
-                0 => options.density.clone(),
-                _ => {
-                    let source = DensitySource::Sizes(best.plan.lengths(self.mesh, self.token)?);
-                    DensityOptions { source, edge_length: None, adaptivity: 1.0, ..options.density.clone() }
-                }
+            let options = match best.figures.refine.closed_ball_rounds {
+                0 => options.clone(),
+                _ => with_source(options, DensitySource::Sizes(best.plan.lengths(self.mesh, self.token)?)),
             };
-            let seeds = Seeds::Sample { points: drawn as usize, seed };
-            let options = RemeshOptions { density, seeds, ..options.clone() };
-            enter(self.observer, self.token, "prepare");
-            let prepared = match prepare(self.mesh, &options, self.token) {
-                Err(RemeshError::Density(_)) => break,
-                prepared => prepared?,
-            };
-            let mut next = match self.optimize_once(prepared, &options) {
-                // The best so far stays on the device beside it.
-                Err(RemeshError::Rvd(RvdError::NeverFits { .. } | RvdError::OutOfMemory { .. })) => break,
-                next => next?,
-            };
+            let options = options.with_seeds(Seeds::Sample { points: drawn as usize, seed });
+            let Some(prepared) = self.prepare_again(&options)? else { break };
+            let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
             let here = (drawn, next.vertices() as f64);
             if next.vertices().abs_diff(asked) < best.vertices().abs_diff(asked) {
                 next.take_over(&best);
-                next.refine.count_rounds = round;
+                next.figures.refine.count_rounds = round;
                 best = next;
                 let between = (here.1 - from.1) / (here.0 - from.0);
                 slope = between.clamp(LEAST_SLOPE, (here.1 / here.0).max(LEAST_SLOPE));
                 (from, stretch) = (here, 1.0);
             } else {
                 stretch *= VAIN_STRETCH;
-                best.refine.evaluations += next.passes();
+                best.figures.refine.evaluations += next.figures.passes();
             }
         }
         Ok(best)

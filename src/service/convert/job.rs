@@ -6,7 +6,7 @@
 use prost::Message as _;
 
 use super::{At, Choice, spec, time, timestamp};
-use crate::job::desk::Estimate;
+use crate::job::api::Estimate;
 use crate::job::event::{Event, Progress, What};
 use crate::job::record::{Cause, Failure, Job, Outcome, ResultSet, Status};
 use crate::job::store::{Page, PageToken, Query};

@@ -31,12 +31,12 @@ pub(super) async fn handle(
     outbox: Outbox<CvtResponse>,
 ) -> Result<(), RequestError> {
     let _place = shared.gate.admit_session()?;
-    let Admitted { header, received, ticket, ask } = upload(&shared, &tenant, &mut inbox).await?;
+    let Admitted { header, received, reservation, request } = upload(&shared, &tenant, &mut inbox).await?;
     let wish = codec::backend(header.backend)?;
     let options = of_cvt(&header)?;
     let token = shared.engine.token();
     let (prepared, _share) = prepare(&shared, received, header.density, Prepared::for_steps, &token).await?;
-    let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, (ticket, ask))?;
+    let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, (reservation, request))?;
     let position = pending.position;
     let Timed { value, queue_ms, compute_ms } = pending.wait().await?;
     let mut talk = Talk {

@@ -11,7 +11,7 @@ use std::time::Duration;
 use super::*;
 use crate::job::diagram::{Diagram, RvdReport, WorldSums};
 use crate::job::spec::Prepared;
-use crate::job::{Pending, Place, Retry, Timed, Turn};
+use crate::job::{Admission, Pending, Retry, Timed, WorkContext};
 use crate::rvd::{BackendChoice, PieceBatch};
 use crate::wire::cells::{CELLS_VERTEX_BYTES, cells_chunks};
 use crate::wire::chunks::number_chunks;
@@ -33,24 +33,28 @@ pub(super) async fn handle(
     mut inbox: Inbox<ComputeRvdRequest>,
     outbox: Outbox<ComputeRvdResponse>,
 ) -> Result<(), RequestError> {
-    let Admitted { header, received, ticket, ask } = upload(&shared, &tenant, &mut inbox).await?;
+    let Admitted { header, received, reservation, request } = upload(&shared, &tenant, &mut inbox).await?;
     let (choice, outputs) = (codec::backend(header.backend)?, codec::outputs(&header.outputs)?);
     let by = shared.engine.backend(choice)?;
     let token = shared.engine.token();
     let (prepared, _share) = prepare(&shared, received, None, Prepared::new, &token).await?;
     let for_device = Arc::clone(&prepared);
-    let mut pending =
-        shared.engine.submit_as(token.clone(), Place::Kept(ask), Retry::Anew, move |backends, turn| {
-            turn.token.check()?;
+    let mut pending = shared.engine.submit_as(
+        token.clone(),
+        Admission::Reserved(request),
+        Retry::Restart,
+        move |backends, context| {
+            context.token.check()?;
             let backend = backends.choose(choice)?;
             let mut diagram = Diagram::open(&for_device, backend.as_ref())?;
             let sums = match outputs.centroids || outputs.sums {
-                true => diagram.sums(backend.as_ref(), &turn.token)?,
+                true => diagram.sums(backend.as_ref(), &context.token)?,
                 false => WorldSums::default(),
             };
             Ok((Box::new(diagram), sums))
-        })?;
-    drop(ticket);
+        },
+    )?;
+    drop(reservation);
     outbox.send(wrap(response::Message::Accepted(accepted(pending.position, &by)))).await?;
     let Timed { value: (mut diagram, sums), queue_ms, compute_ms } = pending.wait().await?;
     let mut clock = Clock { queue_ms, compute_ms };
@@ -92,11 +96,16 @@ fn next(
     diagram: Box<Diagram>,
 ) -> Result<Pending<Batch>, JobError> {
     let mut state = Some(diagram);
-    shared.engine.submit_as(token.clone(), Place::Continuation, Retry::Never, move |backends, turn: &Turn| {
-        let mut diagram = state.take().ok_or(JobError::WorkerGone)?;
-        let batch = diagram.batch(backends.choose(choice)?.as_ref(), &turn.token)?;
-        Ok((diagram, batch))
-    })
+    shared.engine.submit_as(
+        token.clone(),
+        Admission::Continuation,
+        Retry::Never,
+        move |backends, context: &WorkContext| {
+            let mut diagram = state.take().ok_or(JobError::WorkerGone)?;
+            let batch = diagram.batch(backends.choose(choice)?.as_ref(), &context.token)?;
+            Ok((diagram, batch))
+        },
+    )
 }
 
 /// What comes after the batch that is being sent.

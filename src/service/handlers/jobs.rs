@@ -10,7 +10,7 @@ use tonic::{Request, Response, Status};
 
 use crate::blob::{BlobStore, Owner};
 use crate::job::JobError;
-use crate::job::desk::{DeskError, JobDesk};
+use crate::job::api::{JobApi, JobApiError};
 use crate::job::event::What;
 use crate::job::record::JobId;
 use crate::service::access::{Caller, Refusal};
@@ -21,7 +21,7 @@ use crate::service::{Phase, RequestError, tenant};
 use crate::trace;
 use crate::wire::proto;
 
-/// For the desk to answer. An estimate may read a mesh.
+/// For the jobs' API to answer. An estimate may read a mesh.
 const DESK_TIME: Duration = Duration::from_secs(60);
 
 /// Between two looks whether a job that says nothing has ended: its watcher may wait for a number that never comes.
@@ -32,7 +32,7 @@ const EVENTS: usize = 64;
 
 /// The service.
 pub(in crate::service) struct Jobs {
-    desk: Arc<dyn JobDesk>,
+    api: Arc<dyn JobApi>,
     /// Asked how much a tenant has.
     blobs: Arc<dyn BlobStore>,
     budget: Budget,
@@ -40,13 +40,8 @@ pub(in crate::service) struct Jobs {
 }
 
 impl Jobs {
-    pub(in crate::service) fn new(
-        desk: Arc<dyn JobDesk>,
-        blobs: Arc<dyn BlobStore>,
-        budget: Budget,
-        gate: Gate,
-    ) -> Self {
-        Self { desk, blobs, budget, gate }
+    pub(in crate::service) fn new(api: Arc<dyn JobApi>, blobs: Arc<dyn BlobStore>, budget: Budget, gate: Gate) -> Self {
+        Self { api, blobs, budget, gate }
     }
 
     /// A question with one answer, in the name of a tenant.
@@ -54,11 +49,11 @@ impl Jobs {
         &self,
         method: &'static str,
         request: Request<M>,
-        work: impl FnOnce(M, String, Arc<dyn JobDesk>) -> F,
+        work: impl FnOnce(M, String, Arc<dyn JobApi>) -> F,
     ) -> Result<Response<T>, Status> {
         let (metadata, extensions, message) = request.into_parts();
         let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
-        let work = work(message, tenant, Arc::clone(&self.desk));
+        let work = work(message, tenant, Arc::clone(&self.api));
         answer((method, Kind::Call), &metadata, &extensions, &self.gate, Some(DESK_TIME), work).await
     }
 }
@@ -73,7 +68,7 @@ impl proto::job_service_server::JobService for Jobs {
     ) -> Result<Response<proto::CreateJobResponse>, Status> {
         let most = request.extensions().get::<Caller>().and_then(|caller| caller.bytes);
         let blobs = Arc::clone(&self.blobs);
-        self.ask("CreateJob", request, |message, tenant, desk| async move {
+        self.ask("CreateJob", request, |message, tenant, api| async move {
             if let Some(limit_bytes) = most {
                 // Results are kept whatever their size: who has all that it may have gets no more of them.
                 let used_bytes = blobs.owned_bytes(Owner::of(&tenant)).await?;
@@ -82,15 +77,15 @@ impl proto::job_service_server::JobService for Jobs {
                 }
             }
             let wanted = spec::of(message.spec, tenant, message.request_id)?;
-            let created = to_the_end(async move { desk.create(wanted).await }).await?;
+            let created = to_the_end(async move { api.create(wanted).await }).await?;
             Ok(proto::CreateJobResponse { job: Some(job::message(&created.job)), existed: created.existed })
         })
         .await
     }
 
     async fn get_job(&self, request: Request<proto::GetJobRequest>) -> Result<Response<proto::GetJobResponse>, Status> {
-        self.ask("GetJob", request, |message, tenant, desk| async move {
-            let found = desk.get(&tenant, job_id(&message.id)?).await?;
+        self.ask("GetJob", request, |message, tenant, api| async move {
+            let found = api.get(&tenant, job_id(&message.id)?).await?;
             Ok(proto::GetJobResponse { job: Some(job::message(&found)) })
         })
         .await
@@ -100,8 +95,8 @@ impl proto::job_service_server::JobService for Jobs {
         &self,
         request: Request<proto::ListJobsRequest>,
     ) -> Result<Response<proto::ListJobsResponse>, Status> {
-        self.ask("ListJobs", request, |message, tenant, desk| async move {
-            Ok(job::page(&desk.list(job::query(message, tenant)?).await?))
+        self.ask("ListJobs", request, |message, tenant, api| async move {
+            Ok(job::page(&api.list(job::query(message, tenant)?).await?))
         })
         .await
     }
@@ -113,11 +108,11 @@ impl proto::job_service_server::JobService for Jobs {
         let (metadata, extensions, message) = request.into_parts();
         let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
         let id = job_id(&message.id).map_err(RequestError::from)?;
-        let (desk, gate) = (Arc::clone(&self.desk), self.gate.clone());
+        let (api, gate) = (Arc::clone(&self.api), self.gate.clone());
         Ok(respond(("WatchJob", Kind::Watch), &metadata, &extensions, (&self.gate, &self.budget), |out| async move {
             tokio::select! {
                 biased;
-                result = watch(&*desk, &tenant, id, message.after, out) => result,
+                result = watch(&*api, &tenant, id, message.after, out) => result,
                 // The job goes on, and can be watched again from where this ends.
                 () = gate.reached(Phase::Draining) => Err(RequestError::Draining),
             }
@@ -128,9 +123,9 @@ impl proto::job_service_server::JobService for Jobs {
         &self,
         request: Request<proto::CancelJobRequest>,
     ) -> Result<Response<proto::CancelJobResponse>, Status> {
-        self.ask("CancelJob", request, |message, tenant, desk| async move {
+        self.ask("CancelJob", request, |message, tenant, api| async move {
             let id = job_id(&message.id)?;
-            let cancelled = to_the_end(async move { desk.cancel(&tenant, id).await }).await?;
+            let cancelled = to_the_end(async move { api.cancel(&tenant, id).await }).await?;
             Ok(proto::CancelJobResponse { job: Some(job::message(&cancelled)) })
         })
         .await
@@ -140,9 +135,9 @@ impl proto::job_service_server::JobService for Jobs {
         &self,
         request: Request<proto::DeleteJobRequest>,
     ) -> Result<Response<proto::DeleteJobResponse>, Status> {
-        self.ask("DeleteJob", request, |message, tenant, desk| async move {
+        self.ask("DeleteJob", request, |message, tenant, api| async move {
             let id = job_id(&message.id)?;
-            to_the_end(async move { desk.delete(&tenant, id).await }).await?;
+            to_the_end(async move { api.delete(&tenant, id).await }).await?;
             Ok(proto::DeleteJobResponse {})
         })
         .await
@@ -152,10 +147,10 @@ impl proto::job_service_server::JobService for Jobs {
         &self,
         request: Request<proto::EstimateJobRequest>,
     ) -> Result<Response<proto::EstimateJobResponse>, Status> {
-        self.ask("EstimateJob", request, |message, tenant, desk| async move {
+        self.ask("EstimateJob", request, |message, tenant, api| async move {
             let proto::EstimateJobRequest { spec: wanted, vertices, facets } = message;
             let wanted = spec::of(wanted, tenant, String::new())?;
-            Ok(job::estimate(desk.estimate(wanted, vertices, facets).await?))
+            Ok(job::estimate(api.estimate(wanted, vertices, facets).await?))
         })
         .await
     }
@@ -163,7 +158,7 @@ impl proto::job_service_server::JobService for Jobs {
 
 /// Runs a change to its end, even if the caller goes away: half of one would leave blobs pinned for no job.
 async fn to_the_end<T: Send + 'static>(
-    work: impl Future<Output = Result<T, DeskError>> + Send + 'static,
+    work: impl Future<Output = Result<T, JobApiError>> + Send + 'static,
 ) -> Result<T, RequestError> {
     match tokio::spawn(trace::carry(work)).await {
         Ok(result) => result.map_err(RequestError::from),
@@ -173,7 +168,7 @@ async fn to_the_end<T: Send + 'static>(
 
 /// Sends the events of a job after number `after`, until it has ended and all are sent.
 async fn watch(
-    desk: &dyn JobDesk,
+    api: &dyn JobApi,
     tenant: &str,
     id: JobId,
     mut after: u64,
@@ -181,7 +176,7 @@ async fn watch(
 ) -> Result<(), RequestError> {
     let mut ended = false;
     loop {
-        let found = desk.events(tenant, id, after, EVENTS).await?.events;
+        let found = api.events(tenant, id, after, EVENTS).await?.events;
         for event in found.iter() {
             after = event.number;
             ended |= matches!(event.what, What::State { state, .. } if state.is_ended());
@@ -195,8 +190,8 @@ async fn watch(
         }
         // Who watches after the last event of an ended job would wait for ever. Its events are looked up once more, since
         // it may have ended between the two looks.
-        ended = desk.get(tenant, id).await?.status.state.is_ended();
-        if !ended && let Ok(come) = tokio::time::timeout(LOOK_EVERY, desk.wait(tenant, id, after)).await {
+        ended = api.get(tenant, id).await?.status.state.is_ended();
+        if !ended && let Ok(come) = tokio::time::timeout(LOOK_EVERY, api.wait(tenant, id, after)).await {
             come?;
         }
     }

@@ -4,7 +4,7 @@
 //! (`job::estimate`), messages but for headers.
 
 use super::{Shared, bounds};
-use crate::job::Ask;
+use crate::job::AdmissionRequest;
 use crate::job::estimate::{Counts, Kind, need};
 use crate::job::forecast::must_fit;
 use crate::job::observer::Origin;
@@ -19,18 +19,22 @@ use crate::wire::upload::Header;
 
 /// A header that says what its job needs.
 pub(super) trait Needs: Header {
-    /// Whether what the first piece makes goes on in others.
-    const GOES_ON: bool;
+    /// Whether later pieces continue what the first one makes.
+    const HAS_CONTINUATIONS: bool;
 
     /// The counts, where the mesh and the seeds are of these.
     fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts;
 }
 
-/// What a stream's job asks for, in the name of its tenant.
+/// The admission request of a stream's job, in the name of its tenant.
 ///
 /// # Errors
-/// `Desk` with `TooLarge` if it could never run here.
-pub(super) fn ask<H: Needs>(shared: &Shared, tenant: &str, header: &H) -> Result<Ask, RequestError> {
+/// `JobApi` with `TooLarge` if it could never run here.
+pub(super) fn admission_request<H: Needs>(
+    shared: &Shared,
+    tenant: &str,
+    header: &H,
+) -> Result<AdmissionRequest, RequestError> {
     let by = shared.engine.backend(codec::backend(header.backend())?)?;
     let (mesh, seeds) = header.check(&bounds(&shared.limits))?;
     let points = match seeds {
@@ -41,15 +45,15 @@ pub(super) fn ask<H: Needs>(shared: &Shared, tenant: &str, header: &H) -> Result
     let counts = header.counts(by.kind, mesh, points);
     let need = need(&counts, by.threads);
     must_fit(&need, shared.engine.memory())?;
-    Ok(Ask {
+    Ok(AdmissionRequest {
         tenant: tenant.into(),
         weight: shared.engine.weights().of(tenant),
         seconds: need.seconds,
         memory: need.memory,
-        goes_on: H::GOES_ON,
+        has_continuations: H::HAS_CONTINUATIONS,
         // Of the points that are asked for, not of those that may be added.
         origin: Some(Origin { seeds: points, ..Origin::of(&counts, None) }),
-        ..Ask::default()
+        ..AdmissionRequest::default()
     })
 }
 
@@ -65,7 +69,7 @@ fn density(options: Option<&proto::DensityOptions>, mesh: MeshCounts) -> Density
 }
 
 impl Needs for RemeshHeader {
-    const GOES_ON: bool = false;
+    const HAS_CONTINUATIONS: bool = false;
 
     fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts {
         let usual = RemeshOptions::usual();
@@ -88,7 +92,7 @@ impl Needs for RemeshHeader {
 }
 
 impl Needs for ComputeRvdHeader {
-    const GOES_ON: bool = true;
+    const HAS_CONTINUATIONS: bool = true;
 
     fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts {
         // Pieces are sent as they come, and not kept.
@@ -101,7 +105,7 @@ impl Needs for ComputeRvdHeader {
 }
 
 impl Needs for CvtHeader {
-    const GOES_ON: bool = true;
+    const HAS_CONTINUATIONS: bool = true;
 
     fn counts(&self, by: BackendKind, mesh: MeshCounts, points: u64) -> Counts {
         Counts {

@@ -9,8 +9,8 @@ use tokio::sync::mpsc;
 
 use super::*;
 use crate::cvt::Iteration;
-use crate::job::observer::Told;
-use crate::job::{Place, Retry, Timed};
+use crate::job::observer::Activity;
+use crate::job::{Admission, Retry, Timed};
 use crate::remesh::{Observer, Remesh};
 use crate::wire::chunks::{facet_chunks, index_chunks};
 use crate::wire::options::{RemeshArrays, of_remesh};
@@ -34,7 +34,7 @@ enum Event {
     Iteration(Box<Iteration>, usize),
 }
 
-struct Reporter(mpsc::Sender<Event>, Arc<Told>);
+struct Reporter(mpsc::Sender<Event>, Arc<Activity>);
 
 impl Observer for Reporter {
     fn stage(&mut self, name: &'static str) {
@@ -54,7 +54,7 @@ pub(super) async fn handle(
     mut inbox: Inbox<RemeshRequest>,
     outbox: Outbox<RemeshResponse>,
 ) -> Result<(), RequestError> {
-    let Admitted { header, received, ticket, ask } = upload(&shared, &tenant, &mut inbox).await?;
+    let Admitted { header, received, reservation, request } = upload(&shared, &tenant, &mut inbox).await?;
     let wish = codec::backend(header.backend)?;
     let by = shared.engine.backend(wish)?;
     let (limits, density) = (shared.limits, header.density);
@@ -65,14 +65,15 @@ pub(super) async fn handle(
     let options = of_remesh(&header, RemeshArrays { density, seeds, creases, attributes }, &bounds(&limits))?;
     let announced = header.attributes;
     let (events, mut heard) = mpsc::channel(EVENTS);
-    let mut pending = shared.engine.submit_as(token, Place::Kept(ask), Retry::Anew, move |backends, turn| {
-        turn.token.check()?;
-        let backend = backends.choose(wish)?;
-        let _ = events.try_send(Event::Started(turn.queue_ms));
-        let mut reporter = Reporter(events.clone(), Arc::clone(&turn.told));
-        Ok(crate::remesh::remesh(&mesh, &options, backend.as_ref(), &mut reporter, &turn.token)?)
-    })?;
-    drop(ticket);
+    let mut pending =
+        shared.engine.submit_as(token, Admission::Reserved(request), Retry::Restart, move |backends, context| {
+            context.token.check()?;
+            let backend = backends.choose(wish)?;
+            let _ = events.try_send(Event::Started(context.queue_ms));
+            let mut reporter = Reporter(events.clone(), Arc::clone(&context.activity));
+            Ok(crate::remesh::remesh(&mesh, &options, backend.as_ref(), &mut reporter, &context.token)?)
+        })?;
+    drop(reservation);
     outbox.send(wrap(response::Message::Accepted(accepted(pending.position, &by)))).await?;
     let mut teller = Teller { clock: Clock::default(), start: None };
     let result = loop {

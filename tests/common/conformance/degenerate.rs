@@ -10,8 +10,10 @@ use tessera::rvd::{CellSums, MAX_SEED_DISTANCE, PassStats, Serial, Surface};
 use super::exact::mass_of;
 use super::input::{bumpy, square, surface, triangle};
 use super::{Claims, Precision, compare, sums};
-use crate::broken::{book, join, map, moebius, pillow, soup, spheres, with_facets_without_area};
-use crate::points::noise;
+use crate::broken::*;
+use crate::points::{
+    cube_lattice, duplicate_sets, far_sets, nearly_twice, noise, on_circle, on_the_mesh, square_lattice,
+};
 
 /// Asserts that the cells cover the surface, carry its mass and are those of the reference. Seeds in the unit frame.
 fn covered(claims: &Claims, name: &str, surface: &Arc<Surface>, seeds: &[DVec3]) -> (CellSums, PassStats) {
@@ -45,15 +47,9 @@ pub fn one_seed_and_few(claims: &Claims) {
 pub fn later_duplicates_have_no_cell(claims: &Claims) {
     let surface = surface(&Shape::Torus.build(600), None);
     let single = on(&surface, 80);
-    for (name, seeds, duplicates) in [
-        ("all the same", vec![single[3]; 500], 499),
-        ("pairs", single.iter().flat_map(|&p| [p, p]).collect(), 80),
-        ("a hundred times two", [single[0], single[1]].repeat(100), 198),
-        // -0 is 0.
-        ("signs of zero", [&[dvec3(0.4, 0.0, 0.0), dvec3(0.4, -0.0, -0.0)], &single[..]].concat(), 1),
-    ] {
+    for (name, seeds, duplicates) in duplicate_sets(&single) {
         let (got, stats) = covered(claims, name, &surface, &seeds);
-        assert_eq!(stats.duplicate_seeds, duplicates, "{name}");
+        assert_eq!(stats.duplicate_seeds, duplicates as u64, "{name}");
         for i in 0..seeds.len() {
             let first = seeds.iter().position(|p| *p == seeds[i]).unwrap();
             assert!(first == i || (got.area[i], got.mass[i]) == (0.0, 0.0), "{name}: seed {i}");
@@ -64,14 +60,12 @@ pub fn later_duplicates_have_no_cell(claims: &Claims) {
 pub fn seeds_nearly_on_each_other(claims: &Claims) {
     let sphere = surface(&Shape::Sphere.build(500), None);
     let single = on(&sphere, 60);
-    let pairs =
-        |gap: f64| -> Vec<DVec3> { single.iter().flat_map(|&p| [p, p + gap * dvec3(0.3, -0.5, 0.8)]).collect() };
     for gap in [1e-3, 1e-5] {
-        covered(claims, &format!("{gap} apart"), &sphere, &pairs(gap));
+        covered(claims, &format!("{gap} apart"), &sphere, &nearly_twice(&single, gap));
     }
     if claims.precision() == Precision::Double {
         for gap in [1e-7, 1e-9, 1e-12, 1e-15] {
-            covered(claims, &format!("{gap} apart"), &sphere, &pairs(gap));
+            covered(claims, &format!("{gap} apart"), &sphere, &nearly_twice(&single, gap));
         }
     }
     // Off the surface, where the boundary of two is hardly known.
@@ -92,49 +86,27 @@ pub fn seeds_in_lattices_and_on_circles(claims: &Claims) {
         let surface = surface(&Shape::Plane.build(2 * side * side), None);
         // In the corners and in the middles of the facets' own grid.
         for shift in [0.0, 0.5] {
-            let seeds: Vec<DVec3> = (0..(side + 1) * (side + 1))
-                .map(|k| dvec3((k % (side + 1)) as f64, (k / (side + 1)) as f64, 0.0))
-                .map(|p| (p + dvec3(shift, shift, 0.0)) / side as f64 - dvec3(0.5, 0.5, 0.0))
-                .collect();
-            covered(claims, &format!("{side} by {side} shifted {shift}"), &surface, &seeds);
+            covered(claims, &format!("{side} by {side} shifted {shift}"), &surface, &square_lattice(side, shift));
         }
     }
     // All vertices of the diagram are ties of four seeds, and facet edges run through them.
     let two = surface(&square(), None);
-    let seeds: Vec<DVec3> =
-        (0..1024).map(|i| dvec3(f64::from(i % 32) / 31.0 - 0.5, f64::from(i / 32) / 31.0 - 0.5, 0.0)).collect();
+    let seeds = square_lattice(31, 0.0);
     let (want, _) = sums(&Serial, &two, &seeds);
     let (got, _) = covered(claims, "lattice", &two, &seeds);
     compare("lattice", &two, &got, &want, claims.by_precision(1e-11, 1e-5));
     let plane = surface(&Shape::Plane.build(200), None);
     for count in [4, 6, 12, 64] {
-        let seeds: Vec<DVec3> = (0..count)
-            .map(|k| (k as f64 / count as f64 * std::f64::consts::TAU).sin_cos())
-            .map(|(sin, cos)| 0.25 * dvec3(cos, sin, 0.0))
-            .collect();
-        covered(claims, &format!("{count} on a circle"), &plane, &seeds);
+        covered(claims, &format!("{count} on a circle"), &plane, &on_circle(count));
     }
-    // In space: all corners of cubes.
     let sphere = surface(&Shape::Sphere.build(500), None);
-    let seeds: Vec<DVec3> = (0..343)
-        .map(|k| dvec3((k % 7) as f64, (k / 7 % 7) as f64, (k / 49) as f64) / 6.0 - DVec3::splat(0.5))
-        .collect();
-    covered(claims, "a lattice through a sphere", &sphere, &seeds);
+    covered(claims, "a lattice through a sphere", &sphere, &cube_lattice());
 }
 
 pub fn seeds_on_the_mesh_itself(claims: &Claims) {
     for mesh in [Shape::Torus.build(500), Shape::Plane.build(300), Shape::Block.build(500)] {
         let surface = surface(&mesh, None);
-        let corners = |f: usize| surface.facets()[f].map(|v| surface.positions()[v as usize]);
-        let facets = 0..surface.facets().len();
-        let sets: [(&str, Vec<DVec3>); 4] = [
-            ("vertices", surface.positions().to_vec()),
-            ("middles of edges", facets.clone().map(|f| 0.5 * (corners(f)[0] + corners(f)[1])).collect()),
-            ("middles of facets", facets.clone().map(|f| surface.centroid(f as u32)).collect()),
-            // More seeds than facets, on every corner of every facet.
-            ("corners", facets.flat_map(corners).collect()),
-        ];
-        for (name, seeds) in sets {
+        for (name, seeds) in on_the_mesh(&surface) {
             covered(claims, name, &surface, &seeds);
         }
     }
@@ -144,10 +116,7 @@ pub fn seeds_far_from_the_surface(claims: &Claims) {
     let surface = surface(&Shape::Torus.build(500), None);
     let near = on(&surface, 50);
     for far in [1.0, 1e2, 1e4, MAX_SEED_DISTANCE] {
-        let away: Vec<DVec3> =
-            near.iter().map(|p| (p.normalize() * far).clamp(DVec3::splat(-far), DVec3::splat(far))).collect();
-        // Cells that the surface meets at all angles, and cells that it does not meet.
-        for (name, seeds) in [("all", away.clone()), ("half", [&near[..25], &away[..25]].concat())] {
+        for (name, seeds) in far_sets(&near, far) {
             let (got, _) = sums(claims.backend(), &surface, &seeds);
             let error = (got.area.iter().sum::<f64>() / surface.area() - 1.0).abs();
             // A boundary is right to a rounding of the seeds' distance.
@@ -224,17 +193,8 @@ pub fn facets_that_are_slivers(claims: &Claims) {
     }
     let slivers = surface(&Shape::Slivers.build(1500), None);
     covered(claims, "slivers", &slivers, &on(&slivers, 300));
-    // T-shaped: slivers of an altitude of a rounding and of next to nothing between proper facets.
-    for altitude in [1e-7, 1e-12, 3e-16, 1e-17] {
-        let corners = vec![
-            dvec3(0.0, 0.0, 0.0),
-            dvec3(1.0, 0.0, 0.0),
-            dvec3(0.5, altitude, 0.0),
-            dvec3(0.5, 1.0, 0.0),
-            dvec3(0.5, -1.0, 0.0),
-        ];
-        let mesh = TriMesh::new(corners, vec![[0, 1, 2], [2, 1, 3], [0, 2, 3], [1, 0, 4]]).unwrap();
-        let surface = surface(&mesh, None);
+    for altitude in ALTITUDES {
+        let surface = surface(&sliver(altitude), None);
         covered(claims, &format!("a sliver of {altitude}"), &surface, &on(&surface, 60));
     }
 }
@@ -243,8 +203,7 @@ pub fn surfaces_that_are_no_manifold(claims: &Claims) {
     let sphere = Shape::Sphere.build(500);
     let mut all: Vec<(String, TriMesh, usize)> =
         [3, 4, 5].map(|pages| (format!("book of {pages}"), book(pages, 6), 150)).into();
-    let top = sphere.positions().iter().copied().fold(DVec3::splat(-2.0), |a, b| if b.z > a.z { b } else { a });
-    all.push(("two spheres that touch".to_owned(), join(&[&sphere, &map(&sphere, |p| 2.0 * top - p)]), 200));
+    all.push(("two spheres that touch".to_owned(), touching(&sphere), 200));
     all.push(("through each other".to_owned(), join(&[&sphere, &map(&sphere, |p| p + 0.7 * DVec3::X)]), 300));
     let torus = Shape::Torus.build(500);
     let turned = map(&torus, |p| dvec3(p.x, p.z, p.y));
@@ -254,21 +213,10 @@ pub fn surfaces_that_are_no_manifold(claims: &Claims) {
     all.push(("facets without area".to_owned(), with_facets_without_area(&torus), 200));
     all.push(("Möbius".to_owned(), moebius(40, 4), 150));
     all.push(("triangles alone".to_owned(), soup(&sphere), 300));
-    let turned =
-        sphere.facets().iter().enumerate().map(|(f, &[a, b, c])| if f % 3 == 0 { [a, c, b] } else { [a, b, c] });
-    let turned = TriMesh::new(sphere.positions().to_vec(), turned.collect()).unwrap();
-    all.push(("facets turned over".to_owned(), turned, 200));
-    // As from a list of triangles whose corners were rounded one by one.
-    let off = |k: usize| DVec3::new(k as f64, (k * k) as f64, (3 * k) as f64).map(f64::sin);
-    let corners = sphere.facets().iter().flatten().enumerate();
-    let places = corners.map(|(k, &v)| sphere.positions()[v as usize] + 1e-8 * off(k)).collect();
-    let alone = (0..sphere.facets().len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
-    all.push(("corners that are nearly one".to_owned(), TriMesh::new(places, alone).unwrap(), 200));
-    let mut facets = sphere.facets().to_vec();
-    facets.extend_from_within(10..30);
-    all.push(("facets twice".to_owned(), TriMesh::new(sphere.positions().to_vec(), facets).unwrap(), 200));
-    let dust = map(&Shape::Sphere.build(80), |p| p * 1e-6 + DVec3::X * 2.0);
-    all.push(("a sphere and dust".to_owned(), join(&[&sphere, &dust]), 200));
+    all.push(("facets turned over".to_owned(), turned_over(&sphere, 3), 200));
+    all.push(("corners that are nearly one".to_owned(), nearly_one(&sphere), 200));
+    all.push(("facets twice".to_owned(), facets_twice(&sphere, 10..30), 200));
+    all.push(("a sphere and dust".to_owned(), with_dust(&sphere), 200));
     for (name, mesh, count) in all {
         let surface = surface(&mesh, None);
         covered(claims, &name, &surface, &on(&surface, count));
@@ -277,30 +225,16 @@ pub fn surfaces_that_are_no_manifold(claims: &Claims) {
 
 pub fn units_offsets_and_weights_of_any_size(claims: &Claims) {
     let torus = Shape::Torus.build(500);
-    for scale in [1e-30, 1e-12, 1e12, 1e30] {
-        for boxes in [0.0, 1e6] {
-            let mesh = map(&torus, |p| (p + dvec3(1.0, -0.5, 0.25) * 3.0 * boxes) * scale);
-            let surface = surface(&mesh, None);
-            covered(claims, &format!("scale {scale}, {boxes} boxes off"), &surface, &on(&surface, 150));
-        }
+    for (name, mesh) in units(&torus) {
+        let surface = surface(&mesh, None);
+        covered(claims, &name, &surface, &on(&surface, 150));
     }
     for scale in [1e-100, 1e-200, 1e-304] {
         let surface = surface(&triangle([DVec3::ZERO, DVec3::X * scale, DVec3::Y * scale]), None);
         covered(claims, &format!("scale {scale:e}"), &surface, &[dvec3(0.1, 0.2, 0.0), dvec3(-0.2, 0.1, 0.1)]);
     }
-    let (mut positions, facets) = torus.into_parts();
-    positions.push(DVec3::ONE);
-    let torus = TriMesh::new(positions, facets).unwrap();
-    let count = torus.positions().len();
-    let like = |of: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..count).map(of).collect() };
-    let ramp = |v: usize| 1.0 + (v % 7) as f64;
-    for (name, weights) in [
-        ("tiny", like(&|v| 1e-300 * ramp(v))),
-        ("subnormal", like(&|v| f64::from_bits(1 << (v % 7)))),
-        ("huge", like(&|v| 1e307 * ramp(v))),
-        ("zero but for one", like(&|v| f64::from(v == 17))),
-        ("an unused vertex's is the largest", like(&|v| if v + 1 == count { 1e300 } else { ramp(v) })),
-    ] {
+    let (torus, all) = with_extreme_weights(&torus);
+    for (name, weights) in all {
         let surface = surface(&torus, Some(&weights));
         covered(claims, name, &surface, &on(&surface, 100));
     }

@@ -7,31 +7,16 @@ use std::sync::Arc;
 use glam::DVec3;
 use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
-use tessera::rvd::{
-    CellSums, Evaluation, Resident, RvdError, Serial, Session, SessionOptions, Surface, Together, Tuning,
-};
+use tessera::rvd::{CellSums, RvdError, Serial, Session, SessionOptions, Surface, Together, Tuning};
 use tessera::token::{Stopped, Token};
 
 use super::input::{shape, surface, weights};
 use super::{Claims, Precision, open, sums, tiny};
 use crate::points::{many_sets, noise};
+use crate::sessions::{evaluate, minimise, probe, read};
 
 fn session(claims: &Claims, surface: &Arc<Surface>, seeds: &[DVec3]) -> Box<dyn Session> {
     open(claims.backend(), surface, seeds, SessionOptions::new(seeds.len()))
-}
-
-fn evaluate(seeds: &mut dyn Resident) -> Evaluation {
-    seeds.evaluate(&Token::default()).unwrap()
-}
-
-fn probe(seeds: &mut dyn Resident, step: f64) -> Evaluation {
-    seeds.probe(step, &Token::default()).unwrap()
-}
-
-fn read(seeds: &mut dyn Resident) -> Vec<DVec3> {
-    let mut out = Vec::new();
-    seeds.read(&mut out).unwrap();
-    out
 }
 
 fn close(name: &str, got: f64, want: f64, relative: f64) {
@@ -191,38 +176,12 @@ pub fn energies_along_the_direction_have_the_slope_of_the_gradient(claims: &Clai
     }
 }
 
-/// Lloyd steps, then quasi-Newton steps with a backtracking search. The energies of all points.
-fn minimise(seeds: &mut dyn Resident, lloyd: usize, newton: usize) -> Vec<f64> {
-    let mut here = evaluate(seeds);
-    let mut energies = vec![here.energy];
-    for _ in 0..lloyd {
-        seeds.to_centroids().unwrap();
-        here = evaluate(seeds);
-        energies.push(here.energy);
-    }
-    for _ in 0..newton {
-        let slope = seeds.search_direction().unwrap();
-        assert!(slope < 0.0);
-        let mut step = 1.0;
-        let mut next = probe(seeds, step);
-        while next.energy > here.energy + 1e-4 * step * slope {
-            assert!(step > 1e-9, "no step goes down");
-            step *= 0.5;
-            next = probe(seeds, step);
-        }
-        seeds.accept().unwrap();
-        here = next;
-        energies.push(here.energy);
-    }
-    energies
-}
-
 pub fn quasi_newton_steps_go_down(claims: &Claims) {
     let surface = shape(Shape::Torus, 2000, false);
     let seeds = noise(&surface, 500, 0.0, 4);
     let mut session = session(claims, &surface, &seeds);
     let Some(moving) = session.resident() else { return };
-    let energies = minimise(moving, 5, 25);
+    let (energies, _) = minimise(moving, 5, 25);
     assert!(energies.windows(2).all(|e| e[1] < e[0]), "{energies:?}");
     let (last, moved) = (energies.last().unwrap(), read(moving));
     let ratio = last / surface.hexagonal_energy(500);
@@ -247,7 +206,7 @@ pub fn a_run_has_the_same_bits_twice(claims: &Claims) {
         let run = |backend: &dyn tessera::rvd::Backend, capacities| {
             let options = SessionOptions::new(400).with_capacities(capacities);
             let mut session = open(backend, &surface, &seeds, options);
-            session.resident().map(|moving| (minimise(moving, 3, 8), read(moving)))
+            session.resident().map(|moving| (minimise(moving, 3, 8).0, read(moving)))
         };
         let usual = tessera::rvd::Capacities::default();
         let first = run(claims.backend(), usual);
@@ -304,7 +263,7 @@ pub fn twins_stay_and_clusters_spread(claims: &Claims) {
     assert!((200..401).all(|i| before[i] == after[i]), "a later duplicate has moved");
     assert!((0..200).all(|i| before[i] != after[i]));
     let mut session = session(claims, &surface, &by_name("cluster"));
-    let energies = minimise(session.resident().unwrap(), 10, 10);
+    let (energies, _) = minimise(session.resident().unwrap(), 10, 10);
     assert!(energies.windows(2).all(|e| e[1] < e[0]), "{energies:?}");
 }
 

@@ -27,19 +27,19 @@ const TO_BE_RECOVERED: u8 = 2;
 const LONGEST_CUT: u64 = 64;
 
 /// The rows of one table, by key.
-type Kept = BTreeMap<Vec<u8>, Vec<u8>>;
+type TableRows = BTreeMap<Vec<u8>, Vec<u8>>;
 
 /// See the module's head.
 pub(super) struct Rows {
-    heads: Kept,
-    specs: Kept,
-    logs: Kept,
+    heads: TableRows,
+    specs: TableRows,
+    logs: TableRows,
     /// What was wrong, if anything was.
     pub(super) faults: Vec<String>,
 }
 
 /// A job as it can be written again.
-pub(super) struct Whole {
+pub(super) struct SalvagedJob {
     pub(super) id: JobId,
     pub(super) head: Head,
     pub(super) spec: Vec<u8>,
@@ -108,7 +108,7 @@ impl Rows {
     }
 
     /// The jobs that are whole, and the names of those that are not.
-    pub(super) fn jobs(self) -> (Vec<Whole>, Vec<JobId>) {
+    pub(super) fn jobs(self) -> (Vec<SalvagedJob>, Vec<JobId>) {
         let (mut whole, mut lost) = (Vec::new(), Vec::new());
         let ids: std::collections::BTreeSet<_> = self.heads.keys().chain(self.specs.keys()).cloned().collect();
         for key in ids {
@@ -119,7 +119,7 @@ impl Rows {
             let log = self.logs.get(&key).filter(|bytes| decode::<Log>("log", bytes).is_ok()).cloned();
             let log = log.or_else(|| encode("log", &Log::default()).ok());
             match (head, spec, log) {
-                (Some(head), Some(spec), Some(log)) => whole.push(Whole { id, head, spec: spec.clone(), log }),
+                (Some(head), Some(spec), Some(log)) => whole.push(SalvagedJob { id, head, spec: spec.clone(), log }),
                 _ => lost.push(id),
             }
         }
@@ -128,8 +128,8 @@ impl Rows {
 }
 
 /// All rows of a table that can be read, and why there may be more.
-fn rows(transaction: &ReadTransaction, table: Table) -> (Kept, Option<String>) {
-    let mut kept = Kept::new();
+fn rows(transaction: &ReadTransaction, table: Table) -> (TableRows, Option<String>) {
+    let mut kept = TableRows::new();
     let up = walk(transaction, table, &mut kept, false);
     let Err(fault) = up else { return (kept, None) };
     // What lies behind the damage can be reached from the other end.
@@ -137,7 +137,7 @@ fn rows(transaction: &ReadTransaction, table: Table) -> (Kept, Option<String>) {
     (kept, Some(fault))
 }
 
-fn walk(transaction: &ReadTransaction, table: Table, kept: &mut Kept, down: bool) -> Result<(), String> {
+fn walk(transaction: &ReadTransaction, table: Table, kept: &mut TableRows, down: bool) -> Result<(), String> {
     carefully(|| {
         let table = transaction.open_table(definition(table))?;
         let mut range = table.iter()?;

@@ -1,6 +1,6 @@
 //! What callers can do with jobs.
 //!
-//! Purpose: [`JobDesk`], what the doors of the server see of jobs.
+//! Purpose: [`JobApi`], what the services and the command see of jobs.
 //! Invariant: a job of another tenant does not exist for a caller. An answer that is not an error says what is kept.
 //! Must not know: messages, streams, who does the work, where jobs are kept.
 
@@ -18,55 +18,60 @@ use crate::blob::BlobError;
 /// See the module's head. Whoever calls [`create`](Self::create), [`cancel`](Self::cancel) or [`delete`](Self::delete) runs
 /// it to its end, even if nobody waits for the answer any more.
 #[async_trait]
-pub trait JobDesk: Send + Sync {
+pub trait JobApi: Send + Sync {
     /// Checks a job, keeps it and queues it. The specification has its tenant and its request's number.
     ///
     /// # Errors
     /// `Spec`, `Input`, `TooLarge`; `Blob` if its input is not stored; `Store` if the request came before with another
     /// body; `Job` if the queue is full or the server drains.
-    async fn create(&self, spec: JobSpec) -> Result<Created, DeskError>;
+    async fn create(&self, spec: JobSpec) -> Result<Created, JobApiError>;
 
     /// A job.
     ///
     /// # Errors
     /// `Store`.
-    async fn get(&self, tenant: &str, id: JobId) -> Result<Job, DeskError>;
+    async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError>;
 
     /// Jobs, the newest first. The query names its tenant.
     ///
     /// # Errors
     /// `Store`.
-    async fn list(&self, query: Query) -> Result<Page, DeskError>;
+    async fn list(&self, query: Query) -> Result<Page, JobApiError>;
 
     /// At most `most` events after number `after`; none if none came.
     ///
     /// # Errors
     /// `Store`.
-    async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, DeskError>;
+    async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, JobApiError>;
 
     /// Ends once the job has an event after number `after`.
     ///
     /// # Errors
     /// `Store`; `NotFound` in it also if the job is deleted meanwhile.
-    async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), DeskError>;
+    async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), JobApiError>;
 
     /// Cancels a job; one that is cancelled already stays so.
     ///
     /// # Errors
     /// `Store`.
-    async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, DeskError>;
+    async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError>;
 
     /// Forgets a job that has ended, and lets its result go.
     ///
     /// # Errors
     /// `Store`.
-    async fn delete(&self, tenant: &str, id: JobId) -> Result<(), DeskError>;
+    async fn delete(&self, tenant: &str, id: JobId) -> Result<(), JobApiError>;
 
     /// What a job would need. Counts that are not given are read from the job's input.
     ///
     /// # Errors
     /// `Spec`, `Input`; `Blob` if counts are not given and the input is not stored.
-    async fn estimate(&self, spec: JobSpec, vertices: Option<u64>, facets: Option<u64>) -> Result<Estimate, DeskError>;
+    async fn estimate(
+        &self,
+        spec: JobSpec,
+        vertices: Option<u64>,
+        facets: Option<u64>,
+    ) -> Result<Estimate, JobApiError>;
 
     /// Ends if nothing can be kept any more: only a new process can go on.
     async fn failed(&self);
@@ -115,7 +120,7 @@ impl fmt::Display for Memory {
 
 /// Why something that a caller wants of jobs was refused or failed.
 #[derive(Clone, Debug, thiserror::Error)]
-pub enum DeskError {
+pub enum JobApiError {
     /// The specification makes no sense.
     #[error(transparent)]
     Spec(#[from] SpecError),

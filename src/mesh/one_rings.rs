@@ -3,14 +3,14 @@
 //! Purpose: [`OneRings`] has the facets around each vertex, as [`Csr::one_rings`], and follows edits.
 //! Invariant: the facets of a vertex ascend. Must not know: why facets change.
 
-use crate::mesh::csr::Csr;
+use super::csr::Csr;
 
 /// Of a vertex whose facets are as they were.
 const UNCHANGED: u32 = u32::MAX;
 
 /// See the module's head.
 #[derive(Clone, Debug)]
-pub(in crate::remesh) struct OneRings {
+pub(crate) struct OneRings {
     base: Csr<u32>,
     /// By vertex, which list of `changed` has its facets.
     list: Vec<u32>,
@@ -19,17 +19,17 @@ pub(in crate::remesh) struct OneRings {
 
 impl OneRings {
     /// Of so many vertices.
-    pub(in crate::remesh) fn new(vertices: usize, facets: &[[u32; 3]]) -> Self {
+    pub(crate) fn new(vertices: usize, facets: &[[u32; 3]]) -> Self {
         Self { list: vec![UNCHANGED; vertices], base: Csr::one_rings(vertices, facets), changed: Vec::new() }
     }
 
     /// Facets around vertex `v`, ascending.
-    pub(in crate::remesh) fn of(&self, v: u32) -> &[u32] {
+    pub(crate) fn of(&self, v: u32) -> &[u32] {
         self.changed.get(self.list[v as usize] as usize).map_or_else(|| self.base.of(v), Vec::as_slice)
     }
 
     /// Facet `f` had the corners `old` and has the corners `new`.
-    pub(in crate::remesh) fn replace(&mut self, f: u32, old: [u32; 3], new: [u32; 3]) {
+    pub(crate) fn replace(&mut self, f: u32, old: [u32; 3], new: [u32; 3]) {
         for v in old {
             self.facets_mut(v).retain(|&g| g != f);
         }
@@ -51,7 +51,7 @@ impl OneRings {
 }
 
 /// Numbers in ascending order, each once.
-pub(in crate::remesh) fn ascending(numbers: impl IntoIterator<Item = u32>) -> Vec<u32> {
+pub(crate) fn ascending(numbers: impl IntoIterator<Item = u32>) -> Vec<u32> {
     let mut numbers: Vec<u32> = numbers.into_iter().collect();
     numbers.sort_unstable();
     numbers.dedup();

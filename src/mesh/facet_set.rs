@@ -1,19 +1,26 @@
 //! The closest point of a small set of facets.
 //!
-//! Purpose: [`FacetSet`] finds the nearest of some facets of the input. Facets that are near one another form a group with a
-//! bounding sphere, so that most need not be looked at. [`sample_points`] are the points of a result's facet at which its
-//! distance is taken.
+//! Purpose: [`FacetSet`] finds the nearest of some facets, without the cost of a hierarchy over all. Facets that are near one
+//! another form a group with a bounding sphere, so that most need not be looked at. [`sample_points`] are the points of a facet at
+//! which its distance from others is taken.
 //! Invariant: a distance is no less than the true one. Must not know: which facets these are.
 
 use std::ops::Range;
 
 use glam::DVec3;
 
-use crate::mesh::morton;
-use crate::remesh::constants::{FACETS_PER_GROUP, GRID_INTERVALS, SPHERE_ROUNDING};
+use super::morton;
+
+/// Facets of a group, at least. Large sets have as many groups as facets in a group.
+const FACETS_PER_GROUP: usize = 8;
+/// Factor by which radii grow, so that rounding leaves nothing outside.
+const SPHERE_ROUNDING: f64 = 1.0 + 1e-12;
+/// Intervals on an edge of the grid of points at which the distance of a facet is taken. With 4, ridges inside a facet stuck
+/// out a third farther than was measured.
+const GRID_INTERVALS: u32 = 6;
 
 /// See the module's head.
-pub(in crate::remesh) struct FacetSet {
+pub(crate) struct FacetSet {
     facets: Vec<BoundedFacet>,
     /// Of consecutive facets.
     groups: Vec<BoundingSphere>,
@@ -51,7 +58,7 @@ impl BoundingSphere {
 
 impl FacetSet {
     /// Of facets with these corners. Coordinates are of the order of 1.
-    pub(in crate::remesh) fn new(facets: impl Iterator<Item = [DVec3; 3]>) -> Self {
+    pub(crate) fn new(facets: impl Iterator<Item = [DVec3; 3]>) -> Self {
         let bounded = |corners: [DVec3; 3]| BoundedFacet { corners, sphere: BoundingSphere::around(&corners) };
         let along_curve = |facet: BoundedFacet| (morton::code(facet.sphere.centre), facet);
         let mut all: Vec<(u64, BoundedFacet)> = facets.map(bounded).map(along_curve).collect();
@@ -67,24 +74,24 @@ impl FacetSet {
     }
 
     /// The facets' corners.
-    pub(in crate::remesh) fn corners(&self) -> impl Iterator<Item = [DVec3; 3]> + '_ {
+    pub(crate) fn corners(&self) -> impl Iterator<Item = [DVec3; 3]> + '_ {
         self.facets.iter().map(|facet| facet.corners)
     }
 
     /// All groups.
-    pub(in crate::remesh) fn all_groups(&self) -> Vec<u32> {
+    pub(crate) fn all_groups(&self) -> Vec<u32> {
         (0..self.groups.len() as u32).collect()
     }
 
     /// Groups in which something may be nearer to `p` than `distance`; all groups if there is none.
-    pub(in crate::remesh) fn groups_near(&self, p: DVec3, distance: f64) -> Vec<u32> {
+    pub(crate) fn groups_near(&self, p: DVec3, distance: f64) -> Vec<u32> {
         let near = |g: &u32| self.groups[*g as usize].reaches(p, distance);
         let near: Vec<u32> = (0..self.groups.len() as u32).filter(near).collect();
         if near.is_empty() { self.all_groups() } else { near }
     }
 
     /// Keeps of `groups` those in which something may be nearer to `p` than `distance`.
-    pub(in crate::remesh) fn retain_near(&self, groups: &mut Vec<u32>, p: DVec3, distance: f64) {
+    pub(crate) fn retain_near(&self, groups: &mut Vec<u32>, p: DVec3, distance: f64) {
         groups.retain(|&g| self.groups[g as usize].reaches(p, distance));
     }
 
@@ -95,7 +102,7 @@ impl FacetSet {
 
     /// Squared distance of `p` from the facets in `groups`, or a number between that and `enough`. 0 if the set is empty.
     /// `hint` is the facet to look at first, of any group; the nearest one found is left there.
-    pub(in crate::remesh) fn distance(&self, p: DVec3, groups: &[u32], hint: &mut u32, enough: f64) -> f64 {
+    pub(crate) fn distance(&self, p: DVec3, groups: &[u32], hint: &mut u32, enough: f64) -> f64 {
         let Some(first) = self.facets.get(*hint as usize) else { return 0.0 };
         let mut best = squared_distance(p, first.corners);
         if best < enough {
@@ -125,7 +132,7 @@ impl FacetSet {
 }
 
 /// Squared distance of `p` from a facet, by Voronoi regions of its corners and edges. Rounding may make slivers a little too far.
-pub(in crate::remesh) fn squared_distance(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
+pub(crate) fn squared_distance(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let (d1, d2) = (ab.dot(ap), ac.dot(ap));
     let bp = p - b;
@@ -157,13 +164,7 @@ pub(in crate::remesh) fn squared_distance(p: DVec3, [a, b, c]: [DVec3; 3]) -> f6
 
 /// The least of `other` and the squared distances of `p` from some facets, or a number between that and `enough`. `hint` is
 /// the facet to look at first; the nearest one found is left there.
-pub(in crate::remesh) fn least_distance(
-    p: DVec3,
-    facets: &[[DVec3; 3]],
-    other: f64,
-    enough: f64,
-    hint: &mut usize,
-) -> f64 {
+pub(crate) fn least_distance(p: DVec3, facets: &[[DVec3; 3]], other: f64, enough: f64, hint: &mut usize) -> f64 {
     let (mut least, first) = (other, *hint);
     for k in std::iter::once(first).chain((0..facets.len()).filter(|&k| k != first)) {
         let squared = squared_distance(p, facets[k]);
@@ -177,8 +178,8 @@ pub(in crate::remesh) fn least_distance(
     least
 }
 
-/// A grid of points on a facet of the result.
-pub(in crate::remesh) fn sample_points([a, b, c]: [DVec3; 3]) -> impl Iterator<Item = DVec3> {
+/// A grid of points on a facet.
+pub(crate) fn sample_points([a, b, c]: [DVec3; 3]) -> impl Iterator<Item = DVec3> {
     let share = |k: u32| f64::from(k) / f64::from(GRID_INTERVALS);
     (0..=GRID_INTERVALS).flat_map(move |i| {
         (0..=GRID_INTERVALS - i).map(move |j| share(GRID_INTERVALS - i - j) * a + share(i) * b + share(j) * c)

@@ -1,11 +1,11 @@
-//! A desk that keeps jobs and does none of them: the tests say what becomes of each.
+//! Jobs that are kept, none of which is done: the tests say what becomes of each.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
 use tessera::internals::blob::{BlobError, BlobStore, Digest};
-use tessera::internals::job::desk::{DeskError, Estimate, JobDesk};
+use tessera::internals::job::api::{Estimate, JobApi, JobApiError};
 use tessera::internals::job::event::Events;
 use tessera::internals::job::record::*;
 use tessera::internals::job::store::*;
@@ -30,7 +30,7 @@ impl Idle {
         Self { store: MemoryStore::new(), blobs, storage: watch::Sender::new(None), names: AtomicU64::new(0) }
     }
 
-    async fn own(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+    async fn own(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
         match self.store.get(id).await? {
             job if job.spec.tenant == tenant => Ok(job),
             _ => Err(StoreError::NotFound { id }.into()),
@@ -46,8 +46,8 @@ impl Idle {
 }
 
 #[tonic::async_trait]
-impl JobDesk for Idle {
-    async fn create(&self, spec: JobSpec) -> Result<Created, DeskError> {
+impl JobApi for Idle {
+    async fn create(&self, spec: JobSpec) -> Result<Created, JobApiError> {
         let spec = spec.check()?;
         for blob in Self::input(&spec) {
             self.blobs.stat(blob).await?;
@@ -57,35 +57,35 @@ impl JobDesk for Idle {
         Ok(self.store.create(NewJob { id, spec, now }).await?)
     }
 
-    async fn get(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+    async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
         self.own(tenant, id).await
     }
 
-    async fn list(&self, query: Query) -> Result<Page, DeskError> {
+    async fn list(&self, query: Query) -> Result<Page, JobApiError> {
         Ok(self.store.list(query).await?)
     }
 
-    async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, DeskError> {
+    async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, JobApiError> {
         self.own(tenant, id).await?;
         Ok(self.store.events(id, after, most).await?)
     }
 
-    async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), DeskError> {
+    async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), JobApiError> {
         self.own(tenant, id).await?;
         Ok(self.store.wait(id, after).await?)
     }
 
-    async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, DeskError> {
+    async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
         self.own(tenant, id).await?;
         Ok(self.store.cancel(id, now()).await?)
     }
 
-    async fn delete(&self, tenant: &str, id: JobId) -> Result<(), DeskError> {
+    async fn delete(&self, tenant: &str, id: JobId) -> Result<(), JobApiError> {
         self.own(tenant, id).await?;
         Ok(self.store.delete(id).await?)
     }
 
-    async fn estimate(&self, spec: JobSpec, vertices: Option<u64>, _: Option<u64>) -> Result<Estimate, DeskError> {
+    async fn estimate(&self, spec: JobSpec, vertices: Option<u64>, _: Option<u64>) -> Result<Estimate, JobApiError> {
         spec.check()?;
         let host_bytes = 100 * vertices.unwrap_or(1);
         Ok(Estimate {

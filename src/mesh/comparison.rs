@@ -1,17 +1,17 @@
-//! Distances between the whole input and a whole result.
+//! Distances between a surface and others, both ways.
 //!
-//! Purpose: [`Comparison`] measures both ways, at samples of facets, edges and vertices of either surface, and knows which
-//! vertices of the input are near the places that are off. The samples include those of the report's Hausdorff distance,
-//! which is therefore never larger.
+//! Purpose: [`Comparison`] measures at samples of facets, edges and vertices of either surface, and knows which vertices of the
+//! first are near the places that are off. The samples include those of [`quality`](super::measure::quality), whose Hausdorff
+//! distance is therefore never larger.
 //! Invariant: the same bits whatever the number of threads. Must not know: how a result is made, what is done about it.
 
-use crate::mesh::TriMesh;
-use crate::mesh::closest_point::ClosestPoint;
-use crate::mesh::measure::{Probe, probes};
+use super::TriMesh;
+use super::closest_point::ClosestPoint;
+use super::measure::{Probe, probes};
 use crate::token::{Stopped, Token};
 
 /// The input, ready to be compared with results.
-pub(in crate::remesh) struct Comparison<'a> {
+pub(crate) struct Comparison<'a> {
     input: &'a TriMesh,
     closest: ClosestPoint,
     samples: Vec<Probe>,
@@ -20,14 +20,14 @@ pub(in crate::remesh) struct Comparison<'a> {
 }
 
 /// How far a result and the input are from each other, caller's units.
-pub(in crate::remesh) struct Distances {
+pub(crate) struct Distances {
     /// The largest distance near each vertex of the input; 0 where there is no sample.
-    pub(in crate::remesh) by_vertex: Vec<f64>,
+    pub(crate) by_vertex: Vec<f64>,
     /// Samples that are off,
-    pub(in crate::remesh) missed: usize,
+    pub(crate) missed: usize,
     /// as a share of all.
-    pub(in crate::remesh) missed_share: f64,
-    pub(in crate::remesh) largest: f64,
+    pub(crate) missed_share: f64,
+    pub(crate) largest: f64,
 }
 
 impl Distances {
@@ -43,13 +43,13 @@ impl Distances {
 
 impl<'a> Comparison<'a> {
     /// Takes the samples of the input.
-    pub(in crate::remesh) fn new(input: &'a TriMesh, tolerance: f64, token: &Token) -> Result<Self, Stopped> {
+    pub(crate) fn new(input: &'a TriMesh, tolerance: f64, token: &Token) -> Result<Self, Stopped> {
         let samples = probes(input, token)?;
         Ok(Self { input, closest: ClosestPoint::new(input), samples, tolerance })
     }
 
     /// Measures a result.
-    pub(in crate::remesh) fn with(&self, result: &TriMesh, token: &Token) -> Result<Distances, Stopped> {
+    pub(crate) fn with(&self, result: &TriMesh, token: &Token) -> Result<Distances, Stopped> {
         let places = |samples: &[Probe]| samples.iter().map(|s| s.position).collect::<Vec<_>>();
         let there = || ClosestPoint::new(result).distances(&places(&self.samples), token);
         let back = || -> Result<_, Stopped> {
