@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +19,16 @@ PACKAGE = Path(tessera_remesh.__file__).parent
 def test_examples_run(module):
     failed, tried = doctest.testmod(module)
     assert tried > 0 and failed == 0
+
+
+def test_the_guide_runs(endpoint: str, capsys: pytest.CaptureFixture[str]):
+    pytest.importorskip("grpc")
+    guide = (Path(__file__).parents[3] / "docs" / "python.md").read_text().replace("http://127.0.0.1:50051", endpoint)
+    names: dict[str, object] = {"__name__": "guide"}
+    for block in re.findall(r"^```python\n(.*?)^```$", guide, re.MULTILINE | re.DOTALL):
+        exec(compile(block, "docs/python.md", "exec"), names)
+    with capsys.disabled():
+        assert names["there"].report.faces == names["result"].report.faces
 
 
 def test_types_hold():
