@@ -31,6 +31,13 @@ def test_the_guide_runs(endpoint: str, capsys: pytest.CaptureFixture[str]):
         assert names["there"].report.faces == names["result"].report.faces
 
 
+def test_the_notebook_runs(tmp_path: Path):
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    pytest.importorskip("pyacvd")
+    notebook = nbformat.read(Path(__file__).parents[1] / "examples" / "remeshing.ipynb", as_version=4)
+    nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+
+
 def test_types_hold():
     pytest.importorskip("mypy")
     config = Path(__file__).parents[1] / "pyproject.toml"
