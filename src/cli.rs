@@ -27,6 +27,7 @@ mod jobs;
 mod journal;
 mod keys;
 mod load;
+mod measure;
 mod picture;
 mod plain;
 mod progress;
@@ -104,8 +105,10 @@ enum Command {
     Info(info::InfoArgs),
     /// Put a server under load, and measure how it answers.
     Load(Box<load::LoadArgs>),
-    /// Measure.
+    /// Measure speed.
     Bench(bench::BenchArgs),
+    /// Measure a mesh, and how far it is from the one it was made from.
+    Measure(measure::MeasureArgs),
     /// Write a procedural surface.
     Shape(shape::ShapeArgs),
     /// Say what this machine has and what would be used.
@@ -154,6 +157,7 @@ fn run() -> u8 {
         Command::Info(args) => info::run(args),
         Command::Load(args) => load::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Measure(args) => measure::run(args),
         Command::Shape(args) => shape::run(args),
         Command::Doctor(args) => doctor::run(args),
         Command::Completions(args) => completions::completions(args, settings::command()),

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use glam::DVec3;
+use serde_json::Value;
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::{TriMesh, io};
 
@@ -127,4 +128,29 @@ fn creases_that_are_given_up_are_said() {
         assert!(out.status.success(), "{points}: {}", said(&out));
         assert_eq!(text.contains("11 creases were given up"), dropped_curves, "{points}: {text}");
     }
+}
+
+/// What `measure` finds in two files is what the remesh said of itself.
+#[test]
+fn a_mesh_is_measured_as_the_report_has_it() {
+    let folder = tempfile::tempdir().unwrap();
+    io::write(&folder.path().join("in.ply"), &Shape::Genus(2).build(3000)).unwrap();
+    let made =
+        tessera(folder.path(), "remesh in.ply -o out.ply --points 400 --newton 3 --backend parallel --report r.json");
+    assert!(made.status.success(), "{}", said(&made));
+    let report: Value = serde_json::from_slice(&std::fs::read(folder.path().join("r.json")).unwrap()).unwrap();
+    let out = tessera(folder.path(), "measure in.ply out.ply --json");
+    assert!(out.status.success(), "{}", said(&out));
+    let measured: Value = serde_json::from_slice(&out.stdout).unwrap();
+    for what in ["q_min", "q_avg", "theta_min_deg", "v567_percent", "hausdorff_percent", "rms_percent"] {
+        let [told, found] = [&report["result"][what], &measured["quality"][what]].map(|x| x.as_f64().unwrap());
+        assert!((told - found).abs() <= 1e-9 * told, "{what}: {told} in the report, {found} measured");
+    }
+    for what in ["vertices", "facets", "euler", "components", "boundary_loops"] {
+        assert_eq!(report["result"][what], measured["remesh"][what], "{what}");
+    }
+    let alone = tessera(folder.path(), "measure out.ply");
+    assert!(String::from_utf8_lossy(&alone.stdout).contains("Q 0."), "{}", said(&alone));
+    let none = tessera(folder.path(), "measure out.ply missing.ply");
+    assert_eq!(none.status.code(), Some(66), "{}", said(&none));
 }

@@ -1,0 +1,118 @@
+//! `tessera measure`: how good a mesh is, and how far it is from another.
+//!
+//! Purpose: the figures of a remesh for meshes that any program made. Must not know: how a remesh is made.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::Args;
+use serde::Serialize;
+
+use super::exit::NotWritten;
+use super::say::SayArgs;
+use super::{files, interrupt, say};
+use crate::mesh::TriMesh;
+use crate::mesh::measure::{Quality, Topology, quality_unless, topology};
+use crate::token::Token;
+
+/// Measure a mesh: its triangles, its topology, and how far it is from the mesh that it was made from.
+///
+/// Distances are Hausdorff and root mean square, both ways, in percent of the diagonal of ORIGINAL's box, at 100,000 random
+/// points and all vertices of each surface.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct MeasureArgs {
+    /// The mesh to compare with
+    #[arg(value_name = "ORIGINAL")]
+    pub(crate) original: PathBuf,
+    /// The mesh to measure; ORIGINAL itself if it is left out
+    #[arg(value_name = "REMESH")]
+    pub(crate) remesh: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) say: SayArgs,
+}
+
+/// What is printed as JSON.
+#[derive(Serialize)]
+struct Measured {
+    original: Surface,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    remesh: Option<Surface>,
+    quality: Quality,
+}
+
+#[derive(Serialize)]
+struct Surface {
+    file: String,
+    vertices: usize,
+    facets: usize,
+    area: f64,
+    #[serde(flatten)]
+    topology: Topology,
+}
+
+impl Surface {
+    fn new(path: &Path, mesh: &TriMesh) -> Self {
+        Self {
+            file: path.display().to_string(),
+            vertices: mesh.positions().len(),
+            facets: mesh.facets().len(),
+            area: mesh.area(),
+            topology: topology(mesh),
+        }
+    }
+
+    /// A line or two for people.
+    fn tell(&self, what: &str) -> Result<(), NotWritten> {
+        let Self { file, vertices, facets, topology, .. } = self;
+        let Topology { euler, components, boundary_loops, non_manifold_edges, non_manifold_vertices, .. } = topology;
+        outln!(
+            "{what:<12}{file}: {vertices} vertices, {facets} facets, χ {euler}, {components} components, {boundary_loops} boundaries"
+        )?;
+        if non_manifold_edges + non_manifold_vertices > 0 {
+            outln!("            {non_manifold_edges} edges and {non_manifold_vertices} vertices are not manifold")?;
+        }
+        Ok(())
+    }
+}
+
+/// Measures and prints.
+///
+/// # Errors
+/// A file cannot be read, or is no surface; a signal.
+pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
+    let token = Token::default();
+    interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
+    let original = files::read_mesh(&args.original)?;
+    let remesh =
+        args.remesh.as_deref().map(|path| Ok::<_, anyhow::Error>((path, files::read_mesh(path)?))).transpose()?;
+    let quality = quality_unless(&original, None, remesh.as_ref().map_or(&original, |(_, mesh)| mesh), &token)?;
+    let measured = Measured {
+        original: Surface::new(&args.original, &original),
+        remesh: remesh.map(|(path, mesh)| Surface::new(path, &mesh)),
+        quality,
+    };
+    if args.say.json {
+        say::json(&serde_json::to_value(&measured)?)?;
+    }
+    if args.say.summary() {
+        measured.tell()?;
+    }
+    Ok(())
+}
+
+impl Measured {
+    fn tell(&self) -> Result<(), NotWritten> {
+        self.original.tell("original")?;
+        let Quality {
+            q_min, q_avg, theta_min_deg, under_30_percent, v567_percent, hausdorff_percent, rms_percent, ..
+        } = self.quality;
+        if let Some(remesh) = &self.remesh {
+            remesh.tell("remesh")?;
+            outln!("distance    Hausdorff {hausdorff_percent:.3} %, RMS {rms_percent:.4} % of the diagonal")?;
+        }
+        outln!(
+            "triangles   Q {q_min:.3} at least, {q_avg:.3} in the mean; angles {theta_min_deg:.1}° at least, {under_30_percent:.2} % under 30°"
+        )?;
+        outln!("valence     {v567_percent:.2} % of the inner vertices have 5 to 7 neighbours")
+    }
+}
