@@ -11,6 +11,9 @@ use tessera::{Backend, BackendChoice, BackendKind, BackendOptions};
 use crate::errors::{engine, input};
 use crate::options::Options;
 
+/// As many as the command takes.
+const MAX_THREADS: usize = 4096;
+
 /// Those that are open, with what was asked for.
 static OPEN: Mutex<Vec<(u32, BackendOptions, Arc<dyn Backend>)>> = Mutex::new(Vec::new());
 
@@ -23,8 +26,8 @@ pub(crate) fn open(name: &str, threads: Option<usize>) -> PyResult<Arc<dyn Backe
         "serial" => BackendChoice::Only(BackendKind::Serial),
         other => return Err(input(format!("backend {other:?} is none of auto, gpu, parallel, serial"))),
     };
-    if threads == Some(0) {
-        return Err(input("threads is 0; at least 1 is needed"));
+    if let Some(threads) = threads.filter(|threads| !(1..=MAX_THREADS).contains(threads)) {
+        return Err(input(format!("threads is {threads}; 1 to {MAX_THREADS} are possible")));
     }
     let mut options = BackendOptions::new().with_choice(choice);
     options.threads = threads;

@@ -30,8 +30,8 @@ def test_a_remesh_is_what_its_report_says(surface):
     assert np.abs(np.hypot(np.hypot(x, y) - 2, z) - 1).max() < 0.05
 
 
-@pytest.mark.parametrize("floats", [np.float64, np.float32])
-@pytest.mark.parametrize("whole", [np.int32, np.int64, np.uint32, np.uint64, np.int16])
+@pytest.mark.parametrize("floats", ["f8", "f4", ">f8", ">f4"])
+@pytest.mark.parametrize("whole", ["i4", "i8", "u4", "u8", "i2", ">i4", ">u8"])
 def test_types_of_arrays_make_no_difference(floats, whole):
     vertices, faces = torus(24, 12)
     vertices = np.round(vertices * 1024) / 1024  # the same in single precision
@@ -71,7 +71,9 @@ WRONG = [
     ({"points": -1}, "points"),
     ({"points": 2.5}, "points"),
     ({}, "points"),
-    ({"points": 100, "edge_length": -1.0}, "edge length"),
+    ({"edge_length": -1.0}, "edge length"),
+    ({"points": 100, "edge_length": 1.0}, "points and edge_length"),
+    ({"edge_length": 1.0, "sizes": np.ones(1800)}, "sizes and edge_length"),
     ({"points": 100, "density": "thick"}, "density"),
     ({"points": 100, "density": np.ones(3)}, "weights"),
     ({"points": 100, "sizes": np.zeros(1800)}, "edge length"),
@@ -83,6 +85,7 @@ WRONG = [
     ({"points": 100, "max_deviation": 0.0}, "max_deviation"),
     ({"points": 100, "backend": "abacus"}, "backend"),
     ({"points": 100, "threads": 0}, "threads"),
+    ({"points": 100, "threads": 10**6}, "threads"),
     ({"points": 100, "seed": -1}, "seed"),
     ({"points": 100, "seeds": np.zeros((3, 3))}, "seeds"),
     ({"points": 100, "attributes": {"height": np.zeros(3)}}, "height"),
@@ -108,6 +111,7 @@ WRONG_ARRAYS = [
     (np.zeros((4, 3)), [[0, 1, 4]], "4"),
     (np.zeros((4, 3)), np.zeros((0, 3), dtype=int), "."),
     (np.full((4, 3), np.nan), [[0, 1, 2]], "finite"),
+    (np.zeros((4, 3), dtype=complex), [[0, 1, 2]], "real"),
     (np.zeros((4, 3)), [[0, 1, 2]], "."),
 ]
 

@@ -43,9 +43,17 @@ def _edges(given: ArrayLike | None) -> Any:
     return array.reshape(0, 2).astype(np.int32) if array.size == 0 else array
 
 
+def _one_size(points: Any, edge_length: Any, sizes: Any) -> None:
+    """Edges have one length, or one for each vertex; `points` may come with the latter."""
+    if edge_length is not None and (points is not None or sizes is not None):
+        other = "points" if points is not None else "sizes"
+        raise _engine.InputError(f"{other} and edge_length are given; give one of them")
+
+
 def remesh_options(surface: Surface, given: dict[str, Any]) -> tuple[dict[str, Any], Attributes | None]:
     """What the engine and the service take, and what the surface carries. `given` are the arguments of `remesh`."""
     given = dict(given)
+    _one_size(given["points"], given["edge_length"], given["sizes"])
     attributes = _carried(given.pop("attributes"), surface)
     given.update(_density(given.pop("density")))
     given["sizes"], given["seeds"] = meshes._floats(given["sizes"]), meshes._floats(given["seeds"])
@@ -270,6 +278,7 @@ def cvt(
     Raises:
         As `remesh`, at the first step.
     """
+    _one_size(points, edge_length, sizes)
     surface = meshes.surface(mesh, faces)
     options = {
         "points": points,

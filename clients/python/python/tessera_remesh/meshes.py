@@ -79,6 +79,8 @@ def _floats(array: ArrayLike | None) -> Array | None:
     if array is None:
         return None
     array = np.asarray(array)
+    if array.dtype.kind == "c":
+        raise InputError(f"an array has the type {array.dtype}; real numbers are needed")
     return array if array.dtype in (np.float64, np.float32) else array.astype(np.float64)
 
 
@@ -121,7 +123,8 @@ def _faces(given: ArrayLike) -> Array:
         raise InputError(f"faces has the shape {array.shape}; (m, 3) is needed, triangles alone")
     if array.dtype.kind not in "iu":
         raise InputError(f"faces has the type {array.dtype}; whole numbers are needed")
-    return array if array.dtype.itemsize >= 4 else array.astype(np.int32)
+    # In the processor's order of bytes.
+    return array.astype(array.dtype.newbyteorder("=") if array.dtype.itemsize >= 4 else np.int32, copy=False)
 
 
 def _from_trimesh(mesh: Any, trimesh: Any) -> Surface | None:
