@@ -14,8 +14,10 @@ use crate::options::Options;
 /// As many as the command takes.
 const MAX_THREADS: usize = 4096;
 
-/// Those that are open, with what was asked for.
-static OPEN: Mutex<Vec<(u32, BackendOptions, Arc<dyn Backend>)>> = Mutex::new(Vec::new());
+/// An open backend: the process that opened it, and what was asked for.
+type Opened = (u32, BackendOptions, Arc<dyn Backend>);
+
+static OPEN: Mutex<Vec<Opened>> = Mutex::new(Vec::new());
 
 /// "auto", "gpu", "parallel" or "serial", with so many threads.
 pub(crate) fn open(name: &str, threads: Option<usize>) -> PyResult<Arc<dyn Backend>> {
