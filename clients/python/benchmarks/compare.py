@@ -1,7 +1,7 @@
 """Time, memory and cancellation of `tessera_remesh.remesh` beside the command, and time and quality beside pyacvd. Prints JSON.
 
 Usage: python compare.py COMMAND MESH.obj POINTS [ROUNDS]
-COMMAND is a `tessera` of the same code and profile. Needs meshio, and pyvista and pyacvd for their part.
+COMMAND is a `tessera` of the same code and profile. Needs Linux, meshio, pyvista and pyacvd.
 The command's time is that of its report without reading and writing. Rounds alternate; the least time of each counts.
 """
 
@@ -33,11 +33,11 @@ def by_command(command: str, path: str, points: int) -> tuple[float, int]:
         report = os.path.join(folder, "report.json")
         arguments = [command, "remesh", path, "--points", str(points), "--backend", "parallel", "--quiet"]
         process = subprocess.Popen([*arguments, "-o", os.path.join(folder, "out.ply"), "--report", report])
-        _, status, usage = os.wait4(process.pid, 0)
-        assert status == 0
+        assert process.wait() == 0
         with open(report, encoding="utf-8") as file:
-            times = json.load(file)["timings_ms"]
-    return times["total"] - times["read"] - times["write"], usage.ru_maxrss * 1024
+            told = json.load(file)
+    times = told["timings_ms"]
+    return times["total"] - times["read"] - times["write"], told["memory"]["host_peak_bytes"]
 
 
 def in_process(path: str, points: int) -> float:
@@ -51,9 +51,9 @@ def in_process(path: str, points: int) -> float:
 def memory(path: str, points: int) -> dict[str, int]:
     """Bytes at the most in a process of its own, and before the call."""
     code = (
-        "import resource, sys, numpy as np, tessera_remesh\n"
+        "import re, sys, numpy as np, tessera_remesh\n"
         "data = np.load(sys.argv[1]); v, f = data['v'], data['f']\n"
-        "peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024\n"
+        "peak = lambda: 1024 * int(re.search(r'VmHWM:\\s+(\\d+)', open('/proc/self/status').read())[1])\n"
         "before = peak(); tessera_remesh.remesh(v, f, points=int(sys.argv[2]), backend='parallel'); print(before, peak())"
     )
     with tempfile.TemporaryDirectory() as folder:
@@ -86,52 +86,31 @@ def cancels(path: str, points: int, rounds: int) -> list[float]:
     return sorted(late)
 
 
-def quality(vertices: np.ndarray, faces: np.ndarray, original: str) -> dict[str, float]:
-    corners = vertices[faces]
-    u, v, w = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1], corners[:, 0] - corners[:, 2]
-    lengths = [np.linalg.norm(x, axis=1) for x in (u, v, w)]
-    area = 0.5 * np.linalg.norm(np.cross(u, v), axis=1)
-    q = 6 / 3**0.5 * area / (0.5 * sum(lengths) * np.max(lengths, axis=0))
-    cosine = lambda x, y, a, b: np.clip(-(x * y).sum(axis=1) / (a * b), -1, 1)
-    at = ((w, u, lengths[2], lengths[0]), (u, v, lengths[0], lengths[1]), (v, w, lengths[1], lengths[2]))
-    angles = np.degrees(np.arccos([cosine(*corner) for corner in at]))
-    import trimesh
-
-    surface = trimesh.Trimesh(*load(original), process=False)
-    result = trimesh.Trimesh(vertices, faces, process=False)
-    there = trimesh.proximity.closest_point(surface, result.vertices)[1]
-    back = trimesh.proximity.closest_point(result, surface.vertices)[1]
-    diagonal = np.linalg.norm(np.ptp(surface.vertices, axis=0))
-    faces_of_edge = np.unique(result.edges_sorted, axis=0, return_counts=True)[1]
-    return {
-        "vertices": len(vertices),
-        "q_min": float(q.min()),
-        "q_mean": float(q.mean()),
-        "smallest_angle": float(np.min(angles)),
-        "farthest_percent": float(100 * max(there.max(), back.max()) / diagonal),
-        "edges_of_three_faces_or_more": int((faces_of_edge > 2).sum()),
-    }
-
-
-def beside_pyacvd(path: str, points: int) -> dict[str, dict[str, float]]:
+def beside_pyacvd(command: str, path: str, points: int) -> dict[str, dict[str, float]]:
+    """Seconds of both, and what the command measures of their results."""
     import pyacvd
     import pyvista
 
-    vertices, faces = load(path)
-    surface = pyvista.PolyData.from_regular_faces(vertices, faces)
+    surface = pyvista.PolyData.from_regular_faces(*load(path))
     start = time.perf_counter()
-    clustering = pyacvd.Clustering(surface)
+    ours = surface.tessera.remesh(points, backend="parallel")
+    here = time.perf_counter() - start
+    start = time.perf_counter()
+    clustering = pyacvd.Clustering(surface.copy())  # it divides the mesh that it is given
     # As its examples do: at least ten vertices a cluster.
     while clustering.mesh.n_points < 10 * points:
         clustering.subdivide(1)
     clustering.cluster(points)
-    made = clustering.create_mesh()
-    theirs = time.perf_counter() - start
-    start = time.perf_counter()
-    ours = surface.tessera.remesh(points)
-    here = time.perf_counter() - start
-    of = lambda mesh: quality(np.asarray(mesh.points, dtype=float), mesh.regular_faces, path)
-    return {"pyacvd": {"seconds": theirs, **of(made)}, "tessera": {"seconds": here, **of(ours)}}
+    theirs = clustering.create_mesh()
+    seconds = [time.perf_counter() - start, here]
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, mesh, taken in zip(("pyacvd", "tessera"), (theirs, ours), seconds):
+            file = os.path.join(folder, f"{name}.ply")
+            meshio.Mesh(np.asarray(mesh.points, dtype=float), [("triangle", mesh.regular_faces)]).write(file)
+            out = subprocess.run([command, "measure", path, file, "--json"], check=True, capture_output=True)
+            found[name] = {"seconds": taken, **json.loads(out.stdout)["quality"]}
+    return found
 
 
 def main() -> None:
@@ -149,7 +128,7 @@ def main() -> None:
         "command_ms": min(there), "remesh_ms": min(here), "ratio": min(here) / min(there),
         "command_peak_bytes": min(most), "python": memory(path, points),
         "cancelled": len(late), "cancel_ms_most": late[-1] if late else None,
-        "beside": beside_pyacvd(path, points),
+        "beside": beside_pyacvd(command, path, points),
     }, indent=1))
 
 
