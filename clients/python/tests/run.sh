@@ -7,9 +7,9 @@ export TESSERA
 here=$(cd "$(dirname "$0")/.." && pwd)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
+"$here/tools/make_stubs.sh" --check
 python3 -m venv "$work/venv"
 MATURIN_PEP517_ARGS="--profile dev --locked" \
     "$work/venv/bin/pip" install --quiet --disable-pip-version-check "$here[service,test]"
-"$here/tools/make_stubs.sh" --check
 cd "$here"
 "$work/venv/bin/python" -m pytest -q -p no:cacheprovider

@@ -117,6 +117,13 @@ class Measure(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     MEASURE_UNSPECIFIED: _ClassVar[Measure]
     MEASURE_TOPOLOGY: _ClassVar[Measure]
     MEASURE_FULL: _ClassVar[Measure]
+
+class RefinementEnd(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    REFINEMENT_END_UNSPECIFIED: _ClassVar[RefinementEnd]
+    REFINEMENT_END_REACHED: _ClassVar[RefinementEnd]
+    REFINEMENT_END_BUDGET: _ClassVar[RefinementEnd]
+    REFINEMENT_END_NO_PROGRESS: _ClassVar[RefinementEnd]
 BACKEND_CHOICE_UNSPECIFIED: BackendChoice
 BACKEND_CHOICE_AUTO: BackendChoice
 BACKEND_CHOICE_GPU: BackendChoice
@@ -186,6 +193,10 @@ THIN_RULE_EVEN: ThinRule
 MEASURE_UNSPECIFIED: Measure
 MEASURE_TOPOLOGY: Measure
 MEASURE_FULL: Measure
+REFINEMENT_END_UNSPECIFIED: RefinementEnd
+REFINEMENT_END_REACHED: RefinementEnd
+REFINEMENT_END_BUDGET: RefinementEnd
+REFINEMENT_END_NO_PROGRESS: RefinementEnd
 
 class Chunk(_message.Message):
     __slots__ = ("kind", "offset", "data", "crc32c", "total_bytes", "attribute")
@@ -598,7 +609,7 @@ class RemeshRequest(_message.Message):
     def __init__(self, header: _Optional[_Union[RemeshHeader, _Mapping]] = ..., chunk: _Optional[_Union[Chunk, _Mapping]] = ..., finish: _Optional[_Union[Finish, _Mapping]] = ...) -> None: ...
 
 class RemeshDone(_message.Message):
-    __slots__ = ("backend", "adapter", "timing", "vertices", "facets", "seeds", "converged", "figures", "report_json", "topology_changes", "attributes")
+    __slots__ = ("backend", "adapter", "timing", "vertices", "facets", "seeds", "converged", "figures", "report_json", "topology_changes", "refinement_end", "attributes")
     BACKEND_FIELD_NUMBER: _ClassVar[int]
     ADAPTER_FIELD_NUMBER: _ClassVar[int]
     TIMING_FIELD_NUMBER: _ClassVar[int]
@@ -609,6 +620,7 @@ class RemeshDone(_message.Message):
     FIGURES_FIELD_NUMBER: _ClassVar[int]
     REPORT_JSON_FIELD_NUMBER: _ClassVar[int]
     TOPOLOGY_CHANGES_FIELD_NUMBER: _ClassVar[int]
+    REFINEMENT_END_FIELD_NUMBER: _ClassVar[int]
     ATTRIBUTES_FIELD_NUMBER: _ClassVar[int]
     backend: str
     adapter: str
@@ -620,8 +632,9 @@ class RemeshDone(_message.Message):
     figures: RvdFigures
     report_json: str
     topology_changes: _containers.RepeatedScalarFieldContainer[str]
+    refinement_end: RefinementEnd
     attributes: _containers.RepeatedCompositeFieldContainer[AttributeHeader]
-    def __init__(self, backend: _Optional[str] = ..., adapter: _Optional[str] = ..., timing: _Optional[_Union[Timing, _Mapping]] = ..., vertices: _Optional[int] = ..., facets: _Optional[int] = ..., seeds: _Optional[int] = ..., converged: bool = ..., figures: _Optional[_Union[RvdFigures, _Mapping]] = ..., report_json: _Optional[str] = ..., topology_changes: _Optional[_Iterable[str]] = ..., attributes: _Optional[_Iterable[_Union[AttributeHeader, _Mapping]]] = ...) -> None: ...
+    def __init__(self, backend: _Optional[str] = ..., adapter: _Optional[str] = ..., timing: _Optional[_Union[Timing, _Mapping]] = ..., vertices: _Optional[int] = ..., facets: _Optional[int] = ..., seeds: _Optional[int] = ..., converged: bool = ..., figures: _Optional[_Union[RvdFigures, _Mapping]] = ..., report_json: _Optional[str] = ..., topology_changes: _Optional[_Iterable[str]] = ..., refinement_end: _Optional[_Union[RefinementEnd, str]] = ..., attributes: _Optional[_Iterable[_Union[AttributeHeader, _Mapping]]] = ...) -> None: ...
 
 class RemeshResponse(_message.Message):
     __slots__ = ("accepted", "progress", "iteration", "chunk", "done")
