@@ -7,5 +7,3 @@
 pub(super) mod hausdorff;
 pub(super) mod nearest;
 pub(super) mod reference;
-
-pub(super) use crate::mesh::facet_set;

@@ -7,5 +7,3 @@
 pub(super) mod boundary_ears;
 pub(super) mod local_mesh;
 pub(super) mod repair;
-
-pub(super) use crate::mesh::one_rings;

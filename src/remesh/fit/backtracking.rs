@@ -8,11 +8,11 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::mesh::measure::facet_quality;
+use crate::mesh::one_rings::ascending;
 use crate::remesh::constants::{
     BACKTRACKING_DROPS, BACKTRACKING_HALVINGS, FACETS_PER_TASK, MEASURED_COSINE, POOR_ANGLE, POOR_SCORE,
 };
 use crate::remesh::manifold::local_mesh::LocalMesh;
-use crate::remesh::manifold::one_rings::ascending;
 use crate::remesh::triangle::{Wanted, unit_normal};
 
 /// The shape of a facet: its normal, and what it lacks of not being poor.

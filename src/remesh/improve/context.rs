@@ -6,10 +6,10 @@
 
 use glam::DVec3;
 
-use crate::remesh::distance::facet_set::{FacetSet, least_distance, sample_points};
+use crate::mesh::facet_set::{FacetSet, least_distance, sample_points};
+use crate::mesh::one_rings::ascending;
 use crate::remesh::distance::reference::Reference;
 use crate::remesh::manifold::local_mesh::LocalMesh;
-use crate::remesh::manifold::one_rings::ascending;
 use crate::remesh::triangle::perimeter;
 use crate::token::Token;
 

@@ -9,12 +9,12 @@ use glam::DVec3;
 
 use super::patch::Patch;
 use crate::mesh::closest_point::closest_on_facet;
+use crate::mesh::facet_set::least_distance;
 use crate::mesh::measure::facet_quality;
 use crate::remesh::constants::{
     BOUND_ROUNDING, FREE_SHARE, KNOWN_SHARE, MEASURED_COSINE, MEASURED_SCORE, OWN_WEIGHT, QUALITY_WEIGHT,
     RADIUS_ROUNDING, SCORE_SCALE, SQUARE_ROUNDING, UNMEASURED_ANGLE, UNMEASURED_SCORE,
 };
-use crate::remesh::distance::facet_set::least_distance;
 use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::remesh::triangle::Wanted;
 

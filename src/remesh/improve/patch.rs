@@ -12,12 +12,12 @@ use glam::DVec3;
 
 use super::context::Context;
 use super::relocation::Steps;
+use crate::mesh::facet_set::{FacetSet, sample_points, squared_distance};
+use crate::mesh::one_rings::ascending;
 use crate::remesh::constants::{
     FARTHEST_MOVE, LONG_EDGE, MAX_FACETS, MEASURED_COSINE, MIDPOINT_REACH, SHARPEST_COSINE,
 };
-use crate::remesh::distance::facet_set::{FacetSet, sample_points, squared_distance};
 use crate::remesh::manifold::local_mesh::{Flip, LocalMesh};
-use crate::remesh::manifold::one_rings::ascending;
 use crate::remesh::triangle::{perimeter, score, unit_normal};
 use crate::token::Token;
 

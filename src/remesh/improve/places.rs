@@ -16,12 +16,12 @@ use super::editor::MeshEditor;
 use super::patch::Patch;
 use super::queue::{Place, Queue};
 use super::trial::{Goal, Measure, Trial, best};
+use crate::mesh::facet_set::squared_distance;
 use crate::remesh::constants::{
     CURVE_SCORE, ESTIMATE_SHARE, FAILED_SHARE, FAR_LOOK_AHEAD, FREE_DISTANCE, GAIN, LEAST_SCORE, LOOK_AHEAD,
     MAX_FAILURES, MAX_FLIPS, MAX_IMPROVED, MAX_IMPROVED_SHARE, MAX_IRREGULAR, MAX_MEASURED, MEASURED_SCORE, NEAR_SHARE,
     PATCHES_AT_ONCE, QUEUE_ROUNDS, RECOVERY_SCORE, RECOVERY_VALENCES, STALE_SHARE, VALENCES,
 };
-use crate::remesh::distance::facet_set::squared_distance;
 use crate::remesh::manifold::local_mesh::Flip;
 
 /// What is wrong at a place. The later ones come first.

@@ -16,13 +16,13 @@ use super::objective::ShapeCost;
 use super::queue::{Place, Queue};
 use super::relocation::{Steps, cheapest, places_around};
 use crate::mesh::measure::facet_quality;
+use crate::mesh::one_rings::ascending;
 use crate::remesh::constants::{
     DIRECTIONS, FARTHEST_ACROSS, FARTHEST_OF_END, FARTHEST_TANGENTIAL, FIRST_STEP, LEAST_GAIN_OF_PASS,
     MOVES_PER_VERTEX, POOR_ANGLE, POOR_SCORE, SHAPES_AT_ONCE, SHAPES_PER_TASK, UNMEASURED_COSINE,
 };
 use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::manifold::local_mesh::{Flip, LocalMesh};
-use crate::remesh::manifold::one_rings::ascending;
 use crate::remesh::triangle::{Wanted, perimeter};
 use crate::token::Token;
 
