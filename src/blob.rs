@@ -31,4 +31,5 @@ pub use facts::{BlobInfo, Usage};
 pub use objects::ObjectBlobs;
 pub use options::BlobOptions;
 pub use owner::Owner;
+pub(crate) use store::put_of;
 pub use store::{BlobRead, BlobStore, ByteStream, READ_BYTES, put};

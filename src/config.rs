@@ -123,6 +123,16 @@ mod tests {
     }
 
     #[test]
+    fn the_http_door_is_shut_and_has_the_rule_of_the_other() {
+        assert!(parse(&[]).unwrap().http.is_empty());
+        let http = |address| parse(&["--http-listen", address]);
+        assert_eq!(http("127.0.0.1:8080").unwrap().http, ["127.0.0.1:8080".parse().unwrap()]);
+        assert_eq!(http("0.0.0.0:8080").unwrap_err().option, "--http-listen");
+        assert_eq!(http("8080").unwrap_err().option, "--http-listen");
+        assert!(parse(&["--http-listen", "0.0.0.0:8080", "--insecure"]).is_ok());
+    }
+
+    #[test]
     fn a_bucket_has_a_name() {
         for bad in ["", "bucket", "s3://", "s3:///prefix", "gs://bucket", "https://host/bucket"] {
             assert_eq!(parse(&["--blobs", bad]).unwrap_err().option, "--blobs", "{bad}");

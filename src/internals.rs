@@ -36,6 +36,12 @@ pub mod gpu {
     pub use crate::gpu::{Device, DeviceOptions, GpuError, buffers, device, dispatch, limits, shader};
 }
 
+/// The HTTP door.
+#[cfg(feature = "service")]
+pub mod http {
+    pub use crate::http::{OPENAPI, ROUTES, Route, door};
+}
+
 /// The queue, the threads that do the work, and jobs as data.
 #[cfg(feature = "service")]
 pub mod job {
@@ -95,7 +101,7 @@ pub mod service {
     pub use crate::metrics::{Format, Metrics};
     pub use crate::readiness::{Readiness, Reason};
     pub use crate::service::{
-        About, Access, AccessOptions, BLOB_SERVICE_NAME, JOB_SERVICE_NAME, Jobs, Parts, SERVER_SERVICE_NAME,
+        About, Access, AccessOptions, BLOB_SERVICE_NAME, Door, JOB_SERVICE_NAME, Jobs, Parts, SERVER_SERVICE_NAME,
         SERVICE_NAME, ServeError, Tls, TlsError, replay, run,
     };
 }

@@ -64,6 +64,7 @@
 //! | `admin` | metrics and readiness over HTTP, for operators | `metrics`, `readiness` |
 //! | `wire` | messages, and our types made of them and into them; server and client speak it | `remesh` and below |
 //! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job`, `blob`, `keys`, `metrics`, `readiness`, `trace` and below |
+//! | `http` | the HTTP door: routes over the same jobs, blobs, keys and limits | `service` (no gRPC), `job`, `blob`, `keys`, `metrics`, `wire`'s errors |
 //! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve` and `gpu` only in `cli::doctor`: the client speaks `wire` |
 //! | `telemetry` | logs, and traces to a collector | `config`, `trace` |
 //!
@@ -92,6 +93,9 @@ mod config;
 pub mod cvt;
 #[cfg(feature = "gpu")]
 mod gpu;
+#[cfg(feature = "service")]
+#[cfg_attr(not(feature = "cli"), allow(dead_code))] // the start is the command's
+mod http;
 #[doc(hidden)]
 pub mod internals;
 #[cfg(feature = "service")]

@@ -50,6 +50,13 @@ struct CallLabels {
 }
 
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct HttpLabels {
+    http_request_method: &'static str,
+    http_route: &'static str,
+    http_response_status_code: u32,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
 struct MethodLabel {
     rpc_method: Arc<String>,
 }
@@ -113,6 +120,7 @@ pub struct Metrics(Arc<Inner>);
 struct Inner {
     registry: Registry,
     calls: Labelled<CallLabels, Histogram>,
+    requests: Labelled<HttpLabels, Histogram>,
     open_streams: Family<MethodLabel, Gauge>,
     open_connections: Gauge,
     jobs: Family<JobLabels, Gauge>,
@@ -164,6 +172,7 @@ impl Metrics {
         let mut all = Inner {
             registry: Registry::default(),
             calls: Labelled::new_with_constructor(call_seconds as fn() -> Histogram),
+            requests: Labelled::new_with_constructor(call_seconds as fn() -> Histogram),
             open_streams: Family::default(),
             open_connections: Gauge::default(),
             jobs: Family::default(),
@@ -197,6 +206,12 @@ impl Metrics {
             "How long calls took, by method and status",
             s(),
             all.calls.clone(),
+        );
+        r.register_with_unit(
+            "http_server_request_duration",
+            "How long requests of the HTTP door took, by route and status",
+            s(),
+            all.requests.clone(),
         );
         r.register("tessera_open_streams", "Calls that are open", all.open_streams.clone());
         r.register("tessera_open_connections", "Connections that are open", all.open_connections.clone());
@@ -257,6 +272,13 @@ impl Metrics {
     /// Counts calls of these methods by their names, and all others as one.
     pub(crate) fn calls(&self, methods: impl IntoIterator<Item = String>) -> Calls {
         Calls::new(self.clone(), methods)
+    }
+
+    /// A request of the HTTP door is over. Method and route are of a fixed list.
+    pub(crate) fn request(&self, method: &'static str, route: &'static str, status: u16, took: Duration) {
+        let labels =
+            HttpLabels { http_request_method: method, http_route: route, http_response_status_code: status.into() };
+        self.0.requests.get_or_create(&labels).observe(took.as_secs_f64());
     }
 
     /// A connection is open until what this gives is dropped.
@@ -355,7 +377,7 @@ pub(crate) enum Refused {
 }
 
 impl Refused {
-    fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Queue => "queue",
             Self::Memory => "memory",

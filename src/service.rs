@@ -10,6 +10,8 @@ mod access;
 mod budget;
 mod connections;
 mod convert;
+mod desk;
+mod fault;
 mod handlers;
 mod health;
 mod methods;
@@ -24,6 +26,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use axum::Router;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -32,10 +35,17 @@ use tonic::service::Routes;
 
 pub use self::about::About;
 use self::access::Guarded;
-use self::budget::Budget;
+pub(crate) use self::access::{Caller, Pass, Refusal};
+pub(crate) use self::budget::{Budget, Share};
+pub(crate) use self::connections::Exchange;
+use self::connections::{Ground, Grpc, Spoken};
 pub use self::connections::{Tls, TlsError};
+pub(crate) use self::convert::job_id;
+pub(crate) use self::desk::{DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, keep, timely, to_the_end};
+pub(crate) use self::fault::{Detail, Fault, Kind as FaultKind};
 use self::health::Told;
-use self::stream::Gate;
+pub(crate) use self::stream::{Gate, Kind};
+pub(crate) use self::tenant::of_headers as tenant_of;
 use crate::blob::{BlobError, BlobStore};
 use crate::config::Limits;
 use crate::job::api::{JobApi, JobApiError};
@@ -81,6 +91,26 @@ pub struct Parts {
     pub readiness: Readiness,
     /// What it knows of itself.
     pub about: About,
+    /// A way in beside gRPC, to the same jobs and blobs.
+    pub door: Option<Door>,
+}
+
+/// A way in beside gRPC: where it listens, and what it makes of the desk.
+pub struct Door {
+    listener: TcpListener,
+    open: Box<dyn FnOnce(Desk) -> Router + Send>,
+}
+
+impl Door {
+    pub(crate) fn new(listener: TcpListener, open: impl FnOnce(Desk) -> Router + Send + 'static) -> Self {
+        Self { listener, open: Box::new(open) }
+    }
+}
+
+impl fmt::Debug for Door {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Door").field("listener", &self.listener).finish_non_exhaustive()
+    }
 }
 
 /// What the services of blobs and jobs are made of.
@@ -163,6 +193,13 @@ pub(crate) enum RequestError {
     Inbound(tonic::Status),
 }
 
+impl RequestError {
+    /// The caller's key is no good, or no longer.
+    pub(crate) fn unauthenticated() -> Self {
+        Self::Access(access::Refusal::Unauthenticated)
+    }
+}
+
 /// How far the server is on its way out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Phase {
@@ -197,7 +234,7 @@ pub async fn run(
     parts: Parts,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), ServeError> {
-    let Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about } = parts;
+    let Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about, door } = parts;
     let message_bytes = limits.transport.message_bytes;
     let _following = access.follow(engine.weights().clone());
     let phase = watch::Sender::new(Phase::Serving);
@@ -229,21 +266,34 @@ pub async fn run(
         routes = routes.add_service(reflection(names)?.build_v1()?).add_service(reflection(names)?.build_v1alpha()?);
     }
     // Ended with the server, wherever it is.
-    let mut beside = JoinSet::new();
-    beside.spawn(Arc::clone(&health).follow(readiness.clone()));
-    beside.spawn(health::probes(engine.clone(), readiness.clone(), metrics.clone(), limits.probe));
+    let mut tasks = JoinSet::new();
+    tasks.spawn(Arc::clone(&health).follow(readiness.clone()));
+    tasks.spawn(health::probes(engine.clone(), readiness.clone(), metrics.clone(), limits.probe));
     if let Some(jobs) = &jobs {
         let storage = jobs.api.storage();
-        beside.spawn(health::follow_blobs(Arc::clone(&jobs.blobs), storage, readiness.clone(), metrics.clone()));
+        tasks.spawn(health::follow_blobs(Arc::clone(&jobs.blobs), storage, readiness.clone(), metrics.clone()));
     }
     let api = jobs.as_ref().map(|jobs| Arc::clone(&jobs.api));
+    let door = door.zip(jobs.as_ref()).map(|(door, Jobs { api, blobs })| {
+        let (api, blobs, access) = (Arc::clone(api), Arc::clone(blobs), access.clone());
+        let (budget, gate, metrics) = (budget.clone(), gate.clone(), metrics.clone());
+        (door.listener, (door.open)(Desk { api, blobs, limits, budget, gate, access, metrics }))
+    });
     if let Some(jobs) = jobs {
         routes = with_jobs(routes, jobs, limits, &budget, &gate);
     }
     let routes = Guarded::new(access, routes.prepare());
     let closing = watch::Sender::new(CUT_TIME);
-    let counted = (budget, metrics.calls(methods::all()));
-    let serving = connections::serve(listener, routes, limits, counted, tls, phase.subscribe(), closing.subscribe());
+    let ground = Ground::new(limits, budget, metrics.clone(), tls);
+    let grpc = Spoken::Grpc(Arc::new(Grpc { routes, calls: metrics.calls(methods::all()) }));
+    let beside = async {
+        if let Some((listener, router)) = door {
+            let spoken = Spoken::Web(router);
+            connections::serve(listener, spoken, ground.clone(), phase.subscribe(), closing.subscribe()).await;
+        }
+    };
+    let serving = connections::serve(listener, grpc, ground.clone(), phase.subscribe(), closing.subscribe());
+    let serving = async { tokio::join!(serving, beside) };
     tokio::pin!(serving);
 
     let unkept = async {
@@ -254,7 +304,7 @@ pub async fn run(
     };
     let mut is_kept = true;
     let lost = tokio::select! {
-        () = &mut serving => None,
+        _ = &mut serving => None,
         () = shutdown => None,
         () = unkept => {
             is_kept = false;
@@ -293,7 +343,7 @@ pub async fn run(
         phase.send_replace(Phase::Closing);
         drained
     };
-    let (drained, ()) = tokio::join!(draining, serving);
+    let (drained, _) = tokio::join!(draining, serving);
     lifecycle::ended(&metrics, Step::Close, drained);
     if let Some(stage) = lost {
         return Err(ServeError::WorkStuck { stage });

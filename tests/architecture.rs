@@ -59,6 +59,8 @@ const ROOMS: &[(&str, &[&str])] = &[
             "trace",
         ],
     ),
+    // Sees what `service` has for every door, and nothing of gRPC.
+    ("http", &["service", "job", "blob", "keys", "metrics", "trace", "wire"]),
     // Its client speaks to a server through the wire, and imports nothing of it.
     (
         "cli",
@@ -72,6 +74,7 @@ const ROOMS: &[(&str, &[&str])] = &[
             "config",
             "cvt",
             "gpu",
+            "http",
             "job",
             "keys",
             "knn",
@@ -96,7 +99,7 @@ const DOORS: &[(&str, &[&str])] = &[
     ("cvt/density", &["knn"]),
     // Lists the adapters.
     ("cli/doctor", &["gpu"]),
-    ("cli/serve", &["admin", "lifecycle", "metrics", "readiness", "service"]),
+    ("cli/serve", &["admin", "http", "lifecycle", "metrics", "readiness", "service"]),
 ];
 
 /// Crate, and the modules it may appear in.
@@ -108,7 +111,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("crc32c", &["blob", "wire"]),
     ("hyper", &["admin", "cli/health", "service/connections"]),
     ("hyper_util", &["admin", "cli/health", "service/connections"]),
-    ("axum", &["admin"]),
+    ("axum", &["admin", "http", "service"]),
     ("prometheus_client", &["metrics"]),
     ("opentelemetry", &["telemetry/traces", "trace"]),
     ("opentelemetry_otlp", &["telemetry/traces"]),
@@ -116,11 +119,14 @@ const CRATES: &[(&str, &[&str])] = &[
     ("tracing_opentelemetry", &["telemetry/traces", "trace"]),
     ("tracing_appender", &["telemetry"]),
     ("tracing_subscriber", &["telemetry"]),
-    ("http_body", &["service/connections", "service/access"]),
+    ("http_body", &["http/guard", "service/connections", "service/access"]),
+    ("form_urlencoded", &["http/options"]),
     ("governor", &["service/access"]),
     ("subtle", &["keys"]),
     ("socket2", &["service/connections"]),
-    ("flate2", &["service/connections/unpacking"]),
+    ("flate2", &["mesh/io/packed", "mesh/io/vtk", "service/connections/unpacking"]),
+    ("quick_xml", &["mesh/io/vtk"]),
+    ("base64", &["mesh/io/gltf", "mesh/io/vtk"]),
     ("zstd", &["service/connections/unpacking"]),
     ("rustix", &["blob/staging", "job/worker", "service/connections"]),
     ("object_store", &["blob"]),
@@ -129,7 +135,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("tokio_rustls", &["service/connections"]),
     ("toml", &["config"]),
     ("sha2", &["blob", "keys", "wire/pieces"]),
-    ("tokio", &["admin", "blob", "job", "lifecycle", "readiness", "service", "cli", "telemetry", "trace"]),
+    ("tokio", &["admin", "blob", "http", "job", "lifecycle", "readiness", "service", "cli", "telemetry", "trace"]),
     ("redb", &["job/store"]),
     ("clap", &["config", "cli", "main"]),
     ("clap_complete", &["cli/completions"]),

@@ -185,10 +185,34 @@ pub trait BlobStore: Send + Sync + Debug {
 pub async fn put(store: &dyn BlobStore, bytes: Bytes, pin: Option<&str>) -> Result<BlobInfo, BlobError> {
     let hashed = bytes.clone();
     let digest = tokio::task::spawn_blocking(move || Digest::of(&hashed)).await.map_err(super::error::join)?;
-    let upload = UploadId::new(digest, bytes.len() as u64);
+    put_upload(store, UploadId::new(digest, bytes.len() as u64), None, bytes, pin).await
+}
+
+/// Stores bytes that are in memory for an owner, who may have `own_limit_bytes`.
+///
+/// # Errors
+/// As [`put`], and `OwnQuotaExceeded`.
+pub(crate) async fn put_of(
+    store: &dyn BlobStore,
+    owner: &str,
+    own_limit_bytes: Option<u64>,
+    bytes: Bytes,
+) -> Result<BlobInfo, BlobError> {
+    let hashed = bytes.clone();
+    let digest = tokio::task::spawn_blocking(move || Digest::of(&hashed)).await.map_err(super::error::join)?;
+    put_upload(store, UploadId::new(digest, bytes.len() as u64).of(owner), own_limit_bytes, bytes, None).await
+}
+
+async fn put_upload(
+    store: &dyn BlobStore,
+    upload: UploadId,
+    limit: Option<u64>,
+    bytes: Bytes,
+    pin: Option<&str>,
+) -> Result<BlobInfo, BlobError> {
     let mut attempts = 0;
     loop {
-        match put_once(store, upload, &bytes, pin).await {
+        match put_once(store, upload, limit, &bytes, pin).await {
             // Another writer of the same upload gave up, or the blob was evicted before it could be pinned.
             Err(BlobError::UploadNotFound { .. }) if attempts < 3 => attempts += 1,
             result => return result,
@@ -199,10 +223,14 @@ pub async fn put(store: &dyn BlobStore, bytes: Bytes, pin: Option<&str>) -> Resu
 async fn put_once(
     store: &dyn BlobStore,
     upload: UploadId,
+    limit: Option<u64>,
     bytes: &Bytes,
     pin: Option<&str>,
 ) -> Result<BlobInfo, BlobError> {
-    let mut status = store.begin(upload).await?;
+    let mut status = store.begin_within(upload, limit).await?;
+    if status.complete && pin.is_none() {
+        return Ok(BlobInfo { digest: upload.digest(), size_bytes: upload.size_bytes() });
+    }
     while !status.complete && status.kept_bytes < upload.size_bytes() {
         let start = usize::try_from(status.kept_bytes).unwrap_or(bytes.len()).min(bytes.len());
         let piece = bytes.slice(start..bytes.len().min(start + CHUNK_BYTES));

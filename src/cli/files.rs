@@ -62,9 +62,19 @@ pub(crate) fn write_loaded(path: &Path, mesh: &TriMesh, attributes: Option<&Attr
         None => io::encode(format, mesh).map(|bytes| (bytes, Vec::new())),
     };
     let (bytes, left_out) = encoded.map_err(|cause| FileError::Data { path: path.to_owned(), cause })?;
+    let bytes = io::pack_for(path, bytes).map_err(|error| unwritten(path, &error))?;
     write(path, |out| out.write_all(&bytes))?;
     let all = left_out.join(", ");
     Ok((!all.is_empty()).then(|| format!("tessera: {}: this format cannot hold: {all}", path.display())))
+}
+
+/// [`check_output`] of a surface.
+pub(crate) fn check_surface_output(path: &Path) -> Result<()> {
+    if Format::of_path(path).is_err() {
+        let names = Format::ALL.map(Format::extension).join(", .");
+        return Err(Usage(format!("{}: the name must end in .{names}", path.display())).into());
+    }
+    check_output(path, &[])
 }
 
 /// Refuses an output whose folder is not there or whose name is wrong, before any work is done.

@@ -90,7 +90,7 @@ fn work(args: &RemeshArgs) -> Result<()> {
 fn check(args: &RemeshArgs) -> Result<()> {
     let RemeshArgs { input, files: FileArgs { output, report, overwrite, .. }, size, shape, .. } = args;
     args.backend.check()?;
-    files::check_output(output, &["obj", "ply", "stl", "off"])?;
+    files::check_surface_output(output)?;
     report.iter().try_for_each(|path| files::check_output(path, &[]))?;
     if files::same(input, output) && !overwrite {
         let name = output.display();

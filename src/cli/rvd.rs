@@ -35,7 +35,7 @@ use crate::token::Token;
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("of").required(true).args(["seeds", "points"])))]
 pub(crate) struct RvdArgs {
-    /// The surface: .obj, .ply, .stl or .off.
+    /// The surface: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf.
     input: PathBuf,
     #[command(flatten)]
     seeds: SeedArgs,

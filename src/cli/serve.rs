@@ -17,6 +17,7 @@ use super::{backends, interrupt};
 use crate::admin::{self, Admin};
 use crate::config::{JobCeilings, Limits, OnLoss, SecurityArgs, ServeArgs, ServeConfig};
 use crate::cvt::Projection;
+use crate::http;
 use crate::job::api::JobApiError;
 use crate::job::store::StoreError;
 use crate::job::{
@@ -30,7 +31,7 @@ use crate::metrics::Metrics;
 use crate::readiness::{Readiness, Reason};
 use crate::remesh::{RemeshOptions, Seeds, remesh};
 use crate::rvd::BackendChoice;
-use crate::service::{self, About, Access, AccessOptions, Jobs, Parts, ServeError, Tls};
+use crate::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError, Tls};
 use crate::token::Token;
 
 /// Opens what is kept, and says where that is.
@@ -184,6 +185,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     readiness.set(Reason::Starting, true);
     // Ends with this, after the server: who looks while it drains sees that it does.
     let _admin = open_admin(&config, &engine, &metrics, &readiness).await?;
+    let door = open_door(&config).await?;
     let about = About {
         machine_bytes: memory::machine_memory_bytes(),
         job_limit_bytes: ceilings.memory_bytes,
@@ -193,7 +195,7 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
     };
     let jobs = Some(Jobs { blobs, api: Arc::new(executor) });
     let limits = config.limits;
-    let parts = Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about };
+    let parts = Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about, door };
     let shutdown = async {
         // A sender that is gone means that nobody can signal; go on serving.
         if signals.await.is_err() {
@@ -207,6 +209,20 @@ async fn serve(args: &ServeArgs, config: ServeConfig, tls: Option<Arc<Tls>>, met
         other => anyhow::Error::new(other),
     });
     served.context("serving")
+}
+
+/// Opens the HTTP door, if it is to be.
+async fn open_door(config: &ServeConfig) -> Result<Option<Door>> {
+    if config.http.is_empty() {
+        return Ok(None);
+    }
+    let listener = TcpListener::bind(config.http.as_slice())
+        .await
+        .map_err(|e| Unavailable(format!("cannot listen for HTTP: {e}; choose another --http-listen")))?;
+    let address = listener.local_addr().context("asking for the HTTP port")?;
+    tracing::info!(%address, "HTTP");
+    outln!("tessera speaks HTTP on {address}")?;
+    Ok(Some(http::door(listener)))
 }
 
 /// Listens to operators, if they are to be.

@@ -16,7 +16,7 @@ pub(crate) struct ShapeArgs {
     /// Number of facets to aim at; the result is near it
     #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = parse_facets)]
     pub facets: usize,
-    /// File to write: .obj, .ply, .stl or .off
+    /// File to write: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
 }
@@ -26,7 +26,7 @@ pub(crate) struct ShapeArgs {
 /// # Errors
 /// The file cannot be written.
 pub(crate) fn run(args: &ShapeArgs) -> anyhow::Result<()> {
-    files::check_output(&args.output, &["obj", "ply", "stl", "off"])?;
+    files::check_surface_output(&args.output)?;
     let mesh = args.name.build(args.facets);
     files::write_loaded(&args.output, &mesh, None)?;
     outln!("{}: {} vertices, {} facets", args.output.display(), mesh.positions().len(), mesh.facets().len())?;

@@ -58,6 +58,10 @@ pub(crate) struct ServeArgs {
     /// Address or name, and port to listen on; port 0 takes a free one and prints it.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:50051", env = "TESSERA_LISTEN")]
     pub listen: String,
+    /// Address or name, and port of the HTTP door: meshes in and out by `curl`, jobs and blobs (docs/http.md). None if not
+    /// given; the same rule as for --listen: anything but loopback needs TLS and keys, or --insecure.
+    #[arg(long, value_name = "ADDRESS:PORT", env = "TESSERA_HTTP_LISTEN")]
+    pub http_listen: Option<String>,
     /// Folder where jobs, results and uploads are kept; one server at a time may use it. The user's state directory if not
     /// given: $XDG_STATE_HOME/tessera, or ~/.local/state/tessera.
     #[arg(long, value_name = "DIR", env = "TESSERA_DATA_DIR")]

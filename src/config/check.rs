@@ -22,6 +22,8 @@ const MAX_ELEMENTS: u64 = i32::MAX as u64 - 8;
 pub(crate) struct ServeConfig {
     /// Where to listen: the first of these that can be had.
     pub listen: Vec<SocketAddr>,
+    /// The same for the HTTP door; nowhere if empty.
+    pub http: Vec<SocketAddr>,
     /// The same for operators; nowhere if empty.
     pub admin: Vec<SocketAddr>,
     /// Jobs that may wait.
@@ -96,10 +98,19 @@ impl ServeArgs {
         }
         let listen = addresses("--listen", &self.listen)?;
         let tls = self.security.check()?;
-        self.security.check_reach(&self.listen, &listen, tls.is_some())?;
+        self.security.check_reach("--listen", &self.listen, &listen, tls.is_some())?;
+        let http = match &self.http_listen {
+            Some(given) => {
+                let http = addresses("--http-listen", given)?;
+                self.security.check_reach("--http-listen", given, &http, tls.is_some())?;
+                http
+            }
+            None => Vec::new(),
+        };
         let most = MAX_ELEMENTS;
         Ok(ServeConfig {
             listen,
+            http,
             tls,
             device: self.device.check()?,
             nice: within("--nice", self.nice.into(), 0, 19, "0 to 19")? as u8,

@@ -65,7 +65,13 @@ impl SecurityArgs {
     }
 
     /// Checks that nobody reaches the server who should not.
-    pub(super) fn check_reach(&self, listen: &str, addresses: &[SocketAddr], has_tls: bool) -> Result<(), ConfigError> {
+    pub(super) fn check_reach(
+        &self,
+        option: &'static str,
+        listen: &str,
+        addresses: &[SocketAddr],
+        has_tls: bool,
+    ) -> Result<(), ConfigError> {
         if self.insecure || addresses.iter().all(|address| address.ip().to_canonical().is_loopback()) {
             return Ok(());
         }
@@ -76,7 +82,7 @@ impl SecurityArgs {
             (false, false) => "TLS (--tls-cert and --tls-key) and without keys (--require-keys)",
         };
         Err(ConfigError {
-            option: "--listen",
+            option,
             value: format!("{listen:?}, which other machines may reach, without {missing}"),
             must: "an address of this machine alone, as 127.0.0.1:50051, or have both; on a network that you trust, give \
                    --insecure",
@@ -116,7 +122,7 @@ mod tests {
     #[test]
     fn others_reach_a_server_with_tls_and_keys_alone() {
         let reach = |given: &[&str], address: &str| {
-            args(given).check_reach(address, &[address.parse().unwrap()], given.contains(&"tls"))
+            args(given).check_reach("--listen", address, &[address.parse().unwrap()], given.contains(&"tls"))
         };
         for here in ["127.0.0.1:1", "127.9.9.9:1", "[::1]:1", "[::ffff:127.0.0.1]:1"] {
             assert_eq!(reach(&[], here), Ok(()), "{here}");

@@ -1,22 +1,29 @@
-//! Surface files: OBJ, PLY, STL and OFF, in and out.
+//! Surface files: OBJ, PLY, STL, OFF, VTK, Gmsh, Medit and glTF, in and out, packed by gzip or not.
 //!
 //! Purpose: [`read`] and [`write()`] for a path, [`decode`] and [`encode`] for bytes. The format is the file's
 //! extension ([`Format`]). The same names with `_with_attributes` take and give what a surface carries too.
 //! Invariant: no sequence of bytes makes a reader panic, hang, or allocate more than a small
-//! multiple of the bytes that are there, whatever counts they declare. A polygon of n corners becomes n - 2 facets: a
-//! fan around its first corner if it is convex, or ears (`polygons`). Positions are double precision; only STL, whose
-//! format says so, holds single precision.
+//! multiple of the bytes that are there, whatever counts they declare; of what is packed, no more than [`UNPACKED_RATIO`]
+//! times the bytes. A polygon of n corners becomes n - 2 facets: a fan around its first corner if it is convex, or ears
+//! (`polygons`). Positions are double precision; only STL and glTF, whose formats say so, hold single precision.
 //! Must not know: what is done with a surface.
 
 mod attributed;
+mod gltf;
+mod gmsh;
 mod held;
 #[cfg(feature = "service")]
 pub(crate) mod lists;
+mod medit;
+mod numbers;
 mod obj;
 mod off;
+mod packed;
 mod ply;
 mod polygons;
+mod single;
 mod stl;
+mod vtk;
 
 use std::path::{Path, PathBuf};
 
@@ -26,6 +33,10 @@ use super::attributes::AttributeError;
 use super::{MeshError, TriMesh};
 use held::{Held, Holds, Raw};
 use polygons::Fan;
+
+use packed::limit as unpacked_limit;
+pub(crate) use packed::pack_for;
+pub use packed::{UNPACKED_RATIO, unpack};
 
 pub use attributed::{
     Loaded, decode_with_attributes, encode_with_attributes, read_with_attributes, write_with_attributes,
@@ -43,11 +54,37 @@ pub enum Format {
     Stl,
     /// Geomview OFF, text, with the COFF and NOFF variants.
     Off,
+    /// Legacy VTK. Reads polygonal data and unstructured grids, text and binary; writes binary with doubles.
+    Vtk,
+    /// VTK XML for polygonal data. Reads text, base64 and appended data, plain or packed by zlib; writes base64 with doubles.
+    Vtp,
+    /// Gmsh. Reads versions 2 and 4.1, text and binary; writes version 2.2, binary.
+    Gmsh,
+    /// Medit, text.
+    Medit,
+    /// Medit, binary. Reads versions 1 to 4, writes version 2 with doubles.
+    MeditBinary,
+    /// glTF in one binary file. Coordinates are rounded to single precision.
+    Glb,
+    /// glTF as text, its data inside. Coordinates are rounded to single precision.
+    Gltf,
 }
 
 impl Format {
     /// All formats.
-    pub const ALL: [Self; 4] = [Self::Obj, Self::Ply, Self::Stl, Self::Off];
+    pub const ALL: [Self; 11] = [
+        Self::Obj,
+        Self::Ply,
+        Self::Stl,
+        Self::Off,
+        Self::Vtk,
+        Self::Vtp,
+        Self::Gmsh,
+        Self::Medit,
+        Self::MeditBinary,
+        Self::Glb,
+        Self::Gltf,
+    ];
 
     /// What knows the format.
     fn codec(self) -> &'static Codec {
@@ -56,6 +93,13 @@ impl Format {
             Self::Ply => &ply::CODEC,
             Self::Stl => &stl::CODEC,
             Self::Off => &off::CODEC,
+            Self::Vtk => &vtk::legacy::CODEC,
+            Self::Vtp => &vtk::xml::CODEC,
+            Self::Gmsh => &gmsh::CODEC,
+            Self::Medit => &medit::TEXT,
+            Self::MeditBinary => &medit::BINARY,
+            Self::Glb => &gltf::BINARY,
+            Self::Gltf => &gltf::TEXT,
         }
     }
 
@@ -69,12 +113,20 @@ impl Format {
         Self::ALL.into_iter().find(|format| format.extension().eq_ignore_ascii_case(extension))
     }
 
-    /// The format of a file name.
+    /// All extensions, for a sentence: ".obj, .ply or .stl".
+    pub fn names() -> String {
+        let mut names = Self::ALL.map(|format| format!(".{}", format.extension())).to_vec();
+        let last = names.pop().unwrap_or_default();
+        format!("{} or {last}", names.join(", "))
+    }
+
+    /// The format of a file name, which may have `.gz` after its extension.
     ///
     /// # Errors
     /// [`FileError::UnknownFormat`].
     pub fn of_path(path: &Path) -> Result<Self, FileError> {
-        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+        let stem = if packed::is_packed(path) { path.file_stem().map(Path::new).unwrap_or(path) } else { path };
+        let extension = stem.extension().and_then(|e| e.to_str()).unwrap_or_default();
         Self::from_extension(extension)
             .ok_or_else(|| FileError::UnknownFormat { path: path.to_path_buf(), extension: extension.to_owned() })
     }
@@ -112,7 +164,7 @@ type VertexOrder = (usize, Vec<u32>);
 #[non_exhaustive]
 pub enum FileError {
     /// The extension names no format that is known.
-    #[error("{}: \"{extension}\" is no known mesh format; name the file .obj, .ply, .stl or .off", path.display())]
+    #[error("{}: \"{extension}\" is no known mesh format; name the file {}", path.display(), Format::names())]
     UnknownFormat {
         /// The file.
         path: PathBuf,
@@ -177,11 +229,19 @@ pub enum DataError {
     /// The file ends before what its header declares.
     #[error("the file is cut off: {0}; fetch or export it again")]
     Truncated(String),
+    /// More comes out of a packed file than a limit allows.
+    #[error("more than {limit} bytes are packed in it; unpack it first (gunzip)")]
+    TooLong {
+        /// Bytes.
+        limit: usize,
+    },
     /// All was understood, and it is not a surface.
     #[error(transparent)]
     Mesh(#[from] MeshError),
     /// The surface does not fit the format.
-    #[error("vertex {vertex} ({x:e}, {y:e}, {z:e}) does not fit STL's single precision; write .ply, .obj or .off")]
+    #[error(
+        "vertex {vertex} ({x:e}, {y:e}, {z:e}) does not fit the single precision of STL and glTF; write .ply, .obj or .off"
+    )]
     SinglePrecision {
         /// From 0.
         vertex: usize,
@@ -193,7 +253,9 @@ pub enum DataError {
         z: f64,
     },
     /// Facets that are more than a thousandth of the area would have two corners in one place; this is the first.
-    #[error("facet {facet} is too small beside its coordinates for STL's single precision; write .ply, .obj or .off")]
+    #[error(
+        "facet {facet} is too small beside its coordinates for the single precision of STL and glTF; write .ply, .obj or .off"
+    )]
     Collapsed {
         /// From 0.
         facet: usize,
@@ -217,7 +279,8 @@ pub fn read(path: &Path) -> Result<TriMesh, FileError> {
     decode(format, &bytes).map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })
 }
 
-/// Writes a surface; the format is the extension's. An existing file is replaced.
+/// Writes a surface; the format is the extension's, and a name that ends in `.gz` is packed. An
+/// existing file is replaced.
 ///
 /// Vertices and facets keep their numbers (except in STL, which has none), and coordinates
 /// their bits (except in STL, which rounds them to single precision).
@@ -227,7 +290,11 @@ pub fn read(path: &Path) -> Result<TriMesh, FileError> {
 pub fn write(path: &Path, mesh: &TriMesh) -> Result<(), FileError> {
     let format = Format::of_path(path)?;
     let bytes = encode(format, mesh).map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })?;
-    std::fs::write(path, bytes).map_err(|cause| FileError::Io { path: path.to_path_buf(), action: "write", cause })
+    pack_for(path, bytes).and_then(|bytes| std::fs::write(path, bytes)).map_err(|cause| FileError::Io {
+        path: path.to_path_buf(),
+        action: "write",
+        cause,
+    })
 }
 
 /// Reads a surface from the bytes of a file.
@@ -250,15 +317,38 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
 /// Vertices and facets that [`decode`] would find in a file, at most: a polygon of n corners counts as n - 2 facets, a facet
 /// of STL as three vertices. `None` if the bytes are no such file, or end before what its header declares; `decode` fails then.
 ///
-/// Nothing is kept, and no number is read that is not a count: this is several times as fast as reading.
+/// Of OBJ, PLY, STL and OFF nothing is kept, and no number is read that is not a count: this is several times as fast as
+/// reading. Others are read.
 pub fn counts(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
-    let bytes = without_mark(bytes);
+    let bytes = unpack(bytes, unpacked_limit(bytes.len())).ok()?;
+    let bytes = without_mark(&bytes);
     (format.codec().counts)(bytes).filter(|&(vertices, facets)| vertices > 0 && facets > 0)
+}
+
+/// [`Codec::counts`] of formats whose counts are spread over the file: what is read.
+fn counts_by_reading(decode: fn(&[u8], bool) -> Result<Soup, DataError>, bytes: &[u8]) -> Option<(u64, u64)> {
+    let soup = decode(bytes, false).ok()?;
+    Some((soup.positions.len() as u64, soup.facets.len() as u64))
+}
+
+/// Says of elements that fill space that they are left aside; an error if there is nothing else.
+fn volumes(soup: &mut Soup, elements: usize, advice: &str) -> Result<(), DataError> {
+    match (elements, soup.facets.is_empty()) {
+        (0, _) => Ok(()),
+        (_, true) => Err(DataError::Header(format!(
+            "there are {elements} elements that fill space, and no triangle or polygon; {advice}"
+        ))),
+        (_, false) => {
+            soup.raw.unreadable("volume elements", format!("there are {elements}; the surface is read alone"));
+            Ok(())
+        }
+    }
 }
 
 /// What the format's reader finds, its polygons cut; what the surface carries only if it is `wanted`.
 fn decode_soup(format: Format, bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
-    let bytes = without_mark(bytes);
+    let bytes = unpack(bytes, unpacked_limit(bytes.len()))?;
+    let bytes = without_mark(&bytes);
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Err(DataError::Empty);
     }
@@ -277,7 +367,7 @@ fn without_mark(bytes: &[u8]) -> &[u8] {
 /// The bytes of a file that holds `mesh`.
 ///
 /// # Errors
-/// [`DataError::SinglePrecision`] and [`DataError::Collapsed`] for STL.
+/// [`DataError::SinglePrecision`] and [`DataError::Collapsed`] for STL and glTF.
 pub fn encode(format: Format, mesh: &TriMesh) -> Result<Vec<u8>, DataError> {
     (format.codec().encode)(mesh, &Held::default())
 }

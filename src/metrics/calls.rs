@@ -31,11 +31,6 @@ impl Calls {
         self.metrics.0.open_streams.get_or_create(&MethodLabel { rpc_method: Arc::clone(&method) }).inc();
         Call { metrics: self.metrics.clone(), method, began: Instant::now(), status: Mutex::new(None) }
     }
-
-    /// Who counts.
-    pub(crate) fn metrics(&self) -> &Metrics {
-        &self.metrics
-    }
 }
 
 /// A call under way; over when this is dropped.

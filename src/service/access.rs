@@ -24,7 +24,8 @@ use tonic::service::Routes;
 
 use self::held::Held;
 use self::methods::Needs;
-use self::table::{Pass, Table};
+pub(crate) use self::table::Pass;
+use self::table::Table;
 use super::RequestError;
 use crate::job::Weights;
 use crate::keys::{KeyFile, KeysError, Role, Secret, Stamp, now};
@@ -206,9 +207,14 @@ impl Access {
         self.table().end_expired(now());
     }
 
+    /// Looks at a request of another door, for which `role` is needed; there is nothing behind it if none is.
+    pub(crate) fn admit<B>(&self, request: &mut Request<B>, role: Option<Role>) -> Result<Option<Pass>, Refusal> {
+        let entered = self.enter(request, role.map(Needs::Role));
+        entered.inspect_err(|refusal| self.note(*refusal, request.uri().path()))
+    }
+
     /// Looks at a request. Gives who calls, unless nobody needs to know.
-    fn enter<B>(&self, request: &mut Request<B>) -> Result<Option<Pass>, Refusal> {
-        let needs = methods::needs(request.uri().path());
+    fn enter<B>(&self, request: &mut Request<B>, needs: Option<Needs>) -> Result<Option<Pass>, Refusal> {
         let presented = presented(request.headers());
         // Nobody behind this needs it.
         request.headers_mut().remove(header::AUTHORIZATION);
@@ -333,7 +339,8 @@ impl Guarded {
         if let Some(refused) = foreign(&request) {
             return refused;
         }
-        let pass = match self.access.enter(&mut request) {
+        let needs = methods::needs(request.uri().path());
+        let pass = match self.access.enter(&mut request, needs) {
             Ok(pass) => pass,
             Err(refusal) => {
                 self.access.note(refusal, request.uri().path());

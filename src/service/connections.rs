@@ -19,12 +19,14 @@ mod socket;
 mod tls;
 mod unpacking;
 mod unread;
+mod web;
 
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::Router;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 
@@ -42,7 +44,7 @@ use super::Phase;
 use super::access::Guarded;
 use super::budget::Budget;
 use crate::config::Limits;
-use crate::metrics::{Calls, Refused};
+use crate::metrics::{Calls, Metrics, Refused};
 
 /// Between the last answer and the end of its connection. A connection that closes while its client still
 /// acknowledges data is reset, and what the client has not read yet is lost.
@@ -55,52 +57,83 @@ const ROOM_TIME: Duration = Duration::from_millis(500);
 const PAUSE: Duration = Duration::from_millis(10);
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
-/// What all connections share.
+/// What is behind a port.
+#[derive(Clone)]
+pub(super) enum Spoken {
+    /// The services, over HTTP/2.
+    Grpc(Arc<Grpc>),
+    /// Another door, over HTTP/1.1 and HTTP/2.
+    Web(Router),
+}
+
+/// The services, and who counts their calls.
+pub(super) struct Grpc {
+    pub(super) routes: Guarded,
+    pub(super) calls: Calls,
+}
+
+/// What all ports share: there is one room for connections, whatever is spoken.
+#[derive(Clone)]
+pub(super) struct Ground {
+    places: Arc<Places<State>>,
+    limits: Limits,
+    budget: Budget,
+    metrics: Metrics,
+    tls: Option<Arc<Tls>>,
+}
+
+impl Ground {
+    pub(super) fn new(limits: Limits, budget: Budget, metrics: Metrics, tls: Option<Arc<Tls>>) -> Self {
+        let most = descriptors::connections(limits.max_connections);
+        if most < limits.max_connections {
+            tracing::warn!(
+                connections = most,
+                wanted = limits.max_connections,
+                "the limit on open files allows fewer connections; raise it (ulimit -n) for more"
+            );
+        }
+        let places = Places::new(most, limits.max_connections_per_peer);
+        Self { places, limits, budget, metrics, tls }
+    }
+}
+
+/// What all connections of a port share.
 struct Common {
-    routes: Guarded,
     limits: Limits,
     budget: Budget,
     /// Where TLS is spoken.
     handshakes: Option<Handshakes>,
-    /// Counts calls, and all else that is counted here.
-    calls: Calls,
+    metrics: Metrics,
     /// Connections that were closed for breaking a limit.
     closed: Seldom,
 }
 
-/// Serves `routes` until `phase` says that connections close; they have `closing` to do so.
+/// Serves what is `spoken` until `phase` says that connections close; they have `closing` to do so.
 pub(super) async fn serve(
     listener: TcpListener,
-    routes: Guarded,
-    limits: Limits,
-    (budget, calls): (Budget, Calls),
-    tls: Option<Arc<Tls>>,
+    spoken: Spoken,
+    ground: Ground,
     phase: watch::Receiver<Phase>,
     closing: watch::Receiver<Duration>,
 ) {
-    let most = descriptors::connections(limits.max_connections);
-    if most < limits.max_connections {
-        tracing::warn!(
-            connections = most,
-            wanted = limits.max_connections,
-            "the limit on open files allows fewer connections; raise it (ulimit -n) for more"
-        );
-    }
-    let places = Places::new(most, limits.max_connections_per_peer);
-    let handshakes = tls.map(|tls| Handshakes::new(tls, limits.transport));
-    let common = Arc::new(Common { routes, limits, budget, calls, handshakes, closed: Seldom::default() });
+    let Ground { places, limits, budget, metrics, tls } = ground;
+    let is_web = matches!(spoken, Spoken::Web(_));
+    let handshakes = tls.map(|tls| Handshakes::new(tls, limits.transport, is_web));
+    let common = Arc::new(Common { limits, budget, metrics, handshakes, closed: Seldom::default() });
     let following = {
         let common = Arc::clone(&common);
         async move {
             match &common.handshakes {
-                Some(handshakes) => Arc::clone(handshakes.tls()).follow().await,
-                None => std::future::pending().await,
+                // One port has the files looked at, for all.
+                Some(handshakes) if !is_web => Arc::clone(handshakes.tls()).follow().await,
+                _ => std::future::pending().await,
             }
         }
     };
     let accepting = Accepting {
         listener,
         places: Arc::clone(&places),
+        spoken,
         common,
         phase: phase.clone(),
         refused: Seldom::default(),
@@ -124,6 +157,7 @@ pub(super) async fn serve(
 struct Accepting {
     listener: TcpListener,
     places: Arc<Places<State>>,
+    spoken: Spoken,
     common: Arc<Common>,
     phase: watch::Receiver<Phase>,
     refused: Seldom,
@@ -172,17 +206,21 @@ impl Accepting {
         match place {
             Ok(place) => {
                 let (common, phase) = (Arc::clone(&self.common), self.phase.clone());
-                let open = self.common.calls.metrics().connection();
+                let spoken = self.spoken.clone();
+                let open = self.common.metrics.connection();
                 tokio::spawn(async move {
                     let _open = open;
                     if let Some(line) = establish(stream, &state, &common, phase.clone()).await {
-                        connection::serve(line, state, common, phase).await;
+                        match spoken {
+                            Spoken::Grpc(grpc) => connection::serve(line, state, common, grpc, phase).await,
+                            Spoken::Web(router) => web::serve(line, state, common, router, phase).await,
+                        }
                     }
                     drop(place);
                 });
             }
             Err(full) => {
-                self.common.calls.metrics().refused(Refused::Connections);
+                self.common.metrics.refused(Refused::Connections);
                 if let Some(times) = self.refused.count() {
                     tracing::warn!(%peer, times, ?full, "refused connections: all that are open are in use");
                 }
@@ -191,7 +229,7 @@ impl Accepting {
     }
 }
 
-/// Makes of a new socket what HTTP/2 is spoken on; nothing if it came to nothing.
+/// Makes of a new socket what HTTP is spoken on; nothing if it came to nothing.
 async fn establish(
     stream: TcpStream,
     state: &Arc<State>,

@@ -128,7 +128,7 @@ pub(super) fn digest(at: &At<'_>, text: &str) -> Result<Digest, WireError> {
 }
 
 /// The name of a job.
-pub(super) fn job_id(text: &str) -> Result<JobId, WireError> {
+pub(crate) fn job_id(text: &str) -> Result<JobId, WireError> {
     text.parse().map_err(|error: record::JobIdError| At::Top("id").wrong(format!("names no job: {error}")))
 }
 

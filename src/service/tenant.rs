@@ -5,6 +5,7 @@
 //! nothing are never the same tenant. Must not know: what tenants have.
 
 use tonic::Extensions;
+use tonic::codegen::http::HeaderMap;
 use tonic::metadata::MetadataMap;
 
 use super::access::{Caller, TENANT};
@@ -16,11 +17,16 @@ const LONGEST: usize = 128;
 
 /// The tenant of a call.
 pub(super) fn of(metadata: &MetadataMap, extensions: &Extensions) -> Result<String, WireError> {
+    of_headers(metadata.as_ref(), extensions)
+}
+
+/// The tenant of a request.
+pub(crate) fn of_headers(headers: &HeaderMap, extensions: &Extensions) -> Result<String, WireError> {
     if let Some(caller) = extensions.get::<Caller>() {
         return Ok(caller.tenant.clone());
     }
     let wrong = |reason: &str| WireError::field(TENANT, reason);
-    if let Some(value) = metadata.get(TENANT) {
+    if let Some(value) = headers.get(TENANT) {
         let name = value.to_str().unwrap_or_default();
         let is_good = (1..=LONGEST).contains(&name.len()) && name.bytes().all(|byte| byte.is_ascii_graphic());
         return match is_good {

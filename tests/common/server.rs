@@ -229,6 +229,7 @@ impl Server {
         let readiness = Readiness::new();
         let (metrics, about) = (Metrics::default(), About::default());
         let Setup { limits, tls, access, .. } = setup;
+        let door = None;
         let parts = Parts {
             engine: engine.clone(),
             worker,
@@ -239,6 +240,7 @@ impl Server {
             metrics,
             readiness: readiness.clone(),
             about,
+            door,
         };
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;

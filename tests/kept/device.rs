@@ -109,6 +109,7 @@ impl Server {
             metrics: Metrics::default(),
             readiness: readiness.clone(),
             about: About::default(),
+            door: None,
         };
         let served = tokio::spawn(service::run(listener, parts, async {
             let _ = stopped.await;

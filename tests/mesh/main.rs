@@ -13,6 +13,7 @@ mod readers;
 
 mod attributes;
 mod features;
+mod formats;
 mod geometry;
 mod hostile_files;
 mod io;

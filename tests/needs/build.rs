@@ -38,7 +38,8 @@ fn is_folder(variable: &str) -> bool {
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rustc-env=NEEDS_GPU={}", missing_gpu().unwrap_or_default());
-    for (name, variable, what) in [("MESHES", "TESSERA_MESHES", "real meshes"), ("SEEDS", "TESSERA_SEEDS", "seed sets")] {
+    for (name, variable, what) in [("MESHES", "TESSERA_MESHES", "real meshes"), ("SEEDS", "TESSERA_SEEDS", "seed sets")]
+    {
         let why = match is_folder(variable) {
             true => String::new(),
             false => format!("{variable} names no folder with {what}"),

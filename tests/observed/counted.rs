@@ -161,11 +161,15 @@ fn is_there(name: &str) -> bool {
 
 /// A server after some work, and its metrics.
 pub async fn worked() -> Program {
-    let program = Program::start(&[], &[]);
+    // One that was free a moment ago.
+    let http = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let program = Program::start(&["--http-listen", &http], &[]);
     let channel = program.channel().await;
     let digest = put(&channel, &Shape::Torus.build(500)).await;
     let id = create(&channel, remesh(&digest, 40), &[]).await;
     end(&channel, &id).await;
+    let (status, _) = get_from(&http, "/v1/jobs", "*/*").await;
+    assert_eq!(status, 200);
     program
 }
 

@@ -58,13 +58,7 @@ impl Program {
 
     /// The status and the body of an answer of the admin port.
     pub async fn get(&self, path: &str, accept: &str) -> (u16, String) {
-        let mut stream = tokio::net::TcpStream::connect(&self.admin).await.unwrap();
-        let request = format!("GET {path} HTTP/1.1\r\nHost: a\r\nConnection: close\r\nAccept: {accept}\r\n\r\n");
-        stream.write_all(request.as_bytes()).await.unwrap();
-        let mut answer = String::new();
-        tokio::time::timeout(PATIENCE, stream.read_to_string(&mut answer)).await.unwrap().unwrap();
-        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-        (head.split(' ').nth(1).unwrap().parse().unwrap(), body.to_owned())
+        get_from(&self.admin, path, accept).await
     }
 
     pub async fn metrics(&self) -> Samples {
@@ -89,6 +83,17 @@ impl Program {
         }
         self.log.take().unwrap().join().unwrap()
     }
+}
+
+/// The status and the body of an answer of a port that speaks HTTP.
+pub async fn get_from(address: &str, path: &str, accept: &str) -> (u16, String) {
+    let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
+    let request = format!("GET {path} HTTP/1.1\r\nHost: a\r\nConnection: close\r\nAccept: {accept}\r\n\r\n");
+    stream.write_all(request.as_bytes()).await.unwrap();
+    let mut answer = String::new();
+    tokio::time::timeout(PATIENCE, stream.read_to_string(&mut answer)).await.unwrap().unwrap();
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    (head.split(' ').nth(1).unwrap().parse().unwrap(), body.to_owned())
 }
 
 impl Drop for Program {

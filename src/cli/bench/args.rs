@@ -20,7 +20,7 @@ use crate::token::Token;
 /// One surface.
 #[derive(Args, Debug)]
 pub(super) struct SurfaceArgs {
-    /// The surface: .obj, .ply, .stl or .off; a torus if not given.
+    /// The surface, as `remesh` takes it; a torus if not given.
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
     /// Facets of the torus.

@@ -26,7 +26,7 @@ use crate::remesh::Seeds;
 /// `tessera bench table1`'s options.
 #[derive(Args, Debug)]
 pub(super) struct Table1Args {
-    /// A model: .obj, .ply, .stl or .off. May be repeated. If not given: a torus, a sphere and a slab with three holes.
+    /// A model, as `remesh` takes it. May be repeated. If not given: a torus, a sphere and a slab with three holes.
     #[arg(long, value_name = "FILE")]
     mesh: Vec<PathBuf>,
     /// Seeds to draw: one number for all models, or one for each; 10000 a file, 15000,20000,50000 otherwise.

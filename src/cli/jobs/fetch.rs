@@ -121,6 +121,10 @@ fn check_extension(job: &Job, name: &str, path: &std::path::Path) -> Result<()> 
             format!("{}: the result of this job is .{has}; submit sets another format with --format", path.display());
         return Err(Usage(text).into());
     }
+    if name == "mesh" && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz")) {
+        let text = format!("{}: the result of this job is not packed; leave out .gz", path.display());
+        return Err(Usage(text).into());
+    }
     Ok(())
 }
 

@@ -77,12 +77,18 @@ pub(super) enum FormatArg {
 }
 
 impl FormatArg {
-    fn of(format: Format) -> Self {
-        match format {
-            Format::Obj => Self::Obj,
-            Format::Ply => Self::Ply,
-            Format::Stl => Self::Stl,
-            Format::Off => Self::Off,
+    /// That of a file. Jobs take fewer formats than files have.
+    fn of(path: &Path) -> Result<Self> {
+        match Format::of_path(path)? {
+            Format::Obj => Ok(Self::Obj),
+            Format::Ply => Ok(Self::Ply),
+            Format::Stl => Ok(Self::Stl),
+            Format::Off => Ok(Self::Off),
+            _ => {
+                let text =
+                    format!("{}: jobs take .obj, .ply, .stl and .off; convert it, or use `remesh`", path.display());
+                Err(Usage(text).into())
+            }
         }
     }
 
@@ -122,7 +128,7 @@ impl InputArgs {
     fn format(&self) -> Result<FormatArg> {
         match (self.input_format, &self.input) {
             (Some(format), _) => Ok(format),
-            (None, Input::File(path)) => Ok(FormatArg::of(Format::of_path(path)?)),
+            (None, Input::File(path)) => FormatArg::of(path),
             (None, Input::Blob(_)) => {
                 Err(Usage("a blob has no name that says its format; add --input-format".to_owned()).into())
             }

@@ -28,7 +28,7 @@ use crate::token::Token;
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "edge_length", "sizes"])))]
 pub(crate) struct RemeshArgs {
-    /// The surface: .obj, .ply, .stl or .off.
+    /// The surface: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf.
     pub(super) input: PathBuf,
     #[command(flatten)]
     pub(super) files: FileArgs,

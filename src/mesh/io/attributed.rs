@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use super::held::Held;
-use super::{DataError, FileError, Format, Soup, decode_soup};
+use super::{DataError, FileError, Format, Soup, decode_soup, pack_for};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes};
 
@@ -37,7 +37,8 @@ pub fn read_with_attributes(path: &Path) -> Result<Loaded, FileError> {
 /// Writes a surface and its attributes; the format is the extension's. Gives the names of the
 /// attributes that the format cannot hold.
 ///
-/// Numbers keep their bits, except colours that came in 8 bits, which PLY and OFF store so.
+/// Numbers keep their bits, except colours that came in 8 bits, which PLY, OFF, VTK and glTF store so; glTF has all
+/// others in single precision.
 ///
 /// # Errors
 /// [`FileError`], as [`super::write()`].
@@ -45,7 +46,11 @@ pub fn write_with_attributes(path: &Path, mesh: &TriMesh, attributes: &Attribute
     let format = Format::of_path(path)?;
     let encoded = encode_with_attributes(format, mesh, attributes);
     let (bytes, left_out) = encoded.map_err(|cause| FileError::Data { path: path.to_path_buf(), cause })?;
-    std::fs::write(path, bytes).map_err(|cause| FileError::Io { path: path.to_path_buf(), action: "write", cause })?;
+    pack_for(path, bytes).and_then(|bytes| std::fs::write(path, bytes)).map_err(|cause| FileError::Io {
+        path: path.to_path_buf(),
+        action: "write",
+        cause,
+    })?;
     Ok(left_out)
 }
 
@@ -76,10 +81,13 @@ pub fn decode_with_attributes(format: Format, bytes: &[u8]) -> Result<Loaded, Da
 /// | OBJ | yes | yes | without opacity | no |
 /// | PLY | per vertex | yes; with seams as the face property `texcoord` | yes | yes |
 /// | OFF | per vertex | per vertex | yes | no |
-/// | STL | no | no | no | no |
+/// | VTK, `.vtk` and `.vtp` | per vertex | per vertex | yes | yes |
+/// | glTF | yes | yes | yes | no |
+/// | Gmsh | no | no | no | yes |
+/// | STL, Medit | no | no | no | no |
 ///
 /// # Errors
-/// [`DataError::SinglePrecision`] for STL; [`DataError::Attributes`] if they are another mesh's.
+/// [`DataError::SinglePrecision`] for STL and glTF; [`DataError::Attributes`] if they are another mesh's.
 pub fn encode_with_attributes(
     format: Format,
     mesh: &TriMesh,

@@ -2,12 +2,13 @@
 //!
 //! Purpose: one element a line; empty lines and lines that begin with `#` are left out. What goes by the file's own vertices
 //! is brought to those of the surface that was read.
-//! Invariant: PLY and OFF vertices keep their numbers. OBJ vertices are numbered by first use in a face, and the
-//! ones that no face uses are left out; their order comes from the reader of the surface. STL has no vertices to speak of. Must not know: what lists are for.
+//! Invariant: vertices keep their numbers, except of OBJ, STL and glTF. OBJ vertices are numbered by first use in a face, and the
+//! ones that no face uses are left out; their order comes from the reader of the surface. STL has no vertices to speak of, and glTF
+//! has them several times. Must not know: what lists are for.
 
 use glam::DVec3;
 
-use super::{DataError, Format, VertexNumbers, without_mark};
+use super::{DataError, Format, VertexNumbers, unpack, unpacked_limit, without_mark};
 use crate::mesh::TriMesh;
 
 /// The lines that say something, numbered from 1.
@@ -77,7 +78,7 @@ impl FileVertices {
         let (count, order) = match format.codec().vertices {
             VertexNumbers::Kept => return Ok(Self::of_arrays(mesh)),
             VertexNumbers::Absent => return Err(DataError::List(NO_NUMBERS.to_owned())),
-            VertexNumbers::Reordered(order) => order(without_mark(bytes))?,
+            VertexNumbers::Reordered(order) => order(without_mark(&unpack(bytes, unpacked_limit(bytes.len()))?))?,
         };
         if order.len() != mesh.positions().len() {
             let text = "cannot tell which vertex of the surface is which of the file; convert it to .ply";
@@ -145,5 +146,5 @@ impl FileVertices {
     }
 }
 
-/// Why an STL file has no lists beside it.
-pub(crate) const NO_NUMBERS: &str = "an STL file has no numbered vertices; convert it to .ply, .obj or .off";
+/// Why a file of STL or glTF has no lists beside it.
+pub(crate) const NO_NUMBERS: &str = "STL and glTF have no numbered vertices; convert it to .ply, .obj or .off";

@@ -15,7 +15,7 @@ use glam::DVec3;
 use stl_io::{Normal, Triangle, Vertex};
 
 use super::held::{By, Held, Holds};
-use super::{Codec, DataError, Soup, VertexNumbers};
+use super::{Codec, DataError, Soup, VertexNumbers, single};
 use crate::mesh::TriMesh;
 
 /// See [`Codec`].
@@ -30,8 +30,6 @@ pub(super) const CODEC: Codec = Codec {
 
 const HEADER: usize = 84;
 const RECORD: usize = 50;
-/// Facets that single precision makes lines or points of may have this share of the area.
-const LOSS: f64 = 1e-3;
 
 fn decode(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
     let mut welder = Welder::default();
@@ -68,30 +66,7 @@ fn counts(bytes: &[u8]) -> Option<(u64, u64)> {
 }
 
 fn encode(mesh: &TriMesh, _held: &Held<'_>) -> Result<Vec<u8>, DataError> {
-    let limit = f64::from(f32::MAX);
-    if let Some(vertex) = mesh.positions().iter().position(|p| p.abs().max_element() > limit) {
-        let [x, y, z] = mesh.positions()[vertex].to_array();
-        return Err(DataError::SinglePrecision { vertex, x, y, z });
-    }
-    let joined = |p: DVec3, q: DVec3| p != q && p.as_vec3() == q.as_vec3();
-    let collapses = |&facet: &usize| {
-        let [a, b, c] = mesh.corners(facet);
-        joined(a, b) || joined(b, c) || joined(c, a)
-    };
-    let collapsed: Vec<usize> = (0..mesh.facets().len()).filter(collapses).collect();
-    if let Some(&facet) = collapsed.first() {
-        // Scaled, so that no square vanishes. Slivers are no loss.
-        let (low, high) = mesh.bounds();
-        let extent = (high - low).max_element();
-        let area = |facet: usize| {
-            let [a, b, c] = mesh.corners(facet).map(|p| (p - low) / extent);
-            (b - a).cross(c - a).length()
-        };
-        let all: f64 = (0..mesh.facets().len()).map(area).sum();
-        if collapsed.into_iter().map(area).sum::<f64>() > LOSS * all {
-            return Err(DataError::Collapsed { facet });
-        }
-    }
+    single::check(mesh)?;
     let triangles: Vec<Triangle> = (0..mesh.facets().len())
         .map(|facet| {
             let [a, b, c] = mesh.corners(facet);

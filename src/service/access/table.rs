@@ -100,7 +100,7 @@ impl Table {
 }
 
 /// The right of one call, which counts as open until this is dropped.
-pub(super) struct Pass {
+pub(crate) struct Pass {
     entry: Arc<Entry>,
     is_open: bool,
 }
@@ -134,7 +134,7 @@ impl Pass {
     }
 
     /// Ready once the key is revoked or its time is over.
-    pub(super) fn ended(&self) -> impl Future<Output = ()> + Send + use<> {
+    pub(crate) fn ended(&self) -> impl Future<Output = ()> + Send + use<> {
         let mut ended = self.entry.ended.subscribe();
         async move {
             if ended.wait_for(|ended| *ended).await.is_err() {

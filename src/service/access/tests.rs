@@ -37,7 +37,8 @@ fn request(path: &str, headers: &[(&str, &str)]) -> Request<()> {
 /// The tenant that is let in, if it is known.
 fn enter(access: &Access, path: &str, headers: &[(&str, &str)]) -> Result<Option<String>, Refusal> {
     let mut request = request(path, headers);
-    let pass = access.enter(&mut request)?;
+    let needs = methods::needs(path);
+    let pass = access.enter(&mut request, needs)?;
     assert!(!request.headers().contains_key("authorization"), "it goes no further");
     let caller = request.extensions().get::<Caller>();
     assert_eq!(pass.is_some(), caller.is_some());

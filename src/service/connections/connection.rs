@@ -5,6 +5,7 @@
 //! Must not know: other connections, messages.
 
 use std::convert::Infallible;
+use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -26,16 +27,16 @@ use super::frames::Metered;
 use super::line::Line;
 use super::places::{Guest, Peer, Standing};
 use super::socket::Traffic;
-use super::{Common, LINGER, unread};
+use super::{Common, Grpc, LINGER, unread};
 use crate::config::{Limits, Transport};
 use crate::trace;
 
 /// What an upload may have on its way, bytes: for a stream, for a connection.
-const STREAM_WINDOW: u32 = 1 << 20;
-const CONNECTION_WINDOW: u32 = 4 << 20;
+pub(super) const STREAM_WINDOW: u32 = 1 << 20;
+pub(super) const CONNECTION_WINDOW: u32 = 4 << 20;
 
 /// Bytes of a stream's answer that may wait for the socket.
-const SEND_BUFFER: usize = 128 << 10;
+pub(super) const SEND_BUFFER: usize = 128 << 10;
 
 /// How the paths of the services begin that take uploads.
 const OURS: &str = "/tessera.v1.";
@@ -92,6 +93,21 @@ impl State {
         Arc::clone(&self.traffic)
     }
 
+    /// A request has come.
+    pub(super) fn take(&self, exchange: &Arc<Exchange>) {
+        let mut streams = self.lock();
+        streams.requests += 1;
+        streams.last = Instant::now();
+        streams.all.push(Arc::clone(exchange));
+        streams.taken = Some(Arc::clone(exchange));
+    }
+
+    /// Nothing works on a request any more.
+    pub(super) fn end(&self, exchange: &Exchange) {
+        exchange.end();
+        self.lock().last = Instant::now();
+    }
+
     /// Ready once it has to go.
     pub(super) async fn until_evicted(&self) {
         self.evicted.notified().await;
@@ -132,8 +148,14 @@ enum Verdict {
 }
 
 /// Runs the connection.
-pub(super) async fn serve(line: Line, state: Arc<State>, common: Arc<Common>, mut phase: watch::Receiver<Phase>) {
-    let service = Answerer { state: Arc::clone(&state), common: Arc::clone(&common), phase: phase.clone() };
+pub(super) async fn serve(
+    line: Line,
+    state: Arc<State>,
+    common: Arc<Common>,
+    grpc: Arc<Grpc>,
+    phase: watch::Receiver<Phase>,
+) {
+    let service = Answerer { state: Arc::clone(&state), common: Arc::clone(&common), grpc, phase: phase.clone() };
     let limits = &common.limits;
     let transport = limits.transport;
     let line = Metered::new(line, transport.control_frames, state.traffic());
@@ -149,6 +171,23 @@ pub(super) async fn serve(line: Line, state: Arc<State>, common: Arc<Common>, mu
         .keep_alive_interval(transport.ping_every)
         .keep_alive_timeout(limits.stall.max(transport.ping_timeout))
         .serve_connection(TokioIo::new(line), service);
+    run(connection, http2::Connection::graceful_shutdown, &state, &common, phase).await;
+}
+
+/// Runs a connection, whatever HTTP is spoken on it, until it ends, has to go, or breaks a limit; `finish` has it end once it
+/// has nothing open.
+pub(super) async fn run<C, E>(
+    connection: C,
+    finish: impl Fn(Pin<&mut C>),
+    state: &Arc<State>,
+    common: &Common,
+    mut phase: watch::Receiver<Phase>,
+) where
+    C: Future<Output = Result<(), E>>,
+    E: fmt::Display,
+{
+    let limits = &common.limits;
+    let transport = limits.transport;
     tokio::pin!(connection);
     let look_every = [limits.stall, limits.first_request, limits.idle_connection, transport.first_byte]
         .into_iter()
@@ -172,12 +211,12 @@ pub(super) async fn serve(line: Line, state: Arc<State>, common: Arc<Common>, mu
             () = tokio::time::sleep(pause) => {}
             Ok(()) = phase.changed() => {}
         }
-        match leaving.look(&state, &common, *phase.borrow()) {
+        match leaving.look(state, common, *phase.borrow()) {
             Verdict::Stays => {}
             Verdict::Finish(why) => {
                 tracing::debug!(why, "a connection is told to go");
                 leaving.finish = Some(Instant::now());
-                connection.as_mut().graceful_shutdown();
+                finish(connection.as_mut());
             }
             Verdict::Close(why) => {
                 common.closes(why);
@@ -200,7 +239,7 @@ impl Common {
 }
 
 /// Streams that a client may have open.
-fn streams(limits: &Limits) -> u32 {
+pub(super) fn streams(limits: &Limits) -> u32 {
     let all = limits.max_streams.saturating_add(Transport::EXTRA_STREAMS);
     limits.transport.streams.unwrap_or(u32::try_from(all).unwrap_or(u32::MAX))
 }
@@ -276,7 +315,7 @@ impl Leaving {
 
 /// Runs a connection's streams, each until it ends or is cut.
 #[derive(Clone)]
-struct Spawner(Arc<State>);
+pub(super) struct Spawner(pub(super) Arc<State>);
 
 impl<F> hyper::rt::Executor<F> for Spawner
 where
@@ -308,8 +347,7 @@ struct EndOnDrop {
 
 impl Drop for EndOnDrop {
     fn drop(&mut self) {
-        self.exchange.end();
-        self.state.lock().last = Instant::now();
+        self.state.end(&self.exchange);
     }
 }
 
@@ -317,6 +355,7 @@ impl Drop for EndOnDrop {
 struct Answerer {
     state: Arc<State>,
     common: Arc<Common>,
+    grpc: Arc<Grpc>,
     phase: watch::Receiver<Phase>,
 }
 
@@ -329,20 +368,14 @@ impl hyper::service::Service<Request<Incoming>> for Answerer {
         let uploads = request.uri().path().starts_with(OURS);
         let exchange = Exchange::new(self.common.budget.clone());
         let exchange = Arc::new(if uploads { exchange } else { exchange.of_question() });
-        let (account, trace) = Account::open(&self.common.calls, &request, &exchange);
-        {
-            let mut streams = self.state.lock();
-            streams.requests += 1;
-            streams.last = Instant::now();
-            streams.all.push(Arc::clone(&exchange));
-            streams.taken = Some(Arc::clone(&exchange));
-        }
+        let (account, trace) = Account::open(&self.grpc.calls, &request, &exchange);
+        self.state.take(&exchange);
         request.extensions_mut().insert(Arc::clone(&exchange));
         request.extensions_mut().insert(self.state.peer);
         let encoding = request.headers().get(ENCODING).map(|value| value.as_bytes().to_vec());
         let most = if uploads { self.common.limits.transport.message_bytes as u64 } else { QUESTION };
         let budget = self.common.budget.clone();
-        let routes = self.common.routes.clone();
+        let routes = self.grpc.routes.clone();
         let mut phase = self.phase.clone();
         let span = account.span();
         let work = async move {

@@ -15,7 +15,6 @@ use std::time::{Duration, Instant};
 use bytes::Buf;
 use http_body::Frame;
 use tokio::sync::Notify;
-use tonic::Status;
 use tonic::codegen::{Body, Bytes, http::HeaderMap};
 
 use super::super::budget::Budget;
@@ -245,9 +244,9 @@ impl<B> Answer<B> {
     }
 }
 
-impl<B: Body<Data = Bytes, Error = Status> + Unpin> Body for Answer<B> {
+impl<B: Body<Data = Bytes> + Unpin> Body for Answer<B> {
     type Data = Counted;
-    type Error = Status;
+    type Error = B::Error;
 
     fn poll_frame(
         mut self: Pin<&mut Self>,
@@ -283,6 +282,7 @@ impl<B: Body<Data = Bytes, Error = Status> + Unpin> Body for Answer<B> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tonic::Status;
 
     /// A body of given frames.
     struct Frames(Vec<Bytes>);

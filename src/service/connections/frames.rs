@@ -15,8 +15,8 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::socket::Traffic;
 
-/// What a client sends before its first frame, bytes.
-const PREFACE: usize = 24;
+/// What a client sends before its first frame.
+const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 
 /// The head of a frame, bytes: length (3), type, flags, stream (4). RFC 9113, section 4.1.
 const HEAD: usize = 9;
@@ -35,6 +35,8 @@ const BYTES_A_FRAME: f64 = 64.0;
 /// Finds the heads of frames in a stream of bytes that comes in any pieces.
 #[derive(Debug)]
 struct Heads {
+    /// Bytes of the preface that have come; nothing if something else came in its place: HTTP/1.1 has no frames.
+    greeted: Option<usize>,
     /// Bytes until the next head.
     skip: usize,
     head: [u8; HEAD],
@@ -43,12 +45,20 @@ struct Heads {
 
 impl Heads {
     fn new() -> Self {
-        Self { skip: PREFACE, head: [0; HEAD], filled: 0 }
+        Self { greeted: Some(0), skip: 0, head: [0; HEAD], filled: 0 }
     }
 
     /// How many frames that carry nothing begin in `bytes`.
     fn idle_frames(&mut self, mut bytes: &[u8]) -> usize {
         let mut count = 0;
+        let Some(greeted) = &mut self.greeted else { return 0 };
+        let (preface, rest) = bytes.split_at(bytes.len().min(PREFACE.len() - *greeted));
+        if !PREFACE[*greeted..].starts_with(preface) {
+            self.greeted = None;
+            return 0;
+        }
+        *greeted += preface.len();
+        bytes = rest;
         while !bytes.is_empty() {
             let skipped = self.skip.min(bytes.len());
             self.skip -= skipped;

@@ -36,6 +36,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// See the module's head.
 pub(super) struct Handshakes {
     tls: Arc<Tls>,
+    /// Whether HTTP/1.1 is spoken too.
+    web: bool,
     limits: Transport,
     turns: Arc<Semaphore>,
     open: Mutex<Open>,
@@ -58,9 +60,9 @@ struct Turn<'a> {
 }
 
 impl Handshakes {
-    pub(super) fn new(tls: Arc<Tls>, limits: Transport) -> Self {
+    pub(super) fn new(tls: Arc<Tls>, limits: Transport, web: bool) -> Self {
         let turns = Arc::new(Semaphore::new(limits.handshakes));
-        Self { tls, limits, turns, open: Mutex::default(), failed: Seldom::default(), given_up: Seldom::default() }
+        Self { tls, web, limits, turns, open: Mutex::default(), failed: Seldom::default(), given_up: Seldom::default() }
     }
 
     /// The certificates.
@@ -80,7 +82,7 @@ impl Handshakes {
                 .await
                 .map_err(|_| io::Error::new(io::ErrorKind::TimedOut, "nothing came"))??;
             let turn = self.turn(state).await?;
-            let shaken = TlsAcceptor::from(self.tls.current()).accept(socket).into_fallible().await;
+            let shaken = TlsAcceptor::from(self.tls.current(self.web)).accept(socket).into_fallible().await;
             drop(turn);
             match shaken {
                 Ok(stream) => Ok(stream),

@@ -36,6 +36,8 @@ pub struct Tls {
 #[derive(Debug)]
 struct State {
     config: Arc<ServerConfig>,
+    /// The same for HTTP/1.1 too.
+    web: Arc<ServerConfig>,
     validity: Option<Validity>,
     /// Of what is in use.
     active: Digest,
@@ -52,8 +54,14 @@ impl Tls {
     pub fn load(files: TlsFiles) -> Result<Self, TlsError> {
         let material = Material::read(&files)?;
         let (config, validity) = material.config(&files)?;
-        let state =
-            State { config: Arc::new(config), validity, active: material.digest(), complained: None, warned: None };
+        let state = State {
+            web: with_http1(&config),
+            config: Arc::new(config),
+            validity,
+            active: material.digest(),
+            complained: None,
+            warned: None,
+        };
         let tls = Self { files, state: Mutex::new(state), asked: Notify::new() };
         tls.warn();
         Ok(tls)
@@ -64,9 +72,10 @@ impl Tls {
         self.asked.notify_one();
     }
 
-    /// What a new handshake uses.
-    pub(super) fn current(&self) -> Arc<ServerConfig> {
-        Arc::clone(&self.lock().config)
+    /// What a new handshake uses; `web` where HTTP/1.1 is spoken too.
+    pub(super) fn current(&self, web: bool) -> Arc<ServerConfig> {
+        let state = self.lock();
+        Arc::clone(if web { &state.web } else { &state.config })
     }
 
     /// Looks at the files again and again; never ends.
@@ -108,8 +117,8 @@ impl Tls {
         match made {
             Ok((config, validity)) => {
                 let until = validity.map(|validity| validity.until());
-                let (config, active) = (Arc::new(config), digest);
-                *state = State { config, validity, active, complained: None, warned: None };
+                let (web, config, active) = (with_http1(&config), Arc::new(config), digest);
+                *state = State { config, web, validity, active, complained: None, warned: None };
                 tracing::info!(until, "new connections get the new certificate");
             }
             Err(error) if state.complained != Some(digest) => {
@@ -138,4 +147,11 @@ impl Tls {
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// The same for clients that speak HTTP/1.1.
+fn with_http1(config: &ServerConfig) -> Arc<ServerConfig> {
+    let mut config = config.clone();
+    config.alpn_protocols.push(b"http/1.1".to_vec());
+    Arc::new(config)
 }

@@ -6,7 +6,6 @@
 //! Must not know: where blobs lie, how statuses look.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use futures_util::TryStreamExt as _;
 use tonic::{Request, Response, Status, Streaming};
@@ -16,15 +15,13 @@ use crate::config::Limits;
 use crate::service::access::Caller;
 use crate::service::budget::{Budget, Share};
 use crate::service::convert::{At, digest};
+use crate::service::desk::{EmptyUpload, STORE_TIME, check_owned, timely};
 use crate::service::stream::{Answers, Gate, Inbox, Kind, Outbox, answer, respond};
 use crate::service::{Phase, RequestError, tenant};
 use crate::wire::{WireError, proto};
 
 /// Digests of one question.
 const MOST_DIGESTS: usize = 10_000;
-
-/// For the storage to answer.
-const STORE_TIME: Duration = Duration::from_secs(60);
 
 /// The service.
 pub(in crate::service) struct Blobs {
@@ -143,7 +140,7 @@ impl Blobs {
         };
         let upload = UploadId::new(digest(&At::Top("digest"), &message.digest)?, message.size_bytes).of(tenant);
         let mut status = timely(self.store.begin_within(upload, most)).await?;
-        let _empty = EmptyUpload { store: Arc::clone(&self.store), upload };
+        let _empty = EmptyUpload::new(&self.store, upload);
         while !status.complete {
             let proto::WriteRequest { digest: _, size_bytes: _, offset, data, crc32c, finish } = message;
             let chunk = Chunk { offset, bytes: data, crc32c };
@@ -192,24 +189,6 @@ impl Blobs {
     }
 }
 
-/// Takes an upload away that has no bytes when its stream ends, however that ends: it would hold room for nothing.
-struct EmptyUpload {
-    store: Arc<dyn BlobStore>,
-    upload: UploadId,
-}
-
-impl Drop for EmptyUpload {
-    fn drop(&mut self) {
-        let (store, upload) = (Arc::clone(&self.store), self.upload);
-        tokio::spawn(async move {
-            if let Ok(UploadStatus { kept_bytes: 0, complete: false }) = store.upload_status(upload).await {
-                // Somebody else may have taken it away, or written on.
-                let _ = store.abandon(upload).await;
-            }
-        });
-    }
-}
-
 /// Stores a piece. One without bytes begins nowhere, and is good if it says so.
 async fn store(
     store: &dyn BlobStore,
@@ -238,22 +217,6 @@ fn check_same(upload: UploadId, message: &proto::WriteRequest) -> Result<(), Wir
         return Err(WireError::field("size_bytes", "is another than in the first message"));
     }
     Ok(())
-}
-
-/// Waits for the storage, but not for ever.
-async fn timely<T>(work: impl Future<Output = Result<T, BlobError>>) -> Result<T, RequestError> {
-    match tokio::time::timeout(STORE_TIME, work).await {
-        Ok(result) => result.map_err(RequestError::from),
-        Err(_) => Err(RequestError::Slow(STORE_TIME)),
-    }
-}
-
-/// For who does not have a blob it is not stored.
-async fn check_owned(store: &dyn BlobStore, owner: Owner, digest: Digest) -> Result<(), RequestError> {
-    match timely(store.is_owned(owner, digest)).await? {
-        true => Ok(()),
-        false => Err(BlobError::NotFound { digest }.into()),
-    }
 }
 
 /// Sends a range of a blob.

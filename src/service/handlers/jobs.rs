@@ -4,31 +4,19 @@
 //! ends with the job, or with an error. Must not know: who does jobs, where they are kept, how statuses look.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use tonic::{Request, Response, Status};
 
-use crate::blob::{BlobStore, Owner};
-use crate::job::JobError;
-use crate::job::api::{JobApi, JobApiError};
-use crate::job::event::What;
-use crate::job::record::JobId;
-use crate::service::access::{Caller, Refusal};
+use crate::blob::BlobStore;
+use crate::job::api::JobApi;
+use crate::job::event::Event;
+use crate::service::access::Caller;
 use crate::service::budget::Budget;
 use crate::service::convert::{job, job_id, spec};
+use crate::service::desk::{self, DESK_TIME, to_the_end};
 use crate::service::stream::{Answers, Gate, Kind, Outbox, answer, respond};
 use crate::service::{Phase, RequestError, tenant};
-use crate::trace;
 use crate::wire::proto;
-
-/// For the jobs' API to answer. An estimate may read a mesh.
-const DESK_TIME: Duration = Duration::from_secs(60);
-
-/// Between two looks whether a job that says nothing has ended: its watcher may wait for a number that never comes.
-const LOOK_EVERY: Duration = Duration::from_secs(10);
-
-/// Events of a watch that are looked up at once.
-const EVENTS: usize = 64;
 
 /// The service.
 pub(in crate::service) struct Jobs {
@@ -69,15 +57,8 @@ impl proto::job_service_server::JobService for Jobs {
         let most = request.extensions().get::<Caller>().and_then(|caller| caller.bytes);
         let blobs = Arc::clone(&self.blobs);
         self.ask("CreateJob", request, |message, tenant, api| async move {
-            if let Some(limit_bytes) = most {
-                // Results are kept whatever their size: who has all that it may have gets no more of them.
-                let used_bytes = blobs.owned_bytes(Owner::of(&tenant)).await?;
-                if used_bytes >= limit_bytes {
-                    return Err(Refusal::Bytes { used_bytes, limit_bytes }.into());
-                }
-            }
             let wanted = spec::of(message.spec, tenant, message.request_id)?;
-            let created = to_the_end(async move { api.create(wanted).await }).await?;
+            let created = desk::create(api, &*blobs, most, wanted).await?;
             Ok(proto::CreateJobResponse { job: Some(job::message(&created.job)), existed: created.existed })
         })
         .await
@@ -112,7 +93,7 @@ impl proto::job_service_server::JobService for Jobs {
         Ok(respond(("WatchJob", Kind::Watch), &metadata, &extensions, (&self.gate, &self.budget), |out| async move {
             tokio::select! {
                 biased;
-                result = watch(&*api, &tenant, id, message.after, out) => result,
+                result = desk::follow(&*api, &tenant, id, message.after, |event| tell(&out, event)) => result,
                 // The job goes on, and can be watched again from where this ends.
                 () = gate.reached(Phase::Draining) => Err(RequestError::Draining),
             }
@@ -156,43 +137,7 @@ impl proto::job_service_server::JobService for Jobs {
     }
 }
 
-/// Runs a change to its end, even if the caller goes away: half of one would leave blobs pinned for no job.
-async fn to_the_end<T: Send + 'static>(
-    work: impl Future<Output = Result<T, JobApiError>> + Send + 'static,
-) -> Result<T, RequestError> {
-    match tokio::spawn(trace::carry(work)).await {
-        Ok(result) => result.map_err(RequestError::from),
-        Err(panic) => Err(JobError::Panicked(panic.to_string()).into()),
-    }
-}
-
-/// Sends the events of a job after number `after`, until it has ended and all are sent.
-async fn watch(
-    api: &dyn JobApi,
-    tenant: &str,
-    id: JobId,
-    mut after: u64,
-    outbox: Outbox<proto::WatchJobResponse>,
-) -> Result<(), RequestError> {
-    let mut ended = false;
-    loop {
-        let found = api.events(tenant, id, after, EVENTS).await?.events;
-        for event in found.iter() {
-            after = event.number;
-            ended |= matches!(event.what, What::State { state, .. } if state.is_ended());
-            outbox.send(proto::WatchJobResponse { event: Some(job::event(event.clone())) }).await?;
-        }
-        if !found.is_empty() {
-            continue;
-        }
-        if ended {
-            return Ok(());
-        }
-        // Who watches after the last event of an ended job would wait for ever. Its events are looked up once more, since
-        // it may have ended between the two looks.
-        ended = api.get(tenant, id).await?.status.state.is_ended();
-        if !ended && let Ok(come) = tokio::time::timeout(LOOK_EVERY, api.wait(tenant, id, after)).await {
-            come?;
-        }
-    }
+/// Sends an event.
+async fn tell(outbox: &Outbox<proto::WatchJobResponse>, event: Event) -> Result<(), RequestError> {
+    outbox.send(proto::WatchJobResponse { event: Some(job::event(event)) }).await
 }

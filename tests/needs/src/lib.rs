@@ -23,7 +23,9 @@ pub fn needs(names: TokenStream, test: TokenStream) -> TokenStream {
         match NEEDS.iter().find(|(known, _)| *known == name) {
             Some((_, why)) if missing.is_empty() => missing = why,
             Some(_) => {}
-            None => return written(&format!("compile_error!(\"no test can need `{name}`: say gpu, meshes or seeds\");")),
+            None => {
+                return written(&format!("compile_error!(\"no test can need `{name}`: say gpu, meshes or seeds\");"));
+            }
         }
     }
     match missing.is_empty() {
