@@ -10,9 +10,12 @@ mod guard;
 mod jobs;
 mod media;
 mod options;
+#[cfg(feature = "ui")]
+mod page;
 mod problem;
 mod ranges;
 mod remesh;
+mod seeds;
 
 use axum::Router;
 use axum::http::header::CONTENT_TYPE;
@@ -21,6 +24,8 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
 use tokio::net::TcpListener;
 
+#[cfg(feature = "ui")]
+use self::guard::Open;
 use self::guard::{Guard, guard, unknown};
 use crate::keys::Role;
 use crate::service::{Desk, Door, Kind};
@@ -63,6 +68,7 @@ pub const ROUTES: &[Route] = &[
     route("DELETE", "/v1/jobs/{id}", Role::Submit, Kind::Call, || delete(jobs::remove)),
     route("POST", "/v1/jobs/{id}/cancel", Role::Submit, Kind::Call, || post(jobs::cancel)),
     route("GET", "/v1/jobs/{id}/events", Role::Read, Kind::Watch, || get(jobs::events)),
+    route("GET", "/v1/jobs/{id}/seeds", Role::Read, Kind::Watch, || get(seeds::seeds)),
     route("GET", "/v1/jobs/{id}/result", Role::Read, Kind::Stream, || get(jobs::result)),
     route("GET", "/v1/openapi.json", Role::Read, Kind::Call, || get(openapi)),
 ];
@@ -70,6 +76,19 @@ pub const ROUTES: &[Route] = &[
 /// A door that listens there.
 pub fn door(listener: TcpListener) -> Door {
     Door::new(listener, routes)
+}
+
+/// As [`door`], with the page for browsers.
+#[cfg(feature = "ui")]
+pub fn door_with_page(listener: TcpListener) -> Door {
+    Door::new(listener, |desk| {
+        let mut router = Router::new();
+        for path in page::PATHS {
+            let open = from_fn_with_state(Open { desk: desk.clone(), path }, guard::open);
+            router = router.route(path, get(page::serve).route_layer(open));
+        }
+        router.with_state(desk.clone()).merge(routes(desk))
+    })
 }
 
 fn routes(desk: Desk) -> Router {

@@ -39,6 +39,8 @@ pub mod gpu {
 /// The HTTP door.
 #[cfg(feature = "service")]
 pub mod http {
+    #[cfg(feature = "ui")]
+    pub use crate::http::door_with_page;
     pub use crate::http::{OPENAPI, ROUTES, Route, door};
 }
 

@@ -26,6 +26,7 @@ mod observed;
 pub(crate) mod observer;
 mod perform;
 mod pools;
+mod preview;
 pub(crate) mod probe;
 pub(crate) mod queue;
 pub mod record;

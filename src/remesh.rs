@@ -330,6 +330,13 @@ pub trait Observer: Send {
     fn stage(&mut self, _name: &'static str) {}
     /// An iteration ended; `total` iterations are planned.
     fn iteration(&mut self, _iteration: &Iteration, _total: usize) {}
+    /// Whether [`seeds`](Self::seeds) is to be called after the next step. Lloyd steps are then taken one by one, and seeds
+    /// are read back from a device; the result has the same bits.
+    fn wants_seeds(&mut self) -> bool {
+        false
+    }
+    /// Where the seeds are after `steps` steps, in the caller's coordinates.
+    fn seeds(&mut self, _steps: usize, _seeds: &[DVec3]) {}
 }
 
 impl Observer for () {}

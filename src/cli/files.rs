@@ -1,10 +1,11 @@
 //! Files of the command line: surfaces, points, reports.
 //!
 //! Invariant: numbers are written so that reading gives the same bits. A file appears under its name only when it is
-//! whole, and replaces only then what was there.
+//! whole, and replaces only then what was there. `-` is the standard input or output, where a command takes it for a surface.
 
+use std::fmt;
 use std::fs::{File, OpenOptions};
-use std::io::{BufWriter, ErrorKind, Write};
+use std::io::{BufWriter, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
@@ -13,18 +14,128 @@ use tempfile::NamedTempFile;
 
 use super::exit::{BadInput, NoFolder, NoInput, NotWritten, Usage};
 use crate::mesh::attributes::Attributes;
-use crate::mesh::io::{FileError, Format};
+use crate::mesh::io::{DataError, FileError, Format};
 use crate::mesh::{TriMesh, io};
 
-/// Reads a surface.
-pub(crate) fn read_mesh(path: &Path) -> Result<TriMesh> {
-    io::read(path).map_err(unread)
+/// Where a surface is read or written: a file, or `-` for the standard input or output.
+#[derive(Clone, Debug)]
+pub(crate) struct Surface {
+    path: PathBuf,
+    /// What was said of the format; else the name says it.
+    format: Option<Format>,
 }
 
-/// Reads a surface of a format that its name need not say.
-pub(crate) fn read_mesh_as(path: &Path, format: Format) -> Result<TriMesh> {
-    let bytes = std::fs::read(path).map_err(|cause| NoInput { path: path.to_owned(), cause })?;
-    Ok(io::decode(format, &bytes).map_err(|cause| BadInput(format!("{}: {cause}", path.display())))?)
+impl Surface {
+    pub(crate) fn new(path: &Path, format: Option<Format>) -> Self {
+        Self { path: path.to_owned(), format }
+    }
+
+    /// Whether it is the standard input or output.
+    pub(crate) fn is_standard(&self) -> bool {
+        self.path.as_os_str() == "-"
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The format; `option` says it where the name does not.
+    ///
+    /// # Errors
+    /// [`Usage`].
+    pub(crate) fn format(&self, option: &str) -> Result<Format> {
+        match self.format {
+            Some(format) => Ok(format),
+            None if self.is_standard() => {
+                Err(Usage(format!("- has no extension; add {option}, one of {FORMATS}")).into())
+            }
+            None => Ok(Format::of_path(&self.path)?),
+        }
+    }
+
+    /// All bytes of a file or of the standard input.
+    pub(crate) fn bytes(&self) -> Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        let read = match self.is_standard() {
+            true => std::io::stdin().lock().read_to_end(&mut bytes).map(|_| bytes),
+            false => std::fs::read(&self.path),
+        };
+        Ok(read.map_err(|cause| NoInput { path: self.path.clone(), cause })?)
+    }
+
+    /// Reads the surface alone.
+    pub(crate) fn read_mesh(&self) -> Result<TriMesh> {
+        let format = self.format(INPUT_FORMAT)?;
+        let bytes = self.bytes()?;
+        Ok(io::decode(format, &bytes).map_err(|cause| self.refused(&cause))?)
+    }
+
+    /// Reads the surface and what it carries.
+    pub(crate) fn read_loaded(&self) -> Result<Loaded> {
+        let format = self.format(INPUT_FORMAT)?;
+        let bytes = self.bytes()?;
+        let io::Loaded { mesh, attributes, left_aside } =
+            io::decode_with_attributes(format, &bytes).map_err(|cause| self.refused(&cause))?;
+        let notes = left_aside.iter().map(|reason| format!("tessera: {self}: left aside: {reason}")).collect();
+        Ok(Loaded { mesh, attributes: Some(attributes).filter(|attributes| !attributes.is_empty()), notes })
+    }
+
+    fn refused(&self, cause: &DataError) -> BadInput {
+        BadInput(format!("{self}: {cause}"))
+    }
+
+    /// Writes a surface and what it carries; returns a line if the format cannot hold all of that.
+    pub(crate) fn write(&self, mesh: &TriMesh, attributes: Option<&Attributes>) -> Result<Option<String>> {
+        let format = self.format(OUTPUT_FORMAT)?;
+        let encoded = match attributes {
+            Some(attributes) => io::encode_with_attributes(format, mesh, attributes),
+            None => io::encode(format, mesh).map(|bytes| (bytes, Vec::new())),
+        };
+        let (bytes, left_out) = encoded.map_err(|cause| self.refused(&cause))?;
+        match self.is_standard() {
+            true => super::say::bytes(&bytes)?,
+            false => {
+                let bytes = io::pack_for(&self.path, bytes).map_err(|error| unwritten(&self.path, &error))?;
+                write(&self.path, |out| out.write_all(&bytes))?;
+            }
+        }
+        let all = left_out.join(", ");
+        Ok((!all.is_empty()).then(|| format!("tessera: {self}: this format cannot hold: {all}")))
+    }
+
+    /// Refuses an output whose format is not known or which cannot be written, before any work is done.
+    pub(crate) fn check_output(&self) -> Result<()> {
+        if !self.is_standard() && self.format.is_none() && Format::of_path(&self.path).is_err() {
+            let text = format!("{self}: the name must end in {}; or add {OUTPUT_FORMAT}", Format::names());
+            return Err(Usage(text).into());
+        }
+        self.format(OUTPUT_FORMAT)?;
+        if self.is_standard() { Ok(()) } else { check_output(&self.path, &[]) }
+    }
+}
+
+impl fmt::Display for Surface {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.path.display().fmt(f)
+    }
+}
+
+/// What says the format of a surface that is read.
+pub(crate) const INPUT_FORMAT: &str = "--input-format";
+/// What says the format of a surface that is written.
+pub(crate) const OUTPUT_FORMAT: &str = "--format";
+
+/// All formats, as options name them.
+const FORMATS: &str = "obj, ply, stl, off, vtk, vtp, msh, mesh, meshb, glb or gltf";
+
+/// A format, as options name it: its extension.
+pub(crate) fn format(text: &str) -> Result<Format, String> {
+    Format::from_extension(text.strip_prefix('.').unwrap_or(text)).ok_or_else(|| format!("it must be {FORMATS}"))
+}
+
+/// Reads a surface from a file.
+pub(crate) fn read_mesh(path: &Path) -> Result<TriMesh> {
+    io::read(path).map_err(unread)
 }
 
 /// A surface, what it carries, and what of that cannot be used, a line each.
@@ -32,13 +143,6 @@ pub(crate) struct Loaded {
     pub(crate) mesh: TriMesh,
     pub(crate) attributes: Option<Attributes>,
     pub(crate) notes: Vec<String>,
-}
-
-/// Reads a surface and what it carries.
-pub(crate) fn read_loaded(path: &Path) -> Result<Loaded> {
-    let io::Loaded { mesh, attributes, left_aside } = io::read_with_attributes(path).map_err(unread)?;
-    let notes = left_aside.iter().map(|reason| format!("tessera: {}: left aside: {reason}", path.display())).collect();
-    Ok(Loaded { mesh, attributes: Some(attributes).filter(|attributes| !attributes.is_empty()), notes })
 }
 
 fn unread(error: FileError) -> anyhow::Error {
@@ -52,29 +156,6 @@ fn unread(error: FileError) -> anyhow::Error {
 pub(crate) fn read_text(path: &Path) -> Result<String> {
     let bytes = std::fs::read(path).map_err(|cause| NoInput { path: path.to_owned(), cause })?;
     Ok(String::from_utf8(bytes).map_err(|_| BadInput(format!("{}: this is no text in UTF-8", path.display())))?)
-}
-
-/// Writes a surface and what it carries; returns a line if the format cannot hold all of that.
-pub(crate) fn write_loaded(path: &Path, mesh: &TriMesh, attributes: Option<&Attributes>) -> Result<Option<String>> {
-    let format = Format::of_path(path)?;
-    let encoded = match attributes {
-        Some(attributes) => io::encode_with_attributes(format, mesh, attributes),
-        None => io::encode(format, mesh).map(|bytes| (bytes, Vec::new())),
-    };
-    let (bytes, left_out) = encoded.map_err(|cause| FileError::Data { path: path.to_owned(), cause })?;
-    let bytes = io::pack_for(path, bytes).map_err(|error| unwritten(path, &error))?;
-    write(path, |out| out.write_all(&bytes))?;
-    let all = left_out.join(", ");
-    Ok((!all.is_empty()).then(|| format!("tessera: {}: this format cannot hold: {all}", path.display())))
-}
-
-/// [`check_output`] of a surface.
-pub(crate) fn check_surface_output(path: &Path) -> Result<()> {
-    if Format::of_path(path).is_err() {
-        let names = Format::ALL.map(Format::extension).join(", .");
-        return Err(Usage(format!("{}: the name must end in .{names}", path.display())).into());
-    }
-    check_output(path, &[])
 }
 
 /// Refuses an output whose folder is not there or whose name is wrong, before any work is done.
@@ -264,6 +345,14 @@ mod tests {
         let points = vec![DVec3::new(0.1, -1e-300, 123_456_789.123_456_79), DVec3::new(1.0 / 3.0, 0.0, f64::MAX)];
         write_points(&path, &points).unwrap();
         assert_eq!(read_points(&path).unwrap(), points);
+    }
+
+    #[test]
+    fn every_format_has_a_name() {
+        let names: Vec<_> = FORMATS.split(", ").flat_map(|names| names.split(" or ")).collect();
+        assert_eq!(names, Format::ALL.map(Format::extension));
+        assert_eq!((format(".OBJ"), format("obj")), (Ok(Format::Obj), Ok(Format::Obj)));
+        assert!(format("gz").is_err());
     }
 
     #[test]

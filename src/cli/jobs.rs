@@ -270,7 +270,7 @@ fn estimate(asked: &Asked, server: &ServerArgs) -> Result<()> {
     let mut request = EstimateJobRequest { spec: Some(asked.spec.clone()), ..EstimateJobRequest::default() };
     if let Some((path, format)) = &asked.input {
         // So that nothing has to be uploaded.
-        let mesh = files::read_mesh_as(path, *format)?;
+        let mesh = files::Surface::new(path, Some(*format)).read_mesh()?;
         (request.vertices, request.facets) = (Some(mesh.positions().len() as u64), Some(mesh.facets().len() as u64));
     }
     let estimate = session(&server.server()?, server.retry(), async |session| session.estimate(request).await)?;

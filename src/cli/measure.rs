@@ -8,10 +8,11 @@ use anyhow::{Context, Result};
 use clap::Args;
 use serde::Serialize;
 
-use super::exit::NotWritten;
+use super::exit::{NotWritten, Usage};
 use super::say::SayArgs;
 use super::{files, interrupt, say};
 use crate::mesh::TriMesh;
+use crate::mesh::io::Format;
 use crate::mesh::measure::{Quality, Topology, quality_unless, topology};
 use crate::token::Token;
 
@@ -21,12 +22,15 @@ use crate::token::Token;
 /// points and all vertices of each surface.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct MeasureArgs {
-    /// The mesh to compare with
+    /// The mesh to compare with; - is the standard input
     #[arg(value_name = "ORIGINAL")]
     pub(crate) original: PathBuf,
-    /// The mesh to measure; ORIGINAL itself if it is left out
+    /// The mesh to measure, or -; ORIGINAL itself if it is left out
     #[arg(value_name = "REMESH")]
     pub(crate) remesh: Option<PathBuf>,
+    /// Format of the standard input: obj, ply, stl, off, vtk, vtp, msh, mesh, meshb, glb or gltf
+    #[arg(long, value_name = "FORMAT", value_parser = files::format)]
+    pub(crate) input_format: Option<Format>,
     #[command(flatten)]
     pub(crate) say: SayArgs,
 }
@@ -82,9 +86,18 @@ impl Surface {
 pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
     let token = Token::default();
     interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
-    let original = files::read_mesh(&args.original)?;
-    let remesh =
-        args.remesh.as_deref().map(|path| Ok::<_, anyhow::Error>((path, files::read_mesh(path)?))).transpose()?;
+    let read = |path: &PathBuf| {
+        // The names of files say their formats.
+        let format = args.input_format.filter(|_| path.as_os_str() == "-");
+        files::Surface::new(path, format).read_mesh()
+    };
+    if [Some(&args.original), args.remesh.as_ref()].into_iter().flatten().filter(|path| path.as_os_str() == "-").count()
+        > 1
+    {
+        return Err(Usage("the standard input can be only one of the two".to_owned()).into());
+    }
+    let original = read(&args.original)?;
+    let remesh = args.remesh.as_ref().map(|path| Ok::<_, anyhow::Error>((path, read(path)?))).transpose()?;
     let quality = quality_unless(&original, None, remesh.as_ref().map_or(&original, |(_, mesh)| mesh), &token)?;
     let measured = Measured {
         original: Surface::new(&args.original, &original),

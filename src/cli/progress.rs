@@ -38,6 +38,8 @@ struct State {
     name: String,
     start: Instant,
     track: Track,
+    /// The part of the whole that this file is.
+    span: (f64, f64),
     /// Where there is a terminal.
     bar: Option<ProgressBar>,
     /// The stage, and how far it is.
@@ -59,10 +61,20 @@ impl Progress {
         }
         let name = of.file_name().map_or_else(|| of.display().to_string(), |name| name.to_string_lossy().into_owned());
         let (track, stage) = (Track::new(Instant::now()), "read".to_owned());
-        let shared = State { name, start: Instant::now(), track, bar, stage, detail: String::new() };
+        let shared = State { name, start: Instant::now(), track, span: (0.0, 1.0), bar, stage, detail: String::new() };
         let shared = Arc::new(Mutex::new(shared));
         let ticker = if say.quiet { None } else { ticker(Arc::clone(&shared), between) };
         Self { shared, ticker }
+    }
+
+    /// Of the next of several files, whose part of the whole is `span`; it begins with reading it.
+    pub(crate) fn next(&self, name: &str, span: (f64, f64)) {
+        let mut state = self.lock();
+        (state.track, state.span) = (Track::new(Instant::now()), span);
+        name.clone_into(&mut state.name);
+        "read".clone_into(&mut state.stage);
+        state.detail.clear();
+        state.draw();
     }
 
     /// What there is to do.
@@ -112,6 +124,14 @@ impl Progress {
         }
     }
 
+    /// Writes to the standard output, above the bar.
+    pub(crate) fn aside<R>(&self, write: impl FnOnce() -> R) -> R {
+        match &self.lock().bar {
+            Some(bar) => bar.suspend(write),
+            None => write(),
+        }
+    }
+
     fn lock(&self) -> MutexGuard<'_, State> {
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -126,15 +146,21 @@ impl State {
     }
 
     fn draw(&mut self) {
+        let fraction = self.fraction(Instant::now());
         let Some(bar) = &self.bar else { return };
-        bar.set_position((self.track.fraction(Instant::now()) * PARTS as f64) as u64);
+        bar.set_position((fraction * PARTS as f64) as u64);
         bar.set_message(format!("{}: {}{}", self.name, self.stage, self.detail));
+    }
+
+    fn fraction(&mut self, now: Instant) -> f64 {
+        let (begin, end) = self.span;
+        begin + (end - begin) * self.track.fraction(now)
     }
 
     fn line(&mut self) {
         let now = Instant::now();
         // Rounded down: what is said to be all is done.
-        let percent = (100.0 * self.track.fraction(now)).floor();
+        let percent = (100.0 * self.fraction(now)).floor();
         let seconds = now.duration_since(self.start).as_secs_f64();
         errln!("tessera: {}: {percent:.0} %, {}{}, {seconds:.0} s", self.name, self.stage, self.detail);
     }

@@ -1,62 +1,141 @@
 //! `tessera remesh`.
 
 pub(super) mod args;
+mod batch;
 mod summary;
+mod tasks;
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
 use serde_json::Value;
 
 use super::endpoint::ServerUrl;
-use super::exit::Usage;
 use super::files::Loaded;
 use super::progress::{Plan, Progress};
 use super::server::Server;
-use super::{backends, files, interrupt, remote, say, server, sizes};
+use super::{backends, files, interrupt, remote, say, server};
 use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::memory;
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Attributes;
 use crate::remesh::report::to_json;
 use crate::remesh::{RemeshOptions, Seeds, remesh};
+use crate::rvd::Backend;
 use crate::token::Token;
-use args::FileArgs;
 pub(crate) use args::{DensityArg, RemeshArgs};
 use summary::Told;
+use tasks::Task;
 
 /// Runs it.
 pub(crate) fn run(args: &RemeshArgs) -> Result<()> {
-    check(args)?;
-    backends::on_threads(&args.backend, || work(args))
+    let tasks = tasks::of(args)?;
+    let worker = Worker::new(args)?;
+    backends::on_threads(&args.backend, || match tasks.as_slice() {
+        [task] => alone(args, task, worker),
+        tasks => batch::run(args, tasks, worker),
+    })
 }
 
-fn work(args: &RemeshArgs) -> Result<()> {
+/// Who does the work.
+struct Worker {
+    /// The server that does it.
+    server: Option<Server>,
+    /// Cancels the work that is done here.
+    token: Token,
+    /// Opened once it is needed, and kept for the files that follow.
+    backend: Option<Arc<dyn Backend>>,
+}
+
+impl Worker {
+    fn new(args: &RemeshArgs) -> Result<Self> {
+        let server = args.endpoint.as_ref().map(|url| -> Result<_> {
+            let trust = args.trust.read(url)?;
+            let key = server::key(args.key_file.as_deref())?;
+            Ok(Server { url: url.clone(), tenant: args.tenant.clone(), trust, key })
+        });
+        Ok(Self { server: server.transpose()?, token: Token::default(), backend: None })
+    }
+
+    /// From now on Ctrl-C cancels the work instead of ending the process.
+    fn listen(&self) -> Result<()> {
+        interrupt::cancel_on_signal(&self.token).context("cannot listen for signals")
+    }
+
+    fn remesh(
+        &mut self,
+        args: &RemeshArgs,
+        mesh: &TriMesh,
+        options: &RemeshOptions,
+        progress: &mut Progress,
+    ) -> Result<(Done, Value)> {
+        if let Some(server) = &self.server {
+            let job = remote::RemeshJob { mesh, options, backend: args.backend.backend };
+            let done = remote::remesh(server, &job, progress)?;
+            let report = done.report;
+            return Ok((Done { mesh: done.mesh, curve_edges: done.curve_edges, attributes: done.attributes }, report));
+        }
+        let backend = match &self.backend {
+            Some(backend) => Arc::clone(backend),
+            None => Arc::clone(self.backend.insert(backends::one(&args.backend)?)),
+        };
+        let done = remesh(mesh, options, backend.as_ref(), progress, &self.token)?;
+        let report = to_json(&done.report)?;
+        Ok((Done { mesh: done.mesh, curve_edges: done.curve_edges, attributes: done.attributes }, report))
+    }
+}
+
+/// A file that was remeshed.
+struct Remeshed {
+    report: Value,
+    /// What the format of the output cannot hold.
+    left_out: Option<String>,
+    total_ms: f64,
+}
+
+/// Remeshes one file.
+fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
+    let mut progress = Progress::begin(task.input.path(), &args.say);
+    let done = one(args, task, &mut worker, &mut progress, true)?;
+    drop(progress);
+    done.left_out.iter().for_each(|note| errln!("{note}"));
+    if args.say.json {
+        say::json(&done.report)?;
+    }
+    if args.say.summary() && !task.output.is_standard() {
+        let told = Told {
+            report: &done.report,
+            input: task.input.path(),
+            output: task.output.path(),
+            endpoint: args.endpoint.as_ref().map(ServerUrl::as_str),
+            bounded: args.size.max_deviation.is_some(),
+            total_ms: done.total_ms,
+        };
+        told.print()?;
+    }
+    Ok(())
+}
+
+/// Reads, remeshes and writes a file. Ctrl-C ends the process until the work begins if `listen` says that nobody listens yet.
+fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progress, listen: bool) -> Result<Remeshed> {
     let start = Instant::now();
-    let trust = args.endpoint.as_ref().map(|url| args.trust.read(url)).transpose()?.unwrap_or_default();
-    let mut progress = Progress::begin(&args.input, &args.say);
     let Loaded { mesh, attributes, notes } = match args.files.no_attributes {
-        true => Loaded { mesh: files::read_mesh(&args.input)?, attributes: None, notes: Vec::new() },
-        false => files::read_loaded(&args.input)?,
+        true => Loaded { mesh: task.input.read_mesh()?, attributes: None, notes: Vec::new() },
+        false => task.input.read_loaded()?,
     };
     notes.iter().for_each(|note| progress.note(note));
     let options = args.options(&mesh, attributes)?;
     let read_ms = ms(start);
+    if worker.server.is_none() && listen {
+        worker.listen()?;
+    }
     let steps = options.lloyd + options.newton;
     progress.plan(Plan::remesh(mesh.facets().len(), points(&mesh, &options), steps, args.endpoint.is_some()));
-    let (mut done, report) = match &args.endpoint {
-        None => here(args, &mesh, &options, &mut progress)?,
-        Some(url) => {
-            let job = remote::RemeshJob { mesh: &mesh, options: &options, backend: args.backend.backend };
-            let key = server::key(args.key_file.as_deref())?;
-            let server = Server { url: url.clone(), tenant: args.tenant.clone(), trust, key };
-            let done = remote::remesh(&server, &job, &progress)?;
-            (Done { mesh: done.mesh, curve_edges: done.curve_edges, attributes: done.attributes }, done.report)
-        }
-    };
-    let (mut report, writing) = (report, Instant::now());
+    let (mut done, mut report) = worker.remesh(args, &mesh, &options, progress)?;
+    let writing = Instant::now();
     progress.stage("write", 0, 0);
-    let written = files::write_loaded(&args.files.output, &done.mesh, done.attributes.take().as_ref())?;
+    let left_out = task.output.write(&done.mesh, done.attributes.take().as_ref())?;
     args.picture.draw(&done.mesh, &done.curve_edges)?;
     // What a server says of itself stays as it is.
     if args.endpoint.is_none() {
@@ -67,51 +146,7 @@ fn work(args: &RemeshArgs) -> Result<()> {
     if let Some(path) = &args.files.report {
         files::write_json(path, &report)?;
     }
-    drop(progress);
-    written.iter().for_each(|note| errln!("{note}"));
-    if args.say.json {
-        say::json(&report)?;
-    }
-    if args.say.summary() {
-        let told = Told {
-            report: &report,
-            input: &args.input,
-            output: &args.files.output,
-            endpoint: args.endpoint.as_ref().map(ServerUrl::as_str),
-            bounded: args.size.max_deviation.is_some(),
-            total_ms: ms(start),
-        };
-        told.print()?;
-    }
-    Ok(())
-}
-
-/// Refuses what cannot be, before any work.
-fn check(args: &RemeshArgs) -> Result<()> {
-    let RemeshArgs { input, files: FileArgs { output, report, overwrite, .. }, size, shape, .. } = args;
-    args.backend.check()?;
-    files::check_surface_output(output)?;
-    report.iter().try_for_each(|path| files::check_output(path, &[]))?;
-    if files::same(input, output) && !overwrite {
-        let name = output.display();
-        return Err(Usage(format!(
-            "{name} is the input, and the remesh would replace it; give --output another name, or add --overwrite"
-        ))
-        .into());
-    }
-    let others = [shape.creases.as_deref(), size.sizes.as_deref()];
-    let others = || others.into_iter().flatten();
-    files::check_apart(others(), [output.as_path()].into_iter())?;
-    let kept = [input.as_path(), output.as_path()].into_iter().chain(others());
-    files::check_apart(kept, [report.as_deref(), args.picture.path()].into_iter().flatten())?;
-    if size.sizes.is_some() {
-        sizes::check_format(input, "--sizes")?;
-    }
-    if shape.creases.is_some() {
-        sizes::check_format(input, "--creases")?;
-    }
-    args.picture.check()?;
-    size.check(shape.placement)
+    Ok(Remeshed { report, left_out, total_ms: ms(start) })
 }
 
 /// About how many points there will be.
@@ -132,15 +167,6 @@ struct Done {
     mesh: TriMesh,
     curve_edges: Vec<[u32; 2]>,
     attributes: Option<Attributes>,
-}
-
-fn here(args: &RemeshArgs, mesh: &TriMesh, options: &RemeshOptions, progress: &mut Progress) -> Result<(Done, Value)> {
-    let token = Token::default();
-    interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
-    let backend = backends::one(&args.backend)?;
-    let done = remesh(mesh, options, backend.as_ref(), progress, &token)?;
-    let report = to_json(&done.report)?;
-    Ok((Done { mesh: done.mesh, curve_edges: done.curve_edges, attributes: done.attributes }, report))
 }
 
 fn ms(since: Instant) -> f64 {

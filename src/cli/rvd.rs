@@ -26,6 +26,7 @@ use crate::job::diagram::Diagram;
 use crate::job::spec::{Input, Prepared};
 use crate::memory;
 use crate::mesh::TriMesh;
+use crate::mesh::io::Format;
 use crate::remesh::Seeds;
 use crate::remesh::report::to_json;
 use crate::rvd::PieceBatch;
@@ -35,8 +36,11 @@ use crate::token::Token;
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("of").required(true).args(["seeds", "points"])))]
 pub(crate) struct RvdArgs {
-    /// The surface: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf.
+    /// The surface: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf; - is the standard input.
     input: PathBuf,
+    /// Format of the surface, where its name does not say it.
+    #[arg(long, value_name = "FORMAT", value_parser = files::format)]
+    input_format: Option<Format>,
     #[command(flatten)]
     seeds: SeedArgs,
     #[command(flatten)]
@@ -114,7 +118,7 @@ fn work(args: &RvdArgs) -> Result<()> {
     let start = Instant::now();
     let trust = args.endpoint.as_ref().map(|url| args.trust.read(url)).transpose()?.unwrap_or_default();
     let mut progress = Progress::begin(&args.input, &args.say);
-    let mesh = files::read_mesh(&args.input)?;
+    let mesh = files::Surface::new(&args.input, args.input_format).read_mesh()?;
     let seeds = args.seeds()?;
     let read_ms = ms(start);
     let FileArgs { output, centroids, report } = &args.files;

@@ -64,6 +64,23 @@ pub(crate) fn note(text: fmt::Arguments<'_>) {
     let _ = io::stderr().write_all(format!("{text}\n").as_bytes());
 }
 
+/// Writes a report to the standard output, as one line.
+///
+/// # Errors
+/// As [`line`].
+pub(crate) fn json_line(report: &serde_json::Value) -> Result<(), NotWritten> {
+    line(format_args!("{report}"))
+}
+
+/// Writes what is no text to the standard output.
+///
+/// # Errors
+/// As [`line`].
+pub(crate) fn bytes(bytes: &[u8]) -> Result<(), NotWritten> {
+    let mut out = io::stdout().lock();
+    heard(out.write_all(bytes).and_then(|()| out.flush()))
+}
+
 fn heard(written: io::Result<()>) -> Result<(), NotWritten> {
     match written {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {

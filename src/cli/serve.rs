@@ -222,6 +222,11 @@ async fn open_door(config: &ServeConfig) -> Result<Option<Door>> {
     let address = listener.local_addr().context("asking for the HTTP port")?;
     tracing::info!(%address, "HTTP");
     outln!("tessera speaks HTTP on {address}")?;
+    #[cfg(feature = "ui")]
+    if config.ui {
+        tracing::info!(%address, "page for browsers");
+        return Ok(Some(http::door_with_page(listener)));
+    }
     Ok(Some(http::door(listener)))
 }
 

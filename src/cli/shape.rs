@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use super::files;
 use crate::config::whole;
+use crate::mesh::io::Format;
 use crate::mesh::shapes::{MAX_FACETS, Shape};
 
 /// Writes a procedural surface to a file.
@@ -16,9 +17,12 @@ pub(crate) struct ShapeArgs {
     /// Number of facets to aim at; the result is near it
     #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = parse_facets)]
     pub facets: usize,
-    /// File to write: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf
+    /// File to write: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf; - is the standard output
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
+    /// Format of what is written, where the name does not say it
+    #[arg(long, value_name = "FORMAT", value_parser = files::format)]
+    pub format: Option<Format>,
 }
 
 /// Builds the surface and writes it.
@@ -26,10 +30,13 @@ pub(crate) struct ShapeArgs {
 /// # Errors
 /// The file cannot be written.
 pub(crate) fn run(args: &ShapeArgs) -> anyhow::Result<()> {
-    files::check_surface_output(&args.output)?;
+    let output = files::Surface::new(&args.output, args.format);
+    output.check_output()?;
     let mesh = args.name.build(args.facets);
-    files::write_loaded(&args.output, &mesh, None)?;
-    outln!("{}: {} vertices, {} facets", args.output.display(), mesh.positions().len(), mesh.facets().len())?;
+    output.write(&mesh, None)?;
+    if !output.is_standard() {
+        outln!("{output}: {} vertices, {} facets", mesh.positions().len(), mesh.facets().len())?;
+    }
     Ok(())
 }
 

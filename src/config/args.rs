@@ -62,6 +62,9 @@ pub(crate) struct ServeArgs {
     /// given; the same rule as for --listen: anything but loopback needs TLS and keys, or --insecure.
     #[arg(long, value_name = "ADDRESS:PORT", env = "TESSERA_HTTP_LISTEN")]
     pub http_listen: Option<String>,
+    /// Serve a page for browsers at the HTTP door: drop a mesh, watch it converge, compare, download (docs/page.md).
+    #[arg(long, env = "TESSERA_UI")]
+    pub ui: bool,
     /// Folder where jobs, results and uploads are kept; one server at a time may use it. The user's state directory if not
     /// given: $XDG_STATE_HOME/tessera, or ~/.local/state/tessera.
     #[arg(long, value_name = "DIR", env = "TESSERA_DATA_DIR")]

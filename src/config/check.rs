@@ -24,6 +24,8 @@ pub(crate) struct ServeConfig {
     pub listen: Vec<SocketAddr>,
     /// The same for the HTTP door; nowhere if empty.
     pub http: Vec<SocketAddr>,
+    /// Whether the HTTP door has the page for browsers.
+    pub ui: bool,
     /// The same for operators; nowhere if empty.
     pub admin: Vec<SocketAddr>,
     /// Jobs that may wait.
@@ -107,10 +109,19 @@ impl ServeArgs {
             }
             None => Vec::new(),
         };
+        if self.ui && http.is_empty() {
+            let value = "given without --http-listen".to_owned();
+            return Err(ConfigError { option: "--ui", value, must: "beside --http-listen, whose door has the page" });
+        }
+        if self.ui && !cfg!(feature = "ui") {
+            let value = "given, but this program was built without the feature ui".to_owned();
+            return Err(ConfigError { option: "--ui", value, must: "absent" });
+        }
         let most = MAX_ELEMENTS;
         Ok(ServeConfig {
             listen,
             http,
+            ui: self.ui,
             tls,
             device: self.device.check()?,
             nice: within("--nice", self.nice.into(), 0, 19, "0 to 19")? as u8,

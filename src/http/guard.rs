@@ -101,6 +101,34 @@ pub(super) async fn guard(State(guard): State<Guard>, request: Request, next: Ne
     response.map(|body| Body::new(Held { body, cut: Box::pin(cut), _pass: pass, _permit: permit, _counted: counted }))
 }
 
+/// What the guard of a path that is open to everybody knows.
+#[cfg(feature = "ui")]
+#[derive(Clone)]
+pub(super) struct Open {
+    pub(super) desk: Desk,
+    pub(super) path: &'static str,
+}
+
+/// Stands before what needs no key: a place, a count, and nothing else.
+#[cfg(feature = "ui")]
+pub(super) async fn open(State(open): State<Open>, request: Request, next: Next) -> Response {
+    let Open { desk, path } = open;
+    let method = if request.method() == "HEAD" { "HEAD" } else { "GET" };
+    let mut counted = Counted::new(&desk.metrics, method, path);
+    let (permit, response) = match desk.gate.admit(Kind::Call) {
+        Ok(permit) => {
+            if let Some(exchange) = request.extensions().get::<Arc<Exchange>>() {
+                exchange.admit();
+            }
+            (Some(permit), next.run(request).await)
+        }
+        Err(error) => (None, Problem::from(error).into_response()),
+    };
+    counted.answered(&response);
+    let cut = until_cut(&desk, None);
+    response.map(|body| Body::new(Held { body, cut: Box::pin(cut), _pass: None, _permit: permit, _counted: counted }))
+}
+
 /// What a request does is done in this span, of the trace that its caller names.
 fn span(method: &'static str, route: &'static str, headers: &HeaderMap) -> (Span, TraceContext) {
     let span = info_span!(

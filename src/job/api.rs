@@ -11,6 +11,7 @@ use tokio::sync::watch;
 
 use super::JobError;
 use super::event::Events;
+pub use super::preview::{Preview, PreviewReceiver};
 use super::record::{Job, JobId, JobSpec, SpecError};
 use super::store::{Created, Page, Query, StoreError};
 use crate::blob::BlobError;
@@ -49,6 +50,13 @@ pub trait JobApi: Send + Sync {
     /// # Errors
     /// `Store`; `NotFound` in it also if the job is deleted meanwhile.
     async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), JobApiError>;
+
+    /// The newest seeds of a job at work, from now on until it ends; the sender is then gone. Sets of more than a million are
+    /// not shown.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn preview(&self, tenant: &str, id: JobId) -> Result<PreviewReceiver, JobApiError>;
 
     /// Cancels a job; one that is cancelled already stays so.
     ///

@@ -27,6 +27,7 @@ use super::event::{Events, Progress};
 use super::forecast::{Forecast, must_fit};
 use super::input::JobBounds;
 use super::observer::Origin;
+use super::preview::{PreviewReceiver, Previews};
 use super::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
 use super::schedule::AdmissionRequest;
 use super::state::State;
@@ -170,6 +171,7 @@ struct Inner {
     queue: Box<dyn JobQueue>,
     storage: Storage,
     progress: mpsc::Sender<ProgressCommand>,
+    previews: Previews,
     /// Whether the store has failed for good.
     broken: watch::Sender<bool>,
 }
@@ -226,6 +228,7 @@ impl Executor {
                 name: format!("process {}", std::process::id()),
                 runtime: Handle::current(),
                 progress,
+                previews: Previews::default(),
                 broken: watch::Sender::new(false),
             }
         });
@@ -371,6 +374,7 @@ impl Inner {
             let swept = self.stores.jobs.expire(now(), keep, SWEEP_BATCH).await?;
             for id in swept.expired.iter().chain(&swept.deleted) {
                 self.queue.remove(*id);
+                self.previews.end(*id);
                 self.unpin(&input_pin(*id)).await;
                 self.unpin(&result_pin(*id)).await;
             }
@@ -456,10 +460,21 @@ impl JobApi for Executor {
         Ok(self.inner.stores.jobs.wait(id, after).await?)
     }
 
+    async fn preview(&self, tenant: &str, id: JobId) -> Result<PreviewReceiver, JobApiError> {
+        self.inner.of_tenant(tenant, id).await?;
+        let receiver = self.inner.previews.watch(id);
+        // It may have ended before it was watched.
+        if self.inner.of_tenant(tenant, id).await?.status.state.is_ended() {
+            self.inner.previews.end(id);
+        }
+        Ok(receiver)
+    }
+
     async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
         self.inner.of_tenant(tenant, id).await?;
         let job = self.inner.stores.jobs.cancel(id, now()).await?;
         self.inner.queue.remove(id);
+        self.inner.previews.end(id);
         self.inner.unpin(&input_pin(id)).await;
         Ok(job)
     }

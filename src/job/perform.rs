@@ -37,8 +37,18 @@ pub(crate) struct JobContext<'a> {
     pub(crate) blobs: &'a dyn ReadBlob,
     pub(crate) bounds: &'a JobBounds,
     pub(crate) token: &'a Token,
-    /// Receives stages and steps.
-    pub(crate) report: &'a mut (dyn FnMut(Progress) + Send),
+    /// Hears of stages and steps.
+    pub(crate) audience: &'a mut dyn Audience,
+}
+
+/// Who hears of a job at work.
+pub(crate) trait Audience: Send {
+    /// A stage began or a step was taken.
+    fn progress(&mut self, what: Progress);
+    /// Whether the seeds are to be shown after the next step.
+    fn wants_seeds(&self) -> bool;
+    /// Where the seeds are after so many steps.
+    fn seeds(&mut self, steps: usize, seeds: &[DVec3]);
 }
 
 /// Does the work.
@@ -80,7 +90,7 @@ impl From<MeshFormat> for Format {
 }
 
 fn stage(context: &mut JobContext<'_>, name: &str) {
-    (context.report)(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
+    context.audience.progress(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
 }
 
 fn iteration(it: &Iteration, total: usize) -> Progress {
@@ -94,22 +104,30 @@ fn iteration(it: &Iteration, total: usize) -> Progress {
     }
 }
 
-struct ProgressReporter<'a>(&'a mut (dyn FnMut(Progress) + Send));
+struct ProgressReporter<'a>(&'a mut dyn Audience);
 
 impl Observer for ProgressReporter<'_> {
     fn stage(&mut self, name: &'static str) {
-        self.0(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
+        self.0.progress(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
     }
 
     fn iteration(&mut self, it: &Iteration, total: usize) {
-        self.0(iteration(it, total));
+        self.0.progress(iteration(it, total));
+    }
+
+    fn wants_seeds(&mut self) -> bool {
+        self.0.wants_seeds()
+    }
+
+    fn seeds(&mut self, steps: usize, seeds: &[DVec3]) {
+        self.0.seeds(steps, seeds);
     }
 }
 
 fn of_remesh(spec: &JobSpec, work: &RemeshWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
     let (mesh, options) = load_remesh(spec, work, context.blobs, context.bounds, context.token)?;
     let backend = Arc::clone(context.backends.choose(spec.choice())?);
-    let done = remesh(&mesh, &options, backend.as_ref(), &mut ProgressReporter(&mut *context.report), context.token)?;
+    let done = remesh(&mesh, &options, backend.as_ref(), &mut ProgressReporter(&mut *context.audience), context.token)?;
     drop((mesh, options));
     stage(context, "write");
     context.token.enter("write");
@@ -212,7 +230,7 @@ fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &mut JobContext<'_>) -> Resul
         while let Some(batch) = diagram.batch(backend.as_ref(), context.token)? {
             cells.append(&batch).map_err(unwritten)?;
             let (done, total) = diagram.progress();
-            (context.report)(Progress::Stage { name: "diagram".to_owned(), done, total });
+            context.audience.progress(Progress::Stage { name: "diagram".to_owned(), done, total });
         }
         parts.push(("cells".to_owned(), cells.finish().map_err(unwritten)?.into_inner().into()));
     }
@@ -263,8 +281,11 @@ fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Resul
                         StepKindName::Lloyd => cvt.lloyd(context.token)?,
                         StepKindName::Lbfgs => cvt.lbfgs(context.token)?,
                     };
-                    (context.report)(iteration(&it, total as usize));
+                    context.audience.progress(iteration(&it, total as usize));
                     iterations.push(it);
+                    if context.audience.wants_seeds() {
+                        context.audience.seeds(iterations.len(), &cvt.seeds()?);
+                    }
                     let wanted = match seeds.unwrap_or(SendSeeds::Never) {
                         SendSeeds::Never => false,
                         SendSeeds::Last => step == *count,

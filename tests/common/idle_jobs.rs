@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
 use tessera::internals::blob::{BlobError, BlobStore, Digest};
-use tessera::internals::job::api::{Estimate, JobApi, JobApiError};
+use tessera::internals::job::api::{Estimate, JobApi, JobApiError, Preview};
 use tessera::internals::job::event::Events;
 use tessera::internals::job::record::*;
 use tessera::internals::job::store::*;
@@ -73,6 +73,11 @@ impl JobApi for Idle {
     async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), JobApiError> {
         self.own(tenant, id).await?;
         Ok(self.store.wait(id, after).await?)
+    }
+
+    async fn preview(&self, tenant: &str, id: JobId) -> Result<watch::Receiver<Option<Preview>>, JobApiError> {
+        self.own(tenant, id).await?;
+        Ok(watch::channel(None).1)
     }
 
     async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {

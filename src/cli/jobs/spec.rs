@@ -17,7 +17,7 @@ use crate::cli::remesh::args::{
 };
 use crate::cli::rvd::SeedArgs;
 use crate::cli::source::Source;
-use crate::cli::{remote, sizes};
+use crate::cli::{files, remote, sizes};
 use crate::config::BackendArg;
 use crate::mesh::io::Format;
 use crate::wire::proto::{
@@ -187,10 +187,9 @@ impl RemeshWork {
             && input.format()? == FormatArg::Stl
         {
             let named = [(&size.sizes, "--sizes"), (&shape.creases, "--creases")];
-            named
-                .iter()
-                .filter(|(file, _)| file.is_some())
-                .try_for_each(|(_, option)| sizes::check_format(&path.with_extension("stl"), option))?;
+            named.iter().filter(|(file, _)| file.is_some()).try_for_each(|(_, option)| {
+                sizes::check_format(&files::Surface::new(path, Some(Format::Stl)), option)
+            })?;
         }
         let mut asked = input.begin(self.no_attributes.then_some(false))?;
         let mut text = |path: &Option<PathBuf>| path.as_deref().map(|path| text(path, &mut asked.sources)).transpose();

@@ -10,6 +10,7 @@ use clap::{ArgGroup, Args, ValueEnum};
 
 use crate::cli::endpoint::ServerUrl;
 use crate::cli::exit::{BadInput, Usage};
+use crate::cli::files::{self, Surface};
 use crate::cli::picture::PictureArgs;
 use crate::cli::say::SayArgs;
 use crate::cli::server::Tenant;
@@ -21,6 +22,7 @@ use crate::cvt::density::{DensityOptions, DensitySource};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::features::Features;
+use crate::mesh::io::Format;
 use crate::remesh::{Placement, Refine, RemeshOptions, Seeds};
 use crate::token::Token;
 
@@ -28,8 +30,10 @@ use crate::token::Token;
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "edge_length", "sizes"])))]
 pub(crate) struct RemeshArgs {
-    /// The surface: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf.
-    pub(super) input: PathBuf,
+    /// The surface: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf; several with --out-dir; - is the
+    /// standard input, whose format --input-format says.
+    #[arg(required = true, value_name = "INPUT")]
+    pub(super) input: Vec<PathBuf>,
     #[command(flatten)]
     pub(super) files: FileArgs,
     #[command(flatten)]
@@ -61,9 +65,20 @@ pub(crate) struct RemeshArgs {
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Files")]
 pub(super) struct FileArgs {
-    /// Where the remesh goes; the extension is the format. A file that is there is replaced once the remesh is whole.
-    #[arg(short, long, value_name = "OUTPUT")]
-    pub(super) output: PathBuf,
+    /// Where the remesh goes; the extension is the format. A file that is there is replaced once the remesh is whole. - is
+    /// the standard output, whose format --format says.
+    #[arg(short, long, value_name = "OUTPUT", required_unless_present = "out_dir")]
+    pub(super) output: Option<PathBuf>,
+    /// Folder where the remeshes go, each under the name of its input; it is made if need be. For any number of inputs: one that
+    /// fails stops no other, and a line tells of each.
+    #[arg(long, value_name = "DIR", conflicts_with = "output")]
+    pub(super) out_dir: Option<PathBuf>,
+    /// Format of what is written, where the name does not say it: obj, ply, stl, off, vtk, vtp, msh, mesh, meshb, glb or gltf.
+    #[arg(long, value_name = "FORMAT", value_parser = files::format)]
+    pub(super) format: Option<Format>,
+    /// Format of what is read, where the name does not say it.
+    #[arg(long, value_name = "FORMAT", value_parser = files::format)]
+    pub(super) input_format: Option<Format>,
     /// Let the output replace the input.
     #[arg(long)]
     pub(super) overwrite: bool,
@@ -273,7 +288,7 @@ impl PlacementArg {
 
 impl SizeArgs {
     /// What the options say of `mesh`, which was read from `input`.
-    fn density(&self, input: &Path, mesh: &TriMesh) -> Result<DensityOptions> {
+    fn density(&self, input: &Surface, mesh: &TriMesh) -> Result<DensityOptions> {
         let source = match (&self.sizes, self.density) {
             (Some(path), _) => DensitySource::Sizes(sizes::read(path, input, mesh)?),
             (None, density) => density.source(),
@@ -323,7 +338,9 @@ impl SizeArgs {
 impl RemeshArgs {
     /// What the arguments say of `mesh`, which carries `attributes`.
     pub(crate) fn options(&self, mesh: &TriMesh, attributes: Option<Attributes>) -> Result<RemeshOptions> {
-        let Self { input, size, shape, steps, .. } = self;
+        let Self { size, shape, steps, files, .. } = self;
+        // Lists go by the vertices of the one input.
+        let input = &Surface::new(self.input.first().map_or(Path::new(""), PathBuf::as_path), files.input_format);
         let ShapeArgs { crease_angle, ref creases, boundaries, thin, placement } = *shape;
         let StepArgs { lloyd, newton, projection, seed } = *steps;
         let density = size.density(input, mesh)?;

@@ -8,6 +8,7 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use futures_util::TryStreamExt;
+use glam::DVec3;
 
 use super::storage::StorageError;
 use super::{Inner, ProgressCommand, failed, holder, input_pin, is_outdated, now, result_pin};
@@ -16,7 +17,7 @@ use crate::job::call::{ATTEMPTS, WorkContext};
 use crate::job::event::Progress;
 use crate::job::input::{ReadBlob, WorkError};
 use crate::job::observer::{self, JobOutcome};
-use crate::job::perform::{JobContext, Parts, perform};
+use crate::job::perform::{Audience, JobContext, Parts, perform};
 use crate::job::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
 use crate::job::store::StoreError;
 use crate::job::worker::Device;
@@ -97,6 +98,7 @@ impl Work {
             Some(error) if self.attempts < ATTEMPTS => Err(error),
             lost => {
                 at_work.record_outcome(outcome);
+                at_work.inner.previews.end(self.id);
                 lost.map_or(Ok(()), Err)
             }
         }
@@ -125,20 +127,31 @@ struct AtWork {
     activity: Arc<observer::Activity>,
 }
 
+impl Audience for &AtWork {
+    fn progress(&mut self, what: Progress) {
+        if matches!(what, Progress::Iteration { .. }) {
+            self.activity.iterated(1);
+        }
+        let (id, at) = (self.job.id, self.job.status.version);
+        // What the journal is too slow for is left out: the report has all.
+        let _ = self.inner.progress.try_send(ProgressCommand::Record { id, at, what, now: now() });
+    }
+
+    fn wants_seeds(&self) -> bool {
+        self.inner.previews.is_watched(self.job.id)
+    }
+
+    fn seeds(&mut self, steps: usize, seeds: &[DVec3]) {
+        self.inner.previews.show(self.job.id, steps as u64, seeds);
+    }
+}
+
 impl AtWork {
     fn perform(&self, backends: &Backends) -> Result<ResultSet, WorkError> {
         let (inner, job) = (&*self.inner, &self.job);
-        let (id, at) = (job.id, job.status.version);
-        let mut report = |what: Progress| {
-            if matches!(what, Progress::Iteration { .. }) {
-                self.activity.iterated(1);
-            }
-            // What the journal is too slow for is left out: the report has all.
-            let _ = inner.progress.try_send(ProgressCommand::Record { id, at, what, now: now() });
-        };
         let blobs = Blobs(inner, &self.token);
         let bounds = &inner.options.bounds;
-        let mut context = JobContext { backends, blobs: &blobs, bounds, token: &self.token, report: &mut report };
+        let mut context = JobContext { backends, blobs: &blobs, bounds, token: &self.token, audience: &mut { self } };
         let parts = perform(&job.spec, &mut context).map_err(|trouble| match (trouble, self.token.stopped()) {
             // It was stopped while it waited for its input.
             (WorkError::Failure(_), Some(reason)) => WorkError::from(reason),

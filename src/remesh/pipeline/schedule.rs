@@ -49,11 +49,16 @@ impl Schedule<'_, '_, '_> {
         let (planned, token) = (self.options.lloyd + self.options.newton, self.job.token);
         while self.figures.iterations.len() < planned && !cvt.converged() {
             let lloyd = self.options.lloyd.saturating_sub(self.figures.iterations.len());
-            let steps = if lloyd > 0 { cvt.relax(lloyd, token)? } else { vec![cvt.lbfgs(token)?] };
+            let is_watched = self.job.observer.wants_seeds();
+            let at_once = if is_watched { lloyd.min(1) } else { lloyd };
+            let steps = if at_once > 0 { cvt.relax(at_once, token)? } else { vec![cvt.lbfgs(token)?] };
             for step in steps {
                 self.count(&step);
                 self.job.observer.iteration(&step, planned);
                 self.figures.iterations.push(IterationFigures::of(&step));
+            }
+            if is_watched {
+                self.job.observer.seeds(self.figures.iterations.len(), &cvt.seeds()?);
             }
         }
         self.figures.last = FinalFigures::of(&cvt.present(token)?);

@@ -1,0 +1,143 @@
+//! What `tessera remesh` reads and writes: one file, or many into a folder.
+//!
+//! Invariant: what cannot be is refused before any work. No output replaces an input unasked, or another output. Must not know:
+//! how a remesh is made.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+
+use super::args::{FileArgs, RemeshArgs};
+use crate::cli::exit::{NotWritten, Usage};
+use crate::cli::files::{self, Surface};
+use crate::cli::sizes;
+
+/// A surface and where its remesh goes.
+#[derive(Debug)]
+pub(super) struct Task {
+    pub(super) input: Surface,
+    pub(super) output: Surface,
+}
+
+/// What is to be done.
+///
+/// # Errors
+/// Why that cannot be.
+pub(super) fn of(args: &RemeshArgs) -> Result<Vec<Task>> {
+    args.backend.check()?;
+    args.picture.check()?;
+    args.size.check(args.shape.placement)?;
+    check_together(args)?;
+    let FileArgs { output, out_dir, report, .. } = &args.files;
+    report.iter().try_for_each(|path| files::check_output(path, &[]))?;
+    if let Some(folder) = out_dir {
+        std::fs::create_dir_all(folder)
+            .map_err(|error| NotWritten(format!("cannot make the folder {}: {error}", folder.display())))?;
+    }
+    let tasks = args.input.iter().map(|path| task(args, path, output.as_deref())).collect::<Result<Vec<_>>>()?;
+    check_files(args, &tasks)?;
+    Ok(tasks)
+}
+
+/// Refuses options that do not go together.
+fn check_together(args: &RemeshArgs) -> Result<()> {
+    let FileArgs { output, out_dir, report, .. } = &args.files;
+    let has_standard = |path: &Path| path.as_os_str() == "-";
+    let refused = if args.input.len() > 1 {
+        let alone = [
+            (out_dir.is_none(), "-o"),
+            (report.is_some(), "--report"),
+            (args.size.sizes.is_some(), "--sizes"),
+            (args.shape.creases.is_some(), "--creases"),
+            (args.picture.wanted(), "--picture"),
+        ];
+        let of_one = alone.iter().find(|(is_given, _)| *is_given).map(|(_, option)| *option);
+        match of_one {
+            Some("-o") => Some("there are several inputs, and one output; give --out-dir instead of -o".to_owned()),
+            Some("--report") => {
+                Some("there are several inputs, and --report is for one; --json prints a report a line".to_owned())
+            }
+            Some(option) => Some(format!("there are several inputs, and {option} is for one")),
+            None if args.input.iter().any(|path| has_standard(path)) => {
+                Some("- is the standard input; it goes with no other input".to_owned())
+            }
+            None => None,
+        }
+    } else if args.say.json && output.as_deref().is_some_and(has_standard) {
+        Some("-o - and --json both write to the standard output; give --report instead of --json".to_owned())
+    } else if out_dir.is_some() && args.input.iter().any(|path| has_standard(path)) {
+        Some("the standard input has no name; give -o instead of --out-dir".to_owned())
+    } else {
+        None
+    };
+    refused.map_or(Ok(()), |text| Err(Usage(text).into()))
+}
+
+fn task(args: &RemeshArgs, path: &Path, output: Option<&Path>) -> Result<Task> {
+    let FileArgs { out_dir, format, input_format, .. } = &args.files;
+    let input = Surface::new(path, *input_format);
+    input.format(files::INPUT_FORMAT)?;
+    let output = match (output, out_dir) {
+        (Some(output), _) => Surface::new(output, *format),
+        (None, folder) => {
+            let folder = folder.as_deref().unwrap_or(Path::new("."));
+            Surface::new(&place(folder, path, *format)?, format.or(*input_format))
+        }
+    };
+    output.check_output()?;
+    Ok(Task { input, output })
+}
+
+/// Where the remesh of a file goes in a folder: under its own name, with the extension of the format if that is another.
+fn place(folder: &Path, input: &Path, format: Option<crate::mesh::io::Format>) -> Result<PathBuf> {
+    let Some(name) = input.file_name() else {
+        return Err(Usage(format!("{}: this is no file", input.display())).into());
+    };
+    let mut name = PathBuf::from(name);
+    if let Some(format) = format {
+        if name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz")) {
+            name.set_extension("");
+        }
+        name.set_extension(format.extension());
+    }
+    Ok(folder.join(name))
+}
+
+/// Refuses outputs that would replace what is needed, or each other.
+fn check_files(args: &RemeshArgs, tasks: &[Task]) -> Result<()> {
+    let RemeshArgs { files: FileArgs { report, overwrite, .. }, size, shape, picture, .. } = args;
+    let named = [shape.creases.as_deref(), size.sizes.as_deref()];
+    let named = || named.into_iter().flatten();
+    for Task { input, output } in tasks {
+        if !output.is_standard() && files::same(input.path(), output.path()) && !overwrite {
+            return Err(Usage(format!(
+                "{output} is the input, and the remesh would replace it; name another output, or add --overwrite"
+            ))
+            .into());
+        }
+        let numbers = [(size.sizes.is_some(), "--sizes"), (shape.creases.is_some(), "--creases")];
+        for (_, option) in numbers.iter().filter(|(is_given, _)| *is_given) {
+            sizes::check_format(input, option)?;
+        }
+    }
+    let paths = |of: fn(&Task) -> &Surface| tasks.iter().map(of).filter(|one| !one.is_standard()).map(Surface::path);
+    let outputs = || paths(|task| &task.output);
+    // An input may be the output of its own task alone.
+    let inputs = paths(|task| &task.input);
+    files::check_apart(named(), outputs())?;
+    let kept: Vec<&Path> = inputs.chain(outputs()).chain(named()).collect();
+    files::check_apart(kept.into_iter(), [report.as_deref(), picture.path()].into_iter().flatten())?;
+    tasks.iter().try_for_each(|task| check_others(task, tasks))
+}
+
+/// Refuses a task whose output is the input of another.
+fn check_others(task: &Task, tasks: &[Task]) -> Result<()> {
+    let others = tasks.iter().filter(|other| !std::ptr::eq(*other, task));
+    for other in others {
+        if files::same(task.output.path(), other.input.path()) {
+            let text = format!("{} is an input, and the remesh of {} would replace it", other.input, task.input);
+            return Err(Usage(text).into());
+        }
+    }
+    Ok(())
+}
