@@ -36,6 +36,7 @@ if (exec 3<>/dev/tcp/127.0.0.1/50051) 2>/dev/null; then
     echo "something listens on port 50051, which the README's server uses" >&2
     exit 1
 fi
+command -v curl >/dev/null || { echo "the README's blocks need curl" >&2; exit 1; }
 
 # All ```sh blocks but the test command's, one after the other in one shell. What needs a container engine is in ```bash.
 awk '
@@ -45,7 +46,7 @@ awk '
     inside
 ' README.md >"$work/blocks"
 (cd "$work/tessera" && timeout 1800 bash -e "$work/blocks")
-for file in genus3.obj remesh.ply report.json remote.ply job.ply; do
+for file in genus3.obj remesh.ply report.json remote.ply job.ply by-curl.obj; do
     [ -s "$work/tessera/$file" ] || { echo "$file is not there after the README's blocks" >&2; exit 1; }
 done
 

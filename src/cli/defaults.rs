@@ -146,7 +146,10 @@ fn every_option_of_the_command_is_at_the_service() {
     ];
     const LOCAL: &[&str] = &[
         "input",
+        "input_format",
         "output",
+        "out_dir",
+        "format",
         "overwrite",
         "report",
         "picture",

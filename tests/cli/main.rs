@@ -17,6 +17,7 @@ mod process;
 mod rough;
 
 mod bad_servers;
+mod batches;
 mod bench;
 mod config;
 mod given_creases;

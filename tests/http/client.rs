@@ -10,12 +10,14 @@ use rustls::{ClientConfig, RootCertStore};
 use serde_json::Value;
 use tessera::internals::config::Limits;
 use tessera::internals::http::door;
+#[cfg(feature = "ui")]
+use tessera::internals::http::door_with_page;
 use tessera::internals::job::{
     Backends, BlobRoom, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, Stores,
 };
 use tessera::internals::keys::{KeyFile, KeyLimits, NewKey, Role, Secret};
 use tessera::internals::service::{
-    self, About, Access, AccessOptions, Jobs, Metrics, Parts, Readiness, ServeError, Tls,
+    self, About, Access, AccessOptions, Door, Jobs, Metrics, Parts, Readiness, ServeError, Tls,
 };
 use tessera::{BackendChoice, BackendKind};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -47,22 +49,37 @@ impl Keys {
 
 impl House {
     pub async fn open() -> Self {
-        Self::start(Access::open(), None).await
+        Self::start(Access::open(), None, door, Limits::default()).await
+    }
+
+    pub async fn with_limits(limits: Limits) -> Self {
+        Self::start(Access::open(), None, door, limits).await
     }
 
     pub async fn with_tls(tls: Arc<Tls>) -> Self {
-        Self::start(Access::open(), Some(tls)).await
+        Self::start(Access::open(), Some(tls), door, Limits::default()).await
     }
 
     pub async fn with_keys() -> (Self, Keys) {
+        Self::locked(door).await
+    }
+
+    /// With keys too.
+    #[cfg(feature = "ui")]
+    pub async fn with_page() -> (Self, Keys) {
+        Self::locked(door_with_page).await
+    }
+
+    async fn locked(door: fn(TcpListener) -> Door) -> (Self, Keys) {
         let folder = tempfile::tempdir().unwrap();
         let file = KeyFile::in_folder(folder.path());
         let options = AccessOptions { require_keys: true, ..AccessOptions::default() };
-        let house = Self::start(Access::in_folder(folder.path(), options).unwrap(), None).await;
+        let house =
+            Self::start(Access::in_folder(folder.path(), options).unwrap(), None, door, Limits::default()).await;
         (house, Keys { _folder: folder, file })
     }
 
-    async fn start(access: Access, tls: Option<Arc<Tls>>) -> Self {
+    async fn start(access: Access, tls: Option<Arc<Tls>>, door: fn(TcpListener) -> Door, limits: Limits) -> Self {
         let of = |kind: BackendKind, threads: usize| {
             tessera::BackendOptions::new().with_choice(BackendChoice::Only(kind)).with_threads(threads).open()
         };
@@ -77,7 +94,6 @@ impl House {
         };
         let options = EngineOptions { jobs_at_once: 1, ..EngineOptions::default() };
         let (engine, worker) = Engine::start(factory, options).unwrap();
-        let limits = Limits::default();
         let Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
         let bounds = JobBounds { max_vertices, max_facets, max_seeds, max_iterations };
         let stores = Stores::ephemeral(BlobRoom::default());

@@ -7,6 +7,7 @@
 #[allow(dead_code)]
 mod certificates;
 mod client;
+mod hostile;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -216,6 +217,77 @@ async fn a_job_is_created_watched_and_read() {
         assert_eq!(ask(&house, "DELETE", &path, &[], b"").await.status, 204);
         assert_eq!(get(&house, &path, &[]).await.status, 404);
     }
+    house.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_seeds_of_a_job_at_work_are_shown() {
+    let house = House::open().await;
+    let file = torus(60);
+    let mesh = post(&house, "/v1/blobs", &[], &file).await.json()["digest"].clone();
+    let spec = json!({ "mesh": mesh, "format": "obj", "points": 500, "lloyd": 20, "newton": 20 });
+    let created = post(&house, "/v1/jobs", &[], spec.to_string().as_bytes()).await;
+    let path = created.header("location").unwrap().to_owned();
+    let (mut after, mut shown) = (0, Vec::new());
+    loop {
+        let answer = get(&house, &format!("{path}/seeds?after={after}"), &[]).await;
+        if answer.status == 204 {
+            if answer.header("tessera-ended") == Some("true") {
+                break;
+            }
+            continue;
+        }
+        assert_eq!((answer.status, answer.body.len()), (200, 500 * 24), "{answer:?}");
+        let steps: u64 = answer.header("tessera-steps").unwrap().parse().unwrap();
+        assert!(steps > after && steps <= 40);
+        after = steps;
+        shown.push(answer.body);
+    }
+    assert!(shown.len() > 1, "{}", shown.len());
+    shown.dedup();
+    assert!(shown.len() > 1, "the seeds move");
+    // Who watches changes nothing.
+    let watched = get(&house, &format!("{path}/result"), &[]).await;
+    let again = post(&house, "/v1/jobs", &[], spec.to_string().as_bytes()).await;
+    let other = again.header("location").unwrap().to_owned();
+    let _ = get(&house, &format!("{other}/events"), &[]).await;
+    assert!(get(&house, &format!("{other}/result"), &[]).await.body == watched.body && watched.status == 200);
+    // There is none of what is not there, of others, or of what was not asked rightly.
+    assert_eq!(get(&house, &format!("{path}/seeds"), &[]).await.header("tessera-ended"), Some("true"));
+    assert_eq!(get(&house, &format!("{path}/seeds?after=x"), &[]).await.status, 400);
+    assert_eq!(get(&house, &format!("{path}/seeds"), &["tessera-tenant: other"]).await.status, 404);
+    assert_eq!(get(&house, "/v1/jobs/none/seeds", &[]).await.status, 400);
+    house.stop().await;
+}
+
+#[cfg(feature = "ui")]
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_needs_no_key_and_lets_nothing_else_in() {
+    let (house, _keys) = House::with_page().await;
+    let page = get(&house, "/", &[]).await;
+    assert_eq!((page.status, page.header("content-type")), (200, Some("text/html; charset=utf-8")));
+    let policy = page.header("content-security-policy").unwrap();
+    assert!(
+        policy.starts_with("default-src 'none'") && !policy.contains("unsafe") && !policy.contains("http"),
+        "{policy}"
+    );
+    // All that the page names is here, of the right type.
+    let text = String::from_utf8(page.body.clone()).unwrap();
+    let named: Vec<&str> = text.split('"').filter(|part| part.starts_with("/ui/") || part.starts_with("ui/")).collect();
+    for name in named {
+        let part = get(&house, &format!("/{}", name.trim_start_matches('/')), &[]).await;
+        assert_eq!(part.status, 200, "{name}");
+        assert_eq!(part.header("x-content-type-options"), Some("nosniff"));
+        assert_ne!(part.header("content-type"), Some("application/octet-stream"), "{name}");
+    }
+    assert!(!text.contains("http://") && !text.contains("https://"), "{text}");
+    let tag = format!("If-None-Match: {}", page.header("etag").unwrap());
+    assert_eq!(get(&house, "/", &[&tag]).await.status, 304);
+    for path in ["/ui/none.js", "/ui/..%2f..%2fCargo.toml", "/ui/%2e%2e/Cargo.toml", "/ui/../../Cargo.toml"] {
+        assert!(matches!(get(&house, path, &[]).await.status, 401 | 404), "{path}");
+    }
+    assert_eq!(ask(&house, "POST", "/", &[], b"x").await.status, 405);
+    assert_eq!(get(&house, "/v1/jobs", &[]).await.status, 401);
     house.stop().await;
 }
 

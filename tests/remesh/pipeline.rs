@@ -7,7 +7,7 @@ use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::Attributes;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
-use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
+use tessera::remesh::{Observer, Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::{Backend, RvdError};
 use tessera::rvd::{Parallel, Serial};
 use tessera::token::Token;
@@ -147,6 +147,47 @@ fn the_same_bits_on_any_number_of_threads() {
             let got = run(&mesh, &options(500, 5), &backend).unwrap();
             assert_eq!(got.mesh, want.mesh);
             assert_eq!(got.vertex_seed, want.vertex_seed);
+        }
+    }
+}
+
+/// Wants to see the seeds after every step, or every third.
+struct Onlooker {
+    every: usize,
+    asked: usize,
+    seen: Vec<(usize, Vec<DVec3>)>,
+}
+
+impl Observer for Onlooker {
+    fn wants_seeds(&mut self) -> bool {
+        self.asked += 1;
+        self.asked.is_multiple_of(self.every)
+    }
+
+    fn seeds(&mut self, steps: usize, seeds: &[DVec3]) {
+        self.seen.push((steps, seeds.to_vec()));
+    }
+}
+
+#[test]
+fn who_looks_on_sees_the_seeds_move_and_changes_nothing() {
+    let (mesh, backend) = (Shape::Block.build(3000), Parallel::new(None).unwrap());
+    for options in [options(200, 12), RemeshOptions::new(Seeds::Sample { points: 200, seed: 5 })] {
+        let alone = run(&mesh, &options, &backend).unwrap();
+        for every in [1, 3] {
+            let mut onlooker = Onlooker { every, asked: 0, seen: Vec::new() };
+            let seen = remesh(&mesh, &options, &backend, &mut onlooker, &Token::default()).unwrap();
+            assert_eq!(seen.mesh.positions(), alone.mesh.positions());
+            assert_eq!(seen.mesh.facets(), alone.mesh.facets());
+            let Onlooker { seen, .. } = onlooker;
+            assert!(seen.len() > 2 && seen.is_sorted_by_key(|(steps, _)| *steps), "{}", seen.len());
+            let (low, high) = mesh.bounds();
+            for (steps, seeds) in &seen {
+                assert_eq!(seeds.len(), 200, "after {steps} steps");
+                let margin = (high - low) * 0.01;
+                assert!(seeds.iter().all(|s| s.cmpge(low - margin).all() && s.cmple(high + margin).all()));
+            }
+            assert_ne!(seen.first().unwrap().1, seen.last().unwrap().1);
         }
     }
 }
