@@ -4,12 +4,15 @@
 //! is counted in the memory that all uploads share. A body that stalls, takes too long or comes while the server drains is
 //! refused. Must not know: what the bytes say.
 
+use std::error::Error;
+use std::io::ErrorKind;
 use std::time::Duration;
 
 use axum::body::{Body, BodyDataStream, Bytes};
 use futures_util::StreamExt as _;
 use tokio::time::Instant;
 
+use super::problem::wrong;
 use crate::service::{Desk, Phase, RequestError, Share};
 
 /// See the module's head.
@@ -34,8 +37,20 @@ impl<'a> Arriving<'a> {
             () = tokio::time::sleep_until(self.deadline) => return Err(RequestError::UploadTime(limits.upload)),
             () = self.desk.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
         };
-        // Whatever is wrong with a body, its client does not send the rest.
-        come.transpose().map_err(|_| RequestError::ClientGone)
+        come.transpose().map_err(|error| broken(&error))
+    }
+}
+
+/// Why a body came to no end: its client said something that is no HTTP, or has gone.
+fn broken(error: &(dyn Error + 'static)) -> RequestError {
+    let mut causes = std::iter::successors(Some(error), |cause| cause.source());
+    let is_malformed = causes.any(|cause| {
+        let kind = cause.downcast_ref::<std::io::Error>().map(std::io::Error::kind);
+        matches!(kind, Some(ErrorKind::InvalidInput | ErrorKind::InvalidData))
+    });
+    match is_malformed {
+        true => wrong("body", "is no HTTP; a length or a chunk is malformed"),
+        false => RequestError::ClientGone,
     }
 }
 
