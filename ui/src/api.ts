@@ -1,0 +1,309 @@
+// What the page asks the service.
+//
+// Purpose: one function for each question of docs/http.md. Invariant: every request goes to the place that the page came from;
+// the key is in memory only; whatever goes wrong is a `Problem`. Must not know: the page's elements.
+
+export type State = "queued" | "running" | "succeeded" | "failed" | "cancelled" | "expired";
+
+export interface Job {
+  readonly id: string;
+  readonly state: State;
+  readonly created_ms: number;
+  readonly started_ms: number | null;
+  readonly changed_ms: number;
+  readonly spec: Spec;
+  readonly failure: { readonly kind: string; readonly message: string } | null;
+  readonly results: Readonly<Record<string, string>>;
+  readonly expired_by: string | null;
+}
+
+export interface Spec {
+  readonly mesh?: { readonly file?: { readonly blob: string; readonly format: string } };
+  readonly work?: Readonly<Record<string, unknown>>;
+  readonly result?: unknown;
+  readonly labels?: Readonly<Record<string, string>>;
+}
+
+export interface Iteration {
+  readonly index: number;
+  readonly total: number;
+  readonly kind: string;
+  readonly energy: number;
+  readonly gradient_norm: number;
+  readonly ms: number;
+}
+
+export interface Stage {
+  readonly name: string;
+  readonly done: number | null;
+  readonly total: number | null;
+}
+
+export type Event =
+  | { readonly kind: "state"; readonly state: State }
+  | { readonly kind: "stage"; readonly stage: Stage }
+  | { readonly kind: "iteration"; readonly iteration: Iteration };
+
+/** Positions of all seeds after an iteration; `ended` if no more will come. */
+export type Seeds = { readonly after: number; readonly bytes: ArrayBuffer } | "none" | "ended" | "unknown";
+
+/** What went wrong, as RFC 9457 has it. Status 0: there was no answer. */
+export class Problem extends Error {
+  constructor(
+    readonly status: number,
+    readonly reason: string,
+    detail: string,
+    readonly retryAfter: number | null = null,
+    readonly fields: readonly { readonly field: string; readonly description: string }[] = [],
+  ) {
+    super(detail);
+  }
+}
+
+/** The job was given up by the page itself. */
+export function isAbort(error: unknown): boolean {
+  return error instanceof DOMException && error.name === "AbortError";
+}
+
+export class Api {
+  private key: string | null = null;
+
+  /** Asks a person for a key; gives null if there is none. */
+  constructor(private readonly askKey: (isWrong: boolean) => Promise<string | null>) {}
+
+  get hasKey(): boolean {
+    return this.key !== null;
+  }
+
+  /** The formats that the service reads. */
+  async formats(): Promise<string[]> {
+    const page = await this.json<OpenApi>("v1/openapi.json");
+    return page.components?.schemas?.Options?.properties?.format?.enum ?? [];
+  }
+
+  /** Stores a file and gives its digest. */
+  async upload(file: Blob, onProgress: (part: number) => void, signal: AbortSignal): Promise<string> {
+    const digest = await digestOf(file);
+    for (;;) {
+      const reply = await this.send(`v1/blobs${digest ? `?digest=${digest}` : ""}`, file, onProgress, signal);
+      if (reply.status === 401) {
+        await this.renewKey();
+        continue;
+      }
+      if (reply.status < 200 || reply.status > 299) throw problemOf(reply.status, reply.body, null);
+      return (JSON.parse(reply.body) as { digest: string }).digest;
+    }
+  }
+
+  create(options: Readonly<Record<string, unknown>>, signal: AbortSignal): Promise<Job> {
+    return this.json<Job>("v1/jobs", { method: "POST", body: JSON.stringify(options), headers: { "content-type": "application/json" }, signal });
+  }
+
+  job(id: string, signal?: AbortSignal): Promise<Job> {
+    return this.json<Job>(`v1/jobs/${id}`, signal ? { signal } : {});
+  }
+
+  async jobs(count: number): Promise<Job[]> {
+    return (await this.json<{ jobs: Job[] }>(`v1/jobs?page_size=${count}`)).jobs;
+  }
+
+  cancel(id: string): Promise<Job> {
+    return this.json<Job>(`v1/jobs/${id}/cancel`, { method: "POST" });
+  }
+
+  async blob(digest: string, signal: AbortSignal): Promise<Blob> {
+    return (await this.ask(`v1/blobs/${digest}`, { signal })).blob();
+  }
+
+  async result(id: string, signal: AbortSignal): Promise<Blob> {
+    return (await this.ask(`v1/jobs/${id}/result`, { signal })).blob();
+  }
+
+  report(id: string, signal: AbortSignal): Promise<Record<string, unknown>> {
+    return this.json(`v1/jobs/${id}/result?name=report`, { signal });
+  }
+
+  /** Waits for seeds that are newer than those of an iteration. */
+  async seeds(id: string, after: number, signal: AbortSignal): Promise<Seeds> {
+    let response;
+    try {
+      response = await this.ask(`v1/jobs/${id}/seeds?after=${after}`, { signal });
+    } catch (error) {
+      // A service without cells still remeshes.
+      if (error instanceof Problem && (error.status === 404 || error.status === 405)) return "unknown";
+      throw error;
+    }
+    if (response.status === 204) return response.headers.get("tessera-ended") === "true" ? "ended" : "none";
+    return { after: Number(response.headers.get("tessera-iteration")), bytes: await response.arrayBuffer() };
+  }
+
+  /**
+   * Tells the events of a job until it has ended, and goes on after a cut.
+   * `onCut` hears of one, with the seconds until the next try, and of its end, with null.
+   */
+  async watch(id: string, onEvent: (event: Event) => void, onCut: (seconds: number | null) => void, signal: AbortSignal): Promise<void> {
+    let last = "";
+    for (let tries = 0; ; tries++) {
+      try {
+        const response = await this.ask(`v1/jobs/${id}/events`, { signal, headers: last === "" ? {} : { "last-event-id": last } });
+        if (tries > 0) onCut(null);
+        if (response.status === 204) return;
+        for await (const { id: number, event, data } of serverSent(response)) {
+          if (number !== "") last = number;
+          tries = 0;
+          if (event === "end") return;
+          if (event === "problem") throw problemOf(503, data, null);
+          const told = eventOf(event, data);
+          if (told) onEvent(told);
+        }
+      } catch (error) {
+        if (isAbort(error)) throw error;
+        if (error instanceof Problem && error.status > 0 && error.status < 500 && error.status !== 429) throw error;
+      }
+      const seconds = Math.min(2 ** tries, 15);
+      onCut(seconds);
+      await pause(1000 * seconds, signal);
+    }
+  }
+
+  private async json<T>(path: string, init: RequestInit = {}): Promise<T> {
+    return (await (await this.ask(path, init)).json()) as T;
+  }
+
+  /** Asks; once more with a key if one is needed. */
+  private async ask(path: string, init: RequestInit): Promise<Response> {
+    for (;;) {
+      const headers = new Headers(init.headers);
+      if (this.key !== null) headers.set("authorization", `Bearer ${this.key}`);
+      let response;
+      try {
+        response = await fetch(place(path), { ...init, headers, cache: "no-store", credentials: "omit", redirect: "error" });
+      } catch (error) {
+        if (isAbort(error)) throw error;
+        throw noAnswer();
+      }
+      if (response.status === 401) {
+        await this.renewKey();
+        continue;
+      }
+      if (!response.ok) throw problemOf(response.status, await response.text().catch(() => ""), response.headers.get("retry-after"));
+      return response;
+    }
+  }
+
+  private asking: Promise<string | null> | null = null;
+
+  /** Many requests may need a key at once; a person is asked once. */
+  private async renewKey(): Promise<void> {
+    this.asking ??= this.askKey(this.key !== null).finally(() => (this.asking = null));
+    const key = await this.asking;
+    if (key === null) throw new Problem(401, "unauthenticated", "this server wants a key");
+    this.key = key;
+  }
+
+  /** A request whose upload is watched, which fetch cannot do. */
+  private send(path: string, body: Blob, onProgress: (part: number) => void, signal: AbortSignal): Promise<{ status: number; body: string }> {
+    return new Promise((resolve, reject) => {
+      const request = new XMLHttpRequest();
+      const abort = (): void => request.abort();
+      request.open("POST", place(path));
+      if (this.key !== null) request.setRequestHeader("authorization", `Bearer ${this.key}`);
+      request.upload.addEventListener("progress", ({ loaded, total }) => onProgress(total > 0 ? loaded / total : 0));
+      request.addEventListener("load", () => resolve({ status: request.status, body: request.responseText }));
+      request.addEventListener("error", () => reject(noAnswer()));
+      request.addEventListener("abort", () => reject(new DOMException("given up", "AbortError")));
+      request.addEventListener("loadend", () => signal.removeEventListener("abort", abort));
+      signal.addEventListener("abort", abort);
+      if (signal.aborted) return reject(new DOMException("given up", "AbortError"));
+      request.send(body);
+    });
+  }
+}
+
+interface OpenApi {
+  readonly components?: { readonly schemas?: { readonly Options?: { readonly properties?: { readonly format?: { readonly enum?: string[] } } } } };
+}
+
+/** Beside the page, wherever that is. */
+function place(path: string): string {
+  return new URL(path, document.baseURI).href;
+}
+
+function noAnswer(): Problem {
+  return new Problem(0, "no_answer", "the server does not answer");
+}
+
+/** What went wrong, out of an answer. */
+function problemOf(status: number, body: string, retryAfter: string | null): Problem {
+  interface Told {
+    readonly status?: number;
+    readonly detail?: string;
+    readonly title?: string;
+    readonly reason?: string;
+    readonly retry_after_s?: number;
+    readonly field_violations?: { readonly field: string; readonly description: string }[];
+  }
+  let told: Told = {};
+  try {
+    told = JSON.parse(body) as Told;
+  } catch {
+    // A proxy's answer is a page.
+  }
+  const seconds = told.retry_after_s ?? (retryAfter === null ? null : Number(retryAfter));
+  const detail = told.detail ?? told.title ?? `the server answers with status ${status}`;
+  return new Problem(told.status ?? status, told.reason ?? "", detail, seconds, told.field_violations ?? []);
+}
+
+/** The SHA-256 of what is not too large to be held. With it the service stores an upload as it comes. */
+async function digestOf(file: Blob): Promise<string | null> {
+  const isSecure = globalThis.crypto?.subtle !== undefined;
+  if (!isSecure || file.size > 1 << 29) return null;
+  const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", await file.arrayBuffer()));
+  return Array.from(digest, (byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
+function eventOf(kind: string, data: string): Event | null {
+  const value = JSON.parse(data) as never;
+  switch (kind) {
+    case "state": return { kind, state: (value as { state: State }).state };
+    case "stage": return { kind, stage: value };
+    case "iteration": return { kind, iteration: value };
+    default: return null;
+  }
+}
+
+/** Server-sent events of a response. A comment keeps the connection alive and is no event. */
+async function* serverSent(response: Response): AsyncGenerator<{ id: string; event: string; data: string }> {
+  if (!response.body) return;
+  const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+  let text = "";
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    text += value;
+    for (let end = text.indexOf("\n\n"); end >= 0; end = text.indexOf("\n\n")) {
+      const told = { id: "", event: "", data: "" };
+      for (const line of text.slice(0, end).split("\n")) {
+        const [, name, rest] = /^(id|event|data): ?(.*)$/.exec(line) ?? [];
+        if (name === "id" || name === "event" || name === "data") told[name] += rest ?? "";
+      }
+      text = text.slice(end + 2);
+      if (told.event !== "") yield told;
+    }
+  }
+}
+
+export function pause(ms: number, signal: AbortSignal): Promise<void> {
+  return new Promise((resolve, reject) => {
+    if (signal.aborted) return reject(new DOMException("given up", "AbortError"));
+    const end = (): void => {
+      clearTimeout(timer);
+      reject(new DOMException("given up", "AbortError"));
+    };
+    const timer = setTimeout(() => {
+      signal.removeEventListener("abort", end);
+      resolve();
+    }, ms);
+    signal.addEventListener("abort", end, { once: true });
+  });
+}

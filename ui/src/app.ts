@@ -1,0 +1,439 @@
+// The page at work.
+//
+// Purpose: leads a mesh from the file through the job to the remesh, and tells the page's parts. Invariant: one mesh and one job
+// are shown; what is left of one before is given up as soon as another begins, and nothing of it shows later. Whatever fails
+// ends in a message, and the page can be used on. Must not know: how surfaces are read, measured and drawn.
+
+import { Api, isAbort, Problem, type Event, type Job } from "./api.ts";
+import { Chart } from "./chart.ts";
+import { the } from "./dom.ts";
+import { Figures } from "./figures.ts";
+import { open, type Chosen } from "./file.ts";
+import { Options } from "./options.ts";
+import { Progress } from "./progress.ts";
+import { pointsOf, Queue } from "./queue.ts";
+import { Stage } from "./stage.ts";
+import { isShown, SHOWN } from "./mesh/read.ts";
+import type { Loaded } from "./tasks.ts";
+import { count, ending, problem, size, type Told } from "./words.ts";
+import { Work } from "./work.ts";
+
+/** Larger files are remeshed, but not shown. */
+const SHOWN_BYTES = 1 << 30;
+
+export class App {
+  private readonly api = new Api((isWrong) => this.askKey(isWrong));
+  private readonly work = new Work();
+  private readonly stage = new Stage();
+  private readonly options = new Options(the("form", HTMLFormElement));
+  private readonly progress = new Progress();
+  private readonly chart = new Chart(the("chart", SVGSVGElement), the("chart-words", HTMLElement));
+  private readonly figures = new Figures();
+  private readonly queue = new Queue(the("queue", HTMLUListElement), the("queue-note", HTMLElement), this.api);
+  private readonly go = the("go", HTMLButtonElement);
+  private readonly cancelButton = the("cancel", HTMLButtonElement);
+  private readonly download = the("download", HTMLAnchorElement);
+
+  /** What the service reads. */
+  private formats: readonly string[] = SHOWN;
+  private chosen: Chosen | null = null;
+  /** The input's name at the service. */
+  private digest: string | null = null;
+  private loaded: Loaded | null = null;
+  private job: string | null = null;
+  /** Ends what is done for the mesh, and for the job. */
+  private ofMesh = new AbortController();
+  private ofJob = new AbortController();
+
+  start(): void {
+    the("form", HTMLFormElement).addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.remesh();
+    });
+    this.cancelButton.addEventListener("click", () => void this.cancel());
+    the("message-close", HTMLButtonElement).addEventListener("click", () => this.hush());
+    addEventListener("hashchange", () => void this.follow());
+    this.takeDrops();
+    this.chart.clear();
+    this.figures.clear();
+    this.queue.refresh();
+    void this.learn();
+    void this.follow();
+  }
+
+  // ---- The mesh
+
+  private takeDrops(): void {
+    const input = the("file", HTMLInputElement);
+    const zone = the("drop", HTMLElement);
+    input.addEventListener("change", () => {
+      const file = input.files?.[0];
+      // The same file may be chosen again, after a change.
+      input.value = "";
+      if (file) void this.take(file);
+    });
+    let depth = 0;
+    const mark = (change: number): void => {
+      depth = change === 0 ? 0 : depth + change;
+      zone.toggleAttribute("data-over", depth > 0);
+    };
+    addEventListener("dragenter", () => mark(1));
+    addEventListener("dragleave", () => mark(-1));
+    addEventListener("dragover", (event) => event.preventDefault());
+    addEventListener("drop", (event) => {
+      event.preventDefault();
+      mark(0);
+      const file = event.dataTransfer?.files[0];
+      if (file) void this.take(file);
+    });
+  }
+
+  /** Learns what the service reads. */
+  private async learn(): Promise<void> {
+    try {
+      const formats = await this.api.formats();
+      if (formats.length > 0) this.formats = formats;
+    } catch (error) {
+      if (!(error instanceof Problem && error.status === 401)) this.say(problem("The server cannot be asked", error));
+    }
+    the("file", HTMLInputElement).accept = this.formats.flatMap((format) => [`.${format}`, `.${format}.gz`]).join(",");
+    const names = this.formats.map((format) => format.toUpperCase());
+    if (!this.chosen) the("file-note", HTMLElement).textContent = `${names.slice(0, -1).join(", ")} or ${names[names.length - 1]}`;
+  }
+
+  private async take(file: File): Promise<void> {
+    this.hush();
+    const mesh = this.begin();
+    this.leaveJob();
+    history.replaceState(null, "", location.pathname + location.search);
+    try {
+      this.note(file.name, `Opening ${size(file.size)} …`);
+      const chosen = await open(file, this.formats);
+      if (mesh.aborted) return;
+      await this.look(chosen, mesh);
+    } catch (error) {
+      if (mesh.aborted) return;
+      this.chosen = null;
+      this.note("Drop a mesh, or choose a file", "That one did not do.");
+      this.stage.clear("input", "Drop a mesh here");
+      this.say({ ...problem("This file is no mesh that can be remeshed", error), advice: `The server reads ${this.formats.join(", ")}.` });
+    }
+    this.enable();
+  }
+
+  /** Forgets the mesh before. */
+  private begin(): AbortSignal {
+    this.ofMesh.abort();
+    this.ofMesh = new AbortController();
+    // What is large and was begun would keep the next one waiting.
+    if (this.work.isBusy) this.work.restart();
+    this.chosen = null;
+    this.loaded = null;
+    this.digest = null;
+    this.stage.clear("input", "Reading …");
+    this.stage.clear("result", "The remesh appears here");
+    this.figures.clear();
+    this.enable();
+    return this.ofMesh.signal;
+  }
+
+  /** Takes a mesh and shows it if that can be. */
+  private async look(chosen: Chosen, signal: AbortSignal): Promise<void> {
+    this.chosen = chosen;
+    this.enable();
+    const about = `${chosen.format.toUpperCase()}, ${size(chosen.file.size)}`;
+    this.note(chosen.name, about);
+    if (!this.stage.canDraw) return;
+    if (!isShown(chosen.format) || chosen.file.size > SHOWN_BYTES) {
+      const why = isShown(chosen.format) ? "Files as large as this" : `Files of the format ${chosen.format}`;
+      this.stage.clear("input", `${why} are not shown. It can be remeshed.`);
+      await this.work.ask("drop", { side: "input" });
+      return;
+    }
+    try {
+      const loaded = await this.work.ask("load", { side: "input", file: chosen.file, format: chosen.format });
+      if (signal.aborted) return;
+      this.loaded = loaded;
+      this.stage.show("input", loaded);
+      this.figures.input(loaded);
+      this.note(chosen.name, `${about}, ${count(loaded.facets)} facets`);
+    } catch (error) {
+      if (signal.aborted) return;
+      this.stage.clear("input", "This mesh cannot be shown.");
+      this.say({ ...problem(`${chosen.name} cannot be shown`, error), advice: "The server may still read it: press Remesh. Or take another file." });
+    }
+  }
+
+  // ---- The job
+
+  private async remesh(): Promise<void> {
+    this.hush();
+    const { chosen } = this;
+    if (!chosen || !this.options.check()) return;
+    const signal = this.leaveJob();
+    this.progress.begin("Sending the mesh");
+    this.enable();
+    try {
+      const job = await this.create(chosen, signal);
+      history.pushState(null, "", `#job=${job.id}`);
+      this.queue.refresh();
+      await this.attend(job, signal);
+    } catch (error) {
+      if (signal.aborted) return;
+      this.progress.end("Not started.");
+      if (!(error instanceof Problem && this.options.blame(error))) this.say(problem("The remesh did not start", error));
+      this.endJob();
+    }
+  }
+
+  private async create(chosen: Chosen, signal: AbortSignal): Promise<Job> {
+    const options = { ...this.options.read(), format: chosen.format, measure: "full", labels: { file: chosen.name.slice(0, 80) } };
+    // A digest that was given once may be of a blob that is gone.
+    for (let isKnown = this.digest !== null; ; isKnown = false) {
+      if (!isKnown) {
+        this.digest = await this.api.upload(chosen.file, (part) => this.progress.part("Sending the mesh", part), signal);
+      }
+      try {
+        return await this.api.create({ ...options, mesh: this.digest }, signal);
+      } catch (error) {
+        if (!(isKnown && error instanceof Problem && error.reason === "blob")) throw error;
+      }
+    }
+  }
+
+  /** Watches a job to its end, and shows what comes of it. */
+  private async attend(job: Job, signal: AbortSignal): Promise<void> {
+    this.job = job.id;
+    this.queue.mark(job.id);
+    this.chart.clear();
+    const isOver = job.state !== "queued" && job.state !== "running";
+    if (!isOver) {
+      this.progress.begin("Waiting for a place in the queue", job.created_ms);
+      this.stage.clear("result", "Cells become triangles at the end");
+      if (this.loaded) this.stage.expectCells();
+      void this.watchCells(job.id, signal);
+    }
+    this.enable();
+    await this.api.watch(job.id, (event) => this.hear(event), (seconds) => this.progress.cut(seconds), signal);
+    if (signal.aborted) return;
+    await this.finish(await this.api.job(job.id, signal), signal);
+  }
+
+  private hear(event: Event): void {
+    switch (event.kind) {
+      case "state": return this.progress.state(event.state);
+      case "stage": return this.progress.stage(event.stage);
+      case "iteration":
+        this.chart.add(event.iteration);
+        return this.progress.iteration(event.iteration);
+    }
+  }
+
+  /** Draws seeds as they come; of those that come while it draws, the newest. */
+  private async watchCells(id: string, signal: AbortSignal): Promise<void> {
+    try {
+      for (let after = 0; !signal.aborted; ) {
+        const seeds = await this.api.seeds(id, after, signal);
+        if (seeds === "ended" || seeds === "unknown") return;
+        if (seeds === "none") continue;
+        after = Math.max(seeds.after, after);
+        if (!this.loaded) continue;
+        const cells = await this.work.ask("cells", { seeds: seeds.bytes });
+        if (signal.aborted) return;
+        this.stage.cells(cells);
+      }
+    } catch {
+      // The job goes on without a picture of it; what ails it is told by the watch.
+    }
+  }
+
+  private async finish(job: Job, signal: AbortSignal): Promise<void> {
+    this.queue.refresh();
+    const told = ending(job);
+    if (told) {
+      this.progress.end(told.title + ".");
+      this.stage.clear("result", "There is no remesh");
+      if (job.state !== "cancelled") this.say(told);
+      return this.endJob();
+    }
+    this.progress.stage({ name: "Fetching the result", done: null, total: null });
+    const [file, report] = await Promise.all([this.api.result(job.id, signal), this.api.report(job.id, signal)]);
+    if (signal.aborted) return;
+    const format = formatOf(job);
+    this.offer(file, job, format);
+    this.figures.result(report);
+    this.progress.end("Done.", job.started_ms === null ? null : job.changed_ms - job.started_ms);
+    this.endJob();
+    await this.showResult(file, format, signal);
+  }
+
+  private async showResult(file: Blob, format: string, signal: AbortSignal): Promise<void> {
+    if (!this.stage.canDraw) return;
+    if (!isShown(format)) return this.stage.clear("result", `Files of the format ${format} are not shown. Download it.`);
+    this.stage.clear("result", "Reading …");
+    try {
+      const loaded = await this.work.ask("load", { side: "result", file, format });
+      if (signal.aborted) return;
+      this.stage.show("result", loaded);
+      if (!this.loaded) return;
+      const compared = await this.work.ask("compare", {});
+      if (!signal.aborted) this.stage.compare(compared);
+    } catch (error) {
+      if (signal.aborted) return;
+      this.stage.clear("result", "The remesh cannot be shown. Download it.");
+      this.say({ ...problem("The remesh cannot be shown", error), advice: "It can be downloaded." });
+    }
+  }
+
+  private offer(file: Blob, job: Job, format: string): void {
+    const stem = this.chosen?.stem ?? `job-${job.id.slice(0, 8)}`;
+    this.withdraw();
+    this.download.href = URL.createObjectURL(file);
+    this.download.download = `${stem}-remesh.${format}`;
+    this.download.textContent = `Download ${format.toUpperCase()}, ${size(file.size)}`;
+    this.download.hidden = false;
+  }
+
+  private withdraw(): void {
+    if (this.download.href !== "") URL.revokeObjectURL(this.download.href);
+    this.download.removeAttribute("href");
+    this.download.hidden = true;
+  }
+
+  private async cancel(): Promise<void> {
+    const { job } = this;
+    if (job === null) {
+      // It was not created yet.
+      this.leaveJob();
+      this.progress.end("Cancelled.");
+      this.enable();
+      return;
+    }
+    this.cancelButton.disabled = true;
+    try {
+      await this.api.cancel(job);
+    } catch (error) {
+      if (!isAbort(error)) this.say(problem("The job cannot be cancelled", error));
+    } finally {
+      this.cancelButton.disabled = false;
+    }
+  }
+
+  /** Shows the job that the address names. */
+  private async follow(): Promise<void> {
+    const id = /^#job=([0-9a-f]{32})$/.exec(location.hash)?.[1];
+    if (!id || id === this.job) return;
+    this.hush();
+    const signal = this.leaveJob();
+    this.progress.begin("Opening the job");
+    try {
+      const job = await this.api.job(id, signal);
+      await this.fetchInput(job, signal);
+      if (signal.aborted) return;
+      await this.attend(job, signal);
+    } catch (error) {
+      if (signal.aborted) return;
+      this.progress.end("Nothing runs.");
+      this.say(problem("The job cannot be opened", error));
+      this.endJob();
+    }
+  }
+
+  /** Shows the mesh that a job is of, if it is not shown yet and still there. */
+  private async fetchInput(job: Job, signal: AbortSignal): Promise<void> {
+    const source = job.spec.mesh?.file;
+    if (source && source.blob === this.digest) return;
+    const mesh = this.begin();
+    const name = job.spec.labels?.["file"] ?? `job ${job.id.slice(0, 8)}`;
+    const points = pointsOf(job);
+    if (points !== null) the("points", HTMLInputElement).value = String(points);
+    try {
+      if (!source) throw new Problem(404, "blob", "the job's mesh is not a file");
+      const file = await this.api.blob(source.blob, signal);
+      if (signal.aborted || mesh.aborted) return;
+      this.digest = source.blob;
+      await this.look({ name, stem: name.replace(/(\.gz)?$/i, "").replace(/\.[^.]*$/, ""), format: source.format, file }, mesh);
+    } catch (error) {
+      if (isAbort(error)) throw error;
+      this.note("Drop a mesh, or choose a file", "The mesh of this job is not kept any more.");
+      this.stage.clear("input", "The mesh of this job is not kept any more");
+    }
+  }
+
+  /** Stops following the job; it goes on at the service. */
+  private leaveJob(): AbortSignal {
+    this.ofJob.abort();
+    this.ofJob = new AbortController();
+    this.job = null;
+    this.queue.mark("");
+    this.withdraw();
+    this.chart.clear();
+    this.figures.clearResult();
+    this.stage.clear("result", "The remesh appears here");
+    this.progress.end("Nothing runs.");
+    return this.ofJob.signal;
+  }
+
+  private endJob(): void {
+    this.progress.stop();
+    this.enable();
+  }
+
+  // ---- The page
+
+  private enable(): void {
+    const isBusy = this.progress.isRunning;
+    this.go.disabled = this.chosen === null;
+    this.cancelButton.hidden = !isBusy;
+    the("go-note", HTMLElement).textContent = this.chosen === null ? "Choose a mesh first." : "";
+  }
+
+  private note(name: string, about: string): void {
+    the("file-name", HTMLElement).textContent = name;
+    the("file-note", HTMLElement).textContent = about;
+  }
+
+  private say({ title, detail, advice }: Told): void {
+    the("message-title", HTMLElement).textContent = title;
+    the("message-detail", HTMLElement).textContent = detail;
+    the("message-advice", HTMLElement).textContent = advice;
+    the("message", HTMLElement).hidden = false;
+  }
+
+  private hush(): void {
+    the("message", HTMLElement).hidden = true;
+  }
+
+  private askKey(isWrong: boolean): Promise<string | null> {
+    const dialog = the("key-dialog", HTMLDialogElement);
+    const field = the("key", HTMLInputElement);
+    the("key-note", HTMLElement).textContent = isWrong
+      ? "The server does not take this key. Try another."
+      : "It is kept until this page is closed, and sent to this server alone.";
+    return new Promise((resolve) => {
+      const ended = new AbortController();
+      const { signal } = ended;
+      const end = (key: string | null): void => {
+        ended.abort();
+        field.value = "";
+        dialog.close();
+        resolve(key);
+      };
+      the("key-form", HTMLFormElement).addEventListener("submit", (event) => {
+        event.preventDefault();
+        const key = field.value.trim();
+        if (key !== "") end(key);
+      }, { signal });
+      the("key-cancel", HTMLButtonElement).addEventListener("click", () => end(null), { signal });
+      dialog.addEventListener("cancel", () => end(null), { signal });
+      dialog.showModal();
+      field.focus();
+    });
+  }
+}
+
+/** The format of a job's result. */
+function formatOf(job: Job): string {
+  const result = job.spec.result as { file?: string } | undefined;
+  return result?.file ?? "ply";
+}

@@ -1,0 +1,99 @@
+// The table of figures.
+//
+// Purpose: sets the input and the remesh beside each other. Invariant: figures of the remesh are those of the job's report;
+// those of the input are measured here. Must not know: how they are measured.
+
+import { make, the } from "./dom.ts";
+import type { Loaded } from "./tasks.ts";
+import { count, duration, figure } from "./words.ts";
+
+type Column = "input" | "result";
+
+/** The rows: a name, and what explains it. */
+const ROWS = [
+  ["vertices", "Vertices"],
+  ["facets", "Facets"],
+  ["q_min", "Quality, least"],
+  ["q_avg", "Quality, mean"],
+  ["theta_min_deg", "Smallest angle"],
+  ["under_30_percent", "Facets with an angle under 30°"],
+  ["hausdorff_percent", "Hausdorff distance, of the diagonal"],
+  ["time", "Time"],
+] as const;
+
+type Row = (typeof ROWS)[number][0];
+
+export class Figures {
+  private readonly cells = new Map<string, HTMLElement>();
+  private readonly note = the("figures-note", HTMLElement);
+
+  constructor() {
+    const body = the("figures", HTMLTableSectionElement);
+    for (const [row, name] of ROWS) {
+      const columns = (["input", "result"] as const).map((column) => {
+        const cell = make("td", {}, "–");
+        this.cells.set(`${row} ${column}`, cell);
+        return cell;
+      });
+      body.append(make("tr", {}, make("th", { scope: "row" }, name), ...columns));
+    }
+  }
+
+  clear(): void {
+    this.clearColumn("input");
+    this.clearResult();
+  }
+
+  clearResult(): void {
+    this.clearColumn("result");
+    this.note.textContent = "";
+  }
+
+  input({ vertices, facets, figures }: Loaded): void {
+    this.set("vertices", "input", count(vertices));
+    this.set("facets", "input", count(facets));
+    this.set("q_min", "input", figure(figures.least, 2));
+    this.set("q_avg", "input", figure(figures.mean, 3));
+    this.set("theta_min_deg", "input", `${figures.smallestAngle.toFixed(1)}°`);
+    this.set("under_30_percent", "input", percent(figures.under30));
+  }
+
+  result(report: Readonly<Record<string, unknown>>): void {
+    const result = (report["result"] ?? {}) as Readonly<Record<string, unknown>>;
+    const put = (row: Row, write: (x: number) => string): void => {
+      const value = result[row];
+      if (typeof value === "number") this.set(row, "result", write(value));
+    };
+    put("vertices", count);
+    put("facets", count);
+    put("q_min", (x) => figure(x, 2));
+    put("q_avg", (x) => figure(x, 3));
+    put("theta_min_deg", (x) => `${x.toFixed(1)}°`);
+    put("under_30_percent", percent);
+    put("hausdorff_percent", percent);
+    const total = (report["timings_ms"] as Readonly<Record<string, unknown>> | undefined)?.["total"];
+    if (typeof total === "number") this.set("time", "result", duration(total));
+    this.note.textContent = remarks(report);
+  }
+
+  private clearColumn(column: Column): void {
+    for (const [row] of ROWS) this.set(row, column, "–");
+  }
+
+  private set(row: Row, column: Column, text: string): void {
+    const cell = this.cells.get(`${row} ${column}`);
+    if (cell) cell.textContent = text;
+  }
+}
+
+function percent(x: number): string {
+  return `${x >= 10 ? x.toFixed(1) : figure(x, 2)} %`;
+}
+
+/** What of the topology is other than in the input. */
+function remarks(report: Readonly<Record<string, unknown>>): string {
+  const changes = report["topology_changes"];
+  if (!Array.isArray(changes)) return "";
+  if (changes.length === 0) return "Components, holes and handles are as in the input.";
+  return `The topology is not as in the input: ${changes.map(String).join("; ")}.`;
+}

@@ -1,0 +1,111 @@
+// Words for people.
+//
+// Purpose: numbers, times, states and problems as the page says them. Invariant: a problem is told with what to do. Must not
+// know: where on the page words go.
+
+import { Problem, type Job, type State } from "./api.ts";
+import { WorkError } from "./work.ts";
+
+const whole = new Intl.NumberFormat("en");
+
+export function count(x: number): string {
+  return whole.format(x);
+}
+
+/** With so many significant digits, and no exponent where none is needed. */
+export function figure(x: number, digits = 3): string {
+  if (!Number.isFinite(x)) return "–";
+  if (x === 0) return "0";
+  const size = Math.abs(x);
+  if (size < 1e-4 || size >= 1e7) return x.toExponential(digits - 1).replace("e-", " × 10⁻").replace("e+", " × 10").replace(/\d+$/, superscript);
+  return String(Number(x.toPrecision(digits)));
+}
+
+function superscript(digits: string): string {
+  return [...digits].map((digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(digit)]).join("");
+}
+
+export function duration(ms: number): string {
+  if (ms < 1000) return `${Math.round(ms)} ms`;
+  if (ms < 60_000) return `${(ms / 1000).toFixed(1)} s`;
+  return `${Math.floor(ms / 60_000)} min ${Math.round((ms % 60_000) / 1000)} s`;
+}
+
+export function ago(ms: number): string {
+  const seconds = Math.max(0, (Date.now() - ms) / 1000);
+  if (seconds < 60) return "just now";
+  if (seconds < 3600) return `${Math.floor(seconds / 60)} min ago`;
+  if (seconds < 86_400) return `${Math.floor(seconds / 3600)} h ago`;
+  return `${Math.floor(seconds / 86_400)} d ago`;
+}
+
+export function size(bytes: number): string {
+  if (bytes < 1000) return `${bytes} B`;
+  if (bytes < 1e6) return `${(bytes / 1e3).toFixed(0)} kB`;
+  return bytes < 1e9 ? `${(bytes / 1e6).toFixed(1)} MB` : `${(bytes / 1e9).toFixed(2)} GB`;
+}
+
+export const STATES: Readonly<Record<State, string>> = {
+  queued: "waiting", running: "running", succeeded: "done", failed: "failed", cancelled: "cancelled", expired: "expired",
+};
+
+/** What a stage does. A stage that is not here goes by its own name. */
+export const STAGES: Readonly<Record<string, string>> = {
+  read: "Reading the mesh", prepare: "Preparing the surface", sample: "Placing the first points", iterations: "Evening out the cells",
+  dual: "Making triangles of cells", repair: "Repairing the triangles", refine: "Fitting to the surface", attributes: "Carrying over attributes",
+  measure: "Measuring the result", write: "Writing the result", diagram: "Computing the diagram",
+};
+
+export interface Told {
+  readonly title: string;
+  readonly detail: string;
+  readonly advice: string;
+}
+
+function sentence(text: string): string {
+  const begun = text.charAt(0).toUpperCase() + text.slice(1);
+  return /[.!?]$/.test(begun) ? begun : `${begun}.`;
+}
+
+/** What went wrong while something was tried. */
+export function problem(title: string, error: unknown): Told {
+  if (error instanceof Problem) return { title, detail: sentence(error.message), advice: advice(error) };
+  if (error instanceof WorkError) return { title, detail: sentence(error.message), advice: "Try another file, or one with fewer facets." };
+  const detail = error instanceof Error ? error.message : String(error);
+  return { title, detail: sentence(detail), advice: "Load the page again." };
+}
+
+function advice({ status, reason, retryAfter }: Problem): string {
+  const later = retryAfter === null ? "a little later" : `in ${Math.max(1, Math.ceil(retryAfter))} s`;
+  switch (status) {
+    case 0: return "Look whether it runs and whether you are connected, then try again.";
+    case 400: return "Correct what it names, or take another file.";
+    case 401: return "Ask who runs the server for a key, and try again.";
+    case 403: return "This key may look, not start jobs. Use one with the role submit.";
+    case 404: return reason === "job" ? "It may have been deleted. Start a new one." : "Start again from the file.";
+    case 408: return "Try again; a slow connection needs a smaller file.";
+    case 413: return "Take a mesh with fewer facets, or ask for a larger limit.";
+    case 422: return "Ask for fewer points, or take a mesh with fewer facets.";
+    case 429: return `This key has reached a limit. Try again ${later}.`;
+    case 503: return `The server is full or is going down. Try again ${later}.`;
+    default: return "Try again. If it stays so, tell who runs the server.";
+  }
+}
+
+/** Why a job that has ended has no result. */
+export function ending(job: Job): Told | null {
+  switch (job.state) {
+    case "failed": {
+      const isInput = job.failure?.kind === "bad_input";
+      const isLarge = job.failure?.kind === "too_large";
+      return {
+        title: "The job failed",
+        detail: sentence(job.failure?.message ?? "the server gives no reason"),
+        advice: isInput ? "Correct the mesh or the options, then press Remesh." : isLarge ? "Ask for fewer points." : "Press Remesh to try again.",
+      };
+    }
+    case "cancelled": return { title: "The job was cancelled", detail: "Nothing was kept of it.", advice: "Press Remesh to start another." };
+    case "expired": return { title: "The result is gone", detail: "A deadline passed, or it was kept as long as results are.", advice: "Press Remesh to make it again." };
+    default: return null;
+  }
+}
