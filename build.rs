@@ -6,6 +6,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     use prost::Message;
 
     println!("cargo::rerun-if-changed=proto");
+    // The page's files are part of the program.
+    println!("cargo::rerun-if-changed=ui/dist");
     let descriptors = protox::compile(
         ["tessera/v1/blob.proto", "tessera/v1/job.proto", "tessera/v1/remesh.proto", "tessera/v1/server.proto"],
         ["proto"],
