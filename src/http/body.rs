@@ -43,7 +43,7 @@ impl<'a> Arriving<'a> {
 
 /// Why a body came to no end: its client said something that is no HTTP, or has gone.
 fn broken(error: &(dyn Error + 'static)) -> RequestError {
-    let mut causes = std::iter::successors(Some(error), |cause| cause.source());
+    let mut causes = std::iter::successors(Some(error), |&cause| cause.source());
     let is_malformed = causes.any(|cause| {
         let kind = cause.downcast_ref::<std::io::Error>().map(std::io::Error::kind);
         matches!(kind, Some(ErrorKind::InvalidInput | ErrorKind::InvalidData))
