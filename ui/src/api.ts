@@ -25,6 +25,7 @@ export interface Spec {
 }
 
 export interface Iteration {
+  /** From 0. */
   readonly index: number;
   readonly total: number;
   readonly kind: string;
@@ -148,14 +149,17 @@ export class Api {
         const response = await this.ask(`v1/jobs/${id}/events`, { signal, headers: last === "" ? {} : { "last-event-id": last } });
         if (tries > 0) onCut(null);
         if (response.status === 204) return;
+        let isOver = false;
         for await (const { id: number, event, data } of serverSent(response)) {
           if (number !== "") last = number;
           tries = 0;
-          if (event === "end") return;
+          // It is the last; the answer ends after it.
+          if (event === "end") isOver = true;
           if (event === "problem") throw problemOf(503, data, null);
           const told = eventOf(event, data);
           if (told) onEvent(told);
         }
+        if (isOver) return;
       } catch (error) {
         if (isAbort(error)) throw error;
         if (error instanceof Problem && error.status > 0 && error.status < 500 && error.status !== 429) throw error;

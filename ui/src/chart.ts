@@ -4,12 +4,12 @@
 // know: where iterations come from.
 
 import type { Iteration } from "./api.ts";
-import { figure } from "./words.ts";
+import { figure, raised } from "./words.ts";
 
 const SPACE = "http://www.w3.org/2000/svg";
-const LEFT = 62;
+const LEFT = 44;
 const RIGHT = 14;
-const TOP = 12;
+const TOP = 24;
 const BOTTOM = 28;
 
 export class Chart {
@@ -28,7 +28,7 @@ export class Chart {
 
   add(step: Iteration): void {
     this.steps.push(step);
-    this.total = Math.max(this.steps.length, this.steps.length - step.index + step.total);
+    this.total = Math.max(this.steps.length, this.steps.length - 1 - step.index + step.total);
     this.draw();
   }
 
@@ -50,10 +50,15 @@ export class Chart {
     const room = 0.06 * (most - least);
     const x = (i: number): number => LEFT + ((width - LEFT - RIGHT) * i) / Math.max(this.total - 1, 1);
     const y = (energy: number): number => TOP + ((height - TOP - BOTTOM) * (most + room - energy)) / (most - least + 2 * room);
+    // All labels have one power of ten, which is written once.
+    const power = Math.floor(Math.log10(Math.max(Math.abs(most), 1e-300)));
+    const isPlain = power >= -2 && power < 4;
+    const unit = isPlain ? 1 : 10 ** power;
+    if (!isPlain && steps.length > 0) this.text(0, 11, "start", `× 10${raised(power)}`);
     for (let i = 0; i <= 3; i++) {
       const energy = least + ((most - least) * i) / 3;
       this.put("line", { x1: LEFT, x2: width - RIGHT, y1: y(energy), y2: y(energy), class: "grid" });
-      if (steps.length > 0) this.text(LEFT - 8, y(energy) + 4, "end", figure(energy, 3));
+      if (steps.length > 0) this.text(LEFT - 8, y(energy) + 4, "end", isPlain ? figure(energy, 3) : (energy / unit).toFixed(2));
     }
     this.text(LEFT, height - 8, "start", steps.length > 0 ? "1" : "");
     this.text((LEFT + width - RIGHT) / 2, height - 8, "middle", "iteration");

@@ -52,10 +52,11 @@ export class Progress {
 
   iteration({ index, total, kind }: Iteration): void {
     const step = kind === "lloyd" ? "Lloyd step" : "quasi-Newton step";
-    const words = `Evening out the cells: iteration ${index} of ${total}`;
+    const done = index + 1;
+    const words = `Evening out the cells: iteration ${done} of ${total}`;
     this.line.textContent = `${words}, ${step}`;
-    this.bar.value = total > 0 ? index / total : 0;
-    const quarter = total > 0 ? Math.floor((4 * index) / total) : 0;
+    this.bar.value = total > 0 ? done / total : 0;
+    const quarter = total > 0 ? Math.floor((4 * done) / total) : 0;
     if (quarter !== this.quarter) this.live.textContent = words;
     this.quarter = quarter;
   }

@@ -152,12 +152,11 @@ export class Stage {
     const [least, most] = colouring.range;
     if (this.mode === "quality") {
       const { figures } = loaded;
-      const words = `Quality: least ${figure(figures.least, 2)}, mean ${figure(figures.mean, 3)}; ${figure(figures.under30, 2)} % have an angle under 30°`;
+      const words = `least ${figure(figures.least, 2)}, mean ${figure(figures.mean, 3)}; under 30°: ${figure(figures.under30, 2)} %`;
       return element.replaceChildren(bar(colouring.scale, figure(least), figure(most)), make("span", { class: "legend-words" }, words));
     }
     const figures = side === "input" ? this.compared?.inputFigures : this.compared?.resultFigures;
-    const to = side === "input" ? "to the remesh" : "to the input";
-    const words = `Distance ${to}: largest ${figure(figures?.largest ?? NaN, 2)} %, mean ${figure(figures?.mean ?? NaN, 2)} % of the diagonal`;
+    const words = `largest ${figure(figures?.largest ?? NaN, 2)} %, mean ${figure(figures?.mean ?? NaN, 2)} % of the diagonal`;
     element.replaceChildren(bar(colouring.scale, "0", `${figure(most, 2)} %`), make("span", { class: "legend-words" }, words));
   }
 

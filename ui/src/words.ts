@@ -17,12 +17,16 @@ export function figure(x: number, digits = 3): string {
   if (!Number.isFinite(x)) return "–";
   if (x === 0) return "0";
   const size = Math.abs(x);
-  if (size < 1e-4 || size >= 1e7) return x.toExponential(digits - 1).replace("e-", " × 10⁻").replace("e+", " × 10").replace(/\d+$/, superscript);
+  if (size < 1e-4 || size >= 1e7) {
+    const [mantissa, power] = x.toExponential(digits - 1).split("e");
+    return `${mantissa} × 10${raised(Number(power))}`;
+  }
   return String(Number(x.toPrecision(digits)));
 }
 
-function superscript(digits: string): string {
-  return [...digits].map((digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(digit)]).join("");
+/** An exponent. */
+export function raised(power: number): string {
+  return [...String(power)].map((sign) => (sign === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(sign)])).join("");
 }
 
 export function duration(ms: number): string {

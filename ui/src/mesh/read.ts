@@ -22,7 +22,22 @@ export function read(bytes: Uint8Array, format: ShownFormat): Surface {
   if (bytes.length === 0) throw new BadFile("the file is empty");
   const surface = readers[format](bytes);
   if (surface.indices.length === 0) throw new BadFile("the file has no facets");
-  return surface;
+  return withoutLoose(surface);
+}
+
+/** Leaves out vertices without a facet: they are no part of the surface. */
+function withoutLoose({ positions, indices }: Surface): Surface {
+  const count = positions.length / 3;
+  const places = new Uint32Array(count);
+  for (const vertex of indices) places[vertex] = 1;
+  let used = 0;
+  for (let vertex = 0; vertex < count; vertex++) {
+    if (places[vertex] === 0) continue;
+    positions.copyWithin(3 * used, 3 * vertex, 3 * vertex + 3);
+    places[vertex] = used++;
+  }
+  if (used < count) for (let corner = 0; corner < indices.length; corner++) indices[corner] = places[indices[corner]];
+  return { positions: positions.slice(0, 3 * used), indices };
 }
 
 const readers: Record<ShownFormat, (bytes: Uint8Array) => Surface> = { obj: readObj, ply: readPly, stl: readStl, off: readOff };
