@@ -15,7 +15,12 @@ use crate::mesh::io::{DataError, Format};
 
 /// Refuses a file whose vertices have no numbers, for which `option` has a list.
 pub(crate) fn check_format(input: &Path, option: &str) -> Result<()> {
-    match FileVertices::are_numbered(Format::of_path(input)?) {
+    check_numbered(Format::of_path(input)?, input, option)
+}
+
+/// The same of a file whose format is known.
+pub(super) fn check_numbered(format: Format, input: &Path, option: &str) -> Result<()> {
+    match FileVertices::are_numbered(format) {
         true => Ok(()),
         false => Err(Usage(format!("{option}: {}: {NO_NUMBERS}", input.display())).into()),
     }

@@ -7,6 +7,7 @@
 #[allow(dead_code)]
 mod certificates;
 mod client;
+mod formats;
 
 use std::sync::Arc;
 use std::time::Duration;
