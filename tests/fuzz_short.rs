@@ -14,6 +14,7 @@ mod properties;
 #[path = "common/shrinking.rs"]
 mod shrinking;
 
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -127,7 +128,7 @@ fn edited(original: &[u8], edits: &[Edit]) -> Vec<u8> {
     bytes
 }
 
-/// Changed files, in all formats, with attributes and without.
+/// Changed files, in all formats, with attributes and without, and packed by gzip.
 #[test]
 fn changed_files() {
     let mesh = Shape::Torus.build(24);
@@ -141,14 +142,16 @@ fn changed_files() {
     attributes.add_scalar("density", vec![1.5; count]).unwrap();
     for format in Format::ALL {
         let carrying = encode_with_attributes(format, &mesh, &attributes).unwrap().0;
-        let originals = [encode(format, &mesh).unwrap(), carrying];
-        let edits = || (0..2usize, vec(any::<Edit>(), 1..6));
+        let mut packer = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+        packer.write_all(&carrying).unwrap();
+        let originals = [encode(format, &mesh).unwrap(), carrying, packer.finish().unwrap()];
+        let edits = || (0..3usize, vec(any::<Edit>(), 1..6));
         let property = |(which, edits): &(usize, Vec<Edit>)| {
             let bytes = edited(&originals[*which], edits);
             let told = |text: String| format!("{format:?}: {text}\n  the file: {}", String::from_utf8_lossy(&bytes));
             properties::file(format, &bytes).map_err(told)
         };
-        let outcome = shrinking::hold([0, 800], 1, edits, property);
+        let outcome = shrinking::hold([0, 1200], 1, edits, property);
         outcome.unwrap_or_else(|failures| panic!("\n{}", failures.join("\n")));
     }
 }

@@ -16,7 +16,7 @@ use axum::response::IntoResponse;
 use futures_util::{StreamExt as _, TryStreamExt as _};
 use serde_json::json;
 
-use super::body::{Arriving, whole};
+use super::body::{Arriving, Coding, coding, length, whole};
 use super::guard::Client;
 use super::options::Asked;
 use super::problem::{Answered, wrong};
@@ -41,13 +41,15 @@ pub(super) async fn upload(
     let mut asked = Asked::of_query(request.uri().query())?;
     let named = asked.digest("digest")?;
     asked.finish()?;
-    let length = length(request.headers());
+    let (parts, body) = request.into_parts();
+    // The length of what is packed is not known.
+    let length = length(&parts.headers).filter(|_| matches!(coding(&parts.headers), Ok(Coding::Plain)));
     let info = match (named, length) {
         (Some(digest), Some(length)) => {
-            stream(&desk, &client, UploadId::new(digest, length), Arriving::new(&desk, request.into_body())).await?
+            stream(&desk, &client, UploadId::new(digest, length), Arriving::new(&desk, body)).await?
         }
         (named, _) => {
-            let (info, _) = store(&desk, &client, request.into_body()).await?;
+            let (info, _) = store(&desk, &client, &parts.headers, body).await?;
             if let Some(expected) = named
                 && expected != info.digest
             {
@@ -62,14 +64,14 @@ pub(super) async fn upload(
     Ok((StatusCode::CREATED, headers, body).into_response())
 }
 
-/// How long a body says it is.
-fn length(headers: &HeaderMap) -> Option<u64> {
-    headers.get(CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
-}
-
 /// Keeps a body as a blob; gives its first bytes too.
-pub(super) async fn store(desk: &Desk, client: &Client, body: Body) -> Result<(BlobInfo, Bytes), RequestError> {
-    let (bytes, _share): (Bytes, Share) = whole(desk, body).await?;
+pub(super) async fn store(
+    desk: &Desk,
+    client: &Client,
+    headers: &HeaderMap,
+    body: Body,
+) -> Result<(BlobInfo, Bytes), RequestError> {
+    let (bytes, _share): (Bytes, Share) = whole(desk, headers, body).await?;
     let info = keep(&*desk.blobs, &client.tenant, client.bytes, bytes.clone()).await?;
     Ok((info, bytes))
 }

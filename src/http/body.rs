@@ -1,18 +1,22 @@
 //! The body of a request, as it comes.
 //!
 //! Purpose: [`Arriving`] reads a body within the limits of uploads; [`whole`] has all of it in memory. Invariant: what is held
-//! is counted in the memory that all uploads share. A body that stalls, takes too long or comes while the server drains is
-//! refused. Must not know: what the bytes say.
+//! is counted in the memory that all uploads share, byte by byte as it is unpacked where `Content-Encoding` says gzip. A body
+//! that stalls, takes too long or comes while the server drains is refused. Must not know: what the bytes say.
 
 use std::error::Error;
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind, Write};
 use std::time::Duration;
 
 use axum::body::{Body, BodyDataStream, Bytes};
+use axum::http::HeaderMap;
+use axum::http::header::{CONTENT_ENCODING, CONTENT_LENGTH};
 use futures_util::StreamExt as _;
 use tokio::time::Instant;
 
 use super::problem::wrong;
+use crate::job::api::JobApiError;
+use crate::mesh::io::{DataError, unpacked_limit, unpacked_wrong, unpacker};
 use crate::service::{Desk, Phase, RequestError, Share};
 
 /// See the module's head.
@@ -71,14 +75,99 @@ pub(super) async fn pass_over(body: Body) {
     let _ = tokio::time::timeout(TIME, reading).await;
 }
 
-/// A whole body and its memory.
-pub(super) async fn whole(desk: &Desk, body: Body) -> Result<(Bytes, Share), RequestError> {
-    let mut arriving = Arriving::new(desk, body);
-    let mut share = desk.budget.share();
-    let mut all = Vec::new();
-    while let Some(bytes) = arriving.next().await? {
-        share.grow(bytes.len() as u64)?;
-        all.extend_from_slice(&bytes);
+/// How a body comes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Coding {
+    Plain,
+    Gzip,
+}
+
+/// How a body comes, as its headers say.
+///
+/// # Errors
+/// A coding that is not known.
+pub(super) fn coding(headers: &HeaderMap) -> Result<Coding, RequestError> {
+    let Some(value) = headers.get(CONTENT_ENCODING) else { return Ok(Coding::Plain) };
+    match value.to_str().unwrap_or("unreadable").trim().to_ascii_lowercase().as_str() {
+        "" | "identity" => Ok(Coding::Plain),
+        "gzip" | "x-gzip" => Ok(Coding::Gzip),
+        other => Err(wrong("content-encoding", format!("is {other:?}; it must be gzip, or left out"))),
     }
-    Ok((all.into(), share))
+}
+
+/// How long a body says it is.
+pub(super) fn length(headers: &HeaderMap) -> Option<u64> {
+    headers.get(CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
+}
+
+/// A whole body, unpacked, and its memory.
+pub(super) async fn whole(desk: &Desk, headers: &HeaderMap, body: Body) -> Result<(Bytes, Share), RequestError> {
+    let mut arriving = Arriving::new(desk, body);
+    let mut kept = Kept { all: Vec::new(), share: desk.budget.share(), limit: usize::MAX, refusal: None };
+    if coding(headers)? == Coding::Plain {
+        while let Some(bytes) = arriving.next().await? {
+            kept.write_all(&bytes).map_err(|error| kept.refused(&error))?;
+        }
+        return Ok((kept.all.into(), kept.share));
+    }
+    if let Some(length) = length(headers) {
+        kept.limit = unpacked_limit(usize::try_from(length).unwrap_or(usize::MAX));
+    }
+    let mut unpacking = unpacker(kept);
+    while let Some(bytes) = arriving.next().await? {
+        for piece in bytes.chunks(STEP) {
+            unpacking.write_all(piece).map_err(|error| unpacking.get_mut().refused(&error))?;
+            tokio::task::yield_now().await;
+        }
+    }
+    unpacking.try_finish().map_err(|error| unpacking.get_mut().refused(&error))?;
+    let kept = std::mem::replace(unpacking.get_mut(), Kept::nothing(desk));
+    Ok((kept.all.into(), kept.share))
+}
+
+/// So many packed bytes are unpacked before others have their turn: 4 MiB at most come of them.
+const STEP: usize = 4 << 10;
+
+/// Bytes that are kept, and counted before there is room for them.
+struct Kept {
+    all: Vec<u8>,
+    share: Share,
+    limit: usize,
+    /// Why no more is taken.
+    refusal: Option<RequestError>,
+}
+
+impl Kept {
+    fn nothing(desk: &Desk) -> Self {
+        Self { all: Vec::new(), share: desk.budget.share(), limit: 0, refusal: None }
+    }
+
+    /// What an error of writing means.
+    fn refused(&mut self, error: &io::Error) -> RequestError {
+        if let Some(refusal) = self.refusal.take() {
+            return refusal;
+        }
+        match unpacked_wrong(error, self.limit) {
+            DataError::TooLong { limit } => JobApiError::Packed { limit_bytes: limit as u64 }.into(),
+            error => wrong("body", format!("is not packed as its Content-Encoding says: {error}")),
+        }
+    }
+}
+
+impl Write for Kept {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.all.len().saturating_add(bytes.len()) > self.limit {
+            return Err(io::ErrorKind::FileTooLarge.into());
+        }
+        if let Err(refusal) = self.share.grow(bytes.len() as u64) {
+            self.refusal = Some(refusal);
+            return Err(io::ErrorKind::OutOfMemory.into());
+        }
+        self.all.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }

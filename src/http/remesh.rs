@@ -13,7 +13,7 @@ use axum::http::request::Parts;
 use tokio::runtime::Handle;
 
 use super::blobs::store;
-use super::body::pass_over;
+use super::body::{coding, pass_over};
 use super::guard::Client;
 use super::jobs::{MESH, send_result};
 use super::media;
@@ -42,7 +42,7 @@ pub(super) async fn remesh(
             return Err(error.into());
         }
     };
-    let (info, bytes) = store(&desk, &client, body).await?;
+    let (info, bytes) = store(&desk, &client, &parts.headers, body).await?;
     let spec = wanted.of(info.digest, &bytes)?;
     drop(bytes);
     let created = service::create(Arc::clone(&desk.api), &*desk.blobs, client.bytes, spec).await?;
@@ -61,6 +61,7 @@ struct Asking {
 /// What a request asks for. What can be refused without its body is refused here.
 fn wanted(parts: &Parts, client: &Client) -> Result<Asking, RequestError> {
     let mut asked = Asked::of_query(parts.uri.query())?;
+    coding(&parts.headers)?;
     let header = |name| parts.headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
     let format = asked.format("format")?.or_else(|| media::of_types(header(CONTENT_TYPE)));
     let to = asked.format("to")?.or_else(|| media::of_types(header(ACCEPT)));

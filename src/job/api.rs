@@ -23,7 +23,7 @@ pub trait JobApi: Send + Sync {
     /// Checks a job, keeps it and queues it. The specification has its tenant and its request's number.
     ///
     /// # Errors
-    /// `Spec`, `Input`, `TooLarge`; `Blob` if its input is not stored; `Store` if the request came before with another
+    /// `Spec`, `Input`, `TooLarge`, `Packed`; `Blob` if its input is not stored; `Store` if the request came before with another
     /// body; `Job` if the queue is full or the server drains.
     async fn create(&self, spec: JobSpec) -> Result<Created, JobApiError>;
 
@@ -73,7 +73,7 @@ pub trait JobApi: Send + Sync {
     /// What a job would need. Counts that are not given are read from the job's input.
     ///
     /// # Errors
-    /// `Spec`, `Input`; `Blob` if counts are not given and the input is not stored.
+    /// `Spec`, `Input`, `TooLarge`, `Packed`; `Blob` if counts are not given and the input is not stored.
     async fn estimate(
         &self,
         spec: JobSpec,
@@ -148,6 +148,12 @@ pub enum JobApiError {
         /// What it needs.
         needed_bytes: u64,
         /// What there is.
+        limit_bytes: u64,
+    },
+    /// More is packed in the surface's file than may be in one of its size.
+    #[error("more than {limit_bytes} bytes are packed in the file; unpack it first (gunzip)")]
+    Packed {
+        /// What may be.
         limit_bytes: u64,
     },
     /// The store of jobs refused or failed.

@@ -85,6 +85,31 @@ impl From<MeshFormat> for Format {
             MeshFormat::Obj => Self::Obj,
             MeshFormat::Stl => Self::Stl,
             MeshFormat::Off => Self::Off,
+            MeshFormat::Vtk => Self::Vtk,
+            MeshFormat::Vtp => Self::Vtp,
+            MeshFormat::Msh => Self::Gmsh,
+            MeshFormat::Mesh => Self::Medit,
+            MeshFormat::Meshb => Self::MeditBinary,
+            MeshFormat::Glb => Self::Glb,
+            MeshFormat::Gltf => Self::Gltf,
+        }
+    }
+}
+
+impl From<Format> for MeshFormat {
+    fn from(format: Format) -> Self {
+        match format {
+            Format::Ply => Self::Ply,
+            Format::Obj => Self::Obj,
+            Format::Stl => Self::Stl,
+            Format::Off => Self::Off,
+            Format::Vtk => Self::Vtk,
+            Format::Vtp => Self::Vtp,
+            Format::Gmsh => Self::Msh,
+            Format::Medit => Self::Mesh,
+            Format::MeditBinary => Self::Meshb,
+            Format::Glb => Self::Glb,
+            Format::Gltf => Self::Gltf,
         }
     }
 }

@@ -34,8 +34,10 @@ use super::{MeshError, TriMesh};
 use held::{Held, Holds, Raw};
 use polygons::Fan;
 
-use packed::limit as unpacked_limit;
+pub(crate) use packed::limit as unpacked_limit;
 pub(crate) use packed::pack_for;
+#[cfg(feature = "service")]
+pub(crate) use packed::{Measure, are_packed, unpack_head, unpacked_wrong, unpacker};
 pub use packed::{UNPACKED_RATIO, unpack};
 
 pub use attributed::{
@@ -139,10 +141,27 @@ struct Codec {
     decode: fn(bytes: &[u8], wanted: bool) -> Result<Soup, DataError>,
     encode: fn(&TriMesh, &Held<'_>) -> Result<Vec<u8>, DataError>,
     /// See [`counts`].
-    counts: fn(&[u8]) -> Option<(u64, u64)>,
+    counts: fn(&[u8]) -> Option<Counts>,
     holds: Holds,
     #[cfg_attr(not(feature = "service"), expect(dead_code, reason = "lists are read by the command and by jobs"))]
     vertices: VertexNumbers,
+}
+
+/// What is known of a file before it is read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Counts {
+    /// Vertices, at most.
+    pub(crate) vertices: u64,
+    /// Facets, at most.
+    pub(crate) facets: u64,
+    /// Bytes that reading makes of what is packed in the file, or named in it several times.
+    pub(crate) made_bytes: u64,
+}
+
+impl From<(u64, u64)> for Counts {
+    fn from((vertices, facets): (u64, u64)) -> Self {
+        Self { vertices, facets, made_bytes: 0 }
+    }
 }
 
 /// How vertices of a file are numbered in the surface that is read from it.
@@ -317,18 +336,23 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
 /// Vertices and facets that [`decode`] would find in a file, at most: a polygon of n corners counts as n - 2 facets, a facet
 /// of STL as three vertices. `None` if the bytes are no such file, or end before what its header declares; `decode` fails then.
 ///
-/// Of OBJ, PLY, STL and OFF nothing is kept, and no number is read that is not a count: this is several times as fast as
-/// reading. Others are read.
+/// Of OBJ, PLY, STL, OFF, `.vtp` and glTF nothing is kept, and no number is read that is not a count: this is several times as
+/// fast as reading. Others are read.
 pub fn counts(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
     let bytes = unpack(bytes, unpacked_limit(bytes.len())).ok()?;
-    let bytes = without_mark(&bytes);
-    (format.codec().counts)(bytes).filter(|&(vertices, facets)| vertices > 0 && facets > 0)
+    counts_of_plain(format, &bytes).map(|counts| (counts.vertices, counts.facets))
+}
+
+/// The same of bytes that are not packed.
+pub(crate) fn counts_of_plain(format: Format, bytes: &[u8]) -> Option<Counts> {
+    let counts = (format.codec().counts)(without_mark(bytes))?;
+    (counts.vertices > 0 && counts.facets > 0).then_some(counts)
 }
 
 /// [`Codec::counts`] of formats whose counts are spread over the file: what is read.
-fn counts_by_reading(decode: fn(&[u8], bool) -> Result<Soup, DataError>, bytes: &[u8]) -> Option<(u64, u64)> {
+fn counts_by_reading(decode: fn(&[u8], bool) -> Result<Soup, DataError>, bytes: &[u8]) -> Option<Counts> {
     let soup = decode(bytes, false).ok()?;
-    Some((soup.positions.len() as u64, soup.facets.len() as u64))
+    Some(Counts::from((soup.positions.len() as u64, soup.facets.len() as u64)))
 }
 
 /// Says of elements that fill space that they are left aside; an error if there is nothing else.

@@ -106,7 +106,7 @@ macro_rules! choices {
 
 choices! {
     State, JobState: Queued Running Succeeded Failed Cancelled Expired;
-    record::MeshFormat, MeshFormat: Ply Obj Stl Off;
+    record::MeshFormat, MeshFormat: Ply Obj Stl Off Vtk Vtp Msh Mesh Meshb Glb Gltf;
     record::ArrayForm, ArrayForm: F32 F64 U32 U8 Text;
     record::AttributeKind, AttributeKind: Normals TextureCoordinates Colours Scalar;
     record::BackendName, BackendChoice: Auto Gpu Parallel Serial;

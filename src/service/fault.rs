@@ -324,6 +324,10 @@ fn of_job_api(error: JobApiError) -> Fault {
             invalid(format!("{path} {problem}"), path, problem)
         }
         JobApiError::TooLarge { .. } => invalid(text.clone(), "spec".to_owned(), text),
+        JobApiError::Packed { .. } => {
+            let path = path_of("mesh.file");
+            invalid(format!("{path} {text}"), path, text)
+        }
         JobApiError::Store(error) => of_store(&error),
         JobApiError::Blob(error) => of_blob(&error),
         JobApiError::Job(error) => of_job(&error),

@@ -21,7 +21,7 @@ pub(super) fn of(error: &RequestError) -> Option<Refused> {
         RequestError::Draining => Some(Refused::Draining),
         RequestError::Job(error) | RequestError::JobApi(JobApiError::Job(error)) => of_job(error),
         RequestError::Blob(error) | RequestError::JobApi(JobApiError::Blob(error)) => of_blob(error),
-        RequestError::JobApi(JobApiError::TooLarge { .. }) => Some(Refused::TooLarge),
+        RequestError::JobApi(JobApiError::TooLarge { .. } | JobApiError::Packed { .. }) => Some(Refused::TooLarge),
         // The transport's word for a message that is too long, and ours for memory that is used up.
         RequestError::Inbound(status) => match status.code() {
             Code::OutOfRange => Some(Refused::MessageSize),

@@ -4,9 +4,11 @@
 use glam::DVec3;
 use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::{Attributes, Normals};
-use tessera::mesh::io::{DataError, Format, Loaded, decode, decode_with_attributes, encode, encode_with_attributes};
+use tessera::mesh::io::{
+    DataError, Format, Loaded, counts, decode, decode_with_attributes, encode, encode_with_attributes,
+};
 
-/// A surface that was read is written and read again as the same one; an error is said in a line.
+/// A surface that was read has no more than was counted; it is written and read again as the same one; an error is said in a line.
 pub fn check(format: Format, bytes: &[u8]) -> Result<(), String> {
     let loaded = decode_with_attributes(format, bytes);
     let plain = decode(format, bytes);
@@ -18,6 +20,14 @@ pub fn check(format: Format, bytes: &[u8]) -> Result<(), String> {
     };
     if !same {
         return Err(format!("{format:?}: with attributes another surface is read"));
+    }
+    // A server makes room by these counts.
+    let counted = counts(format, bytes);
+    if let Ok(mesh) = &plain {
+        let (vertices, facets) = (mesh.positions().len() as u64, mesh.facets().len() as u64);
+        if !counted.is_some_and(|(v, f)| v >= vertices && f >= facets) {
+            return Err(format!("{format:?}: {vertices} vertices and {facets} facets are counted as {counted:?}"));
+        }
     }
     if let Some(other) = detour(format, bytes) {
         let same = match (&decode(format, &other), &plain) {
@@ -80,7 +90,7 @@ pub fn is_single(format: Format) -> bool {
 /// ones: a continued comment, a list that no element has.
 pub fn detour(format: Format, bytes: &[u8]) -> Option<Vec<u8>> {
     match format {
-        _ if bytes.trim_ascii().is_empty() => None,
+        _ if bytes.trim_ascii().is_empty() || bytes.starts_with(&[0x1f, 0x8b]) => None,
         Format::Obj => Some([bytes, b"\n# \\\n"].concat()),
         Format::Ply => {
             let end = b"\nend_header";

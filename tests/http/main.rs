@@ -7,6 +7,7 @@
 #[allow(dead_code)]
 mod certificates;
 mod client;
+mod formats;
 mod hostile;
 
 use std::sync::Arc;

@@ -89,6 +89,50 @@ async fn every_kind_of_job_is_done() {
     assert_eq!(program.stop(), Some(0));
 }
 
+/// What a file is, a job says; whether it is packed by gzip, its bytes say.
+#[tokio::test(flavor = "multi_thread")]
+async fn files_of_every_format_are_taken_and_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut program = Program::start(folder.path(), &[]);
+    let mut client = program.client().await;
+    let mesh = Shape::Torus.build(1_000);
+    let gzip = |bytes: &[u8]| {
+        let mut packer = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+        std::io::Write::write_all(&mut packer, bytes).unwrap();
+        packer.finish().unwrap()
+    };
+    for (format, message) in [
+        (Format::Ply, MeshFormat::Ply),
+        (Format::Vtk, MeshFormat::Vtk),
+        (Format::Vtp, MeshFormat::Vtp),
+        (Format::Gmsh, MeshFormat::Msh),
+        (Format::Medit, MeshFormat::Mesh),
+        (Format::MeditBinary, MeshFormat::Meshb),
+        (Format::Glb, MeshFormat::Glb),
+        (Format::Gltf, MeshFormat::Gltf),
+    ] {
+        let bytes = encode(format, &mesh).unwrap();
+        let mut results = Vec::new();
+        for bytes in [gzip(&bytes), bytes] {
+            let digest = client.put(&bytes).await;
+            let mut spec = remesh(&digest, 100, 1);
+            let file = MeshFile { digest, format: message.into(), attributes: None };
+            spec.mesh = Some(JobMesh { source: Some(job_mesh::Source::File(file)) });
+            spec.result = Some(ResultFormat { form: Some(result_format::Form::File(message.into())) });
+            let id = client.submit(spec).await;
+            let job = client.end(&id, LIMIT).await;
+            results.push(client.read(&part(&job, "mesh")).await);
+        }
+        assert!(results[0] == results[1], "{format:?}: packed or not, the bits are the same");
+        assert!(decode(format, &results[0]).unwrap().facets().len() > 100, "{format:?}");
+    }
+    let bomb = client.put(&gzip(&vec![b'\n'; 64 << 20])).await;
+    let refused = client.create(remesh(&bomb, 100, 0), "").await.unwrap_err();
+    assert_eq!(refused.code(), Code::InvalidArgument, "{refused:?}");
+    assert!(refused.message().contains("are packed in the file"), "{refused:?}");
+    assert_eq!(program.stop(), Some(0));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn what_cannot_be_done_says_why_and_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();

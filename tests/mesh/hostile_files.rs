@@ -8,7 +8,7 @@ use crate::readers;
 use rand::{Rng, SeedableRng};
 use tessera::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
 use tessera::mesh::io::{
-    DataError, FileError, Format, decode, decode_with_attributes, encode, encode_with_attributes, read,
+    DataError, FileError, Format, counts, decode, decode_with_attributes, encode, encode_with_attributes, read,
 };
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::{MeshError, TriMesh};
@@ -316,4 +316,84 @@ fn stl_holds_no_facets_that_vanish() {
     let corners = [[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [1., 1e-12, 0.]].map(glam::DVec3::from_array).to_vec();
     let sliver = TriMesh::new(corners, vec![[0, 3, 2], [0, 1, 3]]).unwrap();
     assert!(encode(Format::Stl, &sliver).is_ok());
+}
+
+/// What names much with few bytes takes neither time nor memory: each of these would be minutes, or more memory than there is.
+#[test]
+fn much_that_is_named_by_little() {
+    let begin = Instant::now();
+    let refused = |format: Format, bytes: &[u8], words: &str| {
+        let error = decode(format, bytes).unwrap_err().to_string();
+        assert!(error.contains(words), "{format:?}: {error}");
+        assert_eq!(counts(format, bytes), None, "{format:?}");
+    };
+    // Nodes that each name a mesh of many primitives, of points.
+    let nodes = vec!["{\"mesh\":0}"; 20_000].join(",");
+    let primitives = vec!["{\"mode\":0}"; 20_000].join(",");
+    let text = format!(
+        "{{\"asset\":{{\"version\":\"2.0\"}},\"nodes\":[{nodes}],\"meshes\":[{{\"primitives\":[{primitives}]}}]}}"
+    );
+    refused(Format::Gltf, text.as_bytes(), "repeat");
+    refused(Format::Gltf, "[".repeat(1_000_000).as_bytes(), "");
+    // Keywords that each begin within the vertices of the one before.
+    let mut bytes = [1u32, 2, 3, 24, 3].map(u32::to_le_bytes).concat();
+    bytes.extend_from_slice(&[0; 4]);
+    let keywords = 20_000;
+    for k in 0..keywords {
+        let (here, all) = (24 + 12 * k, 24 + 12 * keywords);
+        let count = (all - here) / 28;
+        [4, here + 12, count].iter().for_each(|n: &u32| bytes.extend_from_slice(&n.to_le_bytes()));
+    }
+    refused(Format::MeditBinary, &bytes, "leads back");
+    // Nodes again and again.
+    let nodes: String = (1..=50_000).map(|tag| format!("{} 0 0 0\n", 2 * tag)).collect();
+    let again = "$Nodes\n0\n$EndNodes\n".repeat(50_000);
+    let text = format!("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n50000\n{nodes}$EndNodes\n{again}");
+    refused(Format::Gmsh, text.as_bytes(), "twice");
+    // Very many arrays, each of its own name, in several pieces.
+    let array = |k: usize| format!("<DataArray type=\"Int8\" Name=\"{k}\">0 0 0</DataArray>");
+    let piece = |arrays: String| {
+        format!(
+            "<Piece NumberOfPoints=\"3\" NumberOfPolys=\"1\"><PointData>{arrays}</PointData><Points><DataArray \
+             type=\"Int8\">0 0 0 1 0 0 0 1 0</DataArray></Points><Polys><DataArray type=\"Int8\" Name=\"connectivity\">\
+             0 1 2</DataArray><DataArray type=\"Int8\" Name=\"offsets\">3</DataArray></Polys></Piece>"
+        )
+    };
+    let count = 60_000;
+    let one = piece((0..count).map(array).collect());
+    let other = piece((count..2 * count).map(array).collect());
+    for pieces in [one.clone(), one + &other] {
+        let text = format!("<VTKFile type=\"PolyData\">{pieces}</VTKFile>");
+        let loaded = decode_with_attributes(Format::Vtp, text.as_bytes()).unwrap();
+        assert!(loaded.attributes.scalars().len() <= 4096 && !loaded.left_aside.is_empty());
+    }
+    assert!(begin.elapsed().as_secs() < 60, "{:?}", begin.elapsed());
+}
+
+/// What arrays of a file say that is packed in them is known before they are unpacked.
+#[test]
+fn packed_arrays_are_counted_by_what_they_say() {
+    let header = [2u32, 1 << 20, 1 << 19, 9, 9].map(u32::to_le_bytes).concat();
+    let data = base64(&header);
+    let text = format!(
+        "<VTKFile type=\"PolyData\" compressor=\"vtkZLibDataCompressor\"><Piece NumberOfPoints=\"131072\" NumberOfPolys=\"1\">\
+         <Points><DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"binary\">{data}</DataArray></Points><Polys>\
+         <DataArray type=\"Int8\" Name=\"connectivity\">0 1 2</DataArray><DataArray type=\"Int8\" Name=\"offsets\">3\
+         </DataArray></Polys></Piece></VTKFile>"
+    );
+    assert_eq!(counts(Format::Vtp, text.as_bytes()), None, "more than a file of this size may unpack to");
+    let longer = text.replace("</Polys>", &format!("</Polys>{}", " ".repeat(40_000)));
+    assert_eq!(counts(Format::Vtp, longer.as_bytes()), Some((131_072, 1)));
+    assert!(decode(Format::Vtp, longer.as_bytes()).is_err());
+}
+
+/// Base64 of bytes that are a multiple of three, or not.
+fn base64(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let group = |three: &[u8]| {
+        let all = three.iter().chain(&[0, 0]).take(3).fold(0usize, |all, &byte| all << 8 | usize::from(byte));
+        let digit = |k: usize| if k <= three.len() { DIGITS[all >> (18 - 6 * k) & 63] as char } else { '=' };
+        [digit(0), digit(1), digit(2), digit(3)]
+    };
+    bytes.chunks(3).flat_map(group).collect()
 }

@@ -4,11 +4,14 @@
     TESSERA_FORMATS=FOLDER cargo test --test mesh -- --ignored files_of_other_libraries
     python formats.py check FOLDER     # reads what that test wrote to FOLDER/ours
 
-A line of list.txt has the file's name, its vertices, its triangles and its area.
+A line of list.txt has the file's name, its vertices, its triangles, its area, and what its points carry besides.
+clients/python/tests/run.sh does all three.
 """
 
+import gzip
 import itertools
 import pathlib
+import shutil
 import sys
 
 import meshio
@@ -16,6 +19,9 @@ import numpy as np
 import pyvista
 import trimesh
 import vtk
+
+# Files that are written, so that none is forgotten.
+FILES = 94
 
 
 def surface():
@@ -46,8 +52,8 @@ def write(folder):
     whole = area(points, faces)
     held = []
 
-    def holds(name, vertices=len(points), triangles=len(faces), size=whole):
-        held.append(f"{name} {vertices} {triangles} {float(size)!r}")
+    def holds(name, vertices=len(points), triangles=len(faces), size=whole, carried="-"):
+        held.append(f"{name} {vertices} {triangles} {float(size)!r} {carried}")
 
     def legacy(name, source, writer, text, version):
         writer.SetFileName(str(folder / name))
@@ -59,16 +65,17 @@ def write(folder):
     grid = data.cast_to_unstructured_grid()
     quads = pyvista.Plane(i_resolution=5, j_resolution=4)
     strips = data.strip()
+    every = "normals,texture,colours,scalars"
     for text, version in itertools.product([True, False], [42, 51]):
         end = f"{'text' if text else 'binary'}-{version}.vtk"
         legacy(f"poly-{end}", data, vtk.vtkPolyDataWriter(), text, version)
-        holds(f"poly-{end}")
+        holds(f"poly-{end}", carried=every)
         legacy(f"grid-{end}", grid, vtk.vtkUnstructuredGridWriter(), text, version)
-        holds(f"grid-{end}")
+        holds(f"grid-{end}", carried=every)
         legacy(f"quads-{end}", quads, vtk.vtkPolyDataWriter(), text, version)
-        holds(f"quads-{end}", 30, 40, 1.0)
+        holds(f"quads-{end}", 30, 40, 1.0, "normals,texture")
         legacy(f"strips-{end}", strips, vtk.vtkPolyDataWriter(), text, version)
-        holds(f"strips-{end}")
+        holds(f"strips-{end}", carried=every)
     for mode, packed, big in itertools.product(["Ascii", "Binary", "AppendedRaw", "Appended64"], [0, 1], [0, 1]):
         for name, source in [("poly", data), ("strips", strips)]:
             name = f"{name}-{mode}-{packed}-{big}.vtp"
@@ -81,8 +88,11 @@ def write(folder):
             writer.SetByteOrder(0 if big else 1)
             writer.SetHeaderTypeToUInt64() if big else writer.SetHeaderTypeToUInt32()
             writer.Write()
-            holds(name)
+            holds(name, carried=every)
 
+    # meshio 5.3 writes numbers as Python shows them, which numpy 2 changed to "np.float64(0.0)".
+    if int(np.__version__.split(".")[0]) >= 2:
+        np.set_printoptions(legacy="1.25")
     mesh = meshio.Mesh(points, [("triangle", faces)], point_data={"height": points[:, 2]})
     mixed = meshio.Mesh(
         np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0], [2, 1, 0.0]]),
@@ -104,9 +114,48 @@ def write(folder):
             if kind == "gmsh" and part == "mixed-":
                 continue  # It asks for the parts of a model, which there are not.
             meshio.write(folder / (part + name), it, file_format=kind, **options)
-            holds(part + name, *counts)
+            keeps = part == "ball-" and kind != "medit"
+            holds(part + name, *counts, carried="scalars" if keeps else "-")
+    for name, kind, options, carried in [
+        ("meshio-text.ply", "ply", {"binary": False}, "scalars"),
+        ("meshio-binary.ply", "ply", {"binary": True}, "scalars"),
+        ("meshio-text.stl", "stl", {"binary": False}, "-"),
+        ("meshio-binary.stl", "stl", {"binary": True}, "-"),
+        ("meshio.obj", "obj", {}, "-"),
+        ("meshio.off", "off", {}, "-"),
+    ]:
+        meshio.write(folder / name, mesh, file_format=kind, **options)
+        holds(name, carried=carried)
+
+    bare = pyvista.PolyData.from_regular_faces(points, faces)
+    for name, binary in [("vtk-text", False), ("vtk-binary", True)]:
+        for end in ["ply", "stl"]:
+            bare.save(folder / f"{name}.{end}", binary=binary)
+            holds(f"{name}.{end}", carried="normals" if end == "ply" else "-")
 
     ball = trimesh.Trimesh(points, faces, process=False)
+    coloured = trimesh.Trimesh(points, faces, vertex_colors=data.point_data["RGB"], process=False)
+    for name, options, carried in [
+        ("trimesh-binary.ply", {}, "colours"),
+        ("trimesh-text.ply", {"encoding": "ascii"}, "colours"),
+        ("trimesh.obj", {}, "colours"),
+        ("trimesh.off", {}, "-"),
+        ("trimesh.stl", {}, "-"),
+        ("trimesh.glb", {}, "colours"),
+        ("trimesh-normals.glb", {"include_normals": True}, "normals,colours"),
+    ]:
+        coloured.export(folder / name, **options)
+        holds(name, carried=carried)
+    coloured.export(folder / "trimesh-text.stl", file_type="stl_ascii")
+    holds("trimesh-text.stl")
+    textured = ball.copy()
+    textured.visual = trimesh.visual.TextureVisuals(uv=points[:, :2])
+    files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(textured), embed_buffers=True)
+    (folder / "trimesh.gltf").write_bytes(files["model.gltf"])
+    holds("trimesh.gltf", carried="texture")
+    textured.export(folder / "trimesh-textured.glb")
+    holds("trimesh-textured.glb", carried="texture")
+
     ball.export(folder / "ball.glb")
     rounded = points.astype(np.float32).astype(np.float64)
     holds("ball.glb", size=area(rounded, faces))
@@ -118,7 +167,13 @@ def write(folder):
     scene.add_geometry(ball, transform=mirrored)
     scene.export(folder / "scene.glb")
     holds("scene.glb", 3 * len(points), 3 * len(faces), 3 * area(rounded, faces))
+    for name in ["poly-Binary-1-0.vtp", "poly-text-42.vtk", "ball-41-binary.msh", "ball-text.mesh", "ball.glb", "trimesh.obj"]:
+        with open(folder / name, "rb") as plain, gzip.open(folder / f"{name}.gz", "wb") as packed:
+            shutil.copyfileobj(plain, packed)
+        line = next(line for line in held if line.startswith(f"{name} "))
+        held.append(line.replace(f"{name} ", f"{name}.gz ", 1))
     (folder / "list.txt").write_text("\n".join(held) + "\n")
+    assert len(held) == FILES and all((folder / line.split()[0]).is_file() for line in held), len(held)
     print(f"{len(held)} files in {folder}")
 
 
@@ -133,14 +188,24 @@ def check(folder):
         assert right and np.array_equal(cells, faces), name
         print(name, "is right")
 
+    normals = points / np.linalg.norm(points, axis=1)[:, None]
+    uv = points[:, :2]
+    colours = np.stack([np.full(len(points), 51), np.where(points[:, 2] > 0, 255, 0), np.full(len(points), 102)], axis=1)
+    assert np.allclose(wanted_normals(wanted), normals)
+    assert np.array_equal(wanted.point_data["height"], points[:, 2])
+    for k, name in enumerate(["red", "green", "blue"]):
+        # meshio takes unsigned bytes as signed ones.
+        assert np.array_equal(wanted.point_data[name].astype(np.uint8), colours[:, k]), name
+    assert np.array_equal(np.stack([wanted.point_data["s"], wanted.point_data["t"]], axis=1), uv)
+    print("a.ply is right")
     for name in ["a.vtk", "a.vtp"]:
         found = pyvista.read(ours / name)
         same(name, found.points, found.regular_faces)
         held = found.point_data
         assert np.array_equal(held["height"], points[:, 2]), name
-        assert held["RGB"].dtype == np.uint8 and held["RGB"].shape == (len(points), 3), name
+        assert held["RGB"].dtype == np.uint8 and np.array_equal(held["RGB"], colours), name
         assert np.array_equal(held["Normals"], wanted_normals(wanted)), name
-        assert np.allclose(held.active_texture_coordinates, points[:, :2]), name
+        assert np.allclose(held.active_texture_coordinates, uv), name
     for name in ["a.msh", "a.mesh", "a.meshb"]:
         found = meshio.read(ours / name)
         same(name, found.points, found.cells_dict["triangle"])
@@ -149,6 +214,22 @@ def check(folder):
     for name in ["a.glb", "a.gltf"]:
         found = trimesh.load(ours / name, process=False, force="mesh")
         same(name, found.vertices, found.faces, exact=False)
+        block = pyvista.read(ours / name)
+        found = next(part for part in block.recursive_iterator() if part is not None and part.n_points)
+        same(name, found.points, found.regular_faces, exact=False)
+        held = found.point_data
+        assert np.allclose(held["NORMAL"], normals, atol=1e-6), name
+        assert np.allclose(held["TEXCOORD_0"], np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1), atol=1e-6), name
+        found = held["COLOR_0"] if held["COLOR_0"].dtype == np.uint8 else np.rint(held["COLOR_0"] * 255)
+        assert np.array_equal(found[:, :3], colours), name
+    found = trimesh.load(ours / "a.obj", process=False, maintain_order=True)
+    same("a.obj", found.vertices, found.faces)
+    assert np.allclose(found.vertex_normals, normals, atol=1e-6) and np.allclose(found.visual.uv, uv)
+    found = trimesh.load(ours / "a.off", process=False)
+    same("a.off", found.vertices, found.faces)
+    found = trimesh.load(ours / "a.stl", process=False)
+    assert np.allclose(found.triangles, points[faces], atol=1e-6), "a.stl"
+    print("a.stl is right")
 
 
 def wanted_normals(mesh):

@@ -6,10 +6,12 @@
 use prost_types::{Duration, Timestamp};
 use serde_json::{Map, Value, json};
 
+use super::format;
 use crate::cli::plain::{plain, plain_json};
+use crate::mesh::io::Format;
 use crate::wire::proto::{
-    BackendChoice, EstimateJobResponse, Job, JobEvent, JobFailureKind, JobMesh, JobState, MeshFormat, job_event,
-    job_mesh, job_spec, result_format,
+    BackendChoice, EstimateJobResponse, Job, JobEvent, JobFailureKind, JobMesh, JobState, job_event, job_mesh,
+    job_spec, result_format,
 };
 
 /// A state's name, as `--state` takes it.
@@ -49,13 +51,7 @@ pub(super) fn format(job: &Job) -> Option<&'static str> {
 }
 
 fn file_format(value: i32) -> &'static str {
-    match MeshFormat::try_from(value) {
-        Ok(MeshFormat::Ply) => "ply",
-        Ok(MeshFormat::Obj) => "obj",
-        Ok(MeshFormat::Stl) => "stl",
-        Ok(MeshFormat::Off) => "off",
-        Ok(MeshFormat::Unspecified) | Err(_) => "unknown",
-    }
+    format::of_message(value).map_or("unknown", Format::extension)
 }
 
 /// A moment, if it is one that has a year of four digits.

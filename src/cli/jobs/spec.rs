@@ -10,6 +10,7 @@ use std::str::FromStr;
 use anyhow::Result;
 use clap::{ArgGroup, Args, ValueEnum};
 
+use super::format;
 use super::given::Given;
 use crate::cli::exit::Usage;
 use crate::cli::remesh::args::{
@@ -22,8 +23,8 @@ use crate::config::BackendArg;
 use crate::mesh::io::Format;
 use crate::wire::proto::{
     self, ArrayForm, ArrayRef, BoundaryRule, DensitySource, DrawnSeeds, JobDensity, JobMesh, JobRefinement, JobSeeds,
-    JobSpec, MeshFile, MeshFormat, Placement, Projection, RemeshJob, ResultFormat, RvdJob, RvdOutput, ThinRule,
-    job_mesh, job_refinement, job_seeds, job_spec, result_format,
+    JobSpec, MeshFile, Placement, Projection, RemeshJob, ResultFormat, RvdJob, RvdOutput, ThinRule, job_mesh,
+    job_refinement, job_seeds, job_spec, result_format,
 };
 
 /// A job that can be sent once its files are uploaded.
@@ -63,72 +64,24 @@ pub(crate) fn digest(text: &str) -> Result<String, String> {
     }
 }
 
-/// A file's format.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum FormatArg {
-    /// Stanford PLY.
-    Ply,
-    /// Wavefront OBJ.
-    Obj,
-    /// STL.
-    Stl,
-    /// Geomview OFF.
-    Off,
-}
-
-impl FormatArg {
-    /// That of a file. Jobs take fewer formats than files have.
-    fn of(path: &Path) -> Result<Self> {
-        match Format::of_path(path)? {
-            Format::Obj => Ok(Self::Obj),
-            Format::Ply => Ok(Self::Ply),
-            Format::Stl => Ok(Self::Stl),
-            Format::Off => Ok(Self::Off),
-            _ => {
-                let text =
-                    format!("{}: jobs take .obj, .ply, .stl and .off; convert it, or use `remesh`", path.display());
-                Err(Usage(text).into())
-            }
-        }
-    }
-
-    fn format(self) -> Format {
-        match self {
-            Self::Ply => Format::Ply,
-            Self::Obj => Format::Obj,
-            Self::Stl => Format::Stl,
-            Self::Off => Format::Off,
-        }
-    }
-
-    fn message(self) -> MeshFormat {
-        match self {
-            Self::Ply => MeshFormat::Ply,
-            Self::Obj => MeshFormat::Obj,
-            Self::Stl => MeshFormat::Stl,
-            Self::Off => MeshFormat::Off,
-        }
-    }
-}
-
 /// The surface, and who works.
 #[derive(Args, Debug)]
 pub(super) struct InputArgs {
-    /// The surface: a file (.obj, .ply, .stl or .off), or blob:DIGEST for one that the server has.
+    /// The surface: a file of any format that `remesh` reads, packed by gzip or not, or blob:DIGEST for one that the server has.
     input: Input,
     /// The format of the surface, where its name does not say it.
-    #[arg(long, value_enum, value_name = "FORMAT")]
-    input_format: Option<FormatArg>,
+    #[arg(long, value_parser = format::parser(), value_name = "FORMAT")]
+    input_format: Option<Format>,
     /// Which backend of the server should do the work.
     #[arg(long, value_enum, help_heading = "Who works")]
     backend: Option<BackendArg>,
 }
 
 impl InputArgs {
-    fn format(&self) -> Result<FormatArg> {
+    fn format(&self) -> Result<Format> {
         match (self.input_format, &self.input) {
             (Some(format), _) => Ok(format),
-            (None, Input::File(path)) => FormatArg::of(path),
+            (None, Input::File(path)) => Ok(Format::of_path(path)?),
             (None, Input::Blob(_)) => {
                 Err(Usage("a blob has no name that says its format; add --input-format".to_owned()).into())
             }
@@ -142,10 +95,10 @@ impl InputArgs {
             Input::Blob(digest) => (digest.clone(), Vec::new(), None),
             Input::File(path) => {
                 let source = Source::open(path)?;
-                (source.digest().to_owned(), vec![source], Some((path.clone(), format.format())))
+                (source.digest().to_owned(), vec![source], Some((path.clone(), format)))
             }
         };
-        let file = MeshFile { digest, format: format.message().into(), attributes };
+        let file = MeshFile { digest, format: format::message(format).into(), attributes };
         let spec = JobSpec {
             mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file)) }),
             backend: self.backend.map(remote::choice).unwrap_or_default().into(),
@@ -162,8 +115,8 @@ pub(super) struct RemeshWork {
     #[command(flatten)]
     input: InputArgs,
     /// The format of the result [default: ply]
-    #[arg(long, value_enum)]
-    format: Option<FormatArg>,
+    #[arg(long, value_parser = format::parser())]
+    format: Option<Format>,
     /// Leave aside normals, texture coordinates, colours and scalars of the input.
     #[arg(long)]
     no_attributes: bool,
@@ -183,12 +136,11 @@ impl RemeshWork {
     pub(super) fn asked(&self) -> Result<Asked> {
         let Self { input, size, shape, steps, .. } = self;
         size.check(shape.placement)?;
-        if let Input::File(path) = &input.input
-            && input.format()? == FormatArg::Stl
-        {
+        if let Input::File(path) = &input.input {
+            let format = input.format()?;
             let named = [(&size.sizes, "--sizes"), (&shape.creases, "--creases")];
             named.iter().filter(|(file, _)| file.is_some()).try_for_each(|(_, option)| {
-                sizes::check_format(&files::Surface::new(path, Some(Format::Stl)), option)
+                sizes::check_format(&files::Surface::new(path, Some(format)), option)
             })?;
         }
         let mut asked = input.begin(self.no_attributes.then_some(false))?;
@@ -221,8 +173,9 @@ impl RemeshWork {
             refinement,
             measure: proto::Measure::Unspecified.into(),
         }));
-        asked.spec.result =
-            self.format.map(|format| ResultFormat { form: Some(result_format::Form::File(format.message().into())) });
+        asked.spec.result = self
+            .format
+            .map(|format| ResultFormat { form: Some(result_format::Form::File(format::message(format).into())) });
         Ok(asked)
     }
 }

@@ -121,6 +121,13 @@ pub enum MeshFormat {
     Obj,
     Stl,
     Off,
+    Vtk,
+    Vtp,
+    Msh,
+    Mesh,
+    Meshb,
+    Glb,
+    Gltf,
 }
 
 /// An array in a blob.

@@ -4,11 +4,13 @@
 //! colours of vertices. A glTF has a vertex once for each normal and each place in the texture: vertices of a primitive with the
 //! same bits of position and colour become one, and corners keep the rest. The second texture coordinate goes up here, and down
 //! in a glTF. Materials, images, skins and animations are left aside.
-//! Why the reading is our own, over `serde_json`: the crate `gltf` computes with declared counts unchecked.
+//! Why the reading is our own, over `serde_json`: in the crate `gltf` (1.4.1, of 2024) an accessor with a stride below its
+//! elements' size, or with indices that are fractions, panics in release builds, a count of 0 or 2⁶² in debug builds; and its
+//! documents hold the places of nodes in single precision, which tears scenes far from the origin.
 //! Invariant: what is made of the file's bytes is bounded ([`super::UNPACKED_RATIO`]), however often nodes name a mesh.
 //! Must not know: other formats.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -18,7 +20,7 @@ use serde::Deserialize;
 use super::held::{By, Held, Holds, eight_bit};
 use super::numbers::{Kind, Order};
 use super::single;
-use super::{Codec, DataError, Soup, VertexNumbers, counts_by_reading, unpacked_limit};
+use super::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
@@ -29,7 +31,7 @@ pub(super) const BINARY: Codec = Codec {
     extension: "glb",
     decode: decode_binary,
     encode: encode_binary,
-    counts: |bytes| counts_by_reading(decode_binary, bytes),
+    counts: |bytes| parts(bytes).ok().and_then(|(json, binary)| counts(json, binary, bytes.len())),
     holds: HOLDS,
     vertices: VertexNumbers::Absent,
 };
@@ -39,7 +41,7 @@ pub(super) const TEXT: Codec = Codec {
     extension: "gltf",
     decode: decode_text,
     encode: encode_text,
-    counts: |bytes| counts_by_reading(decode_text, bytes),
+    counts: |bytes| counts(bytes, None, bytes.len()),
     holds: HOLDS,
     vertices: VertexNumbers::Absent,
 };
@@ -144,8 +146,37 @@ fn decode_text(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     surface(bytes, None, bytes.len(), wanted)
 }
 
-/// The surface of a file of so many bytes.
-fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> Result<Soup, DataError> {
+/// What the nodes say that they have: no number of an accessor is read.
+fn counts(json: &[u8], binary: Option<&[u8]>, length: usize) -> Option<Counts> {
+    let root = root(json).ok()?;
+    let mut counts = Counts::default();
+    let most = unpacked_limit(length) as u64;
+    // An element has a byte at the least.
+    let there = (json.len() + binary.map_or(0, <[u8]>::len)) as u64;
+    let count = |accessor: usize| {
+        root.accessors.get(accessor).map(|a| a.count as u64).filter(|count| (1..=there).contains(count))
+    };
+    nodes(&root, length, |primitive, _| {
+        let names = &primitive.attributes;
+        let (mode @ 4..=6, Some(position)) = (primitive.mode.unwrap_or(4), names.position) else { return Ok(()) };
+        let vertices = count(position).ok_or(DataError::Empty)?;
+        let corners = primitive.indices.map_or(Some(vertices), count).ok_or(DataError::Empty)?;
+        let facets = if mode == 4 { corners / 3 } else { corners.saturating_sub(2) };
+        counts.vertices += vertices;
+        counts.facets += facets;
+        // Numbers of vertices and corners, as they are read, and what corners carry.
+        let numbers = [(names.position, 3), (names.normal, 3), (names.texture, 2), (names.colour, 4)];
+        let numbers = numbers.iter().filter(|(name, _)| name.is_some()).map(|(_, n)| n).sum::<u64>();
+        counts.made_bytes += 8 * (numbers * vertices + corners) + 36 * facets;
+        // What reading refuses ends here too.
+        if counts.made_bytes > most.saturating_mul(2) { Err(DataError::Empty) } else { Ok(()) }
+    })
+    .ok()?;
+    Some(counts)
+}
+
+/// The document.
+fn root(json: &[u8]) -> Result<Root, DataError> {
     let root: Root = serde_json::from_slice(json).map_err(|error| match error.is_eof() {
         true => DataError::Truncated("its JSON is not whole".to_owned()),
         false => {
@@ -157,6 +188,12 @@ fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> R
         let name: String = name.chars().filter(|c| !c.is_control()).take(60).collect();
         return Err(DataError::Header(format!("it is packed with {name}, which is not read; export it without")));
     }
+    Ok(root)
+}
+
+/// The surface of a file of so many bytes.
+fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> Result<Soup, DataError> {
+    let root = root(json)?;
     let buffers = buffers(&root, binary)?;
     let mut reader = Reader {
         root: &root,
@@ -169,8 +206,9 @@ fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> R
         colours: Vec::new(),
         eight: true,
         found: [false; 3],
+        told: HashSet::new(),
     };
-    reader.nodes()?;
+    nodes(&root, length, |primitive, place| reader.primitive(primitive, place))?;
     Ok(reader.finish())
 }
 
@@ -225,6 +263,46 @@ fn buffers<'a>(root: &Root, binary: Option<&'a [u8]>) -> Result<Vec<std::borrow:
     root.buffers.iter().enumerate().map(buffer).collect()
 }
 
+/// All primitives of the scene of a file of so many bytes, in their places.
+fn nodes(
+    root: &Root,
+    length: usize,
+    mut visit: impl FnMut(&Primitive, DMat4) -> Result<(), DataError>,
+) -> Result<(), DataError> {
+    // Of primitives without triangles too, which take time and no memory.
+    let mut left = length.saturating_mul(8).saturating_add(1 << 20);
+    let mut open: Vec<(usize, DMat4)> = match root.scenes.get(root.scene) {
+        Some(scene) => scene.nodes.iter().rev().map(|&node| (node, DMat4::IDENTITY)).collect(),
+        None => {
+            let mut is_child = vec![false; root.nodes.len()];
+            for &child in root.nodes.iter().flat_map(|node| &node.children) {
+                is_child.get_mut(child).into_iter().for_each(|is| *is = true);
+            }
+            (0..root.nodes.len()).rev().filter(|&n| !is_child[n]).map(|n| (n, DMat4::IDENTITY)).collect()
+        }
+    };
+    let mut seen = vec![false; root.nodes.len()];
+    while let Some((index, parent)) = open.pop() {
+        let wrong = |message: &str| DataError::Element { element: "node", index, message: message.to_owned() };
+        let node = root.nodes.get(index).ok_or_else(|| wrong("it is named, and there is none"))?;
+        if std::mem::replace(&mut seen[index], true) {
+            return Err(wrong("it has two parents"));
+        }
+        let place = parent * node.place();
+        if let Some(mesh) = node.mesh {
+            let mesh = root.meshes.get(mesh).ok_or_else(|| wrong("its mesh is not there"))?;
+            left = left.checked_sub(mesh.primitives.len()).ok_or_else(repeated)?;
+            mesh.primitives.iter().try_for_each(|primitive| visit(primitive, place))?;
+        }
+        open.extend(node.children.iter().rev().map(|&child| (child, place)));
+    }
+    Ok(())
+}
+
+fn repeated() -> DataError {
+    DataError::Header("its nodes repeat more than a file of this size may; write .ply or .obj".to_owned())
+}
+
 struct Reader<'a> {
     root: &'a Root,
     buffers: Vec<std::borrow::Cow<'a, [u8]>>,
@@ -239,40 +317,11 @@ struct Reader<'a> {
     eight: bool,
     /// Whether there are normals, texture coordinates, colours at all.
     found: [bool; 3],
+    /// Accessors that were left aside.
+    told: HashSet<usize>,
 }
 
 impl Reader<'_> {
-    fn nodes(&mut self) -> Result<(), DataError> {
-        let root = self.root;
-        let mut open: Vec<(usize, DMat4)> = match root.scenes.get(root.scene) {
-            Some(scene) => scene.nodes.iter().rev().map(|&node| (node, DMat4::IDENTITY)).collect(),
-            None => {
-                let mut is_child = vec![false; root.nodes.len()];
-                for &child in root.nodes.iter().flat_map(|node| &node.children) {
-                    is_child.get_mut(child).into_iter().for_each(|is| *is = true);
-                }
-                (0..root.nodes.len()).rev().filter(|&n| !is_child[n]).map(|n| (n, DMat4::IDENTITY)).collect()
-            }
-        };
-        let mut seen = vec![false; root.nodes.len()];
-        while let Some((index, parent)) = open.pop() {
-            let wrong = |message: &str| DataError::Element { element: "node", index, message: message.to_owned() };
-            let node = root.nodes.get(index).ok_or_else(|| wrong("it is named, and there is none"))?;
-            if std::mem::replace(&mut seen[index], true) {
-                return Err(wrong("it has two parents"));
-            }
-            let place = parent * node.place();
-            if let Some(mesh) = node.mesh {
-                let mesh = root.meshes.get(mesh).ok_or_else(|| wrong("its mesh is not there"))?;
-                for primitive in &mesh.primitives {
-                    self.primitive(primitive, place)?;
-                }
-            }
-            open.extend(node.children.iter().rev().map(|&child| (child, place)));
-        }
-        Ok(())
-    }
-
     fn primitive(&mut self, primitive: &Primitive, place: DMat4) -> Result<(), DataError> {
         let mode = primitive.mode.unwrap_or(4);
         let names = &primitive.attributes;
@@ -381,10 +430,11 @@ impl Reader<'_> {
                 Some((values, n))
             }
             None => {
-                self.soup.raw.unreadable(
-                    &format!("accessor {index}"),
-                    format!("it has not {} numbers for each of {count} vertices", components.end()),
-                );
+                // Once, however often nodes name its mesh.
+                if self.told.insert(index) {
+                    let message = format!("it has not {} numbers for each of {count} vertices", components.end());
+                    self.soup.raw.unreadable(&format!("accessor {index}"), message);
+                }
                 None
             }
         }
@@ -392,9 +442,7 @@ impl Reader<'_> {
 
     fn spend(&mut self, bytes: usize) -> Result<(), DataError> {
         let left = self.left.checked_sub(bytes);
-        self.left = left.ok_or_else(|| {
-            DataError::Header("its nodes repeat more than a file of this size may; write .ply or .obj".to_owned())
-        })?;
+        self.left = left.ok_or_else(repeated)?;
         Ok(())
     }
 

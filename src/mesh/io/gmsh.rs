@@ -2,7 +2,7 @@
 //!
 //! Purpose: bytes to triangles with the scalars of their nodes (`$NodeData`), and back. Triangles and quadrangles of higher order
 //! are read by their corners; points and lines are passed over. Vertices are the nodes in the order of the file, whatever
-//! their tags. Our own reader: the crates that read it trust declared counts.
+//! their tags. Our own reader: the crate `mshio` (0.4) reads version 4.1 without data of nodes, and writes nothing.
 //! Must not know: other formats.
 
 use glam::DVec3;
@@ -43,6 +43,9 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     reader.format()?;
     while let Some(word) = reader.cursor.word() {
         match word {
+            b"$Nodes" if !reader.tags.given.is_empty() => {
+                return Err(reader.cursor.syntax("$Nodes is there twice; merge them"));
+            }
             b"$Nodes" if reader.is_4 => reader.nodes_4()?,
             b"$Nodes" => reader.nodes_2()?,
             b"$Elements" if reader.is_4 => reader.elements_4()?,

@@ -9,6 +9,9 @@ use super::polygons;
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{AttributeError, Attributes, Colours, Normals, PerCorner, Scalar};
 
+/// The most scalars of a surface: each name is compared with all others.
+const MOST_SCALARS: usize = 4096;
+
 /// What a reader finds, not yet checked.
 #[derive(Debug, Default)]
 pub(super) struct Raw {
@@ -55,7 +58,11 @@ impl Raw {
             self.colours.map(|colours| attributes.set_colours(colours)),
         ];
         left_aside.extend(results.into_iter().flatten().filter_map(Result::err));
-        for Scalar { name, values } in self.scalars {
+        if let Some(more) = self.scalars.len().checked_sub(MOST_SCALARS).filter(|&more| more > 0) {
+            let message = format!("{more} are more than the {MOST_SCALARS} that a surface carries");
+            left_aside.push(AttributeError::Unreadable { attribute: "scalars".to_owned(), message });
+        }
+        for Scalar { name, values } in self.scalars.into_iter().take(MOST_SCALARS) {
             left_aside.extend(attributes.add_scalar(name, values).err());
         }
         (attributes, left_aside)

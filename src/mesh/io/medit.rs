@@ -1,8 +1,9 @@
 //! Medit: `.mesh`, text, and `.meshb`, binary, of versions 1 to 4. Writes version 2, with doubles, or 3 if a file is longer than
 //! 32 bits can say.
 //!
-//! Purpose: vertices, triangles and quadrilaterals, in either byte order; all other keywords are passed over.  A vertex without a third coordinate, as of dimension 2, lies at 0. Our own reader: it is small,
-//! and no well-kept crate reads it. Must not know: other formats.
+//! Purpose: vertices, triangles and quadrilaterals, in either byte order; all other keywords are passed over. A vertex without a
+//! third coordinate, as of dimension 2, lies at 0. Our own reader: it is small.
+//! Must not know: other formats.
 
 use std::fmt::Write as _;
 
@@ -205,19 +206,19 @@ impl<'a> Reader<'a> {
         self.float = if version == 1 { Kind::F32 } else { Kind::F64 };
         self.int = if version == 4 { Kind::I64 } else { Kind::I32 };
         loop {
-            let here = bytes.len() - self.cursor.rest.len();
             let keyword = self.integer(Kind::I32)?;
             if keyword == END {
                 return self.integer(place).map(|_| ());
             }
             let next = self.integer(place)?;
             self.keyword(keyword)?;
-            // Places only grow, so that this ends.
+            // Places only grow, so that this ends, and no byte is read twice.
             let next = usize::try_from(next).unwrap_or(0);
             if next == 0 {
                 return Ok(());
             }
-            if next <= here {
+            let end = bytes.len() - self.cursor.rest.len();
+            if next < end {
                 return Err(DataError::Header(format!("keyword {keyword} leads back to byte {next}")));
             }
             let rest = bytes.get(next..).ok_or_else(|| {

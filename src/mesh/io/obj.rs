@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 use super::held::{By, Held, Holds, Raw};
 use super::polygons::Fan;
-use super::{Codec, DataError, Soup, VertexNumbers, VertexOrder};
+use super::{Codec, Counts, DataError, Soup, VertexNumbers, VertexOrder};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
@@ -26,7 +26,7 @@ pub(super) const CODEC: Codec = Codec {
     extension: "obj",
     decode,
     encode,
-    counts,
+    counts: |bytes| counts(bytes).map(Counts::from),
     holds: Holds { normals: By::Corner, texture: By::Corner, colours: true, opacity: false, scalars: false },
     vertices: VertexNumbers::Reordered(vertex_order),
 };

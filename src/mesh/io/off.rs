@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 use glam::{DVec2, DVec3};
 
 use super::held::{By, Held, Holds, Raw, eight_bit};
-use super::{Codec, DataError, Soup, VertexNumbers};
+use super::{Codec, Counts, DataError, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 
@@ -19,7 +19,7 @@ pub(super) const CODEC: Codec = Codec {
     extension: "off",
     decode,
     encode,
-    counts,
+    counts: |bytes| counts(bytes).map(Counts::from),
     holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: false },
     vertices: VertexNumbers::Kept,
 };

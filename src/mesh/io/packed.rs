@@ -1,15 +1,16 @@
 //! Files that are packed with gzip, of any format: `.obj.gz` and so on.
 //!
-//! Purpose: [`unpack`] and [`pack`]. Which bytes are packed, their first three say.
+//! Purpose: [`unpack`] and [`pack_for`]; [`Measure`] says how much is packed in bytes that come one after the other, and keeps
+//! none of it. Which bytes are packed, their first three say.
 //! Invariant: no more is unpacked than a limit. Must not know: formats.
 
 use std::borrow::Cow;
-use std::io::{Read as _, Write as _};
+use std::io::{self, Read as _, Write};
 use std::path::Path;
 
 use flate2::Compression;
 use flate2::read::MultiGzDecoder;
-use flate2::write::GzEncoder;
+use flate2::write::{self, GzEncoder};
 
 use super::DataError;
 
@@ -18,7 +19,7 @@ use super::DataError;
 pub const UNPACKED_RATIO: usize = 64;
 
 /// How long all may be that is unpacked from so many bytes, by default.
-pub(super) fn limit(bytes: usize) -> usize {
+pub(crate) fn limit(bytes: usize) -> usize {
     bytes.saturating_mul(UNPACKED_RATIO).saturating_add(1 << 20)
 }
 
@@ -35,19 +36,95 @@ pub(super) fn limit(bytes: usize) -> usize {
 /// # Ok::<(), tessera::mesh::io::DataError>(())
 /// ```
 pub fn unpack(bytes: &[u8], limit: usize) -> Result<Cow<'_, [u8]>, DataError> {
-    if !bytes.starts_with(&[0x1f, 0x8b, 8]) {
+    if !are_packed(bytes) {
         return Ok(bytes.into());
     }
     let mut out = Vec::new();
     let most = u64::try_from(limit).unwrap_or(u64::MAX).saturating_add(1);
-    MultiGzDecoder::new(bytes).take(most).read_to_end(&mut out).map_err(|error| match error.kind() {
-        std::io::ErrorKind::UnexpectedEof => DataError::Truncated("gzip has more to come".to_owned()),
-        _ => DataError::Header("gzip cannot unpack it; fetch or pack it again".to_owned()),
-    })?;
+    MultiGzDecoder::new(bytes).take(most).read_to_end(&mut out).map_err(|error| unpacked_wrong(&error, limit))?;
     if out.len() > limit {
         return Err(DataError::TooLong { limit });
     }
     Ok(out.into())
+}
+
+/// Whether gzip packed these bytes.
+pub(crate) fn are_packed(bytes: &[u8]) -> bool {
+    bytes.starts_with(&[0x1f, 0x8b, 8])
+}
+
+/// The first bytes of what is packed, so many at most; fewer where it is damaged.
+#[cfg(feature = "service")]
+pub(crate) fn unpack_head(bytes: &[u8], most: usize) -> Vec<u8> {
+    let mut head = Vec::new();
+    // What came before an error is kept.
+    let _ = MultiGzDecoder::new(bytes).take(most as u64).read_to_end(&mut head);
+    head
+}
+
+/// Writes what is packed in the bytes that it is given to `to`. Its `try_finish` says whether they were all.
+#[cfg(feature = "service")]
+pub(crate) fn unpacker<W: Write>(to: W) -> write::MultiGzDecoder<W> {
+    write::MultiGzDecoder::new(to)
+}
+
+/// What an error of unpacking says; [`io::ErrorKind::FileTooLarge`] is that of a limit.
+pub(crate) fn unpacked_wrong(error: &io::Error, limit: usize) -> DataError {
+    match error.kind() {
+        io::ErrorKind::UnexpectedEof => DataError::Truncated("gzip has more to come".to_owned()),
+        io::ErrorKind::FileTooLarge => DataError::TooLong { limit },
+        _ => DataError::Header("gzip cannot unpack it; fetch or pack it again".to_owned()),
+    }
+}
+
+/// How many bytes are packed in others, at most so many.
+#[cfg(feature = "service")]
+pub(crate) struct Measure {
+    decoder: write::MultiGzDecoder<Counted>,
+    limit: usize,
+}
+
+/// Bytes that nobody keeps.
+#[cfg(feature = "service")]
+struct Counted {
+    bytes: usize,
+    limit: usize,
+}
+
+#[cfg(feature = "service")]
+impl Write for Counted {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.bytes = self.bytes.saturating_add(bytes.len());
+        if self.bytes > self.limit { Err(io::ErrorKind::FileTooLarge.into()) } else { Ok(bytes.len()) }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(feature = "service")]
+impl Measure {
+    pub(crate) fn new(limit: usize) -> Self {
+        Self { decoder: unpacker(Counted { bytes: 0, limit }), limit }
+    }
+
+    /// The next bytes.
+    ///
+    /// # Errors
+    /// [`DataError::TooLong`] and [`DataError::Header`], as [`unpack`].
+    pub(crate) fn add(&mut self, bytes: &[u8]) -> Result<(), DataError> {
+        self.decoder.write_all(bytes).map_err(|error| unpacked_wrong(&error, self.limit))
+    }
+
+    /// How many there are.
+    ///
+    /// # Errors
+    /// As [`unpack`].
+    pub(crate) fn finish(mut self) -> Result<usize, DataError> {
+        self.decoder.try_finish().map_err(|error| unpacked_wrong(&error, self.limit))?;
+        Ok(self.decoder.get_ref().bytes)
+    }
 }
 
 /// Whether a file's name says that it is packed.
@@ -56,7 +133,7 @@ pub(super) fn is_packed(path: &Path) -> bool {
 }
 
 /// Packs what is to be written to a path, if its name says so.
-pub(crate) fn pack_for(path: &Path, bytes: Vec<u8>) -> std::io::Result<Vec<u8>> {
+pub(crate) fn pack_for(path: &Path, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
     if !is_packed(path) {
         return Ok(bytes);
     }

@@ -14,7 +14,7 @@ mod records;
 mod rows;
 
 use super::held::{By, Held, Holds, eight_bit};
-use super::{Codec, DataError, Soup, VertexNumbers};
+use super::{Codec, Counts, DataError, Soup, VertexNumbers};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::ColourDepth;
 use carried::{Carried, PREFIX, TAKEN};
@@ -25,7 +25,7 @@ pub(super) const CODEC: Codec = Codec {
     extension: "ply",
     decode,
     encode,
-    counts,
+    counts: |bytes| counts(bytes).map(Counts::from),
     holds: Holds { normals: By::Vertex, texture: By::VertexOrCorner, colours: true, opacity: true, scalars: true },
     vertices: VertexNumbers::Kept,
 };

@@ -15,7 +15,7 @@ use glam::DVec3;
 use stl_io::{Normal, Triangle, Vertex};
 
 use super::held::{By, Held, Holds};
-use super::{Codec, DataError, Soup, VertexNumbers, single};
+use super::{Codec, Counts, DataError, Soup, VertexNumbers, single};
 use crate::mesh::TriMesh;
 
 /// See [`Codec`].
@@ -23,7 +23,7 @@ pub(super) const CODEC: Codec = Codec {
     extension: "stl",
     decode,
     encode,
-    counts,
+    counts: |bytes| counts(bytes).map(Counts::from),
     holds: Holds { normals: By::None, texture: By::None, colours: false, opacity: false, scalars: false },
     vertices: VertexNumbers::Absent,
 };

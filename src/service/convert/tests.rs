@@ -9,6 +9,7 @@ use prost::Message as _;
 use super::*;
 use crate::job::record::*;
 use crate::job::store::Page;
+use crate::mesh::io::Format;
 
 fn array() -> impl Strategy<Value = ArrayRef> {
     use ArrayForm::{F32, F64, Text, U8, U32};
@@ -28,7 +29,7 @@ fn attribute() -> impl Strategy<Value = AttributeRef> {
 }
 
 fn format() -> impl Strategy<Value = MeshFormat> {
-    select(vec![MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Stl, MeshFormat::Off])
+    select(Format::ALL.map(MeshFormat::from).to_vec())
 }
 
 fn mesh() -> impl Strategy<Value = MeshSource> {
@@ -247,7 +248,7 @@ fn what_is_not_chosen_is_named() {
     assert_eq!(refused(&|m| m.work = Some(Work::Rvd(proto::RvdJob::default()))), "spec.rvd.seeds");
     let form = |form| Some(proto::ResultFormat { form: Some(form) });
     assert_eq!(refused(&|m| m.result = form(proto::result_format::Form::Arrays(false))), "spec.result.arrays");
-    assert_eq!(refused(&|m| m.result = form(proto::result_format::Form::File(9))), "spec.result.file");
+    assert_eq!(refused(&|m| m.result = form(proto::result_format::Form::File(99))), "spec.result.file");
     let arrays = |m: &mut proto::JobSpec| {
         let arrays = proto::MeshArrays { attributes: vec![proto::AttributeArrays::default()], ..Default::default() };
         m.mesh = Some(proto::JobMesh { source: Some(proto::job_mesh::Source::Arrays(arrays)) });
@@ -311,4 +312,13 @@ fn a_page_is_no_longer_than_a_message() {
     let message = job::page(&page);
     assert!(message.encoded_len() < 4 << 20 && message.jobs.len() > 10 && message.jobs.len() < 100);
     assert_eq!(message.next_page_token, message.jobs.last().unwrap().id);
+}
+
+/// What is kept of a job names its formats by these words, for ever.
+#[test]
+fn formats_are_kept_by_their_extensions() {
+    for format in Format::ALL {
+        let kept = serde_json::to_value(MeshFormat::from(format)).unwrap();
+        assert_eq!((kept, Format::from(MeshFormat::from(format))), (format.extension().into(), format));
+    }
 }

@@ -1,8 +1,8 @@
 //! Legacy VTK, text and binary (big-endian), versions 1 to 5.1: polygonal data and unstructured grids. Writes version 4.2,
 //! binary, with doubles.
 //!
-//! Purpose: bytes to triangles with what the points carry, section by section, and back. Our own reader: the crates that
-//! read it keep whole data sets of every kind, and trust declared counts. Must not know: XML.
+//! Purpose: bytes to triangles with what the points carry, section by section, and back. Our own reader: the crate `vtkio`
+//! (0.6) does not know the cells of version 5, which all VTK writes now. Must not know: XML.
 
 use glam::DVec3;
 

@@ -6,6 +6,7 @@
 //! Invariant: arrays together are no longer than the file, or, where they are packed, than [`super::super::UNPACKED_RATIO`] times
 //! the file: any number of arrays may name the same bytes. Must not know: legacy files.
 
+use std::collections::HashMap;
 use std::io::Read as _;
 
 use base64::Engine as _;
@@ -19,14 +20,14 @@ use super::{Array, Cell, KINDS, Numbers, Role, carried, push_cells, written};
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, shown};
-use crate::mesh::io::{Codec, DataError, Soup, VertexNumbers, counts_by_reading, unpacked_limit};
+use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
 
 /// See [`Codec`].
 pub(in crate::mesh::io) const CODEC: Codec = Codec {
     extension: "vtp",
     decode,
     encode,
-    counts: |bytes| counts_by_reading(decode, bytes),
+    counts,
     holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: true },
     vertices: VertexNumbers::Kept,
 };
@@ -34,7 +35,7 @@ pub(in crate::mesh::io) const CODEC: Codec = Codec {
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let mut file = File::walk(bytes)?;
     let mut soup = Soup::default();
-    let mut arrays: Vec<Array> = Vec::new();
+    let (mut arrays, mut names) = (Vec::new(), HashMap::new());
     for (index, piece) in std::mem::take(&mut file.pieces).into_iter().enumerate() {
         let first = soup.positions.len();
         let missing = |what: &str| DataError::Header(format!("piece {index} has no {what}"));
@@ -59,13 +60,45 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
             push_cells(&mut soup, |_| if is_strip { Cell::Strip } else { Cell::Polygon }, &ends, &points)?;
         }
         if wanted {
-            file.data(&mut arrays, &piece, index, &mut soup);
+            file.data(&mut arrays, &mut names, &piece, first, &mut soup);
         }
     }
     let aside = std::mem::take(&mut soup.raw.unreadable);
     soup.raw = carried(arrays, &soup.facets);
     soup.raw.unreadable.extend(aside);
     Ok(soup)
+}
+
+/// By the lengths before arrays: nothing is unpacked.
+fn counts(bytes: &[u8]) -> Option<Counts> {
+    let mut file = File::walk(bytes).ok()?;
+    let mut counts = Counts::default();
+    for piece in std::mem::take(&mut file.pieces).iter().filter(|piece| piece.points > 0) {
+        let mut numbers = |array: &DataArray<'_>| -> Option<usize> {
+            let (numbers, is_made) = file.numbers(array)?;
+            if is_made {
+                counts.made_bytes = counts.made_bytes.saturating_add(8 * numbers as u64);
+            }
+            Some(numbers)
+        };
+        if numbers(piece.coordinates.as_ref()?)? / 3 < piece.points {
+            return None;
+        }
+        counts.vertices = counts.vertices.saturating_add(piece.points as u64);
+        for cells in [&piece.polygons, &piece.strips].into_iter().filter(|cells| cells.count > 0) {
+            if numbers(cells.offsets.as_ref()?)? < cells.count {
+                return None;
+            }
+            let corners = numbers(cells.points.as_ref()?)?;
+            counts.facets = counts.facets.saturating_add(corners.saturating_sub(2 * cells.count) as u64);
+        }
+        for array in &piece.arrays {
+            numbers(array);
+        }
+    }
+    // Reading ends there.
+    counts.made_bytes = counts.made_bytes.min(8 * file.left as u64);
+    Some(counts)
 }
 
 /// What is said of an array, and where it is.
@@ -290,6 +323,47 @@ impl<'a> File<'a> {
         }
     }
 
+    /// How many numbers an array says that it has, at most as many as a file of this size can hold; whether they are binary.
+    fn numbers(&self, array: &DataArray<'_>) -> Option<(usize, bool)> {
+        let kind = array.kind?;
+        let source = match self.source(array) {
+            Ok(source) => source,
+            Err(text) => {
+                return Some((text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).count(), false));
+            }
+        };
+        let length = self.length_of(&source).ok()?;
+        (length <= self.left).then_some((length / kind.bytes(), true))
+    }
+
+    /// The bytes of an array, with the length before them; its text, if it is text.
+    fn source(&self, array: &DataArray<'a>) -> Result<Source<'a>, &'a [u8]> {
+        match array.place {
+            Place::Text(content) => Err(content),
+            Place::Base64(content) => Ok(Source::base64(content)),
+            Place::Appended(offset) => {
+                let data = self.appended.get(offset..).unwrap_or_default();
+                Ok(if self.appended_raw { Source::Raw(data) } else { Source::Base64(data.into()) })
+            }
+        }
+    }
+
+    /// Numbers before data.
+    fn lengths(&self, data: &[u8]) -> Vec<usize> {
+        let all = self.length.integers(data, self.order);
+        all.into_iter().map(|n| usize::try_from(n).unwrap_or(usize::MAX)).collect()
+    }
+
+    /// How many bytes an array says that it has.
+    fn length_of(&self, source: &Source<'_>) -> Result<usize, String> {
+        let size = self.length.bytes();
+        match (self.packed, self.lengths(&source.first(if self.packed { 3 * size } else { size })?).as_slice()) {
+            (false, &[length]) => Ok(length),
+            (true, &[blocks, block, last]) => Ok(Blocks { blocks, block, last }.bytes()),
+            _ => Err("an array is cut off".to_owned()),
+        }
+    }
+
     fn integers(&mut self, array: &DataArray<'_>, count: Option<usize>) -> Result<Vec<i64>, DataError> {
         self.values(array, count, Kind::integers, |c, n, k, e| c.integers(n, k, e, "cells"))
     }
@@ -305,15 +379,11 @@ impl<'a> File<'a> {
         let wrong = |message: String| DataError::Syntax { line: array.line, message };
         let Some(kind) = array.kind else { return Err(wrong("a DataArray has no known type of numbers".to_owned())) };
         let count = count.ok_or_else(|| wrong("there are too many numbers".to_owned()))?;
-        let whole = match array.place {
-            Place::Text(content) => {
+        let whole = match self.source(array) {
+            Ok(source) => source,
+            Err(content) => {
                 let mut cursor = Cursor { rest: content, line: array.line };
                 return text(&mut cursor, count, kind, Encoding::Text);
-            }
-            Place::Base64(content) => Source::base64(content),
-            Place::Appended(offset) => {
-                let data = self.appended.get(offset..).unwrap_or_default();
-                if self.appended_raw { Source::Raw(data) } else { Source::Base64(data.into()) }
             }
         };
         let bytes = count.saturating_mul(kind.bytes());
@@ -332,32 +402,27 @@ impl<'a> File<'a> {
     /// So many bytes of an array, without the length before them.
     fn data_of(&mut self, source: Source<'_>, bytes: usize) -> Result<Vec<u8>, String> {
         let size = self.length.bytes();
-        let (length, order) = (self.length, self.order);
-        let lengths = |data: &[u8]| -> Vec<usize> {
-            let all = length.integers(data, order);
-            all.into_iter().map(|n| usize::try_from(n).unwrap_or(usize::MAX)).collect()
-        };
         let differs = |n: usize| format!("an array has {n} bytes and should have {bytes}; write the file again");
         if !self.packed {
             let data = source.first(bytes.saturating_add(size))?;
             let (head, data) = data.split_at_checked(size).ok_or("an array is cut off")?;
-            return match lengths(head).first() {
+            return match self.lengths(head).first() {
                 Some(&n) if n == bytes && data.len() == n => Ok(data.to_vec()),
                 Some(&n) => Err(differs(n)),
                 None => Err("an array is cut off".to_owned()),
             };
         }
-        // The number of blocks, the size of each but the last, the last one's, packed sizes of all.
-        let head = lengths(&source.first(3 * size)?);
+        // Packed sizes of all blocks follow.
+        let head = self.lengths(&source.first(3 * size)?);
         let &[blocks, block, last] = head.as_slice() else { return Err("an array is cut off".to_owned()) };
-        let full = if last == 0 { blocks } else { blocks.saturating_sub(1) };
-        let whole = full.saturating_mul(block).saturating_add(if blocks > 0 { last } else { 0 });
+        let all = Blocks { blocks, block, last };
+        let (full, whole) = (all.full(), all.bytes());
         if whole != bytes {
             return Err(differs(whole));
         }
         let head_bytes = blocks.saturating_add(3).saturating_mul(size);
         self.spend(head_bytes)?;
-        let sizes = lengths(source.first(head_bytes)?.get(3 * size..).unwrap_or_default());
+        let sizes = self.lengths(source.first(head_bytes)?.get(3 * size..).unwrap_or_default());
         if sizes.len() != blocks {
             return Err("an array is cut off".to_owned());
         }
@@ -379,35 +444,59 @@ impl<'a> File<'a> {
         Ok(out)
     }
 
-    /// Reads what the points of a piece carry. What is wrong is left aside.
-    fn data(&mut self, arrays: &mut Vec<Array>, piece: &Piece<'a>, index: usize, soup: &mut Soup) {
-        let found = if index == 0 { piece.arrays.as_slice() } else { &[] };
-        for array in found {
+    /// Reads what the points of a piece carry, before which there are so many points. What is wrong is left aside. Arrays of the
+    /// pieces that follow are those of the same name.
+    fn data(
+        &mut self,
+        arrays: &mut Vec<Array>,
+        names: &mut HashMap<(String, usize), usize>,
+        piece: &Piece<'a>,
+        first: usize,
+        soup: &mut Soup,
+    ) {
+        for array in &piece.arrays {
             let components = array.components;
+            let key = (array.name.clone(), components);
+            let known = names.get(&key).and_then(|&index| arrays.get_mut(index));
+            if first > 0 && known.as_ref().is_none_or(|known| Some(known.values.len()) != first.checked_mul(components))
+            {
+                continue;
+            }
             let count = piece.points.checked_mul(components);
             let values = self.values(array, count, Kind::floats, |c, n, k, e| c.lenient(n, k, e, "an array", true));
-            match values {
-                Ok(values) => arrays.push(Array {
-                    name: array.name.clone(),
-                    role: array.role,
-                    components,
-                    eight: array.kind == Some(Kind::U8),
-                    values,
-                }),
-                Err(error) => {
+            match (values, known.filter(|_| first > 0)) {
+                (Ok(values), Some(known)) => known.values.extend(values),
+                (Err(_), Some(_)) => {}
+                (Ok(values), None) => {
+                    names.entry(key).or_insert(arrays.len());
+                    let eight = array.kind == Some(Kind::U8);
+                    arrays.push(Array { name: array.name.clone(), role: array.role, components, eight, values });
+                }
+                (Err(error), None) => {
                     let name = shown(array.name.as_bytes());
                     soup.raw.unreadable(&format!("array {name:?}"), error.to_string());
                 }
             }
         }
-        // Arrays of the pieces that follow are those of the same name.
-        for array in arrays.iter_mut().filter(|_| index > 0) {
-            let same = |a: &&DataArray<'_>| a.name == array.name && a.components == array.components;
-            let Some(more) = piece.arrays.iter().find(same) else { continue };
-            let count = piece.points.checked_mul(more.components);
-            let read = self.values(more, count, Kind::floats, |c, n, k, e| c.lenient(n, k, e, "an array", true));
-            array.values.extend(read.unwrap_or_default());
-        }
+    }
+}
+
+/// What stands before packed data: the number of blocks, the size of each but the last, the last one's.
+struct Blocks {
+    blocks: usize,
+    block: usize,
+    last: usize,
+}
+
+impl Blocks {
+    /// How many are as long as the others.
+    fn full(&self) -> usize {
+        if self.last == 0 { self.blocks } else { self.blocks.saturating_sub(1) }
+    }
+
+    /// Bytes of all.
+    fn bytes(&self) -> usize {
+        self.full().saturating_mul(self.block).saturating_add(if self.blocks > 0 { self.last } else { 0 })
     }
 }
 

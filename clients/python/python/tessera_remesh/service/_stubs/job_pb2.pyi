@@ -29,6 +29,13 @@ class MeshFormat(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     MESH_FORMAT_OBJ: _ClassVar[MeshFormat]
     MESH_FORMAT_STL: _ClassVar[MeshFormat]
     MESH_FORMAT_OFF: _ClassVar[MeshFormat]
+    MESH_FORMAT_VTK: _ClassVar[MeshFormat]
+    MESH_FORMAT_VTP: _ClassVar[MeshFormat]
+    MESH_FORMAT_MSH: _ClassVar[MeshFormat]
+    MESH_FORMAT_MESH: _ClassVar[MeshFormat]
+    MESH_FORMAT_MESHB: _ClassVar[MeshFormat]
+    MESH_FORMAT_GLB: _ClassVar[MeshFormat]
+    MESH_FORMAT_GLTF: _ClassVar[MeshFormat]
 
 class ArrayForm(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -60,6 +67,13 @@ MESH_FORMAT_PLY: MeshFormat
 MESH_FORMAT_OBJ: MeshFormat
 MESH_FORMAT_STL: MeshFormat
 MESH_FORMAT_OFF: MeshFormat
+MESH_FORMAT_VTK: MeshFormat
+MESH_FORMAT_VTP: MeshFormat
+MESH_FORMAT_MSH: MeshFormat
+MESH_FORMAT_MESH: MeshFormat
+MESH_FORMAT_MESHB: MeshFormat
+MESH_FORMAT_GLB: MeshFormat
+MESH_FORMAT_GLTF: MeshFormat
 ARRAY_FORM_UNSPECIFIED: ArrayForm
 ARRAY_FORM_F32: ArrayForm
 ARRAY_FORM_F64: ArrayForm

@@ -1,0 +1,116 @@
+//! Promise: every format goes in and comes out, packed by gzip or not, and says what it is; what would unpack to more than a
+//! file of its size may is refused before there is room for it.
+
+use std::io::Write as _;
+
+use serde_json::Value;
+use tessera::internals::http::OPENAPI;
+use tessera::mesh::io::{Format, decode, encode};
+use tessera::mesh::shapes::Shape;
+
+use crate::client::{Answer, House, get, post};
+
+fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut packer = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    packer.write_all(bytes).unwrap();
+    packer.finish().unwrap()
+}
+
+const REMESH: &str = "/v1/remesh?points=60&lloyd=1&newton=0&measure=topology&seed=3";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_format_comes_and_goes() {
+    let house = House::open().await;
+    let document: Value = serde_json::from_str(OPENAPI).unwrap();
+    let described = &document["paths"]["/v1/remesh"]["post"];
+    let mesh = Shape::Torus.build(500);
+    for format in Format::ALL {
+        let (name, file) = (format.extension(), encode(format, &mesh).unwrap());
+        let packed = gzip(&file);
+        // What it is, the bytes say.
+        let plain = post(&house, REMESH, &[], &file).await;
+        assert_eq!(plain.status, 200, "{name}: {plain:?}");
+        let media_type = plain.header("content-type").unwrap().to_owned();
+        for part in ["/requestBody/content", "/responses/200/content"] {
+            assert!(described.pointer(part).unwrap().get(&media_type).is_some(), "{media_type} is not in {part}");
+        }
+        let result = decode(format, &plain.body).unwrap();
+        assert!((40..=100).contains(&result.positions().len()), "{name}: {}", result.positions().len());
+        for (way, headers, body) in [
+            (format!("{REMESH}&format={name}&to={name}"), vec![], &file),
+            (REMESH.to_owned(), vec![format!("Content-Type: {media_type}")], &file),
+            (REMESH.to_owned(), vec![], &packed),
+            (format!("{REMESH}&format={name}"), vec!["Content-Type: application/gzip".to_owned()], &packed),
+            (REMESH.to_owned(), vec!["Content-Encoding: gzip".to_owned()], &packed),
+        ] {
+            let headers: Vec<&str> = headers.iter().map(String::as_str).collect();
+            let same = post(&house, &way, &headers, body).await;
+            assert_eq!((same.status, same.header("content-type")), (200, Some(&*media_type)), "{way}: {same:?}");
+            assert!(same.body == plain.body, "{way}, {headers:?}: the bits differ");
+        }
+    }
+    house.stop().await;
+}
+
+#[test]
+fn the_document_names_every_format() {
+    let document: Value = serde_json::from_str(OPENAPI).unwrap();
+    let all = Format::ALL.map(Format::extension);
+    let mut found = 0;
+    let mut open = vec![&document];
+    while let Some(value) = open.pop() {
+        if let Some(names) = value.get("enum").and_then(Value::as_array)
+            && names.contains(&"stl".into())
+        {
+            found += 1;
+            assert_eq!(names.len(), all.len());
+            assert!(all.iter().all(|name| names.contains(&(*name).into())), "{names:?}");
+        }
+        match value {
+            Value::Object(object) => open.extend(object.values()),
+            Value::Array(values) => open.extend(values),
+            _ => {}
+        }
+    }
+    assert_eq!(found, 4);
+}
+
+/// The status and the reason of a refusal.
+fn refusal(answer: &Answer) -> (u16, String) {
+    assert_eq!(answer.header("content-type"), Some("application/problem+json"), "{answer:?}");
+    (answer.status, answer.json()["reason"].as_str().unwrap().to_owned())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_unpacks_to_too_much_is_refused() {
+    let house = House::open().await;
+    let too_large = (413, "too_large".to_owned());
+    let wrong = (400, "invalid_argument".to_owned());
+    let bomb = gzip(&vec![b'\n'; 64 << 20]);
+    let asked = format!("{REMESH}&format=obj");
+    assert_eq!(refusal(&post(&house, &asked, &[], &bomb).await), too_large);
+    assert_eq!(refusal(&post(&house, &asked, &["Content-Encoding: gzip"], &bomb).await), too_large);
+    assert_eq!(refusal(&post(&house, "/v1/blobs", &["Content-Encoding: gzip"], &bomb).await), too_large);
+    // As a blob it is bytes as any; no job is made of it.
+    let stored = post(&house, "/v1/blobs", &[], &bomb).await.json();
+    for format in Format::ALL.map(Format::extension) {
+        let spec = format!("{{\"mesh\": {}, \"format\": \"{format}\", \"points\": 10}}", stored["digest"]);
+        assert_eq!(refusal(&post(&house, "/v1/jobs", &[], spec.as_bytes()).await), too_large, "{format}");
+    }
+    let torus = encode(Format::Obj, &Shape::Torus.build(500)).unwrap();
+    let packed = gzip(&torus);
+    let cut = &packed[..packed.len() - 9];
+    assert_eq!(refusal(&post(&house, &asked, &[], cut).await), wrong);
+    assert_eq!(refusal(&post(&house, &asked, &["Content-Encoding: gzip"], cut).await), wrong);
+    assert_eq!(refusal(&post(&house, &asked, &["Content-Encoding: gzip"], &torus).await), wrong);
+    assert_eq!(refusal(&post(&house, &asked, &["Content-Encoding: br"], &torus).await), wrong);
+    assert_eq!(refusal(&post(&house, "/v1/blobs", &["Content-Encoding: br"], &torus).await), wrong);
+    // A blob is what its encoding says, with that digest.
+    let digest = tessera::internals::blob::Digest::of(&torus).to_string();
+    for path in ["/v1/blobs".to_owned(), format!("/v1/blobs?digest={digest}")] {
+        let stored = post(&house, &path, &["Content-Encoding: gzip"], &packed).await;
+        assert_eq!((stored.status, stored.json()["digest"].as_str()), (201, Some(&*digest)), "{stored:?}");
+    }
+    assert!(get(&house, &format!("/v1/blobs/{digest}"), &[]).await.body == torus);
+    house.stop().await;
+}
