@@ -28,8 +28,8 @@ pub(crate) struct MeasureArgs {
     /// The mesh to measure, or -; ORIGINAL itself if it is left out
     #[arg(value_name = "REMESH")]
     pub(crate) remesh: Option<PathBuf>,
-    /// Format of the standard input: obj, ply, stl, off, vtk, vtp, msh, mesh, meshb, glb or gltf
-    #[arg(long, value_name = "FORMAT", value_parser = files::format)]
+    /// Format of the standard input
+    #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     pub(crate) input_format: Option<Format>,
     #[command(flatten)]
     pub(crate) say: SayArgs,

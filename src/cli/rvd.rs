@@ -39,7 +39,7 @@ pub(crate) struct RvdArgs {
     /// The surface: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf; - is the standard input.
     input: PathBuf,
     /// Format of the surface, where its name does not say it.
-    #[arg(long, value_name = "FORMAT", value_parser = files::format)]
+    #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     input_format: Option<Format>,
     #[command(flatten)]
     seeds: SeedArgs,

@@ -21,7 +21,7 @@ pub(crate) struct ShapeArgs {
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
     /// Format of what is written, where the name does not say it
-    #[arg(long, value_name = "FORMAT", value_parser = files::format)]
+    #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     pub format: Option<Format>,
 }
 

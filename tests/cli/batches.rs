@@ -45,7 +45,7 @@ fn the_standard_streams_have_the_bits_of_files() {
         assert_eq!(figures["original"]["vertices"], 60, "{name}");
     }
     // Nothing but the mesh is on the standard output, summary or not.
-    let loud = fed(folder.path(), "remesh - --input-format .OBJ -o - --format off --points 60", &bytes);
+    let loud = fed(folder.path(), "remesh - --input-format obj -o - --format off --points 60", &bytes);
     assert!(loud.stdout.starts_with(b"OFF"), "{}", said(&loud));
     assert!(loud.stdout == std::fs::read(folder.path().join("out.off")).unwrap());
     // A format that the name does not say, and one that it says otherwise.

@@ -1,17 +1,9 @@
-//! Formats of surfaces in jobs: as options and messages name them.
+//! Formats of surfaces in jobs: as messages name them.
 //!
 //! Invariant: a match names every format, so that a new one does not compile until it is here. Must not know: calls.
 
-use clap::builder::{PossibleValuesParser, TypedValueParser};
-
 use crate::mesh::io::Format;
 use crate::wire::proto::MeshFormat;
-
-/// Reads an option: a format has the name of its extension.
-pub(super) fn parser() -> impl TypedValueParser<Value = Format> {
-    PossibleValuesParser::new(Format::ALL.map(Format::extension))
-        .try_map(|name| Format::from_extension(&name).ok_or("is no format"))
-}
 
 /// As messages name it.
 pub(super) fn message(format: Format) -> MeshFormat {

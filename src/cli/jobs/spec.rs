@@ -70,7 +70,7 @@ pub(super) struct InputArgs {
     /// The surface: a file of any format that `remesh` reads, packed by gzip or not, or blob:DIGEST for one that the server has.
     input: Input,
     /// The format of the surface, where its name does not say it.
-    #[arg(long, value_parser = format::parser(), value_name = "FORMAT")]
+    #[arg(long, value_parser = files::format(), value_name = "FORMAT")]
     input_format: Option<Format>,
     /// Which backend of the server should do the work.
     #[arg(long, value_enum, help_heading = "Who works")]
@@ -115,7 +115,7 @@ pub(super) struct RemeshWork {
     #[command(flatten)]
     input: InputArgs,
     /// The format of the result [default: ply]
-    #[arg(long, value_parser = format::parser())]
+    #[arg(long, value_parser = files::format())]
     format: Option<Format>,
     /// Leave aside normals, texture coordinates, colours and scalars of the input.
     #[arg(long)]
@@ -139,9 +139,10 @@ impl RemeshWork {
         if let Input::File(path) = &input.input {
             let format = input.format()?;
             let named = [(&size.sizes, "--sizes"), (&shape.creases, "--creases")];
-            named.iter().filter(|(file, _)| file.is_some()).try_for_each(|(_, option)| {
-                sizes::check_format(&files::Surface::new(path, Some(format)), option)
-            })?;
+            named
+                .iter()
+                .filter(|(file, _)| file.is_some())
+                .try_for_each(|(_, option)| sizes::check_format(&files::Surface::new(path, Some(format)), option))?;
         }
         let mut asked = input.begin(self.no_attributes.then_some(false))?;
         let mut text = |path: &Option<PathBuf>| path.as_deref().map(|path| text(path, &mut asked.sources)).transpose();

@@ -73,11 +73,11 @@ pub(super) struct FileArgs {
     /// fails stops no other, and a line tells of each.
     #[arg(long, value_name = "DIR", conflicts_with = "output")]
     pub(super) out_dir: Option<PathBuf>,
-    /// Format of what is written, where the name does not say it: obj, ply, stl, off, vtk, vtp, msh, mesh, meshb, glb or gltf.
-    #[arg(long, value_name = "FORMAT", value_parser = files::format)]
+    /// Format of what is written, where the name does not say it.
+    #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     pub(super) format: Option<Format>,
     /// Format of what is read, where the name does not say it.
-    #[arg(long, value_name = "FORMAT", value_parser = files::format)]
+    #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     pub(super) input_format: Option<Format>,
     /// Let the output replace the input.
     #[arg(long)]
