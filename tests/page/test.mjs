@@ -49,9 +49,16 @@ async function opened(use, { at = PAGE, provokes = /(?!)/, script, ...options } 
     const isDriver = /GPU stall due to ReadPixels|GL Driver Message/.test(message.text());
     if (["error", "warning"].includes(message.type()) && !isDriver && !provokes.test(message.text())) wrong.push(`the console: ${message.text()}`);
   });
-  await page.goto(at);
-  await use(page, at);
-  await context.close();
+  try {
+    await page.goto(at);
+    await use(page, at);
+  } catch (error) {
+    // What the page complained of may be why.
+    error.stack += wrong.map((one) => `\n    and ${one}`).join("");
+    throw error;
+  } finally {
+    await context.close();
+  }
   assert.deepEqual(wrong, []);
 }
 

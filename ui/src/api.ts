@@ -45,8 +45,8 @@ export type Event =
   | { readonly kind: "stage"; readonly stage: Stage }
   | { readonly kind: "iteration"; readonly iteration: Iteration };
 
-/** Positions of all seeds after an iteration; `ended` if no more will come. */
-export type Seeds = { readonly after: number; readonly bytes: ArrayBuffer } | "none" | "ended" | "unknown";
+/** Positions of all seeds after so many steps; `ended` if no more will come. */
+export type Seeds = { readonly steps: number; readonly bytes: ArrayBuffer } | "none" | "ended" | "unknown";
 
 /** With its digest, the service stores an upload as it comes; smaller ones it holds until their digest is known. */
 const LARGE_BYTES = 64 << 20;
@@ -139,7 +139,7 @@ export class Api {
     return this.json(`v1/jobs/${id}/result?name=report`, { signal });
   }
 
-  /** Waits for seeds that are newer than those of an iteration. */
+  /** Waits for seeds after more steps than these. */
   async seeds(id: string, after: number, signal: AbortSignal): Promise<Seeds> {
     let response;
     try {
@@ -150,7 +150,7 @@ export class Api {
       throw error;
     }
     if (response.status === 204) return response.headers.get("tessera-ended") === "true" ? "ended" : "none";
-    return { after: Number(response.headers.get("tessera-iteration")), bytes: await response.arrayBuffer() };
+    return { steps: Number(response.headers.get("tessera-steps")), bytes: await response.arrayBuffer() };
   }
 
   /**
