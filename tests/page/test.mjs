@@ -32,6 +32,15 @@ async function opened(use, { at = PAGE, provokes = /(?!)/, script, ...options } 
   await context.addInitScript(() => {
     addEventListener("securitypolicyviolation", (event) => window.violated(`${event.violatedDirective} ${event.blockedURI}`));
   });
+  await context.addInitScript(() => {
+    window.heard = [];
+    new MutationObserver((changes) => {
+      for (const { target } of changes) {
+        const element = target.nodeType === 1 ? target : target.parentElement;
+        if (element?.id) window.heard.push([element.id, element.textContent]);
+      }
+    }).observe(document, { subtree: true, childList: true, characterData: true });
+  });
   if (script) await context.addInitScript(script);
   const page = await context.newPage();
   page.on("pageerror", (error) => wrong.push(`an error: ${error.stack}`));
@@ -40,9 +49,16 @@ async function opened(use, { at = PAGE, provokes = /(?!)/, script, ...options } 
     const isDriver = /GPU stall due to ReadPixels|GL Driver Message/.test(message.text());
     if (["error", "warning"].includes(message.type()) && !isDriver && !provokes.test(message.text())) wrong.push(`the console: ${message.text()}`);
   });
-  await page.goto(at);
-  await use(page, at);
-  await context.close();
+  try {
+    await page.goto(at);
+    await use(page, at);
+  } catch (error) {
+    // What the page complained of may be why.
+    error.stack += wrong.map((one) => `\n    and ${one}`).join("");
+    throw error;
+  } finally {
+    await context.close();
+  }
   assert.deepEqual(wrong, []);
 }
 
@@ -66,6 +82,12 @@ async function says(page, selector, pattern, timeout = SLOW.timeout) {
   await page.waitForFunction(isSaid, [selector, pattern.source], { timeout }).catch(async () => {
     assert.match(await page.locator(selector).textContent(), pattern, selector);
   });
+}
+
+/** Waits until an element's text matches, or has matched: what passes quickly is found too. */
+async function said(page, selector, pattern) {
+  await page.waitForFunction(([selector, source]) => window.heard.some(([of, words]) => `#${of}` === selector && new RegExp(source).test(words)),
+    [selector, pattern.source], SLOW);
 }
 
 const ended = (page) => page.waitForSelector("#download:not([hidden])", SLOW);
@@ -119,12 +141,11 @@ const tests = {
       await page.fill("#points", "3000");
       const plain = await seen(page, "#input-canvas");
       await page.click("#go");
-      await says(page, "#input-legend", /^3,000 cells/);
-      await says(page, "#run-stage", /iteration \d+ of 35/);
-      await says(page, "#chart-words", /after \d+ of 35 iterations/);
-      assert.notDeepEqual(await seen(page, "#input-canvas"), plain, "cells are drawn");
+      await said(page, "#input-legend", /^3,000 cells/);
       await picture(page, "during");
       await ended(page);
+      await said(page, "#run-stage", /iteration \d+ of 35/);
+      await said(page, "#chart-words", /after \d+ of 35 iterations/);
       await compared(page);
       assert.ok(cells >= 1, "cells came");
       await says(page, "#run-stage", /^Done/);
@@ -141,6 +162,10 @@ const tests = {
       assert.match(figures["Time"][1], /s$/);
 
       // Colours.
+      await page.check("#colours-cells", { force: true });
+      await page.waitForTimeout(300);
+      assert.notDeepEqual(await seen(page, "#input-canvas"), plain, "cells are drawn");
+      await page.check("#colours-quality", { force: true });
       await says(page, "#result-legend", /mean 0\.\d+; under 30°/);
       const quality = await seen(page, "#result-canvas");
       await page.check("#colours-distance", { force: true });
@@ -305,7 +330,7 @@ const tests = {
       await drop(page, "notes.txt", "a letter");
       await message(page, /no mesh.*The server reads ply, obj, stl, off/s);
       await drop(page, "empty.obj", "");
-      await message(page, /empty\.obj is empty/);
+      await message(page, /The file empty\.obj is empty/);
       await drop(page, "broken.obj", "v 0 0 0\nv 1 0 x\nv 0 1 0\nf 1 2 3\n");
       await message(page, /broken\.obj cannot be shown.*[Ll]ine 2: "x" is no finite number/s);
       await page.click("#go");

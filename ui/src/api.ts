@@ -45,8 +45,11 @@ export type Event =
   | { readonly kind: "stage"; readonly stage: Stage }
   | { readonly kind: "iteration"; readonly iteration: Iteration };
 
-/** Positions of all seeds after an iteration; `ended` if no more will come. */
-export type Seeds = { readonly after: number; readonly bytes: ArrayBuffer } | "none" | "ended" | "unknown";
+/** Positions of all seeds after so many steps; `ended` if no more will come. */
+export type Seeds = { readonly steps: number; readonly bytes: ArrayBuffer } | "none" | "ended" | "unknown";
+
+/** With its digest, the service stores an upload as it comes; smaller ones it holds until their digest is known. */
+const LARGE_BYTES = 64 << 20;
 
 /** What went wrong, as RFC 9457 has it. Status 0: there was no answer. */
 export class Problem extends Error {
@@ -84,7 +87,9 @@ export class Api {
 
   /** Stores a file and gives its digest. */
   async upload(file: Blob, onProgress: (part: number) => void, signal: AbortSignal): Promise<string> {
-    const digest = await digestOf(file);
+    const digest = file.size > LARGE_BYTES ? await digestOf(file) : null;
+    // An upload of what is there already would be answered, and cut, before its end.
+    if (digest && (await this.hasBlob(digest, signal))) return digest;
     for (;;) {
       const reply = await this.send(`v1/blobs${digest ? `?digest=${digest}` : ""}`, file, onProgress, signal);
       if (reply.status === 401) {
@@ -93,6 +98,16 @@ export class Api {
       }
       if (reply.status < 200 || reply.status > 299) throw problemOf(reply.status, reply.body, null);
       return (JSON.parse(reply.body) as { digest: string }).digest;
+    }
+  }
+
+  private async hasBlob(digest: string, signal: AbortSignal): Promise<boolean> {
+    try {
+      await this.ask(`v1/blobs/${digest}`, { method: "HEAD", signal });
+      return true;
+    } catch (error) {
+      if (error instanceof Problem && error.status === 404) return false;
+      throw error;
     }
   }
 
@@ -124,7 +139,7 @@ export class Api {
     return this.json(`v1/jobs/${id}/result?name=report`, { signal });
   }
 
-  /** Waits for seeds that are newer than those of an iteration. */
+  /** Waits for seeds after more steps than these. */
   async seeds(id: string, after: number, signal: AbortSignal): Promise<Seeds> {
     let response;
     try {
@@ -135,7 +150,7 @@ export class Api {
       throw error;
     }
     if (response.status === 204) return response.headers.get("tessera-ended") === "true" ? "ended" : "none";
-    return { after: Number(response.headers.get("tessera-iteration")), bytes: await response.arrayBuffer() };
+    return { steps: Number(response.headers.get("tessera-steps")), bytes: await response.arrayBuffer() };
   }
 
   /**
@@ -258,7 +273,7 @@ function problemOf(status: number, body: string, retryAfter: string | null): Pro
   return new Problem(told.status ?? status, told.reason ?? "", detail, seconds, told.field_violations ?? []);
 }
 
-/** The SHA-256 of what is not too large to be held. With it the service stores an upload as it comes. */
+/** The SHA-256 of what is not too large to be held. */
 async function digestOf(file: Blob): Promise<string | null> {
   const isSecure = globalThis.crypto?.subtle !== undefined;
   if (!isSecure || file.size > 1 << 29) return null;

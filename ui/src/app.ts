@@ -4,7 +4,7 @@
 // are shown; what is left of one before is given up as soon as another begins, and nothing of it shows later. Whatever fails
 // ends in a message, and the page can be used on. Must not know: how surfaces are read, measured and drawn.
 
-import { Api, isAbort, Problem, type Event, type Job } from "./api.ts";
+import { Api, isAbort, pause, Problem, type Event, type Job } from "./api.ts";
 import { Chart } from "./chart.ts";
 import { the } from "./dom.ts";
 import { Figures } from "./figures.ts";
@@ -236,7 +236,9 @@ export class App {
         const seeds = await this.api.seeds(id, after, signal);
         if (seeds === "ended" || seeds === "unknown") return;
         if (seeds === "none") continue;
-        after = Math.max(seeds.after, after);
+        // A server that counts otherwise is not asked in a hurry.
+        if (!(seeds.steps > after)) await pause(1000, signal);
+        after = Math.max(seeds.steps || 0, after);
         if (!this.loaded) continue;
         const cells = await this.work.ask("cells", { seeds: seeds.bytes });
         if (signal.aborted) return;

@@ -18,7 +18,7 @@ export interface Chosen {
 
 /** Opens a file whose format is one of these. Errors are for people. */
 export async function open(file: File, formats: readonly string[]): Promise<Chosen> {
-  if (file.size === 0) throw new Error(`${file.name} is empty`);
+  if (file.size === 0) throw new Error(`the file ${file.name} is empty`);
   const { stem, extension } = nameParts(file.name);
   const isGzip = isPacked(await head(file));
   const plain = isGzip ? await unpack(file) : file;

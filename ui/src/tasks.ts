@@ -17,7 +17,7 @@ export interface Requests {
   drop: { side: Side };
   /** How far each surface is from the other. */
   compare: Record<string, never>;
-  /** Which seeds count on which facet of the input. */
+  /** Which seeds count on which facet of the input. A seed is three doubles, little-endian. */
   cells: { seeds: ArrayBuffer };
 }
 

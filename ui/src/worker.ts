@@ -78,13 +78,13 @@ function cells({ seeds: bytes }: Requests["cells"]): Cells {
   if (!input) throw new BadFile("there is no surface to draw cells on");
   const { centre, diagonal } = input.frame;
   const raw = new DataView(bytes);
-  const count = Math.floor(bytes.byteLength / 12);
+  const count = Math.floor(bytes.byteLength / 24);
   if (count === 0) throw new BadFile("there are no seeds");
   const points = new Float64Array(3 * count);
   const seeds = new Float32Array(4 * count);
   for (let seed = 0; seed < count; seed++) {
     for (let axis = 0; axis < 3; axis++) {
-      const x = (raw.getFloat32(12 * seed + 4 * axis, true) - centre[axis]) / diagonal;
+      const x = (raw.getFloat64(24 * seed + 8 * axis, true) - centre[axis]) / diagonal;
       points[3 * seed + axis] = x;
       seeds[4 * seed + axis] = x;
     }
