@@ -10,7 +10,9 @@ use std::path::Path;
 
 use flate2::Compression;
 use flate2::read::MultiGzDecoder;
-use flate2::write::{self, GzEncoder};
+#[cfg(feature = "service")]
+use flate2::write;
+use flate2::write::GzEncoder;
 
 use super::DataError;
 
