@@ -162,13 +162,13 @@ const tests = {
       assert.match(figures["Time"][1], /s$/);
 
       // Colours.
-      await page.check("#colours-cells", { force: true });
+      await page.click("label[for=colours-cells]");
       await page.waitForTimeout(300);
       assert.notDeepEqual(await seen(page, "#input-canvas"), plain, "cells are drawn");
-      await page.check("#colours-quality", { force: true });
+      await page.click("label[for=colours-quality]");
       await says(page, "#result-legend", /mean 0\.\d+; under 30°/);
       const quality = await seen(page, "#result-canvas");
-      await page.check("#colours-distance", { force: true });
+      await page.click("label[for=colours-distance]");
       await says(page, "#result-legend", /largest .* % of the diagonal/);
       await page.waitForTimeout(300);
       const distance = await seen(page, "#result-canvas");
