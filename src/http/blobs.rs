@@ -87,6 +87,7 @@ async fn stream(
     let info = BlobInfo { digest: upload.digest(), size_bytes: upload.size_bytes() };
     let mut status = timely(desk.blobs.begin_within(upload, client.bytes)).await?;
     if status.complete {
+        arriving.pass_over().await;
         return Ok(info);
     }
     let _empty = EmptyUpload::new(&desk.blobs, upload);

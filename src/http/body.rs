@@ -31,6 +31,11 @@ impl<'a> Arriving<'a> {
         Self { desk, stream: body.into_data_stream(), deadline: Instant::now() + desk.limits.upload }
     }
 
+    /// As [`pass_over`], of what is still to come.
+    pub(super) async fn pass_over(self) {
+        pass_over(Body::from_stream(self.stream)).await;
+    }
+
     /// The next bytes; `None` at the end.
     pub(super) async fn next(&mut self) -> Result<Option<Bytes>, RequestError> {
         let limits = &self.desk.limits;

@@ -166,6 +166,19 @@ async fn blobs_have_ranges_and_tags() {
     house.stop().await;
 }
 
+/// A client that sends a blob again hears the answer, though the server needs no byte of it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_blob_that_is_stored_may_be_sent_again() {
+    let house = House::open().await;
+    let bytes: Vec<u8> = (0..6_000_000u32).map(|k| (k.wrapping_mul(k) >> 3) as u8).collect();
+    let digest = post(&house, "/v1/blobs", &[], &bytes).await.json()["digest"].as_str().unwrap().to_owned();
+    for _ in 0..3 {
+        let again = post(&house, &format!("/v1/blobs?digest={digest}"), &[], &bytes).await;
+        assert_eq!((again.status, again.json()["digest"].as_str()), (201, Some(&*digest)), "{again:?}");
+    }
+    house.stop().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_is_created_watched_and_read() {
     let house = House::open().await;
