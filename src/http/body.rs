@@ -108,6 +108,19 @@ pub(super) fn length(headers: &HeaderMap) -> Option<u64> {
 /// A whole body, unpacked, and its memory.
 pub(super) async fn whole(desk: &Desk, headers: &HeaderMap, body: Body) -> Result<(Bytes, Share), RequestError> {
     let mut arriving = Arriving::new(desk, body);
+    let gathered = gather(desk, headers, &mut arriving).await;
+    match &gathered {
+        Ok(_) => {}
+        Err(
+            RequestError::ClientGone | RequestError::Idle(_) | RequestError::UploadTime(_) | RequestError::Draining,
+        ) => {}
+        // The client still sends, and is to hear why in vain.
+        Err(_) => arriving.pass_over().await,
+    }
+    gathered
+}
+
+async fn gather(desk: &Desk, headers: &HeaderMap, arriving: &mut Arriving<'_>) -> Result<(Bytes, Share), RequestError> {
     let mut kept = Kept { all: Vec::new(), share: desk.budget.share(), limit: usize::MAX, refusal: None };
     if coding(headers)? == Coding::Plain {
         while let Some(bytes) = arriving.next().await? {
@@ -115,12 +128,14 @@ pub(super) async fn whole(desk: &Desk, headers: &HeaderMap, body: Body) -> Resul
         }
         return Ok((kept.all.into(), kept.share));
     }
-    if let Some(length) = length(headers) {
-        kept.limit = unpacked_limit(usize::try_from(length).unwrap_or(usize::MAX));
-    }
+    let length = length(headers).map(|length| usize::try_from(length).unwrap_or(usize::MAX));
     let mut unpacking = unpacker(kept);
+    let mut come = 0usize;
     while let Some(bytes) = arriving.next().await? {
         for piece in bytes.chunks(STEP) {
+            // Of a body without a length, what has come by now counts.
+            come = come.saturating_add(piece.len());
+            unpacking.get_mut().limit = unpacked_limit(length.unwrap_or(come));
             unpacking.write_all(piece).map_err(|error| unpacking.get_mut().refused(&error))?;
             tokio::task::yield_now().await;
         }

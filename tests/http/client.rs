@@ -243,6 +243,27 @@ pub async fn ask(house: &House, method: &str, path: &str, headers: &[&str], body
     Answer { status, headers, body }
 }
 
+/// Sends a body in chunks, whose length nobody knows before its end; gives the status line's number.
+pub async fn post_chunked(house: &House, path: &str, headers: &[&str], body: &[u8]) -> u16 {
+    let mut stream = TcpStream::connect(house.http).await.unwrap();
+    let mut all = format!("POST {path} HTTP/1.1\r\nHost: a\r\nConnection: close\r\nTransfer-Encoding: chunked\r\n");
+    for header in headers {
+        all += &format!("{header}\r\n");
+    }
+    let mut all = (all + "\r\n").into_bytes();
+    for chunk in body.chunks(1000) {
+        all.extend_from_slice(format!("{:x}\r\n", chunk.len()).as_bytes());
+        all.extend_from_slice(chunk);
+        all.extend_from_slice(b"\r\n");
+    }
+    all.extend_from_slice(b"0\r\n\r\n");
+    // A server that refuses may not read it all.
+    let _ = stream.write_all(&all).await;
+    let mut answer = [0; 12];
+    tokio::time::timeout(PATIENCE, stream.read_exact(&mut answer)).await.expect("an answer comes").unwrap();
+    std::str::from_utf8(&answer[9..]).unwrap().parse().unwrap()
+}
+
 /// The bytes of chunks.
 fn joined(mut rest: &[u8]) -> Vec<u8> {
     let mut all = Vec::new();

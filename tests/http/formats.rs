@@ -8,7 +8,7 @@ use tessera::internals::http::OPENAPI;
 use tessera::mesh::io::{Format, decode, encode};
 use tessera::mesh::shapes::Shape;
 
-use crate::client::{Answer, House, get, post};
+use crate::client::{self, Answer, House, get, post};
 
 fn gzip(bytes: &[u8]) -> Vec<u8> {
     let mut packer = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
@@ -93,6 +93,7 @@ async fn what_unpacks_to_too_much_is_refused() {
     assert_eq!(refusal(&post(&house, &asked, &[], &bomb).await), too_large);
     assert_eq!(refusal(&post(&house, &asked, &["Content-Encoding: gzip"], &bomb).await), too_large);
     assert_eq!(refusal(&post(&house, "/v1/blobs", &["Content-Encoding: gzip"], &bomb).await), too_large);
+    assert_eq!(client::post_chunked(&house, "/v1/blobs", &["Content-Encoding: gzip"], &bomb).await, 413);
     // As a blob it is bytes as any; no job is made of it.
     let stored = post(&house, "/v1/blobs", &[], &bomb).await.json();
     for format in Format::ALL.map(Format::extension) {
@@ -107,6 +108,7 @@ async fn what_unpacks_to_too_much_is_refused() {
     assert_eq!(refusal(&post(&house, &asked, &["Content-Encoding: gzip"], &torus).await), wrong);
     assert_eq!(refusal(&post(&house, &asked, &["Content-Encoding: br"], &torus).await), wrong);
     assert_eq!(refusal(&post(&house, "/v1/blobs", &["Content-Encoding: br"], &torus).await), wrong);
+    assert_eq!(client::post_chunked(&house, "/v1/blobs", &["Content-Encoding: gzip"], &packed).await, 201);
     // A blob is what its encoding says, with that digest.
     let digest = tessera::internals::blob::Digest::of(&torus).to_string();
     for path in ["/v1/blobs".to_owned(), format!("/v1/blobs?digest={digest}")] {

@@ -18,7 +18,7 @@ use crate::cli::{interrupt, plain, say};
 /// The first failure, after all were tried; a signal or an output that cannot be written, at once.
 pub(super) fn run(args: &RemeshArgs, tasks: &[Task], mut worker: Worker) -> Result<()> {
     worker.listen()?;
-    let sizes: Vec<u64> = tasks.iter().map(|task| size(task)).collect();
+    let sizes: Vec<u64> = tasks.iter().map(size).collect();
     let total = sizes.iter().sum::<u64>() as f64;
     let mut progress = Progress::begin(std::path::Path::new("batch"), &args.say);
     let (mut failed, mut first, mut before) = (0, None, 0);
