@@ -77,7 +77,7 @@ FIELDS = {
 # Options of the command that are no business of a server.
 # The tenant is not in a header: the client is made with it.
 LOCAL = (
-    "tenant output overwrite report picture picture-size view up colour gpu-software threads endpoint ca client-cert client-key key-file quiet json "
+    "tenant input-format output out-dir format overwrite report picture picture-size view up colour gpu-software threads endpoint ca client-cert client-key key-file quiet json "
     "log-format help"
 )
 
