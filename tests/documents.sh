@@ -32,10 +32,12 @@ export MATURIN_PEP517_ARGS="--profile dev"
 export PATH=$work/bin:$work/installed/bin:$PATH
 # Where the README's server keeps its jobs.
 export XDG_STATE_HOME=$work/state
-if (exec 3<>/dev/tcp/127.0.0.1/50051) 2>/dev/null; then
-    echo "something listens on port 50051, which the README's server uses" >&2
-    exit 1
-fi
+for port in 50051 8080; do
+    if (exec 3<>"/dev/tcp/127.0.0.1/$port") 2>/dev/null; then
+        echo "something listens on port $port, which the README's server uses" >&2
+        exit 1
+    fi
+done
 command -v curl >/dev/null || { echo "the README's blocks need curl" >&2; exit 1; }
 
 # All ```sh blocks but the test command's, one after the other in one shell. What needs a container engine is in ```bash.
