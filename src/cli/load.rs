@@ -77,8 +77,8 @@ pub(crate) struct LoadArgs {
     #[arg(long, value_name = "S", default_value = "120", value_parser = length, help_heading = "How much")]
     timeout_s: Duration,
 
-    /// Kinds of calls with their weights: remesh, rvd and cvt are streams, remesh-job and rvd-job are jobs, info is
-    /// GetServerInfo; e.g. remesh-job=4,remesh=1
+    /// Kinds of calls with their weights, e.g. remesh-job=4,remesh=1. Streams are remesh, rvd and cvt; jobs are remesh-job
+    /// and rvd-job; info is GetServerInfo.
     #[arg(long, value_name = "MIX", default_value = "remesh-job", help_heading = "What is asked")]
     mix: Mix,
     /// A surface to send; may be given several times.

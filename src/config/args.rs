@@ -24,9 +24,9 @@ pub enum BackendArg {
     Auto,
     /// The GPU, or an error.
     Gpu,
-    /// f64 on all threads of the pool.
+    /// Double precision on all threads of the pool.
     Parallel,
-    /// f64 on one thread.
+    /// Double precision on one thread.
     Serial,
 }
 

@@ -45,9 +45,9 @@ pub(crate) struct DeviceRules {
     pub memory_bytes: Option<u64>,
     /// For one piece of work.
     pub timeout: Duration,
-    /// What to do if it does not come back,
+    /// What to do if a lost device does not return within `patience`.
     pub on_loss: OnLoss,
-    /// and after how long.
+    /// How long to wait for a lost device.
     pub patience: Duration,
 }
 

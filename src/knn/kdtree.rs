@@ -1,4 +1,4 @@
-//! kiddo's kd-tree, for seed sets and places that a grid of equal cells does not suit.
+//! The kd-tree of the crate kiddo, for seed sets and places that a grid of equal cells does not suit.
 //!
 //! Purpose: rows and nearest seeds at any spacing.
 //! Invariant: the promise of [`super`]; the answers do not depend on who built the tree.

@@ -23,9 +23,9 @@ pub(crate) struct Comparison<'a> {
 pub(crate) struct Distances {
     /// The largest distance near each vertex of the input; 0 where there is no sample.
     pub(crate) by_vertex: Vec<f64>,
-    /// Samples that are off,
+    /// Number of samples that are farther off than allowed.
     pub(crate) missed: usize,
-    /// as a share of all.
+    /// Share of all samples that are farther off than allowed.
     pub(crate) missed_share: f64,
     pub(crate) largest: f64,
 }

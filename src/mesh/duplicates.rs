@@ -78,10 +78,10 @@ pub enum InputKind {
 pub(crate) struct Oddities {
     /// Facets that lie on another one that is oriented the other way: two sides without thickness.
     pub(crate) back_to_back: usize,
-    /// Groups of duplicate facets, single ones too, of which each edge has more than two groups, as those inside a mesh of
-    /// tetrahedra,
+    /// Groups of duplicate facets (single facets included) each of whose edges has more than two groups, as inside a mesh of
+    /// tetrahedra.
     pub(crate) enclosed: usize,
-    /// of so many groups.
+    /// Number of all groups.
     pub(crate) groups: usize,
 }
 

@@ -30,17 +30,17 @@ pub struct InputFigures {
     pub inconsistent_edges: usize,
     /// Facets that were turned over, to be oriented as their neighbours are.
     pub reoriented_facets: usize,
-    /// Vertices of boundaries that were moved to others which are nearly in the same place; the other figures are of the surface
-    /// after that,
+    /// Boundary vertices that were stitched to nearly coincident ones. The other figures describe the surface after
+    /// stitching and without `coincident_facets`.
     pub stitched_vertices: usize,
-    /// and without so many facets that lay on others, corner on corner, where the surface goes on without them.
+    /// Duplicate facets that were removed: they lay on others, corner on corner, and the surface is connected without them.
     pub coincident_facets: usize,
     /// Vertices a thousand times as far from the middle as half of all are: wrong coordinates, most often. The surface has a
     /// spike there, which takes most of the points.
     pub outlier_vertices: usize,
     /// Caller's units squared.
     pub area: f64,
-    /// χ, components, holes, non-manifold elements.
+    /// Euler characteristic χ, components, holes, non-manifold elements.
     #[serde(flatten)]
     pub topology: Topology,
 }

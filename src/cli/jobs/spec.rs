@@ -114,7 +114,7 @@ impl InputArgs {
 pub(super) struct RemeshWork {
     #[command(flatten)]
     input: InputArgs,
-    /// The format of the result [default: ply]
+    /// The format of the result [default: ply].
     #[arg(long, value_parser = files::format())]
     format: Option<Format>,
     /// Leave aside normals, texture coordinates, colours and scalars of the input.
@@ -198,7 +198,7 @@ enum OutputArg {
 pub(super) struct RvdWork {
     #[command(flatten)]
     input: InputArgs,
-    /// What is wanted, with commas between [default: cells]
+    /// Outputs, separated by commas [default: cells].
     #[arg(long, value_enum, value_delimiter = ',')]
     outputs: Vec<OutputArg>,
     /// The format of the cells: a PLY file.

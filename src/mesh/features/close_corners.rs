@@ -19,11 +19,11 @@ use crate::token::{Stopped, Token};
 /// Which corners are merged. Lengths are multiplied by [`super::FeatureOptions::resolution`].
 #[derive(Clone, Copy)]
 pub(super) struct CornerMerge {
-    /// Corners whose curve is shorter than this may become one,
+    /// Corners whose curve is shorter than this may be merged.
     pub(super) length: f64,
-    /// if chords that reach so far
+    /// Length of the chords that decide whether corners are merged.
     pub(super) reach: f64,
-    /// leave boundaries by at most this, and creases by [`CREASE_FACTOR`] times as much.
+    /// Largest deviation of such a chord from a boundary; [`CREASE_FACTOR`] times as much from a crease.
     pub(super) off: f64,
 }
 

@@ -9,9 +9,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::{CurveKind, Edge, Metric, edge};
 use crate::token::{Stopped, Token};
 
-/// A network is a tangle if its curves are on average shorter than this share of the shortest crease,
+/// A network is a tangle if its curves are on average shorter than this share of the shortest crease.
 const TANGLED_SHARE: f64 = 0.5;
-/// or than this share if most of it is sharp: such edges are intended, and short only compared with the remesh.
+/// The share that replaces [`TANGLED_SHARE`] if most of the network is sharp: sharp edges are intended, and short only
+/// compared with the remesh.
 const TANGLED_SHARP_SHARE: f64 = 0.15;
 /// Smaller angles, degrees, count as creases only if the caller asks for them. If they make a network a tangle, they alone are
 /// removed.

@@ -14,9 +14,9 @@ use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::token::{Stopped, Token};
 
-/// The dihedral angle of a ridge is at least this share of the crease angle,
+/// Least dihedral angle of a ridge, share of the crease angle.
 const RIDGE_ANGLE_SHARE: f64 = 0.5;
-/// and that of edges beside it at most this share of its own.
+/// Largest dihedral angle of an edge beside a ridge, share of the ridge's own.
 const NEIGHBOUR_ANGLE_SHARE: f64 = 0.55;
 /// A ridge that continues a crease from its free end is at least this share of the clearance long, other ridges all of it.
 const MIN_CONTINUATION: f64 = 0.6;

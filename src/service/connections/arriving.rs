@@ -27,20 +27,20 @@ const SLACK: u64 = 64 << 10;
 pub(super) struct Arriving<B> {
     inner: B,
     budget: Budget,
-    /// No message may be longer.
+    /// Longest message allowed, bytes.
     most: u64,
-    /// Of the prefix of the next message,
+    /// Prefix of the next message.
     prefix: [u8; PREFIX],
-    /// so many bytes are here;
+    /// Prefix bytes received.
     known: usize,
-    /// of the message so many are to come.
+    /// Message bytes still expected.
     missing: u64,
-    /// Counted in the budget; of this, what decompressing holds.
+    /// Bytes charged to the budget, and the part of them that decompression holds.
     charged: u64,
     unpacked: u64,
-    /// How messages are compressed that say they are.
+    /// Encoding of compressed messages.
     encoding: Option<Vec<u8>>,
-    /// A compressed message on its way.
+    /// The compressed message that is being received.
     unpacking: Option<Unpacking>,
 }
 

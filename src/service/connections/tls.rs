@@ -19,10 +19,10 @@ use self::validity::Validity;
 use crate::blob::Digest;
 use crate::config::TlsFiles;
 
-/// A certificate that ends within this time is told of in the log,
+/// A certificate that expires within this time is logged.
 const WARN_BEFORE: Duration = Duration::from_secs(14 * 24 * 3600);
 
-/// so often.
+/// Time between two such log lines.
 const WARN_EVERY: Duration = Duration::from_secs(24 * 3600);
 
 /// See the module's head.

@@ -24,7 +24,7 @@ use super::exchange::{Answer, Ending, Exchange};
 use super::frames::Metered;
 use super::line::Line;
 
-/// hyper takes no smaller buffer for the head of a request of HTTP/1.1, bytes.
+/// Smallest buffer that hyper allows for the head of an HTTP/1.1 request, bytes.
 const LEAST_HEAD: usize = 8 << 10;
 
 /// Runs the connection.
