@@ -73,7 +73,7 @@ pub(super) struct InputArgs {
     #[arg(long, value_parser = files::format(), value_name = "FORMAT")]
     input_format: Option<Format>,
     /// Which backend of the server should do the work.
-    #[arg(long, value_enum, help_heading = "Who works")]
+    #[arg(long, value_enum, help_heading = "Backend")]
     backend: Option<BackendArg>,
 }
 
