@@ -1,7 +1,8 @@
-//! Figures of a surface that came in.
+//! Figures of an input surface.
 //!
-//! Purpose: [`InputFigures`], what a report says of its input.
-//! Invariant: a name that scripts read does not change. Must not know: what the surface is for.
+//! Purpose: [`InputFigures`], the input block of a report.
+//! Invariant: names that scripts read do not change.
+//! Must not know: the use of the surface.
 
 use serde::Serialize;
 
@@ -11,12 +12,12 @@ use super::measure::{Topology, topology_unless};
 use super::{TriMesh, outliers};
 use crate::token::{Stopped, Token};
 
-/// The surface that came in.
+/// The input surface.
 #[derive(Clone, Debug, Serialize)]
 pub struct InputFigures {
-    /// What it is.
+    /// Kind of the input.
     pub kind: InputKind,
-    /// Facets whose edges all have more than two facets.
+    /// Facets with more than two facets at every edge.
     pub enclosed_facets: usize,
     /// Facets that lie on others, corner on corner and back to back, and stay: they enclose nothing.
     pub back_to_back_facets: usize,
@@ -46,7 +47,7 @@ pub struct InputFigures {
 }
 
 impl InputFigures {
-    /// Looks at the surface that came in.
+    /// Measures the input surface.
     ///
     /// # Errors
     /// [`Stopped`].
@@ -56,7 +57,7 @@ impl InputFigures {
         Self::with(mesh, &adjacency, token)
     }
 
-    /// The same of a surface whose edges are known.
+    /// Measures a surface with known adjacency.
     ///
     /// # Errors
     /// [`Stopped`].

@@ -181,7 +181,7 @@ fn help_is_in_groups() {
             "\nPicture:",
             "\nBackend:",
             "--endpoint",
-            "\nWhat is said:",
+            "\nMessages:",
             "\nGeneral:",
             "--log-format",
         ],

@@ -1,4 +1,4 @@
-//! The graph of feature edges, and what of it is too short to be kept.
+//! The graph of feature edges, without its short parts.
 //!
 //! Purpose: [`Graph`] holds the edges with their kind and angle; [`Graph::prune`] removes creases with free ends, short networks
 //! and tangles.
@@ -27,7 +27,7 @@ pub(super) struct Graph {
     pub(super) edges: BTreeMap<Edge, EdgeInfo>,
 }
 
-/// What is known of a feature edge.
+/// Data of a feature edge.
 #[derive(Clone, Copy)]
 pub(super) struct EdgeInfo {
     pub(super) kind: CurveKind,
@@ -100,7 +100,7 @@ impl Graph {
                     loose.push((length, chain));
                 }
             }
-            // The shortest first, one at a time where they meet: what remains at a junction may be one long curve.
+            // The shortest first, one at a time at a junction: the rest there may be one long curve.
             loose.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)));
             let mut touched = BTreeSet::new();
             let mut removed = 0;
