@@ -58,16 +58,16 @@ use wire::{WireError, proto};
 
 pub use self::access::{Access, AccessOptions};
 
-/// The name under which health is told, besides "".
+/// Health service name of `RemeshService`.
 pub const SERVICE_NAME: &str = "tessera.v1.RemeshService";
 
-/// The same for blobs, where they are served,
+/// Health service name of `BlobService`.
 pub const BLOB_SERVICE_NAME: &str = "tessera.v1.BlobService";
 
-/// and for jobs.
+/// Health service name of `JobService`.
 pub const JOB_SERVICE_NAME: &str = "tessera.v1.JobService";
 
-/// The same for what a server says of itself.
+/// Health service name of `ServerService`.
 pub const SERVER_SERVICE_NAME: &str = "tessera.v1.ServerService";
 
 /// What a server is made of.

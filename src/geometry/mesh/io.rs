@@ -63,9 +63,9 @@ pub enum Format {
     Medit,
     /// Medit, binary. Reads versions 1 to 4, writes version 2 with doubles.
     MeditBinary,
-    /// glTF in one binary file. Coordinates are rounded to single precision.
+    /// A binary glTF file. Coordinates are rounded to single precision.
     Glb,
-    /// glTF as text, its data inside. Coordinates are rounded to single precision.
+    /// A glTF file as text, with its data inside. Coordinates are rounded to single precision.
     Gltf,
 }
 

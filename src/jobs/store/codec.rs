@@ -31,9 +31,10 @@ pub(super) struct Head {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<String, String>,
     pub status: Status,
-    /// The number of the next event, as far as it is kept,
+    /// Number of the next event that is stored.
     pub next_event: u64,
-    /// and the first that nobody has been given: between the two are those of progress that is not kept yet.
+    /// First event number that is not reserved. Numbers from `next_event` to this one belong to progress events that are not
+    /// stored yet.
     pub reserved_events: u64,
 }
 

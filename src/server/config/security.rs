@@ -1,7 +1,8 @@
-//! Options of who may reach the server.
+//! Options of access to the server.
 //!
-//! Invariant: a server that other machines can reach has TLS and keys, unless somebody says that it needs none. Secrets are
-//! given by file, never as a value. Must not know: certificates, keys.
+//! Invariant: a server that other machines can reach has TLS and keys, unless an option waives them. Secrets are given by
+//! file, never as a value.
+//! Must not know: certificates, keys.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -14,10 +15,9 @@ use super::values::seconds;
 
 /// See the module's head.
 #[derive(Args, Clone, Debug)]
-#[command(next_help_heading = "Who may call")]
+#[command(next_help_heading = "TLS and keys")]
 pub struct SecurityArgs {
-    /// File with the server's certificate and those that lead to its authority, in PEM. With it and --tls-key the server
-    /// speaks TLS, and nothing else.
+    /// File with the server's certificate and its chain, in PEM. With it and --tls-key the port accepts TLS only.
     #[arg(long, value_name = "FILE", env = "TESSERA_TLS_CERT")]
     pub tls_cert: Option<PathBuf>,
     /// File with the certificate's private key, in PEM.
@@ -44,7 +44,7 @@ pub struct SecurityArgs {
 }
 
 impl SecurityArgs {
-    /// Checks what there is of TLS.
+    /// Checks the options of TLS.
     pub(super) fn check(&self) -> Result<Option<TlsFiles>, ConfigError> {
         let reload = seconds("--tls-reload-s", self.tls_reload_s)?;
         let without =
@@ -64,7 +64,7 @@ impl SecurityArgs {
         }
     }
 
-    /// Checks that nobody reaches the server who should not.
+    /// Checks that a reachable server has TLS and keys, or a waiver.
     pub(super) fn check_reach(
         &self,
         option: &'static str,

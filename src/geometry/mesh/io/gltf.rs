@@ -1,4 +1,4 @@
-//! glTF 2.0: `.glb`, and `.gltf` with its data inside. Writes single precision, as the format says.
+//! The format glTF 2.0: `.glb`, and `.gltf` with its data inside. Writes single precision.
 //!
 //! Purpose: the triangles, strips and fans of all nodes of the scene, in their places, with normals, texture coordinates and
 //! colours of vertices. A glTF has a vertex once for each normal and each place in the texture: vertices of a primitive with the
