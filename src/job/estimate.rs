@@ -54,6 +54,8 @@ pub(crate) struct Counts {
     pub(crate) placement: PlacementRule,
     /// Numbers of all attributes that a remesh carries over, three for a normal.
     pub(crate) attributes: u64,
+    /// Bytes of lists beside the surface (sizes, weights, creases): as they come, and as they are held.
+    pub(crate) list_bytes: u64,
     /// Whether points are added until a tolerance is met.
     pub(crate) refines: bool,
     /// Whether a remesh is measured.
@@ -77,6 +79,7 @@ impl Counts {
             density: DensityKind::Uniform,
             placement: PlacementRule::Fitted,
             attributes: 0,
+            list_bytes: 0,
             refines: false,
             measures: true,
             cells: false,
@@ -127,8 +130,8 @@ fn each(counts: &Counts, facet: u64, point: u64) -> u64 {
     counts.facets.saturating_mul(facet).saturating_add(counts.points.saturating_mul(point))
 }
 
-/// The sum of five: what every job of its kind takes; what grows with its counts, at the stage that takes most; what the
-/// allocator keeps of memory that was freed, as much again where there is little; attributes; and readback from a device.
+/// The sum of six: what every job of its kind takes; what grows with its counts, at the stage that takes most; what the
+/// allocator keeps of memory that was freed, as much again where there is little; attributes; lists; and readback from a device.
 fn host_bytes(counts: &Counts, threads: usize) -> u64 {
     let (least, work) = match counts.kind {
         Kind::Remesh => {
@@ -151,7 +154,7 @@ fn host_bytes(counts: &Counts, threads: usize) -> u64 {
     let kept = grows.min((threads as u64).saturating_mul(7 * MIB).saturating_add(18 * MIB));
     let carried = counts.attributes.saturating_mul(16);
     let readback = if counts.backend == BackendKind::Gpu { 32 * MIB } else { 0 };
-    [least, grows, kept, carried, readback].into_iter().fold(0, u64::saturating_add)
+    [least, grows, kept, carried, counts.list_bytes, readback].into_iter().fold(0, u64::saturating_add)
 }
 
 /// Bytes of a session for each facet and each seed.
