@@ -316,6 +316,8 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::blob::put_of;
+    use crate::job::record::{ArrayRef, Deadlines, RemeshWork};
     use crate::mesh::shapes::Shape;
 
     fn gzip(bytes: Vec<u8>) -> Vec<u8> {
@@ -364,6 +366,50 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// Lists beside a surface are predicted: as long as their text, and as many numbers as the surface has places for.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn lists_are_predicted() {
+        let backends = || {
+            let parallel = Arc::new(crate::rvd::parallel::Parallel::new(Some(1))?);
+            let serial = Arc::new(crate::rvd::serial::Serial);
+            let gpu = Err("none".into());
+            Ok(crate::job::Backends { gpu, parallel, serial, default: BackendChoice::Auto, pools: None })
+        };
+        let (engine, thread) = Engine::start(backends, crate::job::EngineOptions::default()).unwrap();
+        let blobs = crate::job::Stores::ephemeral(crate::job::BlobRoom::default()).blobs;
+        let put = async |bytes: Vec<u8>| put_of(&*blobs, "t", None, bytes.into()).await.unwrap().digest;
+        let mesh = Shape::Torus.build(2000);
+        let blob = put(io::encode(io::Format::Ply, &mesh).unwrap()).await;
+        let text = put(b"0 1\n".repeat(1 << 18)).await;
+        let forecast = Forecast::new(Arc::clone(&blobs), engine.clone(), 1_000_000);
+        let need_of = async |change: &dyn Fn(&mut RemeshWork)| {
+            let mut work = RemeshWork::new(SeedSource::Sampled { points: Some(100), random_seed: None });
+            change(&mut work);
+            let spec = JobSpec {
+                mesh: MeshSource::File { blob, format: MeshFormat::Ply, attributes: None },
+                work: WorkSpec::Remesh(Box::new(work)),
+                backend: None,
+                result: None,
+                priority: None,
+                deadlines: Deadlines::default(),
+                labels: std::collections::BTreeMap::new(),
+                tenant: "t".to_owned(),
+                request_id: String::new(),
+            };
+            forecast.need(&forecast.counts(&spec, None).await.unwrap()).memory.host
+        };
+        let without = need_of(&|_| {}).await;
+        let list = Some(ArrayRef { blob: text, form: ArrayForm::Text, count: 0 });
+        let (facets, vertices) = (mesh.facets().len() as u64, mesh.positions().len() as u64);
+        assert_eq!(need_of(&|work| work.creases = list).await, without + (1 << 20) + 3 * facets * 16);
+        let sizes = need_of(&|work| work.density.edge_lengths = list).await;
+        assert_eq!(sizes, without + (1 << 20) + vertices * 16);
+        let edges = Some(ArrayRef { blob: text, form: ArrayForm::U32, count: 1 << 17 });
+        assert_eq!(need_of(&|work| work.creases = edges).await, without + (1 << 20) + (16 << 17));
+        engine.close();
+        tokio::task::spawn_blocking(move || thread.join()).await.unwrap().unwrap();
     }
 
     /// More than is unpacked here is measured, and none of it kept.

@@ -224,14 +224,18 @@ impl Reader<'_> {
                 false => self.cursor.lenient(count, kind, self.encoding, "cells", false).map(|_| Vec::new()),
             }
         };
-        let offsets = part(b"OFFSETS", count, true)?;
+        let mut offsets = part(b"OFFSETS", count, true)?;
         let points = part(b"CONNECTIVITY", size, !counted)?;
-        Ok((offsets.get(1..).unwrap_or_default().to_vec(), points))
+        // The first is where the first list begins.
+        offsets.drain(..offsets.len().min(1));
+        Ok((offsets, points))
     }
 
     /// Where lists end that have their lengths before them, so many of so many numbers in all.
     fn ends(&mut self, count: usize, size: usize) -> Result<Vec<i64>, DataError> {
-        let (mut ends, mut end, mut left) = (Vec::new(), 0i64, size);
+        // A list has two bytes at least.
+        let mut ends = Vec::with_capacity(count.min(self.cursor.rest.len() / 2 + 1));
+        let (mut end, mut left) = (0i64, size);
         for _ in 0..count {
             let length = self.cursor.count(Kind::I32, self.encoding, "a number of points")?;
             let rest = left.checked_sub(1).and_then(|left| left.checked_sub(length));
