@@ -53,10 +53,11 @@ fn chain() -> Vec<u8> {
 
 /// Surfaces whose texts say nothing many times over.
 fn hostile() -> Vec<(&'static str, Format, Vec<u8>)> {
-    let counted = |head: &str, parts: &str, each: usize, tail: &str| {
-        // As many parts as fit are announced.
-        let count = BYTES / parts.len();
-        filled(&head.replace("N", &(count * each).to_string()).replace("M", &count.to_string()), parts, tail)
+    // As many parts as fit are announced, and the numbers in them.
+    let counted = |head: &str, part: &str, each: usize, tail: &str| {
+        let count = BYTES / part.len();
+        let head = head.replace("@N", &(count * each).to_string()).replace("@M", &count.to_string());
+        [head.as_str(), &part.repeat(count), tail].concat().into_bytes()
     };
     let vtk = "# vtk DataFile Version 3.0\ntitle\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 1 float\n0 0 0\n";
     let medit = "MeshVersionFormatted 2\nDimension 3\nVertices\n3\n0 0 0 0\n1 0 0 0\n0 1 0 0\n";
@@ -90,15 +91,15 @@ fn hostile() -> Vec<(&'static str, Format, Vec<u8>)> {
             ),
         ),
         ("elements", Format::Vtp, filled("<VTKFile type=\"PolyData\"><Piece>", "<a>", "</VTKFile>")),
-        ("empty cells", Format::Vtk, counted(&format!("{vtk}CELLS M M\n"), "0\n", 1, "CELL_TYPES 0\n")),
-        ("cells", Format::Vtk, counted(&format!("{vtk}CELLS M N\n"), "3 0 0 0\n", 4, "CELL_TYPES 0\n")),
-        ("lines", Format::Vtk, counted(&format!("{vtk}LINES M N\n"), "1 0\n", 2, "")),
-        ("faces", Format::Medit, counted(&format!("{medit}Triangles\nM\n"), "1 1 1 0\n", 1, "End\n")),
+        ("empty cells", Format::Vtk, counted(&format!("{vtk}CELLS @M @M\n"), "0\n", 1, "CELL_TYPES 0\n")),
+        ("cells", Format::Vtk, counted(&format!("{vtk}CELLS @M @N\n"), "3 0 0 0\n", 4, "CELL_TYPES 0\n")),
+        ("lines", Format::Vtk, counted(&format!("{vtk}LINES @M @N\n"), "1 0\n", 2, "")),
+        ("faces", Format::Medit, counted(&format!("{medit}Triangles\n@M\n"), "1 1 1 0\n", 1, "End\n")),
         (
             "elements of one node",
             Format::Gmsh,
             counted(
-                "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n$Elements\nM\n",
+                "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n$Elements\n@M\n",
                 "1 15 0 1\n",
                 1,
                 "$EndElements\n",

@@ -383,7 +383,7 @@ async fn pages_of_other_sites_use_no_server_without_keys() {
     let page = format!("Origin: http://{}", house.http);
     for headers in [
         &[][..],
-        &[&page],
+        &[page.as_str()],
         &["Origin: http://localhost:5173"],
         &["Host: proxy.example", "Origin: https://proxy.example"],
     ] {
