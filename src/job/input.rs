@@ -109,7 +109,7 @@ impl Reader<'_> {
         }
     }
 
-    /// What `parse` makes of an array that is text. What it gives once the token is stopped is not used.
+    /// Parses an array that is text. The result of `parse` is dropped if the token was stopped meanwhile.
     fn text<T>(
         &self,
         field: &str,

@@ -167,7 +167,7 @@ fn buffers<'a>(document: &Document<'_>, binary: Option<&'a [u8]>) -> Result<Vec<
     document.buffers.iter().enumerate().map(buffer).collect()
 }
 
-/// Nodes that have children still to be visited, on the way to one. A place takes 128 bytes.
+/// Ancestors of a node with further children to visit, at most. A place takes 128 bytes.
 const DEEPEST: usize = 10_000;
 
 /// All primitives of the scene of a file of so many bytes, in their places.

@@ -1,8 +1,8 @@
 //! The document of a glTF: its JSON, as lists.
 //!
-//! Purpose: [`Document::read`] goes over the JSON once. What a surface needs is put into lists of numbers, all else is passed over;
+//! Purpose: [`Document::read`] goes over the JSON once. The parts that a surface needs become lists of numbers, others are skipped;
 //! the data of buffers stay where they are in the text.
-//! Invariant: the lists take memory in proportion to the JSON ([`Room`]), whatever it says. Must not know: what is drawn.
+//! Invariant: the lists take memory in proportion to the JSON ([`Room`]), whatever it says. Must not know: numbers of accessors.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -304,7 +304,7 @@ fn within<'l, T>(list: &'l [T], ends: &[u32], index: usize) -> &'l [T] {
     &list[begin as usize..ends[index] as usize]
 }
 
-/// What is read of a node.
+/// A node as it is written.
 #[derive(Default)]
 struct Placed {
     mesh: Option<u32>,

@@ -4,7 +4,7 @@
 //! Purpose: the elements are walked first (`quick-xml`), which finds arrays; those that matter are read then, since appended data
 //! come last. Several pieces are one surface.
 //! Invariant: arrays together are no longer than the file, or, where they are packed, than [`super::super::UNPACKED_RATIO`] times
-//! the file: any number of arrays may name the same bytes. What is noted of pieces and arrays is bounded by the file too ([`Room`]).
+//! the file: any number of arrays may name the same bytes. Records of pieces and arrays are bounded by the file too ([`Room`]).
 //! Must not know: legacy files.
 
 use std::collections::HashMap;
