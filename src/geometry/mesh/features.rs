@@ -175,6 +175,7 @@ impl Features {
         let edges = (!options.given_creases.is_empty()).then(|| all_edges(mesh, &adjacency)).into_iter().flatten();
         let known: std::collections::HashSet<Edge> = edges.collect();
         for (crease, &[a, b]) in options.given_creases.iter().enumerate() {
+            token.check_at(crease)?;
             let welded = |v: u32| class.get(v as usize).copied();
             match (welded(a), welded(b)) {
                 (Some(p), Some(q)) if known.contains(&edge(p, q)) => {

@@ -38,6 +38,10 @@ pub struct SecurityArgs {
     /// Ask for a key for health too, where keys are required; without, probes need none.
     #[arg(long, env = "TESSERA_HEALTH_NEEDS_KEY")]
     pub health_needs_key: bool,
+    /// Answer requests to this host, or of its pages, too. Without keys and on loopback a server answers localhost alone, so
+    /// that no web page in a browser on this machine can use it. For a proxy on this machine that passes its own name on.
+    #[arg(long = "allow-host", value_name = "NAME", value_delimiter = ',', env = "TESSERA_ALLOW_HOST")]
+    pub allow_host: Vec<String>,
     /// Let other machines reach the server without TLS or without keys. For a network that you trust.
     #[arg(long, env = "TESSERA_INSECURE")]
     pub insecure: bool,
@@ -104,6 +108,7 @@ mod tests {
             require_keys: given.contains(&"keys"),
             reflection: true,
             health_needs_key: false,
+            allow_host: Vec::new(),
             insecure: given.contains(&"insecure"),
         }
     }
