@@ -59,7 +59,7 @@ pub enum Target {
 const MOST_STEPS: usize = 16;
 
 impl Tree {
-    /// Reads the library and the program. `load` gives a file's text: `mesh/io` is `src/mesh/io.rs`.
+    /// Reads the library and the program. `load` gives a file's text: `mesh/io` is `src/geometry/mesh/io.rs`.
     pub fn read(load: &dyn Fn(&str) -> Option<String>) -> Self {
         let mut tree = Self::default();
         for (root, path) in [("lib", Vec::new()), ("main", vec!["main".to_owned()])] {
