@@ -13,13 +13,13 @@ import { Options } from "./options.ts";
 import { Progress } from "./progress.ts";
 import { pointsOf, Queue } from "./queue.ts";
 import { Stage } from "./stage.ts";
-import { isShown, SHOWN } from "./mesh/read.ts";
+import { isShown, SHOWN } from "./mesh/formats.ts";
 import type { Loaded } from "./tasks.ts";
 import { count, ending, problem, size, type Told } from "./words.ts";
 import { Work } from "./work.ts";
 
-/** Larger files are remeshed, but not shown. */
-const SHOWN_BYTES = 1 << 30;
+/** Larger files are remeshed, but not shown: no browser has a text of so many characters. */
+const SHOWN_BYTES = 500_000_000;
 
 export class App {
   private readonly api = new Api((isWrong) => this.askKey(isWrong));
@@ -143,7 +143,7 @@ export class App {
     this.enable();
     const about = `${chosen.format.toUpperCase()}, ${size(chosen.file.size)}`;
     this.note(chosen.name, about);
-    if (!this.stage.canDraw) return;
+    if (!(await this.stage.canDraw) || signal.aborted) return;
     if (!isShown(chosen.format) || chosen.file.size > SHOWN_BYTES) {
       const why = isShown(chosen.format) ? "Files as large as this" : `Files of the format ${chosen.format}`;
       this.stage.clear("input", `${why} are not shown. It can be remeshed.`);
@@ -270,7 +270,7 @@ export class App {
   }
 
   private async showResult(file: Blob, format: string, signal: AbortSignal): Promise<void> {
-    if (!this.stage.canDraw) return;
+    if (!(await this.stage.canDraw) || signal.aborted) return;
     if (!isShown(format)) return this.stage.clear("result", `Files of the format ${format} are not shown. Download it.`);
     this.stage.clear("result", "Reading …");
     try {

@@ -3,7 +3,7 @@
 // Purpose: finds out its format, and unpacks what gzip packed. Invariant: what is unpacked is at most 64 times as large as the
 // file, as at the service. Must not know: what is in a mesh.
 
-import { isPacked, nameParts, sniff } from "./mesh/sniff.ts";
+import { isPacked, nameParts, sniff } from "./mesh/formats.ts";
 
 const MOST_UNPACKED = 64;
 
