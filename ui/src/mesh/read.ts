@@ -129,7 +129,7 @@ function used(positions: Numbers, corners: Numbers): Surface {
   const indices = Uint32Array.from(corners);
   const places = new Uint32Array(count);
   for (let corner = 0; corner < indices.length; corner++) {
-    if (indices[corner] !== corners[corner] || indices[corner]! >= count) throw new BadFile(`a face names vertex ${corners[corner]}, and there are ${count}`);
+    if (indices[corner] !== corners[corner] || indices[corner]! >= count) throw new BadFile(`a face names vertex ${corners[corner]}, and the file has ${count}`);
     places[indices[corner]!] = 1;
   }
   let length = 0;
