@@ -135,6 +135,11 @@ const octahedron = Buffer.from(
     "f 1 3 5\nf 3 2 5\nf 2 4 5\nf 4 1 5\nf 3 1 6\nf 2 3 6\nf 4 2 6\nf 1 4 6\n",
 );
 
+/** A PLY text with three vertices and a face. */
+const ascii = (face) =>
+  "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n" +
+  `element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n${face}\n`;
+
 const tests = {
   async "a mesh is dropped, remeshed, compared and downloaded"() {
     await opened(async (page, at) => {
@@ -219,6 +224,28 @@ const tests = {
         await says(page, "#input-counts", /^(29\d|30\d) vertices/);
         await drop(page, "octahedron.obj", octahedron);
       }
+    });
+  },
+
+  async "files of other programs are shown"() {
+    await opened(async (page) => {
+      const far = (x) => (5_000_000 + x).toFixed(3);
+      const shown = {
+        // Coordinates far from the origin need more digits than single precision has.
+        "far.obj": [`v ${far(0)} 0 0\nv ${far(0.001)} 0 0\nv ${far(0)} 0.001 0\nf 1/1 2/2 3/3\n`, /^3 vertices, 1 facets/],
+        "polygon.obj": ["o a\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv .5 2 0\nv 0 1 0\nf -5 -4 -3 -2 -1\no b\nv 0 0 1\nf 1 2 6\n", /^6 vertices, 4 facets/],
+        "loose.ply": [ascii("3 0 1 2").replace("vertex 3", "vertex 4").replace("0 1 0\n", "0 1 0\n9 9 9\n"), /^3 vertices, 1 facets/],
+        "text.stl": ["solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1e0 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid s\n", /^3 vertices, 1 facets/],
+        "square.off": ["# comment\nCOFF\n4 1 0\n0 0 0 1 0 0 1\n1 0 0 1 0 0 1\n1 1 0 1 0 0 1\n0 1 0 1 0 0 1\n4 0 1 2 3 0 1 0\n", /^4 vertices, 2 facets/],
+      };
+      for (const [name, [text, counts]] of Object.entries(shown)) {
+        await drop(page, name, text);
+        await says(page, "#file-name", new RegExp(name));
+        await says(page, "#input-counts", counts);
+      }
+      // Its facets have one shape, however far away they are.
+      await drop(page, "far.obj", shown["far.obj"][0]);
+      await says(page, "#figures", /45\.0°/);
     });
   },
 
@@ -331,15 +358,23 @@ const tests = {
   async "wrong files and options give a message, and the page goes on"() {
     await opened(async (page) => {
       await drop(page, "notes.txt", "a letter");
-      await message(page, /no mesh.*The server reads ply, obj, stl, off/s);
+      await message(page, /could not be opened.*no mesh file.*The server reads ply, obj, stl, off/s);
       await drop(page, "empty.obj", "");
       await message(page, /The file empty\.obj is empty/);
       await drop(page, "broken.obj", "v 0 0 0\nv 1 0 x\nv 0 1 0\nf 1 2 3\n");
-      await message(page, /broken\.obj cannot be shown.*[Ll]ine 2: "x" is no finite number/s);
+      await message(page, /broken\.obj cannot be shown.*coordinate is no finite number/s);
       await page.click("#go");
       await message(page, /failed|did not start/);
       await drop(page, "head.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n");
-      await message(page, /fewer bytes/);
+      await message(page, /shorter than its head says/);
+      await drop(page, "cut.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nend_header\nxxxx");
+      await message(page, /no PLY file, or it is damaged/);
+      await drop(page, "beyond.ply", ascii("3 0 1 7"));
+      await message(page, /face names vertex 7/);
+      await drop(page, "pentagon.ply", ascii("5 0 1 2 1 0"));
+      await message(page, /neither triangles nor quadrilaterals/);
+      await drop(page, "cut.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n");
+      await message(page, /ends early/);
       await drop(page, "packed.obj.gz", Buffer.from([0x1f, 0x8b, 8, 0, 1, 2, 3]));
       await message(page, /cannot be unpacked/);
       await drop(page, "octahedron.obj", octahedron);
@@ -390,7 +425,7 @@ const tests = {
 
   async "without WebGL it remeshes and downloads"() {
     await opened(async (page) => {
-      assert.ok(await page.isVisible("#no-webgl"));
+      await page.waitForSelector("#no-webgl", { ...SLOW, state: "visible" });
       await drop(page, "octahedron.obj", octahedron);
       await page.fill("#points", "200");
       await page.click("#go");

@@ -1,7 +1,7 @@
 // What the page asks the service.
 //
-// Purpose: one function for each question of docs/http.md. Invariant: every request goes to the place that the page came from;
-// the key is in memory only; whatever goes wrong is a `Problem`. Must not know: the page's elements.
+// Purpose: one function for each request of docs/http.md. Invariant: every request goes to the server of the page; the key is
+// in memory only; every failure is a `Problem`. Must not know: the page's elements.
 
 export type State = "queued" | "running" | "succeeded" | "failed" | "cancelled" | "expired";
 
@@ -45,7 +45,7 @@ export type Event =
   | { readonly kind: "stage"; readonly stage: Stage }
   | { readonly kind: "iteration"; readonly iteration: Iteration };
 
-/** Positions of all seeds after so many steps; `ended` if no more will come. */
+/** Positions of all seeds after a number of steps; `ended` if no more will come. */
 export type Seeds = { readonly steps: number; readonly bytes: ArrayBuffer } | "none" | "ended" | "unknown";
 
 /** With its digest, the service stores an upload as it comes; smaller ones it holds until their digest is known. */
@@ -64,7 +64,7 @@ export class Problem extends Error {
   }
 }
 
-/** The job was given up by the page itself. */
+/** Whether the page itself gave up the request. */
 export function isAbort(error: unknown): boolean {
   return error instanceof DOMException && error.name === "AbortError";
 }
@@ -72,17 +72,25 @@ export function isAbort(error: unknown): boolean {
 export class Api {
   private key: string | null = null;
 
-  /** Asks a person for a key; gives null if there is none. */
+  /** `askKey` asks the user for a key. It gives null if the user has none. */
   constructor(private readonly askKey: (isWrong: boolean) => Promise<string | null>) {}
 
   get hasKey(): boolean {
     return this.key !== null;
   }
 
-  /** The formats that the service reads. */
-  async formats(): Promise<string[]> {
-    const page = await this.json<OpenApi>("v1/openapi.json");
-    return page.components?.schemas?.Options?.properties?.format?.enum ?? [];
+  /** The options of a job, as the service's document has them. */
+  async options(): Promise<Schemas> {
+    const document = await this.json<OpenApi>("v1/openapi.json");
+    const resolve = (schema: Schema = {}): Schema => {
+      const named = document.components?.schemas?.[schema.$ref?.split("/").pop() ?? ""];
+      const parts = [...(named ? [named] : []), ...(schema.allOf ?? []), ...(schema.oneOf ?? []), ...(schema.anyOf ?? [])];
+      // Of alternatives, the first is the plain one.
+      const all = [schema, ...parts.map(resolve)].reverse();
+      return { ...Object.assign({}, ...all), properties: Object.assign({}, ...all.map((part) => part.properties)) } as Schema;
+    };
+    const { properties } = resolve(document.paths?.["/v1/jobs"]?.post?.requestBody?.content?.["application/json"]?.schema);
+    return Object.fromEntries(Object.entries(properties ?? {}).map(([name, schema]) => [name, resolve(schema)]));
   }
 
   /** Stores a file and gives its digest. */
@@ -154,8 +162,8 @@ export class Api {
   }
 
   /**
-   * Tells the events of a job until it has ended, and goes on after a cut.
-   * `onCut` hears of one, with the seconds until the next try, and of its end, with null.
+   * Passes the events of a job to `onEvent` until the job ends. Reconnects when the connection breaks.
+   * `onCut` gets the seconds until the next try when the connection breaks, and null when it works again.
    */
   async watch(id: string, onEvent: (event: Event) => void, onCut: (seconds: number | null) => void, signal: AbortSignal): Promise<void> {
     let last = "";
@@ -212,11 +220,11 @@ export class Api {
 
   private asking: Promise<string | null> | null = null;
 
-  /** Many requests may need a key at once; a person is asked once. */
+  /** Many requests may need a key at once. The user is asked once. */
   private async renewKey(): Promise<void> {
     this.asking ??= this.askKey(this.key !== null).finally(() => (this.asking = null));
     const key = await this.asking;
-    if (key === null) throw new Problem(401, "unauthenticated", "this server wants a key");
+    if (key === null) throw new Problem(401, "unauthenticated", "this server requires a key");
     this.key = key;
   }
 
@@ -239,8 +247,22 @@ export class Api {
   }
 }
 
+/** What this page reads of a JSON schema. */
+interface Schema {
+  readonly $ref?: string;
+  readonly allOf?: readonly Schema[];
+  readonly oneOf?: readonly Schema[];
+  readonly anyOf?: readonly Schema[];
+  readonly properties?: Schemas;
+  readonly enum?: readonly string[];
+  readonly default?: unknown;
+}
+
+export type Schemas = Readonly<Record<string, Schema>>;
+
 interface OpenApi {
-  readonly components?: { readonly schemas?: { readonly Options?: { readonly properties?: { readonly format?: { readonly enum?: string[] } } } } };
+  readonly paths?: Readonly<Record<string, { readonly post?: { readonly requestBody?: { readonly content?: Readonly<Record<string, { readonly schema?: Schema }>> } } }>>;
+  readonly components?: { readonly schemas?: Schemas };
 }
 
 /** Beside the page, wherever that is. */

@@ -1,8 +1,8 @@
 // The page at work.
 //
-// Purpose: leads a mesh from the file through the job to the remesh, and tells the page's parts. Invariant: one mesh and one job
-// are shown; what is left of one before is given up as soon as another begins, and nothing of it shows later. Whatever fails
-// ends in a message, and the page can be used on. Must not know: how surfaces are read, measured and drawn.
+// Purpose: takes a mesh from the file through the job to the remesh, and updates the page's parts. Invariant: one mesh and one
+// job are shown. A new one cancels the work for the one before. A failure ends in a message, and the page stays usable. Must
+// not know: how surfaces are read, measured and drawn.
 
 import { Api, isAbort, pause, Problem, type Event, type Job } from "./api.ts";
 import { Chart } from "./chart.ts";
@@ -13,13 +13,13 @@ import { Options } from "./options.ts";
 import { Progress } from "./progress.ts";
 import { pointsOf, Queue } from "./queue.ts";
 import { Stage } from "./stage.ts";
-import { isShown, SHOWN } from "./mesh/read.ts";
+import { isShown, SHOWN } from "./mesh/formats.ts";
 import type { Loaded } from "./tasks.ts";
 import { count, ending, problem, size, type Told } from "./words.ts";
 import { Work } from "./work.ts";
 
-/** Larger files are remeshed, but not shown. */
-const SHOWN_BYTES = 1 << 30;
+/** Larger files are remeshed, but not shown: no browser has a text of so many characters. */
+const SHOWN_BYTES = 500_000_000;
 
 export class App {
   private readonly api = new Api((isWrong) => this.askKey(isWrong));
@@ -34,7 +34,7 @@ export class App {
   private readonly cancelButton = the("cancel", HTMLButtonElement);
   private readonly download = the("download", HTMLAnchorElement);
 
-  /** What the service reads. */
+  /** The formats that the service reads. */
   private formats: readonly string[] = SHOWN;
   private chosen: Chosen | null = null;
   /** The input's name at the service. */
@@ -88,13 +88,14 @@ export class App {
     });
   }
 
-  /** Learns what the service reads. */
+  /** Learns the formats and defaults of the service. */
   private async learn(): Promise<void> {
     try {
-      const formats = await this.api.formats();
-      if (formats.length > 0) this.formats = formats;
+      const schemas = await this.api.options();
+      this.formats = schemas["format"]?.enum ?? this.formats;
+      this.options.learn(schemas);
     } catch (error) {
-      if (!(error instanceof Problem && error.status === 401)) this.say(problem("The server cannot be asked", error));
+      if (!(error instanceof Problem && error.status === 401)) this.say(problem("The server did not answer", error));
     }
     the("file", HTMLInputElement).accept = this.formats.flatMap((format) => [`.${format}`, `.${format}.gz`]).join(",");
     const names = this.formats.map((format) => format.toUpperCase());
@@ -114,9 +115,9 @@ export class App {
     } catch (error) {
       if (mesh.aborted) return;
       this.chosen = null;
-      this.note("Drop a mesh, or choose a file", "That one did not do.");
+      this.note("Drop a mesh, or choose a file", "The last file could not be opened.");
       this.stage.clear("input", "Drop a mesh here");
-      this.say({ ...problem("This file is no mesh that can be remeshed", error), advice: `The server reads ${this.formats.join(", ")}.` });
+      this.say({ ...problem("This file could not be opened", error), advice: `The server reads ${this.formats.join(", ")}.` });
     }
     this.enable();
   }
@@ -143,7 +144,7 @@ export class App {
     this.enable();
     const about = `${chosen.format.toUpperCase()}, ${size(chosen.file.size)}`;
     this.note(chosen.name, about);
-    if (!this.stage.canDraw) return;
+    if (!(await this.stage.canDraw) || signal.aborted) return;
     if (!isShown(chosen.format) || chosen.file.size > SHOWN_BYTES) {
       const why = isShown(chosen.format) ? "Files as large as this" : `Files of the format ${chosen.format}`;
       this.stage.clear("input", `${why} are not shown. It can be remeshed.`);
@@ -245,7 +246,7 @@ export class App {
         this.stage.cells(cells);
       }
     } catch {
-      // The job goes on without a picture of it; what ails it is told by the watch.
+      // The job goes on without a picture. The watch reports its failure.
     }
   }
 
@@ -270,7 +271,7 @@ export class App {
   }
 
   private async showResult(file: Blob, format: string, signal: AbortSignal): Promise<void> {
-    if (!this.stage.canDraw) return;
+    if (!(await this.stage.canDraw) || signal.aborted) return;
     if (!isShown(format)) return this.stage.clear("result", `Files of the format ${format} are not shown. Download it.`);
     this.stage.clear("result", "Reading …");
     try {
@@ -357,8 +358,8 @@ export class App {
       await this.look({ name, stem: name.replace(/(\.gz)?$/i, "").replace(/\.[^.]*$/, ""), format: source.format, file }, mesh);
     } catch (error) {
       if (isAbort(error)) throw error;
-      this.note("Drop a mesh, or choose a file", "The mesh of this job is not kept any more.");
-      this.stage.clear("input", "The mesh of this job is not kept any more");
+      this.note("Drop a mesh, or choose a file", "The mesh of this job is no longer stored.");
+      this.stage.clear("input", "The mesh of this job is no longer stored");
     }
   }
 
@@ -411,7 +412,7 @@ export class App {
     const field = the("key", HTMLInputElement);
     the("key-note", HTMLElement).textContent = isWrong
       ? "The server does not take this key. Try another."
-      : "It is kept until this page is closed, and sent to this server alone.";
+      : "The page forgets it when you close the tab, and sends it to this server only.";
     return new Promise((resolve) => {
       const ended = new AbortController();
       const { signal } = ended;

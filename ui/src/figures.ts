@@ -86,14 +86,16 @@ export class Figures {
   }
 }
 
+/** Rounding leaves less than a millionth, which is shown as 0. */
 function percent(x: number): string {
+  if (x < 1e-6) return "0 %";
   return `${x >= 10 ? x.toFixed(1) : figure(x, 2)} %`;
 }
 
-/** What of the topology is other than in the input. */
+/** Changes of the topology. */
 function remarks(report: Readonly<Record<string, unknown>>): string {
   const changes = report["topology_changes"];
   if (!Array.isArray(changes)) return "";
   if (changes.length === 0) return "Components, holes and handles are as in the input.";
-  return `The topology is not as in the input: ${changes.map(String).join("; ")}.`;
+  return `The topology differs from that of the input: ${changes.map(String).join("; ")}.`;
 }

@@ -1,9 +1,9 @@
 // A file that a person chose.
 //
-// Purpose: finds out its format, and unpacks what gzip packed. Invariant: what is unpacked is at most 64 times as large as the
-// file, as at the service. Must not know: what is in a mesh.
+// Purpose: finds its format, and unpacks gzip. Invariant: the unpacked file is at most 64 times as large, as at the service.
+// Must not know: the content of a mesh.
 
-import { isPacked, nameParts, sniff } from "./mesh/sniff.ts";
+import { isPacked, nameParts, sniff } from "./mesh/formats.ts";
 
 const MOST_UNPACKED = 64;
 
@@ -24,7 +24,7 @@ export async function open(file: File, formats: readonly string[]): Promise<Chos
   const plain = isGzip ? await unpack(file) : file;
   const sniffed = sniff(await head(plain), plain.size);
   const format = formats.includes(extension) ? extension : sniffed;
-  if (format === null || !formats.includes(format)) throw new Error(`neither the name nor the content of ${file.name} says that it is a mesh`);
+  if (format === null || !formats.includes(format)) throw new Error(`${file.name} is no mesh file that the server reads`);
   return { name: file.name, stem, format, file: plain };
 }
 
@@ -38,7 +38,7 @@ async function unpack(file: Blob): Promise<Blob> {
   let length = 0;
   for (;;) {
     const { value, done } = await reader.read().catch(() => {
-      throw new Error("the file is packed, and cannot be unpacked");
+      throw new Error("the file is packed by gzip and cannot be unpacked");
     });
     if (done) return new Blob(parts);
     length += value.length;

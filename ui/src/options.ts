@@ -1,9 +1,10 @@
 // The options of a remesh.
 //
-// Purpose: reads the form into the names that the service has, and shows at a field what is wrong with it. Invariant: what is
-// left empty is not sent, so that the service's defaults hold. Must not know: how a job is made.
+// Purpose: reads the form into the names of the service, and shows at a field what is wrong with it. Invariant: an empty field
+// is not sent, so that the service's default holds; the defaults and formats on the page are those of the service's document.
+// Must not know: how a job is made.
 
-import { Problem } from "./api.ts";
+import { Problem, type Schemas } from "./api.ts";
 import { make } from "./dom.ts";
 
 export class Options {
@@ -11,6 +12,20 @@ export class Options {
     form.addEventListener("input", (event) => {
       if (event.target instanceof Element) this.clear(event.target);
     });
+  }
+
+  /** Shows the service's defaults in empty fields, and all formats that it writes. */
+  learn(schemas: Schemas): void {
+    for (const field of this.fields()) {
+      const schema = schemas[field.name];
+      const standard = schema?.default;
+      if (field instanceof HTMLInputElement && standard !== undefined && standard !== null) field.placeholder = String(standard);
+      if (field instanceof HTMLSelectElement && field.name === "to") {
+        const known = [...field.options].map(({ value }) => value);
+        const others = (schema?.enum ?? []).filter((format) => !known.includes(format));
+        field.append(...others.map((format) => make("option", { value: format }, format.toUpperCase())));
+      }
+    }
   }
 
   /** Whether all fields are in their ranges; says what is not. */

@@ -1,6 +1,6 @@
-// How far a job is.
+// Progress of a job.
 //
-// Purpose: the line, the bar and the clock. Invariant: who listens hears of stages and of quarters, not of every iteration.
+// Purpose: the line, the bar and the clock. Invariant: a screen reader announces stages and quarters, not every iteration.
 // Must not know: where events come from.
 
 import type { Iteration, Stage, State } from "./api.ts";
@@ -61,14 +61,14 @@ export class Progress {
     this.quarter = quarter;
   }
 
-  /** The watch was cut, and tries again in so many seconds; or goes on. */
+  /** The connection broke, with the seconds until the next try; or it works again, with null. */
   cut(seconds: number | null): void {
     if (seconds === null) {
       this.say(this.before);
       return;
     }
     this.before = this.line.textContent ?? "";
-    this.say(`The server does not answer. Another try in ${seconds} s. The job goes on where it runs.`);
+    this.say(`The server does not answer. Next try in ${seconds} s. The job keeps running.`);
   }
 
   /** Ends with these words, and the time that it took if that is known. */

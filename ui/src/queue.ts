@@ -44,7 +44,7 @@ export class Queue {
       isBusy = jobs.some(({ state }) => state === "queued" || state === "running");
       this.note.textContent = jobs.length === 0 ? "No jobs yet." : "";
     } catch (error) {
-      this.note.textContent = error instanceof Problem && error.status === 401 ? "A key is needed to see the queue." : "The server does not answer; this list may be old.";
+      this.note.textContent = error instanceof Problem && error.status === 401 ? "The queue needs a key." : "The server does not answer. This list may be out of date.";
       if (error instanceof Problem && error.status === 401) return;
     } finally {
       this.isAsking = false;

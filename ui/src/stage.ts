@@ -4,11 +4,11 @@
 // chosen; both views share one scale and one camera. Without WebGL it says so and shows nothing. Must not know: files, the
 // service.
 
-import { Camera } from "./camera.ts";
+import type { Camera } from "./camera.ts";
 import { DISTANCE, gradient, QUALITY, type Scale } from "./colours.ts";
 import { make, the } from "./dom.ts";
 import type { Cells, Compared, Loaded, Side } from "./tasks.ts";
-import { View, type Colouring, type Theme } from "./view.ts";
+import type { Colouring, Theme, View } from "./view.ts";
 import { count, figure } from "./words.ts";
 
 type Mode = "plain" | "cells" | "quality" | "distance";
@@ -17,7 +17,9 @@ const MODES: readonly Mode[] = ["plain", "cells", "quality", "distance"];
 const SIDES: readonly Side[] = ["input", "result"];
 
 export class Stage {
-  private readonly camera = new Camera();
+  /** Whether meshes can be shown. The views come after the page. */
+  readonly canDraw: Promise<boolean>;
+  private camera: Camera | null = null;
   private readonly views: Record<Side, View | null> = { input: null, result: null };
   private readonly shown: Record<Side, Loaded | null> = { input: null, result: null };
   private compared: Compared | null = null;
@@ -28,14 +30,7 @@ export class Stage {
   private isChosen = false;
 
   constructor() {
-    try {
-      for (const side of SIDES) this.views[side] = new View(the(`${side}-canvas`, HTMLCanvasElement), this.camera);
-    } catch {
-      this.views.input = null;
-      this.views.result = null;
-      the("no-webgl", HTMLElement).hidden = false;
-      the("stage", HTMLElement).toggleAttribute("data-flat", true);
-    }
+    this.canDraw = this.open();
     for (const mode of MODES) {
       this.radio(mode).addEventListener("change", () => {
         this.isChosen = true;
@@ -45,14 +40,32 @@ export class Stage {
     }
     const edges = the("edges", HTMLInputElement);
     edges.addEventListener("change", () => this.each((view) => view.edges(edges.checked)));
-    the("reset", HTMLButtonElement).addEventListener("click", () => this.camera.reset());
-    this.theme();
+    the("reset", HTMLButtonElement).addEventListener("click", () => this.camera?.reset());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.theme());
     this.paint();
   }
 
-  get canDraw(): boolean {
-    return this.views.input !== null;
+  /** Fetches and begins the views. */
+  private async open(): Promise<boolean> {
+    const note = the("no-webgl", HTMLElement);
+    try {
+      const { Camera, View } = await import("./view.ts").catch((error: unknown) => {
+        note.textContent = "The views could not be loaded, so meshes are not shown. Remeshing and the download work.";
+        throw error;
+      });
+      const camera = new Camera();
+      for (const side of SIDES) this.views[side] = new View(the(`${side}-canvas`, HTMLCanvasElement), camera);
+      this.camera = camera;
+    } catch {
+      this.views.input = null;
+      this.views.result = null;
+      note.hidden = false;
+      the("stage", HTMLElement).toggleAttribute("data-flat", true);
+      return false;
+    }
+    this.theme();
+    this.each((view) => view.edges(the("edges", HTMLInputElement).checked));
+    return true;
   }
 
   /** Shows nothing on a side, and says why. */
@@ -76,7 +89,7 @@ export class Stage {
     this.views[side]?.show(loaded.corners);
     this.note(side, "");
     the(`${side}-counts`, HTMLElement).textContent = `${count(loaded.vertices)} vertices, ${count(loaded.facets)} facets`;
-    if (side === "input" || this.shown.input === null) this.camera.fit(loaded.radius);
+    if (side === "input" || this.shown.input === null) this.camera?.fit(loaded.radius);
     if (side === "result") this.prefer("quality");
     this.paint();
   }
@@ -117,7 +130,7 @@ export class Stage {
   private paint(): void {
     if (!this.has(this.mode)) this.mode = "plain";
     for (const mode of MODES) {
-      this.radio(mode).disabled = !this.canDraw || !this.has(mode);
+      this.radio(mode).disabled = !this.camera || !this.has(mode);
       this.radio(mode).checked = mode === this.mode;
     }
     this.views.input?.asCells(this.mode === "cells");

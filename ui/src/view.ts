@@ -9,10 +9,12 @@ import {
   Color, type Texture,
 } from "three";
 
-import type { Camera } from "./camera.ts";
+import { Camera } from "./camera.ts";
 import { texels, type Scale } from "./colours.ts";
 import { CELLS_FRAGMENT, CELLS_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "./shaders.ts";
 import type { Cells } from "./tasks.ts";
+
+export { Camera };
 
 /** Texels in a row of a texture that holds a list. */
 const ROW = 2048;

@@ -1,7 +1,7 @@
 // Words for people.
 //
-// Purpose: numbers, times, states and problems as the page says them. Invariant: a problem is told with what to do. Must not
-// know: where on the page words go.
+// Purpose: words for numbers, times, states and problems. Invariant: each problem comes with advice. Must not know: the place
+// of the words on the page.
 
 import { Problem, type Job, type State } from "./api.ts";
 import { WorkError } from "./work.ts";
@@ -71,28 +71,28 @@ function sentence(text: string): string {
   return /[.!?]$/.test(begun) ? begun : `${begun}.`;
 }
 
-/** What went wrong while something was tried. */
+/** A failed attempt. */
 export function problem(title: string, error: unknown): Told {
   if (error instanceof Problem) return { title, detail: sentence(error.message), advice: advice(error) };
   if (error instanceof WorkError) return { title, detail: sentence(error.message), advice: "Try another file, or one with fewer facets." };
   const detail = error instanceof Error ? error.message : String(error);
-  return { title, detail: sentence(detail), advice: "Load the page again." };
+  return { title, detail: sentence(detail), advice: "Reload the page." };
 }
 
 function advice({ status, reason, retryAfter }: Problem): string {
   const later = retryAfter === null ? "a little later" : `in ${Math.max(1, Math.ceil(retryAfter))} s`;
   switch (status) {
-    case 0: return "Look whether it runs and whether you are connected, then try again.";
-    case 400: return "Correct what it names, or take another file.";
-    case 401: return "Ask who runs the server for a key, and try again.";
-    case 403: return "This key may look, not start jobs. Use one with the role submit.";
+    case 0: return "Check that it runs and that you are connected, then try again.";
+    case 400: return "Correct the option or the file, then try again.";
+    case 401: return "Ask the operator of the server for a key, then try again.";
+    case 403: return "This key may read, but not start jobs. Use one with the role submit.";
     case 404: return reason === "job" ? "It may have been deleted. Start a new one." : "Start again from the file.";
-    case 408: return "Try again; a slow connection needs a smaller file.";
-    case 413: return "Take a mesh with fewer facets, or ask for a larger limit.";
-    case 422: return "Ask for fewer points, or take a mesh with fewer facets.";
+    case 408: return "The upload took too long. Try again, or choose a smaller file.";
+    case 413: return "Choose a mesh with fewer facets, or ask the operator for a larger limit.";
+    case 422: return "Ask for fewer points, or choose a mesh with fewer facets.";
     case 429: return `This key has reached a limit. Try again ${later}.`;
-    case 503: return `The server is full or is going down. Try again ${later}.`;
-    default: return "Try again. If it stays so, tell who runs the server.";
+    case 503: return `The server is full or shutting down. Try again ${later}.`;
+    default: return "Try again. If it fails again, tell the operator of the server.";
   }
 }
 
@@ -108,8 +108,8 @@ export function ending(job: Job): Told | null {
         advice: isInput ? "Correct the mesh or the options, then press Remesh." : isLarge ? "Ask for fewer points." : "Press Remesh to try again.",
       };
     }
-    case "cancelled": return { title: "The job was cancelled", detail: "Nothing was kept of it.", advice: "Press Remesh to start another." };
-    case "expired": return { title: "The result is gone", detail: "A deadline passed, or it was kept as long as results are.", advice: "Press Remesh to make it again." };
+    case "cancelled": return { title: "The job was cancelled", detail: "It has no result.", advice: "Press Remesh to start another." };
+    case "expired": return { title: "The result is gone", detail: "A deadline passed, or the time for which results are stored ended.", advice: "Press Remesh to make it again." };
     default: return null;
   }
 }

@@ -5,9 +5,10 @@
 
 import { ClosestPoint, distances } from "./mesh/closest.ts";
 import { divide } from "./mesh/divide.ts";
+import { isShown } from "./mesh/formats.ts";
 import { NearestSeeds } from "./mesh/nearest.ts";
 import { quality } from "./mesh/quality.ts";
-import { BadFile, isShown, read } from "./mesh/read.ts";
+import { BadFile, read } from "./mesh/read.ts";
 import { cornersOf, frameOf, spread, type Frame, type Surface } from "./mesh/surface.ts";
 import type { Answers, Cells, Compared, Loaded, Question, Reply, Requests, Side, Task } from "./tasks.ts";
 

@@ -2,11 +2,24 @@
 //!
 //! Purpose: [`remesh`] takes a surface through all stages: preprocess, prepare, optimize the seeds, extract and improve the
 //! result, carry the attributes, measure.
+//!
+//! A surface has one name in all of them:
+//!
+//! | name | surface |
+//! | --- | --- |
+//! | `given` | the caller's mesh |
+//! | `clean` | `given`, preprocessed |
+//! | `separated` | `clean` with its components apart |
+//! | `plan.mesh`, `divided` | `separated` with facets divided for the density |
+//! | `surface` | `divided` as the backends take it: unit frame, vertices merged |
+//! | `result` | the new surface |
+//!
 //! Invariant: the observer hears of the stages in this order; what could not be kept is in the report.
 //! Must not know: how a stage does its work, files, jobs, the network.
 
 mod attempt;
 mod extract;
+mod finish;
 mod job;
 mod optimize;
 mod prepare;
@@ -37,25 +50,25 @@ use prepare::{Prepared, prepare, separation};
 use preprocess::preprocess;
 use schedule::Figures;
 
-/// Remeshes `mesh` on `backend`.
+/// Remeshes `given` on `backend`.
 ///
 /// # Errors
 /// [`RemeshError`]; `Rvd(Stopped)` soon after `token` says so.
 pub fn remesh(
-    mesh: &TriMesh,
+    given: &TriMesh,
     options: &RemeshOptions,
     backend: &dyn Backend,
     observer: &mut dyn Observer,
     token: &Token,
 ) -> Result<Remesh, RemeshError> {
-    on_threads_of(backend, || match run_stages(mesh, options, backend, observer, token) {
+    on_threads_of(backend, || match run_stages(given, options, backend, observer, token) {
         // Vertices far off the surface take all the points: without their spikes, which are put back afterwards. Given seeds are
         // where they are, whatever takes them.
         Err(error @ (RemeshError::TooFewSeeds { .. } | RemeshError::Rvd(RvdError::NoArea))) => {
-            let near = outliers::draw_in(mesh).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
+            let near = outliers::draw_in(given).filter(|_| !matches!(options.seeds, Seeds::Given(_)));
             let Some(near) = near else { return Err(error) };
             let mut done = run_stages(&near, options, backend, observer, token)?;
-            spikes::put_back(&mut done, mesh, &near, token)?;
+            spikes::put_back(&mut done, given, &near, token)?;
             Ok(done)
         }
         done => done,
@@ -80,15 +93,15 @@ fn run_stages(
     // Most inputs need no preprocessing: what is prepared meanwhile is then of use.
     let (preprocessed, mut prepared) = rayon::join(|| preprocess(given, token), || prepare(given, options, token));
     let (input, changed) = preprocessed?;
-    let mesh = changed.as_ref().unwrap_or(given);
+    let clean = changed.as_ref().unwrap_or(given);
     // Components are moved apart, so that no cell reaches through to another one.
     let components = input.topology.components;
-    let gap = (components > 1).then(|| separation(mesh, components, options)).flatten();
-    let apart = gap.and_then(|gap| Apart::of(mesh, gap));
+    let gap = (components > 1).then(|| separation(clean, components, options)).flatten();
+    let apart = gap.and_then(|gap| Apart::of(clean, gap));
     token.check()?;
-    let surface = apart.as_ref().map_or(mesh, |apart| &apart.mesh);
+    let separated = apart.as_ref().map_or(clean, |apart| &apart.mesh);
     if changed.is_some() || apart.is_some() {
-        prepared = prepare(surface, options, token);
+        prepared = prepare(separated, options, token);
     }
     if let (Some(Refine { max_points: most, .. }), Ok(Prepared { plan: Plan { points, .. }, .. })) =
         (options.refine, &prepared)
@@ -99,12 +112,12 @@ fn run_stages(
     // Given edge lengths are not changed.
     let free = !matches!(options.density.source, DensitySource::Sizes(_) | DensitySource::Weights(_));
     let keep_thin = options.keep_thin && free && options.placement == Placement::Fitted;
-    let (low, high) = mesh.bounds();
+    let (low, high) = clean.bounds();
     let diagonal = (high - low).length();
     // A tolerance decides itself how many points there are.
     let scales_seeds = options.refine.is_none();
     let topology = input.topology;
-    let mut job = Job { mesh: surface, backend, token, observer, laps, keep_thin, scales_seeds, diagonal, topology };
+    let mut job = Job { separated, backend, token, observer, laps, keep_thin, scales_seeds, diagonal, topology };
     let attempt = match (options.refine, &options.seeds) {
         (Some(refine), &(Seeds::Sample { seed, .. } | Seeds::Implied { seed })) => {
             prepared.and_then(|prepared| tolerance::refine(&mut job, prepared, options, refine, seed))
@@ -121,8 +134,9 @@ fn run_stages(
         None => transfer(&mut job, given, options, result)?,
         Some(apart) => {
             let broken = |e| RvdError::Internal(format!("a surface was valid where its parts were apart: {e}"));
-            let given_apart = TriMesh::new(apart.mesh.positions().to_vec(), given.facets().to_vec()).map_err(broken)?;
-            let transferred = transfer(&mut job, &given_apart, options, result)?;
+            let given_separated =
+                TriMesh::new(apart.mesh.positions().to_vec(), given.facets().to_vec()).map_err(broken)?;
+            let transferred = transfer(&mut job, &given_separated, options, result)?;
             *result = apart.mesh_back(result).map_err(broken)?;
             attempt.seeds.iter_mut().for_each(|p| *p = apart.back(*p));
             // It answers for the components apart, not for the input.
@@ -133,14 +147,14 @@ fn run_stages(
     job.laps.end(|t| &mut t.attributes);
 
     job.enter("measure");
-    let measured = measure(mesh, input, options, attempt, job)?;
+    let measured = measure(clean, input, options, attempt, job)?;
     Ok(Remesh { attributes, provenance, ..measured })
 }
 
 /// The input's attributes on the result, and where its vertices lie on the input, if asked for.
 fn transfer(
     job: &mut Job<'_, '_>,
-    mesh: &TriMesh,
+    given: &TriMesh,
     options: &RemeshOptions,
     result: &TriMesh,
 ) -> Result<(Option<Attributes>, Vec<Provenance>), RemeshError> {
@@ -148,10 +162,10 @@ fn transfer(
     job.enter("attributes");
     let token = job.token;
     token.check()?;
-    let closest = ClosestPoint::new(mesh);
+    let closest = ClosestPoint::new(given);
     let provenance = attributes::provenance(&closest, result.positions(), token)?;
     token.check()?;
-    let carried = attributes::carry(mesh, attributes, &closest, result, &provenance)?;
+    let carried = attributes::carry(given, attributes, &closest, result, &provenance)?;
     Ok((Some(carried), provenance))
 }
 
@@ -166,9 +180,9 @@ fn compare(
     Ok((quality, lost::find(mesh, result, &distances, token)?))
 }
 
-/// Measures the result against `mesh` and writes the report. Attributes and provenance are left empty.
+/// Measures the result against `clean` and writes the report. Attributes and provenance are left empty.
 fn measure(
-    mesh: &TriMesh,
+    clean: &TriMesh,
     input: InputFigures,
     options: &RemeshOptions,
     attempt: Attempt<'_>,
@@ -178,7 +192,7 @@ fn measure(
     let Figures { seed, asked, converged, last, rvd, iterations, refine } = figures;
     token.check()?;
     let result = &built.mesh;
-    let quality = || options.measure.then(|| compare(mesh, closest, result, token)).transpose();
+    let quality = || options.measure.then(|| compare(clean, closest, result, token)).transpose();
     // Only parts of one seed's cell, or of the surface, can be in one place.
     let touches = built.repair.extra_vertices > 0 || input.topology.components > 1;
     let topology = || -> Result<_, Stopped> {

@@ -6,7 +6,8 @@
 
 use glam::DVec3;
 
-use super::extract::{Built, Draft, Extraction, Missed};
+use super::extract::{Draft, Extraction, Missed};
+use super::finish::Built;
 use super::job::Job;
 use super::optimize::{ExactDual, Optimized};
 use super::prepare::Prepared;
@@ -59,7 +60,7 @@ impl<'a> Job<'a, '_> {
 /// Builds the result of the present seeds, whose dual is there, and of better ones as long as rounds help. Returns the best
 /// result and its seeds, caller's coordinates.
 fn build(
-    mesh: &TriMesh,
+    divided: &TriMesh,
     curves: &KeptCurves,
     cvt: &mut Cvt,
     (mut exact, mut dual): (ExactDual<'_>, dual::Dual),
@@ -77,7 +78,7 @@ fn build(
     let first_added = cvt.len() as u32;
     let mut best: Option<(Draft, Vec<DVec3>)> = None;
     let (placement, adds) = (options.placement, options.refine.is_some());
-    let extraction = Extraction { mesh, surface, curves, placement, first_added, tolerance, adds, token };
+    let extraction = Extraction { divided, surface, curves, placement, first_added, tolerance, adds, token };
     let mut round = 0;
     loop {
         token.check()?;

@@ -1,9 +1,9 @@
-//! The result of a diagram.
+//! The triangulation of a diagram, before its last improvement.
 //!
-//! Purpose: makes a triangulation of the dual of the last seeds: repairs it, places its vertices, fits it to the input
-//! ([`Extraction::draft`]), and improves it locally ([`Extraction::finish`]).
-//! Invariant: the result is oriented as the input; vertices of corners are where the input has them.
-//! Must not know: iterations, options but those of its own.
+//! Purpose: [`Extraction::draft`] makes a triangulation of the dual of the last seeds: repairs it, places its vertices and fits
+//! it to the input.
+//! Invariant: the draft is oriented as the input; vertices of corners are where the input has them.
+//! Must not know: iterations, options but those of its own, how the best draft becomes the result.
 
 use std::collections::HashSet;
 
@@ -16,14 +16,12 @@ use crate::mesh::csr::Csr;
 use crate::mesh::edges::undirected;
 use crate::mesh::features::CurveKind;
 use crate::remesh::constants::OFF_CURVE_SHARE;
-use crate::remesh::distance::hausdorff::{HausdorffEstimate, missed_places};
+use crate::remesh::distance::hausdorff::HausdorffEstimate;
 use crate::remesh::distance::reference::{InputSamples, Reference, SurfaceSample};
 use crate::remesh::features::curves::KeptCurves;
 use crate::remesh::features::envelope::CurveEnvelope;
 use crate::remesh::fit::{self, Target};
 use crate::remesh::improve::curves::{restore, tighten};
-use crate::remesh::improve::editor::MeshEditor;
-use crate::remesh::improve::places::{improve, recover_edge};
 use crate::remesh::improve::shapes::{Mobility, MotionBounds, improve_shapes};
 use crate::remesh::manifold::local_mesh::LocalMesh;
 use crate::remesh::manifold::{boundary_ears, repair};
@@ -34,7 +32,7 @@ use crate::token::Token;
 
 /// What a result is made from.
 pub(super) struct Extraction<'a> {
-    pub(super) mesh: &'a TriMesh,
+    pub(super) divided: &'a TriMesh,
     pub(super) surface: &'a Surface,
     pub(super) curves: &'a KeptCurves,
     pub(super) placement: Placement,
@@ -51,28 +49,29 @@ pub(super) struct Extraction<'a> {
 /// A triangulation that may still change.
 pub(super) struct Draft<'a> {
     /// Caller's coordinates.
-    positions: Vec<DVec3>,
-    facets: Vec<[u32; 3]>,
-    vertex_seed: Vec<u32>,
-    curve_edges: Vec<Option<[u32; 2]>>,
-    repair: RepairFigures,
-    fitted: Option<Fitted<'a>>,
+    pub(super) positions: Vec<DVec3>,
+    pub(super) facets: Vec<[u32; 3]>,
+    pub(super) vertex_seed: Vec<u32>,
+    /// For each segment of the curves its edge, if it is there.
+    pub(super) curve_edges: Vec<Option<[u32; 2]>>,
+    pub(super) repair: RepairFigures,
+    pub(super) fitted: Option<Fitted<'a>>,
     /// What it lacks of the input.
     pub(super) missed: Missed,
-    /// How many seeds there were.
-    seeds: usize,
+    /// Number of seeds.
+    pub(super) seeds: usize,
 }
 
 /// Vertices that were fitted.
-struct Fitted<'a> {
+pub(super) struct Fitted<'a> {
     /// Unit frame. Its facets are those of the draft.
-    mesh: LocalMesh,
-    target: Target,
-    envelope: CurveEnvelope,
+    pub(super) mesh: LocalMesh,
+    pub(super) target: Target,
+    pub(super) envelope: CurveEnvelope,
     /// The input that improved places are compared with.
-    reference: Reference<'a>,
+    pub(super) reference: Reference<'a>,
     /// Distance from the input around each vertex.
-    distances: Vec<f64>,
+    pub(super) distances: Vec<f64>,
 }
 
 /// What a draft lacks of the input.
@@ -94,17 +93,6 @@ impl Draft<'_> {
     fn curves(&self) -> HashSet<[u32; 2]> {
         self.curve_edges.iter().flatten().map(|&e| undirected(e)).collect()
     }
-}
-
-/// A finished surface.
-pub(super) struct Built {
-    pub(super) mesh: TriMesh,
-    pub(super) vertex_seed: Vec<u32>,
-    /// For each segment of the curves the result's edge, if it is there.
-    pub(super) curve_edges: Vec<Option<[u32; 2]>>,
-    pub(super) repair: RepairFigures,
-    /// Places of the input that it is still far from.
-    pub(super) missed: usize,
 }
 
 impl<'a> Extraction<'a> {
@@ -146,59 +134,8 @@ impl<'a> Extraction<'a> {
         Ok(draft)
     }
 
-    /// The draft improved locally, in the caller's coordinates.
-    pub(super) fn finish(&self, mut draft: Draft<'a>) -> Result<Built, RemeshError> {
-        let mut missed = 0;
-        if let Some(mut fitted) = draft.fitted.take() {
-            missed = self.improve(&mut draft, &mut fitted);
-            self.token.check()?;
-            let frame = self.surface.frame();
-            let (positions, facets) = fitted.mesh.into_parts();
-            draft.facets = facets;
-            let moved = draft.positions.iter_mut().zip(positions).zip(&fitted.target.fixed);
-            moved.filter(|(_, fixed)| !**fixed).for_each(|((p, u), _)| *p = frame.to_world(u));
-        }
-        let Draft { positions, facets, vertex_seed, curve_edges, repair, seeds, .. } = draft;
-        // Only one thing can be wrong with it: seeds on a line leave no facet with an area.
-        let mesh = TriMesh::new(positions, facets).map_err(|_| RemeshError::too_few(seeds))?;
-        Ok(Built { mesh, vertex_seed, curve_edges, repair, missed })
-    }
-
-    /// Recovers edges of curves and improves the places that need it. Returns how many places are still far.
-    fn improve(&self, draft: &mut Draft<'a>, fitted: &mut Fitted<'a>) -> usize {
-        let absent = self.curves.missing(&draft.curve_edges, &draft.vertex_seed, |_| true);
-        if !absent.is_empty() {
-            let mobility = mobility(&fitted.mesh.positions, &draft.curve_edges, &fitted.target.fixed);
-            let mut editor = MeshEditor::new(&mut fitted.mesh, &mobility, &fitted.reference, self.token);
-            let recover = |&ends: &[u32; 2]| !self.token.is_stopped() && recover_edge(&mut editor, ends);
-            if absent.into_iter().filter(recover).count() > 0 {
-                self.find_curves(draft, &mut fitted.mesh);
-                self.improve_shapes(&mut fitted.mesh, draft, &fitted.target.fixed, &fitted.envelope, false);
-                let input = &fitted.target.input;
-                let estimate = HausdorffEstimate::of(&fitted.mesh, input, self.tolerance, self.token);
-                fitted.distances = estimate.by_vertex;
-            }
-        }
-        let Fitted { mesh, target, reference, distances, .. } = fitted;
-        let mobility = mobility(&mesh.positions, &draft.curve_edges, &target.fixed);
-        let improved = improve(&mut MeshEditor::new(mesh, &mobility, reference, self.token), distances);
-        let before = draft.missed.places.len();
-        if improved == 0 && before == 0 {
-            return 0;
-        }
-        self.find_curves(draft, mesh);
-        // Improvement takes nothing farther away, but a place's nearest facet may have left the one-ring that is searched.
-        missed_places(mesh, &target.input, self.tolerance, self.token).len().min(before)
-    }
-
-    /// Finds the edges of curves again, in the order of the facets. They stay from now on.
-    fn find_curves(&self, draft: &mut Draft<'_>, mesh: &mut LocalMesh) {
-        draft.curve_edges = self.curves.edges_in(mesh.facets(), &draft.vertex_seed);
-        draft.curve_edges.iter().flatten().for_each(|&edge| mesh.keep(edge));
-    }
-
     /// Improves the worst facets; where `hold_curves`, without the vertices of curves.
-    fn improve_shapes(
+    pub(super) fn improve_shapes(
         &self,
         mesh: &mut LocalMesh,
         draft: &Draft<'_>,
@@ -217,10 +154,10 @@ impl<'a> Extraction<'a> {
     /// surface, or at its centroid; a component of a split cell has it at the closest point to its own centroid.
     fn vertex_positions(&self, dual: &dual::Dual, seeds: &[DVec3]) -> Vec<DVec3> {
         let frame = self.surface.frame();
-        let closest = dual.components.iter().any(|c| !c.whole).then(|| ClosestPoint::new(self.mesh));
+        let closest = dual.components.iter().any(|c| !c.whole).then(|| ClosestPoint::new(self.divided));
         let place = |c: &dual::Component| match &closest {
             _ if (c.seed as usize) < self.curves.seeds.len() && c.whole => {
-                self.curves.position(self.mesh, frame, c.seed)
+                self.curves.position(self.divided, frame, c.seed)
             }
             _ if self.placement == Placement::Centroids => frame.to_world(c.centroid),
             Some(tree) if !c.whole && !self.token.is_stopped() => tree.project(frame.to_world(c.centroid)).position,
@@ -314,7 +251,7 @@ fn long_edge_midpoints(positions: &[DVec3], facets: &[[u32; 3]], fixed: &[bool],
 }
 
 /// How each vertex may move: vertices with two edges of curves along these, other ends of such edges hardly at all.
-fn mobility(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<Mobility> {
+pub(super) fn mobility(positions: &[DVec3], curve_edges: &[Option<[u32; 2]>], fixed: &[bool]) -> Vec<Mobility> {
     let mut ends: Vec<(u32, u32)> = curve_edges.iter().flatten().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
     ends.sort_unstable();
     let of = |v: usize| match fixed[v] {

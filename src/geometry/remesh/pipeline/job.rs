@@ -14,7 +14,8 @@ use crate::token::Token;
 
 /// See the module's head.
 pub(super) struct Job<'a, 'b> {
-    pub(super) mesh: &'a TriMesh,
+    /// The input, preprocessed, its components apart.
+    pub(super) separated: &'a TriMesh,
     pub(super) backend: &'b dyn Backend,
     pub(super) token: &'b Token,
     pub(super) observer: &'b mut dyn Observer,

@@ -51,7 +51,7 @@ impl<'a> Job<'a, '_> {
     /// Prepares other options; `None` if their density needs too many points.
     pub(super) fn prepare_again(&mut self, options: &RemeshOptions) -> Result<Option<Prepared<'a>>, RemeshError> {
         self.enter("prepare");
-        match prepare(self.mesh, options, self.token) {
+        match prepare(self.separated, options, self.token) {
             Err(RemeshError::Density(_)) => Ok(None),
             prepared => prepared.map(Some),
         }
@@ -122,7 +122,7 @@ impl<'a> Job<'a, '_> {
         let median = best.plan.figures.edge_median;
         let most = THIN_MOST_POINTS * best.plan.points;
         let mut failing = !best.failing.components.is_empty();
-        let mut lengths = if failing { best.shorter_lengths(self.mesh, self.token)? } else { Vec::new() };
+        let mut lengths = if failing { best.shorter_lengths(self.separated, self.token)? } else { Vec::new() };
         let mut vain = 0;
         for round in 1..=MAX_THIN_ROUNDS {
             if !failing || vain == MAX_VAIN_ROUNDS {
@@ -136,7 +136,8 @@ impl<'a> Job<'a, '_> {
                 break;
             }
             let Some(mut next) = self.optimize_again(prepared, &options)? else { break };
-            (lengths, failing) = (next.shorter_lengths(self.mesh, self.token)?, !next.failing.components.is_empty());
+            (lengths, failing) =
+                (next.shorter_lengths(self.separated, self.token)?, !next.failing.components.is_empty());
             if next.failing.area < best.failing.area {
                 next.take_over(&best);
                 next.figures.refine.closed_ball_rounds = round;

@@ -26,17 +26,17 @@ pub(super) struct Prepared<'a> {
     pub(super) closest: ClosestPoint,
 }
 
-/// Prepares `mesh` for `options`.
+/// Prepares `separated` for `options`.
 pub(super) fn prepare<'a>(
-    mesh: &'a TriMesh,
+    separated: &'a TriMesh,
     options: &RemeshOptions,
     token: &Token,
 ) -> Result<Prepared<'a>, RemeshError> {
-    let plan = density::plan(mesh, &options.density, options.seeds.count(), token)?.divided(token)?;
+    let plan = density::plan(separated, &options.density, options.seeds.count(), token)?.divided(token)?;
     token.check()?;
     let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
     token.check()?;
-    let find = || KeptCurves::find(mesh, &plan, &surface, options, token);
+    let find = || KeptCurves::find(separated, &plan, &surface, options, token);
     let (curves, closest) = rayon::join(find, || surface.closest_points());
     Ok(Prepared { curves: curves?, closest: closest?, plan, surface })
 }
@@ -47,13 +47,13 @@ pub(super) fn with_source(options: &RemeshOptions, source: DensitySource) -> Rem
     RemeshOptions { density, ..options.clone() }
 }
 
-/// How far so many components should be apart: two edge lengths, and a share of the diagonal. `None` where seeds are given,
-/// since it is not known which component one is on, and where there are too few points for each component to become a
-/// surface.
-pub(super) fn separation(mesh: &TriMesh, components: usize, options: &RemeshOptions) -> Option<f64> {
-    let (low, high) = mesh.bounds();
+/// Distance to keep between the components of the preprocessed input: two edge lengths, and a share of the diagonal. `None`
+/// where seeds are given, since the component of a seed is not known, and where there are too few points for each component to
+/// become a surface.
+pub(super) fn separation(clean: &TriMesh, components: usize, options: &RemeshOptions) -> Option<f64> {
+    let (low, high) = clean.bounds();
     // Edge length of a uniform triangulation: equilateral triangles, two for each vertex.
-    let uniform = |points: usize| (2.0 / 3f64.sqrt() * mesh.area() / points.max(1) as f64).sqrt();
+    let uniform = |points: usize| (2.0 / 3f64.sqrt() * clean.area() / points.max(1) as f64).sqrt();
     let edge = match (&options.seeds, &options.density) {
         (Seeds::Given(_), _) => return None,
         (Seeds::Sample { points, .. }, _) => uniform(*points),

@@ -10,18 +10,18 @@ use crate::remesh::report::InputFigures;
 use crate::token::{Stopped, Token};
 
 /// The figures of the input, and the changed surface if anything had to be changed.
-pub(super) fn preprocess(mesh: &TriMesh, token: &Token) -> Result<(InputFigures, Option<TriMesh>), Stopped> {
-    let adjacency = Adjacency::new(mesh);
+pub(super) fn preprocess(given: &TriMesh, token: &Token) -> Result<(InputFigures, Option<TriMesh>), Stopped> {
+    let adjacency = Adjacency::new(given);
     token.check()?;
-    let (mut figures, mut changed) = match stitch::boundaries(mesh, &adjacency, token)? {
+    let (mut figures, mut changed) = match stitch::boundaries(given, &adjacency, token)? {
         Some((stitched, moved)) => {
             (InputFigures { stitched_vertices: moved, ..InputFigures::of(&stitched, token)? }, Some(stitched))
         }
-        None => (InputFigures::with(mesh, &adjacency, token)?, None),
+        None => (InputFigures::with(given, &adjacency, token)?, None),
     };
     token.check()?;
     if figures.inconsistent_edges + figures.topology.non_manifold_edges > 0
-        && let Some((single, spare)) = duplicates::remove(changed.as_ref().unwrap_or(mesh), token)?
+        && let Some((single, spare)) = duplicates::remove(changed.as_ref().unwrap_or(given), token)?
     {
         let stitched_vertices = figures.stitched_vertices;
         figures = InputFigures { stitched_vertices, coincident_facets: spare, ..InputFigures::of(&single, token)? };
@@ -29,7 +29,7 @@ pub(super) fn preprocess(mesh: &TriMesh, token: &Token) -> Result<(InputFigures,
     }
     token.check()?;
     if figures.inconsistent_edges > 0
-        && let Some((consistent, flipped)) = orient::make_consistent(changed.as_ref().unwrap_or(mesh), token)?
+        && let Some((consistent, flipped)) = orient::make_consistent(changed.as_ref().unwrap_or(given), token)?
     {
         figures.reoriented_facets = flipped;
         changed = Some(consistent);

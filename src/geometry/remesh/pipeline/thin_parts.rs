@@ -30,10 +30,10 @@ pub(super) struct FailingCells {
     pub(super) vertices: usize,
 }
 
-/// The failing cells of a dual. `surface` was made of `mesh`, and the result is to have the topology `wanted`.
+/// The failing cells of a dual. `surface` was made of `divided`, and the result is to have the topology `wanted`.
 pub(super) fn failing(
     dual: &Dual,
-    mesh: &TriMesh,
+    divided: &TriMesh,
     surface: &Surface,
     wanted: &Topology,
     token: &Token,
@@ -64,7 +64,7 @@ pub(super) fn failing(
     let mut fails = vec![false; count];
     dual.not_disks.iter().chain(&dual.multiple_boundary_arcs).chain(pairs).for_each(|&c| fails[c as usize] = true);
     (0..count).filter(|&c| !there[c]).for_each(|c| fails[c] = true);
-    let non_manifold = measure::non_manifold_vertices(mesh);
+    let non_manifold = measure::non_manifold_vertices(divided);
     for piece in &dual.pieces {
         if surface.welded()[piece.facet as usize].iter().any(|&v| non_manifold[v as usize]) {
             fails[piece.component as usize] = false;
@@ -80,11 +80,11 @@ pub(super) fn failing(
     Ok(FailingCells { components, area, vertices })
 }
 
-/// Makes the lengths, one a vertex of the caller's `mesh`, shorter at the vertices in failing cells; for a cell without a
-/// vertex, at the nearest corner of its facet. The first vertices of `surface` are those of `mesh`.
+/// Makes the lengths, one a vertex of `separated`, shorter at the vertices in failing cells; for a cell without a
+/// vertex, at the nearest corner of its facet. The first vertices of `surface` are those of `separated`.
 pub(super) fn shorten(
     lengths: &mut [f64],
-    mesh: &TriMesh,
+    separated: &TriMesh,
     failing: &FailingCells,
     dual: &Dual,
     surface: &Surface,
@@ -107,10 +107,10 @@ pub(super) fn shorten(
     let mut closest = None;
     for (component, _) in dual.components.iter().zip(&without_vertex).filter(|(_, without)| **without) {
         token.check()?;
-        let tree = closest.get_or_insert_with(|| ClosestPoint::new(mesh));
+        let tree = closest.get_or_insert_with(|| ClosestPoint::new(separated));
         let SurfacePoint { facet, barycentric, .. } = tree.project(surface.frame().to_world(component.centroid));
         let corner = (0..3).max_by(|&a, &b| barycentric[a].total_cmp(&barycentric[b])).unwrap_or_default();
-        shorter[mesh.facets()[facet as usize][corner] as usize] = true;
+        shorter[separated.facets()[facet as usize][corner] as usize] = true;
     }
     // Welded vertices are one.
     let welded = surface.facets().iter().zip(surface.welded()).flat_map(|(own, first)| own.iter().zip(first));

@@ -82,7 +82,7 @@ pub(super) fn refine<'a>(
         if !search.compare(&options, random_seed)? {
             break;
         }
-        from = Some(search.best.attempt.plan.lengths(search.job.mesh, search.job.token)?);
+        from = Some(search.best.attempt.plan.lengths(search.job.separated, search.job.token)?);
     }
     Ok(search.end())
 }
@@ -117,7 +117,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
         limits: Refine,
         tolerance: f64,
     ) -> Result<Self, RemeshError> {
-        let comparison = Comparison::new(job.mesh, limits.tolerance, job.token)?;
+        let comparison = Comparison::new(job.separated, limits.tolerance, job.token)?;
         let best = attempt(job, &comparison, prepared, options, tolerance)?;
         let first = (best.points(), best.distances.largest);
         let limits = limits.with_max_points(limits.max_points.max(first.0));
@@ -137,7 +137,7 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
     /// Prepares and makes one more result.
     fn attempt(&mut self, options: RemeshOptions, tolerance: f64) -> Result<(), RemeshError> {
         self.job.enter("prepare");
-        let prepared = prepare(self.job.mesh, &options, self.job.token)?;
+        let prepared = prepare(self.job.separated, &options, self.job.token)?;
         let next = attempt(self.job, &self.comparison, prepared, options, tolerance)?;
         self.offer(next);
         Ok(())
@@ -153,11 +153,11 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
 
     /// Rounds with shorter edges, from these lengths or from those of the best result.
     fn shorten(&mut self, from: Option<Vec<f64>>, random_seed: u64) -> Result<(), RemeshError> {
-        let (mesh, token) = (self.job.mesh, self.job.token);
+        let (separated, token) = (self.job.separated, self.job.token);
         let Refine { tolerance, max_points } = self.limits;
         let mut lengths = match from {
             Some(lengths) => lengths,
-            None => self.best.attempt.plan.lengths(mesh, token)?,
+            None => self.best.attempt.plan.lengths(separated, token)?,
         };
         let mut options = RemeshOptions { refine: None, ..self.best.options.clone() };
         let mut by_vertex = self.best.distances.by_vertex.clone();
@@ -183,11 +183,11 @@ impl<'a, 'j, 'b> Search<'a, 'j, 'b> {
                 None => {
                     full = true;
                     options.seeds = Seeds::Sample { points: max_points, seed: random_seed };
-                    prepare(mesh, &options, token)?
+                    prepare(separated, &options, token)?
                 }
             };
             let next = attempt(self.job, &self.comparison, prepared, options.clone(), tolerance)?;
-            lengths = next.attempt.plan.lengths(mesh, token)?;
+            lengths = next.attempt.plan.lengths(separated, token)?;
             by_vertex.clone_from(&next.distances.by_vertex);
             points = next.points();
             let (before, now) = (&self.best.distances, &next.distances);

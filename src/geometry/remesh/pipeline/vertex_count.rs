@@ -69,7 +69,7 @@ impl<'a> Job<'a, '_> {
             // Shorter edges in thin parts stay.
             let options = match best.figures.refine.closed_ball_rounds {
                 0 => options.clone(),
-                _ => with_source(options, DensitySource::Sizes(best.plan.lengths(self.mesh, self.token)?)),
+                _ => with_source(options, DensitySource::Sizes(best.plan.lengths(self.separated, self.token)?)),
             };
             let options = options.with_seeds(Seeds::Sample { points: drawn as usize, seed });
             let Some(prepared) = self.prepare_again(&options)? else { break };

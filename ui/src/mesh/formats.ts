@@ -1,18 +1,23 @@
-// The format of a file that a person chose.
+// Formats of files.
 //
-// Purpose: reads the format off the name, else off the first bytes. Invariant: a packed file is told from its bytes, never
-// from its name alone. Must not know: what the service reads, how a format is read.
+// Purpose: finds the format by the name, else by the first bytes; lists the formats that can be shown. Invariant: a packed file
+// is recognized by its bytes, never by its name alone. Must not know: the formats of the service, how a format is read.
 
-/** Extensions that mean another format's name. */
-const SAME: Readonly<Record<string, string>> = { gltf: "glb", meshb: "mesh" };
+/** A format that this page shows. The service may read more. */
+export type ShownFormat = "ply" | "obj" | "stl" | "off";
+
+export const SHOWN: readonly ShownFormat[] = ["ply", "obj", "stl", "off"];
+
+export function isShown(format: string): format is ShownFormat {
+  return (SHOWN as readonly string[]).includes(format);
+}
 
 /** The stem of a name and its extension, both without `.gz`. */
 export function nameParts(name: string): { stem: string; extension: string } {
   const plain = name.replace(/\.gz$/i, "");
   const dot = plain.lastIndexOf(".");
   if (dot <= 0) return { stem: plain || "mesh", extension: "" };
-  const extension = plain.slice(dot + 1).toLowerCase();
-  return { stem: plain.slice(0, dot), extension: SAME[extension] ?? extension };
+  return { stem: plain.slice(0, dot), extension: plain.slice(dot + 1).toLowerCase() };
 }
 
 export function isPacked(head: Uint8Array): boolean {
