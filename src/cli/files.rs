@@ -128,6 +128,11 @@ pub(crate) const INPUT_FORMAT: &str = "--input-format";
 /// What says the format of a surface that is written.
 pub(crate) const OUTPUT_FORMAT: &str = "--format";
 
+/// Help for the file of a surface, with the extensions.
+pub(crate) fn help_of(file: &str, more: &str) -> String {
+    format!("{file}: {}; {more}", Format::names())
+}
+
 /// Reads an option: a format has the name of its extension.
 pub(crate) fn format() -> impl TypedValueParser<Value = Format> {
     PossibleValuesParser::new(Format::ALL.map(Format::extension))

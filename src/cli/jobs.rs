@@ -4,7 +4,6 @@
 //! and nothing else: an id, a table, a line an event, or JSON. Must not know: how calls are made (`remote`).
 
 mod fetch;
-mod format;
 mod given;
 mod show;
 mod spec;

@@ -36,7 +36,8 @@ use jobs::spec::{Input, Prepared};
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("of").required(true).args(["seeds", "points"])))]
 pub(crate) struct RvdArgs {
-    /// The surface: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf; - is the standard input.
+    /// The surface.
+    #[arg(help = files::help_of("The surface", "- is the standard input"))]
     input: PathBuf,
     /// Format of the surface, where its name does not say it.
     #[arg(long, value_name = "FORMAT", value_parser = files::format())]

@@ -17,8 +17,8 @@ pub(crate) struct ShapeArgs {
     /// Number of facets; the result is near it.
     #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = parse_facets)]
     pub facets: usize,
-    /// File to write (.obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf); - is the standard output.
-    #[arg(short, long, value_name = "FILE")]
+    /// File to write.
+    #[arg(short, long, value_name = "FILE", help = files::help_of("File to write", "- is the standard output"))]
     pub output: PathBuf,
     /// Format of the output, if the file name does not say it.
     #[arg(long, value_name = "FORMAT", value_parser = files::format())]

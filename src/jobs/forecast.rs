@@ -16,11 +16,11 @@ use super::bytes::Bytes;
 use super::engine::Engine;
 use super::estimate::{Counts, Kind, Need, need};
 use super::record::{
-    ArrayForm, AttributeKind, AttributeRef, DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput,
-    SeedSource, WorkSpec,
+    ArrayForm, AttributeKind, AttributeRef, DensityKind, JobSpec, MeshSource, PlacementRule, RvdOutput, SeedSource,
+    WorkSpec,
 };
 use crate::blob::{BlobError, BlobStore, Digest, Owner};
-use geometry::mesh::io::{self, DataError};
+use geometry::mesh::io::{self, DataError, Format};
 use geometry::remesh::RemeshOptions;
 use geometry::rvd::{BackendChoice, BackendKind};
 
@@ -49,7 +49,7 @@ pub struct Forecast {
     max_seeds: u64,
     /// Who reads a blob for its counts: they lie in memory meanwhile.
     reading: Semaphore,
-    known: Mutex<HashMap<(Digest, MeshFormat), File>>,
+    known: Mutex<HashMap<(Digest, Format), File>>,
 }
 
 impl Forecast {
@@ -173,7 +173,7 @@ impl Forecast {
     }
 
     /// Vertices, facets and bytes of a surface's file.
-    async fn of_file(&self, owner: Owner, blob: Digest, format: MeshFormat) -> Result<((u64, u64), u64), JobApiError> {
+    async fn of_file(&self, owner: Owner, blob: Digest, format: Format) -> Result<((u64, u64), u64), JobApiError> {
         let size_bytes = self.size_of(owner, blob).await?;
         let known = |forecast: &Self| {
             forecast.known.lock().unwrap_or_else(PoisonError::into_inner).get(&(blob, format)).copied()
@@ -190,7 +190,7 @@ impl Forecast {
         Ok((file.counts, file.bytes))
     }
 
-    async fn look_at(&self, blob: Digest, format: MeshFormat, size_bytes: u64) -> Result<File, JobApiError> {
+    async fn look_at(&self, blob: Digest, format: Format, size_bytes: u64) -> Result<File, JobApiError> {
         let limits = self.limits();
         let most_bytes = io::unpacked_limit(usize::try_from(size_bytes).unwrap_or(usize::MAX));
         // What is longer than all memory for jobs is not unpacked to its end.
@@ -252,7 +252,7 @@ fn no_surface() -> JobApiError {
 }
 
 /// What is known of these bytes, of which no more than `limit` may be unpacked; `None` if they are no surface.
-fn look_at(format: MeshFormat, bytes: &[u8], limit: usize) -> Result<Option<File>, DataError> {
+fn look_at(format: Format, bytes: &[u8], limit: usize) -> Result<Option<File>, DataError> {
     let size_bytes = bytes.len() as u64;
     let room = READ_BYTES as usize;
     let (plain, unpacked) = match io::unpack(bytes, limit.min(room)) {
@@ -269,7 +269,7 @@ fn look_at(format: MeshFormat, bytes: &[u8], limit: usize) -> Result<Option<File
     };
     let bytes = size_bytes.saturating_add(unpacked);
     let Some(plain) = plain else { return Ok(Some(File { counts: most(format, unpacked), bytes })) };
-    let counts = io::counts_of_plain(format.into(), &plain);
+    let counts = io::counts_of_plain(format, &plain);
     Ok(counts.map(|counts| File {
         counts: (counts.vertices, counts.facets),
         bytes: bytes.saturating_add(counts.made_bytes),
@@ -289,23 +289,8 @@ pub fn must_fit(need: &Need, limits: Bytes) -> Result<(), JobApiError> {
 }
 
 /// The most vertices and facets that a file of so many bytes is likely to hold: the shortest that writers make.
-fn most(format: MeshFormat, bytes: u64) -> (u64, u64) {
-    let facets = match format {
-        // Half a vertex of three floats, and a face of a byte and three indices.
-        MeshFormat::Ply => bytes / 19,
-        MeshFormat::Stl => bytes / 50,
-        // Half a vertex of three short numbers, and a face of three indices.
-        MeshFormat::Obj | MeshFormat::Off | MeshFormat::Mesh => bytes / 30,
-        // Half a vertex of three floats, and a face of four numbers.
-        MeshFormat::Vtk | MeshFormat::Meshb => bytes / 22,
-        // The same with its arrays packed by zlib.
-        MeshFormat::Vtp => bytes / 7,
-        // Half a node of three doubles and its number, and an element of three nodes with its own and its tags.
-        MeshFormat::Msh => bytes / 30,
-        // Half a vertex of three floats, and three indices.
-        MeshFormat::Glb => bytes / 18,
-        MeshFormat::Gltf => bytes / 24,
-    };
+fn most(format: Format, bytes: u64) -> (u64, u64) {
+    let facets = bytes / format.facet_bytes();
     (facets / 2, facets)
 }
 
@@ -328,17 +313,17 @@ mod tests {
     #[test]
     fn what_is_packed_counts_too() {
         let mesh = Shape::Torus.build(2000);
-        for format in io::Format::ALL {
+        for format in Format::ALL {
             let bytes = io::encode(format, &mesh).unwrap();
-            let plain = look_at(format.into(), &bytes, usize::MAX).unwrap().unwrap();
+            let plain = look_at(format, &bytes, usize::MAX).unwrap().unwrap();
             let packed = gzip(bytes.clone());
-            let file = look_at(format.into(), &packed, usize::MAX).unwrap().unwrap();
+            let file = look_at(format, &packed, usize::MAX).unwrap().unwrap();
             assert_eq!((file.counts, file.bytes), (plain.counts, plain.bytes + packed.len() as u64), "{format:?}");
-            let refused = look_at(format.into(), &packed, bytes.len() - 1).unwrap_err();
+            let refused = look_at(format, &packed, bytes.len() - 1).unwrap_err();
             assert_eq!(refused, DataError::TooLong { limit: bytes.len() - 1 });
-            assert!(look_at(format.into(), &packed[..packed.len() - 9], usize::MAX).is_err());
+            assert!(look_at(format, &packed[..packed.len() - 9], usize::MAX).is_err());
             // What is packed twice is no file.
-            assert!(matches!(look_at(format.into(), &gzip(packed), usize::MAX), Ok(None)));
+            assert!(matches!(look_at(format, &gzip(packed), usize::MAX), Ok(None)));
         }
     }
 
@@ -347,7 +332,7 @@ mod tests {
     fn changed_files_are_counted_or_refused() {
         let mesh = Shape::Torus.build(24);
         let mut rng = ChaCha8Rng::seed_from_u64(11);
-        for format in io::Format::ALL {
+        for format in Format::ALL {
             let plain = io::encode(format, &mesh).unwrap();
             for original in [gzip(plain.clone()), plain] {
                 for _ in 0..300 {
@@ -360,7 +345,7 @@ mod tests {
                         _ => bytes.extend_from_within(at..),
                     }
                     let limit = 20 * original.len();
-                    let file = look_at(format.into(), &bytes, limit);
+                    let file = look_at(format, &bytes, limit);
                     let Ok(mesh) = io::decode(format, &bytes) else { continue };
                     let (vertices, facets) = file.unwrap().unwrap().counts;
                     assert!(vertices >= mesh.positions().len() as u64 && facets >= mesh.facets().len() as u64);
@@ -389,7 +374,7 @@ mod tests {
             let mut work = RemeshWork::new(SeedSource::Sampled { points: Some(100), random_seed: None });
             change(&mut work);
             let spec = JobSpec {
-                mesh: MeshSource::File { blob, format: MeshFormat::Ply, attributes: None },
+                mesh: MeshSource::File { blob, format: Format::Ply, attributes: None },
                 work: WorkSpec::Remesh(Box::new(work)),
                 backend: None,
                 result: None,
@@ -418,9 +403,9 @@ mod tests {
     fn what_is_long_is_measured() {
         let long = usize::try_from(READ_BYTES).unwrap() + 5;
         let packed = gzip(vec![b'\n'; long]);
-        let file = look_at(MeshFormat::Obj, &packed, usize::MAX).unwrap().unwrap();
-        assert_eq!((file.counts, file.bytes), (most(MeshFormat::Obj, long as u64), (long + packed.len()) as u64));
-        let refused = look_at(MeshFormat::Obj, &packed, long - 1).unwrap_err();
+        let file = look_at(Format::Obj, &packed, usize::MAX).unwrap().unwrap();
+        assert_eq!((file.counts, file.bytes), (most(Format::Obj, long as u64), (long + packed.len()) as u64));
+        let refused = look_at(Format::Obj, &packed, long - 1).unwrap_err();
         assert_eq!(refused, DataError::TooLong { limit: long - 1 });
     }
 }

@@ -14,8 +14,8 @@ use super::diagram::Diagram;
 use super::event::Progress;
 use super::input::{JobBounds, ReadBlob, WorkError, failure, load, load_remesh};
 use super::record::{
-    CvtCommand, CvtWork, FailureKind, JobSpec, MeshFormat, RemeshWork, ResultFormat, RvdOutput, RvdWork, SeedChange,
-    SendSeeds, StepKindName, WorkSpec,
+    CvtCommand, CvtWork, FailureKind, JobSpec, RemeshWork, ResultFormat, RvdOutput, RvdWork, SeedChange, SendSeeds,
+    StepKindName, WorkSpec,
 };
 use super::spec::Prepared;
 use super::{BackendInfo, Backends};
@@ -78,42 +78,6 @@ impl JobSpec {
     }
 }
 
-impl From<MeshFormat> for Format {
-    fn from(format: MeshFormat) -> Self {
-        match format {
-            MeshFormat::Ply => Self::Ply,
-            MeshFormat::Obj => Self::Obj,
-            MeshFormat::Stl => Self::Stl,
-            MeshFormat::Off => Self::Off,
-            MeshFormat::Vtk => Self::Vtk,
-            MeshFormat::Vtp => Self::Vtp,
-            MeshFormat::Msh => Self::Gmsh,
-            MeshFormat::Mesh => Self::Medit,
-            MeshFormat::Meshb => Self::MeditBinary,
-            MeshFormat::Glb => Self::Glb,
-            MeshFormat::Gltf => Self::Gltf,
-        }
-    }
-}
-
-impl From<Format> for MeshFormat {
-    fn from(format: Format) -> Self {
-        match format {
-            Format::Ply => Self::Ply,
-            Format::Obj => Self::Obj,
-            Format::Stl => Self::Stl,
-            Format::Off => Self::Off,
-            Format::Vtk => Self::Vtk,
-            Format::Vtp => Self::Vtp,
-            Format::Gmsh => Self::Msh,
-            Format::Medit => Self::Mesh,
-            Format::MeditBinary => Self::Meshb,
-            Format::Glb => Self::Glb,
-            Format::Gltf => Self::Gltf,
-        }
-    }
-}
-
 fn stage(context: &mut JobContext<'_>, name: &str) {
     context.audience.progress(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
 }
@@ -156,7 +120,7 @@ fn of_remesh(spec: &JobSpec, work: &RemeshWork, context: &mut JobContext<'_>) ->
     drop((mesh, options));
     stage(context, "write");
     context.token.enter("write");
-    let mut parts = match spec.result.unwrap_or(ResultFormat::File(MeshFormat::Ply)) {
+    let mut parts = match spec.result.unwrap_or(ResultFormat::File(Format::Ply)) {
         ResultFormat::File(format) => vec![("mesh".to_owned(), file(format.into(), &done)?)],
         ResultFormat::Arrays => arrays(&done),
     };

@@ -20,9 +20,8 @@ use crate::blob::Digest;
 pub use check::{SpecError, ValidSpec};
 pub use spec::{
     ArrayForm, ArrayRef, AttributeKind, AttributeRef, BackendName, BoundaryRule, CvtCommand, CvtWork, Deadlines,
-    DensityKind, DensitySpec, JobSpec, MeasureRule, MeshFormat, MeshSource, PlacementRule, ProjectionRule, RefineSpec,
-    RemeshWork, ResultFormat, RvdOutput, RvdWork, SeedChange, SeedSource, SendSeeds, StepKindName, ThinRule, Tolerance,
-    WorkSpec,
+    DensityKind, DensitySpec, JobSpec, MeasureRule, MeshSource, PlacementRule, ProjectionRule, RefineSpec, RemeshWork,
+    ResultFormat, RvdOutput, RvdWork, SeedChange, SeedSource, SendSeeds, StepKindName, ThinRule, Tolerance, WorkSpec,
 };
 
 /// Milliseconds since 1970, UTC.

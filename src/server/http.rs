@@ -17,6 +17,8 @@ mod ranges;
 mod remesh;
 mod seeds;
 
+use std::sync::LazyLock;
+
 use axum::Router;
 use axum::http::header::CONTENT_TYPE;
 use axum::middleware::from_fn_with_state;
@@ -29,9 +31,15 @@ use self::guard::Open;
 use self::guard::{Guard, guard, unknown};
 use crate::keys::Role;
 use crate::service::{Desk, Door, Kind};
+use geometry::mesh::io::Format;
 
-/// What this door can do, as OpenAPI 3.1.
-pub const OPENAPI: &str = include_str!("http/openapi.json");
+/// The HTTP interface, as OpenAPI 3.1. Formats and their media types come from [`Format`].
+pub static OPENAPI: LazyLock<String> = LazyLock::new(|| {
+    let names = Format::ALL.map(|format| format!("\"{}\"", format.extension())).join(", ");
+    let types = Format::ALL.map(|format| format!("\"{}\": {{}}", media::media_type(format))).join(", ");
+    let document = include_str!("http/openapi.json");
+    document.replace("\"$formats\"", &names).replace("\"$media_types\": {}", &types)
+});
 
 /// A route: its method, its path, the role that it needs, and among what it is counted.
 #[derive(Clone, Copy, Debug)]
@@ -101,5 +109,5 @@ fn routes(desk: Desk) -> Router {
 }
 
 async fn openapi() -> Response {
-    ([(CONTENT_TYPE, "application/json")], OPENAPI).into_response()
+    ([(CONTENT_TYPE, "application/json")], OPENAPI.as_str()).into_response()
 }

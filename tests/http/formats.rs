@@ -21,7 +21,7 @@ const REMESH: &str = "/v1/remesh?points=60&lloyd=1&newton=0&placement=centroids&
 #[tokio::test(flavor = "multi_thread")]
 async fn every_format_comes_and_goes() {
     let house = House::open().await;
-    let document: Value = serde_json::from_str(OPENAPI).unwrap();
+    let document: Value = serde_json::from_str(&OPENAPI).unwrap();
     let described = &document["paths"]["/v1/remesh"]["post"];
     let mesh = Shape::Torus.build(500);
     for format in Format::ALL {
@@ -54,27 +54,24 @@ async fn every_format_comes_and_goes() {
     house.stop().await;
 }
 
+/// What a language border keeps from the table names the same formats.
 #[test]
-fn the_document_names_every_format() {
-    let document: Value = serde_json::from_str(OPENAPI).unwrap();
-    let all = Format::ALL.map(Format::extension);
-    let mut found = 0;
-    let mut open = vec![&document];
-    while let Some(value) = open.pop() {
-        if let Some(names) = value.get("enum").and_then(Value::as_array)
-            && names.contains(&"stl".into())
-        {
-            found += 1;
-            assert_eq!(names.len(), all.len());
-            assert!(all.iter().all(|name| names.contains(&(*name).into())), "{names:?}");
-        }
-        match value {
-            Value::Object(object) => open.extend(object.values()),
-            Value::Array(values) => open.extend(values),
-            _ => {}
-        }
+fn documents_and_fuzz_targets_name_every_format() {
+    assert_eq!(OPENAPI.matches("\"meshb\"").count(), 4);
+    assert!(!OPENAPI.contains("$formats") && !OPENAPI.contains("$media_types"));
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let read = |path: &str| std::fs::read_to_string(root.join(path)).unwrap();
+    let (formats, http, fuzz) = (read("docs/formats.md"), read("docs/http.md"), read("tests/fuzz/Cargo.toml"));
+    for format in Format::ALL {
+        let (name, media) = (format.extension(), format.media_types()[0]);
+        assert!(formats.contains(&format!("`.{name}`")), ".{name} is not in docs/formats.md");
+        assert!(
+            http.contains(&format!("`{name}`")) && http.contains(&format!("`{media}`")),
+            "{name}, {media}: docs/http.md"
+        );
+        let target = format!("tests/fuzz/targets/{name}.rs");
+        assert!(root.join(&target).exists() && fuzz.contains(&format!("\"targets/{name}.rs\"")), "{target}");
     }
-    assert_eq!(found, 4);
 }
 
 /// The status and the reason of a refusal.

@@ -472,7 +472,7 @@ async fn a_server_that_drains_says_so() {
 
 #[test]
 fn the_document_has_every_route_and_no_other() {
-    let document: Value = serde_json::from_str(OPENAPI).unwrap();
+    let document: Value = serde_json::from_str(&OPENAPI).unwrap();
     assert_eq!(document["openapi"], "3.1.0");
     let served: Vec<(String, String)> =
         ROUTES.iter().map(|route| (route.path.to_owned(), route.method.to_ascii_lowercase())).collect();

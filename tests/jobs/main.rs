@@ -21,12 +21,13 @@ use std::future::Future;
 use jobs::blob::Digest;
 use jobs::record::*;
 use jobs::store::Retention;
+use tessera::mesh::io::Format;
 
 /// A small job; `body` makes it differ from others.
 pub fn spec(request: &str, body: u64) -> JobSpec {
     let seeds = SeedSource::Sampled { points: Some(100 + body), random_seed: None };
     JobSpec {
-        mesh: MeshSource::File { blob: Digest::from([7; 32]), format: MeshFormat::Ply, attributes: None },
+        mesh: MeshSource::File { blob: Digest::from([7; 32]), format: Format::Ply, attributes: None },
         work: WorkSpec::Remesh(Box::new(RemeshWork::new(seeds))),
         backend: None,
         result: None,

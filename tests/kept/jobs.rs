@@ -101,24 +101,15 @@ async fn files_of_every_format_are_taken_and_given() {
         std::io::Write::write_all(&mut packer, bytes).unwrap();
         packer.finish().unwrap()
     };
-    for (format, message) in [
-        (Format::Ply, MeshFormat::Ply),
-        (Format::Vtk, MeshFormat::Vtk),
-        (Format::Vtp, MeshFormat::Vtp),
-        (Format::Gmsh, MeshFormat::Msh),
-        (Format::Medit, MeshFormat::Mesh),
-        (Format::MeditBinary, MeshFormat::Meshb),
-        (Format::Glb, MeshFormat::Glb),
-        (Format::Gltf, MeshFormat::Gltf),
-    ] {
+    for format in Format::ALL {
         let bytes = encode(format, &mesh).unwrap();
         let mut results = Vec::new();
         for bytes in [gzip(&bytes), bytes] {
             let digest = client.put(&bytes).await;
             let mut spec = remesh(&digest, 40, 1);
-            let file = MeshFile { digest, format: message.into(), attributes: None };
+            let file = MeshFile { digest, format: format.number(), attributes: None };
             spec.mesh = Some(JobMesh { source: Some(job_mesh::Source::File(file)) });
-            spec.result = Some(ResultFormat { form: Some(result_format::Form::File(message.into())) });
+            spec.result = Some(ResultFormat { form: Some(result_format::Form::File(format.number())) });
             let id = client.submit(spec).await;
             let job = client.end(&id, LIMIT).await;
             results.push(client.read(&part(&job, "mesh")).await);

@@ -6,7 +6,6 @@
 use prost_types::{Duration, Timestamp};
 use serde_json::{Map, Value, json};
 
-use super::format;
 use crate::plain::{plain, plain_json};
 use geometry::mesh::io::Format;
 use wire::proto::{
@@ -51,7 +50,7 @@ pub(super) fn format(job: &Job) -> Option<&'static str> {
 }
 
 fn file_format(value: i32) -> &'static str {
-    format::of_message(value).map_or("unknown", Format::extension)
+    Format::of_number(value).map_or("unknown", Format::extension)
 }
 
 /// A moment, if it is one that has a year of four digits.

@@ -10,7 +10,6 @@ use std::str::FromStr;
 use anyhow::Result;
 use clap::{ArgGroup, Args, ValueEnum};
 
-use super::format;
 use super::given::Given;
 use crate::exit::Usage;
 use crate::remesh::args::{
@@ -98,7 +97,7 @@ impl InputArgs {
                 (source.digest().to_owned(), vec![source], Some((path.clone(), format)))
             }
         };
-        let file = MeshFile { digest, format: format::message(format).into(), attributes };
+        let file = MeshFile { digest, format: format.number(), attributes };
         let spec = JobSpec {
             mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file)) }),
             backend: self.backend.map(remote::choice).unwrap_or_default().into(),
@@ -174,9 +173,8 @@ impl RemeshWork {
             refinement,
             measure: proto::Measure::Unspecified.into(),
         }));
-        asked.spec.result = self
-            .format
-            .map(|format| ResultFormat { form: Some(result_format::Form::File(format::message(format).into())) });
+        asked.spec.result =
+            self.format.map(|format| ResultFormat { form: Some(result_format::Form::File(format.number())) });
         Ok(asked)
     }
 }

@@ -30,9 +30,9 @@ pub(crate) use server::config::{BackendArgs, count, whole};
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("size").required(true).multiple(true).args(["points", "edge_length", "sizes"])))]
 pub(crate) struct RemeshArgs {
-    /// The surface: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf; several with --out-dir; - is the
-    /// standard input, whose format --input-format says.
-    #[arg(required = true, value_name = "INPUT")]
+    /// The surfaces.
+    #[arg(required = true, value_name = "INPUT", help = files::help_of("The surface", "several with --out-dir; - is the \
+        standard input, whose format --input-format says"))]
     pub(super) input: Vec<PathBuf>,
     #[command(flatten)]
     pub(super) files: FileArgs,

@@ -20,6 +20,7 @@ mod off;
 mod packed;
 mod ply;
 mod polygons;
+mod recognition;
 mod room;
 mod single;
 mod stl;
@@ -33,74 +34,92 @@ use super::attributes::AttributeError;
 use super::{MeshError, TriMesh};
 use held::{Held, Holds, Raw};
 use polygons::Fan;
+use recognition::Signature;
 
 pub use packed::limit as unpacked_limit;
 pub use packed::pack_for;
-pub use packed::{Measure, are_packed, unpack_head, unpacked_wrong, unpacker};
+pub use packed::{Measure, are_packed, unpacked_wrong, unpacker};
 pub use packed::{UNPACKED_RATIO, unpack};
 
 pub use attributed::{
     Loaded, decode_with_attributes, encode_with_attributes, read_with_attributes, write_with_attributes,
 };
 
-/// A file format that can be read and written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Format {
+/// Makes [`Format`] of its table: documentation, name, number in messages, codec.
+macro_rules! formats {
+    ($($(#[$doc:meta])* $name:ident = $number:literal, $codec:expr;)*) => {
+        /// A file format that can be read and written.
+        ///
+        /// Its number is that of `MeshFormat` in `tessera.v1`.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        #[repr(i32)]
+        pub enum Format {
+            $($(#[$doc])* $name = $number,)*
+        }
+
+        impl Format {
+            /// All formats.
+            pub const ALL: [Self; [$($number),*].len()] = [$(Self::$name),*];
+
+            /// Its description.
+            fn codec(self) -> &'static Codec {
+                match self {
+                    $(Self::$name => &$codec,)*
+                }
+            }
+        }
+    };
+}
+
+formats! {
     /// Wavefront OBJ, text. Groups and objects are one surface; materials are left aside.
-    Obj,
+    Obj = 2, obj::CODEC;
     /// Stanford PLY. Reads ascii and both binary orders, writes little-endian binary with doubles.
-    Ply,
+    Ply = 1, ply::CODEC;
     /// STL. Reads ascii and binary, writes binary; coordinates are rounded to single precision.
-    Stl,
+    Stl = 3, stl::CODEC;
     /// Geomview OFF, text, with the COFF and NOFF variants.
-    Off,
+    Off = 4, off::CODEC;
     /// Legacy VTK. Reads polygonal data and unstructured grids, text and binary; writes binary with doubles.
-    Vtk,
+    Vtk = 5, vtk::legacy::CODEC;
     /// VTK XML for polygonal data. Reads text, base64 and appended data, plain or packed by zlib; writes base64 with doubles.
-    Vtp,
+    Vtp = 6, vtk::xml::CODEC;
     /// Gmsh. Reads versions 2 and 4.1, text and binary; writes version 2.2, binary.
-    Gmsh,
+    Gmsh = 7, gmsh::CODEC;
     /// Medit, text.
-    Medit,
+    Medit = 8, medit::TEXT;
     /// Medit, binary. Reads versions 1 to 4, writes version 2 with doubles.
-    MeditBinary,
+    MeditBinary = 9, medit::BINARY;
     /// A binary glTF file. Coordinates are rounded to single precision.
-    Glb,
+    Glb = 10, gltf::BINARY;
     /// A glTF file as text, with its data inside. Coordinates are rounded to single precision.
-    Gltf,
+    Gltf = 11, gltf::TEXT;
 }
 
 impl Format {
-    /// All formats.
-    pub const ALL: [Self; 11] = [
-        Self::Obj,
-        Self::Ply,
-        Self::Stl,
-        Self::Off,
-        Self::Vtk,
-        Self::Vtp,
-        Self::Gmsh,
-        Self::Medit,
-        Self::MeditBinary,
-        Self::Glb,
-        Self::Gltf,
-    ];
+    /// The number in messages of `tessera.v1`.
+    pub fn number(self) -> i32 {
+        self as i32
+    }
 
-    /// What knows the format.
-    fn codec(self) -> &'static Codec {
-        match self {
-            Self::Obj => &obj::CODEC,
-            Self::Ply => &ply::CODEC,
-            Self::Stl => &stl::CODEC,
-            Self::Off => &off::CODEC,
-            Self::Vtk => &vtk::legacy::CODEC,
-            Self::Vtp => &vtk::xml::CODEC,
-            Self::Gmsh => &gmsh::CODEC,
-            Self::Medit => &medit::TEXT,
-            Self::MeditBinary => &medit::BINARY,
-            Self::Glb => &gltf::BINARY,
-            Self::Gltf => &gltf::TEXT,
-        }
+    /// The format with this number in messages.
+    pub fn of_number(number: i32) -> Option<Self> {
+        Self::ALL.into_iter().find(|format| format.number() == number)
+    }
+
+    /// Its media type, and others that mean it.
+    pub fn media_types(self) -> &'static [&'static str] {
+        self.codec().media_types
+    }
+
+    /// The shortest that a facet is in files that writers make, with half a vertex, in bytes.
+    pub fn facet_bytes(self) -> u64 {
+        self.codec().facet_bytes
+    }
+
+    /// The format of a file, by its bytes, packed by gzip or not.
+    pub fn of_bytes(bytes: &[u8]) -> Option<Self> {
+        recognition::recognize(bytes)
     }
 
     /// The extension, lower case, without the dot.
@@ -135,6 +154,12 @@ impl Format {
 /// All that is to be known of a format, in its own file.
 struct Codec {
     extension: &'static str,
+    /// The preferred media type first.
+    media_types: &'static [&'static str],
+    /// See [`Format::facet_bytes`].
+    facet_bytes: u64,
+    /// How its files begin.
+    signature: Signature,
     /// The surface, and what it carries if that is wanted.
     decode: fn(bytes: &[u8], wanted: bool) -> Result<Soup, DataError>,
     encode: fn(&TriMesh, &Held<'_>) -> Result<Vec<u8>, DataError>,

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::blob::Digest;
 use geometry::cvt::density::{DensityOptions, DensitySource};
+use geometry::mesh::io::Format;
 use geometry::remesh::{Placement, RemeshOptions, Seeds};
 
 /// What a job is asked to do. [`check`](Self::check) makes a [`ValidSpec`](super::ValidSpec) of it.
@@ -95,7 +96,8 @@ pub enum MeshSource {
         /// Its bytes.
         blob: Digest,
         /// What they are.
-        format: MeshFormat,
+        #[serde(with = "by_extension")]
+        format: Format,
         /// Whether a remesh carries over what the surface carries.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         attributes: Option<bool>,
@@ -112,22 +114,22 @@ pub enum MeshSource {
     },
 }
 
-/// The format of a surface's file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-#[allow(missing_docs)]
-pub enum MeshFormat {
-    Ply,
-    Obj,
-    Stl,
-    Off,
-    Vtk,
-    Vtp,
-    Msh,
-    Mesh,
-    Meshb,
-    Glb,
-    Gltf,
+/// Formats in records: by their extensions.
+mod by_extension {
+    use serde::de::{Deserialize, Deserializer, Error};
+    use serde::ser::Serializer;
+
+    use geometry::mesh::io::Format;
+
+    pub(super) fn serialize<S: Serializer>(format: &Format, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(format.extension())
+    }
+
+    pub(super) fn deserialize<'a, D: Deserializer<'a>>(from: D) -> Result<Format, D::Error> {
+        let name = String::deserialize(from)?;
+        let known = Format::ALL.into_iter().find(|format| format.extension() == name);
+        known.ok_or_else(|| D::Error::custom(format!("unknown format {name:?}, expected {}", Format::names())))
+    }
 }
 
 /// An array in a blob.
@@ -212,7 +214,7 @@ pub enum BackendName {
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum ResultFormat {
     /// The surface as a file.
-    File(MeshFormat),
+    File(#[serde(with = "by_extension")] Format),
     /// Arrays as the streams send them.
     Arrays,
 }

@@ -204,7 +204,7 @@ pub(super) async fn send_result(
     };
     let media_type = match (name, job.spec.result) {
         (MESH, Some(ResultFormat::File(format))) => media::media_type(format),
-        (MESH, None) => media::media_type(jobs::record::MeshFormat::Ply),
+        (MESH, None) => media::media_type(geometry::mesh::io::Format::Ply),
         ("report", _) => "application/json",
         _ => "application/octet-stream",
     };

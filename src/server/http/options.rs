@@ -13,10 +13,11 @@ use serde_json::Value;
 use super::media;
 use super::problem::wrong;
 use crate::service::RequestError;
+use geometry::mesh::io::Format;
 use jobs::blob::Digest;
 use jobs::record::{
-    ArrayForm, ArrayRef, Deadlines, DensityKind, DensitySpec, JobSpec, MeshFormat, MeshSource, PlacementRule,
-    ProjectionRule, RefineSpec, RemeshWork, ResultFormat, SeedSource, Tolerance, WorkSpec,
+    ArrayForm, ArrayRef, Deadlines, DensityKind, DensitySpec, JobSpec, MeshSource, PlacementRule, ProjectionRule,
+    RefineSpec, RemeshWork, ResultFormat, SeedSource, Tolerance, WorkSpec,
 };
 
 type Read<T> = Result<T, RequestError>;
@@ -106,8 +107,8 @@ impl Asked {
         self.take(name, "a digest: the SHA-256 of a blob, 64 hexadecimal digits", |text| text.parse().ok())
     }
 
-    pub(super) fn format(&mut self, name: &str) -> Read<Option<MeshFormat>> {
-        self.take(name, &format!("one of {}", media::names()), media::of_name)
+    pub(super) fn format(&mut self, name: &str) -> Read<Option<Format>> {
+        self.take(name, &format!("one of {}", media::names()), Format::from_extension)
     }
 
     /// A list of text in a blob.
@@ -137,7 +138,7 @@ impl Asked {
     }
 
     /// The remesh of a surface in a blob.
-    pub(super) fn remesh(mut self, blob: Digest, format: MeshFormat, to: MeshFormat, tenant: &str) -> Read<JobSpec> {
+    pub(super) fn remesh(mut self, blob: Digest, format: Format, to: Format, tenant: &str) -> Read<JobSpec> {
         let seeds = SeedSource::Sampled { points: self.whole("points")?, random_seed: self.whole("seed")? };
         let mut work = RemeshWork::new(seeds);
         work.density = DensitySpec {
@@ -199,7 +200,7 @@ mod tests {
 
     fn spec(query: &str) -> Result<JobSpec, String> {
         let asked = Asked::of_query(Some(query)).map_err(|error| error.to_string())?;
-        asked.remesh(Digest::of(b"a"), MeshFormat::Obj, MeshFormat::Ply, "me").map_err(|error| error.to_string())
+        asked.remesh(Digest::of(b"a"), Format::Obj, Format::Ply, "me").map_err(|error| error.to_string())
     }
 
     #[test]
@@ -211,7 +212,7 @@ mod tests {
         });
         let Value::Object(object) = object else { panic!("an object") };
         let asked = Asked::of_json(object).unwrap();
-        let other = asked.remesh(Digest::of(b"a"), MeshFormat::Obj, MeshFormat::Ply, "me").unwrap();
+        let other = asked.remesh(Digest::of(b"a"), Format::Obj, Format::Ply, "me").unwrap();
         assert_eq!(query.unwrap(), other);
         other.check().unwrap();
     }

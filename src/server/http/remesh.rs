@@ -20,9 +20,10 @@ use super::media;
 use super::options::Asked;
 use super::problem::{Answered, wrong};
 use crate::service::{self, Desk, Phase, RequestError};
+use geometry::mesh::io::Format;
 use jobs::api::{JobApi, JobApiError};
 use jobs::blob::Digest;
-use jobs::record::{Job, JobId, JobSpec, MeshFormat, MeshSource, ResultFormat};
+use jobs::record::{Job, JobId, JobSpec, MeshSource, ResultFormat};
 use jobs::state::State as JobState;
 
 /// `POST /v1/remesh`.
@@ -54,8 +55,8 @@ pub(super) async fn remesh(
 /// What is asked for, before the surface is there.
 struct Asking {
     spec: JobSpec,
-    format: Option<MeshFormat>,
-    to: Option<MeshFormat>,
+    format: Option<Format>,
+    to: Option<Format>,
 }
 
 /// What a request asks for. What can be refused without its body is refused here.
@@ -65,7 +66,7 @@ fn wanted(parts: &Parts, client: &Client) -> Result<Asking, RequestError> {
     let header = |name| parts.headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
     let format = asked.format("format")?.or_else(|| media::of_types(header(CONTENT_TYPE)));
     let to = asked.format("to")?.or_else(|| media::of_types(header(ACCEPT)));
-    let any = MeshFormat::Ply;
+    let any = Format::Ply;
     let nothing = Digest::of(&[]);
     let spec = asked.remesh(nothing, format.unwrap_or(any), to.or(format).unwrap_or(any), &client.tenant)?;
     spec.clone().check().map_err(JobApiError::from)?;
@@ -76,7 +77,7 @@ impl Asking {
     /// The job, of a surface that is stored now.
     fn of(self, digest: Digest, bytes: &[u8]) -> Result<JobSpec, RequestError> {
         let Self { mut spec, format, to } = self;
-        let found = format.or_else(|| media::sniffed(bytes)).ok_or_else(|| {
+        let found = format.or_else(|| Format::of_bytes(bytes)).ok_or_else(|| {
             wrong("format", format!("is missing, and the body does not say; it must be one of {}", media::names()))
         })?;
         if let MeshSource::File { blob, format, .. } = &mut spec.mesh {

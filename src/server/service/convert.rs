@@ -14,6 +14,7 @@ mod tests;
 
 use std::fmt;
 
+use geometry::mesh::io::Format;
 use jobs::blob::Digest;
 use jobs::record::{self, JobId, Time};
 use jobs::state::State;
@@ -104,9 +105,18 @@ macro_rules! choices {
     };
 }
 
+impl Choice for Format {
+    fn read(value: i32) -> Option<Option<Self>> {
+        if value == 0 { Some(None) } else { Self::of_number(value).map(Some) }
+    }
+
+    fn value(self) -> i32 {
+        self.number()
+    }
+}
+
 choices! {
     State, JobState: Queued Running Succeeded Failed Cancelled Expired;
-    record::MeshFormat, MeshFormat: Ply Obj Stl Off Vtk Vtp Msh Mesh Meshb Glb Gltf;
     record::ArrayForm, ArrayForm: F32 F64 U32 U8 Text;
     record::AttributeKind, AttributeKind: Normals TextureCoordinates Colours Scalar;
     record::BackendName, BackendChoice: Auto Gpu Parallel Serial;

@@ -33,6 +33,10 @@ const HOLDS: Holds = Holds { normals: By::Corner, texture: By::Corner, colours: 
 /// See [`Codec`].
 pub(super) const BINARY: Codec = Codec {
     extension: "glb",
+    media_types: &["model/gltf-binary"],
+    // Half a vertex of three floats, and three indices.
+    facet_bytes: 18,
+    signature: super::recognition::Signature::Start(|head| head.bytes.starts_with(MAGIC)),
     decode: decode_binary,
     encode: encode_binary,
     counts: |bytes| parts(bytes).ok().and_then(|(json, binary)| counts(json, binary, bytes.len())),
@@ -43,6 +47,10 @@ pub(super) const BINARY: Codec = Codec {
 /// See [`Codec`].
 pub(super) const TEXT: Codec = Codec {
     extension: "gltf",
+    media_types: &["model/gltf+json"],
+    // Half a vertex of three floats, and three indices, in base64.
+    facet_bytes: 24,
+    signature: super::recognition::Signature::Start(|head| head.is_document(b'{', b"\"asset\"")),
     decode: decode_text,
     encode: encode_text,
     counts: |bytes| counts(bytes, None, bytes.len()),

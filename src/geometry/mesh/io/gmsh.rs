@@ -16,6 +16,10 @@ use crate::mesh::attributes::Scalar;
 /// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
     extension: "msh",
+    media_types: &["application/x-gmsh", "model/gmsh", "model/x-gmsh"],
+    // Half a node of three doubles and its number, and an element of three nodes with its own and its tags.
+    facet_bytes: 30,
+    signature: super::recognition::Signature::Words(&["$MeshFormat"]),
     decode,
     encode,
     counts: |bytes| read(bytes, false, true).ok().map(|reader| reader.counts),

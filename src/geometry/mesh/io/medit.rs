@@ -19,6 +19,10 @@ const NOTHING: Holds = Holds { normals: By::None, texture: By::None, colours: fa
 /// See [`Codec`].
 pub(super) const TEXT: Codec = Codec {
     extension: "mesh",
+    media_types: &["application/x-medit", "model/medit", "model/x-medit"],
+    // Half a vertex of three short numbers, and a face of three indices.
+    facet_bytes: 30,
+    signature: super::recognition::Signature::Start(|head| head.word().eq_ignore_ascii_case(b"MeshVersionFormatted")),
     decode: decode_text,
     encode: encode_text,
     counts: |bytes| read_text(bytes, true).ok().map(|reader| reader.counts),
@@ -29,12 +33,21 @@ pub(super) const TEXT: Codec = Codec {
 /// See [`Codec`].
 pub(super) const BINARY: Codec = Codec {
     extension: "meshb",
+    media_types: &["application/x-medit-binary", "model/x-medit-binary"],
+    // Half a vertex of three floats, and a face of four numbers.
+    facet_bytes: 22,
+    signature: super::recognition::Signature::Start(is_binary),
     decode: decode_binary,
     encode: encode_binary,
     counts: |bytes| read_binary(bytes, true).ok().map(|reader| reader.counts),
     holds: NOTHING,
     vertices: VertexNumbers::Kept,
 };
+
+/// Whether a file begins with a 1 in either byte order and a version from 1 to 4.
+fn is_binary(head: &super::recognition::Head<'_>) -> bool {
+    matches!(head.bytes.first_chunk(), Some([1, 0, 0, 0, 1..=4, 0, 0, 0] | [0, 0, 0, 1, 0, 0, 0, 1..=4]))
+}
 
 /// Numbers of keywords in binary files.
 const DIMENSION: i64 = 3;

@@ -24,6 +24,10 @@ use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 /// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
     extension: "obj",
+    media_types: &["model/obj", "application/x-obj", "model/x-obj"],
+    // Half a vertex of three short numbers, and a face of three indices.
+    facet_bytes: 30,
+    signature: super::recognition::Signature::Words(&["v", "vn", "vt", "f", "o", "g", "s", "usemtl", "mtllib"]),
     decode,
     encode,
     counts: |bytes| counts(bytes).map(Counts::from),

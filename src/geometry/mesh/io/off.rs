@@ -17,6 +17,10 @@ use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
 /// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
     extension: "off",
+    media_types: &["application/x-off", "model/off", "model/x-off"],
+    // Half a vertex of three short numbers, and a face of three indices.
+    facet_bytes: 30,
+    signature: super::recognition::Signature::Words(&["OFF", "COFF", "NOFF", "CNOFF", "STOFF"]),
     decode,
     encode,
     counts: |bytes| counts(bytes).map(Counts::from),

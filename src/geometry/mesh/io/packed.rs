@@ -54,8 +54,8 @@ pub fn are_packed(bytes: &[u8]) -> bool {
     bytes.starts_with(&[0x1f, 0x8b, 8])
 }
 
-/// The first bytes of what is packed, so many at most; fewer where it is damaged.
-pub fn unpack_head(bytes: &[u8], most: usize) -> Vec<u8> {
+/// At most this many of the first bytes of what is packed; fewer where it is damaged.
+pub(super) fn unpack_head(bytes: &[u8], most: usize) -> Vec<u8> {
     let mut head = Vec::new();
     // What came before an error is kept.
     let _ = MultiGzDecoder::new(bytes).take(most as u64).read_to_end(&mut head);

@@ -23,6 +23,12 @@ use header::{Encoding, Header, Parted};
 /// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
     extension: "ply",
+    media_types: &["application/x-ply", "model/ply", "model/x-ply", "application/ply"],
+    // Half a vertex of three floats, and a face of a byte and three indices.
+    facet_bytes: 19,
+    signature: super::recognition::Signature::Start(|head| {
+        head.bytes.starts_with(b"ply\n") || head.bytes.starts_with(b"ply\r")
+    }),
     decode,
     encode,
     counts: |bytes| counts(bytes).map(Counts::from),

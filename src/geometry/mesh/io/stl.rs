@@ -21,6 +21,15 @@ use crate::mesh::TriMesh;
 /// See [`Codec`].
 pub(super) const CODEC: Codec = Codec {
     extension: "stl",
+    media_types: &[
+        "model/stl",
+        "model/x.stl-binary",
+        "model/x.stl-ascii",
+        "application/sla",
+        "application/vnd.ms-pki.stl",
+    ],
+    facet_bytes: RECORD as u64,
+    signature: super::recognition::Signature::Start(|head| is_binary(head) || head.word() == b"solid"),
     decode,
     encode,
     counts: |bytes| counts(bytes).map(Counts::from),
@@ -30,6 +39,12 @@ pub(super) const CODEC: Codec = Codec {
 
 const HEADER: usize = 84;
 const RECORD: usize = 50;
+
+/// Whether the file is as long as its count of facets says.
+fn is_binary(head: &super::recognition::Head<'_>) -> bool {
+    let count = head.bytes.get(80..).and_then(<[u8]>::first_chunk).map(|count| u32::from_le_bytes(*count));
+    count.is_some_and(|count| head.has_length(HEADER as u64 + RECORD as u64 * u64::from(count)))
+}
 
 fn decode(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
     let mut welder = Welder::default();

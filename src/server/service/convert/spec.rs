@@ -10,9 +10,10 @@ use proto::job_spec::Work as WorkOneof;
 use proto::result_format::Form;
 
 use super::{At, Choice, digest, duration, duration_ms};
+use geometry::mesh::io::Format;
 use jobs::record::{
-    ArrayRef, AttributeRef, CvtCommand, CvtWork, Deadlines, DensitySpec, JobSpec, MeshFormat, MeshSource, RefineSpec,
-    RemeshWork, ResultFormat, RvdOutput, RvdWork, SeedChange, SeedSource, Tolerance, WorkSpec,
+    ArrayRef, AttributeRef, CvtCommand, CvtWork, Deadlines, DensitySpec, JobSpec, MeshSource, RefineSpec, RemeshWork,
+    ResultFormat, RvdOutput, RvdWork, SeedChange, SeedSource, Tolerance, WorkSpec,
 };
 use wire::{WireError, proto};
 
@@ -91,8 +92,8 @@ fn result_format(at: &At<'_>, result: Option<proto::ResultFormat>) -> Read<Optio
     Ok(match result.and_then(|result| result.form) {
         None => None,
         Some(Form::File(format)) => {
-            let format = MeshFormat::choice(&at.to("file"), format)?;
-            Some(ResultFormat::File(format.unwrap_or(MeshFormat::Ply)))
+            let format = Format::choice(&at.to("file"), format)?;
+            Some(ResultFormat::File(format.unwrap_or(Format::Ply)))
         }
         Some(Form::Arrays(true)) => Some(ResultFormat::Arrays),
         Some(Form::Arrays(false)) => return Err(at.to("arrays").wrong("is false; set it to true, or give file")),

@@ -7,7 +7,6 @@ use proptest::sample::select;
 use prost::Message as _;
 
 use super::*;
-use geometry::mesh::io::Format;
 use jobs::record::*;
 use jobs::store::Page;
 
@@ -28,8 +27,8 @@ fn attribute() -> impl Strategy<Value = AttributeRef> {
     })
 }
 
-fn format() -> impl Strategy<Value = MeshFormat> {
-    select(Format::ALL.map(MeshFormat::from).to_vec())
+fn format() -> impl Strategy<Value = Format> {
+    select(Format::ALL.to_vec())
 }
 
 fn mesh() -> impl Strategy<Value = MeshSource> {
@@ -203,7 +202,7 @@ fn parts_of_a_millisecond_count_as_a_whole_one() {
 fn small() -> JobSpec {
     let seeds = SeedSource::Sampled { points: Some(5), random_seed: None };
     JobSpec {
-        mesh: MeshSource::File { blob: Digest::from([7; 32]), format: MeshFormat::Stl, attributes: None },
+        mesh: MeshSource::File { blob: Digest::from([7; 32]), format: Format::Stl, attributes: None },
         work: WorkSpec::Remesh(Box::new(RemeshWork::new(seeds))),
         backend: None,
         result: None,
@@ -257,7 +256,7 @@ fn what_is_not_chosen_is_named() {
     assert_eq!(refused(&|m| m.mesh = Some(proto::JobMesh { source: None })), "spec.mesh.source");
     let open = form(proto::result_format::Form::File(0));
     let read = spec::of(Some(proto::JobSpec { result: open, ..spec::message(&small()) }), String::new(), String::new());
-    assert_eq!(read.unwrap().result, Some(ResultFormat::File(MeshFormat::Ply)));
+    assert_eq!(read.unwrap().result, Some(ResultFormat::File(Format::Ply)));
 }
 
 #[test]
@@ -318,7 +317,22 @@ fn a_page_is_no_longer_than_a_message() {
 #[test]
 fn formats_are_kept_by_their_extensions() {
     for format in Format::ALL {
-        let kept = serde_json::to_value(MeshFormat::from(format)).unwrap();
-        assert_eq!((kept, Format::from(MeshFormat::from(format))), (format.extension().into(), format));
+        let kept = ResultFormat::File(format);
+        let text = format!("{{\"file\":\"{}\"}}", format.extension());
+        assert_eq!(serde_json::to_string(&kept).unwrap(), text);
+        assert_eq!(serde_json::from_str::<ResultFormat>(&text).unwrap(), kept);
     }
+}
+
+/// The schema names the same formats by the same numbers.
+#[test]
+fn messages_number_formats_as_the_table_does() {
+    let all = (1..100).filter_map(|number| proto::MeshFormat::try_from(number).ok());
+    assert_eq!(all.count(), Format::ALL.len());
+    for format in Format::ALL {
+        let message = proto::MeshFormat::try_from(format.number()).unwrap();
+        let name = format!("MESH_FORMAT_{}", format.extension().to_ascii_uppercase());
+        assert_eq!((message.as_str_name(), Format::of_number(format.number())), (&*name, Some(format)));
+    }
+    assert_eq!((Format::of_number(0), Format::of_number(99)), (None, None));
 }

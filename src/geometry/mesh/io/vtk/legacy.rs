@@ -15,6 +15,10 @@ use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers};
 /// See [`Codec`].
 pub(in crate::mesh::io) const CODEC: Codec = Codec {
     extension: "vtk",
+    media_types: &["application/x-vtk", "model/vtk", "model/x-vtk"],
+    // Half a vertex of three floats, and a face of four numbers.
+    facet_bytes: 22,
+    signature: crate::mesh::io::recognition::Signature::Start(|head| head.text().starts_with(b"# vtk DataFile")),
     decode,
     encode,
     counts: |bytes| read(bytes, false, true).ok().map(|(_, counts)| counts),

@@ -27,6 +27,10 @@ use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_li
 /// See [`Codec`].
 pub(in crate::mesh::io) const CODEC: Codec = Codec {
     extension: "vtp",
+    media_types: &["application/x-vtp", "model/vtp", "model/x-vtp"],
+    // Half a vertex of three floats, and a face of four numbers, packed by zlib.
+    facet_bytes: 7,
+    signature: crate::mesh::io::recognition::Signature::Start(|head| head.is_document(b'<', b"<VTKFile")),
     decode,
     encode,
     counts,
