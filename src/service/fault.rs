@@ -12,6 +12,8 @@ use super::convert::spec::path_of;
 use super::refusal;
 use crate::blob::BlobError;
 use crate::cvt::density::DensityError;
+use strum::IntoStaticStr;
+
 use crate::job::JobError;
 use crate::job::api::JobApiError;
 use crate::job::record::SpecError;
@@ -25,7 +27,8 @@ use crate::token::Stopped;
 use crate::wire::WireError;
 
 /// What kind of error it is, as far as a caller acts on it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub(crate) enum Kind {
     Cancelled,
     InvalidArgument,
@@ -47,23 +50,7 @@ pub(crate) enum Kind {
 impl Kind {
     /// Its name in lower case.
     pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Cancelled => "cancelled",
-            Self::InvalidArgument => "invalid_argument",
-            Self::DeadlineExceeded => "deadline_exceeded",
-            Self::NotFound => "not_found",
-            Self::AlreadyExists => "already_exists",
-            Self::PermissionDenied => "permission_denied",
-            Self::ResourceExhausted => "resource_exhausted",
-            Self::FailedPrecondition => "failed_precondition",
-            Self::Aborted => "aborted",
-            Self::OutOfRange => "out_of_range",
-            Self::Unimplemented => "unimplemented",
-            Self::Internal => "internal",
-            Self::Unavailable => "unavailable",
-            Self::DataLoss => "data_loss",
-            Self::Unauthenticated => "unauthenticated",
-        }
+        self.into()
     }
 }
 
