@@ -6,7 +6,7 @@ use clap::Args;
 use super::backends;
 use crate::config::BackendArgs;
 use crate::gpu::device::adapters;
-use crate::rvd::BackendChoice;
+use crate::rvd::{Backend, BackendChoice};
 
 /// `tessera doctor`'s options: the same as where work is done, to see their effect.
 #[derive(Args, Debug)]
@@ -16,9 +16,6 @@ pub(crate) struct DoctorArgs {
 }
 
 /// Prints it.
-///
-/// # Errors
-/// The backend that the options ask for is not there.
 pub(crate) fn run(args: &DoctorArgs) -> Result<()> {
     args.backend.check()?;
     outln!("tessera     {}", env!("CARGO_PKG_VERSION"))?;

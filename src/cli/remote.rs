@@ -10,7 +10,6 @@ mod blobs;
 mod checks;
 mod faults;
 mod jobs;
-mod line;
 mod link;
 mod session;
 pub(crate) mod status;
@@ -44,8 +43,7 @@ use checks::{Expected, Pieces};
 pub(crate) use faults::is_lost;
 use faults::wrong;
 pub(crate) use jobs::{has_ended, is_id};
-pub(crate) use line::Line;
-pub(crate) use link::{Door, Windows};
+pub(crate) use link::{Door, Line, Windows};
 use link::{Link, Patience, Sent};
 pub(crate) use session::{Session, session};
 

@@ -8,14 +8,12 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::{ArgGroup, Args, ValueEnum};
 
-use crate::cli::endpoint::ServerUrl;
 use crate::cli::exit::{BadInput, Usage};
 use crate::cli::files::{self, Surface};
 use crate::cli::picture::PictureArgs;
 use crate::cli::say::SayArgs;
-use crate::cli::server::Tenant;
+use crate::cli::server::EndpointArgs;
 use crate::cli::sizes;
-use crate::cli::trust::TrustArgs;
 use crate::config::{BackendArgs, count, whole};
 use crate::cvt::Projection;
 use crate::cvt::density::{DensityOptions, DensitySource};
@@ -46,17 +44,8 @@ pub(crate) struct RemeshArgs {
     pub(super) picture: PictureArgs,
     #[command(flatten, next_help_heading = "Who works")]
     pub(super) backend: BackendArgs,
-    /// Let a server do the work, e.g. http://127.0.0.1:50051.
-    #[arg(long, value_name = "URL", help_heading = "Who works")]
-    pub(super) endpoint: Option<ServerUrl>,
-    /// Whose work the server takes it for, where several share one.
-    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Who works")]
-    pub(super) tenant: Option<Tenant>,
-    /// File with the key that the server wants.
-    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Who works")]
-    pub(super) key_file: Option<PathBuf>,
     #[command(flatten, next_help_heading = "Who works")]
-    pub(super) trust: TrustArgs,
+    pub(super) at: EndpointArgs,
     #[command(flatten, next_help_heading = "What is said")]
     pub(super) say: SayArgs,
 }
