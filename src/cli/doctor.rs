@@ -4,9 +4,9 @@ use anyhow::Result;
 use clap::Args;
 
 use super::backends;
-use crate::config::BackendArgs;
-use crate::gpu::device::adapters;
-use crate::rvd::{Backend, BackendChoice};
+use geometry::rvd::{Backend, BackendChoice};
+use gpu::device::adapters;
+use server::config::BackendArgs;
 
 /// `tessera doctor`'s options: the same as where work is done, to see their effect.
 #[derive(Args, Debug)]

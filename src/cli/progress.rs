@@ -16,8 +16,8 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 pub(crate) use track::Plan;
 use track::Track;
 
-use crate::cvt::Iteration;
-use crate::remesh::Observer;
+use geometry::cvt::Iteration;
+use geometry::remesh::Observer;
 
 /// Parts of the bar.
 const PARTS: u64 = 1000;

@@ -17,18 +17,18 @@ use super::progress::{Plan, Progress};
 use super::say::{self, SayArgs};
 use super::server::EndpointArgs;
 use super::{backends, files, interrupt, remote};
-use crate::config::{BackendArgs, count, whole};
-use crate::cvt::density::DensityOptions;
-use crate::job::BackendInfo;
-use crate::job::diagram::Diagram;
-use crate::job::spec::{Input, Prepared};
-use crate::memory;
-use crate::mesh::TriMesh;
-use crate::mesh::io::Format;
-use crate::remesh::Seeds;
-use crate::remesh::report::to_json;
-use crate::rvd::PieceBatch;
-use crate::token::Token;
+use geometry::cvt::density::DensityOptions;
+use geometry::mesh::TriMesh;
+use geometry::mesh::io::Format;
+use geometry::remesh::Seeds;
+use geometry::remesh::report::to_json;
+use geometry::rvd::PieceBatch;
+use geometry::token::Token;
+use jobs::BackendInfo;
+use jobs::diagram::Diagram;
+use jobs::memory;
+use jobs::spec::{Input, Prepared};
+use server::config::{BackendArgs, count, whole};
 
 /// `tessera rvd`'s options.
 #[derive(Args, Debug)]
@@ -48,7 +48,7 @@ pub(crate) struct RvdArgs {
     /// Draw the seeds as dots in the picture, where the surface is next to them.
     #[arg(long, requires = "picture", help_heading = "Picture")]
     dots: bool,
-    #[command(flatten, next_help_heading = "Who works")]
+    #[command(flatten, next_help_heading = "Backend")]
     backend: BackendArgs,
     #[command(flatten, next_help_heading = "Who works")]
     at: EndpointArgs,

@@ -23,7 +23,7 @@ use super::{Image, PictureError, Size};
 
 /// One picture.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Figure {
+pub struct Figure {
     /// Above everything.
     pub title: String,
     /// Side by side.
@@ -32,7 +32,7 @@ pub(crate) struct Figure {
 
 /// One pair of axes.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Panel {
+pub struct Panel {
     /// Above it; may be empty.
     pub title: String,
     /// From left to right.
@@ -47,7 +47,7 @@ pub(crate) struct Panel {
 
 /// An axis.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Axis {
+pub struct Axis {
     /// What it measures.
     pub label: String,
     /// Whether its steps are factors. Values that are not above 0 have no place then.
@@ -68,7 +68,7 @@ impl Axis {
 
 /// A line of points, in the order given.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Series {
+pub struct Series {
     /// In the legend.
     pub name: String,
     /// (x, y).
@@ -110,7 +110,7 @@ impl Figure {
     ///
     /// # Errors
     /// [`PictureError::Plot`]: it has too few pixels for its labels.
-    pub(crate) fn draw(&self, size: Size) -> Result<Image, PictureError> {
+    pub fn draw(&self, size: Size) -> Result<Image, PictureError> {
         let (width, height) = (size.width * SCALE, size.height * SCALE);
         let mut pixels = vec![[255; 3]; width as usize * height as usize];
         {

@@ -9,8 +9,8 @@ use std::time::Duration;
 use hyper::StatusCode;
 use serde_json::Value;
 
-use crate::cli::exit::Unavailable;
-use crate::cli::http_get::get;
+use crate::exit::Unavailable;
+use crate::http_get::get;
 
 /// Whether a server is ready, and why not.
 #[derive(Debug, PartialEq)]

@@ -7,8 +7,8 @@ use std::str::FromStr;
 
 use strum::{EnumString, IntoStaticStr, VariantArray, VariantNames};
 
-use crate::config::whole;
-use crate::mesh::shapes::MAX_FACETS;
+use geometry::mesh::shapes::MAX_FACETS;
+use server::config::whole;
 
 /// What is asked of a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, EnumString, IntoStaticStr, VariantArray, VariantNames)]

@@ -9,8 +9,8 @@ use std::time::Duration;
 use anyhow::Result;
 use hyper::{StatusCode, Uri};
 
-use crate::cli::exit::Unavailable;
-use crate::cli::http_get::get;
+use crate::exit::Unavailable;
+use crate::http_get::get;
 
 /// Reads `--metrics`: `http://HOST:PORT/PATH`; the port is 80 and the path `/metrics` if not given.
 pub(super) fn metrics_url(text: &str) -> Result<Uri, String> {

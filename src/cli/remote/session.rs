@@ -11,7 +11,7 @@ use tonic::{Response, Status};
 use super::again::Again;
 use super::faults::{self, Fault};
 use super::link::{Link, Patience};
-use crate::cli::server::{Server, ServerArgs};
+use crate::server::{Server, ServerArgs};
 
 pub(crate) struct Session<'a> {
     server: &'a Server,
