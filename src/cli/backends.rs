@@ -18,7 +18,7 @@ pub(crate) use server::config::{BackendArg, BackendArgs};
 /// `BackendUnavailable` if the default one is the GPU and there is none.
 pub(crate) fn all(args: &BackendArgs) -> Result<Backends, JobError> {
     let backends = Backends {
-        gpu: gpu(args).inspect_err(|reason| tracing::info!(%reason, "no GPU backend")),
+        gpu: gpu(args).inspect_err(|reason| tracing::info!(%reason, "no GPU backend")).map(|gpu| gpu as _),
         parallel: Arc::new(Parallel::new(args.threads)?),
         serial: Arc::new(Serial),
         default: args.backend.into(),
@@ -41,9 +41,6 @@ pub(crate) fn one(args: &BackendArgs) -> Result<Arc<dyn Backend>, JobError> {
 }
 
 /// Does a subcommand's work on as many threads as `--threads` says: what no backend does too, as reading and drawing.
-///
-/// # Errors
-/// There are no threads to be had, or what the work says.
 pub(crate) fn on_threads<R: Send>(
     args: &BackendArgs,
     work: impl FnOnce() -> anyhow::Result<R> + Send,
@@ -54,19 +51,11 @@ pub(crate) fn on_threads<R: Send>(
     pool.context("cannot start threads; ask for fewer with --threads")?.install(work)
 }
 
-/// The GPU backend, or why there is none and what to do.
+/// The GPU backend.
 ///
 /// # Errors
-/// A sentence for the caller.
-pub(crate) fn gpu(args: &BackendArgs) -> Result<Arc<dyn Backend>, String> {
-    Ok(open_gpu(args)?)
-}
-
-/// As [`gpu`], for who needs more of it than a backend.
-///
-/// # Errors
-/// A sentence for the caller.
-pub(crate) fn open_gpu(args: &BackendArgs) -> Result<Arc<Gpu>, String> {
+/// A sentence that says why there is none, and what to do.
+pub(crate) fn gpu(args: &BackendArgs) -> Result<Arc<Gpu>, String> {
     let options = BackendOptions {
         threads: args.threads,
         software_gpu: args.gpu_software,

@@ -9,11 +9,11 @@ use anyhow::Result;
 use clap::{Args, Subcommand};
 use serde_json::json;
 
+use super::files;
 use super::jobs::{digest, transfer};
-use super::remote::session;
+use super::remote::{Session, session};
 use super::server::ServerArgs;
 use super::source::Source;
-use super::{files, say};
 
 /// `tessera blobs`' options.
 #[derive(Args, Debug)]
@@ -50,44 +50,37 @@ enum BlobsCommand {
 
 /// Runs it.
 pub(crate) fn run(args: &BlobsArgs) -> Result<()> {
-    let (server, at) = (&args.server, args.server.server()?);
+    let server = &args.server;
+    // Before a file is read.
+    server.url()?;
     match &args.command {
         BlobsCommand::Put { file } => {
-            let sources = [Source::open(file)?];
+            let source = Source::open(file)?;
+            let (digest, size) = (source.digest().to_owned(), source.size());
             let progress = transfer(Some(file), server, "upload");
-            let sent = session(&at, server.retry(), async |session| session.upload(&sources, &progress).await);
+            let sent = session(server, async |session| session.upload(&[source], &progress).await);
             drop(progress);
+            let json = |sent| json!({ "digest": digest, "size_bytes": size, "uploaded_bytes": sent });
             let sent = sent?;
-            let [source] = sources;
-            match server.json {
-                true => {
-                    let (digest, size) = (source.digest(), source.size());
-                    say::json(&json!({ "digest": digest, "size_bytes": size, "uploaded_bytes": sent }))?;
-                }
-                false => outln!("{}", source.digest())?,
-            }
+            server.tell(|| json(sent), || vec![digest.clone()])
         }
         BlobsCommand::Get { digest, output } => {
             files::check_output(output, &[])?;
             let progress = transfer(Some(output), server, "download");
             let mut file = files::Output::begin(output)?;
-            let fetched = session(&at, server.retry(), async |session| {
+            let fetch = async |session: &mut Session<'_>| {
                 session.download(digest, &mut |bytes| file.add(bytes), &progress).await
-            });
+            };
+            let fetched = session(server, fetch);
             drop(progress);
             let size = fetched?;
             file.finish()?;
-            if server.json {
-                say::json(&json!({ "digest": digest, "size_bytes": size, "file": output.to_string_lossy() }))?;
-            }
+            let json = || json!({ "digest": digest, "size_bytes": size, "file": output.to_string_lossy() });
+            server.tell(json, Vec::new)
         }
         BlobsCommand::Stat { digest } => {
-            let size = session(&at, server.retry(), async |session| session.stat(digest).await)?;
-            match server.json {
-                true => say::json(&json!({ "digest": digest, "size_bytes": size }))?,
-                false => outln!("{size}")?,
-            }
+            let size = session(server, async |session| session.stat(digest).await)?;
+            server.tell(|| json!({ "digest": digest, "size_bytes": size }), || vec![size.to_string()])
         }
     }
-    Ok(())
 }

@@ -4,7 +4,7 @@
 //! looks inside (`rvd::cell_file`).
 
 use std::fs::File;
-use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
@@ -18,32 +18,7 @@ use geometry::rvd::cell_file::CellWriter;
 /// A file being written.
 pub(crate) struct CellFile {
     path: PathBuf,
-    writer: CellWriter<BufWriter<NamedTempFile>, Scratch>,
-}
-
-/// A temporary file that is written and then read.
-struct Scratch(BufWriter<File>);
-
-impl Write for Scratch {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.write(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.0.flush()
-    }
-}
-
-impl Read for Scratch {
-    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        self.0.get_mut().read(out)
-    }
-}
-
-impl Seek for Scratch {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.0.seek(to)
-    }
+    writer: CellWriter<BufWriter<NamedTempFile>, File>,
 }
 
 impl CellFile {
@@ -52,7 +27,7 @@ impl CellFile {
         let begin = || {
             let vertices = BufWriter::new(files::begin(path)?);
             let folder = vertices.get_ref().path().parent().unwrap_or(Path::new("."));
-            let polygons = Scratch(BufWriter::new(tempfile::tempfile_in(folder)?));
+            let polygons = tempfile::tempfile_in(folder)?;
             CellWriter::new(vertices, polygons)
         };
         let writer = begin().map_err(|e| unwritten(path, &e))?;

@@ -30,9 +30,6 @@ pub(crate) struct ManArgs {
 }
 
 /// Prints the script of a shell.
-///
-/// # Errors
-/// [`NotWritten`].
 pub(crate) fn completions(args: &CompletionsArgs, mut command: clap::Command) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command, "tessera", &mut script);
@@ -40,9 +37,6 @@ pub(crate) fn completions(args: &CompletionsArgs, mut command: clap::Command) ->
 }
 
 /// Prints or writes pages of the manual.
-///
-/// # Errors
-/// [`NotWritten`], [`NoFolder`].
 pub(crate) fn man(args: &ManArgs, command: clap::Command) -> Result<()> {
     let Some(folder) = &args.out_dir else {
         let mut page = Vec::new();

@@ -16,16 +16,10 @@ pub(crate) struct ConfigArgs {
 #[derive(Debug, Subcommand)]
 enum ConfigCommand {
     /// Say whether `tessera serve` would take the configuration; exit code 2 if not. Takes every option of `serve`.
-    Check(CheckArgs),
+    Check(Box<ServeArgs>),
     /// Print the configuration that holds, as a file that can be read back, each value with where it came from. Takes every
     /// option of `serve`.
     Print(PrintArgs),
-}
-
-#[derive(Args, Debug)]
-struct CheckArgs {
-    #[command(flatten)]
-    options: Box<ServeArgs>,
 }
 
 #[derive(Args, Debug)]
@@ -41,7 +35,7 @@ impl ConfigArgs {
     /// The server's options.
     pub(crate) fn options(&mut self) -> &mut ServeArgs {
         match &mut self.command {
-            ConfigCommand::Check(args) => &mut args.options,
+            ConfigCommand::Check(options) => options,
             ConfigCommand::Print(args) => &mut args.options,
         }
     }
@@ -50,8 +44,8 @@ impl ConfigArgs {
 /// Runs it.
 pub(crate) fn run(args: &ConfigArgs, found: Option<&ArgMatches>) -> Result<()> {
     match &args.command {
-        ConfigCommand::Check(args) => {
-            serve::check(&args.options)?;
+        ConfigCommand::Check(options) => {
+            serve::check(options)?;
             outln!("good")?;
         }
         ConfigCommand::Print(args) if args.defaults => {

@@ -4,9 +4,9 @@ use anyhow::Result;
 use clap::Args;
 
 use super::backends;
-use geometry::rvd::BackendChoice;
+use geometry::rvd::{Backend, BackendChoice};
 use gpu::device::adapters;
-pub(crate) use server::config::BackendArgs;
+use server::config::BackendArgs;
 
 /// `tessera doctor`'s options: the same as where work is done, to see their effect.
 #[derive(Args, Debug)]
@@ -16,9 +16,6 @@ pub(crate) struct DoctorArgs {
 }
 
 /// Prints it.
-///
-/// # Errors
-/// The backend that the options ask for is not there.
 pub(crate) fn run(args: &DoctorArgs) -> Result<()> {
     args.backend.check()?;
     outln!("tessera     {}", env!("CARGO_PKG_VERSION"))?;

@@ -42,32 +42,59 @@ pub(crate) const HELP: &str = "Exit codes:
   79   a threshold of `load --fail-if` was crossed; the report was written all the same
   130  interrupted";
 
-/// Options that do not go together, or ask for what is not there.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct Usage(pub(crate) String);
+/// Errors that are a sentence, each kind with its exit code.
+macro_rules! kinds {
+    ($($(#[$doc:meta])* $name:ident: $code:ident;)*) => {
+        $(
+            $(#[$doc])*
+            #[derive(Debug, thiserror::Error)]
+            #[error("{0}")]
+            pub(crate) struct $name(pub(crate) String);
+        )*
 
-/// Files of TLS that a server cannot use.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct BadTls(pub(crate) String);
+        fn of_kind(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
+            $(if cause.is::<$name>() {
+                return Some($code);
+            })*
+            None
+        }
+    };
+}
 
-/// A file that cannot be read or does not say what it should.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct BadInput(pub(crate) String);
+kinds! {
+    /// Options that do not go together, or ask for something that does not exist.
+    Usage: USAGE;
+    /// TLS files that a server cannot use.
+    BadTls: USAGE;
+    /// A file with wrong content.
+    BadInput: DATA;
+    /// A result that could not be written.
+    NotWritten: IO;
+    /// A server or a device that does not answer, or answers wrongly.
+    Unavailable: UNAVAILABLE;
+    /// A job, a blob or a result that the server does not have.
+    Absent: NO_INPUT;
+    /// A job without a result, or in another state than the command needs.
+    NoResult: INTERNAL;
+    /// A device that was lost and did not come back.
+    NoDevice: NO_DEVICE;
+    /// Thresholds that were crossed by a load that ran to its end.
+    Crossed: THRESHOLD;
+    /// Work that goes on though it was told to stop.
+    Stuck: STUCK;
+}
 
-/// A file that is not there, or may not be read.
+/// A file that is missing or cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot read {}: {cause}", path.display())]
 pub(crate) struct NoInput {
     /// The file.
     pub(crate) path: PathBuf,
-    /// What the system said.
+    /// Cause, as the system says it.
     pub(crate) cause: std::io::Error,
 }
 
-/// A file that is to be made in a folder that is not there.
+/// An output file whose folder is missing.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write {}: there is no folder {}; make it first", path.display(), folder.display())]
 pub(crate) struct NoFolder {
@@ -77,101 +104,41 @@ pub(crate) struct NoFolder {
     pub(crate) folder: PathBuf,
 }
 
-/// A result that could not be written.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct NotWritten(pub(crate) String);
-
-/// Somebody else's service or device is not there.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct Unavailable(pub(crate) String);
-
-/// A job, a blob or a result that the server does not have.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct Absent(pub(crate) String);
-
-/// A job that has no result, or is not where the command needs it to be.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct NoResult(pub(crate) String);
-
-/// A device that was lost and did not come back.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct NoDevice(pub(crate) String);
-
-/// Thresholds that were crossed by a load that ran to its end.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct Crossed(pub(crate) String);
-
-/// Work that goes on though it was told to stop.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct Stuck(pub(crate) String);
-
 /// The exit code for an error, by the first cause in its chain that has one.
 pub(crate) fn code(error: &anyhow::Error) -> u8 {
     error.chain().find_map(known).unwrap_or(INTERNAL)
 }
 
 fn known(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
-    if cause.is::<Usage>()
-        || cause.is::<ConfigError>()
-        || cause.is::<config::FileError>()
-        || cause.is::<BadTls>()
-        || cause.is::<TelemetryError>()
-    {
+    if cause.is::<ConfigError>() || cause.is::<config::FileError>() || cause.is::<TelemetryError>() {
         return Some(USAGE);
     }
-    match cause.downcast_ref::<FileError>() {
-        Some(FileError::UnknownFormat { .. }) => return Some(USAGE),
-        Some(FileError::Data { .. }) => return Some(DATA),
-        Some(FileError::Io { action: "read", .. }) => return Some(NO_INPUT),
-        Some(FileError::Io { .. }) => return Some(IO),
-        None => {}
-    }
-    if cause.is::<NoDevice>() {
-        return Some(NO_DEVICE);
-    }
-    if cause.is::<Crossed>() {
-        return Some(THRESHOLD);
-    }
-    if cause.is::<Stuck>() {
-        return Some(STUCK);
-    }
-    if cause.is::<NoInput>() || cause.is::<Absent>() {
+    if cause.is::<NoInput>() {
         return Some(NO_INPUT);
-    }
-    if cause.is::<NoResult>() {
-        return Some(INTERNAL);
     }
     if cause.is::<NoFolder>() {
         return Some(NO_FOLDER);
     }
-    if cause.is::<NotWritten>() {
-        return Some(IO);
-    }
-    match cause.downcast_ref::<PictureError>() {
-        Some(PictureError::Size { .. } | PictureError::Direction { .. }) => return Some(USAGE),
-        Some(PictureError::Write { .. }) => return Some(IO),
-        _ => {}
-    }
-    if cause.is::<BadInput>() || cause.is::<MeshError>() {
+    if cause.is::<MeshError>() {
         return Some(DATA);
     }
-    if cause.is::<Unavailable>() {
-        return Some(UNAVAILABLE);
-    }
-    if let Some(error) = cause.downcast_ref::<JobError>() {
-        return Some(of_job(error));
-    }
-    if let Some(error) = cause.downcast_ref::<RemeshError>() {
-        return Some(of_remesh(error));
-    }
-    cause.downcast_ref::<RvdError>().map(of_rvd)
+    let of_file = |error: &FileError| match error {
+        FileError::UnknownFormat { .. } => USAGE,
+        FileError::Data { .. } => DATA,
+        FileError::Io { action: "read", .. } => NO_INPUT,
+        FileError::Io { .. } => IO,
+    };
+    let of_picture = |error: &PictureError| match error {
+        PictureError::Size { .. } | PictureError::Direction { .. } => Some(USAGE),
+        PictureError::Write { .. } => Some(IO),
+        _ => None,
+    };
+    of_kind(cause)
+        .or_else(|| cause.downcast_ref().map(of_file))
+        .or_else(|| cause.downcast_ref().and_then(of_picture))
+        .or_else(|| cause.downcast_ref().map(of_job))
+        .or_else(|| cause.downcast_ref().map(of_remesh))
+        .or_else(|| cause.downcast_ref().map(of_rvd))
 }
 
 fn of_job(error: &JobError) -> u8 {
@@ -201,10 +168,11 @@ fn of_rvd(error: &RvdError) -> u8 {
     match error {
         RvdError::Stopped(Stopped::Cancelled) => INTERRUPTED,
         RvdError::Stopped(_) => UNAVAILABLE,
-        RvdError::OutOfMemory { .. } | RvdError::NeverFits { .. } | RvdError::DeviceLost(_) | RvdError::Device(_) => {
-            UNAVAILABLE
-        }
-        RvdError::BackendUnavailable { .. } => UNAVAILABLE,
+        RvdError::OutOfMemory { .. }
+        | RvdError::NeverFits { .. }
+        | RvdError::DeviceLost(_)
+        | RvdError::Device(_)
+        | RvdError::BackendUnavailable { .. } => UNAVAILABLE,
         RvdError::Internal(_) => INTERNAL,
         _ => DATA,
     }

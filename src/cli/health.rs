@@ -11,9 +11,10 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::json;
+use tonic_health::pb::health_check_response::ServingStatus;
 
 use super::exit::Unavailable;
-use super::remote::status::{State, health, watch_health};
+use super::remote::status::{health, watch_health};
 use super::say;
 use super::server::ServerArgs;
 
@@ -37,9 +38,6 @@ pub(crate) struct HealthArgs {
 }
 
 /// Runs it.
-///
-/// # Errors
-/// [`Unavailable`] if the server cannot be asked or does not serve.
 pub(crate) fn run(args: &HealthArgs) -> Result<()> {
     let limit = Duration::from_secs_f64(args.timeout_s);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().context("no runtime")?;
@@ -59,19 +57,19 @@ pub(crate) fn run(args: &HealthArgs) -> Result<()> {
             return Ok(state);
         }
         let told = watch_health(&server, &args.service, limit, |state| args.print(state));
-        told.await.map(|()| State::NotServing)
+        told.await.map(|()| ServingStatus::NotServing)
     });
     match last? {
-        State::Serving => Ok(()),
-        State::Unknown => Err(Unavailable(format!("{} serves no {}", server.url, args.service)).into()),
-        State::NotServing => Err(Unavailable(format!("{} does not serve now", server.url)).into()),
+        ServingStatus::Serving => Ok(()),
+        ServingStatus::ServiceUnknown => Err(Unavailable(format!("{} serves no {}", server.url, args.service)).into()),
+        _ => Err(Unavailable(format!("{} does not serve now", server.url)).into()),
     }
 }
 
 impl HealthArgs {
-    /// Whether somebody still reads.
-    fn print(&self, state: State) -> Result<bool> {
-        let name = state.name();
+    /// Prints a state; false if the output was closed.
+    fn print(&self, state: ServingStatus) -> Result<bool> {
+        let name = state.as_str_name();
         let text = match self.server.json {
             true => json!({ "service": self.service, "status": name }).to_string(),
             false => name.to_owned(),

@@ -24,9 +24,6 @@ pub(crate) struct InfoArgs {
 }
 
 /// Runs it.
-///
-/// # Errors
-/// The server cannot be asked.
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     let (server, limit) = (args.server.server()?, Duration::from_secs_f64(args.timeout_s));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().context("no runtime")?;

@@ -10,47 +10,36 @@ pub(crate) const CODE: u8 = 130;
 const AT_ONCE: i32 = CODE as i32;
 
 /// Ready at the first signal. The second ends the process, even if this was dropped.
-///
-/// # Errors
-/// The operating system refused.
 pub(crate) fn signals() -> std::io::Result<tokio::sync::oneshot::Receiver<()>> {
     let (sender, receiver) = tokio::sync::oneshot::channel();
-    let mut both = Both::new()?;
-    tokio::spawn(async move {
-        both.next().await;
+    tokio::spawn(listen(Both::new()?, move || {
         let _ = sender.send(());
-        both.next().await;
-        std::process::exit(AT_ONCE);
-    });
+    }));
     Ok(receiver)
 }
 
+/// Does `first` at the first signal; the second ends the process.
+async fn listen(mut both: Both, first: impl FnOnce()) {
+    both.next().await;
+    first();
+    both.next().await;
+    std::process::exit(AT_ONCE);
+}
+
 /// Sets `token` at the first signal, for work that is not async.
-///
-/// # Errors
-/// The operating system refused.
 pub(crate) fn cancel_on_signal(token: &Token) -> std::io::Result<()> {
     let token = token.clone();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let mut both = {
+    let both = {
         let _inside = runtime.enter();
         Both::new()?
     };
-    std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
-        runtime.block_on(async {
-            both.next().await;
-            token.cancel();
-            both.next().await;
-            std::process::exit(AT_ONCE);
-        });
-    })?;
+    let wait = move || runtime.block_on(listen(both, || token.cancel()));
+    std::thread::Builder::new().name("signals".to_owned()).spawn(wait)?;
     Ok(())
 }
 
 /// Calls `work` at each SIGHUP, which ends the process no more.
-///
-/// # Errors
-/// The operating system refused.
 #[cfg(unix)]
 pub(crate) fn on_hangup(work: impl Fn() + Send + 'static) -> std::io::Result<()> {
     use tokio::signal::unix::{SignalKind, signal};
@@ -64,9 +53,6 @@ pub(crate) fn on_hangup(work: impl Fn() + Send + 'static) -> std::io::Result<()>
 }
 
 /// There is no such signal here.
-///
-/// # Errors
-/// None.
 #[cfg(not(unix))]
 pub(crate) fn on_hangup(_: impl Fn() + Send + 'static) -> std::io::Result<()> {
     Ok(())

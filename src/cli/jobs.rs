@@ -18,7 +18,7 @@ use serde_json::json;
 use super::exit::{self, NoResult, Usage};
 use super::progress::{Plan, Progress};
 use super::remote::{is_id, session};
-use super::say::{self, SayArgs};
+use super::say;
 use super::server::ServerArgs;
 use super::{files, interrupt};
 use fetch::FetchArgs;
@@ -160,14 +160,8 @@ enum StateArg {
 
 impl StateArg {
     fn message(self) -> JobState {
-        match self {
-            Self::Queued => JobState::Queued,
-            Self::Running => JobState::Running,
-            Self::Succeeded => JobState::Succeeded,
-            Self::Failed => JobState::Failed,
-            Self::Cancelled => JobState::Cancelled,
-            Self::Expired => JobState::Expired,
-        }
+        let name = format!("JOB_STATE_{self:?}").to_ascii_uppercase();
+        JobState::from_str_name(&name).unwrap_or_default()
     }
 }
 
@@ -215,24 +209,21 @@ fn labels(all: &[(String, String)]) -> Result<std::collections::HashMap<String, 
 /// Runs it.
 pub(crate) fn run(args: &JobsArgs) -> Result<()> {
     let server = &args.server;
-    // Before a file is read for a server that nobody named.
-    let at = server.server()?;
-    let retry = server.retry();
+    // Before a file is read.
+    server.url()?;
     match &args.command {
         JobsCommand::Submit { work: SubmitWork::Remesh { work, how } } => submit(|| work.asked(), how, server),
         JobsCommand::Submit { work: SubmitWork::Rvd { work, how } } => submit(|| work.asked(), how, server),
         JobsCommand::Estimate { work: EstimateWork::Remesh(work) } => estimate(&work.asked()?, server),
         JobsCommand::Estimate { work: EstimateWork::Rvd(work) } => estimate(&work.asked()?, server),
         JobsCommand::List(list) => self::list(list, server),
-        JobsCommand::Get(IdArgs { id }) => print(&session(&at, retry, async |session| session.job(id).await)?, server),
+        JobsCommand::Get(IdArgs { id }) => {
+            let job = session(server, async |session| session.job(id).await)?;
+            server.tell(|| show::json_of(&job), || show::lines(&job))
+        }
         JobsCommand::Cancel(IdArgs { id }) => {
-            let job = session(&at, retry, async |session| session.cancel(id).await)?;
-            if server.json {
-                say::json(&show::json_of(&job))?
-            } else {
-                outln!("{id} {}", show::state(job.state))?
-            }
-            Ok(())
+            let job = session(server, async |session| session.cancel(id).await)?;
+            server.tell(|| show::json_of(&job), || vec![format!("{id} {}", show::state(job.state))])
         }
         JobsCommand::Delete(IdArgs { id }) => delete(id, server),
         JobsCommand::Watch(WatchArgs { id, after }) => watch(id, *after, server),
@@ -249,21 +240,19 @@ fn submit(asked: impl FnOnce() -> Result<Asked>, how: &HowArgs, server: &ServerA
     (spec.queue_deadline, spec.run_deadline) = (message(how.queue_deadline_s), message(how.deadline_s));
     let request = CreateJobRequest { spec: Some(spec), request_id: how.request_id.clone().unwrap_or_default() };
     let progress = transfer(input.as_ref().map(|(path, _)| path.as_path()), server, "upload");
-    let created = session(&server.server()?, server.retry(), async |session| {
+    let created = session(server, async |session| {
         session.upload(&sources, &progress).await?;
         session.create(&request).await
     });
     drop(progress);
     let created = created?;
     let job = created.job.unwrap_or_default();
-    if server.json {
+    let json = || {
         let mut told = show::json_of(&job);
         told["existed"] = created.existed.into();
-        say::json(&told)?;
-    } else {
-        outln!("{}", job.id)?;
-    }
-    Ok(())
+        told
+    };
+    server.tell(json, || vec![job.id.clone()])
 }
 
 fn estimate(asked: &Asked, server: &ServerArgs) -> Result<()> {
@@ -273,57 +262,29 @@ fn estimate(asked: &Asked, server: &ServerArgs) -> Result<()> {
         let mesh = files::Surface::new(path, Some(*format)).read_mesh()?;
         (request.vertices, request.facets) = (Some(mesh.positions().len() as u64), Some(mesh.facets().len() as u64));
     }
-    let estimate = session(&server.server()?, server.retry(), async |session| session.estimate(request).await)?;
-    if server.json {
-        say::json(&show::json_of_estimate(&estimate))?;
-        return Ok(());
-    }
-    for line in show::lines_of_estimate(&estimate) {
-        outln!("{line}")?;
-    }
-    Ok(())
+    let estimate = session(server, async |session| session.estimate(request).await)?;
+    server.tell(|| show::json_of_estimate(&estimate), || show::lines_of_estimate(&estimate))
 }
 
 fn list(args: &ListArgs, server: &ServerArgs) -> Result<()> {
     let states = args.states.iter().map(|state| state.message().into()).collect();
     let query = ListJobsRequest { states, labels: labels(&args.labels)?, ..ListJobsRequest::default() };
-    let (jobs, more) =
-        session(&server.server()?, server.retry(), async |session| session.jobs(&query, args.limit).await)?;
-    if server.json {
-        let all: Vec<_> = jobs.iter().map(show::json_of).collect();
-        say::json(&json!({ "jobs": all, "more": more }))?;
-        return Ok(());
-    }
-    for line in show::table(&jobs) {
-        outln!("{line}")?;
-    }
-    if more && !server.quiet {
+    let (jobs, more) = session(server, async |session| session.jobs(&query, args.limit).await)?;
+    let json = || json!({ "jobs": jobs.iter().map(show::json_of).collect::<Vec<_>>(), "more": more });
+    server.tell(json, || show::table(&jobs))?;
+    if more && !server.quiet && !server.json {
         errln!("there are more jobs; --limit shows them");
     }
     Ok(())
 }
 
-fn print(job: &Job, server: &ServerArgs) -> Result<()> {
-    if server.json {
-        say::json(&show::json_of(job))?;
-        return Ok(());
-    }
-    for line in show::lines(job) {
-        outln!("{line}")?;
-    }
-    Ok(())
-}
-
 fn delete(id: &str, server: &ServerArgs) -> Result<()> {
-    let deleted = session(&server.server()?, server.retry(), async |session| session.delete(id).await);
+    let deleted = session(server, async |session| session.delete(id).await);
     deleted.map_err(|error| match error.downcast::<NoResult>() {
         Ok(NoResult(said)) => NoResult(format!("{said}; cancel it first: tessera jobs cancel {id}")).into(),
         Err(error) => error,
     })?;
-    if server.json {
-        say::json(&json!({ "id": id, "deleted": true }))?;
-    }
-    Ok(())
+    server.tell(|| json!({ "id": id, "deleted": true }), Vec::new)
 }
 
 fn watch(id: &str, after: u64, server: &ServerArgs) -> Result<()> {
@@ -332,19 +293,17 @@ fn watch(id: &str, after: u64, server: &ServerArgs) -> Result<()> {
         // Whoever reads no more needs no more events.
         Ok(say::try_line(format_args!("{line}"))?)
     };
-    session(&server.server()?, server.retry(), async |session| session.watch(id, after, &mut print).await)
+    session(server, async |session| session.watch(id, after, &mut print).await)
 }
 
 fn wait(id: &str, server: &ServerArgs) -> Result<()> {
-    let at = server.server()?;
     let mut progress = None;
-    let waited = session(&at, server.retry(), async |session| {
+    let waited = session(server, async |session| {
         let job = session.job(id).await?;
         if super::remote::has_ended(&job) {
             return Ok(job);
         }
-        let say = SayArgs { quiet: server.quiet, json: server.json };
-        let progress = progress.insert(Progress::begin(Path::new(&format!("job {}", &id[..8])), &say));
+        let progress = progress.insert(Progress::begin(Path::new(&format!("job {}", &id[..8])), server.quiet));
         progress.plan(plan(&job));
         session.wait(id, progress).await
     });
@@ -353,9 +312,7 @@ fn wait(id: &str, server: &ServerArgs) -> Result<()> {
         interrupt::CODE => error.context(format!("job {id} goes on; `tessera jobs cancel` ends it")),
         _ => error,
     })?;
-    if server.json {
-        say::json(&show::json_of(&job))?;
-    }
+    server.tell(|| show::json_of(&job), Vec::new)?;
     match show::why(&job) {
         Some(why) => Err(NoResult(format!("job {id} {why}")).into()),
         None => Ok(()),
@@ -385,8 +342,7 @@ fn plan(job: &Job) -> Plan {
 
 /// The progress of bytes on their way.
 pub(super) fn transfer(of: Option<&Path>, server: &ServerArgs, stage: &'static str) -> Progress {
-    let say = SayArgs { quiet: server.quiet, json: server.json };
-    let progress = Progress::begin(of.unwrap_or(Path::new("job")), &say);
+    let progress = Progress::begin(of.unwrap_or(Path::new("job")), server.quiet);
     progress.plan(Plan::transfer(stage));
     progress
 }

@@ -23,6 +23,7 @@ mod endpoint;
 mod exit;
 mod files;
 mod health;
+mod http_get;
 mod info;
 mod interrupt;
 mod jobs;
@@ -47,7 +48,7 @@ mod trust;
 
 use std::process::ExitCode;
 
-use clap::{ArgAction, Parser, Subcommand, ValueEnum};
+use clap::{ArgAction, Parser, Subcommand};
 
 use self::settings::Given;
 pub use ::server::config::ServeArgs;
@@ -62,7 +63,7 @@ struct Cli {
     command: Command,
     /// How log lines look. What is logged: the variable TESSERA_LOG, e.g. `debug`.
     #[arg(long, global = true, value_enum, default_value_t, env = "TESSERA_LOG_FORMAT", help_heading = GENERAL)]
-    log_format: LogFormatArg,
+    log_format: LogFormat,
     /// Print help; `--help` says more than `-h`.
     #[arg(long, short, global = true, action = ArgAction::Help, help_heading = GENERAL)]
     help: Option<bool>,
@@ -73,15 +74,6 @@ struct Cli {
 
 /// What every subcommand has; it comes last.
 const GENERAL: &str = "General";
-
-#[derive(Clone, Copy, Debug, Default, ValueEnum)]
-enum LogFormatArg {
-    /// For people.
-    #[default]
-    Text,
-    /// One JSON object a line.
-    Json,
-}
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -127,26 +119,24 @@ pub fn main() -> ExitCode {
 }
 
 fn run() -> u8 {
-    let line: Vec<_> = std::env::args_os().collect();
-    let Given { cli, options } = match settings::parse(&line) {
-        Ok(given) => given,
-        Err(error) => {
+    execute().map_or_else(
+        |error| {
             errln!("tessera: {}", plain::lines(&format!("{error:#}")));
-            return exit::code(&error);
-        }
+            exit::code(&error)
+        },
+        |()| 0,
+    )
+}
+
+fn execute() -> anyhow::Result<()> {
+    let line: Vec<_> = std::env::args_os().collect();
+    let Given { cli, options } = settings::parse(&line)?;
+    let (filter, traces) = match &cli.command {
+        Command::Serve(args) => ("info", args.check().and_then(|_| args.watching.traces())?),
+        _ => ("warn", None),
     };
-    let (format, filter) = match (cli.log_format, &cli.command) {
-        (LogFormatArg::Text, Command::Serve(_)) => (LogFormat::Text, "info"),
-        (LogFormatArg::Text, _) => (LogFormat::Text, "warn"),
-        (LogFormatArg::Json, Command::Serve(_)) => (LogFormat::Json, "info"),
-        (LogFormatArg::Json, _) => (LogFormat::Json, "warn"),
-    };
-    let traces = match &cli.command {
-        Command::Serve(args) => args.check().and_then(|_| args.watching.traces()).map_err(anyhow::Error::from),
-        _ => Ok(None),
-    };
-    let telemetry = traces.and_then(|traces| Ok(telemetry::start(format, filter, traces.as_ref())?));
-    let result = telemetry.and_then(|_telemetry| match &cli.command {
+    let _telemetry = telemetry::start(cli.log_format, filter, traces.as_ref())?;
+    match &cli.command {
         Command::Serve(args) => serve::run(args),
         Command::Config(args) => config::run(args, options.as_ref()),
         Command::Remesh(args) => remesh::run(args),
@@ -164,13 +154,6 @@ fn run() -> u8 {
         Command::Doctor(args) => doctor::run(args),
         Command::Completions(args) => completions::completions(args, settings::command()),
         Command::Man(args) => completions::man(args, settings::command()),
-    });
-    match result {
-        Ok(()) => 0,
-        Err(error) => {
-            errln!("tessera: {}", plain::lines(&format!("{error:#}")));
-            exit::code(&error)
-        }
     }
 }
 

@@ -24,6 +24,7 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result};
 use clap::{ArgGroup, Args, ValueEnum};
+use hyper::Uri;
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
@@ -33,9 +34,9 @@ use self::clients::{Doors, Looping, Ran, Schedule};
 use self::compare::Comparison;
 use self::measure::Measure;
 use self::meshes::{Source, Surface};
-use self::report::Report;
-use self::scrape::{MetricsUrl, Samples};
-use self::thresholds::{About, Threshold};
+use self::report::QUANTILES;
+use self::scrape::Samples;
+use self::thresholds::Threshold;
 use self::view::View;
 use super::exit::{self, Crossed, Unavailable, Usage};
 use super::remote::{Door, Line, Windows, choice, status};
@@ -125,8 +126,8 @@ pub(crate) struct LoadArgs {
     keep: bool,
 
     /// The server's metrics, e.g. http://127.0.0.1:9090/metrics: its counts are compared with those here.
-    #[arg(long, value_name = "URL", help_heading = "Results")]
-    metrics: Option<MetricsUrl>,
+    #[arg(long, value_name = "URL", value_parser = scrape::metrics_url, help_heading = "What comes of it")]
+    metrics: Option<Uri>,
     /// Exit code 79 if this holds, e.g. p99>2s, errors>0, refused>1%, rate<5, dropped>0; may be given several times.
     #[arg(long = "fail-if", value_name = "EXPR", value_delimiter = ',', help_heading = "Results")]
     fail_if: Vec<Threshold>,
@@ -189,9 +190,6 @@ fn length(text: &str) -> Result<Duration, String> {
 }
 
 /// Runs it.
-///
-/// # Errors
-/// Options that do not go together, a server that is not there, thresholds that were crossed, an interrupt.
 pub(crate) fn run(args: &LoadArgs) -> Result<()> {
     args.check()?;
     let server = args.at.server()?;
@@ -375,39 +373,28 @@ struct Done {
 }
 
 impl Done {
-    /// Prints and writes what is wanted, and says how it went.
+    /// Prints and writes the report; the error says what went wrong.
     fn tell(&self, args: &LoadArgs, server: &Server) -> Result<()> {
         let counts = &self.measure.counts;
         let crossed: Vec<String> =
-            args.fail_if.iter().filter_map(|t| t.crossed(|about| self.figure(about), counts.intended)).collect();
-        let report = Report {
-            title: args.title(),
-            server: self.server(server),
-            surfaces: self.surfaces(args),
-            measure: &self.measure,
-            comparison: self.comparison.as_ref(),
-            left: self.left,
-            stopped: self.stopped,
-            crossed: &crossed,
-        };
+            args.fail_if.iter().filter_map(|t| t.crossed(|figure| self.figure(figure), counts.intended)).collect();
         if let Some(path) = &args.json {
             let mut all = json!({
                 "endpoint": server.url.as_str(), "run": self.run, "client_version": env!("CARGO_PKG_VERSION"),
                 "options": args.options(), "server": self.info.as_ref().map(info::as_json),
             });
-            if let (Some(all), Value::Object(figures)) = (all.as_object_mut(), report.json()) {
+            if let (Some(all), Value::Object(figures)) = (all.as_object_mut(), self.json(&crossed)) {
                 all.extend(figures);
             }
             files::write_json(path, &all)?;
         }
         if let Some(path) = &args.plot {
-            let image = plot::figure(args.title(), &self.measure).draw(Size::new(1600, 600)?)?;
-            image.write(path).with_context(|| format!("cannot draw {}", path.display()))?;
+            let figure = plot::figure(args.title(), &self.measure);
+            figure.write(Size::new(1600, 600)?, path).with_context(|| format!("cannot draw {}", path.display()))?;
         }
         if !args.quiet {
-            for line in report.lines() {
-                outln!("{line}")?;
-            }
+            outln!("{}\nserver     {}\nsurfaces   {}", args.title(), self.server(server), self.surfaces(args))?;
+            self.lines(&crossed).iter().try_for_each(|line| outln!("{line}"))?;
         }
         let lost = counts.failed.get("CONNECTION_LOST").map_or(0, |times| times.count);
         if self.stopped {
@@ -423,25 +410,25 @@ impl Done {
         }
     }
 
-    /// A figure that a threshold is about.
-    fn figure(&self, about: About) -> Option<f64> {
+    /// A figure of a threshold.
+    fn figure(&self, name: &str) -> Option<f64> {
         let (measure, counts) = (&self.measure, &self.measure.counts);
-        let count = |count: u64| Some(count as f64);
-        match about {
-            About::P50 => measure.latencies.quantile(0.5),
-            About::P90 => measure.latencies.quantile(0.9),
-            About::P99 => measure.latencies.quantile(0.99),
-            About::P999 => measure.latencies.quantile(0.999),
-            About::Max => measure.latencies.max(),
-            About::Mean => measure.latencies.mean(),
-            About::Errors => count(counts.errors()),
-            About::Refused => count(counts.refusals()),
-            About::Dropped => count(counts.dropped),
-            About::Late => count(counts.late),
-            About::Cancelled => count(counts.cancelled),
-            About::Rate => Some(measure.rate(measure.amounts.done)),
-            About::Mismatches => self.comparison.as_ref().map(|comparison| comparison.mismatches() as f64),
-        }
+        let count = match name {
+            "max" => return measure.latencies.max(),
+            "mean" => return measure.latencies.mean(),
+            "rate" => return Some(measure.rate(measure.amounts.done)),
+            "errors" => counts.errors(),
+            "refused" => counts.refusals(),
+            "dropped" => counts.dropped,
+            "late" => counts.late,
+            "cancelled" => counts.cancelled,
+            "mismatches" => self.comparison.as_ref()?.mismatches(),
+            quantile => {
+                let (_, part) = QUANTILES.into_iter().find(|(name, _)| *name == quantile)?;
+                return measure.latencies.quantile(part);
+            }
+        };
+        Some(count as f64)
     }
 
     fn server(&self, server: &Server) -> String {
@@ -464,7 +451,7 @@ impl Done {
 }
 
 /// The server's counts, once it has counted what was given up as well.
-async fn compare(url: &MetricsUrl, before: &Samples, caller: &Caller) -> Result<Comparison> {
+async fn compare(url: &Uri, before: &Samples, caller: &Caller) -> Result<Comparison> {
     const PAUSE: Duration = Duration::from_millis(100);
     /// Looks for counts that are equal, and for all of those that were given up.
     const LOOKS: (u32, u32) = (50, 10);

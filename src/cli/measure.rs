@@ -80,9 +80,6 @@ impl Surface {
 }
 
 /// Measures and prints.
-///
-/// # Errors
-/// A file cannot be read, or is no surface; a signal.
 pub(crate) fn run(args: &MeasureArgs) -> Result<()> {
     let token = Token::default();
     interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;

@@ -16,7 +16,6 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 pub(crate) use track::Plan;
 use track::Track;
 
-use super::say::SayArgs;
 use geometry::cvt::Iteration;
 use geometry::remesh::Observer;
 
@@ -27,7 +26,6 @@ const TICK: Duration = Duration::from_millis(200);
 /// Time between two lines where there is no terminal, unless `TESSERA_PROGRESS_S` says otherwise.
 const LINE: Duration = Duration::from_secs(5);
 
-/// See the module's head.
 pub(crate) struct Progress {
     shared: Arc<Mutex<State>>,
     ticker: Option<(mpsc::Sender<()>, JoinHandle<()>)>,
@@ -50,9 +48,9 @@ struct State {
 
 impl Progress {
     /// Of the work on the file `of`, which begins now with reading it.
-    pub(crate) fn begin(of: &Path, say: &SayArgs) -> Self {
+    pub(crate) fn begin(of: &Path, quiet: bool) -> Self {
         let bar = ProgressBar::with_draw_target(Some(PARTS), ProgressDrawTarget::stderr());
-        let bar = Some(bar).filter(|bar| !say.quiet && !bar.is_hidden());
+        let bar = Some(bar).filter(|bar| !quiet && !bar.is_hidden());
         let between = if bar.is_some() { TICK } else { line_every() };
         if let Some((bar, style)) =
             bar.as_ref().zip(ProgressStyle::with_template("{spinner} {wide_bar} {percent:>3} % {msg}").ok())
@@ -63,7 +61,7 @@ impl Progress {
         let (track, stage) = (Track::new(Instant::now()), "read".to_owned());
         let shared = State { name, start: Instant::now(), track, span: (0.0, 1.0), bar, stage, detail: String::new() };
         let shared = Arc::new(Mutex::new(shared));
-        let ticker = if say.quiet { None } else { ticker(Arc::clone(&shared), between) };
+        let ticker = if quiet { None } else { ticker(Arc::clone(&shared), between) };
         Self { shared, ticker }
     }
 

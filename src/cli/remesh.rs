@@ -14,12 +14,12 @@ use serde_json::Value;
 use super::endpoint::ServerUrl;
 use super::files::Loaded;
 use super::progress::{Plan, Progress};
+use super::remote::RemeshDone;
 use super::server::Server;
-use super::{backends, files, interrupt, remote, say, server};
+use super::{backends, files, interrupt, remote, say};
 pub(crate) use args::{DensityArg, RemeshArgs};
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::mesh::TriMesh;
-use geometry::mesh::attributes::Attributes;
 use geometry::remesh::report::to_json;
 use geometry::remesh::{RemeshOptions, Seeds, remesh};
 use geometry::rvd::Backend;
@@ -50,12 +50,7 @@ struct Worker {
 
 impl Worker {
     fn new(args: &RemeshArgs) -> Result<Self> {
-        let server = args.endpoint.as_ref().map(|url| -> Result<_> {
-            let trust = args.trust.read(url)?;
-            let key = server::key(args.key_file.as_deref())?;
-            Ok(Server { url: url.clone(), tenant: args.tenant.clone(), trust, key })
-        });
-        Ok(Self { server: server.transpose()?, token: Token::default(), backend: None })
+        Ok(Self { server: args.at.server()?, token: Token::default(), backend: None })
     }
 
     /// From now on Ctrl-C cancels the work instead of ending the process.
@@ -69,12 +64,10 @@ impl Worker {
         mesh: &TriMesh,
         options: &RemeshOptions,
         progress: &mut Progress,
-    ) -> Result<(Done, Value)> {
+    ) -> Result<RemeshDone> {
         if let Some(server) = &self.server {
             let job = remote::RemeshJob { mesh, options, backend: args.backend.backend };
-            let done = remote::remesh(server, &job, progress)?;
-            let report = done.report;
-            return Ok((Done { mesh: done.mesh, curve_edges: done.curve_edges, attributes: done.attributes }, report));
+            return remote::remesh(server, &job, progress);
         }
         let backend = match &self.backend {
             Some(backend) => Arc::clone(backend),
@@ -82,7 +75,7 @@ impl Worker {
         };
         let done = remesh(mesh, options, backend.as_ref(), progress, &self.token)?;
         let report = to_json(&done.report)?;
-        Ok((Done { mesh: done.mesh, curve_edges: done.curve_edges, attributes: done.attributes }, report))
+        Ok(RemeshDone { mesh: done.mesh, curve_edges: done.curve_edges, report, attributes: done.attributes })
     }
 }
 
@@ -96,7 +89,7 @@ struct Remeshed {
 
 /// Remeshes one file.
 fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
-    let mut progress = Progress::begin(task.input.path(), &args.say);
+    let mut progress = Progress::begin(task.input.path(), args.say.quiet);
     let done = one(args, task, &mut worker, &mut progress, true)?;
     drop(progress);
     done.left_out.iter().for_each(|note| errln!("{note}"));
@@ -108,7 +101,7 @@ fn alone(args: &RemeshArgs, task: &Task, mut worker: Worker) -> Result<()> {
             report: &done.report,
             input: task.input.path(),
             output: task.output.path(),
-            endpoint: args.endpoint.as_ref().map(ServerUrl::as_str),
+            endpoint: args.at.endpoint.as_ref().map(ServerUrl::as_str),
             bounded: args.size.max_deviation.is_some(),
             total_ms: done.total_ms,
         };
@@ -131,14 +124,15 @@ fn one(args: &RemeshArgs, task: &Task, worker: &mut Worker, progress: &mut Progr
         worker.listen()?;
     }
     let steps = options.lloyd + options.newton;
-    progress.plan(Plan::remesh(mesh.facets().len(), points(&mesh, &options), steps, args.endpoint.is_some()));
-    let (mut done, mut report) = worker.remesh(args, &mesh, &options, progress)?;
+    progress.plan(Plan::remesh(mesh.facets().len(), points(&mesh, &options), steps, worker.server.is_some()));
+    let RemeshDone { mesh, curve_edges, mut report, attributes } = worker.remesh(args, &mesh, &options, progress)?;
     let writing = Instant::now();
     progress.stage("write", 0, 0);
-    let left_out = task.output.write(&done.mesh, done.attributes.take().as_ref())?;
-    args.picture.draw(&done.mesh, &done.curve_edges)?;
-    // What a server says of itself stays as it is.
-    if args.endpoint.is_none() {
+    let left_out = task.output.write(&mesh, attributes.as_ref())?;
+    drop(attributes);
+    args.picture.draw(&mesh, &curve_edges)?;
+    // A server's report stays as it is.
+    if worker.server.is_none() {
         let timings = &mut report["timings_ms"];
         (timings["read"], timings["write"], timings["total"]) = (read_ms.into(), ms(writing).into(), ms(start).into());
         report["memory"]["host_peak_bytes"] = memory::peak_memory_bytes().into();
@@ -160,13 +154,6 @@ fn points(mesh: &TriMesh, options: &RemeshOptions) -> usize {
         }
         (Seeds::Implied { .. }, density) => density.edge_length.map_or(0, of_length),
     }
-}
-
-/// What is to be written.
-struct Done {
-    mesh: TriMesh,
-    curve_edges: Vec<[u32; 2]>,
-    attributes: Option<Attributes>,
 }
 
 fn ms(since: Instant) -> f64 {

@@ -11,15 +11,12 @@ use serde_json::Value;
 
 use super::cell_file::CellFile;
 use super::diagram::{RvdResult, Sink, Wants};
-use super::endpoint::ServerUrl;
 use super::exit::{NotWritten, Usage};
 use super::picture::PictureArgs;
 use super::progress::{Plan, Progress};
 use super::say::{self, SayArgs};
-use super::server::{Server, Tenant};
-use super::trust::TrustArgs;
-use super::{backends, files, interrupt, remote, server};
-use ::server::config::{BackendArgs, count, whole};
+use super::server::EndpointArgs;
+use super::{backends, files, interrupt, remote};
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::TriMesh;
 use geometry::mesh::io::Format;
@@ -31,6 +28,7 @@ use jobs::BackendInfo;
 use jobs::diagram::Diagram;
 use jobs::memory;
 use jobs::spec::{Input, Prepared};
+use server::config::{BackendArgs, count, whole};
 
 /// `tessera rvd`'s options.
 #[derive(Args, Debug)]
@@ -53,18 +51,9 @@ pub(crate) struct RvdArgs {
     dots: bool,
     #[command(flatten, next_help_heading = "Backend")]
     backend: BackendArgs,
-    /// Let a server do the work, e.g. http://127.0.0.1:50051.
-    #[arg(long, value_name = "URL", help_heading = "Backend")]
-    endpoint: Option<ServerUrl>,
-    /// Whose work the server takes it for, where several share one.
-    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Backend")]
-    tenant: Option<Tenant>,
-    /// File with the key that the server wants.
-    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Backend")]
-    key_file: Option<PathBuf>,
-    #[command(flatten, next_help_heading = "Backend")]
-    trust: TrustArgs,
-    #[command(flatten, next_help_heading = "Messages")]
+    #[command(flatten, next_help_heading = "Who works")]
+    at: EndpointArgs,
+    #[command(flatten, next_help_heading = "What is said")]
     say: SayArgs,
 }
 
@@ -117,8 +106,8 @@ pub(crate) fn run(args: &RvdArgs) -> Result<()> {
 
 fn work(args: &RvdArgs) -> Result<()> {
     let start = Instant::now();
-    let trust = args.endpoint.as_ref().map(|url| args.trust.read(url)).transpose()?.unwrap_or_default();
-    let mut progress = Progress::begin(&args.input, &args.say);
+    let server = args.at.server()?;
+    let mut progress = Progress::begin(&args.input, args.say.quiet);
     let mesh = files::Surface::new(&args.input, args.input_format).read_mesh()?;
     let seeds = args.seeds()?;
     let read_ms = ms(start);
@@ -132,19 +121,17 @@ fn work(args: &RvdArgs) -> Result<()> {
         Seeds::Sample { points, .. } => (*points, Arc::default()),
         Seeds::Implied { .. } => (0, Arc::default()),
     };
-    progress.plan(Plan::rvd(mesh.facets().len(), count, args.endpoint.is_some()));
+    progress.plan(Plan::rvd(mesh.facets().len(), count, server.is_some()));
     let mut picture = args.picture.begin(&mesh, count, args.dots)?;
     let mut sink = |batch: &PieceBatch| {
         picture.iter_mut().for_each(|picture| picture.append(batch));
         cells.as_mut().map_or(Ok(()), |file| file.append(batch))
     };
-    let (mut result, seeds) = match &args.endpoint {
+    let (mut result, seeds) = match &server {
         None => here(args, mesh, seeds, wants, &mut progress, &mut sink)?,
-        Some(url) => {
+        Some(server) => {
             let job = remote::RvdJob { mesh: &mesh, seeds, wants, backend: args.backend.backend };
-            let key = server::key(args.key_file.as_deref())?;
-            let server = Server { url: url.clone(), tenant: args.tenant.clone(), trust, key };
-            (remote::rvd(&server, job, &progress, &mut sink)?, given)
+            (remote::rvd(server, job, &progress, &mut sink)?, given)
         }
     };
     let writing = Instant::now();
@@ -158,7 +145,7 @@ fn work(args: &RvdArgs) -> Result<()> {
     if let Some(path) = centroids {
         files::write_points(path, &result.centroids)?;
     }
-    if args.endpoint.is_none() {
+    if server.is_none() {
         let timings = &mut result.report["timings_ms"];
         (timings["read"], timings["write"], timings["total"]) = (read_ms.into(), ms(writing).into(), ms(start).into());
         result.report["memory"]["host_peak_bytes"] = memory::peak_memory_bytes().into();
@@ -186,7 +173,7 @@ fn check(args: &RvdArgs) -> Result<()> {
     let inputs = [Some(args.input.as_path()), args.seeds.seeds.as_deref()];
     files::check_apart(inputs.into_iter().flatten(), outputs.into_iter().flatten())?;
     args.picture.check_for_cells()?;
-    if args.dots && args.endpoint.is_some() && args.seeds.seeds.is_none() {
+    if args.dots && args.at.endpoint.is_some() && args.seeds.seeds.is_none() {
         let text = "--dots with --endpoint: the server draws the points and keeps them; give them with --seeds";
         return Err(Usage(text.to_owned()).into());
     }
@@ -196,7 +183,7 @@ fn check(args: &RvdArgs) -> Result<()> {
 /// What a person wants to know at the end.
 fn summary(args: &RvdArgs, report: &Value, total_ms: f64) -> Result<(), NotWritten> {
     let rvd = &report["rvd"];
-    let at = args.endpoint.as_ref().map(|url| format!(" at {url}")).unwrap_or_default();
+    let at = args.at.endpoint.as_ref().map(|url| format!(" at {url}")).unwrap_or_default();
     // A figure that is no number is left out: a server may say anything.
     let figure = |value: &Value, before: &str, after: &str| match value.is_number() {
         true => format!("{before}{value}{after}"),

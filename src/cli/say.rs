@@ -48,9 +48,6 @@ pub(crate) fn line(text: fmt::Arguments<'_>) -> Result<(), NotWritten> {
 }
 
 /// Writes a line to the standard output; false if nobody reads any more.
-///
-/// # Errors
-/// As [`line`].
 pub(crate) fn try_line(text: fmt::Arguments<'_>) -> Result<bool, NotWritten> {
     let mut out = io::stdout().lock();
     let written = out.write_fmt(text).and_then(|()| out.write_all(b"\n")).and_then(|()| out.flush());
@@ -65,17 +62,11 @@ pub(crate) fn note(text: fmt::Arguments<'_>) {
 }
 
 /// Writes a report to the standard output, as one line.
-///
-/// # Errors
-/// As [`line`].
 pub(crate) fn json_line(report: &serde_json::Value) -> Result<(), NotWritten> {
     line(format_args!("{report}"))
 }
 
 /// Writes what is no text to the standard output.
-///
-/// # Errors
-/// As [`line`].
 pub(crate) fn bytes(bytes: &[u8]) -> Result<(), NotWritten> {
     let mut out = io::stdout().lock();
     heard(out.write_all(bytes).and_then(|()| out.flush()))
@@ -91,9 +82,6 @@ fn heard(written: io::Result<()>) -> Result<(), NotWritten> {
 }
 
 /// Writes a report to the standard output.
-///
-/// # Errors
-/// As [`line`].
 pub(crate) fn json(report: &serde_json::Value) -> Result<(), NotWritten> {
     line(format_args!("{report:#}"))
 }

@@ -86,9 +86,6 @@ fn unusable(config: &ServeConfig, error: &JobApiError) -> Unavailable {
 const LEAVE: Duration = Duration::from_secs(2);
 
 /// Says what is wrong with the options, and does nothing else.
-///
-/// # Errors
-/// As [`run`] before it begins.
 pub(crate) fn check(args: &ServeArgs) -> Result<()> {
     prepare(args).map(|_| ())
 }

@@ -9,9 +9,11 @@ use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
+use serde_json::Value;
 
 use super::endpoint::ServerUrl;
 use super::exit::{NoInput, Usage};
+use super::say;
 use super::trust::{Trust, TrustArgs};
 use server::keys::Secret;
 
@@ -47,6 +49,31 @@ impl FromStr for Tenant {
             true => Ok(Self(text.to_owned())),
             false => Err("a tenant has 1 to 128 printable ASCII characters without spaces".to_owned()),
         }
+    }
+}
+
+/// Options of a command whose work a server may do.
+#[derive(Args, Debug)]
+pub(crate) struct EndpointArgs {
+    /// Let a server do the work, e.g. http://127.0.0.1:50051.
+    #[arg(long, value_name = "URL")]
+    pub(crate) endpoint: Option<ServerUrl>,
+    /// Whose work the server takes it for, where several share one.
+    #[arg(long, value_name = "T", env = "TESSERA_TENANT")]
+    tenant: Option<Tenant>,
+    /// File with the key that the server wants.
+    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE")]
+    key_file: Option<PathBuf>,
+    #[command(flatten)]
+    trust: TrustArgs,
+}
+
+impl EndpointArgs {
+    /// The server, if one is to do the work.
+    pub(crate) fn server(&self) -> Result<Option<Server>> {
+        let Some(url) = &self.endpoint else { return Ok(None) };
+        let (trust, key) = (self.trust.read(url)?, key(self.key_file.as_deref())?);
+        Ok(Some(Server { url: url.clone(), tenant: self.tenant.clone(), trust, key }))
     }
 }
 
@@ -87,9 +114,6 @@ pub(crate) struct ServerArgs {
 }
 
 /// Reads a key. What a file holds that is none is not repeated.
-///
-/// # Errors
-/// [`NoInput`], [`Usage`].
 pub(crate) fn key(file: Option<&Path>) -> Result<Option<Secret>> {
     let Some(path) = file else { return Ok(None) };
     let text = std::fs::read(path).map_err(|cause| NoInput { path: path.to_owned(), cause })?;
@@ -118,16 +142,19 @@ pub(crate) fn pause(text: &str) -> Result<f64, String> {
 }
 
 impl CallArgs {
-    /// The server that is meant.
+    /// Where the server is.
     ///
     /// # Errors
-    /// [`Usage`] if none is named; a file of TLS cannot be read.
+    /// [`Usage`] if none is named.
+    pub(crate) fn url(&self) -> Result<&ServerUrl, Usage> {
+        const NONE: &str =
+            "which server? Give --endpoint URL or set TESSERA_ENDPOINT, for example to http://127.0.0.1:50051";
+        self.endpoint.as_ref().ok_or_else(|| Usage(NONE.to_owned()))
+    }
+
+    /// The server that is meant.
     pub(crate) fn server(&self) -> Result<Server> {
-        let Some(url) = &self.endpoint else {
-            let text =
-                "which server? Give --endpoint URL or set TESSERA_ENDPOINT, for example to http://127.0.0.1:50051";
-            return Err(Usage(text.to_owned()).into());
-        };
+        let url = self.url()?;
         let (trust, key) = (self.trust.read(url)?, key(self.key_file.as_deref())?);
         Ok(Server { url: url.clone(), tenant: self.tenant.clone(), trust, key })
     }
@@ -135,11 +162,22 @@ impl CallArgs {
 
 impl ServerArgs {
     /// The server that is meant.
-    ///
-    /// # Errors
-    /// As [`CallArgs::server`].
     pub(crate) fn server(&self) -> Result<Server> {
         self.at.server()
+    }
+
+    /// Where the server is.
+    pub(crate) fn url(&self) -> Result<&ServerUrl, Usage> {
+        self.at.url()
+    }
+
+    /// Prints an answer: with --json as an object, else as lines.
+    pub(crate) fn tell(&self, json: impl FnOnce() -> Value, lines: impl FnOnce() -> Vec<String>) -> Result<()> {
+        match self.json {
+            true => say::json(&json())?,
+            false => lines().iter().try_for_each(|line| outln!("{line}"))?,
+        }
+        Ok(())
     }
 
     /// How long to try again after a lost connection.

@@ -57,9 +57,6 @@ fn with_server(command: clap::Command, change: &dyn Fn(clap::Command) -> clap::C
 }
 
 /// Reads the command line, and the file that it names. What clap refuses ends the process, as does `--help`.
-///
-/// # Errors
-/// The file cannot be used.
 pub(super) fn parse(line: &[OsString]) -> Result<Given> {
     let mut found = command().get_matches_from(line);
     let path = options(&found).and_then(|options| options.get_one::<PathBuf>("config"));

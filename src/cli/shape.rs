@@ -26,9 +26,6 @@ pub(crate) struct ShapeArgs {
 }
 
 /// Builds the surface and writes it.
-///
-/// # Errors
-/// The file cannot be written.
 pub(crate) fn run(args: &ShapeArgs) -> anyhow::Result<()> {
     let output = files::Surface::new(&args.output, args.format);
     output.check_output()?;

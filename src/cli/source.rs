@@ -13,7 +13,6 @@ use tempfile::NamedTempFile;
 use super::exit::NoInput;
 use wire::pieces::{Hash, PIECE_BYTES};
 
-/// See the module's head.
 #[derive(Debug)]
 pub(crate) struct Source {
     /// As it was named.
@@ -26,9 +25,6 @@ pub(crate) struct Source {
 
 impl Source {
     /// Reads it once.
-    ///
-    /// # Errors
-    /// [`NoInput`]; or a pipe cannot be kept.
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let unread = |cause| NoInput { path: path.to_owned(), cause };
         let file = File::open(path).map_err(unread)?;

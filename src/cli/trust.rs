@@ -43,9 +43,6 @@ impl fmt::Debug for Trust {
 
 impl TrustArgs {
     /// Reads the files.
-    ///
-    /// # Errors
-    /// A file cannot be read, or the options do not go together.
     pub(crate) fn read(&self, url: &ServerUrl) -> Result<Trust> {
         let given = [("--ca", &self.ca), ("--client-cert", &self.client_cert), ("--client-key", &self.client_key)];
         if let Some((option, _)) = given.iter().find(|(_, file)| file.is_some())

@@ -9,6 +9,7 @@ mod canvas;
 
 use std::fmt::Display;
 use std::ops::Range;
+use std::path::Path;
 
 use plotters::chart::ChartContext;
 use plotters::coord::Shift;
@@ -53,6 +54,18 @@ pub struct Axis {
     pub log: bool,
 }
 
+impl Axis {
+    /// An axis whose steps are sums.
+    pub fn linear(label: &str) -> Self {
+        Self { label: label.to_owned(), log: false }
+    }
+
+    /// An axis whose steps are factors.
+    pub fn log(label: &str) -> Self {
+        Self { label: label.to_owned(), log: true }
+    }
+}
+
 /// A line of points, in the order given.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Series {
@@ -85,6 +98,14 @@ fn failed(error: impl Display) -> PictureError {
 }
 
 impl Figure {
+    /// Draws it into a PNG file.
+    ///
+    /// # Errors
+    /// As [`Self::draw`], or the file cannot be written.
+    pub fn write(&self, size: Size, path: &Path) -> Result<(), PictureError> {
+        self.draw(size)?.write(path)
+    }
+
     /// Draws it.
     ///
     /// # Errors

@@ -31,10 +31,6 @@ pub use image::Image;
 pub use surface::{Paint, SOFT, draw_mesh, shading_normals, spacing};
 pub use view::{View, ViewDirection};
 
-/// The earlier name of [`ViewDirection`]; goes with the next release.
-#[deprecated(note = "use `ViewDirection`")]
-pub type Look = ViewDirection;
-
 use raster::Triangle;
 use stroke::{Ink, Stroke};
 

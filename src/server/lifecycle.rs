@@ -5,10 +5,13 @@
 
 use std::time::{Duration, Instant};
 
+use strum::IntoStaticStr;
+
 use crate::metrics::Metrics;
 
 /// A step, in the order in which they come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum Step {
     /// Options are checked, certificates read.
     Configuration,
@@ -32,17 +35,7 @@ pub enum Step {
 
 impl Step {
     fn name(self) -> &'static str {
-        match self {
-            Self::Configuration => "configuration",
-            Self::Storage => "storage",
-            Self::Backends => "backends",
-            Self::Jobs => "jobs",
-            Self::Port => "port",
-            Self::Probe => "probe",
-            Self::Drain => "drain",
-            Self::Close => "close",
-            Self::Engine => "engine",
-        }
+        self.into()
     }
 }
 

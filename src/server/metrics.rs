@@ -11,17 +11,19 @@ mod format;
 mod process;
 
 use std::fmt;
+use std::hash::Hash;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::metrics::info::Info;
-use prometheus_client::registry::{Registry, Unit};
+use prometheus_client::registry::{Metric, Registry, Unit};
+
+use strum::IntoStaticStr;
 
 use crate::readiness::{Condition, Reason};
 use geometry::rvd::BackendKind;
@@ -38,71 +40,9 @@ const CALL_SECONDS: [f64; 18] =
 /// Upper bounds for what jobs wait and stages take, seconds.
 const WORK_SECONDS: [f64; 13] = [0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
 
-/// A counter of seconds.
-type Seconds = Counter<f64, AtomicU64>;
-type SecondsGauge = Gauge<f64, AtomicU64>;
-type Labelled<L, M> = Family<L, M, fn() -> M>;
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct CallLabels {
-    rpc_method: Arc<String>,
-    rpc_response_status_code: &'static str,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct HttpLabels {
-    http_request_method: &'static str,
-    http_route: &'static str,
-    http_response_status_code: u32,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct MethodLabel {
-    rpc_method: Arc<String>,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct JobLabels {
-    state: &'static str,
-    kind: &'static str,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct KindLabel {
-    kind: &'static str,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct StageLabels {
-    stage: &'static str,
-    backend: &'static str,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct BackendLabel {
-    backend: &'static str,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct OutcomeLabel {
-    outcome: &'static str,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct EndLabels {
-    outcome: &'static str,
-    kind: &'static str,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct ReasonLabel {
-    reason: &'static str,
-}
-
-#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct StepLabel {
-    step: &'static str,
-}
+/// Names and values of labels, of fixed lists.
+type Labels<const N: usize> = [(&'static str, &'static str); N];
+type Histograms<L> = Family<L, Histogram, fn() -> Histogram>;
 
 /// Bytes of blobs.
 #[derive(Clone, Copy, Debug, Default)]
@@ -119,29 +59,29 @@ pub struct Metrics(Arc<Inner>);
 
 struct Inner {
     registry: Registry,
-    calls: Labelled<CallLabels, Histogram>,
-    requests: Labelled<HttpLabels, Histogram>,
-    open_streams: Family<MethodLabel, Gauge>,
+    calls: Histograms<Labels<2>>,
+    requests: Histograms<(Labels<2>, [(&'static str, u32); 1])>,
+    open_streams: Family<Labels<1>, Gauge>,
     open_connections: Gauge,
-    jobs: Family<JobLabels, Gauge>,
-    jobs_ended: Family<EndLabels, Counter>,
-    queue: Labelled<KindLabel, Histogram>,
-    stages: Labelled<StageLabels, Histogram>,
-    passes: Family<BackendLabel, Counter>,
+    jobs: Family<Labels<2>, Gauge>,
+    jobs_ended: Family<Labels<2>, Counter>,
+    queue: Histograms<Labels<1>>,
+    stages: Histograms<Labels<2>>,
+    passes: Family<Labels<1>, Counter>,
     iterations: Counter,
     facets: Counter,
     seeds: Counter,
-    device_bytes: Family<KindLabel, Gauge>,
-    device_busy: Seconds,
+    device_bytes: Family<Labels<1>, Gauge>,
+    device_busy: Counter<f64, AtomicU64>,
     device_losses: Counter,
-    refusals: Family<ReasonLabel, Counter>,
-    blob_bytes: Family<KindLabel, Gauge>,
-    memory: Family<KindLabel, Gauge>,
+    refusals: Family<Labels<1>, Counter>,
+    blob_bytes: Family<Labels<1>, Gauge>,
+    memory: Family<Labels<1>, Gauge>,
     memory_used: OnceLock<Arc<AtomicI64>>,
-    not_ready: Family<ReasonLabel, Gauge>,
-    degraded: Family<ReasonLabel, Gauge>,
-    probes: Family<OutcomeLabel, Counter>,
-    steps: Family<StepLabel, SecondsGauge>,
+    not_ready: Family<Labels<1>, Gauge>,
+    degraded: Family<Labels<1>, Gauge>,
+    probes: Family<Labels<1>, Counter>,
+    steps: Family<Labels<1>, Gauge<f64, AtomicU64>>,
     process: process::Process,
 }
 
@@ -157,108 +97,88 @@ impl Default for Metrics {
     }
 }
 
-fn call_seconds() -> Histogram {
-    Histogram::new(CALL_SECONDS)
+fn call_seconds<L: Clone + Hash + Eq>() -> Histograms<L> {
+    Family::new_with_constructor(|| Histogram::new(CALL_SECONDS))
 }
 
-fn work_seconds() -> Histogram {
-    Histogram::new(WORK_SECONDS)
+fn work_seconds<L: Clone + Hash + Eq>() -> Histograms<L> {
+    Family::new_with_constructor(|| Histogram::new(WORK_SECONDS))
+}
+
+/// Registers a metric and gives it back.
+fn add<M: Metric + Clone>(to: &mut Registry, name: &str, unit: Option<Unit>, help: &str, metric: M) -> M {
+    match unit {
+        Some(unit) => to.register_with_unit(name, help, unit, metric.clone()),
+        None => to.register(name, help, metric.clone()),
+    }
+    metric
+}
+
+/// Registers a metric without a unit.
+fn plain<M: Metric + Clone + Default>(to: &mut Registry, name: &str, help: &str) -> M {
+    add(to, name, None, help, M::default())
 }
 
 impl Metrics {
     /// Nothing is counted yet.
     pub fn new(version: &str, revision: Option<&str>) -> Self {
         let mut registry = Registry::default();
-        let mut all = Inner {
-            registry: Registry::default(),
-            calls: Labelled::new_with_constructor(call_seconds as fn() -> Histogram),
-            requests: Labelled::new_with_constructor(call_seconds as fn() -> Histogram),
-            open_streams: Family::default(),
-            open_connections: Gauge::default(),
-            jobs: Family::default(),
-            jobs_ended: Family::default(),
-            queue: Labelled::new_with_constructor(work_seconds as fn() -> Histogram),
-            stages: Labelled::new_with_constructor(work_seconds as fn() -> Histogram),
-            passes: Family::default(),
-            iterations: Counter::default(),
-            facets: Counter::default(),
-            seeds: Counter::default(),
-            device_bytes: Family::default(),
-            device_busy: Seconds::default(),
-            device_losses: Counter::default(),
-            refusals: Family::default(),
-            blob_bytes: Family::default(),
-            memory: Family::default(),
-            memory_used: OnceLock::new(),
-            not_ready: Family::default(),
-            degraded: Family::default(),
-            probes: Family::default(),
-            steps: Family::default(),
-            process: process::Process::register(&mut registry),
-        };
+        let (r, s, b) = (&mut registry, || Some(Unit::Seconds), || Some(Unit::Bytes));
+        let process = process::Process::register(r);
         let build = vec![("version", version.to_owned()), ("revision", revision.unwrap_or("unknown").to_owned())];
-        registry.register("tessera_build", "The version of this server", Info::new(build));
-        let s = || Unit::Seconds;
-        let b = || Unit::Bytes;
-        let r = &mut registry;
-        r.register_with_unit(
-            "rpc_server_call_duration",
+        r.register("tessera_build", "The version of this server", Info::new(build));
+        let (calls, requests) = (
             "How long calls took, by method and status",
-            s(),
-            all.calls.clone(),
-        );
-        r.register_with_unit(
-            "http_server_request_duration",
             "How long requests of the HTTP door took, by route and status",
-            s(),
-            all.requests.clone(),
         );
-        r.register("tessera_open_streams", "Calls that are open", all.open_streams.clone());
-        r.register("tessera_open_connections", "Connections that are open", all.open_connections.clone());
-        r.register("tessera_jobs", "Jobs that wait or are at work", all.jobs.clone());
-        r.register("tessera_jobs_ended", "Jobs that left the engine, by how they ended", all.jobs_ended.clone());
-        r.register_with_unit("tessera_queue", "How long jobs waited for their turn", s(), all.queue.clone());
-        r.register_with_unit("tessera_stage", "How long stages of jobs took", s(), all.stages.clone());
-        r.register("tessera_passes", "Passes of the diagram over a surface", all.passes.clone());
-        r.register("tessera_iterations", "Steps of seeds that were taken", all.iterations.clone());
-        r.register("tessera_facets", "Facets of the surfaces of jobs that are done", all.facets.clone());
-        r.register("tessera_seeds", "Seeds that were asked for, of jobs that are done", all.seeds.clone());
-        r.register_with_unit("tessera_device", "Memory of the device", b(), all.device_bytes.clone());
-        r.register_with_unit("tessera_device_busy", "How long the device was busy", s(), all.device_busy.clone());
-        r.register("tessera_device_losses", "Times that the device was lost", all.device_losses.clone());
-        r.register("tessera_refusals", "Calls and connections that were refused", all.refusals.clone());
-        r.register_with_unit("tessera_blob", "Blobs that are kept, and what may be", b(), all.blob_bytes.clone());
-        r.register_with_unit("tessera_memory", "Memory for uploads and answers that wait", b(), all.memory.clone());
-        r.register("tessera_not_ready", "1 for each reason why the server is not ready", all.not_ready.clone());
-        r.register(
-            "tessera_degraded",
-            "1 for each reason why the server is slower than it should be",
-            all.degraded.clone(),
-        );
-        r.register("tessera_probes", "Probes of the backend, by how they came out", all.probes.clone());
-        r.register_with_unit("tessera_step", "How long the steps of start and shutdown took", s(), all.steps.clone());
-        all.registry = registry;
+        let all = Inner {
+            calls: add(r, "rpc_server_call_duration", s(), calls, call_seconds()),
+            requests: add(r, "http_server_request_duration", s(), requests, call_seconds()),
+            open_streams: plain(r, "tessera_open_streams", "Calls that are open"),
+            open_connections: plain(r, "tessera_open_connections", "Connections that are open"),
+            jobs: plain(r, "tessera_jobs", "Jobs that wait or are at work"),
+            jobs_ended: plain(r, "tessera_jobs_ended", "Jobs that left the engine, by how they ended"),
+            queue: add(r, "tessera_queue", s(), "How long jobs waited for their turn", work_seconds()),
+            stages: add(r, "tessera_stage", s(), "How long stages of jobs took", work_seconds()),
+            passes: plain(r, "tessera_passes", "Passes of the diagram over a surface"),
+            iterations: plain(r, "tessera_iterations", "Steps of seeds that were taken"),
+            facets: plain(r, "tessera_facets", "Facets of the surfaces of jobs that are done"),
+            seeds: plain(r, "tessera_seeds", "Seeds that were asked for, of jobs that are done"),
+            device_bytes: add(r, "tessera_device", b(), "Memory of the device", Family::default()),
+            device_busy: add(r, "tessera_device_busy", s(), "How long the device was busy", Counter::default()),
+            device_losses: plain(r, "tessera_device_losses", "Times that the device was lost"),
+            refusals: plain(r, "tessera_refusals", "Calls and connections that were refused"),
+            blob_bytes: add(r, "tessera_blob", b(), "Blobs that are kept, and what may be", Family::default()),
+            memory: add(r, "tessera_memory", b(), "Memory for uploads and answers that wait", Family::default()),
+            memory_used: OnceLock::new(),
+            not_ready: plain(r, "tessera_not_ready", "1 for each reason why the server is not ready"),
+            degraded: plain(r, "tessera_degraded", "1 for each reason why the server is slower than it should be"),
+            probes: plain(r, "tessera_probes", "Probes of the backend, by how they came out"),
+            steps: add(r, "tessera_step", s(), "How long the steps of start and shutdown took", Family::default()),
+            process,
+            registry,
+        };
         let metrics = Self(Arc::new(all));
         metrics.begin();
         metrics
     }
 
-    /// What has few values is told from the start, so that a rate has something to begin at.
+    /// Low-cardinality series start at 0, so that `rate()` works.
     fn begin(&self) {
         let inner = &*self.0;
         for kind in [Kind::Remesh, Kind::Rvd, Kind::Cvt].map(Kind::name) {
             for state in [Phase::Waiting, Phase::Running].map(state_name) {
-                let _ = inner.jobs.get_or_create(&JobLabels { state, kind });
+                let _ = inner.jobs.get_or_create(&[("state", state), ("kind", kind)]);
             }
             for outcome in
                 [JobOutcome::Succeeded, JobOutcome::Failed, JobOutcome::Cancelled, JobOutcome::Released].map(end_name)
             {
-                let _ = inner.jobs_ended.get_or_create(&EndLabels { outcome, kind });
+                let _ = inner.jobs_ended.get_or_create(&[("outcome", outcome), ("kind", kind)]);
             }
-            let _ = inner.queue.get_or_create(&KindLabel { kind });
+            let _ = inner.queue.get_or_create(&[("kind", kind)]);
         }
         for kind in ["planned", "used"] {
-            let _ = inner.device_bytes.get_or_create(&KindLabel { kind });
+            let _ = inner.device_bytes.get_or_create(&[("kind", kind)]);
         }
         self.condition(Condition::default());
         self.blobs(BlobBytes::default());
@@ -276,8 +196,8 @@ impl Metrics {
 
     /// A request of the HTTP door is over. Method and route are of a fixed list.
     pub fn request(&self, method: &'static str, route: &'static str, status: u16, took: Duration) {
-        let labels =
-            HttpLabels { http_request_method: method, http_route: route, http_response_status_code: status.into() };
+        let names = [("http_request_method", method), ("http_route", route)];
+        let labels = (names, [("http_response_status_code", status.into())]);
         self.0.requests.get_or_create(&labels).observe(took.as_secs_f64());
     }
 
@@ -293,31 +213,31 @@ impl Metrics {
     }
 
     fn refusals(&self, reason: Refused, times: u64) {
-        self.0.refusals.get_or_create(&ReasonLabel { reason: reason.name() }).inc_by(times);
+        self.0.refusals.get_or_create(&[("reason", reason.name())]).inc_by(times);
     }
 
     /// Bytes of blobs now.
     pub fn blobs(&self, bytes: BlobBytes) {
         for (kind, bytes) in [("kept", bytes.kept), ("limit", bytes.limit)] {
-            self.0.blob_bytes.get_or_create(&KindLabel { kind }).set(signed(bytes));
+            self.0.blob_bytes.get_or_create(&[("kind", kind)]).set(signed(bytes));
         }
     }
 
     /// Memory that streams share: where what is used can be read, and what there is.
     pub fn memory(&self, used: Arc<AtomicI64>, limit: u64) {
         let _ = self.0.memory_used.set(used);
-        self.0.memory.get_or_create(&KindLabel { kind: "limit" }).set(signed(limit));
+        self.0.memory.get_or_create(&[("kind", "limit")]).set(signed(limit));
     }
 
     /// What is allocated on the device now, if it is known.
     pub fn device_used(&self, bytes: Option<u64>) {
-        self.0.device_bytes.get_or_create(&KindLabel { kind: "used" }).set(signed(bytes.unwrap_or(0)));
+        self.0.device_bytes.get_or_create(&[("kind", "used")]).set(signed(bytes.unwrap_or(0)));
     }
 
     /// Why the server is not ready, or not as good as it should be.
     pub fn condition(&self, condition: Condition) {
-        for reason in Reason::ALL {
-            let label = ReasonLabel { reason: reason.name() };
+        for &reason in Reason::ALL {
+            let label = [("reason", reason.name())];
             let gauges = if reason.only_degrades() { &self.0.degraded } else { &self.0.not_ready };
             gauges.get_or_create(&label).set(i64::from(condition.has(reason)));
         }
@@ -325,20 +245,20 @@ impl Metrics {
 
     /// A step of the start or of the shutdown took so long.
     pub fn step(&self, step: &'static str, took: Duration) {
-        self.0.steps.get_or_create(&StepLabel { step }).set(took.as_secs_f64());
+        self.0.steps.get_or_create(&[("step", step)]).set(took.as_secs_f64());
     }
 
     /// Probes came out well, or not.
     pub fn probed(&self, is_good: bool, times: u64) {
         let outcome = if is_good { "passed" } else { "failed" };
-        self.0.probes.get_or_create(&OutcomeLabel { outcome }).inc_by(times);
+        self.0.probes.get_or_create(&[("outcome", outcome)]).inc_by(times);
     }
 
     /// Everything, as Prometheus reads it.
     pub fn text(&self, format: Format) -> String {
         let inner = &*self.0;
         if let Some(used) = inner.memory_used.get() {
-            inner.memory.get_or_create(&KindLabel { kind: "used" }).set(used.load(Ordering::Acquire));
+            inner.memory.get_or_create(&[("kind", "used")]).set(used.load(Ordering::Acquire));
         }
         inner.process.look();
         format.write(&inner.registry)
@@ -355,7 +275,8 @@ impl Drop for Open {
 }
 
 /// Why somebody is refused, as far as a retry may help or an operator can.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum Refused {
     /// The queue is full.
     Queue,
@@ -377,16 +298,7 @@ pub enum Refused {
 
 impl Refused {
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Queue => "queue",
-            Self::Memory => "memory",
-            Self::Streams => "streams",
-            Self::Draining => "draining",
-            Self::Connections => "connections",
-            Self::MessageSize => "message_size",
-            Self::TooLarge => "too_large",
-            Self::Storage => "storage",
-        }
+        self.into()
     }
 }
 
@@ -412,7 +324,7 @@ fn signed(bytes: u64) -> i64 {
 
 impl Observer for Metrics {
     fn moved(&self, kind: Kind, from: Option<Phase>, to: Option<Phase>) {
-        let labels = |phase| JobLabels { state: state_name(phase), kind: kind.name() };
+        let labels = |phase| [("state", state_name(phase)), ("kind", kind.name())];
         from.iter().for_each(|phase| {
             self.0.jobs.get_or_create(&labels(*phase)).dec();
         });
@@ -422,11 +334,11 @@ impl Observer for Metrics {
     }
 
     fn began(&self, kind: Kind, waited: Duration) {
-        self.0.queue.get_or_create(&KindLabel { kind: kind.name() }).observe(waited.as_secs_f64());
+        self.0.queue.get_or_create(&[("kind", kind.name())]).observe(waited.as_secs_f64());
     }
 
     fn ended(&self, origin: &Origin, outcome: JobOutcome) {
-        let labels = EndLabels { outcome: end_name(outcome), kind: origin.kind.name() };
+        let labels = [("outcome", end_name(outcome)), ("kind", origin.kind.name())];
         self.0.jobs_ended.get_or_create(&labels).inc();
         if outcome == JobOutcome::Succeeded {
             self.0.facets.inc_by(origin.facets);
@@ -435,7 +347,7 @@ impl Observer for Metrics {
     }
 
     fn stage(&self, stage: &'static str, backend: BackendKind, took: Duration) {
-        let labels = StageLabels { stage, backend: backend.name() };
+        let labels = [("stage", stage), ("backend", backend.name())];
         self.0.stages.get_or_create(&labels).observe(took.as_secs_f64());
     }
 
@@ -444,14 +356,14 @@ impl Observer for Metrics {
     }
 
     fn passed(&self, backend: BackendKind, took: Duration) {
-        self.0.passes.get_or_create(&BackendLabel { backend: backend.name() }).inc();
+        self.0.passes.get_or_create(&[("backend", backend.name())]).inc();
         if backend == BackendKind::Gpu {
             self.0.device_busy.inc_by(took.as_secs_f64());
         }
     }
 
     fn planned(&self, bytes: i64) {
-        self.0.device_bytes.get_or_create(&KindLabel { kind: "planned" }).inc_by(bytes);
+        self.0.device_bytes.get_or_create(&[("kind", "planned")]).inc_by(bytes);
     }
 
     fn lost_device(&self) {

@@ -8,10 +8,12 @@
 use std::fmt;
 use std::sync::Arc;
 
+use strum::{IntoStaticStr, VariantArray};
 use tokio::sync::watch;
 
 /// Why a server is not ready, or slower than it should be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, IntoStaticStr, VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub enum Reason {
     /// The first probe has not passed yet.
     Starting,
@@ -35,31 +37,11 @@ pub enum Reason {
 
 impl Reason {
     /// All of them.
-    pub const ALL: [Self; 9] = [
-        Self::Starting,
-        Self::Draining,
-        Self::DeviceLost,
-        Self::ProbeFailed,
-        Self::WorkStuck,
-        Self::JournalBroken,
-        Self::DiskFull,
-        Self::StoreAway,
-        Self::OnCpu,
-    ];
+    pub const ALL: &[Self] = Self::VARIANTS;
 
     /// As it is told to machines.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Starting => "starting",
-            Self::Draining => "draining",
-            Self::DeviceLost => "device_lost",
-            Self::ProbeFailed => "probe_failed",
-            Self::WorkStuck => "work_stuck",
-            Self::JournalBroken => "journal_broken",
-            Self::DiskFull => "disk_full",
-            Self::StoreAway => "store_away",
-            Self::OnCpu => "on_cpu",
-        }
+        self.into()
     }
 
     /// Whether the server does all that it is asked, though not as well as it should.
@@ -103,7 +85,7 @@ impl Condition {
     }
 
     fn all(self) -> impl Iterator<Item = Reason> {
-        Reason::ALL.into_iter().filter(move |reason| self.has(*reason))
+        Reason::ALL.iter().copied().filter(move |reason| self.has(*reason))
     }
 }
 

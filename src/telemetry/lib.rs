@@ -1,24 +1,23 @@
 //! Logs on the standard error stream, and traces to a collector.
 //!
 //! Purpose: one call at start; what it gives is kept until the end. Invariant: nothing but this module sets a subscriber, and
-//! nothing writes logs to the standard output. Every line that belongs to a call or a job has its `trace_id`, and its `job`.
-//! Nobody waits for a collector. Must not know: what is logged.
+//! nothing writes logs to the standard output. Every line that belongs to a call or a job has its span, with `trace_id` and `job`.
+//! Work never waits for a collector. Must not know: what is logged.
 
-#![warn(unreachable_pub)]
-
-mod lines;
 pub mod trace;
 #[cfg(feature = "otlp")]
 mod traces;
 
 use std::io::IsTerminal;
 
+use clap::ValueEnum;
 use tracing::level_filters::LevelFilter;
 use tracing::{Level, Metadata};
 use tracing_subscriber::filter::{FilterExt as _, ParseError, filter_fn};
+use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
-use tracing_subscriber::{EnvFilter, Layer as _};
+use tracing_subscriber::{EnvFilter, Layer as _, Registry};
 
 /// Where traces go.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,7 +29,7 @@ pub struct Traces {
 }
 
 /// How a log line looks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum LogFormat {
     /// For people.
     #[default]
@@ -76,14 +75,7 @@ pub fn start(format: LogFormat, default: &str, traces: Option<&Traces>) -> Resul
     let (writer, writing) = tracing_appender::non_blocking(std::io::stderr());
     // Whatever is logged: a line has the names that its spans have.
     let spans = filter_fn(names_work).with_max_level_hint(LevelFilter::INFO);
-    let lines = tracing_subscriber::fmt::layer()
-        .event_format(lines::Lines { format })
-        .with_writer(writer)
-        // It would say so on the same stream, and panic there.
-        .log_internal_errors(false)
-        .with_ansi(format == LogFormat::Text && std::io::stderr().is_terminal());
-    let logs = lines::Names.and_then(lines).with_filter(filter.or(spans));
-    let registry = tracing_subscriber::registry().with(logs);
+    let registry = tracing_subscriber::registry().with(lines(format, writer).with_filter(filter.or(spans)));
     #[cfg(feature = "otlp")]
     {
         let traces = traces.map(traces::Exporting::start).transpose()?;
@@ -100,7 +92,72 @@ pub fn start(format: LogFormat, default: &str, traces: Option<&Traces>) -> Resul
     }
 }
 
+/// Writes events, each with the spans that it lies in.
+fn lines(format: LogFormat, writer: impl for<'a> MakeWriter<'a> + Send + Sync + 'static) -> BoxedLayer {
+    // An error of the writer would be logged to the same stream, and panic there.
+    let lines = tracing_subscriber::fmt::layer().with_writer(writer).log_internal_errors(false);
+    match format {
+        LogFormat::Text => lines.with_ansi(std::io::stderr().is_terminal()).boxed(),
+        LogFormat::Json => lines.json().flatten_event(true).with_current_span(false).boxed(),
+    }
+}
+
+type BoxedLayer = Box<dyn tracing_subscriber::Layer<Registry> + Send + Sync>;
+
 /// Whether something is a span of ours that names a call or a job.
 fn names_work(metadata: &Metadata<'_>) -> bool {
     metadata.is_span() && *metadata.level() <= Level::INFO && metadata.target().starts_with("tessera")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+    use std::sync::{Arc, Mutex};
+
+    use tracing::{field, info_span};
+
+    use super::*;
+
+    #[derive(Clone, Default)]
+    struct Page(Arc<Mutex<Vec<u8>>>);
+
+    impl io::Write for Page {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap().write(bytes)
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    /// The line of an event within the spans of a call and of its job.
+    fn line(format: LogFormat) -> String {
+        let page = Page::default();
+        let writer = page.clone();
+        let layer = lines(format, move || writer.clone());
+        tracing::subscriber::with_default(tracing_subscriber::registry().with(layer), || {
+            let call = info_span!("call", trace_id = field::Empty).entered();
+            call.record("trace_id", field::display("abc"));
+            let _job = info_span!("job", job = %7, kind = "remesh").entered();
+            tracing::info!(ms = 2.5, by = ?"me", "done \"so far\"");
+        });
+        let bytes = page.0.lock().unwrap().clone();
+        String::from_utf8(bytes).unwrap()
+    }
+
+    #[test]
+    fn a_line_of_json_has_its_job_and_its_trace() {
+        let value: serde_json::Value = serde_json::from_str(&line(LogFormat::Json)).unwrap();
+        assert_eq!((&value["spans"][0]["trace_id"], &value["spans"][1]["job"]), (&"abc".into(), &"7".into()));
+        assert_eq!((&value["message"], &value["level"]), (&"done \"so far\"".into(), &"INFO".into()));
+        assert_eq!((&value["ms"], &value["by"]), (&2.5.into(), &"\"me\"".into()));
+        assert!(value["timestamp"].as_str().unwrap().ends_with('Z') && value["target"].is_string());
+    }
+
+    #[test]
+    fn a_line_of_text_has_them_too() {
+        let line = line(LogFormat::Text);
+        assert!(line.contains(" INFO call{trace_id=abc}:job{job=7 kind=\"remesh\"}: tessera"), "{line}");
+        assert!(line.ends_with("done \"so far\" ms=2.5 by=\"me\"\n"), "{line}");
+    }
 }

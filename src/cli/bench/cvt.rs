@@ -205,10 +205,10 @@ fn figure(measured: &[Measured], worker: &Worker) -> Figure {
     });
     let panel = Panel {
         title: worker.describe(),
-        x: Axis { label: "step".to_owned(), log: false },
-        y: Axis { label: "ms".to_owned(), log: false },
+        x: Axis::linear("step"),
+        y: Axis::linear("ms"),
         series: series.flatten().collect(),
-        groups: Vec::new(),
+        ..Panel::default()
     };
     Figure { title: title.unwrap_or_default(), panels: vec![panel] }
 }

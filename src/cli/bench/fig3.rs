@@ -14,13 +14,12 @@ use super::args::{RunArgs, SurfaceArgs};
 use super::measure::{Load, Worker};
 use super::output::{report, slopes};
 use crate::shape::parse_facets;
-use geometry::cvt::StepKind;
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::TriMesh;
 use geometry::mesh::shapes::Shape;
 use geometry::token::Token;
 use picture::chart::{Axis, Figure, Panel, Series};
-pub(super) use server::config::count;
+use server::config::count;
 
 /// `tessera bench fig3`'s options.
 #[derive(Args, Debug)]
@@ -85,11 +84,11 @@ pub(super) fn run(args: &Fig3Args) -> Result<()> {
     args.run.output.write(&report, &figure(&sweeps, &workers))
 }
 
-/// These, and the last of them or the pattern of the first ones times `factor` and so on, up to `most`, which is the last.
 fn facet_count(text: &str) -> Result<u32, String> {
     parse_facets(text).map(|facets| facets as u32)
 }
 
+/// The `first`, and the last of them or the pattern of the first ones times `factor` and so on, up to `most`, which is the last.
 fn counts(first: &[u32], factor: u32, most: u32) -> Vec<u32> {
     let mut all: Vec<u64> = first.iter().map(|&n| u64::from(n)).collect();
     // With a factor of 10 the pattern is that of one decade, with 2 only the last number goes on.
@@ -125,23 +124,23 @@ impl Runner<'_> {
         let heads: String = workers.iter().map(|w| format!("{:>14}", w.name())).collect();
         outln!("{over:<12}{heads}")?;
         for &n in counts {
-            let Some(first) = able.iter().position(|able| *able) else {
+            if !able.contains(&true) {
                 left_out.extend(workers.iter().map(|w| json!({ "backend": w.name(), "over": over, over: n })));
                 continue;
-            };
+            }
             let (mesh, points) = case(n);
             let seeds = args.run.drawn(points);
             let mut load = Load::new(mesh, seeds, DensityOptions::default())?;
-            load.relax(&workers[first], args.run.relax as usize, limit, self.token)?;
+            let at_work = workers.iter().zip(&able).filter(|(_, able)| **able).map(|(worker, _)| worker);
+            let mut times = load.time_all(at_work, &args.run, limit, self.token)?.into_iter();
             let count = if over == "points" { load.seeds.len() } else { load.facets };
             let mut line = format!("{count:<12}");
             for (k, worker) in workers.iter().enumerate() {
-                if !able[k] {
+                let Some(timed) = able[k].then(|| times.next()).flatten() else {
                     line += &format!("{:>14}", "-");
                     left_out.push(json!({ "backend": worker.name(), "over": over, over: count }));
                     continue;
-                }
-                let timed = load.time(worker, StepKind::Lloyd, args.run.iterations as usize, limit, self.token)?;
+                };
                 able[k] = !timed.cut;
                 let ms = timed.step_ms().mean;
                 line += &format!("{ms:>14.3}");
@@ -192,10 +191,10 @@ fn figure(sweeps: &[Sweep], workers: &[Worker]) -> Figure {
             |(worker, points): (&Worker, &Vec<(f64, f64)>)| Series { name: worker.describe(), points: points.clone() };
         Panel {
             title: sweep.title.clone(),
-            x: Axis { label: sweep.over.to_owned(), log: true },
-            y: Axis { label: "ms per Lloyd step".to_owned(), log: true },
+            x: Axis::log(sweep.over),
+            y: Axis::log("ms per Lloyd step"),
             series: workers.iter().zip(&sweep.lines).map(line).collect(),
-            groups: Vec::new(),
+            ..Panel::default()
         }
     };
     Figure { title: "How times grow".to_owned(), panels: sweeps.iter().map(panel).collect() }

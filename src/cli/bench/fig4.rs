@@ -11,10 +11,9 @@ use clap::Args;
 use super::args::{RunArgs, SurfaceArgs};
 use super::measure::Load;
 use super::output::report;
-use geometry::cvt::StepKind;
 use geometry::cvt::density::DensityOptions;
 use picture::chart::{Axis, Figure, Panel, Series};
-pub(super) use server::config::count;
+use server::config::count;
 
 /// `tessera bench fig4`'s options.
 #[derive(Args, Debug)]
@@ -45,11 +44,8 @@ pub(super) fn run(args: &Fig4Args) -> Result<()> {
         let seeds = args.run.drawn(points);
         let mut load = Load::new(mesh.clone(), seeds, DensityOptions::default())?;
         let mut line = format!("{points:<10}");
-        for (k, worker) in workers.iter().enumerate() {
-            if k == 0 {
-                load.relax(worker, args.run.relax as usize, Duration::MAX, &token)?;
-            }
-            let timed = load.time(worker, StepKind::Lloyd, args.run.iterations as usize, Duration::MAX, &token)?;
+        let times = load.time_all(&workers, &args.run, Duration::MAX, &token)?;
+        for (k, (worker, timed)) in workers.iter().zip(times).enumerate() {
             line += &format!("{:>14.3}{:>12.3}", timed.total_ms / 1e3, timed.step_ms().mean);
             lines[k].push((f64::from(points), timed.total_ms / 1e3));
             cases.push(timed.json(&load, worker));
@@ -57,12 +53,6 @@ pub(super) fn run(args: &Fig4Args) -> Result<()> {
         outln!("{line}")?;
     }
     let series = workers.iter().zip(lines).map(|(worker, points)| Series { name: worker.describe(), points }).collect();
-    let panel = Panel {
-        title: String::new(),
-        x: Axis { label: "points".to_owned(), log: false },
-        y: Axis { label: "seconds".to_owned(), log: false },
-        series,
-        groups: Vec::new(),
-    };
+    let panel = Panel { x: Axis::linear("points"), y: Axis::linear("seconds"), series, ..Panel::default() };
     args.run.output.write(&report(&workers, cases), &Figure { title, panels: vec![panel] })
 }

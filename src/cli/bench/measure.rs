@@ -4,6 +4,7 @@
 //! Invariant: workers that are compared begin at the same seeds. What warms up is not counted.
 //! Must not know: tables, plots.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -12,6 +13,7 @@ use anyhow::{Context, Result};
 use glam::DVec3;
 use serde_json::{Value, json};
 
+use super::args::RunArgs;
 use super::spread::Spread;
 use crate::{backends, files, interrupt};
 use geometry::cvt::density::DensityOptions;
@@ -32,9 +34,6 @@ const WARM_UP: usize = 2;
 const FEWEST: usize = 3;
 
 /// Set by Ctrl-C.
-///
-/// # Errors
-/// The operating system refused.
 pub(super) fn token() -> Result<Token> {
     let token = Token::default();
     interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
@@ -59,7 +58,7 @@ impl Worker {
     /// The one that the options ask for.
     pub(super) fn one(args: &BackendArgs) -> Result<Self> {
         if matches!(args.backend, BackendArg::Auto | BackendArg::Gpu)
-            && let Ok(gpu) = backends::open_gpu(args)
+            && let Ok(gpu) = backends::gpu(args)
         {
             return Ok(Self::on_gpu(gpu));
         }
@@ -73,7 +72,7 @@ impl Worker {
             return Ok(vec![Self::one(args)?]);
         }
         let mut workers = Vec::new();
-        match backends::open_gpu(args) {
+        match backends::gpu(args) {
             Ok(gpu) => workers.push(Self::on_gpu(gpu)),
             Err(reason) => errln!("tessera: no GPU is measured: {reason}"),
         }
@@ -193,6 +192,24 @@ impl Load {
         Ok(Cvt::new(by.backend.as_ref(), surface, &self.seeds, CvtOptions::default())?)
     }
 
+    /// Relaxes the seeds on the first of some workers, and times Lloyd steps on all of them.
+    pub(super) fn time_all<'a>(
+        &mut self,
+        workers: impl IntoIterator<Item = &'a Worker>,
+        run: &RunArgs,
+        limit: Duration,
+        token: &Token,
+    ) -> Result<Vec<Timed>> {
+        let mut all = Vec::new();
+        for (k, worker) in workers.into_iter().enumerate() {
+            if k == 0 {
+                self.relax(worker, run.relax as usize, limit, token)?;
+            }
+            all.push(self.time(worker, StepKind::Lloyd, run.iterations as usize, limit, token)?);
+        }
+        Ok(all)
+    }
+
     /// Takes `steps` steps that are timed, and some before them that are not; fewer, but three, if `limit` is over.
     pub(super) fn time(
         &self,
@@ -289,9 +306,8 @@ impl Timed {
     pub(super) fn json(&self, load: &Load, by: &Worker) -> Value {
         let mut case = by.json();
         let phases = self.phases();
-        let by_phase = |value: &dyn Fn(&Spread) -> Value| {
-            Value::Object(phases.iter().map(|(name, s)| ((*name).to_owned(), value(s))).collect())
-        };
+        let means: BTreeMap<_, _> = phases.iter().map(|(name, spread)| (name, spread.mean)).collect();
+        let spreads: BTreeMap<_, _> = phases.iter().copied().collect();
         let sum = |of: fn(&Iteration) -> u64| self.steps.iter().map(of).sum::<u64>();
         let fields = [
             ("mesh", json!(load.name)),
@@ -302,14 +318,14 @@ impl Timed {
             ("kind", json!(self.kind.name())),
             ("relax", json!(load.relaxed)),
             ("iterations", json!(self.steps.len())),
-            ("iteration_ms", self.step_ms().json()),
+            ("iteration_ms", json!(self.step_ms())),
             ("evaluations", json!(self.evaluations())),
-            ("evaluation_ms", self.evaluation_ms().json()),
+            ("evaluation_ms", json!(self.evaluation_ms())),
             ("lloyd_fallbacks", json!(self.fallbacks())),
             ("total_ms", json!(self.total_ms)),
             ("energy_ratio", json!(self.energy_ratio)),
-            ("phases_ms", by_phase(&|s| json!(s.mean))),
-            ("phases_spread_ms", by_phase(&Spread::json)),
+            ("phases_ms", json!(means)),
+            ("phases_spread_ms", json!(spreads)),
             ("phases_by", json!(by.phases_by())),
             ("pairs", json!(sum(|s| s.stats.pairs) / self.evaluations().max(1) as u64)),
             ("relaunched_pairs", json!(sum(|s| s.stats.relaunched()))),

@@ -3,7 +3,7 @@
 //! Purpose: JSON and plots of one shape. Invariant: a file that cannot be written is
 //! refused before anything is measured. Must not know: what is measured.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
@@ -37,14 +37,12 @@ impl OutputArgs {
         if let Some(path) = &self.json {
             files::write_json(path, report)?;
         }
-        self.plot.iter().try_for_each(|path| plot(path, figure))
+        if let Some(path) = &self.plot {
+            let size = Size::new(800 * figure.panels.len().max(1) as u32, 600)?;
+            figure.write(size, path).with_context(|| format!("cannot draw {}", path.display()))?;
+        }
+        Ok(())
     }
-}
-
-fn plot(path: &Path, figure: &Figure) -> Result<()> {
-    let size = Size::new(800 * figure.panels.len().max(1) as u32, 600)?;
-    let image = figure.draw(size)?;
-    image.write(path).with_context(|| format!("cannot draw {}", path.display()))
 }
 
 /// The report of cases that `workers` did. The first is the one that a program reads if it knows of one only.

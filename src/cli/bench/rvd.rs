@@ -3,6 +3,7 @@
 //! Purpose: times of the passes by phase, seeds in and sums out, and for a GPU what each way of adding costs.
 //! Invariant: what is timed is the exact diagram, every pass of it. Must not know: how a phase is done.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -205,8 +206,8 @@ impl Case {
         };
         let panel = Panel {
             title: worker.describe(),
-            x: Axis { label: "iteration".to_owned(), log: false },
-            y: Axis { label: "ms".to_owned(), log: false },
+            x: Axis::linear("iteration"),
+            y: Axis::linear("ms"),
             series: vec![
                 line("iteration", |s| s.ms),
                 line("neighbours", |s| s.stats.neighbours_ms),
@@ -214,7 +215,7 @@ impl Case {
                 line("clip", |s| s.stats.clip_ms),
                 line("update", |s| s.stats.update_ms),
             ],
-            groups: Vec::new(),
+            ..Panel::default()
         };
         let title = format!("{}: {} facets, {} points", self.name, self.surface.facets().len(), self.points);
         Figure { title, panels: vec![panel] }
@@ -222,12 +223,11 @@ impl Case {
 
     fn json(&self, args: &RvdBenchArgs) -> Value {
         let phases = self.phases();
-        let by = |value: &dyn Fn(&Spread) -> Value| {
-            Value::Object(phases.iter().map(|(name, s)| ((*name).to_owned(), value(s))).collect())
-        };
+        let means: BTreeMap<_, _> = phases.iter().map(|(name, spread)| (name, spread.mean)).collect();
+        let spreads: BTreeMap<_, _> = phases.into_iter().collect();
         let total = self.total();
         let adding = self.adding().map(|rows| {
-            let [direct, two_phase, without] = rows.map(|(_, s, share)| json!({ "ms": s.json(), "share": share }));
+            let [direct, two_phase, without] = rows.map(|(_, s, share)| json!({ "ms": s, "share": share }));
             json!({ "direct": direct, "two_phase": two_phase, "without": without })
         });
         json!({
@@ -242,9 +242,9 @@ impl Case {
                 Accumulate::TwoPhase => "two-phase",
                 Accumulate::Auto => "auto",
             },
-            "iteration_ms": Spread::of(self.steps.iter().map(|s| s.ms)).json(),
-            "phases_ms": by(&|s| json!(s.mean)),
-            "phases_spread_ms": by(&Spread::json),
+            "iteration_ms": Spread::of(self.steps.iter().map(|s| s.ms)),
+            "phases_ms": means,
+            "phases_spread_ms": spreads,
             "pairs": total.pairs / self.steps.len().max(1) as u64,
             "relaunched_pairs": total.relaunched(),
             "relaunched_facets": total.relaunched_facets,

@@ -3,10 +3,10 @@
 //! Purpose: one number is none; [`Spread`] says how far they lie apart. Invariant: the order of the measurements does not matter.
 //! Must not know: what was measured.
 
-use serde_json::{Value, json};
+use serde::Serialize;
 
 /// Least, middle and most.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Spread {
     pub(super) min: f64,
     pub(super) median: f64,
@@ -23,11 +23,6 @@ impl Spread {
         let at = |k: usize| sorted.get(k).copied().unwrap_or(0.0);
         let mean = sorted.iter().sum::<f64>() / sorted.len().max(1) as f64;
         Self { min: at(0), median: at(sorted.len() / 2), max: at(sorted.len().saturating_sub(1)), mean }
-    }
-
-    /// As an object.
-    pub(super) fn json(&self) -> Value {
-        json!({ "min": self.min, "median": self.median, "max": self.max, "mean": self.mean })
     }
 
     /// A line of a table.

@@ -11,17 +11,16 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::args::RunArgs;
-use super::measure::{Load, Timed, mesh};
+use super::measure::{Load, Timed, Worker, mesh};
 use super::output::{ratio, report};
 use super::published::Published;
 use crate::exit::Usage;
 use crate::files;
-use geometry::cvt::StepKind;
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::shapes::Shape;
 use geometry::remesh::Seeds;
 use picture::chart::{Axis, Figure, Panel, Series};
-pub(super) use server::config::count;
+use server::config::count;
 
 /// `tessera bench table1`'s options.
 #[derive(Args, Debug)]
@@ -55,7 +54,6 @@ const POINTS: u32 = 10_000;
 
 /// The columns of times: name in reports, head.
 const COLUMNS: [(&str, &str); 3] = [("gpu", "GPU"), ("serial", "CPU"), ("parallel", "multi-core")];
-const UNLIMITED: Duration = Duration::MAX;
 const NOT_AT_HAND: &str = "not at hand";
 
 /// A model that is to be measured.
@@ -90,15 +88,8 @@ pub(super) fn run(args: &Table1Args) -> Result<()> {
         };
         let mesh = mesh(model.file.map(PathBuf::as_path), model.shape, model.facets as usize)?;
         let mut load = Load::new(mesh, seeds, DensityOptions::default())?;
-        let mut times = Vec::new();
-        for (k, worker) in workers.iter().enumerate() {
-            if k == 0 {
-                load.relax(worker, args.run.relax as usize, UNLIMITED, &token)?;
-            }
-            let timed = load.time(worker, StepKind::Lloyd, args.run.iterations as usize, UNLIMITED, &token)?;
-            times.push((worker.name(), timed));
-        }
-        let row = Row { load, times };
+        let times = load.time_all(&workers, &args.run, Duration::MAX, &token)?;
+        let row = Row { load, times: workers.iter().map(Worker::name).zip(times).collect() };
         outln!("{}", row.line(&published))?;
         rows.push(row);
     }
@@ -237,11 +228,11 @@ fn figure(rows: &[Row], published: &Published) -> Figure {
     series.retain(|s| !s.points.is_empty());
     let group = |row: &Row| format!("{} {}/{}", row.load.name, row.load.facets, row.load.seeds.len());
     let panel = Panel {
-        title: String::new(),
-        x: Axis { label: "model facets/points".to_owned(), log: false },
-        y: Axis { label: "ms per Lloyd step".to_owned(), log: true },
+        x: Axis::linear("model facets/points"),
+        y: Axis::log("ms per Lloyd step"),
         series,
         groups: rows.iter().map(group).collect(),
+        ..Panel::default()
     };
     Figure { title: "Lloyd steps by model and backend".to_owned(), panels: vec![panel] }
 }

@@ -4,21 +4,13 @@
 //! know: gRPC, options.
 
 use std::fmt;
-use std::future::poll_fn;
-use std::pin::Pin;
 use std::time::Duration;
 
-use hyper::body::{Body, Incoming};
-use hyper::client::conn::http1;
-use hyper::{Request, StatusCode};
-use hyper_util::rt::TokioIo;
+use hyper::StatusCode;
 use serde_json::Value;
-use tokio::net::TcpStream;
 
 use crate::exit::Unavailable;
-
-/// Longer answers are none of the admin port.
-const MOST_BYTES: usize = 64 << 10;
+use crate::http_get::get;
 
 /// Whether a server is ready, and why not.
 #[derive(Debug, PartialEq)]
@@ -60,53 +52,16 @@ impl fmt::Display for Readiness {
 }
 
 /// Asks the admin port at an address.
-///
-/// # Errors
-/// [`Unavailable`]: nobody answers in time, or it is no admin port.
 pub(super) async fn ask(address: &str, limit: Duration) -> Result<Readiness, Unavailable> {
-    match tokio::time::timeout(limit, answer(address)).await {
-        Ok(Ok(told)) => Ok(told),
-        Ok(Err(why)) => Err(Unavailable(format!(
-            "cannot ask {address} for readiness: {why}; is it the --admin-listen of a server?"
-        ))),
-        Err(_) => Err(Unavailable(format!("{address} does not answer within {} s", limit.as_secs_f64()))),
-    }
-}
-
-async fn answer(address: &str) -> Result<Readiness, Box<dyn std::error::Error>> {
-    let stream = TcpStream::connect(address).await?;
-    let (mut sender, connection) = http1::handshake(TokioIo::new(stream)).await?;
-    let request = Request::get("/readyz").header("host", address).body(String::new())?;
-    // The connection goes on while the answer is awaited, and ends with it.
-    let asked = async {
-        let response = sender.send_request(request).await?;
-        let status = response.status();
-        let bytes = whole(response.into_body()).await?;
-        let known = [StatusCode::OK, StatusCode::SERVICE_UNAVAILABLE].contains(&status);
-        Readiness::read(&bytes).filter(|_| known).ok_or_else(|| format!("it answers {status}").into())
-    };
-    tokio::pin!(asked);
-    tokio::pin!(connection);
-    tokio::select! {
-        told = &mut asked => told,
-        ended = &mut connection => match ended {
-            Ok(()) => asked.await,
-            Err(error) => Err(error.into()),
-        },
-    }
-}
-
-async fn whole(mut body: Incoming) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
-    let mut all = Vec::new();
-    while let Some(frame) = poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await {
-        if let Ok(data) = frame?.into_data() {
-            all.extend_from_slice(&data);
-        }
-        if all.len() > MOST_BYTES {
-            return Err("its answer is too long".into());
-        }
-    }
-    Ok(all)
+    /// The admin port sends no longer answer.
+    const MOST_BYTES: usize = 64 << 10;
+    let known = [StatusCode::OK, StatusCode::SERVICE_UNAVAILABLE];
+    let told = get(address, "/readyz", limit, MOST_BYTES).await.and_then(|(status, body)| {
+        Readiness::read(&body).filter(|_| known.contains(&status)).ok_or_else(|| format!("it answers {status}"))
+    });
+    told.map_err(|why| {
+        Unavailable(format!("cannot ask {address} for readiness: {why}; is it the --admin-listen of a server?"))
+    })
 }
 
 #[cfg(test)]

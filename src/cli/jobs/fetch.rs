@@ -10,11 +10,11 @@ use serde_json::json;
 
 use super::{id, show};
 use crate::exit::{Absent, NoResult, Unavailable, Usage};
+use crate::files;
 use crate::plain::{plain, plain_json};
 use crate::progress::Progress;
 use crate::remote::{Session, has_ended, session};
 use crate::server::ServerArgs;
-use crate::{files, say};
 use geometry::mesh::io::Format;
 use wire::proto::{Job, job_spec};
 
@@ -45,7 +45,7 @@ pub(super) fn run(args: &FetchArgs, server: &ServerArgs) -> Result<()> {
     let outputs = [output.as_deref(), report.as_deref()];
     files::check_apart(std::iter::empty(), outputs.into_iter().flatten())?;
     let progress = super::transfer(output.as_deref().or(report.as_deref()), server, "download");
-    let fetched = session(&server.server()?, server.retry(), async |session| {
+    let fetched = session(server, async |session| {
         let job = session.job(id).await?;
         check(&job)?;
         let mut told = json!({ "id": id });
@@ -67,10 +67,7 @@ pub(super) fn run(args: &FetchArgs, server: &ServerArgs) -> Result<()> {
     });
     drop(progress);
     let told = fetched?;
-    if server.json {
-        say::json(&told)?;
-    }
-    Ok(())
+    server.tell(|| told, Vec::new)
 }
 
 /// Refuses a job that has no result.

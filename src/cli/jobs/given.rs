@@ -9,7 +9,6 @@ use std::ops::Deref;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, Command, FromArgMatches, Id};
 
-/// See the module's head.
 #[derive(Debug)]
 pub(super) struct Given<A> {
     options: A,

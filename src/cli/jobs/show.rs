@@ -13,17 +13,17 @@ use wire::proto::{
     job_spec, result_format,
 };
 
-/// A state's name, as `--state` takes it.
-pub(super) fn state(value: i32) -> &'static str {
-    match JobState::try_from(value) {
-        Ok(JobState::Queued) => "queued",
-        Ok(JobState::Running) => "running",
-        Ok(JobState::Succeeded) => "succeeded",
-        Ok(JobState::Failed) => "failed",
-        Ok(JobState::Cancelled) => "cancelled",
-        Ok(JobState::Expired) => "expired",
-        Ok(JobState::Unspecified) | Err(_) => "unknown",
+/// Name of a value of an enum, which the protocol writes behind a prefix.
+fn word(name: Option<&str>, prefix: &str) -> String {
+    match name.and_then(|name| name.strip_prefix(prefix)) {
+        None | Some("UNSPECIFIED") => "unknown".to_owned(),
+        Some(word) => word.to_ascii_lowercase(),
     }
+}
+
+/// A state's name, as `--state` takes it.
+pub(super) fn state(value: i32) -> String {
+    word(JobState::try_from(value).ok().map(|state| state.as_str_name()), "JOB_STATE_")
 }
 
 /// What kind of work a job is.
@@ -65,25 +65,14 @@ fn seconds(span: Option<&Duration>) -> Option<f64> {
     span.map(|span| span.seconds as f64 + f64::from(span.nanos) * 1e-9)
 }
 
-/// A failure's kind, as a word.
-fn failure(value: i32) -> &'static str {
-    match JobFailureKind::try_from(value) {
-        Ok(JobFailureKind::BadInput) => "bad_input",
-        Ok(JobFailureKind::MissingInput) => "missing_input",
-        Ok(JobFailureKind::TooLarge) => "too_large",
-        Ok(JobFailureKind::Unavailable) => "unavailable",
-        Ok(JobFailureKind::Crashed) => "crashed",
-        Ok(JobFailureKind::Internal) => "internal",
-        Ok(JobFailureKind::Unspecified) | Err(_) => "unknown",
-    }
+fn failure(value: i32) -> String {
+    word(JobFailureKind::try_from(value).ok().map(|kind| kind.as_str_name()), "JOB_FAILURE_KIND_")
 }
 
-fn backend(value: i32) -> &'static str {
-    match BackendChoice::try_from(value) {
-        Ok(BackendChoice::Gpu) => "gpu",
-        Ok(BackendChoice::Parallel) => "parallel",
-        Ok(BackendChoice::Serial) => "serial",
-        _ => "auto",
+fn backend(value: i32) -> String {
+    match word(BackendChoice::try_from(value).ok().map(|choice| choice.as_str_name()), "BACKEND_CHOICE_") {
+        unknown if unknown == "unknown" => "auto".to_owned(),
+        name => name,
     }
 }
 
@@ -216,7 +205,7 @@ pub(super) fn line_of_event(event: &JobEvent) -> String {
         Some(job_event::What::State(change)) if change.attempt > 1 => {
             format!("{} (attempt {})", state(change.state), change.attempt)
         }
-        Some(job_event::What::State(change)) => state(change.state).to_owned(),
+        Some(job_event::What::State(change)) => state(change.state),
         Some(job_event::What::Stage(stage)) if stage.total > 1 => {
             format!("stage {} {} of {}", plain(&stage.name), stage.done, stage.total)
         }

@@ -5,11 +5,14 @@
 use std::fmt;
 use std::str::FromStr;
 
+use strum::{EnumString, IntoStaticStr, VariantArray, VariantNames};
+
 use geometry::mesh::shapes::MAX_FACETS;
-pub(super) use server::config::whole;
+use server::config::whole;
 
 /// What is asked of a server.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, EnumString, IntoStaticStr, VariantArray, VariantNames)]
+#[strum(serialize_all = "kebab-case")]
 pub(super) enum Kind {
     /// The stream `Remesh`.
     Remesh,
@@ -26,18 +29,11 @@ pub(super) enum Kind {
 }
 
 impl Kind {
-    pub(super) const ALL: [Self; 6] = [Self::Remesh, Self::Rvd, Self::Cvt, Self::RemeshJob, Self::RvdJob, Self::Info];
+    pub(super) const ALL: &[Self] = <Self as VariantArray>::VARIANTS;
 
     /// As it is written.
     pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Remesh => "remesh",
-            Self::Rvd => "rvd",
-            Self::Cvt => "cvt",
-            Self::RemeshJob => "remesh-job",
-            Self::RvdJob => "rvd-job",
-            Self::Info => "info",
-        }
+        self.into()
     }
 
     /// Its place in [`Kind::ALL`].
@@ -103,9 +99,8 @@ impl FromStr for Mix {
         let mut all: Vec<(Kind, f64)> = Vec::new();
         for part in text.split(',').map(str::trim) {
             let (name, weight) = part.split_once('=').unwrap_or((part, "1"));
-            let kind = Kind::ALL.into_iter().find(|kind| kind.name() == name.trim()).ok_or_else(|| {
-                let names: Vec<&str> = Kind::ALL.iter().map(|kind| kind.name()).collect();
-                format!("there is no kind of call {name:?}; there are {}", names.join(", "))
+            let kind: Kind = name.trim().parse().map_err(|_| {
+                format!("there is no kind of call {name:?}; there are {}", <Kind as VariantNames>::VARIANTS.join(", "))
             })?;
             let weight = weight.trim().parse::<f64>().ok().filter(|weight| (1e-6..=1e6).contains(weight));
             let weight = weight.ok_or_else(|| format!("{part}: a weight is a number above 0, as in {name}=2"))?;

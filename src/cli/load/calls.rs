@@ -29,9 +29,10 @@ use wire::proto::{BackendChoice, GetServerInfoRequest};
 pub(super) use job::{Rubbish, delete_blob, put, sweep};
 
 /// How a call went.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(super) enum Outcome {
-    /// Its result is here.
+    /// The result arrived.
+    #[default]
     Done,
     /// It was cancelled, as the plan says.
     Cancelled,
@@ -67,21 +68,17 @@ impl Stages {
 }
 
 /// What is known of a call that is over.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Asked {
-    /// How it went.
     pub(super) outcome: Outcome,
-    /// Where its time went.
     pub(super) stages: Stages,
-    /// Facets that were sent.
     pub(super) facets: u64,
-    /// Points that were asked for.
     pub(super) seeds: u64,
-    /// Bytes that were sent, without what the protocol adds.
+    /// Payload bytes sent.
     pub(super) sent_bytes: u64,
-    /// Bytes that came.
+    /// Payload bytes received.
     pub(super) came_bytes: u64,
-    /// What it leaves at the server.
+    /// Job and blobs left at the server.
     pub(super) rubbish: Option<Rubbish>,
 }
 
@@ -150,18 +147,9 @@ pub(super) struct Caller {
     pub(super) tally: Tally,
     /// What may be sent.
     pub(super) surfaces: Arc<Vec<Surface>>,
-    /// Steps of a remesh; as the server likes if not given.
-    pub(super) lloyd: Option<u32>,
-    /// The same of quasi-Newton steps.
-    pub(super) newton: Option<u32>,
-    /// Who should do the work.
-    pub(super) backend: BackendChoice,
+    pub(super) settings: Settings,
     /// The name of the run, which its jobs have as a label.
     pub(super) run: String,
-    /// The most that a call may take.
-    pub(super) limit: Duration,
-    /// Whether each job uploads a file of its own.
-    pub(super) uploads: bool,
     /// True once the run is to end.
     pub(super) stop: watch::Receiver<bool>,
     /// How long calls of each kind take, in microseconds, for cancelling some at a likely time.
@@ -173,28 +161,25 @@ pub(super) struct Caller {
 /// What a call is taken to last before one has ended.
 const USUAL: Duration = Duration::from_millis(200);
 
-/// The settings of a [`Caller`].
+/// Options of all calls of a run.
 pub(super) struct Settings {
-    /// See [`Caller`].
+    /// Lloyd steps of a remesh; the server's default if not given.
     pub(super) lloyd: Option<u32>,
-    /// See [`Caller`].
+    /// Quasi-Newton steps of a remesh; the server's default if not given.
     pub(super) newton: Option<u32>,
-    /// See [`Caller`].
     pub(super) backend: BackendChoice,
-    /// See [`Caller`].
+    /// The most that a call may take.
     pub(super) limit: Duration,
-    /// See [`Caller`].
+    /// Whether each job uploads a file of its own.
     pub(super) uploads: bool,
 }
 
 impl Caller {
     /// Makes calls with `surfaces` until `stop` is true.
     pub(super) fn new(settings: Settings, surfaces: Vec<Surface>, run: String, stop: watch::Receiver<bool>) -> Self {
-        let Settings { lloyd, newton, backend, limit, uploads } = settings;
         let usual_us = std::array::from_fn(|_| AtomicU64::new(USUAL.as_micros() as u64));
-        let (tally, surfaces) = (Tally::default(), Arc::new(surfaces));
-        let uploaded = AtomicU64::new(0);
-        Self { tally, surfaces, lloyd, newton, backend, run, limit, uploads, stop, usual_us, uploaded }
+        let (tally, surfaces, uploaded) = (Tally::default(), Arc::new(surfaces), AtomicU64::new(0));
+        Self { tally, surfaces, settings, run, stop, usual_us, uploaded }
     }
 
     /// Makes a call. With a `pace` the answer is read with so many bytes a second.
@@ -202,16 +187,8 @@ impl Caller {
         let begin = Instant::now();
         let usual = &self.usual_us[item.kind.place()];
         let cancel = item.cancel.map(|part| begin + Duration::from_micros(usual.load(Ordering::Relaxed)).mul_f64(part));
-        let ends = Ends { cancel, limit: begin + self.limit, stop: self.stop.clone() };
-        let mut asked = Asked {
-            outcome: Outcome::Done,
-            stages: Stages::default(),
-            facets: 0,
-            seeds: 0,
-            sent_bytes: 0,
-            came_bytes: 0,
-            rubbish: None,
-        };
+        let ends = Ends { cancel, limit: begin + self.settings.limit, stop: self.stop.clone() };
+        let mut asked = Asked::default();
         let Some(surface) = self.surfaces.get(item.mesh) else { return asked };
         let mut pace = Pace { bytes_a_second: pace, due: None };
         let at = At { caller: self, door, surface, ends: &ends, random_seed: item.random_seed };
@@ -225,10 +202,7 @@ impl Caller {
             Kind::RemeshJob | Kind::RvdJob => at.job(item.kind, &mut asked, &mut pace).await,
             Kind::Info => at.info().await,
         };
-        asked.outcome = match ended {
-            Ok(()) => Outcome::Done,
-            Err(end) => outcome(end),
-        };
+        asked.outcome = ended.map_or_else(outcome, |()| Outcome::Done);
         if asked.outcome == Outcome::Done {
             // A mean that forgets: an eighth of the last one.
             let took = begin.elapsed().as_micros() as u64;
@@ -239,20 +213,17 @@ impl Caller {
 }
 
 fn outcome(end: End) -> Outcome {
+    let failed = |code: &str, said: &str| Outcome::Failed { code: code.to_owned(), said: plain(said) };
     match end {
         End::Here(Why::Cancel) => Outcome::Cancelled,
         End::Here(Why::Stop) => Outcome::Stopped,
-        End::Here(Why::TooLong) => {
-            Outcome::Failed { code: "TIMEOUT".to_owned(), said: "no answer within --timeout-s".to_owned() }
-        }
-        End::Wrong(said) => Outcome::Failed { code: "WRONG_ANSWER".to_owned(), said: plain(&said) },
-        End::Job(code, said) => Outcome::Failed { code: code.to_owned(), said: plain(&said) },
-        End::Status(status) if is_lost(&status) => {
-            Outcome::Failed { code: "CONNECTION_LOST".to_owned(), said: plain(status.message()) }
-        }
+        End::Here(Why::TooLong) => failed("TIMEOUT", "no answer within --timeout-s"),
+        End::Wrong(said) => failed("WRONG_ANSWER", &said),
+        End::Job(code, said) => failed(code, &said),
+        End::Status(status) if is_lost(&status) => failed("CONNECTION_LOST", status.message()),
         End::Status(status) => match status.get_details_retry_info().and_then(|info| info.retry_delay) {
             Some(after) => Outcome::Refused { reason: reason(&status), after },
-            None => Outcome::Failed { code: tally::name(status.code()).to_owned(), said: plain(status.message()) },
+            None => failed(tally::name(status.code()), status.message()),
         },
     }
 }
@@ -313,16 +284,14 @@ async fn unary<T>(
     ends: &Ends,
     answer: impl Future<Output = Result<Response<T>, Status>>,
 ) -> Result<T, End> {
-    match ends.or(answer).await? {
-        Ok(answer) => {
-            call.ended();
-            Ok(answer.into_inner())
-        }
-        Err(status) => {
-            call.failed(&status);
-            Err(End::Status(status))
-        }
-    }
+    ends.or(counted(call, answer)).await?.map_err(End::Status)
+}
+
+/// The same, for as long as it takes.
+async fn counted<T>(call: Call, answer: impl Future<Output = Result<Response<T>, Status>>) -> Result<T, Status> {
+    let answer = answer.await;
+    call.over(&answer);
+    answer.map(Response::into_inner)
 }
 
 /// The messages of an answer.
@@ -340,7 +309,7 @@ impl<T> Answers<T> {
         match ends.or(answer).await? {
             Ok(answer) => Ok(Self { call: Some(call), stream: answer.into_inner() }),
             Err(status) => {
-                call.failed(&status);
+                call.over::<T>(&Err(status.clone()));
                 Err(End::Status(status))
             }
         }
@@ -348,17 +317,11 @@ impl<T> Answers<T> {
 
     /// The next one, or none after the last.
     async fn next(&mut self, ends: &Ends) -> Result<Option<T>, End> {
-        match ends.or(self.stream.message()).await? {
-            Ok(Some(message)) => Ok(Some(message)),
-            Ok(None) => {
-                self.call.take().into_iter().for_each(Call::ended);
-                Ok(None)
-            }
-            Err(status) => {
-                self.call.take().into_iter().for_each(|call| call.failed(&status));
-                Err(End::Status(status))
-            }
+        let answer = ends.or(self.stream.message()).await?;
+        if !matches!(answer, Ok(Some(_))) {
+            self.call.take().into_iter().for_each(|call| call.over(&answer));
         }
+        answer.map_err(End::Status)
     }
 }
 

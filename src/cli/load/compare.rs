@@ -5,33 +5,42 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::scrape::Samples;
 use super::tally::{Calls, Methods};
 
 /// Calls of a method with a status.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Row {
     /// Such as "OK".
     pub(super) status: String,
-    /// As this side counted.
     pub(super) here: u64,
-    /// As the server counted.
+    #[serde(rename = "server")]
     pub(super) there: i64,
 }
 
 /// Calls of a method.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Method {
-    /// As "tessera.v1.JobService/CreateJob".
+    /// Such as "tessera.v1.JobService/CreateJob".
+    #[serde(rename = "method")]
     pub(super) name: String,
     /// By status.
+    #[serde(rename = "counts")]
     pub(super) rows: Vec<Row>,
     /// Calls whose status did not come.
     pub(super) unheard: u64,
-    /// Seconds in the mean as this side measured, and as the server did.
-    pub(super) mean_s: (Option<f64>, Option<f64>),
+    pub(super) mean_s: Means,
+}
+
+/// Mean time of a method as each side measured it, seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(super) struct Means {
+    pub(super) here: Option<f64>,
+    #[serde(rename = "server")]
+    pub(super) there: Option<f64>,
 }
 
 impl Method {
@@ -56,7 +65,7 @@ impl Method {
         };
         let count: i64 = rows.iter().map(|row| row.there).sum();
         let there = (count > 0).then(|| (sum(after) - sum(before)) / count as f64);
-        Self { name: name.to_owned(), rows, unheard: calls.unheard, mean_s: (calls.mean_s(), there) }
+        Self { name: name.to_owned(), rows, unheard: calls.unheard, mean_s: Means { here: calls.mean_s(), there } }
     }
 
     /// What the server counted more.
@@ -121,13 +130,10 @@ impl Comparison {
 
     /// As an object.
     pub(super) fn json(&self) -> Value {
-        let row = |row: &Row| json!({ "status": row.status, "here": row.here, "server": row.there });
         let method = |method: &Method| {
-            json!({
-                "method": method.name, "counts": method.rows.iter().map(row).collect::<Vec<_>>(),
-                "unheard": method.unheard, "equal": method.mismatches() == 0,
-                "mean_s": { "here": method.mean_s.0, "server": method.mean_s.1 },
-            })
+            let mut value = json!(method);
+            value["equal"] = (method.mismatches() == 0).into();
+            value
         };
         json!({
             "equal": self.mismatches() == 0, "mismatches": self.mismatches(), "calls": self.calls(),

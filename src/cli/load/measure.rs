@@ -9,6 +9,7 @@ use std::ops::Range;
 use std::time::Duration;
 
 use hdrhistogram::Histogram;
+use serde::Serialize;
 
 use super::amounts::Kind;
 use super::calls::{Asked, Outcome, Stages};
@@ -24,20 +25,21 @@ const OTHER: &str = "other";
 #[derive(Clone, Debug)]
 pub(super) struct Latencies(Option<Histogram<u64>>);
 
-impl Latencies {
-    fn new() -> Self {
+impl Default for Latencies {
+    fn default() -> Self {
         /// A day, in microseconds.
         const MOST: u64 = 86_400_000_000;
         Self(Histogram::new_with_bounds(1, MOST, 3).ok())
     }
+}
 
+impl Latencies {
     fn add(&mut self, time: Duration) {
         if let Some(all) = &mut self.0 {
             all.saturating_record(u64::try_from(time.as_micros()).unwrap_or(u64::MAX));
         }
     }
 
-    /// How many there are.
     pub(super) fn count(&self) -> u64 {
         self.0.as_ref().map_or(0, Histogram::len)
     }
@@ -51,60 +53,49 @@ impl Latencies {
         self.seconds(|all| all.value_at_quantile(part) as f64)
     }
 
-    /// Seconds in the mean.
     pub(super) fn mean(&self) -> Option<f64> {
         self.seconds(Histogram::mean)
     }
 
-    /// The longest.
     pub(super) fn max(&self) -> Option<f64> {
         self.seconds(|all| all.max() as f64)
     }
-
-    fn clear(&mut self) {
-        if let Some(all) = &mut self.0 {
-            all.reset();
-        }
-    }
 }
 
-/// How often what happened, and how it was put once.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+/// Failures of one code.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(super) struct Times {
-    /// How often.
     pub(super) count: u64,
-    /// The words of the first.
+    /// The message of the first.
     pub(super) example: String,
 }
 
-/// Calls of a sort, such as those of slow readers.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+/// Outcomes of calls of a sort, such as those of slow readers.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(super) struct Counts {
     /// Calls that were to begin.
     pub(super) intended: u64,
-    /// Of these: those with a result.
     pub(super) done: u64,
     /// Cancelled, as the plan said.
     pub(super) cancelled: u64,
-    /// Refused by the server, by its words.
-    pub(super) refused: BTreeMap<String, u64>,
-    /// Failed, by code.
-    pub(super) failed: BTreeMap<String, Times>,
-    /// Open when the run was stopped.
-    pub(super) stopped: u64,
     /// Not sent, since too many were open.
     pub(super) dropped: u64,
-    /// Sent late.
     pub(super) late: u64,
+    /// Open when the run was stopped.
+    pub(super) stopped: u64,
+    /// By reason.
+    #[serde(rename = "refusals")]
+    pub(super) refused: BTreeMap<String, u64>,
+    /// By code.
+    #[serde(rename = "failures")]
+    pub(super) failed: BTreeMap<String, Times>,
 }
 
 impl Counts {
-    /// How many were refused.
     pub(super) fn refusals(&self) -> u64 {
         self.refused.values().sum()
     }
 
-    /// How many failed.
     pub(super) fn errors(&self) -> u64 {
         self.failed.values().map(|times| times.count).sum()
     }
@@ -132,34 +123,31 @@ fn named<'a, V: Default>(all: &'a mut BTreeMap<String, V>, name: &str) -> &'a mu
     all.entry(name.to_owned()).or_default()
 }
 
-/// What ended in a second.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// Calls that ended in a second, and their latencies in seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(super) struct Second {
     /// Seconds since the run began.
+    #[serde(rename = "at_s")]
     pub(super) at: u64,
-    /// Calls with a result.
     pub(super) done: u64,
-    /// Refused ones.
     pub(super) refused: u64,
-    /// Failed ones.
     pub(super) failed: u64,
     /// Calls that were not sent.
     pub(super) dropped: u64,
-    /// Latencies in seconds; none if nothing is done.
+    #[serde(rename = "p50_s")]
     pub(super) p50: Option<f64>,
+    #[serde(rename = "p99_s")]
     pub(super) p99: Option<f64>,
+    #[serde(rename = "max_s")]
     pub(super) max: Option<f64>,
 }
 
-/// What was sent and done in the measured time.
+/// Calls with a result in the measured time, and what they carried.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Amounts {
-    /// Calls with a result.
     pub(super) done: u64,
-    /// Their facets and points.
     pub(super) facets: u64,
     pub(super) seeds: u64,
-    /// Their bytes.
     pub(super) sent_bytes: u64,
     pub(super) came_bytes: u64,
 }
@@ -176,22 +164,20 @@ pub(super) struct When {
     pub(super) ended: Duration,
 }
 
-/// See the module's head.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Measure {
-    /// What is measured, since the run began.
+    /// The measured time, since the run began.
     pub(super) window: Range<Duration>,
     /// Of all calls but those of slow readers.
     pub(super) counts: Counts,
     pub(super) latencies: Latencies,
     /// By kind, in the order of [`Kind::ALL`].
-    pub(super) kinds: Vec<Latencies>,
+    pub(super) kinds: [Latencies; Kind::ALL.len()],
     /// By stage, in the order of [`Stages::NAMES`].
-    pub(super) stages: Vec<Latencies>,
+    pub(super) stages: [Latencies; Stages::NAMES.len()],
     /// Of slow readers.
     pub(super) slow: Counts,
     pub(super) slow_latencies: Latencies,
-    /// What ended in the measured time.
     pub(super) amounts: Amounts,
     /// Second by second, from the beginning.
     pub(super) seconds: Vec<Second>,
@@ -200,21 +186,8 @@ pub(super) struct Measure {
 }
 
 impl Measure {
-    /// Nothing is measured yet.
     pub(super) fn new(window: Range<Duration>) -> Self {
-        Self {
-            window,
-            counts: Counts::default(),
-            latencies: Latencies::new(),
-            kinds: Kind::ALL.iter().map(|_| Latencies::new()).collect(),
-            stages: Stages::NAMES.iter().map(|_| Latencies::new()).collect(),
-            slow: Counts::default(),
-            slow_latencies: Latencies::new(),
-            amounts: Amounts::default(),
-            seconds: Vec::new(),
-            now: Second::default(),
-            now_latencies: Latencies::new(),
-        }
+        Self { window, ..Self::default() }
     }
 
     /// A call that was to begin then was not sent.
@@ -286,7 +259,7 @@ impl Measure {
             second.p50 = self.now_latencies.quantile(0.5);
             second.p99 = self.now_latencies.quantile(0.99);
             second.max = self.now_latencies.max();
-            self.now_latencies.clear();
+            self.now_latencies.0.iter_mut().for_each(Histogram::reset);
             self.seconds.push(second);
         }
     }

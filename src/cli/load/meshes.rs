@@ -34,9 +34,6 @@ pub(super) enum Source {
 
 impl Source {
     /// The surfaces.
-    ///
-    /// # Errors
-    /// A file cannot be read.
     pub(super) fn build(&self, points: Points) -> Result<Vec<Surface>> {
         let of = |mesh: &TriMesh| Surface::of(mesh, points.of(mesh.facets().len()));
         match self {

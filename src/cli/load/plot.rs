@@ -8,7 +8,6 @@ use picture::chart::{Axis, Figure, Panel, Series};
 /// The picture.
 pub(super) fn figure(title: String, measure: &Measure) -> Figure {
     let seconds = &measure.seconds;
-    let axis = |label: &str, log: bool| Axis { label: label.to_owned(), log };
     let series = |name: &str, of: &dyn Fn(&Second) -> Option<f64>| Series {
         name: name.to_owned(),
         points: seconds.iter().filter_map(|second| Some((second.at as f64, of(second)?))).collect(),
@@ -32,16 +31,16 @@ pub(super) fn figure(title: String, measure: &Measure) -> Figure {
     ];
     let panel = |title: &str, y: Axis, series: Vec<Series>| Panel {
         title: title.to_owned(),
-        x: axis("seconds since the begin", false),
+        x: Axis::linear("seconds since the begin"),
         y,
         series,
-        groups: Vec::new(),
+        ..Panel::default()
     };
     Figure {
         title,
         panels: vec![
-            panel("Latency from the intended start", axis("ms", true), latency),
-            panel("Calls that ended", axis("a second", false), outcomes.into_iter().flatten().collect()),
+            panel("Latency from the intended start", Axis::log("ms"), latency),
+            panel("Calls that ended", Axis::linear("a second"), outcomes.into_iter().flatten().collect()),
         ],
     }
 }

@@ -6,48 +6,38 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 
+use super::Done;
 use super::amounts::Kind;
 use super::calls::Stages;
 use super::compare::Comparison;
-use super::measure::{Counts, Latencies, Measure, Second, Times};
+use super::measure::{Counts, Latencies};
 
-/// Everything there is to tell.
-pub(super) struct Report<'a> {
-    /// The load in words.
-    pub(super) title: String,
-    /// The server in words.
-    pub(super) server: String,
-    /// The surfaces in words.
-    pub(super) surfaces: String,
-    pub(super) measure: &'a Measure,
-    pub(super) comparison: Option<&'a Comparison>,
-    /// What could not be removed.
-    pub(super) left: u64,
-    pub(super) stopped: bool,
-    /// Thresholds that were crossed, in words.
-    pub(super) crossed: &'a [String],
-}
+/// Quantiles of latencies, and their names.
+pub(super) const QUANTILES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("p999", 0.999)];
 
-const QUANTILES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("p999", 0.999)];
+impl Done {
+    /// Kinds of calls that have latencies.
+    fn kinds(&self) -> impl Iterator<Item = (&'static str, &Latencies)> {
+        Kind::ALL.iter().map(|kind| kind.name()).zip(&self.measure.kinds).filter(|(_, all)| all.count() > 0)
+    }
 
-impl Report<'_> {
-    /// As lines.
-    pub(super) fn lines(&self) -> Vec<String> {
-        let measure = self.measure;
-        let mut lines = vec![self.title.clone(), format!("server     {}", self.server)];
-        lines.push(format!("surfaces   {}", self.surfaces));
+    /// Stages that have latencies.
+    fn stages(&self) -> impl Iterator<Item = (&'static str, &Latencies)> {
+        Stages::NAMES.into_iter().zip(&self.measure.stages).filter(|(_, all)| all.count() > 0)
+    }
+
+    /// As lines. `crossed` are the thresholds that were crossed, in words.
+    pub(super) fn lines(&self, crossed: &[String]) -> Vec<String> {
+        let measure = &self.measure;
+        let mut lines = Vec::new();
         if self.stopped {
             lines.push(format!("stopped    after {:.1} s of measuring", measure.seconds_measured()));
         }
-        lines.push(String::new());
-        lines.push(head("latency, ms"));
-        lines.push(row("all", &measure.latencies));
-        let kinds: Vec<_> = Kind::ALL.iter().zip(&measure.kinds).filter(|(_, kind)| kind.count() > 0).collect();
-        if kinds.len() > 1 {
-            lines.extend(kinds.iter().map(|(kind, latencies)| row(&format!("  {}", kind.name()), latencies)));
+        lines.extend([String::new(), head("latency, ms"), row("all", &measure.latencies)]);
+        if self.kinds().count() > 1 {
+            lines.extend(self.kinds().map(|(name, all)| row(&format!("  {name}"), all)));
         }
-        let stages = Stages::NAMES.iter().zip(&measure.stages).filter(|(_, stage)| stage.count() > 0);
-        lines.extend(stages.map(|(name, latencies)| row(&format!("  {name}"), latencies)));
+        lines.extend(self.stages().map(|(name, all)| row(&format!("  {name}"), all)));
         if measure.slow_latencies.count() > 0 {
             lines.push(row("slow readers", &measure.slow_latencies));
         }
@@ -62,12 +52,12 @@ impl Report<'_> {
         if self.left > 0 {
             lines.push(format!("left       {} jobs or blobs could not be removed", self.left));
         }
-        lines.extend(self.crossed.iter().map(|words| format!("crossed    {words}")));
+        lines.extend(crossed.iter().map(|words| format!("crossed    {words}")));
         lines
     }
 
     fn rates(&self) -> Vec<String> {
-        let (measure, amounts) = (self.measure, &self.measure.amounts);
+        let (measure, amounts) = (&self.measure, &self.measure.amounts);
         let mib = |bytes: u64| measure.rate(bytes) / f64::from(1 << 20);
         let mut lines = vec![format!(
             "rate       {:.2} calls a second; {} facets and {} seeds a second",
@@ -86,7 +76,7 @@ impl Report<'_> {
     }
 
     fn compared(&self) -> Vec<String> {
-        let Some(comparison) = self.comparison else { return Vec::new() };
+        let Some(comparison) = &self.comparison else { return Vec::new() };
         let (calls, methods, unheard) = (comparison.calls(), comparison.methods.len(), comparison.unheard());
         let unheard = if unheard > 0 { format!(", of which {unheard} were given up") } else { String::new() };
         let mut lines = Vec::new();
@@ -106,19 +96,17 @@ impl Report<'_> {
         for method in &comparison.methods {
             let ms = |mean: Option<f64>| mean.map_or("-".to_owned(), |mean| format!("{:.2}", 1e3 * mean));
             let calls = method.rows.iter().map(|row| row.here).sum::<u64>() + method.unheard;
-            let (here, there) = (ms(method.mean_s.0), ms(method.mean_s.1));
+            let (here, there) = (ms(method.mean_s.here), ms(method.mean_s.there));
             lines.push(format!("  {:<22}{calls:>10}{here:>12}{there:>12}", short(&method.name)));
         }
         lines
     }
 
     /// As an object.
-    pub(super) fn json(&self) -> Value {
-        let (measure, amounts) = (self.measure, &self.measure.amounts);
-        let kinds = Kind::ALL.iter().zip(&measure.kinds).filter(|(_, kind)| kind.count() > 0);
-        let kinds: serde_json::Map<_, _> = kinds.map(|(kind, all)| (kind.name().to_owned(), latencies(all))).collect();
-        let stages = Stages::NAMES.iter().zip(&measure.stages).filter(|(_, stage)| stage.count() > 0);
-        let stages: serde_json::Map<_, _> = stages.map(|(name, all)| ((*name).to_owned(), latencies(all))).collect();
+    pub(super) fn json(&self, crossed: &[String]) -> Value {
+        let (measure, amounts) = (&self.measure, &self.measure.amounts);
+        let kinds: BTreeMap<_, _> = self.kinds().map(|(name, all)| (name, latencies(all))).collect();
+        let stages: BTreeMap<_, _> = self.stages().map(|(name, all)| (name, latencies(all))).collect();
         let slow = (measure.slow.intended > 0).then(|| {
             let mut slow = counts(&measure.slow);
             slow["latency_s"] = latencies(&measure.slow_latencies);
@@ -137,10 +125,10 @@ impl Report<'_> {
                 "received_bytes_a_second": measure.rate(amounts.came_bytes),
             },
             "slow_readers": slow,
-            "timeline": measure.seconds.iter().map(second).collect::<Vec<_>>(),
-            "comparison": self.comparison.map(Comparison::json),
+            "timeline": measure.seconds,
+            "comparison": self.comparison.as_ref().map(Comparison::json),
             "left": self.left,
-            "thresholds_crossed": self.crossed,
+            "thresholds_crossed": crossed,
         })
     }
 }
@@ -202,21 +190,7 @@ fn latencies(all: &Latencies) -> Value {
 }
 
 fn counts(counts: &Counts) -> Value {
-    let failed = |all: &BTreeMap<String, Times>| {
-        let all =
-            all.iter().map(|(code, times)| (code.clone(), json!({ "count": times.count, "example": times.example })));
-        Value::Object(all.collect())
-    };
-    json!({
-        "intended": counts.intended, "done": counts.done, "cancelled": counts.cancelled, "dropped": counts.dropped,
-        "late": counts.late, "stopped": counts.stopped, "refused": counts.refusals(), "refusals": counts.refused,
-        "errors": counts.errors(), "failures": failed(&counts.failed),
-    })
-}
-
-fn second(second: &Second) -> Value {
-    json!({
-        "at_s": second.at, "done": second.done, "refused": second.refused, "failed": second.failed,
-        "dropped": second.dropped, "p50_s": second.p50, "p99_s": second.p99, "max_s": second.max,
-    })
+    let mut object = json!(counts);
+    (object["refused"], object["errors"]) = (counts.refusals().into(), counts.errors().into());
+    object
 }

@@ -4,46 +4,24 @@
 //! a size. Must not know: what this side counted.
 
 use std::collections::BTreeMap;
-use std::fmt;
-use std::str::FromStr;
 use std::time::Duration;
 
 use anyhow::Result;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
+use hyper::{StatusCode, Uri};
 
 use crate::exit::Unavailable;
+use crate::http_get::get;
 
-/// Where metrics are: `http://HOST:PORT/PATH`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct MetricsUrl {
-    place: String,
-    path: String,
-}
-
-impl fmt::Display for MetricsUrl {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "http://{}{}", self.place, self.path)
+/// Reads `--metrics`: `http://HOST:PORT/PATH`; the port is 80 and the path `/metrics` if not given.
+pub(super) fn metrics_url(text: &str) -> Result<Uri, String> {
+    let wrong = |what: &str| format!("the address of metrics {what}; an example is http://127.0.0.1:9090/metrics");
+    if !text.starts_with("http://") {
+        return Err(wrong("begins with http://"));
     }
-}
-
-impl FromStr for MetricsUrl {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        const EXAMPLE: &str = "an example is http://127.0.0.1:9090/metrics";
-        let Some(rest) = text.strip_prefix("http://") else {
-            return Err(format!("the address of metrics begins with http://; {EXAMPLE}"));
-        };
-        let (place, path) = rest.split_at(rest.find('/').unwrap_or(rest.len()));
-        let odd = |c: char| c.is_whitespace() || c.is_control();
-        if place.is_empty() || place.contains('@') || text.contains(odd) {
-            return Err(format!("the address of metrics needs a host; {EXAMPLE}"));
-        }
-        let has_port = place.rsplit_once(':').is_some_and(|(_, port)| port.parse::<u16>().is_ok());
-        let place = if has_port { place.to_owned() } else { format!("{place}:80") };
-        let path = if matches!(path, "" | "/") { "/metrics" } else { path };
-        Ok(Self { place, path: path.to_owned() })
+    let uri: Uri = text.parse().map_err(|_| wrong("needs a host"))?;
+    match uri.authority() {
+        Some(place) if !place.as_str().contains('@') => Ok(uri),
+        _ => Err(wrong("needs a host")),
     }
 }
 
@@ -130,23 +108,21 @@ fn quoted(text: &str) -> Option<(String, &str)> {
 }
 
 /// Reads the metrics.
-///
-/// # Errors
-/// [`Unavailable`] if they are not to be had.
-pub(super) async fn read(url: &MetricsUrl) -> Result<Samples> {
+pub(super) async fn read(url: &Uri) -> Result<Samples> {
     const LIMIT: Duration = Duration::from_secs(10);
-    match tokio::time::timeout(LIMIT, get(url)).await {
-        Ok(Ok(text)) => Ok(Samples::of(&text)),
-        Ok(Err(why)) => Err(Unavailable(format!("--metrics: {url} cannot be read: {why}")).into()),
-        Err(_) => Err(Unavailable(format!("--metrics: {url} did not answer within {} s", LIMIT.as_secs())).into()),
-    }
+    const MOST_BYTES: usize = 16 << 20;
+    let place = format!("{}:{}", url.host().unwrap_or_default(), url.port_u16().unwrap_or(80));
+    let path = if url.path() == "/" { "/metrics" } else { url.path() };
+    let why = match get(&place, path, LIMIT, MOST_BYTES).await {
+        Ok((StatusCode::OK, body)) => return Ok(Samples::of(&String::from_utf8_lossy(&body))),
+        Ok((status, _)) => format!("it answers with status {}", status.as_u16()),
+        Err(why) => why,
+    };
+    Err(Unavailable(format!("--metrics: {url} cannot be read: {why}")).into())
 }
 
 /// Reads the metrics until nothing that ended before is still being counted.
-///
-/// # Errors
-/// As [`read`].
-pub(super) async fn settled(url: &MetricsUrl) -> Result<Samples> {
+pub(super) async fn settled(url: &Uri) -> Result<Samples> {
     let mut last = read(url).await?;
     for _ in 0..20 {
         tokio::time::sleep(Duration::from_millis(50)).await;
@@ -157,25 +133,6 @@ pub(super) async fn settled(url: &MetricsUrl) -> Result<Samples> {
         last = next;
     }
     Ok(last)
-}
-
-/// The body of an answer. With HTTP/1.0 it comes in one piece and ends with the connection.
-async fn get(url: &MetricsUrl) -> Result<String, String> {
-    const MOST: u64 = 16 << 20;
-    let said = |error: std::io::Error| error.to_string();
-    let mut stream = TcpStream::connect(&url.place).await.map_err(said)?;
-    let request = format!("GET {} HTTP/1.0\r\nHost: {}\r\nAccept: text/plain\r\n\r\n", url.path, url.place);
-    stream.write_all(request.as_bytes()).await.map_err(said)?;
-    let mut answer = Vec::new();
-    stream.take(MOST).read_to_end(&mut answer).await.map_err(said)?;
-    let answer = String::from_utf8_lossy(&answer);
-    let (head, body) = answer.split_once("\r\n\r\n").ok_or("it does not speak HTTP")?;
-    match head.split(' ').nth(1) {
-        Some("200") if !head.to_ascii_lowercase().contains("\r\ntransfer-encoding: chunked") => Ok(body.to_owned()),
-        Some("200") => Err("it sends its answer in pieces; name the server itself, not a proxy".to_owned()),
-        Some(status) => Err(format!("it answers with status {}", crate::plain::plain(status))),
-        None => Err("it does not speak HTTP".to_owned()),
-    }
 }
 
 #[cfg(test)]
@@ -199,37 +156,11 @@ mod tests {
 
     #[test]
     fn an_address_of_metrics_has_a_place() {
-        for (text, means) in [
-            ("http://127.0.0.1:9090/metrics", "http://127.0.0.1:9090/metrics"),
-            ("http://a:1", "http://a:1/metrics"),
-            ("http://a/x", "http://a:80/x"),
-            ("http://[::1]:7/", "http://[::1]:7/metrics"),
-        ] {
-            assert_eq!(text.parse::<MetricsUrl>().unwrap().to_string(), means);
+        for good in ["http://127.0.0.1:9090/metrics", "http://a:1", "http://a/x", "http://[::1]:7/"] {
+            assert!(metrics_url(good).is_ok(), "{good:?}");
         }
         for bad in ["", "127.0.0.1:9090", "https://a:1/metrics", "http://", "http:///x", "http://u@a:1", "http://a b"] {
-            assert!(bad.parse::<MetricsUrl>().is_err(), "{bad:?}");
-        }
-    }
-
-    #[tokio::test]
-    async fn what_is_no_answer_is_said() {
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let url: MetricsUrl = format!("http://{}", listener.local_addr().unwrap()).parse().unwrap();
-        for (answer, words) in [
-            ("HTTP/1.1 404 Not Found\r\n\r\n", "status 404"),
-            ("hello", "does not speak HTTP"),
-            ("HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n1\r\na", "in pieces"),
-        ] {
-            let serve = async {
-                let (mut stream, _) = listener.accept().await.unwrap();
-                let mut request = [0; 256];
-                assert!(stream.read(&mut request).await.unwrap() > 0);
-                stream.write_all(answer.as_bytes()).await.unwrap();
-            };
-            let (read, ()) = tokio::join!(read(&url), serve);
-            let said = read.unwrap_err().to_string();
-            assert!(said.contains(words), "{said}");
+            assert!(metrics_url(bad).is_err(), "{bad:?}");
         }
     }
 }

@@ -11,19 +11,19 @@ use tonic::{Code, Status};
 
 use crate::remote::is_lost;
 
-/// What is known of the calls of a method.
+/// Counts of the calls of a method.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Calls {
-    /// Those whose status came, by its name.
+    /// Calls whose status came, by its name.
     pub(super) heard: BTreeMap<&'static str, u64>,
-    /// Those without.
+    /// Calls without a status.
     pub(super) unheard: u64,
-    /// How long those took whose status came.
+    /// Time of the calls whose status came.
     pub(super) time: Duration,
 }
 
 impl Calls {
-    /// How long they took in the mean, in seconds.
+    /// Mean time, seconds.
     pub(super) fn mean_s(&self) -> Option<f64> {
         let heard: u64 = self.heard.values().sum();
         (heard > 0).then(|| self.time.as_secs_f64() / heard as f64)
@@ -38,12 +38,12 @@ pub(super) type Methods = BTreeMap<&'static str, Calls>;
 pub(super) struct Tally(Arc<Mutex<Methods>>);
 
 impl Tally {
-    /// A call begins.
+    /// Begins a call.
     pub(super) fn begin(&self, method: &'static str) -> Call {
         Call { tally: self.clone(), method, began: Instant::now(), heard: None }
     }
 
-    /// What was counted.
+    /// The counts so far.
     pub(super) fn methods(&self) -> Methods {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -59,14 +59,12 @@ pub(super) struct Call {
 }
 
 impl Call {
-    /// It was answered to the end.
-    pub(super) fn ended(mut self) {
-        self.heard = Some(name(Code::Ok));
-    }
-
-    /// It failed.
-    pub(super) fn failed(mut self, status: &Status) {
-        self.heard = (!is_lost(status)).then(|| name(status.code()));
+    /// The call ended with this answer.
+    pub(super) fn over<T>(mut self, answer: &Result<T, Status>) {
+        self.heard = match answer {
+            Ok(_) => Some(name(Code::Ok)),
+            Err(status) => (!is_lost(status)).then(|| name(status.code())),
+        };
     }
 }
 
@@ -115,9 +113,9 @@ mod tests {
     #[test]
     fn every_call_is_counted_once() {
         let tally = Tally::default();
-        tally.begin("a").ended();
-        tally.begin("a").failed(&Status::resource_exhausted("full"));
-        tally.begin("a").failed(&Status::from_error(Box::new(std::io::Error::other("broken wire"))));
+        tally.begin("a").over(&Ok(()));
+        tally.begin("a").over::<()>(&Err(Status::resource_exhausted("full")));
+        tally.begin("a").over::<()>(&Err(Status::from_error(Box::new(std::io::Error::other("broken wire")))));
         drop(tally.begin("a"));
         let all = tally.methods();
         assert_eq!(all["a"].heard, BTreeMap::from([("OK", 1), ("RESOURCE_EXHAUSTED", 1)]));

@@ -6,53 +6,34 @@
 use std::fmt;
 use std::str::FromStr;
 
-/// What a threshold is about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum About {
-    /// Latency: half of the jobs took no longer.
-    P50,
-    P90,
-    P99,
-    P999,
-    Max,
-    Mean,
-    Errors,
-    Refused,
-    Dropped,
-    Late,
-    Cancelled,
-    /// Jobs a second.
-    Rate,
-    /// Rows in which the server counted otherwise.
-    Mismatches,
-}
-
-/// What its numbers are.
+/// Unit of a figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Unit {
     Seconds,
-    /// A number, or a part of all that were to be sent.
+    /// A number of calls, or a part of all that were to be sent.
     Count,
     Number,
 }
 
-impl About {
-    const ALL: [(&'static str, Self, Unit); 13] = [
-        ("p50", Self::P50, Unit::Seconds),
-        ("p90", Self::P90, Unit::Seconds),
-        ("p99", Self::P99, Unit::Seconds),
-        ("p999", Self::P999, Unit::Seconds),
-        ("max", Self::Max, Unit::Seconds),
-        ("mean", Self::Mean, Unit::Seconds),
-        ("errors", Self::Errors, Unit::Count),
-        ("refused", Self::Refused, Unit::Count),
-        ("dropped", Self::Dropped, Unit::Count),
-        ("late", Self::Late, Unit::Count),
-        ("cancelled", Self::Cancelled, Unit::Count),
-        ("rate", Self::Rate, Unit::Number),
-        ("mismatches", Self::Mismatches, Unit::Number),
-    ];
-}
+/// Figures that a threshold may name. Latencies and rates are those of jobs with a result.
+const FIGURES: [(&str, Unit); 13] = [
+    ("p50", Unit::Seconds),
+    ("p90", Unit::Seconds),
+    ("p99", Unit::Seconds),
+    ("p999", Unit::Seconds),
+    ("max", Unit::Seconds),
+    ("mean", Unit::Seconds),
+    ("errors", Unit::Count),
+    ("refused", Unit::Count),
+    ("dropped", Unit::Count),
+    ("late", Unit::Count),
+    ("cancelled", Unit::Count),
+    ("rate", Unit::Number),
+    (MISMATCHES, Unit::Number),
+];
+
+/// Rows in which the server counted differently.
+const MISMATCHES: &str = "mismatches";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Than {
@@ -60,12 +41,12 @@ enum Than {
     Less,
 }
 
-/// A threshold: crossed if what it is about is more, or less, than it says.
+/// A bound of a figure.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Threshold {
     /// As it was written.
     text: String,
-    about: About,
+    figure: &'static str,
     unit: Unit,
     than: Than,
     /// Whether the bound itself crosses it.
@@ -78,13 +59,13 @@ pub(super) struct Threshold {
 impl Threshold {
     /// Whether it is about a comparison with the server's counts.
     pub(super) fn needs_comparison(&self) -> bool {
-        self.about == About::Mismatches
+        self.figure == MISMATCHES
     }
 
     /// What was found, in words, if it is crossed. `found` says what there is, in seconds, counts or jobs a second; `all` is
     /// how many were to be sent.
-    pub(super) fn crossed(&self, found: impl Fn(About) -> Option<f64>, all: u64) -> Option<String> {
-        let Some(value) = found(self.about) else { return Some(format!("{self}: nothing was measured")) };
+    pub(super) fn crossed(&self, found: impl Fn(&str) -> Option<f64>, all: u64) -> Option<String> {
+        let Some(value) = found(self.figure) else { return Some(format!("{self}: nothing was measured")) };
         let value = if self.is_part { value / (all.max(1) as f64) } else { value };
         let crossed = match self.than {
             Than::More => value > self.bound,
@@ -117,9 +98,9 @@ impl FromStr for Threshold {
             Some(bound) => (true, bound),
             None => (false, &rest[1..]),
         };
-        let known = About::ALL.into_iter().find(|(known, ..)| *known == name.to_ascii_lowercase());
-        let (_, about, unit) = known.ok_or_else(|| {
-            let names: Vec<&str> = About::ALL.iter().map(|(name, ..)| *name).collect();
+        let known = FIGURES.into_iter().find(|(known, _)| *known == name.to_ascii_lowercase());
+        let (figure, unit) = known.ok_or_else(|| {
+            let names = FIGURES.map(|(name, _)| name);
             format!("there is no figure {name:?}; there are {}", names.join(", "))
         })?;
         let wrong = |words: &str| format!("{text}: {words}");
@@ -132,7 +113,7 @@ impl FromStr for Threshold {
             },
             Unit::Number => (number(bound).ok_or_else(|| wrong("a number is written as 5 or 0.5"))?, false),
         };
-        Ok(Self { text, about, unit, than, or_equal, bound, is_part })
+        Ok(Self { text, figure, unit, than, or_equal, bound, is_part })
     }
 }
 

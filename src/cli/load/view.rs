@@ -8,7 +8,6 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::measure::Measure;
 
-/// See the module's head.
 pub(super) struct View(Option<ProgressBar>);
 
 impl View {

@@ -58,7 +58,6 @@ impl Plan {
     }
 }
 
-/// See the module's head.
 #[derive(Debug)]
 pub(crate) struct Track {
     start: Instant,

@@ -8,14 +8,12 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::{ArgGroup, Args, ValueEnum};
 
-use crate::endpoint::ServerUrl;
 use crate::exit::{BadInput, Usage};
 use crate::files::{self, Surface};
 use crate::picture::PictureArgs;
 use crate::say::SayArgs;
-use crate::server::Tenant;
+use crate::server::EndpointArgs;
 use crate::sizes;
-use crate::trust::TrustArgs;
 use geometry::cvt::Projection;
 use geometry::cvt::density::{DensityOptions, DensitySource};
 use geometry::mesh::TriMesh;
@@ -24,7 +22,7 @@ use geometry::mesh::features::Features;
 use geometry::mesh::io::Format;
 use geometry::remesh::{Placement, Refine, RemeshOptions, Seeds};
 use geometry::token::Token;
-pub(crate) use server::config::{BackendArgs, count, whole};
+use server::config::{BackendArgs, count, whole};
 
 /// `tessera remesh`'s options.
 #[derive(Args, Debug)]
@@ -46,18 +44,9 @@ pub(crate) struct RemeshArgs {
     pub(super) picture: PictureArgs,
     #[command(flatten, next_help_heading = "Backend")]
     pub(super) backend: BackendArgs,
-    /// Let a server do the work, e.g. http://127.0.0.1:50051.
-    #[arg(long, value_name = "URL", help_heading = "Backend")]
-    pub(super) endpoint: Option<ServerUrl>,
-    /// Whose work the server takes it for, where several share one.
-    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Backend")]
-    pub(super) tenant: Option<Tenant>,
-    /// File with the key that the server wants.
-    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Backend")]
-    pub(super) key_file: Option<PathBuf>,
-    #[command(flatten, next_help_heading = "Backend")]
-    pub(super) trust: TrustArgs,
-    #[command(flatten, next_help_heading = "Messages")]
+    #[command(flatten, next_help_heading = "Who works")]
+    pub(super) at: EndpointArgs,
+    #[command(flatten, next_help_heading = "What is said")]
     pub(super) say: SayArgs,
 }
 

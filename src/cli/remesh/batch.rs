@@ -20,7 +20,7 @@ pub(super) fn run(args: &RemeshArgs, tasks: &[Task], mut worker: Worker) -> Resu
     worker.listen()?;
     let sizes: Vec<u64> = tasks.iter().map(size).collect();
     let total = sizes.iter().sum::<u64>() as f64;
-    let mut progress = Progress::begin(std::path::Path::new("batch"), &args.say);
+    let mut progress = Progress::begin(std::path::Path::new("batch"), args.say.quiet);
     let (mut failed, mut first, mut before) = (0, None, 0);
     for (k, (task, bytes)) in tasks.iter().zip(sizes).enumerate() {
         let span = (before as f64 / total, (before + bytes) as f64 / total);

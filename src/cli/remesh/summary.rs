@@ -12,6 +12,28 @@ use crate::exit::NotWritten;
 /// Lost parts that are named, at most; the report has more.
 const NAMED_PARTS: usize = 3;
 
+/// Lines about the input, each behind a count of the report.
+const INPUT: &[(&str, &str)] = &[
+    ("stitched_vertices", "vertices of its boundaries were nearly in the same place as others and moved there"),
+    (
+        "outlier_vertices",
+        "vertices are far from all others: check their coordinates, most points go to the spikes there",
+    ),
+    ("degenerate_facets", "facets have no area and do not count"),
+    ("coincident_facets", "facets lay on others, corner on corner, and were left out"),
+    ("reoriented_facets", "facets were oriented unlike their neighbours and turned over"),
+];
+/// The same of a mesh of a volume.
+const VOLUME: &[(&str, &str)] = &[(
+    "enclosed_facets",
+    "facets lie between others: this is a mesh of a volume, no surface; remesh the boundary of it",
+)];
+/// The same of a surface.
+const SURFACE: &[(&str, &str)] = &[
+    ("back_to_back_facets", "facets lie on others, back to back, and enclose nothing: remesh one side of them"),
+    ("non_manifold_edges", "edges have more than two facets; the result is cut there: to choose where, cut the input"),
+];
+
 /// A remesh that is to be told of.
 pub(super) struct Told<'a> {
     pub(super) report: &'a Value,
@@ -56,37 +78,10 @@ impl Told<'_> {
             format!("{vertices} vertices, {facets} facets{}", euler.map(|n| format!(", χ {n}")).unwrap_or_default())
         };
         lines.push(format!("input       {}: {}", self.input.display(), surface("/input")));
-        let count = |what: &str| self.count(&format!("/input/{what}"));
-        let mut note = |count: u64, what: &str| {
-            if count > 0 {
-                lines.push(format!("            {count} {what}"));
-            }
-        };
-        note(
-            count("stitched_vertices"),
-            "vertices of its boundaries were nearly in the same place as others and moved there",
-        );
-        note(
-            count("outlier_vertices"),
-            "vertices are far from all others: check their coordinates, most points go to the spikes there",
-        );
-        note(count("degenerate_facets"), "facets have no area and do not count");
-        note(count("coincident_facets"), "facets lay on others, corner on corner, and were left out");
-        note(count("reoriented_facets"), "facets were oriented unlike their neighbours and turned over");
-        if self.at("/input/kind") == "volume" {
-            note(
-                count("enclosed_facets"),
-                "facets lie between others: this is a mesh of a volume, no surface; remesh the boundary of it",
-            );
-        } else {
-            note(
-                count("back_to_back_facets"),
-                "facets lie on others, back to back, and enclose nothing: remesh one side of them",
-            );
-            note(
-                count("non_manifold_edges"),
-                "edges have more than two facets; the result is cut there: to choose where, cut the input",
-            );
+        let of_kind = if self.at("/input/kind") == "volume" { VOLUME } else { SURFACE };
+        for (what, text) in INPUT.iter().chain(of_kind) {
+            let count = self.count(&format!("/input/{what}"));
+            lines.extend((count > 0).then(|| format!("            {count} {text}")));
         }
         lines.push(format!("result      {}: {}", self.output.display(), surface("/result")));
         let why = match text(self.at("/vertex_count/reason"), "") {
@@ -126,13 +121,9 @@ impl Told<'_> {
         } else {
             "the input is no manifold there; cut it where its parts meet, or give more points"
         };
-        let mut removed = Vec::new();
-        if pairs > 0 {
-            removed.push(format!("{pairs} pairs of facets lay back to back"));
-        }
-        if crowded > 0 {
-            removed.push(format!("{crowded} facets were too many at an edge"));
-        }
+        let pairs = (pairs > 0).then(|| format!("{pairs} pairs of facets lay back to back"));
+        let crowded = (crowded > 0).then(|| format!("{crowded} facets were too many at an edge"));
+        let removed: Vec<String> = pairs.into_iter().chain(crowded).collect();
         if !removed.is_empty() {
             lines.push(format!("            {} and were removed: {what}", removed.join(", ")));
         }

@@ -20,9 +20,6 @@ pub(super) struct Task {
 }
 
 /// What is to be done.
-///
-/// # Errors
-/// Why that cannot be.
 pub(super) fn of(args: &RemeshArgs) -> Result<Vec<Task>> {
     args.backend.check()?;
     args.picture.check()?;
@@ -42,35 +39,32 @@ pub(super) fn of(args: &RemeshArgs) -> Result<Vec<Task>> {
 /// Refuses options that do not go together.
 fn check_together(args: &RemeshArgs) -> Result<()> {
     let FileArgs { output, out_dir, report, .. } = &args.files;
-    let has_standard = |path: &Path| path.as_os_str() == "-";
-    let refused = if args.input.len() > 1 {
-        let alone = [
-            (out_dir.is_none(), "-o"),
-            (report.is_some(), "--report"),
-            (args.size.sizes.is_some(), "--sizes"),
-            (args.shape.creases.is_some(), "--creases"),
-            (args.picture.wanted(), "--picture"),
-        ];
-        let of_one = alone.iter().find(|(is_given, _)| *is_given).map(|(_, option)| *option);
-        match of_one {
-            Some("-o") => Some("there are several inputs, and one output; give --out-dir instead of -o".to_owned()),
-            Some("--report") => {
-                Some("there are several inputs, and --report is for one; --json prints a report a line".to_owned())
-            }
-            Some(option) => Some(format!("there are several inputs, and {option} is for one")),
-            None if args.input.iter().any(|path| has_standard(path)) => {
-                Some("- is the standard input; it goes with no other input".to_owned())
-            }
-            None => None,
-        }
-    } else if args.say.json && output.as_deref().is_some_and(has_standard) {
-        Some("-o - and --json both write to the standard output; give --report instead of --json".to_owned())
-    } else if out_dir.is_some() && args.input.iter().any(|path| has_standard(path)) {
-        Some("the standard input has no name; give -o instead of --out-dir".to_owned())
-    } else {
-        None
-    };
-    refused.map_or(Ok(()), |text| Err(Usage(text).into()))
+    let is_standard = |path: &PathBuf| path.as_os_str() == "-";
+    let (several, reads_standard) = (args.input.len() > 1, args.input.iter().any(is_standard));
+    let for_one = |option: &str| format!("there are several inputs, and {option} is for one");
+    let refused = [
+        (
+            several && out_dir.is_none(),
+            "there are several inputs, and one output; give --out-dir instead of -o".to_owned(),
+        ),
+        (several && report.is_some(), for_one("--report") + "; --json prints a report a line"),
+        (several && args.size.sizes.is_some(), for_one("--sizes")),
+        (several && args.shape.creases.is_some(), for_one("--creases")),
+        (several && args.picture.wanted(), for_one("--picture")),
+        (several && reads_standard, "- is the standard input; it goes with no other input".to_owned()),
+        (
+            args.say.json && output.as_ref().is_some_and(is_standard),
+            "-o - and --json both write to the standard output; give --report instead of --json".to_owned(),
+        ),
+        (
+            out_dir.is_some() && reads_standard,
+            "the standard input has no name; give -o instead of --out-dir".to_owned(),
+        ),
+    ];
+    match refused.into_iter().find(|(is_wrong, _)| *is_wrong) {
+        Some((_, text)) => Err(Usage(text).into()),
+        None => Ok(()),
+    }
 }
 
 fn task(args: &RemeshArgs, path: &Path, output: Option<&Path>) -> Result<Task> {

@@ -13,7 +13,6 @@ const FIRST: Duration = Duration::from_millis(100);
 /// The longest pause.
 const LONGEST: Duration = Duration::from_secs(5);
 
-/// See the module's head.
 #[derive(Debug)]
 pub(super) struct Again {
     limit: Duration,

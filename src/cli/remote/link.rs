@@ -76,7 +76,7 @@ pub(crate) struct Caller {
 }
 
 impl Caller {
-    pub(super) fn of(server: &Server) -> Result<Self> {
+    fn of(server: &Server) -> Result<Self> {
         let tenant = server.tenant.as_ref().map(Tenant::as_str).map(AsciiMetadataValue::try_from).transpose();
         let tenant = tenant.map_err(|e| Usage(format!("--tenant: {e}")))?;
         let key = server.key.as_ref().map(|key| AsciiMetadataValue::try_from(format!("Bearer {}", key.reveal())));
@@ -101,7 +101,6 @@ impl Interceptor for Caller {
 /// What calls are made on.
 pub(crate) type Door = InterceptedService<Channel, Caller>;
 
-/// See the module's head.
 pub(super) struct Link<'a> {
     url: &'a ServerUrl,
     patience: Patience,
@@ -175,11 +174,6 @@ impl<'a> Link<'a> {
         InterceptedService::new(self.channel.clone(), self.caller.clone())
     }
 
-    /// The connection without its owner, for who makes many calls on it.
-    pub(super) fn into_channel(self) -> Channel {
-        self.channel
-    }
-
     /// Where the server is.
     pub(super) fn url(&self) -> &'a ServerUrl {
         self.url
@@ -215,6 +209,27 @@ impl<'a> Link<'a> {
                 return Err(Unavailable(text).into());
             }
         }
+    }
+}
+
+/// A connection for many calls at once, of several tenants. The server answered on it once.
+#[derive(Clone, Debug)]
+pub(crate) struct Line {
+    server: Server,
+    channel: Channel,
+}
+
+impl Line {
+    /// Connects.
+    pub(crate) async fn open(server: &Server, windows: Windows) -> Result<Self> {
+        let Link { channel, .. } = Link::open_with(server, Patience::with(0), windows).await?;
+        Ok(Self { server: server.clone(), channel })
+    }
+
+    /// A door for calls of a tenant; of the server's own tenant if none is named.
+    pub(crate) fn door(&self, tenant: Option<&Tenant>) -> Result<Door> {
+        let server = Server { tenant: tenant.or(self.server.tenant.as_ref()).cloned(), ..self.server.clone() };
+        Ok(InterceptedService::new(self.channel.clone(), Caller::of(&server)?))
     }
 }
 

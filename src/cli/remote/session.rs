@@ -4,7 +4,6 @@
 //! Must not know: what is asked.
 
 use std::future::Future;
-use std::time::Duration;
 
 use anyhow::Result;
 use tonic::{Response, Status};
@@ -12,9 +11,8 @@ use tonic::{Response, Status};
 use super::again::Again;
 use super::faults::{self, Fault};
 use super::link::{Link, Patience};
-use crate::server::Server;
+use crate::server::{Server, ServerArgs};
 
-/// See the module's head.
 pub(crate) struct Session<'a> {
     server: &'a Server,
     patience: Patience,
@@ -22,19 +20,13 @@ pub(crate) struct Session<'a> {
     pub(super) again: Again,
 }
 
-/// Does `work` with a server, and tries again for `retry` after a lost connection.
-///
-/// # Errors
-/// The server cannot be reached, a signal came, or what `work` says.
-pub(crate) fn session<R>(
-    server: &Server,
-    retry: Duration,
-    work: impl AsyncFnOnce(&mut Session<'_>) -> Result<R>,
-) -> Result<R> {
+/// Does `work` with a server, and tries again after a lost connection.
+pub(crate) fn session<R>(args: &ServerArgs, work: impl AsyncFnOnce(&mut Session<'_>) -> Result<R>) -> Result<R> {
+    let server = &args.server()?;
     super::block_on(async {
         let patience = Patience::with(0);
         let link = Some(Link::open(server, patience).await?);
-        let mut session = Session { server, patience, link, again: Again::within(retry) };
+        let mut session = Session { server, patience, link, again: Again::within(args.retry()) };
         work(&mut session).await
     })
 }

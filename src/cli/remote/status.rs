@@ -3,6 +3,7 @@
 //! Invariant: a question takes no longer than it may; what is not reached or does not answer is an error and not a state.
 //! Must not know: how it is printed.
 
+use std::future::Future;
 use std::time::Duration;
 
 use anyhow::Result;
@@ -18,62 +19,35 @@ use crate::server::Server;
 use wire::proto::server_service_client::ServerServiceClient;
 use wire::proto::{GetServerInfoRequest, GetServerInfoResponse};
 
-/// How a service is, as health says it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum State {
-    /// It takes calls.
-    Serving,
-    /// It does not, for now.
-    NotServing,
-    /// There is no such service.
-    Unknown,
-}
-
-impl State {
-    /// As the protocol calls it.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Serving => "SERVING",
-            Self::NotServing => "NOT_SERVING",
-            Self::Unknown => "SERVICE_UNKNOWN",
-        }
-    }
-
-    fn of(status: i32) -> Self {
-        match ServingStatus::try_from(status) {
-            Ok(ServingStatus::Serving) => Self::Serving,
-            Ok(ServingStatus::ServiceUnknown) => Self::Unknown,
-            _ => Self::NotServing,
-        }
+/// Anything but these two is not serving.
+fn state(status: i32) -> ServingStatus {
+    match ServingStatus::try_from(status) {
+        Ok(known @ (ServingStatus::Serving | ServingStatus::ServiceUnknown)) => known,
+        _ => ServingStatus::NotServing,
     }
 }
 
-fn patience(limit: Duration) -> Patience {
-    Patience { connect: limit, ping: limit.max(Duration::from_secs(1)), first: limit }
+/// Waits for `work` no longer than `limit`.
+async fn within<T>(server: &Server, limit: Duration, work: impl Future<Output = T>) -> Result<T> {
+    tokio::time::timeout(limit, work).await.map_err(|_| {
+        let (url, seconds) = (&server.url, limit.as_secs_f64());
+        Unavailable(format!("{url} did not answer within {seconds} s; is a server running there?")).into()
+    })
 }
 
 async fn link(server: &Server, limit: Duration) -> Result<Link<'_>> {
-    match tokio::time::timeout(limit, Link::open(server, patience(limit))).await {
-        Ok(link) => link,
-        Err(_) => Err(silent(server, limit)),
-    }
+    let patience = Patience { connect: limit, ping: limit.max(Duration::from_secs(1)), first: limit };
+    within(server, limit, Link::open(server, patience)).await?
 }
 
-fn silent(server: &Server, limit: Duration) -> anyhow::Error {
-    let text = format!("{} did not answer within {} s; is a server running there?", server.url, limit.as_secs_f64());
-    Unavailable(text).into()
-}
-
-/// How a service is; all of the server if none is named.
-pub(crate) async fn health(server: &Server, service: &str, limit: Duration) -> Result<State> {
+/// Health of a service; of the whole server if the name is empty.
+pub(crate) async fn health(server: &Server, service: &str, limit: Duration) -> Result<ServingStatus> {
     let link = link(server, limit).await?;
     let mut client = HealthClient::new(link.channel());
-    let asked = client.check(HealthCheckRequest { service: service.to_owned() });
-    match tokio::time::timeout(limit, asked).await {
-        Err(_) => Err(silent(server, limit)),
-        Ok(Ok(answer)) => Ok(State::of(answer.into_inner().status)),
-        Ok(Err(status)) if status.code() == Code::NotFound => Ok(State::Unknown),
-        Ok(Err(status)) => Err(faults::of_status(link.url(), &status)),
+    match within(server, limit, client.check(HealthCheckRequest { service: service.to_owned() })).await? {
+        Ok(answer) => Ok(state(answer.into_inner().status)),
+        Err(status) if status.code() == Code::NotFound => Ok(ServingStatus::ServiceUnknown),
+        Err(status) => Err(faults::of_status(link.url(), &status)),
     }
 }
 
@@ -82,16 +56,15 @@ pub(crate) async fn watch_health(
     server: &Server,
     service: &str,
     limit: Duration,
-    mut tell: impl FnMut(State) -> Result<bool>,
+    mut tell: impl FnMut(ServingStatus) -> Result<bool>,
 ) -> Result<()> {
     let link = link(server, limit).await?;
     let mut client = HealthClient::new(link.channel());
-    let watching = client.watch(HealthCheckRequest { service: service.to_owned() });
-    let Ok(watched) = tokio::time::timeout(limit, watching).await else { return Err(silent(server, limit)) };
+    let watched = within(server, limit, client.watch(HealthCheckRequest { service: service.to_owned() })).await?;
     let mut states = watched.map_err(|status| faults::of_status(link.url(), &status))?.into_inner();
     loop {
         match states.message().await {
-            Ok(Some(state)) if tell(State::of(state.status))? => {}
+            Ok(Some(next)) if tell(state(next.status))? => {}
             Ok(Some(_)) => return Ok(()),
             Ok(None) => return Err(Unavailable(format!("{} ended the watch; is it shutting down?", server.url)).into()),
             Err(status) => return Err(faults::of_status(link.url(), &status)),
@@ -99,16 +72,15 @@ pub(crate) async fn watch_health(
     }
 }
 
-/// What a server says of itself.
+/// Version, backends, memory and limits of a server.
 pub(crate) async fn info(server: &Server, limit: Duration) -> Result<GetServerInfoResponse> {
     let link = link(server, limit).await?;
     let mut client = ServerServiceClient::new(link.channel());
-    match tokio::time::timeout(limit, client.get_server_info(GetServerInfoRequest {})).await {
-        Err(_) => Err(silent(server, limit)),
-        Ok(Ok(answer)) => Ok(answer.into_inner()),
-        Ok(Err(status)) if status.code() == Code::Unimplemented => {
+    match within(server, limit, client.get_server_info(GetServerInfoRequest {})).await? {
+        Ok(answer) => Ok(answer.into_inner()),
+        Err(status) if status.code() == Code::Unimplemented => {
             Err(Usage(format!("{} does not tell about itself; it is an older server", server.url)).into())
         }
-        Ok(Err(status)) => Err(faults::of_status(link.url(), &status)),
+        Err(status) => Err(faults::of_status(link.url(), &status)),
     }
 }

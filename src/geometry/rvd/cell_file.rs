@@ -5,16 +5,16 @@
 //! Invariant: what is written is a PLY file once it is finished, and not before. Must not know: where pieces
 //! come from, what is written to.
 
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufWriter, IntoInnerError, Read, Seek, SeekFrom, Write};
 use std::ops::RangeInclusive;
 
 use super::PieceBatch;
 
 /// A file being written. Vertices go behind a header of fixed length, polygons to a second
 /// file that is appended at the end, when their numbers are known.
-pub struct CellWriter<V, P> {
+pub struct CellWriter<V, P: Write> {
     vertices: V,
-    polygons: P,
+    polygons: BufWriter<P>,
     vertex_count: u64,
     polygon_count: u64,
 }
@@ -29,7 +29,7 @@ impl<V: Write + Seek, P: Read + Write + Seek> CellWriter<V, P> {
     /// Begins a file in `vertices`, at its start. `polygons` is for the meantime.
     pub fn new(mut vertices: V, polygons: P) -> io::Result<Self> {
         vertices.write_all(&[0; HEADER_BYTES])?;
-        Ok(Self { vertices, polygons, vertex_count: 0, polygon_count: 0 })
+        Ok(Self { vertices, polygons: BufWriter::new(polygons), vertex_count: 0, polygon_count: 0 })
     }
 
     /// Adds pieces.
@@ -72,9 +72,9 @@ impl<V: Write + Seek, P: Read + Write + Seek> CellWriter<V, P> {
 
     /// Joins the parts. Gives back what was written to; it is to be flushed.
     pub fn finish(mut self) -> io::Result<V> {
-        self.polygons.flush()?;
-        self.polygons.seek(SeekFrom::Start(0))?;
-        io::copy(&mut self.polygons, &mut self.vertices)?;
+        let mut polygons = self.polygons.into_inner().map_err(IntoInnerError::into_error)?;
+        polygons.seek(SeekFrom::Start(0))?;
+        io::copy(&mut polygons, &mut self.vertices)?;
         self.vertices.seek(SeekFrom::Start(0))?;
         self.vertices.write_all(header(self.vertex_count, self.polygon_count).as_bytes())?;
         Ok(self.vertices)

@@ -17,6 +17,7 @@ use std::ops::Range;
 use super::context::Context;
 use super::lane;
 use super::layout::{self, MEMBERS, NONE, Params, ROOT, ROW, SUM_WORDS, State, accumulate};
+use super::measure;
 use super::memory::{Memory, OnDevice, records};
 use super::neighbours::{Neighbours, Rows};
 use super::pipelines::SLOTS;
@@ -131,10 +132,7 @@ impl Clip {
             near,
             demoted: Vec::new(),
             divides: true,
-            accumulate: match how {
-                Accumulate::Direct | Accumulate::Auto => accumulate::DIRECT,
-                Accumulate::TwoPhase => accumulate::TWO_PHASE,
-            },
+            accumulate: measure::adding(how),
             scales: fixed::Scales::default(),
             walker: FacetWalker::default(),
             pass: PassResult::default(),

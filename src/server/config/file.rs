@@ -173,27 +173,12 @@ fn unknown(command: &Command, key: &str, value: &DeValue<'_>) -> String {
         return format!("{key}: a configuration names no other; give --config");
     }
     let keys = command.get_arguments().filter(|arg| is_key(arg)).map(|arg| arg.get_id().as_str());
-    let nearest = keys.map(|known| (distance(key, known), known)).min();
+    let nearest = keys.map(|known| (strsim::levenshtein(key, known), known)).min();
     let hint = match nearest {
         Some((far, known)) if far <= NEAR.min(key.len() / 2) => format!("; {known} may be meant"),
         _ => "; `tessera config print --defaults` lists all keys".to_owned(),
     };
     format!("{key}: there is no such option{hint}")
-}
-
-/// Letters to change, add or leave out to make the one word of the other (Levenshtein).
-fn distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, letter) in a.chars().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (j, other) in b.iter().enumerate() {
-            let changed = diagonal + usize::from(letter != *other);
-            diagonal = row[j + 1];
-            row[j + 1] = changed.min(row[j] + 1).min(row[j + 1] + 1);
-        }
-    }
-    row.last().copied().unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -257,12 +242,5 @@ mod tests {
         assert_eq!(found.get_one::<u64>("max_seeds"), Some(&1000));
         assert_eq!(found.get_one::<u64>("max_facets"), Some(&2000));
         assert_eq!(found.get_one::<f64>("stuck_s"), Some(&7.0));
-    }
-
-    #[test]
-    fn words_are_compared_by_letters() {
-        for (a, b, far) in [("", "", 0), ("a", "", 1), ("kitten", "sitting", 3), ("same", "same", 0), ("ab", "ba", 2)] {
-            assert_eq!((distance(a, b), distance(b, a)), (far, far), "{a} {b}");
-        }
     }
 }

@@ -10,8 +10,11 @@ use super::RequestError;
 use super::access::{Refusal, TENANT};
 use super::convert::spec::path_of;
 use super::refusal;
-use crate::metrics::Refused;
 use geometry::cvt::density::DensityError;
+use jobs::blob::BlobError;
+use strum::IntoStaticStr;
+
+use crate::metrics::Refused;
 use geometry::mesh::MeshError;
 use geometry::mesh::features::FeatureError;
 use geometry::remesh::RemeshError;
@@ -19,13 +22,13 @@ use geometry::rvd::RvdError;
 use geometry::token::Stopped;
 use jobs::JobError;
 use jobs::api::JobApiError;
-use jobs::blob::BlobError;
 use jobs::record::SpecError;
 use jobs::store::StoreError;
 use wire::WireError;
 
 /// What kind of error it is, as far as a caller acts on it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum Kind {
     Cancelled,
     InvalidArgument,
@@ -47,23 +50,7 @@ pub enum Kind {
 impl Kind {
     /// Its name in lower case.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Cancelled => "cancelled",
-            Self::InvalidArgument => "invalid_argument",
-            Self::DeadlineExceeded => "deadline_exceeded",
-            Self::NotFound => "not_found",
-            Self::AlreadyExists => "already_exists",
-            Self::PermissionDenied => "permission_denied",
-            Self::ResourceExhausted => "resource_exhausted",
-            Self::FailedPrecondition => "failed_precondition",
-            Self::Aborted => "aborted",
-            Self::OutOfRange => "out_of_range",
-            Self::Unimplemented => "unimplemented",
-            Self::Internal => "internal",
-            Self::Unavailable => "unavailable",
-            Self::DataLoss => "data_loss",
-            Self::Unauthenticated => "unauthenticated",
-        }
+        self.into()
     }
 }
 

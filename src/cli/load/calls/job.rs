@@ -4,16 +4,17 @@
 //! did not bring about. Must not know: streams.
 
 use std::collections::HashMap;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use bytes::Bytes;
 use tokio::sync::watch;
 use tokio::time::Instant;
-use tonic::{Code, Response, Status};
+use tonic::{Code, Status};
 
-use super::{Answers, Asked, At, Caller, End, Ends, Pace, Why, unary};
+use super::{Answers, Asked, At, End, Ends, Pace, Why, counted, unary};
 use crate::load::amounts::Kind;
-use crate::load::tally::{Call, Tally};
+use crate::load::tally::Tally;
 use crate::remote::{Door, has_ended};
 use wire::pieces::{Incoming, PIECE_BYTES, piece};
 use wire::proto::blob_service_client::BlobServiceClient;
@@ -51,9 +52,9 @@ impl At<'_> {
     pub(super) async fn job(&self, kind: Kind, asked: &mut Asked, pace: &mut Pace) -> Result<(), End> {
         let (caller, tally) = (self.caller, &self.caller.tally);
         let mut rubbish = Rubbish { job: None, blobs: Vec::new() };
-        let digest = match caller.uploads {
+        let digest = match caller.settings.uploads {
             true => {
-                let (begin, file) = (Instant::now(), caller.next_file());
+                let (begin, file) = (Instant::now(), caller.uploaded.fetch_add(1, Ordering::Relaxed));
                 let (bytes, digest) = self.surface.file_with(&format!("{LABEL} {} {file}", caller.run));
                 asked.sent_bytes = bytes.len() as u64;
                 rubbish.blobs.push(digest.clone());
@@ -70,7 +71,7 @@ impl At<'_> {
         let Some(Job { id, .. }) = created.job else { return Err(End::Wrong("there is no job in it".to_owned())) };
         rubbish.job = Some(id.clone());
         asked.rubbish = Some(rubbish.clone());
-        match self.watch(&id).await {
+        match watch_job(tally, self.door, self.ends, &id).await {
             Err(End::Here(why)) => self.give_up(&id, why).await?,
             watched => watched?,
         }
@@ -106,23 +107,18 @@ impl At<'_> {
             Kind::RvdJob => job_spec::Work::Rvd(RvdJob { seeds, ..RvdJob::default() }),
             _ => job_spec::Work::Remesh(RemeshJob {
                 seeds,
-                lloyd_steps: self.caller.lloyd,
-                newton_steps: self.caller.newton,
+                lloyd_steps: self.caller.settings.lloyd,
+                newton_steps: self.caller.settings.newton,
                 ..RemeshJob::default()
             }),
         };
         JobSpec {
             mesh: Some(JobMesh { source: Some(job_mesh::Source::File(file)) }),
             work: Some(work),
-            backend: self.caller.backend.into(),
+            backend: self.caller.settings.backend.into(),
             labels: HashMap::from([(LABEL.to_owned(), self.caller.run.clone())]),
             ..JobSpec::default()
         }
-    }
-
-    /// Waits until the job has ended.
-    async fn watch(&self, id: &str) -> Result<(), End> {
-        watch_job(&self.caller.tally, self.door, self.ends, id).await
     }
 
     /// Cancels the job and waits for its end. One that had ended before is as good as any other.
@@ -154,13 +150,6 @@ impl At<'_> {
             pace.read(piece.data.len()).await;
         }
         blob.finish().map_err(|error| wrong(&error)).map(|_| ())
-    }
-}
-
-impl Caller {
-    /// The number of the next file.
-    fn next_file(&self) -> u64 {
-        self.uploaded.fetch_add(1, std::sync::atomic::Ordering::Relaxed)
     }
 }
 
@@ -220,9 +209,6 @@ async fn write(tally: &Tally, door: &Door, ends: &Ends, digest: &str, bytes: Byt
 }
 
 /// Uploads a file that many jobs use, unless it is there. Whether it was not.
-///
-/// # Errors
-/// Why it could not be uploaded.
 pub(in crate::load) async fn put(
     tally: &Tally,
     door: &Door,
@@ -249,47 +235,24 @@ fn status(end: End) -> Status {
     }
 }
 
-/// Whether something is gone, by the answer of what was to remove it.
-fn gone<T>(call: Call, answer: Result<Response<T>, Status>) -> bool {
-    match answer {
-        Ok(_) => {
-            call.ended();
-            true
-        }
-        Err(status) => {
-            call.failed(&status);
-            // A blob that another job needs is that job's.
-            matches!(status.code(), Code::NotFound | Code::FailedPrecondition)
-        }
-    }
-}
-
-/// Removes a blob. Whether it is gone, or somebody else's.
+/// Removes a blob. Whether it is gone, or belongs to another job.
 pub(in crate::load) async fn delete_blob(tally: &Tally, door: &Door, digest: &str) -> bool {
     let call = tally.begin("tessera.v1.BlobService/Delete");
-    gone(call, blobs(door).delete(DeleteRequest { digest: digest.to_owned() }).await)
+    let answer = counted(call, blobs(door).delete(DeleteRequest { digest: digest.to_owned() })).await;
+    !answer.is_err_and(|status| !matches!(status.code(), Code::NotFound | Code::FailedPrecondition))
 }
 
 /// Ends and forgets a job. Whether it is gone.
 async fn delete_job(tally: &Tally, door: &Door, id: &str, ended: bool) -> bool {
     if !ended {
         let call = tally.begin("tessera.v1.JobService/CancelJob");
-        let request = CancelJobRequest { id: id.to_owned() };
-        gone(call, jobs(door).cancel_job(request).await);
+        let _ = counted(call, jobs(door).cancel_job(CancelJobRequest { id: id.to_owned() })).await;
         // A job at work may take a moment to hear of it.
         let _ = watch_job(tally, door, &within(CANCEL), id).await;
     }
     let call = tally.begin("tessera.v1.JobService/DeleteJob");
-    match jobs(door).delete_job(DeleteJobRequest { id: id.to_owned() }).await {
-        Ok(_) => {
-            call.ended();
-            true
-        }
-        Err(status) => {
-            call.failed(&status);
-            status.code() == Code::NotFound
-        }
-    }
+    let answer = counted(call, jobs(door).delete_job(DeleteJobRequest { id: id.to_owned() })).await;
+    !answer.is_err_and(|status| status.code() != Code::NotFound)
 }
 
 impl Rubbish {
@@ -315,16 +278,7 @@ pub(in crate::load) async fn sweep(tally: &Tally, door: &Door, run: &str) -> u64
     loop {
         let request = ListJobsRequest { labels: labels.clone(), page_token, ..ListJobsRequest::default() };
         let call = tally.begin("tessera.v1.JobService/ListJobs");
-        let page = match jobs(door).list_jobs(request).await {
-            Ok(page) => {
-                call.ended();
-                page.into_inner()
-            }
-            Err(status) => {
-                call.failed(&status);
-                return left + 1;
-            }
-        };
+        let Ok(page) = counted(call, jobs(door).list_jobs(request)).await else { return left + 1 };
         for job in page.jobs {
             let rubbish = Rubbish {
                 blobs: job.results.iter().map(|result| result.digest.clone()).collect(),

@@ -94,9 +94,9 @@ impl At<'_> {
         let header = proto::RemeshHeader {
             mesh: Some(self.surface.header),
             seeds: Some(self.seeds()),
-            backend: self.caller.backend.into(),
-            lloyd_steps: self.caller.lloyd,
-            newton_steps: self.caller.newton,
+            backend: self.caller.settings.backend.into(),
+            lloyd_steps: self.caller.settings.lloyd,
+            newton_steps: self.caller.settings.newton,
             ..proto::RemeshHeader::default()
         };
         let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
@@ -130,7 +130,7 @@ impl At<'_> {
         let header = proto::ComputeRvdHeader {
             mesh: Some(self.surface.header),
             seeds: Some(self.seeds()),
-            backend: self.caller.backend.into(),
+            backend: self.caller.settings.backend.into(),
             outputs: vec![RvdOutput::Cells.into(), RvdOutput::Centroids.into()],
         };
         let chunks = self.surface.chunks.iter().cloned().map(Ask::Chunk);
@@ -169,7 +169,7 @@ impl At<'_> {
         let header = proto::CvtHeader {
             mesh: Some(self.surface.header),
             seeds: Some(self.seeds()),
-            backend: self.caller.backend.into(),
+            backend: self.caller.settings.backend.into(),
             ..proto::CvtHeader::default()
         };
         let step = proto::CvtStep { iterations: CVT_STEPS, ..proto::CvtStep::default() };

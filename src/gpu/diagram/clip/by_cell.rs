@@ -3,8 +3,8 @@
 //! Purpose: \[HYWZ17\] gives a thread to each facet, and to each cell where a facet meets more than 20 cells: a facet of many
 //! cells is a long walk, and few facets are few threads. Here both sides end in the same list of pairs. By facet, pairs are
 //! found across bisectors from the facet's first cell, a ring of cells a round. By cell, the stage `reach` lets each seed enter
-//! the facets that it reaches, nearly all of them in one round. This module chooses those facets, and makes the grid in which
-//! seeds look for them.
+//! the facets that it reaches, nearly all of them in one round. `measure` chooses those facets. This module makes the
+//! grid in which seeds look for them.
 //! Invariant: what is listed by cell is still closed under propagation, so nothing is missed. The stage `verify` proves that
 //! nothing else was added. Facets without that proof, or with pairs that the device cannot end, are left to propagation: same
 //! pairs, same bits.
@@ -22,21 +22,11 @@ use crate::diagram::memory::Memory;
 use crate::diagram::neighbours::Neighbours;
 use crate::diagram::plan::size;
 use crate::dispatch::Stage;
-use geometry::rvd::{CELLS_PER_FACET, PassStats, RvdError, Strategy, Surface};
+use geometry::rvd::{PassStats, RvdError, Surface};
 use geometry::token::Token;
 
 /// Grid cells along a side at most.
 const MOST_CELLS: f64 = 64.0;
-
-/// Which facets are found by cell.
-pub(crate) fn chosen(expected: &[f64], strategy: Strategy) -> Vec<u32> {
-    let least = match strategy {
-        Strategy::Facet => return Vec::new(),
-        Strategy::Cell => 0.0,
-        Strategy::Auto => CELLS_PER_FACET,
-    };
-    (0..expected.len() as u32).filter(|&f| expected[f as usize] > least).collect()
-}
 
 /// The facets near each place of the unit box.
 #[derive(Debug, Default)]
@@ -172,14 +162,6 @@ pub(crate) fn mark(records: &mut [layout::Facet], by_cell: &[u32]) {
 mod tests {
     use super::*;
     use geometry::mesh::shapes::Shape;
-
-    #[test]
-    fn strategies_choose_facets() {
-        let expected = [0.0, 3.0, 20.0, 20.5];
-        assert!(chosen(&expected, Strategy::Facet).is_empty());
-        assert_eq!(chosen(&expected, Strategy::Cell), [1, 2, 3]);
-        assert_eq!(chosen(&expected, Strategy::Auto), [3]);
-    }
 
     #[test]
     fn the_grid_holds_every_facet_where_it_is() {

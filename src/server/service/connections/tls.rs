@@ -6,24 +6,23 @@
 //! Must not know: connections.
 
 mod material;
-mod validity;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use rustls::ServerConfig;
 use tokio::sync::Notify;
+use x509_parser::certificate::Validity;
 
 use self::material::Material;
 pub use self::material::TlsError;
-use self::validity::Validity;
 use crate::config::TlsFiles;
 use jobs::blob::Digest;
 
-/// A certificate that expires within this time is logged.
+/// The log warns of a certificate that ends within this time.
 const WARN_BEFORE: Duration = Duration::from_secs(14 * 24 * 3600);
 
-/// Time between two such log lines.
+/// Time between two such warnings.
 const WARN_EVERY: Duration = Duration::from_secs(24 * 3600);
 
 /// See the module's head.
@@ -109,15 +108,15 @@ impl Tls {
         }
         let made = read.and_then(|material| {
             let (config, validity) = material.config(&self.files)?;
-            match validity.map(|validity| validity.is_now()) {
-                Some(false) => Err(TlsError::OutOfDate { file: self.files.cert.clone() }),
-                _ => Ok((config, validity)),
+            match validity.as_ref().is_some_and(|validity| !validity.is_valid()) {
+                true => Err(TlsError::OutOfDate { file: self.files.cert.clone() }),
+                false => Ok((config, validity)),
             }
         });
         let mut state = self.lock();
         match made {
             Ok((config, validity)) => {
-                let until = validity.map(|validity| validity.until());
+                let until = validity.as_ref().map(until);
                 let (web, config, active) = (with_http1(&config), Arc::new(config), digest);
                 *state = State { config, web, validity, active, complained: None, warned: None };
                 tracing::info!(until, "new connections get the new certificate");
@@ -133,13 +132,14 @@ impl Tls {
     /// Tells ahead of time that the certificate ends.
     fn warn(&self) {
         let mut state = self.lock();
-        let Some(validity) = state.validity else { return };
-        if validity.is_for(WARN_BEFORE) || state.warned.is_some_and(|last| last.elapsed() < WARN_EVERY) {
+        let Some(validity) = state.validity.clone() else { return };
+        let is_long = validity.time_to_expiration().is_some_and(|left| left >= WARN_BEFORE);
+        if is_long || state.warned.is_some_and(|last| last.elapsed() < WARN_EVERY) {
             return;
         }
         state.warned = Some(Instant::now());
-        let (file, until) = (self.files.cert.display(), validity.until());
-        match validity.is_now() {
+        let (file, until) = (self.files.cert.display(), until(&validity));
+        match validity.is_valid() {
             true => tracing::warn!(%file, until, "the certificate ends soon; put a new one there"),
             false => tracing::error!(%file, until, "the certificate is out of date: clients will refuse it"),
         }
@@ -150,7 +150,12 @@ impl Tls {
     }
 }
 
-/// The configuration with HTTP/1.1 for clients without HTTP/2.
+/// Last day of a certificate, as year-month-day.
+fn until(validity: &Validity) -> String {
+    validity.not_after.to_datetime().date().to_string()
+}
+
+/// The same for clients that speak HTTP/1.1.
 fn with_http1(config: &ServerConfig) -> Arc<ServerConfig> {
     let mut config = config.clone();
     config.alpn_protocols.push(b"http/1.1".to_vec());

@@ -14,8 +14,9 @@ use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::server::WebPkiClientVerifier;
 use rustls::version::{TLS12, TLS13};
 use rustls::{RootCertStore, ServerConfig};
+use x509_parser::certificate::{Validity, X509Certificate};
+use x509_parser::prelude::FromDer;
 
-use super::validity::Validity;
 use crate::config::TlsFiles;
 use jobs::blob::Digest;
 
@@ -100,7 +101,8 @@ impl Material {
             let why = format!(": {error}");
             TlsError::Missing { file: files.key.clone(), what: "private key", why }
         })?;
-        let validity = chain.first().and_then(|first| Validity::of(first));
+        let validity = chain.first().and_then(|first| X509Certificate::from_der(first).ok());
+        let validity = validity.map(|(_, certificate)| certificate.validity().clone());
         let pair = |error: rustls::Error| TlsError::Pair {
             cert: files.cert.clone(),
             key: files.key.clone(),
