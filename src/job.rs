@@ -10,34 +10,12 @@
 //! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
 //! Must not know: gRPC, messages, the command line.
 
-pub mod api;
-mod bytes;
-mod call;
-pub(crate) mod diagram;
-mod engine;
-pub(crate) mod estimate;
-pub mod event;
-mod executor;
-pub(crate) mod forecast;
-mod gate;
-mod input;
-mod loss;
-mod observed;
-pub(crate) mod observer;
-mod perform;
-mod pools;
-mod preview;
-pub(crate) mod probe;
-pub(crate) mod queue;
+pub(crate) mod admission;
+pub mod engine;
+pub mod executor;
+pub(crate) mod observe;
 pub mod record;
-mod schedule;
-pub(crate) mod session;
-pub(crate) mod spec;
-pub mod state;
 pub mod store;
-pub(crate) mod watchdog;
-mod weights;
-pub(crate) mod worker;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -47,21 +25,13 @@ use crate::remesh::RemeshError;
 use crate::rvd::{Backend, BackendChoice, BackendKind, RvdError};
 use crate::token::{Stopped, Token};
 
-pub use bytes::Bytes;
-pub use call::Retry;
-pub(crate) use call::{Timed, WorkContext};
-pub use engine::Engine;
-pub(crate) use engine::{Pending, Reservation};
-pub use executor::{BlobRoom, Executor, ExecutorOptions, Stores};
-pub use input::JobBounds;
-pub use loss::LossPolicy;
-pub use queue::Admission;
-pub use schedule::AdmissionRequest;
-pub use watchdog::Ceilings;
-pub(crate) use watchdog::Work;
-pub use weights::Weights;
-pub(crate) use worker::Device;
-pub use worker::EngineOptions;
+pub(crate) use admission::{estimate, forecast};
+pub use engine::{Admission, AdmissionRequest, Bytes, Ceilings, Engine, EngineOptions, LossPolicy, Retry, Weights};
+pub(crate) use engine::{Device, Pending, Reservation, Timed, Work, WorkContext, probe};
+pub use executor::{BlobRoom, Executor, ExecutorOptions, JobBounds, Stores, api};
+pub(crate) use executor::{diagram, prepared as spec, session};
+pub(crate) use observe::activity as observer;
+pub use record::{event, state};
 
 /// Makes a CPU backend with so many threads of its own.
 pub type PoolFactory = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;
@@ -85,17 +55,17 @@ impl Backends {
     /// What a job sees: `host` in place of `parallel`, and the GPU through the gate. Passes are told of.
     fn for_job(
         &self,
-        gate: &Arc<gate::Gate>,
+        gate: &Arc<engine::Gate>,
         host: Option<&Arc<dyn Backend>>,
         activity: &Arc<observer::Activity>,
     ) -> Self {
         let observed = |inner: &Arc<dyn Backend>| -> Arc<dyn Backend> {
-            Arc::new(observed::Observed { inner: Arc::clone(inner), activity: Arc::clone(activity) })
+            Arc::new(engine::Observed { inner: Arc::clone(inner), activity: Arc::clone(activity) })
         };
         let (host, serial) = (observed(host.unwrap_or(&self.parallel)), observed(&self.serial));
         let shared = |device: &Arc<dyn Backend>| -> Arc<dyn Backend> {
             let (device, gate, host, activity) = (device.clone(), gate.clone(), host.clone(), activity.clone());
-            Arc::new(gate::Gated { device, gate, host, activity })
+            Arc::new(engine::Gated { device, gate, host, activity })
         };
         Self { gpu: self.gpu.as_ref().map(shared).map_err(Clone::clone), parallel: host, serial, ..self.clone() }
     }

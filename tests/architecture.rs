@@ -128,7 +128,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("quick_xml", &["mesh/io/vtk"]),
     ("base64", &["mesh/io/gltf", "mesh/io/vtk"]),
     ("zstd", &["service/connections/unpacking"]),
-    ("rustix", &["blob/staging", "job/worker", "service/connections"]),
+    ("rustix", &["blob/staging", "job/engine/worker", "service/connections"]),
     ("object_store", &["blob"]),
     ("reqwest", &["blob/s3"]),
     ("rustls", &["blob/s3", "service/connections"]),

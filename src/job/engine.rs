@@ -3,6 +3,19 @@
 //! Purpose: [`Engine::submit`] from any task; an answer with times. Invariant: every submitted piece is answered exactly once
 //! or its caller has gone. Must not know: what a piece computes, how the threads share the device.
 
+mod bytes;
+pub(crate) mod call;
+mod gate;
+mod loss;
+mod observed;
+mod pools;
+pub(crate) mod probe;
+pub(crate) mod queue;
+mod schedule;
+pub(crate) mod watchdog;
+mod weights;
+pub(crate) mod worker;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::thread::{Builder, JoinHandle};
@@ -10,16 +23,30 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
 
-use super::bytes::Bytes;
-use super::call::{ActivityState, Call, Retry, Timed, WorkContext};
-use super::observer::{Observer, QueuedActivity};
-use super::queue::Admission;
-use super::watchdog::{WatchGuard, Work};
-use super::weights::Weights;
-use super::worker::{Device, EngineOptions, Shared, run};
 use super::{BackendInfo, Backends, JobError};
+use crate::job::engine::bytes::Bytes;
+use crate::job::engine::call::{ActivityState, Call, Retry, Timed, WorkContext};
+use crate::job::engine::queue::Admission;
+use crate::job::engine::watchdog::{WatchGuard, Work};
+use crate::job::engine::weights::Weights;
+use crate::job::engine::worker::{Device, EngineOptions, Shared, run};
+use crate::job::observe::activity::{Observer, QueuedActivity};
 use crate::rvd::{BackendChoice, DeviceFacts};
 use crate::token::Token;
+
+pub use bytes::Bytes;
+pub use call::Retry;
+pub(crate) use call::{Timed, WorkContext};
+pub(crate) use gate::{Gate, Gated};
+pub use loss::LossPolicy;
+pub(crate) use observed::Observed;
+pub use queue::Admission;
+pub use schedule::AdmissionRequest;
+pub use watchdog::Ceilings;
+pub(crate) use watchdog::Work;
+pub use weights::Weights;
+pub(crate) use worker::Device;
+pub use worker::EngineOptions;
 
 /// Work that was submitted. Dropping it cancels the work.
 #[derive(Debug)]

@@ -6,8 +6,14 @@
 //! ended, and its result from before it is visible until it expires or is deleted. A job is done by whoever claimed it: what
 //! becomes of one that was cancelled or expired meanwhile is thrown away. Must not know: messages, streams, which store.
 
+pub mod api;
+pub(crate) mod diagram;
+mod input;
+mod perform;
+pub(crate) mod prepared;
 mod queue;
 mod running;
+pub(crate) mod session;
 mod storage;
 
 use std::path::PathBuf;
@@ -18,25 +24,25 @@ use async_trait::async_trait;
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 
-use super::JobError;
-use super::api::{Estimate, JobApi, JobApiError};
-use super::bytes::Bytes;
-use super::engine::Engine;
-use super::estimate::Counts;
-use super::event::{Events, Progress};
-use super::forecast::{Forecast, must_fit};
-use super::input::JobBounds;
-use super::observer::Origin;
-use super::preview::{PreviewReceiver, Previews};
-use super::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
-use super::schedule::AdmissionRequest;
-use super::state::State;
-use super::store::{
+use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
+use crate::job::JobError;
+use crate::job::admission::estimate::Counts;
+use crate::job::admission::forecast::{Forecast, must_fit};
+use crate::job::engine::Engine;
+use crate::job::engine::bytes::Bytes;
+use crate::job::engine::schedule::AdmissionRequest;
+use crate::job::executor::api::{Estimate, JobApi, JobApiError};
+use crate::job::executor::input::JobBounds;
+use crate::job::observe::preview::{PreviewReceiver, Previews};
+use crate::job::record::event::{Events, Progress};
+use crate::job::record::state::State;
+use crate::job::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
+use crate::job::store::{
     Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
     StoreError,
 };
-use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
 use crate::trace;
+pub use input::JobBounds;
 use queue::{JobQueue, LocalQueue};
 use storage::Storage;
 
@@ -344,7 +350,7 @@ impl Inner {
         // Its blobs may be gone.
         let counts = self.forecast.counts(&job.spec, None).await.ok();
         let need = counts.as_ref().map(|counts| self.forecast.need(counts));
-        let origin = counts.as_ref().map(|counts| Origin::of(counts, Some(job.id)));
+        let origin = counts.as_ref().map(|counts| counts.origin(Some(job.id)));
         let request = AdmissionRequest {
             tenant: job.spec.tenant.as_str().into(),
             weight: self.engine.weights().of(&job.spec.tenant),
@@ -590,5 +596,5 @@ fn failed(kind: FailureKind, message: impl Into<String>) -> Change {
         message.truncate(end);
         message.push_str("...");
     }
-    Change::Fail(super::record::Failure { kind, message })
+    Change::Fail(crate::job::record::Failure { kind, message })
 }

@@ -2,11 +2,14 @@
 //!
 //! Purpose: [`Job`] is a [`ValidSpec`] and a [`Status`]; both can be kept, sent and read again by another process.
 //! Invariant: the specification never changes; the status changes only by [`Change`], along the machine of
-//! [`state`](super::state). Times are given from outside: there is no clock here.
+//! [`state`](crate::job::record::state). Times are given from outside: there is no clock here.
 //! Must not know: stores, queues, messages, how a job is done.
 
 mod check;
+pub mod event;
+mod names;
 mod spec;
+pub mod state;
 
 use std::fmt;
 use std::str::FromStr;
@@ -14,10 +17,11 @@ use std::time::Duration;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use super::state::{State, Transition};
 use crate::blob::Digest;
+use crate::job::record::state::{State, Transition};
 
 pub use check::{SpecError, ValidSpec};
+pub(crate) use names::Kind;
 pub use spec::{
     ArrayForm, ArrayRef, AttributeKind, AttributeRef, BackendName, BoundaryRule, CvtCommand, CvtWork, Deadlines,
     DensityKind, DensitySpec, JobSpec, MeasureRule, MeshFormat, MeshSource, PlacementRule, ProjectionRule, RefineSpec,
@@ -261,14 +265,14 @@ impl Status {
     /// After a change.
     ///
     /// # Errors
-    /// [`TransitionError`](super::state::TransitionError).
+    /// [`TransitionError`](crate::job::record::state::TransitionError).
     pub(crate) fn changed(
         &self,
         deadlines: Deadlines,
         change: Change,
         now: Time,
-    ) -> Result<Self, super::state::TransitionError> {
-        let state = super::state::apply(self.state, change.transition())?;
+    ) -> Result<Self, crate::job::record::state::TransitionError> {
+        let state = crate::job::record::state::apply(self.state, change.transition())?;
         let mut next = Self { state, version: self.version + 1, changed: now, due: None, holder: None, ..self.clone() };
         let by = |from: Time, ms: Option<u64>| ms.map(|ms| from.after(Duration::from_millis(ms)));
         match change {

@@ -21,9 +21,9 @@ use std::pin::Pin;
 use std::str::FromStr;
 use std::time::Duration;
 
-use super::event::{Events, Progress};
-use super::record::{Change, Holder, Job, JobId, JobIdError, Time, ValidSpec};
-use super::state::{State, TransitionError};
+use crate::job::record::event::{Events, Progress};
+use crate::job::record::state::{State, TransitionError};
+use crate::job::record::{Change, Holder, Job, JobId, JobIdError, Time, ValidSpec};
 
 pub use self::redb::repair::{Findings, check, repair};
 pub use self::redb::{RedbOptions, RedbStore};

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 
-use crate::job::call::{ATTEMPTS, Retry, WorkContext};
+use crate::job::engine::call::{ATTEMPTS, Retry, WorkContext};
 use crate::job::engine::{Engine, Pending};
 use crate::job::record::JobId;
 use crate::job::{Admission, AdmissionRequest, Backends, JobError};

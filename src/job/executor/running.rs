@@ -13,14 +13,14 @@ use glam::DVec3;
 use super::storage::StorageError;
 use super::{Inner, ProgressCommand, failed, holder, input_pin, is_outdated, now, result_pin};
 use crate::blob::{BlobError, Digest, Owner, put};
-use crate::job::call::{ATTEMPTS, WorkContext};
-use crate::job::event::Progress;
-use crate::job::input::{ReadBlob, WorkError};
-use crate::job::observer::{self, JobOutcome};
-use crate::job::perform::{Audience, JobContext, Parts, perform};
+use crate::job::engine::call::{ATTEMPTS, WorkContext};
+use crate::job::engine::worker::Device;
+use crate::job::executor::input::{ReadBlob, WorkError};
+use crate::job::executor::perform::{Audience, JobContext, Parts, perform};
+use crate::job::observe::activity::{self, JobOutcome};
+use crate::job::record::event::Progress;
 use crate::job::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
 use crate::job::store::StoreError;
-use crate::job::worker::Device;
 use crate::job::{Backends, JobError};
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
@@ -170,7 +170,7 @@ impl AtWork {
         );
         if let Some(limit) = usage.ok().map(|usage| usage.limit_bytes).filter(|limit| bytes > *limit) {
             let text = format!("the result has {bytes} bytes, and this server keeps {limit} in all; ask for less");
-            return Err(crate::job::input::failure(FailureKind::TooLarge, text));
+            return Err(crate::job::executor::input::failure(FailureKind::TooLarge, text));
         }
         for (name, bytes) in parts {
             let store = || inner.runtime.block_on(put(inner.stores.blobs.as_ref(), bytes.clone(), Some(&pin)));
@@ -181,7 +181,7 @@ impl AtWork {
                         BlobError::TooLarge { .. } => FailureKind::TooLarge,
                         _ => FailureKind::Unavailable,
                     };
-                    crate::job::input::failure(kind, format!("the result cannot be kept: {error}"))
+                    crate::job::executor::input::failure(kind, format!("the result cannot be kept: {error}"))
                 }
             })?;
             result.blobs.insert(name, info.digest);
@@ -194,7 +194,10 @@ impl AtWork {
             inner.stores.blobs.claim(owner, &digests).await
         });
         given.map_err(|error| {
-            crate::job::input::failure(FailureKind::Unavailable, format!("the result cannot be kept: {error}"))
+            crate::job::executor::input::failure(
+                FailureKind::Unavailable,
+                format!("the result cannot be kept: {error}"),
+            )
         })?;
         Ok(result)
     }
@@ -236,7 +239,7 @@ impl AtWork {
             if changed.is_err() || !keeps {
                 inner.unpin(&result_pin(job.id)).await;
             }
-            let released = matches!(name, crate::job::state::Transition::Release);
+            let released = matches!(name, crate::job::record::state::Transition::Release);
             if !released && !matches!(changed, Err(StoreError::Broken { .. } | StoreError::Closed)) {
                 inner.unpin(&input_pin(job.id)).await;
             }

@@ -10,8 +10,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
 use super::{JobStore, StoreError};
-use crate::job::event::Log;
 use crate::job::record::JobId;
+use crate::job::record::event::Log;
 
 /// Progress of one running job.
 #[derive(Clone, Debug, Default)]

@@ -11,7 +11,7 @@ use super::tables::{Order, Table, Tables, TablesMut, Visit};
 use super::{
     Answer, Created, JobStore, NewJob, Orphans, Page, Query, Recovered, Retention, StoreError, Swept, operations as ops,
 };
-use crate::job::event::{Events, Progress};
+use crate::job::record::event::{Events, Progress};
 use crate::job::record::{Change, Holder, Job, JobId, Time, ValidSpec};
 
 /// See the module's head.

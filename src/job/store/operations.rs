@@ -10,9 +10,9 @@ use super::codec::{Head, decode, encode};
 use super::live::{Entry, Live};
 use super::tables::{Order, Table, Tables, TablesMut};
 use super::{Created, NewJob, Orphans, Page, PageToken, Query, Recovered, Retention, StoreError, Swept};
-use crate::job::event::{Event, Events, Log, Progress, What};
+use crate::job::record::event::{Event, Events, Log, Progress, What};
+use crate::job::record::state::State;
 use crate::job::record::{Cause, Change, Failure, FailureKind, Holder, Job, JobId, Status, Time, ValidSpec};
-use crate::job::state::State;
 
 /// Numbers of events that are reserved at once: so many are skipped at most if the process goes down.
 const RESERVED: u64 = 1024;

@@ -29,7 +29,7 @@ use super::tables::{Order, Table, Tables, TablesMut, Visit};
 use super::{
     Answer, Created, JobStore, NewJob, Orphans, Page, Query, Recovered, Retention, StoreError, Swept, operations as ops,
 };
-use crate::job::event::{Events, Log, Progress};
+use crate::job::record::event::{Events, Log, Progress};
 use crate::job::record::{Change, Holder, Job, JobId, Time, ValidSpec};
 use directory::Directory;
 

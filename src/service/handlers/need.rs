@@ -52,7 +52,7 @@ pub(super) fn admission_request<H: Needs>(
         memory: need.memory,
         has_continuations: H::HAS_CONTINUATIONS,
         // Of the points that are asked for, not of those that may be added.
-        origin: Some(Origin { seeds: points, ..Origin::of(&counts, None) }),
+        origin: Some(Origin { seeds: points, ..counts.origin(None) }),
         ..AdmissionRequest::default()
     })
 }

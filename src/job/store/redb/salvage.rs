@@ -13,7 +13,7 @@ use std::path::Path;
 use ::redb::{Builder, ConcurrencyMode, ReadTransaction, ReadableDatabase, ReadableTable};
 
 use super::{Table, definition};
-use crate::job::event::Log;
+use crate::job::record::event::Log;
 use crate::job::record::{JobId, ValidSpec};
 use crate::job::store::codec::{Head, decode, encode};
 

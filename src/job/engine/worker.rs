@@ -1,7 +1,7 @@
 //! The host threads that do the work.
 //!
 //! Purpose: work on a bounded number of OS threads. A job stays on one of them; the device is shared by the pass
-//! ([`gate`](super::gate)).
+//! ([`gate`](crate::job::engine::gate)).
 //! Invariant: a lost device is replaced once, by whoever finds it lost, before the next piece; a piece that can be begun
 //! anew waits for the new device and is tried up to three times. Must not know: what a piece computes.
 
@@ -14,17 +14,17 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
-use super::bytes::Bytes;
-use super::call::{Outcome, Task, text};
-use super::gate::Gate;
-use super::loss::{LossPolicy, Outage};
-use super::observer::Observer;
-use super::pools::Pools;
-use super::queue::{Dequeued, Item, Lane, Popped, Queue};
-use super::schedule::Slots;
-use super::watchdog::{Ceilings, Watchdog};
-use super::weights::Weights;
-use super::{Backends, JobError};
+use crate::job::engine::bytes::Bytes;
+use crate::job::engine::call::{Outcome, Task, text};
+use crate::job::engine::gate::Gate;
+use crate::job::engine::loss::{LossPolicy, Outage};
+use crate::job::engine::pools::Pools;
+use crate::job::engine::queue::{Dequeued, Item, Lane, Popped, Queue};
+use crate::job::engine::schedule::Slots;
+use crate::job::engine::watchdog::{Ceilings, Watchdog};
+use crate::job::engine::weights::Weights;
+use crate::job::observe::activity::Observer;
+use crate::job::{Backends, JobError};
 
 /// How the engine is set up.
 #[derive(Clone, Copy, Debug)]

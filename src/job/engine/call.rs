@@ -11,9 +11,9 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 
-use super::observer::{Activity, Observer, QueuedActivity};
-use super::queue::Item;
-use super::{Backends, JobError};
+use crate::job::engine::queue::Item;
+use crate::job::observe::activity::{Activity, Observer, QueuedActivity};
+use crate::job::{Backends, JobError};
 use crate::token::{StageListener, Token};
 
 /// Attempts after a lost device, the first included.

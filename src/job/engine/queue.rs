@@ -1,7 +1,7 @@
 //! What waits for a host thread, and who is next.
 //!
 //! Purpose: a bounded queue between many callers and several workers, in two lanes. Jobs are taken by fair shares of their
-//! tenants ([`schedule`](super::schedule)); short pieces of admitted work (a session's next step, a diagram's next batch)
+//! tenants ([`schedule`](crate::job::engine::schedule)); short pieces of admitted work (a session's next step, a diagram's next batch)
 //! have workers of their own and never wait for a whole job.
 //! Invariant: at most `limit` new jobs wait or hold a reservation; what was admitted always gets in. A reservation counts
 //! for [`RESERVATION_TTL`], so a slow upload does not keep others out. Closing refuses what is new and keeps what waits; nothing
@@ -11,8 +11,8 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::JobError;
-use super::schedule::{AdmissionRequest, Schedule, Slots};
+use crate::job::JobError;
+use crate::job::engine::schedule::{AdmissionRequest, Schedule, Slots};
 use crate::token::Token;
 
 /// How long a reservation counts against the limit. A job that is uploaded later still gets in, but others do too.
@@ -312,7 +312,7 @@ impl<T: Item> State<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::job::bytes::Bytes;
+    use crate::job::engine::bytes::Bytes;
 
     struct Ticket(u32, bool, Token);
 

@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
-use super::JobError;
 use crate::cvt::density::{self, DensityOptions, Plan};
+use crate::job::JobError;
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Attributes;
 use crate::mesh::sample::sample;

@@ -5,31 +5,11 @@
 //! Invariant: pure, without clock or files. Monotone in every count, and nothing overflows.
 //! Must not know: queues, records of jobs, how counts were found.
 
-use super::bytes::Bytes;
-use super::record::{DensityKind, PlacementRule};
+use crate::job::engine::bytes::Bytes;
+use crate::job::observe::activity::Origin;
+pub(crate) use crate::job::record::Kind;
+use crate::job::record::{DensityKind, JobId, PlacementRule};
 use crate::rvd::{BackendKind, SessionForecast};
-
-/// The kind of a job.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Kind {
-    /// A whole remesh.
-    Remesh,
-    /// A diagram.
-    Rvd,
-    /// A session.
-    Cvt,
-}
-
-impl Kind {
-    /// "remesh", "rvd" or "cvt".
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Remesh => "remesh",
-            Self::Rvd => "rvd",
-            Self::Cvt => "cvt",
-        }
-    }
-}
 
 /// What is known of a job before it runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,6 +61,12 @@ impl Counts {
             measures: true,
             cells: false,
         }
+    }
+
+    /// How a job with these counts is counted.
+    pub(crate) fn origin(&self, job: Option<JobId>) -> Origin {
+        let &Self { kind, backend, facets, points, .. } = self;
+        Origin { kind, backend, job, facets, seeds: points }
     }
 }
 

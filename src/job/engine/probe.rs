@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 
-use super::{Admission, Engine, JobError, Retry};
+use crate::job::{Admission, Engine, JobError, Retry};
 use crate::mesh::TriMesh;
 use crate::rvd::{Backend, BackendChoice, CellSums, RvdError, SessionOptions, Surface};
 use crate::token::Token;

@@ -10,22 +10,21 @@ use serde_json::json;
 use std::io::Cursor;
 use std::sync::Arc;
 
-use super::diagram::Diagram;
-use super::event::Progress;
-use super::input::{JobBounds, ReadBlob, WorkError, failure, load, load_remesh};
-use super::record::{
+use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit};
+use crate::job::executor::diagram::Diagram;
+use crate::job::executor::input::{JobBounds, ReadBlob, WorkError, failure, load, load_remesh};
+use crate::job::executor::prepared::Prepared;
+use crate::job::record::event::Progress;
+use crate::job::record::{
     CvtCommand, CvtWork, FailureKind, JobSpec, MeshFormat, RemeshWork, ResultFormat, RvdOutput, RvdWork, SeedChange,
     SendSeeds, StepKindName, WorkSpec,
 };
-use super::spec::Prepared;
-use super::{BackendInfo, Backends};
-use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit};
+use crate::job::{BackendInfo, Backends};
 use crate::mesh::attributes::{Attributes, ColourDepth, Colours, Normals};
 use crate::mesh::io::{self, Format};
 use crate::remesh::report::{IterationFigures, to_json};
 use crate::remesh::{Observer, Remesh, remesh};
 use crate::rvd::cell_file::CellWriter;
-use crate::rvd::{BackendChoice, BackendKind};
 use crate::token::Token;
 
 /// What a job gives: bytes, each part under its name.
@@ -62,55 +61,6 @@ pub(crate) fn perform(spec: &JobSpec, context: &mut JobContext<'_>) -> Result<Pa
         WorkSpec::Remesh(work) => of_remesh(spec, work, context),
         WorkSpec::Rvd(work) => of_rvd(spec, work, context),
         WorkSpec::Cvt(work) => of_cvt(spec, work, context),
-    }
-}
-
-impl JobSpec {
-    /// Who should do it.
-    pub(crate) fn choice(&self) -> BackendChoice {
-        use super::record::BackendName;
-        match self.backend {
-            None | Some(BackendName::Auto) => BackendChoice::Auto,
-            Some(BackendName::Gpu) => BackendChoice::Only(BackendKind::Gpu),
-            Some(BackendName::Parallel) => BackendChoice::Only(BackendKind::Parallel),
-            Some(BackendName::Serial) => BackendChoice::Only(BackendKind::Serial),
-        }
-    }
-}
-
-impl From<MeshFormat> for Format {
-    fn from(format: MeshFormat) -> Self {
-        match format {
-            MeshFormat::Ply => Self::Ply,
-            MeshFormat::Obj => Self::Obj,
-            MeshFormat::Stl => Self::Stl,
-            MeshFormat::Off => Self::Off,
-            MeshFormat::Vtk => Self::Vtk,
-            MeshFormat::Vtp => Self::Vtp,
-            MeshFormat::Msh => Self::Gmsh,
-            MeshFormat::Mesh => Self::Medit,
-            MeshFormat::Meshb => Self::MeditBinary,
-            MeshFormat::Glb => Self::Glb,
-            MeshFormat::Gltf => Self::Gltf,
-        }
-    }
-}
-
-impl From<Format> for MeshFormat {
-    fn from(format: Format) -> Self {
-        match format {
-            Format::Ply => Self::Ply,
-            Format::Obj => Self::Obj,
-            Format::Stl => Self::Stl,
-            Format::Off => Self::Off,
-            Format::Vtk => Self::Vtk,
-            Format::Vtp => Self::Vtp,
-            Format::Gmsh => Self::Msh,
-            Format::Medit => Self::Mesh,
-            Format::MeditBinary => Self::Meshb,
-            Format::Glb => Self::Glb,
-            Format::Gltf => Self::Gltf,
-        }
     }
 }
 
@@ -281,7 +231,7 @@ fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &mut JobContext<'_>) -> Resul
 fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
     let input = load(spec, context.blobs, context.bounds, context.token)?;
     let backend = Arc::clone(context.backends.choose(spec.choice())?);
-    let total: u64 = work.commands.iter().map(steps_of).sum();
+    let total: u64 = work.steps();
     if total > u64::from(context.bounds.max_iterations) {
         let most = context.bounds.max_iterations;
         return Err(failure(
@@ -293,7 +243,7 @@ fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Resul
     let prepared = Prepared::for_steps(input, context.token)?;
     let mut options = CvtOptions::new();
     options.max_seeds = work.max_seeds.map_or(0, |most| usize::try_from(most).unwrap_or(usize::MAX));
-    options.projection = work.projection.map_or(options.projection, super::record::ProjectionRule::projection);
+    options.projection = work.projection.map_or(options.projection, crate::job::record::ProjectionRule::projection);
     let mut cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;
     stage(context, "iterations");
     let (mut parts, mut iterations) = (Parts::new(), Vec::new());
@@ -345,10 +295,6 @@ fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Resul
     });
     parts.push(("report".to_owned(), json_bytes(&report)));
     Ok(parts)
-}
-
-pub(super) fn steps_of(command: &CvtCommand) -> u64 {
-    if let CvtCommand::Step { iterations, .. } = command { u64::from(*iterations) } else { 0 }
 }
 
 fn edit(change: &SeedChange) -> SeedEdit {

@@ -11,9 +11,8 @@ use std::time::{Duration, Instant};
 
 use tracing::{Span, debug_span, field, info_span};
 
-use super::JobError;
-use super::estimate::{Counts, Kind};
-use super::record::JobId;
+use crate::job::JobError;
+use crate::job::record::{JobId, Kind};
 use crate::rvd::BackendKind;
 use crate::token::StageListener;
 use crate::trace::{self, TraceContext};
@@ -53,14 +52,6 @@ pub(crate) struct Origin {
     pub(crate) facets: u64,
     /// Seeds that are asked for.
     pub(crate) seeds: u64,
-}
-
-impl Origin {
-    /// Of a job with these counts.
-    pub(crate) fn of(counts: &Counts, job: Option<JobId>) -> Self {
-        let &Counts { kind, backend, facets, points, .. } = counts;
-        Self { kind, backend, job, facets, seeds: points }
-    }
 }
 
 /// Who counts. Every method is called from whatever thread is at work, and returns at once.
@@ -214,12 +205,12 @@ impl Activity {
     }
 
     /// Sessions of the device hold so many bytes more, or fewer.
-    pub(super) fn planned(&self, bytes: i64) {
+    pub(crate) fn planned(&self, bytes: i64) {
         self.observer.planned(bytes);
     }
 
     /// A backend begins a pass, which lasts until what this gives is dropped.
-    pub(super) fn pass(&self, pass: &'static str, backend: BackendKind) -> Pass<'_> {
+    pub(crate) fn pass(&self, pass: &'static str, backend: BackendKind) -> Pass<'_> {
         let span = {
             let now = self.now();
             // A session outlives the piece that opened it; then whoever is at work is asked.
@@ -238,7 +229,7 @@ impl Activity {
     }
 
     /// The piece has ended, and is out of the count before anybody hears of its result.
-    pub(super) fn end(&self, error: Option<&JobError>) {
+    pub(crate) fn end(&self, error: Option<&JobError>) {
         let mut now = self.now();
         self.end_stage(&mut now);
         now.span = Span::none();
@@ -276,7 +267,7 @@ impl StageListener for Activity {
 }
 
 /// A pass under way.
-pub(super) struct Pass<'a> {
+pub(crate) struct Pass<'a> {
     activity: &'a Activity,
     backend: BackendKind,
     since: Instant,

@@ -20,9 +20,9 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::bytes::Bytes;
+use crate::job::engine::bytes::Bytes;
 
-use super::observer::Origin;
+use crate::job::observe::activity::Origin;
 
 /// How long others may bypass a job that does not fit.
 const BYPASS_LIMIT: Duration = Duration::from_secs(10);

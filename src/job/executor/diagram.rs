@@ -11,8 +11,8 @@ use std::time::Instant;
 use glam::DVec3;
 use serde::Serialize;
 
-use super::spec::Prepared;
-use super::{BackendInfo, JobError};
+use crate::job::executor::prepared::Prepared;
+use crate::job::{BackendInfo, JobError};
 use crate::remesh::report::{DeviceFigures, InputFigures, IterationFigures, MemoryFigures, RvdFigures, Timings};
 use crate::rvd::{Backend, CellSums, DeviceWork, PassStats, PieceBatch, Session, SessionOptions, Surface};
 use crate::token::Token;
@@ -208,7 +208,7 @@ fn open(surface: &Arc<Surface>, seeds: &[DVec3], backend: &dyn Backend) -> Resul
 mod tests {
     use super::*;
     use crate::cvt::density::DensityOptions;
-    use crate::job::spec::Input;
+    use crate::job::executor::prepared::Input;
     use crate::mesh::shapes::Shape;
     use crate::remesh::Seeds;
     use crate::rvd::{Parallel, Serial};

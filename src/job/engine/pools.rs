@@ -8,7 +8,7 @@
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{Backends, PoolFactory};
+use crate::job::{Backends, PoolFactory};
 use crate::rvd::Backend;
 
 /// See the module's head.

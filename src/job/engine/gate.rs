@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 
-use super::observer::Activity;
+use crate::job::observe::activity::Activity;
 use crate::rvd::{
     Backend, BackendKind, CellSums, DeviceFacts, DeviceWork, Evaluation, PassStats, PhasesMs, PieceBatch, Resident,
     RvdError, Session, SessionOptions, Surface,

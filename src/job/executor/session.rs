@@ -10,11 +10,11 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
-use super::spec::Prepared;
-use super::{
+use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};
+use crate::job::executor::prepared::Prepared;
+use crate::job::{
     Admission, AdmissionRequest, BackendInfo, Engine, JobError, Pending, Reservation, Retry, Timed, WorkContext,
 };
-use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};
 use crate::rvd::BackendChoice;
 
 /// How long a step command keeps the device before others get a turn.

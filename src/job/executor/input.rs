@@ -6,14 +6,14 @@
 
 use glam::{DVec2, DVec3};
 
-use super::JobError;
-use super::record::{
+use crate::blob::{BlobError, Digest};
+use crate::cvt::density::{Count, DensitySource};
+use crate::job::JobError;
+use crate::job::executor::prepared::Input;
+use crate::job::record::{
     ArrayForm, ArrayRef, AttributeKind, AttributeRef, DensityKind, DensitySpec, Failure, FailureKind, JobSpec,
     MeshSource, RemeshWork, SeedSource, Tolerance, WorkSpec,
 };
-use super::spec::Input;
-use crate::blob::{BlobError, Digest};
-use crate::cvt::density::{Count, DensitySource};
 use crate::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
 use crate::mesh::io::lists::{FileVertices, points};
 use crate::mesh::io::{self, Format};

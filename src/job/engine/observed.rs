@@ -5,8 +5,8 @@
 
 use std::sync::Arc;
 
-use super::gate::GatedSession;
-use super::observer::Activity;
+use crate::job::engine::gate::GatedSession;
+use crate::job::observe::activity::Activity;
 use crate::rvd::{Backend, BackendKind, DeviceFacts, RvdError, Session, SessionOptions, Surface};
 
 /// See the module's head.

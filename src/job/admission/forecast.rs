@@ -1,7 +1,7 @@
 //! What a job of the store will need.
 //!
 //! Purpose: [`Forecast`] finds the counts of a specification, from what it says and from its blobs, for
-//! [`estimate`](super::estimate). Invariant: a blob is looked at once: its counts are remembered. One that is large is not
+//! [`estimate`](crate::job::admission::estimate). Invariant: a blob is looked at once: its counts are remembered. One that is large is not
 //! kept in memory for this; its size bounds what it can hold, that of what is packed in it if it is packed. Blobs that are not
 //! the tenant's do not exist. Must not know: queues, stores of jobs.
 
@@ -11,12 +11,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use futures_util::TryStreamExt;
 use tokio::sync::Semaphore;
 
-use super::api::{JobApiError, Memory};
-use super::bytes::Bytes;
-use super::engine::Engine;
-use super::estimate::{Counts, Kind, Need, need};
-use super::record::{DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput, SeedSource, WorkSpec};
+use super::error::{JobApiError, Memory};
 use crate::blob::{BlobError, BlobStore, Digest, Owner};
+use crate::job::admission::estimate::{Counts, Need, need};
+use crate::job::engine::Engine;
+use crate::job::engine::bytes::Bytes;
+use crate::job::record::{
+    DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput, SeedSource, WorkSpec,
+};
 use crate::mesh::io::{self, DataError};
 use crate::remesh::RemeshOptions;
 use crate::rvd::{BackendChoice, BackendKind};
@@ -85,13 +87,8 @@ impl Forecast {
             (MeshSource::File { .. }, Some(given)) => (given, bytes(given, (12, 13))),
             (MeshSource::File { blob, format, .. }, None) => self.of_file(owner, *blob, *format).await?,
         };
-        let kind = match &spec.work {
-            WorkSpec::Remesh(_) => Kind::Remesh,
-            WorkSpec::Rvd(_) => Kind::Rvd,
-            WorkSpec::Cvt(_) => Kind::Cvt,
-        };
         let backend = self.engine.backend(spec.choice()).map_or(BackendKind::Parallel, |by| by.kind);
-        let mut counts = Counts { input_bytes, ..Counts::new(kind, backend, vertices, facets, 0) };
+        let mut counts = Counts { input_bytes, ..Counts::new(spec.kind(), backend, vertices, facets, 0) };
         match &spec.work {
             WorkSpec::Remesh(work) => {
                 let usual = RemeshOptions::usual();
@@ -114,7 +111,7 @@ impl Forecast {
             }
             WorkSpec::Cvt(work) => {
                 counts.points = work.max_seeds.unwrap_or(0).max(self.points(owner, &work.seeds, facets).await);
-                counts.steps = work.commands.iter().map(super::perform::steps_of).sum();
+                counts.steps = work.steps();
                 counts.density = work.density.kind();
             }
         }
