@@ -3,7 +3,6 @@
 //! Purpose: [`Engine::submit`] from any task; an answer with times. Invariant: every submitted piece is answered exactly once
 //! or its caller has gone. Must not know: what a piece computes, how the threads share the device.
 
-mod bytes;
 pub(crate) mod call;
 mod gate;
 mod loss;
@@ -24,17 +23,15 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 
 use super::{BackendInfo, Backends, JobError};
-use crate::job::engine::bytes::Bytes;
-use crate::job::engine::call::{ActivityState, Call, Retry, Timed, WorkContext};
-use crate::job::engine::queue::Admission;
-use crate::job::engine::watchdog::{WatchGuard, Work};
-use crate::job::engine::weights::Weights;
-use crate::job::engine::worker::{Device, EngineOptions, Shared, run};
 use crate::job::observe::activity::{Observer, QueuedActivity};
+use crate::job::record::JobId;
 use crate::rvd::{BackendChoice, DeviceFacts};
 use crate::token::Token;
+use call::{ActivityState, Call};
+use watchdog::WatchGuard;
+use worker::{Shared, run};
 
-pub use bytes::Bytes;
+pub use crate::job::record::Bytes;
 pub use call::Retry;
 pub(crate) use call::{Timed, WorkContext};
 pub(crate) use gate::{Gate, Gated};
@@ -231,6 +228,37 @@ impl Engine {
         let call = Call { work, has_continuations, reply: reply_to, token: token.clone(), queued, retry, activity };
         let position = self.shared.queue.push(admission, Box::new(call))?;
         Ok(Pending { position, reply, token, answered: false })
+    }
+
+    /// Queues a job that a store keeps. Its work records how it ends.
+    ///
+    /// # Errors
+    /// `Draining`.
+    pub(crate) fn submit_kept(
+        &self,
+        token: Token,
+        request: AdmissionRequest,
+        work: impl FnMut(&Backends, &WorkContext) -> Result<(), JobError> + Send + 'static,
+    ) -> Result<(), JobError> {
+        let activity = ActivityState::Queued(QueuedActivity::new(&self.shared.observer, request.origin));
+        let (has_continuations, queued, retry) = (false, Instant::now(), Retry::Restart);
+        let call = Call { work: Some(work), has_continuations, reply: None, token, queued, retry, activity };
+        self.shared.queue.push(Admission::Reserved(request), Box::new(call)).map(drop)
+    }
+
+    /// Jobs of the store that wait or are at work: a tenant's, or all.
+    pub(crate) fn kept(&self, tenant: Option<&str>) -> usize {
+        self.shared.queue.kept(tenant)
+    }
+
+    /// Takes a job of the store out of the line and cancels it.
+    pub(crate) fn remove_kept(&self, id: JobId) {
+        self.shared.queue.remove_kept(id);
+    }
+
+    /// Takes the waiting jobs of the store out of the line.
+    pub(crate) fn release_kept(&self) {
+        self.shared.queue.release_kept();
     }
 
     /// Drops `value` on a host thread: freeing much takes time.

@@ -5,6 +5,7 @@
 //! [`state`](crate::job::record::state). Times are given from outside: there is no clock here.
 //! Must not know: stores, queues, messages, how a job is done.
 
+mod bytes;
 mod check;
 pub mod event;
 mod names;
@@ -20,6 +21,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use crate::blob::Digest;
 use crate::job::record::state::{State, Transition};
 
+pub use bytes::Bytes;
 pub use check::{SpecError, ValidSpec};
 pub(crate) use names::Kind;
 pub use spec::{
@@ -57,6 +59,11 @@ impl JobId {
     pub fn new(created: Time, random: u128) -> Self {
         let time = u128::from(created.0 & ((1 << 48) - 1)) << 80;
         Self((time | (random & ((1 << 80) - 1))).to_be_bytes())
+    }
+
+    /// The random number in it.
+    pub(crate) fn random(self) -> u128 {
+        u128::from_be_bytes(self.0) & ((1 << 80) - 1)
     }
 
     /// The least name of a job created at `time`.

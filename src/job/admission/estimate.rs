@@ -5,8 +5,8 @@
 //! Invariant: pure, without clock or files. Monotone in every count, and nothing overflows.
 //! Must not know: queues, records of jobs, how counts were found.
 
-use crate::job::engine::bytes::Bytes;
 use crate::job::observe::activity::Origin;
+use crate::job::record::Bytes;
 pub(crate) use crate::job::record::Kind;
 use crate::job::record::{DensityKind, JobId, PlacementRule};
 use crate::rvd::{BackendKind, SessionForecast};

@@ -15,7 +15,7 @@ use super::error::{JobApiError, Memory};
 use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use crate::job::admission::estimate::{Counts, Need, need};
 use crate::job::engine::Engine;
-use crate::job::engine::bytes::Bytes;
+use crate::job::record::Bytes;
 use crate::job::record::{
     DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput, SeedSource, WorkSpec,
 };

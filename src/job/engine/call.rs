@@ -17,7 +17,7 @@ use crate::job::{Backends, JobError};
 use crate::token::{StageListener, Token};
 
 /// Attempts after a lost device, the first included.
-pub(super) const ATTEMPTS: usize = 3;
+const ATTEMPTS: usize = 3;
 
 /// Whether a piece may be begun anew after the device was lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,6 +35,8 @@ pub struct WorkContext {
     pub token: Token,
     /// Milliseconds the piece waited.
     pub queue_ms: f64,
+    /// Whether it is begun anew if the device is lost.
+    pub(crate) may_retry: bool,
     /// Counts and traces what is done.
     pub(crate) activity: Arc<Activity>,
 }
@@ -77,6 +79,7 @@ pub(super) struct Call<R, F> {
     pub(super) work: Option<F>,
     /// Whether later pieces continue what it makes, so that it must not hold threads that are another job's then.
     pub(super) has_continuations: bool,
+    /// `None` once it is answered, and for a job of a store, which has its answer.
     pub(super) reply: Option<oneshot::Sender<Result<Timed<R>, JobError>>>,
     pub(super) token: Token,
     pub(super) queued: Instant,
@@ -94,7 +97,12 @@ pub(super) enum ActivityState {
 
 impl<R: Send, F: Send> Item for Call<R, F> {
     fn is_wanted(&self) -> bool {
-        self.reply.as_ref().is_some_and(|reply| !reply.is_closed())
+        let has_begun = matches!(self.activity, ActivityState::Running(_));
+        match &self.reply {
+            Some(reply) => !reply.is_closed(),
+            // Once it has begun, it records itself how it ends.
+            None => self.work.is_some() && (has_begun || !self.token.is_told_to_stop()),
+        }
     }
 
     fn token(&self) -> &Token {
@@ -121,14 +129,15 @@ impl<R: Send, F: FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send> T
         let activity = self.begin();
         let queue_ms = ms(self.queued.elapsed());
         let start = Instant::now();
-        let context = WorkContext { token: self.token.clone(), queue_ms, activity: Arc::clone(&activity) };
+        let may_retry = self.retry == Retry::Restart && attempt + 1 < ATTEMPTS;
+        let context = WorkContext { token: self.token.clone(), queue_ms, may_retry, activity: Arc::clone(&activity) };
         let Some(work) = self.work.as_mut() else { return Outcome::Answered };
         self.token.tell_stages(Some(Arc::clone(&activity) as Arc<dyn StageListener>));
         let result = catch_unwind(AssertUnwindSafe(|| activity.span().in_scope(|| work(backends, &context))))
             .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))));
         self.token.tell_stages(None);
         let lost = result.as_ref().is_err_and(JobError::is_device_lost);
-        if lost && self.retry == Retry::Restart && attempt + 1 < ATTEMPTS {
+        if lost && may_retry {
             return Outcome::DeviceLost;
         }
         let result = result.map(|value| Timed { value, queue_ms, compute_ms: ms(start.elapsed()) });

@@ -14,7 +14,6 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
-use crate::job::engine::bytes::Bytes;
 use crate::job::engine::call::{Outcome, Task, text};
 use crate::job::engine::gate::Gate;
 use crate::job::engine::loss::{LossPolicy, Outage};
@@ -24,6 +23,7 @@ use crate::job::engine::schedule::Slots;
 use crate::job::engine::watchdog::{Ceilings, Watchdog};
 use crate::job::engine::weights::Weights;
 use crate::job::observe::activity::Observer;
+use crate::job::record::Bytes;
 use crate::job::{Backends, JobError};
 
 /// How the engine is set up.

@@ -10,11 +10,11 @@ use serde_json::json;
 use std::io::Cursor;
 use std::sync::Arc;
 
-use crate::cvt::{Cvt, CvtOptions, Iteration, SeedEdit};
+use crate::cvt::{Cvt, CvtOptions, SeedEdit};
 use crate::job::executor::diagram::Diagram;
 use crate::job::executor::input::{JobBounds, ReadBlob, WorkError, failure, load, load_remesh};
 use crate::job::executor::prepared::Prepared;
-use crate::job::record::event::Progress;
+use crate::job::observe::activity::Activity;
 use crate::job::record::{
     CvtCommand, CvtWork, FailureKind, JobSpec, MeshFormat, RemeshWork, ResultFormat, RvdOutput, RvdWork, SeedChange,
     SendSeeds, StepKindName, WorkSpec,
@@ -37,26 +37,16 @@ pub(crate) struct JobContext<'a> {
     pub(crate) bounds: &'a JobBounds,
     pub(crate) token: &'a Token,
     /// Hears of stages and steps.
-    pub(crate) audience: &'a mut dyn Audience,
-}
-
-/// Who hears of a job at work.
-pub(crate) trait Audience: Send {
-    /// A stage began or a step was taken.
-    fn progress(&mut self, what: Progress);
-    /// Whether the seeds are to be shown after the next step.
-    fn wants_seeds(&self) -> bool;
-    /// Where the seeds are after so many steps.
-    fn seeds(&mut self, steps: usize, seeds: &[DVec3]);
+    pub(crate) activity: &'a Activity,
 }
 
 /// Does the work.
 ///
 /// # Errors
 /// Why it cannot be done, or was stopped.
-pub(crate) fn perform(spec: &JobSpec, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+pub(crate) fn perform(spec: &JobSpec, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     context.token.check()?;
-    stage(context, "read");
+    context.token.enter("read");
     match &spec.work {
         WorkSpec::Remesh(work) => of_remesh(spec, work, context),
         WorkSpec::Rvd(work) => of_rvd(spec, work, context),
@@ -64,47 +54,11 @@ pub(crate) fn perform(spec: &JobSpec, context: &mut JobContext<'_>) -> Result<Pa
     }
 }
 
-fn stage(context: &mut JobContext<'_>, name: &str) {
-    context.audience.progress(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
-}
-
-fn iteration(it: &Iteration, total: usize) -> Progress {
-    Progress::Iteration {
-        index: it.index as u64,
-        total: total as u64,
-        kind: it.kind.name().to_owned(),
-        energy: it.energy,
-        gradient_norm: it.gradient_norm,
-        ms: it.ms,
-    }
-}
-
-struct ProgressReporter<'a>(&'a mut dyn Audience);
-
-impl Observer for ProgressReporter<'_> {
-    fn stage(&mut self, name: &'static str) {
-        self.0.progress(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
-    }
-
-    fn iteration(&mut self, it: &Iteration, total: usize) {
-        self.0.progress(iteration(it, total));
-    }
-
-    fn wants_seeds(&mut self) -> bool {
-        self.0.wants_seeds()
-    }
-
-    fn seeds(&mut self, steps: usize, seeds: &[DVec3]) {
-        self.0.seeds(steps, seeds);
-    }
-}
-
-fn of_remesh(spec: &JobSpec, work: &RemeshWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+fn of_remesh(spec: &JobSpec, work: &RemeshWork, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     let (mesh, options) = load_remesh(spec, work, context.blobs, context.bounds, context.token)?;
     let backend = Arc::clone(context.backends.choose(spec.choice())?);
-    let done = remesh(&mesh, &options, backend.as_ref(), &mut ProgressReporter(&mut *context.audience), context.token)?;
+    let done = remesh(&mesh, &options, backend.as_ref(), &mut &*context.activity, context.token)?;
     drop((mesh, options));
-    stage(context, "write");
     context.token.enter("write");
     let mut parts = match spec.result.unwrap_or(ResultFormat::File(MeshFormat::Ply)) {
         ResultFormat::File(format) => vec![("mesh".to_owned(), file(format.into(), &done)?)],
@@ -191,12 +145,12 @@ fn unwritten(error: std::io::Error) -> WorkError {
     failure(FailureKind::BadInput, format!("the pieces cannot be written: {error}"))
 }
 
-fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     let input = load(spec, context.blobs, context.bounds, context.token)?;
     let backend = Arc::clone(context.backends.choose(spec.choice())?);
-    stage(context, "prepare");
+    context.token.enter("prepare");
     let prepared = Prepared::new(input, context.token)?;
-    stage(context, "diagram");
+    context.token.enter("diagram");
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;
     let has = |output| work.outputs.contains(&output);
     let mut parts = Parts::new();
@@ -205,7 +159,7 @@ fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &mut JobContext<'_>) -> Resul
         while let Some(batch) = diagram.batch(backend.as_ref(), context.token)? {
             cells.append(&batch).map_err(unwritten)?;
             let (done, total) = diagram.progress();
-            context.audience.progress(Progress::Stage { name: "diagram".to_owned(), done, total });
+            context.activity.advance("diagram", done, total);
         }
         parts.push(("cells".to_owned(), cells.finish().map_err(unwritten)?.into_inner().into()));
     }
@@ -228,7 +182,7 @@ fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &mut JobContext<'_>) -> Resul
     Ok(parts)
 }
 
-fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     let input = load(spec, context.blobs, context.bounds, context.token)?;
     let backend = Arc::clone(context.backends.choose(spec.choice())?);
     let total: u64 = work.steps();
@@ -239,14 +193,15 @@ fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Resul
             format!("work.cvt.commands: {total} steps; this server takes {most}"),
         ));
     }
-    stage(context, "prepare");
+    context.token.enter("prepare");
     let prepared = Prepared::for_steps(input, context.token)?;
     let mut options = CvtOptions::new();
     options.max_seeds = work.max_seeds.map_or(0, |most| usize::try_from(most).unwrap_or(usize::MAX));
     options.projection = work.projection.map_or(options.projection, crate::job::record::ProjectionRule::projection);
     let mut cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;
-    stage(context, "iterations");
+    context.token.enter("iterations");
     let (mut parts, mut iterations) = (Parts::new(), Vec::new());
+    let mut observer = context.activity;
     for command in &work.commands {
         match command {
             CvtCommand::Step { iterations: count, kind, seeds } => {
@@ -256,10 +211,10 @@ fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Resul
                         StepKindName::Lloyd => cvt.lloyd(context.token)?,
                         StepKindName::Lbfgs => cvt.lbfgs(context.token)?,
                     };
-                    context.audience.progress(iteration(&it, total as usize));
+                    observer.iteration(&it, total as usize);
                     iterations.push(it);
-                    if context.audience.wants_seeds() {
-                        context.audience.seeds(iterations.len(), &cvt.seeds()?);
+                    if observer.wants_seeds() {
+                        observer.seeds(iterations.len(), &cvt.seeds()?);
                     }
                     let wanted = match seeds.unwrap_or(SendSeeds::Never) {
                         SendSeeds::Never => false,

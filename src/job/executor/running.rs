@@ -11,16 +11,17 @@ use futures_util::TryStreamExt;
 use glam::DVec3;
 
 use super::storage::StorageError;
-use super::{Inner, ProgressCommand, failed, holder, input_pin, is_outdated, now, result_pin};
+use super::{Inner, LEASE, ProgressCommand, failed, input_pin, is_outdated, result_pin};
 use crate::blob::{BlobError, Digest, Owner, put};
-use crate::job::engine::call::{ATTEMPTS, WorkContext};
+use crate::cvt::Iteration;
+use crate::job::engine::call::WorkContext;
 use crate::job::engine::worker::Device;
 use crate::job::executor::input::{ReadBlob, WorkError};
-use crate::job::executor::perform::{Audience, JobContext, Parts, perform};
-use crate::job::observe::activity::{self, JobOutcome};
+use crate::job::executor::perform::{JobContext, Parts, perform};
+use crate::job::observe::activity::{Activity, JobOutcome, Listener};
 use crate::job::record::event::Progress;
 use crate::job::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
-use crate::job::store::StoreError;
+use crate::job::store::{Offer, StoreError};
 use crate::job::{Backends, JobError};
 use crate::remesh::RemeshError;
 use crate::rvd::RvdError;
@@ -34,7 +35,6 @@ pub(super) struct Work {
     inner: Weak<Inner>,
     id: JobId,
     claimed: Option<Job>,
-    attempts: usize,
 }
 
 /// Whether this process ends for want of its device.
@@ -80,14 +80,15 @@ impl ReadBlob for Blobs<'_> {
 
 impl Work {
     pub(super) fn new(inner: Weak<Inner>, id: JobId) -> Self {
-        Self { inner, id, claimed: None, attempts: 0 }
+        Self { inner, id, claimed: None }
     }
 
     /// Does it, once or again.
     pub(super) fn run(&mut self, backends: &Backends, context: &WorkContext) -> Result<(), JobError> {
-        self.attempts += 1;
         let Some(inner) = self.inner.upgrade() else { return Ok(()) };
         let Some(job) = self.claim(&inner) else { return Ok(()) };
+        let recorder = Recorder { inner: Arc::clone(&inner), id: job.id, at: job.status.version };
+        context.activity.listen(Arc::new(recorder));
         let at_work = AtWork { inner, job, token: context.token.clone(), activity: Arc::clone(&context.activity) };
         let outcome = at_work.perform(backends);
         let lost = match &outcome {
@@ -95,7 +96,7 @@ impl Work {
             _ => None,
         };
         match lost {
-            Some(error) if self.attempts < ATTEMPTS => Err(error),
+            Some(error) if context.may_retry => Err(error),
             lost => {
                 at_work.record_outcome(outcome);
                 at_work.inner.previews.end(self.id);
@@ -106,10 +107,10 @@ impl Work {
 
     /// The job, if it still is to be done.
     fn claim(&mut self, inner: &Inner) -> Option<Job> {
-        if self.claimed.is_none() {
-            match inner.runtime.block_on(inner.stores.jobs.claim(self.id, holder(&inner.name), now())) {
-                Ok(job) => self.claimed = Some(job),
-                Err(error) if is_outdated(&error) => {}
+        if self.claimed.is_none() && !inner.is_draining() {
+            let offer = Offer::of(&inner.name, LEASE, self.id);
+            match inner.runtime.block_on(inner.stores.jobs.claim_next(offer)) {
+                Ok(claimed) => self.claimed = claimed,
                 Err(error) => {
                     tracing::error!(id = %self.id, %error, "a job could not be claimed; it waits for the next start");
                 }
@@ -124,25 +125,46 @@ struct AtWork {
     inner: Arc<Inner>,
     job: Job,
     token: Token,
-    activity: Arc<observer::Activity>,
+    activity: Arc<Activity>,
 }
 
-impl Audience for &AtWork {
-    fn progress(&mut self, what: Progress) {
-        if matches!(what, Progress::Iteration { .. }) {
-            self.activity.iterated(1);
-        }
-        let (id, at) = (self.job.id, self.job.status.version);
+/// Records the progress of a claimed job and shows its seeds.
+struct Recorder {
+    inner: Arc<Inner>,
+    id: JobId,
+    /// The version of the claim.
+    at: u64,
+}
+
+impl Recorder {
+    fn record(&self, what: Progress) {
         // What the journal is too slow for is left out: the report has all.
-        let _ = self.inner.progress.try_send(ProgressCommand::Record { id, at, what, now: now() });
+        let _ = self.inner.progress.try_send(ProgressCommand::Record { id: self.id, at: self.at, what });
+    }
+}
+
+impl Listener for Recorder {
+    fn stage(&self, name: &'static str, done: u64, total: u64) {
+        self.record(Progress::Stage { name: name.to_owned(), done, total });
+    }
+
+    fn iteration(&self, it: &Iteration, total: usize) {
+        self.record(Progress::Iteration {
+            index: it.index as u64,
+            total: total as u64,
+            kind: it.kind.name().to_owned(),
+            energy: it.energy,
+            gradient_norm: it.gradient_norm,
+            ms: it.ms,
+        });
     }
 
     fn wants_seeds(&self) -> bool {
-        self.inner.previews.is_watched(self.job.id)
+        self.inner.previews.is_watched(self.id)
     }
 
-    fn seeds(&mut self, steps: usize, seeds: &[DVec3]) {
-        self.inner.previews.show(self.job.id, steps as u64, seeds);
+    fn seeds(&self, steps: usize, seeds: &[DVec3]) {
+        self.inner.previews.show(self.id, steps as u64, seeds);
     }
 }
 
@@ -151,8 +173,8 @@ impl AtWork {
         let (inner, job) = (&*self.inner, &self.job);
         let blobs = Blobs(inner, &self.token);
         let bounds = &inner.options.bounds;
-        let mut context = JobContext { backends, blobs: &blobs, bounds, token: &self.token, audience: &mut { self } };
-        let parts = perform(&job.spec, &mut context).map_err(|trouble| match (trouble, self.token.stopped()) {
+        let context = JobContext { backends, blobs: &blobs, bounds, token: &self.token, activity: &self.activity };
+        let parts = perform(&job.spec, &context).map_err(|trouble| match (trouble, self.token.stopped()) {
             // It was stopped while it waited for its input.
             (WorkError::Failure(_), Some(reason)) => WorkError::from(reason),
             (trouble, _) => trouble,
@@ -230,7 +252,7 @@ impl AtWork {
             if inner.progress.send(ProgressCommand::Flush(done)).await.is_ok() {
                 let _ = tokio::time::timeout(FLUSH_TIMEOUT, kept).await;
             }
-            let changed = inner.stores.jobs.change(job.id, job.status.version, change, now()).await;
+            let changed = inner.stores.jobs.change(job.id, job.status.version, change).await;
             match &changed {
                 Ok(_) => tracing::info!(id = %job.id, outcome = ?name, "a job ended"),
                 Err(error) if is_outdated(error) => {}
@@ -254,7 +276,7 @@ impl AtWork {
             _ => None,
         });
         match stopped {
-            Some(Stopped::Cancelled) if self.inner.queue.is_draining() => return Some(Change::Release),
+            Some(Stopped::Cancelled) if self.inner.is_draining() => return Some(Change::Release),
             Some(Stopped::Cancelled) => return None,
             Some(Stopped::Time { limit })
                 if job.spec.deadlines.run_ms.is_some_and(|ms| Duration::from_millis(ms) <= limit) =>

@@ -9,10 +9,13 @@ use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use glam::DVec3;
 use tracing::{Span, debug_span, field, info_span};
 
+use crate::cvt::Iteration;
 use crate::job::JobError;
 use crate::job::record::{JobId, Kind};
+use crate::remesh;
 use crate::rvd::BackendKind;
 use crate::token::StageListener;
 use crate::trace::{self, TraceContext};
@@ -76,6 +79,20 @@ pub(crate) trait Observer: Send + Sync {
 
 /// Nobody counts.
 impl Observer for () {}
+
+/// Hears of stages and steps of one piece of work, on the thread at work, and returns at once.
+pub(crate) trait Listener: Send + Sync {
+    /// A stage began, or has done this many of its steps; `total` is 0 if it is not known.
+    fn stage(&self, name: &'static str, done: u64, total: u64);
+    /// A step was taken.
+    fn iteration(&self, iteration: &Iteration, total: usize);
+    /// Whether the seeds are to be shown after the next step.
+    fn wants_seeds(&self) -> bool {
+        false
+    }
+    /// Where the seeds are after this many steps.
+    fn seeds(&self, _steps: usize, _seeds: &[DVec3]) {}
+}
 
 /// A job among those that are counted.
 struct Counted {
@@ -156,7 +173,7 @@ impl QueuedActivity {
         if !span.is_none() {
             trace::join(&span, trace);
         }
-        let now = Mutex::new(Now { span, stage: None, counted });
+        let now = Mutex::new(Now { span, stage: None, counted, listener: None });
         Arc::new(Activity { observer, origin, now, outcome: OnceLock::new() })
     }
 }
@@ -175,6 +192,7 @@ struct Now {
     span: Span,
     stage: Option<Stage>,
     counted: Option<Counted>,
+    listener: Option<Arc<dyn Listener>>,
 }
 
 struct Stage {
@@ -197,6 +215,20 @@ impl Activity {
     /// The span of the piece, for what is logged meanwhile.
     pub(crate) fn span(&self) -> Span {
         self.now().span.clone()
+    }
+
+    /// From now on `listener` hears of stages and steps.
+    pub(crate) fn listen(&self, listener: Arc<dyn Listener>) {
+        self.now().listener = Some(listener);
+    }
+
+    fn listener(&self) -> Option<Arc<dyn Listener>> {
+        self.now().listener.clone()
+    }
+
+    /// A stage has done this many of its steps.
+    pub(crate) fn advance(&self, stage: &'static str, done: u64, total: u64) {
+        self.listener().iter().for_each(|listener| listener.stage(stage, done, total));
     }
 
     /// Steps were taken.
@@ -233,6 +265,7 @@ impl Activity {
         let mut now = self.now();
         self.end_stage(&mut now);
         now.span = Span::none();
+        now.listener = None;
         let Some(counted) = now.counted.take() else { return };
         drop(now);
         let outcome = match error {
@@ -263,6 +296,24 @@ impl StageListener for Activity {
             false => info_span!(parent: &now.span, "stage", stage = name, otel.name = name),
         };
         now.stage = Some(Stage { name, since: Instant::now(), span });
+        drop(now);
+        self.advance(name, 0, 0);
+    }
+}
+
+/// Stages come by the token.
+impl remesh::Observer for &Activity {
+    fn iteration(&mut self, iteration: &Iteration, total: usize) {
+        self.iterated(1);
+        self.listener().iter().for_each(|listener| listener.iteration(iteration, total));
+    }
+
+    fn wants_seeds(&mut self) -> bool {
+        self.listener().is_some_and(|listener| listener.wants_seeds())
+    }
+
+    fn seeds(&mut self, steps: usize, seeds: &[DVec3]) {
+        self.listener().iter().for_each(|listener| listener.seeds(steps, seeds));
     }
 }
 

@@ -15,7 +15,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::StoreError;
-use crate::job::record::Status;
+use crate::job::record::{Bytes, Status};
 
 /// The layout that is written.
 const VERSION: u8 = 1;
@@ -31,6 +31,9 @@ pub(crate) struct Head {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub(crate) labels: BTreeMap<String, String>,
     pub(crate) status: Status,
+    /// Memory that it is expected to need; journals of earlier releases do not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) needs: Option<Bytes>,
     /// The number of the next event, as far as it is kept,
     pub(crate) next_event: u64,
     /// and the first that nobody has been given: between the two are those of progress that is not kept yet.

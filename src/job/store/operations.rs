@@ -9,10 +9,12 @@ use std::ops::ControlFlow;
 use super::codec::{Head, decode, encode};
 use super::live::{Entry, Live};
 use super::tables::{Order, Table, Tables, TablesMut};
-use super::{Created, NewJob, Orphans, Page, PageToken, Query, Recovered, Retention, StoreError, Swept};
+use super::{Created, NewJob, Offer, Orphans, Page, PageToken, Query, Recovered, Retention, StoreError, Swept};
 use crate::job::record::event::{Event, Events, Log, Progress, What};
 use crate::job::record::state::State;
-use crate::job::record::{Cause, Change, Failure, FailureKind, Holder, Job, JobId, Status, Time, ValidSpec};
+use crate::job::record::{
+    Bytes, Cause, Change, Failure, FailureKind, Holder, Job, JobId, JobSpec, Status, Time, ValidSpec,
+};
 
 /// Numbers of events that are reserved at once: so many are skipped at most if the process goes down.
 const RESERVED: u64 = 1024;
@@ -29,6 +31,12 @@ fn state_key(state: State, id: JobId) -> Vec<u8> {
 
 fn time_key(time: Time, id: JobId) -> Vec<u8> {
     [&time.0.to_be_bytes()[..], &id.0].concat()
+}
+
+/// Where a waiting job stands: the highest priority first, then the oldest.
+fn line_key(spec: &JobSpec, id: JobId) -> Vec<u8> {
+    let priority = spec.priority.unwrap_or(0).clamp(-100, 100);
+    [&[u8::try_from(100 - priority).unwrap_or(u8::MAX)], &id.0[..]].concat()
 }
 
 fn request_key(tenant: &str, request_id: &str) -> Vec<u8> {
@@ -109,8 +117,9 @@ fn unindex(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> StoreResul
     Ok(())
 }
 
-pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -> StoreResult<Created> {
-    let NewJob { id, spec: wanted, now } = new;
+pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob, now: Time) -> StoreResult<Created> {
+    let NewJob { random, spec: wanted, needs } = new;
+    let id = JobId::new(now, random);
     if let Some(job) = requested(tables, &wanted)? {
         return Ok(Created { job, existed: true });
     }
@@ -126,6 +135,7 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -
         request_id: wanted.request_id.clone(),
         labels: wanted.labels.clone(),
         status,
+        needs: (needs != Bytes::default()).then_some(needs),
         next_event: 2,
         reserved_events: 2,
     };
@@ -140,6 +150,7 @@ pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -
         tables.put(Table::Terms, &term, &[])?;
     }
     index(tables, id, &head.status)?;
+    tables.put(Table::Line, &line_key(&wanted, id), &[])?;
     live.touched.push(id);
     Ok(Created { job: Job { id, spec: wanted, status: head.status }, existed: false })
 }
@@ -178,7 +189,7 @@ pub(crate) fn get(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Job
     Ok(Job { id, spec: spec(tables, id)?, status: head.status })
 }
 
-pub(crate) fn list(tables: &impl Tables, query: &Query) -> StoreResult<Page> {
+pub(crate) fn list(tables: &dyn Tables, query: &Query) -> StoreResult<Page> {
     let limit = query.limit();
     let low = JobId::first_of(query.since.unwrap_or_default());
     let mut high = query.before.map_or([0xff; 16], |before| JobId::first_of(before).0);
@@ -283,10 +294,44 @@ pub(crate) fn change(
     let encoded = encode("log", &log)?;
     unindex(tables, id, &before.status)?;
     index(tables, id, &status)?;
+    match status.state {
+        State::Queued => tables.put(Table::Line, &line_key(&spec, id), &[])?,
+        _ if before.status.state == State::Queued => tables.remove(Table::Line, &line_key(&spec, id))?,
+        _ => {}
+    }
     let head = Head { status, next_event, reserved_events, ..before };
     put_head(tables, id, &head)?;
     tables.put(Table::Logs, &id.0, &encoded)?;
     Ok(Job { id, spec, status: head.status })
+}
+
+/// Claims the first waiting job that fits an offer.
+pub(crate) fn claim_next(
+    tables: &mut dyn TablesMut,
+    live: &mut Live,
+    offer: Offer,
+    now: Time,
+) -> StoreResult<Option<Job>> {
+    let mut found = None;
+    match offer.job {
+        Some(id) => match head(tables, id) {
+            Ok(head) => found = (head.status.state == State::Queued).then_some(id),
+            Err(StoreError::NotFound { .. }) => {}
+            Err(error) => return Err(error),
+        },
+        None => tables.visit(Table::Line, (&[], &[u8::MAX; 17]), Order::Up, &mut |key, _| {
+            let id = id_of(Table::Line, key)?;
+            let head = head(tables, id)?;
+            if head.status.state != State::Queued || !head.needs.unwrap_or_default().fits(offer.room) {
+                return Ok(ControlFlow::Continue(()));
+            }
+            found = Some(id);
+            Ok(ControlFlow::Break(()))
+        })?,
+    }
+    let Some(id) = found else { return Ok(None) };
+    let holder = Holder { name: offer.holder, until: now.after(offer.lease) };
+    change(tables, live, (id, None), Change::Claim(holder), now).map(Some)
 }
 
 pub(crate) fn cancel(tables: &mut dyn TablesMut, live: &mut Live, id: JobId, now: Time) -> StoreResult<Job> {
@@ -340,7 +385,7 @@ pub(crate) fn progress(
 
 /// `progress` is that of the job, read before the tables.
 pub(crate) fn events(
-    tables: &impl Tables,
+    tables: &dyn Tables,
     progress: Option<&Log>,
     id: JobId,
     after: u64,
@@ -466,5 +511,12 @@ pub(crate) fn recover(
         }
     }
     recovered.queued = in_state(tables, State::Queued)?;
+    // Journals of earlier releases have no line.
+    for id in &recovered.queued {
+        let key = line_key(&spec(tables, *id)?, *id);
+        if tables.get(Table::Line, &key)?.is_none() {
+            tables.put(Table::Line, &key, &[])?;
+        }
+    }
     Ok(recovered)
 }

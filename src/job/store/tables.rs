@@ -9,6 +9,7 @@
 //! | states | state, job | nothing |
 //! | due | time, job | nothing: jobs with a deadline that runs |
 //! | ended | time, job | 1 if there is a result: jobs that have ended |
+//! | line | priority, job | nothing: jobs that wait |
 //! | terms | label or tenant, job | nothing: for lists |
 //!
 //! Purpose: [`Tables`], so that the stores of one process share their operations. Invariant: keys are in the order of their
@@ -29,11 +30,21 @@ pub(crate) enum Table {
     Due,
     Ended,
     Terms,
+    Line,
 }
 
 impl Table {
-    pub(crate) const ALL: [Self; 8] =
-        [Self::Heads, Self::Specs, Self::Logs, Self::Requests, Self::States, Self::Due, Self::Ended, Self::Terms];
+    pub(crate) const ALL: [Self; 9] = [
+        Self::Heads,
+        Self::Specs,
+        Self::Logs,
+        Self::Requests,
+        Self::States,
+        Self::Due,
+        Self::Ended,
+        Self::Terms,
+        Self::Line,
+    ];
 
     pub(crate) fn name(self) -> &'static str {
         match self {
@@ -45,6 +56,7 @@ impl Table {
             Self::Due => "due",
             Self::Ended => "ended",
             Self::Terms => "terms",
+            Self::Line => "line",
         }
     }
 }

@@ -4,11 +4,11 @@
 //! (`job::estimate`), messages but for headers.
 
 use super::{Shared, bounds};
-use crate::job::AdmissionRequest;
 use crate::job::estimate::{Counts, Kind, need};
 use crate::job::forecast::must_fit;
 use crate::job::observer::Origin;
 use crate::job::record::{DensityKind, PlacementRule};
+use crate::job::{AdmissionRequest, admission};
 use crate::remesh::RemeshOptions;
 use crate::rvd::BackendKind;
 use crate::service::RequestError;
@@ -45,16 +45,10 @@ pub(super) fn admission_request<H: Needs>(
     let counts = header.counts(by.kind, mesh, points);
     let need = need(&counts, by.threads);
     must_fit(&need, shared.engine.memory())?;
-    Ok(AdmissionRequest {
-        tenant: tenant.into(),
-        weight: shared.engine.weights().of(tenant),
-        seconds: need.seconds,
-        memory: need.memory,
-        has_continuations: H::HAS_CONTINUATIONS,
-        // Of the points that are asked for, not of those that may be added.
-        origin: Some(Origin { seeds: points, ..counts.origin(None) }),
-        ..AdmissionRequest::default()
-    })
+    let request = admission::request(&shared.engine, tenant, &counts, &need);
+    // Of the points that are asked for, not of those that may be added.
+    let origin = request.origin.map(|origin| Origin { seeds: points, ..origin });
+    Ok(AdmissionRequest { has_continuations: H::HAS_CONTINUATIONS, origin, ..request })
 }
 
 fn density(options: Option<&proto::DensityOptions>, mesh: MeshCounts) -> DensityKind {
