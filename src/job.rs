@@ -59,15 +59,13 @@ impl Backends {
         host: Option<&Arc<dyn Backend>>,
         activity: &Arc<observer::Activity>,
     ) -> Self {
-        let observed = |inner: &Arc<dyn Backend>| -> Arc<dyn Backend> {
-            Arc::new(engine::Observed { inner: Arc::clone(inner), activity: Arc::clone(activity) })
+        let seen = |backend: &Arc<dyn Backend>, shared| -> Arc<dyn Backend> {
+            Arc::new(engine::Gated { backend: Arc::clone(backend), shared, activity: Arc::clone(activity) })
         };
-        let (host, serial) = (observed(host.unwrap_or(&self.parallel)), observed(&self.serial));
-        let shared = |device: &Arc<dyn Backend>| -> Arc<dyn Backend> {
-            let (device, gate, host, activity) = (device.clone(), gate.clone(), host.clone(), activity.clone());
-            Arc::new(engine::Gated { device, gate, host, activity })
-        };
-        Self { gpu: self.gpu.as_ref().map(shared).map_err(Clone::clone), parallel: host, serial, ..self.clone() }
+        let (host, serial) = (seen(host.unwrap_or(&self.parallel), None), seen(&self.serial, None));
+        let shared = |device: &Arc<dyn Backend>| seen(device, Some((Arc::clone(gate), Arc::clone(&host))));
+        let gpu = self.gpu.as_ref().map(shared).map_err(Clone::clone);
+        Self { gpu, parallel: host, serial, ..self.clone() }
     }
 
     /// The backend for a choice.

@@ -3,10 +3,8 @@
 //! Purpose: [`Engine::submit`] from any task; an answer with times. Invariant: every submitted piece is answered exactly once
 //! or its caller has gone. Must not know: what a piece computes, how the threads share the device.
 
-pub(crate) mod call;
 mod gate;
 mod loss;
-mod observed;
 mod pools;
 pub(crate) mod probe;
 pub(crate) mod queue;
@@ -27,23 +25,19 @@ use crate::job::observe::activity::{Observer, QueuedActivity};
 use crate::job::record::JobId;
 use crate::rvd::{BackendChoice, DeviceFacts};
 use crate::token::Token;
-use call::{ActivityState, Call};
 use watchdog::WatchGuard;
-use worker::{Shared, run};
+use worker::{ActivityState, Call, Shared, run};
 
 pub use crate::job::record::Bytes;
-pub use call::Retry;
-pub(crate) use call::{Timed, WorkContext};
 pub(crate) use gate::{Gate, Gated};
 pub use loss::LossPolicy;
-pub(crate) use observed::Observed;
 pub use queue::Admission;
 pub use schedule::AdmissionRequest;
 pub use watchdog::Ceilings;
 pub(crate) use watchdog::Work;
 pub use weights::Weights;
-pub(crate) use worker::Device;
-pub use worker::EngineOptions;
+pub(crate) use worker::{Device, Timed, WorkContext};
+pub use worker::{EngineOptions, Retry};
 
 /// Work that was submitted. Dropping it cancels the work.
 #[derive(Debug)]

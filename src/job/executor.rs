@@ -25,7 +25,6 @@ use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 
 use crate::blob::{BlobError, BlobOptions, BlobStore, Digest, ObjectBlobs, Owner};
-use crate::job::{JobError, admission};
 use crate::job::admission::estimate::Counts;
 use crate::job::admission::forecast::{Forecast, must_fit};
 use crate::job::engine::{AdmissionRequest, Engine};
@@ -39,6 +38,7 @@ use crate::job::store::{
     Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
     StoreError,
 };
+use crate::job::{JobError, admission};
 pub use input::JobBounds;
 use storage::Storage;
 

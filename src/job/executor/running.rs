@@ -4,6 +4,7 @@
 //! Invariant: a result is pinned before it is named by the job. Who finds the job changed by others stops and leaves no
 //! pin. A stop because of a shutdown puts the job back. Must not know: queues, messages.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
@@ -14,8 +15,7 @@ use super::storage::StorageError;
 use super::{Inner, LEASE, ProgressCommand, failed, input_pin, is_outdated, result_pin};
 use crate::blob::{BlobError, Digest, Owner, put};
 use crate::cvt::Iteration;
-use crate::job::engine::call::WorkContext;
-use crate::job::engine::worker::Device;
+use crate::job::engine::worker::{Device, WorkContext, text};
 use crate::job::executor::input::{ReadBlob, WorkError};
 use crate::job::executor::perform::{JobContext, Parts, perform};
 use crate::job::observe::activity::{Activity, JobOutcome, Listener};
@@ -90,7 +90,9 @@ impl Work {
         let recorder = Recorder { inner: Arc::clone(&inner), id: job.id, at: job.status.version };
         context.activity.listen(Arc::new(recorder));
         let at_work = AtWork { inner, job, token: context.token.clone(), activity: Arc::clone(&context.activity) };
-        let outcome = at_work.perform(backends);
+        // A fault of the work is an end as well.
+        let outcome = catch_unwind(AssertUnwindSafe(|| at_work.perform(backends)))
+            .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref())).into()));
         let lost = match &outcome {
             Err(WorkError::Job(error)) if error.is_device_lost() => Some(error.clone()),
             _ => None,
