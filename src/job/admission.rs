@@ -1,7 +1,8 @@
 //! What a job needs, and whether it may have that here.
 //!
-//! Purpose: [`request`] is the way of every job into the queue, that of a stream and that of the store. [`estimate`] predicts memory and time from counts; [`forecast`] finds the counts of a specification. Invariant:
-//! nothing is kept or queued here. Must not know: where jobs are kept, how they are done.
+//! Purpose: [`request`] is the way of every job into the queue, that of a stream and that of the store. [`estimate`]
+//! predicts memory and time from counts; [`forecast`] finds the counts of a specification. Invariant: nothing is kept or
+//! queued here. Must not know: where jobs are kept, how they are done.
 
 pub mod error;
 pub(crate) mod estimate;

@@ -1,7 +1,7 @@
 //! What a job of the store will need.
 //!
 //! Purpose: [`Forecast`] finds the counts of a specification, from what it says and from its blobs, for
-//! [`estimate`](crate::job::admission::estimate). Invariant: a blob is looked at once: its counts are remembered. One that is large is not
+//! [`estimate`](super::estimate). Invariant: a blob is looked at once: its counts are remembered. One that is large is not
 //! kept in memory for this; its size bounds what it can hold, that of what is packed in it if it is packed. Blobs that are not
 //! the tenant's do not exist. Must not know: queues, stores of jobs.
 

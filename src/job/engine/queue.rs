@@ -1,7 +1,7 @@
 //! What waits for a host thread, and who is next.
 //!
 //! Purpose: a bounded queue between many callers and several workers, in two lanes. Jobs are taken by fair shares of their
-//! tenants ([`schedule`](crate::job::engine::schedule)); short pieces of admitted work (a session's next step, a diagram's next batch)
+//! tenants ([`schedule`](super::schedule)); short pieces of admitted work (a session's next step, a diagram's next batch)
 //! have workers of their own and never wait for a whole job.
 //! Invariant: at most `limit` new jobs wait or hold a reservation; what was admitted always gets in. A reservation counts
 //! for [`RESERVATION_TTL`], so a slow upload does not keep others out. Closing refuses what is new and keeps what waits; nothing

@@ -1,7 +1,7 @@
 //! The host threads that do the work.
 //!
 //! Purpose: work on a bounded number of OS threads. A job stays on one of them; the device is shared by the pass
-//! ([`gate`](crate::job::engine::gate)). [`Call`] is a piece of work from its submission to its answer.
+//! ([`gate`](super::gate)). [`Call`] is a piece of work from its submission to its answer.
 //! Invariant: a lost device is replaced once, by the first thread that finds it lost, before the next piece. A piece that
 //! can be begun anew waits for the new device; this is the one place that counts its attempts. A call is answered exactly
 //! once or its caller has gone; a panic is an answer; what the work holds goes before the answer. Must not know: what a

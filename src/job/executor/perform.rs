@@ -57,7 +57,8 @@ pub(crate) fn perform(spec: &JobSpec, context: &JobContext<'_>) -> Result<Parts,
 fn of_remesh(spec: &JobSpec, work: &RemeshWork, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     let (mesh, options) = load_remesh(spec, work, context.blobs, context.bounds, context.token)?;
     let backend = Arc::clone(context.backends.choose(spec.choice())?);
-    let done = remesh(&mesh, &options, backend.as_ref(), &mut &*context.activity, context.token)?;
+    let mut observer = context.activity;
+    let done = remesh(&mesh, &options, backend.as_ref(), &mut observer, context.token)?;
     drop((mesh, options));
     context.token.enter("write");
     let mut parts = match spec.result.unwrap_or(ResultFormat::File(MeshFormat::Ply)) {
