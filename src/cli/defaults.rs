@@ -7,14 +7,14 @@ use clap::{Args, CommandFactory};
 use super::Cli;
 use super::remesh::RemeshArgs;
 use super::rvd::RvdArgs;
-use crate::cvt::CvtOptions;
-use crate::cvt::density::DensityOptions;
-use crate::mesh::shapes::Shape;
-use crate::remesh::{Refine, RemeshOptions, Seeds};
-use crate::wire::counts::Bounds;
-use crate::wire::options::RemeshArrays;
-use crate::wire::proto::{self, CvtHeader, RemeshHeader, SampledSeeds, seed_source};
-use crate::wire::{density, options};
+use geometry::cvt::CvtOptions;
+use geometry::cvt::density::DensityOptions;
+use geometry::mesh::shapes::Shape;
+use geometry::remesh::{Refine, RemeshOptions, Seeds};
+use wire::counts::Bounds;
+use wire::options::RemeshArrays;
+use wire::proto::{self, CvtHeader, RemeshHeader, SampledSeeds, seed_source};
+use wire::{density, options};
 
 fn arguments<A: Args>(line: &[&str]) -> A {
     let command = A::augment_args(clap::Command::new("tessera"));

@@ -14,9 +14,9 @@ use glam::DVec3;
 use tempfile::NamedTempFile;
 
 use super::exit::{BadInput, NoFolder, NoInput, NotWritten, Usage};
-use crate::mesh::attributes::Attributes;
-use crate::mesh::io::{DataError, FileError, Format};
-use crate::mesh::{TriMesh, io};
+use geometry::mesh::attributes::Attributes;
+use geometry::mesh::io::{DataError, FileError, Format};
+use geometry::mesh::{TriMesh, io};
 
 /// Where a surface is read or written: a file, or `-` for the standard input or output.
 #[derive(Clone, Debug)]

@@ -22,10 +22,10 @@ use super::remote::{is_id, session};
 use super::say::{self, SayArgs};
 use super::server::ServerArgs;
 use super::{files, interrupt};
-use crate::config::count;
-use crate::wire::proto::{CreateJobRequest, EstimateJobRequest, Job, JobState, ListJobsRequest, job_seeds, job_spec};
 use fetch::FetchArgs;
+pub(crate) use server::config::count;
 use spec::{Asked, RemeshWork, RvdWork};
+use wire::proto::{CreateJobRequest, EstimateJobRequest, Job, JobState, ListJobsRequest, job_seeds, job_spec};
 
 pub(crate) use spec::digest;
 
@@ -365,7 +365,7 @@ fn wait(id: &str, server: &ServerArgs) -> Result<()> {
 
 /// About what a job takes. The size of its surface is not known here.
 fn plan(job: &Job) -> Plan {
-    let points = |seeds: Option<&crate::wire::proto::JobSeeds>| match seeds.and_then(|seeds| seeds.source.as_ref()) {
+    let points = |seeds: Option<&wire::proto::JobSeeds>| match seeds.and_then(|seeds| seeds.source.as_ref()) {
         Some(job_seeds::Source::Drawn(drawn)) => drawn.points.unwrap_or(10_000) as usize,
         Some(job_seeds::Source::Given(array)) => array.count as usize,
         None => 10_000,

@@ -41,12 +41,12 @@ use super::exit::{self, Crossed, Unavailable, Usage};
 use super::remote::{Door, Line, Windows, choice, status};
 use super::server::{CallArgs, Server, Tenant};
 use super::{files, info, interrupt};
-use crate::config::{BackendArg, count};
-use crate::mesh::shapes::Shape;
-use crate::picture::Size;
-use crate::rvd::RvdError;
-use crate::token::Stopped;
-use crate::wire::proto::GetServerInfoResponse;
+use geometry::mesh::shapes::Shape;
+use geometry::rvd::RvdError;
+use geometry::token::Stopped;
+use picture::Size;
+pub(crate) use server::config::{BackendArg, count};
+use wire::proto::GetServerInfoResponse;
 
 /// `tessera load`'s options.
 #[derive(Args, Debug)]

@@ -11,10 +11,10 @@ use serde::Serialize;
 use super::exit::{NotWritten, Usage};
 use super::say::SayArgs;
 use super::{files, interrupt, say};
-use crate::mesh::TriMesh;
-use crate::mesh::io::Format;
-use crate::mesh::measure::{Quality, Topology, quality_unless, topology};
-use crate::token::Token;
+use geometry::mesh::TriMesh;
+use geometry::mesh::io::Format;
+use geometry::mesh::measure::{Quality, Topology, quality_unless, topology};
+use geometry::token::Token;
 
 /// Measure a mesh: its triangles, its topology, and how far it is from the mesh that it was made from.
 ///

@@ -11,12 +11,12 @@ use glam::DVec3;
 
 use super::exit::Usage;
 use super::files;
-use crate::mesh::TriMesh;
-use crate::mesh::closest_point::ClosestPoint;
-use crate::picture::{Canvas, Face, Image, PLAIN, Paint, Pens, Size, View, ViewDirection};
-use crate::picture::{distinct, draw_mesh, shading_normals, spacing};
-use crate::rvd::PieceBatch;
-use crate::rvd::cells::facet_edge;
+use geometry::mesh::TriMesh;
+use geometry::mesh::closest_point::ClosestPoint;
+use geometry::rvd::PieceBatch;
+use geometry::rvd::cells::facet_edge;
+use picture::{Canvas, Face, Image, PLAIN, Paint, Pens, Size, View, ViewDirection};
+use picture::{distinct, draw_mesh, shading_normals, spacing};
 
 /// The options of a picture.
 #[derive(Args, Debug)]

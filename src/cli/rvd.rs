@@ -19,18 +19,18 @@ use super::say::{self, SayArgs};
 use super::server::{Server, Tenant};
 use super::trust::TrustArgs;
 use super::{backends, files, interrupt, remote, server};
-use crate::config::{BackendArgs, count, whole};
-use crate::cvt::density::DensityOptions;
-use crate::job::BackendInfo;
-use crate::job::diagram::Diagram;
-use crate::job::spec::{Input, Prepared};
-use crate::memory;
-use crate::mesh::TriMesh;
-use crate::mesh::io::Format;
-use crate::remesh::Seeds;
-use crate::remesh::report::to_json;
-use crate::rvd::PieceBatch;
-use crate::token::Token;
+use ::server::config::{BackendArgs, count, whole};
+use geometry::cvt::density::DensityOptions;
+use geometry::mesh::TriMesh;
+use geometry::mesh::io::Format;
+use geometry::remesh::Seeds;
+use geometry::remesh::report::to_json;
+use geometry::rvd::PieceBatch;
+use geometry::token::Token;
+use jobs::BackendInfo;
+use jobs::diagram::Diagram;
+use jobs::memory;
+use jobs::spec::{Input, Prepared};
 
 /// `tessera rvd`'s options.
 #[derive(Args, Debug)]

@@ -13,7 +13,7 @@ use clap::Args;
 use super::endpoint::ServerUrl;
 use super::exit::{NoInput, Usage};
 use super::trust::{Trust, TrustArgs};
-use crate::keys::Secret;
+use server::keys::Secret;
 
 /// A server, and what it is told of who asks.
 #[derive(Clone, Debug)]

@@ -5,9 +5,9 @@
 use std::path::PathBuf;
 
 use super::files;
-use crate::config::whole;
-use crate::mesh::io::Format;
-use crate::mesh::shapes::{MAX_FACETS, Shape};
+use geometry::mesh::io::Format;
+use geometry::mesh::shapes::{MAX_FACETS, Shape};
+pub(crate) use server::config::whole;
 
 /// Writes a procedural surface to a file.
 #[derive(Clone, Debug, clap::Args)]

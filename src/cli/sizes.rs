@@ -9,9 +9,9 @@ use anyhow::Result;
 
 use super::exit::{BadInput, Usage};
 use super::files::{self, Surface};
-use crate::mesh::TriMesh;
-use crate::mesh::io::DataError;
-use crate::mesh::io::lists::{FileVertices, NO_NUMBERS};
+use geometry::mesh::TriMesh;
+use geometry::mesh::io::DataError;
+use geometry::mesh::io::lists::{FileVertices, NO_NUMBERS};
 
 /// Refuses a file whose vertices have no numbers, for which `option` has a list.
 pub(crate) fn check_format(input: &Surface, option: &str) -> Result<()> {
@@ -58,7 +58,7 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::mesh::io;
+    use geometry::mesh::io;
 
     #[test]
     fn lengths_follow_the_vertices_of_an_obj() {

@@ -10,7 +10,7 @@ use std::ops::Range;
 use super::device::WORKGROUP;
 use super::limits::Limits;
 use super::{Device, GpuError};
-use crate::token::{Stopped, Token};
+use geometry::token::{Stopped, Token};
 
 /// Items that one dispatch of a heavy stage has at most. Each stage takes some such parts at once; none comes near
 /// 100 ms on a software adapter (`tessera bench cvt` says how long the longest took).

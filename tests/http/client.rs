@@ -4,21 +4,19 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use jobs::{Backends, BlobRoom, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, Stores};
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, RootCertStore};
 use serde_json::Value;
-use tessera::internals::config::Limits;
-use tessera::internals::http::door;
+use server::config::Limits;
+use server::http::door;
 #[cfg(feature = "ui")]
-use tessera::internals::http::door_with_page;
-use tessera::internals::job::{
-    Backends, BlobRoom, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, Stores,
-};
-use tessera::internals::keys::{KeyFile, KeyLimits, NewKey, Role, Secret};
-use tessera::internals::service::{
-    self, About, Access, AccessOptions, Door, Jobs, Metrics, Parts, Readiness, ServeError, Tls,
-};
+use server::http::door_with_page;
+use server::keys::{KeyFile, KeyLimits, NewKey, Role, Secret};
+use server::metrics::Metrics;
+use server::readiness::Readiness;
+use server::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError, Tls};
 use tessera::{BackendChoice, BackendKind};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};

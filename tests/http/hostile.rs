@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use tessera::internals::config::{Limits, Transport};
+use server::config::{Limits, Transport};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 

@@ -15,9 +15,9 @@ use std::time::Duration;
 
 use client::{Answer, House, ask, get, post};
 use serde_json::{Value, json};
-use tessera::internals::http::{OPENAPI, ROUTES};
-use tessera::internals::keys::{KeyLimits, Role};
-use tessera::internals::service::Tls;
+use server::http::{OPENAPI, ROUTES};
+use server::keys::{KeyLimits, Role};
+use server::service::Tls;
 use tessera::mesh::io::{self, Format};
 use tessera::{BackendChoice, BackendKind, RemeshOptions, Seeds, Token, TriMesh};
 
@@ -138,7 +138,7 @@ async fn blobs_have_ranges_and_tags() {
     let other = [&bytes[..], b"!"].concat();
     let wrong = post(&house, &format!("/v1/blobs?digest={digest}"), &[], &other).await;
     assert_eq!(wrong.status, 400, "{wrong:?}");
-    let other_digest = tessera::internals::blob::Digest::of(&other).to_string();
+    let other_digest = jobs::blob::Digest::of(&other).to_string();
     for _ in 0..2 {
         let stored = post(&house, &format!("/v1/blobs?digest={other_digest}"), &[], &other).await;
         assert_eq!((stored.status, stored.json()["digest"].as_str()), (201, Some(other_digest.as_str())));
@@ -372,7 +372,7 @@ async fn requests_are_counted_and_http_2_is_spoken() {
     assert_eq!(get(&house, "/v1/jobs", &[]).await.status, 200);
     assert_eq!(get(&house, "/v1/none", &[]).await.status, 404);
     assert_eq!(client::over_http2(&house, "/v1/openapi.json").await, (200, OPENAPI.as_bytes().to_vec()));
-    let text = house.metrics.text(tessera::internals::service::Format::Text);
+    let text = house.metrics.text(server::metrics::Format::Text);
     let count = |method: &str, route: &str, status: u16| {
         let labels = format!(
             "http_server_request_duration_seconds_count{{http_request_method=\"{method}\",http_route=\"{route}\",\

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use tessera::internals::job::event::{KEPT_PROGRESS, Progress, What};
-use tessera::internals::job::record::*;
-use tessera::internals::job::state::State;
-use tessera::internals::job::store::*;
+use jobs::event::{KEPT_PROGRESS, Progress, What};
+use jobs::record::*;
+use jobs::state::State;
+use jobs::store::*;
 
 use super::{spec, wait};
 

@@ -4,9 +4,9 @@ use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use tessera::internals::job::record::*;
-use tessera::internals::job::state::{State, apply};
-use tessera::internals::job::store::*;
+use jobs::record::*;
+use jobs::state::{State, apply};
+use jobs::store::*;
 
 use super::{KEEP, spec};
 
@@ -274,7 +274,7 @@ pub async fn on_store(store: &dyn JobStore, step: Step) -> Option<(Gives, Option
         }
         Step::Renew { id, at, lease } => store.renew(id, at, lease).await.map(|()| Gives::Done),
         Step::Progress { id, at } => {
-            let progress = tessera::internals::job::event::Progress::Stage { name: "s".to_owned(), done: 0, total: 0 };
+            let progress = jobs::event::Progress::Stage { name: "s".to_owned(), done: 0, total: 0 };
             let given = store.progress(id, at, progress).await;
             number = given.as_ref().ok().copied();
             given.map(|_| Gives::Done)

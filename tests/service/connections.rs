@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use crate::process::address_of;
 use crate::raw::{self, CHECK, COMPUTE_RVD, Raw, WATCH, closes, framed, silent};
 use crate::server::*;
-use tessera::internals::config::Limits;
+use server::config::Limits;
 use tessera::proto::*;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use crate::raw::{WATCH, closes, silent};
 use crate::server::*;
-use tessera::internals::config::{Limits, Transport};
+use server::config::{Limits, Transport};
 use tessera::proto::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;

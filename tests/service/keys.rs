@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use tessera::internals::keys::{KeyFile, KeyLimits, NewKey, Role, Secret};
-use tessera::internals::service::{Access, AccessOptions};
+use server::keys::{KeyFile, KeyLimits, NewKey, Role, Secret};
+use server::service::{Access, AccessOptions};
 use tessera::proto::job_service_client::JobServiceClient;
 use tessera::proto::*;
 use tonic::metadata::MetadataValue;

@@ -12,16 +12,16 @@ use clap::{ArgGroup, Args, ValueEnum};
 
 use super::format;
 use super::given::Given;
-use crate::cli::exit::Usage;
-use crate::cli::remesh::args::{
+use crate::exit::Usage;
+use crate::remesh::args::{
     BoundariesArg, DensityArg, PlacementArg, ProjectionArg, ShapeArgs, SizeArgs, StepArgs, ThinArg,
 };
-use crate::cli::rvd::SeedArgs;
-use crate::cli::source::Source;
-use crate::cli::{files, remote, sizes};
-use crate::config::BackendArg;
-use crate::mesh::io::Format;
-use crate::wire::proto::{
+use crate::rvd::SeedArgs;
+use crate::source::Source;
+use crate::{files, remote, sizes};
+use geometry::mesh::io::Format;
+pub(super) use server::config::BackendArg;
+use wire::proto::{
     self, ArrayForm, ArrayRef, BoundaryRule, DensitySource, DrawnSeeds, JobDensity, JobMesh, JobRefinement, JobSeeds,
     JobSpec, MeshFile, Placement, Projection, RemeshJob, ResultFormat, RvdJob, RvdOutput, ThinRule, job_mesh,
     job_refinement, job_seeds, job_spec, result_format,

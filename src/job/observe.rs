@@ -1,7 +1,0 @@
-//! Jobs at work, as others see them.
-//!
-//! Purpose: [`activity`] counts and traces work; [`preview`] shows the seeds of a job. Invariant: work never waits for an
-//! observer. Must not know: queues, stores, how counts are kept.
-
-pub(crate) mod activity;
-pub(crate) mod preview;
