@@ -99,7 +99,7 @@ struct HowArgs {
     /// The same id with the same job gives the same job again, so that a submit can be repeated safely.
     #[arg(long, value_name = "ID", value_parser = request_id)]
     request_id: Option<String>,
-    /// Jobs with a higher priority go first: -100 to 100 [default: 0]
+    /// Jobs with a higher priority go first: -100 to 100 [default: 0].
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-100..=100))]
     priority: Option<i32>,
     /// Seconds that the job may be at work before it expires.

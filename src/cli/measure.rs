@@ -22,13 +22,13 @@ use geometry::token::Token;
 /// points and all vertices of each surface.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct MeasureArgs {
-    /// The mesh to compare with; - is the standard input
+    /// The mesh to compare with; - is the standard input.
     #[arg(value_name = "ORIGINAL")]
     pub(crate) original: PathBuf,
-    /// The mesh to measure, or -; ORIGINAL itself if it is left out
+    /// The mesh to measure, or -; without it, ORIGINAL itself is measured.
     #[arg(value_name = "REMESH")]
     pub(crate) remesh: Option<PathBuf>,
-    /// Format of the standard input
+    /// Format of the standard input.
     #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     pub(crate) input_format: Option<Format>,
     #[command(flatten)]

@@ -35,7 +35,7 @@ pub(crate) struct PictureArgs {
     #[arg(long, value_name = "X,Y,Z", default_value = "0,1,0", value_parser = direction, requires = "picture",
         allow_hyphen_values = true)]
     up: DVec3,
-    /// What the colours say [default: plain for a remesh, cell for a diagram]
+    /// Meaning of the colours [default: plain for a remesh, cell for a diagram].
     #[arg(long, alias = "color", value_enum, requires = "picture")]
     colour: Option<Colour>,
 }

@@ -50,20 +50,20 @@ pub(crate) struct RvdArgs {
     /// Draw the seeds as dots in the picture, where the surface is next to them.
     #[arg(long, requires = "picture", help_heading = "Picture")]
     dots: bool,
-    #[command(flatten, next_help_heading = "Who works")]
+    #[command(flatten, next_help_heading = "Backend")]
     backend: BackendArgs,
     /// Let a server do the work, e.g. http://127.0.0.1:50051.
-    #[arg(long, value_name = "URL", help_heading = "Who works")]
+    #[arg(long, value_name = "URL", help_heading = "Backend")]
     endpoint: Option<ServerUrl>,
     /// Whose work the server takes it for, where several share one.
-    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Who works")]
+    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Backend")]
     tenant: Option<Tenant>,
     /// File with the key that the server wants.
-    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Who works")]
+    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Backend")]
     key_file: Option<PathBuf>,
-    #[command(flatten, next_help_heading = "Who works")]
+    #[command(flatten, next_help_heading = "Backend")]
     trust: TrustArgs,
-    #[command(flatten, next_help_heading = "What is said")]
+    #[command(flatten, next_help_heading = "Messages")]
     say: SayArgs,
 }
 

@@ -57,8 +57,12 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
 
 /// Who may call.
 fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
-    let &SecurityArgs { require_keys, reflection, health_needs_key, .. } = &args.security;
-    let options = AccessOptions { require_keys, reflection, health_needs_key };
+    let &SecurityArgs { require_keys, reflection, health_needs_key, ref allow_host, .. } = &args.security;
+    // The name that the listeners have may resolve to a loopback address too.
+    let listened = args.http_listen.iter().chain([&args.listen]);
+    let names = listened.filter_map(|place| place.rsplit_once(':')).map(|(host, _)| host.to_owned());
+    let hosts = allow_host.iter().cloned().chain(names).collect();
+    let options = AccessOptions { require_keys, reflection, health_needs_key, hosts };
     match &config.data_dir {
         Some(folder) => Ok(Access::in_folder(folder, options).map_err(|error| Unavailable(error.to_string()))?),
         None => Ok(Access::open().with(options)),

@@ -1,10 +1,10 @@
 //! Triangle surfaces.
 //!
-//! Purpose: one validated type, [`TriMesh`], that everything above can trust, and what can be
-//! said of a surface alone: files, adjacency, samples, closest points, quality.
-//! Invariant: a `TriMesh` has finite positions, indices in range and at least one facet with an
-//! area. Facets without area stay in the list, so that facet numbers are the caller's, and are
-//! marked [`TriMesh::is_degenerate`]; integration leaves them out.
+//! Purpose: one validated type, [`TriMesh`], that higher rooms can trust, and operations on a single surface: files,
+//! adjacency, samples, closest points, quality.
+//! Invariant: a `TriMesh` has finite positions, indices in range and at least one facet with an area. Facets without area
+//! stay in the list, so that facet numbers are the caller's, and are marked [`TriMesh::is_degenerate`]; integration ignores
+//! them.
 //! Must not know: seeds, Voronoi cells, backends, jobs.
 
 pub mod adjacency;
@@ -70,7 +70,7 @@ pub enum MeshError {
         corner: usize,
         /// The index as given.
         index: u32,
-        /// How many vertices there are.
+        /// Number of vertices.
         vertices: usize,
     },
     /// The facet list is empty.
@@ -151,8 +151,8 @@ impl TriMesh {
         if extent >= 1e150 {
             return Err(MeshError::ExtentTooLarge { extent });
         }
-        // Below 2.2e-308 numbers are subnormal, and the scale to a unit box overflows. A box of width
-        // 0 has no area, which is said below.
+        // Below 2.2e-308 numbers are subnormal, and the scale to a unit box overflows. A box of width 0 has no area, which
+        // is reported below.
         if extent > 0.0 && extent < 1e-305 {
             return Err(MeshError::ExtentTooSmall { extent });
         }
@@ -179,8 +179,8 @@ impl TriMesh {
             for (flat, corners) in flats.iter_mut().zip(facets) {
                 let [a, b, c] = corners.map(|v| (positions[v as usize] - low) / scale);
                 let twice = (b - a).cross(c - a).length();
-                // A facet whose corners repeat, or whose area is no more than rounding leaves of
-                // one: relative to its longest edge an altitude below 1e-15 is not a direction.
+                // A facet with repeated corners, or with an area within rounding: relative to its longest edge, an altitude
+                // below 1e-15 has no direction.
                 let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
                 *flat = twice <= 1e-15 * longest;
                 if *flat {
@@ -232,13 +232,13 @@ impl TriMesh {
         self.facets[facet].map(|v| self.positions[v as usize])
     }
 
-    /// The parts, for a caller that goes on with them.
+    /// Splits the mesh into its arrays.
     pub fn into_parts(self) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         (self.positions, self.facets)
     }
 }
 
-/// Sums are taken over so many facets, then over these parts in order, so that threads do not change them.
+/// Facets per partial sum; partial sums are added in order, so that threads do not change them.
 const CHUNK: usize = 1 << 14;
 
 fn bounds(positions: &[DVec3], facets: &[[u32; 3]]) -> (DVec3, DVec3) {

@@ -1,4 +1,4 @@
-//! f32 on a wgpu device, exact as the other backends.
+//! Single precision on a wgpu device, as exact as the other backends.
 //!
 //! Purpose: the GPU backend. The stage `divide` does most facets as a whole, without a polygon. The other facets, and all of them
 //! where the pieces themselves are wanted, go to a list of (facet, cell) pairs (\[HYWZ17\], Algorithms 1 and 2): the nearest

@@ -81,11 +81,11 @@ pub struct Origins<'a> {
 /// A stage over so many items.
 #[derive(Debug)]
 pub struct Stage<'a> {
-    /// What is computed,
+    /// The pipeline to run.
     pub pipeline: &'a wgpu::ComputePipeline,
-    /// on what,
+    /// The buffers of the pipeline.
     pub bindings: &'a wgpu::BindGroup,
-    /// for how many items.
+    /// Number of items.
     pub items: u64,
     /// [`PART`]s that one dispatch may have.
     pub size: u64,

@@ -43,11 +43,11 @@ pub type PoolFactory = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;
 /// The backends of this process.
 #[derive(Clone)]
 pub struct Backends {
-    /// f32 on a device, or why there is none.
+    /// The GPU backend, or the reason why there is none.
     pub gpu: Result<Arc<dyn Backend>, String>,
-    /// f64, all threads of a pool.
+    /// Double precision on all threads of a pool.
     pub parallel: Arc<dyn Backend>,
-    /// f64, one thread.
+    /// Double precision on one thread.
     pub serial: Arc<dyn Backend>,
     /// What [`BackendChoice::Auto`] means here; `Auto` again means the GPU if there is one.
     pub default: BackendChoice,

@@ -203,9 +203,9 @@ pub struct Query {
     pub labels: BTreeMap<String, String>,
     /// Of this tenant.
     pub tenant: Option<String>,
-    /// Created then or later,
+    /// Jobs created at this time or later.
     pub since: Option<Time>,
-    /// and before.
+    /// Jobs created before this time.
     pub before: Option<Time>,
     /// How many at most; 1 to [`Query::MAX_LIMIT`], and 100 if 0.
     pub limit: usize,

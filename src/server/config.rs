@@ -1,10 +1,10 @@
-//! What a server may be told, and what of it makes sense.
+//! The configuration of a server, and its validation.
 //!
-//! Purpose: [`ServeArgs`] as the file, the environment and the command line give it, in rising precedence, and
-//! [`ServeConfig`] once it is checked. One struct describes every option; a key of the file becomes the default of its
+//! Purpose: [`ServeArgs`] holds the values of the file, the environment and the command line, in rising precedence;
+//! [`ServeConfig`] is the checked result. One struct describes every option; a key of the file becomes the default of its
 //! option, so that parsers, messages and precedence exist once.
-//! Invariant: a `ServeConfig` exists only if every value is usable; it is made before any port is
-//! bound. Must not know: how a value is used, any other room.
+//! Invariant: a `ServeConfig` exists only if every value is usable; it is made before any port is bound.
+//! Must not know: the use of a value, any other room.
 mod args;
 mod check;
 mod device;

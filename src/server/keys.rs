@@ -1,8 +1,10 @@
-//! Keys of callers: what is kept of them, how one is made, and where they lie.
+//! Keys of callers: creation, verification and storage.
 //!
-//! Purpose: [`KeySet`] is what a server knows of its callers' keys; [`Secret`] is a key as its owner has it; [`KeyFile`] keeps
-//! a set beside the server. Invariant: a secret is shown once, when it is made. Only its SHA-256 is kept, and neither is ever
-//! part of an error or a log line. Must not know: calls, the command line.
+//! Purpose: [`KeySet`] is the server's record of keys; [`Secret`] is a key as the caller has it; [`KeyFile`] stores a set on
+//! disk.
+//! Invariant: a secret is shown once, when it is created. Only its SHA-256 is stored, and neither appears in an error or a
+//! log line.
+//! Must not know: calls, the command line.
 
 mod file;
 mod secret;
@@ -27,7 +29,7 @@ const MOST: usize = 10_000;
 /// The longest name, bytes.
 const LONGEST: usize = 64;
 
-/// What a key may do. Each may do what those before it may.
+/// The role of a key. Each includes the rights of those before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
@@ -35,12 +37,12 @@ pub enum Role {
     Read,
     /// Upload, create jobs and end them, in the name of its tenant.
     Submit,
-    /// The same in the name of any tenant.
+    /// All calls, in the name of any tenant.
     Admin,
 }
 
 impl Role {
-    /// As it is written.
+    /// The name in files and messages.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Read => "read",
@@ -65,11 +67,11 @@ impl FromStr for Role {
     }
 }
 
-/// How much a key may have. What is not given is not limited.
+/// Limits of a key. An unset limit is off.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct KeyLimits {
-    /// Calls a second. As many may come at once after a pause.
+    /// Calls a second, and the size of a burst.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate: Option<u32>,
     /// Calls that are open at once.
@@ -92,15 +94,15 @@ impl KeyLimits {
     }
 }
 
-/// What is kept of a key.
+/// The stored part of a key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Key {
-    /// By which it is found: the first part of the secret.
+    /// Identifier: the first part of the secret.
     pub id: String,
-    /// Whose it is, and so the tenant.
+    /// Name of the owner, and so the tenant.
     pub name: String,
-    /// What it may do.
+    /// Role of the key.
     pub role: Role,
     /// Of the secret.
     pub sha256: Hash,
@@ -129,9 +131,9 @@ pub fn now() -> u64 {
 /// A key to be made.
 #[derive(Clone, Debug)]
 pub struct NewKey {
-    /// Whose it is.
+    /// Name of the owner.
     pub name: String,
-    /// What it may do.
+    /// Role of the key.
     pub role: Role,
     /// After how long it ends.
     pub lasts: Option<Duration>,
@@ -161,28 +163,28 @@ const VERSION: u32 = 1;
 /// Why keys could not be read or changed.
 #[derive(Debug, thiserror::Error)]
 pub enum KeysError {
-    /// The file is not what this program writes.
+    /// The file has invalid content.
     #[error("{} is damaged: {reason}; put a copy of it in its place, or remove it and make new keys", .path.display())]
     Damaged {
         /// Which file.
         path: std::path::PathBuf,
-        /// What is wrong.
+        /// The defect.
         reason: String,
     },
     /// The file could not be read or written.
     #[error("cannot {action} {}: {source}", .path.display())]
     Io {
-        /// What was tried.
+        /// The failed action.
         action: &'static str,
         /// Which file.
         path: std::path::PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: std::io::Error,
     },
     /// The name has a key.
     #[error("{name} has a key already; revoke it first, or make a second one with --rotate")]
     Exists {
-        /// Whose.
+        /// Name of the owner.
         name: String,
     },
     /// There is no such key.
@@ -272,7 +274,7 @@ impl KeySet {
         serde_json::to_string_pretty(&stored).map(|text| text + "\n").unwrap_or_default()
     }
 
-    /// Reads what [`Self::to_json`] wrote.
+    /// Parses the output of [`Self::to_json`].
     fn from_json(bytes: &[u8]) -> Result<Self, String> {
         let Stored { version, keys } = serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
         if version != VERSION {

@@ -58,16 +58,16 @@ use wire::{WireError, proto};
 
 pub use self::access::{Access, AccessOptions};
 
-/// The name under which health is told, besides "".
+/// Health service name of `RemeshService`.
 pub const SERVICE_NAME: &str = "tessera.v1.RemeshService";
 
-/// The same for blobs, where they are served,
+/// Health service name of `BlobService`.
 pub const BLOB_SERVICE_NAME: &str = "tessera.v1.BlobService";
 
-/// and for jobs.
+/// Health service name of `JobService`.
 pub const JOB_SERVICE_NAME: &str = "tessera.v1.JobService";
 
-/// The same for what a server says of itself.
+/// Health service name of `ServerService`.
 pub const SERVER_SERVICE_NAME: &str = "tessera.v1.ServerService";
 
 /// What a server is made of.
@@ -275,14 +275,14 @@ pub async fn run(
     }
     let api = jobs.as_ref().map(|jobs| Arc::clone(&jobs.api));
     let door = door.zip(jobs.as_ref()).map(|(door, Jobs { api, blobs })| {
-        let (api, blobs, access) = (Arc::clone(api), Arc::clone(blobs), access.clone());
+        let (api, blobs, access) = (Arc::clone(api), Arc::clone(blobs), access.of(&door.listener));
         let (budget, gate, metrics) = (budget.clone(), gate.clone(), metrics.clone());
         (door.listener, (door.open)(Desk { api, blobs, limits, budget, gate, access, metrics }))
     });
     if let Some(jobs) = jobs {
         routes = with_jobs(routes, jobs, limits, &budget, &gate);
     }
-    let routes = Guarded::new(access, routes.prepare());
+    let routes = Guarded::new(access.of(&listener), routes.prepare());
     let closing = watch::Sender::new(CUT_TIME);
     let ground = Ground::new(limits, budget, metrics.clone(), tls);
     let grpc = Spoken::Grpc(Arc::new(Grpc { routes, calls: metrics.calls(methods::all()) }));

@@ -50,7 +50,7 @@ async fn what_is_no_grpc_is_refused_in_http_s_words() {
         ("POST", "application/grpc; charset=utf-8", 200),
     ] {
         for path in [CHECK, "/", "/nothing/at.All"] {
-            let mut request = http::Request::builder().method(method).uri(format!("http://tessera{path}"));
+            let mut request = http::Request::builder().method(method).uri(format!("http://localhost{path}"));
             if !kind.is_empty() {
                 request = request.header("content-type", kind);
             }

@@ -60,7 +60,7 @@ fn head(path: &str) -> Vec<u8> {
     // POST and http, from HPACK's table.
     let mut bytes = vec![0x83, 0x86];
     for (name, value) in
-        [(":path", path), (":authority", "tessera"), ("content-type", "application/grpc"), ("te", "trailers")]
+        [(":path", path), (":authority", "localhost"), ("content-type", "application/grpc"), ("te", "trailers")]
     {
         bytes.extend(field(name, value));
     }

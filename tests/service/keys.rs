@@ -194,6 +194,9 @@ async fn health_and_reflection_have_switches() {
         (&[("tessera-tenant", "team")], Code::Ok),
         (&[("tessera-tenant", "eye")], Code::Unauthenticated),
         (&[("authorization", bad.as_str())], Code::Unauthenticated),
+        (&[("origin", "http://localhost:5173")], Code::Ok),
+        (&[("origin", "https://evil.example")], Code::PermissionDenied),
+        (&[("host", "evil.example")], Code::PermissionDenied),
         (&key, Code::Ok),
     ] {
         let end = raw.end_of(list, headers, framed(&ListJobsRequest::default())).await;

@@ -45,9 +45,9 @@ struct Measured {
     /// The density, and whose facets.
     name: String,
     load: Load,
-    /// Lloyd and quasi-Newton steps of each round,
+    /// Lloyd and quasi-Newton steps, by round.
     rounds: Vec<[Timed; 2]>,
-    /// and of all of them.
+    /// Lloyd and quasi-Newton steps of all rounds.
     all: [Timed; 2],
 }
 

@@ -35,7 +35,7 @@ pub(super) struct Table1Args {
     /// The seeds of the one --mesh, `x y z` a line, instead.
     #[arg(long, value_name = "FILE.xyz", conflicts_with = "points", requires = "mesh")]
     seeds: Option<PathBuf>,
-    /// Facets of the models that are not files: one number for all, or one for each [default: 20000,69000,100000]
+    /// Facets of the models that are not files: one number for all, or one for each [default: 20000,69000,100000].
     #[arg(long, value_name = "N", value_delimiter = ',', conflicts_with = "mesh",
           value_parser = count)]
     facets: Vec<u32>,

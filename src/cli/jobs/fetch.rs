@@ -30,7 +30,7 @@ pub(super) struct FetchArgs {
     /// Where the result goes. A file that is there is replaced once the new one is whole.
     #[arg(long, short, value_name = "FILE", required_unless_present = "report")]
     output: Option<PathBuf>,
-    /// Which blob of the result [default: mesh, for a diagram cells, for a session seeds]
+    /// Which blob of the result [default: mesh; cells for a diagram, seeds for a session].
     #[arg(long, value_name = "NAME", requires = "output")]
     name: Option<String>,
     /// Write the report there, as JSON.

@@ -73,7 +73,7 @@ pub(super) struct InputArgs {
     #[arg(long, value_parser = files::format(), value_name = "FORMAT")]
     input_format: Option<Format>,
     /// Which backend of the server should do the work.
-    #[arg(long, value_enum, help_heading = "Who works")]
+    #[arg(long, value_enum, help_heading = "Backend")]
     backend: Option<BackendArg>,
 }
 
@@ -114,7 +114,7 @@ impl InputArgs {
 pub(super) struct RemeshWork {
     #[command(flatten)]
     input: InputArgs,
-    /// The format of the result [default: ply]
+    /// The format of the result [default: ply].
     #[arg(long, value_parser = files::format())]
     format: Option<Format>,
     /// Leave aside normals, texture coordinates, colours and scalars of the input.
@@ -198,7 +198,7 @@ enum OutputArg {
 pub(super) struct RvdWork {
     #[command(flatten)]
     input: InputArgs,
-    /// What is wanted, with commas between [default: cells]
+    /// Outputs, separated by commas [default: cells].
     #[arg(long, value_enum, value_delimiter = ',')]
     outputs: Vec<OutputArg>,
     /// The format of the cells: a PLY file.

@@ -44,20 +44,20 @@ pub(crate) struct RemeshArgs {
     pub(super) steps: StepArgs,
     #[command(flatten, next_help_heading = "Picture")]
     pub(super) picture: PictureArgs,
-    #[command(flatten, next_help_heading = "Who works")]
+    #[command(flatten, next_help_heading = "Backend")]
     pub(super) backend: BackendArgs,
     /// Let a server do the work, e.g. http://127.0.0.1:50051.
-    #[arg(long, value_name = "URL", help_heading = "Who works")]
+    #[arg(long, value_name = "URL", help_heading = "Backend")]
     pub(super) endpoint: Option<ServerUrl>,
     /// Whose work the server takes it for, where several share one.
-    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Who works")]
+    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Backend")]
     pub(super) tenant: Option<Tenant>,
     /// File with the key that the server wants.
-    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Who works")]
+    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Backend")]
     pub(super) key_file: Option<PathBuf>,
-    #[command(flatten, next_help_heading = "Who works")]
+    #[command(flatten, next_help_heading = "Backend")]
     pub(super) trust: TrustArgs,
-    #[command(flatten, next_help_heading = "What is said")]
+    #[command(flatten, next_help_heading = "Messages")]
     pub(super) say: SayArgs,
 }
 

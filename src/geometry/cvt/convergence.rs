@@ -5,9 +5,9 @@
 
 /// The gradient has shrunk to this share of the first one.
 const GRADIENT: f64 = 1e-3;
-/// A step gained less than this share of the energy,
+/// A step that gains less than this share of the energy counts as a standstill.
 const GAIN: f64 = 1e-6;
-/// so many times running.
+/// Consecutive standstills that end the steps.
 const STANDSTILLS: usize = 2;
 
 /// See the module's head.

@@ -64,9 +64,9 @@ impl Segment {
 const SEGMENTS_PER_CHECK: usize = 8;
 /// Fewer segments are not worth a task.
 const MIN_SEGMENTS_PER_TASK: usize = 256;
-/// Least distance of seeds of two curves, as a share of their spacing,
+/// Least distance of seeds of two curves, share of their spacing.
 const MIN_SEPARATION: f64 = 0.45;
-/// and beside a common corner.
+/// Least distance of seeds of two curves beside a common corner, share of their spacing.
 const MIN_CORNER_SEPARATION: f64 = 0.3;
 /// A seed comes between the ends of a segment if its distance to a point there is below this share of theirs.
 const BETWEEN_MARGIN: f64 = 0.98;
@@ -80,9 +80,9 @@ const MIN_CORNER_DEG: f64 = 32.0;
 const DISTINCT_CREASE_DEG: f64 = 55.0;
 /// Shortest curve between two corners, a share of h.
 const MIN_CURVE: f64 = 0.65;
-/// Largest distance of a curve from its chord, a share of an edge,
+/// Largest distance of a curve from its chord, share of an edge. A curve that is farther off is cut.
 const MAX_DEVIATION: f64 = 0.15;
-/// unless one of its parts would be shorter than this share.
+/// Shortest part of a curve that is cut for its distance from the chord, share of an edge.
 const MIN_PART: f64 = 0.5;
 /// Longest segment, in h: on a longer one, a seed beside its middle would take a part of the curve.
 const MAX_SEGMENT: f64 = 1.2;

@@ -1,9 +1,8 @@
 //! A uniform grid over the seeds.
 //!
-//! Purpose: rows and nearest seeds from the few cells around a place, where seeds are spread evenly
-//! enough over a surface.
-//! Invariant: an answer is given only if no seed outside the cells that were read can belong to it;
-//! it is then the one that [`super`] promises. Anything else is left to the caller.
+//! Purpose: rows and nearest seeds from the few cells around a place, where seeds are spread evenly enough over a surface.
+//! Invariant: an answer is given only if no seed outside the searched cells can belong to it; it is then the one that
+//! [`super`] promises. Otherwise the caller must search.
 //! Must not know: the kd-tree.
 
 use rayon::prelude::*;
@@ -55,10 +54,9 @@ const DENSE: f64 = 64.0;
 const CELLS: usize = 8;
 /// Cells along an axis, at most, so that a place in the grid has 30 bits left for its fraction.
 const ALONG: f64 = (1 << 20) as f64;
-/// Distances that cells prove are taken so much shorter: far more than the roundings of a place in
-/// the grid.
+/// Relative reduction of the distances that cells prove: far more than the rounding of a place in the grid.
 const ROUNDING: f64 = 1e-6;
-/// Blocks of so many cells around a seed's are tried one after the other.
+/// Radii of the blocks around a seed's cell, in cells, tried one after the other.
 const RINGS: [usize; 8] = [1, 2, 3, 4, 6, 8, 11, 15];
 /// More seeds than this in a block, for each one wanted: a tree is faster.
 const CANDIDATES: usize = 64;
@@ -84,7 +82,7 @@ impl Grid {
             return None;
         }
         let n = points.len();
-        // Half the box's surface: about that of what fills the box, and a sheet's own.
+        // Half of the box's surface: about the area of its content, exact for a sheet.
         let area = extent[0] * extent[1] + extent[1] * extent[2] + extent[2] * extent[0];
         let mut size = 3.0 * (area / n as f64).sqrt();
         let mut grid = Self::empty(low);
@@ -168,7 +166,7 @@ impl Grid {
         }
     }
 
-    /// Whether cells hold few enough seeds that what is in a box is found fast.
+    /// Whether cells hold few enough seeds for a fast search in a box.
     pub(super) fn is_even(&self) -> bool {
         self.occupancy <= EVEN
     }
@@ -256,7 +254,7 @@ impl Grid {
         self.arrange(p, enough, &mut scratch.keys);
         let mut keys = &scratch.keys[..];
         if !out.complete {
-            // All that are nearer than the last one are there; others may be as far as it is.
+            // All seeds nearer than the last one are present; others may be as far.
             let distance = |key: u64| squared_distance(p, &self.points[key as u32 as usize]);
             let last = distance(keys[enough - 1]);
             keys = &keys[..enough - 1];
@@ -286,7 +284,7 @@ impl Grid {
             keys.truncate(end);
         }
         keys.sort_unstable();
-        // Where the upper halves are the same, the whole distance decides, and then the seed.
+        // If the upper halves are equal, the whole distance decides, and then the seed.
         let whole = |key: u64| {
             let q = key as u32 as usize;
             (squared_distance(p, &self.points[q]), self.order[q])
@@ -301,8 +299,7 @@ impl Grid {
         }
     }
 
-    /// The only nearest seed of a point; `None` if the cells around it do not prove it, or if there
-    /// are several.
+    /// The only nearest seed of a point; `None` if the cells around it do not prove it, or if it is not unique.
     pub(super) fn nearest(&self, p: &[f64; 3]) -> Option<u32> {
         let at = [0, 1, 2].map(|c| self.at(p, c));
         let cell = [0, 1, 2].map(|c| self.clamped(at[c], c));
@@ -339,8 +336,8 @@ impl Grid {
         (best.squared < f64::INFINITY).then(|| self.order[best.place as usize])
     }
 
-    /// Calls `found` with the seeds of all cells that meet a box, and where they are; `false`, before it has all, if there
-    /// are more than `most`, or more lines of cells.
+    /// Calls `found` with the seeds of all cells that meet a box, and their places. Returns `false` early if there are more
+    /// than `most`, or more lines of cells.
     #[inline(always)]
     pub(super) fn in_box(
         &self,
@@ -393,7 +390,7 @@ impl Grid {
     }
 
     fn clamped(&self, at: f64, axis: usize) -> usize {
-        // A cast takes what is below zero, or no number, for zero.
+        // A cast turns negative numbers and NaN into zero.
         (at as usize).min(self.cells[axis] - 1)
     }
 
@@ -425,7 +422,7 @@ impl Grid {
         (self.begin[line + block.low[0]], self.begin[line + block.high[0] + 1])
     }
 
-    /// All places of a block; returns how many there are.
+    /// Appends all places of a block; returns their number.
     fn ranges(&self, block: Block, out: &mut Vec<(u32, u32)>) -> usize {
         out.clear();
         let mut count = 0;

@@ -20,7 +20,7 @@ pub struct SeedIndex {
     /// Later duplicate -> earliest.
     earlier: HashMap<u32, u32>,
     grid: Option<Grid>,
-    /// Built at once where there is no grid, or else when the grid first fails to prove an answer.
+    /// Built at once without a grid, otherwise when the grid first fails to prove an answer.
     tree: OnceLock<Tree>,
 }
 
@@ -48,12 +48,12 @@ impl SeedIndex {
         index
     }
 
-    /// How many seeds there are.
+    /// Number of seeds.
     pub fn len(&self) -> usize {
         self.seeds.len()
     }
 
-    /// Whether there are none.
+    /// Whether the index has no seeds.
     pub fn is_empty(&self) -> bool {
         self.seeds.is_empty()
     }
@@ -73,11 +73,11 @@ impl SeedIndex {
         self.grid.as_ref().is_some_and(Grid::is_even)
     }
 
-    /// A nearest seed of a point, never a later duplicate. Among seeds at exactly the same distance
-    /// it is any one of them, always the same one.
+    /// A nearest seed of a point, never a later duplicate. Among seeds at the same distance the choice is fixed but
+    /// unspecified.
     pub fn nearest(&self, p: DVec3) -> u32 {
         let p = p.to_array();
-        // Which of several at one distance it is, the tree alone says.
+        // The tree decides between several seeds at one distance.
         self.grid.as_ref().and_then(|g| g.nearest(&p)).unwrap_or_else(|| self.tree().nearest(&p))
     }
 
@@ -87,13 +87,13 @@ impl SeedIndex {
         near.unwrap_or_else(|| self.nearest(p))
     }
 
-    /// Appends all seeds in a box, ends included, some around it, and no later duplicate. `false` where there
-    /// would be more than `most`, or where they cannot be told fast.
+    /// Appends all seeds in a closed box, some around it, and no later duplicate. Returns `false` if there are more than
+    /// `most`, or if the search would be slow.
     pub fn in_box(&self, low: DVec3, high: DVec3, most: usize, out: &mut Vec<u32>) -> bool {
         self.each_in_box(low, high, most, |seed, _| out.push(seed))
     }
 
-    /// The same one by one, with their places; some may have been told where it is `false`.
+    /// Calls `found` for each seed of [`Self::in_box`], with its place; also for some seeds before it returns `false`.
     #[inline(always)]
     pub fn each_in_box(&self, low: DVec3, high: DVec3, most: usize, mut found: impl FnMut(u32, DVec3)) -> bool {
         let (low, high) = (low.to_array(), high.to_array());
@@ -101,8 +101,8 @@ impl SeedIndex {
         self.grid.as_ref().is_some_and(|grid| grid.in_box(&low, &high, most, found))
     }
 
-    /// The nearest neighbours of seed `i`, about `k` of them: the last ones are left out where
-    /// more seeds may lie at the same distance, so that every row is a prefix of the longer ones.
+    /// The nearest neighbours of seed `i`, about `k` of them. The last ones are omitted if more seeds may lie at the same
+    /// distance, so that every row is a prefix of the longer ones.
     pub fn row(&self, i: u32, k: usize, out: &mut NeighbourRow) {
         self.row_with(i, (k, k), &mut Scratch::default(), out);
     }
@@ -119,13 +119,13 @@ impl SeedIndex {
         }
     }
 
-    /// All seeds, those close together close to one another; `None` for their own order.
+    /// All seeds, with neighbours close to one another; `None` for their own order.
     pub(super) fn order(&self) -> Option<&[u32]> {
         self.grid.as_ref().map(Grid::order)
     }
 
-    /// The tree. Who comes first builds it alone: a thread that waits for helpers may take up
-    /// another search meanwhile, which would wait for this very tree.
+    /// The tree. The first caller builds it alone: a thread that waits for helpers may take up another search, which would
+    /// wait for this tree.
     fn tree(&self) -> &Tree {
         self.tree.get_or_init(|| Tree::new(&self.seeds, &self.earlier, Threads::One))
     }

@@ -1,7 +1,7 @@
-//! kiddo's kd-tree, for seed sets and places that a grid of equal cells does not suit.
+//! The kd-tree of the crate kiddo, for seed sets and places that a grid of equal cells does not suit.
 //!
 //! Purpose: rows and nearest seeds at any spacing.
-//! Invariant: the promise of [`super`]; the answers do not depend on who built the tree.
+//! Invariant: the promise of [`super`]; the answers do not depend on the thread that built the tree.
 //! Must not know: the grid.
 
 use std::collections::HashMap;
@@ -14,7 +14,7 @@ use super::row::{NeighbourRow, Threads};
 /// A kd-tree over the seeds that lie on no earlier one.
 pub(super) struct Tree {
     tree: Option<ImmutableKdTree<f64, 3>>,
-    /// Seed of each tree item; `None` where they are the same.
+    /// Seed of each tree item; `None` if they are equal.
     item_seed: Option<Vec<u32>>,
 }
 

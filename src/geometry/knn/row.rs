@@ -1,7 +1,8 @@
-//! A row of neighbours, and who makes rows.
+//! A row of neighbours, and the builders of rows.
 //!
-//! Purpose: what the grid and the tree answer with, and the index passes on.
-//! Invariant: none of its own. Must not know: how seeds are searched.
+//! Purpose: the answer of the grid and the tree, which the index passes on.
+//! Invariant: none of its own.
+//! Must not know: the search.
 
 /// One seed's neighbours.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -12,7 +13,7 @@ pub struct NeighbourRow {
     pub complete: bool,
 }
 
-/// Who builds an index or a table.
+/// The threads that build an index or a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Threads {
     /// The calling thread alone.

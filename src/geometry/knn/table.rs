@@ -20,8 +20,8 @@ pub struct NeighbourTable {
 const CHUNK: usize = 256;
 
 impl NeighbourTable {
-    /// Fills the table with rows of at most `k` neighbours, most of at least two thirds of that, reusing its memory. Returns `false` soon
-    /// after `stop` says so; the table is then of no use.
+    /// Fills the table with rows of at most `k` neighbours, most of at least two thirds of that, reusing its memory. Returns
+    /// `false` soon after `stop` does; the table is then invalid.
     pub fn fill(&mut self, index: &SeedIndex, k: usize, threads: Threads, stop: &(dyn Fn() -> bool + Sync)) -> bool {
         let (n, k) = (index.len(), k.min(index.len()).max(1));
         // Shorter, rather than that the grid reads cells farther away for a few.
@@ -83,7 +83,7 @@ impl NeighbourTable {
         self.len.is_empty()
     }
 
-    /// The row of seed `i`, and whether it is complete; of a table without rows an empty one.
+    /// The row of seed `i`, and whether it is complete; empty for a table without rows.
     pub fn row(&self, i: u32) -> (&[u32], bool) {
         let i = self.place.get(i as usize).map_or(i, |&row| row) as usize;
         let Some(&len) = self.len.get(i) else { return (&[], false) };

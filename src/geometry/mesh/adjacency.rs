@@ -1,24 +1,22 @@
 //! Which facet lies across which edge.
 //!
-//! Purpose: [`Adjacency`] tells for each half-edge what it is and what is opposite; [`weld`] tells which
-//! vertices are one point.
-//! Invariant: exactly coincident vertices count as one, so that a surface whose vertices were
-//! split at texture seams, or that came as a list of triangles, is connected. Facets that name
-//! a point twice after that are *collapsed*: they belong to no edge. The result depends on the
-//! mesh alone, not on threads.
+//! Purpose: [`Adjacency`] has the kind and the opposite of each half-edge; [`weld`] finds vertices at one point.
+//! Invariant: exactly coincident vertices count as one, so that surfaces with split vertices at texture seams, and lists of
+//! triangles, are connected. Facets that name a point twice after that are *collapsed*: they belong to no edge. The result
+//! depends on the mesh alone, not on threads.
 //! Must not know: quality, files, seeds.
 
 use super::edges::{EdgeGroups, Half};
 use super::{TriMesh, coincident};
 
-/// What an edge is, seen from one of its facets.
+/// Kind of an edge, seen from one of its facets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum EdgeKind {
     /// One facet.
     Boundary,
     /// Two facets that run through it in opposite directions.
     Manifold,
-    /// Two facets that run through it in the same direction: one of them is turned over.
+    /// Two facets with opposite orientations: they traverse it in the same direction.
     Inconsistent,
     /// Three facets or more.
     NonManifold,
@@ -90,7 +88,7 @@ impl Adjacency {
         Some(self.opposites[half_edge]).filter(|&opposite| opposite != NONE)
     }
 
-    /// What the edge of a half-edge is.
+    /// Kind of a half-edge's edge.
     pub fn kind(&self, half_edge: usize) -> EdgeKind {
         self.kinds[half_edge]
     }
@@ -115,7 +113,7 @@ impl Adjacency {
         self.boundary
     }
 
-    /// Edges with two facets that run the same way.
+    /// Edges whose two facets traverse them in the same direction.
     pub fn inconsistent_edges(&self) -> usize {
         self.inconsistent
     }

@@ -1,9 +1,9 @@
 //! Parts of a surface, set apart.
 //!
-//! Purpose: [`Apart::of`] moves the parts of a surface that do not hang together, each as it is, until none is near another.
-//! Distances between places of one part stay what they are, so that whatever goes by these alone is as on each part by
-//! itself: a seed's cell does not reach through to a shell beside its own.
-//! Invariant: vertices and facets keep their numbers; what is moved back is where it was, and vertices to the bit.
+//! Purpose: [`Apart::of`] translates the connected components of a surface until none is near another. Distances within a
+//! component do not change, so that algorithms by distance treat each component alone: a seed's cell does not reach a
+//! neighbouring shell.
+//! Invariant: vertices and facets keep their numbers; moving back restores places, and vertices to the bit.
 //! Must not know: seeds, diagrams.
 
 use std::collections::HashMap;
@@ -14,19 +14,19 @@ use super::adjacency::weld;
 use super::disjoint::DisjointSets;
 use super::{MeshError, TriMesh};
 
-/// Surfaces of more parts stay as they are: so many are a list of triangles, or dust.
+/// Most components that are moved: a surface with more is a list of triangles, or dust.
 const MOST: usize = 10_000;
-/// The whole may become so much longer, for each doubling costs single precision a digit of two.
+/// Largest growth of the whole: each doubling costs a binary digit of single precision.
 const LONGEST: f64 = 8.0;
 
-/// A surface whose parts are apart.
+/// A surface with separated components.
 #[derive(Clone, Debug)]
 pub(crate) struct Apart {
     /// The surface.
     pub mesh: TriMesh,
     /// Rows of parts, one above the other.
     rows: Vec<Row>,
-    /// Half of what is between two parts at least.
+    /// Half of the least gap between two components.
     margin: f64,
     /// Where vertices were, by where they are.
     places: HashMap<[u64; 3], DVec3>,
@@ -49,8 +49,8 @@ fn bits(p: DVec3) -> [u64; 3] {
 }
 
 impl Apart {
-    /// `mesh` with its parts apart by `gap` at least, if the boxes of any two are nearer than half of that. `None` if none
-    /// are, or if there are too many parts.
+    /// Returns `mesh` with its components at least `gap` apart, if the boxes of any two are nearer than half of that. `None`
+    /// if none are, or if there are too many components.
     pub(crate) fn of(mesh: &TriMesh, gap: f64) -> Option<Self> {
         let (part, boxes) = parts(mesh)?;
         if !(gap.is_finite() && gap > 0.0 && any_near(&boxes, 0.5 * gap)) {
@@ -188,7 +188,7 @@ mod tests {
             assert!(then.iter().zip(now).all(|(a, b)| (a - b).abs() < 1e-14));
         }
         assert_eq!(apart.mesh_back(&apart.mesh).unwrap(), mesh);
-        // What is beside a part goes with it.
+        // Points near a component move with it.
         let side = 0.45 * gap;
         for (k, (&now, &then)) in apart.mesh.positions().iter().zip(mesh.positions()).enumerate() {
             let off = side * DVec3::new((k as f64).sin(), (2.0 * k as f64).cos(), 0.3);

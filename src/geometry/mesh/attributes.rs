@@ -1,4 +1,4 @@
-//! What a surface carries beside its shape: normals, texture coordinates, colours, scalars.
+//! Attributes of a surface: normals, texture coordinates, colours, scalars.
 //!
 //! Purpose: [`Attributes`] stands beside a [`TriMesh`], which knows nothing of it.
 //! Invariant: every array has the count that the mesh asks for, indices are in range and numbers finite;
@@ -9,8 +9,7 @@ use glam::{DVec2, DVec3};
 
 use super::{MAX_ELEMENTS, TriMesh};
 
-/// Values that facets name corner by corner, so that the facets around a vertex may differ: where they do, there
-/// is a seam.
+/// Values by corner, so that facets around a vertex may have different ones; such edges are seams.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PerCorner<T> {
     /// The values, each once or more often.
@@ -43,14 +42,14 @@ pub enum ColourDepth {
 pub struct Colours {
     /// One for each vertex. Opacity is 1 where none was given.
     pub values: Vec<[f64; 4]>,
-    /// Where they come from.
+    /// Number type of the source.
     pub depth: ColourDepth,
 }
 
 /// A named number of each vertex.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scalar {
-    /// ASCII letters, digits, `_` and `-`, not a digit or `-` first: what PLY takes. At most [`MAX_NAME_BYTES`].
+    /// Name: ASCII letters, digits, `_` and `-`, not a digit or `-` first, as in PLY. At most [`MAX_NAME_BYTES`].
     pub name: String,
     /// One for each vertex, any unit.
     pub values: Vec<f64>,
@@ -93,7 +92,7 @@ pub enum AttributeError {
         corner: usize,
         /// The index as given.
         index: u32,
-        /// How many values there are.
+        /// Number of values.
         values: usize,
     },
     /// More values than 32-bit indices can name.
@@ -109,7 +108,7 @@ pub enum AttributeError {
     Name {
         /// The name as given, at most [`MAX_NAME_BYTES`] of it.
         name: String,
-        /// What is wrong with it.
+        /// The defect.
         reason: &'static str,
     },
     /// A file holds it in a way that cannot be understood.
@@ -130,7 +129,7 @@ pub enum AttributeError {
     },
 }
 
-/// What a mesh carries; see the module's head. Empty at first.
+/// The attributes of a mesh; see the module's head. Empty at first.
 ///
 /// ```
 /// use tessera::mesh::attributes::{AttributeError, Attributes};
@@ -225,17 +224,17 @@ impl Attributes {
         Ok(())
     }
 
-    /// Normals, if there are any.
+    /// The normals, if any.
     pub fn normals(&self) -> Option<&Normals> {
         self.normals.as_ref()
     }
 
-    /// Texture coordinates, if there are any.
+    /// The texture coordinates, if any.
     pub fn texture(&self) -> Option<&PerCorner<DVec2>> {
         self.texture.as_ref()
     }
 
-    /// Colours, if there are any.
+    /// The colours, if any.
     pub fn colours(&self) -> Option<&Colours> {
         self.colours.as_ref()
     }
@@ -245,7 +244,7 @@ impl Attributes {
         &self.scalars
     }
 
-    /// Whether there is nothing.
+    /// Whether the mesh has no attributes.
     pub fn is_empty(&self) -> bool {
         self.normals.is_none() && self.texture.is_none() && self.colours.is_none() && self.scalars.is_empty()
     }
@@ -296,8 +295,7 @@ impl<T: Copy + PartialEq + Default> PerCorner<T> {
     }
 }
 
-/// Scaled to length 1, or left alone if it is so long up to rounding, so that unit vectors keep their bits; zero
-/// stays zero.
+/// Scales to length 1. A vector of length 1 up to rounding keeps its bits; zero stays zero.
 pub fn unit(v: DVec3) -> DVec3 {
     if (v.length_squared() - 1.0).abs() <= 1e-14 {
         return v;

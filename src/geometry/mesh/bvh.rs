@@ -1,8 +1,9 @@
 //! A bounding volume hierarchy over items that were halved across their longest extent (`arrange`).
 //!
-//! Purpose: [`Bvh`] finds what may be nearest to a point. Each node is the boxes of eight neighbours, and
-//! there is no tree to store beside them: 28 bytes an item, built on all threads.
-//! Invariant: boxes are rounded outwards, so that nothing is missed. Must not know: what is in the boxes.
+//! Purpose: [`Bvh`] finds candidates for the nearest item to a point. A node has the boxes of eight neighbours, and the tree
+//! needs no further data: 28 bytes an item, built on all threads.
+//! Invariant: boxes are rounded outwards, so that no candidate is missed.
+//! Must not know: the items in the boxes.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -12,7 +13,7 @@ const WIDTH: usize = 8;
 /// Nodes that wait at most: seven of each level and the first, and 11 levels hold 2³¹ items.
 const WAITING: usize = (WIDTH - 1) * 12 + 1;
 
-/// Single precision tells boxes of a unit apart for points up to here.
+/// Distance up to which single precision distinguishes boxes of a unit.
 const NEAR_BY: f64 = 4.0;
 /// Rounding of a point and of its difference from a box, of a unit: half an ulp and another, and as much again.
 const ROUNDING: f32 = 2.0 * f32::EPSILON;
@@ -20,7 +21,7 @@ const ROUNDING: f32 = 2.0 * f32::EPSILON;
 /// More items than these are shared out to threads.
 const SEVERAL: usize = 4096;
 
-/// Boxes side by side, axis by axis. Those that nothing is in are at infinity.
+/// Boxes side by side, axis by axis. Empty ones are at infinity.
 #[derive(Clone)]
 struct Node {
     low: [[f32; WIDTH]; 3],
@@ -54,8 +55,8 @@ impl Bvh {
         Self { levels }
     }
 
-    /// Calls `visit` with items, likely near ones first, until no box is within the bound that it returned last: the
-    /// squared distance from `p` of what was found, `first` before that. Boxes count as `slack` larger on each side.
+    /// Calls `visit` with items, likely near ones first, until no box is within the bound. `visit` returns the bound: the
+    /// squared distance from `p` of the best item; `first` is the initial bound. Boxes count as `slack` larger on each side.
     pub(crate) fn nearest(&self, p: DVec3, slack: f64, first: f64, mut visit: impl FnMut(usize) -> f64) {
         let mut bound = first;
         let near_by = p.abs().max_element() < NEAR_BY;
@@ -70,7 +71,7 @@ impl Bvh {
             }
             let Some(node) = self.levels[level].get(index) else { continue };
             let costs = if near_by { node.quick_costs(p) } else { node.costs(p, slack) };
-            // Those within the bound, the nearest last.
+            // Boxes within the bound, the nearest last.
             let mut near = [(0.0, 0); WIDTH];
             let mut found = 0;
             // Lanes that nothing is in cost infinity. All are compared before any is looked at: which of them are
@@ -106,9 +107,9 @@ impl Bvh {
     }
 }
 
-/// Brings neighbours side by side: each eight that become a node, each eight such nodes, and so on, are one part of
-/// items that were halved across their longest extent. `place` says where an item is. The order that items come
-/// in decides between those in one place.
+/// Sorts items so that neighbours are adjacent: each eight of a node, each eight such nodes, and so on, are one part of
+/// items that were halved across their longest extent. `place` gives the place of an item. Coincident items keep their
+/// order.
 pub(crate) fn arrange<T: Copy + Send + Sync>(items: &mut Vec<T>, place: &(dyn Fn(&T) -> DVec3 + Sync)) {
     let mut placed: Vec<(DVec3, u32)> = items.par_iter().enumerate().map(|(i, item)| (place(item), i as u32)).collect();
     halve(&mut placed);
@@ -218,7 +219,7 @@ mod tests {
                 let expected = items.iter().map(|t| t[0].distance_squared(p)).fold(f64::INFINITY, f64::min);
                 assert_eq!(best, expected);
                 assert!(visited <= n);
-                // A box that was rounded outwards is hardly nearer than what is in it.
+                // Outward rounding makes a box hardly nearer than its items.
                 if expected > 1e-6 {
                     tree.nearest(p, 0.0, 0.5 * expected, |_| panic!("nothing is that near"));
                 }

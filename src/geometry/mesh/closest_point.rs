@@ -1,10 +1,9 @@
 //! The closest point of a surface.
 //!
-//! Purpose: [`ClosestPoint`] answers where a surface is nearest to a point, on which facet and
-//! where in it.
-//! Invariant: an answer is a point of the surface, is the nearest up to rounding, and among
-//! facets at the same distance names the lowest; it does not depend on the shape of the
-//! hierarchy. Facets without area are left out. Queries are `Sync`.
+//! Purpose: [`ClosestPoint`] finds the point of a surface nearest to a given one, with its facet and barycentric
+//! coordinates.
+//! Invariant: an answer is a point of the surface, is the nearest up to rounding, and among facets at the same distance
+//! names the lowest; it does not depend on the shape of the hierarchy. Facets without area are ignored. Queries are `Sync`.
 //! Must not know: samples, quality.
 
 use glam::DVec3;
@@ -20,7 +19,7 @@ use crate::token::{Pace, Stopped, Token};
 /// A point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfacePoint {
-    /// Where it is, caller's coordinates.
+    /// Position, caller's coordinates.
     pub position: DVec3,
     /// On which facet.
     pub facet: u32,
@@ -71,7 +70,7 @@ impl ClosestPoint {
         Self { tree, centre, scale, positions: mesh.positions().to_vec(), unit, facets }
     }
 
-    /// Answers from now on for coordinates in which what was p is p / `scale` + `centre`. The scale is a power of two.
+    /// Transforms the coordinates of queries and answers: p becomes p / `scale` + `centre`. The scale is a power of two.
     pub fn moved(mut self, centre: DVec3, scale: f64) -> Self {
         self.positions.par_iter_mut().for_each(|p| *p = *p / scale + centre);
         self.centre = self.centre / scale + centre;
@@ -158,7 +157,7 @@ impl ClosestPoint {
     /// `hint` is a facet that may be near, as its place in `facets`; it does not change the answer.
     fn nearest(&self, p: DVec3, hint: Option<u32>) -> Nearest {
         let p = self.to_unit(p);
-        // Boxes and facets round differently; a box is opened although it is this much too far.
+        // Boxes and facets round differently: a box is searched although it is farther by this.
         let slack = 4.0 * f64::EPSILON * (1.0 + p.abs().max_element());
         let of_facet = |leaf: u32| {
             let (ids, facet) = self.facets[leaf as usize];
@@ -199,8 +198,8 @@ fn inverse_power_of_two(extent: f64) -> f64 {
     f64::from_bits(((1023 + k) as u64) << 52)
 }
 
-/// Facets with area, of those in the same place the lowest. A thousand facets in one place would all be
-/// as near as the nearest, and every query would have to visit all of them.
+/// Facets with area; of coincident ones the lowest. A thousand coincident facets would all be nearest, and every query would
+/// have to visit all of them.
 fn distinct_facets(mesh: &TriMesh) -> Vec<([u32; 3], u32)> {
     let representative = weld(mesh);
     let place = |f: usize| {

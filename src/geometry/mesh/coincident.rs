@@ -1,7 +1,9 @@
 //! Points that lie exactly or nearly on one another.
 //!
-//! Purpose: [`find`] has the earliest duplicate of every later one, [`near`] an earlier one that is near; both in linear time.
-//! Invariant: 0 and -0 are the same place. Must not know: whether points are vertices or seeds.
+//! Purpose: [`find`] returns for each later duplicate the earliest one, [`near`] an earlier point nearby; both in linear
+//! time.
+//! Invariant: 0 and -0 are the same place.
+//! Must not know: whether points are vertices or seeds.
 
 use std::cmp::Ordering::Equal;
 use std::collections::HashMap;
@@ -17,8 +19,7 @@ pub fn find(points: &[DVec3]) -> Vec<(u32, u32)> {
     let mask = (points.len() * 2).next_power_of_two() - 1;
     let mut slots = vec![EMPTY; mask + 1];
     let mut pairs = Vec::new();
-    // Another key each time, so that nobody can send points that all fall into one slot. The
-    // answer does not depend on it.
+    // A random key, so that no input can make all points collide. The result does not depend on it.
     let key = RandomState::new().hash_one(points.len());
     for (i, point) in points.iter().enumerate() {
         let mut slot = hash(*point, key) & mask;
@@ -39,8 +40,8 @@ pub fn find(points: &[DVec3]) -> Vec<(u32, u32)> {
     pairs
 }
 
-/// `(later, earlier, distance)` for each of the points `numbers` that is within `reach` of an earlier one: the nearest of
-/// those that are near none themselves. `origin` is a corner of the points' box.
+/// Returns `(later, earlier, distance)` for each of the points `numbers` within `reach` of an earlier one: the nearest of
+/// the points that have no earlier neighbour themselves. `origin` is a corner of the points' box.
 ///
 /// # Errors
 /// [`Stopped`].
@@ -51,8 +52,8 @@ pub fn near(
     token: &Token,
 ) -> Result<Vec<(u32, u32, f64)>, Stopped> {
     let place = |v: u32| points[v as usize];
-    // The first in a place stands for those that are near it. Others are farther from it, so that few are in a cell.
-    // Counted from the box's corner, so that numbers stay small however far it is from the origin.
+    // The first point stands for those near it. Others are farther away, so that a cell has few. Counted from the box's
+    // corner, so that numbers stay small far from the origin.
     let cell = |p: DVec3| ((p - origin) / (4.0 * reach)).floor().to_array().map(|x| x as i64);
     let mut first_in: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
     let mut found = Vec::new();

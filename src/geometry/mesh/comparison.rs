@@ -1,9 +1,10 @@
 //! Distances between a surface and others, both ways.
 //!
-//! Purpose: [`Comparison`] measures at samples of facets, edges and vertices of either surface, and knows which vertices of the
-//! first are near the places that are off. The samples include those of [`quality`](super::measure::quality), whose Hausdorff
-//! distance is therefore never larger.
-//! Invariant: the same bits whatever the number of threads. Must not know: how a result is made, what is done about it.
+//! Purpose: [`Comparison`] measures at samples of facets, edges and vertices of either surface, and finds the vertices of
+//! the first near places beyond the tolerance. The samples include those of [`quality`](super::measure::quality), whose
+//! Hausdorff distance is therefore never larger.
+//! Invariant: the same bits for any number of threads.
+//! Must not know: the making of results, the reaction.
 
 use super::TriMesh;
 use super::closest_point::ClosestPoint;
@@ -21,11 +22,11 @@ pub(crate) struct Comparison<'a> {
 
 /// How far a result and the input are from each other, caller's units.
 pub(crate) struct Distances {
-    /// The largest distance near each vertex of the input; 0 where there is no sample.
+    /// The largest distance near each vertex of the input; 0 without a sample.
     pub by_vertex: Vec<f64>,
-    /// Samples that are off,
+    /// Number of samples that are farther off than allowed.
     pub missed: usize,
-    /// as a share of all.
+    /// Share of all samples that are farther off than allowed.
     pub missed_share: f64,
     pub largest: f64,
 }

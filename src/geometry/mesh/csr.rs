@@ -2,8 +2,8 @@
 //!
 //! Purpose: [`Csr`] holds a list for each row in two flat arrays. The row is a vertex in most uses: the facets of its
 //! one-ring ([`Csr::one_rings`]), samples that belong to it ([`Csr::group`]).
-//! Invariant: the items of a row keep the order in which they came, whatever the number of threads.
-//! Must not know: what the items are.
+//! Invariant: the items of a row keep their order, for any number of threads.
+//! Must not know: the items.
 
 use std::ops::Range;
 
@@ -37,7 +37,7 @@ fn sorted(rows: usize, owners: impl Iterator<Item = u32> + Clone) -> (Vec<u32>, 
 }
 
 impl Csr<u32> {
-    /// The facets around each of so many vertices, ascending.
+    /// The facets around each vertex, ascending.
     pub(crate) fn one_rings(vertices: usize, facets: &[[u32; 3]]) -> Self {
         let (first, corners) = sorted(vertices, facets.as_flattened().iter().copied());
         Self { first, items: corners.into_iter().map(|corner| corner / 3).collect() }
@@ -77,7 +77,7 @@ impl<T> Csr<T> {
         &self.items
     }
 
-    /// The same, to be changed.
+    /// All items, mutable.
     pub(crate) fn all_mut(&mut self) -> &mut [T] {
         &mut self.items
     }

@@ -1,9 +1,10 @@
 //! Duplicate facets: facets with the same three corners.
 //!
-//! Purpose: [`remove`] leaves one facet of each group where the surface continues without the others: a file may have a facet
-//! twice, or a second one for its back. [`oddities`] says what is no surface.
+//! Purpose: [`remove`] keeps one facet of each group if the surface is connected without the others: a file may have a facet
+//! twice, or a second one for its back. [`oddities`] counts the facets that are no surface.
 //! Invariant: a two-sided surface without thickness stays: a sheet of two sides, a flap on a solid, a pillow that is flat in
-//! its middle. Vertices keep their numbers, and facets their order. Must not know: what the surface is for.
+//! its middle. Vertices keep their numbers, and facets their order.
+//! Must not know: the use of the surface.
 
 use std::collections::HashSet;
 
@@ -27,7 +28,7 @@ struct Sorted {
 /// Facets by corners, so that duplicates of either orientation are neighbours, in ascending order.
 struct Groups {
     all: Vec<Sorted>,
-    /// How many vertices there are.
+    /// Number of vertices.
     vertices: usize,
 }
 
@@ -61,7 +62,7 @@ impl Groups {
     }
 }
 
-/// What the facets that came in are together.
+/// Kind of the input as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InputKind {
@@ -69,24 +70,24 @@ pub enum InputKind {
     Surface,
     /// Some edges have.
     NonManifold,
-    /// Most facets lie between others, as those of a mesh of tetrahedra: the boundary of what they fill is a surface.
+    /// Most facets lie between others, as in a mesh of tetrahedra: the boundary of the volume is a surface.
     Volume,
 }
 
-/// What of a list of facets is no surface.
+/// Facets of a list that are no surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Oddities {
     /// Facets that lie on another one that is oriented the other way: two sides without thickness.
     pub back_to_back: usize,
-    /// Groups of duplicate facets, single ones too, of which each edge has more than two groups, as those inside a mesh of
-    /// tetrahedra,
+    /// Groups of duplicate facets (single facets included) each of whose edges has more than two groups, as inside a mesh of
+    /// tetrahedra.
     pub enclosed: usize,
-    /// of so many groups.
+    /// Number of all groups.
     pub groups: usize,
 }
 
 impl Oddities {
-    /// What facets with an edge of more than two are, or, by default, without one.
+    /// Kind of facets with an edge of more than two facets, or, by default, without one.
     pub(crate) fn kind(&self) -> InputKind {
         match self.groups {
             0 => InputKind::Surface,
@@ -96,7 +97,7 @@ impl Oddities {
     }
 }
 
-/// Looks for what is no surface. Linear in the facets but for sorting.
+/// Counts facets that are no surface. Linear in the facets except for sorting.
 pub(crate) fn oddities(mesh: &TriMesh) -> Oddities {
     let all = Groups::of(mesh);
     let groups: Vec<&[Sorted]> = all.iter().collect();
@@ -119,10 +120,8 @@ pub(crate) fn any(mesh: &TriMesh) -> bool {
     Groups::of(mesh).iter().any(|group| group.len() > 1)
 }
 
-/// `mesh` with one facet of each group, the one that is oriented as those beside it, and how many facets are left out; `None`
-/// if none is. Groups that share edges form a patch, of which all groups are reduced or none. A patch is reduced if none of
-/// its edges has facets of more than two groups, and if it continues in a facet without duplicates, or all facets of each
-/// group run the same way.
+/// Returns `mesh` with one facet of each group, oriented like its neighbours, and the number of removed facets; `None` if
+/// none is removed.
 ///
 /// # Errors
 /// [`Stopped`].
@@ -137,7 +136,7 @@ pub(crate) fn remove(mesh: &TriMesh, token: &Token) -> Result<Option<(TriMesh, u
     // For each edge of a repeated facet, how many groups have it, and one of the repeated ones.
     let mut sides: Vec<(usize, usize)> = Vec::new();
     let mut open = HashSet::new();
-    // For each group, how many of the facets beside it agree with a forward facet, less those that do not.
+    // Votes per group: neighbours that agree with a forward facet, less those that do not.
     let mut votes = vec![0i32; groups.len()];
     EdgeGroups::new(found.vertices, groups.iter().map(|group| group[0].corners).enumerate()).for_each(|_, halves| {
         let repeated: Vec<usize> =
@@ -208,11 +207,11 @@ mod tests {
                 assert_eq!((once.facets(), left_out), (mesh.facets(), twice.facets().len() - mesh.facets().len()));
                 assert!(any(&twice));
             }
-            // All of it, the same way round.
+            // All facets, with the same orientation.
             let whole = with(&mesh, mesh.facets().iter().map(|&[a, b, c]| [b, c, a]));
             assert_eq!(remove(&whole, &Token::default()).unwrap().unwrap().0.facets(), mesh.facets());
         }
-        // The one is taken that agrees with those beside it.
+        // The facet that agrees with its neighbours is kept.
         let mesh = Shape::Sphere.build(500);
         let reversed = mesh.facets().iter().enumerate().map(|(f, &t)| if f % 50 == 0 { back(t) } else { t });
         let more = mesh.facets().iter().copied().step_by(50);

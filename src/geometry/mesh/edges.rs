@@ -1,8 +1,9 @@
 //! Half-edges sorted by their edge.
 //!
-//! Purpose: brings the facets of one edge side by side, in time linear in the facets where no vertex has very many.
-//! Invariant: edges ascend by (lower vertex, higher vertex), the half-edges of one by (facet, side), whatever the
-//! number of threads. Must not know: which vertices are one, what an edge is.
+//! Purpose: groups the facets by edge, in time linear in the facets for bounded valences.
+//! Invariant: edges ascend by (lower vertex, higher vertex), the half-edges of an edge by (facet, side), for any number of
+//! threads.
+//! Must not know: coincident vertices, kinds of edges.
 
 use rayon::prelude::*;
 
@@ -11,14 +12,14 @@ use super::MAX_ELEMENTS;
 /// Vertices that are one task.
 const RUN: usize = 2048;
 
-/// The ends of an edge, the lower one first: the same for both of its directions.
+/// The ends of an edge, the lower one first, for both directions.
 pub(crate) fn undirected([a, b]: [u32; 2]) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
 
 /// All half-edges of some facets. One is a number: the edge's higher vertex in 31 bits, the facet in 31, the side in 2.
 pub(crate) struct EdgeGroups {
-    /// For each vertex the first half-edge of which it is the lower end; and the total.
+    /// For each vertex, the first half-edge with this vertex as the lower end; and the total.
     first: Vec<usize>,
     halves: Vec<u64>,
 }
@@ -73,8 +74,8 @@ impl EdgeGroups {
         Self { first, halves }
     }
 
-    /// Calls `visit` as [`Self::for_each`] does, for runs of vertices on all threads; each run gathers in a list of its
-    /// own, and the lists come in order.
+    /// Calls `visit` as [`Self::for_each`] does, for runs of vertices on all threads. Each run has its own list; the lists
+    /// are in order.
     pub(crate) fn gather<T: Default + Send>(&self, visit: impl Fn(&mut T, u32, &[Half]) + Sync) -> Vec<T> {
         let vertices = self.first.len() - 1;
         let run = |k: usize| {

@@ -83,14 +83,14 @@ impl FacetSet {
         (0..self.groups.len() as u32).collect()
     }
 
-    /// Groups in which something may be nearer to `p` than `distance`; all groups if there is none.
+    /// Groups with facets that may be nearer to `p` than `distance`; all groups if there is none.
     pub(crate) fn groups_near(&self, p: DVec3, distance: f64) -> Vec<u32> {
         let near = |g: &u32| self.groups[*g as usize].reaches(p, distance);
         let near: Vec<u32> = (0..self.groups.len() as u32).filter(near).collect();
         if near.is_empty() { self.all_groups() } else { near }
     }
 
-    /// Keeps of `groups` those in which something may be nearer to `p` than `distance`.
+    /// Keeps the `groups` with facets that may be nearer to `p` than `distance`.
     pub(crate) fn retain_near(&self, groups: &mut Vec<u32>, p: DVec3, distance: f64) {
         groups.retain(|&g| self.groups[g as usize].reaches(p, distance));
     }

@@ -1,10 +1,10 @@
 //! Curves that a remesh keeps: boundaries and creases.
 //!
 //! Purpose: [`Features::find`] collects the edges that are a boundary, whose dihedral angle exceeds a threshold, or that the
-//! caller named; [`graph`] leaves out what is too short for a remesh to show, which on scans is noise; [`chains`] joins the rest
-//! to curves between corners.
-//! Invariant: a curve is a chain of mesh edges through welded vertices, simple inside, either
-//! closed or between two corners. A boundary is never left out. Depends on the mesh and the options alone.
+//! caller named; [`graph`] removes features too short for a remesh, which are noise on scans; [`chains`] joins the rest to
+//! curves between corners.
+//! Invariant: a curve is a chain of mesh edges through welded vertices, simple inside, either closed or between two corners.
+//! A boundary is never removed. Depends on the mesh and the options alone.
 //! Must not know: seeds, diagrams.
 
 mod chains;
@@ -25,15 +25,15 @@ use close_corners::CornerMerge;
 use graph::{EdgeInfo, Graph};
 use ridges::DihedralAngles;
 
-/// What counts as a feature. [`Default`] is boundaries alone. Lengths are in the frame of the positions.
+/// The criteria for features. [`Default`] is boundaries alone. Lengths are in the frame of the positions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FeatureOptions {
     /// Edges whose facets' normals differ by more than this are creases, degrees; 0 finds none.
     pub crease_angle_deg: f64,
     /// Edges that are creases whatever their angle: two vertices each.
     pub given_creases: Vec<[u32; 2]>,
-    /// A crease found by angle is left out if it has a free end and is shorter than this. So is a connected network of
-    /// creases that is shorter than twice this in all, or whose curves are much shorter on average.
+    /// Shortest crease found by angle with a free end; shorter ones are removed. A connected network of creases is removed
+    /// if its total length is below twice this, or if its curves are much shorter on average.
     pub min_crease_length: f64,
     /// The turning angle of a curve at a vertex is measured over this length on either side.
     pub turn_reach: f64,
@@ -71,7 +71,7 @@ pub struct Curve {
     pub closed: bool,
     /// Mean dihedral angle of its edges, degrees; 180 for a boundary and for edges that the caller named.
     pub angle_deg: f64,
-    /// The same for its first and its last edges alone.
+    /// Mean angles of its first and its last edges.
     pub ends_deg: [f64; 2],
 }
 
@@ -175,6 +175,7 @@ impl Features {
         let edges = (!options.given_creases.is_empty()).then(|| all_edges(mesh, &adjacency)).into_iter().flatten();
         let known: std::collections::HashSet<Edge> = edges.collect();
         for (crease, &[a, b]) in options.given_creases.iter().enumerate() {
+            token.check_at(crease)?;
             let welded = |v: u32| class.get(v as usize).copied();
             match (welded(a), welded(b)) {
                 (Some(p), Some(q)) if known.contains(&edge(p, q)) => {
@@ -220,7 +221,7 @@ impl Features {
         Self::find(mesh, mesh.positions(), &options, token).map(|_| ())
     }
 
-    /// Keeps the curves for which `keep` says so, and the corners that these have.
+    /// Keeps the curves that `keep` accepts, and their corners.
     pub fn retain(&mut self, mut keep: impl FnMut(usize, &Curve) -> bool) {
         let mut number = 0;
         self.curves.retain(|c| {

@@ -1,7 +1,8 @@
-//! Figures of a surface that came in.
+//! Figures of an input surface.
 //!
-//! Purpose: [`InputFigures`], what a report says of its input.
-//! Invariant: a name that scripts read does not change. Must not know: what the surface is for.
+//! Purpose: [`InputFigures`], the input block of a report.
+//! Invariant: names that scripts read do not change.
+//! Must not know: the use of the surface.
 
 use serde::Serialize;
 
@@ -11,12 +12,12 @@ use super::measure::{Topology, topology_unless};
 use super::{TriMesh, outliers};
 use crate::token::{Stopped, Token};
 
-/// The surface that came in.
+/// The input surface.
 #[derive(Clone, Debug, Serialize)]
 pub struct InputFigures {
-    /// What it is.
+    /// Kind of the input.
     pub kind: InputKind,
-    /// Facets whose edges all have more than two facets.
+    /// Facets with more than two facets at every edge.
     pub enclosed_facets: usize,
     /// Facets that lie on others, corner on corner and back to back, and stay: they enclose nothing.
     pub back_to_back_facets: usize,
@@ -30,23 +31,23 @@ pub struct InputFigures {
     pub inconsistent_edges: usize,
     /// Facets that were turned over, to be oriented as their neighbours are.
     pub reoriented_facets: usize,
-    /// Vertices of boundaries that were moved to others which are nearly in the same place; the other figures are of the surface
-    /// after that,
+    /// Boundary vertices that were stitched to nearly coincident ones. The other figures describe the surface after
+    /// stitching and without `coincident_facets`.
     pub stitched_vertices: usize,
-    /// and without so many facets that lay on others, corner on corner, where the surface goes on without them.
+    /// Duplicate facets that were removed: they lay on others, corner on corner, and the surface is connected without them.
     pub coincident_facets: usize,
     /// Vertices a thousand times as far from the middle as half of all are: wrong coordinates, most often. The surface has a
     /// spike there, which takes most of the points.
     pub outlier_vertices: usize,
     /// Caller's units squared.
     pub area: f64,
-    /// χ, components, holes, non-manifold elements.
+    /// Euler characteristic χ, components, holes, non-manifold elements.
     #[serde(flatten)]
     pub topology: Topology,
 }
 
 impl InputFigures {
-    /// Looks at the surface that came in.
+    /// Measures the input surface.
     ///
     /// # Errors
     /// [`Stopped`].
@@ -56,7 +57,7 @@ impl InputFigures {
         Self::with(mesh, &adjacency, token)
     }
 
-    /// The same of a surface whose edges are known.
+    /// Measures a surface with known adjacency.
     ///
     /// # Errors
     /// [`Stopped`].

@@ -20,6 +20,7 @@ mod off;
 mod packed;
 mod ply;
 mod polygons;
+mod room;
 mod single;
 mod stl;
 mod vtk;
@@ -63,9 +64,9 @@ pub enum Format {
     Medit,
     /// Medit, binary. Reads versions 1 to 4, writes version 2 with doubles.
     MeditBinary,
-    /// glTF in one binary file. Coordinates are rounded to single precision.
+    /// A binary glTF file. Coordinates are rounded to single precision.
     Glb,
-    /// glTF as text, its data inside. Coordinates are rounded to single precision.
+    /// A glTF file as text, with its data inside. Coordinates are rounded to single precision.
     Gltf,
 }
 
@@ -329,8 +330,8 @@ pub fn decode(format: Format, bytes: &[u8]) -> Result<TriMesh, DataError> {
 /// Vertices and facets that [`decode`] would find in a file, at most: a polygon of n corners counts as n - 2 facets, a facet
 /// of STL as three vertices. `None` if the bytes are no such file, or end before what its header declares; `decode` fails then.
 ///
-/// Of OBJ, PLY, STL, OFF, `.vtp` and glTF nothing is kept, and no number is read that is not a count: this is several times as
-/// fast as reading. Others are read.
+/// No vertex and no facet is kept, and no number is read that is not a count: this is several times as fast as reading. It takes
+/// memory in proportion to the bytes.
 pub fn counts(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
     let bytes = unpack(bytes, unpacked_limit(bytes.len())).ok()?;
     counts_of_plain(format, &bytes).map(|counts| (counts.vertices, counts.facets))
@@ -340,12 +341,6 @@ pub fn counts(format: Format, bytes: &[u8]) -> Option<(u64, u64)> {
 pub fn counts_of_plain(format: Format, bytes: &[u8]) -> Option<Counts> {
     let counts = (format.codec().counts)(without_mark(bytes))?;
     (counts.vertices > 0 && counts.facets > 0).then_some(counts)
-}
-
-/// [`Codec::counts`] of formats whose counts are spread over the file: what is read.
-fn counts_by_reading(decode: fn(&[u8], bool) -> Result<Soup, DataError>, bytes: &[u8]) -> Option<Counts> {
-    let soup = decode(bytes, false).ok()?;
-    Some(Counts::from((soup.positions.len() as u64, soup.facets.len() as u64)))
 }
 
 /// Says of elements that fill space that they are left aside; an error if there is nothing else.

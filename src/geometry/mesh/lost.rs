@@ -1,8 +1,9 @@
 //! Parts of a surface that its remesh lacks.
 //!
-//! Purpose: [`find`] gathers the facets of a surface that are farther from a result than an edge of it, by what hangs
-//! together, and says where each part is and what it was.
-//! Invariant: parts come by falling area; the same bits whatever the number of threads. Must not know: why it matters.
+//! Purpose: [`find`] groups the facets of a surface that are farther from a result than an edge of it into connected parts,
+//! with place and reason.
+//! Invariant: parts are sorted by falling area; the bits do not depend on the number of threads.
+//! Must not know: the use of the list.
 
 use serde::Serialize;
 
@@ -11,7 +12,7 @@ use super::adjacency::{Adjacency, EdgeKind};
 use super::disjoint::DisjointSets;
 use crate::token::{Stopped, Token};
 
-/// What is farther from the result than so many mean edges of it is lost, and no mere deviation.
+/// Distance from the result, in mean edges, from which a facet is lost rather than deviating.
 const LOST_EDGES: f64 = 1.0;
 /// Parts that are named, at most: a report of a bad scan stays one that can be read.
 const MOST_LOST_PARTS: usize = 16;
@@ -38,7 +39,7 @@ pub struct LostPart {
     pub area_percent: f64,
     /// Of that vertex, percent of the input's bounding-box diagonal.
     pub distance_percent: f64,
-    /// What it is.
+    /// Reason of the loss.
     pub reason: LostReason,
 }
 
@@ -56,7 +57,7 @@ pub enum LostReason {
     Thin,
 }
 
-/// What `result` lacks of `mesh`, whose vertices are so far from it.
+/// Returns the parts of `mesh` that `result` lacks, given the distances of the vertices of `mesh`.
 ///
 /// # Errors
 /// [`Stopped`].
@@ -79,7 +80,7 @@ pub(crate) fn find(mesh: &TriMesh, result: &TriMesh, distances: &[f64], token: &
     let adjacency = Adjacency::new(mesh);
     token.check()?;
     let vertex = |v: u32| adjacency.representative()[v as usize] as usize;
-    // What hangs together of the lost facets, and of all.
+    // Connected components of the lost facets, and of all.
     let (mut lost, mut all) = (DisjointSets::new(distances.len()), DisjointSets::new(distances.len()));
     for (f, &[a, b, c]) in mesh.facets().iter().enumerate() {
         token.check_at(f)?;

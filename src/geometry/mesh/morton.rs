@@ -1,12 +1,12 @@
 //! Morton order, a space-filling curve (1966).
 //!
-//! Purpose: puts things that are near one another close to one another in memory.
-//! Invariant: the place depends on the point alone. Must not know: what is put in order.
+//! Purpose: an order that keeps neighbours close in memory.
+//! Invariant: the place depends on the point alone.
+//! Must not know: the ordered items.
 
 use glam::DVec3;
 
-/// The place of a point with coordinates in [-1, 1], through cells of a 2²⁰th, in the order of their interleaved bits.
-/// What lies outside counts as on the box's side.
+/// The Morton code of a point with coordinates in [-1, 1], with 2²⁰ cells per axis. Points outside are clamped to the box.
 pub(crate) fn code(unit: DVec3) -> u64 {
     let spread = |x: f64| {
         // The cast saturates.

@@ -5,7 +5,7 @@
 
 use super::csr::Csr;
 
-/// Of a vertex whose facets are as they were.
+/// Marks a vertex with unchanged facets.
 const UNCHANGED: u32 = u32::MAX;
 
 /// See the module's head.
@@ -18,7 +18,7 @@ pub(crate) struct OneRings {
 }
 
 impl OneRings {
-    /// Of so many vertices.
+    /// The one-rings of all vertices.
     pub(crate) fn new(vertices: usize, facets: &[[u32; 3]]) -> Self {
         Self { list: vec![UNCHANGED; vertices], base: Csr::one_rings(vertices, facets), changed: Vec::new() }
     }

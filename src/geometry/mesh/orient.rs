@@ -1,9 +1,10 @@
 //! Consistent orientation of facets.
 //!
-//! Purpose: [`make_consistent`] flips the facets that are oriented unlike most of the area of their component. A component is
-//! connected through edges of two facets.
-//! Invariant: a component that is not orientable (a Möbius strip) and one that is consistent, inward or outward, stay
-//! as they are. Facets keep their numbers, and their first corners. Must not know: what the surface is for.
+//! Purpose: [`make_consistent`] flips the facets that are oriented unlike most of the area of their component. A component
+//! is connected through edges of two facets.
+//! Invariant: a component that is not orientable (a Möbius strip) and one that is consistent, inward or outward, stay as
+//! they are. Facets keep their numbers, and their first corners.
+//! Must not know: the use of the surface.
 
 use super::TriMesh;
 use super::adjacency::{Adjacency, EdgeKind};

@@ -3,16 +3,16 @@
 //! Purpose: [`find`] names them: one wrong coordinate makes a surface of which nearly all is a spike. [`draw_in`] gives the
 //! same surface with short spikes.
 //! Invariant: depends on the vertices that facets use alone; linear time. Vertices and facets keep their numbers.
-//! Must not know: what the surface is for.
+//! Must not know: the use of the surface.
 
 use glam::DVec3;
 
 use super::TriMesh;
 
-/// An outlier is so many times as far from the middle of the vertices as half of them are.
+/// Distance of an outlier from the middle of the vertices, as a multiple of their median distance.
 const FAR: f64 = 1000.0;
 
-/// Where it is drawn in to, in the same measure.
+/// Distance of an outlier after it is drawn in, in the same measure.
 const REACH: f64 = 10.0;
 
 /// The middle of the vertices that a facet uses, the distance that half of them have from it at most, and how far each
@@ -40,8 +40,7 @@ pub(crate) fn find(mesh: &TriMesh) -> Vec<u32> {
     (0..).zip(&all).filter(|(_, distance)| is_far(distance)).map(|(v, _)| v).collect()
 }
 
-/// `mesh` with those vertices drawn in towards the middle of the others, each on its line from there. `None` if there are
-/// none.
+/// Returns `mesh` with outliers drawn in towards the middle of the others, each on its line. `None` without outliers.
 pub(crate) fn draw_in(mesh: &TriMesh) -> Option<TriMesh> {
     let far = find(mesh);
     if far.is_empty() {

@@ -2,10 +2,9 @@
 //!
 //! Purpose: points with a density ∝ √w: [`sample`], independent ones, for distances and as the seeds that benches begin at,
 //! and [`spread`], the first seeds of a remesh.
-//! Invariant: the same mesh, weights, count and seed give the same bits on every platform and
-//! with any number of threads (ChaCha8, one stream; of the floating-point functions only those that IEEE
-//! 754 rounds correctly).
-//! Must not know: what the points are for.
+//! Invariant: the same mesh, weights, count and seed give the same bits on every platform and with any number of threads
+//! (ChaCha8, one stream; of the floating-point functions only those that IEEE 754 rounds correctly).
+//! Must not know: the use of the points.
 
 mod spread;
 
@@ -30,7 +29,7 @@ pub fn sample(mesh: &TriMesh, weights: Option<&[f64]>, count: usize, seed: u64) 
     (0..count).map(|_| masses.draw(&mut rng)).collect()
 }
 
-/// What each facet may have of the points.
+/// Share of each facet in the points.
 struct Masses<'a> {
     mesh: &'a TriMesh,
     weights: Option<Vec<f64>>,
@@ -53,7 +52,7 @@ impl<'a> Masses<'a> {
             return None;
         }
         let valid = |w: f64| if w.is_finite() && w > 0.0 { w } else { 0.0 };
-        // Only ratios matter; scaled to at most 1 they cannot overflow. Vertices that no facet uses have no say.
+        // Only ratios matter; scaled to at most 1 they cannot overflow. Unused vertices do not count.
         let used =
             |given: &[f64]| mesh.facets().iter().flatten().map(|&v| valid(given[v as usize])).fold(0.0, f64::max);
         let largest = weights.map_or(1.0, used);

@@ -1,10 +1,9 @@
 //! Procedural surfaces, for tests and for `tessera shape`.
 //!
-//! Purpose: [`Shape::build`] makes a surface of about a given number of facets whose topology
-//! is known ([`Shape::euler`]).
-//! Invariant: every facet has an area, neighbours run the same way through their edges, and the
-//! outside is where the normals point. All are about one unit in size.
-//! Must not know: who asks for them.
+//! Purpose: [`Shape::build`] makes a surface of about a given number of facets whose topology is known ([`Shape::euler`]).
+//! Invariant: every facet has an area, neighbours run the same way through their edges, and the outside is where the normals
+//! point. All are about one unit in size.
+//! Must not know: its callers.
 
 mod round;
 mod voxels;

@@ -1,10 +1,10 @@
 //! Stitching of boundary vertices that nearly coincide.
 //!
-//! Purpose: [`boundaries`] moves such vertices to one position, so that triangle soups with rounded corners, and parts that were
-//! exported one by one, are connected.
+//! Purpose: [`boundaries`] moves such vertices to one position. This connects triangle soups with rounded corners, and
+//! separately exported parts.
 //! Invariant: no vertex moves by more than `TOLERANCE` of the surface's diagonal, nor by more than `MAX_EDGE_SHARE` of its
 //! edges, so that no facet vanishes or flips. Vertices and facets keep their numbers.
-//! Must not know: what the surface is for.
+//! Must not know: the use of the surface.
 
 use super::adjacency::{Adjacency, EdgeKind};
 use super::{TriMesh, coincident};
@@ -13,10 +13,11 @@ use crate::token::{Stopped, Token};
 /// Largest distance of vertices that coincide, as a share of the surface's diagonal: coordinates that were rounded to single
 /// precision twice differ by two of its steps of 1.2e-7, in three directions.
 const TOLERANCE: f64 = 5e-7;
-/// The same, as a share of their shortest edge.
+/// Largest move of a vertex, share of its shortest edge.
 const MAX_EDGE_SHARE: f64 = 0.01;
 
-/// `mesh` with such vertices at one position, and how many were moved; `None` if there are none. Linear in the facets.
+/// Returns `mesh` with such vertices at one position, and the number of moved ones; `None` if there are none. Linear in the
+/// facets.
 ///
 /// # Errors
 /// [`Stopped`].

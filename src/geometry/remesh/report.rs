@@ -211,7 +211,7 @@ pub struct ResultFigures {
     pub vertices: usize,
     /// Facets.
     pub facets: usize,
-    /// χ, components, holes, non-manifold elements.
+    /// Euler characteristic χ, components, holes, non-manifold elements.
     #[serde(flatten)]
     pub topology: Topology,
     /// Vertices that share no edge with another one and are in its place, to within 10⁻⁵ of the diagonal: parts that touch.

@@ -19,7 +19,7 @@ use crate::token::{Pace, Token};
 /// from here to the next vertex (opposite seed, or a facet edge; see [`facet_edge`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vertex {
-    /// p - x_i, unit frame.
+    /// The point relative to the seed, `p - x_i`, unit frame.
     pub p: DVec3,
     /// Density weight at p.
     pub w: f64,
@@ -63,9 +63,9 @@ pub struct Clipper {
     /// Value of the bisector at each vertex, and the exact side.
     side: Vec<(f64, bool)>,
     cutter: u32,
-    /// No vertex is farther from the seed than this,
+    /// Bound on the distance of each vertex from the seed.
     radius: f64,
-    /// nor farther from where it should be than this.
+    /// Bound on the error of each vertex's position.
     error: f64,
     /// Work of the last cut.
     steps: usize,

@@ -5,11 +5,11 @@
 /// Which implementation does the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum BackendKind {
-    /// f64, one thread.
+    /// Double precision, one thread.
     Serial,
-    /// f64, all threads of the pool.
+    /// Double precision, all threads of the pool.
     Parallel,
-    /// f32 on a wgpu device.
+    /// Single precision on a wgpu device.
     Gpu,
 }
 

@@ -1,4 +1,4 @@
-//! f64 on all cores.
+//! Double precision on all cores.
 //!
 //! Purpose: the fast CPU backend. Sums are taken of all cells of a facet at once (`facets`), from lists (`builder`) that
 //! serve several passes (`lists`) but for a few seeds (`escaped seeds`), and by [`super::serial`]'s walk where that does not
@@ -35,7 +35,7 @@ use super::{
 use crate::knn::{NeighbourTable, SeedIndex, Threads};
 use crate::token::Token;
 
-/// f64, on all threads of its own rayon pool.
+/// The backend in double precision on all threads of its own rayon pool.
 #[derive(Clone, Debug)]
 pub struct Parallel {
     pool: Arc<rayon::ThreadPool>,
@@ -100,15 +100,15 @@ impl Backend for Parallel {
 
 /// Facets that are added up together, at most: so few cells that their sums stay at hand, and most of a cell's pieces.
 const BLOCK: usize = 256;
-/// Pairs that those should have, so that coarse meshes with many seeds are shared out too.
+/// Pairs that a block should have, so that coarse meshes with many seeds are shared out too.
 const BLOCK_PAIRS: usize = 2048;
-/// Blocks per task, at most: enough that facets with as many members fill the lanes of a register,
+/// Blocks per task, at most: enough that facets with as many members fill the lanes of a register.
 const BLOCKS: usize = 8;
-/// and tasks that each thread should have, so that none waits long for the last.
+/// Tasks that each thread should have, so that none waits long for the last.
 const SHARES: usize = 8;
-/// Seeds a facet, from which on facets are divided and walked by rows of neighbours instead of by Verlet lists.
+/// Seeds per facet from which on facets are divided and walked by rows of neighbours instead of Verlet lists.
 const MANY: usize = 8;
-/// Passes by rows, after lists without them did not do.
+/// Passes by rows after lists without rows failed.
 const LATER: usize = 8;
 /// Tasks between two additions, which bounds the memory of the integrals written down.
 const WAVE: usize = 128;
@@ -123,13 +123,13 @@ struct Blocks {
 /// Where a pass finds the seeds that count on facets.
 #[derive(Clone, Copy, PartialEq)]
 enum From {
-    /// In Verlet lists,
+    /// In Verlet lists.
     Lists,
-    /// by searches around facets that are beside one another, where seeds are
+    /// By searches around groups of adjacent facets, where the seeds are now.
     Index,
-    /// or about to be,
+    /// By searches around groups of adjacent facets, where the seeds are expected to be.
     Ahead,
-    /// or in rows of neighbours; where facets have many cells, those are walked by them too.
+    /// In rows of neighbours. Facets with many cells are walked by the rows too.
     Rows { coarse: bool },
 }
 
@@ -142,11 +142,11 @@ struct ParallelSession {
     seeds: Vec<DVec3>,
     index: SeedIndex,
     table: NeighbourTable,
-    /// The index is not that of `seeds` yet,
+    /// Whether the index is out of date with `seeds`.
     stale: bool,
-    /// and the table not that of the index.
+    /// Whether the table is out of date with the index.
     no_rows: bool,
-    /// For so many passes rows are to be used where lists without them did not do.
+    /// Passes left that use rows, since lists without rows failed.
     by_rows: usize,
     order: Order,
     /// First cells of the facets whose pieces were asked for.

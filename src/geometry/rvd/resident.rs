@@ -68,9 +68,9 @@ pub trait Resident {
         Ok(())
     }
 
-    /// d := -H g by the two-loop recursion over the history, H₀ = (sᵀy / yᵀPy) P of the last pair; -P g
-    /// without history, the way to the centroids. P divides each seed's part by twice the mass of its cell, as Lloyd's
-    /// method does: masses differ a hundredfold on a density, and one scale for all suits none. Returns gᵀd.
+    /// Sets `d := -H g` by the two-loop recursion over the history, with H₀ = (sᵀy / yᵀPy) P of the last pair. Without
+    /// history, sets `d := -P g`, the way to the centroids. P divides each seed's part by twice the mass of its cell, as
+    /// Lloyd's method does: masses differ a hundredfold on a density, and one scale for all suits none. Returns gᵀd.
     ///
     /// # Errors
     /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.

@@ -333,9 +333,10 @@ pub const LENGTHENERS: u32 = 16;
 pub const NONE: u32 = u32::MAX;
 /// Pairs of the history, and one that is not accepted yet.
 pub const PAIRS: usize = 8;
-/// Dot products of each step and change and the gradient with three vectors,
+/// Dot products of each step, each change and the gradient with three vectors.
 pub const PLAIN_DOTS: usize = 3 * (2 * PAIRS + 1);
-/// and with those of each change, divided by masses, with itself, every later change and the gradient.
+/// All dot products: [`PLAIN_DOTS`], and those of each change, divided by masses, with itself, every later change and the
+/// gradient.
 pub const DOTS: usize = PLAIN_DOTS + PAIRS * (PAIRS + 3) / 2;
 
 /// Splits a double into upper and lower floats. Below 2048 the upper part is a multiple of

@@ -35,6 +35,8 @@ pub struct Counts {
     pub placement: PlacementRule,
     /// Numbers of all attributes that a remesh carries over, three for a normal.
     pub attributes: u64,
+    /// Bytes of lists beside the surface (sizes, weights, creases): as they come, and as they are held.
+    pub list_bytes: u64,
     /// Whether points are added until a tolerance is met.
     pub refines: bool,
     /// Whether a remesh is measured.
@@ -58,6 +60,7 @@ impl Counts {
             density: DensityKind::Uniform,
             placement: PlacementRule::Fitted,
             attributes: 0,
+            list_bytes: 0,
             refines: false,
             measures: true,
             cells: false,
@@ -114,8 +117,8 @@ fn each(counts: &Counts, facet: u64, point: u64) -> u64 {
     counts.facets.saturating_mul(facet).saturating_add(counts.points.saturating_mul(point))
 }
 
-/// The sum of five: what every job of its kind takes; what grows with its counts, at the stage that takes most; what the
-/// allocator keeps of memory that was freed, as much again where there is little; attributes; and readback from a device.
+/// The sum of six: what every job of its kind takes; what grows with its counts, at the stage that takes most; what the
+/// allocator keeps of memory that was freed, as much again where there is little; attributes; lists; and readback from a device.
 fn host_bytes(counts: &Counts, threads: usize) -> u64 {
     let (least, work) = match counts.kind {
         Kind::Remesh => {
@@ -138,7 +141,7 @@ fn host_bytes(counts: &Counts, threads: usize) -> u64 {
     let kept = grows.min((threads as u64).saturating_mul(7 * MIB).saturating_add(18 * MIB));
     let carried = counts.attributes.saturating_mul(16);
     let readback = if counts.backend == BackendKind::Gpu { 32 * MIB } else { 0 };
-    [least, grows, kept, carried, readback].into_iter().fold(0, u64::saturating_add)
+    [least, grows, kept, carried, counts.list_bytes, readback].into_iter().fold(0, u64::saturating_add)
 }
 
 /// Bytes of a session for each facet and each seed.

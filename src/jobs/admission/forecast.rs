@@ -16,15 +16,16 @@ use crate::admission::estimate::{Counts, Need, need};
 use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use crate::engine::Engine;
 use crate::record::Bytes;
-use crate::record::{DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput, SeedSource, WorkSpec};
+use crate::record::{
+    ArrayForm, AttributeKind, AttributeRef, DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput,
+    SeedSource, WorkSpec,
+};
 use geometry::mesh::io::{self, DataError};
 use geometry::remesh::RemeshOptions;
 use geometry::rvd::{BackendChoice, BackendKind};
 
 /// Larger blobs are not read for their counts, nor such in which more is packed.
 const READ_BYTES: u64 = 64 << 20;
-/// The same where counting keeps what it reads.
-const KEPT_BYTES: u64 = 16 << 20;
 /// Blobs that are read at once.
 const AT_ONCE: usize = 2;
 /// Bytes of a point in a text, at the least.
@@ -88,6 +89,7 @@ impl Forecast {
         };
         let backend = self.engine.backend(spec.choice()).map_or(BackendKind::Parallel, |by| by.kind);
         let mut counts = Counts { input_bytes, ..Counts::new(spec.kind(), backend, vertices, facets, 0) };
+        counts.list_bytes = self.list_bytes(owner, &spec.work, &counts).await;
         match &spec.work {
             WorkSpec::Remesh(work) => {
                 let usual = RemeshOptions::usual();
@@ -96,6 +98,9 @@ impl Forecast {
                 counts.density = work.density.kind();
                 counts.placement = work.placement.unwrap_or(PlacementRule::Fitted);
                 counts.refines = work.refinement.is_some();
+                if let MeshSource::Arrays { attributes, .. } = &spec.mesh {
+                    counts.attributes = attributes.iter().map(numbers_of).fold(0, u64::saturating_add);
+                }
                 let first = self.points(owner, &work.seeds, facets).await;
                 counts.points = match work.refinement {
                     Some(refinement) => refinement.max_points.unwrap_or(first.saturating_mul(2)).max(first),
@@ -129,6 +134,29 @@ impl Forecast {
                 text.map_or(1, |size_bytes| (size_bytes / TEXT_BYTES).clamp(1, self.max_seeds))
             }
         }
+    }
+
+    /// Bytes of the lists beside a surface: their text, and the numbers that are made of it.
+    async fn list_bytes(&self, owner: Owner, work: &WorkSpec, surface: &Counts) -> u64 {
+        // How many numbers there are, at most.
+        let (lengths, edges) = (surface.vertices, surface.facets.saturating_mul(3));
+        let ((lists, creases), seeds) = match work {
+            WorkSpec::Remesh(work) => (([work.density.edge_lengths, work.density.weights], work.creases), &work.seeds),
+            WorkSpec::Cvt(work) => (([work.density.edge_lengths, work.density.weights], None), &work.seeds),
+            WorkSpec::Rvd(work) => (([None, work.weights], None), &work.seeds),
+        };
+        let seeds = if let SeedSource::Given(array) = seeds { Some(*array) } else { None };
+        let lists = lists.map(|list| (list, lengths)).into_iter().chain([(creases, edges), (seeds, 0)]);
+        let mut bytes = 0u64;
+        for (array, most) in lists {
+            let Some(array) = array else { continue };
+            // As it comes. Text is as long as its blob, and has two bytes for a number.
+            let size_bytes = self.size_of(owner, array.blob).await.unwrap_or(0);
+            let count = if array.form == ArrayForm::Text { most.min(size_bytes / 2) } else { array.count };
+            // Twice eight bytes, while they are brought into another order or the list grows.
+            bytes = bytes.saturating_add(size_bytes).saturating_add(count.saturating_mul(16));
+        }
+        bytes
     }
 
     /// The size of a tenant's blob. What others have tells it nothing.
@@ -171,7 +199,7 @@ impl Forecast {
             error => JobApiError::Input { field: "mesh.file".to_owned(), problem: error.to_string() },
         };
         let _turn = self.reading.acquire().await;
-        let whole = size_bytes <= if keeps(format) { KEPT_BYTES } else { READ_BYTES };
+        let whole = size_bytes <= READ_BYTES;
         let mut pieces =
             self.blobs.read(blob, 0..if whole { u64::MAX } else { MAGIC_BYTES.min(size_bytes) }).await?.bytes;
         let mut all = Vec::with_capacity(if whole { usize::try_from(size_bytes).unwrap_or(0) } else { 0 });
@@ -196,17 +224,20 @@ impl Forecast {
     }
 }
 
+/// Numbers of an attribute.
+fn numbers_of(AttributeRef { kind, values, corners, .. }: &AttributeRef) -> u64 {
+    let each = match kind {
+        AttributeKind::Normals => 3,
+        AttributeKind::TextureCoordinates => 2,
+        AttributeKind::Colours => 4,
+        AttributeKind::Scalar => 1,
+    };
+    let corners = corners.map_or(0, |corners| corners.count.saturating_mul(3));
+    values.count.saturating_mul(each).saturating_add(corners)
+}
+
 /// The first bytes of a blob, which say whether it is packed.
 const MAGIC_BYTES: u64 = 3;
-
-/// Whether counting reads the file as if for the job: VTK's legacy format, Gmsh and Medit.
-fn keeps(format: MeshFormat) -> bool {
-    match format {
-        MeshFormat::Ply | MeshFormat::Obj | MeshFormat::Stl | MeshFormat::Off => false,
-        MeshFormat::Vtp | MeshFormat::Glb | MeshFormat::Gltf => false,
-        MeshFormat::Vtk | MeshFormat::Msh | MeshFormat::Mesh | MeshFormat::Meshb => true,
-    }
-}
 
 fn no_surface() -> JobApiError {
     JobApiError::Input {
@@ -218,7 +249,7 @@ fn no_surface() -> JobApiError {
 /// What is known of these bytes, of which no more than `limit` may be unpacked; `None` if they are no surface.
 fn look_at(format: MeshFormat, bytes: &[u8], limit: usize) -> Result<Option<File>, DataError> {
     let size_bytes = bytes.len() as u64;
-    let room = if keeps(format) { KEPT_BYTES } else { READ_BYTES } as usize;
+    let room = READ_BYTES as usize;
     let (plain, unpacked) = match io::unpack(bytes, limit.min(room)) {
         Ok(plain) => {
             let unpacked = if io::are_packed(bytes) { plain.len() as u64 } else { 0 };
@@ -281,6 +312,8 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::blob::put_of;
+    use crate::record::{ArrayRef, Deadlines, RemeshWork};
     use geometry::mesh::shapes::Shape;
 
     fn gzip(bytes: Vec<u8>) -> Vec<u8> {
@@ -329,6 +362,50 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// Lists beside a surface are predicted: as long as their text, and as many numbers as the surface has places for.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn lists_are_predicted() {
+        let backends = || {
+            let parallel = Arc::new(geometry::rvd::parallel::Parallel::new(Some(1))?);
+            let serial = Arc::new(geometry::rvd::serial::Serial);
+            let gpu = Err("none".into());
+            Ok(crate::Backends { gpu, parallel, serial, default: BackendChoice::Auto, pools: None })
+        };
+        let (engine, thread) = Engine::start(backends, crate::EngineOptions::default()).unwrap();
+        let blobs = crate::Stores::ephemeral(crate::BlobRoom::default()).blobs;
+        let put = async |bytes: Vec<u8>| put_of(&*blobs, "t", None, bytes.into()).await.unwrap().digest;
+        let mesh = Shape::Torus.build(2000);
+        let blob = put(io::encode(io::Format::Ply, &mesh).unwrap()).await;
+        let text = put(b"0 1\n".repeat(1 << 18)).await;
+        let forecast = Forecast::new(Arc::clone(&blobs), engine.clone(), 1_000_000);
+        let need_of = async |change: &dyn Fn(&mut RemeshWork)| {
+            let mut work = RemeshWork::new(SeedSource::Sampled { points: Some(100), random_seed: None });
+            change(&mut work);
+            let spec = JobSpec {
+                mesh: MeshSource::File { blob, format: MeshFormat::Ply, attributes: None },
+                work: WorkSpec::Remesh(Box::new(work)),
+                backend: None,
+                result: None,
+                priority: None,
+                deadlines: Deadlines::default(),
+                labels: std::collections::BTreeMap::new(),
+                tenant: "t".to_owned(),
+                request_id: String::new(),
+            };
+            forecast.need(&forecast.counts(&spec, None).await.unwrap()).memory.host
+        };
+        let without = need_of(&|_| {}).await;
+        let list = Some(ArrayRef { blob: text, form: ArrayForm::Text, count: 0 });
+        let (facets, vertices) = (mesh.facets().len() as u64, mesh.positions().len() as u64);
+        assert_eq!(need_of(&|work| work.creases = list).await, without + (1 << 20) + 3 * facets * 16);
+        let sizes = need_of(&|work| work.density.edge_lengths = list).await;
+        assert_eq!(sizes, without + (1 << 20) + vertices * 16);
+        let edges = Some(ArrayRef { blob: text, form: ArrayForm::U32, count: 1 << 17 });
+        assert_eq!(need_of(&|work| work.creases = edges).await, without + (1 << 20) + (16 << 17));
+        engine.close();
+        tokio::task::spawn_blocking(move || thread.join()).await.unwrap().unwrap();
     }
 
     /// More than is unpacked here is measured, and none of it kept.

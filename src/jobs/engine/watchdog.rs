@@ -22,9 +22,9 @@ pub struct Ceilings {
     /// Bytes by which the process may grow while the job is at work. Jobs that are at work together are told apart by who
     /// has seen the process grow most.
     pub memory_bytes: Option<u64>,
-    /// Work that goes on for so long after it was told to stop is stuck,
+    /// Work that runs this long after its cancellation is stuck.
     pub stuck: Duration,
-    /// and lost if it goes on for so long after that.
+    /// Work that runs this long after it was found stuck is lost.
     pub lost: Duration,
 }
 

@@ -40,9 +40,9 @@ pub struct EngineOptions {
     pub ceilings: Ceilings,
     /// Device memory that jobs at work together may need, bytes; without, as much as the device gives.
     pub device_memory_bytes: Option<u64>,
-    /// What to do if a lost device does not come back
+    /// What to do if a lost device does not return within `loss_patience`.
     pub loss: LossPolicy,
-    /// in this time. Work that was at the device waits for it as long.
+    /// How long to wait for a lost device; its work waits too.
     pub loss_patience: Duration,
     /// Jobs at work at once, at least 1; one more of a tenant that has none at work.
     pub jobs_at_once: usize,

@@ -92,9 +92,9 @@ pub trait JobApi: Send + Sync {
 /// What a job would need.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Estimate {
-    /// Memory of the process at the peak, bytes,
+    /// Predicted peak memory of the process, bytes.
     pub host_bytes: u64,
-    /// of which jobs may have so much.
+    /// Memory available to jobs, bytes.
     pub host_limit_bytes: u64,
     /// Memory of the device, bytes; 0 on a CPU.
     pub device_bytes: u64,

@@ -15,8 +15,8 @@ use crate::record::{
 };
 use geometry::cvt::density::{Count, DensitySource};
 use geometry::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
-use geometry::mesh::io::lists::{FileVertices, points};
-use geometry::mesh::io::{self, Format};
+use geometry::mesh::io::lists::{FileVertices, most_edges, points};
+use geometry::mesh::io::{self, DataError, Format};
 use geometry::mesh::{MeshError, TriMesh};
 use geometry::remesh::{Refine, RemeshOptions, Seeds};
 use geometry::token::Token;
@@ -88,6 +88,7 @@ fn unread(field: &str, error: &BlobError) -> WorkError {
 /// Reads arrays of one job.
 struct Reader<'a> {
     blobs: &'a dyn ReadBlob,
+    token: &'a Token,
 }
 
 impl Reader<'_> {
@@ -108,9 +109,19 @@ impl Reader<'_> {
         }
     }
 
-    fn text(&self, field: &str, array: &ArrayRef) -> Result<String, WorkError> {
+    /// Parses an array that is text. The result of `parse` is dropped if the token was stopped meanwhile.
+    fn text<T>(
+        &self,
+        field: &str,
+        array: &ArrayRef,
+        parse: impl FnOnce(&str) -> Result<T, DataError>,
+    ) -> Result<T, WorkError> {
         let bytes = self.bytes(field, array, 1)?;
-        String::from_utf8(bytes).map_err(|_| bad(field, "is no text in UTF-8"))
+        self.token.check()?;
+        let text = String::from_utf8(bytes).map_err(|_| bad(field, "is no text in UTF-8"))?;
+        let parsed = parse(&text);
+        self.token.check()?;
+        parsed.map_err(|error| bad(field, error))
     }
 
     fn numbers(&self, field: &str, array: &ArrayRef, each: u64) -> Result<Vec<f64>, WorkError> {
@@ -122,9 +133,11 @@ impl Reader<'_> {
         })
     }
 
-    fn points(&self, field: &str, array: &ArrayRef) -> Result<Vec<DVec3>, WorkError> {
+    /// Points; of a text one more than `most`, at most.
+    fn points(&self, field: &str, array: &ArrayRef, most: u64) -> Result<Vec<DVec3>, WorkError> {
         if array.form == ArrayForm::Text {
-            return points(&self.text(field, array)?).map_err(|error| bad(field, error));
+            let most = usize::try_from(most).unwrap_or(usize::MAX);
+            return self.text(field, array, |text| points(text, most, self.token));
         }
         let numbers = self.numbers(field, array, 3)?;
         Ok(numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect())
@@ -136,9 +149,19 @@ impl Reader<'_> {
         Ok(indices.iter().map(|triple| triple.map(u32::from_le_bytes)).collect())
     }
 
-    fn edges(&self, field: &str, array: &ArrayRef, vertices: &FileVertices) -> Result<Vec<[u32; 2]>, WorkError> {
+    /// Edges of a surface of so many facets.
+    fn edges(
+        &self,
+        field: &str,
+        array: &ArrayRef,
+        vertices: &FileVertices,
+        facets: usize,
+    ) -> Result<Vec<[u32; 2]>, WorkError> {
         if array.form == ArrayForm::Text {
-            return vertices.edges(&self.text(field, array)?).map_err(|error| bad(field, error));
+            return self.text(field, array, |text| vertices.edges(text, facets, self.token));
+        }
+        if array.count > most_edges(facets) as u64 {
+            return Err(bad(field, format!("{} edges are more than {facets} facets have", array.count)));
         }
         let bytes = self.bytes(field, array, 2)?;
         let indices = bytes.as_chunks::<4>().0.as_chunks::<2>().0;
@@ -151,9 +174,7 @@ impl Reader<'_> {
             (DensityKind::EdgeLengths, Some(array), _) => {
                 let field = at("edge_lengths");
                 DensitySource::Sizes(match array.form {
-                    ArrayForm::Text => {
-                        vertices.lengths(&self.text(&field, array)?).map_err(|error| bad(&field, error))?
-                    }
+                    ArrayForm::Text => self.text(&field, array, |text| vertices.lengths(text, self.token))?,
                     _ => self.numbers(&field, array, 1)?,
                 })
             }
@@ -167,7 +188,9 @@ impl Reader<'_> {
 
     fn seeds(&self, field: &str, source: &SeedSource, bounds: &JobBounds) -> Result<Seeds, WorkError> {
         let seeds = match source {
-            SeedSource::Given(array) => Seeds::Given(self.points(&format!("{field}.given"), array)?),
+            SeedSource::Given(array) => {
+                Seeds::Given(self.points(&format!("{field}.given"), array, bounds.max_seeds)?)
+            }
             &SeedSource::Sampled { points, random_seed } => {
                 let seed = random_seed.unwrap_or(Seeds::RANDOM_SEED);
                 match points {
@@ -195,10 +218,12 @@ impl Reader<'_> {
             let corners = corners.as_ref().map(|array| self.triples(&format!("{field}.corners"), array)).transpose()?;
             let taken = match (kind, corners) {
                 (AttributeKind::Normals, Some(corners)) => {
-                    let values = self.points(&at, values)?;
+                    let values = self.points(&at, values, u64::MAX)?;
                     attributes.set_normals(Normals::PerCorner(PerCorner { values, corners }))
                 }
-                (AttributeKind::Normals, None) => attributes.set_normals(Normals::PerVertex(self.points(&at, values)?)),
+                (AttributeKind::Normals, None) => {
+                    attributes.set_normals(Normals::PerVertex(self.points(&at, values, u64::MAX)?))
+                }
                 (AttributeKind::TextureCoordinates, corners) => {
                     let numbers = self.numbers(&at, values, 2)?;
                     let values = numbers.as_chunks::<2>().0.iter().map(|&uv| DVec2::from_array(uv)).collect();
@@ -246,7 +271,7 @@ fn surface(reader: &Reader<'_>, spec: &JobSpec, bounds: &JobBounds, token: &Toke
             Surface { mesh, attributes, vertices }
         }
         MeshSource::Arrays { positions, facets, attributes } => {
-            let points = reader.points("mesh.arrays.positions", positions)?;
+            let points = reader.points("mesh.arrays.positions", positions, u64::MAX)?;
             let triples = reader.triples("mesh.arrays.facets", facets)?;
             token.check()?;
             let mesh = TriMesh::new(points, triples).map_err(|error: MeshError| bad("mesh.arrays", error))?;
@@ -286,7 +311,7 @@ pub(crate) fn load(
     token: &Token,
 ) -> Result<Input, WorkError> {
     token.enter("read");
-    let reader = Reader { blobs };
+    let reader = Reader { blobs, token };
     let Surface { mesh, vertices, .. } = surface(&reader, spec, bounds, token)?;
     let max_points = usize::try_from(bounds.max_seeds).unwrap_or(usize::MAX);
     let (seeds, mut density) = match &spec.work {
@@ -317,7 +342,7 @@ pub(crate) fn load_remesh(
     token: &Token,
 ) -> Result<(TriMesh, RemeshOptions), WorkError> {
     token.enter("read");
-    let reader = Reader { blobs };
+    let reader = Reader { blobs, token };
     let Surface { mesh, attributes, vertices } = surface(&reader, spec, bounds, token)?;
     let source = reader.density("work.remesh.density", &work.density, &vertices)?;
     let seeds = reader.seeds("work.remesh.seeds", &work.seeds, bounds)?;
@@ -351,7 +376,7 @@ pub(crate) fn load_remesh(
     options.refine = refine;
     options.attributes = attributes;
     if let Some(array) = &work.creases {
-        options.creases = reader.edges("work.remesh.creases", array, &vertices)?;
+        options.creases = reader.edges("work.remesh.creases", array, &vertices, mesh.facets().len())?;
     }
     Ok((mesh, options))
 }

@@ -102,7 +102,7 @@ pub enum MeshSource {
     },
     /// In arrays as the streams send them.
     Arrays {
-        /// x y z of each vertex, F32 or F64.
+        /// Coordinates x y z of each vertex, F32 or F64.
         positions: ArrayRef,
         /// Three vertices of each facet, U32.
         facets: ArrayRef,
@@ -201,9 +201,9 @@ pub enum BackendName {
     Auto,
     /// The GPU, or failure.
     Gpu,
-    /// f64 on all threads.
+    /// Double precision on all threads.
     Parallel,
-    /// f64 on one thread.
+    /// Double precision on one thread.
     Serial,
 }
 
@@ -230,7 +230,7 @@ pub enum SeedSource {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         random_seed: Option<u64>,
     },
-    /// x y z of each, F32, F64 or text.
+    /// Coordinates x y z of each seed, F32, F64 or text.
     Given(ArrayRef),
 }
 

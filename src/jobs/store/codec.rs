@@ -34,9 +34,10 @@ pub(crate) struct Head {
     /// Memory that it is expected to need; journals of earlier releases do not say.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) needs: Option<Bytes>,
-    /// The number of the next event, as far as it is kept,
+    /// Number of the next event that is stored.
     pub next_event: u64,
-    /// and the first that nobody has been given: between the two are those of progress that is not kept yet.
+    /// First event number that is not reserved. Numbers from `next_event` to this one belong to progress events that are not
+    /// stored yet.
     pub reserved_events: u64,
 }
 

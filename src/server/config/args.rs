@@ -1,8 +1,9 @@
 //! The options of a server, as the command line has them.
 //!
-//! Purpose: [`ServeArgs`], the one struct that describes every option: its name, its variable, its default and its help.
-//! The file (`file`) and what is printed (`show`) follow from it. Invariant: what one value can be is checked here, by its
-//! parser; what values together can be, in `check`. Must not know: how a value is used.
+//! Purpose: [`ServeArgs`], the one struct that describes every option: its name, its variable, its default and its help. The
+//! file (`file`) and the printed form (`show`) follow from it.
+//! Invariant: parsers here check single values; `check` checks their combinations.
+//! Must not know: the use of values.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -21,14 +22,14 @@ use super::watching::WatchingArgs;
 /// Which backend should do the work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum BackendArg {
-    /// The GPU if there is one, else the parallel CPU backend.
+    /// The GPU if available, else the parallel CPU backend.
     #[default]
     Auto,
     /// The GPU, or an error.
     Gpu,
-    /// f64 on all threads of the pool.
+    /// Double precision on all threads of the pool.
     Parallel,
-    /// f64 on one thread.
+    /// Double precision on one thread.
     Serial,
 }
 
@@ -43,7 +44,7 @@ impl From<BackendArg> for BackendChoice {
     }
 }
 
-/// Who works and with how much: the options that every working subcommand has.
+/// Backend and threads: the options of every subcommand that computes.
 #[derive(Args, Clone, Debug, Default)]
 pub struct BackendArgs {
     /// Which backend should do the work.
@@ -64,29 +65,30 @@ pub struct BackendArgs {
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Server and its limits")]
 pub struct ServeArgs {
-    /// File with options, in TOML: `max_streams = 64` for --max-streams. A variable counts more than the file, and the command
-    /// line more than both. `tessera config print` shows what comes of them.
+    /// File with options, in TOML: `max_streams = 64` for --max-streams. Variables override the file, and the command line
+    /// overrides both. `tessera config print` shows the result.
     #[arg(long, value_name = "FILE", env = "TESSERA_CONFIG")]
     pub config: Option<PathBuf>,
     /// Address or name, and port to listen on; port 0 takes a free one and prints it.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:50051", env = "TESSERA_LISTEN")]
     pub listen: String,
-    /// Address or name, and port of the HTTP door: meshes in and out by `curl`, jobs and blobs (docs/http.md). None if not
-    /// given; the same rule as for --listen: anything but loopback needs TLS and keys, or --insecure.
+    /// Address or name, and port of the HTTP interface: meshes by `curl`, jobs and blobs (docs/http.md). Off by default. As
+    /// with --listen, an address other than loopback needs TLS and keys, or --insecure.
     #[arg(long, value_name = "ADDRESS:PORT", env = "TESSERA_HTTP_LISTEN")]
     pub http_listen: Option<String>,
-    /// Serve a page for browsers at the HTTP door: drop a mesh, watch it converge, compare, download (docs/page.md).
+    /// Serve a page for browsers on the HTTP port: drop a mesh, watch it converge, compare, download (docs/page.md).
     #[arg(long, env = "TESSERA_UI")]
     pub ui: bool,
     /// Folder where jobs, results and uploads are kept; one server at a time may use it. The user's state directory if not
     /// given: $XDG_STATE_HOME/tessera, or ~/.local/state/tessera.
     #[arg(long, value_name = "DIR", env = "TESSERA_DATA_DIR")]
     pub data_dir: Option<PathBuf>,
-    /// Keep jobs, results and uploads in memory: they are gone with the server.
+    /// Keep jobs, results and uploads in memory: they are lost when the server ends.
     #[arg(long, env = "TESSERA_EPHEMERAL")]
     pub ephemeral: bool,
     /// Keep blobs in a bucket instead: s3://BUCKET or s3://BUCKET/PREFIX on any S3-compatible store. The variables
-    /// AWS_ENDPOINT, AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY and AWS_ALLOW_HTTP say where it is and who asks.
+    /// AWS_ENDPOINT, AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY and AWS_ALLOW_HTTP set its address and
+    /// credentials.
     #[arg(long, value_name = "URL", env = "TESSERA_BLOBS")]
     pub blobs: Option<String>,
     /// MiB of the disk that uploads and results leave free, so that the journal of jobs always has room.
@@ -95,7 +97,7 @@ pub struct ServeArgs {
     /// How long results are kept after a job has ended, e.g. 90s, 30m, 24h or 7d.
     #[arg(long, value_name = "TIME", default_value = "24h", value_parser = period, env = "TESSERA_KEEP_RESULTS")]
     pub keep_results: Duration,
-    /// How long jobs are listed after they have ended and their results are gone.
+    /// How long jobs are listed after their results are removed.
     #[arg(long, value_name = "TIME", default_value = "7d", value_parser = period, env = "TESSERA_KEEP_JOBS")]
     pub keep_jobs: Duration,
     /// MiB of blobs that are kept: uploads and results. The least recently used that nothing needs go first.
@@ -104,7 +106,7 @@ pub struct ServeArgs {
     /// Jobs of JobService that may wait; one more is refused with RESOURCE_EXHAUSTED.
     #[arg(long, value_name = "N", default_value_t = 100_000, value_parser = whole::<usize>, env = "TESSERA_WAITING_JOBS")]
     pub waiting_jobs: usize,
-    /// Times that a job may be at work when the server goes down; then it fails and is not tried again.
+    /// Server crashes that a job may survive; after one more it fails.
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = whole::<u32>, env = "TESSERA_MAX_CRASHES")]
     pub max_crashes: u32,
     /// Jobs at work at once; one more may be of a tenant that has none at work. A quarter of the cores, but 2 to 8, if not
@@ -142,10 +144,10 @@ pub struct ServeArgs {
     /// quarters of the machine's or the container's memory if not given.
     #[arg(long, value_name = "MIB", value_parser = whole::<u64>, env = "TESSERA_JOB_MEMORY_MIB")]
     pub job_memory_mib: Option<u64>,
-    /// Seconds that work may go on after it was told to stop; from then on health says NOT_SERVING.
+    /// Seconds that work may continue after its cancellation; after that health says NOT_SERVING.
     #[arg(long, value_name = "S", default_value_t = 10.0, env = "TESSERA_STUCK_S")]
     pub stuck_s: f64,
-    /// Seconds after that until the process ends with exit code 75, for its supervisor to start it anew.
+    /// Further seconds until the process ends with exit code 75, so that its supervisor restarts it.
     #[arg(long, value_name = "S", default_value_t = 50.0, env = "TESSERA_STUCK_EXIT_S")]
     pub stuck_exit_s: f64,
     /// How far threads at work give way to all others, 0 to 19 (Unix): calls are answered at once though all cores are busy.
@@ -189,10 +191,10 @@ pub struct ServeArgs {
     pub transport: TransportArgs,
     #[command(flatten)]
     pub watching: WatchingArgs,
-    /// Who works. Last, since its heading holds for what comes after it.
-    #[command(flatten, next_help_heading = "Who works")]
+    /// The backend. Last, since its heading applies to all later options.
+    #[command(flatten, next_help_heading = "Backend")]
     pub backend: BackendArgs,
-    /// Where each value came from, for messages.
+    /// The source of each value, for messages.
     #[arg(skip)]
     pub sources: Sources,
 }

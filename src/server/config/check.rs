@@ -1,7 +1,9 @@
-//! What of the options makes sense.
+//! Validation of the options.
 //!
-//! Purpose: [`ServeConfig`] of [`ServeArgs`]. Invariant: a `ServeConfig` exists only if every value is usable, alone and
-//! beside the others; it is made before any port is bound. Must not know: where a value came from.
+//! Purpose: makes a [`ServeConfig`] of [`ServeArgs`].
+//! Invariant: a `ServeConfig` exists only if every value is usable, alone and in combination; it is made before any port is
+//! bound.
+//! Must not know: the source of a value.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -22,21 +24,21 @@ const MAX_ELEMENTS: u64 = i32::MAX as u64 - 8;
 pub struct ServeConfig {
     /// Where to listen: the first of these that can be had.
     pub listen: Vec<SocketAddr>,
-    /// The same for the HTTP door; nowhere if empty.
+    /// Addresses of the HTTP interface; empty if it is off.
     pub http: Vec<SocketAddr>,
-    /// Whether the HTTP door has the page for browsers.
+    /// Whether the HTTP interface serves the page for browsers.
     pub ui: bool,
-    /// The same for operators; nowhere if empty.
+    /// Addresses of the admin port; empty if it is off.
     pub admin: Vec<SocketAddr>,
     /// Jobs that may wait.
     pub queue_jobs: usize,
-    /// What one request may ask for.
+    /// Limits of a request.
     pub limits: Limits,
-    /// What one job may take.
+    /// Limits of a job.
     pub ceilings: JobCeilings,
     /// Where jobs are kept; in memory if none.
     pub data_dir: Option<PathBuf>,
-    /// The bucket of the blobs; in the same folder if none.
+    /// The bucket of the blobs; without one they are in the data folder.
     pub bucket: Option<String>,
     /// Bytes of the disk that blobs leave free.
     pub disk_reserve_bytes: u64,
@@ -48,28 +50,28 @@ pub struct ServeConfig {
     pub waiting_jobs: usize,
     /// Crashes of a job.
     pub max_crashes: u32,
-    /// Jobs at work at once, if it is said.
+    /// Number of jobs that run at the same time, if given.
     pub jobs_at_once: Option<usize>,
-    /// What is done about the device.
+    /// Rules for the device.
     pub device: DeviceRules,
     /// How far threads at work give way.
     pub nice: u8,
     /// For each step of the start.
     pub start: Duration,
-    /// The files of TLS, if it is spoken.
+    /// The files of TLS, if it is on.
     pub tls: Option<TlsFiles>,
     /// Whether calls without a key are refused.
     pub requires_keys: bool,
 }
 
-/// What one job may take, and how long it may take to stop.
+/// Limits of a job, and of the time to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct JobCeilings {
     /// Time at work.
     pub time: Duration,
     /// Bytes by which the process may grow; as the machine allows if not given.
     pub memory_bytes: Option<u64>,
-    /// From being told to stop to being stuck.
+    /// Time from the cancellation until work counts as stuck.
     pub stuck: Duration,
     /// From there to the end of the process.
     pub lost: Duration,
@@ -200,10 +202,10 @@ impl ServeArgs {
     }
 }
 
-/// Where a server keeps what it has: the folder that was given, or the user's.
+/// The data folder of a server: the given one, or the user's.
 ///
 /// # Errors
-/// [`ConfigError`] if there is neither.
+/// [`ConfigError`] if both are missing.
 pub fn data_dir(given: Option<&PathBuf>) -> Result<PathBuf, ConfigError> {
     let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path: &PathBuf| path.is_absolute());
     let state = || variable("XDG_STATE_HOME").or_else(|| Some(variable("HOME")?.join(".local/state")));

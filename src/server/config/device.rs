@@ -1,6 +1,7 @@
 //! The options of the device.
 //!
-//! Purpose: [`DeviceArgs`], and [`DeviceRules`] once they are checked. Must not know: what a device is.
+//! Purpose: has [`DeviceArgs`], and [`DeviceRules`] after the checks.
+//! Must not know: devices.
 
 use std::time::Duration;
 
@@ -9,13 +10,13 @@ use clap::{Args, ValueEnum};
 use super::error::ConfigError;
 use super::values::{seconds, whole, within};
 
-/// What a server does whose device does not come back.
+/// Reaction to a device that does not return.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum OnLoss {
-    /// End with exit code 76, so that a supervisor starts it anew, perhaps on another machine.
+    /// End with exit code 76, so that a supervisor restarts the server, perhaps on another machine.
     #[default]
     Exit,
-    /// Go on with the CPU. Health, `tessera info` and every result say so.
+    /// Continue on the CPU. Health, `tessera info` and every result show it.
     Cpu,
 }
 
@@ -30,7 +31,7 @@ pub struct DeviceArgs {
     /// Seconds that the device may take for one piece of work; then it counts as lost.
     #[arg(long, value_name = "S", default_value_t = 60.0, env = "TESSERA_DEVICE_TIMEOUT_S")]
     pub device_timeout_s: f64,
-    /// What to do if a lost device cannot be opened again.
+    /// Reaction if a lost device cannot be reopened.
     #[arg(long, value_enum, default_value_t, env = "TESSERA_ON_DEVICE_LOSS")]
     pub on_device_loss: OnLoss,
     /// Seconds for which a lost device is tried again before that.
@@ -38,16 +39,16 @@ pub struct DeviceArgs {
     pub device_loss_s: f64,
 }
 
-/// The same, checked.
+/// The checked rules for the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DeviceRules {
-    /// Memory for jobs, if it is limited, bytes.
+    /// Memory for jobs, if limited, bytes.
     pub memory_bytes: Option<u64>,
     /// For one piece of work.
     pub timeout: Duration,
-    /// What to do if it does not come back,
+    /// What to do if a lost device does not return within `patience`.
     pub on_loss: OnLoss,
-    /// and after how long.
+    /// How long to wait for a lost device.
     pub patience: Duration,
 }
 

@@ -10,6 +10,6 @@ pub struct ConfigError {
     pub option: &'static str,
     /// As given.
     pub value: String,
-    /// What it must be.
+    /// The allowed values.
     pub must: &'static str,
 }

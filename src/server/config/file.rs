@@ -1,8 +1,9 @@
 //! Options in a file.
 //!
 //! Purpose: [`ConfigFile`] reads TOML whose keys are the names of the options with `_` for `-`, and makes each value the
-//! default of its option. Invariant: a key that no option has, a value of the wrong type and one that the option does not
-//! take are refused with file, line and key. Must not know: what options there are.
+//! default of its option.
+//! Invariant: an unknown key, a value of the wrong type and an invalid value are refused with file, line and key.
+//! Must not know: the list of options.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -31,7 +32,7 @@ pub enum FileError {
     Read {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         cause: std::io::Error,
     },
     /// It is no text, or longer than any.
@@ -39,17 +40,17 @@ pub enum FileError {
     Unreadable {
         /// The file.
         file: PathBuf,
-        /// What is wrong.
+        /// The defect.
         what: &'static str,
     },
-    /// A line says what cannot be.
+    /// A line has an invalid key or value.
     #[error("{}:{line}: {what}", file.display())]
     Line {
         /// The file.
         file: PathBuf,
         /// From 1 on.
         line: usize,
-        /// What is wrong, and what to write.
+        /// The defect and the remedy.
         what: String,
     },
 }
@@ -85,7 +86,7 @@ impl ConfigFile {
         Self::parse(path, &text)
     }
 
-    /// The same from its text.
+    /// Parses the text of a file.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -163,7 +164,7 @@ fn article(word: &str) -> &'static str {
     if word.starts_with(['a', 'e', 'i', 'o', 'u']) { "an" } else { "a" }
 }
 
-/// What to say of a key that no option has.
+/// The message for an unknown key.
 fn unknown(command: &Command, key: &str, value: &DeValue<'_>) -> String {
     if value.is_table() {
         return format!("{key}: there are no tables; keys stand at the top, as `max_streams = 256`");

@@ -1,10 +1,11 @@
-//! What one request, one connection and all of them may take.
+//! Limits of a request, of a connection, and of all together.
 //!
-//! Invariant: the defaults here are those of the command line; a test compares them. Must not know: how a limit is kept.
+//! Invariant: the defaults equal those of the command line; a test compares them.
+//! Must not know: how limits are enforced.
 
 use std::time::Duration;
 
-/// What one request may ask for.
+/// Limits of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Mesh vertices.
@@ -41,7 +42,7 @@ pub struct Limits {
     pub grace: Duration,
     /// Between two probes of an idle backend.
     pub probe: Duration,
-    /// What a connection may do.
+    /// Limits of a connection.
     pub transport: Transport,
 }
 
@@ -70,16 +71,16 @@ impl Default for Limits {
     }
 }
 
-/// What a connection may do before it is at fault, and how long it may be silent.
+/// Limits of a connection: errors, frames and silence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transport {
-    /// Streams at once on one connection; if not given, those of all and [`Self::EXTRA_STREAMS`].
+    /// Open streams of a connection; default: all streams plus [`Self::EXTRA_STREAMS`].
     pub streams: Option<u32>,
     /// All headers of a request, bytes.
     pub header_bytes: u32,
-    /// A message, bytes, before and after it is decompressed.
+    /// Size of a message, bytes, compressed and uncompressed.
     pub message_bytes: usize,
-    /// Streams that the client opened and reset, and that nobody has looked at yet.
+    /// Streams that the client reset before the server processed them.
     pub pending_resets: usize,
     /// Streams that were reset for faults of the client.
     pub fault_resets: usize,
@@ -87,7 +88,8 @@ pub struct Transport {
     pub control_frames: u32,
     /// Between two pings, which keep boxes between here and the client from forgetting the connection.
     pub ping_every: Duration,
-    /// For the answer to a ping; at least as long as a stream may stall, since it waits behind what a slow reader has not read.
+    /// Time for the answer to a ping; at least the time that a stream may stall, since it waits behind the data of a slow
+    /// reader.
     pub ping_timeout: Duration,
     /// For a new connection to send anything.
     pub first_byte: Duration,
@@ -98,7 +100,7 @@ pub struct Transport {
 }
 
 impl Transport {
-    /// Streams of a connection besides those that do work: health, reflection.
+    /// Streams of a connection for health and reflection.
     pub const EXTRA_STREAMS: usize = 16;
 }
 

@@ -1,7 +1,9 @@
-//! The options of a server as data: their names, and what kind of value each takes.
+//! The options of a server as data: names and types of values.
 //!
-//! Purpose: whatever is to hold for every option (keys of the file, what is printed, tests) asks here, so that an option is
-//! described once, in `args`. Invariant: nothing here names an option. Must not know: values.
+//! Purpose: rules for all options (keys of the file, printing, tests) use this, so that an option is described once, in
+//! `args`.
+//! Invariant: nothing here names an option.
+//! Must not know: values.
 
 use std::any::TypeId;
 
@@ -13,7 +15,7 @@ use super::args::ServeArgs;
 /// The option that names the file; no key of it.
 pub(super) const CONFIG: &str = "config";
 
-/// What the file says of an option.
+/// The type of an option's value in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// `true` or `false`.
@@ -29,12 +31,12 @@ pub(super) fn options() -> Command {
     with_switches(ServeArgs::augment_args(Command::new("serve")))
 }
 
-/// The same without the environment, which is how their defaults are read.
+/// The command without the environment, for reading the defaults.
 pub(super) fn untouched() -> Command {
     options().mut_args(|arg| arg.env(Resettable::Reset))
 }
 
-/// What all options are if nobody says anything.
+/// The defaults of all options.
 ///
 /// # Errors
 /// A fault of the program: an option without a default that is needed.
@@ -69,7 +71,7 @@ pub(super) fn is_list(arg: &Arg) -> bool {
     matches!(arg.get_action(), ArgAction::Append) || arg.get_value_delimiter().is_some()
 }
 
-/// What kind of value it takes.
+/// The type of an option's value.
 pub(super) fn kind(arg: &Arg) -> Kind {
     let of = arg.get_value_parser().type_id();
     let numbers = [
@@ -98,7 +100,7 @@ pub(super) fn takes(arg: &Arg, value: &str) -> Result<(), String> {
     }
 }
 
-/// What clap says, without its hints for the command line.
+/// Clap's message without its hints for the command line.
 fn sentence(error: &clap::Error) -> String {
     let text = error.render().to_string();
     let first = text.split("\n\n").next().unwrap_or_default();

@@ -1,4 +1,4 @@
-//! From what clap found to where it came from.
+//! Derives the sources of values from clap's result.
 //!
 //! Invariant: an option without a value has no source. Must not know: options by name.
 
@@ -9,7 +9,7 @@ use super::file::ConfigFile;
 use super::options::{is_key, options};
 use super::sources::{Source, Sources};
 
-/// Where what clap found came from, with the keys of `file` as defaults.
+/// The sources of clap's values, with the keys of `file` as defaults.
 pub fn sources(found: &ArgMatches, file: Option<&ConfigFile>) -> Sources {
     let of = |arg: &clap::Arg| {
         let (id, long) = (arg.get_id().as_str(), arg.get_long()?);

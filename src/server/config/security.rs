@@ -1,7 +1,8 @@
-//! Options of who may reach the server.
+//! Options of access to the server.
 //!
-//! Invariant: a server that other machines can reach has TLS and keys, unless somebody says that it needs none. Secrets are
-//! given by file, never as a value. Must not know: certificates, keys.
+//! Invariant: a server that other machines can reach has TLS and keys, unless an option waives them. Secrets are given by
+//! file, never as a value.
+//! Must not know: certificates, keys.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -14,10 +15,9 @@ use super::values::seconds;
 
 /// See the module's head.
 #[derive(Args, Clone, Debug)]
-#[command(next_help_heading = "Who may call")]
+#[command(next_help_heading = "TLS and keys")]
 pub struct SecurityArgs {
-    /// File with the server's certificate and those that lead to its authority, in PEM. With it and --tls-key the server
-    /// speaks TLS, and nothing else.
+    /// File with the server's certificate and its chain, in PEM. With it and --tls-key the port accepts TLS only.
     #[arg(long, value_name = "FILE", env = "TESSERA_TLS_CERT")]
     pub tls_cert: Option<PathBuf>,
     /// File with the certificate's private key, in PEM.
@@ -38,13 +38,17 @@ pub struct SecurityArgs {
     /// Ask for a key for health too, where keys are required; without, probes need none.
     #[arg(long, env = "TESSERA_HEALTH_NEEDS_KEY")]
     pub health_needs_key: bool,
+    /// Answer requests to this host, or of its pages, too. Without keys and on loopback a server answers localhost alone, so
+    /// that no web page in a browser on this machine can use it. For a proxy on this machine that passes its own name on.
+    #[arg(long = "allow-host", value_name = "NAME", value_delimiter = ',', env = "TESSERA_ALLOW_HOST")]
+    pub allow_host: Vec<String>,
     /// Let other machines reach the server without TLS or without keys. For a network that you trust.
     #[arg(long, env = "TESSERA_INSECURE")]
     pub insecure: bool,
 }
 
 impl SecurityArgs {
-    /// Checks what there is of TLS.
+    /// Checks the options of TLS.
     pub(super) fn check(&self) -> Result<Option<TlsFiles>, ConfigError> {
         let reload = seconds("--tls-reload-s", self.tls_reload_s)?;
         let without =
@@ -64,7 +68,7 @@ impl SecurityArgs {
         }
     }
 
-    /// Checks that nobody reaches the server who should not.
+    /// Checks that a reachable server has TLS and keys, or a waiver.
     pub(super) fn check_reach(
         &self,
         option: &'static str,
@@ -104,6 +108,7 @@ mod tests {
             require_keys: given.contains(&"keys"),
             reflection: true,
             health_needs_key: false,
+            allow_host: Vec::new(),
             insecure: given.contains(&"insecure"),
         }
     }

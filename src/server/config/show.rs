@@ -1,8 +1,9 @@
 //! The configuration as a file.
 //!
-//! Purpose: [`print`] writes what holds, so that it can be read back. Invariant: reading it gives the same configuration; an
-//! option without a value stands in a comment. Secrets are given by file, so that none is printed. Must not know: options by
-//! name.
+//! Purpose: [`print`] writes a configuration that can be read back.
+//! Invariant: reading it gives the same configuration; an option without a value is a comment. No secret is printed, since
+//! secrets are given by file.
+//! Must not know: options by name.
 
 use std::fmt::Write;
 
@@ -12,7 +13,7 @@ use toml::Value;
 use super::options::{Kind, is_key, is_list, kind, options};
 use super::sources::Sources;
 
-/// What `found` says, as TOML.
+/// The values of `found` as TOML.
 pub fn print(found: &ArgMatches, sources: &Sources) -> String {
     let mut out = format!("# What `tessera serve` {} would use. Name it with --config.\n", env!("CARGO_PKG_VERSION"));
     let mut heading = None;

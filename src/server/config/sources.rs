@@ -1,12 +1,13 @@
-//! Where each value came from.
+//! The source of each value.
 //!
-//! Purpose: [`Sources`], for messages and for what is printed. Invariant: it decides nothing. Must not know: values, how they
-//! are read.
+//! Purpose: [`Sources`] serves messages and the printed configuration.
+//! Invariant: it decides nothing.
+//! Must not know: values and their parsing.
 
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// Where a value came from.
+/// The source of a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
     /// The program.
@@ -44,13 +45,13 @@ impl Sources {
         Self(all)
     }
 
-    /// Where the value of an option came from, `--so`, if that is somewhere else than the command line.
+    /// The source of an option's value (`--name`), if it is not the command line.
     pub(super) fn of(&self, option: &str) -> Option<&Source> {
         let key = option.trim_start_matches("--").replace('-', "_");
         self.get(&key).filter(|source| matches!(source, Source::File { .. } | Source::Environment(_)))
     }
 
-    /// The same by its key, the program's too.
+    /// The source by key, for options of the program too.
     pub(super) fn get(&self, key: &str) -> Option<&Source> {
         self.0.get(key)
     }

@@ -1,6 +1,6 @@
 //! Which files TLS is made of.
 //!
-//! Must not know: what is in them.
+//! Must not know: their content.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -8,7 +8,7 @@ use std::time::Duration;
 /// The files of TLS.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
-    /// The server's certificate and those that lead to its authority.
+    /// The server's certificate and its chain.
     pub cert: PathBuf,
     /// The certificate's private key.
     pub key: PathBuf,

@@ -1,4 +1,4 @@
-//! Options of connections: what one may do before it is at fault.
+//! Options of connections: limits on errors, frames and silence.
 //!
 //! Invariant: every limit of the transport that a stranger can meet is an option with a safe default. Must not know: HTTP.
 
@@ -27,7 +27,8 @@ pub struct TransportArgs {
     /// Streams of a connection that the server may reset for faults of the client; one more closes the connection.
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = whole::<u32>, env = "TESSERA_MAX_FAULT_RESETS")]
     pub max_fault_resets: u32,
-    /// Frames of a connection a second that carry neither a request nor its bytes (pings, settings, resets). Ten seconds' worth may come at once, and each 64 bytes of answers allow one more; with more the connection is closed.
+    /// Control frames per second and connection: pings, settings, resets. Bursts of ten seconds' worth are allowed, and each
+    /// 64 bytes of answers allow one more; beyond that the connection is closed.
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = whole::<u32>, env = "TESSERA_MAX_CONTROL_FRAMES")]
     pub max_control_frames: u32,
     /// Seconds between two pings of a connection.
@@ -39,7 +40,7 @@ pub struct TransportArgs {
     /// Seconds until a new connection must have sent its first byte.
     #[arg(long, value_name = "S", default_value_t = 10.0, env = "TESSERA_FIRST_BYTE_S")]
     pub first_byte_s: f64,
-    /// TLS handshakes at once. For one more, the oldest that has taken more than a second goes.
+    /// TLS handshakes at the same time. If there are more, the oldest one above a second is dropped.
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = whole::<u32>, env = "TESSERA_MAX_HANDSHAKES")]
     pub max_handshakes: u32,
     /// Seconds for a TLS handshake.
@@ -56,7 +57,7 @@ impl TransportArgs {
                 Some(streams) => Some(count("--connection-streams", streams)? as u32),
                 None => None,
             },
-            // Less than this, and what every request has does not fit; more is not needed, and is held for each request.
+            // The usual headers need at least this. The upper limit bounds the memory of each request.
             header_bytes: within("--max-header-bytes", self.max_header_bytes.into(), 1024, 1 << 20, "1024 to 1048576")?
                 as u32,
             // A chunk and a result have up to 1 MiB; frames of gRPC end at 4 GiB, and all messages are held in memory.

@@ -1,7 +1,7 @@
-//! Options of what a server tells of itself.
+//! Options of metrics, health and traces.
 //!
-//! Invariant: operators are listened to on addresses of this machine alone, unless somebody says otherwise. Must not know:
-//! metrics, traces.
+//! Invariant: the admin port is open to this machine alone, unless an option opens it.
+//! Must not know: metrics, traces.
 
 use std::net::SocketAddr;
 
@@ -13,9 +13,9 @@ use super::values::addresses;
 
 /// See the module's head.
 #[derive(Args, Clone, Debug)]
-#[command(next_help_heading = "What it tells of itself")]
+#[command(next_help_heading = "Metrics, health and traces")]
 pub struct WatchingArgs {
-    /// Seconds between two probes of an idle backend: a tiny diagram whose answer is known. While one fails health says
+    /// Seconds between two probes of an idle backend: a tiny diagram with a known answer. While a probe fails, health says
     /// NOT_SERVING.
     #[arg(long, value_name = "S", default_value_t = 60.0, env = "TESSERA_PROBE_S")]
     pub probe_s: f64,
@@ -29,7 +29,7 @@ pub struct WatchingArgs {
     /// Collector of OpenTelemetry traces (OTLP over gRPC), e.g. http://127.0.0.1:4317. None if not given.
     #[arg(long, value_name = "URL", env = "TESSERA_OTLP_ENDPOINT")]
     pub otlp_endpoint: Option<String>,
-    /// Part of the traces that is exported, 0 to 1; those that a caller samples always are.
+    /// Share of the traces to export, 0 to 1; traces sampled by a caller are always exported.
     #[arg(long, value_name = "R", default_value_t = 1.0, env = "TESSERA_OTLP_RATIO")]
     pub otlp_ratio: f64,
 }

@@ -115,7 +115,8 @@ pub(super) async fn open(State(open): State<Open>, request: Request, next: Next)
     let Open { desk, path } = open;
     let method = if request.method() == "HEAD" { "HEAD" } else { "GET" };
     let mut counted = Counted::new(&desk.metrics, method, path);
-    let (permit, response) = match desk.gate.admit(Kind::Call) {
+    let entered = desk.access.check_host(&request).map_err(RequestError::from);
+    let (permit, response) = match entered.and_then(|()| desk.gate.admit(Kind::Call)) {
         Ok(permit) => {
             if let Some(exchange) = request.extensions().get::<Arc<Exchange>>() {
                 exchange.admit();

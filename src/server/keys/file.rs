@@ -1,8 +1,9 @@
 //! The file of the keys.
 //!
 //! Purpose: [`KeyFile`] reads and changes `keys.json` in a server's folder, while the server runs or not.
-//! Invariant: the file is written whole under another name and renamed, readable by its user alone; two changes at once lose
-//! nothing. A file that is not there is a set without keys. Must not know: what keys are for.
+//! Invariant: the file is written completely under another name and renamed, readable by its user alone; concurrent changes
+//! are not lost. A missing file is an empty set.
+//! Must not know: the use of keys.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
@@ -44,7 +45,7 @@ impl KeyFile {
         self.folder.join(NAME)
     }
 
-    /// What tells a changed file.
+    /// Identifies a version of the file.
     pub fn stamp(&self) -> Stamp {
         let Ok(found) = fs::metadata(self.path()) else { return Stamp::default() };
         #[cfg(unix)]
@@ -85,7 +86,7 @@ impl KeyFile {
     /// Changes the keys, unless `change` fails.
     ///
     /// # Errors
-    /// `Io`, `Damaged`, those of `change`.
+    /// `Io`, `Damaged`, and the errors of `change`.
     pub fn change<R>(&self, change: impl FnOnce(&mut KeySet) -> Result<R, KeysError>) -> Result<R, KeysError> {
         let io = |action: &'static str, path: &Path| {
             let path = path.to_owned();
@@ -95,7 +96,7 @@ impl KeyFile {
         let path = self.folder.join(LOCK);
         let mut options = OpenOptions::new();
         let lock = private(options.write(true).create(true).truncate(false)).open(&path).map_err(io("make", &path))?;
-        // Another command is done in a moment. Given back when the file is closed, however that comes.
+        // Other commands hold the lock briefly. It is released when the file is closed.
         lock.lock().map_err(io("lock", &path))?;
         let mut set = self.read()?;
         let changed = change(&mut set)?;
@@ -106,7 +107,7 @@ impl KeyFile {
     }
 
     fn write(&self, next: &Path, bytes: &[u8]) -> std::io::Result<()> {
-        // What a command left that was cut short.
+        // A remainder of an interrupted command.
         match fs::remove_file(next) {
             Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
             _ => {}

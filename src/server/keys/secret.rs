@@ -1,8 +1,9 @@
 //! A key as its owner has it: `tsr_ID_SECRET`.
 //!
-//! Purpose: [`Secret`] is made at random or parsed; [`Hash`] is what is kept of it.
-//! Invariant: a secret has 256 bits of the system's generator, and is shown by [`Secret::reveal`] alone. Hashes are compared
-//! in constant time, and comparing with the hash of no key costs the same work. Must not know: names, roles, files.
+//! Purpose: [`Secret`] is generated or parsed; [`Hash`] is its stored form.
+//! Invariant: a secret has 256 bits of the system's generator, and only [`Secret::reveal`] shows it. Hashes are compared in
+//! constant time, and comparing with the hash of no key costs the same work.
+//! Must not know: names, roles, files.
 
 use std::fmt;
 
@@ -54,7 +55,7 @@ impl Secret {
         Ok(Self { text: format!("{PREFIX}{id}_{}", hex(secret)) })
     }
 
-    /// Reads one. Nothing is said of why a text is none.
+    /// Parses a secret. Invalid text gives no reason.
     pub fn parse(text: &str) -> Option<Self> {
         let (id, secret) = text.strip_prefix(PREFIX)?.split_once('_')?;
         let is_hex = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
@@ -62,17 +63,17 @@ impl Secret {
         is_good.then(|| Self { text: text.to_owned() })
     }
 
-    /// By which it is found. No secret.
+    /// The identifier, which is no secret.
     pub fn id(&self) -> &str {
         self.text.get(PREFIX.len()..PREFIX.len() + ID_LETTERS).unwrap_or_default()
     }
 
-    /// All of it. For its owner, once, and for the server that it is sent to.
+    /// The full text: for its owner, once, and for the server.
     pub fn reveal(&self) -> &str {
         &self.text
     }
 
-    /// What is kept of it.
+    /// The stored form.
     pub fn hash(&self) -> Hash {
         #[cfg(test)]
         work::add();
@@ -98,7 +99,7 @@ impl Hash {
     }
 }
 
-/// A hash is no secret, and nobody's business.
+/// Hashes are not printed.
 impl fmt::Debug for Hash {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Hash(..)")
@@ -132,7 +133,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Counts what a check costs, for tests.
+/// Counts the cost of checks, for tests.
 #[cfg(test)]
 pub(crate) mod work {
     use std::cell::Cell;

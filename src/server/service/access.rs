@@ -7,6 +7,7 @@
 //! Must not know: messages, connections, what a tenant has.
 
 mod held;
+mod hosts;
 mod methods;
 mod table;
 
@@ -16,6 +17,7 @@ use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 use std::time::Duration;
 
 use governor::{DefaultDirectRateLimiter, Quota};
+use tokio::net::TcpListener;
 use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::Service as _;
@@ -40,7 +42,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 const LOG_EVERY: Duration = Duration::from_secs(5);
 
 /// What is decided once for a server.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AccessOptions {
     /// Whether a call needs a key.
     pub require_keys: bool,
@@ -48,17 +50,23 @@ pub struct AccessOptions {
     pub reflection: bool,
     /// Whether health needs a key too, where calls do.
     pub health_needs_key: bool,
+    /// Hosts of requests, besides this machine, that a server without keys on loopback answers.
+    pub hosts: Vec<String>,
 }
 
 impl Default for AccessOptions {
     fn default() -> Self {
-        Self { require_keys: false, reflection: true, health_needs_key: false }
+        Self { require_keys: false, reflection: true, health_needs_key: false, hosts: Vec::new() }
     }
 }
 
 /// See the module's head. Clones share one table.
 #[derive(Clone)]
-pub struct Access(Arc<Shared>);
+pub struct Access {
+    shared: Arc<Shared>,
+    /// Whether requests come by a loopback address alone.
+    is_local: bool,
+}
 
 struct Shared {
     options: AccessOptions,
@@ -69,7 +77,7 @@ struct Shared {
 
 impl fmt::Debug for Access {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Access").field("options", &self.0.options).finish_non_exhaustive()
+        f.debug_struct("Access").field("options", &self.shared.options).finish_non_exhaustive()
     }
 }
 
@@ -81,6 +89,16 @@ pub enum Refusal {
     Unauthenticated,
     #[error("this key may not do that; it needs the role {0}")]
     Role(Role),
+    #[error(
+        "this server needs no key, so it answers requests to localhost alone; name it so, add this host with --allow-host, \
+         or require keys (--require-keys)"
+    )]
+    Host,
+    #[error(
+        "this server needs no key, so it answers no page of another site; add the site's host with --allow-host, or require \
+         keys (--require-keys)"
+    )]
+    Origin,
     #[error("this key is its own tenant's; leave out {TENANT}")]
     Tenant,
     #[error("{TENANT} is no name, or is there twice: take 1 to 128 printable ASCII characters without spaces, once")]
@@ -141,22 +159,28 @@ impl Access {
         // A pause that is not 0 is a quota.
         let quota = Quota::with_period(LOG_EVERY).unwrap_or(Quota::per_second(std::num::NonZeroU32::MIN));
         let log = DefaultDirectRateLimiter::direct(quota);
-        Self(Arc::new(Shared { options, file, table: RwLock::new(table), log }))
+        Self { shared: Arc::new(Shared { options, file, table: RwLock::new(table), log }), is_local: false }
     }
 
-    /// What was decided.
-    pub fn options(&self) -> AccessOptions {
-        self.0.options
+    /// The same for the requests of one listener.
+    pub fn of(&self, listener: &TcpListener) -> Self {
+        let is_local = listener.local_addr().is_ok_and(|address| address.ip().to_canonical().is_loopback());
+        Self { shared: Arc::clone(&self.shared), is_local }
+    }
+
+    /// The options.
+    pub fn options(&self) -> &AccessOptions {
+        &self.shared.options
     }
 
     fn table(&self) -> RwLockReadGuard<'_, Table> {
-        self.0.table.read().unwrap_or_else(PoisonError::into_inner)
+        self.shared.table.read().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Follows the file of the keys until what this gives is dropped. Weights of tenants go to `weights`.
     pub fn follow(&self, weights: Weights) -> Following {
         weights.set(self.table().weights());
-        let Some(file) = self.0.file.clone() else { return Following(None) };
+        let Some(file) = self.shared.file.clone() else { return Following(None) };
         let access = self.clone();
         Following(Some(tokio::spawn(async move {
             let mut hangups = Hangups::new();
@@ -184,7 +208,7 @@ impl Access {
             Ok(Some((stamp, Ok(set)))) => {
                 *seen = Some(stamp);
                 *complaint = None;
-                let mut table = self.0.table.write().unwrap_or_else(PoisonError::into_inner);
+                let mut table = self.shared.table.write().unwrap_or_else(PoisonError::into_inner);
                 if table.differs(&set) {
                     *table = table.next(&set);
                     tracing::info!(keys = set.keys().len(), "the keys have changed");
@@ -213,19 +237,26 @@ impl Access {
         entered.inspect_err(|refusal| self.note(*refusal, request.uri().path()))
     }
 
+    /// Refuses requests that come from the pages of other sites, where no key is needed.
+    pub fn check_host<B>(&self, request: &Request<B>) -> Result<(), Refusal> {
+        let options = &self.shared.options;
+        if self.is_local && !options.require_keys { hosts::check(request, &options.hosts) } else { Ok(()) }
+    }
+
     /// Looks at a request. Gives who calls, unless nobody needs to know.
     fn enter<B>(&self, request: &mut Request<B>, needs: Option<Needs>) -> Result<Option<Pass>, Refusal> {
         let presented = presented(request.headers());
         // Nobody behind this needs it.
         request.headers_mut().remove(header::AUTHORIZATION);
         let named = tenant(request.headers())?;
-        let options = &self.0.options;
+        let options = &self.shared.options;
         let Some(secret) = presented? else {
             let is_probe = needs == Some(Needs::Health) && !options.health_needs_key;
             // Whoever has no key cannot be somebody who has one.
             if (options.require_keys && !is_probe) || named.is_some_and(|name| self.table().has(&name)) {
                 return Err(Refusal::Unauthenticated);
             }
+            self.check_host(request)?;
             return needs.map(|_| None).ok_or(Refusal::Unknown);
         };
         let pass = self.table().find(&secret, now()).ok_or(Refusal::Unauthenticated)?;
@@ -250,7 +281,7 @@ impl Access {
 
     /// Says now and then that keys are refused.
     fn note(&self, refusal: Refusal, path: &str) {
-        if refusal == Refusal::Unauthenticated && self.0.log.check().is_ok() {
+        if refusal == Refusal::Unauthenticated && self.shared.log.check().is_ok() {
             tracing::warn!(path, "refused calls without a good key");
         } else {
             tracing::debug!(path, reason = %refusal, "refused a call");

@@ -158,7 +158,9 @@ fn of_refusal(refusal: Refusal) -> Fault {
     match refusal {
         // No details: nobody is told what of a key is wrong.
         Refusal::Unauthenticated => Fault::new(Kind::Unauthenticated, text),
-        Refusal::Role(_) | Refusal::Tenant => Fault::new(Kind::PermissionDenied, text),
+        Refusal::Role(_) | Refusal::Tenant | Refusal::Host | Refusal::Origin => {
+            Fault::new(Kind::PermissionDenied, text)
+        }
         Refusal::TenantName => invalid(text.clone(), TENANT.to_owned(), text),
         Refusal::Unknown => Fault::new(Kind::Unimplemented, text),
         Refusal::Rate { wait, .. } => quota("rate", wait),

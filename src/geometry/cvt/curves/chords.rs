@@ -12,14 +12,15 @@ use rayon::prelude::*;
 
 use crate::token::{Stopped, Token};
 
-/// A chord that leaves the curve by this share of the target length
+/// Deviation of a chord from its curve that costs [`DEVIATION_COST`], share of the target length.
 pub(super) const TOLERANCE: f64 = 0.095;
-/// costs as much as this; the cost of length is the square of the logarithm of its share.
+/// Cost of a chord that deviates by [`TOLERANCE`]. The cost of its length is the squared logarithm of its share of the
+/// target length.
 const DEVIATION_COST: f64 = 0.3;
-/// Chords are at least and at most so many target lengths long.
+/// Shortest and longest chord, target lengths.
 const MIN_CHORD: f64 = 0.5;
 const MAX_CHORD: f64 = 1.5;
-/// A curve is no longer than so many of its chords; what zigzags more is cut there anyway.
+/// Longest curve between the ends of a chord, as a multiple of the chord. A curve that zigzags more is cut there.
 const MAX_DETOUR: f64 = 2.5;
 
 /// A curve by points in order; a closed one repeats its first point at the end.

@@ -17,11 +17,11 @@ use crate::token::{Stopped, Token};
 const LLOYD_STEPS: usize = 20;
 /// Points at which the density is sampled on each edge of a curve.
 const SAMPLES_PER_EDGE: usize = 4;
-/// Where a curve bends, its seeds come closer together, until a chord leaves it by at most this share of h,
+/// Seeds come closer together at a bend until a chord leaves the curve by at most this share of h.
 const SAGITTA: f64 = 0.035;
-/// but not closer than this share of h.
+/// Least distance of seeds at a bend, share of h.
 const MIN_SPACING: f64 = 0.6;
-/// A deviation of a chord counts for so much of a difference in length.
+/// Weight of a chord's deviation beside a difference in length.
 const DEVIATION_WEIGHT: f64 = 15.0;
 const KINK_PASSES: usize = 4;
 /// Points of a running mean on either side.
@@ -330,7 +330,7 @@ fn integrals((s, a): (f64, f64), (t, b): (f64, f64)) -> [f64; 2] {
     [0.5 * (a + b) * width, width / 6.0 * (a * (2.0 * s + t) + b * (s + 2.0 * t))]
 }
 
-/// y at x, both lists ascending.
+/// Linear interpolation of `ys` at `x`; `xs` and `ys` ascend.
 fn interpolate(xs: &[f64], ys: &[f64], x: f64) -> f64 {
     let k = xs.partition_point(|&a| a <= x).clamp(1, xs.len() - 1);
     let width = xs[k] - xs[k - 1];

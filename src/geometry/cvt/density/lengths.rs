@@ -45,9 +45,9 @@ pub(super) fn adapt(field: &mut SizeField, median: f64, options: &DensityOptions
 /// size tends to nothing. With this bound the mean distance from the surface is 7 and 16 % less by feature size (bunny with
 /// 10,000 points and nefertiti with 50,000). Sheets that are close together count whatever they are made of.
 pub(super) struct Least {
-    /// The least length at each vertex,
+    /// Least length at each vertex.
     pub(super) edge: Vec<f64>,
-    /// unless these ask for less, once they are scaled as the field is.
+    /// Lengths between close sheets. They are scaled as the field is, and may be shorter than `edge`.
     pub(super) sheets: Option<SizeField>,
 }
 
@@ -72,11 +72,13 @@ const STEEPEST: f64 = 0.5;
 /// A surface has noise if it is more than this share of the area: of lengths that are drawn by themselves at each vertex it is a
 /// quarter.
 const NOISE: f64 = 0.02;
-/// Once there is noise, lengths are evened out until no more than this share of the area
+/// Smoothing of noisy lengths ends when the lengths of no more than this share of the area are steeper than
+/// [`STEEPEST_LEFT`].
 const NOISE_LEFT: f64 = 0.005;
-/// changes by more than this. On a torus of 6,000 facets with lengths of 100 : 1, 1,000 points take a tenth of the time then.
+/// Steepest change of length that smoothing may leave. On a torus of 6,000 facets with lengths of 100 : 1, the limit makes
+/// 1,000 points take a tenth of the time.
 const STEEPEST_LEFT: f64 = 0.3;
-/// Rounds in which lengths are evened out, at most. What is left is looked at after 1, 2, 4, ... of them.
+/// Smoothing rounds, at most. The rest is measured after 1, 2, 4, ... rounds.
 const SMOOTHING_ROUNDS: usize = 64;
 
 /// [`bounded`], after lengths that are noise are evened out, as long as there is any; with the share of the area that was noise,

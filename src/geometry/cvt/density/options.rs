@@ -15,12 +15,12 @@ pub enum DensitySource {
     /// A target edge length per mesh vertex, caller's units, finite and above 0; linear in each facet. They are
     /// kept if the points are [`Count::Implied`]; with another count only their ratios are.
     Sizes(Vec<f64>),
-    /// h ∝ κ^(-1/2), κ the larger principal curvature, so that all edges depart from the surface by about
-    /// the same: an edge of length h by h²κ/8. Edges are no shorter than the mesh's own, or than half of those of as many
-    /// even points where its own are longer: there is no more of the surface to see.
+    /// Length by curvature: h ∝ κ^(-1/2), where κ is the larger principal curvature. All edges then deviate from the surface
+    /// by about the same: an edge of length h by h²κ/8. Edges are no shorter than those of the mesh. Where the edges of the
+    /// mesh are longer than those of as many evenly spaced points, the limit is half of the latter.
     Curvature,
-    /// h ∝ the distance to the medial axis: fine where the surface is thin, hollow or sharp. Edges are as short as with
-    /// curvature, or shorter where two sheets are so close.
+    /// Length by local feature size: h ∝ the distance to the medial axis. Edges are short where the surface is thin, hollow
+    /// or sharp. They are as short as by curvature, or shorter between close sheets.
     FeatureSize,
 }
 

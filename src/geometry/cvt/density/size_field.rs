@@ -204,7 +204,7 @@ fn mean_inverse(a: f64, b: f64) -> f64 {
     log_ratio((b - a) / a) / a
 }
 
-/// ln(1 + x)/x, 1 at 0.
+/// `ln(1 + x) / x`, and 1 at 0.
 fn log_ratio(x: f64) -> f64 {
     if x > 0.0 { x.ln_1p() / x } else { 1.0 }
 }

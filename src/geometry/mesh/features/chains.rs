@@ -12,7 +12,7 @@ use super::graph::Graph;
 use super::{Curve, CurveKind, Metric, edge};
 use crate::token::{Stopped, Token};
 
-/// Edges at an end of a curve whose mean angle is [`Curve::ends_deg`].
+/// Number of edges at the end of a curve that [`Curve::ends_deg`] averages.
 const END_EDGES: usize = 3;
 /// A curve has a corner where it turns by more than this, degrees.
 const CORNER_ANGLE: f64 = 60.0;

@@ -19,20 +19,20 @@ use crate::token::{Stopped, Token};
 /// Which corners are merged. Lengths are multiplied by [`super::FeatureOptions::resolution`].
 #[derive(Clone, Copy)]
 pub(super) struct CornerMerge {
-    /// Corners whose curve is shorter than this may become one,
+    /// Corners whose curve is shorter than this may be merged.
     pub(super) length: f64,
-    /// if chords that reach so far
+    /// Length of the chords that decide whether corners are merged.
     pub(super) reach: f64,
-    /// leave boundaries by at most this, and creases by [`CREASE_FACTOR`] times as much.
+    /// Largest deviation of such a chord from a boundary; [`CREASE_FACTOR`] times as much from a crease.
     pub(super) off: f64,
 }
 
-/// A crease that ends a little beside where it was is still one, while a boundary is all that there is to see of a hole.
+/// Factor for creases: a crease may end slightly beside its old end, while a boundary is the only trace of a hole.
 const CREASE_FACTOR: f64 = 2.0;
-/// A loop is at least so many times as long as chords.
+/// Least length of a loop, in chords.
 const MIN_LOOP: f64 = 3.0;
 
-/// The curves, those at each corner, and how long things are.
+/// The curves, the curves at each corner, and all lengths.
 struct Merger<'a> {
     curves: &'a mut [Curve],
     /// Empty for one that has become part of others.
@@ -166,7 +166,7 @@ impl Merger<'_> {
         self.metric.at(vertex(last))
     }
 
-    /// Whether a chain is at least so long; stops where it is.
+    /// Whether a chain has at least the length `least`; stops as soon as it does.
     fn is_as_long_as(&self, chain: &[u32], least: f64) -> bool {
         let mut length = 0.0;
         let mut parts = chain.windows(2).map(|p| self.metric.edge(p[0], p[1]));
@@ -230,7 +230,7 @@ mod tests {
         let positions = [at(-2.0, 0.0), at(0.0, 0.0), at(0.0, 0.3), at(2.0, 0.3)];
         let curves = [[0, 1], [1, 2], [2, 3]].map(|ends| curve(Boundary, &ends)).to_vec();
         assert_eq!(merged(&positions, curves.clone()).0, curves);
-        // A low one goes.
+        // A low corner is removed.
         let positions = [at(-2.0, 0.0), at(0.0, 0.0), at(0.0, 0.05), at(2.0, 0.05)];
         let (curves, corners) = merged(&positions, curves);
         assert_eq!((curves.len(), corners.len()), (2, 3));

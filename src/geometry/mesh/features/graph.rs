@@ -1,4 +1,4 @@
-//! The graph of feature edges, and what of it is too short to be kept.
+//! The graph of feature edges, without its short parts.
 //!
 //! Purpose: [`Graph`] holds the edges with their kind and angle; [`Graph::prune`] removes creases with free ends, short networks
 //! and tangles.
@@ -9,9 +9,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::{CurveKind, Edge, Metric, edge};
 use crate::token::{Stopped, Token};
 
-/// A network is a tangle if its curves are on average shorter than this share of the shortest crease,
+/// A network is a tangle if its curves are on average shorter than this share of the shortest crease.
 const TANGLED_SHARE: f64 = 0.5;
-/// or than this share if most of it is sharp: such edges are intended, and short only compared with the remesh.
+/// The share that replaces [`TANGLED_SHARE`] if most of the network is sharp: sharp edges are intended, and short only
+/// compared with the remesh.
 const TANGLED_SHARP_SHARE: f64 = 0.15;
 /// Smaller angles, degrees, count as creases only if the caller asks for them. If they make a network a tangle, they alone are
 /// removed.
@@ -26,7 +27,7 @@ pub(super) struct Graph {
     pub(super) edges: BTreeMap<Edge, EdgeInfo>,
 }
 
-/// What is known of a feature edge.
+/// Data of a feature edge.
 #[derive(Clone, Copy)]
 pub(super) struct EdgeInfo {
     pub(super) kind: CurveKind,
@@ -99,7 +100,7 @@ impl Graph {
                     loose.push((length, chain));
                 }
             }
-            // The shortest first, one at a time where they meet: what remains at a junction may be one long curve.
+            // The shortest first, one at a time at a junction: the rest there may be one long curve.
             loose.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)));
             let mut touched = BTreeSet::new();
             let mut removed = 0;

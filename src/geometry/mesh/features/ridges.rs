@@ -1,10 +1,11 @@
 //! Ridges: edges below the crease angle that continue a crease.
 //!
-//! Purpose: a crease may fade, or end in a ridge of about twenty degrees, which is as visible in a remesh. A ridge differs from
-//! the facets of a rounding by its smooth surroundings: within a few edges of the remesh, no edge beside it has nearly its
-//! angle. Two thresholds, the lower one for what continues an edge above the higher one, are those of Canny's edge detector
-//! (1986, section VI).
-//! Invariant: depends on the mesh alone. Must not know: seeds, diagrams.
+//! Purpose: a crease may fade, or end in a ridge of about twenty degrees, which is as visible in a remesh. A ridge differs
+//! from the facets of a rounding by its smooth surroundings: within a few edges of the remesh, no edge beside it has nearly
+//! its angle. As in Canny's edge detector (1986, section VI), there are two thresholds: an edge above the lower one counts
+//! if it continues an edge above the higher one.
+//! Invariant: depends on the mesh alone.
+//! Must not know: seeds, diagrams.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -14,9 +15,9 @@ use crate::mesh::TriMesh;
 use crate::mesh::adjacency::{Adjacency, EdgeKind};
 use crate::token::{Stopped, Token};
 
-/// The dihedral angle of a ridge is at least this share of the crease angle,
+/// Least dihedral angle of a ridge, share of the crease angle.
 const RIDGE_ANGLE_SHARE: f64 = 0.5;
-/// and that of edges beside it at most this share of its own.
+/// Largest dihedral angle of an edge beside a ridge, share of the ridge's own.
 const NEIGHBOUR_ANGLE_SHARE: f64 = 0.55;
 /// A ridge that continues a crease from its free end is at least this share of the clearance long, other ridges all of it.
 const MIN_CONTINUATION: f64 = 0.6;
@@ -30,7 +31,7 @@ pub(super) struct DihedralAngles<'a> {
     mesh: &'a TriMesh,
     metric: Metric<'a>,
     adjacency: &'a Adjacency,
-    /// Of each edge, by the lower one of its half-edges; no number where there is none.
+    /// Angle of each edge, by its lower half-edge; NaN without an edge.
     degrees: Vec<f64>,
 }
 
@@ -66,7 +67,7 @@ impl<'a> DihedralAngles<'a> {
     fn measure(&self, half: usize) -> Option<f64> {
         let kind = self.adjacency.kind(half);
         let other = self.adjacency.opposite(half)?;
-        // A facet without area has no normal, and says nothing of a angle.
+        // A facet without area has no normal, and so no angle.
         let turned = match kind {
             EdgeKind::Manifold => 1.0,
             EdgeKind::Inconsistent => -1.0,
@@ -135,8 +136,8 @@ impl<'a> DihedralAngles<'a> {
         Ok(found)
     }
 
-    /// Puts ridges into a graph of creases: chains between two places where there are creases, such as go on
-    /// from the free end of one, and others that are at least `min_length` long.
+    /// Adds ridges to a graph of creases: chains between two creases, chains from the free end of one, and other chains of
+    /// at least `min_length`.
     pub(super) fn add_ridges(
         &self,
         graph: &mut Graph,

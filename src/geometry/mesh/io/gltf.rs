@@ -1,4 +1,4 @@
-//! glTF 2.0: `.glb`, and `.gltf` with its data inside. Writes single precision, as the format says.
+//! The format glTF 2.0: `.glb`, and `.gltf` with its data inside. Writes single precision.
 //!
 //! Purpose: the triangles, strips and fans of all nodes of the scene, in their places, with normals, texture coordinates and
 //! colours of vertices. A glTF has a vertex once for each normal and each place in the texture: vertices of a primitive with the
@@ -7,16 +7,20 @@
 //! Why the reading is our own, over `serde_json`: in the crate `gltf` (1.4.1, of 2024) an accessor with a stride below its
 //! elements' size, or with indices that are fractions, panics in release builds, a count of 0 or 2⁶² in debug builds; and its
 //! documents hold the places of nodes in single precision, which tears scenes far from the origin.
-//! Invariant: what is made of the file's bytes is bounded ([`super::UNPACKED_RATIO`]), however often nodes name a mesh.
-//! Must not know: other formats.
+//! Invariant: what is made of the file's bytes is bounded ([`super::UNPACKED_RATIO`]), however often nodes name a mesh; the JSON
+//! becomes lists of numbers that are bounded by its length ([`document`]). Must not know: other formats.
 
+mod document;
+
+use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use glam::{DMat4, DQuat, DVec2, DVec3};
-use serde::Deserialize;
+use glam::{DMat4, DVec2, DVec3};
+use rayon::prelude::*;
 
+use self::document::{Accessor, Document, Primitive, Text};
 use super::held::{By, Held, Holds, eight_bit};
 use super::numbers::{Kind, Order};
 use super::single;
@@ -50,93 +54,6 @@ const MAGIC: &[u8] = b"glTF";
 const JSON: u32 = 0x4e4f_534a;
 const BIN: u32 = 0x004e_4942;
 
-#[derive(Deserialize, Default)]
-#[serde(default, rename_all = "camelCase")]
-struct Root {
-    scene: usize,
-    scenes: Vec<Scene>,
-    nodes: Vec<Node>,
-    meshes: Vec<Mesh>,
-    accessors: Vec<Accessor>,
-    buffer_views: Vec<View>,
-    buffers: Vec<Buffer>,
-    extensions_required: Vec<String>,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(default)]
-struct Scene {
-    nodes: Vec<usize>,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(default)]
-struct Node {
-    children: Vec<usize>,
-    mesh: Option<usize>,
-    matrix: Option<[f64; 16]>,
-    translation: Option<[f64; 3]>,
-    rotation: Option<[f64; 4]>,
-    scale: Option<[f64; 3]>,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(default)]
-struct Mesh {
-    primitives: Vec<Primitive>,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(default)]
-struct Primitive {
-    attributes: Names,
-    indices: Option<usize>,
-    mode: Option<u32>,
-}
-
-/// Accessors of a primitive's vertices.
-#[derive(Deserialize, Default)]
-#[serde(default, rename_all = "SCREAMING_SNAKE_CASE")]
-struct Names {
-    position: Option<usize>,
-    normal: Option<usize>,
-    #[serde(rename = "TEXCOORD_0")]
-    texture: Option<usize>,
-    #[serde(rename = "COLOR_0")]
-    colour: Option<usize>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct Accessor {
-    buffer_view: Option<usize>,
-    #[serde(default)]
-    byte_offset: usize,
-    component_type: u32,
-    #[serde(default)]
-    normalized: bool,
-    count: usize,
-    #[serde(rename = "type")]
-    shape: String,
-    sparse: Option<serde::de::IgnoredAny>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct View {
-    buffer: usize,
-    #[serde(default)]
-    byte_offset: usize,
-    byte_length: usize,
-    byte_stride: Option<usize>,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(default)]
-struct Buffer {
-    uri: Option<String>,
-}
-
 fn decode_binary(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     let (json, binary) = parts(bytes)?;
     surface(json, binary, bytes.len(), wanted)
@@ -148,55 +65,42 @@ fn decode_text(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
 
 /// What the nodes say that they have: no number of an accessor is read.
 fn counts(json: &[u8], binary: Option<&[u8]>, length: usize) -> Option<Counts> {
-    let root = root(json).ok()?;
+    let document = Document::read(json).ok()?;
+    // Buffers are decoded from base64.
+    let decoded = document.buffers.iter().filter_map(|buffer| buffer.uri.as_ref()).map(|Text(uri)| uri.len() / 4 * 3);
+    let read = document.bytes().saturating_add(decoded.sum());
     let mut counts = Counts::default();
     let most = unpacked_limit(length) as u64;
     // An element has a byte at the least.
     let there = (json.len() + binary.map_or(0, <[u8]>::len)) as u64;
     let count = |accessor: usize| {
-        root.accessors.get(accessor).map(|a| a.count as u64).filter(|count| (1..=there).contains(count))
+        document.accessors.get(accessor).map(|a| a.count as u64).filter(|count| (1..=there).contains(count))
     };
-    nodes(&root, length, |primitive, _| {
-        let names = &primitive.attributes;
-        let (mode @ 4..=6, Some(position)) = (primitive.mode.unwrap_or(4), names.position) else { return Ok(()) };
+    nodes(&document, length, |primitive, _| {
+        let (4..=6, Some(position)) = (primitive.mode, primitive.position()) else { return Ok(()) };
         let vertices = count(position).ok_or(DataError::Empty)?;
-        let corners = primitive.indices.map_or(Some(vertices), count).ok_or(DataError::Empty)?;
-        let facets = if mode == 4 { corners / 3 } else { corners.saturating_sub(2) };
+        let corners = primitive.indices().map_or(Some(vertices), count).ok_or(DataError::Empty)?;
+        let facets = if primitive.mode == 4 { corners / 3 } else { corners.saturating_sub(2) };
         counts.vertices += vertices;
         counts.facets += facets;
-        // Numbers of vertices and corners, as they are read, and what corners carry.
-        let numbers = [(names.position, 3), (names.normal, 3), (names.texture, 2), (names.colour, 4)];
-        let numbers = numbers.iter().filter(|(name, _)| name.is_some()).map(|(_, n)| n).sum::<u64>();
-        counts.made_bytes += 8 * (numbers * vertices + corners) + 36 * facets;
+        // Numbers of vertices, as they are read and as they are kept, and of corners, and what corners carry.
+        let numbers = [(primitive.normal(), 3), (primitive.texture(), 2), (primitive.colour(), 4)];
+        let numbers = 3 + numbers.iter().filter(|(name, _)| name.is_some()).map(|(_, n)| n).sum::<u64>();
+        counts.made_bytes += (16 * numbers + 8) * vertices + 12 * corners + 48 * facets;
         // What reading refuses ends here too.
         if counts.made_bytes > most.saturating_mul(2) { Err(DataError::Empty) } else { Ok(()) }
     })
     .ok()?;
+    counts.made_bytes = counts.made_bytes.saturating_add(read as u64);
     Some(counts)
-}
-
-/// The document.
-fn root(json: &[u8]) -> Result<Root, DataError> {
-    let root: Root = serde_json::from_slice(json).map_err(|error| match error.is_eof() {
-        true => DataError::Truncated("its JSON is not whole".to_owned()),
-        false => {
-            let message: String = error.to_string().chars().filter(|c| !c.is_control()).take(200).collect();
-            DataError::Syntax { line: error.line().max(1), message }
-        }
-    })?;
-    if let Some(name) = root.extensions_required.iter().find(|name| name.contains("compression")) {
-        let name: String = name.chars().filter(|c| !c.is_control()).take(60).collect();
-        return Err(DataError::Header(format!("it is packed with {name}, which is not read; export it without")));
-    }
-    Ok(root)
 }
 
 /// The surface of a file of so many bytes.
 fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> Result<Soup, DataError> {
-    let root = root(json)?;
-    let buffers = buffers(&root, binary)?;
+    let document = Document::read(json)?;
+    let buffers = buffers(&document, binary)?;
     let mut reader = Reader {
-        root: &root,
+        document: &document,
         buffers,
         left: unpacked_limit(length),
         wanted,
@@ -208,7 +112,7 @@ fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> R
         found: [false; 3],
         told: HashSet::new(),
     };
-    nodes(&root, length, |primitive, place| reader.primitive(primitive, place))?;
+    nodes(&document, length, |primitive, place| reader.primitive(primitive, place))?;
     Ok(reader.finish())
 }
 
@@ -246,13 +150,13 @@ fn parts(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), DataError> {
     Ok((json.ok_or_else(short)?, binary))
 }
 
-fn buffers<'a>(root: &Root, binary: Option<&'a [u8]>) -> Result<Vec<std::borrow::Cow<'a, [u8]>>, DataError> {
-    let buffer = |(index, buffer): (usize, &Buffer)| {
+fn buffers<'a>(document: &Document<'_>, binary: Option<&'a [u8]>) -> Result<Vec<Cow<'a, [u8]>>, DataError> {
+    let buffer = |(index, buffer): (usize, &document::Buffer<'_>)| {
         let wrong = |message: String| DataError::Element { element: "buffer", index, message };
         match &buffer.uri {
             None if index == 0 => Ok(binary.unwrap_or_default().into()),
             None => Err(wrong("it has no data".to_owned())),
-            Some(uri) if uri.starts_with("data:") => {
+            Some(Text(uri)) if uri.starts_with("data:") => {
                 let text = uri.split_once(";base64,").map(|(_, text)| text);
                 let text = text.ok_or_else(|| wrong("its data are not in base64".to_owned()))?;
                 Ok(STANDARD.decode(text).map_err(|error| wrong(error.to_string()))?.into())
@@ -260,41 +164,44 @@ fn buffers<'a>(root: &Root, binary: Option<&'a [u8]>) -> Result<Vec<std::borrow:
             Some(_) => Err(wrong("its data are in another file; export it as .glb".to_owned())),
         }
     };
-    root.buffers.iter().enumerate().map(buffer).collect()
+    document.buffers.iter().enumerate().map(buffer).collect()
 }
+
+/// Ancestors of a node with further children to visit, at most. A place takes 128 bytes.
+const DEEPEST: usize = 10_000;
 
 /// All primitives of the scene of a file of so many bytes, in their places.
 fn nodes(
-    root: &Root,
+    document: &Document<'_>,
     length: usize,
     mut visit: impl FnMut(&Primitive, DMat4) -> Result<(), DataError>,
 ) -> Result<(), DataError> {
     // Of primitives without triangles too, which take time and no memory.
     let mut left = length.saturating_mul(8).saturating_add(1 << 20);
-    let mut open: Vec<(usize, DMat4)> = match root.scenes.get(root.scene) {
-        Some(scene) => scene.nodes.iter().rev().map(|&node| (node, DMat4::IDENTITY)).collect(),
-        None => {
-            let mut is_child = vec![false; root.nodes.len()];
-            for &child in root.nodes.iter().flat_map(|node| &node.children) {
-                is_child.get_mut(child).into_iter().for_each(|is| *is = true);
-            }
-            (0..root.nodes.len()).rev().filter(|&n| !is_child[n]).map(|n| (n, DMat4::IDENTITY)).collect()
+    let roots = document.roots();
+    let mut open = vec![(roots.as_slice(), DMat4::IDENTITY)];
+    let mut seen = vec![false; document.nodes()];
+    while let Some((rest, parent)) = open.pop() {
+        let Some((&index, rest)) = rest.split_first() else { continue };
+        if !rest.is_empty() {
+            open.push((rest, parent));
         }
-    };
-    let mut seen = vec![false; root.nodes.len()];
-    while let Some((index, parent)) = open.pop() {
+        let index = index as usize;
         let wrong = |message: &str| DataError::Element { element: "node", index, message: message.to_owned() };
-        let node = root.nodes.get(index).ok_or_else(|| wrong("it is named, and there is none"))?;
-        if std::mem::replace(&mut seen[index], true) {
+        let seen = seen.get_mut(index).ok_or_else(|| wrong("it is named, and there is none"))?;
+        if std::mem::replace(seen, true) {
             return Err(wrong("it has two parents"));
         }
-        let place = parent * node.place();
-        if let Some(mesh) = node.mesh {
-            let mesh = root.meshes.get(mesh).ok_or_else(|| wrong("its mesh is not there"))?;
-            left = left.checked_sub(mesh.primitives.len()).ok_or_else(repeated)?;
-            mesh.primitives.iter().try_for_each(|primitive| visit(primitive, place))?;
+        let place = parent * document.place(index);
+        if let Some(mesh) = document.mesh(index) {
+            let primitives = document.primitives(mesh).ok_or_else(|| wrong("its mesh is not there"))?;
+            left = left.checked_sub(primitives.len()).ok_or_else(repeated)?;
+            primitives.iter().try_for_each(|primitive| visit(primitive, place))?;
         }
-        open.extend(node.children.iter().rev().map(|&child| (child, place)));
+        if open.len() > DEEPEST {
+            return Err(wrong("nodes are nested too deep; export the scene flat"));
+        }
+        open.push((document.children(index), place));
     }
     Ok(())
 }
@@ -304,8 +211,8 @@ fn repeated() -> DataError {
 }
 
 struct Reader<'a> {
-    root: &'a Root,
-    buffers: Vec<std::borrow::Cow<'a, [u8]>>,
+    document: &'a Document<'a>,
+    buffers: Vec<Cow<'a, [u8]>>,
     /// Bytes that may still be made.
     left: usize,
     wanted: bool,
@@ -323,27 +230,27 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     fn primitive(&mut self, primitive: &Primitive, place: DMat4) -> Result<(), DataError> {
-        let mode = primitive.mode.unwrap_or(4);
-        let names = &primitive.attributes;
-        let (4..=6, Some(position)) = (mode, names.position) else { return Ok(()) };
+        let mode = primitive.mode;
+        let (4..=6, Some(position)) = (mode, primitive.position()) else { return Ok(()) };
         let positions = self.numbers(position, 3)?;
         let count = positions.len() / 3;
-        let order: Vec<f64> = match primitive.indices {
-            Some(indices) => self.numbers(indices, 1)?,
+        let order: Option<Vec<u32>> = match primitive.indices() {
+            Some(indices) => {
+                let corner = |x: f64| (0.0..count as f64).contains(&x).then_some(x as u32);
+                self.numbers(indices, 1)?.into_iter().map(corner).collect()
+            }
             None => {
                 self.spend(count.saturating_mul(8))?;
-                (0..count).map(|i| i as f64).collect()
+                Some((0..count as u32).collect())
             }
         };
-        let corner = |&x: &f64| (0.0..count as f64).contains(&x).then_some(x as usize);
-        let order: Option<Vec<usize>> = order.iter().map(corner).collect();
         let order = order.ok_or_else(|| DataError::Element {
             element: "accessor",
-            index: primitive.indices.unwrap_or(position),
+            index: primitive.indices().unwrap_or(position),
             message: format!("a vertex is named, but there are {count} vertices, counted from 0"),
         })?;
         let mirrored = place.determinant() < 0.0;
-        let facets: Vec<[usize; 3]> = match mode {
+        let facets: Vec<[u32; 3]> = match mode {
             4 => order.as_chunks::<3>().0.to_vec(),
             5 => order
                 .windows(3)
@@ -357,9 +264,9 @@ impl Reader<'_> {
 
         // Read even if nobody wants them: colours part vertices, and all count against the bound.
         let [normals, texture, colours] = [
-            self.carried(names.normal, count, 3..=3),
-            self.carried(names.texture, count, 2..=2),
-            self.carried(names.colour, count, 3..=4),
+            self.carried(primitive.normal(), count, 3..=3),
+            self.carried(primitive.texture(), count, 2..=2),
+            self.carried(primitive.colour(), count, 3..=4),
         ];
         let colour_of = |colours: &Option<(Vec<f64>, usize)>, i: usize| match colours {
             Some((values, n)) => {
@@ -369,27 +276,22 @@ impl Reader<'_> {
             None => [1.0; 4],
         };
         let is_still = place == DMat4::IDENTITY;
-        let mut numbers: HashMap<[u64; 7], u32> = HashMap::new();
-        let vertices: Vec<u32> = (0..count)
-            .map(|i| {
-                let p = DVec3::from_slice(&positions[3 * i..]);
-                let colour = colour_of(&colours, i);
-                // Adding 0 makes -0 the same as 0.
-                let mut key = [0; 7];
-                key.iter_mut().zip(p.to_array().iter().chain(&colour)).for_each(|(k, x)| *k = (x + 0.0).to_bits());
-                let next = self.soup.positions.len() as u32;
-                let number = *numbers.entry(key).or_insert(next);
-                if number == next {
-                    self.soup.positions.push(if is_still { p } else { place.transform_point3(p) });
-                    if self.wanted {
-                        self.colours.push(colour);
-                    }
-                }
-                number
-            })
-            .collect();
-        let turned = |t: [usize; 3]| if mirrored { [t[0], t[2], t[1]] } else { t };
-        self.soup.facets.extend(facets.iter().map(|&t| turned(t).map(|i| vertices[i])));
+        let position = |i: usize| DVec3::from_slice(&positions[3 * i..]);
+        let firsts = firsts(count, |i| {
+            let mut key = [0; 7];
+            let numbers = position(i).to_array().into_iter().chain(colour_of(&colours, i));
+            key.iter_mut().zip(numbers).for_each(|(k, x)| *k = bits(x));
+            key
+        });
+        let soup = &mut self.soup;
+        let vertices = numbered(firsts, soup.positions.len(), |i| {
+            soup.positions.push(if is_still { position(i) } else { place.transform_point3(position(i)) });
+            if self.wanted {
+                self.colours.push(colour_of(&colours, i));
+            }
+        });
+        let turned = |t: [u32; 3]| if mirrored { [t[0], t[2], t[1]] } else { t };
+        self.soup.facets.extend(facets.iter().map(|&t| turned(t).map(|i| vertices[i as usize])));
         if !self.wanted {
             return Ok(());
         }
@@ -418,7 +320,7 @@ impl Reader<'_> {
         components: std::ops::RangeInclusive<usize>,
     ) -> Option<(Vec<f64>, usize)> {
         let index = accessor?;
-        let found = self.root.accessors.get(index);
+        let found = self.document.accessors.get(index);
         let n = found.map_or(0, Accessor::components);
         let read = if components.contains(&n) { self.numbers(index, n).ok() } else { None };
         let right = read.filter(|values| values.len() == n * count);
@@ -449,8 +351,8 @@ impl Reader<'_> {
     /// The numbers of an accessor, so many for each element.
     fn numbers(&mut self, index: usize, components: usize) -> Result<Vec<f64>, DataError> {
         let wrong = |message: &str| DataError::Element { element: "accessor", index, message: message.to_owned() };
-        let root = self.root;
-        let accessor = root.accessors.get(index).ok_or_else(|| wrong("it is named, and there is none"))?;
+        let document = self.document;
+        let accessor = document.accessors.get(index).ok_or_else(|| wrong("it is named, and there is none"))?;
         if accessor.components() != components {
             return Err(wrong("it is of another type than what it is used for"));
         }
@@ -466,7 +368,7 @@ impl Reader<'_> {
             5126 => Kind::F32,
             _ => return Err(wrong("its type of numbers is not known")),
         };
-        let view = accessor.buffer_view.and_then(|view| root.buffer_views.get(view));
+        let view = accessor.buffer_view.and_then(|view| document.views.get(view as usize));
         let view = view.ok_or_else(|| wrong("its buffer view is not there"))?;
         let size = kind.bytes() * components;
         let stride = view.byte_stride.unwrap_or(size);
@@ -475,7 +377,7 @@ impl Reader<'_> {
         }
         let length = stride.saturating_mul(accessor.count - 1).saturating_add(size);
         self.spend(accessor.count.saturating_mul(8 * components))?;
-        let buffer = self.buffers.get(view.buffer).ok_or_else(|| wrong("its buffer is not there"))?;
+        let buffer = self.buffers.get(view.buffer as usize).ok_or_else(|| wrong("its buffer is not there"))?;
         let slice = |from: &'_ [u8]| -> Option<Vec<f64>> {
             let view = from.get(view.byte_offset..)?.get(..view.byte_length)?;
             let data = view.get(accessor.byte_offset..)?.get(..length)?;
@@ -513,31 +415,55 @@ impl Reader<'_> {
 }
 
 /// Adds what vertices of a primitive have to the corners of its facets, each value once.
-fn add<T: Copy + Default + Bits>(
+fn add<T: Copy + Default + Bits + Sync>(
     to: &mut PerCorner<T>,
     values: Option<Vec<T>>,
-    facets: &[[usize; 3]],
-    turned: impl Fn([usize; 3]) -> [usize; 3],
+    facets: &[[u32; 3]],
+    turned: impl Fn([u32; 3]) -> [u32; 3],
 ) {
-    let first = to.values.len() as u32;
+    let first = to.values.len();
     let Some(values) = values else {
         to.values.push(T::default());
-        to.corners.extend(facets.iter().map(|_| [first; 3]));
+        to.corners.extend(facets.iter().map(|_| [first as u32; 3]));
         return;
     };
-    let mut numbers: HashMap<[u64; 3], u32> = HashMap::new();
-    let index: Vec<u32> = values
-        .iter()
-        .map(|&value| {
-            let next = to.values.len() as u32;
-            let number = *numbers.entry(value.bits()).or_insert(next);
-            if number == next {
-                to.values.push(value);
-            }
-            number
-        })
-        .collect();
-    to.corners.extend(facets.iter().map(|&t| turned(t).map(|i| index[i])));
+    let index = numbered(firsts(values.len(), |i| values[i].bits()), first, |i| to.values.push(values[i]));
+    to.corners.extend(facets.iter().map(|&t| turned(t).map(|i| index[i as usize])));
+}
+
+/// Of each of so many elements the first with the same key.
+fn firsts<K: Ord>(count: usize, key: impl Fn(usize) -> K + Sync) -> Vec<u32> {
+    let mut sorted: Vec<u32> = (0..count as u32).collect();
+    sorted.par_sort_unstable_by(|&a, &b| key(a as usize).cmp(&key(b as usize)).then(a.cmp(&b)));
+    let mut firsts = vec![0; count];
+    let mut first = 0;
+    for (k, &i) in sorted.iter().enumerate() {
+        if k == 0 || key(i as usize) != key(sorted[k - 1] as usize) {
+            first = i;
+        }
+        firsts[i as usize] = first;
+    }
+    firsts
+}
+
+/// Numbers elements from `next` on, the equal ones alike, and hands out the first of each.
+fn numbered(mut firsts: Vec<u32>, mut next: usize, mut new: impl FnMut(usize)) -> Vec<u32> {
+    for i in 0..firsts.len() {
+        let first = firsts[i] as usize;
+        firsts[i] = if first == i {
+            new(i);
+            next += 1;
+            next as u32 - 1
+        } else {
+            firsts[first]
+        };
+    }
+    firsts
+}
+
+/// Adding 0 makes -0 the same as 0.
+fn bits(x: f64) -> u64 {
+    (x + 0.0).to_bits()
 }
 
 trait Bits {
@@ -553,32 +479,6 @@ impl Bits for DVec3 {
 impl Bits for DVec2 {
     fn bits(self) -> [u64; 3] {
         [self.x.to_bits(), self.y.to_bits(), 0]
-    }
-}
-
-impl Accessor {
-    fn components(&self) -> usize {
-        match self.shape.as_str() {
-            "SCALAR" => 1,
-            "VEC2" => 2,
-            "VEC3" => 3,
-            "VEC4" => 4,
-            _ => 0,
-        }
-    }
-}
-
-impl Node {
-    fn place(&self) -> DMat4 {
-        if let Some(matrix) = &self.matrix {
-            return DMat4::from_cols_array(matrix);
-        }
-        let translation = self.translation.map_or(DVec3::ZERO, DVec3::from_array);
-        let rotation = self.rotation.map_or(DQuat::IDENTITY, DQuat::from_array);
-        let scale = self.scale.map_or(DVec3::ONE, DVec3::from_array);
-        let columns = DMat4::from_quat(rotation);
-        let turned = [columns.x_axis * scale.x, columns.y_axis * scale.y, columns.z_axis * scale.z];
-        DMat4::from_cols(turned[0], turned[1], turned[2], translation.extend(1.0))
     }
 }
 

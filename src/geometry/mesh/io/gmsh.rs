@@ -9,7 +9,7 @@ use glam::DVec3;
 
 use super::held::{By, Held, Holds};
 use super::numbers::{Cursor, Encoding, Kind, Order, cut, shown};
-use super::{Codec, DataError, Soup, VertexNumbers, counts_by_reading, volumes};
+use super::{Codec, Counts, DataError, Soup, VertexNumbers, volumes};
 use crate::mesh::TriMesh;
 use crate::mesh::attributes::Scalar;
 
@@ -18,7 +18,7 @@ pub(super) const CODEC: Codec = Codec {
     extension: "msh",
     decode,
     encode,
-    counts: |bytes| counts_by_reading(decode, bytes),
+    counts: |bytes| read(bytes, false, true).ok().map(|reader| reader.counts),
     holds: Holds { normals: By::None, texture: By::None, colours: false, opacity: false, scalars: true },
     vertices: VertexNumbers::Kept,
 };
@@ -27,12 +27,21 @@ pub(super) const CODEC: Codec = Codec {
 const NODE: usize = 28;
 
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+    let Reader { mut soup, volumes: count, .. } = read(bytes, wanted, false)?;
+    volumes(&mut soup, count, "mesh the surface alone (gmsh -2), or save its triangles too (Mesh.SaveAll)")?;
+    Ok(soup)
+}
+
+/// Reads all sections, or how much is in them if they are counted.
+fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<Reader<'_>, DataError> {
     let mut reader = Reader {
         cursor: Cursor::new(bytes),
         encoding: Encoding::Text,
         size: Kind::U64,
         is_4: false,
         wanted,
+        counted,
+        counts: Counts::default(),
         tags: Tags::default(),
         soup: Soup::default(),
         volumes: 0,
@@ -43,7 +52,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
     reader.format()?;
     while let Some(word) = reader.cursor.word() {
         match word {
-            b"$Nodes" if !reader.tags.given.is_empty() => {
+            b"$Nodes" if !reader.tags.given.is_empty() || reader.counts.vertices > 0 => {
                 return Err(reader.cursor.syntax("$Nodes is there twice; merge them"));
             }
             b"$Nodes" if reader.is_4 => reader.nodes_4()?,
@@ -65,9 +74,7 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
         }
         reader.end(word)?;
     }
-    let Reader { mut soup, volumes: count, .. } = reader;
-    volumes(&mut soup, count, "mesh the surface alone (gmsh -2), or save its triangles too (Mesh.SaveAll)")?;
-    Ok(soup)
+    Ok(reader)
 }
 
 /// The nodes of an element, and of them the corners of a face; 0 corners are a point or a line, `None` a volume.
@@ -153,6 +160,9 @@ struct Reader<'a> {
     size: Kind,
     is_4: bool,
     wanted: bool,
+    /// Whether nodes and elements are passed over and added up in `counts`.
+    counted: bool,
+    counts: Counts,
     tags: Tags,
     soup: Soup,
     volumes: usize,
@@ -217,6 +227,12 @@ impl Reader<'_> {
             return Err(DataError::Truncated(format!("{count} nodes are declared and {left} bytes follow")));
         }
         match encoding {
+            _ if self.counted => {
+                self.counts.vertices += count as u64;
+                // A node is its number and three coordinates.
+                let (words, kind) = if encoding == Encoding::Text { (4, Kind::F64) } else { (NODE, Kind::U8) };
+                self.cursor.lenient(count.saturating_mul(words), kind, encoding, "nodes", false)?;
+            }
             Encoding::Text => {
                 for _ in 0..count {
                     self.tags.given.push(self.cursor.parsed("a node's number")?);
@@ -248,9 +264,15 @@ impl Reader<'_> {
             self.int("an entity")?;
             let parametric = self.int("0 or 1")?;
             let count = self.size("a number of nodes")?;
+            let each = 3 + if parametric == 0 { 0 } else { usize::try_from(dimension).unwrap_or(0).min(3) };
+            if self.counted {
+                self.cursor.lenient(count, self.size, self.encoding, "nodes", false)?;
+                self.cursor.lenient(count.saturating_mul(each), Kind::F64, self.encoding, "nodes", false)?;
+                self.counts.vertices += count as u64;
+                continue;
+            }
             let tags = self.cursor.integers(count, self.size, self.encoding, "nodes")?;
             self.tags.given.extend(tags);
-            let each = 3 + if parametric == 0 { 0 } else { usize::try_from(dimension).unwrap_or(0).min(3) };
             let numbers = self.cursor.floats(count.saturating_mul(each), Kind::F64, self.encoding, "nodes")?;
             self.soup.positions.extend(numbers.chunks_exact(each).map(|p| DVec3::from_slice(&p[..3])));
         }
@@ -260,6 +282,13 @@ impl Reader<'_> {
     /// How many nodes elements of a type have.
     fn element(&self, kind: i64) -> Result<(usize, Option<usize>), DataError> {
         element(kind).ok_or_else(|| DataError::Header(format!("elements of type {kind} are not known")))
+    }
+
+    /// Counts elements, whose numbers these are, and passes over them.
+    fn count(&mut self, elements: usize, corners: Option<usize>, numbers: usize, kind: Kind) -> Result<(), DataError> {
+        self.cursor.lenient(numbers, kind, self.encoding, "elements", false)?;
+        self.counts.facets += elements as u64 * corners.map_or(0, |n| n.saturating_sub(2)) as u64;
+        Ok(())
     }
 
     fn push(&mut self, index: usize, corners: Option<usize>, nodes: &[i64]) -> Result<(), DataError> {
@@ -300,7 +329,13 @@ impl Reader<'_> {
             }
             let head = tags.saturating_add(usize::from(self.encoding != Encoding::Text));
             let each = head.saturating_add(nodes);
-            let numbers = self.cursor.integers(block.saturating_mul(each), Kind::I32, self.encoding, "elements")?;
+            let all = block.saturating_mul(each);
+            if self.counted {
+                self.count(block, corners, all, Kind::I32)?;
+                index = index.saturating_add(block);
+                continue;
+            }
+            let numbers = self.cursor.integers(all, Kind::I32, self.encoding, "elements")?;
             for record in numbers.chunks_exact(each) {
                 self.push(index, corners, &record[head..])?;
                 index += 1;
@@ -325,6 +360,10 @@ impl Reader<'_> {
             let count = self.size("a number of elements")?;
             let (nodes, corners) = self.element(kind)?;
             let all = count.saturating_mul(nodes + 1);
+            if self.counted {
+                self.count(count, corners, all, self.size)?;
+                continue;
+            }
             let numbers = self.cursor.integers(all, self.size, self.encoding, "elements")?;
             for record in numbers.chunks_exact(nodes + 1) {
                 self.push(index, corners, &record[1..])?;

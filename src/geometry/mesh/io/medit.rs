@@ -11,7 +11,7 @@ use glam::DVec3;
 
 use super::held::{By, Held, Holds};
 use super::numbers::{Cursor, Encoding, Kind, Order, cut, parse, shown};
-use super::{Codec, DataError, Soup, VertexNumbers, counts_by_reading, volumes};
+use super::{Codec, Counts, DataError, Soup, VertexNumbers, volumes};
 use crate::mesh::TriMesh;
 
 const NOTHING: Holds = Holds { normals: By::None, texture: By::None, colours: false, opacity: false, scalars: false };
@@ -21,7 +21,7 @@ pub(super) const TEXT: Codec = Codec {
     extension: "mesh",
     decode: decode_text,
     encode: encode_text,
-    counts: |bytes| counts_by_reading(decode_text, bytes),
+    counts: |bytes| read_text(bytes, true).ok().map(|reader| reader.counts),
     holds: NOTHING,
     vertices: VertexNumbers::Kept,
 };
@@ -31,7 +31,7 @@ pub(super) const BINARY: Codec = Codec {
     extension: "meshb",
     decode: decode_binary,
     encode: encode_binary,
-    counts: |bytes| counts_by_reading(decode_binary, bytes),
+    counts: |bytes| read_binary(bytes, true).ok().map(|reader| reader.counts),
     holds: NOTHING,
     vertices: VertexNumbers::Kept,
 };
@@ -48,19 +48,29 @@ const PYRAMIDS: i64 = 49;
 const END: i64 = 54;
 
 fn decode_text(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
-    let mut reader = Reader { cursor: Cursor::new(bytes), ..Reader::default() };
-    reader.text()?;
-    surface(reader)
+    surface(read_text(bytes, false)?)
 }
 
 fn decode_binary(bytes: &[u8], _wanted: bool) -> Result<Soup, DataError> {
-    let mut reader = Reader { cursor: Cursor::new(bytes), ..Reader::default() };
+    surface(read_binary(bytes, false)?)
+}
+
+/// Reads all lists, or their lengths alone if they are counted.
+fn read_text(bytes: &[u8], counted: bool) -> Result<Reader<'_>, DataError> {
+    let mut reader = Reader { cursor: Cursor::new(bytes), counted, ..Reader::default() };
+    reader.text()?;
+    Ok(reader)
+}
+
+/// As [`read_text`].
+fn read_binary(bytes: &[u8], counted: bool) -> Result<Reader<'_>, DataError> {
+    let mut reader = Reader { cursor: Cursor::new(bytes), counted, ..Reader::default() };
     match bytes.first_chunk::<4>() {
         Some([1, 0, 0, 0]) => reader.binary(Order::Little)?,
         Some([0, 0, 0, 1]) => reader.binary(Order::Big)?,
         _ => return Err(DataError::Header("it does not begin with a 1 of four bytes; name text .mesh".to_owned())),
     }
-    surface(reader)
+    Ok(reader)
 }
 
 fn surface(reader: Reader<'_>) -> Result<Soup, DataError> {
@@ -89,6 +99,9 @@ struct Reader<'a> {
     dimension: usize,
     float: Kind,
     int: Kind,
+    /// Whether lists are passed over and their lengths added up in `counts`.
+    counted: bool,
+    counts: Counts,
     soup: Soup,
     /// Corners of faces with the number of their part, and how many corners a face has.
     lists: Vec<(Vec<i64>, usize)>,
@@ -103,6 +116,8 @@ impl Default for Reader<'_> {
             dimension: 3,
             float: Kind::F64,
             int: Kind::I32,
+            counted: false,
+            counts: Counts::default(),
             soup: Soup::default(),
             lists: Vec::new(),
             volumes: 0,
@@ -128,6 +143,10 @@ impl<'a> Reader<'a> {
                 }
                 b"vertices" => {
                     let count = self.count(2 * self.dimension + 2)?;
+                    if self.counted {
+                        self.counts.vertices += count as u64;
+                        continue;
+                    }
                     for _ in 0..count {
                         let mut p = [0.0; 3];
                         for x in &mut p[..self.dimension] {
@@ -179,6 +198,10 @@ impl<'a> Reader<'a> {
 
     fn faces(&mut self, corners: usize) -> Result<(), DataError> {
         let count = self.count(2 * corners + 2)?;
+        if self.counted {
+            self.counts.facets += count as u64 * (corners as u64 - 2);
+            return Ok(());
+        }
         let list = (0..count * (corners + 1)).map(|_| self.number("a whole number"));
         let list = list.collect::<Result<_, _>>()?;
         self.lists.push((list, corners));
@@ -241,6 +264,10 @@ impl<'a> Reader<'a> {
                 let each = n * size + int.bytes();
                 let Encoding::Binary(order) = encoding else { return Ok(()) };
                 let records = self.cursor.take(count.saturating_mul(each)).ok_or_else(|| cut("vertices"))?;
+                if self.counted {
+                    self.counts.vertices += count as u64;
+                    return Ok(());
+                }
                 for record in records.chunks_exact(each) {
                     let numbers = self.float.floats(&record[..n * size], order);
                     self.soup.positions.push(DVec3::new(
@@ -254,6 +281,11 @@ impl<'a> Reader<'a> {
                 let corners = if keyword == TRIANGLES { 3 } else { 4 };
                 let count = self.cursor.count(int, encoding, "a number of faces")?;
                 let all = count.saturating_mul(corners + 1);
+                if self.counted {
+                    self.cursor.lenient(all, int, encoding, "faces", false)?;
+                    self.counts.facets += count as u64 * (corners as u64 - 2);
+                    return Ok(());
+                }
                 let list = self.cursor.integers(all, int, encoding, "faces")?;
                 self.lists.push((list, corners));
             }

@@ -171,6 +171,15 @@ impl<'a> Cursor<'a> {
         Err(DataError::Truncated(format!("{count} numbers of {what} are declared and {left} bytes follow")))
     }
 
+    /// So many words that are numbers, which are known to fit.
+    fn words<T: std::str::FromStr>(&mut self, count: usize, what: &str) -> Result<Vec<T>, DataError> {
+        let mut numbers = Vec::with_capacity(count);
+        for _ in 0..count {
+            numbers.push(self.parsed(what)?);
+        }
+        Ok(numbers)
+    }
+
     pub(super) fn floats(
         &mut self,
         count: usize,
@@ -180,7 +189,7 @@ impl<'a> Cursor<'a> {
     ) -> Result<Vec<f64>, DataError> {
         let bytes = self.check(count, kind, encoding, what)?;
         match encoding {
-            Encoding::Text => (0..count).map(|_| self.parsed("a number")).collect(),
+            Encoding::Text => self.words(count, "a number"),
             Encoding::Binary(order) => self.take(bytes).map(|b| kind.floats(b, order)).ok_or_else(|| cut(what)),
         }
     }
@@ -222,7 +231,7 @@ impl<'a> Cursor<'a> {
     ) -> Result<Vec<i64>, DataError> {
         let bytes = self.check(count, kind, encoding, what)?;
         match encoding {
-            Encoding::Text => (0..count).map(|_| self.parsed("a whole number")).collect(),
+            Encoding::Text => self.words(count, "a whole number"),
             Encoding::Binary(order) => self.take(bytes).map(|b| kind.integers(b, order)).ok_or_else(|| cut(what)),
         }
     }

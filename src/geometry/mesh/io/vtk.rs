@@ -169,6 +169,15 @@ impl Cell {
         }
     }
 
+    /// How many facets it has, with so many points.
+    fn facets(&self, points: usize) -> usize {
+        match self {
+            Self::Polygon | Self::Pixel | Self::Strip => points.saturating_sub(2),
+            Self::Corners(n) => points.min(*n).saturating_sub(2),
+            Self::Less | Self::Volume => 0,
+        }
+    }
+
     /// Adds its facets. Gives whether it is a volume, of which there are none.
     fn push(&self, soup: &mut Soup, points: &[i64], scratch: &mut Vec<i64>) -> Result<bool, String> {
         match self {

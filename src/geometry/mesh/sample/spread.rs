@@ -1,7 +1,8 @@
 //! Random points that every part of a surface has its share of.
 //!
 //! Purpose: a surface is cut into pieces of one mass along a curve that goes through all of it; each piece has one point.
-//! Invariant: as [`super`]'s. Must not know: what the points are for.
+//! Invariant: as [`super`]'s.
+//! Must not know: the use of the points.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -11,22 +12,20 @@ use crate::mesh::TriMesh;
 use crate::mesh::closest_point::SurfacePoint;
 use crate::mesh::morton;
 
-/// A facet with weights is quartered so often at least: within the parts they count as the same.
+/// Least number of times that a facet with weights is quartered: within the parts the weight counts as constant.
 const LEVELS: i32 = 3;
 /// And any facet until a part holds a fourth of a point, but no more often than this.
 const MOST_LEVELS: i32 = 20;
 const FINER: f64 = 4.0;
 
-/// `count` random points on `mesh` of the same density as [`super::sample`]'s, to within the quadrature of a facet's mass
-/// from four of its points, spread out: any part of the surface has its share of them to within a few, where independent
-/// points miss theirs by the root of their number. Such waves of the density are long, and what iterations that even out
-/// points take longest for.
+/// Draws `count` random points on `mesh` with the density of [`super::sample`], spread out: every part of the surface has
+/// its share to within a few points. Independent points miss it by the root of their number. Such errors are long waves of
+/// the density, which iterations remove last. A facet's mass is a quadrature at four of its points.
 ///
-/// The same `weights` as there. `regions` has a number for each facet (all the same if `None`): those of one number follow
-/// each other, so that each such region has its share to within one. Points come in the order of the curve: facets by their
-/// region and the Morton order of their middles, places
-/// in a facet by its quarters, the quarters of these and so on (Basu and Owen, *Low discrepancy constructions in the
-/// triangle*, SIAM J. Numer. Anal. 2015, section 3).
+/// `weights` is as in [`super::sample`]. `regions` has a number for each facet (all the same if `None`). Facets of one
+/// number follow each other, so that each region has its share to within one point. Points have the order of the curve:
+/// facets by their region and the Morton order of their middles, places in a facet by its quarters, the quarters of these
+/// and so on (Basu and Owen, *Low discrepancy constructions in the triangle*, SIAM J. Numer. Anal. 2015, section 3).
 pub fn spread(
     mesh: &TriMesh,
     weights: Option<&[f64]>,
@@ -54,7 +53,7 @@ const WHOLE: Part = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 /// A way through all of a surface.
 struct Curve<'a> {
     masses: &'a Masses<'a>,
-    /// Those with a mass.
+    /// Facets with a mass.
     facets: Vec<u32>,
     /// Running sums of their masses.
     sums: Vec<f64>,
@@ -106,7 +105,7 @@ impl<'a> Curve<'a> {
         self.masses.point(facet, barycentric)
     }
 
-    /// The part of a facet, of at least so many, in which this share of it ends.
+    /// The part of a facet, of at least `parts` parts, that contains this share of its mass.
     fn part(&self, facet: usize, mut rest: f64, parts: f64) -> Part {
         let weights = self.masses.weights(facet);
         let (least, mut part) = (if weights.is_some() { LEVELS } else { 0 }, WHOLE);

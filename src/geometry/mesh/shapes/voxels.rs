@@ -18,8 +18,8 @@ pub(super) fn block(facets: usize) -> TriMesh {
     surface([3, 2, 2], facets, |cell| cell != [0, 1, 1] && cell != [2, 0, 1])
 }
 
-/// The boundary of the cubes that `solid` names, each square divided so that about `facets`
-/// come out. No two cubes may touch in an edge or a corner alone.
+/// The boundary of the cubes of `solid`, with squares divided into about `facets` facets. No two cubes may touch only in an
+/// edge or a corner.
 fn surface(size: [i32; 3], facets: usize, solid: impl Fn([i32; 3]) -> bool) -> TriMesh {
     let inside = |cell: [i32; 3]| (0..3).all(|k| (0..size[k]).contains(&cell[k])) && solid(cell);
     // Squares by axis of the normal.
@@ -66,7 +66,7 @@ fn surface(size: [i32; 3], facets: usize, solid: impl Fn([i32; 3]) -> bool) -> T
     draft.finish()
 }
 
-/// How often each axis is divided: equally often or once more, whichever comes nearest.
+/// Divisions per axis: equal, or one more, whichever is nearer.
 fn divisions(facets: usize, squares: [usize; 3]) -> [i32; 3] {
     let target = facets as f64;
     let total: usize = squares.iter().sum();

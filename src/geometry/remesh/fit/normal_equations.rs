@@ -33,7 +33,7 @@ impl Symmetric {
         Self([m.x_axis.x, m.x_axis.y, m.x_axis.z, m.y_axis.y, m.y_axis.z, m.z_axis.z])
     }
 
-    /// n nᵀ.
+    /// The outer product `n nᵀ`.
     fn outer(n: DVec3) -> Self {
         Self([n.x * n.x, n.x * n.y, n.x * n.z, n.y * n.y, n.y * n.z, n.z * n.z])
     }
@@ -333,7 +333,7 @@ impl NormalEquations {
         x
     }
 
-    /// q = A p. Returns p·q.
+    /// Computes `q = A p`. Returns `p·q`.
     fn apply(&self, p: &[DVec3], q: &mut [DVec3]) -> f64 {
         let run = |((rows, q), own): ((&Rows, &mut [DVec3]), &[DVec3])| {
             let (mut begin, mut product) = (0, 0.0);
@@ -351,7 +351,8 @@ impl NormalEquations {
         products.iter().sum()
     }
 
-    /// x and r one step along p; q comes with A p and leaves with z, the residual divided by the diagonal. Returns r·z.
+    /// Moves `x` and `r` one step along `p`. On entry `q` holds `A p`; on return it holds `z`, the residual divided by the
+    /// diagonal. Returns `r·z`.
     fn advance(&self, step: f64, p: &[DVec3], q: &mut [DVec3], x: &mut [DVec3], r: &mut [DVec3]) -> f64 {
         let runs = self.rows.par_iter().zip(q.par_chunks_mut(VERTICES_PER_RUN)).zip(x.par_chunks_mut(VERTICES_PER_RUN));
         let runs = runs.zip(r.par_chunks_mut(VERTICES_PER_RUN)).zip(p.par_chunks(VERTICES_PER_RUN)).map(

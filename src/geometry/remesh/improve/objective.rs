@@ -82,9 +82,9 @@ pub(super) struct VertexObjective<'a> {
     own_squared: f64,
     /// Points of the input whose distance depends on the vertex.
     input_points: Vec<DependentPoint>,
-    /// Groups of the input's facets that may be nearest to a point of the one-ring,
+    /// Groups of the input's facets that may be nearest to a point of the one-ring.
     near: Vec<u32>,
-    /// and those that may be nearest to the vertex.
+    /// Facets of the input that may be nearest to the vertex.
     nearest: Vec<u32>,
     /// The input's facet that was nearest to the vertex last.
     hint: u32,

@@ -69,7 +69,7 @@ fn preconditioner(mass: f64) -> f64 {
     if preconditioner.is_finite() { preconditioner } else { 0.0 }
 }
 
-/// yᵀPy, where P divides by twice the masses.
+/// Computes `yᵀPy`, where `P` divides by twice the masses.
 pub(super) fn preconditioned(threads: Threads, y: &[DVec3], mass: &[f64]) -> f64 {
     let blocks = y.chunks(BLOCK).zip(mass.chunks(BLOCK));
     let products = each(threads, blocks, |(y, mass)| {
@@ -78,7 +78,7 @@ pub(super) fn preconditioned(threads: Threads, y: &[DVec3], mass: &[f64]) -> f64
     products.iter().sum()
 }
 
-/// d := -g, or -P g with masses. Returns its product with another vector.
+/// Sets `d := -g`, or `-P g` with masses. Returns the product of `d` with `with`.
 pub(super) fn negate(threads: Threads, g: &[DVec3], mass: Option<&[f64]>, d: &mut [DVec3], with: &[DVec3]) -> f64 {
     let blocks = d.chunks_mut(BLOCK).zip(g.chunks(BLOCK)).zip(with.chunks(BLOCK)).enumerate();
     let products = each(threads, blocks, |(block, ((d, g), with))| {
@@ -91,7 +91,7 @@ pub(super) fn negate(threads: Threads, g: &[DVec3], mass: Option<&[f64]>, d: &mu
     products.iter().sum()
 }
 
-/// d := d + factor · v, and then scale · P d with a scale and masses. Returns its product with another vector.
+/// Sets `d := d + factor · v`, and then `scale · P d` with a scale and masses. Returns the product of `d` with `with`.
 pub(super) fn add(
     threads: Threads,
     d: &mut [DVec3],
@@ -114,7 +114,7 @@ fn divide(d: &mut [DVec3], scale: f64, mass: &[f64]) {
     d.iter_mut().zip(mass).for_each(|(d, &mass)| *d *= scale * preconditioner(mass));
 }
 
-/// s := x' - x and y := g' - g. Returns s·s, y·y and s·y.
+/// Sets `s := x' - x` and `y := g' - g`. Returns `s·s`, `y·y` and `s·y`.
 pub(super) fn differences(
     threads: Threads,
     [x_then, x]: [&[DVec3]; 2],

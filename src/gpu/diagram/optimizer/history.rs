@@ -128,7 +128,7 @@ mod tests {
         a.iter().zip(b).map(|(x, y)| x * y).sum()
     }
 
-    /// v over the masses.
+    /// Multiplies `v` by the preconditioner.
     fn preconditioned(v: &[f64], preconditioner: &[f64]) -> Vec<f64> {
         v.iter().zip(preconditioner).map(|(v, preconditioner)| v * preconditioner).collect()
     }

@@ -22,9 +22,9 @@ fn count() -> impl Strategy<Value = u64> {
 prop_compose! {
     fn any_counts()(
         kind in 0usize..3, backend in 0usize..3, density in 0usize..5, flags in 0u8..16,
-        numbers in prop::array::uniform6(count()),
+        numbers in prop::array::uniform7(count()),
     ) -> Counts {
-        let [vertices, facets, points, steps, input_bytes, attributes] = numbers;
+        let [vertices, facets, points, steps, input_bytes, attributes, list_bytes] = numbers;
         Counts {
             kind: KINDS[kind],
             backend: BACKENDS[backend],
@@ -36,6 +36,7 @@ prop_compose! {
             density: DENSITIES[density],
             placement: if flags & 1 == 0 { PlacementRule::Fitted } else { PlacementRule::Surface },
             attributes,
+            list_bytes,
             refines: flags & 2 != 0,
             measures: flags & 4 != 0,
             cells: flags & 8 != 0,
@@ -49,7 +50,7 @@ fn grows(from: &Need, to: &Need) -> bool {
 
 proptest! {
     #[test]
-    fn more_of_anything_needs_no_less(counts in any_counts(), more in count(), which in 0usize..9, threads in 0usize..300) {
+    fn more_of_anything_needs_no_less(counts in any_counts(), more in count(), which in 0usize..10, threads in 0usize..300) {
         let mut larger = counts;
         let number = match which {
             0 => &mut larger.vertices,
@@ -57,13 +58,14 @@ proptest! {
             2 => &mut larger.points,
             3 => &mut larger.steps,
             4 => &mut larger.input_bytes,
+            5 => &mut larger.list_bytes,
             _ => &mut larger.attributes,
         };
         *number = number.saturating_add(more);
         match which {
-            6 => larger.refines = true,
-            7 => larger.measures = true,
-            8 => larger.cells = true,
+            7 => larger.refines = true,
+            8 => larger.measures = true,
+            9 => larger.cells = true,
             _ => {}
         }
         let (before, after) = (need(&counts, threads), need(&larger, threads));
@@ -85,6 +87,7 @@ fn the_most_of_everything_is_a_number() {
     let most = Counts {
         steps: u64::MAX,
         attributes: u64::MAX,
+        list_bytes: u64::MAX,
         refines: true,
         ..Counts::new(Kind::Remesh, BackendKind::Gpu, u64::MAX, u64::MAX, u64::MAX)
     };

@@ -1,4 +1,4 @@
-//! What is told of a call: its status for the metrics, its span for the trace.
+//! Metrics and trace of a call: its status and its span.
 //!
 //! Purpose: [`Account`] lives as long as the call, whatever ends it, and takes the status from the answer's headers or
 //! trailers. Invariant: a call that was reset has the status that its client would have seen. Must not know: messages.
@@ -12,7 +12,7 @@ use super::exchange::{Ending, Exchange};
 use crate::metrics::{Call, Calls};
 use telemetry::trace::{self, TraceContext};
 
-/// Where an answer says how the call ended.
+/// Header or trailer with the status of the call.
 const STATUS: &str = "grpc-status";
 
 /// The names of the codes, by their numbers.
@@ -49,7 +49,7 @@ pub(super) struct Account {
 }
 
 impl Account {
-    /// A request has come. Gives the trace that its work belongs to.
+    /// Opens the account of a request. Returns the trace of its work.
     pub(super) fn open<B>(calls: &Calls, request: &Request<B>, exchange: &Arc<Exchange>) -> (Self, TraceContext) {
         let call = calls.begin(request.uri().path().trim_start_matches('/'));
         let method = call.method();
@@ -68,7 +68,7 @@ impl Account {
         (Self { call, exchange: Arc::clone(exchange), span }, context)
     }
 
-    /// What the call does is done in this span.
+    /// The span of the call's work.
     pub(super) fn span(&self) -> Span {
         self.span.clone()
     }
@@ -77,7 +77,7 @@ impl Account {
     pub(super) fn begun(&self, status: StatusCode, headers: &HeaderMap) {
         match code(headers) {
             Some(code) => self.call.end(code),
-            // No answer of a gRPC server: what came was no call.
+            // The answer has no gRPC status, so the request was no gRPC call.
             None if status != StatusCode::OK => self.call.end("UNKNOWN"),
             None => {}
         }
@@ -109,7 +109,7 @@ mod tests {
 
     const METHOD: &str = "a.B/C";
 
-    /// What is counted of a call that something happens to.
+    /// The counters after an event of a call.
     fn counted(what: impl FnOnce(&Account, &Exchange)) -> String {
         let metrics = Metrics::default();
         let calls = metrics.calls([METHOD.to_owned()]);

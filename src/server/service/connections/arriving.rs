@@ -1,9 +1,9 @@
 //! A request's body, as the transport sees it.
 //!
-//! Purpose: [`Arriving`] counts what has come of a message that is not whole yet, which nobody else can see, and refuses it
-//! where the server's memory is used up, or where no message of that size is expected, compressed or not. Invariant: bytes are counted from
-//! when they come until their message is whole or the stream is gone; the bytes themselves go through unchanged.
-//! Must not know: what messages say.
+//! Purpose: [`Arriving`] counts the received bytes of incomplete messages. It refuses a message if the server's memory is
+//! used up, or if the message is too long, compressed or not.
+//! Invariant: bytes are counted from their arrival until their message is complete or the stream ends; they pass unchanged.
+//! Must not know: the content of messages.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -16,10 +16,10 @@ use super::super::RequestError;
 use super::super::budget::Budget;
 use super::unpacking::{Unpacking, Wrong};
 
-/// Before a message: whether it is compressed, and its length.
+/// Bytes of the prefix of a message: a flag for compression, and the length.
 const PREFIX: usize = 5;
 
-/// What unfinished messages may take beyond the server's memory, so that the last message of an upload that just fits is not
+/// Bytes of incomplete messages allowed beyond the server's memory, so that the last message of a just fitting upload is not
 /// refused for its own frame.
 const SLACK: u64 = 64 << 10;
 
@@ -27,20 +27,20 @@ const SLACK: u64 = 64 << 10;
 pub(super) struct Arriving<B> {
     inner: B,
     budget: Budget,
-    /// No message may be longer.
+    /// Longest message allowed, bytes.
     most: u64,
-    /// Of the prefix of the next message,
+    /// Prefix of the next message.
     prefix: [u8; PREFIX],
-    /// so many bytes are here;
+    /// Prefix bytes received.
     known: usize,
-    /// of the message so many are to come.
+    /// Message bytes still expected.
     missing: u64,
-    /// Counted in the budget; of this, what decompressing holds.
+    /// Bytes charged to the budget, and the part of them that decompression holds.
     charged: u64,
     unpacked: u64,
-    /// How messages are compressed that say they are.
+    /// Encoding of compressed messages.
     encoding: Option<Vec<u8>>,
-    /// A compressed message on its way.
+    /// The compressed message that is being received.
     unpacking: Option<Unpacking>,
 }
 
@@ -61,7 +61,7 @@ impl<B> Arriving<B> {
         }
     }
 
-    /// Takes note of bytes that have come.
+    /// Records received bytes.
     fn note(&mut self, mut bytes: &[u8]) -> Result<(), Status> {
         while !bytes.is_empty() {
             if self.missing == 0 && self.known < PREFIX {

@@ -1,7 +1,8 @@
-//! One connection: HTTP/2 on a socket, with limits on what it may wait for.
+//! One connection: HTTP/2 on a socket, with time limits.
 //!
-//! Purpose: [`serve`] runs a connection until it ends, has to go, or breaks a limit. Invariant: every stream is cut
-//! with its connection; a stream whose client takes nothing is reset, and if its bytes stay, the connection is closed.
+//! Purpose: [`serve`] runs a connection until it ends, is closed, or exceeds a limit.
+//! Invariant: every stream is cut with its connection; a stream is reset if its client reads nothing; if its bytes remain,
+//! the connection is closed.
 //! Must not know: other connections, messages.
 
 use std::convert::Infallible;
@@ -31,7 +32,7 @@ use super::{Common, Grpc, LINGER, unread};
 use crate::config::{Limits, Transport};
 use telemetry::trace;
 
-/// What an upload may have on its way, bytes: for a stream, for a connection.
+/// Flow-control windows of uploads, bytes: per stream and per connection.
 pub(super) const STREAM_WINDOW: u32 = 1 << 20;
 pub(super) const CONNECTION_WINDOW: u32 = 4 << 20;
 
@@ -41,13 +42,13 @@ pub(super) const SEND_BUFFER: usize = 128 << 10;
 /// How the paths of the services begin that take uploads.
 const OURS: &str = "/tessera.v1.";
 
-/// The header that says how messages are compressed.
+/// The header with the compression of messages.
 const ENCODING: &str = "grpc-encoding";
 
 /// The longest message to health and reflection, bytes.
 const QUESTION: u64 = 4 << 10;
 
-/// Time to say goodbye before the socket is closed.
+/// Time for the goodbye before the socket is closed.
 const FINISH_TIME: Duration = Duration::from_secs(1);
 
 /// Time for the bytes of a stream that was cut to go.
@@ -57,7 +58,7 @@ const CUT_TIME: Duration = Duration::from_secs(1);
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 const LOOK_EVERY_AT_THE_END: Duration = Duration::from_millis(25);
 
-/// What is known of a connection.
+/// State of a connection.
 pub(super) struct State {
     peer: Peer,
     opened: Instant,
@@ -72,7 +73,7 @@ struct Streams {
     /// The request that was taken last, until something runs it.
     taken: Option<Arc<Exchange>>,
     requests: u64,
-    /// When the last request came or ended.
+    /// Time of the last begin or end of a request.
     last: Instant,
 }
 
@@ -83,17 +84,17 @@ impl State {
         Self { peer, opened, traffic, streams: Mutex::new(streams), evicted: Notify::new() }
     }
 
-    /// Who is at the other end.
+    /// The peer of the connection.
     pub(super) fn peer(&self) -> Peer {
         self.peer
     }
 
-    /// What its socket tells.
+    /// The traffic of the socket.
     pub(super) fn traffic(&self) -> Arc<Traffic> {
         Arc::clone(&self.traffic)
     }
 
-    /// A request has come.
+    /// Registers a request.
     pub(super) fn take(&self, exchange: &Arc<Exchange>) {
         let mut streams = self.lock();
         streams.requests += 1;
@@ -124,7 +125,7 @@ impl Guest for State {
         match streams.requests {
             0 if !self.traffic.received() => Standing::Silent,
             0 => Standing::Greeted,
-            // A watch of health may last for ever, and needs no key: it keeps nobody out.
+            // A health watch may last forever and needs no key: it occupies no place.
             _ if streams.all.iter().all(|stream| stream.ended() || stream.is_question()) => {
                 Standing::Idle(streams.last.elapsed())
             }
@@ -137,7 +138,7 @@ impl Guest for State {
     }
 }
 
-/// What the limits say of a connection.
+/// The state of a connection against its limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
     Stays,
@@ -251,7 +252,7 @@ struct Leaving {
     draining: Option<Instant>,
     /// Since when nothing is open while the server closes.
     quiet: Option<Instant>,
-    /// Since when it is told to go.
+    /// Time of the request to close.
     finish: Option<Instant>,
 }
 
@@ -282,7 +283,7 @@ impl Leaving {
                 return Verdict::Close("no request came before the shutdown");
             }
             if since.elapsed() >= LINGER {
-                // Whoever takes the end of such an answer has had it by now.
+                // Enough time for a client to read the end of such an answer.
                 let idle = streams.all.iter().filter(|stream| !stream.admitted() && stream.age() >= LINGER);
                 idle.for_each(|stream| stream.cut());
             }

@@ -10,7 +10,7 @@ const RESERVE: usize = 64;
 /// Descriptors taken as in use where they cannot be counted.
 const IN_USE_IF_UNKNOWN: usize = 64;
 
-/// `wanted`, or fewer where the soft limit on open files says so; at least 1.
+/// Returns `wanted`, or fewer if the soft limit on open files is lower; at least 1.
 pub(super) fn connections(wanted: usize) -> usize {
     let Some(soft) = soft_limit() else { return wanted };
     wanted.min(soft.saturating_sub(in_use() + RESERVE)).max(1)

@@ -1,9 +1,9 @@
 //! One request and its answer, as the transport sees them.
 //!
-//! Purpose: [`Exchange`] knows how many bytes wait for the client and when the last one moved; [`Answer`] is the
-//! answer's body, whose bytes tell when they are written. Invariant: every byte of
-//! an answer is counted from when the service gives it until the connection has written it or the stream is gone.
-//! Must not know: messages, what an answer says.
+//! Purpose: [`Exchange`] counts the bytes that wait for the client, and has the time of the last write; [`Answer`] is the
+//! answer's body and reports its written bytes.
+//! Invariant: every byte of an answer is counted from the service's call until it is written or the stream ends.
+//! Must not know: messages, the content of answers.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -39,7 +39,7 @@ pub(crate) struct Exchange {
 }
 
 impl Exchange {
-    /// A request has come.
+    /// Starts an exchange for a request.
     pub(super) fn new(budget: Budget) -> Self {
         Self {
             began: Instant::now(),
@@ -56,7 +56,7 @@ impl Exchange {
         }
     }
 
-    /// The request asks for health or for the interface, which is nobody's work.
+    /// Marks a request for health or reflection, which does no work.
     pub(super) fn of_question(self) -> Self {
         Self { is_question: true, ..self }
     }
@@ -121,7 +121,7 @@ impl Exchange {
         self.cut.notify_one();
     }
 
-    /// The connection is gone.
+    /// The connection has ended.
     pub(super) fn lose(&self) {
         self.cut.notify_one();
     }
@@ -138,7 +138,7 @@ impl Exchange {
         first
     }
 
-    /// Ready once it is cut.
+    /// Ready when the exchange is cut.
     pub(super) async fn until_cut(&self) {
         self.cut.notified().await;
     }
@@ -164,7 +164,7 @@ impl Exchange {
     }
 }
 
-/// Who is told how an answer ends. Dropped when all of it is over.
+/// Receives the end of an answer. Dropped when the exchange is over.
 pub(super) trait Ending: Send {
     /// The answer ends with these trailers.
     fn end(&self, trailers: &HeaderMap);
@@ -172,8 +172,8 @@ pub(super) trait Ending: Send {
 
 /// Bytes of an answer, each counted until the connection has written it or the rest is dropped.
 ///
-/// Handed on as they come: cut into pieces, each end of a piece that lies within a client's window would make two frames of one,
-/// and of those two again, until a client that reads slowly had nothing but tiny frames, which clients refuse.
+/// Body frames, passed on unchanged. Splitting them at a client's window would halve frames again and again: a slow reader
+/// would then get only tiny frames, which clients refuse.
 pub(super) struct Counted {
     bytes: Bytes,
     exchange: Arc<Exchange>,
@@ -202,7 +202,7 @@ impl Drop for Counted {
     }
 }
 
-/// What ends an answer that no work stands behind.
+/// Ends an answer without running work.
 pub(super) struct Farewell {
     /// Ready when the server wants no such answer any more.
     pub(super) time: Pin<Box<dyn Future<Output = ()> + Send>>,
@@ -230,7 +230,7 @@ impl<B> Answer<B> {
         self
     }
 
-    /// Whether the answer is to end here, where the service has nothing to say.
+    /// Whether the answer must end, while the service has no frame.
     fn is_over(&mut self, context: &mut Context<'_>) -> Option<HeaderMap> {
         let farewell = self.farewell.as_mut()?;
         farewell.time.as_mut().poll(context).is_ready().then(|| {

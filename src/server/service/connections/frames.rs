@@ -1,9 +1,9 @@
 //! Frames of HTTP/2 that carry neither a request nor its bytes: pings, settings, resets, windows.
 //!
-//! Purpose: [`Metered`] counts them as they arrive and ends a connection that sends too many; each takes time to read and
-//! many want an answer, whether or not the connection has a request open. Invariant: a client that takes answers is never
-//! at fault for what taking them needs: what is written earns frames. Must not know: requests, HTTP/2 beyond the head of
-//! a frame.
+//! Purpose: [`Metered`] counts control frames and ends a connection that sends too many. Each takes time to read, and many
+//! need an answer, even without a request.
+//! Invariant: the frames that a client needs to read answers are free: written bytes earn frames.
+//! Must not know: requests, HTTP/2 beyond the head of a frame.
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
@@ -15,7 +15,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::socket::Traffic;
 
-/// What a client sends before its first frame.
+/// The client's preface of HTTP/2.
 const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 
 /// The head of a frame, bytes: length (3), type, flags, stream (4). RFC 9113, section 4.1.
@@ -26,16 +26,17 @@ const DATA: u8 = 0;
 const HEADERS: u8 = 1;
 const END_STREAM: u8 = 1;
 
-/// Seconds whose frames may come at once.
+/// Length of a burst, seconds of the rate.
 const BURST: f64 = 10.0;
 
-/// Bytes written that earn a frame: more than the answer to a ping or to settings has, so that those do not earn the next.
+/// Written bytes that earn a frame: more than the answer to a ping or to settings, so that such answers do not earn the next
+/// one.
 const BYTES_A_FRAME: f64 = 64.0;
 
-/// Finds the heads of frames in a stream of bytes that comes in any pieces.
+/// Finds the heads of frames in a stream of arbitrary pieces.
 #[derive(Debug)]
 struct Heads {
-    /// Bytes of the preface that have come; nothing if something else came in its place: HTTP/1.1 has no frames.
+    /// Received bytes of the preface; `None` for HTTP/1.1, which has no frames.
     greeted: Option<usize>,
     /// Bytes until the next head.
     skip: usize,
@@ -79,7 +80,7 @@ impl Heads {
     }
 }
 
-/// How many frames may still come.
+/// The number of frames that may still arrive.
 #[derive(Debug)]
 struct Allowance {
     /// Frames a second.
@@ -94,7 +95,7 @@ impl Allowance {
         Self { rate, left: BURST * rate, last: now }
     }
 
-    /// Takes `count` frames; false if there are not so many.
+    /// Takes `count` frames; false if fewer are left.
     fn take(&mut self, count: usize, now: Instant) -> bool {
         self.earn(self.rate * (now - self.last).as_secs_f64());
         self.last = now;
@@ -107,7 +108,7 @@ impl Allowance {
     }
 }
 
-/// A line that counts what arrives on it. See the module's head.
+/// A line that counts arriving control frames. See the module's head.
 pub(super) struct Metered<L> {
     line: L,
     heads: Heads,
@@ -116,7 +117,7 @@ pub(super) struct Metered<L> {
 }
 
 impl<L> Metered<L> {
-    /// With so many frames a second that carry nothing.
+    /// Allows `rate` control frames a second.
     pub(super) fn new(line: L, rate: u32, traffic: Arc<Traffic>) -> Self {
         Self { line, heads: Heads::new(), allowance: Allowance::new(rate, Instant::now()), traffic }
     }

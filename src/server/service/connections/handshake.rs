@@ -1,9 +1,10 @@
-//! TLS handshakes, so many at once.
+//! TLS handshakes, limited in number.
 //!
-//! Purpose: [`Handshakes::shake`] makes TLS of a socket. Invariant: it ends within its time, is given up when its connection
-//! has to go or the server drains, and never keeps another from being accepted. Who has sent nothing takes no turn. Where
-//! all turns are taken, the oldest handshake that has had a second goes, so that stalled ones hold up nobody for longer.
-//! Must not know: what is spoken over TLS.
+//! Purpose: [`Handshakes::shake`] performs the TLS handshake of a socket.
+//! Invariant: it ends within its time limit, ends with its connection or when the server drains, and does not delay the
+//! accepting of others. A connection that sent nothing takes no turn. If all turns are taken, the oldest handshake above a
+//! second is dropped, so that stalled ones delay others by a second at most.
+//! Must not know: the protocol over TLS.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -26,7 +27,7 @@ use crate::config::Transport;
 /// A handshake that has had this long may be given up for a newcomer. An honest one takes a few round trips.
 const FAIR: Duration = Duration::from_secs(1);
 
-/// What a client whose handshake failed may still say, and for how long.
+/// Limits on the bytes read and the time after a failed handshake, so that the client gets the alert.
 const PART_BYTES: usize = 64 << 10;
 const PART_TIME: Duration = Duration::from_secs(1);
 
@@ -70,7 +71,7 @@ impl Handshakes {
         &self.tls
     }
 
-    /// Makes TLS of `socket`; nothing if that came to nothing.
+    /// Performs the handshake; `None` if it fails.
     pub(super) async fn shake(
         &self,
         socket: Socket,

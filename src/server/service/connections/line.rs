@@ -1,4 +1,4 @@
-//! What a connection's bytes travel on: a socket, or TLS on a socket.
+//! The transport of a connection: a socket, or TLS on a socket.
 //!
 //! One type, so that HTTP/2 is compiled once for both. Must not know: HTTP, certificates.
 

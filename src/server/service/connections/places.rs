@@ -1,8 +1,9 @@
-//! Who is connected, and who has to go where there is no room.
+//! Limits on the number of connections, and which ones are closed for new ones.
 //!
-//! Purpose: [`Places`] counts connections, in all and from each peer. Invariant: an open connection has a [`Place`],
-//! which is given back when it is dropped. Where no place is left, silent connections go first, and then such as have
-//! been idle: who asks for something keeps its place. Must not know: sockets, HTTP.
+//! Purpose: [`Places`] counts connections, in all and from each peer.
+//! Invariant: an open connection has a [`Place`], which is given back when it is dropped. If all places are taken, silent
+//! connections are closed first, then idle ones. Connections with requests stay.
+//! Must not know: sockets, HTTP.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -18,20 +19,20 @@ const IDLE: Duration = Duration::from_secs(1);
 /// Bits of an IPv6 address that one subscriber has.
 const NETWORK_BITS: u32 = 64;
 
-/// What a connection has done so far.
+/// Activity of a connection so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Standing {
     /// Sent nothing.
     Silent,
     /// Sent something, and no request yet.
     Greeted,
-    /// Had requests and none is open, for so long.
+    /// Had requests; none has been open for this time.
     Idle(Duration),
     /// Has open requests.
     Busy,
 }
 
-/// What can be asked of a connection.
+/// The interface of a connection for [`Places`].
 pub(super) trait Guest: Send + Sync {
     fn standing(&self) -> Standing;
     /// Asks it to close at once.
@@ -88,8 +89,8 @@ impl<G: Guest> Places<G> {
         Ok(Place { places: Arc::clone(self), id })
     }
 
-    /// Has the connection that matters least closed: a silent one, or one that has been idle, the oldest first.
-    /// Waits until a place is free, at most `patience`; says whether one was asked to go.
+    /// Closes the least important connection: a silent or idle one, the oldest first. Waits for a free place, at most
+    /// `patience`. Returns whether a connection was closed.
     pub(super) async fn make_room(&self, full: Full, peer: Option<SocketAddr>, patience: Duration) -> bool {
         let freed = self.freed.notified();
         tokio::pin!(freed);
@@ -112,7 +113,7 @@ impl<G: Guest> Places<G> {
         self.lock().guests.values().for_each(|(_, guest)| guest.evict());
     }
 
-    /// Ready once nobody is connected.
+    /// Ready when no connection is open.
     pub(super) async fn empty(&self) {
         loop {
             let freed = self.freed.notified();
@@ -137,12 +138,12 @@ impl<G> Drop for Place<G> {
     }
 }
 
-/// The address that counts as one peer, for whoever answers its requests.
+/// The address that counts as one peer, for request handlers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Peer(IpAddr);
 
 impl Peer {
-    /// Whoever is at the other end.
+    /// The peer of an address.
     pub(crate) fn of(address: SocketAddr) -> Self {
         Self(network(address.ip()))
     }
@@ -154,7 +155,7 @@ impl fmt::Display for Peer {
     }
 }
 
-/// Lower goes first; nothing for who stays.
+/// Order of closing, the lowest first; `None` if the connection stays.
 fn rank(standing: Standing) -> Option<(u8, Duration)> {
     match standing {
         Standing::Silent => Some((0, Duration::ZERO)),

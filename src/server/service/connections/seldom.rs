@@ -1,6 +1,7 @@
-//! Log lines about what strangers can cause as often as they like.
+//! Rate limit for log lines that remote peers can cause.
 //!
-//! Invariant: at most one line in [`PAUSE`] for each [`Seldom`]. Must not know: what is logged.
+//! Invariant: at most one line in [`PAUSE`] for each [`Seldom`].
+//! Must not know: the content of lines.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -8,7 +9,7 @@ use std::time::{Duration, Instant};
 /// Between two lines.
 const PAUSE: Duration = Duration::from_secs(5);
 
-/// Counts what happens, and says when to log it.
+/// Counts events and decides when to log them.
 #[derive(Debug, Default)]
 pub(super) struct Seldom(Mutex<(Option<Instant>, u64)>);
 

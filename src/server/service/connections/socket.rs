@@ -1,7 +1,8 @@
-//! A TCP socket that tells whether anything came, and since when nothing could be written.
+//! A TCP socket that records whether anything arrived, and since when writing is blocked.
 //!
-//! Purpose: [`Socket`] reads and writes, [`Traffic`] is what others see of it. Invariant: the system buffers at most
-//! [`UNSENT_BYTES`] beyond what the peer's window takes, so that bytes written are bytes the peer has room for.
+//! Purpose: [`Socket`] reads and writes, [`Traffic`] shares its state.
+//! Invariant: the system buffers at most [`UNSENT_BYTES`] beyond what the peer's window takes, so that bytes written are
+//! bytes the peer has room for.
 //! Must not know: HTTP.
 
 use std::io::{self, IoSlice};
@@ -25,7 +26,7 @@ const PROBE_EVERY: Duration = Duration::from_secs(5);
 #[cfg(unix)]
 const PROBES: u32 = 3;
 
-/// What is known of a socket's bytes.
+/// Counters of a socket's bytes.
 #[derive(Debug, Default)]
 pub(super) struct Traffic {
     received: AtomicBool,
@@ -87,7 +88,7 @@ impl Socket {
         Ok(Self { stream, traffic })
     }
 
-    /// Ready once the peer has sent something, or has gone.
+    /// Ready when the peer has sent something or closed the connection.
     pub(super) async fn readable(&self) -> io::Result<()> {
         self.stream.readable().await
     }

@@ -1,8 +1,9 @@
-//! The certificates of the server, and those of a new day.
+//! The certificates of the server, and their replacement.
 //!
-//! Purpose: [`Tls`] holds what new handshakes use, and [`Tls::follow`] looks at its files again. Invariant: what is in use
-//! is whole and fits together; where the files are bad, halfway written or out of date, what was in use stays, and the log
-//! says so once. Connections that are open keep what they began with. Must not know: connections.
+//! Purpose: [`Tls`] holds the configuration of new handshakes, and [`Tls::follow`] reloads its files.
+//! Invariant: the configuration in use is complete and consistent. If the files are invalid, incomplete or out of date, the
+//! old one stays in use, and the log says so once. Open connections keep their configuration.
+//! Must not know: connections.
 
 mod material;
 mod validity;
@@ -19,10 +20,10 @@ use self::validity::Validity;
 use crate::config::TlsFiles;
 use jobs::blob::Digest;
 
-/// A certificate that ends within this time is told of in the log,
+/// A certificate that expires within this time is logged.
 const WARN_BEFORE: Duration = Duration::from_secs(14 * 24 * 3600);
 
-/// so often.
+/// Time between two such log lines.
 const WARN_EVERY: Duration = Duration::from_secs(24 * 3600);
 
 /// See the module's head.
@@ -36,12 +37,12 @@ pub struct Tls {
 #[derive(Debug)]
 struct State {
     config: Arc<ServerConfig>,
-    /// The same for HTTP/1.1 too.
+    /// Configuration that offers HTTP/1.1 too.
     web: Arc<ServerConfig>,
     validity: Option<Validity>,
-    /// Of what is in use.
+    /// Digest of the files in use.
     active: Digest,
-    /// Of what the log has complained about.
+    /// Digest of the files of the last complaint in the log.
     complained: Option<Digest>,
     warned: Option<Instant>,
 }
@@ -50,7 +51,7 @@ impl Tls {
     /// Reads the files.
     ///
     /// # Errors
-    /// [`TlsError`], which names the file and says what to do.
+    /// [`TlsError`] names the file and the remedy.
     pub fn load(files: TlsFiles) -> Result<Self, TlsError> {
         let material = Material::read(&files)?;
         let (config, validity) = material.config(&files)?;
@@ -72,7 +73,7 @@ impl Tls {
         self.asked.notify_one();
     }
 
-    /// What a new handshake uses; `web` where HTTP/1.1 is spoken too.
+    /// The configuration of a new handshake; `web` offers HTTP/1.1 too.
     pub(super) fn current(&self, web: bool) -> Arc<ServerConfig> {
         let state = self.lock();
         Arc::clone(if web { &state.web } else { &state.config })
@@ -95,7 +96,7 @@ impl Tls {
         }
     }
 
-    /// Takes what the files hold now, if it is good and new.
+    /// Uses the files' current content, if it is valid and new.
     fn reload(&self) {
         let read = Material::read(&self.files);
         let digest = match &read {
@@ -149,7 +150,7 @@ impl Tls {
     }
 }
 
-/// The same for clients that speak HTTP/1.1.
+/// The configuration with HTTP/1.1 for clients without HTTP/2.
 fn with_http1(config: &ServerConfig) -> Arc<ServerConfig> {
     let mut config = config.clone();
     config.alpn_protocols.push(b"http/1.1".to_vec());

@@ -1,8 +1,9 @@
 //! How long a compressed message will be.
 //!
-//! Purpose: [`Unpacking`] decompresses a message as it comes and keeps nothing of it, so that one that would be too long is
-//! refused before anybody makes room for it. Invariant: it holds a window of the compression and no more; what it lets through
-//! has at most the length that was given. Must not know: messages, who reads them.
+//! Purpose: [`Unpacking`] decompresses a message on arrival and discards the result, so that a message that expands too much
+//! is refused before memory is allocated.
+//! Invariant: it holds only the compression window; accepted messages have at most the given length.
+//! Must not know: messages, their readers.
 
 use std::io::{self, Write};
 
@@ -12,7 +13,7 @@ use zstd::stream::write::Decoder as ZstdDecoder;
 /// The largest window of zstd, as a power of two: 8 MiB, which its decoders take by default.
 const WINDOW_LOG: u32 = 23;
 
-/// What a decoder holds beside its window, about.
+/// Approximate memory of a decoder without its window, bytes.
 const DECODER_BYTES: u64 = 128 << 10;
 
 /// Why a message is refused.
@@ -20,7 +21,7 @@ const DECODER_BYTES: u64 = 128 << 10;
 pub(super) enum Wrong {
     /// It would be longer than it may be.
     TooLong,
-    /// It is not compressed as it says.
+    /// The compressed data is invalid.
     Damaged,
 }
 
@@ -28,11 +29,11 @@ pub(super) enum Wrong {
 pub(super) enum Unpacking {
     Gzip(Box<GzDecoder<Counted>>),
     Zstd(Box<ZstdDecoder<'static, Counted>>),
-    /// Nothing is known of it: who reads it says so.
+    /// The encoding is unknown; the reader reports it.
     Unknown,
 }
 
-/// Bytes that nobody keeps.
+/// Counts bytes and discards them.
 pub(super) struct Counted {
     most: u64,
     left: u64,
@@ -55,7 +56,7 @@ impl Write for Counted {
 }
 
 impl Unpacking {
-    /// A message that is compressed in this way, and may have so many bytes.
+    /// A message with this encoding and at most `most` bytes.
     pub(super) fn new(encoding: Option<&[u8]>, most: u64) -> Self {
         let counted = Counted { most, left: most };
         match encoding {
@@ -71,7 +72,7 @@ impl Unpacking {
         }
     }
 
-    /// What is held for it now, about: the decoder, and as much of its window as was filled.
+    /// Approximate memory held: the decoder and the filled part of its window.
     pub(super) fn held_bytes(&self) -> u64 {
         match self {
             Self::Gzip(_) => DECODER_BYTES,
@@ -97,7 +98,7 @@ impl Unpacking {
     }
 }
 
-/// Writes all. What comes after the end of what was compressed is taken by nobody, and is none of the message.
+/// Writes all bytes. Bytes after the end of the compressed data are ignored.
 fn write(decoder: &mut impl Write, mut bytes: &[u8]) -> io::Result<()> {
     while !bytes.is_empty() {
         match decoder.write(bytes) {

@@ -1,7 +1,8 @@
 //! Requests that no service could read.
 //!
-//! Purpose: [`told`] mends the code of an answer that was given before any handler began: what cannot be read is the client's
-//! fault. Invariant: answers of handlers stay as they are. Must not know: messages.
+//! Purpose: [`told`] corrects the code of an answer from before the handler: an unreadable request is the client's error.
+//! Invariant: answers of handlers are unchanged.
+//! Must not know: messages.
 
 use tonic::body::Body;
 use tonic::codegen::http::Response;
@@ -9,7 +10,7 @@ use tonic::{Code, Status};
 
 use super::super::RequestError;
 
-/// The answer with the code of the table of errors, if it is one of the transport.
+/// The answer with the documented code, if it comes from the transport.
 pub(super) fn told(response: Response<Body>) -> Response<Body> {
     match Status::from_header_map(response.headers()) {
         // The transport's words for a message that is no protobuf, is missing, ends too early or is longer than it may be.

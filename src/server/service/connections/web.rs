@@ -1,8 +1,9 @@
-//! One connection of a door that speaks HTTP/1.1 and HTTP/2.
+//! A connection that speaks HTTP/1.1 and HTTP/2.
 //!
-//! Purpose: [`serve`] has a router answer what comes on a connection, within the limits that connections of gRPC have.
+//! Purpose: [`serve`] runs a router on a connection, with the limits of gRPC connections.
 //! Invariant: those of `connection`. A stream of HTTP/2 that stalls is reset; HTTP/1.1 has no streams, so its connection is
-//! closed. Must not know: what is asked and answered.
+//! closed.
+//! Must not know: requests and answers.
 
 use std::convert::Infallible;
 use std::pin::Pin;
@@ -24,7 +25,7 @@ use super::exchange::{Answer, Ending, Exchange};
 use super::frames::Metered;
 use super::line::Line;
 
-/// hyper takes no smaller buffer for the head of a request of HTTP/1.1, bytes.
+/// Smallest buffer that hyper allows for the head of an HTTP/1.1 request, bytes.
 const LEAST_HEAD: usize = 8 << 10;
 
 /// Runs the connection.
@@ -39,7 +40,7 @@ pub(super) async fn serve(
     let transport = limits.transport;
     let entrance =
         Entrance { state: Arc::clone(&state), common: Arc::clone(&common), routes: TowerToHyperService::new(router) };
-    // Frames are those of HTTP/2; what HTTP/1.1 sends is not looked at.
+    // Only HTTP/2 has frames; HTTP/1.1 is not checked.
     let line = Metered::new(line, transport.control_frames, state.traffic());
     let mut builder = auto::Builder::new(Spawner(Arc::clone(&state)));
     builder

@@ -10,19 +10,24 @@ use super::{Array, Cell, KINDS, Numbers, Role, carried, push_cells, volumes, wri
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds, Raw};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, cut, parse, shown};
-use crate::mesh::io::{Codec, DataError, Soup, VertexNumbers, counts_by_reading};
+use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers};
 
 /// See [`Codec`].
 pub(in crate::mesh::io) const CODEC: Codec = Codec {
     extension: "vtk",
     decode,
     encode,
-    counts: |bytes| counts_by_reading(decode, bytes),
+    counts: |bytes| read(bytes, false, true).ok().map(|(_, counts)| counts),
     holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: true },
     vertices: VertexNumbers::Kept,
 };
 
 fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+    read(bytes, wanted, false).map(|(soup, _)| soup)
+}
+
+/// Reads all sections; if they are counted, how much is in them alone.
+fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), DataError> {
     let mut cursor = Cursor::new(bytes);
     if !cursor.end_line().starts_with(b"# vtk DataFile Version") {
         return Err(DataError::Header("it does not begin with \"# vtk DataFile Version\"".to_owned()));
@@ -35,8 +40,17 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
         Some(word) => return Err(cursor.syntax(format!("\"{}\" is not ASCII or BINARY", shown(word)))),
         None => return Err(cut("the header")),
     };
-    let mut reader =
-        Reader { cursor, encoding, wanted, soup: Soup::default(), arrays: Vec::new(), left: Raw::default() };
+    let mut reader = Reader {
+        cursor,
+        encoding,
+        wanted,
+        counted,
+        soup: Soup::default(),
+        arrays: Vec::new(),
+        left: Raw::default(),
+        numbers: 0,
+    };
+    let mut counts = Counts::default();
     let mut cells = None;
     let mut kinds = Vec::new();
     while let Some(word) = reader.cursor.word() {
@@ -49,12 +63,15 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
                     return Err(reader.cursor.syntax(format!("DATASET {} {text}", shown(kind))));
                 }
             }
-            b"POINTS" => reader.points()?,
+            b"POINTS" => counts.vertices = counts.vertices.max(reader.points()?),
             b"VERTICES" | b"LINES" => drop(reader.lists()?),
             b"POLYGONS" | b"TRIANGLE_STRIPS" => {
-                let cell = |_| if keyword == b"POLYGONS" { Cell::Polygon } else { Cell::Strip };
+                let cell = |_: usize| if keyword == b"POLYGONS" { Cell::Polygon } else { Cell::Strip };
                 let (ends, points) = reader.lists()?;
-                push_cells(&mut reader.soup, cell, &ends, &points)?;
+                match counted {
+                    true => counts.facets += facets(cell, &ends),
+                    false => drop(push_cells(&mut reader.soup, cell, &ends, &points)?),
+                }
             }
             b"CELLS" => cells = Some(reader.lists()?),
             b"CELL_TYPES" => kinds = reader.kinds()?,
@@ -67,14 +84,24 @@ fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
             _ => return Err(reader.cursor.syntax(format!("\"{}\" is no section of a surface", shown(word)))),
         }
     }
-    let Reader { mut soup, arrays, left, .. } = reader;
-    if let Some((ends, points)) = cells {
+    let Reader { mut soup, arrays, left, numbers, .. } = reader;
+    counts.made_bytes = numbers.saturating_mul(16);
+    if let (Some((ends, _)), true) = (&cells, counted) {
+        counts.facets += facets(|index| kinds.get(index).map_or(Cell::Less, |&kind| Cell::of(kind)), ends);
+    } else if let Some((ends, points)) = cells {
         grid(&mut soup, &ends, &points, &kinds)?;
     }
     let aside = std::mem::take(&mut soup.raw.unreadable);
     soup.raw = carried(arrays, &soup.facets);
     soup.raw.unreadable.extend(aside.into_iter().chain(left.unreadable));
-    Ok(soup)
+    Ok((soup, counts))
+}
+
+/// The most facets that cells have, which end there.
+fn facets(cell: impl Fn(usize) -> Cell, ends: &[i64]) -> u64 {
+    let begins = [0].into_iter().chain(ends.iter().copied());
+    let lengths = begins.zip(ends).map(|(begin, end)| usize::try_from(end.saturating_sub(begin)).unwrap_or(0));
+    lengths.enumerate().map(|(index, length)| cell(index).facets(length) as u64).fold(0, u64::saturating_add)
 }
 
 /// The cells of an unstructured grid.
@@ -90,9 +117,13 @@ struct Reader<'a> {
     cursor: Cursor<'a>,
     encoding: Encoding,
     wanted: bool,
+    /// Whether points are passed over.
+    counted: bool,
     soup: Soup,
     arrays: Vec<Array>,
     left: Raw,
+    /// Numbers of all cells.
+    numbers: u64,
 }
 
 /// A type of numbers, or one that is passed over.
@@ -133,23 +164,33 @@ impl Reader<'_> {
         }
     }
 
-    fn points(&mut self) -> Result<(), DataError> {
+    /// Reads the points, or passes over them; gives how many there are.
+    fn points(&mut self) -> Result<u64, DataError> {
         let count = self.count("a number of points")?;
         let Type::Numbers(kind) = self.kind()? else {
             return Err(self.cursor.syntax("coordinates are numbers"));
         };
         self.begin();
-        let numbers = self.cursor.floats(count.saturating_mul(3), kind, self.encoding, "points")?;
+        let all = count.saturating_mul(3);
+        if self.counted {
+            self.cursor.lenient(all, kind, self.encoding, "points", false)?;
+            return Ok(count as u64);
+        }
+        let numbers = self.cursor.floats(all, kind, self.encoding, "points")?;
         self.soup.positions = numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect();
-        Ok(())
+        Ok(count as u64)
     }
 
-    /// Lists of points: where each of them ends, and the points of all.
+    /// Lists of points: where each of them ends, and the points of all, unless they are counted.
     fn lists(&mut self) -> Result<(Vec<i64>, Vec<i64>), DataError> {
         let (count, size) = (self.count("a number of cells")?, self.count("a size")?);
+        self.numbers = self.numbers.saturating_add(size as u64);
         if !self.cursor.peek().is_some_and(|word| word.eq_ignore_ascii_case(b"OFFSETS")) {
             // The length of each list before it. A line's end may also be part of what follows, if this is binary.
             self.begin();
+            if self.counted {
+                return Ok((self.ends(count, size)?, Vec::new()));
+            }
             let numbers = self.cursor.integers(size, Kind::I32, self.encoding, "cells")?;
             let (mut ends, mut points, mut rest) = (Vec::new(), Vec::with_capacity(numbers.len()), numbers.as_slice());
             for index in 0..count {
@@ -164,7 +205,8 @@ impl Reader<'_> {
             }
             return Ok((ends, points));
         }
-        let mut part = |name: &[u8], count: usize| -> Result<Vec<i64>, DataError> {
+        let counted = self.counted;
+        let mut part = |name: &[u8], count: usize, is_kept: bool| -> Result<Vec<i64>, DataError> {
             match self.cursor.word() {
                 Some(word) if word.eq_ignore_ascii_case(name) => {}
                 Some(word) => {
@@ -177,11 +219,34 @@ impl Reader<'_> {
                 return Err(self.cursor.syntax("points of cells are whole numbers"));
             };
             self.begin();
-            self.cursor.integers(count, kind, self.encoding, "cells")
+            match is_kept {
+                true => self.cursor.integers(count, kind, self.encoding, "cells"),
+                false => self.cursor.lenient(count, kind, self.encoding, "cells", false).map(|_| Vec::new()),
+            }
         };
-        let offsets = part(b"OFFSETS", count)?;
-        let points = part(b"CONNECTIVITY", size)?;
-        Ok((offsets.get(1..).unwrap_or_default().to_vec(), points))
+        let mut offsets = part(b"OFFSETS", count, true)?;
+        let points = part(b"CONNECTIVITY", size, !counted)?;
+        // The first is where the first list begins.
+        offsets.drain(..offsets.len().min(1));
+        Ok((offsets, points))
+    }
+
+    /// Where lists end that have their lengths before them, so many of so many numbers in all.
+    fn ends(&mut self, count: usize, size: usize) -> Result<Vec<i64>, DataError> {
+        // A list has two bytes at least.
+        let mut ends = Vec::with_capacity(count.min(self.cursor.rest.len() / 2 + 1));
+        let (mut end, mut left) = (0i64, size);
+        for _ in 0..count {
+            let length = self.cursor.count(Kind::I32, self.encoding, "a number of points")?;
+            let rest = left.checked_sub(1).and_then(|left| left.checked_sub(length));
+            left = rest.ok_or_else(|| cut("cells"))?;
+            self.cursor.lenient(length, Kind::I32, self.encoding, "cells", false)?;
+            end += length as i64;
+            ends.push(end);
+        }
+        // Numbers that belong to no list.
+        self.cursor.lenient(left, Kind::I32, self.encoding, "cells", false)?;
+        Ok(ends)
     }
 
     fn kinds(&mut self) -> Result<Vec<i64>, DataError> {

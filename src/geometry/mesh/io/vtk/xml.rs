@@ -4,7 +4,8 @@
 //! Purpose: the elements are walked first (`quick-xml`), which finds arrays; those that matter are read then, since appended data
 //! come last. Several pieces are one surface.
 //! Invariant: arrays together are no longer than the file, or, where they are packed, than [`super::super::UNPACKED_RATIO`] times
-//! the file: any number of arrays may name the same bytes. Must not know: legacy files.
+//! the file: any number of arrays may name the same bytes. Records of pieces and arrays are bounded by the file too ([`Room`]).
+//! Must not know: legacy files.
 
 use std::collections::HashMap;
 use std::io::Read as _;
@@ -20,6 +21,7 @@ use super::{Array, Cell, KINDS, Numbers, Role, carried, push_cells, written};
 use crate::mesh::TriMesh;
 use crate::mesh::io::held::{By, Held, Holds};
 use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, shown};
+use crate::mesh::io::room::Room;
 use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
 
 /// See [`Codec`].
@@ -145,7 +147,12 @@ struct File<'a> {
     appended_raw: bool,
     /// Bytes that may still be made of arrays.
     left: usize,
+    /// For pieces and what is noted of arrays.
+    room: Room,
 }
+
+/// Elements within each other. Files in use have six.
+const DEEPEST: usize = 64;
 
 fn attribute(tag: &BytesStart<'_>, name: &str) -> Option<String> {
     let found = tag.attributes().with_checks(false).flatten().find(|a| a.key.as_ref() == name.as_bytes())?;
@@ -167,6 +174,7 @@ impl<'a> File<'a> {
             appended: &[],
             appended_raw: false,
             left: bytes.len(),
+            room: Room::of(bytes.len()),
         };
         if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
             let begins = bytes.trim_ascii_start().starts_with(b"<");
@@ -191,12 +199,15 @@ impl<'a> File<'a> {
                     let empty = matches!(event, Event::Empty(_));
                     match name.as_slice() {
                         b"VTKFile" => file.head(tag)?,
-                        b"Piece" => file.pieces.push(Piece {
-                            points: number(tag, "NumberOfPoints"),
-                            polygons: Cells { count: number(tag, "NumberOfPolys"), ..Cells::default() },
-                            strips: Cells { count: number(tag, "NumberOfStrips"), ..Cells::default() },
-                            ..Piece::default()
-                        }),
+                        b"Piece" => {
+                            let piece = Piece {
+                                points: number(tag, "NumberOfPoints"),
+                                polygons: Cells { count: number(tag, "NumberOfPolys"), ..Cells::default() },
+                                strips: Cells { count: number(tag, "NumberOfStrips"), ..Cells::default() },
+                                ..Piece::default()
+                            };
+                            file.room.push(&mut file.pieces, piece)?;
+                        }
                         b"PointData" => {
                             if let Some(piece) = file.pieces.last_mut() {
                                 piece.normals = attribute(tag, "Normals").unwrap_or_default();
@@ -206,7 +217,7 @@ impl<'a> File<'a> {
                         b"DataArray" => {
                             let found = data_array(tag, line)?;
                             match empty {
-                                true => file.put(&section, found),
+                                true => file.put(&section, found)?,
                                 false => array = Some((found, section.len())),
                             }
                         }
@@ -218,13 +229,17 @@ impl<'a> File<'a> {
                         _ => {}
                     }
                     if !empty {
+                        if section.len() == DEEPEST {
+                            let message = format!("more than {DEEPEST} elements are open");
+                            return Err(DataError::Syntax { line, message });
+                        }
                         section.push(name);
                     }
                 }
                 Event::End(_) => {
                     section.pop();
                     if let Some((found, _)) = array.take_if(|(_, depth)| *depth == section.len()) {
-                        file.put(&section, found);
+                        file.put(&section, found)?;
                     }
                 }
                 Event::Text(text) => {
@@ -299,8 +314,8 @@ impl<'a> File<'a> {
     }
 
     /// Takes an array that was found within these elements.
-    fn put(&mut self, section: &[Vec<u8>], mut found: DataArray<'a>) {
-        let (Some(piece), Some(section)) = (self.pieces.last_mut(), section.last()) else { return };
+    fn put(&mut self, section: &[Vec<u8>], mut found: DataArray<'a>) -> Result<(), DataError> {
+        let (Some(piece), Some(section)) = (self.pieces.last_mut(), section.last()) else { return Ok(()) };
         match section.as_slice() {
             b"Points" => piece.coordinates = Some(found),
             b"PointData" => {
@@ -309,7 +324,8 @@ impl<'a> File<'a> {
                 } else if !found.name.is_empty() && found.name == piece.texture {
                     found.role = Role::Texture;
                 }
-                piece.arrays.push(found);
+                self.room.take(found.name.len())?;
+                self.room.push(&mut piece.arrays, found)?;
             }
             b"Polys" | b"Strips" => {
                 let cells = if section == b"Polys" { &mut piece.polygons } else { &mut piece.strips };
@@ -321,6 +337,7 @@ impl<'a> File<'a> {
             }
             _ => {}
         }
+        Ok(())
     }
 
     /// How many numbers an array says that it has, at most as many as a file of this size can hold; whether they are binary.

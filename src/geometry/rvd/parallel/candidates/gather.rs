@@ -22,9 +22,9 @@ const LOOKED_AT: usize = 2048;
 /// How long a list may be; a facet with a longer one is walked.
 #[derive(Clone, Copy)]
 pub(crate) struct Few {
-    /// Before those are left out that any other one beats,
+    /// Number of seeds before dominated ones are removed.
     seen: usize,
-    /// and after.
+    /// Number of seeds after dominated ones are removed.
     kept: usize,
 }
 

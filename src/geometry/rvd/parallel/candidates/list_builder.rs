@@ -21,9 +21,9 @@ use crate::rvd::incident::Diagram;
 use crate::rvd::parallel::divide::facets::LISTED;
 use crate::rvd::parallel::order::Stretch;
 
-/// Seeds that are looked at for one within its skin,
+/// Seeds to examine for one seed within its skin.
 const LOOKED_AT: usize = 1024;
-/// and how often farther away.
+/// How often the search is widened.
 const WIDENED: usize = 6;
 
 /// One thread's scratch memory.

@@ -20,9 +20,9 @@ use crate::rvd::parallel::order::Stretch;
 #[derive(Clone, Copy)]
 pub(crate) struct Listed<'a> {
     pub diagram: Diagram<'a>,
-    /// The facets,
+    /// The facets, in the order of their lists.
     pub facets: Stretch<'a>,
-    /// and of each a seed that is near.
+    /// A seed near each facet.
     pub starts: &'a [u32],
     pub lists: &'a Lists,
     pub capacities: Capacities,

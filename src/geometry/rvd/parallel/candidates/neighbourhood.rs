@@ -33,9 +33,9 @@ pub(crate) struct Neighbourhood {
     corner: [[Row; 3]; 3],
     /// How far the seed that a facet is seen from may be from each corner.
     most: [Row; 3],
-    /// Which seeds count, word by word, in each lane,
+    /// Bit sets of the seeds that count, one lane per facet.
     words: Vec<Row>,
-    /// and the place among them of the one that is nearest to the centroid.
+    /// Index of the seed nearest to the centroid.
     nearest: Row,
 }
 

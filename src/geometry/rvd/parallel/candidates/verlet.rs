@@ -16,33 +16,34 @@ use super::gather::Skin;
 use super::lists::Lists;
 use crate::knn::{NeighbourTable, SeedIndex};
 
-/// A seed's skin is a share of the distance to this neighbour of it, which relaxed cells touch,
+/// A seed's skin is a share of the distance to this neighbour; relaxed cells touch it.
 const NEIGHBOUR: usize = 6;
-/// or of about as much by the area of its cell: the squared distance between relaxed seeds is 2/√3 of that.
+/// Squared distance between relaxed seeds, as a multiple of the cell's area: 2/√3. It gives the skin where no neighbour is
+/// known.
 const HEXAGON: f64 = 1.1547;
-/// That is at least so many times as wide as an average cell, as cells may be empty,
+/// Least width, in widths of an average cell, since cells may be empty.
 const NARROW: f64 = 1.0 / 32.0;
-/// and at most so many times, as all that any seed could move is added to where others are looked for.
+/// Largest width, in widths of an average cell, since the largest skin widens every search.
 const WIDE: f64 = 1.5;
-/// Lists are made for so many moves like the last one of a seed that all but this share of them moved less than,
+/// Moves that lists are made for, each as long as the last move of all seeds but a share of [`FAR`].
 const MOVES: f64 = 6.0;
 const FAR: f64 = 1.0 / 64.0;
-/// with a skin of at most this share, as lists get longer with it, and of at least that.
+/// Largest and least skin, as shares: lists get longer with it.
 const MOST: f64 = 0.2;
 const LEAST: f64 = 0.03;
-/// They are not made after a move farther than that; the next one is often shorter, as a quasi-Newton step goes.
+/// No lists are made after a longer move than this. The next move is often shorter, as quasi-Newton steps go.
 const FAST: f64 = MOST;
-/// Seeds whose last two moves are alike, by the cosine between them, go on (.95 to .998 from one Lloyd step to the next, .4
-/// to .9 of quasi-Newton steps), and lists are made about places ahead of them, by at most this share of their skin, so
-/// that they serve for nearly twice as long.
+/// Cosine between two moves from which on a seed is expected to continue: 0.95 to 0.998 between Lloyd steps, 0.4 to 0.9
+/// between quasi-Newton steps. Lists are then made ahead of the seed, by at most a share of [`AHEAD`] of its skin, and serve
+/// for nearly twice as long.
 const ALIKE: f64 = 0.5;
 const AHEAD: f64 = 0.8;
-/// Lists are made anew where more than this share of the seeds have escaped, and more than so many.
+/// Lists are rebuilt if more than this share of the seeds has escaped, and more than [`A_FEW`].
 const ESCAPED: f64 = 1.0 / 32.0;
 const A_FEW: usize = 2;
-/// Seeds around a seed that are looked at for one that it could meet; where seeds are dense there are many.
+/// Seeds to examine around a seed for one that it could meet; dense seeds have many.
 const MANY_AROUND: usize = 4096;
-/// Of its skin a seed may use so much, so that comparisons of distances are never near their roundings.
+/// Share of its skin that a seed may use, so that comparisons of distances are never near their rounding.
 const USED: f64 = 1.0 - 1e-6;
 /// Seeds per task.
 const CHUNK: usize = 2048;
@@ -50,7 +51,7 @@ const CHUNK: usize = 2048;
 /// All lists, and the seeds that they hold for.
 #[derive(Default)]
 pub(crate) struct VerletLists {
-    /// Of each chunk of so many facets.
+    /// Lists by chunk of `facets` facets.
     chunks: Vec<Lists>,
     facets: usize,
     /// Whether there are lists.
@@ -59,23 +60,23 @@ pub(crate) struct VerletLists {
     /// Whether lists come without rows, and how wide a cell is then on average.
     even: bool,
     length: f64,
-    /// Of each seed the distance to a neighbour when rows were last made, or else about that of its cell.
+    /// Distance of each seed to a neighbour when rows were last made, or an estimate by the area of its cell.
     width: Vec<f64>,
-    /// Of each cell at the last pass.
+    /// Area of each cell in the last pass.
     area: Vec<f64>,
-    /// The most skin that a seed can have where that is known.
+    /// Largest skin of a seed, where that is known.
     most: f64,
-    /// The places about which the seeds have their skin: where they were when the lists were made, or were expected to go,
+    /// Centre of each seed's skin: its place when the lists were made, or the place that was expected.
     made_at: Vec<DVec3>,
-    /// where they were at the last pass,
+    /// Seeds in the last pass.
     last: Vec<DVec3>,
-    /// and at the one before.
+    /// Seeds in the pass before the last.
     before: Vec<DVec3>,
-    /// The next so many times that lists are made nothing is expected.
+    /// Number of list builds left in which no moves are expected.
     blind: usize,
-    /// Seeds that could come to lie on each other within their skin.
+    /// Pairs of seeds that could meet within their skins.
     close: Vec<[u32; 2]>,
-    /// Whether the index, and the rows, of the seeds as they were then are still there.
+    /// Whether the index and the rows of the lists' seeds still exist.
     indexed: bool,
     escaped: Escaped,
     moves: Vec<f64>,

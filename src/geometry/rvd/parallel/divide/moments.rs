@@ -13,9 +13,9 @@ use super::lanes::{Number, Row};
 /// and w, where w is the weight; times the numbers that [`integrals`] divides by.
 pub(crate) type Moments = [Row; WEIGHTED];
 
-/// How many of them there are where the weight is 1, and the last one the first,
+/// Number of moments where the weight is 1; the first moment then also stands for the last.
 pub(crate) const UNIFORM: usize = 6;
-/// and where it is linear in the facet.
+/// Number of moments where the weight is linear in the facet.
 pub(crate) const WEIGHTED: usize = 7;
 
 /// The weight at the first corner, and how much more it is at the others.

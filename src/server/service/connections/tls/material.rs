@@ -1,7 +1,8 @@
-//! The files of TLS, and what is made of them.
+//! The files of TLS, and the configuration made of them.
 //!
-//! Invariant: a certificate and a key that do not belong together make no configuration, nor does a file without what it is
-//! there for. One provider of cryptography: ring. Must not know: when files are read.
+//! Invariant: a mismatch of certificate and key is refused, and so is a file without its expected content. One provider of
+//! cryptography: ring.
+//! Must not know: when files are read.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -32,17 +33,17 @@ pub enum TlsError {
     Read {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         cause: io::Error,
     },
-    /// A file does not hold what it is there for.
+    /// A file lacks its expected content.
     #[error("{} holds no {what} in PEM{why}", file.display())]
     Missing {
         /// The file.
         file: PathBuf,
-        /// What it should hold.
+        /// The expected content.
         what: &'static str,
-        /// What is wrong with it, if it holds any.
+        /// The defect of the content, if any.
         why: String,
     },
     /// Certificate and key do not go together.
@@ -52,7 +53,7 @@ pub enum TlsError {
         cert: PathBuf,
         /// The key's file.
         key: PathBuf,
-        /// What TLS says.
+        /// Error of the TLS library.
         why: String,
     },
     /// The authorities of clients cannot be used.
@@ -60,7 +61,7 @@ pub enum TlsError {
     Authorities {
         /// Their file.
         file: PathBuf,
-        /// What TLS says.
+        /// Error of the TLS library.
         why: String,
     },
     /// The certificate is not yet good, or no longer.
@@ -85,14 +86,14 @@ impl Material {
         Ok(Self { cert: bytes(&files.cert)?, key: bytes(&files.key)?, client_ca })
     }
 
-    /// The same files with the same bytes have the same.
+    /// Digest of the files' bytes.
     pub(super) fn digest(&self) -> Digest {
         let parts = [Some(&self.cert), Some(&self.key), self.client_ca.as_ref()];
         let digests = parts.map(|part| part.map(|bytes| Digest::of(bytes).to_string()));
         Digest::of(format!("{digests:?}").as_bytes())
     }
 
-    /// What handshakes use, and from when to when the certificate is good, if that can be read.
+    /// The configuration of handshakes, and the validity of the certificate if readable.
     pub(super) fn config(&self, files: &TlsFiles) -> Result<(ServerConfig, Option<Validity>), TlsError> {
         let chain = certificates(&files.cert, &self.cert)?;
         let key = PrivateKeyDer::from_pem_slice(&self.key).map_err(|error| {

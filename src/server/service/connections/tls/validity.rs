@@ -1,8 +1,8 @@
 //! From when to when a certificate is good.
 //!
-//! Purpose: the two dates of an X.509 certificate, and nothing else of it, so that its end is told of before it comes.
-//! Invariant: whatever the bytes are, nothing is read beyond them; what is not understood gives nothing. Whether a
-//! certificate is good is decided by TLS alone. Must not know: files.
+//! Purpose: reads the two dates of an X.509 certificate, for a warning before its expiry.
+//! Invariant: no read goes beyond the bytes; unknown content gives `None`. Only TLS decides whether a certificate is valid.
+//! Must not know: files.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -30,20 +30,20 @@ impl Validity {
             signed.element(VERSION)?;
         }
         signed.element(INTEGER)?;
-        // How it is signed, and by whom.
+        // Signature algorithm and issuer.
         signed.element(SEQUENCE)?;
         signed.element(SEQUENCE)?;
         let mut dates = Reader(signed.element(SEQUENCE)?);
         Some(Self { from: dates.time()?, until: dates.time()? })
     }
 
-    /// Whether it is good now.
+    /// Whether the certificate is valid now.
     pub(super) fn is_now(self) -> bool {
         let now = now();
         self.from <= now && now <= self.until
     }
 
-    /// Whether it is good now and for `time` more.
+    /// Whether the certificate is valid now and for `time` more.
     pub(super) fn is_for(self, time: Duration) -> bool {
         let time = i64::try_from(time.as_secs()).unwrap_or(i64::MAX);
         self.is_now() && now().saturating_add(time) <= self.until
@@ -68,7 +68,7 @@ fn now() -> i64 {
 struct Reader<'a>(&'a [u8]);
 
 impl<'a> Reader<'a> {
-    /// What the next element holds, if it has this tag.
+    /// Content of the next element, if it has this tag.
     fn element(&mut self, tag: u8) -> Option<&'a [u8]> {
         match self.next()? {
             (found, held) if found == tag => Some(held),
@@ -100,7 +100,7 @@ impl<'a> Reader<'a> {
             UTC_TIME => {
                 let (year, rest) = text.split_at_checked(2)?;
                 let year: i64 = year.parse().ok()?;
-                // As RFC 5280 says.
+                // The century by RFC 5280.
                 (if year < 50 { 2000 + year } else { 1900 + year }, rest)
             }
             GENERALIZED_TIME => {
@@ -121,7 +121,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Days from 1970-01-01 to a date of the Gregorian calendar. Years begin in March, so that a leap day comes last; 400 years
+/// Days from 1970-01-01 to a date of the Gregorian calendar. Years begin in March, so that a leap day is last; 400 years
 /// have 146,097 days.
 fn days(year: i64, month: i64, day: i64) -> i64 {
     let year = if month <= 2 { year - 1 } else { year };
@@ -172,7 +172,7 @@ mod tests {
         let bytes = certificate((2000, 1, 1), (2001, 1, 1));
         assert_eq!(Validity::of(&bytes).map(|v| v.from), Some(946_684_800));
         for end in 0..bytes.len() {
-            // Whatever is cut off, nothing panics; and the outer length says that something is missing.
+            // A truncated certificate causes no panic: the outer length shows that bytes are missing.
             assert_eq!(Validity::of(&bytes[..end]), None);
         }
         for at in 0..bytes.len() {
