@@ -56,7 +56,21 @@ const HOUSES: &[House] = &[
     house("picture", &[], &[("png", &["lib", "image"]), ("plotters", &["chart"])]),
     house("wire", &[], &[("tonic", &["proto"]), ("sha2", &["pieces"])]),
     house("telemetry", &[], &[("opentelemetry", &["trace", "traces"])]),
-    house("jobs", &[], &[("redb", &["store"]), ("object_store", &["blob"]), ("reqwest", &["blob/s3"])]),
+    house(
+        "jobs",
+        &[
+            ("blob", &[]),
+            ("memory", &[]),
+            ("record", &["blob"]),
+            ("store", &["record"]),
+            ("observe", &["record"]),
+            ("engine", &["observe", "record", "memory"]),
+            ("admission", &["engine", "observe", "store", "record", "blob"]),
+            ("executor", &["admission", "engine", "observe", "store", "record", "blob"]),
+            ("lib", &[]),
+        ],
+        &[("redb", &["store"]), ("object_store", &["blob"]), ("reqwest", &["blob/s3"])],
+    ),
     house(
         "server",
         &[

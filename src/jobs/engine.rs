@@ -3,6 +3,16 @@
 //! Purpose: [`Engine::submit`] from any task; an answer with times. Invariant: every submitted piece is answered exactly once
 //! or its caller has gone. Must not know: what a piece computes, how the threads share the device.
 
+mod gate;
+mod loss;
+mod pools;
+pub mod probe;
+pub(crate) mod queue;
+mod schedule;
+pub(crate) mod watchdog;
+mod weights;
+pub(crate) mod worker;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::thread::{Builder, JoinHandle};
@@ -10,16 +20,24 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
 
-use super::bytes::Bytes;
-use super::call::{ActivityState, Call, Retry, Timed, WorkContext};
-use super::observer::{Observer, QueuedActivity};
-use super::queue::Admission;
-use super::watchdog::{WatchGuard, Work};
-use super::weights::Weights;
-use super::worker::{Device, EngineOptions, Shared, run};
 use super::{BackendInfo, Backends, JobError};
+use crate::observe::activity::{Observer, QueuedActivity};
+use crate::record::JobId;
 use geometry::rvd::{BackendChoice, DeviceFacts};
 use geometry::token::Token;
+use watchdog::WatchGuard;
+use worker::{ActivityState, Call, Shared, run};
+
+pub use crate::record::Bytes;
+pub(crate) use gate::{Gate, Gated};
+pub use loss::LossPolicy;
+pub use queue::Admission;
+pub use schedule::AdmissionRequest;
+pub use watchdog::Ceilings;
+pub use watchdog::Work;
+pub use weights::Weights;
+pub use worker::{Device, Timed, WorkContext};
+pub use worker::{EngineOptions, Retry};
 
 /// Work that was submitted. Dropping it cancels the work.
 #[derive(Debug)]
@@ -204,6 +222,37 @@ impl Engine {
         let call = Call { work, has_continuations, reply: reply_to, token: token.clone(), queued, retry, activity };
         let position = self.shared.queue.push(admission, Box::new(call))?;
         Ok(Pending { position, reply, token, answered: false })
+    }
+
+    /// Queues a job that a store keeps. Its work records how it ends.
+    ///
+    /// # Errors
+    /// `Draining`.
+    pub(crate) fn submit_kept(
+        &self,
+        token: Token,
+        request: AdmissionRequest,
+        work: impl FnMut(&Backends, &WorkContext) -> Result<(), JobError> + Send + 'static,
+    ) -> Result<(), JobError> {
+        let activity = ActivityState::Queued(QueuedActivity::new(&self.shared.observer, request.origin));
+        let (has_continuations, queued, retry) = (false, Instant::now(), Retry::Restart);
+        let call = Call { work: Some(work), has_continuations, reply: None, token, queued, retry, activity };
+        self.shared.queue.push(Admission::Reserved(request), Box::new(call)).map(drop)
+    }
+
+    /// Jobs of the store that wait or are at work: a tenant's, or all.
+    pub(crate) fn kept(&self, tenant: Option<&str>) -> usize {
+        self.shared.queue.kept(tenant)
+    }
+
+    /// Takes a job of the store out of the line and cancels it.
+    pub(crate) fn remove_kept(&self, id: JobId) {
+        self.shared.queue.remove_kept(id);
+    }
+
+    /// Takes the waiting jobs of the store out of the line.
+    pub(crate) fn release_kept(&self) {
+        self.shared.queue.release_kept();
     }
 
     /// Drops `value` on a host thread: freeing much takes time.

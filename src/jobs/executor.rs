@@ -6,39 +6,41 @@
 //! ended, and its result from before it is visible until it expires or is deleted. A job is done by whoever claimed it: what
 //! becomes of one that was cancelled or expired meanwhile is thrown away. Must not know: messages, streams, which store.
 
-mod queue;
+pub mod api;
+pub mod diagram;
+mod input;
+mod perform;
+pub mod prepared;
 mod running;
+pub mod session;
 mod storage;
 
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use async_trait::async_trait;
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 
-use super::JobError;
-use super::api::{Estimate, JobApi, JobApiError};
-use super::bytes::Bytes;
-use super::engine::Engine;
-use super::estimate::Counts;
-use super::event::{Events, Progress};
-use super::forecast::{Forecast, must_fit};
-use super::input::JobBounds;
-use super::observer::Origin;
-use super::preview::{PreviewReceiver, Previews};
-use super::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
-use super::schedule::AdmissionRequest;
-use super::state::State;
-use super::store::{
+use crate::admission::estimate::Counts;
+use crate::admission::forecast::{Forecast, must_fit};
+use crate::blob::{BlobError, BlobOptions, BlobStore, Digest, ObjectBlobs, Owner};
+use crate::engine::{AdmissionRequest, Engine};
+use crate::executor::api::{Estimate, JobApi, JobApiError};
+use crate::observe::preview::{PreviewReceiver, Previews};
+use crate::record::Bytes;
+use crate::record::event::{Events, Progress};
+use crate::record::state::State;
+use crate::record::{Change, FailureKind, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
+use crate::store::{
     Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
     StoreError,
 };
-use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
-use queue::{JobQueue, LocalQueue};
+use crate::{JobError, admission};
+pub use input::JobBounds;
 use storage::Storage;
-use telemetry::trace;
 
 /// How often jobs that are over are looked for.
 const SWEEP: Duration = Duration::from_secs(1);
@@ -168,7 +170,8 @@ struct Inner {
     /// How this process calls itself.
     name: String,
     runtime: Handle,
-    queue: Box<dyn JobQueue>,
+    /// Whether it begins nothing more.
+    draining: AtomicBool,
     storage: Storage,
     progress: mpsc::Sender<ProgressCommand>,
     previews: Previews,
@@ -182,20 +185,14 @@ enum ProgressCommand {
         id: JobId,
         at: u64,
         what: Progress,
-        now: Time,
     },
     /// All before it are kept.
     Flush(tokio::sync::oneshot::Sender<()>),
 }
 
-/// The time now.
-pub(crate) fn now() -> Time {
-    Time(SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| u64::try_from(since.as_millis()).unwrap_or(0)))
-}
-
-/// The name under which a job's input is pinned.
+/// The name under which a job's input is pinned, from before the store gives the job's time.
 fn input_pin(id: JobId) -> String {
-    format!("input:{id}")
+    format!("input:{:x}", id.random())
 }
 
 /// The name under which a job's result is pinned.
@@ -212,25 +209,18 @@ impl Executor {
     pub async fn start(engine: Engine, stores: Stores, options: ExecutorOptions) -> Result<Self, JobApiError> {
         let (progress, commands) = mpsc::channel(PROGRESS);
         let forecast = Forecast::new(Arc::clone(&stores.blobs), engine.clone(), options.bounds.max_seeds);
-        let inner = Arc::new_cyclic(|inner: &Weak<Inner>| {
-            let inner = Weak::clone(inner);
-            let begin = move |id| -> queue::Work {
-                let mut work = running::Work::new(Weak::clone(&inner), id);
-                Box::new(move |backends, context| work.run(backends, context))
-            };
-            Inner {
-                stores,
-                queue: Box::new(LocalQueue::new(engine.clone(), begin)),
-                engine,
-                options,
-                storage: Storage::default(),
-                forecast,
-                name: format!("process {}", std::process::id()),
-                runtime: Handle::current(),
-                progress,
-                previews: Previews::default(),
-                broken: watch::Sender::new(false),
-            }
+        let inner = Arc::new(Inner {
+            stores,
+            engine,
+            options,
+            forecast,
+            name: format!("process {}", std::process::id()),
+            runtime: Handle::current(),
+            draining: AtomicBool::default(),
+            storage: Storage::default(),
+            progress,
+            previews: Previews::default(),
+            broken: watch::Sender::new(false),
         });
         inner.recover().await?;
         tokio::spawn(record_progress(Arc::clone(&inner.stores.jobs), commands));
@@ -243,8 +233,8 @@ impl Executor {
 async fn record_progress(jobs: Arc<dyn JobStore>, mut commands: mpsc::Receiver<ProgressCommand>) {
     while let Some(command) = commands.recv().await {
         match command {
-            ProgressCommand::Record { id, at, what, now } => {
-                if let Err(error) = jobs.progress(id, at, what, now).await {
+            ProgressCommand::Record { id, at, what } => {
+                if let Err(error) = jobs.progress(id, at, what).await {
                     tracing::debug!(%id, %error, "progress not kept");
                 }
             }
@@ -282,9 +272,9 @@ async fn sweep(inner: Weak<Inner>) {
 
 impl Inner {
     /// Takes up what was kept.
-    async fn recover(&self) -> Result<(), JobApiError> {
+    async fn recover(self: &Arc<Self>) -> Result<(), JobApiError> {
         let jobs = &self.stores.jobs;
-        let recovered = jobs.recover(now(), Orphans::All, self.options.max_crashes).await?;
+        let recovered = jobs.recover(Orphans::All, self.options.max_crashes).await?;
         if !recovered.requeued.is_empty() || !recovered.failed.is_empty() {
             let (again, failed) = (recovered.requeued.len(), recovered.failed.len());
             tracing::warn!(again, failed, "the process went down with jobs at work");
@@ -322,7 +312,7 @@ impl Inner {
     }
 
     /// Pins what is there of some blobs. Those that are missing are found missing when they are needed.
-    async fn pin_again(&self, owner: Owner, name: &str, digests: &[crate::blob::Digest]) -> Result<(), JobApiError> {
+    async fn pin_again(&self, owner: Owner, name: &str, digests: &[Digest]) -> Result<(), JobApiError> {
         for digest in digests {
             match self.stores.blobs.pin_for(owner, name, &[*digest]).await {
                 Ok(()) => {}
@@ -340,23 +330,27 @@ impl Inner {
     }
 
     /// Queues a job for the engine.
-    async fn enqueue(&self, job: &Job) -> Result<(), JobApiError> {
+    async fn enqueue(self: &Arc<Self>, job: &Job) -> Result<(), JobApiError> {
         // Its blobs may be gone.
         let counts = self.forecast.counts(&job.spec, None).await.ok();
-        let need = counts.as_ref().map(|counts| self.forecast.need(counts));
-        let origin = counts.as_ref().map(|counts| Origin::of(counts, Some(job.id)));
+        let request = match &counts {
+            Some(counts) => admission::request(&self.engine, &job.spec.tenant, counts, &self.forecast.need(counts)),
+            None => AdmissionRequest { tenant: job.spec.tenant.as_str().into(), seconds: 1.0, ..Default::default() },
+        };
         let request = AdmissionRequest {
-            tenant: job.spec.tenant.as_str().into(),
             weight: self.engine.weights().of(&job.spec.tenant),
             priority: job.spec.priority.unwrap_or(0),
-            seconds: need.map_or(1.0, |need| need.seconds),
-            memory: need.map_or(Bytes::default(), |need| need.memory),
-            is_persistent: true,
-            has_continuations: false,
-            origin,
+            kept: Some(job.id),
+            origin: counts.as_ref().map(|counts| counts.origin(Some(job.id))),
+            ..request
         };
-        let limit = job.spec.deadlines.run_ms.map(Duration::from_millis);
-        Ok(self.queue.push(job.id, request, limit)?)
+        let token = self.engine.token_within(job.spec.deadlines.run_ms.map(Duration::from_millis));
+        let mut work = running::Work::new(Arc::downgrade(self), job.id);
+        Ok(self.engine.submit_kept(token, request, move |backends, context| work.run(backends, context))?)
+    }
+
+    fn is_draining(&self) -> bool {
+        self.draining.load(Ordering::Acquire)
     }
 
     /// A job of this tenant.
@@ -371,9 +365,9 @@ impl Inner {
     async fn expire(&self) -> Result<(), StoreError> {
         let keep = Retention { results: self.options.keep_results, records: self.options.keep_records };
         loop {
-            let swept = self.stores.jobs.expire(now(), keep, SWEEP_BATCH).await?;
+            let swept = self.stores.jobs.expire(keep, SWEEP_BATCH).await?;
             for id in swept.expired.iter().chain(&swept.deleted) {
-                self.queue.remove(*id);
+                self.engine.remove_kept(*id);
                 self.previews.end(*id);
                 self.unpin(&input_pin(*id)).await;
                 self.unpin(&result_pin(*id)).await;
@@ -410,11 +404,11 @@ impl Inner {
 
     /// Whether one more job of a tenant may wait. Asks no store, so that who comes in excess is refused at once.
     fn has_place(&self, tenant: &str) -> Result<(), JobError> {
-        if self.queue.is_draining() {
+        if self.is_draining() {
             return Err(JobError::Draining);
         }
         let full = |waiting| Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs(5) });
-        match (self.queue.len(), self.queue.len_of(tenant)) {
+        match (self.engine.kept(None), self.engine.kept(Some(tenant))) {
             (waiting, _) if waiting >= self.options.waiting_jobs => full(waiting),
             // One tenant leaves places to others.
             (_, own) if own >= self.options.waiting_jobs.div_ceil(2) => full(own),
@@ -422,24 +416,22 @@ impl Inner {
         }
     }
 
-    /// Checks all that can be checked before a job is kept.
-    async fn admit(&self, spec: &ValidSpec) -> Result<(), JobApiError> {
+    /// Checks all that can be checked before a job is kept; gives the memory that it needs.
+    async fn admit(&self, spec: &ValidSpec) -> Result<Bytes, JobApiError> {
         self.has_place(&spec.tenant)?;
         self.engine.backend(spec.choice())?;
         let counts = self.forecast.counts(spec, None).await?;
         self.within_bounds(&counts)?;
-        must_fit(&self.forecast.need(&counts), self.forecast.limits())
+        let need = self.forecast.need(&counts);
+        must_fit(&need, self.forecast.limits())?;
+        Ok(need.memory)
     }
 }
 
 #[async_trait]
 impl JobApi for Executor {
     async fn create(&self, spec: JobSpec) -> Result<Created, JobApiError> {
-        let spec = spec.check()?;
-        let inner = Arc::clone(&self.inner);
-        // To its end, whoever still waits: what is pinned is unpinned, what is kept is queued.
-        let created = tokio::spawn(trace::carry(async move { inner.create(spec).await })).await;
-        created.map_err(|error| JobApiError::Job(JobError::Panicked(error.to_string())))?
+        self.inner.create(spec.check()?).await
     }
 
     async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
@@ -472,8 +464,8 @@ impl JobApi for Executor {
 
     async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
         self.inner.of_tenant(tenant, id).await?;
-        let job = self.inner.stores.jobs.cancel(id, now()).await?;
-        self.inner.queue.remove(id);
+        let job = self.inner.stores.jobs.cancel(id).await?;
+        self.inner.engine.remove_kept(id);
         self.inner.previews.end(id);
         self.inner.unpin(&input_pin(id)).await;
         Ok(job)
@@ -521,12 +513,17 @@ impl JobApi for Executor {
     }
 
     async fn drain(&self) {
-        self.inner.queue.drain().await;
+        self.inner.draining.store(true, Ordering::Release);
+        // The store has those that wait.
+        self.inner.engine.release_kept();
+        while self.inner.engine.kept(None) > 0 {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
     }
 }
 
 impl Inner {
-    async fn create(self: Arc<Self>, spec: ValidSpec) -> Result<Created, JobApiError> {
+    async fn create(self: &Arc<Self>, spec: ValidSpec) -> Result<Created, JobApiError> {
         // Its input may be gone by now, and is not needed.
         if !spec.request_id.is_empty()
             && let Some(job) = self.stores.jobs.requested(spec.clone()).await?
@@ -535,21 +532,19 @@ impl Inner {
         }
         self.has_place(&spec.tenant)?;
         let random = getrandom_u128()?;
-        let time = now();
-        let id = JobId::new(time, random);
-        let pin = input_pin(id);
+        let pin = input_pin(JobId::new(Time(0), random));
         self.check_input(&spec).await?;
         // Before anything is promised: from here on nothing evicts the input.
         self.stores.blobs.pin_for(Owner::of(&spec.tenant), &pin, &spec.blobs()).await?;
         let created = match self.admit(&spec).await {
-            Ok(()) => self.stores.jobs.create(NewJob { id, spec, now: time }).await.map_err(JobApiError::from),
+            Ok(needs) => self.stores.jobs.create(NewJob { random, spec, needs }).await.map_err(JobApiError::from),
             Err(error) => Err(error),
         };
         match created {
             Ok(created) if !created.existed => {
                 // Kept is kept: if it cannot be queued now, the next start does.
                 if let Err(error) = self.enqueue(&created.job).await {
-                    tracing::warn!(%id, %error, "a job waits for the next start");
+                    tracing::warn!(id = %created.job.id, %error, "a job waits for the next start");
                 }
                 Ok(created)
             }
@@ -570,11 +565,6 @@ fn getrandom_u128() -> Result<u128, JobApiError> {
     Ok(u128::from_le_bytes(bytes))
 }
 
-/// What the holder of a claim says of itself.
-fn holder(name: &str) -> Holder {
-    Holder { name: name.to_owned(), until: now().after(LEASE) }
-}
-
 /// Whether a change was refused because somebody else changed the job: it was cancelled, or its time was over.
 fn is_outdated(error: &StoreError) -> bool {
     matches!(error, StoreError::Stale { .. } | StoreError::Transition { .. } | StoreError::NotFound { .. })
@@ -590,5 +580,5 @@ fn failed(kind: FailureKind, message: impl Into<String>) -> Change {
         message.truncate(end);
         message.push_str("...");
     }
-    Change::Fail(super::record::Failure { kind, message })
+    Change::Fail(crate::record::Failure { kind, message })
 }

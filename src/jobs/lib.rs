@@ -12,36 +12,14 @@
 
 #![warn(unreachable_pub)]
 
-pub mod api;
+pub mod admission;
 pub mod blob;
-mod bytes;
-mod call;
-pub mod diagram;
-mod engine;
-pub mod estimate;
-pub mod event;
-mod executor;
-pub mod forecast;
-mod gate;
-mod input;
-mod loss;
+pub mod engine;
+pub mod executor;
 pub mod memory;
-mod observed;
-pub mod observer;
-mod perform;
-mod pools;
-mod preview;
-pub mod probe;
-pub(crate) mod queue;
+pub mod observe;
 pub mod record;
-mod schedule;
-pub mod session;
-pub mod spec;
-pub mod state;
 pub mod store;
-pub(crate) mod watchdog;
-mod weights;
-pub(crate) mod worker;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -51,21 +29,13 @@ use geometry::remesh::RemeshError;
 use geometry::rvd::{Backend, BackendChoice, BackendKind, RvdError};
 use geometry::token::{Stopped, Token};
 
-pub use bytes::Bytes;
-pub use call::Retry;
-pub use call::{Timed, WorkContext};
-pub use engine::Engine;
-pub use engine::{Pending, Reservation};
-pub use executor::{BlobRoom, Executor, ExecutorOptions, Stores};
-pub use input::JobBounds;
-pub use loss::LossPolicy;
-pub use queue::Admission;
-pub use schedule::AdmissionRequest;
-pub use watchdog::Ceilings;
-pub use watchdog::Work;
-pub use weights::Weights;
-pub use worker::Device;
-pub use worker::EngineOptions;
+pub use admission::{estimate, forecast};
+pub use engine::{Admission, AdmissionRequest, Bytes, Ceilings, Engine, EngineOptions, LossPolicy, Retry, Weights};
+pub use engine::{Device, Pending, Reservation, Timed, Work, WorkContext, probe};
+pub use executor::{BlobRoom, Executor, ExecutorOptions, JobBounds, Stores, api};
+pub use executor::{diagram, prepared as spec, session};
+pub use observe::activity as observer;
+pub use record::{event, state};
 
 /// Makes a CPU backend with so many threads of its own.
 pub type PoolFactory = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;
@@ -89,19 +59,17 @@ impl Backends {
     /// What a job sees: `host` in place of `parallel`, and the GPU through the gate. Passes are told of.
     fn for_job(
         &self,
-        gate: &Arc<gate::Gate>,
+        gate: &Arc<engine::Gate>,
         host: Option<&Arc<dyn Backend>>,
         activity: &Arc<observer::Activity>,
     ) -> Self {
-        let observed = |inner: &Arc<dyn Backend>| -> Arc<dyn Backend> {
-            Arc::new(observed::Observed { inner: Arc::clone(inner), activity: Arc::clone(activity) })
+        let seen = |backend: &Arc<dyn Backend>, shared| -> Arc<dyn Backend> {
+            Arc::new(engine::Gated { backend: Arc::clone(backend), shared, activity: Arc::clone(activity) })
         };
-        let (host, serial) = (observed(host.unwrap_or(&self.parallel)), observed(&self.serial));
-        let shared = |device: &Arc<dyn Backend>| -> Arc<dyn Backend> {
-            let (device, gate, host, activity) = (device.clone(), gate.clone(), host.clone(), activity.clone());
-            Arc::new(gate::Gated { device, gate, host, activity })
-        };
-        Self { gpu: self.gpu.as_ref().map(shared).map_err(Clone::clone), parallel: host, serial, ..self.clone() }
+        let (host, serial) = (seen(host.unwrap_or(&self.parallel), None), seen(&self.serial, None));
+        let shared = |device: &Arc<dyn Backend>| seen(device, Some((Arc::clone(gate), Arc::clone(&host))));
+        let gpu = self.gpu.as_ref().map(shared).map_err(Clone::clone);
+        Self { gpu, parallel: host, serial, ..self.clone() }
     }
 
     /// The backend for a choice.

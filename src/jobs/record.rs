@@ -2,11 +2,15 @@
 //!
 //! Purpose: [`Job`] is a [`ValidSpec`] and a [`Status`]; both can be kept, sent and read again by another process.
 //! Invariant: the specification never changes; the status changes only by [`Change`], along the machine of
-//! [`state`](super::state). Times are given from outside: there is no clock here.
+//! [`state`](crate::record::state). Times are given from outside: there is no clock here.
 //! Must not know: stores, queues, messages, how a job is done.
 
+mod bytes;
 mod check;
+pub mod event;
+mod names;
 mod spec;
+pub mod state;
 
 use std::fmt;
 use std::str::FromStr;
@@ -14,10 +18,12 @@ use std::time::Duration;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use super::state::{State, Transition};
 use crate::blob::Digest;
+use crate::record::state::{State, Transition};
 
+pub use bytes::Bytes;
 pub use check::{SpecError, ValidSpec};
+pub use names::Kind;
 pub use spec::{
     ArrayForm, ArrayRef, AttributeKind, AttributeRef, BackendName, BoundaryRule, CvtCommand, CvtWork, Deadlines,
     DensityKind, DensitySpec, JobSpec, MeasureRule, MeshSource, PlacementRule, ProjectionRule, RefineSpec, RemeshWork,
@@ -40,7 +46,7 @@ impl Time {
 /// The name of a job: the time of its creation and a random number, so that names sort by time and differ between
 /// processes. Written as 32 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct JobId(pub [u8; 16]);
+pub struct JobId(pub(crate) [u8; 16]);
 
 /// A text that names no job.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -52,6 +58,11 @@ impl JobId {
     pub fn new(created: Time, random: u128) -> Self {
         let time = u128::from(created.0 & ((1 << 48) - 1)) << 80;
         Self((time | (random & ((1 << 80) - 1))).to_be_bytes())
+    }
+
+    /// The random number in it.
+    pub(crate) fn random(self) -> u128 {
+        u128::from_be_bytes(self.0) & ((1 << 80) - 1)
     }
 
     /// The least name of a job created at `time`.
@@ -260,14 +271,14 @@ impl Status {
     /// After a change.
     ///
     /// # Errors
-    /// [`TransitionError`](super::state::TransitionError).
+    /// [`TransitionError`](crate::record::state::TransitionError).
     pub fn changed(
         &self,
         deadlines: Deadlines,
         change: Change,
         now: Time,
-    ) -> Result<Self, super::state::TransitionError> {
-        let state = super::state::apply(self.state, change.transition())?;
+    ) -> Result<Self, crate::record::state::TransitionError> {
+        let state = crate::record::state::apply(self.state, change.transition())?;
         let mut next = Self { state, version: self.version + 1, changed: now, due: None, holder: None, ..self.clone() };
         let by = |from: Time, ms: Option<u64>| ms.map(|ms| from.after(Duration::from_millis(ms)));
         match change {

@@ -4,10 +4,11 @@
 //! Invariant: an answer that is not an error says what is kept: in a journal it is on the disk. An operation that gets an error
 //! has changed nothing, except [`StoreError::Broken`] and [`StoreError::Closed`], after which nobody knows until the store
 //! is opened again. A state changes only from the version that its changer has seen. Nothing here needs the caller to be
-//! the only process: times, names and what counts as orphaned are arguments.
+//! the only process. Only the store's own clock decides on times, leases and deadlines.
 //! Must not know: messages, how jobs are done, in which order they should be.
 
 mod codec;
+mod container;
 mod live;
 mod memory;
 mod operations;
@@ -19,11 +20,12 @@ use std::fmt;
 use std::path::PathBuf;
 use std::pin::Pin;
 use std::str::FromStr;
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use super::event::{Events, Progress};
-use super::record::{Change, Holder, Job, JobId, JobIdError, Time, ValidSpec};
-use super::state::{State, TransitionError};
+use crate::record::event::{Events, Progress};
+use crate::record::state::{State, TransitionError};
+use crate::record::{Bytes, Change, Job, JobId, JobIdError, Time, ValidSpec};
 
 pub use self::redb::repair::{Findings, check, repair};
 pub use self::redb::{RedbOptions, RedbStore};
@@ -55,37 +57,36 @@ pub trait JobStore: Send + Sync {
     /// Jobs, the newest first.
     fn list(&self, query: Query) -> Answer<'_, Page>;
 
-    /// Takes a queued job, in whatever version, and counts an attempt.
-    ///
-    /// # Errors
-    /// `NotFound`; `Transition` if it is not queued (any more).
-    fn claim(&self, id: JobId, holder: Holder, now: Time) -> Answer<'_, Job>;
+    /// Takes a queued job, counts an attempt and begins a lease. Of the jobs that fit the offer the first has the highest
+    /// priority, then the greatest age. `None` if none fits.
+    fn claim_next(&self, offer: Offer) -> Answer<'_, Option<Job>>;
 
-    /// Keeps a claim for longer. `at` is the version that [`Self::claim`] gave.
+    /// Extends the lease of a claim; it ends `lease` from now. `at` is the version that [`Self::claim_next`] gave. A lease
+    /// that is over can be renewed as long as the job was not taken back.
     ///
     /// # Errors
     /// `NotFound`; `Stale` if the job is no longer the caller's.
-    fn renew(&self, id: JobId, at: u64, until: Time) -> Answer<'_, ()>;
+    fn renew(&self, id: JobId, at: u64, lease: Duration) -> Answer<'_, ()>;
 
     /// Changes the state of a job that is at version `at`.
     ///
     /// # Errors
     /// `NotFound`, `Stale`, `Transition`.
-    fn change(&self, id: JobId, at: u64, change: Change, now: Time) -> Answer<'_, Job>;
+    fn change(&self, id: JobId, at: u64, change: Change) -> Answer<'_, Job>;
 
     /// Cancels a job, in whatever version; one that is cancelled already stays so. The executor finds out by its next
     /// [`Self::renew`] or [`Self::progress`], or by an event.
     ///
     /// # Errors
     /// `NotFound`; `Transition` if it has ended otherwise.
-    fn cancel(&self, id: JobId, now: Time) -> Answer<'_, Job>;
+    fn cancel(&self, id: JobId) -> Answer<'_, Job>;
 
-    /// Adds an event to a running job and gives its number. `at` is the version that [`Self::claim`] gave. May be lost if
+    /// Adds an event to a running job and gives its number. `at` is the version that [`Self::claim_next`] gave. May be lost if
     /// the process goes down before the state changes; its number is not used again.
     ///
     /// # Errors
     /// `NotFound`; `Stale` if the job is no longer the caller's.
-    fn progress(&self, id: JobId, at: u64, progress: Progress, now: Time) -> Answer<'_, u64>;
+    fn progress(&self, id: JobId, at: u64, progress: Progress) -> Answer<'_, u64>;
 
     /// At most `most` events after number `after`; none if none came.
     ///
@@ -107,25 +108,81 @@ pub trait JobStore: Send + Sync {
 
     /// Lets go of what is over, at most `most` jobs: those whose deadline has passed expire, results that were kept long
     /// enough expire, and jobs without a result that were kept long enough are deleted. An error may leave a part of it done.
-    fn expire(&self, now: Time, keep: Retention, most: usize) -> Answer<'_, Swept>;
+    fn expire(&self, keep: Retention, most: usize) -> Answer<'_, Swept>;
 
     /// Puts orphaned jobs back into the queue, each with its crash counted; one with `max_crashes` of them fails. An error may
     /// leave a part of it done; doing it again is harmless.
-    fn recover(&self, now: Time, orphans: Orphans, max_crashes: u32) -> Answer<'_, Recovered>;
+    fn recover(&self, orphans: Orphans, max_crashes: u32) -> Answer<'_, Recovered>;
 }
 
 /// Times that a job may bring the process down: the second time it fails.
 pub const MAX_CRASHES: u32 = 2;
 
-/// A job that is to be created.
+/// A job that is to be created. Its name has the store's time.
 #[derive(Clone, Debug)]
 pub struct NewJob {
-    /// Its name, if the request did not come before. Lists go by the time in it, which is to be `now`.
-    pub id: JobId,
+    /// For its name, if the request did not come before: a number from a source that others do not have.
+    pub random: u128,
     /// What is asked for.
     pub spec: ValidSpec,
-    /// The time.
-    pub now: Time,
+    /// Memory that it is expected to need.
+    pub needs: Bytes,
+}
+
+/// What a process can do now.
+#[derive(Clone, Debug)]
+pub struct Offer {
+    /// The name of the process.
+    pub holder: String,
+    /// The time until others may take the job for orphaned.
+    pub lease: Duration,
+    /// Memory that is free for the job.
+    pub room: Bytes,
+    /// This job alone: for a process that has all waiting jobs in a queue of its own.
+    pub job: Option<JobId>,
+}
+
+impl Offer {
+    /// An offer with this much memory for any job.
+    pub fn new(holder: impl Into<String>, lease: Duration, room: Bytes) -> Self {
+        Self { holder: holder.into(), lease, room, job: None }
+    }
+
+    /// An offer for one job, whatever it needs.
+    pub fn of(holder: impl Into<String>, lease: Duration, job: JobId) -> Self {
+        Self { job: Some(job), ..Self::new(holder, lease, Bytes::MAX) }
+    }
+}
+
+/// The clock of a store of one process.
+#[derive(Clone)]
+pub struct Clock(Arc<dyn Fn() -> Time + Send + Sync>);
+
+impl Clock {
+    /// A clock that gives what `read` gives.
+    pub fn new(read: impl Fn() -> Time + Send + Sync + 'static) -> Self {
+        Self(Arc::new(read))
+    }
+
+    pub(crate) fn now(&self) -> Time {
+        (self.0)()
+    }
+}
+
+/// The clock of the operating system.
+impl Default for Clock {
+    fn default() -> Self {
+        Self::new(|| {
+            let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+            Time(u64::try_from(since.as_millis()).unwrap_or(u64::MAX))
+        })
+    }
+}
+
+impl fmt::Debug for Clock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Clock")
+    }
 }
 
 /// What [`JobStore::create`] gives.

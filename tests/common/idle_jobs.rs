@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::SystemTime;
 
 use jobs::api::{Estimate, JobApi, JobApiError, Preview};
 use jobs::blob::{BlobError, BlobStore, Digest};
@@ -20,14 +19,9 @@ pub struct Idle {
     names: AtomicU64,
 }
 
-pub fn now() -> Time {
-    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap();
-    Time(since.as_millis() as u64)
-}
-
 impl Idle {
     pub fn new(blobs: Arc<dyn BlobStore>) -> Self {
-        Self { store: MemoryStore::new(), blobs, storage: watch::Sender::new(None), names: AtomicU64::new(0) }
+        Self { store: MemoryStore::default(), blobs, storage: watch::Sender::new(None), names: AtomicU64::new(0) }
     }
 
     async fn own(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
@@ -52,9 +46,8 @@ impl JobApi for Idle {
         for blob in Self::input(&spec) {
             self.blobs.stat(blob).await?;
         }
-        let now = now();
-        let id = JobId::new(now, self.names.fetch_add(1, Ordering::SeqCst).into());
-        Ok(self.store.create(NewJob { id, spec, now }).await?)
+        let random = self.names.fetch_add(1, Ordering::SeqCst).into();
+        Ok(self.store.create(NewJob { random, spec, needs: Bytes::default() }).await?)
     }
 
     async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
@@ -82,7 +75,7 @@ impl JobApi for Idle {
 
     async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
         self.own(tenant, id).await?;
-        Ok(self.store.cancel(id, now()).await?)
+        Ok(self.store.cancel(id).await?)
     }
 
     async fn delete(&self, tenant: &str, id: JobId) -> Result<(), JobApiError> {

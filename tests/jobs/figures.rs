@@ -22,8 +22,7 @@ fn create_all(store: &Arc<dyn JobStore>) -> f64 {
             scope.spawn(move || {
                 for number in (thread..JOBS).step_by(THREADS as usize) {
                     let spec = spec(&format!("r{number}"), number).check().unwrap();
-                    let now = Time(1_000_000 + number);
-                    wait(store.create(NewJob { id: JobId::new(now, number.into()), spec, now })).unwrap();
+                    wait(store.create(NewJob { random: number.into(), spec, needs: Bytes::default() })).unwrap();
                 }
             });
         }
@@ -59,7 +58,7 @@ fn figures(name: &str, store: &Arc<dyn JobStore>) -> String {
 #[test]
 #[ignore = "figures, not a test"]
 fn figures_of_the_stores() {
-    let memory: Arc<dyn JobStore> = Arc::new(MemoryStore::new());
+    let memory: Arc<dyn JobStore> = Arc::new(MemoryStore::default());
     let memory = figures("memory", &memory);
     let folder = match std::env::var_os("TESSERA_FIGURES_DIR") {
         Some(folder) => tempfile::tempdir_in(folder).unwrap(),
@@ -78,7 +77,7 @@ fn figures_of_the_stores() {
     drop(store);
     let start = Instant::now();
     let again = RedbStore::open(&killed, RedbOptions::default()).unwrap();
-    let queued = wait(again.recover(Time(2_000_000), Orphans::All, MAX_CRASHES)).unwrap().queued.len();
+    let queued = wait(again.recover(Orphans::All, MAX_CRASHES)).unwrap().queued.len();
     let open = start.elapsed().as_secs_f64() * 1e3;
     assert_eq!(queued as u64, JOBS);
     println!(

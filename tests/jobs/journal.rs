@@ -3,6 +3,8 @@
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use jobs::event::{KEPT_PROGRESS, Progress, What};
 use jobs::record::*;
@@ -16,8 +18,7 @@ fn open(path: &Path) -> Result<RedbStore, StoreError> {
 }
 
 fn new(number: u128) -> NewJob {
-    let now = Time(1000 + number as u64);
-    NewJob { id: JobId::new(now, number), spec: spec(&format!("r{number}"), 1).check().unwrap(), now }
+    NewJob { random: number, spec: spec(&format!("r{number}"), 1).check().unwrap(), needs: Bytes::default() }
 }
 
 #[test]
@@ -91,22 +92,22 @@ fn a_directory_of_a_later_release_is_left_alone() {
 
 #[test]
 fn a_watcher_goes_on_where_it_was() {
-    let store: Arc<dyn JobStore> = Arc::new(MemoryStore::new());
+    let store: Arc<dyn JobStore> = Arc::new(MemoryStore::default());
     wait(async {
         let job = store.create(new(1)).await.unwrap().job;
-        let (id, now) = (job.id, Time(5));
+        let id = job.id;
         let later = Arc::clone(&store);
         let watcher = tokio::spawn(async move { later.wait(id, 1).await });
         tokio::task::yield_now().await;
-        let holder = Holder { name: "x".to_owned(), until: Time(100) };
-        let at = store.claim(id, holder, now).await.unwrap().status.version;
+        let offer = Offer::new("x", Duration::from_secs(1), Bytes::MAX);
+        let at = store.claim_next(offer).await.unwrap().unwrap().status.version;
         watcher.await.unwrap().unwrap();
         for index in 0..1000 {
             let (kind, energy, gradient_norm, ms) = ("lloyd".to_owned(), 1.0, f64::NAN, 1.0);
             let step = Progress::Iteration { index, total: 1000, kind, energy, gradient_norm, ms };
-            store.progress(id, at, step, now).await.unwrap();
+            store.progress(id, at, step).await.unwrap();
         }
-        store.change(id, at, Change::Succeed(ResultSet::default()), now).await.unwrap();
+        store.change(id, at, Change::Succeed(ResultSet::default())).await.unwrap();
         let seen = store.events(id, 0, usize::MAX).await.unwrap();
         assert_eq!(seen.events.len(), KEPT_PROGRESS + 3);
         assert_eq!(seen.missing, 1000 - KEPT_PROGRESS as u64);
@@ -123,18 +124,22 @@ fn a_watcher_goes_on_where_it_was() {
 
 #[test]
 fn deadlines_run_out_in_the_queue_and_at_work() {
-    let store = MemoryStore::new();
+    let time = Arc::new(AtomicU64::new(1000));
+    let read = Arc::clone(&time);
+    let store = MemoryStore::with_clock(Clock::new(move || Time(read.load(Ordering::SeqCst))));
     wait(async {
         let mut job = new(1);
         let deadlines = Deadlines { queue_ms: Some(10), run_ms: Some(20) };
         job.spec = JobSpec { deadlines, ..job.spec.into() }.check().unwrap();
-        let (id, now) = (job.id, job.now);
-        store.create(job).await.unwrap();
-        let later = |ms| Time(now.0 + ms);
-        assert_eq!(store.expire(later(9), super::KEEP, 10).await.unwrap(), Swept::default());
-        store.claim(id, Holder { name: "x".to_owned(), until: later(99) }, later(9)).await.unwrap();
-        assert_eq!(store.expire(later(28), super::KEEP, 10).await.unwrap(), Swept::default());
-        assert_eq!(store.expire(later(29), super::KEEP, 10).await.unwrap().expired, [id]);
+        let id = store.create(job).await.unwrap().job.id;
+        let later = |ms: u64| time.store(1000 + ms, Ordering::SeqCst);
+        later(9);
+        assert_eq!(store.expire(super::KEEP, 10).await.unwrap(), Swept::default());
+        store.claim_next(Offer::of("x", Duration::from_millis(90), id)).await.unwrap().unwrap();
+        later(28);
+        assert_eq!(store.expire(super::KEEP, 10).await.unwrap(), Swept::default());
+        later(29);
+        assert_eq!(store.expire(super::KEEP, 10).await.unwrap().expired, [id]);
         let status = store.get(id).await.unwrap().status;
         assert_eq!(status.outcome, Some(Outcome::Expired(Cause::RunDeadline)));
     });

@@ -1,5 +1,6 @@
 //! A model of a store: what should be there, in the plainest words.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -36,9 +37,9 @@ pub struct Model {
 /// An operation, all its arguments known.
 #[derive(Clone, Debug)]
 pub enum Step {
-    Create { id: JobId, request: String, body: u64 },
-    Claim { id: JobId, until: Time },
-    Renew { id: JobId, at: u64, until: Time },
+    Create { random: u128, request: String, body: u64 },
+    Claim { job: Option<JobId>, room: u64, lease: Duration },
+    Renew { id: JobId, at: u64, lease: Duration },
     Progress { id: JobId, at: u64 },
     Change { id: JobId, at: u64, change: Change },
     Cancel(JobId),
@@ -52,6 +53,7 @@ pub enum Step {
 pub enum Gives {
     Done,
     Created(JobId, bool),
+    Claimed(Option<JobId>),
     Swept(Vec<JobId>, Vec<JobId>, bool),
     Recovered(Vec<JobId>, Vec<JobId>, Vec<JobId>),
     NotFound,
@@ -71,20 +73,43 @@ pub fn body(request: &str, body: u64) -> JobSpec {
         2 => Deadlines { queue_ms: None, run_ms: Some(200) },
         _ => Deadlines::default(),
     };
-    JobSpec { deadlines, ..spec(request, body) }
+    JobSpec { deadlines, priority: priority(body), ..spec(request, body) }
+}
+
+/// Some jobs of the model go first.
+fn priority(body: u64) -> Option<i32> {
+    (body == 3).then_some(5)
+}
+
+/// What a job of the model needs.
+fn needs(body: u64) -> Bytes {
+    Bytes { host: 10 * body, device: 0 }
 }
 
 impl Model {
     /// Does a step at a time.
     pub fn step(&mut self, step: &Step, now: Time) -> Gives {
         match step {
-            Step::Create { id, request, body } => self.create(*id, request, *body, now),
-            Step::Claim { id, until } => self.change(*id, None, &Change::Claim(holder(*until)), now),
-            Step::Renew { id, at, until } => match self.jobs.get_mut(id) {
+            Step::Create { random, request, body } => self.create(JobId::new(now, *random), request, *body, now),
+            Step::Claim { job, room, lease } => {
+                let fits = |(id, known): &(&JobId, &Known)| match job {
+                    Some(job) => *id == job,
+                    None => needs(known.body).host <= *room,
+                };
+                let waiting = self.jobs.iter().filter(|(_, known)| known.state == State::Queued);
+                let first =
+                    waiting.filter(fits).min_by_key(|(id, known)| (Reverse(priority(known.body).unwrap_or(0)), **id));
+                let first = first.map(|(id, _)| *id);
+                if let Some(id) = first {
+                    self.change(id, None, &Change::Claim(holder(now.after(*lease))), now);
+                }
+                Gives::Claimed(first)
+            }
+            Step::Renew { id, at, lease } => match self.jobs.get_mut(id) {
                 None => Gives::NotFound,
                 Some(job) if job.version != *at || job.state != State::Running => Gives::Stale,
                 Some(job) => {
-                    job.until = *until;
+                    job.until = now.after(*lease);
                     Gives::Done
                 }
             },
@@ -229,37 +254,40 @@ impl Model {
     }
 }
 
-pub fn holder(until: Time) -> Holder {
+fn holder(until: Time) -> Holder {
     Holder { name: "one".to_owned(), until }
 }
 
 /// Does a step with a store. `None` where nobody knows what became of it.
-pub async fn on_store(store: &dyn JobStore, step: Step, now: Time) -> Option<(Gives, Option<u64>)> {
+pub async fn on_store(store: &dyn JobStore, step: Step) -> Option<(Gives, Option<u64>)> {
     let mut number = None;
     let done = |result: Result<Job, StoreError>| result.map(|_| Gives::Done);
     let result = match step {
-        Step::Create { id, request, body: number } => {
+        Step::Create { random, request, body: number } => {
             let spec = body(&request, number).check().unwrap();
-            let created = store.create(NewJob { id, spec, now }).await;
+            let created = store.create(NewJob { random, spec, needs: needs(number) }).await;
             created.map(|created| Gives::Created(created.job.id, created.existed))
         }
-        Step::Claim { id, until } => done(store.claim(id, holder(until), now).await),
-        Step::Renew { id, at, until } => store.renew(id, at, until).await.map(|()| Gives::Done),
+        Step::Claim { job, room, lease } => {
+            let offer = Offer { job, ..Offer::new("one", lease, Bytes { host: room, device: 0 }) };
+            store.claim_next(offer).await.map(|claimed| Gives::Claimed(claimed.map(|job| job.id)))
+        }
+        Step::Renew { id, at, lease } => store.renew(id, at, lease).await.map(|()| Gives::Done),
         Step::Progress { id, at } => {
             let progress = jobs::event::Progress::Stage { name: "s".to_owned(), done: 0, total: 0 };
-            let given = store.progress(id, at, progress, now).await;
+            let given = store.progress(id, at, progress).await;
             number = given.as_ref().ok().copied();
             given.map(|_| Gives::Done)
         }
-        Step::Change { id, at, change } => done(store.change(id, at, change, now).await),
-        Step::Cancel(id) => done(store.cancel(id, now).await),
+        Step::Change { id, at, change } => done(store.change(id, at, change).await),
+        Step::Cancel(id) => done(store.cancel(id).await),
         Step::Delete(id) => store.delete(id).await.map(|()| Gives::Done),
         Step::Expire { most } => {
-            let swept = store.expire(now, KEEP, most).await;
+            let swept = store.expire(KEEP, most).await;
             swept.map(|swept| Gives::Swept(swept.expired, swept.deleted, swept.more))
         }
         Step::Recover(orphans) => {
-            let recovered = store.recover(now, orphans, MAX_CRASHES).await;
+            let recovered = store.recover(orphans, MAX_CRASHES).await;
             recovered.map(|r| Gives::Recovered(r.requeued, r.failed, r.queued))
         }
     };

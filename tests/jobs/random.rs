@@ -6,6 +6,8 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use jobs::event::What;
 use jobs::record::*;
@@ -26,6 +28,7 @@ enum Op {
         taken: bool,
     },
     Claim(u8),
+    ClaimNext(u8),
     Renew(u8, bool),
     Progress(u8, bool),
     Change(u8, u8, bool),
@@ -51,6 +54,7 @@ fn plain() -> impl Strategy<Value = Op> {
     prop_oneof![
         6 => (0..5u8, 0..4u8, prop::bool::weighted(0.05)).prop_map(|(request, body, taken)| Op::Create { request, body, taken }),
         6 => any::<u8>().prop_map(Op::Claim),
+        3 => (0..40u8).prop_map(Op::ClaimNext),
         1 => (any::<u8>(), any::<bool>()).prop_map(|(job, stale)| Op::Renew(job, stale)),
         4 => (any::<u8>(), prop::bool::weighted(0.1)).prop_map(|(job, stale)| Op::Progress(job, stale)),
         6 => (any::<u8>(), 0..6u8, prop::bool::weighted(0.1)).prop_map(|(job, change, stale)| Op::Change(job, change, stale)),
@@ -90,11 +94,14 @@ impl Medium for Elsewhere {
     fn close(&mut self, _: Arc<dyn JobStore>, _: bool, _: u64) {}
 }
 
-struct OnDisk(Disk);
+struct OnDisk(Disk, Clock);
 
 impl Medium for OnDisk {
     fn open(&self) -> Arc<dyn JobStore> {
-        Arc::new(RedbStore::with_backend(self.0.clone(), RedbOptions { cache_bytes: 1 << 20 }).unwrap())
+        Arc::new(
+            RedbStore::with_backend(self.0.clone(), RedbOptions { cache_bytes: 1 << 20, clock: self.1.clone() })
+                .unwrap(),
+        )
     }
 
     fn arm(&self, fuse: u32) {
@@ -116,16 +123,23 @@ struct Trial<M> {
     medium: M,
     store: Option<Arc<dyn JobStore>>,
     model: Model,
-    now: Time,
+    time: Arc<AtomicU64>,
     names: u128,
     /// The highest number of an event that was seen, by job.
     seen: BTreeMap<JobId, u64>,
 }
 
 impl<M: Medium> Trial<M> {
-    fn new(medium: M) -> Self {
+    fn new(medium: impl FnOnce(Clock) -> M) -> Self {
+        let time = Arc::new(AtomicU64::new(1_000_000));
+        let read = Arc::clone(&time);
+        let medium = medium(Clock::new(move || Time(read.load(Ordering::SeqCst))));
         let store = Some(medium.open());
-        Self { medium, store, model: Model::default(), now: Time(1_000_000), names: 0, seen: BTreeMap::new() }
+        Self { medium, store, model: Model::default(), time, names: 0, seen: BTreeMap::new() }
+    }
+
+    fn now(&self) -> Time {
+        Time(self.time.load(Ordering::SeqCst))
     }
 
     fn store(&self) -> &Arc<dyn JobStore> {
@@ -141,19 +155,19 @@ impl<M: Medium> Trial<M> {
                 None => (JobId::new(Time(1), 1), 1),
             }
         };
-        let until = |now: Time, number: u8| Time(now.0 + u64::from(number));
+        let lease = |number: u8| Duration::from_millis(number.into());
         Some(match *op {
             Op::Create { request, body, taken } => {
-                self.names += 1;
-                let fresh = JobId::new(self.now, self.names);
-                let id = if taken { self.model.jobs.keys().next().copied().unwrap_or(fresh) } else { fresh };
+                // The same number at the same time gives a name that is taken.
+                self.names += u128::from(!taken);
                 let request = if request == 0 { String::new() } else { format!("r{request}") };
-                Step::Create { id, request, body: body.into() }
+                Step::Create { random: self.names, request, body: body.into() }
             }
-            Op::Claim(job) => Step::Claim { id: pick(job).0, until: until(self.now, job) },
+            Op::Claim(job) => Step::Claim { job: Some(pick(job).0), room: 0, lease: lease(job) },
+            Op::ClaimNext(room) => Step::Claim { job: None, room: room.into(), lease: lease(room) },
             Op::Renew(job, stale) => {
                 let (id, at) = pick(job);
-                Step::Renew { id, at: at - u64::from(stale), until: until(self.now, job) }
+                Step::Renew { id, at: at - u64::from(stale), lease: lease(job) }
             }
             Op::Progress(job, stale) => {
                 let (id, at) = pick(job);
@@ -181,7 +195,7 @@ impl<M: Medium> Trial<M> {
 
     fn run(&mut self, op: &Op) {
         match op {
-            Op::Pass(ms) => self.now = Time(self.now.0 + u64::from(*ms)),
+            Op::Pass(ms) => drop(self.time.fetch_add((*ms).into(), Ordering::SeqCst)),
             Op::Restart { in_order, luck } => {
                 self.restart(!in_order, *luck);
                 self.recover();
@@ -189,8 +203,8 @@ impl<M: Medium> Trial<M> {
             Op::PowerCut { ops, fuse, luck } => self.cut(ops, (*fuse).into(), *luck),
             op => {
                 let Some(step) = self.step(op) else { return };
-                let (gives, number) = wait(on_store(&**self.store(), step.clone(), self.now)).unwrap();
-                assert_eq!(gives, self.model.step(&step, self.now), "{step:?}");
+                let (gives, number) = wait(on_store(&**self.store(), step.clone())).unwrap();
+                assert_eq!(gives, self.model.step(&step, self.now()), "{step:?}");
                 if let (Step::Progress { id, .. }, Some(number)) = (&step, number) {
                     self.told(*id, number);
                 }
@@ -214,21 +228,21 @@ impl<M: Medium> Trial<M> {
 
     fn recover(&mut self) {
         let step = Step::Recover(Orphans::All);
-        let gives = wait(on_store(&**self.store(), step.clone(), self.now)).unwrap().0;
-        assert_eq!(gives, self.model.step(&step, self.now));
+        let gives = wait(on_store(&**self.store(), step.clone())).unwrap().0;
+        assert_eq!(gives, self.model.step(&step, self.now()));
     }
 
     fn cut(&mut self, ops: &[Op], fuse: u32, luck: u64) {
         let steps: Vec<Step> = ops.iter().filter_map(|op| self.step(op)).collect();
         self.medium.arm(fuse);
-        let (now, store) = (self.now, Arc::clone(self.store()));
+        let (now, store) = (self.now(), Arc::clone(self.store()));
         let all = steps.clone();
         let outcomes = wait(async move {
             let tasks: Vec<_> = all
                 .into_iter()
                 .map(|step| {
                     let store = Arc::clone(&store);
-                    tokio::spawn(async move { on_store(&*store, step, now).await })
+                    tokio::spawn(async move { on_store(&*store, step).await })
                 })
                 .collect();
             let mut outcomes = Vec::new();
@@ -327,12 +341,12 @@ impl<M: Medium> Trial<M> {
                 self.model.jobs.iter().rev().filter(|(_, job)| job.state == state).map(|(id, _)| *id).collect();
             assert_eq!(listed, known, "{state:?}");
         }
-        let since = Time(self.now.0.saturating_sub(100));
+        let since = Time(self.now().0.saturating_sub(100));
         let labels = BTreeMap::from([("body".to_owned(), "1".to_owned())]);
-        let query = Query { labels, since: Some(since), before: Some(self.now), ..Query::default() };
+        let query = Query { labels, since: Some(since), before: Some(self.now()), ..Query::default() };
         let listed: Vec<JobId> = wait(store.list(query)).unwrap().jobs.iter().map(|job| job.id).collect();
         // The time of creation is that in the name.
-        let named = JobId::new(since, 0)..JobId::new(self.now, 0);
+        let named = JobId::new(since, 0)..JobId::new(self.now(), 0);
         let known: Vec<JobId> =
             self.model.jobs.range(named).rev().filter(|(_, job)| job.body == 1).map(|(id, _)| *id).collect();
         assert_eq!(listed, known);
@@ -355,7 +369,7 @@ fn sequences(name: &str, usual: u32, trial: impl Fn(Vec<Op>)) {
 #[test]
 fn the_store_in_memory_does_what_the_model_does() {
     sequences("memory", 300, |ops| {
-        let mut trial = Trial::new(Elsewhere(Arc::default()));
+        let mut trial = Trial::new(|clock| Elsewhere(Arc::new(MemoryStore::with_clock(clock))));
         ops.iter().for_each(|op| trial.run(op));
     });
 }
@@ -363,7 +377,7 @@ fn the_store_in_memory_does_what_the_model_does() {
 #[test]
 fn the_journal_does_what_the_model_does() {
     sequences("journal", 200, |ops| {
-        let mut trial = Trial::new(OnDisk(Disk::default()));
+        let mut trial = Trial::new(|clock| OnDisk(Disk::default(), clock));
         ops.iter().for_each(|op| trial.run(op));
     });
 }

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use jobs::blob::{Digest, put};
 use jobs::event::Progress;
-use jobs::record::{self, Change, Failure, FailureKind, Holder, JobId, ResultSet, Time};
-use jobs::store::JobStore;
+use jobs::record::{self, Change, Failure, FailureKind, JobId, ResultSet};
+use jobs::store::{JobStore, Offer};
 use server::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME};
 use tessera::proto::job_event::What;
 use tessera::proto::job_service_client::JobServiceClient;
@@ -15,7 +15,6 @@ use tonic::transport::Channel;
 use tonic::{Code, Request, Status, Streaming};
 use tonic_types::StatusExt;
 
-use crate::server::idle_jobs::now;
 use crate::server::*;
 
 const SECOND: Duration = Duration::from_secs(1);
@@ -75,18 +74,18 @@ fn field(status: &Status) -> String {
 
 /// Somebody takes the job; gives the version of the claim.
 async fn claim(server: &Server, job: &Job) -> u64 {
-    let holder = Holder { name: "test".to_owned(), until: Time(u64::MAX) };
-    server.idle.store.claim(id(job), holder, now()).await.unwrap().status.version
+    let offer = Offer::of("test", Duration::from_secs(3600), id(job));
+    server.idle.store.claim_next(offer).await.unwrap().unwrap().status.version
 }
 
 async fn change(server: &Server, job: &Job, at: u64, change: Change) {
-    server.idle.store.change(id(job), at, change, now()).await.unwrap();
+    server.idle.store.change(id(job), at, change).await.unwrap();
 }
 
 async fn step(server: &Server, job: &Job, at: u64, index: u64) {
     let kind = "lloyd".to_owned();
     let step = Progress::Iteration { index, total: 9, kind, energy: 0.5, gradient_norm: 0.25, ms: 1.5 };
-    server.idle.store.progress(id(job), at, step, now()).await.unwrap();
+    server.idle.store.progress(id(job), at, step).await.unwrap();
 }
 
 async fn watch(client: &mut Jobs, job: &Job, after: u64) -> Streaming<WatchJobResponse> {
@@ -335,7 +334,7 @@ async fn a_watch_tells_everything_and_ends_with_the_job() {
     // Cut, and on from the last number that came.
     drop(events);
     let stage = Progress::Stage { name: "dual".to_owned(), done: 1, total: 2 };
-    server.idle.store.progress(id(&job), at, stage, now()).await.unwrap();
+    server.idle.store.progress(id(&job), at, stage).await.unwrap();
     let mut events = watch(&mut client, &job, second.number + 3).await;
     let event = next(&mut events).await.unwrap().unwrap();
     assert!(matches!(&event.what, Some(What::Stage(stage)) if stage.name == "dual" && stage.total == 2), "{event:?}");
@@ -363,7 +362,7 @@ async fn a_watch_of_a_job_that_is_deleted_says_so() {
     // Its number never comes: it waits past the end.
     let mut events = watch(&mut client, &job, 1000).await;
     tokio::time::sleep(SECOND / 5).await;
-    server.idle.store.cancel(id(&job), now()).await.unwrap();
+    server.idle.store.cancel(id(&job)).await.unwrap();
     server.idle.store.delete(id(&job)).await.unwrap();
     assert_eq!(next(&mut events).await.unwrap_err().code(), Code::NotFound);
     server.stop().await.unwrap();

@@ -4,6 +4,7 @@
 //! Invariant: a result is pinned before it is named by the job. Who finds the job changed by others stops and leaves no
 //! pin. A stop because of a shutdown puts the job back. Must not know: queues, messages.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
@@ -11,17 +12,17 @@ use futures_util::TryStreamExt;
 use glam::DVec3;
 
 use super::storage::StorageError;
-use super::{Inner, ProgressCommand, failed, holder, input_pin, is_outdated, now, result_pin};
+use super::{Inner, LEASE, ProgressCommand, failed, input_pin, is_outdated, result_pin};
 use crate::blob::{BlobError, Digest, Owner, put};
-use crate::call::{ATTEMPTS, WorkContext};
-use crate::event::Progress;
-use crate::input::{ReadBlob, WorkError};
-use crate::observer::{self, JobOutcome};
-use crate::perform::{Audience, JobContext, Parts, perform};
+use crate::engine::worker::{Device, WorkContext, text};
+use crate::executor::input::{ReadBlob, WorkError};
+use crate::executor::perform::{JobContext, Parts, perform};
+use crate::observe::activity::{Activity, JobOutcome, Listener};
+use crate::record::event::Progress;
 use crate::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
-use crate::store::StoreError;
-use crate::worker::Device;
+use crate::store::{Offer, StoreError};
 use crate::{Backends, JobError};
+use geometry::cvt::Iteration;
 use geometry::remesh::RemeshError;
 use geometry::rvd::RvdError;
 use geometry::token::{Stopped, Token};
@@ -34,7 +35,6 @@ pub(super) struct Work {
     inner: Weak<Inner>,
     id: JobId,
     claimed: Option<Job>,
-    attempts: usize,
 }
 
 /// Whether this process ends for want of its device.
@@ -80,22 +80,25 @@ impl ReadBlob for Blobs<'_> {
 
 impl Work {
     pub(super) fn new(inner: Weak<Inner>, id: JobId) -> Self {
-        Self { inner, id, claimed: None, attempts: 0 }
+        Self { inner, id, claimed: None }
     }
 
     /// Does it, once or again.
     pub(super) fn run(&mut self, backends: &Backends, context: &WorkContext) -> Result<(), JobError> {
-        self.attempts += 1;
         let Some(inner) = self.inner.upgrade() else { return Ok(()) };
         let Some(job) = self.claim(&inner) else { return Ok(()) };
+        let recorder = Recorder { inner: Arc::clone(&inner), id: job.id, at: job.status.version };
+        context.activity.listen(Arc::new(recorder));
         let at_work = AtWork { inner, job, token: context.token.clone(), activity: Arc::clone(&context.activity) };
-        let outcome = at_work.perform(backends);
+        // A fault of the work is an end as well.
+        let outcome = catch_unwind(AssertUnwindSafe(|| at_work.perform(backends)))
+            .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref())).into()));
         let lost = match &outcome {
             Err(WorkError::Job(error)) if error.is_device_lost() => Some(error.clone()),
             _ => None,
         };
         match lost {
-            Some(error) if self.attempts < ATTEMPTS => Err(error),
+            Some(error) if context.may_retry => Err(error),
             lost => {
                 at_work.record_outcome(outcome);
                 at_work.inner.previews.end(self.id);
@@ -106,10 +109,10 @@ impl Work {
 
     /// The job, if it still is to be done.
     fn claim(&mut self, inner: &Inner) -> Option<Job> {
-        if self.claimed.is_none() {
-            match inner.runtime.block_on(inner.stores.jobs.claim(self.id, holder(&inner.name), now())) {
-                Ok(job) => self.claimed = Some(job),
-                Err(error) if is_outdated(&error) => {}
+        if self.claimed.is_none() && !inner.is_draining() {
+            let offer = Offer::of(&inner.name, LEASE, self.id);
+            match inner.runtime.block_on(inner.stores.jobs.claim_next(offer)) {
+                Ok(claimed) => self.claimed = claimed,
                 Err(error) => {
                     tracing::error!(id = %self.id, %error, "a job could not be claimed; it waits for the next start");
                 }
@@ -124,25 +127,46 @@ struct AtWork {
     inner: Arc<Inner>,
     job: Job,
     token: Token,
-    activity: Arc<observer::Activity>,
+    activity: Arc<Activity>,
 }
 
-impl Audience for &AtWork {
-    fn progress(&mut self, what: Progress) {
-        if matches!(what, Progress::Iteration { .. }) {
-            self.activity.iterated(1);
-        }
-        let (id, at) = (self.job.id, self.job.status.version);
+/// Records the progress of a claimed job and shows its seeds.
+struct Recorder {
+    inner: Arc<Inner>,
+    id: JobId,
+    /// The version of the claim.
+    at: u64,
+}
+
+impl Recorder {
+    fn record(&self, what: Progress) {
         // What the journal is too slow for is left out: the report has all.
-        let _ = self.inner.progress.try_send(ProgressCommand::Record { id, at, what, now: now() });
+        let _ = self.inner.progress.try_send(ProgressCommand::Record { id: self.id, at: self.at, what });
+    }
+}
+
+impl Listener for Recorder {
+    fn stage(&self, name: &'static str, done: u64, total: u64) {
+        self.record(Progress::Stage { name: name.to_owned(), done, total });
+    }
+
+    fn iteration(&self, it: &Iteration, total: usize) {
+        self.record(Progress::Iteration {
+            index: it.index as u64,
+            total: total as u64,
+            kind: it.kind.name().to_owned(),
+            energy: it.energy,
+            gradient_norm: it.gradient_norm,
+            ms: it.ms,
+        });
     }
 
     fn wants_seeds(&self) -> bool {
-        self.inner.previews.is_watched(self.job.id)
+        self.inner.previews.is_watched(self.id)
     }
 
-    fn seeds(&mut self, steps: usize, seeds: &[DVec3]) {
-        self.inner.previews.show(self.job.id, steps as u64, seeds);
+    fn seeds(&self, steps: usize, seeds: &[DVec3]) {
+        self.inner.previews.show(self.id, steps as u64, seeds);
     }
 }
 
@@ -151,8 +175,8 @@ impl AtWork {
         let (inner, job) = (&*self.inner, &self.job);
         let blobs = Blobs(inner, &self.token);
         let bounds = &inner.options.bounds;
-        let mut context = JobContext { backends, blobs: &blobs, bounds, token: &self.token, audience: &mut { self } };
-        let parts = perform(&job.spec, &mut context).map_err(|trouble| match (trouble, self.token.stopped()) {
+        let context = JobContext { backends, blobs: &blobs, bounds, token: &self.token, activity: &self.activity };
+        let parts = perform(&job.spec, &context).map_err(|trouble| match (trouble, self.token.stopped()) {
             // It was stopped while it waited for its input.
             (WorkError::Failure(_), Some(reason)) => WorkError::from(reason),
             (trouble, _) => trouble,
@@ -170,7 +194,7 @@ impl AtWork {
         );
         if let Some(limit) = usage.ok().map(|usage| usage.limit_bytes).filter(|limit| bytes > *limit) {
             let text = format!("the result has {bytes} bytes, and this server keeps {limit} in all; ask for less");
-            return Err(crate::input::failure(FailureKind::TooLarge, text));
+            return Err(crate::executor::input::failure(FailureKind::TooLarge, text));
         }
         for (name, bytes) in parts {
             let store = || inner.runtime.block_on(put(inner.stores.blobs.as_ref(), bytes.clone(), Some(&pin)));
@@ -181,7 +205,7 @@ impl AtWork {
                         BlobError::TooLarge { .. } => FailureKind::TooLarge,
                         _ => FailureKind::Unavailable,
                     };
-                    crate::input::failure(kind, format!("the result cannot be kept: {error}"))
+                    crate::executor::input::failure(kind, format!("the result cannot be kept: {error}"))
                 }
             })?;
             result.blobs.insert(name, info.digest);
@@ -194,7 +218,7 @@ impl AtWork {
             inner.stores.blobs.claim(owner, &digests).await
         });
         given.map_err(|error| {
-            crate::input::failure(FailureKind::Unavailable, format!("the result cannot be kept: {error}"))
+            crate::executor::input::failure(FailureKind::Unavailable, format!("the result cannot be kept: {error}"))
         })?;
         Ok(result)
     }
@@ -227,7 +251,7 @@ impl AtWork {
             if inner.progress.send(ProgressCommand::Flush(done)).await.is_ok() {
                 let _ = tokio::time::timeout(FLUSH_TIMEOUT, kept).await;
             }
-            let changed = inner.stores.jobs.change(job.id, job.status.version, change, now()).await;
+            let changed = inner.stores.jobs.change(job.id, job.status.version, change).await;
             match &changed {
                 Ok(_) => tracing::info!(id = %job.id, outcome = ?name, "a job ended"),
                 Err(error) if is_outdated(error) => {}
@@ -236,7 +260,7 @@ impl AtWork {
             if changed.is_err() || !keeps {
                 inner.unpin(&result_pin(job.id)).await;
             }
-            let released = matches!(name, crate::state::Transition::Release);
+            let released = matches!(name, crate::record::state::Transition::Release);
             if !released && !matches!(changed, Err(StoreError::Broken { .. } | StoreError::Closed)) {
                 inner.unpin(&input_pin(job.id)).await;
             }
@@ -251,7 +275,7 @@ impl AtWork {
             _ => None,
         });
         match stopped {
-            Some(Stopped::Cancelled) if self.inner.queue.is_draining() => return Some(Change::Release),
+            Some(Stopped::Cancelled) if self.inner.is_draining() => return Some(Change::Release),
             Some(Stopped::Cancelled) => return None,
             Some(Stopped::Time { limit })
                 if job.spec.deadlines.run_ms.is_some_and(|ms| Duration::from_millis(ms) <= limit) =>

@@ -15,7 +15,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::StoreError;
-use crate::record::Status;
+use crate::record::{Bytes, Status};
 
 /// The layout that is written.
 const VERSION: u8 = 1;
@@ -23,7 +23,7 @@ const VERSION: u8 = 1;
 /// What is kept of a job beside its specification: what changes, and what lists look for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Head {
+pub(crate) struct Head {
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub tenant: String,
     #[serde(default, skip_serializing_if = "String::is_empty")]
@@ -31,6 +31,9 @@ pub(super) struct Head {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<String, String>,
     pub status: Status,
+    /// Memory that it is expected to need; journals of earlier releases do not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) needs: Option<Bytes>,
     /// Number of the next event that is stored.
     pub next_event: u64,
     /// First event number that is not reserved. Numbers from `next_event` to this one belong to progress events that are not
@@ -42,13 +45,13 @@ fn damaged(what: &str, cause: &dyn std::fmt::Display) -> StoreError {
     StoreError::Damaged { path: PathBuf::from(what), what: cause.to_string() }
 }
 
-pub(super) fn encode<T: Serialize>(what: &str, value: &T) -> Result<Vec<u8>, StoreError> {
+pub(crate) fn encode<T: Serialize>(what: &str, value: &T) -> Result<Vec<u8>, StoreError> {
     let mut bytes = vec![VERSION];
     serde_json::to_writer(&mut bytes, value).map_err(|e| damaged(what, &e))?;
     Ok(bytes)
 }
 
-pub(super) fn decode<T: DeserializeOwned>(what: &str, bytes: &[u8]) -> Result<T, StoreError> {
+pub(crate) fn decode<T: DeserializeOwned>(what: &str, bytes: &[u8]) -> Result<T, StoreError> {
     match bytes.split_first() {
         Some((&VERSION, rest)) => serde_json::from_slice(rest).map_err(|e| damaged(what, &e)),
         Some((&found, _)) => Err(StoreError::UnknownVersion {

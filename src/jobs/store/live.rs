@@ -10,12 +10,12 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
 use super::{JobStore, StoreError};
-use crate::event::Log;
 use crate::record::JobId;
+use crate::record::event::Log;
 
 /// Progress of one running job.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Entry {
+pub(crate) struct Entry {
     /// The next number that is given away.
     pub next: u64,
     /// What came since the state changed.
@@ -24,7 +24,7 @@ pub(super) struct Entry {
 
 /// See the module's head.
 #[derive(Debug, Default)]
-pub(super) struct Live {
+pub(crate) struct Live {
     pub jobs: HashMap<JobId, Entry>,
     /// Jobs with something new to be seen: an event, or their end.
     pub touched: Vec<JobId>,
@@ -32,23 +32,23 @@ pub(super) struct Live {
 
 impl Live {
     /// Takes the progress of a job whose state changes.
-    pub(super) fn take(&mut self, id: JobId) -> Option<Entry> {
+    pub(crate) fn take(&mut self, id: JobId) -> Option<Entry> {
         self.jobs.remove(&id)
     }
 }
 
 /// Who waits, by job.
 #[derive(Debug, Default)]
-pub(super) struct Waiters(Mutex<HashMap<JobId, watch::Sender<()>>>);
+pub(crate) struct Waiters(Mutex<HashMap<JobId, watch::Sender<()>>>);
 
 impl Waiters {
     /// From now on changes of the job are seen by what is returned.
-    pub(super) fn join(&self, id: JobId) -> watch::Receiver<()> {
+    pub(crate) fn join(&self, id: JobId) -> watch::Receiver<()> {
         self.lock().entry(id).or_insert_with(|| watch::channel(()).0).subscribe()
     }
 
     /// Wakes who waits for one of these.
-    pub(super) fn wake(&self, ids: &[JobId]) {
+    pub(crate) fn wake(&self, ids: &[JobId]) {
         let mut waiters = self.lock();
         if waiters.is_empty() {
             return;
@@ -61,7 +61,7 @@ impl Waiters {
     }
 
     /// Forgets a job that nobody waits for any more.
-    pub(super) fn leave(&self, id: JobId) {
+    pub(crate) fn leave(&self, id: JobId) {
         let mut waiters = self.lock();
         if waiters.get(&id).is_some_and(|sender| sender.receiver_count() == 0) {
             waiters.remove(&id);
@@ -69,7 +69,7 @@ impl Waiters {
     }
 
     /// Ends once the job has an event after number `after`, or is gone.
-    pub(super) async fn until(&self, store: &dyn JobStore, id: JobId, after: u64) -> Result<(), StoreError> {
+    pub(crate) async fn until(&self, store: &dyn JobStore, id: JobId, after: u64) -> Result<(), StoreError> {
         let mut changes = Place { waiters: self, id, changes: Some(self.join(id)) };
         loop {
             if !store.events(id, after, 1).await?.events.is_empty() {
@@ -82,7 +82,7 @@ impl Waiters {
     }
 
     /// Wakes everybody: the store is closing.
-    pub(super) fn close(&self) {
+    pub(crate) fn close(&self) {
         self.lock().clear();
     }
 

@@ -6,19 +6,19 @@ use std::collections::BTreeMap;
 use std::ops::{Bound, ControlFlow};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use super::container::Container;
 use super::live::{Live, Waiters};
 use super::tables::{Order, Table, Tables, TablesMut, Visit};
-use super::{
-    Answer, Created, JobStore, NewJob, Orphans, Page, Query, Recovered, Retention, StoreError, Swept, operations as ops,
-};
-use crate::event::{Events, Progress};
-use crate::record::{Change, Holder, Job, JobId, Time, ValidSpec};
+use super::{Answer, Clock, StoreError};
+use crate::record::event::Log;
+use crate::record::{JobId, Time};
 
 /// See the module's head.
 #[derive(Debug, Default)]
 pub struct MemoryStore {
     contents: Mutex<Contents>,
     waiters: Waiters,
+    clock: Clock,
 }
 
 #[derive(Debug, Default)]
@@ -65,92 +65,43 @@ impl TablesMut for Trees {
 }
 
 impl MemoryStore {
-    /// Without jobs.
-    pub fn new() -> Self {
-        Self::default()
+    /// A store without jobs, with this clock.
+    pub fn with_clock(clock: Clock) -> Self {
+        Self { clock, ..Self::default() }
     }
 
     fn lock(&self) -> MutexGuard<'_, Contents> {
         self.contents.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
 
+impl Container for MemoryStore {
     fn write<T: Send + 'static>(
         &self,
-        operation: impl FnOnce(&mut dyn TablesMut, &mut Live) -> Result<T, StoreError> + Send,
+        operation: impl FnOnce(&mut dyn TablesMut, &mut Live, Time) -> Result<T, StoreError> + Send + 'static,
     ) -> Answer<'_, T> {
         let touched;
         let result = {
             let mut contents = self.lock();
             let Contents { tables, live } = &mut *contents;
-            let result = operation(tables, live);
+            let result = operation(tables, live, self.clock.now());
             touched = std::mem::take(&mut live.touched);
             result
         };
         self.waiters.wake(&touched);
         Box::pin(std::future::ready(result))
     }
-}
-
-impl JobStore for MemoryStore {
-    fn create(&self, job: NewJob) -> Answer<'_, Created> {
-        self.write(|tables, live| ops::create(tables, live, job))
-    }
-
-    fn requested(&self, spec: ValidSpec) -> Answer<'_, Option<Job>> {
-        let job = ops::requested(&self.lock().tables, &spec);
-        Box::pin(std::future::ready(job))
-    }
-
-    fn get(&self, id: JobId) -> Answer<'_, Job> {
-        let job = ops::get(&self.lock().tables, id);
-        Box::pin(std::future::ready(job))
-    }
-
-    fn list(&self, query: Query) -> Answer<'_, Page> {
-        let page = ops::list(&self.lock().tables, &query);
-        Box::pin(std::future::ready(page))
-    }
-
-    fn claim(&self, id: JobId, holder: Holder, now: Time) -> Answer<'_, Job> {
-        self.write(|tables, live| ops::change(tables, live, (id, None), Change::Claim(holder), now))
-    }
-
-    fn renew(&self, id: JobId, at: u64, until: Time) -> Answer<'_, ()> {
-        self.write(|tables, _| ops::renew(tables, id, at, until))
-    }
-
-    fn change(&self, id: JobId, at: u64, change: Change, now: Time) -> Answer<'_, Job> {
-        self.write(|tables, live| ops::change(tables, live, (id, Some(at)), change, now))
-    }
-
-    fn cancel(&self, id: JobId, now: Time) -> Answer<'_, Job> {
-        self.write(|tables, live| ops::cancel(tables, live, id, now))
-    }
-
-    fn progress(&self, id: JobId, at: u64, progress: Progress, now: Time) -> Answer<'_, u64> {
-        self.write(|tables, live| ops::progress(tables, live, (id, at), progress, now))
-    }
-
-    fn events(&self, id: JobId, after: u64, most: usize) -> Answer<'_, Events> {
+    fn read<T: Send + 'static>(
+        &self,
+        live: Option<JobId>,
+        operation: impl FnOnce(&dyn Tables, Option<Log>) -> Result<T, StoreError> + Send + 'static,
+    ) -> Answer<'_, T> {
         let contents = self.lock();
-        let progress = contents.live.jobs.get(&id).map(|entry| &entry.log);
-        let events = ops::events(&contents.tables, progress, id, after, most);
-        Box::pin(std::future::ready(events))
+        let progress = live.and_then(|id| contents.live.jobs.get(&id)).map(|entry| entry.log.clone());
+        Box::pin(std::future::ready(operation(&contents.tables, progress)))
     }
 
-    fn wait(&self, id: JobId, after: u64) -> Answer<'_, ()> {
-        Box::pin(self.waiters.until(self, id, after))
-    }
-
-    fn delete(&self, id: JobId) -> Answer<'_, ()> {
-        self.write(|tables, live| ops::delete(tables, live, id))
-    }
-
-    fn expire(&self, now: Time, keep: Retention, most: usize) -> Answer<'_, Swept> {
-        self.write(|tables, live| ops::expire(tables, live, now, keep, most))
-    }
-
-    fn recover(&self, now: Time, orphans: Orphans, max_crashes: u32) -> Answer<'_, Recovered> {
-        self.write(|tables, live| ops::recover(tables, live, now, orphans, max_crashes))
+    fn waiters(&self) -> &Waiters {
+        &self.waiters
     }
 }

@@ -9,10 +9,10 @@ use std::ops::ControlFlow;
 use super::codec::{Head, decode, encode};
 use super::live::{Entry, Live};
 use super::tables::{Order, Table, Tables, TablesMut};
-use super::{Created, NewJob, Orphans, Page, PageToken, Query, Recovered, Retention, StoreError, Swept};
-use crate::event::{Event, Events, Log, Progress, What};
-use crate::record::{Cause, Change, Failure, FailureKind, Holder, Job, JobId, Status, Time, ValidSpec};
-use crate::state::State;
+use super::{Created, NewJob, Offer, Orphans, Page, PageToken, Query, Recovered, Retention, StoreError, Swept};
+use crate::record::event::{Event, Events, Log, Progress, What};
+use crate::record::state::State;
+use crate::record::{Bytes, Cause, Change, Failure, FailureKind, Holder, Job, JobId, JobSpec, Status, Time, ValidSpec};
 
 /// Numbers of events that are reserved at once: so many are skipped at most if the process goes down.
 const RESERVED: u64 = 1024;
@@ -29,6 +29,12 @@ fn state_key(state: State, id: JobId) -> Vec<u8> {
 
 fn time_key(time: Time, id: JobId) -> Vec<u8> {
     [&time.0.to_be_bytes()[..], &id.0].concat()
+}
+
+/// Where a waiting job stands: the highest priority first, then the oldest.
+fn line_key(spec: &JobSpec, id: JobId) -> Vec<u8> {
+    let priority = spec.priority.unwrap_or(0).clamp(-100, 100);
+    [&[u8::try_from(100 - priority).unwrap_or(u8::MAX)], &id.0[..]].concat()
 }
 
 fn request_key(tenant: &str, request_id: &str) -> Vec<u8> {
@@ -109,8 +115,9 @@ fn unindex(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> StoreResul
     Ok(())
 }
 
-pub(super) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -> StoreResult<Created> {
-    let NewJob { id, spec: wanted, now } = new;
+pub(crate) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob, now: Time) -> StoreResult<Created> {
+    let NewJob { random, spec: wanted, needs } = new;
+    let id = JobId::new(now, random);
     if let Some(job) = requested(tables, &wanted)? {
         return Ok(Created { job, existed: true });
     }
@@ -126,6 +133,7 @@ pub(super) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -
         request_id: wanted.request_id.clone(),
         labels: wanted.labels.clone(),
         status,
+        needs: (needs != Bytes::default()).then_some(needs),
         next_event: 2,
         reserved_events: 2,
     };
@@ -140,12 +148,13 @@ pub(super) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -
         tables.put(Table::Terms, &term, &[])?;
     }
     index(tables, id, &head.status)?;
+    tables.put(Table::Line, &line_key(&wanted, id), &[])?;
     live.touched.push(id);
     Ok(Created { job: Job { id, spec: wanted, status: head.status }, existed: false })
 }
 
 /// Writes a job as another journal had it, with all its indexes.
-pub(super) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[u8], log: &[u8]) -> StoreResult<()> {
+pub(crate) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[u8], log: &[u8]) -> StoreResult<()> {
     put_head(tables, id, head)?;
     tables.put(Table::Specs, &id.0, spec)?;
     tables.put(Table::Logs, &id.0, log)?;
@@ -159,7 +168,7 @@ pub(super) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[
 }
 
 /// The job that the same request made before.
-pub(super) fn requested(tables: &(impl Tables + ?Sized), wanted: &ValidSpec) -> StoreResult<Option<Job>> {
+pub(crate) fn requested(tables: &(impl Tables + ?Sized), wanted: &ValidSpec) -> StoreResult<Option<Job>> {
     if wanted.request_id.is_empty() {
         return Ok(None);
     }
@@ -173,12 +182,12 @@ pub(super) fn requested(tables: &(impl Tables + ?Sized), wanted: &ValidSpec) -> 
     }
 }
 
-pub(super) fn get(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Job> {
+pub(crate) fn get(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Job> {
     let head = head(tables, id)?;
     Ok(Job { id, spec: spec(tables, id)?, status: head.status })
 }
 
-pub(super) fn list(tables: &impl Tables, query: &Query) -> StoreResult<Page> {
+pub(crate) fn list(tables: &dyn Tables, query: &Query) -> StoreResult<Page> {
     let limit = query.limit();
     let low = JobId::first_of(query.since.unwrap_or_default());
     let mut high = query.before.map_or([0xff; 16], |before| JobId::first_of(before).0);
@@ -254,7 +263,7 @@ fn at_version(head: &Head, id: JobId, at: Option<u64>) -> StoreResult<()> {
 }
 
 /// Changes the state; of a job at version `at`, if that is given.
-pub(super) fn change(
+pub(crate) fn change(
     tables: &mut dyn TablesMut,
     live: &mut Live,
     (id, at): (JobId, Option<u64>),
@@ -283,13 +292,47 @@ pub(super) fn change(
     let encoded = encode("log", &log)?;
     unindex(tables, id, &before.status)?;
     index(tables, id, &status)?;
+    match status.state {
+        State::Queued => tables.put(Table::Line, &line_key(&spec, id), &[])?,
+        _ if before.status.state == State::Queued => tables.remove(Table::Line, &line_key(&spec, id))?,
+        _ => {}
+    }
     let head = Head { status, next_event, reserved_events, ..before };
     put_head(tables, id, &head)?;
     tables.put(Table::Logs, &id.0, &encoded)?;
     Ok(Job { id, spec, status: head.status })
 }
 
-pub(super) fn cancel(tables: &mut dyn TablesMut, live: &mut Live, id: JobId, now: Time) -> StoreResult<Job> {
+/// Claims the first waiting job that fits an offer.
+pub(crate) fn claim_next(
+    tables: &mut dyn TablesMut,
+    live: &mut Live,
+    offer: Offer,
+    now: Time,
+) -> StoreResult<Option<Job>> {
+    let mut found = None;
+    match offer.job {
+        Some(id) => match head(tables, id) {
+            Ok(head) => found = (head.status.state == State::Queued).then_some(id),
+            Err(StoreError::NotFound { .. }) => {}
+            Err(error) => return Err(error),
+        },
+        None => tables.visit(Table::Line, (&[], &[u8::MAX; 17]), Order::Up, &mut |key, _| {
+            let id = id_of(Table::Line, key)?;
+            let head = head(tables, id)?;
+            if head.status.state != State::Queued || !head.needs.unwrap_or_default().fits(offer.room) {
+                return Ok(ControlFlow::Continue(()));
+            }
+            found = Some(id);
+            Ok(ControlFlow::Break(()))
+        })?,
+    }
+    let Some(id) = found else { return Ok(None) };
+    let holder = Holder { name: offer.holder, until: now.after(offer.lease) };
+    change(tables, live, (id, None), Change::Claim(holder), now).map(Some)
+}
+
+pub(crate) fn cancel(tables: &mut dyn TablesMut, live: &mut Live, id: JobId, now: Time) -> StoreResult<Job> {
     let job = get(tables, id)?;
     match job.status.state {
         State::Cancelled => Ok(job),
@@ -297,7 +340,7 @@ pub(super) fn cancel(tables: &mut dyn TablesMut, live: &mut Live, id: JobId, now
     }
 }
 
-pub(super) fn renew(tables: &mut dyn TablesMut, id: JobId, at: u64, until: Time) -> StoreResult<()> {
+pub(crate) fn renew(tables: &mut dyn TablesMut, id: JobId, at: u64, until: Time) -> StoreResult<()> {
     let mut head = running(tables, id, at)?;
     if let Some(Holder { until: old, .. }) = &mut head.status.holder {
         *old = until;
@@ -316,7 +359,7 @@ fn running(tables: &dyn TablesMut, id: JobId, at: u64) -> StoreResult<Head> {
     }
 }
 
-pub(super) fn progress(
+pub(crate) fn progress(
     tables: &mut dyn TablesMut,
     live: &mut Live,
     (id, at): (JobId, u64),
@@ -339,8 +382,8 @@ pub(super) fn progress(
 }
 
 /// `progress` is that of the job, read before the tables.
-pub(super) fn events(
-    tables: &impl Tables,
+pub(crate) fn events(
+    tables: &dyn Tables,
     progress: Option<&Log>,
     id: JobId,
     after: u64,
@@ -354,7 +397,7 @@ pub(super) fn events(
     Ok(log.after(after, most))
 }
 
-pub(super) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> StoreResult<()> {
+pub(crate) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> StoreResult<()> {
     let head = head(tables, id)?;
     let state = head.status.state;
     if !state.is_ended() {
@@ -375,7 +418,7 @@ pub(super) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> 
     Ok(())
 }
 
-pub(super) fn expire(
+pub(crate) fn expire(
     tables: &mut dyn TablesMut,
     live: &mut Live,
     now: Time,
@@ -440,7 +483,7 @@ fn in_state(tables: &dyn TablesMut, state: State) -> StoreResult<Vec<JobId>> {
     Ok(found)
 }
 
-pub(super) fn recover(
+pub(crate) fn recover(
     tables: &mut dyn TablesMut,
     live: &mut Live,
     now: Time,
@@ -466,5 +509,13 @@ pub(super) fn recover(
         }
     }
     recovered.queued = in_state(tables, State::Queued)?;
+    // Journals of earlier releases have no line.
+    for id in &recovered.queued {
+        let spec = spec(tables, *id)?;
+        let key = line_key(&spec, *id);
+        if tables.get(Table::Line, &key)?.is_none() {
+            tables.put(Table::Line, &key, &[])?;
+        }
+    }
     Ok(recovered)
 }

@@ -24,13 +24,12 @@ use ::redb::{
 };
 use tokio::sync::{mpsc, oneshot};
 
+use super::container::Container;
 use super::live::{Live, Waiters};
 use super::tables::{Order, Table, Tables, TablesMut, Visit};
-use super::{
-    Answer, Created, JobStore, NewJob, Orphans, Page, Query, Recovered, Retention, StoreError, Swept, operations as ops,
-};
-use crate::event::{Events, Log, Progress};
-use crate::record::{Change, Holder, Job, JobId, Time, ValidSpec};
+use super::{Answer, Clock, StoreError};
+use crate::record::event::Log;
+use crate::record::{JobId, Time};
 use directory::Directory;
 
 /// Operations that wait for the writer; more wait for a place.
@@ -48,15 +47,17 @@ fn definition(table: Table) -> TableDefinition<'static, Bytes, Bytes> {
 }
 
 /// How the journal is opened.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct RedbOptions {
     /// Pages that are kept in memory, bytes.
     pub cache_bytes: usize,
+    /// The clock.
+    pub clock: Clock,
 }
 
 impl Default for RedbOptions {
     fn default() -> Self {
-        Self { cache_bytes: 32 << 20 }
+        Self { cache_bytes: 32 << 20, clock: Clock::default() }
     }
 }
 
@@ -75,6 +76,7 @@ struct Shared {
     /// Progress as far as it can be seen: what the writer has, after the commit that it may depend on.
     progress: Mutex<HashMap<JobId, Log>>,
     waiters: Waiters,
+    clock: Clock,
     /// Held after the database, so dropped after it.
     _directory: Option<Directory>,
 }
@@ -91,7 +93,7 @@ impl RedbStore {
     /// `InUse`, `Damaged`, `UnknownVersion`, `Io`.
     pub fn open(directory: &Path, options: RedbOptions) -> Result<Self, StoreError> {
         let (directory, database) = Directory::open(directory, options.cache_bytes)?;
-        Self::start(database, directory.journal(), Some(directory))
+        Self::start(database, directory.journal(), options.clock, Some(directory))
     }
 
     /// A journal in something else than a file, as tests need it.
@@ -101,12 +103,17 @@ impl RedbStore {
     pub fn with_backend(backend: impl StorageBackend, options: RedbOptions) -> Result<Self, StoreError> {
         let path = PathBuf::from("journal");
         let database = directory::database(&path, options.cache_bytes, |builder| builder.create_with_backend(backend))?;
-        Self::start(database, path, None)
+        Self::start(database, path, options.clock, None)
     }
 
-    fn start(database: Database, path: PathBuf, directory: Option<Directory>) -> Result<Self, StoreError> {
+    fn start(
+        database: Database,
+        path: PathBuf,
+        clock: Clock,
+        directory: Option<Directory>,
+    ) -> Result<Self, StoreError> {
         let (progress, waiters) = (Mutex::default(), Waiters::default());
-        let shared = Arc::new(Shared { database, path, progress, waiters, _directory: directory });
+        let shared = Arc::new(Shared { database, path, progress, waiters, clock, _directory: directory });
         shared.make_tables()?;
         let (commands, waiting) = mpsc::channel(WAITING);
         let writer = Writer { shared: Arc::clone(&shared), live: Live::default(), broken: None };
@@ -115,7 +122,8 @@ impl RedbStore {
         Ok(Self { shared, commands: Some(commands), writer: Some(writer) })
     }
 
-    fn write<T: Send + 'static>(
+    /// Sends an operation to the writer.
+    fn send<T: Send + 'static>(
         &self,
         operation: impl FnOnce(&mut dyn TablesMut, &mut Live) -> Result<T, StoreError> + Send + 'static,
     ) -> Answer<'_, T> {
@@ -131,13 +139,27 @@ impl RedbStore {
             answer.await.map_err(|_| StoreError::Closed)?
         })
     }
+}
+
+impl Container for RedbStore {
+    fn write<T: Send + 'static>(
+        &self,
+        operation: impl FnOnce(&mut dyn TablesMut, &mut Live, Time) -> Result<T, StoreError> + Send + 'static,
+    ) -> Answer<'_, T> {
+        let clock = self.shared.clock.clone();
+        self.send(move |tables, live| operation(tables, live, clock.now()))
+    }
 
     fn read<T: Send + 'static>(
         &self,
-        operation: impl FnOnce(&Shared) -> Result<T, StoreError> + Send + 'static,
+        live: Option<JobId>,
+        operation: impl FnOnce(&dyn Tables, Option<Log>) -> Result<T, StoreError> + Send + 'static,
     ) -> Answer<'_, T> {
         let shared = Arc::clone(&self.shared);
-        let work = move || operation(&shared);
+        let work = move || {
+            let progress = live.and_then(|id| shared.progress().get(&id).cloned());
+            operation(&shared.reading()?, progress)
+        };
         Box::pin(async move {
             // Pages may have to come from the disk.
             match tokio::runtime::Handle::try_current() {
@@ -145,6 +167,10 @@ impl RedbStore {
                 Err(_) => work(),
             }
         })
+    }
+
+    fn waiters(&self) -> &Waiters {
+        &self.shared.waiters
     }
 }
 
@@ -378,67 +404,5 @@ impl Writer {
                 None => drop(progress.remove(id)),
             }
         }
-    }
-}
-
-impl JobStore for RedbStore {
-    fn create(&self, job: NewJob) -> Answer<'_, Created> {
-        self.write(|tables, live| ops::create(tables, live, job))
-    }
-
-    fn requested(&self, spec: ValidSpec) -> Answer<'_, Option<Job>> {
-        self.read(move |shared| ops::requested(&shared.reading()?, &spec))
-    }
-
-    fn get(&self, id: JobId) -> Answer<'_, Job> {
-        self.read(move |shared| ops::get(&shared.reading()?, id))
-    }
-
-    fn list(&self, query: Query) -> Answer<'_, Page> {
-        self.read(move |shared| ops::list(&shared.reading()?, &query))
-    }
-
-    fn claim(&self, id: JobId, holder: Holder, now: Time) -> Answer<'_, Job> {
-        self.write(move |tables, live| ops::change(tables, live, (id, None), Change::Claim(holder), now))
-    }
-
-    fn renew(&self, id: JobId, at: u64, until: Time) -> Answer<'_, ()> {
-        self.write(move |tables, _| ops::renew(tables, id, at, until))
-    }
-
-    fn change(&self, id: JobId, at: u64, change: Change, now: Time) -> Answer<'_, Job> {
-        self.write(move |tables, live| ops::change(tables, live, (id, Some(at)), change, now))
-    }
-
-    fn cancel(&self, id: JobId, now: Time) -> Answer<'_, Job> {
-        self.write(move |tables, live| ops::cancel(tables, live, id, now))
-    }
-
-    fn progress(&self, id: JobId, at: u64, progress: Progress, now: Time) -> Answer<'_, u64> {
-        self.write(move |tables, live| ops::progress(tables, live, (id, at), progress, now))
-    }
-
-    fn events(&self, id: JobId, after: u64, most: usize) -> Answer<'_, Events> {
-        self.read(move |shared| {
-            // Before the tables: what is here may follow on a state that is in them by now, and must not be seen without.
-            let progress = shared.progress().get(&id).cloned();
-            ops::events(&shared.reading()?, progress.as_ref(), id, after, most)
-        })
-    }
-
-    fn wait(&self, id: JobId, after: u64) -> Answer<'_, ()> {
-        Box::pin(self.shared.waiters.until(self, id, after))
-    }
-
-    fn delete(&self, id: JobId) -> Answer<'_, ()> {
-        self.write(move |tables, live| ops::delete(tables, live, id))
-    }
-
-    fn expire(&self, now: Time, keep: Retention, most: usize) -> Answer<'_, Swept> {
-        self.write(move |tables, live| ops::expire(tables, live, now, keep, most))
-    }
-
-    fn recover(&self, now: Time, orphans: Orphans, max_crashes: u32) -> Answer<'_, Recovered> {
-        self.write(move |tables, live| ops::recover(tables, live, now, orphans, max_crashes))
     }
 }

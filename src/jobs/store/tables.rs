@@ -9,6 +9,7 @@
 //! | states | state, job | nothing |
 //! | due | time, job | nothing: jobs with a deadline that runs |
 //! | ended | time, job | 1 if there is a result: jobs that have ended |
+//! | line | priority, job | nothing: jobs that wait |
 //! | terms | label or tenant, job | nothing: for lists |
 //!
 //! Purpose: [`Tables`], so that the stores of one process share their operations. Invariant: keys are in the order of their
@@ -20,7 +21,7 @@ use super::StoreError;
 
 /// One of the tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Table {
+pub(crate) enum Table {
     Heads,
     Specs,
     Logs,
@@ -29,13 +30,23 @@ pub(super) enum Table {
     Due,
     Ended,
     Terms,
+    Line,
 }
 
 impl Table {
-    pub(super) const ALL: [Self; 8] =
-        [Self::Heads, Self::Specs, Self::Logs, Self::Requests, Self::States, Self::Due, Self::Ended, Self::Terms];
+    pub(crate) const ALL: [Self; 9] = [
+        Self::Heads,
+        Self::Specs,
+        Self::Logs,
+        Self::Requests,
+        Self::States,
+        Self::Due,
+        Self::Ended,
+        Self::Terms,
+        Self::Line,
+    ];
 
-    pub(super) fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Heads => "heads",
             Self::Specs => "specs",
@@ -45,21 +56,22 @@ impl Table {
             Self::Due => "due",
             Self::Ended => "ended",
             Self::Terms => "terms",
+            Self::Line => "line",
         }
     }
 }
 
 /// Which way a range is visited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Order {
+pub(crate) enum Order {
     Up,
     Down,
 }
 
-pub(super) type Visit<'a> = dyn FnMut(&[u8], &[u8]) -> Result<ControlFlow<()>, StoreError> + 'a;
+pub(crate) type Visit<'a> = dyn FnMut(&[u8], &[u8]) -> Result<ControlFlow<()>, StoreError> + 'a;
 
 /// Reading.
-pub(super) trait Tables {
+pub(crate) trait Tables {
     fn get(&self, table: Table, key: &[u8]) -> Result<Option<Vec<u8>>, StoreError>;
 
     /// Visits keys from `from` to before `to` until told to break.
@@ -68,7 +80,7 @@ pub(super) trait Tables {
 }
 
 /// Writing.
-pub(super) trait TablesMut: Tables {
+pub(crate) trait TablesMut: Tables {
     fn put(&mut self, table: Table, key: &[u8], value: &[u8]) -> Result<(), StoreError>;
     fn remove(&mut self, table: Table, key: &[u8]) -> Result<(), StoreError>;
 }

@@ -92,7 +92,7 @@ pub async fn repair(folder: &Path) -> Result<Findings, StoreError> {
     }
     let store = RedbStore::open(&new, RedbOptions::default())?;
     for job in whole {
-        store.write(move |tables, _| ops::adopt(tables, job.id, &job.head, &job.spec, &job.log)).await?;
+        store.send(move |tables, _| ops::adopt(tables, job.id, &job.head, &job.spec, &job.log)).await?;
     }
     drop(store);
     let damaged = (0..u32::MAX)

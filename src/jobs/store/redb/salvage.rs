@@ -13,7 +13,7 @@ use std::path::Path;
 use ::redb::{Builder, ConcurrencyMode, ReadTransaction, ReadableDatabase, ReadableTable};
 
 use super::{Table, definition};
-use crate::event::Log;
+use crate::record::event::Log;
 use crate::record::{JobId, ValidSpec};
 use crate::store::codec::{Head, decode, encode};
 
@@ -35,12 +35,12 @@ pub(super) struct Rows {
     specs: TableRows,
     logs: TableRows,
     /// What was wrong, if anything was.
-    pub(super) faults: Vec<String>,
+    pub faults: Vec<String>,
 }
 
 /// A job as it can be written again.
 pub(super) struct SalvagedJob {
-    pub(super) id: JobId,
+    pub id: JobId,
     pub(super) head: Head,
     pub(super) spec: Vec<u8>,
     pub(super) log: Vec<u8>,

@@ -7,11 +7,11 @@ use super::{Shared, bounds};
 use crate::service::RequestError;
 use geometry::remesh::RemeshOptions;
 use geometry::rvd::BackendKind;
-use jobs::AdmissionRequest;
 use jobs::estimate::{Counts, Kind, need};
 use jobs::forecast::must_fit;
 use jobs::observer::Origin;
 use jobs::record::{DensityKind, PlacementRule};
+use jobs::{AdmissionRequest, admission};
 use wire::codec;
 use wire::counts::{MeshCounts, SeedCounts};
 use wire::proto::{self, ComputeRvdHeader, CvtHeader, RemeshHeader};
@@ -45,16 +45,10 @@ pub(super) fn admission_request<H: Needs>(
     let counts = header.counts(by.kind, mesh, points);
     let need = need(&counts, by.threads);
     must_fit(&need, shared.engine.memory())?;
-    Ok(AdmissionRequest {
-        tenant: tenant.into(),
-        weight: shared.engine.weights().of(tenant),
-        seconds: need.seconds,
-        memory: need.memory,
-        has_continuations: H::HAS_CONTINUATIONS,
-        // Of the points that are asked for, not of those that may be added.
-        origin: Some(Origin { seeds: points, ..Origin::of(&counts, None) }),
-        ..AdmissionRequest::default()
-    })
+    let request = admission::request(&shared.engine, tenant, &counts, &need);
+    // Of the points that are asked for, not of those that may be added.
+    let origin = request.origin.map(|origin| Origin { seeds: points, ..origin });
+    Ok(AdmissionRequest { has_continuations: H::HAS_CONTINUATIONS, origin, ..request })
 }
 
 fn density(options: Option<&proto::DensityOptions>, mesh: MeshCounts) -> DensityKind {

@@ -8,10 +8,10 @@ use std::sync::Arc;
 use tokio::sync::mpsc;
 
 use super::*;
-use ::jobs::observer::Activity;
+use ::jobs::observer::Listener;
 pub(super) use ::jobs::{Admission, Retry, Timed};
 use geometry::cvt::Iteration;
-use geometry::remesh::{Observer, Remesh};
+use geometry::remesh::Remesh;
 use wire::chunks::{facet_chunks, index_chunks};
 use wire::options::{RemeshArrays, of_remesh};
 use wire::proto::remesh_response as response;
@@ -34,15 +34,14 @@ enum Event {
     Iteration(Box<Iteration>, usize),
 }
 
-struct Reporter(mpsc::Sender<Event>, Arc<Activity>);
+struct Reporter(mpsc::Sender<Event>);
 
-impl Observer for Reporter {
-    fn stage(&mut self, name: &'static str) {
+impl Listener for Reporter {
+    fn stage(&self, name: &'static str, _: u64, _: u64) {
         let _ = self.0.try_send(Event::Stage(name));
     }
 
-    fn iteration(&mut self, iteration: &Iteration, total: usize) {
-        self.1.iterated(1);
+    fn iteration(&self, iteration: &Iteration, total: usize) {
         let _ = self.0.try_send(Event::Iteration(Box::new(*iteration), total));
     }
 }
@@ -70,8 +69,8 @@ pub(super) async fn handle(
             context.token.check()?;
             let backend = backends.choose(wish)?;
             let _ = events.try_send(Event::Started(context.queue_ms));
-            let mut reporter = Reporter(events.clone(), Arc::clone(&context.activity));
-            Ok(geometry::remesh::remesh(&mesh, &options, backend.as_ref(), &mut reporter, &context.token)?)
+            context.activity.listen(Arc::new(Reporter(events.clone())));
+            Ok(geometry::remesh::remesh(&mesh, &options, backend.as_ref(), &mut &*context.activity, &context.token)?)
         })?;
     drop(reservation);
     outbox.send(wrap(response::Message::Accepted(accepted(pending.position, &by)))).await?;

@@ -5,32 +5,12 @@
 //! Invariant: pure, without clock or files. Monotone in every count, and nothing overflows.
 //! Must not know: queues, records of jobs, how counts were found.
 
-use super::bytes::Bytes;
-use super::record::{DensityKind, PlacementRule};
+use crate::observe::activity::Origin;
+use crate::record::Bytes;
+pub use crate::record::Kind;
+use crate::record::{DensityKind, JobId, PlacementRule};
 use geometry::rvd::BackendKind;
 use gpu::SessionForecast;
-
-/// The kind of a job.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Kind {
-    /// A whole remesh.
-    Remesh,
-    /// A diagram.
-    Rvd,
-    /// A session.
-    Cvt,
-}
-
-impl Kind {
-    /// "remesh", "rvd" or "cvt".
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Remesh => "remesh",
-            Self::Rvd => "rvd",
-            Self::Cvt => "cvt",
-        }
-    }
-}
 
 /// What is known of a job before it runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -85,6 +65,12 @@ impl Counts {
             measures: true,
             cells: false,
         }
+    }
+
+    /// How a job with these counts is counted.
+    pub fn origin(&self, job: Option<JobId>) -> Origin {
+        let &Self { kind, backend, facets, points, .. } = self;
+        Origin { kind, backend, job, facets, seeds: points }
     }
 }
 

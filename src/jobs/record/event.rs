@@ -8,8 +8,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::record::Time;
-use super::state::State;
+use crate::record::Time;
+use crate::record::state::State;
 
 /// The most stages and iterations that are kept of a job.
 pub const KEPT_PROGRESS: usize = 64;

@@ -6,7 +6,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::Backends;
+use crate::Backends;
 use geometry::rvd::{BackendChoice, BackendKind};
 
 /// What an engine does whose device does not come back in time.

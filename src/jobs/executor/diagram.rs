@@ -11,8 +11,8 @@ use std::time::Instant;
 use glam::DVec3;
 use serde::Serialize;
 
-use super::spec::Prepared;
-use super::{BackendInfo, JobError};
+use crate::executor::prepared::Prepared;
+use crate::{BackendInfo, JobError};
 use geometry::remesh::report::{DeviceFigures, InputFigures, IterationFigures, MemoryFigures, RvdFigures, Timings};
 use geometry::rvd::{Backend, CellSums, DeviceWork, PassStats, PieceBatch, Session, SessionOptions, Surface};
 use geometry::token::Token;
@@ -207,7 +207,7 @@ fn open(surface: &Arc<Surface>, seeds: &[DVec3], backend: &dyn Backend) -> Resul
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::spec::Input;
+    use crate::executor::prepared::Input;
     use geometry::cvt::density::DensityOptions;
     use geometry::mesh::shapes::Shape;
     use geometry::remesh::Seeds;

@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
-use super::spec::Prepared;
-use super::{
+use crate::executor::prepared::Prepared;
+use crate::{
     Admission, AdmissionRequest, BackendInfo, Engine, JobError, Pending, Reservation, Retry, Timed, WorkContext,
 };
 use geometry::cvt::{Cvt, CvtOptions, Iteration, SeedEdit, StepKind};

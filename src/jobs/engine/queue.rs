@@ -7,12 +7,13 @@
 //! for [`RESERVATION_TTL`], so a slow upload does not keep others out. Closing refuses what is new and keeps what waits; nothing
 //! gets in once all workers have gone. Must not know: what the work is.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::JobError;
-use super::schedule::{AdmissionRequest, Schedule, Slots};
+use crate::JobError;
+use crate::engine::schedule::{AdmissionRequest, Schedule, Slots};
+use crate::record::JobId;
 use geometry::token::Token;
 
 /// How long a reservation counts against the limit. A job that is uploaded later still gets in, but others do too.
@@ -79,7 +80,8 @@ struct State<T> {
     /// When each reservation was made, by number.
     reservations: BTreeMap<u64, Instant>,
     tickets: u64,
-    running: HashMap<u64, Token>,
+    running: HashMap<u64, Running>,
+    kept: Kept,
     closed: bool,
     /// The workers have gone: nothing that gets in now would ever be answered.
     ended: bool,
@@ -89,8 +91,40 @@ struct State<T> {
 
 struct Waiting<T> {
     item: T,
-    /// Whether it counts against the limit.
-    counts: bool,
+    /// Its name if a store keeps it; then it does not count against the limit.
+    kept: Option<JobId>,
+}
+
+/// An item at work.
+struct Running {
+    token: Token,
+    kept: Option<JobId>,
+}
+
+/// Jobs of a store that wait or are at work.
+#[derive(Default)]
+struct Kept {
+    jobs: HashMap<JobId, (Arc<str>, Token)>,
+    /// How many each tenant has.
+    tenants: HashMap<Arc<str>, usize>,
+}
+
+impl Kept {
+    fn insert(&mut self, id: JobId, tenant: Arc<str>, token: Token) {
+        *self.tenants.entry(Arc::clone(&tenant)).or_default() += 1;
+        self.jobs.insert(id, (tenant, token));
+    }
+
+    fn remove(&mut self, id: JobId) -> Option<Token> {
+        let (tenant, token) = self.jobs.remove(&id)?;
+        if let Some(count) = self.tenants.get_mut(&tenant) {
+            *count -= 1;
+            if *count == 0 {
+                self.tenants.remove(&tenant);
+            }
+        }
+        Some(token)
+    }
 }
 
 impl<T: Item> Queue<T> {
@@ -102,6 +136,7 @@ impl<T: Item> Queue<T> {
             reservations: BTreeMap::new(),
             tickets: 0,
             running: HashMap::new(),
+            kept: Kept::default(),
             closed: false,
             ended: false,
             mean_s: 0.5,
@@ -145,7 +180,10 @@ impl<T: Item> Queue<T> {
         let position = match admission {
             Admission::New(request) | Admission::Reserved(request) => {
                 let ahead = state.jobs.running() + state.jobs.waiting();
-                let waiting = Waiting { item, counts: !request.is_persistent };
+                if let Some(id) = request.kept {
+                    state.kept.insert(id, Arc::clone(&request.tenant), item.token().clone());
+                }
+                let waiting = Waiting { item, kept: request.kept };
                 state.jobs.push(request, waiting);
                 ahead
             }
@@ -205,7 +243,9 @@ impl<T: Item> Queue<T> {
     /// An item that was taken is done, and took so long.
     pub(crate) fn done(&self, number: u64, took: Duration) {
         let mut state = self.lock();
-        state.running.remove(&number);
+        if let Some(id) = state.running.remove(&number).and_then(|running| running.kept) {
+            state.kept.remove(id);
+        }
         if state.jobs.done(number, took.as_secs_f64()) {
             state.mean_s = 0.8 * state.mean_s + 0.2 * took.as_secs_f64();
         }
@@ -230,6 +270,7 @@ impl<T: Item> Queue<T> {
         let mut state = self.lock();
         state.closed = true;
         state.ended = true;
+        state.release_kept();
         let left = (state.jobs.drain(), std::mem::take(&mut state.short));
         drop(state);
         drop(left);
@@ -238,9 +279,30 @@ impl<T: Item> Queue<T> {
 
     /// Cancels what waits and what runs.
     pub(crate) fn cancel_all(&self) {
-        let state = self.lock();
-        state.running.values().for_each(Token::cancel);
+        let mut state = self.lock();
+        state.running.values().for_each(|running| running.token.cancel());
         state.jobs.iter().map(|waiting| &waiting.item).chain(&state.short).for_each(|item| item.token().cancel());
+        state.release_kept();
+    }
+
+    /// Jobs of a store that wait or are at work: a tenant's, or all.
+    pub(crate) fn kept(&self, tenant: Option<&str>) -> usize {
+        let state = self.lock();
+        match tenant {
+            Some(tenant) => state.kept.tenants.get(tenant).copied().unwrap_or(0),
+            None => state.kept.jobs.len(),
+        }
+    }
+
+    /// Takes a job of a store out of the line and cancels it. An unknown one is ignored.
+    pub(crate) fn remove_kept(&self, id: JobId) {
+        let gone = self.lock().kept.remove(id);
+        gone.iter().for_each(Token::cancel);
+    }
+
+    /// Takes the waiting jobs of the store out of the line: the store has them.
+    pub(crate) fn release_kept(&self) {
+        self.lock().release_kept();
     }
 
     fn lock(&self) -> MutexGuard<'_, State<T>> {
@@ -249,6 +311,12 @@ impl<T: Item> Queue<T> {
 }
 
 impl<T: Item> State<T> {
+    fn release_kept(&mut self) {
+        let running: HashSet<JobId> = self.running.values().filter_map(|running| running.kept).collect();
+        let waiting: Vec<JobId> = self.kept.jobs.keys().filter(|id| !running.contains(id)).copied().collect();
+        waiting.into_iter().filter_map(|id| self.kept.remove(id)).for_each(|token| token.cancel());
+    }
+
     fn number(&mut self) -> u64 {
         self.tickets += 1;
         self.tickets
@@ -257,11 +325,11 @@ impl<T: Item> State<T> {
     /// Takes the next item of a lane. Those that nobody waits for any more go to `unwanted`.
     fn take(&mut self, lane: Lane, unwanted: &mut Vec<T>) -> Option<Dequeued<T>> {
         let number = self.number();
-        let (item, is_alone) = match lane {
+        let (item, is_alone, kept) = match lane {
             Lane::Short => loop {
                 let item = self.short.pop_front()?;
                 if item.is_wanted() {
-                    break (item, false);
+                    break (item, false, None);
                 }
                 unwanted.push(item);
             },
@@ -270,10 +338,10 @@ impl<T: Item> State<T> {
                 let next = self.jobs.next(number, |waiting| waiting.item.is_wanted(), &mut gone);
                 unwanted.extend(gone.into_iter().map(|waiting| waiting.item));
                 let next = next?;
-                (next.item.item, next.is_alone)
+                (next.item.item, next.is_alone, next.item.kept)
             }
         };
-        self.running.insert(number, item.token().clone());
+        self.running.insert(number, Running { token: item.token().clone(), kept });
         Some(Dequeued { item, number, is_alone })
     }
 
@@ -289,7 +357,7 @@ impl<T: Item> State<T> {
 
     /// New jobs that wait, and places that are kept for others.
     fn new_jobs(&self) -> usize {
-        let waiting = self.jobs.iter().filter(|waiting| waiting.counts).count();
+        let waiting = self.jobs.iter().filter(|waiting| waiting.kept.is_none()).count();
         waiting + self.reservations.values().filter(|since| since.elapsed() < RESERVATION_TTL).count()
     }
 
@@ -312,7 +380,7 @@ impl<T: Item> State<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bytes::Bytes;
+    use crate::record::{Bytes, Time};
 
     struct Ticket(u32, bool, Token);
 
@@ -387,7 +455,10 @@ mod tests {
         // So does what is kept elsewhere while it waits, and it takes nobody's place.
         queue
             .push(
-                Admission::Reserved(AdmissionRequest { is_persistent: true, ..AdmissionRequest::default() }),
+                Admission::Reserved(AdmissionRequest {
+                    kept: Some(JobId::new(Time(1), 1)),
+                    ..AdmissionRequest::default()
+                }),
                 ticket(5, true),
             )
             .unwrap();
@@ -409,6 +480,30 @@ mod tests {
         queue.done(job.number, Duration::from_secs(1));
         assert_eq!(pop(&queue, Lane::Jobs).map(|t| t.0), Some(1));
         assert!(matches!(queue.pop(Lane::Short, None), Popped::Closed));
+    }
+
+    #[test]
+    fn kept_jobs_are_counted_until_they_are_done_or_removed() {
+        let queue = queue(1);
+        let push = |number: u32, tenant: &str| {
+            let kept = Some(JobId::new(Time(1), number.into()));
+            let request = AdmissionRequest { kept, tenant: tenant.into(), ..AdmissionRequest::default() };
+            queue.push(Admission::Reserved(request), ticket(number, true)).unwrap();
+        };
+        for (number, tenant) in [(0, "a"), (1, "a"), (2, "b")] {
+            push(number, tenant);
+        }
+        assert_eq!([queue.kept(None), queue.kept(Some("a")), queue.kept(Some("c"))], [3, 2, 0]);
+        let Popped::Item(running) = queue.pop(Lane::Jobs, None) else { panic!("three wait") };
+        queue.remove_kept(JobId::new(Time(1), 9));
+        queue.release_kept();
+        assert_eq!(queue.kept(None), 1, "the one at work");
+        assert!(!running.item.2.is_stopped());
+        queue.done(running.number, Duration::ZERO);
+        assert_eq!(queue.kept(None), 0);
+        push(3, "a");
+        queue.remove_kept(JobId::new(Time(1), 3));
+        assert_eq!(queue.kept(Some("a")), 0);
     }
 
     #[test]

@@ -6,13 +6,13 @@
 
 use glam::{DVec2, DVec3};
 
-use super::JobError;
-use super::record::{
+use crate::JobError;
+use crate::blob::{BlobError, Digest};
+use crate::executor::prepared::Input;
+use crate::record::{
     ArrayForm, ArrayRef, AttributeKind, AttributeRef, DensityKind, DensitySpec, Failure, FailureKind, JobSpec,
     MeshSource, RemeshWork, SeedSource, Tolerance, WorkSpec,
 };
-use super::spec::Input;
-use crate::blob::{BlobError, Digest};
 use geometry::cvt::density::{Count, DensitySource};
 use geometry::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
 use geometry::mesh::io::lists::{FileVertices, most_edges, points};

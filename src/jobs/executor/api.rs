@@ -4,17 +4,15 @@
 //! Invariant: a job of another tenant does not exist for a caller. An answer that is not an error says what is kept.
 //! Must not know: messages, streams, who does the work, where jobs are kept.
 
-use std::fmt;
-
 use async_trait::async_trait;
 use tokio::sync::watch;
 
-use super::JobError;
-use super::event::Events;
-pub use super::preview::{Preview, PreviewReceiver};
-use super::record::{Job, JobId, JobSpec, SpecError};
-use super::store::{Created, Page, Query, StoreError};
+pub use crate::admission::error::{JobApiError, Memory};
 use crate::blob::BlobError;
+pub use crate::observe::preview::{Preview, PreviewReceiver};
+use crate::record::event::Events;
+use crate::record::{Job, JobId, JobSpec};
+use crate::store::{Created, Page, Query};
 
 /// See the module's head. Whoever calls [`create`](Self::create), [`cancel`](Self::cancel) or [`delete`](Self::delete) runs
 /// it to its end, even if nobody waits for the answer any more.
@@ -106,63 +104,4 @@ pub struct Estimate {
     pub seconds: f64,
     /// Whether it could run here.
     pub fits: bool,
-}
-
-/// A memory that jobs share.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Memory {
-    /// The process's.
-    Host,
-    /// The device's.
-    Device,
-}
-
-impl fmt::Display for Memory {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Host => "of memory",
-            Self::Device => "of device memory",
-        })
-    }
-}
-
-/// Why something that a caller wants of jobs was refused or failed.
-#[derive(Clone, Debug, thiserror::Error)]
-pub enum JobApiError {
-    /// The specification makes no sense.
-    #[error(transparent)]
-    Spec(#[from] SpecError),
-    /// The specification does not fit what its blobs hold, or what this server takes.
-    #[error("{field} {problem}")]
-    Input {
-        /// Where, as in [`SpecError::field`].
-        field: String,
-        /// What is wrong, and what to give instead.
-        problem: String,
-    },
-    /// The job could never run here.
-    #[error("the job needs {needed_bytes} bytes {of}, and this server has {limit_bytes} for a job; ask for less")]
-    TooLarge {
-        /// Of which memory.
-        of: Memory,
-        /// What it needs.
-        needed_bytes: u64,
-        /// What there is.
-        limit_bytes: u64,
-    },
-    /// More is packed in the surface's file than may be in one of its size.
-    #[error("more than {limit_bytes} bytes are packed in the file; unpack it first (gunzip)")]
-    Packed {
-        /// What may be.
-        limit_bytes: u64,
-    },
-    /// The store of jobs refused or failed.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// The store of blobs refused or failed.
-    #[error(transparent)]
-    Blob(#[from] BlobError),
-    /// The queue refused or failed.
-    #[error(transparent)]
-    Job(#[from] JobError),
 }

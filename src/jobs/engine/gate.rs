@@ -3,6 +3,7 @@
 //! Purpose: [`Gate`] lets one pass at a time on the device, in the order in which they came; [`Gated`] is a backend whose
 //! sessions go through it. So a job's passes run while another fits or measures on the host, and a tiny job waits for one
 //! pass of a huge one and not for its end.
+//! A CPU backend needs no gate; its passes are counted and traced in the same way.
 //! Invariant: what is gated does what its inner session does, with the same bits; only when it does so differs. Who waits
 //! hears its token. A panic inside gives the gate back.
 //! Must not know: which backend it is, what a job does.
@@ -14,7 +15,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 
-use super::observer::Activity;
+use crate::observe::activity::Activity;
 use geometry::rvd::{
     Backend, BackendKind, CellSums, DeviceFacts, DeviceWork, Evaluation, PassStats, PhasesMs, PieceBatch, Resident,
     RvdError, Session, SessionOptions, Surface,
@@ -102,56 +103,66 @@ impl Gate {
     }
 }
 
-/// A device that several jobs share. See the module's head.
+/// A backend as one job sees it: its passes are counted and traced, and a device is shared. See the module's head.
 pub(crate) struct Gated {
-    /// The device.
-    pub device: Arc<dyn Backend>,
-    /// Who is let in.
-    pub gate: Arc<Gate>,
-    /// The job's own threads, for all that is no pass.
-    pub host: Arc<dyn Backend>,
+    /// The backend.
+    pub(crate) backend: Arc<dyn Backend>,
+    /// For a device: the gate, and the job's own threads for all that is no pass.
+    pub(crate) shared: Option<(Arc<Gate>, Arc<dyn Backend>)>,
     /// Counts and traces passes.
     pub activity: Arc<Activity>,
 }
 
+impl Gated {
+    fn session_of(&self, session: Box<dyn Session>) -> Box<dyn Session> {
+        let gate = self.shared.as_ref().map(|(gate, _)| Arc::clone(gate));
+        Box::new(GatedSession::new(session, gate, self.backend.kind(), Arc::clone(&self.activity)))
+    }
+}
+
 impl Backend for Gated {
     fn pool(&self) -> Option<Arc<rayon::ThreadPool>> {
-        self.host.pool()
+        self.shared.as_ref().map_or(&self.backend, |(_, host)| host).pool()
     }
 
     fn kind(&self) -> BackendKind {
-        self.device.kind()
+        self.backend.kind()
     }
 
     fn adapter(&self) -> Option<String> {
-        self.device.adapter()
+        self.backend.adapter()
     }
 
     fn device_facts(&self) -> Option<DeviceFacts> {
-        self.device.device_facts()
+        self.backend.device_facts()
     }
 
     fn threads(&self) -> usize {
-        self.device.threads()
+        self.backend.threads()
     }
 
     fn exact_session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
-        self.host.session(surface, options)
+        match &self.shared {
+            Some((_, host)) => host.session(surface, options),
+            None => Ok(self.session_of(self.backend.exact_session(surface, options)?)),
+        }
     }
 
     fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        let Some((gate, _)) = &self.shared else {
+            return Ok(self.session_of(self.backend.session(surface, options)?));
+        };
         // Planning and allocating are the device's too: two at once could both find that they fit.
-        let _pass = self.gate.enter(None)?;
-        let activity = Arc::clone(&self.activity);
-        let opening = activity.pass("open", self.device.kind());
-        let session = self.device.session(surface, options)?;
+        let _pass = gate.enter(None)?;
+        let opening = self.activity.pass("open", self.backend.kind());
+        let session = self.backend.session(surface, options)?;
         drop(opening);
-        Ok(Box::new(GatedSession::new(session, Some(Arc::clone(&self.gate)), self.device.kind(), activity)))
+        Ok(self.session_of(session))
     }
 }
 
 /// A session whose passes are counted and traced, and wait for their turn if there is a gate.
-pub(super) struct GatedSession {
+struct GatedSession {
     session: Box<dyn Session>,
     gate: Option<Arc<Gate>>,
     kind: BackendKind,
@@ -164,12 +175,7 @@ pub(super) struct GatedSession {
 
 impl GatedSession {
     /// A session that was just opened.
-    pub(super) fn new(
-        session: Box<dyn Session>,
-        gate: Option<Arc<Gate>>,
-        kind: BackendKind,
-        activity: Arc<Activity>,
-    ) -> Self {
+    fn new(session: Box<dyn Session>, gate: Option<Arc<Gate>>, kind: BackendKind, activity: Arc<Activity>) -> Self {
         let work = session.device_work();
         let mut session = Self { session, gate, kind, activity, planned: 0, work };
         session.report_planned();

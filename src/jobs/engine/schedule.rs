@@ -20,9 +20,10 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::bytes::Bytes;
+use crate::record::Bytes;
 
-use super::observer::Origin;
+use crate::observe::activity::Origin;
+use crate::record::JobId;
 
 /// How long others may bypass a job that does not fit.
 const BYPASS_LIMIT: Duration = Duration::from_secs(10);
@@ -49,8 +50,8 @@ pub struct AdmissionRequest {
     pub seconds: f64,
     /// Memory that it is expected to need.
     pub memory: Bytes,
-    /// Whether it is kept in a store while it waits, and so does not count against the queue's limit.
-    pub is_persistent: bool,
+    /// Its name if a store keeps it. It then does not count against the queue's limit.
+    pub kept: Option<JobId>,
     /// Whether later pieces of work continue what its first one makes, such as a session.
     pub has_continuations: bool,
     /// For metrics; what has none is not counted.
@@ -65,7 +66,7 @@ impl Default for AdmissionRequest {
             priority: 0,
             seconds: 0.5,
             memory: Bytes::default(),
-            is_persistent: false,
+            kept: None,
             has_continuations: false,
             origin: None,
         }

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use glam::DVec3;
 
-use super::{Admission, Engine, JobError, Retry};
+use crate::{Admission, Engine, JobError, Retry};
 use geometry::mesh::TriMesh;
 use geometry::rvd::{Backend, BackendChoice, CellSums, RvdError, SessionOptions, Surface};
 use geometry::token::Token;

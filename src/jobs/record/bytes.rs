@@ -3,8 +3,11 @@
 //! Purpose: [`Bytes`] is what a job needs of them, or what there is. Invariant: sums never overflow. Must not know: who needs
 //! it, or what for.
 
+use serde::{Deserialize, Serialize};
+
 /// Memory, bytes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Bytes {
     /// Of the process.
     pub host: u64,
@@ -21,11 +24,11 @@ impl Bytes {
         self.host <= room.host && self.device <= room.device
     }
 
-    pub(super) fn plus(self, other: Self) -> Self {
+    pub(crate) fn plus(self, other: Self) -> Self {
         Self { host: self.host.saturating_add(other.host), device: self.device.saturating_add(other.device) }
     }
 
-    pub(super) fn minus(self, other: Self) -> Self {
+    pub(crate) fn minus(self, other: Self) -> Self {
         Self { host: self.host.saturating_sub(other.host), device: self.device.saturating_sub(other.device) }
     }
 }

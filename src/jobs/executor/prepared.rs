@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
-use super::JobError;
+use crate::JobError;
 use geometry::cvt::density::{self, DensityOptions, Plan};
 use geometry::mesh::TriMesh;
 use geometry::mesh::attributes::Attributes;

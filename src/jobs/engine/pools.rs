@@ -8,7 +8,7 @@
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{Backends, PoolFactory};
+use crate::{Backends, PoolFactory};
 use geometry::rvd::Backend;
 
 /// See the module's head.

@@ -9,11 +9,13 @@ use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use glam::DVec3;
 use tracing::{Span, debug_span, field, info_span};
 
-use super::JobError;
-use super::estimate::{Counts, Kind};
-use super::record::JobId;
+use crate::JobError;
+use crate::record::{JobId, Kind};
+use geometry::cvt::Iteration;
+use geometry::remesh;
 use geometry::rvd::BackendKind;
 use geometry::token::StageListener;
 use telemetry::trace::{self, TraceContext};
@@ -55,14 +57,6 @@ pub struct Origin {
     pub seeds: u64,
 }
 
-impl Origin {
-    /// Of a job with these counts.
-    pub fn of(counts: &Counts, job: Option<JobId>) -> Self {
-        let &Counts { kind, backend, facets, points, .. } = counts;
-        Self { kind, backend, job, facets, seeds: points }
-    }
-}
-
 /// Who counts. Every method is called from whatever thread is at work, and returns at once.
 pub trait Observer: Send + Sync {
     /// A job came, went on, or left.
@@ -85,6 +79,20 @@ pub trait Observer: Send + Sync {
 
 /// Nobody counts.
 impl Observer for () {}
+
+/// Hears of stages and steps of one piece of work, on the thread at work, and returns at once.
+pub trait Listener: Send + Sync {
+    /// A stage began, or has done this many of its steps; `total` is 0 if it is not known.
+    fn stage(&self, name: &'static str, done: u64, total: u64);
+    /// A step was taken.
+    fn iteration(&self, iteration: &Iteration, total: usize);
+    /// Whether the seeds are to be shown after the next step.
+    fn wants_seeds(&self) -> bool {
+        false
+    }
+    /// Where the seeds are after this many steps.
+    fn seeds(&self, _steps: usize, _seeds: &[DVec3]) {}
+}
 
 /// A job among those that are counted.
 struct Counted {
@@ -165,7 +173,7 @@ impl QueuedActivity {
         if !span.is_none() {
             trace::join(&span, trace);
         }
-        let now = Mutex::new(Now { span, stage: None, counted });
+        let now = Mutex::new(Now { span, stage: None, counted, listener: None });
         Arc::new(Activity { observer, origin, now, outcome: OnceLock::new() })
     }
 }
@@ -184,6 +192,7 @@ struct Now {
     span: Span,
     stage: Option<Stage>,
     counted: Option<Counted>,
+    listener: Option<Arc<dyn Listener>>,
 }
 
 struct Stage {
@@ -208,18 +217,32 @@ impl Activity {
         self.now().span.clone()
     }
 
+    /// From now on `listener` hears of stages and steps.
+    pub fn listen(&self, listener: Arc<dyn Listener>) {
+        self.now().listener = Some(listener);
+    }
+
+    fn listener(&self) -> Option<Arc<dyn Listener>> {
+        self.now().listener.clone()
+    }
+
+    /// A stage has done this many of its steps.
+    pub(crate) fn advance(&self, stage: &'static str, done: u64, total: u64) {
+        self.listener().iter().for_each(|listener| listener.stage(stage, done, total));
+    }
+
     /// Steps were taken.
     pub fn iterated(&self, steps: u64) {
         self.observer.iterated(steps);
     }
 
     /// Sessions of the device hold so many bytes more, or fewer.
-    pub(super) fn planned(&self, bytes: i64) {
+    pub(crate) fn planned(&self, bytes: i64) {
         self.observer.planned(bytes);
     }
 
     /// A backend begins a pass, which lasts until what this gives is dropped.
-    pub(super) fn pass(&self, pass: &'static str, backend: BackendKind) -> Pass<'_> {
+    pub(crate) fn pass(&self, pass: &'static str, backend: BackendKind) -> Pass<'_> {
         let span = {
             let now = self.now();
             // A session outlives the piece that opened it; then whoever is at work is asked.
@@ -238,10 +261,11 @@ impl Activity {
     }
 
     /// The piece has ended, and is out of the count before anybody hears of its result.
-    pub(super) fn end(&self, error: Option<&JobError>) {
+    pub(crate) fn end(&self, error: Option<&JobError>) {
         let mut now = self.now();
         self.end_stage(&mut now);
         now.span = Span::none();
+        now.listener = None;
         let Some(counted) = now.counted.take() else { return };
         drop(now);
         let outcome = match error {
@@ -272,11 +296,29 @@ impl StageListener for Activity {
             false => info_span!(parent: &now.span, "stage", stage = name, otel.name = name),
         };
         now.stage = Some(Stage { name, since: Instant::now(), span });
+        drop(now);
+        self.advance(name, 0, 0);
+    }
+}
+
+/// Stages come by the token.
+impl remesh::Observer for &Activity {
+    fn iteration(&mut self, iteration: &Iteration, total: usize) {
+        self.iterated(1);
+        self.listener().iter().for_each(|listener| listener.iteration(iteration, total));
+    }
+
+    fn wants_seeds(&mut self) -> bool {
+        self.listener().is_some_and(|listener| listener.wants_seeds())
+    }
+
+    fn seeds(&mut self, steps: usize, seeds: &[DVec3]) {
+        self.listener().iter().for_each(|listener| listener.seeds(steps, seeds));
     }
 }
 
 /// A pass under way.
-pub(super) struct Pass<'a> {
+pub(crate) struct Pass<'a> {
     activity: &'a Activity,
     backend: BackendKind,
     since: Instant,

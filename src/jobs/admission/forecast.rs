@@ -11,15 +11,15 @@ use std::sync::{Arc, Mutex, PoisonError};
 use futures_util::TryStreamExt;
 use tokio::sync::Semaphore;
 
-use super::api::{JobApiError, Memory};
-use super::bytes::Bytes;
-use super::engine::Engine;
-use super::estimate::{Counts, Kind, Need, need};
-use super::record::{
+use super::error::{JobApiError, Memory};
+use crate::admission::estimate::{Counts, Need, need};
+use crate::blob::{BlobError, BlobStore, Digest, Owner};
+use crate::engine::Engine;
+use crate::record::Bytes;
+use crate::record::{
     ArrayForm, AttributeKind, AttributeRef, DensityKind, JobSpec, MeshSource, PlacementRule, RvdOutput, SeedSource,
     WorkSpec,
 };
-use crate::blob::{BlobError, BlobStore, Digest, Owner};
 use geometry::mesh::io::{self, DataError, Format};
 use geometry::remesh::RemeshOptions;
 use geometry::rvd::{BackendChoice, BackendKind};
@@ -87,13 +87,8 @@ impl Forecast {
             (MeshSource::File { .. }, Some(given)) => (given, bytes(given, (12, 13))),
             (MeshSource::File { blob, format, .. }, None) => self.of_file(owner, *blob, *format).await?,
         };
-        let kind = match &spec.work {
-            WorkSpec::Remesh(_) => Kind::Remesh,
-            WorkSpec::Rvd(_) => Kind::Rvd,
-            WorkSpec::Cvt(_) => Kind::Cvt,
-        };
         let backend = self.engine.backend(spec.choice()).map_or(BackendKind::Parallel, |by| by.kind);
-        let mut counts = Counts { input_bytes, ..Counts::new(kind, backend, vertices, facets, 0) };
+        let mut counts = Counts { input_bytes, ..Counts::new(spec.kind(), backend, vertices, facets, 0) };
         counts.list_bytes = self.list_bytes(owner, &spec.work, &counts).await;
         match &spec.work {
             WorkSpec::Remesh(work) => {
@@ -120,7 +115,7 @@ impl Forecast {
             }
             WorkSpec::Cvt(work) => {
                 counts.points = work.max_seeds.unwrap_or(0).max(self.points(owner, &work.seeds, facets).await);
-                counts.steps = work.commands.iter().map(super::perform::steps_of).sum();
+                counts.steps = work.steps();
                 counts.density = work.density.kind();
             }
         }

@@ -1,10 +1,13 @@
 //! The host threads that do the work.
 //!
 //! Purpose: work on a bounded number of OS threads. A job stays on one of them; the device is shared by the pass
-//! ([`gate`](super::gate)).
-//! Invariant: a lost device is replaced once, by whoever finds it lost, before the next piece; a piece that can be begun
-//! anew waits for the new device and is tried up to three times. Must not know: what a piece computes.
+//! ([`gate`](super::gate)). [`Call`] is a piece of work from its submission to its answer.
+//! Invariant: a lost device is replaced once, by the first thread that finds it lost, before the next piece. A piece that
+//! can be begun anew waits for the new device; this is the one place that counts its attempts. A call is answered exactly
+//! once or its caller has gone; a panic is an answer; what the work holds goes before the answer. Must not know: what a
+//! piece computes.
 
+use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
@@ -12,19 +15,19 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::thread::Builder;
 use std::time::{Duration, Instant};
 
-use tokio::sync::watch;
+use tokio::sync::{oneshot, watch};
 
-use super::bytes::Bytes;
-use super::call::{Outcome, Task, text};
-use super::gate::Gate;
-use super::loss::{LossPolicy, Outage};
-use super::observer::Observer;
-use super::pools::Pools;
-use super::queue::{Dequeued, Item, Lane, Popped, Queue};
-use super::schedule::Slots;
-use super::watchdog::{Ceilings, Watchdog};
-use super::weights::Weights;
-use super::{Backends, JobError};
+use crate::engine::gate::Gate;
+use crate::engine::loss::{LossPolicy, Outage};
+use crate::engine::pools::Pools;
+use crate::engine::queue::{Dequeued, Item, Lane, Popped, Queue};
+use crate::engine::schedule::Slots;
+use crate::engine::watchdog::{Ceilings, Watchdog};
+use crate::engine::weights::Weights;
+use crate::observe::activity::{Activity, Observer, QueuedActivity};
+use crate::record::Bytes;
+use crate::{Backends, JobError};
+use geometry::token::{StageListener, Token};
 
 /// How the engine is set up.
 #[derive(Clone, Copy, Debug)]
@@ -352,4 +355,149 @@ impl Drop for EndOnPanic<'_> {
             self.0.device.send_replace(Device::Gone);
         }
     }
+}
+
+/// Attempts after a lost device, the first included.
+const ATTEMPTS: usize = 3;
+
+/// Whether a piece may be begun anew after the device was lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Retry {
+    /// From its beginning: its state is made inside.
+    Restart,
+    /// Its state was on the lost device.
+    Never,
+}
+
+/// What a piece of work sees besides the backends.
+#[derive(Clone, Debug)]
+pub struct WorkContext {
+    /// Set when the caller has gone or the process must end.
+    pub token: Token,
+    /// Milliseconds the piece waited.
+    pub queue_ms: f64,
+    /// Whether it is begun anew if the device is lost.
+    pub(crate) may_retry: bool,
+    /// Counts and traces what is done.
+    pub activity: Arc<Activity>,
+}
+
+/// An answer and what it took.
+#[derive(Clone, Debug)]
+pub struct Timed<R> {
+    /// The answer.
+    pub value: R,
+    /// Milliseconds in the queue.
+    pub queue_ms: f64,
+    /// Milliseconds of work.
+    pub compute_ms: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Outcome {
+    Answered,
+    DeviceLost,
+}
+
+pub(super) trait Task: Item {
+    /// It is being done from now on.
+    fn begin(&mut self) -> Arc<Activity>;
+    fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome;
+    fn has_continuations(&self) -> bool;
+}
+
+impl Item for Box<dyn Task> {
+    fn is_wanted(&self) -> bool {
+        (**self).is_wanted()
+    }
+
+    fn token(&self) -> &Token {
+        (**self).token()
+    }
+}
+
+pub(super) struct Call<R, F> {
+    pub(super) work: Option<F>,
+    /// Whether later pieces continue what it makes, so that it must not hold threads that are another job's then.
+    pub has_continuations: bool,
+    /// `None` once it is answered, and for a job of a store, which has its answer.
+    pub(super) reply: Option<oneshot::Sender<Result<Timed<R>, JobError>>>,
+    pub token: Token,
+    pub(super) queued: Instant,
+    pub(super) retry: Retry,
+    pub(super) activity: ActivityState,
+}
+
+/// The metrics and the trace of a call.
+pub(super) enum ActivityState {
+    Queued(QueuedActivity),
+    Running(Arc<Activity>),
+    /// Between the two.
+    Starting,
+}
+
+impl<R: Send, F: Send> Item for Call<R, F> {
+    fn is_wanted(&self) -> bool {
+        let has_begun = matches!(self.activity, ActivityState::Running(_));
+        match &self.reply {
+            Some(reply) => !reply.is_closed(),
+            // Once it has begun, it records itself how it ends.
+            None => self.work.is_some() && (has_begun || !self.token.is_told_to_stop()),
+        }
+    }
+
+    fn token(&self) -> &Token {
+        &self.token
+    }
+}
+
+impl<R: Send, F: FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send> Task for Call<R, F> {
+    fn has_continuations(&self) -> bool {
+        self.has_continuations
+    }
+
+    fn begin(&mut self) -> Arc<Activity> {
+        let activity = match std::mem::replace(&mut self.activity, ActivityState::Starting) {
+            ActivityState::Queued(waiting) => waiting.begin(),
+            ActivityState::Running(activity) => activity,
+            ActivityState::Starting => QueuedActivity::new(&(Arc::new(()) as Arc<dyn Observer>), None).begin(),
+        };
+        self.activity = ActivityState::Running(Arc::clone(&activity));
+        activity
+    }
+
+    fn run(&mut self, backends: &Backends, attempt: usize) -> Outcome {
+        let activity = self.begin();
+        let queue_ms = ms(self.queued.elapsed());
+        let start = Instant::now();
+        let may_retry = self.retry == Retry::Restart && attempt + 1 < ATTEMPTS;
+        let context = WorkContext { token: self.token.clone(), queue_ms, may_retry, activity: Arc::clone(&activity) };
+        let Some(work) = self.work.as_mut() else { return Outcome::Answered };
+        self.token.tell_stages(Some(Arc::clone(&activity) as Arc<dyn StageListener>));
+        let result = catch_unwind(AssertUnwindSafe(|| activity.span().in_scope(|| work(backends, &context))))
+            .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))));
+        self.token.tell_stages(None);
+        let lost = result.as_ref().is_err_and(JobError::is_device_lost);
+        if lost && may_retry {
+            return Outcome::DeviceLost;
+        }
+        let result = result.map(|value| Timed { value, queue_ms, compute_ms: ms(start.elapsed()) });
+        // What the work still holds goes before the answer: the caller may ask for its memory at once.
+        self.work = None;
+        // The count too: who has the answer may ask for it.
+        activity.end(result.as_ref().err());
+        if let Some(reply) = self.reply.take() {
+            let _ = reply.send(result);
+        }
+        if lost { Outcome::DeviceLost } else { Outcome::Answered }
+    }
+}
+
+pub(super) fn ms(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}
+
+pub(crate) fn text(panic: &(dyn Any + Send)) -> String {
+    let message = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
+    message.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "(no message)".to_owned())
 }

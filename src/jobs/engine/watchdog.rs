@@ -153,7 +153,7 @@ impl Watchdog {
         WatchGuard { shared: Arc::clone(&self.shared), number, token: token.clone() }
     }
 
-    /// See [`super::Engine::memory_outside_jobs`].
+    /// See [`crate::Engine::memory_outside_jobs`].
     pub(crate) fn memory_outside_jobs(&self) -> Arc<AtomicI64> {
         Arc::clone(&self.shared.besides)
     }

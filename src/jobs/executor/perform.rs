@@ -10,22 +10,21 @@ use serde_json::json;
 use std::io::Cursor;
 use std::sync::Arc;
 
-use super::diagram::Diagram;
-use super::event::Progress;
-use super::input::{JobBounds, ReadBlob, WorkError, failure, load, load_remesh};
-use super::record::{
+use crate::executor::diagram::Diagram;
+use crate::executor::input::{JobBounds, ReadBlob, WorkError, failure, load, load_remesh};
+use crate::executor::prepared::Prepared;
+use crate::observe::activity::Activity;
+use crate::record::{
     CvtCommand, CvtWork, FailureKind, JobSpec, RemeshWork, ResultFormat, RvdOutput, RvdWork, SeedChange, SendSeeds,
     StepKindName, WorkSpec,
 };
-use super::spec::Prepared;
-use super::{BackendInfo, Backends};
-use geometry::cvt::{Cvt, CvtOptions, Iteration, SeedEdit};
+use crate::{BackendInfo, Backends};
+use geometry::cvt::{Cvt, CvtOptions, SeedEdit};
 use geometry::mesh::attributes::{Attributes, ColourDepth, Colours, Normals};
 use geometry::mesh::io::{self, Format};
 use geometry::remesh::report::{IterationFigures, to_json};
 use geometry::remesh::{Observer, Remesh, remesh};
 use geometry::rvd::cell_file::CellWriter;
-use geometry::rvd::{BackendChoice, BackendKind};
 use geometry::token::Token;
 
 /// What a job gives: bytes, each part under its name.
@@ -38,26 +37,16 @@ pub(crate) struct JobContext<'a> {
     pub bounds: &'a JobBounds,
     pub token: &'a Token,
     /// Hears of stages and steps.
-    pub audience: &'a mut dyn Audience,
-}
-
-/// Who hears of a job at work.
-pub(crate) trait Audience: Send {
-    /// A stage began or a step was taken.
-    fn progress(&mut self, what: Progress);
-    /// Whether the seeds are to be shown after the next step.
-    fn wants_seeds(&self) -> bool;
-    /// Where the seeds are after so many steps.
-    fn seeds(&mut self, steps: usize, seeds: &[DVec3]);
+    pub(crate) activity: &'a Activity,
 }
 
 /// Does the work.
 ///
 /// # Errors
 /// Why it cannot be done, or was stopped.
-pub(crate) fn perform(spec: &JobSpec, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+pub(crate) fn perform(spec: &JobSpec, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     context.token.check()?;
-    stage(context, "read");
+    context.token.enter("read");
     match &spec.work {
         WorkSpec::Remesh(work) => of_remesh(spec, work, context),
         WorkSpec::Rvd(work) => of_rvd(spec, work, context),
@@ -65,60 +54,12 @@ pub(crate) fn perform(spec: &JobSpec, context: &mut JobContext<'_>) -> Result<Pa
     }
 }
 
-impl JobSpec {
-    /// Who should do it.
-    pub fn choice(&self) -> BackendChoice {
-        use super::record::BackendName;
-        match self.backend {
-            None | Some(BackendName::Auto) => BackendChoice::Auto,
-            Some(BackendName::Gpu) => BackendChoice::Only(BackendKind::Gpu),
-            Some(BackendName::Parallel) => BackendChoice::Only(BackendKind::Parallel),
-            Some(BackendName::Serial) => BackendChoice::Only(BackendKind::Serial),
-        }
-    }
-}
-
-fn stage(context: &mut JobContext<'_>, name: &str) {
-    context.audience.progress(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
-}
-
-fn iteration(it: &Iteration, total: usize) -> Progress {
-    Progress::Iteration {
-        index: it.index as u64,
-        total: total as u64,
-        kind: it.kind.name().to_owned(),
-        energy: it.energy,
-        gradient_norm: it.gradient_norm,
-        ms: it.ms,
-    }
-}
-
-struct ProgressReporter<'a>(&'a mut dyn Audience);
-
-impl Observer for ProgressReporter<'_> {
-    fn stage(&mut self, name: &'static str) {
-        self.0.progress(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
-    }
-
-    fn iteration(&mut self, it: &Iteration, total: usize) {
-        self.0.progress(iteration(it, total));
-    }
-
-    fn wants_seeds(&mut self) -> bool {
-        self.0.wants_seeds()
-    }
-
-    fn seeds(&mut self, steps: usize, seeds: &[DVec3]) {
-        self.0.seeds(steps, seeds);
-    }
-}
-
-fn of_remesh(spec: &JobSpec, work: &RemeshWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+fn of_remesh(spec: &JobSpec, work: &RemeshWork, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     let (mesh, options) = load_remesh(spec, work, context.blobs, context.bounds, context.token)?;
     let backend = Arc::clone(context.backends.choose(spec.choice())?);
-    let done = remesh(&mesh, &options, backend.as_ref(), &mut ProgressReporter(&mut *context.audience), context.token)?;
+    let mut observer = context.activity;
+    let done = remesh(&mesh, &options, backend.as_ref(), &mut observer, context.token)?;
     drop((mesh, options));
-    stage(context, "write");
     context.token.enter("write");
     let mut parts = match spec.result.unwrap_or(ResultFormat::File(Format::Ply)) {
         ResultFormat::File(format) => vec![("mesh".to_owned(), file(format.into(), &done)?)],
@@ -205,12 +146,12 @@ fn unwritten(error: std::io::Error) -> WorkError {
     failure(FailureKind::BadInput, format!("the pieces cannot be written: {error}"))
 }
 
-fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     let input = load(spec, context.blobs, context.bounds, context.token)?;
     let backend = Arc::clone(context.backends.choose(spec.choice())?);
-    stage(context, "prepare");
+    context.token.enter("prepare");
     let prepared = Prepared::new(input, context.token)?;
-    stage(context, "diagram");
+    context.token.enter("diagram");
     let mut diagram = Diagram::open(&prepared, backend.as_ref())?;
     let has = |output| work.outputs.contains(&output);
     let mut parts = Parts::new();
@@ -219,7 +160,7 @@ fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &mut JobContext<'_>) -> Resul
         while let Some(batch) = diagram.batch(backend.as_ref(), context.token)? {
             cells.append(&batch).map_err(unwritten)?;
             let (done, total) = diagram.progress();
-            context.audience.progress(Progress::Stage { name: "diagram".to_owned(), done, total });
+            context.activity.advance("diagram", done, total);
         }
         parts.push(("cells".to_owned(), cells.finish().map_err(unwritten)?.into_inner().into()));
     }
@@ -242,10 +183,10 @@ fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &mut JobContext<'_>) -> Resul
     Ok(parts)
 }
 
-fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &JobContext<'_>) -> Result<Parts, WorkError> {
     let input = load(spec, context.blobs, context.bounds, context.token)?;
     let backend = Arc::clone(context.backends.choose(spec.choice())?);
-    let total: u64 = work.commands.iter().map(steps_of).sum();
+    let total: u64 = work.steps();
     if total > u64::from(context.bounds.max_iterations) {
         let most = context.bounds.max_iterations;
         return Err(failure(
@@ -253,14 +194,15 @@ fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Resul
             format!("work.cvt.commands: {total} steps; this server takes {most}"),
         ));
     }
-    stage(context, "prepare");
+    context.token.enter("prepare");
     let prepared = Prepared::for_steps(input, context.token)?;
     let mut options = CvtOptions::new();
     options.max_seeds = work.max_seeds.map_or(0, |most| usize::try_from(most).unwrap_or(usize::MAX));
-    options.projection = work.projection.map_or(options.projection, super::record::ProjectionRule::projection);
+    options.projection = work.projection.map_or(options.projection, crate::record::ProjectionRule::projection);
     let mut cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;
-    stage(context, "iterations");
+    context.token.enter("iterations");
     let (mut parts, mut iterations) = (Parts::new(), Vec::new());
+    let mut observer = context.activity;
     for command in &work.commands {
         match command {
             CvtCommand::Step { iterations: count, kind, seeds } => {
@@ -270,10 +212,10 @@ fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Resul
                         StepKindName::Lloyd => cvt.lloyd(context.token)?,
                         StepKindName::Lbfgs => cvt.lbfgs(context.token)?,
                     };
-                    context.audience.progress(iteration(&it, total as usize));
+                    observer.iteration(&it, total as usize);
                     iterations.push(it);
-                    if context.audience.wants_seeds() {
-                        context.audience.seeds(iterations.len(), &cvt.seeds()?);
+                    if observer.wants_seeds() {
+                        observer.seeds(iterations.len(), &cvt.seeds()?);
                     }
                     let wanted = match seeds.unwrap_or(SendSeeds::Never) {
                         SendSeeds::Never => false,
@@ -309,10 +251,6 @@ fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Resul
     });
     parts.push(("report".to_owned(), json_bytes(&report)));
     Ok(parts)
-}
-
-pub(super) fn steps_of(command: &CvtCommand) -> u64 {
-    if let CvtCommand::Step { iterations, .. } = command { u64::from(*iterations) } else { 0 }
 }
 
 fn edit(change: &SeedChange) -> SeedEdit {

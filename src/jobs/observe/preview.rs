@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 use tokio::sync::watch;
 
-use super::record::JobId;
+use crate::record::JobId;
 
 /// How long a job counts as watched after somebody asked: who watches asks again once it has drawn.
 const INTEREST: Duration = Duration::from_secs(10);
