@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`door`] makes a way into a server that answers the routes of [`ROUTES`]. Invariant: every route is in that table
 //! with the role that it needs, and in `openapi.json`; what is asked is done by the same jobs, blobs, keys and limits as over
-//! gRPC, and refused for the same reasons. Must not know: gRPC, messages, connections, how a surface is remeshed.
+//! gRPC, and refused for the same reasons, with the names that options have here. Must not know: gRPC, messages, connections, how a surface is remeshed.
 
 mod blobs;
 mod body;
@@ -17,21 +17,42 @@ mod ranges;
 mod remesh;
 mod seeds;
 
+use std::sync::LazyLock;
+
 use axum::Router;
 use axum::http::header::CONTENT_TYPE;
 use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
+use serde_json::Value;
 use tokio::net::TcpListener;
 
 #[cfg(feature = "ui")]
 use self::guard::Open;
 use self::guard::{Guard, guard, unknown};
 use crate::keys::Role;
+use crate::remesh::RemeshOptions;
 use crate::service::{Desk, Door, Kind};
+use crate::wire::names;
 
-/// What this door can do, as OpenAPI 3.1.
-pub const OPENAPI: &str = include_str!("http/openapi.json");
+/// What these routes can do, as OpenAPI 3.1; the defaults of options are the library's.
+pub static OPENAPI: LazyLock<String> = LazyLock::new(|| {
+    let text = include_str!("http/openapi.json");
+    // The file is read by tests, so that it is JSON.
+    let Ok(mut document) = serde_json::from_str::<Value>(text) else { return text.to_owned() };
+    let usual = RemeshOptions::usual();
+    let defaults = names::OPTIONS.iter().chain(names::OTHERS).map(|row| (row.name, (row.default)(&usual)));
+    for (name, default) in defaults.filter(|(_, default)| !default.is_null()) {
+        let parameters = document.pointer_mut("/paths/~1v1~1remesh/post/parameters").and_then(Value::as_array_mut);
+        if let Some(parameter) = parameters.into_iter().flatten().find(|parameter| parameter["name"] == name) {
+            parameter["schema"]["default"] = default.clone();
+        }
+        if let Some(property) = document.pointer_mut(&format!("/components/schemas/Options/properties/{name}")) {
+            property["default"] = default;
+        }
+    }
+    format!("{document:#}\n")
+});
 
 /// A route: its method, its path, the role that it needs, and among what it is counted.
 #[derive(Clone, Copy, Debug)]
@@ -101,5 +122,5 @@ fn routes(desk: Desk) -> Router {
 }
 
 async fn openapi() -> Response {
-    ([(CONTENT_TYPE, "application/json")], OPENAPI).into_response()
+    ([(CONTENT_TYPE, "application/json")], OPENAPI.as_str()).into_response()
 }

@@ -60,7 +60,7 @@ const ROOMS: &[(&str, &[&str])] = &[
         ],
     ),
     // Sees what `service` has for every door, and nothing of gRPC.
-    ("http", &["service", "job", "mesh", "blob", "keys", "metrics", "trace", "wire"]),
+    ("http", &["service", "job", "mesh", "blob", "keys", "metrics", "remesh", "trace", "wire"]),
     // Its client speaks to a server through the wire, and imports nothing of it.
     (
         "cli",

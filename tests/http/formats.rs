@@ -21,7 +21,7 @@ const REMESH: &str = "/v1/remesh?points=60&lloyd=1&newton=0&placement=centroids&
 #[tokio::test(flavor = "multi_thread")]
 async fn every_format_comes_and_goes() {
     let house = House::open().await;
-    let document: Value = serde_json::from_str(OPENAPI).unwrap();
+    let document: Value = serde_json::from_str(&OPENAPI).unwrap();
     let described = &document["paths"]["/v1/remesh"]["post"];
     let mesh = Shape::Torus.build(500);
     for format in Format::ALL {
@@ -56,7 +56,7 @@ async fn every_format_comes_and_goes() {
 
 #[test]
 fn the_document_names_every_format() {
-    let document: Value = serde_json::from_str(OPENAPI).unwrap();
+    let document: Value = serde_json::from_str(&OPENAPI).unwrap();
     let all = Format::ALL.map(Format::extension);
     let mut found = 0;
     let mut open = vec![&document];
