@@ -214,8 +214,7 @@ fn no_interface_lacks_an_option() {
 /// An option of the command has its place in the protocol, or is of the command alone.
 #[test]
 fn every_option_of_the_command_is_at_the_service() {
-    let at_both: Vec<&str> =
-        names::OPTIONS.iter().map(|row| row.name).chain(["backend", "no_attributes"]).collect();
+    let at_both: Vec<&str> = names::OPTIONS.iter().map(|row| row.name).chain(["backend", "no_attributes"]).collect();
     const LOCAL: &[&str] = &[
         "input",
         "input_format",
