@@ -3,22 +3,11 @@
 # the schemas of Kubernetes, Compose and CycloneDX.
 # Usage: deploy/check.sh [PROGRAM]
 # With a program, the dashboard and the alerts are asked of a real Prometheus, and Envoy stands before two real servers.
-# Needs Debian's package prometheus, and Python 3.11 with venv; the other tools are installed below target/.
+# Needs Debian's package prometheus, and Python 3.11 with venv; tests/python/venv.sh installs the other tools.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=${1:-}
-# Two runs at once do not install into one folder.
-mkdir -p target
-exec 9>target/deploy-venv.lock
-flock 9
-
-venv=target/deploy-venv
-if ! cmp -s deploy/requirements.txt "$venv/requirements.txt"; then
-    rm -rf "$venv"
-    python3 -m venv "$venv"
-    "$venv/bin/pip" install --quiet --disable-pip-version-check -r deploy/requirements.txt
-    cp deploy/requirements.txt "$venv/requirements.txt"
-fi
+venv=$(tests/python/venv.sh)
 
 echo "-- YAML"
 "$venv/bin/yamllint" --strict -c deploy/.yamllint.yaml deploy

@@ -33,7 +33,8 @@
 //! | `pictures` | [`picture`](crate#modules): pictures of surfaces |
 //! | `service` | [`proto`](crate#modules): the messages of the gRPC service, generated |
 //! | `s3` | blobs of the service on an S3-compatible store |
-//! | `cli` (default) | the command `tessera`, with all of the above |
+//! | `ui`, `otlp` | the page for browsers; traces to a collector |
+//! | `cli` (default) | the command `tessera`, with its server |
 //!
 //! A program that needs the library alone says `default-features = false`.
 //!
@@ -42,95 +43,91 @@
 //! That of Han, Yan, Wang, Zhao, *Computing Restricted Voronoi Diagram on Graphics
 //! Hardware* (Pacific Graphics 2017), cited in these docs as \[HYWZ17\].
 //!
-//! # The map of the house
+//! # Crates
 //!
-//! | module | what lives there | may use |
+//! This crate is the face of the house: it passes on what callers need, and has no code of its own. `src/` has a crate for each
+//! room. Cargo holds their order, and each crate's `lib.rs` says what it is for and what it must not know.
+//!
+//! | crate | what it is for | may use |
 //! | --- | --- | --- |
-//! | [`token`] | cancellation and limits, heard by every stage | nothing here |
-//! | [`mesh`] | triangle surfaces: validated, read, written, sampled, measured | nothing here |
-//! | `picture` | pictures of surfaces, drawn in software | `mesh` |
-//! | `knn` | neighbour tables of the seeds | `mesh` |
-//! | `gpu` | the device, allocation, dispatches, composition of shaders; knows no mesh, seed or job | nothing here |
-//! | [`rvd`] | the restricted Voronoi diagram: one trait, three backends, the dual | `knn`, `mesh`, `gpu` (only `rvd::gpu`) |
-//! | [`cvt`] | iterations that move the seeds | `rvd`'s trait |
-//! | [`mod@remesh`] | sample, iterate, dual, repair, measure | `cvt`, `rvd::dual`, `mesh` |
-//! | `blob` | content-addressed storage: uploads, quota, local disk and S3 | nothing here |
-//! | `keys` | keys of callers: made, hashed, kept in a file | nothing here |
-//! | `job` | the queue and its fair shares, the host threads that share the device, and kept jobs: records, states, the journal | `blob`, `remesh` and below |
-//! | `readiness` | why the server is not ready, if it is not; health and the admin port tell it | nothing here |
-//! | `lifecycle` | the steps of a server's start and end, each within its time | `metrics` |
-//! | `trace` | which trace a call and its work belong to | nothing here |
-//! | `metrics` | what is counted, and its text for Prometheus | `job`, `readiness`, `rvd` |
-//! | `admin` | metrics and readiness over HTTP, for operators | `metrics`, `readiness` |
-//! | `wire` | messages, and our types made of them and into them; server and client speak it | `remesh` and below |
-//! | `service` | gRPC: handlers, streams, status codes, limits | `wire`, `job`, `blob`, `keys`, `metrics`, `readiness`, `trace` and below |
-//! | `http` | the HTTP door: routes over the same jobs, blobs, keys and limits | `service` (no gRPC), `job`, `blob`, `keys`, `metrics`, `wire`'s errors |
-//! | `cli` | one file per subcommand | everything, but `service` only in `cli::serve` and `gpu` only in `cli::doctor`: the client speaks `wire` |
-//! | `telemetry` | logs, and traces to a collector | `config`, `trace` |
-//!
-//! Everything may use `token`. Nothing runs back up. `tests/architecture.rs` holds these rules. Modules without a link
-//! are no part of the interface, nor is `internals`, which shows some of them to this crate's own tests.
+//! | `geometry` | surfaces, neighbours, diagrams on the CPU, CVT, remeshing | nothing here |
+//! | `gpu` | the device, and the GPU backend of the diagram | `geometry` |
+//! | `picture` | pictures of surfaces, and plots | `geometry` |
+//! | `wire` | messages of the interface, and the library's types made of them | `geometry` |
+//! | `telemetry` | logs, traces, and which trace a piece of work belongs to | nothing here |
+//! | `jobs` | blobs, the store of jobs, the queue, the engine | `geometry`, `gpu`, `telemetry` |
+//! | `server` | gRPC, HTTP, the page, keys, metrics, configuration | all above but `picture` |
+//! | `cli` | commands, load tester, benchmarks | all above |
 
-// What is `pub` is for callers; everything else says how far it reaches.
 #![warn(unreachable_pub)]
-
-#[macro_use]
-mod setters;
 
 /// The README's program, which the tests of the documents compile and run.
 #[cfg(all(doctest, feature = "cli"))]
 #[doc = include_str!("../README.md")]
 struct Readme;
 
-#[cfg(feature = "cli")]
-mod admin;
-#[cfg(feature = "service")]
-mod blob;
-#[cfg(feature = "cli")]
-mod cli;
-#[cfg(feature = "service")]
-mod config;
-pub mod cvt;
-#[cfg(feature = "gpu")]
-mod gpu;
-#[cfg(feature = "service")]
-#[cfg_attr(not(feature = "cli"), allow(dead_code))] // the start is the command's
-mod http;
-#[doc(hidden)]
-pub mod internals;
-#[cfg(feature = "service")]
-mod job;
-#[cfg(feature = "service")]
-mod keys;
-mod knn;
-#[cfg(feature = "service")]
-#[cfg_attr(not(feature = "cli"), allow(dead_code))] // the start is the command's
-mod lifecycle;
-#[cfg(feature = "service")]
-mod memory;
-pub mod mesh;
-#[cfg(feature = "service")]
-mod metrics;
-#[cfg(feature = "pictures")]
-pub mod picture;
-#[cfg(feature = "service")]
-mod readiness;
-pub mod remesh;
-pub mod rvd;
-#[cfg(feature = "service")]
-mod service;
-#[cfg(feature = "cli")]
-mod telemetry;
-pub mod token;
-#[cfg(feature = "service")]
-mod trace;
-#[cfg(feature = "service")]
-mod wire;
+pub mod mesh {
+    //! Triangle surfaces: checked, read, written, sampled, measured.
 
+    #[doc(inline)]
+    pub use geometry::mesh::{FeatureError, MAX_ELEMENTS, MeshError, TriMesh};
+    #[doc(inline)]
+    pub use geometry::mesh::{attributes, closest_point, io, measure, sample, shapes};
+}
+
+pub mod rvd {
+    //! The restricted Voronoi diagram: one trait, and the backends that implement it.
+
+    #[doc(inline)]
+    pub use geometry::rvd::{
+        Accumulate, Backend, BackendChoice, BackendKind, CELLS_PER_FACET, Capacities, CellSums, Cells, DeviceFacts,
+        DeviceWork, Diagram, Frame, MAX_SEED_DISTANCE, PairStatus, Parallel, PassStats, PhasesMs, PieceBatch, RvdError,
+        Serial, Session, SessionOptions, Strategy, Surface, Together, Tuning, facet_edge, on_threads_of,
+    };
+    #[doc(hidden)]
+    pub use geometry::rvd::{Evaluation, Resident};
+    #[doc(inline)]
+    pub use gpu::{BackendOptions, NoGpu, auto_backend};
+}
+
+pub mod cvt {
+    //! Centroidal Voronoi tessellation: iterations that move the seeds.
+
+    #[doc(inline)]
+    pub use geometry::cvt::{
+        Count, Cvt, CvtOptions, DensityError, DensityFigures, DensityOptions, DensitySource, Iteration, Projection,
+        SeedEdit, StepKind,
+    };
+}
+
+pub mod remesh {
+    //! The remesh: sample, iterate, dual, repair, improve, measure.
+
+    #[doc(inline)]
+    pub use geometry::remesh::{
+        Observer, Placement, Provenance, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, remesh, report,
+    };
+}
+
+pub mod token {
+    //! Cancellation, deadlines and ceilings of work.
+
+    #[doc(inline)]
+    pub use geometry::token::{Pace, Silence, Stopped, Token};
+}
+
+#[doc(inline)]
 pub use cvt::{Cvt, CvtOptions, DensityOptions, DensitySource, Projection};
+#[doc(inline)]
 pub use mesh::{MeshError, TriMesh};
+#[cfg(feature = "pictures")]
+#[doc(inline)]
+pub use picture;
+#[doc(inline)]
 pub use remesh::{Observer, Placement, Refine, Remesh, RemeshError, RemeshOptions, Report, Seeds, remesh};
+#[doc(inline)]
 pub use rvd::{Backend, BackendChoice, BackendKind, BackendOptions, Cells, Diagram, RvdError, auto_backend};
+#[doc(inline)]
 pub use token::{Stopped, Token};
 #[cfg(feature = "service")]
 pub use wire::proto;

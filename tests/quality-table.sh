@@ -1,8 +1,26 @@
 #!/bin/sh
 # Remeshes four surfaces with the defaults and prints their quality as a Markdown table.
 # Usage: TESSERA_MESHES=FOLDER tests/quality-table.sh [OPTION...]
+#        TESSERA_MESHES=FOLDER tests/quality-table.sh --check
 # Options go to `tessera remesh`, e.g. --density curvature. TESSERA names another program than `tessera`.
+# With --check the tables of docs/quality.md are made again, and each line must be in the document.
 set -eu
+
+if [ "${1:-}" = --check ]; then
+    if [ -z "${TESSERA_MESHES:-}" ]; then
+        echo "TESSERA_MESHES is not set: THE TABLES OF docs/quality.md ARE NOT CHECKED"
+        exit 0
+    fi
+    for density in uniform curvature lfs; do
+        table=$("$0" --density "$density")
+        if missing=$(printf '%s\n' "$table" | grep -vxFf "$(dirname "$0")/../docs/quality.md"); then
+            printf 'docs/quality.md has other figures (%s):\n%s\n' "$density" "$missing" >&2
+            exit 1
+        fi
+    done
+    echo "as the commands give them"
+    exit 0
+fi
 
 meshes=${TESSERA_MESHES:?is the folder with stanford-bunny.obj, rocker-arm.obj, fandisk.obj and nefertiti.obj}
 work=$(mktemp -d)

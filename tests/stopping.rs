@@ -14,11 +14,11 @@ mod stops;
 
 use std::time::Duration;
 
+use ::gpu::diagram::Gpu;
 use needs::needs;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use stops::{Outcome, adversary, stop_after};
-use tessera::internals::rvd::Gpu;
 use tessera::rvd::{Backend, Parallel, Serial};
 
 fn number(variable: &str, default: u64) -> u64 {
@@ -31,7 +31,7 @@ fn backend() -> Box<dyn Backend> {
     match name.as_str() {
         "parallel" => Box::new(Parallel::new(Some(number("TESSERA_STOP_THREADS", 2) as usize)).unwrap()),
         "serial" => Box::new(Serial),
-        "gpu" => Box::new(Gpu::new(gpu::device().expect("an adapter"), None).unwrap()),
+        "gpu" => Box::new(Gpu::new(crate::gpu::device().expect("an adapter"), None).unwrap()),
         other => panic!("TESSERA_STOP_BACKEND={other}: say parallel, serial or gpu"),
     }
 }
@@ -105,7 +105,7 @@ fn one_thread_hears() {
 #[needs(gpu)]
 #[test]
 fn the_gpu_hears() {
-    let Some(device) = gpu::device() else { return };
+    let Some(device) = crate::gpu::device() else { return };
     all_hear(1, 20_000, Duration::from_millis(1000), &Gpu::new(device, None).unwrap());
 }
 

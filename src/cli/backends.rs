@@ -4,23 +4,13 @@ use std::sync::Arc;
 
 use anyhow::Context;
 
-use crate::config::{BackendArg, BackendArgs};
-use crate::job::{Backends, JobError};
-use crate::rvd::gpu::Gpu;
-use crate::rvd::parallel::Parallel;
-use crate::rvd::serial::Serial;
-use crate::rvd::{Backend, BackendChoice, BackendKind, BackendOptions, NoGpu};
-
-impl From<BackendArg> for BackendChoice {
-    fn from(arg: BackendArg) -> Self {
-        match arg {
-            BackendArg::Auto => Self::Auto,
-            BackendArg::Gpu => Self::Only(BackendKind::Gpu),
-            BackendArg::Parallel => Self::Only(BackendKind::Parallel),
-            BackendArg::Serial => Self::Only(BackendKind::Serial),
-        }
-    }
-}
+use geometry::rvd::parallel::Parallel;
+use geometry::rvd::serial::Serial;
+use geometry::rvd::{Backend, BackendChoice};
+use gpu::diagram::Gpu;
+use gpu::{BackendOptions, NoGpu};
+use jobs::{Backends, JobError};
+pub(crate) use server::config::{BackendArg, BackendArgs};
 
 /// All backends of a server.
 ///

@@ -12,8 +12,8 @@ use tempfile::NamedTempFile;
 
 use super::exit::NotWritten;
 use super::files;
-use crate::rvd::PieceBatch;
-use crate::rvd::cell_file::CellWriter;
+use geometry::rvd::PieceBatch;
+use geometry::rvd::cell_file::CellWriter;
 
 /// A file being written.
 pub(crate) struct CellFile {

@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use clap::{ArgMatches, Args, Subcommand};
 
 use super::serve;
-use crate::config::{self, ServeArgs};
+pub(crate) use server::config::{self, ServeArgs};
 
 /// `tessera config`'s options.
 #[derive(Args, Debug)]

@@ -11,14 +11,14 @@ use serde_json::Value;
 use super::Cli;
 use super::remesh::RemeshArgs;
 use super::rvd::RvdArgs;
-use crate::cvt::CvtOptions;
-use crate::cvt::density::DensityOptions;
-use crate::mesh::shapes::Shape;
-use crate::remesh::{Refine, RemeshOptions, Seeds};
-use crate::wire::counts::Bounds;
-use crate::wire::options::RemeshArrays;
-use crate::wire::proto::{self, CvtHeader, RemeshHeader, SampledSeeds, seed_source};
-use crate::wire::{density, names, options};
+use geometry::cvt::CvtOptions;
+use geometry::cvt::density::DensityOptions;
+use geometry::mesh::shapes::Shape;
+use geometry::remesh::{Refine, RemeshOptions, Seeds};
+use wire::counts::Bounds;
+use wire::options::RemeshArrays;
+use wire::proto::{self, CvtHeader, RemeshHeader, SampledSeeds, seed_source};
+use wire::{density, names, options};
 
 fn arguments<A: Args>(line: &[&str]) -> A {
     let command = A::augment_args(clap::Command::new("tessera"));
@@ -160,10 +160,10 @@ fn no_interface_lacks_an_option() {
         assert!(names::OPTIONS.iter().chain(names::OTHERS).any(has), "wire/names.rs: no name for the field {path}");
     }
 
-    let document: Value = serde_json::from_str(&crate::http::OPENAPI).unwrap();
+    let document: Value = serde_json::from_str(&server::http::OPENAPI).unwrap();
     let query = document["paths"]["/v1/remesh"]["post"]["parameters"].as_array().unwrap();
     let object = &document["components"]["schemas"]["Options"]["properties"];
-    let of_http = text_of("src/http/options.rs");
+    let of_http = text_of("src/server/http/options.rs");
     let python = text_of("clients/python/python/tessera_remesh/calls.py");
     let stubs = text_of("clients/python/src/options.rs");
     let flows = text_of("clients/python/python/tessera_remesh/service/flows.py");
@@ -182,7 +182,7 @@ fn no_interface_lacks_an_option() {
         let parameter = query.iter().find(|parameter| parameter["name"] == name);
         let Some(parameter) = parameter else { panic!("openapi.json: /v1/remesh has no parameter {name}") };
         assert!(object[name].is_object(), "openapi.json: the schema Options has no {name}");
-        assert!(of_http.contains(&format!("\"{name}\"")), "http/options.rs does not read {name}");
+        assert!(of_http.contains(&format!("\"{name}\"")), "server/http/options.rs does not read {name}");
         assert!(python.contains(&format!("\n    {name}: ")), "calls.py: remesh has no keyword {name}");
         assert!(stubs.contains(&format!("\"{name}\"")), "clients/python/src/options.rs does not read {name}");
         assert!(flows.contains(&format!("\"{name}\"")), "flows.py does not send {name}");

@@ -7,7 +7,7 @@ use anyhow::Result;
 use glam::DVec3;
 use serde_json::Value;
 
-use crate::rvd::PieceBatch;
+use geometry::rvd::PieceBatch;
 
 /// Takes each batch of pieces as it comes, caller's coordinates.
 pub(crate) type Sink<'a> = &'a mut dyn FnMut(&PieceBatch) -> Result<()>;

@@ -4,9 +4,9 @@ use anyhow::Result;
 use clap::Args;
 
 use super::backends;
-use crate::config::BackendArgs;
-use crate::gpu::device::adapters;
-use crate::rvd::BackendChoice;
+use geometry::rvd::BackendChoice;
+use gpu::device::adapters;
+pub(crate) use server::config::BackendArgs;
 
 /// `tessera doctor`'s options: the same as where work is done, to see their effect.
 #[derive(Args, Debug)]

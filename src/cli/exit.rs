@@ -2,15 +2,15 @@
 
 use std::path::PathBuf;
 
-use crate::config::{self, ConfigError};
-use crate::job::JobError;
-use crate::mesh::MeshError;
-use crate::mesh::io::FileError;
-use crate::picture::PictureError;
-use crate::remesh::RemeshError;
-use crate::rvd::RvdError;
-use crate::telemetry::TelemetryError;
-use crate::token::Stopped;
+use geometry::mesh::MeshError;
+use geometry::mesh::io::FileError;
+use geometry::remesh::RemeshError;
+use geometry::rvd::RvdError;
+use geometry::token::Stopped;
+use jobs::JobError;
+use picture::PictureError;
+pub(crate) use server::config::{self, ConfigError};
+use telemetry::TelemetryError;
 
 const USAGE: u8 = 2;
 const DATA: u8 = 65;

@@ -14,9 +14,10 @@ use glam::DVec3;
 use tempfile::NamedTempFile;
 
 use super::exit::{BadInput, NoFolder, NoInput, NotWritten, Usage};
-use crate::mesh::attributes::Attributes;
-use crate::mesh::io::{DataError, FileError, Format};
-use crate::mesh::{TriMesh, io};
+use geometry::mesh::attributes::Attributes;
+use geometry::mesh::io::{DataError, FileError, Format};
+use geometry::mesh::{TriMesh, io};
+use geometry::token::Token;
 
 /// Where a surface is read or written: a file, or `-` for the standard input or output.
 #[derive(Clone, Debug)]
@@ -222,7 +223,8 @@ fn place(path: &Path) -> Option<PathBuf> {
 /// Reads points, `x y z` a line. Empty lines and lines that begin with `#` are left out.
 pub(crate) fn read_points(path: &Path) -> Result<Vec<DVec3>> {
     let text = read_text(path)?;
-    Ok(io::lists::points(&text).map_err(|error| BadInput(format!("{}: {error}", path.display())))?)
+    Ok(io::lists::points(&text, usize::MAX, &Token::default())
+        .map_err(|error| BadInput(format!("{}: {error}", path.display())))?)
 }
 
 /// Writes points, `x y z` a line, 17 significant digits.

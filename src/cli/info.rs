@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::remote::status::info;
 use super::say;
 use super::server::ServerArgs;
-use crate::wire::proto::{BackendState, GetServerInfoResponse, RequestLimits};
+use wire::proto::{BackendState, GetServerInfoResponse, RequestLimits};
 
 /// `tessera info`'s options.
 #[derive(Args, Debug)]

@@ -2,7 +2,7 @@
 //!
 //! The first signal asks for a clean end, the second ends the process at once.
 
-use crate::token::Token;
+use geometry::token::Token;
 
 /// What a process says that a signal ended.
 pub(crate) const CODE: u8 = 130;

@@ -22,11 +22,11 @@ use super::remote::{is_id, session};
 use super::say::{self, SayArgs};
 use super::server::ServerArgs;
 use super::{files, interrupt};
-use crate::config::count;
-use crate::remesh::RemeshOptions;
-use crate::wire::proto::{CreateJobRequest, EstimateJobRequest, Job, JobState, ListJobsRequest, job_seeds, job_spec};
 use fetch::FetchArgs;
+use geometry::remesh::RemeshOptions;
+pub(crate) use server::config::count;
 use spec::{Asked, RemeshWork, RvdWork};
+use wire::proto::{CreateJobRequest, EstimateJobRequest, Job, JobState, ListJobsRequest, job_seeds, job_spec};
 
 pub(crate) use spec::digest;
 
@@ -100,7 +100,7 @@ struct HowArgs {
     /// The same id with the same job gives the same job again, so that a submit can be repeated safely.
     #[arg(long, value_name = "ID", value_parser = request_id)]
     request_id: Option<String>,
-    /// Jobs with a higher priority go first: -100 to 100 [default: 0]
+    /// Jobs with a higher priority go first: -100 to 100 [default: 0].
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-100..=100))]
     priority: Option<i32>,
     /// Seconds that the job may be at work before it expires.
@@ -366,7 +366,7 @@ fn wait(id: &str, server: &ServerArgs) -> Result<()> {
 
 /// About what a job takes. The size of its surface is not known here.
 fn plan(job: &Job) -> Plan {
-    let points = |seeds: Option<&crate::wire::proto::JobSeeds>| match seeds.and_then(|seeds| seeds.source.as_ref()) {
+    let points = |seeds: Option<&wire::proto::JobSeeds>| match seeds.and_then(|seeds| seeds.source.as_ref()) {
         Some(job_seeds::Source::Drawn(drawn)) => drawn.points.unwrap_or(10_000) as usize,
         Some(job_seeds::Source::Given(array)) => array.count as usize,
         None => 10_000,

@@ -11,8 +11,8 @@ use serde_json::json;
 
 use super::exit::{BadInput, NotWritten, Unavailable};
 use super::say;
-use crate::config::data_dir;
-use crate::job::store::{Findings, StoreError, check, repair};
+use jobs::store::{Findings, StoreError, check, repair};
+pub(crate) use server::config::data_dir;
 
 /// `tessera journal`'s options.
 #[derive(Args, Debug)]

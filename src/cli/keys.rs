@@ -14,8 +14,8 @@ use serde_json::{Value, json};
 
 use super::exit::{Absent, BadInput, NotWritten, Usage};
 use super::say;
-use crate::config::{data_dir, period, whole};
-use crate::keys::{Key, KeyFile, KeyLimits, KeysError, NewKey, Role, now};
+pub(crate) use server::config::{data_dir, period, whole};
+use server::keys::{Key, KeyFile, KeyLimits, KeysError, NewKey, Role, now};
 
 /// `tessera keys`' options.
 #[derive(Args, Debug)]

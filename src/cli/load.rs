@@ -41,103 +41,103 @@ use super::exit::{self, Crossed, Unavailable, Usage};
 use super::remote::{Door, Line, Windows, choice, status};
 use super::server::{CallArgs, Server, Tenant};
 use super::{files, info, interrupt};
-use crate::config::{BackendArg, count};
-use crate::mesh::shapes::Shape;
-use crate::picture::Size;
-use crate::rvd::RvdError;
-use crate::token::Stopped;
-use crate::wire::proto::GetServerInfoResponse;
+use geometry::mesh::shapes::Shape;
+use geometry::rvd::RvdError;
+use geometry::token::Stopped;
+use picture::Size;
+pub(crate) use server::config::{BackendArg, count};
+use wire::proto::GetServerInfoResponse;
 
 /// `tessera load`'s options.
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("loop").required(true).args(["clients", "rate"])))]
 pub(crate) struct LoadArgs {
     /// Closed loop: so many clients, each of which asks again once it has its answer.
-    #[arg(long, value_name = "N", value_parser = clients, help_heading = "How much")]
+    #[arg(long, value_name = "N", value_parser = clients, help_heading = "Load")]
     clients: Option<u32>,
     /// Open loop: so many calls a second at random times (Poisson), whatever the server does.
-    #[arg(long, value_name = "R", value_parser = rate, help_heading = "How much")]
+    #[arg(long, value_name = "R", value_parser = rate, help_heading = "Load")]
     rate: Option<f64>,
     /// Seconds to measure.
-    #[arg(long, value_name = "S", value_parser = length, help_heading = "How much")]
+    #[arg(long, value_name = "S", value_parser = length, help_heading = "Load")]
     duration_s: Duration,
     /// Seconds before that which are not measured.
-    #[arg(long, value_name = "S", default_value = "0", value_parser = span, help_heading = "How much")]
+    #[arg(long, value_name = "S", default_value = "0", value_parser = span, help_heading = "Load")]
     warm_up_s: Duration,
     /// Seconds before the warm-up in which the rate, or the number of clients, rises from 0.
-    #[arg(long, value_name = "S", default_value = "0", value_parser = span, help_heading = "How much")]
+    #[arg(long, value_name = "S", default_value = "0", value_parser = span, help_heading = "Load")]
     ramp_s: Duration,
     /// Open loop: the most calls that are open. One more is not sent and counted as dropped.
-    #[arg(long, value_name = "N", default_value_t = 512, value_parser = clients, conflicts_with = "clients", help_heading = "How much")]
+    #[arg(long, value_name = "N", default_value_t = 512, value_parser = clients, conflicts_with = "clients", help_heading = "Load")]
     max_in_flight: u32,
     /// Connections; not set: one for every 8 clients or 64 open calls, at most 64.
-    #[arg(long, value_name = "N", value_parser = connections, help_heading = "How much")]
+    #[arg(long, value_name = "N", value_parser = connections, help_heading = "Load")]
     connections: Option<u32>,
     /// Seconds that a call may take. Then it is cancelled and counted as an error.
-    #[arg(long, value_name = "S", default_value = "120", value_parser = length, help_heading = "How much")]
+    #[arg(long, value_name = "S", default_value = "120", value_parser = length, help_heading = "Load")]
     timeout_s: Duration,
 
-    /// Kinds of calls with their weights: remesh, rvd and cvt are streams, remesh-job and rvd-job are jobs, info is
-    /// GetServerInfo; e.g. remesh-job=4,remesh=1
-    #[arg(long, value_name = "MIX", default_value = "remesh-job", help_heading = "What is asked")]
+    /// Kinds of calls with their weights, e.g. remesh-job=4,remesh=1. Streams are remesh, rvd and cvt; jobs are remesh-job
+    /// and rvd-job; info is GetServerInfo.
+    #[arg(long, value_name = "MIX", default_value = "remesh-job", help_heading = "Calls")]
     mix: Mix,
     /// A surface to send; may be given several times.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["facets", "shape"], help_heading = "What is asked")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["facets", "shape"], help_heading = "Calls")]
     mesh: Vec<PathBuf>,
     /// Facets of made surfaces: 10000, or 1000..20000 for 16 sizes, each power of ten as likely as the next.
-    #[arg(long, value_name = "N", default_value = "10000", help_heading = "What is asked")]
+    #[arg(long, value_name = "N", default_value = "10000", help_heading = "Calls")]
     facets: Sizes,
     /// The shape of made surfaces, as of `tessera shape`.
-    #[arg(long, value_name = "SHAPE", default_value_t = Shape::Genus(3), help_heading = "What is asked")]
+    #[arg(long, value_name = "SHAPE", default_value_t = Shape::Genus(3), help_heading = "Calls")]
     shape: Shape,
     /// Points to ask for: a number, or a part of the facets and at least 100.
-    #[arg(long, value_name = "N", default_value = "10%", help_heading = "What is asked")]
+    #[arg(long, value_name = "N", default_value = "10%", help_heading = "Calls")]
     points: Points,
     /// Lloyd steps of a remesh; not set: as the server does.
-    #[arg(long, value_name = "N", help_heading = "What is asked")]
+    #[arg(long, value_name = "N", help_heading = "Calls")]
     lloyd: Option<u32>,
     /// Quasi-Newton steps of a remesh; not set: as the server does.
-    #[arg(long, value_name = "N", help_heading = "What is asked")]
+    #[arg(long, value_name = "N", help_heading = "Calls")]
     newton: Option<u32>,
     /// Which backend of the server should do the work.
-    #[arg(long, value_enum, default_value_t, help_heading = "What is asked")]
+    #[arg(long, value_enum, default_value_t, help_heading = "Calls")]
     backend: BackendArg,
     /// Whether each job uploads a file of its own, or all use files that are uploaded once.
-    #[arg(long, value_enum, default_value_t, help_heading = "What is asked")]
+    #[arg(long, value_enum, default_value_t, help_heading = "Calls")]
     upload: UploadArg,
     /// Percent of the calls that are cancelled, at a random time.
-    #[arg(long, value_name = "PERCENT", default_value = "0", value_parser = percent, help_heading = "What is asked")]
+    #[arg(long, value_name = "PERCENT", default_value = "0", value_parser = percent, help_heading = "Calls")]
     cancel: f64,
     /// Clients beside the others that read their results slowly.
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = slow_readers, help_heading = "What is asked")]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = slow_readers, help_heading = "Calls")]
     slow_readers: u32,
     /// Bytes a second that each of them reads.
-    #[arg(long, value_name = "BYTES", default_value_t = 65_536, value_parser = count, help_heading = "What is asked")]
+    #[arg(long, value_name = "BYTES", default_value_t = 65_536, value_parser = count, help_heading = "Calls")]
     slow_rate: u32,
     /// Tenants that the calls are of, in turn: NAME-0, NAME-1 and so on, with the NAME of --tenant, else load.
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = connections, help_heading = "What is asked")]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = connections, help_heading = "Calls")]
     tenants: u32,
     /// The same number gives the same plan: times, kinds, sizes, cancellations.
-    #[arg(long, value_name = "N", default_value_t = 0, help_heading = "What is asked")]
+    #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Calls")]
     seed: u64,
     /// Leave jobs and blobs at the server.
-    #[arg(long, help_heading = "What is asked")]
+    #[arg(long, help_heading = "Calls")]
     keep: bool,
 
     /// The server's metrics, e.g. http://127.0.0.1:9090/metrics: its counts are compared with those here.
-    #[arg(long, value_name = "URL", help_heading = "What comes of it")]
+    #[arg(long, value_name = "URL", help_heading = "Results")]
     metrics: Option<MetricsUrl>,
     /// Exit code 79 if this holds, e.g. p99>2s, errors>0, refused>1%, rate<5, dropped>0; may be given several times.
-    #[arg(long = "fail-if", value_name = "EXPR", value_delimiter = ',', help_heading = "What comes of it")]
+    #[arg(long = "fail-if", value_name = "EXPR", value_delimiter = ',', help_heading = "Results")]
     fail_if: Vec<Threshold>,
     /// Write all figures there, as JSON.
-    #[arg(long, value_name = "FILE.json", help_heading = "What comes of it")]
+    #[arg(long, value_name = "FILE.json", help_heading = "Results")]
     json: Option<PathBuf>,
     /// Draw latencies and outcomes over time there.
-    #[arg(long, value_name = "FILE.png", help_heading = "What comes of it")]
+    #[arg(long, value_name = "FILE.png", help_heading = "Results")]
     plot: Option<PathBuf>,
     /// Show nothing while it runs, and no table.
-    #[arg(long, short, help_heading = "What comes of it")]
+    #[arg(long, short, help_heading = "Results")]
     quiet: bool,
 
     #[command(flatten)]

@@ -11,10 +11,10 @@ use serde::Serialize;
 use super::exit::{NotWritten, Usage};
 use super::say::SayArgs;
 use super::{files, interrupt, say};
-use crate::mesh::TriMesh;
-use crate::mesh::io::Format;
-use crate::mesh::measure::{Quality, Topology, quality_unless, topology};
-use crate::token::Token;
+use geometry::mesh::TriMesh;
+use geometry::mesh::io::Format;
+use geometry::mesh::measure::{Quality, Topology, quality_unless, topology};
+use geometry::token::Token;
 
 /// Measure a mesh: its triangles, its topology, and how far it is from the mesh that it was made from.
 ///
@@ -22,13 +22,13 @@ use crate::token::Token;
 /// points and all vertices of each surface.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct MeasureArgs {
-    /// The mesh to compare with; - is the standard input
+    /// The mesh to compare with; - is the standard input.
     #[arg(value_name = "ORIGINAL")]
     pub(crate) original: PathBuf,
-    /// The mesh to measure, or -; ORIGINAL itself if it is left out
+    /// The mesh to measure, or -; without it, ORIGINAL itself is measured.
     #[arg(value_name = "REMESH")]
     pub(crate) remesh: Option<PathBuf>,
-    /// Format of the standard input
+    /// Format of the standard input.
     #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     pub(crate) input_format: Option<Format>,
     #[command(flatten)]

@@ -11,12 +11,12 @@ use glam::DVec3;
 
 use super::exit::Usage;
 use super::files;
-use crate::mesh::TriMesh;
-use crate::mesh::closest_point::ClosestPoint;
-use crate::picture::{Canvas, Face, Image, PLAIN, Paint, Pens, Size, View, ViewDirection};
-use crate::picture::{distinct, draw_mesh, shading_normals, spacing};
-use crate::rvd::PieceBatch;
-use crate::rvd::cells::facet_edge;
+use geometry::mesh::TriMesh;
+use geometry::mesh::closest_point::ClosestPoint;
+use geometry::rvd::PieceBatch;
+use geometry::rvd::cells::facet_edge;
+use picture::{Canvas, Face, Image, PLAIN, Paint, Pens, Size, View, ViewDirection};
+use picture::{distinct, draw_mesh, shading_normals, spacing};
 
 /// The options of a picture.
 #[derive(Args, Debug)]
@@ -35,7 +35,7 @@ pub(crate) struct PictureArgs {
     #[arg(long, value_name = "X,Y,Z", default_value = "0,1,0", value_parser = direction, requires = "picture",
         allow_hyphen_values = true)]
     up: DVec3,
-    /// What the colours say [default: plain for a remesh, cell for a diagram]
+    /// Meaning of the colours [default: plain for a remesh, cell for a diagram].
     #[arg(long, alias = "color", value_enum, requires = "picture")]
     colour: Option<Colour>,
 }

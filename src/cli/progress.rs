@@ -17,8 +17,8 @@ pub(crate) use track::Plan;
 use track::Track;
 
 use super::say::SayArgs;
-use crate::cvt::Iteration;
-use crate::remesh::Observer;
+use geometry::cvt::Iteration;
+use geometry::remesh::Observer;
 
 /// Parts of the bar.
 const PARTS: u64 = 1000;

@@ -19,18 +19,18 @@ use super::say::{self, SayArgs};
 use super::server::{Server, Tenant};
 use super::trust::TrustArgs;
 use super::{backends, files, interrupt, remote, server};
-use crate::config::{BackendArgs, count, whole};
-use crate::cvt::density::DensityOptions;
-use crate::job::BackendInfo;
-use crate::job::diagram::Diagram;
-use crate::job::spec::{Input, Prepared};
-use crate::memory;
-use crate::mesh::TriMesh;
-use crate::mesh::io::Format;
-use crate::remesh::Seeds;
-use crate::remesh::report::to_json;
-use crate::rvd::PieceBatch;
-use crate::token::Token;
+use ::server::config::{BackendArgs, count, whole};
+use geometry::cvt::density::DensityOptions;
+use geometry::mesh::TriMesh;
+use geometry::mesh::io::Format;
+use geometry::remesh::Seeds;
+use geometry::remesh::report::to_json;
+use geometry::rvd::PieceBatch;
+use geometry::token::Token;
+use jobs::BackendInfo;
+use jobs::diagram::Diagram;
+use jobs::memory;
+use jobs::spec::{Input, Prepared};
 
 /// `tessera rvd`'s options.
 #[derive(Args, Debug)]
@@ -50,20 +50,20 @@ pub(crate) struct RvdArgs {
     /// Draw the seeds as dots in the picture, where the surface is next to them.
     #[arg(long, requires = "picture", help_heading = "Picture")]
     dots: bool,
-    #[command(flatten, next_help_heading = "Who works")]
+    #[command(flatten, next_help_heading = "Backend")]
     backend: BackendArgs,
     /// Let a server do the work, e.g. http://127.0.0.1:50051.
-    #[arg(long, value_name = "URL", help_heading = "Who works")]
+    #[arg(long, value_name = "URL", help_heading = "Backend")]
     endpoint: Option<ServerUrl>,
     /// Whose work the server takes it for, where several share one.
-    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Who works")]
+    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Backend")]
     tenant: Option<Tenant>,
     /// File with the key that the server wants.
-    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Who works")]
+    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Backend")]
     key_file: Option<PathBuf>,
-    #[command(flatten, next_help_heading = "Who works")]
+    #[command(flatten, next_help_heading = "Backend")]
     trust: TrustArgs,
-    #[command(flatten, next_help_heading = "What is said")]
+    #[command(flatten, next_help_heading = "Messages")]
     say: SayArgs,
 }
 

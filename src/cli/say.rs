@@ -31,12 +31,12 @@ impl SayArgs {
 
 /// A line on the standard output. See [`line`].
 macro_rules! outln {
-    ($($text:tt)*) => { $crate::cli::say::line(format_args!($($text)*)) };
+    ($($text:tt)*) => { $crate::say::line(format_args!($($text)*)) };
 }
 
 /// A line on the standard error stream. See [`note`].
 macro_rules! errln {
-    ($($text:tt)*) => { $crate::cli::say::note(format_args!($($text)*)) };
+    ($($text:tt)*) => { $crate::say::note(format_args!($($text)*)) };
 }
 
 /// Writes a line to the standard output.

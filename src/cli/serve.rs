@@ -14,25 +14,25 @@ use tokio::task::JoinSet;
 
 use super::exit::{BadTls, NoDevice, NotWritten, Stuck, Unavailable};
 use super::{backends, interrupt};
-use crate::admin::{self, Admin};
-use crate::config::{JobCeilings, Limits, OnLoss, SecurityArgs, ServeArgs, ServeConfig};
-use crate::cvt::Projection;
-use crate::http;
-use crate::job::api::JobApiError;
-use crate::job::store::StoreError;
-use crate::job::{
+use geometry::cvt::Projection;
+use geometry::mesh::TriMesh;
+use geometry::remesh::{RemeshOptions, Seeds, remesh};
+use geometry::rvd::BackendChoice;
+use geometry::token::Token;
+use jobs::api::JobApiError;
+use jobs::memory;
+use jobs::store::StoreError;
+use jobs::{
     Backends, BlobRoom, Ceilings, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, LossPolicy,
     Stores,
 };
-use crate::lifecycle::{self, LifeCycle, Step, TooLong};
-use crate::memory;
-use crate::mesh::TriMesh;
-use crate::metrics::Metrics;
-use crate::readiness::{Readiness, Reason};
-use crate::remesh::{RemeshOptions, Seeds, remesh};
-use crate::rvd::BackendChoice;
-use crate::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError, Tls};
-use crate::token::Token;
+use server::admin::{self, Admin};
+pub(crate) use server::config::{JobCeilings, Limits, OnLoss, SecurityArgs, ServeArgs, ServeConfig};
+use server::http;
+use server::lifecycle::{self, LifeCycle, Step, TooLong};
+use server::metrics::Metrics;
+use server::readiness::{Readiness, Reason};
+use server::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError, Tls};
 
 /// Opens what is kept, and says where that is.
 async fn stores(config: &ServeConfig) -> Result<Stores> {
@@ -57,8 +57,12 @@ async fn stores(config: &ServeConfig) -> Result<Stores> {
 
 /// Who may call.
 fn access(args: &ServeArgs, config: &ServeConfig) -> Result<Access> {
-    let &SecurityArgs { require_keys, reflection, health_needs_key, .. } = &args.security;
-    let options = AccessOptions { require_keys, reflection, health_needs_key };
+    let &SecurityArgs { require_keys, reflection, health_needs_key, ref allow_host, .. } = &args.security;
+    // The name that the listeners have may resolve to a loopback address too.
+    let listened = args.http_listen.iter().chain([&args.listen]);
+    let names = listened.filter_map(|place| place.rsplit_once(':')).map(|(host, _)| host.to_owned());
+    let hosts = allow_host.iter().cloned().chain(names).collect();
+    let options = AccessOptions { require_keys, reflection, health_needs_key, hosts };
     match &config.data_dir {
         Some(folder) => Ok(Access::in_folder(folder, options).map_err(|error| Unavailable(error.to_string()))?),
         None => Ok(Access::open().with(options)),

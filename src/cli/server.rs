@@ -13,7 +13,7 @@ use clap::Args;
 use super::endpoint::ServerUrl;
 use super::exit::{NoInput, Usage};
 use super::trust::{Trust, TrustArgs};
-use crate::keys::Secret;
+use server::keys::Secret;
 
 /// A server, and what it is told of who asks.
 #[derive(Clone, Debug)]
@@ -79,10 +79,10 @@ pub(crate) struct ServerArgs {
     #[arg(long, value_name = "S", global = true, default_value_t = 60.0, env = "TESSERA_RETRY_S", value_parser = pause)]
     retry_s: f64,
     /// Print the answer on the standard output as JSON, and nothing else there.
-    #[arg(long, global = true, help_heading = "What is said")]
+    #[arg(long, global = true, help_heading = "Messages")]
     pub(crate) json: bool,
     /// Say nothing but answers, warnings and errors: no progress.
-    #[arg(long, short, global = true, help_heading = "What is said")]
+    #[arg(long, short, global = true, help_heading = "Messages")]
     pub(crate) quiet: bool,
 }
 

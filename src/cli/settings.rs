@@ -11,7 +11,7 @@ use clap::builder::Resettable;
 use clap::{ArgMatches, CommandFactory, FromArgMatches};
 
 use super::{Cli, Command};
-use crate::config::{ConfigFile, ServeArgs, sources, with_switches};
+pub(crate) use server::config::{ConfigFile, ServeArgs, sources, with_switches};
 
 /// Subcommands that take a server's options.
 const SERVER: &[&[&str]] = &[&["serve"], &["config", "check"], &["config", "print"]];

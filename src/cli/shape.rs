@@ -5,22 +5,22 @@
 use std::path::PathBuf;
 
 use super::files;
-use crate::config::whole;
-use crate::mesh::io::Format;
-use crate::mesh::shapes::{MAX_FACETS, Shape};
+use geometry::mesh::io::Format;
+use geometry::mesh::shapes::{MAX_FACETS, Shape};
+pub(crate) use server::config::whole;
 
 /// Writes a procedural surface to a file.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ShapeArgs {
-    /// sphere, torus, genusN (0 to 99 holes), block, hills, sheets, slivers, square or plane
+    /// Surface: sphere, torus, genusN (0 to 99 holes), block, hills, sheets, slivers, square or plane.
     pub name: Shape,
-    /// Number of facets to aim at; the result is near it
+    /// Number of facets; the result is near it.
     #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = parse_facets)]
     pub facets: usize,
-    /// File to write: .obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf; - is the standard output
+    /// File to write (.obj, .ply, .stl, .off, .vtk, .vtp, .msh, .mesh, .meshb, .glb or .gltf); - is the standard output.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
-    /// Format of what is written, where the name does not say it
+    /// Format of the output, if the file name does not say it.
     #[arg(long, value_name = "FORMAT", value_parser = files::format())]
     pub format: Option<Format>,
 }

@@ -9,9 +9,10 @@ use anyhow::Result;
 
 use super::exit::{BadInput, Usage};
 use super::files::{self, Surface};
-use crate::mesh::TriMesh;
-use crate::mesh::io::DataError;
-use crate::mesh::io::lists::{FileVertices, NO_NUMBERS};
+use geometry::mesh::TriMesh;
+use geometry::mesh::io::DataError;
+use geometry::mesh::io::lists::{FileVertices, NO_NUMBERS};
+use geometry::token::Token;
 
 /// Refuses a file whose vertices have no numbers, for which `option` has a list.
 pub(crate) fn check_format(input: &Surface, option: &str) -> Result<()> {
@@ -27,13 +28,13 @@ pub(crate) fn check_format(input: &Surface, option: &str) -> Result<()> {
 /// Reads one number a line from `path`, for the vertices of the file `input`, which was read as `mesh`. Empty
 /// lines and lines that begin with `#` are left out.
 pub(crate) fn read(path: &Path, input: &Surface, mesh: &TriMesh) -> Result<Vec<f64>> {
-    list(path, input, mesh, FileVertices::lengths)
+    list(path, input, mesh, |vertices, text| vertices.lengths(text, &Token::default()))
 }
 
 /// Reads two vertices of the file `input` a line from `path`, numbered from 0: edges of `mesh`, which was read from it.
 /// Empty lines and lines that begin with `#` are left out.
 pub(crate) fn read_edges(path: &Path, input: &Surface, mesh: &TriMesh) -> Result<Vec<[u32; 2]>> {
-    list(path, input, mesh, FileVertices::edges)
+    list(path, input, mesh, |vertices, text| vertices.edges(text, mesh.facets().len(), &Token::default()))
 }
 
 fn list<T>(
@@ -58,7 +59,7 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::mesh::io;
+    use geometry::mesh::io;
 
     #[test]
     fn lengths_follow_the_vertices_of_an_obj() {

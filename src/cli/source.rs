@@ -11,7 +11,7 @@ use anyhow::{Context, Result};
 use tempfile::NamedTempFile;
 
 use super::exit::NoInput;
-use crate::wire::pieces::{Hash, PIECE_BYTES};
+use wire::pieces::{Hash, PIECE_BYTES};
 
 /// See the module's head.
 #[derive(Debug)]

@@ -71,7 +71,7 @@ fn bytes(path: &Path) -> Result<Vec<u8>, NoInput> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::exit::code;
+    use crate::exit::code;
 
     #[test]
     fn what_does_not_go_together_is_refused() {

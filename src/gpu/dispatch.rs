@@ -10,7 +10,7 @@ use std::ops::Range;
 use super::device::WORKGROUP;
 use super::limits::Limits;
 use super::{Device, GpuError};
-use crate::token::{Stopped, Token};
+use geometry::token::{Stopped, Token};
 
 /// Items that one dispatch of a heavy stage has at most. Each stage takes some such parts at once; none comes near
 /// 100 ms on a software adapter (`tessera bench cvt` says how long the longest took).
@@ -81,11 +81,11 @@ pub struct Origins<'a> {
 /// A stage over so many items.
 #[derive(Debug)]
 pub struct Stage<'a> {
-    /// What is computed,
+    /// The pipeline to run.
     pub pipeline: &'a wgpu::ComputePipeline,
-    /// on what,
+    /// The buffers of the pipeline.
     pub bindings: &'a wgpu::BindGroup,
-    /// for how many items.
+    /// Number of items.
     pub items: u64,
     /// [`PART`]s that one dispatch may have.
     pub size: u64,

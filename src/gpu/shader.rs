@@ -1,7 +1,6 @@
 //! Composition of WGSL.
 //!
-//! Purpose: [`compose`] turns a file with directives into plain WGSL. A line is a directive if
-//! its first word is one of
+//! Purpose: [`compose`] turns a file with directives into plain WGSL. The first word of a line makes it a directive:
 //!
 //! | directive | meaning |
 //! | --- | --- |
@@ -9,8 +8,8 @@
 //! | `#repeat K in A..B` ... `#end` | the lines for each K: static unrolling |
 //! | `#if E` ... `#end` | the lines if E is not 0 |
 //!
-//! and in other lines `$NAME` and `$(E)` stand for integers. E is made of integers, names,
-//! `+ - * % <` and parentheses. Names are constants of the stage and variables of `#repeat`.
+//! In other lines, `$NAME` and `$(E)` stand for integers. E is made of integers, names, `+ - * % <` and parentheses. Names
+//! are constants of the stage and variables of `#repeat`.
 //!
 //! Invariant: the same stage and constants give the same text.
 //! Must not know: the device, what a stage computes.

@@ -22,7 +22,7 @@ use super::{Image, PictureError, Size};
 
 /// One picture.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Figure {
+pub struct Figure {
     /// Above everything.
     pub title: String,
     /// Side by side.
@@ -31,7 +31,7 @@ pub(crate) struct Figure {
 
 /// One pair of axes.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Panel {
+pub struct Panel {
     /// Above it; may be empty.
     pub title: String,
     /// From left to right.
@@ -46,7 +46,7 @@ pub(crate) struct Panel {
 
 /// An axis.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Axis {
+pub struct Axis {
     /// What it measures.
     pub label: String,
     /// Whether its steps are factors. Values that are not above 0 have no place then.
@@ -55,7 +55,7 @@ pub(crate) struct Axis {
 
 /// A line of points, in the order given.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Series {
+pub struct Series {
     /// In the legend.
     pub name: String,
     /// (x, y).
@@ -89,7 +89,7 @@ impl Figure {
     ///
     /// # Errors
     /// [`PictureError::Plot`]: it has too few pixels for its labels.
-    pub(crate) fn draw(&self, size: Size) -> Result<Image, PictureError> {
+    pub fn draw(&self, size: Size) -> Result<Image, PictureError> {
         let (width, height) = (size.width * SCALE, size.height * SCALE);
         let mut pixels = vec![[255; 3]; width as usize * height as usize];
         {

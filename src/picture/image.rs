@@ -35,7 +35,6 @@ impl Image {
     }
 
     /// From `by` times as many pixels in each direction, rows from the top: the mean of each square.
-    #[cfg(feature = "cli")]
     pub(super) fn shrunk(size: Size, pixels: &[Rgb], by: usize) -> Self {
         let (width, height) = (size.width as usize, size.height as usize);
         let mean = |(x, y): (usize, usize)| {

@@ -7,9 +7,9 @@ use glam::DVec3;
 
 use super::colour::{self, Rgb};
 use super::{Canvas, Face, Image, Pens, View};
-use crate::mesh::TriMesh;
-use crate::mesh::adjacency::weld;
-use crate::mesh::measure::facet_quality;
+use geometry::mesh::TriMesh;
+use geometry::mesh::adjacency::weld;
+use geometry::mesh::measure::facet_quality;
 
 /// What the colours of a mesh say.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -126,7 +126,7 @@ pub fn shading_normals(mesh: &TriMesh) -> Vec<DVec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::shapes::Shape;
+    use geometry::mesh::shapes::Shape;
 
     #[test]
     fn edges_are_drawn_once() {

@@ -4,8 +4,8 @@ use glam::dvec3;
 
 use super::colour::{BACKGROUND, lit};
 use super::*;
-use crate::mesh::TriMesh;
-use crate::mesh::shapes::Shape;
+use geometry::mesh::TriMesh;
+use geometry::mesh::shapes::Shape;
 
 const RED: Rgb = [220, 40, 40];
 const BLUE: Rgb = [40, 60, 220];

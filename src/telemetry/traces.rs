@@ -19,8 +19,7 @@ use tracing_subscriber::Layer;
 use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::registry::LookupSpan;
 
-use super::TelemetryError;
-use crate::config::Traces;
+use super::{TelemetryError, Traces};
 
 /// For the collector to take a batch.
 const EXPORT_TIME: Duration = Duration::from_secs(5);

@@ -14,11 +14,11 @@ use super::proto::{ArrayKind, Chunk};
 
 /// Arrays that a server sends: kind and attribute, bytes so far, bytes in all.
 #[derive(Debug, Default)]
-pub(crate) struct Arrays(HashMap<(i32, u32), (Vec<u8>, u64)>);
+pub struct Arrays(HashMap<(i32, u32), (Vec<u8>, u64)>);
 
 impl Arrays {
     /// Takes the next chunk of an array.
-    pub(crate) fn take(&mut self, chunk: &Chunk) -> Result<(), WireError> {
+    pub fn take(&mut self, chunk: &Chunk) -> Result<(), WireError> {
         let (data, total) = self.0.entry((chunk.kind, chunk.attribute)).or_default();
         if chunk.offset != data.len() as u64 {
             return broken("the server left out or repeated a part of an array");
@@ -32,7 +32,7 @@ impl Arrays {
     }
 
     /// An array as it came.
-    pub(crate) fn bytes(&self, kind: ArrayKind) -> Result<&[u8], WireError> {
+    pub fn bytes(&self, kind: ArrayKind) -> Result<&[u8], WireError> {
         self.bytes_of(kind, 0)
     }
 
@@ -48,22 +48,22 @@ impl Arrays {
     }
 
     /// An array of points.
-    pub(crate) fn points(&self, kind: ArrayKind) -> Result<Vec<DVec3>, WireError> {
+    pub fn points(&self, kind: ArrayKind) -> Result<Vec<DVec3>, WireError> {
         Ok(points(self.bytes(kind)?))
     }
 
     /// An array of triangles.
-    pub(crate) fn facets(&self, kind: ArrayKind) -> Result<Vec<[u32; 3]>, WireError> {
+    pub fn facets(&self, kind: ArrayKind) -> Result<Vec<[u32; 3]>, WireError> {
         Ok(indices(self.bytes(kind)?).as_chunks::<3>().0.to_vec())
     }
 
     /// None if the server sent none: an empty array has no chunks.
-    pub(crate) fn pairs(&self, kind: ArrayKind) -> Vec<[u32; 2]> {
+    pub fn pairs(&self, kind: ArrayKind) -> Vec<[u32; 2]> {
         self.bytes(kind).map_or_else(|_| Vec::new(), |data| indices(data).as_chunks::<2>().0.to_vec())
     }
 
     /// The arrays of the attribute at `place` in the list of headers.
-    pub(crate) fn attribute(&self, counts: AttributeCounts, place: u32) -> Result<UploadedAttribute, WireError> {
+    pub fn attribute(&self, counts: AttributeCounts, place: u32) -> Result<UploadedAttribute, WireError> {
         let (values, corners) = counts.array_kinds();
         let place = if values == ArrayKind::Scalars { place } else { 0 };
         let data = self.bytes_of(values, place)?;

@@ -15,20 +15,20 @@ use super::proto::{ArrayKind, Chunk};
 
 /// What was uploaded, complete.
 #[derive(Debug)]
-pub(crate) struct Uploaded {
-    pub(crate) positions: Vec<DVec3>,
-    pub(crate) facets: Vec<[u32; 3]>,
-    pub(crate) weights: Option<Vec<f64>>,
-    pub(crate) seeds: Vec<DVec3>,
-    pub(crate) edge_lengths: Option<Vec<f64>>,
-    pub(crate) creases: Vec<[u32; 2]>,
+pub struct Uploaded {
+    pub positions: Vec<DVec3>,
+    pub facets: Vec<[u32; 3]>,
+    pub weights: Option<Vec<f64>>,
+    pub seeds: Vec<DVec3>,
+    pub edge_lengths: Option<Vec<f64>>,
+    pub creases: Vec<[u32; 2]>,
     /// What was announced beside the mesh, in this order.
-    pub(crate) attributes: Vec<UploadedAttribute>,
+    pub attributes: Vec<UploadedAttribute>,
 }
 
 /// See the module's head.
 #[derive(Debug)]
-pub(crate) struct Assembly {
+pub struct Assembly {
     arrays: [Array; 6],
     attributes: Vec<(AttributeCounts, Array, Array)>,
 }
@@ -58,7 +58,7 @@ enum Store {
 
 impl Assembly {
     /// Nothing has arrived yet.
-    pub(crate) fn new(mesh: MeshCounts, seeds: SeedCounts) -> Self {
+    pub fn new(mesh: MeshCounts, seeds: SeedCounts) -> Self {
         let points = mesh.coordinate_bytes;
         let array = Array::new;
         Self {
@@ -75,7 +75,7 @@ impl Assembly {
     }
 
     /// Attributes of the mesh are to arrive as well.
-    pub(crate) fn announce(mut self, facets: u64, attributes: Vec<AttributeCounts>) -> Self {
+    pub fn announce(mut self, facets: u64, attributes: Vec<AttributeCounts>) -> Self {
         let arrays = attributes.into_iter().enumerate().map(|(i, counts)| {
             let (values, corners) = counts.array_kinds();
             let mut values =
@@ -101,7 +101,7 @@ impl Assembly {
     }
 
     /// Takes the next chunk of an array. `grow` is asked for the bytes of memory that it needs, once the chunk is in order.
-    pub(crate) fn take<E: From<WireError>>(
+    pub fn take<E: From<WireError>>(
         &mut self,
         chunk: &Chunk,
         grow: impl FnOnce(u64) -> Result<(), E>,
@@ -124,7 +124,7 @@ impl Assembly {
     }
 
     /// Gives what was uploaded if it is complete.
-    pub(crate) fn finish(self) -> Result<Uploaded, WireError> {
+    pub fn finish(self) -> Result<Uploaded, WireError> {
         let attributes = self.attributes.iter().flat_map(|(_, values, corners)| [values, corners]);
         for array in self.arrays.iter().chain(attributes) {
             let whole = array.whole_bytes();

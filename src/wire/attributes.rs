@@ -11,8 +11,8 @@ use super::WireError;
 use super::chunks::{chunks as cut, facet_chunks, number_chunks, point_chunks};
 use super::counts::{MeshCounts, within};
 use super::proto::{ArrayKind, AttributeHeader, AttributeKind, AttributeType, Chunk};
-use crate::mesh::TriMesh;
-use crate::mesh::attributes::{
+use geometry::mesh::TriMesh;
+use geometry::mesh::attributes::{
     AttributeError, Attributes, ColourDepth, Colours, Normals, PerCorner, Scalar, check_name,
 };
 
@@ -21,19 +21,19 @@ const MOST: usize = 256;
 
 /// A header that makes sense.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct AttributeCounts {
-    pub(crate) kind: AttributeKind,
-    pub(crate) name: String,
+pub struct AttributeCounts {
+    pub kind: AttributeKind,
+    pub name: String,
     /// Values, numbers of each, and bytes of a number.
-    pub(crate) values: u64,
-    pub(crate) numbers: u64,
-    pub(crate) number_bytes: u64,
-    pub(crate) by_corner: bool,
+    pub values: u64,
+    pub numbers: u64,
+    pub number_bytes: u64,
+    pub by_corner: bool,
 }
 
 impl AttributeCounts {
     /// Of the values and of the corners. The latter is `Unspecified` where there are none.
-    pub(crate) fn array_kinds(&self) -> (ArrayKind, ArrayKind) {
+    pub fn array_kinds(&self) -> (ArrayKind, ArrayKind) {
         match self.kind {
             AttributeKind::Normals => (ArrayKind::Normals, ArrayKind::NormalCorners),
             AttributeKind::TextureCoordinates => (ArrayKind::TextureCoordinates, ArrayKind::TextureCorners),
@@ -45,16 +45,16 @@ impl AttributeCounts {
 
 /// An attribute's arrays, complete.
 #[derive(Debug)]
-pub(crate) struct UploadedAttribute {
-    pub(crate) counts: AttributeCounts,
+pub struct UploadedAttribute {
+    pub counts: AttributeCounts,
     /// All numbers of all values.
-    pub(crate) numbers: Vec<f64>,
+    pub numbers: Vec<f64>,
     /// Empty if it is not given by corner.
-    pub(crate) corners: Vec<[u32; 3]>,
+    pub corners: Vec<[u32; 3]>,
 }
 
 /// Checks what is said of a mesh before anything of it arrives.
-pub(crate) fn check(headers: &[AttributeHeader], mesh: MeshCounts) -> Result<Vec<AttributeCounts>, WireError> {
+pub fn check(headers: &[AttributeHeader], mesh: MeshCounts) -> Result<Vec<AttributeCounts>, WireError> {
     if headers.len() > MOST {
         return Err(WireError::field("header.attributes", format!("has {} entries; {MOST} may be", headers.len())));
     }
@@ -109,7 +109,7 @@ fn check_one(i: usize, header: &AttributeHeader, mesh: MeshCounts) -> Result<Att
 }
 
 /// Attributes of what was uploaded.
-pub(crate) fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Result<Attributes, WireError> {
+pub fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Result<Attributes, WireError> {
     let mut attributes = Attributes::new(mesh);
     for (i, UploadedAttribute { counts, numbers, corners }) in uploaded.into_iter().enumerate() {
         let points = || numbers.as_chunks::<3>().0.iter().map(|&n| DVec3::from_array(n)).collect();
@@ -143,7 +143,7 @@ pub(crate) fn collect(mesh: &TriMesh, uploaded: Vec<UploadedAttribute>) -> Resul
 }
 
 /// Headers of all that there is.
-pub(crate) fn headers(attributes: &Attributes) -> Vec<AttributeHeader> {
+pub fn headers(attributes: &Attributes) -> Vec<AttributeHeader> {
     let mut all = Vec::new();
     let mut push = |kind: AttributeKind, name: &str, values: usize, by_corner, r#type: AttributeType| {
         let (kind, r#type) = (kind.into(), r#type.into());
@@ -168,7 +168,7 @@ pub(crate) fn headers(attributes: &Attributes) -> Vec<AttributeHeader> {
 }
 
 /// Headers of all that there is, in the order in which a request named it.
-pub(crate) fn headers_like(attributes: &Attributes, request: &[AttributeHeader]) -> Vec<AttributeHeader> {
+pub fn headers_like(attributes: &Attributes, request: &[AttributeHeader]) -> Vec<AttributeHeader> {
     let all = headers(attributes);
     let same = |a: &AttributeHeader, b: &AttributeHeader| (a.kind, &a.name) == (b.kind, &b.name);
     request.iter().filter_map(|asked| all.iter().find(|header| same(header, asked)).cloned()).collect()
@@ -178,7 +178,7 @@ pub(crate) fn headers_like(attributes: &Attributes, request: &[AttributeHeader])
 type Chunks<'a> = Box<dyn Iterator<Item = Chunk> + Send + 'a>;
 
 /// All arrays of `attributes`, under the places that `headers` gives them.
-pub(crate) fn chunks<'a>(attributes: &'a Attributes, headers: &[AttributeHeader]) -> Vec<Chunks<'a>> {
+pub fn chunks<'a>(attributes: &'a Attributes, headers: &[AttributeHeader]) -> Vec<Chunks<'a>> {
     let mut all: Vec<Chunks<'a>> = Vec::new();
     match attributes.normals() {
         Some(Normals::PerVertex(normals)) => all.push(Box::new(point_chunks(ArrayKind::Normals, normals))),

@@ -4,24 +4,21 @@
 //! Invariant: a piece is never split. What does not fit together is refused.
 //! Must not know: how pieces are computed.
 
-use prost::bytes::Bytes;
-
-#[cfg(feature = "cli")]
 use super::WireError;
-#[cfg(feature = "cli")]
 use super::arrays::{indices, numbers, points};
 use super::chunks::CHUNK_BYTES;
 use super::proto::CellsChunk;
-use crate::rvd::PieceBatch;
+use geometry::rvd::PieceBatch;
+use prost::bytes::Bytes;
 
 /// Bytes of a polygon vertex in a cells message.
-pub(crate) const CELLS_VERTEX_BYTES: usize = 36;
+pub const CELLS_VERTEX_BYTES: usize = 36;
 
 /// Polygon vertices in a cells message.
 const CELLS_VERTICES: usize = CHUNK_BYTES / CELLS_VERTEX_BYTES;
 
 /// A batch of pieces as messages of about [`CHUNK_BYTES`], made one at a time. A piece is never split.
-pub(crate) fn cells_chunks(batch: &PieceBatch) -> impl Iterator<Item = CellsChunk> + '_ {
+pub fn cells_chunks(batch: &PieceBatch) -> impl Iterator<Item = CellsChunk> + '_ {
     let mut first = 0;
     std::iter::from_fn(move || {
         if first >= batch.len() {
@@ -52,8 +49,7 @@ pub(crate) fn cells_chunks(batch: &PieceBatch) -> impl Iterator<Item = CellsChun
 }
 
 /// The pieces of a message.
-#[cfg(feature = "cli")]
-pub(crate) fn batch(chunk: &CellsChunk) -> Result<PieceBatch, WireError> {
+pub fn batch(chunk: &CellsChunk) -> Result<PieceBatch, WireError> {
     let mut cells = PieceBatch::default();
     let (facet, seed, count) = (indices(&chunk.facet), indices(&chunk.seed), indices(&chunk.vertex_count));
     let (position, weight, opposite) = (points(&chunk.positions), numbers(&chunk.weights), indices(&chunk.opposite));
@@ -94,7 +90,6 @@ mod tests {
             assert_eq!(chunk.opposite.len(), 4 * chunk.vertices as usize);
         }
     }
-    #[cfg(feature = "cli")]
     #[test]
     fn pieces_come_back_as_they_went() {
         let mut sent = PieceBatch::default();
@@ -112,8 +107,6 @@ mod tests {
         }
         assert_eq!(format!("{came:?}"), format!("{sent:?}"));
     }
-
-    #[cfg(feature = "cli")]
     #[test]
     fn arrays_that_do_not_fit_together_are_refused() {
         let mut sent = PieceBatch::default();

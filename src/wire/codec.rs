@@ -6,13 +6,13 @@
 use glam::DVec3;
 
 use super::{WireError, proto};
-use crate::cvt::{Iteration, Projection, SeedEdit, StepKind};
-use crate::remesh::Placement;
-use crate::remesh::report::{RefineEnd, RvdFigures};
-use crate::rvd::{BackendChoice, BackendKind};
+use geometry::cvt::{Iteration, Projection, SeedEdit, StepKind};
+use geometry::remesh::Placement;
+use geometry::remesh::report::{RefineEnd, RvdFigures};
+use geometry::rvd::{BackendChoice, BackendKind};
 
 /// The backend that a header asks for.
-pub(crate) fn backend(value: i32) -> Result<BackendChoice, WireError> {
+pub fn backend(value: i32) -> Result<BackendChoice, WireError> {
     match proto::BackendChoice::try_from(value) {
         Ok(proto::BackendChoice::Unspecified | proto::BackendChoice::Auto) => Ok(BackendChoice::Auto),
         Ok(proto::BackendChoice::Gpu) => Ok(BackendChoice::Only(BackendKind::Gpu)),
@@ -22,7 +22,7 @@ pub(crate) fn backend(value: i32) -> Result<BackendChoice, WireError> {
     }
 }
 
-pub(crate) fn projection(value: i32) -> Result<Option<Projection>, WireError> {
+pub fn projection(value: i32) -> Result<Option<Projection>, WireError> {
     match proto::Projection::try_from(value) {
         Ok(proto::Projection::Unspecified) => Ok(None),
         Ok(proto::Projection::Free) => Ok(Some(Projection::Free)),
@@ -32,7 +32,7 @@ pub(crate) fn projection(value: i32) -> Result<Option<Projection>, WireError> {
 }
 
 /// Whether shape and distance are measured.
-pub(crate) fn measure(value: i32) -> Result<Option<bool>, WireError> {
+pub fn measure(value: i32) -> Result<Option<bool>, WireError> {
     match proto::Measure::try_from(value) {
         Ok(proto::Measure::Unspecified) => Ok(None),
         Ok(proto::Measure::Full) => Ok(Some(true)),
@@ -41,7 +41,7 @@ pub(crate) fn measure(value: i32) -> Result<Option<bool>, WireError> {
     }
 }
 
-pub(crate) fn placement(value: i32) -> Result<Option<Placement>, WireError> {
+pub fn placement(value: i32) -> Result<Option<Placement>, WireError> {
     match proto::Placement::try_from(value) {
         Ok(proto::Placement::Unspecified) => Ok(None),
         Ok(proto::Placement::Fitted) => Ok(Some(Placement::Fitted)),
@@ -52,7 +52,7 @@ pub(crate) fn placement(value: i32) -> Result<Option<Placement>, WireError> {
 }
 
 /// Whether boundaries are kept.
-pub(crate) fn boundaries(value: i32) -> Result<Option<bool>, WireError> {
+pub fn boundaries(value: i32) -> Result<Option<bool>, WireError> {
     match proto::BoundaryRule::try_from(value) {
         Ok(proto::BoundaryRule::Unspecified) => Ok(None),
         Ok(proto::BoundaryRule::Keep) => Ok(Some(true)),
@@ -62,7 +62,7 @@ pub(crate) fn boundaries(value: i32) -> Result<Option<bool>, WireError> {
 }
 
 /// Whether edges become shorter where the surface is thin.
-pub(crate) fn thin(value: i32) -> Result<Option<bool>, WireError> {
+pub fn thin(value: i32) -> Result<Option<bool>, WireError> {
     match proto::ThinRule::try_from(value) {
         Ok(proto::ThinRule::Unspecified) => Ok(None),
         Ok(proto::ThinRule::Finer) => Ok(Some(true)),
@@ -71,7 +71,7 @@ pub(crate) fn thin(value: i32) -> Result<Option<bool>, WireError> {
     }
 }
 
-pub(crate) fn step_kind(value: i32) -> Result<StepKind, WireError> {
+pub fn step_kind(value: i32) -> Result<StepKind, WireError> {
     match proto::StepKind::try_from(value) {
         Ok(proto::StepKind::Unspecified | proto::StepKind::Lloyd) => Ok(StepKind::Lloyd),
         Ok(proto::StepKind::Lbfgs) => Ok(StepKind::Lbfgs),
@@ -81,13 +81,13 @@ pub(crate) fn step_kind(value: i32) -> Result<StepKind, WireError> {
 
 /// What of a diagram is to be sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Outputs {
-    pub(crate) cells: bool,
-    pub(crate) centroids: bool,
-    pub(crate) sums: bool,
+pub struct Outputs {
+    pub cells: bool,
+    pub centroids: bool,
+    pub sums: bool,
 }
 
-pub(crate) fn outputs(values: &[i32]) -> Result<Outputs, WireError> {
+pub fn outputs(values: &[i32]) -> Result<Outputs, WireError> {
     let mut outputs = Outputs { cells: values.is_empty(), ..Outputs::default() };
     for (i, &value) in values.iter().enumerate() {
         match proto::RvdOutput::try_from(value) {
@@ -100,7 +100,7 @@ pub(crate) fn outputs(values: &[i32]) -> Result<Outputs, WireError> {
     Ok(outputs)
 }
 
-pub(crate) fn edits(edits: &[proto::SeedEdit]) -> Result<Vec<SeedEdit>, WireError> {
+pub fn edits(edits: &[proto::SeedEdit]) -> Result<Vec<SeedEdit>, WireError> {
     let point = |p: &proto::Point| DVec3::new(p.x, p.y, p.z);
     let one = |(i, edit): (usize, &proto::SeedEdit)| {
         let missing = |what: &str| WireError::field(format!("edit.edits[{i}]{what}"), "is missing");
@@ -120,7 +120,7 @@ pub(crate) fn edits(edits: &[proto::SeedEdit]) -> Result<Vec<SeedEdit>, WireErro
     edits.iter().enumerate().map(one).collect()
 }
 
-pub(crate) fn iteration(it: &Iteration, total: usize, queue_ms: f64) -> proto::Iteration {
+pub fn iteration(it: &Iteration, total: usize, queue_ms: f64) -> proto::Iteration {
     let device = it.stats.device;
     proto::Iteration {
         index: it.index as u64,
@@ -146,7 +146,7 @@ pub(crate) fn iteration(it: &Iteration, total: usize, queue_ms: f64) -> proto::I
     }
 }
 
-pub(crate) fn refinement_end(ended: RefineEnd) -> proto::RefinementEnd {
+pub fn refinement_end(ended: RefineEnd) -> proto::RefinementEnd {
     match ended {
         RefineEnd::Reached => proto::RefinementEnd::Reached,
         RefineEnd::Budget => proto::RefinementEnd::Budget,
@@ -154,7 +154,7 @@ pub(crate) fn refinement_end(ended: RefineEnd) -> proto::RefinementEnd {
     }
 }
 
-pub(crate) fn figures(figures: &RvdFigures) -> proto::RvdFigures {
+pub fn figures(figures: &RvdFigures) -> proto::RvdFigures {
     proto::RvdFigures {
         area: figures.area,
         pairs: figures.pairs,

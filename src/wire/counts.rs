@@ -5,34 +5,34 @@
 
 use super::proto::{DensityOptions, MeshHeader, PositionType, SeedSource, seed_source};
 use super::{WireError, density};
-use crate::remesh::RemeshError;
+use geometry::remesh::RemeshError;
 
 /// The most that a request may ask for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Bounds {
-    pub(crate) max_vertices: u64,
-    pub(crate) max_facets: u64,
-    pub(crate) max_seeds: u64,
-    pub(crate) max_iterations: u32,
+pub struct Bounds {
+    pub max_vertices: u64,
+    pub max_facets: u64,
+    pub max_seeds: u64,
+    pub max_iterations: u32,
 }
 
 /// A mesh header whose counts are usable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub(crate) struct MeshCounts {
-    pub(crate) vertices: u64,
-    pub(crate) facets: u64,
-    pub(crate) weights: u64,
+pub struct MeshCounts {
+    pub vertices: u64,
+    pub facets: u64,
+    pub weights: u64,
     /// Bytes a coordinate: 4 or 8.
-    pub(crate) coordinate_bytes: u64,
+    pub coordinate_bytes: u64,
     /// Target edge lengths.
-    pub(crate) edge_lengths: u64,
+    pub edge_lengths: u64,
     /// Creases.
-    pub(crate) creases: u64,
+    pub creases: u64,
 }
 
 /// A seed source whose count is usable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum SeedCounts {
+pub enum SeedCounts {
     Uploaded(u64),
     Sampled {
         points: u64,
@@ -45,7 +45,7 @@ pub(crate) enum SeedCounts {
 }
 
 impl SeedCounts {
-    pub(crate) fn uploaded(self) -> u64 {
+    pub fn uploaded(self) -> u64 {
         match self {
             Self::Uploaded(count) => count,
             Self::Sampled { .. } | Self::Implied { .. } => 0,
@@ -54,7 +54,7 @@ impl SeedCounts {
 }
 
 /// Checks the counts of a mesh.
-pub(crate) fn mesh(header: Option<&MeshHeader>, bounds: &Bounds) -> Result<MeshCounts, WireError> {
+pub fn mesh(header: Option<&MeshHeader>, bounds: &Bounds) -> Result<MeshCounts, WireError> {
     let header = header.ok_or_else(|| WireError::field("header.mesh", "is missing; say how large the mesh is"))?;
     let MeshHeader { vertices, facets, weights, .. } = *header;
     within("header.mesh.vertices", vertices, 1, bounds.max_vertices)?;
@@ -75,7 +75,7 @@ pub(crate) fn mesh(header: Option<&MeshHeader>, bounds: &Bounds) -> Result<MeshC
 }
 
 /// Checks the number of seeds.
-pub(crate) fn seeds(source: Option<&SeedSource>, bounds: &Bounds) -> Result<SeedCounts, WireError> {
+pub fn seeds(source: Option<&SeedSource>, bounds: &Bounds) -> Result<SeedCounts, WireError> {
     match source.and_then(|s| s.source) {
         Some(seed_source::Source::Uploaded(count)) => {
             within("header.seeds.uploaded", count, 1, bounds.max_seeds)?;
@@ -90,7 +90,7 @@ pub(crate) fn seeds(source: Option<&SeedSource>, bounds: &Bounds) -> Result<Seed
 }
 
 /// Checks a mesh, seeds and the density that ties them.
-pub(crate) fn with_density(
+pub fn with_density(
     header: Option<&MeshHeader>,
     source: Option<&SeedSource>,
     options: Option<&DensityOptions>,
@@ -121,7 +121,7 @@ pub(crate) fn with_density(
 }
 
 /// Checks that `least <= value <= most`.
-pub(crate) fn within(path: &str, value: u64, least: u64, most: u64) -> Result<(), WireError> {
+pub fn within(path: &str, value: u64, least: u64, most: u64) -> Result<(), WireError> {
     if (least..=most).contains(&value) {
         return Ok(());
     }

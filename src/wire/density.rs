@@ -5,7 +5,7 @@
 //! Must not know: how many seeds there are, what a density does.
 
 use super::{WireError, proto};
-use crate::cvt::density::{DensityOptions, DensitySource};
+pub use geometry::cvt::density::{DensityOptions, DensitySource};
 
 /// A density's source; what is uploaded must be what it reads.
 pub(super) fn kind(density: &proto::DensityOptions, weights: bool) -> Result<proto::DensitySource, WireError> {
@@ -33,7 +33,7 @@ pub(super) fn kind(density: &proto::DensityOptions, weights: bool) -> Result<pro
 }
 
 /// A density whose header was checked, with what was uploaded for it.
-pub(crate) fn of(
+pub fn of(
     density: Option<&proto::DensityOptions>,
     weights: Option<Vec<f64>>,
     lengths: Option<Vec<f64>>,
@@ -68,7 +68,6 @@ pub(super) fn numbers(density: Option<&proto::DensityOptions>) -> DensityOptions
 }
 
 /// What asks for the same as `options`.
-#[cfg(feature = "cli")]
 pub(super) fn message(options: &DensityOptions) -> proto::DensityOptions {
     // The last three are for users of the library: a server has bounds of its own.
     let DensityOptions { source, edge_length, adaptivity, gradation, clamp: _, ratio: _, max_points: _ } = options;

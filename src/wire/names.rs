@@ -4,20 +4,19 @@
 //! that it stands for, and its default, read from [`RemeshOptions`]. Invariant: a test (`cli::defaults`) fails where an option
 //! is missing in an interface, or a message has a field that is in no row. Must not know: what an option does.
 
+use geometry::cvt::Projection;
+use geometry::remesh::{Placement, RemeshOptions, Seeds};
 use serde_json::{Value, json};
-
-use crate::cvt::Projection;
-use crate::remesh::{Placement, RemeshOptions, Seeds};
 
 /// An option of a remesh.
 #[derive(Debug)]
-pub(crate) struct Name {
+pub struct Name {
     /// The name: `--crease-angle` is `crease_angle`.
-    pub(crate) name: &'static str,
+    pub name: &'static str,
     /// Paths in the header of a stream and in the specification of a job.
-    pub(crate) paths: &'static [&'static str],
+    pub paths: &'static [&'static str],
     /// The default; null where there is none.
-    pub(crate) default: fn(&RemeshOptions) -> Value,
+    pub default: fn(&RemeshOptions) -> Value,
 }
 
 const fn row(name: &'static str, paths: &'static [&'static str], default: fn(&RemeshOptions) -> Value) -> Name {
@@ -25,7 +24,7 @@ const fn row(name: &'static str, paths: &'static [&'static str], default: fn(&Re
 }
 
 /// All options of a remesh.
-pub(crate) const OPTIONS: &[Name] = &[
+pub const OPTIONS: &[Name] = &[
     row("points", &["seeds.sampled.points", "seeds.drawn.points"], |_| Value::Null),
     row("seed", &["seeds.sampled.random_seed", "seeds.drawn.random_seed"], |_| json!(Seeds::RANDOM_SEED)),
     row("density", &["density.source", "density"], |_| json!("uniform")),
@@ -57,7 +56,7 @@ pub(crate) const OPTIONS: &[Name] = &[
 ];
 
 /// Options that a message has and the command has not: seeds and weights that are given, and how much is measured.
-pub(crate) const OTHERS: &[Name] = &[
+pub const OTHERS: &[Name] = &[
     row("seeds", &["seeds.uploaded", "seeds.given", "seeds"], |_| Value::Null),
     row("weights", &["density.weights", "mesh.weights"], |_| Value::Null),
     row("measure", &["measure"], |usual| json!(if usual.measure { "full" } else { "topology" })),
@@ -67,7 +66,7 @@ pub(crate) const OTHERS: &[Name] = &[
 const ROOMS: &[&str] = &["header.", "spec.remesh.", "spec.rvd.", "spec.cvt.", "work.remesh.", "work.rvd.", "work.cvt."];
 
 /// The name of the option that a path of a message stands for, and what follows it in the path.
-pub(crate) fn of(path: &str) -> Option<(&'static str, &str)> {
+pub fn of(path: &str) -> Option<(&'static str, &str)> {
     let path = ROOMS.iter().find_map(|room| path.strip_prefix(room))?;
     let named = OPTIONS.iter().chain(OTHERS).flat_map(|row| row.paths.iter().map(|path| (row.name, *path)));
     let begins = named.filter_map(|(name, begin)| {
@@ -78,7 +77,7 @@ pub(crate) fn of(path: &str) -> Option<(&'static str, &str)> {
 }
 
 /// A text that begins with a path of a message, with the option's name in its place, as `name` writes it.
-pub(crate) fn in_text(text: &str, name: impl Fn(&str) -> String) -> Option<String> {
+pub fn in_text(text: &str, name: impl Fn(&str) -> String) -> Option<String> {
     let (path, reason) = text.split_once(' ')?;
     let (option, rest) = of(path)?;
     Some(format!("{}{rest} {reason}", name(option)))

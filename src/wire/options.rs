@@ -4,39 +4,30 @@
 //! Invariant: what a header leaves open has the library's default, and no number here is one. Both sides are
 //! taken apart field by field, so that an option cannot be added to one of them alone.
 //! Must not know: streams, queues, what an option does.
-
-#[cfg(feature = "cli")]
 use super::attributes;
 use super::counts::{Bounds, SeedCounts, within};
-#[cfg(feature = "cli")]
 use super::density;
 use super::proto::{self, CvtHeader, RemeshHeader};
 use super::{WireError, codec};
-use crate::cvt::density::DensityOptions;
-#[cfg(feature = "cli")]
-use crate::cvt::density::DensitySource;
-use crate::cvt::{CvtOptions, Projection};
-#[cfg(feature = "cli")]
-use crate::mesh::TriMesh;
-use crate::mesh::attributes::Attributes;
-use crate::mesh::features::FeatureError;
-use crate::remesh::{Placement, Refine, RemeshError, RemeshOptions, Seeds};
+use geometry::cvt::density::DensityOptions;
+pub use geometry::cvt::density::DensitySource;
+use geometry::cvt::{CvtOptions, Projection};
+use geometry::mesh::TriMesh;
+use geometry::mesh::attributes::Attributes;
+pub use geometry::mesh::features::FeatureError;
+use geometry::remesh::{Placement, Refine, RemeshError, RemeshOptions, Seeds};
 
 /// What came in arrays beside a header.
 #[derive(Clone, Debug)]
-pub(crate) struct RemeshArrays {
-    pub(crate) density: DensityOptions,
-    pub(crate) seeds: Seeds,
-    pub(crate) creases: Vec<[u32; 2]>,
-    pub(crate) attributes: Option<Attributes>,
+pub struct RemeshArrays {
+    pub density: DensityOptions,
+    pub seeds: Seeds,
+    pub creases: Vec<[u32; 2]>,
+    pub attributes: Option<Attributes>,
 }
 
 /// What a header and its arrays ask for.
-pub(crate) fn of_remesh(
-    header: &RemeshHeader,
-    arrays: RemeshArrays,
-    bounds: &Bounds,
-) -> Result<RemeshOptions, WireError> {
+pub fn of_remesh(header: &RemeshHeader, arrays: RemeshArrays, bounds: &Bounds) -> Result<RemeshOptions, WireError> {
     let RemeshArrays { density, seeds, creases, attributes } = arrays;
     let counts = match &seeds {
         Seeds::Given(seeds) => SeedCounts::Uploaded(seeds.len() as u64),
@@ -63,7 +54,7 @@ pub(crate) fn of_remesh(
 }
 
 /// Whether a header's options are in their ranges, before anything is uploaded.
-pub(crate) fn check_remesh(header: &RemeshHeader, seeds: SeedCounts, bounds: &Bounds) -> Result<(), WireError> {
+pub fn check_remesh(header: &RemeshHeader, seeds: SeedCounts, bounds: &Bounds) -> Result<(), WireError> {
     Numbers::of(header, seeds, bounds).map(|_| ())
 }
 
@@ -153,7 +144,7 @@ fn refine(given: &proto::Refinement, counts: SeedCounts, bounds: &Bounds) -> Res
 }
 
 /// What the header of a session asks for.
-pub(crate) fn of_cvt(header: &CvtHeader) -> Result<CvtOptions, WireError> {
+pub fn of_cvt(header: &CvtHeader) -> Result<CvtOptions, WireError> {
     let CvtHeader { mesh: _, seeds: _, backend: _, density: _, projection, max_seeds } = *header;
     let usual = CvtOptions::default();
     Ok(CvtOptions {
@@ -164,8 +155,7 @@ pub(crate) fn of_cvt(header: &CvtHeader) -> Result<CvtOptions, WireError> {
 }
 
 /// The header that asks for the same as `options`, of `mesh`; seeds that are given are to be uploaded.
-#[cfg(feature = "cli")]
-pub(crate) fn remesh_header(mesh: &TriMesh, options: &RemeshOptions, backend: proto::BackendChoice) -> RemeshHeader {
+pub fn remesh_header(mesh: &TriMesh, options: &RemeshOptions, backend: proto::BackendChoice) -> RemeshHeader {
     let RemeshOptions {
         seeds,
         lloyd,
@@ -218,8 +208,7 @@ pub(crate) fn remesh_header(mesh: &TriMesh, options: &RemeshOptions, backend: pr
 }
 
 /// The counts of `mesh`, and of the weights that `density` reads.
-#[cfg(feature = "cli")]
-pub(crate) fn mesh_header(mesh: &TriMesh, density: &DensityOptions) -> proto::MeshHeader {
+pub fn mesh_header(mesh: &TriMesh, density: &DensityOptions) -> proto::MeshHeader {
     let weights = if let DensitySource::Weights(weights) = &density.source { weights.len() as u64 } else { 0 };
     proto::MeshHeader {
         vertices: mesh.positions().len() as u64,
@@ -230,8 +219,7 @@ pub(crate) fn mesh_header(mesh: &TriMesh, density: &DensityOptions) -> proto::Me
 }
 
 /// Where seeds come from.
-#[cfg(feature = "cli")]
-pub(crate) fn seed_source(seeds: &Seeds) -> proto::SeedSource {
+pub fn seed_source(seeds: &Seeds) -> proto::SeedSource {
     use proto::seed_source::Source;
     let sampled = |points, random_seed| Source::Sampled(proto::SampledSeeds { points, random_seed });
     let source = match *seeds {

@@ -11,41 +11,41 @@ use super::WireError;
 use super::proto::{ReadResponse, WriteRequest};
 
 /// The most bytes of a piece that is sent.
-pub(crate) const PIECE_BYTES: usize = 1 << 20;
+pub const PIECE_BYTES: usize = 1 << 20;
 
 /// The SHA-256 of bytes that come in order.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Hash {
+pub struct Hash {
     sha: Sha256,
     bytes: u64,
 }
 
 impl Hash {
     /// The next bytes.
-    pub(crate) fn add(&mut self, bytes: &[u8]) {
+    pub fn add(&mut self, bytes: &[u8]) {
         self.sha.update(bytes);
         self.bytes += bytes.len() as u64;
     }
 
     /// How many there were.
-    pub(crate) fn bytes(&self) -> u64 {
+    pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
     /// The digest as blobs are named: 64 lower-case hexadecimal digits.
-    pub(crate) fn digest(&self) -> String {
+    pub fn digest(&self) -> String {
         self.sha.clone().finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }
 }
 
 /// A piece of an upload that begins at `offset`.
-pub(crate) fn piece(offset: u64, data: Vec<u8>) -> WriteRequest {
+pub fn piece(offset: u64, data: Vec<u8>) -> WriteRequest {
     WriteRequest { offset, crc32c: crc32c::crc32c(&data), data: data.into(), ..WriteRequest::default() }
 }
 
 /// A blob on its way.
 #[derive(Debug)]
-pub(crate) struct Incoming {
+pub struct Incoming {
     digest: String,
     size: Option<u64>,
     hash: Hash,
@@ -53,22 +53,22 @@ pub(crate) struct Incoming {
 
 impl Incoming {
     /// Nothing of it has come.
-    pub(crate) fn new(digest: &str) -> Self {
+    pub fn new(digest: &str) -> Self {
         Self { digest: digest.to_owned(), size: None, hash: Hash::default() }
     }
 
     /// How many bytes have come.
-    pub(crate) fn bytes(&self) -> u64 {
+    pub fn bytes(&self) -> u64 {
         self.hash.bytes()
     }
 
     /// How many there are, once a piece said so.
-    pub(crate) fn size(&self) -> Option<u64> {
+    pub fn size(&self) -> Option<u64> {
         self.size
     }
 
     /// Whether all have come.
-    pub(crate) fn whole(&self) -> bool {
+    pub fn whole(&self) -> bool {
         self.size == Some(self.bytes())
     }
 
@@ -76,7 +76,7 @@ impl Incoming {
     ///
     /// # Errors
     /// [`WireError::Answer`] if it is not the next one, damaged, or too long.
-    pub(crate) fn take(&mut self, piece: &ReadResponse) -> Result<(), WireError> {
+    pub fn take(&mut self, piece: &ReadResponse) -> Result<(), WireError> {
         let wrong = |text: String| Err(WireError::Answer(text));
         let (came, size, length) = (self.bytes(), piece.size_bytes, piece.data.len() as u64);
         match self.size {
@@ -103,7 +103,7 @@ impl Incoming {
     ///
     /// # Errors
     /// [`WireError::Answer`] if they are not all, or not those of the digest.
-    pub(crate) fn finish(&self) -> Result<u64, WireError> {
+    pub fn finish(&self) -> Result<u64, WireError> {
         if !self.whole() {
             let (came, size) = (self.bytes(), self.size.unwrap_or_default());
             return Err(WireError::Answer(format!("of the {size} bytes of the blob only {came} were sent")));

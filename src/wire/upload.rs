@@ -11,7 +11,7 @@ use super::counts::{Bounds, MeshCounts, SeedCounts};
 use super::proto::Chunk;
 
 /// What a message of an upload is, whatever its type.
-pub(crate) enum Incoming<H> {
+pub enum Incoming<H> {
     Header(H),
     Chunk(Chunk),
     End,
@@ -20,7 +20,7 @@ pub(crate) enum Incoming<H> {
 }
 
 /// What headers have in common.
-pub(crate) trait Header {
+pub trait Header {
     /// Checks everything in it.
     fn check(&self, bounds: &Bounds) -> Result<(MeshCounts, SeedCounts), WireError>;
 
@@ -34,25 +34,25 @@ pub(crate) trait Header {
 }
 
 /// See the module's head.
-pub(crate) struct Upload<H> {
+pub struct Upload<H> {
     bounds: Bounds,
     open: Option<(H, SeedCounts, Assembly)>,
 }
 
 impl<H: Header> Upload<H> {
     /// Nothing has come yet.
-    pub(crate) fn new(bounds: Bounds) -> Self {
+    pub fn new(bounds: Bounds) -> Self {
         Self { bounds, open: None }
     }
 
     /// The header, once it has come and is in order.
-    pub(crate) fn header(&self) -> Option<&H> {
+    pub fn header(&self) -> Option<&H> {
         self.open.as_ref().map(|(header, ..)| header)
     }
 
     /// Takes the next message, or `None` for the end of the stream. Gives what was uploaded once it
     /// is complete. `grow` is asked for memory before a chunk is kept.
-    pub(crate) fn take<E: From<WireError>>(
+    pub fn take<E: From<WireError>>(
         &mut self,
         message: Option<Incoming<H>>,
         grow: impl FnOnce(u64) -> Result<(), E>,

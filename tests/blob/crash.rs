@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Digest, ObjectBlobs};
+use jobs::blob::{BlobError, BlobOptions, BlobStore, Digest, ObjectBlobs};
 use tokio::runtime::Runtime;
 
 use crate::{CHUNK, chunk_at, content, cut, files, local, put, read, read_all, send, upload_of};

@@ -23,9 +23,9 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use futures_util::TryStreamExt;
+use jobs::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs, UploadId};
 use object_store::memory::InMemory;
 use tempfile::TempDir;
-use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs, UploadId};
 
 /// What a busy machine may take for what a quiet one does at once.
 const PATIENCE: std::time::Duration = std::time::Duration::from_secs(60);

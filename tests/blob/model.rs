@@ -5,9 +5,9 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use jobs::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs, Owner, UploadId};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
-use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs, Owner, UploadId};
 use tokio::runtime::Runtime;
 
 use crate::{PATIENCE, content, everything, local, read};
@@ -327,7 +327,7 @@ impl Model {
 }
 
 async fn ask(store: &ObjectBlobs, model: &Model, operation: &Operation, chunk: Option<Chunk>) -> Said {
-    let status = |status: tessera::internals::blob::UploadStatus| vec![status.kept_bytes, u64::from(status.complete)];
+    let status = |status: jobs::blob::UploadStatus| vec![status.kept_bytes, u64::from(status.complete)];
     let digests = |blobs: &[usize]| -> Vec<Digest> { blobs.iter().map(|k| model.digest(*k)).collect() };
     match operation {
         Operation::Begin(key) => store.begin(model.id(*key)).await.map(status),

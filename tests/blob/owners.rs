@@ -1,8 +1,6 @@
 //! Who has a blob, on each kind of store.
 
-use tessera::internals::blob::{
-    BlobError, BlobOptions, BlobStore, Digest, ObjectBlobs, Owner, UploadId, put as put_bytes,
-};
+use jobs::blob::{BlobError, BlobOptions, BlobStore, Digest, ObjectBlobs, Owner, UploadId, put as put_bytes};
 
 use crate::{content, each, everything, local, send, upload_of};
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Digest, UploadId, put as put_bytes};
+use jobs::blob::{BlobError, BlobOptions, BlobStore, Digest, UploadId, put as put_bytes};
 
 use crate::{CHUNK, content, each, files, put, read, send, upload_of};
 

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
+use jobs::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs};
 use object_store::memory::InMemory;
-use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, ObjectBlobs};
 
 use crate::{CHUNK, content, put, read_all, send, upload_of};
 
@@ -68,7 +68,7 @@ async fn wrong_bytes_of_many_parts_leave_nothing() {
     let store = Arc::new(InMemory::new());
     let blobs = ObjectBlobs::shared(Arc::clone(&store), BlobOptions::default()).await.unwrap();
     let wrong = content(3, usize::try_from(PART).unwrap() + 1);
-    let id = tessera::internals::blob::UploadId::new(Digest::of(b"other"), wrong.len() as u64);
+    let id = jobs::blob::UploadId::new(Digest::of(b"other"), wrong.len() as u64);
     let mut kept = blobs.begin(id).await.unwrap().kept_bytes;
     while kept < id.size_bytes() {
         let start = usize::try_from(kept).unwrap();

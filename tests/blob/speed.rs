@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use bytes::{Bytes, BytesMut};
 use futures_util::TryStreamExt;
+use jobs::blob::{BlobOptions, BlobStore, Chunk, Digest, UploadId};
 use sha2::Digest as _;
-use tessera::internals::blob::{BlobOptions, BlobStore, Chunk, Digest, UploadId};
 
 use crate::process::MemoryPeak;
 use crate::{content, local};

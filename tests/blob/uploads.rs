@@ -1,6 +1,6 @@
 //! Uploads and reads, on each kind of store.
 
-use tessera::internals::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, DigestError, READ_BYTES, UploadId};
+use jobs::blob::{BlobError, BlobOptions, BlobStore, Chunk, Digest, DigestError, READ_BYTES, UploadId};
 
 use crate::{CHUNK, chunk_at, content, cut, each, files, put, read, read_all, send, upload_of};
 
@@ -25,7 +25,7 @@ async fn what_is_put_is_read_whole_and_by_range() {
         for length in [0, 1, CHUNK, 10 * CHUNK + 7, READ_BYTES + 1, 2 * READ_BYTES] {
             let bytes = content(length as u64, length);
             let size = length as u64;
-            let info = tessera::internals::blob::put(&store, bytes.clone(), None).await.unwrap();
+            let info = jobs::blob::put(&store, bytes.clone(), None).await.unwrap();
             assert_eq!((info.digest, info.size_bytes), (Digest::of(&bytes), size), "{kind}");
             assert_eq!(store.stat(info.digest).await.unwrap(), info);
             assert_eq!(read_all(&store, info.digest).await.unwrap(), bytes, "{kind} {length}");
@@ -47,7 +47,7 @@ async fn what_is_put_is_read_whole_and_by_range() {
 async fn pieces_of_a_read_are_short() {
     use futures_util::TryStreamExt;
     for (kind, store, _folder) in each(BlobOptions::default()).await {
-        let digest = tessera::internals::blob::put(&store, content(1, 3 * READ_BYTES), None).await.unwrap().digest;
+        let digest = jobs::blob::put(&store, content(1, 3 * READ_BYTES), None).await.unwrap().digest;
         let read = store.read(digest, 5..u64::MAX).await.unwrap();
         assert_eq!(read.range, 5..3 * READ_BYTES as u64);
         let pieces: Vec<bytes::Bytes> = read.bytes.try_collect().await.unwrap();

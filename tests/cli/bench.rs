@@ -4,7 +4,6 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use crate::gpu;
 use needs::needs;
 use serde_json::Value;
 use tessera::mesh::io;
@@ -246,7 +245,7 @@ fn reports_of_a_cpu_count_nothing() {
 #[needs(gpu)]
 #[test]
 fn a_gpu_is_timed_by_its_clock_and_counted() {
-    if gpu::device().is_none() {
+    if crate::gpu::device().is_none() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

@@ -59,6 +59,7 @@ fn variable(key: &str) -> String {
 fn values(key: &str, default: Option<&str>) -> [String; 3] {
     let all = match default {
         _ if key == "on_device_loss" => ["\"exit\"", "\"cpu\"", "\"exit\""],
+        _ if key == "allow_host" => ["[\"a\"]", "[\"b\"]", "[\"c\"]"],
         _ if key == "backend" => ["\"gpu\"", "\"serial\"", "\"parallel\""],
         Some("true" | "false") => ["true", "false", "true"],
         Some(text) if text.starts_with('"') && text.ends_with("h\"") || text.ends_with("d\"") => {
@@ -77,7 +78,7 @@ fn values(key: &str, default: Option<&str>) -> [String; 3] {
 
 /// As it stands on the command line or in a variable.
 fn plain(value: &str) -> String {
-    value.trim_matches('"').replace("\\\"", "\"")
+    value.trim_matches(['[', ']']).trim_matches('"').replace("\\\"", "\"")
 }
 
 #[test]

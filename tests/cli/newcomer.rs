@@ -179,17 +179,17 @@ fn help_is_in_groups() {
             "\nShape of the result:",
             "\nSteps:",
             "\nPicture:",
-            "\nWho works:",
+            "\nBackend:",
             "--endpoint",
-            "\nWhat is said:",
+            "\nMessages:",
             "\nGeneral:",
             "--log-format",
         ],
     );
-    in_order(&help("rvd -h"), &["\nSeeds (", "\nFiles:", "\nPicture:", "\nWho works:", "\nGeneral:"]);
+    in_order(&help("rvd -h"), &["\nSeeds (", "\nFiles:", "\nPicture:", "\nBackend:", "\nGeneral:"]);
     in_order(
         &help("serve -h"),
-        &["\nServer and its limits:", "--listen", "--stall-s", "\nWho works:", "--threads", "\nGeneral:"],
+        &["\nServer and its limits:", "--listen", "--stall-s", "\nBackend:", "--threads", "\nGeneral:"],
     );
     for command in ["remesh", "rvd", "serve", "bench rvd", "shape", "doctor"] {
         let text = help(&format!("{command} -h"));

@@ -294,7 +294,7 @@ pub fn check(case: &Case, parallel: &Parallel) -> Result<(), String> {
     for by in [1e-2, 1e-4, 1e-9] {
         ensure!(moved(case, &surface, parallel, by)? == fresh.0, "sums after moves by {by:e} differ");
     }
-    let seeds: Vec<DVec3> = case.seeds.iter().map(|&p| tessera::internals::rvd::snap(p)).collect();
+    let seeds: Vec<DVec3> = case.seeds.iter().map(|&p| geometry::rvd::surface::snap(p)).collect();
     well_formed(&surface, &seeds, &want.1)?;
     tiles(&surface, &seeds, &want)?;
     nearest(&surface, &seeds, &want.1)?;

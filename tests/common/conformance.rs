@@ -29,9 +29,9 @@ pub use crate::sessions::{everything, open, same_bits, sums, sums_with};
 /// In what a backend computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
-    /// f64: pieces are those of the reference to the bit, sums to the rounding of their addition.
+    /// Double precision: pieces are those of the reference to the bit, sums to the rounding of their addition.
     Double,
-    /// f32 relative to the seed; what that cannot decide is finished in double precision and counted.
+    /// Single precision relative to the seed. Undecided cases are finished in double precision and counted.
     Single,
 }
 

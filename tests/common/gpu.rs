@@ -8,7 +8,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use tessera::internals::gpu::{Device, DeviceOptions};
+use ::gpu::{Device, DeviceOptions};
 
 /// The device of this test binary, or `None` where there is none and none is required.
 pub fn device() -> Option<Arc<Device>> {

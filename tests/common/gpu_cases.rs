@@ -1,8 +1,8 @@
 //! What must hold of a small diagram on the GPU (see `cases`).
 #![allow(dead_code)]
 
+use ::gpu::diagram::Gpu;
 use glam::DVec3;
-use tessera::internals::rvd::Gpu;
 use tessera::rvd::Serial;
 use tessera::rvd::{Capacities, CellSums, PieceBatch, Surface};
 

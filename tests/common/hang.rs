@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use tessera::internals::gpu::Device;
+use ::gpu::Device;
 
 /// Work that takes longer than any submission may.
 pub struct Hang {

@@ -3,14 +3,14 @@
 
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-use tessera::internals::rvd::Gpu;
+use ::gpu::diagram::Gpu;
 use tessera::mesh::TriMesh;
 use tessera::mesh::measure::topology;
 use tessera::remesh::{Remesh, RemeshError, RemeshOptions, Seeds, remesh};
 use tessera::rvd::{Backend, BackendKind};
 use tessera::rvd::{Parallel, Serial};
 
-use super::{cases, gpu};
+use super::cases;
 use tessera::token::Token;
 
 /// Serial, parallel, and the GPU where there is one; with the relative error of a sum that its arithmetic allows.
@@ -19,7 +19,7 @@ pub fn backends() -> Vec<(&'static dyn Backend, f64)> {
     static PARALLEL: OnceLock<Parallel> = OnceLock::new();
     static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
     let parallel: &'static Parallel = PARALLEL.get_or_init(|| Parallel::new(Some(2)).unwrap());
-    let gpu = GPU.get_or_init(|| gpu::device().map(|device| Gpu::new(device, Some(2)).unwrap()));
+    let gpu = GPU.get_or_init(|| crate::gpu::device().map(|device| Gpu::new(device, Some(2)).unwrap()));
     let mut all: Vec<(&'static dyn Backend, f64)> = vec![(&Serial, 1e-10), (parallel, 1e-10)];
     all.extend(gpu.as_ref().map(|gpu| (gpu as &dyn Backend, 1e-4)));
     all

@@ -4,11 +4,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
-use tessera::internals::blob::{BlobError, BlobStore, Digest};
-use tessera::internals::job::api::{Estimate, JobApi, JobApiError, Preview};
-use tessera::internals::job::event::Events;
-use tessera::internals::job::record::*;
-use tessera::internals::job::store::*;
+use jobs::api::{Estimate, JobApi, JobApiError, Preview};
+use jobs::blob::{BlobError, BlobStore, Digest};
+use jobs::event::Events;
+use jobs::record::*;
+use jobs::store::*;
 use tokio::sync::watch;
 
 /// See the module's head.

@@ -1,8 +1,8 @@
 //! Surfaces with curves, and what is found on them.
 #![allow(dead_code)]
 
+use geometry::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
 use glam::{DVec3, dvec3};
-use tessera::internals::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
 use tessera::mesh::TriMesh;
 use tessera::token::Token;
 

@@ -17,7 +17,7 @@ mod uploads;
 
 use std::sync::OnceLock;
 
-use tessera::internals::rvd::Gpu;
+use ::gpu::diagram::Gpu;
 use tessera::mesh::io::Format;
 use tessera::rvd::Parallel;
 
@@ -37,7 +37,7 @@ pub fn diagram(bytes: &[u8]) -> Held {
 /// `TESSERA_TEST_GPU` says whether that is a failure.
 pub fn diagram_on_the_gpu(bytes: &[u8]) -> Held {
     static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
-    let gpu = GPU.get_or_init(|| gpu::device().map(|device| Gpu::new(device, Some(1)).unwrap()));
+    let gpu = GPU.get_or_init(|| self::gpu::device().map(|device| Gpu::new(device, Some(1)).unwrap()));
     let (Some(gpu), Some(case)) = (gpu, cases::Case::from_bytes(bytes)) else { return Ok(false) };
     gpu_cases::check(&case, gpu).map(|()| true)
 }

@@ -233,9 +233,9 @@ pub struct Scan {
     pub islands: usize,
     /// Pieces that are there twice, a fraction of an edge apart.
     pub doubles: usize,
-    /// Strips of two sides that hang on an inner edge of the surface,
+    /// Two-sided strips that hang on an inner edge of the surface.
     pub flaps: usize,
-    /// as high as so many edges.
+    /// Height of such a strip, edges.
     pub flap_height: usize,
     /// Edges that are nearly without length.
     pub slivers: usize,

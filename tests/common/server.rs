@@ -11,10 +11,12 @@ use std::time::{Duration, Instant};
 
 use glam::{DVec3, dvec3};
 use idle_jobs::Idle;
-use tessera::internals::blob::{BlobError, BlobOptions, ObjectBlobs};
-use tessera::internals::config::Limits;
-use tessera::internals::job::{Backends, Ceilings, Engine, EngineOptions, JobError};
-use tessera::internals::service::{self, About, Access, Jobs, Metrics, Parts, Readiness, ServeError, Tls};
+use jobs::blob::{BlobError, BlobOptions, ObjectBlobs};
+use jobs::{Backends, Ceilings, Engine, EngineOptions, JobError};
+use server::config::Limits;
+use server::metrics::Metrics;
+use server::readiness::Readiness;
+use server::service::{self, About, Access, Jobs, Parts, ServeError, Tls};
 use tessera::proto::remesh_service_client::RemeshServiceClient;
 use tessera::proto::*;
 use tessera::rvd::{Backend, BackendKind, CellSums, PassStats, PieceBatch, RvdError, Session, SessionOptions, Surface};

@@ -4,9 +4,9 @@
 #![allow(dead_code)]
 
 use prost::Message;
+use server::config::Limits;
+use server::service::replay;
 use tessera::cvt::DensitySource;
-use tessera::internals::config::Limits;
-use tessera::internals::service::replay;
 use tessera::proto::*;
 use tessera::remesh::Seeds;
 

@@ -2,10 +2,10 @@
 //! budget, and what is wrong is refused by name.
 
 use crate::surfaces;
+use geometry::cvt::density::{Net, Outline, Plan, plan};
 use glam::DVec3;
 use needs::needs;
 use tessera::cvt::{Count, DensityError, DensityOptions, DensitySource};
-use tessera::internals::cvt::{Net, Outline, Plan, plan};
 use tessera::mesh::TriMesh;
 use tessera::mesh::shapes::Shape;
 use tessera::token::{Stopped, Token};

@@ -5,10 +5,10 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::{gpu, surfaces};
+use crate::surfaces;
+use ::gpu::diagram::Gpu;
 use glam::DVec3;
 use tessera::cvt::{Cvt, CvtOptions, Iteration, StepKind};
-use tessera::internals::rvd::Gpu;
 use tessera::mesh::TriMesh;
 use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
@@ -22,7 +22,7 @@ use tessera::token::{Stopped, Token};
 /// Every backend there is.
 fn backends() -> Vec<Box<dyn Backend>> {
     let mut all: Vec<Box<dyn Backend>> = vec![Box::new(Serial), Box::new(Parallel::new(Some(2)).unwrap())];
-    all.extend(gpu::device().map(|device| Box::new(Gpu::new(device, None).unwrap()) as Box<dyn Backend>));
+    all.extend(crate::gpu::device().map(|device| Box::new(Gpu::new(device, None).unwrap()) as Box<dyn Backend>));
     all
 }
 
@@ -135,7 +135,7 @@ fn a_run_has_the_same_bits_every_time() {
     for threads in [1, 3] {
         assert!(run(&Parallel::new(Some(threads)).unwrap()) == want, "{threads} threads");
     }
-    if let Some(device) = gpu::device() {
+    if let Some(device) = crate::gpu::device() {
         let gpu = Gpu::new(device, None).unwrap();
         assert!(run(&gpu) == run(&gpu), "two runs on the GPU");
     }

@@ -3,10 +3,9 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use ::gpu::{Device, DeviceOptions, GpuError};
 use needs::needs;
-use tessera::internals::gpu::{Device, DeviceOptions, GpuError};
 
-use crate::gpu;
 use crate::hang::Hang;
 
 const TIMEOUT: Duration = Duration::from_secs(1);
@@ -27,7 +26,7 @@ fn hanging() -> Arc<Device> {
 #[needs(gpu)]
 #[test]
 fn a_driver_that_does_not_answer_holds_nobody_up() {
-    if gpu::device().is_none() {
+    if crate::gpu::device().is_none() {
         return;
     }
     let device = hanging();
@@ -50,7 +49,7 @@ fn a_driver_that_does_not_answer_holds_nobody_up() {
 #[needs(gpu)]
 #[test]
 fn who_lets_go_of_a_device_at_work_waits_no_longer_than_for_its_work() {
-    if gpu::device().is_none() {
+    if crate::gpu::device().is_none() {
         return;
     }
     let device = hanging();

@@ -3,11 +3,11 @@
 
 use std::sync::Arc;
 
-use crate::gpu;
 use crate::stage::{STAGING_BYTES, Stage, staging};
+use ::gpu::buffers::write;
+use ::gpu::device::adapters;
+use ::gpu::{Device, DeviceOptions, GpuError};
 use needs::needs;
-use tessera::internals::gpu::buffers::write;
-use tessera::internals::gpu::{Device, DeviceOptions, GpuError, adapters};
 use wgpu::BufferUsages as Usage;
 
 /// Runs one check and reads (sums, slots, outcomes).
@@ -28,7 +28,7 @@ fn check(
 #[needs(gpu)]
 #[test]
 fn fixed_point_sums_carry_and_go_negative() {
-    let Some(device) = gpu::device() else { return };
+    let Some(device) = crate::gpu::device() else { return };
     let two32 = 4_294_967_296f32;
     let mut cases: Vec<Vec<f32>> = vec![
         vec![1.0; 1000],
@@ -68,7 +68,7 @@ fn fixed_point_sums_carry_and_go_negative() {
 #[needs(gpu)]
 #[test]
 fn a_cell_set_takes_each_cell_once_and_says_when_it_is_full() {
-    let Some(device) = gpu::device() else { return };
+    let Some(device) = crate::gpu::device() else { return };
     // 4096 insertions of 256 different cells into 256 slots, the key 0 and large ones among them.
     let inputs: Vec<u32> = (0..4096u32).map(|k| (k * 7919 % 256) * 8_000_000).collect();
     let (_, slots, outcomes) = check(&device, false, "check_cell_set", &inputs, 256);
@@ -87,7 +87,7 @@ fn a_cell_set_takes_each_cell_once_and_says_when_it_is_full() {
 #[needs(gpu)]
 #[test]
 fn adapters_are_listed_and_software_is_not_taken_by_default() {
-    let Some(device) = gpu::device() else { return };
+    let Some(device) = crate::gpu::device() else { return };
     let all = adapters();
     assert!(all.iter().any(|a| a.name == device.adapter().name));
     if all.iter().all(|a| a.software) {
@@ -103,7 +103,7 @@ fn adapters_are_listed_and_software_is_not_taken_by_default() {
 #[needs(gpu)]
 #[test]
 fn too_large_a_buffer_is_an_error_and_the_device_goes_on() {
-    let Some(device) = gpu::device() else { return };
+    let Some(device) = crate::gpu::device() else { return };
     let bytes = device.limits().max_buffer_size.saturating_add(4);
     assert!(device.buffer("huge", bytes, Usage::STORAGE).is_err());
     device.check().unwrap();
@@ -113,7 +113,7 @@ fn too_large_a_buffer_is_an_error_and_the_device_goes_on() {
 #[needs(gpu)]
 #[test]
 fn reads_longer_than_the_staging_buffer_come_in_portions() {
-    let Some(device) = gpu::device() else { return };
+    let Some(device) = crate::gpu::device() else { return };
     let values: Vec<u32> = (0..100_000).collect();
     let buffer = device.buffer("long", 400_000, Usage::STORAGE | Usage::COPY_DST | Usage::COPY_SRC).unwrap();
     write(&device, &buffer, 0, &values).unwrap();

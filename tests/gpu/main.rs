@@ -6,7 +6,7 @@
 
 use std::sync::OnceLock;
 
-use tessera::internals::rvd::Gpu;
+use ::gpu::diagram::Gpu;
 
 #[path = "../common/gpu.rs"]
 mod gpu;
@@ -20,7 +20,7 @@ mod sessions;
 /// The backend of these tests, or `None` where there is no adapter and none is required.
 fn backend() -> Option<&'static Gpu> {
     static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
-    GPU.get_or_init(|| gpu::device().map(|device| Gpu::new(device, None).unwrap())).as_ref()
+    GPU.get_or_init(|| crate::gpu::device().map(|device| Gpu::new(device, None).unwrap())).as_ref()
 }
 
 macro_rules! require_gpu {

@@ -5,13 +5,13 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use crate::points::{many_sets, noise};
 use crate::sessions::{self, evaluate, minimise, read};
+use ::gpu::diagram::layout::ROW;
+use ::gpu::diagram::{Found, Gpu};
+use ::gpu::{Device, DeviceOptions};
+use geometry::knn::{NeighbourRow, SeedIndex};
 use glam::{DVec3, dvec3};
 use needs::needs;
 use rand::{RngExt, SeedableRng};
-use tessera::internals::gpu::{Device, DeviceOptions};
-use tessera::internals::knn::{NeighbourRow, SeedIndex};
-use tessera::internals::rvd::layout::ROW;
-use tessera::internals::rvd::{Found, Gpu};
 use tessera::mesh::sample::sample;
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::Serial;

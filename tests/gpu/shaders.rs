@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use ::gpu::diagram::shaders::{SOURCES, compose};
+use ::gpu::diagram::{layout, plan};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use tessera::internals::rvd::shaders::{SOURCES, compose};
-use tessera::internals::rvd::{layout, plan};
 
 fn parse(stage: &str, slots: i64, array: i64) -> naga::Module {
     parse_with(stage, slots, array, 0)
@@ -87,7 +87,7 @@ fn no_stage_binds_more_storage_buffers_than_webgpu_guarantees() {
             .iter()
             .filter(|(_, v)| matches!(v.space, naga::AddressSpace::Storage { .. }))
             .count();
-        assert!(storage <= tessera::internals::gpu::device::STORAGE_BUFFERS as usize, "{stage}: {storage}");
+        assert!(storage <= ::gpu::device::STORAGE_BUFFERS as usize, "{stage}: {storage}");
     }
 }
 
@@ -240,7 +240,7 @@ fn constants_agree() {
         format!("const DIRECT: u32 = {}u;", layout::accumulate::DIRECT),
         format!("const TWO_PHASE: u32 = {}u;", layout::accumulate::TWO_PHASE),
         format!("const NOWHERE: u32 = {}u;", layout::accumulate::NOWHERE),
-        format!("const FACET_EDGE: u32 = {:#x}u;", tessera::internals::rvd::FACET_EDGE),
+        format!("const FACET_EDGE: u32 = {:#x}u;", geometry::rvd::cells::FACET_EDGE),
     ] {
         assert!(text.contains(&line), "{line}");
     }

@@ -5,10 +5,10 @@
 
 use std::sync::Arc;
 
+use ::gpu::Device;
+use ::gpu::buffers::{Allocation, Staging, write};
+use ::gpu::diagram::shaders;
 use bytemuck::Pod;
-use tessera::internals::gpu::Device;
-use tessera::internals::gpu::buffers::{Allocation, Staging, write};
-use tessera::internals::rvd::shaders;
 use wgpu::BufferUsages as Usage;
 
 /// Bytes that are read back at once.

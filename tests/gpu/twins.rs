@@ -17,12 +17,12 @@
 
 use std::sync::Arc;
 
+use ::gpu::Device;
+use ::gpu::diagram::layout::{DOTS, Facet, NONE, PAIRS, Params, SUM_WORDS, Seed, split};
+use ::gpu::diagram::plan;
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tessera::internals::gpu::Device;
-use tessera::internals::rvd::layout::{DOTS, Facet, NONE, PAIRS, Params, SUM_WORDS, Seed, split};
-use tessera::internals::rvd::plan;
 use tessera::rvd::Surface;
 
 use crate::stage::Stage;

@@ -3,12 +3,11 @@
 
 use std::sync::{Arc, OnceLock};
 
-use crate::gpu;
+use ::gpu::diagram::Gpu;
+use ::gpu::{Device, DeviceOptions};
 use glam::DVec3;
 use needs::needs;
 use rand::{RngExt, SeedableRng};
-use tessera::internals::gpu::{Device, DeviceOptions};
-use tessera::internals::rvd::Gpu;
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::{
     Backend, Capacities, CellSums, Evaluation, PassStats, PieceBatch, RvdError, SessionOptions, Strategy, Surface,
@@ -24,7 +23,7 @@ fn limited(most_buffer_bytes: Option<u64>) -> Gpu {
 /// One that sees a mebibyte at once, and one that sees all.
 fn backends() -> Option<&'static [Gpu; 2]> {
     static BOTH: OnceLock<Option<[Gpu; 2]>> = OnceLock::new();
-    BOTH.get_or_init(|| gpu::device().map(|_| [limited(Some(1 << 20)), limited(None)])).as_ref()
+    BOTH.get_or_init(|| crate::gpu::device().map(|_| [limited(Some(1 << 20)), limited(None)])).as_ref()
 }
 
 macro_rules! require_gpu {

@@ -4,21 +4,19 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use jobs::{Backends, BlobRoom, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, Stores};
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, RootCertStore};
 use serde_json::Value;
-use tessera::internals::config::Limits;
-use tessera::internals::http::door;
+use server::config::Limits;
+use server::http::door;
 #[cfg(feature = "ui")]
-use tessera::internals::http::door_with_page;
-use tessera::internals::job::{
-    Backends, BlobRoom, Engine, EngineOptions, Executor, ExecutorOptions, JobBounds, JobError, Stores,
-};
-use tessera::internals::keys::{KeyFile, KeyLimits, NewKey, Role, Secret};
-use tessera::internals::service::{
-    self, About, Access, AccessOptions, Door, Jobs, Metrics, Parts, Readiness, ServeError, Tls,
-};
+use server::http::door_with_page;
+use server::keys::{KeyFile, KeyLimits, NewKey, Role, Secret};
+use server::metrics::Metrics;
+use server::readiness::Readiness;
+use server::service::{self, About, Access, AccessOptions, Door, Jobs, Parts, ServeError, Tls};
 use tessera::{BackendChoice, BackendKind};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
@@ -62,6 +60,18 @@ impl House {
 
     pub async fn with_keys() -> (Self, Keys) {
         Self::locked(door).await
+    }
+
+    /// Without keys, for one more host.
+    pub async fn with_host(host: &str) -> Self {
+        let options = AccessOptions { hosts: vec![host.to_owned()], ..AccessOptions::default() };
+        Self::start(Access::open().with(options), None, door, Limits::default()).await
+    }
+
+    /// Without keys, with the page.
+    #[cfg(feature = "ui")]
+    pub async fn with_open_page() -> Self {
+        Self::start(Access::open(), None, door_with_page, Limits::default()).await
     }
 
     /// With keys too.
@@ -212,7 +222,10 @@ pub async fn over_tls(house: &House, authority: &str, protocol: &[u8], path: &st
 pub async fn send(house: &House, method: &str, path: &str, headers: &[&str], body: &[u8]) -> TcpStream {
     let mut stream = TcpStream::connect(house.http).await.unwrap();
     let length = body.len();
-    let mut head = format!("{method} {path} HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Length: {length}\r\n");
+    let mut head = format!("{method} {path} HTTP/1.1\r\nConnection: close\r\nContent-Length: {length}\r\n");
+    if !headers.iter().any(|header| header.starts_with("Host: ")) {
+        head += "Host: localhost\r\n";
+    }
     for header in headers {
         head += &format!("{header}\r\n");
     }
@@ -246,7 +259,8 @@ pub async fn ask(house: &House, method: &str, path: &str, headers: &[&str], body
 /// Sends a body in chunks, whose length nobody knows before its end; gives the status line's number.
 pub async fn post_chunked(house: &House, path: &str, headers: &[&str], body: &[u8]) -> u16 {
     let mut stream = TcpStream::connect(house.http).await.unwrap();
-    let mut all = format!("POST {path} HTTP/1.1\r\nHost: a\r\nConnection: close\r\nTransfer-Encoding: chunked\r\n");
+    let mut all =
+        format!("POST {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nTransfer-Encoding: chunked\r\n");
     for header in headers {
         all += &format!("{header}\r\n");
     }

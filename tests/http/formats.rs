@@ -4,7 +4,7 @@
 use std::io::Write as _;
 
 use serde_json::Value;
-use tessera::internals::http::OPENAPI;
+use server::http::OPENAPI;
 use tessera::mesh::io::{Format, decode, encode};
 use tessera::mesh::shapes::Shape;
 
@@ -110,7 +110,7 @@ async fn what_unpacks_to_too_much_is_refused() {
     assert_eq!(refusal(&post(&house, "/v1/blobs", &["Content-Encoding: br"], &torus).await), wrong);
     assert_eq!(client::post_chunked(&house, "/v1/blobs", &["Content-Encoding: gzip"], &packed).await, 201);
     // A blob is what its encoding says, with that digest.
-    let digest = tessera::internals::blob::Digest::of(&torus).to_string();
+    let digest = jobs::blob::Digest::of(&torus).to_string();
     for path in ["/v1/blobs".to_owned(), format!("/v1/blobs?digest={digest}")] {
         let stored = post(&house, &path, &["Content-Encoding: gzip"], &packed).await;
         assert_eq!((stored.status, stored.json()["digest"].as_str()), (201, Some(&*digest)), "{stored:?}");

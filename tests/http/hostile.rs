@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use tessera::internals::config::{Limits, Transport};
+use server::config::{Limits, Transport};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 
@@ -47,7 +47,7 @@ async fn silent_after(house: &House, bytes: &[u8]) -> (String, Duration) {
 #[tokio::test(flavor = "multi_thread")]
 async fn who_falls_silent_is_let_go_of() {
     let house = House::with_limits(limits()).await;
-    let head = b"POST /v1/blobs HTTP/1.1\r\nHost: a\r\nContent-Length: 1000\r\n\r\nhalf";
+    let head = b"POST /v1/blobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000\r\n\r\nhalf";
     // Wherever it stops: before the first byte, in the head, in the body, in what HTTP/2 begins with.
     let mut beginnings: Vec<Vec<u8>> = (0..head.len()).step_by(7).map(|length| head[..length].to_vec()).collect();
     beginnings.push(b"PRI * HTTP/2.0\r\n\r\nSM".to_vec());
@@ -66,7 +66,7 @@ async fn who_falls_silent_is_let_go_of() {
 async fn a_body_that_trickles_ends_with_the_time_of_uploads() {
     let house = House::with_limits(limits()).await;
     let mut stream = TcpStream::connect(house.http).await.unwrap();
-    stream.write_all(b"POST /v1/blobs HTTP/1.1\r\nHost: a\r\nContent-Length: 100000\r\n\r\n").await.unwrap();
+    stream.write_all(b"POST /v1/blobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n").await.unwrap();
     let begin = Instant::now();
     while begin.elapsed() < Duration::from_secs(20) && stream.write_all(b"x").await.is_ok() {
         tokio::time::sleep(Duration::from_millis(200)).await;
@@ -101,18 +101,21 @@ async fn nonsense_is_refused_and_costs_nobody_else() {
     let long = "x".repeat(100_000);
     let many: String = (0..2000).map(|k| format!("h{k}: v\r\n")).collect();
     for (text, wanted) in [
-        (format!("GET /v1/jobs HTTP/1.1\r\nHost: a\r\nlong: {long}\r\n\r\n"), &["431", "400"][..]),
-        (format!("GET /v1/jobs HTTP/1.1\r\nHost: a\r\n{many}\r\n"), &["431", "400"]),
-        (format!("GET /{long} HTTP/1.1\r\nHost: a\r\n\r\n"), &["414", "431", "400"]),
+        (format!("GET /v1/jobs HTTP/1.1\r\nHost: localhost\r\nlong: {long}\r\n\r\n"), &["431", "400"][..]),
+        (format!("GET /v1/jobs HTTP/1.1\r\nHost: localhost\r\n{many}\r\n"), &["431", "400"]),
+        (format!("GET /{long} HTTP/1.1\r\nHost: localhost\r\n\r\n"), &["414", "431", "400"]),
         ("GET /v1/jobs HTTP/9.9\r\n\r\n".to_owned(), &["400", "505"]),
-        ("POST /v1/blobs HTTP/1.1\r\nHost: a\r\nContent-Length: -1\r\n\r\n".to_owned(), &["400"]),
-        ("POST /v1/blobs HTTP/1.1\r\nHost: a\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n".to_owned(), &["400"]),
-        ("POST /v1/blobs HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n".to_owned(), &["400"]),
+        ("POST /v1/blobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: -1\r\n\r\n".to_owned(), &["400"]),
+        (
+            "POST /v1/blobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n".to_owned(),
+            &["400"],
+        ),
+        ("POST /v1/blobs HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n".to_owned(), &["400"]),
         ("\0\u{1}\u{2}\u{3}\r\n\r\n".to_owned(), &["400"]),
         // More than the memory that all uploads share.
         (
             format!(
-                "POST /v1/remesh?points=9 HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Length: {}\r\n\r\n{}",
+                "POST /v1/remesh?points=9 HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: {}\r\n\r\n{}",
                 9 << 20,
                 "x".repeat(9 << 20)
             ),

@@ -15,9 +15,9 @@ use std::time::Duration;
 
 use client::{Answer, House, ask, get, post};
 use serde_json::{Value, json};
-use tessera::internals::http::{OPENAPI, ROUTES};
-use tessera::internals::keys::{KeyLimits, Role};
-use tessera::internals::service::Tls;
+use server::http::{OPENAPI, ROUTES};
+use server::keys::{KeyLimits, Role};
+use server::service::Tls;
 use tessera::mesh::io::{self, Format};
 use tessera::{BackendChoice, BackendKind, RemeshOptions, Seeds, Token, TriMesh};
 
@@ -143,7 +143,7 @@ async fn blobs_have_ranges_and_tags() {
     let other = [&bytes[..], b"!"].concat();
     let wrong = post(&house, &format!("/v1/blobs?digest={digest}"), &[], &other).await;
     assert_eq!(wrong.status, 400, "{wrong:?}");
-    let other_digest = tessera::internals::blob::Digest::of(&other).to_string();
+    let other_digest = jobs::blob::Digest::of(&other).to_string();
     for _ in 0..2 {
         let stored = post(&house, &format!("/v1/blobs?digest={other_digest}"), &[], &other).await;
         assert_eq!((stored.status, stored.json()["digest"].as_str()), (201, Some(other_digest.as_str())));
@@ -310,6 +310,17 @@ async fn the_page_needs_no_key_and_lets_nothing_else_in() {
     house.stop().await;
 }
 
+#[cfg(feature = "ui")]
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_of_a_server_without_keys_uses_it() {
+    let house = House::with_open_page().await;
+    assert_eq!(get(&house, "/", &[]).await.status, 200);
+    let origin = format!("Origin: http://{}", house.http);
+    assert_eq!(post(&house, "/v1/blobs", &[&origin], b"OFF").await.status, 201);
+    assert_eq!(get(&house, "/", &["Host: evil.example"]).await.status, 403);
+    house.stop().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn who_goes_away_ends_the_work() {
     let house = House::open().await;
@@ -372,12 +383,50 @@ async fn keys_are_those_of_the_service() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn pages_of_other_sites_use_no_server_without_keys() {
+    let house = House::with_host("proxy.example").await;
+    let page = format!("Origin: http://{}", house.http);
+    for headers in [
+        &[][..],
+        &[page.as_str()],
+        &["Origin: http://localhost:5173"],
+        &["Host: proxy.example", "Origin: https://proxy.example"],
+    ] {
+        assert_eq!(get(&house, "/v1/jobs", headers).await.status, 200, "{headers:?}");
+    }
+    for (headers, word) in [
+        // A page of another site, and one whose name resolves to this machine.
+        (&["Origin: https://evil.example"][..], "another site"),
+        (&["Origin: null"], "another site"),
+        (&["Host: evil.example:8080", "Origin: http://evil.example:8080"], "localhost"),
+        (&["Host: 192.0.2.1"], "localhost"),
+    ] {
+        for (method, path) in [("GET", "/v1/jobs"), ("POST", "/v1/blobs"), ("DELETE", "/v1/jobs/x"), ("GET", "/none")] {
+            let answer = ask(&house, method, path, headers, b"").await;
+            let told = answer.json();
+            assert_eq!((answer.status, &told["reason"]), (403, &json!("permission_denied")), "{method} {headers:?}");
+            let detail = told["detail"].as_str().unwrap();
+            assert!(detail.contains(word) && detail.contains("--allow-host"), "{detail}");
+        }
+    }
+    house.stop().await;
+    // With keys the key decides: no page of another site has it.
+    let (house, keys) = House::with_keys().await;
+    let secret = keys.add("ci", Role::Submit, KeyLimits::default());
+    house.reload().await;
+    let key = format!("Authorization: Bearer {}", secret.reveal());
+    assert_eq!(get(&house, "/v1/jobs", &[&key, "Host: tessera.example"]).await.status, 200);
+    assert_eq!(get(&house, "/v1/jobs", &["Host: tessera.example"]).await.status, 401);
+    house.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn requests_are_counted_and_http_2_is_spoken() {
     let house = House::open().await;
     assert_eq!(get(&house, "/v1/jobs", &[]).await.status, 200);
     assert_eq!(get(&house, "/v1/none", &[]).await.status, 404);
     assert_eq!(client::over_http2(&house, "/v1/openapi.json").await, (200, OPENAPI.as_bytes().to_vec()));
-    let text = house.metrics.text(tessera::internals::service::Format::Text);
+    let text = house.metrics.text(server::metrics::Format::Text);
     let count = |method: &str, route: &str, status: u16| {
         let labels = format!(
             "http_server_request_duration_seconds_count{{http_request_method=\"{method}\",http_route=\"{route}\",\

@@ -5,9 +5,9 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use tessera::internals::job::record::*;
-use tessera::internals::job::state::State;
-use tessera::internals::job::store::*;
+use jobs::record::*;
+use jobs::state::State;
+use jobs::store::*;
 
 use super::{spec, wait};
 use crate::process::resident_bytes;

@@ -4,10 +4,10 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-use tessera::internals::job::event::{KEPT_PROGRESS, Progress, What};
-use tessera::internals::job::record::*;
-use tessera::internals::job::state::State;
-use tessera::internals::job::store::*;
+use jobs::event::{KEPT_PROGRESS, Progress, What};
+use jobs::record::*;
+use jobs::state::State;
+use jobs::store::*;
 
 use super::{spec, wait};
 

@@ -18,9 +18,9 @@ mod states;
 
 use std::future::Future;
 
-use tessera::internals::blob::Digest;
-use tessera::internals::job::record::*;
-use tessera::internals::job::store::Retention;
+use jobs::blob::Digest;
+use jobs::record::*;
+use jobs::store::Retention;
 
 /// A small job; `body` makes it differ from others.
 pub fn spec(request: &str, body: u64) -> JobSpec {

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use tessera::internals::job::record::*;
-use tessera::internals::job::state::{State, apply};
-use tessera::internals::job::store::*;
+use jobs::record::*;
+use jobs::state::{State, apply};
+use jobs::store::*;
 
 use super::{KEEP, spec};
 
@@ -246,7 +246,7 @@ pub async fn on_store(store: &dyn JobStore, step: Step, now: Time) -> Option<(Gi
         Step::Claim { id, until } => done(store.claim(id, holder(until), now).await),
         Step::Renew { id, at, until } => store.renew(id, at, until).await.map(|()| Gives::Done),
         Step::Progress { id, at } => {
-            let progress = tessera::internals::job::event::Progress::Stage { name: "s".to_owned(), done: 0, total: 0 };
+            let progress = jobs::event::Progress::Stage { name: "s".to_owned(), done: 0, total: 0 };
             let given = store.progress(id, at, progress, now).await;
             number = given.as_ref().ok().copied();
             given.map(|_| Gives::Done)

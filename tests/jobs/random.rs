@@ -7,12 +7,12 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use jobs::event::What;
+use jobs::record::*;
+use jobs::state::State;
+use jobs::store::*;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
-use tessera::internals::job::event::What;
-use tessera::internals::job::record::*;
-use tessera::internals::job::state::State;
-use tessera::internals::job::store::*;
 
 use super::disk::Disk;
 use super::model::{Gives, Known, Model, Step, on_store};

@@ -1,9 +1,9 @@
 //! Promise: a specification is checked field by field, survives being written and read with the same bits, and what it leaves
 //! open has the library's defaults. A record of the first layout can still be read.
 
+use jobs::blob::Digest;
+use jobs::record::*;
 use tessera::DensitySource;
-use tessera::internals::blob::Digest;
-use tessera::internals::job::record::*;
 use tessera::{RemeshOptions, Seeds};
 
 use super::spec;

@@ -37,10 +37,10 @@ async fn a_damaged_journal_is_told_from_an_empty_one_and_mended() {
     let kept = tempfile::tempdir().unwrap();
     let mut program = Program::start(kept.path(), &[]);
     let mut client = program.client().await;
-    let digest = client.put_mesh(&Shape::Genus(3).build(1_000)).await;
+    let digest = client.put_mesh(&Shape::Genus(3).build(600)).await;
     let mut ids = Vec::new();
     for seed in 0..JOBS {
-        ids.push(client.submit(remesh(&digest, 60, seed as u64)).await);
+        ids.push(client.submit(remesh(&digest, 40, seed as u64)).await);
     }
     for id in &ids {
         assert_eq!(client.end(id, LIMIT).await.state(), JobState::Succeeded);

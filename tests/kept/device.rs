@@ -14,13 +14,15 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use ::gpu::diagram::Gpu;
+use ::gpu::{Device, DeviceOptions};
+use jobs::*;
 use needs::needs;
 use serde_json::json;
-use tessera::internals::config::Limits;
-use tessera::internals::gpu::{Device, DeviceOptions};
-use tessera::internals::job::*;
-use tessera::internals::rvd::Gpu;
-use tessera::internals::service::{self, About, Access, Jobs, Metrics, Parts, Readiness, SERVICE_NAME, ServeError};
+use server::config::Limits;
+use server::metrics::Metrics;
+use server::readiness::Readiness;
+use server::service::{self, About, Access, Jobs, Parts, SERVICE_NAME, ServeError};
 use tessera::mesh::shapes::Shape;
 use tessera::proto::*;
 use tessera::{BackendKind, RvdError};
@@ -160,7 +162,7 @@ async fn steps(client: &mut Client, id: &str) {
 #[needs(gpu)]
 #[tokio::test(flavor = "multi_thread")]
 async fn no_job_is_lost_with_its_device() {
-    if gpu::device().is_none() {
+    if self::gpu::device().is_none() {
         return;
     }
     let (losses, hangs) = (times("TESSERA_LOSSES", 3), times("TESSERA_HANGS", 0));
@@ -216,7 +218,7 @@ async fn no_job_is_lost_with_its_device() {
 #[needs(gpu)]
 #[tokio::test(flavor = "multi_thread")]
 async fn a_device_that_does_not_come_back_ends_the_server_or_its_use() {
-    if gpu::device().is_none() {
+    if self::gpu::device().is_none() {
         return;
     }
     let mesh = Shape::Genus(3).build(1_200);

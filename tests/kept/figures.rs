@@ -6,9 +6,9 @@ use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
+use jobs::{Admission, Retry};
+use jobs::{AdmissionRequest, Backends, Engine, EngineOptions, JobError};
 use serde_json::json;
-use tessera::internals::job::{AdmissionRequest, Backends, Engine, EngineOptions, JobError};
-use tessera::internals::job_queue::{Admission, Retry};
 use tessera::mesh::io;
 use tessera::mesh::shapes::Shape;
 use tessera::proto::*;

@@ -13,7 +13,7 @@ use tessera::proto::*;
 
 use super::program::*;
 
-const JOBS: u64 = 20;
+const JOBS: u64 = 12;
 
 /// The jobs of a round: the same in each.
 fn specs(digest: &str) -> Vec<JobSpec> {
@@ -22,8 +22,8 @@ fn specs(digest: &str) -> Vec<JobSpec> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn no_acknowledged_job_is_lost_by_kills() {
-    let kills: usize = std::env::var("TESSERA_KILLS").map_or(4, |text| text.parse().unwrap());
-    let mesh = Shape::Genus(3).build(3_000);
+    let kills: usize = std::env::var("TESSERA_KILLS").map_or(3, |text| text.parse().unwrap());
+    let mesh = Shape::Genus(3).build(1_500);
     let mut random = ChaCha8Rng::seed_from_u64(7);
 
     // Without a kill.

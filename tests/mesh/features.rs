@@ -1,7 +1,7 @@
 //! Promise: creases, corners and boundaries are found, by angle and at the scale of the result.
 
+use geometry::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
 use glam::{DVec3, dvec3};
-use tessera::internals::mesh::features::{CurveKind, FeatureError, FeatureOptions, Features};
 use tessera::mesh::TriMesh;
 use tessera::mesh::shapes::Shape;
 use tessera::token::Token;
@@ -153,7 +153,7 @@ fn short_open_creases_are_left_out_unless_they_were_given() {
     let options = FeatureOptions { min_crease_length: 0.5, given_creases: given.to_vec(), ..creases_above(30.0) };
     let found = find(&mesh, &options).unwrap();
     for [a, b] in given {
-        let has = |c: &&tessera::internals::mesh::features::Curve| {
+        let has = |c: &&geometry::mesh::features::Curve| {
             let round: Vec<u32> = c.round().collect();
             round.windows(2).any(|w| w == [a, b] || w == [b, a])
         };

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use tessera::internals::service::Reason;
+use server::readiness::Reason;
 
 use crate::counted::worked;
 

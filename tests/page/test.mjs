@@ -121,6 +121,15 @@ function counts(bytes) {
 /** How different two pictures of an element are can be told by their bytes alone. */
 const seen = (page, selector) => page.locator(selector).screenshot();
 
+/** Waits until an element looks different from a picture of it, and gives the new picture. */
+async function changed(page, selector, before, what) {
+  for (const end = Date.now() + SLOW.timeout; Date.now() < end; await page.waitForTimeout(50)) {
+    const now = await seen(page, selector);
+    if (!now.equals(before)) return now;
+  }
+  assert.fail(what);
+}
+
 const octahedron = Buffer.from(
   "v 1 0 0\nv -1 0 0\nv 0 1 0\nv 0 -1 0\nv 0 0 1\nv 0 0 -1\n" +
     "f 1 3 5\nf 3 2 5\nf 2 4 5\nf 4 1 5\nf 3 1 6\nf 2 3 6\nf 4 2 6\nf 1 4 6\n",
@@ -150,7 +159,7 @@ const tests = {
       assert.ok(cells >= 1, "cells came");
       await says(page, "#run-stage", /^Done/);
       await says(page, "#chart-words", /below the first/);
-      await page.waitForTimeout(500);
+      if (PICTURES) await page.waitForTimeout(500);
       await picture(page, "after");
 
       const figures = await page.locator("#figures tr").evaluateAll((rows) =>
@@ -163,19 +172,15 @@ const tests = {
 
       // Colours.
       await page.click("label[for=colours-cells]");
-      await page.waitForTimeout(300);
-      assert.notDeepEqual(await seen(page, "#input-canvas"), plain, "cells are drawn");
+      await changed(page, "#input-canvas", plain, "cells are drawn");
       await page.click("label[for=colours-quality]");
       await says(page, "#result-legend", /mean 0\.\d+; under 30°/);
       const quality = await seen(page, "#result-canvas");
       await page.click("label[for=colours-distance]");
       await says(page, "#result-legend", /largest .* % of the diagonal/);
-      await page.waitForTimeout(300);
-      const distance = await seen(page, "#result-canvas");
-      assert.notDeepEqual(distance, quality);
+      const distance = await changed(page, "#result-canvas", quality, "distances are drawn");
       await page.check("#edges");
-      await page.waitForTimeout(300);
-      assert.notDeepEqual(await seen(page, "#result-canvas"), distance);
+      await changed(page, "#result-canvas", distance, "edges are drawn");
 
       // The download is the result, and what it says it is.
       const [download] = await Promise.all([page.waitForEvent("download"), page.click("#download")]);
@@ -246,8 +251,7 @@ const tests = {
       await page.keyboard.press("Enter");
       await ended(page);
       await compared(page);
-      await page.waitForTimeout(300);
-      assert.equal(await page.evaluate(() => document.querySelector("input[name=colours]:checked").value), "quality");
+      await page.waitForFunction(() => document.querySelector("input[name=colours]:checked").value === "quality", null, SLOW);
       await to("colours-quality");
       await page.keyboard.press("ArrowLeft");
       assert.equal(await page.evaluate(() => document.querySelector("input[name=colours]:checked").value), "cells");
@@ -258,8 +262,7 @@ const tests = {
       for (const key of ["ArrowRight", "ArrowUp", "Shift+ArrowLeft", "+", "-", ",", "0"]) {
         const before = await seen(page, "#result-canvas");
         await page.keyboard.press(key);
-        await page.waitForTimeout(150);
-        assert.notDeepEqual(await seen(page, "#result-canvas"), before, `${key} moves both views`);
+        await changed(page, "#result-canvas", before, `${key} moves both views`);
       }
       await to("download");
       const [download] = await Promise.all([page.waitForEvent("download"), page.keyboard.press("Enter")]);

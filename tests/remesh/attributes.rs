@@ -3,8 +3,8 @@
 use std::f64::consts::TAU;
 
 use crate::carried::{centroid, everything, texture, uvs, wedges};
+use geometry::remesh::attributes::{carry, provenance};
 use glam::{DVec2, DVec3, dvec2, dvec3};
-use tessera::internals::remesh::{carry, provenance};
 use tessera::mesh::TriMesh;
 use tessera::mesh::attributes::{AttributeError, Attributes, ColourDepth, Colours, Normals, PerCorner};
 use tessera::mesh::closest_point::ClosestPoint;

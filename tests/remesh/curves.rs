@@ -2,12 +2,12 @@
 
 use std::collections::BTreeSet;
 
+use ::gpu::diagram::Gpu;
+use geometry::mesh::adjacency::{Adjacency, EdgeKind};
+use geometry::mesh::features::FeatureError;
 use glam::DVec3;
 use needs::needs;
 use tessera::cvt::{DensityOptions, DensitySource};
-use tessera::internals::mesh::adjacency::{Adjacency, EdgeKind};
-use tessera::internals::mesh::features::FeatureError;
-use tessera::internals::rvd::Gpu;
 use tessera::mesh::TriMesh;
 use tessera::mesh::measure::topology;
 use tessera::mesh::shapes::Shape;
@@ -15,7 +15,6 @@ use tessera::remesh::{Placement, Remesh, RemeshError, RemeshOptions, Seeds, reme
 use tessera::rvd::Backend;
 use tessera::rvd::Parallel;
 
-use crate::gpu;
 use crate::parts::{counts, creases_above, disk, find, l_shape, length, prism, slit, tube};
 use tessera::token::Token;
 
@@ -147,7 +146,7 @@ fn creases_are_edges_and_corners_are_vertices() {
 #[needs(gpu)]
 #[test]
 fn the_gpu_keeps_creases_too() {
-    let Some(device) = gpu::device() else { return };
+    let Some(device) = crate::gpu::device() else { return };
     let gpu = Gpu::new(device, None).unwrap();
     let mesh = l_shape();
     let out = run_on(&gpu, &mesh, &options(300)).unwrap();

@@ -1,10 +1,10 @@
 //! Promise: edges come out as long as they were asked to be. What a density is made of is tested in `tests/cvt/density.rs`.
 
 use crate::surfaces;
+use geometry::cvt::density::Outline;
 use glam::DVec3;
 use needs::needs;
 use tessera::cvt::{DensityError, DensityOptions, DensitySource};
-use tessera::internals::cvt::Outline;
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;

@@ -1,8 +1,8 @@
 //! Promise: fitted vertices bring the facets nearer to the input, refinement brings them within a tolerance, and
 //! neither folds the surface.
 
+use geometry::mesh::adjacency::Adjacency;
 use glam::DVec3;
-use tessera::internals::mesh::adjacency::Adjacency;
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::{Topology, topology};

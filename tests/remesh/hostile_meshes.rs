@@ -4,8 +4,8 @@
 use crate::broken::*;
 use crate::hostile::{options, remeshed};
 use crate::{cases, hostile};
+use geometry::mesh::adjacency::Adjacency;
 use glam::{DVec3, dvec3};
-use tessera::internals::mesh::adjacency::Adjacency;
 use tessera::mesh::measure::{Topology, topology};
 use tessera::mesh::shapes::Shape;
 use tessera::mesh::{MeshError, TriMesh};

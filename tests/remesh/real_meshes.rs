@@ -1,11 +1,11 @@
 //! Remeshes of real scans and CAD parts, where `TESSERA_MESHES` and `TESSERA_SEEDS` name folders with them.
 
 use crate::surfaces;
+use geometry::mesh::adjacency::{Adjacency, EdgeKind};
 use glam::DVec3;
 use needs::needs;
 use rayon::prelude::*;
 use tessera::cvt::{DensityOptions, DensitySource};
-use tessera::internals::mesh::adjacency::{Adjacency, EdgeKind};
 use tessera::mesh::TriMesh;
 use tessera::mesh::closest_point::ClosestPoint;
 use tessera::mesh::measure::topology;

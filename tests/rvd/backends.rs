@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use tessera::internals::rvd::Gpu;
+use ::gpu::diagram::Gpu;
 use tessera::rvd::{Parallel, Serial};
 
 use crate::conformance::{Claims, conformance};

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use crate::server::*;
-use tessera::internals::config::Limits;
+use server::config::Limits;
 use tessera::proto::compute_rvd_request::Message as Ask;
 use tessera::proto::*;
 use tokio::sync::mpsc::Sender;

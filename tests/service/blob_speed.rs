@@ -5,9 +5,9 @@
 
 use std::time::Instant;
 
+use jobs::blob::{BlobOptions, Digest};
 use prost::bytes::{Bytes, BytesMut};
 use sha2::Digest as _;
-use tessera::internals::blob::{BlobOptions, Digest};
 use tessera::proto::blob_service_client::BlobServiceClient;
 use tessera::proto::*;
 

@@ -3,9 +3,9 @@
 
 use std::time::{Duration, Instant};
 
+use jobs::blob::{BlobOptions, Digest, Owner};
 use prost::bytes::Bytes;
-use tessera::internals::blob::{BlobOptions, Digest, Owner};
-use tessera::internals::config::Limits;
+use server::config::Limits;
 use tessera::proto::blob_service_client::BlobServiceClient;
 use tessera::proto::*;
 use tokio::sync::mpsc::Sender;

@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use tessera::internals::job::Ceilings;
-use tessera::internals::service::ServeError;
+use jobs::Ceilings;
+use server::service::ServeError;
 use tessera::proto::BackendChoice;
 use tonic::Code;
 use tonic_health::pb::HealthCheckRequest;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use crate::process::address_of;
 use crate::raw::{self, CHECK, COMPUTE_RVD, Raw, WATCH, closes, framed, silent};
 use crate::server::*;
-use tessera::internals::config::Limits;
+use server::config::Limits;
 use tessera::proto::*;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
@@ -50,7 +50,7 @@ async fn what_is_no_grpc_is_refused_in_http_s_words() {
         ("POST", "application/grpc; charset=utf-8", 200),
     ] {
         for path in [CHECK, "/", "/nothing/at.All"] {
-            let mut request = http::Request::builder().method(method).uri(format!("http://tessera{path}"));
+            let mut request = http::Request::builder().method(method).uri(format!("http://localhost{path}"));
             if !kind.is_empty() {
                 request = request.header("content-type", kind);
             }

@@ -1,7 +1,7 @@
 //! Promise: densities go over the wire, and what is wrong with one is refused with its field.
 
 use crate::server::*;
-use tessera::internals::config::Limits;
+use server::config::Limits;
 use tessera::proto::*;
 use tonic::{Code, Status};
 use tonic_types::StatusExt;

@@ -3,7 +3,7 @@
 
 use crate::server::*;
 use glam::DVec3;
-use tessera::internals::config::Limits;
+use server::config::Limits;
 use tessera::mesh::shapes::Shape;
 use tessera::proto::*;
 use tonic::{Code, Status};

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use crate::raw::{WATCH, closes, silent};
 use crate::server::*;
-use tessera::internals::config::{Limits, Transport};
+use server::config::{Limits, Transport};
 use tessera::proto::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -60,7 +60,7 @@ fn head(path: &str) -> Vec<u8> {
     // POST and http, from HPACK's table.
     let mut bytes = vec![0x83, 0x86];
     for (name, value) in
-        [(":path", path), (":authority", "tessera"), ("content-type", "application/grpc"), ("te", "trailers")]
+        [(":path", path), (":authority", "localhost"), ("content-type", "application/grpc"), ("te", "trailers")]
     {
         bytes.extend(field(name, value));
     }

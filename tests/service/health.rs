@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
-use tessera::internals::blob::BlobError;
-use tessera::internals::config::Limits;
-use tessera::internals::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME, SERVER_SERVICE_NAME, SERVICE_NAME};
+use jobs::blob::BlobError;
+use server::config::Limits;
+use server::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME, SERVER_SERVICE_NAME, SERVICE_NAME};
 use tessera::proto::server_service_client::ServerServiceClient;
 use tessera::proto::*;
 use tessera::rvd::{

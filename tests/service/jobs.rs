@@ -3,11 +3,11 @@
 
 use std::time::Duration;
 
-use tessera::internals::blob::{Digest, put};
-use tessera::internals::job::event::Progress;
-use tessera::internals::job::record::{self, Change, Failure, FailureKind, Holder, JobId, ResultSet, Time};
-use tessera::internals::job::store::JobStore;
-use tessera::internals::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME};
+use jobs::blob::{Digest, put};
+use jobs::event::Progress;
+use jobs::record::{self, Change, Failure, FailureKind, Holder, JobId, ResultSet, Time};
+use jobs::store::JobStore;
+use server::service::{BLOB_SERVICE_NAME, JOB_SERVICE_NAME};
 use tessera::proto::job_event::What;
 use tessera::proto::job_service_client::JobServiceClient;
 use tessera::proto::*;
@@ -24,7 +24,7 @@ type Jobs = JobServiceClient<Channel>;
 
 async fn start() -> (Server, Jobs) {
     // No test may wait for the grace to end.
-    let limits = tessera::internals::config::Limits { grace: 10 * PATIENCE, ..Default::default() };
+    let limits = server::config::Limits { grace: 10 * PATIENCE, ..Default::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let client = JobServiceClient::new(server.channel().await);
     put(&*server.idle.blobs, b"a surface".to_vec().into(), None).await.unwrap();
@@ -412,7 +412,7 @@ async fn a_watcher_that_does_not_read_holds_up_nobody() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn watchers_take_no_place_from_who_has_work() {
-    let limits = tessera::internals::config::Limits { max_streams: 2, ..Default::default() };
+    let limits = server::config::Limits { max_streams: 2, ..Default::default() };
     let server = Server::start(Setup { limits, ..Setup::default() }).await;
     let mut client = JobServiceClient::new(server.channel().await);
     put(&*server.idle.blobs, b"a surface".to_vec().into(), None).await.unwrap();

@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use tessera::internals::keys::{KeyFile, KeyLimits, NewKey, Role, Secret};
-use tessera::internals::service::{Access, AccessOptions};
+use server::keys::{KeyFile, KeyLimits, NewKey, Role, Secret};
+use server::service::{Access, AccessOptions};
 use tessera::proto::job_service_client::JobServiceClient;
 use tessera::proto::*;
 use tonic::metadata::MetadataValue;
@@ -194,6 +194,9 @@ async fn health_and_reflection_have_switches() {
         (&[("tessera-tenant", "team")], Code::Ok),
         (&[("tessera-tenant", "eye")], Code::Unauthenticated),
         (&[("authorization", bad.as_str())], Code::Unauthenticated),
+        (&[("origin", "http://localhost:5173")], Code::Ok),
+        (&[("origin", "https://evil.example")], Code::PermissionDenied),
+        (&[("host", "evil.example")], Code::PermissionDenied),
         (&key, Code::Ok),
     ] {
         let end = raw.end_of(list, headers, framed(&ListJobsRequest::default())).await;

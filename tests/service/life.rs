@@ -6,8 +6,8 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use crate::server::*;
-use tessera::internals::config::Limits;
-use tessera::internals::service::SERVICE_NAME;
+use server::config::Limits;
+use server::service::SERVICE_NAME;
 use tessera::proto::*;
 use tonic::Code;
 use tonic_health::pb::HealthCheckRequest;

@@ -3,9 +3,9 @@
 
 use std::path::Path;
 
-use tessera::internals::blob::{BlobOptions, Digest, put};
-use tessera::internals::keys::{KeyFile, KeyLimits, NewKey, Role};
-use tessera::internals::service::{Access, AccessOptions};
+use jobs::blob::{BlobOptions, Digest, put};
+use server::keys::{KeyFile, KeyLimits, NewKey, Role};
+use server::service::{Access, AccessOptions};
 use tessera::proto::blob_service_client::BlobServiceClient;
 use tessera::proto::*;
 use tonic::transport::Channel;
@@ -118,7 +118,7 @@ async fn a_pin_of_another_tenant_is_nobody_s_business() {
     for tenant in ["a", "b"] {
         write(&mut client, tenant, &data).await.unwrap();
     }
-    let owner = tessera::internals::blob::Owner::of("a");
+    let owner = jobs::blob::Owner::of("a");
     server.idle.blobs.pin_for(owner, "a job of a", &[digest]).await.unwrap();
     let delete = DeleteRequest { digest: digest.to_string() };
     assert_eq!(client.delete(by("a", delete.clone())).await.unwrap_err().code(), Code::FailedPrecondition);
@@ -155,7 +155,7 @@ async fn who_has_what_outlives_the_server() {
     drop(client);
     // A mark without its blob, as a crash may leave it, gives nothing to who had it once.
     let name = Digest::of(&mine).to_string();
-    let owner = tessera::internals::blob::Owner::of("a");
+    let owner = jobs::blob::Owner::of("a");
     let mark = folder.path().join("blobs/owners").join(&name[..2]).join(format!("{name}-{owner}"));
     assert!(!mark.exists(), "a mark goes with its owner");
     std::fs::write(&mark, b"").unwrap();
@@ -199,7 +199,7 @@ async fn a_key_has_so_many_bytes_and_gives_up_its_oldest() {
     let missing = client.find_missing(by("other", FindMissingRequest { digests: digests.clone() })).await.unwrap();
     assert!(missing.into_inner().digests.is_empty(), "of others nothing did");
     // What a job needs does not go.
-    let owner = tessera::internals::blob::Owner::of("ci");
+    let owner = jobs::blob::Owner::of("ci");
     let pinned: Vec<Digest> = all[1..].iter().map(|data| Digest::of(data)).collect();
     server.idle.blobs.pin_for(owner, "jobs", &pinned).await.unwrap();
     for data in [&all[0], &content(10_001, 9)] {

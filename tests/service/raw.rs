@@ -40,7 +40,7 @@ impl Raw {
 
     /// The same with more headers.
     pub async fn begin_with(&mut self, path: &str, more: &[(&str, &str)]) -> (ResponseFuture, SendStream<Bytes>) {
-        let mut request = http::Request::post(format!("http://tessera{path}"))
+        let mut request = http::Request::post(format!("http://localhost{path}"))
             .header("content-type", "application/grpc")
             .header("te", "trailers");
         for (name, value) in more {

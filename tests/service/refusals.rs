@@ -2,7 +2,7 @@
 
 use crate::server::*;
 use glam::DVec3;
-use tessera::internals::config::Limits;
+use server::config::Limits;
 use tessera::proto::compute_rvd_request::Message as Ask;
 use tessera::proto::*;
 use tonic::{Code, Status};

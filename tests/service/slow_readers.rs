@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use crate::raw::{COMPUTE_RVD, Raw};
 use crate::server::*;
-use tessera::internals::config::Limits;
+use server::config::Limits;
 use tessera::proto::*;
 
 const SECOND: Duration = Duration::from_secs(1);

@@ -1,4 +1,4 @@
-//! numpy's arrays into the engine's, and back.
+//! Converts numpy arrays for the engine, and back.
 //!
 //! Invariant: arrays that come in are read where they lie, whatever their strides; arrays that go out are the engine's own
 //! memory. A wrong shape, type or index is an InputError that names the argument. Must not know: what the arrays are for.
@@ -21,12 +21,12 @@ pub(crate) fn mesh(vertices: &Bound<'_, PyAny>, faces: &Bound<'_, PyAny>, backen
     made.map_err(input)
 }
 
-/// x y z of each: (n, 3), float64 or float32.
+/// Coordinates x y z: (n, 3), float64 or float32.
 pub(crate) fn points(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<DVec3>> {
     rows::<3>(array, name).map(|rows| rows.into_iter().map(DVec3::from_array).collect())
 }
 
-/// u v of each: (n, 2), float64 or float32.
+/// Coordinates u v: (n, 2), float64 or float32.
 pub(crate) fn pairs(array: &Bound<'_, PyAny>, name: &str) -> PyResult<Vec<DVec2>> {
     rows::<2>(array, name).map(|rows| rows.into_iter().map(DVec2::from_array).collect())
 }

@@ -54,7 +54,7 @@ pub(crate) fn of(py: Python<'_>, options: &Options<'_>) -> PyResult<Arc<dyn Back
     py.detach(|| open(&name, threads))
 }
 
-/// backend(name, threads) -> dict
+/// `backend(name, threads) -> dict`: describes a backend.
 ///
 /// The backend that work is done on: its kind, threads, and the adapter of a GPU.
 #[pyfunction]

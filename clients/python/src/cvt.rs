@@ -45,7 +45,7 @@ impl Cvt {
         Ok(Self { session: Mutex::new(session.map_err(engine)?), backend })
     }
 
-    /// step(kind) -> dict: takes a step, "lloyd" or "newton". Energies are those before it.
+    /// `step(kind) -> dict`: takes a step, "lloyd" or "newton".
     fn step<'py>(&self, py: Python<'py>, kind: &str) -> PyResult<Bound<'py, PyDict>> {
         let newton = match kind {
             "lloyd" => false,

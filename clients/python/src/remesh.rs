@@ -9,7 +9,7 @@ use tessera::rvd::on_threads_of;
 use crate::options::Options;
 use crate::{arrays, backends, errors, running};
 
-/// remesh(vertices, faces, options, progress) -> dict
+/// `remesh(vertices, faces, options, progress) -> dict`
 ///
 /// `tessera_remesh.remesh` says what the options are.
 #[pyfunction]

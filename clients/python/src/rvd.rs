@@ -10,7 +10,7 @@ use crate::options::Options;
 use crate::start::{Start, start};
 use crate::{arrays, backends, running};
 
-/// rvd(vertices, faces, options) -> dict
+/// `rvd(vertices, faces, options) -> dict`
 ///
 /// `tessera_remesh.rvd` says what the options are.
 #[pyfunction]

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use geometry::cvt::density::plan;
 use glam::DVec3;
-use tessera::internals::cvt::plan;
 use tessera::mesh::sample::sample;
 use tessera::rvd::Surface;
 use tessera::{DensityOptions, RemeshError, Seeds, Token, TriMesh};

@@ -1,18 +1,18 @@
 #!/bin/sh
 # Makes python/tessera_remesh/service/_stubs from the interface in proto/.
-# The generator is that of the oldest protobuf that the package allows: newer ones read its code, older ones do not.
+# The generator is that of the oldest protobuf that the package allows (tests/python/requirements.txt): newer ones read its code, older
+# ones do not.
 # Usage: clients/python/tools/make_stubs.sh [--check]
 set -eu
 here=$(cd "$(dirname "$0")/.." && pwd)
 proto=$(cd "$here/../../proto" && pwd)
 stubs=$here/python/tessera_remesh/service/_stubs
+venv=$("$here/../../tests/python/venv.sh")
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-python3 -m venv "$work/venv"
-"$work/venv/bin/pip" install --quiet --disable-pip-version-check "grpcio-tools==1.75.1" "protobuf==6.31.1"
 mkdir "$work/made"
 for name in blob job remesh; do
-    "$work/venv/bin/python" -m grpc_tools.protoc -I "$proto" --python_out="$work/made" --pyi_out="$work/made" \
+    "$venv/bin/python" -m grpc_tools.protoc -I "$proto" --python_out="$work/made" --pyi_out="$work/made" \
         "$proto/tessera/v1/$name.proto"
 done
 for name in blob job remesh; do

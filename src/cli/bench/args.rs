@@ -10,12 +10,12 @@ use clap::Args;
 
 use super::measure::{Worker, mesh, token};
 use super::output::OutputArgs;
-use crate::cli::files;
-use crate::config::{BackendArgs, count, whole};
-use crate::mesh::TriMesh;
-use crate::mesh::shapes::Shape;
-use crate::remesh::Seeds;
-use crate::token::Token;
+use crate::files;
+use geometry::mesh::TriMesh;
+use geometry::mesh::shapes::Shape;
+use geometry::remesh::Seeds;
+use geometry::token::Token;
+pub(super) use server::config::{BackendArgs, count, whole};
 
 /// One surface.
 #[derive(Args, Debug)]

@@ -14,13 +14,13 @@ use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
 use super::measure::{Load, Timed, Worker};
 use super::output::{head, ratio, report};
 use super::spread::Spread;
-use crate::cli::remesh::DensityArg;
-use crate::config::count;
-use crate::cvt::StepKind;
-use crate::cvt::density::DensityOptions;
-use crate::mesh::TriMesh;
-use crate::picture::chart::{Axis, Figure, Panel, Series};
-use crate::rvd::PhasesMs;
+use crate::remesh::DensityArg;
+use geometry::cvt::StepKind;
+use geometry::cvt::density::DensityOptions;
+use geometry::mesh::TriMesh;
+use geometry::rvd::PhasesMs;
+use picture::chart::{Axis, Figure, Panel, Series};
+pub(super) use server::config::count;
 
 /// `tessera bench cvt`'s options.
 #[derive(Args, Debug)]
@@ -45,9 +45,9 @@ struct Measured {
     /// The density, and whose facets.
     name: String,
     load: Load,
-    /// Lloyd and quasi-Newton steps of each round,
+    /// Lloyd and quasi-Newton steps, by round.
     rounds: Vec<[Timed; 2]>,
-    /// and of all of them.
+    /// Lloyd and quasi-Newton steps of all rounds.
     all: [Timed; 2],
 }
 

@@ -13,14 +13,14 @@ use serde_json::{Value, json};
 use super::args::{RunArgs, SurfaceArgs};
 use super::measure::{Load, Worker};
 use super::output::{report, slopes};
-use crate::cli::shape::parse_facets;
-use crate::config::count;
-use crate::cvt::StepKind;
-use crate::cvt::density::DensityOptions;
-use crate::mesh::TriMesh;
-use crate::mesh::shapes::Shape;
-use crate::picture::chart::{Axis, Figure, Panel, Series};
-use crate::token::Token;
+use crate::shape::parse_facets;
+use geometry::cvt::StepKind;
+use geometry::cvt::density::DensityOptions;
+use geometry::mesh::TriMesh;
+use geometry::mesh::shapes::Shape;
+use geometry::token::Token;
+use picture::chart::{Axis, Figure, Panel, Series};
+pub(super) use server::config::count;
 
 /// `tessera bench fig3`'s options.
 #[derive(Args, Debug)]

@@ -11,10 +11,10 @@ use clap::Args;
 use super::args::{RunArgs, SurfaceArgs};
 use super::measure::Load;
 use super::output::report;
-use crate::config::count;
-use crate::cvt::StepKind;
-use crate::cvt::density::DensityOptions;
-use crate::picture::chart::{Axis, Figure, Panel, Series};
+use geometry::cvt::StepKind;
+use geometry::cvt::density::DensityOptions;
+use picture::chart::{Axis, Figure, Panel, Series};
+pub(super) use server::config::count;
 
 /// `tessera bench fig4`'s options.
 #[derive(Args, Debug)]

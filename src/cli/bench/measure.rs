@@ -13,18 +13,18 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::spread::Spread;
-use crate::cli::{backends, files, interrupt};
-use crate::config::{BackendArg, BackendArgs};
-use crate::cvt::density::DensityOptions;
-use crate::cvt::{Cvt, CvtOptions, Iteration, StepKind};
-use crate::job::JobError;
-use crate::job::spec::{Input, Prepared};
-use crate::mesh::TriMesh;
-use crate::mesh::shapes::Shape;
-use crate::remesh::Seeds;
-use crate::rvd::gpu::Gpu;
-use crate::rvd::{Backend, BackendKind, DeviceWork, Surface};
-use crate::token::Token;
+use crate::{backends, files, interrupt};
+use geometry::cvt::density::DensityOptions;
+use geometry::cvt::{Cvt, CvtOptions, Iteration, StepKind};
+use geometry::mesh::TriMesh;
+use geometry::mesh::shapes::Shape;
+use geometry::remesh::Seeds;
+use geometry::rvd::{Backend, BackendKind, DeviceWork, Surface};
+use geometry::token::Token;
+use gpu::diagram::Gpu;
+use jobs::JobError;
+use jobs::spec::{Input, Prepared};
+pub(super) use server::config::{BackendArg, BackendArgs};
 
 /// Steps of a kind before the first that is timed: buffers and rows of neighbours get their sizes.
 const WARM_UP: usize = 2;

@@ -10,9 +10,9 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::measure::Worker;
-use crate::cli::files;
-use crate::picture::Size;
-use crate::picture::chart::Figure;
+use crate::files;
+use picture::Size;
+use picture::chart::Figure;
 
 /// Files to write.
 #[derive(Args, Debug)]

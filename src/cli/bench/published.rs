@@ -8,8 +8,8 @@ use std::path::Path;
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
 
-use crate::cli::exit::BadInput;
-use crate::cli::files;
+use crate::exit::BadInput;
+use crate::files;
 
 /// One row of the table, milliseconds.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]

@@ -15,10 +15,10 @@ use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
 use super::measure::{Load, Worker};
 use super::output::{head, report};
 use super::spread::Spread;
-use crate::picture::chart::{Axis, Figure, Panel, Series};
-use crate::rvd::gpu::AccumulationMs;
-use crate::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
-use crate::token::Token;
+use geometry::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
+use geometry::token::Token;
+pub(super) use gpu::diagram::AccumulationMs;
+use picture::chart::{Axis, Figure, Panel, Series};
 
 /// `tessera bench rvd`'s options.
 #[derive(Args, Debug)]

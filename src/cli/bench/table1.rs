@@ -14,14 +14,14 @@ use super::args::RunArgs;
 use super::measure::{Load, Timed, mesh};
 use super::output::{ratio, report};
 use super::published::Published;
-use crate::cli::exit::Usage;
-use crate::cli::files;
-use crate::config::count;
-use crate::cvt::StepKind;
-use crate::cvt::density::DensityOptions;
-use crate::mesh::shapes::Shape;
-use crate::picture::chart::{Axis, Figure, Panel, Series};
-use crate::remesh::Seeds;
+use crate::exit::Usage;
+use crate::files;
+use geometry::cvt::StepKind;
+use geometry::cvt::density::DensityOptions;
+use geometry::mesh::shapes::Shape;
+use geometry::remesh::Seeds;
+use picture::chart::{Axis, Figure, Panel, Series};
+pub(super) use server::config::count;
 
 /// `tessera bench table1`'s options.
 #[derive(Args, Debug)]
@@ -35,7 +35,7 @@ pub(super) struct Table1Args {
     /// The seeds of the one --mesh, `x y z` a line, instead.
     #[arg(long, value_name = "FILE.xyz", conflicts_with = "points", requires = "mesh")]
     seeds: Option<PathBuf>,
-    /// Facets of the models that are not files: one number for all, or one for each [default: 20000,69000,100000]
+    /// Facets of the models that are not files: one number for all, or one for each [default: 20000,69000,100000].
     #[arg(long, value_name = "N", value_delimiter = ',', conflicts_with = "mesh",
           value_parser = count)]
     facets: Vec<u32>,

@@ -15,7 +15,7 @@ use hyper_util::rt::TokioIo;
 use serde_json::Value;
 use tokio::net::TcpStream;
 
-use crate::cli::exit::Unavailable;
+use crate::exit::Unavailable;
 
 /// Longer answers are none of the admin port.
 const MOST_BYTES: usize = 64 << 10;

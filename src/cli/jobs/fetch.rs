@@ -9,14 +9,14 @@ use clap::Args;
 use serde_json::json;
 
 use super::{id, show};
-use crate::cli::exit::{Absent, NoResult, Unavailable, Usage};
-use crate::cli::plain::{plain, plain_json};
-use crate::cli::progress::Progress;
-use crate::cli::remote::{Session, has_ended, session};
-use crate::cli::server::ServerArgs;
-use crate::cli::{files, say};
-use crate::mesh::io::Format;
-use crate::wire::proto::{Job, job_spec};
+use crate::exit::{Absent, NoResult, Unavailable, Usage};
+use crate::plain::{plain, plain_json};
+use crate::progress::Progress;
+use crate::remote::{Session, has_ended, session};
+use crate::server::ServerArgs;
+use crate::{files, say};
+use geometry::mesh::io::Format;
+use wire::proto::{Job, job_spec};
 
 /// The longest report: some hundred bytes an iteration.
 const REPORT_BYTES: usize = 256 << 20;
@@ -30,7 +30,7 @@ pub(super) struct FetchArgs {
     /// Where the result goes. A file that is there is replaced once the new one is whole.
     #[arg(long, short, value_name = "FILE", required_unless_present = "report")]
     output: Option<PathBuf>,
-    /// Which blob of the result [default: mesh, for a diagram cells, for a session seeds]
+    /// Which blob of the result [default: mesh; cells for a diagram, seeds for a session].
     #[arg(long, value_name = "NAME", requires = "output")]
     name: Option<String>,
     /// Write the report there, as JSON.

@@ -2,8 +2,8 @@
 //!
 //! Invariant: a match names every format, so that a new one does not compile until it is here. Must not know: calls.
 
-use crate::mesh::io::Format;
-use crate::wire::proto::MeshFormat;
+use geometry::mesh::io::Format;
+use wire::proto::MeshFormat;
 
 /// As messages name it.
 pub(super) fn message(format: Format) -> MeshFormat {

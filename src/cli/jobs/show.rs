@@ -7,9 +7,9 @@ use prost_types::{Duration, Timestamp};
 use serde_json::{Map, Value, json};
 
 use super::format;
-use crate::cli::plain::{plain, plain_json};
-use crate::mesh::io::Format;
-use crate::wire::proto::{
+use crate::plain::{plain, plain_json};
+use geometry::mesh::io::Format;
+use wire::proto::{
     BackendChoice, EstimateJobResponse, Job, JobEvent, JobFailureKind, JobMesh, JobState, job_event, job_mesh,
     job_spec, result_format,
 };

@@ -12,16 +12,16 @@ use clap::{ArgGroup, Args, ValueEnum};
 
 use super::format;
 use super::given::Given;
-use crate::cli::exit::Usage;
-use crate::cli::remesh::args::{
+use crate::exit::Usage;
+use crate::remesh::args::{
     BoundariesArg, DensityArg, PlacementArg, ProjectionArg, ShapeArgs, SizeArgs, StepArgs, ThinArg,
 };
-use crate::cli::rvd::SeedArgs;
-use crate::cli::source::Source;
-use crate::cli::{files, remote, sizes};
-use crate::config::BackendArg;
-use crate::mesh::io::Format;
-use crate::wire::proto::{
+use crate::rvd::SeedArgs;
+use crate::source::Source;
+use crate::{files, remote, sizes};
+use geometry::mesh::io::Format;
+pub(super) use server::config::BackendArg;
+use wire::proto::{
     self, ArrayForm, ArrayRef, BoundaryRule, DensitySource, DrawnSeeds, JobDensity, JobMesh, JobRefinement, JobSeeds,
     JobSpec, MeshFile, Placement, Projection, RemeshJob, ResultFormat, RvdJob, RvdOutput, ThinRule, job_mesh,
     job_refinement, job_seeds, job_spec, result_format,
@@ -73,7 +73,7 @@ pub(super) struct InputArgs {
     #[arg(long, value_parser = files::format(), value_name = "FORMAT")]
     input_format: Option<Format>,
     /// Which backend of the server should do the work.
-    #[arg(long, value_enum, help_heading = "Who works")]
+    #[arg(long, value_enum, help_heading = "Backend")]
     backend: Option<BackendArg>,
 }
 
@@ -114,7 +114,7 @@ impl InputArgs {
 pub(super) struct RemeshWork {
     #[command(flatten)]
     input: InputArgs,
-    /// The format of the result [default: ply]
+    /// The format of the result [default: ply].
     #[arg(long, value_parser = files::format())]
     format: Option<Format>,
     /// Leave aside normals, texture coordinates, colours and scalars of the input.
@@ -198,7 +198,7 @@ enum OutputArg {
 pub(super) struct RvdWork {
     #[command(flatten)]
     input: InputArgs,
-    /// What is wanted, with commas between [default: cells]
+    /// Outputs, separated by commas [default: cells].
     #[arg(long, value_enum, value_delimiter = ',')]
     outputs: Vec<OutputArg>,
     /// The format of the cells: a PLY file.

@@ -5,8 +5,8 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::config::whole;
-use crate::mesh::shapes::MAX_FACETS;
+use geometry::mesh::shapes::MAX_FACETS;
+pub(super) use server::config::whole;
 
 /// What is asked of a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -21,10 +21,10 @@ use super::amounts::Kind;
 use super::meshes::Surface;
 use super::plan::Item;
 use super::tally::{self, Call, Tally};
-use crate::cli::plain::plain;
-use crate::cli::remote::{Door, is_lost};
-use crate::wire::proto::server_service_client::ServerServiceClient;
-use crate::wire::proto::{BackendChoice, GetServerInfoRequest};
+use crate::plain::plain;
+use crate::remote::{Door, is_lost};
+use wire::proto::server_service_client::ServerServiceClient;
+use wire::proto::{BackendChoice, GetServerInfoRequest};
 
 pub(super) use job::{Rubbish, delete_blob, put, sweep};
 

@@ -18,7 +18,7 @@ use super::calls::{Asked, Caller, Outcome, Rubbish, sweep};
 use super::measure::{Measure, When};
 use super::plan::{Arrivals, Item, Items};
 use super::view::View;
-use crate::cli::remote::Door;
+use crate::remote::Door;
 
 /// How calls follow each other.
 #[derive(Clone, Copy, Debug, PartialEq)]

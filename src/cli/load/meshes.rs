@@ -9,16 +9,16 @@ use anyhow::Result;
 use bytes::Bytes;
 
 use super::amounts::{Points, Sizes};
-use crate::cli::exit::BadInput;
-use crate::cli::files;
-use crate::cvt::density::DensityOptions;
-use crate::mesh::TriMesh;
-use crate::mesh::io::{Format, encode};
-use crate::mesh::shapes::Shape;
-use crate::wire::chunks::{facet_chunks, point_chunks};
-use crate::wire::options::mesh_header;
-use crate::wire::pieces::Hash;
-use crate::wire::proto::{ArrayKind, Chunk, MeshHeader};
+use crate::exit::BadInput;
+use crate::files;
+use geometry::cvt::density::DensityOptions;
+use geometry::mesh::TriMesh;
+use geometry::mesh::io::{Format, encode};
+use geometry::mesh::shapes::Shape;
+use wire::chunks::{facet_chunks, point_chunks};
+use wire::options::mesh_header;
+use wire::pieces::Hash;
+use wire::proto::{ArrayKind, Chunk, MeshHeader};
 
 /// How many surfaces a distribution of sizes becomes.
 const SURFACES: usize = 16;
@@ -111,7 +111,7 @@ fn digest(bytes: &[u8]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::io::decode;
+    use geometry::mesh::io::decode;
 
     #[test]
     fn a_file_with_a_comment_is_the_same_surface() {

@@ -3,7 +3,7 @@
 //! Must not know: how pictures are drawn, how figures are measured.
 
 use super::measure::{Measure, Second};
-use crate::picture::chart::{Axis, Figure, Panel, Series};
+use picture::chart::{Axis, Figure, Panel, Series};
 
 /// The picture.
 pub(super) fn figure(title: String, measure: &Measure) -> Figure {
@@ -51,7 +51,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::picture::Size;
+    use picture::Size;
 
     #[test]
     fn a_run_without_calls_has_a_picture_too() {

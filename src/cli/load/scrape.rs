@@ -12,7 +12,7 @@ use anyhow::Result;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 
-use crate::cli::exit::Unavailable;
+use crate::exit::Unavailable;
 
 /// Where metrics are: `http://HOST:PORT/PATH`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -173,7 +173,7 @@ async fn get(url: &MetricsUrl) -> Result<String, String> {
     match head.split(' ').nth(1) {
         Some("200") if !head.to_ascii_lowercase().contains("\r\ntransfer-encoding: chunked") => Ok(body.to_owned()),
         Some("200") => Err("it sends its answer in pieces; name the server itself, not a proxy".to_owned()),
-        Some(status) => Err(format!("it answers with status {}", crate::cli::plain::plain(status))),
+        Some(status) => Err(format!("it answers with status {}", crate::plain::plain(status))),
         None => Err("it does not speak HTTP".to_owned()),
     }
 }

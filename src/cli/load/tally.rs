@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use tonic::{Code, Status};
 
-use crate::cli::remote::is_lost;
+use crate::remote::is_lost;
 
 /// What is known of the calls of a method.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -8,23 +8,23 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::{ArgGroup, Args, ValueEnum};
 
-use crate::cli::endpoint::ServerUrl;
-use crate::cli::exit::{BadInput, Usage};
-use crate::cli::files::{self, Surface};
-use crate::cli::picture::PictureArgs;
-use crate::cli::say::SayArgs;
-use crate::cli::server::Tenant;
-use crate::cli::sizes;
-use crate::cli::trust::TrustArgs;
-use crate::config::{BackendArgs, count, whole};
-use crate::cvt::Projection;
-use crate::cvt::density::{DensityOptions, DensitySource};
-use crate::mesh::TriMesh;
-use crate::mesh::attributes::Attributes;
-use crate::mesh::features::Features;
-use crate::mesh::io::Format;
-use crate::remesh::{Placement, Refine, RemeshOptions, Seeds};
-use crate::token::Token;
+use crate::endpoint::ServerUrl;
+use crate::exit::{BadInput, Usage};
+use crate::files::{self, Surface};
+use crate::picture::PictureArgs;
+use crate::say::SayArgs;
+use crate::server::Tenant;
+use crate::sizes;
+use crate::trust::TrustArgs;
+use geometry::cvt::Projection;
+use geometry::cvt::density::{DensityOptions, DensitySource};
+use geometry::mesh::TriMesh;
+use geometry::mesh::attributes::Attributes;
+use geometry::mesh::features::Features;
+use geometry::mesh::io::Format;
+use geometry::remesh::{Placement, Refine, RemeshOptions, Seeds};
+use geometry::token::Token;
+pub(crate) use server::config::{BackendArgs, count, whole};
 
 /// `tessera remesh`'s options.
 #[derive(Args, Debug)]
@@ -44,20 +44,20 @@ pub(crate) struct RemeshArgs {
     pub(super) steps: StepArgs,
     #[command(flatten, next_help_heading = "Picture")]
     pub(super) picture: PictureArgs,
-    #[command(flatten, next_help_heading = "Who works")]
+    #[command(flatten, next_help_heading = "Backend")]
     pub(super) backend: BackendArgs,
     /// Let a server do the work, e.g. http://127.0.0.1:50051.
-    #[arg(long, value_name = "URL", help_heading = "Who works")]
+    #[arg(long, value_name = "URL", help_heading = "Backend")]
     pub(super) endpoint: Option<ServerUrl>,
     /// Whose work the server takes it for, where several share one.
-    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Who works")]
+    #[arg(long, value_name = "T", env = "TESSERA_TENANT", help_heading = "Backend")]
     pub(super) tenant: Option<Tenant>,
     /// File with the key that the server wants.
-    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Who works")]
+    #[arg(long, value_name = "FILE", env = "TESSERA_KEY_FILE", help_heading = "Backend")]
     pub(super) key_file: Option<PathBuf>,
-    #[command(flatten, next_help_heading = "Who works")]
+    #[command(flatten, next_help_heading = "Backend")]
     pub(super) trust: TrustArgs,
-    #[command(flatten, next_help_heading = "What is said")]
+    #[command(flatten, next_help_heading = "Messages")]
     pub(super) say: SayArgs,
 }
 
@@ -93,76 +93,76 @@ pub(super) struct FileArgs {
 /// How many points, and where edges are short and where long.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Size (--points, --edge-length or --sizes is required)")]
-pub(in crate::cli) struct SizeArgs {
+pub(crate) struct SizeArgs {
     /// Number of seeds, about the number of vertices of the result.
     #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true, conflicts_with = "edge_length")]
-    pub(in crate::cli) points: Option<u32>,
+    pub(crate) points: Option<u32>,
     /// Length of the edges, in the input's units, instead of --points. If --density is not uniform: as many points
     /// as edges of this length everywhere would need.
     #[arg(long, value_name = "H", value_parser = positive, conflicts_with = "sizes", allow_negative_numbers = true)]
-    pub(in crate::cli) edge_length: Option<f64>,
+    pub(crate) edge_length: Option<f64>,
     /// File with the length of the edges at each vertex of the input, one number a line in the order of the
     /// input's vertices. With --points only the ratios are kept.
     #[arg(long, value_name = "FILE")]
-    pub(in crate::cli) sizes: Option<PathBuf>,
+    pub(crate) sizes: Option<PathBuf>,
     /// Where short edges go.
     #[arg(long, value_enum, default_value_t, conflicts_with = "sizes")]
-    pub(in crate::cli) density: DensityArg,
+    pub(crate) density: DensityArg,
     /// The most that edge lengths grow per distance.
     #[arg(long, value_name = "G", default_value_t = DensityOptions::default().gradation, value_parser = positive)]
     #[arg(allow_negative_numbers = true)]
-    pub(in crate::cli) gradation: f64,
+    pub(crate) gradation: f64,
     /// 0 for edges of one length, 1 for lengths as --density or --sizes says.
     #[arg(long, value_name = "A", default_value_t = DensityOptions::default().adaptivity)]
     #[arg(allow_negative_numbers = true)]
-    pub(in crate::cli) adaptivity: f64,
+    pub(crate) adaptivity: f64,
     /// Add points where input and remesh are farther apart than this at a sample of either, in percent of the bounding
     /// box's diagonal; for --placement fitted.
     #[arg(long, value_name = "PERCENT", value_parser = positive, allow_negative_numbers = true)]
-    pub(in crate::cli) max_deviation: Option<f64>,
+    pub(crate) max_deviation: Option<f64>,
     /// The most points that --max-deviation may come to; twice --points if not given.
     #[arg(long, value_name = "N", requires = "max_deviation", value_parser = count)]
-    pub(in crate::cli) max_points: Option<u32>,
+    pub(crate) max_points: Option<u32>,
 }
 
 /// What becomes of creases, boundaries and thin parts.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Shape of the result")]
-pub(in crate::cli) struct ShapeArgs {
+pub(crate) struct ShapeArgs {
     /// Edges bent by more than this are creases that the remesh keeps; 0 keeps none.
     #[arg(long, value_name = "DEGREES", default_value_t = RemeshOptions::usual().crease_angle_deg)]
     #[arg(value_parser = angle, allow_negative_numbers = true)]
-    pub(in crate::cli) crease_angle: f64,
+    pub(crate) crease_angle: f64,
     /// File with edges that are creases whatever their angle: the numbers of two vertices of the input a line, from 0.
     #[arg(long, value_name = "FILE")]
-    pub(in crate::cli) creases: Option<PathBuf>,
+    pub(crate) creases: Option<PathBuf>,
     /// What happens to the boundaries of an open surface.
     #[arg(long, value_enum, default_value_t = BoundariesArg::of(RemeshOptions::usual().keep_boundaries))]
-    pub(in crate::cli) boundaries: BoundariesArg,
+    pub(crate) boundaries: BoundariesArg,
     /// What happens where the surface is too thin for edges as long as elsewhere.
     #[arg(long, value_enum, default_value_t = ThinArg::of(RemeshOptions::usual().keep_thin))]
-    pub(in crate::cli) thin: ThinArg,
+    pub(crate) thin: ThinArg,
     /// Where the vertices of the remesh go.
     #[arg(long, value_enum, default_value_t = PlacementArg::of(RemeshOptions::usual().placement))]
-    pub(in crate::cli) placement: PlacementArg,
+    pub(crate) placement: PlacementArg,
 }
 
 /// How seeds move.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Steps")]
-pub(in crate::cli) struct StepArgs {
+pub(crate) struct StepArgs {
     /// Lloyd steps.
     #[arg(long, value_name = "N", default_value_t = RemeshOptions::usual().lloyd as u32, value_parser = whole::<u32>)]
-    pub(in crate::cli) lloyd: u32,
+    pub(crate) lloyd: u32,
     /// Quasi-Newton (L-BFGS) steps after them, at most; they end when converged.
     #[arg(long, value_name = "N", default_value_t = RemeshOptions::usual().newton as u32, value_parser = whole::<u32>)]
-    pub(in crate::cli) newton: u32,
+    pub(crate) newton: u32,
     /// Where seeds go after each step. They end on the surface either way.
     #[arg(long, value_enum, default_value_t = ProjectionArg::of(RemeshOptions::usual().projection))]
-    pub(in crate::cli) projection: ProjectionArg,
+    pub(crate) projection: ProjectionArg,
     /// Random seed of the first points.
     #[arg(long, value_name = "N", default_value_t = Seeds::RANDOM_SEED, value_parser = whole::<u64>)]
-    pub(in crate::cli) seed: u64,
+    pub(crate) seed: u64,
 }
 
 /// Where short edges go.
@@ -204,7 +204,7 @@ fn angle(text: &str) -> Result<f64, String> {
 
 /// What happens to boundaries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum BoundariesArg {
+pub(crate) enum BoundariesArg {
     /// They get vertices of their own and stay where they are.
     Keep,
     /// The rim settles where the cells end, about half an edge inside.
@@ -219,7 +219,7 @@ impl BoundariesArg {
 
 /// What happens where the surface is thin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum ThinArg {
+pub(crate) enum ThinArg {
     /// Edges become shorter there, so that horns, fingers, strips and bridges stay. Not if --sizes says how long they are.
     Finer,
     /// Edges are as long as elsewhere; what is too thin for them may be missing.
@@ -234,7 +234,7 @@ impl ThinArg {
 
 /// Where seeds go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum ProjectionArg {
+pub(crate) enum ProjectionArg {
     /// Where the step takes them, near the surface.
     Free,
     /// To the closest point of the surface; a quasi-Newton step then begins without a history.
@@ -259,7 +259,7 @@ impl ProjectionArg {
 
 /// Where vertices go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum PlacementArg {
+pub(crate) enum PlacementArg {
     /// Where the facets between them are nearest to the input in the mean.
     Fitted,
     /// On the input surface.
@@ -304,7 +304,7 @@ impl SizeArgs {
     }
 
     /// Refuses what cannot be whatever the surface, for vertices that go to `placement`.
-    pub(in crate::cli) fn check(&self, placement: PlacementArg) -> Result<()> {
+    pub(crate) fn check(&self, placement: PlacementArg) -> Result<()> {
         self.with_source(self.density.source())?;
         let refused = match (self.max_deviation, self.points, self.max_points) {
             (None, ..) => return Ok(()),

@@ -8,9 +8,9 @@ use serde_json::{Value, json};
 
 use super::tasks::Task;
 use super::{RemeshArgs, Remeshed, Worker, one};
-use crate::cli::exit::{self, NotWritten};
-use crate::cli::progress::Progress;
-use crate::cli::{interrupt, plain, say};
+use crate::exit::{self, NotWritten};
+use crate::progress::Progress;
+use crate::{interrupt, plain, say};
 
 /// Remeshes them, one after the other: each has all threads.
 ///

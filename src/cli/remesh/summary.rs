@@ -7,7 +7,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::cli::exit::NotWritten;
+use crate::exit::NotWritten;
 
 /// Lost parts that are named, at most; the report has more.
 const NAMED_PARTS: usize = 3;

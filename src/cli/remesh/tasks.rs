@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 
 use super::args::{FileArgs, RemeshArgs};
-use crate::cli::exit::{NotWritten, Usage};
-use crate::cli::files::{self, Surface};
-use crate::cli::sizes;
+use crate::exit::{NotWritten, Usage};
+use crate::files::{self, Surface};
+use crate::sizes;
 
 /// A surface and where its remesh goes.
 #[derive(Debug)]
@@ -89,7 +89,7 @@ fn task(args: &RemeshArgs, path: &Path, output: Option<&Path>) -> Result<Task> {
 }
 
 /// Where the remesh of a file goes in a folder: under its own name, with the extension of the format if that is another.
-fn place(folder: &Path, input: &Path, format: Option<crate::mesh::io::Format>) -> Result<PathBuf> {
+fn place(folder: &Path, input: &Path, format: Option<geometry::mesh::io::Format>) -> Result<PathBuf> {
     let Some(name) = input.file_name() else {
         return Err(Usage(format!("{}: this is no file", input.display())).into());
     };

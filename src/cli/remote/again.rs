@@ -65,7 +65,7 @@ impl Again {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::exit::{Unavailable, code};
+    use crate::exit::{Unavailable, code};
 
     fn lost() -> Error {
         Unavailable("lost".to_owned()).into()

@@ -15,12 +15,12 @@ use tonic::{Code, Response};
 use super::faults::{self, Fault, wrong};
 use super::link::{Door, Link, Sent};
 use super::session::{Session, one};
-use crate::cli::exit::NoInput;
-use crate::cli::progress::Progress;
-use crate::cli::source::{Pieces, Source};
-use crate::wire::pieces::{Incoming, PIECE_BYTES, piece};
-use crate::wire::proto::blob_service_client::BlobServiceClient;
-use crate::wire::proto::{
+use crate::exit::NoInput;
+use crate::progress::Progress;
+use crate::source::{Pieces, Source};
+use wire::pieces::{Incoming, PIECE_BYTES, piece};
+use wire::proto::blob_service_client::BlobServiceClient;
+use wire::proto::{
     FindMissingRequest, QueryWriteStatusRequest, QueryWriteStatusResponse, ReadRequest, StatRequest, WriteRequest,
     WriteResponse,
 };

@@ -9,13 +9,13 @@ use std::collections::HashMap;
 use anyhow::Result;
 
 use super::faults::wrong;
-use crate::cvt::density::DensitySource;
-use crate::mesh::TriMesh;
-use crate::remesh::{RemeshOptions, Seeds};
-use crate::rvd::{PieceBatch, facet_edge};
-use crate::wire::attributes;
-use crate::wire::counts::MeshCounts;
-use crate::wire::proto::{ArrayKind, AttributeHeader, AttributeKind, CellsChunk, Chunk, RemeshDone};
+use geometry::cvt::density::DensitySource;
+use geometry::mesh::TriMesh;
+use geometry::remesh::{RemeshOptions, Seeds};
+use geometry::rvd::{PieceBatch, facet_edge};
+use wire::attributes;
+use wire::counts::MeshCounts;
+use wire::proto::{ArrayKind, AttributeHeader, AttributeKind, CellsChunk, Chunk, RemeshDone};
 
 /// As many elements as the protocol can count.
 const MOST: u64 = i32::MAX as u64;
@@ -188,7 +188,7 @@ pub(super) fn remesh(mesh: &TriMesh, curve_edges: &[[u32; 2]], done: &RemeshDone
 /// A report that is one.
 pub(super) fn report(value: serde_json::Value) -> Result<serde_json::Value> {
     match value.is_object() {
-        true => Ok(crate::cli::plain::plain_json(value)),
+        true => Ok(crate::plain::plain_json(value)),
         false => Err(wrong("its report is no report")),
     }
 }
@@ -255,8 +255,8 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::cli::exit::code;
-    use crate::mesh::shapes::Shape;
+    use crate::exit::code;
+    use geometry::mesh::shapes::Shape;
 
     fn chunk(kind: ArrayKind, bytes: usize, total_bytes: u64) -> Chunk {
         Chunk { kind: kind.into(), data: vec![0; bytes].into(), total_bytes, ..Chunk::default() }

@@ -9,10 +9,10 @@ use std::fmt::Display;
 
 use tonic::{Code, Status};
 
-use crate::cli::endpoint::ServerUrl;
-use crate::cli::exit::{Absent, BadInput, NoResult, Unavailable};
-use crate::cli::plain::plain;
-use crate::wire::names;
+use crate::endpoint::ServerUrl;
+use crate::exit::{Absent, BadInput, NoResult, Unavailable};
+use crate::plain::plain;
+use wire::names;
 
 /// How tonic begins what it says itself of an answer that it cannot read.
 const UNREADABLE: &[&str] =
@@ -159,7 +159,7 @@ pub(super) fn innermost(error: &(dyn Error + 'static)) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::exit::code;
+    use crate::exit::code;
 
     fn url() -> ServerUrl {
         "http://127.0.0.1:1".parse().unwrap()
@@ -206,7 +206,7 @@ mod tests {
 
     #[test]
     fn a_wrong_answer_is_never_the_user_s_mesh() {
-        let broken = crate::mesh::TriMesh::new(Vec::new(), Vec::new()).unwrap_err();
+        let broken = geometry::mesh::TriMesh::new(Vec::new(), Vec::new()).unwrap_err();
         assert_eq!(code(&wrong(broken)), 69);
     }
 }

@@ -11,9 +11,9 @@ use tonic::{Response, Status};
 use super::faults::{self, Fault, wrong};
 use super::link::{Door, Link};
 use super::session::{Session, one};
-use crate::cli::progress::Progress;
-use crate::wire::proto::job_service_client::JobServiceClient;
-use crate::wire::proto::{
+use crate::progress::Progress;
+use wire::proto::job_service_client::JobServiceClient;
+use wire::proto::{
     CancelJobRequest, CreateJobRequest, CreateJobResponse, DeleteJobRequest, EstimateJobRequest, EstimateJobResponse,
     GetJobRequest, Job, JobEvent, JobState, ListJobsRequest, ListJobsResponse, WatchJobRequest, job_event,
 };

@@ -7,7 +7,7 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Channel;
 
 use super::link::{Caller, Door, Link, Patience, Windows};
-use crate::cli::server::{Server, Tenant};
+use crate::server::{Server, Tenant};
 
 /// See the module's head.
 #[derive(Clone, Debug)]

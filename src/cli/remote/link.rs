@@ -19,9 +19,9 @@ use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 
 use super::{faults, tls};
-use crate::cli::endpoint::ServerUrl;
-use crate::cli::exit::{BadInput, Unavailable, Usage};
-use crate::cli::server::{Server, Tenant};
+use crate::endpoint::ServerUrl;
+use crate::exit::{BadInput, Unavailable, Usage};
+use crate::server::{Server, Tenant};
 
 /// How long things may take.
 #[derive(Clone, Copy, Debug)]
@@ -247,8 +247,8 @@ mod tests {
     use tokio::net::TcpListener;
 
     use super::*;
-    use crate::cli::exit::code;
-    use crate::cli::trust::Trust;
+    use crate::exit::code;
+    use crate::trust::Trust;
 
     const SHORT: Duration = Duration::from_millis(300);
     const LONG: Duration = Duration::from_secs(10);

@@ -12,7 +12,7 @@ use tonic::{Response, Status};
 use super::again::Again;
 use super::faults::{self, Fault};
 use super::link::{Link, Patience};
-use crate::cli::server::Server;
+use crate::server::Server;
 
 /// See the module's head.
 pub(crate) struct Session<'a> {

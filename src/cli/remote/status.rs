@@ -13,10 +13,10 @@ use tonic_health::pb::health_client::HealthClient;
 
 use super::faults;
 use super::link::{Link, Patience};
-use crate::cli::exit::{Unavailable, Usage};
-use crate::cli::server::Server;
-use crate::wire::proto::server_service_client::ServerServiceClient;
-use crate::wire::proto::{GetServerInfoRequest, GetServerInfoResponse};
+use crate::exit::{Unavailable, Usage};
+use crate::server::Server;
+use wire::proto::server_service_client::ServerServiceClient;
+use wire::proto::{GetServerInfoRequest, GetServerInfoResponse};
 
 /// How a service is, as health says it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

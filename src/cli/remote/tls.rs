@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use tonic::transport::{Certificate, ClientTlsConfig, Identity};
 
-use crate::cli::endpoint::ServerUrl;
-use crate::cli::trust::Trust;
+use crate::endpoint::ServerUrl;
+use crate::trust::Trust;
 
 /// What TLS says, in any of these words, and what that means.
 const MEANINGS: &[(&[&str], &str)] = &[

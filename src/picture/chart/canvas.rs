@@ -10,7 +10,7 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, RasterizedChar, get_raster
 use plotters::style::text_anchor::{HPos, VPos};
 use plotters_backend::{BackendColor, BackendCoord, BackendTextStyle, DrawingBackend, DrawingErrorKind};
 
-use crate::picture::Rgb;
+use crate::Rgb;
 
 /// Height of a line of text, pixels.
 pub(super) const LETTER: u32 = 32;

@@ -3,12 +3,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use ::gpu::diagram::layout::{BY_CELL, COMPLETE, Facet, NONE, Params, ROOT, Seed, State, code, failure};
 use glam::{DVec3, Vec3};
 use needs::needs;
 use rand::RngExt;
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand_chacha::ChaCha8Rng;
-use tessera::internals::rvd::layout::{BY_CELL, COMPLETE, Facet, NONE, Params, ROOT, Seed, State, code, failure};
 use tessera::mesh::TriMesh;
 use tessera::rvd::Surface;
 

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
+use ::gpu::diagram::layout::{COMPLETE, ROOT, SUM_WORDS, Seed, State};
 use glam::{DVec3, dvec3};
 use needs::needs;
 use rand::RngExt;
-use tessera::internals::rvd::layout::{COMPLETE, ROOT, SUM_WORDS, Seed, State};
 use tessera::mesh::TriMesh;
 use tessera::rvd::{Backend, CellSums, Serial, SessionOptions, Surface};
 use tessera::token::Token;

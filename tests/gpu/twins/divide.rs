@@ -5,12 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
 
+use ::gpu::diagram::layout::{
+    BY_CELL, COMPLETE, Facet, NONE, Params, ROOT, ROW, STRIDE, SUM_WORDS, Seed, State, accumulate, halt,
+};
 use glam::{DVec3, dvec3};
 use needs::needs;
 use rand::RngExt;
-use tessera::internals::rvd::layout::{
-    BY_CELL, COMPLETE, Facet, NONE, Params, ROOT, ROW, STRIDE, SUM_WORDS, Seed, State, accumulate, halt,
-};
 use tessera::mesh::TriMesh;
 use tessera::mesh::shapes::Shape;
 use tessera::rvd::{Backend, PieceBatch, Serial, SessionOptions, Surface};

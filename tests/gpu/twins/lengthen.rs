@@ -4,14 +4,14 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
-use glam::Vec3;
-use needs::needs;
-use rand::RngExt;
-use tessera::internals::gpu::Device;
-use tessera::internals::rvd::layout::{
+use ::gpu::Device;
+use ::gpu::diagram::layout::{
     COMPLETE, INDEX, LENGTHENERS, LONGER, MOST_REQUEUED, NONE, Params, RINGS, ROOT, ROW, STRIDE, Seed, Sorted, State,
     code, failure, halt,
 };
+use glam::Vec3;
+use needs::needs;
+use rand::RngExt;
 
 use super::neighbours::cell_of;
 use super::{failure_entry, others, record, rng};

@@ -2,11 +2,11 @@
 
 use std::collections::{HashMap, HashSet};
 
+use ::gpu::diagram::layout::{ListState, Params, Seed, Sorted, State, halt};
+use ::gpu::diagram::plan;
 use glam::Vec3;
 use needs::needs;
 use rand::RngExt;
-use tessera::internals::rvd::layout::{ListState, Params, Seed, Sorted, State, halt};
-use tessera::internals::rvd::plan;
 
 use super::{record, rng, stage};
 use crate::stage::{records, words};

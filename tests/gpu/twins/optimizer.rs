@@ -1,9 +1,9 @@
 //! Promise: gradients, products, directions and moved seeds are those of double precision, totals and decisions those of integers.
 
+use ::gpu::diagram::layout::{DOTS, OptimizerParams, PAIRS, PLAIN_DOTS, Seed, State, Totals, halt, split};
 use needs::needs;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use tessera::internals::rvd::layout::{DOTS, OptimizerParams, PAIRS, PLAIN_DOTS, Seed, State, Totals, halt, split};
 
 use super::{SCALE, bits, floats, near, rng, stage};
 use crate::stage::{records, words};

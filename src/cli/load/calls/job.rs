@@ -12,24 +12,24 @@ use tokio::time::Instant;
 use tonic::{Code, Response, Status};
 
 use super::{Answers, Asked, At, Caller, End, Ends, Pace, Why, unary};
-use crate::cli::load::amounts::Kind;
-use crate::cli::load::tally::{Call, Tally};
-use crate::cli::remote::{Door, has_ended};
-use crate::wire::pieces::{Incoming, PIECE_BYTES, piece};
-use crate::wire::proto::blob_service_client::BlobServiceClient;
-use crate::wire::proto::job_service_client::JobServiceClient;
-use crate::wire::proto::{
+use crate::load::amounts::Kind;
+use crate::load::tally::{Call, Tally};
+use crate::remote::{Door, has_ended};
+use wire::pieces::{Incoming, PIECE_BYTES, piece};
+use wire::proto::blob_service_client::BlobServiceClient;
+use wire::proto::job_service_client::JobServiceClient;
+use wire::proto::{
     CancelJobRequest, CreateJobRequest, DeleteJobRequest, DeleteRequest, DrawnSeeds, FindMissingRequest, GetJobRequest,
     Job, JobMesh, JobSeeds, JobSpec, JobState, ListJobsRequest, MeshFile, MeshFormat, ReadRequest, RemeshJob, RvdJob,
     WatchJobRequest, WriteRequest, job_event, job_mesh, job_seeds, job_spec,
 };
 
 /// The label of all jobs of a run; its value is the run's name.
-pub(in crate::cli::load) const LABEL: &str = "tessera-load";
+pub(in crate::load) const LABEL: &str = "tessera-load";
 
 /// What a call leaves at the server.
 #[derive(Clone, Debug)]
-pub(in crate::cli::load) struct Rubbish {
+pub(in crate::load) struct Rubbish {
     /// The job.
     job: Option<String>,
     /// Files and results.
@@ -223,7 +223,7 @@ async fn write(tally: &Tally, door: &Door, ends: &Ends, digest: &str, bytes: Byt
 ///
 /// # Errors
 /// Why it could not be uploaded.
-pub(in crate::cli::load) async fn put(
+pub(in crate::load) async fn put(
     tally: &Tally,
     door: &Door,
     digest: &str,
@@ -265,7 +265,7 @@ fn gone<T>(call: Call, answer: Result<Response<T>, Status>) -> bool {
 }
 
 /// Removes a blob. Whether it is gone, or somebody else's.
-pub(in crate::cli::load) async fn delete_blob(tally: &Tally, door: &Door, digest: &str) -> bool {
+pub(in crate::load) async fn delete_blob(tally: &Tally, door: &Door, digest: &str) -> bool {
     let call = tally.begin("tessera.v1.BlobService/Delete");
     gone(call, blobs(door).delete(DeleteRequest { digest: digest.to_owned() }).await)
 }
@@ -295,7 +295,7 @@ async fn delete_job(tally: &Tally, door: &Door, id: &str, ended: bool) -> bool {
 impl Rubbish {
     /// Removes it; `ended` says whether its job had come to its end. Returns whether the job is gone, and how many blobs are
     /// not.
-    pub(in crate::cli::load) async fn remove(&self, tally: &Tally, door: &Door, ended: bool) -> (bool, u64) {
+    pub(in crate::load) async fn remove(&self, tally: &Tally, door: &Door, ended: bool) -> (bool, u64) {
         let job = match &self.job {
             Some(id) => delete_job(tally, door, id, ended).await,
             None => true,
@@ -309,7 +309,7 @@ impl Rubbish {
 }
 
 /// Ends and forgets all jobs that a run left; how many things could not be removed.
-pub(in crate::cli::load) async fn sweep(tally: &Tally, door: &Door, run: &str) -> u64 {
+pub(in crate::load) async fn sweep(tally: &Tally, door: &Door, run: &str) -> u64 {
     let labels = HashMap::from([(LABEL.to_owned(), run.to_owned())]);
     let (mut left, mut page_token) = (0, String::new());
     loop {

@@ -8,10 +8,10 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::{Answers, Asked, At, End, Pace};
-use crate::cli::remote::Door;
-use crate::wire::arrays::Arrays;
-use crate::wire::proto::remesh_service_client::RemeshServiceClient;
-use crate::wire::proto::{
+use crate::remote::Door;
+use wire::arrays::Arrays;
+use wire::proto::remesh_service_client::RemeshServiceClient;
+use wire::proto::{
     self, ArrayKind, Chunk, ComputeRvdRequest, CvtRequest, RemeshRequest, RvdOutput, SampledSeeds, SeedSource, Timing,
     seed_source,
 };

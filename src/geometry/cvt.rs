@@ -1,0 +1,200 @@
+//! Centroidal Voronoi tessellation: iterations that move the seeds.
+//!
+//! Purpose: [`Cvt`] holds a backend session and the seeds, and takes one step at a time, so that
+//! a caller can look, stop or edit the seeds between steps.
+//! Invariant: sees the backend through its trait and cannot name one. Energy and gradient come
+//! from one pass over the diagram. The seeds stay where the backend keeps them, and come to the host
+//! when somebody asks.
+//! Must not know: files, remeshing, jobs.
+
+mod convergence;
+pub(crate) mod curves;
+pub mod density;
+mod edit;
+pub(crate) mod figures;
+mod line_search;
+mod options;
+mod placement;
+mod relax;
+mod reseed;
+mod step;
+
+use std::sync::Arc;
+
+use glam::DVec3;
+
+pub use density::{Count, DensityError, DensityFigures, DensityOptions, DensitySource};
+pub use edit::SeedEdit;
+pub use options::{CvtOptions, Projection};
+pub use step::{Iteration, StepKind};
+
+use convergence::Convergence;
+use curves::CurveSeeds;
+
+use crate::mesh::closest_point::ClosestPoint;
+use crate::rvd::{
+    Backend, CellSums, DeviceWork, Evaluation, Resident, RvdError, Session, SessionOptions, Surface, check_seeds,
+};
+
+/// Who has the present seeds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Newest {
+    /// The host alone.
+    OnHost,
+    /// The host and the session.
+    OnBoth,
+    /// The session alone, which has moved them.
+    InSession,
+}
+
+/// One surface, its seeds, and the session that computes their diagram.
+pub struct Cvt {
+    surface: Arc<Surface>,
+    session: Box<dyn Session>,
+    options: CvtOptions,
+    /// Unit frame; behind the session's where that has moved them.
+    seeds: Vec<DVec3>,
+    newest: Newest,
+    /// Seeds that never move; empty if all do.
+    held: Vec<bool>,
+    /// The first seeds lie on curves, of which the others are kept clear.
+    curves: CurveSeeds,
+    /// What the last pass found at the present seeds.
+    present: Option<Evaluation>,
+    /// The present seeds' history is empty, so that a step's length has to be guessed.
+    fresh: bool,
+    convergence: Convergence,
+    converged: bool,
+    sums: CellSums,
+    /// The surface in the unit frame, built when it is first needed.
+    closest: Option<ClosestPoint>,
+    steps: usize,
+}
+
+impl Cvt {
+    /// Opens a session for `seeds` (caller's coordinates) and room for more.
+    ///
+    /// # Errors
+    /// What the backend says of the seeds and of the memory it needs.
+    pub fn new(
+        backend: &dyn Backend,
+        surface: Arc<Surface>,
+        seeds: &[DVec3],
+        mut options: CvtOptions,
+    ) -> Result<Self, RvdError> {
+        options.max_seeds = options.max_seeds.max(seeds.len());
+        let session = backend.session(Arc::clone(&surface), SessionOptions::new(options.max_seeds))?;
+        let seeds: Vec<DVec3> = seeds.iter().map(|&p| surface.frame().to_unit(p)).collect();
+        check_seeds(&seeds, options.max_seeds)?;
+        Ok(Self {
+            surface,
+            session,
+            options,
+            seeds,
+            newest: Newest::OnHost,
+            held: Vec::new(),
+            curves: CurveSeeds::default(),
+            present: None,
+            fresh: true,
+            convergence: Convergence::default(),
+            converged: false,
+            sums: CellSums::default(),
+            closest: None,
+            steps: 0,
+        })
+    }
+
+    /// Takes what answers for closest points of its surface ([`Surface::closest_points`]), so that it need not make it.
+    pub fn bring_closest(&mut self, closest: ClosestPoint) {
+        self.closest = Some(closest);
+    }
+
+    /// The seeds now, caller's coordinates.
+    ///
+    /// # Errors
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
+    pub fn seeds(&mut self) -> Result<Vec<DVec3>, RvdError> {
+        self.download()?;
+        Ok(self.seeds.iter().map(|&p| self.surface.frame().to_world(p)).collect())
+    }
+
+    /// How many seeds there are.
+    pub fn len(&self) -> usize {
+        self.seeds.len()
+    }
+
+    /// Whether there are no seeds (there always are).
+    pub fn is_empty(&self) -> bool {
+        self.seeds.is_empty()
+    }
+
+    /// The seeds now, unit frame.
+    ///
+    /// # Errors
+    /// Those of the device, such as [`RvdError::DeviceLost`]: nothing was changed; the session must be opened again.
+    pub fn unit_seeds(&mut self) -> Result<&[DVec3], RvdError> {
+        self.download()?;
+        Ok(&self.seeds)
+    }
+
+    /// The diagram's session with the present seeds set, for a caller that wants cells.
+    ///
+    /// # Errors
+    /// What the backend says of the seeds.
+    pub fn session(&mut self) -> Result<&mut dyn Session, RvdError> {
+        self.upload()?;
+        Ok(&mut *self.session)
+    }
+
+    /// What answers for closest points of the surface, caller's coordinates, if it was needed; gives the rest back.
+    pub fn into_closest(self) -> Option<ClosestPoint> {
+        let frame = self.surface.frame();
+        self.closest.map(|tree| tree.moved(frame.centre, frame.scale))
+    }
+
+    /// The surface.
+    pub fn surface(&self) -> &Arc<Surface> {
+        &self.surface
+    }
+
+    /// Bytes of device memory held.
+    pub fn device_bytes(&self) -> u64 {
+        self.session.device_bytes()
+    }
+
+    /// What the device did since the session was opened.
+    pub fn device_work(&self) -> DeviceWork {
+        self.session.device_work()
+    }
+
+    /// Hands the seeds to the session if it has others.
+    fn upload(&mut self) -> Result<(), RvdError> {
+        if self.newest == Newest::OnHost {
+            self.session.set_seeds(&self.seeds)?;
+            if !self.held.is_empty() {
+                resident(&mut *self.session)?.hold(&self.held)?;
+            }
+            self.newest = Newest::OnBoth;
+        }
+        Ok(())
+    }
+
+    /// Fetches the seeds if the session has moved them.
+    fn download(&mut self) -> Result<(), RvdError> {
+        if self.newest == Newest::InSession {
+            resident(&mut *self.session)?.read(&mut self.seeds)?;
+            self.newest = Newest::OnBoth;
+        }
+        Ok(())
+    }
+
+    /// The host's seeds are others now.
+    fn seeds_changed(&mut self) {
+        (self.newest, self.fresh) = (Newest::OnHost, true);
+        self.present = None;
+    }
+}
+
+fn resident(session: &mut dyn Session) -> Result<&mut dyn Resident, RvdError> {
+    session.resident().ok_or_else(|| RvdError::Internal("this backend cannot move seeds".to_owned()))
+}

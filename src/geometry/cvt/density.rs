@@ -1,0 +1,280 @@
+//! Density: how long edges should be, and where.
+//!
+//! Purpose: [`plan`] turns [`DensityOptions`] (uniform, weights, lengths, curvature, feature size) into what
+//! the iterations take: weights linear in each facet, a surface whose facets are fine enough for that, and a
+//! number of points. Edge length h needs weight h⁻⁴, and 2/√3 h⁻² points per area.
+//! Invariant: lengths are bounded in ratio and slope (a spike cannot eat the budget), and what bounds them is
+//! counted in [`DensityFigures`]. The same bits with any number of threads. O(n log n).
+//! Must not know: backends, files, jobs.
+
+mod curvature;
+mod error;
+mod feature_size;
+mod lengths;
+mod net;
+mod normals;
+mod options;
+mod outline;
+mod refine;
+mod size_field;
+
+use std::borrow::Cow;
+
+use serde::Serialize;
+
+use crate::mesh::TriMesh;
+use crate::token::{Stopped, Token};
+
+pub use error::DensityError;
+pub use net::Net;
+pub use options::{Count, DensityOptions, DensitySource};
+pub use outline::Outline;
+pub(crate) use size_field::SizeField;
+
+use lengths::{Bounded, Least, adapt, fill_gaps, of_curvature, resolved, without_noise};
+
+/// What came of a density, for a report. Lengths are in the caller's units.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DensityFigures {
+    /// See [`DensitySource::name`].
+    pub source: &'static str,
+    /// Points that the lengths imply, not rounded; absent for weights.
+    pub points_implied: Option<f64>,
+    /// Smallest target edge length; absent for weights.
+    pub edge_least: Option<f64>,
+    /// The one that half of the area has at most.
+    pub edge_median: Option<f64>,
+    /// Largest.
+    pub edge_largest: Option<f64>,
+    /// Vertices whose length was outside the bounds ([`DensityOptions::clamp`], [`DensityOptions::ratio`], the mesh's own
+    /// edges).
+    pub clamped_vertices: usize,
+    /// Vertices whose length was lowered for the sake of gradation.
+    pub graded_vertices: usize,
+    /// Share of the area whose lengths go up and down from vertex to vertex faster than triangles can follow, percent; 0 if it
+    /// is no more than here and there.
+    pub noise_percent: f64,
+    /// Rounds that evened such lengths out between neighbours.
+    pub smoothing_rounds: usize,
+    /// Facets that the surface was divided into where weights change fast or facets are long beside the cells; as before
+    /// if it was not.
+    pub facets: usize,
+}
+
+/// What the iterations take.
+#[derive(Clone, Debug)]
+pub struct Plan<'a> {
+    /// The surface, its facets divided where the density changes fast or, after [`Plan::divided`], they are long beside
+    /// the cells; the first vertices are the caller's.
+    pub mesh: Cow<'a, TriMesh>,
+    /// One weight per vertex of `mesh`; none if uniform.
+    pub weights: Option<Vec<f64>>,
+    /// Target edge length per vertex of the caller's mesh, as it was bounded; none for weights and uniform.
+    pub sizes: Option<Vec<f64>>,
+    /// How many points to draw.
+    pub points: usize,
+    /// For a report.
+    pub figures: DensityFigures,
+}
+
+impl<'a> Plan<'a> {
+    /// The same with facets divided that are long beside the cells, if most of the surface is of these, as they are already where
+    /// lengths vary: a facet costs by the pairs of cells that meet at it. For who does not ask which facet a piece is of.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn divided(self, token: &Token) -> Result<Self, Stopped> {
+        let vertices = self.mesh.positions().len();
+        // Weights that are too many or too few are refused by whoever makes a surface of them.
+        let wrong = self.weights.as_ref().is_some_and(|weights| weights.len() != vertices);
+        if self.sizes.is_some() || self.points == 0 || wrong {
+            return Ok(self);
+        }
+        let most = most_facets(&self.mesh, self.points);
+        let lengths = match (&self.weights, self.figures.edge_median) {
+            (None, Some(edge)) => vec![edge; vertices],
+            _ => self.lengths(&self.mesh, token)?,
+        };
+        let values = self.weights.as_deref().unwrap_or(&[]);
+        let Some((fine, values)) = refine::shorten(&self.mesh, &lengths, values, most, token)? else {
+            return Ok(self);
+        };
+        let figures = DensityFigures { facets: fine.facets().len(), ..self.figures };
+        let weights = self.weights.map(|_| values);
+        Ok(Plan { mesh: Cow::Owned(fine), weights, figures, ..self })
+    }
+
+    /// The edges of the plan's mesh that make up `edges` of the caller's.
+    pub fn edges(&self, edges: &[[u32; 2]], token: &Token) -> Result<Vec<[u32; 2]>, Stopped> {
+        refine::divided(&self.mesh, edges, token)
+    }
+
+    /// Target edge length per vertex of `mesh`, the caller's: those of the plan, or those that so many points have by
+    /// its weights.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn lengths(&self, mesh: &TriMesh, token: &Token) -> Result<Vec<f64>, Stopped> {
+        if let Some(sizes) = &self.sizes {
+            return Ok(sizes.clone());
+        }
+        let vertices = mesh.positions().len();
+        let Some(weights) = self.weights.as_ref() else {
+            return Ok(vec![Outline::new(mesh, token)?.edge_length(self.points as f64); vertices]);
+        };
+        let top = weights.iter().copied().fold(0.0, f64::max);
+        let by_weight = |w: &f64| (w / top).max(LEAST_WEIGHT).powf(-0.25);
+        let lengths: Vec<f64> = weights[..vertices].iter().map(by_weight).collect();
+        // No length is refused: weights were checked when the surface was made, and none is too small here.
+        let net = Net::new(mesh, token)?;
+        let scaled = SizeField::new(&net, lengths.clone()).map(|field| {
+            let factor = (field.points(&net) / self.points.max(1) as f64).sqrt();
+            field.scaled(factor).into_sizes()
+        });
+        Ok(scaled.unwrap_or(lengths))
+    }
+}
+
+/// Weights below this share of the largest stand for edges a hundred times as long.
+const LEAST_WEIGHT: f64 = 1e-8;
+
+/// Makes the density of `mesh` that `options` ask for.
+///
+/// # Errors
+/// [`DensityError`]. Weights are checked where they are used, by `Surface::new`.
+pub fn plan<'a>(
+    mesh: &'a TriMesh,
+    options: &DensityOptions,
+    count: Count,
+    token: &Token,
+) -> Result<Plan<'a>, DensityError> {
+    options.check()?;
+    match &options.source {
+        DensitySource::Uniform | DensitySource::Weights(_) => level(mesh, options, count, token),
+        DensitySource::Sizes(_) | DensitySource::Curvature | DensitySource::FeatureSize => {
+            varying(mesh, options, count, token)
+        }
+    }
+}
+
+/// Uniform, and weights as they are.
+fn level<'a>(
+    mesh: &'a TriMesh,
+    options: &DensityOptions,
+    count: Count,
+    token: &Token,
+) -> Result<Plan<'a>, DensityError> {
+    let outline = Outline::new(mesh, token)?;
+    let implied = match (count, options.edge_length) {
+        (Count::Points(points), _) => points as f64,
+        (Count::Implied, Some(edge)) => outline.points(edge),
+        (Count::Implied, None) => return Err(DensityError::NoCount),
+    };
+    let points = match count {
+        Count::Points(points) => within(points, options.max_points)?,
+        Count::Implied => rounded(implied, options.max_points)?,
+    };
+    let weights = match &options.source {
+        DensitySource::Weights(weights) => Some(weights.clone()),
+        _ => None,
+    };
+    let edge = (weights.is_none() && points > 0).then(|| outline.edge_length(implied));
+    let figures = DensityFigures {
+        source: options.source.name(),
+        points_implied: edge.map(|_| implied),
+        edge_least: edge,
+        edge_median: edge,
+        edge_largest: edge,
+        clamped_vertices: 0,
+        graded_vertices: 0,
+        noise_percent: 0.0,
+        smoothing_rounds: 0,
+        facets: mesh.facets().len(),
+    };
+    Ok(Plan { mesh: Cow::Borrowed(mesh), weights, sizes: None, points, figures })
+}
+
+/// Lengths that vary.
+fn varying<'a>(
+    mesh: &'a TriMesh,
+    options: &DensityOptions,
+    count: Count,
+    token: &Token,
+) -> Result<Plan<'a>, DensityError> {
+    let net = Net::new(mesh, token)?;
+    let target = match (count, options.edge_length, &options.source) {
+        (Count::Points(points), ..) => Some(points as f64),
+        (Count::Implied, _, DensitySource::Sizes(_)) => None,
+        (Count::Implied, Some(edge), _) => Some(net.outline.points(edge)),
+        (Count::Implied, None, _) => return Err(DensityError::NoCount),
+    };
+    match (count, target) {
+        (Count::Points(points), _) => _ = within(points, options.max_points)?,
+        (_, Some(target)) => _ = rounded(target, options.max_points)?,
+        _ => {}
+    }
+    token.check()?;
+    let (raw, sheets) = match &options.source {
+        DensitySource::Sizes(sizes) => (sizes.clone(), None),
+        DensitySource::FeatureSize => {
+            let size = feature_size::local(&net, token)?;
+            (size.all, Some(size.between_sheets))
+        }
+        _ => (of_curvature(&net, target.unwrap_or(1.0), token)?, None),
+    };
+    let given = matches!(options.source, DensitySource::Sizes(_));
+    let mut field = SizeField::new(&net, if given { raw } else { fill_gaps(&net, raw) })?;
+    let mut sheets = sheets.map(|sheets| SizeField::new(&net, fill_gaps(&net, sheets))).transpose()?;
+    token.check()?;
+    let median = field.median(&net);
+    let clamped = adapt(&mut field, median, options);
+    sheets.iter_mut().for_each(|sheets| _ = adapt(sheets, median, options));
+    let least = match target {
+        Some(target) if !given => Some(Least { edge: resolved(&net, target), sheets }),
+        _ => None,
+    };
+    let (Bounded { field, graded, outside, points }, noise, smoothing_rounds) =
+        without_noise(field, least.as_ref(), &net, options, target, token)?;
+    token.check()?;
+    let points_implied = points;
+    let points = match count {
+        Count::Points(points) => points,
+        Count::Implied => rounded(target.unwrap_or(points_implied), options.max_points)?,
+    };
+    let divided = refine::refine(mesh, &net, field.sizes(), most_facets(mesh, points), token)?;
+    let figures = DensityFigures {
+        source: options.source.name(),
+        points_implied: Some(points_implied),
+        edge_least: Some(field.least()),
+        edge_median: Some(field.median(&net)),
+        edge_largest: Some(field.largest()),
+        clamped_vertices: clamped + outside,
+        graded_vertices: graded,
+        noise_percent: 100.0 * noise,
+        smoothing_rounds,
+        facets: divided.as_ref().map_or(mesh, |(fine, _)| fine).facets().len(),
+    };
+    let (mesh, weights) = match divided {
+        Some((fine, sizes)) => (Cow::Owned(fine), SizeField::weights_of(&sizes)),
+        None => (Cow::Borrowed(mesh), SizeField::weights_of(field.sizes())),
+    };
+    Ok(Plan { mesh, weights: Some(weights), sizes: Some(field.into_sizes()), points, figures })
+}
+
+/// A facet is divided only where it is as large as a cell or so: a few for each point.
+fn most_facets(mesh: &TriMesh, points: usize) -> usize {
+    (mesh.facets().len() + 64 * points + 1000).min(crate::mesh::MAX_ELEMENTS)
+}
+
+/// As many points as are allowed at most.
+fn within(points: usize, limit: usize) -> Result<usize, DensityError> {
+    if points <= limit { Ok(points) } else { Err(DensityError::PointLimit { points, limit }) }
+}
+
+/// Rounds a number of points.
+fn rounded(points: f64, limit: usize) -> Result<usize, DensityError> {
+    if points.is_finite() && points.round() <= limit as f64 {
+        return Ok(points.round().max(1.0) as usize);
+    }
+    Err(DensityError::TooManyPoints { implied: points, limit })
+}

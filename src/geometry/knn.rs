@@ -1,0 +1,26 @@
+//! Neighbour tables of the seeds.
+//!
+//! Purpose: for every seed its nearest other seeds in order, and the nearest seed of a point.
+//! Invariant: a row of k neighbours is a prefix of every longer row of the same seed, so that a longer table never changes
+//! what a shorter one decided. Order: squared distance, then index. A seed exactly on an earlier one is no neighbour of any
+//! seed; its own row is that earlier seed alone, which makes its cell empty.
+//! Must not know: facets, polygons.
+
+mod grid;
+mod index;
+mod kdtree;
+mod row;
+mod table;
+#[cfg(test)]
+mod tests;
+
+pub use index::SeedIndex;
+pub use row::NeighbourRow;
+pub use row::Threads;
+pub use table::NeighbourTable;
+
+/// The squared distance that orders all rows, with the same rounding in every search.
+pub fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    x * x + y * y + z * z
+}

@@ -1,0 +1,132 @@
+//! The searchable seeds: a grid where it proves an answer, a kd-tree where it does not.
+//!
+//! Purpose: rows and nearest seeds, each by the faster of the two ways.
+//! Invariant: the promise of [`super`]; which way answered shows in no answer.
+//! Must not know: how many rows a table wants.
+
+use std::collections::HashMap;
+use std::sync::OnceLock;
+
+use glam::DVec3;
+
+use super::grid::{Grid, Scratch};
+use super::kdtree::Tree;
+use super::row::{NeighbourRow, Threads};
+use crate::mesh::coincident;
+
+/// One set of seeds, ready to be searched.
+pub struct SeedIndex {
+    seeds: Vec<[f64; 3]>,
+    /// Later duplicate -> earliest.
+    earlier: HashMap<u32, u32>,
+    grid: Option<Grid>,
+    /// Built at once without a grid, otherwise when the grid first fails to prove an answer.
+    tree: OnceLock<Tree>,
+}
+
+impl SeedIndex {
+    /// Builds the index of finite `seeds`, on all threads of the present rayon pool.
+    pub fn new(seeds: &[DVec3]) -> Self {
+        Self::with_threads(seeds, Threads::Pool)
+    }
+
+    /// Builds the index of finite `seeds`. The answers do not depend on `threads`.
+    pub fn with_threads(seeds: &[DVec3], threads: Threads) -> Self {
+        let points: Vec<[f64; 3]> = seeds.iter().map(|p| p.to_array()).collect();
+        let mut grid = Grid::new(&points, threads);
+        let pairs = match &grid {
+            Some(grid) => grid.duplicates(),
+            None => coincident::find(seeds),
+        };
+        if let Some(grid) = grid.as_mut().filter(|_| !pairs.is_empty()) {
+            grid.hide(&pairs);
+        }
+        let index = Self { seeds: points, earlier: pairs.into_iter().collect(), grid, tree: OnceLock::new() };
+        if index.grid.is_none() {
+            index.tree.get_or_init(|| Tree::new(&index.seeds, &index.earlier, threads));
+        }
+        index
+    }
+
+    /// Number of seeds.
+    pub fn len(&self) -> usize {
+        self.seeds.len()
+    }
+
+    /// Whether the index has no seeds.
+    pub fn is_empty(&self) -> bool {
+        self.seeds.is_empty()
+    }
+
+    /// How many seeds lie exactly on an earlier one.
+    pub fn duplicates(&self) -> usize {
+        self.earlier.len()
+    }
+
+    /// Whether seed `i` lies exactly on an earlier one.
+    pub fn is_duplicate(&self, i: u32) -> bool {
+        self.earlier.contains_key(&i)
+    }
+
+    /// Whether the seeds are spread so evenly that [`Self::in_box`] finds few that are not in the box.
+    pub fn is_even(&self) -> bool {
+        self.grid.as_ref().is_some_and(Grid::is_even)
+    }
+
+    /// A nearest seed of a point, never a later duplicate. Among seeds at the same distance the choice is fixed but
+    /// unspecified.
+    pub fn nearest(&self, p: DVec3) -> u32 {
+        let p = p.to_array();
+        // The tree decides between several seeds at one distance.
+        self.grid.as_ref().and_then(|g| g.nearest(&p)).unwrap_or_else(|| self.tree().nearest(&p))
+    }
+
+    /// A seed that is not far from a point, found sooner than the nearest one.
+    pub fn near(&self, p: DVec3) -> u32 {
+        let near = self.grid.as_ref().and_then(|g| g.near(&p.to_array()));
+        near.unwrap_or_else(|| self.nearest(p))
+    }
+
+    /// Appends all seeds in a closed box, some around it, and no later duplicate. Returns `false` if there are more than
+    /// `most`, or if the search would be slow.
+    pub fn in_box(&self, low: DVec3, high: DVec3, most: usize, out: &mut Vec<u32>) -> bool {
+        self.each_in_box(low, high, most, |seed, _| out.push(seed))
+    }
+
+    /// Calls `found` for each seed of [`Self::in_box`], with its place; also for some seeds before it returns `false`.
+    #[inline(always)]
+    pub fn each_in_box(&self, low: DVec3, high: DVec3, most: usize, mut found: impl FnMut(u32, DVec3)) -> bool {
+        let (low, high) = (low.to_array(), high.to_array());
+        let found = |seed: u32, p: &[f64; 3]| found(seed, DVec3::from_array(*p));
+        self.grid.as_ref().is_some_and(|grid| grid.in_box(&low, &high, most, found))
+    }
+
+    /// The nearest neighbours of seed `i`, about `k` of them. The last ones are omitted if more seeds may lie at the same
+    /// distance, so that every row is a prefix of the longer ones.
+    pub fn row(&self, i: u32, k: usize, out: &mut NeighbourRow) {
+        self.row_with(i, (k, k), &mut Scratch::default(), out);
+    }
+
+    /// [`Self::row`] without an allocation of its own, and shorter where that saves work, but of about `least`
+    /// neighbours at least.
+    pub(super) fn row_with(&self, i: u32, (least, k): (usize, usize), scratch: &mut Scratch, out: &mut NeighbourRow) {
+        if let Some(&first) = self.earlier.get(&i) {
+            out.seeds.clear();
+            out.seeds.push(first);
+            out.complete = true;
+        } else if !self.grid.as_ref().is_some_and(|g| g.row(i, (least, k), scratch, out)) {
+            self.tree().row(i, &self.seeds[i as usize], k, out);
+        }
+    }
+
+    /// All seeds, with neighbours close to one another; `None` for their own order.
+    pub(super) fn order(&self) -> Option<&[u32]> {
+        self.grid.as_ref().map(Grid::order)
+    }
+
+    /// The tree. The first caller builds it alone: a thread that waits for helpers may take up another search, which would
+    /// wait for this tree.
+    fn tree(&self) -> &Tree {
+        self.tree.get_or_init(|| Tree::new(&self.seeds, &self.earlier, Threads::One))
+    }
+}

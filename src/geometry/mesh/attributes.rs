@@ -1,0 +1,389 @@
+//! Attributes of a surface: normals, texture coordinates, colours, scalars.
+//!
+//! Purpose: [`Attributes`] stands beside a [`TriMesh`], which knows nothing of it.
+//! Invariant: every array has the count that the mesh asks for, indices are in range and numbers finite;
+//! normals are of unit length, or zero where none is known; names of scalars differ.
+//! Must not know: files, messages, how attributes get from one mesh to another.
+
+use glam::{DVec2, DVec3};
+
+use super::{MAX_ELEMENTS, TriMesh};
+
+/// Values by corner, so that facets around a vertex may have different ones; such edges are seams.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PerCorner<T> {
+    /// The values, each once or more often.
+    pub values: Vec<T>,
+    /// For each facet, the value at each of its corners: indices into `values`.
+    pub corners: Vec<[u32; 3]>,
+}
+
+/// Directions that shading takes for the surface's.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Normals {
+    /// One for each vertex.
+    PerVertex(Vec<DVec3>),
+    /// Facets around a vertex may differ, as at creases.
+    PerCorner(PerCorner<DVec3>),
+}
+
+/// How a file held colours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ColourDepth {
+    /// Whole numbers from 0 to 255, here divided by 255; a file that can hold them so gets them so.
+    Eight,
+    /// Floating point.
+    #[default]
+    Float,
+}
+
+/// Red, green, blue and opacity of each vertex, nominally from 0 to 1.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Colours {
+    /// One for each vertex. Opacity is 1 where none was given.
+    pub values: Vec<[f64; 4]>,
+    /// Number type of the source.
+    pub depth: ColourDepth,
+}
+
+/// A named number of each vertex.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scalar {
+    /// Name: ASCII letters, digits, `_` and `-`, not a digit or `-` first, as in PLY. At most [`MAX_NAME_BYTES`].
+    pub name: String,
+    /// One for each vertex, any unit.
+    pub values: Vec<f64>,
+}
+
+/// The longest name of a scalar, bytes.
+pub const MAX_NAME_BYTES: usize = 128;
+
+/// Why an attribute was refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum AttributeError {
+    /// An array is too short or too long.
+    #[error("{attribute}: {count} are given for {expected} {of}; give one for each")]
+    Count {
+        /// Which attribute.
+        attribute: String,
+        /// How many were given.
+        count: usize,
+        /// How many the mesh asks for.
+        expected: usize,
+        /// "vertices" or "facets".
+        of: &'static str,
+    },
+    /// A number is NaN or infinite.
+    #[error("{attribute}: value {index} is not finite")]
+    NonFinite {
+        /// Which attribute.
+        attribute: String,
+        /// Which of its values, from 0.
+        index: usize,
+    },
+    /// A corner names a value that is not there.
+    #[error("{attribute}: facet {facet}, corner {corner} names value {index}, but there are {values}")]
+    IndexOutOfRange {
+        /// Which attribute.
+        attribute: String,
+        /// Index of the facet, from 0.
+        facet: usize,
+        /// 0, 1 or 2.
+        corner: usize,
+        /// The index as given.
+        index: u32,
+        /// Number of values.
+        values: usize,
+    },
+    /// More values than 32-bit indices can name.
+    #[error("{attribute}: {count} values are more than 32-bit indices can name")]
+    TooLarge {
+        /// Which attribute.
+        attribute: String,
+        /// How many were given.
+        count: usize,
+    },
+    /// A scalar's name will not do.
+    #[error("a scalar cannot be named {name:?}: {reason}")]
+    Name {
+        /// The name as given, at most [`MAX_NAME_BYTES`] of it.
+        name: String,
+        /// The defect.
+        reason: &'static str,
+    },
+    /// A file holds it in a way that cannot be understood.
+    #[error("{attribute}: {message}")]
+    Unreadable {
+        /// Which attribute.
+        attribute: String,
+        /// Where and why.
+        message: String,
+    },
+    /// The attributes were made for a mesh of other counts.
+    #[error("the attributes are of a mesh with {vertices} vertices and {facets} facets, not of this one")]
+    OtherMesh {
+        /// Vertices of that mesh.
+        vertices: usize,
+        /// Facets of that mesh.
+        facets: usize,
+    },
+}
+
+/// The attributes of a mesh; see the module's head. Empty at first.
+///
+/// ```
+/// use tessera::mesh::attributes::{AttributeError, Attributes};
+/// use tessera::mesh::shapes::Shape;
+/// let mesh = Shape::Square.build(2);
+/// let mut attributes = Attributes::new(&mesh);
+/// attributes.add_scalar("height", vec![0.0; 4])?;
+/// let short = attributes.add_scalar("width", vec![0.0; 3]);
+/// assert!(matches!(short, Err(AttributeError::Count { count: 3, expected: 4, .. })));
+/// # Ok::<(), AttributeError>(())
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attributes {
+    vertices: usize,
+    facets: usize,
+    normals: Option<Normals>,
+    texture: Option<PerCorner<DVec2>>,
+    colours: Option<Colours>,
+    scalars: Vec<Scalar>,
+}
+
+const NORMALS: &str = "normals";
+const TEXTURE: &str = "texture coordinates";
+const COLOURS: &str = "colours";
+
+impl Attributes {
+    /// None yet, for `mesh`.
+    pub fn new(mesh: &TriMesh) -> Self {
+        Self {
+            vertices: mesh.positions().len(),
+            facets: mesh.facets().len(),
+            normals: None,
+            texture: None,
+            colours: None,
+            scalars: Vec::new(),
+        }
+    }
+
+    /// Takes normals, of any length but infinite; they are made unit. A normal of length 0 means that none is
+    /// known there.
+    ///
+    /// # Errors
+    /// `Count`, `NonFinite`, `IndexOutOfRange`, `TooLarge`.
+    pub fn set_normals(&mut self, mut normals: Normals) -> Result<(), AttributeError> {
+        match &normals {
+            Normals::PerVertex(values) => self.check_count(NORMALS, values.len())?,
+            Normals::PerCorner(normals) => self.check_corners(NORMALS, normals)?,
+        }
+        let (Normals::PerVertex(values) | Normals::PerCorner(PerCorner { values, .. })) = &mut normals;
+        check_finite(NORMALS, values, |n| n.is_finite())?;
+        values.iter_mut().for_each(|n| *n = unit(*n));
+        self.normals = Some(normals);
+        Ok(())
+    }
+
+    /// Takes texture coordinates: u and v of each corner.
+    ///
+    /// # Errors
+    /// `Count`, `NonFinite`, `IndexOutOfRange`, `TooLarge`.
+    pub fn set_texture(&mut self, texture: PerCorner<DVec2>) -> Result<(), AttributeError> {
+        self.check_corners(TEXTURE, &texture)?;
+        check_finite(TEXTURE, &texture.values, |uv| uv.is_finite())?;
+        self.texture = Some(texture);
+        Ok(())
+    }
+
+    /// Takes colours.
+    ///
+    /// # Errors
+    /// `Count`, `NonFinite`.
+    pub fn set_colours(&mut self, colours: Colours) -> Result<(), AttributeError> {
+        self.check_count(COLOURS, colours.values.len())?;
+        check_finite(COLOURS, &colours.values, |c| c.iter().all(|x| x.is_finite()))?;
+        self.colours = Some(colours);
+        Ok(())
+    }
+
+    /// Takes one more scalar.
+    ///
+    /// # Errors
+    /// `Name`, `Count`, `NonFinite`.
+    pub fn add_scalar(&mut self, name: impl Into<String>, values: Vec<f64>) -> Result<(), AttributeError> {
+        let name = name.into();
+        check_name(&name)?;
+        if self.scalars.iter().any(|s| s.name == name) {
+            return Err(AttributeError::Name { name, reason: "another scalar has this name" });
+        }
+        let attribute = format!("scalar {name:?}");
+        self.check_count(&attribute, values.len())?;
+        check_finite(&attribute, &values, |x| x.is_finite())?;
+        self.scalars.push(Scalar { name, values });
+        Ok(())
+    }
+
+    /// The normals, if any.
+    pub fn normals(&self) -> Option<&Normals> {
+        self.normals.as_ref()
+    }
+
+    /// The texture coordinates, if any.
+    pub fn texture(&self) -> Option<&PerCorner<DVec2>> {
+        self.texture.as_ref()
+    }
+
+    /// The colours, if any.
+    pub fn colours(&self) -> Option<&Colours> {
+        self.colours.as_ref()
+    }
+
+    /// Scalars, in the order in which they were added.
+    pub fn scalars(&self) -> &[Scalar] {
+        &self.scalars
+    }
+
+    /// Whether the mesh has no attributes.
+    pub fn is_empty(&self) -> bool {
+        self.normals.is_none() && self.texture.is_none() && self.colours.is_none() && self.scalars.is_empty()
+    }
+
+    /// Checks that they can be `mesh`'s.
+    ///
+    /// # Errors
+    /// `OtherMesh`.
+    pub fn check_mesh(&self, mesh: &TriMesh) -> Result<(), AttributeError> {
+        if (self.vertices, self.facets) == (mesh.positions().len(), mesh.facets().len()) {
+            return Ok(());
+        }
+        Err(AttributeError::OtherMesh { vertices: self.vertices, facets: self.facets })
+    }
+
+    fn check_count(&self, attribute: &str, count: usize) -> Result<(), AttributeError> {
+        check_count(attribute, count, self.vertices, "vertices")
+    }
+
+    fn check_corners<T>(&self, attribute: &str, given: &PerCorner<T>) -> Result<(), AttributeError> {
+        check_count(attribute, given.corners.len(), self.facets, "facets")?;
+        let values = given.values.len();
+        if values > MAX_ELEMENTS {
+            return Err(AttributeError::TooLarge { attribute: attribute.to_owned(), count: values });
+        }
+        for (facet, corners) in given.corners.iter().enumerate() {
+            if let Some(corner) = corners.iter().position(|&i| i as usize >= values) {
+                let (attribute, index) = (attribute.to_owned(), corners[corner]);
+                return Err(AttributeError::IndexOutOfRange { attribute, facet, corner, index, values });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl<T: Copy + PartialEq + Default> PerCorner<T> {
+    /// One value for each vertex, if the facets around each vertex agree; the default for one without a facet.
+    /// `facets` are the mesh's, over `vertices` vertices.
+    pub fn per_vertex(&self, facets: &[[u32; 3]], vertices: usize) -> Option<Vec<T>> {
+        let mut values: Vec<Option<T>> = vec![None; vertices];
+        for (&vertex, &index) in facets.iter().flatten().zip(self.corners.iter().flatten()) {
+            let value = self.values[index as usize];
+            if *values[vertex as usize].get_or_insert(value) != value {
+                return None;
+            }
+        }
+        Some(values.into_iter().map(Option::unwrap_or_default).collect())
+    }
+}
+
+/// Scales to length 1. A vector of length 1 up to rounding keeps its bits; zero stays zero.
+pub fn unit(v: DVec3) -> DVec3 {
+    if (v.length_squared() - 1.0).abs() <= 1e-14 {
+        return v;
+    }
+    // Scaled first, so that squares neither overflow nor vanish.
+    let size = v.abs().max_element();
+    if size > 0.0 { (v / size).normalize() } else { DVec3::ZERO }
+}
+
+/// Whether a scalar can have this name.
+///
+/// # Errors
+/// `Name`.
+pub fn check_name(name: &str) -> Result<(), AttributeError> {
+    let reason = if name.is_empty() {
+        "give it one"
+    } else if name.len() > MAX_NAME_BYTES {
+        "a name has at most 128 bytes"
+    } else if name.starts_with(|c: char| c != '_' && !c.is_ascii_alphabetic())
+        || !name.bytes().all(|b| b == b'_' || b == b'-' || b.is_ascii_alphanumeric())
+    {
+        "use ASCII letters, digits, _ and -, a letter or _ first"
+    } else {
+        return Ok(());
+    };
+    Err(AttributeError::Name { name: name.chars().take(MAX_NAME_BYTES).collect(), reason })
+}
+
+fn check_count(attribute: &str, count: usize, expected: usize, of: &'static str) -> Result<(), AttributeError> {
+    if count == expected {
+        return Ok(());
+    }
+    Err(AttributeError::Count { attribute: attribute.to_owned(), count, expected, of })
+}
+
+fn check_finite<T>(attribute: &str, values: &[T], finite: impl Fn(&T) -> bool) -> Result<(), AttributeError> {
+    match values.iter().position(|value| !finite(value)) {
+        None => Ok(()),
+        Some(index) => Err(AttributeError::NonFinite { attribute: attribute.to_owned(), index }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::shapes::Shape;
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let mesh = Shape::Square.build(2);
+        let mut attributes = Attributes::new(&mesh);
+        let short = attributes.set_normals(Normals::PerVertex(vec![DVec3::Z; 3])).unwrap_err();
+        assert!(matches!(short, AttributeError::Count { count: 3, expected: 4, of: "vertices", .. }));
+        let uv = |corners| PerCorner { values: vec![DVec2::ZERO; 2], corners };
+        let few = attributes.set_texture(uv(vec![[0, 1, 1]])).unwrap_err();
+        assert!(matches!(few, AttributeError::Count { count: 1, expected: 2, of: "facets", .. }));
+        let far = attributes.set_texture(uv(vec![[0, 1, 1], [0, 2, 0]])).unwrap_err();
+        assert!(matches!(far, AttributeError::IndexOutOfRange { facet: 1, corner: 1, index: 2, values: 2, .. }));
+        let mut values = vec![[1.0; 4]; 4];
+        values[2][3] = f64::NAN;
+        let nan = attributes.set_colours(Colours { values, depth: ColourDepth::Float }).unwrap_err();
+        assert!(matches!(nan, AttributeError::NonFinite { index: 2, .. }));
+        attributes.add_scalar("a", vec![0.0; 4]).unwrap();
+        for name in ["", "a", "a b", "ä", "1a", "a/b", &"x".repeat(129)] {
+            assert!(matches!(attributes.add_scalar(name, vec![0.0; 4]), Err(AttributeError::Name { .. })), "{name}");
+        }
+        assert!(attributes.check_mesh(&mesh).is_ok());
+        assert!(attributes.check_mesh(&Shape::Plane.build(500)).is_err());
+    }
+
+    #[test]
+    fn normals_become_unit() {
+        let mut attributes = Attributes::new(&Shape::Square.build(2));
+        let given = vec![DVec3::new(0.6, 0.8, 0.0), DVec3::ZERO, DVec3::splat(1e-300), DVec3::new(0.0, 3e300, 4e300)];
+        attributes.set_normals(Normals::PerVertex(given.clone())).unwrap();
+        let Some(Normals::PerVertex(normals)) = attributes.normals() else { panic!("they were given per vertex") };
+        assert_eq!((normals[0], normals[1]), (given[0], DVec3::ZERO));
+        for n in &normals[2..] {
+            assert!((n.length() - 1.0).abs() < 1e-15, "{n}");
+        }
+    }
+
+    #[test]
+    fn corners_that_agree_are_one_per_vertex() {
+        let facets = [[0, 1, 2], [2, 1, 3]];
+        let mut given = PerCorner { values: vec![1.0, 2.0, 3.0, 4.0, 2.0], corners: vec![[0, 1, 2], [2, 4, 3]] };
+        assert_eq!(given.per_vertex(&facets, 5), Some(vec![1.0, 2.0, 3.0, 4.0, 0.0]));
+        given.values[4] = 2.5;
+        assert_eq!(given.per_vertex(&facets, 5), None);
+    }
+}

@@ -1,0 +1,331 @@
+//! The closest point of a surface.
+//!
+//! Purpose: [`ClosestPoint`] finds the point of a surface nearest to a given one, with its facet and barycentric
+//! coordinates.
+//! Invariant: an answer is a point of the surface, is the nearest up to rounding, and among facets at the same distance
+//! names the lowest; it does not depend on the shape of the hierarchy. Facets without area are ignored. Queries are `Sync`.
+//! Must not know: samples, quality.
+
+use glam::DVec3;
+use pulp::Arch;
+use rayon::prelude::*;
+
+use super::TriMesh;
+use super::adjacency::weld;
+use super::bvh::{self, Bvh};
+use super::morton;
+use crate::token::{Pace, Stopped, Token};
+
+/// A point of a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePoint {
+    /// Position, caller's coordinates.
+    pub position: DVec3,
+    /// On which facet.
+    pub facet: u32,
+    /// Barycentric coordinates in it: at least 0, their sum is 1 up to rounding.
+    pub barycentric: [f64; 3],
+}
+
+/// Answers closest-point queries on one surface.
+pub struct ClosestPoint {
+    tree: Bvh,
+    centre: DVec3,
+    scale: f64,
+    positions: Vec<DVec3>,
+    unit: Vec<DVec3>,
+    /// Facets with area, with their numbers in the mesh, neighbours side by side.
+    facets: Vec<([u32; 3], u32)>,
+}
+
+/// The nearest facet so far: squared distance, place in `ClosestPoint::facets`, barycentrics; and how many were looked at.
+#[derive(Clone, Copy)]
+struct Nearest {
+    squared: f64,
+    leaf: u32,
+    barycentric: [f64; 3],
+    visited: usize,
+}
+
+/// So many points are one task.
+const RUN: usize = 256;
+/// A search takes as many steps as it looks at facets, and these.
+const STEPS: usize = 16;
+
+/// Farther away than this many unit boxes, only the direction of a point counts.
+const FAR: f64 = 1e100;
+
+impl ClosestPoint {
+    /// Sorts the facets and puts boxes around them.
+    pub fn new(mesh: &TriMesh) -> Self {
+        let (low, high) = mesh.bounds();
+        let centre = low * 0.5 + high * 0.5;
+        let scale = inverse_power_of_two((high - low).max_element());
+        let unit: Vec<DVec3> = mesh.positions().iter().map(|&p| (p - centre) * scale).collect();
+        let mut facets = distinct_facets(mesh);
+        let corners = |facet: &([u32; 3], u32)| facet.0.map(|v| unit[v as usize]);
+        bvh::arrange(&mut facets, &|facet| corners(facet).iter().sum::<DVec3>() / 3.0);
+        let things: Vec<[DVec3; 3]> = facets.par_iter().map(corners).collect();
+        let tree = Bvh::new(&things);
+        Self { tree, centre, scale, positions: mesh.positions().to_vec(), unit, facets }
+    }
+
+    /// Transforms the coordinates of queries and answers: p becomes p / `scale` + `centre`. The scale is a power of two.
+    pub fn moved(mut self, centre: DVec3, scale: f64) -> Self {
+        self.positions.par_iter_mut().for_each(|p| *p = *p / scale + centre);
+        self.centre = self.centre / scale + centre;
+        self.scale *= scale;
+        self
+    }
+
+    /// The closest point of the surface to `p` (finite); the lowest facet among equals.
+    pub fn project(&self, p: DVec3) -> SurfacePoint {
+        self.on_surface(self.nearest(p, None))
+    }
+
+    /// As [`ClosestPoint::project`], all points at once: they are taken along a curve that fills space, and each
+    /// search begins with the facet that the last one found.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn project_all(&self, points: &[DVec3], token: &Token) -> Result<Vec<SurfacePoint>, Stopped> {
+        self.all(points, token, |nearest| self.on_surface(nearest))
+    }
+
+    /// As [`ClosestPoint::distance`], all points at once; see [`ClosestPoint::project_all`].
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    pub fn distances(&self, points: &[DVec3], token: &Token) -> Result<Vec<f64>, Stopped> {
+        self.all(points, token, |nearest| nearest.squared.sqrt() / self.scale)
+    }
+
+    fn all<T: Send + Clone>(
+        &self,
+        points: &[DVec3],
+        token: &Token,
+        answer: impl Fn(Nearest) -> T + Sync,
+    ) -> Result<Vec<T>, Stopped> {
+        let place = |(i, &p): (usize, &DVec3)| (morton::code(self.to_unit(p)), i);
+        let mut order: Vec<(u64, usize)> = points.par_iter().enumerate().map(place).collect();
+        order.par_sort_unstable();
+        let run = |run: &[(u64, usize)]| {
+            let mut last = None;
+            let mut pace = Pace::default();
+            let mut found = Vec::with_capacity(run.len());
+            // Boxes are compared as many at once as the processor can.
+            Arch::new().dispatch(|| {
+                for &(_, i) in run {
+                    let nearest = self.nearest(points[i], last);
+                    last = Some(nearest.leaf);
+                    found.push((i, answer(nearest)));
+                    // Where facets lie on one another a search may look at all of them.
+                    if token.is_stopped_after(nearest.visited + STEPS, &mut pace) {
+                        return;
+                    }
+                }
+            });
+            found
+        };
+        let runs: Vec<Vec<(usize, T)>> = order.par_chunks(RUN).with_max_len(1).map(run).collect();
+        let mut answers: Vec<Option<T>> = vec![None; points.len()];
+        runs.into_iter().flatten().for_each(|(i, found)| answers[i] = Some(found));
+        token.check()?;
+        Ok(answers.into_iter().flatten().collect())
+    }
+
+    fn on_surface(&self, nearest: Nearest) -> SurfacePoint {
+        let (corners, facet) = self.facets[nearest.leaf as usize];
+        let [a, b, c] = corners.map(|v| self.positions[v as usize]);
+        let [wa, wb, wc] = nearest.barycentric;
+        // Relative to the corner that weighs most, so that a corner is met exactly.
+        let position = if wa >= wb && wa >= wc {
+            a + (b - a) * wb + (c - a) * wc
+        } else if wb >= wc {
+            b + (a - b) * wa + (c - b) * wc
+        } else {
+            c + (a - c) * wa + (b - c) * wb
+        };
+        SurfacePoint { position, facet, barycentric: nearest.barycentric }
+    }
+
+    /// Distance of `p` (finite) from the surface, caller's units.
+    pub fn distance(&self, p: DVec3) -> f64 {
+        self.nearest(p, None).squared.sqrt() / self.scale
+    }
+
+    /// `hint` is a facet that may be near, as its place in `facets`; it does not change the answer.
+    fn nearest(&self, p: DVec3, hint: Option<u32>) -> Nearest {
+        let p = self.to_unit(p);
+        // Boxes and facets round differently: a box is searched although it is farther by this.
+        let slack = 4.0 * f64::EPSILON * (1.0 + p.abs().max_element());
+        let of_facet = |leaf: u32| {
+            let (ids, facet) = self.facets[leaf as usize];
+            let (squared, barycentric) = closest_on_facet(p, ids.map(|v| self.unit[v as usize]), ids);
+            (Nearest { squared, leaf, barycentric, visited: 0 }, facet)
+        };
+        let none = (Nearest { squared: f64::INFINITY, leaf: 0, barycentric: [1.0, 0.0, 0.0], visited: 0 }, u32::MAX);
+        let mut best = hint.map_or(none, of_facet);
+        let mut visited = 0;
+        self.tree.nearest(p, slack, best.0.squared, |leaf| {
+            visited += 1;
+            let here = of_facet(leaf as u32);
+            if here.0.squared < best.0.squared || (here.0.squared == best.0.squared && here.1 < best.1) {
+                best = here;
+            }
+            best.0.squared
+        });
+        Nearest { visited, ..best.0 }
+    }
+
+    fn to_unit(&self, p: DVec3) -> DVec3 {
+        // Halves first: the difference of two large numbers may overflow where its half does not.
+        let half = p * 0.5 - self.centre * 0.5;
+        let p = half * self.scale * 2.0;
+        let size = p.abs().max_element();
+        if size < FAR {
+            return p;
+        }
+        let direction = half / half.abs().max_element();
+        if direction.is_finite() { direction * FAR } else { DVec3::ZERO }
+    }
+}
+
+/// 2^-k with the largest k for which `extent * 2^-k` is at least 1/2; 1 for 0. Within 2^±1000.
+fn inverse_power_of_two(extent: f64) -> f64 {
+    let exponent = ((extent.to_bits() >> 52) & 0x7ff) as i64 - 1023;
+    let k = if extent > 0.0 { (-exponent - 1).clamp(-1000, 1000) } else { 0 };
+    f64::from_bits(((1023 + k) as u64) << 52)
+}
+
+/// Facets with area; of coincident ones the lowest. A thousand coincident facets would all be nearest, and every query would
+/// have to visit all of them.
+fn distinct_facets(mesh: &TriMesh) -> Vec<([u32; 3], u32)> {
+    let representative = weld(mesh);
+    let place = |f: usize| {
+        let mut place = mesh.facets()[f].map(|v| representative[v as usize]);
+        place.sort_unstable();
+        place
+    };
+    let solid = || (0..mesh.facets().len()).filter(|&f| !mesh.is_degenerate(f));
+    // Side by side by their lowest vertex, of each the lowest facet first.
+    let mut first = vec![0u32; mesh.positions().len() + 1];
+    solid().for_each(|f| first[place(f)[0] as usize + 1] += 1);
+    (1..first.len()).for_each(|v| first[v] += first[v - 1]);
+    let mut next = first.clone();
+    let mut others = vec![([0; 2], 0); first[first.len() - 1] as usize];
+    for f in solid() {
+        let [lowest, rest @ ..] = place(f);
+        let at = &mut next[lowest as usize];
+        others[*at as usize] = (rest, f as u32);
+        *at += 1;
+    }
+    let mut again = vec![false; mesh.facets().len()];
+    let mut rest = others.as_mut_slice();
+    for range in first.windows(2) {
+        let (here, after) = rest.split_at_mut((range[1] - range[0]) as usize);
+        rest = after;
+        here.sort_unstable();
+        here.windows(2).filter(|two| two[0].0 == two[1].0).for_each(|two| again[two[1].1 as usize] = true);
+    }
+    solid().filter(|&f| !again[f]).map(|f| (mesh.facets()[f], f as u32)).collect()
+}
+
+/// A barycentric coordinate is off by a few roundings times the product of the lengths that it was computed from, by
+/// the facet's area. While that is less than the root of the first it is less than the second, and says on which side of
+/// an edge a point is.
+const SURE: f64 = 1e16;
+const SEEN: f64 = 1e-6;
+
+/// Squared distance of `p` from a facet and the barycentric coordinates of its nearest point. Coordinates
+/// are to be of the order of 1.
+pub fn closest_on_facet(p: DVec3, [a, b, c]: [DVec3; 3], ids: [u32; 3]) -> (f64, [f64; 3]) {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let normal = ab.cross(ac);
+    let whole = normal.length_squared();
+    let (v, w) = (ap.cross(ac).dot(normal), ab.cross(ap).dot(normal));
+    if v >= 0.0 && w >= 0.0 && v + w <= whole && whole > 0.0 {
+        let (v, w) = (v / whole, w / whole);
+        return ((ap - ab * v - ac * w).length_squared(), [(1.0 - v - w).max(0.0), v, w]);
+    }
+    // Outside: the nearest of the edges that can be seen from there; of all three where rounding hides which these are.
+    let corners = [a, b, c];
+    let sure = ap.length_squared() * (ab.length_squared() + ac.length_squared()) <= SURE * whole;
+    let seen = |side: f64| !sure || side <= SEEN * whole;
+    let mut best = (f64::INFINITY, [1.0, 0.0, 0.0]);
+    for (i, j, side) in [(0, 1, w), (1, 2, whole - v - w), (2, 0, v)] {
+        if !seen(side) {
+            continue;
+        }
+        // From the lower vertex, so that both facets of an edge compute the same bits.
+        let (i, j) = if ids[i] <= ids[j] { (i, j) } else { (j, i) };
+        let (from, along) = (corners[i], corners[j] - corners[i]);
+        let length = along.length_squared();
+        let t = if length > 0.0 { ((p - from).dot(along) / length).clamp(0.0, 1.0) } else { 0.0 };
+        let apart = if t == 1.0 { p - corners[j] } else { p - from - along * t };
+        let squared = apart.length_squared();
+        if squared < best.0 {
+            let mut barycentric = [0.0; 3];
+            barycentric[i] = 1.0 - t;
+            barycentric[j] = t;
+            best = (squared, barycentric);
+        }
+    }
+    best
+}
+
+/// Distance of a point from a segment.
+pub fn distance_to_segment(p: DVec3, [a, b]: [DVec3; 2]) -> f64 {
+    let along = b - a;
+    let squared = along.length_squared();
+    let t = if squared > 0.0 { ((p - a).dot(along) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    p.distance(a + t * along)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::shapes::Shape;
+
+    #[test]
+    fn a_moved_surface_answers_as_one_that_was_there() {
+        let mesh = Shape::Torus.build(2000);
+        let (centre, scale) = (DVec3::new(3.0, -1.0, 0.5), 0.25);
+        let there = mesh.positions().iter().map(|&p| p / scale + centre).collect();
+        let there = ClosestPoint::new(&TriMesh::new(there, mesh.facets().to_vec()).unwrap());
+        let moved = ClosestPoint::new(&mesh).moved(centre, scale);
+        for k in 1..500 {
+            let p = 4.0 * DVec3::new(f64::from(k).sin(), f64::from(3 * k).cos(), f64::from(k * k).sin()) + centre;
+            let (want, got) = (there.project(p), moved.project(p));
+            // Coordinates up to 10.
+            assert!(want.position.distance(got.position) < 1e-13 && want.facet == got.facet, "{k}: {got:?}, {want:?}");
+            assert!((there.distance(p) - moved.distance(p)).abs() < 1e-13);
+        }
+    }
+
+    #[test]
+    fn edges_that_cannot_be_seen_are_not_the_nearest() {
+        let number = |k: u32| f64::from(k.wrapping_mul(2_654_435_761) >> 8) / f64::from(1 << 24) - 0.5;
+        let point = |k: u32| DVec3::new(number(3 * k), number(3 * k + 1), number(3 * k + 2));
+        let to_segment = |p: DVec3, a: DVec3, b: DVec3| {
+            let t = ((p - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
+            p.distance(a + t * (b - a))
+        };
+        for k in 0..20_000 {
+            let (a, b) = (point(4 * k), point(4 * k + 1));
+            // One in three is a sliver, flatter and flatter.
+            let flat = if k % 3 == 0 { 10f64.powi(-(k as i32 % 17)) } else { 1.0 };
+            let c = a.lerp(b, number(7 * k) + 0.5) + flat * point(4 * k + 2);
+            let p = 2.0 * point(4 * k + 3);
+            let (squared, weights) = closest_on_facet(p, [a, b, c], [0, 1, 2]);
+            let place = weights[0] * a + weights[1] * b + weights[2] * c;
+            assert!((place.distance(p) - squared.sqrt()).abs() < 1e-9, "{k}");
+            let to_edges = to_segment(p, a, b).min(to_segment(p, b, c)).min(to_segment(p, c, a));
+            // No farther than the edges, and as far where it is not within: coordinates are of the order of 1.
+            assert!(squared.sqrt() < to_edges + 1e-12, "{k}: {} of {to_edges}", squared.sqrt());
+            if weights.contains(&0.0) {
+                assert!((squared.sqrt() - to_edges).abs() < 1e-9, "{k}: {} of {to_edges}", squared.sqrt());
+            }
+        }
+    }
+}

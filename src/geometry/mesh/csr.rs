@@ -1,0 +1,107 @@
+//! Compressed sparse rows (CSR).
+//!
+//! Purpose: [`Csr`] holds a list for each row in two flat arrays. The row is a vertex in most uses: the facets of its
+//! one-ring ([`Csr::one_rings`]), samples that belong to it ([`Csr::group`]).
+//! Invariant: the items of a row keep their order, for any number of threads.
+//! Must not know: the items.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+/// Items per parallel task.
+const ITEMS_PER_TASK: usize = 1024;
+
+/// See the module's head.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Csr<T> {
+    /// Where each row begins in `items`; and their number.
+    first: Vec<u32>,
+    items: Vec<T>,
+}
+
+/// A counting sort: where each row begins, and the numbers of the items, row by row. Item `k` belongs to the `k`-th of `owners`; an
+/// owner that is not below `rows` has no row, and its item is left out.
+fn sorted(rows: usize, owners: impl Iterator<Item = u32> + Clone) -> (Vec<u32>, Vec<u32>) {
+    let mut first = vec![0u32; rows + 1];
+    let known = || (0u32..).zip(owners.clone()).filter(|(_, row)| (*row as usize) < rows);
+    known().for_each(|(_, row)| first[row as usize + 1] += 1);
+    (0..rows).for_each(|row| first[row + 1] += first[row]);
+    let mut next = first.clone();
+    let mut order = vec![0u32; first[rows] as usize];
+    for (item, row) in known() {
+        order[next[row as usize] as usize] = item;
+        next[row as usize] += 1;
+    }
+    (first, order)
+}
+
+impl Csr<u32> {
+    /// The facets around each vertex, ascending.
+    pub(crate) fn one_rings(vertices: usize, facets: &[[u32; 3]]) -> Self {
+        let (first, corners) = sorted(vertices, facets.as_flattened().iter().copied());
+        Self { first, items: corners.into_iter().map(|corner| corner / 3).collect() }
+    }
+}
+
+impl<T: Send> Csr<T> {
+    /// Item `k` belongs to row `owners[k]` and is made by `make(k)`. Owners that are not below `rows` get no item.
+    pub(crate) fn group(rows: usize, owners: &[u32], make: impl Fn(usize) -> T + Sync) -> Self {
+        let (first, order) = sorted(rows, owners.iter().copied());
+        let items = order.par_iter().with_min_len(ITEMS_PER_TASK).map(|&k| make(k as usize)).collect();
+        Self { first, items }
+    }
+}
+
+impl<T: Copy> Csr<T> {
+    /// Items with the row of each.
+    pub(crate) fn from_pairs(rows: usize, pairs: &[(u32, T)]) -> Self {
+        let (first, order) = sorted(rows, pairs.iter().map(|pair| pair.0));
+        Self { first, items: order.into_iter().map(|k| pairs[k as usize].1).collect() }
+    }
+}
+
+impl<T> Csr<T> {
+    /// The items of a row.
+    pub(crate) fn of(&self, row: u32) -> &[T] {
+        &self.items[self.range(row)]
+    }
+
+    /// Where the items of a row are among [`Self::all`].
+    pub(crate) fn range(&self, row: u32) -> Range<usize> {
+        self.first[row as usize] as usize..self.first[row as usize + 1] as usize
+    }
+
+    /// All items, row by row.
+    pub(crate) fn all(&self) -> &[T] {
+        &self.items
+    }
+
+    /// All items, mutable.
+    pub(crate) fn all_mut(&mut self) -> &mut [T] {
+        &mut self.items
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn items_keep_the_order_in_which_they_came() {
+        let lists = Csr::group(3, &[2, 0, 2, u32::MAX, 0], |k| 10 * k);
+        assert_eq!([0, 1, 2].map(|row| lists.of(row).to_vec()), [vec![10, 40], vec![], vec![0, 20]]);
+        assert_eq!((lists.range(2), lists.all()), (2..4, [10, 40, 0, 20].as_slice()));
+        let pairs = Csr::from_pairs(3, &[(2, 'a'), (0, 'b'), (2, 'c')]);
+        assert_eq!([0, 1, 2].map(|row| pairs.of(row).to_vec()), [vec!['b'], vec![], vec!['a', 'c']]);
+    }
+
+    #[test]
+    fn facets_of_a_one_ring_ascend() {
+        let rings = Csr::one_rings(5, &[[0, 1, 2], [2, 1, 3], [0, 2, 3]]);
+        assert_eq!(
+            [0, 1, 2, 3, 4].map(|v| rings.of(v).to_vec()),
+            [vec![0, 2], vec![0, 1], vec![0, 1, 2], vec![1, 2], vec![]]
+        );
+    }
+}

@@ -1,0 +1,300 @@
+//! Curves that a remesh keeps: boundaries and creases.
+//!
+//! Purpose: [`Features::find`] collects the edges that are a boundary, whose dihedral angle exceeds a threshold, or that the
+//! caller named; [`graph`] removes features too short for a remesh, which are noise on scans; [`chains`] joins the rest to
+//! curves between corners.
+//! Invariant: a curve is a chain of mesh edges through welded vertices, simple inside, either closed or between two corners.
+//! A boundary is never removed. Depends on the mesh and the options alone.
+//! Must not know: seeds, diagrams.
+
+mod chains;
+mod close_corners;
+mod graph;
+mod ridges;
+
+use std::collections::HashSet;
+
+use glam::DVec3;
+
+use super::TriMesh;
+use super::adjacency::{Adjacency, EdgeKind, weld};
+use super::disjoint::DisjointSets;
+use super::edges::{EdgeGroups, Half, undirected};
+use crate::token::{Stopped, Token};
+use close_corners::CornerMerge;
+use graph::{EdgeInfo, Graph};
+use ridges::DihedralAngles;
+
+/// The criteria for features. [`Default`] is boundaries alone. Lengths are in the frame of the positions.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FeatureOptions {
+    /// Edges whose facets' normals differ by more than this are creases, degrees; 0 finds none.
+    pub crease_angle_deg: f64,
+    /// Edges that are creases whatever their angle: two vertices each.
+    pub given_creases: Vec<[u32; 2]>,
+    /// Shortest crease found by angle with a free end; shorter ones are removed. A connected network of creases is removed
+    /// if its total length is below twice this, or if its curves are much shorter on average.
+    pub min_crease_length: f64,
+    /// The turning angle of a curve at a vertex is measured over this length on either side.
+    pub turn_reach: f64,
+    /// An edge of at least half the crease angle is a crease too if no edge within this length beside it has nearly its angle,
+    /// and if it continues a crease, connects two, or is part of a long ridge. 0 finds none.
+    pub ridge_clearance: f64,
+    /// Two corners that are connected by a boundary shorter than this become one, if the curves hardly change. 0 merges none.
+    pub merge_length: f64,
+    /// How fine the remesh is to be at each vertex, at least 0: lengths are multiplied by it, since they count edges of the
+    /// remesh. 1 everywhere if empty.
+    pub resolution: Vec<f64>,
+}
+
+/// Curves may change by merging corners if chords as long as [`FeatureOptions::turn_reach`] leave them by less than this share
+/// of it, about as far as chords leave a smooth curve.
+const MERGE_DEVIATION: f64 = 0.1;
+
+/// The kind of a curve.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum CurveKind {
+    /// Edges with one facet.
+    Boundary,
+    /// Edges with a large dihedral angle, and edges that the caller named.
+    Crease,
+}
+
+/// A chain of edges.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curve {
+    /// Its kind.
+    pub kind: CurveKind,
+    /// Mesh vertices, in order. A closed curve does not repeat its first vertex.
+    pub vertices: Vec<u32>,
+    /// Whether the last vertex joins the first. Otherwise both ends are corners.
+    pub closed: bool,
+    /// Mean dihedral angle of its edges, degrees; 180 for a boundary and for edges that the caller named.
+    pub angle_deg: f64,
+    /// Mean angles of its first and its last edges.
+    pub ends_deg: [f64; 2],
+}
+
+/// The curves of a surface.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Features {
+    /// Ordered by their first vertices.
+    pub curves: Vec<Curve>,
+    /// Vertices where curves end or meet, ascending.
+    pub corners: Vec<u32>,
+    /// Edges above the crease angle that were left out, as their crease is too short.
+    pub left_out: usize,
+    /// Corners that were merged into others ([`FeatureOptions::merge_length`]).
+    pub joined: usize,
+}
+
+/// Why given creases were refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FeatureError {
+    /// A pair of vertices is no edge of the surface.
+    #[error("crease {crease} names vertices {a} and {b}, which no facet joins; name the two ends of a mesh edge")]
+    NoSuchEdge {
+        /// Its place in the list, from 0.
+        crease: usize,
+        /// First vertex.
+        a: u32,
+        /// Second vertex.
+        b: u32,
+    },
+    /// The angle makes no sense.
+    #[error("the crease angle is {0}°; give 0 (no creases) to 180")]
+    BadAngle(f64),
+    /// The caller asked to stop, or a limit was reached.
+    #[error(transparent)]
+    Stopped(#[from] Stopped),
+}
+
+type Edge = [u32; 2];
+/// An edge and its dihedral angle, degrees.
+type SharpEdge = (Edge, f64);
+
+/// Lengths, multiplied by [`FeatureOptions::resolution`].
+#[derive(Clone, Copy)]
+struct Metric<'a> {
+    positions: &'a [DVec3],
+    resolution: &'a [f64],
+}
+
+impl Metric<'_> {
+    fn resolution(&self, v: u32) -> f64 {
+        self.resolution.get(v as usize).copied().unwrap_or(1.0)
+    }
+
+    fn at(&self, v: u32) -> DVec3 {
+        self.positions[v as usize]
+    }
+
+    /// Of an edge.
+    fn edge(&self, a: u32, b: u32) -> f64 {
+        self.at(a).distance(self.at(b)) * (0.5 * (self.resolution(a) + self.resolution(b)))
+    }
+
+    /// Of a chain of edges.
+    fn chain(&self, chain: &[u32]) -> f64 {
+        chain.windows(2).map(|p| self.edge(p[0], p[1])).sum()
+    }
+}
+
+fn edge(a: u32, b: u32) -> Edge {
+    [a.min(b), a.max(b)]
+}
+
+impl Features {
+    /// Finds the curves of `mesh`. `positions` are its vertices in the frame in which lengths are meant.
+    ///
+    /// # Errors
+    /// [`FeatureError`].
+    pub fn find(
+        mesh: &TriMesh,
+        positions: &[DVec3],
+        options: &FeatureOptions,
+        token: &Token,
+    ) -> Result<Self, FeatureError> {
+        if !(0.0..=180.0).contains(&options.crease_angle_deg) {
+            return Err(FeatureError::BadAngle(options.crease_angle_deg));
+        }
+        let adjacency = Adjacency::new(mesh);
+        token.check()?;
+        let class = adjacency.representative();
+        let metric = Metric { positions, resolution: &options.resolution };
+        let angles = DihedralAngles::new(mesh, metric, &adjacency);
+        token.check()?;
+        let (sharp, boundary) = classify(mesh, &angles, &adjacency, options.crease_angle_deg, token)?;
+        token.check()?;
+        let mut graph = Graph::default();
+        let required = |kind| EdgeInfo { kind, required: true, angle: 180.0 };
+        for (k, &e) in boundary.iter().enumerate() {
+            token.check_at(k)?;
+            graph.insert(e, required(CurveKind::Boundary));
+        }
+        let edges = (!options.given_creases.is_empty()).then(|| all_edges(mesh, &adjacency)).into_iter().flatten();
+        let known: std::collections::HashSet<Edge> = edges.collect();
+        for (crease, &[a, b]) in options.given_creases.iter().enumerate() {
+            token.check_at(crease)?;
+            let welded = |v: u32| class.get(v as usize).copied();
+            match (welded(a), welded(b)) {
+                (Some(p), Some(q)) if known.contains(&edge(p, q)) => {
+                    graph.insert(edge(p, q), required(CurveKind::Crease))
+                }
+                _ => return Err(FeatureError::NoSuchEdge { crease, a, b }),
+            }
+        }
+        for (k, &(e, angle)) in sharp.iter().enumerate() {
+            token.check_at(k)?;
+            graph.insert(e, EdgeInfo { kind: CurveKind::Crease, required: false, angle });
+        }
+        let left_out = graph.prune(metric, options.min_crease_length, token)?;
+        if options.ridge_clearance > 0.0 && options.crease_angle_deg > 0.0 {
+            angles.add_ridges(
+                &mut graph,
+                options.crease_angle_deg,
+                (options.ridge_clearance, options.min_crease_length),
+                token,
+            )?;
+        }
+        let merge = CornerMerge {
+            length: options.merge_length,
+            reach: options.turn_reach,
+            off: MERGE_DEVIATION * options.turn_reach,
+        };
+        let (curves, corners, joined) = chains::curves(&graph, metric, merge, token)?;
+        Ok(Self { curves, corners, left_out, joined })
+    }
+
+    /// Checks that an angle makes sense and that `given` edges are there.
+    ///
+    /// # Errors
+    /// [`FeatureError::NoSuchEdge`].
+    pub fn check(mesh: &TriMesh, crease_angle_deg: f64, given: &[[u32; 2]], token: &Token) -> Result<(), FeatureError> {
+        if !(0.0..=180.0).contains(&crease_angle_deg) {
+            return Err(FeatureError::BadAngle(crease_angle_deg));
+        }
+        if given.is_empty() {
+            return Ok(());
+        }
+        let options = FeatureOptions { given_creases: given.to_vec(), ..FeatureOptions::default() };
+        Self::find(mesh, mesh.positions(), &options, token).map(|_| ())
+    }
+
+    /// Keeps the curves that `keep` accepts, and their corners.
+    pub fn retain(&mut self, mut keep: impl FnMut(usize, &Curve) -> bool) {
+        let mut number = 0;
+        self.curves.retain(|c| {
+            number += 1;
+            keep(number - 1, c)
+        });
+        let ends: std::collections::BTreeSet<u32> = self
+            .curves
+            .iter()
+            .filter(|c| !c.closed)
+            .flat_map(|c| [c.vertices[0], c.vertices[c.vertices.len() - 1]])
+            .collect();
+        self.corners.retain(|v| ends.contains(v));
+    }
+
+    /// For each facet of `mesh` the number of its region: curves separate regions.
+    pub fn regions(&self, mesh: &TriMesh) -> Vec<u32> {
+        let class = weld(mesh);
+        let welded = |t: &[u32; 3]| t.map(|v| class[v as usize]);
+        let mut curves = HashSet::new();
+        for c in &self.curves {
+            let ends = c.vertices.windows(2).map(|w| [w[0], w[1]]);
+            let last = if c.closed { c.vertices.last().map(|&v| [v, c.vertices[0]]) } else { None };
+            curves.extend(ends.chain(last).map(|e| undirected(e.map(|v| class[v as usize]))));
+        }
+        let mut regions = DisjointSets::new(mesh.facets().len());
+        let facets = mesh.facets().iter().map(welded).enumerate();
+        EdgeGroups::new(class.len(), facets).for_each(|_, halves| {
+            let Some(&Half { facet, side }) = halves.first() else { return };
+            let t = welded(&mesh.facets()[facet as usize]);
+            if !curves.contains(&undirected([t[side], t[(side + 1) % 3]])) {
+                halves.windows(2).for_each(|pair| regions.join(pair[0].facet as usize, pair[1].facet as usize));
+            }
+        });
+        (0..regions.len()).map(|f| regions.root(f) as u32).collect()
+    }
+}
+
+impl Curve {
+    /// Its vertices in order, a closed curve's first one again at the end.
+    pub fn round(&self) -> impl Iterator<Item = u32> + '_ {
+        self.vertices.iter().copied().chain(self.closed.then(|| self.vertices[0]))
+    }
+}
+
+fn all_edges<'a>(mesh: &'a TriMesh, adjacency: &'a Adjacency) -> impl Iterator<Item = Edge> + 'a {
+    let class = adjacency.representative();
+    (0..3 * mesh.facets().len()).map(move |half| {
+        let corners = mesh.facets()[half / 3];
+        edge(class[corners[half % 3] as usize], class[corners[(half + 1) % 3] as usize])
+    })
+}
+
+/// Edges whose dihedral angle exceeds `angle` degrees, with their angles, and boundary edges; both ascending.
+fn classify(
+    mesh: &TriMesh,
+    angles: &DihedralAngles<'_>,
+    adjacency: &Adjacency,
+    angle: f64,
+    token: &Token,
+) -> Result<(Vec<SharpEdge>, Vec<Edge>), Stopped> {
+    let (mut sharp, mut boundary) = (Vec::new(), Vec::new());
+    for (half, e) in all_edges(mesh, adjacency).enumerate() {
+        token.check_at(half)?;
+        match (adjacency.kind(half), adjacency.opposite(half)) {
+            (EdgeKind::Boundary, _) => boundary.push(e),
+            (_, Some(other)) if angle > 0.0 && half < other => {
+                sharp.extend(angles.at(half).filter(|&bend| bend > angle).map(|bend| (e, bend)));
+            }
+            _ => {}
+        }
+    }
+    sharp.sort_unstable_by_key(|b| b.0);
+    boundary.sort_unstable();
+    Ok((sharp, boundary))
+}

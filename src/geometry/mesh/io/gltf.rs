@@ -1,0 +1,619 @@
+//! The format glTF 2.0: `.glb`, and `.gltf` with its data inside. Writes single precision.
+//!
+//! Purpose: the triangles, strips and fans of all nodes of the scene, in their places, with normals, texture coordinates and
+//! colours of vertices. A glTF has a vertex once for each normal and each place in the texture: vertices of a primitive with the
+//! same bits of position and colour become one, and corners keep the rest. The second texture coordinate goes up here, and down
+//! in a glTF. Materials, images, skins and animations are left aside.
+//! Why the reading is our own, over `serde_json`: in the crate `gltf` (1.4.1, of 2024) an accessor with a stride below its
+//! elements' size, or with indices that are fractions, panics in release builds, a count of 0 or 2⁶² in debug builds; and its
+//! documents hold the places of nodes in single precision, which tears scenes far from the origin.
+//! Invariant: what is made of the file's bytes is bounded ([`super::UNPACKED_RATIO`]), however often nodes name a mesh; the JSON
+//! becomes lists of numbers that are bounded by its length ([`document`]). Must not know: other formats.
+
+mod document;
+
+use std::borrow::Cow;
+use std::collections::{HashMap, HashSet};
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use glam::{DMat4, DVec2, DVec3};
+use rayon::prelude::*;
+
+use self::document::{Accessor, Document, Primitive, Text};
+use super::held::{By, Held, Holds, eight_bit};
+use super::numbers::{Kind, Order};
+use super::single;
+use super::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
+use crate::mesh::TriMesh;
+use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner};
+
+const HOLDS: Holds = Holds { normals: By::Corner, texture: By::Corner, colours: true, opacity: true, scalars: false };
+
+/// See [`Codec`].
+pub(super) const BINARY: Codec = Codec {
+    extension: "glb",
+    decode: decode_binary,
+    encode: encode_binary,
+    counts: |bytes| parts(bytes).ok().and_then(|(json, binary)| counts(json, binary, bytes.len())),
+    holds: HOLDS,
+    vertices: VertexNumbers::Absent,
+};
+
+/// See [`Codec`].
+pub(super) const TEXT: Codec = Codec {
+    extension: "gltf",
+    decode: decode_text,
+    encode: encode_text,
+    counts: |bytes| counts(bytes, None, bytes.len()),
+    holds: HOLDS,
+    vertices: VertexNumbers::Absent,
+};
+
+const MAGIC: &[u8] = b"glTF";
+const JSON: u32 = 0x4e4f_534a;
+const BIN: u32 = 0x004e_4942;
+
+fn decode_binary(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+    let (json, binary) = parts(bytes)?;
+    surface(json, binary, bytes.len(), wanted)
+}
+
+fn decode_text(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+    surface(bytes, None, bytes.len(), wanted)
+}
+
+/// What the nodes say that they have: no number of an accessor is read.
+fn counts(json: &[u8], binary: Option<&[u8]>, length: usize) -> Option<Counts> {
+    let document = Document::read(json).ok()?;
+    // Buffers are decoded from base64.
+    let decoded = document.buffers.iter().filter_map(|buffer| buffer.uri.as_ref()).map(|Text(uri)| uri.len() / 4 * 3);
+    let read = document.bytes().saturating_add(decoded.sum());
+    let mut counts = Counts::default();
+    let most = unpacked_limit(length) as u64;
+    // An element has a byte at the least.
+    let there = (json.len() + binary.map_or(0, <[u8]>::len)) as u64;
+    let count = |accessor: usize| {
+        document.accessors.get(accessor).map(|a| a.count as u64).filter(|count| (1..=there).contains(count))
+    };
+    nodes(&document, length, |primitive, _| {
+        let (4..=6, Some(position)) = (primitive.mode, primitive.position()) else { return Ok(()) };
+        let vertices = count(position).ok_or(DataError::Empty)?;
+        let corners = primitive.indices().map_or(Some(vertices), count).ok_or(DataError::Empty)?;
+        let facets = if primitive.mode == 4 { corners / 3 } else { corners.saturating_sub(2) };
+        counts.vertices += vertices;
+        counts.facets += facets;
+        // Numbers of vertices, as they are read and as they are kept, and of corners, and what corners carry.
+        let numbers = [(primitive.normal(), 3), (primitive.texture(), 2), (primitive.colour(), 4)];
+        let numbers = 3 + numbers.iter().filter(|(name, _)| name.is_some()).map(|(_, n)| n).sum::<u64>();
+        counts.made_bytes += (16 * numbers + 8) * vertices + 12 * corners + 48 * facets;
+        // What reading refuses ends here too.
+        if counts.made_bytes > most.saturating_mul(2) { Err(DataError::Empty) } else { Ok(()) }
+    })
+    .ok()?;
+    counts.made_bytes = counts.made_bytes.saturating_add(read as u64);
+    Some(counts)
+}
+
+/// The surface of a file of so many bytes.
+fn surface(json: &[u8], binary: Option<&[u8]>, length: usize, wanted: bool) -> Result<Soup, DataError> {
+    let document = Document::read(json)?;
+    let buffers = buffers(&document, binary)?;
+    let mut reader = Reader {
+        document: &document,
+        buffers,
+        left: unpacked_limit(length),
+        wanted,
+        soup: Soup::default(),
+        normals: PerCorner { values: Vec::new(), corners: Vec::new() },
+        texture: PerCorner { values: Vec::new(), corners: Vec::new() },
+        colours: Vec::new(),
+        eight: true,
+        found: [false; 3],
+        told: HashSet::new(),
+    };
+    nodes(&document, length, |primitive, place| reader.primitive(primitive, place))?;
+    Ok(reader.finish())
+}
+
+/// JSON, and the binary part if there is one.
+fn parts(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), DataError> {
+    let Some(rest) = bytes.strip_prefix(MAGIC) else {
+        return Err(DataError::Header("it does not begin with \"glTF\"; name text .gltf".to_owned()));
+    };
+    let short = || DataError::Truncated("it ends inside the header".to_owned());
+    let word = |rest: &mut &[u8]| -> Result<u32, DataError> {
+        let (word, after) = rest.split_first_chunk::<4>().ok_or_else(short)?;
+        *rest = after;
+        Ok(u32::from_le_bytes(*word))
+    };
+    let mut rest = rest;
+    let (version, length) = (word(&mut rest)?, word(&mut rest)? as usize);
+    if version != 2 {
+        return Err(DataError::Header(format!("version {version} of glTF is not read; export it as 2")));
+    }
+    let there = bytes.len();
+    if length > there {
+        return Err(DataError::Truncated(format!("{length} bytes are declared and {there} are there")));
+    }
+    let (mut json, mut binary) = (None, None);
+    while rest.len() >= 8 {
+        let (length, kind) = (word(&mut rest)? as usize, word(&mut rest)?);
+        let (chunk, after) = rest.split_at_checked(length).ok_or_else(short)?;
+        match kind {
+            JSON if json.is_none() => json = Some(chunk),
+            BIN if binary.is_none() => binary = Some(chunk),
+            _ => {}
+        }
+        rest = after;
+    }
+    Ok((json.ok_or_else(short)?, binary))
+}
+
+fn buffers<'a>(document: &Document<'_>, binary: Option<&'a [u8]>) -> Result<Vec<Cow<'a, [u8]>>, DataError> {
+    let buffer = |(index, buffer): (usize, &document::Buffer<'_>)| {
+        let wrong = |message: String| DataError::Element { element: "buffer", index, message };
+        match &buffer.uri {
+            None if index == 0 => Ok(binary.unwrap_or_default().into()),
+            None => Err(wrong("it has no data".to_owned())),
+            Some(Text(uri)) if uri.starts_with("data:") => {
+                let text = uri.split_once(";base64,").map(|(_, text)| text);
+                let text = text.ok_or_else(|| wrong("its data are not in base64".to_owned()))?;
+                Ok(STANDARD.decode(text).map_err(|error| wrong(error.to_string()))?.into())
+            }
+            Some(_) => Err(wrong("its data are in another file; export it as .glb".to_owned())),
+        }
+    };
+    document.buffers.iter().enumerate().map(buffer).collect()
+}
+
+/// Ancestors of a node with further children to visit, at most. A place takes 128 bytes.
+const DEEPEST: usize = 10_000;
+
+/// All primitives of the scene of a file of so many bytes, in their places.
+fn nodes(
+    document: &Document<'_>,
+    length: usize,
+    mut visit: impl FnMut(&Primitive, DMat4) -> Result<(), DataError>,
+) -> Result<(), DataError> {
+    // Of primitives without triangles too, which take time and no memory.
+    let mut left = length.saturating_mul(8).saturating_add(1 << 20);
+    let roots = document.roots();
+    let mut open = vec![(roots.as_slice(), DMat4::IDENTITY)];
+    let mut seen = vec![false; document.nodes()];
+    while let Some((rest, parent)) = open.pop() {
+        let Some((&index, rest)) = rest.split_first() else { continue };
+        if !rest.is_empty() {
+            open.push((rest, parent));
+        }
+        let index = index as usize;
+        let wrong = |message: &str| DataError::Element { element: "node", index, message: message.to_owned() };
+        let seen = seen.get_mut(index).ok_or_else(|| wrong("it is named, and there is none"))?;
+        if std::mem::replace(seen, true) {
+            return Err(wrong("it has two parents"));
+        }
+        let place = parent * document.place(index);
+        if let Some(mesh) = document.mesh(index) {
+            let primitives = document.primitives(mesh).ok_or_else(|| wrong("its mesh is not there"))?;
+            left = left.checked_sub(primitives.len()).ok_or_else(repeated)?;
+            primitives.iter().try_for_each(|primitive| visit(primitive, place))?;
+        }
+        if open.len() > DEEPEST {
+            return Err(wrong("nodes are nested too deep; export the scene flat"));
+        }
+        open.push((document.children(index), place));
+    }
+    Ok(())
+}
+
+fn repeated() -> DataError {
+    DataError::Header("its nodes repeat more than a file of this size may; write .ply or .obj".to_owned())
+}
+
+struct Reader<'a> {
+    document: &'a Document<'a>,
+    buffers: Vec<Cow<'a, [u8]>>,
+    /// Bytes that may still be made.
+    left: usize,
+    wanted: bool,
+    soup: Soup,
+    normals: PerCorner<DVec3>,
+    texture: PerCorner<DVec2>,
+    colours: Vec<[f64; 4]>,
+    /// Whether all colours came in bytes.
+    eight: bool,
+    /// Whether there are normals, texture coordinates, colours at all.
+    found: [bool; 3],
+    /// Accessors that were left aside.
+    told: HashSet<usize>,
+}
+
+impl Reader<'_> {
+    fn primitive(&mut self, primitive: &Primitive, place: DMat4) -> Result<(), DataError> {
+        let mode = primitive.mode;
+        let (4..=6, Some(position)) = (mode, primitive.position()) else { return Ok(()) };
+        let positions = self.numbers(position, 3)?;
+        let count = positions.len() / 3;
+        let order: Option<Vec<u32>> = match primitive.indices() {
+            Some(indices) => {
+                let corner = |x: f64| (0.0..count as f64).contains(&x).then_some(x as u32);
+                self.numbers(indices, 1)?.into_iter().map(corner).collect()
+            }
+            None => {
+                self.spend(count.saturating_mul(8))?;
+                Some((0..count as u32).collect())
+            }
+        };
+        let order = order.ok_or_else(|| DataError::Element {
+            element: "accessor",
+            index: primitive.indices().unwrap_or(position),
+            message: format!("a vertex is named, but there are {count} vertices, counted from 0"),
+        })?;
+        let mirrored = place.determinant() < 0.0;
+        let facets: Vec<[u32; 3]> = match mode {
+            4 => order.as_chunks::<3>().0.to_vec(),
+            5 => order
+                .windows(3)
+                .enumerate()
+                .map(|(k, t)| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] })
+                .collect(),
+            _ => order.get(1..).unwrap_or_default().windows(2).map(|t| [order[0], t[0], t[1]]).collect(),
+        };
+        // Of each facet three arrays of corners.
+        self.spend(facets.len().saturating_mul(36).saturating_add(count.saturating_mul(24)))?;
+
+        // Read even if nobody wants them: colours part vertices, and all count against the bound.
+        let [normals, texture, colours] = [
+            self.carried(primitive.normal(), count, 3..=3),
+            self.carried(primitive.texture(), count, 2..=2),
+            self.carried(primitive.colour(), count, 3..=4),
+        ];
+        let colour_of = |colours: &Option<(Vec<f64>, usize)>, i: usize| match colours {
+            Some((values, n)) => {
+                let c = &values[i * n..(i + 1) * n];
+                [c[0], c[1], c[2], c.get(3).copied().unwrap_or(1.0)]
+            }
+            None => [1.0; 4],
+        };
+        let is_still = place == DMat4::IDENTITY;
+        let position = |i: usize| DVec3::from_slice(&positions[3 * i..]);
+        let firsts = firsts(count, |i| {
+            let mut key = [0; 7];
+            let numbers = position(i).to_array().into_iter().chain(colour_of(&colours, i));
+            key.iter_mut().zip(numbers).for_each(|(k, x)| *k = bits(x));
+            key
+        });
+        let soup = &mut self.soup;
+        let vertices = numbered(firsts, soup.positions.len(), |i| {
+            soup.positions.push(if is_still { position(i) } else { place.transform_point3(position(i)) });
+            if self.wanted {
+                self.colours.push(colour_of(&colours, i));
+            }
+        });
+        let turned = |t: [u32; 3]| if mirrored { [t[0], t[2], t[1]] } else { t };
+        self.soup.facets.extend(facets.iter().map(|&t| turned(t).map(|i| vertices[i as usize])));
+        if !self.wanted {
+            return Ok(());
+        }
+        self.found[2] |= colours.is_some();
+        // What a primitive lacks is one value, of length 0 or in the corner of the texture.
+        let map = place.inverse().transpose();
+        let normal = |n: &[f64; 3]| {
+            let n = DVec3::from_array(*n);
+            if is_still { n } else { map.transform_vector3(n).normalize_or_zero() }
+        };
+        let values = normals.as_ref().map(|(values, _)| values.as_chunks::<3>().0.iter().map(normal).collect());
+        self.found[0] |= values.is_some();
+        add(&mut self.normals, values, &facets, turned);
+        let uv = |uv: &[f64; 2]| DVec2::new(uv[0], 1.0 - uv[1]);
+        let values = texture.as_ref().map(|(values, _)| values.as_chunks::<2>().0.iter().map(uv).collect());
+        self.found[1] |= values.is_some();
+        add(&mut self.texture, values, &facets, turned);
+        Ok(())
+    }
+
+    /// Numbers of vertices that are carried, so many for each; what is wrong is left aside.
+    fn carried(
+        &mut self,
+        accessor: Option<usize>,
+        count: usize,
+        components: std::ops::RangeInclusive<usize>,
+    ) -> Option<(Vec<f64>, usize)> {
+        let index = accessor?;
+        let found = self.document.accessors.get(index);
+        let n = found.map_or(0, Accessor::components);
+        let read = if components.contains(&n) { self.numbers(index, n).ok() } else { None };
+        let right = read.filter(|values| values.len() == n * count);
+        match right {
+            Some(values) => {
+                if components == (3..=4) {
+                    self.eight &= found.is_some_and(|a| a.component_type == 5121 && a.normalized);
+                }
+                Some((values, n))
+            }
+            None => {
+                // Once, however often nodes name its mesh.
+                if self.told.insert(index) {
+                    let message = format!("it has not {} numbers for each of {count} vertices", components.end());
+                    self.soup.raw.unreadable(&format!("accessor {index}"), message);
+                }
+                None
+            }
+        }
+    }
+
+    fn spend(&mut self, bytes: usize) -> Result<(), DataError> {
+        let left = self.left.checked_sub(bytes);
+        self.left = left.ok_or_else(repeated)?;
+        Ok(())
+    }
+
+    /// The numbers of an accessor, so many for each element.
+    fn numbers(&mut self, index: usize, components: usize) -> Result<Vec<f64>, DataError> {
+        let wrong = |message: &str| DataError::Element { element: "accessor", index, message: message.to_owned() };
+        let document = self.document;
+        let accessor = document.accessors.get(index).ok_or_else(|| wrong("it is named, and there is none"))?;
+        if accessor.components() != components {
+            return Err(wrong("it is of another type than what it is used for"));
+        }
+        if accessor.sparse.is_some() {
+            return Err(wrong("it is sparse, which is not read; export it without"));
+        }
+        let kind = match accessor.component_type {
+            5120 => Kind::I8,
+            5121 => Kind::U8,
+            5122 => Kind::I16,
+            5123 => Kind::U16,
+            5125 => Kind::U32,
+            5126 => Kind::F32,
+            _ => return Err(wrong("its type of numbers is not known")),
+        };
+        let view = accessor.buffer_view.and_then(|view| document.views.get(view as usize));
+        let view = view.ok_or_else(|| wrong("its buffer view is not there"))?;
+        let size = kind.bytes() * components;
+        let stride = view.byte_stride.unwrap_or(size);
+        if stride < size || accessor.count == 0 {
+            return Err(wrong("its stride is less than its elements' size, or it has no elements"));
+        }
+        let length = stride.saturating_mul(accessor.count - 1).saturating_add(size);
+        self.spend(accessor.count.saturating_mul(8 * components))?;
+        let buffer = self.buffers.get(view.buffer as usize).ok_or_else(|| wrong("its buffer is not there"))?;
+        let slice = |from: &'_ [u8]| -> Option<Vec<f64>> {
+            let view = from.get(view.byte_offset..)?.get(..view.byte_length)?;
+            let data = view.get(accessor.byte_offset..)?.get(..length)?;
+            if stride == size {
+                return Some(kind.floats(data, Order::Little));
+            }
+            let elements = data.chunks(stride).flat_map(|element| element[..size].iter().copied());
+            Some(kind.floats(&elements.collect::<Vec<_>>(), Order::Little))
+        };
+        let mut values = slice(buffer).ok_or_else(|| {
+            DataError::Truncated(format!("accessor {index} has {length} bytes that its buffer has not"))
+        })?;
+        let most = match kind {
+            Kind::I8 => 127.0,
+            Kind::U8 => 255.0,
+            Kind::I16 => 32767.0,
+            Kind::U16 => 65535.0,
+            _ => 1.0,
+        };
+        if accessor.normalized {
+            values.iter_mut().for_each(|x| *x = (*x / most).max(-1.0));
+        }
+        Ok(values)
+    }
+
+    fn finish(self) -> Soup {
+        let mut soup = self.soup;
+        let [normals, texture, colours] = self.found;
+        soup.raw.normals = normals.then_some(Normals::PerCorner(self.normals));
+        soup.raw.texture = texture.then_some(self.texture);
+        let depth = if self.eight { ColourDepth::Eight } else { ColourDepth::Float };
+        soup.raw.colours = colours.then_some(Colours { values: self.colours, depth });
+        soup
+    }
+}
+
+/// Adds what vertices of a primitive have to the corners of its facets, each value once.
+fn add<T: Copy + Default + Bits + Sync>(
+    to: &mut PerCorner<T>,
+    values: Option<Vec<T>>,
+    facets: &[[u32; 3]],
+    turned: impl Fn([u32; 3]) -> [u32; 3],
+) {
+    let first = to.values.len();
+    let Some(values) = values else {
+        to.values.push(T::default());
+        to.corners.extend(facets.iter().map(|_| [first as u32; 3]));
+        return;
+    };
+    let index = numbered(firsts(values.len(), |i| values[i].bits()), first, |i| to.values.push(values[i]));
+    to.corners.extend(facets.iter().map(|&t| turned(t).map(|i| index[i as usize])));
+}
+
+/// Of each of so many elements the first with the same key.
+fn firsts<K: Ord>(count: usize, key: impl Fn(usize) -> K + Sync) -> Vec<u32> {
+    let mut sorted: Vec<u32> = (0..count as u32).collect();
+    sorted.par_sort_unstable_by(|&a, &b| key(a as usize).cmp(&key(b as usize)).then(a.cmp(&b)));
+    let mut firsts = vec![0; count];
+    let mut first = 0;
+    for (k, &i) in sorted.iter().enumerate() {
+        if k == 0 || key(i as usize) != key(sorted[k - 1] as usize) {
+            first = i;
+        }
+        firsts[i as usize] = first;
+    }
+    firsts
+}
+
+/// Numbers elements from `next` on, the equal ones alike, and hands out the first of each.
+fn numbered(mut firsts: Vec<u32>, mut next: usize, mut new: impl FnMut(usize)) -> Vec<u32> {
+    for i in 0..firsts.len() {
+        let first = firsts[i] as usize;
+        firsts[i] = if first == i {
+            new(i);
+            next += 1;
+            next as u32 - 1
+        } else {
+            firsts[first]
+        };
+    }
+    firsts
+}
+
+/// Adding 0 makes -0 the same as 0.
+fn bits(x: f64) -> u64 {
+    (x + 0.0).to_bits()
+}
+
+trait Bits {
+    fn bits(self) -> [u64; 3];
+}
+
+impl Bits for DVec3 {
+    fn bits(self) -> [u64; 3] {
+        self.to_array().map(f64::to_bits)
+    }
+}
+
+impl Bits for DVec2 {
+    fn bits(self) -> [u64; 3] {
+        [self.x.to_bits(), self.y.to_bits(), 0]
+    }
+}
+
+/// JSON without its end, and the bytes that it names.
+struct Scenery {
+    json: String,
+    data: Vec<u8>,
+}
+
+fn scenery(mesh: &TriMesh, held: &Held<'_>) -> Result<Scenery, DataError> {
+    single::check(mesh)?;
+    // A vertex for each normal and place in the texture that its corners have; the first of each keeps its number.
+    let corner = |f: usize, k: usize| {
+        let normal = held.corner_normals.map_or(0, |n| n.corners[f][k]);
+        (mesh.facets()[f][k], normal, held.corner_uv.map_or(0, |t| t.corners[f][k]))
+    };
+    let count = mesh.positions().len();
+    let mut vertices: Vec<Option<(u32, u32)>> = vec![None; count];
+    let mut owners: Vec<u32> = (0..count as u32).collect();
+    let mut more: HashMap<(u32, u32, u32), u32> = HashMap::new();
+    let mut indices = Vec::with_capacity(3 * mesh.facets().len());
+    for (f, k) in (0..mesh.facets().len()).flat_map(|f| [(f, 0), (f, 1), (f, 2)]) {
+        let (v, n, t) = corner(f, k);
+        let number = if *vertices[v as usize].get_or_insert((n, t)) == (n, t) {
+            v
+        } else {
+            *more.entry((v, n, t)).or_insert_with(|| {
+                vertices.push(Some((n, t)));
+                owners.push(v);
+                vertices.len() as u32 - 1
+            })
+        };
+        indices.push(number);
+    }
+    let mut out = Scenery { json: String::new(), data: Vec::new() };
+    let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), Vec::new());
+    let mut add = |data: &mut Vec<u8>, start: usize, target: u32, accessor: String| {
+        views.push(format!(
+            "{{\"buffer\":0,\"byteOffset\":{start},\"byteLength\":{},\"target\":{target}}}",
+            data.len() - start
+        ));
+        accessors.push(format!("{{\"bufferView\":{},{accessor}}}", accessors.len()));
+        data.resize(data.len().next_multiple_of(4), 0);
+    };
+    let total = vertices.len();
+    let data = &mut out.data;
+    let floats = |data: &mut Vec<u8>, numbers: &[f64]| {
+        numbers.iter().for_each(|&x| data.extend_from_slice(&(x as f32).to_le_bytes()));
+    };
+    owners.iter().for_each(|&v| floats(data, &mesh.positions()[v as usize].to_array()));
+    let (low, high) = mesh.bounds();
+    let three = |p: DVec3| {
+        let [x, y, z] = p.to_array().map(|x| f64::from(x as f32));
+        format!("[{x:?},{y:?},{z:?}]")
+    };
+    let (low, high) = (three(low), three(high));
+    let head = format!("\"componentType\":5126,\"count\":{total},\"type\":\"VEC3\",\"min\":{low},\"max\":{high}");
+    add(data, 0, 34962, head);
+    names.push("\"POSITION\":0".to_owned());
+    let float = |shape: &str| format!("\"componentType\":5126,\"count\":{total},\"type\":\"{shape}\"");
+    let at = |i: usize| vertices[i].unwrap_or_default();
+    if held.normals.is_some() || held.corner_normals.is_some() {
+        let start = data.len();
+        for (i, &owner) in owners.iter().enumerate() {
+            let own = held.normals.as_ref().map(|n| n[owner as usize]);
+            let normal = own.or_else(|| held.corner_normals.and_then(|n| n.values.get(at(i).0 as usize).copied()));
+            floats(data, &normal.unwrap_or_default().to_array());
+        }
+        names.push(format!("\"NORMAL\":{}", names.len()));
+        add(data, start, 34962, float("VEC3"));
+    }
+    if let Some(texture) = held.corner_uv {
+        let start = data.len();
+        for i in 0..total {
+            let uv = texture.values.get(at(i).1 as usize).copied().unwrap_or_default();
+            floats(data, &[uv.x, 1.0 - uv.y]);
+        }
+        names.push(format!("\"TEXCOORD_0\":{}", names.len()));
+        add(data, start, 34962, float("VEC2"));
+    }
+    if let Some(colours) = held.colours {
+        let (start, eight) = (data.len(), colours.depth == ColourDepth::Eight);
+        for &owner in &owners {
+            let colour = colours.values[owner as usize];
+            if eight {
+                data.extend(colour.map(eight_bit));
+            } else {
+                floats(data, &colour);
+            }
+        }
+        names.push(format!("\"COLOR_0\":{}", names.len()));
+        let bytes = format!("\"componentType\":5121,\"normalized\":true,\"count\":{total},\"type\":\"VEC4\"");
+        add(data, start, 34962, if eight { bytes } else { float("VEC4") });
+    }
+    let start = data.len();
+    indices.iter().for_each(|i| data.extend_from_slice(&i.to_le_bytes()));
+    let (number, n) = (names.len(), indices.len());
+    add(data, start, 34963, format!("\"componentType\":5125,\"count\":{n},\"type\":\"SCALAR\""));
+    out.json = format!(
+        "{{\"asset\":{{\"version\":\"2.0\",\"generator\":\"tessera\"}},\"scene\":0,\"scenes\":[{{\"nodes\":[0]}}],\
+         \"nodes\":[{{\"mesh\":0}}],\"meshes\":[{{\"primitives\":[{{\"attributes\":{{{}}},\"indices\":{number},\
+         \"mode\":4}}]}}],\"accessors\":[{}],\"bufferViews\":[{}],\"buffers\":[{{\"byteLength\":{}",
+        names.join(","),
+        accessors.join(","),
+        views.join(","),
+        out.data.len()
+    );
+    Ok(out)
+}
+
+fn encode_binary(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
+    let Scenery { mut json, data } = scenery(mesh, held)?;
+    json.push_str("}]}");
+    while json.len() % 4 != 0 {
+        json.push(' ');
+    }
+    let length = 28 + json.len() + data.len();
+    let Ok(length) = u32::try_from(length) else {
+        return Err(DataError::Header("it would be longer than the 4 GiB of a .glb file; write .ply".to_owned()));
+    };
+    let mut out = Vec::with_capacity(length as usize);
+    out.extend_from_slice(MAGIC);
+    let words = |out: &mut Vec<u8>, words: [u32; 2]| words.iter().for_each(|w| out.extend_from_slice(&w.to_le_bytes()));
+    words(&mut out, [2, length]);
+    words(&mut out, [json.len() as u32, JSON]);
+    out.extend_from_slice(json.as_bytes());
+    words(&mut out, [data.len() as u32, BIN]);
+    out.extend_from_slice(&data);
+    Ok(out)
+}
+
+fn encode_text(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
+    let Scenery { mut json, data } = scenery(mesh, held)?;
+    json.push_str(",\"uri\":\"data:application/octet-stream;base64,");
+    STANDARD.encode_string(&data, &mut json);
+    json.push_str("\"}]}");
+    Ok(json.into_bytes())
+}

@@ -1,0 +1,209 @@
+//! Lists beside a surface, as text: points, an edge length for each vertex, edges that are creases.
+//!
+//! Purpose: one element a line; empty lines and lines that begin with `#` are left out. What goes by the file's own vertices
+//! is brought to those of the surface that was read.
+//! Invariant: vertices keep their numbers, except of OBJ, STL and glTF. OBJ vertices are numbered by first use in a face, and the
+//! ones that no face uses are left out; their order comes from the reader of the surface. STL has no vertices to speak of, and glTF
+//! has them several times. A list takes no more memory than the surface has vertices or edges for, however long the text is.
+//! Must not know: what lists are for.
+
+use std::str::FromStr;
+
+use glam::DVec3;
+
+use super::{DataError, Format, VertexNumbers, unpack, unpacked_limit, without_mark};
+use crate::mesh::TriMesh;
+use crate::token::Token;
+
+/// The lines that say something, numbered from 1. They end early once the token is stopped.
+fn lines<'a>(text: &'a str, token: &'a Token) -> impl Iterator<Item = (usize, &'a str)> {
+    let all = text.lines().enumerate().take_while(|(i, _)| token.check_at(*i).is_ok());
+    all.map(|(i, line)| (i + 1, line.trim())).filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
+}
+
+/// The numbers of a line that has exactly so many.
+fn numbers<T: FromStr + Copy + Default, const N: usize>(line: &str) -> Option<[T; N]> {
+    let (mut words, mut numbers) = (line.split_whitespace(), [T::default(); N]);
+    for number in &mut numbers {
+        *number = words.next()?.parse().ok()?;
+    }
+    words.next().is_none().then_some(numbers)
+}
+
+/// The beginning of a line, for who has to find it.
+fn shown(line: &str) -> String {
+    const SHOWN: usize = 60;
+    match line.char_indices().nth(SHOWN) {
+        Some((end, _)) => format!("{:?}...", &line[..end]),
+        None => format!("{line:?}"),
+    }
+}
+
+/// Points, `x y z` a line. Reading ends after one more than `most`, or once the token is stopped.
+///
+/// # Errors
+/// `Syntax` with the line; `List` if there is none.
+pub fn points(text: &str, most: usize, token: &Token) -> Result<Vec<DVec3>, DataError> {
+    let mut points = Vec::new();
+    for (number, line) in lines(text, token).take(most.saturating_add(1)) {
+        match numbers::<f64, 3>(line).map(DVec3::from_array) {
+            Some(point) if point.is_finite() => points.push(point),
+            _ => return Err(syntax(number, format!("not three finite numbers: {}", shown(line)))),
+        }
+    }
+    if points.is_empty() {
+        return Err(DataError::List("there are no points".to_owned()));
+    }
+    Ok(points)
+}
+
+fn syntax(line: usize, message: String) -> DataError {
+    DataError::Syntax { line, message }
+}
+
+/// How the vertices of a file are numbered in the surface that was read from it.
+pub struct FileVertices {
+    /// How many the file has.
+    count: usize,
+    /// For each of the surface's vertices its number in the file; `None` if the numbers are the same.
+    order: Option<Vec<u32>>,
+}
+
+impl FileVertices {
+    /// Whether the vertices of such a file have numbers.
+    pub fn are_numbered(format: Format) -> bool {
+        !matches!(format.codec().vertices, VertexNumbers::Absent)
+    }
+
+    /// Whether [`Self::of`] reads the bytes of such a file.
+    pub fn needs_bytes(format: Format) -> bool {
+        matches!(format.codec().vertices, VertexNumbers::Reordered(_))
+    }
+
+    /// Those of `mesh`, which was read from these bytes.
+    ///
+    /// # Errors
+    /// `List` if they cannot be told.
+    pub fn of(format: Format, bytes: &[u8], mesh: &TriMesh) -> Result<Self, DataError> {
+        let (count, order) = match format.codec().vertices {
+            VertexNumbers::Kept => return Ok(Self::of_arrays(mesh)),
+            VertexNumbers::Absent => return Err(DataError::List(NO_NUMBERS.to_owned())),
+            VertexNumbers::Reordered(order) => order(without_mark(&unpack(bytes, unpacked_limit(bytes.len()))?))?,
+        };
+        if order.len() != mesh.positions().len() {
+            let text = "cannot tell which vertex of the surface is which of the file; convert it to .ply";
+            return Err(DataError::List(text.to_owned()));
+        }
+        Ok(Self { count, order: Some(order) })
+    }
+
+    /// Those of a surface that did not come in a file.
+    pub fn of_arrays(mesh: &TriMesh) -> Self {
+        Self { count: mesh.positions().len(), order: None }
+    }
+
+    /// One number above 0 a line for each of the file's vertices; gives one for each of the surface's. Reading ends early once
+    /// the token is stopped.
+    ///
+    /// # Errors
+    /// `Syntax` with the line; `List` if there are too few or too many.
+    pub fn lengths(&self, text: &str, token: &Token) -> Result<Vec<f64>, DataError> {
+        let mut lengths = Vec::with_capacity(self.count.min(text.len()));
+        for (number, line) in lines(text, token) {
+            if lengths.len() == self.count {
+                let text = format!("there are more lengths than the {} vertices of the surface", self.count);
+                return Err(syntax(number, text));
+            }
+            match line.parse::<f64>() {
+                Ok(length) if length.is_finite() && length > 0.0 => lengths.push(length),
+                _ => return Err(syntax(number, format!("not a finite number above 0: {}", shown(line)))),
+            }
+        }
+        if lengths.len() != self.count {
+            let text =
+                format!("{} lengths, but the surface has {} vertices; give one for each", lengths.len(), self.count);
+            return Err(DataError::List(text));
+        }
+        Ok(match &self.order {
+            Some(order) => order.iter().map(|&v| lengths[v as usize]).collect(),
+            None => lengths,
+        })
+    }
+
+    /// Two of the file's vertices a line, numbered from 0; gives those of the surface, which has so many facets. Reading ends
+    /// early once the token is stopped.
+    ///
+    /// # Errors
+    /// `Syntax` with the line, also of the first that is more than all facets have edges.
+    pub fn edges(&self, text: &str, facets: usize, token: &Token) -> Result<Vec<[u32; 2]>, DataError> {
+        // Where the file's vertices are in the surface.
+        let place: Option<Vec<u32>> = self.order.as_ref().map(|order| {
+            let mut place = vec![u32::MAX; self.count];
+            order.iter().zip(0..).for_each(|(&v, k)| place[v as usize] = k);
+            place
+        });
+        let mut edges = Vec::new();
+        for (number, line) in lines(text, token) {
+            let at = |text: String| syntax(number, text);
+            if edges.len() == most_edges(facets) {
+                return Err(at(format!("there are more edges than {facets} facets have")));
+            }
+            let Some([a, b]) = numbers::<usize, 2>(line) else {
+                return Err(at(format!("not two numbers of vertices, which begin at 0: {}", shown(line))));
+            };
+            let vertex = |v: usize| match &place {
+                _ if v >= self.count => {
+                    Err(at(format!("there is no vertex {v}; the surface has {}, numbered from 0", self.count)))
+                }
+                Some(place) if place[v] == u32::MAX => Err(at(format!("no facet has vertex {v}"))),
+                Some(place) => Ok(place[v]),
+                None => Ok(v as u32),
+            };
+            edges.push([vertex(a)?, vertex(b)?]);
+        }
+        Ok(edges)
+    }
+}
+
+/// Edges of so many facets, at most, each as often as facets have it.
+pub fn most_edges(facets: usize) -> usize {
+    facets.saturating_mul(3)
+}
+
+/// Why a file of STL or glTF has no lists beside it.
+pub const NO_NUMBERS: &str = "STL and glTF have no numbered vertices; convert it to .ply, .obj or .off";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::shapes::Shape;
+
+    #[test]
+    fn lists_end_where_the_surface_does() {
+        let mesh = Shape::Square.build(2);
+        let vertices = FileVertices::of_arrays(&mesh);
+        let token = Token::default();
+        let long = |line: &str| line.repeat(1_000_000);
+        let lengths = vertices.lengths(&long("1\n"), &token).unwrap_err();
+        assert_eq!(lengths, syntax(5, "there are more lengths than the 4 vertices of the surface".to_owned()));
+        let edges = vertices.edges(&long("0 1\n"), 2, &token).unwrap_err();
+        assert_eq!(edges, syntax(7, "there are more edges than 2 facets have".to_owned()));
+        assert_eq!(points(&long("0 0 1\n"), 9, &token).unwrap().len(), 10);
+        // A line of many numbers is not kept either.
+        let line = long("1 ");
+        assert!(matches!(points(&line, 9, &token), Err(DataError::Syntax { line: 1, .. })));
+        assert!(matches!(vertices.edges(&line, 2, &token), Err(DataError::Syntax { line: 1, .. })));
+    }
+
+    #[test]
+    fn a_stopped_token_ends_lists() {
+        let token = Token::default();
+        token.cancel();
+        let vertices = FileVertices::of_arrays(&Shape::Square.build(2));
+        assert_eq!(vertices.edges("0 x", 2, &token), Ok(Vec::new()));
+        assert!(matches!(vertices.lengths("x", &token), Err(DataError::List(_))));
+        // Also inside a long one: nothing after the stop is read.
+        let comments = "#\n".repeat(10 * Token::STRIDE) + "x";
+        assert!(points(&comments, 9, &token).is_err_and(|error| matches!(error, DataError::List(_))));
+    }
+}

@@ -1,0 +1,226 @@
+//! Files of the Visualization Toolkit: legacy `.vtk` ([`legacy`]) and XML `.vtp` ([`xml`]).
+//!
+//! Purpose: what the two have in common: types of cells and of numbers, and what arrays of points are as attributes. An array
+//! of three or four bytes is a colour, and so is one of numbers that is named like one; one number for each point is a scalar.
+//! Arrays of cells, and vectors and tensors of points, are left aside.
+//! Must not know: how arrays are written.
+
+pub(super) mod legacy;
+pub(super) mod xml;
+
+use glam::{DVec2, DVec3};
+
+use super::held::{Held, Raw, eight_bit};
+use super::numbers::Kind;
+use super::{DataError, Soup};
+use crate::mesh::attributes::{ColourDepth, Colours, Normals, PerCorner, Scalar};
+
+/// Names of numbers' types: legacy, XML.
+const KINDS: [(&str, &str, Kind); 10] = [
+    ("char", "Int8", Kind::I8),
+    ("unsigned_char", "UInt8", Kind::U8),
+    ("short", "Int16", Kind::I16),
+    ("unsigned_short", "UInt16", Kind::U16),
+    ("int", "Int32", Kind::I32),
+    ("unsigned_int", "UInt32", Kind::U32),
+    ("vtktypeint64", "Int64", Kind::I64),
+    ("vtktypeuint64", "UInt64", Kind::U64),
+    ("float", "Float32", Kind::F32),
+    ("double", "Float64", Kind::F64),
+];
+
+/// What an array of points is said to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Role {
+    Normals,
+    Texture,
+    Colours,
+    /// To be told by its name and its numbers.
+    Any,
+    /// Nothing that a surface carries.
+    None,
+}
+
+/// An array of the points.
+#[derive(Debug)]
+struct Array {
+    name: String,
+    role: Role,
+    components: usize,
+    /// Whether these are bytes that stand for numbers of 0 to 1.
+    eight: bool,
+    values: Vec<f64>,
+}
+
+impl Array {
+    fn role(&self) -> Role {
+        let named = |names: &[&str]| names.iter().any(|name| name.eq_ignore_ascii_case(&self.name));
+        match (self.role, self.components) {
+            (Role::Any, 3 | 4) if self.eight || named(&["rgb", "rgba", "color", "colors", "colour", "colours"]) => {
+                Role::Colours
+            }
+            (Role::Any, 3) if named(&["normals", "normal"]) => Role::Normals,
+            (Role::Any, 2 | 3) if named(&["texture coordinates", "tcoords", "uv", "texcoords"]) => Role::Texture,
+            (role, _) => role,
+        }
+    }
+}
+
+/// What arrays are, for a surface of these facets. The first of a role has it.
+fn carried(arrays: Vec<Array>, facets: &[[u32; 3]]) -> Raw {
+    let mut raw = Raw::default();
+    for array in arrays {
+        let (role, values, n) = (array.role(), &array.values, array.components);
+        match role {
+            Role::Normals if raw.normals.is_none() && n == 3 => {
+                let triples = values.as_chunks::<3>().0;
+                raw.normals = Some(Normals::PerVertex(triples.iter().map(|&t| DVec3::from_array(t)).collect()));
+            }
+            Role::Texture if raw.texture.is_none() && (1..=3).contains(&n) => {
+                let uv = |t: &[f64]| DVec2::new(t[0], t.get(1).copied().unwrap_or(0.0));
+                raw.texture =
+                    Some(PerCorner { values: values.chunks_exact(n).map(uv).collect(), corners: facets.to_vec() });
+            }
+            Role::Colours if raw.colours.is_none() && (3..=4).contains(&n) => {
+                let scale = if array.eight { 255.0 } else { 1.0 };
+                let colour = |t: &[f64]| {
+                    let opacity = t.get(3).map_or(1.0, |a| a / scale);
+                    [t[0] / scale, t[1] / scale, t[2] / scale, opacity]
+                };
+                raw.colours = Some(Colours {
+                    values: values.chunks_exact(n).map(colour).collect(),
+                    depth: if array.eight { ColourDepth::Eight } else { ColourDepth::Float },
+                });
+            }
+            Role::None => {}
+            _ if n == 1 => raw.scalars.push(Scalar { name: array.name, values: array.values }),
+            _ => {
+                let name: String = array.name.chars().filter(|c| !c.is_control()).take(60).collect();
+                raw.unreadable(&format!("array {name:?}"), format!("a surface carries none of {n} numbers a point"));
+            }
+        }
+    }
+    raw
+}
+
+/// An array to be written.
+struct Written {
+    name: String,
+    role: Role,
+    components: usize,
+    values: Numbers,
+}
+
+enum Numbers {
+    Bytes(Vec<u8>),
+    Doubles(Vec<f64>),
+}
+
+/// What is held, as arrays.
+fn written(held: &Held<'_>) -> Vec<Written> {
+    let mut arrays = Vec::new();
+    let mut add = |name: &str, role, components, values| {
+        arrays.push(Written { name: name.to_owned(), role, components, values });
+    };
+    if let Some(normals) = &held.normals {
+        add("Normals", Role::Normals, 3, Numbers::Doubles(normals.iter().flat_map(|n| n.to_array()).collect()));
+    }
+    if let Some(uv) = &held.uv {
+        add("TCoords", Role::Texture, 2, Numbers::Doubles(uv.iter().flat_map(|t| t.to_array()).collect()));
+    }
+    if let Some(colours) = held.colours {
+        let opaque = colours.values.iter().all(|c| c[3] == 1.0);
+        let (name, n) = if opaque { ("RGB", 3) } else { ("RGBA", 4) };
+        let numbers = colours.values.iter().flat_map(|c| c[..n].iter().copied());
+        let values = match colours.depth {
+            ColourDepth::Eight => Numbers::Bytes(numbers.map(eight_bit).collect()),
+            ColourDepth::Float => Numbers::Doubles(numbers.collect()),
+        };
+        add(name, Role::Colours, n, values);
+    }
+    for scalar in held.scalars {
+        add(&scalar.name, Role::Any, 1, Numbers::Doubles(scalar.values.clone()));
+    }
+    arrays
+}
+
+/// What a cell of some type is.
+enum Cell {
+    Polygon,
+    /// By so many of its points, the others lie on its edges.
+    Corners(usize),
+    Strip,
+    Pixel,
+    /// Points and lines.
+    Less,
+    Volume,
+}
+
+impl Cell {
+    fn of(kind: i64) -> Self {
+        match kind {
+            0..=4 | 21 | 35 | 68 | 75 => Self::Less,
+            6 => Self::Strip,
+            8 => Self::Pixel,
+            5 | 22 | 34 | 69 | 76 => Self::Corners(3),
+            9 | 23 | 28 | 30 | 70 | 77 => Self::Corners(4),
+            7 => Self::Polygon,
+            _ => Self::Volume,
+        }
+    }
+
+    /// How many facets it has, with so many points.
+    fn facets(&self, points: usize) -> usize {
+        match self {
+            Self::Polygon | Self::Pixel | Self::Strip => points.saturating_sub(2),
+            Self::Corners(n) => points.min(*n).saturating_sub(2),
+            Self::Less | Self::Volume => 0,
+        }
+    }
+
+    /// Adds its facets. Gives whether it is a volume, of which there are none.
+    fn push(&self, soup: &mut Soup, points: &[i64], scratch: &mut Vec<i64>) -> Result<bool, String> {
+        match self {
+            Self::Polygon => soup.push_polygon(points)?,
+            Self::Corners(n) => soup.push_polygon(points.get(..*n).unwrap_or(points))?,
+            Self::Pixel => {
+                scratch.clear();
+                scratch.extend_from_slice(points);
+                if let [_, _, c, d] = &mut scratch[..] {
+                    std::mem::swap(c, d);
+                }
+                soup.push_polygon(scratch)?;
+            }
+            Self::Strip => {
+                for (k, t) in points.windows(3).enumerate() {
+                    let turned = if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] };
+                    soup.push_polygon(&turned)?;
+                }
+            }
+            Self::Less => {}
+            Self::Volume => return Ok(true),
+        }
+        Ok(false)
+    }
+}
+
+/// Says of cells that are volumes that they are left aside; an error if there is nothing else.
+fn volumes(soup: &mut Soup, cells: usize) -> Result<(), DataError> {
+    super::volumes(soup, cells, "extract the surface first, as ParaView's filter \"Extract Surface\" does")
+}
+
+/// Adds cells, each from the end of the one before to its own end in `points`. Gives how many are volumes.
+fn push_cells(soup: &mut Soup, cell: impl Fn(usize) -> Cell, ends: &[i64], points: &[i64]) -> Result<usize, DataError> {
+    let (mut start, mut aside, mut scratch) = (0usize, 0, Vec::new());
+    for (index, &end) in ends.iter().enumerate() {
+        let wrong = |message: String| DataError::Element { element: "cell", index, message };
+        let corners = usize::try_from(end).ok().and_then(|end| points.get(start..end));
+        let Some(corners) = corners else {
+            let there = points.len();
+            return Err(wrong(format!("it goes from point {start} to {end} of a list of {there}")));
+        };
+        aside += usize::from(cell(index).push(soup, corners, &mut scratch).map_err(wrong)?);
+        start += corners.len();
+    }
+    Ok(aside)
+}

@@ -1,0 +1,443 @@
+//! Legacy VTK, text and binary (big-endian), versions 1 to 5.1: polygonal data and unstructured grids. Writes version 4.2,
+//! binary, with doubles.
+//!
+//! Purpose: bytes to triangles with what the points carry, section by section, and back. Our own reader: the crate `vtkio`
+//! (0.6) does not know the cells of version 5, which all VTK writes now. Must not know: XML.
+
+use glam::DVec3;
+
+use super::{Array, Cell, KINDS, Numbers, Role, carried, push_cells, volumes, written};
+use crate::mesh::TriMesh;
+use crate::mesh::io::held::{By, Held, Holds, Raw};
+use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, cut, parse, shown};
+use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers};
+
+/// See [`Codec`].
+pub(in crate::mesh::io) const CODEC: Codec = Codec {
+    extension: "vtk",
+    decode,
+    encode,
+    counts: |bytes| read(bytes, false, true).ok().map(|(_, counts)| counts),
+    holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: true },
+    vertices: VertexNumbers::Kept,
+};
+
+fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+    read(bytes, wanted, false).map(|(soup, _)| soup)
+}
+
+/// Reads all sections; if they are counted, how much is in them alone.
+fn read(bytes: &[u8], wanted: bool, counted: bool) -> Result<(Soup, Counts), DataError> {
+    let mut cursor = Cursor::new(bytes);
+    if !cursor.end_line().starts_with(b"# vtk DataFile Version") {
+        return Err(DataError::Header("it does not begin with \"# vtk DataFile Version\"".to_owned()));
+    }
+    // The title.
+    cursor.end_line();
+    let encoding = match cursor.word() {
+        Some(word) if word.eq_ignore_ascii_case(b"ASCII") => Encoding::Text,
+        Some(word) if word.eq_ignore_ascii_case(b"BINARY") => Encoding::Binary(Order::Big),
+        Some(word) => return Err(cursor.syntax(format!("\"{}\" is not ASCII or BINARY", shown(word)))),
+        None => return Err(cut("the header")),
+    };
+    let mut reader = Reader {
+        cursor,
+        encoding,
+        wanted,
+        counted,
+        soup: Soup::default(),
+        arrays: Vec::new(),
+        left: Raw::default(),
+        numbers: 0,
+    };
+    let mut counts = Counts::default();
+    let mut cells = None;
+    let mut kinds = Vec::new();
+    while let Some(word) = reader.cursor.word() {
+        let keyword = word.to_ascii_uppercase();
+        match keyword.as_slice() {
+            b"DATASET" => {
+                let kind = reader.cursor.word().ok_or_else(|| cut("the header"))?;
+                if !(kind.eq_ignore_ascii_case(b"POLYDATA") || kind.eq_ignore_ascii_case(b"UNSTRUCTURED_GRID")) {
+                    let text = "is not POLYDATA or UNSTRUCTURED_GRID; extract the surface first";
+                    return Err(reader.cursor.syntax(format!("DATASET {} {text}", shown(kind))));
+                }
+            }
+            b"POINTS" => counts.vertices = counts.vertices.max(reader.points()?),
+            b"VERTICES" | b"LINES" => drop(reader.lists()?),
+            b"POLYGONS" | b"TRIANGLE_STRIPS" => {
+                let cell = |_: usize| if keyword == b"POLYGONS" { Cell::Polygon } else { Cell::Strip };
+                let (ends, points) = reader.lists()?;
+                match counted {
+                    true => counts.facets += facets(cell, &ends),
+                    false => drop(push_cells(&mut reader.soup, cell, &ends, &points)?),
+                }
+            }
+            b"CELLS" => cells = Some(reader.lists()?),
+            b"CELL_TYPES" => kinds = reader.kinds()?,
+            b"FIELD" => reader.field(false)?,
+            b"METADATA" => reader.metadata(),
+            b"POINT_DATA" | b"CELL_DATA" => {
+                reader.data(&keyword)?;
+                break;
+            }
+            _ => return Err(reader.cursor.syntax(format!("\"{}\" is no section of a surface", shown(word)))),
+        }
+    }
+    let Reader { mut soup, arrays, left, numbers, .. } = reader;
+    counts.made_bytes = numbers.saturating_mul(16);
+    if let (Some((ends, _)), true) = (&cells, counted) {
+        counts.facets += facets(|index| kinds.get(index).map_or(Cell::Less, |&kind| Cell::of(kind)), ends);
+    } else if let Some((ends, points)) = cells {
+        grid(&mut soup, &ends, &points, &kinds)?;
+    }
+    let aside = std::mem::take(&mut soup.raw.unreadable);
+    soup.raw = carried(arrays, &soup.facets);
+    soup.raw.unreadable.extend(aside.into_iter().chain(left.unreadable));
+    Ok((soup, counts))
+}
+
+/// The most facets that cells have, which end there.
+fn facets(cell: impl Fn(usize) -> Cell, ends: &[i64]) -> u64 {
+    let begins = [0].into_iter().chain(ends.iter().copied());
+    let lengths = begins.zip(ends).map(|(begin, end)| usize::try_from(end.saturating_sub(begin)).unwrap_or(0));
+    lengths.enumerate().map(|(index, length)| cell(index).facets(length) as u64).fold(0, u64::saturating_add)
+}
+
+/// The cells of an unstructured grid.
+fn grid(soup: &mut Soup, ends: &[i64], points: &[i64], kinds: &[i64]) -> Result<(), DataError> {
+    if kinds.len() != ends.len() {
+        return Err(DataError::Truncated(format!("there are {} cells and {} types of cells", ends.len(), kinds.len())));
+    }
+    let aside = push_cells(soup, |index| Cell::of(kinds[index]), ends, points)?;
+    volumes(soup, aside)
+}
+
+struct Reader<'a> {
+    cursor: Cursor<'a>,
+    encoding: Encoding,
+    wanted: bool,
+    /// Whether points are passed over.
+    counted: bool,
+    soup: Soup,
+    arrays: Vec<Array>,
+    left: Raw,
+    /// Numbers of all cells.
+    numbers: u64,
+}
+
+/// A type of numbers, or one that is passed over.
+#[derive(Clone, Copy)]
+enum Type {
+    Numbers(Kind),
+    Bits,
+    Strings,
+}
+
+impl Reader<'_> {
+    fn count(&mut self, what: &str) -> Result<usize, DataError> {
+        self.cursor.parsed(what)
+    }
+
+    /// The word of a type.
+    fn kind(&mut self) -> Result<Type, DataError> {
+        let word = self.cursor.word().ok_or_else(|| cut("a header"))?.to_ascii_lowercase();
+        Ok(match word.as_slice() {
+            b"bit" => Type::Bits,
+            b"string" => Type::Strings,
+            b"vtkidtype" => Type::Numbers(Kind::I32),
+            b"long" => Type::Numbers(Kind::I64),
+            b"unsigned_long" => Type::Numbers(Kind::U64),
+            b"signed_char" => Type::Numbers(Kind::I8),
+            other => match KINDS.iter().find(|(name, ..)| name.as_bytes() == other) {
+                Some(&(.., kind)) => Type::Numbers(kind),
+                None => return Err(self.cursor.syntax(format!("\"{}\" is no type of numbers", shown(&word)))),
+            },
+        })
+    }
+
+    /// Binary data begin right after the line.
+    fn begin(&mut self) {
+        match self.encoding {
+            Encoding::Text => {}
+            Encoding::Binary(_) => drop(self.cursor.end_line()),
+        }
+    }
+
+    /// Reads the points, or passes over them; gives how many there are.
+    fn points(&mut self) -> Result<u64, DataError> {
+        let count = self.count("a number of points")?;
+        let Type::Numbers(kind) = self.kind()? else {
+            return Err(self.cursor.syntax("coordinates are numbers"));
+        };
+        self.begin();
+        let all = count.saturating_mul(3);
+        if self.counted {
+            self.cursor.lenient(all, kind, self.encoding, "points", false)?;
+            return Ok(count as u64);
+        }
+        let numbers = self.cursor.floats(all, kind, self.encoding, "points")?;
+        self.soup.positions = numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect();
+        Ok(count as u64)
+    }
+
+    /// Lists of points: where each of them ends, and the points of all, unless they are counted.
+    fn lists(&mut self) -> Result<(Vec<i64>, Vec<i64>), DataError> {
+        let (count, size) = (self.count("a number of cells")?, self.count("a size")?);
+        self.numbers = self.numbers.saturating_add(size as u64);
+        if !self.cursor.peek().is_some_and(|word| word.eq_ignore_ascii_case(b"OFFSETS")) {
+            // The length of each list before it. A line's end may also be part of what follows, if this is binary.
+            self.begin();
+            if self.counted {
+                return Ok((self.ends(count, size)?, Vec::new()));
+            }
+            let numbers = self.cursor.integers(size, Kind::I32, self.encoding, "cells")?;
+            let (mut ends, mut points, mut rest) = (Vec::new(), Vec::with_capacity(numbers.len()), numbers.as_slice());
+            for index in 0..count {
+                let list = rest.split_first().and_then(|(&n, rest)| rest.split_at_checked(usize::try_from(n).ok()?));
+                let Some((list, after)) = list else {
+                    let message = format!("it does not fit the {size} numbers that are declared for all cells");
+                    return Err(DataError::Element { element: "cell", index, message });
+                };
+                points.extend_from_slice(list);
+                ends.push(points.len() as i64);
+                rest = after;
+            }
+            return Ok((ends, points));
+        }
+        let counted = self.counted;
+        let mut part = |name: &[u8], count: usize, is_kept: bool| -> Result<Vec<i64>, DataError> {
+            match self.cursor.word() {
+                Some(word) if word.eq_ignore_ascii_case(name) => {}
+                Some(word) => {
+                    let text = format!("\"{}\" is not {}", shown(word), String::from_utf8_lossy(name));
+                    return Err(self.cursor.syntax(text));
+                }
+                None => return Err(cut("cells")),
+            }
+            let Type::Numbers(kind) = self.kind()? else {
+                return Err(self.cursor.syntax("points of cells are whole numbers"));
+            };
+            self.begin();
+            match is_kept {
+                true => self.cursor.integers(count, kind, self.encoding, "cells"),
+                false => self.cursor.lenient(count, kind, self.encoding, "cells", false).map(|_| Vec::new()),
+            }
+        };
+        let mut offsets = part(b"OFFSETS", count, true)?;
+        let points = part(b"CONNECTIVITY", size, !counted)?;
+        // The first is where the first list begins.
+        offsets.drain(..offsets.len().min(1));
+        Ok((offsets, points))
+    }
+
+    /// Where lists end that have their lengths before them, so many of so many numbers in all.
+    fn ends(&mut self, count: usize, size: usize) -> Result<Vec<i64>, DataError> {
+        // A list has two bytes at least.
+        let mut ends = Vec::with_capacity(count.min(self.cursor.rest.len() / 2 + 1));
+        let (mut end, mut left) = (0i64, size);
+        for _ in 0..count {
+            let length = self.cursor.count(Kind::I32, self.encoding, "a number of points")?;
+            let rest = left.checked_sub(1).and_then(|left| left.checked_sub(length));
+            left = rest.ok_or_else(|| cut("cells"))?;
+            self.cursor.lenient(length, Kind::I32, self.encoding, "cells", false)?;
+            end += length as i64;
+            ends.push(end);
+        }
+        // Numbers that belong to no list.
+        self.cursor.lenient(left, Kind::I32, self.encoding, "cells", false)?;
+        Ok(ends)
+    }
+
+    fn kinds(&mut self) -> Result<Vec<i64>, DataError> {
+        let count = self.count("a number of cells")?;
+        self.begin();
+        self.cursor.integers(count, Kind::I32, self.encoding, "types of cells")
+    }
+
+    /// Passes over lines to an empty one.
+    fn metadata(&mut self) {
+        self.cursor.end_line();
+        while !self.cursor.end_line().is_empty() {}
+    }
+
+    /// All that follows the word `POINT_DATA` or `CELL_DATA`, which is given. What is unknown ends it.
+    fn data(&mut self, first: &[u8]) -> Result<(), DataError> {
+        let mut keyword = first.to_vec();
+        let (mut count, mut keep) = (0, false);
+        loop {
+            match keyword.as_slice() {
+                b"POINT_DATA" | b"CELL_DATA" => {
+                    count = self.count("a number of points or cells")?;
+                    keep = keyword == b"POINT_DATA";
+                }
+                b"METADATA" => self.metadata(),
+                b"FIELD" => self.field(keep)?,
+                b"SCALARS" => {
+                    let (name, kind) = (self.name()?, self.kind()?);
+                    let components = parse(self.cursor.end_line()).unwrap_or(1);
+                    if self.cursor.peek().is_some_and(|word| word.eq_ignore_ascii_case(b"LOOKUP_TABLE")) {
+                        self.cursor.word();
+                        self.cursor.end_line();
+                    }
+                    self.array(Header { name, role: Role::Any, components, tuples: count, kind, keep })?;
+                }
+                b"COLOR_SCALARS" => {
+                    let (name, components) = (self.name()?, self.count("a number of components")?);
+                    self.cursor.end_line();
+                    let kind = self.byte_or_fraction();
+                    self.array(Header { name, role: Role::Colours, components, tuples: count, kind, keep })?;
+                }
+                b"LOOKUP_TABLE" => {
+                    let (name, tuples) = (self.name()?, self.count("a size")?);
+                    self.cursor.end_line();
+                    let kind = self.byte_or_fraction();
+                    self.array(Header { name, role: Role::None, components: 4, tuples, kind, keep: false })?;
+                }
+                b"TEXTURE_COORDINATES" => {
+                    let (name, components) = (self.name()?, self.count("a number of components")?);
+                    let kind = self.kind()?;
+                    self.cursor.end_line();
+                    self.array(Header { name, role: Role::Texture, components, tuples: count, kind, keep })?;
+                }
+                b"NORMALS" | b"VECTORS" | b"TENSORS" | b"TENSORS6" | b"GLOBAL_IDS" | b"PEDIGREE_IDS" => {
+                    let (role, components) = match keyword.as_slice() {
+                        b"NORMALS" => (Role::Normals, 3),
+                        b"VECTORS" => (Role::Any, 3),
+                        b"TENSORS" => (Role::Any, 9),
+                        b"TENSORS6" => (Role::Any, 6),
+                        _ => (Role::None, 1),
+                    };
+                    let (name, kind) = (self.name()?, self.kind()?);
+                    self.cursor.end_line();
+                    self.array(Header { name, role, components, tuples: count, kind, keep })?;
+                }
+                other => {
+                    let text = format!("\"{}\" in line {} is not known", shown(other), self.cursor.line);
+                    self.left.unreadable("data of points", text);
+                    return Ok(());
+                }
+            }
+            let Some(word) = self.cursor.word() else { return Ok(()) };
+            keyword = word.to_ascii_uppercase();
+        }
+    }
+
+    fn name(&mut self) -> Result<String, DataError> {
+        let word = self.cursor.word().ok_or_else(|| cut("a header"))?;
+        Ok(String::from_utf8_lossy(word).into_owned())
+    }
+
+    /// Colours are bytes in binary files, and fractions in text.
+    fn byte_or_fraction(&self) -> Type {
+        Type::Numbers(if self.encoding == Encoding::Text { Kind::F32 } else { Kind::U8 })
+    }
+
+    fn field(&mut self, keep: bool) -> Result<(), DataError> {
+        self.name()?;
+        for _ in 0..self.count("a number of arrays")? {
+            let mut name = self.name()?;
+            // What was written with the array before. An array may have this name.
+            while name == "METADATA" && self.cursor.clone().end_line().is_empty() {
+                self.metadata();
+                name = self.name()?;
+            }
+            let (components, tuples) = (self.count("a number of components")?, self.count("a number of points")?);
+            let kind = self.kind()?;
+            self.cursor.end_line();
+            self.array(Header { name, role: Role::Any, components, tuples, kind, keep })?;
+        }
+        Ok(())
+    }
+
+    fn array(&mut self, header: Header) -> Result<(), DataError> {
+        let Header { name, role, components, tuples, kind, keep } = header;
+        let total = components.saturating_mul(tuples);
+        let what = || format!("the array {:?}", shown(name.as_bytes()));
+        match (kind, self.encoding) {
+            (Type::Numbers(kind), encoding) => {
+                let keep = keep && self.wanted;
+                let values = self.cursor.lenient(total, kind, encoding, &what(), keep)?;
+                if keep {
+                    self.arrays.push(Array { name, role, components, eight: kind == Kind::U8, values });
+                }
+            }
+            (Type::Bits, Encoding::Text) => {
+                drop(self.cursor.lenient(total, Kind::U8, Encoding::Text, &what(), false)?)
+            }
+            (Type::Bits, _) => drop(self.cursor.take(total.div_ceil(8)).ok_or_else(|| cut(&what()))?),
+            (Type::Strings, Encoding::Text) => {
+                for _ in 0..total {
+                    if self.cursor.rest.is_empty() {
+                        return Err(cut(&what()));
+                    }
+                    self.cursor.end_line();
+                }
+            }
+            (Type::Strings, _) => {
+                for _ in 0..total {
+                    self.string().ok_or_else(|| cut(&what()))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Passes over a string of a binary file, whose first two bits tell how long its length is.
+    fn string(&mut self) -> Option<()> {
+        let bytes = 1usize << (3 - (self.cursor.rest.first()? >> 6));
+        let length = self.cursor.take(bytes)?.iter().fold(0u64, |sum, &b| sum << 8 | u64::from(b));
+        let most = (1u64 << (8 * bytes - 2)) - 1;
+        self.cursor.take(usize::try_from(length & most).ok()?).map(|_| ())
+    }
+}
+
+/// What is said of an array before its values.
+struct Header {
+    name: String,
+    role: Role,
+    components: usize,
+    tuples: usize,
+    kind: Type,
+    keep: bool,
+}
+
+fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
+    let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
+    let arrays = written(held);
+    let mut out = Vec::with_capacity(256 + 24 * vertices + 16 * facets + 8 * vertices * arrays.len());
+    let line = |out: &mut Vec<u8>, text: String| out.extend_from_slice(text.as_bytes());
+    let head = "# vtk DataFile Version 4.2\nsurface\nBINARY\nDATASET POLYDATA";
+    line(&mut out, format!("{head}\nPOINTS {vertices} double\n"));
+    mesh.positions().iter().flat_map(|p| p.to_array()).for_each(|x| out.extend_from_slice(&x.to_be_bytes()));
+    line(&mut out, format!("\nPOLYGONS {facets} {}\n", 4 * facets));
+    for facet in mesh.facets() {
+        [3, facet[0], facet[1], facet[2]].iter().for_each(|v| out.extend_from_slice(&v.to_be_bytes()));
+    }
+    if !arrays.is_empty() {
+        line(&mut out, format!("\nPOINT_DATA {vertices}"));
+    }
+    let fields = |array: &super::Written| {
+        array.role == Role::Any || array.role == Role::Colours && matches!(array.values, Numbers::Doubles(_))
+    };
+    let in_field = arrays.iter().filter(|a| fields(a)).count();
+    let others = arrays.iter().filter(|a| !fields(a));
+    for (index, array) in others.chain(arrays.iter().filter(|a| fields(a))).enumerate() {
+        let (name, n) = (&array.name, array.components);
+        if index == arrays.len() - in_field {
+            line(&mut out, format!("\nFIELD FieldData {in_field}"));
+        }
+        let head = match array.role {
+            _ if fields(array) => format!("{name} {n} {vertices} double"),
+            Role::Normals => format!("NORMALS {name} double"),
+            Role::Texture => format!("TEXTURE_COORDINATES {name} {n} double"),
+            _ => format!("COLOR_SCALARS {name} {n}"),
+        };
+        line(&mut out, format!("\n{head}\n"));
+        match &array.values {
+            Numbers::Bytes(bytes) => out.extend_from_slice(bytes),
+            Numbers::Doubles(numbers) => numbers.iter().for_each(|x| out.extend_from_slice(&x.to_be_bytes())),
+        }
+    }
+    Ok(out)
+}

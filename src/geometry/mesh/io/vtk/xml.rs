@@ -1,0 +1,643 @@
+//! VTK's XML for polygonal data, `.vtp`: text, base64, and data appended raw or in base64, plain or packed by zlib. Writes
+//! base64 in place, with doubles.
+//!
+//! Purpose: the elements are walked first (`quick-xml`), which finds arrays; those that matter are read then, since appended data
+//! come last. Several pieces are one surface.
+//! Invariant: arrays together are no longer than the file, or, where they are packed, than [`super::super::UNPACKED_RATIO`] times
+//! the file: any number of arrays may name the same bytes. Records of pieces and arrays are bounded by the file too ([`Room`]).
+//! Must not know: legacy files.
+
+use std::collections::HashMap;
+use std::io::Read as _;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use flate2::read::ZlibDecoder;
+use glam::DVec3;
+use quick_xml::Reader;
+use quick_xml::events::{BytesStart, Event};
+
+use super::{Array, Cell, KINDS, Numbers, Role, carried, push_cells, written};
+use crate::mesh::TriMesh;
+use crate::mesh::io::held::{By, Held, Holds};
+use crate::mesh::io::numbers::{Cursor, Encoding, Kind, Order, shown};
+use crate::mesh::io::room::Room;
+use crate::mesh::io::{Codec, Counts, DataError, Soup, VertexNumbers, unpacked_limit};
+
+/// See [`Codec`].
+pub(in crate::mesh::io) const CODEC: Codec = Codec {
+    extension: "vtp",
+    decode,
+    encode,
+    counts,
+    holds: Holds { normals: By::Vertex, texture: By::Vertex, colours: true, opacity: true, scalars: true },
+    vertices: VertexNumbers::Kept,
+};
+
+fn decode(bytes: &[u8], wanted: bool) -> Result<Soup, DataError> {
+    let mut file = File::walk(bytes)?;
+    let mut soup = Soup::default();
+    let (mut arrays, mut names) = (Vec::new(), HashMap::new());
+    for (index, piece) in std::mem::take(&mut file.pieces).into_iter().enumerate() {
+        let first = soup.positions.len();
+        let missing = |what: &str| DataError::Header(format!("piece {index} has no {what}"));
+        if piece.points == 0 {
+            continue;
+        }
+        let points = piece.coordinates.as_ref().ok_or_else(|| missing("Points"))?;
+        let numbers =
+            file.values(points, piece.points.checked_mul(3), Kind::floats, |c, n, k, e| c.floats(n, k, e, "points"))?;
+        soup.positions.extend(numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)));
+        for (cells, is_strip) in [(&piece.polygons, false), (&piece.strips, true)] {
+            if cells.count == 0 {
+                continue;
+            }
+            let offsets = cells.offsets.as_ref().ok_or_else(|| missing("offsets"))?;
+            let list = cells.points.as_ref().ok_or_else(|| missing("connectivity"))?;
+            let ends = file.integers(offsets, Some(cells.count))?;
+            let mut points = file.integers(list, ends.last().and_then(|&end| usize::try_from(end).ok()))?;
+            // Numbers that are out of range stay so.
+            let (count, first) = (piece.points as i64, first as i64);
+            points.iter_mut().for_each(|p| *p = if (0..count).contains(p) { *p + first } else { i64::MAX });
+            push_cells(&mut soup, |_| if is_strip { Cell::Strip } else { Cell::Polygon }, &ends, &points)?;
+        }
+        if wanted {
+            file.data(&mut arrays, &mut names, &piece, first, &mut soup);
+        }
+    }
+    let aside = std::mem::take(&mut soup.raw.unreadable);
+    soup.raw = carried(arrays, &soup.facets);
+    soup.raw.unreadable.extend(aside);
+    Ok(soup)
+}
+
+/// By the lengths before arrays: nothing is unpacked.
+fn counts(bytes: &[u8]) -> Option<Counts> {
+    let mut file = File::walk(bytes).ok()?;
+    let mut counts = Counts::default();
+    for piece in std::mem::take(&mut file.pieces).iter().filter(|piece| piece.points > 0) {
+        let mut numbers = |array: &DataArray<'_>| -> Option<usize> {
+            let (numbers, is_made) = file.numbers(array)?;
+            if is_made {
+                counts.made_bytes = counts.made_bytes.saturating_add(8 * numbers as u64);
+            }
+            Some(numbers)
+        };
+        if numbers(piece.coordinates.as_ref()?)? / 3 < piece.points {
+            return None;
+        }
+        counts.vertices = counts.vertices.saturating_add(piece.points as u64);
+        for cells in [&piece.polygons, &piece.strips].into_iter().filter(|cells| cells.count > 0) {
+            if numbers(cells.offsets.as_ref()?)? < cells.count {
+                return None;
+            }
+            let corners = numbers(cells.points.as_ref()?)?;
+            counts.facets = counts.facets.saturating_add(corners.saturating_sub(2 * cells.count) as u64);
+        }
+        for array in &piece.arrays {
+            numbers(array);
+        }
+    }
+    // Reading ends there.
+    counts.made_bytes = counts.made_bytes.min(8 * file.left as u64);
+    Some(counts)
+}
+
+/// What is said of an array, and where it is.
+struct DataArray<'a> {
+    name: String,
+    role: Role,
+    kind: Option<Kind>,
+    components: usize,
+    place: Place<'a>,
+    line: usize,
+}
+
+enum Place<'a> {
+    Text(&'a [u8]),
+    Base64(&'a [u8]),
+    Appended(usize),
+}
+
+#[derive(Default)]
+struct Cells<'a> {
+    count: usize,
+    points: Option<DataArray<'a>>,
+    offsets: Option<DataArray<'a>>,
+}
+
+#[derive(Default)]
+struct Piece<'a> {
+    points: usize,
+    coordinates: Option<DataArray<'a>>,
+    polygons: Cells<'a>,
+    strips: Cells<'a>,
+    arrays: Vec<DataArray<'a>>,
+    normals: String,
+    texture: String,
+}
+
+struct File<'a> {
+    order: Order,
+    /// Of the lengths before data.
+    length: Kind,
+    packed: bool,
+    pieces: Vec<Piece<'a>>,
+    appended: &'a [u8],
+    appended_raw: bool,
+    /// Bytes that may still be made of arrays.
+    left: usize,
+    /// For pieces and what is noted of arrays.
+    room: Room,
+}
+
+/// Elements within each other. Files in use have six.
+const DEEPEST: usize = 64;
+
+fn attribute(tag: &BytesStart<'_>, name: &str) -> Option<String> {
+    let found = tag.attributes().with_checks(false).flatten().find(|a| a.key.as_ref() == name.as_bytes())?;
+    Some(String::from_utf8_lossy(&found.value).into_owned())
+}
+
+fn number(tag: &BytesStart<'_>, name: &str) -> usize {
+    attribute(tag, name).and_then(|text| text.trim().parse().ok()).unwrap_or(0)
+}
+
+impl<'a> File<'a> {
+    /// Finds all arrays.
+    fn walk(bytes: &'a [u8]) -> Result<Self, DataError> {
+        let mut file = File {
+            order: Order::Little,
+            length: Kind::U32,
+            packed: false,
+            pieces: Vec::new(),
+            appended: &[],
+            appended_raw: false,
+            left: bytes.len(),
+            room: Room::of(bytes.len()),
+        };
+        if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
+            let begins = bytes.trim_ascii_start().starts_with(b"<");
+            let text = "it does not end with \"</VTKFile>\"".to_owned();
+            return Err(if begins { DataError::Truncated(text) } else { DataError::Header(text) });
+        }
+        let mut reader = Reader::from_reader(bytes);
+        let mut lines = Lines { bytes, at: 0, line: 1 };
+        let mut section = Vec::new();
+        let mut array: Option<(DataArray<'a>, usize)> = None;
+        loop {
+            let event = reader.read_event();
+            let line = lines.at(reader.buffer_position());
+            let event = event.map_err(|error| {
+                let message: String =
+                    error.to_string().chars().map(|c| if c.is_control() { ' ' } else { c }).take(200).collect();
+                DataError::Syntax { line, message }
+            })?;
+            match &event {
+                Event::Start(tag) | Event::Empty(tag) => {
+                    let name = tag.name().as_ref().to_vec();
+                    let empty = matches!(event, Event::Empty(_));
+                    match name.as_slice() {
+                        b"VTKFile" => file.head(tag)?,
+                        b"Piece" => {
+                            let piece = Piece {
+                                points: number(tag, "NumberOfPoints"),
+                                polygons: Cells { count: number(tag, "NumberOfPolys"), ..Cells::default() },
+                                strips: Cells { count: number(tag, "NumberOfStrips"), ..Cells::default() },
+                                ..Piece::default()
+                            };
+                            file.room.push(&mut file.pieces, piece)?;
+                        }
+                        b"PointData" => {
+                            if let Some(piece) = file.pieces.last_mut() {
+                                piece.normals = attribute(tag, "Normals").unwrap_or_default();
+                                piece.texture = attribute(tag, "TCoords").unwrap_or_default();
+                            }
+                        }
+                        b"DataArray" => {
+                            let found = data_array(tag, line)?;
+                            match empty {
+                                true => file.put(&section, found)?,
+                                false => array = Some((found, section.len())),
+                            }
+                        }
+                        b"AppendedData" if !empty => {
+                            let at = usize::try_from(reader.buffer_position()).unwrap_or(usize::MAX);
+                            file.append(tag, bytes.get(at..).unwrap_or_default())?;
+                            break;
+                        }
+                        _ => {}
+                    }
+                    if !empty {
+                        if section.len() == DEEPEST {
+                            let message = format!("more than {DEEPEST} elements are open");
+                            return Err(DataError::Syntax { line, message });
+                        }
+                        section.push(name);
+                    }
+                }
+                Event::End(_) => {
+                    section.pop();
+                    if let Some((found, _)) = array.take_if(|(_, depth)| *depth == section.len()) {
+                        file.put(&section, found)?;
+                    }
+                }
+                Event::Text(text) => {
+                    if let Some((found, depth)) = &mut array
+                        && *depth + 1 == section.len()
+                        && let Place::Text(content) | Place::Base64(content) = &mut found.place
+                        && content.trim_ascii().is_empty()
+                    {
+                        // By its place, for the life of the bytes.
+                        let end = usize::try_from(reader.buffer_position()).unwrap_or(0).min(bytes.len());
+                        let start = end.saturating_sub(text.len());
+                        *content = &bytes[start..end];
+                        found.line = line - bytes[start..end].iter().filter(|&&b| b == b'\n').count();
+                    }
+                }
+                Event::Eof if !section.is_empty() => {
+                    return Err(DataError::Truncated("an element is not closed".to_owned()));
+                }
+                Event::Eof => break,
+                _ => {}
+            }
+        }
+        if file.pieces.is_empty() {
+            return Err(DataError::Header("there is no element Piece of PolyData".to_owned()));
+        }
+        Ok(file)
+    }
+
+    fn head(&mut self, tag: &BytesStart<'_>) -> Result<(), DataError> {
+        let is = |name: &str, value: &str| attribute(tag, name).is_some_and(|text| text == value);
+        if !is("type", "PolyData") {
+            let kind = attribute(tag, "type").unwrap_or_default();
+            let kind = shown(kind.as_bytes());
+            return Err(DataError::Header(format!(
+                "VTKFile is of type \"{kind}\", not PolyData; extract the surface first"
+            )));
+        }
+        if is("byte_order", "BigEndian") {
+            self.order = Order::Big;
+        }
+        if is("header_type", "UInt64") {
+            self.length = Kind::U64;
+        }
+        match attribute(tag, "compressor").as_deref() {
+            None | Some("") => {}
+            Some("vtkZLibDataCompressor") => {
+                self.packed = true;
+                self.left = unpacked_limit(self.left);
+            }
+            Some(other) => {
+                let other = shown(other.as_bytes());
+                return Err(DataError::Header(format!(
+                    "the compressor {other} is not known; write it with zlib or without"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Appended data: from an underscore to the end of the element.
+    fn append(&mut self, tag: &BytesStart<'_>, rest: &'a [u8]) -> Result<(), DataError> {
+        self.appended_raw = attribute(tag, "encoding").is_some_and(|text| text == "raw");
+        let end = rest.windows(15).rposition(|window| window == b"</AppendedData>");
+        let begin = rest.iter().position(|b| !b.is_ascii_whitespace()).filter(|&at| rest[at] == b'_');
+        match (begin, end) {
+            (Some(begin), Some(end)) if begin < end => {
+                self.appended = &rest[begin + 1..end];
+                Ok(())
+            }
+            _ => Err(DataError::Header("appended data stand between \"_\" and \"</AppendedData>\"".to_owned())),
+        }
+    }
+
+    /// Takes an array that was found within these elements.
+    fn put(&mut self, section: &[Vec<u8>], mut found: DataArray<'a>) -> Result<(), DataError> {
+        let (Some(piece), Some(section)) = (self.pieces.last_mut(), section.last()) else { return Ok(()) };
+        match section.as_slice() {
+            b"Points" => piece.coordinates = Some(found),
+            b"PointData" => {
+                if !found.name.is_empty() && found.name == piece.normals {
+                    found.role = Role::Normals;
+                } else if !found.name.is_empty() && found.name == piece.texture {
+                    found.role = Role::Texture;
+                }
+                self.room.take(found.name.len())?;
+                self.room.push(&mut piece.arrays, found)?;
+            }
+            b"Polys" | b"Strips" => {
+                let cells = if section == b"Polys" { &mut piece.polygons } else { &mut piece.strips };
+                match found.name.as_str() {
+                    "connectivity" => cells.points = Some(found),
+                    "offsets" => cells.offsets = Some(found),
+                    _ => {}
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// How many numbers an array says that it has, at most as many as a file of this size can hold; whether they are binary.
+    fn numbers(&self, array: &DataArray<'_>) -> Option<(usize, bool)> {
+        let kind = array.kind?;
+        let source = match self.source(array) {
+            Ok(source) => source,
+            Err(text) => {
+                return Some((text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).count(), false));
+            }
+        };
+        let length = self.length_of(&source).ok()?;
+        (length <= self.left).then_some((length / kind.bytes(), true))
+    }
+
+    /// The bytes of an array, with the length before them; its text, if it is text.
+    fn source(&self, array: &DataArray<'a>) -> Result<Source<'a>, &'a [u8]> {
+        match array.place {
+            Place::Text(content) => Err(content),
+            Place::Base64(content) => Ok(Source::base64(content)),
+            Place::Appended(offset) => {
+                let data = self.appended.get(offset..).unwrap_or_default();
+                Ok(if self.appended_raw { Source::Raw(data) } else { Source::Base64(data.into()) })
+            }
+        }
+    }
+
+    /// Numbers before data.
+    fn lengths(&self, data: &[u8]) -> Vec<usize> {
+        let all = self.length.integers(data, self.order);
+        all.into_iter().map(|n| usize::try_from(n).unwrap_or(usize::MAX)).collect()
+    }
+
+    /// How many bytes an array says that it has.
+    fn length_of(&self, source: &Source<'_>) -> Result<usize, String> {
+        let size = self.length.bytes();
+        match (self.packed, self.lengths(&source.first(if self.packed { 3 * size } else { size })?).as_slice()) {
+            (false, &[length]) => Ok(length),
+            (true, &[blocks, block, last]) => Ok(Blocks { blocks, block, last }.bytes()),
+            _ => Err("an array is cut off".to_owned()),
+        }
+    }
+
+    fn integers(&mut self, array: &DataArray<'_>, count: Option<usize>) -> Result<Vec<i64>, DataError> {
+        self.values(array, count, Kind::integers, |c, n, k, e| c.integers(n, k, e, "cells"))
+    }
+
+    /// All numbers of an array, of which there should be so many.
+    fn values<T>(
+        &mut self,
+        array: &DataArray<'_>,
+        count: Option<usize>,
+        binary: impl Fn(Kind, &[u8], Order) -> Vec<T>,
+        text: impl Fn(&mut Cursor<'_>, usize, Kind, Encoding) -> Result<Vec<T>, DataError>,
+    ) -> Result<Vec<T>, DataError> {
+        let wrong = |message: String| DataError::Syntax { line: array.line, message };
+        let Some(kind) = array.kind else { return Err(wrong("a DataArray has no known type of numbers".to_owned())) };
+        let count = count.ok_or_else(|| wrong("there are too many numbers".to_owned()))?;
+        let whole = match self.source(array) {
+            Ok(source) => source,
+            Err(content) => {
+                let mut cursor = Cursor { rest: content, line: array.line };
+                return text(&mut cursor, count, kind, Encoding::Text);
+            }
+        };
+        let bytes = count.saturating_mul(kind.bytes());
+        self.spend(bytes).map_err(wrong)?;
+        let data = self.data_of(whole, bytes).map_err(wrong)?;
+        Ok(binary(kind, &data, self.order))
+    }
+
+    /// Counts bytes that are made of the file's.
+    fn spend(&mut self, bytes: usize) -> Result<(), String> {
+        let left = self.left.checked_sub(bytes);
+        self.left = left.ok_or_else(|| format!("{bytes} bytes more are more than a file of this size holds"))?;
+        Ok(())
+    }
+
+    /// So many bytes of an array, without the length before them.
+    fn data_of(&mut self, source: Source<'_>, bytes: usize) -> Result<Vec<u8>, String> {
+        let size = self.length.bytes();
+        let differs = |n: usize| format!("an array has {n} bytes and should have {bytes}; write the file again");
+        if !self.packed {
+            let data = source.first(bytes.saturating_add(size))?;
+            let (head, data) = data.split_at_checked(size).ok_or("an array is cut off")?;
+            return match self.lengths(head).first() {
+                Some(&n) if n == bytes && data.len() == n => Ok(data.to_vec()),
+                Some(&n) => Err(differs(n)),
+                None => Err("an array is cut off".to_owned()),
+            };
+        }
+        // Packed sizes of all blocks follow.
+        let head = self.lengths(&source.first(3 * size)?);
+        let &[blocks, block, last] = head.as_slice() else { return Err("an array is cut off".to_owned()) };
+        let all = Blocks { blocks, block, last };
+        let (full, whole) = (all.full(), all.bytes());
+        if whole != bytes {
+            return Err(differs(whole));
+        }
+        let head_bytes = blocks.saturating_add(3).saturating_mul(size);
+        self.spend(head_bytes)?;
+        let sizes = self.lengths(source.first(head_bytes)?.get(3 * size..).unwrap_or_default());
+        if sizes.len() != blocks {
+            return Err("an array is cut off".to_owned());
+        }
+        let packed = sizes.iter().fold(0usize, |sum, &n| sum.saturating_add(n));
+        self.spend(packed)?;
+        let data = source.after(head_bytes, packed)?;
+        let mut out = Vec::with_capacity(bytes.min(1 << 20));
+        let mut rest = data.as_slice();
+        for (index, &n) in sizes.iter().enumerate() {
+            let (packed, after) = rest.split_at_checked(n).ok_or("an array is cut off")?;
+            rest = after;
+            let wanted = if index < full { block } else { last };
+            let before = out.len();
+            let read = ZlibDecoder::new(packed).take(wanted as u64).read_to_end(&mut out);
+            if read.is_err() || out.len() - before != wanted {
+                return Err(format!("block {index} of an array cannot be unpacked"));
+            }
+        }
+        Ok(out)
+    }
+
+    /// Reads what the points of a piece carry, before which there are so many points. What is wrong is left aside. Arrays of the
+    /// pieces that follow are those of the same name.
+    fn data(
+        &mut self,
+        arrays: &mut Vec<Array>,
+        names: &mut HashMap<(String, usize), usize>,
+        piece: &Piece<'a>,
+        first: usize,
+        soup: &mut Soup,
+    ) {
+        for array in &piece.arrays {
+            let components = array.components;
+            let key = (array.name.clone(), components);
+            let known = names.get(&key).and_then(|&index| arrays.get_mut(index));
+            if first > 0 && known.as_ref().is_none_or(|known| Some(known.values.len()) != first.checked_mul(components))
+            {
+                continue;
+            }
+            let count = piece.points.checked_mul(components);
+            let values = self.values(array, count, Kind::floats, |c, n, k, e| c.lenient(n, k, e, "an array", true));
+            match (values, known.filter(|_| first > 0)) {
+                (Ok(values), Some(known)) => known.values.extend(values),
+                (Err(_), Some(_)) => {}
+                (Ok(values), None) => {
+                    names.entry(key).or_insert(arrays.len());
+                    let eight = array.kind == Some(Kind::U8);
+                    arrays.push(Array { name: array.name.clone(), role: array.role, components, eight, values });
+                }
+                (Err(error), None) => {
+                    let name = shown(array.name.as_bytes());
+                    soup.raw.unreadable(&format!("array {name:?}"), error.to_string());
+                }
+            }
+        }
+    }
+}
+
+/// What stands before packed data: the number of blocks, the size of each but the last, the last one's.
+struct Blocks {
+    blocks: usize,
+    block: usize,
+    last: usize,
+}
+
+impl Blocks {
+    /// How many are as long as the others.
+    fn full(&self) -> usize {
+        if self.last == 0 { self.blocks } else { self.blocks.saturating_sub(1) }
+    }
+
+    /// Bytes of all.
+    fn bytes(&self) -> usize {
+        self.full().saturating_mul(self.block).saturating_add(if self.blocks > 0 { self.last } else { 0 })
+    }
+}
+
+/// Bytes, as they are or to be decoded.
+enum Source<'a> {
+    Raw(&'a [u8]),
+    Base64(std::borrow::Cow<'a, [u8]>),
+}
+
+impl<'a> Source<'a> {
+    /// Text that may be broken into lines.
+    fn base64(text: &'a [u8]) -> Self {
+        if !text.iter().any(u8::is_ascii_whitespace) {
+            return Self::Base64(text.into());
+        }
+        Self::Base64(text.iter().copied().filter(|b| !b.is_ascii_whitespace()).collect::<Vec<_>>().into())
+    }
+
+    /// As many bytes, or less where it ends.
+    fn first(&self, wanted: usize) -> Result<Vec<u8>, String> {
+        self.after(0, wanted)
+    }
+
+    fn after(&self, passed: usize, wanted: usize) -> Result<Vec<u8>, String> {
+        let text = match self {
+            Self::Raw(data) => {
+                let data = data.get(passed..).unwrap_or_default();
+                return Ok(data[..wanted.min(data.len())].to_vec());
+            }
+            Self::Base64(text) => text,
+        };
+        // Lengths are encoded by themselves or with the data after them: padding may stand inside.
+        let total = passed.saturating_add(wanted);
+        let (mut out, mut rest) = (Vec::new(), text.as_ref());
+        while out.len() < total && !rest.is_empty() {
+            let most = (total - out.len()).div_ceil(3).saturating_mul(4).min(rest.len());
+            let padding = rest[..most].iter().position(|&b| b == b'=').unwrap_or(most);
+            let run = padding + rest[padding..most].iter().take(2).take_while(|&&b| b == b'=').count();
+            let (run, after) = rest.split_at(run);
+            STANDARD.decode_vec(run, &mut out).map_err(|error| format!("base64: {error}"))?;
+            rest = after;
+        }
+        out.truncate(total);
+        out.drain(..passed.min(out.len()));
+        Ok(out)
+    }
+}
+
+/// Lines up to places that only grow.
+struct Lines<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    line: usize,
+}
+
+impl Lines<'_> {
+    fn at(&mut self, place: u64) -> usize {
+        let place = usize::try_from(place).unwrap_or(usize::MAX).min(self.bytes.len());
+        let passed = self.bytes.get(self.at..place).unwrap_or_default();
+        self.line += passed.iter().filter(|&&b| b == b'\n').count();
+        self.at = self.at.max(place);
+        self.line
+    }
+}
+
+fn data_array<'a>(tag: &BytesStart<'_>, line: usize) -> Result<DataArray<'a>, DataError> {
+    let kind = attribute(tag, "type").unwrap_or_default();
+    let place = match attribute(tag, "format").as_deref() {
+        Some("ascii") | None => Place::Text(&[]),
+        Some("binary") => Place::Base64(&[]),
+        Some("appended") => Place::Appended(number(tag, "offset")),
+        Some(other) => {
+            let message = format!("the format \"{}\" of an array is not known", shown(other.as_bytes()));
+            return Err(DataError::Syntax { line, message });
+        }
+    };
+    Ok(DataArray {
+        name: attribute(tag, "Name").unwrap_or_default(),
+        role: Role::Any,
+        kind: KINDS.iter().find(|(_, name, _)| *name == kind).map(|&(.., kind)| kind),
+        components: number(tag, "NumberOfComponents").max(1),
+        place,
+        line,
+    })
+}
+
+fn encode(mesh: &TriMesh, held: &Held<'_>) -> Result<Vec<u8>, DataError> {
+    let (vertices, facets) = (mesh.positions().len(), mesh.facets().len());
+    let arrays = written(held);
+    let mut out = String::with_capacity(1024 + 32 * vertices + 44 * facets + 11 * vertices * arrays.len());
+    let array = |out: &mut String, name: &str, kind: &str, components: usize, data: Vec<u8>| {
+        out.push_str(&format!(
+            "<DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{components}\" format=\"binary\">"
+        ));
+        STANDARD.encode_string((data.len() as u64).to_le_bytes(), out);
+        STANDARD.encode_string(data, out);
+        out.push_str("</DataArray>\n");
+    };
+    out.push_str("<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" ");
+    out.push_str("header_type=\"UInt64\">\n<PolyData>\n");
+    out.push_str(&format!("<Piece NumberOfPoints=\"{vertices}\" NumberOfVerts=\"0\" NumberOfLines=\"0\" "));
+    out.push_str(&format!("NumberOfStrips=\"0\" NumberOfPolys=\"{facets}\">\n<PointData"));
+    for (key, role) in [("Normals", Role::Normals), ("TCoords", Role::Texture)] {
+        if let Some(array) = arrays.iter().find(|array| array.role == role) {
+            out.push_str(&format!(" {key}=\"{}\"", array.name));
+        }
+    }
+    out.push_str(">\n");
+    let doubles = |numbers: &mut dyn Iterator<Item = f64>| -> Vec<u8> { numbers.flat_map(f64::to_le_bytes).collect() };
+    for a in arrays {
+        let (kind, data) = match a.values {
+            Numbers::Bytes(bytes) => ("UInt8", bytes),
+            Numbers::Doubles(numbers) => ("Float64", doubles(&mut numbers.into_iter())),
+        };
+        array(&mut out, &a.name, kind, a.components, data);
+    }
+    out.push_str("</PointData>\n<Points>\n");
+    let positions = doubles(&mut mesh.positions().iter().flat_map(|p| p.to_array()));
+    array(&mut out, "Points", "Float64", 3, positions);
+    out.push_str("</Points>\n<Polys>\n");
+    let corners = mesh.facets().as_flattened().iter().flat_map(|&v| i64::from(v).to_le_bytes()).collect();
+    array(&mut out, "connectivity", "Int64", 1, corners);
+    let ends = (1..=facets).flat_map(|f| (3 * f as u64).to_le_bytes()).collect();
+    array(&mut out, "offsets", "Int64", 1, ends);
+    out.push_str("</Polys>\n</Piece>\n</PolyData>\n</VTKFile>");
+    Ok(out.into_bytes())
+}

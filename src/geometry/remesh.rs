@@ -1,0 +1,336 @@
+//! The remesh: options, result, errors, and the call.
+//!
+//! Purpose: one call from a surface and a count to a new surface and a report. The rooms below do the work: `pipeline` has
+//! the stages in their order, `features` the curves to keep, `manifold` the combinatorics, `fit` the placement of the
+//! vertices, `improve` local changes, `distance` the distances between the two surfaces, `attributes` what the mesh
+//! carries.
+//! Invariant: the result is oriented as the input; what could not be kept is in the report.
+//! Must not know: files, jobs, the network.
+
+pub mod attributes;
+mod constants;
+mod distance;
+mod features;
+mod fit;
+mod improve;
+mod manifold;
+mod pipeline;
+pub mod report;
+mod triangle;
+
+use glam::DVec3;
+
+use crate::cvt::density::{Count, DensityError, DensityOptions};
+use crate::cvt::{Iteration, Projection};
+use crate::mesh::TriMesh;
+use crate::mesh::attributes::{AttributeError, Attributes};
+use crate::mesh::features::FeatureError;
+use crate::mesh::measure::Topology;
+use crate::rvd::RvdError;
+use crate::token::Stopped;
+
+pub use attributes::Provenance;
+pub use pipeline::remesh;
+pub use report::Report;
+
+/// Where the first seeds come from.
+#[derive(Clone, Debug)]
+pub enum Seeds {
+    /// Drawn on the surface ∝ √w and spread out ([`crate::mesh::sample::spread`]).
+    Sample {
+        /// How many.
+        points: usize,
+        /// Random seed: the same number gives the same points everywhere.
+        seed: u64,
+    },
+    /// Given, in the caller's coordinates.
+    Given(Vec<DVec3>),
+    /// As many as the edge lengths of the density imply, drawn as `Sample`.
+    Implied {
+        /// Random seed.
+        seed: u64,
+    },
+}
+
+impl Seeds {
+    /// The default random seed.
+    pub const RANDOM_SEED: u64 = 0;
+
+    /// How many are given.
+    fn given(&self) -> Option<usize> {
+        match self {
+            Self::Given(seeds) => Some(seeds.len()),
+            _ => None,
+        }
+    }
+
+    /// How many seeds there will be.
+    pub fn count(&self) -> Count {
+        match self {
+            Self::Sample { points, .. } => Count::Points(*points),
+            Self::Given(seeds) => Count::Points(seeds.len()),
+            Self::Implied { .. } => Count::Implied,
+        }
+    }
+}
+
+/// Where the result's vertices go.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Placement {
+    /// To where the mean distance of the facets from the input is least, a little off the surface.
+    #[default]
+    Fitted,
+    /// To their seeds, on the surface.
+    Surface,
+    /// To the centroids of their restricted cells, a little inside where the surface bulges.
+    Centroids,
+}
+
+/// More points where the result is far from the input. Needs [`Placement::Fitted`].
+///
+/// The distance is measured both ways, at samples of facets, edges and vertices. Drawn seeds are drawn again, up to nine times,
+/// with shorter edges where the last result was too far; rounds go on while points and progress remain. A result that is still
+/// too far is never farther than as many points with a uniform density or one by curvature. Given seeds stay, and seeds are
+/// added to them. [`report::RefineFigures::ended`] says what ended it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Refine {
+    /// The largest distance between input and result, caller's units. The report's `refine.out_of_tolerance` counts the
+    /// samples that are farther away.
+    pub tolerance: f64,
+    /// The most seeds in all: at least as many as there are at first.
+    pub max_points: usize,
+}
+
+impl Refine {
+    /// Adds points until nothing is farther than `tolerance` away, or until there are twice as many as the `points` at first.
+    pub fn new(tolerance: f64, points: usize) -> Self {
+        Self { tolerance, max_points: points.saturating_mul(2) }
+    }
+
+    /// With another [`Self::max_points`].
+    #[must_use]
+    pub fn with_max_points(mut self, max_points: usize) -> Self {
+        self.max_points = max_points;
+        self
+    }
+}
+
+/// What to do. Everything but the seeds has a default. The command and the service read their defaults here.
+///
+/// ```
+/// use tessera::{DensityOptions, DensitySource, RemeshOptions, Seeds};
+/// let density = DensityOptions::from_source(DensitySource::Curvature).with_gradation(0.5);
+/// let options = RemeshOptions::new(Seeds::Sample { points: 5_000, seed: 1 }).with_density(density).with_newton(50);
+/// ```
+#[derive(Clone, Debug)]
+pub struct RemeshOptions {
+    /// First seeds.
+    pub seeds: Seeds,
+    /// Lloyd steps; 5 by default.
+    pub lloyd: usize,
+    /// Quasi-Newton steps after them, at most. A test of convergence may end them earlier. 30 by default.
+    pub newton: usize,
+    /// How long edges should be, and where.
+    pub density: DensityOptions,
+    /// Where seeds go after each step. The last step always ends on the surface.
+    pub projection: Projection,
+    /// Where the result's vertices go.
+    pub placement: Placement,
+    /// Edges bent by more than this are creases, which the result keeps, degrees; 0 finds none, 30 by default. Creases and
+    /// boundaries get seeds of their own where seeds are drawn; given seeds stay as they are.
+    pub crease_angle_deg: f64,
+    /// Edges that are creases whatever their angle, two vertices each.
+    pub creases: Vec<[u32; 2]>,
+    /// Adds seeds where the result is too far from the input; `None` adds none.
+    pub refine: Option<Refine>,
+    /// Whether boundaries get seeds of their own, so that they do not shrink.
+    pub keep_boundaries: bool,
+    /// Whether edges become shorter where the surface is too thin for their length, so that horns, fingers and bridges
+    /// stay. Only where seeds are drawn, and not for lengths or weights that are given.
+    pub keep_thin: bool,
+    /// Whether to measure the result (Hausdorff distance and the like) for the report.
+    pub measure: bool,
+    /// What `mesh` carries and the result is to carry. Some, even if empty, asks for the provenance too.
+    pub attributes: Option<Attributes>,
+}
+
+impl RemeshOptions {
+    /// The default of [`Self::crease_angle_deg`].
+    pub const CREASE_ANGLE_DEG: f64 = 30.0;
+
+    /// The defaults: 5 Lloyd steps and up to 30 quasi-Newton steps of a uniform density, measured.
+    pub fn new(seeds: Seeds) -> Self {
+        Self {
+            seeds,
+            lloyd: 5,
+            newton: 30,
+            density: DensityOptions::default(),
+            projection: Projection::Free,
+            placement: Placement::Fitted,
+            crease_angle_deg: Self::CREASE_ANGLE_DEG,
+            creases: Vec::new(),
+            refine: None,
+            keep_boundaries: true,
+            keep_thin: true,
+            measure: true,
+            attributes: None,
+        }
+    }
+
+    /// The defaults, for a caller that has no seeds yet.
+    pub fn usual() -> Self {
+        Self::new(Seeds::Implied { seed: Seeds::RANDOM_SEED })
+    }
+
+    setters! {
+        with_seeds(seeds: Seeds),
+        with_lloyd(lloyd: usize),
+        with_newton(newton: usize),
+        with_density(density: DensityOptions),
+        with_projection(projection: Projection),
+        with_placement(placement: Placement),
+        with_crease_angle_deg(crease_angle_deg: f64),
+        with_creases(creases: Vec<[u32; 2]>),
+        with_refine(refine: Refine => Some(refine)),
+        with_keep_boundaries(keep_boundaries: bool),
+        with_keep_thin(keep_thin: bool),
+        with_measure(measure: bool),
+        with_attributes(attributes: Attributes => Some(attributes)),
+    }
+
+    /// Lloyd steps and nothing else: no curves, no fit, no measurement.
+    pub fn plain(seeds: Seeds, lloyd: usize) -> Self {
+        Self {
+            lloyd,
+            newton: 0,
+            placement: Placement::Surface,
+            crease_angle_deg: 0.0,
+            keep_boundaries: false,
+            keep_thin: false,
+            measure: false,
+            ..Self::new(seeds)
+        }
+    }
+}
+
+/// A remesh and how it came about.
+#[derive(Clone, Debug)]
+pub struct Remesh {
+    /// The new surface, caller's coordinates, oriented as the input.
+    pub mesh: TriMesh,
+    /// For each vertex of `mesh`, the seed whose cell it stands for.
+    pub vertex_seed: Vec<u32>,
+    /// Edges of `mesh` that lie on creases and boundaries that were kept, two vertices each.
+    pub curve_edges: Vec<[u32; 2]>,
+    /// The last seeds, on the surface, caller's coordinates.
+    pub seeds: Vec<DVec3>,
+    /// Figures.
+    pub report: Report,
+    /// What `mesh` carries, if [`RemeshOptions::attributes`] was given.
+    pub attributes: Option<Attributes>,
+    /// For each vertex of `mesh`, where on the input it lies; empty if [`RemeshOptions::attributes`] was not given.
+    pub provenance: Vec<Provenance>,
+}
+
+/// Why there is no remesh.
+#[derive(Debug, Clone, thiserror::Error)]
+pub enum RemeshError {
+    /// The diagram could not be computed.
+    #[error(transparent)]
+    Rvd(#[from] RvdError),
+    /// The options for creases cannot be met.
+    #[error(transparent)]
+    Feature(FeatureError),
+    /// The density cannot be met.
+    #[error(transparent)]
+    Density(DensityError),
+    /// Every facet of the surface lies back to back with another, and so does every triangle of the dual.
+    #[error("the surface lies back to back with itself and has no thickness; remesh one of its sides")]
+    NoThickness,
+    /// The dual has no triangle, or only such as lie back to back: too few seeds for this surface.
+    #[error(
+        "the number of points, {seeds}, is too small for this surface: no triangulation of its topology has fewer than \
+         {least} vertices, and one that is near it has many more; give more points, for example {}", 10 * least
+    )]
+    TooFewSeeds {
+        /// How many there were.
+        seeds: usize,
+        /// The fewest vertices that a surface of the input's topology can have.
+        least: usize,
+    },
+    /// Points are to be added where vertices are not [`Placement::Fitted`].
+    #[error(
+        "points are added where a fitted result is far from the surface; place the vertices so, or give no tolerance"
+    )]
+    RefineUnfitted,
+    /// Points are to be added, and there are too many already.
+    #[error(
+        "there are {points} points before any is added, and at most {most} are allowed; allow more, or begin with fewer"
+    )]
+    RefineLimit {
+        /// How many there are.
+        points: usize,
+        /// [`Refine::max_points`].
+        most: usize,
+    },
+    /// The attributes are not the surface's.
+    #[error(transparent)]
+    Attributes(#[from] AttributeError),
+}
+
+impl RemeshError {
+    /// Too few seeds for a surface of any topology.
+    fn too_few(seeds: usize) -> Self {
+        Self::TooFewSeeds { seeds, least: 3 }
+    }
+
+    /// The same error, for a surface of this topology.
+    fn for_surface(self, surface: &Topology) -> Self {
+        match self {
+            Self::TooFewSeeds { seeds, .. } => Self::TooFewSeeds { seeds, least: surface.fewest_vertices() },
+            error => error,
+        }
+    }
+}
+
+impl From<Stopped> for RemeshError {
+    fn from(reason: Stopped) -> Self {
+        Self::Rvd(reason.into())
+    }
+}
+
+impl From<FeatureError> for RemeshError {
+    fn from(error: FeatureError) -> Self {
+        match error {
+            FeatureError::Stopped(reason) => reason.into(),
+            error => Self::Feature(error),
+        }
+    }
+}
+
+impl From<DensityError> for RemeshError {
+    fn from(error: DensityError) -> Self {
+        match error {
+            DensityError::Stopped(reason) => Self::Rvd(RvdError::Stopped(reason)),
+            error => Self::Density(error),
+        }
+    }
+}
+
+/// Hears of the progress of a remesh. All methods have empty defaults.
+pub trait Observer: Send {
+    /// A stage began: "prepare", "sample", "iterations", "dual", "repair", "attributes" (if
+    /// any were given), "measure".
+    fn stage(&mut self, _name: &'static str) {}
+    /// An iteration ended; `total` iterations are planned.
+    fn iteration(&mut self, _iteration: &Iteration, _total: usize) {}
+    /// Whether [`seeds`](Self::seeds) is to be called after the next step. Lloyd steps are then taken one by one, and seeds
+    /// are read back from a device; the result has the same bits.
+    fn wants_seeds(&mut self) -> bool {
+        false
+    }
+    /// Where the seeds are after `steps` steps, in the caller's coordinates.
+    fn seeds(&mut self, _steps: usize, _seeds: &[DVec3]) {}
+}
+
+impl Observer for () {}

@@ -1,0 +1,392 @@
+//! The constants of the remesh, each with its unit and its reason.
+//!
+//! Purpose: one table. It begins with the constants that the operators, the objective and the queue of local improvement
+//! share; the constants of each other part follow. Lengths are shares of the mean edge of the one-ring unless a comment says
+//! otherwise.
+
+// Operators.
+
+/// Valence of a vertex of the regular triangulation.
+pub(super) const REGULAR_VALENCE: usize = 6;
+/// Least and largest valence of an inner vertex that flips keep.
+pub(super) const VALENCES: [usize; 2] = [5, 7];
+/// Least and largest valence that the recovery of a curve's edge may make: the curve counts for more than a valence.
+pub(super) const RECOVERY_VALENCES: [usize; 2] = [4, 8];
+/// Least cosine between the normals of flipped facets and the mean normal before. It is less strict than for a relocation,
+/// since an edge across a ridge turns both facets.
+pub(super) const FLIPPED_COSINE: f64 = 0.3;
+/// Least cosine between a facet's normal and its marked normal where the distance from the input is measured.
+pub(super) const MEASURED_COSINE: f64 = 0.5;
+/// Least cosine between a facet's normal and its marked normal where the distance is not measured.
+pub(super) const UNMEASURED_COSINE: f64 = 0.8;
+
+// Shapes. Scores and angles are degrees; see `triangle::score`.
+
+/// Degrees that Q = 1 counts for in a score. The smallest angle decides for slender triangles, Q for those whose longest
+/// edge is too long.
+pub(super) const DEGREES_PER_QUALITY: f64 = 55.0;
+/// Least score of a facet where distances are measured, or its own score if that is lower. A higher bound lets ridges of a
+/// dense result stick out by a fifth more.
+pub(super) const LEAST_SCORE: f64 = 35.3;
+/// Score below which a facet costs something where distances are measured: a margin of two degrees above the least.
+pub(super) const MEASURED_SCORE: f64 = LEAST_SCORE + 2.0;
+/// Score below which a facet is poor where distances are not measured. Poor facets are improved, and the fit makes none. An
+/// isotropic remesh has smallest angles of about 37°.
+pub(super) const POOR_SCORE: f64 = 37.0;
+pub(super) const POOR_ANGLE: f64 = 92.5;
+/// Score below which a facet costs something where distances are not measured: a margin of three degrees.
+pub(super) const UNMEASURED_SCORE: f64 = POOR_SCORE + 3.0;
+pub(super) const UNMEASURED_ANGLE: f64 = POOR_ANGLE - 3.0;
+/// Missing degrees of score that cost 1, as much as the largest distance allowed.
+pub(super) const SCORE_SCALE: f64 = 3.0;
+/// Least score of the facets around a recovered edge.
+pub(super) const RECOVERY_SCORE: f64 = 30.0;
+/// Least score of the facets around a vertex of a curve that becomes regular. Sides of a curve without room for two facets
+/// become regular with acute ones. It is a Q of 0.55.
+pub(super) const CURVE_SCORE: f64 = 30.3;
+
+// Objective of one vertex. A cost of 1 is that of the largest distance allowed.
+
+/// Cost of a facet with Q = 0.
+pub(super) const QUALITY_WEIGHT: f64 = 0.3;
+/// Cost of the vertex's own squared distance at the largest allowed.
+pub(super) const OWN_WEIGHT: f64 = 0.3;
+/// Distances below this share of the largest allowed cost nothing.
+pub(super) const FREE_SHARE: f64 = 0.55;
+/// Least gain of a move, cost.
+pub(super) const LEAST_GAIN: f64 = 1e-4;
+/// Least gain of a move in a pass over the whole result: smaller gains are not visible and take most of its time.
+pub(super) const LEAST_GAIN_OF_PASS: f64 = 1e-3;
+
+// Relocation.
+
+/// First step of a relocation.
+pub(super) const FIRST_STEP: f64 = 0.2;
+/// Halvings of a vertex's step, at most: 1/80 of an edge is not visible.
+pub(super) const MAX_HALVINGS: u8 = 4;
+/// Directions of a step in the plane.
+pub(super) const DIRECTIONS: usize = 8;
+/// Share of a step along the normal: the surface is known better than the place on it.
+pub(super) const NORMAL_STEP: f64 = 0.5;
+/// Largest total move of a vertex where the distance is measured.
+pub(super) const FARTHEST_MOVE: f64 = 0.6;
+/// Largest total move in the tangent plane or along a curve where the distance is not measured.
+pub(super) const FARTHEST_TANGENTIAL: f64 = 0.4;
+/// Largest total move across a curve. Tried below and above: below, tips between two creases keep angles of 28°; above, the
+/// result deviates more.
+pub(super) const FARTHEST_ACROSS: f64 = 0.11;
+/// Largest total move of the end of a curve.
+pub(super) const FARTHEST_OF_END: f64 = 0.07;
+/// Moves for shapes per vertex at or beside a poor facet, at most.
+pub(super) const MOVES_PER_VERTEX: usize = 40;
+/// Vertices that are relocated at the same time, at most: few of those that wait, so that the costliest come first.
+pub(super) const SHAPES_AT_ONCE: usize = 128;
+/// Least number of such vertices per task.
+pub(super) const SHAPES_PER_TASK: usize = 8;
+
+// Edges of curves. Lengths are shares of the shortest edge of a curve at the vertex.
+
+/// Shares of its move by which a vertex that left the envelope goes back.
+pub(super) const BACKTRACKING: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
+/// Passes over vertices that left the envelope, at most: each vertex depends on its two neighbours.
+pub(super) const RESTORING_PASSES: usize = 3;
+/// Passes over vertices whose edges are too far from their curves, at most: four for shorter steps, eight that move.
+pub(super) const TIGHTENING_PASSES: usize = 12;
+/// First step of such a pass.
+pub(super) const FIRST_TIGHTENING_STEP: f64 = 0.1;
+/// Largest total move of a vertex whose edges are too far from their curves.
+pub(super) const FARTHEST_TIGHTENED: f64 = 0.25;
+/// Largest total move of a corner.
+pub(super) const FARTHEST_OF_CORNER: f64 = 0.12;
+
+// Patches.
+
+/// Cosine at which neighbouring facets may always meet; the input may have such edges.
+pub(super) const SHARPEST_COSINE: f64 = -0.75;
+/// Length of an input edge from which on its midpoint is a sample of the input.
+pub(super) const LONG_EDGE: f64 = 0.3;
+/// Largest distance of such a midpoint from a vertex of the patch.
+pub(super) const MIDPOINT_REACH: f64 = 0.65;
+/// Facets of a patch, at most. Its memory grows with their square, and each trial copies it. Patches of vertices with
+/// valence seven have sixty facets.
+pub(super) const MAX_FACETS: usize = 512;
+/// Share of the one-ring's radius within which the input has to be known around a vertex: all points whose distances are
+/// taken lie within it.
+pub(super) const KNOWN_SHARE: f64 = 0.8;
+
+// Trials on a patch.
+
+/// Relocation passes of every trial: most bad trials show after the first.
+pub(super) const FIRST_PASSES: usize = 1;
+/// Trials that continue after the first passes. Tried: 3 and 4; with 3 results deviate by up to a sixth more.
+pub(super) const PROMISING_TRIALS: usize = 4;
+/// Further passes of these trials.
+pub(super) const FURTHER_PASSES: usize = 2;
+/// Trials that continue to the end, one after the other until one reaches its goal.
+pub(super) const FINALISTS: usize = 2;
+/// Passes of a trial that continues to the end. More than ten rarely help.
+pub(super) const LAST_PASSES: usize = 12;
+/// Share of the distance above which a trial is dropped after the further passes: later passes do not improve it either.
+pub(super) const HOPELESS_SHARE: f64 = 0.99;
+/// Missing degrees of score that count as much as the distance of the place, where trials are compared.
+pub(super) const TRIAL_SCORE_SCALE: f64 = 10.0;
+
+// The queue of places.
+
+/// Places nearer to the input than this are not improved.
+pub(super) const NEAR_SHARE: f64 = 0.06;
+/// A place counts as improved if its distance falls to this share.
+pub(super) const GAIN: f64 = 0.95;
+/// Far places in vain that end the tries. Tried: 4 and 8; with 4 dense results deviate by up to a quarter more.
+pub(super) const MAX_FAILURES: usize = 8;
+/// Improved far places that end the tries, plus [`MAX_IMPROVED_SHARE`] of the vertices.
+pub(super) const MAX_IMPROVED: usize = 4;
+pub(super) const MAX_IMPROVED_SHARE: f64 = 0.0015;
+/// Places nearer than this share of a failed one are skipped while nothing changes there.
+pub(super) const FAILED_SHARE: f64 = 0.8;
+/// A vertex is measured if its estimated distance is at least this share of [`NEAR_SHARE`] of its longest edge.
+pub(super) const ESTIMATE_SHARE: f64 = 0.65;
+/// Vertices that are measured, at most. Tried: 100 and 1,000; with 100 results with creases deviate by a fifth more.
+pub(super) const MAX_MEASURED: usize = 1000;
+/// A place enters the queue again if its distance fell below this share of the value at its entry.
+pub(super) const STALE_SHARE: f64 = 0.98;
+/// Distance that is always allowed where a valence or a shape is improved.
+pub(super) const FREE_DISTANCE: f64 = 0.02;
+/// Vertices whose valence is improved, at most.
+pub(super) const MAX_IRREGULAR: usize = 500;
+/// Rounds of the queue: some vertices have room for a flip only after far places were improved.
+pub(super) const QUEUE_ROUNDS: usize = 2;
+/// Flips that are tried at a far place. Flips that bring a facet nearest to the farthest point come first. Tried: 3 to all;
+/// with 3 some results deviate more, and with all the time grows by a third without effect.
+pub(super) const MAX_FLIPS: usize = 5;
+/// Independent patches around irregular vertices that are made at the same time, at most. Far places are taken one by one,
+/// since the budget is for the farthest: with four at once, results deviate by 6 % more.
+pub(super) const PATCHES_AT_ONCE: usize = 64;
+/// Places to search for independent patches.
+pub(super) const LOOK_AHEAD: usize = 128;
+/// Far places per thread to search for patches to make ahead.
+pub(super) const FAR_LOOK_AHEAD: usize = 4;
+
+// Attributes.
+
+/// Least cosine between normals of coincident vertices that count as equal, despite the rounding of a file.
+pub(super) const SAME_NORMAL: f64 = 0.999;
+/// Squared length below which the direction of an interpolated normal is only rounding.
+pub(super) const LEAST_NORMAL_SQUARED: f64 = 1e-18;
+/// Radius of the ball that bounds a walk, as a multiple of half the distance between its ends. Over a right-angled crease, 1
+/// is enough.
+pub(super) const SEAM_REACH: f64 = 1.3;
+/// The radius for a second walk, if the first reached neither its end nor a seam, as around a thin edge of the surface.
+pub(super) const LONG_SEAM_REACH: f64 = 4.0;
+/// Facets of one walk, at most.
+pub(super) const MAX_SEAM_FACETS: usize = 1 << 16;
+/// An end is reached within this share of the distance between the ends.
+pub(super) const SEAM_END_REACH: f64 = 1e-6;
+/// Limit of extrapolation beyond a seam, as a multiple of the texture's stretch in the start facet.
+pub(super) const MOST_STRETCH: f64 = 4.0;
+
+// Deviation of the input and Hausdorff estimate.
+
+/// Shares of a mean edge that decide, without a tolerance, which vertices of the input were missed. If a vertex is farther
+/// away than the first share, all beyond the second share are missed.
+pub(super) const MISSED_SHARES: [f64; 2] = [0.25, 0.17];
+/// Vertices or facets per parallel task, at least.
+pub(super) const ITEMS_PER_TASK: usize = 256;
+/// Radius that a sample covers, as a multiple of the square root of its area.
+pub(super) const SAMPLE_REACH: f64 = 2.0;
+/// Work of one vertex, as the token counts it.
+pub(super) const WORK_PER_VERTEX: usize = 64;
+
+// Closest point of a one-ring.
+
+/// Squared distance that makes up for the rounding of a lower bound near zero, unit box.
+pub(super) const ZERO_SQUARED: f64 = 1e-24;
+/// Squared lengths below this count as zero: their inverses would be all rounding.
+pub(super) const ZERO_LENGTH_SQUARED: f64 = 1e-200;
+
+// Curves to keep, and their envelope. Lengths are edge lengths of the result unless said otherwise.
+
+/// Shortest crease with a free end. Shorter ones are noise of a scan, or folds that fade out.
+pub(super) const SHORTEST_CREASE: f64 = 8.0;
+/// Length over which bends of a curve are measured.
+pub(super) const BEND_REACH: f64 = 1.0;
+/// Distance from a weak ridge within which the surface must be smooth for the ridge to be a curve.
+pub(super) const SMOOTH_REACH: f64 = 2.5;
+/// Length of boundary below which two corners are merged, if the merge cuts off little. With both corners, a triangle
+/// between them would have an angle of about as many radians.
+pub(super) const JOINED_CORNERS: f64 = 0.4;
+/// Largest distance of an edge from its boundary.
+pub(super) const BOUNDARY_LIMIT: f64 = 0.08;
+/// Largest distance of an edge from its crease.
+pub(super) const CREASE_LIMIT: f64 = 0.06;
+/// Largest distance of an edge from its curve at a corner that two curves leave at an acute angle: no facet between them has
+/// a good angle anyway.
+pub(super) const ACUTE_LIMIT: f64 = 0.3;
+/// Largest share of the seeds that curves may take if there are creases. Boundaries alone may take all: a strip narrower
+/// than an edge has no other seeds.
+pub(super) const LARGEST_SHARE: f64 = 0.6;
+/// Curves that need more seeds than this multiple of all seeds plus [`SPARE_SEEDS`] are dropped before any seed is placed.
+pub(super) const MOST_SEEDS: usize = 16;
+pub(super) const SPARE_SEEDS: usize = 1000;
+/// Distance of other seeds from a curve's seeds, share of their spacing: about where the cells of the curve end. A larger
+/// distance leaves too few seeds between two close curves, and no step takes a seed across a curve.
+pub(super) const CLEARANCE: f64 = 0.5;
+/// Share of spare points, as a divisor, since some points are too near to a curve.
+pub(super) const SPARE_POINTS: usize = 50;
+/// Least share of points that is assumed to be clear of the curves.
+pub(super) const LEAST_CLEAR: f64 = 0.2;
+/// A curve is straight at an edge if it leaves the edge's line by no more than this share of the edge. A curved one deviates
+/// from its chords anyway; a straight one, such as the edge of a plate, shows any dent.
+pub(super) const STRAIGHTNESS: f64 = 1e-3;
+/// Edges to either side that have to be straight as well.
+pub(super) const STRAIGHT_EDGES: usize = 3;
+
+// Fit and its backtracking.
+
+/// Rounds of the whole fit: each finds the nearest points anew.
+pub(super) const FIT_ROUNDS: usize = 2;
+/// Rounds that halve the moves of bad facets.
+pub(super) const BACKTRACKING_HALVINGS: usize = 4;
+/// Later rounds that drop the moves of bad facets.
+pub(super) const BACKTRACKING_DROPS: usize = 4;
+/// Facets per parallel task, at least.
+pub(super) const FACETS_PER_TASK: usize = 256;
+
+// Normal equations of the fit.
+
+/// Steps of conjugate gradients in a round. A move spreads by one facet a step.
+pub(super) const GRADIENT_STEPS: usize = 14;
+/// The steps end at this share of the first squared residual (r·z).
+pub(super) const RESIDUAL_SHARE: f64 = 1e-8;
+/// Weight of a move in the tangent plane beside a residual of the same length, so that a vertex does not slide. Tried: 0.01
+/// to 0.05; 0.05 leaves 4 % more RMS distance, 0.01 costs 0.002 of mean quality.
+pub(super) const TANGENT_DAMPING: f64 = 0.02;
+/// Weight of the difference between the moves of neighbours, so that neighbours move together.
+pub(super) const STIFFNESS: f64 = 0.02;
+/// Weight of a move along the normal. It keeps the system regular where samples are few.
+pub(super) const NORMAL_DAMPING: f64 = 0.01;
+/// Weight of a residual of a curve beside one of the surface: the eye follows curves.
+pub(super) const CURVE_WEIGHT: f64 = 20.0;
+/// Vertices per parallel task, and facets at least.
+pub(super) const VERTICES_PER_RUN: usize = 256;
+/// Samples between two checks of the token.
+pub(super) const SAMPLES_PER_CHECK: usize = 64;
+/// Blocks of a row for which memory is reserved: six neighbours on average, and one more.
+pub(super) const BLOCKS_PER_ROW: usize = 7;
+
+// Boundary ears.
+
+/// Smallest angle of an ear, degrees. Below it, the boundary is already near the missing edge: within a tenth of its length.
+pub(super) const LEAST_EAR_ANGLE: f64 = 12.0;
+/// The least cosine between the normals of an ear and of its neighbours.
+pub(super) const LEAST_EAR_COSINE: f64 = 0.5;
+/// Passes, at most. Ears that have a vertex in common are added in different passes.
+pub(super) const EAR_PASSES: usize = 3;
+
+// Manifold repair.
+
+/// Share of the way to the centroids of its facets by which a copy of a split vertex moves.
+pub(super) const STEP_BACK: f64 = 1.0 / 16.0;
+/// Share of its shortest edge by which a vertex moves along its normal to leave another one.
+pub(super) const SIDE_STEP: f64 = 1e-3;
+/// Rounds that double edges, at most: a facet may have three such edges, and its parts may have new ones.
+pub(super) const MAX_SEPARATION_ROUNDS: usize = 4;
+
+// Rounds of an attempt, and extraction.
+
+/// Rounds that add seeds, where a tolerance was given.
+pub(super) const ADDING_ROUNDS: usize = 8;
+/// Rounds that move seeds which produced no vertex.
+pub(super) const MOVING_ROUNDS: usize = 1;
+/// Growth of the deviation up to which a round that adds seeds counts as better: more seeds are better although another
+/// place may become a little worse.
+pub(super) const ADDING_SLACK: f64 = 2.0;
+/// Growth of the deviation up to which a round counts as better if fewer seeds have no vertex.
+pub(super) const MOVING_SLACK: f64 = 1.25;
+/// Share of the tolerance by which a vertex may leave its curve: the chords between such vertices are off as well.
+pub(super) const OFF_CURVE_SHARE: f64 = 0.5;
+
+// Components apart.
+
+/// Distance between components, edge lengths; [`SEPARATION_DIAGONAL`] is added to it.
+pub(super) const SEPARATION_EDGES: f64 = 2.0;
+/// Distance between components, share of the diagonal.
+pub(super) const SEPARATION_DIAGONAL: f64 = 0.02;
+/// Points that a component needs: a tetrahedron has four vertices.
+pub(super) const POINTS_PER_COMPONENT: usize = 4;
+
+// Schedule of steps.
+
+/// Rounds that push seeds off curves after the last step. In the last one the curves adopt the seeds instead.
+pub(super) const CLEARING_ROUNDS: usize = 2;
+/// Steps after such a round.
+pub(super) const CLEARING_STEPS: usize = 3;
+/// Steps after seeds were moved or added.
+pub(super) const REFINING_STEPS: usize = 6;
+/// Seeds nearer to each other than this, unit frame, are in one place.
+pub(super) const SAME_PLACE: f64 = 1e-9;
+
+// Thin parts.
+
+/// Rounds that draw seeds again, at most.
+pub(super) const MAX_THIN_ROUNDS: usize = 6;
+/// Rounds without a better result, at most: with other seeds, other cells may fail.
+pub(super) const MAX_VAIN_ROUNDS: usize = 3;
+/// Factor on edge lengths at failing cells in a round: twice as many cells around what one cell reached around.
+pub(super) const THIN_SHORTER: f64 = 0.5;
+/// Factor by which the median edge may grow for it: half of the points may go to thin parts.
+pub(super) const THIN_LONGEST: f64 = 1.4;
+/// Factor by which the number of points may grow where edge lengths imply it.
+pub(super) const THIN_MOST_POINTS: usize = 2;
+
+// Number of vertices.
+
+/// Relative error of the number of vertices that is accepted.
+pub(super) const COUNT_LIMIT: f64 = 0.015;
+/// Absolute error of the number of vertices that is accepted.
+pub(super) const COUNT_SLACK: usize = 2;
+/// Least number of vertices that a further seed is expected to add; two rounds may differ by chance.
+pub(super) const LEAST_SLOPE: f64 = 0.7;
+/// Factor on the change of the number of seeds after a round without progress.
+pub(super) const VAIN_STRETCH: f64 = 1.5;
+/// Rounds that draw fewer seeds, at most.
+pub(super) const MAX_COUNT_ROUNDS: usize = 4;
+/// Least number of seeds, share of the requested vertices.
+pub(super) const FEWEST_SEEDS_SHARE: f64 = 0.1;
+/// Least number of seeds: the vertices of a tetrahedron.
+pub(super) const FEWEST_SEEDS: f64 = 4.0;
+
+// Refinement to a tolerance.
+
+/// Rounds with shorter edges, at most.
+pub(super) const MAX_REFINING_ROUNDS: usize = 9;
+/// Rounds that shorten edges only where the result is too far. Later rounds use up the points by the last round.
+pub(super) const LOCAL_ROUNDS: usize = 6;
+/// Rounds in a row without progress, at most. In the second one, all edges are shorter.
+pub(super) const MAX_VAIN_REFINING: usize = 2;
+/// Factor on the number of points in a round after one without progress.
+pub(super) const VAIN_GROWTH: f64 = 2.0;
+/// A largest distance below this share of the least one so far is progress.
+pub(super) const PROGRESS_SHARE: f64 = 0.95;
+/// A share of missed samples below this share of the least one so far is progress.
+pub(super) const FEWER_MISSED: f64 = 0.8;
+/// Share of the tolerance that shortened edges aim at: the largest distances are half as large again as the mean.
+pub(super) const TOLERANCE_AIM: f64 = 0.7;
+/// Least factor on an edge's length in one round. At a crease that was not kept the distance is proportional to the length,
+/// and there may be other causes.
+pub(super) const SHORTEST_SHARE: f64 = 0.35;
+/// Share of missed samples up to which seeds are added there after the last round.
+pub(super) const FEW_MISSED_SHARE: f64 = 0.002;
+/// Share of the allowed points from which on they count as used up.
+pub(super) const SPENT_SHARE: f64 = 0.95;
+/// Times that seeds are added to given ones, each to come nearer.
+pub(super) const MAX_ADDING_TIMES: usize = 3;
+
+// Rounding.
+
+/// Factor on bounds of angles and distances. Values nearer to the bound are left to the exact computation.
+pub(super) const BOUND_ROUNDING: f64 = 1.0 - 1e-9;
+/// Factor on the radius of a search, so that rounding loses nothing.
+pub(super) const RADIUS_ROUNDING: f64 = 1.0 + 1e-9;
+/// Squares below this share of a squared bound have roots below the bound despite rounding.
+pub(super) const SQUARE_ROUNDING: f64 = 1.0 - 1e-12;

@@ -1,0 +1,258 @@
+//! The report of a run, as `--report` writes it and the service sends it.
+//!
+//! Purpose: plain figures with fixed names, and `to_json`, which writes them.
+//! Invariant: a name that scripts read does not change.
+//! Must not know: how the figures came about.
+
+use serde::Serialize;
+
+use crate::cvt::density::DensityFigures;
+pub use crate::cvt::figures::{DeviceFigures, FinalFigures, IterationFigures};
+pub use crate::mesh::duplicates::InputKind;
+pub use crate::mesh::input::InputFigures;
+pub use crate::mesh::lost::{LostPart, LostParts, LostReason};
+use crate::mesh::measure::{Quality, Topology};
+pub use crate::rvd::figures::RvdFigures;
+
+/// What `--report` writes.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// "serial", "parallel" or "gpu".
+    pub backend: String,
+    /// The GPU adapter's name.
+    pub adapter: Option<String>,
+    /// Threads of the CPU pool.
+    pub threads: usize,
+    /// Random seed, if the seeds were drawn.
+    pub seed: Option<u64>,
+    /// Whether a convergence test stopped the iterations.
+    pub converged: bool,
+    /// The surface that came in.
+    pub input: InputFigures,
+    /// Creases and boundaries.
+    pub features: FeatureFigures,
+    /// The last diagram and what it took.
+    pub rvd: RvdFigures,
+    /// One entry a step.
+    pub iterations: Vec<IterationFigures>,
+    /// The seeds after the last step.
+    #[serde(rename = "final")]
+    pub last: FinalFigures,
+    /// What was done after them.
+    pub refine: RefineFigures,
+    /// How many vertices were asked for, and why there are not as many.
+    pub vertex_count: CountFigures,
+    /// Wall-clock times.
+    pub timings_ms: Timings,
+    /// Memory.
+    pub memory: MemoryFigures,
+    /// What a GPU was kept busy with.
+    pub device: DeviceFigures,
+    /// The surface that came out.
+    pub result: ResultFigures,
+    /// What is not as in the input, e.g. "euler: 0 becomes 2"; empty if χ, components and boundary
+    /// loops are kept.
+    pub topology_changes: Vec<String>,
+    /// Target edge lengths.
+    pub density: DensityFigures,
+}
+
+/// Old names of keys, for one release: where, now, before.
+const OLD_KEYS: [(&str, &str, &str); 12] = [
+    ("/input", "reoriented_facets", "turned_facets"),
+    ("/input", "coincident_facets", "spare_facets"),
+    ("/input", "outlier_vertices", "stray_vertices"),
+    ("/features", "merged_corners", "joined_corners"),
+    ("/features", "dropped_curves", "given_up"),
+    ("/refine", "out_of_tolerance", "missed"),
+    ("/refine", "closed_ball_rounds", "thin_rounds"),
+    ("/refine", "closed_ball_failures", "thin_cells"),
+    ("/result/repair", "multiple_boundary_arcs", "multiple_rims"),
+    ("/result/repair", "inconsistent_vertices", "disputed_vertices"),
+    ("/result/repair", "closed_facet_pairs", "closed_pockets"),
+    ("/result/repair", "extra_vertices", "further_vertices"),
+];
+
+/// A report as JSON, also with the names that its keys had before.
+pub fn to_json(report: &impl Serialize) -> serde_json::Result<serde_json::Value> {
+    let mut json = serde_json::to_value(report)?;
+    for (place, now, before) in OLD_KEYS {
+        let Some(serde_json::Value::Object(figures)) = json.pointer_mut(place) else { continue };
+        if let Some(value) = figures.get(now).cloned() {
+            figures.insert(before.to_owned(), value);
+        }
+    }
+    Ok(json)
+}
+
+/// What was done after the iterations: curves cleared, seeds moved that had no vertex or added where the result was far from
+/// the input.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq)]
+pub struct RefineFigures {
+    /// Rounds in which seeds were moved or added.
+    pub rounds: usize,
+    /// Seeds without a vertex that were moved to where edges are long.
+    pub moved_seeds: usize,
+    /// Seeds added there.
+    pub added_seeds: usize,
+    /// Passes over the diagram.
+    pub evaluations: usize,
+    /// Samples of the input and of the result that are farther from the other surface than the tolerance; without one, places
+    /// of the input that the result is far from.
+    pub out_of_tolerance: usize,
+    /// The largest distance of a sample, both ways, % of the input's bounding-box diagonal; absent without a tolerance.
+    pub deviation_percent: Option<f64>,
+    /// What ended the rounds for a tolerance; absent without one.
+    pub ended: Option<RefineEnd>,
+    /// Rounds that drew seeds again with shorter edges, where the surface was too thin for its cells.
+    pub closed_ball_rounds: usize,
+    /// Cells for which it still is.
+    pub closed_ball_failures: usize,
+    /// Rounds that drew fewer seeds, for the number of vertices that was asked for.
+    pub count_rounds: usize,
+}
+
+/// The number of vertices.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+pub struct CountFigures {
+    /// How many vertices were asked for, or implied by edge lengths.
+    pub asked: usize,
+    /// How many seeds there are: fewer where cells have several components.
+    pub seeds: usize,
+    /// Why there are more or fewer vertices than that, by over 1.5 %; absent where there are not, and with a tolerance, which
+    /// adds points.
+    pub reason: Option<CountReason>,
+}
+
+/// Why a result has not as many vertices as were asked for.
+#[derive(Clone, Copy, Debug, Serialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+pub enum CountReason {
+    /// Seeds were given, so none was left out or added.
+    GivenSeeds,
+    /// The input has so many parts that they need more: three vertices each, or four if they are closed.
+    Parts,
+    /// Sheets or parts are nearer to each other than an edge is long: seeds have a vertex on each.
+    CloseSheets,
+    /// Parts of the input are so small that they got too few seeds for a facet, and were left out.
+    SmallParts,
+    /// Parts of the input have no thickness: seeds there have no vertex.
+    NoThickness,
+}
+
+/// What ended the rounds for a tolerance.
+#[derive(Clone, Copy, Debug, Serialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+pub enum RefineEnd {
+    /// No sample is farther away than asked for.
+    Reached,
+    /// All points that were allowed are used. More bring the result nearer.
+    Budget,
+    /// More points, or others, did not bring the result nearer.
+    NoProgress,
+}
+
+/// Creases and boundaries that got seeds of their own.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+pub struct FeatureFigures {
+    /// Boundary curves.
+    pub boundaries: usize,
+    /// Creases.
+    pub creases: usize,
+    /// Places where curves end, meet or turn sharply.
+    pub corners: usize,
+    /// Such places that have no seed, since another one is much nearer than an edge and the curves hardly change by it.
+    pub merged_corners: usize,
+    /// Seeds of corners and curves.
+    pub seeds: usize,
+    /// Pairs of seeds that follow each other on a curve.
+    pub segments: usize,
+    /// Of these, such as the result has no edge for.
+    pub missing_segments: usize,
+    /// Curves with such a pair.
+    pub broken_curves: usize,
+    /// Curves that there were too few points for.
+    pub dropped_curves: usize,
+    /// Edges bent enough for a crease in stretches too short for one.
+    pub short_crease_edges: usize,
+}
+
+/// Memory that the run took.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct MemoryFigures {
+    /// The most that the process ever held, bytes; absent where the system does not say, and in a
+    /// server's report, whose process does other jobs too.
+    pub host_peak_bytes: Option<u64>,
+    /// Device memory of the job's plan, bytes; 0 on a CPU.
+    pub device_bytes: u64,
+}
+
+/// Wall-clock milliseconds per stage.
+#[derive(Clone, Debug, Default, Serialize)]
+#[allow(missing_docs)]
+pub struct Timings {
+    pub read: f64,
+    pub prepare: f64,
+    pub sample: f64,
+    pub iterations: f64,
+    pub refine: f64,
+    pub dual: f64,
+    pub repair: f64,
+    pub measure: f64,
+    pub write: f64,
+    pub total: f64,
+    pub attributes: f64,
+}
+
+/// The surface that came out.
+#[derive(Clone, Debug, Serialize)]
+pub struct ResultFigures {
+    /// Vertices.
+    pub vertices: usize,
+    /// Facets.
+    pub facets: usize,
+    /// Euler characteristic χ, components, holes, non-manifold elements.
+    #[serde(flatten)]
+    pub topology: Topology,
+    /// Vertices that share no edge with another one and are in its place, to within 10⁻⁵ of the diagonal: parts that touch.
+    /// Who joins vertices by their places joins the parts.
+    pub coincident_vertices: usize,
+    /// Shape and distance figures; absent if not measured.
+    #[serde(flatten)]
+    pub quality: Option<Quality>,
+    /// What it lacks of the input; absent if not measured.
+    pub lost: Option<LostParts>,
+    /// What the repair had to do.
+    pub repair: RepairFigures,
+}
+
+/// What the repair had to do.
+#[derive(Clone, Copy, Debug, Default, Serialize, PartialEq, Eq)]
+pub struct RepairFigures {
+    /// Restricted cells with more than one connected component.
+    pub split_cells: usize,
+    /// Cell components that are not a disk. Where this and the next two are 0, the dual has
+    /// the topology of the surface, if that is a manifold.
+    pub not_disks: usize,
+    /// Pairs of cell components that meet in more than one curve.
+    pub multiple_edges: usize,
+    /// Cell components that meet the boundary in more than one stretch.
+    pub multiple_boundary_arcs: usize,
+    /// RVD vertices whose three cells do not agree (see `rvd::dual`).
+    pub inconsistent_vertices: usize,
+    /// Facets dropped because two of their corners are one vertex.
+    pub degenerate_facets: usize,
+    /// Pairs of facets back to back that were taken out: cell components that touch two cells only.
+    pub closed_facet_pairs: usize,
+    /// Facets dropped because another has the same corners and orientation.
+    pub duplicate_facets: usize,
+    /// Facets dropped at edges with more than two facets or with two of one direction.
+    pub non_manifold_facets: usize,
+    /// Vertices split because their facets form more than one fan, and vertices put into edges along which two sheets touch.
+    pub split_vertices: usize,
+    /// Seeds that no vertex is of, and vertices beyond the first of their seed: the result has as many vertices as
+    /// there are seeds, less the former, plus the latter.
+    pub seeds_without_vertex: usize,
+    /// See `seeds_without_vertex`.
+    pub extra_vertices: usize,
+}

@@ -1,0 +1,344 @@
+//! The cells that meet one facet (\[HYWZ17\], Algorithm 1).
+//!
+//! Purpose: from a facet's nearest seed to all its cells, across the bisectors that bound each
+//! piece; and the relaunch of every pair that runs out of something.
+//! Invariant: when [`FacetWalker::walk`] returns, every cell that meets the facet was visited once.
+//! Capacities only decide how often a pair is clipped, never what comes out of it.
+//! Must not know: sums, threads, batches, how seeds that count on a facet were listed.
+
+use std::collections::{HashMap, HashSet};
+
+use glam::DVec3;
+
+use super::clip::Clipper;
+use super::{Capacities, PairStatus, PassStats, Surface};
+use crate::knn::{NeighbourRow, NeighbourTable, SeedIndex, squared_distance};
+use crate::token::Token;
+
+/// What every walk over one seed set reads.
+#[derive(Clone, Copy)]
+pub struct Diagram<'a> {
+    /// The surface.
+    pub surface: &'a Surface,
+    /// Seeds, unit frame.
+    pub seeds: &'a [DVec3],
+    /// Their index, for rows longer than the table's.
+    pub index: &'a SeedIndex,
+    /// First rows.
+    pub table: &'a NeighbourTable,
+}
+
+/// One thread's scratch memory for walking facets.
+#[derive(Default)]
+pub struct FacetWalker {
+    clipper: Clipper,
+    cells: CellList,
+    long_rows: LongRows,
+    listed: Listed,
+}
+
+/// Steps of one clip, beside those of its row.
+const STEPS: usize = 64;
+
+/// Where rows come from.
+#[derive(Clone, Copy)]
+enum Rows {
+    /// The table, and the index where its rows end.
+    Table,
+    /// The facet's list.
+    Listed,
+}
+
+impl FacetWalker {
+    /// Visits every cell that meets `facet`, beginning at `start`, a seed whose cell holds a
+    /// point of the facet. `visit` gets the seed and a non-empty polygon.
+    pub fn walk(
+        &mut self,
+        diagram: Diagram<'_>,
+        facet: u32,
+        start: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+        visit: impl FnMut(u32, &Clipper),
+    ) {
+        self.walk_by(Rows::Table, diagram, facet, start, capacities, stats, visit);
+    }
+
+    /// The same where `list` holds all seeds that could be nearest to some point of the facet: the index
+    /// and the table are not read.
+    #[expect(clippy::too_many_arguments, reason = "those of a walk, and the list")]
+    pub fn walk_listed(
+        &mut self,
+        list: &[u32],
+        diagram: Diagram<'_>,
+        facet: u32,
+        start: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+        visit: impl FnMut(u32, &Clipper),
+    ) {
+        self.listed.set(list);
+        self.walk_by(Rows::Listed, diagram, facet, start, capacities, stats, visit);
+    }
+
+    /// Clips one pair as [`Self::clip_to_end`] does, of a facet with such a list.
+    pub fn clip_listed(
+        &mut self,
+        list: &[u32],
+        diagram: Diagram<'_>,
+        facet: u32,
+        i: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+    ) {
+        self.listed.set(list);
+        self.clip_by(Rows::Listed, diagram, facet, i, capacities, stats);
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "those of a walk, and where rows come from")]
+    fn walk_by(
+        &mut self,
+        rows: Rows,
+        diagram: Diagram<'_>,
+        facet: u32,
+        start: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+        mut visit: impl FnMut(u32, &Clipper),
+    ) {
+        self.cells.clear();
+        self.cells.insert(start);
+        let mut slots = capacities.cells.max(1);
+        let mut next = 0;
+        let mut found = false;
+        let mut others = 0;
+        loop {
+            let Some(&i) = self.cells.order.get(next) else {
+                // Where two seeds are equally far from the centroid but for a rounding, the start's cell may not
+                // meet the facet, nor that of the seed that cut it last. One does: its neighbours', most
+                // often, or else any.
+                let (row, rest) = match rows {
+                    Rows::Table => (diagram.table.row(start).0, diagram.seeds.len()),
+                    Rows::Listed => (&self.listed.seeds[..], 0),
+                };
+                let all = row.len() + rest;
+                if found || others == all || diagram.surface.facet_area(facet) == 0.0 {
+                    break;
+                }
+                if self.clipper.is_stopped_after(1) {
+                    break;
+                }
+                self.cells.insert(row.get(others).copied().unwrap_or((others.max(row.len()) - row.len()) as u32));
+                others += 1;
+                continue;
+            };
+            next += 1;
+            let status = self.clip_by(rows, diagram, facet, i, capacities, stats);
+            if status == PairStatus::NonFinite && self.clipper.is_stopped() {
+                break;
+            }
+            let polygon = self.clipper.polygon();
+            if polygon.is_empty() {
+                if !found {
+                    // A start that only touches the facet: the seed that took the last of it is nearer.
+                    self.cells.insert(self.clipper.cutter());
+                }
+                continue;
+            }
+            found = true;
+            stats.pairs += 1;
+            visit(i, &self.clipper);
+            for v in polygon {
+                if super::cells::facet_edge(v.edge).is_none() {
+                    self.cells.insert(v.edge);
+                }
+            }
+            while self.cells.order.len() > slots {
+                // The list grows in place, so nothing has to be clipped again.
+                stats.relaunched_cells += (self.cells.order.len() - slots) as u64;
+                slots *= 2;
+            }
+        }
+    }
+
+    /// Clips one pair with as many neighbours and polygon vertices as it takes. Returns the last
+    /// status: `Done`, or `NonFinite` with an empty polygon, where the token is stopped too.
+    pub fn clip_to_end(
+        &mut self,
+        diagram: Diagram<'_>,
+        facet: u32,
+        i: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+    ) -> PairStatus {
+        self.clip_by(Rows::Table, diagram, facet, i, capacities, stats)
+    }
+
+    fn clip_by(
+        &mut self,
+        rows: Rows,
+        diagram: Diagram<'_>,
+        facet: u32,
+        i: u32,
+        capacities: Capacities,
+        stats: &mut PassStats,
+    ) -> PairStatus {
+        let Diagram { surface, seeds, index, table } = diagram;
+        let mut slots = capacities.polygon.max(4);
+        // Of a table without rows there is nothing to try first.
+        let no_rows = matches!(rows, Rows::Table) && table.is_empty();
+        let mut k = if no_rows { capacities.neighbours.max(1) } else { 0 };
+        loop {
+            let row = match rows {
+                Rows::Listed => self.listed.row(seeds, i, k > 0),
+                Rows::Table if k == 0 => table.row(i),
+                Rows::Table => self.long_rows.row(index, i, k),
+            };
+            // Where many seeds are near one another, rows are long.
+            if self.clipper.is_stopped_after(row.0.len() + STEPS) {
+                self.clipper.clear();
+                return PairStatus::NonFinite;
+            }
+            match self.clipper.clip(surface, facet, seeds, i, row, slots) {
+                PairStatus::NeighboursExhausted => {
+                    // From what was asked for, not from what came: a row without its ties at the end may
+                    // be as short as the last one, or empty.
+                    k = (k.max(row.0.len()).max(capacities.neighbours).max(1) + 1) * 4;
+                    stats.relaunched_neighbours += 1;
+                }
+                PairStatus::PolygonOverflow => {
+                    slots *= 2;
+                    stats.relaunched_polygon += 1;
+                }
+                status => return status,
+            }
+        }
+    }
+
+    /// Whether walks are to end.
+    pub fn is_stopped(&mut self) -> bool {
+        self.clipper.is_stopped_after(Token::STRIDE)
+    }
+
+    /// The clipper with the polygon of the last pair.
+    pub fn clipper(&self) -> &Clipper {
+        &self.clipper
+    }
+}
+
+/// All seeds that count on one facet, and rows of them.
+#[derive(Default)]
+struct Listed {
+    seeds: Vec<u32>,
+    /// The others from each of them, nearest first, one after the other; as many as are sorted.
+    rows: Vec<u32>,
+    sorted: Vec<usize>,
+    keys: Vec<(f64, u32)>,
+}
+
+impl Listed {
+    /// A cell has hardly more neighbours on a facet.
+    const FIRST: usize = 16;
+
+    fn set(&mut self, list: &[u32]) {
+        self.seeds.clear();
+        self.seeds.extend_from_slice(list);
+        self.sorted.clear();
+        self.sorted.resize(list.len(), 0);
+        self.rows.resize(list.len() * list.len(), 0);
+    }
+
+    /// The nearest others, in the order of a table's row, or `all`; and whether these are all. A cut that changes
+    /// nothing apart, a walk does the same with either.
+    fn row(&mut self, seeds: &[DVec3], i: u32, all: bool) -> (&[u32], bool) {
+        // A walk visits listed seeds alone.
+        let Some(at) = self.seeds.iter().position(|&j| j == i) else { return (&[], true) };
+        let n = self.seeds.len() - 1;
+        let row = &mut self.rows[at * n..(at + 1) * n];
+        let wanted = if all { n } else { n.min(Self::FIRST) };
+        if self.sorted[at] < wanted {
+            self.keys.clear();
+            let origin = seeds[i as usize].to_array();
+            let key = |&j: &u32| (squared_distance(&origin, &seeds[j as usize].to_array()), j);
+            self.keys.extend(self.seeds.iter().filter(|&&j| j != i).map(key));
+            let order = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+            if wanted < n {
+                self.keys.select_nth_unstable_by(wanted, order);
+            }
+            self.keys[..wanted].sort_unstable_by(order);
+            for (slot, key) in row.iter_mut().zip(&self.keys[..wanted]) {
+                *slot = key.1;
+            }
+            self.sorted[at] = wanted;
+        }
+        (&row[..wanted], wanted == n)
+    }
+}
+
+/// Cells of one facet in the order they were found, each once.
+#[derive(Default)]
+struct CellList {
+    order: Vec<u32>,
+    /// Takes over from a linear search where a facet meets many cells.
+    set: HashSet<u32>,
+}
+
+impl CellList {
+    const LINEAR: usize = 24;
+
+    fn clear(&mut self) {
+        self.order.clear();
+        self.set.clear();
+    }
+
+    fn insert(&mut self, seed: u32) {
+        if self.order.len() < Self::LINEAR {
+            if !self.order.contains(&seed) {
+                self.order.push(seed);
+            }
+            return;
+        }
+        if self.set.is_empty() {
+            self.set.extend(&self.order);
+        }
+        if self.set.insert(seed) {
+            self.order.push(seed);
+        }
+    }
+}
+
+/// Rows longer than the table's, kept for the neighbouring facets of the same cell.
+#[derive(Default)]
+struct LongRows {
+    rows: HashMap<u32, (usize, NeighbourRow)>,
+    stored: usize,
+}
+
+impl LongRows {
+    /// So many neighbours are kept at most: 4 MiB.
+    const LIMIT: usize = 1 << 20;
+
+    fn row(&mut self, index: &SeedIndex, i: u32, k: usize) -> (&[u32], bool) {
+        if self.stored > Self::LIMIT {
+            self.rows.clear();
+            self.stored = 0;
+        }
+        let entry = self.rows.entry(i).or_default();
+        if entry.0 < k {
+            self.stored -= entry.1.seeds.len();
+            index.row(i, k, &mut entry.1);
+            entry.0 = k;
+            self.stored += entry.1.seeds.len();
+        }
+        (&entry.1.seeds, entry.1.complete)
+    }
+}
+
+impl FacetWalker {
+    /// Forgets rows of an earlier seed set. From now on walks end early where `token` is stopped; who walks asks it before
+    /// what they found is used.
+    pub fn reset(&mut self, token: &Token) {
+        self.long_rows = LongRows::default();
+        self.clipper.listen(token);
+    }
+}

@@ -1,0 +1,240 @@
+//! Facets with as many seeds, side by side.
+//!
+//! Purpose: sorts facets by how many seeds they have to do with, puts those with as many into lanes together, and finds
+//! their members.
+//! Invariant: what is found of a facet does not depend on those beside it.
+//! Must not know: what becomes of members.
+
+use glam::DVec3;
+use pulp::{Simd, WithSimd};
+
+use super::gather::Skin;
+use super::lists::Lists;
+use crate::rvd::Capacities;
+use crate::rvd::incident::Diagram;
+use crate::rvd::parallel::divide::facets::{Facets, Given, InTurn, LISTED, MEMBERS, beats};
+use crate::rvd::parallel::divide::lanes::Number;
+use crate::rvd::parallel::order::Stretch;
+
+/// The facets of a chunk, all with area, and their lists.
+#[derive(Clone, Copy)]
+pub(crate) struct Listed<'a> {
+    pub diagram: Diagram<'a>,
+    /// The facets, in the order of their lists.
+    pub facets: Stretch<'a>,
+    /// A seed near each facet.
+    pub starts: &'a [u32],
+    pub lists: &'a Lists,
+    pub capacities: Capacities,
+    /// There are rows of neighbours, and facets with many members are walked by them.
+    pub by_rows: bool,
+}
+
+/// Facets by a small number.
+#[derive(Default)]
+pub(crate) struct ByLength {
+    first: Vec<u32>,
+    order: Vec<u32>,
+}
+
+impl ByLength {
+    /// Sorts facets by their numbers, from 1 to `most`; others are left out.
+    pub(crate) fn sort(&mut self, most: usize, numbers: impl Iterator<Item = usize> + Clone) {
+        self.first.clear();
+        self.first.resize(most + 2, 0);
+        for n in numbers.clone().filter(|&n| (1..=most).contains(&n)) {
+            self.first[n + 1] += 1;
+        }
+        for n in 1..self.first.len() {
+            self.first[n] += self.first[n - 1];
+        }
+        self.order.clear();
+        self.order.resize(self.first[most + 1] as usize, 0);
+        let mut next = self.first.clone();
+        for (at, n) in numbers.enumerate().filter(|(_, n)| (1..=most).contains(n)) {
+            self.order[next[n] as usize] = at as u32;
+            next[n] += 1;
+        }
+    }
+
+    /// The facets with this number.
+    pub(crate) fn of(&self, n: usize) -> &[u32] {
+        &self.order[self.first[n] as usize..self.first[n + 1] as usize]
+    }
+}
+
+/// One thread's scratch memory for finding members.
+#[derive(Default)]
+pub(crate) struct Chooser {
+    pub facets: Facets,
+    pub in_turn: InTurn,
+    pub groups: ByLength,
+    /// Of each facet the members among its list, as bits; 0 where there are too many for that.
+    pub members: Vec<u32>,
+    pub long: LongLists,
+}
+
+/// Lists that are too long for lanes, without those that others beat.
+#[derive(Default)]
+pub(crate) struct LongLists {
+    lists: Lists,
+    /// Which of them each facet has, from 1, or 0.
+    of: Vec<u32>,
+    among: FacetMembers,
+}
+
+impl Chooser {
+    /// Finds the members of every facet with a long list.
+    pub(crate) fn begin(&mut self, listed: Listed<'_>) {
+        let Self { members, long: LongLists { lists, of, among }, .. } = self;
+        members.clear();
+        members.resize(listed.starts.len(), 0);
+        lists.clear();
+        of.clear();
+        of.resize(listed.starts.len(), 0);
+        for at in 0..listed.starts.len() {
+            let list = listed.lists.get(at);
+            if list.len() > LISTED {
+                among.of_long(listed.diagram.seeds, &listed.facets.corners(at), list);
+                lists.push(among.seeds.iter().copied());
+                of[at] = lists.len() as u32;
+                let n = among.seeds.len();
+                members[at] = if n <= MEMBERS { (1 << n) - 1 } else { 0 };
+            }
+        }
+    }
+}
+
+impl LongLists {
+    /// The list of which a facet's `members` say who is one.
+    #[inline(always)]
+    pub(crate) fn list<'a>(&'a self, listed: Listed<'a>, at: usize) -> &'a [u32] {
+        match self.of[at] {
+            0 => listed.lists.get(at),
+            k => self.lists.get(k as usize - 1),
+        }
+    }
+
+    /// One facet's members in the order of their numbers; `members` says who is one, if its list is not long.
+    pub(crate) fn among(&mut self, listed: Listed<'_>, at: usize, members: u32) -> &FacetMembers {
+        let mut among = std::mem::take(&mut self.among);
+        let all = self.of[at] != 0;
+        let chosen = self.list(listed, at).iter().enumerate().filter(|(k, _)| all || members >> k & 1 != 0);
+        among.seeds.clear();
+        among.seeds.extend(chosen.map(|(_, &seed)| seed));
+        among.seeds.sort_unstable();
+        self.among = among;
+        &self.among
+    }
+}
+
+/// Finds the members of every other facet with a list.
+#[inline(always)]
+pub(crate) fn choose_members<S: Simd>(simd: S, chooser: &mut Chooser, listed: Listed<'_>) {
+    let Chooser { facets, in_turn, groups, members, .. } = chooser;
+    groups.sort(LISTED, (0..listed.starts.len()).map(|at| listed.lists.get(at).len()));
+    for &at in groups.of(1) {
+        members[at as usize] = 1;
+    }
+    for n in 2..=LISTED {
+        for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
+            if let Some(group) = turn.set {
+                set_lists::<S>(in_turn.next(&turn), group, listed, n);
+            }
+            if let Some(group) = turn.read {
+                let chosen = facets.choose(simd, n, in_turn.present(&turn));
+                for (&at, chosen) in group.iter().zip(chosen) {
+                    members[at as usize] = chosen;
+                }
+            }
+        }
+    }
+}
+
+/// Puts a group of facets with lists of `n` seeds into lanes; the last one fills those that are left.
+#[inline(always)]
+fn set_lists<S: Simd>(given: &mut Given, group: &[u32], listed: Listed<'_>, n: usize) {
+    let Listed { diagram, facets, lists, .. } = listed;
+    for lane in 0..Number::<S>::LANES {
+        let at = group[lane.min(group.len() - 1)];
+        given.set_facet(lane, &facets.vertices(at as usize));
+        for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
+            given.set_seed(lane, k, diagram.seeds[seed as usize]);
+        }
+    }
+}
+
+/// Lists without those that others beat whatever way they move.
+pub(crate) struct Prune<'a> {
+    pub chooser: &'a mut Chooser,
+    pub listed: Listed<'a>,
+    pub skin: Skin<'a>,
+    pub out: &'a mut Lists,
+}
+
+impl WithSimd for Prune<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { chooser: Chooser { facets, in_turn, groups, members, .. }, listed, skin, out } = self;
+        let Listed { starts, lists, .. } = listed;
+        members.clear();
+        members.resize(starts.len(), !0);
+        groups.sort(LISTED, (0..starts.len()).map(|at| lists.get(at).len()));
+        for n in 2..=LISTED {
+            for turn in InTurn::turns(groups.of(n), Number::<S>::LANES) {
+                if let Some(group) = turn.set {
+                    let given = in_turn.next(&turn);
+                    set_lists::<S>(given, group, listed, n);
+                    for lane in 0..Number::<S>::LANES {
+                        let at = group[lane.min(group.len() - 1)];
+                        for (k, &seed) in lists.get(at as usize).iter().enumerate().take(n) {
+                            given.set_skin(lane, k, skin.of(seed));
+                        }
+                    }
+                }
+                if let Some(group) = turn.read {
+                    let chosen = facets.choose_with_skin(simd, n, in_turn.present(&turn));
+                    for (&at, chosen) in group.iter().zip(chosen) {
+                        members[at as usize] = chosen;
+                    }
+                }
+            }
+        }
+        out.clear();
+        for (at, &members) in members.iter().enumerate() {
+            let list = lists.get(at);
+            let kept = |k: usize| list.len() > LISTED || members >> k & 1 != 0;
+            out.push(list.iter().enumerate().filter(|(k, _)| kept(*k)).map(|(_, &seed)| seed));
+        }
+    }
+}
+
+/// The members of one facet.
+#[derive(Default)]
+pub(crate) struct FacetMembers {
+    /// In the order of their numbers.
+    pub seeds: Vec<u32>,
+    squared: Vec<[f64; 3]>,
+}
+
+impl FacetMembers {
+    /// Those of a long list.
+    fn of_long(&mut self, seeds: &[DVec3], corner: &[DVec3; 3], list: &[u32]) {
+        self.squared.clear();
+        self.squared.extend(list.iter().map(|&j| corner.map(|q| seeds[j as usize].distance_squared(q))));
+        // One after the other would not be sooner: few are beaten.
+        let beaten = |mine: [f64; 3]| self.squared.iter().fold(false, |beaten, by| beaten | beats(*by, mine));
+        self.seeds.clear();
+        let left = list.iter().zip(&self.squared).filter(|(_, squared)| !beaten(**squared));
+        self.seeds.extend(left.map(|(&seed, _)| seed));
+        self.seeds.sort_unstable();
+    }
+
+    /// The one that is nearest to a point, the lowest of several.
+    pub(crate) fn nearest(&self, diagram: Diagram<'_>, p: DVec3) -> u32 {
+        let key = |i: u32| p.distance_squared(diagram.seeds[i as usize]);
+        self.seeds.iter().copied().min_by(|&a, &b| key(a).total_cmp(&key(b))).unwrap_or_default()
+    }
+}

@@ -1,0 +1,133 @@
+//! What a task finds, piece by piece, and its sums.
+//!
+//! Purpose: facets are divided in any order; their pieces are written down where they belong, and then added up.
+//! Invariant: a cell adds its pieces within a block up in the order of facets, and nothing else decides its bits.
+//! Must not know: how pieces are found.
+
+use crate::rvd::clip::Integrals;
+use crate::rvd::parallel::divide::facets::MEMBERS;
+
+/// Stands where a member has no piece.
+pub(super) const NONE: u32 = u32::MAX;
+
+/// One thread's scratch memory.
+#[derive(Default)]
+pub(super) struct Written {
+    /// Of as many seeds as each facet has members; [`NONE`] where a member has no piece.
+    pub seeds: Vec<u32>,
+    pub integrals: Vec<Integrals>,
+    /// Where those of each facet begin, and the end of the last.
+    begin: Vec<u32>,
+    /// Those of facets that were walked.
+    pub walked: Vec<(u32, Integrals)>,
+    inserts: Vec<Insert>,
+    /// Of each seed its place among a block's cells, or [`NONE`].
+    place: Vec<u32>,
+}
+
+/// The pieces of a facet that was walked come in its place.
+struct Insert {
+    at: usize,
+    end: usize,
+}
+
+impl Written {
+    /// Gives every facet with a usable number of members room for their integrals; the others are to be walked.
+    pub(super) fn begin(&mut self, members: &[u32], to_walk: &mut Vec<u32>) {
+        self.begin.clear();
+        self.walked.clear();
+        self.inserts.clear();
+        to_walk.clear();
+        let mut end = 0;
+        for (at, members) in members.iter().enumerate() {
+            self.begin.push(end);
+            let n = members.count_ones();
+            if (1..=MEMBERS as u32).contains(&n) {
+                end += n;
+            } else {
+                to_walk.push(at as u32);
+            }
+        }
+        self.begin.push(end);
+        // Each gets its value, so that what is there from an earlier task may stay until then.
+        self.seeds.resize(end as usize, NONE);
+        self.integrals.resize(end as usize, Integrals::default());
+    }
+
+    /// Where the integrals of the facet at `at` begin.
+    #[inline(always)]
+    pub(super) fn first(&self, at: u32) -> usize {
+        self.begin[at as usize] as usize
+    }
+
+    /// Room for the seeds of the facet at `at`, which has `n` members.
+    #[inline(always)]
+    pub(super) fn seeds_of(&mut self, at: u32, n: usize) -> &mut [u32] {
+        let first = self.first(at);
+        &mut self.seeds[first..][..n]
+    }
+
+    /// What was walked since belongs to the facet at `at`. Facets come in order.
+    pub(super) fn end_walk(&mut self, at: usize) {
+        self.inserts.push(Insert { at, end: self.walked.len() });
+    }
+
+    /// Appends the sums of all cells, block by block of so many facets. `seeds` is how many there are.
+    pub(super) fn add_blocks(&mut self, block: usize, seeds: usize, out: &mut Vec<(u32, Integrals)>) {
+        if self.place.len() != seeds {
+            self.place.clear();
+            self.place.resize(seeds, NONE);
+        }
+        let Self { seeds, integrals, begin, walked, inserts, place } = self;
+        let facets = begin.len() - 1;
+        let mut inserts = inserts.iter().peekable();
+        let (mut at, mut from) = (0, 0);
+        for last in (0..facets).step_by(block).map(|first| facets.min(first + block)) {
+            let mut sums = Block { place, first: out.len(), out };
+            while let Some(insert) = inserts.next_if(|insert| insert.at < last) {
+                let before = begin[insert.at] as usize;
+                sums.add(&seeds[at..before], &integrals[at..before]);
+                walked[from..insert.end].iter().for_each(|(seed, sum)| sums.add_one(*seed, sum));
+                (at, from) = (before, insert.end);
+            }
+            let end = begin[last] as usize;
+            sums.add(&seeds[at..end], &integrals[at..end]);
+            sums.end();
+            at = end;
+        }
+    }
+}
+
+/// The sums of one block.
+struct Block<'a> {
+    place: &'a mut [u32],
+    /// Where they begin.
+    first: usize,
+    out: &'a mut Vec<(u32, Integrals)>,
+}
+
+impl Block<'_> {
+    #[inline(always)]
+    fn add(&mut self, seeds: &[u32], integrals: &[Integrals]) {
+        seeds.iter().zip(integrals).filter(|(seed, _)| **seed != NONE).for_each(|(seed, sum)| self.add_one(*seed, sum));
+    }
+
+    #[inline(always)]
+    fn add_one(&mut self, seed: u32, sum: &Integrals) {
+        let place = &mut self.place[seed as usize];
+        if *place == NONE {
+            *place = (self.out.len() - self.first) as u32;
+            self.out.push((seed, *sum));
+        } else {
+            let to = &mut self.out[self.first + *place as usize].1;
+            to.mass += sum.mass;
+            to.moment += sum.moment;
+            to.energy += sum.energy;
+            to.area += sum.area;
+        }
+    }
+
+    fn end(self) {
+        self.out[self.first..].iter().for_each(|(seed, _)| self.place[*seed as usize] = NONE);
+    }
+}

@@ -1,0 +1,264 @@
+//! The surface as the backends see it.
+//!
+//! Purpose: a mesh moved into the unit box, with a weight per vertex.
+//! Invariant: the scale is a power of two, so scaling rounds nothing; coordinates are in about
+//! [-1/2, 1/2] whatever the caller's units and offset.
+//! Must not know: seeds, backends.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::RvdError;
+use crate::mesh::TriMesh;
+use crate::mesh::adjacency::weld;
+use crate::mesh::closest_point::ClosestPoint;
+
+/// The map between the caller's coordinates and the unit frame: unit = (p - centre) * scale.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    /// Centre of the bounding box, caller's coordinates.
+    pub centre: DVec3,
+    /// A power of two, in 1 / caller's unit.
+    pub scale: f64,
+}
+
+impl Frame {
+    /// The frame of a box.
+    pub fn of_bounds(low: DVec3, high: DVec3) -> Self {
+        let extent = (high - low).max_element();
+        let scale = if extent > 0.0 { (-extent.log2().ceil()).exp2() } else { 1.0 };
+        // Halves first: low + high may overflow where the halves do not.
+        Self { centre: low * 0.5 + high * 0.5, scale }
+    }
+
+    /// Caller's coordinates to unit frame.
+    pub fn to_unit(&self, p: DVec3) -> DVec3 {
+        (p - self.centre) * self.scale
+    }
+
+    /// Unit frame to caller's coordinates.
+    pub fn to_world(&self, p: DVec3) -> DVec3 {
+        p / self.scale + self.centre
+    }
+}
+
+/// Unit-frame positions of vertices and seeds are multiples of 1/`GRID`, 2·10⁻¹⁶ of the bounding box.
+pub const GRID: f64 = (1u64 << 52) as f64;
+
+/// The nearest point whose coordinates are multiples of 2⁻⁵²: a difference of two such points
+/// inside the box is exact, and so are the decisions of `rvd::exact`.
+pub fn snap(p: DVec3) -> DVec3 {
+    DVec3::from_array(p.to_array().map(|x| {
+        let x = x * GRID;
+        // A sum of this size has no digits behind the point, and is rounded to the even one of two.
+        let rounded = if x.abs() < 0.5 * GRID { (x + 1.5 * GRID) - 1.5 * GRID } else { x.round_ties_even() };
+        rounded / GRID
+    }))
+}
+
+/// A mesh in the unit frame, with weights. Immutable; sessions share it.
+#[derive(Clone, Debug)]
+pub struct Surface {
+    frame: Frame,
+    positions: Vec<DVec3>,
+    weights: Vec<f64>,
+    uniform: bool,
+    facets: Vec<[u32; 3]>,
+    welded: Vec<[u32; 3]>,
+    skip: Vec<bool>,
+    area: f64,
+    mass: f64,
+    root_mass: f64,
+}
+
+impl Surface {
+    /// Takes a mesh and, if the density is not uniform, one weight per vertex
+    /// (linear in each facet; edge length h needs w ∝ h⁻⁴).
+    ///
+    /// # Errors
+    /// `WeightCount`, `BadWeight`, `NoArea`.
+    pub fn new(mesh: &TriMesh, weights: Option<&[f64]>) -> Result<Self, RvdError> {
+        let (low, high) = mesh.bounds();
+        let frame = Frame::of_bounds(low, high);
+        let vertices = mesh.positions().len();
+        let weights = match weights {
+            None => None,
+            Some(given) if given.len() != vertices => {
+                return Err(RvdError::WeightCount { given: given.len(), vertices });
+            }
+            Some(given) => {
+                if let Some(vertex) = given.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
+                    return Err(RvdError::BadWeight { vertex, value: given[vertex] });
+                }
+                // Vertices that no facet uses have no say.
+                let used = mesh.facets().iter().flatten().map(|&v| given[v as usize]);
+                let largest = used.fold(0.0, f64::max);
+                if largest == 0.0 {
+                    return Err(RvdError::BadWeight { vertex: mesh.facets()[0][0] as usize, value: 0.0 });
+                }
+                // Scaled so that the largest is in (1/2, 1]: only ratios matter, and f32 must hold them. In
+                // two steps, as the scale of a subnormal weight is beyond the range.
+                let half = (-largest.log2().ceil() * 0.5).floor().exp2();
+                let rest = (-largest.log2().ceil() - half.log2()).exp2();
+                Some(given.iter().map(|w| (w * half * rest).min(1.0)).collect::<Vec<_>>())
+            }
+        };
+        // A vertex that no facet uses may be so far away that the unit frame cannot hold it.
+        let held = |p: DVec3| if p.is_finite() { p } else { DVec3::ZERO };
+        let (positions, class): (Vec<DVec3>, Vec<u32>) =
+            rayon::join(|| mesh.positions().par_iter().map(|&p| held(snap(frame.to_unit(p)))).collect(), || weld(mesh));
+        // On the grid a facet may lose what area it had, by the same measure as in the mesh.
+        let flat = |f: usize| {
+            let [a, b, c] = mesh.facets()[f].map(|v| positions[v as usize]);
+            let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+            (b - a).cross(c - a).length() <= 1e-15 * longest
+        };
+        let skip: Vec<bool> =
+            (0..mesh.facets().len()).into_par_iter().map(|f| mesh.is_degenerate(f) || flat(f)).collect();
+        if skip.iter().all(|&skipped| skipped) {
+            return Err(RvdError::NoArea);
+        }
+        let mut surface = Self {
+            frame,
+            uniform: weights.is_none(),
+            weights: weights.unwrap_or_else(|| vec![1.0; vertices]),
+            positions,
+            facets: mesh.facets().to_vec(),
+            welded: mesh.facets().par_iter().map(|f| f.map(|v| class[v as usize])).collect(),
+            skip,
+            area: 0.0,
+            mass: 0.0,
+            root_mass: 0.0,
+        };
+        surface.area =
+            (0..surface.facets.len()).filter(|&f| !surface.skip[f]).map(|f| surface.facet_area(f as u32)).sum();
+        surface.mass = surface.integral(|w| w);
+        surface.root_mass = surface.integral(f64::sqrt);
+        Ok(surface)
+    }
+
+    /// The map to the caller's coordinates.
+    pub fn frame(&self) -> Frame {
+        self.frame
+    }
+
+    /// Vertex positions in the unit frame, all finite. A vertex that no facet uses may lie anywhere.
+    pub fn positions(&self) -> &[DVec3] {
+        &self.positions
+    }
+
+    /// One weight per vertex, the largest in (1/2, 1]; all 1 if uniform.
+    pub fn weights(&self) -> &[f64] {
+        &self.weights
+    }
+
+    /// Whether the density is the same everywhere.
+    pub fn is_uniform(&self) -> bool {
+        self.uniform
+    }
+
+    /// Facets: vertex indices, in the mesh's order.
+    pub fn facets(&self) -> &[[u32; 3]] {
+        &self.facets
+    }
+
+    /// Facets with every vertex replaced by the lowest one at exactly the same place, so that
+    /// the two sides of a texture seam share their edges.
+    pub fn welded(&self) -> &[[u32; 3]] {
+        &self.welded
+    }
+
+    /// Corners of facet `f`.
+    pub fn corners(&self, f: u32) -> [DVec3; 3] {
+        self.facets[f as usize].map(|v| self.positions[v as usize])
+    }
+
+    /// Centroid of facet `f`.
+    pub fn centroid(&self, f: u32) -> DVec3 {
+        let [a, b, c] = self.corners(f);
+        (a + b + c) / 3.0
+    }
+
+    /// Unit normal of facet `f`, or 0 if it has no area.
+    pub fn normal(&self, f: u32) -> DVec3 {
+        let [a, b, c] = self.facets[f as usize].map(|v| self.positions[v as usize]);
+        (b - a).cross(c - a).normalize_or_zero()
+    }
+
+    /// Whether facet `f` is degenerate and left out.
+    pub fn skips(&self, f: usize) -> bool {
+        self.skip[f]
+    }
+
+    /// What answers for closest points of it, unit frame.
+    ///
+    /// # Errors
+    /// None for a surface that is one.
+    pub fn closest_points(&self) -> Result<ClosestPoint, RvdError> {
+        let mesh = TriMesh::new(self.positions.clone(), self.facets.clone())
+            .map_err(|e| RvdError::Internal(format!("the surface was valid before: {e}")))?;
+        Ok(ClosestPoint::new(&mesh))
+    }
+
+    /// E_hex: the energy that so many seeds would have on a flat surface of this size and
+    /// density if every cell were a regular hexagon, 5/(18√3) (∫√w)²/n, unit frame. √w is taken
+    /// as linear between the corners of a facet.
+    pub fn hexagonal_energy(&self, seeds: usize) -> f64 {
+        let root_mass = self.root_mass();
+        5.0 / (18.0 * 3f64.sqrt()) * root_mass * root_mass / seeds as f64
+    }
+
+    /// ∫√w, unit frame, √w taken as linear between the corners of a facet.
+    pub fn root_mass(&self) -> f64 {
+        self.root_mass
+    }
+
+    /// ∫ w, unit frame.
+    pub fn mass(&self) -> f64 {
+        self.mass
+    }
+
+    /// The integral of what `of` makes of the weights, taken as linear between the corners of a facet.
+    fn integral(&self, of: impl Fn(f64) -> f64) -> f64 {
+        let mut sum = 0.0;
+        for (f, corners) in self.facets.iter().enumerate().filter(|&(f, _)| !self.skip[f]) {
+            let mean = corners.map(|v| of(self.weights[v as usize])).iter().sum::<f64>() / 3.0;
+            sum += mean * self.facet_area(f as u32);
+        }
+        sum
+    }
+
+    /// Area of facet `f`, unit frame.
+    pub fn facet_area(&self, f: u32) -> f64 {
+        let [a, b, c] = self.facets[f as usize].map(|v| self.positions[v as usize]);
+        0.5 * (b - a).cross(c - a).length()
+    }
+
+    /// Whether facet `f` joins its neighbours: it has an area, or at least three corners in three
+    /// places. A facet without area between two others is part of no integral, but the surface
+    /// goes on across it.
+    pub fn joins(&self, f: usize) -> bool {
+        let [a, b, c] = self.welded[f];
+        !self.skip[f] || (a != b && b != c && c != a)
+    }
+
+    /// Area of all facets that are not left out, unit frame.
+    pub fn area(&self) -> f64 {
+        self.area
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn snapping_rounds_to_the_even_one_of_two() {
+        let plain = |x: f64| (x * GRID).round_ties_even() / GRID;
+        let numbers = (0..2000).map(|k| f64::from(k).sin() * 1.1f64.powi(k % 200 - 100));
+        let ties = (-40..40).map(|k| (f64::from(k) + 0.5) / GRID);
+        for x in numbers.chain(ties).chain([0.5, -0.5, 0.499_999_999_999_999_9, 1e6 + 0.1, 0.0]) {
+            assert_eq!(snap(DVec3::splat(x)), DVec3::splat(plain(x)), "{x:e}");
+        }
+    }
+}

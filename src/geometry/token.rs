@@ -1,0 +1,329 @@
+//! One token for a piece of work: whoever works asks it whether to go on.
+//!
+//! Purpose: [`Token`] carries a cancellation and a limit on time from a caller to every loop that can take long, on any
+//! thread, and tells the caller which stage is at work.
+//! Invariant: once stopped it stays stopped, and the first reason stays the reason. Asking takes some ten nanoseconds.
+//! How long nobody asked is known, so that a stage that does not listen can be found.
+//! Must not know: meshes, seeds, jobs, or what the work is.
+//!
+//! How to listen: a function that may take longer than [a few milliseconds](Token#how-often-to-ask) takes a token and
+//! returns [`Stopped`]. A loop that runs on many threads may instead return early with whatever it has, if its caller
+//! asks [`Token::check`] before it uses the result.
+
+use std::panic::Location;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Why work was stopped before its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Stopped {
+    /// The caller asked, or has gone.
+    #[error("cancelled")]
+    Cancelled,
+    /// The work took as long as it may.
+    #[error("the job reached its limit of {} s; ask for less, or raise the limit", .limit.as_secs_f64())]
+    Time {
+        /// How long it may take.
+        limit: Duration,
+    },
+    /// The work holds as much memory as it may.
+    #[error(
+        "the job reached its limit on memory: it holds {} MiB, and {} MiB are allowed; ask for less, or raise the limit",
+        .used_bytes >> 20, .limit_bytes >> 20
+    )]
+    Memory {
+        /// What it held when it was stopped.
+        used_bytes: u64,
+        /// What it may hold.
+        limit_bytes: u64,
+    },
+}
+
+/// See the module's head. Clones share one state.
+///
+/// ```
+/// use tessera::token::{Stopped, Token};
+///
+/// let token = Token::default();
+/// assert_eq!(token.check(), Ok(()));
+/// token.cancel();
+/// assert_eq!(token.check(), Err(Stopped::Cancelled));
+/// ```
+///
+/// # How often to ask
+/// At least every few milliseconds of work: about every [`Token::STRIDE`] facets or vertices of a plain loop, and every
+/// item where an item may itself look at many others.
+#[derive(Clone, Debug, Default)]
+pub struct Token(Arc<State>);
+
+#[derive(Debug)]
+struct State {
+    reason: OnceLock<Stopped>,
+    /// The limit on time.
+    limit: OnceLock<Duration>,
+    /// Microseconds after `begin` when time is up; [`NEVER`] while the clock stands.
+    end: AtomicU64,
+    /// Microseconds of the limit that were left when the clock stopped last.
+    left: AtomicU64,
+    stage: Mutex<&'static str>,
+    /// Hears of stages.
+    listener: Mutex<Option<Arc<dyn StageListener>>>,
+    begin: Instant,
+    /// Microseconds after `begin` at which somebody asked last.
+    asked: AtomicU64,
+    /// The longest time between two questions so far.
+    silence: Mutex<Silence>,
+    longest: AtomicU64,
+}
+
+const NEVER: u64 = u64::MAX;
+
+fn micros(time: Duration) -> u64 {
+    u64::try_from(time.as_micros()).unwrap_or(NEVER)
+}
+
+impl Default for State {
+    fn default() -> Self {
+        Self {
+            reason: OnceLock::new(),
+            limit: OnceLock::new(),
+            end: AtomicU64::new(NEVER),
+            left: AtomicU64::new(NEVER),
+            stage: Mutex::new(""),
+            listener: Mutex::default(),
+            begin: Instant::now(),
+            asked: AtomicU64::new(0),
+            silence: Mutex::default(),
+            longest: AtomicU64::new(0),
+        }
+    }
+}
+
+/// How long nobody asked a token, and where.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Silence {
+    /// How long.
+    pub time: Duration,
+    /// See [`Token::enter`].
+    pub stage: &'static str,
+    /// Where somebody asked again.
+    pub until: Option<&'static Location<'static>>,
+}
+
+/// Who hears which stage of the work is entered.
+pub trait StageListener: std::fmt::Debug + Send + Sync {
+    /// The last one is over, if there was one, and this one begins.
+    fn entered(&self, stage: &'static str);
+}
+
+/// Steps of work since a token was asked last; see [`Token::is_stopped_after`].
+#[derive(Clone, Debug, Default)]
+pub struct Pace(usize);
+
+impl Token {
+    /// Items of a plain loop between two questions.
+    pub const STRIDE: usize = 4096;
+
+    /// A token that stops by itself after `limit`.
+    pub fn with_time_limit(limit: Duration) -> Self {
+        let token = Self::default();
+        token.limit_time(limit);
+        token.resume();
+        token
+    }
+
+    /// Limits the time that the clock runs; it stands until [`Token::resume`]. The first limit stays.
+    pub fn limit_time(&self, limit: Duration) {
+        if self.0.limit.set(limit).is_ok() {
+            self.0.left.store(micros(limit), Ordering::Release);
+        }
+    }
+
+    /// Work begins or goes on: the clock runs.
+    pub fn resume(&self) {
+        let left = self.0.left.swap(NEVER, Ordering::AcqRel);
+        if left != NEVER {
+            self.0.end.store(micros(self.0.begin.elapsed()).saturating_add(left), Ordering::Release);
+        }
+    }
+
+    /// Nobody works: the clock stands.
+    pub fn pause(&self) {
+        let end = self.0.end.swap(NEVER, Ordering::AcqRel);
+        if end != NEVER {
+            self.0.left.store(end.saturating_sub(micros(self.0.begin.elapsed())), Ordering::Release);
+        }
+    }
+
+    /// Asks everyone who holds a clone to stop.
+    pub fn cancel(&self) {
+        self.stop(Stopped::Cancelled);
+    }
+
+    /// Asks everyone who holds a clone to stop, for this reason if there is none yet.
+    pub fn stop(&self, reason: Stopped) {
+        let _ = self.0.reason.set(reason);
+    }
+
+    /// Why the work is to stop, if it is.
+    #[track_caller]
+    pub fn stopped(&self) -> Option<Stopped> {
+        self.note();
+        if let Some(&reason) = self.0.reason.get() {
+            return Some(reason);
+        }
+        let limit = *self.0.limit.get()?;
+        if micros(self.0.begin.elapsed()) < self.0.end.load(Ordering::Acquire) {
+            return None;
+        }
+        self.stop(Stopped::Time { limit });
+        self.0.reason.get().copied()
+    }
+
+    /// Whether somebody has told the work to stop, for who watches it and does none: this is no question of the work's own.
+    pub fn is_told_to_stop(&self) -> bool {
+        self.0.reason.get().is_some()
+    }
+
+    /// Whether the work is to stop.
+    #[track_caller]
+    pub fn is_stopped(&self) -> bool {
+        self.stopped().is_some()
+    }
+
+    /// Whether to go on.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    #[track_caller]
+    pub fn check(&self) -> Result<(), Stopped> {
+        match self.stopped() {
+            Some(reason) => Err(reason),
+            None => Ok(()),
+        }
+    }
+
+    /// [`Token::check`] at every [`Token::STRIDE`]-th item of a plain loop.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    #[track_caller]
+    pub fn check_at(&self, item: usize) -> Result<(), Stopped> {
+        if item.is_multiple_of(Self::STRIDE) { self.check() } else { Ok(()) }
+    }
+
+    /// Whether the work is to stop, where items differ much: asks once `pace` has come to [`Token::STRIDE`] steps, of which
+    /// this item took so many.
+    #[track_caller]
+    pub fn is_stopped_after(&self, steps: usize, pace: &mut Pace) -> bool {
+        pace.0 = pace.0.saturating_add(steps);
+        if pace.0 < Self::STRIDE {
+            return false;
+        }
+        pace.0 = 0;
+        self.is_stopped()
+    }
+
+    /// The same for work that can fail.
+    ///
+    /// # Errors
+    /// [`Stopped`].
+    #[track_caller]
+    pub fn check_after(&self, steps: usize, pace: &mut Pace) -> Result<(), Stopped> {
+        if self.is_stopped_after(steps, pace) { self.check() } else { Ok(()) }
+    }
+
+    /// Notes that somebody asked.
+    #[track_caller]
+    fn note(&self) {
+        let state = &*self.0;
+        let now = state.begin.elapsed().as_micros() as u64;
+        let before = state.asked.fetch_max(now, Ordering::Relaxed);
+        let silent = now.saturating_sub(before);
+        if silent > state.longest.load(Ordering::Relaxed) {
+            state.longest.fetch_max(silent, Ordering::Relaxed);
+            let mut longest = state.silence.lock().unwrap_or_else(PoisonError::into_inner);
+            let time = Duration::from_micros(silent);
+            if time > longest.time {
+                *longest = Silence { time, stage: self.stage(), until: Some(Location::caller()) };
+            }
+        }
+    }
+
+    /// How long nobody has asked until now.
+    pub fn silent_for(&self) -> Duration {
+        let asked = Duration::from_micros(self.0.asked.load(Ordering::Relaxed));
+        self.0.begin.elapsed().saturating_sub(asked)
+    }
+
+    /// The longest time between two questions so far. A stage that does not listen shows here.
+    pub fn longest_silence(&self) -> Silence {
+        *self.0.silence.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Says what is being done now, for whoever watches.
+    #[track_caller]
+    pub fn enter(&self, stage: &'static str) {
+        self.note();
+        *self.0.stage.lock().unwrap_or_else(PoisonError::into_inner) = stage;
+        {
+            let listener = self.0.listener.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            if let Some(listener) = listener {
+                listener.entered(stage);
+            }
+        }
+    }
+
+    /// From now on `listener` hears of stages, or nobody does.
+    pub fn tell_stages(&self, listener: Option<Arc<dyn StageListener>>) {
+        *self.0.listener.lock().unwrap_or_else(PoisonError::into_inner) = listener;
+    }
+
+    /// The stage last entered; empty before the first.
+    pub fn stage(&self) -> &'static str {
+        *self.0.stage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_reason_stays() {
+        let token = Token::default();
+        let other = token.clone();
+        assert!(!other.is_stopped());
+        token.stop(Stopped::Memory { used_bytes: 3, limit_bytes: 2 });
+        other.cancel();
+        assert_eq!(other.check(), Err(Stopped::Memory { used_bytes: 3, limit_bytes: 2 }));
+    }
+
+    #[test]
+    fn time_runs_out() {
+        let token = Token::with_time_limit(Duration::from_millis(5));
+        std::thread::sleep(Duration::from_millis(6));
+        assert_eq!(token.check(), Err(Stopped::Time { limit: Duration::from_millis(5) }));
+        assert!(!Token::with_time_limit(Duration::MAX).is_stopped(), "no such time");
+    }
+
+    #[test]
+    fn silence_is_noticed() {
+        let token = Token::default();
+        token.enter("dual");
+        std::thread::sleep(Duration::from_millis(5));
+        assert!(token.silent_for() >= Duration::from_millis(5));
+        token.enter("repair");
+        let silence = token.longest_silence();
+        assert!(silence.stage == "dual" && silence.time >= Duration::from_millis(5), "{silence:?}");
+    }
+
+    #[test]
+    fn stages_are_told() {
+        let token = Token::default();
+        assert_eq!(token.stage(), "");
+        token.clone().enter("dual");
+        assert_eq!(token.stage(), "dual");
+    }
+}

@@ -1,0 +1,175 @@
+//! The pieces themselves.
+//!
+//! Purpose: batches of the pairs of a pass are clipped once more by the stage `emit`, which writes polygons, and converted to
+//! the unit frame in f64.
+//! Invariant: one batch of polygons at a time is on the device and in readback memory.
+//! Must not know: sums.
+
+use glam::{DVec3, dvec3};
+
+use super::Clip;
+use crate::diagram::context::Context;
+use crate::diagram::lane;
+use crate::diagram::layout::Params;
+use crate::diagram::memory::Memory;
+use crate::diagram::neighbours::{Neighbours, Place};
+use crate::diagram::pipelines::SLOTS;
+use crate::dispatch::run;
+use geometry::rvd::cells::PieceBatch;
+use geometry::rvd::{PassStats, RvdError};
+use geometry::token::Token;
+
+/// Status of a pair that ended, in the heads that the device writes.
+const DONE: u32 = 0;
+
+/// One batch as read back.
+struct Emitted {
+    heads: Vec<[u32; 4]>,
+    vertices: Vec<[f32; 4]>,
+    labels: Vec<u32>,
+}
+
+impl Clip {
+    /// Adds all pieces of the list to `out`.
+    pub(crate) fn emit_all(
+        &mut self,
+        cx: &Context,
+        memory: &Memory,
+        neighbours: &mut Neighbours,
+        out: &mut PieceBatch,
+        token: &Token,
+    ) -> Result<(), RvdError> {
+        let length = self.pass.length;
+        let batch = memory.counts.emitted as u32;
+        let mut first = 0;
+        while first < length {
+            token.check()?;
+            let count = batch.min(length - first);
+            let emitted = self.emit(cx, memory, neighbours, first, count)?;
+            self.collect(cx, memory, neighbours, first, &emitted, out)?;
+            first += count;
+        }
+        self.collect_walked(cx, memory, neighbours, out)
+    }
+
+    fn emit(
+        &self,
+        cx: &Context,
+        memory: &Memory,
+        neighbours: &Neighbours,
+        first: u32,
+        count: u32,
+    ) -> Result<Emitted, RvdError> {
+        let params = Params {
+            emit_begin: first,
+            emit_count: count,
+            polygon: SLOTS as u32,
+            ..self.params(cx, memory, neighbours)
+        };
+        let (device, there) = (&cx.device, memory.there()?);
+        let buffers = &there.buffers;
+        self.write_params(cx, memory, params)?;
+        let mut encoder = device.encoder();
+        {
+            let mut compute = device.pass(&mut encoder, lane::CLIP);
+            let bindings = &there.bindings.windows[memory.windows.present()].emit;
+            run(&mut compute, &cx.pipelines.emit, bindings, count.into(), cx.limits());
+        }
+        device.run(encoder)?;
+        let vertices = count as usize * SLOTS;
+        Ok(Emitted {
+            heads: buffers.staging.read(device, &buffers.heads, 0..count as usize)?,
+            vertices: buffers.staging.read(device, &buffers.vertices, 0..vertices)?,
+            labels: buffers.staging.read(device, &buffers.labels, 0..vertices)?,
+        })
+    }
+
+    fn collect(
+        &mut self,
+        cx: &Context,
+        memory: &Memory,
+        neighbours: &mut Neighbours,
+        first: u32,
+        emitted: &Emitted,
+        out: &mut PieceBatch,
+    ) -> Result<(), RvdError> {
+        if neighbours.place != Place::Set {
+            neighbours.view(cx, memory)?;
+        }
+        for (k, &[facet, seed, size, status]) in emitted.heads.iter().enumerate() {
+            let at = first + k as u32;
+            if self.pass.walked.contains(&facet) || self.pass.repeats.iter().any(|r| r.contains(&at)) {
+                continue;
+            }
+            if status != DONE {
+                self.collect_pair(cx, memory, neighbours, (facet, seed), out)?;
+                continue;
+            }
+            if size == 0 {
+                continue;
+            }
+            let set = if neighbours.place == Place::Set { &neighbours.seeds } else { &neighbours.host.seen };
+            let origin = set[seed as usize];
+            let vertices = k * SLOTS..k * SLOTS + size as usize;
+            out.push(
+                facet,
+                seed,
+                vertices.map(|v| {
+                    let [x, y, z, w] = emitted.vertices[v].map(f64::from);
+                    (origin + dvec3(x, y, z), w, emitted.labels[v])
+                }),
+            );
+        }
+        Ok(())
+    }
+
+    /// A pair that the device cannot write: too many vertices for the slots, or finished in f64.
+    fn collect_pair(
+        &mut self,
+        cx: &Context,
+        memory: &Memory,
+        neighbours: &mut Neighbours,
+        (facet, seed): (u32, u32),
+        out: &mut PieceBatch,
+    ) -> Result<(), RvdError> {
+        neighbours.view(cx, memory)?;
+        let mut ignored = PassStats::default();
+        self.walker.clip_to_end(neighbours.diagram(cx), facet, seed, cx.capacities, &mut ignored);
+        push(facet, seed, neighbours.host.seen[seed as usize], self.walker.clipper().polygon(), out);
+        Ok(())
+    }
+
+    fn collect_walked(
+        &mut self,
+        cx: &Context,
+        memory: &Memory,
+        neighbours: &mut Neighbours,
+        out: &mut PieceBatch,
+    ) -> Result<(), RvdError> {
+        if self.pass.walked.is_empty() {
+            return Ok(());
+        }
+        neighbours.view(cx, memory)?;
+        let mut ignored = PassStats::default();
+        for &facet in &self.pass.walked {
+            let start = neighbours.host.first[facet as usize];
+            let diagram = neighbours.diagram(cx);
+            self.walker.walk(diagram, facet, start, cx.capacities, &mut ignored, |i, clipper| {
+                push(facet, i, neighbours.host.seen[i as usize], clipper.polygon(), out);
+            });
+        }
+        Ok(())
+    }
+}
+
+pub(super) fn push(
+    facet: u32,
+    seed: u32,
+    origin: DVec3,
+    polygon: &[geometry::rvd::clip::Vertex],
+    out: &mut PieceBatch,
+) {
+    if !polygon.is_empty() {
+        out.push(facet, seed, polygon.iter().map(|v| (origin + v.p, v.w, v.edge)));
+    }
+}

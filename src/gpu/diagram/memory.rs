@@ -1,0 +1,177 @@
+//! What lies on the device.
+//!
+//! Purpose: sizes of all buffers, the buffers themselves, where facets and their sets of cells lie, and windows of them.
+//! Invariant: capacities grow, and stay for the life of the session. While buffers are missing nothing is uploaded.
+//! Must not know: seeds, and what is computed on the buffers.
+
+mod bindings;
+mod buffers;
+pub(super) mod records;
+mod windows;
+
+use std::ops::Range;
+
+use super::context::Context;
+use super::layout;
+use super::pipelines::SLOTS;
+use super::plan::{Counts, Plan, Window};
+use crate::buffers::write;
+use crate::{Device, dispatch};
+pub(super) use bindings::{Bindings, OptimizerBindings};
+pub(super) use buffers::{Buffers, OptimizerBuffers, WindowBuffers};
+use geometry::rvd::RvdError;
+use geometry::token::Token;
+pub(super) use windows::Windows;
+
+/// The buffers of a session, bound to the stages.
+pub(super) struct OnDevice {
+    pub buffers: Buffers,
+    pub bindings: Bindings,
+}
+
+impl OnDevice {
+    /// Encodes `stages` in their order; see [`dispatch::encode`].
+    pub(super) fn encode(
+        &self,
+        device: &Device,
+        encoder: &mut wgpu::CommandEncoder,
+        lane: usize,
+        stages: &[dispatch::Stage<'_>],
+        token: &Token,
+    ) -> Result<(), RvdError> {
+        dispatch::encode(device, encoder, lane, stages, self.buffers.origins(), token)
+    }
+}
+
+/// See the module's head.
+pub(super) struct Memory {
+    /// Sizes.
+    pub counts: Counts,
+    pub windows: Windows,
+    /// Log2 of the slots of each facet's set of cells.
+    pub slots_log2: Vec<u8>,
+    /// The records as they are to be on the device.
+    pub facets: Vec<layout::Facet>,
+    /// `None` before the first use and while capacities grow.
+    on_device: Option<OnDevice>,
+}
+
+fn places(facets: &Range<u32>) -> Range<usize> {
+    facets.start as usize..facets.end as usize
+}
+
+impl Memory {
+    /// Nothing on the device yet.
+    pub(super) fn new(counts: Counts, windows: Windows, slots_log2: Vec<u8>, facets: Vec<layout::Facet>) -> Self {
+        Self { counts, windows, slots_log2, facets, on_device: None }
+    }
+
+    /// The buffers.
+    ///
+    /// # Errors
+    /// `Internal` if there are none: the session allocates them before it calls a room.
+    pub(super) fn there(&self) -> Result<&OnDevice, RvdError> {
+        self.on_device.as_ref().ok_or_else(|| RvdError::Internal("no buffers".to_owned()))
+    }
+
+    /// Whether there are buffers.
+    pub(super) fn is_allocated(&self) -> bool {
+        self.on_device.is_some()
+    }
+
+    /// Cuts the facets into windows, for the present capacities. Whether they are more than one.
+    pub(super) fn cut(&mut self, cx: &Context) -> bool {
+        self.windows.cut(&self.slots_log2, cx.limits());
+        self.windows.all().len() > 1
+    }
+
+    /// Gives each facet's set of cells its place among its window's, and sizes all buffers. `flags`: a slot more for each
+    /// facet of a window.
+    pub(super) fn lay_out(&mut self, cx: &Context, flags: bool) {
+        let windows = self.windows.all();
+        for window in windows {
+            let places = places(&window.facets);
+            records::assign_slots(&mut self.facets[places.clone()], &self.slots_log2[places]);
+        }
+        let most = |what: fn(&Window) -> u64| windows.iter().map(what).max().unwrap_or(0);
+        let (window, slots) = (most(|w| w.facets.len() as u64), most(|w| w.slots));
+        let pairs = most(|w| w.pairs) + self.windows.spare();
+        let flags = if flags { window } else { 0 };
+        let polygons = cx.limits().seen_bytes() / 16 / SLOTS as u64;
+        let windows = windows.len() as u64;
+        self.counts = Counts {
+            window,
+            windows,
+            slots: slots + flags,
+            pairs,
+            emitted: pairs.min(1 << 16).min(polygons.max(1)),
+            table: self.counts.table,
+            ..self.counts
+        };
+    }
+
+    /// Allocates the buffers.
+    ///
+    /// # Errors
+    /// `NeverFits`, `OutOfMemory`, `DeviceLost`.
+    pub(super) fn allocate(&mut self, cx: &Context) -> Result<(), RvdError> {
+        let plan = Plan::new(self.counts, cx.limits())?;
+        let facets: Vec<u64> = self.windows.all().iter().map(|w| w.facets.len() as u64).collect();
+        let buffers = Buffers::new(&cx.device, plan, &facets)?;
+        let bindings = Bindings::new(&cx.device, &cx.pipelines, &buffers)?;
+        self.on_device = Some(OnDevice { buffers, bindings });
+        Ok(())
+    }
+
+    /// Frees the buffers.
+    pub(super) fn free(&mut self) {
+        self.on_device = None;
+    }
+
+    /// Bytes of all buffers.
+    pub(super) fn device_bytes(&self) -> u64 {
+        self.on_device.as_ref().map_or(0, |there| there.buffers.plan().total_bytes())
+    }
+
+    /// The buffers of each window.
+    pub(super) fn by_window(&self) -> impl Iterator<Item = (&Window, &WindowBuffers)> {
+        let buffers = self.on_device.iter().flat_map(|there| &there.buffers.windows);
+        self.windows.all().iter().zip(buffers)
+    }
+
+    /// The buffers of the window at work.
+    ///
+    /// # Errors
+    /// `Internal` if there are none.
+    pub(super) fn window(&self) -> Result<&WindowBuffers, RvdError> {
+        let window = self.there()?.buffers.windows.get(self.windows.present());
+        window.ok_or_else(|| RvdError::Internal("no window".to_owned()))
+    }
+
+    /// Uploads the records as the host has them.
+    ///
+    /// # Errors
+    /// `DeviceLost`, `Device`.
+    pub(super) fn upload_facets(&self, cx: &Context) -> Result<(), RvdError> {
+        for (window, to) in self.by_window() {
+            write(&cx.device, &to.facets, 0, &self.facets[places(&window.facets)])?;
+        }
+        Ok(())
+    }
+
+    /// Room for `pairs` pairs and half as many again, when buffers are allocated next.
+    pub(super) fn grow_list(&mut self, pairs: u64) {
+        let needed = 1.5 * pairs as f64 / self.counts.pairs.max(1) as f64;
+        self.windows.grow(needed);
+    }
+
+    /// Room for `entries` entries of the neighbour table and half as many again, when buffers are allocated next.
+    pub(super) fn grow_table(&mut self, cx: &Context, entries: u64) {
+        self.counts.table = (entries * 3 / 2).min(self.most_entries(cx)).max(entries);
+    }
+
+    /// Entries of the neighbour table at most.
+    pub(super) fn most_entries(&self, cx: &Context) -> u64 {
+        cx.limits().seen_bytes() / 4
+    }
+}

@@ -1,0 +1,379 @@
+//! Neighbours of the seeds, and first cells of the facets.
+//!
+//! Purpose: rows of neighbours from a uniform grid on the device, the nearest seed of each facet by a
+//! walk over them, and the decision whether the host does it instead.
+//! Invariant: a row is the beginning of every longer row, whoever made it: its order is that of
+//! [`layout::Seed::key`], then of indices. Rows and first cells are proved, or the host makes them with
+//! its tree; nothing is cut off. Who makes them depends on the seeds alone.
+//! Seeds that converge hardly move. So the device keeps a Verlet list for each seed (Verlet 1967), somewhat longer than its row,
+//! and takes the row from it while it proves the row: a seed that was beyond a list's reach is no nearer now than that less
+//! what both have moved. A row is the same wherever it comes from. The device decides (`shaders/neighbours/offsets.wgsl`),
+//! so that passes without the host can use lists too.
+//! Must not know: clipping.
+
+pub(super) mod grid;
+mod host;
+
+use std::mem::offset_of;
+use std::ops::Range;
+
+use glam::DVec3;
+
+use super::context::Context;
+use super::lane;
+use super::layout::{self, COMPLETE, INDEX, ListState, Params, State, halt};
+use super::memory::{Memory, records};
+use super::plan::{grid_cells, search_arguments, size};
+use crate::buffers::write;
+use crate::dispatch::Stage;
+use geometry::knn::NeighbourRow;
+use geometry::mesh::coincident;
+use geometry::rvd::RvdError;
+use geometry::rvd::seeds::{check_seed, take_seeds};
+use geometry::token::Token;
+pub(super) use host::{HostCopy, LONGEST_ROW};
+
+/// Which seeds a pass is of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Place {
+    /// Those that the host has set.
+    Set,
+    /// The present point on the device.
+    Point,
+    /// So far along the direction from there.
+    Trial(f32),
+}
+
+/// Who made the rows that the device has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Rows {
+    /// Nobody yet.
+    Missing,
+    /// The device.
+    Device,
+    /// The host. `far`: seeds are farther than floats reach, so rows and distances are in the order of f64.
+    Host {
+        /// See above.
+        far: bool,
+    },
+}
+
+impl Rows {
+    /// Whether the host made them.
+    pub(super) fn are_of_host(self) -> bool {
+        matches!(self, Self::Host { .. })
+    }
+}
+
+/// What the device has of the facets' first cells.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum FirstCells {
+    /// Nothing.
+    Missing,
+    /// Those of other seeds: guesses.
+    Guessed,
+    /// Those of the present seeds, which it did not find itself.
+    Uploaded,
+    /// Those of the present seeds.
+    Found,
+}
+
+impl FirstCells {
+    /// Whether they are those of the present seeds.
+    pub(super) fn are_known(self) -> bool {
+        matches!(self, Self::Uploaded | Self::Found)
+    }
+
+    /// Seeds are others.
+    fn seeds_changed(&mut self) {
+        *self = match self {
+            Self::Missing | Self::Uploaded => Self::Missing,
+            Self::Guessed | Self::Found => Self::Guessed,
+        };
+    }
+
+    /// The device's memory is new.
+    fn memory_changed(&mut self) {
+        *self = match self {
+            Self::Missing | Self::Guessed => Self::Missing,
+            Self::Uploaded | Self::Found => Self::Uploaded,
+        };
+    }
+
+    /// The host found them.
+    fn by_host(&mut self) {
+        *self = match self {
+            Self::Missing | Self::Uploaded => Self::Uploaded,
+            Self::Guessed | Self::Found => Self::Found,
+        };
+    }
+}
+
+/// What came of a search on the device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Searched {
+    /// The rows are there.
+    Rows,
+    /// The host has to search. `far`: seeds are farther than floats reach.
+    Nothing {
+        /// See above.
+        far: bool,
+    },
+}
+
+/// What a search found.
+#[derive(Clone, Debug, Default)]
+pub struct Found {
+    /// Neighbours of every seed, nearest first.
+    pub rows: Vec<NeighbourRow>,
+    /// First cell of every facet that is not degenerate.
+    pub first: Vec<(u32, u32)>,
+    /// Seeds that lie on an earlier one.
+    pub duplicates: u64,
+    /// The host made the rows.
+    pub by_host: bool,
+    /// Rows that came from lists of an earlier search.
+    pub from_lists: u64,
+}
+
+/// The seeds of a session, and what is known of them.
+pub(super) struct Neighbours {
+    /// The seeds as they were set, and how many there are.
+    pub seeds: Vec<DVec3>,
+    pub count: usize,
+    /// Which seeds the next pass is of.
+    pub place: Place,
+    /// Cells along a side of the grid in which seeds are searched: of these, and at most.
+    pub side: u32,
+    finest: u32,
+    pub rows: Rows,
+    pub first_cells: FirstCells,
+    /// So many seeds were noted for lists when rows were last made.
+    listed_for: usize,
+    /// Later duplicates among the seeds, and whether some of those are none in f64.
+    pub duplicates: u64,
+    pub merged: bool,
+    /// (facet, first cell) of every facet that is not degenerate, by facet; cells as far as the host knows them.
+    pub roots: Vec<[u32; 2]>,
+    /// What the host knows of the seeds on the device.
+    pub host: HostCopy,
+    /// Times that the host searched.
+    pub host_searches: u64,
+}
+
+impl Neighbours {
+    /// No seeds yet, in a grid of at most `finest` cells a side, and first cells of `roots` to be found.
+    pub(super) fn new(finest: u32, roots: Vec<[u32; 2]>) -> Self {
+        Self {
+            seeds: Vec::new(),
+            count: 0,
+            place: Place::Set,
+            side: finest,
+            finest,
+            rows: Rows::Missing,
+            first_cells: FirstCells::Missing,
+            listed_for: 0,
+            duplicates: 0,
+            merged: false,
+            roots,
+            host: HostCopy::default(),
+            host_searches: 0,
+        }
+    }
+
+    /// Takes new seeds. [`Self::seeds_changed`] comes after it.
+    pub(super) fn set_seeds(&mut self, cx: &Context, seeds: &[DVec3]) -> Result<(), RvdError> {
+        take_seeds(seeds, cx.max_seeds, &mut self.seeds)?;
+        if self.count != self.seeds.len() {
+            self.first_cells = FirstCells::Missing;
+            self.count = self.seeds.len();
+            // There are buffers for the grid of the most seeds.
+            self.side = match self.count == cx.max_seeds {
+                true => self.finest,
+                false => grid::grid_side_for(&cx.surface, self.count).min(self.finest),
+            };
+        }
+        self.place = Place::Set;
+        Ok(())
+    }
+
+    /// The seeds are others than those that rows and first cells were made for.
+    pub(super) fn seeds_changed(&mut self) {
+        self.rows = Rows::Missing;
+        self.first_cells.seeds_changed();
+        self.host.fresh = false;
+        self.merged = false;
+    }
+
+    /// The device's memory is new. Rows of the host are uploaded again.
+    pub(super) fn memory_changed(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+        if self.rows.are_of_host() {
+            self.upload_rows(cx, memory)?;
+        }
+        self.first_cells.memory_changed();
+        Ok(())
+    }
+
+    /// The device's memory is gone, and lists with it.
+    pub(super) fn memory_lost(&mut self) {
+        self.listed_for = 0;
+    }
+
+    /// The seeds as set, as records for the device.
+    pub(super) fn records(&self) -> Vec<layout::Seed> {
+        self.seeds.iter().map(|&p| records::record(p)).collect()
+    }
+
+    /// Uploads the seeds as set.
+    pub(super) fn upload_seeds(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+        self.host.records.clear();
+        self.host.records.extend(self.seeds.iter().map(|&p| records::record(p)));
+        Ok(write(&cx.device, &memory.there()?.buffers.seeds, 0, &self.host.records)?)
+    }
+
+    /// Where the first cells of `facets` are among all.
+    pub(super) fn roots_of(&self, facets: &Range<u32>) -> Range<usize> {
+        let at = |facet: u32| self.roots.partition_point(|r| r[0] < facet);
+        at(facets.start)..at(facets.end)
+    }
+
+    /// Uploads first cells as the host has them.
+    pub(super) fn upload_roots(&self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+        for (window, to) in memory.by_window() {
+            write(&cx.device, &to.candidates, 0, &self.roots[self.roots_of(&window.facets)])?;
+        }
+        Ok(())
+    }
+
+    /// Downloads first cells as the device has them.
+    fn download_roots(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+        let staging = &memory.there()?.buffers.staging;
+        let mut roots = Vec::with_capacity(self.roots.len());
+        for (window, from) in memory.by_window() {
+            let count = self.roots_of(&window.facets).len();
+            roots.append(&mut staging.read(&cx.device, &from.candidates, 0..count)?);
+        }
+        self.roots = roots;
+        Ok(())
+    }
+
+    /// Encodes the search for the rows of the seeds that are on the device.
+    pub(super) fn encode_search(
+        &mut self,
+        cx: &Context,
+        memory: &Memory,
+        params: &Params,
+        encoder: &mut wgpu::CommandEncoder,
+        token: &Token,
+    ) -> Result<(), RvdError> {
+        let (n, pipelines, there) = (self.count as u64, &cx.pipelines, memory.there()?);
+        let (b, bindings) = (&there.buffers, &there.bindings);
+        for of_cells in [&b.cells, &b.drifts] {
+            encoder.clear_buffer(of_cells, 0, Some(grid_cells(params.side) * 4));
+        }
+        // Lists of other seeds, or of a search that did not come to its end, are none.
+        let known = std::mem::take(&mut self.listed_for) == self.count;
+        let of_one_pass = offset_of!(ListState, open) as u64;
+        encoder.clear_buffer(&b.list_state, 0, Some(if known { of_one_pass } else { size_of::<ListState>() as u64 }));
+        let stage = |pipeline, bindings, items, size| Stage { pipeline, bindings, items, size, arguments: None };
+        let chosen = |pipeline, bindings, buffer, first| {
+            let arguments = Some((buffer, first));
+            Stage { pipeline, bindings, items: n, size: size::SEARCH, arguments }
+        };
+        let (from_grid, with_lists) = (search_arguments(n, false), search_arguments(n, true));
+        let stages = [
+            stage(&pipelines.count, &bindings.count, n, size::ITEM),
+            stage(&pipelines.offsets, &bindings.offsets, u64::from(params.side).pow(2), size::ITEM),
+            stage(&pipelines.scatter, &bindings.scatter, n, size::ITEM),
+            stage(&pipelines.duplicates, &bindings.duplicates, n, size::ITEM),
+            chosen(&pipelines.from_lists, &bindings.from_lists, &b.arguments, 0),
+            chosen(&pipelines.search, &bindings.search, &b.list_state, from_grid),
+            chosen(&pipelines.search_lists, &bindings.search_lists, &b.list_state, with_lists),
+        ];
+        there.encode(&cx.device, encoder, lane::NEIGHBOURS, &stages, token)?;
+        self.listed_for = self.count;
+        Ok(())
+    }
+
+    /// Encodes the search for the first cells of the window at work.
+    pub(super) fn encode_first_cells(
+        &self,
+        cx: &Context,
+        memory: &Memory,
+        encoder: &mut wgpu::CommandEncoder,
+        token: &Token,
+    ) -> Result<(), RvdError> {
+        let roots = self.roots_of(&memory.windows.facets()).len() as u64;
+        let guessed = matches!(self.first_cells, FirstCells::Guessed | FirstCells::Found);
+        let size = if guessed { size::FACET } else { size::FIRST_CELL };
+        let there = memory.there()?;
+        let bindings = &there.bindings.windows[memory.windows.present()].first_cells;
+        let stage = Stage { pipeline: &cx.pipelines.first_cells, bindings, items: roots, size, arguments: None };
+        there.encode(&cx.device, encoder, lane::START, &[stage], token)
+    }
+
+    /// Takes what the device's search came to.
+    ///
+    /// # Errors
+    /// That a seed is not finite or too far.
+    pub(super) fn take_search_result(
+        &mut self,
+        cx: &Context,
+        memory: &Memory,
+        state: &State,
+    ) -> Result<Searched, RvdError> {
+        if state.halt & halt::BAD != 0 {
+            let i = (u32::MAX - state.bad) as usize;
+            let b = &memory.there()?.buffers;
+            let record: Vec<layout::Seed> = b.staging.read(&cx.device, &b.seeds, i..i + 1)?;
+            let place = record.first().map_or(DVec3::NAN, |r| DVec3::from_array(r.position()));
+            check_seed(i, place)?;
+            // Beyond the range by a rounding.
+            return Err(RvdError::SeedTooFar { seed: i, boxes: place.abs().max_element() });
+        }
+        let far = state.halt & halt::FAR != 0 || state.near == 0;
+        if far || state.halt != 0 {
+            return Ok(Searched::Nothing { far });
+        }
+        self.rows = Rows::Device;
+        self.duplicates = u64::from(state.duplicates);
+        // Seeds that the device cannot tell apart and the host can are for the host.
+        self.merged = self.duplicates > 0
+            && self.place == Place::Set
+            && coincident::find(&self.seeds).len() as u64 != self.duplicates;
+        Ok(Searched::Rows)
+    }
+
+    /// Takes what came of the facets' first cells. `false` if the host found some of them.
+    pub(super) fn take_first_cells(&mut self, cx: &Context, memory: &Memory, state: &State) -> Result<bool, RvdError> {
+        self.first_cells = FirstCells::Found;
+        if state.unproved == 0 {
+            return Ok(true);
+        }
+        self.find_unproved(cx, memory)?;
+        Ok(false)
+    }
+
+    /// Rows and first cells as they are on the device.
+    pub(super) fn found(&mut self, cx: &Context, memory: &Memory) -> Result<Found, RvdError> {
+        self.host.fresh = false;
+        self.view(cx, memory)?;
+        let b = &memory.there()?.buffers;
+        let table: Vec<u32> = b.staging.read(&cx.device, &b.table, 0..b.plan().counts.table as usize)?;
+        let list_state: Vec<ListState> = b.staging.read(&cx.device, &b.list_state, 0..1)?;
+        let from_lists =
+            list_state.first().filter(|s| s.mode == layout::search::FROM_LISTS && self.rows == Rows::Device);
+        let row = |r: &layout::Seed| {
+            let begin = r.row_begin as usize;
+            let seeds = table[begin..begin + (r.row_length & INDEX) as usize].to_vec();
+            NeighbourRow { seeds, complete: r.row_length & COMPLETE != 0 }
+        };
+        Ok(Found {
+            rows: self.host.records.iter().map(row).collect(),
+            first: self.roots.iter().map(|r| (r[0], r[1])).collect(),
+            duplicates: self.duplicates,
+            by_host: self.rows.are_of_host(),
+            from_lists: from_lists.map_or(0, |s| self.count as u64 - u64::from(s.open)),
+        })
+    }
+}

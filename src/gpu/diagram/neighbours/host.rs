@@ -1,0 +1,262 @@
+//! The host's copy of the seeds, and its search.
+//!
+//! Purpose: where the device cannot prove rows or first cells, or a pair needs a longer row, the host finds them with its tree.
+//! Invariant: rows are in the device's order, unless seeds are farther than floats reach. Must not know: clipping.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{Neighbours, Place, Rows};
+use crate::buffers::write;
+use crate::diagram::context::Context;
+use crate::diagram::layout::{self, COMPLETE, INDEX, NONE, STRIDE};
+use crate::diagram::memory::Memory;
+pub(super) use geometry::knn::{NeighbourRow, NeighbourTable, SeedIndex, Threads};
+use geometry::mesh::coincident;
+use geometry::rvd::RvdError;
+use geometry::rvd::incident::Diagram;
+use geometry::rvd::start::Starts;
+use geometry::token::{Stopped, Token};
+
+/// The longest row that is sent to the device.
+pub(crate) const LONGEST_ROW: u32 = 4096;
+
+/// What the host knows of the seeds on the device. Of no use while not fresh, but for `starts`,
+/// which are guesses.
+pub(crate) struct HostCopy {
+    /// It is of the present seeds.
+    pub fresh: bool,
+    /// The records as on the device, longer rows noted.
+    pub records: Vec<layout::Seed>,
+    /// Positions. Those that the device sees, unless seeds are far.
+    pub seen: Vec<DVec3>,
+    /// Their tree.
+    pub index: SeedIndex,
+    /// Rows of the host's search; without rows if the device made them.
+    pub table: NeighbourTable,
+    /// The device's table, if the host made it.
+    pub packed: Vec<u32>,
+    /// Entries of the device's table in use.
+    pub packed_end: usize,
+    /// First cell of every facet.
+    pub first: Vec<u32>,
+    /// Guesses at first cells.
+    pub starts: Starts,
+}
+
+impl Default for HostCopy {
+    fn default() -> Self {
+        Self {
+            fresh: false,
+            records: Vec::new(),
+            seen: Vec::new(),
+            index: SeedIndex::new(&[]),
+            table: NeighbourTable::default(),
+            packed: Vec::new(),
+            packed_end: 0,
+            first: Vec::new(),
+            starts: Starts::default(),
+        }
+    }
+}
+
+/// Puts a row of the tree into the device's order. The end of a row that is not complete goes, as far as
+/// a seed that is not in it might come before it in that order: a key is good to 4e-7 of itself.
+pub(super) fn in_device_order(i: u32, records: &[layout::Seed], row: &mut NeighbourRow) {
+    let own = &records[i as usize];
+    let mut keyed: Vec<(f32, u32)> = row.seeds.iter().map(|&j| (own.key(&records[j as usize]), j)).collect();
+    keyed.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    if !row.complete
+        && let Some(&(last, _)) = keyed.last()
+    {
+        keyed.retain(|&(key, _)| key < last * (1.0 - 2e-6));
+    }
+    row.seeds.clear();
+    row.seeds.extend(keyed.iter().map(|&(_, j)| j));
+}
+
+impl Neighbours {
+    /// For the pairs that the host does; [`Self::view`] comes before.
+    pub(crate) fn diagram<'a>(&'a self, cx: &'a Context) -> Diagram<'a> {
+        let HostCopy { seen, index, table, .. } = &self.host;
+        Diagram { surface: &cx.surface, seeds: seen, index, table }
+    }
+
+    /// Rows and first cells by the host's tree. Whether the table has room for them; if so, they are to be uploaded.
+    /// `far`: seeds are farther than floats reach.
+    pub(crate) fn search_on_host(
+        &mut self,
+        cx: &Context,
+        memory: &mut Memory,
+        far: bool,
+        token: &Token,
+    ) -> Result<bool, RvdError> {
+        self.host_searches += 1;
+        self.fetch_records(cx, memory)?;
+        let seeds = &self.seeds;
+        let host = &mut self.host;
+        host.seen.clear();
+        match self.place {
+            // Where floats do not reach, the host decides, so it takes what it was given.
+            Place::Set if far => host.seen.extend_from_slice(&self.seeds),
+            _ => host.seen.extend(host.records.iter().map(|r| DVec3::from_array(r.position()))),
+        }
+        host.index = SeedIndex::new(&host.seen);
+        if !host.table.fill(&host.index, cx.capacities.neighbours, Threads::Pool, &|| token.is_stopped()) {
+            return Err(RvdError::Stopped(Stopped::Cancelled));
+        }
+        self.duplicates = host.index.duplicates() as u64;
+        self.merged = !far
+            && self.duplicates > 0
+            && self.place == Place::Set
+            && coincident::find(seeds).len() as u64 != self.duplicates;
+        let rows: Vec<NeighbourRow> = (0..host.seen.len() as u32)
+            .into_par_iter()
+            .map(|i| {
+                let (seeds, complete) = host.table.row(i);
+                let mut row = NeighbourRow { seeds: seeds.to_vec(), complete };
+                if !far {
+                    in_device_order(i, &host.records, &mut row);
+                }
+                row
+            })
+            .collect();
+        host.packed.clear();
+        for (record, row) in host.records.iter_mut().zip(&rows) {
+            record.row_begin = host.packed.len() as u32;
+            record.row_length = row.seeds.len() as u32 | if row.complete { COMPLETE } else { 0 };
+            host.packed.extend_from_slice(&row.seeds);
+        }
+        host.packed_end = host.packed.len();
+        let facets = memory.facets.len() as u32;
+        let mut starts = std::mem::take(&mut self.host.starts);
+        self.host.first.clear();
+        self.host.first.extend_from_slice(starts.find(self.diagram(cx), 0..facets, token));
+        self.host.starts = starts;
+        for root in &mut self.roots {
+            root[1] = self.host.first[root[0] as usize];
+        }
+        self.rows = Rows::Host { far };
+        self.first_cells.by_host();
+        self.host.fresh = true;
+        let entries = self.host.packed.len() as u64;
+        if entries > memory.counts.table {
+            memory.grow_table(cx, entries);
+            return Ok(false);
+        }
+        Ok(true)
+    }
+
+    /// Uploads the rows of the host's search.
+    pub(crate) fn upload_rows(&self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+        let buffers = &memory.there()?.buffers;
+        write(&cx.device, &buffers.seeds, 0, &self.host.records)?;
+        write(&cx.device, &buffers.table, 0, &self.host.packed)?;
+        Ok(())
+    }
+
+    /// Nearest seeds of facets whose first cell the device could not prove.
+    pub(crate) fn find_unproved(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+        self.host_searches += 1;
+        self.host.fresh = false;
+        self.view(cx, memory)?;
+        let HostCopy { index, first, .. } = &mut self.host;
+        let surface = &cx.surface;
+        self.roots.par_iter_mut().filter(|root| root[1] == NONE).for_each(|root| {
+            root[1] = index.nearest(surface.centroid(root[0]));
+        });
+        for root in &self.roots {
+            first[root[0] as usize] = root[1];
+        }
+        self.upload_roots(cx, memory)
+    }
+
+    /// Fetches the records as they are on the device.
+    fn fetch_records(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+        let buffers = &memory.there()?.buffers;
+        self.host.records = buffers.staging.read(&cx.device, &buffers.seeds, 0..self.count)?;
+        Ok(())
+    }
+
+    /// Brings what the host knows of the device's seeds, rows and first cells up to date: for pairs
+    /// that the device could not end.
+    pub(crate) fn view(&mut self, cx: &Context, memory: &Memory) -> Result<(), RvdError> {
+        if self.host.fresh {
+            return Ok(());
+        }
+        self.fetch_records(cx, memory)?;
+        self.download_roots(cx, memory)?;
+        let host = &mut self.host;
+        host.first.clear();
+        host.first.resize(memory.facets.len(), 0);
+        for root in &self.roots {
+            host.first[root[0] as usize] = root[1];
+        }
+        host.seen.clear();
+        host.seen.extend(host.records.iter().map(|r| DVec3::from_array(r.position())));
+        host.index = SeedIndex::new(&host.seen);
+        host.table.clear();
+        let end = |r: &layout::Seed| (r.row_begin + (r.row_length & INDEX)) as usize;
+        let by_device = if self.rows == Rows::Device { self.count * STRIDE as usize } else { 0 };
+        host.packed_end = host.records.iter().map(end).max().unwrap_or(0).max(by_device);
+        host.fresh = true;
+        Ok(())
+    }
+
+    /// The length of a row that is to be longer.
+    pub(crate) fn longer(&self, seed: u32) -> u32 {
+        (self.host.records[seed as usize].row_length & INDEX).max(1).saturating_mul(4).min(LONGEST_ROW)
+    }
+
+    /// Four times longer rows for `seeds`, behind the table. Whether the table has room for them.
+    pub(crate) fn lengthen(&mut self, cx: &Context, memory: &mut Memory, seeds: &[u32]) -> Result<bool, RvdError> {
+        let HostCopy { index, records, .. } = &self.host;
+        let far = self.rows == Rows::Host { far: true };
+        let query = |&i: &u32| {
+            let mut row = NeighbourRow::default();
+            let known = (records[i as usize].row_length & INDEX) as usize;
+            // Rows stop short of ties, so the next length counts from what was asked for.
+            let mut k = (known.max(1) * 4).min(LONGEST_ROW as usize);
+            loop {
+                index.row(i, k, &mut row);
+                if !far {
+                    in_device_order(i, records, &mut row);
+                }
+                if row.complete || row.seeds.len() > known {
+                    return row;
+                }
+                // All of them at one distance: only a row that reaches past them says more.
+                k *= 4;
+            }
+        };
+        let rows: Vec<NeighbourRow> = seeds.par_iter().map(query).collect();
+        let mut tail = Vec::new();
+        for (&i, row) in seeds.iter().zip(&rows) {
+            let record = &mut self.host.records[i as usize];
+            record.row_begin = (self.host.packed_end + tail.len()) as u32;
+            record.row_length = row.seeds.len() as u32 | if row.complete { COMPLETE } else { 0 };
+            tail.extend_from_slice(&row.seeds);
+        }
+        let first = self.host.packed_end;
+        self.host.packed_end += tail.len();
+        if self.rows.are_of_host() {
+            self.host.packed.extend_from_slice(&tail);
+        }
+        let entries = self.host.packed_end as u64;
+        if entries > memory.counts.table {
+            memory.grow_table(cx, entries);
+            return Ok(false);
+        }
+        let buffers = &memory.there()?.buffers;
+        write(&cx.device, &buffers.table, first, &tail)?;
+        // One write costs as much as copying a few hundred records.
+        if seeds.len() * 256 > self.host.records.len() {
+            write(&cx.device, &buffers.seeds, 0, &self.host.records)?;
+        } else {
+            for &i in seeds {
+                write(&cx.device, &buffers.seeds, i as usize, &[self.host.records[i as usize]])?;
+            }
+        }
+        Ok(true)
+    }
+}

@@ -1,0 +1,395 @@
+//! Seeds that are moved on the device.
+//!
+//! Purpose: the present point x, its gradient, the search direction and the quasi-Newton history are buffers; the stages on
+//! them move seeds, and scalars come back.
+//! Invariant: a trial point goes into the pass's own seeds, so x is what it was until it is accepted.
+//! Energy and area are added as integers, the rest in a fixed tree: the same bits on every run.
+//! Gradients are stored times a power of two that makes a mean one about 1, far from what floats lose.
+//! Must not know: what a search along the direction looks for, and when passes are run.
+
+mod batch;
+mod history;
+mod moving;
+
+use super::clip::Clip;
+use super::context::Context;
+use super::lane;
+use super::layout::{self, DOTS, OptimizerParams, PAIRS};
+use super::memory::{Memory, OnDevice, OptimizerBindings};
+use super::neighbours::{Neighbours, Place};
+use crate::buffers::write;
+use crate::dispatch::{reduction, run};
+use geometry::rvd::resident::Evaluation;
+use geometry::rvd::{PassStats, RvdError, Together};
+pub(super) use moving::Step;
+use moving::{Gradient, Moving};
+
+/// The rooms that the optimizer works on.
+#[derive(Clone, Copy)]
+pub(super) struct Rooms<'a> {
+    pub cx: &'a Context,
+    pub memory: &'a Memory,
+    pub neighbours: &'a Neighbours,
+    pub clip: &'a Clip,
+}
+
+fn missing() -> RvdError {
+    RvdError::Internal("seeds that are moved have no buffers".to_owned())
+}
+
+fn limbs(low: u32, high: u32) -> i64 {
+    ((u64::from(high) << 32) | u64::from(low)) as i64
+}
+
+/// See the module's head.
+pub(super) struct Optimizer {
+    together: Together,
+    moving: Option<Moving>,
+}
+
+impl Optimizer {
+    /// Nobody moves seeds yet.
+    pub(super) fn new(together: Together) -> Self {
+        Self { together, moving: None }
+    }
+
+    /// What there is once somebody moves seeds.
+    pub(super) fn moving(&self) -> Option<&Moving> {
+        self.moving.as_ref()
+    }
+
+    /// The same, to be changed.
+    pub(super) fn moving_mut(&mut self) -> Option<&mut Moving> {
+        self.moving.as_mut()
+    }
+
+    /// The same.
+    ///
+    /// # Errors
+    /// `Internal` if nobody does.
+    pub(super) fn there(&mut self) -> Result<&mut Moving, RvdError> {
+        self.moving.as_mut().ok_or_else(missing)
+    }
+
+    /// Allocates the buffers, if there are none.
+    pub(super) fn open(&mut self, cx: &Context) -> Result<(), RvdError> {
+        if self.moving.is_none() {
+            self.moving = Some(Moving::new(cx, self.together)?);
+        }
+        Ok(())
+    }
+
+    /// The seeds as set become the present point.
+    pub(super) fn take_seeds(&mut self, cx: &Context, neighbours: &Neighbours) -> Result<(), RvdError> {
+        let moving = self.there()?;
+        let points = neighbours.records();
+        write(&cx.device, &moving.buffers.points, 0, &points)?;
+        if moving.held.len() != points.len() {
+            moving.held = vec![false; points.len()];
+            write(&cx.device, &moving.buffers.held, 0, &vec![0u32; points.len()])?;
+        }
+        moving.begin_anew();
+        moving.sums_of = None;
+        Ok(())
+    }
+
+    /// The buffers that the stages were bound to are gone.
+    pub(super) fn memory_lost(&mut self) {
+        if let Some(moving) = &mut self.moving {
+            moving.bindings = None;
+        }
+    }
+
+    /// Another pass took the sums' place.
+    pub(super) fn sums_lost(&mut self) {
+        if let Some(moving) = &mut self.moving {
+            moving.sums_of = None;
+        }
+    }
+
+    /// The present point is another: what was known of it is of no use.
+    pub(super) fn point_changed(&mut self) {
+        if let Some(moving) = &mut self.moving {
+            moving.history.clear();
+            moving.gradient = Gradient::Unknown;
+            moving.trial_gradient_known = false;
+            moving.sums_of = None;
+        }
+    }
+
+    /// Empties the history.
+    pub(super) fn clear_history(&mut self) {
+        if let Some(moving) = &mut self.moving {
+            moving.history.clear();
+        }
+    }
+
+    /// Bytes of its buffers.
+    pub(super) fn device_bytes(&self) -> u64 {
+        self.moving.as_ref().map_or(0, |moving| moving.buffers.plan().total_bytes())
+    }
+
+    /// Parameters of the stages.
+    pub(super) fn params(&self, rooms: Rooms<'_>) -> OptimizerParams {
+        let (surface, s) = (&rooms.cx.surface, &rooms.clip.scales);
+        let count = rooms.neighbours.count;
+        let mass = if surface.is_uniform() { s.area } else { s.mass };
+        let (least_area, most_area) = rooms.clip.area_bounds(rooms.cx);
+        OptimizerParams {
+            seeds: count as u32,
+            groups: reduction(count as u64),
+            uniform_weights: u32::from(surface.is_uniform()),
+            moment_per_mass: (s.moment / mass) as f32,
+            gradient_unit: (-2.0 * grain(rooms) / s.moment) as f32,
+            directed: u32::from(self.moving.as_ref().is_some_and(|m| m.directed)),
+            step: if let Place::Trial(step) = rooms.neighbours.place { step } else { 0.0 },
+            least_area,
+            most_area,
+            mean_mass: (surface.mass() / count as f64 * mass) as f32,
+            ..OptimizerParams::default()
+        }
+    }
+
+    /// Tells the stages `params`, and binds them if they are not bound.
+    pub(super) fn prepare(&mut self, rooms: Rooms<'_>, params: OptimizerParams) -> Result<(), RvdError> {
+        let moving = self.moving.as_mut().ok_or_else(missing)?;
+        write(&rooms.cx.device, &moving.buffers.params, 0, &[params])?;
+        if moving.bindings.is_none() {
+            let there = rooms.memory.there()?;
+            let (device, pipelines) = (&rooms.cx.device, &rooms.cx.pipelines);
+            moving.bindings = Some(OptimizerBindings::new(device, pipelines, &there.buffers, &moving.buffers)?);
+        }
+        Ok(())
+    }
+
+    /// What a stage is bound to. After [`Self::prepare`].
+    fn bound<'a>(&'a self, memory: &'a Memory) -> Result<(&'a Moving, &'a OptimizerBindings, &'a OnDevice), RvdError> {
+        let moving = self.moving.as_ref().ok_or_else(missing)?;
+        let bindings = moving.bindings.as_ref().ok_or_else(missing)?;
+        Ok((moving, bindings, memory.there()?))
+    }
+
+    /// Encodes the seeds of the present point.
+    pub(super) fn encode_point(&self, rooms: Rooms<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<(), RvdError> {
+        if let Some(moving) = &self.moving {
+            let bytes = (rooms.neighbours.count * size_of::<layout::Seed>()) as u64;
+            let seeds = &rooms.memory.there()?.buffers.seeds;
+            encoder.copy_buffer_to_buffer(&moving.buffers.points, 0, seeds, 0, bytes);
+        }
+        Ok(())
+    }
+
+    /// Encodes the seeds of the trial point.
+    pub(super) fn encode_trial(
+        &mut self,
+        rooms: Rooms<'_>,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> Result<(), RvdError> {
+        self.prepare(rooms, self.params(rooms))?;
+        let (cx, (_, bindings, _)) = (rooms.cx, self.bound(rooms.memory)?);
+        let mut compute = cx.device.pass(encoder, lane::NEIGHBOURS);
+        run(&mut compute, &cx.pipelines.trial, &bindings.trial, rooms.neighbours.count as u64, cx.limits());
+        Ok(())
+    }
+
+    /// Encodes gradient and totals of the pass, if it is one of a point.
+    pub(super) fn encode_totals(
+        &mut self,
+        rooms: Rooms<'_>,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> Result<(), RvdError> {
+        let Some(place) = self.moving.as_ref().and_then(|m| m.totals_of) else { return Ok(()) };
+        self.prepare(rooms, self.params(rooms))?;
+        // Later submissions of a pass may lack what the host has done of it.
+        let moving = self.there()?;
+        let steps = moving.step == Step::Wanted;
+        if steps {
+            moving.step = Step::No;
+        }
+        self.encode_gradient(rooms, encoder, place, steps)
+    }
+
+    /// Encodes gradient and totals, and a step if `steps` says so and the pass is complete.
+    pub(super) fn encode_gradient(
+        &self,
+        rooms: Rooms<'_>,
+        encoder: &mut wgpu::CommandEncoder,
+        place: Place,
+        steps: bool,
+    ) -> Result<(), RvdError> {
+        let (cx, count) = (rooms.cx, rooms.neighbours.count as u64);
+        let (_, bindings, _) = self.bound(rooms.memory)?;
+        let gradient = if place == Place::Point { &bindings.gradient } else { &bindings.gradient_ahead };
+        let mut compute = cx.device.pass(encoder, lane::UPDATE);
+        compute.set_pipeline(&cx.pipelines.gradient);
+        compute.set_bind_group(0, gradient, &[]);
+        compute.dispatch_workgroups(reduction(count), 1, 1);
+        compute.set_pipeline(&cx.pipelines.totals);
+        compute.set_bind_group(0, &bindings.totals, &[]);
+        compute.dispatch_workgroups(1, 1, 1);
+        if steps {
+            compute.set_pipeline(&cx.pipelines.may_step);
+            compute.set_bind_group(0, &bindings.may_step, &[]);
+            compute.dispatch_workgroups(1, 1, 1);
+            run(&mut compute, &cx.pipelines.centroids, &bindings.centroids, count, cx.limits());
+        }
+        Ok(())
+    }
+
+    /// Moves the seeds to their cells' centroids.
+    pub(super) fn step_to_centroids(&mut self, rooms: Rooms<'_>) -> Result<(), RvdError> {
+        self.prepare(rooms, self.params(rooms))?;
+        // The pass is complete, whatever its first submissions came to.
+        rooms.clip.write_state(rooms.cx, rooms.memory, layout::State::default())?;
+        let (cx, (_, bindings, _)) = (rooms.cx, self.bound(rooms.memory)?);
+        let mut encoder = cx.device.encoder();
+        {
+            let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
+            let count = rooms.neighbours.count as u64;
+            run(&mut compute, &cx.pipelines.centroids, &bindings.centroids, count, cx.limits());
+        }
+        Ok(cx.device.run(encoder)?)
+    }
+
+    /// Area by the totals.
+    pub(super) fn area(&self, rooms: Rooms<'_>) -> f64 {
+        let totals = self.moving.as_ref().map(|m| m.totals).unwrap_or_default();
+        limbs(totals.area_low, totals.area_high) as f64 / rooms.clip.scales.area
+    }
+
+    /// What the totals say of the point at `place`.
+    pub(super) fn describe(&self, rooms: Rooms<'_>, place: Place, stats: PassStats) -> Evaluation {
+        let totals = self.moving.as_ref().map(|m| m.totals).unwrap_or_default();
+        let grain = grain(rooms);
+        Evaluation {
+            energy: limbs(totals.energy_low, totals.energy_high) as f64 / rooms.clip.scales.energy,
+            gradient_squared: f64::from(totals.gradient_squared) / grain / grain,
+            slope: if place == Place::Point { 0.0 } else { f64::from(totals.slope) / grain },
+            empty_cells: totals.empty as usize,
+            area: self.area(rooms),
+            stats,
+        }
+    }
+
+    /// Submits what `encoder` has and the dot products, and takes them in as those of the pair in `params.slot`.
+    fn learn(
+        &mut self,
+        rooms: Rooms<'_>,
+        mut encoder: wgpu::CommandEncoder,
+        params: OptimizerParams,
+    ) -> Result<(), RvdError> {
+        let (cx, (_, bindings, _)) = (rooms.cx, self.bound(rooms.memory)?);
+        {
+            let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
+            compute.set_pipeline(&cx.pipelines.partial_dots);
+            compute.set_bind_group(0, &bindings.partial_dots, &[]);
+            compute.dispatch_workgroups(params.groups, 1, 1);
+            compute.set_pipeline(&cx.pipelines.dots);
+            compute.set_bind_group(0, &bindings.dots, &[]);
+            compute.dispatch_workgroups(1, 1, 1);
+        }
+        let dots = self.read_dots(rooms, encoder)?;
+        let moving = self.there()?;
+        moving.history.learn(params.slot as usize, &dots);
+        moving.gradient = Gradient::WithProducts;
+        Ok(())
+    }
+
+    fn read_dots(&self, rooms: Rooms<'_>, encoder: wgpu::CommandEncoder) -> Result<[f32; DOTS], RvdError> {
+        let (moving, _, there) = self.bound(rooms.memory)?;
+        let mut dots = [0.0; DOTS];
+        there.buffers.staging.read_with(
+            &rooms.cx.device,
+            encoder,
+            &moving.buffers.dots,
+            0..DOTS,
+            |read: &[f32]| {
+                dots.copy_from_slice(read);
+            },
+        )?;
+        Ok(dots)
+    }
+
+    /// The search direction and its slope. The device has gradient and sums of the present point.
+    pub(super) fn find_direction(&mut self, rooms: Rooms<'_>) -> Result<f64, RvdError> {
+        let (cx, count) = (rooms.cx, rooms.neighbours.count as f64);
+        let moving = self.there()?;
+        if moving.gradient != Gradient::WithProducts && !moving.history.is_empty() {
+            let slot = moving.history.free_slot();
+            let used = moving.history.used(slot);
+            let params = OptimizerParams { slot: slot as u32, used, ..self.params(rooms) };
+            self.prepare(rooms, params)?;
+            self.learn(rooms, cx.device.encoder(), params)?;
+        }
+        let grain = grain(rooms);
+        let moving = self.there()?;
+        moving.history.drop_without_scale();
+        let mut c = moving.history.direction();
+        if moving.history.is_empty() {
+            // The gradient is stored with its grain, and is divided by masses over their mean; with a history its scale
+            // has both in it.
+            c[2 * PAIRS] *= 0.5 * count / (grain * cx.surface.mass());
+        }
+        let mut coefficients = [[0.0; 4]; 5];
+        for (k, c) in c.into_iter().enumerate() {
+            coefficients[k / 4][k % 4] = c as f32;
+        }
+        let params = OptimizerParams { coefficients, ..self.params(rooms) };
+        self.prepare(rooms, params)?;
+        let mut encoder = cx.device.encoder();
+        let (_, bindings, _) = self.bound(rooms.memory)?;
+        {
+            let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
+            compute.set_pipeline(&cx.pipelines.direction);
+            compute.set_bind_group(0, &bindings.direction, &[]);
+            compute.dispatch_workgroups(params.groups, 1, 1);
+            compute.set_pipeline(&cx.pipelines.dots);
+            compute.set_bind_group(0, &bindings.dots, &[]);
+            compute.dispatch_workgroups(1, 1, 1);
+        }
+        let slope = f64::from(self.read_dots(rooms, encoder)?[0]) / grain;
+        let moving = self.there()?;
+        moving.directed = true;
+        moving.trial_gradient_known = false;
+        Ok(slope)
+    }
+
+    /// The trial point becomes the present one. Its rows and sums stay.
+    pub(super) fn accept(&mut self, rooms: Rooms<'_>) -> Result<(), RvdError> {
+        let (cx, count) = (rooms.cx, rooms.neighbours.count);
+        let moving = self.there()?;
+        let slot = moving.history.free_slot();
+        let used = moving.history.used(slot);
+        let params = OptimizerParams { slot: slot as u32, used, ..self.params(rooms) };
+        self.prepare(rooms, params)?;
+        let (moving, bindings, there) = self.bound(rooms.memory)?;
+        let mut encoder = cx.device.encoder();
+        {
+            let mut compute = cx.device.pass(&mut encoder, lane::UPDATE);
+            run(&mut compute, &cx.pipelines.accept, &bindings.accept, count as u64, cx.limits());
+        }
+        let bytes = (count * size_of::<layout::Seed>()) as u64;
+        encoder.copy_buffer_to_buffer(&there.buffers.seeds, 0, &moving.buffers.points, 0, bytes);
+        self.learn(rooms, encoder, params)?;
+        let moving = self.there()?;
+        moving.history.take(slot);
+        moving.trial_gradient_known = false;
+        moving.sums_of = Some(Place::Point);
+        Ok(())
+    }
+
+    /// The present point's records.
+    pub(super) fn read_points(&self, rooms: Rooms<'_>) -> Result<Vec<layout::Seed>, RvdError> {
+        let moving = self.moving.as_ref().ok_or_else(missing)?;
+        let staging = &rooms.memory.there()?.buffers.staging;
+        Ok(staging.read(&rooms.cx.device, &moving.buffers.points, 0..rooms.neighbours.count)?)
+    }
+}
+
+/// What gradients are multiplied by: a power of two near n / (m h), which a gradient of a mean cell is not
+/// much larger than.
+fn grain(rooms: Rooms<'_>) -> f64 {
+    let n = rooms.neighbours.count as f64;
+    let spacing = (rooms.cx.surface.area() / n).sqrt();
+    (n / (rooms.cx.mass * spacing)).log2().round().clamp(-90.0, 90.0).exp2()
+}

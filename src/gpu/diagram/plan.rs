@@ -1,0 +1,485 @@
+//! All sizes of a session, computed before anything is allocated.
+//!
+//! Purpose: numbers of facets, seeds and pairs in, bytes of every buffer out. The same [`Plan`] serves admission, allocation
+//! and the error message.
+//! Invariant: pure. A plan that comes back fits the limits it was made for.
+//! Must not know: the device itself, where facets and seeds are.
+
+use std::ops::Range;
+
+use super::layout::{
+    DOTS, ENTRY_BYTES, Facet, LIST, LIST_STATE_WORDS, OptimizerParams, PAIRS, Params, SUM_WORDS, Seed, Sorted, State,
+    Totals,
+};
+use crate::GpuError;
+use crate::dispatch::{ARGUMENTS_BYTES, PART, REDUCTION_GROUPS, part_count};
+use crate::limits::{Limits, STAGING_BYTES, fits};
+
+/// Numbers of things that a session holds room for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Facets of all windows.
+    pub facets: u64,
+    /// Facets of the largest window.
+    pub window: u64,
+    /// Windows.
+    pub windows: u64,
+    /// Seeds at most.
+    pub seeds: u64,
+    /// Entries of the neighbour table, longer rows included.
+    pub table: u64,
+    /// Slots of the sets of cells of one window's facets.
+    pub slots: u64,
+    /// Pairs in the list, which is one window's.
+    pub pairs: u64,
+    /// Pairs whose pieces one emit dispatch writes.
+    pub emitted: u64,
+    /// Polygon vertices per pair.
+    pub polygon: u64,
+    /// Entries of the grid of facets near each place.
+    pub near: u64,
+    /// Entries of the grid of seeds.
+    pub cells: u64,
+    /// Seeds with a Verlet list: all, or none where lists would be more than a shader can see.
+    pub listed: u64,
+}
+
+/// What a facet needs of the buffers that the facets of a window share.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Need {
+    /// Slots of its set of cells.
+    pub slots: u64,
+    /// Pairs in the list.
+    pub pairs: f64,
+}
+
+/// Facets that the device sees at once. A diagram is a sum over its facets, so that windows are done one
+/// after another.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Window {
+    /// Which.
+    pub facets: Range<u32>,
+    /// Slots of their sets of cells.
+    pub slots: u64,
+    /// Pairs that are expected of them, rounded up.
+    pub pairs: u64,
+}
+
+/// The longest windows of which every buffer can be seen whole: records and first cells of their facets, sets of
+/// cells with a word more a facet, and `spare` pairs beside those that are expected. One facet at least is in
+/// each; if that is too much, [`Plan::new`] says so.
+pub fn windows(needs: impl IntoIterator<Item = Need>, spare: u64, limits: Limits) -> Vec<Window> {
+    let most = limits.seen_bytes();
+    let records = (most / size_of::<Facet>() as u64).min((most / 8).saturating_sub(EXTRA_CANDIDATES));
+    let (slots, pairs) = (most / 4, (most / 8).saturating_sub(spare) as f64);
+    let mut windows = Vec::new();
+    let (mut first, mut end, mut have) = (0, 0, Need { slots: 0, pairs: 0.0 });
+    let close = |facets: Range<u32>, have: Need| Window { facets, slots: have.slots, pairs: have.pairs.ceil() as u64 };
+    for need in needs {
+        let next = Need { slots: have.slots.saturating_add(need.slots), pairs: have.pairs + need.pairs };
+        let count = u64::from(end - first) + 1;
+        if count > 1 && (count > records || next.slots.saturating_add(count) > slots || next.pairs > pairs) {
+            windows.push(close(first..end, have));
+            (first, have) = (end, need);
+        } else {
+            have = next;
+        }
+        end += 1;
+    }
+    windows.push(close(first..end, have));
+    windows
+}
+
+/// [`PART`]s that one dispatch of a stage may have, by what an item costs: on a software adapter with two cores 20 to
+/// 40 ms.
+pub mod size {
+    /// A facet that looks for its first cell without a guess.
+    pub const FIRST_CELL: u64 = 1;
+    /// A seed that looks for its neighbours, or for facets; a facet that is divided with room for many cells.
+    pub const SEARCH: u64 = 2;
+    /// A facet that is divided, or walks to its first cell.
+    pub const FACET: u64 = 4;
+    /// An item that is looked at and put somewhere.
+    pub const ITEM: u64 = 32;
+}
+
+/// Pairs that one dispatch clips at most: tens of milliseconds on a software adapter, far below
+/// every watchdog, and few enough workgroups for one dimension.
+pub const BATCH: u32 = 1 << 18;
+/// The same of pairs whose polygons are in memory instead of registers, ten times slower.
+pub const LARGE_BATCH: usize = 1 << 14;
+/// Candidates that the host can add to the facets' first cells at once.
+pub const EXTRA_CANDIDATES: u64 = 4096;
+/// Bytes of every buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Plan {
+    /// What it was made for.
+    pub counts: Counts,
+    /// Seed records.
+    pub seeds_bytes: u64,
+    /// Facet records, of all windows.
+    pub facets_bytes: u64,
+    /// Neighbour table.
+    pub table_bytes: u64,
+    /// Sets of cells.
+    pub slots_bytes: u64,
+    /// List of pairs.
+    pub list_bytes: u64,
+    /// Fixed-point sums.
+    pub sums_bytes: u64,
+    /// List of failures.
+    pub failures_bytes: u64,
+    /// Candidates, of all windows.
+    pub candidates_bytes: u64,
+    /// Summary block.
+    pub state_bytes: u64,
+    /// Indirect arguments.
+    pub arguments_bytes: u64,
+    /// Parameters.
+    pub params_bytes: u64,
+    /// Heads of emitted pieces.
+    pub heads_bytes: u64,
+    /// Their vertices.
+    pub vertices_bytes: u64,
+    /// Their labels.
+    pub labels_bytes: u64,
+    /// Grid of facets.
+    pub near_bytes: u64,
+    /// Grid of seeds.
+    pub cells_bytes: u64,
+    /// How far its seeds have moved.
+    pub drifts_bytes: u64,
+    /// Seeds in its order.
+    pub sorted_bytes: u64,
+    /// Where the parts of a dispatch begin.
+    pub origins_bytes: u64,
+    /// Where seeds were when lists were made, and how far these reach.
+    pub list_origins_bytes: u64,
+    /// Lists.
+    pub lists_bytes: u64,
+    /// What is done with them.
+    pub list_state_bytes: u64,
+    /// Readback.
+    pub staging_bytes: u64,
+}
+
+impl Plan {
+    /// Bytes of everything.
+    ///
+    /// # Errors
+    /// `NeverFits` with the bytes of the first buffer that passes a limit.
+    pub fn new(counts: Counts, limits: Limits) -> Result<Self, GpuError> {
+        let plan = Self::of(counts);
+        // Of the facets' buffers there is one a window.
+        let seen = plan.buffers().map(|(what, bytes)| match what {
+            "facets" => (what, window_bytes(counts.window).0),
+            "candidates" => (what, window_bytes(counts.window).1),
+            _ => (what, bytes),
+        });
+        fits(&seen, limits)?;
+        if counts.facets > MOST_FACETS {
+            let limit_bytes = MOST_FACETS * size_of::<Facet>() as u64;
+            return Err(GpuError::NeverFits {
+                what: "facets".to_owned(),
+                needed_bytes: plan.facets_bytes,
+                limit_bytes,
+            });
+        }
+        Ok(plan)
+    }
+
+    /// The same, whether it fits a device or not.
+    pub fn of(counts: Counts) -> Self {
+        let seed = size_of::<Seed>() as u64;
+        let vertices = counts.emitted.saturating_mul(counts.polygon);
+        let sums_bytes = counts.seeds.saturating_mul(4 * SUM_WORDS as u64);
+        let vertices_bytes = vertices.saturating_mul(16);
+        Self {
+            counts,
+            seeds_bytes: counts.seeds.saturating_mul(seed),
+            facets_bytes: counts.facets.saturating_mul(size_of::<Facet>() as u64),
+            table_bytes: counts.table.saturating_mul(4),
+            slots_bytes: counts.slots.saturating_mul(4),
+            list_bytes: counts.pairs.saturating_mul(8),
+            sums_bytes,
+            failures_bytes: counts.pairs.saturating_mul(8),
+            candidates_bytes: EXTRA_CANDIDATES
+                .saturating_mul(counts.windows)
+                .saturating_add(counts.facets)
+                .saturating_mul(8),
+            state_bytes: size_of::<State>() as u64,
+            arguments_bytes: search_bytes(counts.seeds).max(2 * ARGUMENTS_BYTES),
+            params_bytes: size_of::<Params>() as u64,
+            heads_bytes: counts.emitted.saturating_mul(16),
+            vertices_bytes,
+            labels_bytes: vertices.saturating_mul(4),
+            near_bytes: counts.near.saturating_mul(4),
+            cells_bytes: counts.cells.saturating_mul(4),
+            drifts_bytes: counts.cells.saturating_mul(4),
+            sorted_bytes: counts.seeds.saturating_mul(size_of::<Sorted>() as u64),
+            origins_bytes: 4 * part_count(counts.window.max(counts.seeds)),
+            list_origins_bytes: counts.listed.max(1).saturating_mul(16),
+            lists_bytes: counts.listed.max(1).saturating_mul(LIST_BYTES),
+            list_state_bytes: (4 * LIST_STATE_WORDS + 2 * search_bytes(counts.seeds))
+                .saturating_add(counts.listed.saturating_mul(4)),
+            staging_bytes: sums_bytes.max(vertices_bytes).clamp(1 << 16, STAGING_BYTES),
+        }
+    }
+
+    /// Name and bytes of every buffer; those of all windows together.
+    pub fn buffers(&self) -> [(&'static str, u64); 23] {
+        [
+            ("seeds", self.seeds_bytes),
+            ("facets", self.facets_bytes),
+            ("table", self.table_bytes),
+            ("slots", self.slots_bytes),
+            ("list", self.list_bytes),
+            ("sums", self.sums_bytes),
+            ("failures", self.failures_bytes),
+            ("candidates", self.candidates_bytes),
+            ("state", self.state_bytes),
+            ("arguments", self.arguments_bytes),
+            ("params", self.params_bytes),
+            ("heads", self.heads_bytes),
+            ("vertices", self.vertices_bytes),
+            ("labels", self.labels_bytes),
+            ("near", self.near_bytes),
+            ("cells", self.cells_bytes),
+            ("drifts", self.drifts_bytes),
+            ("sorted", self.sorted_bytes),
+            ("origins", self.origins_bytes),
+            ("list origins", self.list_origins_bytes),
+            ("lists", self.lists_bytes),
+            ("list state", self.list_state_bytes),
+            ("staging", self.staging_bytes),
+        ]
+    }
+
+    /// Bytes of all buffers together: what admission reserves.
+    pub fn total_bytes(&self) -> u64 {
+        self.buffers().iter().fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
+    }
+}
+
+/// Facets that an entry of the list of failures can name. Seeds are fewer: their records are one binding.
+const MOST_FACETS: u64 = 1 << 30;
+/// Bytes of a Verlet list.
+pub const LIST_BYTES: u64 = 4 * LIST as u64;
+/// Seeds that one dispatch of a search looks at.
+pub const SEARCH_PART: u64 = 2 * PART;
+/// Bytes of the arguments of all parts of a search for so many seeds.
+fn search_bytes(seeds: u64) -> u64 {
+    ARGUMENTS_BYTES * seeds.min(u64::from(u32::MAX)).div_ceil(SEARCH_PART)
+}
+
+/// The byte of the buffer of [`Plan::list_state_bytes`] where the arguments of a search for `seeds` seeds begin, with lists or
+/// without.
+pub fn search_arguments(seeds: u64, lists: bool) -> u64 {
+    4 * LIST_STATE_WORDS + u64::from(lists) * search_bytes(seeds)
+}
+
+/// Seeds with a Verlet list, of so many: all or none.
+pub fn listed(seeds: u64, limits: Limits) -> u64 {
+    if seeds.saturating_mul(LIST_BYTES) <= limits.seen_bytes() { seeds } else { 0 }
+}
+
+/// Bytes of the records and of the candidates of a window of so many facets.
+pub fn window_bytes(facets: u64) -> (u64, u64) {
+    let records = facets.saturating_mul(size_of::<Facet>() as u64);
+    (records, facets.saturating_add(EXTRA_CANDIDATES).saturating_mul(8))
+}
+
+/// Passes of one submission at most.
+pub const PASSES: usize = 32;
+
+/// Bytes of the buffers with which seeds are moved where they are: a session has them once somebody does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OptimizerPlan {
+    /// The present point.
+    pub points_bytes: u64,
+    /// Which seeds are held.
+    pub held_bytes: u64,
+    /// One vector of three floats a seed: the gradient, that of the trial point, the direction.
+    pub vector_bytes: u64,
+    /// Steps of the history, and as many changes of the gradient.
+    pub history_bytes: u64,
+    /// Partial sums over cells.
+    pub partial_totals_bytes: u64,
+    /// Their sum.
+    pub totals_bytes: u64,
+    /// Partial dot products.
+    pub partials_bytes: u64,
+    /// Dot products.
+    pub dots_bytes: u64,
+    /// Parameters.
+    pub params_bytes: u64,
+    /// State and totals of each pass of a submission.
+    pub journal_bytes: u64,
+}
+
+impl OptimizerPlan {
+    /// For at most `seeds` seeds.
+    ///
+    /// # Errors
+    /// `NeverFits` with the bytes of the first buffer that passes a limit.
+    pub fn new(seeds: u64, limits: Limits) -> Result<Self, GpuError> {
+        let plan = Self::of(seeds);
+        fits(&plan.buffers(), limits)?;
+        Ok(plan)
+    }
+
+    /// The same, whether it fits a device or not.
+    pub fn of(seeds: u64) -> Self {
+        let vector_bytes = seeds.saturating_mul(12);
+        let groups = u64::from(REDUCTION_GROUPS);
+        Self {
+            points_bytes: seeds.saturating_mul(size_of::<Seed>() as u64),
+            held_bytes: seeds.saturating_mul(4),
+            vector_bytes,
+            history_bytes: vector_bytes.saturating_mul(PAIRS as u64),
+            partial_totals_bytes: groups * size_of::<Totals>() as u64,
+            totals_bytes: size_of::<Totals>() as u64,
+            partials_bytes: groups * DOTS as u64 * 4,
+            dots_bytes: DOTS as u64 * 4,
+            params_bytes: size_of::<OptimizerParams>() as u64,
+            journal_bytes: PASSES as u64 * ENTRY_BYTES,
+        }
+    }
+
+    /// Name and bytes of every buffer.
+    pub fn buffers(&self) -> [(&'static str, u64); 13] {
+        [
+            ("points", self.points_bytes),
+            ("held", self.held_bytes),
+            ("gradient", self.vector_bytes),
+            ("ahead", self.vector_bytes),
+            ("direction", self.vector_bytes),
+            ("steps", self.history_bytes),
+            ("changes", self.history_bytes),
+            ("partial_totals", self.partial_totals_bytes),
+            ("totals", self.totals_bytes),
+            ("partials", self.partials_bytes),
+            ("dots", self.dots_bytes),
+            ("optimizer params", self.params_bytes),
+            ("journal", self.journal_bytes),
+        ]
+    }
+
+    /// Bytes of all of them.
+    pub fn total_bytes(&self) -> u64 {
+        self.buffers().iter().fold(0, |sum, (_, bytes)| sum.saturating_add(*bytes))
+    }
+}
+
+/// Cells along each side of the grid over the unit box in which `seeds` seeds on a surface of `area` are
+/// searched: three spacings wide, not many more than there are seeds, and at most 160 a side.
+pub fn grid_side(area: f64, seeds: u64) -> u32 {
+    let n = seeds.max(1) as f64;
+    let by_spacing = 1.0 / (CELL_SPACINGS * (area / n).sqrt());
+    by_spacing.min(4.0 * n.cbrt()).clamp(1.0, 160.0) as u32
+}
+
+/// Width of a cell of that grid, in spacings.
+const CELL_SPACINGS: f64 = 3.0;
+
+/// Entries of that grid.
+pub fn grid_cells(side: u32) -> u64 {
+    let side = u64::from(side);
+    side * side * (side + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: Limits = Limits { buffer_bytes: 256 << 20, binding_bytes: 128 << 20, workgroups: 65_535 };
+
+    fn counts(n: u64) -> Counts {
+        Counts {
+            facets: n,
+            window: n,
+            windows: 1,
+            seeds: n,
+            table: 31 * n,
+            slots: 16 * n,
+            pairs: 5 * n,
+            emitted: 65_536,
+            polygon: 10,
+            near: 9,
+            cells: grid_cells(grid_side(2.0, n)),
+            listed: listed(n, LIMITS),
+        }
+    }
+
+    #[test]
+    fn a_million_facets_and_seeds_fit_128_mib_bindings() {
+        let plan = Plan::new(counts(1_000_000), LIMITS).unwrap();
+        assert_eq!(plan.facets_bytes, 96_000_000);
+        assert_eq!(plan.total_bytes(), plan.buffers().iter().map(|b| b.1).sum::<u64>());
+    }
+
+    #[test]
+    fn refusal_names_buffer_and_bytes() {
+        let error = Plan::new(counts(2_000_000), LIMITS).unwrap_err();
+        let GpuError::NeverFits { what, needed_bytes, limit_bytes } = error else { panic!("{error}") };
+        assert_eq!((what.as_str(), needed_bytes, limit_bytes), ("facets", 192_000_000, 128 << 20));
+    }
+
+    #[test]
+    fn facets_that_no_failure_could_name_are_refused() {
+        let many = |facets| Counts { facets, window: 1000, ..counts(1000) };
+        assert!(Plan::new(many(1 << 30), LIMITS).is_ok());
+        assert!(matches!(Plan::new(many((1 << 30) + 1), LIMITS), Err(GpuError::NeverFits { .. })));
+    }
+
+    #[test]
+    fn windows_are_as_long_as_fits_and_leave_nothing_out() {
+        let needs = |n: u64, slots: u64, pairs: f64| (0..n).map(move |_| Need { slots, pairs });
+        let one = windows(needs(1_000_000, 16, 3.0), 1024, LIMITS);
+        assert_eq!(one, [Window { facets: 0..1_000_000, slots: 16_000_000, pairs: 3_000_000 }]);
+        assert_eq!(windows(needs(0, 0, 0.0), 1024, LIMITS).len(), 1);
+        // By records, by slots, by pairs.
+        for (slots, pairs, most) in [(16, 3.0, 1_398_101), (64, 3.0, 516_222), (16, 100.0, 167_761)] {
+            let many = windows(needs(5_000_000, slots, pairs), 1024, LIMITS);
+            assert_eq!(many[0].facets, 0..most);
+            assert!(many.windows(2).all(|w| w[0].facets.end == w[1].facets.start));
+            assert_eq!(many.last().unwrap().facets.end, 5_000_000);
+            let (records, candidates) = window_bytes(most.into());
+            let most = u64::from(most);
+            let all = [records, candidates, 4 * (slots + 1) * most, 8 * (pairs as u64 * most + 1024)];
+            assert!(all.iter().all(|bytes| *bytes <= 128 << 20), "{all:?}");
+        }
+        // What fits nowhere is alone, and refused by the plan.
+        let huge =
+            windows([needs(3, 16, 1.0), needs(1, 1 << 30, 1.0), needs(3, 16, 1.0)].into_iter().flatten(), 0, LIMITS);
+        assert_eq!(huge.iter().map(|w| w.facets.clone()).collect::<Vec<_>>(), [0..3, 3..4, 4..7]);
+    }
+
+    #[test]
+    fn absurd_counts_do_not_overflow() {
+        assert!(Plan::new(counts(u64::MAX / 32), LIMITS).is_err());
+    }
+
+    #[test]
+    fn a_million_seeds_can_be_moved_within_128_mib_bindings() {
+        let plan = OptimizerPlan::new(1_000_000, LIMITS).unwrap();
+        assert_eq!(plan.history_bytes, 96_000_000);
+        assert!(OptimizerPlan::new(u64::MAX / 8, LIMITS).is_err());
+    }
+
+    #[test]
+    fn a_batch_of_pairs_fits_one_dimension() {
+        assert!(BATCH.div_ceil(crate::device::WORKGROUP) <= LIMITS.workgroups);
+    }
+
+    #[test]
+    fn grids_follow_the_spacing_within_bounds() {
+        assert_eq!(grid_side(2.0, 10_000), 23);
+        assert_eq!(grid_side(2.0, 1), 1);
+        assert_eq!(grid_side(1e-9, 8), 8);
+        assert_eq!(grid_side(2.0, 100_000_000), 160);
+        // More seeds need no smaller grid, so that room for the most is room for all.
+        let sides: Vec<u32> = (0..24).map(|k| grid_side(2.0, 1 << k)).collect();
+        assert!(sides.is_sorted());
+    }
+}

@@ -1,0 +1,291 @@
+//! One surface on a device, and the order of the work on it.
+//!
+//! Purpose: the rooms own what a session knows: `memory` where things lie, `neighbours` the seeds, `clip` the pairs and sums,
+//! `optimizer` the seeds that move. The session calls them in turn: a pass is search, first cells, clip, totals, in as few
+//! submissions as the pairs allow.
+//! Invariant: buffers are there before a room is called. A pass that returns has every pair of its facets done, on the
+//! device or in f64.
+//! Must not know: what a stage does.
+
+mod fallback;
+mod pass;
+mod relaunch;
+mod relax;
+mod resident;
+mod search;
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::DVec3;
+
+use super::clip::{Clip, by_cell, fixed};
+use super::context::Context;
+use super::layout::{LONGER, MOST_REQUEUED, NONE, Params, STRIDE};
+use super::memory::{Memory, Windows, records};
+use super::neighbours::{Neighbours, Place, grid};
+use super::optimizer::Optimizer;
+use super::pipelines::SLOTS;
+use super::plan::{self, Counts};
+use super::{Gpu, phases};
+use crate::Traffic;
+use geometry::rvd::{
+    Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session, SessionOptions,
+    Surface, elapsed_ms,
+};
+use geometry::token::Token;
+
+/// See the module's head.
+pub(super) struct GpuSession {
+    cx: Context,
+    memory: Memory,
+    neighbours: Neighbours,
+    pub(super) clip: Clip,
+    optimizer: Optimizer,
+    /// What the device had done before the session was opened.
+    opened: Traffic,
+}
+
+/// The rooms below the optimizer, while that is borrowed.
+macro_rules! rooms {
+    ($session:expr) => {
+        crate::diagram::optimizer::Rooms {
+            cx: &$session.cx,
+            memory: &$session.memory,
+            neighbours: &$session.neighbours,
+            clip: &$session.clip,
+        }
+    };
+}
+use rooms;
+
+impl GpuSession {
+    /// Plans a session for at most `options.max_seeds` seeds on `surface`.
+    pub(super) fn new(gpu: &Gpu, surface: Arc<Surface>, options: SessionOptions) -> Self {
+        let SessionOptions { max_seeds, capacities, tuning, flat_pieces: _ } = options;
+        let cx = Context {
+            device: Arc::clone(&gpu.device),
+            pool: Arc::clone(&gpu.pool),
+            pipelines: Arc::clone(&gpu.pipelines),
+            mass: fixed::total_mass(&surface),
+            surface,
+            max_seeds,
+            capacities,
+        };
+        let (surface, limits) = (&cx.surface, cx.limits());
+        let expected = records::expected_cells(surface, max_seeds);
+        let slots_log2 = records::first_slots(&expected, capacities.cells, Capacities::default().cells);
+        let mut facets = records::facets(surface, &slots_log2);
+        let by_cell = by_cell::chosen(&expected, tuning.strategy);
+        by_cell::mark(&mut facets, &by_cell);
+        let near = by_cell::Grid::new(surface, &by_cell, max_seeds);
+        let k = capacities.neighbours.clamp(1, max_seeds.max(1)) as u64;
+        // Rows by the device or by the host, and a quarter for longer ones where there is room for it; of these as many
+        // as the device makes in a pass.
+        let rows = max_seeds as u64 * k.max(u64::from(STRIDE));
+        let most = limits.seen_bytes() / 4;
+        let side = grid::grid_side_for(surface, max_seeds);
+        let counts = Counts {
+            facets: facets.len() as u64,
+            seeds: max_seeds as u64,
+            table: (rows + max_seeds as u64 * k / 4 + u64::from(MOST_REQUEUED * LONGER)).min(most.max(rows)),
+            polygon: SLOTS as u64,
+            near: near.near.len() as u64,
+            cells: plan::grid_cells(side),
+            listed: plan::listed(max_seeds as u64, limits),
+            ..Counts::default()
+        };
+        // Half as many again for pairs that turn out empty and for pairs done again.
+        let windows = Windows::new(&expected, 1.5 * capacities.pairs_percent as f64 / 100.0);
+        let live = (0..facets.len()).filter(|&f| !surface.skips(f));
+        let roots = live.map(|f| [f as u32, NONE]).collect();
+        Self {
+            memory: Memory::new(counts, windows, slots_log2, facets),
+            neighbours: Neighbours::new(side, roots),
+            clip: Clip::new(&cx, near, tuning.accumulate),
+            optimizer: Optimizer::new(tuning.together),
+            opened: cx.device.traffic(),
+            cx,
+        }
+    }
+
+    /// Allocates the buffers, and fills them with all that the host knows, if they are not there.
+    pub(super) fn ensure_memory(&mut self) -> Result<(), RvdError> {
+        if self.memory.is_allocated() {
+            return Ok(());
+        }
+        if self.memory.cut(&self.cx) && self.clip.near.side > 0 {
+            // A seed would look for facets of all windows.
+            self.clip.leave_all_to_propagation(&mut self.memory);
+        }
+        self.memory.lay_out(&self.cx, self.clip.near.side > 0);
+        self.memory.allocate(&self.cx)?;
+        self.clip.upload_near(&self.cx, &self.memory)?;
+        self.neighbours.memory_changed(&self.cx, &self.memory)?;
+        self.memory.upload_facets(&self.cx)?;
+        self.neighbours.upload_roots(&self.cx, &self.memory)
+    }
+
+    /// Frees the buffers; [`Self::ensure_memory`] makes larger ones. What the device found is found again.
+    fn release(&mut self) -> Result<(), RvdError> {
+        self.memory.free();
+        self.neighbours.memory_lost();
+        self.optimizer.memory_lost();
+        if !self.neighbours.rows.are_of_host() {
+            self.seeds_changed();
+        }
+        // Memory comes back once the device has seen that nothing uses it.
+        Ok(self.cx.device.run(self.cx.device.encoder())?)
+    }
+
+    /// The seeds are others than those of the last pass.
+    fn seeds_changed(&mut self) {
+        self.neighbours.seeds_changed();
+        self.clip.seeds_changed(&self.cx);
+    }
+
+    fn params(&self) -> Params {
+        self.clip.params(&self.cx, &self.memory, &self.neighbours)
+    }
+
+    /// All facets.
+    fn facets(&self) -> Range<u32> {
+        0..self.memory.facets.len() as u32
+    }
+
+    /// Statistics of a pass that begins: rows and first cells, in submissions of their own, so that
+    /// they can be timed.
+    pub(super) fn begin_pass(&mut self, token: &Token) -> Result<PassStats, RvdError> {
+        let mut stats = PassStats::default();
+        if self.neighbours.count == 0 {
+            return Err(RvdError::NoSeeds);
+        }
+        if let Place::Trial(_) = self.neighbours.place {
+            self.neighbours.place = Place::Point;
+            self.seeds_changed();
+        }
+        self.optimizer.sums_lost();
+        token.check()?;
+        let begin = Instant::now();
+        self.search_now(token)?;
+        stats.neighbours_ms = elapsed_ms(begin);
+        let begin = Instant::now();
+        self.start_now(token)?;
+        stats.start_ms = elapsed_ms(begin);
+        stats.duplicate_seeds = self.neighbours.duplicates;
+        Ok(stats)
+    }
+
+    /// What was done since the session was opened.
+    fn work(&self) -> DeviceWork {
+        let now = self.cx.device.traffic();
+        DeviceWork {
+            host_searches: self.neighbours.host_searches,
+            divided_facets: self.clip.divided,
+            paired_facets: self.clip.paired,
+            device_submissions: now.submissions - self.opened.submissions,
+            device_allocations: now.allocations - self.opened.allocations,
+            uploaded_bytes: now.uploaded_bytes - self.opened.uploaded_bytes,
+            read_back_bytes: now.read_bytes - self.opened.read_bytes,
+        }
+    }
+
+    /// Adds what was done since `before`.
+    fn meter(&self, before: &DeviceWork, stats: &mut PassStats) {
+        stats.device += self.work().since(before);
+    }
+
+    fn compute_sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+        let before = self.work();
+        let mut stats = self.begin_pass(token)?;
+        let begin = Instant::now();
+        self.run_sums(token, &mut stats)?;
+        stats.clip_ms = elapsed_ms(begin);
+        let begin = Instant::now();
+        self.download_sums(out)?;
+        stats.update_ms += elapsed_ms(begin);
+        let area = out.area.iter().sum();
+        if self.neighbours.merged || !self.clip.covers(&self.cx, area, self.facets()) {
+            stats = self.sums_in_f64(out, stats, token)?;
+        }
+        self.meter(&before, &mut stats);
+        Ok(stats)
+    }
+
+    /// The sums of the last pass, with what the host finished.
+    fn download_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
+        self.ensure_memory()?;
+        let words = self.clip.sum_words(&self.cx, &self.memory, self.neighbours.count)?;
+        out.reset(self.neighbours.count);
+        fixed::decode(&words, self.cx.surface.is_uniform(), &self.clip.scales, out);
+        Ok(())
+    }
+
+    /// A pass finds the pairs of a range of facets; then their pieces are written. They come out by facet, then seed.
+    fn compute_pieces(
+        &mut self,
+        facets: Range<u32>,
+        out: &mut PieceBatch,
+        token: &Token,
+    ) -> Result<PassStats, RvdError> {
+        out.clear();
+        let end = facets.end.min(self.memory.facets.len() as u32);
+        let facets = facets.start.min(end)..end;
+        let before = self.work();
+        let mut stats = self.begin_pass(token)?;
+        let mut next = facets.start;
+        while next < facets.end {
+            let begin = Instant::now();
+            next = self.run_pairs(next..facets.end, token, &mut stats)?;
+            stats.clip_ms += elapsed_ms(begin);
+            let begin = Instant::now();
+            self.clip.emit_all(&self.cx, &self.memory, &mut self.neighbours, out, token)?;
+            stats.update_ms += elapsed_ms(begin);
+        }
+        let begin = Instant::now();
+        out.sort();
+        stats.pairs = out.len() as u64;
+        stats.update_ms += elapsed_ms(begin);
+        let area = (0..out.len()).map(|i| out.area(i)).sum();
+        if self.neighbours.merged || !self.clip.covers(&self.cx, area, facets.clone()) {
+            stats = self.pieces_in_f64(facets, out, stats, token)?;
+        }
+        self.meter(&before, &mut stats);
+        Ok(stats)
+    }
+}
+
+impl Session for GpuSession {
+    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+        self.neighbours.set_seeds(&self.cx, seeds)?;
+        self.seeds_changed();
+        Ok(())
+    }
+
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+        let pool = Arc::clone(&self.cx.pool);
+        pool.install(|| self.compute_sums(out, token))
+    }
+
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
+        let pool = Arc::clone(&self.cx.pool);
+        pool.install(|| self.compute_pieces(facets, out, token))
+    }
+
+    fn device_bytes(&self) -> u64 {
+        self.memory.device_bytes() + self.optimizer.device_bytes()
+    }
+
+    fn device_work(&self) -> DeviceWork {
+        self.work()
+    }
+
+    fn device_phases(&self) -> Option<PhasesMs> {
+        self.cx.device.stage_ms().map(phases)
+    }
+
+    fn resident(&mut self) -> Option<&mut dyn Resident> {
+        (self.neighbours.count > 0).then_some(self)
+    }
+}

@@ -1,0 +1,168 @@
+//! What callers can do with jobs.
+//!
+//! Purpose: [`JobApi`], what the services and the command see of jobs.
+//! Invariant: a job of another tenant does not exist for a caller. An answer that is not an error says what is kept.
+//! Must not know: messages, streams, who does the work, where jobs are kept.
+
+use std::fmt;
+
+use async_trait::async_trait;
+use tokio::sync::watch;
+
+use super::JobError;
+use super::event::Events;
+pub use super::preview::{Preview, PreviewReceiver};
+use super::record::{Job, JobId, JobSpec, SpecError};
+use super::store::{Created, Page, Query, StoreError};
+use crate::blob::BlobError;
+
+/// See the module's head. Whoever calls [`create`](Self::create), [`cancel`](Self::cancel) or [`delete`](Self::delete) runs
+/// it to its end, even if nobody waits for the answer any more.
+#[async_trait]
+pub trait JobApi: Send + Sync {
+    /// Checks a job, keeps it and queues it. The specification has its tenant and its request's number.
+    ///
+    /// # Errors
+    /// `Spec`, `Input`, `TooLarge`, `Packed`; `Blob` if its input is not stored; `Store` if the request came before with another
+    /// body; `Job` if the queue is full or the server drains.
+    async fn create(&self, spec: JobSpec) -> Result<Created, JobApiError>;
+
+    /// A job.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError>;
+
+    /// Jobs, the newest first. The query names its tenant.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn list(&self, query: Query) -> Result<Page, JobApiError>;
+
+    /// At most `most` events after number `after`; none if none came.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, JobApiError>;
+
+    /// Ends once the job has an event after number `after`.
+    ///
+    /// # Errors
+    /// `Store`; `NotFound` in it also if the job is deleted meanwhile.
+    async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), JobApiError>;
+
+    /// The newest seeds of a job at work, from now on until it ends; the sender is then gone. Sets of more than a million are
+    /// not shown.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn preview(&self, tenant: &str, id: JobId) -> Result<PreviewReceiver, JobApiError>;
+
+    /// Cancels a job; one that is cancelled already stays so.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError>;
+
+    /// Forgets a job that has ended, and lets its result go.
+    ///
+    /// # Errors
+    /// `Store`.
+    async fn delete(&self, tenant: &str, id: JobId) -> Result<(), JobApiError>;
+
+    /// What a job would need. Counts that are not given are read from the job's input.
+    ///
+    /// # Errors
+    /// `Spec`, `Input`, `TooLarge`, `Packed`; `Blob` if counts are not given and the input is not stored.
+    async fn estimate(
+        &self,
+        spec: JobSpec,
+        vertices: Option<u64>,
+        facets: Option<u64>,
+    ) -> Result<Estimate, JobApiError>;
+
+    /// Ends if nothing can be kept any more: only a new process can go on.
+    async fn failed(&self);
+
+    /// Why blobs cannot be stored now; `None` if they can. Jobs wait meanwhile.
+    fn storage(&self) -> watch::Receiver<Option<BlobError>>;
+
+    /// Takes nothing new and begins nothing more. Ends once nothing is at work; what waits is done after the next start.
+    async fn drain(&self);
+}
+
+/// What a job would need.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Estimate {
+    /// Predicted peak memory of the process, bytes.
+    pub host_bytes: u64,
+    /// Memory available to jobs, bytes.
+    pub host_limit_bytes: u64,
+    /// Memory of the device, bytes; 0 on a CPU.
+    pub device_bytes: u64,
+    /// The device's memory for jobs; 0 if it is not known.
+    pub device_limit_bytes: u64,
+    /// Seconds of work, if nothing else is at work.
+    pub seconds: f64,
+    /// Whether it could run here.
+    pub fits: bool,
+}
+
+/// A memory that jobs share.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Memory {
+    /// The process's.
+    Host,
+    /// The device's.
+    Device,
+}
+
+impl fmt::Display for Memory {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Host => "of memory",
+            Self::Device => "of device memory",
+        })
+    }
+}
+
+/// Why something that a caller wants of jobs was refused or failed.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum JobApiError {
+    /// The specification makes no sense.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// The specification does not fit what its blobs hold, or what this server takes.
+    #[error("{field} {problem}")]
+    Input {
+        /// Where, as in [`SpecError::field`].
+        field: String,
+        /// What is wrong, and what to give instead.
+        problem: String,
+    },
+    /// The job could never run here.
+    #[error("the job needs {needed_bytes} bytes {of}, and this server has {limit_bytes} for a job; ask for less")]
+    TooLarge {
+        /// Of which memory.
+        of: Memory,
+        /// What it needs.
+        needed_bytes: u64,
+        /// What there is.
+        limit_bytes: u64,
+    },
+    /// More is packed in the surface's file than may be in one of its size.
+    #[error("more than {limit_bytes} bytes are packed in the file; unpack it first (gunzip)")]
+    Packed {
+        /// What may be.
+        limit_bytes: u64,
+    },
+    /// The store of jobs refused or failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The store of blobs refused or failed.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// The queue refused or failed.
+    #[error(transparent)]
+    Job(#[from] JobError),
+}

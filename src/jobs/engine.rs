@@ -1,0 +1,317 @@
+//! The handle to the host threads.
+//!
+//! Purpose: [`Engine::submit`] from any task; an answer with times. Invariant: every submitted piece is answered exactly once
+//! or its caller has gone. Must not know: what a piece computes, how the threads share the device.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{oneshot, watch};
+
+use super::bytes::Bytes;
+use super::call::{ActivityState, Call, Retry, Timed, WorkContext};
+use super::observer::{Observer, QueuedActivity};
+use super::queue::Admission;
+use super::watchdog::{WatchGuard, Work};
+use super::weights::Weights;
+use super::worker::{Device, EngineOptions, Shared, run};
+use super::{BackendInfo, Backends, JobError};
+use geometry::rvd::{BackendChoice, DeviceFacts};
+use geometry::token::Token;
+
+/// Work that was submitted. Dropping it cancels the work.
+#[derive(Debug)]
+pub struct Pending<R> {
+    /// How many were ahead of it.
+    pub position: usize,
+    reply: oneshot::Receiver<Result<Timed<R>, JobError>>,
+    token: Token,
+    answered: bool,
+}
+
+impl<R> Drop for Pending<R> {
+    fn drop(&mut self) {
+        // The token may be that of more work to come.
+        if !self.answered {
+            self.token.cancel();
+        }
+    }
+}
+
+impl<R> Pending<R> {
+    /// The answer. Cancellation-safe: can be polled again after it lost a `select!`.
+    ///
+    /// # Errors
+    /// The work's own, `Panicked`, `WorkerGone`.
+    pub async fn wait(&mut self) -> Result<Timed<R>, JobError> {
+        let answer = (&mut self.reply).await.unwrap_or(Err(JobError::WorkerGone));
+        self.answered = true;
+        answer
+    }
+
+    /// What stops it.
+    pub fn token(&self) -> &Token {
+        &self.token
+    }
+}
+
+/// A place in the queue, reserved for a job while it is uploaded. Released when dropped, which is after the job was
+/// submitted as [`Admission::Reserved`].
+#[derive(Debug)]
+pub struct Reservation {
+    shared: Arc<Shared>,
+    number: u64,
+}
+
+impl Drop for Reservation {
+    fn drop(&mut self) {
+        self.shared.queue.release(self.number);
+    }
+}
+
+/// The handle. Clones share the threads.
+#[derive(Clone, Debug)]
+pub struct Engine {
+    shared: Arc<Shared>,
+}
+
+impl Engine {
+    /// Starts the host threads. `factory` makes their backends, now and after a loss. Returns once they are there; what is
+    /// returned beside the handle ends when all threads have.
+    ///
+    /// # Errors
+    /// The factory's, or `Panicked`.
+    pub fn start(
+        factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
+        options: EngineOptions,
+    ) -> Result<(Self, JoinHandle<()>), JobError> {
+        Self::start_observed(factory, options, Arc::new(()))
+    }
+
+    /// The same, with somebody who counts what is done.
+    ///
+    /// # Errors
+    /// The factory's, or `Panicked`.
+    pub fn start_observed(
+        factory: impl FnMut() -> Result<Backends, JobError> + Send + 'static,
+        options: EngineOptions,
+        observer: Arc<dyn Observer>,
+    ) -> Result<(Self, JoinHandle<()>), JobError> {
+        let (ready, answer) = std::sync::mpsc::sync_channel(1);
+        let thread = Builder::new()
+            .name("engine".to_owned())
+            .spawn(move || run(Box::new(factory), options, observer, &ready))
+            .map_err(|e| JobError::Panicked(format!("the engine's thread could not be started: {e}")))?;
+        let shared = answer.recv().unwrap_or(Err(JobError::WorkerGone))?;
+        Ok((Self { shared }, thread))
+    }
+
+    /// Who will do the work for a choice.
+    ///
+    /// # Errors
+    /// `BackendUnavailable`.
+    pub fn backend(&self, choice: BackendChoice) -> Result<BackendInfo, JobError> {
+        self.shared.current().1.choose(choice).map(|backend| BackendInfo::of(backend.as_ref()))
+    }
+
+    /// Devices that were lost so far.
+    pub fn losses(&self) -> u64 {
+        self.shared.losses.load(Ordering::Relaxed)
+    }
+
+    /// Memory that jobs at work together may need.
+    pub fn memory(&self) -> Bytes {
+        self.shared.infos.slots.memory
+    }
+
+    /// Reserves a place for a job that is yet to be uploaded, so that it is refused now or not at all.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`.
+    pub fn reserve(&self) -> Result<Reservation, JobError> {
+        let number = self.shared.queue.reserve()?;
+        Ok(Reservation { shared: Arc::clone(&self.shared), number })
+    }
+
+    /// A token for a job, whose ceiling on time counts what is done for it here and under [`Self::watch`].
+    pub fn token(&self) -> Token {
+        self.shared.watchdog.token(None)
+    }
+
+    /// The same for a job that is to take no longer than `limit`.
+    pub fn token_within(&self, limit: Option<Duration>) -> Token {
+        self.shared.watchdog.token(limit)
+    }
+
+    /// Watches work that is done for a job on another thread than a worker's, until what it returns is dropped.
+    pub fn watch(&self, token: &Token) -> WatchGuard {
+        self.shared.watchdog.watch(token)
+    }
+
+    /// Bytes that the process holds outside of jobs, such as uploads: whoever holds them keeps this up to date. A job's
+    /// ceiling on memory does not count them.
+    pub fn memory_outside_jobs(&self) -> Arc<AtomicI64> {
+        self.shared.watchdog.memory_outside_jobs()
+    }
+
+    /// How work is that was told to stop.
+    pub fn watch_work(&self) -> watch::Receiver<Work> {
+        self.shared.watchdog.work()
+    }
+
+    /// Does work on the engine's threads, so that their number bounds what is done beside the jobs too.
+    pub fn on_threads<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
+        match &self.shared.infos.pool {
+            Some(pool) => pool.install(work),
+            None => work(),
+        }
+    }
+
+    /// Queues `work` with a token of its own. It is called on a host thread once, or again after a lost device if
+    /// `retry` allows it.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`.
+    pub fn submit<R: Send + 'static>(
+        &self,
+        admission: Admission,
+        retry: Retry,
+        work: impl FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send + 'static,
+    ) -> Result<Pending<R>, JobError> {
+        self.submit_as(self.token(), admission, retry, work)
+    }
+
+    /// The same for a piece of the job that has this token.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`.
+    pub fn submit_as<R: Send + 'static>(
+        &self,
+        token: Token,
+        admission: Admission,
+        retry: Retry,
+        work: impl FnMut(&Backends, &WorkContext) -> Result<R, JobError> + Send + 'static,
+    ) -> Result<Pending<R>, JobError> {
+        let (sender, reply) = oneshot::channel();
+        let (has_continuations, origin) = match &admission {
+            Admission::New(ask) | Admission::Reserved(ask) => (ask.has_continuations, ask.origin),
+            Admission::Session | Admission::Continuation => (true, None),
+        };
+        let activity = ActivityState::Queued(QueuedActivity::new(&self.shared.observer, origin));
+        let (work, reply_to, queued) = (Some(work), Some(sender), Instant::now());
+        let call = Call { work, has_continuations, reply: reply_to, token: token.clone(), queued, retry, activity };
+        let position = self.shared.queue.push(admission, Box::new(call))?;
+        Ok(Pending { position, reply, token, answered: false })
+    }
+
+    /// Drops `value` on a host thread: freeing much takes time.
+    pub fn dispose(&self, value: impl Send + 'static) {
+        let mut value = Some(value);
+        let (sender, _) = oneshot::channel();
+        let work = move |_: &Backends, _: &WorkContext| {
+            drop(value.take());
+            Ok(())
+        };
+        let call = Call {
+            work: Some(work),
+            has_continuations: true,
+            reply: Some(sender),
+            token: Token::default(),
+            queued: Instant::now(),
+            retry: Retry::Never,
+            activity: ActivityState::Queued(QueuedActivity::new(&self.shared.observer, None)),
+        };
+        // Nobody waits for it; popping drops it on a host thread, and so does its end.
+        let _ = self.shared.queue.push(Admission::Continuation, Box::new(call));
+    }
+
+    /// How much each tenant counts beside others.
+    pub fn weights(&self) -> &Weights {
+        &self.shared.weights
+    }
+
+    /// The GPU backend's device as it is now; `None` if there is none.
+    pub fn device_facts(&self) -> Option<DeviceFacts> {
+        self.shared.current().1.gpu.ok()?.device_facts()
+    }
+
+    /// Waiting pieces, and whether one is at work.
+    pub fn load(&self) -> (usize, bool) {
+        self.shared.queue.load()
+    }
+
+    /// Follows the device's health.
+    pub fn watch_device(&self) -> watch::Receiver<Device> {
+        self.shared.device.subscribe()
+    }
+
+    /// Refuses new jobs; the threads end once the queue is empty.
+    pub fn close(&self) {
+        self.shared.queue.close();
+    }
+
+    /// Cancels everything that waits or runs.
+    pub fn cancel_all(&self) {
+        self.shared.queue.cancel_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+    use crate::AdmissionRequest;
+    use geometry::rvd::RvdError;
+    use geometry::rvd::parallel::Parallel;
+    use geometry::rvd::serial::Serial;
+
+    fn backends() -> Result<Backends, JobError> {
+        let parallel = Arc::new(Parallel::new(Some(1))?);
+        let serial = Arc::new(Serial);
+        Ok(Backends { gpu: Err("none".into()), parallel, serial, default: BackendChoice::Auto, pools: None })
+    }
+
+    fn new() -> Admission {
+        Admission::New(AdmissionRequest::default())
+    }
+
+    #[tokio::test]
+    async fn a_lost_device_comes_back_though_nobody_asks() {
+        let made = Arc::new(AtomicUsize::new(0));
+        let counter = made.clone();
+        let factory = move || match counter.fetch_add(1, Ordering::SeqCst) {
+            0 => backends(),
+            1 | 2 => Err(RvdError::Device("still gone".into()).into()),
+            _ => backends(),
+        };
+        let options = EngineOptions { revive: Duration::from_millis(20), ..EngineOptions::default() };
+        let (engine, thread) = Engine::start(factory, options).unwrap();
+        let mut health = engine.watch_device();
+        let lose =
+            |_: &Backends, _: &WorkContext| -> Result<(), JobError> { Err(RvdError::DeviceLost("x".into()).into()) };
+        let error = engine.submit(new(), Retry::Never, lose).unwrap().wait().await.unwrap_err();
+        assert!(error.is_device_lost());
+        health.wait_for(|d| *d == Device::Lost).await.unwrap();
+        tokio::time::timeout(Duration::from_secs(5), health.wait_for(|d| *d == Device::Ready)).await.unwrap().unwrap();
+        assert_eq!(made.load(Ordering::SeqCst), 4);
+        engine.close();
+        thread.join().unwrap();
+        assert_eq!(*health.borrow(), Device::Gone);
+        let late = engine.submit(Admission::Session, Retry::Never, |_, _| Ok(()));
+        assert!(matches!(late, Err(JobError::Draining)), "nobody would answer");
+    }
+
+    #[tokio::test]
+    async fn what_waits_is_answered_when_the_queue_closes() {
+        let (engine, thread) = Engine::start(backends, EngineOptions::default()).unwrap();
+        let mut all: Vec<_> = (0..10).map(|i| engine.submit(new(), Retry::Never, move |_, _| Ok(i)).unwrap()).collect();
+        engine.close();
+        for (i, pending) in all.iter_mut().enumerate() {
+            assert_eq!(pending.wait().await.unwrap().value, i);
+        }
+        thread.join().unwrap();
+    }
+}

@@ -1,0 +1,191 @@
+//! What a job will need, from numbers that are known before it runs.
+//!
+//! Purpose: [`need`] says how much memory and time a job takes, for admission and for fair queueing. Host bytes are fitted
+//! to measured runs (`calibration`; docs/performance.md has the figures). Device bytes are those of the plan that allocates.
+//! Invariant: pure, without clock or files. Monotone in every count, and nothing overflows.
+//! Must not know: queues, records of jobs, how counts were found.
+
+use super::bytes::Bytes;
+use super::record::{DensityKind, PlacementRule};
+use geometry::rvd::BackendKind;
+use gpu::SessionForecast;
+
+/// The kind of a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Kind {
+    /// A whole remesh.
+    Remesh,
+    /// A diagram.
+    Rvd,
+    /// A session.
+    Cvt,
+}
+
+impl Kind {
+    /// "remesh", "rvd" or "cvt".
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Remesh => "remesh",
+            Self::Rvd => "rvd",
+            Self::Cvt => "cvt",
+        }
+    }
+}
+
+/// What is known of a job before it runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Counts {
+    /// What is done.
+    pub kind: Kind,
+    /// Who does it.
+    pub backend: BackendKind,
+    /// Vertices of the surface.
+    pub vertices: u64,
+    /// Facets of the surface.
+    pub facets: u64,
+    /// Seeds, the most that refinement may add included.
+    pub points: u64,
+    /// Lloyd and quasi-Newton steps together.
+    pub steps: u64,
+    /// Bytes of the file or the arrays that the surface comes as.
+    pub input_bytes: u64,
+    /// Where the density comes from.
+    pub density: DensityKind,
+    /// Where a remesh puts its vertices.
+    pub placement: PlacementRule,
+    /// Numbers of all attributes that a remesh carries over, three for a normal.
+    pub attributes: u64,
+    /// Bytes of lists beside the surface (sizes, weights, creases): as they come, and as they are held.
+    pub list_bytes: u64,
+    /// Whether points are added until a tolerance is met.
+    pub refines: bool,
+    /// Whether a remesh is measured.
+    pub measures: bool,
+    /// Whether a diagram's pieces are written.
+    pub cells: bool,
+}
+
+impl Counts {
+    /// With the options that a remesh has if nothing is said: 5 and 30 steps, fitted, measured, even edges.
+    pub fn new(kind: Kind, backend: BackendKind, vertices: u64, facets: u64, points: u64) -> Self {
+        Self {
+            kind,
+            backend,
+            vertices,
+            facets,
+            points,
+            steps: 35,
+            // A binary file in single precision; who knows better says so.
+            input_bytes: vertices.saturating_mul(12).saturating_add(facets.saturating_mul(13)),
+            density: DensityKind::Uniform,
+            placement: PlacementRule::Fitted,
+            attributes: 0,
+            list_bytes: 0,
+            refines: false,
+            measures: true,
+            cells: false,
+        }
+    }
+}
+
+/// What a job needs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Need {
+    /// Growth of the process's memory over that of an idle one, at most, and buffers on the device.
+    pub memory: Bytes,
+    /// Time that it takes on a CPU, most often within a factor of two. A job on a GPU is taken to be as long.
+    pub seconds: f64,
+}
+
+/// What a job needs, with so many threads.
+pub fn need(counts: &Counts, threads: usize) -> Need {
+    let counts = Counts { facets: divided(counts), ..*counts };
+    Need {
+        memory: Bytes { host: host_bytes(&counts, threads), device: device_bytes(&counts) },
+        seconds: seconds(&counts, threads),
+    }
+}
+
+/// Facets after long ones were divided, so that none is much larger than a cell.
+fn divided(counts: &Counts) -> u64 {
+    match counts.kind {
+        Kind::Rvd => counts.facets,
+        Kind::Remesh | Kind::Cvt => counts.facets.max(counts.points / 2),
+    }
+}
+
+/// Bytes of the plan of the job's session.
+fn device_bytes(counts: &Counts) -> u64 {
+    if counts.backend != BackendKind::Gpu {
+        return 0;
+    }
+    let graded = counts.density != DensityKind::Uniform;
+    let moved = counts.kind != Kind::Rvd && counts.steps > 0;
+    SessionForecast { facets: counts.facets, seeds: counts.points, graded, moved }.device_bytes()
+}
+
+const MIB: u64 = 1 << 20;
+
+/// Bytes that facets and points take, so many each.
+fn each(counts: &Counts, facet: u64, point: u64) -> u64 {
+    counts.facets.saturating_mul(facet).saturating_add(counts.points.saturating_mul(point))
+}
+
+/// The sum of six: what every job of its kind takes; what grows with its counts, at the stage that takes most; what the
+/// allocator keeps of memory that was freed, as much again where there is little; attributes; lists; and readback from a device.
+fn host_bytes(counts: &Counts, threads: usize) -> u64 {
+    let (least, work) = match counts.kind {
+        Kind::Remesh => {
+            let fitted = counts.placement == PlacementRule::Fitted;
+            let (facet, point) = (530, if fitted { 4000 } else { 3100 });
+            // The best result is kept beside the next one.
+            let (facet, point) = if counts.refines { (facet * 3 / 2, point * 7 / 4) } else { (facet, point) };
+            (28 * MIB, each(counts, facet, point))
+        }
+        // The surface while it is prepared, or the diagram.
+        Kind::Rvd => {
+            let batches = if counts.cells { 24 * MIB } else { 0 };
+            (3 * MIB + batches, each(counts, 165, 0).max(each(counts, 60, 500)))
+        }
+        Kind::Cvt => (6 * MIB, each(counts, CVT_BYTES.0, CVT_BYTES.1)),
+    };
+    let mesh = counts.vertices.saturating_mul(24).saturating_add(counts.facets.saturating_mul(12));
+    let read = counts.input_bytes.saturating_add(mesh.saturating_mul(2));
+    let grows = work.max(read);
+    let kept = grows.min((threads as u64).saturating_mul(7 * MIB).saturating_add(18 * MIB));
+    let carried = counts.attributes.saturating_mul(16);
+    let readback = if counts.backend == BackendKind::Gpu { 32 * MIB } else { 0 };
+    [least, grows, kept, carried, counts.list_bytes, readback].into_iter().fold(0, u64::saturating_add)
+}
+
+/// Bytes of a session for each facet and each seed.
+const CVT_BYTES: (u64, u64) = (180, 650);
+
+/// By two threads of the machine in docs/performance.md, each microsecond; more threads take less.
+fn seconds(counts: &Counts, threads: usize) -> f64 {
+    let (facets, points, steps) = (counts.facets as f64, counts.points as f64, counts.steps as f64);
+    let threads = if counts.backend == BackendKind::Serial { 1.0 } else { threads.max(1) as f64 };
+    let density = match counts.density {
+        DensityKind::Uniform | DensityKind::Weights => 0.0,
+        DensityKind::EdgeLengths => 0.5,
+        DensityKind::Curvature => 1.4,
+        DensityKind::FeatureSize => 5.4,
+    } * facets;
+    let step = 0.025 * facets + 0.24 * points;
+    let fit = if counts.placement == PlacementRule::Fitted { 2.7 * facets + 4.5 * points } else { 0.0 };
+    let measure = if counts.measures { 0.07e6 + 0.2 * facets + 1.5 * points } else { 0.0 };
+    let cells = if counts.cells { 1.5 * (facets + points) } else { 0.0 };
+    let (steps, other) = match counts.kind {
+        Kind::Remesh => (steps * step, density + 1.2 * facets + 7.5 * points + fit + measure),
+        Kind::Rvd => (4.0 * step, density + 0.4 * facets + 0.5 * points + cells),
+        Kind::Cvt => (steps * step, density + 0.7 * facets + points),
+    };
+    let attempts = if counts.refines { 6.0 } else { 1.0 };
+    // Steps are shared by all threads, the rest by some.
+    0.02 + 1e-6 * attempts * (steps * 2.0 / threads + other * (0.6 + 0.8 / threads))
+}
+
+#[cfg(test)]
+mod calibration;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,594 @@
+//! Jobs that are kept, done by this process.
+//!
+//! Purpose: [`Executor`] is the [`JobApi`] of one server: it keeps jobs in a [`JobStore`], queues them for the engine, does
+//! them and stores their results; and it takes them up again after a restart.
+//! Invariant: an acknowledged job is in the store. A job's input is pinned from before it is acknowledged until it has
+//! ended, and its result from before it is visible until it expires or is deleted. A job is done by whoever claimed it: what
+//! becomes of one that was cancelled or expired meanwhile is thrown away. Must not know: messages, streams, which store.
+
+mod queue;
+mod running;
+mod storage;
+
+use std::path::PathBuf;
+use std::sync::{Arc, Weak};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use async_trait::async_trait;
+use tokio::runtime::Handle;
+use tokio::sync::{mpsc, watch};
+
+use super::JobError;
+use super::api::{Estimate, JobApi, JobApiError};
+use super::bytes::Bytes;
+use super::engine::Engine;
+use super::estimate::Counts;
+use super::event::{Events, Progress};
+use super::forecast::{Forecast, must_fit};
+use super::input::JobBounds;
+use super::observer::Origin;
+use super::preview::{PreviewReceiver, Previews};
+use super::record::{Change, FailureKind, Holder, Job, JobId, JobSpec, Outcome, Time, ValidSpec};
+use super::schedule::AdmissionRequest;
+use super::state::State;
+use super::store::{
+    Created, JobStore, MAX_CRASHES, MemoryStore, NewJob, Orphans, Page, Query, RedbOptions, RedbStore, Retention,
+    StoreError,
+};
+use crate::blob::{BlobError, BlobOptions, BlobStore, ObjectBlobs, Owner};
+use queue::{JobQueue, LocalQueue};
+use storage::Storage;
+use telemetry::trace;
+
+/// How often jobs that are over are looked for.
+const SWEEP: Duration = Duration::from_secs(1);
+/// How often a storage that is well is checked, in sweeps.
+const STORAGE_CHECK: u32 = 5;
+/// How often uploads that nobody continues are looked for, in sweeps.
+const SWEEP_UPLOADS: u32 = 600;
+/// Jobs that one sweep removes at most.
+const SWEEP_BATCH: usize = 1000;
+/// How long a claim is good without another word.
+const LEASE: Duration = Duration::from_secs(60);
+/// Progress that waits to be recorded.
+const PROGRESS: usize = 4096;
+
+/// How jobs are kept.
+#[derive(Clone, Debug)]
+pub struct ExecutorOptions {
+    /// Jobs that may wait.
+    pub waiting_jobs: usize,
+    /// How long results are kept after a job has ended.
+    pub keep_results: Duration,
+    /// How long jobs without a result are kept.
+    pub keep_records: Duration,
+    /// Times that a job may be at work when the process goes down; then it fails.
+    pub max_crashes: u32,
+    /// What a job may ask for.
+    pub bounds: JobBounds,
+}
+
+impl ExecutorOptions {
+    /// The defaults, with these bounds.
+    pub fn new(bounds: JobBounds) -> Self {
+        Self {
+            waiting_jobs: 100_000,
+            keep_results: Duration::from_secs(24 * 3600),
+            keep_records: Duration::from_secs(7 * 24 * 3600),
+            max_crashes: MAX_CRASHES,
+            bounds,
+        }
+    }
+}
+
+/// What blobs may take.
+#[derive(Clone, Copy, Debug)]
+pub struct BlobRoom {
+    /// All together, bytes.
+    pub quota_bytes: u64,
+    /// Of the disk they leave so much free, bytes.
+    pub reserve_bytes: u64,
+}
+
+impl Default for BlobRoom {
+    fn default() -> Self {
+        let BlobOptions { quota_bytes, reserve_bytes, .. } = BlobOptions::default();
+        Self { quota_bytes, reserve_bytes }
+    }
+}
+
+impl BlobRoom {
+    fn options(self) -> BlobOptions {
+        BlobOptions::default().with_quota_bytes(self.quota_bytes).with_reserve_bytes(self.reserve_bytes)
+    }
+}
+
+/// Where jobs and blobs are kept.
+#[derive(Clone)]
+pub struct Stores {
+    /// Jobs.
+    pub jobs: Arc<dyn JobStore>,
+    /// Blobs.
+    pub blobs: Arc<dyn BlobStore>,
+}
+
+impl Stores {
+    /// In a folder, which is made if need be; with so much room for blobs.
+    ///
+    /// # Errors
+    /// `InUse` if another process has it, or why it cannot be used.
+    pub async fn in_folder(folder: PathBuf, room: BlobRoom) -> Result<Self, JobApiError> {
+        let jobs = journal(folder.clone()).await?;
+        let blobs = ObjectBlobs::local(folder.join("blobs"), room.options()).await?;
+        Ok(Self { jobs, blobs: Arc::new(blobs) })
+    }
+
+    /// Jobs in a folder, which is made if need be; blobs in a bucket, `s3://bucket/prefix`, whose address and keys are in the
+    /// variables `AWS_ENDPOINT`, `AWS_REGION`, `AWS_ACCESS_KEY_ID` and so on.
+    ///
+    /// # Errors
+    /// `InUse` if another process has the folder, or why folder or bucket cannot be used.
+    pub async fn in_bucket(folder: PathBuf, url: &str, room: BlobRoom) -> Result<Self, JobApiError> {
+        #[cfg(feature = "s3")]
+        {
+            let jobs = journal(folder).await?;
+            let blobs = ObjectBlobs::s3(url, [], room.options()).await?;
+            Ok(Self { jobs, blobs: Arc::new(blobs) })
+        }
+        #[cfg(not(feature = "s3"))]
+        {
+            let _ = (folder, room);
+            Err(BlobError::Unavailable(format!("{url}: this program was built without the feature s3")).into())
+        }
+    }
+
+    /// In memory, gone with the process; with so much room for blobs.
+    pub fn ephemeral(room: BlobRoom) -> Self {
+        Self { jobs: Arc::new(MemoryStore::default()), blobs: Arc::new(ObjectBlobs::in_memory(room.options())) }
+    }
+}
+
+/// Opens the journal of a folder.
+async fn journal(folder: PathBuf) -> Result<Arc<dyn JobStore>, JobApiError> {
+    let opened = tokio::task::spawn_blocking(move || RedbStore::open(&folder, RedbOptions::default())).await;
+    Ok(Arc::new(opened.map_err(|error| JobApiError::Job(JobError::Panicked(error.to_string())))??))
+}
+
+/// See the module's head. Clones share one state.
+#[derive(Clone)]
+pub struct Executor {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    stores: Stores,
+    engine: Engine,
+    options: ExecutorOptions,
+    forecast: Forecast,
+    /// How this process calls itself.
+    name: String,
+    runtime: Handle,
+    queue: Box<dyn JobQueue>,
+    storage: Storage,
+    progress: mpsc::Sender<ProgressCommand>,
+    previews: Previews,
+    /// Whether the store has failed for good.
+    broken: watch::Sender<bool>,
+}
+
+/// What the task that records progress is to do, in order.
+enum ProgressCommand {
+    Record {
+        id: JobId,
+        at: u64,
+        what: Progress,
+        now: Time,
+    },
+    /// All before it are kept.
+    Flush(tokio::sync::oneshot::Sender<()>),
+}
+
+/// The time now.
+pub(crate) fn now() -> Time {
+    Time(SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| u64::try_from(since.as_millis()).unwrap_or(0)))
+}
+
+/// The name under which a job's input is pinned.
+fn input_pin(id: JobId) -> String {
+    format!("input:{id}")
+}
+
+/// The name under which a job's result is pinned.
+fn result_pin(id: JobId) -> String {
+    format!("result:{id}")
+}
+
+impl Executor {
+    /// Takes up the jobs of `stores`: those that were at work when the process went down wait again, or fail if that was
+    /// not the first time. To be called within a runtime.
+    ///
+    /// # Errors
+    /// What the stores say.
+    pub async fn start(engine: Engine, stores: Stores, options: ExecutorOptions) -> Result<Self, JobApiError> {
+        let (progress, commands) = mpsc::channel(PROGRESS);
+        let forecast = Forecast::new(Arc::clone(&stores.blobs), engine.clone(), options.bounds.max_seeds);
+        let inner = Arc::new_cyclic(|inner: &Weak<Inner>| {
+            let inner = Weak::clone(inner);
+            let begin = move |id| -> queue::Work {
+                let mut work = running::Work::new(Weak::clone(&inner), id);
+                Box::new(move |backends, context| work.run(backends, context))
+            };
+            Inner {
+                stores,
+                queue: Box::new(LocalQueue::new(engine.clone(), begin)),
+                engine,
+                options,
+                storage: Storage::default(),
+                forecast,
+                name: format!("process {}", std::process::id()),
+                runtime: Handle::current(),
+                progress,
+                previews: Previews::default(),
+                broken: watch::Sender::new(false),
+            }
+        });
+        inner.recover().await?;
+        tokio::spawn(record_progress(Arc::clone(&inner.stores.jobs), commands));
+        tokio::spawn(sweep(Arc::downgrade(&inner)));
+        Ok(Self { inner })
+    }
+}
+
+/// Records the progress of jobs. What is no longer of interest is left out by the store.
+async fn record_progress(jobs: Arc<dyn JobStore>, mut commands: mpsc::Receiver<ProgressCommand>) {
+    while let Some(command) = commands.recv().await {
+        match command {
+            ProgressCommand::Record { id, at, what, now } => {
+                if let Err(error) = jobs.progress(id, at, what, now).await {
+                    tracing::debug!(%id, %error, "progress not kept");
+                }
+            }
+            ProgressCommand::Flush(done) => drop(done.send(())),
+        }
+    }
+}
+
+/// Lets go of what is over, again and again.
+async fn sweep(inner: Weak<Inner>) {
+    let mut sweeps = 0u32;
+    loop {
+        tokio::time::sleep(SWEEP).await;
+        let Some(inner) = inner.upgrade() else { return };
+        sweeps = sweeps.wrapping_add(1);
+        if sweeps.is_multiple_of(STORAGE_CHECK) || inner.storage.is_down() {
+            inner.storage.check(inner.stores.blobs.as_ref()).await;
+        }
+        match inner.expire().await {
+            Ok(()) => {}
+            Err(error @ (StoreError::Broken { .. } | StoreError::Closed)) => {
+                tracing::error!(%error, "nothing more can be kept");
+                inner.broken.send_replace(true);
+                return;
+            }
+            Err(error) => tracing::error!(%error, "jobs that are over could not be let go of"),
+        }
+        if sweeps.is_multiple_of(SWEEP_UPLOADS)
+            && let Err(error) = inner.stores.blobs.sweep().await
+        {
+            tracing::error!(%error, "uploads that nobody continues could not be let go of");
+        }
+    }
+}
+
+impl Inner {
+    /// Takes up what was kept.
+    async fn recover(&self) -> Result<(), JobApiError> {
+        let jobs = &self.stores.jobs;
+        let recovered = jobs.recover(now(), Orphans::All, self.options.max_crashes).await?;
+        if !recovered.requeued.is_empty() || !recovered.failed.is_empty() {
+            let (again, failed) = (recovered.requeued.len(), recovered.failed.len());
+            tracing::warn!(again, failed, "the process went down with jobs at work");
+        }
+        let mut query = Query { states: vec![State::Succeeded], limit: Query::MAX_LIMIT, ..Query::default() };
+        loop {
+            let page = jobs.list(query.clone()).await?;
+            for job in &page.jobs {
+                let Some(Outcome::Succeeded(result)) = &job.status.outcome else { continue };
+                let digests: Vec<_> = result.blobs.values().copied().collect();
+                let owner = Owner::of(&job.spec.tenant);
+                self.pin_again(owner, &result_pin(job.id), &digests).await?;
+                // Blobs that an earlier version stored are nobody's.
+                self.stores.blobs.claim(owner, &digests).await?;
+            }
+            query.token = page.next;
+            if query.token.is_none() {
+                break;
+            }
+        }
+        for id in &recovered.queued {
+            let job = jobs.get(*id).await?;
+            let (owner, digests) = (Owner::of(&job.spec.tenant), job.spec.blobs());
+            self.pin_again(owner, &input_pin(*id), &digests).await?;
+            self.stores.blobs.claim(owner, &digests).await?;
+        }
+        // Only now: a job that is done may evict what is not pinned.
+        for id in &recovered.queued {
+            self.enqueue(&jobs.get(*id).await?).await?;
+        }
+        if !recovered.queued.is_empty() {
+            tracing::info!(jobs = recovered.queued.len(), "taken up again");
+        }
+        Ok(())
+    }
+
+    /// Pins what is there of some blobs. Those that are missing are found missing when they are needed.
+    async fn pin_again(&self, owner: Owner, name: &str, digests: &[crate::blob::Digest]) -> Result<(), JobApiError> {
+        for digest in digests {
+            match self.stores.blobs.pin_for(owner, name, &[*digest]).await {
+                Ok(()) => {}
+                Err(BlobError::NotFound { .. }) => tracing::warn!(name, %digest, "a blob that a job needs is gone"),
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(())
+    }
+
+    async fn unpin(&self, name: &str) {
+        if let Err(error) = self.stores.blobs.unpin(name).await {
+            tracing::error!(%error, name, "blobs stay pinned");
+        }
+    }
+
+    /// Queues a job for the engine.
+    async fn enqueue(&self, job: &Job) -> Result<(), JobApiError> {
+        // Its blobs may be gone.
+        let counts = self.forecast.counts(&job.spec, None).await.ok();
+        let need = counts.as_ref().map(|counts| self.forecast.need(counts));
+        let origin = counts.as_ref().map(|counts| Origin::of(counts, Some(job.id)));
+        let request = AdmissionRequest {
+            tenant: job.spec.tenant.as_str().into(),
+            weight: self.engine.weights().of(&job.spec.tenant),
+            priority: job.spec.priority.unwrap_or(0),
+            seconds: need.map_or(1.0, |need| need.seconds),
+            memory: need.map_or(Bytes::default(), |need| need.memory),
+            is_persistent: true,
+            has_continuations: false,
+            origin,
+        };
+        let limit = job.spec.deadlines.run_ms.map(Duration::from_millis);
+        Ok(self.queue.push(job.id, request, limit)?)
+    }
+
+    /// A job of this tenant.
+    async fn of_tenant(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
+        let job = self.stores.jobs.get(id).await?;
+        if job.spec.tenant != tenant {
+            return Err(StoreError::NotFound { id }.into());
+        }
+        Ok(job)
+    }
+
+    async fn expire(&self) -> Result<(), StoreError> {
+        let keep = Retention { results: self.options.keep_results, records: self.options.keep_records };
+        loop {
+            let swept = self.stores.jobs.expire(now(), keep, SWEEP_BATCH).await?;
+            for id in swept.expired.iter().chain(&swept.deleted) {
+                self.queue.remove(*id);
+                self.previews.end(*id);
+                self.unpin(&input_pin(*id)).await;
+                self.unpin(&result_pin(*id)).await;
+            }
+            if !swept.more {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Whether this server takes a job with these counts.
+    fn within_bounds(&self, counts: &Counts) -> Result<(), JobApiError> {
+        let bounds = &self.options.bounds;
+        for (field, what, count, most) in [
+            // An STL file is counted with three vertices a facet.
+            ("mesh", "vertices", counts.vertices, bounds.max_vertices.saturating_mul(3)),
+            ("mesh", "facets", counts.facets, bounds.max_facets),
+            ("work", "seeds", counts.points, bounds.max_seeds),
+            ("work", "steps", counts.steps, bounds.max_iterations.into()),
+        ] {
+            if count > most {
+                let problem = format!("asks for {count} {what}; this server takes at most {most}");
+                return Err(JobApiError::Input { field: field.to_owned(), problem });
+            }
+        }
+        Ok(())
+    }
+
+    /// The blobs that a job names must be its tenant's: those of others do not exist for it.
+    async fn check_input(&self, spec: &JobSpec) -> Result<(), JobApiError> {
+        let missing = self.stores.blobs.find_missing_of(Owner::of(&spec.tenant), &spec.blobs()).await?;
+        missing.first().map_or(Ok(()), |digest| Err(BlobError::NotFound { digest: *digest }.into()))
+    }
+
+    /// Whether one more job of a tenant may wait. Asks no store, so that who comes in excess is refused at once.
+    fn has_place(&self, tenant: &str) -> Result<(), JobError> {
+        if self.queue.is_draining() {
+            return Err(JobError::Draining);
+        }
+        let full = |waiting| Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs(5) });
+        match (self.queue.len(), self.queue.len_of(tenant)) {
+            (waiting, _) if waiting >= self.options.waiting_jobs => full(waiting),
+            // One tenant leaves places to others.
+            (_, own) if own >= self.options.waiting_jobs.div_ceil(2) => full(own),
+            _ => Ok(()),
+        }
+    }
+
+    /// Checks all that can be checked before a job is kept.
+    async fn admit(&self, spec: &ValidSpec) -> Result<(), JobApiError> {
+        self.has_place(&spec.tenant)?;
+        self.engine.backend(spec.choice())?;
+        let counts = self.forecast.counts(spec, None).await?;
+        self.within_bounds(&counts)?;
+        must_fit(&self.forecast.need(&counts), self.forecast.limits())
+    }
+}
+
+#[async_trait]
+impl JobApi for Executor {
+    async fn create(&self, spec: JobSpec) -> Result<Created, JobApiError> {
+        let spec = spec.check()?;
+        let inner = Arc::clone(&self.inner);
+        // To its end, whoever still waits: what is pinned is unpinned, what is kept is queued.
+        let created = tokio::spawn(trace::carry(async move { inner.create(spec).await })).await;
+        created.map_err(|error| JobApiError::Job(JobError::Panicked(error.to_string())))?
+    }
+
+    async fn get(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
+        self.inner.of_tenant(tenant, id).await
+    }
+
+    async fn list(&self, query: Query) -> Result<Page, JobApiError> {
+        Ok(self.inner.stores.jobs.list(query).await?)
+    }
+
+    async fn events(&self, tenant: &str, id: JobId, after: u64, most: usize) -> Result<Events, JobApiError> {
+        self.inner.of_tenant(tenant, id).await?;
+        Ok(self.inner.stores.jobs.events(id, after, most).await?)
+    }
+
+    async fn wait(&self, tenant: &str, id: JobId, after: u64) -> Result<(), JobApiError> {
+        self.inner.of_tenant(tenant, id).await?;
+        Ok(self.inner.stores.jobs.wait(id, after).await?)
+    }
+
+    async fn preview(&self, tenant: &str, id: JobId) -> Result<PreviewReceiver, JobApiError> {
+        self.inner.of_tenant(tenant, id).await?;
+        let receiver = self.inner.previews.watch(id);
+        // It may have ended before it was watched.
+        if self.inner.of_tenant(tenant, id).await?.status.state.is_ended() {
+            self.inner.previews.end(id);
+        }
+        Ok(receiver)
+    }
+
+    async fn cancel(&self, tenant: &str, id: JobId) -> Result<Job, JobApiError> {
+        self.inner.of_tenant(tenant, id).await?;
+        let job = self.inner.stores.jobs.cancel(id, now()).await?;
+        self.inner.queue.remove(id);
+        self.inner.previews.end(id);
+        self.inner.unpin(&input_pin(id)).await;
+        Ok(job)
+    }
+
+    async fn delete(&self, tenant: &str, id: JobId) -> Result<(), JobApiError> {
+        self.inner.of_tenant(tenant, id).await?;
+        self.inner.stores.jobs.delete(id).await?;
+        self.inner.unpin(&result_pin(id)).await;
+        Ok(())
+    }
+
+    async fn estimate(
+        &self,
+        spec: JobSpec,
+        vertices: Option<u64>,
+        facets: Option<u64>,
+    ) -> Result<Estimate, JobApiError> {
+        let spec = spec.check()?;
+        self.inner.engine.backend(spec.choice())?;
+        let given = vertices.zip(facets);
+        let counts = self.inner.forecast.counts(&spec, given).await?;
+        let need = self.inner.forecast.need(&counts);
+        let limits = self.inner.forecast.limits();
+        let in_bounds = self.inner.within_bounds(&counts).is_ok();
+        Ok(Estimate {
+            host_bytes: need.memory.host,
+            host_limit_bytes: limits.host,
+            device_bytes: need.memory.device,
+            device_limit_bytes: if limits.device == u64::MAX { 0 } else { limits.device },
+            seconds: need.seconds,
+            fits: in_bounds && need.memory.fits(limits),
+        })
+    }
+
+    async fn failed(&self) {
+        let mut broken = self.inner.broken.subscribe();
+        if broken.wait_for(|broken| *broken).await.is_err() {
+            std::future::pending::<()>().await;
+        }
+    }
+
+    fn storage(&self) -> watch::Receiver<Option<BlobError>> {
+        self.inner.storage.watch()
+    }
+
+    async fn drain(&self) {
+        self.inner.queue.drain().await;
+    }
+}
+
+impl Inner {
+    async fn create(self: Arc<Self>, spec: ValidSpec) -> Result<Created, JobApiError> {
+        // Its input may be gone by now, and is not needed.
+        if !spec.request_id.is_empty()
+            && let Some(job) = self.stores.jobs.requested(spec.clone()).await?
+        {
+            return Ok(Created { job, existed: true });
+        }
+        self.has_place(&spec.tenant)?;
+        let random = getrandom_u128()?;
+        let time = now();
+        let id = JobId::new(time, random);
+        let pin = input_pin(id);
+        self.check_input(&spec).await?;
+        // Before anything is promised: from here on nothing evicts the input.
+        self.stores.blobs.pin_for(Owner::of(&spec.tenant), &pin, &spec.blobs()).await?;
+        let created = match self.admit(&spec).await {
+            Ok(()) => self.stores.jobs.create(NewJob { id, spec, now: time }).await.map_err(JobApiError::from),
+            Err(error) => Err(error),
+        };
+        match created {
+            Ok(created) if !created.existed => {
+                // Kept is kept: if it cannot be queued now, the next start does.
+                if let Err(error) = self.enqueue(&created.job).await {
+                    tracing::warn!(%id, %error, "a job waits for the next start");
+                }
+                Ok(created)
+            }
+            other => {
+                self.unpin(&pin).await;
+                other
+            }
+        }
+    }
+}
+
+/// A number that nobody else has.
+fn getrandom_u128() -> Result<u128, JobApiError> {
+    let mut bytes = [0; 16];
+    getrandom::fill(&mut bytes).map_err(|error| {
+        JobApiError::Job(JobError::Panicked(format!("the operating system gives no random numbers: {error}")))
+    })?;
+    Ok(u128::from_le_bytes(bytes))
+}
+
+/// What the holder of a claim says of itself.
+fn holder(name: &str) -> Holder {
+    Holder { name: name.to_owned(), until: now().after(LEASE) }
+}
+
+/// Whether a change was refused because somebody else changed the job: it was cancelled, or its time was over.
+fn is_outdated(error: &StoreError) -> bool {
+    matches!(error, StoreError::Stale { .. } | StoreError::Transition { .. } | StoreError::NotFound { .. })
+}
+
+/// The longest message of a failure, characters: every list of jobs holds it.
+const MOST_WORDS: usize = 1000;
+
+/// A failure as a change.
+fn failed(kind: FailureKind, message: impl Into<String>) -> Change {
+    let mut message: String = message.into();
+    if let Some((end, _)) = message.char_indices().nth(MOST_WORDS) {
+        message.truncate(end);
+        message.push_str("...");
+    }
+    Change::Fail(super::record::Failure { kind, message })
+}

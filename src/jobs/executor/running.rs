@@ -1,0 +1,287 @@
+//! One job at work.
+//!
+//! Purpose: [`Work`] claims a job, does it on a host thread, keeps its result and says how it ended.
+//! Invariant: a result is pinned before it is named by the job. Who finds the job changed by others stops and leaves no
+//! pin. A stop because of a shutdown puts the job back. Must not know: queues, messages.
+
+use std::sync::{Arc, Weak};
+use std::time::Duration;
+
+use futures_util::TryStreamExt;
+use glam::DVec3;
+
+use super::storage::StorageError;
+use super::{Inner, ProgressCommand, failed, holder, input_pin, is_outdated, now, result_pin};
+use crate::blob::{BlobError, Digest, Owner, put};
+use crate::call::{ATTEMPTS, WorkContext};
+use crate::event::Progress;
+use crate::input::{ReadBlob, WorkError};
+use crate::observer::{self, JobOutcome};
+use crate::perform::{Audience, JobContext, Parts, perform};
+use crate::record::{Cause, Change, FailureKind, Job, JobId, ResultSet};
+use crate::store::StoreError;
+use crate::worker::Device;
+use crate::{Backends, JobError};
+use geometry::remesh::RemeshError;
+use geometry::rvd::RvdError;
+use geometry::token::{Stopped, Token};
+
+/// How long the last progress of a job may take to be recorded.
+const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// See the module's head. Called again after a lost device.
+pub(super) struct Work {
+    inner: Weak<Inner>,
+    id: JobId,
+    claimed: Option<Job>,
+    attempts: usize,
+}
+
+/// Whether this process ends for want of its device.
+fn is_ending(inner: &Inner) -> bool {
+    *inner.engine.watch_device().borrow() == Device::Missing
+}
+
+/// Reads blobs on a thread that may wait.
+struct Blobs<'a>(&'a Inner, &'a Token);
+
+impl Blobs<'_> {
+    fn patiently<T>(&self, call: impl FnMut() -> Result<T, BlobError>) -> Result<T, BlobError> {
+        self.0.storage.patiently(self.1, call).map_err(|unstored| match unstored {
+            StorageError::Blob(error) => error,
+            // Whoever reads asks the token next.
+            StorageError::Stopped(reason) => BlobError::Unavailable(reason.to_string()),
+        })
+    }
+
+    fn read_once(&self, digest: Digest) -> Result<Vec<u8>, BlobError> {
+        self.0.runtime.block_on(async {
+            let read = self.0.stores.blobs.read(digest, 0..u64::MAX).await?;
+            let mut all = Vec::with_capacity(usize::try_from(read.info.size_bytes).unwrap_or(0));
+            let mut bytes = read.bytes;
+            // A file that another program changed would give another result, and nobody would know: the store looks at it.
+            while let Some(piece) = bytes.try_next().await? {
+                all.extend_from_slice(&piece);
+            }
+            Ok(all)
+        })
+    }
+}
+
+impl ReadBlob for Blobs<'_> {
+    fn read(&self, digest: Digest) -> Result<Vec<u8>, BlobError> {
+        self.patiently(|| self.read_once(digest))
+    }
+
+    fn size_bytes(&self, digest: Digest) -> Result<u64, BlobError> {
+        self.patiently(|| self.0.runtime.block_on(async { Ok(self.0.stores.blobs.stat(digest).await?.size_bytes) }))
+    }
+}
+
+impl Work {
+    pub(super) fn new(inner: Weak<Inner>, id: JobId) -> Self {
+        Self { inner, id, claimed: None, attempts: 0 }
+    }
+
+    /// Does it, once or again.
+    pub(super) fn run(&mut self, backends: &Backends, context: &WorkContext) -> Result<(), JobError> {
+        self.attempts += 1;
+        let Some(inner) = self.inner.upgrade() else { return Ok(()) };
+        let Some(job) = self.claim(&inner) else { return Ok(()) };
+        let at_work = AtWork { inner, job, token: context.token.clone(), activity: Arc::clone(&context.activity) };
+        let outcome = at_work.perform(backends);
+        let lost = match &outcome {
+            Err(WorkError::Job(error)) if error.is_device_lost() => Some(error.clone()),
+            _ => None,
+        };
+        match lost {
+            Some(error) if self.attempts < ATTEMPTS => Err(error),
+            lost => {
+                at_work.record_outcome(outcome);
+                at_work.inner.previews.end(self.id);
+                lost.map_or(Ok(()), Err)
+            }
+        }
+    }
+
+    /// The job, if it still is to be done.
+    fn claim(&mut self, inner: &Inner) -> Option<Job> {
+        if self.claimed.is_none() {
+            match inner.runtime.block_on(inner.stores.jobs.claim(self.id, holder(&inner.name), now())) {
+                Ok(job) => self.claimed = Some(job),
+                Err(error) if is_outdated(&error) => {}
+                Err(error) => {
+                    tracing::error!(id = %self.id, %error, "a job could not be claimed; it waits for the next start");
+                }
+            }
+        }
+        self.claimed.clone()
+    }
+}
+
+/// A job that was claimed.
+struct AtWork {
+    inner: Arc<Inner>,
+    job: Job,
+    token: Token,
+    activity: Arc<observer::Activity>,
+}
+
+impl Audience for &AtWork {
+    fn progress(&mut self, what: Progress) {
+        if matches!(what, Progress::Iteration { .. }) {
+            self.activity.iterated(1);
+        }
+        let (id, at) = (self.job.id, self.job.status.version);
+        // What the journal is too slow for is left out: the report has all.
+        let _ = self.inner.progress.try_send(ProgressCommand::Record { id, at, what, now: now() });
+    }
+
+    fn wants_seeds(&self) -> bool {
+        self.inner.previews.is_watched(self.job.id)
+    }
+
+    fn seeds(&mut self, steps: usize, seeds: &[DVec3]) {
+        self.inner.previews.show(self.job.id, steps as u64, seeds);
+    }
+}
+
+impl AtWork {
+    fn perform(&self, backends: &Backends) -> Result<ResultSet, WorkError> {
+        let (inner, job) = (&*self.inner, &self.job);
+        let blobs = Blobs(inner, &self.token);
+        let bounds = &inner.options.bounds;
+        let mut context = JobContext { backends, blobs: &blobs, bounds, token: &self.token, audience: &mut { self } };
+        let parts = perform(&job.spec, &mut context).map_err(|trouble| match (trouble, self.token.stopped()) {
+            // It was stopped while it waited for its input.
+            (WorkError::Failure(_), Some(reason)) => WorkError::from(reason),
+            (trouble, _) => trouble,
+        })?;
+        self.keep(parts)
+    }
+
+    /// Stores the parts of a result.
+    fn keep(&self, parts: Parts) -> Result<ResultSet, WorkError> {
+        let (inner, pin) = (&*self.inner, result_pin(self.job.id));
+        let mut result = ResultSet::default();
+        let (bytes, usage) = (
+            parts.iter().map(|part| part.1.len() as u64).sum::<u64>(),
+            inner.runtime.block_on(inner.stores.blobs.usage()),
+        );
+        if let Some(limit) = usage.ok().map(|usage| usage.limit_bytes).filter(|limit| bytes > *limit) {
+            let text = format!("the result has {bytes} bytes, and this server keeps {limit} in all; ask for less");
+            return Err(crate::input::failure(FailureKind::TooLarge, text));
+        }
+        for (name, bytes) in parts {
+            let store = || inner.runtime.block_on(put(inner.stores.blobs.as_ref(), bytes.clone(), Some(&pin)));
+            let info = inner.storage.patiently(&self.token, store).map_err(|unstored| match unstored {
+                StorageError::Stopped(reason) => WorkError::from(reason),
+                StorageError::Blob(error) => {
+                    let kind = match error {
+                        BlobError::TooLarge { .. } => FailureKind::TooLarge,
+                        _ => FailureKind::Unavailable,
+                    };
+                    crate::input::failure(kind, format!("the result cannot be kept: {error}"))
+                }
+            })?;
+            result.blobs.insert(name, info.digest);
+        }
+        // Before the job names it: what a tenant is told of is its own.
+        let (owner, digests): (_, Vec<_>) =
+            (Owner::of(&self.job.spec.tenant), result.blobs.values().copied().collect());
+        let given = inner.runtime.block_on(async {
+            inner.stores.blobs.pin_for(owner, &pin, &digests).await?;
+            inner.stores.blobs.claim(owner, &digests).await
+        });
+        given.map_err(|error| {
+            crate::input::failure(FailureKind::Unavailable, format!("the result cannot be kept: {error}"))
+        })?;
+        Ok(result)
+    }
+
+    /// Records how the job ended.
+    fn record_outcome(&self, outcome: Result<ResultSet, WorkError>) {
+        let (inner, job) = (&*self.inner, &self.job);
+        let change = match outcome {
+            Ok(result) => Change::Succeed(result),
+            Err(WorkError::Failure(failure)) => failed(failure.kind, failure.message),
+            Err(WorkError::Job(error)) => match self.change_of(&error) {
+                Some(change) => change,
+                // Whoever cancelled it has said so.
+                None => {
+                    self.activity.set_outcome(JobOutcome::Cancelled);
+                    inner.runtime.block_on(inner.unpin(&result_pin(job.id)));
+                    return;
+                }
+            },
+        };
+        let keeps = matches!(change, Change::Succeed(_));
+        match &change {
+            Change::Succeed(_) => {}
+            Change::Release => self.activity.set_outcome(JobOutcome::Released),
+            _ => self.activity.set_outcome(JobOutcome::Failed),
+        }
+        let name = change.transition();
+        inner.runtime.block_on(async {
+            let (done, kept) = tokio::sync::oneshot::channel();
+            if inner.progress.send(ProgressCommand::Flush(done)).await.is_ok() {
+                let _ = tokio::time::timeout(FLUSH_TIMEOUT, kept).await;
+            }
+            let changed = inner.stores.jobs.change(job.id, job.status.version, change, now()).await;
+            match &changed {
+                Ok(_) => tracing::info!(id = %job.id, outcome = ?name, "a job ended"),
+                Err(error) if is_outdated(error) => {}
+                Err(error) => tracing::error!(id = %job.id, %error, "the end of a job could not be kept"),
+            }
+            if changed.is_err() || !keeps {
+                inner.unpin(&result_pin(job.id)).await;
+            }
+            let released = matches!(name, crate::state::Transition::Release);
+            if !released && !matches!(changed, Err(StoreError::Broken { .. } | StoreError::Closed)) {
+                inner.unpin(&input_pin(job.id)).await;
+            }
+        });
+    }
+
+    /// What becomes of a job that was stopped or failed; nothing if somebody else has said so.
+    fn change_of(&self, error: &JobError) -> Option<Change> {
+        let (job, text) = (&self.job, error.to_string());
+        let stopped = self.token.stopped().or(match error.as_rvd() {
+            Some(RvdError::Stopped(reason)) => Some(*reason),
+            _ => None,
+        });
+        match stopped {
+            Some(Stopped::Cancelled) if self.inner.queue.is_draining() => return Some(Change::Release),
+            Some(Stopped::Cancelled) => return None,
+            Some(Stopped::Time { limit })
+                if job.spec.deadlines.run_ms.is_some_and(|ms| Duration::from_millis(ms) <= limit) =>
+            {
+                return Some(Change::Expire(Cause::RunDeadline));
+            }
+            Some(Stopped::Time { .. } | Stopped::Memory { .. }) => return Some(failed(FailureKind::TooLarge, text)),
+            None => {}
+        }
+        Some(match error {
+            JobError::Draining => Change::Release,
+            JobError::QueueFull { .. } => failed(FailureKind::Unavailable, text),
+            JobError::Panicked(what) => {
+                tracing::error!(id = %job.id, %what, "work panicked");
+                failed(FailureKind::Internal, "the work failed by a fault of the server; its log says where")
+            }
+            JobError::WorkerGone => failed(FailureKind::Internal, "the work was lost by a fault of the server"),
+            JobError::Mesh(_) => failed(FailureKind::BadInput, text),
+            JobError::Rvd(error) | JobError::Remesh(RemeshError::Rvd(error)) => match error {
+                RvdError::OutOfMemory { .. } | RvdError::NeverFits { .. } => failed(FailureKind::TooLarge, text),
+                // The process ends; the next one, or another machine, has a device.
+                RvdError::DeviceLost(_) if is_ending(&self.inner) => Change::Release,
+                RvdError::DeviceLost(_) | RvdError::BackendUnavailable { .. } => failed(FailureKind::Unavailable, text),
+                RvdError::Device(_) | RvdError::Internal(_) => {
+                    tracing::error!(id = %job.id, %text, "work failed");
+                    failed(FailureKind::Internal, "the work failed by a fault of the server; its log says why")
+                }
+                _ => failed(FailureKind::BadInput, text),
+            },
+            JobError::Remesh(_) => failed(FailureKind::BadInput, text),
+        })
+    }
+}

@@ -1,0 +1,426 @@
+//! What a job of the store will need.
+//!
+//! Purpose: [`Forecast`] finds the counts of a specification, from what it says and from its blobs, for
+//! [`estimate`](super::estimate). Invariant: a blob is looked at once: its counts are remembered. One that is large is not
+//! kept in memory for this; its size bounds what it can hold, that of what is packed in it if it is packed. Blobs that are not
+//! the tenant's do not exist. Must not know: queues, stores of jobs.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use futures_util::TryStreamExt;
+use tokio::sync::Semaphore;
+
+use super::api::{JobApiError, Memory};
+use super::bytes::Bytes;
+use super::engine::Engine;
+use super::estimate::{Counts, Kind, Need, need};
+use super::record::{
+    ArrayForm, AttributeKind, AttributeRef, DensityKind, JobSpec, MeshFormat, MeshSource, PlacementRule, RvdOutput,
+    SeedSource, WorkSpec,
+};
+use crate::blob::{BlobError, BlobStore, Digest, Owner};
+use geometry::mesh::io::{self, DataError};
+use geometry::remesh::RemeshOptions;
+use geometry::rvd::{BackendChoice, BackendKind};
+
+/// Larger blobs are not read for their counts, nor such in which more is packed.
+const READ_BYTES: u64 = 64 << 20;
+/// Blobs that are read at once.
+const AT_ONCE: usize = 2;
+/// Bytes of a point in a text, at the least.
+const TEXT_BYTES: u64 = 6;
+/// Blobs whose counts are remembered.
+const REMEMBERED: usize = 4096;
+
+/// What is known of a surface's file.
+#[derive(Clone, Copy, Debug)]
+struct File {
+    counts: (u64, u64),
+    /// What reading holds of it: its bytes, and what is packed in them.
+    bytes: u64,
+}
+
+/// See the module's head.
+pub struct Forecast {
+    blobs: Arc<dyn BlobStore>,
+    engine: Engine,
+    /// The most seeds that a job may have.
+    max_seeds: u64,
+    /// Who reads a blob for its counts: they lie in memory meanwhile.
+    reading: Semaphore,
+    known: Mutex<HashMap<(Digest, MeshFormat), File>>,
+}
+
+impl Forecast {
+    /// Predicts with what `engine` may use; `max_seeds` bounds a job.
+    pub fn new(blobs: Arc<dyn BlobStore>, engine: Engine, max_seeds: u64) -> Self {
+        Self { blobs, engine, max_seeds, reading: Semaphore::new(AT_ONCE), known: Mutex::default() }
+    }
+
+    /// What a job with these counts needs here.
+    pub fn need(&self, counts: &Counts) -> Need {
+        let threads = self.engine.backend(BackendChoice::Auto).map_or(1, |by| by.threads);
+        need(counts, threads)
+    }
+
+    /// What jobs here may need.
+    pub fn limits(&self) -> Bytes {
+        self.engine.memory()
+    }
+
+    /// The counts of a job; `given` are the surface's vertices and facets, if they are known.
+    ///
+    /// # Errors
+    /// `Blob`; `Input` if a blob holds no surface; `TooLarge` and `Packed` if more is packed in it than may be.
+    pub async fn counts(&self, spec: &JobSpec, given: Option<(u64, u64)>) -> Result<Counts, JobApiError> {
+        let owner = Owner::of(&spec.tenant);
+        // What a caller says of its file may be any number.
+        let bytes = |(vertices, facets): (u64, u64), each: (u64, u64)| {
+            vertices.saturating_mul(each.0).saturating_add(facets.saturating_mul(each.1))
+        };
+        let ((vertices, facets), input_bytes) = match (&spec.mesh, given) {
+            (MeshSource::Arrays { positions, facets, .. }, _) => {
+                let counts = (positions.count, facets.count);
+                (counts, bytes(counts, (24, 12)))
+            }
+            (MeshSource::File { .. }, Some(given)) => (given, bytes(given, (12, 13))),
+            (MeshSource::File { blob, format, .. }, None) => self.of_file(owner, *blob, *format).await?,
+        };
+        let kind = match &spec.work {
+            WorkSpec::Remesh(_) => Kind::Remesh,
+            WorkSpec::Rvd(_) => Kind::Rvd,
+            WorkSpec::Cvt(_) => Kind::Cvt,
+        };
+        let backend = self.engine.backend(spec.choice()).map_or(BackendKind::Parallel, |by| by.kind);
+        let mut counts = Counts { input_bytes, ..Counts::new(kind, backend, vertices, facets, 0) };
+        counts.list_bytes = self.list_bytes(owner, &spec.work, &counts).await;
+        match &spec.work {
+            WorkSpec::Remesh(work) => {
+                let usual = RemeshOptions::usual();
+                let steps = |given: Option<u32>, usual: usize| given.map_or(usual as u64, u64::from);
+                counts.steps = steps(work.lloyd_steps, usual.lloyd) + steps(work.newton_steps, usual.newton);
+                counts.density = work.density.kind();
+                counts.placement = work.placement.unwrap_or(PlacementRule::Fitted);
+                counts.refines = work.refinement.is_some();
+                if let MeshSource::Arrays { attributes, .. } = &spec.mesh {
+                    counts.attributes = attributes.iter().map(numbers_of).fold(0, u64::saturating_add);
+                }
+                let first = self.points(owner, &work.seeds, facets).await;
+                counts.points = match work.refinement {
+                    Some(refinement) => refinement.max_points.unwrap_or(first.saturating_mul(2)).max(first),
+                    None => first,
+                };
+            }
+            WorkSpec::Rvd(work) => {
+                counts.points = self.points(owner, &work.seeds, facets).await;
+                counts.steps = 0;
+                counts.cells = work.outputs.is_empty() || work.outputs.contains(&RvdOutput::Cells);
+                counts.density = if work.weights.is_some() { DensityKind::Weights } else { DensityKind::Uniform };
+            }
+            WorkSpec::Cvt(work) => {
+                counts.points = work.max_seeds.unwrap_or(0).max(self.points(owner, &work.seeds, facets).await);
+                counts.steps = work.commands.iter().map(super::perform::steps_of).sum();
+                counts.density = work.density.kind();
+            }
+        }
+        Ok(counts)
+    }
+
+    /// How many seeds there are at first. Of those that a density implies nothing is known here but that there are seldom
+    /// more than half as many as facets.
+    async fn points(&self, owner: Owner, seeds: &SeedSource, facets: u64) -> u64 {
+        match seeds {
+            SeedSource::Sampled { points: Some(points), .. } => *points,
+            SeedSource::Sampled { points: None, .. } => (facets / 2).clamp(1, self.max_seeds),
+            SeedSource::Given(array) if array.count > 0 => array.count,
+            SeedSource::Given(array) => {
+                let text = self.size_of(owner, array.blob).await;
+                text.map_or(1, |size_bytes| (size_bytes / TEXT_BYTES).clamp(1, self.max_seeds))
+            }
+        }
+    }
+
+    /// Bytes of the lists beside a surface: their text, and the numbers that are made of it.
+    async fn list_bytes(&self, owner: Owner, work: &WorkSpec, surface: &Counts) -> u64 {
+        // How many numbers there are, at most.
+        let (lengths, edges) = (surface.vertices, surface.facets.saturating_mul(3));
+        let ((lists, creases), seeds) = match work {
+            WorkSpec::Remesh(work) => (([work.density.edge_lengths, work.density.weights], work.creases), &work.seeds),
+            WorkSpec::Cvt(work) => (([work.density.edge_lengths, work.density.weights], None), &work.seeds),
+            WorkSpec::Rvd(work) => (([None, work.weights], None), &work.seeds),
+        };
+        let seeds = if let SeedSource::Given(array) = seeds { Some(*array) } else { None };
+        let lists = lists.map(|list| (list, lengths)).into_iter().chain([(creases, edges), (seeds, 0)]);
+        let mut bytes = 0u64;
+        for (array, most) in lists {
+            let Some(array) = array else { continue };
+            // As it comes. Text is as long as its blob, and has two bytes for a number.
+            let size_bytes = self.size_of(owner, array.blob).await.unwrap_or(0);
+            let count = if array.form == ArrayForm::Text { most.min(size_bytes / 2) } else { array.count };
+            // Twice eight bytes, while they are brought into another order or the list grows.
+            bytes = bytes.saturating_add(size_bytes).saturating_add(count.saturating_mul(16));
+        }
+        bytes
+    }
+
+    /// The size of a tenant's blob. What others have tells it nothing.
+    async fn size_of(&self, owner: Owner, blob: Digest) -> Result<u64, BlobError> {
+        match self.blobs.is_owned(owner, blob).await? {
+            true => Ok(self.blobs.stat(blob).await?.size_bytes),
+            false => Err(BlobError::NotFound { digest: blob }),
+        }
+    }
+
+    /// Vertices, facets and bytes of a surface's file.
+    async fn of_file(&self, owner: Owner, blob: Digest, format: MeshFormat) -> Result<((u64, u64), u64), JobApiError> {
+        let size_bytes = self.size_of(owner, blob).await?;
+        let known = |forecast: &Self| {
+            forecast.known.lock().unwrap_or_else(PoisonError::into_inner).get(&(blob, format)).copied()
+        };
+        if let Some(File { counts, bytes }) = known(self) {
+            return Ok((counts, bytes));
+        }
+        let file = self.look_at(blob, format, size_bytes).await?;
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.len() >= REMEMBERED {
+            known.clear();
+        }
+        known.insert((blob, format), file);
+        Ok((file.counts, file.bytes))
+    }
+
+    async fn look_at(&self, blob: Digest, format: MeshFormat, size_bytes: u64) -> Result<File, JobApiError> {
+        let limits = self.limits();
+        let most_bytes = io::unpacked_limit(usize::try_from(size_bytes).unwrap_or(usize::MAX));
+        // What is longer than all memory for jobs is not unpacked to its end.
+        let limit = most_bytes.min(usize::try_from(limits.host).unwrap_or(usize::MAX));
+        let refused = move |error: DataError| match error {
+            DataError::TooLong { limit } if limit < most_bytes => {
+                let needed_bytes = size_bytes.saturating_add(limit as u64);
+                JobApiError::TooLarge { of: Memory::Host, needed_bytes, limit_bytes: limits.host }
+            }
+            DataError::TooLong { limit } => JobApiError::Packed { limit_bytes: limit as u64 },
+            error => JobApiError::Input { field: "mesh.file".to_owned(), problem: error.to_string() },
+        };
+        let _turn = self.reading.acquire().await;
+        let whole = size_bytes <= READ_BYTES;
+        let mut pieces =
+            self.blobs.read(blob, 0..if whole { u64::MAX } else { MAGIC_BYTES.min(size_bytes) }).await?.bytes;
+        let mut all = Vec::with_capacity(if whole { usize::try_from(size_bytes).unwrap_or(0) } else { 0 });
+        while let Some(piece) = pieces.try_next().await? {
+            all.extend_from_slice(&piece);
+        }
+        if whole {
+            let counted = tokio::task::spawn_blocking(move || look_at(format, &all, limit)).await;
+            return counted.unwrap_or(Ok(None)).map_err(refused)?.ok_or_else(no_surface);
+        }
+        if !io::are_packed(&all) {
+            return Ok(File { counts: most(format, size_bytes), bytes: size_bytes });
+        }
+        let mut pieces = self.blobs.read(blob, 0..u64::MAX).await?.bytes;
+        let mut measure = io::Measure::new(limit);
+        while let Some(piece) = pieces.try_next().await? {
+            let added = tokio::task::spawn_blocking(move || measure.add(&piece).map(|()| measure)).await;
+            measure = added.map_err(|_| no_surface())?.map_err(refused)?;
+        }
+        let unpacked = measure.finish().map_err(refused)? as u64;
+        Ok(File { counts: most(format, unpacked), bytes: size_bytes.saturating_add(unpacked) })
+    }
+}
+
+/// Numbers of an attribute.
+fn numbers_of(AttributeRef { kind, values, corners, .. }: &AttributeRef) -> u64 {
+    let each = match kind {
+        AttributeKind::Normals => 3,
+        AttributeKind::TextureCoordinates => 2,
+        AttributeKind::Colours => 4,
+        AttributeKind::Scalar => 1,
+    };
+    let corners = corners.map_or(0, |corners| corners.count.saturating_mul(3));
+    values.count.saturating_mul(each).saturating_add(corners)
+}
+
+/// The first bytes of a blob, which say whether it is packed.
+const MAGIC_BYTES: u64 = 3;
+
+fn no_surface() -> JobApiError {
+    JobApiError::Input {
+        field: "mesh.file".to_owned(),
+        problem: "the blob is no surface in this format; see that the format is right".to_owned(),
+    }
+}
+
+/// What is known of these bytes, of which no more than `limit` may be unpacked; `None` if they are no surface.
+fn look_at(format: MeshFormat, bytes: &[u8], limit: usize) -> Result<Option<File>, DataError> {
+    let size_bytes = bytes.len() as u64;
+    let room = READ_BYTES as usize;
+    let (plain, unpacked) = match io::unpack(bytes, limit.min(room)) {
+        Ok(plain) => {
+            let unpacked = if io::are_packed(bytes) { plain.len() as u64 } else { 0 };
+            (Some(plain), unpacked)
+        }
+        Err(DataError::TooLong { .. }) if limit > room => {
+            let mut measure = io::Measure::new(limit);
+            measure.add(bytes)?;
+            (None, measure.finish()? as u64)
+        }
+        Err(error) => return Err(error),
+    };
+    let bytes = size_bytes.saturating_add(unpacked);
+    let Some(plain) = plain else { return Ok(Some(File { counts: most(format, unpacked), bytes })) };
+    let counts = io::counts_of_plain(format.into(), &plain);
+    Ok(counts.map(|counts| File {
+        counts: (counts.vertices, counts.facets),
+        bytes: bytes.saturating_add(counts.made_bytes),
+    }))
+}
+
+/// Whether a job with this need could ever run where jobs may have `limits`.
+///
+/// # Errors
+/// `TooLarge`.
+pub fn must_fit(need: &Need, limits: Bytes) -> Result<(), JobApiError> {
+    let both = [(Memory::Host, need.memory.host, limits.host), (Memory::Device, need.memory.device, limits.device)];
+    match both.into_iter().find(|(_, needed, limit)| needed > limit) {
+        Some((of, needed_bytes, limit_bytes)) => Err(JobApiError::TooLarge { of, needed_bytes, limit_bytes }),
+        None => Ok(()),
+    }
+}
+
+/// The most vertices and facets that a file of so many bytes is likely to hold: the shortest that writers make.
+fn most(format: MeshFormat, bytes: u64) -> (u64, u64) {
+    let facets = match format {
+        // Half a vertex of three floats, and a face of a byte and three indices.
+        MeshFormat::Ply => bytes / 19,
+        MeshFormat::Stl => bytes / 50,
+        // Half a vertex of three short numbers, and a face of three indices.
+        MeshFormat::Obj | MeshFormat::Off | MeshFormat::Mesh => bytes / 30,
+        // Half a vertex of three floats, and a face of four numbers.
+        MeshFormat::Vtk | MeshFormat::Meshb => bytes / 22,
+        // The same with its arrays packed by zlib.
+        MeshFormat::Vtp => bytes / 7,
+        // Half a node of three doubles and its number, and an element of three nodes with its own and its tags.
+        MeshFormat::Msh => bytes / 30,
+        // Half a vertex of three floats, and three indices.
+        MeshFormat::Glb => bytes / 18,
+        MeshFormat::Gltf => bytes / 24,
+    };
+    (facets / 2, facets)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::blob::put_of;
+    use crate::record::{ArrayRef, Deadlines, RemeshWork};
+    use geometry::mesh::shapes::Shape;
+
+    fn gzip(bytes: Vec<u8>) -> Vec<u8> {
+        io::pack_for(Path::new("a.gz"), bytes).unwrap()
+    }
+
+    #[test]
+    fn what_is_packed_counts_too() {
+        let mesh = Shape::Torus.build(2000);
+        for format in io::Format::ALL {
+            let bytes = io::encode(format, &mesh).unwrap();
+            let plain = look_at(format.into(), &bytes, usize::MAX).unwrap().unwrap();
+            let packed = gzip(bytes.clone());
+            let file = look_at(format.into(), &packed, usize::MAX).unwrap().unwrap();
+            assert_eq!((file.counts, file.bytes), (plain.counts, plain.bytes + packed.len() as u64), "{format:?}");
+            let refused = look_at(format.into(), &packed, bytes.len() - 1).unwrap_err();
+            assert_eq!(refused, DataError::TooLong { limit: bytes.len() - 1 });
+            assert!(look_at(format.into(), &packed[..packed.len() - 9], usize::MAX).is_err());
+            // What is packed twice is no file.
+            assert!(matches!(look_at(format.into(), &gzip(packed), usize::MAX), Ok(None)));
+        }
+    }
+
+    /// Whatever the bytes are, they are counted or refused; what can be read has no more than was counted.
+    #[test]
+    fn changed_files_are_counted_or_refused() {
+        let mesh = Shape::Torus.build(24);
+        let mut rng = ChaCha8Rng::seed_from_u64(11);
+        for format in io::Format::ALL {
+            let plain = io::encode(format, &mesh).unwrap();
+            for original in [gzip(plain.clone()), plain] {
+                for _ in 0..300 {
+                    let mut bytes = original.clone();
+                    let (at, value) = (rng.random_range(0..bytes.len()), rng.random());
+                    match rng.random_range(0..4) {
+                        0 => bytes[at] = value,
+                        1 => bytes[at] = b"0123456789 -e"[usize::from(value) % 13],
+                        2 => bytes.truncate(at),
+                        _ => bytes.extend_from_within(at..),
+                    }
+                    let limit = 20 * original.len();
+                    let file = look_at(format.into(), &bytes, limit);
+                    let Ok(mesh) = io::decode(format, &bytes) else { continue };
+                    let (vertices, facets) = file.unwrap().unwrap().counts;
+                    assert!(vertices >= mesh.positions().len() as u64 && facets >= mesh.facets().len() as u64);
+                }
+            }
+        }
+    }
+
+    /// Lists beside a surface are predicted: as long as their text, and as many numbers as the surface has places for.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn lists_are_predicted() {
+        let backends = || {
+            let parallel = Arc::new(geometry::rvd::parallel::Parallel::new(Some(1))?);
+            let serial = Arc::new(geometry::rvd::serial::Serial);
+            let gpu = Err("none".into());
+            Ok(crate::Backends { gpu, parallel, serial, default: BackendChoice::Auto, pools: None })
+        };
+        let (engine, thread) = Engine::start(backends, crate::EngineOptions::default()).unwrap();
+        let blobs = crate::Stores::ephemeral(crate::BlobRoom::default()).blobs;
+        let put = async |bytes: Vec<u8>| put_of(&*blobs, "t", None, bytes.into()).await.unwrap().digest;
+        let mesh = Shape::Torus.build(2000);
+        let blob = put(io::encode(io::Format::Ply, &mesh).unwrap()).await;
+        let text = put(b"0 1\n".repeat(1 << 18)).await;
+        let forecast = Forecast::new(Arc::clone(&blobs), engine.clone(), 1_000_000);
+        let need_of = async |change: &dyn Fn(&mut RemeshWork)| {
+            let mut work = RemeshWork::new(SeedSource::Sampled { points: Some(100), random_seed: None });
+            change(&mut work);
+            let spec = JobSpec {
+                mesh: MeshSource::File { blob, format: MeshFormat::Ply, attributes: None },
+                work: WorkSpec::Remesh(Box::new(work)),
+                backend: None,
+                result: None,
+                priority: None,
+                deadlines: Deadlines::default(),
+                labels: std::collections::BTreeMap::new(),
+                tenant: "t".to_owned(),
+                request_id: String::new(),
+            };
+            forecast.need(&forecast.counts(&spec, None).await.unwrap()).memory.host
+        };
+        let without = need_of(&|_| {}).await;
+        let list = Some(ArrayRef { blob: text, form: ArrayForm::Text, count: 0 });
+        let (facets, vertices) = (mesh.facets().len() as u64, mesh.positions().len() as u64);
+        assert_eq!(need_of(&|work| work.creases = list).await, without + (1 << 20) + 3 * facets * 16);
+        let sizes = need_of(&|work| work.density.edge_lengths = list).await;
+        assert_eq!(sizes, without + (1 << 20) + vertices * 16);
+        let edges = Some(ArrayRef { blob: text, form: ArrayForm::U32, count: 1 << 17 });
+        assert_eq!(need_of(&|work| work.creases = edges).await, without + (1 << 20) + (16 << 17));
+        engine.close();
+        tokio::task::spawn_blocking(move || thread.join()).await.unwrap().unwrap();
+    }
+
+    /// More than is unpacked here is measured, and none of it kept.
+    #[test]
+    fn what_is_long_is_measured() {
+        let long = usize::try_from(READ_BYTES).unwrap() + 5;
+        let packed = gzip(vec![b'\n'; long]);
+        let file = look_at(MeshFormat::Obj, &packed, usize::MAX).unwrap().unwrap();
+        assert_eq!((file.counts, file.bytes), (most(MeshFormat::Obj, long as u64), (long + packed.len()) as u64));
+        let refused = look_at(MeshFormat::Obj, &packed, long - 1).unwrap_err();
+        assert_eq!(refused, DataError::TooLong { limit: long - 1 });
+    }
+}

@@ -1,0 +1,374 @@
+//! One device for several jobs.
+//!
+//! Purpose: [`Gate`] lets one pass at a time on the device, in the order in which they came; [`Gated`] is a backend whose
+//! sessions go through it. So a job's passes run while another fits or measures on the host, and a tiny job waits for one
+//! pass of a huge one and not for its end.
+//! Invariant: what is gated does what its inner session does, with the same bits; only when it does so differs. Who waits
+//! hears its token. A panic inside gives the gate back.
+//! Must not know: which backend it is, what a job does.
+
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use glam::DVec3;
+
+use super::observer::Activity;
+use geometry::rvd::{
+    Backend, BackendKind, CellSums, DeviceFacts, DeviceWork, Evaluation, PassStats, PhasesMs, PieceBatch, Resident,
+    RvdError, Session, SessionOptions, Surface,
+};
+use geometry::token::Token;
+
+/// How often the token of a waiter is checked.
+const TOKEN_POLL: Duration = Duration::from_millis(20);
+
+/// See the module's head.
+#[derive(Debug, Default)]
+pub(crate) struct Gate {
+    queue: Mutex<WaitQueue>,
+    moved: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct WaitQueue {
+    busy: bool,
+    waiting: VecDeque<u64>,
+    last: u64,
+}
+
+/// The right to use the device, until it is dropped.
+struct Permit<'a>(&'a Gate);
+
+impl Drop for Permit<'_> {
+    fn drop(&mut self) {
+        let mut queue = self.0.lock();
+        queue.busy = false;
+        let any = !queue.waiting.is_empty();
+        drop(queue);
+        if any {
+            self.0.moved.notify_all();
+        }
+    }
+}
+
+/// An entry of the queue, removed when dropped: by a cancel, or by who was let in.
+struct Waiter<'a> {
+    gate: &'a Gate,
+    number: u64,
+}
+
+impl Drop for Waiter<'_> {
+    fn drop(&mut self) {
+        self.gate.lock().waiting.retain(|number| *number != self.number);
+        self.gate.moved.notify_all();
+    }
+}
+
+impl Gate {
+    fn lock(&self) -> MutexGuard<'_, WaitQueue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits for the turn.
+    fn enter(&self, token: Option<&Token>) -> Result<Permit<'_>, RvdError> {
+        let mut queue = self.lock();
+        if !queue.busy && queue.waiting.is_empty() {
+            queue.busy = true;
+            return Ok(Permit(self));
+        }
+        queue.last += 1;
+        let number = queue.last;
+        queue.waiting.push_back(number);
+        drop(queue);
+        let waiter = Waiter { gate: self, number };
+        let mut queue = self.lock();
+        while queue.busy || queue.waiting.front() != Some(&number) {
+            if let Some(token) = token {
+                drop(queue);
+                token.check()?;
+                queue = self.lock();
+                if !queue.busy && queue.waiting.front() == Some(&number) {
+                    break;
+                }
+            }
+            queue = self.moved.wait_timeout(queue, TOKEN_POLL).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        queue.busy = true;
+        drop(queue);
+        drop(waiter);
+        Ok(Permit(self))
+    }
+}
+
+/// A device that several jobs share. See the module's head.
+pub(crate) struct Gated {
+    /// The device.
+    pub device: Arc<dyn Backend>,
+    /// Who is let in.
+    pub gate: Arc<Gate>,
+    /// The job's own threads, for all that is no pass.
+    pub host: Arc<dyn Backend>,
+    /// Counts and traces passes.
+    pub activity: Arc<Activity>,
+}
+
+impl Backend for Gated {
+    fn pool(&self) -> Option<Arc<rayon::ThreadPool>> {
+        self.host.pool()
+    }
+
+    fn kind(&self) -> BackendKind {
+        self.device.kind()
+    }
+
+    fn adapter(&self) -> Option<String> {
+        self.device.adapter()
+    }
+
+    fn device_facts(&self) -> Option<DeviceFacts> {
+        self.device.device_facts()
+    }
+
+    fn threads(&self) -> usize {
+        self.device.threads()
+    }
+
+    fn exact_session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        self.host.session(surface, options)
+    }
+
+    fn session(&self, surface: Arc<Surface>, options: SessionOptions) -> Result<Box<dyn Session>, RvdError> {
+        // Planning and allocating are the device's too: two at once could both find that they fit.
+        let _pass = self.gate.enter(None)?;
+        let activity = Arc::clone(&self.activity);
+        let opening = activity.pass("open", self.device.kind());
+        let session = self.device.session(surface, options)?;
+        drop(opening);
+        Ok(Box::new(GatedSession::new(session, Some(Arc::clone(&self.gate)), self.device.kind(), activity)))
+    }
+}
+
+/// A session whose passes are counted and traced, and wait for their turn if there is a gate.
+pub(super) struct GatedSession {
+    session: Box<dyn Session>,
+    gate: Option<Arc<Gate>>,
+    kind: BackendKind,
+    activity: Arc<Activity>,
+    /// Bytes on the device that were reported.
+    planned: u64,
+    /// What the device did for it: a device counts what it does for all, and only within the gate is all for one.
+    work: DeviceWork,
+}
+
+impl GatedSession {
+    /// A session that was just opened.
+    pub(super) fn new(
+        session: Box<dyn Session>,
+        gate: Option<Arc<Gate>>,
+        kind: BackendKind,
+        activity: Arc<Activity>,
+    ) -> Self {
+        let work = session.device_work();
+        let mut session = Self { session, gate, kind, activity, planned: 0, work };
+        session.report_planned();
+        session
+    }
+
+    /// Does `work` when it is this session's turn.
+    fn pass<R>(
+        &mut self,
+        name: &'static str,
+        token: Option<&Token>,
+        work: impl FnOnce(&mut dyn Session) -> Result<R, RvdError>,
+    ) -> Result<R, RvdError> {
+        let gate = self.gate.clone();
+        let pass = gate.as_ref().map(|gate| gate.enter(token)).transpose()?;
+        let activity = Arc::clone(&self.activity);
+        let timed = activity.pass(name, self.kind);
+        let before = self.session.device_work();
+        let done = work(self.session.as_mut());
+        self.work = self.work.with(&self.session.device_work().since(&before), |a, b| a + b);
+        drop(timed);
+        self.report_planned();
+        drop(pass);
+        done
+    }
+
+    /// What lies on the device grows with what is done there.
+    fn report_planned(&mut self) {
+        let now = self.session.device_bytes();
+        let before = std::mem::replace(&mut self.planned, now);
+        if now != before {
+            self.activity.planned(signed(now) - signed(before));
+        }
+    }
+
+    /// The same with its seeds where they are; there are such, or nobody was given this session as [`Resident`].
+    fn move_seeds<R>(
+        &mut self,
+        name: &'static str,
+        token: Option<&Token>,
+        work: impl FnOnce(&mut dyn Resident) -> Result<R, RvdError>,
+    ) -> Result<R, RvdError> {
+        self.pass(name, token, |session| match session.resident() {
+            Some(resident) => work(resident),
+            None => Err(RvdError::Internal("a session took back its seeds".to_owned())),
+        })
+    }
+}
+
+impl Drop for GatedSession {
+    fn drop(&mut self) {
+        self.activity.planned(-signed(self.planned));
+    }
+}
+
+fn signed(bytes: u64) -> i64 {
+    i64::try_from(bytes).unwrap_or(i64::MAX)
+}
+
+impl Session for GatedSession {
+    fn set_seeds(&mut self, seeds: &[DVec3]) -> Result<(), RvdError> {
+        self.pass("set_seeds", None, |session| session.set_seeds(seeds))
+    }
+
+    fn sums(&mut self, out: &mut CellSums, token: &Token) -> Result<PassStats, RvdError> {
+        self.pass("sums", Some(token), |session| session.sums(out, token))
+    }
+
+    fn pieces(&mut self, facets: Range<u32>, out: &mut PieceBatch, token: &Token) -> Result<PassStats, RvdError> {
+        self.pass("pieces", Some(token), |session| session.pieces(facets, out, token))
+    }
+
+    fn device_bytes(&self) -> u64 {
+        self.session.device_bytes()
+    }
+
+    fn device_work(&self) -> DeviceWork {
+        self.work
+    }
+
+    fn device_phases(&self) -> Option<PhasesMs> {
+        self.session.device_phases()
+    }
+
+    fn resident(&mut self) -> Option<&mut dyn Resident> {
+        match self.session.resident() {
+            Some(_) => Some(self),
+            None => None,
+        }
+    }
+}
+
+impl Resident for GatedSession {
+    fn hold(&mut self, held: &[bool]) -> Result<(), RvdError> {
+        self.move_seeds("hold", None, |seeds| seeds.hold(held))
+    }
+
+    fn evaluate(&mut self, token: &Token) -> Result<Evaluation, RvdError> {
+        self.move_seeds("evaluate", Some(token), |seeds| seeds.evaluate(token))
+    }
+
+    fn to_centroids(&mut self) -> Result<(), RvdError> {
+        self.move_seeds("to_centroids", None, |seeds| seeds.to_centroids())
+    }
+
+    fn relax(&mut self, steps: usize, evaluations: &mut Vec<Evaluation>, token: &Token) -> Result<(), RvdError> {
+        self.move_seeds("relax", Some(token), |seeds| seeds.relax(steps, evaluations, token))
+    }
+
+    fn search_direction(&mut self) -> Result<f64, RvdError> {
+        self.move_seeds("search_direction", None, |seeds| seeds.search_direction())
+    }
+
+    fn probe(&mut self, step: f64, token: &Token) -> Result<Evaluation, RvdError> {
+        self.move_seeds("probe", Some(token), |seeds| seeds.probe(step, token))
+    }
+
+    fn accept(&mut self) -> Result<(), RvdError> {
+        self.move_seeds("accept", None, |seeds| seeds.accept())
+    }
+
+    fn clear_history(&mut self) {
+        if let Some(resident) = self.session.resident() {
+            resident.clear_history();
+        }
+    }
+
+    fn read(&mut self, out: &mut Vec<DVec3>) -> Result<(), RvdError> {
+        self.move_seeds("read", None, |seeds| seeds.read(out))
+    }
+
+    fn read_sums(&mut self, out: &mut CellSums) -> Result<(), RvdError> {
+        self.move_seeds("read_sums", None, |seeds| seeds.read_sums(out))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+    use geometry::token::Stopped;
+
+    #[test]
+    fn one_at_a_time_and_in_order() {
+        let gate = Arc::new(Gate::default());
+        let inside = AtomicUsize::new(0);
+        let order = Mutex::new(Vec::new());
+        let first = gate.enter(None).unwrap();
+        std::thread::scope(|scope| {
+            for number in 0..8 {
+                let (gate, inside, order) = (&gate, &inside, &order);
+                scope.spawn(move || {
+                    let _pass = gate.enter(Some(&Token::default())).unwrap();
+                    assert_eq!(inside.fetch_add(1, Ordering::SeqCst), 0);
+                    order.lock().unwrap().push(number);
+                    std::thread::sleep(Duration::from_millis(2));
+                    inside.fetch_sub(1, Ordering::SeqCst);
+                });
+                while gate.lock().waiting.len() <= number {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+            }
+            drop(first);
+        });
+        assert_eq!(*order.lock().unwrap(), (0..8).collect::<Vec<_>>());
+        assert!(!gate.lock().busy && gate.lock().waiting.is_empty());
+    }
+
+    #[test]
+    #[ignore = "a program that prints figures"]
+    fn figures_of_a_free_gate() {
+        const TIMES: u32 = 1_000_000;
+        let (gate, token) = (Gate::default(), Token::default());
+        let begin = std::time::Instant::now();
+        (0..TIMES).for_each(|_| drop(gate.enter(Some(&token)).unwrap()));
+        println!("{{\"free_gate_ns\": {}}}", begin.elapsed().as_nanos() / u128::from(TIMES));
+    }
+
+    #[test]
+    fn who_waits_hears_its_token_and_leaves_the_line() {
+        let gate = Gate::default();
+        let first = gate.enter(None).unwrap();
+        let token = Token::default();
+        token.cancel();
+        assert!(matches!(gate.enter(Some(&token)).err(), Some(RvdError::Stopped(Stopped::Cancelled))));
+        assert!(gate.lock().waiting.is_empty());
+        drop(first);
+        drop(gate.enter(None).unwrap());
+    }
+
+    #[test]
+    fn a_panic_gives_the_gate_back() {
+        let gate = Gate::default();
+        let panicked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            let _pass = gate.enter(None).unwrap();
+            panic!("on purpose");
+        }));
+        assert!(panicked.is_err());
+        drop(gate.enter(None).unwrap());
+    }
+}

@@ -1,0 +1,219 @@
+//! Jobs: the queue, the threads that do the work, and jobs as data.
+//!
+//! A job as data is a [`record`], moves along the machine of [`state`], says what happens by [`event`], and is kept in a
+//! [`store`].
+//!
+//! Purpose: [`Engine`] takes work from many callers and does it on a bounded number of host threads, which share the device.
+//! A piece is short or checks its [`Token`], and never waits for a client: state that outlives a piece (a session) moves out
+//! and in again.
+//! Invariant: every submitted piece is answered exactly once or its caller has gone; a panic ends
+//! the piece and not the thread; work of a caller who has gone is skipped or cancelled.
+//! Must not know: gRPC, messages, the command line.
+
+#![warn(unreachable_pub)]
+
+pub mod api;
+pub mod blob;
+mod bytes;
+mod call;
+pub mod diagram;
+mod engine;
+pub mod estimate;
+pub mod event;
+mod executor;
+pub mod forecast;
+mod gate;
+mod input;
+mod loss;
+pub mod memory;
+mod observed;
+pub mod observer;
+mod perform;
+mod pools;
+mod preview;
+pub mod probe;
+pub(crate) mod queue;
+pub mod record;
+mod schedule;
+pub mod session;
+pub mod spec;
+pub mod state;
+pub mod store;
+pub(crate) mod watchdog;
+mod weights;
+pub(crate) mod worker;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use geometry::mesh::MeshError;
+use geometry::remesh::RemeshError;
+use geometry::rvd::{Backend, BackendChoice, BackendKind, RvdError};
+use geometry::token::{Stopped, Token};
+
+pub use bytes::Bytes;
+pub use call::Retry;
+pub use call::{Timed, WorkContext};
+pub use engine::Engine;
+pub use engine::{Pending, Reservation};
+pub use executor::{BlobRoom, Executor, ExecutorOptions, Stores};
+pub use input::JobBounds;
+pub use loss::LossPolicy;
+pub use queue::Admission;
+pub use schedule::AdmissionRequest;
+pub use watchdog::Ceilings;
+pub use watchdog::Work;
+pub use weights::Weights;
+pub use worker::Device;
+pub use worker::EngineOptions;
+
+/// Makes a CPU backend with so many threads of its own.
+pub type PoolFactory = fn(usize) -> Result<Arc<dyn Backend>, RvdError>;
+
+/// The backends of this process.
+#[derive(Clone)]
+pub struct Backends {
+    /// The GPU backend, or the reason why there is none.
+    pub gpu: Result<Arc<dyn Backend>, String>,
+    /// Double precision on all threads of a pool.
+    pub parallel: Arc<dyn Backend>,
+    /// Double precision on one thread.
+    pub serial: Arc<dyn Backend>,
+    /// What [`BackendChoice::Auto`] means here; `Auto` again means the GPU if there is one.
+    pub default: BackendChoice,
+    /// Makes more of `parallel`, so that each job at work has threads of its own; without, all jobs share `parallel`.
+    pub pools: Option<PoolFactory>,
+}
+
+impl Backends {
+    /// What a job sees: `host` in place of `parallel`, and the GPU through the gate. Passes are told of.
+    fn for_job(
+        &self,
+        gate: &Arc<gate::Gate>,
+        host: Option<&Arc<dyn Backend>>,
+        activity: &Arc<observer::Activity>,
+    ) -> Self {
+        let observed = |inner: &Arc<dyn Backend>| -> Arc<dyn Backend> {
+            Arc::new(observed::Observed { inner: Arc::clone(inner), activity: Arc::clone(activity) })
+        };
+        let (host, serial) = (observed(host.unwrap_or(&self.parallel)), observed(&self.serial));
+        let shared = |device: &Arc<dyn Backend>| -> Arc<dyn Backend> {
+            let (device, gate, host, activity) = (device.clone(), gate.clone(), host.clone(), activity.clone());
+            Arc::new(gate::Gated { device, gate, host, activity })
+        };
+        Self { gpu: self.gpu.as_ref().map(shared).map_err(Clone::clone), parallel: host, serial, ..self.clone() }
+    }
+
+    /// The backend for a choice.
+    ///
+    /// # Errors
+    /// [`RvdError::BackendUnavailable`] if the GPU is asked for and there is none.
+    pub fn choose(&self, choice: BackendChoice) -> Result<&Arc<dyn Backend>, JobError> {
+        let choice = if choice == BackendChoice::Auto { self.default } else { choice };
+        match (choice, &self.gpu) {
+            (BackendChoice::Auto | BackendChoice::Only(BackendKind::Gpu), Ok(gpu)) => Ok(gpu),
+            (BackendChoice::Only(BackendKind::Gpu), Err(reason)) => {
+                Err(RvdError::BackendUnavailable { wanted: BackendKind::Gpu, reason: reason.clone() }.into())
+            }
+            (BackendChoice::Auto | BackendChoice::Only(BackendKind::Parallel), _) => Ok(&self.parallel),
+            (BackendChoice::Only(BackendKind::Serial), _) => Ok(&self.serial),
+        }
+    }
+}
+
+/// Who does the work, as it is told to callers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BackendInfo {
+    /// Which backend.
+    pub kind: BackendKind,
+    /// The adapter's name, for a GPU.
+    pub adapter: Option<String>,
+    /// Threads of the pool.
+    pub threads: usize,
+}
+
+impl BackendInfo {
+    /// What `backend` says of itself.
+    pub fn of(backend: &dyn Backend) -> Self {
+        Self { kind: backend.kind(), adapter: backend.adapter(), threads: backend.threads() }
+    }
+}
+
+/// Why a job was refused or failed.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum JobError {
+    /// The queue is full now.
+    #[error("{waiting} jobs wait already, as many as may; try again in {} s", .retry_after.as_secs_f64())]
+    QueueFull {
+        /// How many wait.
+        waiting: usize,
+        /// When a place may be free.
+        retry_after: Duration,
+    },
+    /// The process is shutting down and takes no more work.
+    #[error("the server is shutting down; try again, or try another server")]
+    Draining,
+    /// The work panicked. The message is for the log and for a report of the fault.
+    #[error("internal error: the work panicked: {0}")]
+    Panicked(String),
+    /// The engine has ended.
+    #[error("internal error: the engine has ended")]
+    WorkerGone,
+    /// The surface is wrong.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// The diagram could not be had.
+    #[error(transparent)]
+    Rvd(#[from] RvdError),
+    /// The remesh could not be had.
+    #[error(transparent)]
+    Remesh(#[from] RemeshError),
+}
+
+impl JobError {
+    /// The diagram's error inside, wherever it came from.
+    pub fn as_rvd(&self) -> Option<&RvdError> {
+        match self {
+            Self::Rvd(e) | Self::Remesh(RemeshError::Rvd(e)) => Some(e),
+            _ => None,
+        }
+    }
+
+    /// Whether the device went away.
+    pub fn is_device_lost(&self) -> bool {
+        matches!(self.as_rvd(), Some(RvdError::DeviceLost(_)))
+    }
+
+    /// Whether somebody asked to stop.
+    pub fn is_cancelled(&self) -> bool {
+        matches!(self.as_rvd(), Some(RvdError::Stopped(Stopped::Cancelled)))
+    }
+}
+
+impl From<Stopped> for JobError {
+    fn from(reason: Stopped) -> Self {
+        Self::Rvd(reason.into())
+    }
+}
+
+/// Cancels when dropped: whoever waits for work holds one, so that going away stops the work.
+#[derive(Debug)]
+pub struct CancelOnDrop(Option<Token>);
+
+impl CancelOnDrop {
+    /// For work with this token.
+    pub fn new(token: &Token) -> Self {
+        Self(Some(token.clone()))
+    }
+
+    /// The work has ended; the token may be that of more to come.
+    pub fn disarm(mut self) {
+        self.0 = None;
+    }
+}
+
+impl Drop for CancelOnDrop {
+    fn drop(&mut self) {
+        self.0.iter().for_each(Token::cancel);
+    }
+}

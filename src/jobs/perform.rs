@@ -1,0 +1,373 @@
+//! A job that is done from its specification to the bytes of its result.
+//!
+//! Purpose: [`perform`] reads the blobs, works, and gives the parts of the result as bytes, each under its name.
+//! Invariant: the same specification and blobs give the same bytes, but for the report, which has times.
+//! Must not know: queues, stores of jobs, where results go.
+
+use bytes::Bytes;
+use glam::DVec3;
+use serde_json::json;
+use std::io::Cursor;
+use std::sync::Arc;
+
+use super::diagram::Diagram;
+use super::event::Progress;
+use super::input::{JobBounds, ReadBlob, WorkError, failure, load, load_remesh};
+use super::record::{
+    CvtCommand, CvtWork, FailureKind, JobSpec, MeshFormat, RemeshWork, ResultFormat, RvdOutput, RvdWork, SeedChange,
+    SendSeeds, StepKindName, WorkSpec,
+};
+use super::spec::Prepared;
+use super::{BackendInfo, Backends};
+use geometry::cvt::{Cvt, CvtOptions, Iteration, SeedEdit};
+use geometry::mesh::attributes::{Attributes, ColourDepth, Colours, Normals};
+use geometry::mesh::io::{self, Format};
+use geometry::remesh::report::{IterationFigures, to_json};
+use geometry::remesh::{Observer, Remesh, remesh};
+use geometry::rvd::cell_file::CellWriter;
+use geometry::rvd::{BackendChoice, BackendKind};
+use geometry::token::Token;
+
+/// What a job gives: bytes, each part under its name.
+pub(crate) type Parts = Vec<(String, Bytes)>;
+
+/// What a job works with.
+pub(crate) struct JobContext<'a> {
+    pub backends: &'a Backends,
+    pub blobs: &'a dyn ReadBlob,
+    pub bounds: &'a JobBounds,
+    pub token: &'a Token,
+    /// Hears of stages and steps.
+    pub audience: &'a mut dyn Audience,
+}
+
+/// Who hears of a job at work.
+pub(crate) trait Audience: Send {
+    /// A stage began or a step was taken.
+    fn progress(&mut self, what: Progress);
+    /// Whether the seeds are to be shown after the next step.
+    fn wants_seeds(&self) -> bool;
+    /// Where the seeds are after so many steps.
+    fn seeds(&mut self, steps: usize, seeds: &[DVec3]);
+}
+
+/// Does the work.
+///
+/// # Errors
+/// Why it cannot be done, or was stopped.
+pub(crate) fn perform(spec: &JobSpec, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+    context.token.check()?;
+    stage(context, "read");
+    match &spec.work {
+        WorkSpec::Remesh(work) => of_remesh(spec, work, context),
+        WorkSpec::Rvd(work) => of_rvd(spec, work, context),
+        WorkSpec::Cvt(work) => of_cvt(spec, work, context),
+    }
+}
+
+impl JobSpec {
+    /// Who should do it.
+    pub fn choice(&self) -> BackendChoice {
+        use super::record::BackendName;
+        match self.backend {
+            None | Some(BackendName::Auto) => BackendChoice::Auto,
+            Some(BackendName::Gpu) => BackendChoice::Only(BackendKind::Gpu),
+            Some(BackendName::Parallel) => BackendChoice::Only(BackendKind::Parallel),
+            Some(BackendName::Serial) => BackendChoice::Only(BackendKind::Serial),
+        }
+    }
+}
+
+impl From<MeshFormat> for Format {
+    fn from(format: MeshFormat) -> Self {
+        match format {
+            MeshFormat::Ply => Self::Ply,
+            MeshFormat::Obj => Self::Obj,
+            MeshFormat::Stl => Self::Stl,
+            MeshFormat::Off => Self::Off,
+            MeshFormat::Vtk => Self::Vtk,
+            MeshFormat::Vtp => Self::Vtp,
+            MeshFormat::Msh => Self::Gmsh,
+            MeshFormat::Mesh => Self::Medit,
+            MeshFormat::Meshb => Self::MeditBinary,
+            MeshFormat::Glb => Self::Glb,
+            MeshFormat::Gltf => Self::Gltf,
+        }
+    }
+}
+
+impl From<Format> for MeshFormat {
+    fn from(format: Format) -> Self {
+        match format {
+            Format::Ply => Self::Ply,
+            Format::Obj => Self::Obj,
+            Format::Stl => Self::Stl,
+            Format::Off => Self::Off,
+            Format::Vtk => Self::Vtk,
+            Format::Vtp => Self::Vtp,
+            Format::Gmsh => Self::Msh,
+            Format::Medit => Self::Mesh,
+            Format::MeditBinary => Self::Meshb,
+            Format::Glb => Self::Glb,
+            Format::Gltf => Self::Gltf,
+        }
+    }
+}
+
+fn stage(context: &mut JobContext<'_>, name: &str) {
+    context.audience.progress(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
+}
+
+fn iteration(it: &Iteration, total: usize) -> Progress {
+    Progress::Iteration {
+        index: it.index as u64,
+        total: total as u64,
+        kind: it.kind.name().to_owned(),
+        energy: it.energy,
+        gradient_norm: it.gradient_norm,
+        ms: it.ms,
+    }
+}
+
+struct ProgressReporter<'a>(&'a mut dyn Audience);
+
+impl Observer for ProgressReporter<'_> {
+    fn stage(&mut self, name: &'static str) {
+        self.0.progress(Progress::Stage { name: name.to_owned(), done: 0, total: 0 });
+    }
+
+    fn iteration(&mut self, it: &Iteration, total: usize) {
+        self.0.progress(iteration(it, total));
+    }
+
+    fn wants_seeds(&mut self) -> bool {
+        self.0.wants_seeds()
+    }
+
+    fn seeds(&mut self, steps: usize, seeds: &[DVec3]) {
+        self.0.seeds(steps, seeds);
+    }
+}
+
+fn of_remesh(spec: &JobSpec, work: &RemeshWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+    let (mesh, options) = load_remesh(spec, work, context.blobs, context.bounds, context.token)?;
+    let backend = Arc::clone(context.backends.choose(spec.choice())?);
+    let done = remesh(&mesh, &options, backend.as_ref(), &mut ProgressReporter(&mut *context.audience), context.token)?;
+    drop((mesh, options));
+    stage(context, "write");
+    context.token.enter("write");
+    let mut parts = match spec.result.unwrap_or(ResultFormat::File(MeshFormat::Ply)) {
+        ResultFormat::File(format) => vec![("mesh".to_owned(), file(format.into(), &done)?)],
+        ResultFormat::Arrays => arrays(&done),
+    };
+    parts.push(("report".to_owned(), json_bytes(&done.report)));
+    Ok(parts)
+}
+
+fn json_bytes(report: &impl serde::Serialize) -> Bytes {
+    let mut bytes = to_json(report).and_then(|json| serde_json::to_vec_pretty(&json)).unwrap_or_default();
+    bytes.push(b'\n');
+    bytes.into()
+}
+
+fn file(format: Format, done: &Remesh) -> Result<Bytes, WorkError> {
+    let encoded = match &done.attributes {
+        Some(attributes) => io::encode_with_attributes(format, &done.mesh, attributes).map(|(bytes, _)| bytes),
+        None => io::encode(format, &done.mesh),
+    };
+    let bytes = encoded.map_err(|error| failure(FailureKind::BadInput, format!("result.file: {error}")))?;
+    Ok(bytes.into())
+}
+
+fn numbers(values: &[f64]) -> Bytes {
+    values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>().into()
+}
+
+fn points(values: &[DVec3]) -> Bytes {
+    values.iter().flat_map(|p| p.to_array()).flat_map(f64::to_le_bytes).collect::<Vec<u8>>().into()
+}
+
+fn indices(values: &[u32]) -> Bytes {
+    values.iter().flat_map(|i| i.to_le_bytes()).collect::<Vec<u8>>().into()
+}
+
+fn arrays(done: &Remesh) -> Parts {
+    let mut parts: Parts = vec![
+        ("positions".to_owned(), points(done.mesh.positions())),
+        ("facets".to_owned(), indices(done.mesh.facets().as_flattened())),
+        ("vertex_seeds".to_owned(), indices(&done.vertex_seed)),
+        ("creases".to_owned(), indices(done.curve_edges.as_flattened())),
+        ("seeds".to_owned(), points(&done.seeds)),
+    ];
+    if let Some(attributes) = &done.attributes {
+        carried(attributes, &mut parts);
+    }
+    parts
+}
+
+fn carried(attributes: &Attributes, parts: &mut Parts) {
+    let mut push = |name: &str, bytes| parts.push((name.to_owned(), bytes));
+    match attributes.normals() {
+        Some(Normals::PerVertex(normals)) => push("normals", points(normals)),
+        Some(Normals::PerCorner(normals)) => {
+            push("normals", points(&normals.values));
+            push("normal_corners", indices(normals.corners.as_flattened()));
+        }
+        None => {}
+    }
+    if let Some(texture) = attributes.texture() {
+        let values: Vec<f64> = texture.values.iter().flat_map(|uv| uv.to_array()).collect();
+        push("texture_coordinates", numbers(&values));
+        push("texture_corners", indices(texture.corners.as_flattened()));
+    }
+    if let Some(Colours { values, depth }) = attributes.colours() {
+        push(
+            "colours",
+            match depth {
+                ColourDepth::Eight => {
+                    values.iter().flatten().map(|x| (x * 255.0).round() as u8).collect::<Vec<u8>>().into()
+                }
+                ColourDepth::Float => numbers(values.as_flattened()),
+            },
+        );
+    }
+    for scalar in attributes.scalars() {
+        push(&format!("scalar.{}", scalar.name), numbers(&scalar.values));
+    }
+}
+
+/// What cannot be written to memory; it always can.
+fn unwritten(error: std::io::Error) -> WorkError {
+    failure(FailureKind::BadInput, format!("the pieces cannot be written: {error}"))
+}
+
+fn of_rvd(spec: &JobSpec, work: &RvdWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+    let input = load(spec, context.blobs, context.bounds, context.token)?;
+    let backend = Arc::clone(context.backends.choose(spec.choice())?);
+    stage(context, "prepare");
+    let prepared = Prepared::new(input, context.token)?;
+    stage(context, "diagram");
+    let mut diagram = Diagram::open(&prepared, backend.as_ref())?;
+    let has = |output| work.outputs.contains(&output);
+    let mut parts = Parts::new();
+    if has(RvdOutput::Cells) || work.outputs.is_empty() {
+        let mut cells = CellWriter::new(Cursor::new(Vec::new()), Cursor::new(Vec::new())).map_err(unwritten)?;
+        while let Some(batch) = diagram.batch(backend.as_ref(), context.token)? {
+            cells.append(&batch).map_err(unwritten)?;
+            let (done, total) = diagram.progress();
+            context.audience.progress(Progress::Stage { name: "diagram".to_owned(), done, total });
+        }
+        parts.push(("cells".to_owned(), cells.finish().map_err(unwritten)?.into_inner().into()));
+    }
+    if has(RvdOutput::Centroids) || has(RvdOutput::Sums) {
+        let sums = diagram.sums(backend.as_ref(), context.token)?;
+        if has(RvdOutput::Centroids) {
+            parts.push(("centroids".to_owned(), points(&sums.centroids)));
+        }
+        if has(RvdOutput::Sums) {
+            for (name, values) in [("masses", &sums.masses), ("areas", &sums.areas), ("energies", &sums.energies)] {
+                parts.push((name.to_owned(), numbers(values)));
+            }
+        }
+    }
+    if prepared.random_seed.is_some() {
+        parts.push(("seeds".to_owned(), points(&prepared.seeds)));
+    }
+    let report = diagram.report(&prepared, &BackendInfo::of(backend.as_ref()));
+    parts.push(("report".to_owned(), json_bytes(&report)));
+    Ok(parts)
+}
+
+fn of_cvt(spec: &JobSpec, work: &CvtWork, context: &mut JobContext<'_>) -> Result<Parts, WorkError> {
+    let input = load(spec, context.blobs, context.bounds, context.token)?;
+    let backend = Arc::clone(context.backends.choose(spec.choice())?);
+    let total: u64 = work.commands.iter().map(steps_of).sum();
+    if total > u64::from(context.bounds.max_iterations) {
+        let most = context.bounds.max_iterations;
+        return Err(failure(
+            FailureKind::BadInput,
+            format!("work.cvt.commands: {total} steps; this server takes {most}"),
+        ));
+    }
+    stage(context, "prepare");
+    let prepared = Prepared::for_steps(input, context.token)?;
+    let mut options = CvtOptions::new();
+    options.max_seeds = work.max_seeds.map_or(0, |most| usize::try_from(most).unwrap_or(usize::MAX));
+    options.projection = work.projection.map_or(options.projection, super::record::ProjectionRule::projection);
+    let mut cvt = Cvt::new(backend.as_ref(), Arc::clone(&prepared.surface), &prepared.seeds, options)?;
+    stage(context, "iterations");
+    let (mut parts, mut iterations) = (Parts::new(), Vec::new());
+    for command in &work.commands {
+        match command {
+            CvtCommand::Step { iterations: count, kind, seeds } => {
+                for step in 1..=*count {
+                    context.token.check()?;
+                    let it = match kind.unwrap_or(StepKindName::Lloyd) {
+                        StepKindName::Lloyd => cvt.lloyd(context.token)?,
+                        StepKindName::Lbfgs => cvt.lbfgs(context.token)?,
+                    };
+                    context.audience.progress(iteration(&it, total as usize));
+                    iterations.push(it);
+                    if context.audience.wants_seeds() {
+                        context.audience.seeds(iterations.len(), &cvt.seeds()?);
+                    }
+                    let wanted = match seeds.unwrap_or(SendSeeds::Never) {
+                        SendSeeds::Never => false,
+                        SendSeeds::Last => step == *count,
+                        SendSeeds::Each => true,
+                    };
+                    if wanted {
+                        keep(&mut cvt, &mut parts)?;
+                    }
+                }
+            }
+            CvtCommand::Edit { edits, seeds } => {
+                let edits: Vec<SeedEdit> = edits.iter().map(edit).collect();
+                cvt.edit(&edits)?;
+                if seeds.unwrap_or(SendSeeds::Never) != SendSeeds::Never {
+                    keep(&mut cvt, &mut parts)?;
+                }
+            }
+        }
+    }
+    let seeds = cvt.seeds()?;
+    parts.push(("seeds".to_owned(), points(&seeds)));
+    let by = BackendInfo::of(backend.as_ref());
+    let figures: Vec<IterationFigures> = iterations.iter().map(IterationFigures::of).collect();
+    let report = json!({
+        "backend": by.kind.name(),
+        "adapter": by.adapter,
+        "threads": by.threads,
+        "seed": prepared.random_seed,
+        "seeds": seeds.len(),
+        "input": prepared.figures,
+        "iterations": figures,
+    });
+    parts.push(("report".to_owned(), json_bytes(&report)));
+    Ok(parts)
+}
+
+pub(super) fn steps_of(command: &CvtCommand) -> u64 {
+    if let CvtCommand::Step { iterations, .. } = command { u64::from(*iterations) } else { 0 }
+}
+
+fn edit(change: &SeedChange) -> SeedEdit {
+    match *change {
+        SeedChange::Move { index, to } => SeedEdit::Move { index, to: DVec3::from_array(to) },
+        SeedChange::Add(to) => SeedEdit::Add { at: DVec3::from_array(to) },
+        SeedChange::Remove(index) => SeedEdit::Remove { index },
+    }
+}
+
+/// The most sets of seeds that a session's job keeps.
+const MOST_SEEDS: usize = 1000;
+
+fn keep(cvt: &mut Cvt, parts: &mut Parts) -> Result<(), WorkError> {
+    if parts.len() >= MOST_SEEDS {
+        let text = format!("work.cvt.commands: more than {MOST_SEEDS} sets of seeds are asked for; ask for fewer");
+        return Err(failure(FailureKind::BadInput, text));
+    }
+    let name = format!("seeds.{:04}", parts.len() + 1);
+    parts.push((name, points(&cvt.seeds()?)));
+    Ok(())
+}

@@ -1,0 +1,427 @@
+//! What waits for a host thread, and who is next.
+//!
+//! Purpose: a bounded queue between many callers and several workers, in two lanes. Jobs are taken by fair shares of their
+//! tenants ([`schedule`](super::schedule)); short pieces of admitted work (a session's next step, a diagram's next batch)
+//! have workers of their own and never wait for a whole job.
+//! Invariant: at most `limit` new jobs wait or hold a reservation; what was admitted always gets in. A reservation counts
+//! for [`RESERVATION_TTL`], so a slow upload does not keep others out. Closing refuses what is new and keeps what waits; nothing
+//! gets in once all workers have gone. Must not know: what the work is.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::JobError;
+use super::schedule::{AdmissionRequest, Schedule, Slots};
+use geometry::token::Token;
+
+/// How long a reservation counts against the limit. A job that is uploaded later still gets in, but others do too.
+const RESERVATION_TTL: Duration = Duration::from_secs(30);
+
+/// How a piece of work is admitted to the queue.
+#[derive(Clone, Debug)]
+pub enum Admission {
+    /// A new job: if there is room.
+    New(AdmissionRequest),
+    /// A new job with a reservation, or a persistent one: always.
+    Reserved(AdmissionRequest),
+    /// The next command of an admitted session: at the back of the short lane, always.
+    Session,
+    /// More of a job whose turn it was: at the front of the short lane, always.
+    Continuation,
+}
+
+/// The two kinds of workers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Lane {
+    /// Whole jobs.
+    Jobs,
+    /// Pieces of admitted work.
+    Short,
+}
+
+/// What waits. Dropping an item must be harmless.
+pub(crate) trait Item: Send {
+    /// Whether somebody still waits for the answer.
+    fn is_wanted(&self) -> bool;
+    /// The flag that stops it while it runs.
+    fn token(&self) -> &Token;
+}
+
+/// An item whose turn it is. Its number is to be given back to [`Queue::done`].
+pub(crate) struct Dequeued<T> {
+    pub item: T,
+    pub number: u64,
+    /// Whether its tenant has nothing else at work or waiting: it may have all threads.
+    pub is_alone: bool,
+}
+
+/// What [`Queue::pop`] found.
+pub(crate) enum Popped<T> {
+    /// Work.
+    Item(Dequeued<T>),
+    /// No work within the time given.
+    Nothing,
+    /// No work, and none will come.
+    Closed,
+}
+
+/// See the module's head.
+pub(crate) struct Queue<T> {
+    state: Mutex<State<T>>,
+    ready: Condvar,
+    limit: usize,
+}
+
+struct State<T> {
+    jobs: Schedule<Waiting<T>>,
+    short: VecDeque<T>,
+    /// When each reservation was made, by number.
+    reservations: BTreeMap<u64, Instant>,
+    tickets: u64,
+    running: HashMap<u64, Token>,
+    closed: bool,
+    /// The workers have gone: nothing that gets in now would ever be answered.
+    ended: bool,
+    /// Moving mean of how long a job takes, for the advice to a refused caller.
+    mean_s: f64,
+}
+
+struct Waiting<T> {
+    item: T,
+    /// Whether it counts against the limit.
+    counts: bool,
+}
+
+impl<T: Item> Queue<T> {
+    /// Room for `limit` new jobs besides those at work.
+    pub(crate) fn new(limit: usize, slots: Slots) -> Self {
+        let state = State {
+            jobs: Schedule::new(slots),
+            short: VecDeque::new(),
+            reservations: BTreeMap::new(),
+            tickets: 0,
+            running: HashMap::new(),
+            closed: false,
+            ended: false,
+            mean_s: 0.5,
+        };
+        Self { state: Mutex::new(state), ready: Condvar::new(), limit }
+    }
+
+    /// Reserves a place for a new job. The number is for [`Self::release`].
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining`.
+    pub(crate) fn reserve(&self) -> Result<u64, JobError> {
+        let mut state = self.lock();
+        if state.closed {
+            return Err(JobError::Draining);
+        }
+        state.make_room(self.limit)?;
+        let ticket = state.number();
+        state.reservations.insert(ticket, Instant::now());
+        Ok(ticket)
+    }
+
+    /// Ends a reservation.
+    pub(crate) fn release(&self, ticket: u64) {
+        self.lock().reservations.remove(&ticket);
+    }
+
+    /// Puts an item in and says how many are ahead of it, those at work included.
+    ///
+    /// # Errors
+    /// `QueueFull`, `Draining` (for what is new, and for all once the workers have gone).
+    pub(crate) fn push(&self, admission: Admission, item: T) -> Result<usize, JobError> {
+        let mut state = self.lock();
+        let is_new = matches!(admission, Admission::New(_) | Admission::Reserved(_));
+        if state.ended || (state.closed && is_new) {
+            return Err(JobError::Draining);
+        }
+        if matches!(admission, Admission::New(_)) {
+            state.make_room(self.limit)?;
+        }
+        let position = match admission {
+            Admission::New(request) | Admission::Reserved(request) => {
+                let ahead = state.jobs.running() + state.jobs.waiting();
+                let waiting = Waiting { item, counts: !request.is_persistent };
+                state.jobs.push(request, waiting);
+                ahead
+            }
+            Admission::Session => {
+                state.short.push_back(item);
+                state.short.len() - 1
+            }
+            Admission::Continuation => {
+                state.short.push_front(item);
+                0
+            }
+        };
+        drop(state);
+        self.ready.notify_all();
+        Ok(position)
+    }
+
+    /// Waits for the next item of a lane that is still wanted, for ever or so long.
+    pub(crate) fn pop(&self, lane: Lane, patience: Option<Duration>) -> Popped<T> {
+        let mut state = self.lock();
+        let mut waited = false;
+        loop {
+            let mut unwanted = Vec::new();
+            let taken = state.take(lane, &mut unwanted);
+            if !unwanted.is_empty() {
+                // Their destructors may free much; not under the lock.
+                drop(state);
+                drop(unwanted);
+                state = self.lock();
+            }
+            if let Some(taken) = taken {
+                return Popped::Item(taken);
+            }
+            if state.is_over(lane) {
+                state.ended = state.ended || state.is_over(Lane::Short);
+                drop(state);
+                self.ready.notify_all();
+                return Popped::Closed;
+            }
+            if waited && patience.is_some() {
+                return Popped::Nothing;
+            }
+            // What does not fit now may be let past others later: somebody has to look again.
+            let pause = match lane {
+                Lane::Jobs => [patience, state.jobs.look_again()].into_iter().flatten().min(),
+                Lane::Short => patience,
+            };
+            state = match pause {
+                // A wake-up for nothing only shortens the wait.
+                Some(pause) => self.ready.wait_timeout(state, pause).unwrap_or_else(PoisonError::into_inner).0,
+                None => self.ready.wait(state).unwrap_or_else(PoisonError::into_inner),
+            };
+            waited = true;
+        }
+    }
+
+    /// An item that was taken is done, and took so long.
+    pub(crate) fn done(&self, number: u64, took: Duration) {
+        let mut state = self.lock();
+        state.running.remove(&number);
+        if state.jobs.done(number, took.as_secs_f64()) {
+            state.mean_s = 0.8 * state.mean_s + 0.2 * took.as_secs_f64();
+        }
+        drop(state);
+        self.ready.notify_all();
+    }
+
+    /// Items that wait, and whether one is at work.
+    pub(crate) fn load(&self) -> (usize, bool) {
+        let state = self.lock();
+        (state.jobs.waiting() + state.short.len(), !state.running.is_empty())
+    }
+
+    /// Refuses what is new from now on.
+    pub(crate) fn close(&self) {
+        self.lock().closed = true;
+        self.ready.notify_all();
+    }
+
+    /// The workers have gone: drops what waits, so that its callers hear of it, and refuses all.
+    pub(crate) fn end(&self) {
+        let mut state = self.lock();
+        state.closed = true;
+        state.ended = true;
+        let left = (state.jobs.drain(), std::mem::take(&mut state.short));
+        drop(state);
+        drop(left);
+        self.ready.notify_all();
+    }
+
+    /// Cancels what waits and what runs.
+    pub(crate) fn cancel_all(&self) {
+        let state = self.lock();
+        state.running.values().for_each(Token::cancel);
+        state.jobs.iter().map(|waiting| &waiting.item).chain(&state.short).for_each(|item| item.token().cancel());
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State<T>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl<T: Item> State<T> {
+    fn number(&mut self) -> u64 {
+        self.tickets += 1;
+        self.tickets
+    }
+
+    /// Takes the next item of a lane. Those that nobody waits for any more go to `unwanted`.
+    fn take(&mut self, lane: Lane, unwanted: &mut Vec<T>) -> Option<Dequeued<T>> {
+        let number = self.number();
+        let (item, is_alone) = match lane {
+            Lane::Short => loop {
+                let item = self.short.pop_front()?;
+                if item.is_wanted() {
+                    break (item, false);
+                }
+                unwanted.push(item);
+            },
+            Lane::Jobs => {
+                let mut gone = Vec::new();
+                let next = self.jobs.next(number, |waiting| waiting.item.is_wanted(), &mut gone);
+                unwanted.extend(gone.into_iter().map(|waiting| waiting.item));
+                let next = next?;
+                (next.item.item, next.is_alone)
+            }
+        };
+        self.running.insert(number, item.token().clone());
+        Some(Dequeued { item, number, is_alone })
+    }
+
+    /// Whether a worker of this lane has nothing more to do.
+    fn is_over(&self, lane: Lane) -> bool {
+        let no_jobs = self.jobs.waiting() == 0;
+        match lane {
+            Lane::Jobs => self.ended || (self.closed && no_jobs),
+            // What runs may have more to do.
+            Lane::Short => self.ended || (self.closed && no_jobs && self.short.is_empty() && self.running.is_empty()),
+        }
+    }
+
+    /// New jobs that wait, and places that are kept for others.
+    fn new_jobs(&self) -> usize {
+        let waiting = self.jobs.iter().filter(|waiting| waiting.counts).count();
+        waiting + self.reservations.values().filter(|since| since.elapsed() < RESERVATION_TTL).count()
+    }
+
+    /// Sees to it that fewer than `limit` new jobs wait, or says that there is no room.
+    fn make_room(&mut self, limit: usize) -> Result<(), JobError> {
+        if self.new_jobs() < limit {
+            return Ok(());
+        }
+        // Those whose callers have gone hold a place until somebody needs it.
+        self.jobs.retain(|waiting| waiting.item.is_wanted());
+        let waiting = self.new_jobs();
+        if waiting < limit {
+            return Ok(());
+        }
+        let seconds = (self.mean_s * waiting as f64 * 0.5).clamp(0.1, 30.0);
+        Err(JobError::QueueFull { waiting, retry_after: Duration::from_secs_f64(seconds) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bytes::Bytes;
+
+    struct Ticket(u32, bool, Token);
+
+    impl Item for Ticket {
+        fn is_wanted(&self) -> bool {
+            self.1
+        }
+        fn token(&self) -> &Token {
+            &self.2
+        }
+    }
+
+    fn queue(limit: usize) -> Queue<Ticket> {
+        Queue::new(limit, Slots { regular: 1, memory: Bytes::MAX })
+    }
+
+    fn new() -> Admission {
+        Admission::New(AdmissionRequest::default())
+    }
+
+    fn reservations() -> Admission {
+        Admission::Reserved(AdmissionRequest::default())
+    }
+
+    fn pop(queue: &Queue<Ticket>, lane: Lane) -> Option<Ticket> {
+        match queue.pop(lane, Some(Duration::from_millis(1))) {
+            Popped::Item(taken) => {
+                queue.done(taken.number, Duration::ZERO);
+                Some(taken.item)
+            }
+            Popped::Nothing | Popped::Closed => None,
+        }
+    }
+
+    fn ticket(id: u32, wanted: bool) -> Ticket {
+        Ticket(id, wanted, Token::default())
+    }
+
+    #[test]
+    fn full_refuses_what_is_new_only_and_forgets_who_has_gone() {
+        let queue = queue(2);
+        assert_eq!(queue.push(new(), ticket(0, true)).unwrap(), 0);
+        assert_eq!(queue.push(new(), ticket(1, false)).unwrap(), 1);
+        assert_eq!(queue.push(new(), ticket(2, true)).unwrap(), 1, "the one who has gone makes room");
+        assert!(matches!(queue.push(new(), ticket(3, true)), Err(JobError::QueueFull { waiting: 2, .. })));
+        queue.push(Admission::Session, ticket(4, true)).unwrap();
+        queue.push(Admission::Continuation, ticket(5, true)).unwrap();
+        queue.close();
+        assert!(matches!(queue.push(new(), ticket(6, true)), Err(JobError::Draining)));
+        let order = |lane| -> Vec<u32> { std::iter::from_fn(|| pop(&queue, lane)).map(|t| t.0).collect() };
+        assert_eq!(order(Lane::Jobs), [0, 2], "closing keeps what waits");
+        assert_eq!(order(Lane::Short), [5, 4], "and what was admitted");
+        assert!(matches!(queue.push(Admission::Session, ticket(7, true)), Err(JobError::Draining)), "nobody is left");
+    }
+
+    #[test]
+    fn a_place_is_kept_and_always_let_in() {
+        let queue = queue(2);
+        let first = queue.reserve().unwrap();
+        queue.push(new(), ticket(0, true)).unwrap();
+        assert!(matches!(queue.reserve(), Err(JobError::QueueFull { waiting: 2, .. })));
+        assert!(matches!(queue.push(new(), ticket(1, true)), Err(JobError::QueueFull { .. })));
+        queue.push(reservations(), ticket(2, true)).unwrap();
+        queue.release(first);
+        assert!(matches!(queue.reserve(), Err(JobError::QueueFull { waiting: 2, .. })));
+        assert_eq!(pop(&queue, Lane::Jobs).map(|t| t.0), Some(0));
+        let slow = queue.reserve().unwrap();
+        // An upload that takes its time keeps nobody out, and gets in all the same.
+        queue.lock().reservations.insert(slow, Instant::now().checked_sub(RESERVATION_TTL).unwrap());
+        queue.push(new(), ticket(3, true)).unwrap();
+        queue.push(reservations(), ticket(4, true)).unwrap();
+        // So does what is kept elsewhere while it waits, and it takes nobody's place.
+        queue
+            .push(
+                Admission::Reserved(AdmissionRequest { is_persistent: true, ..AdmissionRequest::default() }),
+                ticket(5, true),
+            )
+            .unwrap();
+        queue.close();
+        assert!(matches!(queue.reserve(), Err(JobError::Draining)));
+    }
+
+    #[test]
+    fn a_session_does_not_wait_for_a_job() {
+        let queue = queue(2);
+        queue.push(new(), ticket(0, true)).unwrap();
+        let Popped::Item(job) = queue.pop(Lane::Jobs, None) else { panic!("a job waits") };
+        queue.push(new(), ticket(1, true)).unwrap();
+        queue.push(Admission::Session, ticket(2, true)).unwrap();
+        assert!(pop(&queue, Lane::Jobs).is_none(), "there is one slot");
+        assert_eq!(pop(&queue, Lane::Short).map(|t| t.0), Some(2));
+        queue.close();
+        assert!(matches!(queue.pop(Lane::Short, Some(Duration::ZERO)), Popped::Nothing), "what runs may have more");
+        queue.done(job.number, Duration::from_secs(1));
+        assert_eq!(pop(&queue, Lane::Jobs).map(|t| t.0), Some(1));
+        assert!(matches!(queue.pop(Lane::Short, None), Popped::Closed));
+    }
+
+    #[test]
+    fn cancel_all_reaches_the_running_and_the_waiting() {
+        let queue = queue(4);
+        for id in 0..3 {
+            queue.push(new(), ticket(id, true)).unwrap();
+        }
+        let Popped::Item(running) = queue.pop(Lane::Jobs, None) else { panic!("three wait") };
+        queue.cancel_all();
+        assert!(running.item.2.is_stopped());
+        queue.done(running.number, Duration::ZERO);
+        queue.close();
+        assert!(std::iter::from_fn(|| pop(&queue, Lane::Jobs)).all(|t| t.2.is_stopped()));
+    }
+}

@@ -1,0 +1,314 @@
+//! A job as data: what is asked for, and where it stands.
+//!
+//! Purpose: [`Job`] is a [`ValidSpec`] and a [`Status`]; both can be kept, sent and read again by another process.
+//! Invariant: the specification never changes; the status changes only by [`Change`], along the machine of
+//! [`state`](super::state). Times are given from outside: there is no clock here.
+//! Must not know: stores, queues, messages, how a job is done.
+
+mod check;
+mod spec;
+
+use std::fmt;
+use std::str::FromStr;
+use std::time::Duration;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+
+use super::state::{State, Transition};
+use crate::blob::Digest;
+
+pub use check::{SpecError, ValidSpec};
+pub use spec::{
+    ArrayForm, ArrayRef, AttributeKind, AttributeRef, BackendName, BoundaryRule, CvtCommand, CvtWork, Deadlines,
+    DensityKind, DensitySpec, JobSpec, MeasureRule, MeshFormat, MeshSource, PlacementRule, ProjectionRule, RefineSpec,
+    RemeshWork, ResultFormat, RvdOutput, RvdWork, SeedChange, SeedSource, SendSeeds, StepKindName, ThinRule, Tolerance,
+    WorkSpec,
+};
+
+/// Milliseconds since 1970, UTC.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Time(pub u64);
+
+impl Time {
+    /// So much later.
+    #[must_use]
+    pub fn after(self, time: Duration) -> Self {
+        Self(self.0.saturating_add(u64::try_from(time.as_millis()).unwrap_or(u64::MAX)))
+    }
+}
+
+/// The name of a job: the time of its creation and a random number, so that names sort by time and differ between
+/// processes. Written as 32 hexadecimal digits.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct JobId(pub [u8; 16]);
+
+/// A text that names no job.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a job's name has 32 hexadecimal digits, 0-9 and a-f")]
+pub struct JobIdError;
+
+impl JobId {
+    /// 48 bits of the time and the low 80 bits of `random`, which the caller takes from a source that others do not have.
+    pub fn new(created: Time, random: u128) -> Self {
+        let time = u128::from(created.0 & ((1 << 48) - 1)) << 80;
+        Self((time | (random & ((1 << 80) - 1))).to_be_bytes())
+    }
+
+    /// The least name of a job created at `time`.
+    pub fn first_of(time: Time) -> Self {
+        // A time that no name can hold is after all of them.
+        if time.0 >> 48 != 0 { Self([0xff; 16]) } else { Self::new(time, 0) }
+    }
+}
+
+impl fmt::Display for JobId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for JobId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{self}")
+    }
+}
+
+impl FromStr for JobId {
+    type Err = JobIdError;
+
+    fn from_str(text: &str) -> Result<Self, JobIdError> {
+        let mut bytes = [0; 16];
+        from_hex(text, &mut bytes).ok_or(JobIdError)?;
+        Ok(Self(bytes))
+    }
+}
+
+impl Serialize for JobId {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for JobId {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(de::Error::custom)
+    }
+}
+
+/// A job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Job {
+    /// Its name.
+    pub id: JobId,
+    /// What is asked for.
+    pub spec: ValidSpec,
+    /// Where it stands.
+    pub status: Status,
+}
+
+/// The part of a job that changes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Status {
+    /// Where it is in its life.
+    pub state: State,
+    /// Rises with every change of the state. Who changes a job says which version it has seen.
+    pub version: u64,
+    /// When it was created.
+    pub created: Time,
+    /// When the state last changed.
+    pub changed: Time,
+    /// When it was last begun.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub started: Option<Time>,
+    /// Times it was begun.
+    pub attempts: u32,
+    /// Times its executor went away without a word.
+    pub crashes: u32,
+    /// When it expires unless its state changes before.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub due: Option<Time>,
+    /// Who has it, while it runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub holder: Option<Holder>,
+    /// How it ended, once it has.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outcome: Option<Outcome>,
+}
+
+/// Who runs a job.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Holder {
+    /// Which process, as it calls itself.
+    pub name: String,
+    /// When others may take the job for orphaned, unless the lease is renewed.
+    pub until: Time,
+}
+
+/// How a job ended. A cancelled one has none.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Outcome {
+    /// It is done.
+    Succeeded(ResultSet),
+    /// It could not be done.
+    Failed(Failure),
+    /// Its time is over.
+    Expired(Cause),
+}
+
+/// What a job gives: blobs.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ResultSet {
+    /// Each under its name, such as "mesh.ply", "seeds" or "report".
+    pub blobs: std::collections::BTreeMap<String, Digest>,
+}
+
+/// Why a job has no result.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Failure {
+    /// What kind of failure.
+    pub kind: FailureKind,
+    /// For people.
+    pub message: String,
+}
+
+/// Kinds of failures, as far as a caller acts on them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FailureKind {
+    /// The input or an option is wrong: the same job fails again.
+    BadInput,
+    /// A blob of the input is not there.
+    MissingInput,
+    /// It needs more memory or time than it may have.
+    TooLarge,
+    /// Nobody could do the work, such as a device that is gone: another try may succeed.
+    Unavailable,
+    /// The process went down while the job was running, more than once.
+    Crashed,
+    /// A fault of the server.
+    Internal,
+}
+
+/// Why a job expired.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Cause {
+    /// It waited longer than its deadline for the queue.
+    QueueDeadline,
+    /// It ran longer than its deadline for running.
+    RunDeadline,
+    /// Its result was kept as long as results are.
+    Kept,
+}
+
+/// A change of a job's state, with what it brings.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Change {
+    /// [`Transition::Claim`]: counts an attempt.
+    Claim(Holder),
+    /// [`Transition::Release`].
+    Release,
+    /// [`Transition::Orphan`]: counts a crash.
+    Orphan,
+    /// [`Transition::Succeed`].
+    Succeed(ResultSet),
+    /// [`Transition::Fail`].
+    Fail(Failure),
+    /// [`Transition::Cancel`].
+    Cancel,
+    /// [`Transition::Expire`]: a result is no longer named, so that its blobs may go.
+    Expire(Cause),
+}
+
+impl Change {
+    /// Which transition it makes.
+    pub fn transition(&self) -> Transition {
+        match self {
+            Self::Claim(_) => Transition::Claim,
+            Self::Release => Transition::Release,
+            Self::Orphan => Transition::Orphan,
+            Self::Succeed(_) => Transition::Succeed,
+            Self::Fail(_) => Transition::Fail,
+            Self::Cancel => Transition::Cancel,
+            Self::Expire(_) => Transition::Expire,
+        }
+    }
+}
+
+impl Status {
+    /// That of a job which has just been created.
+    pub fn new(spec: &JobSpec, now: Time) -> Self {
+        Self {
+            state: State::Queued,
+            version: 1,
+            created: now,
+            changed: now,
+            started: None,
+            attempts: 0,
+            crashes: 0,
+            due: spec.deadlines.queue_ms.map(|ms| now.after(Duration::from_millis(ms))),
+            holder: None,
+            outcome: None,
+        }
+    }
+
+    /// After a change.
+    ///
+    /// # Errors
+    /// [`TransitionError`](super::state::TransitionError).
+    pub fn changed(
+        &self,
+        deadlines: Deadlines,
+        change: Change,
+        now: Time,
+    ) -> Result<Self, super::state::TransitionError> {
+        let state = super::state::apply(self.state, change.transition())?;
+        let mut next = Self { state, version: self.version + 1, changed: now, due: None, holder: None, ..self.clone() };
+        let by = |from: Time, ms: Option<u64>| ms.map(|ms| from.after(Duration::from_millis(ms)));
+        match change {
+            Change::Claim(holder) => {
+                next.attempts += 1;
+                next.started = Some(now);
+                next.due = by(now, deadlines.run_ms);
+                next.holder = Some(holder);
+            }
+            // The deadline of the queue counts from the time that the job last began to wait.
+            Change::Release => next.due = by(now, deadlines.queue_ms),
+            Change::Orphan => {
+                next.crashes += 1;
+                next.due = by(now, deadlines.queue_ms);
+            }
+            Change::Succeed(result) => next.outcome = Some(Outcome::Succeeded(result)),
+            Change::Fail(failure) => {
+                next.crashes += u32::from(failure.kind == FailureKind::Crashed);
+                next.outcome = Some(Outcome::Failed(failure));
+            }
+            Change::Cancel => {}
+            Change::Expire(cause) => next.outcome = Some(Outcome::Expired(cause)),
+        }
+        Ok(next)
+    }
+}
+
+/// Lower-case hexadecimal digits of exactly as many bytes as `out` has.
+fn from_hex(text: &str, out: &mut [u8]) -> Option<()> {
+    let digits = text.as_bytes();
+    if digits.len() != 2 * out.len() {
+        return None;
+    }
+    let value = |digit: u8| match digit {
+        b'0'..=b'9' => Some(digit - b'0'),
+        b'a'..=b'f' => Some(digit - b'a' + 10),
+        _ => None,
+    };
+    for (byte, pair) in out.iter_mut().zip(digits.chunks_exact(2)) {
+        *byte = value(pair[0])? << 4 | value(pair[1])?;
+    }
+    Some(())
+}

@@ -1,0 +1,421 @@
+//! Fair shares between tenants.
+//!
+//! Purpose: [`Schedule`] holds the jobs that wait and says which is next: start-time fair queueing between tenants by seconds
+//! of work (Goyal, Vin, Cheng, *Start-time Fair Queueing*, SIGCOMM 1996), priorities within a tenant, then the order in
+//! which they came.
+//!
+//! - Every tenant has a virtual time, which grows by the seconds that its jobs take, divided by its weight. The tenant with
+//!   the least is next. One that comes new, or comes back, begins at the virtual time of the others, and so has no debt and no savings.
+//! - A job is charged what it is expected to take when it begins, and what it really took when it ends.
+//! - [`Slots::regular`] jobs are at work at once. One more may be, of a tenant that has none at work: a flood of one tenant's
+//!   jobs never has all slots.
+//! - Jobs at work together need no more memory than there is, of the host and of the device. A job that does not fit waits;
+//!   others may bypass it for [`BYPASS_LIMIT`], then nothing begins until it fits.
+//!
+//! Invariant: pure bookkeeping; a job is waiting, running or gone. A job that needs more than there is begins once it is
+//! alone. Must not know: threads, clocks but for [`BYPASS_LIMIT`], what a job does.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::bytes::Bytes;
+
+use super::observer::Origin;
+
+/// How long others may bypass a job that does not fit.
+const BYPASS_LIMIT: Duration = Duration::from_secs(10);
+
+/// How many jobs may be at work at once, and what they may need.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Slots {
+    /// At least 1; one more for a tenant that has none at work.
+    pub regular: usize,
+    /// Memory that they may need together.
+    pub memory: Bytes,
+}
+
+/// What the scheduler is told of a job: whose it is, its share and priority, and what it is expected to cost.
+#[derive(Clone, Debug)]
+pub struct AdmissionRequest {
+    /// Whose job it is.
+    pub tenant: Arc<str>,
+    /// How much of the work the tenant gets beside others, each of which has 1 if nothing else is said. Above 0.
+    pub weight: f64,
+    /// The higher goes first among those of its tenant.
+    pub priority: i32,
+    /// Seconds that it is expected to take.
+    pub seconds: f64,
+    /// Memory that it is expected to need.
+    pub memory: Bytes,
+    /// Whether it is kept in a store while it waits, and so does not count against the queue's limit.
+    pub is_persistent: bool,
+    /// Whether later pieces of work continue what its first one makes, such as a session.
+    pub has_continuations: bool,
+    /// For metrics; what has none is not counted.
+    pub origin: Option<Origin>,
+}
+
+impl Default for AdmissionRequest {
+    fn default() -> Self {
+        Self {
+            tenant: "".into(),
+            weight: 1.0,
+            priority: 0,
+            seconds: 0.5,
+            memory: Bytes::default(),
+            is_persistent: false,
+            has_continuations: false,
+            origin: None,
+        }
+    }
+}
+
+/// A job whose turn it is.
+pub(crate) struct Scheduled<T> {
+    pub item: T,
+    /// Whether its tenant has nothing else at work or waiting.
+    pub is_alone: bool,
+}
+
+struct Waiting<T> {
+    item: T,
+    request: AdmissionRequest,
+    /// Since when others bypass it.
+    bypassed: Option<Instant>,
+}
+
+/// The order within a tenant.
+type Rank = (Reverse<i32>, u64);
+
+struct Tenant<T> {
+    /// Virtual time, seconds.
+    time: f64,
+    running: usize,
+    waiting: BTreeMap<Rank, Waiting<T>>,
+}
+
+struct Running {
+    tenant: Arc<str>,
+    weight: f64,
+    seconds: f64,
+    memory: Bytes,
+}
+
+/// See the module's head.
+pub(crate) struct Schedule<T> {
+    slots: Slots,
+    tenants: HashMap<Arc<str>, Tenant<T>>,
+    running: HashMap<u64, Running>,
+    /// Virtual time at which the last job began.
+    time: f64,
+    planned: Bytes,
+    waiting: usize,
+    came: u64,
+}
+
+impl<T> Schedule<T> {
+    /// Nothing waits.
+    pub(crate) fn new(slots: Slots) -> Self {
+        let slots = Slots { regular: slots.regular.max(1), ..slots };
+        Self {
+            slots,
+            tenants: HashMap::new(),
+            running: HashMap::new(),
+            time: 0.0,
+            planned: Bytes::default(),
+            waiting: 0,
+            came: 0,
+        }
+    }
+
+    /// Jobs that wait.
+    pub(crate) fn waiting(&self) -> usize {
+        self.waiting
+    }
+
+    /// Jobs at work.
+    pub(crate) fn running(&self) -> usize {
+        self.running.len()
+    }
+
+    /// Jobs that wait, in no order.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &T> {
+        self.tenants.values().flat_map(|tenant| tenant.waiting.values().map(|waiting| &waiting.item))
+    }
+
+    /// Adds a job.
+    pub(crate) fn push(&mut self, request: AdmissionRequest, item: T) {
+        self.came += 1;
+        self.waiting += 1;
+        let time = self.time;
+        let tenant = self.tenants.entry(Arc::clone(&request.tenant));
+        let tenant = tenant.or_insert_with(|| Tenant { time, running: 0, waiting: BTreeMap::new() });
+        if tenant.running == 0 && tenant.waiting.is_empty() {
+            tenant.time = tenant.time.max(time);
+        }
+        tenant.waiting.insert((Reverse(request.priority), self.came), Waiting { item, request, bypassed: None });
+    }
+
+    /// Lets go of jobs.
+    pub(crate) fn retain(&mut self, keep: impl Fn(&T) -> bool) {
+        for tenant in self.tenants.values_mut() {
+            tenant.waiting.retain(|_, waiting| keep(&waiting.item));
+        }
+        self.waiting = self.tenants.values().map(|tenant| tenant.waiting.len()).sum();
+        self.forget();
+    }
+
+    /// Takes all that waits.
+    pub(crate) fn drain(&mut self) -> Vec<T> {
+        self.waiting = 0;
+        let all = self.tenants.values_mut().flat_map(|tenant| std::mem::take(&mut tenant.waiting).into_values());
+        all.map(|waiting| waiting.item).collect()
+    }
+
+    /// When to ask [`Self::next`] again though nothing has changed; `None`: there is no need.
+    pub(crate) fn look_again(&self) -> Option<Duration> {
+        let bypassed = self.tenants.values().filter_map(|tenant| tenant.waiting.values().next()?.bypassed);
+        bypassed
+            .map(|since| BYPASS_LIMIT.saturating_sub(since.elapsed()))
+            .min()
+            .map(|left| left.max(Duration::from_millis(10)))
+    }
+
+    /// Takes the next job that is wanted and may begin; those that are not go to `gone`. `number` names it for
+    /// [`Self::done`].
+    pub(crate) fn next(
+        &mut self,
+        number: u64,
+        is_wanted: impl Fn(&T) -> bool,
+        gone: &mut Vec<T>,
+    ) -> Option<Scheduled<T>> {
+        let at_work = self.running.len();
+        if at_work > self.slots.regular {
+            return None;
+        }
+        let mut turns: Vec<(f64, u64, Arc<str>)> = Vec::new();
+        for (name, tenant) in &mut self.tenants {
+            while let Some(first) = tenant.waiting.first_entry().filter(|first| !is_wanted(&first.get().item)) {
+                gone.push(first.remove().item);
+                self.waiting -= 1;
+            }
+            let may = at_work < self.slots.regular || tenant.running == 0;
+            if let Some((&(_, came), _)) = tenant.waiting.first_key_value().filter(|_| may) {
+                turns.push((tenant.time, came, Arc::clone(name)));
+            }
+        }
+        turns.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let left = self.slots.memory.minus(self.planned);
+        for (time, _, name) in turns {
+            let Some(tenant) = self.tenants.get_mut(&name) else { continue };
+            let Some(mut first) = tenant.waiting.first_entry() else { continue };
+            if !first.get().request.memory.fits(left) && at_work > 0 {
+                let since = *first.get_mut().bypassed.get_or_insert_with(Instant::now);
+                if since.elapsed() >= BYPASS_LIMIT {
+                    return None;
+                }
+                continue;
+            }
+            let Waiting { item, request, .. } = first.remove();
+            self.waiting -= 1;
+            let is_alone = tenant.running == 0 && tenant.waiting.is_empty();
+            tenant.running += 1;
+            tenant.time += request.seconds / request.weight;
+            self.time = self.time.max(time);
+            self.planned = self.planned.plus(request.memory);
+            let AdmissionRequest { weight, seconds, memory, .. } = request;
+            self.running.insert(number, Running { tenant: name, weight, seconds, memory });
+            return Some(Scheduled { item, is_alone });
+        }
+        None
+    }
+
+    /// A job that was taken is done, and took so long. Whether there was such a job.
+    pub(crate) fn done(&mut self, number: u64, seconds: f64) -> bool {
+        let Some(job) = self.running.remove(&number) else { return false };
+        self.planned = self.planned.minus(job.memory);
+        if let Some(tenant) = self.tenants.get_mut(&job.tenant) {
+            tenant.running -= 1;
+            tenant.time += (seconds - job.seconds) / job.weight;
+        }
+        self.forget();
+        true
+    }
+
+    /// Forgets tenants that are no different from new ones.
+    fn forget(&mut self) {
+        let now = self.time;
+        self.tenants.retain(|_, tenant| tenant.running > 0 || !tenant.waiting.is_empty() || tenant.time > now);
+        if self.running.is_empty() && self.waiting == 0 {
+            // Debts are towards others who want something: there are none.
+            self.tenants.clear();
+            self.time = 0.0;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request(tenant: &str, seconds: f64) -> AdmissionRequest {
+        AdmissionRequest { tenant: tenant.into(), seconds, ..AdmissionRequest::default() }
+    }
+
+    fn schedule(regular: usize, host: u64) -> Schedule<&'static str> {
+        Schedule::new(Slots { regular, memory: Bytes { host, device: 50 } })
+    }
+
+    fn next(schedule: &mut Schedule<&'static str>, number: u64) -> Option<&'static str> {
+        schedule.next(number, |_| true, &mut Vec::new()).map(|next| next.item)
+    }
+
+    #[test]
+    fn a_flood_does_not_hold_up_another_tenant() {
+        let mut schedule = schedule(2, u64::MAX);
+        for _ in 0..30 {
+            schedule.push(request("flood", 3.0), "huge");
+        }
+        assert_eq!((next(&mut schedule, 0), next(&mut schedule, 1)), (Some("huge"), Some("huge")));
+        assert_eq!(next(&mut schedule, 2), None, "the third slot is for another tenant");
+        schedule.push(request("other", 0.1), "tiny");
+        assert_eq!(next(&mut schedule, 2), Some("tiny"), "which does not wait");
+        schedule.push(request("other", 0.1), "tiny");
+        assert_eq!(next(&mut schedule, 3), None);
+        assert!(schedule.done(0, 3.0));
+        assert_eq!(next(&mut schedule, 3), None, "two are at work, one of each");
+        assert!(schedule.done(2, 0.1));
+        assert_eq!(next(&mut schedule, 3), Some("tiny"), "its tenant has had less");
+        assert_eq!(schedule.waiting(), 28);
+    }
+
+    #[test]
+    fn tenants_share_by_seconds() {
+        let mut schedule = schedule(1, u64::MAX);
+        for _ in 0..1000 {
+            schedule.push(request("a", 1.0), "a");
+            schedule.push(request("b", 4.0), "b");
+        }
+        let mut seconds = HashMap::from([("a", 0.0), ("b", 0.0)]);
+        for number in 0..500 {
+            let name = next(&mut schedule, number).unwrap();
+            // Whatever was expected, what counts is what it took.
+            let took = if name == "a" { 2.0 } else { 1.0 };
+            *seconds.get_mut(name).unwrap() += took;
+            schedule.done(number, took);
+        }
+        assert!((seconds["a"] / seconds["b"] - 1.0).abs() < 0.05, "{seconds:?}");
+    }
+
+    #[test]
+    fn weights_share_in_their_ratio() {
+        let mut schedule = schedule(1, u64::MAX);
+        for _ in 0..1000 {
+            schedule.push(AdmissionRequest { weight: 4.0, ..request("heavy", 1.0) }, "heavy");
+            schedule.push(request("light", 1.0), "light");
+        }
+        let mut heavy = 0;
+        for number in 0..500 {
+            heavy += usize::from(next(&mut schedule, number) == Some("heavy"));
+            // Whatever was expected, both take as long.
+            schedule.done(number, 2.0);
+        }
+        assert!((398..=402).contains(&heavy), "{heavy} of 500");
+    }
+
+    #[test]
+    fn who_comes_back_has_no_savings() {
+        let mut schedule = schedule(1, u64::MAX);
+        schedule.push(request("late", 1.0), "late");
+        next(&mut schedule, 0).unwrap();
+        schedule.done(0, 1.0);
+        for _ in 0..100 {
+            schedule.push(request("busy", 1.0), "busy");
+        }
+        for number in 1..50 {
+            assert_eq!(next(&mut schedule, number), Some("busy"));
+            schedule.done(number, 1.0);
+        }
+        for _ in 0..10 {
+            schedule.push(request("late", 1.0), "late");
+        }
+        let turns: Vec<_> = (50..60)
+            .map(|number| {
+                let name = next(&mut schedule, number).unwrap();
+                schedule.done(number, 1.0);
+                name
+            })
+            .collect();
+        assert_eq!(turns.iter().filter(|name| **name == "late").count(), 5, "{turns:?}");
+    }
+
+    #[test]
+    fn priorities_go_first_within_a_tenant_only() {
+        let mut schedule = schedule(8, u64::MAX);
+        schedule.push(AdmissionRequest { priority: -1, ..request("a", 1.0) }, "last");
+        schedule.push(request("a", 1.0), "second");
+        schedule.push(request("a", 1.0), "third");
+        schedule.push(AdmissionRequest { priority: 5, ..request("a", 1.0) }, "first");
+        schedule.push(request("b", 1.0), "other");
+        let order: Vec<_> = (0..5).map(|number| next(&mut schedule, number).unwrap()).collect();
+        assert_eq!(order, ["first", "other", "second", "third", "last"]);
+    }
+
+    #[test]
+    fn memory_is_shared_and_what_never_fits_with_others_runs_alone() {
+        let mut schedule = schedule(4, 100);
+        let of =
+            |tenant: &str, host: u64| AdmissionRequest { memory: Bytes { host, device: 0 }, ..request(tenant, 1.0) };
+        schedule.push(of("a", 60), "first");
+        schedule.push(of("b", 60), "large");
+        schedule.push(of("c", 40), "small");
+        assert_eq!((next(&mut schedule, 0), next(&mut schedule, 1)), (Some("first"), Some("small")));
+        assert_eq!(next(&mut schedule, 2), None);
+        assert!(schedule.look_again().is_some_and(|pause| pause <= BYPASS_LIMIT));
+        // Nobody passes it for ever.
+        let tenant = schedule.tenants.get_mut("b").unwrap();
+        tenant.waiting.values_mut().next().unwrap().bypassed = Instant::now().checked_sub(BYPASS_LIMIT);
+        schedule.push(of("d", 0), "tiny");
+        assert_eq!(next(&mut schedule, 2), None);
+        schedule.done(0, 1.0);
+        schedule.done(1, 1.0);
+        assert_eq!((next(&mut schedule, 2), next(&mut schedule, 3)), (Some("large"), Some("tiny")));
+        schedule.done(2, 1.0);
+        schedule.done(3, 1.0);
+        schedule.push(of("e", 1000), "monster");
+        assert_eq!(next(&mut schedule, 4), Some("monster"), "it is alone");
+    }
+
+    #[test]
+    fn the_device_s_memory_is_shared_too() {
+        let mut schedule = schedule(4, 100);
+        let of =
+            |tenant: &str, device: u64| AdmissionRequest { memory: Bytes { host: 1, device }, ..request(tenant, 1.0) };
+        schedule.push(of("a", 30), "first");
+        schedule.push(of("b", 30), "second");
+        schedule.push(of("c", 0), "on a cpu");
+        assert_eq!((next(&mut schedule, 0), next(&mut schedule, 1)), (Some("first"), Some("on a cpu")));
+        assert_eq!(next(&mut schedule, 2), None);
+        schedule.done(0, 1.0);
+        assert_eq!(next(&mut schedule, 2), Some("second"));
+    }
+
+    #[test]
+    fn nothing_is_remembered_of_who_is_gone() {
+        let mut schedule = schedule(1, u64::MAX);
+        for number in 0..1000u64 {
+            schedule.push(request(&format!("tenant {number}"), 1.0), "job");
+            schedule.push(request("nobody waits", 1.0), "gone");
+            let mut gone = Vec::new();
+            while schedule.next(number, |item| *item != "gone", &mut gone).is_none() {}
+            schedule.done(number, 0.5);
+            assert!(schedule.tenants.len() <= 1, "{}", schedule.tenants.len());
+            schedule.retain(|_| false);
+        }
+        assert_eq!((schedule.waiting(), schedule.running(), schedule.tenants.len()), (0, 0, 0));
+        schedule.push(request("a", 1.0), "job");
+        assert_eq!((schedule.drain().len(), schedule.waiting()), (1, 0));
+    }
+}

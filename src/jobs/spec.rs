@@ -1,0 +1,112 @@
+//! What a caller wants done, made ready before its turn.
+//!
+//! Purpose: [`Input`] is what was given; [`Prepared`] is checked, scaled and seeded.
+//! Invariant: preparing touches no backend, so that it can run on any thread.
+//! Must not know: where the input came from.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use glam::DVec3;
+
+use super::JobError;
+use geometry::cvt::density::{self, DensityOptions, Plan};
+use geometry::mesh::TriMesh;
+use geometry::mesh::attributes::Attributes;
+use geometry::mesh::sample::sample;
+use geometry::remesh::report::{InputFigures, Timings};
+use geometry::remesh::{RemeshError, Seeds};
+use geometry::rvd::{RvdError, Surface};
+use geometry::token::{Stopped, Token};
+
+/// A surface and seeds, as given.
+#[derive(Clone, Debug)]
+pub struct Input {
+    /// The surface, caller's coordinates.
+    pub mesh: TriMesh,
+    /// How long edges should be, and where.
+    pub density: DensityOptions,
+    /// The seeds, or how to draw them.
+    pub seeds: Seeds,
+    /// Edges that are creases whatever their angle; of no use but to a remesh.
+    pub creases: Vec<[u32; 2]>,
+    /// What the surface carries and a remesh is to carry. Diagrams do without.
+    pub attributes: Option<Attributes>,
+}
+
+/// A surface in the unit frame and seeds in the caller's.
+#[derive(Clone, Debug)]
+pub struct Prepared {
+    /// For the backends.
+    pub surface: Arc<Surface>,
+    /// At least one, finite, caller's coordinates.
+    pub seeds: Arc<Vec<DVec3>>,
+    /// The random seed, if they were drawn.
+    pub random_seed: Option<u64>,
+    /// What came in.
+    pub figures: InputFigures,
+    /// `prepare` and `sample` are set.
+    pub timings: Timings,
+}
+
+impl Prepared {
+    /// Checks the density and the seeds, and draws seeds if asked. Lengths per vertex, curvature and feature
+    /// size may divide facets; with weights and uniform the surface's facets are the mesh's.
+    ///
+    /// # Errors
+    /// `WeightCount`, `BadWeight`, `NoSeeds`, `NonFiniteSeed`, `Density`, `Stopped`.
+    pub fn new(input: Input, token: &Token) -> Result<Self, JobError> {
+        Self::with(input, token, |plan| Ok(plan))
+    }
+
+    /// The same for steps alone, as a remesh takes them: facets that are long beside the cells are divided, so that steps
+    /// take less time ([`Plan::divided`]).
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn for_steps(input: Input, token: &Token) -> Result<Self, JobError> {
+        Self::with(input, token, |plan| plan.divided(token))
+    }
+
+    fn with(
+        input: Input,
+        token: &Token,
+        change: impl for<'a> FnOnce(Plan<'a>) -> Result<Plan<'a>, Stopped>,
+    ) -> Result<Self, JobError> {
+        token.enter("prepare");
+        let start = Instant::now();
+        let Input { mesh, density, seeds, .. } = input;
+        let plan = density::plan(&mesh, &density, seeds.count(), token).map_err(RemeshError::from)?;
+        let mut surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+        token.check()?;
+        let figures = InputFigures::of(&mesh, token)?;
+        token.check()?;
+        let mut prepare = start.elapsed();
+        let start = Instant::now();
+        // Before facets are divided: the same number draws the same seeds for every kind of job.
+        let (seeds, random_seed) = match seeds {
+            Seeds::Given(seeds) => (seeds, None),
+            Seeds::Sample { seed, .. } | Seeds::Implied { seed } => {
+                let points = sample(&plan.mesh, plan.weights.as_deref(), plan.points, seed);
+                (points.into_iter().map(|p| p.position).collect(), Some(seed))
+            }
+        };
+        let sampled = start.elapsed();
+        let start = Instant::now();
+        let facets = plan.mesh.facets().len();
+        let plan = change(plan)?;
+        if plan.mesh.facets().len() != facets {
+            surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);
+        }
+        prepare += start.elapsed();
+        let ms = |time: Duration| time.as_secs_f64() * 1e3;
+        let timings = Timings { prepare: ms(prepare), sample: ms(sampled), ..Timings::default() };
+        if seeds.is_empty() {
+            return Err(RvdError::NoSeeds.into());
+        }
+        if let Some(seed) = seeds.iter().position(|p: &DVec3| !p.is_finite()) {
+            return Err(RvdError::NonFiniteSeed { seed }.into());
+        }
+        Ok(Self { surface, seeds: Arc::new(seeds), random_seed, figures, timings })
+    }
+}

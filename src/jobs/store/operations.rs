@@ -1,0 +1,470 @@
+//! What can be done with jobs, on tables.
+//!
+//! Purpose: one implementation for the stores of one process. Invariant: an operation reads and decides before it writes, so
+//! that one that is refused has written nothing; the indexes (`states`, `due`, `ended`, `terms`, `requests`) say the same as the heads.
+//! Must not know: files, threads, clocks.
+
+use std::ops::ControlFlow;
+
+use super::codec::{Head, decode, encode};
+use super::live::{Entry, Live};
+use super::tables::{Order, Table, Tables, TablesMut};
+use super::{Created, NewJob, Orphans, Page, PageToken, Query, Recovered, Retention, StoreError, Swept};
+use crate::event::{Event, Events, Log, Progress, What};
+use crate::record::{Cause, Change, Failure, FailureKind, Holder, Job, JobId, Status, Time, ValidSpec};
+use crate::state::State;
+
+/// Numbers of events that are reserved at once: so many are skipped at most if the process goes down.
+const RESERVED: u64 = 1024;
+
+type StoreResult<T> = Result<T, StoreError>;
+
+fn state_term(state: State) -> [u8; 1] {
+    [State::ALL.iter().position(|s| *s == state).unwrap_or_default() as u8]
+}
+
+fn state_key(state: State, id: JobId) -> Vec<u8> {
+    [&state_term(state)[..], &id.0].concat()
+}
+
+fn time_key(time: Time, id: JobId) -> Vec<u8> {
+    [&time.0.to_be_bytes()[..], &id.0].concat()
+}
+
+fn request_key(tenant: &str, request_id: &str) -> Vec<u8> {
+    [tenant.as_bytes(), &[0], request_id.as_bytes()].concat()
+}
+
+/// What a list looks for: neither labels nor tenants hold a 0.
+fn label_term(key: &str, value: &str) -> Vec<u8> {
+    [b"l", key.as_bytes(), &[0], value.as_bytes(), &[0]].concat()
+}
+
+fn tenant_term(tenant: &str) -> Vec<u8> {
+    [b"t", tenant.as_bytes(), &[0]].concat()
+}
+
+/// The terms under which a job is found.
+fn terms(head: &Head, id: JobId) -> impl Iterator<Item = Vec<u8>> {
+    let labels = head.labels.iter().map(|(key, value)| label_term(key, value));
+    labels.chain([tenant_term(&head.tenant)]).map(move |term| [&term[..], &id.0].concat())
+}
+
+/// The job at the end of a key.
+fn id_of(table: Table, key: &[u8]) -> StoreResult<JobId> {
+    key.last_chunk()
+        .map(|bytes| JobId(*bytes))
+        .ok_or_else(|| StoreError::Damaged { path: table.name().into(), what: "a key is too short".to_owned() })
+}
+
+fn head(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Head> {
+    let bytes = tables.get(Table::Heads, &id.0)?.ok_or(StoreError::NotFound { id })?;
+    decode(&format!("heads/{id}"), &bytes)
+}
+
+fn missing(table: Table, id: JobId) -> StoreError {
+    StoreError::Damaged { path: format!("{}/{id}", table.name()).into(), what: "it is missing".to_owned() }
+}
+
+fn spec(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<ValidSpec> {
+    Ok(spec_and_length(tables, id)?.0)
+}
+
+/// A specification, and how many bytes it takes encoded.
+fn spec_and_length(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<(ValidSpec, usize)> {
+    let bytes = tables.get(Table::Specs, &id.0)?.ok_or_else(|| missing(Table::Specs, id))?;
+    Ok((decode(&format!("specs/{id}"), &bytes)?, bytes.len()))
+}
+
+fn log(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Log> {
+    let bytes = tables.get(Table::Logs, &id.0)?.ok_or_else(|| missing(Table::Logs, id))?;
+    decode(&format!("logs/{id}"), &bytes)
+}
+
+fn put_head(tables: &mut dyn TablesMut, id: JobId, head: &Head) -> StoreResult<()> {
+    tables.put(Table::Heads, &id.0, &encode("head", head)?)
+}
+
+/// Writes where the indexes say that a job with this status is.
+fn index(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> StoreResult<()> {
+    tables.put(Table::States, &state_key(status.state, id), &[])?;
+    if let Some(due) = status.due {
+        tables.put(Table::Due, &time_key(due, id), &[])?;
+    }
+    if status.state.is_ended() {
+        let is_result = u8::from(status.state == State::Succeeded);
+        tables.put(Table::Ended, &time_key(status.changed, id), &[is_result])?;
+    }
+    Ok(())
+}
+
+fn unindex(tables: &mut dyn TablesMut, id: JobId, status: &Status) -> StoreResult<()> {
+    tables.remove(Table::States, &state_key(status.state, id))?;
+    if let Some(due) = status.due {
+        tables.remove(Table::Due, &time_key(due, id))?;
+    }
+    if status.state.is_ended() {
+        tables.remove(Table::Ended, &time_key(status.changed, id))?;
+    }
+    Ok(())
+}
+
+pub(super) fn create(tables: &mut dyn TablesMut, live: &mut Live, new: NewJob) -> StoreResult<Created> {
+    let NewJob { id, spec: wanted, now } = new;
+    if let Some(job) = requested(tables, &wanted)? {
+        return Ok(Created { job, existed: true });
+    }
+    let request = (!wanted.request_id.is_empty()).then(|| request_key(&wanted.tenant, &wanted.request_id));
+    if tables.get(Table::Heads, &id.0)?.is_some() {
+        return Err(StoreError::NameTaken { id });
+    }
+    let status = Status::new(&wanted, now);
+    let mut log = Log::default();
+    log.push(Event { number: 1, at: now, what: What::State { state: State::Queued, attempt: 0 } });
+    let head = Head {
+        tenant: wanted.tenant.clone(),
+        request_id: wanted.request_id.clone(),
+        labels: wanted.labels.clone(),
+        status,
+        next_event: 2,
+        reserved_events: 2,
+    };
+    let (spec, log) = (encode("spec", &wanted)?, encode("log", &log)?);
+    put_head(tables, id, &head)?;
+    tables.put(Table::Specs, &id.0, &spec)?;
+    tables.put(Table::Logs, &id.0, &log)?;
+    if let Some(key) = &request {
+        tables.put(Table::Requests, key, &id.0)?;
+    }
+    for term in terms(&head, id) {
+        tables.put(Table::Terms, &term, &[])?;
+    }
+    index(tables, id, &head.status)?;
+    live.touched.push(id);
+    Ok(Created { job: Job { id, spec: wanted, status: head.status }, existed: false })
+}
+
+/// Writes a job as another journal had it, with all its indexes.
+pub(super) fn adopt(tables: &mut dyn TablesMut, id: JobId, head: &Head, spec: &[u8], log: &[u8]) -> StoreResult<()> {
+    put_head(tables, id, head)?;
+    tables.put(Table::Specs, &id.0, spec)?;
+    tables.put(Table::Logs, &id.0, log)?;
+    if !head.request_id.is_empty() {
+        tables.put(Table::Requests, &request_key(&head.tenant, &head.request_id), &id.0)?;
+    }
+    for term in terms(head, id) {
+        tables.put(Table::Terms, &term, &[])?;
+    }
+    index(tables, id, &head.status)
+}
+
+/// The job that the same request made before.
+pub(super) fn requested(tables: &(impl Tables + ?Sized), wanted: &ValidSpec) -> StoreResult<Option<Job>> {
+    if wanted.request_id.is_empty() {
+        return Ok(None);
+    }
+    let Some(earlier) = tables.get(Table::Requests, &request_key(&wanted.tenant, &wanted.request_id))? else {
+        return Ok(None);
+    };
+    let job = get(tables, id_of(Table::Requests, &earlier)?)?;
+    match job.spec == *wanted {
+        true => Ok(Some(job)),
+        false => Err(StoreError::AlreadyExists { request_id: wanted.request_id.clone(), id: job.id }),
+    }
+}
+
+pub(super) fn get(tables: &(impl Tables + ?Sized), id: JobId) -> StoreResult<Job> {
+    let head = head(tables, id)?;
+    Ok(Job { id, spec: spec(tables, id)?, status: head.status })
+}
+
+pub(super) fn list(tables: &impl Tables, query: &Query) -> StoreResult<Page> {
+    let limit = query.limit();
+    let low = JobId::first_of(query.since.unwrap_or_default());
+    let mut high = query.before.map_or([0xff; 16], |before| JobId::first_of(before).0);
+    if let Some(PageToken(last)) = query.token {
+        high = high.min(last.0);
+    }
+    let mut found = Vec::new();
+    let mut look = |id: JobId, head: Head| {
+        let fits = query.tenant.as_ref().is_none_or(|tenant| *tenant == head.tenant)
+            && query.states.is_empty_or(head.status.state)
+            && query.labels.iter().all(|(key, value)| head.labels.get(key) == Some(value));
+        if fits {
+            found.push((id, head.status));
+        }
+        // One more than the page, to know whether there is another.
+        if found.len() > limit { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    };
+    if low.0 < high {
+        // The index that is likely to be the shortest.
+        let (table, term) = match (query.labels.iter().next(), &query.states[..], &query.tenant) {
+            (Some((key, value)), ..) => (Table::Terms, label_term(key, value)),
+            (None, &[state], _) => (Table::States, state_term(state).to_vec()),
+            (None, _, Some(tenant)) => (Table::Terms, tenant_term(tenant)),
+            (None, _, None) => (Table::Heads, Vec::new()),
+        };
+        let (from, to) = ([&term[..], &low.0].concat(), [&term[..], &high].concat());
+        tables.visit(table, (&from, &to), Order::Down, &mut |key, value| {
+            let id = id_of(table, key)?;
+            let head = match table {
+                Table::Heads => decode(&format!("heads/{id}"), value)?,
+                _ => self::head(tables, id)?,
+            };
+            Ok(look(id, head))
+        })?;
+    }
+    let mut more = found.len() > limit;
+    found.truncate(limit);
+    let (mut jobs, mut bytes) = (Vec::new(), 0);
+    for (id, status) in found {
+        // At least one, so that pages come to an end.
+        if bytes > PAGE_BYTES {
+            more = true;
+            break;
+        }
+        let (spec, length) = spec_and_length(tables, id)?;
+        bytes += length;
+        jobs.push(Job { id, spec, status });
+    }
+    let next = jobs.last().filter(|_| more).map(|job| PageToken(job.id));
+    Ok(Page { jobs, next })
+}
+
+/// Specifications of a page, encoded: a page is shorter than its limit where they are long.
+const PAGE_BYTES: usize = 2 << 20;
+
+/// Whether a list that may be empty allows something.
+trait EmptyOr<T> {
+    fn is_empty_or(&self, item: T) -> bool;
+}
+
+impl<T: PartialEq> EmptyOr<T> for Vec<T> {
+    fn is_empty_or(&self, item: T) -> bool {
+        self.is_empty() || self.contains(&item)
+    }
+}
+
+fn at_version(head: &Head, id: JobId, at: Option<u64>) -> StoreResult<()> {
+    let found = head.status.version;
+    match at {
+        Some(expected) if expected != found => Err(StoreError::Stale { id, expected, found }),
+        _ => Ok(()),
+    }
+}
+
+/// Changes the state; of a job at version `at`, if that is given.
+pub(super) fn change(
+    tables: &mut dyn TablesMut,
+    live: &mut Live,
+    (id, at): (JobId, Option<u64>),
+    change: Change,
+    now: Time,
+) -> StoreResult<Job> {
+    let before = head(tables, id)?;
+    at_version(&before, id, at)?;
+    let spec = spec(tables, id)?;
+    let status =
+        before.status.changed(spec.deadlines, change, now).map_err(|cause| StoreError::Transition { id, cause })?;
+    let mut log = log(tables, id)?;
+    let mut number = before.reserved_events;
+    if let Some(Entry { next, log: progress }) = live.take(id) {
+        log = log.extended(&progress);
+        number = next;
+    }
+    let state = What::State { state: status.state, attempt: status.attempts };
+    log.push(Event { number, at: now, what: state });
+    let next_event = number + 1;
+    let reserved_events = if status.state == State::Running { next_event + RESERVED } else { next_event };
+    if status.state == State::Running {
+        live.jobs.insert(id, Entry { next: next_event, log: Log::default() });
+    }
+    live.touched.push(id);
+    let encoded = encode("log", &log)?;
+    unindex(tables, id, &before.status)?;
+    index(tables, id, &status)?;
+    let head = Head { status, next_event, reserved_events, ..before };
+    put_head(tables, id, &head)?;
+    tables.put(Table::Logs, &id.0, &encoded)?;
+    Ok(Job { id, spec, status: head.status })
+}
+
+pub(super) fn cancel(tables: &mut dyn TablesMut, live: &mut Live, id: JobId, now: Time) -> StoreResult<Job> {
+    let job = get(tables, id)?;
+    match job.status.state {
+        State::Cancelled => Ok(job),
+        _ => change(tables, live, (id, None), Change::Cancel, now),
+    }
+}
+
+pub(super) fn renew(tables: &mut dyn TablesMut, id: JobId, at: u64, until: Time) -> StoreResult<()> {
+    let mut head = running(tables, id, at)?;
+    if let Some(Holder { until: old, .. }) = &mut head.status.holder {
+        *old = until;
+    }
+    put_head(tables, id, &head)
+}
+
+/// The head of a job that runs since version `at`.
+fn running(tables: &dyn TablesMut, id: JobId, at: u64) -> StoreResult<Head> {
+    let head = head(tables, id)?;
+    at_version(&head, id, Some(at))?;
+    match head.status.state {
+        State::Running => Ok(head),
+        // The version is that of no claim.
+        _ => Err(StoreError::Stale { id, expected: at, found: head.status.version }),
+    }
+}
+
+pub(super) fn progress(
+    tables: &mut dyn TablesMut,
+    live: &mut Live,
+    (id, at): (JobId, u64),
+    progress: Progress,
+    now: Time,
+) -> StoreResult<u64> {
+    let mut head = running(tables, id, at)?;
+    // Without an entry another process may have given away what is reserved.
+    let entry = live.jobs.get(&id);
+    let number = entry.map_or(head.reserved_events, |entry| entry.next);
+    if number >= head.reserved_events {
+        head.reserved_events = number + RESERVED;
+        put_head(tables, id, &head)?;
+    }
+    let entry = live.jobs.entry(id).or_default();
+    entry.next = number + 1;
+    entry.log.push(Event { number, at: now, what: What::Progress(progress.finite()) });
+    live.touched.push(id);
+    Ok(number)
+}
+
+/// `progress` is that of the job, read before the tables.
+pub(super) fn events(
+    tables: &impl Tables,
+    progress: Option<&Log>,
+    id: JobId,
+    after: u64,
+    most: usize,
+) -> StoreResult<Events> {
+    let log = match (log(tables, id), progress) {
+        (Err(_), _) if tables.get(Table::Heads, &id.0)?.is_none() => return Err(StoreError::NotFound { id }),
+        (log, Some(progress)) => log?.extended(progress),
+        (log, None) => log?,
+    };
+    Ok(log.after(after, most))
+}
+
+pub(super) fn delete(tables: &mut dyn TablesMut, live: &mut Live, id: JobId) -> StoreResult<()> {
+    let head = head(tables, id)?;
+    let state = head.status.state;
+    if !state.is_ended() {
+        return Err(StoreError::NotEnded { id, state });
+    }
+    unindex(tables, id, &head.status)?;
+    if !head.request_id.is_empty() {
+        tables.remove(Table::Requests, &request_key(&head.tenant, &head.request_id))?;
+    }
+    for term in terms(&head, id) {
+        tables.remove(Table::Terms, &term)?;
+    }
+    for table in [Table::Heads, Table::Specs, Table::Logs] {
+        tables.remove(table, &id.0)?;
+    }
+    live.take(id);
+    live.touched.push(id);
+    Ok(())
+}
+
+pub(super) fn expire(
+    tables: &mut dyn TablesMut,
+    live: &mut Live,
+    now: Time,
+    keep: Retention,
+    most: usize,
+) -> StoreResult<Swept> {
+    let mut swept = Swept::default();
+    let end = time_key(Time(now.0.saturating_add(1)), JobId([0; 16]));
+    let mut due = Vec::new();
+    tables.visit(Table::Due, (&[], &end), Order::Up, &mut |key, _| {
+        swept.more = due.len() >= most;
+        if swept.more {
+            return Ok(ControlFlow::Break(()));
+        }
+        due.push(id_of(Table::Due, key)?);
+        Ok(ControlFlow::Continue(()))
+    })?;
+    let mut over = Vec::new();
+    let old = |time: u64, kept: std::time::Duration| Time(time).after(kept) <= now;
+    tables.visit(Table::Ended, (&[], &end), Order::Up, &mut |key, value| {
+        let time = key.first_chunk().map_or(0, |bytes| u64::from_be_bytes(*bytes));
+        let is_result = value.first() == Some(&1);
+        if !old(time, keep.results.min(keep.records)) {
+            return Ok(ControlFlow::Break(()));
+        }
+        if old(time, if is_result { keep.results } else { keep.records }) {
+            if due.len() + over.len() >= most {
+                swept.more = true;
+                return Ok(ControlFlow::Break(()));
+            }
+            over.push((id_of(Table::Ended, key)?, is_result));
+        }
+        Ok(ControlFlow::Continue(()))
+    })?;
+    for id in due {
+        let cause = match head(tables, id)?.status.state {
+            State::Queued => Cause::QueueDeadline,
+            _ => Cause::RunDeadline,
+        };
+        change(tables, live, (id, None), Change::Expire(cause), now)?;
+        swept.expired.push(id);
+    }
+    for (id, is_result) in over {
+        if is_result {
+            change(tables, live, (id, None), Change::Expire(Cause::Kept), now)?;
+            swept.expired.push(id);
+        } else {
+            delete(tables, live, id)?;
+            swept.deleted.push(id);
+        }
+    }
+    Ok(swept)
+}
+
+fn in_state(tables: &dyn TablesMut, state: State) -> StoreResult<Vec<JobId>> {
+    let (from, to) = (state_key(state, JobId([0; 16])), state_key(state, JobId([0xff; 16])));
+    let mut found = Vec::new();
+    tables.visit(Table::States, (&from, &to), Order::Up, &mut |key, _| {
+        found.push(id_of(Table::States, key)?);
+        Ok(ControlFlow::Continue(()))
+    })?;
+    Ok(found)
+}
+
+pub(super) fn recover(
+    tables: &mut dyn TablesMut,
+    live: &mut Live,
+    now: Time,
+    orphans: Orphans,
+    max_crashes: u32,
+) -> StoreResult<Recovered> {
+    let mut recovered = Recovered::default();
+    for id in in_state(tables, State::Running)? {
+        let status = head(tables, id)?.status;
+        if orphans == Orphans::LeaseOver && status.holder.is_some_and(|holder| holder.until > now) {
+            continue;
+        }
+        if status.crashes + 1 < max_crashes {
+            change(tables, live, (id, None), Change::Orphan, now)?;
+            recovered.requeued.push(id);
+        } else {
+            let times = status.crashes + 1;
+            let message =
+                format!("the server went down while this job was running, {times} times; it is not tried again");
+            let failure = Failure { kind: FailureKind::Crashed, message };
+            change(tables, live, (id, None), Change::Fail(failure), now)?;
+            recovered.failed.push(id);
+        }
+    }
+    recovered.queued = in_state(tables, State::Queued)?;
+    Ok(recovered)
+}

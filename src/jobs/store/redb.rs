@@ -1,0 +1,444 @@
+//! The journal: jobs in one file that survives the process and the machine's power.
+//!
+//! Purpose: [`RedbStore`]. One thread writes. It takes what waits, does it in one transaction, makes that durable with one
+//! commit, and only then answers all of it. While a commit is on its way to the disk the next group gathers.
+//! Invariant: what was answered is on the disk, and a group is there as a whole or not at all. Readers see committed groups
+//! only. Progress of running jobs needs no commit: it is in memory, and gets into the journal with the next change of the job's
+//! state. A failed commit ends the store, since nobody knows what of it the disk has. Must not know: what operations do.
+
+mod directory;
+pub(crate) mod repair;
+mod salvage;
+
+use std::cell::Cell;
+use std::collections::HashMap;
+use std::ops::{Bound, ControlFlow};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use ::redb::{
+    Database, Durability, ReadTransaction, ReadableDatabase, ReadableTable, StorageBackend, StorageError,
+    TableDefinition, WriteTransaction,
+};
+use tokio::sync::{mpsc, oneshot};
+
+use super::live::{Live, Waiters};
+use super::tables::{Order, Table, Tables, TablesMut, Visit};
+use super::{
+    Answer, Created, JobStore, NewJob, Orphans, Page, Query, Recovered, Retention, StoreError, Swept, operations as ops,
+};
+use crate::event::{Events, Log, Progress};
+use crate::record::{Change, Holder, Job, JobId, Time, ValidSpec};
+use directory::Directory;
+
+/// Operations that wait for the writer; more wait for a place.
+const WAITING: usize = 1024;
+/// The most operations of one commit, so that the first of them does not wait long.
+const GROUP: usize = 512;
+
+/// The longest that a group gathers.
+const PATIENCE: Duration = Duration::from_millis(2);
+
+type Bytes = &'static [u8];
+
+fn definition(table: Table) -> TableDefinition<'static, Bytes, Bytes> {
+    TableDefinition::new(table.name())
+}
+
+/// How the journal is opened.
+#[derive(Clone, Copy, Debug)]
+pub struct RedbOptions {
+    /// Pages that are kept in memory, bytes.
+    pub cache_bytes: usize,
+}
+
+impl Default for RedbOptions {
+    fn default() -> Self {
+        Self { cache_bytes: 32 << 20 }
+    }
+}
+
+/// See the module's head. Dropping it ends the writer, once what waits is written.
+#[derive(Debug)]
+pub struct RedbStore {
+    shared: Arc<Shared>,
+    commands: Option<mpsc::Sender<Command>>,
+    writer: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    database: Database,
+    path: PathBuf,
+    /// Progress as far as it can be seen: what the writer has, after the commit that it may depend on.
+    progress: Mutex<HashMap<JobId, Log>>,
+    waiters: Waiters,
+    /// Held after the database, so dropped after it.
+    _directory: Option<Directory>,
+}
+
+/// An operation. It gives the reply for its caller, which is sent once the group is committed.
+type Command = Box<dyn FnOnce(&mut dyn TablesMut, &mut Live) -> Reply + Send>;
+type Reply = Box<dyn FnOnce(Result<(), StoreError>) + Send>;
+
+impl RedbStore {
+    /// Opens the journal of a directory; makes both if they are not there. Nothing is recovered yet:
+    /// [`JobStore::recover`].
+    ///
+    /// # Errors
+    /// `InUse`, `Damaged`, `UnknownVersion`, `Io`.
+    pub fn open(directory: &Path, options: RedbOptions) -> Result<Self, StoreError> {
+        let (directory, database) = Directory::open(directory, options.cache_bytes)?;
+        Self::start(database, directory.journal(), Some(directory))
+    }
+
+    /// A journal in something else than a file, as tests need it.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn with_backend(backend: impl StorageBackend, options: RedbOptions) -> Result<Self, StoreError> {
+        let path = PathBuf::from("journal");
+        let database = directory::database(&path, options.cache_bytes, |builder| builder.create_with_backend(backend))?;
+        Self::start(database, path, None)
+    }
+
+    fn start(database: Database, path: PathBuf, directory: Option<Directory>) -> Result<Self, StoreError> {
+        let (progress, waiters) = (Mutex::default(), Waiters::default());
+        let shared = Arc::new(Shared { database, path, progress, waiters, _directory: directory });
+        shared.make_tables()?;
+        let (commands, waiting) = mpsc::channel(WAITING);
+        let writer = Writer { shared: Arc::clone(&shared), live: Live::default(), broken: None };
+        let spawned = std::thread::Builder::new().name("journal".to_owned()).spawn(move || writer.run(waiting));
+        let writer = spawned.map_err(|cause| shared.io("start the thread that writes", &cause))?;
+        Ok(Self { shared, commands: Some(commands), writer: Some(writer) })
+    }
+
+    fn write<T: Send + 'static>(
+        &self,
+        operation: impl FnOnce(&mut dyn TablesMut, &mut Live) -> Result<T, StoreError> + Send + 'static,
+    ) -> Answer<'_, T> {
+        let (sender, answer) = oneshot::channel();
+        let command: Command = Box::new(move |tables, live| {
+            let result = operation(tables, live);
+            // A refusal counts only with the state that it saw, too.
+            Box::new(move |committed| drop(sender.send(committed.and(result))))
+        });
+        Box::pin(async move {
+            let commands = self.commands.as_ref().ok_or(StoreError::Closed)?;
+            commands.send(command).await.map_err(|_| StoreError::Closed)?;
+            answer.await.map_err(|_| StoreError::Closed)?
+        })
+    }
+
+    fn read<T: Send + 'static>(
+        &self,
+        operation: impl FnOnce(&Shared) -> Result<T, StoreError> + Send + 'static,
+    ) -> Answer<'_, T> {
+        let shared = Arc::clone(&self.shared);
+        let work = move || operation(&shared);
+        Box::pin(async move {
+            // Pages may have to come from the disk.
+            match tokio::runtime::Handle::try_current() {
+                Ok(runtime) => runtime.spawn_blocking(work).await.map_err(|_| StoreError::Closed)?,
+                Err(_) => work(),
+            }
+        })
+    }
+}
+
+impl Drop for RedbStore {
+    fn drop(&mut self) {
+        self.commands = None;
+        self.shared.waiters.close();
+        // It has no more to do than what waits; a panic in it was told to who asked.
+        drop(self.writer.take().map(JoinHandle::join));
+    }
+}
+
+impl Shared {
+    fn make_tables(&self) -> Result<(), StoreError> {
+        let failed =
+            |what: &dyn std::fmt::Display| StoreError::Damaged { path: self.path.clone(), what: what.to_string() };
+        let transaction = self.database.begin_write().map_err(|e| failed(&e))?;
+        for table in Table::ALL {
+            transaction.open_table(definition(table)).map_err(|e| failed(&e))?;
+        }
+        transaction.commit().map_err(|e| failed(&e))
+    }
+
+    fn io(&self, action: &'static str, cause: &dyn std::fmt::Display) -> StoreError {
+        StoreError::Io { action, path: self.path.clone(), cause: cause.to_string() }
+    }
+
+    /// What reading said.
+    fn store_error(&self, error: impl Into<::redb::Error>) -> StoreError {
+        match error.into() {
+            ::redb::Error::Corrupted(what) => StoreError::Damaged { path: self.path.clone(), what },
+            error => self.io("read", &error),
+        }
+    }
+
+    fn reading(&self) -> Result<Reading<'_>, StoreError> {
+        let transaction = self.database.begin_read().map_err(|e| self.store_error(e))?;
+        Ok(Reading { shared: self, transaction })
+    }
+
+    fn progress(&self) -> MutexGuard<'_, HashMap<JobId, Log>> {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+struct Reading<'a> {
+    shared: &'a Shared,
+    transaction: ReadTransaction,
+}
+
+fn get(table: &impl ReadableTable<Bytes, Bytes>, key: &[u8]) -> Result<Option<Vec<u8>>, StorageError> {
+    Ok(table.get(key)?.map(|guard| guard.value().to_vec()))
+}
+
+fn visit(
+    shared: &Shared,
+    table: &impl ReadableTable<Bytes, Bytes>,
+    (from, to): (&[u8], &[u8]),
+    order: Order,
+    visit: &mut Visit<'_>,
+) -> Result<(), StoreError> {
+    let bounds = (Bound::Included(from), Bound::Excluded(to));
+    let mut range = table.range::<&[u8]>(bounds).map_err(|e| shared.store_error(e))?;
+    while let Some(entry) = if order == Order::Up { range.next() } else { range.next_back() } {
+        let (key, value) = entry.map_err(|e| shared.store_error(e))?;
+        if let ControlFlow::Break(()) = visit(key.value(), value.value())? {
+            break;
+        }
+    }
+    Ok(())
+}
+
+impl Tables for Reading<'_> {
+    fn get(&self, table: Table, key: &[u8]) -> Result<Option<Vec<u8>>, StoreError> {
+        let table = self.transaction.open_table(definition(table)).map_err(|e| self.shared.store_error(e))?;
+        get(&table, key).map_err(|e| self.shared.store_error(e))
+    }
+
+    fn visit(&self, table: Table, range: (&[u8], &[u8]), order: Order, each: &mut Visit<'_>) -> Result<(), StoreError> {
+        let table = self.transaction.open_table(definition(table)).map_err(|e| self.shared.store_error(e))?;
+        visit(self.shared, &table, range, order, each)
+    }
+}
+
+struct Writing<'t> {
+    shared: &'t Shared,
+    tables: Vec<::redb::Table<'t, Bytes, Bytes>>,
+    /// Whether there is something to commit.
+    is_changed: bool,
+    /// Whether something could not be read: an operation may have stopped half-way.
+    unread: Cell<bool>,
+    /// Why nothing of this group may be committed.
+    broken: Option<String>,
+}
+
+impl<'t> Writing<'t> {
+    fn begin(shared: &'t Shared, transaction: &'t WriteTransaction) -> Result<Self, ::redb::TableError> {
+        let tables = Table::ALL.into_iter().map(|table| transaction.open_table(definition(table)));
+        Ok(Self {
+            shared,
+            tables: tables.collect::<Result<_, _>>()?,
+            is_changed: false,
+            unread: Cell::new(false),
+            broken: None,
+        })
+    }
+
+    /// Whether there is something to commit, or why it must not be.
+    fn outcome(mut self) -> Result<bool, String> {
+        match self.broken.take() {
+            Some(cause) => Err(cause),
+            None if self.is_changed && self.unread.get() => Err("a page could not be read".to_owned()),
+            None => Ok(self.is_changed),
+        }
+    }
+
+    fn broke(&mut self, error: &StorageError) -> StoreError {
+        let cause = error.to_string();
+        self.broken = Some(cause.clone());
+        StoreError::Broken { cause }
+    }
+}
+
+impl Tables for Writing<'_> {
+    fn get(&self, table: Table, key: &[u8]) -> Result<Option<Vec<u8>>, StoreError> {
+        get(&self.tables[table as usize], key).map_err(|e| {
+            self.unread.set(true);
+            self.shared.store_error(e)
+        })
+    }
+
+    fn visit(&self, table: Table, range: (&[u8], &[u8]), order: Order, each: &mut Visit<'_>) -> Result<(), StoreError> {
+        let visited = visit(self.shared, &self.tables[table as usize], range, order, each);
+        self.unread.set(self.unread.get() || visited.is_err());
+        visited
+    }
+}
+
+impl TablesMut for Writing<'_> {
+    fn put(&mut self, table: Table, key: &[u8], value: &[u8]) -> Result<(), StoreError> {
+        self.is_changed = true;
+        let failed = self.tables[table as usize].insert(key, value).err();
+        failed.map_or(Ok(()), |e| Err(self.broke(&e)))
+    }
+
+    fn remove(&mut self, table: Table, key: &[u8]) -> Result<(), StoreError> {
+        self.is_changed = true;
+        let failed = self.tables[table as usize].remove(key).err();
+        failed.map_or(Ok(()), |e| Err(self.broke(&e)))
+    }
+}
+
+/// How many operations are likely to come, and how long they are worth waiting for: without this the first caller that
+/// comes back after a commit has the next one for itself, and the others wait for two.
+struct Expected {
+    count: usize,
+    patience: Duration,
+}
+
+impl Expected {
+    fn gather(&self, waiting: &mut mpsc::Receiver<Command>, group: &mut Vec<Command>) {
+        let end = Instant::now() + self.patience.min(PATIENCE);
+        while group.len() < self.count.min(GROUP) && Instant::now() < end {
+            match waiting.try_recv() {
+                Ok(command) => group.push(command),
+                Err(mpsc::error::TryRecvError::Empty) => std::thread::sleep(Duration::from_micros(50)),
+                Err(mpsc::error::TryRecvError::Disconnected) => break,
+            }
+        }
+    }
+}
+
+/// The one thread that writes.
+struct Writer {
+    shared: Arc<Shared>,
+    live: Live,
+    /// Why nothing is written any more.
+    broken: Option<String>,
+}
+
+impl Writer {
+    fn run(mut self, mut waiting: mpsc::Receiver<Command>) {
+        let mut group = Vec::new();
+        let mut expected = Expected { count: 0, patience: Duration::ZERO };
+        while waiting.blocking_recv_many(&mut group, GROUP) > 0 {
+            expected.gather(&mut waiting, &mut group);
+            let start = Instant::now();
+            let mut replies = Vec::with_capacity(group.len());
+            if self.broken.is_none() {
+                self.broken = self.write(group.drain(..), &mut replies).err();
+            }
+            let outcome = match &self.broken {
+                Some(cause) => Err(StoreError::Broken { cause: cause.clone() }),
+                None => Ok(()),
+            };
+            let touched = std::mem::take(&mut self.live.touched);
+            self.publish(&touched);
+            // Who is answered now is likely to come back with more.
+            expected = Expected { count: waiting.len() + replies.len(), patience: start.elapsed() / 8 };
+            replies.into_iter().for_each(|reply| reply(outcome.clone()));
+            // Those that were not begun hear that the store is closed.
+            group.clear();
+            self.shared.waiters.wake(&touched);
+        }
+    }
+
+    /// Does a group and makes it durable. `replies` has those that were done, whatever becomes of them.
+    fn write(&mut self, group: impl Iterator<Item = Command>, replies: &mut Vec<Reply>) -> Result<(), String> {
+        let mut transaction = self.shared.database.begin_write().map_err(|e| e.to_string())?;
+        transaction.set_durability(Durability::Immediate).map_err(|e| e.to_string())?;
+        let shared = Arc::clone(&self.shared);
+        let is_changed = {
+            let mut writing = Writing::begin(&shared, &transaction).map_err(|e| e.to_string())?;
+            for command in group {
+                replies.push(command(&mut writing, &mut self.live));
+            }
+            writing.outcome()?
+        };
+        match is_changed {
+            true => transaction.commit().map_err(|e| e.to_string()),
+            false => transaction.abort().map_err(|e| e.to_string()),
+        }
+    }
+
+    /// Shows the progress of these jobs.
+    fn publish(&self, touched: &[JobId]) {
+        let mut progress = self.shared.progress();
+        for id in touched {
+            match self.live.jobs.get(id) {
+                Some(entry) => drop(progress.insert(*id, entry.log.clone())),
+                None => drop(progress.remove(id)),
+            }
+        }
+    }
+}
+
+impl JobStore for RedbStore {
+    fn create(&self, job: NewJob) -> Answer<'_, Created> {
+        self.write(|tables, live| ops::create(tables, live, job))
+    }
+
+    fn requested(&self, spec: ValidSpec) -> Answer<'_, Option<Job>> {
+        self.read(move |shared| ops::requested(&shared.reading()?, &spec))
+    }
+
+    fn get(&self, id: JobId) -> Answer<'_, Job> {
+        self.read(move |shared| ops::get(&shared.reading()?, id))
+    }
+
+    fn list(&self, query: Query) -> Answer<'_, Page> {
+        self.read(move |shared| ops::list(&shared.reading()?, &query))
+    }
+
+    fn claim(&self, id: JobId, holder: Holder, now: Time) -> Answer<'_, Job> {
+        self.write(move |tables, live| ops::change(tables, live, (id, None), Change::Claim(holder), now))
+    }
+
+    fn renew(&self, id: JobId, at: u64, until: Time) -> Answer<'_, ()> {
+        self.write(move |tables, _| ops::renew(tables, id, at, until))
+    }
+
+    fn change(&self, id: JobId, at: u64, change: Change, now: Time) -> Answer<'_, Job> {
+        self.write(move |tables, live| ops::change(tables, live, (id, Some(at)), change, now))
+    }
+
+    fn cancel(&self, id: JobId, now: Time) -> Answer<'_, Job> {
+        self.write(move |tables, live| ops::cancel(tables, live, id, now))
+    }
+
+    fn progress(&self, id: JobId, at: u64, progress: Progress, now: Time) -> Answer<'_, u64> {
+        self.write(move |tables, live| ops::progress(tables, live, (id, at), progress, now))
+    }
+
+    fn events(&self, id: JobId, after: u64, most: usize) -> Answer<'_, Events> {
+        self.read(move |shared| {
+            // Before the tables: what is here may follow on a state that is in them by now, and must not be seen without.
+            let progress = shared.progress().get(&id).cloned();
+            ops::events(&shared.reading()?, progress.as_ref(), id, after, most)
+        })
+    }
+
+    fn wait(&self, id: JobId, after: u64) -> Answer<'_, ()> {
+        Box::pin(self.shared.waiters.until(self, id, after))
+    }
+
+    fn delete(&self, id: JobId) -> Answer<'_, ()> {
+        self.write(move |tables, live| ops::delete(tables, live, id))
+    }
+
+    fn expire(&self, now: Time, keep: Retention, most: usize) -> Answer<'_, Swept> {
+        self.write(move |tables, live| ops::expire(tables, live, now, keep, most))
+    }
+
+    fn recover(&self, now: Time, orphans: Orphans, max_crashes: u32) -> Answer<'_, Recovered> {
+        self.write(move |tables, live| ops::recover(tables, live, now, orphans, max_crashes))
+    }
+}

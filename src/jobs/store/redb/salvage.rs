@@ -1,0 +1,150 @@
+//! What can be read of a journal, damaged or not.
+//!
+//! Purpose: [`Rows`] reads a copy of a journal row by row, as far as each table goes from both of its ends, and
+//! [`Rows::jobs`] tells the jobs that are whole. Invariant: the journal itself is not changed, and no fault of its pages ends
+//! the process. Must not know: where the copy lies, what becomes of the jobs.
+
+use std::collections::BTreeMap;
+use std::fs::{self, OpenOptions};
+use std::io::{Seek, SeekFrom, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+use ::redb::{Builder, ConcurrencyMode, ReadTransaction, ReadableDatabase, ReadableTable};
+
+use super::{Table, definition};
+use crate::event::Log;
+use crate::record::{JobId, ValidSpec};
+use crate::store::codec::{Head, decode, encode};
+
+/// The byte of redb's header that says which of the two roots counts, and whether the file is to be recovered before it is
+/// used (redb's `docs/design.md`, "Super-header").
+const FLAGS_AT: u64 = 9;
+const SECOND_ROOT: u8 = 1;
+const TO_BE_RECOVERED: u8 = 2;
+
+/// A file may have been so many times as long.
+const LONGEST_CUT: u64 = 64;
+
+/// The rows of one table, by key.
+type TableRows = BTreeMap<Vec<u8>, Vec<u8>>;
+
+/// See the module's head.
+pub(super) struct Rows {
+    heads: TableRows,
+    specs: TableRows,
+    logs: TableRows,
+    /// What was wrong, if anything was.
+    pub(super) faults: Vec<String>,
+}
+
+/// A job as it can be written again.
+pub(super) struct SalvagedJob {
+    pub(super) id: JobId,
+    pub(super) head: Head,
+    pub(super) spec: Vec<u8>,
+    pub(super) log: Vec<u8>,
+}
+
+/// Does `work`; a panic is a fault of the file.
+fn carefully<T>(work: impl FnOnce() -> Result<T, ::redb::Error>) -> Result<T, String> {
+    match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(done) => done.map_err(|error| error.to_string()),
+        Err(_) => Err("its pages do not fit together".to_owned()),
+    }
+}
+
+impl Rows {
+    /// Reads what there is in the file at `copy`, which is changed for it.
+    ///
+    /// A journal whose process was killed is to be recovered, which fails if a single page is damaged. So it is read as it
+    /// lies, from the one root and from the other, and what gives more counts.
+    ///
+    /// # Errors
+    /// What is wrong, if nothing of it can be read.
+    pub(super) fn read(copy: &Path) -> Result<Self, String> {
+        let flags = fs::read(copy).ok().and_then(|bytes| bytes.get(FLAGS_AT as usize).copied());
+        let flags = flags.ok_or("it has no header")? & !TO_BE_RECOVERED;
+        // A file that was cut off gets its length again: its last pages are then damaged, and the others can be read. What is
+        // not written takes no room on the disk.
+        let file = OpenOptions::new().write(true).open(copy).map_err(|error| error.to_string())?;
+        let bytes = file.metadata().map_err(|error| error.to_string())?.len();
+        drop(file.set_len(bytes.saturating_mul(LONGEST_CUT)));
+        let mut found: Option<Self> = None;
+        let mut fault = String::new();
+        for flags in [flags, flags ^ SECOND_ROOT] {
+            match Self::read_with(copy, flags) {
+                Ok(rows) if found.as_ref().is_none_or(|found| found.heads.len() < rows.heads.len()) => {
+                    found = Some(rows)
+                }
+                Ok(_) => {}
+                Err(why) => fault = why,
+            }
+        }
+        found.ok_or(fault)
+    }
+
+    /// The same with these flags in its header.
+    fn read_with(copy: &Path, flags: u8) -> Result<Self, String> {
+        let file = OpenOptions::new().write(true).open(copy);
+        let put = file.and_then(|mut file| {
+            file.seek(SeekFrom::Start(FLAGS_AT))?;
+            file.write_all(&[flags])
+        });
+        put.map_err(|error| error.to_string())?;
+        // A reader beside a writer needs no list of free pages, which is there only after an orderly end.
+        let mut builder = Builder::new();
+        builder.set_concurrency_mode(ConcurrencyMode::SingleWriter);
+        let database = carefully(|| Ok(builder.open_read_only(copy)?))?;
+        let mut faults = Vec::new();
+        let transaction = carefully(|| Ok(database.begin_read()?))?;
+        let mut read = |table| {
+            let (rows, fault) = rows(&transaction, table);
+            faults.extend(fault.map(|fault| format!("{}: {fault}", table.name())));
+            rows
+        };
+        let (heads, specs, logs) = (read(Table::Heads), read(Table::Specs), read(Table::Logs));
+        Ok(Self { heads, specs, logs, faults })
+    }
+
+    /// The jobs that are whole, and the names of those that are not.
+    pub(super) fn jobs(self) -> (Vec<SalvagedJob>, Vec<JobId>) {
+        let (mut whole, mut lost) = (Vec::new(), Vec::new());
+        let ids: std::collections::BTreeSet<_> = self.heads.keys().chain(self.specs.keys()).cloned().collect();
+        for key in ids {
+            let Some(id) = key.last_chunk().map(|bytes| JobId(*bytes)) else { continue };
+            let head = self.heads.get(&key).and_then(|bytes| decode::<Head>("head", bytes).ok());
+            let spec = self.specs.get(&key).filter(|bytes| decode::<ValidSpec>("spec", bytes).is_ok());
+            // Without its events a job is still what it is.
+            let log = self.logs.get(&key).filter(|bytes| decode::<Log>("log", bytes).is_ok()).cloned();
+            let log = log.or_else(|| encode("log", &Log::default()).ok());
+            match (head, spec, log) {
+                (Some(head), Some(spec), Some(log)) => whole.push(SalvagedJob { id, head, spec: spec.clone(), log }),
+                _ => lost.push(id),
+            }
+        }
+        (whole, lost)
+    }
+}
+
+/// All rows of a table that can be read, and why there may be more.
+fn rows(transaction: &ReadTransaction, table: Table) -> (TableRows, Option<String>) {
+    let mut kept = TableRows::new();
+    let up = walk(transaction, table, &mut kept, false);
+    let Err(fault) = up else { return (kept, None) };
+    // What lies behind the damage can be reached from the other end.
+    drop(walk(transaction, table, &mut kept, true));
+    (kept, Some(fault))
+}
+
+fn walk(transaction: &ReadTransaction, table: Table, kept: &mut TableRows, down: bool) -> Result<(), String> {
+    carefully(|| {
+        let table = transaction.open_table(definition(table))?;
+        let mut range = table.iter()?;
+        while let Some(row) = if down { range.next_back() } else { range.next() } {
+            let (key, value) = row?;
+            kept.insert(key.value().to_vec(), value.value().to_vec());
+        }
+        Ok(())
+    })
+}

@@ -1,0 +1,355 @@
+//! The host threads that do the work.
+//!
+//! Purpose: work on a bounded number of OS threads. A job stays on one of them; the device is shared by the pass
+//! ([`gate`](super::gate)).
+//! Invariant: a lost device is replaced once, by whoever finds it lost, before the next piece; a piece that can be begun
+//! anew waits for the new device and is tried up to three times. Must not know: what a piece computes.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::SyncSender;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::thread::Builder;
+use std::time::{Duration, Instant};
+
+use tokio::sync::watch;
+
+use super::bytes::Bytes;
+use super::call::{Outcome, Task, text};
+use super::gate::Gate;
+use super::loss::{LossPolicy, Outage};
+use super::observer::Observer;
+use super::pools::Pools;
+use super::queue::{Dequeued, Item, Lane, Popped, Queue};
+use super::schedule::Slots;
+use super::watchdog::{Ceilings, Watchdog};
+use super::weights::Weights;
+use super::{Backends, JobError};
+
+/// How the engine is set up.
+#[derive(Clone, Copy, Debug)]
+pub struct EngineOptions {
+    /// New jobs that may wait, at least 1.
+    pub queue_jobs: usize,
+    /// How long until a lost device is tried again when nobody asks for it.
+    pub revive: Duration,
+    /// What a job may take. The ceiling on memory is also what jobs at work together may need.
+    pub ceilings: Ceilings,
+    /// Device memory that jobs at work together may need, bytes; without, as much as the device gives.
+    pub device_memory_bytes: Option<u64>,
+    /// What to do if a lost device does not return within `loss_patience`.
+    pub loss: LossPolicy,
+    /// How long to wait for a lost device; its work waits too.
+    pub loss_patience: Duration,
+    /// Jobs at work at once, at least 1; one more of a tenant that has none at work.
+    pub jobs_at_once: usize,
+    /// How far threads at work give way to others, 0 to 19, where the system knows that: what answers calls then need not wait
+    /// for what computes.
+    pub nice: u8,
+}
+
+impl Default for EngineOptions {
+    fn default() -> Self {
+        Self {
+            queue_jobs: 32,
+            revive: Duration::from_secs(5),
+            ceilings: Ceilings::default(),
+            device_memory_bytes: None,
+            loss: LossPolicy::default(),
+            loss_patience: Duration::from_secs(30),
+            jobs_at_once: jobs_at_once(),
+            nice: 0,
+        }
+    }
+}
+
+/// As many jobs at once as there are quarters of the processor's cores, but 2 to 8: a job keeps about four cores busy in all
+/// of its stages, and two let the host's stages of one pass while the device works for the other.
+pub(crate) fn jobs_at_once() -> usize {
+    std::thread::available_parallelism().map_or(2, |cores| (cores.get() / 4).clamp(2, 8))
+}
+
+/// How often the token of work that waits for a device is checked.
+const TOKEN_POLL: Duration = Duration::from_millis(20);
+
+/// Workers for short pieces.
+const SHORT_WORKERS: usize = 2;
+
+/// How the device is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Device {
+    /// Ready.
+    Ready,
+    /// Lost; being made anew.
+    Lost,
+    /// It did not come back, and the CPU does its work.
+    Replaced,
+    /// It did not come back, and the engine is to end.
+    Missing,
+    /// The engine has ended.
+    Gone,
+}
+
+pub(super) struct Shared {
+    pub(super) observer: Arc<dyn Observer>,
+    pub(super) watchdog: Watchdog,
+    pub(super) queue: Queue<Box<dyn Task>>,
+    pub(super) infos: EngineInfo,
+    pub(super) device: watch::Sender<Device>,
+    gate: Arc<Gate>,
+    pools: Pools,
+    pub(super) weights: Weights,
+    /// Rises with every replacement of what it stands beside.
+    current: RwLock<(u64, Backends)>,
+    factory: Mutex<BackendFactory>,
+    revive: Duration,
+    loss: LossPolicy,
+    loss_patience: Duration,
+    /// Devices that were lost so far.
+    pub(super) losses: AtomicU64,
+}
+
+/// Makes backends, now and after a loss.
+struct BackendFactory {
+    make: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
+    tried: Instant,
+    outage: Outage,
+}
+
+impl BackendFactory {
+    fn make(&mut self) -> Result<Backends, JobError> {
+        self.tried = Instant::now();
+        catch_unwind(AssertUnwindSafe(&mut self.make))
+            .unwrap_or_else(|panic| Err(JobError::Panicked(text(panic.as_ref()))))
+    }
+}
+
+impl std::fmt::Debug for Shared {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (waiting, running) = self.queue.load();
+        f.debug_struct("Engine").field("waiting", &waiting).field("running", &running).finish_non_exhaustive()
+    }
+}
+
+pub(super) struct EngineInfo {
+    /// The threads of the CPU backend.
+    pub(super) pool: Option<Arc<rayon::ThreadPool>>,
+    pub(super) slots: Slots,
+}
+
+impl EngineInfo {
+    fn of(backends: &Backends, slots: Slots) -> Self {
+        Self { pool: backends.parallel.pool(), slots }
+    }
+}
+
+/// Lowers the priority of this thread and of those that it starts.
+fn lower_priority(nice: u8) {
+    #[cfg(unix)]
+    if nice > 0
+        && let Err(error) = rustix::process::nice(nice.into())
+    {
+        tracing::warn!(%error, nice, "threads at work do not give way to others");
+    }
+    #[cfg(not(unix))]
+    let _ = nice;
+}
+
+/// The engine's own thread: starts the others, and waits for their end.
+pub(super) fn run(
+    factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
+    options: EngineOptions,
+    observer: Arc<dyn Observer>,
+    ready: &SyncSender<Result<Arc<Shared>, JobError>>,
+) {
+    lower_priority(options.nice);
+    let shared = match Shared::new(factory, options, observer) {
+        Ok(shared) => Arc::new(shared),
+        Err(error) => {
+            let _ = ready.send(Err(error));
+            return;
+        }
+    };
+    let _end = EndOnDrop(&shared);
+    std::thread::scope(|scope| {
+        let jobs = (0..=shared.infos.slots.regular).map(|i| (Lane::Jobs, format!("job-{i}")));
+        let short = (0..SHORT_WORKERS).map(|i| (Lane::Short, format!("short-{i}")));
+        for (lane, name) in jobs.chain(short) {
+            let shared = &*shared;
+            let started = Builder::new().name(name).spawn_scoped(scope, move || shared.work_in(lane));
+            if let Err(error) = started {
+                // Those that were started end.
+                shared.queue.end();
+                let _ = ready.send(Err(JobError::Panicked(format!("a host thread could not be started: {error}"))));
+                return;
+            }
+        }
+        if ready.send(Ok(Arc::clone(&shared))).is_err() {
+            shared.queue.end();
+        }
+    });
+}
+
+impl Shared {
+    fn new(
+        factory: Box<dyn FnMut() -> Result<Backends, JobError> + Send>,
+        options: EngineOptions,
+        observer: Arc<dyn Observer>,
+    ) -> Result<Self, JobError> {
+        let mut factory = BackendFactory { make: factory, tried: Instant::now(), outage: Outage::default() };
+        let backends = factory.make()?;
+        let watchdog = Watchdog::start(options.ceilings)
+            .map_err(|error| JobError::Panicked(format!("the watchdog could not be started: {error}")))?;
+        let memory = Bytes {
+            host: options.ceilings.memory_bytes.unwrap_or(u64::MAX),
+            device: options.device_memory_bytes.unwrap_or(u64::MAX),
+        };
+        let slots = Slots { regular: options.jobs_at_once.max(1), memory };
+        Ok(Self {
+            weights: Weights::default(),
+            observer,
+            watchdog,
+            queue: Queue::new(options.queue_jobs.max(1), slots),
+            infos: EngineInfo::of(&backends, slots),
+            device: watch::Sender::new(Device::Ready),
+            gate: Arc::default(),
+            pools: Pools::new(&backends, slots.regular),
+            current: RwLock::new((0, backends)),
+            factory: Mutex::new(factory),
+            revive: options.revive,
+            loss: options.loss,
+            loss_patience: options.loss_patience,
+            losses: AtomicU64::new(0),
+        })
+    }
+
+    /// The backends now, and how often they were replaced before.
+    pub(super) fn current(&self) -> (u64, Backends) {
+        self.current.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn work_in(&self, lane: Lane) {
+        let end = EndOnPanic(self);
+        loop {
+            let lost = *self.device.borrow() == Device::Lost;
+            match self.queue.pop(lane, lost.then_some(self.revive)) {
+                Popped::Item(taken) => self.work(taken),
+                Popped::Nothing => self.replace(self.current().0, self.revive),
+                Popped::Closed => break,
+            }
+        }
+        drop(end);
+    }
+
+    fn work(&self, taken: Dequeued<Box<dyn Task>>) {
+        let Dequeued { item: mut task, number, is_alone } = taken;
+        let start = Instant::now();
+        let watched = self.watchdog.watch(task.token());
+        let threads = if task.has_continuations() { None } else { Some(self.pools.take(is_alone)) };
+        let mut attempts = 0;
+        loop {
+            let (generation, backends) = self.current();
+            let backends = backends.for_job(&self.gate, threads.as_deref(), &task.begin());
+            if task.run(&backends, attempts) == Outcome::Answered {
+                break;
+            }
+            attempts += 1;
+            self.restore(generation, &task);
+            // One that was stopped meanwhile begins once more, and says so itself.
+            if !task.is_wanted() {
+                break;
+            }
+        }
+        // State that the answer did not take along is dropped here.
+        drop((task, threads, watched));
+        self.queue.done(number, start.elapsed());
+    }
+
+    /// Sees to it that there is a device again, and waits for it unless the work is stopped.
+    fn restore(&self, generation: u64, task: &dyn Item) {
+        let end = Instant::now() + self.loss_patience;
+        let mut pause = Duration::ZERO;
+        loop {
+            self.replace(generation, pause);
+            let is_lost = *self.device.borrow() == Device::Lost && self.current().0 == generation;
+            if !is_lost || !task.is_wanted() || task.token().is_stopped() || Instant::now() >= end {
+                return;
+            }
+            pause = self.revive;
+            std::thread::sleep(TOKEN_POLL);
+        }
+    }
+
+    /// New backends after a loss, unless somebody was faster, or tried less than `pause` ago. While there are none the old
+    /// ones stay, and answer with errors: work that was promised to a GPU does not go to a CPU unsaid.
+    fn replace(&self, generation: u64, pause: Duration) {
+        let mut factory = self.factory.lock().unwrap_or_else(PoisonError::into_inner);
+        let (now, old) = self.current();
+        if now != generation || (!pause.is_zero() && factory.tried.elapsed() < pause) {
+            return;
+        }
+        let before = *self.device.borrow();
+        match before {
+            Device::Ready | Device::Replaced => {
+                self.losses.fetch_add(1, Ordering::Relaxed);
+                self.observer.lost_device();
+                self.device.send_replace(Device::Lost);
+            }
+            Device::Lost => {}
+            // Nobody waits for it any more.
+            Device::Missing | Device::Gone => return,
+        }
+        tracing::warn!("the device was lost; making it anew");
+        let install = |new, state| {
+            *self.current.write().unwrap_or_else(PoisonError::into_inner) = (generation + 1, new);
+            self.device.send_replace(state);
+        };
+        match factory.make() {
+            Ok(new) if new.gpu.is_err() && old.gpu.is_ok() => {
+                tracing::error!(reason = new.gpu.err(), "the GPU did not come back");
+            }
+            Ok(new) => {
+                factory.outage.end();
+                install(new, Device::Ready);
+                tracing::info!("the device is there again");
+                return;
+            }
+            Err(error) => tracing::error!(%error, "the device could not be made anew"),
+        }
+        factory.outage.begin();
+        if !factory.outage.has_lasted(self.loss_patience) {
+            return;
+        }
+        match self.loss {
+            LossPolicy::Wait => {}
+            LossPolicy::End => drop(self.device.send_replace(Device::Missing)),
+            LossPolicy::Cpu => {
+                tracing::error!("the device did not come back; the CPU does its work from now on");
+                install(old.without_gpu(), Device::Replaced);
+            }
+        }
+    }
+}
+
+/// Whatever ends the engine, nobody waits for it in vain.
+struct EndOnDrop<'a>(&'a Shared);
+
+impl Drop for EndOnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.queue.end();
+        self.0.device.send_replace(Device::Gone);
+    }
+}
+
+/// A host thread that panics, in a destructor, takes the engine along: whoever waits for its work is told.
+struct EndOnPanic<'a>(&'a Shared);
+
+impl Drop for EndOnPanic<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.queue.end();
+            self.0.queue.cancel_all();
+            self.0.device.send_replace(Device::Gone);
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! The options of a server, as the command line has them.
+//!
+//! Purpose: [`ServeArgs`], the one struct that describes every option: its name, its variable, its default and its help. The
+//! file (`file`) and the printed form (`show`) follow from it.
+//! Invariant: parsers here check single values; `check` checks their combinations.
+//! Must not know: the use of values.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use geometry::rvd::{BackendChoice, BackendKind};
+
+use clap::{Args, ValueEnum};
+
+use super::device::DeviceArgs;
+use super::security::SecurityArgs;
+use super::sources::Sources;
+use super::transport::TransportArgs;
+use super::values::{period, whole};
+use super::watching::WatchingArgs;
+
+/// Which backend should do the work.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum BackendArg {
+    /// The GPU if available, else the parallel CPU backend.
+    #[default]
+    Auto,
+    /// The GPU, or an error.
+    Gpu,
+    /// Double precision on all threads of the pool.
+    Parallel,
+    /// Double precision on one thread.
+    Serial,
+}
+
+impl From<BackendArg> for BackendChoice {
+    fn from(arg: BackendArg) -> Self {
+        match arg {
+            BackendArg::Auto => Self::Auto,
+            BackendArg::Gpu => Self::Only(BackendKind::Gpu),
+            BackendArg::Parallel => Self::Only(BackendKind::Parallel),
+            BackendArg::Serial => Self::Only(BackendKind::Serial),
+        }
+    }
+}
+
+/// Backend and threads: the options of every subcommand that computes.
+#[derive(Args, Clone, Debug, Default)]
+pub struct BackendArgs {
+    /// Which backend should do the work.
+    #[arg(long, value_enum, default_value_t, env = "TESSERA_BACKEND")]
+    pub backend: BackendArg,
+    /// Let a software adapter stand in for a GPU (slower than the CPU backend; for tests).
+    #[arg(long, env = "TESSERA_GPU_SOFTWARE")]
+    pub gpu_software: bool,
+    /// Threads of the CPU backend; all cores if not given.
+    #[arg(long, value_name = "T", value_parser = whole::<usize>, env = "TESSERA_THREADS")]
+    pub threads: Option<usize>,
+    /// How long a GPU may take for one submission; a server has an option for it.
+    #[arg(skip)]
+    pub gpu_timeout: Option<Duration>,
+}
+
+/// `tessera serve`'s options.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Server and its limits")]
+pub struct ServeArgs {
+    /// File with options, in TOML: `max_streams = 64` for --max-streams. Variables override the file, and the command line
+    /// overrides both. `tessera config print` shows the result.
+    #[arg(long, value_name = "FILE", env = "TESSERA_CONFIG")]
+    pub config: Option<PathBuf>,
+    /// Address or name, and port to listen on; port 0 takes a free one and prints it.
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:50051", env = "TESSERA_LISTEN")]
+    pub listen: String,
+    /// Address or name, and port of the HTTP interface: meshes by `curl`, jobs and blobs (docs/http.md). Off by default. As
+    /// with --listen, an address other than loopback needs TLS and keys, or --insecure.
+    #[arg(long, value_name = "ADDRESS:PORT", env = "TESSERA_HTTP_LISTEN")]
+    pub http_listen: Option<String>,
+    /// Serve a page for browsers on the HTTP port: drop a mesh, watch it converge, compare, download (docs/page.md).
+    #[arg(long, env = "TESSERA_UI")]
+    pub ui: bool,
+    /// Folder where jobs, results and uploads are kept; one server at a time may use it. The user's state directory if not
+    /// given: $XDG_STATE_HOME/tessera, or ~/.local/state/tessera.
+    #[arg(long, value_name = "DIR", env = "TESSERA_DATA_DIR")]
+    pub data_dir: Option<PathBuf>,
+    /// Keep jobs, results and uploads in memory: they are lost when the server ends.
+    #[arg(long, env = "TESSERA_EPHEMERAL")]
+    pub ephemeral: bool,
+    /// Keep blobs in a bucket instead: s3://BUCKET or s3://BUCKET/PREFIX on any S3-compatible store. The variables
+    /// AWS_ENDPOINT, AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY and AWS_ALLOW_HTTP set its address and
+    /// credentials.
+    #[arg(long, value_name = "URL", env = "TESSERA_BLOBS")]
+    pub blobs: Option<String>,
+    /// MiB of the disk that uploads and results leave free, so that the journal of jobs always has room.
+    #[arg(long, value_name = "MIB", default_value_t = 64, value_parser = whole::<u64>, env = "TESSERA_DISK_RESERVE_MIB")]
+    pub disk_reserve_mib: u64,
+    /// How long results are kept after a job has ended, e.g. 90s, 30m, 24h or 7d.
+    #[arg(long, value_name = "TIME", default_value = "24h", value_parser = period, env = "TESSERA_KEEP_RESULTS")]
+    pub keep_results: Duration,
+    /// How long jobs are listed after their results are removed.
+    #[arg(long, value_name = "TIME", default_value = "7d", value_parser = period, env = "TESSERA_KEEP_JOBS")]
+    pub keep_jobs: Duration,
+    /// MiB of blobs that are kept: uploads and results. The least recently used that nothing needs go first.
+    #[arg(long, value_name = "MIB", default_value_t = 65_536, value_parser = whole::<u64>, env = "TESSERA_BLOBS_MIB")]
+    pub blobs_mib: u64,
+    /// Jobs of JobService that may wait; one more is refused with RESOURCE_EXHAUSTED.
+    #[arg(long, value_name = "N", default_value_t = 100_000, value_parser = whole::<usize>, env = "TESSERA_WAITING_JOBS")]
+    pub waiting_jobs: usize,
+    /// Server crashes that a job may survive; after one more it fails.
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = whole::<u32>, env = "TESSERA_MAX_CRASHES")]
+    pub max_crashes: u32,
+    /// Jobs at work at once; one more may be of a tenant that has none at work. A quarter of the cores, but 2 to 8, if not
+    /// given.
+    #[arg(long, value_name = "N", value_parser = whole::<usize>, env = "TESSERA_JOBS_AT_ONCE")]
+    pub jobs_at_once: Option<usize>,
+    /// Jobs of streams that may wait for their turn; one more is refused with RESOURCE_EXHAUSTED.
+    #[arg(long, value_name = "N", default_value_t = 32, value_parser = whole::<usize>, env = "TESSERA_QUEUE_JOBS")]
+    pub queue_jobs: usize,
+    /// Streams open at once, waiting, uploading and interactive ones included.
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = whole::<usize>, env = "TESSERA_MAX_STREAMS")]
+    pub max_streams: usize,
+    /// Interactive CVT sessions open at once.
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = whole::<usize>, env = "TESSERA_MAX_SESSIONS")]
+    pub max_sessions: usize,
+    /// Largest number of mesh vertices.
+    #[arg(long, value_name = "N", default_value_t = 20_000_000, value_parser = whole::<u64>, env = "TESSERA_MAX_VERTICES")]
+    pub max_vertices: u64,
+    /// Largest number of mesh facets.
+    #[arg(long, value_name = "N", default_value_t = 40_000_000, value_parser = whole::<u64>, env = "TESSERA_MAX_FACETS")]
+    pub max_facets: u64,
+    /// Largest number of seeds.
+    #[arg(long, value_name = "N", default_value_t = 4_000_000, value_parser = whole::<u64>, env = "TESSERA_MAX_SEEDS")]
+    pub max_seeds: u64,
+    /// Most iterations in one request.
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = whole::<u32>, env = "TESSERA_MAX_ITERATIONS")]
+    pub max_iterations: u32,
+    /// Uploaded geometry and waiting results of all streams together that are held in memory, MiB.
+    #[arg(long, value_name = "MIB", default_value_t = 4096, value_parser = whole::<u64>, env = "TESSERA_MEMORY_MIB")]
+    pub memory_mib: u64,
+    /// Seconds of work that a job may take; one that reaches this ends with RESOURCE_EXHAUSTED. Waiting does not count.
+    #[arg(long, value_name = "S", default_value_t = 3600.0, env = "TESSERA_JOB_SECONDS")]
+    pub job_seconds: f64,
+    /// MiB by which the process may grow while a job is at work; a job that reaches this ends with RESOURCE_EXHAUSTED. Three
+    /// quarters of the machine's or the container's memory if not given.
+    #[arg(long, value_name = "MIB", value_parser = whole::<u64>, env = "TESSERA_JOB_MEMORY_MIB")]
+    pub job_memory_mib: Option<u64>,
+    /// Seconds that work may continue after its cancellation; after that health says NOT_SERVING.
+    #[arg(long, value_name = "S", default_value_t = 10.0, env = "TESSERA_STUCK_S")]
+    pub stuck_s: f64,
+    /// Further seconds until the process ends with exit code 75, so that its supervisor restarts it.
+    #[arg(long, value_name = "S", default_value_t = 50.0, env = "TESSERA_STUCK_EXIT_S")]
+    pub stuck_exit_s: f64,
+    /// How far threads at work give way to all others, 0 to 19 (Unix): calls are answered at once though all cores are busy.
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = whole::<u8>, env = "TESSERA_NICE")]
+    pub nice: u8,
+    /// Seconds that each step of the start may take: opening the storage, opening the device, reading the journal.
+    #[arg(long, value_name = "S", default_value_t = 300.0, env = "TESSERA_START_S")]
+    pub start_s: f64,
+    /// Seconds that running work gets to end after SIGTERM.
+    #[arg(long, value_name = "S", default_value_t = 30.0, env = "TESSERA_GRACE_S")]
+    pub grace_s: f64,
+    /// Connections open at once; the process's limit on open files lowers it where it must.
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = whole::<usize>, env = "TESSERA_MAX_CONNECTIONS")]
+    pub max_connections: usize,
+    /// Connections open at once from one address (one /64 network with IPv6).
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = whole::<usize>, env = "TESSERA_MAX_CONNECTIONS_PER_PEER")]
+    pub max_connections_per_peer: usize,
+    /// Seconds until a new connection must have sent its first request.
+    #[arg(long, value_name = "S", default_value_t = 20.0, env = "TESSERA_FIRST_REQUEST_S")]
+    pub first_request_s: f64,
+    /// Seconds until a connection without open streams is closed.
+    #[arg(long, value_name = "S", default_value_t = 300.0, env = "TESSERA_IDLE_CONNECTION_S")]
+    pub idle_connection_s: f64,
+    /// Seconds after which a stream is reset if its client takes none of the bytes that wait for it.
+    #[arg(long, value_name = "S", default_value_t = 120.0, env = "TESSERA_STALL_S")]
+    pub stall_s: f64,
+    /// Seconds for a whole upload.
+    #[arg(long, value_name = "S", default_value_t = 1800.0, env = "TESSERA_UPLOAD_S")]
+    pub upload_s: f64,
+    /// Seconds between two messages of an upload.
+    #[arg(long, value_name = "S", default_value_t = 60.0, env = "TESSERA_UPLOAD_IDLE_S")]
+    pub upload_idle_s: f64,
+    /// Seconds between two commands of an interactive session.
+    #[arg(long, value_name = "S", default_value_t = 600.0, env = "TESSERA_SESSION_IDLE_S")]
+    pub session_idle_s: f64,
+    #[command(flatten)]
+    pub device: DeviceArgs,
+    #[command(flatten)]
+    pub security: SecurityArgs,
+    #[command(flatten)]
+    pub transport: TransportArgs,
+    #[command(flatten)]
+    pub watching: WatchingArgs,
+    /// The backend. Last, since its heading applies to all later options.
+    #[command(flatten, next_help_heading = "Backend")]
+    pub backend: BackendArgs,
+    /// The source of each value, for messages.
+    #[arg(skip)]
+    pub sources: Sources,
+}

@@ -1,0 +1,230 @@
+//! Validation of the options.
+//!
+//! Purpose: makes a [`ServeConfig`] of [`ServeArgs`].
+//! Invariant: a `ServeConfig` exists only if every value is usable, alone and in combination; it is made before any port is
+//! bound.
+//! Must not know: the source of a value.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use super::args::{BackendArgs, ServeArgs};
+use super::device::DeviceRules;
+use super::error::ConfigError;
+use super::limits::Limits;
+use super::tls::TlsFiles;
+use super::values::{addresses, seconds, within};
+
+/// Indices have 31 bits, less a few that are labels.
+const MAX_ELEMENTS: u64 = i32::MAX as u64 - 8;
+
+/// A server's configuration, checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ServeConfig {
+    /// Where to listen: the first of these that can be had.
+    pub listen: Vec<SocketAddr>,
+    /// Addresses of the HTTP interface; empty if it is off.
+    pub http: Vec<SocketAddr>,
+    /// Whether the HTTP interface serves the page for browsers.
+    pub ui: bool,
+    /// Addresses of the admin port; empty if it is off.
+    pub admin: Vec<SocketAddr>,
+    /// Jobs that may wait.
+    pub queue_jobs: usize,
+    /// Limits of a request.
+    pub limits: Limits,
+    /// Limits of a job.
+    pub ceilings: JobCeilings,
+    /// Where jobs are kept; in memory if none.
+    pub data_dir: Option<PathBuf>,
+    /// The bucket of the blobs; without one they are in the data folder.
+    pub bucket: Option<String>,
+    /// Bytes of the disk that blobs leave free.
+    pub disk_reserve_bytes: u64,
+    /// How long results and jobs are kept.
+    pub keep: (Duration, Duration),
+    /// Bytes of blobs.
+    pub blob_bytes: u64,
+    /// Jobs of JobService that may wait.
+    pub waiting_jobs: usize,
+    /// Crashes of a job.
+    pub max_crashes: u32,
+    /// Number of jobs that run at the same time, if given.
+    pub jobs_at_once: Option<usize>,
+    /// Rules for the device.
+    pub device: DeviceRules,
+    /// How far threads at work give way.
+    pub nice: u8,
+    /// For each step of the start.
+    pub start: Duration,
+    /// The files of TLS, if it is on.
+    pub tls: Option<TlsFiles>,
+    /// Whether calls without a key are refused.
+    pub requires_keys: bool,
+}
+
+/// Limits of a job, and of the time to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct JobCeilings {
+    /// Time at work.
+    pub time: Duration,
+    /// Bytes by which the process may grow; as the machine allows if not given.
+    pub memory_bytes: Option<u64>,
+    /// Time from the cancellation until work counts as stuck.
+    pub stuck: Duration,
+    /// From there to the end of the process.
+    pub lost: Duration,
+}
+
+impl ServeArgs {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`ConfigError`] for the first one that is wrong.
+    pub fn check(&self) -> Result<ServeConfig, ConfigError> {
+        self.check_all().map_err(|error| match self.sources.of(error.option) {
+            Some(source) => ConfigError { value: format!("{} ({source})", error.value), ..error },
+            None => error,
+        })
+    }
+
+    fn check_all(&self) -> Result<ServeConfig, ConfigError> {
+        self.backend.check()?;
+        self.watching.traces()?;
+        if self.ephemeral && self.data_dir.is_some() {
+            let value = "given beside --data-dir".to_owned();
+            return Err(ConfigError { option: "--ephemeral", value, must: "one of the two" });
+        }
+        if self.ephemeral && self.security.require_keys {
+            let value = "given beside --require-keys".to_owned();
+            return Err(ConfigError { option: "--ephemeral", value, must: "absent: keys lie in the data folder" });
+        }
+        let listen = addresses("--listen", &self.listen)?;
+        let tls = self.security.check()?;
+        self.security.check_reach("--listen", &self.listen, &listen, tls.is_some())?;
+        let http = match &self.http_listen {
+            Some(given) => {
+                let http = addresses("--http-listen", given)?;
+                self.security.check_reach("--http-listen", given, &http, tls.is_some())?;
+                http
+            }
+            None => Vec::new(),
+        };
+        if self.ui && http.is_empty() {
+            let value = "given without --http-listen".to_owned();
+            return Err(ConfigError { option: "--ui", value, must: "beside --http-listen, whose door has the page" });
+        }
+        if self.ui && !cfg!(feature = "ui") {
+            let value = "given, but this program was built without the feature ui".to_owned();
+            return Err(ConfigError { option: "--ui", value, must: "absent" });
+        }
+        let most = MAX_ELEMENTS;
+        Ok(ServeConfig {
+            listen,
+            http,
+            ui: self.ui,
+            tls,
+            device: self.device.check()?,
+            nice: within("--nice", self.nice.into(), 0, 19, "0 to 19")? as u8,
+            start: seconds("--start-s", self.start_s)?,
+            admin: self.watching.admin(self.security.insecure)?,
+            bucket: self.bucket()?,
+            disk_reserve_bytes: within("--disk-reserve-mib", self.disk_reserve_mib, 0, 1 << 24, "at most 16777216")?
+                << 20,
+            requires_keys: self.security.require_keys,
+            data_dir: if self.ephemeral { None } else { Some(data_dir(self.data_dir.as_ref())?) },
+            keep: (self.keep_results, self.keep_jobs),
+            blob_bytes: within("--blobs-mib", self.blobs_mib, 1, 1 << 30, "1 to 1073741824")? << 20,
+            waiting_jobs: within("--waiting-jobs", self.waiting_jobs as u64, 1, 10_000_000, "1 to 10000000")? as usize,
+            max_crashes: within("--max-crashes", self.max_crashes.into(), 1, 1000, "1 to 1000")? as u32,
+            jobs_at_once: match self.jobs_at_once {
+                Some(jobs) => Some(within("--jobs-at-once", jobs as u64, 1, 256, "1 to 256")? as usize),
+                None => None,
+            },
+            queue_jobs: within("--queue-jobs", self.queue_jobs as u64, 1, 100_000, "1 to 100000")? as usize,
+            limits: Limits {
+                max_vertices: within("--max-vertices", self.max_vertices, 3, most, "3 to 2147483639")?,
+                max_facets: within("--max-facets", self.max_facets, 1, most, "1 to 2147483639")?,
+                max_seeds: within("--max-seeds", self.max_seeds, 1, most, "1 to 2147483639")?,
+                max_iterations: within("--max-iterations", self.max_iterations.into(), 0, 1_000_000, "at most 1000000")?
+                    as u32,
+                max_streams: within("--max-streams", self.max_streams as u64, 1, 100_000, "1 to 100000")? as usize,
+                max_sessions: within("--max-sessions", self.max_sessions as u64, 0, 10_000, "at most 10000")? as usize,
+                memory_bytes: within("--memory-mib", self.memory_mib, 1, 1 << 24, "1 to 16777216")? << 20,
+                max_connections: within("--max-connections", self.max_connections as u64, 1, 1_000_000, "1 to 1000000")?
+                    as usize,
+                max_connections_per_peer: within(
+                    "--max-connections-per-peer",
+                    self.max_connections_per_peer as u64,
+                    1,
+                    1_000_000,
+                    "1 to 1000000",
+                )? as usize,
+                first_request: seconds("--first-request-s", self.first_request_s)?,
+                idle_connection: seconds("--idle-connection-s", self.idle_connection_s)?,
+                upload: seconds("--upload-s", self.upload_s)?,
+                upload_idle: seconds("--upload-idle-s", self.upload_idle_s)?,
+                session_idle: seconds("--session-idle-s", self.session_idle_s)?,
+                stall: seconds("--stall-s", self.stall_s)?,
+                grace: seconds("--grace-s", self.grace_s)?,
+                probe: seconds("--probe-s", self.watching.probe_s)?,
+                transport: self.transport.check()?,
+            },
+            ceilings: JobCeilings {
+                time: seconds("--job-seconds", self.job_seconds)?,
+                memory_bytes: match self.job_memory_mib {
+                    Some(mib) => Some(within("--job-memory-mib", mib, 1, 1 << 24, "1 to 16777216")? << 20),
+                    None => None,
+                },
+                stuck: seconds("--stuck-s", self.stuck_s)?,
+                lost: seconds("--stuck-exit-s", self.stuck_exit_s)?,
+            },
+        })
+    }
+}
+
+impl ServeArgs {
+    /// The bucket of the blobs.
+    fn bucket(&self) -> Result<Option<String>, ConfigError> {
+        let Some(url) = &self.blobs else { return Ok(None) };
+        let wrong = |must| ConfigError { option: "--blobs", value: format!("{url:?}"), must };
+        if !cfg!(feature = "s3") {
+            return Err(wrong("absent: this program was built without the feature s3"));
+        }
+        if self.ephemeral {
+            return Err(wrong("absent beside --ephemeral: results would outlive the jobs that name them"));
+        }
+        match url.strip_prefix("s3://").map(|rest| rest.split('/').next().unwrap_or_default()) {
+            Some(name) if !name.is_empty() => Ok(Some(url.clone())),
+            _ => Err(wrong("s3://BUCKET or s3://BUCKET/PREFIX")),
+        }
+    }
+}
+
+/// The data folder of a server: the given one, or the user's.
+///
+/// # Errors
+/// [`ConfigError`] if both are missing.
+pub fn data_dir(given: Option<&PathBuf>) -> Result<PathBuf, ConfigError> {
+    let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path: &PathBuf| path.is_absolute());
+    let state = || variable("XDG_STATE_HOME").or_else(|| Some(variable("HOME")?.join(".local/state")));
+    given.cloned().or_else(|| Some(state()?.join("tessera"))).ok_or_else(|| ConfigError {
+        option: "--data-dir",
+        value: "not given, and the user has no home".to_owned(),
+        must: "a folder; or give --ephemeral",
+    })
+}
+
+impl BackendArgs {
+    /// Checks the number of threads.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub fn check(&self) -> Result<(), ConfigError> {
+        match self.threads {
+            Some(threads) => within("--threads", threads as u64, 1, 4096, "1 to 4096").map(|_| ()),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,109 @@
+//! The options of a server as data: names and types of values.
+//!
+//! Purpose: rules for all options (keys of the file, printing, tests) use this, so that an option is described once, in
+//! `args`.
+//! Invariant: nothing here names an option.
+//! Must not know: values.
+
+use std::any::TypeId;
+
+use clap::builder::{BoolishValueParser, Resettable};
+use clap::{Arg, ArgAction, ArgMatches, Args, Command};
+
+use super::args::ServeArgs;
+
+/// The option that names the file; no key of it.
+pub(super) const CONFIG: &str = "config";
+
+/// The type of an option's value in the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// `true` or `false`.
+    Switch,
+    /// A number, whole or not.
+    Number,
+    /// Anything else, in quotes.
+    Text,
+}
+
+/// The options of `tessera serve`.
+pub(super) fn options() -> Command {
+    with_switches(ServeArgs::augment_args(Command::new("serve")))
+}
+
+/// The command without the environment, for reading the defaults.
+pub(super) fn untouched() -> Command {
+    options().mut_args(|arg| arg.env(Resettable::Reset))
+}
+
+/// The defaults of all options.
+///
+/// # Errors
+/// A fault of the program: an option without a default that is needed.
+pub fn defaults() -> Result<ArgMatches, clap::Error> {
+    untouched().try_get_matches_from(["serve"])
+}
+
+/// Lets a switch be taken back that the file or the environment has turned on: `--ephemeral=false`.
+pub fn with_switches(command: Command) -> Command {
+    command.mut_args(|arg| match (arg.get_action(), arg.get_env()) {
+        (ArgAction::SetTrue, Some(_)) => arg
+            .action(ArgAction::Set)
+            .num_args(0..=1)
+            .require_equals(true)
+            .default_value("false")
+            .default_missing_value("true")
+            .value_name("BOOL")
+            .value_parser(BoolishValueParser::new())
+            .hide_possible_values(true)
+            .hide_default_value(true),
+        _ => arg,
+    })
+}
+
+/// Whether an option can be a key of the file.
+pub(super) fn is_key(arg: &Arg) -> bool {
+    arg.get_long().is_some() && arg.get_id() != CONFIG
+}
+
+/// Whether it may be given more than once.
+pub(super) fn is_list(arg: &Arg) -> bool {
+    matches!(arg.get_action(), ArgAction::Append) || arg.get_value_delimiter().is_some()
+}
+
+/// The type of an option's value.
+pub(super) fn kind(arg: &Arg) -> Kind {
+    let of = arg.get_value_parser().type_id();
+    let numbers = [
+        TypeId::of::<u8>(),
+        TypeId::of::<u16>(),
+        TypeId::of::<u32>(),
+        TypeId::of::<u64>(),
+        TypeId::of::<usize>(),
+        TypeId::of::<f64>(),
+    ];
+    match () {
+        () if of == TypeId::of::<bool>() => Kind::Switch,
+        () if numbers.iter().any(|number| of == *number) => Kind::Number,
+        () => Kind::Text,
+    }
+}
+
+/// Whether the option takes `value`; else clap's sentence.
+pub(super) fn takes(arg: &Arg, value: &str) -> Result<(), String> {
+    let Some(long) = arg.get_long() else { return Ok(()) };
+    let alone = arg.clone().required(false).env(Resettable::Reset);
+    let line = ["tessera".to_owned(), format!("--{long}={value}")];
+    match Command::new("tessera").arg(alone).try_get_matches_from(line) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(sentence(&error)),
+    }
+}
+
+/// Clap's message without its hints for the command line.
+fn sentence(error: &clap::Error) -> String {
+    let text = error.render().to_string();
+    let first = text.split("\n\n").next().unwrap_or_default();
+    let words: Vec<&str> = first.trim_start_matches("error: ").split_whitespace().collect();
+    words.join(" ")
+}

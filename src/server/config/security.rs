@@ -1,0 +1,148 @@
+//! Options of access to the server.
+//!
+//! Invariant: a server that other machines can reach has TLS and keys, unless an option waives them. Secrets are given by
+//! file, never as a value.
+//! Must not know: certificates, keys.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::error::ConfigError;
+use super::tls::TlsFiles;
+use super::values::seconds;
+
+/// See the module's head.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "TLS and keys")]
+pub struct SecurityArgs {
+    /// File with the server's certificate and its chain, in PEM. With it and --tls-key the port accepts TLS only.
+    #[arg(long, value_name = "FILE", env = "TESSERA_TLS_CERT")]
+    pub tls_cert: Option<PathBuf>,
+    /// File with the certificate's private key, in PEM.
+    #[arg(long, value_name = "FILE", env = "TESSERA_TLS_KEY")]
+    pub tls_key: Option<PathBuf>,
+    /// File with the authorities of clients, in PEM: a client without a certificate of theirs is refused.
+    #[arg(long, value_name = "FILE", env = "TESSERA_CLIENT_CA")]
+    pub client_ca: Option<PathBuf>,
+    /// Seconds between two looks at these files; changed ones hold for new connections. SIGHUP has them looked at once.
+    #[arg(long, value_name = "S", default_value_t = 30.0, env = "TESSERA_TLS_RELOAD_S")]
+    pub tls_reload_s: f64,
+    /// Refuse calls without a key. Keys are made with `tessera keys add`, and lie in the data folder.
+    #[arg(long, env = "TESSERA_REQUIRE_KEYS")]
+    pub require_keys: bool,
+    /// Whether the server describes its interface (gRPC reflection). Where keys are required, this needs one too.
+    #[arg(long, value_name = "BOOL", default_value_t = true, action = clap::ArgAction::Set, env = "TESSERA_REFLECTION")]
+    pub reflection: bool,
+    /// Ask for a key for health too, where keys are required; without, probes need none.
+    #[arg(long, env = "TESSERA_HEALTH_NEEDS_KEY")]
+    pub health_needs_key: bool,
+    /// Answer requests to this host, or of its pages, too. Without keys and on loopback a server answers localhost alone, so
+    /// that no web page in a browser on this machine can use it. For a proxy on this machine that passes its own name on.
+    #[arg(long = "allow-host", value_name = "NAME", value_delimiter = ',', env = "TESSERA_ALLOW_HOST")]
+    pub allow_host: Vec<String>,
+    /// Let other machines reach the server without TLS or without keys. For a network that you trust.
+    #[arg(long, env = "TESSERA_INSECURE")]
+    pub insecure: bool,
+}
+
+impl SecurityArgs {
+    /// Checks the options of TLS.
+    pub(super) fn check(&self) -> Result<Option<TlsFiles>, ConfigError> {
+        let reload = seconds("--tls-reload-s", self.tls_reload_s)?;
+        let without =
+            |option, other: &str, must| ConfigError { option, value: format!("not given, though {other} is"), must };
+        match (&self.tls_cert, &self.tls_key) {
+            (Some(cert), Some(key)) => {
+                Ok(Some(TlsFiles { cert: cert.clone(), key: key.clone(), client_ca: self.client_ca.clone(), reload }))
+            }
+            (Some(_), None) => Err(without("--tls-key", "--tls-cert", "given too: the file with its private key")),
+            (None, Some(_)) => Err(without("--tls-cert", "--tls-key", "given too: the file with its certificate")),
+            (None, None) if self.client_ca.is_some() => Err(without(
+                "--tls-cert",
+                "--client-ca",
+                "given too, and --tls-key: only over TLS do clients show certificates",
+            )),
+            (None, None) => Ok(None),
+        }
+    }
+
+    /// Checks that a reachable server has TLS and keys, or a waiver.
+    pub(super) fn check_reach(
+        &self,
+        option: &'static str,
+        listen: &str,
+        addresses: &[SocketAddr],
+        has_tls: bool,
+    ) -> Result<(), ConfigError> {
+        if self.insecure || addresses.iter().all(|address| address.ip().to_canonical().is_loopback()) {
+            return Ok(());
+        }
+        let missing = match (has_tls, self.require_keys) {
+            (true, true) => return Ok(()),
+            (true, false) => "keys (--require-keys)",
+            (false, true) => "TLS (--tls-cert and --tls-key)",
+            (false, false) => "TLS (--tls-cert and --tls-key) and without keys (--require-keys)",
+        };
+        Err(ConfigError {
+            option,
+            value: format!("{listen:?}, which other machines may reach, without {missing}"),
+            must: "an address of this machine alone, as 127.0.0.1:50051, or have both; on a network that you trust, give \
+                   --insecure",
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn args(given: &[&str]) -> SecurityArgs {
+        let file = |name| given.contains(&name).then(|| PathBuf::from(name));
+        SecurityArgs {
+            tls_cert: file("cert"),
+            tls_key: file("key"),
+            client_ca: file("ca"),
+            tls_reload_s: 30.0,
+            require_keys: given.contains(&"keys"),
+            reflection: true,
+            health_needs_key: false,
+            allow_host: Vec::new(),
+            insecure: given.contains(&"insecure"),
+        }
+    }
+
+    #[test]
+    fn a_certificate_has_its_key() {
+        assert_eq!(args(&[]).check(), Ok(None));
+        let files = args(&["cert", "key", "ca"]).check().unwrap().unwrap();
+        assert_eq!(files.client_ca, Some("ca".into()));
+        for (given, missing) in [(&["cert"][..], "--tls-key"), (&["key"], "--tls-cert"), (&["ca"], "--tls-cert")] {
+            assert_eq!(args(given).check().unwrap_err().option, missing, "{given:?}");
+        }
+        assert!(SecurityArgs { tls_reload_s: 0.0, ..args(&[]) }.check().is_err());
+    }
+
+    #[test]
+    fn others_reach_a_server_with_tls_and_keys_alone() {
+        let reach = |given: &[&str], address: &str| {
+            args(given).check_reach("--listen", address, &[address.parse().unwrap()], given.contains(&"tls"))
+        };
+        for here in ["127.0.0.1:1", "127.9.9.9:1", "[::1]:1", "[::ffff:127.0.0.1]:1"] {
+            assert_eq!(reach(&[], here), Ok(()), "{here}");
+        }
+        for wide in ["0.0.0.0:1", "10.0.0.1:1", "[::]:1", "[fe80::1]:1"] {
+            for (given, words) in [
+                (&[][..], "--tls-cert and --tls-key) and without keys"),
+                (&["tls"], "keys (--require-keys)"),
+                (&["keys"], "TLS (--tls-cert"),
+            ] {
+                let refused = reach(given, wide).unwrap_err().to_string();
+                assert!(refused.contains(words) && refused.contains("--insecure"), "{refused}");
+            }
+            assert_eq!(reach(&["tls", "keys"], wide), Ok(()));
+            assert_eq!(reach(&["insecure"], wide), Ok(()));
+        }
+    }
+}

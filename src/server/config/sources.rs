@@ -1,0 +1,58 @@
+//! The source of each value.
+//!
+//! Purpose: [`Sources`] serves messages and the printed configuration.
+//! Invariant: it decides nothing.
+//! Must not know: values and their parsing.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// The source of a value.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The program.
+    Default,
+    /// A line of the file.
+    File {
+        /// As it was named.
+        file: String,
+        /// From 1 on.
+        line: usize,
+    },
+    /// A variable.
+    Environment(String),
+    /// The command line.
+    Line(String),
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Default => f.write_str("default"),
+            Self::File { file, line } => write!(f, "{file}:{line}"),
+            Self::Environment(name) => write!(f, "the variable {name}"),
+            Self::Line(option) => write!(f, "{option} on the command line"),
+        }
+    }
+}
+
+/// The sources of all options that have a value, by name.
+#[derive(Clone, Debug, Default)]
+pub struct Sources(BTreeMap<String, Source>);
+
+impl Sources {
+    pub(super) fn new(all: BTreeMap<String, Source>) -> Self {
+        Self(all)
+    }
+
+    /// The source of an option's value (`--name`), if it is not the command line.
+    pub(super) fn of(&self, option: &str) -> Option<&Source> {
+        let key = option.trim_start_matches("--").replace('-', "_");
+        self.get(&key).filter(|source| matches!(source, Source::File { .. } | Source::Environment(_)))
+    }
+
+    /// The source by key, for options of the program too.
+    pub(super) fn get(&self, key: &str) -> Option<&Source> {
+        self.0.get(key)
+    }
+}

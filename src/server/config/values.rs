@@ -1,0 +1,98 @@
+//! Values as people write them: whole numbers, times, addresses.
+//!
+//! Invariant: what is refused is refused with a sentence that says what to write. Must not know: options.
+
+use std::net::{SocketAddr, ToSocketAddrs};
+use std::time::Duration;
+
+use super::error::ConfigError;
+
+/// A time as people write it: a number and s, m, h or d.
+///
+/// # Errors
+/// A sentence for who wrote it.
+pub fn period(text: &str) -> Result<Duration, String> {
+    let unit = |letter| match letter {
+        's' => Some(1.0),
+        'm' => Some(60.0),
+        'h' => Some(3600.0),
+        'd' => Some(86_400.0),
+        _ => None,
+    };
+    let parsed = text.char_indices().next_back().and_then(|(at, letter)| {
+        let seconds = text[..at].parse::<f64>().ok()? * unit(letter)?;
+        (0.0..=1e9).contains(&seconds).then(|| Duration::from_secs_f64(seconds))
+    });
+    parsed.ok_or_else(|| "a time is needed, as 90s, 30m, 24h or 7d".to_owned())
+}
+
+pub(super) fn within(
+    option: &'static str,
+    value: u64,
+    least: u64,
+    most: u64,
+    must: &'static str,
+) -> Result<u64, ConfigError> {
+    if (least..=most).contains(&value) {
+        Ok(value)
+    } else {
+        Err(ConfigError { option, value: value.to_string(), must })
+    }
+}
+
+/// What a name and a port stand for, addresses of IPv4 first: a client that asks for one by number asks for those.
+pub(super) fn addresses(option: &'static str, listen: &str) -> Result<Vec<SocketAddr>, ConfigError> {
+    let wrong = |must| ConfigError { option, value: format!("{listen:?}"), must };
+    let (host, port) = listen
+        .rsplit_once(':')
+        .filter(|(host, _)| !host.contains("//"))
+        .ok_or_else(|| wrong("an address and a port, as 127.0.0.1:50051, localhost:50051 or [::]:50051"))?;
+    port.parse::<u16>().map_err(|_| wrong("an address and a port from 0 to 65535, as 127.0.0.1:50051"))?;
+    if host.is_empty() {
+        return Err(wrong("an address and a port; 0.0.0.0:50051 or [::]:50051 listens on all"));
+    }
+    let found =
+        listen.to_socket_addrs().map_err(|_| wrong("an address of this machine or a name that can be resolved"))?;
+    let mut found: Vec<SocketAddr> = found.collect();
+    found.sort_by_key(SocketAddr::is_ipv6);
+    match found.is_empty() {
+        true => Err(wrong("a name that has an address")),
+        false => Ok(found),
+    }
+}
+
+/// A whole number as people write it: `10000`, `1e4`.
+///
+/// # Errors
+/// A sentence for who wrote it.
+pub fn whole<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
+    number(text).and_then(|n| n.try_into().ok()).ok_or_else(|| {
+        let words = "a whole number is needed, as 10000 or 1e4";
+        if number(text).is_some() { format!("{words}, and a smaller one") } else { words.to_owned() }
+    })
+}
+
+/// The same, from 1 on.
+///
+/// # Errors
+/// A sentence for who wrote it.
+pub fn count(text: &str) -> Result<u32, String> {
+    match whole(text) {
+        Ok(number) if number > 0 => Ok(number),
+        _ => Err(format!("a whole number from 1 to {} is needed, as 10000 or 1e4", u32::MAX)),
+    }
+}
+
+fn number(text: &str) -> Option<u64> {
+    /// Up to here every whole number is one of double precision.
+    const EXACT: f64 = (1u64 << 53) as f64;
+    let real = || text.parse::<f64>().ok().filter(|x| (0.0..=EXACT).contains(x) && x.fract() == 0.0);
+    text.parse().ok().or_else(|| real().map(|x| x as u64))
+}
+
+pub(super) fn seconds(option: &'static str, value: f64) -> Result<Duration, ConfigError> {
+    if (0.01..=86_400.0).contains(&value) {
+        return Ok(Duration::from_secs_f64(value));
+    }
+    Err(ConfigError { option, value: value.to_string(), must: "0.01 to 86400 seconds" })
+}

@@ -1,0 +1,193 @@
+//! `/v1/blobs`: bytes in, bytes out, by their digests.
+//!
+//! Invariant: an upload that names its digest and its length is stored as it comes; any other is held in memory, counted,
+//! until its digest is known. A blob's tag is its digest: what a client has of it never changes. Must not know: what blobs
+//! are of.
+
+use std::sync::Arc;
+
+use axum::body::{Body, Bytes};
+use axum::extract::{Extension, Path, Request, State};
+use axum::http::header::{
+    ACCEPT_RANGES, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE, ETAG, HeaderName, LOCATION,
+};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::response::IntoResponse;
+use futures_util::{StreamExt as _, TryStreamExt as _};
+use serde_json::json;
+
+use super::body::{Arriving, Coding, coding, length, whole};
+use super::guard::Client;
+use super::options::Asked;
+use super::problem::{Answered, wrong};
+use super::ranges::{Wanted, is_known, wanted};
+use crate::service::{Desk, EmptyUpload, RequestError, Share, check_owned, keep, timely};
+use jobs::blob::{BlobError, BlobInfo, BlobStore, Chunk, Digest, Owner, UploadId};
+
+/// Pieces of an upload are stored once they have so many bytes.
+const PIECE: usize = 1 << 20;
+
+/// The digest of a path.
+fn digest(text: &str) -> Result<Digest, RequestError> {
+    text.parse().map_err(|error: jobs::blob::DigestError| wrong("digest", format!("is no digest: {error}")))
+}
+
+/// `POST /v1/blobs`.
+pub(super) async fn upload(
+    State(desk): State<Desk>,
+    Extension(client): Extension<Client>,
+    request: Request,
+) -> Answered {
+    let mut asked = Asked::of_query(request.uri().query())?;
+    let named = asked.digest("digest")?;
+    asked.finish()?;
+    let (parts, body) = request.into_parts();
+    // The length of what is packed is not known.
+    let length = length(&parts.headers).filter(|_| matches!(coding(&parts.headers), Ok(Coding::Plain)));
+    let info = match (named, length) {
+        (Some(digest), Some(length)) => {
+            stream(&desk, &client, UploadId::new(digest, length), Arriving::new(&desk, body)).await?
+        }
+        (named, _) => {
+            let (info, _) = store(&desk, &client, &parts.headers, body).await?;
+            if let Some(expected) = named
+                && expected != info.digest
+            {
+                return Err(BlobError::DigestMismatch { expected, actual: info.digest }.into());
+            }
+            info
+        }
+    };
+    let BlobInfo { digest, size_bytes } = info;
+    let headers = [(LOCATION, format!("/v1/blobs/{digest}")), (CONTENT_TYPE, "application/json".to_owned())];
+    let body = json!({ "digest": digest.to_string(), "size_bytes": size_bytes }).to_string();
+    Ok((StatusCode::CREATED, headers, body).into_response())
+}
+
+/// Keeps a body as a blob; gives its first bytes too.
+pub(super) async fn store(
+    desk: &Desk,
+    client: &Client,
+    headers: &HeaderMap,
+    body: Body,
+) -> Result<(BlobInfo, Bytes), RequestError> {
+    let (bytes, _share): (Bytes, Share) = whole(desk, headers, body).await?;
+    let info = keep(&*desk.blobs, &client.tenant, client.bytes, bytes.clone()).await?;
+    Ok((info, bytes))
+}
+
+/// Stores a body as it comes. What is stored of one that is cut stays, and the same upload goes on from there.
+async fn stream(
+    desk: &Desk,
+    client: &Client,
+    upload: UploadId,
+    mut arriving: Arriving<'_>,
+) -> Result<BlobInfo, RequestError> {
+    let upload = upload.of(&client.tenant);
+    let info = BlobInfo { digest: upload.digest(), size_bytes: upload.size_bytes() };
+    let mut status = timely(desk.blobs.begin_within(upload, client.bytes)).await?;
+    if status.complete {
+        arriving.pass_over().await;
+        return Ok(info);
+    }
+    let _empty = EmptyUpload::new(&desk.blobs, upload);
+    // Bytes of the body that an earlier upload has stored already.
+    let mut skip = status.kept_bytes;
+    let (mut piece, mut share) = (Vec::new(), desk.budget.share());
+    loop {
+        let come = arriving.next().await?;
+        let is_last = come.is_none();
+        if let Some(mut bytes) = come {
+            let known = skip.min(bytes.len() as u64);
+            skip -= known;
+            let bytes = bytes.split_off(known as usize);
+            share.grow(bytes.len() as u64)?;
+            piece.extend_from_slice(&bytes);
+        }
+        while piece.len() >= PIECE || (is_last && !piece.is_empty()) {
+            let rest = piece.split_off(piece.len().min(PIECE));
+            let chunk = Chunk::new(status.kept_bytes, std::mem::replace(&mut piece, rest).into());
+            status = timely(desk.blobs.write(upload, chunk)).await?;
+        }
+        share.hold(piece.len() as u64);
+        if is_last {
+            break;
+        }
+    }
+    timely(desk.blobs.finish(upload, None)).await
+}
+
+/// `GET` and `HEAD /v1/blobs/{digest}`.
+pub(super) async fn read(
+    State(desk): State<Desk>,
+    Extension(client): Extension<Client>,
+    Path(named): Path<String>,
+    request: Request,
+) -> Answered {
+    Asked::of_query(request.uri().query())?.finish()?;
+    send(&desk, &client.tenant, digest(&named)?, request.headers(), "application/octet-stream", ()).await
+}
+
+/// `DELETE /v1/blobs/{digest}`.
+pub(super) async fn remove(
+    State(desk): State<Desk>,
+    Extension(client): Extension<Client>,
+    Path(named): Path<String>,
+) -> Answered {
+    timely(desk.blobs.disown(Owner::of(&client.tenant), digest(&named)?)).await?;
+    Ok(StatusCode::NO_CONTENT.into_response())
+}
+
+/// Sends a blob, or what of it is wanted. `until` is held until the answer is over.
+pub(super) async fn send(
+    desk: &Desk,
+    tenant: &str,
+    digest: Digest,
+    headers: &HeaderMap,
+    media_type: &'static str,
+    until: impl Send + 'static,
+) -> Answered {
+    let store: &Arc<dyn BlobStore> = &desk.blobs;
+    check_owned(&**store, Owner::of(tenant), digest).await?;
+    let size = timely(store.stat(digest)).await?.size_bytes;
+    let tag = format!("\"{digest}\"");
+    let mut answer = HeaderMap::new();
+    let mut set = |name: HeaderName, value: &str| {
+        // All of them are plain.
+        HeaderValue::from_str(value).map(|value| answer.insert(name, value)).ok();
+    };
+    set(ETAG, &tag);
+    set(ACCEPT_RANGES, "bytes");
+    // Its bytes never change; whether a caller may have it does.
+    set(CACHE_CONTROL, "private, no-cache");
+    if is_known(headers, &tag) {
+        return Ok((StatusCode::NOT_MODIFIED, answer).into_response());
+    }
+    set(CONTENT_TYPE, media_type);
+    let (status, range) = match wanted(headers, &tag, size) {
+        Wanted::All => (StatusCode::OK, 0..size),
+        Wanted::Part(range) => {
+            set(CONTENT_RANGE, &format!("bytes {}-{}/{size}", range.start, range.end - 1));
+            (StatusCode::PARTIAL_CONTENT, range)
+        }
+        Wanted::Nowhere => {
+            let mut problem =
+                super::problem::Problem::from(BlobError::OutOfRange { offset: size, size_bytes: size }).into_response();
+            if let Ok(value) = HeaderValue::from_str(&format!("bytes */{size}")) {
+                problem.headers_mut().insert(CONTENT_RANGE, value);
+            }
+            return Ok(problem);
+        }
+    };
+    set(CONTENT_LENGTH, &(range.end - range.start).to_string());
+    if range.is_empty() {
+        return Ok((status, answer).into_response());
+    }
+    let bytes = timely(store.read(digest, range)).await?.bytes;
+    let bytes = bytes.inspect_err(|error| tracing::error!(%error, "a blob could not be read to its end"));
+    let bytes = bytes.map(move |piece| {
+        let _held = &until;
+        piece
+    });
+    Ok((status, answer, Body::from_stream(bytes)).into_response())
+}

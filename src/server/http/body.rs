@@ -1,0 +1,193 @@
+//! The body of a request, as it comes.
+//!
+//! Purpose: [`Arriving`] reads a body within the limits of uploads; [`whole`] has all of it in memory. Invariant: what is held
+//! is counted in the memory that all uploads share, byte by byte as it is unpacked where `Content-Encoding` says gzip. A body
+//! that stalls, takes too long or comes while the server drains is refused. Must not know: what the bytes say.
+
+use std::error::Error;
+use std::io::{self, ErrorKind, Write};
+use std::time::Duration;
+
+use axum::body::{Body, BodyDataStream, Bytes};
+use axum::http::HeaderMap;
+use axum::http::header::{CONTENT_ENCODING, CONTENT_LENGTH};
+use futures_util::StreamExt as _;
+use tokio::time::Instant;
+
+use super::problem::wrong;
+use crate::service::{Desk, Phase, RequestError, Share};
+use geometry::mesh::io::{DataError, unpacked_limit, unpacked_wrong, unpacker};
+use jobs::api::JobApiError;
+
+/// See the module's head.
+pub(super) struct Arriving<'a> {
+    desk: &'a Desk,
+    stream: BodyDataStream,
+    deadline: Instant,
+}
+
+impl<'a> Arriving<'a> {
+    pub(super) fn new(desk: &'a Desk, body: Body) -> Self {
+        Self { desk, stream: body.into_data_stream(), deadline: Instant::now() + desk.limits.upload }
+    }
+
+    /// As [`pass_over`], of what is still to come.
+    pub(super) async fn pass_over(self) {
+        pass_over(Body::from_stream(self.stream)).await;
+    }
+
+    /// The next bytes; `None` at the end.
+    pub(super) async fn next(&mut self) -> Result<Option<Bytes>, RequestError> {
+        let limits = &self.desk.limits;
+        let come = tokio::select! {
+            come = tokio::time::timeout(limits.upload_idle, self.stream.next()) => {
+                come.map_err(|_| RequestError::Idle(limits.upload_idle))?
+            }
+            () = tokio::time::sleep_until(self.deadline) => return Err(RequestError::UploadTime(limits.upload)),
+            () = self.desk.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
+        };
+        come.transpose().map_err(|error| broken(&error))
+    }
+}
+
+/// Why a body came to no end: its client said something that is no HTTP, or has gone.
+fn broken(error: &(dyn Error + 'static)) -> RequestError {
+    let mut causes = std::iter::successors(Some(error), |&cause| cause.source());
+    let is_malformed = causes.any(|cause| {
+        let kind = cause.downcast_ref::<std::io::Error>().map(std::io::Error::kind);
+        matches!(kind, Some(ErrorKind::InvalidInput | ErrorKind::InvalidData))
+    });
+    match is_malformed {
+        true => wrong("body", "is no HTTP; a length or a chunk is malformed"),
+        false => RequestError::ClientGone,
+    }
+}
+
+/// Takes a body that nobody wants, for a client that reads no answer before it has sent everything: to close a connection
+/// while bytes are unread would reset it, and the answer would be lost. Within limits: the rest is the client's loss.
+pub(super) async fn pass_over(body: Body) {
+    const BYTES: usize = 64 << 20;
+    const TIME: Duration = Duration::from_secs(5);
+    let mut stream = body.into_data_stream();
+    let reading = async {
+        let mut left = BYTES;
+        while let Some(Ok(bytes)) = stream.next().await
+            && left > bytes.len()
+        {
+            left -= bytes.len();
+        }
+    };
+    let _ = tokio::time::timeout(TIME, reading).await;
+}
+
+/// How a body comes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Coding {
+    Plain,
+    Gzip,
+}
+
+/// How a body comes, as its headers say.
+///
+/// # Errors
+/// A coding that is not known.
+pub(super) fn coding(headers: &HeaderMap) -> Result<Coding, RequestError> {
+    let Some(value) = headers.get(CONTENT_ENCODING) else { return Ok(Coding::Plain) };
+    match value.to_str().unwrap_or("unreadable").trim().to_ascii_lowercase().as_str() {
+        "" | "identity" => Ok(Coding::Plain),
+        "gzip" | "x-gzip" => Ok(Coding::Gzip),
+        other => Err(wrong("content-encoding", format!("is {other:?}; it must be gzip, or left out"))),
+    }
+}
+
+/// How long a body says it is.
+pub(super) fn length(headers: &HeaderMap) -> Option<u64> {
+    headers.get(CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
+}
+
+/// A whole body, unpacked, and its memory.
+pub(super) async fn whole(desk: &Desk, headers: &HeaderMap, body: Body) -> Result<(Bytes, Share), RequestError> {
+    let mut arriving = Arriving::new(desk, body);
+    let gathered = gather(desk, headers, &mut arriving).await;
+    match &gathered {
+        Ok(_) => {}
+        Err(
+            RequestError::ClientGone | RequestError::Idle(_) | RequestError::UploadTime(_) | RequestError::Draining,
+        ) => {}
+        // The client still sends, and is to hear why in vain.
+        Err(_) => arriving.pass_over().await,
+    }
+    gathered
+}
+
+async fn gather(desk: &Desk, headers: &HeaderMap, arriving: &mut Arriving<'_>) -> Result<(Bytes, Share), RequestError> {
+    let mut kept = Kept { all: Vec::new(), share: desk.budget.share(), limit: usize::MAX, refusal: None };
+    if coding(headers)? == Coding::Plain {
+        while let Some(bytes) = arriving.next().await? {
+            kept.write_all(&bytes).map_err(|error| kept.refused(&error))?;
+        }
+        return Ok((kept.all.into(), kept.share));
+    }
+    let length = length(headers).map(|length| usize::try_from(length).unwrap_or(usize::MAX));
+    let mut unpacking = unpacker(kept);
+    let mut come = 0usize;
+    while let Some(bytes) = arriving.next().await? {
+        for piece in bytes.chunks(STEP) {
+            // Of a body without a length, what has come by now counts.
+            come = come.saturating_add(piece.len());
+            unpacking.get_mut().limit = unpacked_limit(length.unwrap_or(come));
+            unpacking.write_all(piece).map_err(|error| unpacking.get_mut().refused(&error))?;
+            tokio::task::yield_now().await;
+        }
+    }
+    unpacking.try_finish().map_err(|error| unpacking.get_mut().refused(&error))?;
+    let kept = std::mem::replace(unpacking.get_mut(), Kept::nothing(desk));
+    Ok((kept.all.into(), kept.share))
+}
+
+/// So many packed bytes are unpacked before others have their turn: 4 MiB at most come of them.
+const STEP: usize = 4 << 10;
+
+/// Bytes that are kept, and counted before there is room for them.
+struct Kept {
+    all: Vec<u8>,
+    share: Share,
+    limit: usize,
+    /// Why no more is taken.
+    refusal: Option<RequestError>,
+}
+
+impl Kept {
+    fn nothing(desk: &Desk) -> Self {
+        Self { all: Vec::new(), share: desk.budget.share(), limit: 0, refusal: None }
+    }
+
+    /// What an error of writing means.
+    fn refused(&mut self, error: &io::Error) -> RequestError {
+        if let Some(refusal) = self.refusal.take() {
+            return refusal;
+        }
+        match unpacked_wrong(error, self.limit) {
+            DataError::TooLong { limit } => JobApiError::Packed { limit_bytes: limit as u64 }.into(),
+            error => wrong("body", format!("is not packed as its Content-Encoding says: {error}")),
+        }
+    }
+}
+
+impl Write for Kept {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.all.len().saturating_add(bytes.len()) > self.limit {
+            return Err(io::ErrorKind::FileTooLarge.into());
+        }
+        if let Err(refusal) = self.share.grow(bytes.len() as u64) {
+            self.refusal = Some(refusal);
+            return Err(io::ErrorKind::OutOfMemory.into());
+        }
+        self.all.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}

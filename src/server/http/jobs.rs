@@ -1,0 +1,322 @@
+//! `/v1/jobs`: jobs that outlive their request.
+//!
+//! Invariant: every question is asked in the name of the caller's tenant. Events come once and in order, and go on after the
+//! number that a client says it has. Must not know: who does jobs, where they are kept.
+
+use std::convert::Infallible;
+use std::time::Duration;
+
+use axum::body::{Body, Bytes, to_bytes};
+use axum::extract::{Extension, Path, Request, State};
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, LOCATION};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use serde_json::{Value, json};
+use tokio::sync::mpsc;
+
+use super::blobs::send;
+use super::guard::Client;
+use super::media;
+use super::options::Asked;
+use super::problem::{Answered, Problem, wrong};
+use crate::service::{self, Desk, Detail, Fault, FaultKind, Phase, RequestError, job_id, to_the_end};
+use jobs::event::{Event, Progress, What};
+use jobs::record::{Cause, Failure, FailureKind, Job, JobId, JobSpec, Outcome, ResultFormat};
+use jobs::state::State as JobState;
+use jobs::store::Query;
+use telemetry::trace;
+
+/// The longest specification, bytes.
+const SPEC_BYTES: usize = 1 << 20;
+
+/// Events that wait for the client.
+const WAITING_EVENTS: usize = 16;
+
+/// Between two events or signs of life, for what stands between here and the client.
+const ALIVE_EVERY: Duration = Duration::from_secs(15);
+
+/// A part of an answer.
+pub(super) fn answer(status: StatusCode, body: &Value) -> Response {
+    (status, [(CONTENT_TYPE, "application/json")], body.to_string()).into_response()
+}
+
+/// A job, as it is told.
+pub(super) fn told(job: &Job) -> Value {
+    let status = &job.status;
+    let mut spec = serde_json::to_value(&*job.spec).unwrap_or_default();
+    if let Value::Object(spec) = &mut spec {
+        // Nobody's business, and told beside it.
+        spec.shift_remove("tenant");
+        spec.shift_remove("request_id");
+    }
+    let (mut failure, mut results, mut expired_by) = (Value::Null, json!({}), Value::Null);
+    match &status.outcome {
+        None => {}
+        Some(Outcome::Succeeded(set)) => {
+            results = set.blobs.iter().map(|(name, digest)| (name.clone(), json!(digest.to_string()))).collect();
+        }
+        Some(Outcome::Failed(Failure { kind, message })) => failure = json!({ "kind": kind, "message": message }),
+        Some(Outcome::Expired(cause)) => expired_by = json!(cause),
+    }
+    json!({
+        "id": job.id,
+        "state": status.state,
+        "created_ms": status.created,
+        "started_ms": status.started,
+        "changed_ms": status.changed,
+        "attempts": status.attempts,
+        "crashes": status.crashes,
+        "spec": spec,
+        "failure": failure,
+        "results": results,
+        "expired_by": expired_by,
+        "request_id": job.spec.request_id,
+    })
+}
+
+/// `POST /v1/jobs`.
+pub(super) async fn create(
+    State(desk): State<Desk>,
+    Extension(client): Extension<Client>,
+    request: Request,
+) -> Answered {
+    Asked::of_query(request.uri().query())?.finish()?;
+    let bytes = to_bytes(request.into_body(), SPEC_BYTES)
+        .await
+        .map_err(|_| wrong("body", format!("did not come, or has more than {SPEC_BYTES} bytes")))?;
+    let spec = specification(&bytes, &client.tenant)?;
+    let created = service::create(desk.api.clone(), &*desk.blobs, client.bytes, spec).await?;
+    let status = if created.existed { StatusCode::OK } else { StatusCode::CREATED };
+    let mut response = answer(status, &told(&created.job));
+    if let Ok(place) = format!("/v1/jobs/{}", created.job.id).parse() {
+        response.headers_mut().insert(LOCATION, place);
+    }
+    Ok(response)
+}
+
+/// What a job is asked to do: the options of a remesh with the digest of its surface, or a whole specification as jobs are
+/// told with.
+fn specification(bytes: &[u8], tenant: &str) -> Result<JobSpec, RequestError> {
+    let body = |error: serde_json::Error| wrong("body", format!("cannot be read: {error}"));
+    let Value::Object(mut object) = serde_json::from_slice(bytes).map_err(body)? else {
+        return Err(wrong("body", "is no object of JSON"));
+    };
+    if object.contains_key("work") {
+        let request_id = object.shift_remove("request_id");
+        object.shift_remove("tenant");
+        let mut spec: JobSpec = serde_json::from_value(Value::Object(object)).map_err(body)?;
+        spec.tenant = tenant.to_owned();
+        spec.request_id = request_id.and_then(|id| Some(id.as_str()?.to_owned())).unwrap_or_default();
+        return Ok(spec);
+    }
+    let mut asked = Asked::of_json(object)?;
+    let mesh = asked.digest("mesh")?.ok_or_else(|| wrong("mesh", "is missing; it is the digest of a blob"))?;
+    let format = asked.format("format")?;
+    let format = format.ok_or_else(|| wrong("format", format!("is missing; it must be one of {}", media::names())))?;
+    let to = asked.format("to")?.unwrap_or(format);
+    asked.remesh(mesh, format, to, tenant)
+}
+
+/// `GET /v1/jobs`.
+pub(super) async fn list(State(desk): State<Desk>, Extension(client): Extension<Client>, request: Request) -> Answered {
+    let mut asked = Asked::of_query(request.uri().query())?;
+    let states = asked.take("states", "states with commas between, as queued,running", |text| {
+        let state = |word: &str| serde_json::from_value::<JobState>(json!(word)).ok();
+        text.split(',').map(state).collect::<Option<Vec<_>>>()
+    })?;
+    let query = Query {
+        states: states.unwrap_or_default(),
+        labels: asked.labels(),
+        tenant: Some(client.tenant),
+        since: None,
+        before: None,
+        limit: asked.whole("page_size")?.unwrap_or(0),
+        token: asked.take("page_token", "one that this server gave", |text| text.parse().ok())?,
+    };
+    asked.finish()?;
+    let page = desk.api.list(query).await?;
+    let jobs: Vec<Value> = page.jobs.iter().map(told).collect();
+    let next = page.next.map(|token| token.to_string());
+    Ok(answer(StatusCode::OK, &json!({ "jobs": jobs, "next_page_token": next })))
+}
+
+/// `GET /v1/jobs/{id}`.
+pub(super) async fn one(
+    State(desk): State<Desk>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+) -> Answered {
+    Ok(answer(StatusCode::OK, &told(&desk.api.get(&client.tenant, job_id(&id)?).await?)))
+}
+
+/// `POST /v1/jobs/{id}/cancel`.
+pub(super) async fn cancel(
+    State(desk): State<Desk>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+) -> Answered {
+    let id = job_id(&id)?;
+    let job = to_the_end(async move { desk.api.cancel(&client.tenant, id).await }).await?;
+    Ok(answer(StatusCode::OK, &told(&job)))
+}
+
+/// `DELETE /v1/jobs/{id}`.
+pub(super) async fn remove(
+    State(desk): State<Desk>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+) -> Answered {
+    let id = job_id(&id)?;
+    to_the_end(async move { desk.api.delete(&client.tenant, id).await }).await?;
+    Ok(StatusCode::NO_CONTENT.into_response())
+}
+
+/// `GET /v1/jobs/{id}/result`.
+pub(super) async fn result(
+    State(desk): State<Desk>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+    request: Request,
+) -> Answered {
+    let mut asked = Asked::of_query(request.uri().query())?;
+    let name = asked.text("name").unwrap_or_else(|| MESH.to_owned());
+    asked.finish()?;
+    let job = desk.api.get(&client.tenant, job_id(&id)?).await?;
+    send_result(&desk, &client, &job, &name, request.headers(), ()).await
+}
+
+/// The surface among the results of a job.
+pub(super) const MESH: &str = "mesh";
+
+/// Sends a result of a job that has one.
+pub(super) async fn send_result(
+    desk: &Desk,
+    client: &Client,
+    job: &Job,
+    name: &str,
+    headers: &HeaderMap,
+    until: impl Send + 'static,
+) -> Answered {
+    let Some(Outcome::Succeeded(set)) = &job.status.outcome else { return Err(Problem(without_result(job))) };
+    let Some(digest) = set.blobs.get(name) else {
+        let names: Vec<&str> = set.blobs.keys().map(String::as_str).collect();
+        return Err(wrong("name", format!("is {name:?}; this job's results are {}", names.join(", "))).into());
+    };
+    let media_type = match (name, job.spec.result) {
+        (MESH, Some(ResultFormat::File(format))) => media::media_type(format),
+        (MESH, None) => media::media_type(jobs::record::MeshFormat::Ply),
+        ("report", _) => "application/json",
+        _ => "application/octet-stream",
+    };
+    send(desk, &client.tenant, *digest, headers, media_type, until).await
+}
+
+/// Why a job has no result.
+fn without_result(job: &Job) -> Fault {
+    let of = |kind, text: &str, reason: &'static str| {
+        let (subject, description) = (job.id.to_string(), text.to_owned());
+        Fault::new(kind, text).with(Detail::Precondition { kind: reason, subject, description })
+    };
+    match &job.status.outcome {
+        Some(Outcome::Failed(Failure { kind, message })) => match kind {
+            FailureKind::BadInput => {
+                let detail = Detail::Field { path: "spec".to_owned(), description: message.clone() };
+                Fault::new(FaultKind::InvalidArgument, message.clone()).with(detail)
+            }
+            FailureKind::MissingInput => of(FaultKind::FailedPrecondition, message, "missing_input"),
+            FailureKind::TooLarge => {
+                let detail = Detail::Quota { subject: "job", description: message.clone() };
+                Fault::new(FaultKind::ResourceExhausted, message.clone()).with(detail)
+            }
+            FailureKind::Unavailable => {
+                Fault::new(FaultKind::Unavailable, message.clone()).with(Detail::Retry(Duration::from_secs(5)))
+            }
+            FailureKind::Crashed | FailureKind::Internal => Fault::new(FaultKind::Internal, message.clone()),
+        },
+        Some(Outcome::Expired(cause)) => match cause {
+            Cause::QueueDeadline | Cause::RunDeadline => {
+                Fault::new(FaultKind::DeadlineExceeded, "the job's deadline has passed")
+            }
+            Cause::Kept => of(FaultKind::FailedPrecondition, "the result was kept as long as results are", "JOB_STATE"),
+        },
+        _ => {
+            let text = format!("the job is {}; it has no result", job.status.state.name());
+            of(FaultKind::FailedPrecondition, &text, "JOB_STATE")
+        }
+    }
+}
+
+/// `GET /v1/jobs/{id}/events`.
+pub(super) async fn events(
+    State(desk): State<Desk>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+    request: Request,
+) -> Answered {
+    let mut asked = Asked::of_query(request.uri().query())?;
+    let id = job_id(&id)?;
+    let given = request.headers().get("last-event-id").and_then(|value| value.to_str().ok()?.trim().parse().ok());
+    let after: u64 = given.or(asked.whole("after")?).unwrap_or(0);
+    asked.finish()?;
+    let job = desk.api.get(&client.tenant, id).await?;
+    let is_over = job.status.state.is_ended();
+    if is_over && desk.api.events(&client.tenant, id, after, 1).await?.events.is_empty() {
+        // A browser asks again until it is told this.
+        return Ok(StatusCode::NO_CONTENT.into_response());
+    }
+    let (sender, receiver) = mpsc::channel(WAITING_EVENTS);
+    tokio::spawn(trace::carry(watch(desk, client.tenant, id, after, sender)));
+    let frames = futures_util::stream::unfold(receiver, |mut receiver| async move {
+        let frame = match tokio::time::timeout(ALIVE_EVERY, receiver.recv()).await {
+            Ok(Some(frame)) => frame,
+            Ok(None) => return None,
+            Err(_) => Bytes::from_static(b":\n\n"),
+        };
+        Some((Ok::<_, Infallible>(frame), receiver))
+    });
+    let headers = [(CONTENT_TYPE, "text/event-stream"), (CACHE_CONTROL, "no-store")];
+    Ok((headers, Body::from_stream(frames)).into_response())
+}
+
+/// Sends the events of a job until it has ended, the client goes or the server drains.
+async fn watch(desk: Desk, tenant: String, id: JobId, after: u64, sender: mpsc::Sender<Bytes>) {
+    let tell = |event: Event| {
+        let frame = frame(&event);
+        let sender = &sender;
+        async move { sender.send(frame).await.map_err(|_| RequestError::ClientGone) }
+    };
+    let result = tokio::select! {
+        biased;
+        result = service::follow(&*desk.api, &tenant, id, after, tell) => result,
+        () = sender.closed() => return,
+        // The job goes on, and can be watched again from where this ends.
+        () = desk.gate.reached(Phase::Draining) => Err(RequestError::Draining),
+    };
+    let last = match result {
+        Ok(()) => "event: end\ndata: {}\n\n".to_owned(),
+        Err(error) => {
+            let problem = Problem::from(error);
+            format!("event: problem\ndata: {}\n\n", problem.json(problem.status()))
+        }
+    };
+    let _ = sender.send(last.into()).await;
+}
+
+/// An event as server-sent events have it.
+fn frame(event: &Event) -> Bytes {
+    let at = event.at;
+    let (kind, data) = match &event.what {
+        What::State { state, attempt } => ("state", json!({ "state": state, "attempt": attempt, "at_ms": at })),
+        What::Progress(Progress::Stage { name, done, total }) => {
+            ("stage", json!({ "name": name, "done": done, "total": total, "at_ms": at }))
+        }
+        What::Progress(Progress::Iteration { index, total, kind, energy, gradient_norm, ms }) => (
+            "iteration",
+            json!({
+                "index": index, "total": total, "kind": kind, "energy": energy, "gradient_norm": gradient_norm,
+                "ms": ms, "at_ms": at,
+            }),
+        ),
+    };
+    format!("id: {}\nevent: {kind}\ndata: {data}\n\n", event.number).into()
+}

@@ -1,0 +1,126 @@
+//! `POST /v1/remesh`: a mesh in, a mesh out.
+//!
+//! Purpose: it is a job inside: the body is stored, a job is created, awaited and read, and then deleted, so that limits, keys,
+//! quotas and counts are those of jobs. Invariant: whatever becomes of the request, its job does not outlive it. Must not
+//! know: how a surface is remeshed.
+
+use std::sync::Arc;
+
+use axum::extract::{Extension, Request, State};
+use axum::http::HeaderMap;
+use axum::http::header::{ACCEPT, CONTENT_TYPE, EXPECT};
+use axum::http::request::Parts;
+use tokio::runtime::Handle;
+
+use super::blobs::store;
+use super::body::{coding, pass_over};
+use super::guard::Client;
+use super::jobs::{MESH, send_result};
+use super::media;
+use super::options::Asked;
+use super::problem::{Answered, wrong};
+use crate::service::{self, Desk, Phase, RequestError};
+use jobs::api::{JobApi, JobApiError};
+use jobs::blob::Digest;
+use jobs::record::{Job, JobId, JobSpec, MeshFormat, MeshSource, ResultFormat};
+use jobs::state::State as JobState;
+
+/// `POST /v1/remesh`.
+pub(super) async fn remesh(
+    State(desk): State<Desk>,
+    Extension(client): Extension<Client>,
+    request: Request,
+) -> Answered {
+    let (parts, body) = request.into_parts();
+    let wanted = match wanted(&parts, &client) {
+        Ok(wanted) => wanted,
+        Err(error) => {
+            // Who asks first has sent nothing yet.
+            if !parts.headers.contains_key(EXPECT) {
+                pass_over(body).await;
+            }
+            return Err(error.into());
+        }
+    };
+    let (info, bytes) = store(&desk, &client, &parts.headers, body).await?;
+    let spec = wanted.of(info.digest, &bytes)?;
+    drop(bytes);
+    let created = service::create(Arc::clone(&desk.api), &*desk.blobs, client.bytes, spec).await?;
+    let mine = Mine { api: Arc::clone(&desk.api), tenant: client.tenant.clone(), id: created.job.id };
+    let job = ended(&desk, &client.tenant, created.job.id).await?;
+    send_result(&desk, &client, &job, MESH, &HeaderMap::new(), mine).await
+}
+
+/// What is asked for, before the surface is there.
+struct Asking {
+    spec: JobSpec,
+    format: Option<MeshFormat>,
+    to: Option<MeshFormat>,
+}
+
+/// What a request asks for. What can be refused without its body is refused here.
+fn wanted(parts: &Parts, client: &Client) -> Result<Asking, RequestError> {
+    let mut asked = Asked::of_query(parts.uri.query())?;
+    coding(&parts.headers)?;
+    let header = |name| parts.headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    let format = asked.format("format")?.or_else(|| media::of_types(header(CONTENT_TYPE)));
+    let to = asked.format("to")?.or_else(|| media::of_types(header(ACCEPT)));
+    let any = MeshFormat::Ply;
+    let nothing = Digest::of(&[]);
+    let spec = asked.remesh(nothing, format.unwrap_or(any), to.or(format).unwrap_or(any), &client.tenant)?;
+    spec.clone().check().map_err(JobApiError::from)?;
+    Ok(Asking { spec, format, to })
+}
+
+impl Asking {
+    /// The job, of a surface that is stored now.
+    fn of(self, digest: Digest, bytes: &[u8]) -> Result<JobSpec, RequestError> {
+        let Self { mut spec, format, to } = self;
+        let found = format.or_else(|| media::sniffed(bytes)).ok_or_else(|| {
+            wrong("format", format!("is missing, and the body does not say; it must be one of {}", media::names()))
+        })?;
+        if let MeshSource::File { blob, format, .. } = &mut spec.mesh {
+            (*blob, *format) = (digest, found);
+        }
+        spec.result = Some(ResultFormat::File(to.unwrap_or(found)));
+        Ok(spec)
+    }
+}
+
+/// The job once it has ended. While the server drains, one that has not begun never will.
+async fn ended(desk: &Desk, tenant: &str, id: JobId) -> Result<Job, RequestError> {
+    let following = service::follow(&*desk.api, tenant, id, 0, |_| async { Ok(()) });
+    tokio::pin!(following);
+    tokio::select! {
+        result = &mut following => result?,
+        () = desk.gate.reached(Phase::Draining) => {
+            if desk.api.get(tenant, id).await?.status.state == JobState::Queued {
+                return Err(RequestError::Draining);
+            }
+            following.await?;
+        }
+    }
+    Ok(desk.api.get(tenant, id).await?)
+}
+
+/// A job of a request: cancelled and forgotten when this is dropped.
+struct Mine {
+    api: Arc<dyn JobApi>,
+    tenant: String,
+    id: JobId,
+}
+
+impl Drop for Mine {
+    fn drop(&mut self) {
+        let (api, tenant, id) = (Arc::clone(&self.api), std::mem::take(&mut self.tenant), self.id);
+        // Without a runtime the process ends.
+        let Ok(runtime) = Handle::try_current() else { return };
+        runtime.spawn(async move {
+            // One that has ended is not cancelled.
+            let _ = api.cancel(&tenant, id).await;
+            if let Err(error) = api.delete(&tenant, id).await {
+                tracing::debug!(%error, job = %id, "the job of a request is not deleted; it is kept as others are");
+            }
+        });
+    }
+}

@@ -1,0 +1,463 @@
+//! What is counted, and how it is told to Prometheus.
+//!
+//! Purpose: [`Metrics`] is counted up by the service and, as an [`Observer`], by the engine; [`Metrics::text`] is what a
+//! scrape sees. `docs/observability.md` has the list, and a test compares the two.
+//! Invariant: names and labels come from fixed lists, so that strangers cannot make new ones. Counting takes well under a
+//! microsecond and never waits for a scrape. There is no global registry: whoever counts is handed the value.
+//! Must not know: messages, connections, how anything that is counted is done.
+
+mod calls;
+mod format;
+mod process;
+
+use std::fmt;
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::metrics::info::Info;
+use prometheus_client::registry::{Registry, Unit};
+
+use crate::readiness::{Condition, Reason};
+use geometry::rvd::BackendKind;
+use jobs::estimate::Kind;
+use jobs::observer::{JobOutcome, Observer, Origin, Phase};
+
+pub(crate) use calls::{Call, Calls};
+pub use format::Format;
+
+/// Upper bounds for calls, seconds: those that OpenTelemetry advises, and more for work that takes minutes.
+const CALL_SECONDS: [f64; 18] =
+    [0.005, 0.01, 0.025, 0.05, 0.075, 0.1, 0.25, 0.5, 0.75, 1.0, 2.5, 5.0, 7.5, 10.0, 30.0, 60.0, 300.0, 1800.0];
+
+/// Upper bounds for what jobs wait and stages take, seconds.
+const WORK_SECONDS: [f64; 13] = [0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0];
+
+/// A counter of seconds.
+type Seconds = Counter<f64, AtomicU64>;
+type SecondsGauge = Gauge<f64, AtomicU64>;
+type Labelled<L, M> = Family<L, M, fn() -> M>;
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct CallLabels {
+    rpc_method: Arc<String>,
+    rpc_response_status_code: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct HttpLabels {
+    http_request_method: &'static str,
+    http_route: &'static str,
+    http_response_status_code: u32,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct MethodLabel {
+    rpc_method: Arc<String>,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct JobLabels {
+    state: &'static str,
+    kind: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct KindLabel {
+    kind: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct StageLabels {
+    stage: &'static str,
+    backend: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct BackendLabel {
+    backend: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct OutcomeLabel {
+    outcome: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct EndLabels {
+    outcome: &'static str,
+    kind: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct ReasonLabel {
+    reason: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct StepLabel {
+    step: &'static str,
+}
+
+/// Bytes of blobs.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct BlobBytes {
+    /// Whole blobs and uploads under way.
+    pub kept: u64,
+    /// What may be kept.
+    pub limit: u64,
+}
+
+/// See the module's head. Clones share one state.
+#[derive(Clone)]
+pub struct Metrics(Arc<Inner>);
+
+struct Inner {
+    registry: Registry,
+    calls: Labelled<CallLabels, Histogram>,
+    requests: Labelled<HttpLabels, Histogram>,
+    open_streams: Family<MethodLabel, Gauge>,
+    open_connections: Gauge,
+    jobs: Family<JobLabels, Gauge>,
+    jobs_ended: Family<EndLabels, Counter>,
+    queue: Labelled<KindLabel, Histogram>,
+    stages: Labelled<StageLabels, Histogram>,
+    passes: Family<BackendLabel, Counter>,
+    iterations: Counter,
+    facets: Counter,
+    seeds: Counter,
+    device_bytes: Family<KindLabel, Gauge>,
+    device_busy: Seconds,
+    device_losses: Counter,
+    refusals: Family<ReasonLabel, Counter>,
+    blob_bytes: Family<KindLabel, Gauge>,
+    memory: Family<KindLabel, Gauge>,
+    memory_used: OnceLock<Arc<AtomicI64>>,
+    not_ready: Family<ReasonLabel, Gauge>,
+    degraded: Family<ReasonLabel, Gauge>,
+    probes: Family<OutcomeLabel, Counter>,
+    steps: Family<StepLabel, SecondsGauge>,
+    process: process::Process,
+}
+
+impl fmt::Debug for Metrics {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Metrics").finish_non_exhaustive()
+    }
+}
+
+impl Default for Metrics {
+    fn default() -> Self {
+        Self::new(env!("CARGO_PKG_VERSION"), None)
+    }
+}
+
+fn call_seconds() -> Histogram {
+    Histogram::new(CALL_SECONDS)
+}
+
+fn work_seconds() -> Histogram {
+    Histogram::new(WORK_SECONDS)
+}
+
+impl Metrics {
+    /// Nothing is counted yet.
+    pub fn new(version: &str, revision: Option<&str>) -> Self {
+        let mut registry = Registry::default();
+        let mut all = Inner {
+            registry: Registry::default(),
+            calls: Labelled::new_with_constructor(call_seconds as fn() -> Histogram),
+            requests: Labelled::new_with_constructor(call_seconds as fn() -> Histogram),
+            open_streams: Family::default(),
+            open_connections: Gauge::default(),
+            jobs: Family::default(),
+            jobs_ended: Family::default(),
+            queue: Labelled::new_with_constructor(work_seconds as fn() -> Histogram),
+            stages: Labelled::new_with_constructor(work_seconds as fn() -> Histogram),
+            passes: Family::default(),
+            iterations: Counter::default(),
+            facets: Counter::default(),
+            seeds: Counter::default(),
+            device_bytes: Family::default(),
+            device_busy: Seconds::default(),
+            device_losses: Counter::default(),
+            refusals: Family::default(),
+            blob_bytes: Family::default(),
+            memory: Family::default(),
+            memory_used: OnceLock::new(),
+            not_ready: Family::default(),
+            degraded: Family::default(),
+            probes: Family::default(),
+            steps: Family::default(),
+            process: process::Process::register(&mut registry),
+        };
+        let build = vec![("version", version.to_owned()), ("revision", revision.unwrap_or("unknown").to_owned())];
+        registry.register("tessera_build", "The version of this server", Info::new(build));
+        let s = || Unit::Seconds;
+        let b = || Unit::Bytes;
+        let r = &mut registry;
+        r.register_with_unit(
+            "rpc_server_call_duration",
+            "How long calls took, by method and status",
+            s(),
+            all.calls.clone(),
+        );
+        r.register_with_unit(
+            "http_server_request_duration",
+            "How long requests of the HTTP door took, by route and status",
+            s(),
+            all.requests.clone(),
+        );
+        r.register("tessera_open_streams", "Calls that are open", all.open_streams.clone());
+        r.register("tessera_open_connections", "Connections that are open", all.open_connections.clone());
+        r.register("tessera_jobs", "Jobs that wait or are at work", all.jobs.clone());
+        r.register("tessera_jobs_ended", "Jobs that left the engine, by how they ended", all.jobs_ended.clone());
+        r.register_with_unit("tessera_queue", "How long jobs waited for their turn", s(), all.queue.clone());
+        r.register_with_unit("tessera_stage", "How long stages of jobs took", s(), all.stages.clone());
+        r.register("tessera_passes", "Passes of the diagram over a surface", all.passes.clone());
+        r.register("tessera_iterations", "Steps of seeds that were taken", all.iterations.clone());
+        r.register("tessera_facets", "Facets of the surfaces of jobs that are done", all.facets.clone());
+        r.register("tessera_seeds", "Seeds that were asked for, of jobs that are done", all.seeds.clone());
+        r.register_with_unit("tessera_device", "Memory of the device", b(), all.device_bytes.clone());
+        r.register_with_unit("tessera_device_busy", "How long the device was busy", s(), all.device_busy.clone());
+        r.register("tessera_device_losses", "Times that the device was lost", all.device_losses.clone());
+        r.register("tessera_refusals", "Calls and connections that were refused", all.refusals.clone());
+        r.register_with_unit("tessera_blob", "Blobs that are kept, and what may be", b(), all.blob_bytes.clone());
+        r.register_with_unit("tessera_memory", "Memory for uploads and answers that wait", b(), all.memory.clone());
+        r.register("tessera_not_ready", "1 for each reason why the server is not ready", all.not_ready.clone());
+        r.register(
+            "tessera_degraded",
+            "1 for each reason why the server is slower than it should be",
+            all.degraded.clone(),
+        );
+        r.register("tessera_probes", "Probes of the backend, by how they came out", all.probes.clone());
+        r.register_with_unit("tessera_step", "How long the steps of start and shutdown took", s(), all.steps.clone());
+        all.registry = registry;
+        let metrics = Self(Arc::new(all));
+        metrics.begin();
+        metrics
+    }
+
+    /// What has few values is told from the start, so that a rate has something to begin at.
+    fn begin(&self) {
+        let inner = &*self.0;
+        for kind in [Kind::Remesh, Kind::Rvd, Kind::Cvt].map(Kind::name) {
+            for state in [Phase::Waiting, Phase::Running].map(state_name) {
+                let _ = inner.jobs.get_or_create(&JobLabels { state, kind });
+            }
+            for outcome in
+                [JobOutcome::Succeeded, JobOutcome::Failed, JobOutcome::Cancelled, JobOutcome::Released].map(end_name)
+            {
+                let _ = inner.jobs_ended.get_or_create(&EndLabels { outcome, kind });
+            }
+            let _ = inner.queue.get_or_create(&KindLabel { kind });
+        }
+        for kind in ["planned", "used"] {
+            let _ = inner.device_bytes.get_or_create(&KindLabel { kind });
+        }
+        self.condition(Condition::default());
+        self.blobs(BlobBytes::default());
+        self.probed(true, 0);
+        self.probed(false, 0);
+        for reason in [Refused::Queue, Refused::Memory, Refused::Streams, Refused::Draining, Refused::Connections] {
+            self.refusals(reason, 0);
+        }
+    }
+
+    /// Counts calls of these methods by their names, and all others as one.
+    pub fn calls(&self, methods: impl IntoIterator<Item = String>) -> Calls {
+        Calls::new(self.clone(), methods)
+    }
+
+    /// A request of the HTTP door is over. Method and route are of a fixed list.
+    pub fn request(&self, method: &'static str, route: &'static str, status: u16, took: Duration) {
+        let labels =
+            HttpLabels { http_request_method: method, http_route: route, http_response_status_code: status.into() };
+        self.0.requests.get_or_create(&labels).observe(took.as_secs_f64());
+    }
+
+    /// A connection is open until what this gives is dropped.
+    pub fn connection(&self) -> Open {
+        self.0.open_connections.inc();
+        Open(self.0.open_connections.clone())
+    }
+
+    /// Somebody was refused.
+    pub fn refused(&self, reason: Refused) {
+        self.refusals(reason, 1);
+    }
+
+    fn refusals(&self, reason: Refused, times: u64) {
+        self.0.refusals.get_or_create(&ReasonLabel { reason: reason.name() }).inc_by(times);
+    }
+
+    /// Bytes of blobs now.
+    pub fn blobs(&self, bytes: BlobBytes) {
+        for (kind, bytes) in [("kept", bytes.kept), ("limit", bytes.limit)] {
+            self.0.blob_bytes.get_or_create(&KindLabel { kind }).set(signed(bytes));
+        }
+    }
+
+    /// Memory that streams share: where what is used can be read, and what there is.
+    pub fn memory(&self, used: Arc<AtomicI64>, limit: u64) {
+        let _ = self.0.memory_used.set(used);
+        self.0.memory.get_or_create(&KindLabel { kind: "limit" }).set(signed(limit));
+    }
+
+    /// What is allocated on the device now, if it is known.
+    pub fn device_used(&self, bytes: Option<u64>) {
+        self.0.device_bytes.get_or_create(&KindLabel { kind: "used" }).set(signed(bytes.unwrap_or(0)));
+    }
+
+    /// Why the server is not ready, or not as good as it should be.
+    pub fn condition(&self, condition: Condition) {
+        for reason in Reason::ALL {
+            let label = ReasonLabel { reason: reason.name() };
+            let gauges = if reason.only_degrades() { &self.0.degraded } else { &self.0.not_ready };
+            gauges.get_or_create(&label).set(i64::from(condition.has(reason)));
+        }
+    }
+
+    /// A step of the start or of the shutdown took so long.
+    pub fn step(&self, step: &'static str, took: Duration) {
+        self.0.steps.get_or_create(&StepLabel { step }).set(took.as_secs_f64());
+    }
+
+    /// Probes came out well, or not.
+    pub fn probed(&self, is_good: bool, times: u64) {
+        let outcome = if is_good { "passed" } else { "failed" };
+        self.0.probes.get_or_create(&OutcomeLabel { outcome }).inc_by(times);
+    }
+
+    /// Everything, as Prometheus reads it.
+    pub fn text(&self, format: Format) -> String {
+        let inner = &*self.0;
+        if let Some(used) = inner.memory_used.get() {
+            inner.memory.get_or_create(&KindLabel { kind: "used" }).set(used.load(Ordering::Acquire));
+        }
+        inner.process.look();
+        format.write(&inner.registry)
+    }
+}
+
+/// Something that is open until this is dropped.
+pub struct Open(Gauge);
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        self.0.dec();
+    }
+}
+
+/// Why somebody is refused, as far as a retry may help or an operator can.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refused {
+    /// The queue is full.
+    Queue,
+    /// There is no memory for it now, on the host or on the device.
+    Memory,
+    /// Too many streams, sessions or watches are open.
+    Streams,
+    /// The server is shutting down.
+    Draining,
+    /// Too many connections are open.
+    Connections,
+    /// A message is longer than any may be.
+    MessageSize,
+    /// It could never be done here.
+    TooLarge,
+    /// There is no room for a blob, or there are too many uploads.
+    Storage,
+}
+
+impl Refused {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Queue => "queue",
+            Self::Memory => "memory",
+            Self::Streams => "streams",
+            Self::Draining => "draining",
+            Self::Connections => "connections",
+            Self::MessageSize => "message_size",
+            Self::TooLarge => "too_large",
+            Self::Storage => "storage",
+        }
+    }
+}
+
+fn state_name(phase: Phase) -> &'static str {
+    match phase {
+        Phase::Waiting => "waiting",
+        Phase::Running => "running",
+    }
+}
+
+fn end_name(outcome: JobOutcome) -> &'static str {
+    match outcome {
+        JobOutcome::Succeeded => "done",
+        JobOutcome::Failed => "failed",
+        JobOutcome::Cancelled => "cancelled",
+        JobOutcome::Released => "put_back",
+    }
+}
+
+fn signed(bytes: u64) -> i64 {
+    i64::try_from(bytes).unwrap_or(i64::MAX)
+}
+
+impl Observer for Metrics {
+    fn moved(&self, kind: Kind, from: Option<Phase>, to: Option<Phase>) {
+        let labels = |phase| JobLabels { state: state_name(phase), kind: kind.name() };
+        from.iter().for_each(|phase| {
+            self.0.jobs.get_or_create(&labels(*phase)).dec();
+        });
+        to.iter().for_each(|phase| {
+            self.0.jobs.get_or_create(&labels(*phase)).inc();
+        });
+    }
+
+    fn began(&self, kind: Kind, waited: Duration) {
+        self.0.queue.get_or_create(&KindLabel { kind: kind.name() }).observe(waited.as_secs_f64());
+    }
+
+    fn ended(&self, origin: &Origin, outcome: JobOutcome) {
+        let labels = EndLabels { outcome: end_name(outcome), kind: origin.kind.name() };
+        self.0.jobs_ended.get_or_create(&labels).inc();
+        if outcome == JobOutcome::Succeeded {
+            self.0.facets.inc_by(origin.facets);
+            self.0.seeds.inc_by(origin.seeds);
+        }
+    }
+
+    fn stage(&self, stage: &'static str, backend: BackendKind, took: Duration) {
+        let labels = StageLabels { stage, backend: backend.name() };
+        self.0.stages.get_or_create(&labels).observe(took.as_secs_f64());
+    }
+
+    fn iterated(&self, steps: u64) {
+        self.0.iterations.inc_by(steps);
+    }
+
+    fn passed(&self, backend: BackendKind, took: Duration) {
+        self.0.passes.get_or_create(&BackendLabel { backend: backend.name() }).inc();
+        if backend == BackendKind::Gpu {
+            self.0.device_busy.inc_by(took.as_secs_f64());
+        }
+    }
+
+    fn planned(&self, bytes: i64) {
+        self.0.device_bytes.get_or_create(&KindLabel { kind: "planned" }).inc_by(bytes);
+    }
+
+    fn lost_device(&self) {
+        self.0.device_losses.inc();
+    }
+}
+
+#[cfg(test)]
+mod tests;

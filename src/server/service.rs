@@ -1,0 +1,420 @@
+//! The service: three streams over gRPC, blobs and jobs, health and reflection.
+//!
+//! Purpose: [`run`] serves on a listener until it is told to end, then drains.
+//! Invariant: nothing waits without a limit; every error leaves through `status` and nowhere else;
+//! a stream that ends in any way gives back its memory and its place. Must not know: how a diagram
+//! is computed, how messages look (`wire`), the command line.
+
+mod about;
+mod access;
+mod budget;
+mod connections;
+mod convert;
+mod desk;
+mod fault;
+mod handlers;
+mod health;
+mod methods;
+mod refusal;
+mod status;
+mod stream;
+mod tenant;
+
+use std::fmt;
+use std::future::Future;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use axum::Router;
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tonic::codec::CompressionEncoding::{Gzip, Zstd};
+use tonic::service::Routes;
+
+pub use self::about::About;
+use self::access::Guarded;
+pub(crate) use self::access::{Caller, Pass, Refusal};
+pub(crate) use self::budget::{Budget, Share};
+pub(crate) use self::connections::Exchange;
+use self::connections::{Ground, Grpc, Spoken};
+pub use self::connections::{Tls, TlsError};
+pub(crate) use self::convert::job_id;
+pub(crate) use self::desk::{DESK_TIME, Desk, EmptyUpload, check_owned, create, follow, keep, timely, to_the_end};
+pub(crate) use self::fault::{Detail, Fault, Kind as FaultKind};
+use self::health::Told;
+pub(crate) use self::stream::{Gate, Kind};
+pub(crate) use self::tenant::of_headers as tenant_of;
+use crate::config::Limits;
+use crate::lifecycle::{self, Step};
+use crate::metrics::Metrics;
+use crate::readiness::{Readiness, Reason};
+use jobs::api::{JobApi, JobApiError};
+use jobs::blob::{BlobError, BlobStore};
+use jobs::spec::Input;
+use jobs::{Device, Engine, JobError};
+use wire::{WireError, proto};
+
+pub use self::access::{Access, AccessOptions};
+
+/// Health service name of `RemeshService`.
+pub const SERVICE_NAME: &str = "tessera.v1.RemeshService";
+
+/// Health service name of `BlobService`.
+pub const BLOB_SERVICE_NAME: &str = "tessera.v1.BlobService";
+
+/// Health service name of `JobService`.
+pub const JOB_SERVICE_NAME: &str = "tessera.v1.JobService";
+
+/// Health service name of `ServerService`.
+pub const SERVER_SERVICE_NAME: &str = "tessera.v1.ServerService";
+
+/// What a server is made of.
+#[derive(Debug)]
+pub struct Parts {
+    /// Does the work.
+    pub engine: Engine,
+    /// The engine's thread, joined at the end.
+    pub worker: JoinHandle<()>,
+    /// What a request may ask for, and how long things may take.
+    pub limits: Limits,
+    /// Jobs that outlive their stream; without, neither they nor blobs are served.
+    pub jobs: Option<Jobs>,
+    /// The certificates, if TLS is spoken.
+    pub tls: Option<Arc<Tls>>,
+    /// Who may call.
+    pub access: Access,
+    /// Counts. Give the engine the same.
+    pub metrics: Metrics,
+    /// Whether the server can do what it is asked.
+    pub readiness: Readiness,
+    /// What it knows of itself.
+    pub about: About,
+    /// A way in beside gRPC, to the same jobs and blobs.
+    pub door: Option<Door>,
+}
+
+/// A way in beside gRPC: where it listens, and what it makes of the desk.
+pub struct Door {
+    listener: TcpListener,
+    open: Box<dyn FnOnce(Desk) -> Router + Send>,
+}
+
+impl Door {
+    pub fn new(listener: TcpListener, open: impl FnOnce(Desk) -> Router + Send + 'static) -> Self {
+        Self { listener, open: Box::new(open) }
+    }
+}
+
+impl fmt::Debug for Door {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Door").field("listener", &self.listener).finish_non_exhaustive()
+    }
+}
+
+/// What the services of blobs and jobs are made of.
+#[derive(Clone)]
+pub struct Jobs {
+    /// Keeps blobs.
+    pub blobs: Arc<dyn BlobStore>,
+    /// Keeps jobs and has them done.
+    pub api: Arc<dyn JobApi>,
+}
+
+impl fmt::Debug for Jobs {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Jobs").field("blobs", &self.blobs).finish_non_exhaustive()
+    }
+}
+
+/// Why a server ended badly.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The descriptors are not readable; a fault of the build.
+    #[error("the descriptors for reflection are broken: {0}")]
+    Reflection(#[from] tonic_reflection::server::Error),
+    /// The engine ended by itself.
+    #[error("the engine ended while it was needed; the log may say why")]
+    WorkerDied,
+    /// The engine did not end in time.
+    #[error("the engine did not end within {} s of the shutdown", .0.as_secs_f64())]
+    WorkerStuck(Duration),
+    /// The journal of jobs can no longer be written.
+    #[error("the journal of jobs can no longer be written; see that its disk has room and is sound, then start again")]
+    Journal,
+    /// The device was lost and could not be opened again.
+    #[error("the device was lost and could not be opened again; see to its driver, or give --on-device-loss cpu")]
+    DeviceMissing,
+    /// Work went on long after it was told to stop.
+    #[error("work in the stage {stage:?} went on long after it was told to stop; only a new process can go on")]
+    WorkStuck {
+        /// What it was at.
+        stage: &'static str,
+    },
+}
+
+/// Why a request is refused or ends badly. `status` makes a status code of it.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum RequestError {
+    #[error(transparent)]
+    Wire(#[from] WireError),
+    #[error("{needed_bytes} more bytes do not fit now: {left_bytes} are left for all streams")]
+    Memory { needed_bytes: u64, left_bytes: u64 },
+    #[error("a message of {length} bytes came, where none is longer than {most}")]
+    MessageTooLong { length: u64, most: u64 },
+    #[error("a compressed message would have more than {most} bytes")]
+    Unpacked { most: u64 },
+    #[error("{limit} {what} are open already, as many as may")]
+    TooMany { what: &'static str, limit: usize },
+    #[error("no message came for {} s", .0.as_secs_f64())]
+    Idle(Duration),
+    #[error("the upload was not complete after {} s", .0.as_secs_f64())]
+    UploadTime(Duration),
+    #[error("the client took none of the bytes that wait for it for {} s", .0.as_secs_f64())]
+    Stalled(Duration),
+    #[error("the deadline has passed")]
+    Deadline,
+    #[error("the client has gone")]
+    ClientGone,
+    #[error("the server is shutting down; try again, or try another server")]
+    Draining,
+    #[error("the server's storage did not answer within {} s", .0.as_secs_f64())]
+    Slow(Duration),
+    #[error(transparent)]
+    Job(#[from] JobError),
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    #[error(transparent)]
+    JobApi(#[from] JobApiError),
+    #[error(transparent)]
+    Access(#[from] access::Refusal),
+    #[error("{}", .0.message())]
+    Inbound(tonic::Status),
+}
+
+impl RequestError {
+    /// The caller's key is no good, or no longer.
+    pub fn unauthenticated() -> Self {
+        Self::Access(access::Refusal::Unauthenticated)
+    }
+}
+
+/// How far the server is on its way out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Phase {
+    Serving,
+    Draining,
+    /// The grace period is over: what is left ends now.
+    Cut,
+    /// Nothing is left: connections close.
+    Closing,
+}
+
+/// Time for streams to end once they were cut, and for connections to close.
+const CUT_TIME: Duration = Duration::from_secs(2);
+
+/// Takes the upload of a recorded `Remesh` stream as the service would, without a server: fuzzers call it, and
+/// so may whoever has a recording that was refused. A recording is every request after its length
+/// as a varint, up to the one that finishes the upload.
+///
+/// # Errors
+/// What the service would say.
+pub fn replay(recording: &[u8], limits: &Limits) -> Result<Input, String> {
+    handlers::replay(&mut &*recording, limits).map_err(|error| error.to_string())
+}
+
+/// Serves on `listener` until `shutdown` is ready; then refuses new streams, lets open ones end
+/// within the grace period, cuts what is left, joins the engine and returns.
+///
+/// # Errors
+/// [`ServeError`].
+pub async fn run(
+    listener: TcpListener,
+    parts: Parts,
+    shutdown: impl Future<Output = ()> + Send,
+) -> Result<(), ServeError> {
+    let Parts { engine, worker, limits, jobs, tls, access, metrics, readiness, about, door } = parts;
+    let message_bytes = limits.transport.message_bytes;
+    let _following = access.follow(engine.weights().clone());
+    let phase = watch::Sender::new(Phase::Serving);
+    let budget = Budget::told(limits.memory_bytes, engine.memory_outside_jobs());
+    metrics.memory(engine.memory_outside_jobs(), limits.memory_bytes);
+    let gate = Gate::new(limits, phase.subscribe(), metrics.clone());
+    let handlers = handlers::Handlers::new(engine.clone(), limits, budget.clone(), gate.clone());
+    let info = handlers::info::Info { engine: engine.clone(), limits, readiness: readiness.clone(), about };
+    let (health, health_service) = tonic_health::server::health_reporter();
+    let names = names(jobs.is_some());
+    let health = Arc::new(Told::new(health, names, metrics.clone()));
+    readiness.set(Reason::Starting, true);
+    let begin = Instant::now();
+    health::check(&engine, &readiness, &metrics).await;
+    lifecycle::ended(&metrics, Step::Probe, begin);
+    readiness.set(Reason::Starting, false);
+    health.tell(readiness.condition()).await;
+    let mut routes = Routes::new(health_service)
+        .add_service(proto::server_service_server::ServerServiceServer::new(info))
+        .add_service(
+            proto::remesh_service_server::RemeshServiceServer::new(handlers)
+                .max_decoding_message_size(message_bytes)
+                .accept_compressed(Gzip)
+                .accept_compressed(Zstd)
+                .send_compressed(Gzip)
+                .send_compressed(Zstd),
+        );
+    if access.options().reflection {
+        routes = routes.add_service(reflection(names)?.build_v1()?).add_service(reflection(names)?.build_v1alpha()?);
+    }
+    // Ended with the server, wherever it is.
+    let mut tasks = JoinSet::new();
+    tasks.spawn(Arc::clone(&health).follow(readiness.clone()));
+    tasks.spawn(health::probes(engine.clone(), readiness.clone(), metrics.clone(), limits.probe));
+    if let Some(jobs) = &jobs {
+        let storage = jobs.api.storage();
+        tasks.spawn(health::follow_blobs(Arc::clone(&jobs.blobs), storage, readiness.clone(), metrics.clone()));
+    }
+    let api = jobs.as_ref().map(|jobs| Arc::clone(&jobs.api));
+    let door = door.zip(jobs.as_ref()).map(|(door, Jobs { api, blobs })| {
+        let (api, blobs, access) = (Arc::clone(api), Arc::clone(blobs), access.of(&door.listener));
+        let (budget, gate, metrics) = (budget.clone(), gate.clone(), metrics.clone());
+        (door.listener, (door.open)(Desk { api, blobs, limits, budget, gate, access, metrics }))
+    });
+    if let Some(jobs) = jobs {
+        routes = with_jobs(routes, jobs, limits, &budget, &gate);
+    }
+    let routes = Guarded::new(access.of(&listener), routes.prepare());
+    let closing = watch::Sender::new(CUT_TIME);
+    let ground = Ground::new(limits, budget, metrics.clone(), tls);
+    let grpc = Spoken::Grpc(Arc::new(Grpc { routes, calls: metrics.calls(methods::all()) }));
+    let beside = async {
+        if let Some((listener, router)) = door {
+            let spoken = Spoken::Web(router);
+            connections::serve(listener, spoken, ground.clone(), phase.subscribe(), closing.subscribe()).await;
+        }
+    };
+    let serving = connections::serve(listener, grpc, ground.clone(), phase.subscribe(), closing.subscribe());
+    let serving = async { tokio::join!(serving, beside) };
+    tokio::pin!(serving);
+
+    let unkept = async {
+        match &api {
+            Some(api) => api.failed().await,
+            None => std::future::pending().await,
+        }
+    };
+    let mut is_kept = true;
+    let lost = tokio::select! {
+        _ = &mut serving => None,
+        () = shutdown => None,
+        () = unkept => {
+            is_kept = false;
+            readiness.set(Reason::JournalBroken, true);
+            None
+        }
+        lost = health::follow_engine(&engine, &readiness, &metrics) => lost,
+    };
+    // Whoever waits for work that never ends would wait in vain.
+    let grace = if lost.is_some() { Duration::ZERO } else { limits.grace };
+    tracing::info!(grace_s = grace.as_secs_f64(), "shutting down: no new streams, open ones may end");
+    // Before the phase: whoever watches is told, and then his stream ends.
+    readiness.set(Reason::Draining, true);
+    health.tell(readiness.condition()).await;
+    phase.send_replace(Phase::Draining);
+    let begin = Instant::now();
+    let idle = || async {
+        let jobs = async {
+            if let Some(api) = &api {
+                api.drain().await;
+            }
+        };
+        tokio::join!(gate.idle(), jobs);
+    };
+    let draining = async {
+        if tokio::time::timeout(grace, idle()).await.is_err() {
+            tracing::warn!("the grace period is over: cutting what is left");
+        }
+        lifecycle::ended(&metrics, Step::Drain, begin);
+        let drained = Instant::now();
+        phase.send_replace(Phase::Cut);
+        engine.cancel_all();
+        let _ = tokio::time::timeout(CUT_TIME, idle()).await;
+        // Answers that are written may still be on their way to a slow reader.
+        closing.send_replace(grace.saturating_sub(begin.elapsed()).max(CUT_TIME));
+        phase.send_replace(Phase::Closing);
+        drained
+    };
+    let (drained, _) = tokio::join!(draining, serving);
+    lifecycle::ended(&metrics, Step::Close, drained);
+    if let Some(stage) = lost {
+        return Err(ServeError::WorkStuck { stage });
+    }
+    let device = *engine.watch_device().borrow();
+    let begin = Instant::now();
+    engine.close();
+    join(worker).await?;
+    lifecycle::ended(&metrics, Step::Engine, begin);
+    if !is_kept {
+        return Err(ServeError::Journal);
+    }
+    match device {
+        Device::Gone => return Err(ServeError::WorkerDied),
+        Device::Missing => return Err(ServeError::DeviceMissing),
+        Device::Ready | Device::Lost | Device::Replaced => {}
+    }
+    tracing::info!("ended");
+    Ok(())
+}
+
+/// Waits for the engine, but not for ever.
+async fn join(worker: JoinHandle<()>) -> Result<(), ServeError> {
+    let limit = Duration::from_secs(10);
+    let start = Instant::now();
+    while !worker.is_finished() {
+        if start.elapsed() > limit {
+            return Err(ServeError::WorkerStuck(limit));
+        }
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    if worker.join().is_err() {
+        tracing::error!("the engine ended with a panic");
+    }
+    Ok(())
+}
+
+/// Serves blobs and jobs too.
+fn with_jobs(routes: Routes, Jobs { blobs, api }: Jobs, limits: Limits, budget: &Budget, gate: &Gate) -> Routes {
+    let jobs = handlers::jobs::Jobs::new(api, Arc::clone(&blobs), budget.clone(), gate.clone());
+    let blobs = handlers::blobs::Blobs::new(blobs, limits, budget.clone(), gate.clone());
+    let message_bytes = limits.transport.message_bytes;
+    // What is read is not compressed: results seldom shrink, and their clients wait for them.
+    let blobs = proto::blob_service_server::BlobServiceServer::new(blobs)
+        .max_decoding_message_size(message_bytes)
+        .accept_compressed(Gzip)
+        .accept_compressed(Zstd);
+    let jobs = proto::job_service_server::JobServiceServer::new(jobs)
+        .max_decoding_message_size(message_bytes)
+        .accept_compressed(Gzip)
+        .accept_compressed(Zstd)
+        .send_compressed(Gzip)
+        .send_compressed(Zstd);
+    routes.add_service(blobs).add_service(jobs)
+}
+
+/// The services that are served.
+fn names(jobs: bool) -> &'static [&'static str] {
+    const NAMES: &[&str] = &[SERVICE_NAME, SERVER_SERVICE_NAME, BLOB_SERVICE_NAME, JOB_SERVICE_NAME];
+    if jobs { NAMES } else { &[SERVICE_NAME, SERVER_SERVICE_NAME] }
+}
+
+fn reflection(names: &[&str]) -> Result<tonic_reflection::server::Builder<'static>, ServeError> {
+    let builder = tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(proto::DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        // Each version lists the other, and so has to describe it: clients ask about all that is listed.
+        .register_encoded_file_descriptor_set(tonic_reflection::pb::v1::FILE_DESCRIPTOR_SET)
+        .register_encoded_file_descriptor_set(tonic_reflection::pb::v1alpha::FILE_DESCRIPTOR_SET);
+    // Named, since the descriptors tell of services that may not be served.
+    let others =
+        ["grpc.health.v1.Health", "grpc.reflection.v1.ServerReflection", "grpc.reflection.v1alpha.ServerReflection"];
+    Ok(names.iter().copied().chain(others).fold(builder, tonic_reflection::server::Builder::with_service_name))
+}

@@ -1,0 +1,420 @@
+//! Who may call what, and how much.
+//!
+//! Purpose: [`Access`] looks at each request before any service does: its key, its role, its tenant, its rate. [`Guarded`] are
+//! the services behind it. Invariant: there is no other way to a service. Every request without a good key is refused in the
+//! same words, after the same work. What a key may do is written in `methods`; a method that is not there is not served.
+//! A key that is revoked or ends takes its open calls with it. Secrets are taken out of a request here, and go nowhere.
+//! Must not know: messages, connections, what a tenant has.
+
+mod held;
+mod hosts;
+mod methods;
+mod table;
+
+use std::fmt;
+use std::path::Path;
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
+use std::time::Duration;
+
+use governor::{DefaultDirectRateLimiter, Quota};
+use tokio::net::TcpListener;
+use tonic::Status;
+use tonic::body::Body;
+use tonic::codegen::Service as _;
+use tonic::codegen::http::{HeaderMap, HeaderName, HeaderValue, Method, Request, Response, StatusCode, header};
+use tonic::service::Routes;
+
+use self::held::Held;
+use self::methods::Needs;
+pub(crate) use self::table::Pass;
+use self::table::Table;
+use super::RequestError;
+use crate::keys::{KeyFile, KeysError, Role, Secret, Stamp, now};
+use jobs::Weights;
+
+/// The metadata that names the tenant.
+pub(super) const TENANT: &str = "tessera-tenant";
+
+/// Between two looks whether the file of the keys has changed or a key has ended.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+/// Between two log lines about refused keys: strangers can cause as many as they like.
+const LOG_EVERY: Duration = Duration::from_secs(5);
+
+/// What is decided once for a server.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AccessOptions {
+    /// Whether a call needs a key.
+    pub require_keys: bool,
+    /// Whether the server describes its interface.
+    pub reflection: bool,
+    /// Whether health needs a key too, where calls do.
+    pub health_needs_key: bool,
+    /// Hosts of requests, besides this machine, that a server without keys on loopback answers.
+    pub hosts: Vec<String>,
+}
+
+impl Default for AccessOptions {
+    fn default() -> Self {
+        Self { require_keys: false, reflection: true, health_needs_key: false, hosts: Vec::new() }
+    }
+}
+
+/// See the module's head. Clones share one table.
+#[derive(Clone)]
+pub struct Access {
+    shared: Arc<Shared>,
+    /// Whether requests come by a loopback address alone.
+    is_local: bool,
+}
+
+struct Shared {
+    options: AccessOptions,
+    file: Option<KeyFile>,
+    table: RwLock<Table>,
+    log: DefaultDirectRateLimiter,
+}
+
+impl fmt::Debug for Access {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Access").field("options", &self.shared.options).finish_non_exhaustive()
+    }
+}
+
+/// Why a request is refused before any service sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Refusal {
+    // The same in every case: none, no key at all, unknown, wrong, revoked, over.
+    #[error("a good key is needed: send the metadata `authorization: Bearer KEY` once")]
+    Unauthenticated,
+    #[error("this key may not do that; it needs the role {0}")]
+    Role(Role),
+    #[error(
+        "this server needs no key, so it answers requests to localhost alone; name it so, add this host with --allow-host, \
+         or require keys (--require-keys)"
+    )]
+    Host,
+    #[error(
+        "this server needs no key, so it answers no page of another site; add the site's host with --allow-host, or require \
+         keys (--require-keys)"
+    )]
+    Origin,
+    #[error("this key is its own tenant's; leave out {TENANT}")]
+    Tenant,
+    #[error("{TENANT} is no name, or is there twice: take 1 to 128 printable ASCII characters without spaces, once")]
+    TenantName,
+    #[error("this server has no such method")]
+    Unknown,
+    #[error("this key has {limit} calls a second")]
+    Rate { limit: u32, wait: Duration },
+    #[error("this key has {limit} calls open already, as many as it may")]
+    InFlight { limit: u32 },
+    #[error("this key has {used_bytes} bytes of blobs, and may have {limit_bytes}; delete blobs or jobs first")]
+    Bytes { used_bytes: u64, limit_bytes: u64 },
+}
+
+/// Who calls, for whoever answers. There is none for a call without a key.
+#[derive(Clone, Debug)]
+pub(crate) struct Caller {
+    /// In whose name.
+    pub tenant: String,
+    /// What blobs the tenant may have, bytes.
+    pub bytes: Option<u64>,
+}
+
+impl Access {
+    /// To everybody, as whom they say.
+    pub fn open() -> Self {
+        Self::new(None, AccessOptions::default(), Table::default())
+    }
+
+    /// The same with other options. Without a file there are no keys, and who needs one is refused.
+    #[must_use]
+    pub fn with(&self, options: AccessOptions) -> Self {
+        Self::new(None, options, Table::default())
+    }
+
+    /// By the keys of a server's folder, now and as they change.
+    ///
+    /// # Errors
+    /// `Io`, `Damaged`.
+    pub fn in_folder(folder: &Path, options: AccessOptions) -> Result<Self, KeysError> {
+        let file = KeyFile::in_folder(folder);
+        let set = file.read()?;
+        let count = set.keys().len();
+        match (options.require_keys, count) {
+            (false, 0) => {}
+            (false, _) => tracing::warn!(
+                keys = count,
+                "there are keys, and calls without one are taken too; refuse them with --require-keys"
+            ),
+            (true, 0) => tracing::warn!("no key is there yet: every call is refused; make one with `tessera keys add`"),
+            (true, _) => tracing::info!(keys = count, "calls need a key"),
+        }
+        let table = Table::default().next(&set);
+        Ok(Self::new(Some(file), options, table))
+    }
+
+    fn new(file: Option<KeyFile>, options: AccessOptions, table: Table) -> Self {
+        // A pause that is not 0 is a quota.
+        let quota = Quota::with_period(LOG_EVERY).unwrap_or(Quota::per_second(std::num::NonZeroU32::MIN));
+        let log = DefaultDirectRateLimiter::direct(quota);
+        Self { shared: Arc::new(Shared { options, file, table: RwLock::new(table), log }), is_local: false }
+    }
+
+    /// The same for the requests of one listener.
+    pub fn of(&self, listener: &TcpListener) -> Self {
+        let is_local = listener.local_addr().is_ok_and(|address| address.ip().to_canonical().is_loopback());
+        Self { shared: Arc::clone(&self.shared), is_local }
+    }
+
+    /// The options.
+    pub fn options(&self) -> &AccessOptions {
+        &self.shared.options
+    }
+
+    fn table(&self) -> RwLockReadGuard<'_, Table> {
+        self.shared.table.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Follows the file of the keys until what this gives is dropped. Weights of tenants go to `weights`.
+    pub fn follow(&self, weights: Weights) -> Following {
+        weights.set(self.table().weights());
+        let Some(file) = self.shared.file.clone() else { return Following(None) };
+        let access = self.clone();
+        Following(Some(tokio::spawn(async move {
+            let mut hangups = Hangups::new();
+            // Read once more: it may have changed since the start.
+            let (mut seen, mut complaint) = (None, None);
+            loop {
+                access.look(&file, &mut seen, &mut complaint, &weights).await;
+                tokio::select! {
+                    () = tokio::time::sleep(LOOK_EVERY) => {}
+                    () = hangups.next() => seen = None,
+                }
+            }
+        })))
+    }
+
+    /// Reads the file if it has changed, and lets go of keys whose time is over.
+    async fn look(&self, file: &KeyFile, seen: &mut Option<Stamp>, complaint: &mut Option<String>, weights: &Weights) {
+        let (file, before) = (file.clone(), *seen);
+        let looked = tokio::task::spawn_blocking(move || {
+            // The stamp first: what changes meanwhile is seen at the next look.
+            let stamp = file.stamp();
+            (before != Some(stamp)).then(|| (stamp, file.read()))
+        });
+        match looked.await {
+            Ok(Some((stamp, Ok(set)))) => {
+                *seen = Some(stamp);
+                *complaint = None;
+                let mut table = self.shared.table.write().unwrap_or_else(PoisonError::into_inner);
+                if table.differs(&set) {
+                    *table = table.next(&set);
+                    tracing::info!(keys = set.keys().len(), "the keys have changed");
+                }
+                weights.set(table.weights());
+            }
+            Ok(Some((stamp, Err(error)))) => {
+                // A file that cannot be read now may be read soon, with the same stamp: it is looked at again.
+                let is_damaged = matches!(error, KeysError::Damaged { .. });
+                *seen = Some(stamp).filter(|_| is_damaged);
+                let text = error.to_string();
+                if complaint.as_ref() != Some(&text) {
+                    tracing::error!(%error, "the keys cannot be read; those that were read last stay");
+                    *complaint = Some(text);
+                }
+            }
+            Ok(None) => {}
+            Err(error) => tracing::error!(%error, "the keys were not looked at"),
+        }
+        self.table().end_expired(now());
+    }
+
+    /// Looks at a request of another door, for which `role` is needed; there is nothing behind it if none is.
+    pub fn admit<B>(&self, request: &mut Request<B>, role: Option<Role>) -> Result<Option<Pass>, Refusal> {
+        let entered = self.enter(request, role.map(Needs::Role));
+        entered.inspect_err(|refusal| self.note(*refusal, request.uri().path()))
+    }
+
+    /// Refuses requests that come from the pages of other sites, where no key is needed.
+    pub fn check_host<B>(&self, request: &Request<B>) -> Result<(), Refusal> {
+        let options = &self.shared.options;
+        if self.is_local && !options.require_keys { hosts::check(request, &options.hosts) } else { Ok(()) }
+    }
+
+    /// Looks at a request. Gives who calls, unless nobody needs to know.
+    fn enter<B>(&self, request: &mut Request<B>, needs: Option<Needs>) -> Result<Option<Pass>, Refusal> {
+        let presented = presented(request.headers());
+        // Nobody behind this needs it.
+        request.headers_mut().remove(header::AUTHORIZATION);
+        let named = tenant(request.headers())?;
+        let options = &self.shared.options;
+        let Some(secret) = presented? else {
+            let is_probe = needs == Some(Needs::Health) && !options.health_needs_key;
+            // Whoever has no key cannot be somebody who has one.
+            if (options.require_keys && !is_probe) || named.is_some_and(|name| self.table().has(&name)) {
+                return Err(Refusal::Unauthenticated);
+            }
+            self.check_host(request)?;
+            return needs.map(|_| None).ok_or(Refusal::Unknown);
+        };
+        let pass = self.table().find(&secret, now()).ok_or(Refusal::Unauthenticated)?;
+        let is_work = !matches!(needs, Some(Needs::Health));
+        if is_work {
+            pass.take_turn()?;
+        }
+        let key = pass.key();
+        match needs.ok_or(Refusal::Unknown)? {
+            Needs::Role(role) if role > key.role => return Err(Refusal::Role(role)),
+            Needs::Role(_) | Needs::Health | Needs::Reflection => {}
+        }
+        let caller = match named {
+            Some(name) if name != key.name && key.role != Role::Admin => return Err(Refusal::Tenant),
+            Some(name) if name != key.name => Caller { tenant: name, bytes: None },
+            _ => Caller { tenant: key.name.clone(), bytes: key.limits.bytes },
+        };
+        let pass = if is_work { pass.open()? } else { pass };
+        request.extensions_mut().insert(caller);
+        Ok(Some(pass))
+    }
+
+    /// Says now and then that keys are refused.
+    fn note(&self, refusal: Refusal, path: &str) {
+        if refusal == Refusal::Unauthenticated && self.shared.log.check().is_ok() {
+            tracing::warn!(path, "refused calls without a good key");
+        } else {
+            tracing::debug!(path, reason = %refusal, "refused a call");
+        }
+    }
+}
+
+/// The key that a request comes with, if any. Two are as bad as a wrong one.
+fn presented(headers: &HeaderMap) -> Result<Option<Secret>, Refusal> {
+    let mut all = headers.get_all(header::AUTHORIZATION).iter();
+    let (Some(value), None) = (all.next(), all.next()) else {
+        return if headers.contains_key(header::AUTHORIZATION) { Err(Refusal::Unauthenticated) } else { Ok(None) };
+    };
+    let parsed = || {
+        let (scheme, key) = value.to_str().ok()?.split_once(' ')?;
+        scheme.eq_ignore_ascii_case("bearer").then(|| Secret::parse(key))?
+    };
+    parsed().map(Some).ok_or(Refusal::Unauthenticated)
+}
+
+/// The longest name of a tenant, bytes.
+const LONGEST: usize = 128;
+
+/// The tenant that a request names.
+fn tenant(headers: &HeaderMap) -> Result<Option<String>, Refusal> {
+    let name = HeaderName::from_static(TENANT);
+    let mut all = headers.get_all(&name).iter();
+    let Some(value) = all.next() else { return Ok(None) };
+    let name = value.to_str().unwrap_or_default();
+    let is_good = (1..=LONGEST).contains(&name.len()) && name.bytes().all(|byte| byte.is_ascii_graphic());
+    match is_good && all.next().is_none() {
+        true => Ok(Some(name.to_owned())),
+        false => Err(Refusal::TenantName),
+    }
+}
+
+/// Follows the file of the keys until it is dropped.
+pub struct Following(Option<tokio::task::JoinHandle<()>>);
+
+impl Drop for Following {
+    fn drop(&mut self) {
+        self.0.iter().for_each(tokio::task::JoinHandle::abort);
+    }
+}
+
+/// SIGHUP, where there is one.
+struct Hangups {
+    #[cfg(unix)]
+    signal: Option<tokio::signal::unix::Signal>,
+}
+
+impl Hangups {
+    fn new() -> Self {
+        Self {
+            #[cfg(unix)]
+            signal: tokio::signal::unix::signal(tokio::signal::unix::SignalKind::hangup()).ok(),
+        }
+    }
+
+    /// Ready at the next one.
+    async fn next(&mut self) {
+        #[cfg(unix)]
+        if let Some(signal) = &mut self.signal
+            && signal.recv().await.is_some()
+        {
+            return;
+        }
+        std::future::pending().await
+    }
+}
+
+/// The services, behind [`Access`].
+#[derive(Clone)]
+pub(super) struct Guarded {
+    access: Access,
+    routes: Routes,
+}
+
+impl Guarded {
+    pub(super) fn new(access: Access, routes: Routes) -> Self {
+        Self { access, routes }
+    }
+
+    /// Has a request answered, if it may be.
+    pub(super) async fn call(mut self, mut request: Request<Body>) -> Response<Body> {
+        if let Some(refused) = foreign(&request) {
+            return refused;
+        }
+        let needs = methods::needs(request.uri().path());
+        let pass = match self.access.enter(&mut request, needs) {
+            Ok(pass) => pass,
+            Err(refusal) => {
+                self.access.note(refusal, request.uri().path());
+                return Status::from(RequestError::Access(refusal)).into_http();
+            }
+        };
+        let answering = self.routes.call(request);
+        let Some(pass) = pass else { return sure(answering.await) };
+        let response = tokio::select! {
+            response = answering => sure(response),
+            () = pass.ended() => return Status::from(RequestError::Access(Refusal::Unauthenticated)).into_http(),
+        };
+        response.map(|body| Body::new(Held::new(body, pass)))
+    }
+}
+
+/// The answer to what is no gRPC, in HTTP's words: its sender knows no others.
+fn foreign(request: &Request<Body>) -> Option<Response<Body>> {
+    let is_grpc = |kind: &str| {
+        let rest = kind.strip_prefix("application/grpc")?;
+        matches!(rest.chars().next(), None | Some('+' | ';')).then_some(())
+    };
+    let kind = request.headers().get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok());
+    let status = match (request.method(), kind.and_then(is_grpc)) {
+        (&Method::POST, Some(())) => return None,
+        (&Method::POST, None) => StatusCode::UNSUPPORTED_MEDIA_TYPE,
+        _ => StatusCode::METHOD_NOT_ALLOWED,
+    };
+    let mut response = Response::new(Body::default());
+    *response.status_mut() = status;
+    if status == StatusCode::METHOD_NOT_ALLOWED {
+        response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("POST"));
+    }
+    Some(response)
+}
+
+/// What cannot fail.
+fn sure<T>(result: Result<T, std::convert::Infallible>) -> T {
+    match result {
+        Ok(value) => value,
+        Err(never) => match never {},
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,406 @@
+//! One connection: HTTP/2 on a socket, with time limits.
+//!
+//! Purpose: [`serve`] runs a connection until it ends, is closed, or exceeds a limit.
+//! Invariant: every stream is cut with its connection; a stream is reset if its client reads nothing; if its bytes remain,
+//! the connection is closed.
+//! Must not know: other connections, messages.
+
+use std::convert::Infallible;
+use std::fmt;
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use hyper::body::Incoming;
+use hyper::server::conn::http2;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::sync::{Notify, watch};
+use tonic::Status;
+use tonic::body::Body;
+use tonic::codegen::http::{HeaderMap, Request, Response};
+
+use super::super::{Phase, RequestError};
+use super::account::Account;
+use super::arriving::Arriving;
+use super::exchange::{Answer, Exchange, Farewell};
+use super::frames::Metered;
+use super::line::Line;
+use super::places::{Guest, Peer, Standing};
+use super::socket::Traffic;
+use super::{Common, Grpc, LINGER, unread};
+use crate::config::{Limits, Transport};
+use telemetry::trace;
+
+/// Flow-control windows of uploads, bytes: per stream and per connection.
+pub(super) const STREAM_WINDOW: u32 = 1 << 20;
+pub(super) const CONNECTION_WINDOW: u32 = 4 << 20;
+
+/// Bytes of a stream's answer that may wait for the socket.
+pub(super) const SEND_BUFFER: usize = 128 << 10;
+
+/// How the paths of the services begin that take uploads.
+const OURS: &str = "/tessera.v1.";
+
+/// The header with the compression of messages.
+const ENCODING: &str = "grpc-encoding";
+
+/// The longest message to health and reflection, bytes.
+const QUESTION: u64 = 4 << 10;
+
+/// Time for the goodbye before the socket is closed.
+const FINISH_TIME: Duration = Duration::from_secs(1);
+
+/// Time for the bytes of a stream that was cut to go.
+const CUT_TIME: Duration = Duration::from_secs(1);
+
+/// Between two looks at a connection's limits.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+const LOOK_EVERY_AT_THE_END: Duration = Duration::from_millis(25);
+
+/// State of a connection.
+pub(super) struct State {
+    peer: Peer,
+    opened: Instant,
+    traffic: Arc<Traffic>,
+    streams: Mutex<Streams>,
+    evicted: Notify,
+}
+
+struct Streams {
+    /// Open, or ended with bytes that wait.
+    all: Vec<Arc<Exchange>>,
+    /// The request that was taken last, until something runs it.
+    taken: Option<Arc<Exchange>>,
+    requests: u64,
+    /// Time of the last begin or end of a request.
+    last: Instant,
+}
+
+impl State {
+    pub(super) fn new(peer: Peer) -> Self {
+        let streams = Streams { all: Vec::new(), taken: None, requests: 0, last: Instant::now() };
+        let (opened, traffic) = (Instant::now(), Arc::default());
+        Self { peer, opened, traffic, streams: Mutex::new(streams), evicted: Notify::new() }
+    }
+
+    /// The peer of the connection.
+    pub(super) fn peer(&self) -> Peer {
+        self.peer
+    }
+
+    /// The traffic of the socket.
+    pub(super) fn traffic(&self) -> Arc<Traffic> {
+        Arc::clone(&self.traffic)
+    }
+
+    /// Registers a request.
+    pub(super) fn take(&self, exchange: &Arc<Exchange>) {
+        let mut streams = self.lock();
+        streams.requests += 1;
+        streams.last = Instant::now();
+        streams.all.push(Arc::clone(exchange));
+        streams.taken = Some(Arc::clone(exchange));
+    }
+
+    /// Nothing works on a request any more.
+    pub(super) fn end(&self, exchange: &Exchange) {
+        exchange.end();
+        self.lock().last = Instant::now();
+    }
+
+    /// Ready once it has to go.
+    pub(super) async fn until_evicted(&self) {
+        self.evicted.notified().await;
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Streams> {
+        self.streams.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Guest for State {
+    fn standing(&self) -> Standing {
+        let streams = self.lock();
+        match streams.requests {
+            0 if !self.traffic.received() => Standing::Silent,
+            0 => Standing::Greeted,
+            // A health watch may last forever and needs no key: it occupies no place.
+            _ if streams.all.iter().all(|stream| stream.ended() || stream.is_question()) => {
+                Standing::Idle(streams.last.elapsed())
+            }
+            _ => Standing::Busy,
+        }
+    }
+
+    fn evict(&self) {
+        self.evicted.notify_one();
+    }
+}
+
+/// The state of a connection against its limits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    Stays,
+    /// Say goodbye, then close.
+    Finish(&'static str),
+    /// Close at once.
+    Close(&'static str),
+}
+
+/// Runs the connection.
+pub(super) async fn serve(
+    line: Line,
+    state: Arc<State>,
+    common: Arc<Common>,
+    grpc: Arc<Grpc>,
+    phase: watch::Receiver<Phase>,
+) {
+    let service = Answerer { state: Arc::clone(&state), common: Arc::clone(&common), grpc, phase: phase.clone() };
+    let limits = &common.limits;
+    let transport = limits.transport;
+    let line = Metered::new(line, transport.control_frames, state.traffic());
+    let connection = http2::Builder::new(Spawner(Arc::clone(&state)))
+        .timer(TokioTimer::new())
+        .initial_stream_window_size(STREAM_WINDOW)
+        .initial_connection_window_size(CONNECTION_WINDOW)
+        .max_concurrent_streams(streams(limits))
+        .max_send_buf_size(SEND_BUFFER)
+        .max_header_list_size(transport.header_bytes)
+        .max_pending_accept_reset_streams(transport.pending_resets)
+        .max_local_error_reset_streams(transport.fault_resets)
+        .keep_alive_interval(transport.ping_every)
+        .keep_alive_timeout(limits.stall.max(transport.ping_timeout))
+        .serve_connection(TokioIo::new(line), service);
+    run(connection, http2::Connection::graceful_shutdown, &state, &common, phase).await;
+}
+
+/// Runs a connection, whatever HTTP is spoken on it, until it ends, has to go, or breaks a limit; `finish` has it end once it
+/// has nothing open.
+pub(super) async fn run<C, E>(
+    connection: C,
+    finish: impl Fn(Pin<&mut C>),
+    state: &Arc<State>,
+    common: &Common,
+    mut phase: watch::Receiver<Phase>,
+) where
+    C: Future<Output = Result<(), E>>,
+    E: fmt::Display,
+{
+    let limits = &common.limits;
+    let transport = limits.transport;
+    tokio::pin!(connection);
+    let look_every = [limits.stall, limits.first_request, limits.idle_connection, transport.first_byte]
+        .into_iter()
+        .map(|limit| limit / 8)
+        .fold(LOOK_EVERY, Duration::min)
+        .max(LOOK_EVERY_AT_THE_END);
+    let mut leaving = Leaving::default();
+    loop {
+        let now = *phase.borrow_and_update();
+        let pause = if now == Phase::Serving && leaving.finish.is_none() { look_every } else { LOOK_EVERY_AT_THE_END };
+        tokio::select! {
+            result = connection.as_mut() => {
+                if state.traffic.flooded() {
+                    common.closes("a flood of frames that carry nothing");
+                } else if let Err(error) = result {
+                    tracing::debug!(%error, "a connection failed");
+                }
+                break;
+            }
+            () = state.until_evicted() => break,
+            () = tokio::time::sleep(pause) => {}
+            Ok(()) = phase.changed() => {}
+        }
+        match leaving.look(state, common, *phase.borrow()) {
+            Verdict::Stays => {}
+            Verdict::Finish(why) => {
+                tracing::debug!(why, "a connection is told to go");
+                leaving.finish = Some(Instant::now());
+                finish(connection.as_mut());
+            }
+            Verdict::Close(why) => {
+                common.closes(why);
+                break;
+            }
+        }
+    }
+    let mut streams = state.lock();
+    streams.all.drain(..).for_each(|stream| stream.lose());
+}
+
+impl Common {
+    /// Says that a connection broke a limit, now and then aloud.
+    fn closes(&self, why: &'static str) {
+        tracing::debug!(why, "a connection is closed");
+        if let Some(times) = self.closed.count() {
+            tracing::info!(times, why, "closed connections that broke a limit");
+        }
+    }
+}
+
+/// Streams that a client may have open.
+pub(super) fn streams(limits: &Limits) -> u32 {
+    let all = limits.max_streams.saturating_add(Transport::EXTRA_STREAMS);
+    limits.transport.streams.unwrap_or(u32::try_from(all).unwrap_or(u32::MAX))
+}
+
+/// How far a connection is on its way out.
+#[derive(Default)]
+struct Leaving {
+    /// Since when the server drains.
+    draining: Option<Instant>,
+    /// Since when nothing is open while the server closes.
+    quiet: Option<Instant>,
+    /// Time of the request to close.
+    finish: Option<Instant>,
+}
+
+impl Leaving {
+    fn look(&mut self, state: &State, common: &Common, phase: Phase) -> Verdict {
+        let limits = &common.limits;
+        let mut streams = state.lock();
+        streams.all.retain(|stream| !stream.ended() || stream.waiting() > 0);
+        if state.traffic.blocked_for() >= limits.stall {
+            return Verdict::Close("the client reads nothing");
+        }
+        for stream in &streams.all {
+            if stream.unmoved_for() >= limits.stall {
+                if stream.ended() {
+                    return Verdict::Close("the client takes no end of an answer");
+                }
+                if !stream.cut_stalled() && stream.unmoved_for() >= limits.stall + CUT_TIME {
+                    return Verdict::Close("a stream could not be reset");
+                }
+            }
+            if !stream.admitted() && !stream.answered() && stream.age() >= limits.first_request {
+                stream.cut();
+            }
+        }
+        if phase >= Phase::Draining {
+            let since = *self.draining.get_or_insert_with(Instant::now);
+            if streams.requests == 0 && state.opened <= since {
+                return Verdict::Close("no request came before the shutdown");
+            }
+            if since.elapsed() >= LINGER {
+                // Enough time for a client to read the end of such an answer.
+                let idle = streams.all.iter().filter(|stream| !stream.admitted() && stream.age() >= LINGER);
+                idle.for_each(|stream| stream.cut());
+            }
+        }
+        if let Some(since) = self.finish {
+            return if since.elapsed() >= FINISH_TIME { Verdict::Close("it did not go") } else { Verdict::Stays };
+        }
+        let open = !streams.all.is_empty();
+        if phase >= Phase::Closing {
+            let since = *self.quiet.get_or_insert_with(Instant::now);
+            if open {
+                self.quiet = None;
+            } else if since.elapsed() >= LINGER {
+                return Verdict::Finish("the server ends");
+            }
+            return Verdict::Stays;
+        }
+        if !state.traffic.received() && state.opened.elapsed() >= limits.transport.first_byte {
+            return Verdict::Close("nothing came");
+        }
+        if streams.requests == 0 && state.opened.elapsed() >= limits.first_request {
+            return Verdict::Close("no request came");
+        }
+        if streams.requests > 0 && !open && streams.last.elapsed() >= limits.idle_connection {
+            return Verdict::Finish("idle for too long");
+        }
+        Verdict::Stays
+    }
+}
+
+/// Runs a connection's streams, each until it ends or is cut.
+#[derive(Clone)]
+pub(super) struct Spawner(pub(super) Arc<State>);
+
+impl<F> hyper::rt::Executor<F> for Spawner
+where
+    F: Future + Send + 'static,
+    F::Output: Send,
+{
+    fn execute(&self, work: F) {
+        // The connection takes a request and has it run before it takes the next.
+        let Some(exchange) = self.0.lock().taken.take() else {
+            tokio::spawn(work);
+            return;
+        };
+        let end = EndOnDrop { state: Arc::clone(&self.0), exchange };
+        tokio::spawn(async move {
+            tokio::select! {
+                biased;
+                () = end.exchange.until_cut() => {}
+                _ = work => {}
+            }
+        });
+    }
+}
+
+/// Whatever ends a stream's work, a panic too, its connection knows.
+struct EndOnDrop {
+    state: Arc<State>,
+    exchange: Arc<Exchange>,
+}
+
+impl Drop for EndOnDrop {
+    fn drop(&mut self) {
+        self.state.end(&self.exchange);
+    }
+}
+
+/// Hands requests to the services.
+struct Answerer {
+    state: Arc<State>,
+    common: Arc<Common>,
+    grpc: Arc<Grpc>,
+    phase: watch::Receiver<Phase>,
+}
+
+impl hyper::service::Service<Request<Incoming>> for Answerer {
+    type Response = Response<Answer<Body>>;
+    type Error = Infallible;
+    type Future = Pin<Box<dyn Future<Output = Result<Self::Response, Infallible>> + Send>>;
+
+    fn call(&self, mut request: Request<Incoming>) -> Self::Future {
+        let uploads = request.uri().path().starts_with(OURS);
+        let exchange = Exchange::new(self.common.budget.clone());
+        let exchange = Arc::new(if uploads { exchange } else { exchange.of_question() });
+        let (account, trace) = Account::open(&self.grpc.calls, &request, &exchange);
+        self.state.take(&exchange);
+        request.extensions_mut().insert(Arc::clone(&exchange));
+        request.extensions_mut().insert(self.state.peer);
+        let encoding = request.headers().get(ENCODING).map(|value| value.as_bytes().to_vec());
+        let most = if uploads { self.common.limits.transport.message_bytes as u64 } else { QUESTION };
+        let budget = self.common.budget.clone();
+        let routes = self.grpc.routes.clone();
+        let mut phase = self.phase.clone();
+        let span = account.span();
+        let work = async move {
+            let response =
+                routes.call(request.map(|body| Body::new(Arriving::new(body, budget, most, encoding)))).await;
+            let response = if exchange.admitted() { response } else { unread::told(response) };
+            exchange.answer();
+            account.begun(response.status(), response.headers());
+            let farewell = (!exchange.admitted()).then(|| Farewell {
+                time: Box::pin(async move {
+                    let _ = phase.wait_for(|now| *now >= Phase::Draining).await;
+                }),
+                trailers: farewell(),
+            });
+            Ok(response.map(|body| Answer::new(body, exchange, farewell).told(account)))
+        };
+        Box::pin(trace::within(trace, span, work))
+    }
+}
+
+/// How answers end that no work stands behind, when the server drains.
+fn farewell() -> HeaderMap {
+    let mut trailers = HeaderMap::new();
+    // A status that is no header cannot be: its text is plain.
+    let _ = Status::from(RequestError::Draining).add_header(&mut trailers);
+    trailers
+}

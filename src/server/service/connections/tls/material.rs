@@ -1,0 +1,203 @@
+//! The files of TLS, and the configuration made of them.
+//!
+//! Invariant: a mismatch of certificate and key is refused, and so is a file without its expected content. One provider of
+//! cryptography: ring.
+//! Must not know: when files are read.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use rustls::server::WebPkiClientVerifier;
+use rustls::version::{TLS12, TLS13};
+use rustls::{RootCertStore, ServerConfig};
+
+use super::validity::Validity;
+use crate::config::TlsFiles;
+use jobs::blob::Digest;
+
+/// No chain of certificates is longer; a device that never ends is none.
+const LONGEST_BYTES: u64 = 1 << 20;
+
+/// HTTP/2, as a handshake names it.
+const HTTP2: &[u8] = b"h2";
+
+/// Why files make no TLS.
+#[derive(Debug, thiserror::Error)]
+pub enum TlsError {
+    /// A file cannot be read.
+    #[error("cannot read {}: {cause}", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// Error of the system.
+        cause: io::Error,
+    },
+    /// A file lacks its expected content.
+    #[error("{} holds no {what} in PEM{why}", file.display())]
+    Missing {
+        /// The file.
+        file: PathBuf,
+        /// The expected content.
+        what: &'static str,
+        /// The defect of the content, if any.
+        why: String,
+    },
+    /// Certificate and key do not go together.
+    #[error("the certificate {} and the key {} cannot be used: {why}", cert.display(), key.display())]
+    Pair {
+        /// The certificate's file.
+        cert: PathBuf,
+        /// The key's file.
+        key: PathBuf,
+        /// Error of the TLS library.
+        why: String,
+    },
+    /// The authorities of clients cannot be used.
+    #[error("the authorities in {} cannot be used: {why}", file.display())]
+    Authorities {
+        /// Their file.
+        file: PathBuf,
+        /// Error of the TLS library.
+        why: String,
+    },
+    /// The certificate is not yet good, or no longer.
+    #[error("the certificate {} is out of date", file.display())]
+    OutOfDate {
+        /// Its file.
+        file: PathBuf,
+    },
+}
+
+/// The bytes of all files.
+pub(super) struct Material {
+    cert: Vec<u8>,
+    key: Vec<u8>,
+    client_ca: Option<Vec<u8>>,
+}
+
+impl Material {
+    /// Reads the files.
+    pub(super) fn read(files: &TlsFiles) -> Result<Self, TlsError> {
+        let client_ca = files.client_ca.as_deref().map(bytes).transpose()?;
+        Ok(Self { cert: bytes(&files.cert)?, key: bytes(&files.key)?, client_ca })
+    }
+
+    /// Digest of the files' bytes.
+    pub(super) fn digest(&self) -> Digest {
+        let parts = [Some(&self.cert), Some(&self.key), self.client_ca.as_ref()];
+        let digests = parts.map(|part| part.map(|bytes| Digest::of(bytes).to_string()));
+        Digest::of(format!("{digests:?}").as_bytes())
+    }
+
+    /// The configuration of handshakes, and the validity of the certificate if readable.
+    pub(super) fn config(&self, files: &TlsFiles) -> Result<(ServerConfig, Option<Validity>), TlsError> {
+        let chain = certificates(&files.cert, &self.cert)?;
+        let key = PrivateKeyDer::from_pem_slice(&self.key).map_err(|error| {
+            let why = format!(": {error}");
+            TlsError::Missing { file: files.key.clone(), what: "private key", why }
+        })?;
+        let validity = chain.first().and_then(|first| Validity::of(first));
+        let pair = |error: rustls::Error| TlsError::Pair {
+            cert: files.cert.clone(),
+            key: files.key.clone(),
+            why: match error {
+                rustls::Error::InconsistentKeys(_) => "they do not belong together".to_owned(),
+                other => other.to_string(),
+            },
+        };
+        let provider = Arc::new(rustls::crypto::ring::default_provider());
+        let builder = ServerConfig::builder_with_provider(Arc::clone(&provider))
+            .with_protocol_versions(&[&TLS13, &TLS12])
+            .map_err(pair)?;
+        let builder = match (&files.client_ca, &self.client_ca) {
+            (Some(file), Some(bytes)) => {
+                let cannot = |why: String| TlsError::Authorities { file: file.clone(), why };
+                let mut roots = RootCertStore::empty();
+                for authority in certificates(file, bytes)? {
+                    roots.add(authority).map_err(|error| cannot(error.to_string()))?;
+                }
+                let verifier = WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider);
+                builder.with_client_cert_verifier(verifier.build().map_err(|error| cannot(error.to_string()))?)
+            }
+            _ => builder.with_no_client_auth(),
+        };
+        let mut config = builder.with_single_cert(chain, key).map_err(pair)?;
+        config.alpn_protocols = vec![HTTP2.to_vec()];
+        Ok((config, validity))
+    }
+}
+
+/// All of a file.
+fn bytes(file: &Path) -> Result<Vec<u8>, TlsError> {
+    let mut bytes = Vec::new();
+    // A pipe would be waited for.
+    let regular = std::fs::metadata(file).and_then(|found| match found.is_file() {
+        true => Ok(()),
+        false => Err(std::io::Error::other("it is no regular file")),
+    });
+    let read = regular.and_then(|()| File::open(file)?.take(LONGEST_BYTES + 1).read_to_end(&mut bytes));
+    let read = read.and_then(|_| match bytes.len() as u64 > LONGEST_BYTES {
+        true => Err(std::io::Error::other(format!("it has more than {LONGEST_BYTES} bytes"))),
+        false => Ok(()),
+    });
+    read.map_err(|cause| TlsError::Read { file: file.to_owned(), cause })?;
+    Ok(bytes)
+}
+
+/// The certificates in a file, at least one.
+fn certificates(file: &Path, bytes: &[u8]) -> Result<Vec<CertificateDer<'static>>, TlsError> {
+    let missing = |why: String| TlsError::Missing { file: file.to_owned(), what: "certificate", why };
+    let all: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(bytes).collect();
+    let all = all.map_err(|error| missing(format!(": {error}")))?;
+    if all.is_empty() { Err(missing(String::new())) } else { Ok(all) }
+}
+
+#[cfg(test)]
+mod tests {
+    use rcgen::{CertifiedKey, generate_simple_self_signed};
+
+    use super::*;
+
+    fn files(folder: &Path) -> TlsFiles {
+        let reload = std::time::Duration::from_secs(1);
+        TlsFiles { cert: folder.join("cert"), key: folder.join("key"), client_ca: Some(folder.join("ca")), reload }
+    }
+
+    fn made(files: &TlsFiles) -> Result<(), String> {
+        Material::read(files).and_then(|m| m.config(files)).map(|_| ()).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_does_not_fit_together_is_refused_with_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = files(folder.path());
+        let [one, other] = [0, 1].map(|_| generate_simple_self_signed(["localhost".to_owned()]).unwrap());
+        let CertifiedKey { cert, signing_key } = &one;
+        let write = |file: &Path, text: &str| std::fs::write(file, text).unwrap();
+        assert!(made(&files).unwrap_err().contains("cannot read"));
+        write(&files.cert, &cert.pem());
+        write(&files.key, &signing_key.serialize_pem());
+        write(files.client_ca.as_deref().unwrap(), &other.cert.pem());
+        made(&files).unwrap();
+        let digest = Material::read(&files).unwrap().digest();
+        assert_eq!(digest, Material::read(&files).unwrap().digest());
+
+        write(&files.key, &other.signing_key.serialize_pem());
+        assert!(made(&files).unwrap_err().contains("do not belong together"));
+        assert_ne!(digest, Material::read(&files).unwrap().digest());
+        write(&files.key, &cert.pem());
+        assert!(made(&files).unwrap_err().contains("no private key"));
+        write(&files.key, &signing_key.serialize_pem());
+        for half in ["", "no PEM", &cert.pem()[..100]] {
+            write(&files.cert, half);
+            assert!(made(&files).unwrap_err().contains("no certificate"), "{half}");
+        }
+        write(&files.cert, &cert.pem());
+        write(files.client_ca.as_deref().unwrap(), "");
+        assert!(made(&files).unwrap_err().contains("ca holds no certificate"));
+    }
+}

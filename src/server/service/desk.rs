@@ -1,0 +1,154 @@
+//! What the doors have in common: what can be asked of jobs and blobs, in whose name, and for how long.
+//!
+//! Purpose: [`Desk`] is what a door is given; the functions here are what a call is made of, whatever protocol it came in.
+//! Invariant: a change of jobs runs to its end, even if its caller goes. Nothing is waited for without a limit. A blob is
+//! there for a tenant that has it, and for nobody else. Must not know: messages, requests, how errors are told.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::RequestError;
+use super::access::{Access, Refusal};
+use super::budget::Budget;
+use super::stream::Gate;
+use crate::config::Limits;
+use crate::metrics::Metrics;
+use jobs::JobError;
+use jobs::api::{JobApi, JobApiError};
+use jobs::blob::{BlobError, BlobInfo, BlobStore, Digest, Owner, UploadId, UploadStatus, put_of};
+use jobs::event::{Event, What};
+use jobs::record::{JobId, JobSpec};
+use jobs::store::Created;
+use telemetry::trace;
+
+/// For the storage to answer.
+pub(super) const STORE_TIME: Duration = Duration::from_secs(60);
+
+/// For the jobs' API to answer. An estimate may read a mesh.
+pub(crate) const DESK_TIME: Duration = Duration::from_secs(60);
+
+/// Between two looks whether a job that says nothing has ended: its watcher may wait for a number that never comes.
+const LOOK_EVERY: Duration = Duration::from_secs(10);
+
+/// Events of a watch that are looked up at once.
+const EVENTS: usize = 64;
+
+/// What a door works with.
+#[derive(Clone)]
+pub struct Desk {
+    pub api: Arc<dyn JobApi>,
+    pub blobs: Arc<dyn BlobStore>,
+    pub limits: Limits,
+    pub budget: Budget,
+    pub gate: Gate,
+    pub access: Access,
+    pub metrics: Metrics,
+}
+
+/// Creates a job for a tenant that may have `most` bytes of blobs.
+pub(crate) async fn create(
+    api: Arc<dyn JobApi>,
+    blobs: &dyn BlobStore,
+    most: Option<u64>,
+    wanted: JobSpec,
+) -> Result<Created, RequestError> {
+    if let Some(limit_bytes) = most {
+        // Results are kept whatever their size: who has all that it may have gets no more of them.
+        let used_bytes = blobs.owned_bytes(Owner::of(&wanted.tenant)).await?;
+        if used_bytes >= limit_bytes {
+            return Err(Refusal::Bytes { used_bytes, limit_bytes }.into());
+        }
+    }
+    to_the_end(async move { api.create(wanted).await }).await
+}
+
+/// Runs a change to its end, even if the caller goes away: half of one would leave blobs pinned for no job.
+pub(crate) async fn to_the_end<T: Send + 'static>(
+    work: impl Future<Output = Result<T, JobApiError>> + Send + 'static,
+) -> Result<T, RequestError> {
+    match tokio::spawn(trace::carry(work)).await {
+        Ok(result) => result.map_err(RequestError::from),
+        Err(panic) => Err(JobError::Panicked(panic.to_string()).into()),
+    }
+}
+
+/// Tells the events of a job after number `after`, until it has ended and all are told.
+pub(crate) async fn follow<F: Future<Output = Result<(), RequestError>>>(
+    api: &dyn JobApi,
+    tenant: &str,
+    id: JobId,
+    mut after: u64,
+    tell: impl Fn(Event) -> F,
+) -> Result<(), RequestError> {
+    let mut ended = false;
+    loop {
+        let found = api.events(tenant, id, after, EVENTS).await?.events;
+        for event in found.iter() {
+            after = event.number;
+            ended |= matches!(event.what, What::State { state, .. } if state.is_ended());
+            tell(event.clone()).await?;
+        }
+        if !found.is_empty() {
+            continue;
+        }
+        if ended {
+            return Ok(());
+        }
+        // Who watches after the last event of an ended job would wait for ever. Its events are looked up once more, since
+        // it may have ended between the two looks.
+        ended = api.get(tenant, id).await?.status.state.is_ended();
+        if !ended && let Ok(come) = tokio::time::timeout(LOOK_EVERY, api.wait(tenant, id, after)).await {
+            come?;
+        }
+    }
+}
+
+/// Waits for the storage, but not for ever.
+pub(crate) async fn timely<T>(work: impl Future<Output = Result<T, BlobError>>) -> Result<T, RequestError> {
+    match tokio::time::timeout(STORE_TIME, work).await {
+        Ok(result) => result.map_err(RequestError::from),
+        Err(_) => Err(RequestError::Slow(STORE_TIME)),
+    }
+}
+
+/// For who does not have a blob it is not stored.
+pub(crate) async fn check_owned(store: &dyn BlobStore, owner: Owner, digest: Digest) -> Result<(), RequestError> {
+    match timely(store.is_owned(owner, digest)).await? {
+        true => Ok(()),
+        false => Err(BlobError::NotFound { digest }.into()),
+    }
+}
+
+/// Keeps bytes as a blob of a tenant that may have `most` bytes.
+pub(crate) async fn keep(
+    store: &dyn BlobStore,
+    tenant: &str,
+    most: Option<u64>,
+    bytes: bytes::Bytes,
+) -> Result<BlobInfo, RequestError> {
+    Ok(put_of(store, tenant, most, bytes).await?)
+}
+
+/// Takes an upload away that has no bytes when its stream ends, however that ends: it would hold room for nothing.
+pub(crate) struct EmptyUpload {
+    store: Arc<dyn BlobStore>,
+    upload: UploadId,
+}
+
+impl EmptyUpload {
+    pub(crate) fn new(store: &Arc<dyn BlobStore>, upload: UploadId) -> Self {
+        Self { store: Arc::clone(store), upload }
+    }
+}
+
+impl Drop for EmptyUpload {
+    fn drop(&mut self) {
+        let (store, upload) = (Arc::clone(&self.store), self.upload);
+        tokio::spawn(async move {
+            if let Ok(UploadStatus { kept_bytes: 0, complete: false }) = store.upload_status(upload).await {
+                // Somebody else may have taken it away, or written on.
+                let _ = store.abandon(upload).await;
+            }
+        });
+    }
+}

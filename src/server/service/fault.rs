@@ -1,0 +1,402 @@
+//! What is told of an error, whatever protocol it is told in.
+//!
+//! Purpose: DESIGN's table, once: [`Fault`] of each [`RequestError`]. Each door puts it in its own words: gRPC in `status`,
+//! HTTP in its problems. Invariant: what the caller can mend is `InvalidArgument` with a field; what time mends says when to
+//! try again; faults of ours say nothing of our insides. Must not know: where an error arose, how any protocol looks.
+
+use std::time::Duration;
+
+use super::RequestError;
+use super::access::{Refusal, TENANT};
+use super::convert::spec::path_of;
+use super::refusal;
+use crate::metrics::Refused;
+use geometry::cvt::density::DensityError;
+use geometry::mesh::MeshError;
+use geometry::mesh::features::FeatureError;
+use geometry::remesh::RemeshError;
+use geometry::rvd::RvdError;
+use geometry::token::Stopped;
+use jobs::JobError;
+use jobs::api::JobApiError;
+use jobs::blob::BlobError;
+use jobs::record::SpecError;
+use jobs::store::StoreError;
+use wire::WireError;
+
+/// What kind of error it is, as far as a caller acts on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    Cancelled,
+    InvalidArgument,
+    DeadlineExceeded,
+    NotFound,
+    AlreadyExists,
+    PermissionDenied,
+    ResourceExhausted,
+    FailedPrecondition,
+    Aborted,
+    OutOfRange,
+    Unimplemented,
+    Internal,
+    Unavailable,
+    DataLoss,
+    Unauthenticated,
+}
+
+impl Kind {
+    /// Its name in lower case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cancelled => "cancelled",
+            Self::InvalidArgument => "invalid_argument",
+            Self::DeadlineExceeded => "deadline_exceeded",
+            Self::NotFound => "not_found",
+            Self::AlreadyExists => "already_exists",
+            Self::PermissionDenied => "permission_denied",
+            Self::ResourceExhausted => "resource_exhausted",
+            Self::FailedPrecondition => "failed_precondition",
+            Self::Aborted => "aborted",
+            Self::OutOfRange => "out_of_range",
+            Self::Unimplemented => "unimplemented",
+            Self::Internal => "internal",
+            Self::Unavailable => "unavailable",
+            Self::DataLoss => "data_loss",
+            Self::Unauthenticated => "unauthenticated",
+        }
+    }
+}
+
+/// What a program can read of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// A field is wrong.
+    Field { path: String, description: String },
+    /// When it is worth another try.
+    Retry(Duration),
+    /// A limit is reached.
+    Quota { subject: &'static str, description: String },
+    /// Something has to be otherwise first.
+    Precondition { kind: &'static str, subject: String, description: String },
+    /// Something is not there.
+    Missing { kind: &'static str, name: String, description: String },
+}
+
+/// See the module's head.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fault {
+    pub kind: Kind,
+    /// For people.
+    pub text: String,
+    pub details: Vec<Detail>,
+    /// As refusals are counted, if it is one.
+    pub refused: Option<Refused>,
+}
+
+impl Fault {
+    pub fn new(kind: Kind, text: impl Into<String>) -> Self {
+        Self { kind, text: text.into(), details: Vec::new(), refused: None }
+    }
+
+    pub fn with(mut self, detail: Detail) -> Self {
+        self.details.push(detail);
+        self
+    }
+
+    /// In one word: what has to be otherwise, which limit is reached, what is not there, why it is refused; else its kind.
+    pub fn reason(&self) -> &'static str {
+        let told = self.details.iter().find_map(|detail| match detail {
+            Detail::Quota { subject, .. } => Some(*subject),
+            Detail::Precondition { kind, .. } | Detail::Missing { kind, .. } => Some(*kind),
+            Detail::Field { .. } | Detail::Retry(_) => None,
+        });
+        told.or(self.refused.map(Refused::name)).unwrap_or_else(|| self.kind.name())
+    }
+}
+
+impl From<RequestError> for Fault {
+    fn from(error: RequestError) -> Self {
+        let refused = refusal::of(&error);
+        Self { refused, ..of(error) }
+    }
+}
+
+fn of(error: RequestError) -> Fault {
+    let text = error.to_string();
+    match error {
+        RequestError::Wire(error) => of_wire(error),
+        RequestError::Memory { .. } => retry(Kind::ResourceExhausted, text, Duration::from_secs(2)),
+        RequestError::MessageTooLong { .. } | RequestError::Unpacked { .. } => {
+            Fault::new(Kind::ResourceExhausted, text)
+        }
+        RequestError::TooMany { .. } => retry(Kind::ResourceExhausted, text, Duration::from_secs(1)),
+        RequestError::Idle(_) | RequestError::UploadTime(_) | RequestError::Deadline => {
+            Fault::new(Kind::DeadlineExceeded, text)
+        }
+        RequestError::Stalled(_) => Fault::new(Kind::Aborted, text),
+        RequestError::ClientGone => Fault::new(Kind::Cancelled, text),
+        RequestError::Draining => draining(text),
+        RequestError::Slow(_) => {
+            tracing::error!(error = %text, "the storage is slow");
+            retry(Kind::Unavailable, text, Duration::from_secs(5))
+        }
+        RequestError::Job(error) => of_job(&error),
+        RequestError::Blob(error) => of_blob(&error),
+        RequestError::JobApi(error) => of_job_api(error),
+        RequestError::Access(refusal) => of_refusal(refusal),
+        // Said by the transport of gRPC, which has a status of its own.
+        RequestError::Inbound(_) => Fault::new(Kind::InvalidArgument, text),
+    }
+}
+
+fn of_refusal(refusal: Refusal) -> Fault {
+    let text = refusal.to_string();
+    let quota = |subject, after| {
+        let quota = Detail::Quota { subject, description: text.clone() };
+        Fault::new(Kind::ResourceExhausted, text.clone()).with(Detail::Retry(after)).with(quota)
+    };
+    match refusal {
+        // No details: nobody is told what of a key is wrong.
+        Refusal::Unauthenticated => Fault::new(Kind::Unauthenticated, text),
+        Refusal::Role(_) | Refusal::Tenant | Refusal::Host | Refusal::Origin => {
+            Fault::new(Kind::PermissionDenied, text)
+        }
+        Refusal::TenantName => invalid(text.clone(), TENANT.to_owned(), text),
+        Refusal::Unknown => Fault::new(Kind::Unimplemented, text),
+        Refusal::Rate { wait, .. } => quota("rate", wait),
+        Refusal::InFlight { .. } => quota("in-flight", Duration::from_secs(1)),
+        Refusal::Bytes { .. } => quota("bytes", Duration::from_secs(30)),
+    }
+}
+
+fn of_wire(error: WireError) -> Fault {
+    let text = error.to_string();
+    match error {
+        WireError::Field { path, reason } => invalid(text, path, reason),
+        WireError::Order(_) => invalid(text.clone(), "message".into(), text),
+        WireError::Options(error) => of_remesh(&error),
+        // A server asks nobody.
+        WireError::Answer(_) => Fault::new(Kind::Internal, "the request failed by a fault of the server"),
+    }
+}
+
+fn of_job(error: &JobError) -> Fault {
+    let text = error.to_string();
+    match error {
+        JobError::QueueFull { retry_after, .. } => retry(Kind::ResourceExhausted, text, *retry_after),
+        JobError::Draining => draining(text),
+        JobError::Panicked(what) => {
+            tracing::error!(%what, "work panicked");
+            Fault::new(Kind::Internal, "the work failed by a fault of the server; its log says where")
+        }
+        JobError::WorkerGone => {
+            tracing::error!("the engine did not answer");
+            Fault::new(Kind::Internal, "the work was lost by a fault of the server; its log may say why")
+        }
+        JobError::Mesh(error) => of_mesh(error),
+        JobError::Remesh(error) => of_remesh(error),
+        JobError::Rvd(error) => of_rvd(error),
+    }
+}
+
+fn of_remesh(error: &RemeshError) -> Fault {
+    let text = error.to_string();
+    let path = match error {
+        RemeshError::NoThickness => "mesh.facets".to_owned(),
+        RemeshError::Feature(FeatureError::NoSuchEdge { crease, .. }) => format!("mesh.creases[{crease}]"),
+        RemeshError::Feature(FeatureError::BadAngle(_)) => "header.crease_angle_deg".to_owned(),
+        RemeshError::Feature(FeatureError::Stopped(reason)) => return of_stopped(*reason),
+        RemeshError::TooFewSeeds { .. } => "seeds".to_owned(),
+        RemeshError::Density(error) => return of_density(error),
+        RemeshError::RefineUnfitted => "header.refinement".to_owned(),
+        RemeshError::RefineLimit { .. } => "header.refinement.max_points".to_owned(),
+        // What an upload carries is checked when it is collected, where its index is known.
+        RemeshError::Attributes(_) => "mesh.attributes".to_owned(),
+        RemeshError::Rvd(error) => return of_rvd(error),
+    };
+    invalid(text.clone(), path, text)
+}
+
+fn of_mesh(error: &MeshError) -> Fault {
+    let path = match error {
+        MeshError::NonFinitePosition { vertex, .. } => format!("mesh.positions[{vertex}]"),
+        MeshError::IndexOutOfRange { facet, corner, .. } => format!("mesh.facets[{facet}][{corner}]"),
+        MeshError::NoFacets | MeshError::NoArea { .. } => "mesh.facets".to_owned(),
+        MeshError::TooLarge { what, .. } => format!("header.mesh.{what}"),
+        MeshError::ExtentTooLarge { .. } | MeshError::ExtentTooSmall { .. } => "mesh.positions".to_owned(),
+    };
+    invalid(error.to_string(), path, error.to_string())
+}
+
+fn of_density(error: &DensityError) -> Fault {
+    let path = match error {
+        DensityError::SizeCount { .. } => "mesh.edge_lengths".to_owned(),
+        DensityError::BadSize { vertex, .. } => format!("mesh.edge_lengths[{vertex}]"),
+        DensityError::BadOption { name, .. } => format!("header.density.{}", name.replace(' ', "_")),
+        DensityError::NoCount | DensityError::PointLimit { .. } => "header.seeds.sampled.points".to_owned(),
+        DensityError::TooManyPoints { .. } => "header.density".to_owned(),
+        DensityError::Stopped(reason) => return of_stopped(*reason),
+    };
+    invalid(error.to_string(), path, error.to_string())
+}
+
+/// A job that was cancelled, or reached one of its ceilings. The same job would reach it again, so nothing says when to
+/// try again.
+fn of_stopped(reason: Stopped) -> Fault {
+    let text = reason.to_string();
+    let subject = match reason {
+        Stopped::Cancelled => return Fault::new(Kind::Cancelled, "the work was cancelled"),
+        Stopped::Time { .. } => "job-seconds",
+        Stopped::Memory { .. } => "job-memory-mib",
+    };
+    Fault::new(Kind::ResourceExhausted, text.clone()).with(Detail::Quota { subject, description: text })
+}
+
+fn of_rvd(error: &RvdError) -> Fault {
+    let text = error.to_string();
+    let path = match error {
+        RvdError::NoSeeds | RvdError::TooManySeeds { .. } => "seeds".to_owned(),
+        RvdError::NonFiniteSeed { seed } | RvdError::SeedTooFar { seed, .. } => format!("seeds[{seed}]"),
+        RvdError::NoArea => "mesh.facets".to_owned(),
+        RvdError::NoSuchSeed { .. } => "edit.edits".to_owned(),
+        RvdError::BadWeight { vertex, .. } => format!("mesh.weights[{vertex}]"),
+        RvdError::WeightCount { .. } => "mesh.weights".to_owned(),
+        RvdError::Stopped(reason) => return of_stopped(*reason),
+        RvdError::BackendUnavailable { wanted, reason } => {
+            let (subject, description) = (wanted.name().to_owned(), reason.clone());
+            let detail = Detail::Precondition { kind: "BACKEND", subject, description };
+            return Fault::new(Kind::FailedPrecondition, text).with(detail);
+        }
+        RvdError::NeverFits { .. } => "header".to_owned(),
+        RvdError::OutOfMemory { .. } => return retry(Kind::ResourceExhausted, text, Duration::from_secs(5)),
+        RvdError::DeviceLost(_) => return retry(Kind::Unavailable, text, Duration::from_secs(5)),
+        RvdError::Device(_) | RvdError::Internal(_) => {
+            tracing::error!(error = %text, "work failed");
+            return Fault::new(Kind::Internal, "the work failed by a fault of the server; its log says why");
+        }
+    };
+    invalid(text.clone(), path, text)
+}
+
+fn of_blob(error: &BlobError) -> Fault {
+    let text = error.to_string();
+    let path = match error {
+        BlobError::NotFound { digest } => return not_found("blob", digest.to_string(), text),
+        BlobError::UploadNotFound { digest } => return not_found("upload", digest.to_string(), text),
+        BlobError::WrongOffset { .. } | BlobError::OutOfRange { .. } => {
+            return Fault::new(Kind::OutOfRange, text.clone()).with(field("offset", text));
+        }
+        BlobError::ChunkTooLarge { .. } | BlobError::PastEnd { .. } => "data",
+        BlobError::ChecksumMismatch { .. } => "crc32c",
+        BlobError::Incomplete { .. } => "finish",
+        BlobError::DigestMismatch { .. } => "digest",
+        BlobError::WrongSize { .. } | BlobError::TooLarge { .. } => "size_bytes",
+        BlobError::Damaged { .. } => return Fault::new(Kind::DataLoss, text),
+        // What others have in use is none of the caller's business.
+        BlobError::QuotaExceeded { needed_bytes, .. } => {
+            let text = format!("no room for {needed_bytes} more bytes now; delete results, or try again later");
+            return retry(Kind::ResourceExhausted, text, Duration::from_secs(5));
+        }
+        BlobError::TooManyUploads { .. } => return retry(Kind::ResourceExhausted, text, Duration::from_secs(5)),
+        BlobError::OwnQuotaExceeded { used_bytes, limit_bytes, .. } => {
+            return of_refusal(Refusal::Bytes { used_bytes: *used_bytes, limit_bytes: *limit_bytes });
+        }
+        BlobError::StorageFull => {
+            tracing::error!("the disk of the blobs is full");
+            return retry(Kind::ResourceExhausted, text, Duration::from_secs(30));
+        }
+        BlobError::Pinned { digest } => return precondition("PINNED", &digest.to_string(), text),
+        // The log has the rest: paths and addresses of the storage.
+        BlobError::InUse { .. } | BlobError::Unavailable(_) => {
+            tracing::error!(error = %text, "the blob storage failed");
+            let text = "the blob storage failed; try again, and look at the server's log if it stays so".to_owned();
+            return retry(Kind::Unavailable, text, Duration::from_secs(5));
+        }
+    };
+    invalid(text.clone(), path.to_owned(), text)
+}
+
+fn of_job_api(error: JobApiError) -> Fault {
+    let text = error.to_string();
+    match error {
+        JobApiError::Spec(error) => of_spec(&error),
+        JobApiError::Input { field, problem } => {
+            let path = path_of(&field);
+            invalid(format!("{path} {problem}"), path, problem)
+        }
+        JobApiError::TooLarge { .. } => invalid(text.clone(), "spec".to_owned(), text),
+        JobApiError::Packed { .. } => {
+            let path = path_of("mesh.file");
+            invalid(format!("{path} {text}"), path, text)
+        }
+        JobApiError::Store(error) => of_store(&error),
+        JobApiError::Blob(error) => of_blob(&error),
+        JobApiError::Job(error) => of_job(&error),
+    }
+}
+
+/// Says the field as messages call it.
+fn of_spec(error: &SpecError) -> Fault {
+    let path = path_of(error.field());
+    let text = error.to_string();
+    let text = match text.strip_prefix(error.field()) {
+        Some(rest) if !error.field().is_empty() => format!("{path}{rest}"),
+        _ => text,
+    };
+    invalid(text.clone(), path, text)
+}
+
+fn of_store(error: &StoreError) -> Fault {
+    let text = error.to_string();
+    match error {
+        StoreError::NotFound { id } => not_found("job", id.to_string(), text),
+        StoreError::AlreadyExists { .. } => {
+            Fault::new(Kind::AlreadyExists, text.clone()).with(field("request_id", text))
+        }
+        StoreError::Transition { id, .. } | StoreError::NotEnded { id, .. } => {
+            precondition("JOB_STATE", &id.to_string(), text)
+        }
+        // Somebody else was faster; the same call may succeed.
+        StoreError::NameTaken { .. } | StoreError::Stale { .. } => retry(Kind::Aborted, text, Duration::from_secs(1)),
+        StoreError::Closed => draining(text),
+        StoreError::Broken { .. } => {
+            tracing::error!(error = %text, "the store of jobs takes nothing any more");
+            let text = "the store of jobs cannot be written now; its server must be started again".to_owned();
+            retry(Kind::Unavailable, text, Duration::from_secs(30))
+        }
+        StoreError::InUse { .. }
+        | StoreError::Damaged { .. }
+        | StoreError::Unreadable { .. }
+        | StoreError::UnknownVersion { .. }
+        | StoreError::Io { .. } => {
+            tracing::error!(error = %text, "the store of jobs failed");
+            Fault::new(Kind::Internal, "the store of jobs failed; the server's log says why")
+        }
+    }
+}
+
+fn field(path: impl Into<String>, description: String) -> Detail {
+    Detail::Field { path: path.into(), description }
+}
+
+fn invalid(text: String, path: String, description: String) -> Fault {
+    Fault::new(Kind::InvalidArgument, text).with(field(path, description))
+}
+
+fn not_found(kind: &'static str, name: String, text: String) -> Fault {
+    let description = text.clone();
+    Fault::new(Kind::NotFound, text).with(Detail::Missing { kind, name, description })
+}
+
+fn precondition(kind: &'static str, subject: &str, text: String) -> Fault {
+    let (subject, description) = (subject.to_owned(), text.clone());
+    Fault::new(Kind::FailedPrecondition, text).with(Detail::Precondition { kind, subject, description })
+}
+
+fn retry(kind: Kind, text: String, after: Duration) -> Fault {
+    Fault::new(kind, text).with(Detail::Retry(after))
+}
+
+fn draining(text: String) -> Fault {
+    retry(Kind::Unavailable, text, Duration::from_secs(5))
+}

@@ -1,0 +1,318 @@
+//! The three streams; [`blobs`] and [`jobs`] are services of their own.
+//!
+//! Purpose: read the upload, hand it to the engine, send what comes back. Invariant: thin: no
+//! geometry here, and no status codes. What a stream holds is dropped with its future.
+//! Must not know: which backend works, how statuses look.
+
+use std::sync::Arc;
+
+use prost::Message as _;
+use tokio::sync::Semaphore;
+use tonic::{Request, Response, Status, Streaming};
+
+use super::budget::{Budget, Share};
+use super::stream::{Answers, Gate, Inbox, Kind, Outbox, respond};
+use super::{Phase, RequestError, tenant};
+use crate::config::Limits;
+use ::jobs::spec::{Input, Prepared};
+pub(super) use ::jobs::{AdmissionRequest, BackendInfo, CancelOnDrop, Engine, JobError, Reservation};
+use geometry::mesh::TriMesh;
+use geometry::remesh::Seeds;
+use geometry::remesh::report::to_json;
+use geometry::token::Token;
+use need::Needs;
+use wire::assemble::Uploaded;
+use wire::chunks::{byte_chunks, point_chunks};
+use wire::counts::{Bounds, SeedCounts};
+use wire::proto::{self, ArrayKind, Chunk};
+use wire::upload::{Incoming, Upload};
+use wire::{attributes, codec, density};
+
+pub(super) mod blobs;
+mod cvt;
+mod diagram;
+pub(super) mod info;
+pub(super) mod jobs;
+mod need;
+mod remesh;
+
+/// The longest report that the last message holds, bytes; a longer one goes ahead of it in chunks.
+const REPORT_IN_DONE_BYTES: usize = 256 << 10;
+
+/// The service.
+pub(super) struct Handlers {
+    shared: Arc<Shared>,
+    gate: Gate,
+}
+
+/// What every stream uses.
+struct Shared {
+    engine: Engine,
+    limits: Limits,
+    budget: Budget,
+    gate: Gate,
+    /// Surfaces prepared at once: as many as there are cores.
+    preparing: Arc<Semaphore>,
+}
+
+impl Handlers {
+    pub(super) fn new(engine: Engine, limits: Limits, budget: Budget, gate: Gate) -> Self {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let preparing = Arc::new(Semaphore::new(cores));
+        let shared = Shared { engine, limits, budget, gate: gate.clone(), preparing };
+        Self { shared: Arc::new(shared), gate }
+    }
+}
+
+#[tonic::async_trait]
+impl proto::remesh_service_server::RemeshService for Handlers {
+    type ComputeRvdStream = Answers<proto::ComputeRvdResponse>;
+    type CvtStream = Answers<proto::CvtResponse>;
+    type RemeshStream = Answers<proto::RemeshResponse>;
+
+    async fn compute_rvd(
+        &self,
+        request: Request<Streaming<proto::ComputeRvdRequest>>,
+    ) -> Result<Response<Self::ComputeRvdStream>, Status> {
+        let (metadata, extensions, stream) = request.into_parts();
+        let shared = Arc::clone(&self.shared);
+        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        Ok(respond(("ComputeRvd", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
+            diagram::handle(shared, tenant, Inbox::new(stream), out)
+        })?)
+    }
+
+    async fn cvt(&self, request: Request<Streaming<proto::CvtRequest>>) -> Result<Response<Self::CvtStream>, Status> {
+        let (metadata, extensions, stream) = request.into_parts();
+        let shared = Arc::clone(&self.shared);
+        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        Ok(respond(("Cvt", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
+            cvt::handle(shared, tenant, Inbox::new(stream), out)
+        })?)
+    }
+
+    async fn remesh(
+        &self,
+        request: Request<Streaming<proto::RemeshRequest>>,
+    ) -> Result<Response<Self::RemeshStream>, Status> {
+        let (metadata, extensions, stream) = request.into_parts();
+        let shared = Arc::clone(&self.shared);
+        let tenant = tenant::of(&metadata, &extensions).map_err(RequestError::from)?;
+        Ok(respond(("Remesh", Kind::Stream), &metadata, &extensions, (&self.gate, &self.shared.budget), |out| {
+            remesh::handle(shared, tenant, Inbox::new(stream), out)
+        })?)
+    }
+}
+
+/// What was uploaded.
+struct Received {
+    seeds: SeedCounts,
+    arrays: Uploaded,
+    /// Its memory. Held until the job is done.
+    share: Share,
+}
+
+/// What was uploaded, and its place in the queue, reserved since its header.
+struct Admitted<H> {
+    header: H,
+    received: Received,
+    reservation: Reservation,
+    request: AdmissionRequest,
+}
+
+/// What a request may ask for, as the checks of messages take it.
+fn bounds(limits: &Limits) -> Bounds {
+    let &Limits { max_vertices, max_facets, max_seeds, max_iterations, .. } = limits;
+    Bounds { max_vertices, max_facets, max_seeds, max_iterations }
+}
+
+/// Reads header, chunks and the end mark. What cannot be done now, or not here, is refused at the header.
+async fn upload<M: Into<Incoming<H>>, H: Needs>(
+    shared: &Shared,
+    tenant: &str,
+    inbox: &mut Inbox<M>,
+) -> Result<Admitted<H>, RequestError> {
+    let Limits { upload_idle, upload: limit, .. } = shared.limits;
+    let deadline = tokio::time::Instant::now() + limit;
+    let mut upload = Upload::new(bounds(&shared.limits));
+    let mut share = shared.budget.share();
+    let mut kept = None;
+    loop {
+        let message = tokio::select! {
+            message = inbox.next(upload_idle) => message?,
+            () = tokio::time::sleep_until(deadline) => return Err(RequestError::UploadTime(limit)),
+            // Nothing was admitted yet that a shutdown would wait for.
+            () = shared.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
+        };
+        let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes))?;
+        let (request, reservation) = match (kept.take(), upload.header()) {
+            (Some(kept), _) => kept,
+            (None, Some(header)) => (need::admission_request(shared, tenant, header)?, shared.engine.reserve()?),
+            // Nothing can come before the header.
+            (None, None) => (AdmissionRequest::default(), shared.engine.reserve()?),
+        };
+        if let Some((header, seeds, arrays)) = complete {
+            return Ok(Admitted { header, received: Received { seeds, arrays, share }, reservation, request });
+        }
+        kept = Some((request, reservation));
+    }
+}
+
+/// The upload of a recorded `Remesh` stream, as far as it needs no engine.
+pub(super) fn replay(recording: &mut &[u8], limits: &Limits) -> Result<Input, RequestError> {
+    let mut upload = Upload::<proto::RemeshHeader>::new(bounds(limits));
+    let mut share = Budget::new(limits.memory_bytes).share();
+    loop {
+        let message = match recording.is_empty() {
+            true => None,
+            false => Some(proto::RemeshRequest::decode_length_delimited(&mut *recording).map_err(|error| {
+                // As tonic says it.
+                RequestError::Inbound(Status::invalid_argument(error.to_string()))
+            })?),
+        };
+        let complete = upload.take(message.map(Into::into), |bytes| share.grow(bytes))?;
+        if let Some((header, seeds, arrays)) = complete {
+            let received = Received { seeds, arrays, share };
+            return Ok(input(received, header.density.as_ref(), limits, &Token::default())?.0);
+        }
+    }
+}
+
+/// Makes the engine's input of an upload.
+fn input(
+    received: Received,
+    density: Option<&proto::DensityOptions>,
+    limits: &Limits,
+    token: &Token,
+) -> Result<(Input, Share), RequestError> {
+    token.enter("read");
+    let Received { seeds, arrays, share } = received;
+    let Uploaded { positions, facets, weights, seeds: points, edge_lengths, creases, attributes } = arrays;
+    let density = density::of(density, weights, edge_lengths, limits.max_seeds)?;
+    let mesh = TriMesh::new(positions, facets).map_err(JobError::from)?;
+    token.check().map_err(JobError::from)?;
+    let attributes = match attributes.is_empty() {
+        true => None,
+        false => Some(attributes::collect(&mesh, attributes)?),
+    };
+    let seeds = match seeds {
+        SeedCounts::Uploaded(_) => Seeds::Given(points),
+        SeedCounts::Sampled { points, seed } => Seeds::Sample { points: points as usize, seed },
+        SeedCounts::Implied { seed } => Seeds::Implied { seed },
+    };
+    Ok((Input { mesh, density, seeds, creases, attributes }, share))
+}
+
+/// Does long work that needs no backend, on a thread that may block. When the caller goes the work is told to stop, and
+/// its place is free once it has: work that went on without a place would be as many threads as there are such callers.
+async fn apart<R: Send + 'static>(
+    shared: &Shared,
+    token: &Token,
+    work: impl FnOnce(&Token) -> Result<R, RequestError> + Send + 'static,
+) -> Result<R, RequestError> {
+    let Ok(permit) = Arc::clone(&shared.preparing).acquire_owned().await else { return Err(RequestError::Draining) };
+    let cancel = CancelOnDrop::new(token);
+    let (engine, token) = (shared.engine.clone(), token.clone());
+    let work = move || {
+        let (_permit, _watched) = (permit, engine.watch(&token));
+        engine.on_threads(|| work(&token))
+    };
+    let span = tracing::Span::current();
+    let done = tokio::task::spawn_blocking(move || span.in_scope(work)).await;
+    cancel.disarm();
+    match done {
+        Ok(result) => result,
+        Err(panic) => Err(JobError::Panicked(panic.to_string()).into()),
+    }
+}
+
+/// Checks an upload, and prepares it `by` one of the ways there are.
+async fn prepare(
+    shared: &Shared,
+    received: Received,
+    density: Option<proto::DensityOptions>,
+    by: fn(Input, &Token) -> Result<Prepared, JobError>,
+    token: &Token,
+) -> Result<(Arc<Prepared>, Share), RequestError> {
+    let limits = shared.limits;
+    apart(shared, token, move |token| {
+        let (input, share) = input(received, density.as_ref(), &limits, token)?;
+        Ok((Arc::new(by(input, token)?), share))
+    })
+    .await
+}
+
+/// Sends an array.
+async fn send_all<T: prost::Message>(
+    outbox: &Outbox<T>,
+    chunks: impl Iterator<Item = Chunk>,
+    wrap: fn(Chunk) -> T,
+) -> Result<(), RequestError> {
+    for chunk in chunks {
+        outbox.send(wrap(chunk)).await?;
+    }
+    Ok(())
+}
+
+/// Sends a report as chunks if it is long; otherwise gives it, for the last message.
+async fn send_report<T: prost::Message>(
+    outbox: &Outbox<T>,
+    report: &(impl serde::Serialize + Sync),
+    wrap: fn(Chunk) -> T,
+) -> Result<String, RequestError> {
+    let json = to_json(report).map(|json| json.to_string()).unwrap_or_default();
+    if json.len() <= REPORT_IN_DONE_BYTES {
+        return Ok(json);
+    }
+    let _held = outbox.holding(json.len());
+    send_all(outbox, byte_chunks(ArrayKind::Report, json.as_bytes()), wrap).await?;
+    Ok(String::new())
+}
+
+/// Queue and compute time, added up.
+#[derive(Clone, Copy, Debug, Default)]
+struct Clock {
+    queue_ms: f64,
+    compute_ms: f64,
+}
+
+impl Clock {
+    fn add(&mut self, queue_ms: f64, compute_ms: f64) {
+        self.queue_ms += queue_ms;
+        self.compute_ms += compute_ms;
+    }
+
+    fn timing(self) -> proto::Timing {
+        proto::Timing { queue_ms: self.queue_ms, compute_ms: self.compute_ms }
+    }
+
+    /// Tells the log who did the work and how long it took.
+    fn note(self, method: &'static str, by: &BackendInfo) {
+        let Self { queue_ms, compute_ms } = self;
+        tracing::info!(method, backend = by.kind.name(), adapter = by.adapter, queue_ms, compute_ms, "worked");
+    }
+
+    fn progress(self, stage: &str, done: u64, total: u64) -> proto::Progress {
+        proto::Progress { stage: stage.to_owned(), done, total, timing: Some(self.timing()) }
+    }
+}
+
+/// Sends points as an array; a name for what all streams do with seeds.
+async fn send_seeds<T: prost::Message>(
+    outbox: &Outbox<T>,
+    seeds: &[glam::DVec3],
+    wrap: fn(Chunk) -> T,
+) -> Result<(), RequestError> {
+    let _held = outbox.holding(size_of_val(seeds));
+    send_all(outbox, point_chunks(ArrayKind::Seeds, seeds), wrap).await
+}
+
+/// A job was taken in.
+fn accepted(position: usize, by: &BackendInfo) -> proto::Accepted {
+    proto::Accepted {
+        queue_position: u32::try_from(position).unwrap_or(u32::MAX),
+        backend: by.kind.name().to_owned(),
+        adapter: by.adapter.clone().unwrap_or_default(),
+        threads: u32::try_from(by.threads).unwrap_or(u32::MAX),
+    }
+}

@@ -1,0 +1,139 @@
+//! `Cvt`: an interactive session.
+//!
+//! Invariant: while the client thinks, its state lies here and the device serves others. A draining
+//! server ends sessions that wait for a command, and lets a command end.
+
+use std::sync::Arc;
+
+use super::*;
+pub(super) use ::jobs::Timed;
+pub(super) use ::jobs::session::{CvtSession, SeedsWanted};
+use ::jobs::spec::Prepared;
+use wire::WireError;
+use wire::counts::within;
+use wire::options::of_cvt;
+use wire::proto::{CvtDone, CvtEdit, CvtEdited, CvtRequest, CvtResponse, CvtStep};
+use wire::proto::{cvt_request as request, cvt_response as response};
+
+fn wrap(message: response::Message) -> CvtResponse {
+    CvtResponse { message: Some(message) }
+}
+
+fn wrap_chunk(chunk: Chunk) -> CvtResponse {
+    wrap(response::Message::Chunk(chunk))
+}
+
+/// One stream.
+pub(super) async fn handle(
+    shared: Arc<Shared>,
+    tenant: String,
+    mut inbox: Inbox<CvtRequest>,
+    outbox: Outbox<CvtResponse>,
+) -> Result<(), RequestError> {
+    let _place = shared.gate.admit_session()?;
+    let Admitted { header, received, reservation, request } = upload(&shared, &tenant, &mut inbox).await?;
+    let wish = codec::backend(header.backend)?;
+    let options = of_cvt(&header)?;
+    let token = shared.engine.token();
+    let (prepared, _share) = prepare(&shared, received, header.density, Prepared::for_steps, &token).await?;
+    let mut pending = CvtSession::open(&shared.engine, Arc::clone(&prepared), wish, options, (reservation, request))?;
+    let position = pending.position;
+    let Timed { value, queue_ms, compute_ms } = pending.wait().await?;
+    let mut talk = Talk {
+        limits: shared.limits,
+        outbox,
+        session: CvtSession::new(shared.engine.clone(), value),
+        clock: Clock { queue_ms, compute_ms },
+        iterations: 0,
+    };
+    drop(prepared);
+    let accepted = accepted(position, talk.session.by());
+    talk.outbox.send(wrap(response::Message::Accepted(accepted))).await?;
+    loop {
+        let message = tokio::select! {
+            message = inbox.next(shared.limits.session_idle) => message?,
+            () = shared.gate.reached(Phase::Draining) => return Err(RequestError::Draining),
+        };
+        match message.map(|m| m.message) {
+            Some(Some(request::Message::Step(step))) => talk.step(step).await?,
+            Some(Some(request::Message::Edit(edit))) => talk.edit(edit).await?,
+            Some(Some(request::Message::Finish(_))) | None => break,
+            Some(_) => {
+                return Err(WireError::Order("an open session takes step, edit and finish").into());
+            }
+        }
+    }
+    talk.end().await
+}
+
+struct Talk {
+    limits: Limits,
+    outbox: Outbox<CvtResponse>,
+    session: CvtSession,
+    clock: Clock,
+    iterations: u64,
+}
+
+impl Talk {
+    async fn step(&mut self, step: CvtStep) -> Result<(), RequestError> {
+        let wanted = seeds_wanted(step.seeds, "step.seeds")?;
+        let kind = codec::step_kind(step.kind)?;
+        within("step.iterations", step.iterations.into(), 1, self.limits.max_iterations.into())?;
+        let total = step.iterations as usize;
+        let mut left = total;
+        while left > 0 {
+            let Timed { value: steps, queue_ms, compute_ms } = self.session.step(left, kind, wanted).await?;
+            self.clock.add(queue_ms, compute_ms);
+            left = left.saturating_sub(steps.taken.len());
+            for (iteration, seeds) in steps.taken {
+                self.iterations += 1;
+                let message = codec::iteration(&iteration, total, queue_ms);
+                self.outbox.send(wrap(response::Message::Iteration(message))).await?;
+                if let Some(seeds) = seeds {
+                    send_seeds(&self.outbox, &seeds, wrap_chunk).await?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    async fn edit(&mut self, edit: CvtEdit) -> Result<(), RequestError> {
+        let wanted = seeds_wanted(edit.seeds, "edit.seeds")?;
+        let timed = self.session.edit(codec::edits(&edit.edits)?).await?;
+        self.clock.add(timed.queue_ms, timed.compute_ms);
+        let edited = CvtEdited { seeds: self.session.len() as u64 };
+        self.outbox.send(wrap(response::Message::Edited(edited))).await?;
+        if wanted != SeedsWanted::Never {
+            let seeds = self.session.seeds().await?;
+            self.clock.add(seeds.queue_ms, seeds.compute_ms);
+            send_seeds(&self.outbox, &seeds.value, wrap_chunk).await?;
+        }
+        Ok(())
+    }
+
+    async fn end(mut self) -> Result<(), RequestError> {
+        let seeds = self.session.seeds().await?;
+        self.clock.add(seeds.queue_ms, seeds.compute_ms);
+        send_seeds(&self.outbox, &seeds.value, wrap_chunk).await?;
+        let by = self.session.by();
+        self.clock.note("Cvt", by);
+        let done = CvtDone {
+            backend: by.kind.name().to_owned(),
+            adapter: by.adapter.clone().unwrap_or_default(),
+            timing: Some(self.clock.timing()),
+            iterations: self.iterations,
+            seeds: self.session.len() as u64,
+        };
+        self.outbox.send(wrap(response::Message::Done(done))).await
+    }
+}
+
+/// When a command wants the seeds.
+fn seeds_wanted(value: i32, path: &str) -> Result<SeedsWanted, WireError> {
+    match proto::SeedsWanted::try_from(value) {
+        Ok(proto::SeedsWanted::Unspecified | proto::SeedsWanted::Never) => Ok(SeedsWanted::Never),
+        Ok(proto::SeedsWanted::Last) => Ok(SeedsWanted::Last),
+        Ok(proto::SeedsWanted::Each) => Ok(SeedsWanted::Each),
+        Err(_) => Err(WireError::unknown_enum(path, value)),
+    }
+}

@@ -1,0 +1,165 @@
+//! Promise: bytes that describe much with little take memory in proportion to what has come, to be counted and to be read.
+//!
+//! One test alone, since an allocator counts for the whole process.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use peak_alloc::PeakAlloc;
+use tessera::mesh::io::{self, Format};
+use tessera::mesh::shapes::Shape;
+
+#[global_allocator]
+static MEMORY: PeakAlloc = PeakAlloc;
+
+/// Bytes that `work` takes at its peak, beyond those before it.
+fn peak<T>(work: impl FnOnce() -> T) -> usize {
+    MEMORY.reset_peak_usage();
+    let before = MEMORY.current_usage();
+    drop(work());
+    MEMORY.peak_usage().saturating_sub(before)
+}
+
+/// Bytes of each of these files.
+const BYTES: usize = 6 << 20;
+
+/// A text of about [`BYTES`] that begins and ends so, with as many copies of a part as fit.
+fn filled(begin: &str, part: &str, end: &str) -> Vec<u8> {
+    let mut text = String::with_capacity(BYTES + 64);
+    text.push_str(begin);
+    while text.len() < BYTES {
+        text.push_str(part);
+    }
+    text.push_str(end);
+    text.into_bytes()
+}
+
+/// The same as one of a chain, where each part names the next.
+fn chain() -> Vec<u8> {
+    let mut text = String::from("{\"nodes\":[");
+    for k in 1.. {
+        let _ = write!(text, "{{\"children\":[{k},0]}},");
+        if text.len() > BYTES {
+            break;
+        }
+    }
+    text.push_str("{}]}");
+    text.into_bytes()
+}
+
+/// Surfaces whose texts say nothing many times over.
+fn hostile() -> Vec<(&'static str, Format, Vec<u8>)> {
+    // As many parts as fit are announced, and the numbers in them.
+    let counted = |head: &str, part: &str, each: usize, tail: &str| {
+        let count = BYTES / part.len();
+        let head = head.replace("@N", &(count * each).to_string()).replace("@M", &count.to_string());
+        [head.as_str(), &part.repeat(count), tail].concat().into_bytes()
+    };
+    let vtk = "# vtk DataFile Version 3.0\ntitle\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 1 float\n0 0 0\n";
+    let medit = "MeshVersionFormatted 2\nDimension 3\nVertices\n3\n0 0 0 0\n1 0 0 0\n0 1 0 0\n";
+    vec![
+        ("empty nodes", Format::Gltf, filled("{\"nodes\":[", "{},", "{}]}")),
+        ("children", Format::Gltf, filled("{\"nodes\":[{\"children\":[", "0,", "0]}]}")),
+        ("a chain", Format::Gltf, chain()),
+        ("meshes", Format::Gltf, filled("{\"meshes\":[", "{},", "{}]}")),
+        ("primitives", Format::Gltf, filled("{\"meshes\":[{\"primitives\":[", "{},", "{}]}]}")),
+        ("scenes", Format::Gltf, filled("{\"scenes\":[", "{},", "{}]}")),
+        ("scene", Format::Gltf, filled("{\"scenes\":[{\"nodes\":[", "0,", "0]}]}")),
+        ("buffers", Format::Gltf, filled("{\"buffers\":[", "{},", "{}]}")),
+        ("views", Format::Gltf, filled("{\"bufferViews\":[", "{\"buffer\":0,\"byteLength\":1},", "{}]}")),
+        ("extensions", Format::Gltf, filled("{\"extensionsRequired\":[", "\"\",", "\"\"]}")),
+        ("extras", Format::Gltf, filled("{\"extras\":[", "[[[],{}],\"\\n\"],", "0]}")),
+        ("brackets", Format::Gltf, filled("{\"extras\":", "[", "")),
+        ("an escaped buffer", Format::Gltf, filled("{\"buffers\":[{\"uri\":\"data:;base64,", "\\/", "\"}]}")),
+        ("pieces", Format::Vtp, filled("<VTKFile type=\"PolyData\">", "<Piece/>", "</VTKFile>")),
+        (
+            "pieces with points",
+            Format::Vtp,
+            filled("<VTKFile type=\"PolyData\">", "<Piece NumberOfPoints=\"1\"/>", "</VTKFile>"),
+        ),
+        (
+            "arrays",
+            Format::Vtp,
+            filled(
+                "<VTKFile type=\"PolyData\"><Piece NumberOfPoints=\"1\"><PointData>",
+                "<DataArray/>",
+                "</PointData></Piece></VTKFile>",
+            ),
+        ),
+        ("elements", Format::Vtp, filled("<VTKFile type=\"PolyData\"><Piece>", "<a>", "</VTKFile>")),
+        ("empty cells", Format::Vtk, counted(&format!("{vtk}CELLS @M @M\n"), "0\n", 1, "CELL_TYPES 0\n")),
+        ("cells", Format::Vtk, counted(&format!("{vtk}CELLS @M @N\n"), "3 0 0 0\n", 4, "CELL_TYPES 0\n")),
+        ("lines", Format::Vtk, counted(&format!("{vtk}LINES @M @N\n"), "1 0\n", 2, "")),
+        ("faces", Format::Medit, counted(&format!("{medit}Triangles\n@M\n"), "1 1 1 0\n", 1, "End\n")),
+        (
+            "elements of one node",
+            Format::Gmsh,
+            counted(
+                "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n$Elements\n@M\n",
+                "1 15 0 1\n",
+                1,
+                "$EndElements\n",
+            ),
+        ),
+        ("solids", Format::Stl, filled("solid\n", "endsolid\n", "")),
+    ]
+}
+
+fn packed(plain: &[u8]) -> Vec<u8> {
+    let mut packer = GzEncoder::new(Vec::new(), Compression::best());
+    packer.write_all(plain).unwrap();
+    packer.finish().unwrap()
+}
+
+/// Empty nodes beside so much noise that gzip packs them to a little more than a 64th.
+fn nodes_that_pack() -> Vec<u8> {
+    let mut state = 1u64;
+    let noise = (0..BYTES / 45).map(|_| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        char::from(b'0' + (state >> 58) as u8 % 64)
+    });
+    let noise: String = noise.filter(|letter| *letter != '\\').collect();
+    filled(&format!("{{\"extras\":\"{noise}\",\"nodes\":["), "{},", "{}]}")
+}
+
+#[test]
+fn memory_is_in_proportion_to_what_has_come() {
+    // Pools of threads are made once.
+    drop(io::decode(Format::Glb, &io::encode(Format::Glb, &Shape::Torus.build(2000)).unwrap()));
+    let mut wrong = Vec::new();
+    for (name, format, plain) in hostile() {
+        let (counted, read) = (peak(|| io::counts(format, &plain)), peak(|| io::decode(format, &plain)));
+        let times = |bytes: usize| bytes as f64 / plain.len() as f64;
+        let line = format!(
+            "{format:?}, {name}: counted with {:.1} times its bytes, read with {:.1}",
+            times(counted),
+            times(read)
+        );
+        println!("{line}");
+        if times(counted) > 8.0 || times(read) > 20.0 {
+            wrong.push(line);
+        }
+    }
+    // What gzip packed may be unpacked to 64 times its bytes, and no more is made of that than of others.
+    let plain = nodes_that_pack();
+    let packed = packed(&plain);
+    assert!(io::unpack(&packed, io::UNPACKED_RATIO * packed.len() + (1 << 20)).is_ok(), "{}", packed.len());
+    for taken in [peak(|| io::counts(Format::Gltf, &packed)), peak(|| io::decode(Format::Gltf, &packed))] {
+        println!("{} bytes, packed to {}: taken {taken}", plain.len(), packed.len());
+        assert!(taken < 12 * io::UNPACKED_RATIO * packed.len(), "{taken}");
+    }
+    // An honest file is no burden either.
+    let mesh = Shape::Torus.build(100_000);
+    for format in Format::ALL {
+        let bytes = io::encode(format, &mesh).unwrap();
+        let counted = peak(|| assert!(io::counts(format, &bytes).is_some()));
+        if counted > bytes.len() + (1 << 16) {
+            wrong.push(format!("{format:?}: {counted} bytes for {}", bytes.len()));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
