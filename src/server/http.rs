@@ -2,7 +2,8 @@
 //!
 //! Purpose: [`door`] makes a way into a server that answers the routes of [`ROUTES`]. Invariant: every route is in that table
 //! with the role that it needs, and in `openapi.json`; what is asked is done by the same jobs, blobs, keys and limits as over
-//! gRPC, and refused for the same reasons, with the names that options have here. Must not know: gRPC, messages, connections, how a surface is remeshed.
+//! gRPC, and refused for the same reasons, by the names that options have here. Must not know: gRPC, messages, connections,
+//! how a surface is remeshed.
 
 mod blobs;
 mod body;
