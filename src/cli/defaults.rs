@@ -3,6 +3,10 @@
 //! The Python client is compared by `tests/python`.
 
 use clap::{Args, CommandFactory};
+use prost::Message as _;
+use prost_types::FileDescriptorSet;
+use prost_types::field_descriptor_proto::Type;
+use serde_json::Value;
 
 use super::Cli;
 use super::remesh::RemeshArgs;
@@ -14,7 +18,7 @@ use geometry::remesh::{Refine, RemeshOptions, Seeds};
 use wire::counts::Bounds;
 use wire::options::RemeshArrays;
 use wire::proto::{self, CvtHeader, RemeshHeader, SampledSeeds, seed_source};
-use wire::{density, options};
+use wire::{density, names, options};
 
 fn arguments<A: Args>(line: &[&str]) -> A {
     let command = A::augment_args(clap::Command::new("tessera"));
@@ -120,30 +124,97 @@ fn sessions_and_diagrams_have_the_library_s_defaults() {
     assert_eq!((seed, seed), (Seeds::RANDOM_SEED, SampledSeeds::default().random_seed));
 }
 
-/// An option of the command has its place in the protocol, or is of the command alone. Who adds one says which.
+/// A file of the repository, wherever this crate lies in it.
+fn text_of(path: &str) -> String {
+    let here = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = here.ancestors().find(|folder| folder.join("proto/tessera").is_dir()).unwrap();
+    std::fs::read_to_string(root.join(path)).unwrap()
+}
+
+/// The fields of a message that have a value of their own, by their paths.
+fn fields(all: &FileDescriptorSet, message: &str, path: &str, found: &mut Vec<String>) {
+    let messages = all.file.iter().flat_map(|file| &file.message_type);
+    let Some(fields_of) = messages.into_iter().find(|found| found.name() == message) else { panic!("{message}") };
+    for field in &fields_of.field {
+        let path = format!("{path}{}", field.name());
+        match field.type_name().strip_prefix(".tessera.v1.") {
+            Some(inner) if field.r#type() == Type::Message && inner != "ArrayRef" && inner != "AttributeHeader" => {
+                fields(all, inner, &format!("{path}."), found);
+            }
+            _ => found.push(path),
+        }
+    }
+}
+
+/// An option has its place in every interface: messages, the command, HTTP, the page's document, Python, docs.
+#[test]
+fn no_interface_lacks_an_option() {
+    let descriptors = FileDescriptorSet::decode(proto::DESCRIPTORS).unwrap();
+    // What is no option of a remesh: sizes of uploads, and what is carried along.
+    let beside = ["mesh.vertices", "mesh.facets", "mesh.position_type", "backend", "attributes"];
+    let (mut stream, mut job) = (Vec::new(), Vec::new());
+    fields(&descriptors, "RemeshHeader", "", &mut stream);
+    fields(&descriptors, "RemeshJob", "", &mut job);
+    for path in stream.iter().chain(&job).filter(|path| !beside.contains(&path.as_str())) {
+        let has = |row: &names::Name| row.paths.contains(&path.as_str());
+        assert!(names::OPTIONS.iter().chain(names::OTHERS).any(has), "wire/names.rs: no name for the field {path}");
+    }
+
+    let document: Value = serde_json::from_str(&server::http::OPENAPI).unwrap();
+    let query = document["paths"]["/v1/remesh"]["post"]["parameters"].as_array().unwrap();
+    let object = &document["components"]["schemas"]["Options"]["properties"];
+    let of_http = text_of("src/server/http/options.rs");
+    let python = text_of("clients/python/python/tessera_remesh/calls.py");
+    let stubs = text_of("clients/python/src/options.rs");
+    let flows = text_of("clients/python/python/tessera_remesh/service/flows.py");
+    let mut command = Cli::command();
+    command.build();
+    let remesh = command.find_subcommand("remesh").unwrap();
+    let usual = RemeshOptions::usual();
+    for row in names::OPTIONS {
+        let name = row.name;
+        let lies_in = |all: &[String]| row.paths.iter().any(|path| all.iter().any(|field| field == path));
+        assert!(lies_in(&stream), "proto: the header of a stream has no field for {name}");
+        assert!(lies_in(&job), "proto: a job has no field for {name}");
+        let Some(argument) = remesh.get_arguments().find(|argument| argument.get_id() == name) else {
+            panic!("the command has no option {name}")
+        };
+        let parameter = query.iter().find(|parameter| parameter["name"] == name);
+        let Some(parameter) = parameter else { panic!("openapi.json: /v1/remesh has no parameter {name}") };
+        assert!(object[name].is_object(), "openapi.json: the schema Options has no {name}");
+        assert!(of_http.contains(&format!("\"{name}\"")), "server/http/options.rs does not read {name}");
+        assert!(python.contains(&format!("\n    {name}: ")), "calls.py: remesh has no keyword {name}");
+        assert!(stubs.contains(&format!("\"{name}\"")), "clients/python/src/options.rs does not read {name}");
+        assert!(flows.contains(&format!("\"{name}\"")), "flows.py does not send {name}");
+
+        // The default has one value.
+        let default = (row.default)(&usual);
+        let said = argument.get_default_values().first().map(|value| value.to_str().unwrap());
+        let same = match (&default, said) {
+            (Value::Null, said) => said.is_none(),
+            (Value::String(word), said) => said == Some(word),
+            (number, said) => said.and_then(|said| said.parse::<f64>().ok()) == number.as_f64(),
+        };
+        assert!(same, "{name}: the command's default is {said:?}, the library's {default}");
+        for schema in [&parameter["schema"], &object[name]] {
+            assert_eq!(schema.get("default").unwrap_or(&Value::Null), &default, "{name}: {schema}");
+        }
+        // The page shows the default in an empty field.
+        let page = text_of("ui/src/index.html");
+        if let Some(field) = page.lines().find(|line| line.contains(&format!("name=\"{name}\"")))
+            && let Some((_, rest)) = field.split_once("placeholder=\"")
+            && default.is_number()
+        {
+            let shown: f64 = rest.split('"').next().unwrap().parse().unwrap();
+            assert_eq!(Some(shown), default.as_f64(), "the page's {name}");
+        }
+    }
+}
+
+/// An option of the command has its place in the protocol, or is of the command alone.
 #[test]
 fn every_option_of_the_command_is_at_the_service() {
-    const AT_BOTH: &[&str] = &[
-        "points",
-        "edge_length",
-        "sizes",
-        "density",
-        "gradation",
-        "adaptivity",
-        "max_deviation",
-        "max_points",
-        "crease_angle",
-        "creases",
-        "boundaries",
-        "thin",
-        "placement",
-        "lloyd",
-        "newton",
-        "projection",
-        "seed",
-        "backend",
-        "no_attributes",
-    ];
+    let at_both: Vec<&str> = names::OPTIONS.iter().map(|row| row.name).chain(["backend", "no_attributes"]).collect();
     const LOCAL: &[&str] = &[
         "input",
         "input_format",
@@ -174,7 +245,7 @@ fn every_option_of_the_command_is_at_the_service() {
     command.build();
     let remesh = command.find_subcommand("remesh").unwrap();
     let mut found: Vec<&str> = remesh.get_arguments().map(|a| a.get_id().as_str()).collect();
-    let mut known: Vec<&str> = AT_BOTH.iter().chain(LOCAL).copied().collect();
+    let mut known: Vec<&str> = at_both.iter().chain(LOCAL).copied().collect();
     found.sort_unstable();
     known.sort_unstable();
     assert_eq!(found, known);
@@ -183,7 +254,7 @@ fn every_option_of_the_command_is_at_the_service() {
     let at = ["jobs", "submit", "remesh"];
     let submit = at.iter().fold(&command, |command, name| command.find_subcommand(name).unwrap());
     let of_job: Vec<&str> = submit.get_arguments().map(|a| a.get_id().as_str()).collect();
-    for option in AT_BOTH {
+    for option in &at_both {
         assert!(of_job.contains(option), "{option}");
     }
     for option in ["output", "overwrite", "threads", "gpu_software", "picture"] {

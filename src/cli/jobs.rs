@@ -22,6 +22,7 @@ use super::say;
 use super::server::ServerArgs;
 use super::{files, interrupt};
 use fetch::FetchArgs;
+use geometry::remesh::RemeshOptions;
 pub(crate) use server::config::count;
 use spec::{Asked, RemeshWork, RvdWork};
 use wire::proto::{CreateJobRequest, EstimateJobRequest, Job, JobState, ListJobsRequest, job_seeds, job_spec};
@@ -326,6 +327,7 @@ fn plan(job: &Job) -> Plan {
         Some(job_seeds::Source::Given(array)) => array.count as usize,
         None => 10_000,
     };
+    let usual = RemeshOptions::usual();
     match job.spec.as_ref().and_then(|spec| spec.work.as_ref()) {
         Some(job_spec::Work::Rvd(work)) => {
             let points = points(work.seeds.as_ref());
@@ -333,10 +335,11 @@ fn plan(job: &Job) -> Plan {
         }
         Some(job_spec::Work::Remesh(work)) => {
             let points = points(work.seeds.as_ref());
-            let steps = work.lloyd_steps.unwrap_or(5).saturating_add(work.newton_steps.unwrap_or(30));
-            Plan::remesh(points.saturating_mul(2), points, steps as usize, true)
+            let steps = |given: Option<u32>, usual: usize| given.map_or(usual, |steps| steps as usize);
+            let steps = steps(work.lloyd_steps, usual.lloyd).saturating_add(steps(work.newton_steps, usual.newton));
+            Plan::remesh(points.saturating_mul(2), points, steps, true)
         }
-        _ => Plan::remesh(10_000, 10_000, 35, true),
+        _ => Plan::remesh(10_000, 10_000, usual.lloyd + usual.newton, true),
     }
 }
 

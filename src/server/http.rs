@@ -2,7 +2,8 @@
 //!
 //! Purpose: [`door`] makes a way into a server that answers the routes of [`ROUTES`]. Invariant: every route is in that table
 //! with the role that it needs, and in `openapi.json`; what is asked is done by the same jobs, blobs, keys and limits as over
-//! gRPC, and refused for the same reasons. Must not know: gRPC, messages, connections, how a surface is remeshed.
+//! gRPC, and refused for the same reasons, by the names that options have here. Must not know: gRPC, messages, connections,
+//! how a surface is remeshed.
 
 mod blobs;
 mod body;
@@ -24,7 +25,10 @@ use axum::http::header::CONTENT_TYPE;
 use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
+use geometry::remesh::RemeshOptions;
+use serde_json::Value;
 use tokio::net::TcpListener;
+use wire::names;
 
 #[cfg(feature = "ui")]
 use self::guard::Open;
@@ -33,12 +37,26 @@ use crate::keys::Role;
 use crate::service::{Desk, Door, Kind};
 use geometry::mesh::io::Format;
 
-/// The HTTP interface, as OpenAPI 3.1. Formats and their media types come from [`Format`].
+/// The HTTP interface, as OpenAPI 3.1. Formats and media types come from [`Format`], defaults of options from the library.
 pub static OPENAPI: LazyLock<String> = LazyLock::new(|| {
-    let names = Format::ALL.map(|format| format!("\"{}\"", format.extension())).join(", ");
+    let formats = Format::ALL.map(|format| format!("\"{}\"", format.extension())).join(", ");
     let types = Format::ALL.map(|format| format!("\"{}\": {{}}", media::media_type(format))).join(", ");
-    let document = include_str!("http/openapi.json");
-    document.replace("\"$formats\"", &names).replace("\"$media_types\": {}", &types)
+    let text = include_str!("http/openapi.json").replace("\"$formats\"", &formats);
+    let text = text.replace("\"$media_types\": {}", &types);
+    // Tests read the file, so that it is JSON.
+    let Ok(mut document) = serde_json::from_str::<Value>(&text) else { return text };
+    let usual = RemeshOptions::usual();
+    let defaults = names::OPTIONS.iter().chain(names::OTHERS).map(|row| (row.name, (row.default)(&usual)));
+    for (name, default) in defaults.filter(|(_, default)| !default.is_null()) {
+        let parameters = document.pointer_mut("/paths/~1v1~1remesh/post/parameters").and_then(Value::as_array_mut);
+        if let Some(parameter) = parameters.into_iter().flatten().find(|parameter| parameter["name"] == name) {
+            parameter["schema"]["default"] = default.clone();
+        }
+        if let Some(property) = document.pointer_mut(&format!("/components/schemas/Options/properties/{name}")) {
+            property["default"] = default;
+        }
+    }
+    format!("{document:#}\n")
 });
 
 /// A route: its method, its path, the role that it needs, and among what it is counted.

@@ -3,6 +3,7 @@
 //! Purpose: `proto` holds the generated messages. `codec`, `density`, `options` and `attributes` translate values. `chunks`
 //! and `cells` cut arrays into messages; `assemble` (at the server) and `arrays` (at a client) put them together again.
 //! `pieces` are those of blobs at a client. `counts`, `headers` and `upload` check what a request announces, and the order of its messages.
+//! `names` has what the command, HTTP and Python call the fields.
 //! Invariant: an unknown enum value is an error, never a default. What is refused is named by its path in the message.
 //! Must not know: handlers, streams, queues, status codes, the server's half of the transport, the command line.
 
@@ -18,6 +19,7 @@ pub mod codec;
 pub mod counts;
 pub mod density;
 mod headers;
+pub mod names;
 pub mod options;
 pub mod pieces;
 pub mod proto;

@@ -96,7 +96,12 @@ async fn what_is_wrong_is_told_as_a_problem() {
     };
     let file = torus(12);
     for (path, status, field) in [
-        ("/v1/remesh?points=0", 400, "spec."),
+        ("/v1/remesh?points=0", 400, "points"),
+        ("/v1/remesh?points=70&gradation=-1", 400, "gradation"),
+        ("/v1/remesh?points=70&crease_angle=200", 400, "crease_angle"),
+        ("/v1/remesh?points=70&max_deviation=-1", 400, "max_deviation"),
+        ("/v1/remesh?points=70&edge_length=1", 400, "edge_length"),
+        ("/v1/remesh", 400, "points"),
         ("/v1/remesh?points=x", 400, "points"),
         ("/v1/remesh?point=7", 400, "point"),
         ("/v1/remesh?points=70&to=xyz", 400, "to"),

@@ -103,7 +103,7 @@ def test_diagrams_and_steps(surface, endpoint):
 def test_refusals_are_told(surface, endpoint):
     with pytest.raises(ServerError) as refused:
         tessera_remesh.remesh(*surface, points=100, crease_angle=500.0, endpoint=endpoint)
-    assert refused.value.code == "INVALID_ARGUMENT" and any("crease_angle" in field for field in refused.value.fields)
+    assert refused.value.code == "INVALID_ARGUMENT" and "crease_angle" in refused.value.fields
     with pytest.raises(tessera_remesh.TesseraError):
         tessera_remesh.remesh(*surface, points=100, creases=[[0, 1700]], endpoint=endpoint)
     with pytest.raises(ConnectionLost):

@@ -12,6 +12,7 @@ use tonic::{Code, Status};
 use crate::endpoint::ServerUrl;
 use crate::exit::{Absent, BadInput, NoResult, Unavailable};
 use crate::plain::plain;
+use wire::names;
 
 /// How tonic begins what it says itself of an answer that it cannot read.
 const UNREADABLE: &[&str] =
@@ -117,7 +118,11 @@ fn said(url: &ServerUrl, status: &Status) -> anyhow::Error {
     }
     let said = words(status);
     match status.code() {
-        Code::InvalidArgument => BadInput(format!("the server says: {said}")).into(),
+        Code::InvalidArgument => {
+            let flag = |name: &str| format!("--{}", name.replace('_', "-"));
+            let said = names::in_text(&said, flag).unwrap_or(said);
+            BadInput(format!("the server says: {said}")).into()
+        }
         Code::Unauthenticated => {
             Unavailable(format!("the server says: {said}; --key-file FILE names the file of the key")).into()
         }

@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 
 use crate::metrics::Refused;
 use crate::service::{Detail, Fault, FaultKind, RequestError};
-use wire::WireError;
+use wire::{WireError, names};
 
 /// See the module's head.
 #[derive(Debug)]
@@ -23,7 +23,29 @@ pub(super) type Answered = Result<Response, Problem>;
 
 impl<E: Into<RequestError>> From<E> for Problem {
     fn from(error: E) -> Self {
-        Self(Fault::from(error.into()))
+        let mut problem = Self(Fault::from(error.into()));
+        problem.name_options();
+        problem
+    }
+}
+
+impl Problem {
+    /// Says the names of options, where the fault has paths of messages.
+    fn name_options(&mut self) {
+        let fault = &mut self.0;
+        let plain = |name: &str| name.to_owned();
+        if let Some(text) = names::in_text(&fault.text, plain) {
+            fault.text = text;
+        }
+        for detail in &mut fault.details {
+            let Detail::Field { path, description } = detail else { continue };
+            if let Some((name, rest)) = names::of(path) {
+                *path = format!("{name}{rest}");
+            }
+            if let Some(text) = names::in_text(description, plain) {
+                *description = text;
+            }
+        }
     }
 }
 
