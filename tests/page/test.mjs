@@ -358,7 +358,7 @@ const tests = {
   async "wrong files and options give a message, and the page goes on"() {
     await opened(async (page) => {
       await drop(page, "notes.txt", "a letter");
-      await message(page, /could not be opened.*no mesh file.*The server reads ply, obj, stl, off/s);
+      await message(page, /could not be opened.*no mesh file.*The server reads obj, ply, stl, off/s);
       await drop(page, "empty.obj", "");
       await message(page, /The file empty\.obj is empty/);
       await drop(page, "broken.obj", "v 0 0 0\nv 1 0 x\nv 0 1 0\nf 1 2 3\n");
