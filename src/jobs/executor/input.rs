@@ -16,7 +16,7 @@ use crate::record::{
 use geometry::cvt::density::{Count, DensitySource};
 use geometry::mesh::attributes::{Attributes, ColourDepth, Colours, Normals, PerCorner};
 use geometry::mesh::io::lists::{FileVertices, most_edges, points};
-use geometry::mesh::io::{self, DataError, Format};
+use geometry::mesh::io::{self, DataError};
 use geometry::mesh::{MeshError, TriMesh};
 use geometry::remesh::{Refine, RemeshOptions, Seeds};
 use geometry::token::Token;
@@ -254,7 +254,7 @@ fn surface(reader: &Reader<'_>, spec: &JobSpec, bounds: &JobBounds, token: &Toke
     let carries = matches!(spec.work, WorkSpec::Remesh(_));
     let surface = match &spec.mesh {
         MeshSource::File { blob, format, attributes } => {
-            let format = Format::from(*format);
+            let format = *format;
             let bytes = read(reader.blobs, "mesh.file", *blob)?;
             token.check()?;
             let wrong = |error| bad("mesh.file", error);

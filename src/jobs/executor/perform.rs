@@ -62,7 +62,7 @@ fn of_remesh(spec: &JobSpec, work: &RemeshWork, context: &JobContext<'_>) -> Res
     drop((mesh, options));
     context.token.enter("write");
     let mut parts = match spec.result.unwrap_or(ResultFormat::File(Format::Ply)) {
-        ResultFormat::File(format) => vec![("mesh".to_owned(), file(format.into(), &done)?)],
+        ResultFormat::File(format) => vec![("mesh".to_owned(), file(format, &done)?)],
         ResultFormat::Arrays => arrays(&done),
     };
     parts.push(("report".to_owned(), json_bytes(&done.report)));

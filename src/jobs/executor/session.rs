@@ -81,7 +81,7 @@ impl CvtSession {
     }
 
     /// How many seeds there are.
-    pub fn len(&self) -> usize {
+    pub fn seed_count(&self) -> usize {
         self.cvt.as_ref().map_or(0, Cvt::len)
     }
 

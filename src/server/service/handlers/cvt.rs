@@ -101,7 +101,7 @@ impl Talk {
         let wanted = seeds_wanted(edit.seeds, "edit.seeds")?;
         let timed = self.session.edit(codec::edits(&edit.edits)?).await?;
         self.clock.add(timed.queue_ms, timed.compute_ms);
-        let edited = CvtEdited { seeds: self.session.len() as u64 };
+        let edited = CvtEdited { seeds: self.session.seed_count() as u64 };
         self.outbox.send(wrap(response::Message::Edited(edited))).await?;
         if wanted != SeedsWanted::Never {
             let seeds = self.session.seeds().await?;
@@ -122,7 +122,7 @@ impl Talk {
             adapter: by.adapter.clone().unwrap_or_default(),
             timing: Some(self.clock.timing()),
             iterations: self.iterations,
-            seeds: self.session.len() as u64,
+            seeds: self.session.seed_count() as u64,
         };
         self.outbox.send(wrap(response::Message::Done(done))).await
     }
