@@ -15,6 +15,7 @@ mod published;
 mod rvd;
 mod spread;
 mod table1;
+mod worker;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};

@@ -126,7 +126,7 @@ pub(crate) struct LoadArgs {
     keep: bool,
 
     /// The server's metrics, e.g. http://127.0.0.1:9090/metrics: its counts are compared with those here.
-    #[arg(long, value_name = "URL", value_parser = scrape::metrics_url, help_heading = "What comes of it")]
+    #[arg(long, value_name = "URL", value_parser = scrape::metrics_url, help_heading = "Results")]
     metrics: Option<Uri>,
     /// Exit code 79 if this holds, e.g. p99>2s, errors>0, refused>1%, rate<5, dropped>0; may be given several times.
     #[arg(long = "fail-if", value_name = "EXPR", value_delimiter = ',', help_heading = "Results")]

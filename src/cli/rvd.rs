@@ -51,9 +51,9 @@ pub(crate) struct RvdArgs {
     dots: bool,
     #[command(flatten, next_help_heading = "Backend")]
     backend: BackendArgs,
-    #[command(flatten, next_help_heading = "Who works")]
+    #[command(flatten, next_help_heading = "Backend")]
     at: EndpointArgs,
-    #[command(flatten, next_help_heading = "What is said")]
+    #[command(flatten, next_help_heading = "Messages")]
     say: SayArgs,
 }
 

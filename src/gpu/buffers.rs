@@ -1,6 +1,6 @@
 //! Buffers of a plan, and bytes in and out of them.
 //!
-//! Purpose: [`Allocation`] allocates what a plan says, and passes it on to the next one when it ends; [`Staging`] and [`write`]
+//! Purpose: [`Allocation`] allocates what a plan says, and passes it on to the next one when it ends; [`Staging`] and [`write()`]
 //! download and upload in bounded portions.
 //! Invariant: an upload in flight never holds more than [`UPLOAD_BYTES`] of wgpu's own staging
 //! memory, whose exhaustion would lose the device.

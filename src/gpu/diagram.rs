@@ -28,6 +28,7 @@ mod pipelines;
 pub mod plan;
 mod session;
 pub mod shaders;
+mod strategy;
 
 use std::sync::Arc;
 

@@ -2,7 +2,7 @@
 //!
 //! Purpose: [`Job`] is a [`ValidSpec`] and a [`Status`]; both can be kept, sent and read again by another process.
 //! Invariant: the specification never changes; the status changes only by [`Change`], along the machine of
-//! [`state`](crate::record::state). Times are given from outside: there is no clock here.
+//! [`state`]. Times are given from outside: there is no clock here.
 //! Must not know: stores, queues, messages, how a job is done.
 
 mod bytes;

@@ -1,6 +1,6 @@
 //! Pieces of blobs, as a client sends and takes them.
 //!
-//! Purpose: [`Hash`] names a blob by its bytes, [`piece`] makes a message of an upload, [`Incoming`] checks those of a download.
+//! Purpose: [`struct@Hash`] names a blob by its bytes, [`piece`] makes a message of an upload, [`Incoming`] checks those of a download.
 //! Invariant: bytes that [`Incoming::take`] let through are the next ones of the blob, and a blob that
 //! [`Incoming::finish`] let through has the digest that was asked for. Must not know: files, calls.
 

@@ -32,7 +32,6 @@ pub(crate) fn start(
             points.into_iter().map(|point| point.position).collect()
         }
         Seeds::Given(seeds) => seeds,
-        _ => Vec::new(),
     };
     let plan = if steps { plan.divided(token)? } else { plan };
     let surface = Arc::new(Surface::new(&plan.mesh, plan.weights.as_deref())?);

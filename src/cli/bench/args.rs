@@ -3,14 +3,14 @@
 //! Purpose: the surface, the seeds, how many steps, who works and where figures go: one set of options for all benchmarks.
 //! Invariant: a file that cannot be written is refused before anything is measured. Must not know: what is measured.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
 
-use super::measure::{Worker, mesh, token};
 use super::output::OutputArgs;
-use crate::files;
+use super::worker::Worker;
+use crate::{files, interrupt};
 use geometry::mesh::TriMesh;
 use geometry::mesh::shapes::Shape;
 use geometry::remesh::Seeds;
@@ -99,4 +99,19 @@ impl RunArgs {
         workers.iter().try_for_each(|worker| outln!("{}", worker.describe()))?;
         Ok(workers)
     }
+}
+
+/// Set by Ctrl-C.
+pub(super) fn token() -> Result<Token> {
+    let token = Token::default();
+    interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
+    Ok(token)
+}
+
+/// A mesh and its name: a file's, or a shape of about so many facets.
+pub(super) fn mesh(file: Option<&Path>, shape: Shape, facets: usize) -> Result<(String, TriMesh)> {
+    Ok(match file {
+        Some(path) => (path.file_stem().unwrap_or_default().to_string_lossy().into_owned(), files::read_mesh(path)?),
+        None => (shape.to_string(), shape.build(facets)),
+    })
 }

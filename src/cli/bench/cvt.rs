@@ -11,9 +11,10 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
-use super::measure::{Load, Timed, Worker};
+use super::measure::{Load, Timed};
 use super::output::{head, ratio, report};
 use super::spread::Spread;
+use super::worker::Worker;
 use crate::remesh::DensityArg;
 use geometry::cvt::StepKind;
 use geometry::cvt::density::DensityOptions;

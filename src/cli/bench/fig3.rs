@@ -11,8 +11,9 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::args::{RunArgs, SurfaceArgs};
-use super::measure::{Load, Worker};
+use super::measure::Load;
 use super::output::{report, slopes};
+use super::worker::Worker;
 use crate::shape::parse_facets;
 use geometry::cvt::density::DensityOptions;
 use geometry::mesh::TriMesh;

@@ -1,125 +1,33 @@
 //! Steps that are timed.
 //!
-//! Purpose: who works ([`Worker`]), on what ([`Load`]), and the steps that are taken and timed ([`Timed`]).
+//! Purpose: a surface with seeds ([`Load`]), and the steps that are taken and timed on it ([`Timed`]).
 //! Invariant: workers that are compared begin at the same seeds. What warms up is not counted.
 //! Must not know: tables, plots.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::args::RunArgs;
 use super::spread::Spread;
-use crate::{backends, files, interrupt};
+use super::worker::Worker;
 use geometry::cvt::density::DensityOptions;
 use geometry::cvt::{Cvt, CvtOptions, Iteration, StepKind};
 use geometry::mesh::TriMesh;
-use geometry::mesh::shapes::Shape;
 use geometry::remesh::Seeds;
-use geometry::rvd::{Backend, BackendKind, DeviceWork, Surface};
+use geometry::rvd::{DeviceWork, Surface};
 use geometry::token::Token;
-use gpu::diagram::Gpu;
 use jobs::JobError;
 use jobs::spec::{Input, Prepared};
-pub(super) use server::config::{BackendArg, BackendArgs};
 
 /// Steps of a kind before the first that is timed: buffers and rows of neighbours get their sizes.
 const WARM_UP: usize = 2;
 /// Steps that are timed whatever a limit says.
 const FEWEST: usize = 3;
-
-/// Set by Ctrl-C.
-pub(super) fn token() -> Result<Token> {
-    let token = Token::default();
-    interrupt::cancel_on_signal(&token).context("cannot listen for signals")?;
-    Ok(token)
-}
-
-/// A backend that is measured.
-pub(super) struct Worker {
-    pub(super) backend: Arc<dyn Backend>,
-    /// The same, if it is the GPU's.
-    pub(super) gpu: Option<Arc<Gpu>>,
-    /// The device's own clock times the phases.
-    clock: bool,
-}
-
-impl Worker {
-    fn on_gpu(gpu: Arc<Gpu>) -> Self {
-        let backend: Arc<dyn Backend> = Arc::clone(&gpu) as Arc<dyn Backend>;
-        Self { backend, gpu: Some(gpu), clock: false }
-    }
-
-    /// The one that the options ask for.
-    pub(super) fn one(args: &BackendArgs) -> Result<Self> {
-        if matches!(args.backend, BackendArg::Auto | BackendArg::Gpu)
-            && let Ok(gpu) = backends::gpu(args)
-        {
-            return Ok(Self::on_gpu(gpu));
-        }
-        // Says why not, if only a GPU will do.
-        Ok(Self { backend: backends::one(args)?, gpu: None, clock: false })
-    }
-
-    /// All that are there, if the options leave it open: GPU, parallel, serial.
-    pub(super) fn all(args: &BackendArgs) -> Result<Vec<Self>> {
-        if args.backend != BackendArg::Auto {
-            return Ok(vec![Self::one(args)?]);
-        }
-        let mut workers = Vec::new();
-        match backends::gpu(args) {
-            Ok(gpu) => workers.push(Self::on_gpu(gpu)),
-            Err(reason) => errln!("tessera: no GPU is measured: {reason}"),
-        }
-        for backend in [BackendArg::Parallel, BackendArg::Serial] {
-            workers.push(Self::one(&BackendArgs { backend, ..args.clone() })?);
-        }
-        Ok(workers)
-    }
-
-    /// Has a GPU's own clock time the phases, if it has one.
-    pub(super) fn keep_time(&mut self) -> Result<()> {
-        if let Some(gpu) = &self.gpu {
-            self.clock = gpu.keep_time()?;
-        }
-        Ok(())
-    }
-
-    /// "gpu", "parallel" or "serial".
-    pub(super) fn name(&self) -> &'static str {
-        self.backend.kind().name()
-    }
-
-    /// The same and what of the machine it uses.
-    pub(super) fn describe(&self) -> String {
-        let adapter = self.backend.adapter().map(|a| format!(" ({a})")).unwrap_or_default();
-        match self.backend.threads() {
-            1 => format!("{}{adapter}, 1 thread", self.name()),
-            threads => format!("{}{adapter}, {threads} threads", self.name()),
-        }
-    }
-
-    /// Who it is.
-    pub(super) fn json(&self) -> Value {
-        let (adapter, threads) = (self.backend.adapter(), self.backend.threads());
-        json!({ "backend": self.name(), "adapter": adapter, "threads": threads })
-    }
-
-    /// Where the times of the phases come from.
-    pub(super) fn phases_by(&self) -> &'static str {
-        match (self.backend.kind(), self.clock) {
-            (BackendKind::Gpu, true) => "device clock",
-            // They are parts of one submission.
-            (BackendKind::Gpu, false) => "none",
-            _ => "wall clock",
-        }
-    }
-}
 
 /// A surface and seeds on it.
 pub(super) struct Load {
@@ -133,14 +41,6 @@ pub(super) struct Load {
     pub(super) density: &'static str,
     /// Lloyd steps that the seeds were moved by.
     pub(super) relaxed: usize,
-}
-
-/// A mesh and its name: a file's, or a shape of about so many facets.
-pub(super) fn mesh(file: Option<&Path>, shape: Shape, facets: usize) -> Result<(String, TriMesh)> {
-    Ok(match file {
-        Some(path) => (path.file_stem().unwrap_or_default().to_string_lossy().into_owned(), files::read_mesh(path)?),
-        None => (shape.to_string(), shape.build(facets)),
-    })
 }
 
 impl Load {

@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::measure::Worker;
+use super::worker::Worker;
 use crate::files;
 use picture::Size;
 use picture::chart::Figure;

@@ -13,9 +13,10 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::args::{RunArgs, SeedsArgs, SurfaceArgs};
-use super::measure::{Load, Worker};
+use super::measure::Load;
 use super::output::{head, report};
 use super::spread::Spread;
+use super::worker::Worker;
 use geometry::rvd::{Accumulate, CellSums, DeviceWork, PassStats, Session, SessionOptions, Strategy, Surface, Tuning};
 use geometry::token::Token;
 pub(super) use gpu::diagram::AccumulationMs;

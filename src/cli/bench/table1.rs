@@ -10,10 +10,11 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::args::RunArgs;
-use super::measure::{Load, Timed, Worker, mesh};
+use super::args::{RunArgs, mesh};
+use super::measure::{Load, Timed};
 use super::output::{ratio, report};
 use super::published::Published;
+use super::worker::Worker;
 use crate::exit::Usage;
 use crate::files;
 use geometry::cvt::density::DensityOptions;

@@ -44,9 +44,9 @@ pub(crate) struct RemeshArgs {
     pub(super) picture: PictureArgs,
     #[command(flatten, next_help_heading = "Backend")]
     pub(super) backend: BackendArgs,
-    #[command(flatten, next_help_heading = "Who works")]
+    #[command(flatten, next_help_heading = "Backend")]
     pub(super) at: EndpointArgs,
-    #[command(flatten, next_help_heading = "What is said")]
+    #[command(flatten, next_help_heading = "Messages")]
     pub(super) say: SayArgs,
 }
 

@@ -17,11 +17,11 @@ use std::ops::Range;
 use super::context::Context;
 use super::lane;
 use super::layout::{self, MEMBERS, NONE, Params, ROOT, ROW, SUM_WORDS, State, accumulate};
-use super::measure;
 use super::memory::{Memory, OnDevice, records};
 use super::neighbours::{Neighbours, Rows};
 use super::pipelines::SLOTS;
 use super::plan::{BATCH, size};
+use super::strategy;
 use crate::buffers::write;
 use crate::dispatch::{ARGUMENTS_BYTES, Stage};
 use geometry::rvd::incident::FacetWalker;
@@ -132,7 +132,7 @@ impl Clip {
             near,
             demoted: Vec::new(),
             divides: true,
-            accumulate: measure::adding(how),
+            accumulate: strategy::adding(how),
             scales: fixed::Scales::default(),
             walker: FacetWalker::default(),
             pass: PassResult::default(),

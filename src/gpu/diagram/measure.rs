@@ -1,11 +1,7 @@
-//! The strategies of \[HYWZ17\] that exist to be measured.
+//! Times the ways of adding pieces to the sums of their cells.
 //!
-//! Purpose: selects them, in every build with a GPU: [`Tuning`](geometry::rvd::Tuning) in the library, `tessera bench rvd
-//! --strategy cell|auto --accumulate two-phase` at the command. [`by_cell`] chooses the facets whose pairs are found by cell
-//! (`clip/by_cell.rs`, shaders `clip/reach` and `clip/verify`), [`adding`] how pieces reach the sums of their cells
-//! (`shaders/shared/accumulate.wgsl`). [`Gpu::measure_accumulation`] times each way of adding.
-//! Invariant: no strategy changes a bit of a result. Passes that are compared clip the same pairs; those that add directly and
-//! not at all are one program. Must not know: what is printed.
+//! Purpose: [`Gpu::measure_accumulation`]. Invariant: passes that are compared clip the same pairs; those that add directly and not
+//! at all are one program. Must not know: what is printed.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -15,26 +11,8 @@ use glam::DVec3;
 use super::Gpu;
 use super::layout::accumulate::{DIRECT, NOWHERE, TWO_PHASE};
 use super::session::GpuSession;
-use geometry::rvd::{Accumulate, CELLS_PER_FACET, RvdError, Session, SessionOptions, Strategy, Surface, elapsed_ms};
+use geometry::rvd::{RvdError, Session, SessionOptions, Surface, elapsed_ms};
 use geometry::token::Token;
-
-/// Facets whose pairs are found by cell.
-pub(super) fn by_cell(expected: &[f64], strategy: Strategy) -> Vec<u32> {
-    let least = match strategy {
-        Strategy::Facet => return Vec::new(),
-        Strategy::Cell => 0.0,
-        Strategy::Auto => CELLS_PER_FACET,
-    };
-    (0..expected.len() as u32).filter(|&f| expected[f as usize] > least).collect()
-}
-
-/// Code of the way in which pieces are added.
-pub(super) fn adding(how: Accumulate) -> u32 {
-    match how {
-        Accumulate::Direct | Accumulate::Auto => DIRECT,
-        Accumulate::TwoPhase => TWO_PHASE,
-    }
-}
 
 /// Milliseconds of each clip pass, by how its pieces were added.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -81,18 +59,5 @@ impl Gpu {
             }
             Ok(out)
         })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn strategies_choose_facets() {
-        let expected = [0.0, 3.0, 20.0, 20.5];
-        assert!(by_cell(&expected, Strategy::Facet).is_empty());
-        assert_eq!(by_cell(&expected, Strategy::Cell), [1, 2, 3]);
-        assert_eq!(by_cell(&expected, Strategy::Auto), [3]);
     }
 }

@@ -28,7 +28,7 @@ use super::neighbours::{Neighbours, Place, grid};
 use super::optimizer::Optimizer;
 use super::pipelines::SLOTS;
 use super::plan::{self, Counts};
-use super::{Gpu, measure, phases};
+use super::{Gpu, phases, strategy};
 use crate::Traffic;
 use geometry::rvd::{
     Capacities, CellSums, DeviceWork, PassStats, PhasesMs, PieceBatch, Resident, RvdError, Session, SessionOptions,
@@ -77,7 +77,7 @@ impl GpuSession {
         let expected = records::expected_cells(surface, max_seeds);
         let slots_log2 = records::first_slots(&expected, capacities.cells, Capacities::default().cells);
         let mut facets = records::facets(surface, &slots_log2);
-        let by_cell = measure::by_cell(&expected, tuning.strategy);
+        let by_cell = strategy::by_cell(&expected, tuning.strategy);
         by_cell::mark(&mut facets, &by_cell);
         let near = by_cell::Grid::new(surface, &by_cell, max_seeds);
         let k = capacities.neighbours.clamp(1, max_seeds.max(1)) as u64;

@@ -1,6 +1,6 @@
 //! The newest seeds of jobs at work, for who watches them converge.
 //!
-//! Purpose: a watcher asks [`Previews`] for a job, and the work shows its seeds there after each step. Invariant: only the newest
+//! Purpose: a watcher asks `Previews` for a job, and the work shows its seeds there after each step. Invariant: only the newest
 //! seeds of a job are held, and only while somebody watches; work that nobody watches reads nothing back. The work never waits
 //! for a watcher. Must not know: jobs' records, who watches, what is drawn.
 

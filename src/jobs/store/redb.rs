@@ -87,7 +87,7 @@ type Reply = Box<dyn FnOnce(Result<(), StoreError>) + Send>;
 
 impl RedbStore {
     /// Opens the journal of a directory; makes both if they are not there. Nothing is recovered yet:
-    /// [`JobStore::recover`].
+    /// `JobStore::recover`.
     ///
     /// # Errors
     /// `InUse`, `Damaged`, `UnknownVersion`, `Io`.
