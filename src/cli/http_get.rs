@@ -50,7 +50,7 @@ mod tests {
             ("HTTP/1.1 404 Not Found\r\nContent-Length: 2\r\n\r\nno", Ok((404, "no"))),
             ("HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n2\r\nab\r\n1\r\nc\r\n0\r\n\r\n", Ok((200, "abc"))),
             ("HTTP/1.1 200 OK\r\n\r\nup to the end", Ok((200, "up to the end"))),
-            ("HTTP/1.1 200 OK\r\nContent-Length: 99\r\n\r\n", Err("limit exceeded")),
+            ("HTTP/1.1 200 OK\r\nContent-Length: 20\r\n\r\n01234567890123456789", Err("limit exceeded")),
             ("HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\ncut", Err("reading a body")),
             ("hello\r\n\r\n", Err("does not speak HTTP")),
         ] {

@@ -70,7 +70,7 @@ impl Program {
     /// The metrics that the admin port tells, by name and labels.
     pub async fn metrics(&self) -> BTreeMap<String, f64> {
         let mut stream = TcpStream::connect(self.admin.as_ref().unwrap()).await.unwrap();
-        stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n").await.unwrap();
+        stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").await.unwrap();
         let mut answer = String::new();
         stream.read_to_string(&mut answer).await.unwrap();
         let samples = answer.split_once("\r\n\r\n").unwrap().1.lines().filter(|line| !line.starts_with('#'));
