@@ -97,6 +97,8 @@ mod tests {
             (&stl, Some(Format::Stl)),
             (b"OFF\n3 1 0\n", Some(Format::Off)),
             (b"# vtk DataFile Version 3.0\n", Some(Format::Vtk)),
+            // Its title may be a word of another format.
+            (b"# vtk DataFile Version 3.0\nsolid part\nASCII\n", Some(Format::Vtk)),
             (b"<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\">", Some(Format::Vtp)),
             (b"$MeshFormat\n4.1 0 8\n", Some(Format::Gmsh)),
             (b"\xef\xbb\xbf# made by hand\nMeshVersionFormatted 2\n", Some(Format::Medit)),

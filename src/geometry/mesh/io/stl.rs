@@ -29,7 +29,7 @@ pub(super) const CODEC: Codec = Codec {
         "application/vnd.ms-pki.stl",
     ],
     facet_bytes: RECORD as u64,
-    signature: super::recognition::Signature::Start(|head| is_binary(head) || head.word() == b"solid"),
+    signature: super::recognition::Signature::Start(|head| is_binary(head) || is_solid(head.text())),
     decode,
     encode,
     counts: |bytes| counts(bytes).map(Counts::from),
@@ -39,6 +39,12 @@ pub(super) const CODEC: Codec = Codec {
 
 const HEADER: usize = 84;
 const RECORD: usize = 50;
+
+/// Whether the first word is "solid". There are no comments before it: the title of a VTK file, after a line with `#`, may be
+/// that word too.
+fn is_solid(text: &[u8]) -> bool {
+    text.trim_ascii_start().split(u8::is_ascii_whitespace).next() == Some(&b"solid"[..])
+}
 
 /// Whether the file is as long as its count of facets says.
 fn is_binary(head: &super::recognition::Head<'_>) -> bool {
