@@ -112,7 +112,10 @@ pub(super) async fn read(url: &Uri) -> Result<Samples> {
     const LIMIT: Duration = Duration::from_secs(10);
     const MOST_BYTES: usize = 16 << 20;
     let place = format!("{}:{}", url.host().unwrap_or_default(), url.port_u16().unwrap_or(80));
-    let path = if url.path() == "/" { "/metrics" } else { url.path() };
+    let path = match url.path_and_query().map(|path| path.as_str()) {
+        None | Some("/") => "/metrics",
+        Some(path) => path,
+    };
     let why = match get(&place, path, LIMIT, MOST_BYTES).await {
         Ok((StatusCode::OK, body)) => return Ok(Samples::of(&String::from_utf8_lossy(&body))),
         Ok((status, _)) => format!("it answers with status {}", status.as_u16()),
