@@ -75,7 +75,8 @@ pub fn start(format: LogFormat, default: &str, traces: Option<&Traces>) -> Resul
     let (writer, writing) = tracing_appender::non_blocking(std::io::stderr());
     // Whatever is logged: a line has the names that its spans have.
     let spans = filter_fn(names_work).with_max_level_hint(LevelFilter::INFO);
-    let registry = tracing_subscriber::registry().with(lines(format, writer).with_filter(filter.or(spans)));
+    let logs = lines(format, std::io::stderr().is_terminal(), writer).with_filter(filter.or(spans));
+    let registry = tracing_subscriber::registry().with(logs);
     #[cfg(feature = "otlp")]
     {
         let traces = traces.map(traces::Exporting::start).transpose()?;
@@ -92,12 +93,16 @@ pub fn start(format: LogFormat, default: &str, traces: Option<&Traces>) -> Resul
     }
 }
 
-/// Writes events, each with the spans that it lies in.
-fn lines(format: LogFormat, writer: impl for<'a> MakeWriter<'a> + Send + Sync + 'static) -> BoxedLayer {
+/// Writes events, each with the spans that it lies in. Text has colours for a terminal.
+fn lines(
+    format: LogFormat,
+    is_terminal: bool,
+    writer: impl for<'a> MakeWriter<'a> + Send + Sync + 'static,
+) -> BoxedLayer {
     // An error of the writer would be logged to the same stream, and panic there.
     let lines = tracing_subscriber::fmt::layer().with_writer(writer).log_internal_errors(false);
     match format {
-        LogFormat::Text => lines.with_ansi(std::io::stderr().is_terminal()).boxed(),
+        LogFormat::Text => lines.with_ansi(is_terminal).boxed(),
         LogFormat::Json => lines.json().flatten_event(true).with_current_span(false).boxed(),
     }
 }
@@ -134,7 +139,7 @@ mod tests {
     fn line(format: LogFormat) -> String {
         let page = Page::default();
         let writer = page.clone();
-        let layer = lines(format, move || writer.clone());
+        let layer = lines(format, false, move || writer.clone());
         tracing::subscriber::with_default(tracing_subscriber::registry().with(layer), || {
             let call = info_span!("call", trace_id = field::Empty).entered();
             call.record("trace_id", field::display("abc"));
